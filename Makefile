@@ -1,0 +1,83 @@
+# Two commands do everything on a machine with Python and make:
+#   make run     fly Simulation 3 and print its table      (ARGS="--duration 120" for options)
+#   make test    lint, types and tests
+# The first of them creates .venv from requirements.lock. PYTHON=/path/to/python picks another one.
+
+PYTHON ?=
+JOBS ?= 2
+ARGS ?=
+
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+MAKEFLAGS += --no-print-directory
+
+.DEFAULT_GOAL := help
+.PHONY: help setup run test lint types tests check-all bench wheel lock clean
+
+help:
+	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,4p'
+
+setup: $(STAMP)
+	@:
+
+run: $(STAMP)
+	@$(BIN)/testbed run scenarios/simulation-3.yaml $(ARGS)
+
+test: lint types tests
+
+lint: $(STAMP)
+	@$(BIN)/ruff check --quiet .
+	@$(BIN)/ruff format --check --quiet .
+
+types: $(STAMP)
+	@$(BIN)/mypy --no-error-summary
+
+tests: $(STAMP)
+	@$(BIN)/pytest -q -n $(JOBS) $(ARGS)
+
+# Everything, with the wheel built and flown from a fresh environment.
+check-all: test wheel
+	@rm -rf build/fresh && $(BIN)/python -m venv build/fresh
+	@build/fresh/bin/python -m pip install --quiet --disable-pip-version-check \
+		--require-hashes -r requirements.lock
+	@build/fresh/bin/python -m pip install --quiet --disable-pip-version-check --no-deps dist/*.whl
+	@cd build && fresh/bin/testbed run simulation-3 --duration 30 --out fresh/run
+
+# What everything around the flight model costs, as a ratio to bare JSBSim.
+bench: $(STAMP)
+	@$(BIN)/python benchmarks/full_over_bare.py $(ARGS)
+
+wheel: $(STAMP)
+	@rm -rf dist && $(BIN)/python -m build --no-isolation --wheel >/dev/null && ls dist/*.whl
+
+# Needs uv. Takes the newest releases inside the ranges of pyproject.toml.
+lock:
+	@uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 \
+		--generate-hashes --no-annotate --no-config --upgrade --quiet \
+		--custom-compile-command "make lock" -o requirements.lock
+
+clean:
+	@rm -rf $(VENV) build dist .mypy_cache .pytest_cache .ruff_cache
+
+$(STAMP): requirements.lock pyproject.toml
+	@set -e; \
+	fits='import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))'; \
+	if ! $(BIN)/python -c "$$fits" 2>/dev/null; then \
+		found=; \
+		for candidate in $(or $(PYTHON),python3 python3.13 python3.12 python3.11 python); do \
+			if "$$candidate" -c "$$fits" 2>/dev/null; then found="$$candidate"; break; fi; \
+		done; \
+		if [ -z "$$found" ]; then \
+			echo "No Python 3.11, 3.12 or 3.13 found: run make PYTHON=/path/to/python" >&2; exit 2; \
+		fi; \
+		"$$found" -m venv --clear $(VENV) || { \
+			echo "$$found cannot make environments: on Debian, apt-get install python3-venv" >&2; \
+			exit 2; }; \
+	fi; \
+	echo "Installing the pinned dependencies into $(VENV); once, a few minutes"; \
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
+		--require-hashes -r requirements.lock; \
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
+		--no-deps --no-build-isolation --editable .; \
+	touch $(STAMP)

@@ -1,0 +1,223 @@
+"""The command line."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from testbed import __version__
+from testbed.errors import InputError
+
+LOST = 1
+BAD_INPUT = 2
+INTERNAL_ERROR = 4
+INTERRUPTED = 130
+
+EXITS = (
+    "Exit codes: 0 good, 1 an aircraft was lost, 2 bad input, 3 regression, 4 internal error, "
+    "130 interrupted."
+)
+
+app = typer.Typer(
+    name="testbed",
+    help="Fly formations of fixed-wing aircraft: JSBSim behind virtual ArduPlane autopilots.",
+    epilog=EXITS,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+)
+
+ScenarioName = Annotated[
+    str, typer.Argument(metavar="SCENARIO", help="Name of a scenario (`testbed list`) or a path.")
+]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change a key of the page, e.g. network.delay_s=0.1 or 'fleet.*.sensors=gps-ins'; "
+        "may be repeated.",
+    ),
+]
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"testbed {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _main(
+    version: Annotated[
+        bool,
+        typer.Option("--version", help="Print the version.", callback=_version, is_eager=True),
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command(epilog=EXITS)
+def run(
+    scenario: ScenarioName,
+    overrides: Overrides = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of every random stream.")] = None,
+    duration: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="End the flight earlier or later.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Run directory to make.  [default: logs/SCENARIO/UTC-ID]"),
+    ] = None,
+    json: Annotated[
+        Path | None,
+        typer.Option("--json", metavar="FILE", help="Write the metrics here too; - is stdout."),
+    ] = None,
+    view: Annotated[
+        bool, typer.Option("--view", help="Watch live in a Rerun viewer, started if need be.")
+    ] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="No progress bar and no table.")
+    ] = False,
+) -> None:
+    """Fly a scenario and print its table.
+
+    Leaves run.mcap, scenario.resolved.yaml and metrics.json in the run directory.
+    """
+    from testbed.console import fly_and_show
+
+    raise typer.Exit(
+        fly_and_show(
+            scenario,
+            tuple(overrides or ()),
+            seed=seed,
+            duration_s=duration,
+            out=out,
+            json=json,
+            view=view,
+            quiet=quiet,
+        )
+    )
+
+
+@app.command(epilog=EXITS)
+def view(
+    run: Annotated[
+        str,
+        typer.Argument(metavar="RUN", help="A run directory, a .mcap file, or a scenario's name."),
+    ],
+    rrd: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Save a Rerun recording instead of opening a viewer."),
+    ] = None,
+) -> None:
+    """Replay a flown run in a Rerun viewer."""
+    from testbed.console import replay_run
+
+    raise typer.Exit(replay_run(run, rrd=rrd))
+
+
+@app.command()
+def validate(
+    scenario: ScenarioName,
+    overrides: Overrides = None,
+    resolved: Annotated[
+        bool, typer.Option("--resolved", help="Print the page with everything it stands for.")
+    ] = False,
+) -> None:
+    """Check a scenario without flying it: the page, and the world it asks for."""
+    from testbed.scenario import dump, load
+    from testbed.sim.world import build
+
+    page = load(scenario, tuple(overrides or ()))
+    build(page)
+    typer.echo(dump(page) if resolved else f"{scenario}: good")
+
+
+@app.command("list")
+def list_all() -> None:
+    """List the scenarios and aircraft that can be named."""
+    from testbed.console import list_library
+
+    list_library()
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON schema of a scenario page, for editors."""
+    import json
+
+    from testbed.scenario import json_schema
+
+    typer.echo(json.dumps(json_schema(), indent=2, ensure_ascii=False))
+
+
+@app.command()
+def respond(
+    aircraft: Annotated[str, typer.Argument(metavar="AIRCRAFT", help="Name or folder.")],
+    commands: Annotated[
+        Path,
+        typer.Argument(
+            metavar="COMMANDS.csv",
+            help="Columns t_s, theta_cmd_rad, phi_cmd_rad, throttle_cmd; more may follow.",
+        ),
+    ],
+    output: Annotated[Path, typer.Argument(metavar="OUT.csv", help="Same columns and times.")],
+    param: Annotated[
+        str, typer.Option(metavar="FILE", help="Autopilot parameters: a tune's name or a file.")
+    ] = "recorded",
+    airspeed: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M/S", help="True airspeed at the start.  [default: the first row's, or 22]"
+        ),
+    ] = None,
+    altitude: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M", help="Altitude above the origin.  [default: the first row's, or 100]"
+        ),
+    ] = None,
+    origin_elevation: Annotated[
+        float, typer.Option(metavar="M", help="Elevation of the origin above sea level.")
+    ] = 300.0,
+) -> None:
+    """Replay fly-by-wire-A commands through one aircraft, to compare with a recording."""
+    from testbed.scenario import find_aircraft, find_tune
+    from testbed.vehicle.respond import AircraftLost
+    from testbed.vehicle.respond import respond as fly
+
+    folder = find_aircraft(aircraft)
+    try:
+        fly(
+            folder,
+            commands,
+            output,
+            param=find_tune(folder, param),
+            airspeed=airspeed,
+            altitude=altitude,
+            origin_elevation=origin_elevation,
+        )
+    except AircraftLost as loss:
+        typer.echo(f"lost: {loss}", err=True)
+        raise typer.Exit(LOST) from None
+
+
+def main() -> None:
+    """Run the command line; every ending has its exit code."""
+    try:
+        app()
+    except InputError as error:
+        typer.echo(f"error: {error}", err=True)
+        sys.exit(BAD_INPUT)
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
+    except Exception:
+        traceback.print_exc()
+        typer.echo("internal error: this is a fault of testbed, not of your input", err=True)
+        sys.exit(INTERNAL_ERROR)

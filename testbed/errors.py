@@ -1,0 +1,8 @@
+"""The one kind of error that is the user's to mend."""
+
+
+class InputError(ValueError):
+    """What was given cannot be used; the text says where, why, and what to write instead.
+
+    The command line prints it without a traceback and exits with 2.
+    """

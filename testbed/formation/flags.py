@@ -1,0 +1,21 @@
+"""Bit flags that say which guard or saturation acted on an agent's command."""
+
+from __future__ import annotations
+
+from enum import IntFlag
+
+
+class Guard(IntFlag):
+    """A guard that kept the control law inside its domain."""
+
+    SPEED_DESIRED_CLAMPED = 1  # s_d left S_d and was clamped, its derivative zeroed
+    OUTSIDE_SPEED_SET = 2  # s left S: the second branch of (14)
+    SPEED_COMMAND_CLIPPED = 4  # u + s_a − s left the speed bounds
+
+
+class Saturation(IntFlag):
+    """A limit of the middle loop's command that was reached."""
+
+    PITCH = 1
+    ROLL = 2
+    THROTTLE = 4

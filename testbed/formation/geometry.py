@@ -1,0 +1,100 @@
+"""The leader's velocity frame and the slots that turn with it, [HBH23] eqs. (22)-(29)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from testbed.compiled import twin_of
+from testbed.formation.arrays import cross, rotate
+from testbed.state import Array
+
+# Below this horizontal speed (m/s) a course is undefined; (22) is then taken as north.
+COURSE_FLOOR = 1e-9
+
+
+def velocity_frame(velocity: Array) -> Array:
+    """R(σ, γ) (n, 3, 3): the zero-roll velocity frame of velocities (n, 3), m/s.
+
+    Its columns are forward along the velocity, right in the horizontal, and down.
+    [HBH23] eqs. (22)-(24), with the angles' sines and cosines taken from the velocity itself.
+    """
+    north, east, down = velocity[:, 0], velocity[:, 1], velocity[:, 2]
+    horizontal = np.hypot(north, east)
+    speed = np.hypot(horizontal, down)
+    upright = np.maximum(horizontal, COURSE_FLOOR)
+    cs = np.where(horizontal > COURSE_FLOOR, north / upright, 1.0)
+    ss = np.where(horizontal > COURSE_FLOOR, east / upright, 0.0)
+    cg, sg = horizontal / speed, -down / speed
+    out = np.zeros((len(velocity), 3, 3))
+    out[:, 0, 0] = cg * cs
+    out[:, 0, 1] = -ss
+    out[:, 0, 2] = sg * cs
+    out[:, 1, 0] = cg * ss
+    out[:, 1, 1] = cs
+    out[:, 1, 2] = sg * ss
+    out[:, 2, 0] = -sg
+    out[:, 2, 2] = cg
+    return out
+
+
+def frame_rate(flight_path_angle: Array, course_rate: Array, climb_rate: Array) -> Array:
+    """ω_g (n, 3) rad/s from γ (rad), σ̇ and γ̇ (rad/s), [HBH23] eq. (26)."""
+    out = np.empty((len(course_rate), 3))
+    out[:, 0] = -course_rate * np.sin(flight_path_angle)
+    out[:, 1] = climb_rate
+    out[:, 2] = course_rate * np.cos(flight_path_angle)
+    return out
+
+
+def slots(frame: Array, rate: Array, offsets: Array) -> tuple[Array, Array, Array]:
+    """χ, χ̇, χ̈ of offsets held in the leader's frame, [HBH23] eqs. (27)-(29) with ω̇_g = 0.
+
+    Args:
+        frame: R_g (n, 3, 3), as each agent computes it.
+        rate: ω_g (n, 3), rad/s, resolved in the leader's frame.
+        offsets: υ (m, 3), m: forward, right, down.
+
+    Returns:
+        Three arrays (n, m, 3): metres, m/s and m/s², resolved in NED.
+    """
+    upsilon = np.empty((len(frame), len(offsets), 3))
+    upsilon[:] = offsets
+    turning = cross(rate, upsilon)
+    return rotate(frame, upsilon), rotate(frame, turning), rotate(frame, cross(rate, turning))
+
+
+def velocity_rates(velocity: Array, acceleration: Array) -> tuple[Array, Array]:
+    """σ̇ and γ̇ (n,) rad/s of a velocity (n, 3) m/s that changes at (n, 3) m/s²."""
+    north, east, down = velocity[:, 0], velocity[:, 1], velocity[:, 2]
+    along = north * acceleration[:, 0] + east * acceleration[:, 1]
+    across = north * acceleration[:, 1] - east * acceleration[:, 0]
+    square = np.maximum(north * north + east * east, COURSE_FLOOR)
+    horizontal = np.sqrt(square)
+    climb = (down * along / horizontal - horizontal * acceleration[:, 2]) / (square + down * down)
+    return across / square, climb
+
+
+def true_slots(position: Array, velocity: Array, offsets: Array) -> tuple[Array, Array, Array]:
+    """Where the followers should be, how far they are from it, and how they move.
+
+    Args:
+        position: (n + 1, 3) m, the leader first.
+        velocity: (n + 1, 3) m/s.
+        offsets: υ (n + 1, 3) m in the leader's frame.
+
+    Returns:
+        q_g + χ_i (n, 3) m by (27); q̃_i (n, 3) m; and ground speed (m/s), course and flight-path
+        angle (rad) in the rows of an array (3, n).
+    """
+    frame = velocity_frame(velocity[:1])[0]
+    slot = position[0] + offsets[1:] @ frame.T
+    moving = velocity[1:]
+    horizontal = np.hypot(moving[:, 0], moving[:, 1])
+    motion = np.empty((3, len(moving)))
+    motion[0] = np.hypot(horizontal, moving[:, 2])
+    motion[1] = np.arctan2(moving[:, 1], moving[:, 0])
+    motion[2] = np.arctan2(-moving[:, 2], horizontal)
+    return slot, position[1:] - slot, motion
+
+
+TRUE_SLOTS = twin_of(true_slots, "testbed.formation.geometry_twin")

@@ -1,0 +1,57 @@
+"""The compiled twin of `geometry`: frames, rotations and the followers' true slots.
+
+A test holds it to the numpy functions. numba compiles each function at its first call.
+"""
+
+# The numpy functions carry the docstrings and the types.
+# ruff: noqa: ANN001, ANN201, D103
+# mypy: ignore-errors
+
+from __future__ import annotations
+
+from math import atan2, hypot
+
+import numpy as np
+from numba import njit
+
+from testbed.formation.geometry import COURSE_FLOOR
+
+# numpy divides by zero as IEEE does; nothing is reordered, so that runs repeat to the bit
+twin = njit(cache=True, error_model="numpy")
+
+
+@twin
+def frame_of(x, y, z):
+    """Cos σ, sin σ, cos γ, sin γ, (22)-(24)."""
+    horizontal = hypot(x, y)
+    speed = hypot(horizontal, z)
+    cs, ss = (x / horizontal, y / horizontal) if horizontal > COURSE_FLOOR else (1.0, 0.0)
+    return cs, ss, horizontal / speed, -z / speed
+
+
+@twin
+def to_ned(cs, ss, cg, sg, x, y, z):
+    return cg * cs * x - ss * y + sg * cs * z, cg * ss * x + cs * y + sg * ss * z, -sg * x + cg * z
+
+
+@twin
+def cross(a, b, c, x, y, z):
+    return b * z - c * y, c * x - a * z, a * y - b * x
+
+
+@twin
+def true_slots(position, velocity, offsets):
+    n = len(position) - 1
+    slot, error, motion = np.empty((n, 3)), np.empty((n, 3)), np.empty((3, n))
+    cs, ss, cg, sg = frame_of(velocity[0, 0], velocity[0, 1], velocity[0, 2])
+    for i in range(n):
+        chi = to_ned(cs, ss, cg, sg, offsets[i + 1, 0], offsets[i + 1, 1], offsets[i + 1, 2])
+        for axis in range(3):
+            slot[i, axis] = position[0, axis] + chi[axis]
+            error[i, axis] = position[i + 1, axis] - slot[i, axis]
+        north, east, down = velocity[i + 1]
+        horizontal = hypot(north, east)
+        motion[0, i] = hypot(horizontal, down)
+        motion[1, i] = atan2(east, north)
+        motion[2, i] = atan2(-down, horizontal)
+    return slot, error, motion

@@ -1,0 +1,1 @@
+"""What the leader flies: a mission of waypoints and circles, or a recorded flight."""

@@ -1,0 +1,105 @@
+"""Altitude and airspeed hold through the pitch and throttle of fly-by-wire A.
+
+A reference altitude h_r follows the target h_t with a climb rate that changes gently; two loops,
+each a feed-forward for what is known plus a small PI for what is not, follow h_r and the airspeed:
+
+    ḣ_r = ḣ_t + k_r (h_t − h_r)        ḣ_d = ḣ_r + k_h (h_r − h)
+    θ   = γ_d + θ_0 + k_n (1/cos φ − 1) + k_γ (γ_d − γ) + k_γi ∫ (γ_d − γ)
+    T   = T_0 + k_c ḣ_r + k_φ (1/cos² φ − 1) + k_V (V_d − V) + k_Vi ∫ (V_d − V)
+
+with sin γ = ḣ / V. The integrals begin at the trimmed θ_0 and T_0 and so carry the incidence and
+the throttle of level flight. The followers of a formation repeat what the leader does: the
+reference is there to keep it easy to repeat.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HoldGains:
+    """Gains of the hold; the defaults are tuned on the Rascal 110 at 22 m/s."""
+
+    reference: float = 0.3  # k_r, 1/s
+    altitude: float = 0.25  # k_h, 1/s
+    climb_acceleration: float = 0.8  # m/s², largest rate of change of ḣ_r
+    catch_up: float = 0.5  # m/s, most that k_h adds to ḣ_r
+    path: float = 0.5  # k_γ
+    path_integral: float = 0.3  # k_γi, 1/s
+    incidence_per_load: float = 0.05  # k_n, rad per g
+    speed: float = 0.15  # k_V, per m/s
+    speed_integral: float = 0.035  # k_Vi, per m/s per s
+    throttle_per_climb: float = 0.08  # k_c, per m/s
+    throttle_per_bank: float = 0.12  # k_φ
+    pitch_limit: float = math.radians(20.0)  # rad
+
+
+class HoldMemory(NamedTuple):
+    """What the hold carries from one call to the next."""
+
+    altitude: float  # h_r, m
+    climb: float  # ḣ_r, m/s
+    pitch: float  # the pitch integral, rad
+    throttle: float  # the throttle integral, 0..1
+
+
+def hold(
+    memory: HoldMemory,
+    *,
+    altitude: float,
+    climb: float,
+    airspeed: float,
+    roll: float,
+    altitude_target: float,
+    climb_target: float,
+    airspeed_target: float,
+    climb_limit: float,
+    dt: float,
+    gains: HoldGains,
+) -> tuple[float, float, HoldMemory]:
+    """Pitch (rad), throttle (0..1) and the new memory; altitudes up in m, speeds in m/s.
+
+    The targets are the altitude to be at now and the rate at which that altitude moves; what is
+    missing from it is made good at `climb_limit` at most.
+    """
+    behind = gains.reference * (altitude_target - memory.altitude)
+    change = climb_target + _clip(behind, climb_limit) - memory.climb
+    climb_r = memory.climb + _clip(change, gains.climb_acceleration * dt)
+    altitude_r = memory.altitude + climb_r * dt
+    demand = climb_r + _clip(gains.altitude * (altitude_r - altitude), gains.catch_up)
+
+    speed = max(airspeed, 1.0)
+    gamma_d = math.asin(_clip(demand / speed, 0.5))
+    gamma_error = gamma_d - math.asin(_clip(climb / speed, 0.5))
+    cos_roll = max(math.cos(roll), 0.2)
+    pitch = (
+        gamma_d
+        + memory.pitch
+        + gains.incidence_per_load * (1.0 / cos_roll - 1.0)
+        + gains.path * gamma_error
+    )
+    speed_error = airspeed_target - airspeed
+    throttle = (
+        memory.throttle
+        + gains.throttle_per_climb * climb_r
+        + gains.throttle_per_bank * (1.0 / cos_roll**2 - 1.0)
+        + gains.speed * speed_error
+    )
+    # An integral rests while its command is beyond the limit that the error pushes towards.
+    pitch_integral, throttle_integral = memory.pitch, memory.throttle
+    if abs(pitch) < gains.pitch_limit or pitch * gamma_error < 0.0:
+        pitch_integral += gains.path_integral * gamma_error * dt
+    if 0.0 < throttle < 1.0 or (throttle - 0.5) * speed_error < 0.0:
+        throttle_integral += gains.speed_integral * speed_error * dt
+    return (
+        _clip(pitch, gains.pitch_limit),
+        min(max(throttle, 0.0), 1.0),
+        HoldMemory(altitude_r, climb_r, pitch_integral, throttle_integral),
+    )
+
+
+def _clip(value: float, limit: float) -> float:
+    return min(max(value, -limit), limit)

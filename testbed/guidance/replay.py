@@ -1,0 +1,193 @@
+"""A recorded flight as leader: from a CSV to the leader's state at every tick of the run."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from testbed.errors import InputError
+from testbed.frames import euler_rates, wrap_pi
+from testbed.state import Array
+
+COLUMNS = tuple(
+    "t_s north_m east_m down_m v_north_mps v_east_mps v_down_mps roll_rad pitch_rad yaw_rad "
+    "p_radps q_radps r_radps airspeed_mps throttle".split()
+)
+LARGEST_GAP = 1.0  # s; a cubic through a longer gap would be an invention
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A flight as recorded: M rows at increasing times (s), SI units, NED, yaw unwrapped."""
+
+    time: Array  # (M,)
+    position_ned: Array  # (M, 3)
+    velocity_ned: Array  # (M, 3)
+    euler: Array  # (M, 3)
+    rates_body: Array  # (M, 3)
+    airspeed: Array  # (M,) true
+    throttle: Array  # (M,)
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """The recorded flight at T ticks; row k is the leader's state then."""
+
+    position_ned: Array  # (T, 3) m
+    velocity_ned: Array  # (T, 3) m/s
+    acceleration_ned: Array  # (T, 3) m/s²
+    euler: Array  # (T, 3) rad
+    rates_body: Array  # (T, 3) rad/s
+    airspeed: Array  # (T,) true, m/s
+    throttle: Array  # (T,) 0..1
+
+
+def read_recording(path: Path) -> Recording:
+    """Read a recording with the columns `COLUMNS` in any order; other columns are ignored.
+
+    Stamps that lie on an even grid, but for the digits they are written with, are put onto it:
+    a stamp rounded to 0.01 s is wrong by up to 0.1 m at 22 m/s.
+
+    Raises:
+        InputError: With file, line and remedy, if the file is not such a recording.
+    """
+    with path.open(newline="", encoding="utf-8") as file:
+        try:
+            rows = list(csv.reader(file))
+        except (UnicodeDecodeError, csv.Error) as error:
+            raise InputError(f"{path}: not a CSV text file ({error})") from error
+    header = [name.strip() for name in rows[0]] if rows else []
+    missing = [name for name in COLUMNS if name not in header]
+    if missing:
+        raise InputError(f"{path}:1: missing column {', '.join(missing)}; add it to the header")
+    data, lines = _numbers(path, header, rows)
+    _check_times(path, data[:, 0], lines)
+    stamps = [rows[line - 1][header.index("t_s")] for line in lines]
+    return Recording(
+        time=_even_times(data[:, 0], stamps),
+        position_ned=data[:, 1:4].copy(),
+        velocity_ned=data[:, 4:7].copy(),
+        euler=np.unwrap(data[:, 7:10], axis=0),
+        rates_body=data[:, 10:13].copy(),
+        airspeed=data[:, 13].copy(),
+        throttle=data[:, 14].copy(),
+        source=str(path),
+    )
+
+
+def make_track(recording: Recording, time: Array) -> Track:
+    """The recording at the simulation times `time` (T,) s, zero being its first row.
+
+    Position, velocity and angles are cubic Hermite curves through the rows: position with the
+    recorded velocity as slope, angles with the recorded rates, velocity with its central
+    differences. The acceleration is the derivative of that velocity, and continuous; the second
+    derivative of the position curve would magnify the rounding of the positions instead.
+
+    Raises:
+        InputError: If the recording is shorter than the run.
+    """
+    at = recording.time[0] + time
+    spare = 1e-9 * max(1.0, abs(recording.time[-1]))  # of rounding in the sum
+    if at[-1] > recording.time[-1] + spare:
+        length = recording.time[-1] - recording.time[0]
+        raise InputError(
+            f"{recording.source}: the recording lasts {length:.2f} s, the scenario "
+            f"{time[-1]:.2f} s; set scenario.duration_s to {np.floor(length):.0f} or less"
+        )
+    at = np.minimum(at, recording.time[-1])
+    acceleration = np.gradient(recording.velocity_ned, recording.time, axis=0)
+    angle_rates = euler_rates(recording.euler, recording.rates_body)
+    rows = recording.time
+    position, _ = _hermite(at, rows, recording.position_ned, recording.velocity_ned)
+    velocity, acceleration = _hermite(at, rows, recording.velocity_ned, acceleration)
+    euler, _ = _hermite(at, rows, recording.euler, angle_rates)
+    euler[:, 2] = wrap_pi(euler[:, 2])
+    rates = [np.interp(at, rows, recording.rates_body[:, axis]) for axis in range(3)]
+    return Track(
+        position_ned=position,
+        velocity_ned=velocity,
+        acceleration_ned=acceleration,
+        euler=euler,
+        rates_body=np.stack(rates, axis=-1),
+        airspeed=np.interp(at, rows, recording.airspeed),
+        throttle=np.interp(at, rows, recording.throttle),
+    )
+
+
+def _numbers(path: Path, header: list[str], rows: list[list[str]]) -> tuple[Array, list[int]]:
+    """The columns in the order of COLUMNS (M, 15), and the file's line of each row."""
+    columns = [header.index(name) for name in COLUMNS]
+    values, lines = [], []
+    for line, row in enumerate(rows[1:], start=2):
+        if not row:
+            continue
+        if len(row) != len(header):
+            raise InputError(
+                f"{path}:{line}: {len(row)} values under {len(header)} columns; "
+                "write one value per column"
+            )
+        try:
+            values.append([float(row[column]) for column in columns])
+        except ValueError as error:
+            raise InputError(f"{path}:{line}: {error}; write numbers only") from error
+        lines.append(line)
+    if len(values) < 2:
+        raise InputError(f"{path}: {len(values)} rows of numbers; a flight needs at least two")
+    data = np.array(values)
+    bad = np.argwhere(~np.isfinite(data))
+    if bad.size:
+        row_index, column = bad[0]
+        raise InputError(
+            f"{path}:{lines[row_index]}: {COLUMNS[column]} is {data[row_index, column]}; "
+            "remove the row or write a finite number"
+        )
+    return data, lines
+
+
+def _check_times(path: Path, time: Array, lines: list[int]) -> None:
+    steps = np.diff(time)
+    for wrong, text in (
+        (steps <= 0.0, "t_s does not increase; sort the rows and remove repeated ones"),
+        (steps > LARGEST_GAP, f"a gap of more than {LARGEST_GAP:g} s before this row; cut here"),
+    ):
+        if wrong.any():
+            index = int(np.argmax(wrong))
+            raise InputError(
+                f"{path}:{lines[index + 1]}: t_s goes from {time[index]:g} to "
+                f"{time[index + 1]:g}: {text}"
+            )
+
+
+def _even_times(time: Array, stamps: list[str]) -> Array:
+    """The even grid (M,) s that `time` was rounded from, or `time` if there is none.
+
+    A stamp may have been rounded at its last digit that is not zero.
+    """
+    step = float(np.round(np.median(np.diff(time)), 6))
+    decimals = np.array([len(stamp.strip().partition(".")[2].rstrip("0")) for stamp in stamps])
+    rounding = 0.5 * 10.0**-decimals + 1e-6  # with room for stamps that were floats before
+    since_first = step * np.arange(len(time))
+    earliest = np.max(time - rounding - since_first)  # the first row, if all are on the grid
+    latest = np.min(time + rounding - since_first)
+    if earliest > latest:
+        return time.copy()
+    first = min(max(time[0], earliest), latest)
+    even: Array = first + since_first
+    return even
+
+
+def _hermite(at: Array, time: Array, value: Array, slope: Array) -> tuple[Array, Array]:
+    """Cubic Hermite curve and its derivative at `at` (T,), from values and slopes (M, 3)."""
+    left = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
+    width = (time[left + 1] - time[left])[:, np.newaxis]
+    u = (at - time[left])[:, np.newaxis] / width
+    p0, p1 = value[left], value[left + 1]
+    m0, m1 = slope[left] * width, slope[left + 1] * width
+    square = 3.0 * (p1 - p0) - 2.0 * m0 - m1
+    cube = 2.0 * (p0 - p1) + m0 + m1
+    curve = p0 + u * (m0 + u * (square + u * cube))
+    return curve, (m0 + u * (2.0 * square + 3.0 * u * cube)) / width

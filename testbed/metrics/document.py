@@ -1,0 +1,68 @@
+"""The metrics document as a file: finished by the runner, written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from testbed.errors import InputError
+
+OUTCOMES = ("flown", "lost", "interrupted", "failed")
+
+
+def complete(summary: Mapping[str, Any], *, outcome: str, wall_s: float) -> dict[str, Any]:
+    """The summary with what only the runner knows: how the run ended and how long it took.
+
+    `wall_s` and `real_time_factor` are the only numbers that differ between two runs of the same
+    scenario and seed.
+
+    Raises:
+        ValueError: The outcome is none of `OUTCOMES`.
+    """
+    if outcome not in OUTCOMES:
+        raise ValueError(f"outcome {outcome!r} is none of {', '.join(OUTCOMES)}")
+    factor = summary["simulated_s"] / wall_s if wall_s > 0 else None
+    return {**summary, "outcome": outcome, "wall_s": wall_s, "real_time_factor": factor}
+
+
+def to_json(document: Mapping[str, Any]) -> str:
+    """The document as text, keys in their own order.
+
+    Raises:
+        ValueError: A number is infinite or not a number, which JSON cannot say.
+    """
+    return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def write_json(path: Path, document: Mapping[str, Any]) -> None:
+    """Write the document beside its place, then put it there in one move.
+
+    Raises:
+        InputError: The folder is missing, full or not writable.
+    """
+    text = to_json(document)
+    try:
+        _replace(path, text)
+    except OSError as error:
+        raise InputError(f"{path}: cannot write the metrics: {error.strerror}") from error
+
+
+def _replace(path: Path, text: str) -> None:
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        # mkstemp makes files only the owner can read; the document is as public as its folder
+        umask = os.umask(0)
+        os.umask(umask)
+        os.chmod(name, 0o666 & ~umask)
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise

@@ -1,0 +1,122 @@
+"""The observer that measures a run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from testbed.metrics import tally as tallying
+from testbed.metrics.summary import summarise
+from testbed.metrics.tally import BLOCK, Block, Windows
+from testbed.state import Array, Event, Frame, RunInfo
+
+
+class MetricsObserver:
+    """Measure a run while it flies; `summary` may be asked for at any moment.
+
+    Args:
+        portions: Window (start, end) in s by name; start inside, end outside. Default: those of
+            the run it is given.
+        published: The numbers somebody else reached on this scenario, handed through to the
+            summary: `source`, `rms_m`, `mean_rms_m` and `percent_error` by portion.
+    """
+
+    def __init__(
+        self,
+        portions: Mapping[str, tuple[float, float]] | None = None,
+        published: Mapping[str, Any] | None = None,
+    ) -> None:
+        """See the class."""
+        self._portions = portions
+        self._published = published
+        self._info: RunInfo | None = None
+        self._events: list[Event] = []
+
+    def begin(self, info: RunInfo) -> None:
+        """Make room for the rows of one block."""
+        self._info = info
+        spans = dict(info.portions if self._portions is None else self._portions)
+        self._windows = Windows(
+            names=tuple(spans),
+            start_s=np.array([start for start, _ in spans.values()], dtype=np.float64),
+            end_s=np.array([end for _, end in spans.values()], dtype=np.float64),
+        )
+        aircraft, followers = len(info.names), len(info.names) - 1
+        self._tally = tallying.empty(len(spans), followers)
+        self._events = []
+        self._tick = np.zeros(BLOCK, dtype=np.int64)
+        columns = 6 * aircraft + 8 * followers + followers * aircraft
+        self._rows = np.empty((BLOCK, columns))
+        self._filled = 0
+
+    def observe(self, frame: Frame) -> None:
+        """Copy what is measured into a row; fold the block when it is full."""
+        formation = frame.formation
+        row = self._filled
+        np.concatenate(
+            (
+                frame.truth.position_ned,
+                frame.truth.euler,
+                formation.error_ned,
+                formation.slot_ned,
+                formation.guards,
+                formation.saturations,
+                formation.age_s,
+            ),
+            axis=None,
+            out=self._rows[row],
+        )
+        self._tick[row] = frame.tick
+        self._filled = row + 1
+        if frame.events:
+            self._events.extend(frame.events)
+        if self._filled == BLOCK:
+            self._tally = self._folded()
+            self._filled = 0
+
+    def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
+        """Nothing is left to do: `summary` counts the rows of an open block too."""
+
+    def summary(self) -> dict[str, Any]:
+        """The numbers of the frames seen so far, ready for JSON; changes nothing.
+
+        Raises:
+            RuntimeError: No run has begun.
+        """
+        if self._info is None:
+            raise RuntimeError("there is nothing to sum up: begin() was not called")
+        return summarise(
+            self._folded(),
+            windows=self._windows,
+            info=self._info,
+            events=self._events,
+            published=self._published,
+        )
+
+    def _folded(self) -> tallying.Tally:
+        assert self._info is not None
+        block = _block(self._rows[: self._filled], self._tick[: self._filled], self._info)
+        return tallying.fold(
+            self._tally, block, windows=self._windows, base_rate_hz=self._info.base_rate_hz
+        )
+
+
+def _block(rows: Array, tick: tallying.Ticks, info: RunInfo) -> Block:
+    """Give the columns of rows (K, columns) their names and shapes."""
+    frames, aircraft, followers = len(rows), len(info.names), len(info.names) - 1
+    widths = [3 * aircraft, 3 * aircraft, 3 * followers, 3 * followers, followers, followers]
+    position, euler, error, slot, guards, saturations, age = np.split(
+        rows, np.cumsum(widths), axis=1
+    )
+    return Block(
+        tick=tick,
+        position_ned=position.reshape(frames, aircraft, 3),
+        bank=euler[:, 0],
+        error_ned=error.reshape(frames, followers, 3),
+        slot_ned=slot.reshape(frames, followers, 3),
+        guards=guards.astype(np.int64),
+        saturations=saturations.astype(np.int64),
+        age_s=age.reshape(frames, followers, aircraft),
+    )

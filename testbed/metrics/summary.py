@@ -1,0 +1,140 @@
+"""From a tally to the numbers people read: the keys of metrics.json."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from enum import IntFlag
+from typing import Any
+
+import numpy as np
+
+from testbed.formation.flags import Guard, Saturation
+from testbed.metrics.tally import NEVER, Tally, Ticks, Windows
+from testbed.state import Array, Event, RunInfo
+
+SCHEMA = 1  # of metrics.json; raised when a key changes its meaning or goes
+
+
+def summarise(
+    tally: Tally,
+    *,
+    windows: Windows,
+    info: RunInfo,
+    events: Sequence[Event],
+    published: Mapping[str, Any] | None,
+) -> dict[str, Any]:
+    """The metrics document, less what only the runner knows (`document.complete` adds that).
+
+    RMS errors are [HBH23] eqs. (30), (31) with the integral as the sum over frames. The percent
+    error is that of its Table 1: the RMS of ‖q̃_i‖/‖χ_i‖, averaged over the followers.
+    """
+    followers = info.names[1:]
+    paired = tally.separation_tick != NEVER
+    closest = [info.names[i] for i in tally.separation_pair] if paired else None
+    return {
+        "schema": SCHEMA,
+        "scenario": info.scenario_name,
+        "seed": info.seed,
+        "versions": dict(info.versions),
+        "outcome": None,
+        "simulated_s": _time(tally.last_tick, info) or 0.0,
+        "wall_s": None,
+        "real_time_factor": None,
+        "portions": {
+            name: _portion(tally, p, windows, info) for p, name in enumerate(windows.names)
+        },
+        "min_separation_m": _number(tally.separation),
+        "min_separation_at_s": _time(tally.separation_tick, info),
+        "min_separation_between": closest,
+        "engaged_at_s": _times(tally.engaged, info),
+        "max_error_m": _numbers(tally.largest_ever, followers),
+        "leader_bank_deg": _number(math.degrees(tally.bank_ever)),
+        "guards": _flags(Guard, tally.guarded, tally.guards, info),
+        "saturations": _flags(Saturation, tally.saturated, tally.saturations, info),
+        "recovery": {
+            name: {
+                "last_saturated_s": _time(int(tally.last_saturated[i]), info),
+                "inside_for_good_from_s": _time(int(tally.inside_since[i]), info),
+            }
+            for i, name in enumerate(followers)
+        },
+        "age_of_information_s": {
+            name: {
+                "mean": _ratio(tally.age_sum[i], tally.age_count[i]),
+                "max": _number(tally.age_largest[i]) if tally.age_count[i] else None,
+            }
+            for i, name in enumerate(followers)
+        },
+        "published": None if published is None else dict(published),
+        "events": [
+            {"time_s": e.time_s, "level": e.level, "source": e.source, "text": e.text}
+            for e in events
+        ],
+    }
+
+
+def _portion(tally: Tally, p: int, windows: Windows, info: RunInfo) -> dict[str, Any]:
+    followers = info.names[1:]
+    count = int(tally.count[p])
+    covered = count / info.frame_rate_hz
+    start, end = float(windows.start_s[p]), float(windows.end_s[p])
+    nothing = dict.fromkeys(followers)
+    out: dict[str, Any] = {
+        "window_s": [start, end],
+        "covered_s": covered,
+        "complete": covered >= end - start - 1.0 / info.frame_rate_hz,
+        "rms_m": nothing,
+        "mean_rms_m": None,
+        "percent_error": None,
+        "max_error_m": nothing,
+        "leader_bank_deg": None,
+    }
+    if count:
+        rms = np.sqrt(tally.square[p] / count)
+        ratio = np.sqrt(tally.square_ratio[p] / count)
+        out["rms_m"] = _numbers(rms, followers)
+        out["mean_rms_m"] = _mean(rms)
+        out["percent_error"] = _mean(100.0 * ratio)
+        out["max_error_m"] = _numbers(tally.largest[p], followers)
+        out["leader_bank_deg"] = _number(math.degrees(tally.bank[p]))
+    return out
+
+
+def _flags(
+    kind: type[IntFlag], any_of_them: Ticks, each: Ticks, info: RunInfo
+) -> dict[str, dict[str, Any]]:
+    """For each follower: frames and seconds with any of these flags, and frames with each."""
+    return {
+        name: {
+            "frames": int(any_of_them[i]),
+            "seconds": int(any_of_them[i]) / info.frame_rate_hz,
+            "by_kind": {str(flag.name).lower(): int(each[i, k]) for k, flag in enumerate(kind)},
+        }
+        for i, name in enumerate(info.names[1:])
+    }
+
+
+def _number(value: float) -> float | None:
+    """A number JSON can hold: null stands for what is not one."""
+    return float(value) if math.isfinite(value) else None
+
+
+def _numbers(values: Array, names: Sequence[str]) -> dict[str, float | None]:
+    return {name: _number(float(value)) for name, value in zip(names, values, strict=True)}
+
+
+def _mean(values: Array) -> float | None:
+    return _number(float(values.mean())) if values.size else None
+
+
+def _ratio(total: float, count: int) -> float | None:
+    return _number(float(total) / int(count)) if count else None
+
+
+def _time(tick: int, info: RunInfo) -> float | None:
+    return None if tick == NEVER else tick / info.base_rate_hz
+
+
+def _times(ticks: Ticks, info: RunInfo) -> dict[str, float | None]:
+    return {name: _time(int(tick), info) for name, tick in zip(info.names[1:], ticks, strict=True)}

@@ -1,0 +1,221 @@
+"""Running sums over the frames of a run, as a pure fold: tally + block of frames -> tally.
+
+Frames are folded in blocks of `BLOCK` counted from the first, so that sums run in one order and a
+run gives the same bits however it is observed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.formation.flags import Guard, Saturation
+from testbed.state import Array
+
+BLOCK = 256
+ENGAGED_RADIUS_M = 5.0
+ENGAGED_HOLD_S = 5.0
+
+Ticks = NDArray[np.int64]
+NEVER = -1  # a tick that has not happened
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """K frames of N aircraft, n = N − 1 of them followers."""
+
+    tick: Ticks  # (K,) of the base rate
+    position_ned: Array  # (K, N, 3) m
+    bank: Array  # (K,) of the leader, rad
+    error_ned: Array  # (K, n, 3) m, position − slot
+    slot_ned: Array  # (K, n, 3) m
+    guards: Ticks  # (K, n)
+    saturations: Ticks  # (K, n)
+    age_s: Array  # (K, n, N), nan where nothing was used
+
+
+@dataclass(frozen=True, slots=True)
+class Windows:
+    """The portions of a run: t0 <= t < t1, start inside and end outside."""
+
+    names: tuple[str, ...]
+    start_s: Array  # (P,)
+    end_s: Array  # (P,)
+
+
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """What remains of the frames folded so far."""
+
+    frames: int
+    first_tick: int
+    last_tick: int
+    count: Ticks  # (P,) frames inside the portion
+    square: Array  # (P, n) sum of ‖q̃‖², m²
+    square_ratio: Array  # (P, n) sum of (‖q̃‖ / ‖χ‖)²
+    largest: Array  # (P, n) ‖q̃‖, m
+    bank: Array  # (P,) largest |bank| of the leader, rad
+    largest_ever: Array  # (n,) ‖q̃‖, m
+    bank_ever: float  # rad
+    separation: float  # m
+    separation_tick: int
+    separation_pair: tuple[int, int]
+    inside_since: Ticks  # (n,) start of the present stretch inside the radius, or NEVER
+    engaged: Ticks  # (n,) start of the first stretch that lasted
+    guarded: Ticks  # (n,) frames with any guard
+    guards: Ticks  # (n, guards) frames with this guard
+    saturated: Ticks  # (n,) frames with any saturation
+    saturations: Ticks  # (n, saturations) frames with this one
+    last_saturated: Ticks  # (n,)
+    age_sum: Array  # (n,) s
+    age_count: Ticks  # (n,)
+    age_largest: Array  # (n,) s
+
+
+def empty(portions: int, followers: int) -> Tally:
+    """The tally of no frames."""
+
+    def never() -> Ticks:
+        return np.full(followers, NEVER, dtype=np.int64)
+
+    def zeros(*shape: int) -> Any:  # noqa: ANN401 - int or float, as the dtype says
+        return np.zeros(shape, dtype=np.int64)
+
+    return Tally(
+        frames=0,
+        first_tick=NEVER,
+        last_tick=NEVER,
+        count=zeros(portions),
+        square=np.zeros((portions, followers)),
+        square_ratio=np.zeros((portions, followers)),
+        largest=np.zeros((portions, followers)),
+        bank=np.zeros(portions),
+        largest_ever=np.zeros(followers),
+        bank_ever=0.0,
+        separation=np.inf,
+        separation_tick=NEVER,
+        separation_pair=(NEVER, NEVER),
+        inside_since=never(),
+        engaged=never(),
+        guarded=zeros(followers),
+        guards=zeros(followers, len(Guard)),
+        saturated=zeros(followers),
+        saturations=zeros(followers, len(Saturation)),
+        last_saturated=never(),
+        age_sum=np.zeros(followers),
+        age_count=zeros(followers),
+        age_largest=np.zeros(followers),
+    )
+
+
+def fold(tally: Tally, block: Block, *, windows: Windows, base_rate_hz: int) -> Tally:
+    """The tally with the frames of a block added; neither argument is changed."""
+    if not block.tick.size:
+        return tally
+    tick = block.tick
+    error = np.sqrt(np.sum(block.error_ned**2, axis=-1))
+    offset = np.sqrt(np.sum((block.slot_ned - block.position_ned[:, :1]) ** 2, axis=-1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = error / offset
+    bank = np.abs(block.bank)
+    inside = error <= ENGAGED_RADIUS_M
+
+    time_s = tick / base_rate_hz
+    spans = zip(windows.start_s, windows.end_s, strict=True)
+    masks = [(time_s >= start) & (time_s < end) for start, end in spans]
+    separation, row, pair = _closest(block.position_ned)
+    closer = separation < tally.separation
+    inside_since, engaged = _engage(tally, tick, inside, base_rate_hz)
+    saturated = block.saturations != 0
+    ages = block.age_s
+    heard = ~np.isnan(ages)
+    return Tally(
+        frames=tally.frames + tick.size,
+        first_tick=int(tick[0]) if tally.first_tick == NEVER else tally.first_tick,
+        last_tick=int(tick[-1]),
+        count=tally.count + np.array([mask.sum() for mask in masks], dtype=np.int64),
+        square=tally.square + _sums(error**2, masks),
+        square_ratio=tally.square_ratio + _sums(ratio**2, masks),
+        largest=np.maximum(tally.largest, _largest(error, masks)),
+        bank=np.maximum(tally.bank, _largest(bank, masks)),
+        largest_ever=np.maximum(tally.largest_ever, error.max(axis=0)),
+        bank_ever=float(np.maximum(tally.bank_ever, bank.max())),
+        separation=separation if closer else tally.separation,
+        separation_tick=int(tick[row]) if closer else tally.separation_tick,
+        separation_pair=pair if closer else tally.separation_pair,
+        inside_since=inside_since,
+        engaged=engaged,
+        guarded=tally.guarded + (block.guards != 0).sum(axis=0),
+        guards=tally.guards + _count_bits(block.guards, list(Guard)),
+        saturated=tally.saturated + saturated.sum(axis=0),
+        saturations=tally.saturations + _count_bits(block.saturations, list(Saturation)),
+        last_saturated=np.maximum(tally.last_saturated, _last(tick, saturated)),
+        age_sum=tally.age_sum + np.where(heard, ages, 0.0).sum(axis=(0, 2)),
+        age_count=tally.age_count + heard.sum(axis=(0, 2)),
+        age_largest=np.maximum(
+            tally.age_largest, np.where(heard, ages, 0.0).max(axis=(0, 2), initial=0.0)
+        ),
+    )
+
+
+def _sums(values: Array, masks: list[NDArray[np.bool_]]) -> Array:
+    """Sums over the frames of each portion (P, ...) of values (K, ...)."""
+    sums = np.array([values[mask].sum(axis=0) for mask in masks])
+    return sums.reshape(len(masks), *values.shape[1:])
+
+
+def _largest(values: Array, masks: list[NDArray[np.bool_]]) -> Array:
+    """Largest in each portion (P, ...) of values (K, ...) that are not negative."""
+    largest = np.array([values[mask].max(axis=0, initial=0.0) for mask in masks])
+    return largest.reshape(len(masks), *values.shape[1:])
+
+
+def _count_bits(flags: Ticks, bits: list[Any]) -> Ticks:
+    """Frames in which each bit was set (n, bits), from flags (K, n)."""
+    return np.stack([(flags & int(bit) != 0).sum(axis=0) for bit in bits], axis=-1)
+
+
+def _last(tick: Ticks, happened: NDArray[np.bool_]) -> Ticks:
+    """Tick at which something (K, n) last happened (n,), NEVER if it did not."""
+    last: Ticks = np.where(happened, tick[:, None], NEVER).max(axis=0, initial=NEVER)
+    return last
+
+
+def _engage(
+    tally: Tally, tick: Ticks, inside: NDArray[np.bool_], base_rate_hz: int
+) -> tuple[Ticks, Ticks]:
+    """When the present stretch inside began and when the first that lasted began, (n,) each."""
+    frames = tick.size
+    index = np.arange(frames)[:, None]
+    last_outside = np.maximum.accumulate(np.where(inside, -1, index), axis=0)
+    following = np.append(tick[1:], NEVER)[last_outside]
+    carried = np.where(tally.inside_since == NEVER, tick[0], tally.inside_since)
+    since = np.where(last_outside == -1, carried, following)
+    since = np.where(inside, since, NEVER)
+    lasted = inside & (tick[:, None] - since >= ENGAGED_HOLD_S * base_rate_hz)
+    first = since[lasted.argmax(axis=0), np.arange(inside.shape[1])]
+    engaged = np.where((tally.engaged == NEVER) & lasted.any(axis=0), first, tally.engaged)
+    return since[-1], engaged
+
+
+def _closest(position_ned: Array) -> tuple[float, int, tuple[int, int]]:
+    """Smallest distance between any two aircraft (K, N, 3): metres, frame, who.
+
+    Positions that are not numbers are skipped: a lost aircraft does not hide the others.
+    """
+    best, row, pair = np.inf, 0, (NEVER, NEVER)
+    axes = np.ascontiguousarray(np.moveaxis(position_ned, (0, 1), (2, 1)))
+    for i in range(axes.shape[1] - 1):
+        north, east, down = axes[:, i + 1 :] - axes[:, i : i + 1]
+        square = north * north + east * east + down * down
+        if np.isnan(square).any():
+            square = np.where(np.isnan(square), np.inf, square)
+        at = int(square.argmin())
+        distance = float(np.sqrt(square.flat[at]))
+        other, frame = divmod(at, square.shape[1])
+        if distance < best or (distance == best and frame < row):
+            best, row, pair = distance, frame, (i, i + 1 + other)
+    return best, row, pair

@@ -1,0 +1,57 @@
+"""A progress bar as an observer: simulated time, speed against real time, time left."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+from testbed.state import Event, Frame, RunInfo
+
+PERIOD_S = 0.1  # of wall-clock time between redraws
+
+
+class _Speed(ProgressColumn):
+    """Simulated seconds per second of waiting."""
+
+    def render(self, task: Task) -> Text:
+        """See rich."""
+        return Text(f"{task.speed:.0f} x" if task.speed else "", style="cyan")
+
+
+class ProgressBar:
+    """Show how far a run is; silent where the console is no terminal."""
+
+    def __init__(self, console: Console) -> None:
+        """Draw on this console."""
+        self._progress = Progress(
+            TextColumn("[bold]{task.description}"),
+            BarColumn(bar_width=None),
+            TextColumn("{task.completed:.0f} of {task.total:.0f} s flown"),
+            _Speed(),
+            TimeRemainingColumn(compact=True),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        self._drawn = 0.0
+
+    def begin(self, info: RunInfo) -> None:
+        """Draw the empty bar."""
+        self._task = self._progress.add_task(info.scenario_name, total=info.duration_s)
+        self._progress.start()
+
+    def observe(self, frame: Frame) -> None:
+        """Move the bar, a few times a second."""
+        now = time.monotonic()
+        if now - self._drawn >= PERIOD_S:
+            self._drawn = now
+            self._progress.update(self._task, completed=frame.time_s)
+
+    def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
+        """Take the bar away."""
+        self._progress.stop()

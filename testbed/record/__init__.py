@@ -1,0 +1,1 @@
+"""Logs: writing a run as MCAP, reading it back, and the directory it lies in."""

@@ -1,0 +1,49 @@
+"""What is known about a run before its first frame, as JSON and back."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from typing import Any
+
+import numpy as np
+
+from testbed.state import Origin, RunInfo
+
+
+def to_json(info: RunInfo) -> str:
+    """All of it but the directory, which is where the log lies, and the page, which is beside."""
+    values: dict[str, Any] = {
+        field.name: getattr(info, field.name)
+        for field in dataclasses.fields(info)
+        if field.name not in ("directory", "scenario_yaml")
+    }
+    values["origin"] = dataclasses.asdict(info.origin)
+    values["leader_path_ned"] = np.asarray(info.leader_path_ned).tolist()
+    values["portions"] = dict(info.portions)
+    values["versions"] = dict(info.versions)
+    return json.dumps(values, ensure_ascii=False)
+
+
+def from_json(text: str, *, scenario_yaml: str) -> RunInfo:
+    """The same again.
+
+    Raises:
+        ValueError: The text is not what `to_json` writes.
+    """
+    try:
+        values = json.loads(text)
+        values["origin"] = Origin(**values["origin"])
+        path = np.array(values["leader_path_ned"], dtype=np.float64)
+        values["leader_path_ned"] = path.reshape(-1, 3)
+        bounds = values["speed_bounds_mps"]
+        values["speed_bounds_mps"] = tuple((float(low), float(high)) for low, high in bounds)
+        values["portions"] = {
+            str(name): (float(start), float(end))
+            for name, (start, end) in values["portions"].items()
+        }
+        for name in ("names", "aircraft", "wingspan_m", "roll_limit_rad"):
+            values[name] = tuple(values[name])
+        return RunInfo(scenario_yaml=scenario_yaml, **values)
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"the run's header lacks or adds something: {error}") from error

@@ -1,0 +1,221 @@
+"""Logs as labelled arrays, and as the frames that observers saw live."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from testbed.record import door
+from testbed.record.contents import Contents, gather
+from testbed.record.door import LogError
+from testbed.record.header import from_json
+from testbed.record.messages import (
+    COMMAND,
+    ESTIMATE,
+    FORMATION,
+    LEVELS,
+    LOG_SCHEMA,
+    STATE,
+    Topic,
+)
+from testbed.record.recorder import INFO_NAME, METRICS_NAME, SCENARIO_NAME
+from testbed.record.wire import Layout, layout, packed_layout
+from testbed.state import (
+    AirData,
+    Array,
+    Event,
+    FbwaCommand,
+    FormationState,
+    Frame,
+    RunInfo,
+    Surfaces,
+    VehicleState,
+)
+
+_NS = 10**9
+_RecordT = TypeVar("_RecordT")
+
+
+@dataclass(frozen=True, slots=True)
+class Log:
+    """A run read back: as in a `Frame`, with K frames on the axis before the agents'."""
+
+    info: RunInfo
+    metadata: Mapping[str, str]
+    tick: np.ndarray[Any, np.dtype[np.int64]]  # (K,) of the base rate
+    time_s: Array  # (K,)
+    truth: VehicleState  # (K, N, ...)
+    estimate: VehicleState  # (K, N, ...)
+    air: AirData  # (K, N, ...)
+    command: FbwaCommand  # (K, N)
+    surfaces: Surfaces  # (K, N)
+    formation: FormationState  # (K, n, ...)
+    events: tuple[Event, ...]
+    metrics: Mapping[str, Any] | None  # None: the run did not come to its end
+    finished: bool  # False: the writer never closed the file
+    lost_bytes: int  # of a record cut short at the end
+
+
+def read_log(path: Path) -> Log:
+    """Read a log; of one that was cut short, everything up to the cut.
+
+    Raises:
+        LogError: No log of ours, or damaged before its end.
+    """
+    contents = gather(path)
+    info = _info(path, contents)
+    state = contents.messages.get(f"/{info.names[0]}/{STATE.name}")
+    tick = _ticks(state.time_ns if state else np.zeros(0, dtype=np.uint64), info)
+
+    def values(agents: tuple[str, ...], name: str, kind: Layout) -> Array:
+        out = np.full((tick.size, len(agents), kind.fields), np.nan)
+        for i, agent in enumerate(agents):
+            found = contents.messages.get(f"/{agent}/{name}")
+            if found is None:
+                continue
+            rows = found.payloads(path, len(kind.template))
+            own = _ticks(found.time_ns, info)
+            at = np.searchsorted(tick, own)
+            known = tick[np.minimum(at, tick.size - 1)] == own if tick.size else own != own
+            try:
+                out[at[known], i] = kind.decode(rows[known])
+            except ValueError as error:
+                raise LogError(f"{path}: /{agent}/{name}: {error}") from error
+        return out
+
+    columns: dict[str, Array] = {}
+    for topic in (STATE, ESTIMATE, COMMAND, FORMATION):
+        agents = info.names[1:] if topic.followers_only else info.names
+        columns |= _columns(topic, values(agents, topic.name, layout(topic.type)))
+    columns["formation.age_s"] = values(info.names[1:], "link", packed_layout(len(info.names)))
+    for name in ("guards", "saturations"):
+        # a bit set of a frame that is not there reads as nothing set
+        bits = np.nan_to_num(columns[f"formation.{name}"])
+        columns[f"formation.{name}"] = bits.astype(np.uint8)
+    truth = _assemble(VehicleState, "truth", columns)
+    metrics = contents.attachments.get(METRICS_NAME)
+    return Log(
+        info=info,
+        metadata=contents.metadata.get("testbed", {}),
+        tick=tick,
+        time_s=tick / info.base_rate_hz,
+        truth=truth,
+        estimate=_filled(_assemble(VehicleState, "estimate", columns), truth),
+        air=_assemble(AirData, "air", columns),
+        command=_assemble(FbwaCommand, "command", columns),
+        surfaces=_assemble(Surfaces, "surfaces", columns),
+        formation=_assemble(FormationState, "formation", columns),
+        events=_events(path, contents),
+        metrics=None if metrics is None else _json(path, METRICS_NAME, metrics),
+        finished=contents.end.finished,
+        lost_bytes=contents.end.lost_bytes,
+    )
+
+
+def frames(log: Log) -> Iterator[Frame]:
+    """The frames of a log in order, for the observers that watch runs.
+
+    An event comes with the first frame that is not before it; those after the last frame are
+    left to `end`, as in a run.
+    """
+    events = sorted(log.events, key=lambda event: event.time_s)
+    taken = 0
+    for k in range(log.tick.size):
+        time_s = float(log.time_s[k])
+        first = taken
+        while taken < len(events) and events[taken].time_s <= time_s:
+            taken += 1
+        yield Frame(
+            tick=int(log.tick[k]),
+            time_s=time_s,
+            truth=_at(log.truth, k),
+            estimate=_at(log.estimate, k),
+            air=_at(log.air, k),
+            command=_at(log.command, k),
+            surfaces=_at(log.surfaces, k),
+            formation=_at(log.formation, k),
+            events=tuple(events[first:taken]),
+        )
+
+
+def _at(record: _RecordT, k: int) -> _RecordT:
+    """One frame of a record of stacked arrays."""
+    kind = type(record)
+    return kind(**{name: getattr(record, name)[k] for name in kind.__annotations__})
+
+
+def _info(path: Path, contents: Contents) -> RunInfo:
+    found = contents.metadata.get("testbed")
+    if found is None or INFO_NAME not in contents.attachments:
+        raise LogError(f"{path}: an MCAP file, but not a log of a testbed run")
+    if found.get("log_schema") != str(LOG_SCHEMA):
+        raise LogError(
+            f"{path}: log schema {found.get('log_schema')}, but this version reads {LOG_SCHEMA};"
+            f" it was written by testbed {found.get('version.testbed', 'of unknown version')}"
+        )
+    try:
+        return from_json(
+            contents.attachments[INFO_NAME].decode(),
+            scenario_yaml=contents.attachments.get(SCENARIO_NAME, b"").decode(),
+        )
+    except ValueError as error:
+        raise LogError(f"{path}: {error}") from error
+
+
+def _ticks(time_ns: np.ndarray[Any, np.dtype[np.uint64]], info: RunInfo) -> Any:  # noqa: ANN401
+    """Ticks of the base rate: the times are these, cut to whole nanoseconds."""
+    return np.rint(time_ns.astype(np.float64) * info.base_rate_hz / _NS).astype(np.int64)
+
+
+def _columns(topic: Topic, values: Array) -> dict[str, Array]:
+    """The arrays (K, agents[, components]) of a topic by source."""
+    out, at = {}, 0
+    for column in topic.columns:
+        width = len(column.names)
+        part = values[..., at : at + width]
+        out[column.source] = np.ascontiguousarray(part if width > 1 else part[..., 0])
+        at += width
+    return out
+
+
+def _assemble(kind: type[_RecordT], name: str, columns: Mapping[str, Array]) -> _RecordT:
+    return kind(**{field: columns[f"{name}.{field}"] for field in kind.__annotations__})
+
+
+def _filled(estimate: VehicleState, truth: VehicleState) -> VehicleState:
+    """The estimate, and the truth where nothing was written because they did not differ."""
+    written = ~np.isnan(estimate.airspeed)
+    if not written.any():
+        return truth
+    values = [
+        np.where(written if ours.ndim == 2 else written[..., None], ours, theirs)
+        for ours, theirs in zip(estimate, truth, strict=True)
+    ]
+    return VehicleState(*values)
+
+
+def _events(path: Path, contents: Contents) -> tuple[Event, ...]:
+    found = contents.messages.get("/events")
+    if found is None:
+        return ()
+    out = []
+    for stamp, payload in zip(found.time_ns.tolist(), found.each(), strict=True):
+        try:
+            level, text, source = door.log_fields(payload)
+        except ValueError as error:
+            raise LogError(f"{path}: /events: {error}") from error
+        name = LEVELS[level] if level < len(LEVELS) else LEVELS[0]
+        out.append(Event(stamp / _NS, name, source, text))
+    return tuple(out)
+
+
+def _json(path: Path, name: str, data: bytes) -> dict[str, Any]:
+    try:
+        return dict(json.loads(data))
+    except ValueError as error:
+        raise LogError(f"{path}: {name}: {error}") from error

@@ -1,0 +1,123 @@
+"""What one part of the page demands of another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
+
+from testbed.scenario.messages import did_you_mean
+
+if TYPE_CHECKING:
+    from testbed.scenario.schema import Scenario
+
+Path = tuple[str | int, ...]
+Finding = tuple[Path, str]
+
+
+def cross_check(page: Scenario) -> list[Finding]:
+    """Return every contradiction between the parts: where, and what to write instead."""
+    return [
+        *_rates(page),
+        *_names(page),
+        *_formation(page),
+        *_portions(page),
+        *_published(page),
+    ]
+
+
+def _rates(page: Scenario) -> Iterator[Finding]:
+    base = page.rates.physics_hz
+    for key, rate in page.rates:
+        if base % rate:
+            below = next(
+                divisor for divisor in range(min(rate, base), 0, -1) if base % divisor == 0
+            )
+            yield (
+                ("rates", key),
+                f"{rate} Hz does not divide physics_hz, {base} Hz (write {below}, or another "
+                "physics_hz)",
+            )
+
+
+def _names(page: Scenario) -> Iterator[Finding]:
+    seen = {page.leader.name: "the leader"}
+    for index, follower in enumerate(page.fleet):
+        if follower.name in seen:
+            yield (
+                ("fleet", index, "name"),
+                f"{follower.name!r} is already the name of {seen[follower.name]} (write another)",
+            )
+        else:
+            seen[follower.name] = f"fleet.{index}"
+
+
+def _formation(page: Scenario) -> Iterator[Finding]:
+    followers = [follower.name for follower in page.fleet]
+    formation = page.formation
+    for name in followers:
+        if name not in formation.offsets_m:
+            yield (
+                ("formation", "offsets_m"),
+                f"the offset of {name!r} is missing (write {name}: [forward, right, down] in m)",
+            )
+    yield from _known(("formation", "offsets_m"), formation.offsets_m, followers)
+    yield from _known(("formation", "leader_gains"), formation.leader_gains, followers)
+    yield from _known(("formation", "neighbour_gains"), formation.neighbour_gains, followers)
+    for name, gains in formation.neighbour_gains.items():
+        at = ("formation", "neighbour_gains", name)
+        yield from _known(at, gains, followers)
+        if name in gains:
+            yield (*at, name), "an aircraft is not its own neighbour (leave this key out)"
+    lowest, highest = formation.speed_mps
+    if not 0 < lowest < highest:
+        yield (
+            ("formation", "speed_mps"),
+            f"[{lowest:g}, {highest:g}] is not a range of speeds (write [lowest, highest] in m/s, "
+            "both above 0)",
+        )
+
+
+def _known(at: Path, names: Iterable[str], followers: list[str]) -> Iterator[Finding]:
+    for name in names:
+        if name not in followers:
+            yield (
+                (*at, name),
+                f"no follower has this name{did_you_mean(name, followers)} (the fleet has "
+                f"{', '.join(followers)})",
+            )
+
+
+def _portions(page: Scenario) -> Iterator[Finding]:
+    duration = page.scenario.duration_s
+    for name, (begin, end) in page.scenario.portions.items():
+        at = ("scenario", "portions", name)
+        if begin >= end:
+            yield at, f"[{begin:g}, {end:g}] is not a window (write [from, to] in s)"
+        elif end > duration:
+            yield (
+                at,
+                f"ends at {end:g} s, after the run, which lasts {duration:g} s (end it earlier, or "
+                "write a longer duration_s)",
+            )
+
+
+def _published(page: Scenario) -> Iterator[Finding]:
+    published = page.scenario.published
+    if published is None:
+        return
+    portions = list(page.scenario.portions)
+    for key in ("rms_m", "mean_rms_m", "percent_error"):
+        for name in getattr(published, key):
+            if name not in portions:
+                yield (
+                    ("scenario", "published", key, name),
+                    f"no portion has this name{did_you_mean(name, portions)} (portions has "
+                    f"{', '.join(portions) or 'none'})",
+                )
+    for name, row in published.rms_m.items():
+        if len(row) != len(page.fleet):
+            yield (
+                ("scenario", "published", "rms_m", name),
+                f"has {len(row)} numbers for {len(page.fleet)} followers (write one per follower, "
+                "in fleet order)",
+            )

@@ -1,0 +1,208 @@
+"""Pydantic's errors in the words of the page: where it is, what is wrong, what to write instead."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from testbed.scenario.messages import Place, Problem, did_you_mean
+from testbed.scenario.tree import Node, Plain, plain, walk
+
+_NOT_TYPED = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "bool_type": "true or false",
+    "string_type": "text",
+    "tuple_type": "a list",
+    "mapping_type": "a map of keys and values",
+    "model_type": "a map of keys and values",
+    "model_attributes_type": "a map of keys and values",
+    "dict_type": "a map of keys and values",
+}
+_BOUNDS = {
+    "greater_than": ("gt", "above"),
+    "greater_than_equal": ("ge", "at least"),
+    "less_than": ("lt", "below"),
+    "less_than_equal": ("le", "at most"),
+}
+
+
+def explain(error: ValidationError, tree: Node, model: type[BaseModel]) -> list[Problem]:
+    """Return what is wrong with the page, in the order of its text."""
+    schema = model.model_json_schema(by_alias=True)
+    problems: list[Problem] = []
+    for detail in error.errors(include_url=False):
+        if detail["type"] == "cross":
+            problems += [_problem(tree, loc, text) for loc, text in detail["ctx"]["problems"]]
+        elif not (detail["type"] == "too_short" and _has_enough(detail, tree)):
+            problems.append(_one(detail, tree, schema))
+    unique: dict[tuple[str, ...], Problem] = {}
+    for problem in problems:  # a list that is too short is said once, not per missing element
+        unique.setdefault(problem.path, problem)
+    return sorted(unique.values(), key=lambda p: _reading_order(p.place))
+
+
+def _reading_order(place: Place | None) -> tuple[str, int, int]:
+    return (place.source, place.line, place.column) if place else ("", 0, 0)
+
+
+def _has_enough(detail: Mapping[str, Any], tree: Node) -> bool:
+    """Tell whether a list is "too short" only because its elements are wrong, as is said there."""
+    node, _, _ = walk(tree, detail["loc"])
+    return isinstance(node.value, tuple | dict) and len(node.value) >= detail["ctx"]["min_length"]
+
+
+def _problem(tree: Node, loc: tuple[str | int, ...], text: str) -> Problem:
+    node, path, left = walk(tree, loc)
+    return Problem(node.key if left else node.place, text, path + left[:1])
+
+
+def _one(detail: Mapping[str, Any], tree: Node, schema: dict[str, Any]) -> Problem:
+    kind, loc, context = detail["type"], detail["loc"], detail.get("ctx", {})
+    node, path, left = walk(tree, loc)
+    place = node.place
+    if kind == "missing" and not left:  # of a fixed-length list
+        parent, path, _ = walk(tree, loc[:-1])
+        return Problem(parent.place, _length(parent, path, tree, schema), path)
+    known = _known_keys(schema, tree, path[:-1] if kind == "extra_forbidden" else path)
+    if kind == "missing":
+        path += left[:1]
+        place = node.key
+        text = f"is missing{_write(f'{path[-1]}: ...', _about(schema, tree, path))}"
+    elif kind == "extra_forbidden":
+        place = node.key
+        hint = did_you_mean(path[-1], known)
+        text = f"is not a key of this part{hint} (write one of {', '.join(known)})"
+    elif kind in ("union_tag_not_found", "union_tag_invalid"):
+        tag = context["discriminator"].strip("'")
+        path += (tag,) if isinstance(node.value, dict) else ()
+        value = node.value.get(tag) if isinstance(node.value, dict) else None
+        said = "is missing" if value is None else f"is {_shown(value)}"
+        place = value.place if value else node.key
+        tags = context.get("expected_tags") or ", ".join(known)
+        text = f"{said} (write one of {tags.replace(chr(39), '')})"
+    elif kind in _NOT_TYPED:
+        advice = _advice(node, kind) or _write(_NOT_TYPED[kind], _about(schema, tree, path))
+        text = f"is {_shown(node)}{advice}"
+    elif kind in _BOUNDS:
+        limit, word = _BOUNDS[kind]
+        text = f"is {_shown(node)} (write a number {word} {context[limit]:g})"
+    elif kind == "literal_error":
+        expected = context["expected"].replace("'", "")
+        near = did_you_mean(str(node.value), expected.replace(" or ", ", ").split(", "))
+        text = f"is {_shown(node)}{near} (write {expected})"
+    elif kind in ("too_short", "too_long"):
+        text = _length(node, path, tree, schema)
+    elif kind == "string_pattern_mismatch":
+        text = f"is {_shown(node)} (write letters, digits, '-', '_' and '.', no blanks)"
+    elif kind == "finite_number":
+        text = f"is {_shown(node)} (write a finite number)"
+    else:
+        text = detail["msg"]
+    if "[key]" in loc:
+        place = node.key
+    return Problem(place, text, path)
+
+
+def _length(node: Node, path: tuple[str, ...], tree: Node, schema: dict[str, Any]) -> str:
+    here = _at(schema, tree, path)
+    count = len(node.value) if isinstance(node.value, tuple | dict) else 0
+    least, most = here.get("minItems"), here.get("maxItems")
+    wanted = f"at least {least}" if most is None else str(most)
+    return f"has {count} elements{_write(wanted, _about(schema, tree, path))}"
+
+
+def _advice(node: Node, kind: str) -> str:
+    """Explain what looks right and is not: YAML 1.1 habits and quotes."""
+    if not isinstance(node.value, str):
+        return ""
+    word = node.value.strip()
+    if kind == "bool_type" and word.lower() in ("yes", "on", "y"):
+        return " (write true)"
+    if kind == "bool_type" and word.lower() in ("no", "off", "n"):
+        return " (write false)"
+    if kind in ("float_type", "int_type"):
+        bare = word.replace("_", "").replace(" ", "")
+        try:
+            float(bare)
+        except ValueError:
+            return ""
+        return f" (write {bare}, without quotes, blanks or underscores)"
+    return ""
+
+
+def _shown(node: Node) -> str:
+    if isinstance(node.value, dict):
+        return "a map"
+    if isinstance(node.value, tuple):
+        return "a list"
+    if node.value is None:
+        return "empty"
+    if isinstance(node.value, bool):
+        return str(node.value).lower()
+    if isinstance(node.value, str):
+        text = node.value
+        return repr(text if len(text) <= 60 else text[:57] + "...")
+    return f"{node.value:.12g}" if isinstance(node.value, float) else str(node.value)
+
+
+def _write(what: str, description: str) -> str:
+    return f" (write {what}; {description.rstrip('.')})" if description else f" (write {what})"
+
+
+def _about(schema: dict[str, Any], tree: Node, path: tuple[str, ...]) -> str:
+    """Return the description of the field at or above a path, which says its unit."""
+    for end in range(len(path), 0, -1):
+        here = _at(schema, tree, path[:end], follow=False)
+        text = here.get("description") or _at(schema, tree, path[:end]).get("description")
+        if text:
+            return str(text)
+    return ""
+
+
+def _known_keys(schema: dict[str, Any], tree: Node, path: tuple[str, ...]) -> list[str]:
+    return list(_at(schema, tree, path).get("properties", {}))
+
+
+def _at(
+    schema: dict[str, Any], tree: Node, path: tuple[str, ...], *, follow: bool = True
+) -> dict[str, Any]:
+    """Return the JSON schema of the part of the page at a path, or {} where it has none."""
+    here = schema
+    page: Plain = plain(tree)
+    for part in path:
+        here = _follow(schema, here, page)
+        if isinstance(page, list):
+            items = here.get("items") or {}
+            here = items or (here.get("prefixItems") or [{}])[0]
+            page = page[int(part)] if int(part) < len(page) else None
+        else:
+            named = here.get("patternProperties") or {"": here.get("additionalProperties")}
+            rest = next(iter(named.values()))
+            here = here.get("properties", {}).get(part) or (rest if isinstance(rest, dict) else {})
+            page = page.get(part) if isinstance(page, dict) else None
+    return _follow(schema, here, page) if follow else here
+
+
+def _follow(schema: dict[str, Any], here: dict[str, Any], page: Plain) -> dict[str, Any]:
+    """Resolve references and unions, the latter by the page's own tag."""
+    while True:
+        if "$ref" in here:
+            here = schema["$defs"][here["$ref"].rsplit("/", 1)[1]]
+        elif "discriminator" in here:
+            rule = here["discriminator"]
+            tag = page.get(rule["propertyName"]) if isinstance(page, dict) else None
+            if str(tag) not in rule["mapping"]:
+                return {"properties": dict.fromkeys(rule["mapping"], {})}
+            here = {"$ref": rule["mapping"][str(tag)]}
+        elif "anyOf" in here and "properties" not in here:
+            maps = [
+                choice for choice in here["anyOf"] if "$ref" in choice or "properties" in choice
+            ]
+            if not maps:
+                return here
+            here = maps[0]
+        else:
+            return here

@@ -1,0 +1,58 @@
+"""The building blocks of the page: a strict base, numbers with their unit, gains per direction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, WithJsonSchema
+from pydantic_core import PydanticCustomError
+
+
+class Section(BaseModel):
+    """A part of a page: frozen, and an unknown key is an error."""
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=False
+    )
+
+
+Number = Annotated[float, Strict()]
+Whole = Annotated[int, Strict()]
+Flag = Annotated[bool, Strict()]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=64)]
+
+Metres = Annotated[Number, Field(json_schema_extra={"unit": "m"})]
+Seconds = Annotated[Number, Field(json_schema_extra={"unit": "s"})]
+Degrees = Annotated[Number, Field(json_schema_extra={"unit": "deg"})]
+MetresPerSecond = Annotated[Number, Field(json_schema_extra={"unit": "m/s"})]
+PerSecond = Annotated[Number, Field(json_schema_extra={"unit": "1/s"})]
+Percent = Annotated[Number, Field(json_schema_extra={"unit": "%"})]
+Hertz = Annotated[Whole, Field(gt=0, le=10_000, json_schema_extra={"unit": "Hz"})]
+
+
+def _per_direction(value: Any) -> Any:  # noqa: ANN401 - whatever the page holds
+    """Spread a scalar over north, east and down."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return (value, value, value)
+    if isinstance(value, Sequence) and not isinstance(value, str) and len(value) == 3:
+        return value
+    raise PydanticCustomError("gain", "must be a number, or three numbers [north, east, down]")
+
+
+_GAIN_SCHEMA: dict[str, Any] = {
+    "anyOf": [
+        {"type": "number", "minimum": 0},
+        {"type": "array", "items": {"type": "number", "minimum": 0}, "minItems": 3, "maxItems": 3},
+    ]
+}
+NotNegative = Annotated[Number, Field(ge=0)]
+Gain = Annotated[
+    tuple[NotNegative, NotNegative, NotNegative],
+    BeforeValidator(_per_direction),
+    WithJsonSchema(_GAIN_SCHEMA),
+]
+"""A position gain per inertial direction, always a triple once read."""
+
+Offset = tuple[Metres, Metres, Metres]
+"""Three lengths in m; the field that uses it says along which axes."""

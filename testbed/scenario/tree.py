@@ -1,0 +1,78 @@
+"""A page as it was written: values that know their place, merged without losing it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from testbed.scenario.messages import Place
+
+Scalar = str | int | float | bool | None
+Plain = Scalar | list["Plain"] | dict[str, "Plain"]
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """A value and where it stands. Maps and lists hold nodes."""
+
+    value: Scalar | tuple[Node, ...] | dict[str, Node]
+    place: Place  # of the value
+    key: Place  # of the key that names it; of the value itself in a list
+    folder: Path  # what a relative path in it is relative to
+
+
+# A map whose key of this name differs is another kind of thing: nothing of the old one is kept.
+_KINDS = ("kind", "example")
+
+
+def merge(base: Node, top: Node) -> Node:
+    """Return `base` changed by `top`: maps merge deeply, everything else is replaced.
+
+    Two maps of different `kind` (or `example`) do not merge: the new one replaces the old.
+    """
+    if not (isinstance(base.value, dict) and isinstance(top.value, dict)):
+        return top
+    for kind in _KINDS:
+        old, new = base.value.get(kind), top.value.get(kind)
+        if old and new and old.value != new.value:
+            return top
+    merged = dict(base.value)
+    for name, node in top.value.items():
+        merged[name] = merge(merged[name], node) if name in merged else node
+    return replace(top, value=merged)
+
+
+def plain(node: Node) -> Plain:
+    """Return the bare value: dicts, lists and scalars."""
+    if isinstance(node.value, dict):
+        return {name: plain(child) for name, child in node.value.items()}
+    if isinstance(node.value, tuple):
+        return [plain(child) for child in node.value]
+    return node.value
+
+
+def walk(node: Node, loc: tuple[str | int, ...]) -> tuple[Node, tuple[str, ...], tuple[str, ...]]:
+    """Follow a pydantic location through the page.
+
+    Returns:
+        The deepest node that exists, the path to it, and what of the location is left: nothing,
+        or the key that is missing. Tags of unions, which pydantic puts into a location, are
+        skipped.
+    """
+    path: list[str] = []
+    for index, part in enumerate(loc):
+        name = str(part)
+        if isinstance(node.value, dict):
+            if name in node.value:
+                node = node.value[name]
+                path.append(name)
+                continue
+            if any(kind in node.value and node.value[kind].value == part for kind in _KINDS):
+                continue
+            return node, tuple(path), tuple(str(rest) for rest in loc[index:])
+        if isinstance(node.value, tuple) and isinstance(part, int) and part < len(node.value):
+            node = node.value[part]
+            path.append(name)
+            continue
+        break
+    return node, tuple(path), ()

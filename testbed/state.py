@@ -1,0 +1,185 @@
+"""The vocabulary every room shares: immutable records of arrays over aircraft.
+
+The leading axis of every array counts aircraft. Row 0 is the leader, rows 1..n are the followers
+in the order of the scenario's fleet. Arrays are contiguous, in SI units and radians; vectors are
+resolved in the local north-east-down frame (NED) of the scenario's origin unless a name says
+otherwise. An observer must not write into an array it is given. Records that go through compiled
+laws are named tuples, which numba knows; the others are frozen dataclasses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.uint8]
+Truths = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where the local NED frame touches the earth (WGS 84)."""
+
+    latitude_deg: float = 38.0
+    longitude_deg: float = 0.0
+    elevation_m: float = 300.0
+
+
+class VehicleState(NamedTuple):
+    """The motion of N aircraft: the truth, or an autopilot's estimate of it."""
+
+    position_ned: Array  # (N, 3) m from the origin
+    velocity_ned: Array  # (N, 3) m/s over the ground
+    acceleration_ned: Array  # (N, 3) m/s², derivative of velocity_ned
+    euler: Array  # (N, 3) roll, pitch, yaw, rad
+    rates_body: Array  # (N, 3) p, q, r, rad/s
+    airspeed: Array  # (N,) true airspeed, m/s
+    equivalent_airspeed: Array  # (N,) m/s, what a pitot tube measures
+
+
+def followers(state: VehicleState) -> VehicleState:
+    """The rows behind the leader's, (n) as views."""
+    return VehicleState(
+        position_ned=state.position_ned[1:],
+        velocity_ned=state.velocity_ned[1:],
+        acceleration_ned=state.acceleration_ned[1:],
+        euler=state.euler[1:],
+        rates_body=state.rates_body[1:],
+        airspeed=state.airspeed[1:],
+        equivalent_airspeed=state.equivalent_airspeed[1:],
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class AirData:
+    """What the truth knows beside the motion; logged and drawn, never given to a controller."""
+
+    alpha: Array  # (N,) angle of attack, rad
+    beta: Array  # (N,) sideslip, rad
+    propeller_rps: Array  # (N,) revolutions per second
+    wind_ned: Array  # (N, 3) m/s, velocity of the air
+
+
+class FbwaCommand(NamedTuple):
+    """A fly-by-wire-A command: what a pilot's sticks say to ArduPlane in that mode."""
+
+    pitch: Array  # (N,) rad, nose up positive
+    roll: Array  # (N,) rad, right wing down positive
+    throttle: Array  # (N,) 0..1
+
+
+class Surfaces(NamedTuple):
+    """What an autopilot sends to its servos, normalised."""
+
+    aileron: Array  # (N,) -1..1, positive rolls right
+    elevator: Array  # (N,) -1..1, positive pitches up
+    rudder: Array  # (N,) -1..1, positive yaws right
+    throttle: Array  # (N,) 0..1
+
+
+class Broadcast(NamedTuple):
+    """What N aircraft tell each other: their own estimates, stamped by their own clocks."""
+
+    stamp_s: Array  # (N,) sender's time of the measurement
+    position_ned: Array  # (N, 3)
+    velocity_ned: Array  # (N, 3)
+    acceleration_ned: Array  # (N, 3)
+    euler_rates: Array  # (N, 3) rates of roll, pitch, yaw, rad/s
+
+
+class Inbox(NamedTuple):
+    """The newest message of each of N aircraft that each of n followers has received."""
+
+    stamp_s: Array  # (n, N) sender's time of the measurement; nan: nothing heard yet
+    received_s: Array  # (n, N) receiver's time of the arrival; nan: nothing heard yet
+    position_ned: Array  # (n, N, 3)
+    velocity_ned: Array  # (n, N, 3)
+    acceleration_ned: Array  # (n, N, 3)
+    euler_rates: Array  # (n, N, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class FormationState:
+    """What the controllers of the n followers did, and how far they are from where they should be.
+
+    Slots and errors are the truth's: nothing of them is fed back.
+    """
+
+    slot_ned: Array  # (n, 3) m, the desired position q_g + χ_i
+    error_ned: Array  # (n, 3) m, position − slot
+    speed: Array  # (n,) ground speed, m/s
+    speed_desired: Array  # (n,) s_d, m/s
+    speed_command: Array  # (n,) u + s_a − s after its guard: the commanded airspeed, m/s
+    course: Array  # (n,) rad
+    course_desired: Array  # (n,) rad
+    flight_path_angle: Array  # (n,) rad
+    flight_path_angle_desired: Array  # (n,) rad
+    guards: Flags  # (n,) bit set of formation.flags.Guard
+    saturations: Flags  # (n,) bit set of formation.flags.Saturation
+    age_s: Array  # (n, n + 1) age of what agent i used of aircraft j, s; nan: not used
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened: shown in the log, the view and the table."""
+
+    time_s: float
+    level: str  # "info", "warning" or "error"
+    source: str  # name of an aircraft, or "run"
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Everything an observer sees of one logged tick."""
+
+    tick: int  # of the base rate
+    time_s: float
+    truth: VehicleState  # (N)
+    estimate: VehicleState  # (N)
+    air: AirData  # (N)
+    command: FbwaCommand  # (N)
+    surfaces: Surfaces  # (N)
+    formation: FormationState  # (n)
+    events: tuple[Event, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class RunInfo:
+    """What an observer is told before the first frame."""
+
+    scenario_name: str
+    scenario_yaml: str  # the resolved page
+    names: tuple[str, ...]  # N aircraft, the leader first
+    aircraft: tuple[str, ...]  # N airframe names, "rascal110"
+    wingspan_m: tuple[float, ...]  # N
+    origin: Origin
+    base_rate_hz: int
+    frame_rate_hz: int
+    duration_s: float
+    seed: int
+    speed_bounds_mps: tuple[tuple[float, float], ...]  # n
+    roll_limit_rad: tuple[float, ...]  # n, of the FBWA command
+    leader_path_ned: Array  # (k, 3) the leader's path as commanded, for drawing; may be empty
+    portions: Mapping[str, tuple[float, float]]  # name -> window, s
+    versions: Mapping[str, str]  # testbed, jsbsim, numpy, python, schema
+    directory: Path | None = None  # the run directory, if there is one
+
+
+class Observer(Protocol):
+    """A watcher of a run. It sees frames, never the world, and cannot change either."""
+
+    def begin(self, info: RunInfo) -> None:
+        """Prepare; called once before the first frame."""
+
+    def observe(self, frame: Frame) -> None:
+        """Take one frame; called at the log rate in order of time."""
+
+    def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
+        """Finish: the metrics of the run and the events after the last frame; called once."""

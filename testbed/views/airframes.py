@@ -1,0 +1,170 @@
+"""What each airframe looks like, drawn in code: no asset files.
+
+Body axes, metres, the centre of gravity at the origin. An airframe is found by its name; one that
+has no drawing of its own gets a plain aeroplane of the right wingspan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from testbed.state import Array
+from testbed.views.meshes import (
+    DARK,
+    LIGHT,
+    MAIN,
+    Mesh,
+    body_of_revolution,
+    disc,
+    join,
+    planform,
+    rod,
+    surface,
+    wheel,
+    wing,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Airframe:
+    """What is drawn of one aircraft."""
+
+    body: Mesh
+    disc: Mesh | None  # the turning propeller, drawn translucent
+    outline: tuple[Array, ...]  # closed lines (k, 3) m, seen from above: the ghost of a slot
+
+
+def rascal110(wingspan_m: float) -> Airframe:
+    """The Sig Rascal 110: a high elliptic-tipped wing, cabin, tail dragger's wheels.
+
+    Proportions from the public three-view: 110 in of span on 76 in of length, 18 in propeller.
+    """
+    b = wingspan_m / 2.794
+    half_wing = b * np.array(
+        [
+            [0.130, 0.00, -0.135, 0.375],
+            [0.130, 0.85, -0.150, 0.375],
+            [0.105, 1.10, -0.156, 0.330],
+            [0.070, 1.27, -0.161, 0.262],
+            [0.020, 1.36, -0.164, 0.170],
+            [-0.040, 1.397, -0.165, 0.050],
+        ]
+    )
+    half_tail = b * np.array(
+        [
+            [-0.930, 0.0, -0.035, 0.270],
+            [-0.945, 0.28, -0.035, 0.235],
+            [-0.985, 0.40, -0.035, 0.165],
+            [-1.040, 0.445, -0.035, 0.060],
+        ]
+    )
+    fin = b * np.array(
+        [
+            [-0.800, 0.0, -0.030, 0.400],
+            [-0.930, 0.0, -0.130, 0.275],
+            [-0.985, 0.0, -0.270, 0.215],
+            [-1.045, 0.0, -0.345, 0.110],
+        ]
+    )
+    fuselage = np.array(
+        [
+            [0.725, 0.045, 0.045, 0.030, 2.0],
+            [0.700, 0.075, 0.080, 0.030, 2.3],
+            [0.560, 0.095, 0.105, 0.025, 2.8],
+            [0.330, 0.110, 0.120, 0.020, 3.2],
+            [0.190, 0.112, 0.135, 0.010, 3.5],
+            [0.110, 0.112, 0.148, -0.002, 3.5],
+            [-0.230, 0.105, 0.140, 0.000, 3.2],
+            [-0.420, 0.082, 0.098, 0.000, 2.8],
+            [-0.820, 0.045, 0.055, -0.012, 2.4],
+            [-1.190, 0.015, 0.035, -0.020, 2.2],
+        ]
+    ) * [b, b, b, b, 1.0]
+    windscreen = np.array(
+        [
+            [0.300, 0.085, 0.020, -0.095, 2.6],
+            [0.180, 0.115, 0.052, -0.088, 3.0],
+            [-0.130, 0.113, 0.052, -0.080, 3.0],
+            [-0.250, 0.100, 0.026, -0.080, 2.6],
+        ]
+    ) * [b, b, b, b, 1.0]
+    spinner = np.array(
+        [
+            [0.800, 0.004, 0.004, 0.030, 2.0],
+            [0.765, 0.030, 0.030, 0.030, 2.0],
+            [0.725, 0.042, 0.042, 0.030, 2.0],
+        ]
+    ) * [b, b, b, b, 1.0]
+    band = half_wing[1:3] + b * np.array([0.003, 0.0, 0.0, 0.006])
+    stripe = [surface(band * [1, side, 1, 1], LIGHT, 0.125) for side in (1.0, -1.0)]
+    legs = [
+        part
+        for side in (1.0, -1.0)
+        for part in (
+            rod(
+                (0.10 * b, 0.09 * side * b, 0.12 * b),
+                (0.08 * b, 0.33 * side * b, 0.36 * b),
+                0.012 * b,
+            ),
+            wheel((0.08 * b, 0.34 * side * b, 0.37 * b), 0.060 * b, 0.040 * b),
+        )
+    ]
+    tail_wheel = wheel((-1.06 * b, 0.0, 0.075 * b), 0.025 * b, 0.018 * b)
+    body = join(
+        body_of_revolution(fuselage, LIGHT),
+        body_of_revolution(windscreen, DARK),
+        body_of_revolution(spinner, DARK),
+        wing(half_wing, MAIN),
+        wing(half_tail, MAIN),
+        surface(fin, MAIN),
+        *stripe,
+        *legs,
+        tail_wheel,
+    )
+    return Airframe(
+        body,
+        disc((0.74 * b, 0.0, 0.03 * b), 0.229 * b),
+        (planform(half_wing), planform(half_tail), fuselage_line(fuselage)),
+    )
+
+
+def plain(wingspan_m: float) -> Airframe:
+    """A plain aeroplane with a mid wing, for an airframe nobody has drawn."""
+    b = wingspan_m
+    half_wing = b * np.array([[0.06, 0.0, 0.0, 0.15], [0.03, 0.5, -0.02, 0.09]])
+    half_tail = b * np.array([[-0.34, 0.0, 0.0, 0.10], [-0.36, 0.17, 0.0, 0.07]])
+    fin = b * np.array([[-0.32, 0.0, -0.01, 0.12], [-0.38, 0.0, -0.14, 0.06]])
+    fuselage = np.array(
+        [
+            [0.27, 0.005, 0.005, 0.0, 2.0],
+            [0.22, 0.030, 0.030, 0.0, 2.0],
+            [0.05, 0.042, 0.045, 0.0, 2.0],
+            [-0.15, 0.030, 0.030, 0.0, 2.0],
+            [-0.44, 0.008, 0.010, 0.0, 2.0],
+        ]
+    ) * [b, b, b, b, 1.0]
+    body = join(
+        body_of_revolution(fuselage, LIGHT),
+        wing(half_wing, MAIN),
+        wing(half_tail, MAIN),
+        surface(fin, MAIN),
+    )
+    return Airframe(body, None, (planform(half_wing), planform(half_tail), fuselage_line(fuselage)))
+
+
+def fuselage_line(stations: Array) -> Array:
+    """The closed outline (k, 3) of a fuselage from above."""
+    right = np.stack([stations[:, 0], stations[:, 1], stations[:, 3]], axis=-1)
+    left = right[::-1] * [1.0, -1.0, 1.0]
+    return np.concatenate([right, left, right[:1]])
+
+
+DRAWINGS: dict[str, Callable[[float], Airframe]] = {"rascal110": rascal110}
+
+
+def airframe(name: str, wingspan_m: float) -> Airframe:
+    """The drawing of an airframe at its wingspan; a plain aeroplane if it has none."""
+    return DRAWINGS.get(name, plain)(wingspan_m)

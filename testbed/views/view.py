@@ -1,0 +1,79 @@
+"""The observer that shows a run, and the replay of a recorded one."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from testbed.state import Event, Frame, Observer, RunInfo
+from testbed.views.scene import Collector, scene_of
+from testbed.views.sinks import LiveViewer, Outlet, Sink
+
+PERIOD_S = 0.5  # wall clock between batches
+BATCH_FRAMES = 1000  # at most in a batch: a fast run reaches it before the half second
+log = logging.getLogger(__name__)
+
+
+class RerunView:
+    """An observer that streams a run to a sink in batches.
+
+    Trouble with the sink after the run has begun is one warning of the logger `testbed.views`; the
+    run goes on without the view.
+    """
+
+    def __init__(self, sink: Sink | None = None) -> None:
+        """Show runs in `sink`: by default a viewer on this machine, found or started."""
+        self._sink: Sink = sink or LiveViewer()
+        self._outlet: Outlet | None = None
+
+    def begin(self, info: RunInfo) -> None:
+        """Open the sink.
+
+        Raises:
+            OSError: an .rrd file cannot be written. A missing viewer raises nothing.
+        """
+        self._outlet = self._sink.open(scene_of(info))
+        self._collector = Collector(len(info.names), BATCH_FRAMES)
+        self._due = time.perf_counter() + PERIOD_S
+
+    def observe(self, frame: Frame) -> None:
+        """Copy one frame; now and then pass a batch on."""
+        if self._outlet is None:
+            return
+        self._collector.add(frame)
+        if self._collector.full or time.perf_counter() >= self._due:
+            self._pass_on()
+            self._due = time.perf_counter() + PERIOD_S
+
+    def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
+        """Pass on what is left and close the sink; a live viewer costs less than a second."""
+        if self._outlet is None:
+            return
+        self._collector.add_events(events)
+        self._pass_on()
+        if self._outlet is not None:
+            self._outlet.close()
+            self._outlet = None
+
+    def _pass_on(self) -> None:
+        assert self._outlet is not None
+        try:
+            self._outlet.send(self._collector.take())
+        except Exception as error:  # whatever is wrong with a view, the flight is not to blame
+            log.warning("The view stops here, the run goes on: %s", error)
+            self._outlet = None
+
+
+def replay(info: RunInfo, frames: Iterable[Frame], sink: Sink) -> None:
+    """Show a recorded run: all of its frames, as fast as the sink takes them.
+
+    Raises:
+        OSError: an .rrd file cannot be written.
+    """
+    view: Observer = RerunView(sink)
+    view.begin(info)
+    for frame in frames:
+        view.observe(frame)
+    view.end({}, ())

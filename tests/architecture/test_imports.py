@@ -1,0 +1,175 @@
+"""Who may import what: the doors to heavy libraries, and the walls between the rooms."""
+
+import ast
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import testbed
+
+PACKAGE = Path(testbed.__file__).parent
+ROOT = Path(__file__).parents[2]
+LONGEST_MODULE = 300
+LONGEST_DOOR = 400  # a door cannot be split: one module holds all that knows its library
+
+
+def imports(path):
+    """Every module that a file imports, at its top or inside a function."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path} imports relatively in line {node.lineno}"
+            found.add(node.module)
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+MODULES = {path.relative_to(PACKAGE).as_posix(): imports(path) for path in PACKAGE.rglob("*.py")}
+
+
+def within(module, packages):
+    return any(module == package or module.startswith(f"{package}.") for package in packages)
+
+
+def importers(*packages):
+    return {path for path, found in MODULES.items() if any(within(m, packages) for m in found)}
+
+
+def room(name):
+    return {path: found for path, found in MODULES.items() if path.startswith(f"{name}/")}
+
+
+def test_jsbsim_has_one_door():
+    assert importers("jsbsim") == {"vehicle/jsbsim_door.py"}
+
+
+def test_yaml_has_one_door():
+    assert importers("yaml") == {"scenario/load.py"}
+
+
+def test_numba_is_for_twins_only():
+    twins = {path for path in MODULES if path.endswith("twin.py")}
+    assert twins
+    assert importers("numba") == twins - {"formation/twin.py"}  # it takes its decorator next door
+
+
+@pytest.mark.parametrize(
+    ("packages", "home"),
+    [
+        (("mcap", "mcap_protobuf", "foxglove", "google.protobuf", "zstandard"), "record"),
+        (("rerun",), "views"),
+    ],
+)
+def test_the_log_and_the_viewer_have_one_door_each(packages, home):
+    doors = importers(*packages)
+    assert len(doors) == 1, doors
+    assert doors.pop().startswith(f"{home}/")
+
+
+def test_formation_knows_only_numpy_and_the_shared_vocabulary():
+    ours = ("testbed.state", "testbed.frames", "testbed.compiled", "testbed.formation")
+    modules = room("formation")
+    assert modules
+    for path, found in modules.items():
+        strangers = {
+            module
+            for module in found
+            if module.split(".")[0] not in sys.stdlib_module_names | {"numpy"}
+            and not within(module, ours)
+        }
+        # `from testbed import frames` also names the package itself; a twin is numba's.
+        allowed = {"testbed", "numba", "numba.njit"} if path.endswith("twin.py") else {"testbed"}
+        assert strangers <= allowed, path
+
+
+ROOMS = ["vehicle", "network", "guidance", "formation", "record", "metrics", "views", "scenario"]
+FORBIDDEN = {
+    "vehicle": ["network", "guidance", "formation", "sim", "record", "metrics", "views"],
+    "network": ["vehicle", "guidance", "formation", "sim", "record", "metrics", "views"],
+    "guidance": ["vehicle", "network", "formation", "sim", "record", "metrics", "views"],
+    "record": ["sim", "vehicle", "network", "guidance"],
+    "metrics": ["sim", "vehicle", "network", "guidance", "record", "views"],
+    "views": ["sim", "vehicle", "network", "guidance"],
+    "scenario": [name for name in ROOMS if name != "scenario"] + ["sim", "frames", "state"],
+    "sim": ["cli", "views"],
+}
+
+
+@pytest.mark.parametrize(("name", "others"), FORBIDDEN.items(), ids=FORBIDDEN)
+def test_a_room_does_not_know_its_neighbours(name, others):
+    modules = room(name)
+    assert modules
+    walls = [f"testbed.{other}" for other in others]
+    for path, found in modules.items():
+        assert not {module for module in found if within(module, walls)}, path
+
+
+def test_nobody_imports_the_command_line():
+    assert importers("testbed.cli") <= {"__main__.py"}
+
+
+def modules_after(statement):
+    code = f"{statement}; import json, sys; print(json.dumps(sorted(sys.modules)))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    return set(json.loads(done.stdout))
+
+
+@pytest.mark.parametrize("statement", ["import testbed", "import testbed.scenario"])
+def test_importing_the_page_loads_nothing_heavy(statement):
+    heavy = {
+        "numpy",
+        "numba",
+        "scipy",
+        "jsbsim",
+        "mcap",
+        "foxglove",
+        "google.protobuf",
+        "rerun",
+        "pyarrow",
+    }
+    loaded = modules_after(statement)
+    assert "testbed" in loaded
+    assert not heavy & loaded
+
+
+@pytest.mark.parametrize("path", sorted(MODULES))
+def test_a_module_is_short(path):
+    longest = LONGEST_DOOR if path.endswith("door.py") else LONGEST_MODULE
+    assert len((PACKAGE / path).read_text(encoding="utf-8").splitlines()) <= longest
+
+
+def text_files():
+    skipped = {".git", ".venv", "logs", "build", "dist", "__pycache__"}
+    for path in ROOT.rglob("*"):
+        parts = path.relative_to(ROOT).parts
+        if path.is_file() and not any(p in skipped or p.endswith("_cache") for p in parts):
+            try:
+                yield path, path.read_text(encoding="utf-8")
+            except UnicodeDecodeError:
+                continue  # a picture
+
+
+def test_no_file_names_a_folder_of_one_machine():
+    machine = re.compile(r"(?<![\w.~*}>$-])/(work|root|home|Users|opt|mnt|srv)/\w|\b[A-Z]:\\\w")
+    named = [
+        f"{path.relative_to(ROOT)}: {hit.group()}"
+        for path, text in text_files()
+        if (hit := machine.search(text))
+    ]
+    assert not named
+
+
+def test_the_lock_names_no_index():
+    lock = (ROOT / "requirements.lock").read_text(encoding="utf-8")
+    assert "--hash=sha256:" in lock
+    assert not re.search(r"://|--(extra-)?index-url|--find-links|-f ", lock)
+    pins = re.findall(r"^([a-z0-9-]+)==(\S+)", lock, re.MULTILINE)
+    assert ("jsbsim", "1.3.3") in pins

@@ -1,0 +1,88 @@
+"""A synthetic run whose every number is random, so that no two can be mistaken for one another."""
+
+import numpy as np
+
+from testbed.state import (
+    AirData,
+    Event,
+    FbwaCommand,
+    FormationState,
+    Frame,
+    Origin,
+    RunInfo,
+    Surfaces,
+    VehicleState,
+)
+
+RECORDS = ("truth", "estimate", "air", "command", "surfaces", "formation")
+BASE_RATE_HZ, FRAME_RATE_HZ = 200, 25
+
+
+def run_info(followers=3, **changes):
+    names = ("leader", *(f"uav{i}" for i in range(1, followers + 1)))
+    values = {
+        "scenario_name": "synthetic",
+        "scenario_yaml": "scenario: {name: synthetic}  # é\n",
+        "names": names,
+        "aircraft": ("rascal110",) * len(names),
+        "wingspan_m": (2.8,) * len(names),
+        "origin": Origin(38.0, -84.5, 290.0),
+        "base_rate_hz": BASE_RATE_HZ,
+        "frame_rate_hz": FRAME_RATE_HZ,
+        "duration_s": 60.0,
+        "seed": 7,
+        "speed_bounds_mps": ((16.0, 30.0),) * followers,
+        "roll_limit_rad": (0.8,) * followers,
+        "leader_path_ned": np.array([[0.0, 0.0, -100.0], [1.0 / 3.0, 2.0, -100.0]]),
+        "portions": {"first": (1.0, 2.0), "second": (2.0, 4.0)},
+        "versions": {"testbed": "0.0", "jsbsim": "1.3.3"},
+    }
+    return RunInfo(**{**values, **changes})
+
+
+def run_frames(count, followers=3, *, noisy_from=None, seed=1, events=()):
+    """Frames of a run; estimates differ from the truth from one frame on, or never."""
+    rng = np.random.default_rng(seed)
+    n, ours = followers, followers + 1
+
+    def motion():
+        vectors = (rng.standard_normal((ours, 3)) * 100.0 for _ in range(5))
+        return VehicleState(*vectors, rng.standard_normal(ours), rng.standard_normal(ours))
+
+    def scalars(number, size):
+        return [rng.standard_normal(size) for _ in range(number)]
+
+    for k in range(count):
+        truth = motion()
+        ages = np.where(rng.random((n, ours)) < 0.5, np.nan, rng.random((n, ours)))
+        tick = k * BASE_RATE_HZ // FRAME_RATE_HZ
+        yield Frame(
+            tick=tick,
+            time_s=tick / BASE_RATE_HZ,
+            truth=truth,
+            estimate=truth if noisy_from is None or k < noisy_from else motion(),
+            air=AirData(*scalars(3, ours), rng.standard_normal((ours, 3))),
+            command=FbwaCommand(*scalars(3, ours)),
+            surfaces=Surfaces(*scalars(4, ours)),
+            formation=FormationState(
+                rng.standard_normal((n, 3)),
+                rng.standard_normal((n, 3)),
+                *scalars(7, n),
+                guards=rng.integers(0, 8, n).astype(np.uint8),
+                saturations=rng.integers(0, 8, n).astype(np.uint8),
+                age_s=ages,
+            ),
+            events=tuple(event for at, event in events if at == k),
+        )
+
+
+def event(k, text="something", level="warning"):
+    return k, Event(k / FRAME_RATE_HZ, level, "uav1", text)
+
+
+def assert_same_frame(one, other):
+    assert (one.tick, one.time_s, one.events) == (other.tick, other.time_s, other.events)
+    for name in RECORDS:
+        ours, theirs = getattr(one, name), getattr(other, name)
+        for field in type(ours).__annotations__:
+            np.testing.assert_array_equal(getattr(ours, field), getattr(theirs, field), field)

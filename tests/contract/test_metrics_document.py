@@ -1,0 +1,120 @@
+"""metrics.json and the table: the keys others rely on, and what people see."""
+
+import io
+import json
+import math
+import os
+
+import pytest
+from record_flight import event, run_frames, run_info
+from rich.console import Console
+
+from testbed.errors import InputError
+from testbed.metrics import MetricsObserver
+from testbed.metrics.document import complete, to_json, write_json
+from testbed.metrics.table import render_table
+
+PUBLISHED = {
+    "source": "[HBH23] Table 1, Simulation 3",
+    "rms_m": {"first": [1.3, 1.4, 1.5]},
+    "mean_rms_m": {"first": 1.4},
+    "percent_error": {"first": 18},
+}
+
+
+def document(followers=3, *, published=None, outcome="flown", **changes):
+    meter = MetricsObserver(published=published)
+    meter.begin(run_info(followers, **changes))
+    for frame in run_frames(80, followers, events=[event(k, f"gust {k}") for k in range(9)]):
+        meter.observe(frame)
+    return complete(meter.summary(), outcome=outcome, wall_s=2.0)
+
+
+def shown(metrics, width=80):
+    console = Console(file=io.StringIO(), width=width)
+    render_table(metrics, console, log="logs/synthetic/20260101T000000Z-0000/run.mcap")
+    return console.file.getvalue()
+
+
+def test_the_document_has_the_promised_keys():
+    metrics = json.loads(to_json(document()))
+    portion = metrics["portions"]["first"]
+    assert list(portion["rms_m"]) == ["uav1", "uav2", "uav3"]
+    assert {"mean_rms_m", "percent_error"} <= set(portion)
+    promised = {"min_separation_m", "engaged_at_s", "simulated_s", "wall_s", "real_time_factor"}
+    promised |= {"leader_bank_deg", "outcome", "schema", "scenario", "seed", "versions", "guards"}
+    assert promised | {"saturations", "published", "events"} <= set(metrics)
+    assert metrics["simulated_s"] == 79 / 25
+    assert metrics["real_time_factor"] == metrics["simulated_s"] / 2.0
+
+
+def test_the_text_is_the_same_for_the_same_run():
+    assert to_json(document()) == to_json(document())
+
+
+def test_a_document_with_an_unknown_outcome_or_no_number_is_refused():
+    with pytest.raises(ValueError, match="'landed' is none of flown, lost"):
+        document(outcome="landed")
+    with pytest.raises(ValueError, match="JSON"):
+        to_json({"rms_m": math.nan})
+
+
+def test_writing_replaces_the_file_in_one_move(tmp_path, monkeypatch):
+    path = tmp_path / "metrics.json"
+    write_json(path, {"a": 1})
+    path.chmod(0o444)
+    write_json(path, {"a": "ç"})
+    assert json.loads(path.read_text(encoding="utf-8")) == {"a": "ç"}
+
+    def fail(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(InputError, match=r"metrics\.json: cannot write .* No space left"):
+        write_json(path, {"a": 3})
+    assert json.loads(path.read_text(encoding="utf-8")) == {"a": "ç"}
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_file_is_as_public_as_others(tmp_path):
+    other = tmp_path / "other"
+    other.touch()
+    write_json(tmp_path / "metrics.json", {})
+    assert (tmp_path / "metrics.json").stat().st_mode == other.stat().st_mode
+
+
+def test_the_table_shows_ours_beside_the_published():
+    metrics = document(published=PUBLISHED)
+    text = shown(metrics)
+    ours = metrics["portions"]["first"]["rms_m"]["uav2"]
+    [row] = [line.split() for line in text.splitlines() if line.startswith(" uav2 ")][:1]
+    other = metrics["portions"]["second"]["rms_m"]["uav2"]
+    assert row == ["uav2", f"{ours:.2f}", "1.4", f"{ours / 1.4:.2f}", f"{other:.2f}"]
+    assert "[HBH23] Table 1, Simulation 3" in text
+    assert "flown · 3 s simulated in 2.0 s (1.6 × real time) · seed 7" in text
+    assert "gust 5" in text
+    assert "gust 6" not in text
+    assert "… and 3 more in the log" in text
+    assert "logs/synthetic/20260101T000000Z-0000/run.mcap" in text
+
+
+@pytest.mark.parametrize("followers", [0, 1, 3, 30])
+@pytest.mark.parametrize("published", [None, PUBLISHED], ids=["alone", "beside"])
+def test_the_table_fits_80_columns_and_cuts_no_word(followers, published):
+    names = {f"p{i}": (0.5 * i, 0.5 * i + 1.0) for i in range(7)}
+    for portions in ({}, {"first": (1.0, 2.0)}, names, {"never": (90.0, 95.0)}):
+        text = shown(document(followers, published=published, portions=portions))
+        assert "…" not in text.replace("… and 3 more", "")
+        assert max(map(len, text.splitlines())) <= 80
+
+
+def test_a_pipe_gets_no_colours():
+    assert "\x1b" not in shown(document(published=PUBLISHED))
+
+
+def test_a_run_in_flight_can_be_shown():
+    meter = MetricsObserver()
+    meter.begin(run_info())
+    text = shown(meter.summary())
+    assert "in flight" in text
+    assert "never" in text

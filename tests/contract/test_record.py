@@ -1,0 +1,334 @@
+"""The log holds what was seen, to the bit, for any reader, however the run ends."""
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import mcap.reader
+import numpy as np
+import pytest
+from google.protobuf import descriptor_pool, message_factory
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from record_flight import assert_same_frame, event, run_frames, run_info
+
+from testbed.frames import geodetic_from_ned, rotation_ned_body
+from testbed.metrics import MetricsObserver
+from testbed.record import recorder
+from testbed.record.door import LogError
+from testbed.record.read import frames, read_log
+from testbed.record.recorder import McapRecorder
+from testbed.state import Event
+
+
+def record(path, seen, info=None, *, summary=None, events=()):
+    log = McapRecorder(path)
+    log.begin(info or run_info())
+    for frame in seen:
+        log.observe(frame)
+    log.end({"outcome": "flown", "wall_s": 1.5} if summary is None else summary, events)
+    return path
+
+
+def decoded(path):
+    """Every message as the file's own schemas describe it: topic, time and protobuf message."""
+    classes = {}
+    with open(path, "rb") as file:
+        reader = mcap.reader.make_reader(file, validate_crcs=True)
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            if schema.id not in classes:
+                pool = descriptor_pool.DescriptorPool()
+                for proto in FileDescriptorSet.FromString(schema.data).file:
+                    pool.AddSerializedFile(proto.SerializeToString())
+                kind = pool.FindMessageTypeByName(schema.name)
+                classes[schema.id] = message_factory.GetMessageClass(kind)
+            yield channel.topic, message.log_time, classes[schema.id].FromString(message.data)
+
+
+@pytest.mark.parametrize(
+    ("count", "followers", "noisy_from"),
+    [(120, 3, None), (120, 3, 60), (7, 1, 0), (25, 20, None), (5, 0, None), (50, 3, None)],
+)
+def test_a_log_gives_back_every_frame(tmp_path, count, followers, noisy_from):
+    # 50 frames end with a chunk, so that the event after them has a chunk of its own
+    some = [event(0), event(0, "é ∞"), event(3, level="error")]
+    seen = list(run_frames(count, followers, noisy_from=noisy_from, events=some))
+    last = Event(seen[-1].time_s, "info", "run", "the end")
+    info = run_info(followers)
+    log = read_log(record(tmp_path / "run.mcap", seen, info, events=(last,)))
+    back = list(frames(log))
+    assert len(back) == count
+    assert back[-1].events[-1] == last
+    for one, other in zip(seen[:-1], back[:-1], strict=True):
+        assert_same_frame(one, other)
+    assert log.finished
+    assert log.lost_bytes == 0
+
+
+def test_metrics_from_the_log_are_those_of_the_flight(tmp_path):
+    seen, info = list(run_frames(130, noisy_from=70)), run_info()
+    log = read_log(record(tmp_path / "run.mcap", seen, info))
+    live, again = MetricsObserver(), MetricsObserver()
+    live.begin(info)
+    again.begin(log.info)
+    for one, other in zip(seen, frames(log), strict=True):
+        live.observe(one)
+        again.observe(other)
+    assert again.summary() == live.summary()
+
+
+def test_a_log_gives_back_what_was_known_before_the_first_frame(tmp_path):
+    info = run_info(directory=tmp_path)
+    log = read_log(record(tmp_path / "run.mcap", run_frames(3), info))
+    for field in type(info).__annotations__:
+        if field not in ("directory", "leader_path_ned"):
+            assert getattr(log.info, field) == getattr(info, field), field
+    np.testing.assert_array_equal(log.info.leader_path_ned, info.leader_path_ned)
+    assert log.metadata["seed"] == "7"
+    assert log.metadata["version.jsbsim"] == "1.3.3"
+    assert log.metrics == {"outcome": "flown", "wall_s": None}
+
+
+def test_any_protobuf_reader_understands_the_log(tmp_path):
+    seen = list(run_frames(60, noisy_from=0, events=[event(50, "a gust")]))
+    info = run_info()
+    messages = {}
+    for topic, stamp, message in decoded(record(tmp_path / "run.mcap", seen, info)):
+        messages.setdefault(topic, []).append((stamp, message))
+    each = ("state", "estimate", "command", "formation", "link", "fix")
+    expected = {f"/{name}/{part}" for name in info.names for part in each}
+    expected -= {"/leader/formation", "/leader/link"}
+    assert set(messages) == expected | {"/tf", "/tf_static", "/events"}
+    assert len(messages["/uav2/state"]) == 60
+    assert len(messages["/uav2/fix"]) == 12  # 5 Hz of 25
+
+    k = 31
+    stamp, state = messages["/uav2/state"][k]
+    frame = seen[k]
+    assert stamp == round(frame.time_s * 1e9)
+    assert state.position_down_m == frame.truth.position_ned[2, 2]
+    assert state.yaw_rate_radps == frame.truth.rates_body[2, 2]
+    assert state.equivalent_airspeed_mps == frame.truth.equivalent_airspeed[2]
+    assert state.wind_east_mps == frame.air.wind_ned[2, 1]
+    assert state.throttle == frame.surfaces.throttle[2]
+    assert messages["/uav2/estimate"][k][1].roll_rad == frame.estimate.euler[2, 0]
+    assert messages["/leader/command"][k][1].pitch_rad == frame.command.pitch[0]
+    formation = messages["/uav2/formation"][k][1]
+    assert formation.error_east_m == frame.formation.error_ned[1, 1]
+    assert formation.flight_path_angle_desired_rad == frame.formation.flight_path_angle_desired[1]
+    assert formation.guard_bits == frame.formation.guards[1]
+    assert formation.saturation_bits == frame.formation.saturations[1]
+    ages = messages["/uav2/link"][k][1].age_s
+    np.testing.assert_array_equal(list(ages), frame.formation.age_s[1])
+
+    stamp, fix = messages["/uav1/fix"][2]
+    frame = seen[10]
+    assert (fix.timestamp.seconds, fix.timestamp.nanos) == (0, 400_000_000)
+    place = geodetic_from_ned(frame.truth.position_ned[1], info.origin)
+    np.testing.assert_array_equal([fix.latitude, fix.longitude, fix.altitude], place)
+    assert fix.frame_id == "uav1"
+    [(stamp, line)] = messages["/events"]
+    assert (stamp, line.timestamp.seconds) == (2_000_000_000, 2)
+    assert (line.level, line.message, line.name) == (3, "a gust", "uav1")
+
+
+def test_transforms_turn_bodies_into_ned_and_ned_into_a_world_with_z_up(tmp_path):
+    seen = list(run_frames(30))
+    messages = {"/tf": [], "/tf_static": []}
+    for topic, _, message in decoded(record(tmp_path / "run.mcap", seen)):
+        messages.get(topic, []).append(message)
+
+    def rotate(q, vector):
+        u, w = np.array([q.x, q.y, q.z]), q.w
+        return vector + 2.0 * np.cross(u, np.cross(u, vector) + w * vector)
+
+    transform = messages["/tf"][29].transforms[3]
+    assert (transform.parent_frame_id, transform.child_frame_id) == ("ned", "uav3")
+    assert (transform.timestamp.seconds, transform.timestamp.nanos) == (1, 160_000_000)
+    nose = rotate(transform.rotation, np.array([1.0, 0.0, 0.0]))
+    truth = seen[29].truth
+    # the quaternion takes another way than the matrix, a few roundings apart
+    np.testing.assert_allclose(nose, rotation_ned_body(truth.euler[3])[:, 0], atol=1e-14)
+    assert transform.translation.z == truth.position_ned[3, 2]
+
+    [static] = messages["/tf_static"]
+    north_east_down = [rotate(static.transforms[0].rotation, axis) for axis in np.eye(3)]
+    east_north_up = [[0, 1, 0], [1, 0, 0], [0, 0, -1]]
+    np.testing.assert_allclose(north_east_down, east_north_up, atol=1e-15)
+
+
+def test_an_estimate_is_written_only_where_it_differs(tmp_path):
+    path = record(tmp_path / "run.mcap", run_frames(150, noisy_from=120))
+    topics = [topic for topic, _, _ in decoded(path)]
+    assert topics.count("/uav1/state") == 150
+    assert topics.count("/uav1/estimate") == 50  # the chunk in which it began to differ
+
+
+def test_the_same_run_gives_the_same_bytes(tmp_path):
+    (tmp_path / "other").mkdir()
+    some = [event(9)]
+    one = record(tmp_path / "a.mcap", run_frames(130, events=some), run_info(directory=tmp_path))
+    again = {"outcome": "flown", "wall_s": 99.0}
+    two = record(tmp_path / "other" / "b.mcap", run_frames(130, events=some), summary=again)
+    assert one.read_bytes() == two.read_bytes()
+
+
+def test_a_slow_run_writes_the_same_messages_sooner(tmp_path, monkeypatch):
+    fast = record(tmp_path / "fast.mcap", run_frames(70))
+    monkeypatch.setattr(recorder, "FLUSH_S", -1.0)  # as if every frame came late
+    slow = record(tmp_path / "slow.mcap", run_frames(70))
+    assert slow.stat().st_size > fast.stat().st_size
+    assert list(map(str, decoded(slow))) == list(map(str, decoded(fast)))
+
+
+WRITER = """
+import sys, time
+from pathlib import Path
+from record_flight import run_frames, run_info
+from testbed.record.recorder import McapRecorder
+
+log = McapRecorder(Path(sys.argv[1]))
+log.begin(run_info())
+pause = float(sys.argv[2])
+seen = list(run_frames(50))
+from dataclasses import replace
+k = 0
+while True:
+    frame = replace(seen[k % 50], tick=8 * k, time_s=k / 25)
+    log.observe(frame)
+    sys.stdout.write(f"{k} {time.monotonic()}\\n")
+    sys.stdout.flush()
+    k += 1
+    if pause:
+        time.sleep(pause)
+"""
+
+
+@pytest.mark.parametrize(("pause_s", "seed"), [(0.0, 1), (0.0, 2), (0.02, 3), (0.1, 4)])
+def test_a_killed_run_loses_less_than_half_a_second(tmp_path, pause_s, seed):
+    path = tmp_path / "run.mcap"
+    here = Path(__file__).parent
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(here), str(here.parents[1])])}
+    with subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(path), str(pause_s)],
+        stdout=subprocess.PIPE,
+        text=True,
+        env=environment,
+    ) as writer:
+        lines = [writer.stdout.readline()]
+        wait = 0.7 + 0.5 * np.random.default_rng(seed).random()
+        end = time.monotonic() + wait
+        while time.monotonic() < end:
+            lines.append(writer.stdout.readline())
+        killed = time.monotonic()
+        writer.send_signal(signal.SIGKILL)
+        lines += writer.stdout.readlines()
+    told = [line.split() for line in lines if line.endswith("\n")]
+    due = max(int(k) for k, at in told if float(at) < killed - 0.5)
+    log = read_log(path)
+    assert not log.finished
+    assert log.metrics is None
+    assert log.tick[-1] // 8 >= due
+    np.testing.assert_array_equal(log.tick, 8 * np.arange(log.tick.size))
+    seen = list(run_frames(50))
+    for k, frame in enumerate(frames(log)):
+        np.testing.assert_array_equal(frame.truth.euler, seen[k % 50].truth.euler)
+        if k == 120:
+            break
+
+
+def test_a_log_cut_anywhere_gives_what_is_whole(tmp_path):
+    seen = list(run_frames(160))
+    whole = record(tmp_path / "run.mcap", seen).read_bytes()
+    counts = []
+    for end in np.linspace(5000, len(whole), 40).astype(int):
+        path = tmp_path / "cut.mcap"
+        path.write_bytes(whole[:end])
+        log = read_log(path)
+        counts.append(log.tick.size)
+        assert log.finished == (end == len(whole))
+    assert counts == sorted(counts)
+    assert (counts[0], counts[-1]) == (0, 160)
+
+
+def test_a_full_disk_leaves_a_readable_log_and_says_so(tmp_path):
+    path = tmp_path / "run.mcap"
+    log = McapRecorder(path)
+    log.begin(run_info())
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, limits[1]))
+        with pytest.raises(LogError, match=r"run\.mcap: cannot write the log"):
+            for frame in run_frames(1000):
+                log.observe(frame)
+        log.end({}, ())  # the runner ends every observer; this one is done
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, ignored)
+    back = read_log(path)
+    assert not back.finished
+    assert back.lost_bytes == 0
+    assert back.tick.size % 50 == 0
+    assert back.tick.size > 0
+
+
+def test_damage_is_told_from_a_cut(tmp_path):
+    whole = record(tmp_path / "run.mcap", run_frames(160)).read_bytes()
+    path = tmp_path / "bad.mcap"
+    rng = np.random.default_rng(5)
+    told = 0
+    for at in rng.integers(0, len(whole), 60):
+        damaged = bytearray(whole)
+        damaged[at] ^= 0xFF
+        path.write_bytes(damaged)
+        try:
+            read_log(path)
+        except LogError as error:
+            told += 1
+            assert str(path) in str(error)
+    # most of a file is chunks, which carry checksums; in indexes and padding damage is harmless
+    assert told > 20
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [(b"", "not an MCAP file"), (b"\x89MCAP0\r\n" + b"\x0f" * 40, "not a log of a testbed run")],
+)
+def test_another_file_is_refused(tmp_path, data, message):
+    path = tmp_path / "other.mcap"
+    path.write_bytes(data)
+    with pytest.raises(LogError, match=message):
+        read_log(path)
+
+
+def test_a_log_of_another_schema_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(recorder, "LOG_SCHEMA", 99)
+    path = record(tmp_path / "run.mcap", run_frames(3))
+    with pytest.raises(LogError, match="log schema 99, but this version reads 1"):
+        read_log(path)
+
+
+def test_a_log_is_never_overwritten(tmp_path):
+    path = record(tmp_path / "run.mcap", run_frames(3))
+    before = path.read_bytes()
+    with pytest.raises(LogError, match="there is a log already"):
+        McapRecorder(path).begin(run_info())
+    assert path.read_bytes() == before
+
+
+def test_no_log_without_a_folder(tmp_path):
+    with pytest.raises(LogError, match="cannot create the log"):
+        McapRecorder(tmp_path / "missing" / "run.mcap").begin(run_info())
+
+
+def test_the_attached_metrics_are_json(tmp_path):
+    path = record(tmp_path / "run.mcap", run_frames(3), summary={"events": [], "a": None})
+    with open(path, "rb") as file:
+        attached = {a.name: a for a in mcap.reader.make_reader(file).iter_attachments()}
+    assert json.loads(attached["metrics.json"].data) == {"events": [], "a": None}
+    assert attached["scenario.resolved.yaml"].data == run_info().scenario_yaml.encode()

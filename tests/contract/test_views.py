@@ -1,0 +1,293 @@
+"""A view shows what was flown, costs little, and never disturbs a run, whatever its viewer does."""
+
+import contextlib
+import ctypes.util
+import logging
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import views_flight
+
+from testbed.state import Event
+from testbed.views import InMemory, LiveViewer, RerunView, RrdFile, replay, scene, viewer
+from testbed.views.airframes import airframe
+from testbed.views.meshes import normals
+
+HERE = Path(__file__).parents[2]
+
+
+def free_port() -> int:
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return s.getsockname()[1]
+
+
+@contextlib.contextmanager
+def rerun_program(*arguments: str, port: int):
+    """The Rerun program on a port of this machine, ended by its own process group."""
+    process = subprocess.Popen(
+        [viewer.program(), *arguments, "--bind", "127.0.0.1", "--port", str(port)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env=os.environ | {"RUST_LOG": "off", "RERUN_APP_ONLY": "true"},
+        start_new_session=True,  # the program is a script around another process
+    )
+    try:
+        deadline = time.monotonic() + 30.0
+        while not viewer.listening(port):
+            assert time.monotonic() < deadline and process.poll() is None, "it did not start"
+            time.sleep(0.05)
+        yield process
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+
+def fly(view: RerunView, frames, info) -> float:
+    """Show frames; the longest time in s the run waited for its view."""
+    view.begin(info)
+    worst = 0.0
+    for frame in frames:
+        start = time.perf_counter()
+        view.observe(frame)
+        worst = max(worst, time.perf_counter() - start)
+    return worst
+
+
+def rows_of(path: Path) -> int:
+    """The number of rows in an .rrd file."""
+    checked = subprocess.run(
+        [viewer.program(), "rrd", "stats", str(path)], capture_output=True, text=True, check=True
+    )
+    line = next(line for line in checked.stdout.splitlines() if line.startswith("num_rows ="))
+    return int("".join(filter(str.isdigit, line)))  # the program groups digits with thin spaces
+
+
+def warnings_of(caplog) -> list[str]:
+    return [r.getMessage() for r in caplog.records if r.levelno >= logging.WARNING]
+
+
+def test_importing_and_making_a_view_leaves_rerun_alone():
+    code = (
+        "import sys, testbed.views as v; v.RerunView(v.LiveViewer()); v.RrdFile('x');"
+        "sys.exit(any(m.split('.')[0].startswith('rerun') for m in sys.modules))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], cwd=HERE, check=False).returncode == 0
+
+
+def test_calls_per_batch_do_not_grow_with_frames():
+    calls = []
+    for duration_s in (2.0, 30.0):
+        sink = InMemory()
+        view = RerunView(sink)
+        view.begin(views_flight.info(4, duration_s))
+        view._due = np.inf  # one batch, however slow this machine is
+        for frame in views_flight.frames(4, duration_s):
+            view.observe(replace(frame, events=()))
+        view.end({}, ())
+        calls.append(sink.recording.calls)
+    assert calls[0] == calls[1] < 80
+
+
+def test_a_batch_ends_at_its_size_and_at_its_half_second():
+    sink = InMemory()
+    view = RerunView(sink)
+    sent = []
+    view.begin(views_flight.info(2, 100.0))
+    take = view._collector.take
+    view._collector.take = lambda: sent.append(take()) or sent[-1]
+    frames = list(views_flight.frames(2, 60.0))
+    view._due = np.inf
+    for frame in frames[:1000]:
+        view.observe(frame)
+    assert [len(batch) for batch in sent] == [1000]
+    view.observe(frames[1000])
+    view._due = 0.0
+    view.observe(frames[1001])
+    assert [len(batch) for batch in sent] == [1000, 2]
+    view.end({}, (Event(60.0, "warning", "run", "over"),))
+    assert len(sent[2]) == 0 and sent[2].events[0].text == "over"
+
+
+def test_a_frame_is_copied_and_not_written_to():
+    frames = list(views_flight.frames(3, 1.0))
+    collector = scene.Collector(3, 100)
+    for frame in frames:
+        for array in (frame.truth.position_ned, frame.formation.slot_ned, frame.truth.euler):
+            array.setflags(write=False)
+        collector.add(frame)
+    frames[3].truth.position_ned.setflags(write=True)
+    kept = frames[3].truth.position_ned.copy()
+    frames[3].truth.position_ned[:] = np.nan
+    batch = collector.take()
+    np.testing.assert_array_equal(batch.position[3], kept)
+    np.testing.assert_array_equal(batch.slot[5], frames[5].formation.slot_ned)
+    assert len(collector.take()) == 0
+
+
+@pytest.mark.parametrize("name", ["rascal110", "an-airframe-nobody-drew"])
+def test_a_drawing_has_the_wingspan_it_was_asked_for(name):
+    drawing = airframe(name, 3.5)
+    body = drawing.body
+    assert np.ptp(body.vertices[:, 1]) == pytest.approx(3.5, rel=1e-3)
+    assert body.vertices[:, 0].max() > 0.5 > -0.5 > body.vertices[:, 0].min()
+    assert body.triangles.max() < len(body.vertices) == len(body.paint)
+    np.testing.assert_allclose(np.linalg.norm(normals(body), axis=-1), 1.0, rtol=1e-9)
+    for line in drawing.outline:
+        np.testing.assert_array_equal(line[0], line[-1])
+
+
+def test_the_right_wing_is_on_the_right_and_the_fin_is_up():
+    vertices = airframe("rascal110", 2.794).body.vertices
+    tail = vertices[vertices[:, 0] < -0.8]
+    assert -tail[:, 2].min() > 0.3  # z is down
+    np.testing.assert_allclose(vertices[:, 1].max(), -vertices[:, 1].min(), rtol=1e-9)
+
+
+def test_an_rrd_file_that_cannot_be_written_is_said_before_the_flight(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match="file"):
+        RerunView(RrdFile(tmp_path / "file" / "run.rrd")).begin(views_flight.info(2, 1.0))
+
+
+def test_a_replay_writes_the_whole_flight(tmp_path):
+    path = tmp_path / "new" / "run.rrd"
+    replay(views_flight.info(4, 60.0), views_flight.frames(4, 60.0), RrdFile(path))
+    assert rows_of(path) > 1500 * (4 + 3 + 1 + 4)  # poses and four plots of every frame
+
+
+def test_no_display_is_one_warning(monkeypatch, caplog):
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    view = RerunView(LiveViewer(port=free_port()))
+    fly(view, views_flight.frames(2, 1.0), views_flight.info(2, 1.0))
+    view.end({}, ())
+    assert len(warnings_of(caplog)) == 1 and "--rrd FILE" in warnings_of(caplog)[0]
+
+
+def test_no_program_is_one_warning(monkeypatch, caplog):
+    monkeypatch.setattr(sys, "executable", "/nowhere/bin/python")
+    view = RerunView(LiveViewer(port=free_port()))
+    fly(view, views_flight.frames(2, 1.0), views_flight.info(2, 1.0))
+    view.end({}, ())
+    assert len(warnings_of(caplog)) == 1 and "no `rerun` program" in warnings_of(caplog)[0]
+
+
+def test_a_viewer_that_does_not_start_is_one_warning(monkeypatch, caplog, tmp_path):
+    broken = tmp_path / "rerun"
+    broken.write_text("#!/bin/sh\nexit 1\n")
+    broken.chmod(0o755)
+    monkeypatch.setenv("DISPLAY", ":never")
+    monkeypatch.setattr(viewer, "program", lambda: str(broken))
+    port = free_port()
+    # The feeding process looks beside its own interpreter: give it the broken program there.
+    patched = f"import testbed.views.viewer as v; v.program = lambda: {str(broken)!r}"
+    (tmp_path / "sitecustomize.py").write_text(patched)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path) + os.pathsep + str(HERE))
+    view = RerunView(LiveViewer(port=port))
+    fly(view, views_flight.frames(2, 1.0), views_flight.info(2, 1.0))
+    view._outlet.process.wait(20)
+    view.end({}, ())
+    assert len(warnings_of(caplog)) == 1 and "did not start" in warnings_of(caplog)[0]
+
+
+def test_a_live_viewer_gets_everything_and_the_end_is_quick(caplog, tmp_path):
+    port, seen, whole = free_port(), tmp_path / "seen.rrd", tmp_path / "whole.rrd"
+    info, frames = views_flight.info(4, 120.0), list(views_flight.frames(4, 120.0))
+    with rerun_program("--save", str(seen), port=port) as program:
+        view = RerunView(LiveViewer(port=port))
+        fly(view, frames, info)
+        process = view._outlet.process
+        start = time.perf_counter()
+        view.end({}, ())
+        assert time.perf_counter() - start < 1.0
+        assert process.wait(20) == 0
+        os.killpg(program.pid, signal.SIGTERM)
+        program.wait(20)
+    assert warnings_of(caplog) == []
+    replay(info, frames, RrdFile(whole))
+    # Batches of another size have a few more rows: the two ends of each limit.
+    assert rows_of(whole) - 50 < rows_of(seen) < rows_of(whole) + 50
+
+
+@pytest.mark.parametrize("deed", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "frozen"])
+def test_a_viewer_killed_or_frozen_in_mid_run_costs_less_than_a_second(deed, caplog, tmp_path):
+    port, seen = free_port(), tmp_path / "seen.rrd"
+    frames = list(views_flight.frames(4, 400.0))
+    with rerun_program("--save", str(seen), port=port) as program:
+        view = RerunView(LiveViewer(port=port))
+        fly(view, frames[:2000], views_flight.info(4, 400.0))
+        process = view._outlet.process
+        deadline = time.monotonic() + 20.0
+        while not seen.exists() or seen.stat().st_size < 100_000:  # the viewer has begun to show
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        os.killpg(program.pid, deed)
+        worst = 0.0
+        for frame in frames[2000:]:
+            start = time.perf_counter()
+            view.observe(frame)
+            worst = max(worst, time.perf_counter() - start)
+        start = time.perf_counter()
+        view.end({}, ())
+        ending = time.perf_counter() - start
+    # The frozen one is killed by now: either way the feeding process ends by itself.
+    process.wait(30)
+    assert ending < 1.0
+    assert worst < 0.25  # a batch handed over takes 2 ms; the rest is a loaded machine
+    warned = warnings_of(caplog)
+    assert len(warned) <= 1
+    if deed == signal.SIGKILL:
+        assert "closed" in warned[0]
+
+
+def vulkan() -> bool:
+    """Whether the viewer can draw without a screen."""
+    drivers = [
+        Path(root).glob("*.json") for root in ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d")
+    ]
+    return ctypes.util.find_library("vulkan") is not None and any(any(d) for d in drivers)
+
+
+@pytest.mark.skipif(not vulkan(), reason="no Vulkan driver: apt-get install mesa-vulkan-drivers")
+@pytest.mark.parametrize("aircraft", [1, 4, 20])
+def test_a_picture_of_a_live_flight_shows_every_aircraft(aircraft, tmp_path):
+    from PIL import Image
+    from rerun.experimental import ViewerClient
+
+    port = free_port()
+    frames = list(views_flight.frames(aircraft, 40.0))
+    arguments = ("--headless", "--hide-welcome-screen", "--window-size", "1280x800")
+    with rerun_program(*arguments, port=port):
+        view = RerunView(LiveViewer(port=port, patient=True))
+        fly(view, frames, views_flight.info(aircraft, 40.0))
+        view.end({}, ())
+        client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+        for _ in range(200):
+            state = client.get_state()
+            if any(t.end for r in state.recordings for t in r.timelines if t.name == "sim_time"):
+                break
+            time.sleep(0.1)
+        client.set_time("sim_time", duration=33.0, play_state="paused")
+        time.sleep(1.0)
+        path = tmp_path / "flight.png"
+        client.save_screenshot(str(path))
+        views = client.get_state().views
+    assert {v.name for v in views} >= {"Formation", "Flight", "Events"}
+    assert [f"{v.name}: {r.summary}" for v in views for r in v.reports] == []
+    picture = np.asarray(Image.open(path).convert("RGB")).astype(int)
+    chase = picture[: picture.shape[0] // 2, : picture.shape[1] // 2]
+    for k in range(min(aircraft, 8)):
+        # Trails and wings keep the hue; the viewer's light only darkens it.
+        near = np.abs(chase - scene.colour(k)).max(axis=-1) < 30
+        assert near.sum() > 20, f"aircraft {k} is not in the picture"

@@ -1,0 +1,343 @@
+"""Fly-by-wire A and its parameters: worked arithmetic, limits, and a plain second route."""
+
+import math
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from testbed.state import FbwaCommand, Surfaces, VehicleState
+from testbed.vehicle.fbwa import fbwa, fresh, settled
+from testbed.vehicle.params import (
+    AutopilotTiming,
+    FbwaParams,
+    ParamError,
+    read_params,
+    stack,
+)
+from testbed.vehicle.tables import MEMORY
+
+DT = 0.02
+PROMPT = AutopilotTiming(command_latency=0.0, gyro_filter_hz=0.0)
+# Unfiltered, whole servo travel, scaled at the speed flown: numbers that can be followed by hand.
+PLAIN = FbwaParams(
+    airspeed_min=10.0,
+    airspeed_max=30.0,
+    scaling_speed=20.0,
+    roll_limit_deg=50.0,
+    ptch_lim_min_deg=-20.0,
+    trim_throttle=50.0,
+    rll_rate_fltt=0.0,
+    rll_rate_fltd=0.0,
+    ptch_rate_fltt=0.0,
+    ptch_rate_fltd=0.0,
+    rll_rate_p=0.0,
+    rll_rate_i=0.0,
+    rll_rate_ff=0.3,
+    ptch_rate_p=0.0,
+    ptch_rate_i=0.0,
+    ptch_rate_ff=0.4,
+    servo1_min=1000.0,
+    servo1_max=2000.0,
+    servo2_min=1000.0,
+    servo2_max=2000.0,
+    servo4_min=1000.0,
+    servo4_max=2000.0,
+)
+
+
+def _state(
+    roll: float = 0.0, pitch: float = 0.0, p: float = 0.0, q: float = 0.0, eas: float = 20.0
+) -> VehicleState:
+    zero = np.zeros((1, 3))
+    return VehicleState(
+        position_ned=zero,
+        velocity_ned=zero,
+        acceleration_ned=zero,
+        euler=np.radians([[roll, pitch, 0.0]]),
+        rates_body=np.radians([[p, q, 0.0]]),
+        airspeed=np.array([eas * 1.02]),
+        equivalent_airspeed=np.array([eas]),
+    )
+
+
+def _command(roll: float = 0.0, pitch: float = 0.0, throttle: float = 0.5) -> FbwaCommand:
+    return FbwaCommand(np.radians([pitch]), np.radians([roll]), np.array([throttle]))
+
+
+def _once(params: FbwaParams, state: VehicleState, command: FbwaCommand) -> Surfaces:
+    return fbwa(state, command, fresh(1), gains=stack([params], DT, PROMPT))[0]
+
+
+def test_feed_forward_by_hand() -> None:
+    # 10° to go at 0.5 s: 20 °/s; × 0.3 / EAS2TAS 1.02 = 5.882 of 45 degrees of aileron.
+    surfaces = _once(PLAIN, _state(roll=5.0), _command(roll=15.0))
+    assert surfaces.aileron[0] == pytest.approx(20.0 * 0.3 / 1.02 / 45.0, rel=1e-12)
+    # Rudder: half the aileron.
+    assert surfaces.rudder[0] == pytest.approx(0.5 * surfaces.aileron[0])
+
+
+def test_feed_forward_scales_with_one_over_speed_and_p_with_its_square() -> None:
+    slow, fast = _state(p=-10.0, eas=16.0), _state(p=-10.0, eas=25.0)
+    hold = _command()
+    p_only = replace(PLAIN, rll_rate_ff=0.0, rll_rate_p=0.2)
+    # Target 0, rate −10 °/s: P × 10 × s², s = 20/EAS.
+    assert _once(p_only, slow, hold).aileron[0] == pytest.approx(0.2 * 10 * (20 / 16) ** 2 / 45)
+    assert _once(p_only, fast, hold).aileron[0] == pytest.approx(0.2 * 10 * (20 / 25) ** 2 / 45)
+    roll = _command(roll=10.0)
+    ratio = _once(PLAIN, slow, roll).aileron[0] / _once(PLAIN, fast, roll).aileron[0]
+    assert ratio == pytest.approx(25.0 / 16.0)
+
+
+def test_speed_scaler_stays_in_its_limits() -> None:
+    # Highest: max(2, 20/(0.7·10)) = 2.857; lowest: min(0.5, 20/60) = 1/3.
+    p_only = replace(PLAIN, rll_rate_ff=0.0, rll_rate_p=0.02)
+    slow, fast = _state(p=-10.0, eas=2.0), _state(p=-10.0, eas=100.0)
+    assert _once(p_only, slow, _command()).aileron[0] == pytest.approx(0.2 * (2 / 0.7) ** 2 / 45)
+    assert _once(p_only, fast, _command()).aileron[0] == pytest.approx(0.2 / 9.0 / 45)
+
+
+def test_low_throttle_lowers_the_nose() -> None:
+    # 30 % of 50 %: 2° × 20/50 = 0.8° off a 2° command, at 0.5 s: 2.4 °/s.
+    surfaces = _once(PLAIN, _state(), _command(pitch=2.0, throttle=0.3))
+    assert surfaces.elevator[0] == pytest.approx(1.2 / 0.5 * 0.4 / 1.02 / 45.0)
+    assert surfaces.throttle[0] == 0.3
+
+
+def test_sticks_are_limited() -> None:
+    assert _once(PLAIN, _state(roll=50.0), _command(roll=80.0)).aileron[0] == pytest.approx(0.0)
+    up = _once(replace(PLAIN, ptch2srv_rll=0.0), _state(pitch=20.0), _command(pitch=60.0))
+    assert up.elevator[0] == pytest.approx(0.0)
+    limited = replace(PLAIN, thr_max=75.0)
+    assert _once(limited, _state(), _command(throttle=1.0)).throttle[0] == 0.75
+    assert _once(limited, _state(), _command(throttle=-1.0)).throttle[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("eas", "limit"),
+    [
+        (9.0, 25.0),  # too slow for any load factor
+        (10.2, 25.0),  # acos(1/1.0404) = 16°, never below 25°
+        (12.0, math.degrees(math.acos(1.0 / 1.44))),  # 46.0°
+        (20.0, 50.0),  # n = 4: 75°, so ROLL_LIMIT_DEG
+    ],
+)
+def test_load_factor_limits_the_bank(eas: float, limit: float) -> None:
+    at_limit = _once(PLAIN, _state(roll=limit, eas=eas), _command(roll=89.0))
+    assert at_limit.aileron[0] == pytest.approx(0.0, abs=1e-12)
+    stalls_at_8 = replace(PLAIN, airspeed_stall=8.0)
+    more = _once(stalls_at_8, _state(roll=limit, eas=eas), _command(roll=-89.0))
+    assert more.aileron[0] < 0.0
+
+
+def test_turns_are_coordinated_in_pitch() -> None:
+    # q = g/V tan φ sin φ cos θ at 40°, 5°: 9.80665/20.4 · 0.83910 · 0.64279 · 0.99619 rad/s.
+    level = _once(PLAIN, _state(roll=40.0, pitch=5.0), _command(roll=40.0, pitch=5.0))
+    rate = math.degrees(9.80665 / 20.4 * 0.8390996 * 0.6427876 * 0.9961947)
+    assert level.elevator[0] == pytest.approx(rate * 0.4 / 1.02 / 45.0, rel=1e-6)
+
+
+def test_pitch_is_given_up_beyond_the_roll_limit() -> None:
+    def elevator(roll: float) -> float:
+        wanted = _command(roll=roll, pitch=10.0)
+        return float(_once(replace(PLAIN, ptch2srv_rll=0.0), _state(roll=roll), wanted).elevator[0])
+
+    assert elevator(55.0) == pytest.approx(elevator(0.0))
+    assert elevator(72.5) == pytest.approx(0.5 * elevator(0.0))  # half way from 55° to 90°
+    assert elevator(90.0) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_rates_are_limited_on_each_side() -> None:
+    params = replace(
+        PLAIN, rll2srv_rmax=30.0, ptch2srv_rmax_up=12.0, ptch2srv_rmax_dn=6.0, ptch2srv_rll=0.0
+    )
+    up = _once(params, _state(), _command(roll=45.0, pitch=15.0))
+    assert up.aileron[0] == pytest.approx(30.0 * 0.3 / 1.02 / 45.0)
+    assert up.elevator[0] == pytest.approx(12.0 * 0.4 / 1.02 / 45.0)
+    down = _once(params, _state(), _command(roll=-45.0, pitch=-15.0))
+    assert down.aileron[0] == pytest.approx(-30.0 * 0.3 / 1.02 / 45.0)
+    assert down.elevator[0] == pytest.approx(-6.0 * 0.4 / 1.02 / 45.0)
+
+
+def test_integral_grows_is_limited_and_freezes() -> None:
+    params = replace(PLAIN, rll_rate_ff=0.0, rll_rate_i=1.0, rll_rate_imax=0.1)
+    gains = stack([params], DT, PROMPT)
+    rolling = _state(p=-10.0)
+    _, memory = fbwa(rolling, _command(), fresh(1), gains=gains)
+    # 1 × 10° × 0.02 s of 45°
+    assert memory.each["integral"][0, 0] == pytest.approx(10.0 * 0.02 / 45.0)
+    for _ in range(200):
+        _, memory = fbwa(rolling, _command(), memory, gains=gains)
+    assert memory.each["integral"][0, 0] == pytest.approx(math.degrees(0.1) / 45.0)
+    too_slow, before = _state(p=10.0, eas=10.0), memory.each["integral"]
+    _, memory = fbwa(too_slow, _command(), memory, gains=gains)
+    assert np.array_equal(memory.each["integral"], before)
+
+
+def test_integral_does_not_grow_at_full_deflection_but_shrinks() -> None:
+    params = replace(PLAIN, rll_rate_ff=0.0, rll_rate_p=2.0, rll_rate_i=0.5)
+    gains = stack([params], DT, PROMPT)
+    memory = fresh(1)
+    for _ in range(3):
+        surfaces, memory = fbwa(_state(p=-60.0), _command(), memory, gains=gains)
+    assert surfaces.aileron[0] == 1.0
+    stuck = memory.each["integral"][0, 0]
+    _, memory = fbwa(_state(p=-60.0), _command(), memory, gains=gains)
+    assert memory.each["integral"][0, 0] == stuck
+    _, memory = fbwa(_state(p=60.0), _command(), memory, gains=gains)
+    assert memory.each["integral"][0, 0] < stuck
+
+
+def test_the_loop_against_plain_scalar_arithmetic() -> None:
+    """Second route: the rate loop of one axis in scalars, over 50 periods of a moving aircraft."""
+    params = read_params(Path(__file__).parents[2] / "aircraft" / "rascal110" / "recorded.param")
+    gains, memory = stack([params], DT, PROMPT), fresh(1)
+    target = error = derivative = integral = output = 0.0
+    a_target = DT / (DT + 1.0 / (2.0 * math.pi * params.rll_rate_fltt))
+    a_derivative = DT / (DT + 1.0 / (2.0 * math.pi * params.rll_rate_fltd))
+    for k in range(50):
+        roll, p = 30.0 * math.sin(0.1 * k), 25.0 * math.cos(0.15 * k)
+        state = _state(roll=roll, p=p, eas=18.0)
+        surfaces, memory = fbwa(state, _command(roll=20.0), memory, gains=gains)
+        s = 15.0 / 18.0
+        wanted = math.radians(max(-90.0, min(90.0, (20.0 - roll) / params.rll2srv_tconst))) * s * s
+        last = error
+        target = wanted if k == 0 else target + a_target * (wanted - target)
+        error = target - math.radians(p) * s * s
+        if k > 0:
+            derivative += a_derivative * ((error - last) / DT - derivative)
+        growth = params.rll_rate_i * error * DT
+        if abs(output) < 45.0 or integral * growth < 0.0:
+            integral = max(-0.666, min(0.666, integral + growth))
+        output = math.degrees(
+            params.rll_rate_ff * target / (s * 1.02)
+            + params.rll_rate_p * error
+            + integral
+            + params.rll_rate_d * derivative
+        )
+        expected = 0.8 * max(-45.0, min(45.0, output)) / 45.0
+        assert surfaces.aileron[0] == pytest.approx(expected, abs=1e-12)
+
+
+def test_commands_act_after_their_latency() -> None:
+    gains = stack([PLAIN], DT, AutopilotTiming(command_latency=0.03, gyro_filter_hz=0.0))
+    _, memory = fbwa(_state(), _command(), fresh(1), gains=gains)
+    ailerons = []
+    for _ in range(3):
+        surfaces, memory = fbwa(_state(), _command(roll=10.0), memory, gains=gains)
+        ailerons.append(surfaces.aileron[0])
+    # 1.5 periods: nothing, then half way between two samples, then all.
+    assert ailerons[0] == 0.0
+    assert ailerons[1] == pytest.approx(0.5 * ailerons[2])
+    assert ailerons[2] == pytest.approx(10.0 / 0.5 * 0.3 / 1.02 / 45.0)
+
+
+def test_gyro_filter_is_settled_passes_constants_and_halves_power_at_its_frequency() -> None:
+    p_only = replace(PLAIN, rll_rate_ff=0.0, rll_rate_p=0.1)
+    gains = stack([p_only], DT, AutopilotTiming(command_latency=0.0, gyro_filter_hz=4.0))
+    memory, heard = fresh(1), []
+    for k in range(400):
+        state = _state(p=10.0 * math.cos(2.0 * math.pi * 4.0 * k * DT))
+        surfaces, memory = fbwa(state, _command(), memory, gains=gains)
+        heard.append(surfaces.aileron[0])
+    first, amplitude = heard[0], np.sqrt(2.0 * np.mean(np.square(heard[200:])))
+    assert first == pytest.approx(-0.1 * 10.0 / 45.0)
+    # Sixteen whole periods of the wave, so the mean square is exact.
+    assert amplitude == pytest.approx(0.1 * 10.0 / 45.0 / math.sqrt(2.0), rel=1e-3)
+
+
+def test_settled_memory_holds_the_surfaces() -> None:
+    gains = stack([replace(PLAIN, servo1_min=1100.0, servo1_max=1900.0)], DT, PROMPT)
+    held = Surfaces(np.array([0.05]), np.array([-0.2]), np.zeros(1), np.array([0.5]))
+    surfaces, _ = fbwa(_state(), _command(), settled(held, gains), gains=gains)
+    assert surfaces.aileron[0] == pytest.approx(0.05)
+    assert surfaces.elevator[0] == pytest.approx(-0.2)
+
+
+def test_a_fleet_is_its_members() -> None:
+    """Two aircraft with different tunes at once equal each alone, to the bit."""
+    tunes = [PLAIN, replace(PLAIN, rll_rate_p=0.3, rll2srv_tconst=0.2, roll_limit_deg=30.0)]
+    one, two = _state(roll=10.0, p=4.0), _state(roll=-20.0, q=3.0, eas=17.0)
+    both = VehicleState(
+        **{
+            name: np.concatenate([getattr(one, name), getattr(two, name)])
+            for name in VehicleState._fields
+        }
+    )
+    command = FbwaCommand(np.radians([5.0, -3.0]), np.radians([40.0, 20.0]), np.array([0.3, 0.6]))
+    together, _ = fbwa(both, command, fresh(2), gains=stack(tunes, DT))
+    for i, (tune, state) in enumerate(zip(tunes, (one, two), strict=True)):
+        mine = FbwaCommand(command.pitch[[i]], command.roll[[i]], command.throttle[[i]])
+        alone, _ = fbwa(state, mine, fresh(1), gains=stack([tune], DT))
+        for name in ("aileron", "elevator", "rudder", "throttle"):
+            assert getattr(together, name)[i] == getattr(alone, name)[0]
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.02, 0.05])
+@pytest.mark.parametrize("name", ["recorded", "autopilot"])
+def test_the_compiled_twin_does_the_same(name: str, latency: float) -> None:
+    """Both over 400 periods of noise that reaches every limit; rounding is all that may differ."""
+    twin = pytest.importorskip("testbed.vehicle.twin", exc_type=ImportError)
+    tune = read_params(Path(__file__).parents[2] / "aircraft" / "rascal110" / f"{name}.param")
+    gains = stack([tune, PLAIN, tune], DT, AutopilotTiming(command_latency=latency))
+    rng = np.random.default_rng(7)
+    ours = theirs = fresh(3)
+    for _ in range(400):
+        eas = rng.uniform(8.0, 35.0, 3)
+        vectors = rng.normal(0.0, 1.0, (5, 3, 3))
+        state = VehicleState(*vectors, airspeed=1.03 * eas, equivalent_airspeed=eas)
+        command = FbwaCommand(
+            rng.normal(0.0, 0.3, 3), rng.normal(0.0, 1.0, 3), rng.uniform(-0.2, 1.2, 3)
+        )
+        one, ours = fbwa(state, command, ours, gains)
+        two, theirs = twin.fbwa(state, command, theirs, gains)
+        for field in Surfaces._fields:
+            assert getattr(two, field) == pytest.approx(getattr(one, field), abs=1e-11)
+    assert theirs.commands == pytest.approx(ours.commands, abs=1e-11)
+    for field in MEMORY.names or ():
+        assert theirs.each[field] == pytest.approx(ours.each[field], rel=1e-9, abs=1e-9)
+
+
+def test_an_unfit_timing_is_refused() -> None:
+    with pytest.raises(ValueError, match="25 Hz"):
+        stack([PLAIN], DT, AutopilotTiming(gyro_filter_hz=30.0))
+    with pytest.raises(ValueError, match="negative"):
+        stack([PLAIN], DT, AutopilotTiming(command_latency=-0.01))
+
+
+def test_param_formats_and_defaults(tmp_path: Path) -> None:
+    path = tmp_path / "a.param"
+    path.write_text("# a tune\nRLL_RATE_P 0.3\nRLL_RATE_I,0.2 # comma\n\tPTCH_RATE_FF\t1.5\r\n\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert read_params(path) == FbwaParams(rll_rate_p=0.3, rll_rate_i=0.2, ptch_rate_ff=1.5)
+
+
+def test_unknown_names_are_counted_once(tmp_path: Path) -> None:
+    path = tmp_path / "a.param"
+    path.write_text("RLL_RATE_P 0.3\nARMING_CHECK 1\nEK3_ENABLE 1\nEK3_ENABLE 0\n")
+    with pytest.warns(UserWarning, match="ignored 2 parameters") as caught:
+        assert read_params(path).rll_rate_p == 0.3
+    assert len(caught) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("RLL_RATE_P 0.3\nRLL_RATE_I\n", 2),
+        ("RLL_RATE_P 0.3 0.4\n", 1),
+        ("\n\nRLL_RATE_P abc\n", 3),
+        ("RLL_RATE_P nan\n", 1),
+        ("0.3 RLL_RATE_P\n", 1),
+        ("AIRSPEED_MIN 0\n", 1),
+        ("AIRSPEED_MIN 20\nAIRSPEED_MAX 15\n", 2),
+    ],
+)
+def test_malformed_lines_are_named(tmp_path: Path, text: str, line: int) -> None:
+    path = tmp_path / "bad.param"
+    path.write_text(text)
+    with pytest.raises(ParamError) as error:
+        read_params(path)
+    assert f"{path}:{line}: " in str(error.value)

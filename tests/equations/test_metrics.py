@@ -1,0 +1,291 @@
+"""The numbers of a run, worked out by hand and by a second route."""
+
+import math
+
+import numpy as np
+import pytest
+
+from testbed.formation.flags import Guard, Saturation
+from testbed.metrics import MetricsObserver
+from testbed.metrics.tally import BLOCK
+from testbed.state import (
+    AirData,
+    Event,
+    FbwaCommand,
+    FormationState,
+    Frame,
+    Origin,
+    RunInfo,
+    Surfaces,
+    VehicleState,
+)
+
+BASE_RATE_HZ, FRAME_RATE_HZ = 200, 25
+
+
+def run_info(followers=2, portions=None):
+    names = ("leader", *(f"uav{i}" for i in range(1, followers + 1)))
+    return RunInfo(
+        scenario_name="by-hand",
+        scenario_yaml="",
+        names=names,
+        aircraft=("rascal110",) * len(names),
+        wingspan_m=(2.8,) * len(names),
+        origin=Origin(),
+        base_rate_hz=BASE_RATE_HZ,
+        frame_rate_hz=FRAME_RATE_HZ,
+        duration_s=100.0,
+        seed=1,
+        speed_bounds_mps=((16.0, 30.0),) * followers,
+        roll_limit_rad=(0.8,) * followers,
+        leader_path_ned=np.zeros((0, 3)),
+        portions=portions or {},
+        versions={"testbed": "0"},
+    )
+
+
+def a_frame(k, errors, *, offsets=None, bank=0.0, guards=None, saturations=None, age=None):
+    """Frame k: the leader flies north, slots lie at the offsets, followers err by the errors."""
+    errors = np.array(errors, dtype=float).reshape(-1, 3)
+    n = len(errors)
+    offsets = 20.0 * np.eye(n, 3) if offsets is None else np.array(offsets, dtype=float)
+    leader = np.array([22.0 * k / FRAME_RATE_HZ, 5.0, -100.0])
+    slot = leader + offsets
+    zeros, none = np.zeros(n + 1), np.zeros(n)
+    vectors = np.zeros((n + 1, 3))
+    state = VehicleState(
+        position_ned=np.vstack([leader, slot + errors]),
+        velocity_ned=vectors,
+        acceleration_ned=vectors,
+        euler=np.vstack([[bank, 0.0, 0.0], np.full((n, 3), 9.0)]),
+        rates_body=vectors,
+        airspeed=zeros,
+        equivalent_airspeed=zeros,
+    )
+    tick = 8 * k
+    return Frame(
+        tick=tick,
+        time_s=tick / BASE_RATE_HZ,
+        truth=state,
+        estimate=state,
+        air=AirData(zeros, zeros, zeros, vectors),
+        command=FbwaCommand(zeros, zeros, zeros),
+        surfaces=Surfaces(zeros, zeros, zeros, zeros),
+        formation=FormationState(
+            slot,
+            errors,
+            *[none] * 7,
+            guards=np.array(guards or [0] * n, dtype=np.uint8),
+            saturations=np.array(saturations or [0] * n, dtype=np.uint8),
+            age_s=np.full((n, n + 1), np.nan) if age is None else np.array(age),
+        ),
+    )
+
+
+def measure(seen, info, **options):
+    meter = MetricsObserver(**options)
+    meter.begin(info)
+    for frame in seen:
+        meter.observe(frame)
+    return meter.summary()
+
+
+def test_rms_mean_and_percent_error_by_hand():
+    # uav1 errs by 3 and 4 m in turn, 5 m from the leader: RMS sqrt((9 + 16) / 2) = 5 / sqrt(2),
+    # a ratio of 1 / sqrt(2). uav2 errs by 2 m always, 10 m from the leader: 2 m, a ratio of 0.2.
+    offsets = [[3.0, 4.0, 0.0], [0.0, 0.0, 10.0]]
+    seen = [
+        a_frame(k, [[0.0, 3.0 + k % 2, 0.0], [0.0, 2.0, 0.0]], offsets=offsets) for k in range(50)
+    ]
+    portion = measure(seen, run_info(portions={"all": (0.0, 2.0)}))["portions"]["all"]
+    # some roundings of double precision
+    assert portion["rms_m"]["uav1"] == pytest.approx(5.0 / math.sqrt(2.0), rel=1e-13)
+    assert portion["rms_m"]["uav2"] == pytest.approx(2.0, rel=1e-13)
+    mean = (5.0 / math.sqrt(2.0) + 2.0) / 2.0
+    assert portion["mean_rms_m"] == pytest.approx(mean, rel=1e-13)
+    percent = 100.0 * (1.0 / math.sqrt(2.0) + 0.2) / 2.0
+    assert portion["percent_error"] == pytest.approx(percent, rel=1e-12)
+    assert portion["max_error_m"] == {"uav1": 4.0, "uav2": 2.0}
+
+
+def test_a_portion_takes_its_start_and_leaves_its_end():
+    # frames at 0, 0.04, ..., 3.96 s; error k metres in frame k; [1, 2) s is frames 25 to 49
+    seen = [a_frame(k, [[float(k), 0.0, 0.0]]) for k in range(100)]
+    portion = measure(seen, run_info(1, {"one": (1.0, 2.0)}))["portions"]["one"]
+    squares = sum(k * k for k in range(25, 50))
+    assert portion["rms_m"]["uav1"] == pytest.approx(math.sqrt(squares / 25.0), rel=1e-13)
+    assert portion["max_error_m"]["uav1"] == 49.0
+    assert portion["covered_s"] == 1.0
+    assert portion["complete"]
+
+
+def test_neighbouring_portions_share_no_frame():
+    seen = [a_frame(k, [[1.0, 0.0, 0.0]]) for k in range(100)]
+    portions = measure(seen, run_info(1, {"a": (0.0, 1.52), "b": (1.52, 4.0)}))["portions"]
+    assert portions["a"]["covered_s"] == 38 / FRAME_RATE_HZ
+    assert portions["b"]["covered_s"] == 62 / FRAME_RATE_HZ
+
+
+def test_a_portion_that_was_not_reached_has_no_numbers():
+    seen = [a_frame(k, [[1.0, 0.0, 0.0]]) for k in range(75)]
+    portions = measure(seen, run_info(1, {"half": (2.0, 4.0), "none": (5.0, 6.0)}))["portions"]
+    assert portions["half"]["covered_s"] == 1.0
+    assert not portions["half"]["complete"]
+    assert portions["half"]["rms_m"] == {"uav1": 1.0}
+    nothing = {"window_s": [5.0, 6.0], "covered_s": 0.0, "complete": False}
+    nothing |= {"rms_m": {"uav1": None}, "mean_rms_m": None, "percent_error": None}
+    assert portions["none"] == nothing | {"max_error_m": {"uav1": None}, "leader_bank_deg": None}
+
+
+def test_a_lost_agent_has_no_rms_rather_than_a_wrong_one():
+    seen = [a_frame(k, [[math.nan if k > 30 else 1.0, 0, 0], [2.0, 0, 0]]) for k in range(50)]
+    summary = measure(seen, run_info(portions={"all": (0.0, 2.0)}))
+    assert summary["portions"]["all"]["rms_m"] == {"uav1": None, "uav2": 2.0}
+    assert summary["portions"]["all"]["mean_rms_m"] is None
+    assert summary["min_separation_m"] is not None
+
+
+def engaged(distances):
+    seen = [a_frame(k, [[distance, 0.0, 0.0]]) for k, distance in enumerate(distances)]
+    summary = measure(seen, run_info(1))
+    return summary["engaged_at_s"]["uav1"], summary["recovery"]["uav1"]["inside_for_good_from_s"]
+
+
+def test_an_agent_is_engaged_from_the_start_of_its_first_five_seconds_inside():
+    out, inside = 6.0, 5.0  # 5 m is inside
+    five = 5 * FRAME_RATE_HZ
+    assert engaged([out] * 10 + [inside] * (five + 1)) == (0.4, 0.4)
+    assert engaged([out] * 10 + [inside] * five) == (None, 0.4)  # 5 s are not over
+    assert engaged([inside] * five + [out] + [inside] * (five + 1)) == (5.04, 5.04)
+    assert engaged([inside] * (five + 1) + [out] * 3 + [inside]) == (0.0, 5.16)
+    assert engaged([inside] * (five + 1) + [out]) == (0.0, None)
+
+
+@pytest.mark.parametrize("start", [BLOCK - 126, BLOCK - 125, BLOCK - 1, BLOCK, BLOCK + 1])
+def test_engaging_across_the_edge_of_a_block(start):
+    # the same rule frame by frame, without blocks
+    distances = [9.0] * start + [1.0] * 200 + [9.0] * 3 + [1.0] * BLOCK
+    assert engaged(distances) == (start / FRAME_RATE_HZ, (start + 203) / FRAME_RATE_HZ)
+
+
+def test_the_smallest_separation_names_the_pair_and_the_time():
+    # slots 20 m north and 20 m east of the leader: 28.28 m apart, until uav2 comes within 3 m of
+    # uav1 in frame 300, which is in the second block
+    seen = [a_frame(k, np.zeros((2, 3))) for k in range(600)]
+    seen[300] = a_frame(300, [[0.0, 0.0, 0.0], [20.0, -20.0, 3.0]])
+    summary = measure(seen, run_info())
+    assert summary["min_separation_m"] == pytest.approx(3.0, rel=1e-12)
+    assert summary["min_separation_at_s"] == 12.0
+    assert summary["min_separation_between"] == ["uav1", "uav2"]
+    alone = measure([a_frame(0, np.zeros((0, 3)))], run_info(0))
+    assert alone["min_separation_m"] is None
+
+
+def test_guards_and_saturations_are_counted_by_kind():
+    clamp, outside = Guard.SPEED_DESIRED_CLAMPED, Guard.OUTSIDE_SPEED_SET
+    pitch, throttle = Saturation.PITCH, Saturation.THROTTLE
+    seen = [
+        a_frame(0, np.zeros((2, 3)), guards=[clamp | outside, 0], saturations=[pitch, 0]),
+        a_frame(1, np.zeros((2, 3)), guards=[outside, 0], saturations=[pitch | throttle, throttle]),
+        a_frame(2, np.zeros((2, 3))),
+    ]
+    summary = measure(seen, run_info())
+    one = summary["guards"]["uav1"]
+    assert (one["frames"], one["seconds"]) == (2, 0.08)
+    assert one["by_kind"] == {
+        "speed_desired_clamped": 1,
+        "outside_speed_set": 2,
+        "speed_command_clipped": 0,
+    }
+    assert summary["guards"]["uav2"]["frames"] == 0
+    assert summary["saturations"]["uav1"]["by_kind"] == {"pitch": 2, "roll": 0, "throttle": 1}
+    assert summary["saturations"]["uav2"]["frames"] == 1
+    assert summary["recovery"]["uav1"]["last_saturated_s"] == 0.04
+    assert measure(seen[2:], run_info())["recovery"]["uav1"]["last_saturated_s"] is None
+
+
+def test_bank_is_the_leaders_and_its_size_counts():
+    banks = [0.1, -0.5, 0.3, 0.2]
+    seen = [a_frame(k, np.zeros((2, 3)), bank=bank) for k, bank in enumerate(banks)]
+    summary = measure(seen, run_info(portions={"late": (0.08, 1.0)}))
+    assert summary["leader_bank_deg"] == pytest.approx(math.degrees(0.5), rel=1e-15)
+    assert summary["portions"]["late"]["leader_bank_deg"] == pytest.approx(math.degrees(0.3))
+
+
+def test_age_of_information_leaves_out_what_was_not_used():
+    nan = math.nan
+    ages = [[[0.1, nan, nan], [nan, 0.3, nan]], [[0.3, nan, nan], [0.2, 0.1, nan]]]
+    seen = [a_frame(k, np.zeros((2, 3)), age=age) for k, age in enumerate(ages)]
+    ages = measure(seen, run_info())["age_of_information_s"]
+    assert ages["uav1"]["mean"] == pytest.approx(0.2, rel=1e-15)
+    assert ages["uav2"] == {"mean": pytest.approx(0.2, rel=1e-15), "max": 0.3}
+    unheard = measure([a_frame(0, np.zeros((2, 3)))], run_info())["age_of_information_s"]
+    assert unheard["uav1"] == {"mean": None, "max": None}
+
+
+def random_run(count, followers):
+    rng = np.random.default_rng(3)
+    for k in range(count):
+        yield a_frame(
+            k,
+            rng.normal(0.0, 2.0, (followers, 3)),
+            offsets=rng.normal(0.0, 30.0, (followers, 3)),
+            bank=rng.normal(),
+            saturations=rng.integers(0, 8, followers).tolist(),
+        )
+
+
+@pytest.mark.parametrize("count", [1, BLOCK - 1, BLOCK, BLOCK + 1, 3 * BLOCK + 17])
+def test_a_second_route_over_the_whole_run_at_once(count):
+    seen = list(random_run(count, 4))
+    summary = measure(seen, run_info(4, {"all": (0.0, 1000.0)}))
+    errors = np.array([[math.hypot(*e) for e in f.formation.error_ned] for f in seen])
+    distances = np.array(
+        [
+            [math.dist(a, b) for a in f.truth.position_ned for b in f.truth.position_ned]
+            for f in seen
+        ]
+    )
+    distances = distances[distances > 0.0]
+    chi = np.array(
+        [[math.dist(s, f.truth.position_ned[0]) for s in f.formation.slot_ned] for f in seen]
+    )
+    portion = summary["portions"]["all"]
+    rms = [math.sqrt(math.fsum(column**2) / count) for column in errors.T]
+    ratio = [math.sqrt(math.fsum(column**2) / count) for column in (errors / chi).T]
+    # sums of at most 785 positive numbers in another order: 785 roundings of 1e-16 at worst
+    assert list(portion["rms_m"].values()) == pytest.approx(rms, rel=1e-13)
+    assert portion["percent_error"] == pytest.approx(100.0 * np.mean(ratio), rel=1e-13)
+    assert list(summary["max_error_m"].values()) == pytest.approx(errors.max(axis=0), rel=1e-14)
+    # positions of about 1000 m know their differences to 1e-13 m
+    assert summary["min_separation_m"] == pytest.approx(distances.min(), abs=1e-12)
+
+
+def test_asking_in_between_changes_nothing():
+    seen = list(random_run(700, 3))
+    info = run_info(3, {"all": (0.0, 1000.0)})
+    meter = MetricsObserver()
+    meter.begin(info)
+    for k, frame in enumerate(seen):
+        meter.observe(frame)
+        if k % 97 == 0:
+            assert meter.summary()["simulated_s"] == frame.time_s
+    assert meter.summary() == measure(seen, info)
+
+
+def test_events_and_published_numbers_pass_through():
+    frame = a_frame(0, np.zeros((2, 3)))
+    event = Event(0.0, "warning", "uav1", "a gust")
+    seen = Frame(
+        **{name: getattr(frame, name) for name in Frame.__annotations__ if name != "events"},
+        events=(event,),
+    )
+    summary = measure([seen], run_info(), published={"source": "elsewhere"})
+    assert summary["published"] == {"source": "elsewhere"}
+    expected = {"time_s": 0.0, "level": "warning", "source": "uav1", "text": "a gust"}
+    assert summary["events"] == [expected]
+
+
+def test_there_is_no_summary_before_a_run():
+    with pytest.raises(RuntimeError, match="begin"):
+        MetricsObserver().summary()

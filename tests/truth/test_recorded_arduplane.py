@@ -1,0 +1,109 @@
+"""The virtual autopilot against a flight of the real ArduPlane on the same airframe."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from testbed.vehicle.params import ParamError
+from testbed.vehicle.respond import AircraftLost, CommandsError, read_commands, respond
+
+ROOT = Path(__file__).parents[2]
+RASCAL = ROOT / "aircraft" / "rascal110"
+RECORDING = ROOT / "tests" / "data" / "arduplane_fbwa_rascal_steps.csv"
+
+
+def _rms_deg(out: Path, column: str) -> float:
+    recorded = np.genfromtxt(RECORDING, delimiter=",", names=True)
+    flown = np.genfromtxt(out, delimiter=",", names=True)
+    assert flown.dtype.names == recorded.dtype.names
+    assert np.array_equal(flown["t_s"], recorded["t_s"])
+    window = (recorded["t_s"] >= 2.0) & (recorded["t_s"] <= 150.0)
+    return float(np.degrees(np.sqrt(np.mean((flown[column] - recorded[column])[window] ** 2))))
+
+
+@pytest.fixture(scope="module")
+def replay(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("respond") / "out.csv"
+    respond(RASCAL, RECORDING, out)
+    return out
+
+
+def test_roll_and_pitch_follow_the_recording(replay: Path) -> None:
+    # Measured: 0.34° and 0.40°; the airframes differ in the elevator's drag (ORIGIN.md). The
+    # promise is 1.0° and 0.5°, and the roll bound is closer so that a lost latency shows.
+    assert _rms_deg(replay, "phi_rad") < 0.5
+    assert _rms_deg(replay, "theta_rad") < 0.5
+
+
+def test_the_servo_travel_is_part_of_it(tmp_path: Path) -> None:
+    """With the servos' whole travel the roll loop is 25 % too strong, and that shows."""
+    tune = tmp_path / "whole.param"
+    lines = (RASCAL / "recorded.param").read_text()
+    tune.write_text(lines.replace("_MIN 1100", "_MIN 1000").replace("_MAX 1900", "_MAX 2000"))
+    respond(RASCAL, RECORDING, tmp_path / "out.csv", param=tune)
+    assert _rms_deg(tmp_path / "out.csv", "phi_rad") > 0.8
+
+
+def test_four_columns_are_enough(tmp_path: Path, replay: Path) -> None:
+    commands = tmp_path / "commands.csv"
+    rows = [line.split(",")[:4] for line in RECORDING.read_text().splitlines()]
+    commands.write_text("\n".join(",".join(row) for row in rows) + "\n")
+    respond(RASCAL, commands, tmp_path / "out.csv")
+    # It starts 1.3 m/s slower than the recording, which the first seconds show.
+    assert _rms_deg(tmp_path / "out.csv", "phi_rad") < 0.5
+    assert _rms_deg(tmp_path / "out.csv", "theta_rad") < 0.5
+
+
+def test_replays_are_equal_to_the_bit(tmp_path: Path) -> None:
+    commands = tmp_path / "commands.csv"
+    commands.write_text("".join(RECORDING.read_text().splitlines(keepends=True)[:400]))
+    respond(RASCAL, commands, tmp_path / "a.csv")
+    respond(RASCAL, commands, tmp_path / "b.csv")
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+
+
+GOOD = "t_s,theta_cmd_rad,phi_cmd_rad,throttle_cmd\n0,0,0,0.3\n0.04,0,0,0.3\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ("", "column t_s"),
+        ("t_s,theta_cmd_rad,phi_cmd_rad\n", ":1: column throttle_cmd"),
+        (GOOD.replace("t_s", "t_s,t_s"), ":1: column t_s"),
+        (GOOD.splitlines()[0], ":2: column t_s"),
+        (GOOD + "0.08,0,x,0.3\n", ":4: column phi_cmd_rad"),
+        (GOOD + "0.08,nan,0,0.3\n", ":4: column theta_cmd_rad"),
+        (GOOD + "0.08,0,0,30\n", ":4: column throttle_cmd"),
+        (GOOD + "0.08,0,45,0.3\n", ":4: column phi_cmd_rad"),
+        (GOOD + "0.08,0,0\n", ":4: column 4"),
+        (GOOD + "0.04,0,0,0.3\n", ":4: column t_s"),
+        (GOOD + "1e9,0,0,0.3\n", ":4: column t_s"),
+    ],
+)
+def test_bad_commands_name_file_line_and_column(tmp_path: Path, text: str, where: str) -> None:
+    path = tmp_path / "commands.csv"
+    path.write_text(text)
+    with pytest.raises(CommandsError) as error:
+        read_commands(path)
+    assert str(path) in str(error.value)
+    assert where in str(error.value)
+
+
+def test_a_missing_tune_and_a_missing_file_are_errors(tmp_path: Path) -> None:
+    with pytest.raises(CommandsError, match="nothing.csv"):
+        read_commands(tmp_path / "nothing.csv")
+    with pytest.raises(ParamError, match="nothing.param"):
+        respond(RASCAL, RECORDING, tmp_path / "o.csv", param=tmp_path / "nothing.param")
+
+
+def test_a_lost_aircraft_is_loud_and_leaves_its_rows(tmp_path: Path) -> None:
+    commands = tmp_path / "dive.csv"
+    rows = "".join(f"{0.1 * k:.1f},-0.3,0,0\n" for k in range(100))
+    commands.write_text("t_s,theta_cmd_rad,phi_cmd_rad,throttle_cmd\n" + rows)
+    with pytest.raises(AircraftLost, match="lost at"):
+        respond(RASCAL, commands, tmp_path / "out.csv", altitude=10.0)
+    flown = np.genfromtxt(tmp_path / "out.csv", delimiter=",", names=True)
+    assert 5 < len(flown["t_s"]) < 100
+    assert flown["altitude_m"][-1] < 3.0
