@@ -13,7 +13,7 @@ STAMP := $(VENV)/.installed
 MAKEFLAGS += --no-print-directory
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test lint types tests check-all bench wheel lock clean
+.PHONY: help setup run test lint types tests check-all bench results wheel lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,4p'
@@ -47,6 +47,10 @@ check-all: test wheel
 # What everything around the flight model costs, as a ratio to bare JSBSim.
 bench: $(STAMP)
 	@$(BIN)/python benchmarks/full_over_bare.py $(ARGS)
+
+# Flies every row of the tables in docs/simulation-3.md and writes them there.
+results: $(STAMP)
+	@$(BIN)/python benchmarks/simulation_3.py --into docs/simulation-3.md $(ARGS)
 
 wheel: $(STAMP)
 	@rm -rf dist && $(BIN)/python -m build --no-isolation --wheel >/dev/null && ls dist/*.whl

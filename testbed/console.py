@@ -62,7 +62,10 @@ def replay_run(name: str, *, rrd: Path | None) -> int:
     from testbed.views import LiveViewer, RrdFile, replay
 
     log = read_log(find_run(name))
-    replay(log.info, frames(log), RrdFile(rrd) if rrd else LiveViewer(patient=True))
+    try:
+        replay(log.info, frames(log), RrdFile(rrd) if rrd else LiveViewer(patient=True))
+    except OSError as error:
+        raise InputError(f"--rrd {rrd}: {error.strerror or error}") from error
     return 0
 
 

@@ -3,8 +3,8 @@
 The leading axis of every array counts aircraft. Row 0 is the leader, rows 1..n are the followers
 in the order of the scenario's fleet. Arrays are contiguous, in SI units and radians; vectors are
 resolved in the local north-east-down frame (NED) of the scenario's origin unless a name says
-otherwise. An observer must not write into an array it is given. Records that go through compiled
-laws are named tuples, which numba knows; the others are frozen dataclasses.
+otherwise. An observer must not write into an array it is given. Records that are made at
+every tick are named tuples, which are cheap and which numba knows.
 """
 
 from __future__ import annotations
@@ -56,8 +56,7 @@ def followers(state: VehicleState) -> VehicleState:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class AirData:
+class AirData(NamedTuple):
     """What the truth knows beside the motion; logged and drawn, never given to a controller."""
 
     alpha: Array  # (N,) angle of attack, rad
@@ -104,8 +103,7 @@ class Inbox(NamedTuple):
     euler_rates: Array  # (n, N, 3)
 
 
-@dataclass(frozen=True, slots=True)
-class FormationState:
+class FormationState(NamedTuple):
     """What the controllers of the n followers did, and how far they are from where they should be.
 
     Slots and errors are the truth's: nothing of them is fed back.
@@ -135,8 +133,7 @@ class Event:
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class Frame:
+class Frame(NamedTuple):
     """Everything an observer sees of one logged tick."""
 
     tick: int  # of the base rate

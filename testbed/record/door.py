@@ -1,7 +1,7 @@
-"""The only module that imports mcap, zstandard and protobuf: MCAP files, record by record.
+"""The only module that imports foxglove, mcap and protobuf: MCAP files, written and read.
 
-Chunks come and go as bytes: what is inside them is `wire`'s business. Format:
-https://mcap.dev/spec.
+Format: https://mcap.dev/spec. Foxglove's messages:
+https://docs.foxglove.dev/docs/visualization/message-schemas.
 """
 
 from __future__ import annotations
@@ -10,28 +10,40 @@ import functools
 import io
 import os
 import struct
-import zlib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
-import zstandard
+import foxglove
+from foxglove import channels, messages
+from foxglove.mcap import MCAPWriteOptions
 from google.protobuf import descriptor_pool, message_factory
-from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto, FileDescriptorSet
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import DecodeError
 from mcap import records
-from mcap.data_stream import ReadDataStream, RecordBuilder
-from mcap.opcode import Opcode
+from mcap.exceptions import EndOfFile
+from mcap.stream_reader import StreamReader
 
 from testbed.errors import InputError
-from testbed.record.messages import LOG, TIMESTAMP, MessageType
+from testbed.record.messages import Topic
+from testbed.state import Event
 
-MAGIC = b"\x89MCAP0\r\n"
-# The fastest that still shrinks; the rest of a log is the noise of the last bits.
-_COMPRESSION_LEVEL = 1
-_LARGEST_CHUNK = 1 << 28
-_SUMMARY = ("schema", "channel", "statistics", "chunk_index", "attachment_index", "metadata_index")
+_NS = 10**9
+_MAGIC = b"\x89MCAP0\r\n"
+_HEAD = struct.Struct("<BQ")  # of a record: what it is, and the length of the rest
+# Chunks end where `flush` says and nowhere else. Compressed in this thread and at the level that
+# is fastest and still shrinks: the rest of a log is the noise of the last bits. Chunks carry their
+# own checksums; one over the whole file would make damage in an index, which nobody needs, fatal.
+_OPTIONS = MCAPWriteOptions(
+    chunk_size=None,
+    compression_level=1,
+    compression_threads=0,
+    disable_seeking=True,
+    calculate_data_section_crc=False,
+)
+
+Write = Callable[[bytes, int], None]  # a message and its time in ns
 
 
 class LogError(InputError):
@@ -39,17 +51,18 @@ class LogError(InputError):
 
 
 class LogFile:
-    """An MCAP file being written. Each call is in the file, whole or not at all, when it returns.
+    """An MCAP file being written.
+
+    What is written is in the file, whole or not at all, when `flush` returns.
 
     Args:
         path: A file that does not exist.
-        library: Who writes.
 
     Raises:
         LogError: The file exists, or its folder is missing, full or not writable.
     """
 
-    def __init__(self, path: Path, *, library: str) -> None:
+    def __init__(self, path: Path) -> None:
         """See the class."""
         self.path = path
         try:
@@ -58,322 +71,237 @@ class LogFile:
             raise LogError(f"{path}: there is a log already; name another directory") from None
         except OSError as error:
             raise LogError(f"{path}: cannot create the log: {error.strerror}") from error
-        self._size = 0
-        self._compressor = zstandard.ZstdCompressor(level=_COMPRESSION_LEVEL)
-        self._groups: dict[str, list[bytes]] = {name: [] for name in _SUMMARY}
-        self._statistics = records.Statistics(
-            attachment_count=0,
-            channel_count=0,
-            channel_message_counts={},
-            chunk_count=0,
-            message_count=0,
-            message_end_time=0,
-            message_start_time=0,
-            metadata_count=0,
-            schema_count=0,
+        self._context = foxglove.Context()
+        self._tail = _Tail()
+        self._writer = foxglove.open_mcap(
+            self._tail, context=self._context, writer_options=_OPTIONS
         )
-        self._write(MAGIC + _bytes(records.Header(profile="", library=library)))
 
-    def schema(self, kind: MessageType, dependencies: Sequence[MessageType]) -> int:
-        """Add the schema of a protobuf message; its number."""
-        self._statistics.schema_count += 1
-        number = self._statistics.schema_count
-        data = descriptor_set(dependencies)
-        record = records.Schema(id=number, data=data, encoding="protobuf", name=kind.name)
-        self._write(_bytes(record))
-        self._groups["schema"].append(_bytes(record))
-        return number
-
-    def channel(self, topic: str, schema: int) -> int:
-        """Add a channel of protobuf messages; its number."""
-        self._statistics.channel_count += 1
-        number = self._statistics.channel_count
-        record = records.Channel(
-            id=number, topic=topic, message_encoding="protobuf", metadata={}, schema_id=schema
+    def topic(self, name: str, kind: Topic) -> Write:
+        """Open a stream of own messages, given as bytes."""
+        schema = foxglove.Schema(name=kind.message, encoding="protobuf", data=_descriptor_set(kind))
+        channel = foxglove.Channel(
+            name, message_encoding="protobuf", schema=schema, context=self._context
         )
-        self._write(_bytes(record))
-        self._groups["channel"].append(_bytes(record))
-        return number
+        return channel.base.log
+
+    def transforms(self, name: str) -> Write:
+        """Open a stream of foxglove.FrameTransforms, given as bytes."""
+        channel = foxglove.Channel(
+            name,
+            message_encoding="protobuf",
+            schema=messages.FrameTransforms.get_schema(),
+            context=self._context,
+        )
+        return channel.base.log
+
+    def fixes(self, name: str, frame: str) -> Callable[[Sequence[float], int], None]:
+        """Open a stream of foxglove.LocationFix.
+
+        It takes latitude and longitude in deg and the altitude in m.
+        """
+        channel = channels.LocationFixChannel(name, context=self._context)
+
+        def write(place: Sequence[float], time_ns: int) -> None:
+            latitude, longitude, altitude = place
+            fix = messages.LocationFix(
+                timestamp=_timestamp(time_ns),
+                frame_id=frame,
+                latitude=latitude,
+                longitude=longitude,
+                altitude=altitude,
+            )
+            channel.log(fix, log_time=time_ns)
+
+        return write
+
+    def events(self, name: str) -> Callable[[Event], None]:
+        """Open a stream of foxglove.Log."""
+        channel = channels.LogChannel(name, context=self._context)
+
+        def write(event: Event) -> None:
+            time_ns = round(event.time_s * _NS)
+            line = messages.Log(
+                timestamp=_timestamp(time_ns),
+                level=getattr(messages.LogLevel, event.level.title(), messages.LogLevel.Unknown),
+                message=event.text,
+                name=event.source,
+            )
+            channel.log(line, log_time=time_ns)
+
+        return write
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Add a metadata record."""
-        data = _bytes(records.Metadata(name=name, metadata=dict(values)))
-        index = records.MetadataIndex(offset=self._size, length=len(data), name=name)
-        self._write(data)
-        self._groups["metadata_index"].append(_bytes(index))
-        self._statistics.metadata_count += 1
+        self._writer.write_metadata(name, dict(values))
 
-    def attachment(self, name: str, media_type: str, data: bytes, *, time_ns: int = 0) -> None:
+    def attachment(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file."""
-        record = records.Attachment(
-            create_time=0, log_time=time_ns, name=name, media_type=media_type, data=data
-        )
-        octets = _bytes(record)
-        index = records.AttachmentIndex(
-            offset=self._size,
-            length=len(octets),
-            log_time=time_ns,
-            create_time=0,
-            data_size=len(data),
-            name=name,
-            media_type=media_type,
-        )
-        self._write(octets)
-        self._groups["attachment_index"].append(_bytes(index))
-        self._statistics.attachment_count += 1
+        self._writer.attach(log_time=0, create_time=0, name=name, media_type=media_type, data=data)
 
-    def chunk(
-        self, data: bytes, *, span_ns: tuple[int, int], indexes: Sequence[tuple[int, int, bytes]]
-    ) -> None:
-        """Add messages.
-
-        Args:
-            data: Their records, one after the other.
-            span_ns: Time of the first and of the last.
-            indexes: For each channel: its number, how many messages, the message index record.
-        """
-        compressed = self._compressor.compress(data)
-        octets = _bytes(
-            records.Chunk(
-                compression="zstd",
-                data=compressed,
-                message_start_time=span_ns[0],
-                message_end_time=span_ns[1],
-                uncompressed_crc=zlib.crc32(data),
-                uncompressed_size=len(data),
-            )
-        )
-        start, offsets, at = self._size, {}, self._size + len(octets)
-        for channel, _, record in indexes:
-            offsets[channel] = at
-            at += len(record)
-        self._write(octets + b"".join(record for _, _, record in indexes))
-        index = records.ChunkIndex(
-            chunk_length=len(octets),
-            chunk_start_offset=start,
-            compression="zstd",
-            compressed_size=len(compressed),
-            message_end_time=span_ns[1],
-            message_index_length=self._size - start - len(octets),
-            message_index_offsets=offsets,
-            message_start_time=span_ns[0],
-            uncompressed_size=len(data),
-        )
-        self._groups["chunk_index"].append(_bytes(index))
-        totals = self._statistics
-        if not totals.chunk_count:
-            totals.message_start_time = span_ns[0]
-        totals.message_end_time = span_ns[1]
-        totals.chunk_count += 1
-        for channel, count, _ in indexes:
-            totals.message_count += count
-            counts = totals.channel_message_counts
-            counts[channel] = counts.get(channel, 0) + count
+    def flush(self) -> None:
+        """End the chunk and put everything written so far into the file."""
+        self._writer.flush()
+        self._save()
 
     def close(self) -> None:
         """Write the summary that makes the file seekable, and close it."""
         if self._file.closed:
             return
-        try:
-            self._groups["statistics"] = [_bytes(self._statistics)]
-            self._write(_bytes(records.DataEnd(data_section_crc=0)))
-            self._write(self._summary())
-        finally:
-            self._file.close()
+        self._writer.close()
+        self._save()
+        self._file.close()
 
-    def _summary(self) -> bytes:
-        start = at = self._size
-        body, offsets = [], []
-        for name, group in self._groups.items():
-            data = b"".join(group)
-            if data:
-                body.append(data)
-                offset = records.SummaryOffset(
-                    group_opcode=Opcode[name.upper()], group_start=at, group_length=len(data)
-                )
-                offsets.append(_bytes(offset))
-                at += len(data)
-        body += offsets
-        # the checksum covers the footer too, up to the checksum
-        footer = _bytes(records.Footer(summary_start=start, summary_offset_start=at, summary_crc=0))
-        covered = b"".join(body) + footer[:-4]
-        return covered + struct.pack("<I", zlib.crc32(covered)) + MAGIC
-
-    def _write(self, data: bytes) -> None:
-        rest = memoryview(data)
+    def _save(self) -> None:
+        size = self._file.tell()
+        rest = memoryview(self._tail.take())
         try:
             while rest:
                 rest = rest[self._file.write(rest) :]
         except OSError as error:
             # half a record would hide that the rest of the file is sound
-            os.ftruncate(self._file.fileno(), self._size)
+            os.ftruncate(self._file.fileno(), size)
             self._file.close()
             raise LogError(f"{self.path}: cannot write the log: {error.strerror}") from error
-        self._size += len(data)
 
 
-def _bytes(record: records.McapRecord) -> bytes:
-    builder = RecordBuilder()
-    record.write(builder)
-    return bytes(builder.end())
+class _Tail:
+    """What the library has written and the file has not yet.
+
+    The library forgets the cause of a failed write and reports some failures to stderr only, so
+    it writes into memory.
+    """
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+        self._position = 0
+
+    def write(self, data: bytes | bytearray) -> int:
+        self._parts.append(bytes(data))
+        self._position += len(data)
+        return len(data)
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        # with disable_seeking the library only asks where it is
+        return self._position
+
+    def flush(self) -> None:
+        pass
+
+    def take(self) -> bytes:
+        data = b"".join(self._parts)
+        self._parts.clear()
+        return data
 
 
-@dataclass(frozen=True, slots=True)
-class Chunk:
-    """Message records, uncompressed."""
-
-    offset: int  # of the chunk in the file
-    data: bytes
+def _timestamp(time_ns: int) -> messages.Timestamp:
+    return messages.Timestamp(sec=time_ns // _NS, nsec=time_ns % _NS)
 
 
-Channel = records.Channel
-Metadata = records.Metadata
-Attachment = records.Attachment
-Piece: TypeAlias = Channel | Metadata | Attachment | Chunk
-_PIECES: dict[int, type[records.McapRecord]] = {
-    Opcode.CHANNEL: records.Channel,
-    Opcode.METADATA: records.Metadata,
-    Opcode.ATTACHMENT: records.Attachment,
-}
+@dataclass(slots=True)
+class Messages:
+    """The messages of a topic in the order of the file."""
+
+    time_ns: list[int] = field(default_factory=list)
+    data: list[bytes] = field(default_factory=list)
 
 
-@dataclass(frozen=True, slots=True)
-class End:
-    """The end of what could be read."""
+@dataclass(slots=True)
+class Contents:
+    """What a file holds, its messages by topic."""
 
-    finished: bool  # the writer closed the file
-    lost_bytes: int  # of a record that was cut
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    messages: dict[str, Messages] = field(default_factory=dict)
+    finished: bool = False  # the writer closed the file
+    lost_bytes: int = 0  # of a record that was cut
 
 
-def read(path: Path) -> Iterator[Piece | End]:
-    """The records of a file from its start, without seeking: what is whole of a cut file too.
-
-    The last item is always an `End`.
+def read(path: Path) -> Contents:
+    """Read a file from its start, without its summary: what is whole of a cut one too.
 
     Raises:
         LogError: No MCAP file, or damaged before its end.
     """
     try:
-        size = path.stat().st_size
-        file = open(path, "rb")  # noqa: SIM115 - closed below
+        data = path.read_bytes()
     except OSError as error:
         raise LogError(f"{path}: cannot read the log: {error.strerror}") from error
-    with file:
-        if file.read(len(MAGIC)) != MAGIC:
-            raise LogError(f"{path}: not an MCAP file")
-        at = len(MAGIC)
-        while True:
-            head = file.read(9)
-            if len(head) < 9:
-                yield End(finished=False, lost_bytes=len(head))
-                return
-            opcode, length = struct.unpack("<BQ", head)
-            if length > size - at - 9:
-                yield End(finished=False, lost_bytes=size - at)
-                return
-            if opcode == Opcode.DATA_END:
-                tail = _tail(file, size)
-                yield End(finished=tail == MAGIC, lost_bytes=0)
-                return
-            body = file.read(length)
-            try:
-                if opcode == Opcode.CHUNK:
-                    yield Chunk(at, _expand(body))
-                elif opcode in _PIECES:
-                    kind = _PIECES[opcode]
-                    yield kind.read(ReadDataStream(io.BytesIO(body)))  # type: ignore[attr-defined]
-            except LogError:
-                raise
-            except Exception as error:
-                # whatever a damaged byte sets off in the library, the place is what matters
-                raise LogError(f"{path}: damaged at byte {at}: {error}") from error
-            at += 9 + length
+    if not data.startswith(_MAGIC):
+        raise LogError(f"{path}: not an MCAP file")
+    sound, at = _sound(data), len(_MAGIC)
+    out = Contents(lost_bytes=len(data) - sound)
+    topics: dict[int, Messages] = {}
+    source = io.BytesIO(data[:sound])
+    try:
+        for record in StreamReader(source, validate_crcs=True).records:
+            at = source.tell()
+            if isinstance(record, records.Message):
+                messages = topics[record.channel_id]
+                messages.time_ns.append(record.log_time)
+                messages.data.append(record.data)
+            elif isinstance(record, records.Channel):
+                topics[record.id] = out.messages.setdefault(record.topic, Messages())
+            elif isinstance(record, records.Metadata):
+                out.metadata[record.name] = record.metadata
+            elif isinstance(record, records.Attachment):
+                out.attachments[record.name] = record.data
+        out.finished = True
+    except Exception as error:
+        # whatever a damaged byte sets off in the library, the place is what matters
+        if not (isinstance(error, EndOfFile) and at == sound):
+            raise LogError(f"{path}: damaged after byte {at}: {error!r}") from error
+    return out
 
 
-def _tail(file: io.BufferedReader, size: int) -> bytes:
-    file.seek(size - len(MAGIC))
-    return file.read()
+def _sound(data: bytes) -> int:
+    """Where the last whole record ends, or the file."""
+    at = len(_MAGIC)
+    while len(data) - at >= _HEAD.size:
+        end = at + _HEAD.size + _HEAD.unpack_from(data, at)[1]
+        if end > len(data):
+            break
+        at = end
+    return len(data) if data[at:] == _MAGIC else at
 
 
-def _expand(body: bytes) -> bytes:
-    chunk = records.Chunk.read(ReadDataStream(io.BytesIO(body)))
-    if chunk.uncompressed_size > _LARGEST_CHUNK:
-        raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes is larger than any of ours")
-    if chunk.compression == "zstd":
-        # a decompressor object stops at the size; the one-shot call would trust the frame's own
-        decompressor = zstandard.ZstdDecompressor().decompressobj()
-        data = decompressor.decompress(chunk.data) if _declared(chunk) else b""
-    elif chunk.compression == "":
-        data = chunk.data
-    else:
-        raise ValueError(f"compression {chunk.compression!r}; ours is zstd")
-    if len(data) != chunk.uncompressed_size:
-        raise ValueError("a chunk does not have the size it states")
-    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
-        raise ValueError("a chunk fails its checksum")
-    return data
-
-
-def _declared(chunk: records.Chunk) -> bool:
-    """Whether the compressed frame says the size that the chunk says."""
-    return zstandard.frame_content_size(chunk.data) == chunk.uncompressed_size
-
-
-def log_fields(payload: bytes) -> tuple[int, str, str]:
+def log_fields(payload: bytes) -> tuple[str, str, str]:
     """Level, text and source of a foxglove.Log.
 
     Raises:
         ValueError: It is none.
     """
     try:
-        message = _log_class().FromString(payload)
+        line = _log_class().FromString(payload)
     except DecodeError as error:
-        raise ValueError(f"no {LOG.name}: {error}") from error
-    return int(message.level), str(message.message), str(message.name)
+        raise ValueError(f"no foxglove.Log: {error}") from error
+    levels = line.DESCRIPTOR.fields_by_name["level"].enum_type.values_by_number
+    level = levels[line.level if line.level in levels else 0].name.lower()
+    return str(level), str(line.message), str(line.name)
 
 
 @functools.cache
 def _log_class() -> Any:  # noqa: ANN401 - made at run time
     # a pool of its own: Foxglove's package may have registered the same names
     pool = descriptor_pool.DescriptorPool()
-    for file in FileDescriptorSet.FromString(descriptor_set((TIMESTAMP, LOG))).file:
-        pool.AddSerializedFile(file.SerializeToString())
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName(LOG.name))
+    schema = messages.Log.get_schema()
+    for file in FileDescriptorSet.FromString(schema.data).file:
+        pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
 
 
-_SCALARS = {
-    "double": FieldDescriptorProto.TYPE_DOUBLE,
-    "int32": FieldDescriptorProto.TYPE_INT32,
-    "int64": FieldDescriptorProto.TYPE_INT64,
-    "string": FieldDescriptorProto.TYPE_STRING,
-    "fixed32": FieldDescriptorProto.TYPE_FIXED32,
-    "enum": FieldDescriptorProto.TYPE_ENUM,
-}
-
-
-def descriptor_set(kinds: Sequence[MessageType]) -> bytes:
-    """The FileDescriptorSet of some message types, one file for each package, in their order."""
+def _descriptor_set(kind: Topic) -> bytes:
+    """The schema of an own message: a FileDescriptorSet of one file."""
+    package, _, name = kind.message.rpartition(".")
     out = FileDescriptorSet()
-    packages = list(dict.fromkeys(kind.name.rpartition(".")[0] for kind in kinds))
-    for package in packages:
-        file = out.file.add(name=f"{package}.proto", package=package, syntax="proto3")
-        file.dependency.extend(f"{p}.proto" for p in packages[: packages.index(package)])
-        for kind in kinds:
-            if kind.name.rpartition(".")[0] == package:
-                _describe(kind, file.message_type.add(name=kind.name.rpartition(".")[2]))
+    file = out.file.add(name=f"{kind.message}.proto", package=package, syntax="proto3")
+    message = file.message_type.add(name=name)
+    for number, (field_name, column) in enumerate(kind.fields, start=1):
+        label = "LABEL_REPEATED" if column.per_aircraft else "LABEL_OPTIONAL"
+        message.field.add(
+            name=field_name,
+            number=number,
+            type=f"TYPE_{column.type.upper()}",
+            label=label,
+        )
     return bytes(out.SerializeToString(deterministic=True))
-
-
-def _describe(kind: MessageType, out: DescriptorProto) -> None:
-    for field in kind.fields:
-        added = out.field.add(name=field.name, number=field.number)
-        repeated, single = FieldDescriptorProto.LABEL_REPEATED, FieldDescriptorProto.LABEL_OPTIONAL
-        added.label = repeated if field.repeated else single
-        added.type = _SCALARS.get(field.type, FieldDescriptorProto.TYPE_MESSAGE)
-        if added.type == FieldDescriptorProto.TYPE_MESSAGE:
-            added.type_name = f".{field.type}"
-        elif field.values:
-            enum = out.enum_type.add(name=field.name.title().replace("_", ""))
-            added.type_name = f".{kind.name}.{enum.name}"
-            for number, value in enumerate(field.values):
-                enum.value.add(name=value, number=number)

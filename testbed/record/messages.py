@@ -1,43 +1,17 @@
-"""What a log says: the one table of message types, from which writer, reader and schemas come.
+"""What a log says of aircraft: the one table from which writer, reader and schemas come.
 
-Own messages are made of columns: which array of a `Frame` they come from, whether it counts
-aircraft or followers, and the field names, which carry units. The Foxglove types are those parts
-of https://docs.foxglove.dev/docs/visualization/message-schemas that are written here.
+A topic is made of columns: which array of a `Frame` they come from, and the names of the fields,
+which carry units. Beside these a log has Foxglove's own messages: `/tf`, `/tf_static`,
+`/<aircraft>/fix` and `/events`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 LOG_SCHEMA = 1  # of the log; raised when a topic or field changes its meaning or goes
 
-DOUBLE, INT32, INT64, STRING, ENUM, FIXED32 = (
-    "double",
-    "int32",
-    "int64",
-    "string",
-    "enum",
-    "fixed32",
-)
-
-
-@dataclass(frozen=True, slots=True)
-class Field:
-    """One field of a proto3 message; `type` is a scalar's name or a message's full name."""
-
-    number: int
-    name: str
-    type: str
-    repeated: bool = False
-    values: tuple[str, ...] = ()  # of an enum, from 0
-
-
-@dataclass(frozen=True, slots=True)
-class MessageType:
-    """A proto3 message."""
-
-    name: str  # in full: package.Name
-    fields: tuple[Field, ...]
+DOUBLE, FIXED32 = "double", "fixed32"
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +19,9 @@ class Column:
     """An array of a frame, agents on its leading axis, as fields of a message."""
 
     source: str  # path from Frame
-    names: tuple[str, ...]  # one for each component
+    names: tuple[str, ...]  # one for each component, or the one name of the list
     type: str = DOUBLE
+    per_aircraft: bool = False  # one field that lists a number for every aircraft
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,16 +30,17 @@ class Topic:
 
     name: str
     followers_only: bool
-    columns: tuple[Column, ...] = field(default=())
+    columns: tuple[Column, ...]
 
     @property
-    def type(self) -> MessageType:
-        """The message type: fields numbered in the order of the columns."""
-        flat = [(name, column.type) for column in self.columns for name in column.names]
-        return MessageType(
-            f"testbed.{self.name.capitalize()}",
-            tuple(Field(i, name, kind) for i, (name, kind) in enumerate(flat, start=1)),
-        )
+    def message(self) -> str:
+        """Full name of the message type."""
+        return f"testbed.{self.name.capitalize()}"
+
+    @property
+    def fields(self) -> tuple[tuple[str, Column], ...]:
+        """Field names in order, numbered from 1, each with the column it belongs to."""
+        return tuple((name, column) for column in self.columns for name in column.names)
 
 
 def _ned(quantity: str, unit: str) -> tuple[str, ...]:
@@ -124,74 +100,9 @@ FORMATION = Topic(
         Column("formation.flight_path_angle_desired", ("flight_path_angle_desired_rad",)),
         Column("formation.guards", ("guard_bits",), FIXED32),
         Column("formation.saturations", ("saturation_bits",), FIXED32),
+        # The age of what the follower used of each aircraft, in the order of the run's names; not
+        # a number where it used nothing.
+        Column("formation.age_s", ("age_s",), per_aircraft=True),
     ),
 )
 TOPICS = (STATE, ESTIMATE, COMMAND, FORMATION)
-
-# `/<follower>/link`: the age of what it used of each aircraft, in the order of the run's names;
-# not a number where it used nothing.
-LINK_SOURCE = "formation.age_s"
-LINK = MessageType("testbed.Link", (Field(1, "age_s", DOUBLE, repeated=True),))
-
-TIMESTAMP = MessageType(
-    "google.protobuf.Timestamp", (Field(1, "seconds", INT64), Field(2, "nanos", INT32))
-)
-VECTOR3 = MessageType(
-    "foxglove.Vector3", tuple(Field(i, axis, DOUBLE) for i, axis in enumerate("xyz", start=1))
-)
-QUATERNION = MessageType(
-    "foxglove.Quaternion", tuple(Field(i, axis, DOUBLE) for i, axis in enumerate("xyzw", start=1))
-)
-FRAME_TRANSFORM = MessageType(
-    "foxglove.FrameTransform",
-    (
-        Field(1, "timestamp", TIMESTAMP.name),
-        Field(2, "parent_frame_id", STRING),
-        Field(3, "child_frame_id", STRING),
-        Field(4, "translation", VECTOR3.name),
-        Field(5, "rotation", QUATERNION.name),
-    ),
-)
-FRAME_TRANSFORMS = MessageType(
-    "foxglove.FrameTransforms", (Field(1, "transforms", FRAME_TRANSFORM.name, repeated=True),)
-)
-LOCATION_FIX = MessageType(
-    "foxglove.LocationFix",
-    (
-        Field(1, "latitude", DOUBLE),
-        Field(2, "longitude", DOUBLE),
-        Field(3, "altitude", DOUBLE),
-        Field(4, "position_covariance", DOUBLE, repeated=True),
-        Field(
-            5,
-            "position_covariance_type",
-            ENUM,
-            values=("UNKNOWN", "APPROXIMATED", "DIAGONAL_KNOWN", "KNOWN"),
-        ),
-        Field(6, "timestamp", TIMESTAMP.name),
-        Field(7, "frame_id", STRING),
-    ),
-)
-LEVELS = ("unknown", "debug", "info", "warning", "error", "fatal")
-LOG = MessageType(
-    "foxglove.Log",
-    (
-        Field(1, "timestamp", TIMESTAMP.name),
-        Field(2, "level", ENUM, values=tuple(level.upper() for level in LEVELS)),
-        Field(3, "message", STRING),
-        Field(4, "name", STRING),
-        Field(5, "file", STRING),
-        Field(6, "line", FIXED32),
-    ),
-)
-ALL = (
-    TIMESTAMP,
-    VECTOR3,
-    QUATERNION,
-    FRAME_TRANSFORM,
-    FRAME_TRANSFORMS,
-    LOCATION_FIX,
-    LOG,
-    LINK,
-    *(topic.type for topic in TOPICS),
-)

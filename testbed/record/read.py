@@ -11,20 +11,11 @@ from typing import Any, TypeVar
 import numpy as np
 
 from testbed.record import door
-from testbed.record.contents import Contents, gather
-from testbed.record.door import LogError
+from testbed.record.door import Contents, LogError
 from testbed.record.header import from_json
-from testbed.record.messages import (
-    COMMAND,
-    ESTIMATE,
-    FORMATION,
-    LEVELS,
-    LOG_SCHEMA,
-    STATE,
-    Topic,
-)
+from testbed.record.messages import LOG_SCHEMA, STATE, TOPICS, Topic
 from testbed.record.recorder import INFO_NAME, METRICS_NAME, SCENARIO_NAME
-from testbed.record.wire import Layout, layout, packed_layout
+from testbed.record.wire import layout
 from testbed.state import (
     AirData,
     Array,
@@ -67,32 +58,13 @@ def read_log(path: Path) -> Log:
     Raises:
         LogError: No log of ours, or damaged before its end.
     """
-    contents = gather(path)
+    contents = door.read(path)
     info = _info(path, contents)
     state = contents.messages.get(f"/{info.names[0]}/{STATE.name}")
-    tick = _ticks(state.time_ns if state else np.zeros(0, dtype=np.uint64), info)
-
-    def values(agents: tuple[str, ...], name: str, kind: Layout) -> Array:
-        out = np.full((tick.size, len(agents), kind.fields), np.nan)
-        for i, agent in enumerate(agents):
-            found = contents.messages.get(f"/{agent}/{name}")
-            if found is None:
-                continue
-            rows = found.payloads(path, len(kind.template))
-            own = _ticks(found.time_ns, info)
-            at = np.searchsorted(tick, own)
-            known = tick[np.minimum(at, tick.size - 1)] == own if tick.size else own != own
-            try:
-                out[at[known], i] = kind.decode(rows[known])
-            except ValueError as error:
-                raise LogError(f"{path}: /{agent}/{name}: {error}") from error
-        return out
-
+    tick = _ticks(state.time_ns if state else [], info)
     columns: dict[str, Array] = {}
-    for topic in (STATE, ESTIMATE, COMMAND, FORMATION):
-        agents = info.names[1:] if topic.followers_only else info.names
-        columns |= _columns(topic, values(agents, topic.name, layout(topic.type)))
-    columns["formation.age_s"] = values(info.names[1:], "link", packed_layout(len(info.names)))
+    for topic in TOPICS:
+        columns |= _columns(path, contents, topic, info, tick)
     for name in ("guards", "saturations"):
         # a bit set of a frame that is not there reads as nothing set
         bits = np.nan_to_num(columns[f"formation.{name}"])
@@ -112,8 +84,8 @@ def read_log(path: Path) -> Log:
         formation=_assemble(FormationState, "formation", columns),
         events=_events(path, contents),
         metrics=None if metrics is None else _json(path, METRICS_NAME, metrics),
-        finished=contents.end.finished,
-        lost_bytes=contents.end.lost_bytes,
+        finished=contents.finished,
+        lost_bytes=contents.lost_bytes,
     )
 
 
@@ -167,19 +139,37 @@ def _info(path: Path, contents: Contents) -> RunInfo:
         raise LogError(f"{path}: {error}") from error
 
 
-def _ticks(time_ns: np.ndarray[Any, np.dtype[np.uint64]], info: RunInfo) -> Any:  # noqa: ANN401
+def _ticks(time_ns: list[int], info: RunInfo) -> Any:  # noqa: ANN401
     """Ticks of the base rate: the times are these, cut to whole nanoseconds."""
-    return np.rint(time_ns.astype(np.float64) * info.base_rate_hz / _NS).astype(np.int64)
+    return np.rint(np.array(time_ns, dtype=np.float64) * info.base_rate_hz / _NS).astype(np.int64)
 
 
-def _columns(topic: Topic, values: Array) -> dict[str, Array]:
-    """The arrays (K, agents[, components]) of a topic by source."""
-    out, at = {}, 0
+def _columns(
+    path: Path, contents: Contents, topic: Topic, info: RunInfo, tick: np.ndarray[Any, Any]
+) -> dict[str, Array]:
+    """The arrays (K, agents[, components]) of a topic by source; nan where there is nothing."""
+    agents = info.names[1:] if topic.followers_only else info.names
+    kind = layout(topic, len(info.names))
+    out: dict[str, Array] = {}
     for column in topic.columns:
-        width = len(column.names)
-        part = values[..., at : at + width]
-        out[column.source] = np.ascontiguousarray(part if width > 1 else part[..., 0])
-        at += width
+        components = len(info.names) if column.per_aircraft else len(column.names)
+        out[column.source] = np.full((tick.size, len(agents), components), np.nan)
+    for i, agent in enumerate(agents):
+        found = contents.messages.get(f"/{agent}/{topic.name}")
+        if found is None or not tick.size:
+            continue
+        own = _ticks(found.time_ns, info)
+        at = np.searchsorted(tick, own)
+        known = tick[np.minimum(at, tick.size - 1)] == own
+        try:
+            values = kind.decode(found.data)
+        except ValueError as error:
+            raise LogError(f"{path}: /{agent}/{topic.name}: {error}") from error
+        for source, array in out.items():
+            array[at[known], i] = values[source][known]
+    for column in topic.columns:
+        if len(column.names) == 1 and not column.per_aircraft:
+            out[column.source] = out[column.source][..., 0]
     return out
 
 
@@ -204,13 +194,12 @@ def _events(path: Path, contents: Contents) -> tuple[Event, ...]:
     if found is None:
         return ()
     out = []
-    for stamp, payload in zip(found.time_ns.tolist(), found.each(), strict=True):
+    for stamp, payload in zip(found.time_ns, found.data, strict=True):
         try:
             level, text, source = door.log_fields(payload)
         except ValueError as error:
             raise LogError(f"{path}: /events: {error}") from error
-        name = LEVELS[level] if level < len(LEVELS) else LEVELS[0]
-        out.append(Event(stamp / _NS, name, source, text))
+        out.append(Event(stamp / _NS, level, source, text))
     return tuple(out)
 
 

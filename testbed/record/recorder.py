@@ -6,43 +6,29 @@ import hashlib
 import json
 import time
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from testbed.frames import geodetic_from_ned
-from testbed.record import wire
-from testbed.record.chunk import Pile
-from testbed.record.door import LogError, LogFile
-from testbed.record.encode import FixLayout, FrameLayout, Rows
+from testbed.frames import geodetic_from_ned, quaternion_xyzw
+from testbed.record.door import LogError, LogFile, Write
 from testbed.record.header import to_json
-from testbed.record.messages import (
-    COMMAND,
-    ESTIMATE,
-    FORMATION,
-    FRAME_TRANSFORM,
-    FRAME_TRANSFORMS,
-    LEVELS,
-    LINK,
-    LOCATION_FIX,
-    LOG,
-    LOG_SCHEMA,
-    QUATERNION,
-    STATE,
-    TIMESTAMP,
-    VECTOR3,
-    MessageType,
-    Topic,
-)
+from testbed.record.messages import ESTIMATE, LOG_SCHEMA, TOPICS
+from testbed.record.rows import Rows, estimates_differ
+from testbed.record.transforms import Transforms
+from testbed.record.wire import layout
 from testbed.state import Event, Frame, RunInfo
 
 SCENARIO_NAME, INFO_NAME, METRICS_NAME = "scenario.resolved.yaml", "run.json", "metrics.json"
 FIX_HZ = 5
 FLUSH_S = 0.35  # of wall-clock time, at the latest: a kill loses less than half a second
-_CHUNK_AIRCRAFT_FRAMES = 200
+_CHUNK_AIRCRAFT_FRAMES = 800
 _WALL_CLOCK = ("wall_s", "real_time_factor")
 _NS = 10**9
+# NED in the east-north-up world that viewers draw with z up
+_ENU_FROM_NED = np.array([[[0.0, 0.0, 0.0, 0.5**0.5, 0.5**0.5, 0.0, 0.0]]])
 
 
 class McapRecorder:
@@ -66,18 +52,18 @@ class McapRecorder:
 
     def begin(self, info: RunInfo) -> None:
         """Create the file and write what is known before the first frame."""
-        version = info.versions.get("testbed", "")
-        file = LogFile(self._path, library=f"testbed {version}".strip())
+        file = LogFile(self._path)
         self._info = info
         page = info.scenario_yaml.encode()
         file.metadata("testbed", _metadata(info, hashlib.sha256(page).hexdigest()))
         file.attachment(SCENARIO_NAME, "application/yaml", page)
         file.attachment(INFO_NAME, "application/json", to_json(info).encode())
-        self._open_channels(file, info.names)
-        frames = min(max(_CHUNK_AIRCRAFT_FRAMES // len(info.names), 10), 50)
+        file.flush()
+        self._open_streams(file, info.names)
+        frames = chunk_frames(len(info.names))
         self._rows = Rows(frames=frames, aircraft=len(info.names))
         self._events: list[tuple[int, Event]] = []  # with the row they come after
-        self._sequence = 0
+        self._written = 0  # frames
         self._fix_stride = max(1, round(info.frame_rate_hz / FIX_HZ))
         self._flushed = time.monotonic()
         self._file = file
@@ -87,20 +73,21 @@ class McapRecorder:
         rows = self._rows
         rows.append(frame)
         if frame.events:
-            self._events.extend((rows.filled, event) for event in frame.events)
+            self._events.extend((len(rows), event) for event in frame.events)
         if rows.full or time.monotonic() - self._flushed > FLUSH_S:
             self.flush()
 
     def flush(self) -> None:
         """Put everything seen so far into the file."""
         file, rows = self._file, self._rows
-        if file is not None and (rows.filled or self._events):
+        if file is not None and (rows or self._events):
+            self._write_rows()
             try:
-                self._write_chunk(file)
+                file.flush()
             except LogError:
                 self._file = None  # it has closed itself after its last whole record
                 raise
-            rows.filled = 0
+            rows.clear()
             self._events = []
         self._flushed = time.monotonic()
 
@@ -112,7 +99,7 @@ class McapRecorder:
         file = self._file
         if file is None:
             return
-        self._events.extend((self._rows.filled, event) for event in events)
+        self._events.extend((len(self._rows), event) for event in events)
         self.flush()
         timeless = {**summary, **{key: None for key in _WALL_CLOCK if key in summary}}
         text = json.dumps(timeless, indent=2, ensure_ascii=False, allow_nan=False)
@@ -127,73 +114,64 @@ class McapRecorder:
             self._file = None
             file.close()
 
-    def _open_channels(self, file: LogFile, names: tuple[str, ...]) -> None:
-        stamped = (TIMESTAMP,)
-        transforms = file.schema(
-            FRAME_TRANSFORMS, (*stamped, VECTOR3, QUATERNION, FRAME_TRANSFORM, FRAME_TRANSFORMS)
-        )
-        tf = file.channel("/tf", transforms)
-        self._tf_static = file.channel("/tf_static", transforms)
-        self._log = file.channel("/events", file.schema(LOG, (*stamped, LOG)))
-        fix = file.schema(LOCATION_FIX, (*stamped, LOCATION_FIX))
-        fixes = tuple(file.channel(f"/{name}/fix", fix) for name in names)
-        self._fixes = FixLayout(names, fixes)
-
-        def channels(kind: MessageType, name: str, of: Sequence[str]) -> tuple[int, ...]:
-            number = file.schema(kind, (kind,))
-            return tuple(file.channel(f"/{aircraft}/{name}", number) for aircraft in of)
-
-        def topic(kind: Topic) -> tuple[int, ...]:
-            return channels(kind.type, kind.name, names[1:] if kind.followers_only else names)
-
-        always = {kind: topic(kind) for kind in (STATE, COMMAND, FORMATION)}
-        links = channels(LINK, "link", names[1:])
-        also = {**always, ESTIMATE: topic(ESTIMATE)}
-        self._layouts = {
-            False: FrameLayout(names, tf=tf, topics=always, links=links),
-            True: FrameLayout(names, tf=tf, topics=also, links=links),
+    def _open_streams(self, file: LogFile, names: tuple[str, ...]) -> None:
+        self._tf, self._tf_static = file.transforms("/tf"), file.transforms("/tf_static")
+        self._poses = Transforms("ned", names)
+        self._event = file.events("/events")
+        self._fixes = [file.fixes(f"/{name}/fix", name) for name in names]
+        self._topics = {
+            topic: (
+                layout(topic, len(names)),
+                [
+                    file.topic(f"/{name}/{topic.name}", topic)
+                    for name in (names[1:] if topic.followers_only else names)
+                ],
+            )
+            for topic in TOPICS
         }
 
-    def _write_chunk(self, file: LogFile) -> None:
-        """The frames in the rows, with what not every frame has between them."""
-        rows, count = self._rows, self._rows.filled
-        time_ns = _nanoseconds(rows.tick[:count], self._info.base_rate_hz)
-        sequence = np.arange(self._sequence, self._sequence + count, dtype=np.uint64)
-        layout = self._layouts[rows.estimates_differ()]
-        often = layout.encode(rows, sequence=sequence, time_ns=time_ns)
-        fixed = np.flatnonzero(sequence % np.uint64(self._fix_stride) == 0)
-        places = geodetic_from_ned(rows.positions()[fixed], self._info.origin)
-        fixes = self._fixes.encode(places, sequence=sequence[fixed], time_ns=time_ns[fixed])
+    def _write_rows(self) -> None:
+        """The frames in the rows, one after the other, with the events between them."""
+        count, columns = len(self._rows), self._rows.columns()
+        time_ns = [tick * _NS // self._info.base_rate_hz for tick in self._rows.tick]
+        unwritten = () if estimates_differ(columns) else (ESTIMATE,)
+        writes: list[Write] = []
+        encoded: list[list[list[bytes]]] = []
+        for topic, (kind, streams) in self._topics.items():
+            if topic not in unwritten:
+                writes += streams
+                encoded.append(kind.encode(columns))
+        messages = [list(chain.from_iterable(parts)) for parts in zip(*encoded, strict=True)]
+        positions = columns["truth.position_ned"]
+        quaternions = quaternion_xyzw(columns["truth.euler"])
+        poses = np.concatenate([positions, quaternions], axis=-1)
+        transforms = self._poses.encode(poses, np.array(time_ns, dtype=np.int64))
+        fixing = range(-self._written % self._fix_stride, count, self._fix_stride)
+        places = geodetic_from_ned(positions[fixing.start :: fixing.step], self._info.origin)
+        fixed = dict(zip(fixing, places.tolist(), strict=True))
+        if not self._written and time_ns:
+            at = np.array(time_ns[:1], dtype=np.int64)
+            (static,) = Transforms("enu", ("ned",)).encode(_ENU_FROM_NED, at)
+            self._tf_static(static, time_ns[0])
+        for row, stamp in enumerate(time_ns):
+            self._write_events(row)
+            self._tf(transforms[row], stamp)
+            for write, message in zip(writes, messages[row], strict=True):
+                write(message, stamp)
+            for fix, place in zip(self._fixes, fixed.get(row, ()), strict=False):
+                fix(place, stamp)
+        self._write_events(count)
+        self._written += count
 
-        pile = Pile()
-        fix = iter(fixes)
-        fixing = set(fixed.tolist())
-        for row in range(count + 1):
-            for channel, stamp, payload in self._seldom(row, time_ns):
-                record = wire.message(channel, self._sequence + row, stamp, payload)
-                pile.single(channel, stamp, record)
-            if row in fixing:
-                pile.row("fix", next(fix))
-            if row < count:
-                pile.row("frame", often[row])
-        pile.index("frame", layout.channels, layout.offsets, time_ns)
-        pile.index("fix", self._fixes.channels, self._fixes.offsets, time_ns[fixed])
-        file.chunk(b"".join(pile.parts), span_ns=pile.span_ns(), indexes=pile.indexes())
-        self._sequence += count
+    def _write_events(self, after: int) -> None:
+        for row, event in self._events:
+            if row == after:
+                self._event(event)
 
-    def _seldom(self, row: int, time_ns: wire.Times) -> list[tuple[int, int, bytes]]:
-        """Channel, time and payload of the events before a row, and of what comes only once."""
-        out: list[tuple[int, int, bytes]] = []
-        if self._sequence + row == 0 and time_ns.size:
-            stamp = int(time_ns[0])
-            out.append((self._tf_static, stamp, _enu_from_ned(stamp)))
-        for after, event in self._events:
-            if after == row:
-                stamp = round(event.time_s * _NS)
-                level = LEVELS.index(event.level) if event.level in LEVELS else 0
-                line = wire.log_line(stamp, level, event.text, event.source)
-                out.append((self._log, stamp, line))
-        return out
+
+def chunk_frames(aircraft: int) -> int:
+    """Frames in a chunk of a run that is not slow."""
+    return min(max(_CHUNK_AIRCRAFT_FRAMES // aircraft, 10), 200)
 
 
 def _metadata(info: RunInfo, scenario_sha256: str) -> dict[str, str]:
@@ -205,13 +183,3 @@ def _metadata(info: RunInfo, scenario_sha256: str) -> dict[str, str]:
         "seed": str(info.seed),
         **versions,
     }
-
-
-def _nanoseconds(tick: np.ndarray[Any, np.dtype[np.int64]], base_rate_hz: int) -> wire.Times:
-    return (tick * _NS // base_rate_hz).astype(np.uint64)
-
-
-def _enu_from_ned(time_ns: int) -> bytes:
-    """The transform that puts NED into the east-north-up world that viewers draw with z up."""
-    half = np.sqrt(0.5)
-    return wire.transform(time_ns, "enu", "ned", np.zeros(3), np.array([half, half, 0.0, 0.0]))

@@ -6,6 +6,8 @@ import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from testbed.errors import InputError
+
 
 @dataclass(frozen=True, slots=True)
 class Place:
@@ -34,7 +36,7 @@ class Problem:
         return ": ".join(part for part in parts if part)
 
 
-class ScenarioError(ValueError):
+class ScenarioError(InputError):
     """A page that cannot be flown. `problems` has everything found; the text is one per line."""
 
     def __init__(self, problems: Sequence[Problem]) -> None:

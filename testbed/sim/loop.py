@@ -41,26 +41,26 @@ def fly(world: World, observers: Sequence[Observer], stop: Callable[[], bool]) -
         if stop():
             return "interrupted"
         now = clock.time_s(tick)
-        truth = fleet.read()
+        truth = motion = fleet.read()
         if recorded:
             truth = recorded.prepend(tick // stride, truth)
         estimate = world.estimators.estimate(truth)
-        own = followers(estimate)
 
         if tick % clock.broadcast == 0:
             inboxes = radio.send(world.channel, inboxes, broadcast(estimate, now), now)
         if tick % clock.control == 0:
+            own = followers(estimate)
             inboxes = radio.deliver(inboxes, now)
             if memory is None:
                 memory = law.start(own)
             command, memory, diagnosis = law.step(now, own, inboxes.inbox, memory)
             told = with_leader(mission.command(estimate), command) if mission else command
         if tick % clock.autopilot == 0:
-            believed = estimate if mission else own
+            believed = estimate if mission else followers(estimate)
             surfaces, autopilots = AUTOPILOT(believed, told, autopilots, world.gains)
 
         if tick % clock.log == 0:
-            lost = fleet.lost()
+            lost = fleet.lost(motion)
             over = bool(lost.any())
             row = tick // stride
             frame = Frame(

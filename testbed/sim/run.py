@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,22 +83,22 @@ def run(
     began = time.perf_counter()
     outcome = "failed"
     problem: list[Event] = []
+    metrics: dict[str, Any] = {}
+
+    def conclude() -> None:
+        wall = time.perf_counter() - began
+        metrics.update(complete(meter.summary(), outcome=outcome, wall_s=wall))
+        if directory:
+            write_json(directory / "metrics.json", metrics)
+
+    # Every watcher that has begun is ended, whatever happens to the flight or to another one.
     with stopping() as stop, ExitStack() as closing:
         for watcher in watchers:
             watcher.begin(world.info)
-
-        def finish() -> None:
-            wall = time.perf_counter() - began
-            metrics.update(complete(meter.summary(), outcome=outcome, wall_s=wall))
-            if directory:
-                write_json(directory / "metrics.json", metrics)
-            for watcher in watchers:
-                watcher.end(metrics, problem)
-
-        metrics: dict[str, Any] = {}
-        closing.callback(finish)
+            closing.callback(watcher.end, metrics, problem)
+        closing.callback(conclude)
         try:
-            outcome = fly(world, watchers, stop.is_set)
+            outcome = fly(world, watchers, stop)
         except BaseException as error:
             now = meter.summary()["simulated_s"]
             problem.append(Event(now, "error", "run", f"failed: {error!r}"))
@@ -107,12 +107,17 @@ def run(
 
 
 @contextmanager
-def stopping() -> Iterator[threading.Event]:
-    """An event that Ctrl-C and SIGTERM set; the second Ctrl-C is a KeyboardInterrupt again.
+def stopping() -> Iterator[Callable[[], bool]]:
+    """Whether Ctrl-C or SIGTERM came; the second Ctrl-C is a KeyboardInterrupt again.
 
-    Outside the main thread Python allows no handlers: nothing sets the event there.
+    Outside the main thread Python allows no handlers: there it stays false.
     """
-    asked = threading.Event()
+    # not a threading.Event: a handler interrupted by itself would wait for its own lock
+    signals: list[int] = []
+
+    def asked() -> bool:
+        return bool(signals)
+
     if threading.current_thread() is not threading.main_thread():
         yield asked
         return
@@ -123,8 +128,8 @@ def stopping() -> Iterator[threading.Event]:
         for number, handler in before.items():
             signal.signal(number, handler)
 
-    def ask(_number: int, _frame: object) -> None:
-        asked.set()
+    def ask(number: int, _frame: object) -> None:
+        signals.append(number)
         restore()
 
     for number in numbers:

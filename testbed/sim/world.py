@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from testbed import __version__
+from testbed.errors import InputError
 from testbed.formation.law import PaperLaw
 from testbed.guidance import leader as guidance
 from testbed.guidance.longitudinal import HoldGains
@@ -37,6 +38,8 @@ from testbed.vehicle.params import FbwaParams, read_params, stack
 from testbed.vehicle.sensors import Estimators, NoiseLevel, SensorErrors
 from testbed.vehicle.tables import FbwaGains
 from testbed.vehicle.trim import TrimPoint
+
+LOWEST_START_M = 5.0  # above the ground; an aircraft starts in trimmed flight
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +79,12 @@ def build(page: Scenario) -> World:
     pilot, leader_start, path = _leader(page, clock, tunes[0], folders[0], origin)
     starts = [leader_start, *(_start(leader_start, each.start_m) for each in page.fleet)]
     first = 0 if isinstance(pilot, MissionPilot) else 1
+    for name, start in zip(names[first:], starts[first:], strict=True):
+        if start.position_ned[2] > -LOWEST_START_M:
+            raise InputError(
+                f"{name} starts {-start.position_ned[2]:g} m above the ground: write a start at "
+                f"least {LOWEST_START_M:g} m above it"
+            )
     fleet = JsbsimFleet(folders[first:], starts[first:], origin, clock.base_rate_hz)
     law = make_law(page, folders[1:], dt=clock.control / clock.base_rate_hz)
     spans = fleet.wingspan_m if first == 0 else (fleet.wingspan_m[0], *fleet.wingspan_m)
@@ -154,7 +163,10 @@ def _leader(
         period=tune.navl1_period,
         damping=tune.navl1_damping,
     )
-    plan = make_plan(mission, (where.north_m, where.east_m, where.altitude_m))
+    try:
+        plan = make_plan(mission, (where.north_m, where.east_m, where.altitude_m))
+    except InputError as error:
+        raise InputError(f"leader.path: {error}") from error
     altitude = origin.elevation_m + where.altitude_m
     level = trim_aircraft(folder, TrimPoint(path.airspeed_mps, 0.0, 0.0, altitude), origin)
     memory = guidance.begin(

@@ -14,12 +14,11 @@ from pathlib import Path
 
 import jsbsim
 import numpy as np
-from numpy.typing import NDArray
 
 from testbed.compiled import twin_of
 from testbed.errors import InputError
 from testbed.frames import FOOT, geodetic_from_ned, metres_per_radian, rotation_ned_body
-from testbed.state import AirData, Array, Origin, Surfaces, VehicleState
+from testbed.state import AirData, Array, Origin, Surfaces, Truths, VehicleState
 from testbed.vehicle.trim import Controls, Placement, TrimPoint, TrimResult, trim
 
 VERSION: str = jsbsim.__version__
@@ -97,7 +96,6 @@ class JsbsimFleet:
         self._runs = [model.fdm.run for model in models]
         self._setters = [model.setters for model in models]
         self._broken = np.zeros(n, dtype=bool)
-        self._heights = [model.node("position/h-agl-ft").get_double_value for model in models]
         self._getters = [
             model.node(name).get_double_value
             for names in _TRIPLES
@@ -141,15 +139,8 @@ class JsbsimFleet:
         airspeed, equivalent = flat[15 * n :].reshape(2, n)
         yaw = euler[:, 2]
         yaw[yaw > np.pi] -= 2.0 * np.pi
-        return VehicleState(
-            position,
-            velocity,
-            ACCELERATION(uvw_dot, velocity, euler, rates),
-            euler,
-            rates,
-            airspeed,
-            equivalent,
-        )
+        acceleration = ACCELERATION(uvw_dot, velocity, euler, rates)
+        return VehicleState(position, velocity, acceleration, euler, rates, airspeed, equivalent)
 
     def air(self) -> AirData:
         """What the truth knows of the air now; for observers."""
@@ -185,10 +176,9 @@ class JsbsimFleet:
         """Each aircraft's own step, for measuring what everything else costs."""
         return list(self._runs)
 
-    def lost(self) -> NDArray[np.bool_]:
+    def lost(self, state: VehicleState) -> Truths:
         """Which aircraft are on the ground, broken or not finite: (N,) bool."""
-        heights = np.array([get() for get in self._heights]) * FOOT
-        return self._broken | ~(heights >= LOWEST)
+        return self._broken | ~(-state.position_ned[:, 2] >= LOWEST)
 
 
 def trim_aircraft(folder: Path, point: TrimPoint, origin: Origin | None = None) -> TrimResult:

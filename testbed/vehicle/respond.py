@@ -205,7 +205,7 @@ def _fly(
     while row < len(ticks):
         state, air = fleet.read(), fleet.air()
         if tick % period == 0:
-            if fleet.lost()[0]:
+            if fleet.lost(state)[0]:
                 return rows, tick / BASE_RATE_HZ
             _, pitch, roll, throttle = commands[row if ticks[row] <= tick else max(0, row - 1)]
             command = FbwaCommand(

@@ -9,7 +9,6 @@ import socket
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -92,7 +91,7 @@ def test_calls_per_batch_do_not_grow_with_frames():
         view.begin(views_flight.info(4, duration_s))
         view._due = np.inf  # one batch, however slow this machine is
         for frame in views_flight.frames(4, duration_s):
-            view.observe(replace(frame, events=()))
+            view.observe(frame._replace(events=()))
         view.end({}, ())
         calls.append(sink.recording.calls)
     assert calls[0] == calls[1] < 80
@@ -201,6 +200,15 @@ def test_a_viewer_that_does_not_start_is_one_warning(monkeypatch, caplog, tmp_pa
     assert len(warnings_of(caplog)) == 1 and "did not start" in warnings_of(caplog)[0]
 
 
+def wait_until_written(path):
+    """The viewer saves what it was sent in its own time: wait until the file grows no more."""
+    deadline, size, since = time.monotonic() + 20.0, -1, time.monotonic()
+    while time.monotonic() < deadline and time.monotonic() - since < 1.5:
+        if path.exists() and path.stat().st_size != size:
+            size, since = path.stat().st_size, time.monotonic()
+        time.sleep(0.05)
+
+
 def test_a_live_viewer_gets_everything_and_the_end_is_quick(caplog, tmp_path):
     port, seen, whole = free_port(), tmp_path / "seen.rrd", tmp_path / "whole.rrd"
     info, frames = views_flight.info(4, 120.0), list(views_flight.frames(4, 120.0))
@@ -212,6 +220,7 @@ def test_a_live_viewer_gets_everything_and_the_end_is_quick(caplog, tmp_path):
         view.end({}, ())
         assert time.perf_counter() - start < 1.0
         assert process.wait(20) == 0
+        wait_until_written(seen)
         os.killpg(program.pid, signal.SIGTERM)
         program.wait(20)
     assert warnings_of(caplog) == []

@@ -193,11 +193,11 @@ def test_two_fleets_are_equal_to_the_bit_and_neighbours_do_not_matter() -> None:
 
 def test_ground_contact_is_noticed() -> None:
     fleet = _fleet(Start((0.0, 0.0, -5.0)), Start((0.0, 50.0, -100.0)))
-    assert not fleet.lost().any()
+    assert not fleet.lost(fleet.read()).any()
     level = fleet.trimmed
     dive = Surfaces(level.aileron, level.elevator - 0.3, level.rudder, level.throttle * 0.0)
     fleet.step(dive, 400)
-    assert fleet.lost()[0]
+    assert fleet.lost(fleet.read())[0]
 
 
 def test_the_tune_is_crisp_and_well_damped() -> None:
