@@ -22,7 +22,7 @@ twin = njit(cache=True, error_model="numpy")
 
 @twin
 def frame_of(x, y, z):
-    """Cos σ, sin σ, cos γ, sin γ, (22)-(24)."""
+    """The angles of (22)-(24): cos σ, sin σ, cos γ, sin γ."""
     horizontal = hypot(x, y)
     speed = hypot(horizontal, z)
     cs, ss = (x / horizontal, y / horizontal) if horizontal > COURSE_FLOOR else (1.0, 0.0)

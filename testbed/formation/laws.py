@@ -89,7 +89,7 @@ def speed_control(
     barrier: Barrier,
     speeds: SpeedSet,
 ) -> tuple[Array, Truths]:
-    """U (n,) m/s, [HBH23] eq. (14), for the speed model f = −p s, g = p; and whether s is in S.
+    """The control u (n,) m/s, [HBH23] eq. (14), for f = −p s, g = p; and whether s is in S.
 
     Args:
         speed: s (n,), ground speed, m/s.

@@ -99,6 +99,9 @@ def run(
         closing.callback(conclude)
         try:
             outcome = fly(world, watchers, stop)
+        except KeyboardInterrupt:
+            outcome = "interrupted"
+            raise
         except BaseException as error:
             now = meter.summary()["simulated_s"]
             problem.append(Event(now, "error", "run", f"failed: {error!r}"))

@@ -1,0 +1,225 @@
+"""The pages for people: their snippets run, what they paste is what comes out, their links lead."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import stat
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from testbed.scenario import find_scenario, list_scenarios, loads
+
+ROOT = Path(__file__).parents[2]
+PAGES = ("README.md", "docs/simulation-3.md", "docs/autopilot.md")
+SHOWN_S = (
+    100.0  # flights of the shell snippets end here: the laps have begun and a table is printed
+)
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.M | re.S)
+
+# A `testbed` that ends flights early and needs no viewer. The last of two options counts, so what
+# it adds wins over what a snippet says.
+STAND_IN = """#!/bin/sh
+case "$*" in
+  run*) set -- "$@" --duration {duration:g} ;;
+  view*--rrd*) ;;
+  view*) set -- "$@" --rrd "$(mktemp -u).rrd" ;;
+esac
+for word do
+  shift
+  [ "$word" = --view ] || set -- "$@" "$word"
+done
+exec "{python}" -m testbed "$@"
+"""
+
+
+@dataclass(frozen=True)
+class Snippet:
+    page: str
+    line: int
+    kind: str
+    text: str
+    output: str | None  # the text block that follows, if it is the next thing but one paragraph
+
+    def __str__(self):
+        return f"{self.page}:{self.line}"
+
+
+def snippets(page: str) -> list[Snippet]:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    found = list(BLOCK.finditer(text))
+    return [
+        Snippet(
+            page,
+            text[: block.start()].count("\n") + 1,
+            block[1],
+            block[2],
+            after[2] if after and after[1] == "text" and not gap(text, block, after) else None,
+        )
+        for block, after in zip(found, [*found[1:], None], strict=True)
+    ]
+
+
+def gap(text, block, after):
+    """Whether there is prose between two blocks."""
+    return text[block.end() : after.start()].strip()
+
+
+EVERY = [snippet for page in PAGES for snippet in snippets(page)]
+SHELL = [s for s in EVERY if s.kind == "sh" and not s.text.startswith("make ")]
+PYTHON = [s for s in EVERY if s.kind == "python"]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory):
+    """A folder like a fresh checkout's, in which the snippets run one after the other."""
+    folder = tmp_path_factory.mktemp("desk")
+    (folder / "tests").symlink_to(ROOT / "tests")
+    (folder / "bin").mkdir()
+    command = folder / "bin" / "testbed"
+    command.write_text(STAND_IN.format(duration=SHOWN_S, python=sys.executable))
+    command.chmod(command.stat().st_mode | stat.S_IXUSR)
+    return folder
+
+
+def execute(folder, *command):
+    paths = [str(ROOT), os.environ.get("PYTHONPATH", "")]
+    surroundings = os.environ | {
+        "PATH": f"{folder / 'bin'}{os.pathsep}{os.environ['PATH']}",
+        "PYTHONPATH": os.pathsep.join(path for path in paths if path),
+        "COLUMNS": "80",
+    }
+    done = subprocess.run(
+        command,
+        cwd=folder,
+        env=surroundings,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stdout
+    return trimmed(done.stdout)
+
+
+def trimmed(text: str) -> str:
+    return "\n".join(line.rstrip() for line in text.strip().splitlines())
+
+
+def test_every_snippet_runs_in_reading_order_and_prints_what_is_pasted(desk):
+    for snippet in sorted(SHELL + PYTHON, key=lambda s: (PAGES.index(s.page), s.line)):
+        interpreter = ("bash", "-euc") if snippet.kind == "sh" else (sys.executable, "-c")
+        printed = execute(desk, *interpreter, snippet.text)
+        if snippet.output is not None:
+            assert printed == trimmed(snippet.output), snippet
+
+
+def test_the_topics_named_are_logged(desk):
+    execute(desk, "bash", "-euc", "testbed run simulation-3 --out topics --quiet")
+    log = (desk / "topics" / "run.mcap").read_bytes()
+    named = set(re.findall(r"`(/(?:<name>/)?\w+)`", README))
+    assert len(named) >= 5
+    for topic in named - {"/events"}:  # which is there once something has happened
+        assert topic.replace("<name>", "uav1").encode() in log, topic
+
+
+def test_there_is_something_to_run():
+    assert len(SHELL) >= 6 and len(PYTHON) >= 2
+    assert sum(s.output is not None for s in SHELL + PYTHON) >= 4
+
+
+def test_commands_of_make_exist():
+    targets = set(re.findall(r"^(\w[\w-]*):", (ROOT / "Makefile").read_text(), re.M))
+    for page in PAGES:
+        text = (ROOT / page).read_text(encoding="utf-8")
+        named = {name for name in re.findall(r"^make (\w+)|`make (\w+)`", text, re.M)}
+        for name in {first or second for first, second in named}:
+            assert name in targets, (page, name)
+
+
+def test_the_pages_parts_are_parts_of_the_scenario():
+    page = find_scenario("simulation-3").read_text(encoding="utf-8")
+    lines = [line.split(" # ")[0].strip() for line in page.splitlines()]
+    quoted = [s for s in snippets("README.md") if s.kind == "yaml"]
+    assert len(quoted) >= 4
+    for snippet in quoted:
+        for line in snippet.text.splitlines():
+            assert line.strip() in lines, (snippet, line)
+
+
+def rows(text: str) -> dict[str, list[float]]:
+    """The numbers of a printed or Markdown table by the first cell of their row."""
+    table = {}
+    for line in text.splitlines():
+        cells = [cell.strip() for cell in line.split("|") if cell.strip()]
+        words = line.split()
+        if len(cells) > 6:
+            table[cells[0]] = cells[1:]
+        elif words and re.fullmatch(r"uav\d", words[0]):
+            table.setdefault(words[0], words[1:])
+    return table
+
+
+def test_the_pasted_errors_are_the_golden_ones():
+    golden = json.loads((ROOT / "tests/golden/simulation-3.json").read_text())["rms_m"]
+    pasted = rows(README)
+    for index, name in enumerate(("uav1", "uav2", "uav3")):
+        ours = [f"{golden[portion][index]:.2f}" for portion in ("rectangles", "circles")]
+        assert [pasted[name][0], pasted[name][3]] == ours
+    results = rows((ROOT / "docs/simulation-3.md").read_text(encoding="utf-8"))
+    cells = [f"{error:.2f}" for portion in golden.values() for error in portion]
+    assert results["profile `paper`"][:6] == cells
+
+
+def test_the_table_pasted_has_the_headings_that_are_printed(desk):
+    printed = execute(desk, "bash", "-euc", "testbed run simulation-3")
+    pasted = next(s.text for s in snippets("README.md") if "follower" in s.text)
+    headings = [line for line in printed.splitlines() if line.startswith((" follower", " RMS"))]
+    assert len(headings) == 2
+    assert headings[1] in trimmed(pasted)
+    assert headings[0].split()[:3] == ["RMS", "error,", "m"]
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_and_pictures_lead_somewhere(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    links = re.findall(r"\]\(([^)\s]+)\)", text)
+    assert links
+    anchors = {
+        re.sub(r"[^\w -]", "", title.lower()).strip().replace(" ", "-")
+        for title in re.findall(r"^#+ (.*)$", text, re.M)
+    }
+    for link in links:
+        if link.startswith("#"):
+            assert link[1:] in anchors, link
+        elif not link.startswith("https://"):
+            assert ((ROOT / page).parent / link).exists(), link
+
+
+def test_the_picture_is_a_picture_of_a_sensible_size():
+    picture = (ROOT / "docs/images/formation.png").read_bytes()
+    assert picture.startswith(b"\x89PNG\r\n\x1a\n")
+    assert len(picture) < 400_000
+    assert "docs/images/formation.png" in README
+
+
+def test_scenarios_named_in_the_pages_exist():
+    known = set(list_scenarios())
+    for page in PAGES:
+        text = (ROOT / page).read_text(encoding="utf-8")
+        named = set(re.findall(r"\bsimulation-3(?:-[a-z]+)*\b(?![./])", text))
+        assert named <= known, (page, named - known)
+    assert known <= set(re.findall(r"[\w-]+", README))
+
+
+def test_the_page_of_ones_own_is_a_page():
+    text = next(s.text for s in SHELL if "extends" in s.text)
+    page = loads(text.split("<<'END'\n")[1].split("END\n")[0])
+    assert page.network.delay_s == 0.25
+    assert page.scenario.published is None

@@ -1,0 +1,262 @@
+"""Whole runs in one process: the same bits again, nobody's truth leaked, every ending readable."""
+
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from run_flight import DIVE, NOISY, Collector, arrays, fingerprint, flown, short
+
+import testbed
+from testbed.record.read import frames, read_log
+from testbed.sim.loop import fly
+from testbed.sim.world import build
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+
+
+# determinism
+
+
+@pytest.mark.parametrize("noise", [(), NOISY], ids=["exact", "noisy"])
+def test_the_same_page_gives_the_same_bits_again_and_in_another_process(noise):
+    ours = fingerprint(flown(*noise))
+    assert fingerprint(flown(*noise)) == ours
+    code = f"from run_flight import *; print(fingerprint(flown(*{noise!r})))"
+    path = os.pathsep.join([str(HERE), str(ROOT)])
+    fresh = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert fresh.stdout.strip() == ours
+
+
+def test_the_seed_moves_the_noise_and_nothing_else():
+    one, two = flown(*NOISY, seconds=2), flown(*NOISY, "scenario.seed=2", seconds=2)
+    assert (one[0].estimate.position_ned != two[0].estimate.position_ned).all()
+    assert np.array_equal(one[0].truth.position_ned, two[0].truth.position_ned)
+    assert (one[-1].truth.position_ned != two[-1].truth.position_ned).all()
+    exact = [fingerprint(flown(f"scenario.seed={seed}", seconds=2)) for seed in (1, 2)]
+    assert exact[0] == exact[1]
+
+
+def test_watchers_and_the_log_move_nothing(tmp_path):
+    page = short(seconds=3)
+    seen = Collector()
+    testbed.run(page, out=tmp_path / "a", observers=[seen, Collector()])
+    logged = page.model_copy(update={"log": page.log.model_copy(update={"mcap": True})})
+    again = Collector()
+    testbed.run(logged, out=tmp_path / "b", observers=[again])
+    assert fingerprint(seen.frames) == fingerprint(again.frames) == fingerprint(flown(seconds=3))
+
+
+def test_frames_come_at_the_log_rate_and_are_finite():
+    seen = flown("rates.log_hz=10", seconds=2)
+    assert [frame.tick for frame in seen] == list(range(0, 401, 20))
+    assert [frame.time_s for frame in seen] == [tick / 200 for tick in range(0, 401, 20)]
+    for frame in seen:
+        for name, array in arrays(frame):
+            assert np.isfinite(array).all(), (frame.time_s, name)
+
+
+# what an agent is told
+
+
+class Overheard:
+    """Stands before a law and keeps what it is given."""
+
+    def __init__(self, law):
+        self._law, self.given = law, []
+
+    def start(self, own):
+        return self._law.start(own)
+
+    def step(self, now, own, inbox, memory):
+        copies = [type(each)(*(array.copy() for array in each)) for each in (own, inbox)]
+        self.given.append((now, *copies))
+        return self._law.step(now, own, inbox, memory)
+
+
+@pytest.mark.parametrize("late", [0, 5])
+def test_an_agent_knows_its_own_estimate_and_what_the_others_sent(late):
+    """UAV 1's sensors err: it and the others act on what it believed, `late` ticks ago."""
+    page = short("fleet.0.sensors=gps-ins", f"network.delay_s={late * 0.04}", seconds=3)
+    world = build(page)
+    law, seen = Overheard(world.law), Collector()
+    fly(dataclasses.replace(world, law=law), [seen], lambda: False)
+    assert len(law.given) == len(seen.frames) == 76
+    for k, (now, own, inbox) in enumerate(law.given):
+        believed, truth = seen.frames[k].estimate, seen.frames[k].truth
+        assert now == seen.frames[k].time_s
+        for name in type(own)._fields:
+            assert np.array_equal(getattr(own, name), getattr(believed, name)[1:]), name
+        assert (own.position_ned[0] != truth.position_ned[1]).all()
+        assert np.array_equal(own.position_ned[1:], truth.position_ned[2:])
+        if k < late:
+            assert all(np.isnan(array).all() for array in inbox)
+            continue
+        sent = seen.frames[k - late]
+        assert (inbox.stamp_s == sent.time_s).all()
+        assert inbox.received_s == pytest.approx(np.full((3, 4), now), abs=1e-9)
+        for name in ("position_ned", "velocity_ned", "acceleration_ned"):
+            heard = getattr(inbox, name)
+            told = np.broadcast_to(getattr(sent.estimate, name), heard.shape)
+            assert np.array_equal(heard, told), name
+            assert (heard[:, 1] != getattr(sent.truth, name)[1]).any(), name
+
+
+def test_nobody_hears_at_another_rate_than_the_broadcasts():
+    page = short("rates.broadcast_hz=10", "rates.control_hz=50", seconds=2)
+    world = build(page)
+    law = Overheard(world.law)
+    fly(dataclasses.replace(world, law=law), [], lambda: False)
+    ages = {round(float((now - inbox.stamp_s).max()), 6) for now, _, inbox in law.given}
+    assert ages == {0.0, 0.02, 0.04, 0.06, 0.08}
+
+
+def test_a_law_that_is_told_nothing_leaves_everyone_at_trim():
+    """The commands come from the inbox and nowhere else."""
+    late = "network.delay_s=60"
+    last = flown(late, seconds=2)[-1]
+    assert (last.command.roll[1:] == 0.0).all()
+    assert (last.command.pitch[1:] == 0.0).all()
+    assert np.array_equal(last.command.throttle[1:], build(short(late)).law.middle.trim_throttle)
+    assert np.isnan(last.formation.age_s).all()
+
+
+# from Python
+
+
+def test_run_takes_a_name_and_settings_and_need_not_write(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    watcher = Collector()
+    result = testbed.run(
+        "simulation-3", ["formation.k=2"], write=False, observers=[Stopper(after=5), watcher]
+    )
+    assert result.directory is None
+    assert list(tmp_path.iterdir()) == []
+    assert (result.outcome, result.exit_code) == ("interrupted", 130)
+    assert result.scenario.formation.k == 2
+    assert watcher.summary == result.metrics
+
+
+def test_a_run_directory_holds_the_page_the_log_and_the_metrics(tmp_path):
+    page = short("log.mcap=true", seconds=2)
+    watcher = Collector()
+    result = testbed.run(page, out=tmp_path / "run", observers=[watcher])
+    names = {path.name for path in result.directory.iterdir()}
+    assert names == {"run.mcap", "scenario.resolved.yaml", "metrics.json"}
+    assert result.exit_code == 0
+    assert json.loads((result.directory / "metrics.json").read_text()) == result.metrics
+    resolved = result.directory / "scenario.resolved.yaml"
+    again = Collector()
+    testbed.run(resolved, ["log.mcap=false"], write=False, observers=[again])
+    assert fingerprint(again.frames) == fingerprint(watcher.frames)
+    log = read_log(result.directory / "run.mcap")
+    assert log.finished
+    assert log.info.scenario_yaml == resolved.read_text()
+    assert fingerprint(frames(log)) == fingerprint(watcher.frames)
+
+
+# endings
+
+
+class Stopper:
+    """Sends this process a signal after some frames, once or more."""
+
+    def __init__(self, *, after, number=signal.SIGINT, times=1):
+        self._after, self._number, self._times = after, number, times
+
+    def begin(self, info):
+        if self._after == 0:
+            signal.raise_signal(self._number)
+
+    def observe(self, frame):
+        self._after -= 1
+        if self._after == 0:
+            for _ in range(self._times):
+                signal.raise_signal(self._number)
+
+    def end(self, summary, events):
+        pass
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("after", [0, 30])
+def test_a_signal_ends_the_run_with_all_that_was_flown(tmp_path, number, after):
+    before = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
+    result = testbed.run(
+        short("log.mcap=true"),
+        out=tmp_path / "run",
+        observers=[Stopper(after=after, number=number)],
+    )
+    assert (result.outcome, result.exit_code) == ("interrupted", 130)
+    log = read_log(tmp_path / "run" / "run.mcap")
+    assert log.finished
+    assert len(log.tick) == after
+    assert log.metrics["outcome"] == "interrupted"
+    assert result.metrics["simulated_s"] == pytest.approx(max(0, after - 1) / 25.0)
+    assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == before
+
+
+def test_a_second_ctrl_c_ends_at_once_and_still_leaves_everything(tmp_path):
+    out = tmp_path / "run"
+    with pytest.raises(KeyboardInterrupt):
+        testbed.run(short("log.mcap=true"), out=out, observers=[Stopper(after=9, times=2)])
+    assert json.loads((out / "metrics.json").read_text())["outcome"] == "interrupted"
+    log = read_log(out / "run.mcap")
+    assert log.finished
+    assert len(log.tick) == 9
+
+
+class Broken(Collector):
+    """Fails at its third frame."""
+
+    def observe(self, frame):
+        super().observe(frame)
+        if len(self.frames) == 3:
+            raise RuntimeError("no more paper")
+
+
+def test_a_watcher_that_fails_ends_the_run_as_failed(tmp_path):
+    out, bystander = tmp_path / "run", Collector()
+    with pytest.raises(RuntimeError, match="no more paper"):
+        testbed.run(short("log.mcap=true"), out=out, observers=[bystander, Broken()])
+    assert json.loads((out / "metrics.json").read_text())["outcome"] == "failed"
+    log = read_log(out / "run.mcap")
+    assert log.finished
+    assert any("no more paper" in event.text for event in log.events)
+    assert bystander.summary["outcome"] == "failed"
+
+
+def test_outside_the_main_thread_a_run_flies_without_handlers():
+    results = []
+    thread = threading.Thread(
+        target=lambda: results.append(testbed.run(short(seconds=1), write=False))
+    )
+    thread.start()
+    thread.join(60)
+    assert [result.outcome for result in results] == ["flown"]
+
+
+def test_an_aircraft_that_hits_the_ground_is_lost_and_named(tmp_path):
+    (tmp_path / "dive.yaml").write_text(DIVE)
+    watcher = Collector()
+    result = testbed.run(tmp_path / "dive.yaml", write=False, observers=[watcher])
+    assert (result.outcome, result.exit_code) == ("lost", 1)
+    last = watcher.frames[-1]
+    assert [event.source for event in last.events] == ["uav1"]
+    assert last.events[0].level == "error"
+    # within a metre or two of the ground: the lowest point an aircraft can be, and 0.04 s of sink
+    assert abs(last.truth.position_ned[1, 2]) < 2.0
+    assert all(frame.events == () for frame in watcher.frames[:-1])

@@ -1,0 +1,137 @@
+"""The leader's velocity frame and the slots in it, [HBH23] eqs. (22)-(29)."""
+
+import numpy as np
+import pytest
+
+from testbed.formation.geometry import frame_rate, slots, velocity_frame, velocity_rates
+from testbed.frames import course, flight_path_angle
+
+STEP = 1e-4
+OFFSETS = np.array([[0.0, 0.0, 0.0], [-5.0, 5.0, 0.0], [-5.0, -5.0, -4.0]])
+
+
+def velocity(sigma, gamma, speed=22.0):
+    return speed * np.array(
+        [[np.cos(gamma) * np.cos(sigma), np.cos(gamma) * np.sin(sigma), -np.sin(gamma)]]
+    )
+
+
+def random_velocities(count=200):
+    rng = np.random.default_rng(5)
+    return rng.normal(0.0, 1.0, (count, 3)) * rng.uniform(0.1, 40.0, (count, 1))
+
+
+def test_the_frame_is_a_rotation():
+    frames = velocity_frame(random_velocities())
+    product = frames @ frames.transpose(0, 2, 1)
+    assert product == pytest.approx(np.broadcast_to(np.eye(3), product.shape), abs=1e-14)
+    assert np.linalg.det(frames) == pytest.approx(1.0, abs=1e-14)
+
+
+def test_its_columns_are_forward_right_and_down():
+    v = random_velocities()
+    frames = velocity_frame(v)
+    assert frames[:, :, 0] == pytest.approx(v / np.linalg.norm(v, axis=1)[:, None], abs=1e-14)
+    assert (frames[:, 2, 1] == 0.0).all()  # right lies in the horizontal
+    assert (frames[:, 2, 2] > 0.0).all()  # down points down
+    # right, seen along the course: north flight has east on its right
+    assert velocity_frame(np.array([[20.0, 0.0, 0.0]]))[0] == pytest.approx(np.eye(3), abs=0)
+
+
+def test_it_is_the_printed_matrix_24():
+    v = random_velocities()
+    sigma, gamma = np.arctan2(v[:, 1], v[:, 0]), -np.arcsin(v[:, 2] / np.linalg.norm(v, axis=1))
+    assert course(v) == pytest.approx(sigma, abs=1e-14)
+    assert flight_path_angle(v) == pytest.approx(gamma, abs=1e-7)  # arcsin is steep near ±1
+    cs, ss, cg, sg = np.cos(sigma), np.sin(sigma), np.cos(gamma), np.sin(gamma)
+    zero = np.zeros_like(cs)
+    printed = np.array([[cg * cs, -ss, sg * cs], [cg * ss, cs, sg * ss], [-sg, zero, cg]])
+    assert velocity_frame(v) == pytest.approx(printed.transpose(2, 0, 1), abs=1e-7)
+
+
+def test_straight_up_counts_as_north():
+    up = velocity_frame(np.array([[0.0, 0.0, -10.0]]))[0]
+    assert up == pytest.approx(np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]]), abs=0)
+    assert all(np.isfinite(rate).all() for rate in velocity_rates(up[None, 0], up[None, 1]))
+
+
+@pytest.mark.parametrize("gamma", [0.0, 0.3, -1.1])
+def test_25_and_26_the_frame_turns_with_its_rate(gamma):
+    sigma_rate, gamma_rate = 0.4, -0.2
+
+    def frame(t):
+        return velocity_frame(velocity(0.3 + sigma_rate * t, gamma + gamma_rate * t))[0]
+
+    rate = frame_rate(np.array([gamma]), np.array([sigma_rate]), np.array([gamma_rate]))[0]
+    x, y, z = rate
+    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    difference = (frame(STEP) - frame(-STEP)) / (2.0 * STEP)
+    # third derivatives below 1: STEP²/6; rounding 2e-16/STEP
+    assert difference == pytest.approx(frame(0.0) @ skew, abs=1e-8)
+
+
+def chi_along(t, gamma, sigma_rate, gamma_rate, offsets=OFFSETS):
+    frame = velocity_frame(velocity(0.3 + sigma_rate * t, gamma + gamma_rate * t))
+    angles = np.array([gamma + gamma_rate * t])
+    rate = frame_rate(angles, np.array([sigma_rate]), np.array([gamma_rate]))
+    return [each[0] for each in slots(frame, rate, offsets)]
+
+
+def differences(*motion):
+    before, now, after = (chi_along(t, *motion) for t in (-STEP, 0.0, STEP))
+    first = (after[0] - before[0]) / (2.0 * STEP)
+    second = (after[0] - 2.0 * now[0] + before[0]) / STEP**2
+    return now, first, second
+
+
+@pytest.mark.parametrize(
+    ("gamma", "sigma_rate", "gamma_rate"),
+    [(0.0, 0.3, 0.0), (0.2, 0.3, 0.0), (-0.2, -0.5, 0.0), (0.1, 0.0, 0.25)],
+    ids=["level turn", "climbing turn", "descending turn", "pull-up"],
+)
+def test_28_and_29_are_the_derivatives_of_27_where_the_rate_is_steady(
+    gamma, sigma_rate, gamma_rate
+):
+    (_, chi_rate, chi_acceleration), first, second = differences(gamma, sigma_rate, gamma_rate)
+    # offsets of 8 m, rates of 0.5: STEP²/6 · 1 m/s³; rounding of 1e-15 m over STEP and STEP²
+    assert first == pytest.approx(chi_rate, abs=1e-8)
+    assert second == pytest.approx(chi_acceleration, abs=1e-6)
+    assert abs(chi_acceleration[1:]).max() > 0.1
+
+
+def test_29_leaves_out_the_rate_of_the_rate_and_nothing_else():
+    gamma, sigma_rate, gamma_rate = 0.2, 0.4, 0.3
+    (_, chi_rate, chi_acceleration), first, second = differences(gamma, sigma_rate, gamma_rate)
+    assert first == pytest.approx(chi_rate, abs=1e-8)
+    cg, sg = np.cos(gamma), np.sin(gamma)
+    omega_rate = np.array([-sigma_rate * gamma_rate * cg, 0.0, -sigma_rate * gamma_rate * sg])
+    frame = velocity_frame(velocity(0.3, gamma))[0]
+    left_out = np.cross(omega_rate, OFFSETS) @ frame.T
+    assert abs(left_out).max() > 0.1
+    assert second - chi_acceleration == pytest.approx(left_out, abs=1e-6)
+
+
+def test_a_slot_by_hand():
+    # leader flies east and turns right at 0.1 rad/s: 5 m behind is west, 5 m right is south
+    frame = velocity_frame(np.array([[0.0, 20.0, 0.0]]))
+    rate = frame_rate(np.zeros(1), np.array([0.1]), np.zeros(1))
+    chi, chi_rate, chi_acceleration = slots(frame, rate, np.array([[-5.0, 5.0, 2.0]]))
+    assert chi[0, 0] == pytest.approx([-5.0, -5.0, 2.0], abs=1e-15)
+    assert chi_rate[0, 0] == pytest.approx([0.5, -0.5, 0.0], abs=1e-15)
+    assert chi_acceleration[0, 0] == pytest.approx([0.05, 0.05, 0.0], abs=1e-16)
+
+
+def test_rates_of_a_velocity_are_the_derivatives_of_its_angles():
+    rng = np.random.default_rng(8)
+    v = rng.normal(0.0, 10.0, (200, 3))
+    v[:, 0] += np.where(v[:, 0] < 0.0, -5.0, 5.0)  # away from the vertical
+    acceleration = rng.normal(0.0, 5.0, (200, 3))
+    course_rate, climb_rate = velocity_rates(v, acceleration)
+    step = 1e-5
+    ahead, behind = v + step * acceleration, v - step * acceleration
+    turned = course(ahead) - course(behind)
+    turned -= 2.0 * np.pi * np.round(turned / (2.0 * np.pi))
+    climbed = flight_path_angle(ahead) - flight_path_angle(behind)
+    # third derivatives below (20/5)³: 1e-10/6 · 64 · 2; rounding 4e-16/1e-5
+    assert turned / (2.0 * step) == pytest.approx(course_rate, abs=5e-8)
+    assert climbed / (2.0 * step) == pytest.approx(climb_rate, abs=5e-8)
