@@ -59,14 +59,15 @@ def main() -> None:
     if asked.duration:
         page = shorten(page, asked.duration)
     full(shorten(page, 1.0))  # compiles what is compiled once
-    bares, fulls, builds = [], [], []
+    bares, fulls, builds = [bare(page)], [], []
     for turn in range(asked.repeats):
-        bares.append(bare(page))
         wall, built = full(page)
         fulls.append(wall)
         builds.append(built)
-        print(f"turn {turn + 1}: bare {bares[-1]:.2f} s, full {fulls[-1]:.2f} s", flush=True)
-    ratios = [one / other for one, other in zip(fulls, bares, strict=True)]
+        bares.append(bare(page))
+        print(f"turn {turn + 1}: full {fulls[-1]:.2f} s, bare {bares[-1]:.2f} s", flush=True)
+    # each run against the mean of what was measured before and after it: machines drift
+    ratios = [2.0 * f / (b + c) for f, b, c in zip(fulls, bares, bares[1:], strict=False)]
     seconds = page.scenario.duration_s
     result = {
         "scenario": page.name,

@@ -10,60 +10,77 @@ test compares the two on thousands of states. numba compiles it at its first cal
 
 from __future__ import annotations
 
-from math import atan, atan2, copysign, cos, floor, hypot, isnan, pi, sin, sqrt, tanh
+from math import atan, atan2, copysign, cos, floor, hypot, isnan, pi, sin, sqrt
 
 import numpy as np
 
 from testbed.formation import law as numpy_law
 from testbed.formation.barrier import NO_BARRIER
-from testbed.formation.geometry import COURSE_FLOOR
 from testbed.formation.geometry_twin import cross, frame_of, to_ned, twin
 from testbed.formation.laws import SLOPE_FLOOR
-from testbed.formation.middle_loop import GRAVITY, PITCH, ROLL, THROTTLE, MiddleLoopMemory
+from testbed.formation.laws_twin import error_of, h_of, mu_of, velocity_rates
+from testbed.formation.middle_loop import (
+    GRAVITY,
+    PITCH,
+    ROLL,
+    THROTTLE,
+    MiddleLoopGains,
+    MiddleLoopMemory,
+)
 from testbed.state import FbwaCommand
 
 CLAMPED, OUTSIDE, CLIPPED = numpy_law.CLAMPED, numpy_law.OUTSIDE, numpy_law.CLIPPED
 Diagnosis, PaperMemory = numpy_law.Diagnosis, numpy_law.PaperMemory
 
 
-@twin
-def _mu(function, z):
-    if not function.spline:
-        base = function.nu1 + function.nu2 * z
-        value = base**-function.m
-        return value, (-function.m * function.nu2) * value / base
-    if z > function.far:
-        value = z**-0.5
-        return value, -0.5 * value**3
-    past = max(z - function.flat, 0.0)
-    return (
-        1.0 + past * past * (function.nu1 + function.nu2 * past),
-        past * (2.0 * function.nu1 + 3.0 * function.nu2 * past),
+# What each agent is given, in the columns of one array: handing numba an array costs as much as
+# computing a dozen of these.
+_MIDDLE = MiddleLoopGains._fields
+(K, A, B, C, POLE, LOW, HIGH, MARGIN, RATE_BLEND) = range(9)
+(
+    CLIMB_P,
+    CLIMB_I,
+    CLIMB_D,
+    COURSE_P,
+    COURSE_I,
+    COURSE_D,
+    SPEED_P,
+    SPEED_I,
+    ETA_SPEED,
+    ETA_BANK,
+    TRIM_THROTTLE,
+    TRIM_AIRSPEED,
+    PITCH_LIMIT,
+    ROLL_LIMIT,
+) = range(9, 9 + len(_MIDDLE))
+
+_held = [None, None]  # the law that stepped last and its columns: a run steps one law
+
+
+def _columns(law):
+    if _held[0] is not law:
+        speeds, own = law.speeds, (law.k, law.a, law.b, law.c, law.pole)
+        bounds = (speeds.low, speeds.high, speeds.margin)
+        _held[:] = law, np.column_stack([*own, *bounds, law.rate_blend, *law.middle])
+    return _held[1]
+
+
+def paper_step(law, now, own, inbox, memory):
+    return _step(
+        _columns(law),
+        law.offsets,
+        law.gains,
+        law.control_function,
+        law.barrier,
+        law.dt,
+        law.from_timestamp,
+        law.airspeed_error_as_printed,
+        law.acceleration_blend,
+        now,
+        own,
+        inbox,
+        memory,
     )
-
-
-@twin
-def _h(barrier, s, low, high):
-    nu = barrier.nu
-    if barrier.example == NO_BARRIER:
-        return 1.0, 0.0
-    if barrier.example == 6:
-        past = (max(s + nu - high, 0.0) - max(low + nu - s, 0.0)) / nu
-        return 1.0 - past * past, -2.0 * past / nu
-    value, slope = nu * (high - s) * (s - low), nu * (high + low - 2.0 * s)
-    if barrier.example == 5:
-        value = tanh(value)
-        slope *= 1.0 - value * value
-    return value, slope
-
-
-@twin
-def _velocity_rates(v, a):
-    along, across = v[0] * a[0] + v[1] * a[1], v[0] * a[1] - v[1] * a[0]
-    square = max(v[0] * v[0] + v[1] * v[1], COURSE_FLOOR)
-    horizontal = sqrt(square)
-    climb = (v[2] * along / horizontal - horizontal * a[2]) / (square + v[2] * v[2])
-    return across / square, climb
 
 
 @twin
@@ -75,36 +92,22 @@ def _integrate(integral, error, dt, command, low, high):
 
 
 @twin
-def _error(law, inbox, own, slot, frame, rates, i, now, level):
-    """ξ_i for level 0, its rate for level 1, (6); own is q_i or q̇_i, slot χ_i or χ̇_i."""
-    cs, ss, cg, sg = frame
-    x = y = z = 0.0
-    for m in range(law.gains.shape[1]):
-        if isnan(inbox.stamp_s[i, m]):
-            continue
-        a, b, c = law.offsets[m]
-        if level == 1:
-            a, b, c = cross(rates[0], rates[1], rates[2], a, b, c)
-        a, b, c = to_ned(cs, ss, cg, sg, a, b, c)
-        velocity = inbox.velocity_ned[i, m]
-        if level == 1:
-            u, v, w = velocity[0], velocity[1], velocity[2]
-        else:
-            since = inbox.stamp_s[i, m] if law.from_timestamp else inbox.received_s[i, m]
-            position, lag = inbox.position_ned[i, m], now - since
-            u = position[0] + lag * velocity[0]
-            v = position[1] + lag * velocity[1]
-            w = position[2] + lag * velocity[2]
-        gain = law.gains[i, m]
-        x += gain[0] * ((u - a) - (own[0] - slot[0]))
-        y += gain[1] * ((v - b) - (own[1] - slot[1]))
-        z += gain[2] * ((w - c) - (own[2] - slot[2]))
-    return x, y, z
-
-
-@twin
-def paper_step(law, now, own, inbox, memory):
-    n = len(law.k)
+def _step(
+    numbers,
+    offsets,
+    gains,
+    control_function,
+    barrier,
+    dt,
+    from_timestamp,
+    as_printed,
+    acceleration_blend,
+    now,
+    own,
+    inbox,
+    memory,
+):
+    n = len(numbers)
     pitch, roll, throttle = np.empty(n), np.empty(n), np.empty(n)
     climb_integral, course_integral, speed_integral = np.empty(n), np.empty(n), np.empty(n)
     acceleration = np.empty((n, 3))
@@ -112,8 +115,8 @@ def paper_step(law, now, own, inbox, memory):
     speed_desired, speed_command = np.empty(n), np.empty(n)
     course_desired, climb_desired = np.empty(n), np.empty(n)
     guards, saturations = np.zeros(n, np.uint8), np.zeros(n, np.uint8)
-    middle = law.middle
     for i in range(n):
+        gain = numbers[i]
         q, v = own.position_ned[i], own.velocity_ned[i]
         deaf = isnan(inbox.stamp_s[i, 0])
 
@@ -127,7 +130,7 @@ def paper_step(law, now, own, inbox, memory):
             0.0 if deaf else inbox.euler_rates[i, 0, 1],
             turn * cos(atan2(-leader[2], hypot(leader[0], leader[1]))),
         )
-        a, b, c = law.offsets[i + 1]
+        a, b, c = offsets[i + 1]
         slot = to_ned(cs, ss, cg, sg, a, b, c)
         a, b, c = cross(rates[0], rates[1], rates[2], a, b, c)
         slot_velocity = to_ned(cs, ss, cg, sg, a, b, c)
@@ -135,11 +138,13 @@ def paper_step(law, now, own, inbox, memory):
         slot_acceleration = to_ned(cs, ss, cg, sg, a, b, c)
 
         # Desired velocity and its rates, (6)-(12).
-        x, y, z = _error(law, inbox, q, slot, frame, rates, i, now, 0)
-        xr, yr, zr = _error(law, inbox, v, slot_velocity, frame, rates, i, now, 1)
-        mu, mu_slope = _mu(law.control_function, x * x + y * y + z * z)
+        x, y, z = error_of(offsets, gains, from_timestamp, inbox, q, slot, frame, rates, i, now, 0)
+        xr, yr, zr = error_of(
+            offsets, gains, from_timestamp, inbox, v, slot_velocity, frame, rates, i, now, 1
+        )
+        mu, mu_slope = mu_of(control_function, x * x + y * y + z * z)
         along = 2.0 * mu_slope * (x * xr + y * yr + z * zr)
-        k = law.k[i]
+        k = gain[K]
         p = (
             leader[0] + slot_velocity[0] + k * (mu * x),
             leader[1] + slot_velocity[1] + k * (mu * y),
@@ -148,7 +153,7 @@ def paper_step(law, now, own, inbox, memory):
         for axis in range(3):
             heard = 0.0 if deaf else inbox.acceleration_ned[i, 0, axis]
             last = memory.leader_acceleration[i, axis]
-            acceleration[i, axis] = last + law.acceleration_blend[axis] * (heard - last)
+            acceleration[i, axis] = last + acceleration_blend[axis] * (heard - last)
         w = acceleration[i]
         dp = (
             w[0] + slot_acceleration[0] + k * (mu * xr + along * x),
@@ -163,7 +168,7 @@ def paper_step(law, now, own, inbox, memory):
             (dp[1] - sd_rate * yd[1]) / sd,
             (dp[2] - sd_rate * yd[2]) / sd,
         )
-        low, high, margin = law.speeds.low[i], law.speeds.high[i], law.speeds.margin[i]
+        low, high, margin = gain[LOW], gain[HIGH], gain[MARGIN]
         clamped = min(max(sd, low + margin), high - margin)
         if clamped != sd:
             guards[i] |= CLAMPED
@@ -175,16 +180,16 @@ def paper_step(law, now, own, inbox, memory):
         inside = low < s < high
         if not inside:
             guards[i] |= OUTSIDE
-        h, slope = _h(law.barrier, s, low, high)
+        h, slope = h_of(barrier, s, low, high)
         gap = sd - s
-        if inside or law.barrier.example == NO_BARRIER:
-            u = (law.b[i] * gap**3 + sd_rate * h + law.a[i] * gap * h) / (h + gap * slope)
+        if inside or barrier.example == NO_BARRIER:
+            u = (gain[B] * gap**3 + sd_rate * h + gain[A] * gap * h) / (h + gap * slope)
         else:
-            u = law.b[i] * gap**2 / copysign(max(abs(slope), SLOPE_FLOOR), slope)
-        u = u / law.pole[i] + s
+            u = gain[B] * gap**2 / copysign(max(abs(slope), SLOPE_FLOOR), slope)
+        u = u / gain[POLE] + s
         ocs, oss, ocg, osg = frame_of(v[0], v[1], v[2])
         y1, y2, y3 = ocg * ocs, ocg * oss, -osg
-        closing = law.c[i] - (y1 * yd_rate[0] + y2 * yd_rate[1] + y3 * yd_rate[2])
+        closing = gain[C] - (y1 * yd_rate[0] + y2 * yd_rate[1] + y3 * yd_rate[2])
         facing = y1 * yd[0] + y2 * yd[1] + y3 * yd[2]
         w1 = closing * yd[0] + facing * yd_rate[0]
         w2 = closing * yd[1] + facing * yd_rate[1]
@@ -197,8 +202,8 @@ def paper_step(law, now, own, inbox, memory):
         command = min(max(wanted, low), high)
         if command != wanted:
             guards[i] |= CLIPPED
-        course_rate, climb_rate = _velocity_rates(v, own.acceleration_ned[i])
-        blend = law.rate_blend[i]
+        course_rate, climb_rate = velocity_rates(v, own.acceleration_ned[i])
+        blend = gain[RATE_BLEND]
         course_rate = memory.course_rate[i] + blend * (course_rate - memory.course_rate[i])
         climb_rate = memory.climb_rate[i] + blend * (climb_rate - memory.climb_rate[i])
         climb = atan2(-v[2], hypot(v[0], v[1]))
@@ -207,35 +212,35 @@ def paper_step(law, now, own, inbox, memory):
         climb_error = climb - gd
         ahead = pi - (atan2(v[1], v[0]) - cd)
         course_error = pi - (ahead - 2.0 * pi * floor(ahead / (2.0 * pi)))
-        speed_error = own.airspeed[i] - (u if law.airspeed_error_as_printed else command)
+        speed_error = own.airspeed[i] - (u if as_printed else command)
         theta = (
             gd
-            - middle.climb_p[i] * climb_error
-            - middle.climb_i[i] * memory.integrals.climb[i]
-            - middle.climb_d[i] * (climb_rate - pitching)
+            - gain[CLIMB_P] * climb_error
+            - gain[CLIMB_I] * memory.integrals.climb[i]
+            - gain[CLIMB_D] * (climb_rate - pitching)
         )
         phi = (
             atan(turn_desired * s * cos(climb) / GRAVITY)
-            - middle.course_p[i] * course_error
-            - middle.course_i[i] * memory.integrals.course[i]
-            - middle.course_d[i] * (course_rate - turn_desired)
+            - gain[COURSE_P] * course_error
+            - gain[COURSE_I] * memory.integrals.course[i]
+            - gain[COURSE_D] * (course_rate - turn_desired)
         )
         power = (
-            middle.trim_throttle[i]
-            + middle.eta_bank[i] * (cos(own.euler[i, 0]) ** -2 - 1.0)
-            + middle.eta_speed[i] * (command - middle.trim_airspeed[i])
-            - middle.speed_p[i] * speed_error
-            - middle.speed_i[i] * memory.integrals.speed[i]
+            gain[TRIM_THROTTLE]
+            + gain[ETA_BANK] * (cos(own.euler[i, 0]) ** -2 - 1.0)
+            + gain[ETA_SPEED] * (command - gain[TRIM_AIRSPEED])
+            - gain[SPEED_P] * speed_error
+            - gain[SPEED_I] * memory.integrals.speed[i]
         )
-        limit, bank_limit = middle.pitch_limit[i], middle.roll_limit[i]
+        limit, bank_limit = gain[PITCH_LIMIT], gain[ROLL_LIMIT]
         pitch[i], climb_integral[i] = _integrate(
-            memory.integrals.climb[i], climb_error, law.dt, theta, -limit, limit
+            memory.integrals.climb[i], climb_error, dt, theta, -limit, limit
         )
         roll[i], course_integral[i] = _integrate(
-            memory.integrals.course[i], course_error, law.dt, phi, -bank_limit, bank_limit
+            memory.integrals.course[i], course_error, dt, phi, -bank_limit, bank_limit
         )
         throttle[i], speed_integral[i] = _integrate(
-            memory.integrals.speed[i], speed_error, law.dt, power, 0.0, 1.0
+            memory.integrals.speed[i], speed_error, dt, power, 0.0, 1.0
         )
         saturations[i] = (
             (pitch[i] != theta) * PITCH
@@ -243,7 +248,7 @@ def paper_step(law, now, own, inbox, memory):
             + (throttle[i] != power) * THROTTLE
         )
         if deaf:
-            pitch[i], roll[i], throttle[i] = 0.0, 0.0, middle.trim_throttle[i]
+            pitch[i], roll[i], throttle[i] = 0.0, 0.0, gain[TRIM_THROTTLE]
             climb_integral[i], course_integral[i], speed_integral[i] = 0.0, 0.0, 0.0
         course_rates[i], climb_rates[i] = course_rate, climb_rate
         speed_desired[i], speed_command[i] = sd, command

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,8 +13,7 @@ from testbed.state import Array, Broadcast, Inbox, Truths
 SIMULTANEOUS_S = 1e-9
 
 
-@dataclass(frozen=True, slots=True)
-class Channel:
+class Channel(NamedTuple):
     """A lossless channel between N aircraft and their n followers.
 
     Args:
@@ -24,8 +23,7 @@ class Channel:
     delay_s: Array
 
 
-@dataclass(frozen=True, slots=True)
-class Packet:
+class Packet(NamedTuple):
     """One round of broadcasts on its way."""
 
     sent_s: float
@@ -33,8 +31,7 @@ class Packet:
     content: Broadcast
 
 
-@dataclass(frozen=True, slots=True)
-class ChannelMemory:
+class ChannelMemory(NamedTuple):
     """What has arrived, and what is on its way in order of sending."""
 
     inbox: Inbox
@@ -62,7 +59,8 @@ def deliver(memory: ChannelMemory, now: float) -> ChannelMemory:
     waiting = []
     for packet in memory.in_flight:
         due = packet.arrival_s <= now + SIMULTANEOUS_S
-        if due.all() and packet.sent_s > newest:
+        everywhere = due.all()
+        if everywhere and packet.sent_s > newest:
             inbox = _replace_all(packet)
         elif due.any():
             inbox = _replace(inbox, packet, due & ~(inbox.stamp_s > packet.content.stamp_s))
@@ -70,7 +68,7 @@ def deliver(memory: ChannelMemory, now: float) -> ChannelMemory:
             waiting.append(packet)
             continue
         newest = max(newest, packet.sent_s)
-        if not due.all():
+        if not everywhere:
             later = np.where(due, np.inf, packet.arrival_s)
             if np.isfinite(later).any():
                 waiting.append(Packet(packet.sent_s, later, packet.content))

@@ -131,16 +131,7 @@ class JsbsimFleet:
 
     def read(self) -> VehicleState:
         """The truth now, as fresh contiguous arrays."""
-        flat = np.array([get() for get in self._getters])
-        flat -= self._zero
-        flat *= self._scale
-        n = len(self._runs)
-        position, velocity, uvw_dot, euler, rates = flat[: 15 * n].reshape(5, n, 3)
-        airspeed, equivalent = flat[15 * n :].reshape(2, n)
-        yaw = euler[:, 2]
-        yaw[yaw > np.pi] -= 2.0 * np.pi
-        acceleration = ACCELERATION(uvw_dot, velocity, euler, rates)
-        return VehicleState(position, velocity, acceleration, euler, rates, airspeed, equivalent)
+        return MOTION(np.array([get() for get in self._getters]), self._zero, self._scale)
 
     def air(self) -> AirData:
         """What the truth knows of the air now; for observers."""
@@ -337,13 +328,22 @@ class _Model:
         self.fdm.run_ic()
 
 
-def acceleration_ned(uvw_dot: Array, velocity: Array, euler: Array, rates: Array) -> Array:
-    """R_NB (d(u, v, w)/dt) + (R_NB ω) × velocity: (N, 3) m/s², all of them (N, 3)."""
+def motion(raw: Array, zero: Array, scale: Array) -> VehicleState:
+    """The state of N aircraft from what JSBSim says of them, (raw − zero) scale, all (17 N,).
+
+    The acceleration is R_NB (d(u, v, w)/dt) + (R_NB ω) × velocity.
+    """
+    flat = (raw - zero) * scale
+    n = flat.size // 17
+    position, velocity, uvw_dot, euler, rates = flat[: 15 * n].reshape(5, n, 3)
+    airspeed, equivalent = flat[15 * n :].reshape(2, n)
+    yaw = euler[:, 2]
+    yaw[yaw > np.pi] -= 2.0 * np.pi
     rotation = rotation_ned_body(euler)
     along = (rotation @ uvw_dot[:, :, None])[:, :, 0]
     turning = (rotation @ rates[:, :, None])[:, :, 0]
-    acceleration: Array = along + np.cross(turning, velocity)
-    return acceleration
+    acceleration = along + np.cross(turning, velocity)
+    return VehicleState(position, velocity, acceleration, euler, rates, airspeed, equivalent)
 
 
-ACCELERATION = twin_of(acceleration_ned, "testbed.vehicle.twin")
+MOTION = twin_of(motion, "testbed.vehicle.twin")

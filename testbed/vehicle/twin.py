@@ -1,4 +1,4 @@
-"""The compiled twins of `fbwa.fbwa`, the door's acceleration and `frames.euler_rates`.
+"""The compiled twins of `fbwa.fbwa`, the door's motion and `frames.euler_rates`.
 
 Those functions define what this does; a test compares them along a flight. numba compiles it at
 its first call.
@@ -15,7 +15,7 @@ from math import acos, cos, pi, radians, sin
 import numpy as np
 from numba import njit
 
-from testbed.state import Surfaces
+from testbed.state import Surfaces, VehicleState
 from testbed.vehicle.tables import MEMORY, FbwaMemory
 
 LEAST_BANK_LIMIT = radians(25.0)
@@ -129,18 +129,32 @@ def _rotated(sf, cf, st, ct, sp, cp, x, y, z):
 
 
 @twin
-def acceleration_ned(uvw_dot, velocity, euler, rates):
-    out = np.empty_like(uvw_dot)
-    for i in range(uvw_dot.shape[0]):
+def motion(raw, zero, scale):
+    n = raw.size // 17
+    flat = (raw - zero) * scale
+    position, velocity = np.empty((n, 3)), np.empty((n, 3))
+    acceleration = np.empty((n, 3))
+    euler, rates = np.empty((n, 3)), np.empty((n, 3))
+    for i in range(n):
+        for axis in range(3):
+            k = 3 * i + axis
+            position[i, axis] = flat[k]
+            velocity[i, axis] = flat[3 * n + k]
+            euler[i, axis] = flat[9 * n + k]
+            rates[i, axis] = flat[12 * n + k]
+        if euler[i, 2] > pi:
+            euler[i, 2] -= 2.0 * pi
         phi, theta, psi = euler[i]
         sf, cf, st, ct, sp, cp = sin(phi), cos(phi), sin(theta), cos(theta), sin(psi), cos(psi)
-        ax, ay, az = _rotated(sf, cf, st, ct, sp, cp, uvw_dot[i, 0], uvw_dot[i, 1], uvw_dot[i, 2])
+        at = 6 * n + 3 * i
+        ax, ay, az = _rotated(sf, cf, st, ct, sp, cp, flat[at], flat[at + 1], flat[at + 2])
         p, q, r = _rotated(sf, cf, st, ct, sp, cp, rates[i, 0], rates[i, 1], rates[i, 2])
         u, v, w = velocity[i]
-        out[i, 0] = ax + q * w - r * v
-        out[i, 1] = ay + r * u - p * w
-        out[i, 2] = az + p * v - q * u
-    return out
+        acceleration[i, 0] = ax + q * w - r * v
+        acceleration[i, 1] = ay + r * u - p * w
+        acceleration[i, 2] = az + p * v - q * u
+    airspeed, equivalent = flat[15 * n : 16 * n].copy(), flat[16 * n :].copy()
+    return VehicleState(position, velocity, acceleration, euler, rates, airspeed, equivalent)
 
 
 @twin

@@ -95,5 +95,5 @@ def test_no_twin_goes_without_such_a_test():
                 function, module = node.args
                 assert hasattr(importlib.import_module(module.value), function.id)
                 found.add(function.id)
-    elsewhere = {"fbwa", "acceleration_ned"}
+    elsewhere = {"fbwa", "motion"}
     assert found == {"paper_step", "true_slots", "euler_rates"} | elsewhere
