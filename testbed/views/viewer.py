@@ -36,14 +36,14 @@ def obstacle(port: int) -> str | None:
     if program() is None:
         return (
             f"there is no `rerun` program beside {sys.executable} and no viewer on "
-            f"{HOST}:{port}. Install rerun-sdk, or write a file with --rrd FILE."
+            f"{HOST}:{port}. Install rerun-sdk, or save the view: `testbed view RUN --rrd FILE`."
         )
     if sys.platform == "linux" and not (
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     ):
         return (
-            f"this session has no display and no viewer listens on {HOST}:{port}. "
-            "Write a file with --rrd FILE and open it elsewhere with `rerun FILE`."
+            f"there is no display here and no viewer listens on {HOST}:{port}. Save the view with "
+            "`testbed view RUN --rrd FILE` and open it elsewhere with `rerun FILE`."
         )
     return None
 
