@@ -15,8 +15,6 @@ from testbed.state import Array, Origin
 
 GRAVITY = 9.80665  # m/s², standard
 FOOT = 0.3048  # m
-KNOT = 1852.0 / 3600.0  # m/s
-POUND_FORCE = 4.4482216152605  # N
 
 WGS84_A = 6378137.0  # m
 WGS84_E2 = 6.69437999014e-3
