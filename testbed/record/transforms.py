@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.record.wire import varint
 from testbed.state import Array
 
 _NS = 10**9
@@ -71,9 +72,8 @@ def _varints(values: NDArray[np.int64]) -> NDArray[np.uint8]:
 
 
 def _field(number: int, data: bytes) -> bytes:
-    """A field of a length, which must be below 16384."""
-    length = [len(data)] if len(data) < 0x80 else [len(data) & 0x7F | 0x80, len(data) >> 7]
-    return bytes([number << 3 | 2, *length]) + data
+    """A field that begins with its length."""
+    return varint(number << 3 | 2) + varint(len(data)) + data
 
 
 def _doubles(count: int) -> bytes:

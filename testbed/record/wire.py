@@ -77,9 +77,9 @@ def layout(topic: Topic, aircraft: int) -> Layout:
         code, wire_type = _TYPES[column.type]
         kind = np.dtype((code, (aircraft,)) if column.per_aircraft else code)
         if column.per_aircraft:
-            template += _varint(number << 3 | _LENGTH) + _varint(kind.itemsize)
+            template += varint(number << 3 | _LENGTH) + varint(kind.itemsize)
         else:
-            template += _varint(number << 3 | wire_type)
+            template += varint(number << 3 | wire_type)
         offsets.append(len(template))
         kinds.append(kind)
         template += bytes(kind.itemsize)
@@ -100,7 +100,7 @@ def _values(records: Records, column: Column) -> Array:
     return np.stack([records[name].astype(np.float64) for name in column.names], axis=-1)
 
 
-def _varint(value: int) -> bytes:
+def varint(value: int) -> bytes:
     """A whole number, not negative, seven bits to a byte."""
     out = bytearray()
     while value > 0x7F:
