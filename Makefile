@@ -36,8 +36,11 @@ types: $(STAMP)
 tests: $(STAMP)
 	@$(BIN)/pytest -q -n $(JOBS) $(ARGS)
 
-# Everything, with the wheel built and flown from a fresh environment.
+# Everything: the tests, all starts of the theorem, every golden table, and the wheel built and
+# flown from a fresh environment.
 check-all: test wheel
+	@TESTBED_STARTS=1000 $(BIN)/pytest -q tests/theorems/test_theorem_many_starts.py
+	@$(BIN)/testbed check --jobs $(JOBS)
 	@rm -rf build/fresh && $(BIN)/python -m venv build/fresh
 	@build/fresh/bin/python -m pip install --quiet --disable-pip-version-check \
 		--require-hashes -r requirements.lock
@@ -48,9 +51,10 @@ check-all: test wheel
 bench: $(STAMP)
 	@$(BIN)/python benchmarks/full_over_bare.py $(ARGS)
 
-# Flies every row of the tables in docs/simulation-3.md and writes them there.
+# Flies every row of the tables in docs/simulations.md and docs/experiments.md and writes them there.
 results: $(STAMP)
-	@$(BIN)/python benchmarks/simulation_3.py --into docs/simulation-3.md $(ARGS)
+	@$(BIN)/python benchmarks/results.py --into docs/simulations.md $(ARGS)
+	@$(BIN)/python benchmarks/experiments.py --into docs/experiments.md $(ARGS)
 
 wheel: $(STAMP)
 	@rm -rf dist && $(BIN)/python -m build --no-isolation --wheel >/dev/null && ls dist/*.whl

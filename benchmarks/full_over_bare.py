@@ -29,7 +29,10 @@ def bare(page: Scenario) -> float:
     rate, left, spent = page.rates.physics_hz, page.scenario.duration_s, 0.0
     while left > 0.0:
         steps = range(round(min(left, SEGMENT_S) * rate))
-        runs = build(page).fleet.bare_runs()
+        fleet = build(page).fleet
+        if fleet is None:
+            raise SystemExit(f"{page.name}: no flight model in it to compare with")
+        runs = fleet.bare_runs()
         began = time.perf_counter()
         for _ in steps:
             for step in runs:

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from testbed import __version__
+from testbed.airframe_commands import linearize, step, trim
 from testbed.errors import InputError
 
 LOST = 1
@@ -72,7 +73,9 @@ def run(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Run directory to make.  [default: logs/SCENARIO/UTC-ID]"),
+        typer.Option(
+            metavar="DIR", help="Run directory to make.  \\[default: logs/SCENARIO/UTC-ID]"
+        ),
     ] = None,
     json: Annotated[
         Path | None,
@@ -130,13 +133,73 @@ def validate(
         bool, typer.Option("--resolved", help="Print the page with everything it stands for.")
     ] = False,
 ) -> None:
-    """Check a scenario without flying it: the page, and the world it asks for."""
+    """Check a scenario without flying it: the page, the world it asks for, and its law.
+
+    Says which of the paper's hypotheses the page breaks. A law of your own is tried out.
+    """
     from testbed.scenario import dump, load
     from testbed.sim.world import build
 
     page = load(scenario, tuple(overrides or ()))
-    build(page)
+    for note in build(page).notes:
+        typer.echo(f"{note.level}: {note.source}: {note.text}", err=True)
     typer.echo(dump(page) if resolved else f"{scenario}: good")
+
+
+@app.command(epilog=EXITS)
+def check(
+    scenarios: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[SCENARIO]...",
+            help="Names or paths of scenarios.  \\[default: all that have a golden table]",
+            show_default=False,
+        ),
+    ] = None,
+    seeds: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", help="Flights of each.  \\[default: 4 of the table's; 16 for a new table]"
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Flights at once.  \\[default: one per processor]"),
+    ] = None,
+    junit: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write JUnit XML for a CI.")
+    ] = None,
+    json: Annotated[
+        Path | None,
+        typer.Option("--json", metavar="FILE", help="Write what was found; - is stdout."),
+    ] = None,
+    golden: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="The tables.  \\[default: golden/ beside each page]"),
+    ] = None,
+    update: Annotated[
+        bool, typer.Option("--update", help="Write the tables anew instead; needs --reason.")
+    ] = False,
+    reason: Annotated[
+        str | None,
+        typer.Option(metavar="TEXT", help="Why the numbers change; kept in the tables."),
+    ] = None,
+) -> None:
+    """Fly scenarios and compare them with their golden tables."""
+    from testbed.check_console import check_and_show
+
+    raise typer.Exit(
+        check_and_show(
+            tuple(scenarios or ()),
+            seeds=seeds,
+            jobs=jobs,
+            junit=junit,
+            json=json,
+            update=update,
+            reason=reason,
+            golden=golden,
+        )
+    )
 
 
 @app.command("list")
@@ -174,13 +237,13 @@ def respond(
     airspeed: Annotated[
         float | None,
         typer.Option(
-            metavar="M/S", help="True airspeed at the start.  [default: the first row's, or 22]"
+            metavar="M/S", help="True airspeed at the start.  \\[default: the first row's, or 22]"
         ),
     ] = None,
     altitude: Annotated[
         float | None,
         typer.Option(
-            metavar="M", help="Altitude above the origin.  [default: the first row's, or 100]"
+            metavar="M", help="Altitude above the origin.  \\[default: the first row's, or 100]"
         ),
     ] = None,
     origin_elevation: Annotated[
@@ -206,6 +269,10 @@ def respond(
     except AircraftLost as loss:
         typer.echo(f"lost: {loss}", err=True)
         raise typer.Exit(LOST) from None
+
+
+for command in (trim, linearize, step):
+    app.command()(command)
 
 
 def main() -> None:

@@ -60,6 +60,18 @@ def euler_rates(euler: Array, rates_body: Array) -> Array:
     return out
 
 
+def body_rates(euler: Array, angle_rates: Array) -> Array:
+    """Body rates p, q, r (..., 3) rad/s from the derivatives of roll, pitch, yaw (..., 3)."""
+    sine, cosine = np.sin(euler), np.cos(euler)
+    sf, cf, ct = sine[..., 0], cosine[..., 0], cosine[..., 1]
+    pitch_rate, yaw_rate = angle_rates[..., 1], angle_rates[..., 2]
+    out = np.empty(np.broadcast_shapes(euler.shape, angle_rates.shape))
+    out[..., 0] = angle_rates[..., 0] - yaw_rate * sine[..., 1]
+    out[..., 1] = pitch_rate * cf + yaw_rate * sf * ct
+    out[..., 2] = yaw_rate * cf * ct - pitch_rate * sf
+    return out
+
+
 def quaternion_xyzw(euler: Array) -> Array:
     """Quaternion (..., 4) ordered x, y, z, w of R_NB from roll, pitch, yaw (..., 3) in rad."""
     half = 0.5 * np.asarray(euler)

@@ -45,15 +45,7 @@ class VehicleState(NamedTuple):
 
 def followers(state: VehicleState) -> VehicleState:
     """The rows behind the leader's, (n) as views."""
-    return VehicleState(
-        position_ned=state.position_ned[1:],
-        velocity_ned=state.velocity_ned[1:],
-        acceleration_ned=state.acceleration_ned[1:],
-        euler=state.euler[1:],
-        rates_body=state.rates_body[1:],
-        airspeed=state.airspeed[1:],
-        equivalent_airspeed=state.equivalent_airspeed[1:],
-    )
+    return VehicleState(*(each[1:] for each in state))
 
 
 class AirData(NamedTuple):
@@ -63,6 +55,8 @@ class AirData(NamedTuple):
     beta: Array  # (N,) sideslip, rad
     propeller_rps: Array  # (N,) revolutions per second
     wind_ned: Array  # (N, 3) m/s, velocity of the air
+    state_of_charge: Array  # (N,) 0..1 of the battery; not a number where there is none
+    battery_voltage: Array  # (N,) V at its terminals; not a number where there is none
 
 
 class FbwaCommand(NamedTuple):
@@ -71,6 +65,16 @@ class FbwaCommand(NamedTuple):
     pitch: Array  # (N,) rad, nose up positive
     roll: Array  # (N,) rad, right wing down positive
     throttle: Array  # (N,) 0..1
+
+
+class UnicycleCommand(NamedTuple):
+    """What a formation law decides: the inputs of the extended unicycle, [HBH23] eqs. (2), (3)."""
+
+    speed: Array  # (n,) u, commanded ground speed, m/s: ṡ = p (u − s)
+    turn: Array  # (n, 3) ω, rad/s, in the zero-roll velocity frame; the first component is zero
+    speed_desired: Array  # (n,) s_d, m/s
+    direction: Array  # (n, 3) y_d, unit vector
+    guards: Flags  # (n,) bit set of formation.flags.Guard
 
 
 class Surfaces(NamedTuple):
@@ -89,7 +93,8 @@ class Broadcast(NamedTuple):
     position_ned: Array  # (N, 3)
     velocity_ned: Array  # (N, 3)
     acceleration_ned: Array  # (N, 3)
-    euler_rates: Array  # (N, 3) rates of roll, pitch, yaw, rad/s
+    euler: Array  # (N, 3) roll, pitch, yaw, rad
+    euler_rates: Array  # (N, 3) their rates, rad/s
 
 
 class Inbox(NamedTuple):
@@ -100,6 +105,7 @@ class Inbox(NamedTuple):
     position_ned: Array  # (n, N, 3)
     velocity_ned: Array  # (n, N, 3)
     acceleration_ned: Array  # (n, N, 3)
+    euler: Array  # (n, N, 3)
     euler_rates: Array  # (n, N, 3)
 
 
@@ -162,11 +168,14 @@ class RunInfo:
     duration_s: float
     seed: int
     speed_bounds_mps: tuple[tuple[float, float], ...]  # n
+    kappa_mps: tuple[float, ...]  # n, how far slots should stay from those bounds
     roll_limit_rad: tuple[float, ...]  # n, of the FBWA command
     leader_path_ned: Array  # (k, 3) the leader's path as commanded, for drawing; may be empty
     portions: Mapping[str, tuple[float, float]]  # name -> window, s
     versions: Mapping[str, str]  # testbed, jsbsim, numpy, python, schema
     directory: Path | None = None  # the run directory, if there is one
+    # What the speed bounds are measured against: the ground, or air that moves at this, m/s.
+    bounded_in_ned: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 class Observer(Protocol):

@@ -2,6 +2,6 @@
 
 [HBH23] C. Heintz, S. C. C. Bailey, J. B. Hoagg, "Formation control for autonomous fixed-wing air
 vehicles with strict speed constraints", Autonomous Robots, 2023. Pure functions over agents on the
-leading axis; they see what an agent knows, never the truth about another. `paper.md` maps symbols
-and equations to the names used here.
+leading axis; all they are told of another aircraft is what its messages said. `paper.md` maps
+symbols and equations to the names used here.
 """

@@ -2,27 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from testbed.formation.arrays import dot, scale
-from testbed.state import Array
+from testbed.state import Array, Truths
 
 
 class ControlFunction(NamedTuple):
     """The scalar function μ of [HBH23] eq. (5): `example_1`, `EXAMPLE_2` or `EXAMPLE_3`.
 
     Examples 2 and 3 are the spline μ(z) = 1 up to `flat`, a cubic up to `far`, then z^(−1/2).
+    Fields are numbers for all agents, or arrays (n,) with one for each: `per_agent`.
     """
 
-    spline: bool
-    nu1: float  # example 1, m²; spline: coefficient of (z − flat)²
-    nu2: float  # example 1; spline: coefficient of (z − flat)³
-    m: float  # example 1, exponent
-    flat: float  # spline, m²
-    far: float  # spline, m²
-    bound: float  # ρ̄ = sup √z μ(z), (C2)
+    spline: bool | Truths
+    nu1: float | Array  # example 1, m²; spline: coefficient of (z − flat)²
+    nu2: float | Array  # example 1; spline: coefficient of (z − flat)³
+    m: float | Array  # example 1, exponent
+    flat: float | Array  # spline, m²
+    far: float | Array  # spline, m²
+    bound: float | Array  # ρ̄ = sup √z μ(z), (C2)
+
+
+def per_agent(functions: Sequence[ControlFunction]) -> ControlFunction:
+    """One function for each of n agents."""
+    return ControlFunction(*(np.array(column) for column in zip(*functions, strict=True)))
 
 
 def example_1(nu1: float, nu2: float, m: float) -> ControlFunction:
@@ -65,20 +72,25 @@ EXAMPLE_3 = _spline(flat=0.1, far=0.4)
 
 def mu(function: ControlFunction, z: Array) -> tuple[Array, Array]:
     """μ(z) and its derivative μ'(z) for z = ‖x‖² >= 0 (n,)."""
-    if function.spline:
-        past = np.minimum(np.maximum(z - function.flat, 0.0), function.far - function.flat)
-        beyond = np.maximum(z, function.far) ** -0.5
-        outside = z > function.far
-        value = np.where(outside, beyond, 1.0 + past * past * (function.nu1 + function.nu2 * past))
-        slope = np.where(
+    past = np.minimum(np.maximum(z - function.flat, 0.0), function.far - function.flat)
+    beyond = np.maximum(z, function.far) ** -0.5
+    outside = z > function.far
+    base = np.where(function.spline, 1.0, function.nu1 + function.nu2 * z)
+    power = base**-function.m
+    value = np.where(
+        function.spline,
+        np.where(outside, beyond, 1.0 + past * past * (function.nu1 + function.nu2 * past)),
+        power,
+    )
+    slope = np.where(
+        function.spline,
+        np.where(
             outside,
             -0.5 * beyond**3,
             past * (2.0 * function.nu1 + 3.0 * function.nu2 * past),
-        )
-    else:
-        base = function.nu1 + function.nu2 * z
-        value = base**-function.m
-        slope = (-function.m * function.nu2) * value / base
+        ),
+        (-function.m * function.nu2) * power / base,
+    )
     return value, slope
 
 

@@ -11,6 +11,7 @@ class Guard(IntFlag):
     SPEED_DESIRED_CLAMPED = 1  # s_d left S_d and was clamped, its derivative zeroed
     OUTSIDE_SPEED_SET = 2  # s left S: the second branch of (14)
     SPEED_COMMAND_CLIPPED = 4  # u + s_a − s left the speed bounds
+    LEADER_SILENT = 8  # the leader was not heard for too long
 
 
 class Saturation(IntFlag):

@@ -8,6 +8,7 @@ from testbed.compiled import twin_of
 from testbed.formation.arrays import cross, rotate
 from testbed.state import Array
 
+GRAVITY = 9.81  # m/s², as printed beside (20)
 # Below this horizontal speed (m/s) a course is undefined; (22) is then taken as north.
 COURSE_FLOOR = 1e-9
 
@@ -46,12 +47,26 @@ def frame_rate(flight_path_angle: Array, course_rate: Array, climb_rate: Array) 
     return out
 
 
-def slots(frame: Array, rate: Array, offsets: Array) -> tuple[Array, Array, Array]:
-    """χ, χ̇, χ̈ of offsets held in the leader's frame, [HBH23] eqs. (27)-(29) with ω̇_g = 0.
+def frame_acceleration(
+    flight_path_angle: Array, course_rate: Array, climb_rate: Array, course_acceleration: Array
+) -> Array:
+    """ω̇_g (n, 3) rad/s², the derivative of [HBH23] eq. (26) where γ̈ is zero; rad, rad/s, rad/s²."""
+    sine, cosine = np.sin(flight_path_angle), np.cos(flight_path_angle)
+    out = np.zeros((len(course_rate), 3))
+    out[:, 0] = -course_acceleration * sine - course_rate * climb_rate * cosine
+    out[:, 2] = course_acceleration * cosine - course_rate * climb_rate * sine
+    return out
+
+
+def slots(
+    frame: Array, rate: Array, acceleration: Array, offsets: Array
+) -> tuple[Array, Array, Array]:
+    """χ, χ̇, χ̈ of offsets held in the leader's frame, [HBH23] eqs. (27)-(29).
 
     Args:
         frame: R_g (n, 3, 3), as each agent computes it.
-        rate: ω_g (n, 3), rad/s, resolved in the leader's frame.
+        rate: ω_g (n, 3) rad/s in that frame.
+        acceleration: ω̇_g (n, 3) rad/s²; the paper neglects it: zero.
         offsets: υ (m, 3), m: forward, right, down.
 
     Returns:
@@ -60,7 +75,8 @@ def slots(frame: Array, rate: Array, offsets: Array) -> tuple[Array, Array, Arra
     upsilon = np.empty((len(frame), len(offsets), 3))
     upsilon[:] = offsets
     turning = cross(rate, upsilon)
-    return rotate(frame, upsilon), rotate(frame, turning), rotate(frame, cross(rate, turning))
+    curving = cross(rate, turning) + cross(acceleration, upsilon)
+    return rotate(frame, upsilon), rotate(frame, turning), rotate(frame, curving)
 
 
 def velocity_rates(velocity: Array, acceleration: Array) -> tuple[Array, Array]:
@@ -74,20 +90,30 @@ def velocity_rates(velocity: Array, acceleration: Array) -> tuple[Array, Array]:
     return across / square, climb
 
 
-def true_slots(position: Array, velocity: Array, offsets: Array) -> tuple[Array, Array, Array]:
+def true_slots(
+    position: Array, velocity: Array, offsets: Array, altitudes: Array
+) -> tuple[Array, Array, Array]:
     """Where the followers should be, how far they are from it, and how they move.
 
     Args:
         position: (n + 1, 3) m, the leader first.
         velocity: (n + 1, 3) m/s.
         offsets: υ (n + 1, 3) m in the leader's frame.
+        altitudes: (n,) m above the origin; where it is not nan the slot lies at this altitude and
+            its offset is turned by the leader's course alone.
 
     Returns:
         q_g + χ_i (n, 3) m by (27); q̃_i (n, 3) m; and ground speed (m/s), course and flight-path
         angle (rad) in the rows of an array (3, n).
     """
-    frame = velocity_frame(velocity[:1])[0]
-    slot = position[0] + offsets[1:] @ frame.T
+    holding = np.expand_dims(~np.isnan(altitudes), 1)
+    level = velocity[:1] * np.array([1.0, 1.0, 0.0])
+    slot = position[0] + np.where(
+        holding,
+        offsets[1:] @ velocity_frame(level)[0].T,
+        offsets[1:] @ velocity_frame(velocity[:1])[0].T,
+    )
+    slot[:, 2] = np.where(holding[:, 0], -altitudes, slot[:, 2])
     moving = velocity[1:]
     horizontal = np.hypot(moving[:, 0], moving[:, 1])
     motion = np.empty((3, len(moving)))

@@ -9,7 +9,7 @@ A test holds it to the numpy functions. numba compiles each function at its firs
 
 from __future__ import annotations
 
-from math import atan2, hypot
+from math import atan2, hypot, isnan
 
 import numpy as np
 from numba import njit
@@ -40,14 +40,19 @@ def cross(a, b, c, x, y, z):
 
 
 @twin
-def true_slots(position, velocity, offsets):
+def true_slots(position, velocity, offsets, altitudes):
     n = len(position) - 1
     slot, error, motion = np.empty((n, 3)), np.empty((n, 3)), np.empty((3, n))
-    cs, ss, cg, sg = frame_of(velocity[0, 0], velocity[0, 1], velocity[0, 2])
+    leader = velocity[0]
     for i in range(n):
+        holding = not isnan(altitudes[i])
+        cs, ss, cg, sg = frame_of(leader[0], leader[1], 0.0 if holding else leader[2])
         chi = to_ned(cs, ss, cg, sg, offsets[i + 1, 0], offsets[i + 1, 1], offsets[i + 1, 2])
         for axis in range(3):
             slot[i, axis] = position[0, axis] + chi[axis]
+        if holding:
+            slot[i, 2] = -altitudes[i]
+        for axis in range(3):
             error[i, axis] = position[i + 1, axis] - slot[i, axis]
         north, east, down = velocity[i + 1]
         horizontal = hypot(north, east)

@@ -22,7 +22,8 @@ class SpeedSet(NamedTuple):
 
     low: Array  # s_lo (n,), m/s
     high: Array  # s_hi (n,), m/s
-    margin: Array  # ε = κ − k ρ̄ (n,), m/s, fact 1: S_d is S less this at either end
+    desired_low: Array  # s_lo + ε (n,), m/s, with ε = κ − k ρ̄ by fact 1
+    desired_high: Array  # s_hi − ε (n,), m/s
 
 
 class Desired(NamedTuple):
@@ -75,7 +76,7 @@ def desired_velocity(
     direction = scale(1.0 / speed, velocity)
     speed_rate = dot(direction, acceleration)
     direction_rate = scale(1.0 / speed, acceleration - scale(speed_rate, direction))
-    inside = np.minimum(np.maximum(speed, speeds.low + speeds.margin), speeds.high - speeds.margin)
+    inside = np.minimum(np.maximum(speed, speeds.desired_low), speeds.desired_high)
     clamped = inside != speed
     return Desired(inside, np.where(clamped, 0.0, speed_rate), direction, direction_rate, clamped)
 

@@ -1,6 +1,7 @@
 """The compiled twins of `laws.formation_error`, `control_function.mu`, `barrier.h` and of rates.
 
-For one agent each; a test holds them to the numpy functions through `law.paper_step`.
+For one agent each; a test holds them to the numpy functions through `paper_law.paper_step`. The
+agent is its record of `paper_law.AGENT`.
 """
 
 # The numpy functions carry the docstrings and the types.
@@ -17,31 +18,31 @@ from testbed.formation.geometry_twin import cross, to_ned, twin
 
 
 @twin
-def mu_of(function, z):
-    if not function.spline:
-        base = function.nu1 + function.nu2 * z
-        value = base**-function.m
-        return value, (-function.m * function.nu2) * value / base
-    if z > function.far:
+def mu_of(agent, z):
+    if not agent.spline:
+        base = agent.nu1 + agent.nu2 * z
+        value = base**-agent.m
+        return value, (-agent.m * agent.nu2) * value / base
+    if z > agent.far:
         value = z**-0.5
         return value, -0.5 * value**3
-    past = max(z - function.flat, 0.0)
+    past = max(z - agent.flat, 0.0)
     return (
-        1.0 + past * past * (function.nu1 + function.nu2 * past),
-        past * (2.0 * function.nu1 + 3.0 * function.nu2 * past),
+        1.0 + past * past * (agent.nu1 + agent.nu2 * past),
+        past * (2.0 * agent.nu1 + 3.0 * agent.nu2 * past),
     )
 
 
 @twin
-def h_of(barrier, s, low, high):
-    nu = barrier.nu
-    if barrier.example == NO_BARRIER:
+def h_of(agent, s, low, high):
+    nu = agent.nu
+    if agent.example == NO_BARRIER:
         return 1.0, 0.0
-    if barrier.example == 6:
+    if agent.example == 6:
         past = (max(s + nu - high, 0.0) - max(low + nu - s, 0.0)) / nu
         return 1.0 - past * past, -2.0 * past / nu
     value, slope = nu * (high - s) * (s - low), nu * (high + low - 2.0 * s)
-    if barrier.example == 5:
+    if agent.example == 5:
         value = tanh(value)
         slope *= 1.0 - value * value
     return value, slope
@@ -57,28 +58,54 @@ def velocity_rates(v, a):
 
 
 @twin
-def error_of(offsets, gains, from_timestamp, inbox, own, slot, frame, rates, i, now, level):
-    """ξ_i for level 0, its rate for level 1, (6); own is q_i or q̇_i, slot χ_i or χ̇_i."""
+def silence(inbox, i, m, now, forget_after):
+    return isnan(inbox.stamp_s[i, m]) or now - inbox.received_s[i, m] > forget_after
+
+
+@twin
+def motion_of(agent, inbox, i, m, now, from_timestamp):
+    """Position and velocity of aircraft m as agent i reckons it, sec. 8.3; level for some."""
+    since = inbox.stamp_s[i, m] if from_timestamp else inbox.received_s[i, m]
+    lag = now - since
+    q, v, a = inbox.position_ned[i, m], inbox.velocity_ned[i, m], inbox.acceleration_ned[i, m]
+    gain = lag if agent.with_acceleration else 0.0
+    x, y, z = gain * a[0], gain * a[1], gain * a[2]
+    level = 0.0 if agent.horizontal else 1.0
+    return (
+        (
+            q[0] + lag * v[0] + 0.5 * lag * x,
+            q[1] + lag * v[1] + 0.5 * lag * y,
+            q[2] + lag * v[2] + 0.5 * lag * z,
+        ),
+        (v[0] + x, v[1] + y, level * (v[2] + z)),
+    )
+
+
+@twin
+def errors_of(
+    agent, offsets, gains, from_timestamp, forget, inbox, own, slots, frame, rates, i, now
+):
+    """ξ_i and its rate, (6); own is (q_i, q̇_i), slots (χ_i, χ̇_i)."""
     cs, ss, cg, sg = frame
-    x = y = z = 0.0
+    q, v = own
+    chi, chi_rate = slots
+    level = 0.0 if agent.horizontal else 1.0
+    x = y = z = xr = yr = zr = 0.0
     for m in range(gains.shape[1]):
-        if isnan(inbox.stamp_s[i, m]):
+        if silence(inbox, i, m, now, forget):
             continue
+        gn, ge, gd = gains[i, m, 0], gains[i, m, 1], level * gains[i, m, 2]
+        if gn == 0.0 and ge == 0.0 and gd == 0.0:
+            continue
+        position, velocity = motion_of(agent, inbox, i, m, now, from_timestamp)
         a, b, c = offsets[m]
-        if level == 1:
-            a, b, c = cross(rates[0], rates[1], rates[2], a, b, c)
+        da, db, dc = cross(rates[0], rates[1], rates[2], a, b, c)
         a, b, c = to_ned(cs, ss, cg, sg, a, b, c)
-        velocity = inbox.velocity_ned[i, m]
-        if level == 1:
-            u, v, w = velocity[0], velocity[1], velocity[2]
-        else:
-            since = inbox.stamp_s[i, m] if from_timestamp else inbox.received_s[i, m]
-            position, lag = inbox.position_ned[i, m], now - since
-            u = position[0] + lag * velocity[0]
-            v = position[1] + lag * velocity[1]
-            w = position[2] + lag * velocity[2]
-        gain = gains[i, m]
-        x += gain[0] * ((u - a) - (own[0] - slot[0]))
-        y += gain[1] * ((v - b) - (own[1] - slot[1]))
-        z += gain[2] * ((w - c) - (own[2] - slot[2]))
-    return x, y, z
+        da, db, dc = to_ned(cs, ss, cg, sg, da, db, dc)
+        x += gn * ((position[0] - a) - (q[0] - chi[0]))
+        y += ge * ((position[1] - b) - (q[1] - chi[1]))
+        z += gd * ((position[2] - c) - (q[2] - chi[2]))
+        xr += gn * ((velocity[0] - da) - (v[0] - chi_rate[0]))
+        yr += ge * ((velocity[1] - db) - (v[1] - chi_rate[1]))
+        zr += gd * ((velocity[2] - dc) - (v[2] - chi_rate[2]))
+    return (x, y, z), (xr, yr, zr)

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from testbed.state import Array, Inbox
+from testbed.state import Array, Inbox, Truths
 
 
-def corrected_positions(inbox: Inbox, now: float, from_timestamp: bool) -> Array:
-    """Positions (n, N, 3) moved to the time `now` (s) by one Euler step along the velocity.
+def corrected(
+    inbox: Inbox, now: float, from_timestamp: bool, with_acceleration: Truths
+) -> tuple[Array, Array]:
+    """Positions and velocities (n, N, 3) of the others at the time `now` (s).
 
-    The paper steps from the time of receipt, so that what the network took stays in. Stepping
-    from the sender's timestamp, as the authors' code does, needs synchronised clocks and takes it
-    out.
+    The paper takes one Euler step along the velocity from the time of receipt, so that what the
+    network took stays in. Stepping from the sender's timestamp, as the authors' code does, needs
+    synchronised clocks and takes it out. For the agents (n,) that reckon with the acceleration
+    too, the step is a parabola and the velocity moves.
     """
     since = inbox.stamp_s if from_timestamp else inbox.received_s
-    return inbox.position_ned + np.expand_dims(now - since, 2) * inbox.velocity_ned
+    lag = np.expand_dims(now - since, 2)
+    position = inbox.position_ned + lag * inbox.velocity_ned
+    gained = np.where(np.expand_dims(with_acceleration, (1, 2)), lag * inbox.acceleration_ned, 0.0)
+    return position + 0.5 * lag * gained, inbox.velocity_ned + gained

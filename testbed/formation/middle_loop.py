@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from testbed.formation.flags import Saturation
-from testbed.frames import wrap_pi
-from testbed.state import Array, FbwaCommand, Flags
+from testbed.compiled import twin_of
+from testbed.formation.arrays import norm
+from testbed.formation.flags import Guard, Saturation
+from testbed.formation.geometry import GRAVITY, velocity_rates
+from testbed.formation.law import Diagnosis
+from testbed.frames import course, flight_path_angle, wrap_pi
+from testbed.state import Array, FbwaCommand, Truths, UnicycleCommand, VehicleState
 
 PITCH, ROLL, THROTTLE = map(int, (Saturation.PITCH, Saturation.ROLL, Saturation.THROTTLE))
-GRAVITY = 9.81  # m/s², as printed beside (20)
+CLIPPED = int(Guard.SPEED_COMMAND_CLIPPED)
 
 
 class MiddleLoopGains(NamedTuple):
-    """Gains of n agents, every array (n,); angles in rad, throttle as a fraction of full."""
+    """Gains of n agents, every array (n,); angles in rad, throttle as a fraction of full.
+
+    The last six are not in the paper; at zero they change nothing.
+    """
 
     climb_p: Array  # k_γp, rad per rad
     climb_i: Array  # k_γi, 1/s
@@ -31,24 +40,185 @@ class MiddleLoopGains(NamedTuple):
     trim_airspeed: Array  # s_a0, m/s
     pitch_limit: Array  # rad
     roll_limit: Array  # rad
+    altitude_p: Array  # rad per m, of the horizontal variant's altitude hold
+    altitude_i: Array  # rad per m s
+    altitude_d: Array  # rad per m/s
+    incidence: Array  # 0 or 1: share of θ − γ fed forward to the pitch command
+    turn_incidence: Array  # rad, extra incidence per extra load factor, by the bank
+    roll_lead: Array  # s, by how much the coordinated turn's bank is commanded early
+    lead_filter: Array  # s, of the derivative that this takes
+    eta_climb: Array  # throttle per sin γ_d
+    rate_filter: Array  # s, of the filters on σ̇ and γ̇
 
 
 class MiddleLoopMemory(NamedTuple):
-    """The three integrals of (19)-(21), (n,) each."""
+    """The integrals of (19)-(21) and what is filtered, (n,) each; nan: not begun."""
 
     climb: Array  # rad s
     course: Array  # rad s
     speed: Array  # m
+    altitude: Array  # m s
+    course_rate: Array  # rad/s
+    climb_rate: Array  # rad/s
+    turn_bank: Array  # rad, of the coordinated turn
+    turn_bank_rate: Array  # rad/s
 
 
-def zero_memory(n: int) -> MiddleLoopMemory:
-    """Integrals at rest for n agents."""
-    return MiddleLoopMemory(np.zeros(n), np.zeros(n), np.zeros(n))
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MiddleLoop:
+    """The middle loops of n agents."""
+
+    gains: MiddleLoopGains
+    speed_low: Array  # (n,) m/s, the commanded airspeed is clipped to these
+    speed_high: Array  # (n,) m/s
+    altitude: Array  # (n,) m above the origin to hold by pitch; nan: (19) flies the pitch
+    # Take the (·) of (21) as s_a − u, as printed, which fights the feed-forward in wind; the
+    # default is s_a less the commanded airspeed, equal where there is no wind.
+    airspeed_error_as_printed: bool
+    dt: float  # s, control period
+
+    def start(self) -> MiddleLoopMemory:
+        """Integrals at rest, nothing filtered yet."""
+        n = len(self.altitude)
+        rest, never = np.zeros(n), np.full(n, np.nan)
+        return MiddleLoopMemory(rest, rest, rest, rest, never, never, never, rest)
+
+    def step(
+        self, own: VehicleState, told: UnicycleCommand, memory: MiddleLoopMemory
+    ) -> tuple[FbwaCommand, MiddleLoopMemory, Diagnosis]:
+        """One step: the command, the memory for the next, and what was after what."""
+        return STEP(self, own, told, memory)
+
+    @cached_property
+    def table(self) -> Any:  # noqa: ANN401 - a structured array
+        """What each agent is given, as one array of records for the compiled twin."""
+        table = np.zeros(len(self.altitude), dtype=LOOP)
+        for name in LOOP.names or ():
+            source = self.gains if name in MiddleLoopGains._fields else self
+            table[name] = getattr(source, name)
+        return table
+
+
+LOOP = np.dtype(
+    [(n, "f8") for n in (*MiddleLoopGains._fields, "speed_low", "speed_high", "altitude")]
+)
+
+
+def middle_step(
+    loop: MiddleLoop, own: VehicleState, told: UnicycleCommand, memory: MiddleLoopMemory
+) -> tuple[FbwaCommand, MiddleLoopMemory, Diagnosis]:
+    """(19)-(21) for n agents; see `MiddleLoop.step`.
+
+    Args:
+        loop: gains and options.
+        own: what the agents believe of their motion.
+        told: u, ω and y_d; γ̇_d ≈ e2ᵀω and σ̇_d ≈ e3ᵀω / cos γ.
+        memory: of the step before.
+    """
+    gains, dt = loop.gains, loop.dt
+    holding = ~np.isnan(loop.altitude)
+    # in the horizontal variant u and ω are motions in the plane, and so is what they are held to
+    velocity = own.velocity_ned.copy()
+    velocity[:, 2] = np.where(holding, 0.0, velocity[:, 2])
+    speed = norm(velocity)
+    unguarded = told.speed + own.airspeed - speed
+    airspeed_command = np.minimum(np.maximum(unguarded, loop.speed_low), loop.speed_high)
+    measured = velocity_rates(velocity, own.acceleration_ned)
+    share = dt / (dt + gains.rate_filter)
+    course_rate = _average(memory.course_rate, measured[0], share)
+    climb_rate = _average(memory.climb_rate, measured[1], share)
+    climb, climb_desired = flight_path_angle(velocity), flight_path_angle(told.direction)
+    course_desired = course(told.direction)
+    bank, attitude = own.euler[:, 0], own.euler[:, 1]
+
+    climb_error = climb - climb_desired
+    pitch = (
+        climb_desired
+        - gains.climb_p * climb_error
+        - gains.climb_i * memory.climb
+        - gains.climb_d * (climb_rate - told.turn[:, 1])
+        + gains.incidence * (attitude - climb)
+        + gains.turn_incidence * (1.0 / np.cos(bank) - 1.0)
+    )
+    height_error = np.where(holding, -own.position_ned[:, 2] - loop.altitude, 0.0)
+    hold = (
+        -gains.altitude_p * height_error
+        - gains.altitude_i * memory.altitude
+        + gains.altitude_d * own.velocity_ned[:, 2]
+    )
+
+    course_rate_desired = told.turn[:, 2] / np.cos(climb)
+    turn_bank = np.arctan(course_rate_desired * speed * np.cos(climb) / GRAVITY)
+    last = np.where(np.isnan(memory.turn_bank), turn_bank, memory.turn_bank)
+    turn_bank_rate = memory.turn_bank_rate + dt / (dt + gains.lead_filter) * (
+        (turn_bank - last) / dt - memory.turn_bank_rate
+    )
+    course_error = wrap_pi(course(velocity) - course_desired)
+    roll = (
+        turn_bank
+        + gains.roll_lead * turn_bank_rate
+        - gains.course_p * course_error
+        - gains.course_i * memory.course
+        - gains.course_d * (course_rate - course_rate_desired)
+    )
+
+    reference = told.speed if loop.airspeed_error_as_printed else airspeed_command
+    airspeed_error = own.airspeed - reference
+    throttle = (
+        gains.trim_throttle
+        + gains.eta_bank * (np.cos(bank) ** -2 - 1.0)
+        + gains.eta_speed * (airspeed_command - gains.trim_airspeed)
+        + gains.eta_climb * np.sin(climb_desired)
+        - gains.speed_p * airspeed_error
+        - gains.speed_i * memory.speed
+    )
+
+    limit = gains.pitch_limit
+    climb_pitch, climb_integral, _ = _integrate(memory.climb, climb_error, dt, pitch, -limit, limit)
+    hold_pitch, altitude_integral, _ = _integrate(
+        memory.altitude, height_error, dt, hold, -limit, limit
+    )
+    wanted = np.where(holding, hold, pitch)
+    pitch = np.where(holding, hold_pitch, climb_pitch)
+    roll, course_integral, roll_flag = _integrate(
+        memory.course, course_error, dt, roll, -gains.roll_limit, gains.roll_limit
+    )
+    throttle, speed_integral, throttle_flag = _integrate(
+        memory.speed, airspeed_error, dt, throttle, 0.0 * speed, 1.0 + 0.0 * speed
+    )
+    saturations = (pitch != wanted) * PITCH + roll_flag * ROLL + throttle_flag * THROTTLE
+    guards = told.guards | ((airspeed_command != unguarded) * CLIPPED).astype(np.uint8)
+    return (
+        FbwaCommand(pitch, roll, throttle),
+        MiddleLoopMemory(
+            np.where(holding, 0.0, climb_integral),
+            course_integral,
+            speed_integral,
+            altitude_integral,
+            course_rate,
+            climb_rate,
+            turn_bank,
+            turn_bank_rate,
+        ),
+        Diagnosis(
+            told.speed_desired,
+            airspeed_command,
+            course_desired,
+            climb_desired,
+            guards,
+            saturations.astype(np.uint8),
+        ),
+    )
+
+
+def _average(last: Array, sample: Array, share: Array) -> Array:
+    """The exponential average, begun at the first sample."""
+    return np.where(np.isnan(last), sample, last + share * (sample - last))
 
 
 def _integrate(
     integral: Array, error: Array, dt: float, command: Array, limit_lo: Array, limit_hi: Array
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, Truths]:
     """Saturate a command that falls with its error's integral; hold the integral if that hurts."""
     limited = np.minimum(np.maximum(command, limit_lo), limit_hi)
     saturated = limited != command
@@ -56,81 +226,4 @@ def _integrate(
     return limited, np.where(grows, integral, integral + dt * error), saturated
 
 
-def middle_loop(
-    memory: MiddleLoopMemory,
-    gains: MiddleLoopGains,
-    dt: float,
-    climb: Array,
-    climb_rate: Array,
-    climb_desired: Array,
-    climb_rate_desired: Array,
-    course: Array,
-    course_rate: Array,
-    course_desired: Array,
-    course_rate_desired: Array,
-    speed: Array,
-    bank: Array,
-    airspeed: Array,
-    airspeed_command: Array,
-    airspeed_error: Array,
-) -> tuple[FbwaCommand, MiddleLoopMemory, Flags]:
-    """One step of (19)-(21) for n agents; every array (n,), rad, rad/s, m/s.
-
-    Args:
-        memory: the integrals.
-        gains: k and η.
-        dt: control period, s.
-        climb: γ, flight-path angle.
-        climb_rate: γ̇.
-        climb_desired: γ_d.
-        climb_rate_desired: γ̇_d ≈ e2ᵀω.
-        course: σ.
-        course_rate: σ̇.
-        course_desired: σ_d.
-        course_rate_desired: σ̇_d ≈ e3ᵀω / cos γ.
-        speed: s, ground speed.
-        bank: φ.
-        airspeed: s_a.
-        airspeed_command: u + s_a − s, after its guard.
-        airspeed_error: the (·) of (21): s_a less the commanded airspeed (right in wind), or
-            s_a − u as printed.
-
-    Returns:
-        The command, the new integrals, and per agent which limits were reached (`Saturation`).
-    """
-    climb_error = climb - climb_desired
-    pitch = (
-        climb_desired
-        - gains.climb_p * climb_error
-        - gains.climb_i * memory.climb
-        - gains.climb_d * (climb_rate - climb_rate_desired)
-    )
-    course_error = wrap_pi(course - course_desired)
-    roll = (
-        np.arctan(course_rate_desired * speed * np.cos(climb) / GRAVITY)
-        - gains.course_p * course_error
-        - gains.course_i * memory.course
-        - gains.course_d * (course_rate - course_rate_desired)
-    )
-    throttle = (
-        gains.trim_throttle
-        + gains.eta_bank * (np.cos(bank) ** -2 - 1.0)
-        + gains.eta_speed * (airspeed_command - gains.trim_airspeed)
-        - gains.speed_p * airspeed_error
-        - gains.speed_i * memory.speed
-    )
-    pitch, climb_integral, pitch_flag = _integrate(
-        memory.climb, climb_error, dt, pitch, -gains.pitch_limit, gains.pitch_limit
-    )
-    roll, course_integral, roll_flag = _integrate(
-        memory.course, course_error, dt, roll, -gains.roll_limit, gains.roll_limit
-    )
-    throttle, speed_integral, throttle_flag = _integrate(
-        memory.speed, airspeed_error, dt, throttle, 0.0 * speed, 1.0 + 0.0 * speed
-    )
-    flags = pitch_flag * PITCH + roll_flag * ROLL + throttle_flag * THROTTLE
-    return (
-        FbwaCommand(pitch, roll, throttle),
-        MiddleLoopMemory(climb_integral, course_integral, speed_integral),
-        flags.astype(np.uint8),
-    )
+STEP = twin_of(middle_step, "testbed.formation.middle_loop_twin")

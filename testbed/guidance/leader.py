@@ -1,4 +1,7 @@
-"""The leader's guidance: one step from what its autopilot believes to its stick commands."""
+"""The leader's guidance: one step from what its autopilot believes to its commands.
+
+`step` flies an aircraft by its sticks, `unicycle_step` an ideal vehicle; the way is the same.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,9 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from testbed.frames import GRAVITY
 from testbed.guidance import l1
-from testbed.guidance.longitudinal import HoldGains, HoldMemory, hold
+from testbed.guidance.longitudinal import HoldGains, HoldMemory, hold, hold_path
 from testbed.guidance.mission import LEVEL_OFF, LoiterLeg, Plan, Segment, climbed
 
 
@@ -23,10 +27,11 @@ class LeaderMemory(NamedTuple):
     hold: HoldMemory
 
 
-def begin(*, altitude: float, pitch: float, throttle: float) -> LeaderMemory:
+def begin(*, altitude: float, pitch: float = 0.0, throttle: float = 0.0) -> LeaderMemory:
     """The memory before the first step, from the trimmed flight the run starts in.
 
-    Altitude in m above the origin, pitch in rad and throttle (0..1) of level trim.
+    Altitude in m above the origin, pitch in rad and throttle (0..1) of level trim; an ideal vehicle
+    has neither.
     """
     memory = HoldMemory(altitude=altitude, climb=0.0, pitch=pitch, throttle=throttle)
     return LeaderMemory(0, altitude, 0, False, 0.0, 0.0, memory)
@@ -48,30 +53,7 @@ def step(
     Takes the leader's own estimate as Python floats (`row.tolist()`): m, m/s, rad, true airspeed.
     """
     mission = plan.mission
-    memory = _pass_waypoint(memory, position_ned, velocity_ned, plan)
-    part = plan.parts[memory.part]
-    if isinstance(part, Segment):
-        acceleration = l1.line_acceleration(
-            position_ned,
-            velocity_ned,
-            part.start,
-            part.end,
-            period=mission.period,
-            damping=mission.damping,
-        )
-        target, rate = _leg_altitude(memory, position_ned, velocity_ned, part, plan)
-    else:
-        acceleration, captured = l1.circle_acceleration(
-            position_ned,
-            velocity_ned,
-            part.centre,
-            radius=part.radius,
-            clockwise=part.clockwise,
-            period=mission.period,
-            damping=mission.damping,
-        )
-        memory = _count_turns(memory, position_ned, part, captured)
-        target, rate = part.levels[memory.level].altitude, 0.0
+    memory, acceleration, target, rate = _follow(memory, position_ned, velocity_ned, plan)
     pitch, throttle, held = hold(
         memory.hold,
         altitude=-position_ned[2],
@@ -87,6 +69,71 @@ def step(
     )
     bank = l1.roll_command(acceleration, bank_limit=mission.bank_limit)
     return pitch, bank, throttle, memory._replace(hold=held)
+
+
+def unicycle_step(
+    memory: LeaderMemory,
+    position_ned: Sequence[float],
+    velocity_ned: Sequence[float],
+    *,
+    plan: Plan,
+    dt: float,
+    gains: HoldGains,
+) -> tuple[float, tuple[float, float, float], LeaderMemory]:
+    """Speed command u (m/s), turn ω (rad/s) and the new memory; called every `dt` s.
+
+    For an ideal vehicle whose motion over the ground is given as Python floats, m and m/s. The
+    mission's airspeed is commanded as ground speed. ω is resolved in the zero-roll velocity frame:
+    (0, γ̇, σ̇ cos γ), the last the lateral acceleration over the speed, no more than the bank limit
+    would give in a coordinated turn.
+    """
+    mission = plan.mission
+    memory, acceleration, target, rate = _follow(memory, position_ned, velocity_ned, plan)
+    speed = max(math.hypot(*velocity_ned), l1.SLOWEST)
+    climbing, held = hold_path(
+        memory.hold,
+        altitude=-position_ned[2],
+        climb=-velocity_ned[2],
+        speed=speed,
+        altitude_target=target,
+        climb_target=rate,
+        climb_limit=mission.climb_limit,
+        dt=dt,
+        gains=gains,
+    )
+    most = GRAVITY * math.tan(mission.bank_limit)
+    turning = min(max(acceleration, -most), most) / speed
+    return mission.airspeed, (0.0, climbing, turning), memory._replace(hold=held)
+
+
+def _follow(
+    memory: LeaderMemory, position: Sequence[float], velocity: Sequence[float], plan: Plan
+) -> tuple[LeaderMemory, float, float, float]:
+    """The memory after this step's progress; lateral acceleration (m/s²); altitude and its rate."""
+    mission = plan.mission
+    memory = _pass_waypoint(memory, position, velocity, plan)
+    part = plan.parts[memory.part]
+    if isinstance(part, Segment):
+        acceleration = l1.line_acceleration(
+            position,
+            velocity,
+            part.start,
+            part.end,
+            period=mission.period,
+            damping=mission.damping,
+        )
+        return memory, acceleration, *_leg_altitude(memory, position, velocity, part, plan)
+    acceleration, captured = l1.circle_acceleration(
+        position,
+        velocity,
+        part.centre,
+        radius=part.radius,
+        clockwise=part.clockwise,
+        period=mission.period,
+        damping=mission.damping,
+    )
+    memory = _count_turns(memory, position, part, captured)
+    return memory, acceleration, part.levels[memory.level].altitude, 0.0
 
 
 def _pass_waypoint(

@@ -9,7 +9,8 @@ each a feed-forward for what is known plus a small PI for what is not, follow h_
 
 with sin γ = ḣ / V. The integrals begin at the trimmed θ_0 and T_0 and so carry the incidence and
 the throttle of level flight. The followers of a formation repeat what the leader does: the
-reference is there to keep it easy to repeat.
+reference is there to keep it easy to repeat. An ideal vehicle has no incidence and no throttle: it
+follows the same reference with γ̇ = k_p (γ_d − γ).
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ class HoldGains:
     throttle_per_climb: float = 0.08  # k_c, per m/s
     throttle_per_bank: float = 0.12  # k_φ
     pitch_limit: float = math.radians(20.0)  # rad
+    ideal_path: float = 2.0  # k_p, 1/s; the path lags the reference by 1/k_p
 
 
 class HoldMemory(NamedTuple):
@@ -44,6 +46,37 @@ class HoldMemory(NamedTuple):
     climb: float  # ḣ_r, m/s
     pitch: float  # the pitch integral, rad
     throttle: float  # the throttle integral, 0..1
+
+
+class Reference(NamedTuple):
+    """Where the hold wants the altitude to be, and how it wants to get there."""
+
+    altitude: float  # h_r, m
+    climb: float  # ḣ_r, m/s
+    demand: float  # ḣ_d, m/s
+
+
+def climb_reference(
+    memory: HoldMemory,
+    *,
+    altitude: float,
+    altitude_target: float,
+    climb_target: float,
+    climb_limit: float,
+    dt: float,
+    gains: HoldGains,
+) -> Reference:
+    """The reference one step on; altitudes up in m, speeds in m/s.
+
+    The targets are the altitude to be at now and the rate at which that altitude moves; what is
+    missing from it is made good at `climb_limit` at most.
+    """
+    behind = gains.reference * (altitude_target - memory.altitude)
+    change = climb_target + _clip(behind, climb_limit) - memory.climb
+    climb_r = memory.climb + _clip(change, gains.climb_acceleration * dt)
+    altitude_r = memory.altitude + climb_r * dt
+    demand = climb_r + _clip(gains.altitude * (altitude_r - altitude), gains.catch_up)
+    return Reference(altitude_r, climb_r, demand)
 
 
 def hold(
@@ -62,18 +95,19 @@ def hold(
 ) -> tuple[float, float, HoldMemory]:
     """Pitch (rad), throttle (0..1) and the new memory; altitudes up in m, speeds in m/s.
 
-    The targets are the altitude to be at now and the rate at which that altitude moves; what is
-    missing from it is made good at `climb_limit` at most.
+    The targets and `climb_limit` are those of `climb_reference`.
     """
-    behind = gains.reference * (altitude_target - memory.altitude)
-    change = climb_target + _clip(behind, climb_limit) - memory.climb
-    climb_r = memory.climb + _clip(change, gains.climb_acceleration * dt)
-    altitude_r = memory.altitude + climb_r * dt
-    demand = climb_r + _clip(gains.altitude * (altitude_r - altitude), gains.catch_up)
-
-    speed = max(airspeed, 1.0)
-    gamma_d = math.asin(_clip(demand / speed, 0.5))
-    gamma_error = gamma_d - math.asin(_clip(climb / speed, 0.5))
+    reference = climb_reference(
+        memory,
+        altitude=altitude,
+        altitude_target=altitude_target,
+        climb_target=climb_target,
+        climb_limit=climb_limit,
+        dt=dt,
+        gains=gains,
+    )
+    gamma_d = _path_angle(reference.demand, airspeed)
+    gamma_error = gamma_d - _path_angle(climb, airspeed)
     cos_roll = max(math.cos(roll), 0.2)
     pitch = (
         gamma_d
@@ -84,7 +118,7 @@ def hold(
     speed_error = airspeed_target - airspeed
     throttle = (
         memory.throttle
-        + gains.throttle_per_climb * climb_r
+        + gains.throttle_per_climb * reference.climb
         + gains.throttle_per_bank * (1.0 / cos_roll**2 - 1.0)
         + gains.speed * speed_error
     )
@@ -97,8 +131,42 @@ def hold(
     return (
         _clip(pitch, gains.pitch_limit),
         min(max(throttle, 0.0), 1.0),
-        HoldMemory(altitude_r, climb_r, pitch_integral, throttle_integral),
+        HoldMemory(reference.altitude, reference.climb, pitch_integral, throttle_integral),
     )
+
+
+def hold_path(
+    memory: HoldMemory,
+    *,
+    altitude: float,
+    climb: float,
+    speed: float,
+    altitude_target: float,
+    climb_target: float,
+    climb_limit: float,
+    dt: float,
+    gains: HoldGains,
+) -> tuple[float, HoldMemory]:
+    """γ̇ (rad/s) of the ideal vehicle and the new memory; altitudes up in m, speeds in m/s.
+
+    The targets and `climb_limit` are those of `climb_reference`; the speed is over the ground.
+    """
+    reference = climb_reference(
+        memory,
+        altitude=altitude,
+        altitude_target=altitude_target,
+        climb_target=climb_target,
+        climb_limit=climb_limit,
+        dt=dt,
+        gains=gains,
+    )
+    error = _path_angle(reference.demand, speed) - _path_angle(climb, speed)
+    held = memory._replace(altitude=reference.altitude, climb=reference.climb)
+    return gains.ideal_path * error, held
+
+
+def _path_angle(climb: float, speed: float) -> float:
+    return math.asin(_clip(climb / max(speed, 1.0), 0.5))
 
 
 def _clip(value: float, limit: float) -> float:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from testbed.metrics import tally as tallying
+from testbed.metrics.speeds import Ticks
 from testbed.metrics.summary import summarise
 from testbed.metrics.tally import BLOCK, Block, Windows
 from testbed.state import Array, Event, Frame, RunInfo
@@ -99,11 +100,15 @@ class MetricsObserver:
         assert self._info is not None
         block = _block(self._rows[: self._filled], self._tick[: self._filled], self._info)
         return tallying.fold(
-            self._tally, block, windows=self._windows, base_rate_hz=self._info.base_rate_hz
+            self._tally,
+            block,
+            windows=self._windows,
+            base_rate_hz=self._info.base_rate_hz,
+            medium_ned=np.array(self._info.bounded_in_ned),
         )
 
 
-def _block(rows: Array, tick: tallying.Ticks, info: RunInfo) -> Block:
+def _block(rows: Array, tick: Ticks, info: RunInfo) -> Block:
     """Give the columns of rows (K, columns) their names and shapes."""
     frames, aircraft, followers = len(rows), len(info.names), len(info.names) - 1
     widths = [3 * aircraft, 3 * aircraft, 3 * followers, 3 * followers, followers, followers]

@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from testbed.formation.assumptions import largest_kappa
 from testbed.formation.flags import Guard, Saturation
-from testbed.metrics.tally import NEVER, Tally, Ticks, Windows
+from testbed.metrics.speeds import NEVER, Ticks
+from testbed.metrics.tally import Tally, Windows
 from testbed.state import Array, Event, RunInfo
 
 SCHEMA = 1  # of metrics.json; raised when a key changes its meaning or goes
@@ -27,7 +29,8 @@ def summarise(
     """The metrics document, less what only the runner knows (`document.complete` adds that).
 
     RMS errors are [HBH23] eqs. (30), (31) with the integral as the sum over frames. The percent
-    error is that of its Table 1: the RMS of ‖q̃_i‖/‖χ_i‖, averaged over the followers.
+    error is that of its Table 1: the RMS of ‖q̃_i‖/‖χ_i‖, averaged over the followers. κ as
+    measured is the largest with which Assumption 1 held: negative where a slot left the bounds.
     """
     followers = info.names[1:]
     paired = tally.separation_tick != NEVER
@@ -52,6 +55,16 @@ def summarise(
         "leader_bank_deg": _number(math.degrees(tally.bank_ever)),
         "guards": _flags(Guard, tally.guarded, tally.guards, info),
         "saturations": _flags(Saturation, tally.saturated, tally.saturations, info),
+        **_kappa(tally.speeds.smallest_ever, info),
+        "kappa_at_s": _times(_tightest(tally, info), info),
+        "kappa_assumed_mps": dict(zip(followers, info.kappa_mps, strict=True)),
+        "left_speed_set": {
+            name: {
+                "times": int(tally.speeds.left[i]),
+                "first_s": _time(int(tally.speeds.first_left[i]), info),
+            }
+            for i, name in enumerate(followers)
+        },
         "recovery": {
             name: {
                 "last_saturated_s": _time(int(tally.last_saturated[i]), info),
@@ -89,6 +102,7 @@ def _portion(tally: Tally, p: int, windows: Windows, info: RunInfo) -> dict[str,
         "percent_error": None,
         "max_error_m": nothing,
         "leader_bank_deg": None,
+        **_kappa(tally.speeds.smallest[:, p], info),
     }
     if count:
         rms = np.sqrt(tally.square[p] / count)
@@ -99,6 +113,32 @@ def _portion(tally: Tally, p: int, windows: Windows, info: RunInfo) -> dict[str,
         out["max_error_m"] = _numbers(tally.largest[p], followers)
         out["leader_bank_deg"] = _number(math.degrees(tally.bank[p]))
     return out
+
+
+def _bounds(info: RunInfo) -> Array:
+    """s_lo and s_hi of the followers (2, n), m/s."""
+    return np.array(info.speed_bounds_mps, dtype=np.float64).reshape(-1, 2).T
+
+
+def _kappa(smallest: Array, info: RunInfo) -> dict[str, dict[str, Any]]:
+    """κ as measured, and the slots' ground speeds, from the smallest of ± these (2, n)."""
+    followers = info.names[1:]
+    slowest, fastest = smallest[0], -smallest[1]
+    kappa = largest_kappa(slowest, fastest, *_bounds(info))
+    seen = zip(followers, slowest, fastest, strict=True)
+    return {
+        "kappa_mps": _numbers(np.where(np.isfinite(slowest), kappa, np.nan), followers),
+        "slot_speed_mps": {name: [_number(low), _number(high)] for name, low, high in seen},
+    }
+
+
+def _tightest(tally: Tally, info: RunInfo) -> Ticks:
+    """When each slot was closest to the bounds, or farthest beyond (n,)."""
+    low, high = _bounds(info)
+    slowest, fastest = tally.speeds.smallest_ever[0], -tally.speeds.smallest_ever[1]
+    slow, fast = tally.speeds.smallest_tick
+    tightest: Ticks = np.where(slowest - low <= high - fastest, slow, fast)
+    return tightest
 
 
 def _flags(

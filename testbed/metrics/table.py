@@ -153,16 +153,49 @@ def _facts(metrics: Document) -> Table:
         separation += f", {between[0]} and {between[1]} at {metrics['min_separation_at_s']:.1f} s"
     table.add_row(" smallest separation", separation)
     table.add_row(" leader's bank", _show(metrics["leader_bank_deg"], "{:.1f}° at most"))
+    if metrics["engaged_at_s"]:
+        table.add_row(" kappa measured", _kappa(metrics))
+    left = {name: each for name, each in metrics["left_speed_set"].items() if each["times"]}
+    if left:
+        table.add_row(" left the speed set", _left(left))
     return table
+
+
+def _kappa(metrics: Document) -> Text:
+    """The follower whose slot kept least of the κ that the page promises."""
+    measured, assumed = metrics["kappa_mps"], metrics["kappa_assumed_mps"]
+    spare = {name: kappa - assumed[name] for name, kappa in measured.items() if kappa is not None}
+    if not spare:
+        return Text(NOTHING)
+    name = min(spare, key=lambda each: spare[each])
+    style = "red" if measured[name] <= 0.0 else "yellow" if spare[name] <= 0.0 else ""
+    return Text(
+        f"{measured[name]:.2f} m/s, {name} at {metrics['kappa_at_s'][name]:.1f} s; "
+        f"the page says {assumed[name]:g}",
+        style=style,
+    )
+
+
+def _left(left: Mapping[str, Mapping[str, Any]]) -> Text:
+    """Who left its speed set first, how often, and how many others did."""
+    name = min(left, key=lambda each: float(left[each]["first_s"]))
+    text = f"{name} at {left[name]['first_s']:.1f} s, {left[name]['times']} × in all"
+    others = f"; {len(left) - 1} more" if len(left) > 1 else ""
+    return Text(text + others, style="yellow")
 
 
 def _events(events: Sequence[Mapping[str, Any]]) -> list[Text]:
     """The warnings and errors of the run, the first few in full."""
-    loud = [event for event in events if event["level"] in EVENT_STYLES]
+    # of the quiet ones, those that were to be said before the flight
+    loud = [
+        e
+        for e in events
+        if e["level"] in EVENT_STYLES or (e["source"] == "run" and not e["time_s"])
+    ]
     lines = [
         Text(
             f" {event['level']:<8}{event['time_s']:>9.2f} s  {event['source']}: {event['text']}",
-            style=EVENT_STYLES[event["level"]],
+            style=EVENT_STYLES.get(event["level"], ""),
         )
         for event in loud[:EVENTS]
     ]

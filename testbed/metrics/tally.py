@@ -13,14 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.formation.flags import Guard, Saturation
+from testbed.metrics import speeds
+from testbed.metrics.speeds import NEVER, Speeds, Ticks
 from testbed.state import Array
 
 BLOCK = 256
 ENGAGED_RADIUS_M = 5.0
 ENGAGED_HOLD_S = 5.0
-
-Ticks = NDArray[np.int64]
-NEVER = -1  # a tick that has not happened
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +43,11 @@ class Windows:
     names: tuple[str, ...]
     start_s: Array  # (P,)
     end_s: Array  # (P,)
+
+    @property
+    def spans(self) -> list[tuple[float, float]]:
+        """Start and end of each."""
+        return list(zip(self.start_s.tolist(), self.end_s.tolist(), strict=True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +77,7 @@ class Tally:
     age_sum: Array  # (n,) s
     age_count: Ticks  # (n,)
     age_largest: Array  # (n,) s
+    speeds: Speeds
 
 
 def empty(portions: int, followers: int) -> Tally:
@@ -108,10 +113,13 @@ def empty(portions: int, followers: int) -> Tally:
         age_sum=np.zeros(followers),
         age_count=zeros(followers),
         age_largest=np.zeros(followers),
+        speeds=speeds.empty(portions, followers),
     )
 
 
-def fold(tally: Tally, block: Block, *, windows: Windows, base_rate_hz: int) -> Tally:
+def fold(
+    tally: Tally, block: Block, *, windows: Windows, base_rate_hz: int, medium_ned: Array
+) -> Tally:
     """The tally with the frames of a block added; neither argument is changed."""
     if not block.tick.size:
         return tally
@@ -124,8 +132,7 @@ def fold(tally: Tally, block: Block, *, windows: Windows, base_rate_hz: int) -> 
     inside = error <= ENGAGED_RADIUS_M
 
     time_s = tick / base_rate_hz
-    spans = zip(windows.start_s, windows.end_s, strict=True)
-    masks = [(time_s >= start) & (time_s < end) for start, end in spans]
+    masks = [(time_s >= start) & (time_s < end) for start, end in windows.spans]
     separation, row, pair = _closest(block.position_ned)
     closer = separation < tally.separation
     inside_since, engaged = _engage(tally, tick, inside, base_rate_hz)
@@ -157,6 +164,15 @@ def fold(tally: Tally, block: Block, *, windows: Windows, base_rate_hz: int) -> 
         age_count=tally.age_count + heard.sum(axis=(0, 2)),
         age_largest=np.maximum(
             tally.age_largest, np.where(heard, ages, 0.0).max(axis=(0, 2), initial=0.0)
+        ),
+        speeds=speeds.fold(
+            tally.speeds,
+            tick=tick,
+            slot_ned=block.slot_ned,
+            outside=block.guards & int(Guard.OUTSIDE_SPEED_SET) != 0,
+            spans=windows.spans,
+            base_rate_hz=base_rate_hz,
+            medium_ned=medium_ned,
         ),
     )
 

@@ -14,20 +14,22 @@ SIMULTANEOUS_S = 1e-9
 
 
 class Channel(NamedTuple):
-    """A lossless channel between N aircraft and their n followers.
+    """A channel between N aircraft and their n followers that loses nothing but what is muted.
 
     Args:
         delay_s: (n, N) one-way delay from aircraft m to follower i, s.
+        mute: windows [from, to) in s, by row of the aircraft that sends nothing then.
     """
 
     delay_s: Array
+    mute: tuple[tuple[int, float, float], ...] = ()
 
 
 class Packet(NamedTuple):
     """One round of broadcasts on its way."""
 
     sent_s: float
-    arrival_s: Array  # (n, N)
+    arrival_s: Array  # (n, N); infinite: never
     content: Broadcast
 
 
@@ -44,12 +46,25 @@ def silent(channel: Channel) -> ChannelMemory:
     shape = channel.delay_s.shape
     nothing = np.full((*shape, 3), np.nan)
     never = np.full(shape, np.nan)
-    return ChannelMemory(Inbox(never, never, nothing, nothing, nothing, nothing))
+    vectors = len(Inbox._fields) - 2
+    return ChannelMemory(Inbox(never, never, *(nothing,) * vectors))
 
 
-def send(channel: Channel, memory: ChannelMemory, content: Broadcast, now: float) -> ChannelMemory:
-    """Every aircraft broadcasts at the time `now` (s)."""
-    packet = Packet(now, now + channel.delay_s, content)
+def send(
+    channel: Channel,
+    memory: ChannelMemory,
+    content: Broadcast,
+    now: float,
+    who: Truths | None = None,
+) -> ChannelMemory:
+    """The aircraft `who` (N,) broadcast at the time `now` (s); all of them by default."""
+    arrival = now + channel.delay_s
+    if who is not None and not who.all():
+        arrival[:, ~who] = np.inf
+    for row, begin, end in channel.mute:
+        if begin <= now < end:
+            arrival[:, row] = np.inf
+    packet = Packet(now, arrival, content)
     return ChannelMemory(memory.inbox, (*memory.in_flight, packet), memory.newest_s)
 
 
@@ -65,7 +80,8 @@ def deliver(memory: ChannelMemory, now: float) -> ChannelMemory:
         elif due.any():
             inbox = _replace(inbox, packet, due & ~(inbox.stamp_s > packet.content.stamp_s))
         else:
-            waiting.append(packet)
+            if np.isfinite(packet.arrival_s).any():
+                waiting.append(packet)
             continue
         newest = max(newest, packet.sent_s)
         if not everywhere:
@@ -76,27 +92,20 @@ def deliver(memory: ChannelMemory, now: float) -> ChannelMemory:
 
 
 def _replace_all(packet: Packet) -> Inbox:
-    content, links = packet.content, packet.arrival_s.shape
+    stamp, *vectors = packet.content
+    links = packet.arrival_s.shape
     return Inbox(
-        _spread(content.stamp_s, links),
-        packet.arrival_s,
-        _spread(content.position_ned, (*links, 3)),
-        _spread(content.velocity_ned, (*links, 3)),
-        _spread(content.acceleration_ned, (*links, 3)),
-        _spread(content.euler_rates, (*links, 3)),
+        _spread(stamp, links), packet.arrival_s, *(_spread(each, (*links, 3)) for each in vectors)
     )
 
 
 def _replace(inbox: Inbox, packet: Packet, fresh: Truths) -> Inbox:
-    content = packet.content
-    vector = fresh[:, :, None]
+    stamp, *vectors = packet.content
+    rows = fresh[:, :, None]
     return Inbox(
-        np.where(fresh, content.stamp_s, inbox.stamp_s),
+        np.where(fresh, stamp, inbox.stamp_s),
         np.where(fresh, packet.arrival_s, inbox.received_s),
-        np.where(vector, content.position_ned, inbox.position_ned),
-        np.where(vector, content.velocity_ned, inbox.velocity_ned),
-        np.where(vector, content.acceleration_ned, inbox.acceleration_ned),
-        np.where(vector, content.euler_rates, inbox.euler_rates),
+        *(np.where(rows, new, old) for new, old in zip(vectors, inbox[2:], strict=True)),
     )
 
 

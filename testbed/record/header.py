@@ -42,7 +42,14 @@ def from_json(text: str, *, scenario_yaml: str) -> RunInfo:
             str(name): (float(start), float(end))
             for name, (start, end) in values["portions"].items()
         }
-        for name in ("names", "aircraft", "wingspan_m", "roll_limit_rad"):
+        for name in (
+            "names",
+            "aircraft",
+            "wingspan_m",
+            "kappa_mps",
+            "roll_limit_rad",
+            "bounded_in_ned",
+        ):
             values[name] = tuple(values[name])
         return RunInfo(scenario_yaml=scenario_yaml, **values)
     except (KeyError, TypeError, AttributeError) as error:

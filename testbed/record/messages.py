@@ -68,6 +68,9 @@ STATE = Topic(
         Column("air.beta", ("beta_rad",)),
         Column("air.propeller_rps", ("propeller_rps",)),
         Column("air.wind_ned", _ned("wind", "mps")),
+        # not a number where there is no battery
+        Column("air.state_of_charge", ("state_of_charge",)),
+        Column("air.battery_voltage", ("battery_v",)),
         Column("surfaces.aileron", ("aileron",)),
         Column("surfaces.elevator", ("elevator",)),
         Column("surfaces.rudder", ("rudder",)),

@@ -1,12 +1,13 @@
-"""One page of YAML becomes one frozen object, checked, with every error at its place."""
+"""From the text of a page to an immutable `Scenario`; what is wrong is named by line and column."""
 
 from testbed.scenario.editor import json_schema
 from testbed.scenario.gains import MiddleLoopGains
-from testbed.scenario.load import dump, load, load_middle_loop, loads
+from testbed.scenario.load import dump, load, load_guidance, load_middle_loop, loads
 from testbed.scenario.messages import Place, Problem, ScenarioError
 from testbed.scenario.resolve import (
     find_aircraft,
     find_data,
+    find_law,
     find_scenario,
     find_tune,
     library,
@@ -27,6 +28,7 @@ __all__ = [
     "dump",
     "find_aircraft",
     "find_data",
+    "find_law",
     "find_scenario",
     "find_tune",
     "json_schema",
@@ -35,6 +37,7 @@ __all__ = [
     "list_data",
     "list_scenarios",
     "load",
+    "load_guidance",
     "load_middle_loop",
     "loads",
     "shorten",

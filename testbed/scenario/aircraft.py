@@ -13,6 +13,7 @@ from testbed.scenario.fields import (
     Name,
     Number,
     Offset,
+    Seconds,
     Section,
     Whole,
 )
@@ -88,7 +89,71 @@ class Replay(Section):
     )
 
 
-Path = Annotated[Mission | Replay, Field(discriminator="kind")]
+class Straight(Section):
+    """A straight line at constant speed."""
+
+    kind: Literal["straight"] = Field(description="A straight line.")
+    climb_mps: MetresPerSecond = Field(0.0, description="Vertical part of the speed, m/s.")
+
+
+class Circle(Section):
+    """A circle; with a climb, a helix."""
+
+    kind: Literal["circle"] = Field(description="A circle, or with a climb a helix.")
+    radius_m: Metres = Field(gt=0, description="Radius, m.")
+    direction: Literal["clockwise", "anticlockwise"] = Field(
+        "clockwise", description="Sense of the turn seen from above."
+    )
+    climb_mps: MetresPerSecond = Field(0.0, description="Vertical part of the speed, m/s.")
+
+
+class FigureEight(Section):
+    """A level figure-eight from its crossing."""
+
+    kind: Literal["figure-eight"] = Field(description="A figure-eight.")
+    radius_m: Metres = Field(gt=0, description="Radius of its tightest turn, m.")
+    direction: Literal["clockwise", "anticlockwise"] = Field(
+        "clockwise", description="Sense of the first loop seen from above."
+    )
+
+
+class Weave(Section):
+    """Straight on with a cosine to the side."""
+
+    kind: Literal["weave"] = Field(description="Straight on, weaving to the right and back.")
+    amplitude_m: Metres = Field(gt=0, description="Half the width, m.")
+    period_s: Seconds = Field(gt=0, description="Period, s.")
+
+
+class SpeedChange(Section):
+    """A straight line at a speed that swings about its mean."""
+
+    kind: Literal["speed-change"] = Field(description="A straight line at a swinging speed.")
+    amplitude_mps: MetresPerSecond = Field(gt=0, description="Amplitude of the speed, m/s.")
+    period_s: Seconds = Field(gt=0, description="Period, s.")
+
+
+Curve = Annotated[
+    Straight | Circle | FigureEight | Weave | SpeedChange, Field(discriminator="kind")
+]
+
+
+class Virtual(Section):
+    """A leader that is a formula: exact position, velocity and acceleration, and nobody in it."""
+
+    kind: Literal["virtual"] = Field(description="A virtual leader on a curve.")
+    speed_mps: MetresPerSecond = Field(
+        gt=0, description="Ground speed along the curve; of a weave, ahead, m/s."
+    )
+    curve: Curve = Field(description="The curve, from the leader's start along its course.")
+
+
+Vehicle = Literal["jsbsim", "ideal"]
+_VEHICLE = (
+    "What computes its motion: jsbsim, the aircraft behind its autopilot; or ideal, the extended "
+    "unicycle (1) to (4) of [HBH23] itself."
+)
+Path = Annotated[Mission | Replay | Virtual, Field(discriminator="kind")]
 
 
 class Start(Section):
@@ -102,6 +167,14 @@ class Start(Section):
     )
 
 
+class Battery(Section):
+    """How an electric aircraft begins; a sagging battery gives less thrust."""
+
+    state_of_charge: Number = Field(
+        1.0, gt=0, le=1, description="Charge at the start, 0 to 1 of a full battery."
+    )
+
+
 class Leader(Section):
     """The first aircraft: what it is, where it starts, and what it flies."""
 
@@ -109,11 +182,13 @@ class Leader(Section):
     aircraft: str = Field(
         min_length=1, description="Airframe: a name in aircraft/, or the path of a folder."
     )
+    vehicle: Vehicle = Field("jsbsim", description=_VEHICLE)
     tune: str = Field(
         "autopilot",
         min_length=1,
         description="Autopilot parameters: <tune>.param of the airframe, or the path of a file.",
     )
+    battery: Battery = Field(Battery(), description="Its battery, if the airframe has one.")
     sensors: Sensors = Field(
         TRUTH, description="What its autopilot believes: truth, gps-ins, or a map of errors."
     )
@@ -130,7 +205,7 @@ class Follower(Section):
     aircraft: str = Field(
         min_length=1, description="Airframe: a name in aircraft/, or the path of a folder."
     )
-    vehicle: Literal["jsbsim"] = Field("jsbsim", description="What computes its motion.")
+    vehicle: Vehicle = Field("jsbsim", description=_VEHICLE)
     autopilot: Literal["virtual"] = Field("virtual", description="What flies it.")
     commanded_by: Literal["formation"] = Field("formation", description="Who gives it commands.")
     tune: str = Field(
@@ -138,6 +213,7 @@ class Follower(Section):
         min_length=1,
         description="Autopilot parameters: <tune>.param of the airframe, or the path of a file.",
     )
+    battery: Battery = Field(Battery(), description="Its battery, if the airframe has one.")
     start_m: Offset = Field(
         description="Start [forward, right, down] of the leader's start along its course, m."
     )

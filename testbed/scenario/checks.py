@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from testbed.scenario.messages import did_you_mean
 
@@ -20,6 +20,9 @@ def cross_check(page: Scenario) -> list[Finding]:
         *_rates(page),
         *_names(page),
         *_formation(page),
+        *_agents(page),
+        *_kinds(page),
+        *_network(page),
         *_portions(page),
         *_published(page),
     ]
@@ -28,7 +31,7 @@ def cross_check(page: Scenario) -> list[Finding]:
 def _rates(page: Scenario) -> Iterator[Finding]:
     base = page.rates.physics_hz
     for key, rate in page.rates:
-        if base % rate:
+        if key != "synchronous" and base % rate:
             below = next(
                 divisor for divisor in range(min(rate, base), 0, -1) if base % divisor == 0
             )
@@ -68,13 +71,60 @@ def _formation(page: Scenario) -> Iterator[Finding]:
         yield from _known(at, gains, followers)
         if name in gains:
             yield (*at, name), "an aircraft is not its own neighbour (leave this key out)"
-    lowest, highest = formation.speed_mps
-    if not 0 < lowest < highest:
+    yield from _known(("formation", "altitudes_m"), formation.altitudes_m, followers)
+
+
+def _agents(page: Scenario) -> Iterator[Finding]:
+    formation = page.formation
+    followers = [follower.name for follower in page.fleet]
+    yield from _known(("formation", "agents"), formation.agents, followers)
+    parts: list[tuple[Path, Any]] = [(("formation",), formation)]
+    parts += [(("formation", "agents", name), own) for name, own in formation.agents.items()]
+    for at, part in parts:
+        for key in ("speed_mps", "speed_desired_mps"):
+            speeds = getattr(part, key)
+            if speeds is not None and not 0 < speeds[0] < speeds[1]:
+                yield (
+                    (*at, key),
+                    f"[{speeds[0]:g}, {speeds[1]:g}] is not a range of speeds (write [lowest, "
+                    "highest] in m/s, both above 0)",
+                )
+
+    for follower in followers:
+        own = formation.agents.get(follower)
+        bounds = own.speed_mps if own and own.speed_mps else formation.speed_mps
+        desired = own.speed_desired_mps if own else None
+        at = ("formation", "agents", follower) if desired else ("formation",)
+        desired = desired or formation.speed_desired_mps
+        if desired and not bounds[0] <= desired[0] < desired[1] <= bounds[1]:
+            yield (
+                (*at, "speed_desired_mps"),
+                f"[{desired[0]:g}, {desired[1]:g}] does not lie in the speed bounds of "
+                f"{follower}, [{bounds[0]:g}, {bounds[1]:g}] m/s (write speeds between them)",
+            )
+
+
+def _kinds(page: Scenario) -> Iterator[Finding]:
+    if page.controller.law == "paper" and page.controller.options:
         yield (
-            ("formation", "speed_mps"),
-            f"[{lowest:g}, {highest:g}] is not a range of speeds (write [lowest, highest] in m/s, "
-            "both above 0)",
+            ("controller", "options"),
+            "the paper's law takes no options (write its gains under formation, or leave this out)",
         )
+
+
+def _network(page: Scenario) -> Iterator[Finding]:
+    names = list(page.aircraft_names)
+    for name, windows in page.network.mute_s.items():
+        at = ("network", "mute_s", name)
+        if name not in names:
+            yield (
+                at,
+                f"no aircraft has this name{did_you_mean(name, names)} (the run has "
+                f"{', '.join(names)})",
+            )
+        for index, (begin, end) in enumerate(windows):
+            if begin >= end:
+                yield (*at, index), f"[{begin:g}, {end:g}] is not a window (write [from, to] in s)"
 
 
 def _known(at: Path, names: Iterable[str], followers: list[str]) -> Iterator[Finding]:

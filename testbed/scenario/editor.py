@@ -21,7 +21,7 @@ def json_schema() -> dict[str, Any]:
             "type": "string",
             "title": "Extends",
             "description": "Name or path of a scenario that this page changes: maps merge, "
-            "lists and scalars replace.",
+            "lists and scalars replace, null takes a key away.",
         },
         **schema["properties"],
     }

@@ -108,6 +108,8 @@ def _one(detail: Mapping[str, Any], tree: Node, schema: dict[str, Any]) -> Probl
 
 def _length(node: Node, path: tuple[str, ...], tree: Node, schema: dict[str, Any]) -> str:
     here = _at(schema, tree, path)
+    lists = [option for option in here.get("anyOf", ()) if option.get("type") == "array"]
+    here = lists[0] if len(lists) == 1 else here
     count = len(node.value) if isinstance(node.value, tuple | dict) else 0
     least, most = here.get("minItems"), here.get("maxItems")
     wanted = f"at least {least}" if most is None else str(most)

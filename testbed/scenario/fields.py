@@ -32,18 +32,36 @@ Hertz = Annotated[Whole, Field(gt=0, le=10_000, json_schema_extra={"unit": "Hz"}
 
 
 def _per_direction(value: Any) -> Any:  # noqa: ANN401 - whatever the page holds
-    """Spread a scalar over north, east and down."""
+    """Spread a scalar over north, east and down; take the diagonal of a diagonal matrix."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         return (value, value, value)
     if isinstance(value, Sequence) and not isinstance(value, str) and len(value) == 3:
-        return value
-    raise PydanticCustomError("gain", "must be a number, or three numbers [north, east, down]")
+        rows = [row for row in value if isinstance(row, Sequence) and not isinstance(row, str)]
+        if not rows:
+            return value
+        if [len(row) for row in rows] == [3, 3, 3]:
+            if any(rows[i][j] != 0 for i in range(3) for j in range(3) if i != j):
+                raise PydanticCustomError(
+                    "gain", "a matrix must be diagonal (write [north, east, down])"
+                )
+            return tuple(rows[i][i] for i in range(3))
+    raise PydanticCustomError(
+        "gain",
+        "must be a number, three numbers [north, east, down], or a diagonal matrix of 3 x 3",
+    )
 
 
+_WEIGHT: dict[str, Any] = {"type": "number", "minimum": 0}
 _GAIN_SCHEMA: dict[str, Any] = {
     "anyOf": [
-        {"type": "number", "minimum": 0},
-        {"type": "array", "items": {"type": "number", "minimum": 0}, "minItems": 3, "maxItems": 3},
+        _WEIGHT,
+        {"type": "array", "items": _WEIGHT, "minItems": 3, "maxItems": 3},
+        {
+            "type": "array",
+            "items": {"type": "array", "items": _WEIGHT, "minItems": 3, "maxItems": 3},
+            "minItems": 3,
+            "maxItems": 3,
+        },
     ]
 }
 NotNegative = Annotated[Number, Field(ge=0)]

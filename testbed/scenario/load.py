@@ -16,7 +16,7 @@ from pydantic import BaseModel, ValidationError
 
 from testbed.scenario import resolve
 from testbed.scenario.explain import explain
-from testbed.scenario.gains import MiddleLoopFile, MiddleLoopGains
+from testbed.scenario.gains import Guidance, MiddleLoopFile, MiddleLoopGains
 from testbed.scenario.messages import Place, Problem, ScenarioError, did_you_mean
 from testbed.scenario.overrides import override
 from testbed.scenario.references import settle
@@ -102,6 +102,16 @@ def load_middle_loop(aircraft: str | Path, profile: str) -> MiddleLoopGains:
     hint = did_you_mean(profile, profiles)
     known = ", ".join(profiles)
     raise _stop(tree.place, f"there is no profile {profile!r}{hint} (write one of {known})")
+
+
+def load_guidance(aircraft: str | Path) -> Guidance:
+    """Read an airframe's guidance.yaml; without one, what suits the Rascal 110.
+
+    Raises:
+        ScenarioError: the airframe is missing, or a gain is wrong.
+    """
+    path = resolve.find_aircraft(aircraft) / "guidance.yaml"
+    return _validated(_read(path), Guidance) if path.is_file() else Guidance()
 
 
 def dump(page: Scenario) -> str:

@@ -17,7 +17,8 @@ def override(tree: Node, text: str, parse: Parse) -> Node:
 
     The key is a dotted path; in a list it counts from 0 or gives an element's `name`, and `*`
     stands for every element of a list or map. A key that is not on the page is added, so that
-    defaults can be changed; whether the schema knows it is seen when the page is checked.
+    defaults can be changed; whether the schema knows it is seen when the page is checked. A value
+    of null takes a key away.
 
     Args:
         tree: the page.
@@ -63,9 +64,12 @@ def _set(node: Node, parts: tuple[str, ...], done: tuple[str, ...], new: Node, s
         named = dict(node.value or {})
         if part == "*" and not named:
             raise _stop(source, done, "is empty: * has nothing to stand for")
-        for name in named if part == "*" else (part,):
+        for name in tuple(named) if part == "*" else (part,):
             child = named.get(name, Node(None, new.place, new.place, new.folder))
-            named[name] = _set(child, rest, (*done, name), new, source)
+            if new.value is None and not rest and name in named:
+                del named[name]
+            else:
+                named[name] = _set(child, rest, (*done, name), new, source)
         return replace(node, value=named)
     raise _stop(source, done, f"is {node.value!r}, which has no {part!r} inside")
 

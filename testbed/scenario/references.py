@@ -53,6 +53,19 @@ class _Settler:
         kept = resolve.library() / "scenarios" / "data" / found.name
         self.changes.append((loc, found.name if found == kept else str(found)))
 
+    def law(self, loc: _Loc, name: str) -> None:
+        """Settle a law that is not the paper's."""
+        try:
+            found = resolve.find_law(name, folder=self.folder(*loc))
+        except ScenarioError as error:
+            self.blame(error, *loc)
+            return
+        kept = resolve.library() / "scenarios"
+        place, _, class_name = found.rpartition(":")
+        if Path(place).parent == kept:
+            found = f"{Path(place).stem}:{class_name}"
+        self.changes.append((loc, found))
+
     def folder(self, *loc: str | int) -> Path:
         """Return what a relative path at this location is relative to."""
         return walk(self.tree, loc)[0].folder
@@ -80,6 +93,8 @@ def settle(page: Scenario, tree: Node) -> Scenario:
         settler.craft(("fleet", index), follower)
     if page.leader.path.kind == "replay":
         settler.recording(("leader", "path", "file"), page.leader.path.file)
+    if page.controller.law != "paper":
+        settler.law(("controller", "law"), page.controller.law)
     if settler.problems:
         raise ScenarioError(settler.problems)
     data = page.model_dump(by_alias=True)

@@ -104,6 +104,29 @@ def find_data(name_or_path: str | Path, *, folder: Path | None = None) -> Path:
     raise _not_found("data file", text, list_data(), "a CSV file")
 
 
+def find_law(name: str, *, folder: Path | None = None) -> str:
+    """Return where a law `module:Class` comes from: "file.py:Class", or itself if installed.
+
+    A module.py in `folder` (the page's, or here) or in scenarios/ is meant before an installed
+    module of that name.
+
+    Raises:
+        ScenarioError: the name is the path of a file that is not there.
+    """
+    place, _, class_name = name.rpartition(":")
+    if place.endswith(".py"):
+        path = _absolute(place, folder)
+        if path.is_file():
+            return f"{path}:{class_name}"
+        text = f"there is no file {path} (write module:Class, with module.py beside the page)"
+        raise ScenarioError([Problem(Place(str(path)), text)])
+    file = f"{place.replace('.', '/')}.py"
+    for home in (folder or Path.cwd(), library() / "scenarios"):
+        if (home / file).is_file():
+            return f"{(home / file).resolve()}:{class_name}"
+    return name
+
+
 def _is_name(text: str) -> bool:
     return Path(text).name == text and text not in ("", ".", "..")
 

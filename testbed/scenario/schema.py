@@ -16,6 +16,7 @@ from testbed.scenario.fields import (
     Flag,
     Hertz,
     Metres,
+    MetresPerSecond,
     Name,
     Percent,
     Seconds,
@@ -75,12 +76,35 @@ class Rates(Section):
     control_hz: Hertz = Field(25, description="Formation controllers, Hz.")
     broadcast_hz: Hertz = Field(25, description="Messages of each aircraft, Hz.")
     log_hz: Hertz = Field(25, description="Frames for the log, the view and the metrics, Hz.")
+    synchronous: Flag = Field(
+        True,
+        description="All aircraft act at the same moments: true; or each at a phase of its own, "
+        "drawn from the seed: false.",
+    )
 
 
 class Network(Section):
     """The radio between the aircraft."""
 
     delay_s: Seconds = Field(0.0, ge=0, le=60, description="Latency of every message, s.")
+    mute_s: Mapping[Name, tuple[Window, ...]] = Field(
+        {}, description="By aircraft, windows [from, to] in which it sends nothing, s."
+    )
+
+
+class Wind(Section):
+    """A steady wind, the same everywhere."""
+
+    speed_mps: MetresPerSecond = Field(0.0, ge=0, le=60, description="Speed of the wind, m/s.")
+    from_deg: Degrees = Field(
+        0.0, ge=-360, le=360, description="Where it blows from, degrees clockwise from north."
+    )
+
+
+class Air(Section):
+    """The air the aircraft fly in."""
+
+    wind: Wind = Field(Wind(), description="The mean wind.")
 
 
 class Log(Section):
@@ -99,6 +123,7 @@ class Scenario(Section):
     formation: Formation = Field(description="Offsets, graph and gains of the formation.")
     controller: Controller = Field(Controller(), description="How the followers are controlled.")
     network: Network = Field(Network(), description="The radio between the aircraft.")
+    air: Air = Field(Air(), description="The air the aircraft fly in.")
     log: Log = Field(Log(), description="What the run leaves behind.")
 
     @property

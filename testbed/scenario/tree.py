@@ -28,7 +28,8 @@ _KINDS = ("kind", "example")
 def merge(base: Node, top: Node) -> Node:
     """Return `base` changed by `top`: maps merge deeply, everything else is replaced.
 
-    Two maps of different `kind` (or `example`) do not merge: the new one replaces the old.
+    Two maps of different `kind` (or `example`) do not merge: the new one replaces the old. A key
+    whose new value is null is taken away, which leaves its default, if it has one.
     """
     if not (isinstance(base.value, dict) and isinstance(top.value, dict)):
         return top
@@ -38,7 +39,10 @@ def merge(base: Node, top: Node) -> Node:
             return top
     merged = dict(base.value)
     for name, node in top.value.items():
-        merged[name] = merge(merged[name], node) if name in merged else node
+        if node.value is None and name in merged:
+            del merged[name]
+        else:
+            merged[name] = merge(merged[name], node) if name in merged else node
     return replace(top, value=merged)
 
 

@@ -2,26 +2,57 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from testbed.errors import InputError
+from testbed.state import Truths
+
+
+@dataclass(frozen=True, slots=True)
+class Due:
+    """What happens at a tick, in this order."""
+
+    sense: bool  # estimates get new errors
+    broadcast: Truths | None  # (N,) who sends; None: nobody
+    control: tuple[int, ...]  # groups of followers that step
+    lead: bool  # the leader's guidance steps
+    autopilot: bool
+    log: bool
 
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """Periods in ticks of the base rate; t = k dt, never a sum."""
+    """Periods in ticks of the base rate; t = k dt, never a sum.
+
+    Aircraft are synchronous unless they have phases: by how many ticks an aircraft's own control
+    and messages come after the leader's. At tick 0 everything happens once.
+    """
 
     base_rate_hz: int
     autopilot: int
     control: int
     broadcast: int
     log: int
+    control_phases: tuple[int, ...] = ()  # n followers; empty: synchronous
+    broadcast_phases: tuple[int, ...] = ()  # N aircraft; empty: synchronous
+    aircraft: int = field(default=1, kw_only=True)  # N
 
     @property
     def stride(self) -> int:
-        """The most ticks that can be flown at once without passing over an event."""
+        """The most ticks between two events of synchronous aircraft; errors change so often."""
         return math.gcd(self.autopilot, self.control, self.broadcast, self.log)
+
+    @property
+    def groups(self) -> tuple[tuple[int, ...], ...]:
+        """Followers (0..n−1) that step together, by the phase of their control."""
+        phases = self.control_phases or (0,) * (self.aircraft - 1)
+        kinds = sorted(set(phases))
+        return tuple(tuple(i for i, p in enumerate(phases) if p == kind) for kind in kinds)
 
     def time_s(self, tick: int) -> float:
         """Simulation time of a tick, s."""
@@ -31,11 +62,73 @@ class Clock:
         """Ticks in a duration, rounded to the nearest."""
         return round(duration_s * self.base_rate_hz)
 
+    def schedule(self, duration_s: float) -> Iterator[tuple[int, int, Due]]:
+        """Every tick up to the duration at which something happens, ticks to the next, and what."""
+        pattern = self._pattern()
+        period = math.lcm(self.autopilot, self.control, self.broadcast, self.log)
+        last = self.ticks(duration_s)
+        begin = (0, self._due(0, everyone=True))
+        repeated = (
+            (lap * period + tick, due) for lap in itertools.count() for tick, due in pattern
+        )
+        events = itertools.chain([begin], itertools.islice(repeated, 1, None))
+        tick, due = next(events)
+        while tick <= last:
+            following, next_due = next(events)
+            yield tick, following - tick, due
+            tick, due = following, next_due
+
+    def _pattern(self) -> list[tuple[int, Due]]:
+        """What happens in one period of all the rates; tick 0 is always there."""
+        period = math.lcm(self.autopilot, self.control, self.broadcast, self.log)
+        ticks = set(range(0, period, self.stride))
+        for step, phases in (
+            (self.control, self.control_phases),
+            (self.broadcast, self.broadcast_phases),
+        ):
+            ticks |= {t for phase in phases for t in range(phase, period, step)}
+        return [(tick, self._due(tick)) for tick in sorted(ticks)]
+
+    def _due(self, tick: int, *, everyone: bool = False) -> Due:
+        controls = self.control_phases or (0,) * (self.aircraft - 1)
+        speaks = self.broadcast_phases or (0,) * self.aircraft
+        send = np.array([everyone or (tick - phase) % self.broadcast == 0 for phase in speaks])
+        step = tuple(
+            number
+            for number, phase in enumerate(sorted(set(controls)))
+            if everyone or (tick - phase) % self.control == 0
+        )
+        return Due(
+            sense=tick % self.stride == 0,
+            broadcast=send if send.any() else None,
+            control=step,
+            lead=tick % self.control == 0,
+            autopilot=tick % self.autopilot == 0,
+            log=tick % self.log == 0,
+        )
+
 
 def make_clock(
-    *, physics_hz: int, autopilot_hz: int, control_hz: int, broadcast_hz: int, log_hz: int
+    *,
+    physics_hz: int,
+    autopilot_hz: int,
+    control_hz: int,
+    broadcast_hz: int,
+    log_hz: int,
+    aircraft: int = 1,
+    phases: Sequence[float] | None = None,
 ) -> Clock:
-    """The clock of these rates.
+    """The clock of these rates for N aircraft.
+
+    Args:
+        physics_hz: the base rate, and so on.
+        autopilot_hz: autopilots.
+        control_hz: formation controllers.
+        broadcast_hz: messages of each aircraft.
+        log_hz: frames.
+        aircraft: N.
+        phases: for each aircraft, by which part (0..1) of a period its own control and messages
+            come after the leader's control; None: all together.
 
     Raises:
         InputError: a rate does not divide the base rate.
@@ -49,5 +142,15 @@ def make_clock(
     for name, rate in rates.items():
         if rate <= 0 or physics_hz % rate:
             raise InputError(f"rates.{name}: {rate} does not divide physics_hz {physics_hz}")
-    periods = {name.removesuffix("_hz"): physics_hz // rate for name, rate in rates.items()}
-    return Clock(base_rate_hz=physics_hz, **periods)
+    autopilot, control, broadcast, log = (physics_hz // rate for rate in rates.values())
+    parts = phases or ()
+    return Clock(
+        physics_hz,
+        autopilot,
+        control,
+        broadcast,
+        log,
+        control_phases=tuple(int(part * control) for part in parts[1:]),
+        broadcast_phases=tuple(int(part * broadcast) for part in parts),
+        aircraft=aircraft,
+    )

@@ -1,134 +1,153 @@
-"""The page's formation and controller sections as the paper's law."""
+"""The page's formation and controller sections as laws and middle loops."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from operator import attrgetter
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from testbed.formation import control_function
-from testbed.formation.barrier import Barrier
-from testbed.formation.law import PaperLaw
+from testbed.errors import InputError
+from testbed.formation import barrier, control_function, leader
+from testbed.formation.geometry import GRAVITY
+from testbed.formation.law import Law, Team
 from testbed.formation.laws import SpeedSet
-from testbed.formation.middle_loop import MiddleLoopGains
-from testbed.scenario import Problem, Scenario, ScenarioError, load_middle_loop
-from testbed.scenario.control import Formation
-from testbed.state import Array
+from testbed.formation.paper_law import PaperLaw
+from testbed.scenario import MiddleLoopGains as Profile
+from testbed.scenario import Scenario, load_middle_loop
+from testbed.scenario.gains import Estimators
+from testbed.sim.clock import Clock
+from testbed.sim.control import Group
+from testbed.sim.law_contract import check_law
+from testbed.sim.middle_loops import make_middle_loop
+from testbed.sim.own_law import build_law
+from testbed.sim.teams import agent_value, make_team, part_of
+from testbed.state import Array, FbwaCommand
+
+_SOURCES = {"none": leader.NOTHING, "broadcast": leader.BROADCAST, "turn": leader.TURN}
 
 
-def make_offsets(page: Scenario) -> Array:
-    """υ (n + 1, 3) m, the leader's zero first."""
-    offsets = [page.formation.offsets_m[each.name] for each in page.fleet]
-    return np.array([(0.0, 0.0, 0.0), *offsets])
+def make_groups(
+    page: Scenario, folders: Sequence[Path], clock: Clock
+) -> tuple[tuple[Group, ...], tuple[str, ...]]:
+    """The followers of these aircraft folders, by the moments at which they step.
 
-
-def make_gains(page: Scenario) -> Array:
-    """β (n, n + 1, 3): for the leader, then for each follower.
-
-    Raises:
-        ScenarioError: A + B is singular: some agents hang on nothing.
+    Returns:
+        The groups, and what is to be said of a law that is not the paper's.
     """
-    names = [each.name for each in page.fleet]
-    n = len(names)
-    gains = np.zeros((n, n + 1, 3))
-    for i, name in enumerate(names):
-        gains[i, 0] = page.formation.leader_gains.get(name, 0.0)
-        for j, other in enumerate(names):
-            gains[i, j + 1] = page.formation.neighbour_gains.get(name, {}).get(other, 0.0)
-    cut = [names[i] for i in cut_off(gains)]
-    if cut:
-        raise ScenarioError(
-            [
-                Problem(
-                    None,
-                    f"formation: {', '.join(cut)} cannot tell where to be: A + B is singular "
-                    "(write a leader gain for one of them, or a neighbour gain for an agent that "
-                    "has one)",
-                )
-            ]
+    profiles = [load_middle_loop(folder, page.controller.profile) for folder in folders]
+    whole = make_team(page, profiles, dt=clock.control / clock.base_rate_hz)
+    groups, notes = [], []
+    for rows in clock.groups:
+        team = part_of(whole, rows)
+        ours = [profiles[i] for i in rows]
+        law: Law = make_paper_law(page, team, ours)
+        if page.controller.law != "paper":
+            told = replace(team, paper=law)
+            law, origin = build_law(page.controller.law, page.controller.options, told)
+            _check_own(page, team, law)
+            notes.append(f"the law {type(law).__name__} runs the code of {origin}")
+        groups.append(
+            Group(
+                rows=np.array(rows, dtype=np.intp),
+                team=team,
+                law=law,
+                middle=make_middle_loop(page, team, ours),
+                ideal=np.array([page.fleet[row].vehicle == "ideal" for row in rows]),
+                trusted=isinstance(law, PaperLaw),
+            )
         )
-    return gains
+    return tuple(groups), tuple(dict.fromkeys(notes))
 
 
-def cut_off(gains: Array) -> list[int]:
-    """Agents whose error (6) does not fix a position, per axis of NED; empty if A + B is regular.
-
-    A + B (n, n) has the leader gains on its diagonal plus the Laplacian of the others. Its kernel
-    says which agents could move together without any of them noticing.
-    """
-    n = len(gains)
-    found: set[int] = set()
-    for axis in range(3):
-        neighbours = gains[:, 1:, axis]
-        matrix = np.diag(gains[:, 0, axis] + neighbours.sum(axis=1)) - neighbours
-        _, values, vectors = np.linalg.svd(matrix)
-        kernel = vectors[values <= n * np.finfo(float).eps * max(values[0], 1e-300)]
-        found.update(np.flatnonzero(np.abs(kernel).max(axis=0, initial=0.0) > 1e-6).tolist())
-    return sorted(found)
+def _check_own(page: Scenario, team: Team, law: Law) -> None:
+    kind = check_law(law, team)
+    ideal = [each.name for each in page.fleet if each.vehicle == "ideal"]
+    stuck = [name for name in team.names if name in ideal]
+    if kind is FbwaCommand and stuck:
+        raise InputError(
+            f"controller.law: {type(law).__name__} commands fly-by-wire A, which an ideal vehicle "
+            f"cannot fly (write vehicle: jsbsim for {', '.join(stuck)}, or return a "
+            "UnicycleCommand)"
+        )
 
 
-def make_law(page: Scenario, folders: Sequence[Path], *, dt: float) -> PaperLaw:
-    """The paper's law for the followers in these aircraft folders, stepped every `dt` s."""
-    formation, controller = page.formation, page.controller
-    n = len(page.fleet)
-    mu = _control_function(formation)
-    low, high = formation.speed_mps
-    same = np.ones(n)
-    profiles = [load_middle_loop(folder, controller.profile) for folder in folders]
+def make_paper_law(page: Scenario, team: Team, profiles: Sequence[Profile]) -> PaperLaw:
+    """The paper's law for a team whose airframes have these profiles."""
+    controller, names = page.controller, team.names
 
-    def row(path: str, scale: float = 1.0) -> Array:
-        return scale * np.array([attrgetter(path)(profile) for profile in profiles], dtype=float)
+    def each(key: str) -> Array:
+        return np.array([agent_value(page, name, key) for name in names], dtype=np.float64)
 
-    pid = controller.gain_scale
-    first = profiles[0]
-    rate_filter = row("rate_filter_s")
+    functions = [
+        make_control_function(agent_value(page, name, "control_function")) for name in names
+    ]
+    k, pole = each("k"), team.speed_pole
+    turns = [agent_value(page, name, "c") for name in names]
+    chosen = [controller.estimators.over(profile.estimators) for profile in profiles]
+    silence = controller.silence
+    round_ = math.tan(math.radians(silence.bank_deg)) if silence.then == "loiter" else 0.0
     return PaperLaw(
-        offsets=make_offsets(page),
-        gains=make_gains(page),
-        k=formation.k * same,
-        a=formation.a * same,
-        b=formation.b * same,
-        c=formation.c * same,
-        pole=formation.speed_pole_per_s * same,
-        control_function=mu,
-        barrier=_barrier(formation),
-        speeds=SpeedSet(
-            low * same, high * same, (formation.kappa_mps - formation.k * mu.bound) * same
+        agents=team.agents,
+        offsets=team.offsets,
+        gains=team.gains,
+        k=k,
+        a=each("a"),
+        b=each("b"),
+        c=np.array([each.constant for each in turns]),
+        c_speed=np.array([each.per_speed_squared for each in turns]),
+        pole=pole,
+        control_function=control_function.per_agent(functions),
+        barrier=barrier.per_agent(
+            [make_barrier(agent_value(page, name, "barrier")) for name in names]
         ),
-        middle=MiddleLoopGains(
-            climb_p=row("flight_path.p", scale=pid),
-            climb_i=row("flight_path.i", scale=pid),
-            climb_d=row("flight_path.d", scale=pid),
-            course_p=row("course.p", scale=pid),
-            course_i=row("course.i", scale=pid),
-            course_d=row("course.d", scale=pid),
-            speed_p=row("speed.p", scale=pid),
-            speed_i=row("speed.i", scale=pid),
-            eta_speed=row("eta_speed"),
-            eta_bank=row("eta_bank"),
-            trim_throttle=row("trim_throttle"),
-            trim_airspeed=row("trim_airspeed_mps"),
-            pitch_limit=row("limits.pitch_deg", scale=math.radians(1.0)),
-            roll_limit=row("limits.roll_deg", scale=math.radians(1.0)),
-        ),
-        dt=dt,
+        speeds=_speed_set(page, team, k, functions),
+        horizontal=np.array([name in page.formation.altitudes_m for name in names]),
+        bounds_of_airspeed=controller.bounds_of == "airspeed",
         from_timestamp=controller.extrapolate_from == "timestamp",
-        airspeed_error_as_printed=controller.throttle_error == "airspeed",
-        acceleration_blend=np.array(first.leader_acceleration_blend),
-        rate_blend=dt / (dt + rate_filter),
+        with_acceleration=_which(chosen, "extrapolation", "acceleration"),
+        acceleration_source=np.array([_SOURCES[one.leader_acceleration] for one in chosen]),
+        acceleration_blend=np.array([one.leader_acceleration_blend for one in chosen]),
+        difference_blend=np.array([one.leader_difference_blend for one in chosen]),
+        turn_acceleration=_which(chosen, "turn_acceleration", "roll_rate"),
+        forget_after=team.silent_after,
+        silent_airspeed=team.trim_airspeed,
+        silent_turn=GRAVITY * round_ / team.trim_airspeed,
     )
 
 
-def _control_function(formation: Formation) -> control_function.ControlFunction:
-    chosen = formation.control_function
+def make_control_function(chosen: Any) -> control_function.ControlFunction:  # noqa: ANN401 - a union
+    """μ as the page has it."""
     if chosen.example == 1:
         return control_function.example_1(chosen.nu1, chosen.nu2, chosen.m)
     return control_function.EXAMPLE_2 if chosen.example == 2 else control_function.EXAMPLE_3
 
 
-def _barrier(formation: Formation) -> Barrier:
-    chosen = formation.barrier
-    return Barrier(chosen.example, 0.0 if chosen.example == 7 else chosen.nu)
+def make_barrier(chosen: Any) -> barrier.Barrier:  # noqa: ANN401 - a union
+    """The function h as the page has it."""
+    return barrier.Barrier(chosen.example, 0.0 if chosen.example == 7 else chosen.nu)
+
+
+def _speed_set(
+    page: Scenario,
+    team: Team,
+    k: Array,
+    functions: Sequence[control_function.ControlFunction],
+) -> SpeedSet:
+    """S, and S_d as the page has it or by fact 1."""
+    low, high = team.speed_low, team.speed_high
+    kappa = np.array([agent_value(page, name, "kappa_mps") for name in team.names])
+    margin = kappa - k * np.array([each.bound for each in functions])
+    desired_low, desired_high = low + margin, high - margin
+    for i, name in enumerate(team.names):
+        asked = agent_value(page, name, "speed_desired_mps")
+        if asked is not None:
+            desired_low[i], desired_high[i] = asked
+    return SpeedSet(low, high, desired_low, desired_high)
+
+
+def _which(chosen: Sequence[Estimators], key: str, value: str) -> Any:  # noqa: ANN401 - bool (n,)
+    return np.array([getattr(one, key) == value for one in chosen])

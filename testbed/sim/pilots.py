@@ -1,93 +1,82 @@
-"""Who flies the leader: guidance through its own autopilot, or a recording."""
+"""Who flies the leader: guidance through its own autopilot or ideal vehicle, or nobody."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from typing import Protocol
 
 import numpy as np
 
 from testbed.guidance import leader as guidance
 from testbed.guidance.longitudinal import HoldGains
 from testbed.guidance.mission import Plan
-from testbed.guidance.replay import Track
-from testbed.state import AirData, Array, FbwaCommand, Surfaces, VehicleState
+from testbed.sim.vehicles import Replayed
+from testbed.state import Array, FbwaCommand, UnicycleCommand, VehicleState
+
+Sticks = tuple[float, float, float]  # pitch (rad), roll (rad), throttle (0..1)
+Turn = tuple[float, Array]  # u (m/s) and ω (3,) rad/s of an ideal vehicle
+
+
+class Pilot(Protocol):
+    """What commands the leader."""
+
+    def command(self, estimate: VehicleState) -> tuple[Sticks, Turn | None]:
+        """Once per control period, from row 0 of the estimates."""
 
 
 class MissionPilot:
     """The leader flies a mission."""
 
     def __init__(
-        self, plan: Plan, memory: guidance.LeaderMemory, *, dt: float, gains: HoldGains
+        self,
+        plan: Plan,
+        memory: guidance.LeaderMemory,
+        *,
+        dt: float,
+        gains: HoldGains,
+        ideal: bool = False,
     ) -> None:
         """Begin the plan with this memory, stepping every `dt` s."""
         self._plan, self._memory, self._dt, self._gains = plan, memory, dt, gains
+        self._ideal = ideal
 
-    def command(self, estimate: VehicleState) -> tuple[float, float, float]:
-        """Pitch (rad), roll (rad), throttle (0..1) from the leader's row 0; once per period."""
+    def command(self, estimate: VehicleState) -> tuple[Sticks, Turn | None]:
+        """See `Pilot`."""
+        position = estimate.position_ned[0].tolist()
+        velocity = estimate.velocity_ned[0].tolist()
+        if self._ideal:
+            speed, turn, self._memory = guidance.unicycle_step(
+                self._memory, position, velocity, plan=self._plan, dt=self._dt, gains=self._gains
+            )
+            ahead = math.hypot(velocity[0], velocity[1])
+            climb = math.atan2(-velocity[2], ahead)
+            return (climb, float(estimate.euler[0, 0]), 0.0), (speed, np.array(turn))
         pitch, roll, throttle, self._memory = guidance.step(
             self._memory,
-            estimate.position_ned[0].tolist(),
-            estimate.velocity_ned[0].tolist(),
+            position,
+            velocity,
             float(estimate.euler[0, 0]),
             float(estimate.airspeed[0]),
             plan=self._plan,
             dt=self._dt,
             gains=self._gains,
         )
-        return pitch, roll, throttle
+        return (pitch, roll, throttle), None
 
 
-@dataclass(frozen=True, slots=True)
-class Recorded:
-    """A recorded flight on the loop's own times: one row per stride."""
+class NoPilot:
+    """The leader moves by itself."""
 
-    track: Track
-    equivalent_airspeed: Array  # (T,) m/s
+    def __init__(self, leader: Replayed) -> None:
+        """Watch this leader."""
+        self._leader = leader
 
-    def prepend(self, row: int, state: VehicleState) -> VehicleState:
-        """The followers' state (n) with the recorded leader as row 0."""
-        track = self.track
-        return VehicleState(
-            position_ned=_above(track.position_ned[row], state.position_ned),
-            velocity_ned=_above(track.velocity_ned[row], state.velocity_ned),
-            acceleration_ned=_above(track.acceleration_ned[row], state.acceleration_ned),
-            euler=_above(track.euler[row], state.euler),
-            rates_body=_above(track.rates_body[row], state.rates_body),
-            airspeed=_above(track.airspeed[row], state.airspeed),
-            equivalent_airspeed=_above(self.equivalent_airspeed[row], state.equivalent_airspeed),
-        )
-
-    @staticmethod
-    def prepend_air(air: AirData) -> AirData:
-        """The followers' air data (n); the recording tells nothing of its own: zero."""
-        return AirData(
-            alpha=_above(np.zeros(1), air.alpha),
-            beta=_above(np.zeros(1), air.beta),
-            propeller_rps=_above(np.zeros(1), air.propeller_rps),
-            wind_ned=_above(np.zeros(3), air.wind_ned),
-        )
-
-    def prepend_command(self, row: int, command: FbwaCommand) -> FbwaCommand:
-        """The followers' command (n); what the leader did stands for what it was told."""
-        pitch, roll = self.track.euler[row, 1], self.track.euler[row, 0]
-        return FbwaCommand(
-            pitch=_above(pitch, command.pitch),
-            roll=_above(roll, command.roll),
-            throttle=_above(self.track.throttle[row], command.throttle),
-        )
-
-    def prepend_surfaces(self, row: int, surfaces: Surfaces) -> Surfaces:
-        """The followers' surfaces (n); the recording has none but the throttle."""
-        still = np.zeros(1)
-        return Surfaces(
-            aileron=_above(still, surfaces.aileron),
-            elevator=_above(still, surfaces.elevator),
-            rudder=_above(still, surfaces.rudder),
-            throttle=_above(self.track.throttle[row], surfaces.throttle),
-        )
+    def command(self, estimate: VehicleState) -> tuple[Sticks, Turn | None]:
+        """What it does stands for what it was told."""
+        return self._leader.command, None
 
 
-def with_leader(lead: tuple[float, float, float], command: FbwaCommand) -> FbwaCommand:
+def with_leader(lead: Sticks, command: FbwaCommand) -> FbwaCommand:
     """The followers' command (n) behind the leader's pitch, roll, throttle: (n + 1)."""
     told = np.empty((3, len(command.roll) + 1))
     told[:, 0] = lead
@@ -97,5 +86,13 @@ def with_leader(lead: tuple[float, float, float], command: FbwaCommand) -> FbwaC
     return FbwaCommand(*told)
 
 
-def _above(first: Array, rest: Array) -> Array:
-    return np.concatenate([np.reshape(first, (1, *rest.shape[1:])), rest])
+def with_ideal_leader(lead: Turn | None, told: UnicycleCommand) -> UnicycleCommand:
+    """The followers' inputs (n) behind those of the leader: (n + 1); zeros where it has none."""
+    speed, turn = lead or (0.0, np.zeros(3))
+    return UnicycleCommand(
+        np.concatenate([[speed], told.speed]),
+        np.vstack([turn, told.turn]),
+        np.concatenate([[speed], told.speed_desired]),
+        np.vstack([np.zeros(3), told.direction]),
+        np.concatenate([np.zeros(1, dtype=np.uint8), told.guards]),
+    )

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from testbed.compiled import twin_of
 from testbed.formation import geometry
+from testbed.formation.flags import Guard
 from testbed.formation.law import Diagnosis
 from testbed.frames import euler_rates
-from testbed.state import Array, Broadcast, Event, FormationState, Truths, VehicleState
+from testbed.state import (
+    Array,
+    Broadcast,
+    Event,
+    Flags,
+    FormationState,
+    Truths,
+    VehicleState,
+)
 
 EULER_RATES = twin_of(euler_rates, "testbed.vehicle.twin")
 
@@ -22,14 +31,21 @@ def broadcast(estimate: VehicleState, now: float) -> Broadcast:
         position_ned=estimate.position_ned,
         velocity_ned=estimate.velocity_ned,
         acceleration_ned=estimate.acceleration_ned,
+        euler=estimate.euler,
         euler_rates=EULER_RATES(estimate.euler, estimate.rates_body),
     )
 
 
-def formation_state(truth: VehicleState, diagnosis: Diagnosis, offsets: Array) -> FormationState:
-    """The followers' true slots χ + q_g and errors, beside what their law reported."""
+def formation_state(
+    truth: VehicleState, diagnosis: Diagnosis, age_s: Array, offsets: Array, altitudes: Array
+) -> FormationState:
+    """The followers' true slots χ + q_g and errors, beside what their control reported.
+
+    A follower that holds an altitude (n,) has its slot there, in the horizontal frame; the others,
+    whose altitude is nan, have it in the leader's velocity frame.
+    """
     slot, error, (speed, course, climb) = geometry.TRUE_SLOTS(
-        truth.position_ned, truth.velocity_ned, offsets
+        truth.position_ned, truth.velocity_ned, offsets, altitudes
     )
     return FormationState(
         slot_ned=slot,
@@ -43,7 +59,7 @@ def formation_state(truth: VehicleState, diagnosis: Diagnosis, offsets: Array) -
         flight_path_angle_desired=diagnosis.flight_path_angle_desired,
         guards=diagnosis.guards,
         saturations=diagnosis.saturations,
-        age_s=diagnosis.age_s,
+        age_s=age_s,
     )
 
 
@@ -54,3 +70,29 @@ def losses(now: float, lost: Truths, names: Sequence[str]) -> tuple[Event, ...]:
         for name, gone in zip(names, lost, strict=True)
         if gone
     )
+
+
+class Silence:
+    """Watches which followers have stopped or begun to hear their leader."""
+
+    def __init__(self, names: Sequence[str], patience: float) -> None:
+        """Nobody is deaf yet; who has heard nothing at all is given this long, s."""
+        self._names, self._patience = names, patience
+        self._deaf: Truths = np.zeros(len(names), dtype=bool)
+        self._waiting: Truths = np.ones(len(names), dtype=bool)
+        self._quiet = False  # everybody has heard the leader, and hears it
+
+    def changes(self, now: float, guards: Flags) -> Iterator[Event]:
+        """An event for each follower whose leader fell silent or came back since the last call."""
+        if self._quiet and not guards.any():
+            return
+        deaf = (guards & int(Guard.LEADER_SILENT)) != 0
+        self._waiting = self._waiting & deaf & (now < self._patience)
+        deaf &= ~self._waiting
+        for name, before, after in zip(self._names, self._deaf, deaf, strict=True):
+            if after and not before:
+                yield Event(now, "warning", name, "does not hear the leader: flies on its own")
+            elif before and not after:
+                yield Event(now, "info", name, "hears the leader again")
+        self._deaf = deaf
+        self._quiet = not (deaf.any() or self._waiting.any())

@@ -4,40 +4,37 @@ from __future__ import annotations
 
 import math
 import platform
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from testbed import __version__
 from testbed.errors import InputError
-from testbed.formation.law import PaperLaw
-from testbed.guidance import leader as guidance
-from testbed.guidance.longitudinal import HoldGains
-from testbed.guidance.mission import Level, LoiterLeg, Mission, WaypointLeg, make_plan, polyline
-from testbed.guidance.replay import make_track, read_recording
 from testbed.network.channel import Channel
 from testbed.scenario import (
     SCHEMA_VERSION,
     Scenario,
     dump,
     find_aircraft,
-    find_data,
     find_tune,
 )
-from testbed.scenario.aircraft import Follower, Leader, Leg
-from testbed.scenario.aircraft import Mission as MissionOnPage
+from testbed.scenario.aircraft import Follower, Leader
 from testbed.scenario.sensors import Sensors
 from testbed.sim.clock import Clock, make_clock
-from testbed.sim.formations import make_law, make_offsets
-from testbed.sim.pilots import MissionPilot, Recorded
-from testbed.state import Array, Origin, RunInfo
+from testbed.sim.control import Group
+from testbed.sim.formations import make_groups
+from testbed.sim.hypotheses import warnings
+from testbed.sim.leaders import Led, make_leader
+from testbed.sim.pilots import Pilot
+from testbed.sim.teams import agent_value, make_altitudes, make_offsets
+from testbed.sim.vehicles import Flown, Ideal, Mixed, Vehicles
+from testbed.state import Array, Event, Origin, RunInfo
+from testbed.vehicle.ideal import IdealFleet
 from testbed.vehicle.jsbsim_door import VERSION as JSBSIM_VERSION
-from testbed.vehicle.jsbsim_door import JsbsimFleet, Start, trim_aircraft
-from testbed.vehicle.params import FbwaParams, read_params, stack
-from testbed.vehicle.sensors import Estimators, NoiseLevel, SensorErrors
-from testbed.vehicle.tables import FbwaGains
-from testbed.vehicle.trim import TrimPoint
+from testbed.vehicle.jsbsim_door import JsbsimFleet, Start, wingspan
+from testbed.vehicle.params import read_params, stack
+from testbed.vehicle.sensors import Estimators, NoiseLevel, SensorErrors, stream
 
 LOWEST_START_M = 5.0  # above the ground; an aircraft starts in trimmed flight
 
@@ -49,13 +46,16 @@ class World:
     clock: Clock
     duration_s: float
     names: tuple[str, ...]
-    fleet: JsbsimFleet  # all aircraft, or the followers alone behind a recorded leader
-    gains: FbwaGains  # of the fleet
+    vehicles: Vehicles
+    fleet: JsbsimFleet | None  # the flight models among them, if there are any
+    ideal: bool  # whether there are ideal vehicles among them
     estimators: Estimators
-    pilot: MissionPilot | Recorded
+    pilot: Pilot
     channel: Channel
-    law: PaperLaw
+    groups: tuple[Group, ...]
     offsets: Array  # (n + 1, 3) m, in the leader's frame
+    altitudes: Array  # (n,) m, of followers that hold one; nan for the rest
+    notes: tuple[Event, ...]  # what is to be said before the flight
     info: RunInfo
 
 
@@ -66,44 +66,75 @@ def build(page: Scenario) -> World:
         ScenarioError, ParamError, AircraftError, TrimError, ValueError: what cannot be built, with
             what to write instead.
     """
-    clock = make_clock(**page.rates.model_dump())
     names = page.aircraft_names
-    duration = page.scenario.duration_s
+    clock = _clock(page)
     origin = Origin(**page.scenario.origin.model_dump())
+    wind = wind_ned(page)
     flown: list[Leader | Follower] = [page.leader, *page.fleet]
     folders = [find_aircraft(each.aircraft) for each in flown]
     tunes = [
         read_params(find_tune(folder, each.tune))
         for folder, each in zip(folders, flown, strict=True)
     ]
-    pilot, leader_start, path = _leader(page, clock, tunes[0], folders[0], origin)
-    starts = [leader_start, *(_start(leader_start, each.start_m) for each in page.fleet)]
-    first = 0 if isinstance(pilot, MissionPilot) else 1
-    for name, start in zip(names[first:], starts[first:], strict=True):
-        if start.position_ned[2] > -LOWEST_START_M:
+    led = make_leader(page, clock, tunes[0], folders[0], origin, wind)
+    starts = [led.start, *(_start(led.start, each.start_m) for each in page.fleet)]
+    kinds = ["moves" if led.moves else page.leader.vehicle, *(f.vehicle for f in page.fleet)]
+    for name, kind, start in zip(names, kinds, starts, strict=True):
+        if kind != "moves" and start.position_ned[2] > -LOWEST_START_M:
             raise InputError(
                 f"{name} starts {-start.position_ned[2]:g} m above the ground: write a start at "
                 f"least {LOWEST_START_M:g} m above it"
             )
-    fleet = JsbsimFleet(folders[first:], starts[first:], origin, clock.base_rate_hz)
-    law = make_law(page, folders[1:], dt=clock.control / clock.base_rate_hz)
-    spans = fleet.wingspan_m if first == 0 else (fleet.wingspan_m[0], *fleet.wingspan_m)
+    parts: list[tuple[Sequence[int], Vehicles]] = [((0,), led.moves)] if led.moves else []
+    spans = tuple(wingspan(folder) for folder in folders)
+    fleet = None
+    jsbsim = [row for row, kind in enumerate(kinds) if kind == "jsbsim"]
+    if jsbsim:
+        fleet = JsbsimFleet(
+            [folders[row] for row in jsbsim],
+            [
+                replace(starts[row], state_of_charge=flown[row].battery.state_of_charge)
+                for row in jsbsim
+            ],
+            origin,
+            clock.base_rate_hz,
+            (float(wind[0]), float(wind[1]), float(wind[2])),
+        )
+        period = clock.autopilot / clock.base_rate_hz
+        parts.append((jsbsim, Flown(fleet, stack([tunes[row] for row in jsbsim], period))))
+    ideal = [row for row, kind in enumerate(kinds) if kind == "ideal"]
+    if ideal:
+        parts.append((ideal, _ideal(page, ideal, starts, led, clock, wind)))
+    groups, said = make_groups(page, folders[1:], clock)
     return World(
         clock=clock,
-        duration_s=duration,
+        duration_s=page.scenario.duration_s,
         names=names,
+        vehicles=parts[0][1] if len(parts) == 1 else Mixed(parts),
         fleet=fleet,
-        gains=stack(tunes[first:], clock.autopilot / clock.base_rate_hz),
+        ideal=bool(ideal),
         estimators=Estimators(
             names,
             [_errors(each.sensors) for each in flown],
             seed=page.scenario.seed,
             dt=clock.stride / clock.base_rate_hz,
         ),
-        pilot=pilot,
-        channel=Channel(np.full((len(names) - 1, len(names)), page.network.delay_s)),
-        law=law,
+        pilot=led.pilot,
+        channel=Channel(
+            np.full((len(names) - 1, len(names)), page.network.delay_s),
+            tuple(
+                (names.index(name), begin, end)
+                for name, windows in page.network.mute_s.items()
+                for begin, end in windows
+            ),
+        ),
+        groups=groups,
         offsets=make_offsets(page),
+        altitudes=make_altitudes(page),
+        notes=(
+            *(Event(0.0, "info", "run", text) for text in said),
+            *warnings(page, groups, led, wind),
+        ),
         info=RunInfo(
             scenario_name=page.name,
             scenario_yaml=dump(page),
@@ -113,11 +144,13 @@ def build(page: Scenario) -> World:
             origin=origin,
             base_rate_hz=clock.base_rate_hz,
             frame_rate_hz=page.rates.log_hz,
-            duration_s=duration,
+            duration_s=page.scenario.duration_s,
             seed=page.scenario.seed,
-            speed_bounds_mps=(page.formation.speed_mps,) * len(page.fleet),
-            roll_limit_rad=tuple(law.middle.roll_limit.tolist()),
-            leader_path_ned=path,
+            speed_bounds_mps=tuple(agent_value(page, name, "speed_mps") for name in names[1:]),
+            bounded_in_ned=_bounded_in(page),
+            kappa_mps=tuple(agent_value(page, name, "kappa_mps") for name in names[1:]),
+            roll_limit_rad=_roll_limits(groups),
+            leader_path_ned=led.path_ned,
             portions=dict(page.scenario.portions),
             versions={
                 "testbed": __version__,
@@ -130,61 +163,65 @@ def build(page: Scenario) -> World:
     )
 
 
-def _leader(
-    page: Scenario, clock: Clock, tune: FbwaParams, folder: Path, origin: Origin
-) -> tuple[MissionPilot | Recorded, Start, Array]:
-    """Who flies the leader, where it starts, and its path (k, 3) m as far as it is known."""
-    path = page.leader.path
-    if not isinstance(path, MissionOnPage):
-        times = np.arange(clock.ticks(page.scenario.duration_s) // clock.stride + 1.0)
-        recording = read_recording(find_data(path.file))
-        track = make_track(recording, times * (clock.stride / clock.base_rate_hz))
-        density = _density_ratio(origin.elevation_m - track.position_ned[:, 2])
-        recorded = Recorded(track, track.airspeed * np.sqrt(density))
-        velocity = track.velocity_ned[0]
-        start = Start(
-            position_ned=tuple(track.position_ned[0].tolist()),
-            course=math.atan2(velocity[1], velocity[0]),
-            airspeed=float(track.airspeed[0]),
+def wind_ned(page: Scenario) -> Array:
+    """Velocity of the air (3,) m/s."""
+    wind = page.air.wind
+    towards = math.radians(wind.from_deg) + math.pi
+    if wind.speed_mps == 0.0:
+        return np.zeros(3)
+    return wind.speed_mps * np.array([math.cos(towards), math.sin(towards), 0.0])
+
+
+def _bounded_in(page: Scenario) -> tuple[float, float, float]:
+    """What the speed bounds are measured against: the ground, or the air."""
+    if page.controller.bounds_of == "ground_speed":
+        return 0.0, 0.0, 0.0
+    north, east, down = wind_ned(page).tolist()
+    return north, east, down
+
+
+def _clock(page: Scenario) -> Clock:
+    rates = page.rates.model_dump()
+    together = rates.pop("synchronous")
+    names, seed = page.aircraft_names, page.scenario.seed
+    phases = None if together else [float(stream(seed, f"phase/{name}").random()) for name in names]
+    return make_clock(**rates, aircraft=len(names), phases=phases)
+
+
+def _ideal(
+    page: Scenario,
+    rows: Sequence[int],
+    starts: Sequence[Start],
+    led: Led,
+    clock: Clock,
+    wind: Array,
+) -> Ideal:
+    """Extended unicycles at their starts, with the leader's velocity over the ground."""
+    names = page.aircraft_names
+    poles = [
+        agent_value(page, names[row], "speed_pole_per_s")
+        if row
+        else page.formation.speed_pole_per_s
+        for row in rows
+    ]
+    return Ideal(
+        IdealFleet(
+            np.array([starts[row].position_ned for row in rows]),
+            np.array([led.velocity_ned for _ in rows]),
+            np.array(poles, dtype=np.float64),
+            clock.base_rate_hz,
+            wind,
         )
-        return recorded, start, track.position_ned[:: max(1, clock.base_rate_hz // clock.stride)]
-    where = page.leader.start
-    start = Start(
-        position_ned=(where.north_m, where.east_m, -where.altitude_m),
-        course=math.radians(where.course_deg),
-        airspeed=path.airspeed_mps,
     )
-    mission = Mission(
-        legs=tuple(_leg(leg) for leg in path.legs),
-        airspeed=path.airspeed_mps,
-        bank_limit=math.radians(path.bank_limit_deg),
-        climb_limit=path.climb_limit_mps,
-        waypoint_radius=path.waypoint_radius_m,
-        period=tune.navl1_period,
-        damping=tune.navl1_damping,
-    )
-    try:
-        plan = make_plan(mission, (where.north_m, where.east_m, where.altitude_m))
-    except InputError as error:
-        raise InputError(f"leader.path: {error}") from error
-    altitude = origin.elevation_m + where.altitude_m
-    level = trim_aircraft(folder, TrimPoint(path.airspeed_mps, 0.0, 0.0, altitude), origin)
-    memory = guidance.begin(
-        altitude=where.altitude_m, pitch=level.placement.pitch, throttle=level.controls.throttle
-    )
-    dt = clock.control / clock.base_rate_hz
-    return MissionPilot(plan, memory, dt=dt, gains=HoldGains()), start, polyline(plan)
 
 
-def _leg(leg: Leg) -> WaypointLeg | LoiterLeg:
-    if leg.kind == "waypoints":
-        return WaypointLeg(points=leg.points_m, laps=leg.laps)
-    return LoiterLeg(
-        centre=leg.centre_m,
-        radius=leg.radius_m,
-        levels=tuple(Level(each.altitude_m, each.turns) for each in leg.levels),
-        clockwise=leg.direction == "clockwise",
-    )
+def _roll_limits(groups: Sequence[Group]) -> tuple[float, ...]:
+    limits = {
+        int(row): float(limit)
+        for group in groups
+        for row, limit in zip(group.rows, group.team.roll_limit, strict=True)
+    }
+    return tuple(limits[row] for row in sorted(limits))
 
 
 def _start(leader: Start, offset_m: tuple[float, float, float]) -> Start:
@@ -211,8 +248,3 @@ def _errors(sensors: Sensors) -> SensorErrors:
             math.radians(sensors.attitude.sigma_deg), sensors.attitude.time_constant_s
         ),
     )
-
-
-def _density_ratio(altitude: Array) -> Array:
-    """Air density over its value at sea level, ISA troposphere, (T,) from altitudes in m."""
-    return (1.0 - 2.25577e-5 * altitude) ** 4.25588

@@ -92,7 +92,7 @@ def read_params(path: Path) -> FbwaParams:
     """Read a `.param` file: a name and a value per line, separated by a comma or blanks.
 
     `#` begins a comment. A name given twice keeps its last value. Names that fly-by-wire A does
-    not use are ignored with one warning that counts them.
+    not use change nothing; a single warning says how many they were.
 
     Raises:
         ParamError: naming file and line, if the file cannot be read or a line is malformed.

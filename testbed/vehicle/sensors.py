@@ -67,15 +67,20 @@ class Estimators:
         numbers: Array = self._draws[self._next - 1]
         return numbers
 
-    def estimate(self, truth: VehicleState) -> VehicleState:
-        """The next estimate; called once per `dt`. The truth itself where nothing errs.
+    def estimate(self, truth: VehicleState, *, fresh: bool) -> VehicleState:
+        """The next estimate. The truth itself where nothing errs.
 
         Accelerations are the specific force an accelerometer feels, resolved with the estimated
         attitude; rates and airspeeds are exact.
+
+        Args:
+            truth: of N aircraft.
+            fresh: errors move on; so once per `dt`. Between they stay as they are.
         """
         if self.exact:
             return truth
-        self._error = self._keep * self._error + self._fresh * self._draw()
+        if fresh:
+            self._error = self._keep * self._error + self._fresh * self._draw()
         position, velocity, attitude = self._error.reshape(-1, 3, 3).swapaxes(0, 1)
         euler = truth.euler + attitude
         gravity = np.array([0.0, 0.0, GRAVITY])

@@ -4,6 +4,9 @@ Steady means that all six accelerations of the body axes vanish while the aircra
 coordinated rate g tan φ / (V cos γ). Six unknowns answer for them: angle of attack, sideslip,
 aileron, elevator, rudder and throttle; the propeller turns at the speed where its torque balances
 the motor's.
+
+An aircraft without a rudder gives up one wish instead. Asked to fly straight, it holds a small
+bank against the propeller's torque; asked for a bank, it turns at the rate that this bank gives.
 """
 
 from __future__ import annotations
@@ -18,11 +21,15 @@ from testbed.errors import InputError
 from testbed.frames import GRAVITY
 from testbed.state import Array
 
+Vector = tuple[float, float, float]
+STILL: Vector = (0.0, 0.0, 0.0)
 _STEP = np.array([1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])  # of the finite differences
 _LONGEST = np.array([0.08, 0.05, 0.3, 0.3, 0.3, 0.3])  # of one Newton step
 _LOW = np.array([-0.3, -0.3, -1.0, -1.0, -1.0, 0.0])
 _HIGH = np.array([0.5, 0.3, 1.0, 1.0, 1.0, 1.0])
 _ITERATIONS = 40
+_STEADY = 1e-4  # m/s² and rad/s²: what may be left
+_FIRST_THROTTLES = (0.3, 0.6, 0.9)  # thrust may fall with throttle while the propeller brakes
 _GOOD = 1e-8  # m/s² and rad/s²: where Newton's steps no longer matter
 
 
@@ -38,14 +45,15 @@ class TrimPoint:
     flight_path_angle: float = 0.0  # rad, climbing positive
     bank: float = 0.0  # rad, right wing down positive
     altitude: float = 400.0  # m above sea level
+    state_of_charge: float = 1.0  # 0..1 of its battery, where it has one
 
 
 @dataclass(frozen=True, slots=True)
 class Placement:
     """How an aircraft stands in the air, at a heading of zero."""
 
-    velocity_body: tuple[float, float, float]  # u, v, w through still air, m/s
-    rates_body: tuple[float, float, float]  # p, q, r, rad/s
+    velocity_body: Vector  # u, v, w through still air, m/s
+    rates_body: Vector  # p, q, r, rad/s
     roll: float  # rad
     pitch: float  # rad
     course: float  # rad, of the velocity, when the heading is zero
@@ -68,30 +76,51 @@ class TrimResult:
     point: TrimPoint
     alpha: float  # rad
     beta: float  # rad
+    turn_rate: float  # rad/s about the vertical, to the right positive
     controls: Controls
     propeller_rps: float  # revolutions per second
     placement: Placement
+    has_rudder: bool  # if not, its command in the controls is zero and does nothing
     residual: float  # largest of the accelerations left, m/s² and rad/s²
 
 
 class TrimModel(Protocol):
     """A flight model that can be put anywhere and asked what it would do."""
 
+    has_rudder: bool  # its command changes something
+    has_lag: bool  # its surfaces follow their commands later, unless it spins
+
     def accelerations(self, placement: Placement, controls: Controls, *, spin: bool) -> Array:
-        """u̇, v̇, ẇ (m/s²), ṗ, q̇, ṙ (rad/s²); with `spin` the propeller settles first."""
+        """u̇, v̇, ẇ (m/s²), ṗ, q̇, ṙ (rad/s²); with `spin` propeller and surfaces settle first."""
 
     @property
     def propeller_rps(self) -> float:
         """Revolutions per second."""
 
 
-def place(point: TrimPoint, alpha: float, beta: float) -> Placement:
+def place(
+    point: TrimPoint,
+    alpha: float,
+    beta: float,
+    *,
+    bank: float | None = None,
+    turn_rate: float | None = None,
+) -> Placement:
     """Attitude, velocity and rates of a steady turn; level flight is the turn of rate zero.
 
     The pitch attitude follows from γ by solving sin γ = a sin θ − b cos θ, where a and b are the
     components of the direction of flight along and across the wings' plane.
+
+    Args:
+        point: the flight asked for.
+        alpha: angle of attack, rad.
+        beta: sideslip, rad.
+        bank: rad, if not the point's.
+        turn_rate: rad/s, if not the coordinated one of the point's bank.
     """
-    v, gamma, phi = point.airspeed, point.flight_path_angle, point.bank
+    v, gamma = point.airspeed, point.flight_path_angle
+    phi = point.bank if bank is None else bank
+    turn = coordinated_turn(point) if turn_rate is None else turn_rate
     along = math.cos(alpha) * math.cos(beta)
     side = math.sin(beta)
     below = math.sin(alpha) * math.cos(beta)
@@ -99,7 +128,6 @@ def place(point: TrimPoint, alpha: float, beta: float) -> Placement:
     theta = math.asin(math.sin(gamma) / math.hypot(along, across)) + math.atan2(across, along)
     east = math.cos(phi) * side - math.sin(phi) * below
     north = along * math.cos(theta) + across * math.sin(theta)
-    turn = GRAVITY * math.tan(phi) / (v * math.cos(gamma))
     rates = (
         -turn * math.sin(theta),
         turn * math.sin(phi) * math.cos(theta),
@@ -114,6 +142,34 @@ def place(point: TrimPoint, alpha: float, beta: float) -> Placement:
     )
 
 
+def coordinated_turn(point: TrimPoint) -> float:
+    """Rate of the turn without side force, g tan φ / (V cos γ), rad/s."""
+    v, gamma, phi = point.airspeed, point.flight_path_angle, point.bank
+    return GRAVITY * math.tan(phi) / (v * math.cos(gamma))
+
+
+def course_through_air(airspeed: float, course: float, wind_ned: Vector) -> float:
+    """Course through the air (rad) that the wind bends to this course over the ground.
+
+    Args:
+        airspeed: horizontal, m/s.
+        course: over the ground, rad.
+        wind_ned: velocity of the air, m/s.
+
+    Raises:
+        TrimError: if the wind is too strong to make way along the course.
+    """
+    north, east, _ = wind_ned
+    across = east * math.cos(course) - north * math.sin(course)
+    along = north * math.cos(course) + east * math.sin(course)
+    if abs(across) >= airspeed or along + math.sqrt(airspeed**2 - across**2) <= 0.0:
+        raise TrimError(
+            f"wind of {math.hypot(north, east):g} m/s: at {airspeed:g} m/s through the air there "
+            f"is no way along a course of {math.degrees(course):g}° over the ground"
+        )
+    return course - math.asin(across / airspeed)
+
+
 def trim(model: TrimModel, point: TrimPoint) -> TrimResult:
     """Find steady flight by Newton's method with limited steps.
 
@@ -122,7 +178,36 @@ def trim(model: TrimModel, point: TrimPoint) -> TrimResult:
     """
     if not point.airspeed > 0.0 or abs(point.bank) > 1.4 or abs(point.flight_path_angle) > 1.4:
         raise TrimError(f"{_words(point)}: airspeed must be positive, angles below 80°")
-    x = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.3])
+    best_x, best = np.zeros(6), np.inf
+    for throttle in _FIRST_THROTTLES:
+        x, size = _newton(model, point, throttle)
+        if size < best:
+            best_x, best = x, size
+        if best <= _STEADY:
+            break
+    if best > _STEADY:
+        raise TrimError(
+            f"{_words(point)}: no steady flight; accelerations of {best:.2g} m/s² or rad/s² are "
+            f"left at throttle {best_x[5]:.2f}, elevator {best_x[3]:+.2f}"
+        )
+    residual = float(np.max(np.abs(_residual(model, point, best_x, spin=True))))
+    placement, controls, turn_rate = _flight(model, point, best_x)
+    return TrimResult(
+        point=point,
+        alpha=float(best_x[0]),
+        beta=float(best_x[1]),
+        turn_rate=turn_rate,
+        controls=controls,
+        propeller_rps=model.propeller_rps,
+        placement=placement,
+        has_rudder=model.has_rudder,
+        residual=residual,
+    )
+
+
+def _newton(model: TrimModel, point: TrimPoint, throttle: float) -> tuple[Array, float]:
+    """The best unknowns met from a first throttle, and the largest acceleration they leave."""
+    x = np.array([0.0, 0.0, 0.0, 0.0, 0.0, throttle])
     f = _residual(model, point, x, spin=True)
     best_x, best = x, np.inf
     for _ in range(_ITERATIONS):
@@ -136,31 +221,32 @@ def trim(model: TrimModel, point: TrimPoint) -> TrimResult:
             step = -_STEP[j] if x[j] + _STEP[j] > _HIGH[j] else _STEP[j]
             moved = x.copy()
             moved[j] += step
-            jacobian[:, j] = (_residual(model, point, moved, spin=j == 5) - f) / step
+            spin = j == 5 or (model.has_lag and j >= 2)
+            jacobian[:, j] = (_residual(model, point, moved, spin=spin) - f) / step
         newton = np.linalg.lstsq(jacobian, -f, rcond=None)[0]
         newton *= min(1.0, float(np.min(_LONGEST / np.maximum(np.abs(newton), 1e-12))))
         x = np.minimum(_HIGH, np.maximum(_LOW, x + newton))
         f = _residual(model, point, x, spin=True)
-    if best > 1e-4:
-        raise TrimError(
-            f"{_words(point)}: no steady flight; accelerations of {best:.2g} m/s² or rad/s² are "
-            f"left at throttle {best_x[5]:.2f}, elevator {best_x[3]:+.2f}"
-        )
-    residual = float(np.max(np.abs(_residual(model, point, best_x, spin=True))))
-    return TrimResult(
-        point=point,
-        alpha=float(best_x[0]),
-        beta=float(best_x[1]),
-        controls=Controls(*(float(value) for value in best_x[2:])),
-        propeller_rps=model.propeller_rps,
-        placement=place(point, float(best_x[0]), float(best_x[1])),
-        residual=residual,
-    )
+    return best_x, best
 
 
 def _residual(model: TrimModel, point: TrimPoint, x: Array, *, spin: bool) -> Array:
-    placement = place(point, float(x[0]), float(x[1]))
-    return model.accelerations(placement, Controls(*(float(v) for v in x[2:])), spin=spin)
+    placement, controls, _ = _flight(model, point, x)
+    return model.accelerations(placement, controls, spin=spin)
+
+
+def _flight(model: TrimModel, point: TrimPoint, x: Array) -> tuple[Placement, Controls, float]:
+    """Placement, controls and turn rate of the unknowns; the fifth is what answers for yaw."""
+    alpha, beta, aileron, elevator, fifth, throttle = (float(value) for value in x)
+    turn = coordinated_turn(point)
+    if model.has_rudder:
+        placement = place(point, alpha, beta)
+        return placement, Controls(aileron, elevator, fifth, throttle), turn
+    controls = Controls(aileron, elevator, 0.0, throttle)
+    if point.bank == 0.0:
+        return place(point, alpha, beta, bank=fifth, turn_rate=0.0), controls, 0.0
+    turn += fifth
+    return place(point, alpha, beta, turn_rate=turn), controls, turn
 
 
 def _words(point: TrimPoint) -> str:

@@ -131,6 +131,62 @@ def rascal110(wingspan_m: float) -> Airframe:
     )
 
 
+def skywalker_x8(wingspan_m: float) -> Airframe:
+    """The Skywalker X8: a swept flying wing blended into a pod, winglets, a pusher propeller.
+
+    Span, wing area and propeller (2.1 m, 0.75 m², 14 in) as in its SOURCE.md; the rest by eye.
+    """
+    b = wingspan_m / 2.1
+    half_wing = b * np.array(
+        [
+            [0.250, 0.00, 0.000, 0.500],
+            [0.205, 0.12, 0.000, 0.475],
+            [0.140, 0.24, -0.005, 0.430],
+            [-0.295, 1.00, -0.040, 0.235],
+            [-0.340, 1.05, -0.042, 0.175],
+        ]
+    )
+    winglet = b * np.array([[-0.345, 1.035, 0.00, 0.175], [-0.455, 1.035, -0.21, 0.095]])
+    pod = np.array(
+        [
+            [0.400, 0.020, 0.018, 0.010, 2.0],
+            [0.375, 0.050, 0.045, 0.005, 2.2],
+            [0.300, 0.085, 0.075, -0.005, 2.5],
+            [0.120, 0.105, 0.090, -0.015, 2.6],
+            [-0.080, 0.095, 0.085, -0.020, 2.5],
+            [-0.230, 0.045, 0.050, -0.025, 2.0],
+            [-0.275, 0.028, 0.028, -0.025, 2.0],
+        ]
+    ) * [b, b, b, b, 1.0]
+    spinner = np.array(
+        [
+            [-0.275, 0.022, 0.022, -0.025, 2.0],
+            [-0.310, 0.018, 0.018, -0.025, 2.0],
+            [-0.335, 0.004, 0.004, -0.025, 2.0],
+        ]
+    ) * [b, b, b, b, 1.0]
+    hatch = np.array(
+        [
+            [0.270, 0.030, 0.010, -0.070, 2.4],
+            [0.200, 0.060, 0.018, -0.088, 2.6],
+            [0.060, 0.062, 0.018, -0.095, 2.6],
+            [-0.010, 0.035, 0.010, -0.092, 2.4],
+        ]
+    ) * [b, b, b, b, 1.0]
+    body = join(
+        body_of_revolution(pod, LIGHT),
+        body_of_revolution(hatch, DARK),
+        body_of_revolution(spinner, DARK),
+        wing(half_wing, MAIN),
+        *(surface(winglet * [1, side, 1, 1], LIGHT) for side in (1.0, -1.0)),
+    )
+    return Airframe(
+        body,
+        disc((-0.30 * b, 0.0, -0.025 * b), 0.178 * b),
+        (planform(half_wing), fuselage_line(pod)),
+    )
+
+
 def plain(wingspan_m: float) -> Airframe:
     """A plain aeroplane with a mid wing, for an airframe nobody has drawn."""
     b = wingspan_m
@@ -162,7 +218,10 @@ def fuselage_line(stations: Array) -> Array:
     return np.concatenate([right, left, right[:1]])
 
 
-DRAWINGS: dict[str, Callable[[float], Airframe]] = {"rascal110": rascal110}
+DRAWINGS: dict[str, Callable[[float], Airframe]] = {
+    "rascal110": rascal110,
+    "skywalker_x8": skywalker_x8,
+}
 
 
 def airframe(name: str, wingspan_m: float) -> Airframe:

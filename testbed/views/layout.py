@@ -90,8 +90,11 @@ def chase_centre(batch: Batch) -> Array:
 def chase_eye(still: Scene, first: Batch) -> Eye:
     """A camera behind, above and right of the formation, as near as shows all of it."""
     placed = np.concatenate([first.position[0, :1], first.slot[0]])
-    radius = float(np.linalg.norm(placed - placed.mean(axis=0), axis=-1).max())
-    distance = 1.25 * radius + 1.5 * max(still.wingspan)
+    spread = placed - placed.mean(axis=0)
+    radius = float(np.linalg.norm(spread, axis=-1).max())
+    tall = float(np.abs(spread[:, 2]).max())
+    # pictures are wider than high, so that a tall formation needs more room
+    distance = max(1.25 * radius + 1.5 * max(still.wingspan), 3.6 * tall)
     # Aimed below the formation: it sits in the upper half, the ground it flies over in the lower.
     target = (0.0, 0.0, 0.10 * distance)
     return Eye((-0.86 * distance, 0.36 * distance, -0.40 * distance), target)

@@ -95,7 +95,7 @@ def test_every_equation_has_one_row():
 
 def test_what_is_implemented_is_tested_and_what_is_not_is_said():
     page = PAGE.read_text(encoding="utf-8")
-    (missing,) = re.findall(r"^Not yet: (.*?)\n\n", page, re.MULTILINE | re.DOTALL)
+    missing = "".join(re.findall(r"^Not yet: (.*?)\n\n", page, re.MULTILINE | re.DOTALL))
     for row in ROWS:
         if "function" not in row:
             continue

@@ -32,6 +32,7 @@ def run_info(followers=3, **changes):
         "duration_s": 60.0,
         "seed": 7,
         "speed_bounds_mps": ((16.0, 30.0),) * followers,
+        "kappa_mps": (3.6,) * followers,
         "roll_limit_rad": (0.8,) * followers,
         "leader_path_ned": np.array([[0.0, 0.0, -100.0], [1.0 / 3.0, 2.0, -100.0]]),
         "portions": {"first": (1.0, 2.0), "second": (2.0, 4.0)},
@@ -61,7 +62,7 @@ def run_frames(count, followers=3, *, noisy_from=None, seed=1, events=()):
             time_s=tick / BASE_RATE_HZ,
             truth=truth,
             estimate=truth if noisy_from is None or k < noisy_from else motion(),
-            air=AirData(*scalars(3, ours), rng.standard_normal((ours, 3))),
+            air=AirData(*scalars(3, ours), rng.standard_normal((ours, 3)), *scalars(2, ours)),
             command=FbwaCommand(*scalars(3, ours)),
             surfaces=Surfaces(*scalars(4, ours)),
             formation=FormationState(

@@ -10,8 +10,10 @@ from pathlib import Path
 
 import pytest
 from run_flight import DIVE
+from typer.testing import CliRunner
 
 import testbed
+from testbed.cli import app
 from testbed.record.read import read_log
 
 ROOT = Path(__file__).parents[2]
@@ -49,6 +51,24 @@ def test_help_names_every_command_and_the_exit_codes(tmp_path):
         assert f"{command} " in text
         assert "--help" in cli(command, "--help", cwd=tmp_path).stdout
     assert "130 interrupted" in text
+
+
+@pytest.mark.parametrize(
+    ("command", "default"),
+    [
+        ("run", "[default: logs/SCENARIO/UTC-ID]"),
+        ("check", "[default: 4 of the table's; 16 for a new table]"),
+        ("check", "[default: one per processor]"),
+        ("check", "[default: all that have a golden table]"),
+        ("respond", "[default: the first row's, or 100]"),
+        ("step", "[default: the profile's trim]"),
+    ],
+)
+def test_help_tells_defaults_that_are_found_out_later(command, default):
+    wide = {"TERMINAL_WIDTH": "200", "COLUMNS": "200", "NO_COLOR": "1"}
+    done = CliRunner().invoke(app, [command, "--help"], env=wide)
+    assert default in done.stdout
+    assert "\\" not in done.stdout
 
 
 def test_help_loads_nothing_heavy(tmp_path):

@@ -6,7 +6,8 @@ import math
 import os
 
 import pytest
-from record_flight import event, run_frames, run_info
+import record_flight
+from record_flight import event, run_frames
 from rich.console import Console
 
 from testbed.errors import InputError
@@ -20,6 +21,10 @@ PUBLISHED = {
     "mean_rms_m": {"first": 1.4},
     "percent_error": {"first": 18},
 }
+
+
+def run_info(followers=3, **changes):
+    return record_flight.run_info(followers, **{"kappa_mps": (3.6,) * followers, **changes})
 
 
 def document(followers=3, *, published=None, outcome="flown", **changes):
@@ -43,7 +48,9 @@ def test_the_document_has_the_promised_keys():
     assert {"mean_rms_m", "percent_error"} <= set(portion)
     promised = {"min_separation_m", "engaged_at_s", "simulated_s", "wall_s", "real_time_factor"}
     promised |= {"leader_bank_deg", "outcome", "schema", "scenario", "seed", "versions", "guards"}
-    assert promised | {"saturations", "published", "events"} <= set(metrics)
+    promised |= {"kappa_mps", "kappa_at_s", "kappa_assumed_mps", "slot_speed_mps"}
+    assert promised | {"saturations", "published", "events", "left_speed_set"} <= set(metrics)
+    assert {"kappa_mps", "slot_speed_mps"} <= set(portion)
     assert metrics["simulated_s"] == 79 / 25
     assert metrics["real_time_factor"] == metrics["simulated_s"] / 2.0
 
@@ -106,6 +113,25 @@ def test_the_table_fits_80_columns_and_cuts_no_word(followers, published):
         text = shown(document(followers, published=published, portions=portions))
         assert "…" not in text.replace("… and 3 more", "")
         assert max(map(len, text.splitlines())) <= 80
+
+
+def facts(metrics):
+    return {line[:20].strip(): line[21:].rstrip() for line in shown(metrics).splitlines()}
+
+
+def test_the_table_says_whose_kappa_was_smallest_and_what_the_page_says():
+    metrics = document(kappa_mps=(3.6, 3.6, 9.0))
+    # uav3 keeps more than uav2, but least of what the page says of it
+    metrics |= {"kappa_mps": {"uav1": None, "uav2": 3.5, "uav3": 4.0}}
+    metrics |= {"kappa_at_s": {"uav1": None, "uav2": 1.0, "uav3": 12.34}}
+    metrics["left_speed_set"] = {name: {"times": 0, "first_s": None} for name in metrics["guards"]}
+    shown_facts = facts(metrics)
+    assert shown_facts["kappa measured"] == "4.00 m/s, uav3 at 12.3 s; the page says 9"
+    assert "left the speed set" not in shown_facts
+    metrics["left_speed_set"]["uav2"] = {"times": 3, "first_s": 4.0}
+    assert facts(metrics)["left the speed set"] == "uav2 at 4.0 s, 3 × in all"
+    metrics["left_speed_set"]["uav3"] = {"times": 1, "first_s": 2.0}
+    assert facts(metrics)["left the speed set"] == "uav3 at 2.0 s, 1 × in all; 1 more"
 
 
 def test_a_pipe_gets_no_colours():

@@ -14,6 +14,7 @@ import pytest
 from run_flight import DIVE, NOISY, Collector, arrays, fingerprint, flown, short
 
 import testbed
+from testbed.formation.flags import Guard
 from testbed.record.read import frames, read_log
 from testbed.sim.loop import fly
 from testbed.sim.world import build
@@ -66,7 +67,14 @@ def test_frames_come_at_the_log_rate_and_are_finite():
     assert [frame.time_s for frame in seen] == [tick / 200 for tick in range(0, 401, 20)]
     for frame in seen:
         for name, array in arrays(frame):
-            assert np.isfinite(array).all(), (frame.time_s, name)
+            if name.removeprefix("air.") in ("state_of_charge", "battery_voltage"):
+                assert np.isnan(array).all(), "a Rascal has no battery"
+            elif name == "formation.age_s":
+                # everyone uses the leader's messages, and of the others those it has a gain for
+                used = [[1, 0, 0, 0], [1, 1, 0, 0], [1, 0, 1, 0]]
+                assert np.array_equal(np.isfinite(array), np.array(used, dtype=bool))
+            else:
+                assert np.isfinite(array).all(), (frame.time_s, name)
 
 
 # what an agent is told
@@ -92,8 +100,10 @@ def test_an_agent_knows_its_own_estimate_and_what_the_others_sent(late):
     """UAV 1's sensors err: it and the others act on what it believed, `late` ticks ago."""
     page = short("fleet.0.sensors=gps-ins", f"network.delay_s={late * 0.04}", seconds=3)
     world = build(page)
-    law, seen = Overheard(world.law), Collector()
-    fly(dataclasses.replace(world, law=law), [seen], lambda: False)
+    (group,), seen = world.groups, Collector()
+    law = Overheard(group.law)
+    overheard = (dataclasses.replace(group, law=law),)
+    fly(dataclasses.replace(world, groups=overheard), [seen], lambda: False)
     assert len(law.given) == len(seen.frames) == 76
     for k, (now, own, inbox) in enumerate(law.given):
         believed, truth = seen.frames[k].estimate, seen.frames[k].truth
@@ -108,7 +118,7 @@ def test_an_agent_knows_its_own_estimate_and_what_the_others_sent(late):
         sent = seen.frames[k - late]
         assert (inbox.stamp_s == sent.time_s).all()
         assert inbox.received_s == pytest.approx(np.full((3, 4), now), abs=1e-9)
-        for name in ("position_ned", "velocity_ned", "acceleration_ned"):
+        for name in ("position_ned", "velocity_ned", "acceleration_ned", "euler"):
             heard = getattr(inbox, name)
             told = np.broadcast_to(getattr(sent.estimate, name), heard.shape)
             assert np.array_equal(heard, told), name
@@ -118,20 +128,29 @@ def test_an_agent_knows_its_own_estimate_and_what_the_others_sent(late):
 def test_nobody_hears_at_another_rate_than_the_broadcasts():
     page = short("rates.broadcast_hz=10", "rates.control_hz=50", seconds=2)
     world = build(page)
-    law = Overheard(world.law)
-    fly(dataclasses.replace(world, law=law), [], lambda: False)
+    (group,) = world.groups
+    law = Overheard(group.law)
+    overheard = (dataclasses.replace(group, law=law),)
+    fly(dataclasses.replace(world, groups=overheard), [], lambda: False)
     ages = {round(float((now - inbox.stamp_s).max()), 6) for now, _, inbox in law.given}
     assert ages == {0.0, 0.02, 0.04, 0.06, 0.08}
 
 
-def test_a_law_that_is_told_nothing_leaves_everyone_at_trim():
+def test_a_law_that_is_told_nothing_flies_everyone_straight_and_level_at_trim():
     """The commands come from the inbox and nowhere else."""
     late = "network.delay_s=60"
-    last = flown(late, seconds=2)[-1]
-    assert (last.command.roll[1:] == 0.0).all()
-    assert (last.command.pitch[1:] == 0.0).all()
-    assert np.array_equal(last.command.throttle[1:], build(short(late)).law.middle.trim_throttle)
-    assert np.isnan(last.formation.age_s).all()
+    last = flown(late, seconds=20)[-1]
+    told = last.formation
+    assert (told.guards == Guard.LEADER_SILENT).all()
+    assert told.course_desired == pytest.approx(np.full(3, np.pi / 2.0), abs=1e-9)
+    assert told.course == pytest.approx(told.course_desired, abs=0.01)
+    assert (told.flight_path_angle_desired == 0.0).all()
+    (group,) = build(short(late)).groups
+    assert told.speed_command == pytest.approx(group.team.trim_airspeed, rel=1e-12)
+    assert last.truth.airspeed[1:] == pytest.approx(group.team.trim_airspeed, abs=0.1)
+    # a degree or two of bank, with which they steer the last third of a degree of course away
+    assert last.truth.euler[1:, 0] == pytest.approx(np.zeros(3), abs=0.04)
+    assert np.isnan(told.age_s).all()
 
 
 # from Python

@@ -58,6 +58,34 @@ def test_maps_merge_deeply_and_lists_and_scalars_replace(tmp_path):
     assert changed.fleet == base.fleet
 
 
+def test_null_takes_a_key_away(tmp_path):
+    top = page(
+        tmp_path,
+        "top.yaml",
+        f"extends: {FULL}\n"
+        "formation: {altitudes_m: null, agents: {uav1: {k: null}}, leader_gains: {uav1: null}}\n"
+        "controller: {estimators: null}\n",
+    )
+    for changed in (
+        load(top),
+        load(
+            FULL,
+            [
+                "formation.altitudes_m=null",
+                "formation.agents.uav1.k=null",
+                "formation.leader_gains.uav1=null",
+                "controller.estimators=null",
+            ],
+        ),
+    ):
+        formation = changed.formation
+        assert formation.altitudes_m == formation.leader_gains == {}
+        assert (formation.agents["uav1"].k, formation.agents["uav1"].a) == (None, 0.8)
+        assert set(changed.controller.estimators.model_dump().values()) == {None}
+    assert "scenario.duration_s: is missing" in refusal(load, FULL, ["scenario.duration_s=null"])
+    assert load(FULL, ["formation.leader_gains.*=null"]).formation.leader_gains == {}
+
+
 def test_a_map_of_another_kind_replaces_the_old_one(tmp_path):
     record = page(tmp_path, "flight.csv", "t_s\n")
     top = page(
@@ -139,7 +167,7 @@ BAD_SETTINGS = [
     (
         "rates.loq_hz=50",
         "rates.loq_hz: is not a key of this part: did you mean 'log_hz'? (write one of physics_hz, "
-        "autopilot_hz, control_hz, broadcast_hz, log_hz)",
+        "autopilot_hz, control_hz, broadcast_hz, log_hz, synchronous)",
     ),
     (
         "fleet.uav3.tune=recorded",

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from testbed.scenario import ScenarioError, load, loads
+from testbed.scenario import ScenarioError, list_aircraft, load, loads
 
 MINIMAL = (Path(__file__).parents[1] / "data" / "scenarios" / "minimal.yaml").read_text()
 
@@ -95,7 +95,8 @@ WRONG = [
         "aircraft: rascal110, start_m",
         "aircraft: rascal100, start_m",
         "page.yaml:7:28: fleet.0.aircraft: there is no aircraft 'rascal100': did you mean "
-        "'rascal110'? (write one of: rascal110; or the path of a folder with a JSBSim model)",
+        f"'rascal110'? (write one of: {', '.join(list_aircraft())}; or the path of a folder with a "
+        "JSBSim model)",
     ),
     (
         "offsets_m: {uav1:",
@@ -126,6 +127,48 @@ MORE = [
     ("controller: {profile: papr}", "there is no profile 'papr': did you mean 'paper'?"),
     ("controller: {throttle_error: air}", "is 'air' (write ground_speed or airspeed)"),
     ("networks: {delay_s: 0}", "networks: is not a key of this part: did you mean 'network'?"),
+    ("rates: {synchronous: no}", "rates.synchronous: is 'no' (write false)"),
+    (
+        "network: {mute_s: {lead: [[1, 2]]}}",
+        "network.mute_s.lead: no aircraft has this name: did you mean 'leader'? (the run has "
+        "leader, uav1)",
+    ),
+    (
+        "network: {mute_s: {uav1: [[1, 2], [5, 5]]}}",
+        "network.mute_s.uav1.1: [5, 5] is not a window (write [from, to] in s)",
+    ),
+    (
+        "network: {mute_s: {uav1: [[2, 1]]}}",
+        "network.mute_s.uav1.0: [2, 1] is not a window (write [from, to] in s)",
+    ),
+    ("network: {mute_s: {uav1: [[-1, 2]]}}", "mute_s.uav1.0.0: is -1 (write a number at least 0)"),
+    ("network: {mute_s: {uav1: [[1]]}}", "network.mute_s.uav1.0: has 1 elements (write 2; By"),
+    ("network: {mute_s: {uav1: [1, 2]}}", "network.mute_s.uav1.0: is 1 (write a list; By aircraft"),
+    ("air: {wind: {speed_mps: -1}}", "air.wind.speed_mps: is -1 (write a number at least 0)"),
+    (
+        "controller: {options: {gain: 1}}",
+        "controller.options: the paper's law takes no options (write its gains under formation, or "
+        "leave this out)",
+    ),
+    ("controller: {options: {gain: {a: 1}}}", "controller.options.gain: is a map (write "),
+    (
+        "controller: {law: papre}",
+        "controller.law: must be paper, or module:Class for a law of your",
+    ),
+    ("controller: {law: 'mine.py:Law'}", "mine.py (write module:Class, with module.py beside the"),
+    ("controller: {silence: {after_s: 0}}", "silence.after_s: is 0 (write a number above 0)"),
+    ("controller: {silence: {then: land}}", "silence.then: is 'land' (write straight or loiter)"),
+    ("controller: {silence: {bank_deg: 70}}", "silence.bank_deg: is 70 (write a number at most 60"),
+    ("controller: {pitch_feedforward: all}", "is 'all' (write none or incidence)"),
+    ("controller: {bounds_of: air}", "bounds_of: is 'air' (write ground_speed or airspeed)"),
+    (
+        "controller: {estimators: {leader_acceleration: bank}}",
+        "estimators.leader_acceleration: is 'bank' (write broadcast, turn or none)",
+    ),
+    (
+        "controller: {estimators: {leader_acceleration_blend: [0, 1, 1]}}",
+        "estimators.leader_acceleration_blend.0: is 0 (write a number above 0)",
+    ),
 ]
 
 
@@ -152,7 +195,7 @@ ALSO = [
     ("name: uav1,", "name: leader,", "fleet.0.name: 'leader' is already the name of the leader"),
     ("formation:", "formation:\n  speed_mps: [30, 16]", "[30, 16] is not a range of speeds"),
     ("formation:", "formation:\n  leader_gains: {uav9: 1}", "leader_gains.uav9: no follower"),
-    ("formation:", "formation:\n  leader_gains: {uav1: [1, 2]}", "must be a number, or three"),
+    ("formation:", "formation:\n  leader_gains: {uav1: [1, 2]}", "must be a number, three numbers"),
     ("formation:", "formation:\n  leader_gains: {uav1: -1}", "is -1 (write a number at least 0)"),
     (
         "formation:",
@@ -160,6 +203,88 @@ ALSO = [
         "neighbour_gains.uav1.uav1: an aircraft is not its own neighbour",
     ),
     ("formation:", "formation:\n  barrier: {example: 3}", "is 3 (write one of 4, 5, 6, 7)"),
+    (
+        "formation:",
+        "formation:\n  agents: {uav2: {k: 1}}",
+        "formation.agents.uav2: no follower has this name: did you mean 'uav1'? (the fleet",
+    ),
+    (
+        "formation:",
+        "formation:\n  agents: {uav1: {kappa: 1}}",
+        "agents.uav1.kappa: is not a key of this part: did you mean 'kappa_mps'? (write one of",
+    ),
+    (
+        "formation:",
+        "formation:\n  agents: {uav1: {k: 0}}",
+        "formation.agents.uav1.k: is 0 (write a number above 0)",
+    ),
+    (
+        "formation:",
+        "formation:\n  agents: {uav1: {barrier: {example: 1}}}",
+        "formation.agents.uav1.barrier.example: is 1 (write one of 4, 5, 6, 7)",
+    ),
+    (
+        "formation:",
+        "formation:\n  agents: {uav1: {speed_mps: [20, 20]}}",
+        "formation.agents.uav1.speed_mps: [20, 20] is not a range of speeds (write [lowest,",
+    ),
+    (
+        "formation:",
+        "formation:\n  agents: {uav1: {speed_desired_mps: [0, 20]}}",
+        "formation.agents.uav1.speed_desired_mps: [0, 20] is not a range of speeds",
+    ),
+    (
+        "formation:",
+        "formation:\n  speed_desired_mps: [25, 20]",
+        "formation.speed_desired_mps: [25, 20] is not a range of speeds",
+    ),
+    (
+        "formation:",
+        "formation:\n  altitudes_m: {uv1: 90}",
+        "formation.altitudes_m.uv1: no follower has this name: did you mean 'uav1'? (the fleet has",
+    ),
+    (
+        "formation:",
+        "formation:\n  altitudes_m: {uav1: high}",
+        "formation.altitudes_m.uav1: is 'high' (write a number; ",
+    ),
+    (
+        "formation:",
+        "formation:\n  c: {per_sped_squared: 1}",
+        "c.per_sped_squared: is not a key of this part: did you mean 'per_speed_squared'?",
+    ),
+    (
+        "formation:",
+        "formation:\n  c: {per_speed_squared: -1}",
+        "formation.c.per_speed_squared: is -1 (write a number at least 0)",
+    ),
+    ("formation:", "formation:\n  c: 0", "formation.c: must be above 0"),
+    ("formation:", "formation:\n  c: -1", "formation.c: is -1 (write a number"),
+    (
+        "formation:",
+        "formation:\n  leader_gains: {uav1: [[1, 0, 0], [0, 2, 1], [0, 0, 3]]}",
+        "formation.leader_gains.uav1: a matrix must be diagonal (write [north, east, down])",
+    ),
+    (
+        "formation:",
+        "formation:\n  leader_gains: {uav1: [[1, 0], [0, 2], [0, 0]]}",
+        "formation.leader_gains.uav1: must be a number, three numbers [north, east, down], or a",
+    ),
+    (
+        "formation:",
+        "formation:\n  leader_gains: {uav1: [[1, 0, 0], 2, 3]}",
+        "formation.leader_gains.uav1: must be a number, three numbers [north, east, down], or a",
+    ),
+    (
+        "formation:",
+        "formation:\n  leader_gains: {uav1: [[1, 0, 0], [0, -2, 0], [0, 0, 3]]}",
+        "formation.leader_gains.uav1.1: is a list (write a number at least 0)",
+    ),
+    (
+        "formation:",
+        "formation:\n  leader_gains: {uav1: yes}",
+        "formation.leader_gains.uav1: must be a number, three numbers",
+    ),
 ]
 
 

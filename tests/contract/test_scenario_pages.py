@@ -1,11 +1,17 @@
 """Pages that are right: they load, they mean what they say, and they survive a round trip."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import get_args
 
 import jsonschema
+import numpy as np
 import pytest
+import yaml
 
 from testbed.scenario import Scenario, dump, json_schema, list_scenarios, load, loads, shorten
+from testbed.scenario.fields import Section
+from testbed.sim.world import build
 
 PAGES = Path(__file__).parents[1] / "data" / "scenarios"
 FIXTURES = sorted(PAGES.glob("*.yaml"))
@@ -32,7 +38,9 @@ def test_there_are_scenarios():
 
 def test_simulation_3_has_the_papers_parameters():
     formation = load("simulation-3").formation
-    assert (formation.k, formation.a, formation.b, formation.c) == (3.0, 1.0, 0.1, 0.1)
+    assert (formation.k, formation.a, formation.b) == (3.0, 1.0, 0.1)
+    assert (formation.c.constant, formation.c.per_speed_squared) == (0.1, 0.0)
+    assert formation.altitudes_m == formation.agents == {}
     assert (formation.kappa_mps, formation.speed_mps) == (3.6, (16.0, 30.0))
     assert formation.offsets_m == {
         "uav1": (-5.0, 5.0, 0.0),
@@ -55,41 +63,127 @@ def test_defaults_are_the_ones_the_page_documents():
     assert page.formation.leader_gains == {}
     assert page.scenario.origin.latitude_deg == 38.0
     assert page.log.mcap is True
+    assert rates.synchronous is True
+    assert page.leader.vehicle == page.fleet[0].vehicle == "jsbsim"
+    controller = page.controller
+    assert (controller.law, controller.options) == ("paper", {})
+    assert set(controller.estimators.model_dump().values()) == {None}
+    assert (controller.pitch_feedforward, controller.bounds_of) == ("none", "ground_speed")
+    assert (controller.silence.after_s, controller.silence.then) == (5.0, "straight")
+    assert page.network.mute_s == {}
+    assert page.air.wind.speed_mps == 0.0
 
 
-def _leaves(data, path=()):
-    if isinstance(data, dict):
-        for key, value in data.items():
-            yield from _leaves(value, (*path, key))
-    else:
-        yield path, data
+# The kinds of a path that everything.yaml, which flies a mission, has no room for.
+VIRTUAL = "leader.path={{kind: virtual, speed_mps: 21, curve: {{{}}}}}"
+OTHER_KINDS = [
+    VIRTUAL.format("kind: straight, climb_mps: 1"),
+    VIRTUAL.format("kind: circle, radius_m: 200, direction: anticlockwise, climb_mps: -0.5"),
+    VIRTUAL.format("kind: figure-eight, radius_m: 180, direction: anticlockwise"),
+    VIRTUAL.format("kind: weave, amplitude_m: 30, period_s: 25"),
+    VIRTUAL.format("kind: speed-change, amplitude_mps: 2, period_s: 30"),
+    "leader.path={kind: replay, file: arduplane-auto-leader-rascal.csv}",
+]
+# What has one value only.
+NO_CHOICE = {("Follower", "autopilot"), ("Follower", "commanded_by")}
 
 
-def test_the_full_page_says_every_key_and_the_page_keeps_what_it_says():
+def _sections(value):
+    """Every section of a page, however deep."""
+    if isinstance(value, Section):
+        yield value
+        value = dict(value)
+    if isinstance(value, Mapping):
+        value = tuple(value.values())
+    if isinstance(value, tuple):
+        for item in value:
+            yield from _sections(item)
+
+
+def _said(data):
+    """(section, key) of what a page says, and of what it says with another value than left out."""
+    said, changed = set(), set()
+    for section in _sections(Scenario.model_validate(data)):
+        kind = type(section)
+        for key in section.model_fields_set:
+            field = kind.model_fields[key]
+            said.add((kind.__name__, key))
+            if field.is_required() or getattr(section, key) != field.get_default():
+                changed.add((kind.__name__, key))
+    return said, changed
+
+
+def _every_key():
+    """(section, key) of the schema, as its classes have them."""
+    waiting, found = [Scenario], set()
+    while waiting:
+        kind = waiting.pop()
+        if kind not in found:
+            found.add(kind)
+            waiting += [
+                each for field in kind.model_fields.values() for each in _kinds(field.annotation)
+            ]
+    return {(kind.__name__, key) for kind in found for key in kind.model_fields}
+
+
+def _kinds(annotation):
+    if isinstance(annotation, type) and issubclass(annotation, Section):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _kinds(part)
+
+
+def test_the_full_page_says_every_key_and_none_at_its_default():
+    text = (PAGES / "everything.yaml").read_text()
+    said, changed = _said(yaml.safe_load(text))
+    for other in OTHER_KINDS:
+        data = yaml.safe_load(text)
+        data["leader"]["path"] = yaml.safe_load(other.partition("=")[2])
+        more, otherwise = _said(data)
+        said, changed = said | more, changed | otherwise
+    assert len(said) > 130
+    assert _every_key() - said == set()
+    assert said - changed == NO_CHOICE
+
+
+@pytest.mark.parametrize("other", OTHER_KINDS)
+def test_another_kind_of_path_is_kept_whole(other):
+    full = load(PAGES / "everything.yaml", [other])
+    assert loads(dump(full)) == full
+    path = full.leader.path.model_dump()
+    for key, value in yaml.safe_load(other.partition("=")[2]).items():
+        assert path[key] == value
+
+
+def test_the_full_page_keeps_what_it_says():
     full = load(PAGES / "everything.yaml")
-    assert not _unset(full), "keys of the schema that everything.yaml does not use"
     assert full.fleet[0].sensors.position.sigma_m == 0.3
     assert full.fleet[1].sensors.velocity.sigma_mps == 0.0
     assert full.formation.leader_gains["uav1"] == (1.0, 1.0, 0.5)
-    assert full.formation.neighbour_gains["uav2"]["uav1"] == (2.0, 2.0, 2.0)
-    assert full.controller.extrapolate_from == "timestamp"
+    assert full.formation.neighbour_gains["uav2"]["uav1"] == (2.0, 3.0, 4.0)
+    assert full.formation.altitudes_m == {"uav2": 115.0}
+    assert full.formation.c.per_speed_squared == 0.0004
+    own = full.formation.agents["uav1"]
+    assert (own.c.constant, own.c.per_speed_squared) == (0.2, 0.0)
+    assert (own.control_function.example, own.barrier.example) == (2, 7)
+    assert own.speed_desired_mps == (19.0, 27.0)
+    controller = full.controller
+    assert controller.extrapolate_from == "timestamp"
+    assert controller.law == f"{PAGES / 'slower.py'}:Slower"
+    options = {"by_mps": 0.5, "axes": (1.0, 2.5), "loud": False, "mark": "x"}
+    assert controller.options == options
+    assert controller.estimators.leader_acceleration_blend == (0.5, 0.6, 0.1)
+    assert full.network.mute_s == {"lead": ((5.0, 6.0), (8.0, 12.5))}
     assert full.leader.path.legs[1].levels[0].turns == 1.5
-    # Loading settles references, after which pydantic counts every field as set: compare values.
-    minimal = dict(_leaves(load(PAGES / "minimal.yaml").model_dump(exclude={"leader", "fleet"})))
-    same = {path for path, value in _leaves(full.model_dump()) if minimal.get(path) == value}
-    fixed = {("scenario", "schema_version"), ("controller", "law")}
-    names_its_kind = {("formation", "control_function", "example")}
-    assert same <= fixed | names_its_kind
 
 
-def _unset(page: Scenario):
-    text = (PAGES / "everything.yaml").read_text()
-    return [
-        key
-        for definition in json_schema()["$defs"].values()
-        for key in definition.get("properties", {})
-        if f"{key}:" not in text and key != "file"  # the other kind of path
-    ]
+def test_the_full_page_is_a_world():
+    fuel = ["leader.battery=null", "fleet.uav1.battery=null"]  # a Rascal has no battery
+    world = build(load(PAGES / "everything.yaml", fuel))
+    assert world.names == ("lead", "uav1", "uav2")
+    assert world.channel.mute == ((0, 5.0, 6.0), (0, 8.0, 12.5))
+    assert np.array_equal(world.altitudes, [np.nan, 115.0], equal_nan=True)
+    assert sum(len(group.rows) for group in world.groups) == 2
 
 
 @pytest.mark.parametrize("page", EVERY_PAGE)

@@ -133,7 +133,7 @@ def test_a_frame_is_copied_and_not_written_to():
     assert len(collector.take()) == 0
 
 
-@pytest.mark.parametrize("name", ["rascal110", "an-airframe-nobody-drew"])
+@pytest.mark.parametrize("name", ["rascal110", "skywalker_x8", "an-airframe-nobody-drew"])
 def test_a_drawing_has_the_wingspan_it_was_asked_for(name):
     drawing = airframe(name, 3.5)
     body = drawing.body

@@ -47,6 +47,7 @@ def info(aircraft: int, duration_s: float) -> RunInfo:
         duration_s=duration_s,
         seed=1,
         speed_bounds_mps=((16.0, 30.0),) * n,
+        kappa_mps=(3.6,) * n,
         roll_limit_rad=(np.radians(45.0),) * n,
         leader_path_ned=np.array(corners, dtype=float),
         portions={},
@@ -111,7 +112,7 @@ def frames(aircraft: int, duration_s: float, rate_hz: float = 25.0) -> Iterator[
             time_s=t,
             truth=state,
             estimate=state,
-            air=AirData(zeros, zeros, zeros, np.zeros((aircraft, 3))),
+            air=AirData(zeros, zeros, zeros, np.zeros((aircraft, 3)), zeros, zeros),
             command=FbwaCommand(zeros, euler[:, 0], throttle),
             surfaces=Surfaces(zeros, zeros, zeros, throttle),
             formation=FormationState(

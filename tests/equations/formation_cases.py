@@ -1,25 +1,109 @@
 """Formations of random agents for the tests of the control law, and ways to cut and turn them."""
 
-import numpy as np
+from dataclasses import fields, is_dataclass, replace
 
-from testbed.formation import control_function
+import numpy as np
+import pytest
+
+from testbed.formation import barrier as barriers
+from testbed.formation import control_function, leader
 from testbed.formation.barrier import Barrier
-from testbed.formation.law import PaperLaw, PaperMemory
 from testbed.formation.laws import SpeedSet
-from testbed.formation.middle_loop import MiddleLoopGains, MiddleLoopMemory
-from testbed.state import Inbox, VehicleState
+from testbed.formation.leader import LeaderMemory
+from testbed.formation.middle_loop import (
+    MiddleLoop,
+    MiddleLoopGains,
+    MiddleLoopMemory,
+    middle_step,
+)
+from testbed.formation.paper_law import PaperLaw, paper_step
+from testbed.state import Inbox, UnicycleCommand, VehicleState
 
 LOW, HIGH, KAPPA = 16.0, 30.0, 3.6
+NOW, DT = 100.0, 0.04
 PAPERS_MU = control_function.example_1(50.0, 1.0, 0.5)
 PAPERS_BARRIER = Barrier(5, 0.05)
+
+
+def _engines(name, definition):
+    """The function as it is read and, where numba is, as it flies."""
+    found = {"numpy": definition}
+    try:
+        from testbed.formation import middle_loop_twin, paper_twin
+    except ImportError:
+        return found
+    twin = paper_twin if hasattr(paper_twin, name) else middle_loop_twin
+    return {**found, "numba": getattr(twin, name)}
+
+
+LAW_ENGINES = _engines("paper_step", paper_step)
+LOOP_ENGINES = _engines("middle_step", middle_step)
+each_engine = pytest.mark.parametrize("step", LAW_ENGINES.values(), ids=LAW_ENGINES)
+each_loop = pytest.mark.parametrize("middle", LOOP_ENGINES.values(), ids=LOOP_ENGINES)
 
 
 def same(value, n):
     return np.full(n, float(value))
 
 
+def flags(value, n):
+    return np.full(n, value, dtype=bool)
+
+
+def make_law(n, rng, *, mu=PAPERS_MU, barrier=PAPERS_BARRIER, **changes):
+    """A law whose agents all differ, with Section 9's bounds and, for each, its own options.
+
+    `mu` and `barrier` are one for all agents, or a list with one for each.
+    """
+    functions = mu if isinstance(mu, list) else [mu] * n
+    k = rng.uniform(2.0, 3.0, n)
+    margin = KAPPA - k * np.array([min(each.bound, 1.0) for each in functions])
+    law = PaperLaw(
+        agents=np.arange(1, n + 1, dtype=np.intp),
+        offsets=np.vstack([np.zeros(3), rng.uniform(-10.0, 10.0, (n, 3))]),
+        gains=rng.uniform(0.2, 1.5, (n, n + 1, 3)) * (rng.random((n, n + 1, 1)) < 0.8),
+        k=k,
+        a=rng.uniform(0.5, 1.5, n),
+        b=rng.uniform(0.05, 0.2, n),
+        c=rng.uniform(0.05, 0.2, n),
+        c_speed=np.zeros(n),
+        pole=rng.uniform(0.4, 0.7, n),
+        control_function=control_function.per_agent(functions),
+        barrier=barriers.per_agent(barrier if isinstance(barrier, list) else [barrier] * n),
+        speeds=SpeedSet(same(LOW, n), same(HIGH, n), LOW + margin, HIGH - margin),
+        horizontal=flags(False, n),
+        bounds_of_airspeed=False,
+        from_timestamp=False,
+        with_acceleration=flags(False, n),
+        acceleration_source=np.full(n, leader.BROADCAST),
+        acceleration_blend=np.tile([0.4, 0.4, 0.025], (n, 1)),
+        difference_blend=np.tile([0.4, 0.2], (n, 1)),
+        turn_acceleration=flags(False, n),
+        forget_after=5.0,
+        silent_airspeed=rng.uniform(20.0, 24.0, n),
+        silent_turn=np.zeros(n),
+    )
+    return replace(law, **changes)
+
+
+def mixed_options(n, rng):
+    """For each agent a random choice of everything that an agent may choose."""
+    return {
+        "c_speed": rng.choice([0.0, 3e-4], n),
+        "horizontal": rng.random(n) < 0.3,
+        "with_acceleration": rng.random(n) < 0.5,
+        "acceleration_source": rng.integers(0, 3, n),
+        "acceleration_blend": rng.uniform(0.02, 1.0, (n, 3)),
+        "difference_blend": rng.uniform(0.02, 1.0, (n, 2)),
+        "turn_acceleration": rng.random(n) < 0.5,
+        "silent_turn": rng.choice([0.0, -0.2, 0.15], n),
+    }
+
+
 def middle_gains(n, **changes):
+    """The paper's gains; what the paper has not is zero."""
     values = {
+        **dict.fromkeys(MiddleLoopGains._fields, 0.0),
         "climb_p": 1.5,
         "climb_i": 0.2,
         "climb_d": 0.1,
@@ -36,31 +120,21 @@ def middle_gains(n, **changes):
         "roll_limit": 5.0 * np.pi / 18.0,
     }
     assert not set(changes) - set(values)
-    return MiddleLoopGains(**{name: same(v, n) for name, v in {**values, **changes}.items()})
-
-
-def make_law(n, rng, *, mu=PAPERS_MU, barrier=PAPERS_BARRIER, **changes):
-    """A law whose agents all differ, with Section 9's bounds."""
-    k = rng.uniform(2.0, 3.0, n)
-    law = PaperLaw(
-        offsets=np.vstack([np.zeros(3), rng.uniform(-10.0, 10.0, (n, 3))]),
-        gains=rng.uniform(0.2, 1.5, (n, n + 1, 3)) * (rng.random((n, n + 1, 1)) < 0.8),
-        k=k,
-        a=rng.uniform(0.5, 1.5, n),
-        b=rng.uniform(0.05, 0.2, n),
-        c=rng.uniform(0.05, 0.2, n),
-        pole=rng.uniform(0.4, 0.7, n),
-        control_function=mu,
-        barrier=barrier,
-        speeds=SpeedSet(same(LOW, n), same(HIGH, n), KAPPA - k * min(mu.bound, 1.0)),
-        middle=middle_gains(n),
-        dt=0.04,
-        from_timestamp=False,
-        airspeed_error_as_printed=False,
-        acceleration_blend=np.array([0.4, 0.4, 0.025]),
-        rate_blend=rng.uniform(0.3, 1.0, n),
+    return MiddleLoopGains(
+        **{name: np.ones(n) * value for name, value in {**values, **changes}.items()}
     )
-    return law._replace(**changes)
+
+
+def make_middle(n, *, altitude=np.nan, as_printed=False, dt=DT, **gains):
+    """The middle loops of n agents with the paper's gains."""
+    return MiddleLoop(
+        gains=middle_gains(n, **gains),
+        speed_low=same(LOW, n),
+        speed_high=same(HIGH, n),
+        altitude=np.ones(n) * altitude,
+        airspeed_error_as_printed=as_printed,
+        dt=dt,
+    )
 
 
 def velocities(rng, shape, low, high):
@@ -71,8 +145,11 @@ def velocities(rng, shape, low, high):
     return speed[..., None] * np.stack(parts, axis=-1)
 
 
-def states(n, rng, *, low=LOW - 4.0, high=HIGH + 4.0, silence=0.0, now=100.0):
-    """What n agents know at the time `now`: own state, inbox, memory; own speeds low to high."""
+def states(n, rng, *, low=LOW - 4.0, high=HIGH + 4.0, silence=0.0, old=0.0, now=NOW):
+    """What n agents know at the time `now`: own state, inbox, memory; own speeds low to high.
+
+    A part `silence` of the links was never heard, a part `old` last heard 30 s ago.
+    """
     own_velocity = velocities(rng, (n,), low, high)
     own = VehicleState(
         position_ned=rng.normal(0.0, 8.0, (n, 3)),
@@ -85,12 +162,14 @@ def states(n, rng, *, low=LOW - 4.0, high=HIGH + 4.0, silence=0.0, now=100.0):
     )
     shape = (n, n + 1)
     stamp = now - rng.uniform(0.0, 0.5, shape)
+    stamp[rng.random(shape) < old] -= 30.0
     stamp[rng.random(shape) < silence] = np.nan
     quiet = np.isnan(stamp)
     vectors = (
         rng.normal(0.0, 8.0, (*shape, 3)),
         velocities(rng, shape, 17.0, 29.0),
         rng.normal(0.0, 3.0, (*shape, 3)),
+        rng.uniform(-0.8, 0.8, (*shape, 3)),
         rng.normal(0.0, 0.2, (*shape, 3)),
     )
     inbox = Inbox(
@@ -98,27 +177,55 @@ def states(n, rng, *, low=LOW - 4.0, high=HIGH + 4.0, silence=0.0, now=100.0):
         stamp + rng.uniform(0.0, 0.1, shape),
         *(np.where(quiet[..., None], np.nan, each) for each in vectors),
     )
-    memory = PaperMemory(
-        MiddleLoopMemory(*rng.normal(0.0, 0.3, (3, n))),
-        rng.normal(0.0, 1.0, (n, 3)),
-        rng.normal(0.0, 0.2, n),
-        rng.normal(0.0, 0.2, n),
+    return own, inbox, leader_memory(n, rng, stamp[:, 0])
+
+
+def leader_memory(n, rng, stamp):
+    """Memories of a leader heard just before, or of the same message, or of nothing."""
+    since = rng.choice([0.04, 0.2, 0.0, np.nan], n)
+    begun = np.where(np.isnan(since), np.nan, 1.0)
+    return LeaderMemory(
+        acceleration=rng.normal(0.0, 1.0, (n, 3)),
+        stamp_s=stamp - since,
+        speed=rng.uniform(20.0, 24.0, n) * begun,
+        climb=rng.uniform(-0.2, 0.2, n) * begun,
+        speed_rate=rng.normal(0.0, 1.0, n),
+        climb_rate=rng.normal(0.0, 0.1, n),
+        silent_since=np.full(n, np.nan),
+        silent_course=np.full(n, np.nan),
     )
-    return own, inbox, memory
+
+
+def middle_states(n, rng):
+    """Own states, commands and memories of middle loops, some of which have not begun."""
+    own, _, _ = states(n, rng)
+    told = UnicycleCommand(
+        speed=rng.normal(23.0, 5.0, n),
+        turn=np.column_stack([np.zeros(n), rng.normal(0.0, 0.3, (n, 2))]),
+        speed_desired=rng.uniform(LOW, HIGH, n),
+        direction=velocities(rng, (n,), 1.0, 1.0),
+        guards=rng.integers(0, 16, n).astype(np.uint8) & np.uint8(0b1011),
+    )
+    begun = np.where(rng.random(n) < 0.8, 1.0, np.nan)
+    integrals = rng.normal(0.0, 0.3, (4, n))
+    filtered = rng.normal(0.0, 0.2, (3, n)) * begun
+    return own, told, MiddleLoopMemory(*integrals, *filtered, rng.normal(0.0, 0.2, n))
 
 
 def leaves(record):
-    """Every array of nested named tuples by its dotted name."""
-    for name, value in zip(record._fields, record, strict=True):
-        if hasattr(value, "_fields"):
+    """Every array of nested records by its dotted name."""
+    names = [f.name for f in fields(record)] if is_dataclass(record) else record._fields
+    for name in names:
+        value = getattr(record, name)
+        if hasattr(value, "_fields") or is_dataclass(value):
             yield from ((f"{name}.{inner}", array) for inner, array in leaves(value))
-        else:
+        elif isinstance(value, np.ndarray):
             yield name, value
 
 
 def results(stepped):
-    """Every array of a step's result by name."""
-    kinds = ("command", "memory", "diagnosis")
+    """Every array of a step's result by name: of the law two records, of the middle loop three."""
+    kinds = ("told", "memory") if len(stepped) == 2 else ("command", "memory", "diagnosis")
     return {
         f"{kind}.{name}": array
         for kind, record in zip(kinds, stepped, strict=True)
@@ -126,25 +233,35 @@ def results(stepped):
     }
 
 
+def assert_same(ours, theirs, **tolerance):
+    assert ours.keys() == theirs.keys()
+    for name, array in ours.items():
+        np.testing.assert_allclose(array, theirs[name], err_msg=name, **tolerance)
+
+
 def choose(record, rows, keep=()):
     """A record with only these rows of every array, in nested records too."""
-    return record._replace(
-        **{
-            name: choose(value, rows, keep)
-            if hasattr(value, "_fields")
-            else np.ascontiguousarray(value[rows])
-            if isinstance(value, np.ndarray) and name not in keep
-            else value
-            for name, value in zip(record._fields, record, strict=True)
-        }
-    )
+    names = [f.name for f in fields(record)] if is_dataclass(record) else record._fields
+    changed = {}
+    for name in names:
+        value = getattr(record, name)
+        if hasattr(value, "_fields") or is_dataclass(value):
+            changed[name] = choose(value, rows, keep)
+        elif isinstance(value, np.ndarray) and name not in keep:
+            changed[name] = np.ascontiguousarray(value[rows])
+    return replace(record, **changed) if is_dataclass(record) else record._replace(**changed)
+
+
+def some_of(law, rows):
+    """The law of these of its agents alone, who know as many aircraft as before."""
+    return choose(law, rows, keep=("offsets",))
 
 
 def reorder(law, own, inbox, memory, order):
     """The same agents listed in another order; the leader stays first."""
     everyone = np.concatenate([[0], np.asarray(order) + 1])
-    law = choose(law, order, keep=("offsets", "acceleration_blend"))
-    law = law._replace(offsets=law.offsets[everyone], gains=_columns(law.gains, everyone))
+    law = choose(law, order, keep=("offsets", "agents"))
+    law = replace(law, offsets=law.offsets[everyone], gains=_columns(law.gains, everyone))
     inbox = Inbox(*(_columns(each, everyone) for each in choose(inbox, order)))
     return law, choose(own, order), inbox, choose(memory, order)
 

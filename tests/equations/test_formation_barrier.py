@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from testbed.formation.barrier import NO_BARRIER, Barrier, h
+from testbed.formation.barrier import NO_BARRIER, Barrier, h, per_agent
 
 LOW, HIGH, EPSILON = 16.0, 30.0, 0.6
 BARRIERS = {
@@ -83,3 +83,14 @@ def test_every_agent_has_bounds_of_its_own():
     s = np.array([20.0, 20.0])
     values, _ = h(Barrier(4, 1.0), s, np.array([10.0, 18.0]), np.array([30.0, 21.0]))
     assert values == pytest.approx([100.0, 2.0], rel=1e-15)
+
+
+def test_every_agent_may_have_a_barrier_of_its_own():
+    barriers = [*BARRIERS.values(), Barrier(NO_BARRIER, 0.0)]
+    together = per_agent(barriers)
+    n = len(barriers)
+    for s in np.linspace(LOW - 6.0, HIGH + 6.0, 61):
+        ours = at(together, np.full(n, s))
+        for i, barrier in enumerate(barriers):
+            alone = at(barrier, s)
+            assert [float(each[i]) for each in ours] == [float(each[0]) for each in alone]

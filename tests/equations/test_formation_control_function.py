@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1, mu, rho_and_rate
+from testbed.formation.control_function import (
+    EXAMPLE_2,
+    EXAMPLE_3,
+    example_1,
+    mu,
+    per_agent,
+    rho_and_rate,
+)
 
 FUNCTIONS = {
     "paper's simulations": example_1(50.0, 1.0, 0.5),
@@ -119,3 +126,25 @@ def test_the_rate_of_rho_is_the_gradient_13_times_the_rate(function):
 def test_what_breaks_c1_or_c2_is_refused(nu1, nu2, m):
     with pytest.raises(ValueError, match=f"nu1 = {nu1}, nu2 = {nu2}, m = {m}"):
         example_1(nu1, nu2, m)
+
+
+def test_each_agent_may_have_a_function_of_its_own():
+    """To the bit, at errors that reach every piece of each spline."""
+    rng = np.random.default_rng(4)
+    functions = list(FUNCTIONS.values())
+    together = per_agent(functions)
+    assert together.bound.tolist() == [each.bound for each in functions]
+    for _ in range(100):
+        x, x_rate = rng.normal(0.0, 1.0, (2, len(functions), 3))
+        x *= rng.choice([0.1, 0.4, 1.0, 30.0], (len(functions), 1))
+        z = (x**2).sum(axis=1)
+        for i, function in enumerate(functions):
+            alike = per_agent([function] * len(functions))
+            for ours, theirs in (
+                (mu(together, z), mu(alike, z)),
+                (rho_and_rate(together, x, x_rate), rho_and_rate(alike, x, x_rate)),
+            ):
+                assert all(np.array_equal(a[i], b[i]) for a, b in zip(ours, theirs, strict=True))
+            # a power by an array and by a number may differ in the last bit
+            for ours, number in zip(mu(together, z), mu(function, z), strict=True):
+                assert ours[i] == pytest.approx(number[i], rel=1e-15)

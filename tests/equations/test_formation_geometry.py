@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from testbed.formation.geometry import frame_rate, slots, velocity_frame, velocity_rates
+from testbed.formation.geometry import (
+    frame_acceleration,
+    frame_rate,
+    slots,
+    true_slots,
+    velocity_frame,
+    velocity_rates,
+)
 from testbed.frames import course, flight_path_angle
 
 STEP = 1e-4
@@ -70,15 +77,20 @@ def test_25_and_26_the_frame_turns_with_its_rate(gamma):
     assert difference == pytest.approx(frame(0.0) @ skew, abs=1e-8)
 
 
-def chi_along(t, gamma, sigma_rate, gamma_rate, offsets=OFFSETS):
-    frame = velocity_frame(velocity(0.3 + sigma_rate * t, gamma + gamma_rate * t))
+def chi_along(t, gamma, sigma_rate, gamma_rate, bending=0.0, neglect=True):
+    """χ, χ̇, χ̈ of a leader at t s whose σ̇ grows at `bending`; ω̇_g is left out, or it is not."""
+    sigma = 0.3 + sigma_rate * t + 0.5 * bending * t * t
+    frame = velocity_frame(velocity(sigma, gamma + gamma_rate * t))
     angles = np.array([gamma + gamma_rate * t])
-    rate = frame_rate(angles, np.array([sigma_rate]), np.array([gamma_rate]))
-    return [each[0] for each in slots(frame, rate, offsets)]
+    rates = np.array([sigma_rate + bending * t]), np.array([gamma_rate])
+    acceleration = np.zeros((1, 3))
+    if not neglect:
+        acceleration = frame_acceleration(angles, *rates, np.array([bending]))
+    return [each[0] for each in slots(frame, frame_rate(angles, *rates), acceleration, OFFSETS)]
 
 
-def differences(*motion):
-    before, now, after = (chi_along(t, *motion) for t in (-STEP, 0.0, STEP))
+def differences(*motion, **options):
+    before, now, after = (chi_along(t, *motion, **options) for t in (-STEP, 0.0, STEP))
     first = (after[0] - before[0]) / (2.0 * STEP)
     second = (after[0] - 2.0 * now[0] + before[0]) / STEP**2
     return now, first, second
@@ -111,14 +123,68 @@ def test_29_leaves_out_the_rate_of_the_rate_and_nothing_else():
     assert second - chi_acceleration == pytest.approx(left_out, abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("gamma", "sigma_rate", "gamma_rate", "bending"),
+    [(0.0, 0.0, 0.0, 0.5), (0.2, 0.4, 0.3, 0.0), (-0.3, -0.4, 0.2, 0.6), (0.0, 0.3, -0.3, -0.4)],
+    ids=["rolling in", "climbing turn pulled up", "all of it", "pushed over, rolling out"],
+)
+def test_with_the_rate_of_the_rate_29_is_the_second_derivative_of_27(
+    gamma, sigma_rate, gamma_rate, bending
+):
+    motion = (gamma, sigma_rate, gamma_rate, bending)
+    (_, chi_rate, chi_acceleration), first, second = differences(*motion, neglect=False)
+    # third derivatives of 8 (σ̇³ + 3 σ̇ σ̈), some 6 m/s³: STEP²/6 of them
+    assert first == pytest.approx(chi_rate, abs=2e-8)
+    assert second == pytest.approx(chi_acceleration, abs=1e-6)
+    neglected = chi_along(0.0, *motion)[2]
+    assert abs(chi_acceleration - neglected).max() > 0.5
+
+
+def test_the_rate_of_the_rate_is_the_derivative_of_26():
+    gamma, sigma_rate, gamma_rate, bending = 0.4, -0.3, 0.25, 0.7
+
+    def rate(t):
+        return frame_rate(
+            np.array([gamma + gamma_rate * t]),
+            np.array([sigma_rate + bending * t]),
+            np.array([gamma_rate]),
+        )
+
+    difference = (rate(STEP) - rate(-STEP)) / (2.0 * STEP)
+    ours = frame_acceleration(*(np.array([v]) for v in (gamma, sigma_rate, gamma_rate, bending)))
+    assert difference == pytest.approx(ours, abs=1e-8)
+    # by hand where it is level: σ̈ about the vertical, and the axis tips over at σ̇ γ̇
+    level = frame_acceleration(*(np.array([v]) for v in (0.0, 0.2, 0.3, 0.5)))
+    assert level[0] == pytest.approx([-0.06, 0.0, 0.5], abs=1e-16)
+
+
 def test_a_slot_by_hand():
     # leader flies east and turns right at 0.1 rad/s: 5 m behind is west, 5 m right is south
     frame = velocity_frame(np.array([[0.0, 20.0, 0.0]]))
     rate = frame_rate(np.zeros(1), np.array([0.1]), np.zeros(1))
-    chi, chi_rate, chi_acceleration = slots(frame, rate, np.array([[-5.0, 5.0, 2.0]]))
+    offset = np.array([[-5.0, 5.0, 2.0]])
+    chi, chi_rate, chi_acceleration = slots(frame, rate, np.zeros((1, 3)), offset)
     assert chi[0, 0] == pytest.approx([-5.0, -5.0, 2.0], abs=1e-15)
     assert chi_rate[0, 0] == pytest.approx([0.5, -0.5, 0.0], abs=1e-15)
     assert chi_acceleration[0, 0] == pytest.approx([0.05, 0.05, 0.0], abs=1e-16)
+    # and its turn quickens by 0.2 rad/s²: 5 m to the right fall back at 1 m/s², to the west, and
+    # 5 m behind swing out at 1 m/s², to the north
+    bending = np.array([[0.0, 0.0, 0.2]])
+    _, _, rolling_in = slots(frame, rate, bending, offset)
+    assert rolling_in[0, 0] == pytest.approx([0.05 + 1.0, 0.05 - 1.0, 0.0], abs=1e-15)
+
+
+def test_true_slots_by_hand():
+    # the leader climbs east at 3 : 4; 5 m behind it lie 4 m west and 3 m down of it
+    position = np.array([[100.0, 200.0, -50.0], [90.0, 190.0, -60.0], [90.0, 190.0, -60.0]])
+    motion = np.array([[0.0, 16.0, -12.0], [12.0, 16.0, 0.0], [0.0, 3.0, -4.0]])
+    offsets = np.array([[0.0, 0.0, 0.0], [-5.0, 5.0, 0.0], [-5.0, 5.0, 9.0]])
+    slot, error, angles = true_slots(position, motion, offsets, np.array([np.nan, 70.0]))
+    # who holds an altitude is 5 m behind on the map, at that altitude, whatever its offset's depth
+    assert slot == pytest.approx(np.array([[95.0, 196.0, -47.0], [95.0, 195.0, -70.0]]), abs=1e-12)
+    assert error == pytest.approx(np.array([[-5.0, -6.0, -13.0], [-5.0, -5.0, 10.0]]), abs=1e-12)
+    assert angles[0] == pytest.approx([20.0, 5.0], rel=1e-15)
+    assert angles[2] == pytest.approx([0.0, np.arctan2(4.0, 3.0)], rel=1e-15)
 
 
 def test_rates_of_a_velocity_are_the_derivatives_of_its_angles():

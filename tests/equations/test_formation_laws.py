@@ -26,7 +26,7 @@ WIDE = 1e9  # no speed is outside
 
 
 def speed_set(n, low=16.0, high=30.0, margin=0.6):
-    return SpeedSet(same(low, n), same(high, n), same(margin, n))
+    return SpeedSet(same(low, n), same(high, n), same(low + margin, n), same(high - margin, n))
 
 
 # (6)
@@ -117,7 +117,7 @@ class Motion:
             self.error(t, 1),
             self.k,
             function,
-            speeds or SpeedSet(same(-WIDE, 3), same(WIDE, 3), same(0.0, 3)),
+            speeds or speed_set(3, low=-WIDE, high=WIDE, margin=0.0),
         )
 
     def velocity(self, t, function):
@@ -185,6 +185,18 @@ def test_the_desired_speed_is_clamped_with_its_rate_and_its_direction_is_not():
     assert desired.clamped.tolist() == [False, True, True]
     assert desired.speed_rate == pytest.approx([1.0, 0.0, 0.0], abs=0)
     assert desired.direction_rate[:, 1] == pytest.approx(2.0 / v[:, 0], rel=1e-15)
+
+
+def test_every_agent_is_clamped_into_its_own_set():
+    v = np.tile([20.0, 0.0, 0.0], (3, 1))
+    zero = np.zeros((3, 3))
+    speeds = SpeedSet(
+        same(10.0, 3), same(40.0, 3), np.array([15.0, 21.0, 15.0]), np.array([25.0, 25.0, 19.5])
+    )
+    desired = desired_velocity(v, v, zero, zero, zero, zero, np.ones(3), PAPERS_MU, speeds)
+    assert desired.speed.tolist() == [20.0, 21.0, 19.5]
+    assert desired.clamped.tolist() == [False, True, True]
+    assert desired.speed_rate.tolist() == [20.0, 0.0, 0.0]
 
 
 def test_fact_1_without_a_clamp_where_assumption_1_holds():

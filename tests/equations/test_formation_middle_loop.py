@@ -1,13 +1,26 @@
-"""The middle loop, [HBH23] eqs. (19)-(21): worked arithmetic, limits and anti-windup."""
+"""The middle loop, [HBH23] eqs. (19)-(21): worked arithmetic, limits, filters and anti-windup."""
 
 import numpy as np
 import pytest
-from formation_cases import middle_gains
+from formation_cases import (
+    DT,
+    HIGH,
+    LOW,
+    assert_same,
+    choose,
+    each_loop,
+    leaves,
+    make_middle,
+    middle_states,
+    results,
+)
 
-from testbed.formation.flags import Saturation
-from testbed.formation.middle_loop import MiddleLoopMemory, middle_loop, zero_memory
+from testbed.formation import middle_loop as room
+from testbed.formation.flags import Guard, Saturation
+from testbed.formation.geometry import velocity_frame
+from testbed.formation.middle_loop import MiddleLoopMemory, middle_step
+from testbed.state import UnicycleCommand, VehicleState
 
-DT = 0.04
 # Straight and level at trim: every error is zero.
 CALM = {
     "climb": 0.0,
@@ -20,36 +33,72 @@ CALM = {
     "course_rate_desired": 0.0,
     "speed": 20.0,
     "bank": 0.0,
+    "attitude": 0.0,
+    "altitude": 100.0,
     "airspeed": 22.0,
     "airspeed_command": 22.0,
-    "airspeed_error": 0.0,
+    "guards": 0,
 }
 
 
-def step(memory=None, gains=None, **changes):
-    """One step of one agent: pitch, roll, throttle, integrals, flags."""
-    values = {name: np.array([value]) for name, value in {**CALM, **changes}.items()}
-    command, integrals, flags = middle_loop(
-        memory or zero_memory(1), gains or middle_gains(1), DT, **values
+def along(climb, course):
+    return np.array(
+        [[np.cos(climb) * np.cos(course), np.cos(climb) * np.sin(course), -np.sin(climb)]]
     )
-    assert flags.dtype == np.uint8
-    return command, integrals, Saturation(int(flags[0]))
 
 
-def integrals(climb=0.0, course=0.0, speed=0.0):
-    return MiddleLoopMemory(np.array([climb]), np.array([course]), np.array([speed]))
+def flying(**changes):
+    """The state and the command of one agent that flies like this."""
+    it = {**CALM, **changes}
+    velocity = it["speed"] * along(it["climb"], it["course"])
+    (_, right, down) = velocity_frame(velocity)[0].T
+    turning = it["course_rate"] * np.cos(it["climb"]) * right - it["climb_rate"] * down
+    own = VehicleState(
+        position_ned=np.array([[0.0, 0.0, -it["altitude"]]]),
+        velocity_ned=velocity,
+        acceleration_ned=it["speed"] * turning[None],
+        euler=np.array([[it["bank"], it["attitude"], 0.0]]),
+        rates_body=np.zeros((1, 3)),
+        airspeed=np.array([it["airspeed"]]),
+        equivalent_airspeed=np.array([it["airspeed"]]),
+    )
+    yawing = it["course_rate_desired"] * np.cos(it["climb"])
+    told = UnicycleCommand(
+        speed=np.array([it["airspeed_command"] - it["airspeed"] + it["speed"]]),
+        turn=np.array([[0.0, it["climb_rate_desired"], yawing]]),
+        speed_desired=np.array([21.5]),
+        direction=along(it["climb_desired"], it["course_desired"]),
+        guards=np.array([it["guards"]], dtype=np.uint8),
+    )
+    return own, told
 
 
-def test_nothing_to_do_is_trim():
-    command, memory, flags = step()
+def run(middle, memory=None, loop=None, **changes):
+    """One step of one agent: pitch, roll, throttle, memory, flags."""
+    loop = loop or make_middle(1)
+    command, after, diagnosis = middle(loop, *flying(**changes), memory or loop.start())
+    assert diagnosis.saturations.dtype == diagnosis.guards.dtype == np.uint8
+    return command, after, Saturation(int(diagnosis.saturations[0]))
+
+
+def integrals(**given):
+    memory = make_middle(1).start()
+    return memory._replace(**{name: np.array([value]) for name, value in given.items()})
+
+
+@each_loop
+def test_nothing_to_do_is_trim(middle):
+    command, memory, flags = run(middle)
     assert (command.pitch[0], command.roll[0], command.throttle[0]) == (0.0, 0.0, 0.22)
-    assert memory == zero_memory(1)
+    assert all(float(value[0]) == 0.0 for value in memory)
     assert not flags
 
 
-def test_19_by_hand():
+@each_loop
+def test_19_by_hand(middle):
     # 0.10 − 1.5 (0.04 − 0.10) − 0.2·0.3 − 0.1 (0.05 − 0.02) = 0.10 + 0.09 − 0.06 − 0.003
-    command, memory, _ = step(
+    command, memory, _ = run(
+        middle,
         integrals(climb=0.3),
         climb=0.04,
         climb_desired=0.10,
@@ -60,9 +109,11 @@ def test_19_by_hand():
     assert memory.climb[0] == pytest.approx(0.3 - 0.04 * 0.06, abs=1e-16)
 
 
-def test_20_by_hand():
+@each_loop
+def test_20_by_hand(middle):
     # tan φ = 0.1·20·cos(0.2)/9.81; then − 4 (0.02 − 0.05) − 0.02·1.5 − 0.5 (0.08 − 0.10)
-    command, memory, _ = step(
+    command, memory, _ = run(
+        middle,
         integrals(course=1.5),
         climb=0.2,
         climb_desired=0.2,
@@ -76,66 +127,307 @@ def test_20_by_hand():
     assert memory.course[0] == pytest.approx(1.5 - 0.04 * 0.03, abs=1e-15)
 
 
-def test_a_steady_turn_needs_no_feedback():
+@each_loop
+def test_a_steady_turn_needs_no_feedback(middle):
     # tan φ = V σ̇/g: 120 m radius at 22 m/s is 22.35°
-    command, _, _ = step(speed=22.0, course_rate=22.0 / 120.0, course_rate_desired=22.0 / 120.0)
+    turn = 22.0 / 120.0
+    command, _, _ = run(middle, speed=22.0, course_rate=turn, course_rate_desired=turn)
     assert np.degrees(command.roll[0]) == pytest.approx(22.35, abs=0.01)
 
 
-def test_21_by_hand():
+@each_loop
+def test_21_by_hand(middle):
     # 0.22 + 0.12 (1/cos² 60° − 1) + 0.1 (24 − 22) − 0.15·(−0.4) − 0.02·3
-    command, memory, _ = step(
-        integrals(speed=3.0), bank=np.pi / 3.0, airspeed_command=24.0, airspeed_error=-0.4
+    command, memory, _ = run(
+        middle, integrals(speed=3.0), bank=np.pi / 3.0, airspeed=23.6, airspeed_command=24.0
     )
     assert command.throttle[0] == pytest.approx(0.22 + 0.36 + 0.2 + 0.06 - 0.06, abs=1e-14)
     assert memory.speed[0] == pytest.approx(3.0 - 0.04 * 0.4, abs=1e-15)
 
 
-def test_the_course_error_takes_the_short_way_round():
+@each_loop
+def test_the_course_error_takes_the_short_way_round(middle):
     # 179° and −179° are 2° apart, whichever is which
     near, far = np.radians(179.0), np.radians(-179.0)
-    command, memory, _ = step(course=near, course_desired=far)
+    command, memory, _ = run(middle, course=near, course_desired=far)
     assert command.roll[0] == pytest.approx(4.0 * np.radians(2.0), abs=1e-14)
     assert memory.course[0] == pytest.approx(-0.04 * np.radians(2.0), abs=1e-15)
-    command, _, _ = step(course=far, course_desired=near)
+    command, _, _ = run(middle, course=far, course_desired=near)
     assert command.roll[0] == pytest.approx(-4.0 * np.radians(2.0), abs=1e-14)
 
 
-CASES = {  # of each command its integral, its flag, its limits, and the error that lowers it
+# saturation
+
+
+# of each command its integral, its flag, its limits, and the error that lowers it
+CASES = {
     "pitch": ("climb", Saturation.PITCH, -np.pi / 9.0, np.pi / 9.0, "climb"),
     "roll": ("course", Saturation.ROLL, -5 * np.pi / 18, 5 * np.pi / 18, "course"),
-    "throttle": ("speed", Saturation.THROTTLE, 0.0, 1.0, "airspeed_error"),
+    "throttle": ("speed", Saturation.THROTTLE, 0.0, 1.0, "airspeed"),
 }
+HELD = make_middle(1, altitude_p=0.026, altitude_i=0.0017, altitude_d=0.0105, altitude=100.0)
+HOLDING = ("altitude", Saturation.PITCH, -np.pi / 9.0, np.pi / 9.0, "altitude")
 
 
-@pytest.mark.parametrize("channel", CASES)
+def saturating(channel):
+    if channel == "altitude":
+        return "pitch", HELD, *HOLDING
+    return channel, make_middle(1), *CASES[channel]
+
+
+every_channel = pytest.mark.parametrize("channel", [*CASES, "altitude"])
+LARGE = {"airspeed": 10.0, "altitude": 50.0, "climb": 0.5, "course": 0.5}
+
+
+@each_loop
+@every_channel
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_commands_saturate_and_their_integrals_wait(channel, sign):
-    integral, flag, low, high, error = CASES[channel]
-    size = 10.0 if channel == "throttle" else 0.5
-    command, memory, flags = step(**{error: -sign * size})
+def test_commands_saturate_and_their_integrals_wait(middle, channel, sign):
+    channel, loop, integral, flag, low, high, error = saturating(channel)
+    wrong = {error: CALM[error] - sign * LARGE[error]}
+    command, memory, flags = run(middle, loop=loop, **wrong)
     assert getattr(command, channel)[0] == (high if sign > 0.0 else low)
     assert flags == flag
     assert getattr(memory, integral)[0] == 0.0  # it would have pushed further
 
 
-@pytest.mark.parametrize("channel", CASES)
+@each_loop
+@every_channel
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_an_integral_that_holds_a_command_at_its_limit_unwinds(channel, sign):
-    integral, flag, low, high, error = CASES[channel]
+def test_an_integral_that_holds_a_command_at_its_limit_unwinds(middle, channel, sign):
+    channel, loop, integral, flag, low, high, error = saturating(channel)
     wound = integrals(**{integral: -sign * 1000.0})
-    command, memory, flags = step(wound, **{error: sign * 0.01})
+    command, memory, flags = run(middle, wound, loop, **{error: CALM[error] + sign * 0.01})
     assert getattr(command, channel)[0] == (high if sign > 0.0 else low)
     assert flags == flag
     assert getattr(memory, integral)[0] == pytest.approx(sign * (-1000.0 + 0.04 * 0.01), abs=1e-12)
 
 
-def test_flags_add_up():
-    _, _, flags = step(climb=-1.0, course=-1.0, airspeed_error=20.0)
+@each_loop
+def test_flags_add_up(middle):
+    _, _, flags = run(middle, climb=-1.0, course=-1.0, airspeed=42.0)
     assert flags == Saturation.PITCH | Saturation.ROLL | Saturation.THROTTLE
 
 
-def test_the_derivative_acts_on_the_error_of_the_rate():
+@each_loop
+def test_saturated_commands_are_flagged(middle):
+    rng = np.random.default_rng(34)
+    command, _, diagnosis = middle(make_middle(200, roll_limit=0.3), *middle_states(200, rng))
+    rolled = (diagnosis.saturations & Saturation.ROLL) != 0
+    assert (rolled == (abs(command.roll) == 0.3)).all()
+    assert 0 < rolled.sum() < 200
+
+
+@each_loop
+def test_the_derivative_acts_on_the_error_of_the_rate(middle):
     # a rate that is as desired costs nothing, however large
-    command, _, _ = step(climb_rate=0.3, climb_rate_desired=0.3)
-    assert command.pitch[0] == 0.0
+    command, _, _ = run(middle, climb_rate=0.3, climb_rate_desired=0.3)
+    assert command.pitch[0] == pytest.approx(0.0, abs=1e-16)
+
+
+# the guard on the commanded airspeed
+
+
+@each_loop
+def test_the_commanded_airspeed_stays_in_the_bounds(middle):
+    rng = np.random.default_rng(25)
+    own, told, memory = middle_states(400, rng)
+    _, _, diagnosis = middle(make_middle(400), own, told, memory)
+    wanted = told.speed + own.airspeed - np.linalg.norm(own.velocity_ned, axis=1)
+    assert diagnosis.speed_command == pytest.approx(np.clip(wanted, LOW, HIGH), abs=1e-12)
+    assert diagnosis.speed_command.min() == LOW and diagnosis.speed_command.max() == HIGH
+    clipped = (diagnosis.guards & Guard.SPEED_COMMAND_CLIPPED) != 0
+    at_bound = (diagnosis.speed_command == LOW) | (diagnosis.speed_command == HIGH)
+    assert (clipped == at_bound).all()
+    assert 0 < clipped.sum() < 400
+    # what the law said of itself is kept
+    assert (diagnosis.guards & ~Guard.SPEED_COMMAND_CLIPPED == told.guards).all()
+    assert np.array_equal(diagnosis.speed_desired, told.speed_desired)
+
+
+@each_loop
+def test_the_command_is_what_throttle_flies(middle):
+    # told to fly 40 m/s: both parts of (21) see the bound of 30
+    gentle = make_middle(1, speed_p=0.01, eta_speed=0.02)
+    command, memory, _ = run(middle, loop=gentle, airspeed=29.0, airspeed_command=40.0)
+    assert command.throttle[0] == pytest.approx(0.22 + 0.02 * 8.0 + 0.01 * 1.0, abs=1e-15)
+    assert memory.speed[0] == pytest.approx(-0.04, abs=1e-15)
+
+
+@each_loop
+@pytest.mark.parametrize("wind", [0.0, 5.0])
+def test_the_two_readings_of_21_differ_by_the_wind(middle, wind):
+    """As printed, s_a − u asks for u in the air; the other asks for u over the ground."""
+    p_only = {"speed_i": 0.0, "speed_p": 0.01, "eta_speed": 0.0, "eta_bank": 0.0}
+    flight = {"airspeed": 20.0 + wind, "airspeed_command": 21.0 + wind}
+    ground, _, _ = run(middle, loop=make_middle(1, **p_only), **flight)
+    printed, _, _ = run(middle, loop=make_middle(1, as_printed=True, **p_only), **flight)
+    assert ground.throttle[0] == pytest.approx(0.22 + 0.01, abs=1e-14)
+    # s_a − u = s − u + wind
+    assert printed.throttle[0] == pytest.approx(0.22 + 0.01 - 0.01 * wind, abs=1e-14)
+
+
+# what the paper has not
+
+
+@each_loop
+def test_the_altitude_hold_by_hand(middle):
+    # 4 m too high, climbing 20 sin 0.1: − 0.026·4 − 0.0017·2 − 0.0105·20 sin 0.1
+    command, memory, flags = run(middle, integrals(altitude=2.0), HELD, altitude=104.0, climb=0.1)
+    sinking = -0.026 * 4.0 - 0.0017 * 2.0 - 0.0105 * 20.0 * np.sin(0.1)
+    assert command.pitch[0] == pytest.approx(sinking, abs=1e-15)
+    assert memory.altitude[0] == pytest.approx(2.0 + 0.04 * 4.0, abs=1e-14)
+    assert not flags
+
+
+@each_loop
+def test_who_holds_an_altitude_asks_nobody_for_its_pitch(middle):
+    """What the law says of climbing changes no pitch, and its integral of (19) stays at rest."""
+    calm, memory, _ = run(middle, integrals(climb=0.7), HELD, altitude=103.0)
+    asked, _, _ = run(
+        middle,
+        integrals(climb=0.7),
+        HELD,
+        altitude=103.0,
+        climb_desired=0.3,
+        climb_rate_desired=0.2,
+    )
+    assert asked.pitch[0] == calm.pitch[0] == pytest.approx(-0.026 * 3.0, abs=1e-15)
+    assert memory.climb[0] == 0.0
+    # and who holds none keeps that integral at rest
+    _, memory, _ = run(middle, integrals(altitude=3.0))
+    assert memory.altitude[0] == 3.0
+
+
+@each_loop
+def test_the_incidence_is_fed_forward(middle):
+    # θ = γ + 3°: the pitch that is held is the pitch that is asked for, and errors come on top
+    loop = make_middle(1, incidence=1.0)
+    attitude = 0.1 + np.radians(3.0)
+    level = {"climb": 0.1, "climb_desired": 0.1, "attitude": attitude}
+    command, _, _ = run(middle, loop=loop, **level)
+    assert command.pitch[0] == pytest.approx(attitude, abs=1e-15)
+    command, _, _ = run(middle, loop=loop, **{**level, "climb_desired": 0.15})
+    assert command.pitch[0] == pytest.approx(attitude + 0.05 + 1.5 * 0.05, abs=1e-15)
+
+
+@each_loop
+def test_a_bank_takes_more_incidence(middle):
+    # 60° of bank is one load factor more than level
+    loop = make_middle(1, turn_incidence=np.radians(4.0))
+    command, _, _ = run(middle, loop=loop, bank=-np.pi / 3.0)
+    assert command.pitch[0] == pytest.approx(np.radians(4.0), abs=1e-14)
+
+
+@each_loop
+def test_a_climb_takes_more_throttle(middle):
+    # 0.4 of throttle per sine of the angle that is asked for, whatever is flown
+    loop = make_middle(1, eta_climb=0.4)
+    command, _, _ = run(middle, loop=loop, climb_desired=np.pi / 6.0, climb=0.5)
+    assert command.throttle[0] == pytest.approx(0.22 + 0.2, abs=1e-15)
+
+
+def bank_of(turn, speed=20.0):
+    return np.arctan(turn * speed / 9.81)
+
+
+@each_loop
+@pytest.mark.parametrize("time_constant", [0.0, 0.12])
+def test_the_bank_of_a_turn_is_led(middle, time_constant):
+    """By hand: the first step knows no rate, the second takes its filtered part of it."""
+    loop = make_middle(1, roll_lead=0.5, lead_filter=time_constant, course_d=0.0)
+    command, memory, _ = run(middle, loop=loop, course_rate_desired=0.10)
+    assert command.roll[0] == pytest.approx(bank_of(0.10), abs=1e-15)
+    assert memory.turn_bank_rate[0] == 0.0
+    command, memory, _ = run(middle, memory, loop, course_rate_desired=0.11)
+    part = DT / (DT + time_constant)
+    rate = part * (bank_of(0.11) - bank_of(0.10)) / DT
+    assert memory.turn_bank_rate[0] == pytest.approx(rate, abs=1e-14)
+    assert command.roll[0] == pytest.approx(bank_of(0.11) + 0.5 * rate, abs=1e-14)
+    command, memory, _ = run(middle, memory, loop, course_rate_desired=0.11)
+    assert memory.turn_bank_rate[0] == pytest.approx((1.0 - part) * rate, abs=1e-14)
+
+
+@each_loop
+def test_a_lead_is_the_turn_of_later(middle):
+    """A bank that grows steadily is commanded as it will be roll_lead later."""
+    lead, roll_rate = 0.3, 0.4
+    loop = make_middle(1, roll_lead=lead, lead_filter=0.1, course_d=0.0)
+    memory = loop.start()
+    for k in range(60):
+        turn = 9.81 / 20.0 * np.tan(roll_rate * k * DT)
+        command, memory, _ = run(middle, memory, loop, course_rate_desired=turn)
+        if k == 30:
+            # the filter has forgotten its start but for (0.1/0.14)^30, some 4e-5
+            later = roll_rate * (k * DT + lead)
+            assert command.roll[0] == pytest.approx(later, abs=1e-5)
+
+
+@each_loop
+def test_measured_rates_are_averaged_from_the_first_on(middle):
+    # 0.04/(0.04 + 0.06) of a new sample
+    loop = make_middle(1, rate_filter=0.06)
+    _, memory, _ = run(middle, loop=loop, course_rate=0.2, climb_rate=-0.1)
+    assert (memory.course_rate[0], memory.climb_rate[0]) == pytest.approx((0.2, -0.1), abs=1e-15)
+    command, memory, _ = run(middle, memory, loop, course_rate=0.3, climb_rate=0.1)
+    assert memory.course_rate[0] == pytest.approx(0.6 * 0.2 + 0.4 * 0.3, abs=1e-15)
+    assert memory.climb_rate[0] == pytest.approx(-0.6 * 0.1 + 0.4 * 0.1, abs=1e-15)
+    assert command.roll[0] == pytest.approx(-0.5 * 0.24, abs=1e-15)
+    assert command.pitch[0] == pytest.approx(-0.1 * -0.02, abs=1e-15)
+
+
+@each_loop
+def test_without_a_filter_rates_are_those_measured_now(middle):
+    memory = integrals(course_rate=5.0, climb_rate=-5.0)
+    _, memory, _ = run(middle, memory, course_rate=0.3, climb_rate=0.1)
+    assert (memory.course_rate[0], memory.climb_rate[0]) == pytest.approx((0.3, 0.1), abs=1e-15)
+
+
+# agents
+
+
+def test_it_starts_at_rest():
+    memory = make_middle(3).start()
+    begun = ("climb", "course", "speed", "altitude", "turn_bank_rate")
+    for name in MiddleLoopMemory._fields:
+        value = getattr(memory, name)
+        assert value.shape == (3,)
+        assert (value == 0.0).all() if name in begun else np.isnan(value).all(), name
+
+
+def mixed(n, rng):
+    holds = np.where(rng.random(n) < 0.4, rng.normal(0.0, 10.0, n), np.nan)
+    extras = ("altitude_p", "altitude_i", "altitude_d", "turn_incidence", "roll_lead", "eta_climb")
+    more = {name: rng.uniform(0.0, 0.1, n) for name in extras}
+    return make_middle(n, altitude=holds, rate_filter=rng.uniform(0.0, 0.1, n), **more)
+
+
+@each_loop
+def test_an_agent_alone_is_the_same_agent_in_a_crowd(middle):
+    rng = np.random.default_rng(29)
+    loop, given = mixed(7, rng), middle_states(7, rng)
+    together = results(middle(loop, *given))
+    for i in range(7):
+        alone = results(middle(choose(loop, [i]), *(choose(each, [i]) for each in given)))
+        for name, array in alone.items():
+            np.testing.assert_array_equal(array[0], together[name][i], err_msg=name)
+
+
+@each_loop
+def test_a_step_writes_into_nothing_it_is_given(middle):
+    rng = np.random.default_rng(31)
+    given = (mixed(4, rng), *middle_states(4, rng))
+    before = [{name: np.copy(a) for name, a in leaves(record)} for record in given]
+    middle(*given)
+    for record, copies in zip(given, before, strict=True):
+        for name, array in leaves(record):
+            np.testing.assert_array_equal(array, copies[name], err_msg=name)
+
+
+def test_the_step_that_flies_is_the_step_that_is_read():
+    assert room.STEP.__wrapped__ is middle_step
+    rng = np.random.default_rng(35)
+    loop, given = mixed(3, rng), middle_states(3, rng)
+    assert_same(
+        results(loop.step(*given)), results(middle_step(loop, *given)), rtol=1e-11, atol=1e-12
+    )

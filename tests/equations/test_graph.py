@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from testbed.scenario import ScenarioError, load
-from testbed.sim.formations import cut_off, make_gains
+from testbed.sim.teams import cut_off, make_altitudes, make_gains
 
 
 def gains(n, leader=None, **edges):
@@ -78,6 +78,30 @@ def test_signed_gains_may_cancel_and_need_not():
     assert cut_off(gains(2, {0: 1.0, 1: 1.0}, b1_0=-0.5)) == []
     # a row with a negative diagonal: det [[1 + x, −x], [1, −1]] = −1 for any x
     assert cut_off(gains(2, {0: 1.0}, b0_1=3.0, b1_0=-1.0)) == []
+
+
+def test_who_holds_an_altitude_needs_nobody_to_tell_it():
+    flat = gains(2, {0: [1.0, 1.0, 0.0]}, b1_0=[1.0, 1.0, 0.0])
+    assert cut_off(flat) == [0, 1]
+    assert cut_off(flat, np.array([True, True])) == []
+    # the other still hangs on somebody: here on one that flies at a fixed altitude
+    flat[1, 1, 2] = 1.0
+    assert cut_off(flat, np.array([True, False])) == []
+    assert cut_off(flat, np.array([False, True])) == [0]
+    # and on the map nobody is excused
+    assert cut_off(gains(2, {0: 1.0}), np.array([True, True])) == [1]
+
+
+def test_a_page_says_who_holds_an_altitude():
+    flat = [
+        "formation.leader_gains={uav1: [1, 1, 0], uav2: 1, uav3: 1}",
+        "formation.neighbour_gains={}",
+    ]
+    with pytest.raises(ScenarioError, match=r"uav1 cannot tell"):
+        make_gains(load("simulation-3", flat))
+    held = load("simulation-3", [*flat, "formation.altitudes_m={uav1: 100}"])
+    assert make_gains(held).shape == (3, 4, 3)
+    assert np.array_equal(make_altitudes(held), [100.0, np.nan, np.nan], equal_nan=True)
 
 
 def test_a_page_with_a_cut_off_agent_is_refused_by_name():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from testbed.formation.flags import Guard, Saturation
+from testbed.formation.geometry import velocity_frame
 from testbed.metrics import MetricsObserver
 from testbed.metrics.tally import BLOCK
 from testbed.state import (
@@ -37,6 +38,7 @@ def run_info(followers=2, portions=None):
         duration_s=100.0,
         seed=1,
         speed_bounds_mps=((16.0, 30.0),) * followers,
+        kappa_mps=(3.6,) * followers,
         roll_limit_rad=(0.8,) * followers,
         leader_path_ned=np.zeros((0, 3)),
         portions=portions or {},
@@ -68,7 +70,7 @@ def a_frame(k, errors, *, offsets=None, bank=0.0, guards=None, saturations=None,
         time_s=tick / BASE_RATE_HZ,
         truth=state,
         estimate=state,
-        air=AirData(zeros, zeros, zeros, vectors),
+        air=AirData(zeros, zeros, zeros, vectors, zeros, zeros),
         command=FbwaCommand(zeros, zeros, zeros),
         surfaces=Surfaces(zeros, zeros, zeros, zeros),
         formation=FormationState(
@@ -134,6 +136,7 @@ def test_a_portion_that_was_not_reached_has_no_numbers():
     assert portions["half"]["rms_m"] == {"uav1": 1.0}
     nothing = {"window_s": [5.0, 6.0], "covered_s": 0.0, "complete": False}
     nothing |= {"rms_m": {"uav1": None}, "mean_rms_m": None, "percent_error": None}
+    nothing |= {"kappa_mps": {"uav1": None}, "slot_speed_mps": {"uav1": [None, None]}}
     assert portions["none"] == nothing | {"max_error_m": {"uav1": None}, "leader_bank_deg": None}
 
 
@@ -196,6 +199,7 @@ def test_guards_and_saturations_are_counted_by_kind():
         "speed_desired_clamped": 1,
         "outside_speed_set": 2,
         "speed_command_clipped": 0,
+        "leader_silent": 0,
     }
     assert summary["guards"]["uav2"]["frames"] == 0
     assert summary["saturations"]["uav1"]["by_kind"] == {"pitch": 2, "roll": 0, "throttle": 1}
@@ -221,6 +225,109 @@ def test_age_of_information_leaves_out_what_was_not_used():
     assert ages["uav2"] == {"mean": pytest.approx(0.2, rel=1e-15), "max": 0.3}
     unheard = measure([a_frame(0, np.zeros((2, 3)))], run_info())["age_of_information_s"]
     assert unheard["uav1"] == {"mean": None, "max": None}
+
+
+STRAIGHT_S, RADIUS, SPEED = 12.0, 120.0, 22.0
+
+
+def circling(count, offsets):
+    """A leader that flies north for 12 s, then round a circle to the right, and its slots."""
+    for k in range(count):
+        time = k / FRAME_RATE_HZ
+        turned = max(time - STRAIGHT_S, 0.0) * SPEED / RADIUS
+        north = min(time, STRAIGHT_S) * SPEED + RADIUS * np.sin(turned)
+        position = np.array([north, RADIUS * (1.0 - np.cos(turned)), -100.0])
+        forward = np.array([[np.cos(turned), np.sin(turned), 0.0]])
+        slot = position + np.array(offsets) @ velocity_frame(forward)[0].T
+        frame = a_frame(k, np.zeros((len(slot), 3)))
+        yield frame._replace(formation=frame.formation._replace(slot_ned=slot))
+
+
+def test_kappa_is_measured_on_a_circle():
+    # uav1 flies inside, on 105 m, uav2 outside and behind, on √(140² + 20²) m
+    offsets = [[0.0, 15.0, 0.0], [-20.0, -20.0, 4.0]]
+    windows = {"straight": (1.0, 11.0), "circle": (13.0, 40.0)}
+    summary = measure(circling(1000, offsets), run_info(portions=windows))
+    x = SPEED / RADIUS / FRAME_RATE_HZ
+    chord = np.sin(x) / x  # of the central difference: 9e-6 below one
+    inner = chord * SPEED * 105.0 / RADIUS
+    outer = chord * SPEED * math.hypot(140.0, 20.0) / RADIUS
+    circle, straight = summary["portions"]["circle"], summary["portions"]["straight"]
+    # places of 300 m are known to 6e-14 m, their differences over 0.08 s to 2e-12 m/s
+    close = {"abs": 1e-11}
+    assert circle["kappa_mps"]["uav1"] == pytest.approx(inner - 16.0, **close)
+    assert circle["kappa_mps"]["uav2"] == pytest.approx(30.0 - outer, **close)
+    assert circle["slot_speed_mps"]["uav1"] == pytest.approx([inner, inner], **close)
+    assert circle["slot_speed_mps"]["uav2"] == pytest.approx([outer, outer], **close)
+    for name in ("uav1", "uav2"):
+        assert straight["slot_speed_mps"][name] == pytest.approx([SPEED, SPEED], **close)
+        assert straight["kappa_mps"][name] == pytest.approx(6.0, **close)
+        # between the two the slot is neither faster nor slower than on either
+        assert summary["kappa_mps"][name] == pytest.approx(circle["kappa_mps"][name], **close)
+        assert summary["kappa_at_s"][name] > STRAIGHT_S
+    assert summary["slot_speed_mps"]["uav1"] == pytest.approx([inner, SPEED], **close)
+    assert summary["kappa_assumed_mps"] == {"uav1": 3.6, "uav2": 3.6}
+
+
+def test_kappa_is_negative_where_a_slot_left_the_bounds():
+    summary = measure(circling(400, [[0.0, 40.0, 0.0]]), run_info(1))
+    assert summary["kappa_mps"]["uav1"] == pytest.approx(SPEED * 80.0 / RADIUS - 16.0, abs=2e-4)
+
+
+@pytest.mark.parametrize("count", [2, 3, BLOCK, BLOCK + 1, BLOCK + 2, 2 * BLOCK + 5])
+def test_slot_speeds_do_not_know_of_blocks(count):
+    rng = np.random.default_rng(8)
+    # 44 m from frame to frame over the right distance: 2 m of jitter are 25 m/s
+    seen = [
+        a_frame(k, np.zeros((3, 3)), offsets=rng.normal(0.0, 2.0, (3, 3))) for k in range(count)
+    ]
+    summary = measure(seen, run_info(3, {"late": (1.0, 90.0)}))
+    slots = np.array([frame.formation.slot_ned for frame in seen])
+    speed = np.array(
+        [
+            [math.dist(a, b) / 0.08 for a, b in zip(*pair, strict=True)]
+            for pair in zip(slots[:-2], slots[2:], strict=True)
+        ]
+    ).reshape(-1, 3)
+    for i, name in enumerate(("uav1", "uav2", "uav3")):
+        if count == 2:
+            assert summary["slot_speed_mps"][name] == [None, None]
+            assert summary["kappa_mps"][name] is None
+            assert summary["kappa_at_s"][name] is None
+            continue
+        margins = np.minimum(speed[:, i] - 16.0, 30.0 - speed[:, i])
+        assert summary["kappa_mps"][name] == pytest.approx(margins.min(), abs=1e-10)
+        assert summary["kappa_at_s"][name] == (margins.argmin() + 1) / FRAME_RATE_HZ
+        ends = [speed[:, i].min(), speed[:, i].max()]
+        assert summary["slot_speed_mps"][name] == pytest.approx(ends, abs=1e-10)
+        late = summary["portions"]["late"]["kappa_mps"][name]
+        if count > 27:  # frames 25 to count - 2
+            assert late == pytest.approx(margins[24:].min(), abs=1e-10)
+        else:
+            assert late is None
+
+
+def test_a_slot_that_is_lost_hides_no_kappa():
+    seen = list(circling(400, [[0.0, 15.0, 0.0]]))
+    expected = measure(seen[:375], run_info(1))["kappa_mps"]["uav1"]
+    lost = np.full((1, 3), math.nan)
+    seen[375:] = [f._replace(formation=f.formation._replace(slot_ned=lost)) for f in seen[375:]]
+    assert measure(seen, run_info(1))["kappa_mps"]["uav1"] == expected
+
+
+@pytest.mark.parametrize("start", [0, BLOCK - 3, BLOCK - 2, BLOCK - 1, BLOCK])
+def test_leaving_the_speed_set_is_counted_but_not_a_start_outside(start):
+    outside, other = int(Guard.OUTSIDE_SPEED_SET), int(Guard.SPEED_COMMAND_CLIPPED)
+    # uav1 starts outside and enters once, as is proved; uav2 leaves twice, at frames 1 and 4
+    first = [outside | other] * 3 + [other, 0, 0, 0]
+    second = [0, outside, outside | other, 0, outside, outside, 0]
+    guards = [[outside, 0]] * start + [list(each) for each in zip(first, second, strict=True)]
+    seen = [a_frame(k, np.zeros((2, 3)), guards=each) for k, each in enumerate(guards)]
+    summary = measure(seen, run_info())
+    left = summary["left_speed_set"]
+    assert left["uav1"] == {"times": 0, "first_s": None}
+    assert left["uav2"] == {"times": 2, "first_s": (start + 1) / FRAME_RATE_HZ}
+    assert summary["guards"]["uav2"]["by_kind"]["outside_speed_set"] == 4
 
 
 def random_run(count, followers):

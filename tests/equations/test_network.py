@@ -13,7 +13,7 @@ PERIOD = 0.04
 def say(now, mark=None):
     """A round of broadcasts stamped `now` whose every number tells its sender and its round."""
     mark = round(now / PERIOD) if mark is None else mark
-    vectors = mark * 1000.0 + np.arange(4 * N * 3, dtype=float).reshape(4, N, 3)
+    vectors = mark * 1000.0 + np.arange(5 * N * 3, dtype=float).reshape(5, N, 3)
     return Broadcast(np.full(N, now), *vectors)
 
 
@@ -154,3 +154,103 @@ def test_inboxes_are_contiguous():
     for delays in (0.0, 0.04, [[0.0, 0.04, 0.0], [0.04, 0.0, 0.0]]):
         *_, (_, memory) = heard(channel(delays), 4)
         assert all(each.flags["C_CONTIGUOUS"] for each in memory.inbox)
+
+
+# who speaks
+
+
+def only(*rows):
+    return np.isin(np.arange(N), rows)
+
+
+def test_only_those_who_broadcast_are_heard():
+    radio = channel(0.0)
+    memory = deliver(send(radio, silent(radio), say(0.0), 0.0, only(1)), 0.0)
+    assert_is_round(memory.inbox, 0, 0.0, where=np.s_[:, 1])
+    assert np.isnan(memory.inbox.stamp_s[:, [0, 2]]).all()
+    assert np.isnan(memory.inbox.position_ned[:, [0, 2]]).all()
+    assert memory.in_flight == ()
+
+
+@pytest.mark.parametrize("delays", [0.0, 0.1, [[0.0, 0.04, 0.12], [0.2, 0.0, 0.08]]])
+def test_aircraft_in_turn_are_aircraft_at_once_each_at_its_own_time(delays):
+    """Three aircraft that take turns, one a tick: each is heard as alone, on every link."""
+    radio = channel(delays)
+    memory = silent(radio)
+    late = np.ceil(np.broadcast_to(delays, (FOLLOWERS, N)) / PERIOD - 1e-9).astype(int)
+    for k in range(60):
+        now = k * PERIOD
+        memory = deliver(send(radio, memory, say(now), now, only(k % N)), now)
+        for i in range(FOLLOWERS):
+            for m in range(N):
+                arrived = k - late[i, m]
+                last = arrived - (arrived - m) % N
+                where = np.s_[i, m]
+                if last < 0:
+                    assert np.isnan(memory.inbox.stamp_s[where])
+                else:
+                    received = last * PERIOD + np.broadcast_to(delays, (FOLLOWERS, N))[where]
+                    assert_is_round(memory.inbox, last, received, where=where)
+        assert len(memory.in_flight) <= 6  # what never arrives is not waited for
+
+
+def test_everybody_is_the_default():
+    radio = channel([[0.0, 0.04, 0.0], [0.04, 0.0, 0.1]])
+    ours = theirs = silent(radio)
+    for k in range(20):
+        now = k * PERIOD
+        ours = deliver(send(radio, ours, say(now), now), now)
+        theirs = deliver(send(radio, theirs, say(now), now, only(0, 1, 2)), now)
+        for one, two in zip(ours.inbox, theirs.inbox, strict=True):
+            np.testing.assert_array_equal(one, two)
+
+
+def test_a_late_message_of_one_aircraft_leaves_the_newer_of_another():
+    # uav1's word takes 0.12 s, the leader's, said a tick later, none
+    radio = channel([[0.0, 0.12, 0.0], [0.0, 0.12, 0.0]])
+    memory = send(radio, silent(radio), say(0.0), 0.0, only(1))
+    memory = deliver(send(radio, memory, say(0.04), 0.04, only(0)), 0.04)
+    assert_is_round(memory.inbox, 1, 0.04, where=np.s_[:, 0])
+    assert np.isnan(memory.inbox.stamp_s[:, 1]).all()
+    memory = deliver(memory, 0.12)
+    assert_is_round(memory.inbox, 1, 0.04, where=np.s_[:, 0])
+    assert_is_round(memory.inbox, 0, 0.12, where=np.s_[:, 1])
+
+
+# who is muted
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.1])
+def test_a_muted_aircraft_sends_nothing_in_its_windows(delay):
+    """By when it is sent: what is on its way arrives, and windows are [from, to)."""
+    radio = Channel(channel(delay).delay_s, mute=((1, 0.4, 0.8), (1, 1.2, 1.4), (2, 0.0, 0.2)))
+    late = round(np.ceil(delay / PERIOD))
+    for k, (_, memory) in enumerate(heard(radio, 50)):
+        newest = [
+            max(
+                (
+                    sent
+                    for sent in range(k - late + 1)
+                    if not any(
+                        row == m and begin <= sent * PERIOD < end for row, begin, end in radio.mute
+                    )
+                ),
+                default=None,
+            )
+            for m in range(N)
+        ]
+        for m, last in enumerate(newest):
+            where = np.s_[:, m]
+            if last is None:
+                assert np.isnan(memory.inbox.stamp_s[where]).all()
+            else:
+                assert_is_round(memory.inbox, last, last * PERIOD + delay, where=where)
+        assert len(memory.in_flight) <= late
+    assert newest == [50 - late] * N
+
+
+def test_a_run_in_which_everyone_is_muted_waits_for_nothing():
+    radio = Channel(channel(0.1).delay_s, mute=tuple((m, 0.0, 9.0) for m in range(N)))
+    *_, (_, memory) = heard(radio, 50)
+    assert np.isnan(memory.inbox.stamp_s).all()
+    assert memory.in_flight == ()

@@ -30,7 +30,7 @@ def errors_over(steps, each, n):
     flying = truth(n)
     out = np.empty((steps, n, 9))
     for k in range(steps):
-        estimate = each.estimate(flying)
+        estimate = each.estimate(flying, fresh=True)
         for at, name in enumerate(("position_ned", "velocity_ned", "euler")):
             out[k, :, 3 * at : 3 * at + 3] = getattr(estimate, name) - getattr(flying, name)
     return out
@@ -117,13 +117,13 @@ def test_a_stream_is_its_seed_and_its_name():
 def test_without_errors_the_truth_itself_is_returned():
     each, flying = estimators(["a", "b"], EXACT), truth(2)
     assert each.exact
-    assert each.estimate(flying) is flying
+    assert each.estimate(flying, fresh=True) is flying
     assert not estimators(["a"]).exact
 
 
 def test_one_exact_aircraft_among_others_is_exact():
     mixed, flying = Estimators(["a", "b"], [EXACT, GPS_INS], seed=1, dt=DT), truth(2)
-    estimate = mixed.estimate(flying)
+    estimate = mixed.estimate(flying, fresh=True)
     for name in ("position_ned", "velocity_ned", "euler"):
         assert np.array_equal(getattr(estimate, name)[0], getattr(flying, name)[0])
         assert (getattr(estimate, name)[1] != getattr(flying, name)[1]).all()
@@ -134,7 +134,7 @@ def test_one_exact_aircraft_among_others_is_exact():
 def test_rates_and_airspeeds_are_exact_and_the_truth_is_left_alone():
     each, flying = estimators(["a", "b"]), truth(2)
     before = VehicleState(*(array.copy() for array in flying))
-    estimate = each.estimate(flying)
+    estimate = each.estimate(flying, fresh=True)
     for name in ("rates_body", "airspeed", "equivalent_airspeed"):
         assert np.array_equal(getattr(estimate, name), getattr(flying, name))
     for array, copy in zip(flying, before, strict=True):
@@ -155,7 +155,7 @@ def about(axis, angle):
 def test_accelerations_are_felt_and_turned_with_the_estimated_attitude():
     tilted = SensorErrors(QUIET, QUIET, NoiseLevel(0.1, 1.0))
     flying = truth(6)
-    estimate = estimators(names(6), tilted).estimate(flying)
+    estimate = estimators(names(6), tilted).estimate(flying, fresh=True)
     gravity = np.array([0.0, 0.0, GRAVITY])
     for i in range(6):
         rotations = [
@@ -173,7 +173,7 @@ def test_a_tilted_horizon_makes_gravity_an_acceleration():
     tilted = SensorErrors(QUIET, QUIET, NoiseLevel(0.02, 1.0))
     zero = np.zeros((40, 3))
     level = VehicleState(zero, zero, zero, zero, zero, np.full(40, 20.0), np.full(40, 20.0))
-    estimate = estimators(names(40), tilted).estimate(level)
+    estimate = estimators(names(40), tilted).estimate(level, fresh=True)
     roll, pitch, yaw = estimate.euler.T
     # to second order in the errors, the heading aside
     forward = np.cos(yaw) * estimate.acceleration_ned[:, 0] + (
@@ -187,3 +187,21 @@ def test_a_tilted_horizon_makes_gravity_an_acceleration():
     assert estimate.acceleration_ned[:, 2] == pytest.approx(
         GRAVITY * (1.0 - np.cos(roll) * np.cos(pitch)), abs=1e-12
     )
+
+
+def test_between_two_of_its_moments_an_error_stays_as_it_is():
+    """Asked in between, an estimate is another truth with the same errors, and draws nothing."""
+    flying = truth(2)
+    moved = flying._replace(position_ned=flying.position_ned + 100.0)
+    often, seldom = estimators(names(2)), estimators(names(2))
+    for _ in range(5):
+        at_first = often.estimate(flying, fresh=True)
+        for _ in range(3):
+            between = often.estimate(moved, fresh=False)
+            error = between.position_ned - moved.position_ned
+            # 100 m more carry a rounding of 1e-14 m
+            assert error == pytest.approx(at_first.position_ned - flying.position_ned, abs=1e-13)
+            assert np.array_equal(between.velocity_ned, at_first.velocity_ned)
+            assert np.array_equal(between.euler, at_first.euler)
+        again = seldom.estimate(flying, fresh=True)
+        assert np.array_equal(again.position_ned, at_first.position_ned)

@@ -3,14 +3,30 @@
 import ast
 import importlib
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from formation_cases import PAPERS_MU, make_law, results, states, velocities
+from formation_cases import (
+    HIGH,
+    LOW,
+    PAPERS_MU,
+    choose,
+    make_law,
+    make_middle,
+    middle_gains,
+    middle_states,
+    mixed_options,
+    results,
+    some_of,
+    states,
+    velocities,
+)
 
 import testbed
-from testbed.formation import law as numpy_law
+from testbed.formation import middle_loop as numpy_loop
+from testbed.formation import paper_law as numpy_law
 from testbed.formation.barrier import Barrier
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
 from testbed.formation.flags import Guard, Saturation
@@ -19,53 +35,114 @@ from testbed.frames import euler_rates
 
 pytest.importorskip("numba")
 
-from testbed.formation import geometry_twin  # noqa: E402
-from testbed.formation import twin as formation_twin  # noqa: E402
+from testbed.formation import geometry_twin, middle_loop_twin, paper_twin  # noqa: E402
 from testbed.vehicle import twin as vehicle_twin  # noqa: E402
 
 FUNCTIONS = [PAPERS_MU, example_1(2.5e5, 1.0, 0.8), EXAMPLE_2, EXAMPLE_3]
 BARRIERS = [Barrier(4, 0.02), Barrier(5, 0.05), Barrier(6, 1.0), Barrier(7, 0.0)]
-OPTIONS = list(itertools.product(FUNCTIONS, BARRIERS, [False, True], [False, True]))
-AGENTS, STATES = 4, 12  # 64 combinations of options: some 3,000 states of agents
+AGENTS, STATES = 8, 100  # times four choices that all agents share: 3,200 states of agents
 # The two take the same sums in other orders, so they differ by roundings of 1e-16, which (14)
 # magnifies by 1/D, and example 5 by 1/(1 − tanh²), some 1e3 at 34 m/s.
 TOLERANCE = 1e-11
 
 
-def cases():
+def compare(ours, theirs):
+    assert ours.keys() == theirs.keys()
+    for name, array in ours.items():
+        assert theirs[name].dtype == array.dtype, name
+        assert theirs[name].shape == array.shape, name
+        np.testing.assert_array_equal(np.isnan(theirs[name]), np.isnan(array), err_msg=name)
+        np.testing.assert_allclose(
+            theirs[name], array, rtol=TOLERANCE, atol=TOLERANCE, err_msg=name
+        )
+
+
+def any_of(choices, rng):
+    return [choices[i] for i in rng.integers(0, len(choices), AGENTS)]
+
+
+def test_the_formation_law():
+    """Every agent with options of its own; agents of one law differ in all of them."""
     rng = np.random.default_rng(40)
-    for function, barrier, from_timestamp, as_printed in OPTIONS:
+    seen, deaf = 0, 0
+    for from_timestamp, of_airspeed in itertools.product([False, True], repeat=2):
         for k in range(STATES):
             law = make_law(
                 AGENTS,
                 rng,
-                mu=function,
-                barrier=barrier,
+                mu=any_of(FUNCTIONS, rng),
+                barrier=any_of(BARRIERS, rng),
                 from_timestamp=from_timestamp,
-                airspeed_error_as_printed=as_printed,
+                bounds_of_airspeed=of_airspeed,
+                **mixed_options(AGENTS, rng),
             )
-            yield law, *states(AGENTS, rng, silence=0.15 if k % 3 == 0 else 0.0)
-
-
-def test_the_formation_law():
-    seen, deaf = {"guards": 0, "saturations": 0}, 0
-    for law, own, inbox, memory in cases():
-        ours = results(numpy_law.paper_step(law, 100.0, own, inbox, memory))
-        theirs = results(formation_twin.paper_step(law, 100.0, own, inbox, memory))
-        assert ours.keys() == theirs.keys()
-        for name, array in ours.items():
-            assert theirs[name].dtype == array.dtype, name
-            np.testing.assert_array_equal(np.isnan(theirs[name]), np.isnan(array), err_msg=name)
-            np.testing.assert_allclose(
-                theirs[name], array, rtol=TOLERANCE, atol=TOLERANCE, err_msg=name
+            gaps = {"silence": 0.1, "old": 0.1} if k % 3 == 0 else {}
+            own, inbox, memory = states(AGENTS, rng, **gaps)
+            begun = np.where(rng.random(AGENTS) < 0.5, 1.0, np.nan)
+            memory = memory._replace(
+                silent_since=begun * rng.uniform(90.0, 99.0, AGENTS),
+                silent_course=begun * rng.uniform(-np.pi, np.pi, AGENTS),
             )
-            kind = name.removeprefix("diagnosis.")
-            if kind in seen:
-                seen[kind] |= int(np.bitwise_or.reduce(array))
-        deaf += int(np.isnan(inbox.stamp_s[:, 0]).sum())
+            # bounds of the airspeed lie no farther from it than those of the ground speed do
+            own = own._replace(airspeed=np.clip(own.airspeed, LOW - 4.0, HIGH + 4.0))
+            ours = results(numpy_law.paper_step(law, 100.0, own, inbox, memory))
+            compare(ours, results(paper_twin.paper_step(law, 100.0, own, inbox, memory)))
+            seen |= int(np.bitwise_or.reduce(ours["told.guards"]))
+            deaf += int(((ours["told.guards"] & Guard.LEADER_SILENT) != 0).sum())
     # the states reach every branch
+    assert seen == sum(Guard) - Guard.SPEED_COMMAND_CLIPPED
+    assert deaf > 100
+
+
+def test_a_law_of_some_of_the_agents():
+    """Agents that step apart from the others know the same, and more aircraft than they are."""
+    rng = np.random.default_rng(43)
+    for _ in range(50):
+        law = make_law(AGENTS, rng, **mixed_options(AGENTS, rng))
+        own, inbox, memory = states(AGENTS, rng, silence=0.1, old=0.1)
+        rows = rng.permutation(AGENTS)[:3]
+        part = some_of(law, rows)
+        given = (part, 100.0, *(choose(each, rows) for each in (own, inbox, memory)))
+        compare(results(numpy_law.paper_step(*given)), results(paper_twin.paper_step(*given)))
+
+
+def test_the_law_over_many_steps_of_its_own_memory():
+    """What one engine remembers is what the other remembers, message after message."""
+    rng = np.random.default_rng(44)
+    law = make_law(AGENTS, rng, **mixed_options(AGENTS, rng))
+    own, _, _ = states(AGENTS, rng)
+    ours = theirs = law.start(own)
+    for k in range(200):
+        now = 100.0 + 0.04 * k
+        own, inbox, _ = states(AGENTS, rng, silence=0.02, old=0.05, now=now)
+        told, ours = numpy_law.paper_step(law, now, own, inbox, ours)
+        said, theirs = paper_twin.paper_step(law, now, own, inbox, theirs)
+        compare(results((told, ours)), results((said, theirs)))
+
+
+def test_the_middle_loop():
+    """Agents that hold an altitude beside agents that do not, with every gain there is."""
+    rng = np.random.default_rng(45)
+    seen = {"guards": 0, "saturations": 0}
+    extras = ("altitude_p", "altitude_i", "altitude_d", "turn_incidence", "roll_lead", "eta_climb")
+    for as_printed in (False, True):
+        for _ in range(200):
+            more = {name: rng.uniform(0.0, 0.1, AGENTS) for name in extras}
+            gains = middle_gains(
+                AGENTS,
+                **more,
+                incidence=rng.integers(0, 2, AGENTS),
+                lead_filter=rng.uniform(0.0, 0.2, AGENTS),
+                rate_filter=rng.choice([0.0, 0.06], AGENTS),
+            )
+            holds = np.where(rng.random(AGENTS) < 0.4, rng.normal(0.0, 10.0, AGENTS), np.nan)
+            loop = replace(make_middle(AGENTS, altitude=holds, as_printed=as_printed), gains=gains)
+            given = (loop, *middle_states(AGENTS, rng))
+            ours = results(numpy_loop.middle_step(*given))
+            compare(ours, results(middle_loop_twin.middle_step(*given)))
+            for kind in seen:
+                seen[kind] |= int(np.bitwise_or.reduce(ours[f"diagnosis.{kind}"]))
     assert seen == {"guards": sum(Guard), "saturations": sum(Saturation)}
-    assert deaf > 50
 
 
 def test_true_slots_and_errors():
@@ -73,8 +150,9 @@ def test_true_slots_and_errors():
     for n in (1, 3, 40):
         position, offsets = rng.normal(0.0, 300.0, (2, n + 1, 3))
         velocity = velocities(rng, (n + 1,), 10.0, 35.0)
-        ours = true_slots(position, velocity, offsets)
-        theirs = geometry_twin.true_slots(position, velocity, offsets)
+        altitudes = np.where(rng.random(n) < 0.5, rng.normal(100.0, 10.0, n), np.nan)
+        ours = true_slots(position, velocity, offsets, altitudes)
+        theirs = geometry_twin.true_slots(position, velocity, offsets, altitudes)
         for one, two in zip(ours, theirs, strict=True):
             assert two == pytest.approx(one, abs=1e-12)  # roundings of some 1e3 m
 
@@ -87,7 +165,7 @@ def test_euler_rates():
 
 
 def test_no_twin_goes_without_such_a_test():
-    """Two of them are compared where their rooms are tested."""
+    """Four of them are compared where their rooms are tested."""
     found = set()
     for path in Path(testbed.__file__).parent.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -95,5 +173,5 @@ def test_no_twin_goes_without_such_a_test():
                 function, module = node.args
                 assert hasattr(importlib.import_module(module.value), function.id)
                 found.add(function.id)
-    elsewhere = {"fbwa", "motion"}
-    assert found == {"paper_step", "true_slots", "euler_rates"} | elsewhere
+    elsewhere = {"fbwa", "motion", "advance_ticks", "report"}
+    assert found == {"paper_step", "middle_step", "true_slots", "euler_rates"} | elsewhere

@@ -1,0 +1,122 @@
+"""What `testbed check` does on the terminal, and its exit codes."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from testbed.errors import InputError
+from testbed.metrics.document import to_json, write_json
+from testbed.study.golden import Case, check, find_cases, renew
+from testbed.study.golden_text import show_check, show_renewals
+from testbed.study.golden_words import to_document
+from testbed.study.junit import to_junit, write_junit
+
+GOOD, REGRESSION = 0, 3
+
+
+def check_and_show(
+    scenarios: Sequence[str],
+    *,
+    seeds: int | None,
+    jobs: int | None,
+    junit: Path | None,
+    json: Path | None,
+    update: bool,
+    reason: str | None,
+    golden: Path | None,
+) -> int:
+    """Hold scenarios to their golden tables, or write these, and return the exit code.
+
+    Raises:
+        InputError: an option or a page cannot be used, or there is no table.
+        KeyboardInterrupt: Ctrl-C; nothing has been written.
+    """
+    _refuse(seeds=seeds, jobs=jobs, junit=junit, json=json, update=update, reason=reason)
+    try:
+        cases = find_cases(scenarios, folder=golden, new=update)
+    except InputError as error:
+        if junit:
+            write_junit(junit, to_junit([], str(error).splitlines()))
+        raise
+    jobs = jobs or os.cpu_count() or 1
+    if update:
+        assert reason is not None
+        return _update(cases, seeds=seeds, jobs=jobs, reason=reason.strip())
+    to_stdout = json is not None and str(json) == "-"
+    with _Bar() as bar:
+        verdicts = check(cases, seeds=seeds, jobs=jobs, progress=bar.show)
+    if junit:
+        write_junit(junit, to_junit(verdicts))
+    show_check(verdicts, Console(stderr=to_stdout, highlight=False))
+    document = to_document(verdicts)
+    if to_stdout:
+        sys.stdout.write(to_json(document))
+    elif json:
+        write_json(json, document)
+    return GOOD if document["passed"] else REGRESSION
+
+
+def _update(cases: Sequence[Case], *, seeds: int | None, jobs: int, reason: str) -> int:
+    with _Bar() as bar:
+        renewals = renew(cases, seeds=seeds, jobs=jobs, reason=reason, progress=bar.show)
+    show_renewals(renewals, Console(highlight=False))
+    return GOOD if all(renewal.table for renewal in renewals) else REGRESSION
+
+
+def _refuse(
+    *,
+    seeds: int | None,
+    jobs: int | None,
+    junit: Path | None,
+    json: Path | None,
+    update: bool,
+    reason: str | None,
+) -> None:
+    for option, count in (("--seeds", seeds), ("--jobs", jobs)):
+        if count is not None and count < 1:
+            raise InputError(f"{option} {count}: write a whole number above 0")
+    if update and not (reason or "").strip():
+        raise InputError(
+            "--update: say why the numbers are what they should be, with --reason TEXT"
+        )
+    if reason is not None and not update:
+        raise InputError("--reason: goes with --update, which writes it into the tables")
+    for option, path in (("--junit", junit), ("--json", json)):
+        if path and update:
+            raise InputError(f"{option}: --update writes tables and judges nothing: leave it out")
+        if path and str(path) != "-" and not path.absolute().parent.is_dir():
+            raise InputError(f"{option} {path}: there is no folder {path.absolute().parent}")
+
+
+class _Bar:
+    """How many flights are done; silent where standard error is no terminal."""
+
+    def __init__(self) -> None:
+        console = Console(stderr=True)
+        self._progress = Progress(
+            TextColumn("[bold]flights"),
+            BarColumn(bar_width=None),
+            TextColumn("{task.completed:.0f} of {task.total:.0f}"),
+            TimeRemainingColumn(compact=True),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        self._task = self._progress.add_task("flights", total=0)
+
+    def __enter__(self) -> _Bar:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def show(self, flown: int, of: int) -> None:
+        """Move the bar."""
+        self._progress.update(self._task, completed=flown, total=of)

@@ -1,0 +1,101 @@
+"""What a follower makes of its leader's messages: q̈_g and ω̇_g, [HBH23] sections 8 and 10."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from testbed.formation.arrays import norm, scale
+from testbed.formation.geometry import GRAVITY
+from testbed.frames import flight_path_angle
+from testbed.state import Array
+
+# Where q̈_g comes from.
+NOTHING, BROADCAST, TURN = 0, 1, 2
+
+
+class LeaderMemory(NamedTuple):
+    """What n followers remember of their leader; nan: nothing heard yet."""
+
+    acceleration: Array  # (n, 3) m/s², averaged estimate of q̈_g
+    stamp_s: Array  # (n,) of the newest message used
+    speed: Array  # (n,) m/s, then
+    climb: Array  # (n,) rad, then
+    speed_rate: Array  # (n,) m/s², averaged
+    climb_rate: Array  # (n,) rad/s, averaged
+    # Of those that do not hear it: since when, and which course they had then; nan: it is heard.
+    silent_since: Array  # (n,) s
+    silent_course: Array  # (n,) rad
+
+
+def unheard(n: int) -> LeaderMemory:
+    """The memory of n followers before the first message."""
+    never = np.full(n, np.nan)
+    zero = np.zeros(n)
+    return LeaderMemory(np.zeros((n, 3)), never, never, never, zero, zero, never, never)
+
+
+def differentiate(
+    memory: LeaderMemory, stamp_s: Array, velocity: Array, blend: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Speed and flight-path angle of the leader as heard, and their averaged differences.
+
+    Args:
+        memory: of the step before.
+        stamp_s: (n,) of the newest message.
+        velocity: (n, 3) in it.
+        blend: (n, 2) share of a new difference in the averages of ṡ_g and γ̇_g.
+
+    Returns:
+        s_g (n,) m/s, γ_g (n,) rad, ṡ_g (n,) m/s², γ̇_g (n,) rad/s.
+    """
+    speed, climb = norm(velocity), flight_path_angle(velocity)
+    since = stamp_s - memory.stamp_s
+    fresh = since > 0.0  # false for the first message too: nan
+    span = np.where(fresh, since, 1.0)
+    speed_rate = memory.speed_rate + blend[:, 0] * (
+        (speed - memory.speed) / span - memory.speed_rate
+    )
+    climb_rate = memory.climb_rate + blend[:, 1] * (
+        (climb - memory.climb) / span - memory.climb_rate
+    )
+    return (
+        speed,
+        climb,
+        np.where(fresh, speed_rate, memory.speed_rate),
+        np.where(fresh, climb_rate, memory.climb_rate),
+    )
+
+
+def turn_acceleration(
+    frame: Array, speed: Array, climb: Array, speed_rate: Array, climb_rate: Array, euler: Array
+) -> Array:
+    """q̈_g (n, 3) m/s² of a coordinated turn: s_g Ṙ_g e1 + ṡ_g R_g e1, [HBH23] section 10.
+
+    With σ̇_g ≈ g tan φ_g / (s_g cos θ_g), for there the leader's rates are not heard.
+
+    Args:
+        frame: R_g (n, 3, 3).
+        speed: s_g (n,).
+        climb: γ_g (n,).
+        speed_rate: ṡ_g (n,).
+        climb_rate: γ̇_g (n,).
+        euler: the leader's roll, pitch, yaw (n, 3).
+    """
+    course_rate = GRAVITY * np.tan(euler[:, 0]) / (speed * np.cos(euler[:, 1]))
+    return (
+        scale(speed_rate, frame[:, :, 0])
+        + scale(speed * course_rate * np.cos(climb), frame[:, :, 1])
+        - scale(speed * climb_rate, frame[:, :, 2])
+    )
+
+
+def course_acceleration(speed: Array, euler: Array, roll_rate: Array) -> Array:
+    """σ̈_g (n,) rad/s² of a coordinated turn whose bank changes at `roll_rate` (n,).
+
+    The derivative of σ̇_g ≈ g tan φ_g / (s_g cos θ_g) by the bank alone.
+    """
+    cosine = np.cos(euler[:, 0])
+    rate: Array = GRAVITY * roll_rate / (speed * np.cos(euler[:, 1]) * cosine * cosine)
+    return rate

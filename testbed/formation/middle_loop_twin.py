@@ -1,0 +1,147 @@
+"""The compiled twin of `middle_loop.middle_step`: (19)-(21) agent by agent.
+
+`middle_loop` defines what this does; a test compares the two. numba compiles it at its first call.
+"""
+
+# The numpy functions carry the docstrings and the types.
+# ruff: noqa: ANN001, ANN202, ANN201, D103
+# mypy: ignore-errors
+
+from __future__ import annotations
+
+from math import atan, atan2, cos, floor, hypot, isnan, pi, sin, sqrt
+
+import numpy as np
+
+from testbed.formation.geometry import GRAVITY
+from testbed.formation.geometry_twin import twin
+from testbed.formation.law import Diagnosis
+from testbed.formation.laws_twin import velocity_rates
+from testbed.formation.middle_loop import (
+    CLIPPED,
+    PITCH,
+    ROLL,
+    THROTTLE,
+    MiddleLoopMemory,
+)
+from testbed.state import FbwaCommand
+
+
+def middle_step(loop, own, told, memory):
+    return _step(loop.table, loop.airspeed_error_as_printed, loop.dt, own, told, memory)
+
+
+@twin
+def _average(last, sample, share):
+    return sample if isnan(last) else last + share * (sample - last)
+
+
+@twin
+def _integrate(integral, error, dt, command, low, high):
+    limited = min(max(command, low), high)
+    if limited != command and (command > limited) == (error < 0.0):
+        return limited, integral
+    return limited, integral + dt * error
+
+
+@twin
+def _step(table, as_printed, dt, own, told, memory):
+    n = len(table)
+    pitch, roll, throttle = np.empty(n), np.empty(n), np.empty(n)
+    after = np.empty((8, n))
+    speed_command, course_desired, climb_desired = np.empty(n), np.empty(n), np.empty(n)
+    guards, saturations = np.empty(n, np.uint8), np.zeros(n, np.uint8)
+    for i in range(n):
+        g, y, sinking = table[i], told.direction[i], own.velocity_ned[i, 2]
+        holding = not isnan(g.altitude)
+        v = (own.velocity_ned[i, 0], own.velocity_ned[i, 1], 0.0 if holding else sinking)
+        s = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+        airspeed, bank = own.airspeed[i], own.euler[i, 0]
+        unguarded = told.speed[i] + airspeed - s
+        command = min(max(unguarded, g.speed_low), g.speed_high)
+        course_rate, climb_rate = velocity_rates(v, own.acceleration_ned[i])
+        share = dt / (dt + g.rate_filter)
+        course_rate = _average(memory.course_rate[i], course_rate, share)
+        climb_rate = _average(memory.climb_rate[i], climb_rate, share)
+        climb = atan2(-v[2], hypot(v[0], v[1]))
+        gd, cd = atan2(-y[2], hypot(y[0], y[1])), atan2(y[1], y[0])
+
+        climb_error = climb - gd
+        path = (
+            gd
+            - g.climb_p * climb_error
+            - g.climb_i * memory.climb[i]
+            - g.climb_d * (climb_rate - told.turn[i, 1])
+            + g.incidence * (own.euler[i, 1] - climb)
+            + g.turn_incidence * (1.0 / cos(bank) - 1.0)
+        )
+        height_error = -own.position_ned[i, 2] - g.altitude if holding else 0.0
+        hold = (
+            -g.altitude_p * height_error
+            - g.altitude_i * memory.altitude[i]
+            + g.altitude_d * sinking
+        )
+
+        turn = told.turn[i, 2] / cos(climb)
+        turn_bank = atan(turn * s * cos(climb) / GRAVITY)
+        last = memory.turn_bank[i]
+        slope = 0.0 if isnan(last) else (turn_bank - last) / dt
+        slope_before = memory.turn_bank_rate[i]
+        slope = slope_before + dt / (dt + g.lead_filter) * (slope - slope_before)
+        ahead = pi - (atan2(v[1], v[0]) - cd)
+        course_error = pi - (ahead - 2.0 * pi * floor(ahead / (2.0 * pi)))
+        phi = (
+            turn_bank
+            + g.roll_lead * slope
+            - g.course_p * course_error
+            - g.course_i * memory.course[i]
+            - g.course_d * (course_rate - turn)
+        )
+
+        error = airspeed - (told.speed[i] if as_printed else command)
+        power = (
+            g.trim_throttle
+            + g.eta_bank * (cos(bank) ** -2 - 1.0)
+            + g.eta_speed * (command - g.trim_airspeed)
+            + g.eta_climb * sin(gd)
+            - g.speed_p * error
+            - g.speed_i * memory.speed[i]
+        )
+
+        limit = g.pitch_limit
+        theta, climb_integral = _integrate(memory.climb[i], climb_error, dt, path, -limit, limit)
+        level, altitude_integral = _integrate(
+            memory.altitude[i], height_error, dt, hold, -limit, limit
+        )
+        wanted = hold if holding else path
+        pitch[i] = level if holding else theta
+        limit = g.roll_limit
+        roll[i], after[1, i] = _integrate(memory.course[i], course_error, dt, phi, -limit, limit)
+        throttle[i], after[2, i] = _integrate(memory.speed[i], error, dt, power, 0.0, 1.0)
+        after[0, i] = 0.0 if holding else climb_integral
+        after[3, i] = altitude_integral
+        after[4, i], after[5, i] = course_rate, climb_rate
+        after[6, i], after[7, i] = turn_bank, slope
+        saturations[i] = (
+            (pitch[i] != wanted) * PITCH
+            + (roll[i] != phi) * ROLL
+            + (throttle[i] != power) * THROTTLE
+        )
+        guards[i] = told.guards[i] | (CLIPPED if command != unguarded else 0)
+        speed_command[i], course_desired[i], climb_desired[i] = command, cd, gd
+    return (
+        FbwaCommand(pitch, roll, throttle),
+        MiddleLoopMemory(
+            after[0],
+            after[1],
+            after[2],
+            after[3],
+            after[4],
+            after[5],
+            after[6],
+            after[7],
+        ),
+        Diagnosis(
+            told.speed_desired, speed_command, course_desired, climb_desired, guards, saturations
+        ),
+    )

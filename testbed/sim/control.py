@@ -1,0 +1,215 @@
+"""The followers' control: groups that step together, each with its law and its middle loop."""
+
+from __future__ import annotations
+
+import inspect
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.errors import InputError
+from testbed.formation.flags import Guard, Saturation
+from testbed.formation.law import Diagnosis, Law, Team
+from testbed.formation.middle_loop import MiddleLoop, MiddleLoopMemory
+from testbed.frames import course, flight_path_angle
+from testbed.sim.vehicles import choose
+from testbed.state import Array, FbwaCommand, Inbox, Truths, UnicycleCommand, VehicleState
+
+OUTSIDE, CLIPPED = int(Guard.OUTSIDE_SPEED_SET), int(Guard.SPEED_COMMAND_CLIPPED)
+SILENT = int(Guard.LEADER_SILENT)
+
+
+@dataclass(frozen=True)
+class Group:
+    """Followers that step at the same moments."""
+
+    rows: NDArray[np.intp]  # (m,) among the n followers
+    team: Team
+    law: Law
+    middle: MiddleLoop
+    ideal: Truths  # (m,) an ideal vehicle, which flies the law's answer without middle loop
+    trusted: bool  # False: the law is the user's own, and what it says is looked at
+
+    @cached_property
+    def heeded(self) -> Truths:
+        """(m, N) whose messages the law uses: the leader's, and of those it has gains for.
+
+        What a law of the user's own uses is not known: all of them.
+        """
+        if not self.trusted:
+            return np.ones(self.team.gains.shape[:2], dtype=bool)
+        used: Truths = (self.team.gains != 0.0).any(axis=2)
+        used[:, 0] = True
+        return used
+
+
+class Control:
+    """What the n followers were last told by their own controllers."""
+
+    def __init__(self, groups: tuple[Group, ...], followers: int, aircraft: int) -> None:
+        """Nobody has stepped yet."""
+        self._groups = groups
+        self._memory: list[tuple[Any, MiddleLoopMemory] | None] = [None] * len(groups)
+        n, nothing = followers, np.zeros(followers, dtype=np.uint8)
+        self.command = FbwaCommand(np.zeros(n), np.zeros(n), np.zeros(n))
+        self.unicycle = UnicycleCommand(
+            np.zeros(n), np.zeros((n, 3)), np.zeros(n), np.zeros((n, 3)), nothing
+        )
+        unknown = np.full(n, np.nan)
+        self.diagnosis = Diagnosis(unknown, unknown, unknown, unknown, nothing, nothing)
+        self.age_s = np.full((n, aircraft), np.nan)  # of what follower i used of aircraft j
+
+    def step(self, number: int, now: float, own: VehicleState, inbox: Inbox) -> None:
+        """Step one group at the time `now` (s) from all followers' estimates and inboxes (n)."""
+        group = self._groups[number]
+        alone = len(self._groups) == 1
+        if not alone:
+            own, inbox = choose(own, group.rows), choose(inbox, group.rows)
+        law_memory, middle_memory = self._memory[number] or (
+            group.law.start(own),
+            group.middle.start(),
+        )
+        if group.trusted:
+            told, law_memory = group.law.step(now, own, inbox, law_memory)
+        else:
+            with blamed(file_of(group.law)):
+                told, law_memory = group.law.step(now, own, inbox, law_memory)
+            told = checked(told, group.team, now)
+        if isinstance(told, UnicycleCommand):
+            unicycle = told
+            command, middle_memory, diagnosis = group.middle.step(own, told, middle_memory)
+        else:
+            command, unicycle, diagnosis = direct(told, own, group.team)
+        self._memory[number] = law_memory, middle_memory
+        silent = np.isnan(inbox.stamp_s) | (now - inbox.received_s > group.team.silent_after)
+        age = np.where(silent | ~group.heeded, np.nan, now - inbox.stamp_s)
+        if silent[:, 0].any() and not group.trusted:
+            guards = diagnosis.guards | (silent[:, 0] * SILENT).astype(np.uint8)
+            diagnosis = diagnosis._replace(guards=guards)
+        if group.ideal.any():
+            unicycle, diagnosis = without_middle_loop(group.ideal, own, unicycle, diagnosis)
+        if alone:
+            self.command, self.unicycle, self.diagnosis = command, unicycle, diagnosis
+            self.age_s = age
+            return
+        rows = group.rows
+        self.command = _put(self.command, rows, command)
+        self.unicycle = _put(self.unicycle, rows, unicycle)
+        self.diagnosis = _put(self.diagnosis, rows, diagnosis)
+        self.age_s = self.age_s.copy()
+        self.age_s[rows] = age
+
+
+def without_middle_loop(
+    ideal: Truths, own: VehicleState, told: UnicycleCommand, diagnosis: Diagnosis
+) -> tuple[UnicycleCommand, Diagnosis]:
+    """What ideal vehicles (m,) fly, and nothing said of a middle loop that they have not.
+
+    They fly u as it is; but outside the speed set, where (14) divides by a slope of h that all but
+    vanishes, the guard on the commanded airspeed stands for them too.
+    """
+    outside = ideal & ((told.guards & OUTSIDE) != 0)
+    speed = np.linalg.norm(own.velocity_ned, axis=1)
+    guarded = np.where(outside, diagnosis.speed_command - own.airspeed + speed, told.speed)
+    unclipped = diagnosis.guards & np.uint8(0xFF ^ CLIPPED)
+    clipped = np.where(ideal & ~outside, unclipped, diagnosis.guards)
+    return told._replace(speed=guarded), diagnosis._replace(
+        speed_command=np.where(ideal, guarded + own.airspeed - speed, diagnosis.speed_command),
+        guards=clipped.astype(np.uint8),
+        saturations=np.where(ideal, 0, diagnosis.saturations).astype(np.uint8),
+    )
+
+
+def direct(
+    told: FbwaCommand, own: VehicleState, team: Team
+) -> tuple[FbwaCommand, UnicycleCommand, Diagnosis]:
+    """A law's fly-by-wire-A command within its limits; what it was after it did not say."""
+    pitch = np.clip(told.pitch, -team.pitch_limit, team.pitch_limit)
+    roll = np.clip(told.roll, -team.roll_limit, team.roll_limit)
+    throttle = np.clip(told.throttle, 0.0, 1.0)
+    saturations = (
+        (pitch != told.pitch) * int(Saturation.PITCH)
+        + (roll != told.roll) * int(Saturation.ROLL)
+        + (throttle != told.throttle) * int(Saturation.THROTTLE)
+    ).astype(np.uint8)
+    n = len(pitch)
+    unknown, none = np.full(n, np.nan), np.zeros(n, dtype=np.uint8)
+    motion = own.velocity_ned / np.linalg.norm(own.velocity_ned, axis=1, keepdims=True)
+    return (
+        FbwaCommand(pitch, roll, throttle),
+        UnicycleCommand(unknown, np.full((n, 3), np.nan), unknown, motion, none),
+        Diagnosis(unknown, unknown, course(motion), flight_path_angle(motion), none, saturations),
+    )
+
+
+@contextmanager
+def blamed(file: str) -> Iterator[None]:
+    """Whatever the code of a law's file raises inside is told with its line.
+
+    Raises:
+        InputError: for every exception.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        frames = traceback.extract_tb(error.__traceback__)
+        lines = [frame.lineno for frame in frames if frame.filename == file]
+        place = f"{file}:{lines[-1]}" if lines else file
+        raise InputError(f"{place}: the law raised {type(error).__name__}: {error}") from error
+
+
+def file_of(law: object) -> str:
+    """The file that a law's class is written in."""
+    return inspect.getfile(type(law))
+
+
+def checked(told: object, team: Team, now: float) -> UnicycleCommand | FbwaCommand:
+    """What a user's law answered, if it is an answer.
+
+    Raises:
+        InputError: naming what is wrong, whose it is and when.
+    """
+    n = len(team.names)
+    if not isinstance(told, UnicycleCommand | FbwaCommand):
+        raise InputError(
+            f"the law answered with {type(told).__name__} at {now:g} s (return a "
+            "UnicycleCommand or an FbwaCommand, and the memory)"
+        )
+    fields = []
+    for name, value in zip(told._fields, told, strict=True):
+        shape = (n, 3) if name in ("turn", "direction") else (n,)
+        kind = np.uint8 if name == "guards" else np.float64
+        try:
+            array = np.ascontiguousarray(np.broadcast_to(np.asarray(value, dtype=kind), shape))
+        except (TypeError, ValueError, OverflowError):
+            array = None
+        if array is None:
+            raise InputError(
+                f"the law's {name} is not an array of shape {shape} at {now:g} s (one row for "
+                f"each of {', '.join(team.names)})"
+            )
+        wrong = np.flatnonzero(~np.isfinite(array).reshape(n, -1).all(axis=1))
+        if len(wrong):
+            raise InputError(
+                f"the law's {name} for {team.names[wrong[0]]} is not a finite number at {now:g} s"
+            )
+        fields.append(array)
+    return type(told)(*fields)
+
+
+def _put(whole: Any, rows: NDArray[np.intp], part: Any) -> Any:  # noqa: ANN401 - any record
+    """A record with these rows of every array replaced; the old one stays as it was."""
+    columns = []
+    for old, new in zip(whole, part, strict=True):
+        column: Array = old.copy()
+        column[rows] = new
+        columns.append(column)
+    return type(whole)(*columns)

@@ -1,0 +1,203 @@
+"""What moves: aircraft behind their autopilots, ideal vehicles, and leaders that are not flown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+from testbed.guidance.replay import Track
+from testbed.state import (
+    AirData,
+    Array,
+    FbwaCommand,
+    Surfaces,
+    Truths,
+    UnicycleCommand,
+    VehicleState,
+)
+from testbed.vehicle.fbwa import AUTOPILOT, settled
+from testbed.vehicle.ideal import IdealFleet
+from testbed.vehicle.jsbsim_door import JsbsimFleet
+from testbed.vehicle.tables import FbwaGains
+
+Record = TypeVar("Record", VehicleState, AirData, Surfaces, FbwaCommand)
+
+
+class Vehicles(Protocol):
+    """Some of the aircraft of a run, on one clock."""
+
+    @property
+    def surfaces(self) -> Surfaces:
+        """What their servos are told now."""
+
+    def read(self) -> VehicleState:
+        """The truth now."""
+
+    def air(self) -> AirData:
+        """What the truth knows of the air now."""
+
+    def lost(self, state: VehicleState) -> Truths:
+        """Which of them are on the ground, broken or not finite."""
+
+    def steer(self, told: UnicycleCommand) -> None:
+        """Hand over what a formation law decided; at the control rate."""
+
+    def act(self, estimate: VehicleState, told: FbwaCommand) -> None:
+        """Let the autopilots fly what they are told; at the autopilot rate."""
+
+    def step(self, ticks: int) -> None:
+        """Move on by ticks of the base rate."""
+
+
+class Flown:
+    """JSBSim aircraft behind their virtual autopilots."""
+
+    def __init__(self, fleet: JsbsimFleet, gains: FbwaGains) -> None:
+        """Autopilots begin as if they had long held the trim."""
+        self.fleet = fleet
+        self._gains = gains
+        self._memory = settled(fleet.trimmed, gains)
+        self.surfaces = fleet.trimmed
+        self.read, self.air, self.lost = fleet.read, fleet.air, fleet.lost
+
+    def steer(self, told: UnicycleCommand) -> None:
+        """An autopilot takes attitudes, not turns."""
+
+    def act(self, estimate: VehicleState, told: FbwaCommand) -> None:
+        """One period of the autopilots."""
+        self.surfaces, self._memory = AUTOPILOT(estimate, told, self._memory, self._gains)
+
+    def step(self, ticks: int) -> None:
+        """Run the flight models."""
+        self.fleet.step(self.surfaces, ticks)
+
+
+class Ideal:
+    """Extended unicycles, which do at once what the law decided."""
+
+    def __init__(self, fleet: IdealFleet) -> None:
+        """They have no surfaces."""
+        self.fleet = fleet
+        nothing = np.zeros(len(fleet.read().airspeed))
+        self.surfaces = Surfaces(nothing, nothing, nothing, nothing)
+        self.read, self.air, self.lost = fleet.read, fleet.air, fleet.lost
+        self.step = fleet.step
+
+    def steer(self, told: UnicycleCommand) -> None:
+        """Fly with this u and ω."""
+        self.fleet.command(told.speed, told.turn)
+
+    def act(self, estimate: VehicleState, told: FbwaCommand) -> None:
+        """There is no autopilot."""
+
+
+class Replayed:
+    """One leader that moves by itself: a recorded flight, or a formula."""
+
+    def __init__(self, track: Track, equivalent_airspeed: Array, wind_ned: Array) -> None:
+        """Begin the track, which has one row for every event of the clock."""
+        self._track, self._equivalent = track, equivalent_airspeed
+        self._wind, self._row = wind_ned, 0
+
+    @property
+    def command(self) -> tuple[float, float, float]:
+        """Pitch, roll, throttle: what it does stands for what it was told."""
+        row = self._row
+        roll, pitch, _ = self._track.euler[row]
+        return float(pitch), float(roll), float(self._track.throttle[row])
+
+    @property
+    def surfaces(self) -> Surfaces:
+        """A track has none but the throttle."""
+        still = np.zeros(1)
+        return Surfaces(still, still, still, self._track.throttle[self._row : self._row + 1])
+
+    def read(self) -> VehicleState:
+        """The row of now."""
+        now, track = slice(self._row, self._row + 1), self._track
+        return VehicleState(
+            position_ned=track.position_ned[now],
+            velocity_ned=track.velocity_ned[now],
+            acceleration_ned=track.acceleration_ned[now],
+            euler=track.euler[now],
+            rates_body=track.rates_body[now],
+            airspeed=track.airspeed[now],
+            equivalent_airspeed=self._equivalent[now],
+        )
+
+    def air(self) -> AirData:
+        """A track tells nothing of its own: zero."""
+        zero, nothing = np.zeros(1), np.full(1, np.nan)
+        return AirData(zero, zero, zero, self._wind[np.newaxis], nothing, nothing)
+
+    def lost(self, state: VehicleState) -> Truths:
+        """It flies on whatever happens."""
+        return np.zeros(1, dtype=bool)
+
+    def steer(self, told: UnicycleCommand) -> None:
+        """Nobody steers it."""
+
+    def act(self, estimate: VehicleState, told: FbwaCommand) -> None:
+        """It has no autopilot."""
+
+    def step(self, ticks: int) -> None:
+        """On to the next event."""
+        self._row += 1
+
+
+class Mixed:
+    """Several kinds together, each with its own rows among the N aircraft."""
+
+    def __init__(self, parts: Sequence[tuple[Sequence[int], Vehicles]]) -> None:
+        """Rows of all parts together are 0..N−1, each once."""
+        self._parts = [(np.array(rows, dtype=np.intp), part) for rows, part in parts]
+        order = np.argsort(np.concatenate([rows for rows, _ in self._parts]))
+        self._order = None if (np.diff(order) == 1).all() else order
+
+    @property
+    def surfaces(self) -> Surfaces:
+        """Of all."""
+        return self._join([part.surfaces for _, part in self._parts])
+
+    def read(self) -> VehicleState:
+        """Of all."""
+        return self._join([part.read() for _, part in self._parts])
+
+    def air(self) -> AirData:
+        """Of all."""
+        return self._join([part.air() for _, part in self._parts])
+
+    def lost(self, state: VehicleState) -> Truths:
+        """Of all."""
+        out = np.zeros(len(state.airspeed), dtype=bool)
+        for rows, part in self._parts:
+            out[rows] = part.lost(choose(state, rows))
+        return out
+
+    def steer(self, told: UnicycleCommand) -> None:
+        """To each its own."""
+        for rows, part in self._parts:
+            part.steer(choose(told, rows))
+
+    def act(self, estimate: VehicleState, told: FbwaCommand) -> None:
+        """To each its own."""
+        for rows, part in self._parts:
+            part.act(choose(estimate, rows), choose(told, rows))
+
+    def step(self, ticks: int) -> None:
+        """All of them."""
+        for _, part in self._parts:
+            part.step(ticks)
+
+    def _join(self, records: Sequence[Record]) -> Record:
+        columns = (np.concatenate(each) for each in zip(*records, strict=True))
+        order = self._order
+        kind = type(records[0])
+        return kind(*(each if order is None else each[order] for each in columns))
+
+
+def choose(record: Any, rows: Any) -> Any:  # noqa: ANN401 - any record of arrays, any index
+    """The record with these rows of every array, contiguous."""
+    return type(record)(*(each[rows] for each in record))

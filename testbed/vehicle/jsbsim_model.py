@@ -1,0 +1,241 @@
+"""One JSBSim aircraft before it flies: placed at will, and asked what it would do.
+
+With the door, the only module that knows JSBSim's units and signs.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from testbed.errors import InputError
+from testbed.frames import FOOT, geodetic_from_ned, rotation_ned_body
+from testbed.state import Array, Origin
+from testbed.vehicle.trim import STILL, Controls, Placement, Vector
+
+_SPIN_STEPS = 2000  # at most, until the propeller and the surfaces have settled
+_LONGEST_MEMORY = 6  # steps that JSBSim's integrators look back, and one to spare
+_SLUG_FOOT2 = 4.4482216152605 * FOOT  # kg m²; a slug is a pound-force per foot/s²
+_NOTHING = 1e-6  # m/s² and rad/s²: less is rounding
+_GLANCE = 1e-5  # s, a step that shows how the propeller's speed changes
+
+
+class AircraftError(InputError):
+    """An aircraft folder JSBSim cannot fly."""
+
+
+@dataclass(frozen=True, slots=True)
+class Traits:
+    """What of an aircraft is not a property of JSBSim's."""
+
+    has_rudder: bool  # its command changes something
+    has_lag: bool  # surfaces follow their commands later
+
+
+class JsbsimModel:
+    """A JSBSim executive with an aircraft loaded."""
+
+    def __init__(self, fdm: Any, rate_hz: int, traits: Traits) -> None:  # noqa: ANN401 - untyped
+        """Bind the properties; `fdm` is JSBSim's FGFDMExec, silenced.
+
+        Raises:
+            AircraftError: if the aircraft lacks a property that is needed.
+        """
+        self.fdm = fdm
+        self.has_rudder, self.has_lag = traits.has_rudder, traits.has_lag
+        self._dt = 1.0 / rate_hz
+        self.fdm.set_dt(self._dt)
+        self._manager = self.fdm.get_property_manager()
+        self.node("atmosphere/turb-type").set_double_value(0.0)
+        self.setters = tuple(
+            self.node(f"fcs/{name}-cmd-norm").set_double_value
+            for name in ("aileron", "elevator", "rudder", "throttle")
+        )
+        self._sense = self.node("propulsion/engine/propeller-sense")
+        self._senses = self._sense.get_double_value()
+        self._rpm = self.node("propulsion/engine/propeller-rpm").get_double_value
+        self._moments = [self.node(f"moments/{axis}-aero-lbsft").get_double_value for axis in "lmn"]
+        self._hold = self.node("forces/hold-down").set_double_value
+        self._winds = [
+            self.node(f"atmosphere/wind-{axis}-fps").set_double_value
+            for axis in ("north", "east", "down")
+        ]
+        self._velocities = [
+            self.node(f"velocities/v-{axis}-fps").get_double_value
+            for axis in ("north", "east", "down")
+        ]
+        self._attitude = [
+            self.node(f"ic/{name}-rad").set_double_value for name in ("phi", "theta", "psi-true")
+        ]
+        self._speeds = [self.node(f"ic/{name}-fps").set_double_value for name in "uvw"]
+        self._rates = [self.node(f"ic/{name}-rad_sec").set_double_value for name in "pqr"]
+        self._accelerations = [
+            self.node(f"accelerations/{name}").get_double_value
+            for name in (
+                "udot-ft_sec2",
+                "vdot-ft_sec2",
+                "wdot-ft_sec2",
+                "pdot-rad_sec2",
+                "qdot-rad_sec2",
+                "rdot-rad_sec2",
+            )
+        ]
+
+    def node(self, name: str) -> Any:  # noqa: ANN401
+        """A property, bound once."""
+        node = self._manager.get_node(name)
+        if node is None:
+            raise AircraftError(f"{self.fdm.get_model_name()}: JSBSim has no property {name}")
+        return node
+
+    def find(self, name: str) -> Any:  # noqa: ANN401
+        """A property, or None where this aircraft has none of that name."""
+        return self._manager.get_node(name)
+
+    def charge(self, state_of_charge: float) -> None:
+        """Say how full the battery is; takes effect when the aircraft is placed.
+
+        Raises:
+            AircraftError: the aircraft has no battery, and it is to be less than full.
+        """
+        node = self.find("battery/initial-state-of-charge")
+        if node is not None:
+            node.set_double_value(state_of_charge)
+        elif state_of_charge != 1.0:
+            raise AircraftError(
+                f"{self.fdm.get_model_name()}: has no battery, so its state of charge cannot be "
+                f"{state_of_charge:g} (leave it out)"
+            )
+
+    def locate(self, position_ned: Vector, origin: Origin) -> None:
+        """Say where the aircraft is; takes effect when it is placed."""
+        latitude, longitude, height = geodetic_from_ned(np.array(position_ned), origin).tolist()
+        self.node("ic/terrain-elevation-ft").set_double_value(origin.elevation_m / FOOT)
+        self.node("ic/long-gc-deg").set_double_value(longitude)
+        self.node("ic/lat-geod-deg").set_double_value(latitude)
+        above_sea, geodetic = self.node("ic/h-sl-ft"), self.node("ic/geod-alt-ft")
+        above_sea.set_double_value(height / FOOT)
+        # JSBSim takes height along the radius; correct it to height above the ellipsoid.
+        wrong = geodetic.get_double_value() - height / FOOT
+        above_sea.set_double_value(height / FOOT - wrong)
+
+    def place(
+        self,
+        placement: Placement,
+        controls: Controls,
+        *,
+        course: float = 0.0,
+        wind_ned: Vector = STILL,
+        spin: bool,
+    ) -> None:
+        """Put the aircraft in the air, on a course through it.
+
+        A motor of constant power has a huge torque on a propeller at rest, and RPM cannot be set.
+        So with `spin` the aircraft is first held still in a wind as fast as it will fly, with no
+        torque on the airframe, until the propeller has settled, and surfaces that lag behind their
+        commands with it; then it is placed again.
+        """
+        self._command(controls)
+        if spin:
+            self._initialise(placement, course, STILL)
+            self._sense.set_double_value(0.0)
+            self._hold(1.0)
+            for set_wind, velocity in zip(self._winds, self._velocities, strict=True):
+                set_wind(-velocity())
+            self._settle()
+            self._hold(0.0)
+            self._sense.set_double_value(self._senses)
+        self._initialise(placement, course, wind_ned)
+        for set_wind, value in zip(self._winds, wind_ned, strict=True):
+            set_wind(value / FOOT)  # the initial condition leaves rounding errors in it
+        if any(wind_ned):
+            # The initial condition knew no wind: evaluate again, in no time, until nothing that
+            # JSBSim's integrators remember is older.
+            self.fdm.suspend_integration()
+            for _ in range(_LONGEST_MEMORY):
+                self.fdm.run()
+            self.fdm.resume_integration()
+
+    def _settle(self) -> None:
+        rpm, moments = -1.0, [math.inf] * 3
+        for _ in range(_SPIN_STEPS):
+            self.fdm.run()
+            rpm_before, rpm = rpm, self._rpm()
+            settled = abs(rpm - rpm_before) < 1e-9 * rpm or rpm == rpm_before
+            if settled and not self.has_lag:
+                return
+            moments_before, moments = moments, [get() for get in self._moments]
+            if settled and np.allclose(moments, moments_before, rtol=1e-9, atol=1e-12):
+                return
+
+    def fly(self) -> None:
+        """Set the clock to zero after placing."""
+        self.fdm.set_sim_time(0.0)
+
+    def accelerations(self, placement: Placement, controls: Controls, *, spin: bool) -> Array:
+        """u̇, v̇, ẇ (m/s²), ṗ, q̇, ṙ (rad/s²) as placed; with `spin` the propeller settles first."""
+        self.place(placement, controls, spin=spin)
+        values = np.array([get() for get in self._accelerations])
+        values[:3] *= FOOT
+        return values
+
+    def inertia(self) -> Array:
+        """The tensor of inertia (3, 3) in body axes about the centre of gravity, kg m²."""
+        xx, yy, zz, xy, xz, yz = (
+            self.node(f"inertia/i{axes}-slugs_ft2").get_double_value() * _SLUG_FOOT2
+            for axes in ("xx", "yy", "zz", "xy", "xz", "yz")
+        )
+        # JSBSim names by ixz the element itself and by ixy and iyz its opposite.
+        return np.array([[xx, -xy, xz], [-xy, yy, -yz], [xz, -yz, zz]])
+
+    def propeller_acceleration(self) -> float:
+        """Change of the propeller's speed as placed, revolutions per s²."""
+        self.fdm.set_dt(_GLANCE)
+        before = self._rpm()
+        self.fdm.run()
+        after = self._rpm()
+        self.fdm.set_dt(self._dt)
+        return float(after - before) / 60.0 / _GLANCE
+
+    @property
+    def propeller_rps(self) -> float:
+        """Revolutions per second."""
+        return float(self._rpm()) / 60.0
+
+    def _command(self, controls: Controls) -> None:
+        values = (controls.aileron, -controls.elevator, -controls.rudder, controls.throttle)
+        for set_value, value in zip(self.setters, values, strict=True):
+            set_value(value)
+
+    def _initialise(self, placement: Placement, course: float, wind_ned: Vector) -> None:
+        angles = (placement.roll, placement.pitch, course - placement.course)
+        for set_value, value in zip(self._attitude, angles, strict=True):
+            set_value(value)
+        velocity = placement.velocity_body
+        if any(wind_ned):
+            to_body = rotation_ned_body(np.array(angles)).T
+            velocity = tuple((np.array(velocity) + to_body @ np.array(wind_ned)).tolist())
+        for set_value, value in zip(self._speeds, velocity, strict=True):
+            set_value(value / FOOT)
+        for set_value, value in zip(self._rates, placement.rates_body, strict=True):
+            set_value(value)
+        self.fdm.run_ic()
+
+
+def find_traits(model: JsbsimModel) -> Traits:
+    """Put an aircraft in the air and see what moves it; `model` must assume rudder and lag."""
+    ahead = Placement((20.0, 0.0, 0.0), STILL, 0.0, 0.0, 0.0)
+    neutral = Controls(0.0, 0.0, 0.0, 0.0)
+    model.locate((0.0, 0.0, -1000.0), Origin())
+    before = model.accelerations(ahead, neutral, spin=True)
+    yawed = model.accelerations(ahead, Controls(0.0, 0.0, 0.5, 0.0), spin=True)
+    model.accelerations(ahead, neutral, spin=True)
+    pulled = Controls(0.1, 0.1, 0.0, 0.0)
+    early, late = (model.accelerations(ahead, pulled, spin=False) for _ in range(2))
+    return Traits(
+        has_rudder=bool(np.max(np.abs(yawed - before)) > _NOTHING),
+        has_lag=bool(np.max(np.abs(late - early)) > _NOTHING),
+    )

@@ -1,0 +1,121 @@
+"""Small motions about trim: ẋ = A x + B u by central differences of the flight model.
+
+The states are the body velocities u, w, v, the rates q, p, r, the pitch θ, the bank φ and the
+propeller's speed n; heading and position are left out, so the air is as dense everywhere as at
+the trim. The controls are held where the trim has them and the surfaces stand at their commands:
+a servo's lag is no state. Terms in α̇ are in A, because JSBSim evaluates them with the
+accelerations of the same instant.
+
+JSBSim has no door to the propeller's speed. It is moved by letting the propeller settle at a
+throttle a little off, and its acceleration is read from one step of 10 µs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from testbed.frames import euler_rates
+from testbed.state import Array
+from testbed.vehicle.trim import Controls, Placement, TrimModel, TrimResult, Vector
+
+# Longitudinal first. Heading is no state; its place in the Euler angles stays empty.
+STATES = ("u", "w", "q", "theta", "n", "v", "p", "r", "phi")
+UNITS = ("m/s", "m/s", "rad/s", "rad", "rev/s", "m/s", "rad/s", "rad/s", "rad")
+CONTROLS = ("aileron", "elevator", "rudder", "throttle")
+_STEPS = {
+    "u": 0.01,
+    "w": 0.01,
+    "v": 0.01,
+    "p": 1e-3,
+    "q": 1e-3,
+    "r": 1e-3,
+    "theta": 1e-4,
+    "phi": 1e-4,
+}
+_CONTROL_STEP = 1e-3
+_THROTTLE_STEP = 0.01  # moves the propeller
+
+
+class LinearModel(TrimModel, Protocol):
+    """A flight model that also says how its propeller's speed changes."""
+
+    def propeller_acceleration(self) -> float:
+        """Change of the propeller's speed as last placed, revolutions per s²."""
+
+
+@dataclass(frozen=True, slots=True)
+class Linear:
+    """ẋ = A x + B u about a trim; rows and columns as in STATES and CONTROLS."""
+
+    trim: TrimResult
+    a: Array  # (9, 9)
+    b: Array  # (9, 4)
+
+
+def linearize(model: LinearModel, trim: TrimResult) -> Linear:
+    """Linearise a flight model about a steady flight, located where it was trimmed."""
+    held, idle = trim.controls, trim.controls.throttle
+    a, b = np.empty((9, 9)), np.empty((9, 4))
+    for j, name in enumerate(STATES):
+        if name == "n":
+            low, high = _within(name, idle, _THROTTLE_STEP)
+            slow, back = _evaluate(model, trim, trim.placement, held, low)
+            fast, ahead = _evaluate(model, trim, trim.placement, held, high)
+            a[:, j] = (ahead - back) / (fast - slow)
+        else:
+            step = _STEPS[name]
+            _, back = _evaluate(model, trim, _moved(trim.placement, name, -step), held, idle)
+            _, ahead = _evaluate(model, trim, _moved(trim.placement, name, step), held, idle)
+            a[:, j] = (ahead - back) / (2.0 * step)
+    for j, name in enumerate(CONTROLS):
+        low, high = _within(name, getattr(held, name), _CONTROL_STEP)
+        _, back = _evaluate(model, trim, trim.placement, replace(held, **{name: low}), idle)
+        _, ahead = _evaluate(model, trim, trim.placement, replace(held, **{name: high}), idle)
+        b[:, j] = (ahead - back) / (high - low)
+    return Linear(trim, a, b)
+
+
+def _evaluate(
+    model: LinearModel,
+    trim: TrimResult,
+    placement: Placement,
+    controls: Controls,
+    spin_throttle: float,
+) -> tuple[float, Array]:
+    """The propeller's speed and ẋ (9,), after the propeller settled in trim at a throttle."""
+    model.accelerations(trim.placement, replace(controls, throttle=spin_throttle), spin=True)
+    speed = model.propeller_rps
+    du, dv, dw, dp, dq, dr = model.accelerations(placement, controls, spin=False).tolist()
+    attitude = np.array([placement.roll, placement.pitch, 0.0])
+    dphi, dtheta, _ = euler_rates(attitude, np.array(placement.rates_body)).tolist()
+    dn = model.propeller_acceleration()
+    return speed, np.array([du, dw, dq, dtheta, dn, dv, dp, dr, dphi])
+
+
+def _moved(placement: Placement, name: str, change: float) -> Placement:
+    """A placement with one state changed."""
+    if name == "theta":
+        return replace(placement, pitch=placement.pitch + change)
+    if name == "phi":
+        return replace(placement, roll=placement.roll + change)
+    if name in "uvw":
+        return replace(
+            placement, velocity_body=_added(placement.velocity_body, name, "uvw", change)
+        )
+    return replace(placement, rates_body=_added(placement.rates_body, name, "pqr", change))
+
+
+def _added(values: Vector, name: str, names: str, change: float) -> Vector:
+    first, second, third = (
+        value + change if each == name else value for each, value in zip(names, values, strict=True)
+    )
+    return first, second, third
+
+
+def _within(name: str, value: float, step: float) -> tuple[float, float]:
+    """Two values of a control around this one, inside its travel."""
+    least = -1.0 if name in ("aileron", "elevator", "rudder") else 0.0
+    return max(value - step, least), min(value + step, 1.0)

@@ -1,0 +1,202 @@
+"""A law of one's own: found, held to its contract, blamed by line, and flown."""
+
+import sys
+import textwrap
+
+import pytest
+
+import testbed
+from testbed.errors import InputError
+from testbed.scenario import list_scenarios, load, shorten
+from testbed.sim.law_contract import check_law
+from testbed.sim.world import build
+
+GOOD = """
+    import numpy as np
+    from testbed.law import FbwaCommand, UnicycleCommand
+
+    class Straight:
+        def __init__(self, team, *, roll=0.0, memory=0.0):
+            self.team, self.roll, self.count = team, roll, 0
+
+        def start(self, own):
+            return np.zeros(len(own.airspeed))
+
+        def step(self, now, own, inbox, memory):
+            n = len(own.airspeed)
+            BODY
+            return FbwaCommand(np.zeros(n), np.full(n, self.roll), np.full(n, 0.3)), memory
+"""
+
+
+def page(folder, body="pass", *, text=GOOD, law="mine:Straight", more=""):
+    """The path of a page with a law beside it, whose step does this."""
+    (folder / "mine.py").write_text(textwrap.dedent(text).replace("BODY", body))
+    path = folder / "mine.yaml"
+    path.write_text(f"extends: simulation-3\ncontroller: {{law: '{law}'{more}}}\n")
+    return path
+
+
+def refusal(path, *overrides):
+    with pytest.raises(InputError) as caught:
+        build(load(path, overrides))
+    return str(caught.value)
+
+
+def test_a_law_beside_its_page_flies_and_the_run_says_whose_code_it_is(tmp_path):
+    path = page(tmp_path, more=", options: {roll: 0.1}")
+    flown = testbed.run(shorten(load(path), 4.0), write=False)
+    assert flown.outcome == "flown"
+    (note,) = (event for event in flown.metrics["events"] if event["level"] == "info")
+    assert note["text"] == f"the law Straight runs the code of {tmp_path / 'mine.py'}"
+    # as flown it means the same from anywhere
+    assert flown.scenario.controller.law == f"{tmp_path / 'mine.py'}:Straight"
+
+
+def test_a_law_may_be_installed(tmp_path, monkeypatch):
+    page(tmp_path)
+    (tmp_path / "mine.py").rename(tmp_path / "a_package_of_laws.py")
+    monkeypatch.syspath_prepend(tmp_path)
+    world = build(load("simulation-3", ["controller.law=a_package_of_laws:Straight"]))
+    assert type(world.groups[0].law).__name__ == "Straight"
+    assert not world.groups[0].trusted
+    del sys.modules["a_package_of_laws"]
+
+
+def test_the_page_decides_which_of_two_files_of_a_name_is_meant(tmp_path):
+    for name, roll in (("one", 0.1), ("two", 0.2)):
+        (tmp_path / name).mkdir()
+        page(tmp_path / name, f"self.roll = {roll}")
+    rolls = [
+        testbed.run(shorten(load(tmp_path / name / "mine.yaml"), 1.0), write=False)
+        for name in ("one", "two")
+    ]
+    assert all(flown.outcome == "flown" for flown in rolls)
+    assert rolls[0].metrics["leader_bank_deg"] == rolls[1].metrics["leader_bank_deg"]
+    one, two = (build(load(tmp_path / name / "mine.yaml")).groups[0].law for name in ("one", "two"))
+    assert type(one) is not type(two)
+
+
+def test_where_a_law_cannot_be_found_it_says_where_to_put_it(tmp_path):
+    assert "no module 'nowhere' (write a nowhere.py beside the page" in refusal(
+        page(tmp_path, law="nowhere:Straight")
+    )
+    assert "has no class 'Curved' (it has" in refusal(page(tmp_path, law="mine:Curved"))
+    with pytest.raises(InputError, match=r"there is no file .*gone\.py"):
+        load(page(tmp_path, law="gone.py:Straight"))
+    with pytest.raises(InputError, match="must be paper, or module:Class"):
+        load(page(tmp_path, law="mine"))
+
+
+def test_a_file_that_python_cannot_read_is_named(tmp_path):
+    assert "mine.py cannot be imported: " in refusal(page(tmp_path, text="class Straight\n"))
+
+
+def test_options_are_the_keywords_of_the_class(tmp_path):
+    assert "unexpected keyword argument 'rolll'" in refusal(
+        page(tmp_path, more=", options: {rolll: 1}")
+    )
+
+
+def test_methods_that_are_missing_are_named(tmp_path):
+    text = "class Straight:\n    def __init__(self, team): ...\n"
+    assert "Straight has no method start" in refusal(page(tmp_path, text=text))
+
+
+@pytest.mark.parametrize(
+    ("body", "says"),
+    [
+        ("return None, memory", "answered with NoneType at 0 s"),
+        ("return memory", "must return two things from step"),
+        (
+            "return FbwaCommand(np.zeros(n + 1), np.zeros(n), np.zeros(n)), memory",
+            "pitch is not an array of shape",
+        ),
+        (
+            "return FbwaCommand(np.zeros(n), np.array([0.0, np.nan, 0.0]), np.zeros(n)), memory",
+            "roll for uav2 is not a finite number",
+        ),
+        ("own.position_ned[0] = 0.0", "writes into what it is given"),
+        ("inbox.stamp_s[0] = 0.0", "writes into what it is given"),
+        ("self.count += 1; self.roll = 0.001 * self.count", "does not carry its memory as a value"),
+        ("memory += 1.0", "does not carry its memory as a value"),
+        (
+            "self.roll = float(own.position_ned[:, 0].mean()) * 1e-3",
+            "only uav2, uav3 know something else",
+        ),
+        (
+            "self.roll = float(np.nan_to_num(inbox.velocity_ned[2, 0, 1])) * 1e-3",
+            "only uav2, uav3 know something else",
+        ),
+        ("return UnicycleCommand(20.0, 0.0, 20.0, 0.5, 0), memory", "gives a direction of length"),
+        ("1 / 0", "the law raised ZeroDivisionError: division by zero"),
+    ],
+)
+def test_what_breaks_the_contract_is_refused_before_the_flight(tmp_path, body, says):
+    assert says in refusal(page(tmp_path, body))
+
+
+def test_an_error_of_the_law_is_told_with_its_line(tmp_path):
+    path = page(tmp_path, "raise RuntimeError('no idea')")
+    line = (tmp_path / "mine.py").read_text().split("raise")[0].count("\n") + 1
+    assert f"mine.py:{line}: the law raised RuntimeError: no idea" in refusal(path)
+
+
+def test_a_law_that_goes_wrong_in_flight_ends_the_run_with_its_time(tmp_path):
+    path = page(tmp_path, "self.roll = np.nan if now > 2.0 else 0.0")
+    with pytest.raises(InputError, match=r"roll for uav1 is not a finite number at 2\.04 s"):
+        testbed.run(shorten(load(path), 4.0), write=False)
+
+
+def test_sticks_do_not_fly_an_ideal_vehicle(tmp_path):
+    said = refusal(page(tmp_path), "fleet.uav2.vehicle=ideal")
+    assert "Straight commands fly-by-wire A, which an ideal vehicle cannot fly" in said
+    assert "vehicle: jsbsim for uav2" in said
+
+
+@pytest.mark.parametrize("name", ["own-law-leader-follower", "own-law-integral"])
+def test_the_examples_keep_the_contract_and_hold_a_formation(name):
+    flown = testbed.run(shorten(load(name), 60.0), write=False)
+    assert flown.outcome == "flown"
+    assert all(flown.metrics["engaged_at_s"].values())
+
+
+@pytest.mark.parametrize("name", list_scenarios())
+def test_the_law_of_every_scenario_keeps_the_contract(name):
+    for group in build(load(name)).groups:
+        check_law(group.law, group.team)
+
+
+def test_laws_fly_unsynchronised_too():
+    page = load("own-law-integral", ["rates.synchronous=false"])
+    world = build(page)
+    assert len(world.groups) > 1
+    assert testbed.run(shorten(page, 5.0), write=False).outcome == "flown"
+
+
+def test_looking_at_the_one_before_in_the_list_is_found_too(tmp_path):
+    body = "return FbwaCommand(np.zeros(n), np.r_[0.0, own.euler[:-1, 0]], np.zeros(n)), memory"
+    said = refusal(page(tmp_path, body))
+    assert "gives uav2 another roll when only uav1, uav3 know something else" in said
+
+
+def test_messages_that_are_old_are_tried_too(tmp_path):
+    body = "self.roll = np.nan if (now - np.nan_to_num(inbox.stamp_s, nan=now) > 1).any() else 0.0"
+    assert "is not a finite number" in refusal(page(tmp_path, body))
+
+
+def test_a_law_of_ones_own_is_told_and_logged_when_its_leader_is_silent(tmp_path):
+    path = page(tmp_path, "assert self.team.silent_after == 1.5")
+    changes = ["network.mute_s.leader=[[1, 4]]", "controller.silence.after_s=1.5"]
+    flown = testbed.run(shorten(load(path, changes), 5.0), write=False)
+    said = [(e["time_s"], e["source"]) for e in flown.metrics["events"] if e["level"] == "warning"]
+    assert said == [(pytest.approx(2.48), name) for name in ("uav1", "uav2", "uav3")]
+    assert flown.metrics["guards"]["uav1"]["by_kind"]["leader_silent"] > 0
+
+
+def test_errors_while_a_law_is_made_are_the_laws(tmp_path):
+    text = "import nothing_of_this_name\n"
+    assert "mine.py:1: the law raised ModuleNotFoundError" in refusal(page(tmp_path, text=text))
+    text = "class Straight:\n    def __init__(self, team):\n        {}['gain']\n"
+    text += "    def start(self, own): ...\n    def step(self, now, own, inbox, memory): ...\n"
+    assert "mine.py:3: the law raised KeyError: 'gain'" in refusal(page(tmp_path, text=text))

@@ -1,0 +1,297 @@
+"""Virtual and ideal leaders: every derivative of a curve by differences, and a mission as flown."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from testbed.errors import InputError
+from testbed.frames import GRAVITY, euler_rates, wrap_pi
+from testbed.guidance import analytic
+from testbed.guidance.curves import SWING, Circle, FigureEight, SpeedChange, Straight, Weave
+from testbed.guidance.leader import begin, unicycle_step
+from testbed.guidance.longitudinal import HoldGains
+from testbed.guidance.mission import Level, LoiterLeg, Mission, WaypointLeg, make_plan
+from testbed.guidance.replay import Track
+from testbed.vehicle.ideal import IdealFleet
+
+START = {"position_ned": (100.0, -50.0, -120.0), "course": 0.7, "speed": 22.0}
+CURVES = {
+    "straight": Straight(**START, climb=1.5),
+    "circle": Circle(**START, radius=120.0),
+    "circle, anticlockwise": Circle(**START, radius=120.0, clockwise=False),
+    "helix": Circle(**START, radius=90.0, climb=-2.0),
+    "figure-eight": FigureEight(**START, radius=100.0),
+    "figure-eight, anticlockwise": FigureEight(**START, radius=60.0, clockwise=False),
+    "weave": Weave(**START, amplitude=40.0, period=20.0),
+    "speed-change": SpeedChange(**START, amplitude=3.0, period=12.0),
+}
+WIDE = np.linspace(0.0, 200.0, 1201)
+every_curve = pytest.mark.parametrize("curve", CURVES.values(), ids=CURVES)
+
+
+def difference(function, time, step=0.01):
+    """The derivative by central differences of fourth order, step⁴ / 30 times the fifth."""
+    near = function(time + step) - function(time - step)
+    far = function(time + 2.0 * step) - function(time - 2.0 * step)
+    return (8.0 * near - far) / (12.0 * step)
+
+
+def frame_rates(curve, time):
+    return analytic.frame_rates(analytic.derivatives(curve, time))
+
+
+@every_curve
+def test_every_derivative_is_the_difference_of_the_one_before(curve):
+    names = analytic.Derivatives._fields
+    path = analytic.derivatives(curve, WIDE)
+    for lower, higher in zip(names[:-1], names[1:], strict=True):
+        slope = difference(
+            lambda time, name=lower: getattr(analytic.derivatives(curve, time), name), WIDE
+        )
+        # rounding of 5,000 m over 0.01 s; 0.01⁴ / 30 of 22 m/s · (0.88 rad/s)⁵ is 4e-9
+        assert slope == pytest.approx(getattr(path, higher), abs=2e-9), higher
+    assert max(np.abs(path.velocity).max(), np.abs(path.acceleration).max()) < 40.0
+
+
+@every_curve
+def test_a_curve_begins_where_and_how_it_says(curve):
+    path = analytic.derivatives(curve, np.zeros(1))
+    assert path.position[0] == pytest.approx(START["position_ned"], abs=1e-12)
+    north, east, down = path.velocity[0]
+    assert math.atan2(east, north) == pytest.approx(0.7)
+    assert math.sqrt(north**2 + east**2 + down**2) == pytest.approx(22.0)
+    assert down == pytest.approx(-getattr(curve, "climb", 0.0))
+
+
+@every_curve
+def test_attitude_and_rates_are_those_of_the_path(curve):
+    track = analytic.evaluate(curve, WIDE)
+    path = analytic.derivatives(curve, WIDE)
+    for name in ("position", "velocity", "acceleration"):
+        np.testing.assert_array_equal(getattr(track, f"{name}_ned"), getattr(path, name))
+    assert {len(getattr(track, each.name)) for each in fields(Track)} == {len(WIDE)}
+
+    north, east, down = path.velocity.T
+    assert wrap_pi(track.euler[:, 2] - np.arctan2(east, north)) == pytest.approx(0.0, abs=1e-12)
+    assert np.sin(track.euler[:, 1]) == pytest.approx(
+        -down / np.linalg.norm(path.velocity, axis=1), abs=1e-14
+    )
+    # a coordinated turn: the horizontal acceleration across the velocity is g tan φ
+    right = np.column_stack([-np.sin(track.euler[:, 2]), np.cos(track.euler[:, 2])])
+    across = (path.acceleration[:, :2] * right).sum(axis=1)
+    assert GRAVITY * np.tan(track.euler[:, 0]) == pytest.approx(across, abs=1e-12)
+
+    def angles(time):  # unwrapped about now, so that differences are differences
+        return wrap_pi(analytic.evaluate(curve, time).euler - track.euler) + track.euler
+
+    turning = euler_rates(track.euler, track.rates_body)
+    assert difference(angles, WIDE) == pytest.approx(turning, abs=1e-8)
+
+
+@every_curve
+def test_the_velocity_frame_turns_as_it_says(curve):
+    rates = frame_rates(curve, WIDE)
+    track = analytic.evaluate(curve, WIDE)
+    turning = euler_rates(track.euler, track.rates_body)
+    assert rates.course_rate == pytest.approx(turning[:, 2], abs=1e-14)
+    assert rates.climb_angle_rate == pytest.approx(turning[:, 1], abs=1e-14)
+
+    def rate(name):
+        return lambda time: getattr(frame_rates(curve, time), name)
+
+    assert difference(rate("course_rate"), WIDE) == pytest.approx(
+        rates.course_acceleration, abs=1e-8
+    )
+    assert difference(rate("climb_angle_rate"), WIDE) == pytest.approx(
+        rates.climb_angle_acceleration, abs=1e-8
+    )
+
+
+def test_a_climb_rate_that_changes_is_differentiated_too():
+    """No curve changes its climb, so the formulas for γ̇ and γ̈ meet a path that does."""
+
+    def path(time):
+        wave, still = 0.2 * time, np.zeros_like(time)
+        rows = [
+            (22.0 * time, 5.0 * np.sin(wave), -8.0 * np.cos(wave)),
+            (still + 22.0, np.cos(wave), 1.6 * np.sin(wave)),
+            (still, -0.2 * np.sin(wave), 0.32 * np.cos(wave)),
+            (still, -0.04 * np.cos(wave), -0.064 * np.sin(wave)),
+        ]
+        return analytic.Derivatives(*(np.stack(row, axis=1) for row in rows))
+
+    def angle(time):
+        velocity = path(time).velocity
+        return np.arctan2(-velocity[:, 2], np.hypot(velocity[:, 0], velocity[:, 1]))
+
+    rates = analytic.frame_rates(path(WIDE))
+    assert np.abs(rates.climb_angle_rate).max() > 0.01
+    assert difference(angle, WIDE) == pytest.approx(rates.climb_angle_rate, abs=1e-11)
+    slope = difference(lambda time: analytic.frame_rates(path(time)).climb_angle_rate, WIDE)
+    assert slope == pytest.approx(rates.climb_angle_acceleration, abs=1e-11)
+
+
+def test_a_circle_by_hand():
+    # σ̇ = 22 / 120 = 0.183333 rad/s; tan φ = 484 / (120 · 9.80665) = 0.4112855, φ = 22.3567°
+    track = analytic.evaluate(CURVES["circle"], WIDE)
+    assert np.degrees(track.euler[:, 0]) == pytest.approx(22.3567, abs=1e-4)
+    assert euler_rates(track.euler, track.rates_body)[:, 2] == pytest.approx(0.1833333, abs=1e-7)
+    # p = 0, q = σ̇ sin φ, r = σ̇ cos φ of a level turn
+    expected = 22.0 / 120.0 * np.array([0.0, 0.3803709, 0.9248340])
+    assert track.rates_body == pytest.approx(np.tile(expected, (len(WIDE), 1)), abs=1e-7)
+    centre = np.array([100.0, -50.0]) + 120.0 * np.array([-math.sin(0.7), math.cos(0.7)])
+    assert np.hypot(*(track.position_ned[:, :2] - centre).T) == pytest.approx(120.0)
+    left = analytic.evaluate(CURVES["circle, anticlockwise"], WIDE)
+    assert left.euler[:, 0] == pytest.approx(-track.euler[:, 0])
+    # the helix: σ̇ = √(22² − 2²) / 90, and −2 m/s of climb are 2 m/s down
+    helix = analytic.evaluate(CURVES["helix"], WIDE)
+    rates = frame_rates(CURVES["helix"], WIDE)
+    assert rates.course_rate == pytest.approx(math.sqrt(480.0) / 90.0)
+    assert helix.position_ned[:, 2] == pytest.approx(-120.0 + 2.0 * WIDE)
+    assert helix.airspeed == pytest.approx(22.0)
+
+
+def test_the_figure_eight_closes_at_constant_speed_on_its_radius():
+    curve = CURVES["figure-eight"]
+    assert curve.period == pytest.approx(2.0 * math.pi * 2.404826 * 100.0 / 22.0, rel=1e-6)
+    time = curve.period * np.linspace(0.0, 1.0, 4001)
+    path, rates = analytic.derivatives(curve, time), frame_rates(curve, time)
+    start = np.array(START["position_ned"])
+    for row in (0, 2000, 4000):  # at the crossing between the loops, and again at the end
+        assert path.position[row] == pytest.approx(start, abs=1e-10)
+    assert np.linalg.norm(path.velocity, axis=1) == pytest.approx(22.0)
+    assert np.abs(rates.course_rate).max() == pytest.approx(0.22, rel=1e-5)
+    assert rates.course_rate[:2001].min() > -1e-12 and rates.course_rate[2000:].max() < 1e-12
+    # the two ways through the crossing: 2 z = 275.57° apart
+    one, two = path.velocity[0] / 22.0, path.velocity[2000] / 22.0
+    assert one @ two == pytest.approx(math.cos(2.0 * SWING), abs=1e-12)
+    # the loops are mirror images, flown alike, either side of the line along which both tips turn
+    tip = 0.7 + SWING
+    away = path.position - start
+    along = away[:, 0] * math.cos(tip) + away[:, 1] * math.sin(tip)
+    across = away[:, 1] * math.cos(tip) - away[:, 0] * math.sin(tip)
+    assert along[:2001] == pytest.approx(along[2000:], abs=1e-9)
+    assert across[:2001] == pytest.approx(-across[2000:], abs=1e-9)
+    assert np.abs(across).max() == pytest.approx(283.2, abs=0.1)
+    assert np.abs(along).max() == pytest.approx(104.7, abs=0.1)
+
+
+def test_a_wind_changes_the_airspeed_alone():
+    wind = (3.0, -4.0, 0.0)
+    still, windy = (analytic.evaluate(CURVES["weave"], WIDE, w) for w in ((0, 0, 0), wind))
+    expected = np.linalg.norm(still.velocity_ned - wind, axis=1)
+    assert windy.airspeed == pytest.approx(expected)
+    np.testing.assert_array_equal(windy.velocity_ned, still.velocity_ned)
+
+
+@pytest.mark.parametrize(
+    "name, change, words",
+    [
+        ("straight", {"speed": 0.0}, "speed_mps: must be positive, not 0"),
+        ("straight", {"speed": math.nan}, "speed_mps: must be positive, not nan"),
+        ("straight", {"climb": 22.0}, "climb_mps: .* write less than 22"),
+        ("helix", {"climb": -30.0}, "climb_mps: .* write less than 22"),
+        ("circle", {"radius": -120.0}, "radius_m: must be positive"),
+        # 22² / (9.80665 tan 60°) = 28.495 m; atan(22² / (9.80665 · 20)) = 67.95°
+        ("circle", {"radius": 20.0}, "radius_m: .* needs 68 degrees .* write 28.5 or more"),
+        ("figure-eight", {"radius": 28.0}, "radius_m: .* write 28.5 or more"),
+        # 2π √(40 / 16.986) = 9.642 s
+        ("weave", {"period": 9.6}, "period_s: .* write 9.7 or more, or a smaller amplitude_m"),
+        ("weave", {"amplitude": 0.0}, "amplitude_m: must be positive"),
+        ("speed-change", {"amplitude": 22.0}, "amplitude_mps: .* write less than speed_mps"),
+        ("speed-change", {"period": math.inf}, "period_s: must be positive"),
+    ],
+)
+def test_a_curve_nobody_can_fly_is_refused(name, change, words):
+    with pytest.raises(InputError, match=words):
+        replace(CURVES[name], **change)
+
+
+def test_what_an_error_says_to_write_is_accepted():
+    replace(CURVES["circle"], radius=28.5)
+    replace(CURVES["weave"], period=9.7)
+
+
+# The mission of Simulation 3: level laps, laps with two raised corners, a circle at five levels.
+CORNERS = ((640.0, 0.0), (640.0, 640.0), (0.0, 640.0), (0.0, 0.0))
+LEVEL = tuple((*corner, 100.0) for corner in CORNERS)
+RAISED = tuple((*corner, 150.0 if i in (1, 3) else 100.0) for i, corner in enumerate(CORNERS))
+CIRCLE = LoiterLeg(
+    centre=(320.0, 320.0),
+    radius=120.0,
+    levels=(Level(100, 3), Level(130, 3), Level(100, 3), Level(150, 3), Level(120, 1)),
+)
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """Rows of time, north, east, altitude, speed, bank, part and level at 25 Hz for 1080 s."""
+    legs = (WaypointLeg(LEVEL[1:]), WaypointLeg(LEVEL, 2), WaypointLeg(RAISED, 2), CIRCLE)
+    plan = make_plan(Mission(legs=legs, airspeed=22.0), (640.0, -80.0, 100.0))
+    memory = begin(altitude=100.0)
+    position, velocity = np.array([[640.0, -80.0, -100.0]]), np.array([[0.0, 22.0, 0.0]])
+    fleet = IdealFleet(position, velocity, np.array([0.64]), 200, np.zeros(3))
+    rows = []
+    for k in range(1080 * 25):
+        state = fleet.read()
+        where, moving = state.position_ned[0].tolist(), state.velocity_ned[0].tolist()
+        speed, turn, memory = unicycle_step(
+            memory, where, moving, plan=plan, dt=0.04, gains=HoldGains()
+        )
+        assert speed == 22.0 and turn[0] == 0.0
+        fleet.command(np.array([speed]), np.array([turn]))
+        bank = fleet.read().euler[0, 0]
+        rows.append(
+            [k / 25.0, where[0], where[1], -where[2], state.airspeed[0], bank]
+            + [memory.part, memory.level]
+        )
+        fleet.step(8)
+    return np.array(rows).T
+
+
+def test_an_ideal_leader_passes_the_corners_in_time_at_their_altitudes(flown):
+    time, north, east, altitude, speed, _, part, _ = flown
+    begun = np.flatnonzero(np.diff(part)) + 1
+    assert part[-1] == 19 and len(begun) == 19
+    corner = np.array((LEVEL[1:] + LEVEL * 2 + RAISED * 2), dtype=float)
+    away = np.hypot(north[begun] - corner[:, 0], east[begun] - corner[:, 1])
+    # a path angle lags by 1/k_p = 0.5 s, which is 1 m at the 2 m/s of the climbs
+    assert altitude[begun] == pytest.approx(corner[:, 2], abs=1.0)
+    # a turn begins 0.75 · 15 s · 22 m/s / π = 78.8 m ahead, found out at most 0.9 m later
+    assert np.all(away[:-1] < 79.0) and np.all(away[:-1] > 77.5)
+    assert speed == pytest.approx(22.0, abs=1e-9)
+
+    # A lap is four sides less what each corner cuts: a turn on 22² / (g tan 30°) = 85.5 m saves
+    # (2 − π/2) · 85.5 = 36.7 m. L1 begins its turn 6.9 m late and eases out of it: up to 2 s more.
+    laps = np.diff(time[begun[2:-1:4]])
+    assert len(laps) == 3
+    shortest = (4.0 * 640.0 - 4.0 * 36.7) / 22.0
+    assert np.all(laps > shortest) and np.all(laps < shortest + 2.0)
+
+
+def test_an_ideal_leader_keeps_to_the_sides_and_to_its_bank_limit(flown):
+    _, north, east, _, _, bank, part, _ = flown
+    laps = (part > 0) & (part < 19)
+    corner = np.array(CORNERS)
+    near = np.hypot(north[:, np.newaxis] - corner[:, 0], east[:, np.newaxis] - corner[:, 1])
+    aside = np.min([np.abs(north), np.abs(north - 640.0), np.abs(east), np.abs(east - 640.0)], 0)
+    assert aside[laps & (near.min(axis=1) > 200.0)].max() < 5.0
+    assert near[laps].min() == pytest.approx(85.5 * (math.sqrt(2.0) - 1.0), abs=7.0)
+    assert np.degrees(np.abs(bank).max()) == pytest.approx(30.0, abs=1e-9)
+
+
+def test_an_ideal_leader_counts_its_turns_on_the_circle(flown):
+    time, north, east, altitude, _, bank, _, level = flown
+    change = np.flatnonzero(np.diff(level)) + 1
+    assert altitude[change] == pytest.approx([100.0, 130.0, 100.0, 150.0], abs=0.1)
+    # three turns of 2π · 120 m at 22 m/s, 102.8 s; a climb at 1.5 m/s is 0.2 % slower over ground
+    assert np.diff(time[change]) == pytest.approx(6.0 * math.pi * 120.0 / 22.0, abs=0.3)
+    circle = time > change[0] / 25.0
+    assert np.hypot(north - 320.0, east - 320.0)[circle] == pytest.approx(120.0, abs=0.01)
+    # atan(22² / (120 · 9.80665)), less the climb's share of the speed
+    assert np.degrees(bank[circle]) == pytest.approx(22.356, abs=0.15)
+    assert altitude[-1] == pytest.approx(120.0, abs=0.1)

@@ -1,0 +1,311 @@
+"""What a follower makes of messages: the present, q̈_g and ω̇_g, [HBH23] sections 8.3 and 10."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from formation_cases import NOW, each_engine, flags, make_law, states
+
+from testbed.formation import leader as leading
+from testbed.formation.barrier import Barrier
+from testbed.formation.geometry import velocity_frame, velocity_rates
+from testbed.formation.leader import (
+    GRAVITY,
+    LeaderMemory,
+    course_acceleration,
+    differentiate,
+    turn_acceleration,
+    unheard,
+)
+from testbed.formation.measurement import corrected
+from testbed.state import Inbox
+
+EACH_SOURCE = [leading.NOTHING, leading.BROADCAST, leading.TURN]
+
+
+# measurement correction
+
+
+def one_message():
+    # sent at 99.7, received at 99.9: used at 100 it is 0.1 s or 0.3 s old
+    return Inbox(
+        np.array([[99.7]]),
+        np.array([[99.9]]),
+        np.array([[[5.0, 1.0, -100.0]]]),
+        np.array([[[20.0, -10.0, 1.0]]]),
+        np.array([[[2.0, 0.0, -4.0]]]),
+        np.zeros((1, 1, 3)),
+        np.zeros((1, 1, 3)),
+    )
+
+
+def test_measurements_are_brought_to_now_along_the_velocity_by_hand():
+    velocity_as_sent = pytest.approx([20.0, -10.0, 1.0], abs=0)
+    receipt, velocity = corrected(one_message(), NOW, False, flags(False, 1))
+    assert receipt[0, 0] == pytest.approx([7.0, 0.0, -99.9], abs=1e-11)
+    assert velocity[0, 0] == velocity_as_sent
+    stamped, velocity = corrected(one_message(), NOW, True, flags(False, 1))
+    assert stamped[0, 0] == pytest.approx([11.0, -2.0, -99.7], abs=1e-11)
+    assert velocity[0, 0] == velocity_as_sent
+
+
+def test_measurements_are_brought_to_now_along_a_parabola_by_hand():
+    # ½·0.1²·(2, 0, −4) = (0.01, 0, −0.02) more, ½·0.3² nine times that; v + lag a
+    receipt, velocity = corrected(one_message(), NOW, False, flags(True, 1))
+    assert receipt[0, 0] == pytest.approx([7.01, 0.0, -99.92], abs=1e-11)
+    assert velocity[0, 0] == pytest.approx([20.2, -10.0, 0.6], abs=1e-11)
+    stamped, velocity = corrected(one_message(), NOW, True, flags(True, 1))
+    assert stamped[0, 0] == pytest.approx([11.09, -2.0, -99.88], abs=1e-11)
+    assert velocity[0, 0] == pytest.approx([20.6, -10.0, -0.2], abs=1e-11)
+
+
+def test_a_parabola_is_followed_exactly_and_by_whom_it_is_chosen():
+    """A neighbour at constant acceleration, however old its message; the other agent goes on."""
+    rng = np.random.default_rng(60)
+    start, velocity, acceleration = rng.normal(0.0, 5.0, (3, 3))
+    age = np.array([[0.4], [0.4]])
+    then = NOW - age
+    inbox = Inbox(
+        then,
+        then,
+        np.tile(start, (2, 1, 1)),
+        np.tile(velocity, (2, 1, 1)),
+        np.tile(acceleration, (2, 1, 1)),
+        np.zeros((2, 1, 3)),
+        np.zeros((2, 1, 3)),
+    )
+    position, moving = corrected(inbox, NOW, False, np.array([True, False]))
+    assert position[0, 0] == pytest.approx(start + 0.4 * velocity + 0.08 * acceleration, abs=1e-11)
+    assert moving[0, 0] == pytest.approx(velocity + 0.4 * acceleration, abs=1e-11)
+    assert position[1, 0] == pytest.approx(start + 0.4 * velocity, abs=1e-11)
+    assert np.array_equal(moving[1, 0], velocity)
+
+
+@each_engine
+def test_a_step_reckons_with_the_present(step):
+    """A message of before, brought to now, is a message of now: to rounding, in the whole step."""
+    rng = np.random.default_rng(61)
+    for parabola in (False, True):
+        law = make_law(3, rng, with_acceleration=flags(parabola, 3))
+        own, inbox, memory = states(3, rng)
+        position, velocity = corrected(inbox, NOW, False, flags(parabola, 3))
+        now = np.full_like(inbox.stamp_s, NOW)
+        fresh = inbox._replace(position_ned=position, velocity_ned=velocity, received_s=now)
+        ours, _ = step(law, NOW, own, inbox, memory)
+        theirs, _ = step(law, NOW, own, fresh, memory)
+        for name in ours._fields:
+            expected = pytest.approx(getattr(theirs, name), rel=1e-9, abs=1e-12)
+            assert getattr(ours, name) == expected, name
+
+
+# q̈_g
+
+
+def heard_at(stamp, speed, climb):
+    velocity = speed * np.array([[np.cos(climb), 0.0, -np.sin(climb)]])
+    return np.array([stamp]), velocity
+
+
+def remembered(*numbers):
+    """Stamp, speed, climb and their rates of a leader that is heard, with no average of q̈_g."""
+    never = np.array([np.nan])
+    return LeaderMemory(np.zeros((1, 3)), *(np.array([v]) for v in numbers), never, never)
+
+
+def test_differences_by_hand():
+    # 22 → 22.1 m/s and 0.10 → 0.12 rad in 0.05 s: 2 m/s² and 0.4 rad/s; shares 0.5 and 0.25
+    blend = np.array([[0.5, 0.25]])
+    memory = remembered(99.90, 22.0, 0.10, 1.0, -0.2)
+    speed, climb, speed_rate, climb_rate = differentiate(
+        memory, *heard_at(99.95, 22.1, 0.12), blend
+    )
+    assert (speed[0], climb[0]) == pytest.approx((22.1, 0.12), rel=1e-14)
+    assert speed_rate[0] == pytest.approx(0.5 * 1.0 + 0.5 * 2.0, abs=1e-9)
+    assert climb_rate[0] == pytest.approx(0.75 * -0.2 + 0.25 * 0.4, abs=1e-9)
+
+
+def test_the_same_message_is_differentiated_once():
+    blend = np.ones((1, 2))
+    memory = remembered(99.95, 22.1, 0.12, 1.5, 0.3)
+    for late in (99.95, 99.90):  # heard before, or older than what was heard
+        _, _, speed_rate, climb_rate = differentiate(memory, *heard_at(late, 25.0, 0.2), blend)
+        assert (speed_rate[0], climb_rate[0]) == (1.5, 0.3)
+
+
+def test_one_message_has_no_differences():
+    _, _, speed_rate, climb_rate = differentiate(
+        unheard(1), *heard_at(99.95, 22.0, 0.1), np.ones((1, 2))
+    )
+    assert (speed_rate[0], climb_rate[0]) == (0.0, 0.0)
+
+
+def test_differences_of_a_smooth_flight_are_its_rates():
+    """ṡ_g = 0.5 cos t and γ̇_g = 0.1 cos t by differences of 0.04 s, half of that behind."""
+    memory = unheard(1)
+    for k in range(51):
+        t = k * 0.04
+        velocity = heard_at(t, 22.0 + 0.5 * np.sin(t), 0.1 * np.sin(t))
+        rates = differentiate(memory, *velocity, np.ones((1, 2)))
+        memory = remembered(velocity[0][0], *(float(rate[0]) for rate in rates))
+        if k:
+            # the mean over the step is the value in its middle but for dt²/24
+            assert rates[2][0] == pytest.approx(0.5 * np.cos(t - 0.02), abs=0.5 * 0.04**2 / 24)
+            assert rates[3][0] == pytest.approx(0.1 * np.cos(t - 0.02), abs=0.1 * 0.04**2 / 24)
+
+
+def test_the_acceleration_of_a_turn_is_that_of_the_velocity():
+    """Any ṡ_g, γ̇_g and bank: its parts are ṡ along, s γ̇ up and s σ̇ cos γ across, by (22)-(24)."""
+    rng = np.random.default_rng(62)
+    n = 200
+    speed, climb = rng.uniform(18.0, 28.0, n), rng.uniform(-0.4, 0.4, n)
+    sigma = rng.uniform(-np.pi, np.pi, n)
+    speed_rate, climb_rate = rng.normal(0.0, 1.0, n), rng.normal(0.0, 0.2, n)
+    euler = np.column_stack([rng.uniform(-0.8, 0.8, n), climb, sigma])
+    parts = (np.cos(climb) * np.cos(sigma), np.cos(climb) * np.sin(sigma), -np.sin(climb))
+    velocity = speed[:, None] * np.column_stack(parts)
+    ours = turn_acceleration(velocity_frame(velocity), speed, climb, speed_rate, climb_rate, euler)
+    along = (ours * velocity).sum(axis=1) / speed
+    turning, climbing = velocity_rates(velocity, ours)
+    assert along == pytest.approx(speed_rate, abs=1e-13)
+    assert climbing == pytest.approx(climb_rate, abs=1e-13)
+    # σ̇ = g tan φ / (s cos γ), for the attitude's pitch is γ here
+    coordinated = GRAVITY * np.tan(euler[:, 0]) / (speed * np.cos(climb))
+    assert turning == pytest.approx(coordinated, abs=1e-13)
+
+
+@each_engine
+@pytest.mark.parametrize("gamma", [0.0, 0.3, -0.25])
+def test_the_turn_of_a_coordinated_helix_is_its_acceleration(step, gamma):
+    """Message after message along a helix: q̈_g as it is, with no share of the average in it."""
+    rng = np.random.default_rng(63)
+    speed, turn = 22.0, 0.25
+    law = make_law(2, rng, acceleration_source=np.full(2, leading.TURN))
+    own, inbox, _ = states(2, rng)
+    bank = np.arctan(turn * speed * np.cos(gamma) / GRAVITY)
+    memory = law.start(own)
+    for k in range(30):
+        now = NOW + 0.04 * k
+        sigma = 0.4 + turn * 0.04 * k
+        parts = (np.cos(gamma) * np.cos(sigma), np.cos(gamma) * np.sin(sigma), -np.sin(gamma))
+        inbox.stamp_s[:] = inbox.received_s[:] = now
+        inbox.velocity_ned[:, 0] = speed * np.array(parts)
+        inbox.euler[:, 0] = [bank, gamma, sigma]
+        _, memory = step(law, now, own, inbox, memory)
+        pull = speed * np.cos(gamma) * turn
+        expected = pull * np.array([-np.sin(sigma), np.cos(sigma), 0.0])
+        # speeds and angles round at 1e-15 over 0.04 s, times 22 m/s
+        assert memory.acceleration == pytest.approx(np.tile(expected, (2, 1)), abs=1e-11)
+
+
+@each_engine
+def test_each_agent_takes_the_source_it_was_given(step):
+    rng = np.random.default_rng(64)
+    blend = rng.uniform(0.1, 0.9, (3, 3))
+    law = make_law(3, rng, acceleration_source=np.array(EACH_SOURCE), acceleration_blend=blend)
+    own, inbox, memory = states(3, rng)
+    memory = memory._replace(stamp_s=inbox.stamp_s[:, 0].copy())  # no new differences
+    memory.stamp_s[:2] -= 0.04  # but new averages
+    _, after = step(law, NOW, own, inbox, memory)
+    last, heard = memory.acceleration, inbox.acceleration_ned[:, 0]
+    assert after.acceleration[0] == pytest.approx((1 - blend[0]) * last[0], abs=1e-14)
+    average = (1 - blend[1]) * last[1] + blend[1] * heard[1]
+    assert after.acceleration[1] == pytest.approx(average, abs=1e-14)
+    speed = np.linalg.norm(inbox.velocity_ned[:, 0], axis=1)
+    climb = -np.arcsin(inbox.velocity_ned[:, 0, 2] / speed)
+    frame = velocity_frame(np.ascontiguousarray(inbox.velocity_ned[:, 0]))
+    rates = (memory.speed_rate, memory.climb_rate)
+    turn = turn_acceleration(frame, speed, climb, *rates, inbox.euler[:, 0])
+    assert after.acceleration[2] == pytest.approx(turn[2], rel=1e-12)
+
+
+@each_engine
+def test_an_average_takes_every_message_once(step):
+    """However often the law steps between two messages; the first counts too."""
+    rng = np.random.default_rng(74)
+    law = make_law(2, rng, acceleration_source=np.full(2, leading.BROADCAST))
+    own, inbox, memory = states(2, rng)
+    memory = memory._replace(stamp_s=np.array([np.nan, inbox.stamp_s[1, 0] - 0.1]))
+    _, once = step(law, NOW, own, inbox, memory)
+    assert (once.acceleration != memory.acceleration).all()
+    _, twice = step(law, NOW + 0.04, own, inbox, once)
+    assert np.array_equal(twice.acceleration, once.acceleration)
+
+
+@each_engine
+def test_what_is_made_of_it_is_10(step):
+    """q̈_g enters ṗ_d and nothing else: s_d and y_d stay, u and ω move with it."""
+    rng = np.random.default_rng(65)
+    law = make_law(2, rng, acceleration_blend=np.ones((2, 3)))
+    own, inbox, memory = states(2, rng, low=20.0, high=25.0)
+    inbox.velocity_ned[:, 0] = own.velocity_ned
+    memory = memory._replace(stamp_s=inbox.stamp_s[:, 0] - 0.04)
+    calm, _ = step(law, NOW, own, inbox, memory)
+    inbox.acceleration_ned[:, 0] += own.velocity_ned[:, [1, 0, 2]] * [-0.1, 0.1, 0.0]
+    pulled, _ = step(law, NOW, own, inbox, memory)
+    assert np.array_equal(pulled.direction, calm.direction)
+    assert np.array_equal(pulled.speed_desired, calm.speed_desired)
+    assert (abs(pulled.turn[:, 2] - calm.turn[:, 2]) > 0.01).all()
+
+
+# ω̇_g
+
+
+def test_a_course_is_bent_by_the_roll_rate_by_hand():
+    # level at 20 m/s and 60° of bank, rolling in at 0.5 rad/s: 9.81·0.5/(20·¼) = 0.981
+    speed, euler = np.full(2, 20.0), np.tile([np.pi / 3.0, 0.0, 0.0], (2, 1))
+    bent = course_acceleration(speed, euler, np.array([0.5, 0.0]))
+    assert bent == pytest.approx([0.981, 0.0], abs=1e-14)
+
+
+def test_it_is_the_derivative_of_the_coordinated_turns_rate():
+    bank, attitude, speed, roll_rate, step = 0.5, 0.2, 23.0, 0.7, 1e-6
+
+    def course_rate(t):
+        return GRAVITY * np.tan(bank + roll_rate * t) / (speed * np.cos(attitude))
+
+    ours = course_acceleration(
+        np.array([speed]), np.array([[bank, attitude, 1.0]]), np.array([roll_rate])
+    )
+    # rounding of 0.2 over 1e-6
+    difference = (course_rate(step) - course_rate(-step)) / (2.0 * step)
+    assert ours[0] == pytest.approx(difference, abs=1e-9)
+
+
+@each_engine
+def test_a_leader_that_rolls_in_is_anticipated(step):
+    """By hand: level north at 22 m/s, wings level, rolling right at 0.4 rad/s.
+
+    σ̈_g = 9.81·0.4/22 = 0.178364 rad/s², and χ̈ = ω̇_g × υ = (−σ̈ r, σ̈ f) for a slot f ahead
+    and r to the right. In the slot, as fast as the leader, ṗ_d is χ̈ alone: ṡ_d = −σ̈ r and
+    ω3 = σ̈ f / s. With no barrier u = s + ṡ_d / p.
+    """
+    rng = np.random.default_rng(66)
+    forward, right = np.array([-5.0, 8.0]), np.array([6.0, -3.0])
+    offsets = np.zeros((3, 3))
+    offsets[1:, 0], offsets[1:, 1] = forward, right
+    law = make_law(
+        2, rng, offsets=offsets, barrier=Barrier(7, 0.0), turn_acceleration=flags(True, 2)
+    )
+    own, inbox, memory = states(2, rng)
+    north = np.tile([22.0, 0.0, 0.0], (3, 1))
+    now = np.full((2, 3), NOW)
+    inbox = Inbox(
+        now,
+        now,
+        np.stack([offsets] * 2),
+        np.stack([north] * 2),
+        *np.zeros((2, 2, 3, 3)),
+        np.tile([0.4, 0.0, 0.0], (2, 3, 1)),
+    )
+    own = own._replace(position_ned=offsets[1:].copy(), velocity_ned=north[1:].copy())
+    memory = memory._replace(acceleration=np.zeros((2, 3)))
+    told, _ = step(law, NOW, own, inbox, memory)
+    bending = 9.81 * 0.4 / 22.0
+    assert bending == pytest.approx(0.178364, abs=1e-6)
+    assert told.speed == pytest.approx(22.0 - bending * right / law.pole, abs=1e-12)
+    assert told.turn[:, 2] == pytest.approx(bending * forward / 22.0, abs=1e-14)
+    assert told.turn[:, 1] == pytest.approx([0.0, 0.0], abs=1e-15)
+    # the paper neglects it
+    neglected, _ = step(replace(law, turn_acceleration=flags(False, 2)), NOW, own, inbox, memory)
+    assert neglected.speed == pytest.approx([22.0, 22.0], abs=1e-12)
+    assert neglected.turn == pytest.approx(np.zeros((2, 3)), abs=1e-15)

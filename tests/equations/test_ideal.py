@@ -1,0 +1,315 @@
+"""The ideal vehicle flies the extended unicycle: closed forms, invariants, order of convergence."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from testbed.compiled import engine
+from testbed.errors import InputError
+from testbed.frames import GRAVITY, body_rates, euler_rates, flight_path_angle, wrap_pi
+from testbed.state import VehicleState
+from testbed.vehicle import ideal
+from testbed.vehicle.ideal import ADVANCE_TICKS, IdealFleet, Unicycle, advance, unicycle
+from testbed.vehicle.jsbsim_door import LOWEST
+
+RATE = 200
+DT = 1.0 / RATE
+STILL = np.zeros(3)
+
+
+def velocity_of(speed, course, climb_angle):
+    level = np.cos(climb_angle)
+    return np.stack(
+        [
+            speed * level * np.cos(course),
+            speed * level * np.sin(course),
+            -speed * np.sin(climb_angle),
+        ],
+        axis=-1,
+    )
+
+
+def random_unicycles(rng, n):
+    speed = rng.uniform(12.0, 32.0, n)
+    velocity = velocity_of(speed, rng.uniform(-math.pi, math.pi, n), rng.uniform(-0.5, 0.5, n))
+    return unicycle(rng.normal(0.0, 300.0, (n, 3)), velocity)
+
+
+def random_commands(rng, n):
+    turn = np.column_stack([np.zeros(n), rng.normal(0.0, 0.3, (n, 2))])
+    return rng.uniform(12.0, 32.0, n), turn
+
+
+def orthonormality(state):
+    product = state.rotation.transpose(0, 2, 1) @ state.rotation
+    return np.abs(product - np.eye(3)).max()
+
+
+def turning_flight(start, command, pole, turn_rate, course, duration):
+    """North and east as n + i e of a level turn in which the speed follows its command.
+
+    The integral of (u + (s0 − u) e^(−p t)) e^(i (σ0 + σ̇ t)).
+    """
+    turning, fading = 1j * turn_rate, 1j * turn_rate - pole
+    steady = command * (np.exp(turning * duration) - 1.0) / turning
+    return np.exp(1j * course) * (
+        steady + (start - command) * (np.exp(fading * duration) - 1.0) / fading
+    )
+
+
+@pytest.mark.parametrize("duration", [300.0, 3600.0])
+def test_a_constant_turn_lands_on_the_closed_form_circle_and_helix(duration):
+    """Four turns, two of them climbing: with the first component of (26) γ stays as it is."""
+    speed = np.array([22.0, 16.0, 22.0, 30.0])
+    course = np.array([0.3, -2.0, 3.0, 1.0])
+    gamma = np.array([0.0, 0.0, 0.08, -0.03])
+    rate = np.array([22.0 / 120.0, -0.4, 0.21, -0.1])
+    turn = np.column_stack([-rate * np.sin(gamma), 0.0 * rate, rate * np.cos(gamma)])
+    start = np.array([[10.0, -20.0, -100.0]] * 4)
+    if engine() == "numpy":
+        duration = min(duration, 20.0)
+    ticks = round(duration * RATE)
+    begun = unicycle(start, velocity_of(speed, course, gamma))
+    state = ADVANCE_TICKS(begun, speed, turn, np.full(4, 0.64), DT, ticks)
+
+    angle = course + rate * duration
+    radius = speed * np.cos(gamma) / rate
+    expected = start + np.column_stack(
+        [
+            radius * (np.sin(angle) - np.sin(course)),
+            radius * (np.cos(course) - np.cos(angle)),
+            -speed * np.sin(gamma) * duration,
+        ]
+    )
+    # Simpson: 22 m/s · (0.4 · 0.005)⁴ / 2880 is 1e-13 m/s. The rest is rounding: after an hour's
+    # 720,000 steps of 1e-16 rad, should all agree, the direction is off by 8e-11 rad, on 108 km
+    tolerance = 1e-9 if duration <= 300.0 else 4e-6
+    assert state.position == pytest.approx(expected, abs=tolerance)
+    flown = state.rotation[:, :, 0]
+    assert flown == pytest.approx(velocity_of(1.0, angle, gamma), abs=1e-10)
+
+
+def test_speed_is_the_exact_exponential_and_a_turn_meanwhile_is_of_fourth_order():
+    speed, command, pole, rate, course, duration = 16.0, 28.0, 0.64, 0.35, 0.7, 8.0
+    exact = turning_flight(speed, command, pole, rate, course, duration)
+    errors = []
+    for step in (0.8, 0.4, 0.2):
+        state = unicycle(np.zeros((1, 3)), velocity_of(np.array([speed]), course, 0.0))
+        for _ in range(round(duration / step)):
+            turn = np.array([[0.0, 0.0, rate]])
+            state = advance(state, np.array([command]), turn, np.array([pole]), step)
+        after = command + (speed - command) * math.exp(-pole * duration)
+        assert state.speed[0] == pytest.approx(after, rel=1e-13)
+        errors.append(abs(state.position[0, 0] + 1j * state.position[0, 1] - exact))
+        assert state.position[0, 2] == 0.0
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert orders == pytest.approx(4.0, abs=0.05)
+
+
+def test_the_motion_satisfies_the_differential_equations():
+    """Small steps either way: central differences of one flight give (1)-(3)."""
+    rng = np.random.default_rng(3)
+    n, small = 200, 1e-4
+    state, (command, turn) = random_unicycles(rng, n), random_commands(rng, n)
+    pole = rng.uniform(0.3, 1.0, n)
+    after = advance(state, command, turn, pole, small)
+    before = advance(state, command, turn, pole, -small)
+
+    def slope(name):
+        return (getattr(after, name) - getattr(before, name)) / (2.0 * small)
+
+    skew = np.cross(turn[:, np.newaxis, :], np.eye(3)).transpose(0, 2, 1)
+    # differences err by small² of third derivatives and by 300 m · 1e-16 / small
+    assert slope("position") == pytest.approx(
+        state.speed[:, np.newaxis] * state.rotation[:, :, 0], abs=1e-6
+    )
+    assert slope("speed") == pytest.approx(pole * (command - state.speed), abs=1e-7)
+    assert slope("rotation") == pytest.approx(state.rotation @ skew, abs=1e-7)
+
+
+def test_turns_right_and_up_are_what_the_components_say():
+    state = unicycle(np.zeros((3, 3)), np.array([[20.0, 0.0, 0.0]] * 3))
+    turn = np.array([[0.2, 0.0, 0.0], [0.0, 0.2, 0.0], [0.0, 0.0, 0.2]])
+    after = advance(state, np.full(3, 20.0), turn, np.ones(3), 0.5)
+    s, c = math.sin(0.1), math.cos(0.1)
+    assert after.rotation[:, :, 0] == pytest.approx(np.array([[1, 0, 0], [c, 0, -s], [c, s, 0]]))
+
+
+def test_a_turn_means_the_same_whatever_the_roll_of_the_frame():
+    """ω comes in the zero-roll frame of y, and R may have rolled: y must not notice."""
+    rng = np.random.default_rng(4)
+    state, (command, turn) = random_unicycles(rng, 50), random_commands(rng, 50)
+    roll = ideal.rotation_by(np.outer(rng.uniform(-3.0, 3.0, 50), [1.0, 0.0, 0.0]))
+    rolled = state._replace(rotation=state.rotation @ roll)
+    one = advance(state, command, turn, np.ones(50), 0.1)
+    two = advance(rolled, command, turn, np.ones(50), 0.1)
+    assert two.position == pytest.approx(one.position, abs=1e-11)
+    assert two.rotation[:, :, 0] == pytest.approx(one.rotation[:, :, 0], abs=1e-14)
+    assert np.abs(two.rotation[:, :, 1] - one.rotation[:, :, 1]).max() > 0.1
+
+
+def test_rotations_stay_rotations_for_an_hour():
+    rng = np.random.default_rng(5)
+    state, pole = random_unicycles(rng, 1), np.array([0.64])
+    worst = 0.0
+    for _ in range(3600 if engine() == "numba" else 5):
+        state = ADVANCE_TICKS(state, *random_commands(rng, 1), pole, DT, RATE)
+        worst = max(worst, orthonormality(state))
+    assert worst < 1e-12
+    assert np.linalg.det(state.rotation[0]) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_a_fast_spin_and_a_spoilt_frame_come_back_to_rotations():
+    """The Newton step, where the rounding it is there for is made a million times larger."""
+    rng = np.random.default_rng(6)
+    state = random_unicycles(rng, 20)
+    spoilt = state._replace(rotation=state.rotation + rng.normal(0.0, 1e-8, (20, 3, 3)))
+    assert orthonormality(spoilt) > 1e-9
+    for turn in (np.zeros((20, 3)), rng.normal(0.0, 400.0, (20, 3))):
+        after = advance(spoilt, state.speed, turn, np.ones(20), DT)
+        assert orthonormality(after) < 1e-14
+
+
+def test_ticks_are_steps():
+    rng = np.random.default_rng(7)
+    state, (command, turn) = random_unicycles(rng, 5), random_commands(rng, 5)
+    pole = rng.uniform(0.3, 1.0, 5)
+    steps = state
+    for _ in range(7):
+        steps = advance(steps, command, turn, pole, DT)
+    for one, two in zip(steps, ideal.advance_ticks(state, command, turn, pole, DT, 7), strict=True):
+        np.testing.assert_array_equal(one, two)
+
+
+def test_what_is_reported_is_the_derivative_of_the_flight():
+    rng = np.random.default_rng(8)
+    n, small = 100, 1e-4
+    wind = np.array([3.0, -2.0, 0.5])
+    state, (command, turn) = random_unicycles(rng, n), random_commands(rng, n)
+    pole = rng.uniform(0.3, 1.0, n)
+
+    def seen(state):
+        return ideal.report(state, command, turn, pole, wind)
+
+    now = seen(state)
+    after = seen(advance(state, command, turn, pole, small))
+    before = seen(advance(state, command, turn, pole, -small))
+    slope = (after.velocity_ned - before.velocity_ned) / (2.0 * small)
+    assert slope == pytest.approx(now.acceleration_ned, abs=1e-6)
+
+    turning = wrap_pi(after.euler - before.euler) / (2.0 * small)
+    rates = euler_rates(now.euler, now.rates_body)
+    assert rates[:, 0] == pytest.approx(0.0, abs=1e-14)
+    assert rates[:, 1:] == pytest.approx(turning[:, 1:], abs=1e-6)
+    # a coordinated turn: tan φ is the horizontal acceleration across the velocity over g
+    course, gamma = now.euler[:, 2], flight_path_angle(now.velocity_ned)
+    right = np.column_stack([-np.sin(course), np.cos(course)])
+    across = (now.acceleration_ned[:, :2] * right).sum(axis=1)
+    assert np.tan(now.euler[:, 0]) == pytest.approx(across / GRAVITY, abs=1e-12)
+    assert now.euler[:, 1] == pytest.approx(gamma, abs=1e-14)
+    relative = np.linalg.norm(now.velocity_ned - wind, axis=1)
+    assert now.airspeed == pytest.approx(relative, rel=1e-14)
+    np.testing.assert_array_equal(now.equivalent_airspeed, now.airspeed)
+
+
+def test_a_level_turn_by_hand():
+    # 22 m/s on 120 m: σ̇ = 0.18333 rad/s, tan φ = 22² / (120 · 9.80665) = 0.411285
+    fleet = make_fleet(1)
+    fleet.command(np.array([22.0]), np.array([[0.0, 0.0, 22.0 / 120.0]]))
+    state = fleet.read()
+    assert np.tan(state.euler[0, 0]) == pytest.approx(0.411285, abs=1e-6)
+    assert state.acceleration_ned[0] == pytest.approx([0.0, 22.0**2 / 120.0, 0.0])
+    assert euler_rates(state.euler, state.rates_body)[0] == pytest.approx([0.0, 0.0, 22.0 / 120.0])
+
+
+def make_fleet(n, wind=STILL):
+    position = np.column_stack([np.zeros(n), 50.0 * np.arange(n), np.full(n, -100.0)])
+    velocity = np.tile([22.0, 0.0, 0.0], (n, 1))
+    return IdealFleet(position, velocity, np.full(n, 0.64), RATE, wind)
+
+
+def test_fleet_holds_its_command_and_flies_straight_before_the_first():
+    fleet = make_fleet(2, wind=np.array([5.0, 0.0, 0.0]))
+    fleet.step(RATE)
+    state = fleet.read()
+    assert state.position_ned == pytest.approx(np.array([[22.0, 0, -100], [22.0, 50, -100]]))
+    assert state.airspeed == pytest.approx(17.0)
+    np.testing.assert_array_equal(state.acceleration_ned, 0.0)
+    air = fleet.air()
+    np.testing.assert_array_equal(air.wind_ned, [[5.0, 0.0, 0.0]] * 2)
+    assert not any(np.any(each) for each in (air.alpha, air.beta, air.propeller_rps))
+
+    fleet.command(np.array([25.0, 20.0]), np.array([[0.0, 0.0, 0.1], [0.0, 0.05, 0.0]]))
+    for _ in range(10):
+        fleet.step(RATE // 10)
+    after = fleet.read()
+    speed = np.linalg.norm(after.velocity_ned, axis=1)
+    fade = math.exp(-0.64)
+    assert speed == pytest.approx([25.0 - 3.0 * fade, 20.0 + 2.0 * fade])
+    assert after.euler[0, 2] == pytest.approx(0.1)
+    assert after.euler[1, 1] == pytest.approx(0.05)
+    assert after.position_ned[1, 2] < -100.0
+    # what was read before has not moved
+    assert state.position_ned[0, 0] == pytest.approx(22.0)
+
+
+def test_who_is_lost():
+    fleet = make_fleet(5)
+    state = fleet.read()
+    assert not fleet.lost(state).any()
+    state.position_ned[:3, 2] = [-ideal.LOWEST, -0.99, np.nan]
+    state.position_ned[3, 0] = np.inf
+    state.velocity_ned[4, 1] = np.nan
+    assert fleet.lost(state).tolist() == [False, True, True, True, True]
+    assert ideal.LOWEST == LOWEST  # every vehicle is lost at the same height
+
+
+def test_what_cannot_be_flown_is_refused():
+    position = np.zeros((2, 3))
+    velocity = np.array([[22.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    with pytest.raises(InputError, match="ideal vehicle 1 .* write a positive speed"):
+        unicycle(position, velocity)
+    with pytest.raises(InputError, match="speed pole .* is 0 1/s; write a positive"):
+        IdealFleet(position[:1], velocity[:1], np.array([0.0]), RATE, STILL)
+
+
+def test_a_vertical_flight_has_a_frame():
+    state = unicycle(np.zeros((2, 3)), np.array([[0.0, 0.0, -20.0], [0.0, 0.0, 20.0]]))
+    assert orthonormality(state) < 1e-15
+    assert np.linalg.det(state.rotation) == pytest.approx(1.0)
+    for each in ideal.report(state, np.ones(2), np.ones((2, 3)), np.ones(2), STILL):
+        assert np.isfinite(each).all()
+
+
+def test_body_rates_undo_euler_rates():
+    rng = np.random.default_rng(9)
+    euler, rates = rng.uniform(-1.4, 1.4, (200, 3)), rng.normal(0.0, 1.0, (200, 3))
+    assert body_rates(euler, euler_rates(euler, rates)) == pytest.approx(rates, abs=1e-13)
+
+
+def test_the_twins():
+    pytest.importorskip("numba")
+    from testbed.vehicle import ideal_twin
+
+    rng = np.random.default_rng(10)
+    for n in (1, 40):
+        state, (command, turn) = random_unicycles(rng, n), random_commands(rng, n)
+        pole, wind = rng.uniform(0.3, 1.0, n), rng.normal(0.0, 4.0, 3)
+        turn[0] = 0.0  # where sin a / a is 1
+        turn[:, 0] = rng.normal(0.0, 0.1, n)
+        for ticks in (1, 30):
+            ours = ideal.advance_ticks(state, command, turn, pole, DT, ticks)
+            theirs = ideal_twin.advance_ticks(state, command, turn, pole, DT, ticks)
+            compare(Unicycle, ours, theirs)
+        said = ideal.report(state, command, turn, pole, wind)
+        compare(VehicleState, said, ideal_twin.report(state, command, turn, pole, wind))
+
+
+def compare(kind, ours, theirs):
+    assert isinstance(theirs, kind)
+    for name, one, two in zip(kind._fields, ours, theirs, strict=True):
+        assert two.flags.c_contiguous
+        assert two == pytest.approx(one, rel=1e-12, abs=1e-12), name

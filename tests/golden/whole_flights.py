@@ -1,0 +1,27 @@
+"""Whole flights for the bounds, and how their numbers are read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+import testbed
+
+UAVS = ("uav1", "uav2", "uav3")
+
+
+def fly(scenario: str, *overrides: str) -> Mapping[str, Any]:
+    """The metrics of a whole flight."""
+    flown = testbed.run(scenario, overrides, write=False)
+    assert flown.outcome == "flown"
+    engaged = flown.metrics["engaged_at_s"].values()
+    assert None not in engaged, "a formation that never engaged"
+    return flown.metrics
+
+
+def cells(metrics: Mapping[str, Any], portion: str) -> np.ndarray:
+    """RMS errors of a portion flown whole, m, in fleet order."""
+    assert metrics["portions"][portion]["complete"]
+    return np.array([metrics["portions"][portion]["rms_m"][name] for name in UAVS])
