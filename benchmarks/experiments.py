@@ -1,18 +1,13 @@
 """Every number of docs/experiments.md: the experiments' flights as Markdown tables.
 
-usage: python benchmarks/experiments.py  (--jobs N --into docs/experiments.md)
+usage: make results  (ARGS="--jobs N")
 """
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
 
-from results import NOISE, SEEDS, Case, Metrics, fly, insert, row
+from tables import NOISE, SEEDS, Case, Metrics, row, versions, write_tables
 
 from testbed.scenario import load
 
@@ -92,36 +87,20 @@ def mixed_table(flown: Mapping[Case, Metrics]) -> Iterator[str]:
         yield row(f"{label}: `{case.scenario}`", *cells, f"{worst:.1f}")
 
 
-def main() -> None:
-    """Fly everything, print the tables, and put them into a page if asked."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1))
-    parser.add_argument("--into", type=Path, help="a page with the two markers")
-    asked = parser.parse_args()
-    cases = list(dict.fromkeys([*PAPER.values(), *MIXED.values(), *SCAN.values()]))
-    flown: dict[Case, Metrics] = {}
-    with ProcessPoolExecutor(asked.jobs) as pool:
-        for case, metrics in zip(cases, pool.map(fly, cases), strict=True):
-            print(f"flown: {case.scenario} {' '.join(case.overrides)}", file=sys.stderr, flush=True)
-            flown[case] = metrics
-    versions = ", ".join(f"{name} {of}" for name, of in flown[cases[0]]["versions"].items())
-    text = "\n".join(
-        [
-            *paper_table(flown),
-            "",
-            *scan_table(flown),
-            "",
-            *mixed_table(flown),
-            "",
-            f"First table: seeds {SEEDS[0]} to {SEEDS[-1]}, mean and range. The rest: seed 1. "
-            f"{versions[0].upper()}{versions[1:]}.",
-        ]
-    )
-    print(text)
-    if asked.into:
-        page = insert(asked.into.read_text(encoding="utf-8"), text)
-        asked.into.write_text(page, encoding="utf-8")
+def text(flown: Mapping[Case, Metrics]) -> list[str]:
+    """All tables."""
+    said = versions(flown)
+    return [
+        *paper_table(flown),
+        "",
+        *scan_table(flown),
+        "",
+        *mixed_table(flown),
+        "",
+        f"First table: seeds {SEEDS[0]} to {SEEDS[-1]}, mean and range. The rest: seed 1. "
+        f"{said[0].upper()}{said[1:]}.",
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    write_tables(__doc__ or "", [*PAPER.values(), *MIXED.values(), *SCAN.values()], text)

@@ -8,43 +8,25 @@ usage: make results  (ARGS="--jobs N")
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-import testbed
+from tables import NOISE, SEEDS, Case, Metrics, row, versions, write_tables
+
 from testbed.scenario import Scenario, load
 
-BEGIN, END = "<!-- begin: make results -->", "<!-- end: make results -->"
 LATENCY, RECORDED, HARD = (
     f"simulation-3-{what}" for what in ("latency", "recorded-leader", "hard")
 )
 PROFILES = ("paper", "improved")
-SEEDS = (1, 2, 3, 4, 5)
 LAWS = {
     "the paper's": "simulation-3",
     "with integral action": "own-law-integral",
     "leader-follower": "own-law-leader-follower",
 }
 GALE = ("air.wind.speed_mps=8", "air.wind.from_deg=45", "controller.bounds_of=airspeed")
-NOISE = ("leader.sensors=gps-ins", "fleet.*.sensors=gps-ins")
 HEADER = "laps: UAV 1 | 2 | 3 | mean | circle: 1 | 2 | 3 | mean |"
 RULE = "--:|" * 8
-
-Metrics = Mapping[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class Case:
-    """A flight."""
-
-    scenario: str
-    overrides: tuple[str, ...] = ()
 
 
 def profile(name: str) -> tuple[str, ...]:
@@ -90,14 +72,6 @@ NOISY = {
 CALM = {(law, None): Case(scenario) for law, scenario in LAWS.items()}
 
 
-def fly(case: Case) -> Metrics:
-    """The metrics of a case, flown without writing files."""
-    flown = testbed.run(case.scenario, case.overrides, write=False)
-    if flown.outcome != "flown":
-        raise SystemExit(f"{case}: {flown.outcome}")
-    return flown.metrics
-
-
 def predicted_lag_m(page: Scenario) -> list[float]:
     """How far each follower lags in steady flight if latency is not compensated, m.
 
@@ -115,11 +89,6 @@ def predicted_lag_m(page: Scenario) -> list[float]:
         total = from_leader * late + sum(g * (late + lags[other]) for other, g in heard.items())
         lags[name] = total / (from_leader + sum(heard.values()))
     return list(lags.values())
-
-
-def row(*cells: str) -> str:
-    """A line of a Markdown table."""
-    return "| " + " | ".join(cells) + " |"
 
 
 def errors(metrics: Metrics) -> list[str]:
@@ -206,52 +175,25 @@ def laws_table(calm: Mapping[Any, Metrics], noisy: Mapping[Any, Metrics]) -> Ite
         yield row(law, f"`{scenario}`", *cells, f"{closest:.2f} m")
 
 
-def insert(page: str, text: str) -> str:
-    """The page with the text between its markers."""
-    if page.count(BEGIN) != 1 or page.count(END) != 1:
-        raise SystemExit(f"expected one {BEGIN} and one {END}")
-    head, rest = page.split(BEGIN)
-    _, tail = rest.split(END)
-    return f"{head}{BEGIN}\n\n{text}\n\n{END}{tail}"
-
-
-def main() -> None:
-    """Fly everything, print the tables, and put them into a page if asked."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1))
-    parser.add_argument("--into", type=Path, help="a page with the two markers")
-    asked = parser.parse_args()
-    kinds: Sequence[Mapping[Any, Case]] = (PAPERS, CHANGED, HARDER, CALM, NOISY)
-    cases = list(dict.fromkeys(case for kind in kinds for case in kind.values()))
-    flown: dict[Case, Metrics] = {}
-    with ProcessPoolExecutor(asked.jobs) as pool:
-        for case, metrics in zip(cases, pool.map(fly, cases), strict=True):
-            print(f"flown: {case.scenario} {' '.join(case.overrides)}", file=sys.stderr, flush=True)
-            flown[case] = metrics
+def text(flown: Mapping[Case, Metrics]) -> list[str]:
+    """All tables."""
     papers, changed, harder, calm, noisy = (
-        {key: flown[case] for key, case in kind.items()} for kind in kinds
+        {key: flown[case] for key, case in kind.items()} for kind in KINDS
     )
-    said = next(iter(flown.values()))
-    versions = ", ".join(f"{name} {of}" for name, of in said["versions"].items())
-    text = "\n".join(
-        [
-            *paper_table(papers),
-            "",
-            *changed_table(changed),
-            "",
-            *harder_table(harder),
-            "",
-            *laws_table(calm, noisy),
-            "",
-            f"Seed {said['seed']}, in the last table {SEEDS[0]} to {SEEDS[-1]} for the noise; "
-            f"{versions}.",
-        ]
-    )
-    print(text)
-    if asked.into:
-        page = insert(asked.into.read_text(encoding="utf-8"), text)
-        asked.into.write_text(page, encoding="utf-8")
+    return [
+        *paper_table(papers),
+        "",
+        *changed_table(changed),
+        "",
+        *harder_table(harder),
+        "",
+        *laws_table(calm, noisy),
+        "",
+        f"Seed 1, in the last table {SEEDS[0]} to {SEEDS[-1]} for the noise; {versions(flown)}.",
+    ]
 
+
+KINDS: Sequence[Mapping[Any, Case]] = (PAPERS, CHANGED, HARDER, CALM, NOISY)
 
 if __name__ == "__main__":
-    main()
+    write_tables(__doc__ or "", [case for kind in KINDS for case in kind.values()], text)

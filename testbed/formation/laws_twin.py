@@ -10,11 +10,25 @@ agent is its record of `paper_law.AGENT`.
 
 from __future__ import annotations
 
-from math import isnan, sqrt, tanh
+from math import isnan, nan, sqrt, tanh
+
+import numpy as np
 
 from testbed.formation.barrier import NO_BARRIER
 from testbed.formation.geometry import COURSE_FLOOR
 from testbed.formation.geometry_twin import cross, to_ned, twin
+
+
+def rows_of(record):
+    """Arrays (n,) as the rows of one array: handing numba each by itself costs more.
+
+    Those that a twin gave are such rows already.
+    """
+    whole = record[0].base
+    if isinstance(whole, np.ndarray) and whole.shape == (len(record), len(record[0])):
+        if all(each.base is whole for each in record):
+            return whole
+    return np.array(record)
 
 
 @twin
@@ -60,6 +74,16 @@ def velocity_rates(v, a):
 @twin
 def silence(inbox, i, m, now, forget_after):
     return isnan(inbox.stamp_s[i, m]) or now - inbox.received_s[i, m] > forget_after
+
+
+@twin
+def ages(now, stamp_s, received_s, unheeded, limit):
+    out = np.full(stamp_s.shape, nan)
+    for i in range(stamp_s.shape[0]):
+        for m in range(stamp_s.shape[1]):
+            if not unheeded[i, m] and now - received_s[i, m] <= limit:
+                out[i, m] = now - stamp_s[i, m]
+    return out
 
 
 @twin

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from testbed.compiled import twin_of
 from testbed.state import Array, Inbox, Truths
 
 
@@ -22,3 +23,20 @@ def corrected(
     position = inbox.position_ned + lag * inbox.velocity_ned
     gained = np.where(np.expand_dims(with_acceleration, (1, 2)), lag * inbox.acceleration_ned, 0.0)
     return position + 0.5 * lag * gained, inbox.velocity_ned + gained
+
+
+def ages(now: float, stamp_s: Array, received_s: Array, unheeded: Truths, limit: float) -> Array:
+    """Age (n, N) s at the time `now` of what each agent uses of each aircraft; nan: it does not.
+
+    Args:
+        now: s.
+        stamp_s: (n, N) of the newest message, by its sender.
+        received_s: (n, N) its arrival, by its receiver; nan: nothing heard yet.
+        unheeded: (n, N) whose messages are not used.
+        limit: s since the arrival, after which a message is not used.
+    """
+    used = (now - received_s <= limit) & ~unheeded
+    return np.where(used, now - stamp_s, np.nan)
+
+
+AGES = twin_of(ages, "testbed.formation.laws_twin")

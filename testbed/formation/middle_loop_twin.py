@@ -16,7 +16,7 @@ import numpy as np
 from testbed.formation.geometry import GRAVITY
 from testbed.formation.geometry_twin import twin
 from testbed.formation.law import Diagnosis
-from testbed.formation.laws_twin import velocity_rates
+from testbed.formation.laws_twin import rows_of, velocity_rates
 from testbed.formation.middle_loop import (
     CLIPPED,
     PITCH,
@@ -28,7 +28,10 @@ from testbed.state import FbwaCommand
 
 
 def middle_step(loop, own, told, memory):
-    return _step(loop.table, loop.airspeed_error_as_printed, loop.dt, own, told, memory)
+    command, after, diagnosis = _step(
+        loop.table, loop.airspeed_error_as_printed, loop.dt, own, told, rows_of(memory)
+    )
+    return command, MiddleLoopMemory(*after), diagnosis
 
 
 @twin
@@ -61,8 +64,8 @@ def _step(table, as_printed, dt, own, told, memory):
         command = min(max(unguarded, g.speed_low), g.speed_high)
         course_rate, climb_rate = velocity_rates(v, own.acceleration_ned[i])
         share = dt / (dt + g.rate_filter)
-        course_rate = _average(memory.course_rate[i], course_rate, share)
-        climb_rate = _average(memory.climb_rate[i], climb_rate, share)
+        course_rate = _average(memory[4, i], course_rate, share)
+        climb_rate = _average(memory[5, i], climb_rate, share)
         climb = atan2(-v[2], hypot(v[0], v[1]))
         gd, cd = atan2(-y[2], hypot(y[0], y[1])), atan2(y[1], y[0])
 
@@ -70,23 +73,19 @@ def _step(table, as_printed, dt, own, told, memory):
         path = (
             gd
             - g.climb_p * climb_error
-            - g.climb_i * memory.climb[i]
+            - g.climb_i * memory[0, i]
             - g.climb_d * (climb_rate - told.turn[i, 1])
             + g.incidence * (own.euler[i, 1] - climb)
             + g.turn_incidence * (1.0 / cos(bank) - 1.0)
         )
         height_error = -own.position_ned[i, 2] - g.altitude if holding else 0.0
-        hold = (
-            -g.altitude_p * height_error
-            - g.altitude_i * memory.altitude[i]
-            + g.altitude_d * sinking
-        )
+        hold = -g.altitude_p * height_error - g.altitude_i * memory[3, i] + g.altitude_d * sinking
 
         turn = told.turn[i, 2] / cos(climb)
         turn_bank = atan(turn * s * cos(climb) / GRAVITY)
-        last = memory.turn_bank[i]
+        last = memory[6, i]
         slope = 0.0 if isnan(last) else (turn_bank - last) / dt
-        slope_before = memory.turn_bank_rate[i]
+        slope_before = memory[7, i]
         slope = slope_before + dt / (dt + g.lead_filter) * (slope - slope_before)
         ahead = pi - (atan2(v[1], v[0]) - cd)
         course_error = pi - (ahead - 2.0 * pi * floor(ahead / (2.0 * pi)))
@@ -94,7 +93,7 @@ def _step(table, as_printed, dt, own, told, memory):
             turn_bank
             + g.roll_lead * slope
             - g.course_p * course_error
-            - g.course_i * memory.course[i]
+            - g.course_i * memory[1, i]
             - g.course_d * (course_rate - turn)
         )
 
@@ -105,19 +104,17 @@ def _step(table, as_printed, dt, own, told, memory):
             + g.eta_speed * (command - g.trim_airspeed)
             + g.eta_climb * sin(gd)
             - g.speed_p * error
-            - g.speed_i * memory.speed[i]
+            - g.speed_i * memory[2, i]
         )
 
         limit = g.pitch_limit
-        theta, climb_integral = _integrate(memory.climb[i], climb_error, dt, path, -limit, limit)
-        level, altitude_integral = _integrate(
-            memory.altitude[i], height_error, dt, hold, -limit, limit
-        )
+        theta, climb_integral = _integrate(memory[0, i], climb_error, dt, path, -limit, limit)
+        level, altitude_integral = _integrate(memory[3, i], height_error, dt, hold, -limit, limit)
         wanted = hold if holding else path
         pitch[i] = level if holding else theta
         limit = g.roll_limit
-        roll[i], after[1, i] = _integrate(memory.course[i], course_error, dt, phi, -limit, limit)
-        throttle[i], after[2, i] = _integrate(memory.speed[i], error, dt, power, 0.0, 1.0)
+        roll[i], after[1, i] = _integrate(memory[1, i], course_error, dt, phi, -limit, limit)
+        throttle[i], after[2, i] = _integrate(memory[2, i], error, dt, power, 0.0, 1.0)
         after[0, i] = 0.0 if holding else climb_integral
         after[3, i] = altitude_integral
         after[4, i], after[5, i] = course_rate, climb_rate
@@ -131,16 +128,7 @@ def _step(table, as_printed, dt, own, told, memory):
         speed_command[i], course_desired[i], climb_desired[i] = command, cd, gd
     return (
         FbwaCommand(pitch, roll, throttle),
-        MiddleLoopMemory(
-            after[0],
-            after[1],
-            after[2],
-            after[3],
-            after[4],
-            after[5],
-            after[6],
-            after[7],
-        ),
+        after,
         Diagnosis(
             told.speed_desired, speed_command, course_desired, climb_desired, guards, saturations
         ),

@@ -18,14 +18,14 @@ from testbed.formation.barrier import NO_BARRIER
 from testbed.formation.geometry import GRAVITY
 from testbed.formation.geometry_twin import cross, frame_of, to_ned, twin
 from testbed.formation.laws import SLOPE_FLOOR
-from testbed.formation.laws_twin import errors_of, h_of, motion_of, mu_of, silence
+from testbed.formation.laws_twin import errors_of, h_of, motion_of, mu_of, rows_of, silence
 from testbed.formation.leader import BROADCAST, TURN, LeaderMemory
 from testbed.formation.paper_law import CLAMPED, OUTSIDE, SILENT
 from testbed.state import UnicycleCommand
 
 
 def paper_step(law, now, own, inbox, memory):
-    return _step(
+    told, acceleration, after = _step(
         law.table,
         law.offsets,
         law.gains,
@@ -35,8 +35,14 @@ def paper_step(law, now, own, inbox, memory):
         now,
         own,
         inbox,
-        memory,
+        memory.acceleration,
+        rows_of(memory[1:]),
     )
+    return told, LeaderMemory(acceleration, *after)
+
+
+# The rows of what is remembered beside q̈_g, in the order of `LeaderMemory`.
+STAMP, SPEED, CLIMB, SPEED_RATE, CLIMB_RATE, SINCE, COURSE = range(7)
 
 
 @twin
@@ -53,62 +59,58 @@ def _turn_of(v, yd, yd_rate, c):
 
 
 @twin
-def _leader_acceleration(agent, inbox, memory, after, i, frame, deaf):
-    """The new average of q̈_g, and what is remembered for the next step, into `after`."""
-    acceleration, stamp, speed, climb, speed_rate, climb_rate = after
-    if deaf:
-        acceleration[i] = memory.acceleration[i]
-        stamp[i], speed[i], climb[i], speed_rate[i], climb_rate[i] = nan, nan, nan, 0.0, 0.0
-        return
+def _leader_acceleration(agent, inbox, average, memory, i, frame, acceleration, after):
+    """The new average of q̈_g, and what is remembered of the leader for the next step."""
     heard = inbox.velocity_ned[i, 0]
     v = (heard[0], heard[1], 0.0 if agent.horizontal else heard[2])
-    stamp[i] = inbox.stamp_s[i, 0]
-    speed[i] = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-    climb[i] = atan2(-v[2], hypot(v[0], v[1]))
-    speed_rate[i], climb_rate[i] = memory.speed_rate[i], memory.climb_rate[i]
-    since = stamp[i] - memory.stamp_s[i]
+    stamp = inbox.stamp_s[i, 0]
+    speed = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    climb = atan2(-v[2], hypot(v[0], v[1]))
+    speed_rate, climb_rate = memory[SPEED_RATE, i], memory[CLIMB_RATE, i]
+    since = stamp - memory[STAMP, i]
     if since > 0.0:
-        slope = (speed[i] - memory.speed[i]) / since
-        speed_rate[i] += agent.difference_blend[0] * (slope - speed_rate[i])
-        slope = (climb[i] - memory.climb[i]) / since
-        climb_rate[i] += agent.difference_blend[1] * (slope - climb_rate[i])
+        slope = (speed - memory[SPEED, i]) / since
+        speed_rate += agent.difference_blend[0] * (slope - speed_rate)
+        slope = (climb - memory[CLIMB, i]) / since
+        climb_rate += agent.difference_blend[1] * (slope - climb_rate)
+    after[STAMP, i], after[SPEED, i], after[CLIMB, i] = stamp, speed, climb
+    after[SPEED_RATE, i], after[CLIMB_RATE, i] = speed_rate, climb_rate
     if agent.acceleration_source == TURN:
         cs, ss, cg, sg = frame
         euler = inbox.euler[i, 0]
-        turn = GRAVITY * tan(euler[0]) / (speed[i] * cos(euler[1]))
-        a, b, c = to_ned(
-            cs,
-            ss,
-            cg,
-            sg,
-            speed_rate[i],
-            speed[i] * turn * cos(climb[i]),
-            -speed[i] * climb_rate[i],
-        )
+        turn = GRAVITY * tan(euler[0]) / (speed * cos(euler[1]))
+        along, across = speed_rate, speed * turn * cos(climb)
+        a, b, c = to_ned(cs, ss, cg, sg, along, across, -speed * climb_rate)
         acceleration[i, 0], acceleration[i, 1], acceleration[i, 2] = a, b, c
         return
     for axis in range(3):
         sample = 0.0
         if agent.acceleration_source == BROADCAST:
             sample = inbox.acceleration_ned[i, 0, axis]
-        last = memory.acceleration[i, axis]
-        share = 0.0 if stamp[i] <= memory.stamp_s[i] else agent.acceleration_blend[axis]
-        acceleration[i, axis] = last + share * (sample - last)
+        share = 0.0 if stamp <= memory[STAMP, i] else agent.acceleration_blend[axis]
+        acceleration[i, axis] = average[i, axis] + share * (sample - average[i, axis])
 
 
 @twin
 def _step(
-    table, offsets, gains, from_timestamp, bounds_of_airspeed, forget, now, own, inbox, memory
+    table,
+    offsets,
+    gains,
+    from_timestamp,
+    bounds_of_airspeed,
+    forget,
+    now,
+    own,
+    inbox,
+    average,
+    memory,
 ):
     n = len(table)
     speed_command, speed_desired = np.empty(n), np.empty(n)
     turn, direction = np.zeros((n, 3)), np.empty((n, 3))
     guards = np.zeros(n, np.uint8)
-    acceleration = np.empty((n, 3))
-    stamp, leader_speed, leader_climb = np.empty(n), np.empty(n), np.empty(n)
-    speed_rate, climb_rate = np.empty(n), np.empty(n)
-    since, held = np.full(n, nan), np.full(n, nan)
-    after = (acceleration, stamp, leader_speed, leader_climb, speed_rate, climb_rate)
+    # of those that hear their leader no silence is remembered, of those that do not nothing else
+    acceleration, after = average.copy(), np.full((7, n), nan)
     for i in range(n):
         agent = table[i]
         level = 0.0 if agent.horizontal else 1.0
@@ -116,12 +118,13 @@ def _step(
         v = (heading[0], heading[1], level * heading[2])
         s = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
         if silence(inbox, i, 0, now, forget):
-            _leader_acceleration(agent, inbox, memory, after, i, (1.0, 0.0, 1.0, 0.0), True)
-            begun = isnan(memory.silent_since[i])
-            since[i] = now if begun else memory.silent_since[i]
-            held[i] = atan2(v[1], v[0]) if begun else memory.silent_course[i]
+            begun = isnan(memory[SINCE, i])
+            since = now if begun else memory[SINCE, i]
+            held = atan2(v[1], v[0]) if begun else memory[COURSE, i]
+            after[SPEED_RATE, i] = after[CLIMB_RATE, i] = 0.0
+            after[SINCE, i], after[COURSE, i] = since, held
             round_ = agent.silent_turn
-            heading_now = held[i] + round_ * (now - since[i])
+            heading_now = held + round_ * (now - since)
             north, east = cos(heading_now), sin(heading_now)
             yd = (north, east, 0.0)
             u = agent.silent_airspeed + s - own.airspeed[i]
@@ -158,7 +161,7 @@ def _step(
         a, b, c = cross(rates[0], rates[1], rates[2], a, b, c)
         x, y, z = cross(bending[0], bending[1], bending[2], x, y, z)
         chi_acceleration = to_ned(cs, ss, cg, sg, a + x, b + y, c + z)
-        _leader_acceleration(agent, inbox, memory, after, i, frame, False)
+        _leader_acceleration(agent, inbox, average, memory, i, frame, acceleration, after)
 
         # Desired velocity and its rates, (6)-(12).
         (x, y, z), (xr, yr, zr) = errors_of(
@@ -220,14 +223,6 @@ def _step(
         direction[i, 0], direction[i, 1], direction[i, 2] = yd
     return (
         UnicycleCommand(speed_command, turn, speed_desired, direction, guards),
-        LeaderMemory(
-            acceleration,
-            stamp,
-            leader_speed,
-            leader_climb,
-            speed_rate,
-            climb_rate,
-            since,
-            held,
-        ),
+        acceleration,
+        after,
     )

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from testbed.errors import InputError
 from testbed.formation.flags import Guard, Saturation
 from testbed.formation.law import Diagnosis, Law, Team
+from testbed.formation.measurement import AGES
 from testbed.formation.middle_loop import MiddleLoop, MiddleLoopMemory
 from testbed.frames import course, flight_path_angle
 from testbed.sim.vehicles import choose
@@ -37,16 +38,21 @@ class Group:
     trusted: bool  # False: the law is the user's own, and what it says is looked at
 
     @cached_property
-    def heeded(self) -> Truths:
-        """(m, N) whose messages the law uses: the leader's, and of those it has gains for.
+    def unheeded(self) -> Truths:
+        """(m, N) whose messages the law does not use: it has no gains for them.
 
-        What a law of the user's own uses is not known: all of them.
+        The leader's are always used. What a law of the user's own uses is not known.
         """
         if not self.trusted:
-            return np.ones(self.team.gains.shape[:2], dtype=bool)
-        used: Truths = (self.team.gains != 0.0).any(axis=2)
-        used[:, 0] = True
-        return used
+            return np.zeros(self.team.gains.shape[:2], dtype=bool)
+        unused: Truths = (self.team.gains == 0.0).all(axis=2)
+        unused[:, 0] = False
+        return unused
+
+    @cached_property
+    def some_ideal(self) -> bool:
+        """Whether there are ideal vehicles among them."""
+        return bool(self.ideal.any())
 
 
 class Control:
@@ -87,12 +93,11 @@ class Control:
         else:
             command, unicycle, diagnosis = direct(told, own, group.team)
         self._memory[number] = law_memory, middle_memory
-        silent = np.isnan(inbox.stamp_s) | (now - inbox.received_s > group.team.silent_after)
-        age = np.where(silent | ~group.heeded, np.nan, now - inbox.stamp_s)
-        if silent[:, 0].any() and not group.trusted:
-            guards = diagnosis.guards | (silent[:, 0] * SILENT).astype(np.uint8)
-            diagnosis = diagnosis._replace(guards=guards)
-        if group.ideal.any():
+        age = AGES(now, inbox.stamp_s, inbox.received_s, group.unheeded, group.team.silent_after)
+        if not group.trusted:
+            silent = np.isnan(age[:, 0]) * SILENT
+            diagnosis = diagnosis._replace(guards=diagnosis.guards | silent.astype(np.uint8))
+        if group.some_ideal:
             unicycle, diagnosis = without_middle_loop(group.ideal, own, unicycle, diagnosis)
         if alone:
             self.command, self.unicycle, self.diagnosis = command, unicycle, diagnosis

@@ -141,6 +141,7 @@ class JsbsimFleet:
         self._air = [
             model.node(name).get_double_value for name in _AIR_SINGLES for model in models
         ] + [model.node(name).get_double_value for model in models for name in _WIND]
+        self._no_battery = np.full((len(_BATTERY), n), np.nan)
         self._battery = [
             (row, i, node.get_double_value)
             for i, model in enumerate(models)
@@ -181,9 +182,11 @@ class JsbsimFleet:
         n = len(self._runs)
         alpha, beta, rpm = flat[: 3 * n].reshape(3, n)
         wind = FOOT * flat[3 * n :].reshape(n, 3)
-        battery = np.full((len(_BATTERY), n), np.nan)
-        for row, i, get in self._battery:
-            battery[row, i] = get()
+        battery = self._no_battery
+        if self._battery:
+            battery = battery.copy()
+            for row, i, get in self._battery:
+                battery[row, i] = get()
         return AirData(alpha, beta, rpm / 60.0, wind, battery[0], battery[1])
 
     def step(self, surfaces: Surfaces, ticks: int) -> None:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from run_flight import Collector
 
 import testbed
 from testbed.scenario import load, loads, shorten
@@ -11,21 +12,8 @@ IDEAL = "fleet.*.vehicle=ideal"
 WIND = ("air.wind.speed_mps=8", "air.wind.from_deg=90")  # on the nose of simulation-3's first leg
 
 
-class Frames:
-    def __init__(self):
-        self.frames = []
-
-    def begin(self, info):
-        self.info = info
-
-    def observe(self, frame):
-        self.frames.append(frame)
-
-    def end(self, summary, events): ...
-
-
 def fly(name, *overrides, seconds=3.0):
-    seen = Frames()
+    seen = Collector()
     flown = testbed.run(shorten(load(name, overrides), seconds), write=False, observers=[seen])
     return flown, seen
 
@@ -59,7 +47,7 @@ formation: {offsets_m: {uav1: [-5, 5, 0]}, leader_gains: {uav1: 1}}
 @pytest.mark.parametrize("speed", [11.0, 34.0, 37.0])
 def test_outside_its_speed_set_the_guard_on_u_stands_for_an_ideal_vehicle_too(speed):
     """Example 5's slope all but vanishes 4 m/s past a bound, and (14) divides by it."""
-    seen = Frames()
+    seen = Collector()
     page = loads(PAGE.replace("SPEED", str(speed)))
     flown = testbed.run(page, write=False, observers=[seen])
     assert flown.outcome == "flown"

@@ -31,11 +31,17 @@ from testbed.formation.barrier import Barrier
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
 from testbed.formation.flags import Guard, Saturation
 from testbed.formation.geometry import true_slots
+from testbed.formation.measurement import ages
 from testbed.frames import euler_rates
 
 pytest.importorskip("numba")
 
-from testbed.formation import geometry_twin, middle_loop_twin, paper_twin  # noqa: E402
+from testbed.formation import (  # noqa: E402
+    geometry_twin,
+    laws_twin,
+    middle_loop_twin,
+    paper_twin,
+)
 from testbed.vehicle import twin as vehicle_twin  # noqa: E402
 
 FUNCTIONS = [PAPERS_MU, example_1(2.5e5, 1.0, 0.8), EXAMPLE_2, EXAMPLE_3]
@@ -145,6 +151,17 @@ def test_the_middle_loop():
     assert seen == {"guards": sum(Guard), "saturations": sum(Saturation)}
 
 
+def test_ages():
+    rng = np.random.default_rng(44)
+    stamp = 100.0 - rng.uniform(0.0, 8.0, (40, 5))
+    received = stamp + rng.uniform(0.0, 1.0, stamp.shape)
+    received[rng.random(stamp.shape) < 0.2] = np.nan
+    given = (100.0, stamp, received, rng.random(stamp.shape) < 0.3, 4.0)
+    ours = ages(*given)
+    assert 0 < np.isnan(ours).sum() < ours.size
+    np.testing.assert_array_equal(laws_twin.ages(*given), ours)
+
+
 def test_true_slots_and_errors():
     rng = np.random.default_rng(41)
     for n in (1, 3, 40):
@@ -174,4 +191,4 @@ def test_no_twin_goes_without_such_a_test():
                 assert hasattr(importlib.import_module(module.value), function.id)
                 found.add(function.id)
     elsewhere = {"fbwa", "motion", "advance_ticks", "report"}
-    assert found == {"paper_step", "middle_step", "true_slots", "euler_rates"} | elsewhere
+    assert found == {"paper_step", "middle_step", "true_slots", "ages", "euler_rates"} | elsewhere
