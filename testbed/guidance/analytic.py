@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,7 +107,8 @@ def frame_rates(path: Derivatives) -> VelocityFrameRates:
     return VelocityFrameRates(sigma_rate, gamma_rate, sigma_acceleration, gamma_acceleration)
 
 
-Complex = NDArray[np.complex128]
+# complex numbers; what numpy says of their types differs between its releases
+Complex = NDArray[Any]
 
 
 def _horizontal(curve: Curve, time: Array) -> tuple[Complex, Complex, Complex, Complex]:
