@@ -15,6 +15,8 @@ from testbed.state import Array, Origin
 
 GRAVITY = 9.80665  # m/s², standard
 FOOT = 0.3048  # m
+# Below this horizontal speed (m/s) a course is undefined; (22) is then taken as north.
+COURSE_FLOOR = 1e-9
 
 WGS84_A = 6378137.0  # m
 WGS84_E2 = 6.69437999014e-3
@@ -97,6 +99,31 @@ def flight_path_angle(velocity_ned: Array) -> Array:
     """Flight-path angle γ (...,) rad, climbing positive, from velocity (..., 3)."""
     horizontal = np.hypot(velocity_ned[..., 0], velocity_ned[..., 1])
     return np.arctan2(-velocity_ned[..., 2], horizontal)
+
+
+def velocity_frame(velocity: Array) -> Array:
+    """R(σ, γ) (n, 3, 3): the zero-roll velocity frame of velocities (n, 3), m/s.
+
+    Its columns are forward along the velocity, right in the horizontal, and down.
+    [HBH23] eqs. (22)-(24), with the angles' sines and cosines taken from the velocity itself.
+    """
+    north, east, down = velocity[:, 0], velocity[:, 1], velocity[:, 2]
+    horizontal = np.hypot(north, east)
+    speed = np.hypot(horizontal, down)
+    upright = np.maximum(horizontal, COURSE_FLOOR)
+    cs = np.where(horizontal > COURSE_FLOOR, north / upright, 1.0)
+    ss = np.where(horizontal > COURSE_FLOOR, east / upright, 0.0)
+    cg, sg = horizontal / speed, -down / speed
+    out = np.zeros((len(velocity), 3, 3))
+    out[:, 0, 0] = cg * cs
+    out[:, 0, 1] = -ss
+    out[:, 0, 2] = sg * cs
+    out[:, 1, 0] = cg * ss
+    out[:, 1, 1] = cs
+    out[:, 1, 2] = sg * ss
+    out[:, 2, 0] = -sg
+    out[:, 2, 2] = cg
+    return out
 
 
 def metres_per_radian(origin: Origin) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from math import atan2, hypot, isnan
 import numpy as np
 from numba import njit
 
-from testbed.formation.geometry import COURSE_FLOOR
+from testbed.frames import COURSE_FLOOR
 
 # numpy divides by zero as IEEE does; nothing is reordered, so that runs repeat to the bit
 twin = njit(cache=True, error_model="numpy")

@@ -9,7 +9,7 @@ import numpy as np
 from testbed.formation.arrays import dot, norm, scale
 from testbed.formation.barrier import NO_BARRIER, Barrier, h
 from testbed.formation.control_function import ControlFunction, rho_and_rate
-from testbed.formation.geometry import velocity_frame
+from testbed.frames import velocity_frame
 from testbed.state import Array, Truths
 
 # (14) divides by the slope of h outside the speed set. Where tanh has saturated that slope

@@ -15,8 +15,8 @@ from math import isnan, nan, sqrt, tanh
 import numpy as np
 
 from testbed.formation.barrier import NO_BARRIER
-from testbed.formation.geometry import COURSE_FLOOR
 from testbed.formation.geometry_twin import cross, to_ned, twin
+from testbed.frames import COURSE_FLOOR
 
 
 def rows_of(record):

@@ -26,7 +26,7 @@ from testbed.formation.laws import (
 )
 from testbed.formation.leader import LeaderMemory, unheard
 from testbed.formation.measurement import corrected
-from testbed.frames import course, flight_path_angle
+from testbed.frames import course, flight_path_angle, velocity_frame
 from testbed.state import Array, Inbox, Truths, UnicycleCommand, VehicleState
 
 CLAMPED = int(Guard.SPEED_DESIRED_CLAMPED)
@@ -142,7 +142,7 @@ def paper_step(
     climb = flight_path_angle(leader_velocity)
     euler = np.where(quiet[:, 0], 0.0, inbox.euler[:, 0])
     rates = np.where(quiet[:, 0], 0.0, inbox.euler_rates[:, 0])
-    frame = geometry.velocity_frame(leader_velocity)
+    frame = velocity_frame(leader_velocity)
     climb_rate = rates[:, 1] * level[:, 2]
     rate = geometry.frame_rate(climb, rates[:, 2], climb_rate)
     bending = leading.course_acceleration(leader_speed, euler, rates[:, 0])

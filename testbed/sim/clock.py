@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,8 +29,8 @@ class Due:
 class Clock:
     """Periods in ticks of the base rate; t = k dt, never a sum.
 
-    Aircraft are synchronous unless they have phases: by how many ticks an aircraft's own control
-    and messages come after the leader's. At tick 0 everything happens once.
+    A phase says by how many ticks an aircraft's own control or messages come after the leader's
+    control; synchronous aircraft have none. At tick 0 everything happens once.
     """
 
     base_rate_hz: int
@@ -38,9 +38,8 @@ class Clock:
     control: int
     broadcast: int
     log: int
-    control_phases: tuple[int, ...] = ()  # n followers; empty: synchronous
-    broadcast_phases: tuple[int, ...] = ()  # N aircraft; empty: synchronous
-    aircraft: int = field(default=1, kw_only=True)  # N
+    control_phases: tuple[int, ...]  # n followers
+    broadcast_phases: tuple[int, ...]  # N aircraft
 
     @property
     def stride(self) -> int:
@@ -48,11 +47,22 @@ class Clock:
         return math.gcd(self.autopilot, self.control, self.broadcast, self.log)
 
     @property
+    def period(self) -> int:
+        """Ticks after which everything repeats."""
+        return math.lcm(self.autopilot, self.control, self.broadcast, self.log)
+
+    @property
     def groups(self) -> tuple[tuple[int, ...], ...]:
         """Followers (0..n−1) that step together, by the phase of their control."""
-        phases = self.control_phases or (0,) * (self.aircraft - 1)
-        kinds = sorted(set(phases))
-        return tuple(tuple(i for i, p in enumerate(phases) if p == kind) for kind in kinds)
+        phases = self.control_phases
+        return tuple(
+            tuple(i for i, own in enumerate(phases) if own == phase) for phase in self._moments
+        )
+
+    @property
+    def _moments(self) -> list[int]:
+        """The phases of the groups."""
+        return sorted(set(self.control_phases))
 
     def time_s(self, tick: int) -> float:
         """Simulation time of a tick, s."""
@@ -64,8 +74,7 @@ class Clock:
 
     def schedule(self, duration_s: float) -> Iterator[tuple[int, int, Due]]:
         """Every tick up to the duration at which something happens, ticks to the next, and what."""
-        pattern = self._pattern()
-        period = math.lcm(self.autopilot, self.control, self.broadcast, self.log)
+        pattern, period = self._pattern(), self.period
         last = self.ticks(duration_s)
         begin = (0, self._due(0, everyone=True))
         repeated = (
@@ -80,7 +89,7 @@ class Clock:
 
     def _pattern(self) -> list[tuple[int, Due]]:
         """What happens in one period of all the rates; tick 0 is always there."""
-        period = math.lcm(self.autopilot, self.control, self.broadcast, self.log)
+        period = self.period
         ticks = set(range(0, period, self.stride))
         for step, phases in (
             (self.control, self.control_phases),
@@ -90,12 +99,12 @@ class Clock:
         return [(tick, self._due(tick)) for tick in sorted(ticks)]
 
     def _due(self, tick: int, *, everyone: bool = False) -> Due:
-        controls = self.control_phases or (0,) * (self.aircraft - 1)
-        speaks = self.broadcast_phases or (0,) * self.aircraft
-        send = np.array([everyone or (tick - phase) % self.broadcast == 0 for phase in speaks])
+        send = np.array(
+            [everyone or (tick - phase) % self.broadcast == 0 for phase in self.broadcast_phases]
+        )
         step = tuple(
             number
-            for number, phase in enumerate(sorted(set(controls)))
+            for number, phase in enumerate(self._moments)
             if everyone or (tick - phase) % self.control == 0
         )
         return Due(
@@ -143,7 +152,7 @@ def make_clock(
         if rate <= 0 or physics_hz % rate:
             raise InputError(f"rates.{name}: {rate} does not divide physics_hz {physics_hz}")
     autopilot, control, broadcast, log = (physics_hz // rate for rate in rates.values())
-    parts = phases or ()
+    parts = phases or (0.0,) * aircraft
     return Clock(
         physics_hz,
         autopilot,
@@ -152,5 +161,4 @@ def make_clock(
         log,
         control_phases=tuple(int(part * control) for part in parts[1:]),
         broadcast_phases=tuple(int(part * broadcast) for part in parts),
-        aircraft=aircraft,
     )

@@ -23,14 +23,15 @@ from testbed.sim.control import Group
 from testbed.sim.leaders import Led
 from testbed.sim.teams import agent_value, follower_names
 from testbed.state import Array, Event
+from testbed.vehicle.trim import STILL, Vector
 
 
 def warnings(
-    page: Scenario, groups: Sequence[Group], led: Led, wind_ned: Array
+    page: Scenario, groups: Sequence[Group], led: Led, wind_ned: Vector
 ) -> tuple[Event, ...]:
     """One warning per hypothesis that does not hold, or may not, naming the followers."""
     said = []
-    if page.leader.path.kind == "replay" and wind_ned.any():
+    if page.leader.path.kind == "replay" and any(wind_ned):
         text = (
             "a recorded flight moves over the ground as it did: its attitude and airspeed are "
             "those of the wind it was flown in (leave air.wind out, or fly a mission)"
@@ -50,7 +51,7 @@ def warnings(
     return tuple(said)
 
 
-def _findings(page: Scenario, group: Group, led: Led, wind_ned: Array) -> Iterator[Finding]:
+def _findings(page: Scenario, group: Group, led: Led, wind_ned: Vector) -> Iterator[Finding]:
     team, law = group.team, group.law
     kappa = np.array([agent_value(page, name, "kappa_mps") for name in team.names])
     yield from check_kappa(kappa, team.speed_low, team.speed_high)
@@ -59,14 +60,14 @@ def _findings(page: Scenario, group: Group, led: Led, wind_ned: Array) -> Iterat
         open_ = [agent_value(page, name, "speed_desired_mps") is None for name in team.names]
         yield from (each for each in check_gain(law.k, kappa, bound) if open_[each.agent])
         yield from check_barrier(law.barrier, law.speeds)
-    through_air = page.controller.bounds_of == "airspeed"
-    slowest, fastest, possible = _slot_speeds(group, led, wind_ned if through_air else None)
+    medium = wind_ned if page.controller.bounds_of == "airspeed" else None
+    slowest, fastest, possible = _slot_speeds(group, led, medium)
     yield from check_slot_speed(
         slowest, fastest, kappa, team.speed_low, team.speed_high, possible=possible
     )
 
 
-def _slot_speeds(group: Group, led: Led, wind_ned: Array | None) -> tuple[Array, Array, bool]:
+def _slot_speeds(group: Group, led: Led, wind_ned: Vector | None) -> tuple[Array, Array, bool]:
     """The slots' smallest and largest speed (m,) m/s, and whether that is only what may be.
 
     Over the ground, or if a wind is given through that air.
@@ -77,7 +78,7 @@ def _slot_speeds(group: Group, led: Led, wind_ned: Array | None) -> tuple[Array,
         assert limits is not None, "a flown leader has both"
         return (*slot_speed_range(offsets, **limits._asdict()), True)
     assert led.track is not None, "a leader is flown, or its track is known"
-    velocity = led.track.velocity_ned - (0.0 if wind_ned is None else wind_ned)
+    velocity = led.track.velocity_ned - np.array(wind_ned or STILL)
     course_rate, climb_rate = velocity_rates(velocity, led.track.acceleration_ned)
     rate = frame_rate(flight_path_angle(velocity), course_rate, climb_rate)
     speeds = slot_speed(velocity, rate, offsets)

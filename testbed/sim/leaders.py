@@ -25,7 +25,7 @@ from testbed.sim.vehicles import Replayed
 from testbed.state import Array, Origin
 from testbed.vehicle.jsbsim_door import Start, trim_aircraft
 from testbed.vehicle.params import FbwaParams
-from testbed.vehicle.trim import TrimPoint, course_through_air
+from testbed.vehicle.trim import STILL, TrimPoint, Vector, course_through_air
 
 
 class SpeedLimits(NamedTuple):
@@ -52,7 +52,7 @@ class Led:
 
 
 def make_leader(
-    page: Scenario, clock: Clock, tune: FbwaParams, folder: Path, origin: Origin, wind_ned: Array
+    page: Scenario, clock: Clock, tune: FbwaParams, folder: Path, origin: Origin, wind_ned: Vector
 ) -> Led:
     """Build the leader of a page."""
     path = page.leader.path
@@ -61,12 +61,12 @@ def make_leader(
     ticks = (tick for tick, _, _ in clock.schedule(page.scenario.duration_s))
     times = np.fromiter(ticks, dtype=np.float64) / clock.base_rate_hz
     track = (
-        analytic.evaluate(_curve(page, path), times, tuple(wind_ned))
+        analytic.evaluate(_curve(page, path), times, wind_ned)
         if isinstance(path, Virtual)
         else make_track(read_recording(find_data(path.file)), times)
     )
     density = _density_ratio(origin.elevation_m - track.position_ned[:, 2])
-    moves = Replayed(track, track.airspeed * np.sqrt(density), wind_ned)
+    moves = Replayed(track, track.airspeed * np.sqrt(density), np.array(wind_ned))
     velocity = track.velocity_ned[0]
     start = Start(
         position_ned=tuple(track.position_ned[0].tolist()),
@@ -93,7 +93,7 @@ def _mission(
     tune: FbwaParams,
     folder: Path,
     origin: Origin,
-    wind_ned: Array,
+    wind_ned: Vector,
 ) -> Led:
     where = page.leader.start
     start = Start(
@@ -130,7 +130,7 @@ def _mission(
     )
     ideal = page.leader.vehicle == "ideal"
     # an ideal vehicle's speed is over the ground, whatever the wind
-    wind = np.zeros(3) if ideal else wind_ned
+    wind = STILL if ideal else wind_ned
     blown = float(np.linalg.norm(wind))
     angle = math.asin(min(path.climb_limit_mps / path.airspeed_mps, 1.0))
 
@@ -139,13 +139,11 @@ def _mission(
         turn_rate = GRAVITY * math.tan(mission.bank_limit) / slowest
         return SpeedLimits(slowest, path.airspeed_mps + blown, turn_rate, angle)
 
-    through_air = course_through_air(
-        path.airspeed_mps, start.course, (float(wind[0]), float(wind[1]), float(wind[2]))
-    )
+    through_air = course_through_air(path.airspeed_mps, start.course, wind)
     velocity = (
-        path.airspeed_mps * math.cos(through_air) + float(wind[0]),
-        path.airspeed_mps * math.sin(through_air) + float(wind[1]),
-        float(wind[2]),
+        path.airspeed_mps * math.cos(through_air) + wind[0],
+        path.airspeed_mps * math.sin(through_air) + wind[1],
+        wind[2],
     )
     return Led(pilot, None, start, velocity, polyline(plan), None, limits(blown), limits(0.0))
 

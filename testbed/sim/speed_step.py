@@ -19,8 +19,8 @@ from testbed.formation.flags import Saturation
 from testbed.formation.middle_loop import MiddleLoop
 from testbed.scenario import MiddleLoopGains as Profile
 from testbed.sim.middle_loops import middle_gains
+from testbed.sim.vehicles import Flown
 from testbed.state import Array, Origin, UnicycleCommand
-from testbed.vehicle.fbwa import AUTOPILOT, settled
 from testbed.vehicle.identify import FirstOrder, fit_first_order
 from testbed.vehicle.jsbsim_door import JsbsimFleet, Start
 from testbed.vehicle.params import FbwaParams, stack
@@ -77,16 +77,15 @@ def speed_step(
         )
     start = Start((0.0, 0.0, -ALTITUDE), airspeed=airspeed)
     fleet = JsbsimFleet([folder], [start], Origin(), BASE_RATE_HZ)
-    gains = stack([params], AUTOPILOT_TICKS / BASE_RATE_HZ)
-    memory = settled(fleet.trimmed, gains)
+    aircraft = Flown(fleet, stack([params], AUTOPILOT_TICKS / BASE_RATE_HZ))
     loop = _middle_loop(profile)
     loop_memory = loop.start()
     first = round(SETTLE_S * BASE_RATE_HZ)
     rows: list[tuple[float, ...]] = []
     command = None
     for tick in range(0, first + round(WATCH_S * BASE_RATE_HZ) + 1, AUTOPILOT_TICKS):
-        state = fleet.read()
-        if fleet.lost(state)[0]:
+        state = aircraft.read()
+        if aircraft.lost(state)[0]:
             raise InputError(
                 f"{folder.name}: came down {tick / BASE_RATE_HZ:g} s after it started at "
                 f"{airspeed:g} m/s (write another --airspeed, --step or --profile)"
@@ -99,8 +98,8 @@ def speed_step(
                 altitude = -float(state.position_ned[0, 2])
                 limited = bool(diagnosis.saturations[0] & int(Saturation.THROTTLE))
                 rows.append((tick - first, speed, float(command.throttle[0]), altitude, limited))
-        surfaces, memory = AUTOPILOT(state, command, memory, gains)
-        fleet.step(surfaces, AUTOPILOT_TICKS)
+        aircraft.act(state, command)
+        aircraft.step(AUTOPILOT_TICKS)
     ticks, speed, throttle, altitude, at_limit = np.array(rows).T
     time = ticks / BASE_RATE_HZ
     answer = (speed - speed[0]) / step

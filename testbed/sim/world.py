@@ -35,6 +35,7 @@ from testbed.vehicle.jsbsim_door import VERSION as JSBSIM_VERSION
 from testbed.vehicle.jsbsim_door import JsbsimFleet, Start, wingspan
 from testbed.vehicle.params import read_params, stack
 from testbed.vehicle.sensors import Estimators, NoiseLevel, SensorErrors, stream
+from testbed.vehicle.trim import STILL, Vector
 
 LOWEST_START_M = 5.0  # above the ground; an aircraft starts in trimmed flight
 
@@ -98,7 +99,7 @@ def build(page: Scenario) -> World:
             ],
             origin,
             clock.base_rate_hz,
-            (float(wind[0]), float(wind[1]), float(wind[2])),
+            wind,
         )
         period = clock.autopilot / clock.base_rate_hz
         parts.append((jsbsim, Flown(fleet, stack([tunes[row] for row in jsbsim], period))))
@@ -147,7 +148,7 @@ def build(page: Scenario) -> World:
             duration_s=page.scenario.duration_s,
             seed=page.scenario.seed,
             speed_bounds_mps=tuple(agent_value(page, name, "speed_mps") for name in names[1:]),
-            bounded_in_ned=_bounded_in(page),
+            bounded_in_ned=wind if page.controller.bounds_of == "airspeed" else STILL,
             kappa_mps=tuple(agent_value(page, name, "kappa_mps") for name in names[1:]),
             roll_limit_rad=_roll_limits(groups),
             leader_path_ned=led.path_ned,
@@ -163,21 +164,13 @@ def build(page: Scenario) -> World:
     )
 
 
-def wind_ned(page: Scenario) -> Array:
-    """Velocity of the air (3,) m/s."""
+def wind_ned(page: Scenario) -> Vector:
+    """Velocity of the air, m/s."""
     wind = page.air.wind
     towards = math.radians(wind.from_deg) + math.pi
     if wind.speed_mps == 0.0:
-        return np.zeros(3)
-    return wind.speed_mps * np.array([math.cos(towards), math.sin(towards), 0.0])
-
-
-def _bounded_in(page: Scenario) -> tuple[float, float, float]:
-    """What the speed bounds are measured against: the ground, or the air."""
-    if page.controller.bounds_of == "ground_speed":
-        return 0.0, 0.0, 0.0
-    north, east, down = wind_ned(page).tolist()
-    return north, east, down
+        return STILL
+    return wind.speed_mps * math.cos(towards), wind.speed_mps * math.sin(towards), 0.0
 
 
 def _clock(page: Scenario) -> Clock:
@@ -194,7 +187,7 @@ def _ideal(
     starts: Sequence[Start],
     led: Led,
     clock: Clock,
-    wind: Array,
+    wind: Vector,
 ) -> Ideal:
     """Extended unicycles at their starts, with the leader's velocity over the ground."""
     names = page.aircraft_names
@@ -210,7 +203,7 @@ def _ideal(
             np.array([led.velocity_ned for _ in rows]),
             np.array(poles, dtype=np.float64),
             clock.base_rate_hz,
-            wind,
+            np.array(wind),
         )
     )
 

@@ -20,11 +20,17 @@ import numpy as np
 
 from testbed.compiled import twin_of
 from testbed.errors import InputError
-from testbed.frames import GRAVITY, body_rates, course, flight_path_angle
+from testbed.frames import (
+    COURSE_FLOOR,
+    GRAVITY,
+    body_rates,
+    course,
+    flight_path_angle,
+    velocity_frame,
+)
 from testbed.state import AirData, Array, Truths, VehicleState
 
 LOWEST = 1.0  # m above the terrain: a vehicle below counts as on the ground
-COURSE_FLOOR = 1e-9  # horizontal part of y below which a course is undefined and taken as north
 
 
 class Unicycle(NamedTuple):
@@ -49,24 +55,7 @@ def unicycle(position: Array, velocity: Array) -> Unicycle:
             f"ideal vehicle {row} starts with a speed of {speed[row]:g} m/s, which has no "
             "direction; write a positive speed"
         )
-    return Unicycle(position, zero_roll_frame(velocity / speed[:, np.newaxis]), speed)
-
-
-def zero_roll_frame(direction: Array) -> Array:
-    """R(σ, γ) (n, 3, 3) of unit vectors (n, 3): columns forward, right in the horizontal, down.
-
-    [HBH23] eq. (24). The course of a vertical direction is taken as north.
-    """
-    north, east, down = direction[:, 0], direction[:, 1], direction[:, 2]
-    level = np.hypot(north, east)
-    upright = level > COURSE_FLOOR
-    safe = np.where(upright, level, 1.0)
-    cs, ss = np.where(upright, north / safe, 1.0), np.where(upright, east / safe, 0.0)
-    out = np.zeros((len(direction), 3, 3))
-    out[:, 0, 0], out[:, 0, 1], out[:, 0, 2] = level * cs, -ss, -down * cs
-    out[:, 1, 0], out[:, 1, 1], out[:, 1, 2] = level * ss, cs, -down * ss
-    out[:, 2, 0], out[:, 2, 2] = down, level
-    return out
+    return Unicycle(position, velocity_frame(velocity), speed)
 
 
 def rotation_by(vector: Array) -> Array:
@@ -97,7 +86,7 @@ def advance(state: Unicycle, speed_command: Array, turn: Array, pole: Array, dt:
         dt: s.
     """
     pointing = state.rotation[:, :, 0]
-    omega = (zero_roll_frame(pointing) @ turn[:, :, np.newaxis])[:, :, 0]
+    omega = (velocity_frame(pointing) @ turn[:, :, np.newaxis])[:, :, 0]
     midway = (rotation_by(0.5 * dt * omega) @ pointing[:, :, np.newaxis])[:, :, 0]
     rotation = rotation_by(dt * omega) @ state.rotation
     # one Newton step to the nearest rotation, or rounding would add up over the hours
@@ -132,7 +121,7 @@ def report(
     the body rates are those of γ̇ and σ̇ at a constant roll. The equivalent airspeed is the true
     one: the model knows no density.
     """
-    frame = zero_roll_frame(state.rotation[:, :, 0])
+    frame = velocity_frame(state.rotation[:, :, 0])
     velocity = state.speed[:, np.newaxis] * frame[:, :, 0]
     speed_rate = pole * (speed_command - state.speed)
     across = np.stack([speed_rate, state.speed * turn[:, 2], -state.speed * turn[:, 1]], axis=1)

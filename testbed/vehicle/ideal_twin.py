@@ -11,9 +11,9 @@ from math import atan, atan2, cos, exp, hypot, sin, sqrt
 import numpy as np
 from numba import njit
 
-from testbed.frames import GRAVITY
+from testbed.frames import COURSE_FLOOR, GRAVITY
 from testbed.state import VehicleState
-from testbed.vehicle.ideal import COURSE_FLOOR, Unicycle
+from testbed.vehicle.ideal import Unicycle
 
 twin = njit(cache=True, error_model="numpy")
 

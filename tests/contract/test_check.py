@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import check_pages as pages
 import pytest
 import yaml
+from commands import environment, run_command
 
 from testbed.check_console import check_and_show
 from testbed.study.flights import Flight, fly_all
@@ -20,22 +21,12 @@ from testbed.study.golden_table import read_table
 
 ROOT = Path(__file__).parents[2]
 PYPROJECT = (ROOT / "pyproject.toml").read_text()
-ENV = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "100"}
+ENV = environment(100)
 BAD_INPUT, REGRESSION, INTERRUPTED = 2, 3, 130
 
 
 def check(*arguments, cwd, code=0):
-    done = subprocess.run(
-        [sys.executable, "-m", "testbed", "check", *map(str, arguments)],
-        cwd=cwd,
-        env=ENV,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert done.returncode == code, done.stderr + done.stdout
-    assert "Traceback" not in done.stderr
-    return done
+    return run_command("check", *arguments, cwd=cwd, code=code, columns=100)
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,6 @@
 """The command line: what it prints, what it leaves, and its exit codes."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -9,6 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
+from commands import environment, run_command
 from run_flight import DIVE
 from typer.testing import CliRunner
 
@@ -17,24 +17,14 @@ from testbed.cli import app
 from testbed.record.read import read_log
 
 ROOT = Path(__file__).parents[2]
-ENV = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "120"}
+ENV = environment(120)
 BAD_INPUT, LOST, INTERRUPTED = 2, 1, 130
 FLY = ("run", "simulation-3", "--duration", "2")
 NO_LOG = ("--set", "log.mcap=false")
 
 
 def cli(*arguments, cwd, code=0):
-    done = subprocess.run(
-        [sys.executable, "-m", "testbed", *map(str, arguments)],
-        cwd=cwd,
-        env=ENV,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert done.returncode == code, done.stderr + done.stdout
-    assert "Traceback" not in done.stderr
-    return done
+    return run_command(*arguments, cwd=cwd, code=code, columns=120)
 
 
 def files(folder):
@@ -47,7 +37,8 @@ def test_version(tmp_path):
 
 def test_help_names_every_command_and_the_exit_codes(tmp_path):
     text = cli("--help", cwd=tmp_path).stdout
-    for command in ("run", "view", "validate", "list", "schema", "respond"):
+    named = "run view validate check list schema respond trim linearize step"
+    for command in named.split():
         assert f"{command} " in text
         assert "--help" in cli(command, "--help", cwd=tmp_path).stdout
     assert "130 interrupted" in text
