@@ -36,10 +36,12 @@ types: $(STAMP)
 tests: $(STAMP)
 	@$(BIN)/pytest -q -n $(JOBS) $(ARGS)
 
-# Everything: the tests, all starts of the theorem, every golden table, and the wheel built and
-# flown from a fresh environment.
+# Everything: the tests, all starts of the theorem, the air's statistics on more samples, every
+# golden table, and the wheel built and flown from a fresh environment.
 check-all: test wheel
 	@TESTBED_STARTS=1000 $(BIN)/pytest -q tests/theorems/test_theorem_many_starts.py
+	@TESTBED_AIR_SAMPLES=60 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_air_dryden.py \
+		tests/equations/test_air_von_karman.py tests/equations/test_air_field.py
 	@$(BIN)/testbed check --jobs $(JOBS)
 	@rm -rf build/fresh && $(BIN)/python -m venv build/fresh
 	@build/fresh/bin/python -m pip install --quiet --disable-pip-version-check \
@@ -47,14 +49,16 @@ check-all: test wheel
 	@build/fresh/bin/python -m pip install --quiet --disable-pip-version-check --no-deps dist/*.whl
 	@cd build && fresh/bin/testbed run simulation-3 --duration 30 --out fresh/run
 
-# What everything around the flight model costs, as a ratio to bare JSBSim.
+# What everything around the flight model costs, as a ratio to bare JSBSim, and coherent air on top.
 bench: $(STAMP)
 	@$(BIN)/python benchmarks/full_over_bare.py $(ARGS)
+	@$(BIN)/python benchmarks/page_cost.py --set air.turbulence.model=coherent
 
-# Flies every row of the tables in docs/simulations.md and docs/experiments.md and writes them there.
+# Flies every row of the tables in docs/simulations.md, experiments.md and air.md and writes them there.
 results: $(STAMP)
 	@$(BIN)/python benchmarks/results.py --into docs/simulations.md $(ARGS)
 	@$(BIN)/python benchmarks/experiments.py --into docs/experiments.md $(ARGS)
+	@$(BIN)/python benchmarks/air.py --into docs/air.md $(ARGS)
 
 wheel: $(STAMP)
 	@rm -rf dist && $(BIN)/python -m build --no-isolation --wheel >/dev/null && ls dist/*.whl

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from testbed import __version__
+from testbed.air_commands import air
 from testbed.airframe_commands import linearize, step, trim
 from testbed.errors import InputError
 
@@ -271,7 +272,7 @@ def respond(
         raise typer.Exit(LOST) from None
 
 
-for command in (trim, linearize, step):
+for command in (trim, linearize, step, air):
     app.command()(command)
 
 

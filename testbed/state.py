@@ -31,6 +31,17 @@ class Origin:
     elevation_m: float = 300.0
 
 
+@dataclass(frozen=True, slots=True)
+class Airframe:
+    """What the air has to know of an aircraft."""
+
+    span: float  # m
+    area: float  # m², of the wing
+    arm: float  # m, how far ahead of and behind the centre of gravity the air is felt
+    mass: float  # kg
+    lift_slope: float  # 1/rad, of the lift coefficient
+
+
 class VehicleState(NamedTuple):
     """The motion of N aircraft: the truth, or an autopilot's estimate of it."""
 
@@ -55,8 +66,18 @@ class AirData(NamedTuple):
     beta: Array  # (N,) sideslip, rad
     propeller_rps: Array  # (N,) revolutions per second
     wind_ned: Array  # (N, 3) m/s, velocity of the air
+    rates_body: Array  # (N, 3) rad/s, its turn about body axes
+    roll_coefficient: Array  # (N,) what a wake adds to that of the rolling moment
     state_of_charge: Array  # (N,) 0..1 of the battery; not a number where there is none
     battery_voltage: Array  # (N,) V at its terminals; not a number where there is none
+
+
+class AirFelt(NamedTuple):
+    """What the air does to N airframes: its motion, averaged and differenced over each of them."""
+
+    wind_ned: Array  # (N, 3) m/s, velocity of the air, averaged over the wing
+    rates_body: Array  # (N, 3) rad/s, turn of the air about body axes: ∂w/∂y, −∂w/∂x, ∂v/∂x
+    roll_coefficient: Array  # (N,) rolling-moment coefficient of what is no turn, right wing down
 
 
 class FbwaCommand(NamedTuple):

@@ -114,7 +114,7 @@ def climbed(part: float, *, level_off: float) -> tuple[float, float]:
     A straight line, bent to level over the last `level_off` (0..1) of the leg.
     """
     left = 1.0 - part
-    if part <= 0.0 or left <= 0.0:
+    if part <= 0.0 or left <= 0.0 or level_off <= 0.0:
         return min(max(part, 0.0), 1.0), 0.0
     steepness = 1.0 / (1.0 - 0.5 * level_off)
     if left >= level_off:

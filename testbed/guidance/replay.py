@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from testbed.csv_table import read_table
 from testbed.errors import InputError
 from testbed.frames import euler_rates, wrap_pi
 from testbed.state import Array
@@ -55,20 +55,13 @@ def read_recording(path: Path) -> Recording:
     Raises:
         InputError: With file, line and remedy, if the file is not such a recording.
     """
-    with path.open(newline="", encoding="utf-8") as file:
-        try:
-            rows = list(csv.reader(file))
-        except (UnicodeDecodeError, csv.Error) as error:
-            raise InputError(f"{path}: not a CSV text file ({error})") from error
-    header = [name.strip() for name in rows[0]] if rows else []
-    missing = [name for name in COLUMNS if name not in header]
-    if missing:
-        raise InputError(f"{path}:1: missing column {', '.join(missing)}; add it to the header")
-    data, lines = _numbers(path, header, rows)
-    _check_times(path, data[:, 0], lines)
-    stamps = [rows[line - 1][header.index("t_s")] for line in lines]
+    table = read_table(path)
+    data = table.numbers(COLUMNS)
+    if len(data) < 2:
+        raise InputError(f"{path}: {len(data)} rows of numbers; a flight needs at least two")
+    table.refuse_steps(data[:, 0], LARGEST_GAP, "cut here")
     return Recording(
-        time=_even_times(data[:, 0], stamps),
+        time=_even_times(data[:, 0], table.column("t_s")),
         position_ned=data[:, 1:4].copy(),
         velocity_ned=data[:, 4:7].copy(),
         euler=np.unwrap(data[:, 7:10], axis=0),
@@ -118,57 +111,13 @@ def make_track(recording: Recording, time: Array) -> Track:
     )
 
 
-def _numbers(path: Path, header: list[str], rows: list[list[str]]) -> tuple[Array, list[int]]:
-    """The columns in the order of COLUMNS (M, 15), and the file's line of each row."""
-    columns = [header.index(name) for name in COLUMNS]
-    values, lines = [], []
-    for line, row in enumerate(rows[1:], start=2):
-        if not row:
-            continue
-        if len(row) != len(header):
-            raise InputError(
-                f"{path}:{line}: {len(row)} values under {len(header)} columns; "
-                "write one value per column"
-            )
-        try:
-            values.append([float(row[column]) for column in columns])
-        except ValueError as error:
-            raise InputError(f"{path}:{line}: {error}; write numbers only") from error
-        lines.append(line)
-    if len(values) < 2:
-        raise InputError(f"{path}: {len(values)} rows of numbers; a flight needs at least two")
-    data = np.array(values)
-    bad = np.argwhere(~np.isfinite(data))
-    if bad.size:
-        row_index, column = bad[0]
-        raise InputError(
-            f"{path}:{lines[row_index]}: {COLUMNS[column]} is {data[row_index, column]}; "
-            "remove the row or write a finite number"
-        )
-    return data, lines
-
-
-def _check_times(path: Path, time: Array, lines: list[int]) -> None:
-    steps = np.diff(time)
-    for wrong, text in (
-        (steps <= 0.0, "t_s does not increase; sort the rows and remove repeated ones"),
-        (steps > LARGEST_GAP, f"a gap of more than {LARGEST_GAP:g} s before this row; cut here"),
-    ):
-        if wrong.any():
-            index = int(np.argmax(wrong))
-            raise InputError(
-                f"{path}:{lines[index + 1]}: t_s goes from {time[index]:g} to "
-                f"{time[index + 1]:g}: {text}"
-            )
-
-
 def _even_times(time: Array, stamps: list[str]) -> Array:
     """The even grid (M,) s that `time` was rounded from, or `time` if there is none.
 
     A stamp may have been rounded at its last digit that is not zero.
     """
     step = float(np.round(np.median(np.diff(time)), 6))
-    decimals = np.array([len(stamp.strip().partition(".")[2].rstrip("0")) for stamp in stamps])
+    decimals = np.array([len(stamp.partition(".")[2].rstrip("0")) for stamp in stamps])
     rounding = 0.5 * 10.0**-decimals + 1e-6  # with room for stamps that were floats before
     since_first = step * np.arange(len(time))
     earliest = np.max(time - rounding - since_first)  # the first row, if all are on the grid

@@ -48,7 +48,7 @@ class MetricsObserver:
         self._tally = tallying.empty(len(spans), followers)
         self._events = []
         self._tick = np.zeros(BLOCK, dtype=np.int64)
-        columns = 6 * aircraft + 8 * followers + followers * aircraft
+        columns = 11 * aircraft + 8 * followers + followers * aircraft
         self._rows = np.empty((BLOCK, columns))
         self._filled = 0
 
@@ -65,6 +65,9 @@ class MetricsObserver:
                 formation.guards,
                 formation.saturations,
                 formation.age_s,
+                frame.air.wind_ned,
+                frame.air.roll_coefficient,
+                frame.command.throttle,
             ),
             axis=None,
             out=self._rows[row],
@@ -112,7 +115,8 @@ def _block(rows: Array, tick: Ticks, info: RunInfo) -> Block:
     """Give the columns of rows (K, columns) their names and shapes."""
     frames, aircraft, followers = len(rows), len(info.names), len(info.names) - 1
     widths = [3 * aircraft, 3 * aircraft, 3 * followers, 3 * followers, followers, followers]
-    position, euler, error, slot, guards, saturations, age = np.split(
+    widths += [followers * aircraft, 3 * aircraft, aircraft]
+    position, euler, error, slot, guards, saturations, age, wind, roll, throttle = np.split(
         rows, np.cumsum(widths), axis=1
     )
     return Block(
@@ -124,4 +128,7 @@ def _block(rows: Array, tick: Ticks, info: RunInfo) -> Block:
         guards=guards.astype(np.int64),
         saturations=saturations.astype(np.int64),
         age_s=age.reshape(frames, followers, aircraft),
+        wind_ned=wind.reshape(frames, aircraft, 3),
+        roll_coefficient=roll,
+        throttle=throttle,
     )

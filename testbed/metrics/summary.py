@@ -11,6 +11,7 @@ import numpy as np
 
 from testbed.formation.assumptions import largest_kappa
 from testbed.formation.flags import Guard, Saturation
+from testbed.metrics import wind
 from testbed.metrics.speeds import NEVER, Ticks
 from testbed.metrics.tally import Tally, Windows
 from testbed.state import Array, Event, RunInfo
@@ -79,6 +80,8 @@ def summarise(
             }
             for i, name in enumerate(followers)
         },
+        "mean_throttle": _numbers(tally.throttle / max(tally.frames, 1), info.names),
+        "wind": wind.summarise(tally.wind, info.names),
         "published": None if published is None else dict(published),
         "events": [
             {"time_s": e.time_s, "level": e.level, "source": e.source, "text": e.text}

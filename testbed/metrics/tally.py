@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.formation.flags import Guard, Saturation
-from testbed.metrics import speeds
+from testbed.metrics import speeds, wind
 from testbed.metrics.speeds import NEVER, Speeds, Ticks
+from testbed.metrics.wind import Wind
 from testbed.state import Array
 
 BLOCK = 256
@@ -34,6 +35,9 @@ class Block:
     guards: Ticks  # (K, n)
     saturations: Ticks  # (K, n)
     age_s: Array  # (K, n, N), nan where nothing was used
+    wind_ned: Array  # (K, N, 3) m/s
+    roll_coefficient: Array  # (K, N) of wakes
+    throttle: Array  # (K, N) commanded, 0..1
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +82,8 @@ class Tally:
     age_count: Ticks  # (n,)
     age_largest: Array  # (n,) s
     speeds: Speeds
+    wind: Wind
+    throttle: Array  # (N,) sum over the frames
 
 
 def empty(portions: int, followers: int) -> Tally:
@@ -114,6 +120,8 @@ def empty(portions: int, followers: int) -> Tally:
         age_count=zeros(followers),
         age_largest=np.zeros(followers),
         speeds=speeds.empty(portions, followers),
+        wind=wind.empty(followers + 1),
+        throttle=np.zeros(followers + 1),
     )
 
 
@@ -174,6 +182,8 @@ def fold(
             base_rate_hz=base_rate_hz,
             medium_ned=medium_ned,
         ),
+        wind=wind.fold(tally.wind, block.wind_ned, block.roll_coefficient),
+        throttle=tally.throttle + block.throttle.sum(axis=0),
     )
 
 

@@ -68,6 +68,11 @@ STATE = Topic(
         Column("air.beta", ("beta_rad",)),
         Column("air.propeller_rps", ("propeller_rps",)),
         Column("air.wind_ned", _ned("wind", "mps")),
+        Column(
+            "air.rates_body",
+            ("air_roll_rate_radps", "air_pitch_rate_radps", "air_yaw_rate_radps"),
+        ),
+        Column("air.roll_coefficient", ("air_roll_coefficient",)),
         # not a number where there is no battery
         Column("air.state_of_charge", ("state_of_charge",)),
         Column("air.battery_voltage", ("battery_v",)),

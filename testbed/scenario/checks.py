@@ -23,6 +23,9 @@ def cross_check(page: Scenario) -> list[Finding]:
         *_agents(page),
         *_kinds(page),
         *_network(page),
+        *_wind(page),
+        *_turbulence(page),
+        *_gusts(page),
         *_portions(page),
         *_published(page),
     ]
@@ -125,6 +128,65 @@ def _network(page: Scenario) -> Iterator[Finding]:
         for index, (begin, end) in enumerate(windows):
             if begin >= end:
                 yield (*at, index), f"[{begin:g}, {end:g}] is not a window (write [from, to] in s)"
+
+
+def _wind(page: Scenario) -> Iterator[Finding]:
+    wind = page.air.wind
+    if wind.file is not None:
+        for key, value in (("speed_mps", wind.speed_mps), ("from_deg", wind.from_deg)):
+            if value:
+                yield (
+                    ("air", "wind", key),
+                    f"is {value:g}, but the wind is that of {wind.file!r} (leave out this, or "
+                    "file)",
+                )
+    profile = wind.profile
+    if profile.kind == "log" and profile.roughness_m >= profile.height_m:
+        yield (
+            ("air", "wind", "profile", "roughness_m"),
+            f"{profile.roughness_m:g} m is not below height_m, {profile.height_m:g} m (write the "
+            "roughness length, about a tenth of the height of what grows there, or another "
+            "height_m)",
+        )
+
+
+def _turbulence(page: Scenario) -> Iterator[Finding]:
+    turbulence = page.air.turbulence
+    at = ("air", "turbulence")
+    if turbulence.model == "none":
+        for key in ("w20_mps", "probability", "sigma_mps", "length_m"):
+            if getattr(turbulence, key) is not None:
+                yield (
+                    (*at, key),
+                    "says how strong the turbulence is, and there is none (write model: dryden, "
+                    "von-karman or coherent, or leave this out)",
+                )
+    if turbulence.model != "coherent" and turbulence.height_m is not None:
+        yield (
+            (*at, "height_m"),
+            f"belongs to model: coherent, and the model is {turbulence.model} (leave this out: "
+            "each aircraft's own height counts)",
+        )
+    if turbulence.model == "coherent":
+        for key in ("sigma_mps", "length_m"):
+            three = getattr(turbulence, key)
+            if three is not None and three[0] != three[1]:
+                yield (
+                    (*at, key),
+                    f"{three[0]:g} and {three[1]:g} differ, and one field for all has no "
+                    "longitudinal direction (write the same number for the first two)",
+                )
+
+
+def _gusts(page: Scenario) -> Iterator[Finding]:
+    seen: dict[str, int] = {}
+    for index, gust in enumerate(page.air.gusts):
+        first = seen.setdefault(gust.name, index)
+        if first != index:
+            yield (
+                ("air", "gusts", index, "name"),
+                f"{gust.name!r} is already the name of gusts.{first} (write another)",
+            )
 
 
 def _known(at: Path, names: Iterable[str], followers: list[str]) -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""What the page points to: airframes, tunes and recorded flights, looked up when it is read."""
+"""What the page points to: airframes, tunes and recordings, looked up when it is read."""
 
 from __future__ import annotations
 
@@ -93,6 +93,8 @@ def settle(page: Scenario, tree: Node) -> Scenario:
         settler.craft(("fleet", index), follower)
     if page.leader.path.kind == "replay":
         settler.recording(("leader", "path", "file"), page.leader.path.file)
+    if page.air.wind.file is not None:
+        settler.recording(("air", "wind", "file"), page.air.wind.file)
     if page.controller.law != "paper":
         settler.law(("controller", "law"), page.controller.law)
     if settler.problems:

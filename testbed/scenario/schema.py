@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from testbed.scenario.air import Air
 from testbed.scenario.aircraft import Follower, Leader
 from testbed.scenario.checks import cross_check
 from testbed.scenario.control import Controller, Formation
@@ -16,7 +17,6 @@ from testbed.scenario.fields import (
     Flag,
     Hertz,
     Metres,
-    MetresPerSecond,
     Name,
     Percent,
     Seconds,
@@ -90,21 +90,6 @@ class Network(Section):
     mute_s: Mapping[Name, tuple[Window, ...]] = Field(
         {}, description="By aircraft, windows [from, to] in which it sends nothing, s."
     )
-
-
-class Wind(Section):
-    """A steady wind, the same everywhere."""
-
-    speed_mps: MetresPerSecond = Field(0.0, ge=0, le=60, description="Speed of the wind, m/s.")
-    from_deg: Degrees = Field(
-        0.0, ge=-360, le=360, description="Where it blows from, degrees clockwise from north."
-    )
-
-
-class Air(Section):
-    """The air the aircraft fly in."""
-
-    wind: Wind = Field(Wind(), description="The mean wind.")
 
 
 class Log(Section):

@@ -37,6 +37,12 @@ def warnings(
             "those of the wind it was flown in (leave air.wind out, or fly a mission)"
         )
         said.append(Event(0.0, "warning", page.leader.name, text))
+    if page.air.wind.file and page.controller.bounds_of == "airspeed":
+        text = (
+            "kappa and the speeds of the slots are measured in the wind of the start, which the "
+            "recorded wind leaves; the law itself bounds the airspeed"
+        )
+        said.append(Event(0.0, "warning", "run", text))
     found: dict[str, list[str]] = {}
     for group in groups:
         for text, rows in by_text(_findings(page, group, led, wind_ned)).items():

@@ -19,6 +19,7 @@ from testbed.guidance.replay import Track, make_track, read_recording
 from testbed.scenario import Scenario, find_data, load_guidance
 from testbed.scenario.aircraft import Leg, Virtual
 from testbed.scenario.aircraft import Mission as MissionOnPage
+from testbed.sim.airs import density_ratio
 from testbed.sim.clock import Clock
 from testbed.sim.pilots import MissionPilot, NoPilot, Pilot
 from testbed.sim.vehicles import Replayed
@@ -65,7 +66,7 @@ def make_leader(
         if isinstance(path, Virtual)
         else make_track(read_recording(find_data(path.file)), times)
     )
-    density = _density_ratio(origin.elevation_m - track.position_ned[:, 2])
+    density = density_ratio(origin.elevation_m - track.position_ned[:, 2])
     moves = Replayed(track, track.airspeed * np.sqrt(density), np.array(wind_ned))
     velocity = track.velocity_ned[0]
     start = Start(
@@ -185,8 +186,3 @@ def _curve(page: Scenario, path: Virtual) -> curves.Curve:
         return curves.SpeedChange(**begin, amplitude=asked.amplitude_mps, period=asked.period_s)
     except InputError as error:
         raise InputError(f"leader.path.curve.{error}") from error
-
-
-def _density_ratio(altitude: Array) -> Array:
-    """Air density over its value at sea level, ISA troposphere, (T,) from altitudes in m."""
-    return (1.0 - 2.25577e-5 * altitude) ** 4.25588

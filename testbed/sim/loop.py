@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from testbed.network import channel as radio
 from testbed.sim.control import Control
 from testbed.sim.pilots import with_ideal_leader, with_leader
-from testbed.sim.watch import Silence, broadcast, formation_state, losses
+from testbed.sim.watch import Arrivals, Silence, broadcast, formation_state, losses
 from testbed.sim.world import World
 from testbed.state import Frame, Observer, followers
 
@@ -15,9 +15,10 @@ from testbed.state import Frame, Observer, followers
 def fly(world: World, observers: Sequence[Observer], stop: Callable[[], bool]) -> str:
     """Fly the world to its end; observers get a frame at the log rate.
 
-    At each tick: the truth is read and estimated, due broadcasts are sent and what is due arrives,
-    the leader and the followers that are due compute their commands from their own estimate and
-    inbox, autopilots turn these into surfaces, observers look, and everything moves.
+    At each tick: the truth is read, the air blows where the aircraft are and estimates are made,
+    due broadcasts are sent and what is due arrives, the leader and the followers that are due
+    compute their commands from their own estimate and inbox, autopilots turn these into surfaces,
+    observers look, and everything moves.
 
     Args:
         world: as built; its vehicles move.
@@ -27,9 +28,10 @@ def fly(world: World, observers: Sequence[Observer], stop: Callable[[], bool]) -
     Returns:
         The outcome: "flown", "lost" or "interrupted".
     """
-    clock, vehicles, pilot = world.clock, world.vehicles, world.pilot
+    clock, vehicles, pilot, air = world.clock, world.vehicles, world.pilot, world.air
     control = Control(world.groups, len(world.names) - 1, len(world.names))
     silence = Silence(world.names[1:], world.groups[0].team.silent_after)
+    arrivals = Arrivals(world.gusts, world.names)
     inboxes = radio.silent(world.channel)
     news = list(world.notes)
     lead, turn = (0.0, 0.0, 0.0), None
@@ -39,6 +41,9 @@ def fly(world: World, observers: Sequence[Observer], stop: Callable[[], bool]) -
             return "interrupted"
         now = clock.time_s(tick)
         truth = vehicles.read()
+        flown_in = vehicles.air() if due.log else None  # what the truth came about in
+        if due.autopilot and air is not None:
+            vehicles.blow(air.felt(now, truth))
         estimate = world.estimators.estimate(truth, fresh=due.sense)
 
         if due.broadcast is not None:
@@ -58,9 +63,14 @@ def fly(world: World, observers: Sequence[Observer], stop: Callable[[], bool]) -
         if due.autopilot:
             vehicles.act(estimate, told)
 
-        if due.log:
+        if flown_in is not None:
             lost = vehicles.lost(truth)
             over = bool(lost.any())
+            if (
+                air is not None
+                and (reached := air.gusts_inside(now, truth.position_ned)) is not None
+            ):
+                news += arrivals.changes(now, reached)
             if over:
                 news += losses(now, lost, world.names)
             frame = Frame(
@@ -68,7 +78,7 @@ def fly(world: World, observers: Sequence[Observer], stop: Callable[[], bool]) -
                 time_s=now,
                 truth=truth,
                 estimate=estimate,
-                air=vehicles.air(),
+                air=flown_in,
                 command=told,
                 surfaces=vehicles.surfaces,
                 formation=formation_state(

@@ -10,6 +10,7 @@ import numpy as np
 from testbed.guidance.replay import Track
 from testbed.state import (
     AirData,
+    AirFelt,
     Array,
     FbwaCommand,
     Surfaces,
@@ -41,6 +42,9 @@ class Vehicles(Protocol):
     def lost(self, state: VehicleState) -> Truths:
         """Which of them are on the ground, broken or not finite."""
 
+    def blow(self, felt: AirFelt) -> None:
+        """Feel this air from now on; at the autopilot rate."""
+
     def steer(self, told: UnicycleCommand) -> None:
         """Hand over what a formation law decided; at the control rate."""
 
@@ -61,6 +65,7 @@ class Flown:
         self._memory = settled(fleet.trimmed, gains)
         self.surfaces = fleet.trimmed
         self.read, self.air, self.lost = fleet.read, fleet.air, fleet.lost
+        self.blow = fleet.blow
 
     def steer(self, told: UnicycleCommand) -> None:
         """An autopilot takes attitudes, not turns."""
@@ -83,7 +88,7 @@ class Ideal:
         nothing = np.zeros(len(fleet.read().airspeed))
         self.surfaces = Surfaces(nothing, nothing, nothing, nothing)
         self.read, self.air, self.lost = fleet.read, fleet.air, fleet.lost
-        self.step = fleet.step
+        self.step, self.blow = fleet.step, fleet.blow
 
     def steer(self, told: UnicycleCommand) -> None:
         """Fly with this u and ω."""
@@ -99,7 +104,7 @@ class Replayed:
     def __init__(self, track: Track, equivalent_airspeed: Array, wind_ned: Array) -> None:
         """Begin the track, which has one row for every event of the clock."""
         self._track, self._equivalent = track, equivalent_airspeed
-        self._wind, self._row = wind_ned, 0
+        self._wind, self._row = wind_ned[np.newaxis], 0
 
     @property
     def command(self) -> tuple[float, float, float]:
@@ -130,11 +135,16 @@ class Replayed:
     def air(self) -> AirData:
         """A track tells nothing of its own: zero."""
         zero, nothing = np.zeros(1), np.full(1, np.nan)
-        return AirData(zero, zero, zero, self._wind[np.newaxis], nothing, nothing)
+        still = np.zeros((1, 3))
+        return AirData(zero, zero, zero, self._wind, still, zero, nothing, nothing)
 
     def lost(self, state: VehicleState) -> Truths:
         """It flies on whatever happens."""
         return np.zeros(1, dtype=bool)
+
+    def blow(self, felt: AirFelt) -> None:
+        """It moves as it does; only the log knows what wind there is."""
+        self._wind = felt.wind_ned
 
     def steer(self, told: UnicycleCommand) -> None:
         """Nobody steers it."""
@@ -175,6 +185,11 @@ class Mixed:
         for rows, part in self._parts:
             out[rows] = part.lost(choose(state, rows))
         return out
+
+    def blow(self, felt: AirFelt) -> None:
+        """To each its own."""
+        for rows, part in self._parts:
+            part.blow(choose(felt, rows))
 
     def steer(self, told: UnicycleCommand) -> None:
         """To each its own."""

@@ -96,3 +96,23 @@ class Silence:
                 yield Event(now, "info", name, "hears the leader again")
         self._deaf = deaf
         self._quiet = not (deaf.any() or self._waiting.any())
+
+
+class Arrivals:
+    """Watches which aircraft a discrete gust has reached."""
+
+    def __init__(self, gusts: Sequence[str], names: Sequence[str]) -> None:
+        """Nobody is in any of the gusts yet."""
+        self._gusts, self._names = gusts, names
+        self._inside: Truths = np.zeros((len(gusts), len(names)), dtype=bool)
+
+    def changes(self, now: float, inside: Truths) -> Iterator[Event]:
+        """An event for each gust that reached an aircraft since the last call; (G, N) as of now."""
+        for gust, reached in zip(self._gusts, inside & ~self._inside, strict=True):
+            if reached.all():
+                yield Event(now, "info", "run", f"gust {gust} reaches everyone")
+                continue
+            for name, now_in_it in zip(self._names, reached, strict=True):
+                if now_in_it:
+                    yield Event(now, "info", name, f"gust {gust} reaches it")
+        self._inside = inside

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from testbed import __version__
+from testbed.air.air import Air
 from testbed.errors import InputError
 from testbed.network.channel import Channel
 from testbed.scenario import (
@@ -21,6 +22,7 @@ from testbed.scenario import (
 )
 from testbed.scenario.aircraft import Follower, Leader
 from testbed.scenario.sensors import Sensors
+from testbed.sim.airs import make_air, make_mean, start_wind
 from testbed.sim.clock import Clock, make_clock
 from testbed.sim.control import Group
 from testbed.sim.formations import make_groups
@@ -30,12 +32,13 @@ from testbed.sim.pilots import Pilot
 from testbed.sim.teams import agent_value, make_altitudes, make_offsets
 from testbed.sim.vehicles import Flown, Ideal, Mixed, Vehicles
 from testbed.state import Array, Event, Origin, RunInfo
+from testbed.streams import stream
 from testbed.vehicle.ideal import IdealFleet
 from testbed.vehicle.jsbsim_door import VERSION as JSBSIM_VERSION
-from testbed.vehicle.jsbsim_door import JsbsimFleet, Start, wingspan
+from testbed.vehicle.jsbsim_door import JsbsimFleet, Start, airframe
 from testbed.vehicle.params import read_params, stack
-from testbed.vehicle.sensors import Estimators, NoiseLevel, SensorErrors, stream
-from testbed.vehicle.trim import STILL, Vector
+from testbed.vehicle.sensors import Estimators, NoiseLevel, SensorErrors
+from testbed.vehicle.trim import STILL
 
 LOWEST_START_M = 5.0  # above the ground; an aircraft starts in trimmed flight
 
@@ -47,6 +50,8 @@ class World:
     clock: Clock
     duration_s: float
     names: tuple[str, ...]
+    air: Air | None  # None: it stays what it is at the start
+    gusts: tuple[str, ...]  # names of the discrete gusts in it
     vehicles: Vehicles
     fleet: JsbsimFleet | None  # the flight models among them, if there are any
     ideal: bool  # whether there are ideal vehicles among them
@@ -70,15 +75,17 @@ def build(page: Scenario) -> World:
     names = page.aircraft_names
     clock = _clock(page)
     origin = Origin(**page.scenario.origin.model_dump())
-    wind = wind_ned(page)
     flown: list[Leader | Follower] = [page.leader, *page.fleet]
     folders = [find_aircraft(each.aircraft) for each in flown]
     tunes = [
         read_params(find_tune(folder, each.tune))
         for folder, each in zip(folders, flown, strict=True)
     ]
+    mean = make_mean(page)
+    wind = start_wind(mean, page.leader.start.altitude_m)
     led = make_leader(page, clock, tunes[0], folders[0], origin, wind)
     starts = [led.start, *(_start(led.start, each.start_m) for each in page.fleet)]
+    starts = [replace(s, wind_ned=start_wind(mean, -s.position_ned[2])) for s in starts]
     kinds = ["moves" if led.moves else page.leader.vehicle, *(f.vehicle for f in page.fleet)]
     for name, kind, start in zip(names, kinds, starts, strict=True):
         if kind != "moves" and start.position_ned[2] > -LOWEST_START_M:
@@ -87,7 +94,15 @@ def build(page: Scenario) -> World:
                 f"least {LOWEST_START_M:g} m above it"
             )
     parts: list[tuple[Sequence[int], Vehicles]] = [((0,), led.moves)] if led.moves else []
-    spans = tuple(wingspan(folder) for folder in folders)
+    airframes = [airframe(folder) for folder in folders]
+    air = make_air(
+        page,
+        mean,
+        names,
+        airframes,
+        dt=clock.autopilot / clock.base_rate_hz,
+        sheds=[kind == "jsbsim" for kind in kinds],
+    )
     fleet = None
     jsbsim = [row for row, kind in enumerate(kinds) if kind == "jsbsim"]
     if jsbsim:
@@ -99,18 +114,19 @@ def build(page: Scenario) -> World:
             ],
             origin,
             clock.base_rate_hz,
-            wind,
         )
         period = clock.autopilot / clock.base_rate_hz
         parts.append((jsbsim, Flown(fleet, stack([tunes[row] for row in jsbsim], period))))
     ideal = [row for row, kind in enumerate(kinds) if kind == "ideal"]
     if ideal:
-        parts.append((ideal, _ideal(page, ideal, starts, led, clock, wind)))
+        parts.append((ideal, _ideal(page, ideal, starts, led, clock)))
     groups, said = make_groups(page, folders[1:], clock)
     return World(
         clock=clock,
         duration_s=page.scenario.duration_s,
         names=names,
+        air=None if air.steady else air,
+        gusts=tuple(gust.name for gust in page.air.gusts),
         vehicles=parts[0][1] if len(parts) == 1 else Mixed(parts),
         fleet=fleet,
         ideal=bool(ideal),
@@ -134,6 +150,8 @@ def build(page: Scenario) -> World:
         altitudes=make_altitudes(page),
         notes=(
             *(Event(0.0, "info", "run", text) for text in said),
+            *_deaf(fleet, air, [names[row] for row in jsbsim]),
+            *_standing(page),
             *warnings(page, groups, led, wind),
         ),
         info=RunInfo(
@@ -141,7 +159,7 @@ def build(page: Scenario) -> World:
             scenario_yaml=dump(page),
             names=names,
             aircraft=tuple(folder.name for folder in folders),
-            wingspan_m=spans,
+            wingspan_m=tuple(each.span for each in airframes),
             origin=origin,
             base_rate_hz=clock.base_rate_hz,
             frame_rate_hz=page.rates.log_hz,
@@ -164,15 +182,6 @@ def build(page: Scenario) -> World:
     )
 
 
-def wind_ned(page: Scenario) -> Vector:
-    """Velocity of the air, m/s."""
-    wind = page.air.wind
-    towards = math.radians(wind.from_deg) + math.pi
-    if wind.speed_mps == 0.0:
-        return STILL
-    return wind.speed_mps * math.cos(towards), wind.speed_mps * math.sin(towards), 0.0
-
-
 def _clock(page: Scenario) -> Clock:
     rates = page.rates.model_dump()
     together = rates.pop("synchronous")
@@ -187,7 +196,6 @@ def _ideal(
     starts: Sequence[Start],
     led: Led,
     clock: Clock,
-    wind: Vector,
 ) -> Ideal:
     """Extended unicycles at their starts, with the leader's velocity over the ground."""
     names = page.aircraft_names
@@ -203,9 +211,33 @@ def _ideal(
             np.array([led.velocity_ned for _ in rows]),
             np.array(poles, dtype=np.float64),
             clock.base_rate_hz,
-            np.array(wind),
+            np.array([starts[row].wind_ned for row in rows]),
         )
     )
+
+
+def _deaf(fleet: JsbsimFleet | None, air: Air, names: Sequence[str]) -> Iterator[Event]:
+    """A warning for each aircraft whose model has no way to feel that the air turns."""
+    if fleet is None or air.steady:
+        return
+    for name, deaf in zip(names, fleet.deaf, strict=True):
+        if deaf:
+            text = (
+                "feels no turn of the air and no wake's rolling moment: its model lacks one of the "
+                "properties air/p-rad_sec, air/q-rad_sec, air/r-rad_sec and air/roll-coefficient"
+            )
+            yield Event(0.0, "warning", name, text)
+
+
+def _standing(page: Scenario) -> Iterator[Event]:
+    """A warning of a field through which no wind carries the aircraft."""
+    wind = page.air.wind
+    if page.air.turbulence.model == "coherent" and not (wind.speed_mps or wind.file):
+        text = (
+            "coherent turbulence without a mean wind stands still: who circles meets its gusts "
+            "again every lap (write air.wind.speed_mps)"
+        )
+        yield Event(0.0, "warning", "run", text)
 
 
 def _roll_limits(groups: Sequence[Group]) -> tuple[float, ...]:

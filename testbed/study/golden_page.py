@@ -47,6 +47,8 @@ def digests(page: Scenario) -> dict[str, str]:
     others = []
     if page.leader.path.kind == "replay":
         others.append(find_data(page.leader.path.file))
+    if page.air.wind.file is not None:
+        others.append(find_data(page.air.wind.file))
     if page.controller.law != "paper":
         place, _, _ = find_law(page.controller.law).rpartition(":")
         others += [Path(place)] if place.endswith(".py") else []

@@ -28,7 +28,7 @@ from testbed.frames import (
     flight_path_angle,
     velocity_frame,
 )
-from testbed.state import AirData, Array, Truths, VehicleState
+from testbed.state import AirData, AirFelt, Array, Truths, VehicleState
 
 LOWEST = 1.0  # m above the terrain: a vehicle below counts as on the ground
 
@@ -164,7 +164,7 @@ class IdealFleet:
             velocity_ned: (n, 3) m/s over the ground.
             pole: p (n,) 1/s, of the speed.
             base_rate_hz: steps per second.
-            wind_ned: (3,) m/s, velocity of the air; it moves no ideal vehicle, but is flown in.
+            wind_ned: (n, 3) m/s, velocity of the air; it moves no ideal vehicle, but is flown in.
 
         Raises:
             InputError: if a vehicle does not move, or a pole is not positive.
@@ -198,7 +198,12 @@ class IdealFleet:
         """The air now; an ideal vehicle flies along its nose and has no propeller or battery."""
         n = len(self._pole)
         zero, nothing = np.zeros(n), np.full(n, np.nan)
-        return AirData(zero, zero, zero, np.tile(self._wind, (n, 1)), nothing, nothing)
+        still = np.zeros((n, 3))
+        return AirData(zero, zero, zero, self._wind, still, zero, nothing, nothing)
+
+    def blow(self, felt: AirFelt) -> None:
+        """Fly in this air from now on; its turns move no ideal vehicle either."""
+        self._wind = felt.wind_ned
 
     def lost(self, state: VehicleState) -> Truths:
         """Which vehicles are on the ground or not finite: (n,) bool."""

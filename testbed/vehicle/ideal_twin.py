@@ -102,7 +102,7 @@ def report(state, speed_command, turn, pole, wind_ned):
         square = 0.0
         for axis in range(3):
             velocity[i, axis] = s * y[axis]
-            square += (velocity[i, axis] - wind_ned[axis]) ** 2
+            square += (velocity[i, axis] - wind_ned[i, axis]) ** 2
         airspeed[i] = sqrt(square)
         acceleration[i] = _resolved(y, pole[i] * (speed_command[i] - s), s * w3, -s * w2)
         phi, theta = atan(w3 * s / GRAVITY), atan2(-y[2], level)

@@ -18,7 +18,7 @@ import numpy as np
 
 from testbed.compiled import twin_of
 from testbed.frames import FOOT, metres_per_radian, rotation_ned_body
-from testbed.state import AirData, Array, Origin, Surfaces, Truths, VehicleState
+from testbed.state import AirData, AirFelt, Airframe, Array, Origin, Surfaces, Truths, VehicleState
 from testbed.vehicle.inertia import impossible_inertia
 from testbed.vehicle.jsbsim_model import AircraftError, JsbsimModel, Traits, find_traits
 from testbed.vehicle.linearize import Linear, linearize
@@ -38,10 +38,10 @@ __all__ = [
     "AircraftError",
     "JsbsimFleet",
     "Start",
+    "airframe",
     "linearize_aircraft",
     "motion",
     "trim_aircraft",
-    "wingspan",
 ]
 VERSION: str = jsbsim.__version__
 LOWEST = 1.0  # m above the terrain: an aircraft below counts as on the ground
@@ -60,6 +60,7 @@ _SINGLES = ("velocities/vt-fps", "velocities/ve-fps")
 _AIR_SINGLES = ("aero/alpha-rad", "aero/beta-rad", "propulsion/engine/propeller-rpm")
 # And of those that have a battery.
 _BATTERY = ("battery/state-of-charge", "battery/voltage-v")
+_DEAF = (lambda _: None,) * 4  # in the place of setters of properties that are not there
 _WIND = tuple(f"atmosphere/total-wind-{axis}-fps" for axis in ("north", "east", "down"))
 
 
@@ -76,6 +77,7 @@ class Start:
     airspeed: float = 22.0  # true, m/s
     flight_path_angle: float = 0.0  # rad, through the air
     bank: float = 0.0  # rad
+    wind_ned: Vector = STILL  # m/s, velocity of the air, which stays so until `blow`
     state_of_charge: float = 1.0  # 0..1 of its battery, where it has one
 
 
@@ -88,7 +90,6 @@ class JsbsimFleet:
         starts: Sequence[Start],
         origin: Origin,
         base_rate_hz: int,
-        wind_ned: Vector = STILL,
     ) -> None:
         """Load, trim and place the aircraft.
 
@@ -97,7 +98,6 @@ class JsbsimFleet:
             starts: N starts.
             origin: of the local frame; its elevation is the terrain's.
             base_rate_hz: steps per second.
-            wind_ned: velocity of the air, m/s, the same everywhere and for the whole flight.
 
         Raises:
             AircraftError: if a folder holds no aircraft JSBSim can load, or one that no rigid
@@ -120,9 +120,12 @@ class JsbsimFleet:
             model.locate(start.position_ned, origin)
             model.charge(start.state_of_charge)
             level = start.airspeed * math.cos(start.flight_path_angle)
-            course = course_through_air(level, start.course, wind_ned)
             model.place(
-                trimmed.placement, trimmed.controls, course=course, wind_ned=wind_ned, spin=True
+                trimmed.placement,
+                trimmed.controls,
+                course=course_through_air(level, start.course, start.wind_ned),
+                wind_ned=start.wind_ned,
+                spin=True,
             )
             model.fly()
             models.append(model)
@@ -131,6 +134,9 @@ class JsbsimFleet:
         self.trims: tuple[TrimResult, ...] = tuple(trims)
         self._runs = [model.fdm.run for model in models]
         self._setters = [model.setters for model in models]
+        self._deaf = np.array([not model.turns for model in models])
+        self._blown = [setter for m in models for setter in (*m.winds, *(m.turns or _DEAF))]
+        self._felt = np.zeros((n, 3)), np.zeros(n)
         self._broken = np.zeros(n, dtype=bool)
         self._getters = [
             model.node(name).get_double_value
@@ -187,7 +193,20 @@ class JsbsimFleet:
             battery = battery.copy()
             for row, i, get in self._battery:
                 battery[row, i] = get()
-        return AirData(alpha, beta, rpm / 60.0, wind, battery[0], battery[1])
+        return AirData(alpha, beta, rpm / 60.0, wind, *self._felt, battery[0], battery[1])
+
+    @property
+    def deaf(self) -> Truths:
+        """Which aircraft (N,) lack a property that would tell them of turns of the air."""
+        return self._deaf
+
+    def blow(self, felt: AirFelt) -> None:
+        """Say what the air does to the aircraft from now on."""
+        self._felt = felt.rates_body, felt.roll_coefficient
+        roll = felt.roll_coefficient[:, np.newaxis]
+        told = np.concatenate((felt.wind_ned / FOOT, felt.rates_body, roll), axis=1)
+        for set_value, value in zip(self._blown, told.ravel().tolist(), strict=True):
+            set_value(value)
 
     def step(self, surfaces: Surfaces, ticks: int) -> None:
         """Set the commands and run every aircraft for `ticks` steps of the base rate."""
@@ -231,19 +250,20 @@ def trim_aircraft(folder: Path, point: TrimPoint, origin: Origin | None = None) 
     return _trim_aircraft(Path(folder).resolve(), point, origin or Origin())
 
 
-def wingspan(folder: Path) -> float:
-    """Of the aircraft in a folder, m.
+def airframe(folder: Path) -> Airframe:
+    """What the air has to know of the aircraft in a folder.
 
     Raises:
         AircraftError: if the folder holds no aircraft JSBSim can load.
     """
-    return _wingspan(Path(folder).resolve())
+    return _airframe(Path(folder).resolve())
 
 
 @lru_cache(maxsize=64)
-def _wingspan(folder: Path) -> float:
-    span: float = _load(folder, _TRIM_RATE_HZ).node("metrics/bw-ft").get_double_value() * FOOT
-    return span
+def _airframe(folder: Path) -> Airframe:
+    model = _load(folder, _TRIM_RATE_HZ)
+    model.locate((0.0, 0.0, -1000.0), Origin())
+    return model.airframe()
 
 
 def linearize_aircraft(folder: Path, point: TrimPoint, origin: Origin | None = None) -> Linear:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from testbed.frames import GRAVITY, rotation_ned_body
 from testbed.state import Array, VehicleState
+from testbed.streams import stream
 
 BLOCK = 512  # draws made at a time; a draw's value does not depend on it
 
@@ -95,9 +95,3 @@ class Estimators:
             airspeed=truth.airspeed,
             equivalent_airspeed=truth.equivalent_airspeed,
         )
-
-
-def stream(seed: int, name: str) -> np.random.Generator:
-    """A generator that depends on the seed and its own name only: new names move no other dice."""
-    digest = hashlib.sha256(f"{seed}/{name}".encode()).digest()
-    return np.random.Generator(np.random.Philox(key=int.from_bytes(digest[:16], "little")))

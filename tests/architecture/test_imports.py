@@ -49,6 +49,10 @@ def test_jsbsim_has_one_door():
     assert importers("jsbsim") == {"vehicle/jsbsim_door.py"}
 
 
+def test_matplotlib_has_one_door():
+    assert importers("matplotlib") <= {"views/figure_door.py"}
+
+
 def test_yaml_has_one_door():
     assert importers("yaml") == {"scenario/load.py"}
 
@@ -91,16 +95,24 @@ def test_formation_knows_only_numpy_and_the_shared_vocabulary():
         assert strangers <= allowed, path
 
 
-ROOMS = ["vehicle", "network", "guidance", "formation", "record", "metrics", "views", "scenario"]
+FLOWN = ["air", "vehicle", "network", "guidance", "formation"]
+OBSERVERS = ["record", "metrics", "views"]
+ROOMS = [*FLOWN, *OBSERVERS, "scenario"]
+
+
+def but(names, *allowed):
+    return [name for name in names if name not in allowed]
+
+
 FORBIDDEN = {
-    "vehicle": ["network", "guidance", "formation", "sim", "record", "metrics", "views", "study"],
-    "network": ["vehicle", "guidance", "formation", "sim", "record", "metrics", "views", "study"],
-    "guidance": ["vehicle", "network", "formation", "sim", "record", "metrics", "views", "study"],
-    "record": ["sim", "vehicle", "network", "guidance", "study"],
-    "metrics": ["sim", "vehicle", "network", "guidance", "record", "views", "study"],
-    "views": ["sim", "vehicle", "network", "guidance", "study"],
-    "scenario": [name for name in ROOMS if name != "scenario"]
-    + ["sim", "frames", "state", "study"],
+    "air": [*but(ROOMS, "air"), "sim", "study"],
+    "vehicle": [*but(ROOMS, "vehicle", "scenario"), "sim", "study"],
+    "network": [*but(ROOMS, "network", "scenario"), "sim", "study"],
+    "guidance": [*but(ROOMS, "guidance", "scenario"), "sim", "study"],
+    "record": [*but(FLOWN, "formation"), "sim", "study"],
+    "metrics": [*but(FLOWN, "formation"), "sim", "record", "views", "study"],
+    "views": [*but(FLOWN, "formation"), "sim", "study"],
+    "scenario": [*but(ROOMS, "scenario"), "sim", "frames", "state", "study"],
     "sim": ["cli", "views", "study"],
     "study": ["cli", "views"],
 }
@@ -133,6 +145,7 @@ def test_importing_the_page_loads_nothing_heavy(statement):
         "numpy",
         "numba",
         "scipy",
+        "matplotlib",
         "jsbsim",
         "mcap",
         "foxglove",

@@ -62,7 +62,7 @@ def run_frames(count, followers=3, *, noisy_from=None, seed=1, events=()):
             time_s=tick / BASE_RATE_HZ,
             truth=truth,
             estimate=truth if noisy_from is None or k < noisy_from else motion(),
-            air=AirData(*scalars(3, ours), rng.standard_normal((ours, 3)), *scalars(2, ours)),
+            air=AirData(*scalars(3, ours), *rng.standard_normal((2, ours, 3)), *scalars(3, ours)),
             command=FbwaCommand(*scalars(3, ours)),
             surfaces=Surfaces(*scalars(4, ours)),
             formation=FormationState(

@@ -37,7 +37,7 @@ def test_version(tmp_path):
 
 def test_help_names_every_command_and_the_exit_codes(tmp_path):
     text = cli("--help", cwd=tmp_path).stdout
-    named = "run view validate check list schema respond trim linearize step"
+    named = "run view air validate check list schema respond trim linearize step"
     for command in named.split():
         assert f"{command} " in text
         assert "--help" in cli(command, "--help", cwd=tmp_path).stdout

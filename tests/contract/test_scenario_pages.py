@@ -74,7 +74,7 @@ def test_defaults_are_the_ones_the_page_documents():
     assert page.air.wind.speed_mps == 0.0
 
 
-# The kinds of a path that everything.yaml, which flies a mission, has no room for.
+# The kinds of a path and of a wind that everything.yaml, which has one of each, has no room for.
 VIRTUAL = "leader.path={{kind: virtual, speed_mps: 21, curve: {{{}}}}}"
 OTHER_KINDS = [
     VIRTUAL.format("kind: straight, climb_mps: 1"),
@@ -83,6 +83,8 @@ OTHER_KINDS = [
     VIRTUAL.format("kind: weave, amplitude_m: 30, period_s: 25"),
     VIRTUAL.format("kind: speed-change, amplitude_mps: 2, period_s: 30"),
     "leader.path={kind: replay, file: arduplane-auto-leader-rascal.csv}",
+    "air.wind={file: gusty-wind.csv, longest_gap_s: 2, profile: {kind: uniform}}",
+    "air.wind={speed_mps: 5, profile: {kind: power, height_m: 20, exponent: 0.2}}",
 ]
 # What has one value only.
 NO_CHOICE = {("Follower", "autopilot"), ("Follower", "commanded_by")}
@@ -133,26 +135,34 @@ def _kinds(annotation):
         yield from _kinds(part)
 
 
+def _other(text):
+    """Part, key and value of one of OTHER_KINDS."""
+    where, _, value = text.partition("=")
+    return *where.split("."), yaml.safe_load(value)
+
+
 def test_the_full_page_says_every_key_and_none_at_its_default():
     text = (PAGES / "everything.yaml").read_text()
     said, changed = _said(yaml.safe_load(text))
     for other in OTHER_KINDS:
         data = yaml.safe_load(text)
-        data["leader"]["path"] = yaml.safe_load(other.partition("=")[2])
+        part, key, value = _other(other)
+        data[part][key] = value
         more, otherwise = _said(data)
         said, changed = said | more, changed | otherwise
-    assert len(said) > 130
+    assert len(said) > 170
     assert _every_key() - said == set()
     assert said - changed == NO_CHOICE
 
 
 @pytest.mark.parametrize("other", OTHER_KINDS)
-def test_another_kind_of_path_is_kept_whole(other):
+def test_another_kind_is_kept_whole(other):
     full = load(PAGES / "everything.yaml", [other])
     assert loads(dump(full)) == full
-    path = full.leader.path.model_dump()
-    for key, value in yaml.safe_load(other.partition("=")[2]).items():
-        assert path[key] == value
+    part, key, said = _other(other)
+    kept = full.model_dump()[part][key]
+    for name, value in said.items():
+        assert kept[name] == value
 
 
 def test_the_full_page_keeps_what_it_says():

@@ -234,7 +234,7 @@ def flown():
     plan = make_plan(Mission(legs=legs, airspeed=22.0), (640.0, -80.0, 100.0))
     memory = begin(altitude=100.0)
     position, velocity = np.array([[640.0, -80.0, -100.0]]), np.array([[0.0, 22.0, 0.0]])
-    fleet = IdealFleet(position, velocity, np.array([0.64]), 200, np.zeros(3))
+    fleet = IdealFleet(position, velocity, np.array([0.64]), 200, np.zeros((1, 3)))
     rows = []
     for k in range(1080 * 25):
         state = fleet.read()

@@ -187,7 +187,7 @@ def test_ticks_are_steps():
 def test_what_is_reported_is_the_derivative_of_the_flight():
     rng = np.random.default_rng(8)
     n, small = 100, 1e-4
-    wind = np.array([3.0, -2.0, 0.5])
+    wind = np.array([[3.0, -2.0, 0.5]])
     state, (command, turn) = random_unicycles(rng, n), random_commands(rng, n)
     pole = rng.uniform(0.3, 1.0, n)
 
@@ -228,7 +228,7 @@ def test_a_level_turn_by_hand():
 def make_fleet(n, wind=STILL):
     position = np.column_stack([np.zeros(n), 50.0 * np.arange(n), np.full(n, -100.0)])
     velocity = np.tile([22.0, 0.0, 0.0], (n, 1))
-    return IdealFleet(position, velocity, np.full(n, 0.64), RATE, wind)
+    return IdealFleet(position, velocity, np.full(n, 0.64), RATE, np.tile(wind, (n, 1)))
 
 
 def test_fleet_holds_its_command_and_flies_straight_before_the_first():
@@ -297,7 +297,7 @@ def test_the_twins():
     rng = np.random.default_rng(10)
     for n in (1, 40):
         state, (command, turn) = random_unicycles(rng, n), random_commands(rng, n)
-        pole, wind = rng.uniform(0.3, 1.0, n), rng.normal(0.0, 4.0, 3)
+        pole, wind = rng.uniform(0.3, 1.0, n), rng.normal(0.0, 4.0, (n, 3))
         turn[0] = 0.0  # where sin a / a is 1
         turn[:, 0] = rng.normal(0.0, 0.1, n)
         for ticks in (1, 30):

@@ -9,6 +9,7 @@ from testbed.formation.flags import Guard, Saturation
 from testbed.formation.geometry import velocity_frame
 from testbed.metrics import MetricsObserver
 from testbed.metrics.tally import BLOCK
+from testbed.metrics.wind import describe
 from testbed.state import (
     AirData,
     Event,
@@ -46,7 +47,19 @@ def run_info(followers=2, portions=None):
     )
 
 
-def a_frame(k, errors, *, offsets=None, bank=0.0, guards=None, saturations=None, age=None):
+def a_frame(
+    k,
+    errors,
+    *,
+    offsets=None,
+    bank=0.0,
+    guards=None,
+    saturations=None,
+    age=None,
+    wind=(0.0, 0.0, 0.0),
+    roll=0.0,
+    throttle=0.0,
+):
     """Frame k: the leader flies north, slots lie at the offsets, followers err by the errors."""
     errors = np.array(errors, dtype=float).reshape(-1, 3)
     n = len(errors)
@@ -70,8 +83,8 @@ def a_frame(k, errors, *, offsets=None, bank=0.0, guards=None, saturations=None,
         time_s=tick / BASE_RATE_HZ,
         truth=state,
         estimate=state,
-        air=AirData(zeros, zeros, zeros, vectors, zeros, zeros),
-        command=FbwaCommand(zeros, zeros, zeros),
+        air=AirData(zeros, zeros, zeros, vectors + wind, vectors, zeros + roll, zeros, zeros),
+        command=FbwaCommand(zeros, zeros, zeros + throttle),
         surfaces=Surfaces(zeros, zeros, zeros, zeros),
         formation=FormationState(
             slot,
@@ -396,3 +409,35 @@ def test_events_and_published_numbers_pass_through():
 def test_there_is_no_summary_before_a_run():
     with pytest.raises(RuntimeError, match="begin"):
         MetricsObserver().summary()
+
+
+def test_the_wind_felt_by_hand():
+    # 8 m/s from the east, and a gust of 1 m/s along it every second frame, as much down as up:
+    # a mean of 7.5 m/s, with an RMS of 0.5 m/s along it and of 1 m/s vertically.
+    seen = [
+        a_frame(k, [[0.0, 1.0, 0.0]], wind=(0.0, k % 2 - 8.0, 2.0 * (k % 2) - 1.0), roll=-0.01 * k)
+        for k in range(50)
+    ]
+    felt = measure(seen, run_info(followers=1))["wind"]
+    assert list(felt) == ["leader", "uav1"]
+    one = felt["uav1"]
+    assert one["mean_ned_mps"] == pytest.approx([0.0, -7.5, 0.0], abs=1e-12)
+    assert one["mean_mps"] == pytest.approx(7.5)
+    assert one["from_deg"] == pytest.approx(90.0)
+    assert one["gusts_rms_ned_mps"] == pytest.approx([0.0, 0.5, 1.0])
+    assert one["fastest_mps"] == pytest.approx(math.sqrt(65.0))
+    assert one["wake_roll_coefficient"] == pytest.approx(0.49)
+    said = describe(felt)
+    assert said == "7.5 m/s from 90°, varying by 0.35 m/s level and 1.00 m/s vertical (RMS)"
+
+
+def test_still_air_is_not_spoken_of():
+    felt = measure([a_frame(0, [[0.0, 1.0, 0.0]])], run_info(followers=1))["wind"]
+    assert describe(felt) is None
+    assert felt["uav1"]["gusts_rms_ned_mps"] == [0.0, 0.0, 0.0]
+
+
+def test_the_mean_throttle_by_hand():
+    seen = [a_frame(k, [[0.0, 1.0, 0.0]], throttle=np.array([0.2, k % 2])) for k in range(50)]
+    measured = measure(seen, run_info(followers=1))["mean_throttle"]
+    assert measured == {"leader": pytest.approx(0.2), "uav1": pytest.approx(0.5)}

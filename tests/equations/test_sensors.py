@@ -5,8 +5,9 @@ import pytest
 
 from testbed.frames import GRAVITY
 from testbed.state import VehicleState
+from testbed.streams import stream
 from testbed.vehicle import sensors
-from testbed.vehicle.sensors import Estimators, NoiseLevel, SensorErrors, stream
+from testbed.vehicle.sensors import Estimators, NoiseLevel, SensorErrors
 
 DT = 0.02
 QUIET = NoiseLevel(0.0, 1.0)

@@ -5,7 +5,7 @@ import pytest
 
 from testbed.formation.flags import Guard
 from testbed.formation.law import Diagnosis
-from testbed.sim.watch import Silence, broadcast, formation_state, losses
+from testbed.sim.watch import Arrivals, Silence, broadcast, formation_state, losses
 from testbed.state import VehicleState
 
 
@@ -126,3 +126,20 @@ def test_a_first_message_under_way_is_no_silence_until_it_is_late():
     assert changes(0.1, 0, DEAF) == []
     assert changes(4.9, DEAF, DEAF) == [("uav1", "warning")]
     assert changes(5.0, 0, DEAF) == [("uav1", "info"), ("uav2", "warning")]
+
+
+def test_a_gust_is_told_of_once_where_it_arrives():
+    arrivals = Arrivals(["front", "puff"], ["leader", "uav1"])
+
+    def said(now, *inside):
+        return [
+            (event.source, event.text) for event in arrivals.changes(now, np.array(inside, bool))
+        ]
+
+    assert said(1.0, [False, False], [False, False]) == []
+    assert said(2.0, [False, True], [True, True]) == [
+        ("uav1", "gust front reaches it"),
+        ("run", "gust puff reaches everyone"),
+    ]
+    assert said(3.0, [True, True], [False, False]) == [("leader", "gust front reaches it")]
+    assert said(4.0, [True, True], [True, False]) == [("leader", "gust puff reaches it")]

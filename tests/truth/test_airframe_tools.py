@@ -15,7 +15,7 @@ from testbed.errors import InputError
 from testbed.frames import FOOT, GRAVITY
 from testbed.scenario import load_middle_loop
 from testbed.sim.speed_step import speed_step
-from testbed.state import Origin, Surfaces
+from testbed.state import AirFelt, Origin, Surfaces
 from testbed.vehicle.jsbsim_door import (
     AircraftError,
     JsbsimFleet,
@@ -130,8 +130,8 @@ class TestWind:
     @pytest.mark.parametrize("course", [0.0, 1.0, -2.5])
     @pytest.mark.parametrize("wind", [(0.0, 6.0, 0.0), (8.0, 0.0, 0.0), (-3.0, 5.0, 0.5)])
     def test_the_start_is_trimmed_in_the_moving_air(self, course, wind):
-        start = Start((0.0, 0.0, -400.0), course=course, flight_path_angle=0.03)
-        fleet = JsbsimFleet([RASCAL], [start], Origin(), 200, wind)
+        start = Start((0.0, 0.0, -400.0), course=course, flight_path_angle=0.03, wind_ned=wind)
+        fleet = JsbsimFleet([RASCAL], [start], Origin(), 200)
         state, air = fleet.read(), fleet.air()
         assert state.airspeed[0] == pytest.approx(22.0, abs=1e-9)
         assert air.wind_ned[0] == pytest.approx(wind, abs=1e-12)
@@ -152,26 +152,27 @@ class TestWind:
 
     def test_a_crosswind_crabs_by_hand(self):
         """6 m/s from the left at 22 m/s: the nose points asin(6/22) = 15.83° into it."""
-        start = Start((0.0, 0.0, -400.0))
-        fleet = JsbsimFleet([RASCAL], [start], Origin(), 200, (0.0, 6.0, 0.0))
+        start = Start((0.0, 0.0, -400.0), wind_ned=(0.0, 6.0, 0.0))
+        fleet = JsbsimFleet([RASCAL], [start], Origin(), 200)
         state = fleet.read()
         assert math.degrees(state.euler[0, 2]) == pytest.approx(-15.83, abs=0.02)
         assert state.velocity_ned[0] == pytest.approx([math.sqrt(22.0**2 - 36.0), 0, 0], abs=1e-6)
 
-    def test_no_wind_is_the_same_to_the_bit(self):
+    def test_air_that_does_nothing_is_still_air_to_the_bit(self):
         start = Start((0.0, 0.0, -100.0), course=1.0, bank=0.2)
         one = JsbsimFleet([RASCAL], [start], Origin(), 200)
-        two = JsbsimFleet([RASCAL], [start], Origin(), 200, (0.0, 0.0, 0.0))
+        two = JsbsimFleet([RASCAL], [start], Origin(), 200)
+        two.blow(AirFelt(np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(1)))
         for fleet in (one, two):
             fleet.step(fleet.trimmed, 100)
         for ours, theirs in zip(one.read(), two.read(), strict=True):
             assert np.array_equal(ours, theirs)
 
     def test_a_storm_is_refused(self):
-        start = Start((0.0, 0.0, -400.0))
         for wind in ((0.0, 23.0, 0.0), (-22.0, 0.0, 0.0)):
+            start = Start((0.0, 0.0, -400.0), wind_ned=wind)
             with pytest.raises(TrimError, match="no way along a course"):
-                JsbsimFleet([RASCAL], [start], Origin(), 200, wind)
+                JsbsimFleet([RASCAL], [start], Origin(), 200)
 
 
 class TestInertia:

@@ -1,0 +1,257 @@
+"""What aircraft feel of one another's trailing vortices.
+
+Each aircraft leaves the vortices of an elliptically loaded wing along the path that it has flown
+through the air, with the circulation that its lift had there. They lie as a flat sheet behind the
+wing, which rolls up into a pair π/4 of the span apart within the distance 0.28 (A/C_L) b
+(J. R. Spreiter and A. H. Sacks, J. Aeronautical Sciences 18, 1951, pp. 21-32). Here the sheet is
+some nested pairs, which draw together in proportion to their age; their impulse stays as it is.
+They sink as the rolled-up pair does, turbulence does not stir them, and the ground is far away.
+The velocity about each is that of D. C. Burnham and J. N. Hallock (1982), Γ r/(2π (r² + r_c²)).
+
+A follower feels of each trail the place abeam of it, as if the trail were straight from there to
+the wing that sheds it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from testbed.air.lifting_line import nodes, roll_coefficient, roll_gain
+from testbed.air.trails import Trails, abeam, remember, straight, unit
+from testbed.compiled import twin_of
+from testbed.frames import GRAVITY, rotation_ned_body
+from testbed.state import Array, Truths
+
+POINTS = 32  # along a follower's span; half as many err by up to 3 %, with cores of 0.05 spans
+PAIRS = 3  # that stand for the sheet; more change a rolling moment by 3 % of its greatest
+# The distance above, as the time b² k/Γ: A/C_L = V b²/(2 Γ b₀) with b₀ = π b/4.
+ROLL_UP = 0.28 * 2.0 / math.pi
+KEPT_S = 0.05  # between places of a trail: a turn strays from straight by millimetres
+FADED = 0.1  # of what is remembered, over which a trail fades to nothing instead of ending
+SLOWEST = 1.0  # m/s, below which a wing's circulation is not its lift's
+NEAREST = 1e-18  # m², so that a vortex's own end has a velocity: none
+
+
+class Tables(NamedTuple):
+    """What does not change of N aircraft and their vortices."""
+
+    span: Array  # b (N,) m
+    mass: Array  # (N,) kg
+    roll_gain: Array  # (N,) of `lifting_line.roll_gain`
+    sheds: Truths  # (N,)
+    feels: Truths  # (N,)
+    points: Array  # (M,) half spans, right positive, where a wing is sampled
+    weights: Array  # (M,) of the mean over the wing
+    pair_places: Array  # (P,) half spans, of the right vortex of each pair in the flat sheet
+    pair_shares: Array  # (P,) of the circulation
+    core: Array  # r_c (N,) m
+    density: float  # kg/m³
+    decay: float  # 1/s
+    memory_s: float
+    dt: float  # s, one tick
+    kept: int  # ticks between the places of a trail
+
+
+def pairs(count: int) -> tuple[Array, Array]:
+    """An elliptic wing's sheet as pairs: places (count,) in half spans and shares of circulation.
+
+    Strips of equal angle θ of y = (b/2) cos θ, each drawn together at its centroid.
+    """
+    edges = np.linspace(0.0, 0.5 * np.pi, count + 1)
+    shares = np.diff(np.sin(edges))
+    return np.diff(0.5 * edges + 0.25 * np.sin(2.0 * edges)) / shares, shares
+
+
+def shed(
+    tables: Tables, velocity: Array, acceleration: Array, euler: Array
+) -> tuple[Array, Array, Array]:
+    """Flight direction and right (N, 3), unit vectors, and circulation Γ = L/(ρ V b₀) (N,).
+
+    The lift L is what the wing must give, mass times specific force, on the axis across the
+    flight direction in the aircraft's plane of symmetry.
+
+    Args:
+        tables: of the N aircraft.
+        velocity: (N, 3) m/s through the air, NED.
+        acceleration: (N, 3) m/s², NED.
+        euler: (N, 3) rad.
+    """
+    speed = np.maximum(np.linalg.norm(velocity, axis=-1), SLOWEST)
+    forward = unit(velocity)
+    down = unit(np.cross(forward, rotation_ned_body(euler)[:, :, 1]))
+    load = ((np.array([0.0, 0.0, GRAVITY]) - acceleration) * down).sum(axis=-1)
+    lift = tables.mass * load
+    circulation = lift / (tables.density * speed * (0.25 * np.pi * tables.span))
+    return forward, np.cross(down, forward), circulation
+
+
+def horseshoe(at: Array, half_span: Array, core: Array) -> Array:
+    """Velocity (..., 3) m/s of a horseshoe vortex of unit circulation, forward, right and down.
+
+    Biot and Savart's law for the bound vortex and for the two that trail backwards without end,
+    each with Burnham and Hallock's factor r²/(r² + r_c²).
+
+    Args:
+        at: (..., 3) m from the middle of the bound vortex, forward, right, down.
+        half_span: (...,) m, of the bound vortex.
+        core: r_c (...,) m.
+    """
+    x, y, z = np.moveaxis(at, -1, 0)
+    y1, y2 = y - half_span, y + half_span  # from the right tip and from the left
+    r1 = np.sqrt(x * x + y1 * y1 + z * z + NEAREST)
+    r2 = np.sqrt(x * x + y2 * y2 + z * z + NEAREST)
+    square = core * core + z * z
+    trail1 = (1.0 - x / r1) / (y1 * y1 + square)
+    trail2 = (1.0 - x / r2) / (y2 * y2 + square)
+    bound = (y2 / r2 - y1 / r1) / (x * x + square)
+    out = np.stack(
+        [z * bound, z * (trail1 - trail2), y2 * trail2 - y1 * trail1 - x * bound], axis=-1
+    )
+    return np.asarray(out / (4.0 * np.pi))
+
+
+def felt(
+    tables: Tables,
+    trails: Trails,
+    tick: int,
+    position: Array,
+    velocity: Array,
+    acceleration: Array,
+    euler: Array,
+) -> tuple[Array, Array]:
+    """Write this tick into the trails, and say what each aircraft feels of the others'.
+
+    Args:
+        tables: of the N aircraft.
+        trails: of the N aircraft, written in place.
+        tick: of this call.
+        position: (N, 3) m, in the frame that the mean wind carries.
+        velocity: (N, 3) m/s through the air, NED.
+        acceleration: (N, 3) m/s², NED.
+        euler: (N, 3) rad.
+
+    Returns:
+        The velocity of the air (N, 3) m/s, NED, averaged over the wing; and the rolling-moment
+        coefficient (N,), right wing down, of what varies along it.
+    """
+    forward, right, circulation = shed(tables, velocity, acceleration, euler)
+    remember(trails, tables.kept, tick, position, forward, right, circulation)
+    place = abeam(trails, tables.dt, position)
+
+    effective_age = place.age
+    if tables.decay > 0.0:
+        effective_age = -np.expm1(-tables.decay * place.age) / tables.decay
+    sunk = place.circulation / (0.5 * np.pi**2 * tables.span) * effective_age
+    left = np.clip((1.0 - place.age / tables.memory_s) / FADED, 0.0, 1.0)
+    strength = place.circulation * np.exp(-tables.decay * place.age) * left
+    meets = place.found & tables.feels[:, None] & tables.sheds & ~np.eye(len(position), dtype=bool)
+    # 1 in the flat sheet, 0 in the pair
+    flat = np.maximum(0.0, 1.0 - place.age * abs(place.circulation) / (ROLL_UP * tables.span**2))
+
+    axes = np.stack(
+        [place.forward, place.right, np.cross(place.forward, place.right)], axis=-1
+    )  # (N, N, 3, 3), its columns forward, right and down
+    wing = rotation_ned_body(euler)[:, :, 1]
+    reach = 0.5 * tables.span[:, None, None] * tables.points[:, None] * wing[:, None, :]
+    at = (position[:, None, :] + reach)[:, None] - place.position[:, :, None]
+    at = at @ axes  # (N, N, M, 3) from the place of the trail
+    at[..., 0] -= place.ahead[..., None]
+    at[..., 2] -= sunk[..., None]
+    half_span = 0.5 * tables.span * 0.25 * np.pi
+    local = np.zeros_like(at)
+    for where, share in zip(tables.pair_places, tables.pair_shares, strict=True):
+        drawn = half_span + flat * (0.5 * tables.span * where - half_span)
+        local += share * horseshoe(at, drawn[..., None], tables.core[:, None])
+    # chosen, not multiplied by zero: what is not a number stays with whom it befell
+    local = np.where(meets[..., None, None], strength[..., None, None] * local, 0.0)
+    flow = local @ np.where(meets[..., None, None], axes, 0.0).swapaxes(-1, -2)
+
+    mean = (tables.weights[:, None] * flow).sum(axis=(1, 2))
+    downwash = (flow.sum(axis=1) * np.cross(forward, right)[:, None, :]).sum(axis=-1)
+    speed = np.maximum(np.linalg.norm(velocity, axis=-1), SLOWEST)
+    return mean, roll_coefficient(downwash, speed, tables.roll_gain)
+
+
+WAKES = twin_of(felt, "testbed.air.wake_twin")
+
+
+class Wakes:
+    """The trails of N aircraft in flight.
+
+    Args:
+        span: (N,) m.
+        area: (N,) m², of the wing.
+        lift_slope: (N,) per rad, of the airframe.
+        mass: (N,) kg.
+        sheds: (N,) whether it leaves a trail.
+        feels: (N,) whether it feels the others'.
+        core_spans: r_c in spans of the shedder.
+        decay_s: in which a trail falls to 1/e; None: it does not decay.
+        memory_s: a trail is forgotten behind this age; it fades over the last tenth.
+        dt: s between steps.
+        density: kg/m³, of the air.
+    """
+
+    def __init__(
+        self,
+        *,
+        span: Array,
+        area: Array,
+        lift_slope: Array,
+        mass: Array,
+        sheds: Truths,
+        feels: Truths,
+        core_spans: float,
+        decay_s: float | None,
+        memory_s: float,
+        dt: float,
+        density: float,
+    ) -> None:
+        """See the class."""
+        self._tables = Tables(
+            span,
+            mass,
+            roll_gain(span**2 / area, lift_slope),
+            sheds,
+            feels,
+            *nodes(POINTS),
+            *pairs(PAIRS),
+            core_spans * span,
+            density,
+            1.0 / decay_s if decay_s else 0.0,
+            memory_s,
+            dt,
+            max(1, round(KEPT_S / dt)),
+        )
+        self._trails: Trails | None = None
+        self._tick = 0
+
+    @property
+    def sheds(self) -> Truths:
+        """(N,) whether it leaves a trail."""
+        return self._tables.sheds
+
+    def step(
+        self, position_air: Array, velocity_air_ned: Array, acceleration_ned: Array, euler: Array
+    ) -> tuple[Array, Array]:
+        """Move on by dt. At the first step the trails are as if the flight had been straight.
+
+        See `felt` for what is given and returned.
+        """
+        given = (position_air, velocity_air_ned, acceleration_ned, euler)
+        if self._trails is None:
+            tables = self._tables
+            self._trails = straight(
+                position_air,
+                velocity_air_ned,
+                *shed(tables, velocity_air_ned, acceleration_ned, euler),
+                kept=tables.kept,
+                dt=tables.dt,
+                memory_s=tables.memory_s,
+            )
+        told = WAKES(self._tables, self._trails, self._tick, *given)
+        self._tick += 1
+        return told

@@ -1,0 +1,71 @@
+"""What a still figure shows, as plain numbers: panels of lines and bands, in rows.
+
+The door to the drawing library knows these and nothing of flying.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from testbed.state import Array
+
+# Okabe and Ito's palette on white: told apart by colour-blind readers, and in grey by lightness.
+BLUE, ORANGE, GREEN = "#0072b2", "#d55e00", "#009e73"
+BLACK, GREY = "#000000", "#8c8c8c"
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A curve; where it is not a number it is broken."""
+
+    x: Array  # (k,)
+    y: Array  # (k,)
+    colour: str
+    label: str = ""
+    width: float = 1.0  # points
+    dots: bool = False  # a dot at each number in place of a line through them
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """The surface between two curves."""
+
+    x: Array  # (k,)
+    low: Array  # (k,)
+    high: Array  # (k,)
+    colour: str
+    label: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """One pair of axes."""
+
+    title: str
+    x_label: str
+    y_label: str
+    lines: Sequence[Line] = ()
+    bands: Sequence[Band] = ()
+    x_log: bool = False
+    y_log: bool = False
+    x_limits: tuple[float, float] | None = None
+    y_limits: tuple[float, float] | None = None
+    note: str = ""  # said inside the axes, where there is nothing to draw
+
+    @property
+    def drawn(self) -> bool:
+        """Whether there is a finite number to draw."""
+        return any(bool(np.isfinite(line.y).any()) for line in self.lines)
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """A figure: rows of panels below a title."""
+
+    title: str
+    subtitle: str
+    rows: Sequence[Sequence[Panel]]
+    widths: Sequence[float]  # of the columns, relative

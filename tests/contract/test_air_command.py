@@ -1,0 +1,354 @@
+"""`testbed air`: what its probes feel against closed forms, its files, its figure, its errors."""
+
+import json
+import math
+import re
+import struct
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from commands import ROOT, environment, run_command
+from typer.testing import CliRunner
+
+from testbed.cli import app
+from testbed.errors import InputError
+from testbed.scenario import json_schema, load, loads
+from testbed.sim.probe_models import expected
+from testbed.sim.probe_spectra import coherence_band, estimate, folded, psd_band
+from testbed.sim.probes import Course, fly_probes
+
+WIND = ("air.wind.speed_mps=8", "air.wind.from_deg=240")
+WIND_NED = 8.0 * np.array([math.cos(math.radians(60.0)), math.sin(math.radians(60.0)), 0.0])
+START = np.array([640.0, -80.0])  # of the leader of simulation-3
+ROOM = "air.turbulence.model"
+
+
+def air(*arguments, sets=()):
+    words = [word for each in sets for word in ("--set", each)]
+    return CliRunner().invoke(app, ["air", "simulation-3", *map(str, arguments), *words])
+
+
+def probed(tmp_path, *arguments, sets=()):
+    """The arrays that the command writes."""
+    path = tmp_path / "felt.npz"
+    done = air("--out", path, *arguments, sets=sets)
+    assert done.exit_code == 0, done.output
+    with np.load(path, allow_pickle=False) as file:
+        return dict(file)
+
+
+def flown(*sets, duration=400.0, course=0.0, separation=None, height=100.0, airspeed=22.0, rate=50):
+    course = Course(rate, duration, airspeed, math.radians(course), height, separation)
+    page = load("simulation-3", sets)
+    return page, course, fly_probes(page, course)
+
+
+def test_a_probe_goes_straight_through_air_that_carries_it(tmp_path):
+    felt = probed(tmp_path, "--course", 30, "--duration", 20, "--height", 150, sets=WIND)
+    t = felt["t"]
+    assert t.shape == (1000,) and t[1] == pytest.approx(0.02) and t[0] == 0.0
+    ahead = np.array([math.cos(math.radians(30.0)), 0.5, 0.0])
+    path = np.array([*START, -150.0]) + t[:, np.newaxis] * (22.0 * ahead + WIND_NED)
+    assert np.allclose(felt["position_ned"][0], path, atol=1e-8)
+    assert np.allclose(felt["mean_wind_ned"][0], WIND_NED, atol=1e-12)
+    assert np.allclose(felt["wind_ned"], felt["mean_wind_ned"], atol=1e-12)
+    assert not felt["rates_body"].any()
+    assert np.isnan(felt["sigma"]).all() and np.isnan(felt["length"]).all()
+
+
+def test_the_file_says_what_it_holds(tmp_path):
+    sets = (f"{ROOM}=dryden",)
+    felt = probed(tmp_path, "--duration", 2, "--separation", 40, "--course", 90, sets=sets)
+    assert all(name in str(felt["schema"]) for name in felt if name != "schema")
+    assert felt["names"].tolist() == ["leader", "uav1"]
+    assert felt["wind_ned"].shape == felt["rates_body"].shape == (2, 100, 3)
+    assert str(felt["model"]) == "dryden" and felt["airspeed"] == 22.0 and felt["height"] == 100.0
+    assert felt["course_rad"] == pytest.approx(math.pi / 2)
+    assert felt["span"] == pytest.approx(2.795, abs=1e-3)
+    # to the right of east is south
+    apart = felt["position_ned"][1] - felt["position_ned"][0]
+    assert np.allclose(apart, [-40.0, 0.0, 0.0], atol=1e-9)
+    # MIL-F-8785C at 100 m, by hand: h = 328.08 ft, 0.177 + 0.000823 h = 0.44701
+    assert felt["length"] == pytest.approx([262.7, 262.7, 100.0], abs=0.1)
+    assert felt["sigma"] == pytest.approx([2.130, 2.130, 1.543], abs=1e-3)
+    assert "model: dryden" in str(felt["scenario"])
+
+
+def test_the_same_command_writes_the_same_bytes_and_another_seed_others(tmp_path):
+    words = ("--duration", 4, "--separation", 5)
+    files = [tmp_path / name for name in ("one", "two", "other")]
+    for path, seed in zip(files, (7, 7, 8), strict=True):
+        done = air(*words, "--out", path, "--seed", seed, sets=(f"{ROOM}=von-karman",))
+        assert done.exit_code == 0
+    one, two, other = (path.read_bytes() for path in files)
+    assert one == two != other
+
+
+@pytest.mark.parametrize("course", [90.0, 210.0])
+def test_turbulence_of_ones_own_knows_no_north_and_no_neighbour(course):
+    _, straight, alone = flown(f"{ROOM}=von-karman", *WIND, duration=20.0)
+    _, turned, pair = flown(
+        f"{ROOM}=von-karman", *WIND, duration=20.0, course=course, separation=500.0
+    )
+    along, turned_along = alone.about_mean(straight.course), pair.about_mean(turned.course)
+    assert np.allclose(along[0], turned_along[0], atol=1e-9)
+    assert np.allclose(alone.rates_body[0], pair.rates_body[0], atol=1e-12)
+    assert not np.allclose(turned_along[0], turned_along[1], atol=0.1)
+
+
+def test_a_wind_with_a_profile_is_that_of_the_probes_height(tmp_path):
+    profile = "air.wind.profile={kind: log, height_m: 10, roughness_m: 0.03}"
+    felt = probed(tmp_path, "--duration", 3, "--height", 60, sets=(*WIND, profile))
+    factor = math.log(60.0 / 0.03) / math.log(10.0 / 0.03)
+    assert np.allclose(felt["mean_wind_ned"][0], factor * WIND_NED, atol=1e-9)
+    moved = np.diff(felt["position_ned"][0], axis=0) / 0.02
+    assert np.allclose(moved, factor * WIND_NED + [22.0, 0.0, 0.0], atol=1e-6)
+
+
+def test_a_gust_in_time_is_felt_as_written(tmp_path):
+    gust = "air.gusts=[{kind: time, name: up, velocity_mps: [0, 1, -3], at_s: 2, ramp_s: 1.5}]"
+    felt = probed(tmp_path, "--duration", 8, sets=(*WIND, gust))
+    x = np.clip((felt["t"] - 2.0) / 1.5, 0.0, 2.0)
+    shape = 0.5 * (1.0 - np.cos(np.pi * x))
+    extra = felt["wind_ned"][0] - felt["mean_wind_ned"][0]
+    assert np.allclose(extra, np.outer(shape, [0.0, 1.0, -3.0]), atol=1e-9)
+    assert np.allclose(felt["rates_body"], 0.0, atol=1e-12)
+
+
+def test_probes_shed_and_feel_no_wakes():
+    words = (f"{ROOM}=dryden", *WIND)
+    _, _, with_wakes = flown(*words, "air.wake={}", duration=4.0, separation=2.0)
+    _, _, without = flown(*words, duration=4.0, separation=2.0)
+    assert np.array_equal(with_wakes.wind_ned, without.wind_ned)
+
+
+def test_probes_in_a_recorded_wind_drift_with_it(tmp_path):
+    record = tmp_path / "wind.csv"
+    record.write_text("t_s,north_mps,east_mps\n0,0,0\n10,0,5\n1080,0,5\n")
+    page = (
+        "extends: simulation-3\n"
+        "scenario: {schema: 1, name: windy}\n"
+        "air: {wind: {file: wind.csv, longest_gap_s: 1070}}\n"
+    )
+    (tmp_path / "windy.yaml").write_text(page)
+    out = tmp_path / "felt.npz"
+    words = ["air", str(tmp_path / "windy.yaml"), "--out", str(out), "--duration"]
+    assert CliRunner().invoke(app, [*words, "20"]).exit_code == 0
+    with np.load(out) as felt:
+        t, drift = felt["t"], felt["position_ned"][0, :, 1] - START[1]
+    assert np.allclose(drift, np.where(t < 10.0, 0.25 * t**2, 25.0 + 5.0 * (t - 10.0)), atol=1e-6)
+    late = CliRunner().invoke(app, [*words, "1081"])
+    assert isinstance(late.exception, InputError)
+    assert "--duration 1081: the recorded wind ends after 1080 s" in str(late.exception)
+
+
+def share_inside(values, low, high):
+    """How many of the estimates lie inside, and how many there are; those that say something."""
+    known = np.isfinite(values) & np.isfinite(np.broadcast_to(low, values.shape))
+    inside = (values >= low) & (values <= high)
+    return inside[known].mean(), known.sum()
+
+
+def fewest(count):
+    """Of so many independent estimates hardly ever, once in 10 000, fewer lie in 95 % bands."""
+    return 0.95 - 3.72 * math.sqrt(0.95 * 0.05 / count)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.7])
+def test_bands_hold_what_they_promise_for_white_noise(correlation):
+    rng = np.random.default_rng(3)
+    shared, own = rng.standard_normal((20_000, 3)), rng.standard_normal((2, 20_000, 3))
+    noise = math.sqrt(correlation) * shared + math.sqrt(1.0 - correlation) * own
+    found = estimate(noise, 50.0)
+    level = np.full((3, len(found.freedom)), 1.0 / 25.0)  # variance 1 over 0 to 25 Hz
+    share, count = share_inside(found.psd, *psd_band(level, found.freedom))
+    assert count > 300
+    assert share > fewest(count)
+    expected_coherence = np.full_like(level, correlation)
+    share, count = share_inside(found.coherence, *coherence_band(expected_coherence, found.freedom))
+    assert count > 100
+    assert share > fewest(count)
+
+
+def test_a_spectrum_is_folded_as_sampling_folds_it():
+    # dx = −x/τ dt + noise, of unit variance: sampled it is an autoregression with φ = exp(−dt/τ)
+    rate, tau = 50.0, 2.0
+    frequency = np.geomspace(0.01, 25.0, 40)
+    phi = math.exp(-1.0 / rate / tau)
+    sampled = (
+        2.0 / rate * (1.0 - phi**2) / np.abs(1.0 - phi * np.exp(2j * np.pi * frequency / rate)) ** 2
+    )
+    density = folded(lambda f: 4.0 * tau / (1.0 + (2.0 * np.pi * f * tau) ** 2), frequency, rate)
+    assert np.allclose(density, sampled, rtol=1e-3)
+
+
+@pytest.mark.parametrize("model", ["dryden", "von-karman", "coherent"])
+def test_spectra_and_coherence_of_what_is_felt_lie_in_the_bands_of_the_closed_forms(model):
+    page, course, felt = flown(f"{ROOM}={model}", *WIND, course=40.0, separation=10.0)
+    found = estimate(felt.about_mean(course.course), course.rate_hz)
+    closed = expected(page, course, felt, found)
+    # the field has no waves shorter than some cells of its finest box: at 22 m/s they pass at 8 Hz
+    low = found.frequency_hz < (3.0 if model == "coherent" else 25.0)
+    psd = psd_band(closed.psd, found.freedom)
+    share, count = share_inside(found.psd[..., low], *(each[:, low] for each in psd))
+    # probes 10 m apart in one field are nearly one: count them once
+    assert share > fewest(count / 2)
+    coherence = coherence_band(closed.coherence, found.freedom)
+    share, count = share_inside(found.coherence[:, low], *(each[:, low] for each in coherence))
+    assert share > fewest(count)
+    assert (closed.coherence[:, 0] > 0.9).all() == (model == "coherent")
+
+
+def test_the_closed_form_of_the_field_is_that_of_a_point_where_the_wing_is_small():
+    page, course, felt = flown(f"{ROOM}=coherent", duration=20.0)
+    found = estimate(felt.about_mean(0.0), course.rate_hz)
+    closed = expected(page, course, felt._replace(span=1e-6), found).psd
+    alone = page.model_copy(update={"air": load("simulation-3", (f"{ROOM}=von-karman",)).air})
+    assert np.allclose(closed, expected(alone, course, felt, found).psd, rtol=5e-3)
+
+
+def test_the_table_is_the_arrays_told_in_numbers(tmp_path):
+    out = tmp_path / "felt.npz"
+    words = ("--duration", 30, "--separation", 5, "--out", out, "--json", "-")
+    done = air(*words, sets=(*WIND, f"{ROOM}=von-karman"))
+    table = json.loads(done.stdout)
+    with np.load(out) as felt:
+        moving = felt["wind_ned"] - felt["mean_wind_ned"]
+        rates, sigma = felt["rates_body"], felt["sigma"]
+    assert table["model"] == {
+        "name": "von-karman",
+        "sigma_mps": pytest.approx(sigma.tolist()),
+        "length_m": pytest.approx([262.7, 262.7, 100.0], abs=0.1),
+    }
+    for k, probe in enumerate(table["probes"]):
+        assert probe["mean_wind_mps"] == pytest.approx(8.0)
+        assert probe["mean_wind_from_deg"] == pytest.approx(240.0)
+        assert probe["rms_mps"] == pytest.approx(np.sqrt((moving[k] ** 2).mean(axis=0)).tolist())
+        rms = np.degrees(np.sqrt((rates[k] ** 2).mean(axis=0)))
+        assert probe["rms_rates_deg_s"] == pytest.approx(rms.tolist())
+    assert f"{table['probes'][1]['rms_mps'][2]:.2f}" in done.stderr
+
+
+@pytest.mark.parametrize("model", ["none", "coherent"])
+def test_the_table_fits_eighty_columns(model, tmp_path):
+    words = ("air", "simulation-3", "--duration", "2", "--separation", "5", "--set")
+    done = run_command(
+        *words, f"{ROOM}={model}", "--json", "table.json", cwd=tmp_path, code=0, columns=80
+    )
+    assert "…" not in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    assert "uav1" in done.stdout and ("model, σ" in done.stdout) == (model != "none")
+    assert json.loads((tmp_path / "table.json").read_text())["separation_m"] == 5.0
+
+
+@pytest.mark.parametrize(
+    ("name", "start"), [("a.png", b"\x89PNG"), ("a.pdf", b"%PDF"), ("a.SVG", b"<?xml")]
+)
+def test_a_picture_is_of_its_kind_and_the_same_each_time(name, start, tmp_path):
+    drawn = []
+    for _ in range(2):
+        done = air("--duration", 4, "--plot", tmp_path / name, sets=(f"{ROOM}=von-karman",))
+        assert done.exit_code == 0, done.exception
+        drawn.append((tmp_path / name).read_bytes())
+    assert drawn[0].startswith(start) and drawn[0] == drawn[1]
+    if name == "a.png":
+        assert struct.unpack(">II", drawn[0][16:24]) == (1600, 1000)
+
+
+@pytest.mark.parametrize("model", ["none", "coherent"])
+def test_a_picture_of_two_probes_has_their_coherence(model, tmp_path, monkeypatch):
+    sheets = []
+    monkeypatch.setattr("testbed.views.figure_door.draw", lambda sheet, path: sheets.append(sheet))
+    words = ("--duration", 20, "--separation", 50, "--plot", tmp_path / "a.png")
+    assert air(*words, sets=(f"{ROOM}={model}",)).exit_code == 0
+    rows = sheets[0].rows
+    assert [len(row) for row in rows] == [3, 3, 3]
+    for record, spectrum, coherence in rows:
+        assert record.drawn  # a calm is a line at zero
+        assert spectrum.drawn == coherence.drawn == (model != "none")
+        assert len(spectrum.bands) == len(coherence.bands) == (model != "none")
+        assert "50 m apart" in coherence.title
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--rate", "0"), "--rate 0: write a number above 0"),
+        (("--duration", "nan"), "--duration nan: write a number"),
+        (("--airspeed", "-3"), "--airspeed -3: write a number above 0"),
+        (("--course", "inf"), "--course inf: write a number"),
+        (("--height", "-1"), "--height -1: write a number above 0"),
+        (("--separation", "0"), "--separation 0: write a number above 0"),
+        (("--rate", "1000", "--duration", "80000"), "at most 2e+07"),
+        (("--rate", "1", "--duration", "1"), "fewer than two samples"),
+        (("--duration", "1", "--plot", "a.png"), "--plot needs 100 samples"),
+        (("--plot", "a.jpg"), "write a name that ends in .png, .pdf, .svg"),
+        (("--plot", "no/a.png"), "--plot no/a.png: there is no folder"),
+        (("--out", "no/a.npz"), "--out no/a.npz: there is no folder"),
+        (("--out", "."), "--out .: this is a folder"),
+        (("--json", "no/a.json"), "--json no/a.json: there is no folder"),
+        (("--set", "air.turbulence.model=tornado"), "air.turbulence.model"),
+    ],
+)
+def test_bad_input_says_what_to_write(words, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = air(*words)
+    assert isinstance(done.exception, InputError)
+    assert said in str(done.exception)
+    assert not list(tmp_path.iterdir())
+
+
+def test_bad_input_ends_with_two_and_without_a_traceback(tmp_path):
+    done = run_command("air", "simulation-3", "--rate", "-1", cwd=tmp_path, code=2, columns=80)
+    assert done.stderr == "error: --rate -1: write a number above 0\n"
+
+
+def test_only_a_picture_loads_what_draws(tmp_path):
+    code = (
+        "import sys; from testbed.cli import app;"
+        "app(['air', 'simulation-3', '--duration', '1'], standalone_mode=False);"
+        "sys.exit('matplotlib' in sys.modules)"
+    )
+    words = [sys.executable, "-c", code]
+    subprocess.run(words, cwd=tmp_path, env=environment(80), check=True, capture_output=True)
+
+
+BLOCKS = re.findall(r"^```yaml\n(.*?)^```$", (ROOT / "docs/air.md").read_text(), re.M | re.S)
+
+
+@pytest.mark.parametrize("block", BLOCKS, ids=range(len(BLOCKS)))
+def test_the_examples_of_the_page_for_people_are_pages(block):
+    page = loads(f"extends: simulation-3\n{block}")
+    assert page.air != load("simulation-3").air
+
+
+def test_the_page_for_people_names_every_key_of_the_air():
+    text = (ROOT / "docs/air.md").read_text()
+
+    def keys(section):
+        for name, child in section.get("properties", {}).items():
+            yield name
+            yield from keys(child)
+        for each in (*section.get("oneOf", ()), *section.get("anyOf", ())):
+            yield from keys(each)
+        yield from keys(section.get("items", {})) if "items" in section else ()
+
+    tree = json_schema()
+    named = set(keys(resolved(tree["properties"]["air"], tree)))
+    assert {"from_deg", "towards_deg", "memory_s", "exponent"} < named
+    assert not {name for name in named if name not in text}
+
+
+def resolved(section, tree):
+    """A part of a JSON schema with its references put in."""
+    if isinstance(section, list):
+        return [resolved(each, tree) for each in section]
+    if not isinstance(section, dict):
+        return section
+    section = dict(section)
+    if "$ref" in section:
+        section = tree["$defs"][section["$ref"].split("/")[-1]] | section
+        section.pop("$ref")
+    return {name: resolved(each, tree) for name, each in section.items()}

@@ -1,0 +1,230 @@
+"""The mean wind: its direction, its profile, the way it carries the air, and a recorded one."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from testbed.air.mean import LogProfile, PowerProfile, blowing_from, make_mean_wind
+from testbed.air.recorded import read_wind
+from testbed.csv_table import read_table
+from testbed.errors import InputError
+from testbed.frames import FOOT
+
+DATA = Path(__file__).parents[2] / "scenarios" / "data"
+LOG, POWER = LogProfile(10.0, 0.03), PowerProfile(10.0, 0.143)
+STEADY = make_mean_wind(np.zeros(1), np.array([[3.0, -4.0, 0.5]]))
+
+
+def wandering(profile=None, carrying_height=0.0):
+    """Rows at uneven times, with a vertical part."""
+    rng = np.random.default_rng(50)
+    time = np.concatenate([[0.0], np.cumsum(rng.uniform(0.5, 3.0, 40))])
+    velocity = rng.normal(0.0, 3.0, (41, 3))
+    return make_mean_wind(time, velocity, profile=profile, carrying_height=carrying_height)
+
+
+def test_a_wind_blows_from_where_it_is_said_to():
+    assert blowing_from(8.0, 0.0) == pytest.approx([-8.0, 0.0, 0.0])
+    assert blowing_from(8.0, np.radians(90.0)) == pytest.approx([0.0, -8.0, 0.0], abs=1e-14)
+    # from the south-west at 30° off west: 240° blows to 60°, cos 60° north and sin 60° east
+    assert blowing_from(8.0, np.radians(240.0)) == pytest.approx([4.0, 6.9282032303, 0.0])
+    directions = np.linspace(-np.pi, np.pi, 17)
+    assert np.linalg.norm(blowing_from(8.0, directions), axis=-1) == pytest.approx(8.0)
+
+
+def test_a_calm_has_no_negative_zero():
+    assert not np.signbit(blowing_from(0.0, np.radians([0.0, 90.0, 250.0]))).any()
+
+
+def test_the_log_profile_is_the_shear_of_the_standard():
+    """MIL-F-8785C 3.7.3.2: W20 ln(h/z0)/ln(20/z0), z0 = 0.15 ft; by hand at 1000 ft."""
+    shear = LogProfile(20.0 * FOOT, 0.15 * FOOT)
+    heights = FOOT * np.array([0.0, 0.1, 0.15, 20.0, 1000.0])
+    # ln(1000/0.15) = 8.804875, ln(20/0.15) = 4.892852
+    assert shear.factor(heights) == pytest.approx([0.0, 0.0, 0.0, 1.0, 1.799538], abs=1e-6)
+
+
+def test_the_log_profile_grows_by_the_same_with_each_factor_of_height():
+    parts = LOG.factor(10.0 * 2.0 ** np.arange(6.0))
+    assert np.diff(parts) == pytest.approx(np.log(2.0) / np.log(10.0 / 0.03))
+
+
+def test_the_power_profile_grows_by_the_same_factor_with_each():
+    parts = POWER.factor(10.0 * 2.0 ** np.arange(-2.0, 4.0))
+    assert parts[2] == 1.0
+    assert parts[1:] / parts[:-1] == pytest.approx(2.0**0.143)
+    assert POWER.factor(np.array([0.0, -5.0])).tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("shape", [(), (4,), (4, 6)])
+def test_a_steady_uniform_wind_is_the_same_at_all_heights_and_times(shape):
+    assert STEADY.steady and STEADY.uniform
+    for time in (0.0, 12.3):
+        felt = STEADY.velocity_ned(time, np.full(shape, 70.0))
+        assert felt.shape == (*shape, 3)
+        assert (felt == [3.0, -4.0, 0.5]).all()
+
+
+def test_a_profile_scales_the_horizontal_wind_alone():
+    wind = make_mean_wind(np.zeros(1), np.array([[3.0, -4.0, 0.5]]), profile=LOG)
+    assert not wind.uniform
+    heights = np.array([[0.01, 10.0], [50.0, 200.0]])
+    felt = wind.velocity_ned(0.0, heights)
+    assert felt[..., 2] == pytest.approx(0.5)
+    assert np.hypot(felt[..., 0], felt[..., 1]) == pytest.approx(5.0 * LOG.factor(heights))
+    assert felt[0, 1] == pytest.approx([3.0, -4.0, 0.5])
+
+
+@pytest.mark.parametrize("profile", [None, LOG, POWER], ids=["uniform", "log", "power"])
+def test_the_air_goes_where_its_velocity_at_the_carrying_height_takes_it(profile):
+    """A second route: Gauss-Legendre, exact for what is linear, from row to row."""
+    wind = wandering(profile, carrying_height=80.0)
+    assert not wind.steady
+    nodes, weights = np.polynomial.legendre.leggauss(2)
+    for end in (0.0, 0.3, *wind.time[[1, 7, 40]], 33.3):
+        edges = np.array([*wind.time[wind.time < end], end])
+        moved = np.zeros(3)
+        for begin, stop in zip(edges[:-1], edges[1:], strict=True):
+            at = 0.5 * (begin + stop) + 0.5 * (stop - begin) * nodes
+            each = [wind.velocity_ned(t, np.array(80.0)) for t in at]
+            moved += 0.5 * (stop - begin) * (weights @ np.array(each))
+        assert wind.displacement_ned(end) == pytest.approx(moved, abs=1e-12)
+
+
+def test_a_steady_wind_carries_by_the_time():
+    assert STEADY.displacement_ned(20.0) == pytest.approx([60.0, -80.0, 10.0])
+    sheared = make_mean_wind(
+        np.zeros(1), np.array([[3.0, -4.0, 0.0]]), profile=LOG, carrying_height=100.0
+    )
+    assert sheared.displacement_ned(20.0) == pytest.approx(
+        20.0 * sheared.velocity_ned(0.0, np.array(100.0))
+    )
+
+
+def test_a_wandering_wind_meets_its_rows_and_is_linear_between():
+    wind = wandering()
+    for row, time in enumerate(wind.time):
+        assert wind.velocity_ned(time, np.zeros(2))[1] == pytest.approx(wind.velocity[row])
+    middle = 0.5 * (wind.time[4] + wind.time[5])
+    mean = 0.5 * (wind.velocity[4] + wind.velocity[5])
+    assert wind.velocity_ned(middle, np.array(0.0)) == pytest.approx(mean)
+
+
+def write(tmp_path, text):
+    path = tmp_path / "wind.csv"
+    path.write_text(text)
+    return path
+
+
+def test_the_first_row_of_a_recording_is_time_0_of_the_run(tmp_path):
+    path = write(tmp_path, "t_s,east_mps,north_mps,down_mps,note\n5,2,1,-1,a\n6.5,4,3,0,b\n")
+    wind = read_wind(path, 10.0, 1.5)
+    assert wind.time.tolist() == [0.0, 1.5]
+    assert wind.velocity_ned.tolist() == [[1.0, 2.0, -1.0], [3.0, 4.0, 0.0]]
+
+
+def test_a_direction_that_passes_north_is_interpolated_through_north(tmp_path):
+    path = write(tmp_path, "# a vane\nt_s, speed_mps, from_deg\n\n0, 4, 350\n10, 4, 10\n")
+    wind = make_mean_wind(*read_wind(path, 10.0, 10.0))
+    # the mean of two vectors 20° apart is 4 cos 10° long, and from north it blows south
+    assert wind.velocity_ned(5.0, np.array(0.0)) == pytest.approx(
+        [-4.0 * np.cos(np.radians(10.0)), 0.0, 0.0], abs=1e-14
+    )
+
+
+def test_speed_and_direction_are_the_same_wind_as_its_axes(tmp_path):
+    rng = np.random.default_rng(51)
+    speed, direction = rng.uniform(0.0, 9.0, 30), rng.uniform(0.0, 360.0, 30)
+    north, east = -speed * np.cos(np.radians(direction)), -speed * np.sin(np.radians(direction))
+    one = ["t_s,speed_mps,from_deg"]
+    two = ["t_s,north_mps,east_mps"]
+    for k in range(30):
+        one.append(f"{k},{speed[k]},{direction[k]}")
+        two.append(f"{k},{north[k]},{east[k]}")
+    velocities = [
+        read_wind(write(tmp_path, "\n".join(t)), 1.0, 29.0).velocity_ned for t in (one, two)
+    ]
+    assert velocities[0] == pytest.approx(velocities[1], abs=1e-13)
+
+
+def test_the_kept_recording_is_what_its_origin_says(tmp_path, monkeypatch):
+    text = (DATA / "ORIGIN.md").read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.S)
+    monkeypatch.chdir(tmp_path)
+    exec(code, {})
+    columns = ("t_s", "speed_mps", "from_deg")
+    ours, written = (
+        read_table(path).numbers(columns)
+        for path in (tmp_path / "gusty-wind.csv", DATA / "gusty-wind.csv")
+    )
+    # another machine's last bit may turn the last digit
+    assert ours == pytest.approx(written, abs=0.0101)
+    wind = read_wind(DATA / "gusty-wind.csv", 1.0, 600.0)
+    assert np.linalg.norm(wind.velocity_ned, axis=1) == pytest.approx(written[:, 1])
+
+
+HEAD = "t_s,north_mps,east_mps"
+BROKEN = [
+    ("", r"wind.csv:1: has no wind; add the columns north_mps, east_mps or speed_mps, from_deg$"),
+    ("t_s,north_mps\n0,1\n1,1", r"wind.csv:1: missing column east_mps; add it to the header$"),
+    ("t_s,from_deg\n0,1\n1,1", r"wind.csv:1: missing column speed_mps; add it"),
+    ("north_mps,east_mps\n0,1\n1,1", r"wind.csv:1: missing column t_s; add it"),
+    (
+        "t_s,north_mps,east_mps,speed_mps\n0,1,1,1",
+        r"wind.csv:1: has both north_mps, east_mps and speed_mps; keep north_mps, east_mps or ",
+    ),
+    (f"{HEAD}\n0,1,1", r"wind.csv: 1 rows of numbers; a recording needs at least two$"),
+    (f"{HEAD}\n0,1,1\n1,x,1", r"wind.csv:3: could not convert string to float: 'x'; write numb"),
+    (f"{HEAD}\n0,1,1\n1,inf,1", r"wind.csv:3: north_mps is inf; remove the row or write a finite"),
+    (f"{HEAD}\n0,1,1\n1,,1", r"wind.csv:3: north_mps is empty; write a number or remove the row$"),
+    (f"{HEAD}\n0,1,1\n1,1", r"wind.csv:3: 2 values under 3 columns; write one value per column$"),
+    (f"{HEAD}\n0,1,1\n,,", r"wind.csv:3: t_s is empty"),
+    (
+        f"{HEAD}\n0,1,1\n# stuck\n0,1,1",
+        r"wind.csv:4: t_s goes from 0 to 0 after line 2: t_s does not increase; sort the rows",
+    ),
+    (
+        f"{HEAD}\n0,1,1\n# lost\n5.25,1,1",
+        r"wind.csv:4: t_s goes from 0 to 5.25 after line 2: a gap of more than 5 s before this "
+        r"row; fill in the missing rows, or raise air.wind.longest_gap_s$",
+    ),
+    (
+        f"{HEAD}\n1,1,1\n5,1,1",
+        r"wind.csv: the recorded wind lasts 4.00 s, the scenario 5.00 s; set scenario.duration_s "
+        r"to 4 or less, or record longer$",
+    ),
+    (
+        "t_s,speed_mps,from_deg\n0,1,0\n5,-1,0",
+        r"wind.csv:3: speed_mps is -1; write it without its sign, or turn from_deg$",
+    ),
+]
+
+
+@pytest.mark.parametrize(("text", "words"), BROKEN, ids=[text[-20:] for text, _ in BROKEN])
+def test_a_broken_recording_is_refused_with_its_line_and_its_cure(tmp_path, text, words):
+    with pytest.raises(InputError, match=words):
+        read_wind(write(tmp_path, text), 5.0, 5.0)
+
+
+def test_what_is_no_text_is_refused(tmp_path):
+    path = tmp_path / "wind.csv"
+    path.write_bytes(b"t_s,\xff\n")
+    with pytest.raises(InputError, match=r"wind.csv: not a CSV text file"):
+        read_wind(path, 5.0, 5.0)
+    with pytest.raises(InputError, match=r"gone.csv: cannot be read: No such file"):
+        read_wind(tmp_path / "gone.csv", 5.0, 5.0)
+
+
+def test_stamps_of_a_clock_that_began_long_ago_lose_no_row(tmp_path):
+    """Seconds since 1970 have an error of some 1e-7 s, so 9.9 s of them are at times 9.8999999."""
+    lengths = []
+    for millisecond in range(0, 100, 7):
+        rows = [f"{1_700_000_000 + (900 * k + millisecond) / 1000:.3f},1,1" for k in range(12)]
+        wind = read_wind(write(tmp_path, "\n".join([HEAD, *rows])), 1.0, 9.9)
+        lengths.append(wind.time[-1])
+    assert min(lengths) < 9.9 < max(lengths)
+    assert lengths == pytest.approx([9.9] * len(lengths), abs=1e-6)
+    with pytest.raises(InputError, match=r"lasts 9.90 s, the scenario 9.91 s"):
+        read_wind(tmp_path / "wind.csv", 1.0, 9.91)

@@ -1,0 +1,120 @@
+"""The rolling moment of a wake against a vortex lattice, solved without the model under test."""
+
+import numpy as np
+import pytest
+from vortex_lattice import Wing, elliptic, rectangular
+
+from testbed.air.wake import Wakes
+from testbed.frames import GRAVITY
+
+CORE_SPANS = 0.05
+DENSITY = 1.18  # kg/m³
+# span m, area m², lift slope of the airframe per rad, mass kg, speed of level flight m/s
+RASCAL = (2.795, 0.98198, 5.0, 6.577, 22.0)
+SKYWALKER = (2.10, 0.75, 4.0203, 3.364, 18.0)
+OFFSETS = np.arange(0.0, 1.51, 0.125)  # spans to the right of the leader, one span behind it
+HALF = 4
+
+CASES = {
+    "rascal, rectangular": (RASCAL, rectangular),
+    "rascal, elliptic": (RASCAL, elliptic),
+    "skywalker, rectangular": (SKYWALKER, rectangular),
+    "skywalker, elliptic": (SKYWALKER, elliptic),
+}
+
+
+def level_lift_coefficient(aircraft):
+    _, area, _, mass, speed = aircraft
+    return mass * GRAVITY / (0.5 * DENSITY * speed**2 * area)
+
+
+def felt(aircraft, offset):
+    """Down wind over airspeed and rolling-moment coefficient of a follower in level flight."""
+    span, area, slope, mass, speed = aircraft
+    wakes = Wakes(
+        span=np.full(2, span),
+        area=np.full(2, area),
+        lift_slope=np.full(2, slope),
+        mass=np.full(2, mass),
+        sheds=np.array([True, False]),
+        feels=np.array([False, True]),
+        core_spans=CORE_SPANS,
+        decay_s=None,
+        memory_s=10.0,
+        dt=0.005,
+        density=DENSITY,
+    )
+    position = np.array([[0.0, 0.0, 0.0], [-span, offset * span, 0.0]])
+    velocity = np.array([[speed, 0.0, 0.0]] * 2)
+    wind, roll = wakes.step(position, velocity, np.zeros((2, 3)), np.zeros((2, 3)))
+    return wind[1, 2] / speed, roll[1]
+
+
+def lattice(aircraft, planform, **panels):
+    """Lift lost over lift slope, and rolling-moment coefficient (offsets,) of the follower."""
+    span, area = aircraft[:2]
+    wing = Wing(span, area, planform(span, area), **panels)
+    leader = wing.lifting(level_lift_coefficient(aircraft))
+    behind = [
+        wing.behind(wing, leader, np.array([span, offset * span, 0.0]), CORE_SPANS * span)
+        for offset in OFFSETS
+    ]
+    lost = np.array([-wing.lift_coefficient(each) for each in behind]) / wing.lift_slope()
+    return lost, np.array([wing.roll_coefficient(each) for each in behind])
+
+
+@pytest.fixture(scope="module", params=CASES.values(), ids=CASES.keys())
+def both(request):
+    aircraft, planform = request.param
+    ours = np.transpose([felt(aircraft, offset) for offset in OFFSETS])
+    return ours, lattice(aircraft, planform), planform
+
+
+def crossings(roll):
+    """Offsets, in spans, at which the moment changes its sign beside the leader."""
+    at = np.flatnonzero(roll[1:-1] * roll[2:] < 0.0) + 1
+    share = roll[at] / (roll[at] - roll[at + 1])
+    return OFFSETS[at] + share * (OFFSETS[at + 1] - OFFSETS[at])
+
+
+def test_the_lattice_lifts_and_damps_a_slender_wing_as_the_lifting_line_does():
+    span, aspect_ratio = 1.0, 200.0
+    wing = Wing(span, span**2 / aspect_ratio, elliptic(span, span**2 / aspect_ratio))
+    mu = 2.0 / aspect_ratio
+    # the chord is left out of the lifting line, so they part by its share of the span
+    close = 4.0 / aspect_ratio
+    assert wing.lift_slope() == pytest.approx(2.0 * np.pi / (1.0 + mu), rel=close)
+    rolling = wing.circulations(wing.y / (0.5 * span))  # right wing going down
+    damping = -2.0 * np.pi / 8.0 / (1.0 + 2.0 * mu)
+    assert wing.roll_coefficient(rolling) == pytest.approx(damping, rel=close)
+
+
+def test_the_lattice_is_fine_enough():
+    coarse = lattice(RASCAL, rectangular)[1]
+    fine = lattice(RASCAL, rectangular, chordwise=6, spanwise=60)[1]
+    assert fine == pytest.approx(coarse, abs=0.01 * abs(coarse).max())
+
+
+def test_half_a_span_aside_the_rolling_moment_is_within_15_percent(both):
+    (_, ours), (_, theirs), _ = both
+    assert OFFSETS[HALF] == 0.5
+    assert ours[HALF] == pytest.approx(theirs[HALF], rel=0.15)
+
+
+def test_the_rolling_moment_changes_its_sign_where_the_lattice_does(both):
+    (_, ours), (_, theirs), _ = both
+    (here,), (there,) = crossings(ours), crossings(theirs)
+    assert here == pytest.approx(there, abs=CORE_SPANS)
+    assert abs(ours[0]) < 1e-9 * abs(ours).max()
+
+
+def test_beside_an_elliptic_wing_the_rolling_moment_has_the_lattices_shape(both):
+    (_, ours), (_, theirs), planform = both
+    assert abs(ours).argmax() == abs(theirs).argmax()
+    if planform is elliptic:  # a rectangular wing sheds more at its tips than the model's does
+        assert abs(ours - theirs).max() < 0.15 * abs(theirs).max()
+
+
+def test_the_lift_lost_is_within_15_percent_of_the_greatest(both):
+    (ours, _), (theirs, _), _ = both
+    assert ours == pytest.approx(theirs, abs=0.15 * abs(theirs).max())
