@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-LOG_SCHEMA = 1  # of the log; raised when a topic or field changes its meaning or goes
+LOG_SCHEMA = 2  # of the log; raised when a topic or field changes its meaning or goes
 
 DOUBLE, FIXED32 = "double", "fixed32"
 

@@ -309,7 +309,7 @@ def test_another_file_is_refused(tmp_path, data, message):
 def test_a_log_of_another_schema_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(recorder, "LOG_SCHEMA", 99)
     path = record(tmp_path / "run.mcap", run_frames(3))
-    with pytest.raises(LogError, match="log schema 99, but this version reads 1"):
+    with pytest.raises(LogError, match="log schema 99, but this version reads 2"):
         read_log(path)
 
 
