@@ -7,12 +7,11 @@ from typing import Annotated
 
 import typer
 
+from testbed.options import Overrides, ScenarioName
+
 
 def air(
-    scenario: Annotated[
-        str,
-        typer.Argument(metavar="SCENARIO", help="Name of a scenario (`testbed list`) or a path."),
-    ],
+    scenario: ScenarioName,
     out: Annotated[
         Path | None,
         typer.Option(metavar="FILE.npz", help="Write what the probes felt, as NumPy arrays."),
@@ -45,14 +44,7 @@ def air(
         float | None,
         typer.Option(metavar="M", help="Fly a second probe this far to the right of the first."),
     ] = None,
-    overrides: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Change a key of the page, e.g. air.turbulence.model=coherent; may be repeated.",
-        ),
-    ] = None,
+    overrides: Overrides = None,
     seed: Annotated[int | None, typer.Option(help="Seed of every random stream.")] = None,
     plot: Annotated[
         Path | None,

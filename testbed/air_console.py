@@ -15,6 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from testbed.errors import InputError
+from testbed.frames import wind_from_deg
 from testbed.metrics.document import to_json, write_json
 from testbed.scenario import Scenario, load
 from testbed.scenario.aircraft import Mission
@@ -224,8 +225,7 @@ def _headline(page: Scenario, course: Course) -> Text:
 
 def _from_deg(wind: Array) -> float | None:
     """Where a wind (3,) comes from; nowhere if it does not blow."""
-    north, east, _ = wind.tolist()
-    return math.degrees(math.atan2(-east, -north)) % 360.0 if math.hypot(north, east) else None
+    return float(wind_from_deg(wind)) if wind[:2].any() else None
 
 
 def _table(document: Mapping[str, Any]) -> Table:

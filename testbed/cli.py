@@ -13,6 +13,7 @@ from testbed import __version__
 from testbed.air_commands import air
 from testbed.airframe_commands import linearize, step, trim
 from testbed.errors import InputError
+from testbed.options import Overrides, ScenarioName
 
 LOST = 1
 BAD_INPUT = 2
@@ -33,19 +34,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-
-ScenarioName = Annotated[
-    str, typer.Argument(metavar="SCENARIO", help="Name of a scenario (`testbed list`) or a path.")
-]
-Overrides = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Change a key of the page, e.g. network.delay_s=0.1 or 'fleet.*.sensors=gps-ins'; "
-        "may be repeated.",
-    ),
-]
 
 
 def _version(asked: bool) -> None:

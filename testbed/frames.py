@@ -95,6 +95,11 @@ def course(velocity_ned: Array) -> Array:
     return np.arctan2(velocity_ned[..., 1], velocity_ned[..., 0])
 
 
+def wind_from_deg(wind_ned: Array) -> Array:
+    """Where winds (..., 3) blow from (...,), degrees clockwise from north, 0 to 360."""
+    return np.degrees(np.arctan2(-wind_ned[..., 1], -wind_ned[..., 0])) % 360.0
+
+
 def flight_path_angle(velocity_ned: Array) -> Array:
     """Flight-path angle γ (...,) rad, climbing positive, from velocity (..., 3)."""
     horizontal = np.hypot(velocity_ned[..., 0], velocity_ned[..., 1])

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from testbed.frames import wind_from_deg
 from testbed.state import Array
 
 CALM = 1e-6  # m/s; less is rounding
@@ -56,7 +57,7 @@ def summarise(wind: Wind, names: Sequence[str]) -> dict[str, dict[str, Any]]:
     gusts = np.sqrt(np.maximum(wind.square / frames - mean**2, 0.0))
     gusts[gusts < CALM] = 0.0
     north, east = mean[:, 0], mean[:, 1]
-    from_deg, blows = np.degrees(np.arctan2(-east, -north)) % 360.0, np.hypot(north, east) > CALM
+    from_deg, blows = wind_from_deg(mean), np.hypot(north, east) > CALM
     return {
         name: {
             "mean_ned_mps": _numbers(mean[i]),
@@ -80,11 +81,11 @@ def describe(felt: Mapping[str, Mapping[str, Any]]) -> str | None:
         return "not a number"
     if max(each["fastest_mps"] for each in felts) < CALM:
         return None
-    north, east, _ = np.mean([each["mean_ned_mps"] for each in felts], axis=0)
-    speed = math.hypot(north, east)
+    mean = np.mean([each["mean_ned_mps"] for each in felts], axis=0)
+    speed = math.hypot(*mean[:2])
     text = f"{speed:.1f} m/s"
     if speed >= 0.05:
-        text += f" from {round(math.degrees(math.atan2(-east, -north))) % 360}°"
+        text += f" from {round(float(wind_from_deg(mean))) % 360}°"
     gusts = np.sqrt(np.mean(np.square([each["gusts_rms_ned_mps"] for each in felts]), axis=0))
     if gusts.any():
         level = math.sqrt(0.5 * (gusts[0] ** 2 + gusts[1] ** 2))

@@ -100,9 +100,11 @@ def make_air(
     Raises:
         InputError: what the page asks for cannot be built.
     """
-    own = None
+    own = field = None
     known = scales(page)
-    if known is not None and page.air.turbulence.model != "coherent":
+    if known is not None and page.air.turbulence.model == "coherent":
+        field = _field(page, known, airframes)
+    elif known is not None:
         own = Independent(
             names,
             seed=page.scenario.seed,
@@ -115,7 +117,7 @@ def make_air(
         mean,
         airframes,
         gusts=_gusts(page, mean),
-        field=_field(page, airframes),
+        field=field,
         own=own,
         wakes=_wakes(page, airframes, dt, sheds),
         dt=dt,
@@ -153,12 +155,9 @@ def _gusts(page: Scenario, mean: MeanWind) -> Gusts | None:
     return make_gusts(gusts, mean) if gusts else None
 
 
-def _field(page: Scenario, airframes: Sequence[Airframe]) -> Field | None:
-    asked = page.air.turbulence
-    known = scales(page)
-    if known is None or asked.model != "coherent":
-        return None
-    height = page.leader.start.altitude_m if asked.height_m is None else asked.height_m
+def _field(page: Scenario, known: Scales, airframes: Sequence[Airframe]) -> Field:
+    asked = page.air.turbulence.height_m
+    height = page.leader.start.altitude_m if asked is None else asked
     sigma, length = known(np.array(height))
     _refuse_small(page, height, float(length.min()))
     reach = max(max(0.5 * each.span, each.arm) for each in airframes)

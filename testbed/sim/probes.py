@@ -21,8 +21,7 @@ position_ned (P, T, 3) over the ground, from the origin of the scenario
 mean_wind_ned (P, T, 3) the mean wind there, which is part of wind_ned
 airspeed, course_rad (through the air, clockwise from north), height (above the ground)
 span of the airframe; model of turbulence, its sigma (3,) and length (3,) at that height, or
-the field's own:
-longitudinal, lateral, vertical; not numbers where there is none
+the field's own: longitudinal, lateral, vertical; not numbers where there is none
 scenario: the page as resolved, YAML"""
 
 
