@@ -17,8 +17,7 @@ level flight leaves a box on one side and enters it on the other at a height whe
 within five edges, 512 m in the finest box, no place on its level is nearer in the box than 0.039
 edges but those that are near in the air. That is five cells of the finest box and 3.7 of the
 others; at three, waves of a box's band are no longer alike. On longer ways a course comes back
-to where it was in one box or another, but not in all at once: of 90 courses of 80 km at a length
-of 100 m half meet air that is nowhere alike by more than 0.04, the worst by 0.4.
+to where it was in one box or another, but not in two at once.
 """
 
 from __future__ import annotations
