@@ -13,7 +13,7 @@ STAMP := $(VENV)/.installed
 MAKEFLAGS += --no-print-directory
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test lint types tests check-all bench results wheel lock clean
+.PHONY: help setup run test lint types tests check-all bench results netem wheel lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,4p'
@@ -36,12 +36,15 @@ types: $(STAMP)
 tests: $(STAMP)
 	@$(BIN)/pytest -q -n $(JOBS) $(ARGS)
 
-# Everything: the tests, all starts of the theorem, the air's statistics on more samples, every
-# golden table, and the wheel built and flown from a fresh environment.
+# Everything: the tests, all starts of the theorem, the air's and the network's statistics on more
+# samples, every golden table, and the wheel built and flown from a fresh environment.
 check-all: test wheel
 	@TESTBED_STARTS=1000 $(BIN)/pytest -q tests/theorems/test_theorem_many_starts.py
 	@TESTBED_AIR_SAMPLES=60 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_air_dryden.py \
 		tests/equations/test_air_von_karman.py tests/equations/test_air_field.py
+	@TESTBED_PACKETS=1000000 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_network_loss.py \
+		tests/equations/test_network_delay.py tests/equations/test_network_queue.py \
+		tests/equations/test_network_keys.py
 	@$(BIN)/testbed check --jobs $(JOBS)
 	@rm -rf build/fresh && $(BIN)/python -m venv build/fresh
 	@build/fresh/bin/python -m pip install --quiet --disable-pip-version-check \
@@ -49,16 +52,28 @@ check-all: test wheel
 	@build/fresh/bin/python -m pip install --quiet --disable-pip-version-check --no-deps dist/*.whl
 	@cd build && fresh/bin/testbed run simulation-3 --duration 30 --out fresh/run
 
-# What everything around the flight model costs, as a ratio to bare JSBSim, and coherent air on top.
+# What everything around the flight model costs, as a ratio to bare JSBSim; coherent air on top; and
+# the radio of 100 aircraft.
 bench: $(STAMP)
 	@$(BIN)/python benchmarks/full_over_bare.py $(ARGS)
 	@$(BIN)/python benchmarks/page_cost.py --set air.turbulence.model=coherent
+	@$(BIN)/python benchmarks/network_cost.py
 
-# Flies every row of the tables in docs/simulations.md, experiments.md and air.md and writes them there.
+# Flies every row of the tables in docs/simulations.md, experiments.md, air.md and network.md and writes
+# them there.
 results: $(STAMP)
 	@$(BIN)/python benchmarks/results.py --into docs/simulations.md $(ARGS)
 	@$(BIN)/python benchmarks/experiments.py --into docs/experiments.md $(ARGS)
 	@$(BIN)/python benchmarks/air.py --into docs/air.md $(ARGS)
+	@$(BIN)/python benchmarks/network.py --into docs/network.md $(ARGS)
+
+# Holds the network's arithmetic to this kernel's own tc netem, as root, who leaves no files behind.
+netem: SUDO = $(if $(filter 0,$(shell id -u)),,sudo)
+netem: $(STAMP)
+	@cache=$$(mktemp -d) && trap "$(SUDO) rm -rf $$cache" EXIT && $(SUDO) env \
+		PYTHONDONTWRITEBYTECODE=1 NUMBA_CACHE_DIR=$$cache \
+		TESTBED_PACKETS=$${TESTBED_PACKETS:-20000} \
+		$(BIN)/pytest -q -p no:cacheprovider tests/truth/test_netem.py
 
 wheel: $(STAMP)
 	@rm -rf dist && $(BIN)/python -m build --no-isolation --wheel >/dev/null && ls dist/*.whl

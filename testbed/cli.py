@@ -13,6 +13,7 @@ from testbed import __version__
 from testbed.air_commands import air
 from testbed.airframe_commands import linearize, step, trim
 from testbed.errors import InputError
+from testbed.network_commands import network
 from testbed.options import Overrides, ScenarioName
 
 LOST = 1
@@ -260,7 +261,7 @@ def respond(
         raise typer.Exit(LOST) from None
 
 
-for command in (trim, linearize, step, air):
+for command in (trim, linearize, step, air, network):
     app.command()(command)
 
 

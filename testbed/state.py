@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Flags = NDArray[np.uint8]
 Truths = NDArray[np.bool_]
+Counts = NDArray[np.uint32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,6 +151,13 @@ class FormationState(NamedTuple):
     age_s: Array  # (n, n + 1) age of what agent i used of aircraft j, s; nan: not used
 
 
+class LinkCounts(NamedTuple):
+    """Messages on the links from N aircraft to their n followers since the start."""
+
+    sent: Counts  # (n, N)
+    delivered: Counts  # (n, N) of these, those that arrive
+
+
 @dataclass(frozen=True, slots=True)
 class Event:
     """Something that happened: shown in the log, the view and the table."""
@@ -171,6 +179,7 @@ class Frame(NamedTuple):
     command: FbwaCommand  # (N)
     surfaces: Surfaces  # (N)
     formation: FormationState  # (n)
+    links: LinkCounts  # (n, N)
     events: tuple[Event, ...] = ()
 
 

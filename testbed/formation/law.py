@@ -33,7 +33,8 @@ class Team:
     trim_throttle: Array  # (n,) 0..1, for level flight at trim_airspeed
     trim_airspeed: Array  # (n,) m/s
     dt: float  # s, between two steps of the same follower
-    silent_after: float  # s without news of an aircraft, after which not to reckon with it
+    silent_after: float  # s without news of the leader, after which not to reckon with it
+    stale_after: float  # the same of a neighbour
     # The paper's law with the page's gains, for a law that changes it rather than replaces it.
     paper: Law | None = None
 

@@ -72,16 +72,17 @@ def velocity_rates(v, a):
 
 
 @twin
-def silence(inbox, i, m, now, forget_after):
-    return isnan(inbox.stamp_s[i, m]) or now - inbox.received_s[i, m] > forget_after
+def silence(inbox, i, m, now, limit):
+    return isnan(inbox.stamp_s[i, m]) or now - inbox.received_s[i, m] > limit
 
 
 @twin
 def ages(now, stamp_s, received_s, unheeded, limit):
     out = np.full(stamp_s.shape, nan)
+    limits = np.broadcast_to(limit, stamp_s.shape)
     for i in range(stamp_s.shape[0]):
         for m in range(stamp_s.shape[1]):
-            if not unheeded[i, m] and now - received_s[i, m] <= limit:
+            if not unheeded[i, m] and now - received_s[i, m] <= limits[i, m]:
                 out[i, m] = now - stamp_s[i, m]
     return out
 
@@ -106,22 +107,57 @@ def motion_of(agent, inbox, i, m, now, from_timestamp):
 
 
 @twin
+def place_of(frame, leader, position):
+    """`measurement.places` for one position."""
+    cs, ss, cg, sg = frame
+    x, y, z = position[0] - leader[0], position[1] - leader[1], position[2] - leader[2]
+    return cg * cs * x + cg * ss * y - sg * z, cs * y - ss * x, sg * cs * x + sg * ss * y + cg * z
+
+
+@twin
+def kept_at(frame, rates, leader, place):
+    """`measurement.kept` for one place; leader is (q_g, q̇_g)."""
+    cs, ss, cg, sg = frame
+    (x, y, z), (u, v, w) = leader
+    a, b, c = place
+    da, db, dc = cross(rates[0], rates[1], rates[2], a, b, c)
+    a, b, c = to_ned(cs, ss, cg, sg, a, b, c)
+    da, db, dc = to_ned(cs, ss, cg, sg, da, db, dc)
+    return (x + a, y + b, z + c), (u + da, v + db, w + dc)
+
+
+@twin
 def errors_of(
-    agent, offsets, gains, from_timestamp, forget, inbox, own, slots, frame, rates, i, now
+    agent, offsets, gains, from_timestamp, inbox, own, leader, slots, frame, rates, places, i, now
 ):
-    """ξ_i and its rate, (6); own is (q_i, q̇_i), slots (χ_i, χ̇_i)."""
+    """ξ_i and its rate, (6); own is (q_i, q̇_i), leader (q_g, q̇_g), slots (χ_i, χ̇_i).
+
+    Writes the places of neighbours that say something new and the stamps of that, if they are to
+    be held.
+    """
+    place, place_stamp_s = places
     cs, ss, cg, sg = frame
     q, v = own
     chi, chi_rate = slots
     level = 0.0 if agent.horizontal else 1.0
     x = y = z = xr = yr = zr = 0.0
     for m in range(gains.shape[1]):
-        if silence(inbox, i, m, now, forget):
-            continue
         gn, ge, gd = gains[i, m, 0], gains[i, m, 1], level * gains[i, m, 2]
         if gn == 0.0 and ge == 0.0 and gd == 0.0:
             continue
-        position, velocity = motion_of(agent, inbox, i, m, now, from_timestamp)
+        position, velocity = leader
+        if m > 0:
+            if not silence(inbox, i, m, now, agent.stale_after):
+                position, velocity = motion_of(agent, inbox, i, m, now, from_timestamp)
+                stamp = inbox.stamp_s[i, m]
+                if agent.hold and not stamp <= place_stamp_s[i, m]:
+                    place_stamp_s[i, m] = stamp
+                    where = place_of(frame, leader[0], position)
+                    place[i, m, 0], place[i, m, 1], place[i, m, 2] = where
+            elif agent.hold and not isnan(place[i, m, 0]):
+                position, velocity = kept_at(frame, rates, leader, place[i, m])
+            else:
+                continue
         a, b, c = offsets[m]
         da, db, dc = cross(rates[0], rates[1], rates[2], a, b, c)
         a, b, c = to_ned(cs, ss, cg, sg, a, b, c)

@@ -15,8 +15,8 @@ from testbed.state import Array
 NOTHING, BROADCAST, TURN = 0, 1, 2
 
 
-class LeaderMemory(NamedTuple):
-    """What n followers remember of their leader; nan: nothing heard yet."""
+class Memory(NamedTuple):
+    """What n followers remember of their leader, and of its formation; nan: nothing heard yet."""
 
     acceleration: Array  # (n, 3) m/s², averaged estimate of q̈_g
     stamp_s: Array  # (n,) of the newest message used
@@ -27,17 +27,22 @@ class LeaderMemory(NamedTuple):
     # Of those that do not hear it: since when, and which course they had then; nan: it is heard.
     silent_since: Array  # (n,) s
     silent_course: Array  # (n,) rad
+    # Where each was in the leader's velocity frame when its last message was new, if the law holds
+    # it there, and the stamp of that message; nan: never, and for the leader.
+    place: Array  # (n, N, 3) m: forward, right, down
+    place_stamp_s: Array  # (n, N)
 
 
-def unheard(n: int) -> LeaderMemory:
-    """The memory of n followers before the first message."""
+def unheard(n: int, aircraft: int) -> Memory:
+    """The memory of n followers among so many aircraft before the first message."""
     never = np.full(n, np.nan)
     zero = np.zeros(n)
-    return LeaderMemory(np.zeros((n, 3)), never, never, never, zero, zero, never, never)
+    nowhere, unsaid = np.full((n, aircraft, 3), np.nan), np.full((n, aircraft), np.nan)
+    return Memory(np.zeros((n, 3)), never, never, never, zero, zero, never, never, nowhere, unsaid)
 
 
 def differentiate(
-    memory: LeaderMemory, stamp_s: Array, velocity: Array, blend: Array
+    memory: Memory, stamp_s: Array, velocity: Array, blend: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Speed and flight-path angle of the leader as heard, and their averaged differences.
 

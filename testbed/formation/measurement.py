@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from testbed.compiled import twin_of
+from testbed.formation.arrays import cross, rotate
 from testbed.state import Array, Inbox, Truths
 
 
@@ -25,7 +26,41 @@ def corrected(
     return position + 0.5 * lag * gained, inbox.velocity_ned + gained
 
 
-def ages(now: float, stamp_s: Array, received_s: Array, unheeded: Truths, limit: float) -> Array:
+def places(frame: Array, positions: Array) -> Array:
+    """Where everybody is in the leader's velocity frame: R_gᵀ (q_j − q_g), (n, N, 3) m.
+
+    Args:
+        frame: R_g (n, 3, 3), as each agent computes it.
+        positions: (n, N, 3) m, the leader's first.
+    """
+    return rotate(frame.transpose(0, 2, 1), positions - positions[:, :1])
+
+
+def kept(
+    frame: Array, rate: Array, place: Array, held: Truths, positions: Array, velocities: Array
+) -> tuple[Array, Array]:
+    """Positions and velocities (n, N, 3) where the held keep their place in the formation.
+
+    They are at q_g + R_g p_j and move at q̇_g + R_g (ω_g × p_j), as slots do by (27) and (28). To
+    keep them where they were over the ground would be to fall back at the speed of flight.
+
+    Args:
+        frame: R_g (n, 3, 3).
+        rate: ω_g (n, 3) rad/s in that frame.
+        place: p (n, N, 3) m in that frame.
+        held: (n, N, 3) who is held there; the others are where they are.
+        positions: (n, N, 3) m, the leader's first.
+        velocities: (n, N, 3) m/s.
+    """
+    return (
+        np.where(held, positions[:, :1] + rotate(frame, place), positions),
+        np.where(held, velocities[:, :1] + rotate(frame, cross(rate, place)), velocities),
+    )
+
+
+def ages(
+    now: float, stamp_s: Array, received_s: Array, unheeded: Truths, limit: Array | float
+) -> Array:
     """Age (n, N) s at the time `now` of what each agent uses of each aircraft; nan: it does not.
 
     Args:
@@ -33,7 +68,7 @@ def ages(now: float, stamp_s: Array, received_s: Array, unheeded: Truths, limit:
         stamp_s: (n, N) of the newest message, by its sender.
         received_s: (n, N) its arrival, by its receiver; nan: nothing heard yet.
         unheeded: (n, N) whose messages are not used.
-        limit: s since the arrival, after which a message is not used.
+        limit: (n, N) s since the arrival, after which a message is not used; or one for all.
     """
     used = (now - received_s <= limit) & ~unheeded
     return np.where(used, now - stamp_s, np.nan)

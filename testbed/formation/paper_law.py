@@ -24,8 +24,8 @@ from testbed.formation.laws import (
     speed_control,
     turn_control,
 )
-from testbed.formation.leader import LeaderMemory, unheard
-from testbed.formation.measurement import corrected
+from testbed.formation.leader import Memory, unheard
+from testbed.formation.measurement import corrected, kept, places
 from testbed.frames import course, flight_path_angle, velocity_frame
 from testbed.state import Array, Inbox, Truths, UnicycleCommand, VehicleState
 
@@ -61,18 +61,21 @@ class PaperLaw:
     difference_blend: Array  # (n, 2) share of a new difference in the averages of TURN: ṡ_g, γ̇_g
     # Reckon with ω̇_g, by the leader's roll rate; the paper neglects it.
     turn_acceleration: Truths  # (n,)
-    forget_after: float  # s without news of an aircraft, after which it counts as silent
+    # s since the last news arrived, of the leader and of a neighbour, after which they are too old
+    silent_after: float
+    stale_after: float
+    hold: bool  # a neighbour of old news keeps its place in the formation; or is left out of (6)
     # What to fly while the leader is silent: level, at this airspeed and course rate.
     silent_airspeed: Array  # (n,) m/s
     silent_turn: Array  # (n,) rad/s
 
-    def start(self, own: VehicleState) -> LeaderMemory:
+    def start(self, own: VehicleState) -> Memory:
         """Nothing heard yet."""
-        return unheard(len(self.k))
+        return unheard(*self.gains.shape[:2])
 
     def step(
-        self, now: float, own: VehicleState, inbox: Inbox, memory: LeaderMemory
-    ) -> tuple[UnicycleCommand, LeaderMemory]:
+        self, now: float, own: VehicleState, inbox: Inbox, memory: Memory
+    ) -> tuple[UnicycleCommand, Memory]:
         """One control step of every follower; see `law.Law`."""
         return STEP(self, now, own, inbox, memory)
 
@@ -94,7 +97,7 @@ class PaperLaw:
 
 _OWN = (
     "k a b c c_speed pole horizontal with_acceleration turn_acceleration acceleration_source "
-    "acceleration_blend difference_blend silent_airspeed silent_turn"
+    "acceleration_blend difference_blend silent_after stale_after hold silent_airspeed silent_turn"
 ).split()
 _KINDS = {
     "row": "i8",
@@ -104,6 +107,7 @@ _KINDS = {
     "with_acceleration": "?",
     "turn_acceleration": "?",
     "acceleration_source": "i8",
+    "hold": "?",
 }
 _SHAPES = {"acceleration_blend": (3,), "difference_blend": (2,)}
 AGENT = np.dtype(
@@ -115,20 +119,26 @@ AGENT = np.dtype(
 
 
 def paper_step(
-    law: PaperLaw, now: float, own: VehicleState, inbox: Inbox, memory: LeaderMemory
-) -> tuple[UnicycleCommand, LeaderMemory]:
+    law: PaperLaw, now: float, own: VehicleState, inbox: Inbox, memory: Memory
+) -> tuple[UnicycleCommand, Memory]:
     """One control step of every follower from what it knows.
 
     An agent that does not hear the leader flies level from the course it had when that began, at
-    the airspeed and course rate it was given for that; a neighbour not heard is left out of (6).
+    the airspeed and course rate it was given for that. A neighbour not heard is left out of (6),
+    or is taken to keep the place in the leader's velocity frame where it was reckoned to be at the
+    step at which its last message was new: what an extrapolation adds to that later is its error.
     """
     n = len(law.k)
     level = np.ones((n, 3))
     level[:, 2] = np.where(law.horizontal, 0.0, 1.0)
-    silent = np.isnan(inbox.stamp_s) | (now - inbox.received_s > law.forget_after)
+    limit = np.full(law.gains.shape[1], law.stale_after)
+    limit[0] = law.silent_after
+    silent = np.isnan(inbox.stamp_s) | (now - inbox.received_s > limit)
     deaf = silent[:, 0]
     quiet = np.expand_dims(silent, 2)
-    gains = np.where(quiet, 0.0, law.gains) * np.expand_dims(level, 1)
+    held = quiet & ~np.isnan(memory.place) & law.hold
+    weights = law.gains * np.expand_dims(level, 1)
+    gains = np.where(quiet & ~held, 0.0, weights)
     own_velocity = own.velocity_ned * level
     positions, velocities = corrected(inbox, now, law.from_timestamp, law.with_acceleration)
     positions = np.where(quiet, np.expand_dims(own.position_ned, 1), positions)
@@ -149,6 +159,14 @@ def paper_step(
     turning = geometry.frame_acceleration(climb, rates[:, 2], climb_rate, bending)
     turning = np.where(np.expand_dims(law.turn_acceleration, 1), turning, 0.0)
     chi, chi_rate, chi_acceleration = geometry.slots(frame, rate, turning, law.offsets)
+    place, place_stamp_s = memory.place, memory.place_stamp_s
+    if law.hold:
+        new = weights.any(axis=2) & ~silent & ~np.expand_dims(deaf, 1)
+        new &= ~(inbox.stamp_s <= place_stamp_s)
+        new[:, 0] = False  # the leader is in no place of its own formation
+        place = np.where(np.expand_dims(new, 2), places(frame, positions), place)
+        place_stamp_s = np.where(new, inbox.stamp_s, place_stamp_s)
+        positions, velocities = kept(frame, rate, place, held, positions, velocities)
     each = np.arange(n)
     slot, slot_velocity = chi[each, law.agents], chi_rate[each, law.agents]
     slot_acceleration = chi_acceleration[each, law.agents]
@@ -172,9 +190,9 @@ def paper_step(
         speeds,
     )
     since = np.where(np.isnan(memory.silent_since), now, memory.silent_since)
-    held = np.where(np.isnan(memory.silent_course), course(own_velocity), memory.silent_course)
+    begun = np.where(np.isnan(memory.silent_course), course(own_velocity), memory.silent_course)
     desired = _without_leader(
-        deaf, held + law.silent_turn * (now - since), law.silent_turn, desired
+        deaf, begun + law.silent_turn * (now - since), law.silent_turn, desired
     )
     u, inside = speed_control(speed, desired, law.a, law.b, law.pole, law.barrier, speeds)
     u = np.where(deaf, law.silent_airspeed + speed - own.airspeed, u)
@@ -193,14 +211,17 @@ def paper_step(
             guards.astype(np.uint8),
         ),
         after._replace(
-            silent_since=np.where(deaf, since, np.nan), silent_course=np.where(deaf, held, np.nan)
+            silent_since=np.where(deaf, since, np.nan),
+            silent_course=np.where(deaf, begun, np.nan),
+            place=place,
+            place_stamp_s=place_stamp_s,
         ),
     )
 
 
 def _leader_acceleration(
-    law: PaperLaw, inbox: Inbox, deaf: Truths, frame: Array, level: Array, memory: LeaderMemory
-) -> tuple[Array, LeaderMemory]:
+    law: PaperLaw, inbox: Inbox, deaf: Truths, frame: Array, level: Array, memory: Memory
+) -> tuple[Array, Memory]:
     """q̈_g (n, 3) m/s² by each agent's own choice, and the memory for the next step."""
     heard = np.expand_dims(~deaf, 1)
     velocity = np.where(heard, inbox.velocity_ned[:, 0] * level, 1.0)

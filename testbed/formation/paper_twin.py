@@ -19,29 +19,33 @@ from testbed.formation.geometry import GRAVITY
 from testbed.formation.geometry_twin import cross, frame_of, to_ned, twin
 from testbed.formation.laws import SLOPE_FLOOR
 from testbed.formation.laws_twin import errors_of, h_of, motion_of, mu_of, rows_of, silence
-from testbed.formation.leader import BROADCAST, TURN, LeaderMemory
+from testbed.formation.leader import BROADCAST, TURN, Memory
 from testbed.formation.paper_law import CLAMPED, OUTSIDE, SILENT
 from testbed.state import UnicycleCommand
 
 
 def paper_step(law, now, own, inbox, memory):
+    place, place_stamp_s = memory.place, memory.place_stamp_s
+    if law.hold:
+        place, place_stamp_s = place.copy(), place_stamp_s.copy()
     told, acceleration, after = _step(
         law.table,
         law.offsets,
         law.gains,
         law.from_timestamp,
         law.bounds_of_airspeed,
-        law.forget_after,
         now,
         own,
         inbox,
         memory.acceleration,
-        rows_of(memory[1:]),
+        rows_of(memory[1:-2]),
+        place,
+        place_stamp_s,
     )
-    return told, LeaderMemory(acceleration, *after)
+    return told, Memory(acceleration, *after, place, place_stamp_s)
 
 
-# The rows of what is remembered beside q̈_g, in the order of `LeaderMemory`.
+# The rows of what is remembered beside q̈_g and places, in the order of `leader.Memory`.
 STAMP, SPEED, CLIMB, SPEED_RATE, CLIMB_RATE, SINCE, COURSE = range(7)
 
 
@@ -98,12 +102,13 @@ def _step(
     gains,
     from_timestamp,
     bounds_of_airspeed,
-    forget,
     now,
     own,
     inbox,
     average,
     memory,
+    place,
+    place_stamp_s,
 ):
     n = len(table)
     speed_command, speed_desired = np.empty(n), np.empty(n)
@@ -117,7 +122,7 @@ def _step(
         q, heading = own.position_ned[i], own.velocity_ned[i]
         v = (heading[0], heading[1], level * heading[2])
         s = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-        if silence(inbox, i, 0, now, forget):
+        if silence(inbox, i, 0, now, agent.silent_after):
             begun = isnan(memory[SINCE, i])
             since = now if begun else memory[SINCE, i]
             held = atan2(v[1], v[0]) if begun else memory[COURSE, i]
@@ -136,7 +141,8 @@ def _step(
             continue
 
         # The leader's frame and the own slot in it, (22)-(29).
-        _, leader = motion_of(agent, inbox, i, 0, now, from_timestamp)
+        reckoned = motion_of(agent, inbox, i, 0, now, from_timestamp)
+        leader = reckoned[1]
         speed_g = sqrt(leader[0] ** 2 + leader[1] ** 2 + leader[2] ** 2)
         climb = atan2(-leader[2], hypot(leader[0], leader[1]))
         sine, cosine = sin(climb), cos(climb)
@@ -169,12 +175,13 @@ def _step(
             offsets,
             gains,
             from_timestamp,
-            forget,
             inbox,
             (q, v),
+            reckoned,
             (chi, chi_rate),
             frame,
             rates,
+            (place, place_stamp_s),
             i,
             now,
         )

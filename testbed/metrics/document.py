@@ -5,20 +5,29 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from testbed.errors import InputError
 
 OUTCOMES = ("flown", "lost", "interrupted", "failed")
 
 
-def complete(summary: Mapping[str, Any], *, outcome: str, wall_s: float) -> dict[str, Any]:
-    """The summary with what only the runner knows: how the run ended and how long it took.
+def complete(
+    summary: Mapping[str, Any], *, network: Mapping[str, Any], outcome: str, wall_s: float
+) -> dict[str, Any]:
+    """The summary with what only the runner knows: what the radio did, and how the run ended.
 
     `wall_s` and `real_time_factor` are the only numbers that differ between two runs of the same
     scenario and seed.
+
+    Args:
+        summary: of the frames.
+        network: numbers of all links: by sender and receiver in `links`, together in `all`.
+        outcome: one of `OUTCOMES`.
+        wall_s: how long the run took.
 
     Raises:
         ValueError: The outcome is none of `OUTCOMES`.
@@ -26,7 +35,27 @@ def complete(summary: Mapping[str, Any], *, outcome: str, wall_s: float) -> dict
     if outcome not in OUTCOMES:
         raise ValueError(f"outcome {outcome!r} is none of {', '.join(OUTCOMES)}")
     factor = summary["simulated_s"] / wall_s if wall_s > 0 else None
-    return {**summary, "outcome": outcome, "wall_s": wall_s, "real_time_factor": factor}
+    return {
+        **summary,
+        "age_of_information_s": {
+            name: _age(network, name) for name in summary["age_of_information_s"]
+        },
+        "network": dict(network),
+        "outcome": outcome,
+        "wall_s": wall_s,
+        "real_time_factor": factor,
+    }
+
+
+def _age(network: Mapping[str, Any], follower: str) -> dict[str, float | None]:
+    """How old what a follower used was, s, over the control steps and the aircraft heard."""
+    links = network["links"].values()
+    ages = [to[follower]["age_s"] for to in links if to.get(follower, {}).get("age_s")]
+    uses = sum(age["uses"] for age in ages)
+    return {
+        "mean": sum(age["mean"] * age["uses"] for age in ages) / uses if uses else None,
+        "max": max((age["max"] for age in ages), default=None),
+    }
 
 
 def to_json(document: Mapping[str, Any]) -> str:
@@ -46,16 +75,19 @@ def write_json(path: Path, document: Mapping[str, Any]) -> None:
     """
     text = to_json(document)
     try:
-        _replace(path, text)
+        with replacing(path) as file:
+            file.write(text)
     except OSError as error:
         raise InputError(f"{path}: cannot write the metrics: {error.strerror}") from error
 
 
-def _replace(path: Path, text: str) -> None:
+@contextmanager
+def replacing(path: Path) -> Iterator[TextIO]:
+    """A file to write that takes its place whole when the block ends well, and else is gone."""
     handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
+            yield file
             file.flush()
             os.fsync(file.fileno())
         # mkstemp makes files only the owner can read; the document is as public as its folder

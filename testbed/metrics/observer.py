@@ -48,7 +48,7 @@ class MetricsObserver:
         self._tally = tallying.empty(len(spans), followers)
         self._events = []
         self._tick = np.zeros(BLOCK, dtype=np.int64)
-        columns = 11 * aircraft + 8 * followers + followers * aircraft
+        columns = 11 * aircraft + 8 * followers
         self._rows = np.empty((BLOCK, columns))
         self._filled = 0
 
@@ -64,7 +64,6 @@ class MetricsObserver:
                 formation.slot_ned,
                 formation.guards,
                 formation.saturations,
-                formation.age_s,
                 frame.air.wind_ned,
                 frame.air.roll_coefficient,
                 frame.command.throttle,
@@ -115,8 +114,8 @@ def _block(rows: Array, tick: Ticks, info: RunInfo) -> Block:
     """Give the columns of rows (K, columns) their names and shapes."""
     frames, aircraft, followers = len(rows), len(info.names), len(info.names) - 1
     widths = [3 * aircraft, 3 * aircraft, 3 * followers, 3 * followers, followers, followers]
-    widths += [followers * aircraft, 3 * aircraft, aircraft]
-    position, euler, error, slot, guards, saturations, age, wind, roll, throttle = np.split(
+    widths += [3 * aircraft, aircraft]
+    position, euler, error, slot, guards, saturations, wind, roll, throttle = np.split(
         rows, np.cumsum(widths), axis=1
     )
     return Block(
@@ -127,7 +126,6 @@ def _block(rows: Array, tick: Ticks, info: RunInfo) -> Block:
         slot_ned=slot.reshape(frames, followers, 3),
         guards=guards.astype(np.int64),
         saturations=saturations.astype(np.int64),
-        age_s=age.reshape(frames, followers, aircraft),
         wind_ned=wind.reshape(frames, aircraft, 3),
         roll_coefficient=roll,
         throttle=throttle,

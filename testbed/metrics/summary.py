@@ -27,7 +27,7 @@ def summarise(
     events: Sequence[Event],
     published: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
-    """The metrics document, less what only the runner knows (`document.complete` adds that).
+    """The metrics document; `document.complete` puts in what only the runner knows.
 
     RMS errors are [HBH23] eqs. (30), (31) with the integral as the sum over frames. The percent
     error is that of its Table 1: the RMS of ‖q̃_i‖/‖χ_i‖, averaged over the followers. κ as
@@ -73,13 +73,8 @@ def summarise(
             }
             for i, name in enumerate(followers)
         },
-        "age_of_information_s": {
-            name: {
-                "mean": _ratio(tally.age_sum[i], tally.age_count[i]),
-                "max": _number(tally.age_largest[i]) if tally.age_count[i] else None,
-            }
-            for i, name in enumerate(followers)
-        },
+        "age_of_information_s": {name: {"mean": None, "max": None} for name in followers},
+        "network": None,
         "mean_throttle": _numbers(tally.throttle / max(tally.frames, 1), info.names),
         "wind": wind.summarise(tally.wind, info.names),
         "published": None if published is None else dict(published),
@@ -169,10 +164,6 @@ def _numbers(values: Array, names: Sequence[str]) -> dict[str, float | None]:
 
 def _mean(values: Array) -> float | None:
     return _number(float(values.mean())) if values.size else None
-
-
-def _ratio(total: float, count: int) -> float | None:
-    return _number(float(total) / int(count)) if count else None
 
 
 def _time(tick: int, info: RunInfo) -> float | None:

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from testbed.formation.flags import Saturation
-from testbed.metrics.wind import describe
+from testbed.metrics import network, wind
 
 Document = Mapping[str, Any]
 ABREAST = 3  # portions that fit side by side in 80 columns
@@ -156,12 +156,15 @@ def _facts(metrics: Document) -> Table:
     table.add_row(" leader's bank", _show(metrics["leader_bank_deg"], "{:.1f}° at most"))
     if metrics["engaged_at_s"]:
         table.add_row(" kappa measured", _kappa(metrics))
-    wind = describe(metrics["wind"])
-    if wind:
-        table.add_row(" wind felt", wind)
+    felt = wind.describe(metrics["wind"])
+    if felt:
+        table.add_row(" wind felt", felt)
     if any(each["wake_roll_coefficient"] for each in metrics["wind"].values()):
         shares = [f"{name} {100.0 * each:.1f}" for name, each in metrics["mean_throttle"].items()]
         table.add_row(" mean throttle, %", ", ".join(shares[: FOLLOWERS + 1]))
+    radio = network.describe(metrics["network"])
+    if radio:
+        table.add_row(" network", "\n".join(radio))
     left = {name: each for name, each in metrics["left_speed_set"].items() if each["times"]}
     if left:
         table.add_row(" left the speed set", _left(left))

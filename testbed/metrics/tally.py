@@ -34,7 +34,6 @@ class Block:
     slot_ned: Array  # (K, n, 3) m
     guards: Ticks  # (K, n)
     saturations: Ticks  # (K, n)
-    age_s: Array  # (K, n, N), nan where nothing was used
     wind_ned: Array  # (K, N, 3) m/s
     roll_coefficient: Array  # (K, N) of wakes
     throttle: Array  # (K, N) commanded, 0..1
@@ -78,9 +77,6 @@ class Tally:
     saturated: Ticks  # (n,) frames with any saturation
     saturations: Ticks  # (n, saturations) frames with this one
     last_saturated: Ticks  # (n,)
-    age_sum: Array  # (n,) s
-    age_count: Ticks  # (n,)
-    age_largest: Array  # (n,) s
     speeds: Speeds
     wind: Wind
     throttle: Array  # (N,) sum over the frames
@@ -116,9 +112,6 @@ def empty(portions: int, followers: int) -> Tally:
         saturated=zeros(followers),
         saturations=zeros(followers, len(Saturation)),
         last_saturated=never(),
-        age_sum=np.zeros(followers),
-        age_count=zeros(followers),
-        age_largest=np.zeros(followers),
         speeds=speeds.empty(portions, followers),
         wind=wind.empty(followers + 1),
         throttle=np.zeros(followers + 1),
@@ -145,8 +138,6 @@ def fold(
     closer = separation < tally.separation
     inside_since, engaged = _engage(tally, tick, inside, base_rate_hz)
     saturated = block.saturations != 0
-    ages = block.age_s
-    heard = ~np.isnan(ages)
     return Tally(
         frames=tally.frames + tick.size,
         first_tick=int(tick[0]) if tally.first_tick == NEVER else tally.first_tick,
@@ -168,11 +159,6 @@ def fold(
         saturated=tally.saturated + saturated.sum(axis=0),
         saturations=tally.saturations + _count_bits(block.saturations, list(Saturation)),
         last_saturated=np.maximum(tally.last_saturated, _last(tick, saturated)),
-        age_sum=tally.age_sum + np.where(heard, ages, 0.0).sum(axis=(0, 2)),
-        age_count=tally.age_count + heard.sum(axis=(0, 2)),
-        age_largest=np.maximum(
-            tally.age_largest, np.where(heard, ages, 0.0).max(axis=(0, 2), initial=0.0)
-        ),
         speeds=speeds.fold(
             tally.speeds,
             tick=tick,

@@ -113,4 +113,15 @@ FORMATION = Topic(
         Column("formation.age_s", ("age_s",), per_aircraft=True),
     ),
 )
-TOPICS = (STATE, ESTIMATE, COMMAND, FORMATION)
+# Messages since the start on the links to a follower from each aircraft, in the order of the run's
+# names. Written from the chunk on in which the first was not delivered.
+NETWORK = Topic(
+    "network",
+    followers_only=True,
+    columns=(
+        Column("links.sent", ("sent_count",), FIXED32, per_aircraft=True),
+        # of these, those that arrive, be it later
+        Column("links.delivered", ("delivered_count",), FIXED32, per_aircraft=True),
+    ),
+)
+TOPICS = (STATE, ESTIMATE, COMMAND, FORMATION, NETWORK)

@@ -23,12 +23,19 @@ from testbed.state import (
     FbwaCommand,
     FormationState,
     Frame,
+    LinkCounts,
     RunInfo,
     Surfaces,
     VehicleState,
 )
 
 _NS = 10**9
+_WHOLE = {
+    "formation.guards": "u1",
+    "formation.saturations": "u1",
+    "links.sent": "u4",
+    "links.delivered": "u4",
+}
 _RecordT = TypeVar("_RecordT")
 
 
@@ -46,6 +53,7 @@ class Log:
     command: FbwaCommand  # (K, N)
     surfaces: Surfaces  # (K, N)
     formation: FormationState  # (K, n, ...)
+    links: LinkCounts  # (K, n, N) zero in frames before the log tells of them
     events: tuple[Event, ...]
     metrics: Mapping[str, Any] | None  # None: the run did not come to its end
     finished: bool  # False: the writer never closed the file
@@ -65,10 +73,9 @@ def read_log(path: Path) -> Log:
     columns: dict[str, Array] = {}
     for topic in TOPICS:
         columns |= _columns(path, contents, topic, info, tick)
-    for name in ("guards", "saturations"):
-        # a bit set of a frame that is not there reads as nothing set
-        bits = np.nan_to_num(columns[f"formation.{name}"])
-        columns[f"formation.{name}"] = bits.astype(np.uint8)
+    for source, kind in _WHOLE.items():
+        # a bit set of a frame that is not there reads as nothing set, a count as none
+        columns[source] = np.nan_to_num(columns[source]).astype(kind)
     truth = _assemble(VehicleState, "truth", columns)
     metrics = contents.attachments.get(METRICS_NAME)
     return Log(
@@ -82,6 +89,7 @@ def read_log(path: Path) -> Log:
         command=_assemble(FbwaCommand, "command", columns),
         surfaces=_assemble(Surfaces, "surfaces", columns),
         formation=_assemble(FormationState, "formation", columns),
+        links=_assemble(LinkCounts, "links", columns),
         events=_events(path, contents),
         metrics=None if metrics is None else _json(path, METRICS_NAME, metrics),
         finished=contents.finished,
@@ -111,6 +119,7 @@ def frames(log: Log) -> Iterator[Frame]:
             command=_at(log.command, k),
             surfaces=_at(log.surfaces, k),
             formation=_at(log.formation, k),
+            links=_at(log.links, k),
             events=tuple(events[first:taken]),
         )
 

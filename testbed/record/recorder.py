@@ -15,8 +15,8 @@ import numpy as np
 from testbed.frames import geodetic_from_ned, quaternion_xyzw
 from testbed.record.door import LogError, LogFile, Write
 from testbed.record.header import to_json
-from testbed.record.messages import ESTIMATE, LOG_SCHEMA, TOPICS
-from testbed.record.rows import Rows, estimates_differ
+from testbed.record.messages import ESTIMATE, LOG_SCHEMA, NETWORK, TOPICS, Topic
+from testbed.record.rows import Rows, all_delivered, estimates_differ
 from testbed.record.transforms import Transforms
 from testbed.record.wire import layout
 from testbed.state import Event, Frame, RunInfo
@@ -134,7 +134,11 @@ class McapRecorder:
         """The frames in the rows, one after the other, with the events between them."""
         count, columns = len(self._rows), self._rows.columns()
         time_ns = [tick * _NS // self._info.base_rate_hz for tick in self._rows.tick]
-        unwritten = () if estimates_differ(columns) else (ESTIMATE,)
+        unwritten: list[Topic] = []
+        if not estimates_differ(columns):
+            unwritten.append(ESTIMATE)
+        if all_delivered(columns):  # once a message is lost, no later count is as it was sent
+            unwritten.append(NETWORK)
         writes: list[Write] = []
         encoded: list[list[list[bytes]]] = []
         for topic, (kind, streams) in self._topics.items():

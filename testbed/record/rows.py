@@ -27,7 +27,8 @@ class Rows:
 
         def kind(column: Column, agents: int) -> tuple[str, str, tuple[int, int]]:
             components = aircraft if column.per_aircraft else len(column.names)
-            number = "u1" if column.type == FIXED32 else "f8"  # state.Flags, state.Array
+            whole = "u4" if column.per_aircraft else "u1"  # state.Counts, state.Flags
+            number = whole if column.type == FIXED32 else "f8"  # state.Array
             return column.source, number, (agents, components)
 
         self._frames = frames
@@ -59,6 +60,7 @@ class Rows:
             *frame.estimate,
             *frame.command,
             *frame.formation,
+            *frame.links,
         )
         if not self._rows:
             self._check(arrays)
@@ -90,6 +92,11 @@ def estimates_differ(columns: np.ndarray[Any, np.dtype[np.void]]) -> bool:
         return not np.array_equal(_bits(columns[source]), truth)
 
     return any(differs(column.source) for column in ESTIMATE.columns)
+
+
+def all_delivered(columns: np.ndarray[Any, np.dtype[np.void]]) -> bool:
+    """Whether every message sent so far arrives."""
+    return np.array_equal(columns["links.sent"], columns["links.delivered"])
 
 
 def _bits(values: Array) -> NDArray[np.uint64]:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from testbed.scenario.messages import did_you_mean
+from testbed.scenario.network_checks import check_network
 
 if TYPE_CHECKING:
     from testbed.scenario.schema import Scenario
@@ -22,7 +23,7 @@ def cross_check(page: Scenario) -> list[Finding]:
         *_formation(page),
         *_agents(page),
         *_kinds(page),
-        *_network(page),
+        *check_network(page),
         *_wind(page),
         *_turbulence(page),
         *_gusts(page),
@@ -113,21 +114,6 @@ def _kinds(page: Scenario) -> Iterator[Finding]:
             ("controller", "options"),
             "the paper's law takes no options (write its gains under formation, or leave this out)",
         )
-
-
-def _network(page: Scenario) -> Iterator[Finding]:
-    names = list(page.aircraft_names)
-    for name, windows in page.network.mute_s.items():
-        at = ("network", "mute_s", name)
-        if name not in names:
-            yield (
-                at,
-                f"no aircraft has this name{did_you_mean(name, names)} (the run has "
-                f"{', '.join(names)})",
-            )
-        for index, (begin, end) in enumerate(windows):
-            if begin >= end:
-                yield (*at, index), f"[{begin:g}, {end:g}] is not a window (write [from, to] in s)"
 
 
 def _wind(page: Scenario) -> Iterator[Finding]:

@@ -183,7 +183,7 @@ class Silence(Section):
     """What a follower does when its leader falls silent."""
 
     after_s: Seconds = Field(
-        5.0, gt=0, description="Without news for this long, an aircraft is not reckoned with, s."
+        5.0, gt=0, description="Without news of its leader for this long, a follower is alone, s."
     )
     then: Literal["straight", "loiter"] = Field(
         "straight",
@@ -192,6 +192,22 @@ class Silence(Section):
     )
     bank_deg: Number = Field(
         20.0, ge=-60, le=60, description="Bank of that circle, degrees; right is positive."
+    )
+
+
+class Staleness(Section):
+    """What a follower does when a neighbour falls silent."""
+
+    after_s: Seconds | None = Field(
+        None,
+        gt=0,
+        description="Without news of a neighbour for this long, what was known of it is too old; "
+        "by default silence.after_s, s.",
+    )
+    then: Literal["drop", "hold"] = Field(
+        "drop",
+        description="Leave the neighbour out of (6), or take it to hold the place in the leader's "
+        "velocity frame that it had when its last message was new.",
     )
 
 
@@ -235,4 +251,7 @@ class Controller(Section):
         description="What the speed bounds bound: ground_speed is the paper's, airspeed shifts "
         "them by the wind, as the authors' code does.",
     )
-    silence: Silence = Field(Silence(), description="What happens without news of the others.")
+    silence: Silence = Field(Silence(), description="What happens without news of the leader.")
+    staleness: Staleness = Field(
+        Staleness(), description="What happens without news of a neighbour."
+    )

@@ -21,6 +21,7 @@ _NOT_TYPED = {
     "model_attributes_type": "a map of keys and values",
     "dict_type": "a map of keys and values",
 }
+_MAPS = {"$ref", "properties", "discriminator"}  # of a schema, one of these in a map's
 _BOUNDS = {
     "greater_than": ("gt", "above"),
     "greater_than_equal": ("ge", "at least"),
@@ -108,8 +109,6 @@ def _one(detail: Mapping[str, Any], tree: Node, schema: dict[str, Any]) -> Probl
 
 def _length(node: Node, path: tuple[str, ...], tree: Node, schema: dict[str, Any]) -> str:
     here = _at(schema, tree, path)
-    lists = [option for option in here.get("anyOf", ()) if option.get("type") == "array"]
-    here = lists[0] if len(lists) == 1 else here
     count = len(node.value) if isinstance(node.value, tuple | dict) else 0
     least, most = here.get("minItems"), here.get("maxItems")
     wanted = f"at least {least}" if most is None else str(most)
@@ -196,15 +195,27 @@ def _follow(schema: dict[str, Any], here: dict[str, Any], page: Plain) -> dict[s
         elif "discriminator" in here:
             rule = here["discriminator"]
             tag = page.get(rule["propertyName"]) if isinstance(page, dict) else None
-            if str(tag) not in rule["mapping"]:
+            tag = _unsaid(schema, rule) if tag is None else str(tag)
+            if tag not in rule["mapping"]:
                 return {"properties": dict.fromkeys(rule["mapping"], {})}
-            here = {"$ref": rule["mapping"][str(tag)]}
+            here = {"$ref": rule["mapping"][tag]}
         elif "anyOf" in here and "properties" not in here:
-            maps = [
-                choice for choice in here["anyOf"] if "$ref" in choice or "properties" in choice
-            ]
-            if not maps:
+            maps = [choice for choice in here["anyOf"] if _MAPS & choice.keys()]
+            lists = [choice for choice in here["anyOf"] if choice.get("type") == "array"]
+            if isinstance(page, list) and len(lists) == 1:
+                here = lists[0]
+            elif maps:
+                here = maps[0]
+            else:
                 return here
-            here = maps[0]
         else:
             return here
+
+
+def _unsaid(schema: dict[str, Any], rule: Mapping[str, Any]) -> str:
+    """Return the tag of a union's map that says none: one that is a default, or nothing."""
+    for tag, reference in rule["mapping"].items():
+        choice = _follow(schema, {"$ref": reference}, None)
+        if "default" in choice["properties"][rule["propertyName"]]:
+            return str(tag)
+    return ""

@@ -10,15 +10,16 @@ from testbed.scenario.messages import Place, Problem, ScenarioError, did_you_mea
 from testbed.scenario.tree import Node
 
 Parse = Callable[[str, str, Path], Node]
+_LINKS = ("network", "links")  # whose maps, by sender and by receiver, have a key '*' for the rest
 
 
 def override(tree: Node, text: str, parse: Parse) -> Node:
     """Return the page with one value changed.
 
     The key is a dotted path; in a list it counts from 0 or gives an element's `name`, and `*`
-    stands for every element of a list or map. A key that is not on the page is added, so that
-    defaults can be changed; whether the schema knows it is seen when the page is checked. A value
-    of null takes a key away.
+    stands for every element of a list or map; of network.links also for the page's own '*', so
+    that it is every link. A key that is not on the page is added, so that defaults can be changed;
+    whether the schema knows it is seen when the page is checked. A value of null takes a key away.
 
     Args:
         tree: the page.
@@ -62,9 +63,7 @@ def _set(node: Node, parts: tuple[str, ...], done: tuple[str, ...], new: Node, s
         return replace(node, value=tuple(children))
     if isinstance(node.value, dict) or node.value is None:
         named = dict(node.value or {})
-        if part == "*" and not named:
-            raise _stop(source, done, "is empty: * has nothing to stand for")
-        for name in tuple(named) if part == "*" else (part,):
+        for name in _keys(named, part, done, source):
             child = named.get(name, Node(None, new.place, new.place, new.folder))
             if new.value is None and not rest and name in named:
                 del named[name]
@@ -72,6 +71,16 @@ def _set(node: Node, parts: tuple[str, ...], done: tuple[str, ...], new: Node, s
                 named[name] = _set(child, rest, (*done, name), new, source)
         return replace(node, value=named)
     raise _stop(source, done, f"is {node.value!r}, which has no {part!r} inside")
+
+
+def _keys(named: dict[str, Node], part: str, done: tuple[str, ...], source: str) -> tuple[str, ...]:
+    if part != "*":
+        return (part,)
+    if done[:2] == _LINKS and len(done) < len(_LINKS) + 2:
+        return tuple(dict.fromkeys((*named, "*")))
+    if not named:
+        raise _stop(source, done, "is empty: * has nothing to stand for")
+    return tuple(named)
 
 
 def _indices(

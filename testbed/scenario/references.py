@@ -7,6 +7,7 @@ from typing import Any
 
 from testbed.scenario import resolve
 from testbed.scenario.aircraft import Follower, Leader
+from testbed.scenario.link_checks import sections
 from testbed.scenario.messages import Problem, ScenarioError
 from testbed.scenario.schema import Scenario
 from testbed.scenario.tree import Node, walk
@@ -95,6 +96,11 @@ def settle(page: Scenario, tree: Node) -> Scenario:
         settler.recording(("leader", "path", "file"), page.leader.path.file)
     if page.air.wind.file is not None:
         settler.recording(("air", "wind", "file"), page.air.wind.file)
+    for loc, link in sections(page.network):
+        if link.jitter is not None and link.jitter.file is not None:
+            settler.recording((*loc, "jitter", "file"), link.jitter.file)
+        if link.trace is not None:
+            settler.recording((*loc, "trace", "file"), link.trace.file)
     if page.controller.law != "paper":
         settler.law(("controller", "law"), page.controller.law)
     if settler.problems:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Literal, Self
+from typing import Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -23,10 +23,10 @@ from testbed.scenario.fields import (
     Section,
     Whole,
 )
+from testbed.scenario.link import Window
+from testbed.scenario.network import Network
 
 SCHEMA_VERSION = 1
-
-Window = tuple[Annotated[Seconds, Field(ge=0)], Annotated[Seconds, Field(ge=0)]]
 
 
 class OriginOnPage(Section):
@@ -80,15 +80,6 @@ class Rates(Section):
         True,
         description="All aircraft act at the same moments: true; or each at a phase of its own, "
         "drawn from the seed: false.",
-    )
-
-
-class Network(Section):
-    """The radio between the aircraft."""
-
-    delay_s: Seconds = Field(0.0, ge=0, le=60, description="Latency of every message, s.")
-    mute_s: Mapping[Name, tuple[Window, ...]] = Field(
-        {}, description="By aircraft, windows [from, to] in which it sends nothing, s."
     )
 
 

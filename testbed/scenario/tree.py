@@ -23,26 +23,30 @@ class Node:
 
 # A map whose key of this name differs is another kind of thing: nothing of the old one is kept.
 _KINDS = ("kind", "example")
+# By key, what kind a map is that says none.
+_UNSAID = {"loss": "bernoulli"}
 
 
-def merge(base: Node, top: Node) -> Node:
+def merge(base: Node, top: Node, name: str = "") -> Node:
     """Return `base` changed by `top`: maps merge deeply, everything else is replaced.
 
-    Two maps of different `kind` (or `example`) do not merge: the new one replaces the old. A key
-    whose new value is null is taken away, which leaves its default, if it has one.
+    `name` is the key they are under. Two maps of different `kind` (or `example`) do not merge: the
+    new one replaces the old. A key whose new value is null is taken away, which leaves its
+    default, if it has one.
     """
     if not (isinstance(base.value, dict) and isinstance(top.value, dict)):
         return top
     for kind in _KINDS:
         old, new = base.value.get(kind), top.value.get(kind)
-        if old and new and old.value != new.value:
+        was = old.value if old else _UNSAID.get(name)
+        if was and new and was != new.value:
             return top
     merged = dict(base.value)
-    for name, node in top.value.items():
-        if node.value is None and name in merged:
-            del merged[name]
+    for key, node in top.value.items():
+        if node.value is None and key in merged:
+            del merged[key]
         else:
-            merged[name] = merge(merged[name], node) if name in merged else node
+            merged[key] = merge(merged[key], node, key) if key in merged else node
     return replace(top, value=merged)
 
 
@@ -72,6 +76,8 @@ def walk(node: Node, loc: tuple[str | int, ...]) -> tuple[Node, tuple[str, ...],
                 path.append(name)
                 continue
             if any(kind in node.value and node.value[kind].value == part for kind in _KINDS):
+                continue
+            if path and _UNSAID.get(path[-1]) == part:
                 continue
             return node, tuple(path), tuple(str(rest) for rest in loc[index:])
         if isinstance(node.value, tuple) and isinstance(part, int) and part < len(node.value):

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import heapq
 import itertools
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from testbed.errors import InputError
-from testbed.state import Truths
+from testbed.state import Array, Truths
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,10 +20,23 @@ class Due:
 
     sense: bool  # estimates get new errors
     broadcast: Truths | None  # (N,) who sends; None: nobody
+    sent_s: Array | None  # (N,) when they send, at or soon after the tick, s; None: at the tick
     control: tuple[int, ...]  # groups of followers that step
     lead: bool  # the leader's guidance steps
     autopilot: bool
     log: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Beat:
+    """An aircraft that sends when it likes, whatever the ticks: at phase + k period.
+
+    It sends what it measured at the last tick before.
+    """
+
+    row: int  # among the N aircraft
+    period_s: float
+    phase_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +53,8 @@ class Clock:
     broadcast: int
     log: int
     control_phases: tuple[int, ...]  # n followers
-    broadcast_phases: tuple[int, ...]  # N aircraft
+    broadcast_phases: tuple[int | None, ...]  # N aircraft; None: it has a beat of its own
+    beats: tuple[Beat, ...] = ()
 
     @property
     def stride(self) -> int:
@@ -80,12 +95,46 @@ class Clock:
         repeated = (
             (lap * period + tick, due) for lap in itertools.count() for tick, due in pattern
         )
-        events = itertools.chain([begin], itertools.islice(repeated, 1, None))
+        events: Iterator[tuple[int, Due]] = itertools.chain(
+            [begin], itertools.islice(repeated, 1, None)
+        )
+        if self.beats:
+            events = self._with_beats(events)
         tick, due = next(events)
         while tick <= last:
             following, next_due = next(events)
             yield tick, following - tick, due
             tick, due = following, next_due
+
+    def _with_beats(self, events: Iterable[tuple[int, Due]]) -> Iterator[tuple[int, Due]]:
+        """The same events, and the sending of those with a beat of their own."""
+        sending = itertools.groupby(
+            heapq.merge(*(self._moments_of(beat) for beat in self.beats)), key=lambda each: each[0]
+        )
+        at, group = next(sending)
+        for tick, due in events:
+            while at < tick:
+                yield at, self._sending(NOTHING_DUE, at, group)
+                at, group = next(sending)
+            if at == tick:
+                due = self._sending(due, at, group)
+                at, group = next(sending)
+            yield tick, due
+
+    def _moments_of(self, beat: Beat) -> Iterator[tuple[int, int, float]]:
+        """The last tick before each message, the row, and its time, s."""
+        for k in itertools.count():
+            time_s = beat.phase_s + k * beat.period_s
+            # a time that is a tick's but for its last bits is the tick's
+            yield math.floor(time_s * self.base_rate_hz + 1e-6), beat.row, time_s
+
+    def _sending(self, due: Due, tick: int, group: Iterable[tuple[int, int, float]]) -> Due:
+        n = len(self.broadcast_phases)
+        who = np.zeros(n, dtype=bool) if due.broadcast is None else due.broadcast.copy()
+        sent_s = np.full(n, self.time_s(tick))
+        for _, row, time_s in group:
+            who[row], sent_s[row] = True, time_s
+        return replace(due, broadcast=who, sent_s=sent_s)
 
     def _pattern(self) -> list[tuple[int, Due]]:
         """What happens in one period of all the rates; tick 0 is always there."""
@@ -95,12 +144,17 @@ class Clock:
             (self.control, self.control_phases),
             (self.broadcast, self.broadcast_phases),
         ):
-            ticks |= {t for phase in phases for t in range(phase, period, step)}
+            ticks |= {
+                t for phase in phases if phase is not None for t in range(phase, period, step)
+            }
         return [(tick, self._due(tick)) for tick in sorted(ticks)]
 
     def _due(self, tick: int, *, everyone: bool = False) -> Due:
         send = np.array(
-            [everyone or (tick - phase) % self.broadcast == 0 for phase in self.broadcast_phases]
+            [
+                phase is not None and (everyone or (tick - phase) % self.broadcast == 0)
+                for phase in self.broadcast_phases
+            ]
         )
         step = tuple(
             number
@@ -110,11 +164,17 @@ class Clock:
         return Due(
             sense=tick % self.stride == 0,
             broadcast=send if send.any() else None,
+            sent_s=None,
             control=step,
             lead=tick % self.control == 0,
             autopilot=tick % self.autopilot == 0,
             log=tick % self.log == 0,
         )
+
+
+NOTHING_DUE = Due(
+    sense=False, broadcast=None, sent_s=None, control=(), lead=False, autopilot=False, log=False
+)
 
 
 def make_clock(
@@ -126,6 +186,7 @@ def make_clock(
     log_hz: int,
     aircraft: int = 1,
     phases: Sequence[float] | None = None,
+    beats: Mapping[int, tuple[float | None, float | None]] | None = None,
 ) -> Clock:
     """The clock of these rates for N aircraft.
 
@@ -138,6 +199,8 @@ def make_clock(
         aircraft: N.
         phases: for each aircraft, by which part (0..1) of a period its own control and messages
             come after the leader's control; None: all together.
+        beats: by row, period and phase in s of those that send at moments of their own; None:
+            as for all others.
 
     Raises:
         InputError: a rate does not divide the base rate.
@@ -153,6 +216,14 @@ def make_clock(
             raise InputError(f"rates.{name}: {rate} does not divide physics_hz {physics_hz}")
     autopilot, control, broadcast, log = (physics_hz // rate for rate in rates.values())
     parts = phases or (0.0,) * aircraft
+    own = [
+        Beat(
+            row,
+            1.0 / broadcast_hz if period is None else period,
+            int(parts[row] * broadcast) / physics_hz if phase is None else phase,
+        )
+        for row, (period, phase) in (beats or {}).items()
+    ]
     return Clock(
         physics_hz,
         autopilot,
@@ -160,5 +231,9 @@ def make_clock(
         broadcast,
         log,
         control_phases=tuple(int(part * control) for part in parts[1:]),
-        broadcast_phases=tuple(int(part * broadcast) for part in parts),
+        broadcast_phases=tuple(
+            None if beats and row in beats else int(part * broadcast)
+            for row, part in enumerate(parts)
+        ),
+        beats=tuple(own),
     )

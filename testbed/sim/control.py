@@ -18,6 +18,7 @@ from testbed.formation.flags import Guard, Saturation
 from testbed.formation.law import Diagnosis, Law, Team
 from testbed.formation.measurement import AGES
 from testbed.formation.middle_loop import MiddleLoop, MiddleLoopMemory
+from testbed.formation.paper_law import PaperLaw
 from testbed.frames import course, flight_path_angle
 from testbed.sim.vehicles import choose
 from testbed.state import Array, FbwaCommand, Inbox, Truths, UnicycleCommand, VehicleState
@@ -50,6 +51,17 @@ class Group:
         return unused
 
     @cached_property
+    def patience(self) -> Array:
+        """(N,) s since news of each aircraft arrived, after which the law does not use it.
+
+        A neighbour that the law holds at its place is reckoned with however old its news is.
+        """
+        holds = isinstance(self.law, PaperLaw) and self.law.hold
+        limit = np.full(self.team.gains.shape[1], np.inf if holds else self.team.stale_after)
+        limit[0] = self.team.silent_after
+        return limit
+
+    @cached_property
     def some_ideal(self) -> bool:
         """Whether there are ideal vehicles among them."""
         return bool(self.ideal.any())
@@ -71,12 +83,26 @@ class Control:
         self.diagnosis = Diagnosis(unknown, unknown, unknown, unknown, nothing, nothing)
         self.age_s = np.full((n, aircraft), np.nan)  # of what follower i used of aircraft j
 
-    def step(self, number: int, now: float, own: VehicleState, inbox: Inbox) -> None:
-        """Step one group at the time `now` (s) from all followers' estimates and inboxes (n)."""
+    def step(
+        self, number: int, now: float, own: VehicleState, inbox: Inbox, measured_s: Array
+    ) -> tuple[NDArray[np.intp], Array]:
+        """Step one group at the time `now` (s) from all followers' estimates and inboxes (n).
+
+        Args:
+            number: of the group.
+            now: s.
+            own: (n)
+            inbox: (n, N)
+            measured_s: (n, N) s, when its content was true, which the followers do not know.
+
+        Returns:
+            Who stepped (m,), and the age (m, N) s of what each used of each aircraft; nan: nothing.
+        """
         group = self._groups[number]
         alone = len(self._groups) == 1
         if not alone:
             own, inbox = choose(own, group.rows), choose(inbox, group.rows)
+            measured_s = measured_s[group.rows]
         law_memory, middle_memory = self._memory[number] or (
             group.law.start(own),
             group.middle.start(),
@@ -93,7 +119,7 @@ class Control:
         else:
             command, unicycle, diagnosis = direct(told, own, group.team)
         self._memory[number] = law_memory, middle_memory
-        age = AGES(now, inbox.stamp_s, inbox.received_s, group.unheeded, group.team.silent_after)
+        age = AGES(now, measured_s, inbox.received_s, group.unheeded, group.patience)
         if not group.trusted:
             silent = np.isnan(age[:, 0]) * SILENT
             diagnosis = diagnosis._replace(guards=diagnosis.guards | silent.astype(np.uint8))
@@ -102,13 +128,14 @@ class Control:
         if alone:
             self.command, self.unicycle, self.diagnosis = command, unicycle, diagnosis
             self.age_s = age
-            return
+            return group.rows, age
         rows = group.rows
         self.command = _put(self.command, rows, command)
         self.unicycle = _put(self.unicycle, rows, unicycle)
         self.diagnosis = _put(self.diagnosis, rows, diagnosis)
         self.age_s = self.age_s.copy()
         self.age_s[rows] = age
+        return rows, age
 
 
 def without_middle_loop(

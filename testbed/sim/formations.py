@@ -113,7 +113,9 @@ def make_paper_law(page: Scenario, team: Team, profiles: Sequence[Profile]) -> P
         acceleration_blend=np.array([one.leader_acceleration_blend for one in chosen]),
         difference_blend=np.array([one.leader_difference_blend for one in chosen]),
         turn_acceleration=_which(chosen, "turn_acceleration", "roll_rate"),
-        forget_after=team.silent_after,
+        silent_after=team.silent_after,
+        stale_after=team.stale_after,
+        hold=controller.staleness.then == "hold",
         silent_airspeed=team.trim_airspeed,
         silent_turn=GRAVITY * round_ / team.trim_airspeed,
     )

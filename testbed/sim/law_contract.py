@@ -139,7 +139,9 @@ def _states(
     )
     # a message a second or more old now and then, and some older than anybody should reckon with
     late = rng.random((n, aircraft)) < silence
-    stamp = now - np.where(late, 2.0 * team.silent_after * rng.random((n, aircraft)), 0.0)
+    limit = np.full(aircraft, team.stale_after)
+    limit[0] = team.silent_after
+    stamp = now - np.where(late, 2.0 * limit * rng.random((n, aircraft)), 0.0)
     stamp[rng.random((n, aircraft)) < silence] = np.nan
     unheard = np.isnan(stamp)[:, :, np.newaxis]
     content = (place, velocity, acceleration, euler, rates)

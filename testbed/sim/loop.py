@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from testbed.network import channel as radio
+from testbed.network.scripts import Calendar
 from testbed.sim.control import Control
 from testbed.sim.pilots import with_ideal_leader, with_leader
-from testbed.sim.watch import Arrivals, Silence, broadcast, formation_state, losses
+from testbed.sim.watch import Arrivals, Silence, Staleness, broadcast, formation_state, losses
 from testbed.sim.world import World
 from testbed.state import Frame, Observer, followers
 
@@ -29,10 +29,11 @@ def fly(world: World, observers: Sequence[Observer], stop: Callable[[], bool]) -
         The outcome: "flown", "lost" or "interrupted".
     """
     clock, vehicles, pilot, air = world.clock, world.vehicles, world.pilot, world.air
+    radio, calendar = world.radio, Calendar(world.scripts)
     control = Control(world.groups, len(world.names) - 1, len(world.names))
     silence = Silence(world.names[1:], world.groups[0].team.silent_after)
+    staleness = Staleness(world.names, world.groups)
     arrivals = Arrivals(world.gusts, world.names)
-    inboxes = radio.silent(world.channel)
     news = list(world.notes)
     lead, turn = (0.0, 0.0, 0.0), None
 
@@ -47,13 +48,16 @@ def fly(world: World, observers: Sequence[Observer], stop: Callable[[], bool]) -
         estimate = world.estimators.estimate(truth, fresh=due.sense)
 
         if due.broadcast is not None:
-            content = broadcast(estimate, now)
-            inboxes = radio.send(world.channel, inboxes, content, now, due.broadcast)
+            message = broadcast(estimate, now)
+            sent_s = message.stamp_s if due.sent_s is None else due.sent_s
+            radio.send(sent_s, message, truth, due.broadcast)
         if due.control or due.lead:
             own = followers(estimate)
-            inboxes = radio.deliver(inboxes, now)
+            inbox = radio.deliver(now)
             for number in due.control:
-                control.step(number, now, own, inboxes.inbox)
+                stepped, ages = control.step(number, now, own, inbox, radio.measured_s)
+                radio.use(stepped, ages)
+                news += staleness.changes(now, stepped, inbox.received_s)
             if due.lead:
                 lead, turn = pilot.command(estimate)
             told = with_leader(lead, control.command)
@@ -71,6 +75,7 @@ def fly(world: World, observers: Sequence[Observer], stop: Callable[[], bool]) -
                 and (reached := air.gusts_inside(now, truth.position_ned)) is not None
             ):
                 news += arrivals.changes(now, reached)
+            news += calendar.changes(now)
             if over:
                 news += losses(now, lost, world.names)
             frame = Frame(
@@ -84,6 +89,7 @@ def fly(world: World, observers: Sequence[Observer], stop: Callable[[], bool]) -
                 formation=formation_state(
                     truth, control.diagnosis, control.age_s, world.offsets, world.altitudes
                 ),
+                links=radio.counts(),
                 events=tuple(news),
             )
             news = []

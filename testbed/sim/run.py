@@ -87,7 +87,9 @@ def run(
 
     def conclude() -> None:
         wall = time.perf_counter() - began
-        metrics.update(complete(meter.summary(), outcome=outcome, wall_s=wall))
+        metrics.update(
+            complete(meter.summary(), network=world.radio.summary(), outcome=outcome, wall_s=wall)
+        )
         if directory:
             write_json(directory / "metrics.json", metrics)
 

@@ -17,6 +17,8 @@ from testbed.state import Array
 
 def make_team(page: Scenario, profiles: Sequence[Profile], *, dt: float) -> Team:
     """All n followers, stepped every `dt` s."""
+    controller = page.controller
+    silent_after, stale_after = controller.silence.after_s, controller.staleness.after_s
     low, high = np.array([agent_value(page, name, "speed_mps") for name in follower_names(page)]).T
     return Team(
         names=follower_names(page),
@@ -31,7 +33,8 @@ def make_team(page: Scenario, profiles: Sequence[Profile], *, dt: float) -> Team
         trim_throttle=column(profiles, "trim_throttle"),
         trim_airspeed=column(profiles, "trim_airspeed_mps"),
         dt=dt,
-        silent_after=page.controller.silence.after_s,
+        silent_after=silent_after,
+        stale_after=silent_after if stale_after is None else stale_after,
     )
 
 
@@ -57,6 +60,7 @@ def part_of(team: Team, rows: Sequence[int]) -> Team:
         },
         dt=team.dt,
         silent_after=team.silent_after,
+        stale_after=team.stale_after,
     )
 
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.compiled import twin_of
 from testbed.formation import geometry
 from testbed.formation.flags import Guard
 from testbed.formation.law import Diagnosis
+from testbed.formation.paper_law import PaperLaw
 from testbed.frames import euler_rates
+from testbed.sim.control import Group
 from testbed.state import (
     Array,
     Broadcast,
@@ -96,6 +99,62 @@ class Silence:
                 yield Event(now, "info", name, "hears the leader again")
         self._deaf = deaf
         self._quiet = not (deaf.any() or self._waiting.any())
+
+
+class Staleness:
+    """Watches which followers have stopped or begun to hear the neighbours that they heed."""
+
+    def __init__(self, names: Sequence[str], groups: Sequence[Group]) -> None:
+        """Of N names, the leader's first: nobody is missed; news is given time from 0 s on."""
+        self._names = names
+        self._heeded: Truths = np.zeros((len(names) - 1, len(names)), dtype=bool)
+        for group in groups:
+            self._heeded[group.rows] = ~group.unheeded
+        self._heeded[:, 0] = False
+        np.fill_diagonal(self._heeded[:, 1:], False)
+        law = groups[0].law
+        self._limit = groups[0].team.stale_after
+        self._leaders_limit = groups[0].team.silent_after
+        self._paper = isinstance(law, PaperLaw)  # of a law of the user's own nobody knows
+        self._hold = isinstance(law, PaperLaw) and law.hold
+        self._missed: Truths = np.zeros_like(self._heeded)
+        # Whom a law that holds places has none for yet: it takes them while the leader is heard.
+        self._nowhere: Truths = self._heeded & self._hold
+        self._placing = self._hold
+        # When the oldest news that anybody uses arrived: before it is too old no other is.
+        self._oldest = 0.0
+
+    def changes(self, now: float, rows: NDArray[np.intp], received_s: Array) -> Iterator[Event]:
+        """An event for each neighbour whose news became too old, or new, since the last call.
+
+        Args:
+            now: s, when the followers of these rows stepped.
+            rows: (m,) among the n followers.
+            received_s: (n, N) as in the inboxes then; nan: nothing heard yet.
+        """
+        if self._placing:
+            age = now - received_s[rows]
+            self._nowhere[rows] &= ~((age <= self._limit) & (age[:, :1] <= self._leaders_limit))
+            self._placing = bool(self._nowhere.any())
+        if now - self._oldest <= self._limit:
+            return
+        heard = np.where(self._heeded, np.fmax(received_s, 0.0), np.inf)
+        missed = self._missed.copy()
+        missed[rows] = now - heard[rows] > self._limit
+        for i, m in np.argwhere(missed != self._missed):
+            name, other = self._names[i + 1], self._names[m]
+            if missed[i, m]:
+                what = self._consequence(bool(self._nowhere[i, m]))
+                yield Event(now, "warning", name, f"does not hear {other}{what}")
+            else:
+                yield Event(now, "info", name, f"hears {other} again")
+        self._missed = missed
+        self._oldest = -np.inf if missed.any() else float(heard.min())
+
+    def _consequence(self, nowhere: bool) -> str:
+        if not self._paper:
+            return ""
+        return ": takes it to hold its place" if self._hold and not nowhere else ": leaves it out"
 
 
 class Arrivals:

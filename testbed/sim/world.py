@@ -12,7 +12,8 @@ import numpy as np
 from testbed import __version__
 from testbed.air.air import Air
 from testbed.errors import InputError
-from testbed.network.channel import Channel
+from testbed.network.radio import Radio
+from testbed.network.scripts import Scripts
 from testbed.scenario import (
     SCHEMA_VERSION,
     Scenario,
@@ -29,6 +30,7 @@ from testbed.sim.formations import make_groups
 from testbed.sim.hypotheses import warnings
 from testbed.sim.leaders import Led, make_leader
 from testbed.sim.pilots import Pilot
+from testbed.sim.radios import beats, make_radio
 from testbed.sim.teams import agent_value, make_altitudes, make_offsets
 from testbed.sim.vehicles import Flown, Ideal, Mixed, Vehicles
 from testbed.state import Array, Event, Origin, RunInfo
@@ -57,7 +59,8 @@ class World:
     ideal: bool  # whether there are ideal vehicles among them
     estimators: Estimators
     pilot: Pilot
-    channel: Channel
+    radio: Radio
+    scripts: Scripts  # what is written down to go wrong on it
     groups: tuple[Group, ...]
     offsets: Array  # (n + 1, 3) m, in the leader's frame
     altitudes: Array  # (n,) m, of followers that hold one; nan for the rest
@@ -73,7 +76,7 @@ def build(page: Scenario) -> World:
             what to write instead.
     """
     names = page.aircraft_names
-    clock = _clock(page)
+    clock = clock_of(page)
     origin = Origin(**page.scenario.origin.model_dump())
     flown: list[Leader | Follower] = [page.leader, *page.fleet]
     folders = [find_aircraft(each.aircraft) for each in flown]
@@ -121,6 +124,7 @@ def build(page: Scenario) -> World:
     if ideal:
         parts.append((ideal, _ideal(page, ideal, starts, led, clock)))
     groups, said = make_groups(page, folders[1:], clock)
+    radio, scripts = make_radio(page)
     return World(
         clock=clock,
         duration_s=page.scenario.duration_s,
@@ -137,14 +141,8 @@ def build(page: Scenario) -> World:
             dt=clock.stride / clock.base_rate_hz,
         ),
         pilot=led.pilot,
-        channel=Channel(
-            np.full((len(names) - 1, len(names)), page.network.delay_s),
-            tuple(
-                (names.index(name), begin, end)
-                for name, windows in page.network.mute_s.items()
-                for begin, end in windows
-            ),
-        ),
+        radio=radio,
+        scripts=scripts,
         groups=groups,
         offsets=make_offsets(page),
         altitudes=make_altitudes(page),
@@ -182,12 +180,13 @@ def build(page: Scenario) -> World:
     )
 
 
-def _clock(page: Scenario) -> Clock:
+def clock_of(page: Scenario) -> Clock:
+    """The clock of a page: rates, phases drawn from the seed, and moments of sending."""
     rates = page.rates.model_dump()
     together = rates.pop("synchronous")
     names, seed = page.aircraft_names, page.scenario.seed
     phases = None if together else [float(stream(seed, f"phase/{name}").random()) for name in names]
-    return make_clock(**rates, aircraft=len(names), phases=phases)
+    return make_clock(**rates, aircraft=len(names), phases=phases, beats=beats(page))
 
 
 def _ideal(

@@ -8,6 +8,7 @@ from testbed.state import (
     FbwaCommand,
     FormationState,
     Frame,
+    LinkCounts,
     Origin,
     RunInfo,
     Surfaces,
@@ -41,10 +42,14 @@ def run_info(followers=3, **changes):
     return RunInfo(**{**values, **changes})
 
 
-def run_frames(count, followers=3, *, noisy_from=None, seed=1, events=()):
-    """Frames of a run; estimates differ from the truth from one frame on, or never."""
+def run_frames(count, followers=3, *, noisy_from=None, lossy_from=None, seed=1, events=()):
+    """Frames of a run.
+
+    From one frame on, or never, estimates differ from the truth and messages are lost.
+    """
     rng = np.random.default_rng(seed)
     n, ours = followers, followers + 1
+    sent, lost = np.zeros((2, n, ours), dtype=np.uint32)
 
     def motion():
         vectors = (rng.standard_normal((ours, 3)) * 100.0 for _ in range(5))
@@ -57,6 +62,9 @@ def run_frames(count, followers=3, *, noisy_from=None, seed=1, events=()):
         truth = motion()
         ages = np.where(rng.random((n, ours)) < 0.5, np.nan, rng.random((n, ours)))
         tick = k * BASE_RATE_HZ // FRAME_RATE_HZ
+        sent = sent + rng.integers(1, 3, (n, ours)).astype(np.uint32)
+        if lossy_from is not None and k >= lossy_from:
+            lost = lost + rng.integers(0, 2, (n, ours)).astype(np.uint32)
         yield Frame(
             tick=tick,
             time_s=tick / BASE_RATE_HZ,
@@ -73,6 +81,7 @@ def run_frames(count, followers=3, *, noisy_from=None, seed=1, events=()):
                 saturations=rng.integers(0, 8, n).astype(np.uint8),
                 age_s=ages,
             ),
+            links=LinkCounts(sent, sent - lost),
             events=tuple(event for at, event in events if at == k),
         )
 

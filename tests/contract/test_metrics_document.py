@@ -27,12 +27,36 @@ def run_info(followers=3, **changes):
     return record_flight.run_info(followers, **{"kappa_mps": (3.6,) * followers, **changes})
 
 
-def document(followers=3, *, published=None, outcome="flown", **changes):
+def link(sent=0, delivered=0, **more):
+    """The numbers of a link, or of several, over which nothing was said unless told."""
+    nothing = {"count": 0, "mean": None, "longest": 0, "lengths": {}}
+    return {
+        "sent": sent,
+        "delivered": delivered,
+        "delivered_share": delivered / sent if sent else None,
+        "lost": {},
+        "mute": 0,
+        "duplicated": 0,
+        "overtaken": 0,
+        "delay_s": None,
+        "bursts": nothing,
+        "age_s": None,
+    } | more
+
+
+def age(mean, most, uses):
+    return {"mean": mean, "max": most, "p50": mean, "p95": most, "uses": uses}
+
+
+QUIET = {"links": {}, "all": link()}
+
+
+def document(followers=3, *, published=None, outcome="flown", network=QUIET, **changes):
     meter = MetricsObserver(published=published)
     meter.begin(run_info(followers, **changes))
     for frame in run_frames(80, followers, events=[event(k, f"gust {k}") for k in range(9)]):
         meter.observe(frame)
-    return complete(meter.summary(), outcome=outcome, wall_s=2.0)
+    return complete(meter.summary(), network=network, outcome=outcome, wall_s=2.0)
 
 
 def shown(metrics, width=80):
@@ -49,7 +73,8 @@ def test_the_document_has_the_promised_keys():
     promised = {"min_separation_m", "engaged_at_s", "simulated_s", "wall_s", "real_time_factor"}
     promised |= {"leader_bank_deg", "outcome", "schema", "scenario", "seed", "versions", "guards"}
     promised |= {"kappa_mps", "kappa_at_s", "kappa_assumed_mps", "slot_speed_mps"}
-    assert promised | {"saturations", "published", "events", "left_speed_set"} <= set(metrics)
+    promised |= {"saturations", "published", "events", "left_speed_set"}
+    assert promised | {"network", "age_of_information_s"} <= set(metrics)
     assert {"kappa_mps", "slot_speed_mps"} <= set(portion)
     assert metrics["simulated_s"] == 79 / 25
     assert metrics["real_time_factor"] == metrics["simulated_s"] / 2.0
@@ -132,6 +157,83 @@ def test_the_table_says_whose_kappa_was_smallest_and_what_the_page_says():
     assert facts(metrics)["left the speed set"] == "uav2 at 4.0 s, 3 × in all"
     metrics["left_speed_set"]["uav3"] = {"times": 1, "first_s": 2.0}
     assert facts(metrics)["left the speed set"] == "uav3 at 2.0 s, 1 × in all; 1 more"
+
+
+def test_the_age_of_information_is_over_all_uses_of_what_was_heard():
+    # uav1 used 10 messages of the leader, 0.1 s old in the mean, and 30 of uav2, 0.3 s old
+    links = {
+        "leader": {"uav1": link(age_s=age(0.1, 0.4, 10)), "uav2": link(age_s=age(0.2, 0.2, 5))},
+        "uav1": {"uav2": link()},
+        "uav2": {"uav1": link(age_s=age(0.3, 0.35, 30))},
+    }
+    ages = document(2, network={"links": links, "all": link()})["age_of_information_s"]
+    assert ages["uav1"] == {"mean": pytest.approx(0.25, rel=1e-15), "max": 0.4}
+    assert ages["uav2"] == {"mean": 0.2, "max": 0.2}
+    nothing_heard = document(1)["age_of_information_s"]
+    assert nothing_heard == {"uav1": {"mean": None, "max": None}}
+
+
+def radio(together, **shares):
+    """Facts about a network of these numbers in all and these shares on links from the leader."""
+    links = {"leader": {name: link(1000, round(1000 * share)) for name, share in shares.items()}}
+    text = shown(document(3, network={"links": links, "all": together}))
+    assert max(map(len, text.splitlines())) <= 80
+    lines = text.splitlines()
+    at = [k for k, line in enumerate(lines) if line.startswith(" network ")]
+    if not at:
+        return []
+    end = next((k for k in range(at[0] + 1, len(lines)) if lines[k][:3].strip()), len(lines))
+    return [line[21:].rstrip() for line in lines[at[0] : end]]
+
+
+def late(p50, p95):
+    return {"mean": p50, "min": p50, "max": p95, "p50": p50, "p95": p95, "p99": p95}
+
+
+def test_the_table_says_nothing_of_a_radio_that_only_delays():
+    assert radio(link(300, 300, delay_s=late(0.1, 0.1 + 1e-12)), uav1=1.0) == []
+
+
+def test_the_table_says_what_was_lost_and_why():
+    bursts = {"count": 7000, "mean": 1.43, "longest": 11, "lengths": {}}
+    losses = {"lost": 96876, "blackout": 1203}
+    together = link(324000, 225921, lost=losses, bursts=bursts, delay_s=late(0.1, 0.1))
+    assert radio(together, uav1=0.7, uav2=0.698) == [
+        "69.7 % of 324,000 messages delivered; leader > uav2 69.8 %",
+        "96,876 lost, 1,203 blackout",
+        "1.4 lost in a row, 11 at most",
+    ]
+    lone = {"count": 3, "mean": 1.0, "longest": 1, "lengths": {"1": 3}}
+    seldom = link(99000, 98997, lost={"listed": 3}, bursts=lone, mute=10)
+    assert radio(seldom, uav1=0.7, uav2=0.7) == [
+        "> 99.9 % of 99,000 messages delivered",
+        "3 listed, 10 not sent",
+    ]
+
+
+def test_the_table_says_how_late_messages_were_if_they_were_not_equally_late():
+    jitter = link(300, 300, delay_s=late(0.0804, 0.1916))
+    assert radio(jitter) == ["80 ms late, 5 % over 192"]
+    twice = link(300, 300, delay_s=late(0.1, 0.1), overtaken=1200, duplicated=3)
+    assert radio(twice) == ["1,200 overtaken, 3 twice"]
+
+
+def test_the_table_says_all_of_it_in_three_lines():
+    together = link(
+        300_000,
+        210_000,
+        lost={"lost": 90_000},
+        mute=100,
+        overtaken=37_297,
+        duplicated=2_795,
+        bursts={"count": 64_000, "mean": 1.40625, "longest": 11, "lengths": {}},
+        delay_s=late(0.115, 0.245),
+    )
+    assert radio(together, uav1=0.7, uav2=0.698) == [
+        "70.0 % of 300,000 messages delivered; leader > uav2 69.8 %",
+        "90,000 lost, 100 not sent, 37,297 overtaken, 2,795 twice",
+        "1.4 lost in a row, 11 at most; 115 ms late, 5 % over 245",
+    ]
 
 
 def test_a_pipe_gets_no_colours():

@@ -96,14 +96,14 @@ def test_a_log_gives_back_what_was_known_before_the_first_frame(tmp_path):
 
 
 def test_any_protobuf_reader_understands_the_log(tmp_path):
-    seen = list(run_frames(60, noisy_from=0, events=[event(50, "a gust")]))
+    seen = list(run_frames(60, noisy_from=0, lossy_from=0, events=[event(50, "a gust")]))
     info = run_info()
     messages = {}
     for topic, stamp, message in decoded(record(tmp_path / "run.mcap", seen, info)):
         messages.setdefault(topic, []).append((stamp, message))
-    each = ("state", "estimate", "command", "formation", "fix")
+    each = ("state", "estimate", "command", "formation", "network", "fix")
     expected = {f"/{name}/{part}" for name in info.names for part in each}
-    expected -= {"/leader/formation"}
+    expected -= {"/leader/formation", "/leader/network"}
     assert set(messages) == expected | {"/tf", "/tf_static", "/events"}
     assert len(messages["/uav2/state"]) == 60
     assert len(messages["/uav2/fix"]) == 12  # 5 Hz of 25
@@ -125,6 +125,11 @@ def test_any_protobuf_reader_understands_the_log(tmp_path):
     assert formation.guard_bits == frame.formation.guards[1]
     assert formation.saturation_bits == frame.formation.saturations[1]
     np.testing.assert_array_equal(list(formation.age_s), frame.formation.age_s[1])
+
+    network = messages["/uav3/network"][k][1]
+    assert list(network.sent_count) == frame.links.sent[2].tolist()
+    assert list(network.delivered_count) == frame.links.delivered[2].tolist()
+    assert list(network.delivered_count) != list(network.sent_count)
 
     stamp, fix = messages["/uav1/fix"][2]
     frame = seen[10]
@@ -167,6 +172,24 @@ def test_an_estimate_is_written_only_where_it_differs(tmp_path):
     topics = [topic for topic, _, _ in decoded(path)]
     assert topics.count("/uav1/state") == 3 * CHUNK
     assert topics.count("/uav1/estimate") == CHUNK  # the chunk in which it began to differ
+
+
+def test_the_radio_is_written_from_the_first_loss_on(tmp_path):
+    seen = list(run_frames(3 * CHUNK, lossy_from=CHUNK + 20))
+    path = record(tmp_path / "run.mcap", seen)
+    topics = [topic for topic, _, _ in decoded(path)]
+    assert topics.count("/uav1/network") == topics.count("/uav3/network") == 2 * CHUNK
+    assert "/leader/network" not in topics
+    for k, (ours, theirs) in enumerate(zip(seen, frames(read_log(path)), strict=True)):
+        for before, after in zip(ours.links, theirs.links, strict=True):
+            assert after.dtype == np.uint32
+            assert np.array_equal(after, before if k >= CHUNK else np.zeros((3, 4)))
+
+
+def test_a_radio_that_loses_nothing_is_not_written(tmp_path):
+    path = record(tmp_path / "run.mcap", run_frames(CHUNK + 5))
+    assert not [topic for topic, _, _ in decoded(path) if topic.endswith("/network")]
+    assert not np.any(read_log(path).links)
 
 
 def test_the_same_run_gives_the_same_bytes(tmp_path):

@@ -7,7 +7,7 @@ import pytest
 
 from testbed.formation import leader
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
-from testbed.scenario import find_aircraft, load, load_middle_loop
+from testbed.scenario import ScenarioError, find_aircraft, load, load_middle_loop
 from testbed.sim.clock import make_clock
 from testbed.sim.formations import make_groups
 from testbed.sim.world import build
@@ -67,7 +67,7 @@ def test_without_bounds_of_its_own_the_desired_speed_has_those_of_fact_1():
 
 def test_options_of_the_controller_reach_the_law():
     law = only_group().law
-    assert (law.from_timestamp, law.bounds_of_airspeed, law.forget_after) == (True, True, 3.0)
+    assert (law.from_timestamp, law.bounds_of_airspeed, law.silent_after) == (True, True, 3.0)
     assert law.acceleration_source.tolist() == [leader.TURN] * 2
     assert np.array_equal(law.acceleration_blend, [[0.5, 0.6, 0.1]] * 2)
     assert np.array_equal(law.difference_blend, [[0.3, 0.2]] * 2)
@@ -77,6 +77,38 @@ def test_options_of_the_controller_reach_the_law():
     assert law.silent_turn == pytest.approx([-0.207931] * 2, abs=1e-6)
     straight = only_group("controller.silence.then=straight").law
     assert straight.silent_turn.tolist() == [0.0, 0.0]
+
+
+def test_what_is_too_old_is_said_of_the_leader_and_of_neighbours():
+    (group,) = groups_of(load("simulation-3"))
+    assert (group.law.silent_after, group.law.stale_after, group.law.hold) == (5.0, 5.0, False)
+    for changes, silent, stale, hold in (
+        (["controller.silence.after_s=4"], 4.0, 4.0, False),
+        (["controller.staleness.after_s=2.5"], 5.0, 2.5, False),
+        (["controller.silence.after_s=4", "controller.staleness.then=hold"], 4.0, 4.0, True),
+        (["controller.staleness={after_s: 9, then: hold}"], 5.0, 9.0, True),
+    ):
+        (group,) = groups_of(load("simulation-3", changes))
+        law, team = group.law, group.team
+        assert (team.silent_after, team.stale_after) == (silent, stale)
+        assert (law.silent_after, law.stale_after, law.hold) == (silent, stale, hold)
+        memory = law.start(None)
+        assert (memory.place.shape, memory.place_stamp_s.shape) == ((3, 4, 3), (3, 4))
+    apart = groups_of(load(FULL, [*PAPERS, *changes]), phases=(0.0, 0.6, 0.1))
+    assert [(each.team.stale_after, each.law.hold) for each in apart] == [(9.0, True)] * 2
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ("after_s=0", "controller.staleness.after_s"),
+        ("then=loiter", "controller.staleness.then"),
+        ("bank_deg=20", "controller.staleness.bank_deg"),
+    ],
+)
+def test_what_staleness_cannot_be_is_refused_by_its_key(change, says):
+    with pytest.raises(ScenarioError, match=says):
+        load("simulation-3", [f"controller.staleness.{change}"])
 
 
 def test_the_profile_says_what_the_page_does_not():

@@ -1,6 +1,8 @@
 """Pages that are right: they load, they mean what they say, and they survive a round trip."""
 
 from collections.abc import Mapping
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import get_args
 
@@ -74,7 +76,8 @@ def test_defaults_are_the_ones_the_page_documents():
     assert page.air.wind.speed_mps == 0.0
 
 
-# The kinds of a path and of a wind that everything.yaml, which has one of each, has no room for.
+# What everything.yaml has no room for: other kinds of a path and of a wind, and of the network what
+# takes the place of its delays, losses and slots.
 VIRTUAL = "leader.path={{kind: virtual, speed_mps: 21, curve: {{{}}}}}"
 OTHER_KINDS = [
     VIRTUAL.format("kind: straight, climb_mps: 1"),
@@ -85,9 +88,11 @@ OTHER_KINDS = [
     "leader.path={kind: replay, file: arduplane-auto-leader-rascal.csv}",
     "air.wind={file: gusty-wind.csv, longest_gap_s: 2, profile: {kind: uniform}}",
     "air.wind={speed_mps: 5, profile: {kind: power, height_m: 20, exponent: 0.2}}",
+    "network={trace: {file: gusty-wind.csv, shifted: true}, tdma: {frame_s: 0.1, "
+    "order: [uav2, lead, uav1], packets: 2, queue_packets: 3}}",
 ]
 # What has one value only.
-NO_CHOICE = {("Follower", "autopilot"), ("Follower", "commanded_by")}
+NO_CHOICE = {("Follower", "autopilot"), ("Follower", "commanded_by"), ("Bernoulli", "kind")}
 
 
 def _sections(value):
@@ -136,9 +141,9 @@ def _kinds(annotation):
 
 
 def _other(text):
-    """Part, key and value of one of OTHER_KINDS."""
+    """Keys and value of one of OTHER_KINDS."""
     where, _, value = text.partition("=")
-    return *where.split("."), yaml.safe_load(value)
+    return where.split("."), yaml.safe_load(value)
 
 
 def test_the_full_page_says_every_key_and_none_at_its_default():
@@ -146,11 +151,11 @@ def test_the_full_page_says_every_key_and_none_at_its_default():
     said, changed = _said(yaml.safe_load(text))
     for other in OTHER_KINDS:
         data = yaml.safe_load(text)
-        part, key, value = _other(other)
-        data[part][key] = value
+        (*parts, key), value = _other(other)
+        reduce(getitem, parts, data)[key] = value
         more, otherwise = _said(data)
         said, changed = said | more, changed | otherwise
-    assert len(said) > 170
+    assert len(said) > 250
     assert _every_key() - said == set()
     assert said - changed == NO_CHOICE
 
@@ -159,8 +164,8 @@ def test_the_full_page_says_every_key_and_none_at_its_default():
 def test_another_kind_is_kept_whole(other):
     full = load(PAGES / "everything.yaml", [other])
     assert loads(dump(full)) == full
-    part, key, said = _other(other)
-    kept = full.model_dump()[part][key]
+    keys, said = _other(other)
+    kept = reduce(getitem, keys, full.model_dump(mode="json"))
     for name, value in said.items():
         assert kept[name] == value
 
@@ -191,7 +196,9 @@ def test_the_full_page_is_a_world():
     fuel = ["leader.battery=null", "fleet.uav1.battery=null"]  # a Rascal has no battery
     world = build(load(PAGES / "everything.yaml", fuel))
     assert world.names == ("lead", "uav1", "uav2")
-    assert world.channel.mute == ((0, 5.0, 6.0), (0, 8.0, 12.5))
+    written = [(each.source, each.begin_s, each.end_s) for each in world.scripts.windows]
+    assert written[:3] == [("lead", 5.0, 6.0), ("lead", 8.0, 12.5), ("run", 16.0, 18.0)]
+    assert sorted(written[3:]) == [("run", 3.0, 3.5), ("run", 9.0, 10.0), ("run", 15.0, 15.5)]
     assert np.array_equal(world.altitudes, [np.nan, 115.0], equal_nan=True)
     assert sum(len(group.rows) for group in world.groups) == 2
 
@@ -221,6 +228,7 @@ def test_the_editors_schema_refuses_what_reading_refuses(wrong):
 def test_every_field_is_described_and_a_key_with_a_unit_says_it():
     schema = json_schema()
     units = {"_m": "m", "_s": "s", "_hz": "Hz", "_deg": "degrees", "_mps": "m/s", "_per_s": "1/s"}
+    units |= {"bit_per_s": "bit/s"}
     sections = [schema, *schema["$defs"].values()]
     # A section with alternatives keeps its fields one level further down.
     sections += [choice for section in sections for choice in section.get("anyOf", ())]

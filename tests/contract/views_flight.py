@@ -14,6 +14,7 @@ from testbed.state import (
     FbwaCommand,
     FormationState,
     Frame,
+    LinkCounts,
     Origin,
     RunInfo,
     Surfaces,
@@ -115,6 +116,7 @@ def frames(aircraft: int, duration_s: float, rate_hz: float = 25.0) -> Iterator[
             air=AirData(zeros, zeros, zeros, *np.zeros((2, aircraft, 3)), *np.zeros((3, aircraft))),
             command=FbwaCommand(zeros, euler[:, 0], throttle),
             surfaces=Surfaces(zeros, zeros, zeros, throttle),
+            links=LinkCounts(*np.zeros((2, n, aircraft), np.uint32)),
             formation=FormationState(
                 slot_ned=desired[1:],
                 error_ned=error[1:],

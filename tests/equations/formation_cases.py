@@ -9,7 +9,7 @@ from testbed.formation import barrier as barriers
 from testbed.formation import control_function, leader
 from testbed.formation.barrier import Barrier
 from testbed.formation.laws import SpeedSet
-from testbed.formation.leader import LeaderMemory
+from testbed.formation.leader import Memory
 from testbed.formation.middle_loop import (
     MiddleLoop,
     MiddleLoopGains,
@@ -79,7 +79,9 @@ def make_law(n, rng, *, mu=PAPERS_MU, barrier=PAPERS_BARRIER, **changes):
         acceleration_blend=np.tile([0.4, 0.4, 0.025], (n, 1)),
         difference_blend=np.tile([0.4, 0.2], (n, 1)),
         turn_acceleration=flags(False, n),
-        forget_after=5.0,
+        silent_after=5.0,
+        stale_after=5.0,
+        hold=False,
         silent_airspeed=rng.uniform(20.0, 24.0, n),
         silent_turn=np.zeros(n),
     )
@@ -97,6 +99,7 @@ def mixed_options(n, rng):
         "difference_blend": rng.uniform(0.02, 1.0, (n, 2)),
         "turn_acceleration": rng.random(n) < 0.5,
         "silent_turn": rng.choice([0.0, -0.2, 0.15], n),
+        "hold": bool(rng.random() < 0.5),
     }
 
 
@@ -177,22 +180,34 @@ def states(n, rng, *, low=LOW - 4.0, high=HIGH + 4.0, silence=0.0, old=0.0, now=
         stamp + rng.uniform(0.0, 0.1, shape),
         *(np.where(quiet[..., None], np.nan, each) for each in vectors),
     )
-    return own, inbox, leader_memory(n, rng, stamp[:, 0])
+    return own, inbox, some_memory(rng, stamp)
 
 
-def leader_memory(n, rng, stamp):
-    """Memories of a leader heard just before, or of the same message, or of nothing."""
+def some_memory(rng, stamp):
+    """Memories of a leader heard just before, or of the same message, or of nothing.
+
+    Half of the neighbours were never reckoned to be anywhere; of the others the newest message is
+    new, or was known before.
+    """
+    n = len(stamp)
     since = rng.choice([0.04, 0.2, 0.0, np.nan], n)
     begun = np.where(np.isnan(since), np.nan, 1.0)
-    return LeaderMemory(
+    place = np.where(
+        rng.random((*stamp.shape, 1)) < 0.5, rng.normal(0.0, 9.0, (*stamp.shape, 3)), np.nan
+    )
+    place[:, 0] = np.nan
+    before = np.where(np.isnan(stamp), 99.0, stamp) - rng.choice([0.04, 0.2, 0.0], stamp.shape)
+    return Memory(
         acceleration=rng.normal(0.0, 1.0, (n, 3)),
-        stamp_s=stamp - since,
+        stamp_s=stamp[:, 0] - since,
         speed=rng.uniform(20.0, 24.0, n) * begun,
         climb=rng.uniform(-0.2, 0.2, n) * begun,
         speed_rate=rng.normal(0.0, 1.0, n),
         climb_rate=rng.normal(0.0, 0.1, n),
         silent_since=np.full(n, np.nan),
         silent_course=np.full(n, np.nan),
+        place=place,
+        place_stamp_s=np.where(np.isnan(place[:, :, 0]), np.nan, before),
     )
 
 
@@ -263,7 +278,12 @@ def reorder(law, own, inbox, memory, order):
     law = choose(law, order, keep=("offsets", "agents"))
     law = replace(law, offsets=law.offsets[everyone], gains=_columns(law.gains, everyone))
     inbox = Inbox(*(_columns(each, everyone) for each in choose(inbox, order)))
-    return law, choose(own, order), inbox, choose(memory, order)
+    memory = choose(memory, order)
+    memory = memory._replace(
+        place=_columns(memory.place, everyone),
+        place_stamp_s=_columns(memory.place_stamp_s, everyone),
+    )
+    return law, choose(own, order), inbox, memory
 
 
 def _columns(array, chosen):

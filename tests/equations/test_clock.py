@@ -153,3 +153,49 @@ def test_time_is_a_tick_over_the_base_rate():
 def test_a_rate_that_does_not_divide_is_refused(name):
     with pytest.raises(InputError, match=rf"rates\.{name}: 30 does not divide physics_hz 200"):
         make_clock(**{**RATES, name: 30})
+
+
+# beats
+
+
+def test_an_aircraft_sends_at_moments_of_its_own():
+    """By hand: at 0.003 + k 0.031 s, between ticks of 5 ms, beside two who send every 0.04 s."""
+    clock = make_clock(**RATES, aircraft=3, beats={1: (0.031, 0.003)})
+    sent = [
+        (tick, m, due.sent_s[m] if due.sent_s is not None else tick / 200)
+        for tick, _, due in clock.schedule(1.0)
+        if due.broadcast is not None
+        for m in range(3)
+        if due.broadcast[m]
+    ]
+    own = [(tick, time) for tick, m, time in sent if m == 1]
+    assert [time for _, time in own] == pytest.approx(
+        [0.003 + 0.031 * k for k in range(33)], abs=1e-12
+    )
+    for tick, time in own:
+        assert -1e-9 <= time - tick / 200 < 0.005
+    for m in (0, 2):
+        assert [tick for tick, who, _ in sent if who == m] == list(range(0, 201, 8))
+
+
+def test_a_beat_at_the_ticks_is_that_of_all_others():
+    """0.04 s from 0 s is every 8th tick, though most multiples of 0.04 are not binary."""
+    plain = make_clock(**RATES, aircraft=2)
+    own = make_clock(**RATES, aircraft=2, beats={0: (0.04, 0.0), 1: (None, None)})
+    for (tick, ahead, due), (other, others, theirs) in zip(
+        own.schedule(100.0), plain.schedule(100.0), strict=True
+    ):
+        assert (tick, ahead) == (other, others)
+        assert np.array_equal(due.broadcast, theirs.broadcast)
+        if due.sent_s is not None:
+            assert due.sent_s == pytest.approx(tick / 200, abs=1e-12)
+
+
+def test_ticks_of_beats_follow_each_other_without_a_gap():
+    clock = make_clock(**RATES, aircraft=3, beats={0: (0.0173, 0.4), 2: (0.11, 0.0021)})
+    found = list(clock.schedule(3.0))
+    for (tick, ahead, _), (following, _, _) in itertools.pairwise(found):
+        assert ahead > 0
+        assert following == tick + ahead
+    sensed = [tick for tick, _, due in found if due.sense]
+    assert sensed == list(range(0, 601, clock.stride))

@@ -35,19 +35,18 @@ def team(names=NAMES, **changes):
         "roll_limit": np.full(n, 0.8),
         "dt": DT,
         "silent_after": 5.0,
+        "stale_after": 5.0,
     }
     taken = [field.name for field in fields(Team)]
     rest = {name: np.ones(n) for name in taken if name not in values and name != "paper"}
     return Team(**{**rest, **values, **changes})
 
 
-def groups(law, middle, *rows, silent_after=5.0):
+def groups(law, middle, *rows, **limits):
     return tuple(
         Group(
             rows=np.array(each, dtype=np.intp),
-            team=team(
-                tuple(NAMES[i] for i in each), gains=law.gains[each], silent_after=silent_after
-            ),
+            team=team(tuple(NAMES[i] for i in each), gains=law.gains[each], **limits),
             law=some_of(law, each),
             middle=choose(middle, each),
             ideal=np.zeros(len(each), dtype=bool),
@@ -82,9 +81,9 @@ def test_groups_in_turn_are_everybody_at_once():
     for k in range(20):
         now = 100.0 + DT * k
         own, inbox, _ = states(5, rng, silence=0.1, old=0.1, now=now)
-        together.step(0, now, own, inbox)
+        together.step(0, now, own, inbox, inbox.stamp_s)
         for number in (2, 0, 1):
-            apart.step(number, now, own, inbox)
+            apart.step(number, now, own, inbox, inbox.stamp_s)
         for (name, ours), (_, theirs) in zip(parts(together), parts(apart), strict=True):
             np.testing.assert_array_equal(theirs, ours, err_msg=f"{name} in step {k}")
 
@@ -94,13 +93,13 @@ def test_a_group_writes_into_its_own_rows_alone():
     control = Control(groups(law, middle, [3], [0, 4], [1, 2]), 5, 6)
     own, inbox, _ = states(5, rng)
     for number in range(3):
-        control.step(number, 100.0, own, inbox)
+        control.step(number, 100.0, own, inbox, inbox.stamp_s)
     for number, rows in ((1, [0, 4]), (0, [3]), (2, [1, 2])):
         others = [i for i in range(5) if i not in rows]
         before = dict(parts(control))
         kept = {name: each.copy() for name, each in before.items()}
         own, inbox, _ = states(5, rng, now=100.04)
-        control.step(number, 100.04, own, inbox)
+        control.step(number, 100.04, own, inbox, inbox.stamp_s)
         for name, now in parts(control):
             np.testing.assert_array_equal(now[others], kept[name][others], err_msg=name)
             # an observer that kept a record keeps it as it was
@@ -123,28 +122,35 @@ def test_a_group_sees_the_rows_of_its_own_agents():
         for copy, strange in zip(copies, another, strict=True):
             copy[1:4] = strange[1:4]
         mixed.append(type(mine)(*copies))
-    ours.step(0, 100.0, own, inbox)
-    theirs.step(0, 100.0, *mixed)
+    ours.step(0, 100.0, own, inbox, inbox.stamp_s)
+    theirs.step(0, 100.0, *mixed, mixed[1].stamp_s)
     for (name, one), (_, two) in zip(parts(ours), parts(theirs), strict=True):
         np.testing.assert_array_equal(two, one, err_msg=name)
 
 
 def test_ages_are_of_what_was_used():
     rng, law, middle = case(93)
-    law = replace(law, gains=np.ones((5, 6, 3)))
+    law = replace(law, gains=np.ones((5, 6, 3)), hold=False)
     law.gains[2, 4:] = 0.0
     law.gains[2, 0] = 0.0  # the leader's rates are used all the same
-    control = Control(groups(law, middle, range(5), silent_after=2.0), 5, 6)
+    limits = {"silent_after": 2.0, "stale_after": 1.5}
+    control = Control(groups(law, middle, range(5), **limits), 5, 6)
     assert np.isnan(control.age_s).all()
     own, inbox, _ = states(5, rng)
     inbox.stamp_s[:], inbox.received_s[:] = 99.7, 99.9
     inbox.stamp_s[1, 2] = inbox.received_s[1, 2] = np.nan
     inbox.received_s[3, 0] = 97.9
-    inbox.received_s[3, 1] = 98.0
-    control.step(0, 100.0, own, inbox)
+    inbox.received_s[4, 0] = 98.0
+    inbox.received_s[3, 1], inbox.received_s[3, 2] = 98.5, 98.4
+    control.step(0, 100.0, own, inbox, inbox.stamp_s)
     expected = np.full((5, 6), 0.3)
-    expected[1, 2] = expected[3, 0] = np.nan
+    expected[1, 2] = expected[3, 0] = expected[3, 2] = np.nan
     expected[2, 4:] = np.nan
+    assert control.age_s == pytest.approx(expected, abs=1e-12, nan_ok=True)
+    # of a neighbour that is held at its place the old news is used
+    control = Control(groups(replace(law, hold=True), middle, range(5), **limits), 5, 6)
+    control.step(0, 100.0, own, inbox, inbox.stamp_s)
+    expected[3, 2] = 0.3
     assert control.age_s == pytest.approx(expected, abs=1e-12, nan_ok=True)
 
 
@@ -197,7 +203,7 @@ def test_sticks_are_flown_within_their_limits():
     assert np.isnan(unicycle.speed).all() and np.isnan(unicycle.turn).all()
     # and through the control
     control = stick_control(told)
-    control.step(0, 100.0, own, inbox)
+    control.step(0, 100.0, own, inbox, inbox.stamp_s)
     assert np.array_equal(control.command.roll, command.roll)
     assert control.diagnosis.saturations.tolist() == expected
 
@@ -279,6 +285,6 @@ def test_a_users_answer_is_looked_at_and_the_papers_is_not():
     bad = sticks(roll=np.array([0.0, np.nan]))
     control = stick_control(bad)
     with pytest.raises(InputError, match="the law's roll for uav2"):
-        control.step(0, 100.0, own, inbox)
+        control.step(0, 100.0, own, inbox, inbox.stamp_s)
     trusted = replace(stick_control(bad)._groups[0], trusted=True)
-    Control((trusted,), 2, 3).step(0, 100.0, own, inbox)
+    Control((trusted,), 2, 3).step(0, 100.0, own, inbox, inbox.stamp_s)

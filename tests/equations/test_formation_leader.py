@@ -11,7 +11,7 @@ from testbed.formation.barrier import Barrier
 from testbed.formation.geometry import velocity_frame, velocity_rates
 from testbed.formation.leader import (
     GRAVITY,
-    LeaderMemory,
+    Memory,
     course_acceleration,
     differentiate,
     turn_acceleration,
@@ -109,7 +109,9 @@ def heard_at(stamp, speed, climb):
 def remembered(*numbers):
     """Stamp, speed, climb and their rates of a leader that is heard, with no average of q̈_g."""
     never = np.array([np.nan])
-    return LeaderMemory(np.zeros((1, 3)), *(np.array([v]) for v in numbers), never, never)
+    nowhere, unsaid = np.full((1, 2, 3), np.nan), np.full((1, 2), np.nan)
+    numbers = (np.array([v]) for v in numbers)
+    return Memory(np.zeros((1, 3)), *numbers, never, never, nowhere, unsaid)
 
 
 def test_differences_by_hand():
@@ -134,14 +136,14 @@ def test_the_same_message_is_differentiated_once():
 
 def test_one_message_has_no_differences():
     _, _, speed_rate, climb_rate = differentiate(
-        unheard(1), *heard_at(99.95, 22.0, 0.1), np.ones((1, 2))
+        unheard(1, 2), *heard_at(99.95, 22.0, 0.1), np.ones((1, 2))
     )
     assert (speed_rate[0], climb_rate[0]) == (0.0, 0.0)
 
 
 def test_differences_of_a_smooth_flight_are_its_rates():
     """ṡ_g = 0.5 cos t and γ̇_g = 0.1 cos t by differences of 0.04 s, half of that behind."""
-    memory = unheard(1)
+    memory = unheard(1, 2)
     for k in range(51):
         t = k * 0.04
         velocity = heard_at(t, 22.0 + 0.5 * np.sin(t), 0.1 * np.sin(t))

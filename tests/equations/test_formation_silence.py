@@ -20,8 +20,8 @@ from formation_cases import (
 
 from testbed.formation import leader as leading
 from testbed.formation.flags import Guard
-from testbed.network.channel import Channel, deliver, send, silent
-from testbed.state import Broadcast, Inbox
+from testbed.frames import velocity_frame
+from testbed.state import Inbox
 
 NEVER, LONG_AGO = "never", "long ago"
 each_way = pytest.mark.parametrize("way", [NEVER, LONG_AGO])
@@ -61,7 +61,8 @@ def test_who_does_not_hear_the_leader_flies_level_straight_on(step, way):
         forgotten = name in ("memory.stamp_s", "memory.speed", "memory.climb")
         if name in ("memory.silent_since", "memory.silent_course"):
             assert np.isnan(array[[0, 2]]).all(), name
-        assert np.isnan(array[1]) if forgotten else np.isfinite(array[1]).all(), name
+        if name not in ("memory.place", "memory.place_stamp_s"):
+            assert np.isnan(array[1]) if forgotten else np.isfinite(array[1]).all(), name
     # nothing of that leaks to the others
     heard = results(step(law, NOW, own, inbox, memory))
     for name, array in results((told, after)).items():
@@ -147,9 +148,9 @@ def test_the_turn_back_to_level_is_by_the_gain_of_that_speed(step, way):
 
 @each_engine
 def test_news_count_as_old_when_they_are_older_than_that(step):
-    """By the time of receipt, whatever their stamps; exactly `forget_after` is not too old."""
+    """By the time of receipt, whatever their stamps; exactly `silent_after` is not too old."""
     rng = np.random.default_rng(69)
-    law = make_law(3, rng, forget_after=2.0)
+    law = make_law(3, rng, silent_after=2.0)
     own, inbox, memory = states(3, rng)
     inbox.received_s[:, 0] = NOW - np.array([2.0, 2.0 + 1e-9, 0.0])
     inbox.stamp_s[:, 0] = NOW - np.array([2.1, 2.1, 60.0])
@@ -161,7 +162,7 @@ def test_news_count_as_old_when_they_are_older_than_that(step):
 @each_way
 def test_a_neighbour_not_heard_is_left_out_of_the_sum(step, way):
     rng = np.random.default_rng(22)
-    law = make_law(3, rng, gains=rng.uniform(0.5, 1.0, (3, 4, 3)))
+    law = make_law(3, rng, gains=rng.uniform(0.5, 1.0, (3, 4, 3)), stale_after=4.0)
     own, inbox, memory = states(3, rng)
     without = replace(law, gains=law.gains.copy())
     without.gains[0, 2] = 0.0
@@ -207,24 +208,207 @@ def test_once_it_hears_again_it_flies_as_if_it_had_always_heard(step):
 
 
 @each_engine
-def test_a_muted_leader_over_the_radio(step):
+def test_a_leader_that_is_mute_for_two_seconds(step):
     """Muted in [1, 3) s, forgotten 0.5 s after its last word at 0.96 s, heard again at 3 s."""
     rng = np.random.default_rng(72)
     n = 2
-    law = make_law(n, rng, forget_after=0.5, horizontal=flags(False, n))
-    radio = Channel(np.zeros((n, n + 1)), mute=((0, 1.0, 3.0),))
-    inboxes, memory, flagged = silent(radio), None, []
+    law = make_law(n, rng, silent_after=0.5, horizontal=flags(False, n))
+    flagged = []
     own, _, _ = states(n, rng)
     memory = law.start(own)
-    velocity = np.tile([22.0, 0.0, 0.0], (n + 1, 1))
+    velocity = np.tile([22.0, 0.0, 0.0], (n, n + 1, 1))
     for k in range(101):
         now = 0.04 * k
-        content = Broadcast(np.full(n + 1, now), now * velocity, velocity, *np.zeros((3, n + 1, 3)))
-        inboxes = deliver(send(radio, inboxes, content, now), now)
-        told, memory = step(law, now, own, inboxes.inbox, memory)
+        said = np.full((n, n + 1), now)
+        said[:, 0] = 0.04 * (24 if 25 <= k < 75 else k)
+        inbox = Inbox(
+            said, said, said[:, :, None] * velocity, velocity, *np.zeros((3, n, n + 1, 3))
+        )
+        told, memory = step(law, now, own, inbox, memory)
         if (told.guards & Guard.LEADER_SILENT).any():
             assert (told.guards & Guard.LEADER_SILENT).all()
             flagged.append(now)
     # 0.96 + 0.5 = 1.46 s: the next control tick after it is 1.48 s
     assert (flagged[0], flagged[-1]) == pytest.approx((1.48, 2.96), abs=1e-12)
     assert len(flagged) == 38
+
+
+# a neighbour that is held where it was
+
+
+def places_of(inbox, horizontal):
+    """R_gᵀ (q_j − q_g) of messages that arrive now; the leader has none."""
+    level = np.where(horizontal[:, None], [1.0, 1.0, 0.0], 1.0)
+    frame = velocity_frame(inbox.velocity_ned[:, 0] * level)
+    place = (inbox.position_ned - inbox.position_ned[:, :1]) @ frame
+    place[:, 0] = np.nan
+    return place
+
+
+def all_heard_now(n, rng, **changes):
+    """A law that holds whoever it does not hear, and what n agents know if all news is of now."""
+    gains = rng.uniform(0.3, 1.0, (n, n + 1, 3))
+    law = make_law(n, rng, **{**mixed_options(n, rng), "gains": gains, "hold": True, **changes})
+    own, inbox, memory = states(n, rng, low=19.0, high=27.0)
+    inbox.stamp_s[:] = inbox.received_s[:] = NOW
+    return law, own, inbox, memory
+
+
+@each_engine
+def test_the_place_of_a_neighbour_is_remembered_when_it_says_something_new(step):
+    rng = np.random.default_rng(80)
+    law, own, inbox, memory = all_heard_now(4, rng, horizontal=np.arange(4) % 2 == 0)
+    law.gains[1, 3] = 0.0
+    law.gains[2, 4, :2] = 0.0  # who sees the plane alone does not heed that
+    _, after = step(law, NOW, own, inbox, memory)
+    expected = places_of(inbox, law.horizontal)
+    stamps = inbox.stamp_s.copy()
+    stamps[:, 0] = np.nan
+    for link in ((1, 3), (2, 4)):
+        expected[link], stamps[link] = memory.place[link], memory.place_stamp_s[link]
+    np.testing.assert_allclose(after.place, expected, rtol=1e-13, atol=1e-13)
+    np.testing.assert_array_equal(after.place_stamp_s, stamps)
+    # a law that leaves out who is silent remembers nothing new
+    _, dropped = step(replace(law, hold=False), NOW, own, inbox, memory)
+    np.testing.assert_array_equal(dropped.place, memory.place)
+    np.testing.assert_array_equal(dropped.place_stamp_s, memory.place_stamp_s)
+
+
+@each_engine
+def test_a_message_gives_a_place_once_and_an_older_one_none(step):
+    """An extrapolation of the same message has left the turn; only the stamp tells what is new."""
+    rng = np.random.default_rng(85)
+    law, own, inbox, memory = all_heard_now(3, rng, horizontal=flags(False, 3))
+    _, first = step(law, NOW, own, inbox, memory)
+    inbox.position_ned[:, 1:] += 3.0
+    inbox.received_s[:] = NOW + 0.2
+    inbox.stamp_s[:, 2] = NOW - 1.0  # what a slow path brought in after it
+    inbox.stamp_s[:, 3] = np.nextafter(NOW, np.inf)
+    _, after = step(law, NOW + 0.2, own, inbox, first)
+    np.testing.assert_array_equal(after.place[:, :3], first.place[:, :3])
+    np.testing.assert_array_equal(after.place_stamp_s[:, :3], first.place_stamp_s[:, :3])
+    new = places_of(inbox, law.horizontal)[:, 3]
+    np.testing.assert_allclose(after.place[:, 3], new, rtol=1e-13, atol=1e-13)
+    np.testing.assert_array_equal(after.place_stamp_s[:, 3], inbox.stamp_s[:, 3])
+
+
+@each_engine
+def test_a_new_message_gives_the_place_at_the_step_not_at_its_stamp(step):
+    """As reckoned then: both are brought to now along their velocities, from their receipt."""
+    rng = np.random.default_rng(86)
+    straight = {"with_acceleration": flags(False, 3), "horizontal": flags(False, 3)}
+    law, own, inbox, memory = all_heard_now(3, rng, **straight)
+    inbox.received_s[:] -= rng.uniform(0.0, 0.3, (3, 4))
+    _, after = step(law, NOW, own, inbox, memory)
+    lag = (NOW - inbox.received_s)[:, :, None]
+    brought = inbox._replace(position_ned=inbox.position_ned + lag * inbox.velocity_ned)
+    expected = places_of(brought, law.horizontal)
+    np.testing.assert_allclose(after.place, expected, rtol=1e-13, atol=1e-13)
+
+
+@each_engine
+def test_news_of_a_neighbour_is_extrapolated_for_so_long_and_then_its_place_is_held(step):
+    """Exactly `stale_after` is not too old; the leader's news has a limit of its own."""
+    rng = np.random.default_rng(81)
+    limits = {"stale_after": 2.0, "silent_after": 1.0}
+    law, own, inbox, memory = all_heard_now(2, rng, horizontal=flags(False, 2), **limits)
+    _, first = step(law, NOW, own, inbox, memory)
+    inbox.received_s[:, [0, 2]] = inbox.stamp_s[:, [0, 2]] = NOW + 2.0
+    inbox.velocity_ned[:, 0] += 1.0
+    extrapolated, last = step(law, NOW + 2.0, own, inbox, first)
+    left_out, _ = step(replace(law, hold=False), NOW + 2.0, own, inbox, first)
+    # until then it is used as by a law that does not hold, and its place is that of its news
+    assert_same(results((extrapolated, last)), results((left_out, last)), rtol=0, atol=0)
+    np.testing.assert_array_equal(last.place[:, 1], first.place[:, 1])
+    assert (last.place[:, 2] != first.place[:, 2]).all()
+    late = np.nextafter(NOW + 2.0, np.inf)
+    held, after = step(law, late, own, inbox, last)
+    np.testing.assert_array_equal(after.place, last.place)
+    assert np.abs(held.direction - extrapolated.direction).max() > 1e-3
+    # whatever else it said: it is not listened to
+    inbox.position_ned[:, 1] += 50.0
+    inbox.velocity_ned[:, 1] *= -1.0
+    again, _ = step(law, late, own, inbox, last)
+    assert_same(results((again, after)), results((held, after)), rtol=0, atol=0)
+
+
+@each_engine
+def test_while_the_leader_is_silent_places_wait(step):
+    """Whoever was heard then alone has none, and is left out when the leader is back."""
+    rng = np.random.default_rng(87)
+    limits = {"stale_after": 2.0, "silent_after": 1.0}
+    law, own, inbox, memory = all_heard_now(3, rng, **limits)
+    memory.place[:, 1], memory.place_stamp_s[:, 1] = np.nan, np.nan
+    told, after = step(law, NOW, own, unhear(inbox, np.s_[:, 0], LONG_AGO), memory)
+    assert (told.guards == Guard.LEADER_SILENT).all()
+    np.testing.assert_array_equal(after.place, memory.place)
+    np.testing.assert_array_equal(after.place_stamp_s, memory.place_stamp_s)
+    inbox.received_s[:, 0] = inbox.stamp_s[:, 0] = NOW + 3.0
+    back, later = step(law, NOW + 3.0, own, inbox, after)
+    nothing = replace(law, gains=law.gains.copy())
+    nothing.gains[:, 1] = 0.0
+    without, _ = step(nothing, NOW + 3.0, own, inbox, after)
+    assert_same(results((back, later)), results((without, later)), rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(later.place, memory.place)
+
+
+@each_engine
+@each_way
+def test_a_neighbour_held_in_its_slot_pulls_as_the_leader_does(step, way):
+    """Of (6) q_j − χ_j = q_g is left, and of its rate q̇_g: β_ij is added to β_i."""
+    rng = np.random.default_rng(82)
+    law, own, inbox, memory = all_heard_now(3, rng)
+    memory.place[:, 2] = law.offsets[2]
+    joined = replace(law, gains=law.gains.copy())
+    joined.gains[:, 0] += joined.gains[:, 2]
+    joined.gains[:, 2] = 0.0
+    held, _ = step(law, NOW, own, unhear(inbox, np.s_[:, 2], way), memory)
+    pulled, _ = step(joined, NOW, own, inbox, memory)
+    for name in held._fields:
+        ours, theirs = getattr(held, name), getattr(pulled, name)
+        np.testing.assert_allclose(ours, theirs, rtol=1e-10, atol=1e-10, err_msg=name)
+
+
+@each_engine
+@each_way
+def test_a_neighbour_that_is_held_is_a_slot_of_the_formation(step, way):
+    """Anywhere, it is where a message would have it that says R_g p and its rate by differences."""
+    rng = np.random.default_rng(83)
+    law, own, inbox, memory = all_heard_now(3, rng)
+    memory.place[:, 2] = rng.normal(0.0, 10.0, (3, 3))
+    level = np.where(law.horizontal[:, None], [1.0, 1.0, 0.0], 1.0)
+    velocity = inbox.velocity_ned[:, 0] * level
+    speed = np.linalg.norm(velocity, axis=1)
+    course, climb = np.arctan2(velocity[:, 1], velocity[:, 0]), -np.arcsin(velocity[:, 2] / speed)
+    rates = inbox.euler_rates[:, 0]
+
+    def chi(dt):
+        sigma = course + dt * rates[:, 2]
+        gamma = climb + dt * rates[:, 1] * level[:, 2]
+        ahead = np.stack([np.cos(gamma) * np.cos(sigma), np.cos(gamma) * np.sin(sigma)], axis=1)
+        frame = velocity_frame(np.column_stack([ahead, -np.sin(gamma)]))
+        return (frame @ memory.place[:, 2, :, None])[:, :, 0]
+
+    told_so = Inbox(*(each.copy() for each in inbox))
+    told_so.position_ned[:, 2] = inbox.position_ned[:, 0] + chi(0.0)
+    told_so.velocity_ned[:, 2] = velocity + (chi(1e-4) - chi(-1e-4)) / 2e-4
+    held, _ = step(law, NOW, own, unhear(inbox, np.s_[:, 2], way), memory)
+    heard, _ = step(law, NOW, own, told_so, memory)
+    assert np.abs(held.turn).max() > 0.01
+    # differences of 1e-4 s err by 1e-8 of a rate of some 10 m/s
+    for name in held._fields:
+        ours, theirs = getattr(held, name), getattr(heard, name)
+        np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-6, err_msg=name)
+
+
+@each_engine
+@each_way
+def test_a_neighbour_that_was_never_anywhere_is_left_out(step, way):
+    rng = np.random.default_rng(84)
+    law, own, inbox, memory = all_heard_now(3, rng)
+    memory.place[:, 2], memory.place_stamp_s[:, 2] = np.nan, np.nan
+    quiet = unhear(inbox, np.s_[:, 2], way)
+    held, after = step(law, NOW, own, quiet, memory)
+    dropped, _ = step(replace(law, hold=False), NOW, own, quiet, memory)
+    assert_same(results((held, after)), results((dropped, after)), rtol=0, atol=0)
+    assert np.isnan(after.place[:, 2]).all()

@@ -16,6 +16,7 @@ from testbed.state import (
     FbwaCommand,
     FormationState,
     Frame,
+    LinkCounts,
     Origin,
     RunInfo,
     Surfaces,
@@ -55,7 +56,6 @@ def a_frame(
     bank=0.0,
     guards=None,
     saturations=None,
-    age=None,
     wind=(0.0, 0.0, 0.0),
     roll=0.0,
     throttle=0.0,
@@ -92,8 +92,9 @@ def a_frame(
             *[none] * 7,
             guards=np.array(guards or [0] * n, dtype=np.uint8),
             saturations=np.array(saturations or [0] * n, dtype=np.uint8),
-            age_s=np.full((n, n + 1), np.nan) if age is None else np.array(age),
+            age_s=np.full((n, n + 1), np.nan),
         ),
+        links=LinkCounts(*np.zeros((2, n, n + 1), dtype=np.uint32)),
     )
 
 
@@ -227,17 +228,6 @@ def test_bank_is_the_leaders_and_its_size_counts():
     summary = measure(seen, run_info(portions={"late": (0.08, 1.0)}))
     assert summary["leader_bank_deg"] == pytest.approx(math.degrees(0.5), rel=1e-15)
     assert summary["portions"]["late"]["leader_bank_deg"] == pytest.approx(math.degrees(0.3))
-
-
-def test_age_of_information_leaves_out_what_was_not_used():
-    nan = math.nan
-    ages = [[[0.1, nan, nan], [nan, 0.3, nan]], [[0.3, nan, nan], [0.2, 0.1, nan]]]
-    seen = [a_frame(k, np.zeros((2, 3)), age=age) for k, age in enumerate(ages)]
-    ages = measure(seen, run_info())["age_of_information_s"]
-    assert ages["uav1"]["mean"] == pytest.approx(0.2, rel=1e-15)
-    assert ages["uav2"] == {"mean": pytest.approx(0.2, rel=1e-15), "max": 0.3}
-    unheard = measure([a_frame(0, np.zeros((2, 3)))], run_info())["age_of_information_s"]
-    assert unheard["uav1"] == {"mean": None, "max": None}
 
 
 STRAIGHT_S, RADIUS, SPEED = 12.0, 120.0, 22.0

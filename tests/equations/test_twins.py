@@ -70,7 +70,7 @@ def any_of(choices, rng):
 def test_the_formation_law():
     """Every agent with options of its own; agents of one law differ in all of them."""
     rng = np.random.default_rng(40)
-    seen, deaf = 0, 0
+    seen, deaf, held, dropped, known_news, news = 0, 0, 0, 0, 0, 0
     for from_timestamp, of_airspeed in itertools.product([False, True], repeat=2):
         for k in range(STATES):
             law = make_law(
@@ -80,6 +80,7 @@ def test_the_formation_law():
                 barrier=any_of(BARRIERS, rng),
                 from_timestamp=from_timestamp,
                 bounds_of_airspeed=of_airspeed,
+                stale_after=rng.choice([0.2, 5.0]),
                 **mixed_options(AGENTS, rng),
             )
             gaps = {"silence": 0.1, "old": 0.1} if k % 3 == 0 else {}
@@ -94,10 +95,20 @@ def test_the_formation_law():
             ours = results(numpy_law.paper_step(law, 100.0, own, inbox, memory))
             compare(ours, results(paper_twin.paper_step(law, 100.0, own, inbox, memory)))
             seen |= int(np.bitwise_or.reduce(ours["told.guards"]))
-            deaf += int(((ours["told.guards"] & Guard.LEADER_SILENT) != 0).sum())
+            lost = (ours["told.guards"] & Guard.LEADER_SILENT) != 0
+            stale = ~(100.0 - inbox.received_s <= law.stale_after) & ~lost[:, None]
+            known = law.hold & ~np.isnan(memory.place[:, :, 0])
+            heeded = (law.gains != 0.0).any(axis=2)[:, 1:]
+            deaf += int(lost.sum())
+            held += int((heeded & (stale & known)[:, 1:]).sum())
+            dropped += int((heeded & (stale & ~known)[:, 1:]).sum())
+            placed = ours["memory.place_stamp_s"] > memory.place_stamp_s
+            fresh = heeded & (law.hold & known & ~stale & ~lost[:, None])[:, 1:]
+            news += int((fresh & placed[:, 1:]).sum())
+            known_news += int((fresh & ~placed[:, 1:]).sum())
     # the states reach every branch
     assert seen == sum(Guard) - Guard.SPEED_COMMAND_CLIPPED
-    assert deaf > 100
+    assert min(deaf, held, dropped, news, known_news) > 100
 
 
 def test_a_law_of_some_of_the_agents():
@@ -115,7 +126,7 @@ def test_a_law_of_some_of_the_agents():
 def test_the_law_over_many_steps_of_its_own_memory():
     """What one engine remembers is what the other remembers, message after message."""
     rng = np.random.default_rng(44)
-    law = make_law(AGENTS, rng, **mixed_options(AGENTS, rng))
+    law = make_law(AGENTS, rng, **{**mixed_options(AGENTS, rng), "hold": True})
     own, _, _ = states(AGENTS, rng)
     ours = theirs = law.start(own)
     for k in range(200):
@@ -156,10 +167,14 @@ def test_ages():
     stamp = 100.0 - rng.uniform(0.0, 8.0, (40, 5))
     received = stamp + rng.uniform(0.0, 1.0, stamp.shape)
     received[rng.random(stamp.shape) < 0.2] = np.nan
-    given = (100.0, stamp, received, rng.random(stamp.shape) < 0.3, 4.0)
-    ours = ages(*given)
-    assert 0 < np.isnan(ours).sum() < ours.size
-    np.testing.assert_array_equal(laws_twin.ages(*given), ours)
+    unheeded = rng.random(stamp.shape) < 0.3
+    for limit in (4.0, np.array([4.0, 2.0, 2.0, np.inf, np.inf])):
+        given = (100.0, stamp, received, unheeded, limit)
+        ours = ages(*given)
+        assert 0 < np.isnan(ours).sum() < ours.size
+        np.testing.assert_array_equal(laws_twin.ages(*given), ours)
+    # who is held is not too old, as long as something was heard of it
+    assert np.array_equal(np.isnan(ours)[:, 3:], (unheeded | np.isnan(received))[:, 3:])
 
 
 def test_true_slots_and_errors():
@@ -193,4 +208,5 @@ def test_no_twin_goes_without_such_a_test():
     elsewhere = {"fbwa", "motion", "advance_ticks", "report"}
     elsewhere |= {"place", "felt", "sample", "felt_in_field"}  # the air's
     elsewhere |= {"advance_filters", "turbulence_axes"}
+    elsewhere |= {"fates", "post_round", "take_due", "use"}  # the network's
     assert found == {"paper_step", "middle_step", "true_slots", "ages", "euler_rates"} | elsewhere

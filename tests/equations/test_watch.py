@@ -5,7 +5,16 @@ import pytest
 
 from testbed.formation.flags import Guard
 from testbed.formation.law import Diagnosis
-from testbed.sim.watch import Arrivals, Silence, broadcast, formation_state, losses
+from testbed.scenario import load
+from testbed.sim.watch import (
+    Arrivals,
+    Silence,
+    Staleness,
+    broadcast,
+    formation_state,
+    losses,
+)
+from testbed.sim.world import build
 from testbed.state import VehicleState
 
 
@@ -126,6 +135,102 @@ def test_a_first_message_under_way_is_no_silence_until_it_is_late():
     assert changes(0.1, 0, DEAF) == []
     assert changes(4.9, DEAF, DEAF) == [("uav1", "warning")]
     assert changes(5.0, 0, DEAF) == [("uav1", "info"), ("uav2", "warning")]
+
+
+NOTHING = np.nan
+ALL = np.arange(3)
+LEFT_OUT, HELD = ": leaves it out", ": takes it to hold its place"
+
+
+def neighbours(*changes, page="simulation-3"):
+    """What is said of neighbours of simulation-3: uav2 heeds uav1, and uav3 heeds uav2."""
+    world = build(load(page, ["controller.staleness.after_s=2", *changes]))
+    watch = Staleness(world.names, world.groups)
+
+    def changes_of(now, received, rows=ALL):
+        events = watch.changes(now, rows, np.array(received))
+        return [(e.time_s, e.level, e.source, e.text) for e in events]
+
+    return changes_of
+
+
+def heard_at(now, uav2=None, uav3=None):
+    """All that is heeded arrived now, but for what uav2 has of uav1, or uav3 of uav2."""
+    received = np.full((3, 4), now)
+    received[1, 1] = now if uav2 is None else uav2
+    received[2, 2] = now if uav3 is None else uav3
+    return received
+
+
+@pytest.mark.parametrize(("then", "what"), [("drop", LEFT_OUT), ("hold", HELD)])
+def test_a_neighbour_whose_news_is_too_old_is_an_event_of_who_heeds_it(then, what):
+    changes = neighbours(f"controller.staleness.then={then}")
+    assert changes(1.0, heard_at(1.0)) == []
+    # exactly the limit is not too old, as in the law; nobody heeds the other links, and of the
+    # leader's is told elsewhere
+    assert changes(3.0, heard_at(0.5, uav2=1.0, uav3=1.0)) == []
+    lost = (3.01, "warning", "uav2", f"does not hear uav1{what}")
+    assert changes(3.01, heard_at(3.01, uav2=1.0)) == [lost]
+    assert changes(3.05, heard_at(3.05, uav2=1.0)) == []
+    assert changes(9.0, heard_at(9.0, uav2=8.5, uav3=5.0)) == [
+        (9.0, "info", "uav2", "hears uav1 again"),
+        (9.0, "warning", "uav3", f"does not hear uav2{what}"),
+    ]
+    assert changes(9.1, heard_at(9.1)) == [(9.1, "info", "uav3", "hears uav2 again")]
+    # and again, as news
+    assert changes(12.0, heard_at(12.0, uav2=9.9))[0][2:] == lost[2:]
+
+
+def test_a_first_message_of_a_neighbour_is_missed_when_it_is_late():
+    """Who was never heard has no place to hold."""
+    changes = neighbours("controller.staleness.then=hold")
+    assert changes(0.0, np.full((3, 4), NOTHING)) == []
+    assert changes(2.0, heard_at(2.0, uav2=NOTHING)) == []
+    assert changes(2.1, heard_at(2.1, uav2=NOTHING)) == [
+        (2.1, "warning", "uav2", f"does not hear uav1{LEFT_OUT}")
+    ]
+    assert changes(2.2, heard_at(2.2)) == [(2.2, "info", "uav2", "hears uav1 again")]
+
+
+def test_who_was_heard_only_while_the_leader_was_silent_has_no_place_to_hold():
+    """uav2 hears uav1 but not its leader; uav3 hears both, at the last moment."""
+    changes = neighbours("controller.staleness.then=hold", "controller.silence.after_s=4")
+    for now in (0.0, 1.0, 6.0):
+        received = heard_at(now)
+        received[1:, 0] = NOTHING
+        assert changes(now, received, [0, 1]) == []
+    # exactly the limit is not too old, as in the law
+    received[2, 0], received[:, 1] = 4.0, 8.0
+    assert changes(8.0, received) == []
+    assert changes(8.5, received) == [
+        (8.5, "warning", "uav3", f"does not hear uav2{HELD}"),
+    ]
+    received[:, 2] = 8.5
+    assert changes(11.0, received)[0] == (11.0, "warning", "uav2", f"does not hear uav1{LEFT_OUT}")
+    # heard together with the leader, it has one
+    assert changes(12.0, heard_at(12.0))[0][1:3] == ("info", "uav2")
+    assert changes(15.0, heard_at(15.0, uav2=12.0))[0][3] == f"does not hear uav1{HELD}"
+
+
+def test_only_who_steps_can_miss_a_neighbour():
+    changes = neighbours()
+    late = heard_at(3.0, uav2=0.5, uav3=0.5)
+    assert [source for _, _, source, _ in changes(3.0, late, [1])] == ["uav2"]
+    assert [source for _, _, source, _ in changes(3.01, late, [0, 2])] == ["uav3"]
+    # what arrives before the next step was not missed, and is not missed any more
+    assert changes(3.02, heard_at(3.02), [0]) == []
+    assert changes(3.03, heard_at(3.02), [2]) == [(3.03, "info", "uav3", "hears uav2 again")]
+    assert changes(3.04, heard_at(3.02), [1]) == [(3.04, "info", "uav2", "hears uav1 again")]
+
+
+def test_a_law_of_ones_own_may_heed_everybody_and_nobody_knows_what_it_does():
+    changes = neighbours(page="own-law-integral")
+    received = heard_at(3.0)
+    received[0, :] = 0.5
+    assert changes(3.0, received) == [
+        (3.0, "warning", "uav1", "does not hear uav2"),
+        (3.0, "warning", "uav1", "does not hear uav3"),
+    ]
 
 
 def test_a_gust_is_told_of_once_where_it_arrives():

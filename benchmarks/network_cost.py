@@ -1,0 +1,108 @@
+"""What the radio costs beside the flight: many aircraft, all to all, against their flight models.
+
+Both do the same stretch of flight in one process, in turns: the models of N Rascals step at 200 Hz
+and nothing else; the radio takes 10 messages a second from each to each other on bursty, jittery,
+queued links, delivers them at 25 control steps a second and counts their ages.
+
+usage: make bench  (or: python benchmarks/network_cost.py [--aircraft N] [--seconds S]
+[--repeats N] [--json FILE])
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import time
+from pathlib import Path
+
+import numpy as np
+
+from testbed.network.channel import make_channel
+from testbed.network.radio import Radio
+from testbed.scenario import find_aircraft
+from testbed.scenario.network import Network
+from testbed.state import Broadcast, Origin
+from testbed.vehicle.jsbsim_door import JsbsimFleet, Start
+
+PHYSICS_HZ, CONTROL_HZ, MESSAGES_HZ = 200, 25, 10
+LINK = {
+    "loss": {"kind": "gilbert-elliott", "p": 0.1, "r": 0.4},
+    "delay_s": 0.02,
+    "jitter": {"distribution": "pareto", "spread_s": 0.015, "correlation": 0.3},
+    "duplicate": 0.01,
+    "corrupt": 0.005,
+    "rate": {"bit_per_s": 1e6, "overhead_bytes": 66, "queue_packets": 50},
+}
+
+
+def flight_s(fleet: JsbsimFleet, seconds: float) -> float:
+    """Wall time of the models alone, s."""
+    began = time.perf_counter()
+    for _ in range(round(seconds * CONTROL_HZ)):
+        fleet.step(fleet.trimmed, PHYSICS_HZ // CONTROL_HZ)
+    return time.perf_counter() - began
+
+
+def radio_s(radio: Radio, aircraft: int, start_s: float, seconds: float, together: bool) -> float:
+    """Wall time of the radio alone, s; messages of all at once, or each at its own tick."""
+    message = Broadcast(np.zeros(aircraft), *(np.zeros((aircraft, 3)) for _ in range(5)))
+    period, control = PHYSICS_HZ // MESSAGES_HZ, PHYSICS_HZ // CONTROL_HZ
+    phase = np.zeros(aircraft, int) if together else np.arange(aircraft) % period
+    rows = np.arange(aircraft - 1)
+    began = time.perf_counter()
+    for tick in range(round(seconds * PHYSICS_HZ)):
+        now = start_s + tick / PHYSICS_HZ
+        who = tick % period == phase
+        if who.any():
+            stamps = np.full(aircraft, now)
+            radio.send(stamps, message._replace(stamp_s=stamps), None, who)
+        if tick % control == 0:
+            radio.deliver(now)
+            radio.use(rows, now - radio.measured_s)
+    return time.perf_counter() - began
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--aircraft", type=int, default=100)
+    parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--json", type=Path)
+    asked = parser.parse_args()
+    n = asked.aircraft
+    starts = [
+        Start(position_ned=(30.0 * row, 0.0, -100.0), course=0.0, airspeed=22.0) for row in range(n)
+    ]
+    fleet = JsbsimFleet([find_aircraft("rascal110")] * n, starts, Origin(), PHYSICS_HZ)
+    names = tuple(f"uav{row}" for row in range(n))
+    channel = make_channel(names, Network.model_validate(LINK), 1)
+    radios = {together: Radio(channel) for together in (True, False)}
+    packets = asked.seconds * MESSAGES_HZ * n * (n - 1)
+    result: dict[str, float] = {}
+    for together, radio in radios.items():
+        radio_s(radio, n, 0.0, 1.0, together)  # compiles what is compiled once
+    turns = []
+    for turn in range(asked.repeats):
+        flown = flight_s(fleet, asked.seconds)
+        start = 1.0 + turn * asked.seconds
+        turns.append(
+            (flown, *(radio_s(radios[way], n, start, asked.seconds, way) for way in radios))
+        )
+    if fleet.lost(fleet.read()).any():
+        raise SystemExit("an aircraft was lost, and what is lost costs nothing: fly a shorter time")
+    for name, column in (("together", 1), ("at own moments", 2)):
+        ratios = [turn[column] / turn[0] for turn in turns]
+        result[name] = statistics.median(ratios)
+        print(
+            f"{n} aircraft all to all, {MESSAGES_HZ} Hz, {name}: radio / flight models = "
+            f"{result[name]:.2f} ({min(ratios):.2f}-{max(ratios):.2f}); "
+            f"{1e9 * turns[-1][column] / packets:.0f} ns a packet"
+        )
+    if asked.json:
+        asked.json.write_text(json.dumps(result, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,176 @@
+"""Distributions of delay as functions of a standard normal, and netem's tables of them.
+
+A delay is g(z) with z of a first-order autoregressive normal process, so that its distribution is
+exact whatever its correlation. The process's coefficient is found such that the delays, not z, have
+the correlation asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import quad
+from scipy.optimize import brentq
+from scipy.special import ndtr, ndtri
+
+from testbed.network.links import (
+    EMPIRICAL,
+    LOGNORMAL,
+    NORMAL,
+    PARETO,
+    PARETONORMAL,
+    UNIFORM,
+    Links,
+)
+from testbed.state import Array
+
+# Pareto with this shape and scale 1; mean 3/2, variance 3/4.
+PARETO_SHAPE = 3.0
+PARETO_MEAN = 1.5
+PARETO_DEVIATION = math.sqrt(0.75)
+NORMAL_SHARE = 0.25  # of paretonormal, as in iproute2; both parts grow with the same z
+NETEM_PARETO = 4.0 / 3.0  # iproute2's scale of its pareto table
+
+TABLE_STEPS = 1024  # of a table of quantiles
+NETEM_TABLE = 4096  # entries of a table of netem
+NETEM_SCALE = 8192  # table entry of one standard deviation
+LARGEST_ENTRY = 32767
+TABLE_Z = ndtri((np.arange(NETEM_TABLE) + 0.5) / NETEM_TABLE)  # of its entries
+
+
+def pareto(z: Array) -> Array:
+    """Pareto with mean 0 and standard deviation 1."""
+    heavy: Array = ndtr(-z) ** (-1.0 / PARETO_SHAPE)
+    return (heavy - PARETO_MEAN) / PARETO_DEVIATION
+
+
+@cache
+def mixed_deviation() -> float:
+    """Standard deviation of a quarter normal and three quarters of iproute2's Pareto."""
+    scale = (1.0 - NORMAL_SHARE) * NETEM_PARETO * PARETO_DEVIATION
+
+    def product(z: float) -> float:
+        return float(z * pareto(np.array(z)) * math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi))
+
+    shared = quad(product, -12.0, 12.0)[0]
+    return math.sqrt(NORMAL_SHARE**2 + scale**2 + 2.0 * NORMAL_SHARE * scale * shared)
+
+
+def paretonormal(z: Array) -> Array:
+    """A quarter normal and three quarters Pareto, with mean 0 and standard deviation 1."""
+    scale = (1.0 - NORMAL_SHARE) * NETEM_PARETO * PARETO_DEVIATION
+    return (NORMAL_SHARE * z + scale * pareto(z)) / mixed_deviation()
+
+
+def looked_up(table: Array, z: Array) -> Array:
+    """Quantile of a table (TABLE_STEPS + 1,) at Φ(z)."""
+    out: Array = np.interp(ndtr(z) * TABLE_STEPS, np.arange(TABLE_STEPS + 1.0), table)
+    return out
+
+
+def varied(links: Links, z: Array, tables: Array) -> Array:
+    """What jitter adds to the delay of each link's packet, s, as z (…) has it.
+
+    Args:
+        links: records of `links.LINK` (…).
+        z: of a standard normal distribution (…).
+        tables: quantiles (T, TABLE_STEPS + 1) of the empirical ones.
+    """
+    shape, spread = links["jitter"], links["spread"]
+    out = np.zeros(np.shape(z))
+    for kind, of in _STANDARD.items():
+        chosen = shape == kind
+        if chosen.any():
+            out[chosen] = spread[chosen] * of(z[chosen])
+    chosen = shape == LOGNORMAL
+    if chosen.any():
+        mean, deviation = np.moveaxis(links["shape"][chosen], -1, 0)
+        out[chosen] = np.exp(mean + deviation * z[chosen]) - links["delay"][chosen]
+    chosen = shape == EMPIRICAL
+    if chosen.any():
+        for row in np.unique(links["table"][chosen]):
+            same = chosen & (links["table"] == row)
+            out[same] = looked_up(tables[row], z[same])
+    return out
+
+
+_STANDARD: dict[int, Callable[[Array], Array]] = {
+    UNIFORM: lambda z: 2.0 * ndtr(z) - 1.0,
+    NORMAL: lambda z: z,
+    PARETO: pareto,
+    PARETONORMAL: paretonormal,
+}
+
+
+def log_shape(mean: float, deviation: float) -> tuple[float, float]:
+    """Mean and standard deviation of the logarithm of a lognormal number with these."""
+    variance = math.log1p((deviation / mean) ** 2)
+    return math.log(mean) - 0.5 * variance, math.sqrt(variance)
+
+
+def quantiles(samples: Array) -> Array:
+    """The table (TABLE_STEPS + 1,) of measured delays (K,)."""
+    return np.quantile(samples, np.linspace(0.0, 1.0, TABLE_STEPS + 1))
+
+
+def normal_correlation(value_of: Callable[[Array], Array], wanted: float) -> float:
+    """The correlation of two normals z whose values g(z) have the wanted correlation.
+
+    By Mehler's formula the correlation of g(z) is a power series in that of z, with the squares of
+    g's coefficients in normalised Hermite polynomials.
+
+    Args:
+        value_of: g.
+        wanted: 0 to below 1.
+    """
+    if wanted == 0.0:
+        return 0.0
+    z = np.linspace(-_REACH, _REACH, _GRID)
+    weight = np.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi) * (z[1] - z[0])
+    value = value_of(z)
+    value = value - (value * weight).sum()
+    variance = (value * value * weight).sum()
+    if variance == 0.0:
+        return 0.0
+    shares = np.empty(_TERMS)
+    before, now = np.zeros_like(z), np.ones_like(z)
+    for k in range(1, _TERMS + 1):
+        before, now = now, (z * now - math.sqrt(k - 1.0) * before) / math.sqrt(k)
+        shares[k - 1] = (value * now * weight).sum() ** 2 / variance
+    powers = np.arange(1, _TERMS + 1)
+    rest = max(1.0 - float(shares.sum()), 0.0)
+
+    def correlation(rho: float) -> float:
+        # what no term has, very long tails, counts like the last
+        return float((shares * rho**powers).sum()) + rest * rho**_TERMS
+
+    return float(brentq(lambda rho: correlation(rho) - wanted, 0.0, 1.0, xtol=1e-12))
+
+
+_REACH, _GRID, _TERMS = 14.0, 20001, 80
+
+
+def netem_table(jitter: int, standard: Callable[[Array], Array] | None = None) -> NDArray[np.int16]:
+    """The 4096 numbers from which netem draws a delay, in 1/8192 of the spread.
+
+    Those of normal, pareto and paretonormal are the numbers of iproute2's files, to 1.
+
+    Args:
+        jitter: NORMAL, PARETO or PARETONORMAL; others are made of quantiles of `standard`.
+        standard: a function of z (K,) with mean 0 and standard deviation 1.
+    """
+    j = np.arange(NETEM_TABLE)
+    normal = NETEM_SCALE * ndtri((4.0 * j + 0.5) / (4.0 * NETEM_TABLE))
+    tail = (1.0 - j / NETEM_TABLE) ** (-1.0 / PARETO_SHAPE) - PARETO_MEAN
+    heavy = np.minimum(np.rint(NETEM_SCALE * NETEM_PARETO * tail), LARGEST_ENTRY)
+    if jitter == PARETO:
+        entries = heavy
+    elif jitter == PARETONORMAL:
+        entries = np.rint(NORMAL_SHARE * normal + (1.0 - NORMAL_SHARE) * heavy)
+    else:
+        entries = np.rint(NETEM_SCALE * standard(TABLE_Z) if standard else normal)
+    return np.clip(entries, -LARGEST_ENTRY - 1, LARGEST_ENTRY).astype(np.int16)

@@ -1,0 +1,200 @@
+"""The compiled twin of `fates`: the same steps written out per link.
+
+A test holds it to the numpy functions. numba compiles each function at its first call.
+"""
+
+# The numpy functions carry the docstrings and the types.
+# ruff: noqa: ANN001, ANN201, ANN202, D103
+# mypy: ignore-errors
+
+from __future__ import annotations
+
+from math import ceil, inf, isinf, isnan
+
+import numpy as np
+from numba import njit
+
+from testbed.network.dice_twin import exact_delay, happens, loses, netem_delay, philox, unit
+from testbed.network.fates import MUTE
+from testbed.network.links import CORRUPT, DUPLICATE, OUTCOME, PATH, REORDER, SLOT, Fate
+from testbed.network.slots import SIMULTANEOUS_S
+
+# numpy divides by zero as IEEE does; nothing is reordered, so that runs repeat to the bit
+twin = njit(cache=True, error_model="numpy")
+
+DELIVERED, LOST, FADED = int(Fate.DELIVERED), int(Fate.LOST), int(Fate.FADED)
+CORRUPTED, QUEUE = int(Fate.CORRUPTED), int(Fate.QUEUE)
+
+
+def fates(channel, traffic, rows, sequence, sent_s, script, replayed, faded):
+    return _fates(
+        channel.links,
+        channel.keys,
+        channel.quantiles,
+        channel.tables,
+        traffic.state,
+        traffic.ring,
+        rows,
+        sequence,
+        sent_s,
+        script,
+        replayed,
+        faded,
+    )
+
+
+@twin
+def _next_slot(link, state, key, ready_s):
+    shortest, longest = link.slot[0], link.slot[1]
+    if shortest == longest:
+        number = int(ceil((ready_s - link.first_slot) / longest - SIMULTANEOUS_S))
+        number = max(number, state.slot_number)
+        if number > state.slot_number:
+            state.slot_left = link.per_slot
+        elif state.slot_left == 0:
+            number += 1
+            state.slot_left = link.per_slot
+        state.slot_number = number
+        state.slot_at = link.first_slot + number * longest
+    while state.slot_at < ready_s - SIMULTANEOUS_S or state.slot_left == 0:
+        dice = unit(philox(key, state.slot_number, 0, SLOT)[0])
+        state.slot_at += shortest + (longest - shortest) * dice
+        state.slot_number += 1
+        state.slot_left = link.per_slot
+    state.slot_left -= 1
+    return state.slot_at
+
+
+@twin
+def _queue_is_full(link, state, ring, sent_s):
+    return link.queue > 0 and ring[state.place] > sent_s + SIMULTANEOUS_S
+
+
+@twin
+def _queue(link, state, ring, leaves):
+    if link.queue > 0:
+        ring[state.place] = leaves
+        state.place = (state.place + 1) % link.queue
+
+
+@twin
+def _travel(link, state, key, ring, number, copy, sent_s, departs, told, quantiles, tables):
+    """Arrival of a packet (infinite: spoiled), and whether netem's queue was full."""
+    words = philox(key, number, copy, PATH)
+    spoiled = happens(link, state, CORRUPT, words[0])
+    if link.netem and _queue_is_full(link, state, ring, sent_s):
+        return inf, True
+    overtakes = False
+    if state.passed >= link.gap - 1:
+        overtakes = happens(link, state, REORDER, words[1])
+    if link.netem:
+        delay = link.delay if overtakes else netem_delay(link, state, words[2], tables)
+    else:
+        delay = exact_delay(link, state, words[2], words[3], quantiles)
+    if not isnan(told):
+        delay = told
+    if overtakes:
+        state.passed = 0
+        return (inf if spoiled else departs), False
+    state.passed += 1
+    arrives = departs + delay
+    if link.netem:
+        if link.service > 0.0:
+            arrives = max(sent_s + delay, state.latest) + link.service
+        if link.slot[1] > 0.0:
+            arrives = _next_slot(link, state, key, arrives)
+        _queue(link, state, ring, arrives)
+    if link.in_order:
+        arrives = max(arrives, state.latest)
+    state.latest = max(arrives, state.latest)
+    return (inf if spoiled else arrives), False
+
+
+@twin
+def _one(link, state, key, ring, number, sent_s, script, told, faded, quantiles, tables, arrivals):
+    """The fate of one packet; its arrivals (2,) are put in place."""
+    words = philox(key, number, 0, OUTCOME)
+    lost = loses(link, state, words[0], words[1])
+    twice = happens(link, state, DUPLICATE, words[3])
+    traced = not isnan(told)
+    if traced:
+        lost = isinf(told)
+    gone = lost and (traced or not (link.netem and twice))
+    sending = script != MUTE
+    departs, full = sent_s, False
+    if sending and not link.netem:
+        full = _queue_is_full(link, state, ring, sent_s)
+        if not full:
+            if link.service > 0.0:
+                departs = state.free = max(departs, state.free) + link.service
+            if link.slot[1] > 0.0:
+                departs = _next_slot(link, state, key, departs)
+            _queue(link, state, ring, departs)
+    if link.netem and twice and not lost and sending:
+        other = philox(key, number, 1, OUTCOME)
+        if traced or not loses(link, state, other[0], other[1]):
+            arrivals[1] = _travel(
+                link, state, key, ring, number, 1, sent_s, departs, told, quantiles, tables
+            )[0]
+    if sending and not gone and not full:
+        arrivals[0], full = _travel(
+            link, state, key, ring, number, 0, sent_s, departs, told, quantiles, tables
+        )
+        if twice and not link.netem:
+            arrivals[1] = _travel(
+                link, state, key, ring, number, 1, sent_s, departs, told, quantiles, tables
+            )[0]
+    if script > 0:
+        return script
+    if min(arrivals[0], arrivals[1]) == inf:
+        if full:
+            return QUEUE
+        if gone:
+            return LOST
+    if unit(words[2]) < faded:
+        return FADED
+    return CORRUPTED if min(arrivals[0], arrivals[1]) == inf else DELIVERED
+
+
+@twin
+def _fates(
+    links,
+    keys,
+    quantiles,
+    tables,
+    states,
+    rings,
+    rows,
+    sequence,
+    sent_s,
+    script,
+    replayed,
+    faded,
+):
+    n, senders = script.shape
+    arrivals = np.full((n, senders, 2), inf)
+    fate = np.zeros((n, senders), np.uint8)
+    for s in range(senders):
+        m = rows[s]
+        for i in range(n):
+            link = links[i, m]
+            if link.own:
+                arrivals[i, s, 0] = sent_s[s]
+                continue
+            fate[i, s] = _one(
+                link,
+                states[i, m],
+                keys[i, m],
+                rings[i, m],
+                sequence[s],
+                sent_s[s],
+                script[i, s],
+                replayed[i, s],
+                faded[i, s],
+                quantiles,
+                tables,
+                arrivals[i, s],
+            )
+            if fate[i, s] != DELIVERED:
+                arrivals[i, s] = inf
+    return arrivals, fate

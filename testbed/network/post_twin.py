@@ -1,0 +1,165 @@
+"""The compiled twin of `post`: the same steps written out per message.
+
+A test holds it to the numpy functions. numba compiles each function at its first call. It is handed
+the records that posts and ledgers are views of: one array costs less than many.
+"""
+
+# The numpy functions carry the docstrings and the types.
+# ruff: noqa: ANN001, ANN201, ANN202, D103
+# mypy: ignore-errors
+
+from __future__ import annotations
+
+from math import ceil, inf, isnan, log2
+
+import numpy as np
+from numba import njit
+
+from testbed.network.ledger import BINS, LONGEST_BURST, PER_OCTAVE, SHORTEST_S
+from testbed.network.post import DELIVERED, MUTE
+from testbed.network.slots import SIMULTANEOUS_S
+from testbed.state import Inbox
+
+# numpy divides by zero as IEEE does; nothing is reordered, so that runs repeat to the bit
+twin = njit(cache=True, error_model="numpy")
+
+
+def post_round(post, ledger, count, rows, numbers, sent_s, stamps_s, message, arrivals, fate):
+    return _post_round(
+        post.link.base,
+        ledger.sent.base,
+        count,
+        rows,
+        numbers,
+        sent_s,
+        stamps_s,
+        message,
+        arrivals,
+        fate,
+    )
+
+
+def take_due(post, ledger, count, read, inbox, now):
+    return _take_due(
+        post.link.base, ledger.sent.base, count, read.number, read.measured_s, inbox, now
+    )
+
+
+def use(ledger, rows, age_s):
+    _use(ledger.sent.base, rows, age_s)
+
+
+@twin
+def _bin_of(seconds):
+    octaves = log2(max(seconds, SHORTEST_S) / SHORTEST_S)
+    return min(int(ceil(octaves * PER_OCTAVE)), BINS - 1)
+
+
+@twin
+def _post_round(post, ledger, count, rows, numbers, sent_s, stamps_s, message, arrivals, fate):
+    n, senders = fate.shape
+    for i in range(n):
+        for s in range(senders):
+            m = rows[s]
+            for copy in range(2):
+                if arrivals[i, s, copy] == inf:
+                    continue
+                entry = post[count]
+                entry.arrival_s = arrivals[i, s, copy]
+                entry.link[0], entry.link[1], entry.link[2] = i, m, numbers[s]
+                entry.measured_s, entry.stamp_s = message.stamp_s[m], stamps_s[i, s]
+                for axis in range(3):
+                    entry.content[0, axis] = message.position_ned[m, axis]
+                    entry.content[1, axis] = message.velocity_ned[m, axis]
+                    entry.content[2, axis] = message.acceleration_ned[m, axis]
+                    entry.content[3, axis] = message.euler[m, axis]
+                    entry.content[4, axis] = message.euler_rates[m, axis]
+                count += 1
+            if m != i + 1:
+                first = min(arrivals[i, s, 0], arrivals[i, s, 1])
+                both = max(arrivals[i, s, 0], arrivals[i, s, 1]) < inf
+                _count(ledger[i, m], fate[i, s], first - sent_s[s], both)
+    return count
+
+
+@twin
+def _count(link, fate, delay, both):
+    link.fates[fate] += 1
+    if fate == MUTE:
+        return
+    link.sent += 1
+    if fate == DELIVERED:
+        link.delivered += 1
+        link.twice += both
+        link.delay_sum += delay
+        link.delay_least = min(link.delay_least, delay)
+        link.delay_most = max(link.delay_most, delay)
+        link.delays[_bin_of(delay)] += 1
+        if link.missing:
+            link.bursts[min(link.missing, LONGEST_BURST) - 1] += 1
+            link.missing = 0
+    else:
+        link.missing += 1
+        link.longest = max(link.longest, link.missing)
+
+
+@twin
+def _take_due(post, ledger, count, read, measured_s, inbox, now):
+    arrived = np.empty(count, np.int64)
+    times = np.empty(count)
+    due = 0
+    for k in range(count):
+        if post[k].arrival_s <= now + SIMULTANEOUS_S:
+            arrived[due], times[due] = k, post[k].arrival_s
+            due += 1
+    if due == 0:
+        return count, inbox
+    fresh = Inbox(
+        inbox.stamp_s.copy(),
+        inbox.received_s.copy(),
+        inbox.position_ned.copy(),
+        inbox.velocity_ned.copy(),
+        inbox.acceleration_ned.copy(),
+        inbox.euler.copy(),
+        inbox.euler_rates.copy(),
+    )
+    # most rounds arrive in the order they were sent in
+    sorted_already = True
+    for k in range(1, due):
+        sorted_already = sorted_already and times[k] >= times[k - 1]
+    order = np.arange(due) if sorted_already else np.argsort(times[:due], kind="mergesort")
+    for at in order:
+        entry = post[arrived[at]]
+        i, m, number = entry.link[0], entry.link[1], entry.link[2]
+        if number > read[i, m]:
+            read[i, m], measured_s[i, m] = number, entry.measured_s
+            fresh.stamp_s[i, m], fresh.received_s[i, m] = entry.stamp_s, entry.arrival_s
+            content = entry.content
+            for axis in range(3):
+                fresh.position_ned[i, m, axis] = content[0, axis]
+                fresh.velocity_ned[i, m, axis] = content[1, axis]
+                fresh.acceleration_ned[i, m, axis] = content[2, axis]
+                fresh.euler[i, m, axis] = content[3, axis]
+                fresh.euler_rates[i, m, axis] = content[4, axis]
+        elif number < read[i, m]:
+            ledger[i, m].overtaken += 1
+    stay = arrived[0]
+    for k in range(arrived[0], count):
+        if post[k].arrival_s > now + SIMULTANEOUS_S:
+            post[stay] = post[k]
+            stay += 1
+    return stay, fresh
+
+
+@twin
+def _use(ledger, rows, age_s):
+    for k in range(len(rows)):
+        for m in range(age_s.shape[1]):
+            age = age_s[k, m]
+            if not isnan(age):
+                link = ledger[rows[k], m]
+                link.uses += 1
+                link.age_sum += age
+                link.age_least = min(link.age_least, age)
+                link.age_most = max(link.age_most, age)
+                link.ages[_bin_of(age)] += 1

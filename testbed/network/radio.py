@@ -1,0 +1,154 @@
+"""The radio of a run: broadcasts go in, what each follower has heard comes out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from testbed.network.channel import Channel
+from testbed.network.clocks import Clocks, stamps
+from testbed.network.fates import FATES
+from testbed.network.ledger import blank
+from testbed.network.links import Fates
+from testbed.network.post import (
+    NOTHING,
+    POST_ROUND,
+    TAKE_DUE,
+    USE,
+    VECTORS,
+    Numbers,
+    Read,
+    more_room,
+    room,
+)
+from testbed.network.report import summarise
+from testbed.network.traffic import idle
+from testbed.state import Array, Broadcast, Inbox, LinkCounts, Truths, VehicleState
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """What befalls messages beside the links' own dice; None: nothing."""
+
+    # `links.Fate` (n, S) that a script has, 0: none, for messages sent at these times (S,) s, by
+    # `rows` (S,), with these numbers (S,).
+    script: Callable[[Array, Numbers, Numbers], Fates] | None = None
+    # Delay (n, S) s that a trace has for them, infinite: lost, nan: none; by times and rows.
+    trace: Callable[[Array, Numbers], Array] | None = None
+    # Probability (n, S) of being lost to distance and airframes, in this formation (N).
+    fading: Callable[[VehicleState, Numbers], Array] | None = None
+    clocks: Clocks | None = None
+
+
+class Radio:
+    """Messages between N aircraft and their n followers."""
+
+    def __init__(self, channel: Channel, conditions: Conditions | None = None) -> None:
+        """Nothing was said yet."""
+        self._channel, self._conditions = channel, conditions or Conditions()
+        n, aircraft = links = channel.links.shape
+        self._traffic, self._ledger = idle(channel), blank(n, aircraft)
+        self._everyone = np.arange(aircraft)
+        self._number = np.zeros(aircraft, np.int64)  # of the next message of each
+        self._count = 0  # messages on their way
+        self._post = room(4 * n * aircraft)
+        self._read = Read(np.full(links, NOTHING), np.full(links, np.nan))
+        never, nothing = np.full(links, np.nan), np.full((*links, 3), np.nan)
+        self._inbox = Inbox(never, never, *(nothing,) * VECTORS)
+        self._nothing: dict[int, tuple[Fates, Array, Array]] = {}
+
+    @property
+    def measured_s(self) -> Array:
+        """(n, N) when what is in the inboxes was true, s; nan: nothing heard yet."""
+        return self._read.measured_s
+
+    def send(
+        self, sent_s: Array, message: Broadcast, truth: VehicleState, who: Truths | None = None
+    ) -> tuple[Array, Fates]:
+        """The aircraft `who` (N,), by default all, send their messages at sent_s (N,).
+
+        Args:
+            sent_s: (N,) s, of those who send.
+            message: of all N; its stamps are the true time of its content.
+            truth: the motion of all N, on which distances and airframes in the way depend.
+            who: (N,)
+
+        Returns:
+            Arrivals (n, S, 2) s and fates (n, S) of the S messages; see `fates.fates`.
+        """
+        measured = message.stamp_s
+        if who is None or who.all():
+            rows, sent, number = self._everyone, sent_s, self._number
+        else:
+            rows = np.flatnonzero(who)
+            sent, number, measured = sent_s[rows], self._number[rows], measured[rows]
+        self._number = self._number.copy()
+        self._number[rows] += 1
+        script, told, faded = self._befalls(sent, rows, number, truth)
+        arrivals, fate = FATES(
+            self._channel, self._traffic, rows, number, sent, script, told, faded
+        )
+        if self._count + arrivals.size > len(self._post.arrival_s):
+            self._post = more_room(self._post, self._count)
+        if self._conditions.clocks:
+            shown = stamps(self._conditions.clocks, measured, rows)
+        else:
+            shown = np.empty(fate.shape)
+            shown[:] = measured
+        self._count = POST_ROUND(
+            self._post,
+            self._ledger,
+            self._count,
+            rows,
+            number,
+            sent,
+            shown,
+            message,
+            arrivals,
+            fate,
+        )
+        return arrivals, fate
+
+    def deliver(self, now: float) -> Inbox:
+        """What the followers have received by `now`, s; a newer message replaces an older."""
+        if self._count:
+            self._count, self._inbox = TAKE_DUE(
+                self._post, self._ledger, self._count, self._read, self._inbox, now
+            )
+        return self._inbox
+
+    def use(self, rows: Numbers, age_s: Array) -> None:
+        """The followers `rows` (m,) used information of these ages (m, N) s; nan: none."""
+        USE(self._ledger, rows, age_s)
+
+    def counts(self) -> LinkCounts:
+        """Messages sent and delivered up to now."""
+        return LinkCounts(self._ledger.sent.copy(), self._ledger.delivered.copy())
+
+    def summary(self) -> Mapping[str, Any]:
+        """Numbers of every link, ready for JSON."""
+        return summarise(self._ledger, self._channel.names)
+
+    def _befalls(
+        self, sent_s: Array, rows: Numbers, number: Numbers, truth: VehicleState
+    ) -> tuple[Fates, Array, Array]:
+        n, senders = len(self._channel.links), len(rows)
+        if senders not in self._nothing:
+            blank_round = (n, senders)
+            self._nothing[senders] = (
+                np.zeros(blank_round, np.uint8),
+                np.full(blank_round, np.nan),
+                np.zeros(blank_round),
+            )
+        script, told, faded = self._nothing[senders]
+        given = self._conditions
+        if given.script:
+            script = given.script(sent_s, rows, number)
+        if given.trace:
+            told = given.trace(sent_s, rows)
+        if given.fading:
+            faded = given.fading(truth, rows)
+        return script, told, faded

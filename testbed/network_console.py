@@ -1,0 +1,240 @@
+"""What `testbed network` prints and writes: the radio of a scenario by itself."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+from rich.text import Text
+
+from testbed.errors import InputError
+from testbed.metrics.document import replacing, to_json, write_json
+from testbed.metrics.network import NOTHING, percent
+from testbed.network.links import Fate
+from testbed.network.report import LOSSES, word
+from testbed.scenario import Scenario, load
+from testbed.sim.sounding import Heard, sound
+
+MOST_PACKETS = 10_000_000
+MOST_ROWS = 50_000_000  # of all links: half a gigabyte of memory, and several of CSV
+LISTED = 12  # links shown one by one; of more, the worst
+ABREAST = 5  # counts that fit side by side in 80 columns
+OTHERS = ("mute", "overtaken", "duplicated")
+HEADER = "source,destination,sequence,sent_s,received_s,fate,copies\n"
+
+Document = Mapping[str, Any]
+
+
+def send_and_show(
+    scenario: str,
+    overrides: tuple[str, ...],
+    *,
+    packets: int,
+    seed: int | None,
+    out: Path | None,
+    json: Path | None,
+) -> None:
+    """Send the messages, print what became of them, and write what was asked for."""
+    to_stdout = json is not None and str(json) == "-"
+    _refuse_files(out=out, json=None if to_stdout else json)
+    if not 1 <= packets <= MOST_PACKETS:
+        raise InputError(f"--packets {packets}: write a number of 1 to {MOST_PACKETS:,}")
+    if seed is not None:
+        overrides = (*overrides, f"scenario.seed={seed}")
+    page = load(scenario, overrides)
+    _refuse_rows(page, packets)
+    with _progress(packets * len(page.aircraft_names)) as tell:
+        sounding = sound(page, packets, keep=out is not None, tell=tell)
+    document = {
+        "scenario": page.name,
+        "seed": page.scenario.seed,
+        "packets": packets,
+        **sounding.summary,
+    }
+    if out and sounding.heard:
+        _save(out, page.aircraft_names, sounding.heard)
+    console = Console(stderr=to_stdout, highlight=False)
+    _show(console, document)
+    if out:
+        console.print(f" messages  {out}", soft_wrap=True)
+    if to_stdout:
+        sys.stdout.write(to_json(document))
+    elif json:
+        write_json(json, document)
+
+
+def _refuse_files(**paths: Path | None) -> None:
+    for name, path in paths.items():
+        if path is None:
+            continue
+        if not path.absolute().parent.is_dir():
+            raise InputError(f"--{name} {path}: there is no folder {path.absolute().parent}")
+        if path.is_dir():
+            raise InputError(f"--{name} {path}: this is a folder; write the name of a file")
+
+
+def _refuse_rows(page: Scenario, packets: int) -> None:
+    listeners = len(page.aircraft_names) - 1
+    links = listeners * listeners
+    if not links:
+        raise InputError(f"{page.name}: nobody listens to the leader (write a fleet)")
+    if links * packets > MOST_ROWS:
+        raise InputError(
+            f"--packets {packets}: {links} links make {links * packets:,} rows of them; write at "
+            f"most {MOST_ROWS // links:,}"
+        )
+
+
+@contextmanager
+def _progress(total: int) -> Iterator[Callable[[int], None]]:
+    """A bar on stderr while messages are sent; nothing where that is no terminal."""
+    console = Console(stderr=True)
+    bar = Progress(
+        TextColumn("[bold]{task.description}"),
+        BarColumn(bar_width=None),
+        TextColumn("{task.completed:,.0f} of {task.total:,.0f} sent"),
+        TimeRemainingColumn(compact=True),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    )
+    with bar:
+        task = bar.add_task("network", total=total)
+
+        def tell(sent: int) -> None:
+            bar.update(task, completed=sent)
+
+        yield tell
+
+
+def _save(path: Path, names: Sequence[str], heard: Heard) -> None:
+    try:
+        with replacing(path) as file:
+            file.write(HEADER)
+            for m, source in enumerate(names):
+                sent = [f"{k},{time!r}" for k, time in enumerate(heard.sent_s[:, m].tolist())]
+                for i, destination in enumerate(names[1:]):
+                    if m != i + 1:
+                        file.writelines(_rows(f"{source},{destination}", sent, heard, i, m))
+    except OSError as error:
+        raise InputError(f"--out {path}: cannot write it: {error.strerror}") from error
+
+
+def _rows(link: str, sent: Sequence[str], heard: Heard, i: int, m: int) -> Iterator[str]:
+    """The rows of one link, numbers in as many digits as read back to the same."""
+    received = heard.received_s[:, i, m]
+    ends = [[f"{word(fate)},{copies}\n" for copies in range(3)] for fate in Fate]
+    for told, time, fate, copies in zip(
+        sent,
+        received.tolist(),
+        heard.fate[:, i, m].tolist(),
+        heard.copies[:, i, m].tolist(),
+        strict=True,
+    ):
+        # only what is not a number is not itself
+        arrived = repr(time) if time == time else ""
+        yield f"{link},{told},{arrived},{ends[fate][copies]}"
+
+
+def _show(console: Console, document: Document) -> None:
+    together = document["all"]
+    console.print(
+        Text.assemble(
+            " ",
+            (document["scenario"], "bold"),
+            f" · {document['packets']:,} messages on each of {_count(document)} links"
+            f" · seed {document['seed']}",
+        )
+    )
+    listed = _listed(document)
+    console.print()
+    console.print(_arrivals(listed, together))
+    happened = [key for key in (*map(word, LOSSES), *OTHERS) if _number(together, key)]
+    for first in range(0, len(happened), ABREAST):
+        console.print()
+        console.print(_counts(listed, together, happened[first : first + ABREAST]))
+    if len(listed) < _count(document):
+        console.print(Text(f" (the worst of {_count(document)} links)", style="dim"))
+
+
+def _count(document: Document) -> int:
+    return sum(len(receivers) for receivers in document["links"].values())
+
+
+def _listed(document: Document) -> dict[str, Document]:
+    """The links to show: all, or of many those that delivered least, in order."""
+    links = {
+        f"{source} > {destination}": link
+        for source, receivers in document["links"].items()
+        for destination, link in receivers.items()
+    }
+    if len(links) <= LISTED:
+        return links
+
+    def goodness(name: str) -> tuple[float, float]:
+        share, delay = links[name]["delivered_share"], links[name]["delay_s"]
+        return (1.0 if share is None else share), -(delay["p99"] if delay else 0.0)
+
+    worst = set(sorted(links, key=goodness)[:LISTED])
+    return {name: link for name, link in links.items() if name in worst}
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, collapse_padding=True, header_style="")
+    # of all columns this one may be broken over lines: names can be long
+    table.add_column(Text(title, style="bold"))
+    for name in columns:
+        table.add_column(name, justify="right", no_wrap=True)
+    return table
+
+
+def _fill(
+    table: Table,
+    links: Mapping[str, Document],
+    together: Document,
+    cells: Callable[[Document], Sequence[str]],
+) -> Table:
+    for name, link in links.items():
+        table.add_row(name, *cells(link))
+    table.add_section()
+    table.add_row("all", *cells(together))
+    return table
+
+
+def _arrivals(links: Mapping[str, Document], together: Document) -> Table:
+    """What arrived on each link, how late, and how many in a row did not."""
+
+    def cells(link: Document) -> list[str]:
+        delay, bursts = link["delay_s"], link["bursts"]
+        return [
+            f"{link['sent']:,}",
+            percent(link["delivered_share"]).removesuffix(" %"),
+            *(NOTHING if delay is None else f"{1e3 * delay[p]:.1f}" for p in ("p50", "p95", "p99")),
+            NOTHING if bursts["mean"] is None else f"{bursts['mean']:.2f}",
+            f"{bursts['longest']:,}",
+        ]
+
+    late = ("delay\np50, ms", "\np95", "\np99")
+    table = _table("\nlink", "\nsent", "arrived\n%", *late, "in a row lost\nmean", "\nmost")
+    return _fill(table, links, together, cells)
+
+
+def _counts(links: Mapping[str, Document], together: Document, keys: Sequence[str]) -> Table:
+    """Why messages of each link did not arrive, and what else befell them."""
+
+    def cells(link: Document) -> list[str]:
+        return [f"{_number(link, key):,}" for key in keys]
+
+    return _fill(_table("link", *keys), links, together, cells)
+
+
+def _number(link: Document, key: str) -> int:
+    """How many messages of a link had this fate, or were mute, overtaken or duplicated."""
+    return int(link[key] if key in OTHERS else link["lost"].get(key, 0))

@@ -1,0 +1,312 @@
+"""`testbed network`: what it writes is what its channel does, and what a flight would meet."""
+
+import csv
+import json
+import math
+import time
+
+import numpy as np
+import pytest
+from commands import run_command
+from typer.testing import CliRunner
+
+from testbed.cli import app
+from testbed.errors import InputError
+from testbed.scenario import load, shorten
+from testbed.sim.run import run
+
+COLUMNS = ["source", "destination", "sequence", "sent_s", "received_s", "fate", "copies"]
+LINKS = [
+    ("leader", "uav1"),
+    ("leader", "uav2"),
+    ("leader", "uav3"),
+    ("uav1", "uav2"),
+    ("uav1", "uav3"),
+    ("uav2", "uav1"),
+    ("uav2", "uav3"),
+    ("uav3", "uav1"),
+    ("uav3", "uav2"),
+]
+
+
+def network(*arguments, sets=(), scenario="simulation-3"):
+    words = [word for each in sets for word in ("--set", each)]
+    return CliRunner().invoke(app, ["network", scenario, *map(str, arguments), *words])
+
+
+def sent(tmp_path, *arguments, sets=(), scenario="simulation-3"):
+    """The rows that the command writes, by link."""
+    path = tmp_path / "messages.csv"
+    done = network("--out", path, *arguments, sets=sets, scenario=scenario)
+    assert done.exit_code == 0, done.output
+    links = {}
+    with path.open(newline="") as file:
+        reader = csv.DictReader(file)
+        assert reader.fieldnames == COLUMNS
+        for row in reader:
+            links.setdefault((row["source"], row["destination"]), []).append(row)
+    return links
+
+
+def column(rows, name, kind=float):
+    return np.array([kind(row[name] or "nan") for row in rows])
+
+
+def fates(rows):
+    return [row["fate"] for row in rows]
+
+
+def test_rows_are_in_order_and_without_those_to_oneself(tmp_path):
+    links = sent(tmp_path, "--packets", 40)
+    assert list(links) == LINKS
+    for rows in links.values():
+        assert column(rows, "sequence", int).tolist() == list(range(40))
+        assert column(rows, "sent_s").tolist() == [k / 25.0 for k in range(40)]
+        assert column(rows, "received_s").tolist() == column(rows, "sent_s").tolist()
+        assert set(fates(rows)) == {"delivered"}
+        assert {row["copies"] for row in rows} == {"1"}
+
+
+def test_what_is_lost_has_no_time_and_no_copies(tmp_path):
+    sets = ("network.loss=0.5", "network.duplicate=0.5", "network.delay_s=0.1")
+    for rows in sent(tmp_path, "--packets", 300, sets=sets).values():
+        for row in rows:
+            assert row["fate"] in ("delivered", "lost")
+            assert (row["received_s"] == "") == (row["copies"] == "0") == (row["fate"] == "lost")
+        assert {row["copies"] for row in rows} == {"0", "1", "2"}
+        here = [row for row in rows if row["received_s"]]
+        delay = column(here, "received_s") - column(here, "sent_s")
+        assert np.allclose(delay, 0.1, rtol=0.0, atol=1e-12)
+
+
+def test_numbers_read_back_to_the_same(tmp_path):
+    sets = ("network.delay_s=0.1", "network.jitter={distribution: lognormal, spread_s: 0.05}")
+    links = sent(tmp_path, "--packets", 200, sets=sets)
+    for row in links["leader", "uav1"]:
+        assert repr(float(row["received_s"])) == row["received_s"]
+    # only so many digits tell the numbers from their neighbours
+    assert max(len(row["received_s"]) for row in links["leader", "uav1"]) > 16
+
+
+@pytest.mark.parametrize(
+    ("sets", "link", "expected"),
+    [
+        (("network.drop=[0, 3]",), ("uav1", "uav2"), {0: "listed", 3: "listed"}),
+        (("network.blackout_s=[[0.1, 0.2]]",), ("uav1", "uav2"), {3: "blackout", 4: "blackout"}),
+        (("network.mute_s={uav1: [[0.1, 0.2]]}",), ("uav1", "uav3"), {3: "mute", 4: "mute"}),
+        (("network.mute_s={uav1: [[0.1, 0.2]]}",), ("uav2", "uav1"), {}),
+        (
+            ("network.partitions=[{window_s: [0, 0.1], groups: [[leader, uav1]]}]",),
+            ("leader", "uav2"),
+            {0: "partition", 1: "partition", 2: "partition"},
+        ),
+        (("network.corrupt=1",), ("leader", "uav1"), dict.fromkeys(range(10), "corrupted")),
+        (("network.range_loss=[[0, 1]]",), ("uav3", "uav1"), dict.fromkeys(range(10), "faded")),
+        (
+            # a message of 100 bytes takes 0.1 s, a new one comes every 0.04 s, and one may wait
+            ("network.rate={bit_per_s: 8000, queue_packets: 1}",),
+            ("leader", "uav1"),
+            {k: "queue" for k in range(10) if k % 3},
+        ),
+    ],
+)
+def test_what_is_written_down_happens(sets, link, expected, tmp_path):
+    rows = sent(tmp_path, "--packets", 10, sets=sets)[link]
+    told = {k: fate for k, fate in enumerate(fates(rows)) if fate != "delivered"}
+    assert told == expected
+
+
+def test_a_trace_is_replayed(tmp_path):
+    (tmp_path / "trace.csv").write_text("sent_s,received_s\n0,0.25\n0.04,\n0.08,0.1\n")
+    page = (
+        "extends: simulation-3\n"
+        "scenario: {schema: 1, name: traced}\n"
+        "network: {links: {leader: {uav1: {trace: {file: trace.csv}}}}}\n"
+    )
+    (tmp_path / "traced.yaml").write_text(page)
+    links = sent(tmp_path, "--packets", 6, scenario=str(tmp_path / "traced.yaml"))
+    rows = links["leader", "uav1"]
+    assert fates(rows) == ["delivered", "lost", "delivered"] * 2
+    delay = column(rows, "received_s") - column(rows, "sent_s")
+    assert delay[::3] == pytest.approx([0.25, 0.25], abs=1e-12)
+    assert delay[2::3] == pytest.approx([0.02, 0.02], abs=1e-12)
+    assert set(fates(links["uav1", "uav2"])) == {"delivered"}
+
+
+def test_geometry_is_that_of_the_start(tmp_path):
+    # from uav1 to uav2 it is as far as the page has it; the probability is that of the distance
+    page = load("simulation-3")
+    one, two = (np.array(page.fleet[k].start_m) for k in (0, 1))
+    far = float(np.linalg.norm(one - two))
+    curve = [[0, 0], [0.999 * far, 0], [1.001 * far, 1]]
+    lost = fates(
+        sent(tmp_path, "--packets", 1000, sets=(f"network.range_loss={curve}",))["uav1", "uav2"]
+    )
+    # half, to six standard deviations of a fair coin
+    assert abs(lost.count("faded") - 500) < 6.0 * math.sqrt(250.0)
+
+
+def test_who_sends_with_a_beat_of_its_own_does_so_here(tmp_path):
+    sets = ("network.broadcast={uav2: {period_s: 0.07, phase_s: 0.013}}",)
+    links = sent(tmp_path, "--packets", 50, sets=sets)
+    own = column(links["uav2", "uav1"], "sent_s")
+    assert own == pytest.approx(0.013 + 0.07 * np.arange(50), abs=1e-12)
+    assert column(links["uav1", "uav2"], "sent_s") == pytest.approx(np.arange(50) / 25.0)
+
+
+def test_a_flight_meets_the_same(tmp_path):
+    sets = (
+        "network.loss={probability: 0.3, correlation: 0.2}",
+        "network.delay_s=0.05",
+        "network.jitter={distribution: normal, spread_s: 0.02, correlation: 0.5}",
+        "network.duplicate=0.1",
+        "network.blackout_s=[[1, 2]]",
+        "network.broadcast={uav2: {period_s: 0.05}}",
+        "rates.synchronous=false",
+    )
+    page = shorten(load("simulation-3", sets), 6.0)
+    flown = run(page, write=False).metrics["network"]["links"]
+    links = sent(tmp_path, "--packets", 160, sets=sets)
+    for (source, destination), rows in links.items():
+        before = column(rows, "sent_s") <= 6.0 + 1e-9
+        link = flown[source][destination]
+        assert link["sent"] == before.sum() > 100
+        told = [fate for fate, there in zip(fates(rows), before, strict=True) if there]
+        assert link["delivered"] == told.count("delivered")
+        assert link["lost"] == {name: told.count(name) for name in ("lost", "blackout")}
+        delay = (column(rows, "received_s") - column(rows, "sent_s"))[before]
+        assert link["delay_s"]["mean"] == pytest.approx(np.nanmean(delay), rel=1e-9)
+        assert link["delay_s"]["max"] == pytest.approx(np.nanmax(delay), rel=1e-9)
+
+
+def test_the_seed_is_all_the_chance_there_is(tmp_path):
+    sets = ("network.loss=0.3", "network.jitter={spread_s: 0.1}")
+    files = [tmp_path / name for name in ("one", "two", "other")]
+    for path, seed in zip(files, (7, 7, 8), strict=True):
+        done = network("--packets", 200, "--out", path, "--seed", seed, sets=sets)
+        assert done.exit_code == 0
+    one, two, other = (path.read_bytes() for path in files)
+    assert one == two != other
+
+
+def test_the_numbers_are_those_of_the_rows(tmp_path):
+    sets = ("network.loss=0.3", "network.delay_s=0.1", "network.duplicate=0.2")
+    path = tmp_path / "table.json"
+    links = sent(tmp_path, "--packets", 500, "--json", path, sets=sets)
+    table = json.loads(path.read_text())
+    assert (table["scenario"], table["seed"], table["packets"]) == ("simulation-3", 1, 500)
+    everyone = [row for rows in links.values() for row in rows]
+    assert table["all"]["sent"] == len(everyone) == 4500
+    assert table["all"]["lost"] == {"lost": fates(everyone).count("lost")}
+    for (source, destination), rows in links.items():
+        link = table["links"][source][destination]
+        assert link["delivered"] == fates(rows).count("delivered")
+        assert link["duplicated"] == [row["copies"] for row in rows].count("2")
+
+
+def test_json_on_stdout_leaves_the_table_to_stderr():
+    done = network("--packets", 20, "--json", "-", sets=("network.loss=1",))
+    assert json.loads(done.stdout)["all"]["delivered_share"] == 0.0
+    assert "arrived" in done.stderr
+
+
+EVERYTHING = (
+    "network.delay_s=0.1",
+    "network.jitter={distribution: pareto, spread_s: 20}",
+    "network.loss=0.1",
+    "network.duplicate=0.1",
+    "network.corrupt=0.1",
+    "network.rate={bit_per_s: 8000, queue_packets: 1}",
+    "network.range_loss=[[0, 0.1]]",
+    "network.drop=[1]",
+    "network.blackout_s=[[2, 3]]",
+    "network.mute_s={uav1: [[4, 5]]}",
+    "network.partitions=[{window_s: [6, 7], groups: [[leader, uav1]]}]",
+)
+
+
+def test_the_table_fits_eighty_columns(tmp_path):
+    words = [word for each in EVERYTHING for word in ("--set", each)]
+    words += ["--packets", "1100", "--json", "table.json"]
+    done = run_command("network", "simulation-3", *words, cwd=tmp_path, code=0, columns=80)
+    assert "…" not in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    together = json.loads((tmp_path / "table.json").read_text())["all"]
+    assert len(together["lost"]) == 7
+    for number in (*together["lost"].values(), together["mute"], together["overtaken"]):
+        assert f"{number:,}" in done.stdout
+
+
+def test_a_perfect_radio_needs_one_table():
+    done = network("--packets", 10)
+    assert "100.0" in done.stdout
+    assert not any(word in done.stdout for word in ("mute", "overtaken", "duplicated"))
+
+
+def test_of_many_links_the_worst_are_shown():
+    names = [f"uav{k}" for k in range(1, 6)]
+    fleet = [f"{{name: {each}, aircraft: rascal110, start_m: [-20, 9, 0]}}" for each in names]
+    offsets = [f"{each}: [-20, 0, 0]" for each in names]
+    sets = (
+        f"fleet=[{', '.join(fleet)}]",
+        f"formation.offsets_m={{{', '.join(offsets)}}}",
+        f"formation.leader_gains={{{', '.join(f'{each}: 1' for each in names)}}}",
+        "scenario.published=null",
+        "network.links={uav4: {uav2: {loss: 1}}}",
+    )
+    done = network("--packets", 30, sets=sets)
+    assert done.exit_code == 0, done.exception
+    assert "uav4 > uav2" in done.stdout
+    assert "(the worst of 25 links)" in done.stdout
+    assert sum(" > " in line for line in done.stdout.splitlines()) == 24  # in two tables
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--packets", "0"), "--packets 0: write a number of 1 to 10,000,000"),
+        (("--packets", "10000001"), "--packets 10000001: write a number of 1 to 10,000,000"),
+        (
+            ("--packets", "9000000"),
+            "9 links make 81,000,000 rows of them; write at most 5,555,555",
+        ),
+        (("--out", "no/a.csv"), "--out no/a.csv: there is no folder"),
+        (("--out", "."), "--out .: this is a folder"),
+        (("--json", "no/a.json"), "--json no/a.json: there is no folder"),
+        (("--set", "network.loss=2"), "network.loss"),
+        (("--set", "network.trace={file: nowhere.csv}"), "nowhere.csv"),
+    ],
+)
+def test_bad_input_says_what_to_write(words, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = network(*words)
+    assert isinstance(done.exception, InputError), done.exception
+    assert said in str(done.exception)
+    assert not list(tmp_path.iterdir())
+
+
+def test_bad_input_ends_with_two_and_without_a_traceback(tmp_path):
+    done = run_command(
+        "network", "simulation-3", "--packets", "-1", cwd=tmp_path, code=2, columns=80
+    )
+    assert done.stderr == "error: --packets -1: write a number of 1 to 10,000,000\n"
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
+    path = tmp_path / "messages.csv"
+    path.write_text("old")
+
+    def fail(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", fail)
+    done = network("--packets", 10, "--out", path)
+    assert "cannot write it: No space left" in str(done.exception)
+    assert [each.read_text() for each in tmp_path.iterdir()] == ["old"]
+
+
+def test_many_messages_take_seconds(tmp_path):
+    began = time.process_time()
+    sent(tmp_path, "--packets", 20_000, sets=("network.loss=0.3",))
+    # a tenth of a millisecond for each round of nine links, written and read; a third is usual
+    assert time.process_time() - began < 20.0

@@ -1,0 +1,138 @@
+"""Simulation 3's graph with ideal vehicles in a climbing turn, and a neighbour that falls silent.
+
+uav2 and uav3 are ideal vehicles under the paper's law at 25 Hz. uav1 is moved as a slot of the
+leader's helix, 4 m to the right of its own, so that it pulls uav2 out of its slot and whoever
+reckons with it can be told from whoever does not.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from closed_loop import Leader
+
+from testbed.formation import leader as leading
+from testbed.formation.geometry import frame_rate, slots
+from testbed.frames import velocity_frame
+from testbed.scenario import load
+from testbed.sim.world import build
+from testbed.state import Inbox, VehicleState
+from testbed.vehicle.ideal import ADVANCE_TICKS, REPORT, unicycle
+
+HZ, TICKS = 25, 8
+MUTE = (20.0, 50.0)  # s; six radians of the turn
+LIMIT = 0.5  # s, for which news of a neighbour is extrapolated, unless a test says more
+END = 80.0
+LEADER = Leader(*(np.array(each) for each in ([[0.0, 0.0, -100.0]], [22.0], [0.06], [0.4], [0.2])))
+RATE = frame_rate(LEADER.climb, LEADER.course_rate, np.zeros(1))
+ASIDE = np.array([0.0, 4.0, 0.0])
+
+
+def helix(t, offset):
+    """Position and velocity of what keeps an offset in the leader's frame; and q̈_g."""
+    position, velocity, acceleration = LEADER.motion(t)
+    chi, chi_rate, _ = slots(velocity_frame(velocity), RATE, np.zeros((1, 3)), offset[None])
+    return position[0] + chi[0, 0], velocity[0] + chi_rate[0, 0], acceleration[0]
+
+
+def make_law(then, limit=LIMIT):
+    """Simulation 3's, with q̈_g as it is: how it is averaged is not the question."""
+    staleness = f"controller.staleness={{after_s: {limit}, then: {then}}}"
+    return replace(
+        build(load("simulation-3", [staleness])).groups[0].law,
+        acceleration_source=np.full(3, leading.BROADCAST),
+        acceleration_blend=np.ones((3, 3)),
+    )
+
+
+def rows(begin, end):
+    return slice(round(begin * HZ), round(end * HZ))
+
+
+def flown(law, mute=MUTE, then=None, until=END):
+    """Errors of uav2 and uav3 from their slots in the leader's frame (K, 2, 3), and the memory.
+
+    Once uav1 is stale, they fly by the law `then`, if there is one.
+    """
+    offsets = law.offsets.copy()
+    offsets[1] += ASIDE
+    start = [helix(0.0, offset) for offset in offsets]
+    vehicles = unicycle(*(np.array([each[k] for each in start[2:]]) for k in (0, 1)))
+    speed, turn, pole = vehicles.speed, np.zeros((2, 3)), law.pole[1:]
+    memory, said, errors, inbox = None, 0.0, [], None
+    for tick in range(round(until * HZ)):
+        now = tick / HZ
+        law = then if then and now - said > LIMIT else law
+        moved = [helix(now, offset) for offset in offsets]
+        slots_now = np.array([each[0] for each in moved])
+        seen = REPORT(vehicles, speed, turn, pole, np.zeros((2, 3)))
+        frame = velocity_frame(LEADER.motion(now)[1])[0]
+        errors.append((seen.position_ned - slots_now[2:]) @ frame)
+        position = np.vstack([slots_now[:2], seen.position_ned])
+        velocity = np.vstack([[each[1] for each in moved[:2]], seen.velocity_ned])
+        own = np.stack([position[1:], velocity[1:]])
+        airspeed = np.linalg.norm(velocity[1:], axis=1)
+        own = VehicleState(*own, *np.zeros((3, 3, 3)), airspeed, airspeed)
+        if not mute[0] <= now < mute[1]:
+            said = now
+        when = np.full((3, 4), now)
+        when[1:, 1] = said
+        rates = np.tile([0.0, 0.0, LEADER.course_rate[0]], (3, 4, 1))
+        news = [np.tile(each, (3, 1, 1)) for each in (position, velocity)]
+        if said != now:
+            for each, old in zip(news, inbox[2:4], strict=True):
+                each[1:, 1] = old[1:, 1]
+        acceleration = np.zeros((3, 4, 3))
+        acceleration[:, 0] = moved[0][2]
+        inbox = Inbox(when, when, *news, acceleration, np.zeros((3, 4, 3)), rates)
+        told, memory = law.step(now, own, inbox, memory or law.start(own))
+        speed, turn = told.speed[1:].copy(), told.turn[1:].copy()
+        vehicles = ADVANCE_TICKS(vehicles, speed, turn, pole, 1.0 / (HZ * TICKS), TICKS)
+    return np.array(errors), memory
+
+
+@pytest.fixture(scope="module")
+def heard():
+    """As it is if uav1 is always heard: uav2 is pulled aside, and uav3 by uav2."""
+    errors, _ = flown(make_law("drop"), mute=(END, END))
+    assert errors[rows(*MUTE), 0, 1].min() > 1.5
+    assert errors[rows(*MUTE), 1, 1].min() > 0.7
+    return errors
+
+
+@pytest.mark.parametrize("limit", [LIMIT, 5.0])
+def test_a_neighbour_that_keeps_its_place_may_fall_silent(heard, limit):
+    """It is held where it was when it fell silent, however far a line has led from there since.
+
+    Until the limit that line leaves the turn, by δ at the end. uav2 and uav3 are never off by as
+    much; and once uav1 is held, in its place as if it were heard, what they are off decays by the
+    turn gain c = 0.1 per second at the slowest, in six radians of turn and when it is heard again.
+    """
+    law = make_law("hold", limit)
+    held, _ = flown(law)
+    _, memory = flown(law, until=MUTE[0] + limit + 1.0)
+    # the last word was one period before the silence
+    last, offset = MUTE[0] - 1.0 / HZ, np.array([-5.0, 5.0, 0.0]) + ASIDE
+    assert memory.place[1, 1] == pytest.approx(offset, abs=1e-9)
+    assert memory.place_stamp_s[1, 1] == last
+    position, velocity, _ = helix(last, offset)
+    delta = np.linalg.norm(position + limit * velocity - helix(last + limit, offset)[0])
+    # ½ v σ̇ times the square of the limit, less a fortieth when that is a radian of the turn
+    level = np.hypot(*velocity[:2])
+    assert delta == pytest.approx(0.5 * level * 0.2 * limit**2, rel=0.03)
+    off = np.linalg.norm(held - heard, axis=2)
+    assert off[rows(0.0, MUTE[0])].max() == 0.0
+    assert 0.1 * delta < off[rows(*MUTE), 0].max()
+    since = np.arange(len(off)) / HZ - (last + limit)
+    assert (off < delta * np.exp(-0.1 * np.maximum(since, 0.0))[:, None]).all()
+
+
+def test_left_out_it_pulls_no_more(heard):
+    """To the bit: while it is stale uav2 flies as if it had no gain for uav1, back to its slot."""
+    law = make_law("drop")
+    without = replace(law, gains=law.gains.copy())
+    without.gains[1, 1] = 0.0
+    dropped, _ = flown(law, until=MUTE[1])
+    leader_alone, _ = flown(law, then=without, until=MUTE[1])
+    np.testing.assert_array_equal(dropped, leader_alone)
+    assert np.linalg.norm(dropped[-1, 0]) < 0.3 < np.linalg.norm(heard[len(dropped), 0])
