@@ -9,10 +9,13 @@ in the environment, the numpy functions fly: results agree to rounding, not to t
 from __future__ import annotations
 
 import functools
+import hashlib
 import importlib
 import importlib.util
 import os
+import shutil
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -40,3 +43,43 @@ def twin_of(function: F, module: str) -> F:
         return chosen[0](*args)
 
     return call  # type: ignore[return-value]
+
+
+def twin(function: F) -> F:
+    """Compile a function of a module of twins at its first call, and keep the machine code.
+
+    Raises:
+        ImportError: numba is missing.
+    """
+    import numba
+
+    config: Any = numba.config
+    wanted = config.CACHE_DIR
+    config.CACHE_DIR = _machine_code(wanted)
+    try:
+        # numpy divides by zero as IEEE does; nothing is reordered, so that runs repeat to the bit
+        return numba.njit(cache=True, error_model="numpy")(function)  # type: ignore[return-value]
+    finally:
+        config.CACHE_DIR = wanted
+
+
+@functools.cache
+def _machine_code(wanted: str) -> str:
+    """The folder of the machine code of these sources; it need not be there, or be writable.
+
+    numba looks for changes in a function's own file alone. A twin holds constants and calls
+    functions of other files too, so what was compiled from other sources is not used again.
+
+    Args:
+        wanted: parent that the environment asks for; empty: beside the bytecode.
+    """
+    package = Path(__file__).parent
+    digest = hashlib.sha256()
+    for source in sorted(package.rglob("*.py")):
+        digest.update(source.relative_to(package).as_posix().encode() + source.read_bytes())
+    parent = Path(wanted) if wanted else package / "__pycache__"
+    folder = parent / f"twins-{digest.hexdigest()[:16]}"
+    if not folder.exists():
+        for stale in parent.glob("twins-*"):
+            shutil.rmtree(stale, ignore_errors=True)
+    return str(folder)

@@ -20,6 +20,7 @@ from testbed.metrics.network import NOTHING, percent
 from testbed.network.links import Fate
 from testbed.network.report import LOSSES, word
 from testbed.scenario import Scenario, load
+from testbed.sim.run import stopping
 from testbed.sim.sounding import Heard, sound
 
 MOST_PACKETS = 10_000_000
@@ -44,14 +45,20 @@ def send_and_show(
     """Send the messages, print what became of them, and write what was asked for."""
     to_stdout = json is not None and str(json) == "-"
     _refuse_files(out=out, json=None if to_stdout else json)
+    if out and out.suffix.lower() != ".csv":
+        raise InputError(f"--out {out}: write a name that ends in .csv")
+    if out and json and out.absolute() == json.absolute():
+        raise InputError(f"--json {json}: this is --out too; write another name")
     if not 1 <= packets <= MOST_PACKETS:
         raise InputError(f"--packets {packets}: write a number of 1 to {MOST_PACKETS:,}")
     if seed is not None:
         overrides = (*overrides, f"scenario.seed={seed}")
     page = load(scenario, overrides)
     _refuse_rows(page, packets)
-    with _progress(packets * len(page.aircraft_names)) as tell:
-        sounding = sound(page, packets, keep=out is not None, tell=tell)
+    with stopping() as stop, _progress("sent", packets * len(page.aircraft_names)) as tell:
+        sounding = sound(page, packets, keep=out is not None, tell=tell, stop=stop)
+        if stop():
+            raise KeyboardInterrupt
     document = {
         "scenario": page.name,
         "seed": page.scenario.seed,
@@ -93,13 +100,13 @@ def _refuse_rows(page: Scenario, packets: int) -> None:
 
 
 @contextmanager
-def _progress(total: int) -> Iterator[Callable[[int], None]]:
-    """A bar on stderr while messages are sent; nothing where that is no terminal."""
+def _progress(done: str, total: int) -> Iterator[Callable[[int], None]]:
+    """A bar on stderr while messages are sent or written; nothing where that is no terminal."""
     console = Console(stderr=True)
     bar = Progress(
         TextColumn("[bold]{task.description}"),
         BarColumn(bar_width=None),
-        TextColumn("{task.completed:,.0f} of {task.total:,.0f} sent"),
+        TextColumn("{task.completed:,.0f} of {task.total:,.0f} " + done),
         TimeRemainingColumn(compact=True),
         console=console,
         transient=True,
@@ -108,21 +115,24 @@ def _progress(total: int) -> Iterator[Callable[[int], None]]:
     with bar:
         task = bar.add_task("network", total=total)
 
-        def tell(sent: int) -> None:
-            bar.update(task, completed=sent)
+        def tell(number: int) -> None:
+            bar.update(task, completed=number)
 
         yield tell
 
 
 def _save(path: Path, names: Sequence[str], heard: Heard) -> None:
+    written = 0
     try:
-        with replacing(path) as file:
+        with replacing(path) as file, _progress("written", heard.fate.size) as tell:
             file.write(HEADER)
             for m, source in enumerate(names):
                 sent = [f"{k},{time!r}" for k, time in enumerate(heard.sent_s[:, m].tolist())]
                 for i, destination in enumerate(names[1:]):
                     if m != i + 1:
                         file.writelines(_rows(f"{source},{destination}", sent, heard, i, m))
+                    written += len(sent)
+                    tell(written)
     except OSError as error:
         raise InputError(f"--out {path}: cannot write it: {error.strerror}") from error
 

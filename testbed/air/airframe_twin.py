@@ -12,12 +12,10 @@ from __future__ import annotations
 from math import cos, sin
 
 import numpy as np
-from numba import njit
 
 from testbed.air.airframe import AHEAD, BEHIND, MEAN, POINTS, RIGHT, SLOPE, WING
+from testbed.compiled import twin
 
-# numpy divides by zero as IEEE does; nothing is reordered, so that runs repeat to the bit
-twin = njit(cache=True, error_model="numpy")
 _MEAN, _SLOPE = tuple(MEAN.tolist()), tuple(SLOPE.tolist())
 _OUTERMOST = float(WING[RIGHT])
 

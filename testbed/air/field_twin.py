@@ -12,12 +12,9 @@ from __future__ import annotations
 from math import floor
 
 import numpy as np
-from numba import njit
 
 from testbed.air.airframe_twin import felt, place
-
-# numpy divides by zero as IEEE does; nothing is reordered, so that runs repeat to the bit
-twin = njit(cache=True, error_model="numpy")
+from testbed.compiled import twin
 
 
 @twin

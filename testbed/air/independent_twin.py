@@ -9,13 +9,11 @@ from __future__ import annotations
 from math import hypot
 
 import numpy as np
-from numba import njit
 
 from testbed.air.airframe_twin import rotation_of
 from testbed.air.mil import HIGH, LOW
+from testbed.compiled import twin
 from testbed.frames import COURSE_FLOOR
-
-twin = njit(cache=True, error_model="numpy")
 
 
 @twin

@@ -9,12 +9,10 @@ from __future__ import annotations
 from math import cos, exp, expm1, pi, sin, sqrt
 
 import numpy as np
-from numba import njit
 
 from testbed.air.wake import FADED, NEAREST, ROLL_UP, SLOWEST
+from testbed.compiled import twin
 from testbed.frames import GRAVITY
-
-twin = njit(cache=True, error_model="numpy")
 
 
 @twin

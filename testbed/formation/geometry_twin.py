@@ -12,12 +12,9 @@ from __future__ import annotations
 from math import atan2, hypot, isnan
 
 import numpy as np
-from numba import njit
 
+from testbed.compiled import twin
 from testbed.frames import COURSE_FLOOR
-
-# numpy divides by zero as IEEE does; nothing is reordered, so that runs repeat to the bit
-twin = njit(cache=True, error_model="numpy")
 
 
 @twin

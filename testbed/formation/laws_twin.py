@@ -14,8 +14,9 @@ from math import isnan, nan, sqrt, tanh
 
 import numpy as np
 
+from testbed.compiled import twin
 from testbed.formation.barrier import NO_BARRIER
-from testbed.formation.geometry_twin import cross, to_ned, twin
+from testbed.formation.geometry_twin import cross, to_ned
 from testbed.frames import COURSE_FLOOR
 
 
@@ -77,21 +78,27 @@ def silence(inbox, i, m, now, limit):
 
 
 @twin
-def ages(now, stamp_s, received_s, unheeded, limit):
+def ages(now, stamp_s, received_s, unheeded, limit, needs_leader):
     out = np.full(stamp_s.shape, nan)
     limits = np.broadcast_to(limit, stamp_s.shape)
     for i in range(stamp_s.shape[0]):
         for m in range(stamp_s.shape[1]):
             if not unheeded[i, m] and now - received_s[i, m] <= limits[i, m]:
                 out[i, m] = now - stamp_s[i, m]
+            elif needs_leader and m == 0:
+                break
     return out
+
+
+@twin
+def time_of(inbox, i, m, from_timestamp):
+    return inbox.stamp_s[i, m] if from_timestamp else inbox.received_s[i, m]
 
 
 @twin
 def motion_of(agent, inbox, i, m, now, from_timestamp):
     """Position and velocity of aircraft m as agent i reckons it, sec. 8.3; level for some."""
-    since = inbox.stamp_s[i, m] if from_timestamp else inbox.received_s[i, m]
-    lag = now - since
+    lag = now - time_of(inbox, i, m, from_timestamp)
     q, v, a = inbox.position_ned[i, m], inbox.velocity_ned[i, m], inbox.acceleration_ned[i, m]
     gain = lag if agent.with_acceleration else 0.0
     x, y, z = gain * a[0], gain * a[1], gain * a[2]
@@ -132,10 +139,10 @@ def errors_of(
 ):
     """ξ_i and its rate, (6); own is (q_i, q̇_i), leader (q_g, q̇_g), slots (χ_i, χ̇_i).
 
-    Writes the places of neighbours that say something new and the stamps of that, if they are to
+    Writes the places of neighbours that say something new and the times of that, if they are to
     be held.
     """
-    place, place_stamp_s = places
+    place, place_time_s = places
     cs, ss, cg, sg = frame
     q, v = own
     chi, chi_rate = slots
@@ -149,9 +156,9 @@ def errors_of(
         if m > 0:
             if not silence(inbox, i, m, now, agent.stale_after):
                 position, velocity = motion_of(agent, inbox, i, m, now, from_timestamp)
-                stamp = inbox.stamp_s[i, m]
-                if agent.hold and not stamp <= place_stamp_s[i, m]:
-                    place_stamp_s[i, m] = stamp
+                said = time_of(inbox, i, m, from_timestamp)
+                if agent.hold and not said <= place_time_s[i, m]:
+                    place_time_s[i, m] = said
                     where = place_of(frame, leader[0], position)
                     place[i, m, 0], place[i, m, 1], place[i, m, 2] = where
             elif agent.hold and not isnan(place[i, m, 0]):

@@ -19,7 +19,7 @@ class Memory(NamedTuple):
     """What n followers remember of their leader, and of its formation; nan: nothing heard yet."""
 
     acceleration: Array  # (n, 3) m/s², averaged estimate of q̈_g
-    stamp_s: Array  # (n,) of the newest message used
+    time_s: Array  # (n,) of the newest message used, as the law takes it: of its stamp or receipt
     speed: Array  # (n,) m/s, then
     climb: Array  # (n,) rad, then
     speed_rate: Array  # (n,) m/s², averaged
@@ -28,9 +28,9 @@ class Memory(NamedTuple):
     silent_since: Array  # (n,) s
     silent_course: Array  # (n,) rad
     # Where each was in the leader's velocity frame when its last message was new, if the law holds
-    # it there, and the stamp of that message; nan: never, and for the leader.
+    # it there, and the time of that message; nan: never, and for the leader.
     place: Array  # (n, N, 3) m: forward, right, down
-    place_stamp_s: Array  # (n, N)
+    place_time_s: Array  # (n, N)
 
 
 def unheard(n: int, aircraft: int) -> Memory:
@@ -42,13 +42,13 @@ def unheard(n: int, aircraft: int) -> Memory:
 
 
 def differentiate(
-    memory: Memory, stamp_s: Array, velocity: Array, blend: Array
+    memory: Memory, time_s: Array, velocity: Array, blend: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Speed and flight-path angle of the leader as heard, and their averaged differences.
 
     Args:
         memory: of the step before.
-        stamp_s: (n,) of the newest message.
+        time_s: (n,) s, of the newest message.
         velocity: (n, 3) in it.
         blend: (n, 2) share of a new difference in the averages of ṡ_g and γ̇_g.
 
@@ -56,7 +56,7 @@ def differentiate(
         s_g (n,) m/s, γ_g (n,) rad, ṡ_g (n,) m/s², γ̇_g (n,) rad/s.
     """
     speed, climb = norm(velocity), flight_path_angle(velocity)
-    since = stamp_s - memory.stamp_s
+    since = time_s - memory.time_s
     fresh = since > 0.0  # false for the first message too: nan
     span = np.where(fresh, since, 1.0)
     speed_rate = memory.speed_rate + blend[:, 0] * (

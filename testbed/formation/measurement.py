@@ -9,6 +9,11 @@ from testbed.formation.arrays import cross, rotate
 from testbed.state import Array, Inbox, Truths
 
 
+def times(inbox: Inbox, from_timestamp: bool) -> Array:
+    """What the law takes for the times (n, N) s of its messages: their stamps or their receipt."""
+    return inbox.stamp_s if from_timestamp else inbox.received_s
+
+
 def corrected(
     inbox: Inbox, now: float, from_timestamp: bool, with_acceleration: Truths
 ) -> tuple[Array, Array]:
@@ -19,8 +24,7 @@ def corrected(
     synchronised clocks and takes it out. For the agents (n,) that reckon with the acceleration
     too, the step is a parabola and the velocity moves.
     """
-    since = inbox.stamp_s if from_timestamp else inbox.received_s
-    lag = np.expand_dims(now - since, 2)
+    lag = np.expand_dims(now - times(inbox, from_timestamp), 2)
     position = inbox.position_ned + lag * inbox.velocity_ned
     gained = np.where(np.expand_dims(with_acceleration, (1, 2)), lag * inbox.acceleration_ned, 0.0)
     return position + 0.5 * lag * gained, inbox.velocity_ned + gained
@@ -59,7 +63,12 @@ def kept(
 
 
 def ages(
-    now: float, stamp_s: Array, received_s: Array, unheeded: Truths, limit: Array | float
+    now: float,
+    stamp_s: Array,
+    received_s: Array,
+    unheeded: Truths,
+    limit: Array | float,
+    needs_leader: bool,
 ) -> Array:
     """Age (n, N) s at the time `now` of what each agent uses of each aircraft; nan: it does not.
 
@@ -69,8 +78,11 @@ def ages(
         received_s: (n, N) its arrival, by its receiver; nan: nothing heard yet.
         unheeded: (n, N) whose messages are not used.
         limit: (n, N) s since the arrival, after which a message is not used; or one for all.
+        needs_leader: who does not use the leader's message uses nobody's.
     """
     used = (now - received_s <= limit) & ~unheeded
+    if needs_leader:
+        used &= used[:, :1].copy()
     return np.where(used, now - stamp_s, np.nan)
 
 

@@ -13,8 +13,8 @@ from math import atan, atan2, cos, floor, hypot, isnan, pi, sin, sqrt
 
 import numpy as np
 
+from testbed.compiled import twin
 from testbed.formation.geometry import GRAVITY
-from testbed.formation.geometry_twin import twin
 from testbed.formation.law import Diagnosis
 from testbed.formation.laws_twin import rows_of, velocity_rates
 from testbed.formation.middle_loop import (

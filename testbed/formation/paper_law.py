@@ -25,7 +25,7 @@ from testbed.formation.laws import (
     turn_control,
 )
 from testbed.formation.leader import Memory, unheard
-from testbed.formation.measurement import corrected, kept, places
+from testbed.formation.measurement import corrected, kept, places, times
 from testbed.frames import course, flight_path_angle, velocity_frame
 from testbed.state import Array, Inbox, Truths, UnicycleCommand, VehicleState
 
@@ -159,13 +159,14 @@ def paper_step(
     turning = geometry.frame_acceleration(climb, rates[:, 2], climb_rate, bending)
     turning = np.where(np.expand_dims(law.turn_acceleration, 1), turning, 0.0)
     chi, chi_rate, chi_acceleration = geometry.slots(frame, rate, turning, law.offsets)
-    place, place_stamp_s = memory.place, memory.place_stamp_s
+    place, place_time_s = memory.place, memory.place_time_s
     if law.hold:
+        said_s = times(inbox, law.from_timestamp)
         new = weights.any(axis=2) & ~silent & ~np.expand_dims(deaf, 1)
-        new &= ~(inbox.stamp_s <= place_stamp_s)
+        new &= ~(said_s <= place_time_s)
         new[:, 0] = False  # the leader is in no place of its own formation
         place = np.where(np.expand_dims(new, 2), places(frame, positions), place)
-        place_stamp_s = np.where(new, inbox.stamp_s, place_stamp_s)
+        place_time_s = np.where(new, said_s, place_time_s)
         positions, velocities = kept(frame, rate, place, held, positions, velocities)
     each = np.arange(n)
     slot, slot_velocity = chi[each, law.agents], chi_rate[each, law.agents]
@@ -214,7 +215,7 @@ def paper_step(
             silent_since=np.where(deaf, since, np.nan),
             silent_course=np.where(deaf, begun, np.nan),
             place=place,
-            place_stamp_s=place_stamp_s,
+            place_time_s=place_time_s,
         ),
     )
 
@@ -225,8 +226,9 @@ def _leader_acceleration(
     """q̈_g (n, 3) m/s² by each agent's own choice, and the memory for the next step."""
     heard = np.expand_dims(~deaf, 1)
     velocity = np.where(heard, inbox.velocity_ned[:, 0] * level, 1.0)
+    time_s = times(inbox, law.from_timestamp)[:, 0]
     speed, climb, speed_rate, climb_rate = leading.differentiate(
-        memory, inbox.stamp_s[:, 0], velocity, law.difference_blend
+        memory, time_s, velocity, law.difference_blend
     )
     euler = np.where(heard, inbox.euler[:, 0], 0.0)
     turn = leading.turn_acceleration(frame, speed, climb, speed_rate, climb_rate, euler)
@@ -237,14 +239,14 @@ def _leader_acceleration(
         0.0,
     )
     # an average takes every message once; what is differentiated is averaged already
-    new = np.expand_dims(~(inbox.stamp_s[:, 0] <= memory.stamp_s), 1)
+    new = np.expand_dims(~(time_s <= memory.time_s), 1)
     blend = np.where(new, law.acceleration_blend, 0.0)
     blend = np.where(source == leading.TURN, 1.0, blend)
     moved = memory.acceleration + blend * (np.where(heard, sample, 0.0) - memory.acceleration)
     acceleration = np.where(heard, moved, memory.acceleration)
     return acceleration, memory._replace(
         acceleration=acceleration,
-        stamp_s=np.where(deaf, np.nan, inbox.stamp_s[:, 0]),
+        time_s=np.where(deaf, np.nan, time_s),
         speed=np.where(deaf, np.nan, speed),
         climb=np.where(deaf, np.nan, climb),
         speed_rate=np.where(deaf, 0.0, speed_rate),

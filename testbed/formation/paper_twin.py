@@ -14,20 +14,21 @@ from math import atan2, copysign, cos, hypot, isnan, nan, sin, sqrt, tan
 
 import numpy as np
 
+from testbed.compiled import twin
 from testbed.formation.barrier import NO_BARRIER
 from testbed.formation.geometry import GRAVITY
-from testbed.formation.geometry_twin import cross, frame_of, to_ned, twin
+from testbed.formation.geometry_twin import cross, frame_of, to_ned
 from testbed.formation.laws import SLOPE_FLOOR
-from testbed.formation.laws_twin import errors_of, h_of, motion_of, mu_of, rows_of, silence
+from testbed.formation.laws_twin import errors_of, h_of, motion_of, mu_of, rows_of, silence, time_of
 from testbed.formation.leader import BROADCAST, TURN, Memory
 from testbed.formation.paper_law import CLAMPED, OUTSIDE, SILENT
 from testbed.state import UnicycleCommand
 
 
 def paper_step(law, now, own, inbox, memory):
-    place, place_stamp_s = memory.place, memory.place_stamp_s
+    place, place_time_s = memory.place, memory.place_time_s
     if law.hold:
-        place, place_stamp_s = place.copy(), place_stamp_s.copy()
+        place, place_time_s = place.copy(), place_time_s.copy()
     told, acceleration, after = _step(
         law.table,
         law.offsets,
@@ -40,13 +41,13 @@ def paper_step(law, now, own, inbox, memory):
         memory.acceleration,
         rows_of(memory[1:-2]),
         place,
-        place_stamp_s,
+        place_time_s,
     )
-    return told, Memory(acceleration, *after, place, place_stamp_s)
+    return told, Memory(acceleration, *after, place, place_time_s)
 
 
 # The rows of what is remembered beside q̈_g and places, in the order of `leader.Memory`.
-STAMP, SPEED, CLIMB, SPEED_RATE, CLIMB_RATE, SINCE, COURSE = range(7)
+TIME, SPEED, CLIMB, SPEED_RATE, CLIMB_RATE, SINCE, COURSE = range(7)
 
 
 @twin
@@ -63,21 +64,20 @@ def _turn_of(v, yd, yd_rate, c):
 
 
 @twin
-def _leader_acceleration(agent, inbox, average, memory, i, frame, acceleration, after):
-    """The new average of q̈_g, and what is remembered of the leader for the next step."""
+def _leader_acceleration(agent, inbox, average, memory, i, said, frame, acceleration, after):
+    """The new average of q̈_g, and what is remembered of the leader, who `said` (s) all this."""
     heard = inbox.velocity_ned[i, 0]
     v = (heard[0], heard[1], 0.0 if agent.horizontal else heard[2])
-    stamp = inbox.stamp_s[i, 0]
     speed = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     climb = atan2(-v[2], hypot(v[0], v[1]))
     speed_rate, climb_rate = memory[SPEED_RATE, i], memory[CLIMB_RATE, i]
-    since = stamp - memory[STAMP, i]
+    since = said - memory[TIME, i]
     if since > 0.0:
         slope = (speed - memory[SPEED, i]) / since
         speed_rate += agent.difference_blend[0] * (slope - speed_rate)
         slope = (climb - memory[CLIMB, i]) / since
         climb_rate += agent.difference_blend[1] * (slope - climb_rate)
-    after[STAMP, i], after[SPEED, i], after[CLIMB, i] = stamp, speed, climb
+    after[TIME, i], after[SPEED, i], after[CLIMB, i] = said, speed, climb
     after[SPEED_RATE, i], after[CLIMB_RATE, i] = speed_rate, climb_rate
     if agent.acceleration_source == TURN:
         cs, ss, cg, sg = frame
@@ -91,7 +91,7 @@ def _leader_acceleration(agent, inbox, average, memory, i, frame, acceleration, 
         sample = 0.0
         if agent.acceleration_source == BROADCAST:
             sample = inbox.acceleration_ned[i, 0, axis]
-        share = 0.0 if stamp <= memory[STAMP, i] else agent.acceleration_blend[axis]
+        share = 0.0 if said <= memory[TIME, i] else agent.acceleration_blend[axis]
         acceleration[i, axis] = average[i, axis] + share * (sample - average[i, axis])
 
 
@@ -108,7 +108,7 @@ def _step(
     average,
     memory,
     place,
-    place_stamp_s,
+    place_time_s,
 ):
     n = len(table)
     speed_command, speed_desired = np.empty(n), np.empty(n)
@@ -167,7 +167,8 @@ def _step(
         a, b, c = cross(rates[0], rates[1], rates[2], a, b, c)
         x, y, z = cross(bending[0], bending[1], bending[2], x, y, z)
         chi_acceleration = to_ned(cs, ss, cg, sg, a + x, b + y, c + z)
-        _leader_acceleration(agent, inbox, average, memory, i, frame, acceleration, after)
+        said = time_of(inbox, i, 0, from_timestamp)
+        _leader_acceleration(agent, inbox, average, memory, i, said, frame, acceleration, after)
 
         # Desired velocity and its rates, (6)-(12).
         (x, y, z), (xr, yr, zr) = errors_of(
@@ -181,7 +182,7 @@ def _step(
             (chi, chi_rate),
             frame,
             rates,
-            (place, place_stamp_s),
+            (place, place_time_s),
             i,
             now,
         )

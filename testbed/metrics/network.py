@@ -7,11 +7,20 @@ from typing import Any
 
 JITTER_S = 1e-6  # delays nearer than this are the same
 NOTHING = "–"
+WORDS = {
+    "lost": "lost",
+    "faded": "out of reach",
+    "corrupted": "corrupted",
+    "queue": "before a full queue",
+    "blackout": "in a blackout",
+    "partition": "across a partition",
+    "listed": "as listed",
+}
 OTHERS = {"mute": "not sent", "overtaken": "overtaken", "duplicated": "twice"}
 
 
 def describe(network: Mapping[str, Any] | None) -> list[str]:
-    """What the radio did, in up to three lines; none if all came once, in order, equally late.
+    """What the radio did, in up to three lines; none if all came at once.
 
     Args:
         network: of the metrics document; None: of a run in flight.
@@ -23,18 +32,25 @@ def describe(network: Mapping[str, Any] | None) -> list[str]:
     if together["lost"] or together["mute"]:
         share = percent(together["delivered_share"])
         worst = _worst(network["links"])
-        lines.append(f"{share} of {together['sent']:,} messages delivered{worst}")
-    counts = {**together["lost"], **{words: together[key] for key, words in OTHERS.items()}}
+        lines.append(f"{share} of {together['sent']:,} delivered{worst}")
+    counts = {WORDS[fate]: count for fate, count in together["lost"].items()}
+    counts |= {words: together[key] for key, words in OTHERS.items()}
     lines.append(", ".join(f"{count:,} {what}" for what, count in counts.items() if count))
     how = []
     if together["bursts"]["longest"] > 1:
         bursts = together["bursts"]
         how.append(f"{bursts['mean']:.1f} lost in a row, {bursts['longest']:,} at most")
     delay = together["delay_s"]
-    if delay and delay["p95"] - delay["p50"] > JITTER_S:
-        how.append(f"{1e3 * delay['p50']:.0f} ms late, 5 % over {1e3 * delay['p95']:.0f}")
+    if delay and delay["p95"] > JITTER_S:
+        how.append(f"{_ms(delay['p50'])} ms late")
+        if delay["p95"] - delay["p50"] > JITTER_S:
+            how[-1] += f", p95 {_ms(delay['p95'])}"
     lines.append("; ".join(how))
     return [line for line in lines if line]
+
+
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:.3g}"
 
 
 def percent(share: float | None) -> str:
@@ -58,4 +74,4 @@ def _worst(links: Mapping[str, Mapping[str, Any]]) -> str:
     if len(set(shares.values())) < 2:
         return ""
     worst = min(shares, key=lambda name: float(shares[name]))
-    return f"; {worst} {percent(shares[worst])}"
+    return f"; worst {worst} {percent(shares[worst])}"

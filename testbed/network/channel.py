@@ -51,6 +51,7 @@ JITTERS = {
     "empirical": EMPIRICAL,
 }
 WHOLE = 0xFFFFFFFF  # netem's number for always
+NETEM_LONGEST_S = 0x7FFFFFFF / delays.NANOSECONDS  # netem has 32 bits for a jitter
 
 
 class Channel(NamedTuple):
@@ -136,9 +137,6 @@ def _record(
         _put_turn(record, network.tdma, names, sender)
         queues.append(network.tdma.queue_packets)
     record["queue"] = min(queues, default=0)
-    varied = record["slot"][0] != record["slot"][1]
-    chances = record["after_none"].any() or record["after_one"].any()
-    record["chancy"] = record["loss"] or chances or record["jitter"] or varied
     return record
 
 
@@ -179,13 +177,23 @@ def _put_jitter(
         return
     kind = JITTERS[jitter.distribution]
     record["jitter"], record["spread"] = kind, jitter.spread_s
+    if record["netem"]:
+        record["spread"] = min(jitter.spread_s, NETEM_LONGEST_S)
     record["in_order"] = jitter.in_order
     record["blend"][DELAY] = _netem(jitter.correlation)
     delay = float(record["delay"])
     if kind == LOGNORMAL:
         record["shape"] = delays.log_shape(delay, jitter.spread_s)
     if kind == EMPIRICAL and jitter.file:
-        samples = read_table(find_data(jitter.file)).numbers(["delay_s"])[:, 0]
+        table = read_table(find_data(jitter.file))
+        samples = table.numbers(["delay_s"])[:, 0]
+        least = int(samples.argmin())
+        if delay + samples[least] < 0.0 and not record["netem"]:
+            raise table.refusal(
+                least + 1,
+                f"delay_s {samples[least]:g} s and the page's {delay:g} s are less than none: "
+                "messages would arrive before they are sent (write a longer delay_s on the page)",
+            )
         record["table"] = len(quantiles)
         quantiles.append(delays.quantiles(samples))
     one = record.reshape(1).copy()  # as it is now, for netem reads other fields

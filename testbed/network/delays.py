@@ -36,6 +36,7 @@ NORMAL_SHARE = 0.25  # of paretonormal, as in iproute2; both parts grow with the
 NETEM_PARETO = 4.0 / 3.0  # iproute2's scale of its pareto table
 
 TABLE_STEPS = 1024  # of a table of quantiles
+NANOSECONDS = 1e9  # in which netem counts, in a second
 NETEM_TABLE = 4096  # entries of a table of netem
 NETEM_SCALE = 8192  # table entry of one standard deviation
 LARGEST_ENTRY = 32767

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.network.channel import WHOLE, Channel
-from testbed.network.delays import NETEM_SCALE, NETEM_TABLE, varied
+from testbed.network.delays import NANOSECONDS, NETEM_SCALE, NETEM_TABLE, varied
 from testbed.network.links import (
     BERNOULLI,
     DELAY,
@@ -19,8 +19,6 @@ from testbed.network.links import (
 )
 from testbed.network.philox import Words, philox, unit
 from testbed.state import Array, Truths
-
-NANOSECONDS = 1e9
 
 
 class Dice:

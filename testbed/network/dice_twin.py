@@ -13,10 +13,11 @@ from __future__ import annotations
 from math import cos, erfc, exp, isnan, log, pi, sqrt
 
 import numpy as np
-from numba import njit
 
+from testbed.compiled import twin
 from testbed.network.channel import WHOLE
 from testbed.network.delays import (
+    NANOSECONDS,
     NETEM_PARETO,
     NETEM_SCALE,
     NETEM_TABLE,
@@ -26,7 +27,6 @@ from testbed.network.delays import (
     TABLE_STEPS,
     mixed_deviation,
 )
-from testbed.network.dice import NANOSECONDS
 from testbed.network.links import (
     BERNOULLI,
     DELAY,
@@ -41,9 +41,6 @@ from testbed.network.links import (
     UNIFORM,
 )
 from testbed.network.philox import BUMPS, MULTIPLIERS, ROUNDS
-
-# numpy divides by zero as IEEE does; nothing is reordered, so that runs repeat to the bit
-twin = njit(cache=True, error_model="numpy")
 
 LOW, HALF, ONE = np.uint64(0xFFFFFFFF), np.uint64(32), np.uint64(1)
 M0, M1 = np.uint64(MULTIPLIERS[0]), np.uint64(MULTIPLIERS[1])

@@ -95,16 +95,19 @@ class _Round:
         sending = other & (script != MUTE)
         departs, full = self.leaves(sending & exact)
         arrivals = np.full((*departs.shape, 2), np.inf)
-        cloned = self.netem & twice & ~lost & sending
-        if cloned.any():
+        alive = sending & ~gone & ~full
+        spoiled = self.dice.happens(CORRUPT, self.dice.words(0, PATH)[0], alive)
+        full |= alive & self.netem & self.queue_is_full()
+        alive &= ~full
+        cloned = self.netem & twice & ~lost & alive
+        if cloned.any():  # netem's second copy enters the queue before the first
             words_of_clone = self.dice.words(1, OUTCOME)
             cloned &= ~self.dice.loses(words_of_clone[0], words_of_clone[1], cloned & ~told)
-            self.travels(1, cloned, departs, replayed, arrivals)
-        alive = sending & ~gone & ~full
-        full |= self.travels(0, alive, departs, replayed, arrivals)
+            self.travels(1, cloned, self.spoils_second(cloned), departs, replayed, arrivals)
+        self.travels(0, alive, spoiled, departs, replayed, arrivals)
         copied = exact & twice & alive
         if copied.any():
-            self.travels(1, copied, departs, replayed, arrivals)
+            self.travels(1, copied, self.spoils_second(copied), departs, replayed, arrivals)
 
         arrived = np.isfinite(arrivals).any(axis=2)
         why = np.where(full, Fate.QUEUE, np.where(gone, Fate.LOST, Fate.CORRUPTED))
@@ -129,16 +132,23 @@ class _Round:
         self.queues(departs, where)
         return departs, full
 
+    def spoils_second(self, where: Truths) -> Truths:
+        """Whether a second copy (n, S) is corrupted, for those asked about."""
+        return self.dice.happens(CORRUPT, self.dice.words(1, PATH)[0], where)
+
     def travels(
-        self, copy: int, where: Truths, departs: Array, replayed: Array, arrivals: Array
-    ) -> Truths:
-        """Put arrival times, s, of packets that come through; which found netem's queue full."""
+        self,
+        copy: int,
+        where: Truths,
+        spoiled: Truths,
+        departs: Array,
+        replayed: Array,
+        arrivals: Array,
+    ) -> None:
+        """Put arrival times, s, of packets that come through and are not spoiled."""
         link, state = self.link, self.state
         words = self.dice.words(copy, PATH)
-        spoiled = self.dice.happens(CORRUPT, words[0], where)
         netem: Truths = where & self.netem
-        full = netem & self.queue_is_full()
-        where, netem = where & ~full, netem & ~full
         overtaking = where & (state["passed"] >= link["gap"] - 1)
         overtakes = self.dice.happens(REORDER, words[1], overtaking)
         state["passed"][where] = np.where(overtakes, 0, state["passed"] + 1)[where]
@@ -155,7 +165,6 @@ class _Round:
         state["latest"][moved] = np.maximum(arrives, state["latest"])[moved]
         good = where & ~spoiled
         arrivals[good, copy] = arrives[good]
-        return full
 
     def transmits_late(self, arrives: Array, delay: Array, where: Truths) -> None:
         """Netem's transmitter and slots come after the delay; changes arrivals (n, S)."""

@@ -12,15 +12,12 @@ from __future__ import annotations
 from math import ceil, inf, isinf, isnan
 
 import numpy as np
-from numba import njit
 
+from testbed.compiled import twin
 from testbed.network.dice_twin import exact_delay, happens, loses, netem_delay, philox, unit
 from testbed.network.fates import MUTE
 from testbed.network.links import CORRUPT, DUPLICATE, OUTCOME, PATH, REORDER, SLOT, Fate
 from testbed.network.slots import SIMULTANEOUS_S
-
-# numpy divides by zero as IEEE does; nothing is reordered, so that runs repeat to the bit
-twin = njit(cache=True, error_model="numpy")
 
 DELIVERED, LOST, FADED = int(Fate.DELIVERED), int(Fate.LOST), int(Fate.FADED)
 CORRUPTED, QUEUE = int(Fate.CORRUPTED), int(Fate.QUEUE)
@@ -78,12 +75,8 @@ def _queue(link, state, ring, leaves):
 
 
 @twin
-def _travel(link, state, key, ring, number, copy, sent_s, departs, told, quantiles, tables):
-    """Arrival of a packet (infinite: spoiled), and whether netem's queue was full."""
-    words = philox(key, number, copy, PATH)
-    spoiled = happens(link, state, CORRUPT, words[0])
-    if link.netem and _queue_is_full(link, state, ring, sent_s):
-        return inf, True
+def _travel(link, state, ring, key, words, spoiled, sent_s, departs, told, quantiles, tables):
+    """Arrival of a packet; infinite: spoiled."""
     overtakes = False
     if state.passed >= link.gap - 1:
         overtakes = happens(link, state, REORDER, words[1])
@@ -95,7 +88,7 @@ def _travel(link, state, key, ring, number, copy, sent_s, departs, told, quantil
         delay = told
     if overtakes:
         state.passed = 0
-        return (inf if spoiled else departs), False
+        return inf if spoiled else departs
     state.passed += 1
     arrives = departs + delay
     if link.netem:
@@ -107,7 +100,15 @@ def _travel(link, state, key, ring, number, copy, sent_s, departs, told, quantil
     if link.in_order:
         arrives = max(arrives, state.latest)
     state.latest = max(arrives, state.latest)
-    return (inf if spoiled else arrives), False
+    return inf if spoiled else arrives
+
+
+@twin
+def _second(link, state, ring, key, number, sent_s, departs, told, quantiles, tables):
+    """Arrival of the second copy; infinite: spoiled."""
+    dice = philox(key, number, 1, PATH)
+    spoiled = happens(link, state, CORRUPT, dice[0])
+    return _travel(link, state, ring, key, dice, spoiled, sent_s, departs, told, quantiles, tables)
 
 
 @twin
@@ -130,20 +131,24 @@ def _one(link, state, key, ring, number, sent_s, script, told, faded, quantiles,
             if link.slot[1] > 0.0:
                 departs = _next_slot(link, state, key, departs)
             _queue(link, state, ring, departs)
-    if link.netem and twice and not lost and sending:
-        other = philox(key, number, 1, OUTCOME)
-        if traced or not loses(link, state, other[0], other[1]):
-            arrivals[1] = _travel(
-                link, state, key, ring, number, 1, sent_s, departs, told, quantiles, tables
-            )[0]
     if sending and not gone and not full:
-        arrivals[0], full = _travel(
-            link, state, key, ring, number, 0, sent_s, departs, told, quantiles, tables
-        )
-        if twice and not link.netem:
-            arrivals[1] = _travel(
-                link, state, key, ring, number, 1, sent_s, departs, told, quantiles, tables
-            )[0]
+        dice = philox(key, number, 0, PATH)
+        spoiled = happens(link, state, CORRUPT, dice[0])
+        full = link.netem and _queue_is_full(link, state, ring, sent_s)
+        if not full:
+            if link.netem and twice and not lost:
+                other = philox(key, number, 1, OUTCOME)
+                if traced or not loses(link, state, other[0], other[1]):
+                    arrivals[1] = _second(
+                        link, state, ring, key, number, sent_s, departs, told, quantiles, tables
+                    )
+            arrivals[0] = _travel(
+                link, state, ring, key, dice, spoiled, sent_s, departs, told, quantiles, tables
+            )
+            if twice and not link.netem:
+                arrivals[1] = _second(
+                    link, state, ring, key, number, sent_s, departs, told, quantiles, tables
+                )
     if script > 0:
         return script
     if min(arrivals[0], arrivals[1]) == inf:

@@ -13,10 +13,10 @@ from testbed.state import Array, Counts
 Numbers = NDArray[np.int64]
 
 # Delays and ages are sorted into bins: bin 0 ends at SHORTEST_S, and bins double in width every
-# PER_OCTAVE, so that a quantile read from them is within a twentieth.
-SHORTEST_S = 1e-3
+# PER_OCTAVE, so that a quantile read from them is within 9 %.
+SHORTEST_S = 1e-4
 PER_OCTAVE = 8
-BINS = 1 + 17 * PER_OCTAVE  # the last has all above two minutes
+BINS = 1 + 20 * PER_OCTAVE  # the last has all above 95 s
 LONGEST_BURST = 64  # bursts of loss as long or longer share the last bin
 
 

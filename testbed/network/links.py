@@ -40,7 +40,6 @@ LINK = np.dtype(
     [
         ("own", "?"),  # from an aircraft to itself: perfect
         ("netem", "?"),
-        ("chancy", "?"),  # has anything that dice decide
         ("delay", "f8"),  # s
         ("jitter", "i8"),
         ("spread", "f8"),  # s

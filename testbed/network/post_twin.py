@@ -13,15 +13,12 @@ from __future__ import annotations
 from math import ceil, inf, isnan, log2
 
 import numpy as np
-from numba import njit
 
+from testbed.compiled import twin
 from testbed.network.ledger import BINS, LONGEST_BURST, PER_OCTAVE, SHORTEST_S
 from testbed.network.post import DELIVERED, MUTE
 from testbed.network.slots import SIMULTANEOUS_S
 from testbed.state import Inbox
-
-# numpy divides by zero as IEEE does; nothing is reordered, so that runs repeat to the bit
-twin = njit(cache=True, error_model="numpy")
 
 
 def post_round(post, ledger, count, rows, numbers, sent_s, stamps_s, message, arrivals, fate):

@@ -116,6 +116,8 @@ def _bursts(ledger: Ledger, links: Links, lost: int) -> dict[str, Any]:
 def quantile(bins: Numbers, part: float, least: float, most: float) -> float:
     """The duration, s, that this part of all is not longer than, linear within its bin.
 
+    Of bin 0 it is the shortest: most durations in it are the same, none at all.
+
     Args:
         bins: (BINS,) durations in each bin, at least one in all.
         part: 0..1
@@ -126,7 +128,9 @@ def quantile(bins: Numbers, part: float, least: float, most: float) -> float:
     upto = np.cumsum(bins)
     wanted = part * upto[-1]
     k = int(np.searchsorted(upto, wanted))
-    below = int(upto[k - 1]) if k else 0
-    low, high = max(ends[k - 1] if k else 0.0, least), min(ends[k], most)
+    if k == 0:
+        return least
+    below = int(upto[k - 1])
+    low, high = max(ends[k - 1], least), min(ends[k], most)
     value = low + (high - low) * (wanted - below) / int(bins[k])
     return float(min(max(value, least), most))

@@ -1,13 +1,15 @@
 """Measured traces: what a link did to messages sent in the past, replayed by the time of sending.
 
 A message meets what the row nearest to it in time met. So a trace that is replayed at the pace it
-was sent at gives its own fates, each once, even if that pace was not quite even.
+was sent at gives its own fates, each once, even if that pace was not quite even. The links of a
+file share its time: what failed together fails together.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,11 +26,13 @@ ENDS = ("source", "destination")
 
 
 class Trace(NamedTuple):
-    """K messages over one link, and over again after the span."""
+    """K messages over one link, and over again after the span; times are the file's."""
 
-    sent_s: Array  # (K,) after the first was sent
+    sent_s: Array  # (K,)
     delay_s: Array  # (K,); infinite: lost
-    span_s: float  # from the first row to the last, and the median interval to the first again
+    earliest_s: float  # row of the file, of any link
+    span_s: float  # of its longest link, and that link's median interval to the first row again
+    from_s: float  # since when the first row is nearer than the last of the lap before
     until_s: Array  # (K,) up to when each row is nearer than the next
 
 
@@ -37,7 +41,7 @@ class Replays(NamedTuple):
 
     traces: tuple[Trace, ...]
     which: NDArray[np.int64]  # (n, N) number of the trace, -1: none
-    begin_s: Array  # (n, N) moment of the trace at the start of the run
+    begin_s: Array  # (n, N) time of the file at the start of the run
 
 
 def make_replays(names: Sequence[str], network: Network, seed: int) -> Replays | None:
@@ -53,8 +57,9 @@ def make_replays(names: Sequence[str], network: Network, seed: int) -> Replays |
     """
     which = np.full((len(names) - 1, len(names)), -1)
     begin = np.zeros(which.shape)
-    traces: list[Trace] = []
     files: dict[str, _File] = {}
+    known: dict[int, int] = {}  # numbers of traces by their identity
+    traces: list[Trace] = []
     for i, destination in enumerate(names[1:]):
         for m, source in enumerate(names):
             chosen = None if source == destination else network.link(source, destination).trace
@@ -63,11 +68,13 @@ def make_replays(names: Sequence[str], network: Network, seed: int) -> Replays |
             if chosen.file not in files:
                 files[chosen.file] = _File(find_data(chosen.file))
             trace = files[chosen.file].trace(source, destination)
-            which[i, m] = len(traces)
-            traces.append(trace)
+            which[i, m] = known.setdefault(id(trace), len(traces))
+            if which[i, m] == len(traces):
+                traces.append(trace)
+            begin[i, m] = trace.earliest_s if chosen.begin_s is None else chosen.begin_s
             if chosen.shifted:
                 draw = stream(seed, f"network/{source}>{destination}/trace").random()
-                begin[i, m] = draw * trace.span_s
+                begin[i, m] += draw * trace.span_s
     return Replays(tuple(traces), which, begin) if traces else None
 
 
@@ -83,17 +90,11 @@ def read_trace(path: Path, source: str, destination: str) -> Trace:
     return _File(path).trace(source, destination)
 
 
-def looked_up(trace: Trace, sent_s: Array, begin_s: float = 0.0) -> Array:
-    """Delay of messages sent at these times (…) of the run, s; infinite: lost.
-
-    Args:
-        trace: to be replayed, its first row at the start of the run.
-        sent_s: times (…).
-        begin_s: moment of the trace at the start of the run, in place of that.
-    """
-    moment = np.mod(sent_s + begin_s, trace.span_s)
+def looked_up(trace: Trace, time_s: Array) -> Array:
+    """Delay of messages sent at these times (…) of the file or of laps of it, s; infinite: lost."""
+    moment = trace.from_s + np.mod(time_s - trace.from_s, trace.span_s)
     near = np.searchsorted(trace.until_s, moment, side="right")
-    return trace.delay_s[near % len(trace.delay_s)]
+    return trace.delay_s[np.minimum(near, len(trace.delay_s) - 1)]
 
 
 def replayed(replays: Replays, sent_s: Array, rows: NDArray[np.int64]) -> Array:
@@ -101,10 +102,11 @@ def replayed(replays: Replays, sent_s: Array, rows: NDArray[np.int64]) -> Array:
 
     Infinite: lost; nan: the link replays no trace.
     """
-    which, begin = replays.which[:, rows], replays.begin_s[:, rows]
+    which, time_s = replays.which[:, rows], sent_s + replays.begin_s[:, rows]
     out = np.full(which.shape, np.nan)
-    for i, s in zip(*np.nonzero(which >= 0), strict=True):
-        out[i, s] = looked_up(replays.traces[which[i, s]], sent_s[s], begin[i, s])
+    for number in np.unique(which[which >= 0]):
+        links = which == number
+        out[links] = looked_up(replays.traces[number], time_s[links])
     return out
 
 
@@ -124,25 +126,35 @@ class _File:
             raise table.refusal(
                 0, f"{told[0]} without the other end; write both {' and '.join(ENDS)}, or neither"
             )
-        self._table = table
-        self._rows: dict[tuple[str, str], list[int]] = {}
-        for k, ends in enumerate(zip(*map(table.column, told), strict=True)):
-            self._rows.setdefault(ends, []).append(k)
-        self._one_link = not told
+        links: dict[tuple[str, ...], list[int]] = {}
+        ends = zip(*map(table.column, told), strict=True) if told else [()] * len(table.rows)
+        for k, pair in enumerate(ends):
+            links.setdefault(pair, []).append(k)
+        self._table, self._links, self._one_link = table, links, not told
 
     def trace(self, source: str, destination: str) -> Trace:
         """What happened from one aircraft to another."""
+        pair = () if self._one_link else (source, destination)
+        if pair in self._links:
+            return self._traces[pair]
         if self._one_link:
-            return _trace(self._table)
-        rows = self._rows.get((source, destination))
-        if rows is None:
-            known = ", ".join(f"{a} to {b}" for a, b in self._rows)
-            raise self._table.refusal(
-                0,
-                f"no row is from {source} to {destination}; it has {known or 'no rows'} (rename "
-                "these, or give this link another trace)",
-            )
-        return _trace(_picked(self._table, rows))
+            raise self._table.refusal(0, "no rows; a trace needs two, to have a pace")
+        known = ", ".join(f"{a} to {b}" for a, b in self._links)
+        raise self._table.refusal(
+            0,
+            f"no row is from {source} to {destination}; it has {known or 'no rows'} (rename "
+            "these, or give this link another trace)",
+        )
+
+    @cached_property
+    def _traces(self) -> dict[tuple[str, ...], Trace]:
+        """By ends of a link; of a file of one link, by nothing."""
+        each = {pair: _messages(_picked(self._table, rows)) for pair, rows in self._links.items()}
+        times = [sent for sent, _ in each.values()]
+        earliest, latest = min(sent[0] for sent in times), max(sent[-1] for sent in times)
+        lap = max(np.ptp(sent) + np.median(np.diff(sent)) for sent in times)
+        span = float(max(lap, latest - earliest))
+        return {pair: _trace(*messages, float(earliest), span) for pair, messages in each.items()}
 
 
 def _picked(table: Table, rows: Sequence[int]) -> Table:
@@ -153,8 +165,8 @@ def _picked(table: Table, rows: Sequence[int]) -> Table:
     )
 
 
-def _trace(table: Table) -> Trace:
-    """The trace of a table (K rows) of one link."""
+def _messages(table: Table) -> tuple[Array, Array]:
+    """When messages (K,) of a table of one link were sent, s, and their delays."""
     sent = table.numbers(["sent_s"])[:, 0]
     if len(sent) < 2:
         raise table.refusal(0, "fewer than two rows; a trace needs two, to have a pace")
@@ -177,6 +189,9 @@ def _trace(table: Table) -> Trace:
             f"received {-delay[k]:.6g} s before it was sent; correct received_s by the difference "
             "of the clocks",
         )
-    sent -= sent[0]
-    span = float(sent[-1] + np.median(steps))
-    return Trace(sent, delay, span, 0.5 * (sent + np.append(sent[1:], span)))
+    return sent, delay
+
+
+def _trace(sent: Array, delay: Array, earliest: float, span: float) -> Trace:
+    until = 0.5 * (sent + np.append(sent[1:], sent[0] + span))
+    return Trace(sent, delay, earliest, span, float(until[-1]) - span, until)

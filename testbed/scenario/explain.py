@@ -82,8 +82,11 @@ def _one(detail: Mapping[str, Any], tree: Node, schema: dict[str, Any]) -> Probl
         value = node.value.get(tag) if isinstance(node.value, dict) else None
         said = "is missing" if value is None else f"is {_shown(value)}"
         place = value.place if value else node.key
-        tags = context.get("expected_tags") or ", ".join(known)
-        text = f"{said} (write one of {tags.replace(chr(39), '')})"
+        tags = context.get("expected_tags", "").replace("'", "") or ", ".join(
+            _tags(_at(schema, tree, path[: len(path) - isinstance(node.value, dict)], follow=False))
+        )
+        near = did_you_mean(str(value.value), tags.split(", ")) if value else ""
+        text = f"{said}{near} (write one of {tags})"
     elif kind in _NOT_TYPED:
         advice = _advice(node, kind) or _write(_NOT_TYPED[kind], _about(schema, tree, path))
         text = f"is {_shown(node)}{advice}"
@@ -97,7 +100,8 @@ def _one(detail: Mapping[str, Any], tree: Node, schema: dict[str, Any]) -> Probl
     elif kind in ("too_short", "too_long"):
         text = _length(node, path, tree, schema)
     elif kind == "string_pattern_mismatch":
-        text = f"is {_shown(node)} (write letters, digits, '-', '_' and '.', no blanks)"
+        said = "is no name" if "[key]" in loc else f"is {_shown(node)}"
+        text = f"{said} (write letters, digits, '-', '_' and '.', no blanks)"
     elif kind == "finite_number":
         text = f"is {_shown(node)} (write a finite number)"
     else:
@@ -210,6 +214,14 @@ def _follow(schema: dict[str, Any], here: dict[str, Any], page: Plain) -> dict[s
                 return here
         else:
             return here
+
+
+def _tags(here: dict[str, Any]) -> list[str]:
+    """Return the tags of a union, or of that among some choices."""
+    for choice in (here, *here.get("anyOf", ())):
+        if "discriminator" in choice:
+            return list(choice["discriminator"]["mapping"])
+    return []
 
 
 def _unsaid(schema: dict[str, Any], rule: Mapping[str, Any]) -> str:

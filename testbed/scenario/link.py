@@ -93,10 +93,10 @@ class FourState(Section):
 
 
 def _kind_said(value: Any) -> Any:  # noqa: ANN401 - whatever the page holds
-    """A number, or a map without a kind, is a probability."""
+    """A number is a probability, and so is a map that says no kind and has no key of another."""
     if _is_number(value):
         return {"kind": "bernoulli", "probability": value}
-    if isinstance(value, dict) and "kind" not in value:
+    if isinstance(value, dict) and not value.keys() & {"kind", "p", "r", "p13", "p31"}:
         return {"kind": "bernoulli", **value}
     return value
 
@@ -113,7 +113,7 @@ class Jitter(Section):
     distribution: Literal[
         "uniform", "normal", "lognormal", "pareto", "paretonormal", "empirical"
     ] = Field(
-        "normal",
+        "uniform",
         description="uniform: within spread_s of delay_s; normal, lognormal, pareto (shape 3) and "
         "paretonormal (a quarter normal, three quarters pareto): mean delay_s and standard "
         "deviation spread_s; empirical: the delays of file are added to delay_s.",
@@ -146,6 +146,10 @@ class Rate(Section):
     queue_packets: Annotated[Whole, Field(ge=1, le=10_000)] = Field(
         1000, description="Packets waiting or in transmission; one more is dropped, a number."
     )
+
+
+# Shorter ones would be millions from one message to the next.
+SHORTEST_SLOT_S = 1e-5
 
 
 def _as_pair(value: Any) -> Any:  # noqa: ANN401 - whatever the page holds
@@ -207,7 +211,11 @@ class Trace(Section):
     shifted: Annotated[bool, Field(strict=True)] = Field(
         False,
         description="Begin at a moment of the trace that each link draws from the seed: true; or "
-        "at its first row: false.",
+        "where all others do: false.",
+    )
+    begin_s: Seconds | None = Field(
+        None,
+        description="sent_s of the file at the start of the run, s; by default its earliest.",
     )
 
 
@@ -217,9 +225,11 @@ class Link(Section):
     delay_s: Annotated[Seconds, Field(ge=0, le=60)] | None = Field(
         None, description="Latency of every message, s."
     )
-    jitter: Jitter | None = Field(None, description="How latencies vary, s.")
+    jitter: Jitter | None = Field(
+        None, description="How latencies vary, as in {spread_s: 0.01}, s."
+    )
     loss: Loss | None = Field(
-        None, description="Loss: a probability, or a map with a kind of bursts."
+        None, description="Loss: a probability, 0 to 1, or a map with a kind of bursts."
     )
     duplicate: Chance | None = Field(
         None, description="Packets that arrive twice: a probability, or a map."

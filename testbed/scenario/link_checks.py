@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from testbed.scenario.link import Curve, FourState, GilbertElliott, Jitter, Link, Loss, Slots
+from testbed.scenario.link import (
+    SHORTEST_SLOT_S,
+    Curve,
+    FourState,
+    GilbertElliott,
+    Jitter,
+    Link,
+    Loss,
+    Slots,
+)
 from testbed.scenario.network import ANY, Network
 
 Path = tuple[str | int, ...]
@@ -12,6 +21,9 @@ Finding = tuple[Path, str]
 AT: Path = ("network",)
 _OF_THE_TRACE = ("loss", "delay_s", "jitter")  # what a trace takes the place of
 _LEAVE = "(leave one of them out)"
+# How far below its mean a distribution reaches, in spread_s; normal ones have no end.
+_REACHES_BELOW = {"uniform": 1.0, "pareto": 3.0**-0.5}  # of shape 3
+_LEAST_MEAN = 1e-3  # of a lognormal distribution, in spread_s
 
 
 def check_links(network: Network, names: Sequence[str]) -> Iterator[Finding]:
@@ -95,6 +107,8 @@ def _slots(at: Path, slots: Slots) -> Iterator[Finding]:
             f"[{shortest:g}, {longest:g}] is not a range of times (write [shortest, longest], "
             "both above 0)",
         )
+    elif 0.0 < shortest < SHORTEST_SLOT_S:
+        yield at, f"{shortest:g} s is too short for a slot (write at least {SHORTEST_SLOT_S:g})"
 
 
 def _curve(at: Path, curve: Curve, what: str) -> Iterator[Finding]:
@@ -137,16 +151,19 @@ def _together(network: Network, source: str, destination: str) -> Iterator[Findi
     delay, jitter, reorder = link.delay_s or 0.0, link.jitter, link.reorder
     if jitter is not None and jitter.spread_s > 0.0:
         at = (*last["jitter"][1], "jitter")
-        if jitter.distribution == "uniform" and jitter.spread_s > delay:
+        reach = jitter.spread_s * _REACHES_BELOW.get(jitter.distribution, 0.0)
+        # netem sends at once what its dice would send sooner
+        if reach > delay and link.arithmetic != "netem":
             yield (
                 (*at, "spread_s"),
-                f"{jitter.spread_s:g} s is more than delay_s {words}, {delay:g} s: messages would "
-                "arrive before they are sent (write less, or a longer delay_s)",
+                f"{jitter.spread_s:g} s reaches {reach:.4g} s below delay_s {words}, {delay:g} s: "
+                "messages would arrive before they are sent (write less, or a longer delay_s)",
             )
-        if jitter.distribution == "lognormal" and delay == 0.0:
+        if jitter.distribution == "lognormal" and delay < _LEAST_MEAN * jitter.spread_s:
             yield (
                 (*at, "distribution"),
-                f"is lognormal, whose mean is delay_s, and that is 0 {words} (write a delay_s)",
+                f"is lognormal, whose mean is delay_s, and that is {delay:g} s {words} (write a "
+                "longer delay_s)",
             )
     if reorder is not None and reorder.probability > 0.0:
         at = (*last["reorder"][1], "reorder")

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from pydantic import Field, FieldSerializationInfo, field_serializer
 
 from testbed.scenario.fields import Name, Number, Seconds, Section, Whole
-from testbed.scenario.link import Instant, Link, Window
+from testbed.scenario.link import SHORTEST_SLOT_S, Instant, Link, Window
 
 ANY = "*"
 Somebody = Annotated[str, Field(pattern=r"^(\*|[A-Za-z0-9][A-Za-z0-9_.-]*)$", max_length=64)]
@@ -18,7 +18,7 @@ class Partition(Section):
     """A time in which groups do not hear each other."""
 
     window_s: Window = Field(description="[from, to], s.")
-    groups: tuple[tuple[Name, ...], ...] = Field(
+    groups: tuple[Annotated[tuple[Name, ...], Field(min_length=1)], ...] = Field(
         min_length=1,
         description="Names by group; those that are in none form one more group.",
     )
@@ -27,7 +27,7 @@ class Partition(Section):
 class Tdma(Section):
     """A frame of equal slots, one for each aircraft in turn."""
 
-    frame_s: Seconds = Field(gt=0, le=60, description="Length of the frame, s.")
+    frame_s: Seconds = Field(ge=SHORTEST_SLOT_S, le=60, description="Length of the frame, s.")
     order: tuple[Name, ...] | None = Field(
         None, description="Who has which slot; by default the leader, then the fleet in order."
     )

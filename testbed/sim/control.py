@@ -119,7 +119,7 @@ class Control:
         else:
             command, unicycle, diagnosis = direct(told, own, group.team)
         self._memory[number] = law_memory, middle_memory
-        age = AGES(now, measured_s, inbox.received_s, group.unheeded, group.patience)
+        age = AGES(now, measured_s, inbox.received_s, group.unheeded, group.patience, group.trusted)
         if not group.trusted:
             silent = np.isnan(age[:, 0]) * SILENT
             diagnosis = diagnosis._replace(guards=diagnosis.guards | silent.astype(np.uint8))

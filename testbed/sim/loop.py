@@ -75,7 +75,7 @@ def fly(world: World, observers: Sequence[Observer], stop: Callable[[], bool]) -
                 and (reached := air.gusts_inside(now, truth.position_ned)) is not None
             ):
                 news += arrivals.changes(now, reached)
-            news += calendar.changes(now)
+            news = [*calendar.changes(now), *news]  # what is scripted before what comes of it
             if over:
                 news += losses(now, lost, world.names)
             frame = Frame(

@@ -35,7 +35,12 @@ class Sounding(NamedTuple):
 
 
 def sound(
-    page: Scenario, packets: int, *, keep: bool, tell: Callable[[int], None] | None = None
+    page: Scenario,
+    packets: int,
+    *,
+    keep: bool,
+    tell: Callable[[int], None] | None = None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> Sounding:
     """Send this many messages on every link of a page, as in a flight that stays as it began.
 
@@ -47,8 +52,10 @@ def sound(
         packets: K.
         keep: whether to return them one by one.
         tell: called now and then with how many messages, of K N, were sent.
+        stop: asked before each round.
 
     Raises:
+        KeyboardInterrupt: it was to stop.
         InputError: a file of delays or a trace cannot be used.
     """
     radio, _ = make_radio(page)
@@ -70,6 +77,8 @@ def sound(
     longest = max([clock.broadcast / clock.base_rate_hz, *(beat.period_s for beat in clock.beats)])
     latest = max([longest, *(beat.phase_s for beat in clock.beats)])
     for round_, (tick, _, due) in enumerate(only.schedule(latest + (packets + 1) * longest)):
+        if stop():
+            raise KeyboardInterrupt
         if due.broadcast is None:
             continue
         who = due.broadcast & (number < packets)

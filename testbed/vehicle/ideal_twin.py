@@ -9,13 +9,11 @@ from __future__ import annotations
 from math import atan, atan2, cos, exp, hypot, sin, sqrt
 
 import numpy as np
-from numba import njit
 
+from testbed.compiled import twin
 from testbed.frames import COURSE_FLOOR, GRAVITY
 from testbed.state import VehicleState
 from testbed.vehicle.ideal import Unicycle
-
-twin = njit(cache=True, error_model="numpy")
 
 
 @twin

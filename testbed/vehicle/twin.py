@@ -13,16 +13,13 @@ from __future__ import annotations
 from math import acos, cos, pi, radians, sin
 
 import numpy as np
-from numba import njit
 
+from testbed.compiled import twin
 from testbed.state import Surfaces, VehicleState
 from testbed.vehicle.tables import MEMORY, FbwaMemory
 
 LEAST_BANK_LIMIT = radians(25.0)
 COS_STEEPEST = cos(radians(80.0))
-
-# numpy divides by zero as IEEE does; nothing is reordered, so that runs repeat to the bit
-twin = njit(cache=True, error_model="numpy")
 
 
 @twin

@@ -57,13 +57,11 @@ def test_yaml_has_one_door():
     assert importers("yaml") == {"scenario/load.py"}
 
 
-def test_numba_is_for_twins_only():
+def test_numba_has_one_door_and_it_is_for_twins_only():
+    assert importers("numba") == {"compiled.py"}
     twins = {path for path in MODULES if path.endswith("twin.py")}
-    assert twins
-    # decorated from geometry_twin
-    neighbours = {f"formation/{name}_twin.py" for name in ("laws", "paper", "middle_loop")}
-    assert neighbours < twins
-    assert importers("numba") == twins - neighbours
+    decorated = {path for path, found in MODULES.items() if "testbed.compiled.twin" in found}
+    assert decorated == twins
 
 
 @pytest.mark.parametrize(
@@ -90,9 +88,8 @@ def test_formation_knows_only_numpy_and_the_shared_vocabulary():
             if module.split(".")[0] not in sys.stdlib_module_names | {"numpy"}
             and not within(module, ours)
         }
-        # `from testbed import frames` also names the package itself; a twin is numba's.
-        allowed = {"testbed", "numba", "numba.njit"} if path.endswith("twin.py") else {"testbed"}
-        assert strangers <= allowed, path
+        # `from testbed import frames` also names the package itself
+        assert strangers <= {"testbed"}, path
 
 
 FLOWN = ["air", "vehicle", "network", "guidance", "formation"]

@@ -136,7 +136,7 @@ WRONG = [
     (f"gusts: [{{{TIMED[12:]}}}]", "air.gusts.0.kind: is missing (write one of place, time)"),
     (
         f"gusts: [{{{TIMED.replace('time', 'tyme', 1)}}}]",
-        "air.gusts.0.kind: is 'tyme' (write one of time, place)",
+        "air.gusts.0.kind: is 'tyme': did you mean 'time'? (write one of time, place)",
     ),
     (
         f"gusts: [{{{TIMED}}}, {{{PLACED.replace('name: b', 'name: a')}}}]",

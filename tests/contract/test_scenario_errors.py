@@ -77,7 +77,8 @@ WRONG = [
     (
         "kind: waypoints",
         "kind: waypoint",
-        "page.yaml:5:57: leader.path.legs.0.kind: is 'waypoint' (write one of waypoints, loiter)",
+        "page.yaml:5:57: leader.path.legs.0.kind: is 'waypoint': did you mean 'waypoints'? (write "
+        "one of waypoints, loiter)",
     ),
     (
         "points_m: [[1000",

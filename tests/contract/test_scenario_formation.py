@@ -93,7 +93,7 @@ def test_what_is_too_old_is_said_of_the_leader_and_of_neighbours():
         assert (team.silent_after, team.stale_after) == (silent, stale)
         assert (law.silent_after, law.stale_after, law.hold) == (silent, stale, hold)
         memory = law.start(None)
-        assert (memory.place.shape, memory.place_stamp_s.shape) == ((3, 4, 3), (3, 4))
+        assert (memory.place.shape, memory.place_time_s.shape) == ((3, 4, 3), (3, 4))
     apart = groups_of(load(FULL, [*PAPERS, *changes]), phases=(0.0, 0.6, 0.1))
     assert [(each.team.stale_after, each.law.hold) for each in apart] == [(9.0, True)] * 2
 

@@ -43,7 +43,7 @@ def test_sections_have_the_defaults_they_document():
         "rate: {bit_per_s: 9600}, slots: {every_s: 0.1}, shadowing: {loss: []}, "
         "links: {leader: {uav1: {loss: {kind: four-state, p13: 0.1, p31: 0.2}}}}"
     ).network
-    assert (network.jitter.distribution, network.jitter.correlation) == ("normal", 0.0)
+    assert (network.jitter.distribution, network.jitter.correlation) == ("uniform", 0.0)
     assert (network.jitter.file, network.jitter.in_order) == (None, False)
     assert (network.loss.loss_bad, network.loss.loss_good) == (1.0, 0.0)
     assert (network.reorder.gap, network.reorder.correlation) == (1, 0.0)
@@ -235,7 +235,7 @@ WRONG = [
     ("loss: {probability: -1}", "network.loss.probability: is -1 (write a number at least 0)"),
     (
         "loss: true",
-        "network.loss: is true (write a map of keys and values; Loss: a probability, or",
+        "network.loss: is true (write a map of keys and values; Loss: a probability, 0",
     ),
     ("loss: {model: bernoulli}", "network.loss.model: is not a key of this part"),
     (
@@ -244,7 +244,7 @@ WRONG = [
     ),
     (
         "loss: {kind: gilbert}",
-        "network.loss.kind: is 'gilbert' (write one of bernoulli, gilbert-ell",
+        "network.loss.kind: is 'gilbert': did you mean 'gilbert-elliott'? (write one of bernou",
     ),
     (
         "loss: {kind: gilbert-elliott, p: 0}",
@@ -354,13 +354,28 @@ WRONG = [
     # delays
     (
         f"delay_s: 0.1, jitter: {{{UNIFORM}}}",
-        "network.jitter.spread_s: 0.2 s is more than delay_s from leader to uav1, 0.1 s: messages "
-        "would arrive before they are sent (write less, or a longer delay_s)",
+        "network.jitter.spread_s: 0.2 s reaches 0.2 s below delay_s from leader to uav1, 0.1 s: "
+        "messages would arrive before they are sent (write less, or a longer delay_s)",
     ),
     (
+        "delay_s: 0.1, jitter: {distribution: pareto, spread_s: 0.2}",
+        "network.jitter.spread_s: 0.2 s reaches 0.1155 s below delay_s from leader to uav1, 0.1 s",
+    ),
+    (
+        "slots: {every_s: [1e-6, 2e-6]}",
+        "network.slots.every_s: 1e-06 s is too short for a slot (write at least 1e-05)",
+    ),
+    ("tdma: {frame_s: 1e-6}", "network.tdma.frame_s: is 1e-06 (write a number at least 1e-05)"),
+    (
+        "partitions: [{window_s: [1, 2], groups: [[]]}]",
+        "network.partitions.0.groups.0: ",
+    ),
+    ("loss: {p: 0.1, r: 0.4}", "network.loss.kind: is missing (write one of bernoulli, four-"),
+    ("links: {leader>uav1: {loss: 1}}", "network.links.leader>uav1: is no name (write letters"),
+    (
         "jitter: {distribution: lognormal, spread_s: 0.1}",
-        "network.jitter.distribution: is lognormal, whose mean is delay_s, and that is 0 from "
-        "leader to uav1 (write a delay_s)",
+        "network.jitter.distribution: is lognormal, whose mean is delay_s, and that is 0 s from "
+        "leader to uav1 (write a longer delay_s)",
     ),
     (
         "jitter: {distribution: empirical}",
@@ -368,7 +383,7 @@ WRONG = [
     ),
     (
         "jitter: {file: gusty-wind.csv}",
-        "network.jitter.file: belongs to distribution: empirical, and the distribution is normal "
+        "network.jitter.file: belongs to distribution: empirical, and the distribution is uniform "
         "(leave one of them out)",
     ),
     (
@@ -452,12 +467,19 @@ def test_what_is_wrong_for_many_links_is_said_once_and_where_it_was_written():
     text = complaint(
         f"delay_s: 1, jitter: {{{UNIFORM}}}, links: {{'*': {{b: {{delay_s: 0.1}}}}}}", three
     )
-    assert "network.jitter.spread_s: 0.2 s is more than delay_s from leader to b, 0.1 s" in text
+    assert (
+        "network.jitter.spread_s: 0.2 s reaches 0.2 s below delay_s from leader to b, 0.1 s" in text
+    )
     assert text.count("\n") == 0
     text = complaint(f"delay_s: 0.1, links: {{a: {{b: {{jitter: {{{UNIFORM}}}}}}}}}", three)
-    assert "network.links.a.b.jitter.spread_s: 0.2 s is more than delay_s from a to b" in text
+    assert (
+        "network.links.a.b.jitter.spread_s: 0.2 s reaches 0.2 s below delay_s from a to b" in text
+    )
     text = complaint(f"links: {{c: {{'*': {{jitter: {{{UNIFORM}}}}}, a: {{delay_s: 1}}}}}}", three)
-    assert "network.links.c.*.jitter.spread_s: 0.2 s is more than delay_s from c to b, 0 s" in text
+    assert (
+        "network.links.c.*.jitter.spread_s: 0.2 s reaches 0.2 s below delay_s from c to b, 0 s"
+        in text
+    )
 
 
 @pytest.mark.parametrize(
@@ -466,11 +488,13 @@ def test_what_is_wrong_for_many_links_is_said_once_and_where_it_was_written():
         "links: {leader: {uav1: {}}}",
         "links: {'*': {'*': {loss: 1}}}",
         f"delay_s: 0.2, jitter: {{{UNIFORM}}}",
+        f"delay_s: 0.1, jitter: {{{UNIFORM}}}, arithmetic: netem",  # sent at once, as there
+        "delay_s: 0.1, jitter: {distribution: pareto, spread_s: 0.173}",
         f"jitter: {{{UNIFORM}}}, links: {{'*': {{'*': {{delay_s: 1}}}}}}",
         f"delay_s: 0.2, loss: 0.1, jitter: {{{UNIFORM}}}, links: {{leader: {{uav1: {{{TRACE}}}}}}}",
         f"{TRACE}, reorder: 0.1, duplicate: 0.5, slots: {{every_s: 1}}",
         "jitter: {distribution: lognormal}",
-        "jitter: {spread_s: 0.1}, reorder: 0.1",
+        "jitter: {distribution: normal, spread_s: 0.1}, reorder: 0.1",
         "slots: {every_s: 0}, tdma: {frame_s: 1, order: [uav1, leader]}",
         "range_loss: [], shadowing: {loss: []}, blackout_s: [], drop: [], rate: {bit_per_s: 0}",
         "range_loss: [[0, 0.1]], drop: [7, 1, 1]",

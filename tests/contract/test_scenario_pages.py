@@ -88,7 +88,7 @@ OTHER_KINDS = [
     "leader.path={kind: replay, file: arduplane-auto-leader-rascal.csv}",
     "air.wind={file: gusty-wind.csv, longest_gap_s: 2, profile: {kind: uniform}}",
     "air.wind={speed_mps: 5, profile: {kind: power, height_m: 20, exponent: 0.2}}",
-    "network={trace: {file: gusty-wind.csv, shifted: true}, tdma: {frame_s: 0.1, "
+    "network={trace: {file: gusty-wind.csv, shifted: true, begin_s: 2}, tdma: {frame_s: 0.1, "
     "order: [uav2, lead, uav1], packets: 2, queue_packets: 3}}",
 ]
 # What has one value only.

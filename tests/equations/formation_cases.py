@@ -199,7 +199,7 @@ def some_memory(rng, stamp):
     before = np.where(np.isnan(stamp), 99.0, stamp) - rng.choice([0.04, 0.2, 0.0], stamp.shape)
     return Memory(
         acceleration=rng.normal(0.0, 1.0, (n, 3)),
-        stamp_s=stamp[:, 0] - since,
+        time_s=stamp[:, 0] - since,
         speed=rng.uniform(20.0, 24.0, n) * begun,
         climb=rng.uniform(-0.2, 0.2, n) * begun,
         speed_rate=rng.normal(0.0, 1.0, n),
@@ -207,7 +207,7 @@ def some_memory(rng, stamp):
         silent_since=np.full(n, np.nan),
         silent_course=np.full(n, np.nan),
         place=place,
-        place_stamp_s=np.where(np.isnan(place[:, :, 0]), np.nan, before),
+        place_time_s=np.where(np.isnan(place[:, :, 0]), np.nan, before),
     )
 
 
@@ -281,7 +281,7 @@ def reorder(law, own, inbox, memory, order):
     memory = choose(memory, order)
     memory = memory._replace(
         place=_columns(memory.place, everyone),
-        place_stamp_s=_columns(memory.place_stamp_s, everyone),
+        place_time_s=_columns(memory.place_time_s, everyone),
     )
     return law, choose(own, order), inbox, memory
 

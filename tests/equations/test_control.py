@@ -141,16 +141,18 @@ def test_ages_are_of_what_was_used():
     inbox.stamp_s[1, 2] = inbox.received_s[1, 2] = np.nan
     inbox.received_s[3, 0] = 97.9
     inbox.received_s[4, 0] = 98.0
-    inbox.received_s[3, 1], inbox.received_s[3, 2] = 98.5, 98.4
+    inbox.received_s[4, 1], inbox.received_s[4, 2] = 98.5, 98.4
     control.step(0, 100.0, own, inbox, inbox.stamp_s)
     expected = np.full((5, 6), 0.3)
-    expected[1, 2] = expected[3, 0] = expected[3, 2] = np.nan
+    expected[1, 2] = np.nan
+    expected[3] = np.nan  # who does not hear the leader uses nobody's news
+    expected[4, 2] = np.nan
     expected[2, 4:] = np.nan
     assert control.age_s == pytest.approx(expected, abs=1e-12, nan_ok=True)
     # of a neighbour that is held at its place the old news is used
     control = Control(groups(replace(law, hold=True), middle, range(5), **limits), 5, 6)
     control.step(0, 100.0, own, inbox, inbox.stamp_s)
-    expected[3, 2] = 0.3
+    expected[4, 2] = 0.3
     assert control.age_s == pytest.approx(expected, abs=1e-12, nan_ok=True)
 
 

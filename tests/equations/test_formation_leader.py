@@ -17,7 +17,7 @@ from testbed.formation.leader import (
     turn_acceleration,
     unheard,
 )
-from testbed.formation.measurement import corrected
+from testbed.formation.measurement import corrected, times
 from testbed.state import Inbox
 
 EACH_SOURCE = [leading.NOTHING, leading.BROADCAST, leading.TURN]
@@ -205,8 +205,9 @@ def test_each_agent_takes_the_source_it_was_given(step):
     blend = rng.uniform(0.1, 0.9, (3, 3))
     law = make_law(3, rng, acceleration_source=np.array(EACH_SOURCE), acceleration_blend=blend)
     own, inbox, memory = states(3, rng)
-    memory = memory._replace(stamp_s=inbox.stamp_s[:, 0].copy())  # no new differences
-    memory.stamp_s[:2] -= 0.04  # but new averages
+    # no new differences, but new averages
+    said_s = times(inbox, law.from_timestamp)[:, 0]
+    memory = memory._replace(time_s=said_s - np.array([0.04, 0.04, 0.0]))
     _, after = step(law, NOW, own, inbox, memory)
     last, heard = memory.acceleration, inbox.acceleration_ned[:, 0]
     assert after.acceleration[0] == pytest.approx((1 - blend[0]) * last[0], abs=1e-14)
@@ -226,7 +227,8 @@ def test_an_average_takes_every_message_once(step):
     rng = np.random.default_rng(74)
     law = make_law(2, rng, acceleration_source=np.full(2, leading.BROADCAST))
     own, inbox, memory = states(2, rng)
-    memory = memory._replace(stamp_s=np.array([np.nan, inbox.stamp_s[1, 0] - 0.1]))
+    said_s = times(inbox, law.from_timestamp)[1, 0]
+    memory = memory._replace(time_s=np.array([np.nan, said_s - 0.1]))
     _, once = step(law, NOW, own, inbox, memory)
     assert (once.acceleration != memory.acceleration).all()
     _, twice = step(law, NOW + 0.04, own, inbox, once)
@@ -240,7 +242,7 @@ def test_what_is_made_of_it_is_10(step):
     law = make_law(2, rng, acceleration_blend=np.ones((2, 3)))
     own, inbox, memory = states(2, rng, low=20.0, high=25.0)
     inbox.velocity_ned[:, 0] = own.velocity_ned
-    memory = memory._replace(stamp_s=inbox.stamp_s[:, 0] - 0.04)
+    memory = memory._replace(time_s=times(inbox, law.from_timestamp)[:, 0] - 0.04)
     calm, _ = step(law, NOW, own, inbox, memory)
     inbox.acceleration_ned[:, 0] += own.velocity_ned[:, [1, 0, 2]] * [-0.1, 0.1, 0.0]
     pulled, _ = step(law, NOW, own, inbox, memory)

@@ -20,6 +20,7 @@ from formation_cases import (
 
 from testbed.formation import leader as leading
 from testbed.formation.flags import Guard
+from testbed.formation.measurement import times
 from testbed.frames import velocity_frame
 from testbed.state import Inbox
 
@@ -58,10 +59,10 @@ def test_who_does_not_hear_the_leader_flies_level_straight_on(step, way):
     assert told.turn[1] == pytest.approx([0.0, -law.c[1] * np.sin(climb), 0.0], abs=1e-15)
     assert told.guards[1] == Guard.LEADER_SILENT
     for name, array in results((told, after)).items():
-        forgotten = name in ("memory.stamp_s", "memory.speed", "memory.climb")
+        forgotten = name in ("memory.time_s", "memory.speed", "memory.climb")
         if name in ("memory.silent_since", "memory.silent_course"):
             assert np.isnan(array[[0, 2]]).all(), name
-        if name not in ("memory.place", "memory.place_stamp_s"):
+        if name not in ("memory.place", "memory.place_time_s"):
             assert np.isnan(array[1]) if forgotten else np.isfinite(array[1]).all(), name
     # nothing of that leaks to the others
     heard = results(step(law, NOW, own, inbox, memory))
@@ -186,7 +187,7 @@ def test_in_silence_what_was_known_of_the_leader_waits_or_is_dropped(step):
     assert after.speed_rate.tolist() == after.climb_rate.tolist() == [0.0, 0.0]
     _, again = step(law, NOW + 0.04, own, inbox, after)
     assert again.speed_rate.tolist() == again.climb_rate.tolist() == [0.0, 0.0]
-    assert np.array_equal(again.stamp_s, inbox.stamp_s[:, 0])
+    assert np.array_equal(again.time_s, times(inbox, law.from_timestamp)[:, 0])
 
 
 @each_engine
@@ -197,7 +198,7 @@ def test_once_it_hears_again_it_flies_as_if_it_had_always_heard(step):
     options["acceleration_source"] = np.full(3, leading.BROADCAST)
     law = make_law(3, rng, **options)
     own, inbox, memory = states(3, rng)
-    memory = memory._replace(stamp_s=inbox.stamp_s[:, 0] - 0.04)
+    memory = memory._replace(time_s=times(inbox, law.from_timestamp)[:, 0] - 0.04)
     deaf, after = step(law, NOW, own, unhear(inbox, np.s_[:, 0], LONG_AGO), memory)
     assert (deaf.guards & Guard.LEADER_SILENT).all()
     again, _ = step(law, NOW, own, inbox, after)
@@ -262,34 +263,39 @@ def test_the_place_of_a_neighbour_is_remembered_when_it_says_something_new(step)
     law.gains[2, 4, :2] = 0.0  # who sees the plane alone does not heed that
     _, after = step(law, NOW, own, inbox, memory)
     expected = places_of(inbox, law.horizontal)
-    stamps = inbox.stamp_s.copy()
-    stamps[:, 0] = np.nan
+    said_s = times(inbox, law.from_timestamp).copy()
+    said_s[:, 0] = np.nan
     for link in ((1, 3), (2, 4)):
-        expected[link], stamps[link] = memory.place[link], memory.place_stamp_s[link]
+        expected[link], said_s[link] = memory.place[link], memory.place_time_s[link]
     np.testing.assert_allclose(after.place, expected, rtol=1e-13, atol=1e-13)
-    np.testing.assert_array_equal(after.place_stamp_s, stamps)
+    np.testing.assert_array_equal(after.place_time_s, said_s)
     # a law that leaves out who is silent remembers nothing new
     _, dropped = step(replace(law, hold=False), NOW, own, inbox, memory)
     np.testing.assert_array_equal(dropped.place, memory.place)
-    np.testing.assert_array_equal(dropped.place_stamp_s, memory.place_stamp_s)
+    np.testing.assert_array_equal(dropped.place_time_s, memory.place_time_s)
 
 
 @each_engine
-def test_a_message_gives_a_place_once_and_an_older_one_none(step):
-    """An extrapolation of the same message has left the turn; only the stamp tells what is new."""
+@pytest.mark.parametrize("from_timestamp", [False, True])
+def test_a_message_gives_a_place_once_and_an_older_one_none(from_timestamp, step):
+    """An extrapolation of the same message has left the turn; only its time tells what is new."""
     rng = np.random.default_rng(85)
     law, own, inbox, memory = all_heard_now(3, rng, horizontal=flags(False, 3))
+    law = replace(law, from_timestamp=from_timestamp)
     _, first = step(law, NOW, own, inbox, memory)
     inbox.position_ned[:, 1:] += 3.0
-    inbox.received_s[:] = NOW + 0.2
-    inbox.stamp_s[:, 2] = NOW - 1.0  # what a slow path brought in after it
-    inbox.stamp_s[:, 3] = np.nextafter(NOW, np.inf)
-    _, after = step(law, NOW + 0.2, own, inbox, first)
+    said_s, other = inbox.stamp_s, inbox.received_s
+    if not from_timestamp:
+        said_s, other = other, said_s
+    other[:] = NOW + 0.2  # says nothing here
+    said_s[:, 2] = NOW - 1.0  # what a slow path brought in after it
+    said_s[:, 3] = np.nextafter(NOW, np.inf)
+    _, after = step(law, NOW, own, inbox, first)
     np.testing.assert_array_equal(after.place[:, :3], first.place[:, :3])
-    np.testing.assert_array_equal(after.place_stamp_s[:, :3], first.place_stamp_s[:, :3])
+    np.testing.assert_array_equal(after.place_time_s[:, :3], first.place_time_s[:, :3])
     new = places_of(inbox, law.horizontal)[:, 3]
     np.testing.assert_allclose(after.place[:, 3], new, rtol=1e-13, atol=1e-13)
-    np.testing.assert_array_equal(after.place_stamp_s[:, 3], inbox.stamp_s[:, 3])
+    np.testing.assert_array_equal(after.place_time_s[:, 3], said_s[:, 3])
 
 
 @each_engine
@@ -299,6 +305,7 @@ def test_a_new_message_gives_the_place_at_the_step_not_at_its_stamp(step):
     straight = {"with_acceleration": flags(False, 3), "horizontal": flags(False, 3)}
     law, own, inbox, memory = all_heard_now(3, rng, **straight)
     inbox.received_s[:] -= rng.uniform(0.0, 0.3, (3, 4))
+    memory.place_time_s[:] -= 1.0
     _, after = step(law, NOW, own, inbox, memory)
     lag = (NOW - inbox.received_s)[:, :, None]
     brought = inbox._replace(position_ned=inbox.position_ned + lag * inbox.velocity_ned)
@@ -338,11 +345,11 @@ def test_while_the_leader_is_silent_places_wait(step):
     rng = np.random.default_rng(87)
     limits = {"stale_after": 2.0, "silent_after": 1.0}
     law, own, inbox, memory = all_heard_now(3, rng, **limits)
-    memory.place[:, 1], memory.place_stamp_s[:, 1] = np.nan, np.nan
+    memory.place[:, 1], memory.place_time_s[:, 1] = np.nan, np.nan
     told, after = step(law, NOW, own, unhear(inbox, np.s_[:, 0], LONG_AGO), memory)
     assert (told.guards == Guard.LEADER_SILENT).all()
     np.testing.assert_array_equal(after.place, memory.place)
-    np.testing.assert_array_equal(after.place_stamp_s, memory.place_stamp_s)
+    np.testing.assert_array_equal(after.place_time_s, memory.place_time_s)
     inbox.received_s[:, 0] = inbox.stamp_s[:, 0] = NOW + 3.0
     back, later = step(law, NOW + 3.0, own, inbox, after)
     nothing = replace(law, gains=law.gains.copy())
@@ -406,7 +413,7 @@ def test_a_neighbour_that_is_held_is_a_slot_of_the_formation(step, way):
 def test_a_neighbour_that_was_never_anywhere_is_left_out(step, way):
     rng = np.random.default_rng(84)
     law, own, inbox, memory = all_heard_now(3, rng)
-    memory.place[:, 2], memory.place_stamp_s[:, 2] = np.nan, np.nan
+    memory.place[:, 2], memory.place_time_s[:, 2] = np.nan, np.nan
     quiet = unhear(inbox, np.s_[:, 2], way)
     held, after = step(law, NOW, own, quiet, memory)
     dropped, _ = step(replace(law, hold=False), NOW, own, quiet, memory)

@@ -255,7 +255,7 @@ def test_the_order_of_the_agents_does_not_matter(step):
         theirs = results(step(*reorder_at(NOW, law, own, inbox, memory, order)))
         expected = {name: array[order] for name, array in ours.items()}
         everyone = np.concatenate([[0], order + 1])
-        for name in ("memory.place", "memory.place_stamp_s"):
+        for name in ("memory.place", "memory.place_time_s"):
             expected[name] = expected[name][:, everyone]
         # sums over neighbours run in another order; (14) magnifies that where D is small
         assert_same(theirs, expected, rtol=1e-9, atol=1e-11)

@@ -19,6 +19,7 @@ from network_samples import (
 from scipy import stats
 from scipy.integrate import quad
 
+from testbed.errors import InputError
 from testbed.network.alone import transmit
 from testbed.network.links import Fate
 
@@ -249,7 +250,7 @@ def test_the_process_behind_has_known_correlations(wanted, measured):
 def test_a_delay_below_nothing_is_none():
     """A normal law of mean and deviation 50 ms is cut at 0, where one packet in six is."""
     law = stats.norm(0.05, 0.05)
-    delay = send(delay_s=0.05, jitter={"spread_s": 0.05}).delay_s
+    delay = send(delay_s=0.05, jitter={"distribution": "normal", "spread_s": 0.05}).delay_s
     assert delay.min() == 0.0
     assert_share(delay == 0.0, law.cdf(0.0))
     above = delay[delay > 0.0]
@@ -370,3 +371,21 @@ def test_netem_makes_a_table_of_its_own_of_each_links_delays(tmp_path):
         assert low - 1e-4 <= delay[:, i, 0].min() < low + 0.01
         assert low + 0.09 < delay[:, i, 0].max() <= low + 0.1 + 1e-4
     assert delay[:, 1:, 1].mean() == pytest.approx(1.0, abs=0.005)
+
+
+def test_netem_has_32_bits_for_a_jitter():
+    """In ns; its dice have 32 too, so a wider one would reach no further than 4.3 s."""
+    knobs = {"delay_s": 10.0, "arithmetic": "netem"}
+    delay = send(jitter={"spread_s": 5.0}, **knobs).delay_s
+    longest = 0x7FFFFFFF / 1e9
+    assert_chance(stats.kstest(delay, stats.uniform(10.0 - longest, 2.0 * longest).cdf).pvalue)
+
+
+def test_an_empirical_delay_is_not_less_than_none(tmp_path):
+    path = tmp_path / "delays.csv"
+    path.write_text("delay_s\n0.1\n-0.3\n0.2\n", encoding="utf-8")
+    jitter = {"distribution": "empirical", "file": str(path)}
+    with pytest.raises(InputError) as caught:
+        make(delay_s=0.2, jitter=jitter)
+    assert str(caught.value).startswith(f"{path}:3: delay_s -0.3 s and the page's 0.2 s are less")
+    make(delay_s=0.3, jitter=jitter)

@@ -77,6 +77,16 @@ def test_a_queue_of_three_by_hand():
     assert np.isin(flow.fate, (Fate.DELIVERED, Fate.QUEUE)).all()
 
 
+def test_two_copies_enter_the_last_place_of_netems_queue():
+    """The place is looked for once, for both; then it takes two to leave before one enters."""
+    rate = {"bit_per_s": per_second(10), "queue_packets": 1}
+    flow = send(6, period_s=0.09, duplicate=1, rate=rate, arithmetic="netem")
+    assert flow.copies.tolist() == [2, 0, 0, 2, 0, 0]
+    assert flow.received_s[[0, 3]] == pytest.approx([0.1, 0.37])
+    assert flow.second_s[[0, 3]] == pytest.approx([0.2, 0.47])
+    assert (flow.fate[[1, 2, 4, 5]] == Fate.QUEUE).all()
+
+
 def test_a_queue_of_netem_by_hand():
     """Its messages are inside until their delay is over, and the transmitter is after it.
 

@@ -125,6 +125,13 @@ def test_a_quantile_is_within_its_bin_of_the_sorted_durations(part, seed):
     assert durations[0] <= got <= durations[-1]
 
 
+def test_most_ages_of_none_make_a_median_of_none():
+    durations = np.array([0.0] * 7 + [0.04] * 3)
+    bins = np.bincount(bin_of(durations), minlength=BINS)
+    assert quantile(bins, 0.5, 0.0, 0.04) == 0.0
+    assert 0.04 / BIN <= quantile(bins, 0.95, 0.0, 0.04) <= 0.04
+
+
 PAGES = {
     "exact": (
         "network.delay_s=0.05",

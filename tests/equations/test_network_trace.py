@@ -50,7 +50,7 @@ def same(delay, expected, within=1e-9):
 def test_a_trace_replayed_at_its_own_pace_gives_its_own_fates(recorded, seed, tmp_path):
     delay = random_trace(tmp_path / "t.csv", seed, **recorded)
     trace = read_trace(tmp_path / "t.csv", "leader", "uav1")
-    times = np.arange(200) * recorded.get("period_s", 0.1)
+    times = trace.earliest_s + np.arange(200) * recorded.get("period_s", 0.1)
     # the first row may have been sent off its beat, and begins the replay
     within = 1e-6 if "first_s" in recorded else 1e-9
     assert same(looked_up(trace, times), delay, within)
@@ -60,18 +60,37 @@ def test_a_trace_replayed_at_its_own_pace_gives_its_own_fates(recorded, seed, tm
             assert same(looked_up(trace, times + lap * trace.span_s), delay, within), lap
 
 
-def test_a_trace_that_begins_elsewhere_is_the_same_trace_later(tmp_path):
+@pytest.mark.parametrize("begin_s", [5.0, 5.02, -15.0])
+def test_a_trace_that_begins_elsewhere_is_the_same_trace_later(begin_s, tmp_path):
     delay = random_trace(tmp_path / "t.csv", 7)
-    trace = read_trace(tmp_path / "t.csv", "leader", "uav1")
-    assert same(looked_up(trace, 0.1 * np.arange(200), 5.0), np.roll(delay, -50))
-    assert same(looked_up(trace, 0.1 * np.arange(200), 5.02), np.roll(delay, -50))
+    trace = {"file": str(tmp_path / "t.csv"), "begin_s": begin_s}
+    replays = make_replays(NAMES, Network.model_validate({"trace": trace}), seed=1)
+    assert len(replays.traces) == 1, "links that replay one file share what was read"
+    told = [replayed(replays, np.array([0.1 * k]), np.array([0]))[0, 0] for k in range(200)]
+    assert same(np.array(told), np.roll(delay, -50))
+
+
+def test_links_of_a_file_that_failed_together_fail_together(tmp_path):
+    """One link's rows begin later, and both have an outage from 50 s to 55 s."""
+    rows = ["source,destination,sent_s,received_s"]
+    for destination, first, period in (("uav1", 0.0, 0.1), ("uav2", 30.0, 0.25)):
+        for sent in np.arange(first, 100.0, period).round(6).tolist():
+            arrived = "" if 50.0 <= sent < 55.0 else sent + 0.01
+            rows.append(f"leader,{destination},{sent},{arrived}")
+    path = written(tmp_path / "t.csv", "\n".join(rows))
+    network = Network.model_validate({"links": {"leader": {"*": {"trace": {"file": str(path)}}}}})
+    replays = make_replays(NAMES, network, seed=1)
+    for lap in (0.0, 100.0, 300.0):
+        for at, lost in ((49.7, False), (50.3, True), (54.7, True), (55.3, False)):
+            told = replayed(replays, np.array([lap + at]), np.array([0]))[:, 0]
+            assert np.isinf(told).tolist() == [lost, lost], (lap, at)
 
 
 def test_a_message_meets_the_row_nearest_in_time(tmp_path):
     path = written(tmp_path / "t.csv", "sent_s,received_s\n10,10.1\n11,11.2\n14,\n15,15.4\n")
     trace = read_trace(path, "leader", "uav1")
     assert trace.span_s == 6.0  # the median of 1, 3 and 1 after the last
-    times = np.array([0.0, 0.49, 0.51, 1.0, 2.49, 2.51, 4.49, 4.51, 5.49, 5.51, 6.0, 7.0])
+    times = 10.0 + np.array([0.0, 0.49, 0.51, 1.0, 2.49, 2.51, 4.49, 4.51, 5.49, 5.51, 6.0, 7.0])
     expected = np.array([0.1, 0.1, 0.2, 0.2, 0.2, np.inf, np.inf, 0.4, 0.4, 0.1, 0.1, 0.2])
     assert same(looked_up(trace, times), expected)
 
@@ -95,7 +114,9 @@ def test_each_link_of_a_file_has_its_own_rows_and_other_columns_are_left(tmp_pat
         ("uav1", "uav2", [0.04, np.inf]),
     ):
         trace = read_trace(path, source, destination)
-        assert trace.sent_s.tolist() == [0.0, 1.0] and trace.span_s == 2.0
+        begins = 0.5 if source == "uav1" else 0.0
+        assert trace.sent_s.tolist() == [begins, begins + 1.0]
+        assert (trace.earliest_s, trace.span_s) == (0.0, 2.0)
         assert same(trace.delay_s, np.array(delay))
 
 

@@ -102,7 +102,7 @@ def test_the_formation_law():
             deaf += int(lost.sum())
             held += int((heeded & (stale & known)[:, 1:]).sum())
             dropped += int((heeded & (stale & ~known)[:, 1:]).sum())
-            placed = ours["memory.place_stamp_s"] > memory.place_stamp_s
+            placed = ours["memory.place_time_s"] > memory.place_time_s
             fresh = heeded & (law.hold & known & ~stale & ~lost[:, None])[:, 1:]
             news += int((fresh & placed[:, 1:]).sum())
             known_news += int((fresh & ~placed[:, 1:]).sum())
@@ -168,8 +168,8 @@ def test_ages():
     received = stamp + rng.uniform(0.0, 1.0, stamp.shape)
     received[rng.random(stamp.shape) < 0.2] = np.nan
     unheeded = rng.random(stamp.shape) < 0.3
-    for limit in (4.0, np.array([4.0, 2.0, 2.0, np.inf, np.inf])):
-        given = (100.0, stamp, received, unheeded, limit)
+    for limit, led in ((4.0, True), (np.array([4.0, 2.0, 2.0, np.inf, np.inf]), False)):
+        given = (100.0, stamp, received, unheeded, limit, led)
         ours = ages(*given)
         assert 0 < np.isnan(ours).sum() < ours.size
         np.testing.assert_array_equal(laws_twin.ages(*given), ours)

@@ -114,7 +114,7 @@ def test_a_neighbour_that_keeps_its_place_may_fall_silent(heard, limit):
     # the last word was one period before the silence
     last, offset = MUTE[0] - 1.0 / HZ, np.array([-5.0, 5.0, 0.0]) + ASIDE
     assert memory.place[1, 1] == pytest.approx(offset, abs=1e-9)
-    assert memory.place_stamp_s[1, 1] == last
+    assert memory.place_time_s[1, 1] == last
     position, velocity, _ = helix(last, offset)
     delta = np.linalg.norm(position + limit * velocity - helix(last + limit, offset)[0])
     # ½ v σ̇ times the square of the limit, less a fortieth when that is a radian of the turn
