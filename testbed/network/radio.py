@@ -59,6 +59,8 @@ class Radio:
         never, nothing = np.full(links, np.nan), np.full((*links, 3), np.nan)
         self._inbox = Inbox(never, never, *(nothing,) * VECTORS)
         self._nothing: dict[int, tuple[Fates, Array, Array]] = {}
+        self._together: dict[bytes, Numbers] = {}
+        self._shown: dict[int, Array] = {}
 
     @property
     def measured_s(self) -> Array:
@@ -79,14 +81,13 @@ class Radio:
         Returns:
             Arrivals (n, S, 2) s and fates (n, S) of the S messages; see `fates.fates`.
         """
-        measured = message.stamp_s
-        if who is None or who.all():
-            rows, sent, number = self._everyone, sent_s, self._number
+        rows = self._everyone if who is None else self._rows(who)
+        sent, number, measured = sent_s, self._number, message.stamp_s
+        if who is None or len(rows) == len(who):
+            self._number = number + 1
         else:
-            rows = np.flatnonzero(who)
-            sent, number, measured = sent_s[rows], self._number[rows], measured[rows]
-        self._number = self._number.copy()
-        self._number[rows] += 1
+            self._number = number + who
+            sent, number, measured = sent[rows], number[rows], measured[rows]
         script, told, faded = self._befalls(sent, rows, number, truth)
         arrivals, fate = FATES(
             self._channel, self._traffic, rows, number, sent, script, told, faded
@@ -96,7 +97,7 @@ class Radio:
         if self._conditions.clocks:
             shown = stamps(self._conditions.clocks, measured, rows)
         else:
-            shown = np.empty(fate.shape)
+            shown = self._shown.setdefault(len(rows), np.empty(fate.shape))
             shown[:] = measured
         self._count = POST_ROUND(
             self._post,
@@ -131,6 +132,13 @@ class Radio:
     def summary(self) -> Mapping[str, Any]:
         """Numbers of every link, ready for JSON."""
         return summarise(self._ledger, self._channel.names)
+
+    def _rows(self, who: Truths) -> Numbers:
+        """Rows of those who send together; most rounds are like others."""
+        key = who.tobytes()
+        if key not in self._together:
+            self._together[key] = np.flatnonzero(who)
+        return self._together[key]
 
     def _befalls(
         self, sent_s: Array, rows: Numbers, number: Numbers, truth: VehicleState

@@ -281,6 +281,17 @@ def test_a_full_queue_drops_what_comes_last():
 
 
 @with_netem
+def test_two_copies_enter_the_last_place_of_a_queue():
+    packets = 5
+    theirs = from_netem("limit 1 rate 100kbit duplicate 100%", packets=packets, payload=PAYLOAD)
+    rate = {"bit_per_s": 1e5, "overhead_bytes": HEADERS, "queue_packets": 1}
+    knobs = {"rate": rate, "duplicate": 1, "message_bytes": PAYLOAD}
+    period = np.ptp(theirs.sent_s) / (packets - 1)
+    mine = ours(knobs, packets=packets, period_s=period).copies[:, 0, 0]
+    assert mine.tolist() == theirs.copies.tolist() == [2, 0, 0, 0, 0]
+
+
+@with_netem
 def test_behind_a_busy_transmitter_jitter_reorders_nothing():
     packets = 2000
     theirs = from_netem("delay 50ms 20ms rate 2mbit", packets=packets, payload=PAYLOAD)
