@@ -46,12 +46,14 @@ def philox(
     """
     k0, k1, number = (np.asarray(each, dtype=np.uint64) for each in (key0, key1, counter))
     x2, x3 = (np.asarray(each, dtype=np.uint64) for each in (copy, block))
-    x0, x1 = number & np.uint64(LOW), number >> np.uint64(32)
+    x0: Words = number & np.uint64(LOW)
+    x1: Words = number >> np.uint64(32)
     first, second = (np.uint64(each) for each in MULTIPLIERS)
     bump0, bump1 = (np.uint64(each) for each in BUMPS)
     low, half = np.uint64(LOW), np.uint64(32)
     for _ in range(ROUNDS):
-        product0, product1 = first * x0, second * x2
+        product0: Words = first * x0
+        product1: Words = second * x2
         x0, x1, x2, x3 = (
             (product1 >> half) ^ x1 ^ k0,
             product1 & low,
