@@ -18,12 +18,11 @@ from testbed.state import Array, Truths
 class Due:
     """What happens at a tick, in this order."""
 
-    sense: bool  # estimates get new errors
     broadcast: Truths | None  # (N,) who sends; None: nobody
     sent_s: Array | None  # (N,) when they send, at or soon after the tick, s; None: at the tick
     control: tuple[int, ...]  # groups of followers that step
     lead: bool  # the leader's guidance steps
-    autopilot: bool
+    autopilot: bool  # estimates get new errors, and autopilots fly
     log: bool
 
 
@@ -55,11 +54,6 @@ class Clock:
     control_phases: tuple[int, ...]  # n followers
     broadcast_phases: tuple[int | None, ...]  # N aircraft; None: it has a beat of its own
     beats: tuple[Beat, ...] = ()
-
-    @property
-    def stride(self) -> int:
-        """The most ticks between two events of synchronous aircraft; errors change so often."""
-        return math.gcd(self.autopilot, self.control, self.broadcast, self.log)
 
     @property
     def period(self) -> int:
@@ -139,8 +133,11 @@ class Clock:
     def _pattern(self) -> list[tuple[int, Due]]:
         """What happens in one period of all the rates; tick 0 is always there."""
         period = self.period
-        ticks = set(range(0, period, self.stride))
+        ticks: set[int] = set()
         for step, phases in (
+            (self.autopilot, (0,)),
+            (self.log, (0,)),
+            (self.control, (0,)),  # of the leader
             (self.control, self.control_phases),
             (self.broadcast, self.broadcast_phases),
         ):
@@ -162,7 +159,6 @@ class Clock:
             if everyone or (tick - phase) % self.control == 0
         )
         return Due(
-            sense=tick % self.stride == 0,
             broadcast=send if send.any() else None,
             sent_s=None,
             control=step,
@@ -172,9 +168,7 @@ class Clock:
         )
 
 
-NOTHING_DUE = Due(
-    sense=False, broadcast=None, sent_s=None, control=(), lead=False, autopilot=False, log=False
-)
+NOTHING_DUE = Due(broadcast=None, sent_s=None, control=(), lead=False, autopilot=False, log=False)
 
 
 def make_clock(

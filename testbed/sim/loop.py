@@ -45,7 +45,7 @@ def fly(world: World, observers: Sequence[Observer], stop: Callable[[], bool]) -
         flown_in = vehicles.air() if due.log else None  # what the truth came about in
         if due.autopilot and air is not None:
             vehicles.blow(air.felt(now, truth))
-        estimate = world.estimators.estimate(truth, fresh=due.sense)
+        estimate = world.estimators.estimate(truth, fresh=due.autopilot)
 
         if due.broadcast is not None:
             message = broadcast(estimate, now)

@@ -138,7 +138,7 @@ def build(page: Scenario) -> World:
             names,
             [_errors(each.sensors) for each in flown],
             seed=page.scenario.seed,
-            dt=clock.stride / clock.base_rate_hz,
+            dt=clock.autopilot / clock.base_rate_hz,
         ),
         pilot=led.pilot,
         radio=radio,

@@ -61,6 +61,20 @@ def test_watchers_and_the_log_move_nothing(tmp_path):
     assert fingerprint(seen.frames) == fingerprint(again.frames) == fingerprint(flown(seconds=3))
 
 
+@pytest.mark.parametrize("log_hz", [10, 200])
+def test_how_often_it_is_logged_moves_nothing(log_hz):
+    """Nor do aircraft whose moments lie between those of the log, with errors and loss."""
+    knobs = (*NOISY, "rates.synchronous=false", "network.loss=0.3")
+    usual = {frame.tick: frame for frame in flown(*knobs, seconds=3)}
+    other = {frame.tick: frame for frame in flown(*knobs, f"rates.log_hz={log_hz}", seconds=3)}
+    shared = sorted(usual.keys() & other.keys())
+    assert len(shared) >= 16
+    for tick in shared:
+        one, two = (dict(arrays(frames_of[tick])) for frames_of in (usual, other))
+        for name, array in one.items():
+            assert np.array_equal(array, two[name], equal_nan=True), (tick, name)
+
+
 def test_frames_come_at_the_log_rate_and_are_finite():
     seen = flown("rates.log_hz=10", seconds=2)
     assert [frame.tick for frame in seen] == list(range(0, 401, 20))

@@ -28,7 +28,7 @@ def clock_of(rates, **more):
 def events(clock, duration_s):
     """(tick, what, who) of everything that happens; who of the aircraft, 0 the leader."""
     for tick, _, due in clock.schedule(duration_s):
-        for what in ("sense", "lead", "autopilot", "log"):
+        for what in ("lead", "autopilot", "log"):
             if getattr(due, what):
                 yield tick, what, None
         if due.broadcast is not None:
@@ -44,11 +44,9 @@ def test_synchronous_aircraft_do_everything_at_multiples_of_its_period(rates, du
     clock = clock_of(rates, aircraft=3)
     last = round(duration_s * rates[0])
     autopilot, control, broadcast, log = (rates[0] // rate for rate in rates[1:])
-    stride = np.gcd.reduce([autopilot, control, broadcast, log])
     expected = set()
     for tick in range(0, last + 1):
         for step, what, who in (
-            (stride, "sense", [None]),
             (control, "lead", [None]),
             (autopilot, "autopilot", [None]),
             (log, "log", [None]),
@@ -88,12 +86,12 @@ def test_the_end_is_part_of_the_run():
 
 
 def test_errors_move_on_at_equal_spaces():
-    """The estimators' time step is the stride, so no stride may be passed over."""
+    """The estimators' time step is the autopilot's, so none of its moments may be passed over."""
     for rates in COMBINATIONS:
         for phases in (None, (0.0, 0.3, 0.99)):
             clock = clock_of(rates, aircraft=3, phases=phases)
-            sensed = [tick for tick, what, _ in events(clock, 2.0) if what == "sense"]
-            assert sensed == list(range(0, 2 * rates[0] + 1, clock.stride))
+            sensed = [tick for tick, what, _ in events(clock, 2.0) if what == "autopilot"]
+            assert sensed == list(range(0, 2 * rates[0] + 1, clock.autopilot))
 
 
 # phases
@@ -197,5 +195,5 @@ def test_ticks_of_beats_follow_each_other_without_a_gap():
     for (tick, ahead, _), (following, _, _) in itertools.pairwise(found):
         assert ahead > 0
         assert following == tick + ahead
-    sensed = [tick for tick, _, due in found if due.sense]
-    assert sensed == list(range(0, 601, clock.stride))
+    sensed = [tick for tick, _, due in found if due.autopilot]
+    assert sensed == list(range(0, 601, clock.autopilot))
