@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,7 +15,7 @@ from rich.text import Text
 
 from testbed.errors import InputError
 from testbed.frames import wind_from_deg
-from testbed.metrics.document import to_json, write_json
+from testbed.outputs import is_stdout, put_json, refuse_files
 from testbed.scenario import Scenario, load
 from testbed.scenario.aircraft import Mission
 from testbed.sim.probe_models import expected
@@ -59,9 +58,10 @@ def probe_and_show(
     json: Path | None,
 ) -> None:
     """Fly the probes, print their table, and write what was asked for."""
-    to_stdout = json is not None and str(json) == "-"
     _refuse_numbers(asked)
-    _refuse_files(out=out, plot=plot, json=None if to_stdout else json)
+    if plot and plot.suffix.lower() not in ENDINGS:
+        raise InputError(f"--plot {plot}: write a name that ends in {', '.join(ENDINGS)}")
+    refuse_files(out=out, plot=plot, json=json)
     count = round(asked.rate * asked.duration)
     if plot and count < FEWEST_DRAWN:
         raise InputError(
@@ -77,17 +77,14 @@ def probe_and_show(
         _save(out, to_arrays(page, course, felt))
     if plot:
         _draw(plot, page, course, felt)
-    console = Console(stderr=to_stdout, highlight=False)
+    console = Console(stderr=is_stdout(json), highlight=False)
     console.print(_headline(page, course))
     console.print()
     console.print(_table(document))
     for name, path in (("arrays", out), ("figure", plot)):
         if path:
             console.print(f" {name}  {path}", soft_wrap=True)
-    if to_stdout:
-        sys.stdout.write(to_json(document))
-    elif json:
-        write_json(json, document)
+    put_json(json, document)
 
 
 def _refuse_numbers(asked: Asked) -> None:
@@ -105,18 +102,6 @@ def _refuse_numbers(asked: Asked) -> None:
             f"--duration times --rate makes {asked.rate * asked.duration:.3g} samples: write less, "
             f"at most {most:.3g}"
         )
-
-
-def _refuse_files(**paths: Path | None) -> None:
-    for name, path in paths.items():
-        if path is None:
-            continue
-        if name == "plot" and path.suffix.lower() not in ENDINGS:
-            raise InputError(f"--plot {path}: write a name that ends in {', '.join(ENDINGS)}")
-        if not path.absolute().parent.is_dir():
-            raise InputError(f"--{name} {path}: there is no folder {path.absolute().parent}")
-        if path.is_dir():
-            raise InputError(f"--{name} {path}: this is a folder; write the name of a file")
 
 
 def _course(page: Scenario, asked: Asked) -> Course:

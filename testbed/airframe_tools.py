@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from rich.text import Text
 
 from testbed.errors import InputError
 from testbed.frames import GRAVITY
-from testbed.metrics.document import to_json, write_json
+from testbed.outputs import is_stdout, put_json, refuse_files
 from testbed.scenario import find_aircraft, find_tune, load_middle_loop
 from testbed.sim.speed_step import SpeedStep, speed_step
 from testbed.state import Origin
@@ -47,7 +46,7 @@ def show_trim(
     console.print(_headline(folder, point))
     console.print()
     console.print(_trim_table(result))
-    _write(json, {"aircraft": folder.name, **trim_document(result)})
+    put_json(json, {"aircraft": folder.name, **trim_document(result)})
 
 
 def show_modes(
@@ -70,7 +69,7 @@ def show_modes(
         "b": linear.b.tolist(),
         "modes": [_mode_document(mode) for mode in modes],
     }
-    _write(json, document)
+    put_json(json, document)
 
 
 def show_step(
@@ -115,7 +114,7 @@ def show_step(
         "ground_speed_mps": flown.speed.tolist(),
         "throttle": flown.throttle.tolist(),
     }
-    _write(json, document)
+    put_json(json, document)
 
 
 def trim_document(result: TrimResult) -> dict[str, Any]:
@@ -160,16 +159,8 @@ def _refuse_infinite(**options: float) -> None:
 
 
 def _console(json: Path | None) -> Console:
-    if json and str(json) != "-" and not json.absolute().parent.is_dir():
-        raise InputError(f"--json {json}: there is no folder {json.absolute().parent}")
-    return Console(stderr=str(json) == "-", highlight=False)
-
-
-def _write(json: Path | None, document: Document) -> None:
-    if str(json) == "-":
-        sys.stdout.write(to_json(document))
-    elif json:
-        write_json(json, document)
+    refuse_files(json=json)
+    return Console(stderr=is_stdout(json), highlight=False)
 
 
 def _headline(folder: Path, point: TrimPoint) -> Text:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from testbed.errors import InputError
-from testbed.metrics.document import to_json, write_json
+from testbed.outputs import is_stdout, put_json, refuse_files
+from testbed.progress import counting
 from testbed.study.golden import Case, check, find_cases, renew
 from testbed.study.golden_text import show_check, show_renewals
 from testbed.study.golden_words import to_document
@@ -48,23 +47,19 @@ def check_and_show(
     if update:
         assert reason is not None
         return _update(cases, seeds=seeds, jobs=jobs, reason=reason.strip())
-    to_stdout = json is not None and str(json) == "-"
-    with _Bar() as bar:
-        verdicts = check(cases, seeds=seeds, jobs=jobs, progress=bar.show)
+    with counting("flights") as show:
+        verdicts = check(cases, seeds=seeds, jobs=jobs, progress=show)
     if junit:
         write_junit(junit, to_junit(verdicts))
-    show_check(verdicts, Console(stderr=to_stdout, highlight=False))
+    show_check(verdicts, Console(stderr=is_stdout(json), highlight=False))
     document = to_document(verdicts)
-    if to_stdout:
-        sys.stdout.write(to_json(document))
-    elif json:
-        write_json(json, document)
+    put_json(json, document)
     return GOOD if document["passed"] else REGRESSION
 
 
 def _update(cases: Sequence[Case], *, seeds: int | None, jobs: int, reason: str) -> int:
-    with _Bar() as bar:
-        renewals = renew(cases, seeds=seeds, jobs=jobs, reason=reason, progress=bar.show)
+    with counting("flights") as show:
+        renewals = renew(cases, seeds=seeds, jobs=jobs, reason=reason, progress=show)
     show_renewals(renewals, Console(highlight=False))
     return GOOD if all(renewal.table for renewal in renewals) else REGRESSION
 
@@ -90,33 +85,4 @@ def _refuse(
     for option, path in (("--junit", junit), ("--json", json)):
         if path and update:
             raise InputError(f"{option}: --update writes tables and judges nothing: leave it out")
-        if path and str(path) != "-" and not path.absolute().parent.is_dir():
-            raise InputError(f"{option} {path}: there is no folder {path.absolute().parent}")
-
-
-class _Bar:
-    """How many flights are done; silent where standard error is no terminal."""
-
-    def __init__(self) -> None:
-        console = Console(stderr=True)
-        self._progress = Progress(
-            TextColumn("[bold]flights"),
-            BarColumn(bar_width=None),
-            TextColumn("{task.completed:.0f} of {task.total:.0f}"),
-            TimeRemainingColumn(compact=True),
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-        )
-        self._task = self._progress.add_task("flights", total=0)
-
-    def __enter__(self) -> _Bar:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
-
-    def show(self, flown: int, of: int) -> None:
-        """Move the bar."""
-        self._progress.update(self._task, completed=flown, total=of)
+    refuse_files(junit=junit, json=json)

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-import sys
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
 from testbed.errors import InputError
-from testbed.metrics.document import to_json, write_json
 from testbed.metrics.table import render_table
+from testbed.outputs import is_stdout, put_json, refuse_files
 from testbed.progress import ProgressBar
 from testbed.scenario import list_aircraft, list_scenarios, load, shorten
 from testbed.sim.run import run
@@ -37,9 +36,7 @@ def fly_and_show(
         if not (duration_s > 0.0 and math.isfinite(duration_s)):
             raise InputError(f"--duration {duration_s:g}: write a number of seconds above 0")
         page = shorten(page, duration_s)
-    to_stdout = json is not None and str(json) == "-"
-    if json and not to_stdout and not json.absolute().parent.is_dir():
-        raise InputError(f"--json {json}: there is no folder {json.absolute().parent}")
+    refuse_files(json=json)
     watchers: list[Observer] = [] if quiet else [ProgressBar(Console(stderr=True))]
     if view:
         from testbed.views import LiveViewer, RerunView
@@ -47,11 +44,8 @@ def fly_and_show(
         watchers.append(RerunView(LiveViewer()))
     flown = run(page, out=out, observers=watchers)
     if not quiet:
-        render_table(flown.metrics, Console(stderr=to_stdout), log=flown.directory)
-    if to_stdout:
-        sys.stdout.write(to_json(flown.metrics))
-    elif json:
-        write_json(json, flown.metrics)
+        render_table(flown.metrics, Console(stderr=is_stdout(json)), log=flown.directory)
+    put_json(json, flown.metrics)
     return flown.exit_code
 
 

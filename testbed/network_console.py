@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
 from testbed.errors import InputError
-from testbed.metrics.document import replacing, to_json, write_json
+from testbed.metrics.document import replacing
 from testbed.metrics.network import NOTHING, percent
 from testbed.network.links import Fate
 from testbed.network.report import LOSSES, word
+from testbed.outputs import is_stdout, put_json, refuse_files
+from testbed.progress import counting
 from testbed.scenario import Scenario, load
 from testbed.sim.run import stopping
 from testbed.sim.sounding import Heard, sound
@@ -43,8 +42,7 @@ def send_and_show(
     json: Path | None,
 ) -> None:
     """Send the messages, print what became of them, and write what was asked for."""
-    to_stdout = json is not None and str(json) == "-"
-    _refuse_files(out=out, json=None if to_stdout else json)
+    refuse_files(out=out, json=json)
     if out and out.suffix.lower() != ".csv":
         raise InputError(f"--out {out}: write a name that ends in .csv")
     if out and json and out.absolute() == json.absolute():
@@ -55,8 +53,9 @@ def send_and_show(
         overrides = (*overrides, f"scenario.seed={seed}")
     page = load(scenario, overrides)
     _refuse_rows(page, packets)
-    with stopping() as stop, _progress("sent", packets * len(page.aircraft_names)) as tell:
-        sounding = sound(page, packets, keep=out is not None, tell=tell, stop=stop)
+    count = packets * len(page.aircraft_names)
+    with stopping() as stop, counting("network", of=count, done=" sent") as show:
+        sounding = sound(page, packets, keep=out is not None, tell=show, stop=stop)
         if stop():
             raise KeyboardInterrupt
     document = {
@@ -67,24 +66,11 @@ def send_and_show(
     }
     if out and sounding.heard:
         _save(out, page.aircraft_names, sounding.heard)
-    console = Console(stderr=to_stdout, highlight=False)
+    console = Console(stderr=is_stdout(json), highlight=False)
     _show(console, document)
     if out:
         console.print(f" messages  {out}", soft_wrap=True)
-    if to_stdout:
-        sys.stdout.write(to_json(document))
-    elif json:
-        write_json(json, document)
-
-
-def _refuse_files(**paths: Path | None) -> None:
-    for name, path in paths.items():
-        if path is None:
-            continue
-        if not path.absolute().parent.is_dir():
-            raise InputError(f"--{name} {path}: there is no folder {path.absolute().parent}")
-        if path.is_dir():
-            raise InputError(f"--{name} {path}: this is a folder; write the name of a file")
+    put_json(json, document)
 
 
 def _refuse_rows(page: Scenario, packets: int) -> None:
@@ -99,40 +85,18 @@ def _refuse_rows(page: Scenario, packets: int) -> None:
         )
 
 
-@contextmanager
-def _progress(done: str, total: int) -> Iterator[Callable[[int], None]]:
-    """A bar on stderr while messages are sent or written; nothing where that is no terminal."""
-    console = Console(stderr=True)
-    bar = Progress(
-        TextColumn("[bold]{task.description}"),
-        BarColumn(bar_width=None),
-        TextColumn("{task.completed:,.0f} of {task.total:,.0f} " + done),
-        TimeRemainingColumn(compact=True),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    )
-    with bar:
-        task = bar.add_task("network", total=total)
-
-        def tell(number: int) -> None:
-            bar.update(task, completed=number)
-
-        yield tell
-
-
 def _save(path: Path, names: Sequence[str], heard: Heard) -> None:
-    written = 0
+    rows, written = len(heard.fate) * (len(names) - 1) ** 2, 0
     try:
-        with replacing(path) as file, _progress("written", heard.fate.size) as tell:
+        with replacing(path) as file, counting("network", of=rows, done=" written") as show:
             file.write(HEADER)
             for m, source in enumerate(names):
                 sent = [f"{k},{time!r}" for k, time in enumerate(heard.sent_s[:, m].tolist())]
                 for i, destination in enumerate(names[1:]):
                     if m != i + 1:
                         file.writelines(_rows(f"{source},{destination}", sent, heard, i, m))
-                    written += len(sent)
-                    tell(written)
+                        written += len(sent)
+                        show(written, rows)
     except OSError as error:
         raise InputError(f"--out {path}: cannot write it: {error.strerror}") from error
 

@@ -1,9 +1,10 @@
-"""A progress bar as an observer: simulated time, speed against real time, time left."""
+"""Progress bars: of a run, as an observer, and of anything that is counted."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
@@ -55,3 +56,34 @@ class ProgressBar:
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
         """Take the bar away."""
         self._progress.stop()
+
+
+@contextmanager
+def counting(what: str, *, of: int = 0, done: str = "") -> Iterator[Callable[[int, int], None]]:
+    """A bar on standard error, silent where that is no terminal, for as long as the block lasts.
+
+    Args:
+        what: is shown before the bar.
+        of: how many there will be, if that is known.
+        done: after the numbers, with a blank.
+
+    Yields:
+        A function that moves the bar: how many are done, and of how many.
+    """
+    console = Console(stderr=True)
+    bar = Progress(
+        TextColumn("[bold]{task.description}"),
+        BarColumn(bar_width=None),
+        TextColumn("{task.completed:,.0f} of {task.total:,.0f}" + done),
+        TimeRemainingColumn(compact=True),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    )
+    with bar:
+        task = bar.add_task(what, total=of)
+
+        def show(number: int, of: int) -> None:
+            bar.update(task, completed=number, total=of)
+
+        yield show

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +30,6 @@ def transmit(
     period_s: float | Array,
     phase_s: float | Array = 0.0,
     faded: Array | None = None,
-    tell: Callable[[int], None] | None = None,
 ) -> Transmission:
     """Send this many messages on every link.
 
@@ -41,7 +39,6 @@ def transmit(
         period_s: from message to message of each aircraft (N,) or all.
         phase_s: the first message of each aircraft (N,) or all.
         faded: (n, N) probability of being lost to distance and airframes.
-        tell: called with k now and then.
     """
     n, aircraft = channel.links.shape
     rows, traffic = np.arange(aircraft), idle(channel)
@@ -54,8 +51,6 @@ def transmit(
     for k in range(packets):
         number = np.full(aircraft, k)
         both[k], fate[k] = FATES(channel, traffic, rows, number, sent[k], script, untold, fading)
-        if tell and k % 1000 == 0:
-            tell(k)
     both.sort(axis=-1)
     both[np.isinf(both)] = np.nan
     copies = np.isfinite(both).sum(axis=-1).astype(np.uint8)

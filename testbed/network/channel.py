@@ -172,14 +172,13 @@ def _netem(part: float) -> int:
 def _put_jitter(
     record: Links, jitter: Jitter, quantiles: list[Array], tables: list[NDArray[np.int16]]
 ) -> None:
+    record["in_order"] = jitter.in_order
     if not (jitter.spread_s or jitter.distribution == "empirical"):
-        record["in_order"] = jitter.in_order
         return
     kind = JITTERS[jitter.distribution]
     record["jitter"], record["spread"] = kind, jitter.spread_s
     if record["netem"]:
         record["spread"] = min(jitter.spread_s, NETEM_LONGEST_S)
-    record["in_order"] = jitter.in_order
     record["blend"][DELAY] = _netem(jitter.correlation)
     delay = float(record["delay"])
     if kind == LOGNORMAL:

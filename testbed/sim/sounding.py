@@ -39,7 +39,7 @@ def sound(
     packets: int,
     *,
     keep: bool,
-    tell: Callable[[int], None] | None = None,
+    tell: Callable[[int, int], None] | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Sounding:
     """Send this many messages on every link of a page, as in a flight that stays as it began.
@@ -51,7 +51,7 @@ def sound(
         page: whose network.
         packets: K.
         keep: whether to return them one by one.
-        tell: called now and then with how many messages, of K N, were sent.
+        tell: called now and then with how many messages were sent, and of how many.
         stop: asked before each round.
 
     Raises:
@@ -96,7 +96,7 @@ def sound(
             _put(heard, number[rows], rows, sent_s[rows], arrivals, fate)
         number += who
         if tell and round_ % TELL == 0:
-            tell(int(number.sum()))
+            tell(int(number.sum()), packets * aircraft)
     radio.deliver(np.inf)
     return Sounding(radio.summary(), heard)
 

@@ -371,9 +371,7 @@ def test_a_neighbour_held_in_its_slot_pulls_as_the_leader_does(step, way):
     joined.gains[:, 2] = 0.0
     held, _ = step(law, NOW, own, unhear(inbox, np.s_[:, 2], way), memory)
     pulled, _ = step(joined, NOW, own, inbox, memory)
-    for name in held._fields:
-        ours, theirs = getattr(held, name), getattr(pulled, name)
-        np.testing.assert_allclose(ours, theirs, rtol=1e-10, atol=1e-10, err_msg=name)
+    assert_same(held._asdict(), pulled._asdict(), rtol=1e-10, atol=1e-10)
 
 
 @each_engine
@@ -403,9 +401,7 @@ def test_a_neighbour_that_is_held_is_a_slot_of_the_formation(step, way):
     heard, _ = step(law, NOW, own, told_so, memory)
     assert np.abs(held.turn).max() > 0.01
     # differences of 1e-4 s err by 1e-8 of a rate of some 10 m/s
-    for name in held._fields:
-        ours, theirs = getattr(held, name), getattr(heard, name)
-        np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-6, err_msg=name)
+    assert_same(held._asdict(), heard._asdict(), rtol=1e-6, atol=1e-6)
 
 
 @each_engine

@@ -1,0 +1,43 @@
+"""Where commands put what they were asked to write: files, or - for standard output."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from testbed.errors import InputError
+from testbed.metrics.document import to_json, write_json
+
+
+def is_stdout(path: Path | None) -> bool:
+    """Whether an option asks for standard output, so that all else belongs on standard error."""
+    return str(path) == "-"
+
+
+def refuse_files(**paths: Path | None) -> None:
+    """Refuse options, by their names, whose files cannot be written; before work is done for them.
+
+    Raises:
+        InputError: there is no such folder, or the file is one.
+    """
+    for name, path in paths.items():
+        if path is None or is_stdout(path):
+            continue
+        if not path.absolute().parent.is_dir():
+            raise InputError(f"--{name} {path}: there is no folder {path.absolute().parent}")
+        if path.is_dir():
+            raise InputError(f"--{name} {path}: this is a folder; write the name of a file")
+
+
+def put_json(path: Path | None, document: Mapping[str, Any]) -> None:
+    """Write a document where it was asked for, if it was.
+
+    Raises:
+        InputError: it cannot be written there.
+    """
+    if is_stdout(path):
+        sys.stdout.write(to_json(document))
+    elif path:
+        write_json(path, document)
