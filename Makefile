@@ -52,20 +52,22 @@ check-all: test wheel
 	@build/fresh/bin/python -m pip install --quiet --disable-pip-version-check --no-deps dist/*.whl
 	@cd build && fresh/bin/testbed run simulation-3 --duration 30 --out fresh/run
 
-# What everything around the flight model costs, as a ratio to bare JSBSim; coherent air on top; and
-# the radio of 100 aircraft.
+# What everything around the flight model costs, as a ratio to bare JSBSim; coherent air and estimates
+# on top; and the radio of 100 aircraft.
 bench: $(STAMP)
 	@$(BIN)/python benchmarks/full_over_bare.py $(ARGS)
 	@$(BIN)/python benchmarks/page_cost.py --set air.turbulence.model=coherent
+	@$(BIN)/python benchmarks/page_cost.py --set leader.sensors=pixhawk --set 'fleet.*.sensors=pixhawk'
 	@$(BIN)/python benchmarks/network_cost.py
 
-# Flies every row of the tables in docs/simulations.md, experiments.md, air.md and network.md and writes
-# them there.
+# Flies every row of the tables in docs/simulations.md, experiments.md, air.md, network.md and sensors.md
+# and writes them there.
 results: $(STAMP)
 	@$(BIN)/python benchmarks/results.py --into docs/simulations.md $(ARGS)
 	@$(BIN)/python benchmarks/experiments.py --into docs/experiments.md $(ARGS)
 	@$(BIN)/python benchmarks/air.py --into docs/air.md $(ARGS)
 	@$(BIN)/python benchmarks/network.py --into docs/network.md $(ARGS)
+	@$(BIN)/python benchmarks/sensors.py --into docs/sensors.md $(ARGS)
 
 # Holds the network's arithmetic to this kernel's own tc netem, as root, who leaves no files behind.
 netem: SUDO = $(if $(filter 0,$(shell id -u)),,sudo)

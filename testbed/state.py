@@ -148,7 +148,28 @@ class FormationState(NamedTuple):
     flight_path_angle_desired: Array  # (n,) rad
     guards: Flags  # (n,) bit set of formation.flags.Guard
     saturations: Flags  # (n,) bit set of formation.flags.Saturation
+    place: Counts  # (n,) whose place of the formation it takes to be its own, a row of the N
     age_s: Array  # (n, n + 1) age of what agent i used of aircraft j, s; nan: not used
+    # (n, 3) m, the error where everyone were where it believes to be; error_ned itself where all
+    # estimates are exact
+    believed_ned: Array
+
+
+class Failing(NamedTuple):
+    """What is broken now in N aircraft; surfaces in the order of `vehicle.breakage.SURFACES`."""
+
+    power: Array  # (N,) 0..1, share of the throttle that reaches the motor
+    stuck: Truths  # (N, 5) surfaces that do not move
+    stuck_at: Array  # (N, 5) -1..1 where; nan: where they were
+    floating: Truths  # (N, 5) surfaces that nothing holds
+    floats: Array  # (N, 5) deflection of those per angle of the flow, rad/rad
+    frozen: Truths  # (N,) the autopilot hangs: servos keep what they were told last
+    charge: Array  # (N,) 0..1 to which the battery drops at this moment; nan: it does not
+    pitot_blocked: Truths  # (N,)
+    pitot_drained: Truths  # (N,) the drain of a blocked pitot tube is open
+    gps_lost: Truths  # (N,)
+    gps_jump: Array  # (N, 3) m NED, by which every fix is off
+    mute: Truths  # (N,) sends nothing
 
 
 class LinkCounts(NamedTuple):
@@ -180,6 +201,7 @@ class Frame(NamedTuple):
     surfaces: Surfaces  # (N)
     formation: FormationState  # (n)
     links: LinkCounts  # (n, N)
+    lost: Truths  # (N,) on the ground, broken or collided, now or before
     events: tuple[Event, ...] = ()
 
 

@@ -90,9 +90,15 @@ class Air:
                 euler,
             )
             # one drift for all trails: who feels them flies near to who sheds them
-            self._drift = self._drift + self._dt * ambient[self._wakes.sheds].mean(axis=0)
+            if self._wakes.sheds.any():
+                self._drift = self._drift + self._dt * ambient[self._wakes.sheds].mean(axis=0)
             wind = wind + washed
         return AirFelt(wind, rates, roll)
+
+    def remove(self, rows: Truths) -> None:
+        """Forget the trails of these aircraft (N,), which are lost; they shed and feel no more."""
+        if self._wakes is not None:
+            self._wakes.remove(rows)
 
     def gusts_inside(self, now: float, position_ned: Array) -> Truths | None:
         """Which gusts reach which aircraft at (N, 3) m: (G, N), or None without gusts."""

@@ -234,6 +234,11 @@ class Wakes:
         """(N,) whether it leaves a trail."""
         return self._tables.sheds
 
+    def remove(self, rows: Truths) -> None:
+        """Leave out the trails of these (N,), and what they feel."""
+        tables = self._tables
+        self._tables = tables._replace(sheds=tables.sheds & ~rows, feels=tables.feels & ~rows)
+
     def step(
         self, position_air: Array, velocity_air_ned: Array, acceleration_ned: Array, euler: Array
     ) -> tuple[Array, Array]:

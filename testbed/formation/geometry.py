@@ -41,12 +41,12 @@ def slots(
         frame: R_g (n, 3, 3), as each agent computes it.
         rate: ω_g (n, 3) rad/s in that frame.
         acceleration: ω̇_g (n, 3) rad/s²; the paper neglects it: zero.
-        offsets: υ (m, 3), m: forward, right, down.
+        offsets: υ (m, 3), or (n, m, 3) as each agent knows them, m: forward, right, down.
 
     Returns:
         Three arrays (n, m, 3): metres, m/s and m/s², resolved in NED.
     """
-    upsilon = np.empty((len(frame), len(offsets), 3))
+    upsilon = np.empty((len(frame), *offsets.shape[-2:]))
     upsilon[:] = offsets
     turning = cross(rate, upsilon)
     curving = cross(rate, turning) + cross(acceleration, upsilon)

@@ -165,7 +165,7 @@ def errors_of(
                 position, velocity = kept_at(frame, rates, leader, place[i, m])
             else:
                 continue
-        a, b, c = offsets[m]
+        a, b, c = offsets[i, m]
         da, db, dc = cross(rates[0], rates[1], rates[2], a, b, c)
         a, b, c = to_ned(cs, ss, cg, sg, a, b, c)
         da, db, dc = to_ned(cs, ss, cg, sg, da, db, dc)

@@ -39,7 +39,9 @@ class PaperLaw:
     """The gains and options of n agents; every array has one row for each, unless it says more."""
 
     agents: NDArray[np.intp]  # (n,) their rows among the N aircraft; the leader's is 0
-    offsets: Array  # υ (N, 3) m, the leader's zero first: forward, right, down in its frame
+    # υ (N, 3) m, the leader's zero first: forward, right, down in its frame; or (n, N, 3), as each
+    # agent knows them
+    offsets: Array
     gains: Array  # (n, N, 3) β_i for the leader, β_ij for the others, per axis of NED
     k: Array  # (n,) m/s over ρ̄, the largest speed at which an error is closed, (7)
     a: Array  # (n,) 1/s
@@ -78,6 +80,11 @@ class PaperLaw:
     ) -> tuple[UnicycleCommand, Memory]:
         """One control step of every follower; see `law.Law`."""
         return STEP(self, now, own, inbox, memory)
+
+    @cached_property
+    def known_offsets(self) -> Array:
+        """υ (n, N, 3) m as each agent knows them."""
+        return np.broadcast_to(self.offsets, self.gains.shape).copy()
 
     @cached_property
     def table(self) -> Any:  # noqa: ANN401 - a structured array

@@ -31,7 +31,7 @@ def paper_step(law, now, own, inbox, memory):
         place, place_time_s = place.copy(), place_time_s.copy()
     told, acceleration, after = _step(
         law.table,
-        law.offsets,
+        law.known_offsets,
         law.gains,
         law.from_timestamp,
         law.bounds_of_airspeed,
@@ -160,7 +160,7 @@ def _step(
                 0.0,
                 curl * cosine - turning * climbing * sine,
             )
-        x, y, z = offsets[agent.row]
+        x, y, z = offsets[i, agent.row]
         chi = to_ned(cs, ss, cg, sg, x, y, z)
         a, b, c = cross(rates[0], rates[1], rates[2], x, y, z)
         chi_rate = to_ned(cs, ss, cg, sg, a, b, c)

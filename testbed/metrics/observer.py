@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from testbed.metrics import estimates
 from testbed.metrics import tally as tallying
-from testbed.metrics.speeds import Ticks
+from testbed.metrics.block import Block, Ticks
 from testbed.metrics.summary import summarise
-from testbed.metrics.tally import BLOCK, Block, Windows
-from testbed.state import Array, Event, Frame, RunInfo
+from testbed.metrics.tally import BLOCK, Windows
+from testbed.state import Array, Event, Frame, RunInfo, Truths
 
 
 class MetricsObserver:
@@ -48,8 +50,10 @@ class MetricsObserver:
         self._tally = tallying.empty(len(spans), followers)
         self._events = []
         self._tick = np.zeros(BLOCK, dtype=np.int64)
-        columns = 11 * aircraft + 8 * followers
-        self._rows = np.empty((BLOCK, columns))
+        self._rows = np.empty((BLOCK, 12 * aircraft + 9 * followers))
+        # what the estimates add to these rows, in those of them whose estimates err
+        self._beliefs = np.zeros((BLOCK, estimates.COLUMNS * aircraft + 3 * followers))
+        self._errs = np.zeros(BLOCK, dtype=np.bool_)
         self._filled = 0
 
     def observe(self, frame: Frame) -> None:
@@ -67,10 +71,16 @@ class MetricsObserver:
                 frame.air.wind_ned,
                 frame.air.roll_coefficient,
                 frame.command.throttle,
+                frame.lost,
+                formation.place,
             ),
             axis=None,
             out=self._rows[row],
         )
+        if frame.estimate is not frame.truth:
+            self._errs[row] = True
+            believed = (*estimates.errors(frame), formation.believed_ned)
+            np.concatenate(believed, axis=None, out=self._beliefs[row])
         self._tick[row] = frame.tick
         self._filled = row + 1
         if frame.events:
@@ -78,6 +88,7 @@ class MetricsObserver:
         if self._filled == BLOCK:
             self._tally = self._folded()
             self._filled = 0
+            self._errs[:] = False
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
         """Nothing is left to do: `summary` counts the rows of an open block too."""
@@ -100,7 +111,11 @@ class MetricsObserver:
 
     def _folded(self) -> tallying.Tally:
         assert self._info is not None
-        block = _block(self._rows[: self._filled], self._tick[: self._filled], self._info)
+        filled = slice(self._filled)
+        aircraft, errs = len(self._info.names), self._errs[filled]
+        block = _block(self._rows[filled], self._tick[filled], aircraft)
+        if errs.any():
+            block = _with_estimates(block, self._beliefs[filled], errs)
         return tallying.fold(
             self._tally,
             block,
@@ -110,23 +125,44 @@ class MetricsObserver:
         )
 
 
-def _block(rows: Array, tick: Ticks, info: RunInfo) -> Block:
-    """Give the columns of rows (K, columns) their names and shapes."""
-    frames, aircraft, followers = len(rows), len(info.names), len(info.names) - 1
+def _block(rows: Array, tick: Ticks, aircraft: int) -> Block:
+    """Give the columns of rows (K, columns) their names and shapes; estimates are exact."""
+    frames, followers = len(rows), aircraft - 1
     widths = [3 * aircraft, 3 * aircraft, 3 * followers, 3 * followers, followers, followers]
-    widths += [3 * aircraft, aircraft]
-    position, euler, error, slot, guards, saturations, wind, roll, throttle = np.split(
+    widths += [3 * aircraft, aircraft, aircraft, aircraft]
+    position, euler, error, slot, guards, saturations, wind, roll, throttle, lost, place = np.split(
         rows, np.cumsum(widths), axis=1
     )
+    error_ned = error.reshape(frames, followers, 3)
     return Block(
         tick=tick,
         position_ned=position.reshape(frames, aircraft, 3),
         bank=euler[:, 0],
-        error_ned=error.reshape(frames, followers, 3),
+        error_ned=error_ned,
         slot_ned=slot.reshape(frames, followers, 3),
+        place=place,
         guards=guards.astype(np.int64),
         saturations=saturations.astype(np.int64),
         wind_ned=wind.reshape(frames, aircraft, 3),
         roll_coefficient=roll,
         throttle=throttle,
+        lost=lost.astype(np.bool_),
+        believed_ned=error_ned,
+        off=(),
+    )
+
+
+def _with_estimates(block: Block, beliefs: Array, errs: Truths) -> Block:
+    """The block with what the estimates add in the rows (K,) whose estimates err."""
+    frames, aircraft = block.lost.shape
+    beliefs = np.where(errs[:, None], beliefs, 0.0)
+    widths = np.array([3, 3, 3, 1]) * aircraft
+    position, velocity, euler, airspeed, believed = np.split(beliefs, np.cumsum(widths), axis=1)
+    vectors = (each.reshape(frames, aircraft, 3) for each in (position, velocity, euler))
+    return replace(
+        block,
+        believed_ned=np.where(
+            errs[:, None, None], believed.reshape(block.error_ned.shape), block.error_ned
+        ),
+        off=(*vectors, airspeed),
     )

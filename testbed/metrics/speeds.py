@@ -11,12 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from testbed.metrics.block import NEVER, Ticks
 from testbed.state import Array, Truths
-
-Ticks = NDArray[np.int64]
-NEVER = -1  # a tick that has not happened
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +30,7 @@ class Speeds:
     first_left: Ticks  # (n,)
     tick: Ticks  # (2,) or fewer: of the last frames
     slot_ned: Array  # (2, n, 3) or fewer: m, of the last frames
+    place: Array  # (2, n) or fewer: whose slots those are
     outside: Truths  # (1, n) or none: in the last frame the speed was outside its set
 
 
@@ -46,6 +44,7 @@ def empty(portions: int, followers: int) -> Speeds:
         first_left=np.full(followers, NEVER, dtype=np.int64),
         tick=np.zeros(0, dtype=np.int64),
         slot_ned=np.zeros((0, followers, 3)),
+        place=np.zeros((0, followers)),
         outside=np.zeros((0, followers), dtype=np.bool_),
     )
 
@@ -55,6 +54,7 @@ def fold(
     *,
     tick: Ticks,
     slot_ned: Array,
+    place: Array,
     outside: Truths,
     spans: Sequence[tuple[float, float]],
     base_rate_hz: int,
@@ -66,6 +66,7 @@ def fold(
         speeds: of the frames before.
         tick: (K,) of the base rate, K > 0.
         slot_ned: (K, n, 3) m.
+        place: (K, n) whose slots they are; who goes to another has no speed to keep up with.
         outside: (K, n) the speed was outside its set.
         spans: start and end of each portion, s.
         base_rate_hz: ticks in a second.
@@ -73,9 +74,10 @@ def fold(
     """
     ticks = np.concatenate((speeds.tick, tick))
     slots = np.concatenate((speeds.slot_ned, slot_ned))
+    places = np.concatenate((speeds.place, place))
     inside = ~np.concatenate((speeds.outside, outside))
     leaving = inside[:-1] & ~inside[1:]
-    at, both = _both_ways(ticks, slots, base_rate_hz, medium_ned)
+    at, both = _both_ways(ticks, slots, places, base_rate_hz, medium_ned)
     smallest, ever, ever_tick = speeds.smallest, speeds.smallest_ever, speeds.smallest_tick
     if at.size:
         time_s = at / base_rate_hz
@@ -98,19 +100,20 @@ def fold(
         ),
         tick=ticks[-2:],
         slot_ned=slots[-2:].copy(),  # a view would keep the whole block
+        place=places[-2:].copy(),
         outside=outside[-1:],
     )
 
 
 def _both_ways(
-    tick: Ticks, slot_ned: Array, base_rate_hz: int, medium_ned: Array
+    tick: Ticks, slot_ned: Array, place: Array, base_rate_hz: int, medium_ned: Array
 ) -> tuple[Ticks, Array]:
     """The ticks (K − 2,) with a frame on either side, and ± ‖q̇_g + χ̇_i‖ (2, K − 2, n) there.
 
-    A slot that is not a number, behind a lost leader, never is the smallest.
+    A slot that is not a number, behind a lost leader, or another's before, never is the smallest.
     """
     period = (tick[2:] - tick[:-2]) / base_rate_hz
     velocity = (slot_ned[2:] - slot_ned[:-2]) / period[:, None, None] - medium_ned
     speed = np.sqrt(np.sum(velocity**2, axis=-1))
     both = np.stack((speed, -speed))
-    return tick[1:-1], np.where(np.isnan(both), np.inf, both)
+    return tick[1:-1], np.where(np.isnan(both) | (place[2:] != place[:-2]), np.inf, both)

@@ -11,8 +11,8 @@ import numpy as np
 
 from testbed.formation.assumptions import largest_kappa
 from testbed.formation.flags import Guard, Saturation
-from testbed.metrics import wind
-from testbed.metrics.speeds import NEVER, Ticks
+from testbed.metrics import estimates, wind
+from testbed.metrics.block import NEVER, Ticks
 from testbed.metrics.tally import Tally, Windows
 from testbed.state import Array, Event, RunInfo
 
@@ -32,6 +32,7 @@ def summarise(
     RMS errors are [HBH23] eqs. (30), (31) with the integral as the sum over frames. The percent
     error is that of its Table 1: the RMS of ‖q̃_i‖/‖χ_i‖, averaged over the followers. κ as
     measured is the largest with which Assumption 1 held: negative where a slot left the bounds.
+    A lost aircraft counts until it was lost; behind a lost leader there are no slots.
     """
     followers = info.names[1:]
     paired = tally.separation_tick != NEVER
@@ -51,13 +52,14 @@ def summarise(
         "min_separation_m": _number(tally.separation),
         "min_separation_at_s": _time(tally.separation_tick, info),
         "min_separation_between": closest,
-        "engaged_at_s": _times(tally.engaged, info),
+        "lost_at_s": _times(tally.lost, info.names, info),
+        "engaged_at_s": _times(tally.engaged, followers, info),
         "max_error_m": _numbers(tally.largest_ever, followers),
         "leader_bank_deg": _number(math.degrees(tally.bank_ever)),
         "guards": _flags(Guard, tally.guarded, tally.guards, info),
         "saturations": _flags(Saturation, tally.saturated, tally.saturations, info),
         **_kappa(tally.speeds.smallest_ever, info),
-        "kappa_at_s": _times(_tightest(tally, info), info),
+        "kappa_at_s": _times(_tightest(tally, info), followers, info),
         "kappa_assumed_mps": dict(zip(followers, info.kappa_mps, strict=True)),
         "left_speed_set": {
             name: {
@@ -75,8 +77,9 @@ def summarise(
         },
         "age_of_information_s": {name: {"mean": None, "max": None} for name in followers},
         "network": None,
-        "mean_throttle": _numbers(tally.throttle / max(tally.frames, 1), info.names),
-        "wind": wind.summarise(tally.wind, info.names),
+        "mean_throttle": _numbers(tally.throttle / np.maximum(tally.alive, 1), info.names),
+        "wind": wind.summarise(tally.wind, info.names, tally.alive),
+        **estimates.summarise(tally.estimates, info.names, frames=tally.alive, paired=tally.paired),
         "published": None if published is None else dict(published),
         "events": [
             {"time_s": e.time_s, "level": e.level, "source": e.source, "text": e.text}
@@ -97,18 +100,26 @@ def _portion(tally: Tally, p: int, windows: Windows, info: RunInfo) -> dict[str,
         "complete": covered >= end - start - 1.0 / info.frame_rate_hz,
         "rms_m": nothing,
         "mean_rms_m": None,
+        "believed_rms_m": nothing,
+        "believed_mean_rms_m": None,
         "percent_error": None,
         "max_error_m": nothing,
         "leader_bank_deg": None,
         **_kappa(tally.speeds.smallest[:, p], info),
     }
     if count:
-        rms = np.sqrt(tally.square[p] / count)
-        ratio = np.sqrt(tally.square_ratio[p] / count)
+        counted = tally.counted[p]
+        some = counted > 0
+        frames = np.where(some, counted, np.nan)
+        rms = np.sqrt(tally.square[p] / frames)
+        believed = np.sqrt(tally.believed[p] / frames)
+        ratio = np.sqrt(tally.square_ratio[p] / frames)
         out["rms_m"] = _numbers(rms, followers)
-        out["mean_rms_m"] = _mean(rms)
-        out["percent_error"] = _mean(100.0 * ratio)
-        out["max_error_m"] = _numbers(tally.largest[p], followers)
+        out["mean_rms_m"] = _mean(rms[some])
+        out["believed_rms_m"] = _numbers(believed, followers)
+        out["believed_mean_rms_m"] = _mean(believed[some])
+        out["percent_error"] = _mean(100.0 * ratio[some])
+        out["max_error_m"] = _numbers(np.where(some, tally.largest[p], np.nan), followers)
         out["leader_bank_deg"] = _number(math.degrees(tally.bank[p]))
     return out
 
@@ -170,5 +181,5 @@ def _time(tick: int, info: RunInfo) -> float | None:
     return None if tick == NEVER else tick / info.base_rate_hz
 
 
-def _times(ticks: Ticks, info: RunInfo) -> dict[str, float | None]:
-    return {name: _time(int(tick), info) for name, tick in zip(info.names[1:], ticks, strict=True)}
+def _times(ticks: Ticks, names: Sequence[str], info: RunInfo) -> dict[str, float | None]:
+    return {name: _time(int(tick), info) for name, tick in zip(names, ticks, strict=True)}

@@ -6,30 +6,36 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from rich import box
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from testbed.formation.flags import Saturation
-from testbed.metrics import network, wind
+from testbed.metrics import estimates, network, wind
+from testbed.metrics.error_table import (
+    ABREAST,
+    NOTHING,
+    Document,
+    error_table,
+    new_table,
+    show,
+)
 
-Document = Mapping[str, Any]
-ABREAST = 3  # portions that fit side by side in 80 columns
 FOLLOWERS = 12  # followers listed one by one; of more, the worst are shown
 EVENTS = 6
 OUTCOME_STYLES = {"flown": "bold green", "lost": "bold red", "failed": "bold red"}
 EVENT_STYLES = {"error": "red", "warning": "yellow"}
-NOTHING = "–"
 
 
 def render_table(metrics: Document, console: Console, *, log: Path | None = None) -> None:
     """Print a metrics document; `log` is the recording to name at the end."""
     console.print(_headline(metrics))
     portions = list(metrics["portions"])
+    exact = not any(metrics["relative_position_m"].values())
+    listed = _listed(metrics)
     for first in range(0, len(portions), ABREAST):
         console.print()
-        console.print(_errors(metrics, portions[first : first + ABREAST]))
+        console.print(error_table(metrics, portions[first : first + ABREAST], listed, exact=exact))
     source = (metrics.get("published") or {}).get("source")
     if source and portions:
         console.print(Text(f" published: {source}", style="dim"))
@@ -60,63 +66,9 @@ def _headline(metrics: Document) -> Text:
     return line
 
 
-def _table() -> Table:
-    """Rules and no frame; the margin of one column is the padding's."""
-    return Table(box=box.SIMPLE_HEAD, show_edge=False, collapse_padding=True, header_style="")
-
-
-def _errors(metrics: Document, portions: Sequence[str]) -> Table:
-    """RMS errors of some portions side by side, each beside the published ones."""
-    published = metrics.get("published") or {}
-    table = _table()
-    table.add_column(Text("\nRMS error, m", style="bold"), no_wrap=True)
-    for name in portions:
-        start, end = metrics["portions"][name]["window_s"]
-        title = Text.assemble((name, "bold cyan"), f"\n{start:g}–{end:g} s", justify="right")
-        table.add_column(title, justify="right", no_wrap=True)
-        if _has(published, name):
-            table.add_column(Text("\npaper"), justify="right", style="dim", no_wrap=True)
-            table.add_column(Text("\nratio"), justify="right", no_wrap=True)
-    names = _listed(metrics)
-    followers = list(metrics["engaged_at_s"])
-    for name in names:
-        cells: list[Text | str] = [name]
-        for portion in portions:
-            ours = metrics["portions"][portion]["rms_m"][name]
-            theirs = _nth(published.get("rms_m", {}).get(portion), followers.index(name))
-            cells += _cells(ours, theirs, "{:.2f}", _has(published, portion))
-        table.add_row(*cells)
-    if len(names) < len(followers):
-        table.add_row(Text(f"(the worst of {len(followers)})", style="dim"))
-    table.add_section()
-    averages = (("mean", "mean_rms_m", "{:.2f}"), ("error, %", "percent_error", "{:.0f}"))
-    for label, key, form in averages:
-        cells = [Text(label, style="bold")]
-        for portion in portions:
-            theirs = published.get(key, {}).get(portion)
-            ours = metrics["portions"][portion][key]
-            cells += _cells(ours, theirs, form, _has(published, portion))
-        table.add_row(*cells)
-    extremes = (("largest, m", _largest, "{:.2f}"), ("leader bank, °", _bank, "{:.1f}"))
-    for label, value, form in extremes:
-        cells = [Text(label, style="dim")]
-        for portion in portions:
-            cells.append(Text(_show(value(metrics["portions"][portion]), form), style="dim"))
-            cells += ["", ""] if _has(published, portion) else []
-        table.add_row(*cells)
-    if not all(metrics["portions"][name]["complete"] for name in portions):
-        cells = [Text("covered, s", style="yellow")]
-        for portion in portions:
-            covered = metrics["portions"][portion]["covered_s"]
-            cells.append(Text(f"{covered:g}", style="yellow"))
-            cells += ["", ""] if _has(published, portion) else []
-        table.add_row(*cells)
-    return table
-
-
 def _agents(metrics: Document) -> Table:
     """What happened to each follower: when it engaged, what limited it, how old its news was."""
-    table = _table()
+    table = new_table()
     table.add_column(Text("\nfollower", style="bold"), no_wrap=True)
     table.add_column("engaged\nat, s", justify="right")
     table.add_column("guarded\nfor, s", justify="right")
@@ -138,7 +90,7 @@ def _agents(metrics: Document) -> Table:
             _seconds(guards["seconds"]),
             _seconds(limits["seconds"]),
             *(_share(share) for share in shares),
-            _show(metrics["recovery"][name]["last_saturated_s"], "{:.1f}"),
+            show(metrics["recovery"][name]["last_saturated_s"], "{:.1f}"),
             NOTHING if age is None else f"{1e3 * age:.0f}",
         )
     return table
@@ -148,14 +100,20 @@ def _facts(metrics: Document) -> Table:
     table = Table.grid(padding=(0, 1))
     table.add_column(width=20)
     table.add_column()
-    separation = _show(metrics["min_separation_m"], "{:.2f} m")
+    separation = show(metrics["min_separation_m"], "{:.2f} m")
     between = metrics["min_separation_between"]
     if between:
         separation += f", {between[0]} and {between[1]} at {metrics['min_separation_at_s']:.1f} s"
+    lost = {name: at for name, at in metrics["lost_at_s"].items() if at is not None}
+    if lost:
+        table.add_row(" lost", _lost(lost))
     table.add_row(" smallest separation", separation)
-    table.add_row(" leader's bank", _show(metrics["leader_bank_deg"], "{:.1f}° at most"))
+    table.add_row(" leader's bank", show(metrics["leader_bank_deg"], "{:.1f}° at most"))
     if metrics["engaged_at_s"]:
         table.add_row(" kappa measured", _kappa(metrics))
+    believed = estimates.describe(metrics["estimate_error"], metrics["relative_position_m"])
+    if believed:
+        table.add_row(" estimates err by", "\n".join(believed))
     felt = wind.describe(metrics["wind"])
     if felt:
         table.add_row(" wind felt", felt)
@@ -184,6 +142,15 @@ def _kappa(metrics: Document) -> Text:
         f"the page says {assumed[name]:g}",
         style=style,
     )
+
+
+def _lost(lost: Mapping[str, float]) -> Text:
+    """Who was lost when, in order of time."""
+    order = sorted(lost, key=lambda each: lost[each])
+    texts = [f"{name} at {lost[name]:.1f} s" for name in order[:FOLLOWERS]]
+    if len(order) > FOLLOWERS:
+        texts.append(f"{len(order) - FOLLOWERS} more")
+    return Text(", ".join(texts) + "; counted until then", style="red")
 
 
 def _left(left: Mapping[str, Mapping[str, Any]]) -> Text:
@@ -227,41 +194,6 @@ def _listed(metrics: Document) -> list[str]:
 
     worst = set(sorted(followers, key=badness, reverse=True)[:FOLLOWERS])
     return [name for name in followers if name in worst]
-
-
-def _cells(ours: float | None, theirs: float | None, form: str, compared: bool) -> list[Text | str]:
-    value = Text(_show(ours, form))
-    if not compared:
-        return [value]
-    if ours is None or not theirs:
-        return [value, _show(theirs, "{:g}"), NOTHING]
-    ratio = ours / theirs
-    style = "green" if ratio <= 1.0 else "red"
-    value.stylize(style)
-    return [value, f"{theirs:g}", Text(f"{ratio:.2f}", style=style)]
-
-
-def _has(published: Mapping[str, Any], portion: str) -> bool:
-    keys = ("rms_m", "mean_rms_m", "percent_error")
-    return any(portion in (published.get(key) or {}) for key in keys)
-
-
-def _nth(values: Sequence[float] | None, index: int) -> float | None:
-    return values[index] if values is not None and index < len(values) else None
-
-
-def _largest(portion: Mapping[str, Any]) -> float | None:
-    errors = [error for error in portion["max_error_m"].values() if error is not None]
-    return max(errors, default=None)
-
-
-def _bank(portion: Mapping[str, Any]) -> float | None:
-    bank = portion["leader_bank_deg"]
-    return None if bank is None else float(bank)
-
-
-def _show(value: float | None, form: str) -> str:
-    return NOTHING if value is None else form.format(value)
 
 
 def _seconds(value: float) -> str:

@@ -13,30 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.formation.flags import Guard, Saturation
-from testbed.metrics import speeds, wind
-from testbed.metrics.speeds import NEVER, Speeds, Ticks
+from testbed.metrics import estimates, speeds, wind
+from testbed.metrics.block import NEVER, Block, Ticks, first_lost, without_lost, without_slot
+from testbed.metrics.estimates import Estimates
+from testbed.metrics.speeds import Speeds
 from testbed.metrics.wind import Wind
 from testbed.state import Array
 
 BLOCK = 256
 ENGAGED_RADIUS_M = 5.0
 ENGAGED_HOLD_S = 5.0
-
-
-@dataclass(frozen=True, slots=True)
-class Block:
-    """K frames of N aircraft, n = N − 1 of them followers."""
-
-    tick: Ticks  # (K,) of the base rate
-    position_ned: Array  # (K, N, 3) m
-    bank: Array  # (K,) of the leader, rad
-    error_ned: Array  # (K, n, 3) m, position − slot
-    slot_ned: Array  # (K, n, 3) m
-    guards: Ticks  # (K, n)
-    saturations: Ticks  # (K, n)
-    wind_ned: Array  # (K, N, 3) m/s
-    roll_coefficient: Array  # (K, N) of wakes
-    throttle: Array  # (K, N) commanded, 0..1
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,11 +43,14 @@ class Windows:
 class Tally:
     """What remains of the frames folded so far."""
 
-    frames: int
-    first_tick: int
     last_tick: int
+    alive: Ticks  # (N,) frames in which an aircraft was not lost
+    paired: Ticks  # (n,) in which neither a follower nor the leader was
+    lost: Ticks  # (N,) when it was, or NEVER
     count: Ticks  # (P,) frames inside the portion
+    counted: Ticks  # (P, n) of these, those in which neither a follower nor the leader was lost
     square: Array  # (P, n) sum of ‖q̃‖², m²
+    believed: Array  # (P, n) the same of what everyone believes, m²
     square_ratio: Array  # (P, n) sum of (‖q̃‖ / ‖χ‖)²
     largest: Array  # (P, n) ‖q̃‖, m
     bank: Array  # (P,) largest |bank| of the leader, rad
@@ -80,6 +69,7 @@ class Tally:
     speeds: Speeds
     wind: Wind
     throttle: Array  # (N,) sum over the frames
+    estimates: Estimates
 
 
 def empty(portions: int, followers: int) -> Tally:
@@ -92,11 +82,14 @@ def empty(portions: int, followers: int) -> Tally:
         return np.zeros(shape, dtype=np.int64)
 
     return Tally(
-        frames=0,
-        first_tick=NEVER,
         last_tick=NEVER,
+        alive=zeros(followers + 1),
+        paired=zeros(followers),
+        lost=np.full(followers + 1, NEVER, dtype=np.int64),
         count=zeros(portions),
+        counted=zeros(portions, followers),
         square=np.zeros((portions, followers)),
+        believed=np.zeros((portions, followers)),
         square_ratio=np.zeros((portions, followers)),
         largest=np.zeros((portions, followers)),
         bank=np.zeros(portions),
@@ -115,6 +108,7 @@ def empty(portions: int, followers: int) -> Tally:
         speeds=speeds.empty(portions, followers),
         wind=wind.empty(followers + 1),
         throttle=np.zeros(followers + 1),
+        estimates=estimates.empty(followers + 1),
     )
 
 
@@ -124,13 +118,17 @@ def fold(
     """The tally with the frames of a block added; neither argument is changed."""
     if not block.tick.size:
         return tally
-    tick = block.tick
-    error = np.sqrt(np.sum(block.error_ned**2, axis=-1))
-    offset = np.sqrt(np.sum((block.slot_ned - block.position_ned[:, :1]) ** 2, axis=-1))
+    tick, lost = block.tick, block.lost
+    gone = without_slot(lost)
+    since = first_lost(block, tally.lost)
+    if lost.any():
+        block = without_lost(block, since)
+    error = _length(block.error_ned)
+    offset = _length(block.slot_ned - block.position_ned[:, :1])
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = error / offset
+        ratio = np.where(gone, 0.0, error / offset)
     bank = np.abs(block.bank)
-    inside = error <= ENGAGED_RADIUS_M
+    inside = (error <= ENGAGED_RADIUS_M) & ~gone
 
     time_s = tick / base_rate_hz
     masks = [(time_s >= start) & (time_s < end) for start, end in windows.spans]
@@ -138,12 +136,19 @@ def fold(
     closer = separation < tally.separation
     inside_since, engaged = _engage(tally, tick, inside, base_rate_hz)
     saturated = block.saturations != 0
+    square = believed = _sums(error**2, masks)
+    if block.off:
+        # by the same steps as the error's, so that what is as believed gives the same bits
+        believed = _sums(_length(block.believed_ned) ** 2, masks)
     return Tally(
-        frames=tally.frames + tick.size,
-        first_tick=int(tick[0]) if tally.first_tick == NEVER else tally.first_tick,
         last_tick=int(tick[-1]),
+        alive=tally.alive + (~lost).sum(axis=0),
+        paired=tally.paired + (~gone).sum(axis=0),
+        lost=since,
         count=tally.count + np.array([mask.sum() for mask in masks], dtype=np.int64),
-        square=tally.square + _sums(error**2, masks),
+        counted=tally.counted + _sums(~gone, masks).astype(np.int64),
+        square=tally.square + square,
+        believed=tally.believed + believed,
         square_ratio=tally.square_ratio + _sums(ratio**2, masks),
         largest=np.maximum(tally.largest, _largest(error, masks)),
         bank=np.maximum(tally.bank, _largest(bank, masks)),
@@ -163,6 +168,7 @@ def fold(
             tally.speeds,
             tick=tick,
             slot_ned=block.slot_ned,
+            place=block.place,
             outside=block.guards & int(Guard.OUTSIDE_SPEED_SET) != 0,
             spans=windows.spans,
             base_rate_hz=base_rate_hz,
@@ -170,10 +176,19 @@ def fold(
         ),
         wind=wind.fold(tally.wind, block.wind_ned, block.roll_coefficient),
         throttle=tally.throttle + block.throttle.sum(axis=0),
+        estimates=(
+            estimates.fold(tally.estimates, block.off, lost) if block.off else tally.estimates
+        ),
     )
 
 
-def _sums(values: Array, masks: list[NDArray[np.bool_]]) -> Array:
+def _length(vectors: Array) -> Array:
+    """Lengths (...) of vectors (..., 3)."""
+    length: Array = np.sqrt(np.sum(vectors**2, axis=-1))
+    return length
+
+
+def _sums(values: NDArray[Any], masks: list[NDArray[np.bool_]]) -> Array:
     """Sums over the frames of each portion (P, ...) of values (K, ...)."""
     sums = np.array([values[mask].sum(axis=0) for mask in masks])
     return sums.reshape(len(masks), *values.shape[1:])

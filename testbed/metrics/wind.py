@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from testbed.frames import wind_from_deg
+from testbed.metrics.block import Ticks
 from testbed.state import Array
 
 CALM = 1e-6  # m/s; less is rounding
@@ -19,7 +20,6 @@ CALM = 1e-6  # m/s; less is rounding
 class Wind:
     """What remains of the frames folded so far, of N aircraft."""
 
-    frames: int
     total: Array  # (N, 3) sum of the wind, m/s
     square: Array  # (N, 3) and of its squares, m²/s²
     fastest: Array  # (N,) largest speed, m/s
@@ -29,7 +29,6 @@ class Wind:
 def empty(aircraft: int) -> Wind:
     """Of no frames."""
     return Wind(
-        frames=0,
         total=np.zeros((aircraft, 3)),
         square=np.zeros((aircraft, 3)),
         fastest=np.zeros(aircraft),
@@ -38,11 +37,13 @@ def empty(aircraft: int) -> Wind:
 
 
 def fold(wind: Wind, wind_ned: Array, roll_coefficient: Array) -> Wind:
-    """The wind with K more frames of wind (K, N, 3) m/s and rolling moments (K, N) added."""
+    """The wind with K more frames of wind (K, N, 3) m/s and rolling moments (K, N) added.
+
+    Zeros stand for frames that do not count.
+    """
     square = wind_ned**2
     speed = np.sqrt(square.sum(axis=2))
     return Wind(
-        frames=wind.frames + len(wind_ned),
         total=wind.total + wind_ned.sum(axis=0),
         square=wind.square + square.sum(axis=0),
         fastest=np.maximum(wind.fastest, speed.max(axis=0)),
@@ -50,9 +51,12 @@ def fold(wind: Wind, wind_ned: Array, roll_coefficient: Array) -> Wind:
     )
 
 
-def summarise(wind: Wind, names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """By aircraft: its mean wind, the RMS of what is over, the fastest, and what wakes did."""
-    frames = max(wind.frames, 1)
+def summarise(wind: Wind, names: Sequence[str], frames: Ticks) -> dict[str, dict[str, Any]]:
+    """By aircraft: its mean wind, the RMS of what is over, the fastest, and what wakes did.
+
+    Of each aircraft so many frames (N,) count.
+    """
+    frames = np.maximum(frames, 1)[:, None]
     mean = wind.total / frames
     gusts = np.sqrt(np.maximum(wind.square / frames - mean**2, 0.0))
     gusts[gusts < CALM] = 0.0

@@ -12,7 +12,7 @@ from testbed.network.channel import Channel
 from testbed.network.clocks import Clocks, stamps
 from testbed.network.fates import FATES
 from testbed.network.ledger import blank
-from testbed.network.links import Fates
+from testbed.network.links import Fate, Fates
 from testbed.network.post import (
     NOTHING,
     POST_ROUND,
@@ -68,7 +68,12 @@ class Radio:
         return self._read.measured_s
 
     def send(
-        self, sent_s: Array, message: Broadcast, truth: VehicleState, who: Truths | None = None
+        self,
+        sent_s: Array,
+        message: Broadcast,
+        truth: VehicleState,
+        who: Truths | None = None,
+        hushed: Truths | None = None,
     ) -> tuple[Array, Fates]:
         """The aircraft `who` (N,), by default all, send their messages at sent_s (N,).
 
@@ -77,6 +82,7 @@ class Radio:
             message: of all N; its stamps are the true time of its content.
             truth: the motion of all N, on which distances and airframes in the way depend.
             who: (N,)
+            hushed: (N,) whose transmitters are silent; their messages count as not sent.
 
         Returns:
             Arrivals (n, S, 2) s and fates (n, S) of the S messages; see `fates.fates`.
@@ -89,6 +95,8 @@ class Radio:
             self._number = number + who
             sent, number, measured = sent[rows], number[rows], measured[rows]
         script, told, faded = self._befalls(sent, rows, number, truth)
+        if hushed is not None:
+            script = np.where(hushed[rows], np.uint8(Fate.MUTE), script)
         arrivals, fate = FATES(
             self._channel, self._traffic, rows, number, sent, script, told, faded
         )

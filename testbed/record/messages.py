@@ -7,11 +7,11 @@ which carry units. Beside these a log has Foxglove's own messages: `/tf`, `/tf_s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-LOG_SCHEMA = 2  # of the log; raised when a topic or field changes its meaning or goes
+LOG_SCHEMA = 3  # of the log; raised when a topic or field changes its meaning or goes
 
-DOUBLE, FIXED32 = "double", "fixed32"
+DOUBLE, FIXED32, BOOL = "double", "fixed32", "bool"
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,6 +22,7 @@ class Column:
     names: tuple[str, ...]  # one for each component, or the one name of the list
     type: str = DOUBLE
     per_aircraft: bool = False  # one field that lists a number for every aircraft
+    unwritten: str | None = None  # source whose values it has where nothing was written
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +48,8 @@ def _ned(quantity: str, unit: str) -> tuple[str, ...]:
     return tuple(f"{quantity}_{axis}_{unit}" for axis in ("north", "east", "down"))
 
 
-def _motion(who: str) -> tuple[Column, ...]:
-    return (
+def _motion(who: str, *, unwritten: str | None = None) -> tuple[Column, ...]:
+    columns = (
         Column(f"{who}.position_ned", _ned("position", "m")),
         Column(f"{who}.velocity_ned", _ned("velocity", "mps")),
         Column(f"{who}.acceleration_ned", _ned("acceleration", "mps2")),
@@ -57,6 +58,9 @@ def _motion(who: str) -> tuple[Column, ...]:
         Column(f"{who}.airspeed", ("airspeed_mps",)),
         Column(f"{who}.equivalent_airspeed", ("equivalent_airspeed_mps",)),
     )
+    if unwritten is None:
+        return columns
+    return tuple(replace(c, unwritten=c.source.replace(who, unwritten)) for c in columns)
 
 
 STATE = Topic(
@@ -80,10 +84,11 @@ STATE = Topic(
         Column("surfaces.elevator", ("elevator",)),
         Column("surfaces.rudder", ("rudder",)),
         Column("surfaces.throttle", ("throttle",)),
+        Column("lost", ("lost",), BOOL),
     ),
 )
-# Written only where an aircraft's estimate differs from its state.
-ESTIMATE = Topic("estimate", followers_only=False, columns=_motion("estimate"))
+# Written only in chunks in which an estimate differs from the state of its aircraft.
+ESTIMATE = Topic("estimate", followers_only=False, columns=_motion("estimate", unwritten="truth"))
 COMMAND = Topic(
     "command",
     followers_only=False,
@@ -108,9 +113,22 @@ FORMATION = Topic(
         Column("formation.flight_path_angle_desired", ("flight_path_angle_desired_rad",)),
         Column("formation.guards", ("guard_bits",), FIXED32),
         Column("formation.saturations", ("saturation_bits",), FIXED32),
+        # whose place it takes to be its own, in the order of the run's names; the leader's is 0
+        Column("formation.place", ("place",), FIXED32),
         # The age of what the follower used of each aircraft, in the order of the run's names; not
         # a number where it used nothing.
         Column("formation.age_s", ("age_s",), per_aircraft=True),
+    ),
+)
+# The error of the formation where everyone were where it believes to be. Written only in chunks in
+# which it differs from the true one.
+BELIEVED = Topic(
+    "believed",
+    followers_only=True,
+    columns=(
+        Column(
+            "formation.believed_ned", _ned("believed_error", "m"), unwritten="formation.error_ned"
+        ),
     ),
 )
 # Messages since the start on the links to a follower from each aircraft, in the order of the run's
@@ -124,4 +142,4 @@ NETWORK = Topic(
         Column("links.delivered", ("delivered_count",), FIXED32, per_aircraft=True),
     ),
 )
-TOPICS = (STATE, ESTIMATE, COMMAND, FORMATION, NETWORK)
+TOPICS = (STATE, ESTIMATE, COMMAND, FORMATION, BELIEVED, NETWORK)

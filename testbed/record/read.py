@@ -26,6 +26,7 @@ from testbed.state import (
     LinkCounts,
     RunInfo,
     Surfaces,
+    Truths,
     VehicleState,
 )
 
@@ -33,8 +34,10 @@ _NS = 10**9
 _WHOLE = {
     "formation.guards": "u1",
     "formation.saturations": "u1",
+    "formation.place": "u4",
     "links.sent": "u4",
     "links.delivered": "u4",
+    "lost": "?",
 }
 _RecordT = TypeVar("_RecordT")
 
@@ -54,6 +57,7 @@ class Log:
     surfaces: Surfaces  # (K, N)
     formation: FormationState  # (K, n, ...)
     links: LinkCounts  # (K, n, N) zero in frames before the log tells of them
+    lost: Truths  # (K, N)
     events: tuple[Event, ...]
     metrics: Mapping[str, Any] | None  # None: the run did not come to its end
     finished: bool  # False: the writer never closed the file
@@ -70,13 +74,14 @@ def read_log(path: Path) -> Log:
     info = _info(path, contents)
     state = contents.messages.get(f"/{info.names[0]}/{STATE.name}")
     tick = _ticks(state.time_ns if state else [], info)
-    columns: dict[str, Array] = {}
+    columns: dict[str, Any] = {}
     for topic in TOPICS:
-        columns |= _columns(path, contents, topic, info, tick)
+        columns |= _columns(path, contents, topic, info, tick, columns)
     for source, kind in _WHOLE.items():
         # a bit set of a frame that is not there reads as nothing set, a count as none
         columns[source] = np.nan_to_num(columns[source]).astype(kind)
     truth = _assemble(VehicleState, "truth", columns)
+    estimate = _assemble(VehicleState, "estimate", columns)
     metrics = contents.attachments.get(METRICS_NAME)
     return Log(
         info=info,
@@ -84,12 +89,13 @@ def read_log(path: Path) -> Log:
         tick=tick,
         time_s=tick / info.base_rate_hz,
         truth=truth,
-        estimate=_filled(_assemble(VehicleState, "estimate", columns), truth),
+        estimate=truth if _same(estimate, truth) else estimate,
         air=_assemble(AirData, "air", columns),
         command=_assemble(FbwaCommand, "command", columns),
         surfaces=_assemble(Surfaces, "surfaces", columns),
         formation=_assemble(FormationState, "formation", columns),
         links=_assemble(LinkCounts, "links", columns),
+        lost=columns["lost"],
         events=_events(path, contents),
         metrics=None if metrics is None else _json(path, METRICS_NAME, metrics),
         finished=contents.finished,
@@ -103,6 +109,7 @@ def frames(log: Log) -> Iterator[Frame]:
     An event comes with the first frame that is not before it; those after the last frame are
     left to `end`, as in a run.
     """
+    exact = log.estimate is log.truth
     events = sorted(log.events, key=lambda event: event.time_s)
     taken = 0
     for k in range(log.tick.size):
@@ -110,16 +117,18 @@ def frames(log: Log) -> Iterator[Frame]:
         first = taken
         while taken < len(events) and events[taken].time_s <= time_s:
             taken += 1
+        truth = _at(log.truth, k)
         yield Frame(
             tick=int(log.tick[k]),
             time_s=time_s,
-            truth=_at(log.truth, k),
-            estimate=_at(log.estimate, k),
+            truth=truth,
+            estimate=truth if exact else _at(log.estimate, k),
             air=_at(log.air, k),
             command=_at(log.command, k),
             surfaces=_at(log.surfaces, k),
             formation=_at(log.formation, k),
             links=_at(log.links, k),
+            lost=log.lost[k],
             events=tuple(events[first:taken]),
         )
 
@@ -154,24 +163,37 @@ def _ticks(time_ns: list[int], info: RunInfo) -> Any:  # noqa: ANN401
 
 
 def _columns(
-    path: Path, contents: Contents, topic: Topic, info: RunInfo, tick: np.ndarray[Any, Any]
+    path: Path,
+    contents: Contents,
+    topic: Topic,
+    info: RunInfo,
+    tick: np.ndarray[Any, Any],
+    others: Mapping[str, Array],
 ) -> dict[str, Array]:
-    """The arrays (K, agents[, components]) of a topic by source; nan where there is nothing."""
+    """The arrays (K, agents[, components]) of a topic by source.
+
+    Where there is nothing they are those of the other topics that stand for them, or nan.
+    """
     agents = info.names[1:] if topic.followers_only else info.names
+    found = [contents.messages.get(f"/{agent}/{topic.name}") for agent in agents]
+    instead = {c.source: others[c.unwritten] for c in topic.columns if c.unwritten}
+    if instead and not any(each and each.time_ns for each in found):
+        return instead
     kind = layout(topic, len(info.names))
     out: dict[str, Array] = {}
     for column in topic.columns:
         components = len(info.names) if column.per_aircraft else len(column.names)
-        out[column.source] = np.full((tick.size, len(agents), components), np.nan)
-    for i, agent in enumerate(agents):
-        found = contents.messages.get(f"/{agent}/{topic.name}")
-        if found is None or not tick.size:
+        shape = (tick.size, len(agents), components)
+        same = instead.get(column.source)
+        out[column.source] = np.full(shape, np.nan) if same is None else same.reshape(shape).copy()
+    for i, (agent, messages) in enumerate(zip(agents, found, strict=True)):
+        if messages is None or not tick.size:
             continue
-        own = _ticks(found.time_ns, info)
+        own = _ticks(messages.time_ns, info)
         at = np.searchsorted(tick, own)
         known = tick[np.minimum(at, tick.size - 1)] == own
         try:
-            values = kind.decode(found.data)
+            values = kind.decode(messages.data)
         except ValueError as error:
             raise LogError(f"{path}: /{agent}/{topic.name}: {error}") from error
         for source, array in out.items():
@@ -186,16 +208,9 @@ def _assemble(kind: type[_RecordT], name: str, columns: Mapping[str, Array]) -> 
     return kind(**{field: columns[f"{name}.{field}"] for field in kind.__annotations__})
 
 
-def _filled(estimate: VehicleState, truth: VehicleState) -> VehicleState:
-    """The estimate, and the truth where nothing was written because they did not differ."""
-    written = ~np.isnan(estimate.airspeed)
-    if not written.any():
-        return truth
-    values = [
-        np.where(written if ours.ndim == 2 else written[..., None], ours, theirs)
-        for ours, theirs in zip(estimate, truth, strict=True)
-    ]
-    return VehicleState(*values)
+def _same(one: VehicleState, other: VehicleState) -> bool:
+    """Whether these are the same arrays, because nothing was written of one of them."""
+    return all(ours is theirs for ours, theirs in zip(one, other, strict=True))
 
 
 def _events(path: Path, contents: Contents) -> tuple[Event, ...]:

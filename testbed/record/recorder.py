@@ -15,8 +15,8 @@ import numpy as np
 from testbed.frames import geodetic_from_ned, quaternion_xyzw
 from testbed.record.door import LogError, LogFile, Write
 from testbed.record.header import to_json
-from testbed.record.messages import ESTIMATE, LOG_SCHEMA, NETWORK, TOPICS, Topic
-from testbed.record.rows import Rows, all_delivered, estimates_differ
+from testbed.record.messages import BELIEVED, ESTIMATE, LOG_SCHEMA, NETWORK, TOPICS
+from testbed.record.rows import Rows, all_delivered, says_more
 from testbed.record.transforms import Transforms
 from testbed.record.wire import layout
 from testbed.state import Event, Frame, RunInfo
@@ -134,9 +134,7 @@ class McapRecorder:
         """The frames in the rows, one after the other, with the events between them."""
         count, columns = len(self._rows), self._rows.columns()
         time_ns = [tick * _NS // self._info.base_rate_hz for tick in self._rows.tick]
-        unwritten: list[Topic] = []
-        if not estimates_differ(columns):
-            unwritten.append(ESTIMATE)
+        unwritten = [topic for topic in (ESTIMATE, BELIEVED) if not says_more(topic, columns)]
         if all_delivered(columns):  # once a message is lost, no later count is as it was sent
             unwritten.append(NETWORK)
         writes: list[Write] = []

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.record.messages import ESTIMATE, FIXED32, TOPICS, Column
+from testbed.record.messages import BOOL, DOUBLE, TOPICS, Column, Topic
 from testbed.state import Array, Frame
 
 # the records of a Frame in the order of the topics' columns, each with all its fields
@@ -27,8 +27,9 @@ class Rows:
 
         def kind(column: Column, agents: int) -> tuple[str, str, tuple[int, int]]:
             components = aircraft if column.per_aircraft else len(column.names)
-            whole = "u4" if column.per_aircraft else "u1"  # state.Counts, state.Flags
-            number = whole if column.type == FIXED32 else "f8"  # state.Array
+            flags = column.names[0].endswith("_bits")
+            whole = "u1" if flags else "u4"  # state.Flags, state.Counts
+            number = {DOUBLE: "f8", BOOL: "?"}.get(column.type, whole)  # state.Array, state.Truths
             return column.source, number, (agents, components)
 
         self._frames = frames
@@ -57,6 +58,7 @@ class Rows:
             *frame.truth,
             *frame.air,
             *frame.surfaces,
+            frame.lost,
             *frame.estimate,
             *frame.command,
             *frame.formation,
@@ -83,15 +85,15 @@ class Rows:
                 raise TypeError(f"{source}: {array.dtype}{array.shape} instead of {expected}")
 
 
-def estimates_differ(columns: np.ndarray[Any, np.dtype[np.void]]) -> bool:
-    """Whether any estimate differs from the truth."""
+def says_more(topic: Topic, columns: np.ndarray[Any, np.dtype[np.void]]) -> bool:
+    """Whether any value of a topic differs from the one it has where nothing is written."""
 
-    def differs(source: str) -> bool:
+    def differs(column: Column) -> bool:
         # by the bits, so that what is not a number equals itself
-        truth = _bits(columns[source.replace("estimate", "truth")])
-        return not np.array_equal(_bits(columns[source]), truth)
+        same = _bits(columns[column.unwritten or column.source])
+        return not np.array_equal(_bits(columns[column.source]), same)
 
-    return any(differs(column.source) for column in ESTIMATE.columns)
+    return any(differs(column) for column in topic.columns)
 
 
 def all_delivered(columns: np.ndarray[Any, np.dtype[np.void]]) -> bool:

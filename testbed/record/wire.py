@@ -13,13 +13,13 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from testbed.record.messages import DOUBLE, FIXED32, Column, Topic
+from testbed.record.messages import BOOL, DOUBLE, FIXED32, Column, Topic
 from testbed.state import Array
 
 Records: TypeAlias = np.ndarray[Any, np.dtype[np.void]]
 
-_FIXED64, _LENGTH, _FIXED32 = 1, 2, 5  # wire types
-_TYPES = {DOUBLE: ("<f8", _FIXED64), FIXED32: ("<u4", _FIXED32)}
+_VARINT, _FIXED64, _LENGTH, _FIXED32 = 0, 1, 2, 5  # wire types; a truth is a varint of one byte
+_TYPES = {DOUBLE: ("<f8", _FIXED64), FIXED32: ("<u4", _FIXED32), BOOL: ("?", _VARINT)}
 
 
 @dataclass(frozen=True, slots=True)

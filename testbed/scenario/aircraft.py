@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from testbed.scenario.faults import Fault
 from testbed.scenario.fields import (
     Degrees,
     Metres,
@@ -153,6 +154,11 @@ _VEHICLE = (
     "What computes its motion: jsbsim, the aircraft behind its autopilot; or ideal, the extended "
     "unicycle (1) to (4) of [HBH23] itself."
 )
+_SENSORS = (
+    "What its autopilot believes: truth, gps-ins, pixhawk, degraded, or a map of errors, with "
+    "like: pixhawk only of what differs."
+)
+_FAULTS = "What breaks in it, and when."
 Path = Annotated[Mission | Replay | Virtual, Field(discriminator="kind")]
 
 
@@ -189,9 +195,8 @@ class Leader(Section):
         description="Autopilot parameters: <tune>.param of the airframe, or the path of a file.",
     )
     battery: Battery = Field(Battery(), description="Its battery, if the airframe has one.")
-    sensors: Sensors = Field(
-        TRUTH, description="What its autopilot believes: truth, gps-ins, or a map of errors."
-    )
+    sensors: Sensors = Field(TRUTH, description=_SENSORS)
+    faults: tuple[Fault, ...] = Field((), description=_FAULTS)
     start: Start = Field(
         Start(), description="Where it is at time 0, m and degrees; a replay has its own."
     )
@@ -217,6 +222,5 @@ class Follower(Section):
     start_m: Offset = Field(
         description="Start [forward, right, down] of the leader's start along its course, m."
     )
-    sensors: Sensors = Field(
-        TRUTH, description="What its autopilot believes: truth, gps-ins, or a map of errors."
-    )
+    sensors: Sensors = Field(TRUTH, description=_SENSORS)
+    faults: tuple[Fault, ...] = Field((), description=_FAULTS)

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
+from testbed.scenario.fault_checks import check_faults, crafts
 from testbed.scenario.messages import did_you_mean
 from testbed.scenario.network_checks import check_network
+from testbed.scenario.sensors import MEASURE
 
 if TYPE_CHECKING:
     from testbed.scenario.schema import Scenario
@@ -23,6 +25,9 @@ def cross_check(page: Scenario) -> list[Finding]:
         *_formation(page),
         *_agents(page),
         *_kinds(page),
+        *_sensors(page),
+        *check_faults(page),
+        *_limits(page),
         *check_network(page),
         *_wind(page),
         *_turbulence(page),
@@ -113,6 +118,36 @@ def _kinds(page: Scenario) -> Iterator[Finding]:
         yield (
             ("controller", "options"),
             "the paper's law takes no options (write its gains under formation, or leave this out)",
+        )
+
+
+def _sensors(page: Scenario) -> Iterator[Finding]:
+    most = page.rates.autopilot_hz
+    for at, craft in crafts(page):
+        for name in MEASURE:
+            sensor = getattr(craft.sensors, name)
+            rate = getattr(sensor, "rate_hz", 0)
+            if rate > most:
+                yield (
+                    (*at, "sensors", name, "rate_hz"),
+                    f"the {name} measures at {rate} Hz, above rates.autopilot_hz, {most} Hz, at "
+                    f"which sensors are read (write a rate_hz of at most {most})",
+                )
+
+
+def _limits(page: Scenario) -> Iterator[Finding]:
+    collision, separation = page.limits.collision_m, page.limits.separation_m
+    if collision is not None and separation is not None and collision > separation:
+        yield (
+            ("limits", "collision_m"),
+            f"{collision:g} m is above separation_m, {separation:g} m: the warning would come "
+            f"after the collision (write at most {separation:g}, or a larger separation_m)",
+        )
+    if page.formation.on_failure.answer == "re-slot" and page.formation.altitudes_m:
+        yield (
+            ("formation", "on_failure", "answer"),
+            "is re-slot, and altitudes_m names followers whose altitude would stay with them in "
+            "another's slot (write drop, or leave altitudes_m out)",
         )
 
 

@@ -130,6 +130,22 @@ class Agent(Section):
     barrier: BarrierFunction | None = Field(None, description="The function h_i of (14).")
 
 
+class OnFailure(Section):
+    """What the formation does when an aircraft tells that it has failed."""
+
+    answer: Literal["fly-on", "drop", "re-slot"] = Field(
+        "fly-on",
+        description="fly-on: nothing; drop: leave it out of (6); re-slot: leave it out, and the "
+        "followers that are left take the first offsets in the order of the fleet.",
+    )
+    after_s: Seconds = Field(2.0, ge=0, description="From the failure to its being told, s.")
+    clear_m: Metres = Field(
+        30.0,
+        gt=0,
+        description="A place is filled once who failed has told that it is this far from it, m.",
+    )
+
+
 class Formation(Section):
     """Offsets, graph, gains and bounds of the formation law; defaults are [HBH23] Section 9."""
 
@@ -176,6 +192,9 @@ class Formation(Section):
     barrier: BarrierFunction = Field(Barrier(example=5), description="The function h_i of (14).")
     agents: Mapping[Name, Agent] = Field(
         {}, description="By follower, what it has different from the values above."
+    )
+    on_failure: OnFailure = Field(
+        OnFailure(), description="What the others do when an aircraft has failed."
     )
 
 

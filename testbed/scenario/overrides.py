@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from testbed.scenario.messages import Place, Problem, ScenarioError, did_you_mean
-from testbed.scenario.tree import Node
+from testbed.scenario.tree import Node, spelt_out, takes_away
 
 Parse = Callable[[str, str, Path], Node]
 _LINKS = ("network", "links")  # whose maps, by sender and by receiver, have a key '*' for the rest
@@ -20,6 +20,7 @@ def override(tree: Node, text: str, parse: Parse) -> Node:
     stands for every element of a list or map; of network.links also for the page's own '*', so
     that it is every link. A key that is not on the page is added, so that defaults can be changed;
     whether the schema knows it is seen when the page is checked. A value of null takes a key away.
+    A key inside sensors that are a name changes that preset.
 
     Args:
         tree: the page.
@@ -55,6 +56,8 @@ def _set(node: Node, parts: tuple[str, ...], done: tuple[str, ...], new: Node, s
     if not parts:
         return new
     part, rest = parts[0], parts[1:]
+    under = done[-1] if done else ""
+    node = spelt_out(node, under)
     if isinstance(node.value, tuple):
         children = list(node.value)
         for index in _indices(node.value, part, done, source):
@@ -65,7 +68,7 @@ def _set(node: Node, parts: tuple[str, ...], done: tuple[str, ...], new: Node, s
         named = dict(node.value or {})
         for name in _keys(named, part, done, source):
             child = named.get(name, Node(None, new.place, new.place, new.folder))
-            if new.value is None and not rest and name in named:
+            if not rest and new.value is None and takes_away(named, name, under):
                 del named[name]
             else:
                 named[name] = _set(child, rest, (*done, name), new, source)

@@ -23,6 +23,7 @@ from testbed.scenario.fields import (
     Section,
     Whole,
 )
+from testbed.scenario.limits import Limits
 from testbed.scenario.link import Window
 from testbed.scenario.network import Network
 
@@ -100,6 +101,7 @@ class Scenario(Section):
     controller: Controller = Field(Controller(), description="How the followers are controlled.")
     network: Network = Field(Network(), description="The radio between the aircraft.")
     air: Air = Field(Air(), description="The air the aircraft fly in.")
+    limits: Limits = Field(Limits(), description="When an aircraft counts as lost.")
     log: Log = Field(Log(), description="What the run leaves behind.")
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -25,6 +26,10 @@ class Node:
 _KINDS = ("kind", "example")
 # By key, what kind a map is that says none.
 _UNSAID = {"loss": "bernoulli"}
+# A map under this key may say which set of values it changes: null in it is then a value, as is a
+# name in its place all of the set.
+_CHANGED = "sensors"
+_SET = "like"
 
 
 def merge(base: Node, top: Node, name: str = "") -> Node:
@@ -43,11 +48,23 @@ def merge(base: Node, top: Node, name: str = "") -> Node:
             return top
     merged = dict(base.value)
     for key, node in top.value.items():
-        if node.value is None and key in merged:
+        if node.value is None and takes_away(merged, key, name):
             del merged[key]
         else:
             merged[key] = merge(merged[key], node, key) if key in merged else node
     return replace(top, value=merged)
+
+
+def takes_away(named: Mapping[str, Node], key: str, name: str) -> bool:
+    """Tell whether null takes a key out of the map under `name`, or is the value it then has."""
+    return key in named and not (name == _CHANGED and _SET in named and key != _SET)
+
+
+def spelt_out(node: Node, name: str) -> Node:
+    """Return what is under `name` as a map, if it is the name of a set of values."""
+    if name != _CHANGED or not isinstance(node.value, str):
+        return node
+    return replace(node, value={_SET: node})
 
 
 def plain(node: Node) -> Plain:

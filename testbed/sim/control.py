@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,19 @@ from testbed.formation.middle_loop import MiddleLoop, MiddleLoopMemory
 from testbed.formation.paper_law import PaperLaw
 from testbed.frames import course, flight_path_angle
 from testbed.sim.vehicles import choose
-from testbed.state import Array, FbwaCommand, Inbox, Truths, UnicycleCommand, VehicleState
+from testbed.state import (
+    Array,
+    Counts,
+    Event,
+    FbwaCommand,
+    Inbox,
+    Truths,
+    UnicycleCommand,
+    VehicleState,
+)
+
+if TYPE_CHECKING:
+    from testbed.sim.roster import Roster
 
 OUTSIDE, CLIPPED = int(Guard.OUTSIDE_SPEED_SET), int(Guard.SPEED_COMMAND_CLIPPED)
 SILENT = int(Guard.LEADER_SILENT)
@@ -70,9 +82,18 @@ class Group:
 class Control:
     """What the n followers were last told by their own controllers."""
 
-    def __init__(self, groups: tuple[Group, ...], followers: int, aircraft: int) -> None:
-        """Nobody has stepped yet."""
-        self._groups = groups
+    def __init__(self, groups: tuple[Group, ...], offsets: Array, roster: Roster | None) -> None:
+        """Nobody has stepped yet.
+
+        Args:
+            groups: all followers, each in one.
+            offsets: υ (N, 3) m of the followers' places, the leader's zero first.
+            roster: what they make of it that somebody fails; None: nothing.
+        """
+        self.groups, self.offsets, self._roster = groups, offsets, roster
+        followers, aircraft = len(offsets) - 1, len(offsets)
+        self.alone: Truths = np.zeros(followers, dtype=bool)  # (n,) who has left the formation
+        self.places: Counts = np.arange(1, aircraft, dtype=np.uint32)  # (n,) whose place each has
         self._memory: list[tuple[Any, MiddleLoopMemory] | None] = [None] * len(groups)
         n, nothing = followers, np.zeros(followers, dtype=np.uint8)
         self.command = FbwaCommand(np.zeros(n), np.zeros(n), np.zeros(n))
@@ -82,6 +103,25 @@ class Control:
         unknown = np.full(n, np.nan)
         self.diagnosis = Diagnosis(unknown, unknown, unknown, unknown, nothing, nothing)
         self.age_s = np.full((n, aircraft), np.nan)  # of what follower i used of aircraft j
+
+    def learn(self, number: int, now: float, inbox: Inbox, measured_s: Array) -> list[Event]:
+        """What the followers of a group have learnt of who has failed; they act on it from now on.
+
+        Args:
+            number: of the group.
+            now: s.
+            inbox: (n, N)
+            measured_s: (n, N) s, as in `step`.
+        """
+        if self._roster is None:
+            return []
+        learnt = list(self._roster.changes(now, self.groups[number].rows, inbox, measured_s))
+        if learnt:
+            self.groups = tuple(map(self._roster.regrouped, self.groups))
+            self.offsets = self._roster.offsets
+            self.places = self._roster.places.astype(np.uint32)
+            self.alone = self._roster.alone
+        return learnt
 
     def step(
         self, number: int, now: float, own: VehicleState, inbox: Inbox, measured_s: Array
@@ -98,8 +138,10 @@ class Control:
         Returns:
             Who stepped (m,), and the age (m, N) s of what each used of each aircraft; nan: nothing.
         """
-        group = self._groups[number]
-        alone = len(self._groups) == 1
+        group = self.groups[number]
+        if self._roster is not None:
+            inbox = self._roster.heard(inbox)
+        alone = len(self.groups) == 1
         if not alone:
             own, inbox = choose(own, group.rows), choose(inbox, group.rows)
             measured_s = measured_s[group.rows]

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from testbed.network.scripts import Calendar
+from testbed.sim.casualties import Casualties
 from testbed.sim.control import Control
 from testbed.sim.pilots import with_ideal_leader, with_leader
-from testbed.sim.watch import Arrivals, Silence, Staleness, broadcast, formation_state, losses
+from testbed.sim.watch import Arrivals, Silence, Staleness, broadcast, formation_state
 from testbed.sim.world import World
 from testbed.state import Frame, Observer, followers
 
@@ -15,10 +16,10 @@ from testbed.state import Frame, Observer, followers
 def fly(world: World, observers: Sequence[Observer], stop: Callable[[], bool]) -> str:
     """Fly the world to its end; observers get a frame at the log rate.
 
-    At each tick: the truth is read, the air blows where the aircraft are and estimates are made,
-    due broadcasts are sent and what is due arrives, the leader and the followers that are due
-    compute their commands from their own estimate and inbox, autopilots turn these into surfaces,
-    observers look, and everything moves.
+    At each tick: the truth is read, the air blows where the aircraft are, what is due to break
+    breaks and estimates are made, due broadcasts are sent and what is due arrives, the leader and
+    the followers that are due compute their commands from their own estimate and inbox, autopilots
+    turn these into surfaces, observers look, and everything moves.
 
     Args:
         world: as built; its vehicles move.
@@ -30,12 +31,15 @@ def fly(world: World, observers: Sequence[Observer], stop: Callable[[], bool]) -
     """
     clock, vehicles, pilot, air = world.clock, world.vehicles, world.pilot, world.air
     radio, calendar = world.radio, Calendar(world.scripts)
-    control = Control(world.groups, len(world.names) - 1, len(world.names))
+    breakdowns = world.breakdowns
+    control = Control(world.groups, world.offsets, world.roster)
     silence = Silence(world.names[1:], world.groups[0].team.silent_after)
     staleness = Staleness(world.names, world.groups)
     arrivals = Arrivals(world.gusts, world.names)
+    casualties = Casualties(world.names, world.proximity, breakdowns, fly_on=world.fly_on)
     news = list(world.notes)
     lead, turn = (0.0, 0.0, 0.0), None
+    failing, hushed, apart = None, None, control.alone
 
     for tick, ahead, due in clock.schedule(world.duration_s):
         if stop():
@@ -45,16 +49,24 @@ def fly(world: World, observers: Sequence[Observer], stop: Callable[[], bool]) -
         flown_in = vehicles.air() if due.log else None  # what the truth came about in
         if due.autopilot and air is not None:
             vehicles.blow(air.felt(now, truth))
-        estimate = world.estimators.estimate(truth, fresh=due.autopilot)
+        if due.autopilot and breakdowns is not None:
+            news += breakdowns.changes(now, truth, vehicles.air, casualties.gone)
+            failing = breakdowns.failing
+            hushed = failing.mute | failing.frozen | casualties.gone
+        estimate = world.estimators.estimate(truth, fresh=due.autopilot, failing=failing)
 
         if due.broadcast is not None:
             message = broadcast(estimate, now)
             sent_s = message.stamp_s if due.sent_s is None else due.sent_s
-            radio.send(sent_s, message, truth, due.broadcast)
+            radio.send(sent_s, message, truth, due.broadcast, hushed)
         if due.control or due.lead:
             own = followers(estimate)
             inbox = radio.deliver(now)
             for number in due.control:
+                if learnt := control.learn(number, now, inbox, radio.measured_s):
+                    news += learnt
+                    apart = control.alone | casualties.gone[1:]
+                    staleness.heed(control.groups, apart)
                 stepped, ages = control.step(number, now, own, inbox, radio.measured_s)
                 radio.use(stepped, ages)
                 news += staleness.changes(now, stepped, inbox.received_s)
@@ -63,21 +75,25 @@ def fly(world: World, observers: Sequence[Observer], stop: Callable[[], bool]) -
             told = with_leader(lead, control.command)
             if world.ideal:
                 vehicles.steer(with_ideal_leader(turn, control.unicycle))
-            news += silence.changes(now, control.diagnosis.guards)
+            news += silence.changes(now, control.diagnosis.guards, apart)
         if due.autopilot:
             vehicles.act(estimate, told)
+            if failing is not None:
+                vehicles.fail(failing)
+            if lost := list(casualties.changes(now, truth.position_ned, vehicles.lost(truth))):
+                news += lost
+                vehicles.remove(casualties.gone)
+                if air is not None:
+                    air.remove(casualties.gone)
+                hushed = casualties.gone if hushed is None else hushed | casualties.gone
+                apart = control.alone | casualties.gone[1:]
+                staleness.heed(control.groups, apart)
 
         if flown_in is not None:
-            lost = vehicles.lost(truth)
-            over = bool(lost.any())
-            if (
-                air is not None
-                and (reached := air.gusts_inside(now, truth.position_ned)) is not None
-            ):
+            reached = None if air is None else air.gusts_inside(now, truth.position_ned)
+            if reached is not None:
                 news += arrivals.changes(now, reached)
             news = [*calendar.changes(now), *news]  # what is scripted before what comes of it
-            if over:
-                news += losses(now, lost, world.names)
             frame = Frame(
                 tick=tick,
                 time_s=now,
@@ -87,15 +103,22 @@ def fly(world: World, observers: Sequence[Observer], stop: Callable[[], bool]) -
                 command=told,
                 surfaces=vehicles.surfaces,
                 formation=formation_state(
-                    truth, control.diagnosis, control.age_s, world.offsets, world.altitudes
+                    truth,
+                    estimate,
+                    control.diagnosis,
+                    control.age_s,
+                    control.offsets,
+                    control.places,
+                    world.altitudes,
                 ),
                 links=radio.counts(),
+                lost=casualties.gone,
                 events=tuple(news),
             )
             news = []
             for observer in observers:
                 observer.observe(frame)
-            if over:
+            if casualties.over:
                 return "lost"
         vehicles.step(ahead)
-    return "flown"
+    return casualties.outcome

@@ -12,12 +12,14 @@ from testbed.state import (
     AirData,
     AirFelt,
     Array,
+    Failing,
     FbwaCommand,
     Surfaces,
     Truths,
     UnicycleCommand,
     VehicleState,
 )
+from testbed.vehicle.breakage import Servos, broken, resting
 from testbed.vehicle.fbwa import AUTOPILOT, settled
 from testbed.vehicle.ideal import IdealFleet
 from testbed.vehicle.jsbsim_door import JsbsimFleet
@@ -51,6 +53,12 @@ class Vehicles(Protocol):
     def act(self, estimate: VehicleState, told: FbwaCommand) -> None:
         """Let the autopilots fly what they are told; at the autopilot rate."""
 
+    def fail(self, failing: Failing) -> None:
+        """Let what is broken have its way; right after `act`, only in runs that have faults."""
+
+    def remove(self, rows: Truths) -> None:
+        """Stop moving these (N,), which are lost; they read as now from now on."""
+
     def step(self, ticks: int) -> None:
         """Move on by ticks of the base rate."""
 
@@ -65,7 +73,10 @@ class Flown:
         self._memory = settled(fleet.trimmed, gains)
         self.surfaces = fleet.trimmed
         self.read, self.air, self.lost = fleet.read, fleet.air, fleet.lost
-        self.blow = fleet.blow
+        self.blow, self.remove = fleet.blow, fleet.remove
+        self._memory_before = self._memory
+        self._servos: Servos | None = None
+        self._still = np.zeros((len(fleet.trims), 2))
 
     def steer(self, told: UnicycleCommand) -> None:
         """An autopilot takes attitudes, not turns."""
@@ -73,6 +84,22 @@ class Flown:
     def act(self, estimate: VehicleState, told: FbwaCommand) -> None:
         """One period of the autopilots."""
         self.surfaces, self._memory = AUTOPILOT(estimate, told, self._memory, self._gains)
+
+    def fail(self, failing: Failing) -> None:
+        """Break what the autopilots said, and hold the memory of those that hang."""
+        fleet, frozen, before = self.fleet, failing.frozen, self._memory_before
+        # one that hangs from the start has been switched on, and hangs in its first period
+        if before.begun and frozen.any():
+            self._memory.each[frozen] = before.each[frozen]
+            self._memory.commands[:, :, frozen] = before.commands[:, :, frozen]
+        self._memory_before = self._memory
+        servos = self._servos or resting(fleet.trimmed, fleet.rig)
+        flow = self._still
+        if failing.floating.any():
+            air = fleet.air()
+            flow = np.stack((air.alpha, air.beta), axis=1)
+        self.surfaces, self._servos = broken(self.surfaces, servos, failing, flow, fleet.rig)
+        fleet.discharge(failing.charge)
 
     def step(self, ticks: int) -> None:
         """Run the flight models."""
@@ -88,7 +115,7 @@ class Ideal:
         nothing = np.zeros(len(fleet.read().airspeed))
         self.surfaces = Surfaces(nothing, nothing, nothing, nothing)
         self.read, self.air, self.lost = fleet.read, fleet.air, fleet.lost
-        self.step, self.blow = fleet.step, fleet.blow
+        self.step, self.blow, self.remove = fleet.step, fleet.blow, fleet.remove
 
     def steer(self, told: UnicycleCommand) -> None:
         """Fly with this u and ω."""
@@ -96,6 +123,9 @@ class Ideal:
 
     def act(self, estimate: VehicleState, told: FbwaCommand) -> None:
         """There is no autopilot."""
+
+    def fail(self, failing: Failing) -> None:
+        """There is nothing that could break."""
 
 
 class Replayed:
@@ -152,6 +182,12 @@ class Replayed:
     def act(self, estimate: VehicleState, told: FbwaCommand) -> None:
         """It has no autopilot."""
 
+    def fail(self, failing: Failing) -> None:
+        """It moves as it does."""
+
+    def remove(self, rows: Truths) -> None:
+        """It flies on whatever happens."""
+
     def step(self, ticks: int) -> None:
         """On to the next event."""
         self._row += 1
@@ -200,6 +236,16 @@ class Mixed:
         """To each its own."""
         for rows, part in self._parts:
             part.act(choose(estimate, rows), choose(told, rows))
+
+    def fail(self, failing: Failing) -> None:
+        """To each its own."""
+        for rows, part in self._parts:
+            part.fail(choose(failing, rows))
+
+    def remove(self, rows: Truths) -> None:
+        """To each its own."""
+        for own, part in self._parts:
+            part.remove(rows[own])
 
     def step(self, ticks: int) -> None:
         """All of them."""

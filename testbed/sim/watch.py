@@ -17,6 +17,7 @@ from testbed.sim.control import Group
 from testbed.state import (
     Array,
     Broadcast,
+    Counts,
     Event,
     Flags,
     FormationState,
@@ -40,7 +41,13 @@ def broadcast(estimate: VehicleState, now: float) -> Broadcast:
 
 
 def formation_state(
-    truth: VehicleState, diagnosis: Diagnosis, age_s: Array, offsets: Array, altitudes: Array
+    truth: VehicleState,
+    estimate: VehicleState,
+    diagnosis: Diagnosis,
+    age_s: Array,
+    offsets: Array,
+    places: Counts,
+    altitudes: Array,
 ) -> FormationState:
     """The followers' true slots χ + q_g and errors, beside what their control reported.
 
@@ -50,6 +57,11 @@ def formation_state(
     slot, error, (speed, course, climb) = geometry.TRUE_SLOTS(
         truth.position_ned, truth.velocity_ned, offsets, altitudes
     )
+    believed = error
+    if estimate is not truth:
+        _, believed, _ = geometry.TRUE_SLOTS(
+            estimate.position_ned, estimate.velocity_ned, offsets, altitudes
+        )
     return FormationState(
         slot_ned=slot,
         error_ned=error,
@@ -63,15 +75,8 @@ def formation_state(
         guards=diagnosis.guards,
         saturations=diagnosis.saturations,
         age_s=age_s,
-    )
-
-
-def losses(now: float, lost: Truths, names: Sequence[str]) -> tuple[Event, ...]:
-    """One error per aircraft that hit the ground or left its models' range."""
-    return tuple(
-        Event(now, "error", name, "lost: on the ground, or beyond what its flight model can do")
-        for name, gone in zip(names, lost, strict=True)
-        if gone
+        place=places,
+        believed_ned=believed,
     )
 
 
@@ -85,11 +90,17 @@ class Silence:
         self._waiting: Truths = np.ones(len(names), dtype=bool)
         self._quiet = False  # everybody has heard the leader, and hears it
 
-    def changes(self, now: float, guards: Flags) -> Iterator[Event]:
-        """An event for each follower whose leader fell silent or came back since the last call."""
+    def changes(self, now: float, guards: Flags, apart: Truths) -> Iterator[Event]:
+        """An event for each follower whose leader fell silent or came back since the last call.
+
+        Args:
+            now: s
+            guards: (n,)
+            apart: (n,) who is lost, or has left: nothing is said of them.
+        """
         if self._quiet and not guards.any():
             return
-        deaf = (guards & int(Guard.LEADER_SILENT)) != 0
+        deaf = ((guards & int(Guard.LEADER_SILENT)) != 0) & ~apart
         self._waiting = self._waiting & deaf & (now < self._patience)
         deaf &= ~self._waiting
         for name, before, after in zip(self._names, self._deaf, deaf, strict=True):
@@ -107,11 +118,7 @@ class Staleness:
     def __init__(self, names: Sequence[str], groups: Sequence[Group]) -> None:
         """Of N names, the leader's first: nobody is missed; news is given time from 0 s on."""
         self._names = names
-        self._heeded: Truths = np.zeros((len(names) - 1, len(names)), dtype=bool)
-        for group in groups:
-            self._heeded[group.rows] = ~group.unheeded
-        self._heeded[:, 0] = False
-        np.fill_diagonal(self._heeded[:, 1:], False)
+        self._heeded = _heeded(len(names), groups)
         law = groups[0].law
         self._limit = groups[0].team.stale_after
         self._leaders_limit = groups[0].team.silent_after
@@ -151,10 +158,32 @@ class Staleness:
         self._missed = missed
         self._oldest = -np.inf if missed.any() else float(heard.min())
 
+    def heed(self, groups: Sequence[Group], apart: Truths) -> None:
+        """Miss no one from now on but those that these groups reckon with.
+
+        Args:
+            groups: of the followers.
+            apart: (n,) who misses nobody: who is lost, or has left.
+        """
+        self._heeded = _heeded(len(self._names), groups) & ~apart[:, np.newaxis]
+        self._missed = self._missed & self._heeded
+        self._nowhere = self._nowhere & self._heeded
+        self._oldest = -np.inf
+
     def _consequence(self, nowhere: bool) -> str:
         if not self._paper:
             return ""
         return ": takes it to hold its place" if self._hold and not nowhere else ": leaves it out"
+
+
+def _heeded(aircraft: int, groups: Sequence[Group]) -> Truths:
+    """Whose messages each follower uses (n, N), the leader's aside."""
+    out: Truths = np.zeros((aircraft - 1, aircraft), dtype=bool)
+    for group in groups:
+        out[group.rows] = ~group.unheeded
+    out[:, 0] = False
+    np.fill_diagonal(out[:, 1:], False)
+    return out
 
 
 class Arrivals:

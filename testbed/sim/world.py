@@ -22,15 +22,19 @@ from testbed.scenario import (
     find_tune,
 )
 from testbed.scenario.aircraft import Follower, Leader
-from testbed.scenario.sensors import Sensors
+from testbed.sensing.estimators import Estimators
 from testbed.sim.airs import make_air, make_mean, start_wind
+from testbed.sim.breakdowns import Breakdowns
 from testbed.sim.clock import Clock, make_clock
 from testbed.sim.control import Group
+from testbed.sim.failures import make_breakdowns, make_roster, unfelt
 from testbed.sim.formations import make_groups
 from testbed.sim.hypotheses import warnings
 from testbed.sim.leaders import Led, make_leader
+from testbed.sim.limits import Proximity
 from testbed.sim.pilots import Pilot
 from testbed.sim.radios import beats, make_radio
+from testbed.sim.roster import Roster
 from testbed.sim.teams import agent_value, make_altitudes, make_offsets
 from testbed.sim.vehicles import Flown, Ideal, Mixed, Vehicles
 from testbed.state import Array, Event, Origin, RunInfo
@@ -39,7 +43,6 @@ from testbed.vehicle.ideal import IdealFleet
 from testbed.vehicle.jsbsim_door import VERSION as JSBSIM_VERSION
 from testbed.vehicle.jsbsim_door import JsbsimFleet, Start, airframe
 from testbed.vehicle.params import read_params, stack
-from testbed.vehicle.sensors import Estimators, NoiseLevel, SensorErrors
 from testbed.vehicle.trim import STILL
 
 LOWEST_START_M = 5.0  # above the ground; an aircraft starts in trimmed flight
@@ -58,6 +61,10 @@ class World:
     fleet: JsbsimFleet | None  # the flight models among them, if there are any
     ideal: bool  # whether there are ideal vehicles among them
     estimators: Estimators
+    breakdowns: Breakdowns | None  # None: nothing breaks
+    roster: Roster | None  # None: nobody heeds that somebody failed
+    proximity: Proximity
+    fly_on: bool  # when an aircraft is lost; or stop
     pilot: Pilot
     radio: Radio
     scripts: Scripts  # what is written down to go wrong on it
@@ -125,21 +132,29 @@ def build(page: Scenario) -> World:
         parts.append((ideal, _ideal(page, ideal, starts, led, clock)))
     groups, said = make_groups(page, folders[1:], clock)
     radio, scripts = make_radio(page)
+    vehicles = parts[0][1] if len(parts) == 1 else Mixed(parts)
+    breakdowns = make_breakdowns(page, fleet, jsbsim)
     return World(
         clock=clock,
         duration_s=page.scenario.duration_s,
         names=names,
         air=None if air.steady else air,
         gusts=tuple(gust.name for gust in page.air.gusts),
-        vehicles=parts[0][1] if len(parts) == 1 else Mixed(parts),
+        vehicles=vehicles,
         fleet=fleet,
         ideal=bool(ideal),
         estimators=Estimators(
             names,
-            [_errors(each.sensors) for each in flown],
+            [each.sensors for each in flown],
             seed=page.scenario.seed,
-            dt=clock.autopilot / clock.base_rate_hz,
+            rate_hz=page.rates.autopilot_hz,
+            start=vehicles.read(),
+            breakable=breakdowns is not None and breakdowns.of_sensors,
         ),
+        breakdowns=breakdowns,
+        roster=make_roster(page, breakdowns),
+        proximity=Proximity(names, **page.limits.model_dump(exclude={"when_lost"})),
+        fly_on=page.limits.when_lost == "fly-on",
         pilot=led.pilot,
         radio=radio,
         scripts=scripts,
@@ -150,6 +165,7 @@ def build(page: Scenario) -> World:
             *(Event(0.0, "info", "run", text) for text in said),
             *_deaf(fleet, air, [names[row] for row in jsbsim]),
             *_standing(page),
+            *unfelt(page),
             *warnings(page, groups, led, wind),
         ),
         info=RunInfo(
@@ -261,14 +277,4 @@ def _start(leader: Start, offset_m: tuple[float, float, float]) -> Start:
         ),
         course=leader.course,
         airspeed=leader.airspeed,
-    )
-
-
-def _errors(sensors: Sensors) -> SensorErrors:
-    return SensorErrors(
-        position=NoiseLevel(sensors.position.sigma_m, sensors.position.time_constant_s),
-        velocity=NoiseLevel(sensors.velocity.sigma_mps, sensors.velocity.time_constant_s),
-        attitude=NoiseLevel(
-            math.radians(sensors.attitude.sigma_deg), sensors.attitude.time_constant_s
-        ),
     )

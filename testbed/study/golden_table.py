@@ -135,6 +135,10 @@ def _time(label: str) -> Rule:
 RULES: Mapping[str, Rule] = {
     "rms_m": _length("RMS error", banded=True, better="lower", more=""),
     "mean_rms_m": _length("mean RMS error", banded=True, better="lower", more=""),
+    "believed_mean_rms_m": _length("mean believed RMS error", banded=True, better="lower", more=""),
+    "relative_position_m": _length(
+        "error of its place from the leader's", banded=True, better="lower", more=""
+    ),
     "min_separation_m": _length(
         "smallest separation",
         banded=False,
@@ -154,9 +158,17 @@ BAND = BandRule(
 def measure(metrics: Mapping[str, Any]) -> dict[str, float | None]:
     """The numbers of a flight that a table keeps, by row, from its metrics document."""
     rows: dict[str, float | None] = {}
+    relative = metrics["relative_position_m"]
     for portion, cells in metrics["portions"].items():
-        rows |= {f"rms_m/{portion}/{name}": rms for name, rms in cells["rms_m"].items()}
+        rows |= {
+            f"rms_m/{portion}/{name}": rms
+            for name, rms in cells["rms_m"].items()
+            if rms is not None or metrics["lost_at_s"][name] is None  # the lost have none
+        }
         rows[f"mean_rms_m/{portion}"] = cells["mean_rms_m"]
+        if any(relative.values()):  # an exact estimate believes the truth
+            rows[f"believed_mean_rms_m/{portion}"] = cells["believed_mean_rms_m"]
+    rows |= {f"relative_position_m/{name}": rms for name, rms in relative.items() if rms}
     rows["min_separation_m"] = metrics["min_separation_m"]
     rows |= {f"engaged_at_s/{name}": at for name, at in metrics["engaged_at_s"].items()}
     limits = metrics["saturations"]

@@ -179,9 +179,14 @@ class IdealFleet:
         self._dt = 1.0 / base_rate_hz
         self._wind = np.array(wind_ned, dtype=float)
         self._speed, self._turn = self._state.speed, np.zeros((len(self._pole), 3))
+        self._first, self._gone = self._state, np.zeros(len(self._pole), dtype=bool)
+        self._kept: Unicycle | None = None
 
     def command(self, speed: Array, turn: Array) -> None:
         """Fly with u (n,) m/s and ω (n, 3) rad/s in the velocity frame, until told otherwise."""
+        if self._kept is not None:
+            speed = np.where(self._gone, self._speed, speed)
+            turn = np.where(self._gone[:, np.newaxis], self._turn, turn)
         self._speed, self._turn = speed, turn
 
     def step(self, ticks: int) -> None:
@@ -189,6 +194,23 @@ class IdealFleet:
         self._state = ADVANCE_TICKS(
             self._state, self._speed, self._turn, self._pole, self._dt, ticks
         )
+        if self._kept is not None:
+            self._state = _either(self._gone, self._kept, self._state)
+
+    def remove(self, rows: Truths) -> None:
+        """Move these vehicles (n,) no more: they are lost, and read as now from now on.
+
+        One that has come to be not finite reads as at its start.
+        """
+        state = self._state
+        numbers = [each.reshape(len(rows), -1) for each in (*state, self._speed, self._turn)]
+        flat: Array = np.concatenate(numbers, axis=1)
+        finite: Truths = np.logical_and.reduce(np.isfinite(flat), axis=1)
+        self._speed = np.where(finite, self._speed, self._first.speed)
+        self._turn = np.where(finite[:, np.newaxis], self._turn, 0.0)
+        self._gone = self._gone | rows
+        self._kept = _either(finite, state, self._first)
+        self._state = _either(self._gone, self._kept, state)
 
     def read(self) -> VehicleState:
         """The truth now, as fresh contiguous arrays."""
@@ -206,7 +228,16 @@ class IdealFleet:
         self._wind = felt.wind_ned
 
     def lost(self, state: VehicleState) -> Truths:
-        """Which vehicles are on the ground or not finite: (n,) bool."""
+        """Which vehicles are on the ground, not finite or removed: (n,) bool."""
         finite = np.isfinite(state.position_ned).all(axis=1)
         finite &= np.isfinite(state.velocity_ned).all(axis=1)
-        return ~finite | ~(-state.position_ned[:, 2] >= LOWEST)
+        return self._gone | ~finite | ~(-state.position_ned[:, 2] >= LOWEST)
+
+
+def _either(rows: Truths, one: Unicycle, other: Unicycle) -> Unicycle:
+    """These rows (n,) of the one, and the rest of the other."""
+    return Unicycle(
+        np.where(rows[:, np.newaxis], one.position, other.position),
+        np.where(rows[:, np.newaxis, np.newaxis], one.rotation, other.rotation),
+        np.where(rows, one.speed, other.speed),
+    )

@@ -8,10 +8,11 @@ print nothing.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import jsbsim
 import numpy as np
@@ -19,6 +20,7 @@ import numpy as np
 from testbed.compiled import twin_of
 from testbed.frames import FOOT, metres_per_radian, rotation_ned_body
 from testbed.state import AirData, AirFelt, Airframe, Array, Origin, Surfaces, Truths, VehicleState
+from testbed.vehicle.breakage import Rig, check_faults, find_rig, stacked
 from testbed.vehicle.inertia import impossible_inertia
 from testbed.vehicle.jsbsim_model import AircraftError, JsbsimModel, Traits, find_traits
 from testbed.vehicle.linearize import Linear, linearize
@@ -46,6 +48,7 @@ __all__ = [
 VERSION: str = jsbsim.__version__
 LOWEST = 1.0  # m above the terrain: an aircraft below counts as on the ground
 _TRIM_RATE_HZ = 200
+_ABSURD = 1e9  # ft, ft/s², rad, rpm: nothing that flies reads this
 
 # Three numbers per aircraft, then one per aircraft: rows of the flat vector that `read` fills.
 _TRIPLES = (
@@ -132,6 +135,8 @@ class JsbsimFleet:
             trims.append(trimmed)
         n = len(models)
         self.trims: tuple[TrimResult, ...] = tuple(trims)
+        self._folders = [Path(folder).resolve() for folder in folders]
+        self._models = models
         self._runs = [model.fdm.run for model in models]
         self._setters = [model.setters for model in models]
         self._deaf = np.array([not model.turns for model in models])
@@ -147,6 +152,7 @@ class JsbsimFleet:
         self._air = [
             model.node(name).get_double_value for name in _AIR_SINGLES for model in models
         ] + [model.node(name).get_double_value for model in models for name in _WIND]
+        self._first = [get() for get in self._getters]
         self._no_battery = np.full((len(_BATTERY), n), np.nan)
         self._battery = [
             (row, i, node.get_double_value)
@@ -226,10 +232,48 @@ class JsbsimFleet:
             try:
                 for _ in steps:
                     if not run():
-                        self._broken[i] = True
+                        self._remove(i)
                         break
             except Exception:  # JSBSim's own, of many types: the state is beyond its models
-                self._broken[i] = True
+                self._remove(i)
+
+    def discharge(self, charge: Array) -> None:
+        """Empty batteries to a state of charge (N,) 0..1 at once; not a number: as they are.
+
+        Raises:
+            AircraftError: if an aircraft that is to have less has no battery.
+        """
+        for i in np.flatnonzero(~np.isnan(charge)).tolist():
+            self._models[i].discharge(float(charge[i]))
+
+    def remove(self, rows: Truths) -> None:
+        """Step these aircraft (N,) no more: they are lost, and read as now from now on."""
+        for i in np.flatnonzero(rows).tolist():
+            self._remove(i)
+
+    def _remove(self, i: int) -> None:
+        """Stop one; where JSBSim has lost its numbers it reads as at the start, in air of zero."""
+        self._broken[i] = True
+        each = np.arange(len(self._runs))
+        three = each.repeat(3)
+        own = np.flatnonzero(np.concatenate((np.tile(three, 5), each, each)) == i).tolist()
+        if not all(abs(self._getters[k]()) < _ABSURD for k in own):
+            for k in own:
+                self._getters[k] = partial(float, self._first[k])
+        for k in np.flatnonzero(np.concatenate((each, each, each, three)) == i).tolist():
+            if not abs(self._air[k]()) < _ABSURD:
+                self._air[k] = float
+
+    @cached_property
+    def rig(self) -> Rig:
+        """The surfaces of the aircraft, for those that break."""
+        return stacked([_rig(folder) for folder in self._folders])
+
+    def check_faults(self, row: int, name: str, faults: Iterable[Any]) -> None:
+        """As `breakage.check_faults`, of the aircraft in a row of this fleet."""
+        kind = self._folders[row].name
+        battery = self._models[row].find(_BATTERY[0]) is not None
+        check_faults(name, kind, self.rig, row, battery=battery, faults=faults)
 
     def bare_runs(self) -> list[Callable[[], bool]]:
         """Each aircraft's own step, for measuring what everything else costs."""
@@ -264,6 +308,13 @@ def _airframe(folder: Path) -> Airframe:
     model = _load(folder, _TRIM_RATE_HZ)
     model.locate((0.0, 0.0, -1000.0), Origin())
     return model.airframe()
+
+
+@lru_cache(maxsize=64)
+def _rig(folder: Path) -> Rig:
+    model = _load(folder, _TRIM_RATE_HZ)
+    model.locate((0.0, 0.0, -1000.0), Origin())
+    return find_rig(model)
 
 
 def linearize_aircraft(folder: Path, point: TrimPoint, origin: Origin | None = None) -> Linear:

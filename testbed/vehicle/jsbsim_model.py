@@ -14,10 +14,12 @@ import numpy as np
 from testbed.errors import InputError
 from testbed.frames import FOOT, geodetic_from_ned, rotation_ned_body
 from testbed.state import Airframe, Array, Origin
+from testbed.vehicle.breakage import SURFACES
 from testbed.vehicle.trim import STILL, Controls, Placement, Vector
 
 # The aircraft's own, which its aerodynamics take from its rates and add to its rolling moment.
 _TURNS = ("p-rad_sec", "q-rad_sec", "r-rad_sec", "roll-coefficient")
+_TURNED = ("left-aileron", *SURFACES[1:])  # ailerons turn together
 _SPIN_STEPS = 2000  # at most, until the propeller and the surfaces have settled
 _LONGEST_MEMORY = 6  # steps that JSBSim's integrators look back, and one to spare
 _POUND = 4.4482216152605  # N, of force
@@ -117,6 +119,24 @@ class JsbsimModel:
                 f"{self.fdm.get_model_name()}: has no battery, so its state of charge cannot be "
                 f"{state_of_charge:g} (leave it out)"
             )
+
+    def discharge(self, state_of_charge: float) -> None:
+        """Empty the battery in flight to a state of charge, from which it goes on; never fill it.
+
+        Raises:
+            AircraftError: the aircraft has no battery.
+        """
+        initial = self.node("battery/initial-state-of-charge")
+        more = state_of_charge - self.node("battery/state-of-charge").get_double_value()
+        initial.set_double_value(initial.get_double_value() + min(more, 0.0))
+
+    def deflections(self) -> Array:
+        """How far the surfaces are turned, either way, (5,) rad, in the order of SURFACES.
+
+        It is 0 for those whose position JSBSim does not know.
+        """
+        nodes = [self.find(f"fcs/{name}-pos-rad") for name in _TURNED]
+        return np.array([abs(node.get_double_value()) if node else 0.0 for node in nodes])
 
     def locate(self, position_ned: Vector, origin: Origin) -> None:
         """Say where the aircraft is; takes effect when it is placed."""

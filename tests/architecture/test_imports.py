@@ -92,7 +92,7 @@ def test_formation_knows_only_numpy_and_the_shared_vocabulary():
         assert strangers <= {"testbed"}, path
 
 
-FLOWN = ["air", "vehicle", "network", "guidance", "formation"]
+FLOWN = ["air", "vehicle", "sensing", "network", "guidance", "formation"]
 OBSERVERS = ["record", "metrics", "views"]
 ROOMS = [*FLOWN, *OBSERVERS, "scenario"]
 
@@ -104,6 +104,7 @@ def but(names, *allowed):
 FORBIDDEN = {
     "air": [*but(ROOMS, "air"), "sim", "study"],
     "vehicle": [*but(ROOMS, "vehicle", "scenario"), "sim", "study"],
+    "sensing": [*but(ROOMS, "sensing", "scenario"), "sim", "study"],
     "network": [*but(ROOMS, "network", "scenario"), "sim", "study"],
     "guidance": [*but(ROOMS, "guidance", "scenario"), "sim", "study"],
     "record": [*but(FLOWN, "formation"), "sim", "study"],

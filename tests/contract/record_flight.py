@@ -42,10 +42,13 @@ def run_info(followers=3, **changes):
     return RunInfo(**{**values, **changes})
 
 
-def run_frames(count, followers=3, *, noisy_from=None, lossy_from=None, seed=1, events=()):
+def run_frames(
+    count, followers=3, *, noisy_from=None, lossy_from=None, gone_from=None, seed=1, events=()
+):
     """Frames of a run.
 
-    From one frame on, or never, estimates differ from the truth and messages are lost.
+    From one frame on, or never, estimates differ from the truth, messages are lost, and the last
+    aircraft is lost.
     """
     rng = np.random.default_rng(seed)
     n, ours = followers, followers + 1
@@ -65,23 +68,30 @@ def run_frames(count, followers=3, *, noisy_from=None, lossy_from=None, seed=1, 
         sent = sent + rng.integers(1, 3, (n, ours)).astype(np.uint32)
         if lossy_from is not None and k >= lossy_from:
             lost = lost + rng.integers(0, 2, (n, ours)).astype(np.uint32)
+        exact = noisy_from is None or k < noisy_from
+        error = rng.standard_normal((n, 3))
+        gone = np.zeros(ours, dtype=bool)
+        gone[-1] = gone_from is not None and k >= gone_from
         yield Frame(
             tick=tick,
             time_s=tick / BASE_RATE_HZ,
             truth=truth,
-            estimate=truth if noisy_from is None or k < noisy_from else motion(),
+            estimate=truth if exact else motion(),
             air=AirData(*scalars(3, ours), *rng.standard_normal((2, ours, 3)), *scalars(3, ours)),
             command=FbwaCommand(*scalars(3, ours)),
             surfaces=Surfaces(*scalars(4, ours)),
             formation=FormationState(
                 rng.standard_normal((n, 3)),
-                rng.standard_normal((n, 3)),
+                error,
                 *scalars(7, n),
                 guards=rng.integers(0, 8, n).astype(np.uint8),
                 saturations=rng.integers(0, 8, n).astype(np.uint8),
                 age_s=ages,
+                place=rng.integers(1, 300, n).astype(np.uint32),
+                believed_ned=error if exact else rng.standard_normal((n, 3)),
             ),
             links=LinkCounts(sent, sent - lost),
+            lost=gone,
             events=tuple(event for at, event in events if at == k),
         )
 
@@ -92,6 +102,8 @@ def event(k, text="something", level="warning"):
 
 def assert_same_frame(one, other):
     assert (one.tick, one.time_s, one.events) == (other.tick, other.time_s, other.events)
+    np.testing.assert_array_equal(one.lost, other.lost)
+    assert other.lost.dtype == bool
     for name in RECORDS:
         ours, theirs = getattr(one, name), getattr(other, name)
         for field in type(ours).__annotations__:

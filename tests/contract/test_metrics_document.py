@@ -51,10 +51,21 @@ def age(mean, most, uses):
 QUIET = {"links": {}, "all": link()}
 
 
-def document(followers=3, *, published=None, outcome="flown", network=QUIET, **changes):
+def document(
+    followers=3,
+    *,
+    published=None,
+    outcome="flown",
+    network=QUIET,
+    noisy_from=None,
+    gone_from=None,
+    **changes,
+):
     meter = MetricsObserver(published=published)
     meter.begin(run_info(followers, **changes))
-    for frame in run_frames(80, followers, events=[event(k, f"gust {k}") for k in range(9)]):
+    gusts = [event(k, f"gust {k}") for k in range(9)]
+    seen = run_frames(80, followers, noisy_from=noisy_from, gone_from=gone_from, events=gusts)
+    for frame in seen:
         meter.observe(frame)
     return complete(meter.summary(), network=network, outcome=outcome, wall_s=2.0)
 
@@ -74,8 +85,14 @@ def test_the_document_has_the_promised_keys():
     promised |= {"leader_bank_deg", "outcome", "schema", "scenario", "seed", "versions", "guards"}
     promised |= {"kappa_mps", "kappa_at_s", "kappa_assumed_mps", "slot_speed_mps"}
     promised |= {"saturations", "published", "events", "left_speed_set"}
+    promised |= {"estimate_error", "relative_position_m", "lost_at_s"}
     assert promised | {"network", "age_of_information_s"} <= set(metrics)
     assert {"kappa_mps", "slot_speed_mps"} <= set(portion)
+    assert {"believed_rms_m", "believed_mean_rms_m"} <= set(portion)
+    off = {"horizontal_m", "height_m", "velocity_mps", "tilt_deg", "heading_deg", "airspeed_mps"}
+    assert set(metrics["estimate_error"]["leader"]) == off | {"largest_horizontal_m"}
+    assert list(metrics["relative_position_m"]) == ["uav1", "uav2", "uav3"]
+    assert list(metrics["lost_at_s"]) == ["leader", "uav1", "uav2", "uav3"]
     assert metrics["simulated_s"] == 79 / 25
     assert metrics["real_time_factor"] == metrics["simulated_s"] / 2.0
 
@@ -132,16 +149,49 @@ def test_the_table_shows_ours_beside_the_published():
 
 @pytest.mark.parametrize("followers", [0, 1, 3, 30])
 @pytest.mark.parametrize("published", [None, PUBLISHED], ids=["alone", "beside"])
-def test_the_table_fits_80_columns_and_cuts_no_word(followers, published):
+@pytest.mark.parametrize("noisy_from", [None, 0], ids=["exact", "noisy"])
+def test_the_table_fits_80_columns_and_cuts_no_word(followers, published, noisy_from):
+    more = {"published": published, "noisy_from": noisy_from, "gone_from": noisy_from}
     names = {f"p{i}": (0.5 * i, 0.5 * i + 1.0) for i in range(7)}
     for portions in ({}, {"first": (1.0, 2.0)}, names, {"never": (90.0, 95.0)}):
-        text = shown(document(followers, published=published, portions=portions))
+        text = shown(document(followers, portions=portions, **more))
         assert "…" not in text.replace("… and 3 more", "")
         assert max(map(len, text.splitlines())) <= 80
 
 
 def facts(metrics):
+    """The first line of each fact."""
     return {line[:20].strip(): line[21:].rstrip() for line in shown(metrics).splitlines()}
+
+
+def test_the_table_says_nothing_of_exact_estimates_and_of_lost_aircraft_that_are_not():
+    text = shown(document())
+    assert "believed" not in text
+    assert "estimates" not in text
+    assert "lost" not in facts(document())
+
+
+def test_the_table_says_what_estimates_were_worth():
+    metrics = document(noisy_from=0)
+    [row] = [line.split() for line in shown(metrics).splitlines() if "believed" in line]
+    means = [metrics["portions"][name]["believed_mean_rms_m"] for name in ("first", "second")]
+    assert row == ["mean", "believed", *(f"{mean:.2f}" for mean in means)]
+    off = [numbers["horizontal_m"] for numbers in metrics["estimate_error"].values()]
+    together = math.sqrt(sum(each**2 for each in off) / len(off))
+    assert facts(metrics)["estimates err by"].startswith(f"{together:.2f} m horizontal, ")
+
+
+def test_the_table_says_who_was_lost_and_when():
+    metrics = document(gone_from=50)
+    assert metrics["lost_at_s"]["uav3"] == 2.0
+    assert facts(metrics)["lost"] == "uav3 at 2.0 s; counted until then"
+    metrics["lost_at_s"] |= {"leader": 1.04, "uav3": 61.25}
+    expected = "leader at 1.0 s, uav3 at 61.2 s; counted until then"
+    assert facts(metrics)["lost"] == expected
+    many = document(30, noisy_from=0)
+    many["lost_at_s"] = {name: 0.1 * k for k, name in enumerate(many["lost_at_s"])}
+    text = shown(many)
+    assert "uav11 at 1.1 s, 19 more; counted until then" in " ".join(text.split())
 
 
 def test_the_table_says_whose_kappa_was_smallest_and_what_the_page_says():

@@ -3,6 +3,7 @@
 import sys
 import textwrap
 
+import numpy as np
 import pytest
 
 import testbed
@@ -10,6 +11,7 @@ from testbed.errors import InputError
 from testbed.scenario import list_scenarios, load, shorten
 from testbed.sim.law_contract import check_law
 from testbed.sim.world import build
+from testbed.state import Inbox, VehicleState
 
 GOOD = """
     import numpy as np
@@ -154,7 +156,9 @@ def test_sticks_do_not_fly_an_ideal_vehicle(tmp_path):
     assert "vehicle: jsbsim for uav2" in said
 
 
-@pytest.mark.parametrize("name", ["own-law-leader-follower", "own-law-integral"])
+@pytest.mark.parametrize(
+    "name", ["own-law-leader-follower", "own-law-integral", "own-law-repulsion"]
+)
 def test_the_examples_keep_the_contract_and_hold_a_formation(name):
     flown = testbed.run(shorten(load(name), 60.0), write=False)
     assert flown.outcome == "flown"
@@ -200,3 +204,83 @@ def test_errors_while_a_law_is_made_are_the_laws(tmp_path):
     text = "class Straight:\n    def __init__(self, team):\n        {}['gain']\n"
     text += "    def start(self, own): ...\n    def step(self, now, own, inbox, memory): ...\n"
     assert "mine.py:3: the law raised KeyError: 'gain'" in refusal(page(tmp_path, text=text))
+
+
+def meeting(places, now=10.0):
+    """Three followers and a leader at these places (4, 3), northbound at 22 m/s and heard."""
+    velocity = np.tile([22.0, 0.0, 0.0], (4, 1))
+    still, speed = np.zeros((4, 3)), np.full(4, 22.0)
+    truth = VehicleState(np.array(places, dtype=float), velocity, still, still, still, speed, speed)
+    # what was heard is as old as it may be here: 0.1 s, in which they flew 2.2 m
+    said = np.full((3, 4), now - 0.1)
+    content = [np.tile(each, (3, 1, 1)) for each in (velocity, still, still, still)]
+    heard = np.tile(truth.position_ned - 0.1 * velocity, (3, 1, 1))
+    inbox = Inbox(said, said.copy(), heard, *content)
+    return now, VehicleState(*(each[1:] for each in truth)), inbox
+
+
+def repulsion():
+    (group,) = build(load("own-law-repulsion")).groups
+    return group.law
+
+
+def stepped(law, meeting):
+    now, own, inbox = meeting
+    return law.step(now, own, inbox, law.start(own))
+
+
+def same(ours, theirs):
+    return all(np.array_equal(*pair, equal_nan=True) for pair in zip(ours, theirs, strict=True))
+
+
+FAR = [[0, 0, -100], [-11, 20, -100], [-11, -9, -100], [-30, 0, -100]]  # 14 m apart and more
+
+
+def test_beyond_the_radius_repulsion_is_the_papers_law_to_the_bit():
+    law = repulsion()
+    ours, memory = stepped(law, meeting(FAR))
+    theirs, remembered = stepped(law.paper, meeting(FAR))
+    assert same(ours, theirs)
+    assert same(memory, remembered)
+
+
+def test_within_the_radius_the_law_flies_from_a_position_moved_by_the_gain():
+    law = repulsion()
+    places = [*FAR[:2], [-7, 17, -100], FAR[3]]  # uav1 and uav2: 4 m and 3 m, 5 m apart
+    now, own, inbox = meeting(places)
+    ours, _ = law.step(now, own, inbox, law.start(own))
+    towards = np.array([0.8, -0.6, 0.0])  # of uav2, as uav1 sees it; 7 m within the radius of 12 m
+    told = own.position_ned.copy()
+    told[0] += 4.0 * 7.0 * towards
+    told[1] -= 4.0 * 7.0 * towards
+    theirs, _ = stepped(law.paper, (now, own._replace(position_ned=told), inbox))
+    for one, two in zip(ours, theirs, strict=True):
+        assert one == pytest.approx(two, rel=1e-9, abs=1e-9)  # other roundings, nothing else
+    plain, _ = stepped(law.paper, meeting(places))
+    assert (ours.turn[:2] != plain.turn[:2]).any(axis=1).all()
+    for one, two in zip(ours, plain, strict=True):
+        assert np.array_equal(one[2], two[2])  # nobody is near uav3
+
+
+def test_nobody_gives_way_to_news_that_is_missing_or_stale():
+    law = repulsion()
+    now, own, inbox = meeting([*FAR[:2], [-7, 17, -100], FAR[3]])
+    old = inbox.received_s.copy()
+    old[0, 2], old[1, 1] = np.nan, now - 1.01 * law.team.stale_after
+    unheard = inbox.stamp_s.copy()
+    unheard[0, 2] = np.nan
+    changed = now, own, inbox._replace(received_s=old, stamp_s=unheard)
+    assert same(stepped(law, changed)[0], stepped(law.paper, changed)[0])
+
+
+def test_repulsion_keeps_two_apart_that_the_papers_law_leads_into_each_other():
+    page = load("own-law-repulsion")
+    ours = testbed.run(shorten(page, 12.0), write=False)
+    assert ours.outcome == "flown"
+    assert ours.metrics["min_separation_m"] > 6.0
+    papers = ["controller.law=paper", "controller.options={}"]
+    assert testbed.run(shorten(load(page.name, papers), 12.0), write=False).outcome == "lost"
+    through = load(page.name, [*papers, "limits.collision_m=null"])  # each other
+    theirs = testbed.run(shorten(through, 12.0), write=False)
+    assert theirs.metrics["min_separation_between"] == ["uav1", "uav2"]
+    assert theirs.metrics["min_separation_m"] < page.limits.collision_m

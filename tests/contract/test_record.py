@@ -52,13 +52,23 @@ def decoded(path):
 
 
 @pytest.mark.parametrize(
-    ("count", "followers", "noisy_from"),
-    [(120, 3, None), (120, 3, 60), (7, 1, 0), (25, 20, None), (5, 0, None), (CHUNK, 3, None)],
+    ("count", "followers", "noisy_from", "gone_from"),
+    [
+        (120, 3, None, None),
+        (120, 3, 60, 70),
+        (7, 1, 0, 0),
+        (25, 20, None, 12),
+        (5, 0, None, None),
+        (5, 0, 3, 4),
+        (CHUNK, 3, None, None),
+    ],
 )
-def test_a_log_gives_back_every_frame(tmp_path, count, followers, noisy_from):
+def test_a_log_gives_back_every_frame(tmp_path, count, followers, noisy_from, gone_from):
     # CHUNK frames end with a chunk, so that the event after them has a chunk of its own
     some = [event(0), event(0, "é ∞"), event(3, level="error")]
-    seen = list(run_frames(count, followers, noisy_from=noisy_from, events=some))
+    seen = list(
+        run_frames(count, followers, noisy_from=noisy_from, gone_from=gone_from, events=some)
+    )
     last = Event(seen[-1].time_s, "info", "run", "the end")
     info = run_info(followers)
     log = read_log(record(tmp_path / "run.mcap", seen, info, events=(last,)))
@@ -72,7 +82,8 @@ def test_a_log_gives_back_every_frame(tmp_path, count, followers, noisy_from):
 
 
 def test_metrics_from_the_log_are_those_of_the_flight(tmp_path):
-    seen, info = list(run_frames(130, noisy_from=70)), run_info()
+    # from inside the second block, and later, there are estimates and a lost aircraft
+    seen, info = list(run_frames(300, noisy_from=261, gone_from=270)), run_info()
     log = read_log(record(tmp_path / "run.mcap", seen, info))
     live, again = MetricsObserver(), MetricsObserver()
     live.begin(info)
@@ -96,14 +107,15 @@ def test_a_log_gives_back_what_was_known_before_the_first_frame(tmp_path):
 
 
 def test_any_protobuf_reader_understands_the_log(tmp_path):
-    seen = list(run_frames(60, noisy_from=0, lossy_from=0, events=[event(50, "a gust")]))
+    some = [event(50, "a gust")]
+    seen = list(run_frames(60, noisy_from=0, lossy_from=0, gone_from=31, events=some))
     info = run_info()
     messages = {}
     for topic, stamp, message in decoded(record(tmp_path / "run.mcap", seen, info)):
         messages.setdefault(topic, []).append((stamp, message))
-    each = ("state", "estimate", "command", "formation", "network", "fix")
+    each = ("state", "estimate", "command", "formation", "believed", "network", "fix")
     expected = {f"/{name}/{part}" for name in info.names for part in each}
-    expected -= {"/leader/formation", "/leader/network"}
+    expected -= {"/leader/formation", "/leader/believed", "/leader/network"}
     assert set(messages) == expected | {"/tf", "/tf_static", "/events"}
     assert len(messages["/uav2/state"]) == 60
     assert len(messages["/uav2/fix"]) == 12  # 5 Hz of 25
@@ -119,6 +131,11 @@ def test_any_protobuf_reader_understands_the_log(tmp_path):
     assert state.throttle == frame.surfaces.throttle[2]
     assert messages["/uav2/estimate"][k][1].roll_rad == frame.estimate.euler[2, 0]
     assert messages["/leader/command"][k][1].pitch_rad == frame.command.pitch[0]
+    said = [messages["/uav3/state"][row][1].lost for row in (30, 31)]
+    assert said == [False, True]
+    assert not state.lost
+    believed = messages["/uav2/believed"][k][1]
+    assert believed.believed_error_down_m == frame.formation.believed_ned[1, 2]
     formation = messages["/uav2/formation"][k][1]
     assert formation.error_east_m == frame.formation.error_ned[1, 1]
     assert formation.flight_path_angle_desired_rad == frame.formation.flight_path_angle_desired[1]
@@ -171,7 +188,46 @@ def test_an_estimate_is_written_only_where_it_differs(tmp_path):
     path = record(tmp_path / "run.mcap", run_frames(3 * CHUNK, noisy_from=2 * CHUNK + 20))
     topics = [topic for topic, _, _ in decoded(path)]
     assert topics.count("/uav1/state") == 3 * CHUNK
-    assert topics.count("/uav1/estimate") == CHUNK  # the chunk in which it began to differ
+    # the chunk in which they began to differ
+    assert topics.count("/uav1/estimate") == topics.count("/uav1/believed") == CHUNK
+
+
+def test_what_is_believed_is_written_only_where_it_differs(tmp_path):
+    # an airspeed that errs moves nobody
+    seen = []
+    for frame in run_frames(CHUNK):
+        estimate = frame.truth._replace(airspeed=frame.truth.airspeed + 1.0)
+        seen.append(frame._replace(estimate=estimate))
+    path = record(tmp_path / "run.mcap", seen)
+    topics = {topic for topic, _, _ in decoded(path)}
+    assert "/uav1/estimate" in topics
+    assert "/uav1/believed" not in topics
+    log = read_log(path)
+    assert log.formation.believed_ned is log.formation.error_ned
+    for one, other in zip(seen, frames(log), strict=True):
+        assert_same_frame(one, other)
+
+
+def test_of_exact_estimates_the_log_says_that_they_are_the_truth(tmp_path):
+    log = read_log(record(tmp_path / "run.mcap", run_frames(CHUNK + 5)))
+    assert log.estimate is log.truth
+    assert all(frame.estimate is frame.truth for frame in frames(log))
+
+
+def test_an_estimate_that_is_not_a_number_is_kept(tmp_path):
+    seen = []
+    for frame in run_frames(20, noisy_from=0):
+        airspeed = np.where([False, True, False, False], np.nan, frame.estimate.airspeed)
+        believed = frame.formation.believed_ned * np.nan
+        seen.append(
+            frame._replace(
+                estimate=frame.estimate._replace(airspeed=airspeed),
+                formation=frame.formation._replace(believed_ned=believed),
+            )
+        )
+    log = read_log(record(tmp_path / "run.mcap", seen))
+    for one, other in zip(seen, frames(log), strict=True):
+        assert_same_frame(one, other)
 
 
 def test_the_radio_is_written_from_the_first_loss_on(tmp_path):
@@ -332,7 +388,7 @@ def test_another_file_is_refused(tmp_path, data, message):
 def test_a_log_of_another_schema_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(recorder, "LOG_SCHEMA", 99)
     path = record(tmp_path / "run.mcap", run_frames(3))
-    with pytest.raises(LogError, match="log schema 99, but this version reads 2"):
+    with pytest.raises(LogError, match="log schema 99, but this version reads 3"):
         read_log(path)
 
 

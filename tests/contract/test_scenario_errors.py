@@ -90,7 +90,7 @@ WRONG = [
         "name: uav1,",
         "name: uav1, sensors: gps,",
         "page.yaml:7:27: fleet.0.sensors: 'gps' is not a known sensor set: did you mean 'gps-ins'? "
-        "(write one of truth, gps-ins, or a map with position, velocity, attitude)",
+        "(write one of truth, gps-ins, pixhawk, degraded, or a map of what errs)",
     ),
     (
         "aircraft: rascal110, start_m",

@@ -74,6 +74,14 @@ def test_defaults_are_the_ones_the_page_documents():
     assert (controller.silence.after_s, controller.silence.then) == (5.0, "straight")
     assert page.network.mute_s == {}
     assert page.air.wind.speed_mps == 0.0
+    assert page.leader.faults == page.fleet[0].faults == ()
+    answer = page.formation.on_failure
+    assert (answer.answer, answer.after_s) == ("fly-on", 2.0)
+    assert page.limits.model_dump() == {
+        "collision_m": None,
+        "separation_m": None,
+        "when_lost": "stop",
+    }
 
 
 # What everything.yaml has no room for: other kinds of a path and of a wind, and of the network what
@@ -93,6 +101,8 @@ OTHER_KINDS = [
 ]
 # What has one value only.
 NO_CHOICE = {("Follower", "autopilot"), ("Follower", "commanded_by"), ("Bernoulli", "kind")}
+# A key that all faults have, and that a cross-check refuses for this one.
+REFUSED = {("BatteryLow", "lasts_s")}
 
 
 def _sections(value):
@@ -155,8 +165,8 @@ def test_the_full_page_says_every_key_and_none_at_its_default():
         reduce(getitem, parts, data)[key] = value
         more, otherwise = _said(data)
         said, changed = said | more, changed | otherwise
-    assert len(said) > 250
-    assert _every_key() - said == set()
+    assert len(said) > 370
+    assert _every_key() - said == REFUSED
     assert said - changed == NO_CHOICE
 
 
@@ -190,10 +200,15 @@ def test_the_full_page_keeps_what_it_says():
     assert controller.estimators.leader_acceleration_blend == (0.5, 0.6, 0.1)
     assert full.network.mute_s == {"lead": ((5.0, 6.0), (8.0, 12.5))}
     assert full.leader.path.legs[1].levels[0].turns == 1.5
+    assert full.leader.sensors.gps.own_drift_m == (0.5, 1.0)
+    assert full.leader.faults[2].offset_m == (20.0, -10.0, 5.0)
+    assert full.fleet[0].faults[5].when.below == 0.5
 
 
 def test_the_full_page_is_a_world():
-    fuel = ["leader.battery=null", "fleet.uav1.battery=null"]  # a Rascal has no battery
+    # a Rascal has no battery
+    fuel = ["leader.battery=null", "fleet.uav1.battery=null"]
+    fuel += ["fleet.uav1.faults.5={kind: engine-out, at_s: 16}"]
     world = build(load(PAGES / "everything.yaml", fuel))
     assert world.names == ("lead", "uav1", "uav2")
     written = [(each.source, each.begin_s, each.end_s) for each in world.scripts.windows]
@@ -215,6 +230,10 @@ def test_the_editors_schema_accepts_the_resolved_page(page):
         {"rates": {"physic_hz": 200}},
         {"rates": {"physics_hz": "fast"}},
         {"fleet": [{"sensors": "gps-inz"}]},
+        {"fleet": [{"sensors": {"like": "gps-inz"}}]},
+        {"fleet": [{"sensors": {"gps": {"rate_hz": 0}}}]},
+        {"leader": {"faults": [{"kind": "engine-off"}]}},
+        {"leader": {"faults": [{"kind": "surface-stuck", "surface": "flap"}]}},
         {"leader": {"path": {"kind": "mission", "legs": [{"kind": "waypoint"}]}}},
         {"formation": {"leader_gains": {"uav1": [1, 2]}}},
     ],
@@ -228,7 +247,8 @@ def test_the_editors_schema_refuses_what_reading_refuses(wrong):
 def test_every_field_is_described_and_a_key_with_a_unit_says_it():
     schema = json_schema()
     units = {"_m": "m", "_s": "s", "_hz": "Hz", "_deg": "degrees", "_mps": "m/s", "_per_s": "1/s"}
-    units |= {"bit_per_s": "bit/s"}
+    units |= {"bit_per_s": "bit/s", "_pa": "Pa", "_dps": "degrees/s", "_rthz": "per root hertz"}
+    units |= {"_radps": "rad/s", "_radps2": "rad/s²", "_mps2": "m/s²", "_mps3": "m/s³"}
     sections = [schema, *schema["$defs"].values()]
     # A section with alternatives keeps its fields one level further down.
     sections += [choice for section in sections for choice in section.get("anyOf", ())]
@@ -242,6 +262,14 @@ def test_every_field_is_described_and_a_key_with_a_unit_says_it():
             assert units[suffix] in field["description"], (key, field["description"])
 
 
+@pytest.mark.parametrize(
+    "sensors",
+    ["degraded", {"like": "pixhawk", "gps": {"rate_hz": 1}, "gyro": None}, {"airspeed": {}}],
+)
+def test_the_editors_schema_knows_presets_and_what_differs_from_them(sensors):
+    jsonschema.Draft202012Validator(json_schema()).validate({"leader": {"sensors": sensors}})
+
+
 def test_a_page_is_frozen():
     page = load(PAGES / "minimal.yaml")
     with pytest.raises(ValueError, match="frozen"):
@@ -253,6 +281,8 @@ def test_a_shortened_flight_keeps_what_fits():
     assert short.scenario.duration_s == 14.0
     assert short.scenario.portions == {"straight": (5.0, 10.0), "turn": (12.5, 14.0)}
     assert set(short.scenario.published.rms_m) == {"straight"}
+    assert [fault.at_s for fault in short.leader.faults] == [2.0, 3.0, 8.0, 12.0]
+    assert [fault.at_s for fault in short.fleet[0].faults] == [4.0, 9.0, 10.0, 11.0]
     shorter = shorten(short, 5.0)
     assert shorter.scenario.portions == {}
     assert shorter.scenario.published.mean_rms_m == {}

@@ -130,6 +130,9 @@ def frames(aircraft: int, duration_s: float, rate_hz: float = 25.0) -> Iterator[
                 guards=np.zeros(n, np.uint8),
                 saturations=np.zeros(n, np.uint8),
                 age_s=np.zeros((n, aircraft)),
+                place=np.arange(1, n + 1, dtype=np.uint32),
+                believed_ned=error[1:],
             ),
+            lost=np.zeros(aircraft, dtype=bool),
             events=(Event(t, "info", "uav1", "engaged"),) if tick == 400 and n else (),
         )

@@ -76,8 +76,8 @@ def case(seed=90, n=5):
 def test_groups_in_turn_are_everybody_at_once():
     """Whoever steps together: what each is told, does and remembers is the same, to the bit."""
     rng, law, middle = case()
-    together = Control(groups(law, middle, range(5)), 5, 6)
-    apart = Control(groups(law, middle, [3], [0, 4], [1, 2]), 5, 6)
+    together = Control(groups(law, middle, range(5)), np.zeros((6, 3)), None)
+    apart = Control(groups(law, middle, [3], [0, 4], [1, 2]), np.zeros((6, 3)), None)
     for k in range(20):
         now = 100.0 + DT * k
         own, inbox, _ = states(5, rng, silence=0.1, old=0.1, now=now)
@@ -90,7 +90,7 @@ def test_groups_in_turn_are_everybody_at_once():
 
 def test_a_group_writes_into_its_own_rows_alone():
     rng, law, middle = case(91)
-    control = Control(groups(law, middle, [3], [0, 4], [1, 2]), 5, 6)
+    control = Control(groups(law, middle, [3], [0, 4], [1, 2]), np.zeros((6, 3)), None)
     own, inbox, _ = states(5, rng)
     for number in range(3):
         control.step(number, 100.0, own, inbox, inbox.stamp_s)
@@ -113,7 +113,9 @@ def test_a_group_writes_into_its_own_rows_alone():
 def test_a_group_sees_the_rows_of_its_own_agents():
     """What the others know may be anything."""
     rng, law, middle = case(92)
-    ours, theirs = (Control(groups(law, middle, [0, 4], [1, 2, 3]), 5, 6) for _ in range(2))
+    ours, theirs = (
+        Control(groups(law, middle, [0, 4], [1, 2, 3]), np.zeros((6, 3)), None) for _ in range(2)
+    )
     own, inbox, _ = states(5, rng)
     other_own, other_inbox, _ = states(5, rng)
     mixed = []
@@ -134,7 +136,7 @@ def test_ages_are_of_what_was_used():
     law.gains[2, 4:] = 0.0
     law.gains[2, 0] = 0.0  # the leader's rates are used all the same
     limits = {"silent_after": 2.0, "stale_after": 1.5}
-    control = Control(groups(law, middle, range(5), **limits), 5, 6)
+    control = Control(groups(law, middle, range(5), **limits), np.zeros((6, 3)), None)
     assert np.isnan(control.age_s).all()
     own, inbox, _ = states(5, rng)
     inbox.stamp_s[:], inbox.received_s[:] = 99.7, 99.9
@@ -150,7 +152,9 @@ def test_ages_are_of_what_was_used():
     expected[2, 4:] = np.nan
     assert control.age_s == pytest.approx(expected, abs=1e-12, nan_ok=True)
     # of a neighbour that is held at its place the old news is used
-    control = Control(groups(replace(law, hold=True), middle, range(5), **limits), 5, 6)
+    control = Control(
+        groups(replace(law, hold=True), middle, range(5), **limits), np.zeros((6, 3)), None
+    )
     control.step(0, 100.0, own, inbox, inbox.stamp_s)
     expected[4, 2] = 0.3
     assert control.age_s == pytest.approx(expected, abs=1e-12, nan_ok=True)
@@ -182,7 +186,7 @@ def stick_control(told, names=("uav1", "uav2")):
         ideal=np.zeros(len(names), dtype=bool),
         trusted=False,
     )
-    return Control((group,), len(names), len(names) + 1)
+    return Control((group,), np.zeros((len(names) + 1, 3)), None)
 
 
 def test_sticks_are_flown_within_their_limits():
@@ -288,5 +292,5 @@ def test_a_users_answer_is_looked_at_and_the_papers_is_not():
     control = stick_control(bad)
     with pytest.raises(InputError, match="the law's roll for uav2"):
         control.step(0, 100.0, own, inbox, inbox.stamp_s)
-    trusted = replace(stick_control(bad)._groups[0], trusted=True)
-    Control((trusted,), 2, 3).step(0, 100.0, own, inbox, inbox.stamp_s)
+    trusted = replace(stick_control(bad).groups[0], trusted=True)
+    Control((trusted,), np.zeros((3, 3)), None).step(0, 100.0, own, inbox, inbox.stamp_s)

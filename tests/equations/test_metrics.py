@@ -59,8 +59,12 @@ def a_frame(
     wind=(0.0, 0.0, 0.0),
     roll=0.0,
     throttle=0.0,
+    lost=(),
 ):
-    """Frame k: the leader flies north, slots lie at the offsets, followers err by the errors."""
+    """Frame k: the leader flies north, slots lie at the offsets, followers err by the errors.
+
+    Aircraft of the rows `lost` are lost; estimates are exact.
+    """
     errors = np.array(errors, dtype=float).reshape(-1, 3)
     n = len(errors)
     offsets = 20.0 * np.eye(n, 3) if offsets is None else np.array(offsets, dtype=float)
@@ -93,8 +97,11 @@ def a_frame(
             guards=np.array(guards or [0] * n, dtype=np.uint8),
             saturations=np.array(saturations or [0] * n, dtype=np.uint8),
             age_s=np.full((n, n + 1), np.nan),
+            place=np.arange(1, n + 1, dtype=np.uint32),
+            believed_ned=errors,
         ),
         links=LinkCounts(*np.zeros((2, n, n + 1), dtype=np.uint32)),
+        lost=np.isin(np.arange(n + 1), lost),
     )
 
 
@@ -150,16 +157,110 @@ def test_a_portion_that_was_not_reached_has_no_numbers():
     assert portions["half"]["rms_m"] == {"uav1": 1.0}
     nothing = {"window_s": [5.0, 6.0], "covered_s": 0.0, "complete": False}
     nothing |= {"rms_m": {"uav1": None}, "mean_rms_m": None, "percent_error": None}
+    nothing |= {"believed_rms_m": {"uav1": None}, "believed_mean_rms_m": None}
     nothing |= {"kappa_mps": {"uav1": None}, "slot_speed_mps": {"uav1": [None, None]}}
     assert portions["none"] == nothing | {"max_error_m": {"uav1": None}, "leader_bank_deg": None}
 
 
-def test_a_lost_agent_has_no_rms_rather_than_a_wrong_one():
+def test_an_error_that_is_not_a_number_gives_no_rms_rather_than_a_wrong_one():
     seen = [a_frame(k, [[math.nan if k > 30 else 1.0, 0, 0], [2.0, 0, 0]]) for k in range(50)]
     summary = measure(seen, run_info(portions={"all": (0.0, 2.0)}))
     assert summary["portions"]["all"]["rms_m"] == {"uav1": None, "uav2": 2.0}
     assert summary["portions"]["all"]["mean_rms_m"] is None
     assert summary["min_separation_m"] is not None
+
+
+def test_a_lost_follower_counts_until_it_was_lost():
+    # 3 m off for 25 frames, 4 m for 25, and then on the ground, a kilometre away and not a number
+    seen = []
+    for k in range(100):
+        own = [3.0 if k < 25 else 4.0, 0.0, 0.0] if k < 50 else [1000.0 if k < 60 else math.nan] * 3
+        lost = (1,) if k >= 50 else ()
+        seen.append(a_frame(k, [own, [0.0, 2.0, 0.0]], lost=lost, throttle=0.5 if k < 50 else 0.0))
+    portions = {"all": (0.0, 4.0), "late": (3.0, 4.0)}
+    summary = measure(seen, run_info(portions=portions))
+    both, late = summary["portions"]["all"], summary["portions"]["late"]
+    assert summary["lost_at_s"] == {"leader": None, "uav1": 2.0, "uav2": None}
+    assert both["rms_m"]["uav1"] == pytest.approx(math.sqrt(12.5), rel=1e-13)
+    assert both["rms_m"]["uav2"] == pytest.approx(2.0, rel=1e-13)
+    assert both["mean_rms_m"] == pytest.approx((math.sqrt(12.5) + 2.0) / 2.0, rel=1e-13)
+    # slots are 20 m from the leader
+    percent = 100.0 * (math.sqrt(12.5) + 2.0) / 2.0 / 20.0
+    assert both["percent_error"] == pytest.approx(percent, rel=1e-13)
+    assert both["max_error_m"] == {"uav1": 4.0, "uav2": 2.0}
+    assert summary["max_error_m"] == {"uav1": 4.0, "uav2": 2.0}
+    assert both["complete"]
+    assert late["rms_m"] == {"uav1": None, "uav2": 2.0}
+    assert late["mean_rms_m"] == late["believed_mean_rms_m"] == 2.0
+    assert late["max_error_m"]["uav1"] is None
+    # of the time it flew
+    assert summary["mean_throttle"]["uav1"] == pytest.approx(0.5, rel=1e-13)
+    assert summary["mean_throttle"]["uav2"] == pytest.approx(0.25, rel=1e-13)
+
+
+def test_behind_a_lost_leader_there_are_no_slots():
+    seen = [
+        a_frame(k, np.full((2, 3), 1.0 if k < 50 else 500.0), lost=(0,) if k >= 50 else (), bank=k)
+        for k in range(100)
+    ]
+    # the slots stop where the leader lies
+    slot = seen[49].formation.slot_ned
+    seen[50:] = [f._replace(formation=f.formation._replace(slot_ned=slot)) for f in seen[50:]]
+    summary = measure(seen, run_info(portions={"all": (0.0, 4.0)}))
+    portion = summary["portions"]["all"]
+    assert portion["rms_m"] == pytest.approx(dict.fromkeys(("uav1", "uav2"), math.sqrt(3.0)))
+    assert portion["leader_bank_deg"] == summary["leader_bank_deg"] == math.degrees(49.0)
+    # 22 m/s between bounds of 16 and 30, as long as there were slots; 1e-9: positions of 44 m
+    assert summary["kappa_mps"]["uav1"] == pytest.approx(6.0, abs=1e-9)
+    assert summary["recovery"]["uav1"]["inside_for_good_from_s"] is None
+
+
+@pytest.mark.parametrize("at", [300, BLOCK - 1, BLOCK])
+def test_a_lost_aircraft_is_close_to_others_up_to_the_frame_in_which_it_was_lost(at):
+    # uav2, 28 m from uav1, comes to 3 m and is lost by that; then others fly over it at 1 m
+    seen = [a_frame(k, np.zeros((2, 3)), lost=(1, 2) if k >= at else ()) for k in range(at + 300)]
+    seen[at] = a_frame(at, [[0.0, 0.0, 0.0], [20.0, -20.0, 3.0]], lost=(1, 2))
+    for k in range(at + 1, at + 300):
+        seen[k] = a_frame(k, [[0.0, 0.0, 0.0], [20.0, -20.0, 1.0]], lost=(1, 2))
+    summary = measure(seen, run_info())
+    assert summary["min_separation_m"] == pytest.approx(3.0, rel=1e-12)
+    assert summary["min_separation_at_s"] == at / FRAME_RATE_HZ
+    assert summary["min_separation_between"] == ["uav1", "uav2"]
+    assert summary["lost_at_s"] == {"leader": None} | dict.fromkeys(
+        ("uav1", "uav2"), at / FRAME_RATE_HZ
+    )
+
+
+def test_the_flags_of_a_lost_follower_are_not_counted():
+    guards, saturations = [int(Guard.OUTSIDE_SPEED_SET)] * 2, [int(Saturation.PITCH)] * 2
+    flags = {"guards": guards, "saturations": saturations}
+    seen = [a_frame(0, np.zeros((2, 3)))]
+    seen += [a_frame(k, np.zeros((2, 3)), lost=(2,), **flags) for k in range(1, 11)]
+    summary = measure(seen, run_info())
+    assert [summary["guards"][name]["frames"] for name in ("uav1", "uav2")] == [10, 0]
+    assert [summary["saturations"][name]["frames"] for name in ("uav1", "uav2")] == [10, 0]
+    assert summary["left_speed_set"]["uav2"] == {"times": 0, "first_s": None}
+    assert summary["recovery"]["uav2"]["last_saturated_s"] is None
+
+
+def test_a_lost_follower_is_not_engaged_by_lying_in_its_slot():
+    seen = [a_frame(k, [[0.0, 0.0, 0.0]], lost=(1,) if k >= 50 else ()) for k in range(400)]
+    summary = measure(seen, run_info(1))
+    assert summary["engaged_at_s"]["uav1"] is None
+    assert summary["recovery"]["uav1"]["inside_for_good_from_s"] is None
+
+
+def test_the_wind_felt_is_that_of_the_flight():
+    seen = [
+        a_frame(k, [[0.0, 0.0, 0.0]], wind=(4.0, 0.0, 0.0) if k < 30 else (90.0, 0.0, 0.0), roll=k)
+        for k in range(60)
+    ]
+    seen[30:] = [frame._replace(lost=np.array([False, True])) for frame in seen[30:]]
+    felt = measure(seen, run_info(1))["wind"]
+    assert felt["uav1"]["mean_ned_mps"] == pytest.approx([4.0, 0.0, 0.0], rel=1e-13)
+    assert felt["uav1"]["fastest_mps"] == 4.0
+    assert felt["uav1"]["wake_roll_coefficient"] == 29.0
+    assert felt["leader"]["mean_ned_mps"] == pytest.approx([47.0, 0.0, 0.0], rel=1e-13)
 
 
 def engaged(distances):

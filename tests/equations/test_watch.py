@@ -12,7 +12,6 @@ from testbed.sim.watch import (
     Staleness,
     broadcast,
     formation_state,
-    losses,
 )
 from testbed.sim.world import build
 from testbed.state import VehicleState
@@ -33,13 +32,15 @@ DIAGNOSIS = Diagnosis(
     saturations=np.array([4, 0], dtype=np.uint8),
 )
 AGE_S = np.array([[0.0, 0.1, 0.2], [0.3, 0.4, 0.5]])
+PLACES = np.array([1, 2], dtype=np.uint32)
 NOBODY = np.array([np.nan, np.nan])  # holds an altitude
 
 
 def test_slots_and_errors_are_the_truths():
     # 5 m behind and 5 m right of east is west and south; 4 m down
     offsets = np.array([[0.0, 0.0, 0.0], [-5.0, 5.0, 0.0], [-5.0, -5.0, 4.0]])
-    state = formation_state(flying(), DIAGNOSIS, AGE_S, offsets, NOBODY)
+    truth = flying()
+    state = formation_state(truth, truth, DIAGNOSIS, AGE_S, offsets, PLACES, NOBODY)
     assert state.slot_ned == pytest.approx(
         np.array([[95.0, 195.0, -50.0], [105.0, 195.0, -46.0]]), abs=1e-12
     )
@@ -58,6 +59,23 @@ def test_slots_and_errors_are_the_truths():
     assert state.guards.tolist() == [1, 2]
     assert state.saturations.tolist() == [4, 0]
     assert np.array_equal(state.age_s, AGE_S)
+    # where all estimates are exact, nothing else is believed
+    assert state.believed_ned is state.error_ned
+
+
+def test_what_is_believed_is_the_error_of_the_estimates():
+    """The leader takes itself to be 2 m farther north, and uav2 1 m lower, than they are."""
+    truth, estimate = flying(), flying()
+    estimate.position_ned[0, 0] += 2.0
+    estimate.position_ned[2, 2] += 1.0
+    offsets = np.array([[0.0, 0.0, 0.0], [-5.0, 5.0, 0.0], [-5.0, -5.0, 4.0]])
+    state = formation_state(truth, estimate, DIAGNOSIS, AGE_S, offsets, PLACES, NOBODY)
+    assert state.error_ned == pytest.approx(
+        np.array([[1.0, 0.0, 0.0], [1.0, -1.0, -1.0]]), abs=1e-12
+    )
+    assert state.believed_ned == pytest.approx(
+        np.array([[-1.0, 0.0, 0.0], [-1.0, -1.0, 0.0]]), abs=1e-12
+    )
 
 
 def test_the_slot_of_who_holds_an_altitude_lies_at_it():
@@ -66,7 +84,9 @@ def test_the_slot_of_who_holds_an_altitude_lies_at_it():
     offsets = np.array([[0.0, 0.0, 0.0], [-5.0, 5.0, 7.0], [-5.0, -5.0, 4.0]])
     for climb in (0.0, 15.0):
         flight.velocity_ned[0] = [0.0, 20.0, -climb]
-        state = formation_state(flight, DIAGNOSIS, AGE_S, offsets, np.array([60.0, np.nan]))
+        state = formation_state(
+            flight, flight, DIAGNOSIS, AGE_S, offsets, PLACES, np.array([60.0, np.nan])
+        )
         assert state.slot_ned[0] == pytest.approx([95.0, 195.0, -60.0], abs=1e-12)
         assert state.error_ned[0] == pytest.approx([1.0, 0.0, 10.0], abs=1e-12)
     # the other's slot climbs with the leader: 25 m/s along (0, 0.8, −0.6)
@@ -86,14 +106,6 @@ def test_a_broadcast_is_the_senders_estimate_with_euler_rates():
     assert said.euler_rates == pytest.approx(np.tile([0.0, 0.0, 0.4], (3, 1)), abs=1e-15)
 
 
-def test_each_lost_aircraft_is_an_error_of_its_own():
-    events = losses(3.5, np.array([False, True, True]), ["leader", "uav1", "uav2"])
-    assert [(e.time_s, e.level, e.source) for e in events] == [
-        (3.5, "error", "uav1"),
-        (3.5, "error", "uav2"),
-    ]
-
-
 DEAF = int(Guard.LEADER_SILENT)
 
 
@@ -101,7 +113,9 @@ def test_silence_and_its_end_are_events_of_who_does_not_hear():
     watch = Silence(["uav1", "uav2", "uav3"], 5.0)
 
     def changes(now, *guards):
-        events = watch.changes(now, np.array(guards, dtype=np.uint8))
+        events = watch.changes(
+            now, np.array(guards, dtype=np.uint8), np.zeros(len(guards), dtype=bool)
+        )
         return [(e.time_s, e.level, e.source, e.text) for e in events]
 
     lost, found = "does not hear the leader: flies on its own", "hears the leader again"
@@ -129,7 +143,12 @@ def test_a_first_message_under_way_is_no_silence_until_it_is_late():
     watch = Silence(["uav1", "uav2"], 5.0)
 
     def changes(now, *guards):
-        return [(e.source, e.level) for e in watch.changes(now, np.array(guards, dtype=np.uint8))]
+        return [
+            (e.source, e.level)
+            for e in watch.changes(
+                now, np.array(guards, dtype=np.uint8), np.zeros(len(guards), dtype=bool)
+            )
+        ]
 
     assert changes(0.0, DEAF, DEAF) == []
     assert changes(0.1, 0, DEAF) == []

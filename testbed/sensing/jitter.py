@@ -1,4 +1,4 @@
-"""What an autopilot believes of its own motion: the truth plus first-order Gauss-Markov errors."""
+"""First-order Gauss-Markov errors on top of an estimate, whatever made it."""
 
 from __future__ import annotations
 
@@ -22,30 +22,23 @@ class NoiseLevel:
     time_constant_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class SensorErrors:
-    """The errors of one aircraft's estimate: position m, velocity m/s, attitude rad."""
-
-    position: NoiseLevel
-    velocity: NoiseLevel
-    attitude: NoiseLevel
+Levels = tuple[NoiseLevel, NoiseLevel, NoiseLevel]
 
 
-class Estimators:
-    """The estimators of N aircraft, one stream of random numbers each, keyed by its name.
+class Jitter:
+    """Errors of position, velocity and attitude of N aircraft, a stream "sensors/<name>" each.
 
     Args:
         names: N names of aircraft.
-        errors: N sets of errors.
+        levels: of position (m), velocity (m/s) and attitude (rad), for N aircraft.
         seed: of the run.
         dt: s between estimates.
     """
 
     def __init__(
-        self, names: Sequence[str], errors: Sequence[SensorErrors], *, seed: int, dt: float
+        self, names: Sequence[str], levels: Sequence[Levels], *, seed: int, dt: float
     ) -> None:
         """See the class."""
-        levels = [[e.position, e.velocity, e.attitude] for e in errors]
         sigma = np.array([[level.sigma for level in row] for row in levels])
         tau = np.array([[level.time_constant_s for level in row] for row in levels])
         self._sigma = np.repeat(sigma, 3, axis=1)  # (N, 9)
@@ -67,31 +60,33 @@ class Estimators:
         numbers: Array = self._draws[self._next - 1]
         return numbers
 
-    def estimate(self, truth: VehicleState, *, fresh: bool) -> VehicleState:
-        """The next estimate. The truth itself where nothing errs.
+    def on(self, estimate: VehicleState, *, fresh: bool) -> VehicleState:
+        """An estimate of N aircraft with these errors added; itself where there are none.
 
-        Accelerations are the specific force an accelerometer feels, resolved with the estimated
-        attitude; rates and airspeeds are exact.
+        Accelerations are resolved anew with the attitude: they are what an accelerometer feels.
+        Rates and airspeeds stay as they are.
 
         Args:
-            truth: of N aircraft.
+            estimate: of N aircraft.
             fresh: errors move on; so once per `dt`. Between they stay as they are.
         """
         if self.exact:
-            return truth
+            return estimate
         if fresh:
             self._error = self._keep * self._error + self._fresh * self._draw()
         position, velocity, attitude = self._error.reshape(-1, 3, 3).swapaxes(0, 1)
-        euler = truth.euler + attitude
+        euler = estimate.euler + attitude
         gravity = np.array([0.0, 0.0, GRAVITY])
-        force_body = (truth.acceleration_ned - gravity)[:, None, :] @ rotation_ned_body(truth.euler)
+        force_body = (estimate.acceleration_ned - gravity)[:, None, :] @ rotation_ned_body(
+            estimate.euler
+        )
         force = (rotation_ned_body(euler) @ force_body.swapaxes(1, 2))[:, :, 0]
         return VehicleState(
-            position_ned=truth.position_ned + position,
-            velocity_ned=truth.velocity_ned + velocity,
+            position_ned=estimate.position_ned + position,
+            velocity_ned=estimate.velocity_ned + velocity,
             acceleration_ned=force + gravity,
             euler=euler,
-            rates_body=truth.rates_body,
-            airspeed=truth.airspeed,
-            equivalent_airspeed=truth.equivalent_airspeed,
+            rates_body=estimate.rates_body,
+            airspeed=estimate.airspeed,
+            equivalent_airspeed=estimate.equivalent_airspeed,
         )

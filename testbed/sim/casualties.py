@@ -1,0 +1,65 @@
+"""Who is lost: on the ground, beyond what a flight model can do, or collided."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from testbed.sim.breakdowns import Breakdowns
+from testbed.sim.limits import Proximity
+from testbed.state import Array, Event, Truths
+
+
+class Casualties:
+    """Remembers who of N aircraft is lost, and what the run makes of it.
+
+    An aircraft of which the page has broken something may be lost while it is broken: a run that
+    flies on without it has flown.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        proximity: Proximity,
+        breakdowns: Breakdowns | None,
+        *,
+        fly_on: bool,
+    ) -> None:
+        """Nobody is lost yet; breakdowns: of the page; fly_on: the run goes on without the lost."""
+        self._names, self._proximity, self._fly_on = names, proximity, fly_on
+        self._breakdowns = breakdowns
+        self.gone: Truths = np.zeros(len(names), dtype=bool)
+        self._unforeseen = False
+
+    def changes(self, now: float, position_ned: Array, down: Truths) -> Iterator[Event]:
+        """What has happened since the last call, in events; `gone` follows.
+
+        Args:
+            now: s
+            position_ned: (N, 3) m
+            down: (N,) on the ground, or beyond what their flight models can do.
+        """
+        yield from (
+            Event(now, "error", name, "lost: on the ground, or beyond what its flight model can do")
+            for name, lost in zip(self._names, down & ~self.gone, strict=True)
+            if lost
+        )
+        events, collided = self._proximity.changes(now, position_ned, self.gone | down)
+        yield from events
+        gone = self.gone | down | collided
+        new = gone & ~self.gone
+        if new.any():
+            foreseen = self._breakdowns.broken if self._breakdowns else self.gone
+            self._unforeseen |= bool((new & ~foreseen).any())
+            self.gone = gone  # a new array: observers keep the old one
+
+    @property
+    def over(self) -> bool:
+        """Whether the run ends here."""
+        return bool(self.gone.all() if self._fly_on else self.gone.any())
+
+    @property
+    def outcome(self) -> str:
+        """How a run has ended that came to its end: "lost" or "flown"."""
+        return "lost" if self.over or self._unforeseen else "flown"
