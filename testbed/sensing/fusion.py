@@ -1,7 +1,8 @@
 """One step of navigation filters: errors drift on, and what is measured is taken in.
 
-The order is EKF3's: velocity and position of the GPS, height, heading, airspeed, slip. What lies
-beyond its gate is refused; a GPS that has been refused for too long is believed after all.
+One after the other: velocity and position of the GPS, height, heading, airspeed, slip. What lies
+beyond its gate is refused; a velocity, position or height of which none was taken for too long is
+believed after all.
 """
 
 from __future__ import annotations
