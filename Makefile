@@ -37,7 +37,8 @@ tests: $(STAMP)
 	@$(BIN)/pytest -q -n $(JOBS) $(ARGS)
 
 # Everything: the tests, all starts of the theorem, the air's and the network's statistics on more
-# samples, every golden table, and the wheel built and flown from a fresh environment.
+# samples, broken MAVLink and flight logs, every golden table, and the wheel built and flown from a
+# fresh environment.
 check-all: test wheel
 	@TESTBED_STARTS=1000 $(BIN)/pytest -q tests/theorems/test_theorem_many_starts.py
 	@TESTBED_AIR_SAMPLES=60 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_air_dryden.py \
@@ -45,6 +46,8 @@ check-all: test wheel
 	@TESTBED_PACKETS=1000000 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_network_loss.py \
 		tests/equations/test_network_delay.py tests/equations/test_network_queue.py \
 		tests/equations/test_network_keys.py
+	@TESTBED_FRAMES=600000 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_mavlink_noise.py \
+		tests/contract/test_dataflash.py tests/truth/test_import_flight.py
 	@$(BIN)/testbed check --jobs $(JOBS)
 	@rm -rf build/fresh && $(BIN)/python -m venv build/fresh
 	@build/fresh/bin/python -m pip install --quiet --disable-pip-version-check \

@@ -13,6 +13,7 @@ from testbed import __version__
 from testbed.air_commands import air
 from testbed.airframe_commands import linearize, step, trim
 from testbed.errors import InputError
+from testbed.flight_commands import import_flight
 from testbed.network_commands import network
 from testbed.options import Overrides, ScenarioName
 
@@ -261,6 +262,7 @@ def respond(
         raise typer.Exit(LOST) from None
 
 
+app.command("import")(import_flight)
 for command in (trim, linearize, step, air, network):
     app.command()(command)
 

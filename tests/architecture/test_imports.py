@@ -57,6 +57,13 @@ def test_yaml_has_one_door():
     assert importers("yaml") == {"scenario/load.py"}
 
 
+def test_pymavlink_has_one_door_and_only_its_generated_tables_pass():
+    """They are under the MIT licence; most of the rest is, or imports what is, under the GPL."""
+    assert importers("pymavlink") == {"mavlink/door.py"}
+    named = {m for m in MODULES["mavlink/door.py"] if within(m, ["pymavlink"])}
+    assert named == {"pymavlink.dialects.v20", "pymavlink.dialects.v20.ardupilotmega"}
+
+
 def test_numba_has_one_door_and_it_is_for_twins_only():
     assert importers("numba") == {"compiled.py"}
     twins = {path for path in MODULES if path.endswith("twin.py")}
@@ -94,7 +101,7 @@ def test_formation_knows_only_numpy_and_the_shared_vocabulary():
 
 FLOWN = ["air", "vehicle", "sensing", "network", "guidance", "formation"]
 OBSERVERS = ["record", "metrics", "views"]
-ROOMS = [*FLOWN, *OBSERVERS, "scenario"]
+ROOMS = [*FLOWN, *OBSERVERS, "mavlink", "scenario"]
 
 
 def but(names, *allowed):
@@ -110,6 +117,7 @@ FORBIDDEN = {
     "record": [*but(FLOWN, "formation"), "sim", "study"],
     "metrics": [*but(FLOWN, "formation"), "sim", "record", "views", "study"],
     "views": [*but(FLOWN, "formation"), "sim", "study"],
+    "mavlink": [*but(ROOMS, "mavlink"), "sim", "study"],
     "scenario": [*but(ROOMS, "scenario"), "sim", "frames", "state", "study"],
     "sim": ["cli", "views", "study"],
     "study": ["cli", "views"],
@@ -148,6 +156,7 @@ def test_importing_the_page_loads_nothing_heavy(statement):
         "mcap",
         "foxglove",
         "google.protobuf",
+        "pymavlink",
         "rerun",
         "pyarrow",
     }

@@ -37,7 +37,7 @@ def test_version(tmp_path):
 
 def test_help_names_every_command_and_the_exit_codes(tmp_path):
     text = cli("--help", cwd=tmp_path).stdout
-    named = "run view air validate check list schema respond trim linearize step"
+    named = "run view air validate check list schema respond import trim linearize step"
     for command in named.split():
         assert f"{command} " in text
         assert "--help" in cli(command, "--help", cwd=tmp_path).stdout
@@ -53,6 +53,7 @@ def test_help_names_every_command_and_the_exit_codes(tmp_path):
         ("check", "[default: all that have a golden table]"),
         ("respond", "[default: the first row's, or 100]"),
         ("step", "[default: the profile's trim]"),
+        ("import", "[default: the only one]"),
     ],
 )
 def test_help_tells_defaults_that_are_found_out_later(command, default):
@@ -73,6 +74,7 @@ def test_help_loads_nothing_heavy(tmp_path):
     loaded = set(json.loads(done.stderr.splitlines()[-1]))
     assert "testbed.cli" in loaded
     assert not loaded & {"jsbsim", "numba", "rerun", "numpy", "scipy", "yaml", "mcap", "pydantic"}
+    assert not any(name.startswith("pymavlink") for name in loaded)
 
 
 def test_list_names_scenarios_and_aircraft(tmp_path):

@@ -1,0 +1,1 @@
+"""MAVLink: its frames, telemetry logs, and flights of real aircraft brought in from their logs."""

@@ -1,0 +1,183 @@
+"""Logs as an ArduPlane and a ground station would have written them of a recorded flight.
+
+DataFlash by the public description of the format, frames by pymavlink itself.
+"""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+ROOT = Path(__file__).parents[2]
+RECORDING = ROOT / "tests" / "data" / "arduplane_fbwa_rascal_steps.csv"
+HOME = 300.0  # m above sea level
+FBWA, AUTO = 5, 10
+PARAMS = {
+    "STAB_PITCH_DOWN": 2.0,
+    "TRIM_THROTTLE": 50.0,
+    "SERVO1_FUNCTION": 4.0,
+    "SERVO1_REVERSED": 0.0,
+    "SERVO2_FUNCTION": 19.0,
+    "SERVO2_REVERSED": 1.0,
+    "SERVO3_FUNCTION": 70.0,
+    "SERVO3_REVERSED": 0.0,
+    "SERVO4_FUNCTION": 21.0,
+    "SERVO4_REVERSED": 1.0,
+}
+
+
+def recorded():
+    return np.genfromtxt(RECORDING, delimiter=",", names=True)
+
+
+def true_over_equivalent(altitude):
+    """Of the standard atmosphere, from its temperature and pressure."""
+    temperature = 288.15 - 0.0065 * (altitude + HOME)
+    pressure = 101325.0 * (temperature / 288.15) ** 5.2558797
+    return np.sqrt(1.225 / (pressure / (287.052874 * temperature)))
+
+
+def demanded_pitch_deg(row):
+    """What ArduPlane logs: the stick's pitch, lowered below the trim throttle."""
+    down = PARAMS["STAB_PITCH_DOWN"] * max(1.0 - row["throttle_cmd"] / 0.5, 0.0)
+    return np.degrees(row["theta_cmd_rad"]) - down
+
+
+CODES = {"c": "h", "C": "H", "e": "i", "L": "i", "M": "B", "n": "4s", "N": "16s", "Z": "64s"}
+FORMATS = {
+    "FMT": (0x80, "BBnNZ", "Type,Length,Name,Format,Columns"),
+    "PARM": (1, "QNff", "TimeUS,Name,Value,Default"),
+    "MSG": (2, "QZ", "TimeUS,Message"),
+    "MODE": (3, "QMBB", "TimeUS,Mode,ModeNum,Rsn"),
+    "ATT": (4, "QffffffB", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,AEKF"),
+    "IMU": (5, "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
+    "ARSP": (6, "QBf", "TimeUS,I,Airspeed"),
+    "CTUN": (7, "Qccccffff", "TimeUS,NavRoll,Roll,NavPitch,Pitch,ThO,RdO,As,E2T"),
+    "AETR": (8, "Qffff", "TimeUS,Ail,Elev,Thr,Rudd"),
+    "RCOU": (9, "QHHHH", "TimeUS,C1,C2,C3,C4"),
+    "POS": (10, "QLLfff", "TimeUS,Lat,Lng,Alt,RelHomeAlt,RelOriginAlt"),
+    "GPS": (11, "QBef", "TimeUS,I,Alt,VZ"),
+    "AOA": (12, "Qff", "TimeUS,AOA,SSA"),
+}
+OLD_ATT = (4, "QccccCC", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
+
+
+def coded(form):
+    return "<" + "".join(CODES.get(c, c) for c in form)
+
+
+class DataFlash:
+    def __init__(self, formats=FORMATS, left_out=()):
+        self.formats = {name: form for name, form in formats.items() if name not in left_out}
+        self.bytes = bytearray()
+        for name, (number, form, columns) in self.formats.items():
+            self.add(
+                "FMT", number, 3 + struct.calcsize(coded(form)), name.encode(), form.encode(),
+                columns.encode(),
+            )  # fmt: skip
+
+    def add(self, name, *values):
+        if name in self.formats:
+            number, form, _ = self.formats[name]
+            pairs = zip(form, values, strict=True)
+            hundredth = [round(100 * value) if code in "cCeE" else value for code, value in pairs]
+            self.bytes += bytes([0xA3, 0x95, number]) + struct.pack(coded(form), *hundredth)
+
+
+def write_dataflash(path, rows, *, params=PARAMS, modes=((0.0, FBWA),), text="", **how):
+    """A .bin of recorded rows; `modes` are (from when, which)."""
+    log = DataFlash(**how)
+    log.add("MSG", 0, (text or "ArduPlane V4.7.0-dev").encode())
+    for name, value in params.items():
+        log.add("PARM", 0, name.encode(), value, value)
+    modes = list(modes)
+    for row in rows:
+        us = round(1e6 * row["t_s"])
+        while modes and modes[0][0] <= row["t_s"]:
+            mode = modes.pop(0)[1]
+            log.add("MODE", us, mode, mode, 0)
+        att = np.degrees([row["phi_cmd_rad"], row["phi_rad"], row["theta_rad"], row["psi_rad"]])
+        # the older layout ends before the last value
+        att = (us, att[0], att[1], demanded_pitch_deg(row), att[2], 0.0, att[3], 0)
+        layout = log.formats.get("ATT", FORMATS["ATT"])
+        log.add("ATT", *att[: len(layout[1])])
+        log.add("IMU", us, 1, 9.0, 9.0, 9.0, 0.0, 0.0, 0.0)  # another sensor, which is broken
+        log.add("IMU", us, 0, row["p_radps"], row["q_radps"], row["r_radps"], 0.0, 0.0, -9.8)
+        ratio = true_over_equivalent(row["altitude_m"])
+        log.add("ARSP", us, 0, row["airspeed_mps"] / ratio)
+        percent = 100.0 * row["throttle_cmd"]
+        eas = row["airspeed_mps"] / ratio
+        log.add("CTUN", us, 0, 0, 0, 0, percent, 0.0, eas, ratio)
+        surfaces = [row["pwm_ail"] - 1500, 1500 - row["pwm_ele"], 1500 - row["pwm_rud"]]
+        log.add(
+            "AETR", us, *(surfaces[0] * 11.25, surfaces[1] * 11.25, percent, surfaces[2] * 11.25)
+        )
+        log.add("RCOU", us, *(int(row[n]) for n in ("pwm_ail", "pwm_ele", "pwm_thr", "pwm_rud")))
+        altitude = row["altitude_m"]
+        log.add("POS", us, 380000000, 0, altitude + HOME, altitude, altitude)
+        log.add("GPS", us, 0, altitude + HOME, row["v_down_mps"])
+        log.add("AOA", us, np.degrees(row["alpha_rad"]), np.degrees(row["beta_rad"]))
+    path.write_bytes(log.bytes)
+    return path
+
+
+def vehicle(system, component=1):
+    return dialect.MAVLink(None, system, component)
+
+
+def heartbeat(mode, kind=dialect.MAV_TYPE_FIXED_WING, autopilot=3):
+    return dialect.MAVLink_heartbeat_message(kind, autopilot, 81, mode, 4, 3)
+
+
+EPOCH_US = 1_700_000_000_000_000
+
+
+def tlog_records(rows, *, system=1, params=PARAMS, mode=FBWA, boot_ms=0, late=None, left_out=()):
+    """(µs, frame) of one vehicle; the messages of a row arrive together, `late` s after it."""
+    late = np.zeros(len(rows)) if late is None else late
+    sender, records = vehicle(system), []
+
+    def add(us, message):
+        if message.get_type() not in left_out:
+            records.append((us, message.pack(sender)))
+            sender.seq = (sender.seq + 1) % 256
+
+    for k, row in enumerate(rows):
+        us = EPOCH_US + round(1e6 * (row["t_s"] + late[k]))
+        ms = boot_ms + round(1e3 * row["t_s"])
+        if k == 0:
+            for number, (name, value) in enumerate(params.items()):
+                told = (name.encode(), value, 9, len(params), number)
+                add(us, dialect.MAVLink_param_value_message(*told))
+        if k % 25 == 0 and mode is not None:
+            add(us, heartbeat(mode(row["t_s"]) if callable(mode) else mode))
+        attitude = [row[n] for n in ("phi_rad", "theta_rad", "psi_rad")]
+        attitude[2] = (attitude[2] + np.pi) % (2 * np.pi) - np.pi
+        rates = [row[n] for n in ("p_radps", "q_radps", "r_radps")]
+        add(us, dialect.MAVLink_attitude_message(ms, *attitude, *rates))
+        roll, pitch = np.degrees(row["phi_cmd_rad"]), demanded_pitch_deg(row)
+        add(us, dialect.MAVLink_nav_controller_output_message(roll, pitch, 0, 0, 0, 0, 0, 0))
+        altitude, percent = row["altitude_m"], round(100 * row["throttle_cmd"])
+        eas = row["airspeed_mps"] / true_over_equivalent(altitude)
+        climb = -row["v_down_mps"]
+        add(us, dialect.MAVLink_vfr_hud_message(eas, 22.0, 0, percent, altitude + HOME, climb))
+        heights = [round(1e3 * (altitude + HOME)), round(1e3 * altitude)]
+        down = round(100 * row["v_down_mps"])
+        add(us, dialect.MAVLink_global_position_int_message(ms, 0, 0, *heights, 0, 0, down, 0))
+        pulses = [int(row[n]) for n in ("pwm_ail", "pwm_ele", "pwm_thr", "pwm_rud")]
+        add(us, dialect.MAVLink_servo_output_raw_message(1000 * ms, 0, *pulses, 0, 0, 0, 0))
+        flow = np.degrees([row["alpha_rad"], row["beta_rad"]])
+        add(us, dialect.MAVLink_aoa_ssa_message(1000 * ms, *flow))
+    return records
+
+
+def write_tlog(path, *streams):
+    """A .tlog of several senders; it begins with the ground station that keeps it, at 0 s."""
+    station = vehicle(255, 190)
+    first = heartbeat(0, dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID).pack(station)
+    records = sorted((r for stream in streams for r in stream), key=lambda record: record[0])
+    with path.open("wb") as file:
+        for us, frame in [(EPOCH_US, first), *records]:
+            file.write(struct.pack(">Q", us) + frame)
+    return path

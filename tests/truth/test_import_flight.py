@@ -1,0 +1,428 @@
+"""Real flights from their logs: a recorded one is written as both kinds, and comes back."""
+
+import json
+import math
+import os
+import random
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from flight_logs import (
+    AUTO,
+    FBWA,
+    FORMATS,
+    OLD_ATT,
+    PARAMS,
+    RECORDING,
+    ROOT,
+    heartbeat,
+    recorded,
+    tlog_records,
+    vehicle,
+    write_dataflash,
+    write_tlog,
+)
+
+from testbed.errors import InputError
+from testbed.flight_console import import_and_show
+from testbed.mavlink import dataflash, telemetry
+from testbed.mavlink.flights import read_flight
+from testbed.vehicle.respond import ANSWERS, COMMANDS, respond
+
+FLIGHT = recorded()
+SHORT = FLIGHT[:500]  # 20 s
+RASCAL = ROOT / "aircraft" / "rascal110"
+
+
+def brought_in(path, out, **asked):
+    import_and_show(
+        path, out, **{"system": None, "begin": None, "end": None, "mode": "FBWA"} | asked
+    )
+    return np.genfromtxt(out, delimiter=",", names=True)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("flights")
+
+
+@pytest.fixture(scope="module")
+def logs(folder):
+    # a radio link that delays every row by up to 39 ms, and never the first
+    late = np.random.default_rng(7).uniform(0.0, 0.039, len(FLIGHT))
+    late[0] = 0.0
+    write_dataflash(folder / "flight.bin", FLIGHT)
+    # the file begins with the ground station, at 0 s
+    write_tlog(folder / "flight.tlog", tlog_records(FLIGHT, late=late, boot_ms=123_456))
+    return folder
+
+
+# One unit of the sixth digit of the CSVs (measured: none differs); GLOBAL_POSITION_INT has cm/s and
+# mm.
+SIX = 1e-5
+TELEMETRY = {"v_down_mps": 0.00501, "altitude_m": 0.00051}
+
+
+@pytest.mark.parametrize(("kind", "coarser"), [("bin", {}), ("tlog", TELEMETRY)])
+def test_a_flight_comes_back_as_it_was(logs, kind, coarser):
+    flown = brought_in(logs / f"flight.{kind}", logs / f"{kind}.csv")
+    assert flown.dtype.names == FLIGHT.dtype.names == COMMANDS + ANSWERS
+    for name in FLIGHT.dtype.names:
+        off = np.abs(flown[name] - FLIGHT[name])
+        if name == "psi_rad":
+            off = np.minimum(off, 2.0 * math.pi - off)
+        room = coarser.get(name, 0.0) + SIX * np.maximum(np.abs(FLIGHT[name]), 0.1)
+        if name.startswith("pwm"):
+            room = np.zeros(len(off))
+        assert (off <= room).all(), (name, off.max())
+
+
+@pytest.mark.parametrize("kind", ["bin", "tlog"])
+def test_its_replay_is_the_replay_of_the_original(logs, kind):
+    rows = RECORDING.read_text().splitlines(keepends=True)[:1001]  # 40 s
+    (logs / "original.csv").write_text("".join(rows))
+    respond(RASCAL, logs / "original.csv", logs / "a.csv")
+    brought_in(logs / f"flight.{kind}", logs / "commands.csv", end=40.0)
+    respond(RASCAL, logs / "commands.csv", logs / "b.csv")
+    a, b = (np.genfromtxt(logs / f"{n}.csv", delimiter=",", names=True) for n in "ab")
+    assert len(a) == len(b) == 1000
+    for name in ("phi_rad", "theta_rad"):
+        # measured: no difference; this is what a last digit of a command or the start would make
+        assert np.abs(a[name] - b[name]).max() < 1e-5
+    assert np.abs(a["airspeed_mps"] - b["airspeed_mps"]).max() < 1e-3
+
+
+def test_older_logs_are_in_hundredths_of_degrees(folder):
+    old = FORMATS | {"ATT": OLD_ATT}
+    path = write_dataflash(folder / "old.bin", SHORT, formats=old)
+    flown = read_flight(path).columns
+    half = math.radians(0.005) + 1e-6
+    for name in ("phi_rad", "theta_rad", "phi_cmd_rad", "theta_cmd_rad"):
+        assert np.abs(flown[name] - SHORT[name]).max() < half
+
+
+def test_columns_and_commands_are_those_of_a_replay():
+    for kind in (dataflash, telemetry):
+        assert ("t_s", *kind.COLUMNS) == COMMANDS + ANSWERS
+
+
+def test_the_stick_is_found_under_the_pitch_that_was_logged(folder):
+    """Below the trim throttle ArduPlane logs a lower pitch; the replay lowers it again."""
+    params = {k: v for k, v in PARAMS.items() if k != "STAB_PITCH_DOWN"}
+    lowered = read_flight(write_dataflash(folder / "p.bin", SHORT, params=params))
+    found = read_flight(write_dataflash(folder / "q.bin", SHORT))
+    down = np.radians(2.0 * (1.0 - SHORT["throttle_cmd"] / 0.5))
+    off = found.columns["theta_cmd_rad"] - lowered.columns["theta_cmd_rad"]
+    assert np.abs(off - down).max() < 1e-6
+    assert any("STAB_PITCH_DOWN" in note for note in lowered.notes)
+    assert not any("STAB_PITCH_DOWN" in note for note in found.notes)
+
+
+def test_true_airspeed_is_found_with_and_without_the_autopilots_ratio(folder):
+    path = write_dataflash(folder / "e.bin", SHORT, left_out=("CTUN",))
+    flight = read_flight(path)
+    assert flight.sources["airspeed_mps"] == "ARSP.Airspeed × the standard atmosphere at POS.Alt"
+    assert np.abs(flight.columns["airspeed_mps"] - SHORT["airspeed_mps"]).max() < 1e-3
+
+
+def test_outputs_are_found_by_their_function_and_turned(folder):
+    """Aileron on output 4 and reversed, rudder on 1; the elevator not reversed, as in the air."""
+    params = PARAMS | {
+        "SERVO1_FUNCTION": 21.0,
+        "SERVO1_REVERSED": 1.0,
+        "SERVO4_FUNCTION": 4.0,
+        "SERVO4_REVERSED": 1.0,
+        "SERVO2_REVERSED": 0.0,
+    }
+    flown = read_flight(write_dataflash(folder / "s.bin", SHORT, params=params)).columns
+    assert np.array_equal(flown["pwm_rud"], SHORT["pwm_ail"])
+    assert np.array_equal(flown["pwm_ail"], 3000.0 - SHORT["pwm_rud"])
+    assert np.array_equal(flown["pwm_ele"], 3000.0 - SHORT["pwm_ele"])
+
+
+def test_mixed_surfaces_are_taken_from_what_was_asked_of_them(folder):
+    elevons = PARAMS | {"SERVO1_FUNCTION": 77.0, "SERVO2_FUNCTION": 78.0, "SERVO4_FUNCTION": 0.0}
+    flight = read_flight(write_dataflash(folder / "m.bin", SHORT, params=elevons))
+    for name in ("pwm_ail", "pwm_ele", "pwm_rud"):
+        assert flight.sources[name].startswith("AETR")
+        assert np.abs(flight.columns[name] - SHORT[name]).max() < 1e-3
+    assert flight.sources["pwm_thr"] == "RCOU.C3"
+
+
+def test_throttle_is_found_where_it_is_told(folder):
+    """In the recording the motor's output is one row later than its command, so it shows which."""
+    ends = PARAMS | {"SERVO3_MIN": 1000.0, "SERVO3_MAX": 2000.0}
+    rows = FLIGHT[2400:2800]
+    sent = (rows["pwm_thr"] - 1000.0) / 1000.0
+    assert (sent != rows["throttle_cmd"]).sum() == 2
+    bare = ("AETR", "CTUN")
+    for path, source, wanted in (
+        (write_dataflash(folder / "t.bin", rows), "AETR.Thr", rows["throttle_cmd"]),
+        (write_dataflash(folder / "u.bin", rows, params=ends, left_out=bare), "RCOU.C3", sent),
+        (
+            write_tlog(folder / "t.tlog", tlog_records(rows)),
+            "VFR_HUD.throttle",
+            rows["throttle_cmd"],
+        ),
+        (
+            write_tlog(folder / "u.tlog", tlog_records(rows, params=ends)),
+            "SERVO_OUTPUT_RAW.servo3_raw",
+            sent,
+        ),
+    ):
+        flight = read_flight(path)
+        assert flight.sources["throttle_cmd"] == source
+        assert np.abs(flight.columns["throttle_cmd"] - wanted).max() < 1e-6
+
+
+def test_only_the_longest_stretch_in_the_mode_is_taken(folder):
+    modes = ((0.0, AUTO), (3.0, FBWA), (8.0, AUTO), (9.0, FBWA), (19.0, AUTO))
+    path = write_dataflash(folder / "modes.bin", SHORT, modes=modes)
+
+    def ends(**asked):
+        time = read_flight(path, **asked).columns["t_s"]
+        return time[0], time[-1], len(time)
+
+    rows = SHORT["t_s"]
+    assert ends() == pytest.approx((9.015, 19.015, 251), abs=1e-9)
+    assert any("3.0 to 8.0" in note for note in read_flight(path).notes)
+    assert ends(end=9.0) == pytest.approx((3.015, 8.015, 126), abs=1e-9)
+    assert ends(mode="any") == pytest.approx((rows[0], rows[-1], len(rows)), abs=1e-9)
+    assert ends(mode="auto", begin=5.0, end=8.99) == pytest.approx((8.015, 8.975, 25), abs=1e-9)
+    assert read_flight(path, mode="any").modes == ("AUTO", "FBWA")
+    for asked in ({"mode": "RTL"}, {"begin": 30.0}):
+        with pytest.raises(InputError, match=r"nothing in \w+ .* AUTO 0.0 to 3.0, FBWA 3.0"):
+            read_flight(path, **asked)
+    with pytest.raises(InputError, match="write any, or one of MANUAL"):
+        read_flight(path, mode="HOVER")
+
+
+def test_a_mode_lasts_from_heartbeat_to_heartbeat(folder):
+    def mode(t):
+        return FBWA if 5.0 < t < 12.0 else AUTO
+
+    path = write_tlog(folder / "beats.tlog", tlog_records(SHORT, mode=mode))
+    time = read_flight(path).columns["t_s"]
+    assert (time[0], time[-1]) == pytest.approx((5.015, 11.015), abs=1e-6)
+
+
+def test_a_pause_ends_a_stretch(folder):
+    rows = SHORT[(SHORT["t_s"] < 6.0) | (SHORT["t_s"] > 8.0)]
+    flight = read_flight(write_dataflash(folder / "gap.bin", rows))
+    assert flight.columns["t_s"][0] == pytest.approx(8.015)
+    assert any("0.0 to 6.0" in note for note in flight.notes)
+
+
+def test_a_reboot_in_flight_starts_a_clock_of_its_own(folder):
+    before = tlog_records(SHORT[:100], boot_ms=900_000)
+    after = tlog_records(SHORT[150:], boot_ms=-5_000)
+    time = read_flight(write_tlog(folder / "boot.tlog", before, after)).columns["t_s"]
+    assert time == pytest.approx(SHORT["t_s"][150:], abs=1e-6)
+
+
+def test_slow_commands_are_told(folder):
+    """The demands come twice a second, as ground stations ask by default."""
+    path = folder / "slow.tlog"
+    fast = tlog_records(SHORT, left_out=("NAV_CONTROLLER_OUTPUT",))
+    others = ("ATTITUDE", "VFR_HUD", "GLOBAL_POSITION_INT", "SERVO_OUTPUT_RAW", "HEARTBEAT")
+    slow = tlog_records(SHORT[::12], left_out=(*others, "AOA_SSA", "PARAM_VALUE"))
+    flight = read_flight(write_tlog(path, fast, slow))
+    (roll,) = [note for note in flight.notes if note.startswith("phi_cmd_rad")]
+    assert "2.08 times a second; a step may be 0.48 s late" in roll
+    held = SHORT["phi_cmd_rad"][np.arange(500) // 12 * 12]
+    assert np.abs(flight.columns["phi_cmd_rad"] - held).max() < 1e-6
+
+
+def test_a_vehicle_among_several_has_to_be_named(folder):
+    other = SHORT.copy()
+    other["phi_rad"] += 0.1
+    path = write_tlog(
+        folder / "two.tlog", tlog_records(SHORT), tlog_records(other[:250], system=7, mode=AUTO)
+    )
+    for asked in ({}, {"system": 3}):
+        with pytest.raises(InputError, match=r"one of 1 \(20 s FBWA\), 7 \(10 s AUTO\)"):
+            read_flight(path, **asked)
+    seventh = read_flight(path, system=7, mode="AUTO").columns["phi_rad"]
+    assert np.abs(seventh - other["phi_rad"][:250]).max() < 1e-6
+
+
+def test_missing_columns_are_left_out_and_told(folder):
+    path = write_dataflash(folder / "few.bin", SHORT, left_out=("AOA", "ARSP", "IMU", "GPS"))
+    flight = read_flight(path)
+    assert set(flight.missing) == {
+        *("alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps", "v_down_mps")
+    }
+    assert flight.sources["airspeed_mps"].startswith("CTUN.As")
+    assert "no IMU; have it logged (LOG_BITMASK" in flight.missing["p_radps"]
+    out = folder / "few.csv"
+    flown = brought_in(path, out)
+    assert "p_radps" not in flown.dtype.names
+    respond(RASCAL, out, folder / "answer.csv")
+
+
+@pytest.mark.parametrize(
+    ("left_out", "said"),
+    [
+        (("ATT",), "no ATT; have it logged"),
+        (("AETR", "CTUN", "RCOU"), "no AETR or CTUN, so no throttle_cmd"),
+    ],
+)
+def test_a_log_without_commands_is_refused(folder, left_out, said):
+    path = write_dataflash(folder / "none.bin", SHORT, left_out=left_out)
+    with pytest.raises(InputError, match=said):
+        read_flight(path)
+
+
+def test_a_tlog_without_demands_is_refused(folder):
+    records = tlog_records(SHORT, left_out=("NAV_CONTROLLER_OUTPUT",))
+    with pytest.raises(InputError, match="no NAV_CONTROLLER_OUTPUT, so no theta_cmd_rad; have it"):
+        read_flight(write_tlog(folder / "none.tlog", records))
+    with pytest.raises(InputError, match=r"no autopilot sent ATTITUDE; systems \[1\] were heard"):
+        read_flight(write_tlog(folder / "none.tlog", tlog_records(SHORT, left_out=("ATTITUDE",))))
+
+
+def test_other_vehicles_are_refused(folder):
+    path = write_dataflash(folder / "copter.bin", SHORT, text="ArduCopter V4.5.7")
+    with pytest.raises(InputError, match="a log of ArduCopter; give one of ArduPlane"):
+        read_flight(path)
+    px4 = [(us, heartbeat(0, autopilot=12).pack(vehicle(1))) for us, _ in tlog_records(SHORT[:1])]
+    records = tlog_records(SHORT, mode=None)
+    with pytest.raises(InputError, match="not ArduPlane .HEARTBEAT has autopilot 12"):
+        read_flight(write_tlog(folder / "px4.tlog", records, px4))
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "this is empty"),
+        (b"ULog\x01\x12\x35", "a PX4 ULog"),
+        (b"\x89MCAP0\r\n", "an MCAP log"),
+        (b"FMT, 128, 89, FMT, BBnNZ", "as text; give the .bin"),
+        (b"PK\x03\x04rest", "unpack it first"),
+        (b"t_s,theta_cmd_rad\n0,0\n" * 100, "this is neither"),
+        (heartbeat(5).pack(vehicle(1)) * 20, "MAVLink without times"),
+    ],
+)
+def test_what_is_neither_is_told_apart(folder, content, said):
+    path = folder / "flight.dat"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=said) as error:
+        read_flight(path)
+    assert str(path) in str(error.value)
+
+
+def test_a_missing_file_a_bad_place_and_bad_times_are_named(folder, logs):
+    with pytest.raises(InputError, match="nothing.bin"):
+        read_flight(folder / "nothing.bin")
+    with pytest.raises(InputError, match="--system 3: .* leave it out"):
+        read_flight(logs / "flight.bin", system=3)
+    with pytest.raises(InputError, match="--out"):
+        brought_in(logs / "flight.bin", folder / "no" / "where.csv")
+    with pytest.raises(InputError, match="--from 9: not before --to 9"):
+        brought_in(logs / "flight.bin", folder / "o.csv", begin=9.0, end=9.0)
+    with pytest.raises(InputError, match="--to nan"):
+        brought_in(logs / "flight.bin", folder / "o.csv", end=math.nan)
+
+
+def test_a_cut_log_gives_what_it_has_and_says_so(folder):
+    whole = write_dataflash(folder / "whole.bin", SHORT).read_bytes()
+    (folder / "cut.bin").write_bytes(whole[: len(whole) // 2])
+    assert 240 < len(read_flight(folder / "cut.bin").columns["t_s"]) < 260
+    whole = write_tlog(folder / "whole.tlog", tlog_records(SHORT)).read_bytes()
+    (folder / "cut.tlog").write_bytes(whole[: len(whole) // 2 + 3])
+    flight = read_flight(folder / "cut.tlog")
+    assert 240 < len(flight.columns["t_s"]) < 260
+    assert any("last record is cut off" in note for note in flight.notes)
+
+
+def test_one_damaged_time_costs_one_row(folder):
+    rows = SHORT.copy()
+    rows["t_s"][100] = 1e6
+    flight = read_flight(write_dataflash(folder / "time.bin", rows))
+    assert len(flight.columns["t_s"]) == 499
+
+
+def damaged(good, rng):
+    """Up to five things that happen to files; as often in the few definitions as behind them."""
+    data = bytearray(good)
+    for _ in range(rng.randrange(1, 6)):
+        at = rng.randrange(len(data)) if rng.random() < 0.5 else rng.randrange(3, 1300)
+        way, size = rng.randrange(5), rng.randrange(1, 200)
+        if way == 0:
+            data[at : at + size] = b""
+        elif way == 1:
+            data[at:at] = rng.randbytes(size)
+        elif way == 2:
+            data[at : at + size] = data[(other := rng.randrange(len(data))) : other + size]
+        else:
+            data[at : at + 1] = rng.randbytes(1)
+    return bytes(data)
+
+
+def test_damage_is_told_or_refused_and_never_raises_anything_else(folder, capfd):
+    rng = random.Random(3)
+    path = folder / "damaged.bin"
+    good = write_dataflash(path, SHORT[:100]).read_bytes()
+    fine = 0
+    tries = int(os.environ.get("TESTBED_FRAMES", "10000")) // 30
+    for _ in range(tries):
+        path.write_bytes(damaged(good, rng))
+        try:
+            fine += len(read_flight(path).columns["t_s"]) > 50
+        except InputError as error:
+            assert str(path) in str(error)
+    assert fine > tries / 2  # measured: three of four
+    assert capfd.readouterr().err == ""
+
+
+def test_noise_in_a_log_is_counted(folder):
+    path = folder / "noise.bin"
+    good = write_dataflash(path, SHORT).read_bytes()
+    half = good.index(bytes([0xA3, 0x95, FORMATS["ATT"][0]]), len(good) // 2)
+    path.write_bytes(good[:half] + bytes(64) + good[half:])
+    flight = read_flight(path)
+    assert len(flight.columns["t_s"]) == len(SHORT)
+    # and the AOA before them, 19 bytes, with which no other message begins where it ends
+    assert "83 bytes are damaged and were left out" in flight.notes
+
+
+def test_a_damaged_definition_is_named(folder):
+    path = folder / "defined.bin"
+    good = write_dataflash(path, SHORT).read_bytes()
+    path.write_bytes(good.replace(b"DesPitch,", b"DesPitch-"))
+    with pytest.raises(InputError, match="no ATT; .* the definition of ATT is damaged"):
+        read_flight(path)
+    path.write_bytes(good.replace(b"GyrX,", b"GyrX-"))
+    flight = read_flight(path)
+    assert "the definition of IMU is damaged" in flight.missing["p_radps"]
+    assert np.abs(flight.columns["phi_rad"] - SHORT["phi_rad"]).max() < 1e-6
+
+
+def test_of_pymavlink_only_what_is_under_the_mit_licence_is_loaded(logs):
+    """Its generated tables are; the packages around them are empty but for a version."""
+    code = f"""
+import json, sys
+from pathlib import Path
+from testbed.mavlink.door import Codec
+from testbed.mavlink.flights import read_flight
+from testbed.mavlink.signing import Signing
+from testbed.mavlink.tlog import TlogWriter
+for kind in ("bin", "tlog"):
+    read_flight(Path({str(logs)!r}) / f"flight.{{kind}}")
+link = Codec(1, 1, Signing(bytes(32)))
+link.feed(link.pack("PARAM_REQUEST_LIST", target_system=1, target_component=1))
+loaded = [m for name, m in sys.modules.items() if name.split(".")[0] == "pymavlink"]
+print(json.dumps({{m.__name__: Path(m.__file__).read_text() for m in loaded}}))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    sources = json.loads(done.stdout)
+    tables = "pymavlink.dialects.v20.ardupilotmega"
+    packages = {"pymavlink", "pymavlink.dialects", "pymavlink.dialects.v20"}
+    assert sources.keys() == packages | {tables}
+    assert "auto-generated by mavgen.py" in sources[tables][:200]
+    assert not any("GPL" in text or "General Public" in text for text in sources.values())
+    assert all(len(sources[name].splitlines()) <= 2 for name in packages)
