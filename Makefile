@@ -10,10 +10,12 @@ ARGS ?=
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+CLIENTS := .venv-clients
+CLIENTS_STAMP := $(CLIENTS)/.installed
 MAKEFLAGS += --no-print-directory
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test lint types tests check-all bench results netem wheel lock clean
+.PHONY: help setup run test lint types tests clients check-all bench results netem wheel lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,4p'
@@ -33,12 +35,17 @@ lint: $(STAMP)
 types: $(STAMP)
 	@$(BIN)/mypy --no-error-summary
 
-tests: $(STAMP)
+tests: $(STAMP) $(CLIENTS_STAMP)
 	@$(BIN)/pytest -q -n $(JOBS) $(ARGS)
 
+# Ground stations and libraries that tests/clients runs as programs, apart from what the testbed is
+# made of.
+clients: $(CLIENTS_STAMP)
+	@:
+
 # Everything: the tests, all starts of the theorem, the air's and the network's statistics on more
-# samples, broken MAVLink and flight logs, every golden table, and the wheel built and flown from a
-# fresh environment.
+# samples, broken MAVLink and flight logs, real time with nothing else running, every golden table, and
+# the wheel built and flown from a fresh environment.
 check-all: test wheel
 	@TESTBED_STARTS=1000 $(BIN)/pytest -q tests/theorems/test_theorem_many_starts.py
 	@TESTBED_AIR_SAMPLES=60 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_air_dryden.py \
@@ -47,7 +54,11 @@ check-all: test wheel
 		tests/equations/test_network_delay.py tests/equations/test_network_queue.py \
 		tests/equations/test_network_keys.py
 	@TESTBED_FRAMES=600000 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_mavlink_noise.py \
-		tests/contract/test_dataflash.py tests/truth/test_import_flight.py
+		tests/contract/test_links_noise.py tests/contract/test_dataflash.py \
+		tests/truth/test_import_flight.py tests/equations/test_follow_target.py
+	@TESTBED_FRAMES=10000 $(BIN)/pytest -q tests/clients/test_storm.py
+	@TESTBED_QUIET=1 $(BIN)/pytest -q tests/clients/test_real_time.py
+	@TESTBED_ARDUPLANE_WHOLE=1 $(BIN)/pytest -q tests/contract/test_arduplane.py
 	@$(BIN)/testbed check --jobs $(JOBS)
 	@rm -rf build/fresh && $(BIN)/python -m venv build/fresh
 	@build/fresh/bin/python -m pip install --quiet --disable-pip-version-check \
@@ -88,9 +99,12 @@ lock:
 	@uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 \
 		--generate-hashes --no-annotate --no-config --upgrade --quiet \
 		--custom-compile-command "make lock" -o requirements.lock
+	@uv pip compile tests/clients/requirements.in --no-deps --universal --python-version 3.11 \
+		--generate-hashes --no-annotate --no-config --upgrade --quiet \
+		--custom-compile-command "make lock" -o tests/clients/requirements.lock
 
 clean:
-	@rm -rf $(VENV) build dist .mypy_cache .pytest_cache .ruff_cache
+	@rm -rf $(VENV) $(CLIENTS) build dist .mypy_cache .pytest_cache .ruff_cache
 
 $(STAMP): requirements.lock pyproject.toml
 	@set -e; \
@@ -113,3 +127,10 @@ $(STAMP): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
 		--no-deps --no-build-isolation --editable .; \
 	touch $(STAMP)
+
+$(CLIENTS_STAMP): tests/clients/requirements.lock | $(STAMP)
+	@echo "Installing the MAVLink clients of the tests into $(CLIENTS); once, a minute"
+	@$(BIN)/python -m venv --clear $(CLIENTS)
+	@$(CLIENTS)/bin/python -m pip install --quiet --disable-pip-version-check \
+		--no-deps --require-hashes -r tests/clients/requirements.lock
+	@touch $(CLIENTS_STAMP)

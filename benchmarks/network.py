@@ -1,4 +1,4 @@
-"""Tables and figure of docs/network.md: what loss, latency and divided networks do to a formation.
+"""Tables and figure of docs/network.md: what loss, latency, divided networks and MAVLink do.
 
 usage: make results  (ARGS="--jobs N")
 """
@@ -49,6 +49,28 @@ DIVIDED = {
     for policy, keys in POLICIES.items()
 }
 
+RADIO = "telemetry-radio"
+EXACT = ("network.encoding=exact", "network.corrupt=0.01")
+# What is said, and on which radio.
+ENCODED = {
+    ("every digit", "perfect, 25 Hz"): Case("simulation-3"),
+    ("FOLLOW_TARGET", "perfect, 25 Hz"): Case("simulation-3", ("network.encoding=follow-target",)),
+    ("FOLLOW_TARGET", "57.6 kbit/s in turns of 0.1 s, 10 Hz"): Case(RADIO),
+    ("every digit, 105 bytes", "57.6 kbit/s in turns of 0.1 s, 10 Hz"): Case(
+        RADIO, (*EXACT, "network.message_bytes=105")
+    ),
+    ("every digit, 40 bytes", "57.6 kbit/s in turns of 0.04 s, 25 Hz"): Case(
+        RADIO,
+        (*EXACT, "network.message_bytes=40", "network.tdma.frame_s=0.04", "rates.broadcast_hz=25"),
+    ),
+    ("FOLLOW_TARGET", "57.6 kbit/s in turns of 0.1 s, 25 Hz"): Case(
+        RADIO, ("rates.broadcast_hz=25",)
+    ),
+    ("FOLLOW_TARGET, from receipt", "57.6 kbit/s in turns of 0.1 s, 10 Hz"): Case(
+        RADIO, ("controller.extrapolate_from=receipt",)
+    ),
+}
+
 
 def mean_error(flight: Metrics) -> float:
     """Mean of the RMS errors over portions and followers, m."""
@@ -77,6 +99,22 @@ def divided_table(flown: Mapping[Case, Metrics]) -> Iterator[str]:
         largest = max(max(part["max_error_m"].values()) for part in parts)
         yield row(groups, policy, f"{largest:.0f}", f"{max(back - HEALS_S, 0.0):.0f}",
                   f"{flight['min_separation_m']:.1f}")  # fmt: skip
+
+
+def encoded_table(flown: Mapping[Case, Metrics]) -> Iterator[str]:
+    """Error by what a message says and how long it takes."""
+    yield row(
+        "messages", "radio", "delivered", "late in the mean, ms", "rectangles, m", "circles, m"
+    )
+    yield "|---|---|--:|--:|--:|--:|"
+    for (messages, radio), case in ENCODED.items():
+        radioed = flown[case]["network"]["all"]
+        errors = (
+            " / ".join(f"{error:.3f}" for error in part["rms_m"].values())
+            for part in flown[case]["portions"].values()
+        )
+        yield row(messages, radio, f"{100 * radioed['delivered_share']:.1f} %",
+                  f"{1e3 * radioed['delay_s']['mean']:.0f}", *errors)  # fmt: skip
 
 
 def figure(flown: Mapping[Case, Metrics]) -> Sheet:
@@ -123,8 +161,13 @@ def text(flown: Mapping[Case, Metrics]) -> list[str]:
         "After 20 s of a divided network (scenario `partition-and-heal` and its like):",
         "",
         *divided_table(flown),
+        "",
+        "RMS errors of the three followers by what is in a message (scenarios `simulation-3` and "
+        "`telemetry-radio`):",
+        "",
+        *encoded_table(flown),
     ]
 
 
 if __name__ == "__main__":
-    write_tables(__doc__ or "", [*GRID.values(), *DIVIDED.values()], text)
+    write_tables(__doc__ or "", [*GRID.values(), *DIVIDED.values(), *ENCODED.values()], text)

@@ -12,19 +12,21 @@ import typer
 from testbed import __version__
 from testbed.air_commands import air
 from testbed.airframe_commands import linearize, step, trim
-from testbed.errors import InputError
+from testbed.errors import InputError, PartnerLost
 from testbed.flight_commands import import_flight
 from testbed.network_commands import network
 from testbed.options import Overrides, ScenarioName
+from testbed.run_commands import run
 
 LOST = 1
 BAD_INPUT = 2
 INTERNAL_ERROR = 4
+PARTNER_LOST = 5
 INTERRUPTED = 130
 
 EXITS = (
     "Exit codes: 0 good, 1 an aircraft was lost, 2 bad input, 3 regression, 4 internal error, "
-    "130 interrupted."
+    "5 a program outside was lost, 130 interrupted."
 )
 
 app = typer.Typer(
@@ -54,49 +56,7 @@ def _main(
     pass
 
 
-@app.command(epilog=EXITS)
-def run(
-    scenario: ScenarioName,
-    overrides: Overrides = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of every random stream.")] = None,
-    duration: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="End the flight earlier or later.")
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="Run directory to make.  \\[default: logs/SCENARIO/UTC-ID]"
-        ),
-    ] = None,
-    json: Annotated[
-        Path | None,
-        typer.Option("--json", metavar="FILE", help="Write the metrics here too; - is stdout."),
-    ] = None,
-    view: Annotated[
-        bool, typer.Option("--view", help="Watch live in a Rerun viewer, started if need be.")
-    ] = False,
-    quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="No progress bar and no table.")
-    ] = False,
-) -> None:
-    """Fly a scenario and print its table.
-
-    Leaves run.mcap, scenario.resolved.yaml and metrics.json in the run directory.
-    """
-    from testbed.console import fly_and_show
-
-    raise typer.Exit(
-        fly_and_show(
-            scenario,
-            tuple(overrides or ()),
-            seed=seed,
-            duration_s=duration,
-            out=out,
-            json=json,
-            view=view,
-            quiet=quiet,
-        )
-    )
+app.command(epilog=EXITS)(run)
 
 
 @app.command(epilog=EXITS)
@@ -272,8 +232,9 @@ def main() -> None:
     try:
         app()
     except InputError as error:
-        typer.echo(f"error: {error}", err=True)
-        sys.exit(BAD_INPUT)
+        for line in (f"error: {error}", *getattr(error, "__notes__", ())):
+            typer.echo(line, err=True)
+        sys.exit(PARTNER_LOST if isinstance(error, PartnerLost) else BAD_INPUT)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
     except Exception:

@@ -13,12 +13,16 @@ import hashlib
 import importlib
 import importlib.util
 import os
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
+_IMPORT = re.compile(
+    r"^[ \t]*(?:from|import)[ \t]+testbed([\w.]*)(?:[ \t]+import[ \t]+(\([^)]*\)|[^\n#]*))?", re.M
+)
 
 
 def engine() -> str:
@@ -68,18 +72,35 @@ def _machine_code(wanted: str) -> str:
     """The folder of the machine code of these sources; it need not be there, or be writable.
 
     numba looks for changes in a function's own file alone. A twin holds constants and calls
-    functions of other files too, so what was compiled from other sources is not used again.
+    functions of other files too, so what was compiled from other sources is not used again: the
+    twins, and all that they import, directly or not.
 
     Args:
         wanted: parent that the environment asks for; empty: beside the bytecode.
     """
     package = Path(__file__).parent
     digest = hashlib.sha256()
-    for source in sorted(package.rglob("*.py")):
-        digest.update(source.relative_to(package).as_posix().encode() + source.read_bytes())
+    for source, text in sorted(_sources(package).items()):
+        digest.update(source.relative_to(package).as_posix().encode() + text.encode())
     parent = Path(wanted) if wanted else package / "__pycache__"
     folder = parent / f"twins-{digest.hexdigest()[:16]}"
     if not folder.exists():
         for stale in parent.glob("twins-*"):
             shutil.rmtree(stale, ignore_errors=True)
     return str(folder)
+
+
+def _sources(package: Path) -> dict[Path, str]:
+    """The modules of twins, and every module of the package that they lead to; with their text."""
+    found: dict[Path, str] = {}
+    waiting = [Path(__file__), *package.rglob("*twin.py")]
+    while waiting:
+        source = waiting.pop()
+        if source in found or not source.is_file():
+            continue
+        found[source] = source.read_text(encoding="utf-8")
+        for module, names in _IMPORT.findall(found[source]):
+            place = package.joinpath(*module.split("."))
+            waiting += [place.with_name(f"{place.name}.py"), place / "__init__.py"]
+            waiting += [place / f"{name}.py" for name in re.findall(r"\w+", names)]
+    return found

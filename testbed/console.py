@@ -3,50 +3,101 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from testbed.errors import InputError
+from testbed.links.addresses import parse_address
+from testbed.mavlink.signing import read_key
 from testbed.metrics.table import render_table
 from testbed.outputs import is_stdout, put_json, refuse_files
 from testbed.progress import ProgressBar
-from testbed.scenario import list_aircraft, list_scenarios, load, shorten
+from testbed.scenario import Scenario, list_aircraft, list_scenarios, load, shorten
+from testbed.scenario.pilots import ArduPlane, External
+from testbed.sim.outside import Outside
 from testbed.sim.run import run
 from testbed.state import Observer
 
 
-def fly_and_show(
-    scenario: str,
-    overrides: tuple[str, ...],
-    *,
-    seed: int | None,
-    duration_s: float | None,
-    out: Path | None,
-    json: Path | None,
-    view: bool,
-    quiet: bool,
-) -> int:
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """What `testbed run` was asked for; see its options."""
+
+    scenario: str
+    overrides: tuple[str, ...]
+    seed: int | None
+    duration_s: float | None
+    out: Path | None
+    json: Path | None
+    view: bool
+    quiet: bool
+    mavlink: tuple[str, ...]
+    pace: float | None
+    tlog: bool
+    key: Path | None
+    arduplane: Path | None
+
+
+def fly_and_show(asked: Flight) -> int:
     """Fly a scenario, print its table, and return the exit code of its outcome."""
-    if seed is not None:
-        overrides = (*overrides, f"scenario.seed={seed}")
-    page = load(scenario, overrides)
-    if duration_s is not None:
-        if not (duration_s > 0.0 and math.isfinite(duration_s)):
-            raise InputError(f"--duration {duration_s:g}: write a number of seconds above 0")
-        page = shorten(page, duration_s)
-    refuse_files(json=json)
-    watchers: list[Observer] = [] if quiet else [ProgressBar(Console(stderr=True))]
-    if view:
+    overrides = asked.overrides
+    if asked.seed is not None:
+        overrides = (*overrides, f"scenario.seed={asked.seed}")
+    page = load(asked.scenario, overrides)
+    if asked.duration_s is not None:
+        if not (asked.duration_s > 0.0 and math.isfinite(asked.duration_s)):
+            raise InputError(f"--duration {asked.duration_s:g}: write a number of seconds above 0")
+        page = shorten(page, asked.duration_s)
+    refuse_files(json=asked.json)
+    speech = Console(stderr=True)
+    outside = find_outside(asked, page, lambda line: speech.print(Text(line), soft_wrap=True))
+    watchers: list[Observer] = [] if asked.quiet else [ProgressBar(speech)]
+    if asked.view:
         from testbed.views import LiveViewer, RerunView
 
         watchers.append(RerunView(LiveViewer()))
-    flown = run(page, out=out, observers=watchers)
-    if not quiet:
-        render_table(flown.metrics, Console(stderr=is_stdout(json)), log=flown.directory)
-    put_json(json, flown.metrics)
+    flown = run(page, out=asked.out, observers=watchers, outside=outside)
+    if not asked.quiet:
+        render_table(flown.metrics, Console(stderr=is_stdout(asked.json)), log=flown.directory)
+    put_json(asked.json, flown.metrics)
     return flown.exit_code
+
+
+def find_outside(asked: Flight, page: Scenario, tell: Callable[[str], None]) -> Outside:
+    """Who may see and command the aircraft, and the pace.
+
+    Raises:
+        InputError: an address, a key or a pace that cannot be used.
+    """
+    mavlink = tuple(parse_address(each) for each in asked.mavlink)
+    pace = asked.pace
+    if pace is None:
+        by = [page.leader.commanded_by, *(each.commanded_by for each in page.fleet)]
+        waits = any(isinstance(each, External) and each.lockstep for each in by)
+        pace = 1.0 if mavlink and not waits else 0.0
+    if not 0.0 <= pace < math.inf:
+        raise InputError(f"--pace {pace:g}: write a number above 0, as 1 for real time, or 0")
+    if asked.key and not mavlink:
+        raise InputError(
+            f"--mavlink-key {asked.key}: signs a link: say where it is, as in --mavlink "
+            "udpout:127.0.0.1:14550"
+        )
+    flown = [page.leader.autopilot, *(each.autopilot for each in page.fleet)]
+    if asked.arduplane and not any(isinstance(each, ArduPlane) for each in flown):
+        tell(f"warning: --arduplane {asked.arduplane}: no aircraft has autopilot: ardupilot")
+    return Outside(
+        tell=tell,
+        mavlink=mavlink,
+        pace=pace or None,
+        tlog=asked.tlog,
+        key=read_key(asked.key) if asked.key else None,
+        arduplane=asked.arduplane,
+    )
 
 
 def replay_run(name: str, *, rrd: Path | None) -> int:

@@ -6,3 +6,7 @@ class InputError(ValueError):
 
     The command line prints it without a traceback and exits with 2.
     """
+
+
+class PartnerLost(InputError):
+    """A program outside that the run cannot go on without is not there, or not any more."""

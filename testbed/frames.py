@@ -90,6 +90,22 @@ def quaternion_xyzw(euler: Array) -> Array:
     )
 
 
+def euler_from_quaternion(xyzw: Array) -> Array:
+    """Roll, pitch, yaw (..., 3) rad of R_NB from a quaternion (..., 4) ordered x, y, z, w.
+
+    Of any length but zero, for which the angles are not numbers.
+    """
+    x, y, z, w = np.moveaxis(np.asarray(xyzw), -1, 0)
+    length2 = x * x + y * y + z * z + w * w
+    with np.errstate(invalid="ignore", divide="ignore"):
+        sine = 2.0 * (w * y - x * z) / length2
+    out = np.empty((*np.shape(x), 3))
+    out[..., 0] = np.arctan2(2.0 * (w * x + y * z), length2 - 2.0 * (x * x + y * y))
+    out[..., 1] = np.arcsin(np.clip(sine, -1.0, 1.0))
+    out[..., 2] = np.arctan2(2.0 * (w * z + x * y), length2 - 2.0 * (y * y + z * z))
+    return out
+
+
 def course(velocity_ned: Array) -> Array:
     """Course over the ground σ (...,) rad from velocity (..., 3)."""
     return np.arctan2(velocity_ned[..., 1], velocity_ned[..., 0])
@@ -154,6 +170,23 @@ def geodetic_from_ned(position_ned: Array, origin: Origin) -> Array:
             origin.latitude_deg + np.degrees(position[..., 0] / north),
             origin.longitude_deg + np.degrees(position[..., 1] / east),
             origin.elevation_m - position[..., 2],
+        ],
+        axis=-1,
+    )
+
+
+def ned_from_geodetic(geodetic: Array, origin: Origin) -> Array:
+    """NED (..., 3) m from latitude deg, longitude deg, height m above sea level (..., 3).
+
+    The inverse of `geodetic_from_ned`. East is by the shorter way round the earth.
+    """
+    north, east = metres_per_radian(origin)
+    place = np.asarray(geodetic, dtype=np.float64)
+    return np.stack(
+        [
+            north * np.radians(place[..., 0] - origin.latitude_deg),
+            east * wrap_pi(np.radians(place[..., 1] - origin.longitude_deg)),
+            origin.elevation_m - place[..., 2],
         ],
         axis=-1,
     )

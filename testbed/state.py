@@ -203,6 +203,7 @@ class Frame(NamedTuple):
     links: LinkCounts  # (n, N)
     lost: Truths  # (N,) on the ground, broken or collided, now or before
     events: tuple[Event, ...] = ()
+    failing: Failing | None = None  # (N) what is broken; None: the page breaks nothing
 
 
 @dataclass(frozen=True, slots=True)

@@ -184,7 +184,7 @@ def _leg_altitude(
     steep = abs(change) * (plan.mission.airspeed / distance) ** 2
     part, slope = climbed(along / distance, level_off=min(steep / LEVEL_OFF, 1.0))
     north, east = segment.end[0] - segment.start[0], segment.end[1] - segment.start[1]
-    advance = (velocity[0] * north + velocity[1] * east) / length
+    advance = (velocity[0] * north + velocity[1] * east) / max(length, 1e-3)
     return memory.altitude_from + change * part, change * slope * advance / distance
 
 

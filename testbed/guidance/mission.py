@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,10 +77,21 @@ class Plan:
 
 
 def make_plan(mission: Mission, start: Point) -> Plan:
-    """Unroll a mission flown from `start`.
+    """Unroll a mission flown from `start`, if each of its legs can be flown as it is meant.
 
     Raises:
         InputError: A mission that cannot be flown; the message names the leg and what to write.
+    """
+    plan = unroll(mission, start)
+    _check_segments(mission, plan.parts)
+    return plan
+
+
+def unroll(mission: Mission, start: Point) -> Plan:
+    """The plan of a mission whose legs may be too short or too steep to be met.
+
+    Raises:
+        InputError: A mission that makes no sense; the message names the leg and what to write.
     """
     _check_limits(mission)
     parts: list[Segment | LoiterLeg] = []
@@ -103,8 +115,7 @@ def make_plan(mission: Mission, start: Point) -> Plan:
         repeat_from = lap_starts[-1]
     for index in range(len(parts)):
         following = parts[index + 1] if index + 1 < len(parts) else parts[repeat_from]
-        parts[index] = _with_turn(parts[index], following)
-    _check_segments(mission, parts)
+        parts[index] = with_turn(parts[index], following)
     return Plan(mission, tuple(parts), repeat_from)
 
 
@@ -139,7 +150,8 @@ def polyline(plan: Plan) -> Array:
     return np.array(points, dtype=np.float64).reshape(-1, 3)
 
 
-def _with_turn(part: Segment | LoiterLeg, following: Segment | LoiterLeg) -> Segment | LoiterLeg:
+def with_turn(part: Segment | LoiterLeg, following: Segment | LoiterLeg) -> Segment | LoiterLeg:
+    """The part with its turn onto the one that follows."""
     if isinstance(part, LoiterLeg):
         return part
     target = following.end if isinstance(following, Segment) else following.centre
@@ -186,7 +198,7 @@ def _check_loiter(leg: LoiterLeg, where: str, mission: Mission) -> None:
         )
 
 
-def _check_segments(mission: Mission, parts: list[Segment | LoiterLeg]) -> None:
+def _check_segments(mission: Mission, parts: Sequence[Segment | LoiterLeg]) -> None:
     before = 0.0  # where the turn onto the segment ends, at the soonest
     for part in parts:
         if isinstance(part, LoiterLeg):

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+import re
 import struct
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 from testbed.errors import InputError
@@ -26,6 +28,25 @@ Verdict = Literal["good", "unsigned", "forged", "replayed"]
 def signing_time(unix_s: float) -> int:
     """The time of a signature, 10 µs, from Unix time in s."""
     return min(max(round((unix_s - _EPOCH) * _PER_SECOND), 0), _LATEST)
+
+
+def read_key(path: Path) -> bytes:
+    """The secret key in a file: 64 hexadecimal digits, or a passphrase as ground stations take it.
+
+    Raises:
+        InputError: it cannot be read, or there is nothing in it.
+    """
+    try:
+        text = path.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot read this key: {error}") from error
+    if not text:
+        raise InputError(f"{path}: empty; write a passphrase or 64 hexadecimal digits")
+    if re.fullmatch(r"[0-9a-fA-F]{64}", text):
+        return bytes.fromhex(text)
+    if re.fullmatch(r"[0-9a-fA-F]{32,}", text):
+        raise InputError(f"{path}: {len(text)} hexadecimal digits; write 64, or a passphrase")
+    return hashlib.sha256(text.encode()).digest()
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,16 +16,23 @@ OUTCOMES = ("flown", "lost", "interrupted", "failed")
 
 
 def complete(
-    summary: Mapping[str, Any], *, network: Mapping[str, Any], outcome: str, wall_s: float
+    summary: Mapping[str, Any],
+    *,
+    network: Mapping[str, Any],
+    outside: Mapping[str, Any],
+    outcome: str,
+    wall_s: float,
 ) -> dict[str, Any]:
     """The summary with what only the runner knows: what the radio did, and how the run ended.
 
-    `wall_s` and `real_time_factor` are the only numbers that differ between two runs of the same
-    scenario and seed.
+    `wall_s`, `real_time_factor` and what is in `pace` and `mavlink` are the only numbers that
+    differ between two runs of the same scenario and seed.
 
     Args:
         summary: of the frames.
         network: numbers of all links: by sender and receiver in `links`, together in `all`.
+        outside: of programs outside, where there were any: `pace`, `mavlink`, `arduplane` and
+            `commanded`.
         outcome: one of `OUTCOMES`.
         wall_s: how long the run took.
 
@@ -41,6 +48,7 @@ def complete(
             name: _age(network, name) for name in summary["age_of_information_s"]
         },
         "network": dict(network),
+        **outside,
         "outcome": outcome,
         "wall_s": wall_s,
         "real_time_factor": factor,

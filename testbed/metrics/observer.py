@@ -93,8 +93,11 @@ class MetricsObserver:
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
         """Nothing is left to do: `summary` counts the rows of an open block too."""
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self, after: Sequence[Event] = ()) -> dict[str, Any]:
         """The numbers of the frames seen so far, ready for JSON; changes nothing.
+
+        Args:
+            after: what has happened since the last frame.
 
         Raises:
             RuntimeError: No run has begun.
@@ -105,7 +108,7 @@ class MetricsObserver:
             self._folded(),
             windows=self._windows,
             info=self._info,
-            events=self._events,
+            events=[*self._events, *after],
             published=self._published,
         )
 

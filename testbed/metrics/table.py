@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from testbed.formation.flags import Saturation
-from testbed.metrics import estimates, network, wind
+from testbed.metrics import estimates, network, outside, wind
 from testbed.metrics.error_table import (
     ABREAST,
     NOTHING,
@@ -77,12 +77,13 @@ def _agents(metrics: Document) -> Table:
         table.add_column(f"{str(limit.name).lower()}\n%", justify="right", style="dim")
     table.add_column("at limit\nlast, s", justify="right")
     table.add_column("news\nage, ms", justify="right")
-    simulated = max(float(metrics["simulated_s"]), 1e-9)
+    simulated = float(metrics["simulated_s"])
     for name in _listed(metrics):
         engaged = metrics["engaged_at_s"][name]
         guards, limits = metrics["guards"][name], metrics["saturations"][name]
         frame_s = limits["seconds"] / limits["frames"] if limits["frames"] else 0.0
-        shares = [100.0 * limits["by_kind"][k] * frame_s / simulated for k in limits["by_kind"]]
+        seen = simulated / frame_s + 1.0 if frame_s else 1.0  # frames, the first and the last too
+        shares = [100.0 * limits["by_kind"][k] / seen for k in limits["by_kind"]]
         age = metrics["age_of_information_s"][name]["mean"]
         table.add_row(
             name,
@@ -126,6 +127,14 @@ def _facts(metrics: Document) -> Table:
     left = {name: each for name, each in metrics["left_speed_set"].items() if each["times"]}
     if left:
         table.add_row(" left the speed set", _left(left))
+    if "pace" in metrics:
+        table.add_row(" pace", outside.describe_pace(metrics["pace"]))
+    if "mavlink" in metrics:
+        table.add_row(" MAVLink", outside.describe_mavlink(metrics["mavlink"]))
+    if metrics.get("arduplane"):
+        table.add_row(" ArduPlane", outside.describe_arduplanes(metrics["arduplane"]))
+    if metrics.get("commanded"):
+        table.add_row(" from outside", outside.describe_commands(metrics["commanded"]))
     return table
 
 

@@ -110,7 +110,7 @@ def _record(
 ) -> Links:
     """The record of one link; tables of delays that it needs are added."""
     record = np.zeros((), dtype=LINK)
-    record["gap"] = record["per_slot"] = 1
+    record["gap"] = record["per_slot"] = record["bits"] = 1
     record["netem"] = link.arithmetic == "netem"
     record["delay"] = link.delay_s
     _put_loss(record, link)
@@ -120,13 +120,15 @@ def _record(
         (REORDER, link.reorder),
     ):
         _put_chance(record, event, chance)
+    if link.corrupt:
+        record["bits"] = link.corrupt.bits
     if link.reorder:
         record["gap"] = link.reorder.gap
     if link.jitter:
         _put_jitter(record, link.jitter, quantiles, tables)
     queues = []
     if link.rate and link.rate.bit_per_s:
-        bits = 8 * (network.message_bytes + link.rate.overhead_bytes)
+        bits = 8 * (network.sent_bytes + link.rate.overhead_bytes)
         record["service"] = bits / link.rate.bit_per_s
         queues.append(link.rate.queue_packets)
     if link.slots and link.slots.every_s[1]:

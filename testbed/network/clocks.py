@@ -32,21 +32,26 @@ def make_clocks(names: Sequence[str], clocks: Mapping[str, StampClock]) -> Clock
     )
 
 
-def stamps(clocks: Clocks, measured_s: Array, rows: NDArray[np.int64]) -> Array:
-    """What each of n followers takes the time of each of S messages for, (n, S) s.
-
-    A sender writes down what its clock shows. The receiver holds that against its own clock, so
-    what is wrong with both alike cancels; it is told on a scale on which its own clock is right.
+def shows(clocks: Clocks, measured_s: Array, rows: NDArray[np.int64]) -> Array:
+    """What the clock of each of S senders shows, (S,) s.
 
     Args:
         clocks: of N aircraft, the leader's first.
-        measured_s: (S,) true time of the content.
+        measured_s: (S,) true time.
         rows: (S,) who sends.
     """
-    shown = measured_s + clocks.offset[rows] + clocks.drift[rows] * measured_s
+    shown: Array = measured_s + clocks.offset[rows] + clocks.drift[rows] * measured_s
     grain = clocks.resolution[rows]
     coarse = grain > 0.0
     shown[coarse] = np.floor(shown[coarse] / grain[coarse]) * grain[coarse]
-    ahead = clocks.offset[1:, None] + clocks.drift[1:, None] * measured_s
-    told: Array = shown - ahead
-    return told
+    return shown
+
+
+def ahead(clocks: Clocks, measured_s: Array) -> Array:
+    """By how much the clock of each of n followers is ahead at these true times (S,), (n, S) s.
+
+    A receiver holds a stamp against its own clock, so what is wrong with both alike cancels: less
+    this, a stamp is on a scale on which the receiver's clock is right.
+    """
+    out: Array = clocks.offset[1:, None] + clocks.drift[1:, None] * measured_s
+    return out

@@ -59,7 +59,7 @@ def fates(
     """
     on_air = _Round(channel, traffic, rows, sequence, np.broadcast_to(sent_s, script.shape))
     arrivals, fate = on_air.fly(script, replayed, faded)
-    traffic.state[:, rows] = on_air.state
+    traffic.state[:, rows], traffic.spoiled_s[:, rows] = on_air.state, on_air.spoiled_s
     return arrivals, fate
 
 
@@ -79,6 +79,7 @@ class _Round:
     ) -> None:
         self.ring, self.rows, self.sent_s = traffic.ring, rows, sent_s
         self.state = traffic.state[:, rows]
+        self.spoiled_s = np.full((*sent_s.shape, 2), np.inf)
         self.dice = Dice(channel, rows, self.state, np.broadcast_to(sequence, sent_s.shape))
         self.link, self.keys, self.netem = self.dice.link, self.dice.keys, self.dice.netem
 
@@ -116,6 +117,7 @@ class _Round:
         fate = np.where(behind, Fate.FADED, fate)
         fate = np.where(script > 0, script, fate)
         arrivals[fate != Fate.DELIVERED] = np.inf
+        self.spoiled_s[(fate != Fate.DELIVERED) & (fate != Fate.CORRUPTED)] = np.inf
         arrivals[~other, 0], fate[~other] = self.sent_s[~other], Fate.DELIVERED
         return arrivals, fate.astype(np.uint8)
 
@@ -145,7 +147,7 @@ class _Round:
         replayed: Array,
         arrivals: Array,
     ) -> None:
-        """Put arrival times, s, of packets that come through and are not spoiled."""
+        """Put arrival times, s, of packets that come through, apart if they are spoiled."""
         link, state = self.link, self.state
         words = self.dice.words(copy, PATH)
         netem: Truths = where & self.netem
@@ -163,8 +165,8 @@ class _Round:
         arrives[kept] = np.maximum(arrives, state["latest"])[kept]
         moved = where & ~overtakes
         state["latest"][moved] = np.maximum(arrives, state["latest"])[moved]
-        good = where & ~spoiled
-        arrivals[good, copy] = arrives[good]
+        good, bad = where & ~spoiled, where & spoiled
+        arrivals[good, copy], self.spoiled_s[bad, copy] = arrives[good], arrives[bad]
 
     def transmits_late(self, arrives: Array, delay: Array, where: Truths) -> None:
         """Netem's transmitter and slots come after the delay; changes arrivals (n, S)."""

@@ -31,6 +31,7 @@ def fates(channel, traffic, rows, sequence, sent_s, script, replayed, faded):
         channel.tables,
         traffic.state,
         traffic.ring,
+        traffic.spoiled_s,
         rows,
         sequence,
         sent_s,
@@ -75,8 +76,8 @@ def _queue(link, state, ring, leaves):
 
 
 @twin
-def _travel(link, state, ring, key, words, spoiled, sent_s, departs, told, quantiles, tables):
-    """Arrival of a packet; infinite: spoiled."""
+def _travel(link, state, ring, key, words, sent_s, departs, told, quantiles, tables):
+    """Arrival of a packet."""
     overtakes = False
     if state.passed >= link.gap - 1:
         overtakes = happens(link, state, REORDER, words[1])
@@ -88,7 +89,7 @@ def _travel(link, state, ring, key, words, spoiled, sent_s, departs, told, quant
         delay = told
     if overtakes:
         state.passed = 0
-        return inf if spoiled else departs
+        return departs
     state.passed += 1
     arrives = departs + delay
     if link.netem:
@@ -100,20 +101,36 @@ def _travel(link, state, ring, key, words, spoiled, sent_s, departs, told, quant
     if link.in_order:
         arrives = max(arrives, state.latest)
     state.latest = max(arrives, state.latest)
-    return inf if spoiled else arrives
+    return arrives
 
 
 @twin
-def _second(link, state, ring, key, number, sent_s, departs, told, quantiles, tables):
-    """Arrival of the second copy; infinite: spoiled."""
+def _second(
+    link, state, ring, key, number, sent_s, departs, told, quantiles, tables, arrivals, spoiled_s
+):
+    """Put the arrival of the second copy in place."""
     dice = philox(key, number, 1, PATH)
-    spoiled = happens(link, state, CORRUPT, dice[0])
-    return _travel(link, state, ring, key, dice, spoiled, sent_s, departs, told, quantiles, tables)
+    at = spoiled_s if happens(link, state, CORRUPT, dice[0]) else arrivals
+    at[1] = _travel(link, state, ring, key, dice, sent_s, departs, told, quantiles, tables)
 
 
 @twin
-def _one(link, state, key, ring, number, sent_s, script, told, faded, quantiles, tables, arrivals):
-    """The fate of one packet; its arrivals (2,) are put in place."""
+def _one(
+    link,
+    state,
+    key,
+    ring,
+    number,
+    sent_s,
+    script,
+    told,
+    faded,
+    quantiles,
+    tables,
+    arrivals,
+    spoiled_s,
+):
+    """The fate of one packet; its arrivals (2,) are put in place, those of spoiled copies apart."""
     words = philox(key, number, 0, OUTCOME)
     lost = loses(link, state, words[0], words[1])
     twice = happens(link, state, DUPLICATE, words[3])
@@ -139,15 +156,36 @@ def _one(link, state, key, ring, number, sent_s, script, told, faded, quantiles,
             if link.netem and twice and not lost:
                 other = philox(key, number, 1, OUTCOME)
                 if traced or not loses(link, state, other[0], other[1]):
-                    arrivals[1] = _second(
-                        link, state, ring, key, number, sent_s, departs, told, quantiles, tables
+                    _second(
+                        link,
+                        state,
+                        ring,
+                        key,
+                        number,
+                        sent_s,
+                        departs,
+                        told,
+                        quantiles,
+                        tables,
+                        arrivals,
+                        spoiled_s,
                     )
-            arrivals[0] = _travel(
-                link, state, ring, key, dice, spoiled, sent_s, departs, told, quantiles, tables
-            )
+            at = spoiled_s if spoiled else arrivals
+            at[0] = _travel(link, state, ring, key, dice, sent_s, departs, told, quantiles, tables)
             if twice and not link.netem:
-                arrivals[1] = _second(
-                    link, state, ring, key, number, sent_s, departs, told, quantiles, tables
+                _second(
+                    link,
+                    state,
+                    ring,
+                    key,
+                    number,
+                    sent_s,
+                    departs,
+                    told,
+                    quantiles,
+                    tables,
+                    arrivals,
+                    spoiled_s,
                 )
     if script > 0:
         return script
@@ -169,6 +207,7 @@ def _fates(
     tables,
     states,
     rings,
+    spoiled,
     rows,
     sequence,
     sent_s,
@@ -182,7 +221,8 @@ def _fates(
     for s in range(senders):
         m = rows[s]
         for i in range(n):
-            link = links[i, m]
+            link, spoiled_s = links[i, m], spoiled[i, m]
+            spoiled_s[:] = inf
             if link.own:
                 arrivals[i, s, 0] = sent_s[s]
                 continue
@@ -199,7 +239,10 @@ def _fates(
                 quantiles,
                 tables,
                 arrivals[i, s],
+                spoiled_s,
             )
             if fate[i, s] != DELIVERED:
                 arrivals[i, s] = inf
+                if fate[i, s] != CORRUPTED:
+                    spoiled_s[:] = inf
     return arrivals, fate

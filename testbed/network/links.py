@@ -59,6 +59,7 @@ LINK = np.dtype(
         ("slot", "f8", (2,)),  # s from slot to slot, shortest and longest; 0: no slots
         ("first_slot", "f8"),  # s
         ("per_slot", "i8"),
+        ("bits", "i8"),  # of a corrupt frame that are not what they were
     ]
 )
 
@@ -80,4 +81,4 @@ STATE = np.dtype(
 )
 
 # Blocks of dice: what each word of them decides.
-OUTCOME, PATH, START, SLOT = range(4)
+OUTCOME, PATH, START, SLOT, PLACES = range(5)

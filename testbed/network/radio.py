@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from testbed.network.channel import Channel
-from testbed.network.clocks import Clocks, stamps
+from testbed.network.clocks import Clocks, ahead, shows
+from testbed.network.encoded import Believed, Coder, Encoding
 from testbed.network.fates import FATES
 from testbed.network.ledger import blank
 from testbed.network.links import Fate, Fates
@@ -46,10 +47,16 @@ class Conditions:
 class Radio:
     """Messages between N aircraft and their n followers."""
 
-    def __init__(self, channel: Channel, conditions: Conditions | None = None) -> None:
-        """Nothing was said yet."""
+    def __init__(
+        self,
+        channel: Channel,
+        conditions: Conditions | None = None,
+        encoding: Encoding | None = None,
+    ) -> None:
+        """Nothing was said yet. Without an encoding, messages arrive to the last digit."""
         self._channel, self._conditions = channel, conditions or Conditions()
         n, aircraft = links = channel.links.shape
+        self._coder = Coder(encoding, channel) if encoding else None
         self._traffic, self._ledger = idle(channel), blank(n, aircraft)
         self._everyone = np.arange(aircraft)
         self._number = np.zeros(aircraft, np.int64)  # of the next message of each
@@ -60,7 +67,7 @@ class Radio:
         self._inbox = Inbox(never, never, *(nothing,) * VECTORS)
         self._nothing: dict[int, tuple[Fates, Array, Array]] = {}
         self._together: dict[bytes, Numbers] = {}
-        self._shown: dict[int, Array] = {}
+        self._told: dict[int, Array] = {}
 
     @property
     def measured_s(self) -> Array:
@@ -94,19 +101,26 @@ class Radio:
         else:
             self._number = number + who
             sent, number, measured = sent[rows], number[rows], measured[rows]
-        script, told, faded = self._befalls(sent, rows, number, truth)
+        script, traced, faded = self._befalls(sent, rows, number, truth)
         if hushed is not None:
             script = np.where(hushed[rows], np.uint8(Fate.MUTE), script)
+        coder, clocks = self._coder, self._conditions.clocks
+        stamp = shows(clocks, measured, rows) if clocks else measured
+        if coder:
+            message, stamp = coder.says(message, stamp, rows, number)
         arrivals, fate = FATES(
-            self._channel, self._traffic, rows, number, sent, script, told, faded
+            self._channel, self._traffic, rows, number, sent, script, traced, faded
         )
+        believed = None
+        if coder:
+            spoiled_s = self._traffic.spoiled_s[:, rows]
+            believed = coder.damage(spoiled_s, arrivals, fate, rows, number)
         if self._count + arrivals.size > len(self._post.arrival_s):
             self._post = more_room(self._post, self._count)
-        if self._conditions.clocks:
-            shown = stamps(self._conditions.clocks, measured, rows)
-        else:
-            shown = self._shown.setdefault(len(rows), np.empty(fate.shape))
-            shown[:] = measured
+        wrong = ahead(clocks, measured) if clocks else None
+        told = self._told.setdefault(len(rows), np.empty(fate.shape))
+        told[:] = stamp if wrong is None else stamp - wrong
+        first = self._count
         self._count = POST_ROUND(
             self._post,
             self._ledger,
@@ -114,11 +128,13 @@ class Radio:
             rows,
             number,
             sent,
-            shown,
+            told,
             message,
             arrivals,
             fate,
         )
+        if believed is not None:
+            self._falsify(first, believed, arrivals, wrong)
         return arrivals, fate
 
     def deliver(self, now: float) -> Inbox:
@@ -139,7 +155,28 @@ class Radio:
 
     def summary(self) -> Mapping[str, Any]:
         """Numbers of every link, ready for JSON."""
-        return summarise(self._ledger, self._channel.names)
+        summary = summarise(self._ledger, self._channel.names)
+        if self._coder:
+            keys = ("refused", "discarded", "believed")
+            summary["damaged"] = {key: getattr(self._coder, key) for key in keys}
+        return summary
+
+    def _falsify(
+        self, first: int, believed: Believed, arrivals: Array, wrong: Array | None
+    ) -> None:
+        """Put what damaged copies say into the messages on their way; the round's begin at first.
+
+        Args:
+            first: place of the round's first copy.
+            believed: the copies.
+            arrivals: (n, S, 2) s
+            wrong: (n, S) s, by how much the receivers' clocks are ahead; None: by nothing.
+        """
+        i, s, copy = believed.at.T
+        way = np.flatnonzero(np.isfinite(arrivals))  # in the order of the post
+        at = first + np.searchsorted(way, np.ravel_multi_index((i, s, copy), arrivals.shape))
+        self._post.content[at] = believed.content
+        self._post.stamp_s[at] = believed.stamp_s - (0.0 if wrong is None else wrong[i, s])
 
     def _rows(self, who: Truths) -> Numbers:
         """Rows of those who send together; most rounds are like others."""

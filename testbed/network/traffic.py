@@ -17,6 +17,9 @@ class Traffic(NamedTuple):
 
     state: Links  # (n, N) of links.STATE
     ring: Array  # (n, N, Q) s, when the packets before the next leave the queue
+    # (n, N, 2) s, when the copies of the last message arrive that were spoiled on the way;
+    # infinite: none was, or it was lost as well
+    spoiled_s: Array
 
 
 def idle(channel: Channel) -> Traffic:
@@ -37,7 +40,9 @@ def idle(channel: Channel) -> Traffic:
     state["had"] = _had(links, np.stack(first, axis=-1)) & exact[..., None]
     state["chain"] = np.where(exact, _chains(links, last[1]), 0)
     longest = int(links["queue"].max(initial=0))
-    return Traffic(state, np.full((*links.shape, longest), -np.inf))
+    return Traffic(
+        state, np.full((*links.shape, longest), -np.inf), np.full((*links.shape, 2), np.inf)
+    )
 
 
 def _had(links: Links, words: Words) -> Array:

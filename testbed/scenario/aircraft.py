@@ -18,6 +18,7 @@ from testbed.scenario.fields import (
     Section,
     Whole,
 )
+from testbed.scenario.pilots import Autopilot, ByFormation, CommandedBy, VirtualAutopilot
 from testbed.scenario.sensors import TRUTH, Sensors
 
 Point = tuple[Metres, Metres, Metres]
@@ -162,6 +163,13 @@ _FAULTS = "What breaks in it, and when."
 Path = Annotated[Mission | Replay | Virtual, Field(discriminator="kind")]
 
 
+_COMMANDED_BY = (
+    "Who gives it commands: formation, the page's own controller or path; or external, a program "
+    "that speaks MAVLink, or a map with that kind."
+)
+_AUTOPILOT = "What flies it: virtual; or ardupilot, the real one, or a map with that kind."
+
+
 class Start(Section):
     """Where the leader is when the clock starts."""
 
@@ -189,6 +197,8 @@ class Leader(Section):
         min_length=1, description="Airframe: a name in aircraft/, or the path of a folder."
     )
     vehicle: Vehicle = Field("jsbsim", description=_VEHICLE)
+    autopilot: Autopilot = Field(VirtualAutopilot(), description=_AUTOPILOT)
+    commanded_by: CommandedBy = Field(ByFormation(), description=_COMMANDED_BY)
     tune: str = Field(
         "autopilot",
         min_length=1,
@@ -211,8 +221,8 @@ class Follower(Section):
         min_length=1, description="Airframe: a name in aircraft/, or the path of a folder."
     )
     vehicle: Vehicle = Field("jsbsim", description=_VEHICLE)
-    autopilot: Literal["virtual"] = Field("virtual", description="What flies it.")
-    commanded_by: Literal["formation"] = Field("formation", description="Who gives it commands.")
+    autopilot: Autopilot = Field(VirtualAutopilot(), description=_AUTOPILOT)
+    commanded_by: CommandedBy = Field(ByFormation(), description=_COMMANDED_BY)
     tune: str = Field(
         "autopilot",
         min_length=1,

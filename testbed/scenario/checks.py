@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from testbed.scenario.fault_checks import check_faults, crafts
 from testbed.scenario.messages import did_you_mean
 from testbed.scenario.network_checks import check_network
+from testbed.scenario.pilot_checks import check_pilots
 from testbed.scenario.sensors import MEASURE
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ def cross_check(page: Scenario) -> list[Finding]:
         *_agents(page),
         *_kinds(page),
         *_sensors(page),
+        *check_pilots(page),
         *check_faults(page),
         *_limits(page),
         *check_network(page),

@@ -79,7 +79,8 @@ def _one(detail: Mapping[str, Any], tree: Node, schema: dict[str, Any]) -> Probl
     elif kind in ("union_tag_not_found", "union_tag_invalid"):
         tag = context["discriminator"].strip("'")
         path += (tag,) if isinstance(node.value, dict) else ()
-        value = node.value.get(tag) if isinstance(node.value, dict) else None
+        # a word may stand for the map of its kind
+        value = node.value.get(tag) if isinstance(node.value, dict) else node
         said = "is missing" if value is None else f"is {_shown(value)}"
         place = value.place if value else node.key
         tags = context.get("expected_tags", "").replace("'", "") or ", ".join(

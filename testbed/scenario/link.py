@@ -21,6 +21,7 @@ Correlation = Annotated[Number, Field(ge=0, lt=1)]
 Span = Annotated[Seconds, Field(ge=0, le=3600)]
 Instant = Annotated[Seconds, Field(ge=0)]
 Window = tuple[Instant, Instant]
+FOLLOW_TARGET_BYTES = 105  # of a frame of MAVLink 2
 _CORRELATION = (
     "Correlation of one packet's with the packet's before, 0 to 1: the lag-1 autocorrelation; with "
     "arithmetic: netem what tc netem makes of that number."
@@ -49,6 +50,17 @@ class Chance(Section):
         """Allow a number beside the map."""
         schema = handler.resolve_ref_schema(handler(core_schema))
         return {"anyOf": [{"type": "number", "minimum": 0, "maximum": 1}, dict(schema)]}
+
+
+class Corrupt(Chance):
+    """Packets that are damaged on the way: some of their bits are turned over."""
+
+    probability: Probability = Field(description="Share of the packets, 0 to 1.")
+    bits: Annotated[Whole, Field(ge=1, le=8 * FOLLOW_TARGET_BYTES)] = Field(
+        1,
+        description="Bits turned over, a number; above 1 the encoding is follow-target, whose "
+        "checksum may then be right by chance.",
+    )
 
 
 class Reorder(Chance):
@@ -234,7 +246,7 @@ class Link(Section):
     duplicate: Chance | None = Field(
         None, description="Packets that arrive twice: a probability, or a map."
     )
-    corrupt: Chance | None = Field(
+    corrupt: Corrupt | None = Field(
         None, description="Packets whose checksum fails: a probability, or a map."
     )
     reorder: Reorder | None = Field(

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, FieldSerializationInfo, field_serializer
 
 from testbed.scenario.fields import Name, Number, Seconds, Section, Whole
-from testbed.scenario.link import SHORTEST_SLOT_S, Instant, Link, Window
+from testbed.scenario.link import FOLLOW_TARGET_BYTES, SHORTEST_SLOT_S, Instant, Link, Window
 
 ANY = "*"
 Somebody = Annotated[str, Field(pattern=r"^(\*|[A-Za-z0-9][A-Za-z0-9_.-]*)$", max_length=64)]
@@ -74,6 +74,11 @@ class Network(Link):
     message_bytes: Annotated[Whole, Field(ge=1, le=65_535)] = Field(
         100, description="Length of a message without headers, bytes."
     )
+    encoding: Literal["exact", "follow-target"] = Field(
+        "exact",
+        description="What is in a message: exact, all digits in message_bytes; or follow-target, "
+        f"MAVLink's FOLLOW_TARGET in a frame of {FOLLOW_TARGET_BYTES} bytes.",
+    )
     links: Mapping[Somebody, Mapping[Somebody, Link]] = Field(
         {},
         description="By sender, by receiver: what is different there. '*' is everyone; what names "
@@ -90,6 +95,11 @@ class Network(Link):
     clocks: Mapping[Name, StampClock] = Field(
         {}, description="By aircraft, how the clock is wrong that stamps its messages."
     )
+
+    @property
+    def sent_bytes(self) -> int:
+        """Length of a message on the air, less what is around it."""
+        return FOLLOW_TARGET_BYTES if self.encoding == "follow-target" else self.message_bytes
 
     @field_serializer("links")
     def _what_is_said(

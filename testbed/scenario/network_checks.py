@@ -7,19 +7,47 @@ from typing import TYPE_CHECKING
 
 from testbed.scenario.link_checks import AT, Finding, Path, check_links, refuse_window, sections
 from testbed.scenario.messages import did_you_mean
-from testbed.scenario.network import ANY
+from testbed.scenario.network import ANY, Network
 
 if TYPE_CHECKING:
     from testbed.scenario.schema import Scenario
 
+MOST_SYSTEMS = 255  # ids of MAVLink, from 1
+
 
 def check_network(page: Scenario) -> Iterator[Finding]:
     """Yield every contradiction of the network: where, and what to write instead."""
+    yield from _encoding(page)
     yield from _senders(page)
     yield from _partitions(page)
     yield from _tdma(page)
     yield from _ends(page)
     yield from check_links(page.network, page.aircraft_names)
+
+
+def _encoding(page: Scenario) -> Iterator[Finding]:
+    network = page.network
+    if network.encoding == "exact":
+        for at, link in sections(network):
+            if link.corrupt is not None and link.corrupt.bits > 1:
+                yield (
+                    (*at, "corrupt", "bits"),
+                    "has a meaning where messages are frames with a checksum (write "
+                    "network.encoding: follow-target, or leave this out)",
+                )
+        return
+    if network.message_bytes != Network.model_fields["message_bytes"].default:
+        yield (
+            (*AT, "message_bytes"),
+            f"is the encoding's: a frame of {network.encoding} has {network.sent_bytes} bytes "
+            "(leave this out, or write encoding: exact)",
+        )
+    if len(page.aircraft_names) > MOST_SYSTEMS:
+        yield (
+            (*AT, "encoding"),
+            f"is for {MOST_SYSTEMS} aircraft, each with a system id of MAVLink, and these are "
+            f"{len(page.aircraft_names)} (write exact, or a smaller fleet)",
+        )
 
 
 def _unknown(at: Path, name: str, names: Sequence[str]) -> Iterator[Finding]:

@@ -43,6 +43,11 @@ class _Settler:
             return
         name = tune.stem if tune == home / f"{tune.stem}.param" else str(tune)
         self.changes.append(((*loc, "tune"), name))
+        binary = getattr(craft.autopilot, "binary", None)
+        if binary is not None:  # whether it is there only matters to who flies the page
+            folder = self.folder(*loc, "autopilot", "binary")
+            found = (folder / Path(binary).expanduser()).resolve()
+            self.changes.append(((*loc, "autopilot", "binary"), str(found)))
 
     def recording(self, loc: _Loc, file: str) -> None:
         """Settle a data file."""

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 from testbed.network.scripts import Calendar
 from testbed.sim.casualties import Casualties
+from testbed.sim.clock import Due
 from testbed.sim.control import Control
 from testbed.sim.pilots import with_ideal_leader, with_leader
 from testbed.sim.watch import Arrivals, Silence, Staleness, broadcast, formation_state
@@ -13,7 +14,7 @@ from testbed.sim.world import World
 from testbed.state import Frame, Observer, followers
 
 
-def fly(world: World, observers: Sequence[Observer], stop: Callable[[], bool]) -> str:
+def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due], bool]) -> str:
     """Fly the world to its end; observers get a frame at the log rate.
 
     At each tick: the truth is read, the air blows where the aircraft are, what is due to break
@@ -24,14 +25,15 @@ def fly(world: World, observers: Sequence[Observer], stop: Callable[[], bool]) -
     Args:
         world: as built; its vehicles move.
         observers: begun and ended by the caller.
-        stop: asked before each tick; true ends the run.
+        ended: asked before each tick, of its time and what is due; it may wait, and true ends the
+            run.
 
     Returns:
         The outcome: "flown", "lost" or "interrupted".
     """
     clock, vehicles, pilot, air = world.clock, world.vehicles, world.pilot, world.air
     radio, calendar = world.radio, Calendar(world.scripts)
-    breakdowns = world.breakdowns
+    breakdowns, deck = world.breakdowns, world.deck
     control = Control(world.groups, world.offsets, world.roster)
     silence = Silence(world.names[1:], world.groups[0].team.silent_after)
     staleness = Staleness(world.names, world.groups)
@@ -42,9 +44,9 @@ def fly(world: World, observers: Sequence[Observer], stop: Callable[[], bool]) -
     failing, hushed, apart = None, None, control.alone
 
     for tick, ahead, due in clock.schedule(world.duration_s):
-        if stop():
-            return "interrupted"
         now = clock.time_s(tick)
+        if ended(now, due):
+            return "interrupted"
         truth = vehicles.read()
         flown_in = vehicles.air() if due.log else None  # what the truth came about in
         if due.autopilot and air is not None:
@@ -71,13 +73,21 @@ def fly(world: World, observers: Sequence[Observer], stop: Callable[[], bool]) -
                 radio.use(stepped, ages)
                 news += staleness.changes(now, stepped, inbox.received_s)
             if due.lead:
+                if deck is not None:
+                    hung = None if failing is None else failing.frozen
+                    deck.guide(now, estimate, casualties.gone, hung)
                 lead, turn = pilot.command(estimate)
             told = with_leader(lead, control.command)
             if world.ideal:
                 vehicles.steer(with_ideal_leader(turn, control.unicycle))
             news += silence.changes(now, control.diagnosis.guards, apart)
         if due.autopilot:
+            if deck is not None:
+                news += deck.news()
+                told = deck.told(told)
             vehicles.act(estimate, told)
+            for partner in world.partners:
+                news += partner.news(now)
             if failing is not None:
                 vehicles.fail(failing)
             if lost := list(casualties.changes(now, truth.position_ned, vehicles.lost(truth))):
@@ -105,7 +115,7 @@ def fly(world: World, observers: Sequence[Observer], stop: Callable[[], bool]) -
                 formation=formation_state(
                     truth,
                     estimate,
-                    control.diagnosis,
+                    control.diagnosis if deck is None else deck.heeded(control.diagnosis),
                     control.age_s,
                     control.offsets,
                     control.places,
@@ -114,6 +124,7 @@ def fly(world: World, observers: Sequence[Observer], stop: Callable[[], bool]) -
                 links=radio.counts(),
                 lost=casualties.gone,
                 events=tuple(news),
+                failing=failing,
             )
             news = []
             for observer in observers:

@@ -1,4 +1,4 @@
-"""Who flies the leader: guidance through its own autopilot or ideal vehicle, or nobody."""
+"""Guidance that flies an aircraft through its own autopilot or an ideal vehicle, or nobody."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class Pilot(Protocol):
     """What commands the leader."""
 
     def command(self, estimate: VehicleState) -> tuple[Sticks, Turn | None]:
-        """Once per control period, from row 0 of the estimates."""
+        """Once per control period, from the estimates."""
 
 
 class MissionPilot:
-    """The leader flies a mission."""
+    """An aircraft flies a plan, from its own row of the estimates."""
 
     def __init__(
         self,
@@ -35,29 +35,31 @@ class MissionPilot:
         dt: float,
         gains: HoldGains,
         ideal: bool = False,
+        row: int = 0,
     ) -> None:
         """Begin the plan with this memory, stepping every `dt` s."""
-        self._plan, self._memory, self._dt, self._gains = plan, memory, dt, gains
-        self._ideal = ideal
+        self.plan, self.memory = plan, memory
+        self._dt, self._gains, self._ideal, self._row = dt, gains, ideal, row
 
     def command(self, estimate: VehicleState) -> tuple[Sticks, Turn | None]:
         """See `Pilot`."""
-        position = estimate.position_ned[0].tolist()
-        velocity = estimate.velocity_ned[0].tolist()
+        row = self._row
+        position = estimate.position_ned[row].tolist()
+        velocity = estimate.velocity_ned[row].tolist()
         if self._ideal:
-            speed, turn, self._memory = guidance.unicycle_step(
-                self._memory, position, velocity, plan=self._plan, dt=self._dt, gains=self._gains
+            speed, turn, self.memory = guidance.unicycle_step(
+                self.memory, position, velocity, plan=self.plan, dt=self._dt, gains=self._gains
             )
             ahead = math.hypot(velocity[0], velocity[1])
             climb = math.atan2(-velocity[2], ahead)
-            return (climb, float(estimate.euler[0, 0]), 0.0), (speed, np.array(turn))
-        pitch, roll, throttle, self._memory = guidance.step(
-            self._memory,
+            return (climb, float(estimate.euler[row, 0]), 0.0), (speed, np.array(turn))
+        pitch, roll, throttle, self.memory = guidance.step(
+            self.memory,
             position,
             velocity,
-            float(estimate.euler[0, 0]),
-            float(estimate.airspeed[0]),
-            plan=self._plan,
+            float(estimate.euler[row, 0]),
+            float(estimate.airspeed[row]),
+            plan=self.plan,
             dt=self._dt,
             gains=self._gains,
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
+from testbed.mavlink.follow_target import FollowTarget
 from testbed.network.channel import make_channel
 from testbed.network.clocks import make_clocks
 from testbed.network.fading import Curves, fading, make_curves
@@ -13,7 +14,7 @@ from testbed.network.radio import Conditions, Radio
 from testbed.network.scripts import Scripts, blocked, make_scripts
 from testbed.network.trace import make_replays, replayed
 from testbed.scenario import Scenario
-from testbed.state import Array, VehicleState
+from testbed.state import Array, Origin, VehicleState
 
 
 def make_radio(page: Scenario) -> tuple[Radio, Scripts]:
@@ -31,7 +32,10 @@ def make_radio(page: Scenario) -> tuple[Radio, Scripts]:
         fading=partial(_faded, curves) if curves else None,
         clocks=make_clocks(names, network.clocks) if network.clocks else None,
     )
-    return Radio(make_channel(names, network, seed), conditions), scripts
+    encoding = None
+    if network.encoding == "follow-target":
+        encoding = FollowTarget(Origin(**page.scenario.origin.model_dump()))
+    return Radio(make_channel(names, network, seed), conditions, encoding), scripts
 
 
 def beats(page: Scenario) -> dict[int, tuple[float | None, float | None]]:

@@ -16,7 +16,11 @@ from testbed.metrics.document import complete, write_json
 from testbed.record.recorder import McapRecorder
 from testbed.record.rundir import create_run_directory
 from testbed.scenario import Scenario, load
+from testbed.sim.gate import Gate
 from testbed.sim.loop import fly
+from testbed.sim.outside import NOBODY, Outside, announcement, checked, make_station, report
+from testbed.sim.pace import Pace
+from testbed.sim.partners import Stopped
 from testbed.sim.world import build
 from testbed.state import Event, Observer
 
@@ -55,10 +59,12 @@ def run(
     out: Path | None = None,
     write: bool = True,
     observers: Sequence[Observer] = (),
+    outside: Outside = NOBODY,
 ) -> Run:
     """Fly a scenario to its end.
 
-    Ctrl-C and SIGTERM end it after the current tick with everything written; a second one raises.
+    Ctrl-C and SIGTERM end it after the current tick, or in the midst of a wait for ArduPlane, with
+    everything written; a second one raises KeyboardInterrupt.
 
     Args:
         scenario: a page, or the name or path of one.
@@ -66,80 +72,133 @@ def run(
         out: the run directory to make; default `logs/<scenario>/<UTC>-<id>` below the current one.
         write: leave the log, the resolved page and the metrics there.
         observers: more watchers; one that raises ends the run as failed.
+        outside: who may see and command the aircraft, and the pace.
 
     Raises:
         ScenarioError: and other ValueErrors: the page cannot be flown, and what to write instead.
         LogError: the run directory or the log cannot be written.
+        PartnerLost: a program outside that the page needs is gone or silent.
     """
     page = scenario if isinstance(scenario, Scenario) else load(scenario, overrides)
-    world = build(page)
-    directory = create_run_directory(page.name, out=out) if write else None
-    if directory:
-        (directory / "scenario.resolved.yaml").write_text(world.info.scenario_yaml)
-    published = page.scenario.published
-    meter = MetricsObserver(published=published.model_dump() if published else None)
-    log = [McapRecorder(directory / "run.mcap")] if directory and page.log.mcap else []
-    watchers: list[Observer] = [meter, *log, *observers]
-    began = time.perf_counter()
+    world = build(page, commanded=outside.looks_on, arduplane=outside.arduplane)
+    world = checked(outside, page, world)
+    for partner in world.partners:
+        partner.check()
+    pace = Pace(outside.pace) if outside.pace else None
     outcome = "failed"
     problem: list[Event] = []
     metrics: dict[str, Any] = {}
 
-    def conclude() -> None:
-        wall = time.perf_counter() - began
-        metrics.update(
-            complete(meter.summary(), network=world.radio.summary(), outcome=outcome, wall_s=wall)
-        )
-        if directory:
-            write_json(directory / "metrics.json", metrics)
-
-    # Every watcher that has begun is ended, whatever happens to the flight or to another one.
+    # Everything that has been opened or begun is ended, whatever happens to the flight.
     with stopping() as stop, ExitStack() as closing:
+        station = make_station(outside, world)
+        if station:
+            closing.callback(station.close)
+            for line in announcement(outside, page):
+                outside.tell(line)
+        directory = create_run_directory(page.name, out=out) if write else None
+        if directory:
+            (directory / "scenario.resolved.yaml").write_text(world.info.scenario_yaml)
+        if station and directory and outside.tlog:
+            station.keep(directory / "run.tlog")
+        published = page.scenario.published
+        meter = MetricsObserver(published=published.model_dump() if published else None)
+        log = [McapRecorder(directory / "run.mcap")] if directory and page.log.mcap else []
+        watchers: list[Observer] = [meter, *log, *observers, *([station] if station else [])]
+        began = time.perf_counter()
+
+        def conclude() -> None:
+            wall = time.perf_counter() - began
+            metrics.update(
+                complete(
+                    meter.summary(problem),
+                    network=world.radio.summary(),
+                    outside=report(world, station, pace),
+                    outcome=outcome,
+                    wall_s=wall,
+                )
+            )
+            if directory:
+                write_json(directory / "metrics.json", metrics)
+
         for watcher in watchers:
             watcher.begin(world.info)
             closing.callback(watcher.end, metrics, problem)
         closing.callback(conclude)
         try:
-            outcome = fly(world, watchers, stop)
+            for partner in world.partners:
+                closing.callback(stop.undisturbed, partner.close)
+                partner.begin(stop.heed)
+            outcome = fly(world, watchers, Gate(world.deck, station, pace, stop, outside.tell))
+        except Stopped:
+            outcome = "interrupted"
         except KeyboardInterrupt:
             outcome = "interrupted"
             raise
         except BaseException as error:
             now = meter.summary()["simulated_s"]
             problem.append(Event(now, "error", "run", f"failed: {error!r}"))
+            if directory:
+                error.add_note(f"log: {directory}")
             raise
     return Run(page, metrics, directory)
 
 
-@contextmanager
-def stopping() -> Iterator[Callable[[], bool]]:
-    """Whether Ctrl-C or SIGTERM came; the second Ctrl-C is a KeyboardInterrupt again.
+class Stop:
+    """Whether Ctrl-C or SIGTERM came. The first is for who asks; later ones are KeyboardInterrupts.
 
-    Outside the main thread Python allows no handlers: there it stays false.
+    A process that is signalled over and over, as by a supervisor, still ends what it has started.
     """
-    # not a threading.Event: a handler interrupted by itself would wait for its own lock
-    signals: list[int] = []
 
-    def asked() -> bool:
-        return bool(signals)
+    def __init__(self) -> None:
+        """None came."""
+        # not a threading.Event: a handler interrupted by itself would wait for its own lock
+        self._signals = 0
+        self._undisturbed = False
 
+    def __call__(self) -> bool:
+        """Whether to end."""
+        return self._signals > 0
+
+    def heed(self) -> None:
+        """Go on, unless it is to end.
+
+        Raises:
+            Stopped: it is.
+        """
+        if self():
+            raise Stopped
+
+    def ask(self, number: int, frame: object) -> None:
+        """Take a signal in; a handler."""
+        self._signals += 1
+        if self._signals > 1 and not self._undisturbed:
+            raise KeyboardInterrupt
+
+    def undisturbed(self, act: Callable[[], None]) -> None:
+        """Do something short from which no signal is to take us away."""
+        self._undisturbed = True
+        try:
+            act()
+        finally:
+            self._undisturbed = False
+
+
+@contextmanager
+def stopping() -> Iterator[Stop]:
+    """Heed Ctrl-C and SIGTERM.
+
+    Outside the main thread Python allows no handlers: there nothing ever stops.
+    """
+    stop = Stop()
     if threading.current_thread() is not threading.main_thread():
-        yield asked
+        yield stop
         return
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.getsignal(number) for number in numbers}
-
-    def restore() -> None:
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    for number in before:
+        signal.signal(number, stop.ask)
+    try:
+        yield stop
+    finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-    def ask(number: int, _frame: object) -> None:
-        signals.append(number)
-        restore()
-
-    for number in numbers:
-        signal.signal(number, ask)
-    try:
-        yield asked
-    finally:
-        restore()

@@ -23,6 +23,7 @@ from testbed.vehicle.breakage import Servos, broken, resting
 from testbed.vehicle.fbwa import AUTOPILOT, settled
 from testbed.vehicle.ideal import IdealFleet
 from testbed.vehicle.jsbsim_door import JsbsimFleet
+from testbed.vehicle.params import FbwaParams, stack
 from testbed.vehicle.tables import FbwaGains
 
 Record = TypeVar("Record", VehicleState, AirData, Surfaces, FbwaCommand)
@@ -73,16 +74,29 @@ class Flown:
         self._memory = settled(fleet.trimmed, gains)
         self.surfaces = fleet.trimmed
         self.read, self.air, self.lost = fleet.read, fleet.air, fleet.lost
-        self.blow, self.remove = fleet.blow, fleet.remove
+        self.blow = fleet.blow
         self._memory_before = self._memory
+        self._failing: Failing | None = None
         self._servos: Servos | None = None
-        self._still = np.zeros((len(fleet.trims), 2))
+        self._tunes: dict[int, FbwaParams] = {}  # not heeded yet
+        self._servos_before: Servos | None = None
+        self._still = self._flow = np.zeros((len(fleet.trims), 2))
+
+    def retune(self, row: int, tune: FbwaParams) -> None:
+        """Give the autopilot in this row of the fleet other parameters; its memory stays."""
+        self._tunes[row] = tune
 
     def steer(self, told: UnicycleCommand) -> None:
         """An autopilot takes attitudes, not turns."""
 
     def act(self, estimate: VehicleState, told: FbwaCommand) -> None:
         """One period of the autopilots."""
+        if self._tunes:
+            # all at once, for a ground station may set many from one period to the next
+            rows, tunes = list(self._tunes), list(self._tunes.values())
+            each = self._gains.each.copy()
+            each[rows] = stack(tunes, self._gains.dt).each
+            self._gains, self._tunes = self._gains._replace(each=each), {}
         self.surfaces, self._memory = AUTOPILOT(estimate, told, self._memory, self._gains)
 
     def fail(self, failing: Failing) -> None:
@@ -93,13 +107,26 @@ class Flown:
             self._memory.each[frozen] = before.each[frozen]
             self._memory.commands[:, :, frozen] = before.commands[:, :, frozen]
         self._memory_before = self._memory
-        servos = self._servos or resting(fleet.trimmed, fleet.rig)
-        flow = self._still
+        self._failing = failing
+        self._servos_before = self._servos or resting(fleet.trimmed, fleet.rig)
+        self._flow = self._still
         if failing.floating.any():
             air = fleet.air()
-            flow = np.stack((air.alpha, air.beta), axis=1)
-        self.surfaces, self._servos = broken(self.surfaces, servos, failing, flow, fleet.rig)
+            self._flow = np.stack((air.alpha, air.beta), axis=1)
+        self.surfaces = self._reached(self.surfaces)
         fleet.discharge(failing.charge)
+
+    def _reached(self, surfaces: Surfaces) -> Surfaces:
+        """What of this reaches surfaces and motors, after what `fail` was told last."""
+        failing, before = self._failing, self._servos_before
+        if failing is None or before is None:
+            return surfaces
+        reached, self._servos = broken(surfaces, before, failing, self._flow, self.fleet.rig)
+        return reached
+
+    def remove(self, rows: Truths) -> None:
+        """Fly them no more."""
+        self.fleet.remove(rows)
 
     def step(self, ticks: int) -> None:
         """Run the flight models."""

@@ -6,6 +6,7 @@ import math
 import platform
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -24,14 +25,17 @@ from testbed.scenario import (
 from testbed.scenario.aircraft import Follower, Leader
 from testbed.sensing.estimators import Estimators
 from testbed.sim.airs import make_air, make_mean, start_wind
+from testbed.sim.arduplanes import ArduPlanes, make_flown
 from testbed.sim.breakdowns import Breakdowns
 from testbed.sim.clock import Clock, make_clock
 from testbed.sim.control import Group
+from testbed.sim.deck import Deck, make_deck
 from testbed.sim.failures import make_breakdowns, make_roster, unfelt
 from testbed.sim.formations import make_groups
 from testbed.sim.hypotheses import warnings
 from testbed.sim.leaders import Led, make_leader
 from testbed.sim.limits import Proximity
+from testbed.sim.partners import Partner
 from testbed.sim.pilots import Pilot
 from testbed.sim.radios import beats, make_radio
 from testbed.sim.roster import Roster
@@ -58,6 +62,7 @@ class World:
     air: Air | None  # None: it stays what it is at the start
     gusts: tuple[str, ...]  # names of the discrete gusts in it
     vehicles: Vehicles
+    partners: tuple[Partner, ...]  # programs outside that take part
     fleet: JsbsimFleet | None  # the flight models among them, if there are any
     ideal: bool  # whether there are ideal vehicles among them
     estimators: Estimators
@@ -66,6 +71,7 @@ class World:
     proximity: Proximity
     fly_on: bool  # when an aircraft is lost; or stop
     pilot: Pilot
+    deck: Deck | None  # None: nobody outside commands anything
     radio: Radio
     scripts: Scripts  # what is written down to go wrong on it
     groups: tuple[Group, ...]
@@ -75,8 +81,15 @@ class World:
     info: RunInfo
 
 
-def build(page: Scenario) -> World:
+def build(page: Scenario, *, commanded: bool = False, arduplane: Path | None = None) -> World:
     """Build the world of a page.
+
+    Args:
+        page: the scenario.
+        commanded: whether programs outside may command the aircraft; they may without, too, where
+            the page says so.
+        arduplane: the program for `autopilot: ardupilot` where the page names none; None: that of
+            the environment.
 
     Raises:
         ScenarioError, ParamError, AircraftError, TrimError, ValueError: what cannot be built, with
@@ -87,10 +100,8 @@ def build(page: Scenario) -> World:
     origin = Origin(**page.scenario.origin.model_dump())
     flown: list[Leader | Follower] = [page.leader, *page.fleet]
     folders = [find_aircraft(each.aircraft) for each in flown]
-    tunes = [
-        read_params(find_tune(folder, each.tune))
-        for folder, each in zip(folders, flown, strict=True)
-    ]
+    files = [find_tune(folder, each.tune) for folder, each in zip(folders, flown, strict=True)]
+    tunes = [read_params(file) for file in files]
     mean = make_mean(page)
     wind = start_wind(mean, page.leader.start.altitude_m)
     led = make_leader(page, clock, tunes[0], folders[0], origin, wind)
@@ -104,6 +115,7 @@ def build(page: Scenario) -> World:
                 f"least {LOWEST_START_M:g} m above it"
             )
     parts: list[tuple[Sequence[int], Vehicles]] = [((0,), led.moves)] if led.moves else []
+    virtual: Flown | None = None
     airframes = [airframe(folder) for folder in folders]
     air = make_air(
         page,
@@ -126,7 +138,9 @@ def build(page: Scenario) -> World:
             clock.base_rate_hz,
         )
         period = clock.autopilot / clock.base_rate_hz
-        parts.append((jsbsim, Flown(fleet, stack([tunes[row] for row in jsbsim], period))))
+        gains = stack([tunes[row] for row in jsbsim], period)
+        virtual = make_flown(page, fleet, gains, jsbsim, files, arduplane)
+        parts.append((jsbsim, virtual))
     ideal = [row for row, kind in enumerate(kinds) if kind == "ideal"]
     if ideal:
         parts.append((ideal, _ideal(page, ideal, starts, led, clock)))
@@ -134,6 +148,9 @@ def build(page: Scenario) -> World:
     radio, scripts = make_radio(page)
     vehicles = parts[0][1] if len(parts) == 1 else Mixed(parts)
     breakdowns = make_breakdowns(page, fleet, jsbsim)
+    deck = None
+    if commanded or any(each.commanded_by.kind == "external" for each in flown):
+        deck = make_deck(page, clock, led, starts, tunes, folders, virtual, jsbsim)
     return World(
         clock=clock,
         duration_s=page.scenario.duration_s,
@@ -141,6 +158,7 @@ def build(page: Scenario) -> World:
         air=None if air.steady else air,
         gusts=tuple(gust.name for gust in page.air.gusts),
         vehicles=vehicles,
+        partners=(virtual,) if isinstance(virtual, ArduPlanes) else (),
         fleet=fleet,
         ideal=bool(ideal),
         estimators=Estimators(
@@ -155,7 +173,8 @@ def build(page: Scenario) -> World:
         roster=make_roster(page, breakdowns),
         proximity=Proximity(names, **page.limits.model_dump(exclude={"when_lost"})),
         fly_on=page.limits.when_lost == "fly-on",
-        pilot=led.pilot,
+        pilot=deck if deck and deck.leads else led.pilot,
+        deck=deck,
         radio=radio,
         scripts=scripts,
         groups=groups,

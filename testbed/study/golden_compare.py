@@ -10,7 +10,7 @@ from typing import Any
 
 from testbed.study.flights import Flight
 from testbed.study.golden_band import prediction_band
-from testbed.study.golden_page import differences
+from testbed.study.golden_page import differences, spelt_out
 from testbed.study.golden_table import Rule, Table, measure, metric_names
 
 
@@ -161,7 +161,7 @@ def compare(
         table=table,
         seeds=tuple(flight.seed for flight in flights),
         wall_s=sum(flight.wall_s for flight in flights),
-        changes=(*differences(table.page, page), *_files(table.files, files)),
+        changes=(*differences(spelt_out(table.page), page), *_files(table.files, files)),
         versions=differences(table.versions, running) if running else (),
         faults=tuple(faults),
         notes=tuple(notes),

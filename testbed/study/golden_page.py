@@ -74,6 +74,15 @@ def _left_by_tools(part: str) -> bool:
     return part.startswith(".") or part == "__pycache__"
 
 
+def spelt_out(kept: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A page that was kept, with the keys that pages have had since then at their defaults."""
+    try:
+        page = Scenario.model_validate({**kept, "scenario": {**kept["scenario"], "name": "kept"}})
+    except (ValueError, KeyError):
+        return kept  # a page that cannot be one any more is compared as it is
+    return page_kept(page, Path())
+
+
 def differences(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[str, ...]:
     """Every key that differs, one line each: `key from x to y`, `key x is new`, `key x is gone`."""
     old, new = _leaves(then), _leaves(now)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -120,16 +120,9 @@ def read_params(path: Path) -> FbwaParams:
             values[name], where[name] = value, number
         else:
             unknown.add(words[0])
-    for name in _POSITIVE:
-        if name in values and not values[name] > 0.0:
-            raise ParamError(f"{path}:{where[name]}: {name.upper()} must be greater than 0")
     params = FbwaParams(**values)
-    if params.airspeed_max <= params.airspeed_min:
-        line_number = where.get("airspeed_max", where.get("airspeed_min", 1))
-        raise ParamError(
-            f"{path}:{line_number}: AIRSPEED_MAX ({params.airspeed_max:g}) must be greater than "
-            f"AIRSPEED_MIN ({params.airspeed_min:g})"
-        )
+    for name, fault in _faults(params):
+        raise ParamError(f"{path}:{where.get(name, 1)}: {fault}")
     if unknown:
         some = ", ".join(sorted(unknown)[:3]) + (", …" if len(unknown) > 3 else "")
         warnings.warn(
@@ -137,6 +130,41 @@ def read_params(path: Path) -> FbwaParams:
             stacklevel=2,
         )
     return params
+
+
+def with_param(params: FbwaParams, name: str, value: float) -> FbwaParams:
+    """The parameters with one of them changed, by its name in ArduPlane.
+
+    Raises:
+        ParamError: there is no such parameter, or it cannot have this value.
+    """
+    if name.lower() not in _NAMES:
+        raise ParamError(f"{name}: not a parameter of fly-by-wire A")
+    if not math.isfinite(value):
+        raise ParamError(f"{name}: {value} is not a number")
+    changed = replace(params, **{name.lower(): value})
+    for _, fault in _faults(changed):
+        raise ParamError(fault)
+    return changed
+
+
+def _faults(params: FbwaParams) -> Iterator[tuple[str, str]]:
+    """What no autopilot can fly with: the parameter's field, and what is wrong with it."""
+    for name in _POSITIVE:
+        if not getattr(params, name) > 0.0:
+            yield name, f"{name.upper()} must be greater than 0"
+    for channel in (1, 2, 4):
+        low, high = (getattr(params, f"servo{channel}_{end}") for end in ("min", "max"))
+        if not 800.0 <= low < high <= 2200.0:
+            name = f"servo{channel}_{'max' if 800.0 <= low else 'min'}"
+            text = f"SERVO{channel}_MIN and _MAX ({low:g}, {high:g}) must rise within 800 to 2200"
+            yield name, text
+    if params.airspeed_max <= params.airspeed_min:
+        yield (
+            "airspeed_max",
+            f"AIRSPEED_MAX ({params.airspeed_max:g}) must be greater than AIRSPEED_MIN "
+            f"({params.airspeed_min:g})",
+        )
 
 
 @dataclass(frozen=True, slots=True)

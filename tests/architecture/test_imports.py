@@ -101,7 +101,8 @@ def test_formation_knows_only_numpy_and_the_shared_vocabulary():
 
 FLOWN = ["air", "vehicle", "sensing", "network", "guidance", "formation"]
 OBSERVERS = ["record", "metrics", "views"]
-ROOMS = [*FLOWN, *OBSERVERS, "mavlink", "scenario"]
+OUTSIDE = ["links", "ardupilot"]  # programs outside, which speak MAVLink
+ROOMS = [*FLOWN, *OBSERVERS, *OUTSIDE, "mavlink", "scenario"]
 
 
 def but(names, *allowed):
@@ -118,6 +119,8 @@ FORBIDDEN = {
     "metrics": [*but(FLOWN, "formation"), "sim", "record", "views", "study"],
     "views": [*but(FLOWN, "formation"), "sim", "study"],
     "mavlink": [*but(ROOMS, "mavlink"), "sim", "study"],
+    "links": [*but(ROOMS, "links", "mavlink"), "sim", "study"],
+    "ardupilot": [*but(ROOMS, "ardupilot", "mavlink"), "sim", "study"],
     "scenario": [*but(ROOMS, "scenario"), "sim", "frames", "state", "study"],
     "sim": ["cli", "views", "study"],
     "study": ["cli", "views"],
@@ -131,6 +134,13 @@ def test_a_room_does_not_know_its_neighbours(name, others):
     walls = [f"testbed.{other}" for other in others]
     for path, found in modules.items():
         assert not {module for module in found if within(module, walls)}, path
+
+
+def test_sockets_and_programs_outside_have_few_doors():
+    opened = {"links/endpoint.py", "ardupilot/"}
+    for module in ("socket", "socketserver", "asyncio", "http"):
+        for path in importers(module):
+            assert any(path.startswith(door) for door in opened) or path.startswith("views/"), path
 
 
 def test_nobody_imports_the_command_line():
@@ -172,7 +182,7 @@ def test_a_module_is_short(path):
 
 
 def text_files():
-    skipped = {".git", ".venv", "logs", "build", "dist", "__pycache__"}
+    skipped = {".git", ".venv", ".venv-clients", "logs", "build", "dist", "__pycache__"}
     for path in ROOT.rglob("*"):
         parts = path.relative_to(ROOT).parts
         if path.is_file() and not any(p in skipped or p.endswith("_cache") for p in parts):

@@ -50,7 +50,9 @@ def short(*changes, seconds=SECONDS):
 
 def flown(*changes, seconds=SECONDS):
     collector = Collector()
-    assert fly(build(short(*changes, seconds=seconds)), [collector], lambda: False) == "flown"
+    assert (
+        fly(build(short(*changes, seconds=seconds)), [collector], lambda now, due: False) == "flown"
+    )
     return collector.frames
 
 

@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 import pytest
-from commands import ROOT, environment, run_command
+from commands import ROOT, call_command, environment, run_command
 from typer.testing import CliRunner
 
 from testbed.cli import app
@@ -234,7 +234,7 @@ def test_the_table_is_the_arrays_told_in_numbers(tmp_path):
 @pytest.mark.parametrize("model", ["none", "coherent"])
 def test_the_table_fits_eighty_columns(model, tmp_path):
     words = ("air", "simulation-3", "--duration", "2", "--separation", "5", "--set")
-    done = run_command(
+    done = call_command(
         *words, f"{ROOM}={model}", "--json", "table.json", cwd=tmp_path, code=0, columns=80
     )
     assert "…" not in done.stdout

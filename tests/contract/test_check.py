@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import check_pages as pages
 import pytest
 import yaml
-from commands import environment, run_command
+from commands import call_command, environment, run_command
 
 from testbed.check_console import check_and_show
 from testbed.study.flights import Flight, fly_all
@@ -29,6 +29,10 @@ def check(*arguments, cwd, code=0):
     return run_command("check", *arguments, cwd=cwd, code=code, columns=100)
 
 
+def check_here(*arguments, cwd, code=0):
+    return call_command("check", *arguments, cwd=cwd, code=code, columns=100)
+
+
 @pytest.fixture(scope="module")
 def desk(tmp_path_factory):
     """A folder with an exact page, a noisy one, and their tables."""
@@ -36,7 +40,7 @@ def desk(tmp_path_factory):
     pages.write(folder, "exact")
     pages.write(folder, "noisy", noisy=True)
     options = ("--update", "--seeds", "3", "--reason", "first flights")
-    done = check("exact.yaml", "noisy.yaml", *options, cwd=folder)
+    done = check_here("exact.yaml", "noisy.yaml", *options, cwd=folder)
     assert "exact.yaml · written · seeds 1, 2, the same for every seed" in done.stdout
     assert "noisy.yaml · written · seeds 1 to 3, with dice" in done.stdout
     return folder
@@ -45,10 +49,8 @@ def desk(tmp_path_factory):
 def test_a_good_run_passes_and_writes_nothing_however_many_fly_at_once(desk):
     before = pages.files(desk)
     assert sorted(before) == ["exact.yaml", "golden/exact.json", "golden/noisy.json", "noisy.yaml"]
-    one, two = (
-        check("exact.yaml", "noisy.yaml", "--seeds", "2", "--jobs", jobs, "--json", "-", cwd=desk)
-        for jobs in (1, 2)
-    )
+    words = ("exact.yaml", "noisy.yaml", "--seeds", "2", "--json", "-", "--jobs")
+    one, two = check(*words, 1, cwd=desk), check_here(*words, 2, cwd=desk)
     assert (one.stdout, one.stderr) == (two.stdout, two.stderr)
     document = json.loads(one.stdout)
     assert document["passed"]
@@ -220,7 +222,7 @@ def test_bad_input_is_refused_before_anything_flies(
 
 def test_bad_input_is_in_the_junit_too(tmp_path):
     pages.write(tmp_path, "exact")
-    done = check("exact.yaml", "--junit", "j.xml", cwd=tmp_path, code=BAD_INPUT)
+    done = check_here("exact.yaml", "--junit", "j.xml", cwd=tmp_path, code=BAD_INPUT)
     assert "there is no golden table golden/exact.json" in done.stderr
     root = ElementTree.parse(tmp_path / "j.xml").getroot()
     assert (root.get("tests"), root.get("errors"), root.get("failures")) == ("1", "1", "0")

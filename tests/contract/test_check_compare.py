@@ -4,6 +4,7 @@ import io
 import json
 import shutil
 import statistics
+from pathlib import Path
 from xml.etree import ElementTree
 
 import check_pages as pages
@@ -11,11 +12,11 @@ import pytest
 from rich.console import Console
 
 from testbed.errors import InputError
-from testbed.scenario import find_aircraft
+from testbed.scenario import find_aircraft, load
 from testbed.study import golden
 from testbed.study.flights import Flight
 from testbed.study.golden_compare import compare
-from testbed.study.golden_page import differences, digests
+from testbed.study.golden_page import differences, digests, page_kept, spelt_out
 from testbed.study.golden_table import (
     BAND,
     RULES,
@@ -374,3 +375,16 @@ def test_junit_counts_and_survives_any_text(exact):
     for count in ("tests", "failures", "errors", "skipped"):
         assert int(root.get(count)) == sum(int(suite.get(count)) for suite in suites)
     assert "& <none>" in suites[1].find("testcase/failure").get("message")
+
+
+def test_keys_that_pages_have_had_since_are_no_change_at_their_defaults():
+    kept = page_kept(load("simulation-3"), Path())
+    older = json.loads(json.dumps(kept))
+    del older["network"]["encoding"], older["leader"]["autopilot"], older["limits"]
+    assert differences(older, kept)
+    assert differences(spelt_out(older), kept) == ()
+    changed = load("simulation-3", ["network.delay_s=0.5"])
+    told = differences(spelt_out(older), page_kept(changed, Path()))
+    assert told == ("network.delay_s from 0 to 0.5",)
+    stranger = {**older, "extinct": 1}
+    assert spelt_out(stranger) == stranger

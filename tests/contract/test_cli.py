@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
-from commands import environment, run_command
+from commands import call_command, environment, run_command
 from run_flight import DIVE
 from typer.testing import CliRunner
 
@@ -24,6 +24,10 @@ NO_LOG = ("--set", "log.mcap=false")
 
 
 def cli(*arguments, cwd, code=0):
+    return call_command(*arguments, cwd=cwd, code=code, columns=120)
+
+
+def cli_process(*arguments, cwd, code=0):
     return run_command(*arguments, cwd=cwd, code=code, columns=120)
 
 
@@ -32,7 +36,7 @@ def files(folder):
 
 
 def test_version(tmp_path):
-    assert cli("--version", cwd=tmp_path).stdout == f"testbed {testbed.__version__}\n"
+    assert cli_process("--version", cwd=tmp_path).stdout == f"testbed {testbed.__version__}\n"
 
 
 def test_help_names_every_command_and_the_exit_codes(tmp_path):
@@ -75,6 +79,25 @@ def test_help_loads_nothing_heavy(tmp_path):
     assert "testbed.cli" in loaded
     assert not loaded & {"jsbsim", "numba", "rerun", "numpy", "scipy", "yaml", "mcap", "pydantic"}
     assert not any(name.startswith("pymavlink") for name in loaded)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("list",),
+        ("schema",),
+        ("validate", "simulation-3"),
+        ("trim", "rascal110", "--airspeed", "22"),
+        ("linearize", "rascal110", "--airspeed", "22"),
+        ("step", "rascal110"),
+    ],
+    ids=" ".join,
+)
+def test_a_command_alone_in_its_process_says_the_same(tmp_path, arguments):
+    """Whatever the others have imported before it."""
+    ours, its = (each(*arguments, cwd=tmp_path) for each in (cli, cli_process))
+    assert (ours.stdout, ours.stderr) == (its.stdout, its.stderr)
+    assert its.stdout
 
 
 def test_list_names_scenarios_and_aircraft(tmp_path):
@@ -154,7 +177,7 @@ def test_bad_input_is_2_and_leaves_nothing(tmp_path, arguments):
 
 
 def test_a_run_leaves_one_directory_and_nothing_else(tmp_path):
-    done = cli(*FLY, cwd=tmp_path)
+    done = cli_process(*FLY, cwd=tmp_path)
     found = files(tmp_path)
     assert {Path(name).name for name in found} == {
         "run.mcap",
@@ -205,7 +228,7 @@ def test_settings_reach_the_flight(tmp_path):
 
 def test_a_lost_aircraft_is_1(tmp_path):
     (tmp_path / "dive.yaml").write_text(DIVE)
-    done = cli("run", "dive.yaml", "--out", "run", cwd=tmp_path, code=LOST)
+    done = cli_process("run", "dive.yaml", "--out", "run", cwd=tmp_path, code=LOST)
     assert "uav1: lost" in done.stdout
     assert json.loads((tmp_path / "run" / "metrics.json").read_text())["outcome"] == "lost"
     log = read_log(tmp_path / "run" / "run.mcap")

@@ -48,3 +48,29 @@ def test_a_constant_of_another_file_is_compiled_anew(tmp_path):
     assert printed(tmp_path) == ["3", "0"]
     assert len(list((package / "__pycache__").glob("twins-*"))) == 1
     assert not list(package.glob("__pycache__/*.nb[ic]"))
+
+
+def test_what_no_twin_leads_to_costs_no_machine_code():
+    package = Path(compiled.__file__).parent
+    sources = {path.relative_to(package).as_posix() for path in compiled._sources(package)}
+    assert {"compiled.py", "frames.py", "state.py", "vehicle/twin.py"} <= sources
+    assert not {"cli.py", "console.py", "sim/loop.py", "record/door.py"} & sources
+
+
+@pytest.mark.parametrize("name", ["air.field_twin", "network.fates_twin", "sensing.fusion_twin"])
+def test_every_module_that_a_twin_loads_is_a_source(name):
+    """The second route: what Python itself has loaded after importing it."""
+    code = (
+        f"import testbed.{name}, sys; print(*(m.__file__ for n, m in sys.modules.items() "
+        "if n.startswith('testbed') and m.__file__))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True
+    )
+    loaded = {Path(file) for file in done.stdout.split()}
+    package = Path(compiled.__file__).parent
+    # a package's own __init__ is loaded on the way to what is in it, and loads the rest of the page
+    passed = {
+        file for file in loaded if file.name == "__init__.py" or file.parent.name == "scenario"
+    }
+    assert loaded - passed <= set(compiled._sources(package))

@@ -112,7 +112,7 @@ def test_controllers_step_at_moments_of_their_own(name):
     """Seen from outside: the ticks at which a follower's command changes."""
     collector = Collector()
     page = shorten(load(name, ["log.mcap=false", "rates.log_hz=200"]), 3.0)
-    fly(build(page), [collector], lambda: False)
+    fly(build(page), [collector], lambda now, due: False)
     rolls = np.array([frame.command.roll for frame in collector.frames])
     changes = [np.flatnonzero(np.diff(column)) + 1 for column in rolls.T]
     phases = [set((ticks[ticks > 20] % 20).tolist()) for ticks in changes[1:]]

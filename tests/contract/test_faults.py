@@ -332,7 +332,7 @@ def test_a_law_of_ones_own_hears_no_more_of_whom_its_follower_drops():
     world = build(page(faults(0, OUT), "formation.on_failure={answer: drop, after_s: 2}"))
     law = Listening(world.groups[0].law)
     group = dataclasses.replace(world.groups[0], law=law)
-    fly(dataclasses.replace(world, groups=(group,)), [], lambda: False)
+    fly(dataclasses.replace(world, groups=(group,)), [], lambda now, due: False)
     for now, inbox in law.given:
         heard = np.isfinite(inbox.stamp_s)
         everyone = np.ones((3, 4), dtype=bool)

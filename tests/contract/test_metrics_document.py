@@ -67,7 +67,7 @@ def document(
     seen = run_frames(80, followers, noisy_from=noisy_from, gone_from=gone_from, events=gusts)
     for frame in seen:
         meter.observe(frame)
-    return complete(meter.summary(), network=network, outcome=outcome, wall_s=2.0)
+    return complete(meter.summary(), network=network, outside={}, outcome=outcome, wall_s=2.0)
 
 
 def shown(metrics, width=80):

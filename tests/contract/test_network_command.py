@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 import pytest
-from commands import run_command
+from commands import call_command, run_command
 from typer.testing import CliRunner
 
 from testbed.cli import app
@@ -247,7 +247,7 @@ EVERYTHING = (
 def test_the_table_fits_eighty_columns(tmp_path):
     words = [word for each in EVERYTHING for word in ("--set", each)]
     words += ["--packets", "1100", "--json", "table.json"]
-    done = run_command("network", "simulation-3", *words, cwd=tmp_path, code=0, columns=80)
+    done = call_command("network", "simulation-3", *words, cwd=tmp_path, code=0, columns=80)
     assert "…" not in done.stdout
     assert max(map(len, done.stdout.splitlines())) <= 80
     together = json.loads((tmp_path / "table.json").read_text())["all"]

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import os
 import re
+import socket
 import stat
 import subprocess
 import sys
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from commands import call, environment
 
 from testbed.scenario import find_scenario, list_scenarios, loads
 
@@ -26,6 +31,8 @@ PAGES = (
     "docs/network.md",
     "docs/sensors.md",
     "docs/faults.md",
+    "docs/mavlink.md",
+    "docs/arduplane.md",
     "docs/formation.md",
     "docs/own-law.md",
     "docs/check.md",
@@ -36,11 +43,13 @@ SHOWN_S = (
 )
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.M | re.S)
 
-# A `testbed` that ends flights early and needs no viewer. The last of two options counts, so what
-# it adds wins over what a snippet says.
+# A `testbed` that ends flights early, checks with one seed and needs no viewer. The last of two
+# options counts, so what it adds wins over what a snippet says. The viewer gets a process of its
+# own; all else is handed, one at a time, to the one that runs the tests, which has it loaded.
 STAND_IN = """#!/bin/sh
 case "$*" in
   run*) set -- "$@" --duration {duration:g} ;;
+  check*) set -- "$@" --seeds 1 ;;
   view*--rrd*) ;;
   view*) set -- "$@" --rrd "$(mktemp -u).rrd" ;;
 esac
@@ -48,8 +57,16 @@ for word do
   shift
   [ "$word" = --view ] || set -- "$@" "$word"
 done
-exec "{python}" -m testbed "$@"
+[ "$1" = view ] && exec "{python}" -m testbed "$@"
+exec "{python}" -IS "{hand_over}" "$@"
 """
+HAND_OVER = """
+import json, os, socket, sys
+line = socket.socket(fileno=int(os.environ["TESTBED_LINE"]))
+socket.send_fds(line, [json.dumps([os.getcwd(), sys.argv[1:]]).encode()], [1, 2])
+sys.exit(int(line.recv(16)))
+"""
+LONGEST_S = 120.0
 
 
 @dataclass(frozen=True)
@@ -92,52 +109,95 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
-def desk(tmp_path_factory):
-    """A folder like a fresh checkout's, in which the snippets run one after the other."""
-    folder = tmp_path_factory.mktemp("desk")
-    (folder / "tests").symlink_to(ROOT / "tests")
-    (folder / "bin").mkdir()
-    command = folder / "bin" / "testbed"
-    command.write_text(STAND_IN.format(duration=SHOWN_S, python=sys.executable))
-    command.chmod(command.stat().st_mode | stat.S_IXUSR)
-    return folder
+def new_desk(tmp_path_factory):
+    """Makes folders like a fresh checkout's, in which snippets run one after the other."""
+
+    def make():
+        folder = tmp_path_factory.mktemp("desk")
+        (folder / "tests").symlink_to(ROOT / "tests")
+        (folder / "bin").mkdir()
+        hand_over = folder / "bin" / "hand_over.py"
+        hand_over.write_text(HAND_OVER)
+        command = folder / "bin" / "testbed"
+        command.write_text(
+            STAND_IN.format(duration=SHOWN_S, python=sys.executable, hand_over=hand_over)
+        )
+        command.chmod(command.stat().st_mode | stat.S_IXUSR)
+        return folder
+
+    return make
 
 
-def execute(folder, *command):
-    paths = [str(ROOT), os.environ.get("PYTHONPATH", "")]
-    surroundings = os.environ | {
-        "PATH": f"{folder / 'bin'}{os.pathsep}{os.environ['PATH']}",
-        "PYTHONPATH": os.pathsep.join(path for path in paths if path),
-        "COLUMNS": "80",
-    }
-    done = subprocess.run(
-        command,
-        cwd=folder,
-        env=surroundings,
-        text=True,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stdout
-    return trimmed(done.stdout)
+def in_a_shell(folder, text):
+    """What a snippet prints whose commands this process carries out, and bash all else."""
+    ours, theirs = socket.socketpair()
+    with ours, tempfile.TemporaryFile("w+") as paper:
+        ours.settimeout(LONGEST_S)
+        surroundings = environment(80) | {
+            "PATH": f"{folder / 'bin'}{os.pathsep}{os.environ['PATH']}",
+            "TESTBED_LINE": str(theirs.fileno()),
+        }
+        shell = subprocess.Popen(
+            ("bash", "-euc", text),
+            cwd=folder,
+            env=surroundings,
+            stdout=paper,
+            stderr=paper,
+            pass_fds=[theirs.fileno()],
+        )
+        try:
+            theirs.close()
+            while True:  # until everybody at the other end has gone
+                asked, papers, *_ = socket.recv_fds(ours, 65536, 2)
+                if not asked:
+                    break
+                cwd, arguments = json.loads(asked)
+                with open(papers[0], "w") as out, open(papers[1], "w") as err:
+                    code = call(arguments, cwd=cwd, columns=80, out=out, err=err)
+                ours.sendall(str(code).encode())
+            shell.wait(timeout=LONGEST_S)
+        finally:
+            shell.kill()
+            shell.wait()
+        paper.seek(0)
+        printed = paper.read()
+    assert shell.returncode == 0, printed
+    return trimmed(printed)
+
+
+def in_python(folder, text):
+    """What a snippet prints in this process, as a module of its own."""
+    paper = io.StringIO()
+    with contextlib.chdir(folder), contextlib.redirect_stdout(paper):
+        exec(compile(text, "snippet", "exec"), {"__name__": "__main__"})
+    return trimmed(paper.getvalue())
 
 
 def trimmed(text: str) -> str:
     return "\n".join(line.rstrip() for line in text.strip().splitlines())
 
 
-def test_every_snippet_runs_in_reading_order_and_prints_what_is_pasted(desk):
-    for snippet in sorted(SHELL + PYTHON, key=lambda s: (PAGES.index(s.page), s.line)):
-        interpreter = ("bash", "-euc") if snippet.kind == "sh" else (sys.executable, "-c")
-        printed = execute(desk, *interpreter, snippet.text)
+@pytest.mark.parametrize("page", [p for p in PAGES if any(s.page == p for s in SHELL + PYTHON)])
+def test_every_snippet_runs_in_reading_order_and_prints_what_is_pasted(page, new_desk):
+    desk = new_desk()
+    ours = [snippet for snippet in SHELL + PYTHON if snippet.page == page]
+    for snippet in sorted(ours, key=lambda s: s.line):
+        run = in_a_shell if snippet.kind == "sh" else in_python
+        printed = run(desk, snippet.text)
         if snippet.output is not None:
             assert printed == trimmed(snippet.output), snippet
 
 
-def test_the_topics_named_are_logged(desk):
-    execute(desk, "bash", "-euc", "testbed run simulation-3 --out topics --quiet")
-    log = (desk / "topics" / "run.mcap").read_bytes()
+@pytest.fixture(scope="module")
+def shown(new_desk):
+    """The flight the README shows: what is printed, and its log."""
+    desk = new_desk()
+    printed = in_a_shell(desk, "testbed run simulation-3 --out shown")
+    return printed, (desk / "shown" / "run.mcap").read_bytes()
+
+
+def test_the_topics_named_are_logged(shown):
+    _, log = shown
     named = set(re.findall(r"`(/(?:<name>/)?\w+)`", README))
     assert len(named) >= 5
     later = {"/events", "/<name>/network", "/<name>/estimate", "/<name>/believed"}
@@ -200,8 +260,8 @@ def test_the_pasted_errors_are_the_golden_ones():
     assert results[4:7] == golden["circles"]
 
 
-def test_the_table_pasted_has_the_headings_that_are_printed(desk):
-    printed = execute(desk, "bash", "-euc", "testbed run simulation-3")
+def test_the_table_pasted_has_the_headings_that_are_printed(shown):
+    printed, _ = shown
     pasted = next(s.text for s in snippets("README.md") if "engaged" in s.text)
     headings = [line for line in printed.splitlines() if line.startswith((" follower", " RMS"))]
     assert len(headings) == 2

@@ -117,7 +117,7 @@ def test_an_agent_knows_its_own_estimate_and_what_the_others_sent(late):
     (group,), seen = world.groups, Collector()
     law = Overheard(group.law)
     overheard = (dataclasses.replace(group, law=law),)
-    fly(dataclasses.replace(world, groups=overheard), [seen], lambda: False)
+    fly(dataclasses.replace(world, groups=overheard), [seen], lambda now, due: False)
     assert len(law.given) == len(seen.frames) == 76
     for k, (now, own, inbox) in enumerate(law.given):
         believed, truth = seen.frames[k].estimate, seen.frames[k].truth
@@ -147,7 +147,7 @@ def test_nobody_hears_at_another_rate_than_the_broadcasts():
     (group,) = world.groups
     law = Overheard(group.law)
     overheard = (dataclasses.replace(group, law=law),)
-    fly(dataclasses.replace(world, groups=overheard), [], lambda: False)
+    fly(dataclasses.replace(world, groups=overheard), [], lambda now, due: False)
     ages = {round(float((now - inbox.stamp_s).max()), 6) for now, _, inbox in law.given}
     assert ages == {0.0, 0.02, 0.04, 0.06, 0.08}
 
@@ -244,10 +244,12 @@ def test_a_signal_ends_the_run_with_all_that_was_flown(tmp_path, number, after):
     assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == before
 
 
-def test_a_second_ctrl_c_ends_at_once_and_still_leaves_everything(tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_second_signal_ends_at_once_and_still_leaves_everything(tmp_path, number):
     out = tmp_path / "run"
+    stopper = Stopper(after=9, times=2, number=number)
     with pytest.raises(KeyboardInterrupt):
-        testbed.run(short("log.mcap=true"), out=out, observers=[Stopper(after=9, times=2)])
+        testbed.run(short("log.mcap=true"), out=out, observers=[stopper])
     assert json.loads((out / "metrics.json").read_text())["outcome"] == "interrupted"
     log = read_log(out / "run.mcap")
     assert log.finished

@@ -87,6 +87,15 @@ def test_defaults_are_the_ones_the_page_documents():
 # What everything.yaml has no room for: other kinds of a path and of a wind, and of the network what
 # takes the place of its delays, losses and slots.
 VIRTUAL = "leader.path={{kind: virtual, speed_mps: 21, curve: {{{}}}}}"
+ARDUPLANE = (
+    "{kind: ardupilot, binary: /usr/bin/arduplane, start: false, instance: 7, patience_s: 20.0}"
+)
+EXTERNAL = "{kind: external, failsafe_s: 3.0, lockstep: true, patience_s: 5.0}"
+MISSION = (
+    "{kind: mission, airspeed_mps: 21.0, bank_limit_deg: 25.0, climb_limit_mps: 1.0, "
+    "waypoint_radius_m: 80.0, legs: [{kind: waypoints, laps: 1, points_m: [[600.0, 0.0, 90.0], "
+    "[0.0, 0.0, 90.0]]}]}"
+)
 OTHER_KINDS = [
     VIRTUAL.format("kind: straight, climb_mps: 1"),
     VIRTUAL.format("kind: circle, radius_m: 200, direction: anticlockwise, climb_mps: -0.5"),
@@ -96,11 +105,15 @@ OTHER_KINDS = [
     "leader.path={kind: replay, file: arduplane-auto-leader-rascal.csv}",
     "air.wind={file: gusty-wind.csv, longest_gap_s: 2, profile: {kind: uniform}}",
     "air.wind={speed_mps: 5, profile: {kind: power, height_m: 20, exponent: 0.2}}",
-    "network={trace: {file: gusty-wind.csv, shifted: true, begin_s: 2}, tdma: {frame_s: 0.1, "
-    "order: [uav2, lead, uav1], packets: 2, queue_packets: 3}}",
+    "network={trace: {file: gusty-wind.csv, shifted: true, begin_s: 2}, message_bytes: 120, tdma: "
+    "{frame_s: 0.1, order: [uav2, lead, uav1], packets: 2, queue_packets: 3}}",
+    f"leader={{name: lead, aircraft: rascal110, autopilot: {ARDUPLANE}, path: {MISSION}}}",
+    f"leader={{name: lead, aircraft: rascal110, commanded_by: {EXTERNAL}, path: {MISSION}}}",
+    f"fleet.1={{name: uav2, aircraft: rascal110, autopilot: {ARDUPLANE}, start_m: [-40, -10, 0]}}",
 ]
 # What has one value only.
-NO_CHOICE = {("Follower", "autopilot"), ("Follower", "commanded_by"), ("Bernoulli", "kind")}
+WORDS = ("ByFormation", "VirtualAutopilot", "External", "ArduPlane")
+NO_CHOICE = {(kind, "kind") for kind in ("Bernoulli", *WORDS)}
 # A key that all faults have, and that a cross-check refuses for this one.
 REFUSED = {("BatteryLow", "lasts_s")}
 
@@ -153,7 +166,8 @@ def _kinds(annotation):
 def _other(text):
     """Keys and value of one of OTHER_KINDS."""
     where, _, value = text.partition("=")
-    return where.split("."), yaml.safe_load(value)
+    keys = [int(key) if key.isdigit() else key for key in where.split(".")]
+    return keys, yaml.safe_load(value)
 
 
 def test_the_full_page_says_every_key_and_none_at_its_default():

@@ -117,6 +117,7 @@ def test_a_leader_minds_it_in_the_first_climb() -> None:
         "airspeed-blocked",
         "fleet.1.faults=[]",
         "leader.faults=[{kind: airspeed-blocked, at_s: 105}]",
+        until="low",
     )
     assert (rms(metrics, "before") < 0.75).all()
     assert (rms(metrics, "low") > 20.0).all(), "it stalls, and nobody can fly that slowly"

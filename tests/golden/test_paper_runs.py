@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 import pytest
 from whole_flights import cells, fly
@@ -15,13 +18,26 @@ PORTIONS = ("rectangles", "circles")
 
 
 @pytest.fixture(scope="module")
-def flown() -> dict[str, dict[str, np.ndarray]]:
+def flights() -> dict[str, Mapping[str, Any]]:
+    """Metrics by scenario."""
+    return {name: fly(name) for name in ("simulation-1", "simulation-2", "simulation-3")}
+
+
+@pytest.fixture(scope="module")
+def flown(flights) -> dict[str, dict[str, np.ndarray]]:
     """RMS errors, m, by scenario and portion."""
     return {
         name: {portion: cells(metrics, portion) for portion in PORTIONS}
-        for name in ("simulation-1", "simulation-2", "simulation-3")
-        for metrics in [fly(name)]
+        for name, metrics in flights.items()
     }
+
+
+def test_on_the_papers_path_errors_are_half_and_corners_as_asked_for(flights) -> None:
+    """Half the paper's numbers, leader's corners at the 30 degrees that were asked for."""
+    metrics = flights["simulation-3"]
+    assert (cells(metrics, "rectangles") <= 0.75).all()
+    assert (cells(metrics, "circles") <= 0.5).all()
+    assert metrics["leader_bank_deg"] == pytest.approx(30.0, abs=1.0)
 
 
 def test_every_cell_is_about_half_of_table_1(flown) -> None:

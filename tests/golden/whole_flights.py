@@ -8,13 +8,17 @@ from typing import Any
 import numpy as np
 
 import testbed
+from testbed.scenario import load, shorten
 
 UAVS = ("uav1", "uav2", "uav3")
 
 
-def fly(scenario: str, *overrides: str) -> Mapping[str, Any]:
-    """The metrics of a whole flight."""
-    flown = testbed.run(scenario, overrides, write=False)
+def fly(scenario: str, *overrides: str, until: str | None = None) -> Mapping[str, Any]:
+    """The metrics of a whole flight, or of one up to the end of a portion."""
+    page = load(scenario, overrides)
+    if until is not None:
+        page = shorten(page, page.scenario.portions[until][1])
+    flown = testbed.run(page, write=False)
     assert flown.outcome == "flown"
     engaged = flown.metrics["engaged_at_s"].values()
     assert None not in engaged, "a formation that never engaged"

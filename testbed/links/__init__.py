@@ -1,0 +1,1 @@
+"""Links to programs outside: every aircraft as a MAVLink vehicle."""

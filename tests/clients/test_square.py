@@ -1,0 +1,45 @@
+"""The example for people who write their own programs, as it stands in examples/."""
+
+import re
+
+import numpy as np
+from outside_run import ROOT, clients, flying, free_port, run_client, said_events
+
+SIDE_M, PASSED_M = 350.0, 30.0
+
+
+def test_the_example_flies_its_square(tmp_path):
+    port = free_port()
+    with flying(
+        tmp_path / "flight",
+        f"--mavlink=udpout:127.0.0.1:{port}",
+        "--set=fleet.2.commanded_by={kind: external, lockstep: true, patience_s: 60}",
+        page=ROOT / "examples" / "square.yaml",
+    ) as flight:
+        script = ROOT / "examples" / "square.py"
+        url = f"udpin:127.0.0.1:{port}"
+        said = run_client(flight, clients() / "python", "-u", script, url)
+        metrics = flight.end(0)
+    places = re.findall(r"corner at (-?\d+) m north, (-?\d+) m east", said)
+    corners = np.array(places, dtype=float)
+    assert corners.shape == (4, 2)
+    sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+    assert np.allclose(sides, SIDE_M, atol=1.5)  # they are printed in whole metres
+
+    frames = flight.frames()
+    position = np.array([frame.truth.position_ned[3] for frame in frames])
+    away = np.hypot(*(position[:, None, :2] - corners).transpose(2, 0, 1))
+    reached = 0  # one after the other; the last is where it began
+    for distance in away.T:
+        near = np.flatnonzero(distance[reached:] < PASSED_M)
+        assert near.size
+        reached += int(near[0])
+    assert np.abs(position[:reached, 2] - position[0, 2]).max() < 10.0
+    speed = np.array([frame.truth.airspeed[3] for frame in frames])
+    assert 17.0 < speed.min() and speed.max() < 27.0
+    assert said_events(metrics, "uav3") == ["mode LOITER"]
+    assert metrics["lost_at_s"]["uav3"] is None
+
+
+def test_it_is_no_longer_than_sixty_lines():
+    assert len((ROOT / "examples" / "square.py").read_text(encoding="utf-8").splitlines()) <= 60

@@ -1,0 +1,92 @@
+"""Noise, broken frames and well-formed nonsense on the link of a run: nothing may come of it.
+
+All that is sent is refused or means nothing, so that the flight must be the same to the bit. What
+well-formed commands do is tested elsewhere. TESTBED_FRAMES: how many.
+"""
+
+import json
+import math
+import os
+import random
+
+from outside_run import flying
+from speaker import Speaker
+
+FRAMES = int(os.environ.get("TESTBED_FRAMES", "2000"))
+AT_ONCE = FRAMES // 150  # to each datagram heard, so that the storm lasts half the flight
+SECONDS = 12.0
+SEED = 20261122
+OF_THE_DAY = {"wall_s", "real_time_factor", "mavlink", "pace"}
+COMMANDS = (16, 20, 21, 22, 178, 192, 246, 300, 400, 511, 512, 31000)
+
+
+def nonsense(rng):
+    """A message that is right as a frame, and asks for what must not be done."""
+    nan, inf = math.nan, math.inf
+    target = {
+        "target_system": rng.choice([0, 1, 2, 3, 4, 9, 255]),
+        "target_component": rng.choice([0, 1, 7]),
+    }
+    numbers = {f"param{k}": rng.choice([nan, inf, -1.0, 1e30]) for k in range(1, 8)}
+    name = rng.choice(["RLL_RATE_P", "NO_SUCH", "\x7f" * 16])
+    value = rng.choice([nan, inf, -inf])
+    stamp = rng.randrange(1 << 32)
+    q = (rng.choice([nan, 0.0, 1.0]), 0.0, 0.0, 0.0)
+    rates = {f"body_{axis}_rate": nan for axis in ("roll", "pitch", "yaw")}
+    return rng.choice(
+        [
+            ("COMMAND_LONG", {"command": rng.choice(COMMANDS), "confirmation": 0, **numbers}),
+            ("PARAM_SET", {"param_id": name, "param_value": value, "param_type": 9}),
+            ("MISSION_COUNT", {"count": rng.choice([701, 65535])}),
+            ("MISSION_REQUEST_INT", {"seq": 65535}),
+            (
+                "SET_ATTITUDE_TARGET",
+                {"time_boot_ms": stamp, "type_mask": 7, "q": q, **rates, "thrust": 1.0},
+            ),
+        ]
+    ), target
+
+
+def broken(frame, rng):
+    """A frame cut off or changed, or no frame at all."""
+    way = rng.randrange(3)
+    if way == 0:
+        return rng.randbytes(rng.randrange(1, 300))
+    if way == 1:
+        return frame[: rng.randrange(1, len(frame))]
+    changed = bytearray(frame)
+    for _ in range(rng.randrange(1, 12)):
+        changed[rng.randrange(len(changed))] ^= 1 << rng.randrange(8)
+    return bytes(changed)
+
+
+def test_a_storm_on_the_link_moves_no_aircraft_by_a_bit(tmp_path):
+    rng, sent, right = random.Random(SEED), 0, 0
+    length = f"--duration={SECONDS}"
+    with flying(tmp_path / "calm", length) as flight:
+        calm = flight.end()
+        calm_frames = flight.frames()
+    with (
+        Speaker() as speaker,
+        flying(tmp_path / "storm", length, f"--mavlink={speaker.address}", "--pace=6") as flight,
+    ):
+        for _ in speaker.hear_while(flight):
+            for _ in range(AT_ONCE if sent < FRAMES else 0):
+                (name, fields), target = nonsense(rng)
+                frame = speaker.mouth.pack(name, **fields, **target)
+                whole = rng.random() < 0.5
+                speaker.send(frame if whole else broken(frame, rng))
+                sent, right = sent + 1, right + whole
+        storm = flight.end()
+        frames = flight.frames()
+
+    assert sent >= FRAMES
+    # what the flight ended before is not heard, and a frame may be sent whole that was not changed
+    assert 0.5 * right < storm["mavlink"]["frames_heard"] < 1.02 * right
+    assert storm["mavlink"]["skipped_bytes"] > 20 * (sent - right)
+    assert storm.pop("commanded") == {}
+    same = [{k: v for k, v in each.items() if k not in OF_THE_DAY} for each in (calm, storm)]
+    assert json.dumps(same[0], sort_keys=True) == json.dumps(same[1], sort_keys=True)
+    for left, right in zip(calm_frames, frames, strict=True):
+        for a, b in zip((*left.truth, *left.command), (*right.truth, *right.command), strict=True):
+            assert a.tobytes() == b.tobytes()

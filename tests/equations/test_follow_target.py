@@ -1,0 +1,273 @@
+"""FOLLOW_TARGET in arrays: as the codec packs it, to the bit, and what its checksum lets through.
+
+TESTBED_FRAMES sets how many damaged frames are tried, a hundred for each of its own.
+"""
+
+import os
+from fractions import Fraction
+from math import comb
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest, chisquare
+
+from testbed.frames import (
+    body_rates,
+    euler_from_quaternion,
+    geodetic_from_ned,
+    ned_from_geodetic,
+    quaternion_xyzw,
+    rotation_ned_body,
+)
+from testbed.mavlink.door import Codec, decode
+from testbed.mavlink.follow_target import (
+    BEGIN_MS,
+    FRAME,
+    LENGTH,
+    FollowTarget,
+    checksum,
+)
+from testbed.network.encoded import turned_over
+from testbed.network.philox import key_of
+from testbed.scenario.network import Network
+from testbed.state import Broadcast, Origin
+
+DAMAGED = 100 * int(os.environ.get("TESTBED_FRAMES", "10000"))
+CHUNK = 1 << 16
+LEVEL = 0.01 / 4  # four tests here ask chance
+ORIGINS = [Origin(), Origin(-35.5, 149.25, 584.0), Origin(51.0, -179.999, -20.0)]
+
+
+def said(rng, count):
+    """What aircraft say within 2 km, in any attitude but straight up."""
+    vectors = [rng.normal(0.0, each, (count, 3)) for each in (700.0, 25.0, 4.0)]
+    euler = rng.uniform(-1.0, 1.0, (count, 3)) * [np.pi, 1.5, np.pi]
+    return Broadcast(np.floor(rng.uniform(0, 4e6, count)) / 1000, *vectors, euler, rng.normal(
+        0.0, 1.0, (count, 3)))  # fmt: skip
+
+
+def packed(rng, count, origin=ORIGINS[0]):
+    message = said(rng, count)
+    rows = np.arange(count) % 255
+    return message, FollowTarget(origin).pack(message, rows, rows + 200)
+
+
+def spoken(frame):
+    message = decode(frame.tobytes())
+    return message if message and message.name == "FOLLOW_TARGET" else None
+
+
+def test_a_frame_has_the_length_that_pages_reckon_with():
+    network = Network.model_validate({"encoding": "follow-target"})
+    rng = np.random.default_rng(1)
+    assert packed(rng, 3)[1].shape == (3, network.sent_bytes)
+    assert LENGTH == network.sent_bytes
+    assert Network().sent_bytes == Network().message_bytes
+
+
+@pytest.mark.parametrize("origin", ORIGINS)
+def test_frames_are_those_of_the_codec_bit_for_bit(origin):
+    """Its fields are reckoned here one by one, from what each aircraft says."""
+    message, frames = packed(np.random.default_rng(2), 200, origin)
+    place = geodetic_from_ned(message.position_ned, origin)
+    attitude = quaternion_xyzw(message.euler)
+    rates = body_rates(message.euler, message.euler_rates)
+    for k, frame in enumerate(frames):
+        codec = Codec(k % 255 + 1, 1)
+        for _ in range((k % 255 + 200) % 256):
+            codec.pack("PING", time_usec=0, seq=0, target_system=0, target_component=0)
+        theirs = codec.pack(
+            "FOLLOW_TARGET",
+            timestamp=round(message.stamp_s[k] * 1000) + BEGIN_MS,
+            custom_state=0,
+            lat=round(float(place[k, 0]) * 1e7),
+            lon=round(((float(place[k, 1]) + 180.0) % 360.0 - 180.0) * 1e7),
+            alt=place[k, 2],
+            vel=message.velocity_ned[k].tolist(),
+            acc=message.acceleration_ned[k].tolist(),
+            attitude_q=[attitude[k, 3], *attitude[k, :3]],
+            rates=rates[k].tolist(),
+            position_cov=[0.0] * 3,
+            est_capabilities=15,
+        )
+        assert frame.tobytes() == theirs
+
+
+@pytest.mark.parametrize("origin", ORIGINS)
+def test_what_is_read_is_what_was_said_but_for_the_last_digits_of_the_message(origin):
+    message, frames = packed(np.random.default_rng(3), 500, origin)
+    read, rows, good = FollowTarget(origin).unpack(frames)
+    assert good.all()
+    assert np.array_equal(rows, np.arange(500) % 255)
+    assert np.array_equal(read.stamp_s, message.stamp_s)
+    off = np.abs(read.position_ned - message.position_ned)
+    # half of 1e-7 degrees of 111 km each at most; half of a float's last digit at 600 m to 4 km
+    assert 0.005 < off[:, :2].max() < 0.5e-7 * 111.7e3
+    assert off[:, 2].max() < 2.0**-13
+    for name in ("velocity_ned", "acceleration_ned"):
+        assert np.array_equal(getattr(read, name), getattr(message, name).astype(np.float32))
+    # angles beside a pitch of 86° magnify 32-bit numbers by 1 / cos: compared as rotations
+    turned = np.abs(rotation_ned_body(read.euler) - rotation_ned_body(message.euler))
+    assert turned.max() < 1e-6
+    again = body_rates(read.euler, read.euler_rates)
+    assert np.abs(again - body_rates(message.euler, message.euler_rates)).max() < 1e-6
+
+
+def test_a_stamp_is_cut_to_whole_milliseconds_and_a_tick_is_one():
+    ticks = np.arange(200_000) / 200.0
+    fine = np.array([0.0009, 12.3456789, 99.9999])
+    times = np.concatenate([ticks, fine, [-3600.0, -0.0001]])
+    nothing = np.zeros((len(times), 3))
+    coder, rows = FollowTarget(Origin()), np.zeros(len(times), np.int64)
+    read = coder.unpack(coder.pack(Broadcast(times, *[nothing] * 5), rows, rows))[0].stamp_s
+    assert np.array_equal(read[: len(ticks)], ticks)
+    assert read[len(ticks) :].tolist() == [0.0, 12.345, 99.999, -3600.0, -0.001]
+
+
+def test_places_on_the_earth_and_in_ned_are_inverse_and_east_is_the_shorter_way():
+    rng = np.random.default_rng(4)
+    for origin in ORIGINS:
+        ned = rng.normal(0.0, 3000.0, (100, 3))
+        back = ned_from_geodetic(geodetic_from_ned(ned, origin), origin)
+        assert back == pytest.approx(ned, abs=1e-6)  # 1e-14 of 180° is 2e-7 m
+    across = ned_from_geodetic(np.array([51.0, 179.999, 0.0]), Origin(51.0, -179.999, 0.0))
+    assert across[1] == pytest.approx(-0.002 * 111_320 * np.cos(np.radians(51.0)), rel=3e-3)
+
+
+def test_angles_of_a_quaternion_are_those_it_was_made_of_whatever_its_length():
+    rng = np.random.default_rng(5)
+    euler = said(rng, 300).euler
+    lengths = np.exp(rng.uniform(-20, 20, (300, 1)))
+    back = euler_from_quaternion(quaternion_xyzw(euler) * lengths)
+    assert back == pytest.approx(euler, abs=1e-12)
+    assert np.isnan(euler_from_quaternion(np.zeros(4))[1])
+
+
+# the checksum
+
+
+def test_no_frame_with_one_wrong_bit_is_read():
+    """All of them, by us and by the codec: start, length, flags, ids, content and checksum."""
+    coder = FollowTarget(Origin())
+    _, frames = packed(np.random.default_rng(6), 1)
+    wrong = frames ^ np.packbits(np.eye(8 * LENGTH, dtype=bool), axis=1)
+    assert not coder.unpack(wrong)[2].any()
+    for frame in wrong:
+        assert decode(frame.tobytes()) is None
+        assert not Codec(9, 1).feed(frame.tobytes(), whole=True)
+
+
+def test_two_wrong_bits_are_always_found_and_so_is_any_odd_number():
+    """Each bit changes the checksum in a way of its own, by an odd number of bits.
+
+    x^16 + x^12 + x^5 + 1 has a factor x + 1, so what it divides has an even number of bits.
+    """
+    _, frames = packed(np.random.default_rng(7), 1)
+    summed = np.packbits(np.eye(8 * LENGTH, dtype=bool)[8:-16], axis=1)
+    changes = checksum(frames ^ summed) ^ checksum(frames)
+    changes = np.concatenate([changes, np.uint16(1) << np.arange(16, dtype=np.uint16)])
+    assert len(changes) == 8 * LENGTH - 8
+    assert len(set(changes.tolist())) == len(changes)
+    assert all(change.bit_count() % 2 for change in changes.tolist())
+
+
+def test_what_passes_is_read_as_the_codec_reads_it():
+    """Any bytes under a right checksum, numbers that are none among them."""
+    rng = np.random.default_rng(8)
+    coder = FollowTarget(Origin())
+    _, frames = packed(rng, 400)
+    frames[:, 10:-2] = rng.integers(0, 256, (400, LENGTH - 12))
+    frames[:, -3] |= 1  # a last byte of zero would be cut off
+    floats = frames[:, 34:102].copy().view("<u4")
+    floats[:100] |= 0x7F800000  # exponents of infinities and of what is not a number,
+    floats[:50] &= 0xFFBFFFFF  # half of that signalling
+    frames[:, 34:102] = floats.view(np.uint8)
+    frames.view(FRAME)["checksum"][:, 0] = checksum(frames)
+    read, rows, good = coder.unpack(frames)
+    assert good.all()
+    for k, frame in enumerate(frames):
+        message = spoken(frame)
+        assert message.system == rows[k] + 1
+        assert read.stamp_s[k] == (float(message.fields["timestamp"]) - BEGIN_MS) / 1000
+        for name, ours in (("vel", read.velocity_ned), ("acc", read.acceleration_ned)):
+            np.testing.assert_array_equal(ours[k], message.fields[name])
+        place = [message.fields["lat"] / 1e7, message.fields["lon"] / 1e7, message.fields["alt"]]
+        np.testing.assert_array_equal(
+            read.position_ned[k], ned_from_geodetic(np.array(place), Origin())
+        )
+
+
+def test_frames_of_other_kinds_are_not_taken_for_this_message():
+    coder = FollowTarget(Origin())
+    _, frames = packed(np.random.default_rng(9), 5)
+    heads = frames.view(FRAME)[:, 0]
+    heads["magic"][0], heads["length"][1], heads["incompat_flags"][2] = 0xFE, 92, 1
+    heads["number"][3, 0], heads["number"][4, 1] = 32, 1
+    heads["checksum"] = checksum(frames)  # right, by this message's seed
+    assert not coder.unpack(frames)[2].any()
+    assert not any(spoken(frame) for frame in frames)
+
+
+def chunks(count):
+    """(first number, how many) of frames tried together."""
+    return [(at, min(CHUNK, count - at)) for at in range(0, count, CHUNK)]
+
+
+def test_of_frames_full_of_noise_one_in_65536_passes():
+    coder = FollowTarget(Origin())
+    _, frames = packed(np.random.default_rng(10), 1)
+    rng = np.random.default_rng(11)
+    passed = 0
+    for _, count in chunks(DAMAGED):
+        noise = np.repeat(frames, count, axis=0)
+        noise[:, 10:] = rng.integers(0, 256, (count, LENGTH - 10), dtype=np.uint8)
+        sums = noise[:, -2].astype(np.uint16) | noise[:, -1].astype(np.uint16) << 8
+        right = np.flatnonzero(checksum(noise) == sums)
+        assert coder.unpack(noise[right])[2].all()
+        assert all(spoken(frame) for frame in noise[right] if frame[-3])
+        passed += len(right)
+    assert binomtest(passed, DAMAGED, 2.0**-16).pvalue > LEVEL
+
+
+@pytest.mark.parametrize("bits", [7, 8])
+def test_of_frames_with_an_even_number_of_wrong_bits_twice_as_many_pass_and_of_odd_ones_none(bits):
+    """2^-15 of those whose start, length, flags and message id are not touched, which are shown."""
+    coder = FollowTarget(Origin())
+    _, frames = packed(np.random.default_rng(12), 1)
+    tried, passed = DAMAGED // 4, 0
+    key = np.array([key_of(3, "damage")], dtype=np.uint64)
+    for first, count in chunks(tried):
+        number = np.arange(first, first + count)
+        wrong = turned_over(
+            np.repeat(frames, count, axis=0),
+            np.full(count, bits),
+            np.repeat(key, count, axis=0),
+            number,
+            np.zeros(count, np.int64),
+        )
+        passed += int(coder.unpack(wrong)[2].sum())
+    touched = 8 * (1 + 1 + 1 + 3)
+    untouched = Fraction(comb(8 * LENGTH - touched, bits), comb(8 * LENGTH, bits))
+    if bits % 2:
+        assert passed == 0
+    else:
+        assert binomtest(passed, tried, float(untouched) / 2**15).pvalue > LEVEL
+
+
+def test_as_many_bits_are_turned_over_as_asked_for_anywhere_and_alike():
+    rng = np.random.default_rng(13)
+    count = 6000
+    frames = rng.integers(0, 256, (count, LENGTH), dtype=np.uint8)
+    bits = rng.choice([1, 2, 9, 839, 840], count)
+    keys = rng.integers(0, 2**32, (count, 2), dtype=np.uint64)
+    number, copy = rng.integers(0, 1000, count), rng.integers(0, 2, count)
+    turned = np.unpackbits(turned_over(frames, bits, keys, number, copy) ^ frames, axis=1)
+    assert np.array_equal(turned.sum(axis=1), bits)
+    few = turned[bits < 100].sum(axis=0)
+    assert chisquare(few).pvalue > LEVEL
+    # of all but one, which one is as free
+    left = 1 - turned[bits == 839]
+    assert chisquare(left.sum(axis=0).reshape(20, 42).sum(axis=1)).pvalue > LEVEL
+    some = np.arange(0, count, 7)
+    alone = turned_over(frames[some], bits[some], keys[some], number[some], copy[some])
+    assert np.array_equal(np.unpackbits(alone ^ frames[some], axis=1), turned[some])

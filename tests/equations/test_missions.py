@@ -1,0 +1,252 @@
+"""Missions of ground stations and plans of guidance say the same."""
+
+import math
+import time
+
+import numpy as np
+import pytest
+
+from testbed.frames import geodetic_from_ned
+from testbed.guidance.mission import Level, LoiterLeg, Mission, Segment, WaypointLeg, make_plan
+from testbed.links.cockpit import Item, Refusal
+from testbed.scenario import list_scenarios, load
+from testbed.sim.mission_items import home, items_of, items_of_parts
+from testbed.sim.missions import Flyable, flyable
+from testbed.sim.pilots import MissionPilot
+from testbed.sim.world import build
+from testbed.state import Origin
+
+ORIGIN = Origin(latitude_deg=-35.36, longitude_deg=149.16, elevation_m=584.0)
+MANNER = Mission(legs=(), airspeed=22.0)
+HERE = (10.0, -20.0, 100.0)
+RELATIVE, SEA = 6, 5
+
+
+def item(command, north=0.0, east=0.0, up=100.0, *, frame=RELATIVE, parameters=(0.0,) * 4):
+    latitude, longitude, _ = geodetic_from_ned(np.array([north, east, 0.0]), ORIGIN)
+    return Item(command, frame, parameters, float(latitude), float(longitude), up)
+
+
+def waypoints(*places):
+    return [item(16, *place) for place in places]
+
+
+def jump(to, times):
+    return Item(177, 2, (to, times, 0.0, 0.0), 0.0, 0.0, 0.0)
+
+
+def plan(*items):
+    found = flyable([home(ORIGIN), *items], HERE, MANNER, 60.0, ORIGIN)
+    assert not isinstance(found, Refusal), found
+    return found
+
+
+def refusal(*items):
+    found = flyable([home(ORIGIN), *items], HERE, MANNER, 60.0, ORIGIN)
+    assert isinstance(found, Refusal)
+    return found
+
+
+def test_waypoints_are_flown_in_order_and_the_last_is_circled():
+    found = plan(*waypoints((500.0, 0.0, 120.0), (500.0, 400.0, 90.0)))
+    first, second, circle = found.plan.parts
+    assert first.start == HERE
+    assert np.allclose(first.end, (500.0, 0.0, 120.0), atol=1e-6)
+    assert np.allclose(second.end, (500.0, 400.0, 90.0), atol=1e-6)
+    assert isinstance(circle, LoiterLeg) and np.allclose(circle.centre, (500.0, 400.0), atol=1e-6)
+    assert circle.levels[-1].altitude == 90.0
+    assert found.items == (1, 2, 2)
+
+
+def test_altitudes_are_above_home_or_the_sea():
+    (part, _) = plan(item(16, 500.0, 0.0, 684.0, frame=SEA)).plan.parts
+    assert part.end[2] == pytest.approx(100.0)
+    assert "MAV_FRAME 1" in refusal(item(16, 500.0, frame=1)).text
+
+
+def test_a_jump_makes_laps():
+    square = waypoints((400.0, 0.0, 100.0), (400.0, 400.0, 100.0), (0.0, 400.0, 100.0))
+    found = plan(*square, jump(1, 2), item(17, 0.0, 0.0, 100.0, parameters=(0.0, 0.0, -90.0, 0.0)))
+    assert found.items == (1, 2, 3) * 3 + (5,)
+    circle = found.plan.parts[-1]
+    assert (circle.radius, circle.clockwise) == (90.0, False)
+    ever = plan(*square, jump(2, -1))
+    # one way to item 1, then items 2 and 3 again and again
+    assert ever.items == (1, 2, 3, 2, 3)
+    assert ever.plan.repeat_from == 3
+
+
+def test_a_speed_holds_from_its_item_on():
+    places = waypoints((600.0, 0.0, 100.0), (600.0, 600.0, 100.0))
+    speed = Item(178, 2, (0.0, 25.0, -1.0, 0.0), 0.0, 0.0, 0.0)
+    assert plan(places[0], speed, places[1]).airspeeds == (22.0, 25.0, 25.0)
+
+
+@pytest.mark.parametrize("command", [18, 19])
+def test_turns_are_counted_or_timed(command):
+    radius, turns = 100.0, 2.0
+    asked = turns if command == 18 else turns * 2.0 * math.pi * radius / 22.0
+    circle, *_ = plan(
+        item(command, 300.0, 0.0, 100.0, parameters=(asked, 0.0, radius, 0.0)),
+        *waypoints((0.0, 0.0, 100.0)),
+    ).plan.parts
+    assert circle.levels[0].turns == pytest.approx(turns)
+
+
+def test_a_circle_tighter_than_the_bank_limit_is_widened():
+    (circle,) = plan(item(17, 300.0, 0.0, 100.0, parameters=(0.0, 0.0, 20.0, 0.0))).plan.parts
+    tightest = 22.0**2 / (9.80665 * math.tan(math.radians(30.0)))
+    assert circle.radius == pytest.approx(tightest)
+    # one that has no radius leaves a quarter of that to steer with
+    (circle,) = plan(item(17, 300.0, 0.0, 100.0)).plan.parts
+    assert circle.radius == pytest.approx(1.25 * tightest)
+
+
+def test_no_latitude_and_no_longitude_is_here():
+    (circle,) = plan(Item(17, RELATIVE, (0.0,) * 4, 0.0, 0.0, 150.0)).plan.parts
+    assert circle.centre == HERE[:2] and circle.levels[0].altitude == 150.0
+
+
+@pytest.mark.parametrize(
+    ("items", "number", "why"),
+    [
+        ([item(21)], 1, "cannot be flown"),
+        ([item(16, 10.0, 10.0, 2.0)], 1, "2 m above the ground"),
+        ([item(16, 10.0, 10.0, 1e30)], 1, "to 20000 m"),
+        ([item(16, math.nan)], 1, "not a number"),
+        ([Item(16, RELATIVE, (0.0,) * 4, 40.0, 149.0, 100.0)], 1, "100 km"),
+        ([item(17), item(16)], 2, "never reached"),
+        ([item(16), jump(1, -1)], 2, "two waypoints"),
+        ([item(16), jump(3, 2)], 2, "DO_JUMP"),
+        ([item(16), item(18, parameters=(1.0, 0, 90.0, 0)), jump(1, 2)], 3, "DO_JUMP"),
+        ([item(16), item(16), jump(1, 1e6)], 3, "DO_JUMP"),
+        ([item(18, parameters=(0.0, 0.0, 90.0, 0.0))], 1, "turns"),
+        ([Item(178, 2, (0.0, math.nan, 0.0, 0.0), 0.0, 0.0, 0.0)], 1, "airspeed"),
+        ([jump(0, 1)], 1, "DO_JUMP"),
+    ],
+)
+def test_what_cannot_be_flown_is_refused_by_its_item(items, number, why):
+    found = refusal(*items)
+    assert found.item == number
+    assert why in found.text
+
+
+def test_nothing_to_fly_is_no_mission():
+    assert "nowhere" in refusal(Item(178, 2, (0.0, 20.0, 0.0, 0.0), 0.0, 0.0, 0.0)).text
+
+
+def on(found, item):
+    return found.going_on(*found.part_of(item), HERE)
+
+
+def test_going_on_at_an_item_begins_a_leg_from_where_the_aircraft_is():
+    places = waypoints((500.0, 0.0, 100.0), (500.0, 500.0, 100.0), (0.0, 500.0, 100.0))
+    found = plan(*places, jump(1, -1))
+    left = on(found, 2)
+    assert left.items == (2, 3, 1, 2, 3)
+    first = left.plan.parts[0]
+    assert isinstance(first, Segment) and first.start == HERE
+    # the turn onto the next leg is that from here on: from (510, 490) flown to west, to -500 north
+    inbound = math.atan2(500.0 - HERE[1], 500.0 - HERE[0])
+    assert first.turn == pytest.approx(math.remainder(math.pi - inbound, math.tau))
+    assert left.plan.repeat_from == found.plan.repeat_from - 1
+    assert found.part_of(9) is None
+
+
+@pytest.mark.parametrize("part", range(6))
+def test_what_is_begun_from_here_is_flown_whole_when_it_comes_again(part):
+    found = plan(
+        *waypoints((500.0, 0.0, 100.0), (500.0, 500.0, 100.0), (0.0, 500.0, 100.0)), jump(1, -1)
+    )
+    left = found.going_on(part, 0, HERE)
+    flown, at = [], 0
+    for _ in range(20):
+        flown.append((left.items[at], left.plan.parts[at].start))
+        at = at + 1 if at + 1 < len(left.plan.parts) else left.plan.repeat_from
+    items = [item for item, _ in flown]
+    assert items == [(part + k) % 3 + 1 for k in range(20)]
+    assert [start for _, start in flown].count(HERE) == 1
+
+
+def test_a_last_circle_is_gone_on_with_for_ever():
+    found = plan(*waypoints((500.0, 0.0, 100.0)), item(17, 0.0, 0.0, 100.0))
+    left = on(found, 2)
+    assert left.items == (2,) and left.plan.repeat_from == 0
+
+
+def test_levels_of_a_circle_are_items_of_their_own():
+    legs = (
+        WaypointLeg(((500.0, 0.0, 100.0),)),
+        LoiterLeg((300.0, 300.0), 120.0, (Level(100.0, 2.0), Level(130.0, 1.0), Level(90.0, 1.0))),
+    )
+    mission = Mission(legs=legs, airspeed=22.0)
+    whole = Flyable(make_plan(mission, HERE), items_of_parts(mission), (22.0, 22.0))
+    assert [item.z for item in items_of(mission, ORIGIN)[2:]] == [100.0, 130.0, 90.0]
+    for number, altitude in ((2, 100.0), (3, 130.0), (4, 90.0)):
+        left = on(whole, number)
+        assert left.items == (number,)
+        assert left.plan.parts[0].levels[0].altitude == altitude
+
+
+def test_a_change_of_altitude_gets_the_turns_it_needs():
+    (circle, *_) = plan(
+        item(31, 300.0, 0.0, 200.0, parameters=(0.0, 100.0, 0.0, 0.0)),
+        *waypoints((0.0, 0.0, 200.0)),
+    ).plan.parts
+    flown_s = circle.levels[0].turns * 2.0 * math.pi * circle.radius / 22.0
+    assert flown_s * MANNER.climb_limit > 100.0
+
+
+def test_each_circle_is_as_wide_as_its_own_airspeed_needs():
+    slow = Item(178, 2, (0.0, 16.0, -1.0, 0.0), 0.0, 0.0, 0.0)
+    circle = item(17, 300.0, 0.0, 100.0, parameters=(0.0, 0.0, 60.0, 0.0))
+    found = plan(*waypoints((600.0, 0.0, 100.0)), slow, circle)
+    assert found.plan.parts[-1].radius == 60.0
+    assert found.plan.mission.airspeed == 22.0
+
+
+def test_laps_without_end_are_bounded():
+    places = waypoints(*((100.0 * k, 0.0, 100.0) for k in range(1, 700)))
+    begun = time.perf_counter()
+    assert "10000 or fewer" in refusal(*places, jump(1, 1000)).text
+    assert time.perf_counter() - begun < 1.0
+
+
+def place(part):
+    return part.end[:2] if isinstance(part, Segment) else part.centre
+
+
+MISSIONS = [name for name in list_scenarios() if load(name).leader.path.kind == "mission"]
+
+
+@pytest.mark.parametrize("name", ["simulation-3", "experiment-2", "close-formation-wake"])
+def test_a_pages_mission_as_items_gives_its_own_plan_again(name):
+    assert name in MISSIONS
+    page = load(name)
+    pilot = build(page).pilot
+    assert isinstance(pilot, MissionPilot)
+    plan_of_page, mission = pilot.plan, pilot.plan.mission
+    origin = Origin(**page.scenario.origin.model_dump())
+    first = plan_of_page.parts[0]
+    start = first.start if isinstance(first, Segment) else HERE
+    again = flyable(items_of(mission, origin), start, mission, 60.0, origin)
+    numbers = items_of_parts(mission)
+    assert len(numbers) == len(plan_of_page.parts)
+    ours, theirs = plan_of_page.parts, again.plan.parts
+    # circles of several levels are one part here and an item each there
+    lines = [part for part in theirs if isinstance(part, Segment)]
+    assert len(lines) == sum(isinstance(part, Segment) for part in ours)
+    for one, other in zip([p for p in ours if isinstance(p, Segment)], lines, strict=True):
+        assert np.allclose(one.end, other.end, atol=1e-6)
+    # an item's number says the same place in both
+    for number in set(numbers):
+        mine = ours[numbers.index(number)]
+        other = theirs[again.items.index(number)]
+        assert type(mine) is type(other)
+        assert np.allclose(place(mine), place(other), atol=1e-6)
+
+
+def test_a_plan_of_legs_that_meet_is_the_strict_one():
+    legs = (WaypointLeg(((500.0, 0.0, 100.0), (500.0, 500.0, 100.0))),)
+    mission = Mission(legs=legs, airspeed=22.0)
+    assert make_plan(mission, HERE).parts[0].start == HERE
