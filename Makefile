@@ -58,6 +58,7 @@ check-all: test wheel
 		tests/truth/test_import_flight.py tests/equations/test_follow_target.py
 	@TESTBED_FRAMES=10000 $(BIN)/pytest -q tests/clients/test_storm.py
 	@TESTBED_QUIET=1 $(BIN)/pytest -q tests/clients/test_real_time.py
+	@TESTBED_WHOLE=1 $(BIN)/pytest -q -n $(JOBS) tests/golden
 	@TESTBED_ARDUPLANE_WHOLE=1 $(BIN)/pytest -q tests/contract/test_arduplane.py
 	@$(BIN)/testbed check --jobs $(JOBS)
 	@rm -rf build/fresh && $(BIN)/python -m venv build/fresh

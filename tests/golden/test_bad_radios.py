@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 import pytest
-from whole_flights import cells, fly
+from whole_flights import FLOWN, IN_FULL, SAMPLE, cells, fly
 
-PORTIONS = ("rectangles", "circles")
 HEALED_S, BACK_S = 330.0, 240.0
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=IN_FULL)])
 def test_loss_and_latency_together_are_borne(seed) -> None:
     """30 % loss and 200 ms, compensated: nobody is lost, and the mean error stays below 3 m."""
-    metrics = fly("loss-and-latency", f"scenario.seed={seed}")
+    metrics = fly("loss-and-latency", f"scenario.seed={seed}", until=SAMPLE)
     assert metrics["network"]["all"]["delivered_share"] == pytest.approx(0.7, abs=0.01)
     assert metrics["age_of_information_s"]["uav1"]["mean"] > 0.2
-    for portion in PORTIONS:
+    for portion in FLOWN:
         assert cells(metrics, portion).mean() <= 3.0
 
 
 @pytest.mark.parametrize(
-    "groups", ["[[leader, uav1], [uav2, uav3]]", "[[leader], [uav1], [uav2], [uav3]]"]
+    ("groups", "then"),
+    [
+        ("[[leader, uav1], [uav2, uav3]]", "loiter"),
+        ("[[leader], [uav1], [uav2], [uav3]]", "straight"),
+        pytest.param("[[leader, uav1], [uav2, uav3]]", "straight", marks=IN_FULL),
+        pytest.param("[[leader], [uav1], [uav2], [uav3]]", "loiter", marks=IN_FULL),
+    ],
 )
-@pytest.mark.parametrize("then", ["loiter", "straight"])
 def test_a_divided_formation_comes_together_again(groups, then) -> None:
     """After 20 s apart everybody is back within 5 m of its slot in 240 s, and stays there."""
     metrics = fly(

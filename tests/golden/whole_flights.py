@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import pytest
 
 import testbed
 from testbed.scenario import load, shorten
 
 UAVS = ("uav1", "uav2", "uav3")
+# Where many flights are held to the same bound, `make test` flies half of each, or some of them.
+WHOLE = bool(os.environ.get("TESTBED_WHOLE"))
+IN_FULL = pytest.mark.skipif(not WHOLE, reason="flown by make check-all, with TESTBED_WHOLE=1")
+SAMPLE = None if WHOLE else "rectangles"  # the first portion
+FLOWN = ("rectangles", "circles") if WHOLE else ("rectangles",)
 
 
 def fly(scenario: str, *overrides: str, until: str | None = None) -> Mapping[str, Any]:
