@@ -5,6 +5,8 @@
 
 PYTHON ?=
 JOBS ?= 2
+# tests at once: one more, for some wait for programs that wait for them
+WORKERS ?= $(shell expr $(JOBS) + 1)
 ARGS ?=
 
 VENV := .venv
@@ -36,7 +38,7 @@ types: $(STAMP)
 	@$(BIN)/mypy --no-error-summary
 
 tests: $(STAMP) $(CLIENTS_STAMP)
-	@$(BIN)/pytest -q -n $(JOBS) $(ARGS)
+	@$(BIN)/pytest -q -n $(WORKERS) $(ARGS)
 
 # Ground stations and libraries that tests/clients runs as programs, apart from what the testbed is
 # made of.

@@ -69,11 +69,15 @@ def _import(place: str) -> tuple[ModuleType, str]:
         module = importlib.util.module_from_spec(spec)
         # dataclasses look their module up while they are made
         sys.modules[spec.name] = module
+        # nothing is left beside a page that nobody asked for
+        before, sys.dont_write_bytecode = sys.dont_write_bytecode, True
         try:
             with blamed(str(path)):
                 spec.loader.exec_module(module)
         except InputError as error:
             raise InputError(f"controller.law: {path} cannot be imported: {error}") from error
+        finally:
+            sys.dont_write_bytecode = before
         return module, str(path)
     try:
         module = importlib.import_module(place)

@@ -55,6 +55,15 @@ def test_a_law_beside_its_page_flies_and_the_run_says_whose_code_it_is(tmp_path)
     assert flown.scenario.controller.law == f"{tmp_path / 'mine.py'}:Straight"
 
 
+def test_a_law_leaves_nothing_beside_its_page(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    path = page(tmp_path)
+    before = sorted(tmp_path.iterdir())
+    build(load(path))
+    assert sorted(tmp_path.iterdir()) == before
+    assert sys.dont_write_bytecode is False
+
+
 def test_a_law_may_be_installed(tmp_path, monkeypatch):
     page(tmp_path)
     (tmp_path / "mine.py").rename(tmp_path / "a_package_of_laws.py")
