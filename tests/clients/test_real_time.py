@@ -53,5 +53,5 @@ def test_four_aircraft_and_a_listener_hold_real_time(tmp_path):
     assert report["late_s"]["p99"] < 0.02
     assert report["late_s"]["max"] < 0.02
     late = heard[:, 0] - heard[:, 1]
-    late = late[heard[:, 1] > 0.0]
+    late = late[heard[:, 1] > 0.3]  # the schedule begins after the first ticks
     assert late.max() - late.min() < 0.025  # 20 ms, and 5 ms of the listener's own
