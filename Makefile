@@ -17,7 +17,7 @@ CLIENTS_STAMP := $(CLIENTS)/.installed
 MAKEFLAGS += --no-print-directory
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test lint types tests clients check-all bench results netem wheel lock clean
+.PHONY: help setup run test checks warm lint types tests clients check-all bench results netem wheel lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,4p'
@@ -28,7 +28,15 @@ setup: $(STAMP)
 run: $(STAMP)
 	@$(BIN)/testbed run scenarios/simulation-3.yaml $(ARGS)
 
-test: lint types tests
+# What the flights of the tests need is compiled once, beside the checks that need no flight.
+test:
+	@$(MAKE) -j 2 checks warm
+	@$(MAKE) tests
+
+checks: lint types
+
+warm: $(STAMP)
+	@$(BIN)/python tests/warm.py
 
 lint: $(STAMP)
 	@$(BIN)/ruff check --quiet .

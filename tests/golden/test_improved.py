@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from whole_flights import FLOWN, SAMPLE, UAVS, cells, fly
+from whole_flights import FLOWN, IN_FULL, SAMPLE, UAVS, cells, fly
 
 from testbed.scenario import library
 from testbed.study.golden_table import read_table
@@ -38,7 +38,9 @@ def test_on_a_path_that_saturates() -> None:
         assert (cells(metrics, portion) <= 1.5).all()
 
 
-@pytest.mark.parametrize("scenario", ["simulation-3-noise", "simulation-3-latency"])
+@pytest.mark.parametrize(
+    "scenario", [pytest.param("simulation-3-noise", marks=IN_FULL), "simulation-3-latency"]
+)
 def test_it_costs_nothing_under_noise_and_delay(scenario) -> None:
     metrics = fly(scenario, IMPROVED, until=SAMPLE)
     for portion in FLOWN:

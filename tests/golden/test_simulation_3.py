@@ -8,7 +8,7 @@ it. They have reasons of their own and are not fitted to what this version reach
 from __future__ import annotations
 
 import pytest
-from whole_flights import FLOWN, SAMPLE, UAVS, cells, fly
+from whole_flights import FLOWN, IN_FULL, SAMPLE, UAVS, cells, fly
 
 TABLE_1 = {"rectangles": (1.3, 1.4, 1.5), "circles": (1.3, 1.5, 1.5)}
 NOISE = ("leader.sensors=gps-ins", "fleet.*.sensors=gps-ins")
@@ -19,7 +19,7 @@ DELAY = ("network.delay_s=0.1",)
     "overrides",
     [
         pytest.param(("controller.gain_scale=1.5",), id="gains-x1.5"),
-        pytest.param(("controller.gain_scale=0.67",), id="gains-x0.67"),
+        pytest.param(("controller.gain_scale=0.67",), id="gains-x0.67", marks=IN_FULL),
         pytest.param(NOISE, id="gps-ins-noise"),
         pytest.param((*DELAY, "controller.extrapolate_from=timestamp"), id="latency-compensated"),
     ],
