@@ -17,6 +17,7 @@ from testbed.flight_commands import import_flight
 from testbed.network_commands import network
 from testbed.options import Overrides, ScenarioName
 from testbed.run_commands import run
+from testbed.view_commands import shot, view
 
 LOST = 1
 BAD_INPUT = 2
@@ -57,23 +58,8 @@ def _main(
 
 
 app.command(epilog=EXITS)(run)
-
-
-@app.command(epilog=EXITS)
-def view(
-    run: Annotated[
-        str,
-        typer.Argument(metavar="RUN", help="A run directory, a .mcap file, or a scenario's name."),
-    ],
-    rrd: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Save a Rerun recording instead of opening a viewer."),
-    ] = None,
-) -> None:
-    """Replay a flown run in a Rerun viewer."""
-    from testbed.console import replay_run
-
-    raise typer.Exit(replay_run(run, rrd=rrd))
+for look in (view, shot):
+    app.command(epilog=EXITS)(look)
 
 
 @app.command()

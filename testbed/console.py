@@ -77,7 +77,7 @@ def find_outside(asked: Flight, page: Scenario, tell: Callable[[str], None]) -> 
     mavlink = tuple(parse_address(each) for each in asked.mavlink)
     pace = asked.pace
     if pace is None:
-        by = [page.leader.commanded_by, *(each.commanded_by for each in page.fleet)]
+        by = (each.commanded_by for each in page.aircraft)
         waits = any(isinstance(each, External) and each.lockstep for each in by)
         pace = 1.0 if mavlink and not waits else 0.0
     if not 0.0 <= pace < math.inf:
@@ -87,7 +87,7 @@ def find_outside(asked: Flight, page: Scenario, tell: Callable[[str], None]) -> 
             f"--mavlink-key {asked.key}: signs a link: say where it is, as in --mavlink "
             "udpout:127.0.0.1:14550"
         )
-    flown = [page.leader.autopilot, *(each.autopilot for each in page.fleet)]
+    flown = (each.autopilot for each in page.aircraft)
     if asked.arduplane and not any(isinstance(each, ArduPlane) for each in flown):
         tell(f"warning: --arduplane {asked.arduplane}: no aircraft has autopilot: ardupilot")
     return Outside(
@@ -98,20 +98,6 @@ def find_outside(asked: Flight, page: Scenario, tell: Callable[[str], None]) -> 
         key=read_key(asked.key) if asked.key else None,
         arduplane=asked.arduplane,
     )
-
-
-def replay_run(name: str, *, rrd: Path | None) -> int:
-    """Send a flown run to a Rerun viewer, or to a file."""
-    from testbed.record.read import frames, read_log
-    from testbed.record.rundir import find_run
-    from testbed.views import LiveViewer, RrdFile, replay
-
-    log = read_log(find_run(name))
-    try:
-        replay(log.info, frames(log), RrdFile(rrd) if rrd else LiveViewer(patient=True))
-    except OSError as error:
-        raise InputError(f"--rrd {rrd}: {error.strerror or error}") from error
-    return 0
 
 
 def list_library() -> None:

@@ -9,6 +9,13 @@ import typer
 ScenarioName = Annotated[
     str, typer.Argument(metavar="SCENARIO", help="Name of a scenario (`testbed list`) or a path.")
 ]
+RunName = Annotated[
+    str,
+    typer.Argument(
+        metavar="RUN",
+        help="A run directory, a .mcap file, or a scenario's name for the latest of its runs.",
+    ),
+]
 Overrides = Annotated[
     list[str] | None,
     typer.Option(

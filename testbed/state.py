@@ -229,6 +229,8 @@ class RunInfo:
     directory: Path | None = None  # the run directory, if there is one
     # What the speed bounds are measured against: the ground, or air that moves at this, m/s.
     bounded_in_ned: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # n speed barriers h: number of its example in [HBH23] and ν; none of a law of one's own
+    barriers: tuple[tuple[int, float], ...] = ()
 
 
 class Observer(Protocol):

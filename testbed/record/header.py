@@ -42,6 +42,8 @@ def from_json(text: str, *, scenario_yaml: str) -> RunInfo:
             str(name): (float(start), float(end))
             for name, (start, end) in values["portions"].items()
         }
+        barriers = values.get("barriers", ())  # logs of before 2026-11-22 have none
+        values["barriers"] = tuple((int(example), float(nu)) for example, nu in barriers)
         for name in (
             "names",
             "aircraft",

@@ -112,7 +112,12 @@ class Scenario(Section):
     @property
     def aircraft_names(self) -> tuple[str, ...]:
         """Names of all aircraft, the leader first, then the fleet in order."""
-        return (self.leader.name, *(follower.name for follower in self.fleet))
+        return tuple(each.name for each in self.aircraft)
+
+    @property
+    def aircraft(self) -> tuple[Leader | Follower, ...]:
+        """All aircraft, the leader first, then the fleet in order."""
+        return (self.leader, *self.fleet)
 
     @model_validator(mode="after")
     def _cross_check(self) -> Self:

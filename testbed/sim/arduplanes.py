@@ -12,7 +12,6 @@ from testbed.ardupilot.link import Plane, Wanted
 from testbed.ardupilot.packets import motion_columns
 from testbed.ardupilot.process import end
 from testbed.scenario import Scenario
-from testbed.scenario.aircraft import Follower, Leader
 from testbed.scenario.pilots import ArduPlane
 from testbed.sim.vehicles import Flown, choose
 from testbed.state import Event, FbwaCommand, Origin, Surfaces, Truths, VehicleState
@@ -153,18 +152,17 @@ def make_flown(
     Raises:
         InputError: an airframe cannot be flown by ArduPlane.
     """
-    each: list[Leader | Follower] = [page.leader, *page.fleet]
-    if not any(isinstance(each[row].autopilot, ArduPlane) for row in rows):
+    if not any(isinstance(page.aircraft[row].autopilot, ArduPlane) for row in rows):
         return Flown(fleet, gains)
     origin = Origin(**page.scenario.origin.model_dump())
     yaw = fleet.read().euler[:, 2]
     planes = {}
     for place, row in enumerate(rows):
-        asked = each[row].autopilot
+        asked = page.aircraft[row].autopilot
         if not isinstance(asked, ArduPlane):
             continue
         wanted = Wanted(
-            name=each[row].name,
+            name=page.aircraft[row].name,
             instance=row if asked.instance is None else asked.instance,
             start=asked.start,
             binary=asked.binary,

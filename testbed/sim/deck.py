@@ -140,9 +140,8 @@ def make_deck(
         flown: those behind a virtual autopilot,
         rows: and which of the N they are.
     """
-    each: list[Leader | Follower] = [page.leader, *page.fleet]
     cockpits: list[Cockpit] = []
-    for row, one in enumerate(each):
+    for row, one in enumerate(page.aircraft):
         if flown is None or row not in rows or isinstance(one.autopilot, ArduPlane):
             cockpits.append(_unmanned(row, one, led))
             continue

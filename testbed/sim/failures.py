@@ -31,7 +31,7 @@ def make_breakdowns(
     Raises:
         InputError: an aircraft cannot break in that way.
     """
-    faults = [[_felt(one, each) for one in each.faults] for each in _aircraft(page)]
+    faults = [[_felt(one, each) for one in each.faults] for each in page.aircraft]
     if not any(faults):
         return None
     names = page.aircraft_names
@@ -73,13 +73,9 @@ def _matters(fault: Fault, aircraft: Leader | Follower) -> bool:
     return not isinstance(fault, GpsLost | GpsJump) or filtered(aircraft.sensors)
 
 
-def _aircraft(page: Scenario) -> list[Leader | Follower]:
-    return [page.leader, *page.fleet]
-
-
 def unfelt(page: Scenario) -> Iterator[Event]:
     """Warnings of faults that change nothing, and of drops that leave somebody without a place."""
-    for each in _aircraft(page):
+    for each in page.aircraft:
         for fault in each.faults:
             if not _matters(fault, each):
                 text = (

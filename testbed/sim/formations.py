@@ -121,6 +121,27 @@ def make_paper_law(page: Scenario, team: Team, profiles: Sequence[Profile]) -> P
     )
 
 
+def barriers_of(groups: Sequence[Group]) -> tuple[tuple[int, float], ...]:
+    """Example and ν of every follower's barrier; none if the law is not the paper's."""
+    found: dict[int, tuple[int, float]] = {}
+    for group in groups:
+        if not isinstance(group.law, PaperLaw):
+            return ()
+        example, nu = (np.broadcast_to(each, group.rows.shape) for each in group.law.barrier)
+        found |= dict(zip(group.rows, zip(example.tolist(), nu.tolist(), strict=True), strict=True))
+    return tuple(found[row] for row in sorted(found))
+
+
+def roll_limits(groups: Sequence[Group]) -> tuple[float, ...]:
+    """The largest bank that each follower's control may command, rad."""
+    limits = {
+        int(row): float(limit)
+        for group in groups
+        for row, limit in zip(group.rows, group.team.roll_limit, strict=True)
+    }
+    return tuple(limits[row] for row in sorted(limits))
+
+
 def make_control_function(chosen: Any) -> control_function.ControlFunction:  # noqa: ANN401 - a union
     """μ as the page has it."""
     if chosen.example == 1:

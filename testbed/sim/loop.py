@@ -9,7 +9,7 @@ from testbed.sim.casualties import Casualties
 from testbed.sim.clock import Due
 from testbed.sim.control import Control
 from testbed.sim.pilots import with_ideal_leader, with_leader
-from testbed.sim.watch import Arrivals, Silence, Staleness, broadcast, formation_state
+from testbed.sim.watch import Arrivals, Engagement, Silence, Staleness, broadcast, formation_state
 from testbed.sim.world import World
 from testbed.state import Frame, Observer, followers
 
@@ -37,7 +37,7 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
     control = Control(world.groups, world.offsets, world.roster)
     silence = Silence(world.names[1:], world.groups[0].team.silent_after)
     staleness = Staleness(world.names, world.groups)
-    arrivals = Arrivals(world.gusts, world.names)
+    arrivals, engagement = Arrivals(world.gusts, world.names), Engagement(world.names[1:])
     casualties = Casualties(world.names, world.proximity, breakdowns, fly_on=world.fly_on)
     news = list(world.notes)
     lead, turn = (0.0, 0.0, 0.0), None
@@ -104,6 +104,16 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
             if reached is not None:
                 news += arrivals.changes(now, reached)
             news = [*calendar.changes(now), *news]  # what is scripted before what comes of it
+            formation = formation_state(
+                truth,
+                estimate,
+                control.diagnosis if deck is None else deck.heeded(control.diagnosis),
+                control.age_s,
+                control.offsets,
+                control.places,
+                world.altitudes,
+            )
+            news += engagement.changes(now, formation.error_ned)
             frame = Frame(
                 tick=tick,
                 time_s=now,
@@ -112,15 +122,7 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
                 air=flown_in,
                 command=told,
                 surfaces=vehicles.surfaces,
-                formation=formation_state(
-                    truth,
-                    estimate,
-                    control.diagnosis if deck is None else deck.heeded(control.diagnosis),
-                    control.age_s,
-                    control.offsets,
-                    control.places,
-                    world.altitudes,
-                ),
+                formation=formation,
                 links=radio.counts(),
                 lost=casualties.gone,
                 events=tuple(news),

@@ -13,7 +13,6 @@ from testbed.links.addresses import Address
 from testbed.links.station import Station
 from testbed.mavlink.signing import Signing, signing_time
 from testbed.scenario import Scenario
-from testbed.scenario.aircraft import Follower, Leader
 from testbed.scenario.pilots import External
 from testbed.sim.pace import Pace
 from testbed.sim.world import World
@@ -57,8 +56,7 @@ def checked(outside: Outside, page: Scenario, world: World) -> World:
     """
     if outside.mavlink:
         return world
-    each: list[Leader | Follower] = [page.leader, *page.fleet]
-    waited = {e.name: e.commanded_by for e in each if isinstance(e.commanded_by, External)}
+    waited = {e.name: e.commanded_by for e in page.aircraft if isinstance(e.commanded_by, External)}
     held = [name for name, external in waited.items() if external.lockstep]
     if held:
         raise InputError(

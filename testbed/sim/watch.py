@@ -13,6 +13,7 @@ from testbed.formation.flags import Guard
 from testbed.formation.law import Diagnosis
 from testbed.formation.paper_law import PaperLaw
 from testbed.frames import euler_rates
+from testbed.metrics.tally import ENGAGED_HOLD_S, ENGAGED_RADIUS_M
 from testbed.sim.control import Group
 from testbed.state import (
     Array,
@@ -184,6 +185,34 @@ def _heeded(aircraft: int, groups: Sequence[Group]) -> Truths:
     out[:, 0] = False
     np.fill_diagonal(out[:, 1:], False)
     return out
+
+
+class Engagement:
+    """Watches which followers have taken their slots."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        """Nobody has."""
+        self._names = names
+        self._since = np.full(len(names), np.inf)  # s, inside without a break
+        self._awaited: Truths = np.ones(len(names), dtype=bool)
+
+    def changes(self, now: float, error_ned: Array) -> Iterator[Event]:
+        """An event for each follower that has held its slot for long enough, once in a run.
+
+        Args:
+            now: s
+            error_ned: (n, 3) m
+        """
+        if not self._awaited.any():
+            return
+        inside = np.linalg.norm(error_ned, axis=-1) <= ENGAGED_RADIUS_M
+        self._since = np.where(inside, np.minimum(self._since, now), np.inf)
+        engaged = self._awaited & (now - self._since >= ENGAGED_HOLD_S)
+        for name, since, now_engaged in zip(self._names, self._since, engaged, strict=True):
+            if now_engaged:
+                text = f"engaged: within {ENGAGED_RADIUS_M:g} m of its slot since {since:.1f} s"
+                yield Event(now, "info", name, text)
+        self._awaited &= ~engaged
 
 
 class Arrivals:

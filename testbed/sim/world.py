@@ -22,7 +22,6 @@ from testbed.scenario import (
     find_aircraft,
     find_tune,
 )
-from testbed.scenario.aircraft import Follower, Leader
 from testbed.sensing.estimators import Estimators
 from testbed.sim.airs import make_air, make_mean, start_wind
 from testbed.sim.arduplanes import ArduPlanes, make_flown
@@ -31,7 +30,7 @@ from testbed.sim.clock import Clock, make_clock
 from testbed.sim.control import Group
 from testbed.sim.deck import Deck, make_deck
 from testbed.sim.failures import make_breakdowns, make_roster, unfelt
-from testbed.sim.formations import make_groups
+from testbed.sim.formations import barriers_of, make_groups, roll_limits
 from testbed.sim.hypotheses import warnings
 from testbed.sim.leaders import Led, make_leader
 from testbed.sim.limits import Proximity
@@ -98,9 +97,8 @@ def build(page: Scenario, *, commanded: bool = False, arduplane: Path | None = N
     names = page.aircraft_names
     clock = clock_of(page)
     origin = Origin(**page.scenario.origin.model_dump())
-    flown: list[Leader | Follower] = [page.leader, *page.fleet]
-    folders = [find_aircraft(each.aircraft) for each in flown]
-    files = [find_tune(folder, each.tune) for folder, each in zip(folders, flown, strict=True)]
+    folders = [find_aircraft(each.aircraft) for each in page.aircraft]
+    files = [find_tune(at, each.tune) for at, each in zip(folders, page.aircraft, strict=True)]
     tunes = [read_params(file) for file in files]
     mean = make_mean(page)
     wind = start_wind(mean, page.leader.start.altitude_m)
@@ -131,7 +129,7 @@ def build(page: Scenario, *, commanded: bool = False, arduplane: Path | None = N
         fleet = JsbsimFleet(
             [folders[row] for row in jsbsim],
             [
-                replace(starts[row], state_of_charge=flown[row].battery.state_of_charge)
+                replace(starts[row], state_of_charge=page.aircraft[row].battery.state_of_charge)
                 for row in jsbsim
             ],
             origin,
@@ -149,7 +147,7 @@ def build(page: Scenario, *, commanded: bool = False, arduplane: Path | None = N
     vehicles = parts[0][1] if len(parts) == 1 else Mixed(parts)
     breakdowns = make_breakdowns(page, fleet, jsbsim)
     deck = None
-    if commanded or any(each.commanded_by.kind == "external" for each in flown):
+    if commanded or any(each.commanded_by.kind == "external" for each in page.aircraft):
         deck = make_deck(page, clock, led, starts, tunes, folders, virtual, jsbsim)
     return World(
         clock=clock,
@@ -163,7 +161,7 @@ def build(page: Scenario, *, commanded: bool = False, arduplane: Path | None = N
         ideal=bool(ideal),
         estimators=Estimators(
             names,
-            [each.sensors for each in flown],
+            [each.sensors for each in page.aircraft],
             seed=page.scenario.seed,
             rate_hz=page.rates.autopilot_hz,
             start=vehicles.read(),
@@ -201,7 +199,8 @@ def build(page: Scenario, *, commanded: bool = False, arduplane: Path | None = N
             speed_bounds_mps=tuple(agent_value(page, name, "speed_mps") for name in names[1:]),
             bounded_in_ned=wind if page.controller.bounds_of == "airspeed" else STILL,
             kappa_mps=tuple(agent_value(page, name, "kappa_mps") for name in names[1:]),
-            roll_limit_rad=_roll_limits(groups),
+            roll_limit_rad=roll_limits(groups),
+            barriers=barriers_of(groups),
             leader_path_ned=led.path_ned,
             portions=dict(page.scenario.portions),
             versions={
@@ -272,15 +271,6 @@ def _standing(page: Scenario) -> Iterator[Event]:
             "again every lap (write air.wind.speed_mps)"
         )
         yield Event(0.0, "warning", "run", text)
-
-
-def _roll_limits(groups: Sequence[Group]) -> tuple[float, ...]:
-    limits = {
-        int(row): float(limit)
-        for group in groups
-        for row, limit in zip(group.rows, group.team.roll_limit, strict=True)
-    }
-    return tuple(limits[row] for row in sorted(limits))
 
 
 def _start(leader: Start, offset_m: tuple[float, float, float]) -> Start:

@@ -1,10 +1,11 @@
-"""Looking at a flight: live in a Rerun viewer, in an .rrd file, or replayed from a log.
+"""Looking at a flight: live in a Rerun viewer, in an .rrd file, as a picture, or replayed.
 
 Nothing here imports Rerun until a view is opened, and no viewer, present or absent, quick or
 dead, changes a run.
 """
 
-from testbed.views.sinks import InMemory, LiveViewer, RrdFile
-from testbed.views.view import RerunView, replay
+from testbed.views.shot import shoot
+from testbed.views.sinks import InMemory, LiveViewer, RrdFile, Sink
+from testbed.views.view import RerunView, overlay, replay
 
-__all__ = ["InMemory", "LiveViewer", "RerunView", "RrdFile", "replay"]
+__all__ = ["InMemory", "LiveViewer", "RerunView", "RrdFile", "Sink", "overlay", "replay", "shoot"]

@@ -18,14 +18,36 @@ from testbed.views.meshes import (
     MAIN,
     Mesh,
     body_of_revolution,
+    cut,
     disc,
     join,
-    planform,
+    mirrored,
     rod,
     surface,
     wheel,
     wing,
 )
+
+AILERON, ELEVATOR, RUDDER = np.eye(3)
+RASCAL_TRAVEL = np.radians(20.0)  # by eye: its flight model knows powers, no angles
+ELEVON_TRAVEL = np.radians(35.0)  # as in the X8's SOURCE.md
+
+
+@dataclass(frozen=True, slots=True)
+class Flap:
+    """A control surface that turns about its hinge."""
+
+    name: str
+    mesh: Mesh  # about the hinge's inner end
+    hinge: Array  # (3,) m, that end
+    axis: Array  # (3,) unit: a positive angle moves the trailing edge down, or to the right
+    mix: Array  # (3,) of aileron, elevator and rudder, -1..1, to the share of its travel
+    travel: float  # rad, at the most
+
+    def turn(self, deflection: Array) -> Array:
+        """Its quaternion (m, 4) xyzw at deflections (m, 3) of aileron, elevator and rudder."""
+        half = 0.5 * self.travel * np.clip(deflection @ self.mix, -1.0, 1.0)[:, None]
+        return np.concatenate([np.sin(half) * self.axis, np.cos(half)], axis=-1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +56,34 @@ class Airframe:
 
     body: Mesh
     disc: Mesh | None  # the turning propeller, drawn translucent
-    outline: tuple[Array, ...]  # closed lines (k, 3) m, seen from above: the ghost of a slot
+    flaps: tuple[Flap, ...] = ()
+
+
+def flap(name: str, moving: Array, mix: Array, travel: float, axis: int = 1) -> Flap:
+    """A control surface of sections (k, 4) that turns about the line of its leading edges.
+
+    Args:
+        name: of the entity.
+        moving: from the inner end to the outer.
+        mix: see `Flap`.
+        travel: see `Flap`.
+        axis: of the body, along which the hinge's axis points: 1 right, or 2 up for a fin.
+    """
+    hinge = moving[0, :3]
+    along = moving[-1, :3] - hinge
+    along = along / np.linalg.norm(along)
+    forward = along[1] > 0.0 if axis == 1 else along[2] < 0.0
+    # Thicker for its own chord, as the rear of the surface it was cut from.
+    mesh = surface(moving - [*hinge, 0.0], LIGHT, 0.2)
+    return Flap(name, mesh, hinge, along if forward else -along, mix, travel)
+
+
+def pair(name: str, moving: Array, right: Array, left: Array, travel: float) -> tuple[Flap, Flap]:
+    """A control surface on the right (sections (k, 4)) and its mirror image, with their mixes."""
+    return (
+        flap(f"right_{name}", moving, right, travel),
+        flap(f"left_{name}", mirrored(moving), left, travel),
+    )
 
 
 def rascal110(wingspan_m: float) -> Airframe:
@@ -69,6 +118,9 @@ def rascal110(wingspan_m: float) -> Airframe:
             [-1.045, 0.0, -0.345, 0.110],
         ]
     )
+    fixed_wing, aileron = cut(half_wing, 0.50, 0.92, 0.24)
+    fixed_tail, elevator = cut(half_tail, 0.06, 0.96, 0.42)
+    fixed_fin, rudder = cut(fin, 0.05, 0.97, 0.45)
     fuselage = np.array(
         [
             [0.725, 0.045, 0.045, 0.030, 2.0],
@@ -98,8 +150,8 @@ def rascal110(wingspan_m: float) -> Airframe:
             [0.725, 0.042, 0.042, 0.030, 2.0],
         ]
     ) * [b, b, b, b, 1.0]
-    band = half_wing[1:3] + b * np.array([0.003, 0.0, 0.0, 0.006])
-    stripe = [surface(band * [1, side, 1, 1], LIGHT, 0.125) for side in (1.0, -1.0)]
+    band = half_wing[1:3] * [1, 1, 1, 0.76] + b * np.array([0.003, 0.0, 0.0, 0.002])
+    stripe = [surface(each, LIGHT, 0.125) for each in (band, mirrored(band))]
     legs = [
         part
         for side in (1.0, -1.0)
@@ -117,9 +169,9 @@ def rascal110(wingspan_m: float) -> Airframe:
         body_of_revolution(fuselage, LIGHT),
         body_of_revolution(windscreen, DARK),
         body_of_revolution(spinner, DARK),
-        wing(half_wing, MAIN),
-        wing(half_tail, MAIN),
-        surface(fin, MAIN),
+        wing(fixed_wing, MAIN),
+        wing(fixed_tail, MAIN),
+        surface(fixed_fin, MAIN),
         *stripe,
         *legs,
         tail_wheel,
@@ -127,7 +179,11 @@ def rascal110(wingspan_m: float) -> Airframe:
     return Airframe(
         body,
         disc((0.74 * b, 0.0, 0.03 * b), 0.229 * b),
-        (planform(half_wing), planform(half_tail), fuselage_line(fuselage)),
+        (
+            *pair("aileron", aileron, -AILERON, AILERON, RASCAL_TRAVEL),
+            *pair("elevator", elevator, -ELEVATOR, -ELEVATOR, RASCAL_TRAVEL),
+            flap("rudder", rudder, RUDDER, RASCAL_TRAVEL, axis=2),
+        ),
     )
 
 
@@ -146,6 +202,7 @@ def skywalker_x8(wingspan_m: float) -> Airframe:
             [-0.340, 1.05, -0.042, 0.175],
         ]
     )
+    fixed_wing, elevon = cut(half_wing, 0.32, 0.93, 0.28)
     winglet = b * np.array([[-0.345, 1.035, 0.00, 0.175], [-0.455, 1.035, -0.21, 0.095]])
     pod = np.array(
         [
@@ -177,13 +234,14 @@ def skywalker_x8(wingspan_m: float) -> Airframe:
         body_of_revolution(pod, LIGHT),
         body_of_revolution(hatch, DARK),
         body_of_revolution(spinner, DARK),
-        wing(half_wing, MAIN),
-        *(surface(winglet * [1, side, 1, 1], LIGHT) for side in (1.0, -1.0)),
+        wing(fixed_wing, MAIN),
+        surface(winglet, LIGHT),
+        surface(mirrored(winglet), LIGHT),
     )
     return Airframe(
         body,
         disc((-0.30 * b, 0.0, -0.025 * b), 0.178 * b),
-        (planform(half_wing), fuselage_line(pod)),
+        pair("elevon", elevon, -ELEVATOR - AILERON, -ELEVATOR + AILERON, ELEVON_TRAVEL),
     )
 
 
@@ -208,14 +266,7 @@ def plain(wingspan_m: float) -> Airframe:
         wing(half_tail, MAIN),
         surface(fin, MAIN),
     )
-    return Airframe(body, None, (planform(half_wing), planform(half_tail), fuselage_line(fuselage)))
-
-
-def fuselage_line(stations: Array) -> Array:
-    """The closed outline (k, 3) of a fuselage from above."""
-    right = np.stack([stations[:, 0], stations[:, 1], stations[:, 3]], axis=-1)
-    left = right[::-1] * [1.0, -1.0, 1.0]
-    return np.concatenate([right, left, right[:1]])
+    return Airframe(body, None)
 
 
 DRAWINGS: dict[str, Callable[[float], Airframe]] = {

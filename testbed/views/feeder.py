@@ -15,9 +15,11 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
-from testbed.views.scene import Batch, Scene
+from testbed.views.batch import Batch
+from testbed.views.scene import Scene
 
 CLOSE_S = 0.8  # the most a run waits for its view at the end
 PATIENT_CLOSE_S = 60.0
@@ -29,10 +31,21 @@ ENDINGS = {  # exit codes of the feeding process
 log = logging.getLogger(__name__)
 
 
+@dataclass(frozen=True, slots=True)
+class Opening:
+    """The first word to the process that feeds a viewer."""
+
+    still: Scene
+    live: bool
+    at_s: float | None  # where the viewer's cursor is left, s
+
+
 class Feeder:
     """The run's end of the pipe."""
 
-    def __init__(self, still: Scene, *, port: int, patient: bool) -> None:
+    def __init__(
+        self, still: Scene, *, port: int, patient: bool, at_s: float | None = None
+    ) -> None:
         """Start the feeding process; returns at once."""
         self._patient = patient
         self._left_out = 0
@@ -48,8 +61,8 @@ class Feeder:
             env=os.environ | {"PYTHONPATH": paths, "RUST_LOG": "off"},
             start_new_session=True,  # Ctrl-C is the run's to handle
         )
-        self._queue: queue.Queue[Batch | tuple[Scene, bool] | None] = queue.Queue(QUEUE_BATCHES)
-        self._queue.put((still, not patient))
+        self._queue: queue.Queue[Batch | Opening | None] = queue.Queue(QUEUE_BATCHES)
+        self._queue.put(Opening(still, live=not patient, at_s=at_s))
         self._thread = threading.Thread(target=self._write, name="view", daemon=True)
         self._thread.start()
 

@@ -36,11 +36,11 @@ def feed(port: int) -> int:
     threading.Thread(target=read, args=(sys.stdin.buffer, messages), daemon=True).start()
     if not listening(port) and not start(port):
         return NO_VIEWER
-    from testbed.views.rerun_door import Recording
+    from testbed.views.rerun_door import Recording, Remote
 
-    still, live = messages.get()
-    recording = Recording(still, live=live)
-    recording.connect(port)
+    opening = messages.get()
+    recording = Recording(opening.still, live=opening.live)
+    recording.open(port)
     with open(os.devnull, "w") as nowhere:
         while (batch := messages.get()) is not None:
             # The client can block where no Python code runs: only this ends the process then.
@@ -51,6 +51,8 @@ def feed(port: int) -> int:
             except RuntimeError:
                 return VIEWER_GONE
             faulthandler.cancel_dump_traceback_later()
+    if opening.at_s is not None:
+        Remote(port, opening.still.recording_id).stop_at(opening.at_s, FLUSH_S)
     return 0
 
 

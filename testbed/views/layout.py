@@ -1,19 +1,25 @@
-"""Where the cameras stand and what is plotted, for any number of aircraft: arithmetic only."""
+"""Where the cameras stand and how much is drawn, for any number of aircraft: arithmetic only."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from testbed.state import Array
-from testbed.views.scene import Batch, Scene, ground
+from testbed.views.batch import Batch
+from testbed.views.scene import Scene, ground
 
 CHASE_TRAIL_S = 4.0
 OVERVIEW_TRAIL_S = 60.0
-PLOT_WINDOW_S = 180.0
-TRAIL_ROWS_PER_S = 100.0  # over all aircraft: what a viewer draws without stuttering
+PLOT_WINDOW_S = 120.0
+# What a viewer draws without stuttering, over all aircraft:
+TRAIL_ROWS_PER_S = 100.0
+POSE_ROWS_PER_S = 500.0
+PLOT_ROWS_PER_S = 200.0
+MOST_MOVING = 8  # aircraft whose control surfaces move
+MOST_NAMED = 12  # aircraft with their names beside them
+SMALLEST = 0.13  # of the distance to the chase camera: aircraft are drawn no smaller
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,90 +28,118 @@ class Eye:
 
     position: tuple[float, float, float]
     target: tuple[float, float, float]
+    up: tuple[float, float, float] = (0.0, 0.0, -1.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Plot:
-    """A quantity over time, a series for each of some aircraft."""
+class Picture:
+    """A view of the world, less some entities."""
 
     name: str
-    title: str
-    aircraft: tuple[int, ...]
-    values: Callable[[Batch], Array]  # (m, len(aircraft))
-    range: tuple[float, float]
-    limits: tuple[float, ...] = ()
+    origin: str
+    without: tuple[str, ...]
+    eye: Eye
+    trail_s: float
+    grid: float | None = None  # m, between the lines of a grid through the origin
 
 
-def plots(still: Scene) -> tuple[Plot, ...]:
-    """What is plotted of a run: errors only where there are followers."""
-    everyone = tuple(range(len(still.names)))
-    speeds = tuple(sorted({float(v) for v in still.speed_bounds.ravel()}))
-    banks = tuple(sorted({s * float(v) for v in np.degrees(still.roll_limit) for s in (-1, 1)}))
-    low, high = (speeds[0] - 2.0, speeds[-1] + 2.0) if speeds else (10.0, 35.0)
-    bank = 1.2 * banks[-1] if banks else 60.0
-    error = Plot(
-        "error",
-        "Position error, m",
-        everyone[1:],
-        lambda batch: np.linalg.norm(batch.error, axis=-1),
-        (0.0, 6.0),
-    )
-    shared = (
-        Plot(
-            "speed",
-            "Ground speed and bounds, m/s",
-            everyone,
-            lambda batch: np.linalg.norm(batch.velocity, axis=-1),
-            (low, high),
-            speeds,
-        ),
-        Plot(
-            "bank",
-            "Bank and command limits, deg",
-            everyone,
-            lambda batch: np.degrees(batch.euler[..., 0]),
-            (-bank, bank),
-            banks,
-        ),
-        Plot("throttle", "Throttle", everyone, lambda batch: batch.throttle, (0.0, 1.0)),
-    )
-    return (error, *shared) if len(everyone) > 1 else shared
+@dataclass(frozen=True, slots=True)
+class Framing:
+    """How the formation fills its pictures."""
+
+    chase: Eye
+    above: Eye
+    overview: Eye
+    size: float  # aircraft and slots are drawn this much larger than they are
+    grid: float  # m, between the lines of the view from above
+    wind: float  # m, length of the arrow of 1 m/s
 
 
-def trail_stride(still: Scene) -> int:
-    """Frames per stretch of trail."""
-    rows_per_s = min(TRAIL_ROWS_PER_S / len(still.names), 12.5)
-    return max(1, round(still.frame_rate_hz / rows_per_s))
-
-
-def chase_centre(batch: Batch) -> Array:
-    """What the chase camera looks at (m, 3): the middle of the leader and the slots.
-
-    Slots rather than aircraft: the picture stays steady when one of them strays.
-    """
-    middle: Array = np.concatenate([batch.position[:, :1], batch.slot], axis=1).mean(axis=1)
-    return middle
-
-
-def chase_eye(still: Scene, first: Batch) -> Eye:
-    """A camera behind, above and right of the formation, as near as shows all of it."""
-    placed = np.concatenate([first.position[0, :1], first.slot[0]])
+def framing(still: Scene, first: Batch) -> Framing:
+    """The cameras for a formation as its slots stand in the first frame."""
+    slots = first.slot[0, : still.chased]
+    placed = np.concatenate([first.position[0, :1], slots])
     spread = placed - placed.mean(axis=0)
     radius = float(np.linalg.norm(spread, axis=-1).max())
     tall = float(np.abs(spread[:, 2]).max())
+    span = max(still.wingspan)
     # pictures are wider than high, so that a tall formation needs more room
-    distance = max(1.25 * radius + 1.5 * max(still.wingspan), 3.6 * tall)
-    # Aimed below the formation: it sits in the upper half, the ground it flies over in the lower.
-    target = (0.0, 0.0, 0.10 * distance)
-    return Eye((-0.86 * distance, 0.36 * distance, -0.40 * distance), target)
+    distance = max(1.5 * radius + 1.2 * span, 3.6 * tall, 4.0 * span)
+    size = max(1.0, math.floor(2.0 * SMALLEST * distance / span + 0.5) / 2.0)
+    high = 1.15 * radius + 2.2 * size * span
+    return Framing(
+        chase=Eye(
+            (-0.86 * distance, 0.36 * distance, -0.40 * distance),
+            # Below the formation: it sits in the upper half, its ground in the lower.
+            (0.0, 0.0, 0.10 * distance),
+        ),
+        above=Eye((-0.001 * high, 0.0, -1.7 * high), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)),
+        overview=overview_eye(still),
+        size=size,
+        grid=_round(0.25 * high),
+        wind=_round(0.05 * distance),
+    )
+
+
+def pictures(still: Scene, frame: Framing, *, estimated: bool) -> tuple[Picture, Picture, Picture]:
+    """The formation from behind, from above, and the whole flight.
+
+    Args:
+        still: of the run.
+        frame: how it fills them.
+        estimated: whether aircraft fly by estimates that are not the truth.
+    """
+    names = tuple(f"world/{name}/name" for name in still.names)
+    markers = tuple(f"world/{name}/marker" for name in still.names)
+    drawn = tuple(f"world/{name}/drawn/**" for name in still.names)
+    upright = ("world/paths/posts", "world/paths/shadow")
+    legend = [f"arrows: wind, {frame.wind:g} m per m/s"]
+    legend += ["dots: own estimates"] if estimated else []
+    legend += [f"aircraft {frame.size:g} x as large"] if frame.size > 1.0 else []
+    return (
+        Picture(
+            f"Formation ({'; '.join(legend)})",
+            "world/chase",
+            ("world/ground/scale", *upright, *markers, *names),
+            frame.chase,
+            CHASE_TRAIL_S,
+        ),
+        Picture(
+            f"From above (grid {frame.grid:g} m)",
+            "world/chase",
+            ("world/ground/**", *upright, *markers, *(names if len(names) > MOST_NAMED else ())),
+            frame.above,
+            CHASE_TRAIL_S,
+            frame.grid,
+        ),
+        Picture(
+            "Flight",
+            "world",
+            ("world/slots/**", "world/chase/**", *drawn, *names),
+            frame.overview,
+            OVERVIEW_TRAIL_S,
+        ),
+    )
 
 
 def overview_eye(still: Scene) -> Eye:
     """A camera high in the south-west that sees the whole path and its ground."""
-    area = ground(still.path)
+    area = ground(still.paths)
     middle = 0.5 * (area.low + area.high)
     size = float(np.max(area.high - area.low))
-    height = float(-still.path[:, 2].mean()) if len(still.path) else 0.0
+    height = float(-np.concatenate(still.paths)[:, 2].mean()) if still.paths else 0.0
     # Aimed short of the middle: near ground takes more of the picture than far ground.
     target = (float(middle[0]) - 0.17 * size, float(middle[1]), -0.5 * height)
-    return Eye((target[0] - 0.47 * size, target[1] - 0.22 * size, -0.46 * size), target)
+    return Eye((target[0] - 0.62 * size, target[1] - 0.29 * size, -0.62 * size), target)
+
+
+def stride(still: Scene, rows_per_s: float, fastest: float = math.inf) -> int:
+    """Every how manieth frame is drawn, so that all aircraft together need that many rows."""
+    wanted = min(rows_per_s / len(still.names), fastest)
+    return max(1, round(still.frame_rate_hz / wanted))
+
+
+def _round(length: float) -> float:
+    """The largest of 1, 2 and 5 times a power of ten that is not above a length."""
+    power = 10.0 ** math.floor(math.log10(length))
+    return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= length)

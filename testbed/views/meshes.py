@@ -123,18 +123,43 @@ def wheel(centre: tuple[float, float, float], radius: float, width: float) -> Me
 
 def wing(half: Array, paint: int) -> Mesh:
     """Both halves of a wing from its right half's sections (m, 4), root first."""
-    left = half[::-1] * [1.0, -1.0, 1.0, 1.0]
+    left = mirrored(half[::-1])
     root_shared = half[1:] if half[0, 1] == 0.0 else half
     return surface(np.concatenate([left, root_shared]), paint)
 
 
-def planform(half: Array) -> Array:
-    """The closed outline (k, 3) of a wing from its right half's sections (m, 4)."""
-    leading = half[:, :3]
-    trailing = leading - half[:, 3:] * [1.0, 0.0, 0.0]
-    right = np.concatenate([leading, trailing[::-1]])
-    left = right[::-1] * [1.0, -1.0, 1.0]
-    return np.concatenate([right, left, right[:1]])
+def mirrored(sections: Array) -> Array:
+    """The same sections (m, 4) on the other side of the aircraft."""
+    return sections * [1.0, -1.0, 1.0, 1.0]
+
+
+def cut(sections: Array, inner: float, outer: float, share: float) -> tuple[Array, Array]:
+    """A lifting surface without the control surface at its trailing edge, and that surface.
+
+    Args:
+        sections: (m, 4) as in `surface`, of growing distance from the first.
+        inner: where the control surface begins, a share of the way from the first to the last.
+        outer: where it ends.
+        share: of the chord that moves.
+
+    Returns:
+        The sections that stay, and those (k, 4) of what moves; its first and last leading edges
+        are the hinge.
+    """
+    way = np.linalg.norm(sections[:, 1:3] - sections[0, 1:3], axis=-1)
+    way = way / way[-1]
+
+    def at(where: Array) -> Array:
+        return np.stack([np.interp(where, way, sections[:, k]) for k in range(4)], axis=-1)
+
+    between = way[(way > inner) & (way < outer)]
+    moving = at(np.array([inner, *between, outer]))
+    shortened = moving * [1.0, 1.0, 1.0, 1.0 - share]
+    edges = at(np.array([inner, outer]))
+    fixed = [sections[way < inner], edges[:1], shortened, edges[1:], sections[way > outer]]
+    moving[:, 0] -= (1.0 - share) * moving[:, 3]
+    moving[:, 3] *= share
+    return np.concatenate(fixed), moving
 
 
 def normals(mesh: Mesh) -> Array:

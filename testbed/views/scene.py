@@ -1,21 +1,21 @@
-"""What of a run is drawn, as plain numbers: the still part, and frames in columns.
+"""What of a run stands still in its view, as plain numbers.
 
-Both travel to another process when the view is live, so they hold arrays, numbers and text only.
+It travels to another process when the view is live, so it holds arrays, numbers and text only.
 """
 
 from __future__ import annotations
 
 import uuid
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from testbed.state import Array, Event, Frame, RunInfo
+from testbed.state import Array, RunInfo
 
 Colour = tuple[int, int, int]
 
+BACKDROP: Colour = (22, 26, 33)
 LEADER: Colour = (240, 240, 240)
 # Okabe and Ito's palette, told apart by colour-blind readers too; its black is the background here.
 FOLLOWERS: tuple[Colour, ...] = (
@@ -34,15 +34,20 @@ GRID_MARGIN = 150.0  # m of grid beyond the path
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """The part of a view that stands still."""
+    """The part of a view that stands still: of N aircraft, n of which have a slot."""
 
     title: str
     recording_id: str
-    names: tuple[str, ...]  # N, the leader first
+    names: tuple[str, ...]  # N, a leader first
     airframes: tuple[str, ...]  # N
     wingspan: tuple[float, ...]  # N, m
-    path: Array  # (k, 3) m, may be empty
+    colours: tuple[Colour, ...]  # N
+    followers: tuple[int, ...]  # n, rows of the N that have a slot
+    chased: int  # how many of the n the cameras follow, from the first on
+    paths: tuple[Array, ...]  # (k, 3) m each, may be empty
     speed_bounds: Array  # (n, 2) m/s
+    bounded_in: Array  # (N, 3) m/s, motion of the air that those are measured in; zero: the ground
+    barriers: tuple[tuple[int, float], ...]  # n, example and nu; may be empty
     roll_limit: Array  # (n,) rad
     frame_rate_hz: int
 
@@ -50,6 +55,7 @@ class Scene:
 def scene_of(info: RunInfo) -> Scene:
     """The still part of the view of a run."""
     run = f" {info.directory.name}" if info.directory else ""
+    n = len(info.names) - 1
     return Scene(
         title=info.scenario_name + run,
         # Of its own each time: a replay must not be added to the live recording of the same run.
@@ -57,10 +63,53 @@ def scene_of(info: RunInfo) -> Scene:
         names=tuple(info.names),
         airframes=tuple(info.aircraft),
         wingspan=tuple(info.wingspan_m),
-        path=np.asarray(info.leader_path_ned, dtype=np.float64).reshape(-1, 3),
+        colours=tuple(colour(k) for k in range(n + 1)),
+        followers=tuple(range(1, n + 1)),
+        chased=n,
+        paths=tuple(p for p in [np.asarray(info.leader_path_ned, dtype=np.float64)] if p.size),
         speed_bounds=np.asarray(info.speed_bounds_mps, dtype=np.float64).reshape(-1, 2),
+        bounded_in=np.tile(np.asarray(info.bounded_in_ned, dtype=np.float64), (n + 1, 1)),
+        barriers=info.barriers,
         roll_limit=np.asarray(info.roll_limit_rad, dtype=np.float64),
         frame_rate_hz=info.frame_rate_hz,
+    )
+
+
+def together(first: Scene, second: Scene, labels: tuple[str, str]) -> Scene:
+    """Two runs in one view: told apart by colour, the cameras follow the first.
+
+    Args:
+        first: of the run whose formation the cameras follow.
+        second: of the other one.
+        labels: short names of the two, set before the names of aircraft.
+    """
+    count = len(first.names)
+    shades = (FOLLOWERS[0], FOLLOWERS[1])
+    colours = [
+        tuple(lighter(shade, row, len(each.names)) for row in range(len(each.names)))
+        for shade, each in zip(shades, (first, second), strict=True)
+    ]
+    names = [
+        tuple(f"{label} {name}" for name in each.names)
+        for label, each in zip(labels, (first, second), strict=True)
+    ]
+    same = len(first.paths) == len(second.paths) and all(
+        np.array_equal(*pair) for pair in zip(first.paths, second.paths, strict=True)
+    )
+    return replace(
+        first,
+        title=f"{first.title} | {second.title}",
+        recording_id=uuid.uuid4().hex,
+        names=names[0] + names[1],
+        airframes=first.airframes + second.airframes,
+        wingspan=first.wingspan + second.wingspan,
+        colours=colours[0] + colours[1],
+        followers=first.followers + tuple(count + row for row in second.followers),
+        paths=first.paths if same else first.paths + second.paths,
+        speed_bounds=np.concatenate([first.speed_bounds, second.speed_bounds]),
+        bounded_in=np.concatenate([first.bounded_in, second.bounded_in]),
+        barriers=first.barriers + second.barriers,
+        roll_limit=np.concatenate([first.roll_limit, second.roll_limit]),
     )
 
 
@@ -69,9 +118,21 @@ def colour(index: int) -> Colour:
     return LEADER if index == 0 else FOLLOWERS[(index - 1) % len(FOLLOWERS)]
 
 
-def trim(index: int) -> Colour:
-    """The second colour of aircraft `index`: light, but dark on the white leader."""
-    return (105, 115, 130) if index == 0 else (235, 235, 230)
+def lighter(shade: Colour, row: int, count: int) -> Colour:
+    """The colour of row `row` of a run that has a shade of its own: the leader is nearly white."""
+    share = 0.75 if row == 0 else 0.45 * (row - 1) / max(count - 2, 1)
+    return mixed(shade, (255, 255, 255), share)
+
+
+def mixed(one: Colour, other: Colour, share: float) -> Colour:
+    """A colour on the way from one (0) to the other (1)."""
+    red, green, blue = (round(a + share * (b - a)) for a, b in zip(one, other, strict=True))
+    return red, green, blue
+
+
+def trim(paint: Colour) -> Colour:
+    """The second colour of an aircraft: light, but dark on one that is nearly white."""
+    return (105, 115, 130) if min(paint) > 180 else (235, 235, 230)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +140,7 @@ class Ground:
     """A grid on the ground with its scale."""
 
     lines: tuple[Array, ...]  # (k, 3) m each
-    path: Array  # (k, 3) m, with a point every few metres
+    paths: tuple[Array, ...]  # (k, 3) m each, with a point every few metres
     posts: Array  # (p, 2, 3) m, from the ground up to the path
     label_positions: Array  # (l, 3) m
     labels: tuple[str, ...]
@@ -87,8 +148,9 @@ class Ground:
     high: Array  # (2,) north, east, m
 
 
-def ground(path: Array) -> Ground:
-    """The grid under a path (k, 3): whole steps around it, or around the origin without a path."""
+def ground(paths: Sequence[Array]) -> Ground:
+    """The grid under paths (k, 3): whole steps around them, or around the origin without any."""
+    path = np.concatenate([np.empty((0, 3)), *paths])
     flat = path[:, :2] if len(path) else np.array([[-300.0, -300.0], [300.0, 300.0]])
     low = np.floor((flat.min(axis=0) - GRID_MARGIN) / GRID_STEP) * GRID_STEP
     high = np.ceil((flat.max(axis=0) + GRID_MARGIN) / GRID_STEP) * GRID_STEP
@@ -102,7 +164,7 @@ def ground(path: Array) -> Ground:
     tops = path[np.unique(np.linspace(0, len(path) - 1, POSTS).astype(int))] if len(path) else path
     return Ground(
         lines=tuple(finely(line) for line in across + along),
-        path=finely(path),
+        paths=tuple(finely(each) for each in paths),
         posts=np.stack([tops, tops * [1.0, 1.0, 0.0]], axis=1),
         label_positions=np.array([[n, e, 0.0] for n, e, _ in marks]),
         labels=tuple(text for _, _, text in marks),
@@ -123,72 +185,3 @@ def finely(line: Array, step: float = 25.0) -> Array:
     even = np.linspace(0.0, length[-1], int(length[-1] / step) + 2)
     where = np.union1d(length, even)
     return np.stack([np.interp(where, length, line[:, axis]) for axis in range(3)], axis=-1)
-
-
-@dataclass(frozen=True, slots=True)
-class Batch:
-    """Consecutive frames as columns; m of them."""
-
-    time: Array  # (m,) s
-    position: Array  # (m, N, 3) m NED
-    velocity: Array  # (m, N, 3) m/s NED
-    euler: Array  # (m, N, 3) rad
-    throttle: Array  # (m, N) commanded, 0..1
-    slot: Array  # (m, n, 3) m NED
-    error: Array  # (m, n, 3) m NED
-    events: tuple[Event, ...] = ()
-
-    def __len__(self) -> int:
-        """The number of frames."""
-        return len(self.time)
-
-
-class Collector:
-    """Copies frames into columns.
-
-    A frame is copied at once and not kept: it may be changed after the observer returns.
-    """
-
-    def __init__(self, aircraft: int, capacity: int) -> None:
-        """Make room for `capacity` frames of `aircraft` aircraft."""
-        n, f = aircraft, aircraft - 1
-        self._columns: tuple[NDArray[np.float64], ...] = tuple(
-            np.empty((capacity, *shape))
-            for shape in ((), (n, 3), (n, 3), (n, 3), (n,), (f, 3), (f, 3))
-        )
-        self._events: list[Event] = []
-        self._capacity = capacity
-        self._filled = 0
-
-    @property
-    def full(self) -> bool:
-        """Whether there is no room for another frame."""
-        return self._filled == self._capacity
-
-    def add(self, frame: Frame) -> None:
-        """Copy one frame."""
-        time, position, velocity, euler, throttle, slot, error = self._columns
-        row = self._filled
-        time[row] = frame.time_s
-        position[row] = frame.truth.position_ned
-        velocity[row] = frame.truth.velocity_ned
-        euler[row] = frame.truth.euler
-        throttle[row] = frame.command.throttle
-        slot[row] = frame.formation.slot_ned
-        error[row] = frame.formation.error_ned
-        if frame.events:
-            self._events.extend(frame.events)
-        self._filled = row + 1
-
-    def add_events(self, events: Sequence[Event]) -> None:
-        """Add what happened after the last frame."""
-        self._events.extend(events)
-
-    def take(self) -> Batch:
-        """What was collected, and start again."""
-        time, position, velocity, euler, throttle, slot, error = (
-            column[: self._filled].copy() for column in self._columns
-        )
-        events = tuple(self._events)
-        self._filled, self._events = 0, []
-        return Batch(time, position, velocity, euler, throttle, slot, error, events)

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from testbed.views.scene import Batch, Scene
+from testbed.views.batch import Batch
+from testbed.views.scene import Scene
 
 if TYPE_CHECKING:
     from testbed.views.rerun_door import Recording
@@ -40,10 +41,12 @@ class LiveViewer:
     Attributes:
         port: of 127.0.0.1; nothing else is ever listened on or connected to.
         patient: wait for a slow viewer (a replay) instead of leaving frames out (a run).
+        at_s: where its cursor is left, s; None: where the viewer puts it.
     """
 
     port: int = PORT
     patient: bool = False
+    at_s: float | None = None
 
     def open(self, still: Scene) -> Outlet | None:
         """Start the process that feeds the viewer, or say why there will be no view."""
@@ -54,7 +57,7 @@ class LiveViewer:
         if trouble is not None:
             log.warning("No live view, the run goes on without it: %s", trouble)
             return None
-        return Feeder(still, port=self.port, patient=self.patient)
+        return Feeder(still, port=self.port, patient=self.patient, at_s=self.at_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +75,7 @@ class RrdFile:
         from testbed.views.rerun_door import Recording
 
         recording = Recording(still, live=False)
-        recording.save(self.path)
+        recording.open(self.path)
         return recording
 
 
@@ -91,5 +94,5 @@ class InMemory:
         from testbed.views.rerun_door import Recording
 
         self.recording = Recording(still, live=False)
-        self.recording.remember()
+        self.recording.open(None)
         return self.recording

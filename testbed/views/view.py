@@ -4,16 +4,27 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
 
-from testbed.state import Event, Frame, Observer, RunInfo
-from testbed.views.scene import Collector, scene_of
+from testbed.errors import InputError
+from testbed.state import Event, Frame, RunInfo
+from testbed.views.batch import Batch, Collector, Source, beside, parts, whole
+from testbed.views.scene import Scene, scene_of, together
 from testbed.views.sinks import LiveViewer, Outlet, Sink
 
 PERIOD_S = 0.5  # wall clock between batches
 BATCH_FRAMES = 1000  # at most in a batch: a fast run reaches it before the half second
 log = logging.getLogger(__name__)
+
+
+class Replayable(Source, Protocol):
+    """A log read back, such as `testbed.record.read.Log`."""
+
+    @property
+    def info(self) -> RunInfo: ...  # noqa: D102
+    @property
+    def events(self) -> tuple[Event, ...]: ...  # noqa: D102
 
 
 class RerunView:
@@ -35,7 +46,7 @@ class RerunView:
             OSError: an .rrd file cannot be written. A missing viewer raises nothing.
         """
         self._outlet = self._sink.open(scene_of(info))
-        self._collector = Collector(len(info.names), BATCH_FRAMES)
+        self._collector = Collector(BATCH_FRAMES)
         self._due = time.perf_counter() + PERIOD_S
 
     def observe(self, frame: Frame) -> None:
@@ -66,14 +77,33 @@ class RerunView:
             self._outlet = None
 
 
-def replay(info: RunInfo, frames: Iterable[Frame], sink: Sink) -> None:
+def replay(run: Replayable, sink: Sink) -> None:
     """Show a recorded run: all of its frames, as fast as the sink takes them.
 
     Raises:
         OSError: an .rrd file cannot be written.
     """
-    view: Observer = RerunView(sink)
-    view.begin(info)
-    for frame in frames:
-        view.observe(frame)
-    view.end({}, ())
+    _show(scene_of(run.info), whole(run, run.events), sink)
+
+
+def overlay(first: Replayable, second: Replayable, sink: Sink) -> None:
+    """Show two recorded runs in one view, at the times that both have.
+
+    Raises:
+        InputError: they have no time in common.
+        OSError: an .rrd file cannot be written.
+    """
+    labels = ("A", "B")
+    batch = beside(whole(first, first.events), whole(second, second.events), labels)
+    if not len(batch):
+        raise InputError("the two runs have no frame at the same time: nothing to lay over")
+    _show(together(scene_of(first.info), scene_of(second.info), labels), batch, sink)
+
+
+def _show(still: Scene, batch: Batch, sink: Sink) -> None:
+    outlet = sink.open(still)
+    if outlet is None:
+        return
+    for part in parts(batch, BATCH_FRAMES):
+        outlet.send(part)
+    outlet.close()

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
+
+from testbed.errors import InputError
 
 HOST = "127.0.0.1"
 PROBE_S = 0.3
@@ -43,9 +48,17 @@ def obstacle(port: int) -> str | None:
     ):
         return (
             f"there is no display here and no viewer listens on {HOST}:{port}. Save the view with "
-            "`testbed view RUN --rrd FILE` and open it elsewhere with `rerun FILE`."
+            "`testbed view RUN --rrd FILE` and open it elsewhere with `rerun FILE`, or save a "
+            "picture with `testbed shot RUN --out FILE.png`."
         )
     return None
+
+
+def free_port() -> int:
+    """A port of this machine on which nothing listens."""
+    with socket.socket() as probe:
+        probe.bind((HOST, 0))
+        return int(probe.getsockname()[1])
 
 
 def start(port: int) -> bool:
@@ -55,16 +68,53 @@ def start(port: int) -> bool:
         Whether it listens; False as soon as it gives up.
     """
     executable = program()
+    return executable is not None and awaited(launched(executable, port), port)
+
+
+@contextlib.contextmanager
+def headless(port: int, size: tuple[int, int]) -> Iterator[subprocess.Popen[bytes]]:
+    """A viewer that draws without a screen, for as long as the context lasts.
+
+    Args:
+        port: of this machine, on which it listens.
+        size: width and height, pixels.
+
+    Raises:
+        InputError: there is none, or it cannot draw.
+    """
+    executable = program()
     if executable is None:
-        return False
-    viewer = subprocess.Popen(
-        [executable, "--bind", HOST, "--port", str(port), "--hide-welcome-screen"],
+        raise InputError(f"there is no `rerun` program beside {sys.executable}: install rerun-sdk")
+    window = ("--headless", "--window-size", "{}x{}".format(*size))
+    process = launched(executable, port, *window)
+    try:
+        if not awaited(process, port):
+            raise InputError(
+                "the Rerun viewer does not start without a screen: it needs a Vulkan driver (on "
+                "Debian and Ubuntu, apt-get install mesa-vulkan-drivers)"
+            )
+        yield process
+    finally:
+        with contextlib.suppress(ProcessLookupError):  # the program is a script around another
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+
+def launched(executable: str, port: int, *arguments: str) -> subprocess.Popen[bytes]:
+    """A viewer on its way, reachable from this machine alone, in a process group of its own."""
+    return subprocess.Popen(
+        [executable, "--bind", HOST, "--port", str(port), "--hide-welcome-screen", *arguments],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        env=os.environ | {"RERUN_APP_ONLY": "true"},  # no questions on the terminal
+        # no questions on the terminal, and no messages in the pictures
+        env=os.environ | {"RERUN_APP_ONLY": "true", "RUST_LOG": "off"},
         start_new_session=True,  # Ctrl-C ends the run, not the picture of it
     )
+
+
+def awaited(viewer: subprocess.Popen[bytes], port: int) -> bool:
+    """Whether a viewer listens in the end; False as soon as it gives up."""
     deadline = time.monotonic() + START_S
     while time.monotonic() < deadline and viewer.poll() is None:
         if listening(port):

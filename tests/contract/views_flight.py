@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -136,3 +137,22 @@ def frames(aircraft: int, duration_s: float, rate_hz: float = 25.0) -> Iterator[
             lost=np.zeros(aircraft, dtype=bool),
             events=(Event(t, "info", "uav1", "engaged"),) if tick == 400 and n else (),
         )
+
+
+def log(aircraft: int, duration_s: float) -> SimpleNamespace:
+    """The flight as a log reads back: its frames stacked."""
+    flown = list(frames(aircraft, duration_s))
+    records = ("truth", "estimate", "air", "command", "surfaces", "formation", "links")
+    stacked = {
+        name: type(getattr(flown[0], name))(
+            *(np.stack(column) for column in zip(*(getattr(f, name) for f in flown), strict=True))
+        )
+        for name in records
+    }
+    return SimpleNamespace(
+        **stacked,
+        info=info(aircraft, duration_s),
+        time_s=np.array([frame.time_s for frame in flown]),
+        lost=np.stack([frame.lost for frame in flown]),
+        events=tuple(event for frame in flown for event in frame.events),
+    )

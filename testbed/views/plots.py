@@ -1,0 +1,197 @@
+"""What is plotted of a run, for any number of aircraft: arithmetic only."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from testbed.formation.barrier import Barrier, h
+from testbed.frames import course, flight_path_angle
+from testbed.state import Array
+from testbed.views.batch import Batch
+from testbed.views.scene import BACKDROP, Colour, Scene, mixed
+
+LIMIT: Colour = (150, 150, 150)
+MOST_DESIRED = 8  # aircraft: of more, what they should do is not drawn beside what they do
+ANGLES = (-180.0, 180.0)  # deg
+
+Values = Callable[[Batch], Array]  # (m, k)
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """One quantity of some aircraft; those of one plot share its axes."""
+
+    name: str
+    labels: tuple[str, ...]  # k
+    colours: tuple[Colour, ...]  # k
+    values: Values
+    width: float = 1.5  # points
+
+
+@dataclass(frozen=True, slots=True)
+class Plot:
+    """A pair of axes over time."""
+
+    name: str
+    title: str
+    series: tuple[Series, ...]
+    range: tuple[float, float]
+    limits: tuple[tuple[str, float], ...] = ()
+
+
+def tabs(still: Scene, *, estimated: bool) -> tuple[tuple[Plot, ...], ...]:
+    """The plots, as rows of tabs: the first of each row is on top.
+
+    Args:
+        still: of the run.
+        estimated: whether aircraft fly by estimates that are not the truth.
+    """
+    flown = (*_speeds(still), *_directions(still))
+    steered, air = (_bank(still), _throttle(still)), _air(still)
+    if not still.followers:
+        return (flown[:1], flown[1:], (_altitude(still), *steered), air)
+    errors = (_error(still), *([_estimate(still)] if estimated else []))
+    barrier = (_barrier(still),) if still.barriers else ()
+    return (
+        errors,
+        (flown[0], *barrier, *flown[1:]),
+        (*steered, _altitude(still)),
+        (_age(still), *air),
+    )
+
+
+def _speeds(still: Scene) -> tuple[Plot, ...]:
+    """Speed within its bounds; where they are of airspeed, the speed over the ground too."""
+    ground = _both(
+        still,
+        lambda batch: np.linalg.norm(batch.velocity, axis=-1),
+        lambda batch: batch.speed_desired,
+    )
+    bounds = sorted({float(v) for v in still.speed_bounds.ravel()}) or [12.0, 33.0]
+    within = tuple((f"bound {value:g}", value) for value in bounds if still.followers)
+    low, high = bounds[0] - 2.0, bounds[-1] + 2.0
+    if not still.bounded_in.any():
+        title = "Ground speed and bounds, m/s" if within else "Ground speed, m/s"
+        return (Plot("speed", title, ground, (low, high), within),)
+    air = _everyone(
+        still, "actual", lambda batch: np.linalg.norm(batch.velocity - still.bounded_in, axis=-1)
+    )
+    return (
+        Plot("speed", "Airspeed and bounds, m/s", (air,), (low, high), within),
+        Plot("ground_speed", "Ground speed, m/s", ground, (low - 8.0, high + 8.0)),
+    )
+
+
+def _directions(still: Scene) -> tuple[Plot, Plot]:
+    headed = _both(
+        still,
+        lambda batch: turns(course(batch.velocity)),
+        lambda batch: turns(batch.course_desired),
+    )
+    climbing = _both(
+        still,
+        lambda batch: np.degrees(flight_path_angle(batch.velocity)),
+        lambda batch: np.degrees(batch.climb_desired),
+    )
+    return (
+        Plot("course", "Course, deg", headed, ANGLES),
+        Plot("climb", "Flight path, deg", climbing, (-20.0, 20.0)),
+    )
+
+
+def _bank(still: Scene) -> Plot:
+    banks = sorted({float(v) for v in np.degrees(still.roll_limit)})
+    largest = 1.2 * banks[-1] if banks else 60.0
+    actual = _everyone(still, "actual", lambda batch: np.degrees(batch.euler[..., 0]))
+    limits = tuple((f"limit {side * each:g}", side * each) for each in banks for side in (-1, 1))
+    return Plot("bank", "Bank and limits, deg", (actual,), (-largest, largest), limits)
+
+
+def _throttle(still: Scene) -> Plot:
+    commanded = _everyone(still, "commanded", lambda batch: batch.throttle)
+    return Plot("throttle", "Throttle", (commanded,), (-0.02, 1.02))
+
+
+def _altitude(still: Scene) -> Plot:
+    heights = -np.concatenate(still.paths)[:, 2] if still.paths else np.array([100.0])
+    actual = _everyone(still, "actual", lambda batch: -batch.position[..., 2])
+    around = (float(heights.min()) - 30.0, float(heights.max()) + 30.0)
+    return Plot("altitude", "Altitude, m", (actual,), around)
+
+
+def _air(still: Scene) -> tuple[Plot, Plot]:
+    along = _everyone(still, "felt", lambda batch: np.linalg.norm(batch.wind[..., :2], axis=-1))
+    up = _everyone(still, "felt", lambda batch: -batch.wind[..., 2])
+    return (
+        Plot("wind", "Wind felt, m/s", (along,), (0.0, 12.0)),
+        Plot("updraught", "Updraught, m/s", (up,), (-4.0, 4.0)),
+    )
+
+
+def _error(still: Scene) -> Plot:
+    error = _followers(still, "error", lambda batch: np.linalg.norm(batch.error, axis=-1))
+    return Plot("error", "Position error, m", (error,), (0.0, 6.0))
+
+
+def _estimate(still: Scene) -> Plot:
+    off = _everyone(
+        still, "off", lambda batch: np.linalg.norm(batch.believed - batch.position, axis=-1)
+    )
+    return Plot("estimate", "Estimate off by, m", (off,), (0.0, 6.0))
+
+
+def _barrier(still: Scene) -> Plot:
+    """The barrier h of (14): 1 in the midst of the speed set, 0 at its bounds."""
+    rows = np.array(still.followers)
+    example, nu = (np.array(each) for each in zip(*still.barriers, strict=True))
+    low, high = still.speed_bounds.T
+
+    def value(batch: Batch) -> Array:
+        through = batch.velocity[:, rows] - still.bounded_in[rows]
+        return h(Barrier(example, nu), np.linalg.norm(through, axis=-1), low, high)[0]
+
+    series = (_followers(still, "h", value),)
+    return Plot("barrier", "Speed barrier", series, (-0.1, 1.1), (("bound", 0.0),))
+
+
+def _age(still: Scene) -> Plot:
+    """How old the oldest news is that each follower uses of another."""
+    rows = np.array(still.followers)
+
+    def oldest(batch: Batch) -> Array:
+        others = batch.age.copy()
+        others[:, np.arange(rows.size), rows] = np.nan
+        worst = np.fmax.reduce(others, axis=-1)
+        return np.asarray(worst)
+
+    return Plot("age", "Oldest news used, s", (_followers(still, "age", oldest),), (0.0, 1.0))
+
+
+def _both(still: Scene, actual: Values, desired: Values) -> tuple[Series, ...]:
+    """What all do and, thin and faded, what followers should do."""
+    rows = still.followers
+    done = _everyone(still, "actual", actual)
+    if not rows or len(still.names) > MOST_DESIRED:
+        return (done,)
+    labels = tuple(f"{still.names[row]} desired" for row in rows)
+    faded = tuple(mixed(still.colours[row], BACKDROP, 0.45) for row in rows)
+    return (done, Series("desired", labels, faded, desired, width=1.0))
+
+
+def _everyone(still: Scene, name: str, values: Values) -> Series:
+    return Series(name, still.names, still.colours, values)
+
+
+def _followers(still: Scene, name: str, values: Values) -> Series:
+    labels = tuple(still.names[row] for row in still.followers)
+    return Series(name, labels, tuple(still.colours[row] for row in still.followers), values)
+
+
+def turns(angle: Array) -> Array:
+    """Angles (m, k) in degrees, not a number where one jumps from 180° to -180° or back."""
+    out = np.degrees(angle)
+    out[1:][np.abs(np.diff(out, axis=0)) > 180.0] = np.nan
+    return out

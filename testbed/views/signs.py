@@ -1,0 +1,105 @@
+"""What is drawn between the aircraft: links with their losses, and where the chase camera is.
+
+Places are in the frame of the chase camera, where they change slowly: so they may be drawn less
+often than the aircraft fly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.frames import course
+from testbed.state import Array
+from testbed.views.batch import Batch
+from testbed.views.scene import Scene
+
+SIGNS = ("links", "wind", "believed")  # entities in the frame of the chase camera
+MOST_LINKS = 120  # at once; of more only those that fail are drawn
+FLASH_S = 0.3  # after a message that was lost
+STALE_S = 0.5  # news older than this is drawn as such
+FRESH, STALE, LOST = (96, 112, 136), (240, 200, 60), (255, 60, 40)
+THIN, BROAD = 0.6, 2.0  # points
+
+
+@dataclass(frozen=True, slots=True)
+class Lines:
+    """Lines from senders to receivers, those of one frame after those of another; S in all."""
+
+    time: Array  # (m,) s
+    counts: NDArray[np.intp]  # (m,) lines of each frame
+    strips: Array  # (S, 2, 3) m
+    colours: NDArray[np.uint8]  # (S, 3)
+    radii: Array  # (S,) points
+
+
+class Links:
+    """The links that followers use, and those on which messages were lost a moment ago.
+
+    Remembers from batch to batch when that was, and which links were ever used.
+    """
+
+    def __init__(self, still: Scene) -> None:
+        """Nothing was heard yet, and nothing lost."""
+        shape = (len(still.followers), len(still.names))
+        self._still, self._rows = still, np.array(still.followers, dtype=np.intp)
+        self._missed = np.zeros(shape)
+        self._lost_at = np.full(shape, -np.inf)  # s
+        self._heeded = np.zeros(shape, dtype=bool)
+
+    def lines(self, batch: Batch) -> Lines:
+        """What is drawn of the frames of a batch, which is not empty."""
+        age = batch.age.copy()
+        age[:, np.arange(self._rows.size), self._rows] = np.nan  # what it hears of itself
+        used = np.isfinite(age)
+        self._heeded |= used.any(axis=0)
+        recent = batch.time[:, None, None] - self._losses(batch) <= FLASH_S
+        flash, stale = recent & self._heeded, age > STALE_S
+        shown = used | flash
+        crowded = shown.sum(axis=(1, 2)) > MOST_LINKS
+        shown[crowded] &= (flash | stale)[crowded]
+        frame, i, j = np.nonzero(shown)
+        place = to_chase(self._still, batch, batch.position)
+        colours = np.full((frame.size, 3), FRESH, np.uint8)
+        colours[stale[frame, i, j]] = STALE
+        colours[flash[frame, i, j]] = LOST
+        return Lines(
+            time=batch.time,
+            counts=shown.sum(axis=(1, 2)),
+            strips=np.stack([place[frame, j], place[frame, self._rows[i]]], axis=1),
+            colours=colours,
+            radii=np.where((flash | stale)[frame, i, j], BROAD, THIN),
+        )
+
+    def _losses(self, batch: Batch) -> Array:
+        """When a message was last lost (m, n, N), s; minus infinity: never."""
+        lost = np.diff(batch.missed, axis=0, prepend=self._missed[None]) > 0
+        when = np.where(lost, batch.time[:, None, None], -np.inf)
+        when[0] = np.maximum(when[0], self._lost_at)
+        last: Array = np.maximum.accumulate(when, axis=0)
+        self._missed, self._lost_at = batch.missed[-1], last[-1]
+        return last
+
+
+def to_chase(still: Scene, batch: Batch, place: Array) -> Array:
+    """Places (m, N, 3) in the frame of the chase camera."""
+    return turned(place - centre(still, batch)[:, None], course(batch.velocity[:, 0]))
+
+
+def turned(vectors: Array, heading: Array) -> Array:
+    """NED vectors (m, N, 3) resolved forward, right and down of headings (m,)."""
+    c, s = np.cos(heading)[:, None], np.sin(heading)[:, None]
+    north, east, down = np.moveaxis(vectors, -1, 0)
+    return np.stack([c * north + s * east, c * east - s * north, down], axis=-1)
+
+
+def centre(still: Scene, batch: Batch) -> Array:
+    """What the chase camera looks at (m, 3): the middle of the leader and the slots.
+
+    Slots rather than aircraft: the picture stays steady when one of them strays.
+    """
+    placed = np.concatenate([batch.position[:, :1], batch.slot[:, : still.chased]], axis=1)
+    middle: Array = placed.mean(axis=1)
+    return middle
