@@ -139,7 +139,9 @@ def _moved(pair: Pair) -> str:
     change = pair.second - pair.first
     if change == 0.0:
         return "none"
-    share = f" ({100.0 * change / pair.first:+.3g} %)" if pair.first else ""
+    percent = 100.0 * change / pair.first if pair.first else 0.0
+    digits = f"{percent:+.3g}" if abs(percent) < 1000.0 else f"{percent:+,.0f}"
+    share = f" ({digits} %)" if percent else ""
     return f"{'+' if change > 0.0 else '-'}{shown(abs(change))}{share}"
 
 

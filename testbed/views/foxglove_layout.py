@@ -96,7 +96,9 @@ def message_path(curve: Curve) -> str:
 def _plots(page: Page) -> list[dict[str, Any]]:
     return [
         {
-            "title": plot.title,
+            # what Foxglove and Lichtblick call the heading of a panel
+            "foxglovePanelTitle": plot.title,
+            "lichtblickPanelTitle": plot.title,
             "paths": [
                 {
                     "value": message_path(curve),
@@ -149,7 +151,6 @@ def _ground(info: RunInfo) -> dict[str, Any]:
         "instanceId": "ground",
         "label": "Ground: squares of 100 m",
         "visible": True,
-        "frameLocked": True,
         "frameId": "enu",
         "size": 2 * half * _SQUARE,
         "divisions": 2 * half,
