@@ -61,7 +61,6 @@ def test_help_names_every_command_and_the_exit_codes(tmp_path):
         ("step", "[default: the profile's trim]"),
         ("import", "[default: the only one]"),
         ("export", "[default: run.FORMAT beside the log]"),
-        ("compare", "[default: all must be the same to the last bit]"),
     ],
 )
 def test_help_tells_defaults_that_are_found_out_later(command, default):
