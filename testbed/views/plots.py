@@ -54,17 +54,17 @@ _PAGES: tuple[tuple[str, tuple[tuple[str, _Field, _Field], ...]], ...] = (
         "law",
         (
             (
-                "ground speed, m/s; dashed: desired",
+                "ground speed and desired, m/s",
                 (FORMATION, "speed_mps"),
                 (FORMATION, "speed_desired_mps"),
             ),
             (
-                "course, rad; dashed: desired",
+                "course and desired, rad",
                 (FORMATION, "course_rad"),
                 (FORMATION, "course_desired_rad"),
             ),
             (
-                "flight path angle, rad; dashed: desired",
+                "flight path angle and desired, rad",
                 (FORMATION, "flight_path_angle_rad"),
                 (FORMATION, "flight_path_angle_desired_rad"),
             ),
@@ -73,8 +73,8 @@ _PAGES: tuple[tuple[str, tuple[tuple[str, _Field, _Field], ...]], ...] = (
     (
         "attitude",
         (
-            ("roll, rad; dashed: commanded", (STATE, "roll_rad"), (COMMAND, "roll_rad")),
-            ("pitch, rad; dashed: commanded", (STATE, "pitch_rad"), (COMMAND, "pitch_rad")),
+            ("roll and commanded, rad", (STATE, "roll_rad"), (COMMAND, "roll_rad")),
+            ("pitch and commanded, rad", (STATE, "pitch_rad"), (COMMAND, "pitch_rad")),
             ("throttle", (STATE, "throttle"), None),
         ),
     ),
@@ -124,7 +124,7 @@ def _curves(names: Sequence[str], actual: _Field, wanted: _Field) -> tuple[Curve
                     topic=f"/{name}/{topic.name}",
                     field=key,
                     index=0 if listed else None,
-                    label=f"{name} asked" if dashed else name,
+                    label=f"{name}, asked for" if dashed else name,
                     colour=_hex(number),
                     dashed=dashed,
                 )
