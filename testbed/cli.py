@@ -13,6 +13,7 @@ from testbed import __version__
 from testbed.air_commands import air
 from testbed.airframe_commands import linearize, step, trim
 from testbed.errors import InputError, PartnerLost
+from testbed.export_commands import compare, export
 from testbed.flight_commands import import_flight
 from testbed.network_commands import network
 from testbed.options import Overrides, ScenarioName
@@ -26,8 +27,8 @@ PARTNER_LOST = 5
 INTERRUPTED = 130
 
 EXITS = (
-    "Exit codes: 0 good, 1 an aircraft was lost, 2 bad input, 3 regression, 4 internal error, "
-    "5 a program outside was lost, 130 interrupted."
+    "Exit codes: 0 good, 1 an aircraft was lost, 2 bad input, 3 regression or runs that differ, "
+    "4 internal error, 5 a program outside was lost, 130 interrupted."
 )
 
 app = typer.Typer(
@@ -208,8 +209,9 @@ def respond(
         raise typer.Exit(LOST) from None
 
 
+app.command(epilog=EXITS)(compare)
 app.command("import")(import_flight)
-for command in (trim, linearize, step, air, network):
+for command in (export, trim, linearize, step, air, network):
     app.command()(command)
 
 

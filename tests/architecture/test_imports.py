@@ -75,6 +75,7 @@ def test_numba_has_one_door_and_it_is_for_twins_only():
     ("packages", "home"),
     [
         (("mcap", "mcap_protobuf", "foxglove", "google.protobuf", "zstandard"), "record"),
+        (("pyarrow",), "record"),
         (("rerun",), "views"),
     ],
 )
@@ -171,6 +172,8 @@ def test_importing_the_page_loads_nothing_heavy(statement):
         "pymavlink",
         "rerun",
         "pyarrow",
+        "pandas",
+        "xarray",
     }
     loaded = modules_after(statement)
     assert "testbed" in loaded

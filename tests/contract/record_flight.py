@@ -1,7 +1,11 @@
 """A synthetic run whose every number is random, so that no two can be mistaken for one another."""
 
+import mcap.reader
 import numpy as np
+from google.protobuf import descriptor_pool, message_factory
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
+from testbed.record.recorder import McapRecorder
 from testbed.state import (
     AirData,
     Event,
@@ -108,3 +112,27 @@ def assert_same_frame(one, other):
         ours, theirs = getattr(one, name), getattr(other, name)
         for field in type(ours).__annotations__:
             np.testing.assert_array_equal(getattr(ours, field), getattr(theirs, field), field)
+
+
+def record(path, seen, info=None, *, summary=None, events=()):
+    log = McapRecorder(path)
+    log.begin(info or run_info())
+    for frame in seen:
+        log.observe(frame)
+    log.end({"outcome": "flown", "wall_s": 1.5} if summary is None else summary, events)
+    return path
+
+
+def decoded(path):
+    """Every message as the file's own schemas describe it: topic, time and protobuf message."""
+    classes = {}
+    with open(path, "rb") as file:
+        reader = mcap.reader.make_reader(file, validate_crcs=True)
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            if schema.id not in classes:
+                pool = descriptor_pool.DescriptorPool()
+                for proto in FileDescriptorSet.FromString(schema.data).file:
+                    pool.AddSerializedFile(proto.SerializeToString())
+                kind = pool.FindMessageTypeByName(schema.name)
+                classes[schema.id] = message_factory.GetMessageClass(kind)
+            yield channel.topic, message.log_time, classes[schema.id].FromString(message.data)

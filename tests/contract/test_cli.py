@@ -41,7 +41,9 @@ def test_version(tmp_path):
 
 def test_help_names_every_command_and_the_exit_codes(tmp_path):
     text = cli("--help", cwd=tmp_path).stdout
-    named = "run view air validate check list schema respond import trim linearize step"
+    named = (
+        "run view air validate check list schema respond import trim linearize step export compare"
+    )
     for command in named.split():
         assert f"{command} " in text
         assert "--help" in cli(command, "--help", cwd=tmp_path).stdout
@@ -58,6 +60,7 @@ def test_help_names_every_command_and_the_exit_codes(tmp_path):
         ("respond", "[default: the first row's, or 100]"),
         ("step", "[default: the profile's trim]"),
         ("import", "[default: the only one]"),
+        ("export", "[default: run.FORMAT beside the log]"),
     ],
 )
 def test_help_tells_defaults_that_are_found_out_later(command, default):

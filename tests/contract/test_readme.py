@@ -36,6 +36,7 @@ PAGES = (
     "docs/formation.md",
     "docs/own-law.md",
     "docs/check.md",
+    "docs/export.md",
 )
 UAVS = ("uav1", "uav2", "uav3")
 SHOWN_S = (

@@ -12,9 +12,7 @@ from pathlib import Path
 import mcap.reader
 import numpy as np
 import pytest
-from google.protobuf import descriptor_pool, message_factory
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
-from record_flight import assert_same_frame, event, run_frames, run_info
+from record_flight import assert_same_frame, decoded, event, record, run_frames, run_info
 
 from testbed.frames import geodetic_from_ned, rotation_ned_body
 from testbed.metrics import MetricsObserver
@@ -25,30 +23,6 @@ from testbed.record.recorder import McapRecorder
 from testbed.state import Event
 
 CHUNK = recorder.chunk_frames(4)
-
-
-def record(path, seen, info=None, *, summary=None, events=()):
-    log = McapRecorder(path)
-    log.begin(info or run_info())
-    for frame in seen:
-        log.observe(frame)
-    log.end({"outcome": "flown", "wall_s": 1.5} if summary is None else summary, events)
-    return path
-
-
-def decoded(path):
-    """Every message as the file's own schemas describe it: topic, time and protobuf message."""
-    classes = {}
-    with open(path, "rb") as file:
-        reader = mcap.reader.make_reader(file, validate_crcs=True)
-        for schema, channel, message in reader.iter_messages(log_time_order=False):
-            if schema.id not in classes:
-                pool = descriptor_pool.DescriptorPool()
-                for proto in FileDescriptorSet.FromString(schema.data).file:
-                    pool.AddSerializedFile(proto.SerializeToString())
-                kind = pool.FindMessageTypeByName(schema.name)
-                classes[schema.id] = message_factory.GetMessageClass(kind)
-            yield channel.topic, message.log_time, classes[schema.id].FromString(message.data)
 
 
 @pytest.mark.parametrize(

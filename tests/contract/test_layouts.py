@@ -1,0 +1,233 @@
+"""Layouts for the programs that open logs name what is in the log, and frames hang together."""
+
+import json
+import re
+import xml.etree.ElementTree as xml
+from pathlib import Path
+
+import foxglove.layouts as sdk
+import numpy as np
+import pytest
+from commands import call_command
+from record_flight import decoded, record, run_frames, run_info
+
+import testbed
+from testbed.frames import geodetic_from_ned
+from testbed.views.foxglove_layout import foxglove_layout
+from testbed.views.log_plots import topics
+from testbed.views.plotjuggler_layout import plotjuggler_layout
+
+FRAMES = 30
+# Foxglove's message path: a topic, quoted if it has other characters; fields; places in lists
+PATH = re.compile(r'(?:"(?P<quoted>[^"]+)"|(?P<plain>[\w/-]+))\.(?P<field>\w+)(?:\[(?P<at>\d+)\])?')
+FLEETS = {
+    "one": ("leader",),
+    "four": ("leader", "uav1", "uav2", "uav3"),
+    "odd names": ("lead-1", "a.b", "7_x"),
+    "twenty": ("leader", *(f"uav{i}" for i in range(1, 20))),
+}
+
+
+@pytest.fixture(scope="module", params=FLEETS, ids=lambda name: name.replace(" ", "-"))
+def path(request, tmp_path_factory):
+    names = FLEETS[request.param]
+    info = run_info(len(names) - 1, names=names)
+    folder = tmp_path_factory.mktemp("run")
+    seen = run_frames(FRAMES, len(names) - 1, noisy_from=0)
+    return record(folder / "run.mcap", seen, info)
+
+
+@pytest.fixture(scope="module")
+def messages(path):
+    """The messages of the log by topic, as its own schemas describe them."""
+    found = {}
+    for topic, stamp, message in decoded(path):
+        found.setdefault(topic, []).append((stamp, message))
+    return found
+
+
+@pytest.fixture(scope="module")
+def layout(path):
+    return json.loads(foxglove_layout(testbed.load(path).info))
+
+
+def panels_in(tree):
+    if isinstance(tree, str):
+        return [tree]
+    assert tree["direction"] in ("row", "column")
+    assert 0 < tree["splitPercentage"] < 100
+    return panels_in(tree["first"]) + panels_in(tree["second"])
+
+
+def test_foxglove_shows_every_panel_once(layout):
+    panels = layout["configById"]
+    shown = panels_in(layout["layout"])
+    for tab in panels["Tab!plots"]["tabs"]:
+        shown += panels_in(tab["layout"])
+    assert sorted(shown) == sorted(panels)
+    assert {name.partition("!")[0] for name in shown} == {"3D", "RosOut", "Tab", "Plot", "map"}
+
+
+def test_foxglove_finds_every_number_it_plots(layout, messages):
+    plotted = [
+        series["value"]
+        for name, panel in layout["configById"].items()
+        if name.startswith("Plot!")
+        for series in panel["paths"]
+    ]
+    assert plotted
+    for value in plotted:
+        found = PATH.fullmatch(value)
+        assert found, value
+        _, message = messages[found["quoted"] or found["plain"]][0]
+        number = getattr(message, found["field"])
+        if found["at"] is not None:
+            number = number[int(found["at"])]
+        assert isinstance(number, float), value
+
+
+def test_foxglove_knows_the_topics_and_frames_of_the_other_panels(layout, messages):
+    panels = layout["configById"]
+    frames = {t.child_frame_id for _, each in messages["/tf"] for t in each.transforms}
+    [(_, static)] = messages["/tf_static"]
+    assert panels["3D!world"]["followTf"] in frames
+    assert panels["3D!world"]["fixedFrame"] == static.transforms[0].parent_frame_id
+    fixes = {topic for topic in messages if topic.endswith("/fix")}
+    assert set(panels["map!fixes"]["topicColors"]) == fixes
+    assert panels["map!fixes"]["followTopic"] in fixes
+
+
+def test_foxglove_knows_every_setting(layout):
+    """The SDK's own types of panels list the settings there are, but for headings."""
+    known = {
+        "3D": set(sdk.ThreeDeeConfig()._to_dict()),
+        "Plot": set(sdk.PlotConfig()._to_dict()) | {"foxglovePanelTitle", "lichtblickPanelTitle"},
+        "RosOut": set(sdk.LogConfig()._to_dict()),
+        "map": set(sdk.MapConfig()._to_dict()),
+        "Tab": {"activeTabIdx", "tabs"},
+    }
+    series = set(sdk.PlotSeries()._to_dict())
+    camera = set(sdk.ThreeDeeCameraState()._to_dict())
+    shown = set(sdk.BaseRendererTransforms()._to_dict()) | {"axisScale"}
+    grid = set(sdk.BaseRendererGridLayerSettings()._to_dict())
+    for name, panel in layout["configById"].items():
+        assert set(panel) <= known[name.partition("!")[0]], name
+        for each in panel.get("paths", ()):
+            assert set(each) <= series
+    world = layout["configById"]["3D!world"]
+    assert set(world["cameraState"]) <= camera
+    assert set(world["scene"]["transforms"]) <= shown
+    assert set(world["layers"]["ground"]) <= grid
+
+
+def test_the_grid_is_of_squares_of_100_m_under_the_whole_path():
+    path = np.array([[0.0, 0.0, -100.0], [1230.0, -40.0, -100.0], [1230.0, 700.0, -90.0]])
+    ground = json.loads(foxglove_layout(run_info(leader_path_ned=path)))
+    ground = ground["configById"]["3D!world"]["layers"]["ground"]
+    assert ground["size"] == 100 * ground["divisions"]
+    east, north, up = ground["position"]
+    half = ground["size"] / 2
+    assert up == 0
+    assert north - half <= 0 and 1230 <= north + half
+    assert east - half <= -40 and 700 <= east + half
+
+
+def juggled(messages):
+    """The series PlotJuggler makes: `<topic>/<field>`, and `<topic>/<field>[k]` of lists."""
+    found = {}
+    for topic, each in messages.items():
+        for _, message in each:
+            for field in message.DESCRIPTOR.fields:
+                value = getattr(message, field.name)
+                if isinstance(value, float | int):
+                    found.setdefault(f"{topic}/{field.name}", []).append(value)
+                elif field.cpp_type == field.CPPTYPE_DOUBLE:
+                    for k, one in enumerate(value):
+                        found.setdefault(f"{topic}/{field.name}[{k}]", []).append(one)
+    return found
+
+
+def test_plotjuggler_finds_every_curve_and_shows_all_of_it(path, messages):
+    series = juggled(messages)
+    root = xml.fromstring(plotjuggler_layout(testbed.load(path), path.name))
+    selected = root.find("previouslyLoaded_Datafiles/fileInfo/plugin/parameters")
+    chosen = set(selected.get("selected_topics").split(";"))
+    plots = list(root.iter("plot"))
+    assert plots
+    for plot in plots:
+        sides = {side: float(value) for side, value in plot.find("range").items()}
+        assert (sides["left"], sides["right"]) == (0.0, 1.16)  # 30 frames at 25 Hz
+        curves = [curve.get("name") for curve in plot.iter("curve")]
+        values = np.concatenate([series[name] for name in curves])
+        assert sides["bottom"] < np.nanmin(values) and np.nanmax(values) < sides["top"]
+        assert {name.rpartition("/")[0] for name in curves} <= chosen
+
+
+def test_plotjuggler_splits_as_often_as_it_says(path):
+    root = xml.fromstring(plotjuggler_layout(testbed.load(path), path.name))
+    for splitter in root.iter("DockSplitter"):
+        assert int(splitter.get("count")) == len(splitter) == len(splitter.get("sizes").split(";"))
+    assert len(list(root.iter("Tab"))) >= 2
+
+
+def test_plotjuggler_selects_topics_of_numbers_that_are_there(path, messages):
+    names = testbed.load(path).names
+    assert set(topics(names)) <= set(messages)
+    for topic in topics(names):
+        fields = {field.name for field in messages[topic][0][1].DESCRIPTOR.fields}
+        assert "timestamp" not in fields
+
+
+def test_the_layout_leads_plotjuggler_to_the_log(tmp_path, path):
+    made = tmp_path / "elsewhere.xml"
+    arguments = ("export", path, "--format", "plotjuggler", "--out", made)
+    call_command(*arguments, cwd=tmp_path, code=0, columns=120)
+    named = xml.parse(made).find("previouslyLoaded_Datafiles/fileInfo").get("filename")
+    assert not Path(named).is_absolute()
+    assert (made.parent / named).resolve() == path.resolve()
+
+
+def test_every_frame_hangs_from_one_root_from_the_first_moment_on(path, messages):
+    names = testbed.load(path).names
+    for stamp, each in messages["/tf"]:
+        parents = {t.child_frame_id: t.parent_frame_id for t in each.transforms}
+        parents |= {
+            t.child_frame_id: t.parent_frame_id for t in messages["/tf_static"][0][1].transforms
+        }
+        assert messages["/tf_static"][0][0] <= stamp
+        for name in names:
+            chain = [name]
+            while chain[-1] in parents:
+                assert len(chain) <= len(parents)
+                chain.append(parents[chain[-1]])
+            assert chain == [name, "ned", "enu"]
+    for topic, found in messages.items():
+        if topic.endswith("/fix"):
+            assert {fix.frame_id for _, fix in found} == {topic.split("/")[1]}
+
+
+def test_a_fix_and_a_frame_are_the_same_place(path, messages):
+    log = testbed.load(path).log
+    frames = {stamp: each for stamp, each in messages["/tf"]}
+    for name in log.info.names:
+        for stamp, fix in messages[f"/{name}/fix"]:
+            [frame] = [t for t in frames[stamp].transforms if t.child_frame_id == name]
+            ned = np.array([getattr(frame.translation, axis) for axis in "xyz"])
+            place = geodetic_from_ned(ned, log.info.origin)
+            np.testing.assert_array_equal([fix.latitude, fix.longitude, fix.altitude], place)
+            # 1 deg of latitude is 111.0 to 111.4 km between 30 and 50 degrees north
+            north = (fix.latitude - log.info.origin.latitude_deg) * 111_000
+            assert north == pytest.approx(ned[0], rel=0.004, abs=0.01)
+            assert fix.altitude == pytest.approx(log.info.origin.elevation_m - ned[2], abs=0.05)
+
+
+def test_times_never_go_back_and_are_those_of_the_frames(path, messages):
+    stamps = [stamp for _, stamp, _ in decoded(path)]
+    assert stamps == sorted(stamps)
+    ticks = [round(k * 1e9 / 25) for k in range(FRAMES)]
+    names = testbed.load(path).names
+    for topic in ("/tf", *(f"/{name}/state" for name in names)):
+        assert [stamp for stamp, _ in messages[topic]] == ticks
+    for stamp, each in messages["/tf"]:
+        for t in each.transforms:
+            assert t.timestamp.seconds * 10**9 + t.timestamp.nanos == stamp
