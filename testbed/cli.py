@@ -17,6 +17,7 @@ from testbed.export_commands import compare, export
 from testbed.flight_commands import import_flight
 from testbed.network_commands import network
 from testbed.options import Overrides, ScenarioName
+from testbed.report_commands import report
 from testbed.run_commands import run
 from testbed.view_commands import shot, view
 
@@ -211,7 +212,7 @@ def respond(
 
 app.command(epilog=EXITS)(compare)
 app.command("import")(import_flight)
-for command in (export, trim, linearize, step, air, network):
+for command in (report, export, trim, linearize, step, air, network):
     app.command()(command)
 
 

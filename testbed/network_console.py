@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from rich import box
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from testbed.errors import InputError
 from testbed.metrics.document import replacing
-from testbed.metrics.network import NOTHING, percent
+from testbed.metrics.network_table import arrival_table, link_table, worst_links
 from testbed.network.links import Fate
 from testbed.network.report import LOSSES, word
 from testbed.outputs import is_stdout, put_json, refuse_files
@@ -24,7 +23,6 @@ from testbed.sim.sounding import Heard, sound
 
 MOST_PACKETS = 10_000_000
 MOST_ROWS = 50_000_000  # of all links: half a gigabyte of memory, and several of CSV
-LISTED = 12  # links shown one by one; of more, the worst
 ABREAST = 5  # counts that fit side by side in 80 columns
 OTHERS = ("mute", "overtaken", "duplicated")
 HEADER = "source,destination,sequence,sent_s,received_s,fate,copies\n"
@@ -127,9 +125,9 @@ def _show(console: Console, document: Document) -> None:
             f" · seed {document['seed']}",
         )
     )
-    listed = _listed(document)
+    listed = worst_links(document["links"])
     console.print()
-    console.print(_arrivals(listed, together))
+    console.print(arrival_table(listed, together))
     happened = [key for key in (*map(word, LOSSES), *OTHERS) if _number(together, key)]
     for first in range(0, len(happened), ABREAST):
         console.print()
@@ -142,71 +140,13 @@ def _count(document: Document) -> int:
     return sum(len(receivers) for receivers in document["links"].values())
 
 
-def _listed(document: Document) -> dict[str, Document]:
-    """The links to show: all, or of many those that delivered least, in order."""
-    links = {
-        f"{source} > {destination}": link
-        for source, receivers in document["links"].items()
-        for destination, link in receivers.items()
-    }
-    if len(links) <= LISTED:
-        return links
-
-    def goodness(name: str) -> tuple[float, float]:
-        share, delay = links[name]["delivered_share"], links[name]["delay_s"]
-        return (1.0 if share is None else share), -(delay["p99"] if delay else 0.0)
-
-    worst = set(sorted(links, key=goodness)[:LISTED])
-    return {name: link for name, link in links.items() if name in worst}
-
-
-def _table(title: str, *columns: str) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, collapse_padding=True, header_style="")
-    # of all columns this one may be broken over lines: names can be long
-    table.add_column(Text(title, style="bold"))
-    for name in columns:
-        table.add_column(name, justify="right", no_wrap=True)
-    return table
-
-
-def _fill(
-    table: Table,
-    links: Mapping[str, Document],
-    together: Document,
-    cells: Callable[[Document], Sequence[str]],
-) -> Table:
-    for name, link in links.items():
-        table.add_row(name, *cells(link))
-    table.add_section()
-    table.add_row("all", *cells(together))
-    return table
-
-
-def _arrivals(links: Mapping[str, Document], together: Document) -> Table:
-    """What arrived on each link, how late, and how many in a row did not."""
-
-    def cells(link: Document) -> list[str]:
-        delay, bursts = link["delay_s"], link["bursts"]
-        return [
-            f"{link['sent']:,}",
-            percent(link["delivered_share"]).removesuffix(" %"),
-            *(NOTHING if delay is None else f"{1e3 * delay[p]:.1f}" for p in ("p50", "p95", "p99")),
-            NOTHING if bursts["mean"] is None else f"{bursts['mean']:.2f}",
-            f"{bursts['longest']:,}",
-        ]
-
-    late = ("delay\np50, ms", "\np95", "\np99")
-    table = _table("\nlink", "\nsent", "arrived\n%", *late, "in a row lost\nmean", "\nmost")
-    return _fill(table, links, together, cells)
-
-
 def _counts(links: Mapping[str, Document], together: Document, keys: Sequence[str]) -> Table:
     """Why messages of each link did not arrive, and what else befell them."""
 
     def cells(link: Document) -> list[str]:
         return [f"{_number(link, key):,}" for key in keys]
 
-    return _fill(_table("link", *keys), links, together, cells)
+    return link_table("link", keys, links, together, cells)
 
 
 def _number(link: Document, key: str) -> int:

@@ -32,7 +32,7 @@ def render_table(metrics: Document, console: Console, *, log: Path | None = None
     console.print(_headline(metrics))
     portions = list(metrics["portions"])
     exact = not any(metrics["relative_position_m"].values())
-    listed = _listed(metrics)
+    listed = worst_followers(metrics)
     for first in range(0, len(portions), ABREAST):
         console.print()
         console.print(error_table(metrics, portions[first : first + ABREAST], listed, exact=exact))
@@ -41,9 +41,9 @@ def render_table(metrics: Document, console: Console, *, log: Path | None = None
         console.print(Text(f" published: {source}", style="dim"))
     if metrics["engaged_at_s"]:
         console.print()
-        console.print(_agents(metrics))
+        console.print(follower_table(metrics, listed))
     console.print()
-    console.print(_facts(metrics))
+    console.print(_grid(facts(metrics)))
     for line in _events(metrics["events"]):
         console.print(line)
     if log is not None:
@@ -66,8 +66,8 @@ def _headline(metrics: Document) -> Text:
     return line
 
 
-def _agents(metrics: Document) -> Table:
-    """What happened to each follower: when it engaged, what limited it, how old its news was."""
+def follower_table(metrics: Document, names: Sequence[str]) -> Table:
+    """What happened to these followers: when each engaged, what limited it, its news' age."""
     table = new_table()
     table.add_column(Text("\nfollower", style="bold"), no_wrap=True)
     table.add_column("engaged\nat, s", justify="right")
@@ -78,7 +78,7 @@ def _agents(metrics: Document) -> Table:
     table.add_column("at limit\nlast, s", justify="right")
     table.add_column("news\nage, ms", justify="right")
     simulated = float(metrics["simulated_s"])
-    for name in _listed(metrics):
+    for name in names:
         engaged = metrics["engaged_at_s"][name]
         guards, limits = metrics["guards"][name], metrics["saturations"][name]
         frame_s = limits["seconds"] / limits["frames"] if limits["frames"] else 0.0
@@ -97,44 +97,52 @@ def _agents(metrics: Document) -> Table:
     return table
 
 
-def _facts(metrics: Document) -> Table:
-    table = Table.grid(padding=(0, 1))
-    table.add_column(width=20)
-    table.add_column()
+def facts(metrics: Document) -> list[tuple[str, str | Text]]:
+    """What else is to be said of the run: names and texts, some of several lines."""
+    rows: list[tuple[str, str | Text]] = []
     separation = show(metrics["min_separation_m"], "{:.2f} m")
     between = metrics["min_separation_between"]
     if between:
         separation += f", {between[0]} and {between[1]} at {metrics['min_separation_at_s']:.1f} s"
     lost = {name: at for name, at in metrics["lost_at_s"].items() if at is not None}
     if lost:
-        table.add_row(" lost", _lost(lost))
-    table.add_row(" smallest separation", separation)
-    table.add_row(" leader's bank", show(metrics["leader_bank_deg"], "{:.1f}° at most"))
+        rows.append(("lost", _lost(lost)))
+    rows.append(("smallest separation", separation))
+    rows.append(("leader's bank", show(metrics["leader_bank_deg"], "{:.1f}° at most")))
     if metrics["engaged_at_s"]:
-        table.add_row(" kappa measured", _kappa(metrics))
+        rows.append(("kappa measured", _kappa(metrics)))
     believed = estimates.describe(metrics["estimate_error"], metrics["relative_position_m"])
     if believed:
-        table.add_row(" estimates err by", "\n".join(believed))
+        rows.append(("estimates err by", "\n".join(believed)))
     felt = wind.describe(metrics["wind"])
     if felt:
-        table.add_row(" wind felt", felt)
+        rows.append(("wind felt", felt))
     if any(each["wake_roll_coefficient"] for each in metrics["wind"].values()):
         shares = [f"{name} {100.0 * each:.1f}" for name, each in metrics["mean_throttle"].items()]
-        table.add_row(" mean throttle, %", ", ".join(shares[: FOLLOWERS + 1]))
+        rows.append(("mean throttle, %", ", ".join(shares[: FOLLOWERS + 1])))
     radio = network.describe(metrics["network"])
     if radio:
-        table.add_row(" network", "\n".join(radio))
+        rows.append(("network", "\n".join(radio)))
     left = {name: each for name, each in metrics["left_speed_set"].items() if each["times"]}
     if left:
-        table.add_row(" left the speed set", _left(left))
+        rows.append(("left the speed set", _left(left)))
     if "pace" in metrics:
-        table.add_row(" pace", outside.describe_pace(metrics["pace"]))
+        rows.append(("pace", outside.describe_pace(metrics["pace"])))
     if "mavlink" in metrics:
-        table.add_row(" MAVLink", outside.describe_mavlink(metrics["mavlink"]))
+        rows.append(("MAVLink", outside.describe_mavlink(metrics["mavlink"])))
     if metrics.get("arduplane"):
-        table.add_row(" ArduPlane", outside.describe_arduplanes(metrics["arduplane"]))
+        rows.append(("ArduPlane", outside.describe_arduplanes(metrics["arduplane"])))
     if metrics.get("commanded"):
-        table.add_row(" from outside", outside.describe_commands(metrics["commanded"]))
+        rows.append(("from outside", outside.describe_commands(metrics["commanded"])))
+    return rows
+
+
+def _grid(rows: Sequence[tuple[str, str | Text]]) -> Table:
+    table = Table.grid(padding=(0, 1))
+    table.add_column(width=20)
+    table.add_column()
+    for name, text in rows:
+        table.add_row(f" {name}", text)
     return table
 
 
@@ -190,7 +198,7 @@ def _events(events: Sequence[Mapping[str, Any]]) -> list[Text]:
     return lines
 
 
-def _listed(metrics: Document) -> list[str]:
+def worst_followers(metrics: Document) -> list[str]:
     """The followers to show: all, or of many those with the largest RMS error, in fleet order."""
     followers = list(metrics["engaged_at_s"])
     if len(followers) <= FOLLOWERS:

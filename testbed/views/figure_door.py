@@ -1,10 +1,11 @@
-"""The only place that knows Matplotlib: a sheet of panels becomes a file.
+"""The only place that knows Matplotlib: a sheet of panels becomes a file, or text of an SVG.
 
 No display is needed and no global state is touched. The same sheet gives the same bytes.
 """
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,15 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from mpl_toolkits.mplot3d import Axes3D
 
-from testbed.views.panels import Panel, Sheet
+from testbed.views.panels import GREY, GRID, Line, Panel, Sheet, Space
 
-WIDTH, HEIGHT, DOTS_PER_INCH = 1600, 1000, 100  # pixels of a PNG
-PANELS = (0.0, 0.035, 1.0, 0.885)  # left, bottom, width, height: what titles and legend leave
+DOTS_PER_INCH = 100  # of a PNG
+TITLES_IN, LEGEND_IN = 0.8, 0.35  # inches that titles and a row of the legend need
+KEY_IN, LETTER_IN = 0.8, 0.095  # of a name in the legend
+MARKERS = 8  # on a curve
+CLEAR = (1.0, 1.0, 1.0, 0.0)
 # What would differ between two files of the same sheet: when it was drawn.
 UNDATED: dict[str, dict[str, Any]] = {
     ".png": {},
@@ -31,7 +36,7 @@ STYLE: dict[Any, Any] = {
     "axes.spines.right": False,
     "axes.grid": True,
     "axes.axisbelow": True,
-    "grid.color": "#e3e3e3",
+    "grid.color": GRID,
     "grid.linewidth": 0.8,
     "legend.frameon": False,
     "legend.fontsize": 11.5,
@@ -41,33 +46,59 @@ STYLE: dict[Any, Any] = {
 
 
 def draw(sheet: Sheet, path: Path) -> None:
-    """Write a sheet as PNG (1600 × 1000), PDF or SVG, as the name's ending says.
+    """Write a sheet as PNG (100 dots per inch), PDF or SVG, as the name's ending says.
 
     Raises:
         OSError: it cannot be written.
     """
+    ending = path.suffix.lower()
     with matplotlib.rc_context(STYLE):
-        size = (WIDTH / DOTS_PER_INCH, HEIGHT / DOTS_PER_INCH)
-        layout = ConstrainedLayoutEngine(rect=PANELS, wspace=0.04, hspace=0.06)
-        figure = Figure(figsize=size, dpi=DOTS_PER_INCH, layout=layout)
-        figure.text(0.012, 0.968, sheet.title, size=17, weight="bold", va="center")
-        figure.text(0.012, 0.937, sheet.subtitle, size=12.5, va="center", color="#404040")
-        axes = figure.subplots(
-            len(sheet.rows), len(sheet.widths), squeeze=False, width_ratios=sheet.widths
+        _figure(sheet, titled=True).savefig(path, format=ending[1:], metadata=UNDATED[ending])
+
+
+def to_svg(sheet: Sheet) -> str:
+    """A sheet as SVG without its titles, on no ground; letters stay letters."""
+    text = io.StringIO()
+    with matplotlib.rc_context({**STYLE, "svg.fonttype": "none"}):
+        _figure(sheet, titled=False).savefig(
+            text, format="svg", metadata=UNDATED[".svg"], transparent=True
         )
-        named: dict[str, Any] = {}
-        for row, panels in zip(axes, sheet.rows, strict=True):
-            for ax, panel in zip(row, panels, strict=True):
+    return text.getvalue()
+
+
+def _figure(sheet: Sheet, *, titled: bool) -> Figure:
+    width, height = sheet.inches
+    layout = ConstrainedLayoutEngine(wspace=0.04, hspace=0.06)
+    figure = Figure(figsize=sheet.inches, dpi=DOTS_PER_INCH, layout=layout)
+    if titled:
+        figure.text(0.012, 1.0 - 0.32 / height, sheet.title, size=17, weight="bold", va="center")
+        below = 1.0 - 0.63 / height
+        figure.text(0.012, below, sheet.subtitle, size=12.5, va="center", color="#404040")
+    # one legend for all: a curve means the same everywhere
+    named: dict[str, Any] = {}
+    grid = figure.add_gridspec(len(sheet.rows), len(sheet.widths), width_ratios=sheet.widths)
+    for i, panels in enumerate(sheet.rows):
+        for k, panel in enumerate(panels):
+            if isinstance(panel, Space):
+                ax: Any = figure.add_subplot(grid[i, k], projection=Axes3D.name)
+                _fill_space(ax, panel)
+            else:
+                ax = figure.add_subplot(grid[i, k])
                 _fill(ax, panel)
-                for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
-                    named.setdefault(label, handle)
-        if named:  # one legend for all: a curve means the same everywhere
-            figure.legend(
-                named.values(), named.keys(), loc="lower left", ncols=len(named),
-                bbox_to_anchor=(0.004, 0.0), borderaxespad=0.2,
-            )  # fmt: skip
-        ending = path.suffix.lower()
-        figure.savefig(path, format=ending[1:], metadata=UNDATED[ending])
+            for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
+                named.setdefault(label, handle)
+    longest = max(map(len, named), default=0)
+    abreast = max(int(width / (KEY_IN + LETTER_IN * longest)), 1)
+    rows = -(-len(named) // abreast)
+    top = TITLES_IN / height if titled else 0.0
+    bottom = rows * LEGEND_IN / height
+    layout.set(rect=(0.0, bottom, 1.0, 1.0 - bottom - top))
+    if named:
+        figure.legend(
+            named.values(), named.keys(), loc="lower left", ncols=min(len(named), abreast),
+            bbox_to_anchor=(0.004, 0.0), borderaxespad=0.2,
+        )  # fmt: skip
+    return figure
 
 
 def _fill(ax: Axes, panel: Panel) -> None:
@@ -83,13 +114,43 @@ def _fill(ax: Axes, panel: Panel) -> None:
         ax.set_xscale("log")
     if panel.y_log:
         ax.set_yscale("log")
+    for span in panel.spans:
+        ax.axvspan(span.start, span.end, color=GREY, alpha=0.13, lw=0)
+        ax.text(
+            span.start, 0.985, f" {span.name}", transform=ax.get_xaxis_transform(),
+            va="top", size=10.5, clip_on=True,
+        )  # fmt: skip
+    for at, colour in panel.marks:
+        ax.axvline(at, color=colour, lw=0.9, ls=(0, (1, 2)))
     for band in panel.bands:
         ax.fill_between(
             band.x, band.low, band.high, color=band.colour, alpha=0.25, lw=0, label=band.label
         )
     for line in panel.lines:
-        mark: dict[str, Any] = {"lw": line.width}
-        if line.dots:
-            mark = {"ls": "none", "marker": "o", "ms": 4.0}
-        ax.plot(line.x, line.y, color=line.colour, label=line.label or None, **mark)
+        ax.plot(line.x, line.y, color=line.colour, label=line.label or None, **_look(line))
+    if panel.equal:
+        ax.set_aspect("equal", adjustable="datalim")
+        return
     ax.set(xlim=panel.x_limits, ylim=panel.y_limits)
+
+
+def _look(line: Line) -> dict[str, Any]:
+    if line.dots:
+        return {"ls": "none", "marker": "o", "ms": 4.0}
+    look: dict[str, Any] = {"lw": line.width, "ls": line.dashes}
+    if line.marker:
+        apart = max(len(line.x) // MARKERS, 1)
+        look |= {"marker": line.marker, "ms": 5.0, "mfc": "none"}
+        look["markevery"] = (int(line.marker_phase * apart), apart)
+    return look
+
+
+def _fill_space(ax: Any, space: Space) -> None:  # noqa: ANN401 - mplot3d has no types
+    ax.set_title(space.title, loc="left")
+    ax.locator_params(nbins=5)
+    ax.set(xlabel=space.x_label, ylabel=space.y_label, zlabel=space.z_label)
+    ax.view_init(elev=24.0, azim=-58.0)
+    for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
+        axis.set_pane_color(CLEAR)
+    for curve in space.curves:
+        ax.plot(curve.x, curve.y, curve.z, color=curve.colour, lw=curve.width)

@@ -14,7 +14,11 @@ from testbed.state import Array
 
 # Okabe and Ito's palette on white: told apart by colour-blind readers, and in grey by lightness.
 BLUE, ORANGE, GREEN = "#0072b2", "#d55e00", "#009e73"
+# Three more, darkened: on white every one of the six stands out by more than 3 to 1.
+PURPLE, GOLD, SKY = "#a14a76", "#a87000", "#2f8fc4"
 BLACK, GREY = "#000000", "#8c8c8c"
+GRID = "#e3e3e3"
+DASHED, DOTTED = "--", ":"
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +31,9 @@ class Line:
     label: str = ""
     width: float = 1.0  # points
     dots: bool = False  # a dot at each number in place of a line through them
+    dashes: str = "-"  # or DASHED or DOTTED
+    marker: str = ""  # a shape that tells the curve apart where colours do not: "o", "s", "^", …
+    marker_phase: float = 0.0  # 0..1 of the distance between two markers, where the first stands
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +45,37 @@ class Band:
     high: Array  # (k,)
     colour: str
     label: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A stretch of the horizontal axis, shaded and named."""
+
+    start: float
+    end: float
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """A curve in space; what it is a panel beside it says, by the same colour."""
+
+    x: Array  # (k,)
+    y: Array  # (k,)
+    z: Array  # (k,)
+    colour: str
+    width: float = 1.0  # points
+
+
+@dataclass(frozen=True, slots=True)
+class Space:
+    """Three axes, seen from above the nearest corner."""
+
+    title: str
+    x_label: str
+    y_label: str
+    z_label: str
+    curves: Sequence[Curve]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +92,9 @@ class Panel:
     x_limits: tuple[float, float] | None = None
     y_limits: tuple[float, float] | None = None
     note: str = ""  # said inside the axes, where there is nothing to draw
+    spans: Sequence[Span] = ()
+    marks: Sequence[tuple[float, str]] = ()  # where vertical lines stand, and their colours
+    equal: bool = False  # the same scale on both axes, which fit what is drawn
 
     @property
     def drawn(self) -> bool:
@@ -67,5 +108,6 @@ class Sheet:
 
     title: str
     subtitle: str
-    rows: Sequence[Sequence[Panel]]
+    rows: Sequence[Sequence[Panel | Space]]
     widths: Sequence[float]  # of the columns, relative
+    inches: tuple[float, float] = (16.0, 10.0)  # width, height

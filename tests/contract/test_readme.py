@@ -37,6 +37,7 @@ PAGES = (
     "docs/own-law.md",
     "docs/check.md",
     "docs/export.md",
+    "docs/report.md",
 )
 UAVS = ("uav1", "uav2", "uav3")
 SHOWN_S = (

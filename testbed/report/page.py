@@ -1,0 +1,251 @@
+"""The page itself: one HTML file that needs nothing but a browser, and the figures as files."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+
+from testbed.metrics.document import replacing
+from testbed.metrics.error_table import ABREAST, error_table, show
+from testbed.metrics.network import describe
+from testbed.metrics.network_table import MOST_LINKS, arrival_table, worst_links
+from testbed.metrics.table import facts, follower_table
+from testbed.report.figures import Figure, figures_of
+from testbed.report.flight import Flight
+from testbed.report.look import STYLE
+from testbed.report.svg import for_page
+from testbed.report.tables import rows_to_html, to_html
+
+FORMATS = ("png", "pdf", "svg")
+MOST_EVENTS = 200
+PARTS = (
+    ("errors", "Formation error"),
+    ("followers", "Followers"),
+    ("figures", "Figures"),
+    ("events", "Events"),
+    ("again", "To repeat this run"),
+)
+
+
+def write_page(flight: Flight, path: Path) -> None:
+    """Write the report; the same run gives the same bytes.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    text = page_of(flight)
+    with replacing(path) as file:
+        file.write(text)
+
+
+def write_figures(flight: Flight, folder: Path, ending: str) -> list[Path]:
+    """Write every figure into a folder, made if need be, and return their files.
+
+    Args:
+        flight: the run.
+        folder: where.
+        ending: one of `FORMATS`.
+
+    Raises:
+        OSError: one cannot be written.
+    """
+    from testbed.views.figure_door import draw
+
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for figure in figures_of(flight):
+        paths.append(folder / f"{figure.name}.{ending}")
+        draw(figure.sheet, paths[-1])
+    return paths
+
+
+def page_of(flight: Flight) -> str:
+    """The page as text."""
+    name = escape(flight.log.info.scenario_name)
+    parts = {
+        "errors": _errors(flight),
+        "followers": _followers(flight),
+        "figures": "".join(_figure(figure) for figure in figures_of(flight)),
+        "events": _events(flight),
+        "again": _again(flight),
+    }
+    shown = [(part, title) for part, title in PARTS if parts[part]]
+    links = "".join(f'<a href="#{part}">{title}</a>' for part, title in shown)
+    body = "".join(
+        f'<section id="{part}"><h2>{title}</h2>{parts[part]}</section>' for part, title in shown
+    )
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        '<link rel="icon" href="data:,">\n'
+        f"<title>{name} · report</title>\n<style>\n{STYLE}\n</style>\n</head>\n<body>\n"
+        f"<header>{_head(flight)}<nav>{links}</nav></header>\n<main>{body}</main>\n"
+        f"<footer>Made by testbed {escape(_version(flight))} from {escape(flight.path.name)}."
+        "</footer>\n</body>\n</html>\n"
+    )
+
+
+def _version(flight: Flight) -> str:
+    return str(flight.log.info.versions.get("testbed", ""))
+
+
+def _head(flight: Flight) -> str:
+    info, metrics = flight.log.info, flight.metrics
+    out = [f"<h1>{escape(info.scenario_name)}</h1>"]
+    if flight.page and flight.page.scenario.question:
+        out.append(f'<p class="question">{escape(flight.page.scenario.question)}</p>')
+    line = [f'<span class="outcome {escape(flight.outcome)}">{escape(flight.outcome)}</span>']
+    line.append(f"{metrics['simulated_s']:g} of {info.duration_s:g} s simulated")
+    line.append(f"{len(info.names) - 1} followers of {escape(info.names[0])}")
+    line.append(escape(", ".join(sorted(set(info.aircraft)))))
+    line.append(f"seed {info.seed}")
+    out.append(f'<p class="meta">{" · ".join(line)}</p>')
+    if not flight.log.finished:
+        out.append(
+            "<p>The log was never closed: the run was killed, and this is what it left. Numbers"
+            " are counted from the frames that are there.</p>"
+        )
+    if flight.page and flight.page.scenario.expectation:
+        out.append(f"<p>Expected: {escape(flight.page.scenario.expectation)}</p>")
+    cards = "".join(f"<li><b>{value}</b><span>{what}</span></li>" for value, what in _cards(flight))
+    out.append(f'<ul class="cards">{cards}</ul>')
+    return "".join(out)
+
+
+def _cards(flight: Flight) -> list[tuple[str, str]]:
+    metrics = flight.metrics
+    cards = []
+    for name, portion in list(metrics["portions"].items())[:ABREAST]:
+        value = show(portion["mean_rms_m"], "{:.2f} m")
+        what = f"mean RMS error, {escape(name)}"
+        theirs = ((metrics.get("published") or {}).get("mean_rms_m") or {}).get(name)
+        cards.append((value, what + (f"; paper\u00a0{theirs:g}\u00a0m" if theirs else "")))
+    largest = [each for each in metrics["max_error_m"].values() if each is not None]
+    if largest and not metrics["portions"]:
+        cards.append((f"{max(largest):.2f} m", "largest formation error"))
+    cards.append((show(metrics["min_separation_m"], "{:.2f} m"), "smallest separation"))
+    lost = [name for name, at in metrics["lost_at_s"].items() if at is not None]
+    engaged = [at for at in metrics["engaged_at_s"].values() if at is not None]
+    if flight.followers:
+        cards.append((f"{len(engaged)} of {len(flight.followers)}", "followers engaged"))
+    cards.append((str(len(lost)), "aircraft lost"))
+    return cards
+
+
+def _errors(flight: Flight) -> str:
+    metrics, names = flight.metrics, flight.followers
+    if not names:
+        return ""
+    portions = list(metrics["portions"])
+    exact = not any(metrics["relative_position_m"].values())
+    out = [
+        to_html(error_table(metrics, portions[k : k + ABREAST], names, exact=exact))
+        for k in range(0, len(portions), ABREAST)
+    ]
+    if not portions:
+        out.append("<p>The page has no portions, so that no RMS errors are taken.</p>")
+    else:
+        out.append(
+            "<p>Root mean square of the distance ‖q̃‖ between a follower and its slot over each"
+            " portion, [HBH23] eq. (30); the error in percent is that of eq. (31), a share of the"
+            " distance from the leader to the slot.</p>"
+        )
+    source = (metrics.get("published") or {}).get("source")
+    if source and portions:
+        out.append(f"<p>Published: {escape(source)}. A ratio below 1 is a smaller error.</p>")
+    return "".join(out)
+
+
+def _followers(flight: Flight) -> str:
+    metrics = flight.metrics
+    out = []
+    if flight.followers:
+        out.append(to_html(follower_table(metrics, flight.followers)))
+    out.append(rows_to_html(facts(metrics)))
+    radio = metrics["network"]
+    if radio and radio["links"] and not describe(radio):
+        out.append(f"<p>All {radio['all']['sent']:,} messages arrived at once.</p>")
+    elif radio and radio["links"]:
+        links = worst_links(radio["links"])
+        out.append("<h3>Links</h3>" + to_html(arrival_table(links, radio["all"])))
+        count = sum(len(each) for each in radio["links"].values())
+        if count > MOST_LINKS:
+            out.append(f"<p>Shown are the worst {MOST_LINKS} of {count} links.</p>")
+    return "".join(out)
+
+
+def _figure(figure: Figure) -> str:
+    from testbed.views.figure_door import to_svg
+
+    label = escape(f"{figure.title}. {figure.caption}", quote=True)
+    return (
+        f'<figure id="figure-{figure.name}"><h3>{escape(figure.title)}</h3>'
+        f"{for_page(to_svg(figure.sheet), figure.name, label)}"
+        f"<figcaption>{escape(figure.caption)}</figcaption></figure>"
+    )
+
+
+def _events(flight: Flight) -> str:
+    events = flight.metrics["events"]
+    if not events:
+        return "<p>Nothing was reported.</p>"
+    rows = "".join(
+        f'<tr><td>{event["time_s"]:.2f}</td><td class="{_tone(event["level"])}">'
+        f"{escape(event['level'])}</td><td>{escape(event['source'])}</td>"
+        f"<td>{escape(event['text'])}</td></tr>"
+        for event in events[:MOST_EVENTS]
+    )
+    head = "".join(f'<th scope="col">{each}</th>' for each in ("time, s", "level", "who", "what"))
+    more = len(events) - MOST_EVENTS
+    rest = f"<p>… and {more} more in the log.</p>" if more > 0 else ""
+    return (
+        f'<div class="wide"><table class="facts"><thead><tr>{head}</tr></thead>'
+        f"<tbody>{rows}</tbody></table></div>{rest}"
+    )
+
+
+def _tone(level: str) -> str:
+    return {"error": "red bold", "warning": "yellow"}.get(level, "dim")
+
+
+def _again(flight: Flight) -> str:
+    info, text = flight.log.info, flight.log.info.scenario_yaml
+    versions = [(name, str(value)) for name, value in info.versions.items()]
+    rows: list[tuple[str, str]] = [("seed", str(info.seed)), *versions]
+    rows += [
+        ("base rate", f"{info.base_rate_hz} Hz"),
+        ("log rate", f"{info.frame_rate_hz} Hz"),
+        ("aircraft", ", ".join(map(" ".join, zip(info.names, info.aircraft, strict=True)))),
+    ]
+    if flight.metrics["real_time_factor"] is not None:
+        factor = f"{flight.metrics['real_time_factor']:.1f} × real time"
+        rows.append(("took", f"{flight.metrics['wall_s']:.1f} s, {factor}"))
+    out = [rows_to_html([*rows])]
+    if not text:
+        return "".join([*out, "<p>The log does not hold the page that was flown.</p>"])
+    file = f"{info.scenario_name}.yaml"
+    encoded = base64.b64encode(text.encode()).decode()
+    out.append(
+        "<p>Save the page below, as it was flown with every default written out, and fly it with"
+        f" these versions:</p><pre>testbed run {escape(file)}</pre>"
+        f'<p class="screen"><a download="{escape(file, quote=True)}" '
+        f'href="data:text/yaml;base64,{encoded}">Save {escape(file)}</a></p>'
+    )
+    touched = _from_outside(flight)
+    if touched:
+        out.append(
+            f"<p>This run cannot be repeated from its page alone: {escape(', '.join(touched))}.</p>"
+        )
+    out.append(f'<pre class="page">{escape(text)}</pre>')
+    return "".join(out)
+
+
+def _from_outside(flight: Flight) -> Sequence[str]:
+    """What other programs had to do with the run."""
+    said = {
+        "commanded": "programs outside gave commands",
+        "arduplane": "ArduPlane flew aircraft",
+    }
+    return [text for key, text in said.items() if flight.metrics.get(key)]
