@@ -172,7 +172,7 @@ def beside(first: Batch, second: Batch, labels: tuple[str, str]) -> Batch:
     columns["age"] = _apart(one.age, two.age, np.nan)
     columns["missed"] = _apart(one.missed, two.missed, 0.0)
     events = [
-        replace(event, source=f"{label} {event.source}")
+        replace(event, source=f"{label}.{event.source}")
         for label, each in zip(labels, (first, second), strict=True)
         for event in each.events
     ]

@@ -89,9 +89,9 @@ def pictures(still: Scene, frame: Framing, *, estimated: bool) -> tuple[Picture,
         frame: how it fills them.
         estimated: whether aircraft fly by estimates that are not the truth.
     """
-    names = tuple(f"world/{name}/name" for name in still.names)
-    markers = tuple(f"world/{name}/marker" for name in still.names)
-    drawn = tuple(f"world/{name}/drawn/**" for name in still.names)
+    names = tuple(f"world/aircraft/{name}/name" for name in still.names)
+    markers = tuple(f"world/aircraft/{name}/marker" for name in still.names)
+    drawn = tuple(f"world/aircraft/{name}/drawn/**" for name in still.names)
     upright = ("world/paths/posts", "world/paths/shadow")
     legend = [f"arrows: wind, {frame.wind:g} m per m/s"]
     legend += ["dots: own estimates"] if estimated else []

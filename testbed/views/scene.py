@@ -90,7 +90,7 @@ def together(first: Scene, second: Scene, labels: tuple[str, str]) -> Scene:
         for shade, each in zip(shades, (first, second), strict=True)
     ]
     names = [
-        tuple(f"{label} {name}" for name in each.names)
+        tuple(f"{label}.{name}" for name in each.names)
         for label, each in zip(labels, (first, second), strict=True)
     ]
     same = len(first.paths) == len(second.paths) and all(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 from testbed.errors import InputError
@@ -97,7 +98,13 @@ def overlay(first: Replayable, second: Replayable, sink: Sink) -> None:
     batch = beside(whole(first, first.events), whole(second, second.events), labels)
     if not len(batch):
         raise InputError("the two runs have no frame at the same time: nothing to lay over")
-    _show(together(scene_of(first.info), scene_of(second.info), labels), batch, sink)
+    scenes = scene_of(first.info), scene_of(second.info)
+    begin = float(batch.time[0])
+    who = [
+        Event(begin, "info", label, f"is {still.title}")
+        for label, still in zip(labels, scenes, strict=True)
+    ]
+    _show(together(*scenes, labels), replace(batch, events=(*who, *batch.events)), sink)
 
 
 def _show(still: Scene, batch: Batch, sink: Sink) -> None:

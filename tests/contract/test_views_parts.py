@@ -54,7 +54,7 @@ def test_two_runs_beside_each_other_share_their_times_and_no_link():
     np.testing.assert_array_equal(both.error[:, 0], one.error[: len(two), 0])
     assert np.isnan(both.age[:, 0, 2:]).all() and np.isnan(both.age[:, 1:, :2]).all()
     still = together(scene(2), scene(4), ("A", "B"))
-    assert still.names == ("A leader", "A uav1", "B leader", "B uav1", "B uav2", "B uav3")
+    assert still.names == ("A.leader", "A.uav1", "B.leader", "B.uav1", "B.uav2", "B.uav3")
     assert still.followers == (1, 3, 4, 5) and len(still.speed_bounds) == 4
     assert len(still.paths) == 1  # both have the same
     assert len(set(still.colours)) == 6

@@ -2,10 +2,11 @@
 
 Entities of a run, in the north-east-down world:
 
-    world/<name>                  pose of an aircraft, below it its marker, its name, and `drawn`:
+    world/aircraft/<name>         pose of an aircraft, below it its marker, its name, and `drawn`:
                                   body, disc and control surfaces
     world/trails/<name>           one short line per stretch flown, by time
     world/slots/<name>            ghost of where a follower should be
+    world/losses/<name>           where an aircraft was lost
     world/paths, world/ground     still
     world/chase                   a frame that goes with the formation and turns with its course;
                                   in it `links`, `wind` and `believed`
@@ -135,7 +136,7 @@ class Recording:
         level[:, 2] = course(shown.velocity[:, 0])
         heading = quaternion_xyzw(level)
         for k, name in enumerate(self._scene.names):
-            self._poses(f"world/{name}", shown.time, shown.position[:, k], attitude[:, k])
+            self._poses(f"world/aircraft/{name}", shown.time, shown.position[:, k], attitude[:, k])
             if len(self._scene.names) <= layout.MOST_MOVING:
                 self._send_flaps(name, self._drawings[k], shown.time, shown.deflection[:, k])
         for i, k in enumerate(self._scene.followers):
@@ -159,7 +160,9 @@ class Recording:
     def _send_flaps(self, name: str, drawing: Airframe, time: Array, deflection: Array) -> None:
         for flap in drawing.flaps:
             hinge = np.tile(flap.hinge, (time.size, 1))
-            self._poses(f"world/{name}/drawn/{flap.name}", time, hinge, flap.turn(deflection))
+            self._poses(
+                f"world/aircraft/{name}/drawn/{flap.name}", time, hinge, flap.turn(deflection)
+            )
 
     def _poses(self, entity: str, time: Array, position: Array, quaternion: Array) -> None:
         self._columns(

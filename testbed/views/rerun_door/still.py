@@ -53,7 +53,7 @@ def stills(
 
 
 def _aircraft(name: str, drawing: Airframe, paint: scene.Colour, size: float) -> Iterator[Entity]:
-    at, trim = f"world/{name}", scene.trim(paint)
+    at, trim = f"world/aircraft/{name}", scene.trim(paint)
     yield f"{at}/drawn", (rr.Transform3D(scale=size),)
     yield f"{at}/drawn/body", (painted(drawing.body, paint, trim),)
     if drawing.disc is not None:
