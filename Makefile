@@ -17,7 +17,7 @@ CLIENTS_STAMP := $(CLIENTS)/.installed
 MAKEFLAGS += --no-print-directory
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test checks warm lint types tests clients check-all bench results netem wheel lock clean
+.PHONY: help setup run test checks warm lint types tests clients check-all bench results netem docs wheel lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,4p'
@@ -78,12 +78,13 @@ check-all: test wheel
 	@cd build && fresh/bin/testbed run simulation-3 --duration 30 --out fresh/run
 
 # What everything around the flight model costs, as a ratio to bare JSBSim; coherent air and estimates
-# on top; and the radio of 100 aircraft.
+# on top; the radio of 100 aircraft; and a live view.
 bench: $(STAMP)
 	@$(BIN)/python benchmarks/full_over_bare.py $(ARGS)
 	@$(BIN)/python benchmarks/page_cost.py --set air.turbulence.model=coherent
 	@$(BIN)/python benchmarks/page_cost.py --set leader.sensors=pixhawk --set 'fleet.*.sensors=pixhawk'
 	@$(BIN)/python benchmarks/network_cost.py
+	@$(BIN)/python benchmarks/view_cost.py
 
 # Flies every row of the tables in docs/simulations.md, experiments.md, air.md, network.md and sensors.md
 # and writes them there.
@@ -102,12 +103,16 @@ netem: $(STAMP)
 		TESTBED_PACKETS=$${TESTBED_PACKETS:-20000} \
 		$(BIN)/pytest -q -p no:cacheprovider tests/truth/test_netem.py
 
+# The pages, read on their own or by `python -m http.server -d build/site`, which their search needs.
+docs: $(STAMP)
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
+
 wheel: $(STAMP)
 	@rm -rf dist && $(BIN)/python -m build --no-isolation --wheel >/dev/null && ls dist/*.whl
 
 # Needs uv. Takes the newest releases inside the ranges of pyproject.toml.
 lock:
-	@uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 \
+	@uv pip compile pyproject.toml --extra dev --extra docs --universal --python-version 3.11 \
 		--generate-hashes --no-annotate --no-config --upgrade --quiet \
 		--custom-compile-command "make lock" -o requirements.lock
 	@uv pip compile tests/clients/requirements.in --no-deps --universal --python-version 3.11 \

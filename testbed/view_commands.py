@@ -29,6 +29,10 @@ def view(
 
 def shot(
     run: RunName,
+    other: Annotated[
+        str | None, typer.Argument(metavar="[RUN]", help="A run to lay over it.")
+    ] = None,
+    *,
     out: Annotated[Path, typer.Option(metavar="FILE.png", help="The picture.")],
     at: Annotated[
         float | None,
@@ -38,11 +42,12 @@ def shot(
         str, typer.Option(metavar="WIDTHxHEIGHT", help="Of the viewer's window, pixels.")
     ] = "1600x900",
 ) -> None:
-    """Save a picture of a flown run as the viewer shows it, without a screen.
+    """Save a picture of one run, or of two laid over one another, without a screen.
 
     Needs a Vulkan driver; one in software will do: on Debian and Ubuntu, the package
     mesa-vulkan-drivers.
     """
-    from testbed.view_console import picture_run
+    from testbed.view_console import picture_runs
 
-    raise typer.Exit(picture_run(run, at_s=at, out=out, size=size))
+    names = [run] if other is None else [run, other]
+    raise typer.Exit(picture_runs(names, at_s=at, out=out, size=size))

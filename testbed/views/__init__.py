@@ -4,8 +4,9 @@ Nothing here imports Rerun until a view is opened, and no viewer, present or abs
 dead, changes a run.
 """
 
+from testbed.views.replay import replay
 from testbed.views.shot import shoot
 from testbed.views.sinks import InMemory, LiveViewer, RrdFile, Sink
-from testbed.views.view import RerunView, overlay, replay
+from testbed.views.view import RerunView
 
-__all__ = ["InMemory", "LiveViewer", "RerunView", "RrdFile", "Sink", "overlay", "replay", "shoot"]
+__all__ = ["InMemory", "LiveViewer", "RerunView", "RrdFile", "Sink", "replay", "shoot"]

@@ -59,7 +59,9 @@ class Batch:
     euler: Array  # (m, N, 3) rad
     believed: Array  # (m, N, 3) m NED, where its own estimate says it is
     wind: Array  # (m, N, 3) m/s NED
-    deflection: Array  # (m, N, 3) -1..1, aileron, elevator, rudder
+    aileron: Array  # (m, N) -1..1
+    elevator: Array  # (m, N) -1..1
+    rudder: Array  # (m, N) -1..1
     throttle: Array  # (m, N) commanded, 0..1
     lost: Array  # (m, N) 1: lost
     slot: Array  # (m, n, 3) m NED
@@ -68,7 +70,8 @@ class Batch:
     course_desired: Array  # (m, n) rad
     climb_desired: Array  # (m, n) rad, flight-path angle
     age: Array  # (m, n, N) s, of what a follower used of each aircraft; nan: of none
-    missed: Array  # (m, n, N) messages that were sent and do not arrive, since the start
+    sent: Array  # (m, n, N) messages since the start
+    delivered: Array  # (m, n, N) of these, those that arrive
     events: tuple[Event, ...] = ()
 
     def __len__(self) -> int:
@@ -88,7 +91,9 @@ COLUMNS: Mapping[str, Callable[[Source], Any]] = {
     "euler": lambda source: source.truth.euler,
     "believed": lambda source: source.estimate.position_ned,
     "wind": lambda source: source.air.wind_ned,
-    "deflection": lambda source: np.stack(source.surfaces[:3], axis=-1),
+    "aileron": lambda source: source.surfaces.aileron,
+    "elevator": lambda source: source.surfaces.elevator,
+    "rudder": lambda source: source.surfaces.rudder,
     "throttle": lambda source: source.command.throttle,
     "lost": lambda source: source.lost,
     "slot": lambda source: source.formation.slot_ned,
@@ -97,9 +102,11 @@ COLUMNS: Mapping[str, Callable[[Source], Any]] = {
     "course_desired": lambda source: source.formation.course_desired,
     "climb_desired": lambda source: source.formation.flight_path_angle_desired,
     "age": lambda source: source.formation.age_s,
-    "missed": lambda source: np.subtract(*source.links, dtype=np.float64),
+    "sent": lambda source: source.links.sent,
+    "delivered": lambda source: source.links.delivered,
 }
 assert tuple(COLUMNS) == tuple(each.name for each in fields(Batch) if each.name != "events")
+TABLES = {"age": np.nan, "sent": 0.0, "delivered": 0.0}  # of links, and where there is none
 
 
 class Collector:
@@ -166,11 +173,11 @@ def beside(first: Batch, second: Batch, labels: tuple[str, str]) -> Batch:
     columns = {
         name: np.concatenate([getattr(one, name), getattr(two, name)], axis=1)
         for name in COLUMNS
-        if name not in ("time", "age", "missed")
+        if name not in ("time", *TABLES)
     }
     columns["time"] = one.time
-    columns["age"] = _apart(one.age, two.age, np.nan)
-    columns["missed"] = _apart(one.missed, two.missed, 0.0)
+    for name, nothing in TABLES.items():
+        columns[name] = _apart(getattr(one, name), getattr(two, name), nothing)
     events = [
         replace(event, source=f"{label}.{event.source}")
         for label, each in zip(labels, (first, second), strict=True)

@@ -1,49 +1,58 @@
-"""A picture of a recorded run at a moment, without a screen."""
+"""A picture of recorded runs at a moment, without a screen."""
 
 from __future__ import annotations
 
 import time
 from pathlib import Path
 
-from testbed.views.batch import parts, whole
-from testbed.views.scene import scene_of
-from testbed.views.view import BATCH_FRAMES, Replayable
+from testbed.views.replay import Recorded, send, shown
 from testbed.views.viewer import free_port, headless
 
 SIZE = (1600, 900)  # pixels
 LOADED_S = 60.0  # a long run on a slow machine
 DRAWN_S = 1.0  # the viewer lays out and draws a few times, and does not say when it is done
+GREETED_S = 4.5  # for so long it tells people in a corner that it listens
 
 
 class ViewTroubleError(RuntimeError):
     """A view of the viewer complains about what it was given: a fault of ours."""
 
 
-def shoot(run: Replayable, at_s: float, path: Path, *, size: tuple[int, int] = SIZE) -> None:
-    """Save what the viewer shows of a run.
+def shoot(
+    path: Path,
+    at_s: float,
+    first: Recorded,
+    second: Recorded | None = None,
+    *,
+    size: tuple[int, int] = SIZE,
+) -> None:
+    """Save what the viewer shows of a run, or of two over one another.
 
     Args:
-        run: a log.
-        at_s: time within the run, s.
         path: of the PNG.
+        at_s: a time that the runs have, s.
+        first: a log.
+        second: another one.
         size: width and height of the viewer's window, pixels.
 
     Raises:
-        InputError: there is no viewer that draws without a screen.
+        InputError: two runs have no time in common, or there is no viewer that draws without a
+            screen.
         ViewTroubleError: a view complains; the picture is there all the same.
     """
     from testbed.views.rerun_door import Recording, Remote
 
-    port, still = free_port(), scene_of(run.info)
+    port, (still, batch) = free_port(), shown(first, second)
     with headless(port, size):
+        greeted = time.monotonic() + GREETED_S
         recording = Recording(still, live=False)
         recording.open(port)
-        for part in parts(whole(run, run.events), BATCH_FRAMES):
-            recording.send(part)
+        send(recording, batch)
         recording.flush(LOADED_S)
         remote = Remote(port, still.recording_id)
         remote.stop_at(at_s, LOADED_S)
-        time.sleep(DRAWN_S)
+        remote.hide_menu()
+        time.sleep(max(DRAWN_S, greeted - time.monotonic()))
         complaints = remote.picture(path)
         recording.close()
     if complaints:

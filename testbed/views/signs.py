@@ -75,11 +75,12 @@ class Links:
 
     def _losses(self, batch: Batch) -> Array:
         """When a message was last lost (m, n, N), s; minus infinity: never."""
-        lost = np.diff(batch.missed, axis=0, prepend=self._missed[None]) > 0
+        missed = batch.sent - batch.delivered
+        lost = np.diff(missed, axis=0, prepend=self._missed[None]) > 0
         when = np.where(lost, batch.time[:, None, None], -np.inf)
         when[0] = np.maximum(when[0], self._lost_at)
         last: Array = np.maximum.accumulate(when, axis=0)
-        self._missed, self._lost_at = batch.missed[-1], last[-1]
+        self._missed, self._lost_at = missed[-1], last[-1]
         return last
 
 

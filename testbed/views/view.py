@@ -1,31 +1,20 @@
-"""The observer that shows a run, and the replay of a recorded one."""
+"""The observer that shows a run."""
 
 from __future__ import annotations
 
 import logging
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
-from testbed.errors import InputError
 from testbed.state import Event, Frame, RunInfo
-from testbed.views.batch import Batch, Collector, Source, beside, parts, whole
-from testbed.views.scene import Scene, scene_of, together
+from testbed.views.batch import Collector
+from testbed.views.scene import scene_of
 from testbed.views.sinks import LiveViewer, Outlet, Sink
 
 PERIOD_S = 0.5  # wall clock between batches
 BATCH_FRAMES = 1000  # at most in a batch: a fast run reaches it before the half second
 log = logging.getLogger(__name__)
-
-
-class Replayable(Source, Protocol):
-    """A log read back, such as `testbed.record.read.Log`."""
-
-    @property
-    def info(self) -> RunInfo: ...  # noqa: D102
-    @property
-    def events(self) -> tuple[Event, ...]: ...  # noqa: D102
 
 
 class RerunView:
@@ -76,41 +65,3 @@ class RerunView:
         except Exception as error:  # whatever is wrong with a view, the flight is not to blame
             log.warning("The view stops here, the run goes on: %s", error)
             self._outlet = None
-
-
-def replay(run: Replayable, sink: Sink) -> None:
-    """Show a recorded run: all of its frames, as fast as the sink takes them.
-
-    Raises:
-        OSError: an .rrd file cannot be written.
-    """
-    _show(scene_of(run.info), whole(run, run.events), sink)
-
-
-def overlay(first: Replayable, second: Replayable, sink: Sink) -> None:
-    """Show two recorded runs in one view, at the times that both have.
-
-    Raises:
-        InputError: they have no time in common.
-        OSError: an .rrd file cannot be written.
-    """
-    labels = ("A", "B")
-    batch = beside(whole(first, first.events), whole(second, second.events), labels)
-    if not len(batch):
-        raise InputError("the two runs have no frame at the same time: nothing to lay over")
-    scenes = scene_of(first.info), scene_of(second.info)
-    begin = float(batch.time[0])
-    who = [
-        Event(begin, "info", label, f"is {still.title}")
-        for label, still in zip(labels, scenes, strict=True)
-    ]
-    _show(together(*scenes, labels), replace(batch, events=(*who, *batch.events)), sink)
-
-
-def _show(still: Scene, batch: Batch, sink: Sink) -> None:
-    outlet = sink.open(still)
-    if outlet is None:
-        return
-    for part in parts(batch, BATCH_FRAMES):
-        outlet.send(part)
-    outlet.close()

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 
 import pytest
@@ -38,6 +39,18 @@ PAGES = (
     "docs/check.md",
     "docs/export.md",
     "docs/report.md",
+    "docs/view.md",
+    "docs/index.md",
+    "docs/tutorial.md",
+    "docs/own-scenario.md",
+    "docs/own-aircraft.md",
+    "docs/run.md",
+    "docs/ci.md",
+    "docs/physics.md",
+    "docs/reference/commands.md",
+    "docs/reference/scenario.md",
+    "docs/reference/python.md",
+    "docs/reference/equations.md",
 )
 UAVS = ("uav1", "uav2", "uav3")
 SHOWN_S = (
@@ -94,7 +107,7 @@ def snippets(page: str) -> list[Snippet]:
             block[2],
             after[2] if after and after[1] == "text" and not gap(text, block, after) else None,
         )
-        for block, after in zip(found, [*found[1:], None], strict=True)
+        for block, after in zip_longest(found, found[1:])
     ]
 
 
@@ -116,7 +129,8 @@ def new_desk(tmp_path_factory):
 
     def make():
         folder = tmp_path_factory.mktemp("desk")
-        (folder / "tests").symlink_to(ROOT / "tests")
+        for name in ("tests", "aircraft"):
+            (folder / name).symlink_to(ROOT / name)
         (folder / "bin").mkdir()
         hand_over = folder / "bin" / "hand_over.py"
         hand_over.write_text(HAND_OVER)

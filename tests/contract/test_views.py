@@ -3,6 +3,7 @@
 import contextlib
 import ctypes.util
 import dataclasses
+import functools
 import logging
 import os
 import signal
@@ -15,7 +16,11 @@ import numpy as np
 import pytest
 import views_flight
 
+from testbed import run
+from testbed.record.read import read_log
+from testbed.scenario import load, shorten
 from testbed.state import Event
+from testbed.study.two_runs import compare_runs
 from testbed.views import InMemory, LiveViewer, RerunView, RrdFile, replay, scene, shoot, viewer
 from testbed.views.airframes import airframe
 from testbed.views.batch import Collector, whole
@@ -145,7 +150,7 @@ def test_an_rrd_file_that_cannot_be_written_is_said_before_the_flight(tmp_path):
 
 def test_a_replay_writes_the_whole_flight(tmp_path):
     path = tmp_path / "new" / "run.rrd"
-    replay(views_flight.log(4, 60.0), RrdFile(path))
+    replay(RrdFile(path), views_flight.log(4, 60.0))
     assert rows_of(path) > 1500 * (4 + 3 + 1 + 4)  # poses and four plots of every frame
 
 
@@ -195,7 +200,7 @@ def wait_until_written(path):
 
 
 def test_a_live_viewer_gets_everything_and_the_end_is_quick(caplog, tmp_path):
-    port, seen, whole = viewer.free_port(), tmp_path / "seen.rrd", tmp_path / "whole.rrd"
+    port, seen, complete = viewer.free_port(), tmp_path / "seen.rrd", tmp_path / "whole.rrd"
     info, frames = views_flight.info(4, 120.0), list(views_flight.frames(4, 120.0))
     with saving_viewer(seen, port) as program:
         view = RerunView(LiveViewer(port=port))
@@ -209,9 +214,9 @@ def test_a_live_viewer_gets_everything_and_the_end_is_quick(caplog, tmp_path):
         os.killpg(program.pid, signal.SIGTERM)
         program.wait(20)
     assert warnings_of(caplog) == []
-    replay(views_flight.log(4, 120.0), RrdFile(whole))
+    replay(RrdFile(complete), views_flight.log(4, 120.0))
     # Batches of another size have a few more rows: the two ends of each limit.
-    assert rows_of(whole) - 50 < rows_of(seen) < rows_of(whole) + 50
+    assert rows_of(complete) - 50 < rows_of(seen) < rows_of(complete) + 50
 
 
 @pytest.mark.parametrize("deed", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "frozen"])
@@ -245,6 +250,58 @@ def test_a_viewer_killed_or_frozen_in_mid_run_costs_less_than_a_second(deed, cap
         assert "closed" in warned[0]
 
 
+class Watched(RerunView):
+    """A view that tells what the run waited for it, and does a deed in mid-flight."""
+
+    def __init__(self, sink, at_frame=None, deed=None):
+        super().__init__(sink)
+        self.at_frame, self.deed = at_frame, deed
+        self.frame, self.waited = 0, 0.0
+
+    def timed(self, method, *given):
+        start = time.perf_counter()
+        method(*given)
+        self.waited += time.perf_counter() - start
+
+    def begin(self, info):
+        self.timed(super().begin, info)
+
+    def observe(self, frame):
+        if self.frame == self.at_frame:
+            self.deed()
+        self.frame += 1
+        self.timed(super().observe, frame)
+
+    def end(self, summary, events):
+        self.timed(super().end, summary, events)
+
+
+def test_no_viewer_changes_a_run_or_its_log_or_costs_it_a_second(monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    page = shorten(load("ideal-figure-eight"), 100.0)
+
+    def flight(name, *watching):
+        run(page, out=tmp_path / name, observers=watching)
+        return read_log(tmp_path / name / "run.mcap")
+
+    def same(one, other):
+        return compare_runs(one, other, within=None).same  # every number, event and frame
+
+    alone = flight("alone")
+    missing = Watched(LiveViewer(port=viewer.free_port()))
+    assert same(flight("missing", missing), alone)
+    assert missing.waited < 1.0
+    for name, deed in (("killed", signal.SIGKILL), ("frozen", signal.SIGSTOP)):
+        port = viewer.free_port()
+        with saving_viewer(tmp_path / f"{name}.rrd", port) as program:
+            kill = functools.partial(os.killpg, program.pid, deed)
+            view = Watched(LiveViewer(port=port), 1000, kill)
+            assert same(flight(name, view), alone)
+            assert view.frame == 2501 and view.waited < 1.0
+
+
 def vulkan() -> bool:
     """Whether the viewer can draw without a screen."""
     drivers = [
@@ -253,15 +310,36 @@ def vulkan() -> bool:
     return ctypes.util.find_library("vulkan") is not None and any(any(d) for d in drivers)
 
 
-@pytest.mark.skipif(not vulkan(), reason="no Vulkan driver: apt-get install mesa-vulkan-drivers")
+needs_vulkan = pytest.mark.skipif(
+    not vulkan(), reason="no Vulkan driver: apt-get install mesa-vulkan-drivers"
+)
+
+
+def flown(page, folder):
+    """A page flown for a while, read back from its log."""
+    run(page, out=folder / "run")
+    return read_log(folder / "run" / "run.mcap")
+
+
+def flight_of(aircraft, folder):
+    """Nobody flies a formation of one: its flight is made up."""
+    if aircraft == 1:
+        return views_flight.log(1, 40.0)
+    page = load("bursty-wifi") if aircraft == 4 else views_flight.vee_page(aircraft - 1)
+    return flown(shorten(page, 40.0 if aircraft == 4 else 20.0), folder)
+
+
+@needs_vulkan
 @pytest.mark.parametrize("aircraft", [1, 4, 20])
 def test_a_picture_shows_every_aircraft_and_no_view_complains(aircraft, tmp_path):
     from PIL import Image
 
-    path = tmp_path / "flight.png"
-    shoot(views_flight.log(aircraft, 40.0), 33.0, path, size=(1280, 800))
+    folder = Path(os.environ.get("TESTBED_PICTURES", tmp_path))
+    path = folder / f"view-{aircraft}.png"
+    log = flight_of(aircraft, tmp_path)
+    shoot(path, log.time_s[-1] - 6.5, log)
     picture = np.asarray(Image.open(path).convert("RGB")).astype(int)
-    assert picture.shape == (800, 1280, 3)
+    assert picture.shape == (900, 1600, 3)
     chase = picture[: picture.shape[0] // 2, : picture.shape[1] // 2]
     for k in range(min(aircraft, 8)):
         # Trails and wings keep the hue; the viewer's light only darkens it.
@@ -269,7 +347,7 @@ def test_a_picture_shows_every_aircraft_and_no_view_complains(aircraft, tmp_path
         assert near.sum() > 20, f"aircraft {k} is not in the picture"
 
 
-@pytest.mark.skipif(not vulkan(), reason="no Vulkan driver: apt-get install mesa-vulkan-drivers")
+@needs_vulkan
 def test_a_view_that_complains_is_an_error(tmp_path, monkeypatch):
     from testbed.views import layout
     from testbed.views.shot import ViewTroubleError
@@ -281,4 +359,4 @@ def test_a_view_that_complains_is_an_error(tmp_path, monkeypatch):
 
     monkeypatch.setattr(layout, "pictures", astray)
     with pytest.raises(ViewTroubleError, match="Formation"):
-        shoot(views_flight.log(2, 2.0), 1.0, tmp_path / "flight.png", size=(640, 400))
+        shoot(tmp_path / "flight.png", 1.0, views_flight.log(2, 2.0), size=(640, 400))

@@ -64,7 +64,7 @@ def radio(aircraft, frames):
     """A flight in which everyone hears everyone, and nothing is lost or old."""
     batch = flight(aircraft, frames / 25.0)
     zeros = np.zeros((frames, aircraft - 1, aircraft))
-    return dataclasses.replace(batch, age=zeros + 0.1, missed=zeros.copy())
+    return dataclasses.replace(batch, age=zeros + 0.1, sent=zeros.copy())
 
 
 def colours_of(lines, frame):
@@ -74,7 +74,7 @@ def colours_of(lines, frame):
 
 def test_a_lost_message_flashes_on_its_link_and_then_not():
     batch = radio(3, 50)
-    batch.missed[20:, 1, 0] = 1.0  # one message from the leader to the second follower
+    batch.sent[20:, 1, 0] = 1.0  # one message from the leader to the second follower
     links = signs.Links(scene(3))
     cut = list(parts(batch, 25))  # the flash goes on in the next batch
     lines = [links.lines(each) for each in cut]
@@ -95,8 +95,8 @@ def test_a_link_that_nobody_uses_is_drawn_only_while_a_used_one_fails():
     batch = radio(3, 50)
     batch.age[:] = np.nan
     batch.age[:25, 0, 0] = 0.1  # heard, and then no more
-    batch.missed[25:, 0, 0] = np.arange(1, 26)
-    batch.missed[25:, 0, 2] = np.arange(1, 26)  # never used: nobody's loss
+    batch.sent[25:, 0, 0] = np.arange(1, 26)
+    batch.sent[25:, 0, 2] = np.arange(1, 26)  # never used: nobody's loss
     lines = signs.Links(scene(3)).lines(batch)
     np.testing.assert_array_equal(lines.counts, 1)
     assert (colours_of(lines, 10) == signs.FRESH).all()
@@ -113,7 +113,7 @@ def test_old_news_is_drawn_as_such():
 
 def test_of_too_many_links_only_those_that_fail_are_drawn():
     batch = radio(20, 25)
-    batch.missed[10:, 4, 7] = 1.0
+    batch.sent[10:, 4, 7] = 1.0
     lines = signs.Links(scene(20)).lines(batch)
     assert 19 * 19 > signs.MOST_LINKS
     assert lines.counts[9] == 0 and lines.counts[10] == 1

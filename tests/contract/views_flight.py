@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from testbed.frames import GRAVITY
+from testbed.scenario import Scenario, load
 from testbed.state import (
     AirData,
     Array,
@@ -31,6 +32,24 @@ def vee(followers: int) -> Array:
     k = np.arange(followers)
     row, side = k // 2 + 1, np.where(k % 2, -1.0, 1.0)
     return np.stack([-5.0 * row, 5.0 * row * side, np.where(k % 2, 1.0, -1.0) * (k > 0)], axis=-1)
+
+
+def vee_page(followers: int) -> Scenario:
+    """Simulation 3's leader and a vee of as many behind it, who each hear whom they fly behind."""
+    names = [f"uav{k + 1}" for k in range(followers)]
+    offsets = dict(zip(names, vee(followers).tolist(), strict=True))
+    page = load("simulation-3").model_dump(mode="json", exclude_unset=True)
+    page["scenario"] = {"schema": 1, "name": "vee", "duration_s": 1080.0}
+    page["fleet"] = [
+        {"name": name, "aircraft": "rascal110", "start_m": [ahead - 3.0, right, down]}
+        for name, (ahead, right, down) in offsets.items()
+    ]
+    page["formation"] |= {
+        "offsets_m": offsets,
+        "leader_gains": dict.fromkeys(names, 1.0),
+        "neighbour_gains": {names[k]: {names[k - 2]: 1.0} for k in range(2, followers)},
+    }
+    return Scenario.model_validate(page)
 
 
 def info(aircraft: int, duration_s: float) -> RunInfo:

@@ -135,10 +135,11 @@ class Recording:
         level = np.zeros((len(shown), 3))
         level[:, 2] = course(shown.velocity[:, 0])
         heading = quaternion_xyzw(level)
+        deflection = np.stack([shown.aileron, shown.elevator, shown.rudder], axis=-1)
         for k, name in enumerate(self._scene.names):
             self._poses(f"world/aircraft/{name}", shown.time, shown.position[:, k], attitude[:, k])
             if len(self._scene.names) <= layout.MOST_MOVING:
-                self._send_flaps(name, self._drawings[k], shown.time, shown.deflection[:, k])
+                self._send_flaps(name, self._drawings[k], shown.time, deflection[:, k])
         for i, k in enumerate(self._scene.followers):
             at = f"world/slots/{self._scene.names[k]}"
             self._poses(at, shown.time, shown.slot[:, i], heading)
@@ -159,10 +160,9 @@ class Recording:
 
     def _send_flaps(self, name: str, drawing: Airframe, time: Array, deflection: Array) -> None:
         for flap in drawing.flaps:
+            at = f"world/aircraft/{name}/drawn/{flap.name}"
             hinge = np.tile(flap.hinge, (time.size, 1))
-            self._poses(
-                f"world/aircraft/{name}/drawn/{flap.name}", time, hinge, flap.turn(deflection)
-            )
+            self._poses(at, time, hinge, flap.turn(deflection))
 
     def _poses(self, entity: str, time: Array, position: Array, quaternion: Array) -> None:
         self._columns(

@@ -33,6 +33,10 @@ class Remote:
             time.sleep(0.05)
         self._client.set_time(TIMELINE, duration=time_s, play_state="paused")
 
+    def hide_menu(self) -> None:
+        """Take the bar with the menu out of the window."""
+        self._client.run_command("ui.toggle_top_panel")
+
     def picture(self, path: Path) -> list[str]:
         """Save what the viewer shows as PNG; what its views complain of."""
         self._client.save_screenshot(str(path.absolute()))

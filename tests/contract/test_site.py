@@ -1,0 +1,242 @@
+"""The documentation site: it builds without a warning, stands alone, and leaves nothing out."""
+
+import html
+import json
+import os
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote
+
+import pytest
+from typer.testing import CliRunner
+
+import testbed
+from testbed.cli import app
+from testbed.scenario import json_schema
+
+ROOT = Path(__file__).parents[2]
+HEAVY = {
+    "numpy",
+    "numba",
+    "scipy",
+    "matplotlib",
+    "jsbsim",
+    "mcap",
+    "foxglove",
+    "pymavlink",
+    "rerun",
+}
+BUILD = """
+import json, logging, sys
+from mkdocs.commands.build import build
+from mkdocs.config import load_config
+logging.basicConfig(level="WARNING")
+config = load_config("mkdocs.yml", **json.loads(sys.argv[1]))
+config.plugins.on_startup(command="build", dirty=False)
+build(config)
+print(json.dumps(sorted(sys.modules)))
+"""
+
+
+def built(**changes):
+    """What a process says that builds the site with other settings."""
+    pytest.importorskip("mkdocs", reason="make setup installs it: the extra docs of pyproject.toml")
+    return subprocess.run(
+        [sys.executable, "-c", BUILD, json.dumps(changes)],
+        cwd=ROOT,
+        env={**os.environ, "NO_MKDOCS_2_WARNING": "1", "PYTHONDONTWRITEBYTECODE": "1"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """Where the site is, built strictly, and the modules that were loaded for it."""
+    place = tmp_path_factory.mktemp("site")
+    done = built(site_dir=str(place))
+    assert done.returncode == 0, done.stderr
+    return place, set(json.loads(done.stdout.splitlines()[-1]))
+
+
+class Page(HTMLParser):
+    """Where the links of a page lead, what can be linked to in it, and what it loads."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.links, self.anchors, self.loads = [], {""}, []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        found = dict(attrs)
+        self.anchors |= {found.get("id"), found.get("name") if tag == "a" else None}
+        if tag == "a" and found.get("href"):
+            self.links.append(found["href"])
+        elif tag in ("link", "script", "img", "iframe", "source"):
+            self.loads += [found[key] for key in ("href", "src") if found.get(key)]
+
+
+@pytest.fixture(scope="module")
+def pages(site):
+    place, _ = site
+    return {
+        path: Page(path.read_text(encoding="utf-8"))
+        for path in place.rglob("*.html")
+        if path.name != "404.html"  # its links are from the site's root
+    }
+
+
+def reference(site, name):
+    return (site[0] / "reference" / f"{name}.html").read_text(encoding="utf-8")
+
+
+def test_the_site_is_built_from_the_source_without_importing_what_it_describes(site):
+    _, modules = site
+    assert "griffe" in modules and "testbed.cli" in modules
+    assert not HEAVY & modules
+
+
+def test_every_page_of_the_docs_is_in_the_navigation(site, pages):
+    place, _ = site
+    navigation = {link.partition("#")[0] for link in pages[place / "index.html"].links} | {
+        "index.html"
+    }
+    docs = ROOT / "docs"
+    ours = {path.relative_to(docs).with_suffix(".html") for path in docs.rglob("*.md")}
+    assert len(ours) >= 20
+    assert {path.as_posix() for path in ours} <= navigation
+
+
+def test_every_link_leads_to_a_page_and_a_part_of_it(pages):
+    followed = 0
+    for path, page in pages.items():
+        for link in page.links:
+            if "://" in link or link.startswith("mailto:"):
+                continue
+            target, _, part = link.partition("#")
+            there = (path.parent / unquote(target)).resolve() if target else path
+            assert there in pages, (path, link)
+            assert unquote(part) in pages[there].anchors, (path, link)
+            followed += 1
+    assert followed > 1000
+
+
+def test_nothing_is_loaded_from_elsewhere(site, pages):
+    place, _ = site
+    assert not [(path, load) for path, page in pages.items() for load in page.loads if "//" in load]
+    for path, page in pages.items():
+        for load in page.loads:
+            if not load.startswith(("data:", "#")):
+                assert (path.parent / unquote(load.partition("?")[0])).is_file(), (path, load)
+    for sheet in place.rglob("*.css"):
+        assert not re.search(r"(@import|url\()\s*[\"']?(https?:)?//", sheet.read_text())
+
+
+def test_files_outside_the_docs_are_shown_whole(site):
+    place, _ = site
+    for name in ("scenarios/simulation-3.yaml", "aircraft/skywalker_x8/middle_loop.yaml"):
+        text = (place / "repository" / f"{name}.html").read_text(encoding="utf-8")
+        (code,) = re.findall(r"<code>(.*?)</code></pre>", text, re.S)
+        shown = html.unescape(re.sub(r"<[^>]+>", "", code))
+        assert shown.strip() == (ROOT / name).read_text(encoding="utf-8").strip()
+
+
+def keys(schema):
+    """The keys of every map of the schema, those of maps without a name with their owner's."""
+    named = {"": schema, **schema["$defs"]}
+    for name, definition in named.items():
+        waiting = [definition if name else {**definition, "$defs": {}}]
+        while waiting:
+            part = waiting.pop()
+            if isinstance(part, dict):
+                for key, inner in part.get("properties", {}).items():
+                    yield name, key, inner
+                waiting += [each for key, each in part.items() if key not in ("default", "enum")]
+            elif isinstance(part, list):
+                waiting += part
+
+
+def test_the_reference_has_every_key_of_the_schema_with_what_is_said_of_it(site):
+    text = reference(site, "scenario")
+    rows = {
+        row[1]: html.unescape(re.sub(r"<[^>]+>", "", row[0]))
+        for row in re.finditer(r'<tr>\s*<td><code id="([^"]+)">.*?</tr>', text, re.S)
+    }
+    expected = list(keys(json_schema()))
+    assert len(expected) > 300
+    for name, key, inner in expected:
+        mark = f"{re.sub(r'(?<=[a-z])(?=[A-Z])', '-', name).lower()}.{key}" if name else key
+        assert mark in rows
+        said = " ".join(inner.get("description", "").split())
+        assert said in " ".join(rows[mark].split()), mark
+    assert len(rows) == len({(name, key) for name, key, _ in expected})
+
+
+def test_a_row_has_type_default_and_unit(site):
+    text = reference(site, "scenario")
+    row = re.search(r'<tr>\s*<td><code id="gps.latency_s">.*?</tr>', text, re.S)[0]
+    cells = [re.sub(r"<[^>]+>", "", cell) for cell in re.findall(r"<td>(.*?)</td>", row, re.S)]
+    assert [html.unescape(cell) for cell in cells[:4]] == [
+        "latency_s",
+        "number ≥ 0, ≤ 10",
+        "0.12",
+        "s",
+    ]
+
+
+def test_the_reference_has_every_command_and_option(site):
+    text = html.unescape(reference(site, "commands"))
+    listed = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "200"}).output
+    names = re.findall(r"^│ ([a-z-]+) ", listed[listed.index("Commands") :], re.M)
+    assert {"run", "view", "check", "import"} <= set(names)
+    parts = dict(
+        re.findall(r"<h2 [^>]*>testbed ([a-z-]+)<.*?</h2>(.*?)(?=<h2 |</article>)", text, re.S)
+    )
+    assert list(parts) == names
+    for name in names:
+        helped = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "200"}).output
+        options = set(re.findall(r"^│ \*? *(--[a-z-]+)", helped, re.M)) - {"--help"}
+        shown = set(re.findall(r"<code>(--[a-z-]+)", parts[name]))
+        assert options == shown, name
+
+
+def test_the_reference_has_the_public_names_and_what_fields_say(site):
+    text = reference(site, "python")
+    for name in set(testbed.__all__) - {"__version__"}:
+        assert f'id="testbed.{name}"' in text, name
+    assert "m/s over the ground" in text  # behind VehicleState.velocity_ned
+
+
+def test_a_name_is_in_the_reference_once_the_package_offers_it(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "website")
+    import python_names
+
+    package = tmp_path / "testbed"
+    package.mkdir()
+    (package / "__init__.py").write_text('__all__ = ["run", "__version__", "load"]\nfly = 1 / 0\n')
+    made = python_names.markdown(package / "__init__.py")
+    assert made.split() == [":::", "testbed.load", ":::", "testbed.run"]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            "[a](nowhere.md), [b](../testbed/nowhere.py), [c](#nobody)",
+            ("'nowhere.md'", "testbed/nowhere.py", "'#nobody'"),
+        ),
+        ("<!-- made: everything -->", ("nothing makes 'everything'",)),
+    ],
+)
+def test_a_page_that_leads_nowhere_is_an_error(tmp_path, text, said):
+    docs = tmp_path / "docs"
+    docs.mkdir()
+    (docs / "index.md").write_text(f"# Page\n\n{text}\n")
+    done = built(docs_dir=str(docs), site_dir=str(tmp_path / "site"), nav=None, plugins=[])
+    assert done.returncode != 0
+    for each in said:
+        assert each in done.stderr

@@ -1,0 +1,65 @@
+"""The reference of the command line, from what `--help` says."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import typer
+
+from testbed.cli import EXITS, app
+
+
+def markdown() -> str:
+    """One part for each command, in the order of `testbed --help`."""
+    group: Any = typer.main.get_command(app)
+    parts = [f"{EXITS}\n"]
+    for name, command in group.commands.items():
+        parts += [f"## testbed {name}\n", f"```text\n{usage(name, command)}\n```\n"]
+        parts += [f"{plain(command.help)}\n", table(command)]
+    return "\n".join(parts)
+
+
+def usage(name: str, command: Any) -> str:  # noqa: ANN401 - typer's own copy of click
+    """Its line of usage."""
+    context = typer.Context(command, info_name=f"testbed {name}")
+    return " ".join((f"testbed {name}", *command.collect_usage_pieces(context)))
+
+
+def table(command: Any) -> str:  # noqa: ANN401
+    """Arguments and options with what they take, stand at by default, and do."""
+    rows = [
+        f"| {names(each)} | {cell(default(each))} | {cell(plain(each.help or ''))} |"
+        for each in command.params
+        if each.name != "help"
+    ]
+    return "\n".join(("| | default | what it is |", "|---|---|---|", *rows, "")) if rows else ""
+
+
+def names(parameter: Any) -> str:  # noqa: ANN401
+    """How a parameter is written."""
+    if parameter.param_type_name == "argument":
+        return f"`{parameter.metavar or parameter.name.upper()}`"
+    written = "/".join((*parameter.opts, *parameter.secondary_opts))
+    takes = "" if parameter.is_flag else f" {parameter.metavar or 'VALUE'}"
+    return f"`{written}{takes}`"
+
+
+def default(parameter: Any) -> str:  # noqa: ANN401
+    """What holds without it: said in the help, or a value."""
+    if said := re.search(r"\[default: (.*?)\]", parameter.help or ""):
+        return said[1]
+    value = parameter.default
+    silent = value is None or value is ... or callable(value) or isinstance(value, bool)
+    return "" if silent or parameter.required else f"`{value}`"
+
+
+def plain(text: str) -> str:
+    """Help without what is for the terminal, and without the default, which has a column."""
+    unescaped = text.replace("\\[", "[")
+    return re.sub(r"\s*\[default: .*?\]", "", unescaped).strip()
+
+
+def cell(text: str) -> str:
+    """Text that may stand in a table."""
+    return " ".join(text.split()).replace("|", "\\|")

@@ -1,0 +1,19 @@
+"""Which Python names the reference shows, read from the source: nothing is imported."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+
+def markdown(module: Path) -> str:
+    """Directives of mkdocstrings for everything in a package's `__all__` but its dunders."""
+    tree = ast.parse(module.read_text(encoding="utf-8"))
+    (names,) = (
+        ast.literal_eval(node.value)
+        for node in tree.body
+        if isinstance(node, ast.Assign) and [ast.unparse(t) for t in node.targets] == ["__all__"]
+    )
+    public = sorted((name for name in names if not name.startswith("__")), key=str.lower)
+    package = module.parent.name
+    return "\n\n".join(f"::: {package}.{name}" for name in public)

@@ -1,0 +1,236 @@
+"""The reference of a scenario page, from the schema that editors are given."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from testbed.scenario import json_schema
+
+Schema = Mapping[str, Any]
+HEADING = ("| key | type | default | unit | what it is |", "|---|---|---|---|---|")
+# Units of keys for which the schema has none: what the suffix stands for.
+SUFFIXES = {
+    "m": "m",
+    "s": "s",
+    "deg": "deg",
+    "mps": "m/s",
+    "mps2": "m/s²",
+    "mps3": "m/s³",
+    "radps": "rad/s",
+    "radps2": "rad/s²",
+    "dps": "deg/s",
+    "pa": "Pa",
+    "ppm": "ppm",
+    "percent": "%",
+}
+
+
+def markdown() -> str:
+    """A part for each key at the top of a page, and in it one for each map that it can hold."""
+    schema = json_schema()
+    places = paths(schema)
+    text = ["## At the top of a page\n", table("", schema)]
+    seen: set[str] = set()
+    for key, part in schema["properties"].items():
+        held = [name for name in reached(part, schema["$defs"]) if name not in seen]
+        seen.update(held)
+        if held:
+            text.append(f"## {key}\n")
+        for index, name in enumerate(held):
+            definition = schema["$defs"][name]
+            if index or name not in references(part):
+                text.append(f"### {title(name, definition)} {{#{anchor(name)}}}\n")
+            else:  # the room itself: its name is its heading
+                text.append(f'<a id="{anchor(name)}"></a>\n')
+            text.append(f"{definition.get('description', '')}\n")
+            text.append("Written at " + ", ".join(f"`{place}`" for place in places[name]) + ".\n")
+            if "properties" not in definition:  # a name for what may be written in several ways
+                text.append(f"Takes {cell(takes(definition))}.\n")
+            text += [table(name, each) for each in maps(definition)]
+    return "\n".join(text)
+
+
+def title(name: str, definition: Schema) -> str:
+    """What a map is called: its kind, where there are several, or its name in words."""
+    kind = definition.get("properties", {}).get("kind", {}).get("const")
+    return f"kind: {kind}" if kind else words(name).capitalize()
+
+
+def words(name: str) -> str:
+    """The name of a map in words."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower()
+
+
+def anchor(name: str) -> str:
+    """Where on this page a map is described."""
+    return words(name).replace(" ", "-")
+
+
+def table(name: str, definition: Schema) -> str:
+    """The keys of one map."""
+    rows = []
+    for key, part in definition["properties"].items():
+        mark = f"{anchor(name)}.{key}" if name else key
+        cells = (takes(part), default(part), unit(key, part), part.get("description", ""))
+        rows.append(f"| `{key}`{{#{mark}}} | " + " | ".join(map(cell, cells)) + " |")
+    return "\n".join((*HEADING, *rows, ""))
+
+
+def maps(definition: Schema) -> list[Schema]:
+    """A definition that has keys, or those of the ways of writing it that have."""
+    ways = (definition, *definition.get("anyOf", ()), *definition.get("oneOf", ()))
+    return [way for way in ways if "properties" in way]
+
+
+def references(part: Any) -> Iterator[str]:  # noqa: ANN401 - nested plain data
+    """Every map that a part of the schema names, not those inside them."""
+    if isinstance(part, Mapping):
+        if "$ref" in part:
+            yield part["$ref"].rpartition("/")[2]
+        for key, value in part.items():
+            if key not in ("default", "discriminator"):
+                yield from references(value)
+    elif isinstance(part, list):
+        for value in part:
+            yield from references(value)
+
+
+def reached(part: Any, definitions: Schema) -> list[str]:  # noqa: ANN401
+    """Every map that can stand below a key, in reading order."""
+    found: list[str] = []
+
+    def visit(below: Any) -> None:  # noqa: ANN401
+        for name in references(below):
+            if name not in found:
+                found.append(name)
+                visit(definitions[name])
+
+    visit(part)
+    return found
+
+
+def paths(schema: Schema) -> Mapping[str, list[str]]:
+    """Where on a page each map may stand; `*` is any element of a list or any name."""
+    found: dict[str, list[str]] = defaultdict(list)
+
+    def visit(definition: Schema, path: tuple[str, ...]) -> None:
+        for name, steps in placed(definition, path):
+            place = ".".join(steps)
+            if place not in found[name]:
+                found[name].append(place)
+                visit(schema["$defs"][name], steps)
+
+    visit(schema, ())
+    return found
+
+
+def placed(part: Schema, path: tuple[str, ...]) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """The maps that a key takes, and the way to each."""
+    if "$ref" in part:
+        yield part["$ref"].rpartition("/")[2], path
+    for key in ("anyOf", "oneOf", "allOf"):
+        for each in part.get(key, ()):
+            yield from placed(each, path)
+    for key, each in part.get("properties", {}).items():
+        yield from placed(each, (*path, key))
+    for each in (part.get("items"), named(part)):
+        if isinstance(each, Mapping):
+            yield from placed(each, (*path, "*"))
+
+
+def named(part: Schema) -> Any:  # noqa: ANN401
+    """What a map from names holds, if the schema says."""
+    held = part.get("additionalProperties")
+    return held or next(iter(part.get("patternProperties", {}).values()), None)
+
+
+def takes(part: Schema) -> str:
+    """What may be written."""
+    if "$ref" in part:
+        name = part["$ref"].rpartition("/")[2]
+        return f"[{words(name)}](#{anchor(name)})"
+    if "const" in part:
+        return f"`{written(part['const'])}`"
+    if "enum" in part:
+        return ", ".join(f"`{written(value)}`" for value in part["enum"])
+    for key in ("anyOf", "oneOf"):
+        if key in part:
+            return " or ".join(dict.fromkeys(map(takes, part[key])))
+    return KINDS.get(part.get("type", ""), lambda _: "anything")(part)
+
+
+def number(part: Schema) -> str:
+    """A number with its bounds."""
+    kind = "whole number" if part["type"] == "integer" else "number"
+    low, high = part.get("minimum"), part.get("maximum")
+    above, below = part.get("exclusiveMinimum"), part.get("exclusiveMaximum")
+    below = "2⁶³" if below == 2**63 else below
+    bounds = [
+        *([f"≥ {low}"] if low is not None else [f"> {above}"] if above is not None else []),
+        *([f"≤ {high}"] if high is not None else [f"< {below}"] if below is not None else []),
+    ]
+    return " ".join((kind, ", ".join(bounds))).strip()
+
+
+def array(part: Schema) -> str:
+    """A list, of as many as are said."""
+    if "prefixItems" in part:
+        kinds = list(dict.fromkeys(map(takes, part["prefixItems"])))
+        return f"{len(part['prefixItems'])} × {' or '.join(kinds)}"
+    low, high = part.get("minItems"), part.get("maxItems")
+    inner = takes(part.get("items", {}))
+    return f"{low} × {inner}" if low is not None and low == high else f"list of {inner}"
+
+
+def mapping(part: Schema) -> str:
+    """A map from names."""
+    inner = named(part)
+    return f"by name: {takes(inner)}" if isinstance(inner, Mapping) else "map"
+
+
+KINDS = {
+    "number": number,
+    "integer": number,
+    "array": array,
+    "object": mapping,
+    "string": lambda part: "text",
+    "boolean": lambda part: "`true`, `false`",
+    "null": lambda part: "`null`",
+}
+
+
+def default(part: Schema) -> str:
+    """What holds where the key is not written; a map's own keys say what they hold."""
+    if "default" not in part:
+        return ""
+    value = part["default"]
+    return "see&nbsp;there" if isinstance(value, Mapping) and value else f"`{written(value)}`"
+
+
+def written(value: Any) -> str:  # noqa: ANN401
+    """A value as a page has it."""
+    return value if value and isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+
+
+def unit(key: str, part: Any) -> str:  # noqa: ANN401
+    """The unit of a number, or of the numbers in a list."""
+    return said(part) or (SUFFIXES.get(key.rpartition("_")[2], "") if "_" in key else "")
+
+
+def said(part: Any) -> str:  # noqa: ANN401
+    """The unit that the schema says."""
+    if isinstance(part, list):
+        return next(filter(None, map(said, part)), "")
+    if not isinstance(part, Mapping):
+        return ""
+    inner = (*(part.get(key) for key in ("anyOf", "oneOf", "items", "prefixItems")), named(part))
+    return part.get("unit") or next(filter(None, map(said, inner)), "")
+
+
+def cell(text: str) -> str:
+    """Text that may stand in a table."""
+    return " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;")
