@@ -101,6 +101,9 @@ def test_everyone_engages_and_nobody_is_lost(name, largest, rms):
     assert metrics["outcome"] == "flown"
     assert frames[-1].time_s == SECONDS
     assert all(0.0 < at < 15.0 for at in metrics["engaged_at_s"].values())
+    told = {e["source"]: e["text"] for e in metrics["events"] if "engaged" in e["text"]}
+    for follower, at in metrics["engaged_at_s"].items():
+        assert told[follower].endswith(f"since {at:.1f} s")
     assert metrics["min_separation_m"] > 5.0
     late = np.linalg.norm(stacked(name, "formation", "error_ned", since=30.0), axis=-1)
     assert late.max() < largest

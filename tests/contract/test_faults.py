@@ -43,7 +43,9 @@ def flown(*changes):
 
 
 def said(frames):
-    return [(e.time_s, e.level, e.source, e.text) for frame in frames for e in frame.events]
+    """What was told of faults and what comes of them: not who has taken its slot."""
+    told = [(e.time_s, e.level, e.source, e.text) for frame in frames for e in frame.events]
+    return [event for event in told if not event[3].startswith("engaged")]
 
 
 def faults(number, text):

@@ -8,6 +8,7 @@ from testbed.formation.law import Diagnosis
 from testbed.scenario import load
 from testbed.sim.watch import (
     Arrivals,
+    Engagement,
     Silence,
     Staleness,
     broadcast,
@@ -267,3 +268,21 @@ def test_a_gust_is_told_of_once_where_it_arrives():
     ]
     assert said(3.0, [True, True], [False, False]) == [("leader", "gust front reaches it")]
     assert said(4.0, [True, True], [True, False]) == [("leader", "gust puff reaches it")]
+
+
+def engaged(*distances_m, names=("uav1", "uav2")):
+    """Events of frames 1 s apart in which the followers are so far from their slots (k, n)."""
+    watch = Engagement(names)
+    errors = np.zeros((len(distances_m), len(names), 3))
+    errors[:, :, 1] = distances_m
+    return [event for k, error in enumerate(errors) for event in watch.changes(float(k), error)]
+
+
+def test_a_follower_engages_once_it_has_held_its_slot_for_five_seconds():
+    out, inside = 5.01, 5.0
+    uav1 = [out, inside, inside, inside, inside, inside, inside, out, *[inside] * 9]
+    uav2 = [inside, inside, inside, inside, inside, out, *[inside] * 11]
+    told = engaged(*zip(uav1, uav2, strict=True))
+    assert [(event.time_s, event.source) for event in told] == [(6.0, "uav1"), (11.0, "uav2")]
+    assert [event.text.split()[-2:] for event in told] == [["1.0", "s"], ["6.0", "s"]]
+    assert not engaged(*[(out, out)] * 10)
