@@ -231,6 +231,7 @@ class RunInfo:
     bounded_in_ned: tuple[float, float, float] = (0.0, 0.0, 0.0)
     # n speed barriers h: number of its example in [HBH23] and ν; none of a law of one's own
     barriers: tuple[tuple[int, float], ...] = ()
+    estimated: bool = False  # whether any aircraft flies by estimates that are not the truth
 
 
 class Observer(Protocol):

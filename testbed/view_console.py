@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+import signal
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from testbed.errors import InputError
@@ -41,8 +43,19 @@ def picture_runs(names: Sequence[str], *, at_s: float | None, out: Path, size: s
         raise InputError(f"--out {out}: pictures are PNG; write a name that ends in .png")
     refuse_files(out=out)
     logs = [_read(name) for name in names]
-    shoot(out, _within(at_s, *logs), *logs, size=(int(match[1]), int(match[2])))
+    with terminable():
+        shoot(out, _within(at_s, *logs), *logs, size=(int(match[1]), int(match[2])))
     return 0
+
+
+@contextmanager
+def terminable() -> Iterator[None]:
+    """SIGTERM ends what runs in here as Ctrl-C does, with everything that it has started."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _read(name: str) -> Log:

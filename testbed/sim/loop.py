@@ -37,7 +37,8 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
     control = Control(world.groups, world.offsets, world.roster)
     silence = Silence(world.names[1:], world.groups[0].team.silent_after)
     staleness = Staleness(world.names, world.groups)
-    arrivals, engagement = Arrivals(world.gusts, world.names), Engagement(world.names[1:])
+    arrivals = Arrivals(world.gusts, world.names)
+    engagement = Engagement(world.names[1:], clock.base_rate_hz)
     casualties = Casualties(world.names, world.proximity, breakdowns, fly_on=world.fly_on)
     news = list(world.notes)
     lead, turn = (0.0, 0.0, 0.0), None
@@ -113,7 +114,8 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
                 control.places,
                 world.altitudes,
             )
-            news += engagement.changes(now, formation.error_ned)
+            gone = casualties.gone[1:] | casualties.gone[0]
+            news += engagement.changes(tick, formation.error_ned, gone)
             frame = Frame(
                 tick=tick,
                 time_s=now,

@@ -188,30 +188,33 @@ def _heeded(aircraft: int, groups: Sequence[Group]) -> Truths:
 
 
 class Engagement:
-    """Watches which followers have taken their slots."""
+    """Watches which followers have taken their slots, by the rule of the metrics."""
 
-    def __init__(self, names: Sequence[str]) -> None:
+    def __init__(self, names: Sequence[str], base_rate_hz: int) -> None:
         """Nobody has."""
-        self._names = names
-        self._since = np.full(len(names), np.inf)  # s, inside without a break
+        self._names, self._rate = names, base_rate_hz
+        self._since = np.full(len(names), -1)  # tick, inside without a break; -1: outside
         self._awaited: Truths = np.ones(len(names), dtype=bool)
 
-    def changes(self, now: float, error_ned: Array) -> Iterator[Event]:
+    def changes(self, tick: int, error_ned: Array, gone: Truths) -> Iterator[Event]:
         """An event for each follower that has held its slot for long enough, once in a run.
 
         Args:
-            now: s
+            tick: of the base rate.
             error_ned: (n, 3) m
+            gone: (n,) who is lost.
         """
         if not self._awaited.any():
             return
-        inside = np.linalg.norm(error_ned, axis=-1) <= ENGAGED_RADIUS_M
-        self._since = np.where(inside, np.minimum(self._since, now), np.inf)
-        engaged = self._awaited & (now - self._since >= ENGAGED_HOLD_S)
+        inside = (np.linalg.norm(error_ned, axis=-1) <= ENGAGED_RADIUS_M) & ~gone
+        self._since = np.where(inside, np.where(self._since < 0, tick, self._since), -1)
+        held = tick - self._since >= ENGAGED_HOLD_S * self._rate
+        engaged = self._awaited & inside & held
         for name, since, now_engaged in zip(self._names, self._since, engaged, strict=True):
             if now_engaged:
-                text = f"engaged: within {ENGAGED_RADIUS_M:g} m of its slot since {since:.1f} s"
-                yield Event(now, "info", name, text)
+                began = f"{since / self._rate:.1f} s"
+                text = f"engaged: within {ENGAGED_RADIUS_M:g} m of its slot since {began}"
+                yield Event(tick / self._rate, "info", name, text)
         self._awaited &= ~engaged
 
 

@@ -149,6 +149,14 @@ def build(page: Scenario, *, commanded: bool = False, arduplane: Path | None = N
     deck = None
     if commanded or any(each.commanded_by.kind == "external" for each in page.aircraft):
         deck = make_deck(page, clock, led, starts, tunes, folders, virtual, jsbsim)
+    estimators = Estimators(
+        names,
+        [each.sensors for each in page.aircraft],
+        seed=page.scenario.seed,
+        rate_hz=page.rates.autopilot_hz,
+        start=vehicles.read(),
+        breakable=breakdowns is not None and breakdowns.of_sensors,
+    )
     return World(
         clock=clock,
         duration_s=page.scenario.duration_s,
@@ -159,14 +167,7 @@ def build(page: Scenario, *, commanded: bool = False, arduplane: Path | None = N
         partners=(virtual,) if isinstance(virtual, ArduPlanes) else (),
         fleet=fleet,
         ideal=bool(ideal),
-        estimators=Estimators(
-            names,
-            [each.sensors for each in page.aircraft],
-            seed=page.scenario.seed,
-            rate_hz=page.rates.autopilot_hz,
-            start=vehicles.read(),
-            breakable=breakdowns is not None and breakdowns.of_sensors,
-        ),
+        estimators=estimators,
         breakdowns=breakdowns,
         roster=make_roster(page, breakdowns),
         proximity=Proximity(names, **page.limits.model_dump(exclude={"when_lost"})),
@@ -201,6 +202,7 @@ def build(page: Scenario, *, commanded: bool = False, arduplane: Path | None = N
             kappa_mps=tuple(agent_value(page, name, "kappa_mps") for name in names[1:]),
             roll_limit_rad=roll_limits(groups),
             barriers=barriers_of(groups),
+            estimated=not estimators.exact,
             leader_path_ned=led.path_ned,
             portions=dict(page.scenario.portions),
             versions={

@@ -164,6 +164,13 @@ def parts(batch: Batch, size: int) -> Iterator[Batch]:
         yield replace(piece, events=batch.events) if begin + size >= len(batch) else piece
 
 
+def joined(first: Batch, second: Batch) -> Batch:
+    """The frames of two batches one after the other, without events."""
+    return _of(
+        {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in COLUMNS}
+    )
+
+
 def beside(first: Batch, second: Batch, labels: tuple[str, str]) -> Batch:
     """Two runs in one: the frames of the times that both have, aircraft one after the other."""
     _, mine, other = np.intersect1d(

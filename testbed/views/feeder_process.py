@@ -51,8 +51,9 @@ def feed(port: int) -> int:
             except RuntimeError:
                 return VIEWER_GONE
             faulthandler.cancel_dump_traceback_later()
-    if opening.at_s is not None:
-        Remote(port, opening.still.recording_id).stop_at(opening.at_s, FLUSH_S)
+        if opening.at_s is not None:
+            faulthandler.dump_traceback_later(2.0 * FLUSH_S, exit=True, file=nowhere)
+            Remote(port, opening.still.recording_id).stop_at(opening.at_s, FLUSH_S)
     return 0
 
 

@@ -81,20 +81,14 @@ def framing(still: Scene, first: Batch) -> Framing:
     )
 
 
-def pictures(still: Scene, frame: Framing, *, estimated: bool) -> tuple[Picture, Picture, Picture]:
-    """The formation from behind, from above, and the whole flight.
-
-    Args:
-        still: of the run.
-        frame: how it fills them.
-        estimated: whether aircraft fly by estimates that are not the truth.
-    """
+def pictures(still: Scene, frame: Framing) -> tuple[Picture, Picture, Picture]:
+    """The formation from behind, from above, and the whole flight."""
     names = tuple(f"world/aircraft/{name}/name" for name in still.names)
     markers = tuple(f"world/aircraft/{name}/marker" for name in still.names)
     drawn = tuple(f"world/aircraft/{name}/drawn/**" for name in still.names)
     upright = ("world/paths/posts", "world/paths/shadow")
     legend = [f"arrows: wind, {frame.wind:g} m per m/s"]
-    legend += ["dots: own estimates"] if estimated else []
+    legend += ["dots: own estimates"] if still.estimated else []
     legend += [f"aircraft {frame.size:g} x as large"] if frame.size > 1.0 else []
     return (
         Picture(

@@ -42,19 +42,14 @@ class Plot:
     limits: tuple[tuple[str, float], ...] = ()
 
 
-def tabs(still: Scene, *, estimated: bool) -> tuple[tuple[Plot, ...], ...]:
-    """The plots, as rows of tabs: the first of each row is on top.
-
-    Args:
-        still: of the run.
-        estimated: whether aircraft fly by estimates that are not the truth.
-    """
+def tabs(still: Scene) -> tuple[tuple[Plot, ...], ...]:
+    """The plots, as rows of tabs: the first of each row is on top."""
     flown = (*_speeds(still), *_directions(still))
     steered, air = (_bank(still), _throttle(still)), _air(still)
     if not still.followers:
         return (flown[:1], flown[1:], (_altitude(still), *steered), air)
-    errors = (_error(still), *([_estimate(still)] if estimated else []))
-    barrier = (_barrier(still),) if still.barriers else ()
+    errors = (_error(still), *([_estimate(still)] if still.estimated else []))
+    barrier = (_barrier(still),) if any(still.barriers) else ()
     return (
         errors,
         (flown[0], *barrier, *flown[1:]),
@@ -79,8 +74,10 @@ def _speeds(still: Scene) -> tuple[Plot, ...]:
     air = _everyone(
         still, "actual", lambda batch: np.linalg.norm(batch.velocity - still.bounded_in, axis=-1)
     )
+    both = len({bool(each.any()) for each in still.bounded_in}) > 1
+    title = "Speed as its bounds are measured, m/s" if both else "Airspeed and bounds, m/s"
     return (
-        Plot("speed", "Airspeed and bounds, m/s", (air,), (low, high), within),
+        Plot("speed", title, (air,), (low, high), within),
         Plot("ground_speed", "Ground speed, m/s", ground, (low - 8.0, high + 8.0)),
     )
 
@@ -145,15 +142,18 @@ def _estimate(still: Scene) -> Plot:
 
 def _barrier(still: Scene) -> Plot:
     """The barrier h of (14): 1 in the midst of the speed set, 0 at its bounds."""
-    rows = np.array(still.followers)
-    example, nu = (np.array(each) for each in zip(*still.barriers, strict=True))
-    low, high = still.speed_bounds.T
+    known = [i for i, each in enumerate(still.barriers) if each is not None]
+    rows = np.array(still.followers)[known]
+    chosen = [each for each in still.barriers if each is not None]
+    example, nu = (np.array(each) for each in zip(*chosen, strict=True))
+    low, high = still.speed_bounds[known].T
 
     def value(batch: Batch) -> Array:
         through = batch.velocity[:, rows] - still.bounded_in[rows]
         return h(Barrier(example, nu), np.linalg.norm(through, axis=-1), low, high)[0]
 
-    series = (_followers(still, "h", value),)
+    labels = tuple(still.names[row] for row in rows)
+    series = (Series("h", labels, tuple(still.colours[row] for row in rows), value),)
     return Plot("barrier", "Speed barrier", series, (-0.1, 1.1), (("bound", 0.0),))
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Protocol
 
+import numpy as np
+
 from testbed.errors import InputError
 from testbed.state import Event, RunInfo
 from testbed.views.batch import Batch, Source, beside, parts, whole
@@ -44,19 +46,27 @@ def shown(first: Recorded, second: Recorded | None = None) -> tuple[Scene, Batch
     Raises:
         InputError: they have none in common.
     """
-    scene, batch = scene_of(first.info), whole(first, first.events)
+    still, batch = _of(first)
     if second is None:
-        return scene, batch
-    scenes = scene, scene_of(second.info)
-    batch = beside(batch, whole(second, second.events), LABELS)
-    if not len(batch):
-        raise InputError("the two runs have no frame at the same time: nothing to lay over")
-    begin = float(batch.time[0])
+        return still, batch
+    other, others = _of(second)
+    batch = beside(batch, others, LABELS)
+    if len(batch) < 2:
+        raise InputError("the two runs have no frames at the same times: nothing to lay over")
+    begin, step = float(batch.time[0]), float(np.median(np.diff(batch.time)))
+    both = replace(together(still, other, LABELS), frame_rate_hz=max(1, round(1.0 / step)))
     who = [
-        Event(begin, "info", label, f"is {still.title}")
-        for label, still in zip(LABELS, scenes, strict=True)
+        Event(begin, "info", label, f"is {each.title}")
+        for label, each in zip(LABELS, (still, other), strict=True)
     ]
-    return together(*scenes, LABELS), replace(batch, events=(*who, *batch.events))
+    return both, replace(batch, events=(*who, *batch.events))
+
+
+def _of(run: Recorded) -> tuple[Scene, Batch]:
+    batch = whole(run, run.events)
+    # of logs that do not say it, too
+    estimated = not np.array_equal(batch.believed, batch.position, equal_nan=True)
+    return replace(scene_of(run.info), estimated=estimated), batch
 
 
 def send(outlet: Outlet, batch: Batch) -> None:

@@ -47,7 +47,8 @@ class Scene:
     paths: tuple[Array, ...]  # (k, 3) m each, may be empty
     speed_bounds: Array  # (n, 2) m/s
     bounded_in: Array  # (N, 3) m/s, motion of the air that those are measured in; zero: the ground
-    barriers: tuple[tuple[int, float], ...]  # n, example and nu; may be empty
+    barriers: tuple[tuple[int, float] | None, ...]  # n, example and nu; None: not known
+    estimated: bool  # whether aircraft fly by estimates that are not the truth
     roll_limit: Array  # (n,) rad
     frame_rate_hz: int
 
@@ -69,7 +70,8 @@ def scene_of(info: RunInfo) -> Scene:
         paths=tuple(p for p in [np.asarray(info.leader_path_ned, dtype=np.float64)] if p.size),
         speed_bounds=np.asarray(info.speed_bounds_mps, dtype=np.float64).reshape(-1, 2),
         bounded_in=np.tile(np.asarray(info.bounded_in_ned, dtype=np.float64), (n + 1, 1)),
-        barriers=info.barriers,
+        barriers=info.barriers or (None,) * n,
+        estimated=info.estimated,
         roll_limit=np.asarray(info.roll_limit_rad, dtype=np.float64),
         frame_rate_hz=info.frame_rate_hz,
     )
@@ -110,6 +112,7 @@ def together(first: Scene, second: Scene, labels: tuple[str, str]) -> Scene:
         bounded_in=np.concatenate([first.bounded_in, second.bounded_in]),
         barriers=first.barriers + second.barriers,
         roll_limit=np.concatenate([first.roll_limit, second.roll_limit]),
+        estimated=first.estimated or second.estimated,
     )
 
 

@@ -10,6 +10,7 @@ from testbed.views.viewer import free_port, headless
 
 SIZE = (1600, 900)  # pixels
 LOADED_S = 60.0  # a long run on a slow machine
+LIMIT_S = 120.0  # for all of it
 DRAWN_S = 1.0  # the viewer lays out and draws a few times, and does not say when it is done
 GREETED_S = 4.5  # for so long it tells people in a corner that it listens
 
@@ -43,7 +44,7 @@ def shoot(
     from testbed.views.rerun_door import Recording, Remote
 
     port, (still, batch) = free_port(), shown(first, second)
-    with headless(port, size):
+    with headless(port, size, limit_s=LIMIT_S):
         greeted = time.monotonic() + GREETED_S
         recording = Recording(still, live=False)
         recording.open(port)

@@ -54,9 +54,10 @@ class Links:
         age = batch.age.copy()
         age[:, np.arange(self._rows.size), self._rows] = np.nan  # what it hears of itself
         used = np.isfinite(age)
-        self._heeded |= used.any(axis=0)
+        heeded = np.logical_or.accumulate(used, axis=0) | self._heeded
+        self._heeded = heeded[-1]
         recent = batch.time[:, None, None] - self._losses(batch) <= FLASH_S
-        flash, stale = recent & self._heeded, age > STALE_S
+        flash, stale = recent & heeded, age > STALE_S
         shown = used | flash
         crowded = shown.sum(axis=(1, 2)) > MOST_LINKS
         shown[crowded] &= (flash | stale)[crowded]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import shutil
 import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -68,36 +70,57 @@ def start(port: int) -> bool:
         Whether it listens; False as soon as it gives up.
     """
     executable = program()
-    return executable is not None and awaited(launched(executable, port), port)
+    if executable is None:
+        return False
+    viewer = launched(executable, port)
+    if awaited(viewer, port):
+        return True
+    end(viewer)
+    return False
 
 
 @contextlib.contextmanager
-def headless(port: int, size: tuple[int, int]) -> Iterator[subprocess.Popen[bytes]]:
+def headless(
+    port: int, size: tuple[int, int], *, limit_s: float = math.inf
+) -> Iterator[subprocess.Popen[bytes]]:
     """A viewer that draws without a screen, for as long as the context lasts.
 
     Args:
         port: of this machine, on which it listens.
         size: width and height, pixels.
+        limit_s: after which it is ended whatever it does, and with it who waits for it.
 
     Raises:
-        InputError: there is none, or it cannot draw.
+        InputError: there is none, it cannot draw, or it was ended.
     """
     executable = program()
     if executable is None:
         raise InputError(f"there is no `rerun` program beside {sys.executable}: install rerun-sdk")
     window = ("--headless", "--window-size", "{}x{}".format(*size))
-    process = launched(executable, port, *window)
+    viewer = launched(executable, port, *window)
+    late = threading.Event()
+
+    def give_up() -> None:
+        late.set()
+        end(viewer)
+
+    watch = threading.Timer(min(limit_s, threading.TIMEOUT_MAX), give_up)
+    watch.daemon = True
+    watch.start()
     try:
-        if not awaited(process, port):
+        if not awaited(viewer, port):
             raise InputError(
                 "the Rerun viewer does not start without a screen: it needs a Vulkan driver (on "
                 "Debian and Ubuntu, apt-get install mesa-vulkan-drivers)"
             )
-        yield process
+        yield viewer
+    except Exception as error:
+        if late.is_set():
+            raise InputError(f"the Rerun viewer did not answer for {limit_s:g} s") from error
+        raise
     finally:
-        with contextlib.suppress(ProcessLookupError):  # the program is a script around another
-            os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
+        watch.cancel()
+        end(viewer)
 
 
 def launched(executable: str, port: int, *arguments: str) -> subprocess.Popen[bytes]:
@@ -107,8 +130,9 @@ def launched(executable: str, port: int, *arguments: str) -> subprocess.Popen[by
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        # no questions on the terminal, and no messages in the pictures
-        env=os.environ | {"RERUN_APP_ONLY": "true", "RUST_LOG": "off"},
+        # No questions on the terminal, no messages in the pictures, and, as everywhere where CI
+        # is set, no statistics of use for Rerun.
+        env=os.environ | {"RERUN_APP_ONLY": "true", "RUST_LOG": "off", "CI": "true"},
         start_new_session=True,  # Ctrl-C ends the run, not the picture of it
     )
 
@@ -121,3 +145,10 @@ def awaited(viewer: subprocess.Popen[bytes], port: int) -> bool:
             return True
         time.sleep(0.1)
     return False
+
+
+def end(viewer: subprocess.Popen[bytes]) -> None:
+    """End a viewer, of which the program is a script around another one."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(viewer.pid, signal.SIGKILL)
+    viewer.wait()

@@ -280,7 +280,7 @@ def test_no_viewer_changes_a_run_or_its_log_or_costs_it_a_second(monkeypatch, tm
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    page = shorten(load("ideal-figure-eight"), 100.0)
+    page = shorten(load("simulation-3"), 40.0)
 
     def flight(name, *watching):
         run(page, out=tmp_path / name, observers=watching)
@@ -297,9 +297,9 @@ def test_no_viewer_changes_a_run_or_its_log_or_costs_it_a_second(monkeypatch, tm
         port = viewer.free_port()
         with saving_viewer(tmp_path / f"{name}.rrd", port) as program:
             kill = functools.partial(os.killpg, program.pid, deed)
-            view = Watched(LiveViewer(port=port), 1000, kill)
+            view = Watched(LiveViewer(port=port), 500, kill)
             assert same(flight(name, view), alone)
-            assert view.frame == 2501 and view.waited < 1.0
+            assert view.frame == 1001 and view.waited < 1.0
 
 
 def vulkan() -> bool:

@@ -1,16 +1,20 @@
 """What a view shows, as numbers: columns, links and their losses, plots, cameras, surfaces."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import views_flight
 
+from testbed.errors import InputError
 from testbed.formation.barrier import Barrier, h
 from testbed.state import Event
 from testbed.views import layout, plots, signs
 from testbed.views.airframes import airframe
 from testbed.views.batch import COLUMNS, Collector, beside, parts, whole
+from testbed.views.meshes import cut
+from testbed.views.replay import shown
 from testbed.views.scene import scene_of, together
 
 
@@ -24,8 +28,8 @@ def flight(aircraft, duration_s=10.0):
     return whole(run, run.events)
 
 
-def plot(still, name, *, estimated=True):
-    return next(p for row in plots.tabs(still, estimated=estimated) for p in row if p.name == name)
+def plot(still, name):
+    return next(p for row in plots.tabs(still) for p in row if p.name == name)
 
 
 def test_a_log_gives_the_columns_that_its_frames_gave_live():
@@ -58,6 +62,46 @@ def test_two_runs_beside_each_other_share_their_times_and_no_link():
     assert still.followers == (1, 3, 4, 5) and len(still.speed_bounds) == 4
     assert len(still.paths) == 1  # both have the same
     assert len(set(still.colours)) == 6
+
+
+@pytest.mark.parametrize("barriers", [(), ((5, 0.05), (6, 2.0))], ids=["own law", "paper"])
+def test_runs_of_different_laws_and_rates_are_laid_over_one_another(barriers):
+    one, two = views_flight.log(2, 10.0), views_flight.log(3, 10.0)
+    one.info = dataclasses.replace(one.info, barriers=((5, 0.05),), bounded_in_ned=(3.0, 0.0, 0.0))
+    two.info = dataclasses.replace(two.info, barriers=barriers)
+    slow = {  # every fifth frame: 5 Hz
+        name: type(value)(*(each[::5] for each in value))
+        if isinstance(value, tuple)
+        else value[::5]
+        for name, value in vars(two).items()
+        if name not in ("info", "events")
+    }
+    still, batch = shown(one, SimpleNamespace(info=two.info, events=(), **slow))
+    assert still.frame_rate_hz == 5 and len(batch) == 50
+    assert [event.source for event in batch.events] == ["A", "B"]
+    barrier, speed = plot(still, "barrier"), plot(still, "speed")
+    assert barrier.series[0].labels == ("A.uav1", *(["B.uav1", "B.uav2"] if barriers else []))
+    for series in (*barrier.series, *speed.series):
+        assert series.values(batch).shape == (50, len(series.labels))
+    assert "as its bounds are measured" in speed.title
+
+
+def test_runs_without_a_common_time_are_refused():
+    one, two = views_flight.log(2, 1.0), views_flight.log(2, 1.0)
+    two.time_s = two.time_s + 100.0
+    with pytest.raises(InputError, match="nothing to lay over"):
+        shown(one, two)
+
+
+def test_links_drawn_do_not_depend_on_the_size_of_batches():
+    batch = radio(3, 60)
+    batch.age[:30, 1, 2] = np.nan  # heeded from here on
+    batch.sent[5:, 1, 2] = 1.0  # lost before anybody heeded it
+    whole_lines = signs.Links(scene(3)).lines(batch)
+    links = signs.Links(scene(3))
+    cut = [links.lines(each) for each in parts(batch, 7)]
+    np.testing.assert_array_equal(np.concatenate([c.counts for c in cut]), whole_lines.counts)
+    np.testing.assert_array_equal(np.concatenate([c.colours for c in cut]), whole_lines.colours)
 
 
 def radio(aircraft, frames):
@@ -139,7 +183,7 @@ def test_the_barrier_plotted_is_the_law_s():
         expected, _ = h(Barrier(example, nu), speed[:, i], np.array(16.0), np.array(30.0))
         np.testing.assert_allclose(values[:, i], expected)
     assert values.std(axis=0)[0] > 0.0
-    assert "barrier" not in [p.name for row in plots.tabs(scene(4), estimated=False) for p in row]
+    assert "barrier" not in [p.name for row in plots.tabs(scene(4)) for p in row]
 
 
 def test_speeds_are_plotted_in_what_their_bounds_are_measured_in():
@@ -171,11 +215,11 @@ def test_angles_are_not_drawn_across_half_a_turn():
 
 @pytest.mark.parametrize("aircraft", [1, 2, 4, 8, 9, 20, 50])
 def test_every_plot_has_a_label_and_a_colour_for_each_of_its_lines(aircraft):
-    still, batch = scene(aircraft), flight(aircraft, 2.0)
+    still, batch = scene(aircraft, estimated=True), flight(aircraft, 2.0)
     names = set()
-    for shown in (p for row in plots.tabs(still, estimated=True) for p in row):
-        names.add(shown.name)
-        for series in shown.series:
+    for drawn in (p for row in plots.tabs(still) for p in row):
+        names.add(drawn.name)
+        for series in drawn.series:
             values = series.values(batch)
             assert values.shape == (len(batch), len(series.labels)) == (50, len(series.colours))
     wanted = {"speed", "course", "climb", "bank", "throttle", "wind", "updraught", "altitude"}
@@ -242,11 +286,22 @@ def test_control_surfaces_move_the_way_that_the_commands_say():
     assert moved(x8["right_elevon"], pitch + roll) == moved(x8["right_elevon"], roll)  # saturates
 
 
+def test_a_control_surface_is_the_rear_of_what_it_is_cut_from():
+    sections = np.array([[0.1, 0.0, -0.1, 0.4], [0.0, 1.0, -0.2, 0.2]])
+    fixed, moving = cut(sections, 0.5, 0.9, 0.25)
+    for y in (0.5, 0.7, 0.9):
+        edge, chord = 0.1 - 0.1 * y, 0.4 - 0.2 * y
+        own = [np.interp(y, moving[:, 1], moving[:, k]) for k in range(4)]
+        np.testing.assert_allclose(own, [edge - 0.75 * chord, y, -0.1 - 0.1 * y, 0.25 * chord])
+    inside = fixed[(fixed[:, 1] > 0.499) & (fixed[:, 1] < 0.901)]
+    np.testing.assert_allclose(inside[1:-1, 3], 0.75 * (0.4 - 0.2 * inside[1:-1, 1]))
+    np.testing.assert_allclose(fixed[[0, -1]], sections)
+
+
 @pytest.mark.parametrize("name", ["rascal110", "skywalker_x8"])
-def test_control_surfaces_lie_where_they_were_cut_out(name):
+def test_hinges_are_the_rear_edge_of_what_stays(name):
     drawing = airframe(name, 2.1)
     for flap in drawing.flaps:
-        points = flap.mesh.vertices + flap.hinge
-        assert drawing.body.vertices[:, 0].min() - 0.02 < points[:, 0].min()
-        assert np.abs(points[:, 1]).max() <= drawing.body.vertices[:, 1].max()
+        gaps = np.linalg.norm(drawing.body.vertices - flap.hinge, axis=-1)
+        assert gaps.min() < 1e-6  # the hinge's inner end is a corner of the hole
         np.testing.assert_allclose(flap.turn(np.zeros((1, 3)))[0], [0.0, 0.0, 0.0, 1.0])

@@ -270,12 +270,13 @@ def test_a_gust_is_told_of_once_where_it_arrives():
     assert said(4.0, [True, True], [True, False]) == [("leader", "gust puff reaches it")]
 
 
-def engaged(*distances_m, names=("uav1", "uav2")):
+def engaged(*distances_m, names=("uav1", "uav2"), gone=(False, False)):
     """Events of frames 1 s apart in which the followers are so far from their slots (k, n)."""
-    watch = Engagement(names)
+    watch = Engagement(names, 200)
     errors = np.zeros((len(distances_m), len(names), 3))
     errors[:, :, 1] = distances_m
-    return [event for k, error in enumerate(errors) for event in watch.changes(float(k), error)]
+    lost = np.array(gone)
+    return [e for k, error in enumerate(errors) for e in watch.changes(200 * k, error, lost)]
 
 
 def test_a_follower_engages_once_it_has_held_its_slot_for_five_seconds():
@@ -286,3 +287,17 @@ def test_a_follower_engages_once_it_has_held_its_slot_for_five_seconds():
     assert [(event.time_s, event.source) for event in told] == [(6.0, "uav1"), (11.0, "uav2")]
     assert [event.text.split()[-2:] for event in told] == [["1.0", "s"], ["6.0", "s"]]
     assert not engaged(*[(out, out)] * 10)
+
+
+def test_who_is_lost_does_not_engage_wherever_it_lies():
+    told = engaged(*[(1.0, 1.0)] * 10, gone=(True, False))
+    assert [event.source for event in told] == ["uav2"]
+
+
+def test_five_seconds_are_counted_in_ticks():
+    """At 25 Hz one frame in a hundred is, as a number of seconds, not 5 s after another."""
+    for first in range(0, 4000, 8):
+        watch, inside = Engagement(["uav1"], 200), np.zeros((1, 3))
+        nobody = np.zeros(1, dtype=bool)
+        assert not list(watch.changes(first, inside, nobody))
+        assert list(watch.changes(first + 1000, inside, nobody))

@@ -20,13 +20,12 @@ def blueprint(
     frame: layout.Framing,
     tabs: Sequence[Sequence[plots.Plot]],
     *,
-    estimated: bool,
     live: bool,
 ) -> rrb.Blueprint:
     """The layout of the viewer: pictures on the left, plots in tabs and events on the right."""
     named = len(still.names) <= layout.MOST_NAMED
     latest_s = layout.stride(still, layout.PLOT_ROWS_PER_S) / still.frame_rate_hz
-    shown = layout.pictures(still, frame, estimated=estimated)
+    shown = layout.pictures(still, frame)
     behind, above, flight = (picture(each, latest_s) for each in shown)
     events = rrb.TextLogView(
         origin="/events",

@@ -27,7 +27,7 @@ from testbed.frames import course, quaternion_xyzw
 from testbed.state import Array, Event
 from testbed.views import layout, plots, signs
 from testbed.views.airframes import Airframe, airframe
-from testbed.views.batch import Batch
+from testbed.views.batch import Batch, joined
 from testbed.views.rerun_door.blueprint import TIMELINE, blueprint
 from testbed.views.rerun_door.still import stills
 from testbed.views.scene import Scene
@@ -61,6 +61,7 @@ class Recording:
         self._undrawn_time = np.empty(0)
         self._lost = np.zeros(len(still.names), dtype=bool)
         self._seen = 0  # frames
+        self._plotted: Batch | None = None  # the last row of it
         self._frame: layout.Framing | None = None
         self.calls = 0
         self._stream = rr.RecordingStream("testbed", recording_id=still.recording_id)
@@ -120,14 +121,11 @@ class Recording:
     def _begin(self, first: Batch) -> None:
         still = self._scene
         self._frame = layout.framing(still, first)
-        self._estimated = not np.array_equal(first.believed, first.position)
-        self._tabs = plots.tabs(still, estimated=self._estimated)
+        self._tabs = plots.tabs(still)
         for entity, what in stills(still, self._drawings, self._frame, self._tabs):
             self.calls += 1
             self._stream.log(entity, *what, static=True)
-        self._stream.send_blueprint(
-            blueprint(still, self._frame, self._tabs, estimated=self._estimated, live=self._live)
-        )
+        self._stream.send_blueprint(blueprint(still, self._frame, self._tabs, live=self._live))
 
     def _send_motion(self, batch: Batch) -> None:
         shown = self._every(batch, layout.POSE_ROWS_PER_S)
@@ -197,7 +195,7 @@ class Recording:
         wind = self._frame.wind * signs.turned(shown.wind, course(shown.velocity[:, 0]))
         arrows = rr.Arrows3D.columns(origins=place.reshape(-1, 3), vectors=wind.reshape(-1, 3))
         self._columns("world/chase/wind", shown.time, arrows.partition(count))
-        if self._estimated:
+        if still.estimated:
             place = signs.to_chase(still, shown, shown.believed)
             points = rr.Points3D.columns(positions=place.reshape(-1, 3))
             self._columns("world/chase/believed", shown.time, points.partition(count))
@@ -214,10 +212,14 @@ class Recording:
         shown = self._every(batch, layout.PLOT_ROWS_PER_S)
         if not len(shown):
             return
+        # The row before comes along, for what depends on it, and is not sent again.
+        known = shown if self._plotted is None else joined(self._plotted, shown)
+        self._plotted = shown.rows(slice(-1, None))
         ends = shown.time[[0, -1]]
         for plot in (plot for row in self._tabs for plot in row):
             for series in plot.series:
-                self._scalars(f"plots/{plot.name}/{series.name}", shown.time, series.values(shown))
+                values = series.values(known)[-len(shown) :]
+                self._scalars(f"plots/{plot.name}/{series.name}", shown.time, values)
             if plot.limits:
                 limits = np.tile([value for _, value in plot.limits], (2, 1))
                 self._scalars(f"plots/{plot.name}/limits", ends, limits)
