@@ -17,7 +17,7 @@ from testbed.outputs import is_stdout, put_json, refuse_files
 from testbed.record.read import Log, read_log
 from testbed.record.rundir import find_run
 from testbed.study.golden_words import shown
-from testbed.study.two_runs import Difference, Pair, compare_runs
+from testbed.study.two_runs import Apart, Difference, Pair, compare_runs
 
 SAME, DIFFERENT = 0, 3
 LINES = 12  # of each kind that may be many
@@ -78,10 +78,15 @@ def _show(found: Difference, logs: Sequence[Log], paths: Sequence[Path], console
         if each.first_s is not None:
             _line(
                 console,
-                f" {each.name} up to {each.largest_m:.3g} m apart, at {each.at_s:g} s; not the "
-                f"same from {each.first_s:g} s on",
+                f" {each.name} {_distance(each)}; not the same from {each.first_s:g} s on",
             )
     _line(console, f" {_verdict(found)}", "bold green" if found.same else "bold yellow")
+
+
+def _distance(each: Apart) -> str:
+    if each.largest_m is None:
+        return "apart by what is not a number"
+    return f"up to {each.largest_m:.3g} m apart, at {each.at_s:g} s"
 
 
 def _verdict(found: Difference) -> str:
@@ -128,7 +133,7 @@ def _moved(pair: Pair) -> str:
     change = pair.second - pair.first
     if change == 0.0:
         return "none"
-    percent = 100.0 * change / pair.first if pair.first else 0.0
+    percent = 100.0 * change / abs(pair.first) if pair.first else 0.0
     digits = f"{percent:+.3g}" if abs(percent) < 1000.0 else f"{percent:+,.0f}"
     share = f" ({digits} %)" if percent else ""
     return f"{'+' if change > 0.0 else '-'}{shown(abs(change))}{share}"

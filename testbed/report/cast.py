@@ -66,7 +66,7 @@ class Cast:
         return (
             f" Of {self.crowd} followers the band holds 5 to 95 % at each moment and the grey"
             f" line is the median; drawn by themselves are the {len(self.parts)} of the largest"
-            f" RMS error: {worst}."
+            f" RMS error over the whole run: {worst}."
         )
 
 

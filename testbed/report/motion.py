@@ -6,14 +6,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from testbed.formation.barrier import Barrier, h, per_agent
+from testbed.formation.barrier import NO_BARRIER, Barrier, h, per_agent
 from testbed.frames import velocity_frame, wrap_pi
 from testbed.report.cast import LEADER, Cast, bands, curves, wishes
 from testbed.report.drawing import Drawing, TimeAxis, masked, settled, span_of
 from testbed.report.flight import Flight
-from testbed.report.thinning import break_turns, kept
+from testbed.report.thinning import kept
 from testbed.state import Array
-from testbed.views.panels import BLACK, DASHED, DOTTED, Curve, Line, Panel, Space
+from testbed.views.panels import BLACK, DASHED, DOTTED, Curve, Line, Panel, Space, break_turns
 
 FLOOR_M = 1e-3  # where the axis of the error's logarithm ends
 PATH_BUCKETS = 900  # paths bend in a corner, which is short
@@ -148,9 +148,10 @@ def error(flight: Flight, cast: Cast) -> Drawing | None:
     log, axis, distance = flight.log, TimeAxis(flight), flight.error
     lines, area = [*curves(log.time_s, distance, cast)], bands(log.time_s, distance, cast)
     late, said = settled(flight)
-    top = float(np.nanmax(distance, initial=FLOOR_M))
-    later = float(np.nanmax(np.where(late, distance, np.nan), initial=FLOOR_M))
-    low = float(np.nanmin(np.where(distance > FLOOR_M, distance, top), initial=top))
+    known = np.isfinite(distance)
+    top = float(distance.max(initial=FLOOR_M, where=known))
+    later = float(distance.max(initial=FLOOR_M, where=known & late))
+    low = float(distance.min(initial=top, where=known & (distance > FLOOR_M)))
     return Drawing(
         "Formation error ‖q̃‖",
         "Distance of each follower from its slot, above on a linear and below on a logarithmic"
@@ -222,9 +223,11 @@ def barrier(flight: Flight, cast: Cast) -> Drawing | None:
     zero = Line(time[[0, -1]], np.zeros(2), BLACK, "bound", 0.8)
     quantities = [("room to the nearer speed bound", "m/s", np.minimum(s - low, high - s))]
     text = "How far speeds stayed from the nearer bound; negative is outside."
-    shapes = _barriers(flight)
-    if shapes:
-        quantities.append(("barrier", "h of (14)", h(per_agent(shapes), s, low, high)[0]))
+    chosen = [Barrier(*each) for each in log.info.barriers]
+    if any(each.example != NO_BARRIER for each in chosen):
+        value, _ = h(per_agent(chosen), s, low, high)
+        value[:, [each.example == NO_BARRIER for each in chosen]] = np.nan
+        quantities.append(("barrier", "h of (14)", value))
         text += " Below: the barrier function h at that speed, 1 within and 0 at a bound."
     rows = []
     for k, (title, unit, values) in enumerate(quantities, start=1):
@@ -266,18 +269,3 @@ def _bounds(flight: Flight) -> Iterator[Line]:
         sorted({b for each in flight.log.info.speed_bounds_mps for b in each})
     ):
         yield Line(ends, np.full(2, bound), BLACK, "" if k else "speed bounds", 0.8)
-
-
-def _barriers(flight: Flight) -> list[Barrier]:
-    """The functions h of the followers; none without the page, the paper's law, or a barrier."""
-    page = flight.page
-    if page is None or page.controller.law != "paper":
-        return []
-    shapes = []
-    for name in flight.followers:
-        own = page.formation.agents.get(name)
-        chosen = (own and own.barrier) or page.formation.barrier
-        if chosen.example == 7:  # none; mypy tells the two kinds apart by the number itself
-            return []
-        shapes.append(Barrier(chosen.example, chosen.nu))
-    return shapes

@@ -98,7 +98,8 @@ def _head(flight: Flight) -> str:
         out.append(f'<p class="question">{escape(flight.page.scenario.question)}</p>')
     line = [f'<span class="outcome {escape(flight.outcome)}">{escape(flight.outcome)}</span>']
     line.append(f"{metrics['simulated_s']:g} of {info.duration_s:g} s simulated")
-    line.append(f"{len(info.names) - 1} followers of {escape(info.names[0])}")
+    count = len(info.names) - 1
+    line.append(f"{count} follower{'s' * (count != 1)} of {escape(info.names[0])}")
     line.append(escape(", ".join(sorted(set(info.aircraft)))))
     line.append(f"seed {info.seed}")
     out.append(f'<p class="meta">{" · ".join(line)}</p>')
@@ -219,9 +220,6 @@ def _again(flight: Flight) -> str:
         ("log rate", f"{info.frame_rate_hz} Hz"),
         ("aircraft", ", ".join(map(" ".join, zip(info.names, info.aircraft, strict=True)))),
     ]
-    if flight.metrics["real_time_factor"] is not None:
-        factor = f"{flight.metrics['real_time_factor']:.1f} × real time"
-        rows.append(("took", f"{flight.metrics['wall_s']:.1f} s, {factor}"))
     out = [rows_to_html([*rows])]
     if not text:
         return "".join([*out, "<p>The log does not hold the page that was flown.</p>"])

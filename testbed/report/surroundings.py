@@ -56,7 +56,7 @@ def commands(flight: Flight, cast: Cast) -> Drawing:
 def network(flight: Flight, cast: Cast) -> Drawing | None:
     """The age of what followers used, and the share of the messages that arrived."""
     log, axis, time = flight.log, TimeAxis(flight), flight.log.time_s
-    age = 1e3 * _oldest(log.formation.age_s)
+    age = 1e3 * np.fmax.reduce(log.formation.age_s, axis=-1)
     sent = log.links.sent.astype(np.float64)
     missing = sent - log.links.delivered
     if not np.nanmax(age, initial=0.0) > 0.0 and not missing.any():
@@ -138,19 +138,17 @@ def estimates(flight: Flight, cast: Cast) -> Drawing | None:
 
 def _windows(time: Array, values: Array) -> tuple[Array, Array, Array]:
     """Of `STRETCHES` stretches of the run their middle, and mean and maximum (., n) of (K, n)."""
-    frames = max(len(time) // STRETCHES, 1)
-    whole = len(time) // frames * frames
-    each = values[:whole].reshape(-1, frames, values.shape[1])
+    frames = max(-(-len(time) // STRETCHES), 1)
+    lacking = -len(time) % frames  # of the last stretch
+    each = np.pad(values, ((0, lacking), (0, 0)), constant_values=np.nan)
+    each = each.reshape(-1, frames, values.shape[1])
     count = np.isfinite(each).sum(axis=1)
     total = np.nansum(each, axis=1)
     mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
-    return time[:whole].reshape(-1, frames).mean(axis=1), mean, np.fmax.reduce(each, axis=1)
-
-
-def _oldest(age_s: Array) -> Array:
-    """The largest age (K, n) of those in use (K, n, N); not a number where nothing was used."""
-    oldest = np.where(np.isnan(age_s), -np.inf, age_s).max(axis=-1)
-    return np.where(np.isinf(oldest), np.nan, oldest)
+    middle = np.nanmean(
+        np.pad(time, (0, lacking), constant_values=np.nan).reshape(-1, frames), axis=1
+    )
+    return middle, mean, np.fmax.reduce(each, axis=1)
 
 
 def _shares(flight: Flight, sent: Array, missing: Array) -> tuple[list[Line], tuple[Band, ...]]:

@@ -39,14 +39,6 @@ def kept(*columns: Array, buckets: int = BUCKETS) -> NDArray[np.intp]:
     return np.unique(np.concatenate(chosen))
 
 
-def break_turns(angle: Array) -> Array:
-    """Angles (K, ...) in degrees within ±180, not a number in frames where they jump round."""
-    jump = np.abs(np.diff(angle, axis=0)) > 180.0
-    out = angle.copy()
-    out[1:][jump] = np.nan
-    return out
-
-
 def percentiles(values: Array, shares: Sequence[float]) -> Array:
     """Percentiles (len(shares), K) of what is a number in rows (K, n), interpolated.
 

@@ -42,7 +42,7 @@ class Apart:
     """How far an aircraft was from where it was in the other run, over the frames of both."""
 
     name: str
-    largest_m: float
+    largest_m: float | None  # None: never a number
     at_s: float
     first_s: float | None  # when anything of its motion first differed
 
@@ -169,8 +169,10 @@ def _apart(first: Log, second: Log) -> tuple[Apart, ...]:
             one, two = ours[i, a].reshape(time_s.size, -1), theirs[j, b].reshape(time_s.size, -1)
             other |= ((one != two) & ~(np.isnan(one) & np.isnan(two))).any(axis=1)
         offset = first.truth.position_ned[i, a] - second.truth.position_ned[j, b]
-        distance = np.nan_to_num(np.linalg.norm(offset, axis=-1))
-        k = int(distance.argmax())
+        distance = np.linalg.norm(offset, axis=-1)
+        known = np.isfinite(distance)
+        k = int(np.where(known, distance, -1.0).argmax())
+        largest = float(distance[k]) if known[k] else None
         began = float(time_s[other.argmax()]) if other.any() else None
-        out.append(Apart(name, float(distance[k]), float(time_s[k]), began))
+        out.append(Apart(name, largest, float(time_s[k]), began))
     return tuple(out)

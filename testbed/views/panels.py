@@ -111,3 +111,11 @@ class Sheet:
     rows: Sequence[Sequence[Panel | Space]]
     widths: Sequence[float]  # of the columns, relative
     inches: tuple[float, float] = (16.0, 10.0)  # width, height
+
+
+def break_turns(angle: Array) -> Array:
+    """Angles (K, ...) in degrees within ±180, not a number in frames where they jump round."""
+    jump = np.abs(np.diff(angle, axis=0)) > 180.0
+    out = angle.copy()
+    out[1:][jump] = np.nan
+    return out

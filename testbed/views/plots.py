@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.formation.barrier import Barrier, h
-from testbed.frames import course, flight_path_angle
+from testbed.frames import course, flight_path_angle, wrap_pi
 from testbed.state import Array
 from testbed.views.batch import Batch
+from testbed.views.panels import break_turns
 from testbed.views.scene import BACKDROP, Colour, Scene, mixed
 
 LIMIT: Colour = (150, 150, 150)
@@ -85,8 +86,8 @@ def _speeds(still: Scene) -> tuple[Plot, ...]:
 def _directions(still: Scene) -> tuple[Plot, Plot]:
     headed = _both(
         still,
-        lambda batch: turns(course(batch.velocity)),
-        lambda batch: turns(batch.course_desired),
+        lambda batch: break_turns(np.degrees(course(batch.velocity))),
+        lambda batch: break_turns(np.degrees(wrap_pi(batch.course_desired))),
     )
     climbing = _both(
         still,
@@ -159,15 +160,8 @@ def _barrier(still: Scene) -> Plot:
 
 def _age(still: Scene) -> Plot:
     """How old the oldest news is that each follower uses of another."""
-    rows = np.array(still.followers)
-
-    def oldest(batch: Batch) -> Array:
-        others = batch.age.copy()
-        others[:, np.arange(rows.size), rows] = np.nan
-        worst = np.fmax.reduce(others, axis=-1)
-        return np.asarray(worst)
-
-    return Plot("age", "Oldest news used, s", (_followers(still, "age", oldest),), (0.0, 1.0))
+    oldest = _followers(still, "age", lambda batch: np.fmax.reduce(batch.age, axis=-1))
+    return Plot("age", "Oldest news used, s", (oldest,), (0.0, 1.0))
 
 
 def _both(still: Scene, actual: Values, desired: Values) -> tuple[Series, ...]:
@@ -188,10 +182,3 @@ def _everyone(still: Scene, name: str, values: Values) -> Series:
 def _followers(still: Scene, name: str, values: Values) -> Series:
     labels = tuple(still.names[row] for row in still.followers)
     return Series(name, labels, tuple(still.colours[row] for row in still.followers), values)
-
-
-def turns(angle: Array) -> Array:
-    """Angles (m, k) in degrees, not a number where one jumps from 180° to -180° or back."""
-    out = np.degrees(angle)
-    out[1:][np.abs(np.diff(out, axis=0)) > 180.0] = np.nan
-    return out

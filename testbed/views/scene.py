@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from testbed.formation.barrier import NO_BARRIER
 from testbed.state import Array, RunInfo
 
 Colour = tuple[int, int, int]
@@ -47,7 +48,7 @@ class Scene:
     paths: tuple[Array, ...]  # (k, 3) m each, may be empty
     speed_bounds: Array  # (n, 2) m/s
     bounded_in: Array  # (N, 3) m/s, motion of the air that those are measured in; zero: the ground
-    barriers: tuple[tuple[int, float] | None, ...]  # n, example and nu; None: not known
+    barriers: tuple[tuple[int, float] | None, ...]  # n, example and nu; None: none known
     estimated: bool  # whether aircraft fly by estimates that are not the truth
     roll_limit: Array  # (n,) rad
     frame_rate_hz: int
@@ -70,7 +71,8 @@ def scene_of(info: RunInfo) -> Scene:
         paths=tuple(p for p in [np.asarray(info.leader_path_ned, dtype=np.float64)] if p.size),
         speed_bounds=np.asarray(info.speed_bounds_mps, dtype=np.float64).reshape(-1, 2),
         bounded_in=np.tile(np.asarray(info.bounded_in_ned, dtype=np.float64), (n + 1, 1)),
-        barriers=info.barriers or (None,) * n,
+        barriers=tuple(None if each[0] == NO_BARRIER else each for each in info.barriers)
+        or (None,) * n,
         estimated=info.estimated,
         roll_limit=np.asarray(info.roll_limit_rad, dtype=np.float64),
         frame_rate_hz=info.frame_rate_hz,

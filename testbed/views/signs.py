@@ -51,8 +51,7 @@ class Links:
 
     def lines(self, batch: Batch) -> Lines:
         """What is drawn of the frames of a batch, which is not empty."""
-        age = batch.age.copy()
-        age[:, np.arange(self._rows.size), self._rows] = np.nan  # what it hears of itself
+        age = batch.age
         used = np.isfinite(age)
         heeded = np.logical_or.accumulate(used, axis=0) | self._heeded
         self._heeded = heeded[-1]

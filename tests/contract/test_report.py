@@ -23,7 +23,8 @@ from testbed.report import figures, read_flight, write_figures, write_page
 from testbed.report.cast import SINGLE, WORST, cast_of
 from testbed.report.figures import figures_of
 from testbed.report.page import page_of
-from testbed.report.thinning import BUCKETS, break_turns, kept, percentiles
+from testbed.report.surroundings import STRETCHES, _windows
+from testbed.report.thinning import BUCKETS, kept, percentiles
 
 MOST_BYTES = 5_000_000
 ALWAYS = {"trajectory", "altitude", "commands"}
@@ -274,7 +275,7 @@ def test_odd_runs_have_a_page(tmp_path, only, how, named):
 def test_a_killed_run_says_so_and_is_counted_again(flown, tmp_path, only):
     only("error")
     whole = (flown / "run.mcap").read_bytes()
-    (tmp_path / "run.mcap").write_bytes(whole[: 9 * len(whole) // 10])
+    (tmp_path / "run.mcap").write_bytes(whole[: 6 * len(whole) // 10])
     flight = read_flight(tmp_path)
     assert flight.outcome == "cut short"
     assert 0.0 < flight.metrics["simulated_s"] < 12.0
@@ -322,9 +323,16 @@ def test_thinning_keeps_extremes_ends_and_gaps():
         assert np.nanmax(values[at[inside]]) == np.nanmax(bucket)
 
 
-def test_a_course_that_goes_round_is_not_drawn_across():
-    course = np.array([[170.0], [179.0], [-179.0], [-170.0]])
-    assert np.isnan(break_turns(course)[:, 0]).tolist() == [False, False, True, False]
+def test_means_and_extremes_are_of_the_whole_run():
+    time, values = np.arange(1050.0), np.arange(2100.0).reshape(1050, 2)
+    values[-1, 0] = 9e9
+    values[3] = np.nan
+    middle, mean, largest = _windows(time, values)
+    assert len(middle) <= STRETCHES and largest[-1, 0] == 9e9
+    frames = -(-1050 // STRETCHES)
+    np.testing.assert_allclose(mean[0], np.nanmean(values[:frames], axis=0))
+    np.testing.assert_allclose(mean[-1, 1], values[frames * (len(mean) - 1) :, 1].mean())
+    assert middle[-1] == time[frames * (len(mean) - 1) :].mean()
 
 
 def test_percentiles_leave_out_what_is_not_a_number():

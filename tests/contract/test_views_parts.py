@@ -14,6 +14,7 @@ from testbed.views import layout, plots, signs
 from testbed.views.airframes import airframe
 from testbed.views.batch import COLUMNS, Collector, beside, parts, whole
 from testbed.views.meshes import cut
+from testbed.views.panels import break_turns
 from testbed.views.replay import shown
 from testbed.views.scene import scene_of, together
 
@@ -107,8 +108,9 @@ def test_links_drawn_do_not_depend_on_the_size_of_batches():
 def radio(aircraft, frames):
     """A flight in which everyone hears everyone, and nothing is lost or old."""
     batch = flight(aircraft, frames / 25.0)
-    zeros = np.zeros((frames, aircraft - 1, aircraft))
-    return dataclasses.replace(batch, age=zeros + 0.1, sent=zeros.copy())
+    age = np.full((frames, aircraft - 1, aircraft), 0.1)
+    age[:, np.arange(aircraft - 1), np.arange(1, aircraft)] = np.nan  # nobody hears itself
+    return dataclasses.replace(batch, age=age, sent=np.zeros_like(age))
 
 
 def colours_of(lines, frame):
@@ -177,9 +179,11 @@ def test_the_barrier_plotted_is_the_law_s():
     barriers = ((5, 0.05), (6, 2.0), (7, 0.0))
     still = scene(4, barriers=barriers)
     batch = flight(4)
-    values = plot(still, "barrier").series[0].values(batch)
+    series = plot(still, "barrier").series[0]
+    assert series.labels == ("uav1", "uav2"), "7 is no barrier"
+    values = series.values(batch)
     speed = np.linalg.norm(batch.velocity[:, 1:], axis=-1)
-    for i, (example, nu) in enumerate(barriers):
+    for i, (example, nu) in enumerate(barriers[:2]):
         expected, _ = h(Barrier(example, nu), speed[:, i], np.array(16.0), np.array(30.0))
         np.testing.assert_allclose(values[:, i], expected)
     assert values.std(axis=0)[0] > 0.0
@@ -202,15 +206,15 @@ def test_speeds_are_plotted_in_what_their_bounds_are_measured_in():
 
 def test_the_oldest_news_is_of_another_and_of_those_used():
     batch = radio(3, 25)
-    batch.age[:, 0] = [0.2, 9.0, np.nan]  # uav1: of the leader, of itself, of uav2
+    batch.age[:, 0] = [0.2, np.nan, 0.1]  # uav1: of the leader, of itself, of uav2
     batch.age[:, 1] = np.nan
     values = plot(scene(3), "age").series[0].values(batch)
     np.testing.assert_array_equal(values[0], [0.2, np.nan])
 
 
 def test_angles_are_not_drawn_across_half_a_turn():
-    angle = np.radians(np.array([[170.0], [179.0], [-179.0], [-170.0]]))
-    np.testing.assert_allclose(plots.turns(angle)[:, 0], [170.0, 179.0, np.nan, -170.0])
+    angle = np.array([[170.0], [179.0], [-179.0], [-170.0]])
+    np.testing.assert_allclose(break_turns(angle)[:, 0], [170.0, 179.0, np.nan, -170.0])
 
 
 @pytest.mark.parametrize("aircraft", [1, 2, 4, 8, 9, 20, 50])
