@@ -21,11 +21,23 @@ from testbed.record.read import read_log
 from testbed.scenario import load, shorten
 from testbed.state import Event
 from testbed.study.two_runs import compare_runs
-from testbed.views import InMemory, LiveViewer, RerunView, RrdFile, replay, scene, shoot, viewer
+from testbed.views import (
+    InMemory,
+    LiveViewer,
+    RerunView,
+    RrdFile,
+    layout,
+    replay,
+    scene,
+    shoot,
+    shot,
+    viewer,
+)
 from testbed.views.airframes import airframe
 from testbed.views.batch import Collector, whole
 from testbed.views.meshes import normals
 from testbed.views.rerun_door import Recording
+from testbed.views.shot import SIZE, ViewTroubleError
 
 HERE = Path(__file__).parents[2]
 
@@ -331,15 +343,18 @@ def flight_of(aircraft, folder):
 
 @needs_vulkan
 @pytest.mark.parametrize("aircraft", [1, 4, 20])
-def test_a_picture_shows_every_aircraft_and_no_view_complains(aircraft, tmp_path):
+def test_a_picture_shows_every_aircraft_and_no_view_complains(aircraft, tmp_path, monkeypatch):
     from PIL import Image
 
     folder = Path(os.environ.get("TESTBED_PICTURES", tmp_path))
     path = folder / f"view-{aircraft}.png"
     log = flight_of(aircraft, tmp_path)
-    shoot(path, log.time_s[-1] - 6.5, log)
+    size = SIZE if folder != tmp_path else (960, 600)  # drawn in software: small is quick
+    if folder == tmp_path:
+        monkeypatch.setattr(shot, "GREETED_S", 0.0)
+    shoot(path, log.time_s[-1] - 6.5, log, size=size)
     picture = np.asarray(Image.open(path).convert("RGB")).astype(int)
-    assert picture.shape == (900, 1600, 3)
+    assert picture.shape == (*size[::-1], 3)
     chase = picture[: picture.shape[0] // 2, : picture.shape[1] // 2]
     for k in range(min(aircraft, 8)):
         # Trails and wings keep the hue; the viewer's light only darkens it.
@@ -349,8 +364,6 @@ def test_a_picture_shows_every_aircraft_and_no_view_complains(aircraft, tmp_path
 
 @needs_vulkan
 def test_a_view_that_complains_is_an_error(tmp_path, monkeypatch):
-    from testbed.views import layout
-    from testbed.views.shot import ViewTroubleError
 
     real = layout.pictures
 
@@ -358,5 +371,6 @@ def test_a_view_that_complains_is_an_error(tmp_path, monkeypatch):
         return tuple(dataclasses.replace(one, origin="nowhere") for one in real(*given, **named))
 
     monkeypatch.setattr(layout, "pictures", astray)
+    monkeypatch.setattr(shot, "GREETED_S", 0.0)
     with pytest.raises(ViewTroubleError, match="Formation"):
         shoot(tmp_path / "flight.png", 1.0, views_flight.log(2, 2.0), size=(640, 400))

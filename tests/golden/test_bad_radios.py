@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import pytest
-from whole_flights import FLOWN, IN_FULL, SAMPLE, cells, fly
+from whole_flights import IN_FULL, cells, fly
 
 HEALED_S, BACK_S = 330.0, 240.0
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=IN_FULL)])
+@IN_FULL
+@pytest.mark.parametrize("seed", [1, 2])
 def test_loss_and_latency_together_are_borne(seed) -> None:
     """30 % loss and 200 ms, compensated: nobody is lost, and the mean error stays below 3 m."""
-    metrics = fly("loss-and-latency", f"scenario.seed={seed}", until=SAMPLE)
+    metrics = fly("loss-and-latency", f"scenario.seed={seed}")
     assert metrics["network"]["all"]["delivered_share"] == pytest.approx(0.7, abs=0.01)
     assert metrics["age_of_information_s"]["uav1"]["mean"] > 0.2
-    for portion in FLOWN:
+    for portion in ("rectangles", "circles"):
         assert cells(metrics, portion).mean() <= 3.0
 
 
@@ -22,7 +23,7 @@ def test_loss_and_latency_together_are_borne(seed) -> None:
     ("groups", "then"),
     [
         ("[[leader, uav1], [uav2, uav3]]", "loiter"),
-        ("[[leader], [uav1], [uav2], [uav3]]", "straight"),
+        pytest.param("[[leader], [uav1], [uav2], [uav3]]", "straight", marks=IN_FULL),
         pytest.param("[[leader, uav1], [uav2, uav3]]", "straight", marks=IN_FULL),
         pytest.param("[[leader], [uav1], [uav2], [uav3]]", "loiter", marks=IN_FULL),
     ],

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from whole_flights import UAVS, cells
+from whole_flights import IN_FULL, UAVS, cells
 from whole_flights import fly as fly_once
 
 TABLE_1 = {"rectangles": (1.3, 1.4, 1.5), "circles": (1.3, 1.5, 1.5)}
@@ -24,12 +24,14 @@ def rms(metrics, portion, key="rms_m"):
 # estimates
 
 
+@IN_FULL
 def test_table_1_holds_on_an_autopilots_own_sensors() -> None:
     metrics = fly("simulation-3-pixhawk")
     for portion, table in TABLE_1.items():
         assert (cells(metrics, portion) <= table).all(), portion
 
 
+@IN_FULL
 def test_what_all_receivers_share_cancels_and_what_each_owns_does_not() -> None:
     """Metres off the truth, of which own drifts leave 0.66 m between neighbours.
 
@@ -87,6 +89,7 @@ def test_an_engine_out_leaves_the_others_undisturbed() -> None:
     assert metrics["min_separation_m"] > 5.0
 
 
+@IN_FULL
 def test_who_does_not_heed_a_failure_is_drawn_along() -> None:
     """UAV 3 weighs the leader and the gliding UAV 2 alike: behind by up to half of its way."""
     metrics = fly("engine-out-uav2", "formation.on_failure.answer=fly-on")

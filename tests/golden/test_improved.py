@@ -31,6 +31,7 @@ def test_behind_a_recorded_leader() -> None:
     assert (cells(metrics, "rectangles") <= 1.3).all()
 
 
+@IN_FULL
 def test_on_a_path_that_saturates() -> None:
     metrics = fly("simulation-3-hard", IMPROVED)
     assert metrics["min_separation_m"] > 3.0
