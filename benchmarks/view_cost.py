@@ -1,8 +1,8 @@
 """What watching costs: a run with a live view against the same run without, in turns.
 
-The viewer draws without a screen, in software, on the same machine, which is the dearest case: with
-a graphics card it takes no processor from the run. Flown as fast as it goes, and at a pace that two
-processors can draw. Two ratios: of the wall clock of the flight, and of the processor time that the
+Two viewers on the same machine, as fast as the run flies: one that takes the data and draws
+nothing, as where a graphics card draws, and one that draws in software, which takes a processor of
+its own. Of each, two ratios: of the wall clock of the flight, and of the processor time that the
 run's own process spends.
 
 usage: make bench  (or: python benchmarks/view_cost.py [--scenario NAME] [--duration S]
@@ -12,16 +12,18 @@ usage: make bench  (or: python benchmarks/view_cost.py [--scenario NAME] [--dura
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import statistics
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 from testbed import run
 from testbed.scenario import Scenario, load, shorten
 from testbed.views import LiveViewer, RerunView
-from testbed.views.viewer import free_port, headless
+from testbed.views.viewer import awaited, end, free_port, headless, launched, program
 
 
 def fly(page: Scenario, *watching: RerunView) -> tuple[float, float]:
@@ -44,34 +46,53 @@ def main() -> None:
     if asked.duration:
         page = shorten(page, asked.duration)
     fly(shorten(page, 1.0))  # compiles what is compiled once
-    alone, watched = [fly(page)], []
-    for turn in range(asked.repeats):
-        port = free_port()
-        with headless(port, (1600, 900)):
-            watched.append(fly(page, RerunView(LiveViewer(port=port))))
-        alone.append(fly(page))
-        print(f"turn {turn + 1}: {watched[-1][0]:.2f} s, without {alone[-1][0]:.2f} s", flush=True)
-    # each run against the mean of what was measured before and after it: machines drift
-    ratios = [
-        [2.0 * w[k] / (p[k] + q[k]) for w, p, q in zip(watched, alone, alone[1:], strict=False)]
-        for k in range(2)
-    ]
-    wall, own = (statistics.median(each) for each in ratios)
-    result = {
+    result: dict[str, object] = {
         "scenario": page.name,
         "simulated_s": page.scenario.duration_s,
-        "wall_ratio": wall,
-        "wall_ratio_spread": [min(ratios[0]), max(ratios[0])],
-        "own_processor_ratio": own,
-        "own_processor_ratio_spread": [min(ratios[1]), max(ratios[1])],
     }
-    print(
-        f"{page.name}, {page.scenario.duration_s:g} s, live view: wall clock x {wall:.2f} "
-        f"({min(ratios[0]):.2f}-{max(ratios[0]):.2f}), the run's own processor time x {own:.2f} "
-        f"({min(ratios[1]):.2f}-{max(ratios[1]):.2f})"
-    )
+    for kind, viewer in (("not_drawing", blind), ("drawing_in_software", drawing)):
+        alone, watched = [fly(page)], []
+        for _ in range(asked.repeats):
+            with viewer() as port:
+                watched.append(fly(page, RerunView(LiveViewer(port=port))))
+            alone.append(fly(page))
+        # each run against the mean of what was measured before and after it: machines drift
+        turns = list(zip(watched, alone, alone[1:], strict=False))
+        ratios = [[2.0 * w[k] / (p[k] + q[k]) for w, p, q in turns] for k in range(2)]
+        told = []
+        for what, each in zip(("wall", "own_processor"), ratios, strict=True):
+            result[f"{kind}_{what}_ratio"] = statistics.median(each)
+            result[f"{kind}_{what}_ratio_spread"] = [min(each), max(each)]
+            told.append(f"{statistics.median(each):.2f} ({min(each):.2f}-{max(each):.2f})")
+        print(
+            f"{page.name}, {page.scenario.duration_s:g} s, viewer {kind.replace('_', ' ')}: wall "
+            f"clock x {told[0]}, the run's own processor time x {told[1]}",
+            flush=True,
+        )
     if asked.json:
         asked.json.write_text(json.dumps(result, indent=2) + "\n")
+
+
+@contextlib.contextmanager
+def drawing() -> Iterator[int]:
+    """The port of a viewer that draws in software."""
+    port = free_port()
+    with headless(port, (1600, 900)):
+        yield port
+
+
+@contextlib.contextmanager
+def blind() -> Iterator[int]:
+    """The port of a viewer that takes everything and saves it."""
+    port, executable = free_port(), program()
+    assert executable is not None, "install rerun-sdk"
+    with tempfile.TemporaryDirectory() as folder:
+        viewer = launched(executable, port, "--save", str(Path(folder) / "it.rrd"))
+        try:
+            assert awaited(viewer, port), "the viewer did not start"
+            yield port
+        finally:
+            end(viewer)
 
 
 if __name__ == "__main__":

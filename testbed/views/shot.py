@@ -12,7 +12,7 @@ SIZE = (1600, 900)  # pixels
 LOADED_S = 60.0  # a long run on a slow machine
 LIMIT_S = 120.0  # for all of it
 DRAWN_S = 1.0  # the viewer lays out and draws a few times, and does not say when it is done
-GREETED_S = 4.5  # for so long it tells people in a corner that it listens
+GREETED_S = 6.0  # for so long it tells people in a corner that it listens
 
 
 class ViewTroubleError(RuntimeError):
