@@ -10,6 +10,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
@@ -97,7 +98,8 @@ def headless(
     if executable is None:
         raise InputError(f"there is no `rerun` program beside {sys.executable}: install rerun-sdk")
     window = ("--headless", "--window-size", "{}x{}".format(*size))
-    viewer = launched(executable, port, *window)
+    scratch = tempfile.TemporaryDirectory(prefix="testbed-view-", ignore_cleanup_errors=True)
+    viewer = launched(executable, port, *window, TMPDIR=scratch.name)  # it leaves folders there
     late = threading.Event()
 
     def give_up() -> None:
@@ -115,15 +117,18 @@ def headless(
             )
         yield viewer
     except Exception as error:
-        if late.is_set():
-            raise InputError(f"the Rerun viewer did not answer for {limit_s:g} s") from error
+        if late.is_set() or isinstance(error, TimeoutError):
+            raise InputError("the Rerun viewer does not answer; is the machine busy?") from error
         raise
     finally:
         watch.cancel()
         end(viewer)
+        scratch.cleanup()
 
 
-def launched(executable: str, port: int, *arguments: str) -> subprocess.Popen[bytes]:
+def launched(
+    executable: str, port: int, *arguments: str, **environment: str
+) -> subprocess.Popen[bytes]:
     """A viewer on its way, reachable from this machine alone, in a process group of its own."""
     return subprocess.Popen(
         [executable, "--bind", HOST, "--port", str(port), "--hide-welcome-screen", *arguments],
@@ -132,7 +137,7 @@ def launched(executable: str, port: int, *arguments: str) -> subprocess.Popen[by
         stderr=subprocess.DEVNULL,
         # No questions on the terminal, no messages in the pictures, and, as everywhere where CI
         # is set, no statistics of use for Rerun.
-        env=os.environ | {"RERUN_APP_ONLY": "true", "RUST_LOG": "off", "CI": "true"},
+        env=os.environ | {"RERUN_APP_ONLY": "true", "RUST_LOG": "off", "CI": "true"} | environment,
         start_new_session=True,  # Ctrl-C ends the run, not the picture of it
     )
 

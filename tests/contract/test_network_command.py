@@ -330,11 +330,11 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
 def test_ctrl_c_ends_it_and_leaves_the_file_as_it_was(tmp_path):
     path = tmp_path / "messages.csv"
     path.write_text("old")
-    words = ("network", "bursty-wifi", "--packets", "300000", "--out", path.name)
+    words = ("network", "bursty-wifi", "--packets", "3000000", "--out", path.name)
     command = subprocess.Popen([sys.executable, "-m", "testbed", *words], cwd=tmp_path)
     try:
         for _ in range(3):  # machine code may have to be made first, and that asks nobody
-            time.sleep(2.0)
+            time.sleep(5.0)  # before it has begun, Python itself answers
             command.send_signal(signal.SIGINT)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 command.wait(timeout=60.0)

@@ -15,7 +15,7 @@ from testbed.views.rerun_door.blueprint import GRID
 from testbed.views.scene import BACKDROP, Scene
 
 PATH = (165, 165, 170)
-WIND, BELIEF = (120, 200, 255), (255, 255, 255)
+WIND, BELIEF = (255, 150, 190), (255, 255, 255)  # no colour of an aircraft
 GHOST_ALPHA, DISC_ALPHA = 60, 70  # of 255
 
 Entity = tuple[str, tuple[rr.AsComponents, ...]]  # its path, and what it is
