@@ -58,9 +58,9 @@ def fly_and_show(asked: Flight) -> int:
     outside = find_outside(asked, page, lambda line: speech.print(Text(line), soft_wrap=True))
     watchers: list[Observer] = [] if asked.quiet else [ProgressBar(speech)]
     if asked.view:
-        from testbed.views import LiveViewer, RerunView
+        from testbed.views import FAST_HZ, LiveViewer, RerunView
 
-        watchers.append(RerunView(LiveViewer()))
+        watchers.append(RerunView(LiveViewer(), most_hz=None if outside.pace else FAST_HZ))
     flown = run(page, out=asked.out, observers=watchers, outside=outside)
     if not asked.quiet:
         render_table(flown.metrics, Console(stderr=is_stdout(asked.json)), log=flown.directory)

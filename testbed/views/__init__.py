@@ -7,6 +7,6 @@ dead, changes a run.
 from testbed.views.replay import replay
 from testbed.views.shot import shoot
 from testbed.views.sinks import InMemory, LiveViewer, RrdFile, Sink
-from testbed.views.view import RerunView
+from testbed.views.view import FAST_HZ, RerunView
 
-__all__ = ["InMemory", "LiveViewer", "RerunView", "RrdFile", "Sink", "replay", "shoot"]
+__all__ = ["FAST_HZ", "InMemory", "LiveViewer", "RerunView", "RrdFile", "Sink", "replay", "shoot"]

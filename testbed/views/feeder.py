@@ -21,7 +21,7 @@ from pathlib import Path
 from testbed.views.batch import Batch
 from testbed.views.scene import Scene
 
-CLOSE_S = 0.8  # the most a run waits for its view at the end
+CLOSE_S = 0.5  # the most a run waits for its view at the end
 PATIENT_CLOSE_S = 60.0
 QUEUE_BATCHES = 64  # half a minute of batches while a viewer starts
 ENDINGS = {  # exit codes of the feeding process

@@ -54,7 +54,7 @@ def shown(first: Recorded, second: Recorded | None = None) -> tuple[Scene, Batch
     if len(batch) < 2:
         raise InputError("the two runs have no frames at the same times: nothing to lay over")
     begin, step = float(batch.time[0]), float(np.median(np.diff(batch.time)))
-    both = replace(together(still, other, LABELS), frame_rate_hz=max(1, round(1.0 / step)))
+    both = replace(together(still, other, LABELS), frame_rate_hz=1.0 / step)
     who = [
         Event(begin, "info", label, f"is {each.title}")
         for label, each in zip(LABELS, (still, other), strict=True)

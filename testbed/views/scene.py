@@ -51,7 +51,7 @@ class Scene:
     barriers: tuple[tuple[int, float] | None, ...]  # n, example and nu; None: none known
     estimated: bool  # whether aircraft fly by estimates that are not the truth
     roll_limit: Array  # (n,) rad
-    frame_rate_hz: int
+    frame_rate_hz: float  # of the frames that are shown
 
 
 def scene_of(info: RunInfo) -> Scene:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from testbed.state import Event, Frame, RunInfo
@@ -13,7 +14,8 @@ from testbed.views.scene import scene_of
 from testbed.views.sinks import LiveViewer, Outlet, Sink
 
 PERIOD_S = 0.5  # wall clock between batches
-BATCH_FRAMES = 1000  # at most in a batch: a fast run reaches it before the half second
+BATCH_FRAMES = 500  # at most in a batch: a fast run reaches it before the half second
+FAST_HZ = 12.5  # frames per simulated second of a flight that is faster than anyone looks
 log = logging.getLogger(__name__)
 
 
@@ -24,9 +26,16 @@ class RerunView:
     run goes on without the view.
     """
 
-    def __init__(self, sink: Sink | None = None) -> None:
-        """Show runs in `sink`: by default a viewer on this machine, found or started."""
+    def __init__(self, sink: Sink | None = None, *, most_hz: float | None = None) -> None:
+        """Show runs in `sink`: by default a viewer on this machine, found or started.
+
+        Args:
+            sink: where it is shown.
+            most_hz: frames per simulated second that are shown at most, Hz: `FAST_HZ` for a flight
+                that nobody paces; None shows every frame of the log. Every event is shown.
+        """
         self._sink: Sink = sink or LiveViewer()
+        self._most_hz = most_hz
         self._outlet: Outlet | None = None
 
     def begin(self, info: RunInfo) -> None:
@@ -35,14 +44,24 @@ class RerunView:
         Raises:
             OSError: an .rrd file cannot be written. A missing viewer raises nothing.
         """
-        self._outlet = self._sink.open(scene_of(info))
+        wanted = self._most_hz or info.frame_rate_hz
+        self._stride = max(1, round(info.frame_rate_hz / wanted))
+        self._until_next = 0  # frames
+        shown_hz = info.frame_rate_hz / self._stride
+        self._outlet = self._sink.open(replace(scene_of(info), frame_rate_hz=shown_hz))
         self._collector = Collector(BATCH_FRAMES)
         self._due = time.perf_counter() + PERIOD_S
 
     def observe(self, frame: Frame) -> None:
-        """Copy one frame; now and then pass a batch on."""
+        """Copy one frame of each stride; now and then pass a batch on."""
         if self._outlet is None:
             return
+        if self._until_next:
+            self._until_next -= 1
+            if frame.events:
+                self._collector.add_events(frame.events)
+            return
+        self._until_next = self._stride - 1
         self._collector.add(frame)
         if self._collector.full or time.perf_counter() >= self._due:
             self._pass_on()

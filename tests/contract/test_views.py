@@ -22,6 +22,7 @@ from testbed.scenario import load, shorten
 from testbed.state import Event
 from testbed.study.two_runs import compare_runs
 from testbed.views import (
+    FAST_HZ,
     InMemory,
     LiveViewer,
     RerunView,
@@ -38,6 +39,7 @@ from testbed.views.batch import Collector, whole
 from testbed.views.meshes import normals
 from testbed.views.rerun_door import Recording
 from testbed.views.shot import SIZE, ViewTroubleError
+from testbed.views.view import BATCH_FRAMES
 
 HERE = Path(__file__).parents[2]
 
@@ -110,15 +112,36 @@ def test_a_batch_ends_at_its_size_and_at_its_half_second():
     view._collector.take = lambda: sent.append(take()) or sent[-1]
     frames = list(views_flight.frames(2, 60.0))
     view._due = np.inf
-    for frame in frames[:1000]:
+    for frame in frames[:BATCH_FRAMES]:
         view.observe(frame)
-    assert [len(batch) for batch in sent] == [1000]
-    view.observe(frames[1000])
+    assert [len(batch) for batch in sent] == [BATCH_FRAMES]
+    view.observe(frames[BATCH_FRAMES])
     view._due = 0.0
-    view.observe(frames[1001])
-    assert [len(batch) for batch in sent] == [1000, 2]
+    view.observe(frames[BATCH_FRAMES + 1])
+    assert [len(batch) for batch in sent] == [BATCH_FRAMES, 2]
     view.end({}, (Event(60.0, "warning", "run", "over"),))
     assert len(sent[2]) == 0 and sent[2].events[0].text == "over"
+
+
+def test_of_a_fast_flight_every_event_is_shown_and_not_every_frame():
+    events = []
+
+    def shown(most_hz):
+        sink = InMemory()
+        view = RerunView(sink, most_hz=most_hz)
+        view.begin(views_flight.info(2, 10.0))
+        for k, frame in enumerate(views_flight.frames(2, 10.0)):
+            if k in (3, 4):
+                frame = frame._replace(events=(Event(frame.time_s, "info", "x", "y"),))
+            view.observe(frame)
+        batch = view._collector.take()
+        events.append(batch.events)
+        return batch.time, view._outlet._scene.frame_rate_hz
+
+    (every, rate), (some, lower) = shown(None), shown(FAST_HZ)
+    assert rate == 25 and lower == 12.5
+    assert np.array_equal(some, every[::2])
+    assert len(events[0]) == 2 and events[0] == events[1]
 
 
 def test_a_frame_is_copied_and_not_written_to():

@@ -78,7 +78,7 @@ def test_runs_of_different_laws_and_rates_are_laid_over_one_another(barriers):
         if name not in ("info", "events")
     }
     still, batch = shown(one, SimpleNamespace(info=two.info, events=(), **slow))
-    assert still.frame_rate_hz == 5 and len(batch) == 50
+    assert still.frame_rate_hz == pytest.approx(5.0) and len(batch) == 50
     assert [event.source for event in batch.events] == ["A", "B"]
     barrier, speed = plot(still, "barrier"), plot(still, "speed")
     assert barrier.series[0].labels == ("A.uav1", *(["B.uav1", "B.uav2"] if barriers else []))
