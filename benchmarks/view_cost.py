@@ -22,7 +22,7 @@ from pathlib import Path
 
 from testbed import run
 from testbed.scenario import Scenario, load, shorten
-from testbed.views import LiveViewer, RerunView
+from testbed.views import FAST_HZ, LiveViewer, RerunView
 from testbed.views.viewer import awaited, end, free_port, headless, launched, program
 
 
@@ -54,7 +54,7 @@ def main() -> None:
         alone, watched = [fly(page)], []
         for _ in range(asked.repeats):
             with viewer() as port:
-                watched.append(fly(page, RerunView(LiveViewer(port=port))))
+                watched.append(fly(page, RerunView(LiveViewer(port=port), most_hz=FAST_HZ)))
             alone.append(fly(page))
         # each run against the mean of what was measured before and after it: machines drift
         turns = list(zip(watched, alone, alone[1:], strict=False))
