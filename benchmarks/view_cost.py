@@ -23,7 +23,7 @@ from pathlib import Path
 from testbed import run
 from testbed.scenario import Scenario, load, shorten
 from testbed.views import FAST_HZ, LiveViewer, RerunView
-from testbed.views.viewer import awaited, end, free_port, headless, launched, program
+from testbed.views.viewer import headless, program, tethered
 
 
 def fly(page: Scenario, *watching: RerunView) -> tuple[float, float]:
@@ -76,23 +76,20 @@ def main() -> None:
 @contextlib.contextmanager
 def drawing() -> Iterator[int]:
     """The port of a viewer that draws in software."""
-    port = free_port()
-    with headless(port, (1600, 900)):
+    with headless((1600, 900)) as port:
         yield port
 
 
 @contextlib.contextmanager
 def blind() -> Iterator[int]:
     """The port of a viewer that takes everything and saves it."""
-    port, executable = free_port(), program()
+    executable = program()
     assert executable is not None, "install rerun-sdk"
     with tempfile.TemporaryDirectory() as folder:
-        viewer = launched(executable, port, "--save", str(Path(folder) / "it.rrd"))
-        try:
-            assert awaited(viewer, port), "the viewer did not start"
+        saving = ("--save", str(Path(folder) / "it.rrd"))
+        with tethered(executable, *saving) as (viewer, port):
+            assert viewer.poll() is None, "the viewer did not start"
             yield port
-        finally:
-            end(viewer)
 
 
 if __name__ == "__main__":

@@ -44,7 +44,7 @@ def refuse_mixed(
 def compare_numbers(first: str, second: str, *, within: float | None, json: Path | None) -> int:
     """Print what differs between two runs; 0 if nothing does, else 3."""
     paths = find_run(first), find_run(second)
-    logs = _read(*paths)
+    logs = _read(paths[0]), _read(paths[1])
     found = compare_runs(*logs, within=within)
     console = Console(stderr=is_stdout(json), highlight=False)
     _show(found, logs, paths, console)
@@ -52,8 +52,14 @@ def compare_numbers(first: str, second: str, *, within: float | None, json: Path
     return SAME if found.same else DIFFERENT
 
 
-def _read(first: str | Path, second: str | Path) -> tuple[Log, Log]:
-    return read_log(find_run(first)), read_log(find_run(second))
+def _read(path: Path) -> Log:
+    log = read_log(path)
+    if log.metrics is None:
+        raise InputError(
+            f"{path}: this run has no metrics, for it was killed before its end: fly it again to"
+            " compare numbers, or leave --numbers out to lay what there is of it over the other"
+        )
+    return log
 
 
 def _show(found: Difference, logs: Sequence[Log], paths: Sequence[Path], console: Console) -> None:
@@ -74,6 +80,7 @@ def _show(found: Difference, logs: Sequence[Log], paths: Sequence[Path], console
         )
     console.print(table)
     console.print()
+    _line(console, f" motion   {_motion(found)}")
     for each in found.apart:
         if each.first_s is not None:
             _line(
@@ -81,6 +88,19 @@ def _show(found: Difference, logs: Sequence[Log], paths: Sequence[Path], console
                 f" {each.name} {_distance(each)}; not the same from {each.first_s:g} s on",
             )
     _line(console, f" {_verdict(found)}", "bold green" if found.same else "bold yellow")
+
+
+def _motion(found: Difference) -> str:
+    """Whether anybody moved otherwise, and over which frames that was asked."""
+    if not found.apart:
+        return "not compared: no aircraft of one name has frames at the same times in both"
+    differ = sum(each.first_s is not None for each in found.apart)
+    times = (
+        f"{found.shared_s.size} frames of both, {found.shared_s[0]:g} to {found.shared_s[-1]:g} s"
+    )
+    if not differ:
+        return f"the same to the last bit in the {times}"
+    return f"{differ} of {len(found.apart)} aircraft moved otherwise in the {times}"
 
 
 def _distance(each: Apart) -> str:
@@ -119,6 +139,7 @@ def _document(found: Difference, paths: Sequence[Path]) -> dict[str, Any]:
         "frames": list(found.frames),
         "same_frames": found.same_frames,
         "same_events": found.same_events,
+        "shared_frames": int(found.shared_s.size),
         "apart": [asdict(each) for each in found.apart],
     }
 

@@ -64,6 +64,9 @@ def fly_and_show(asked: Flight) -> int:
     flown = run(page, out=asked.out, observers=watchers, outside=outside)
     if not asked.quiet:
         render_table(flown.metrics, Console(stderr=is_stdout(asked.json)), log=flown.directory)
+        for copy in sorted(flown.directory.glob("*.py")) if flown.directory else ():
+            words = Text(f" {'law':<20}{copy}, a copy of its code")
+            Console(stderr=is_stdout(asked.json)).print(words, soft_wrap=True)
     put_json(asked.json, flown.metrics)
     return flown.exit_code
 

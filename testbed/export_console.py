@@ -12,7 +12,7 @@ from typing import IO
 from testbed.errors import InputError
 from testbed.export_commands import Format
 from testbed.metrics.document import replacing
-from testbed.outputs import is_stdout, refuse_files
+from testbed.outputs import is_stdout, refuse_files, said
 from testbed.record.arrow_door import write_csv, write_parquet
 from testbed.record.export import write_npz
 from testbed.record.flight import Flight
@@ -59,7 +59,7 @@ def export_run(run: str, form: Format, out: Path | None) -> str:
     if form in (Format.FOXGLOVE, Format.PLOTJUGGLER):
         size = f"layout for {log}"
     whole = "" if flight.log.finished else " (the run was cut short)"
-    return f"{path}: {size}{whole}"
+    return f"{path}: {size}{whole}" if is_stdout(out) else said(path, f"{size}{whole}")
 
 
 def _writer(form: Format, flight: Flight, log: Path, path: Path) -> Callable[[IO[bytes]], object]:

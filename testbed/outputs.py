@@ -31,6 +31,21 @@ def refuse_files(**paths: Path | None) -> None:
             raise InputError(f"--{name} {path}: this is a folder; write the name of a file")
 
 
+def said(path: Path, what: str = "") -> str:
+    """A file that was written, in words: its name, its size, and what it is."""
+    return f"{path}: {', '.join(filter(None, [size_of(path), what]))}"
+
+
+def size_of(*paths: Path) -> str:
+    """The size of files together, in words."""
+    size = float(sum(path.stat().st_size for path in paths))
+    if size < 999.5:
+        return f"{size:.0f} bytes"
+    unit = "kB" if size < 999_500.0 else "MB"
+    size /= 1e3 if unit == "kB" else 1e6
+    return f"{size:.1f} {unit}" if size < 9.95 else f"{size:,.0f} {unit}"
+
+
 def put_json(path: Path | None, document: Mapping[str, Any]) -> None:
     """Write a document where it was asked for, if it was.
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from rich.console import Console
 
 from testbed.errors import InputError
-from testbed.outputs import refuse_files
+from testbed.outputs import refuse_files, size_of
 from testbed.report import read_flight, write_figures, write_page
 from testbed.report.page import FORMATS
 
@@ -36,6 +36,6 @@ def report_and_show(
             f"{error.filename or page}: cannot be written: {error.strerror}"
         ) from error
     console = Console(highlight=False)
-    console.print(f" page     {page}", soft_wrap=True)
+    console.print(f" page     {page}, {size_of(page)}", soft_wrap=True)
     if figures:
-        console.print(f" figures  {len(files)} in {figures}", soft_wrap=True)
+        console.print(f" figures  {len(files)} in {figures}, {size_of(*files)}", soft_wrap=True)

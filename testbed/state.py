@@ -10,9 +10,9 @@ every tick are named tuples, which are cheap and which numba knows.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,9 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.uint8]
 Truths = NDArray[np.bool_]
 Counts = NDArray[np.uint32]
+
+_RecordT = TypeVar("_RecordT")
+FEW = 100  # numbers of a record that are printed
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +46,27 @@ class Airframe:
     lift_slope: float  # 1/rad, of the lift coefficient
 
 
+def listed(names: Sequence[str]) -> str:
+    """Names, or of many the first few and how many there are."""
+    return ", ".join(names if len(names) <= 6 else (*names[:5], f"… {len(names)} in all"))
+
+
+def briefly(kind: type[_RecordT]) -> type[_RecordT]:
+    """Print a record of arrays, in a notebook, as its numbers if they are few, else its shapes."""
+
+    def text(record: Any) -> str:  # noqa: ANN401 - a named tuple
+        few = sum(each.size for each in record) <= FEW
+        parts = [
+            f"{name}={each!r}" if few else f"{name} {'×'.join(map(str, each.shape))}"
+            for name, each in zip(record._fields, record, strict=True)
+        ]
+        return f"{kind.__name__}({', '.join(parts)})"
+
+    kind.__repr__ = text  # type: ignore[method-assign]
+    return kind
+
+
+@briefly
 class VehicleState(NamedTuple):
     """The motion of N aircraft: the truth, or an autopilot's estimate of it."""
 
@@ -60,6 +84,7 @@ def followers(state: VehicleState) -> VehicleState:
     return VehicleState(*(each[1:] for each in state))
 
 
+@briefly
 class AirData(NamedTuple):
     """What the truth knows beside the motion; logged and drawn, never given to a controller."""
 
@@ -81,6 +106,7 @@ class AirFelt(NamedTuple):
     roll_coefficient: Array  # (N,) rolling-moment coefficient of what is no turn, right wing down
 
 
+@briefly
 class FbwaCommand(NamedTuple):
     """A fly-by-wire-A command: what a pilot's sticks say to ArduPlane in that mode."""
 
@@ -99,6 +125,7 @@ class UnicycleCommand(NamedTuple):
     guards: Flags  # (n,) bit set of formation.flags.Guard
 
 
+@briefly
 class Surfaces(NamedTuple):
     """What an autopilot sends to its servos, normalised."""
 
@@ -131,6 +158,7 @@ class Inbox(NamedTuple):
     euler_rates: Array  # (n, N, 3)
 
 
+@briefly
 class FormationState(NamedTuple):
     """What the controllers of the n followers did, and how far they are from where they should be.
 
@@ -172,6 +200,7 @@ class Failing(NamedTuple):
     mute: Truths  # (N,) sends nothing
 
 
+@briefly
 class LinkCounts(NamedTuple):
     """Messages on the links from N aircraft to their n followers since the start."""
 
@@ -232,6 +261,15 @@ class RunInfo:
     # n speed barriers h: number of its example in [HBH23] and ν; none of a law of one's own
     barriers: tuple[tuple[int, float], ...] = ()
     estimated: bool = False  # whether any aircraft flies by estimates that are not the truth
+    # files of code that the page names as if they lay beside it, by that name
+    code: Mapping[str, bytes] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        """Whose run it is, without its page."""
+        return (
+            f"<RunInfo of {self.scenario_name}: {listed(self.names)}; seed {self.seed},"
+            f" {self.duration_s:g} s planned, frames at {self.frame_rate_hz} Hz>"
+        )
 
 
 class Observer(Protocol):

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
+import shlex
 import signal
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from testbed.errors import InputError
-from testbed.outputs import refuse_files
+from testbed.outputs import is_stdout, refuse_files, said
 from testbed.record.read import Log, read_log
 from testbed.record.rundir import find_run
 from testbed.views import LiveViewer, RrdFile, replay, shoot
@@ -23,14 +25,17 @@ def replay_run(name: str, *, rrd: Path | None, at_s: float | None) -> int:
             f"--at {at_s:g}: a file has no cursor. Leave --at out and move it in the viewer, or "
             f"save a picture: testbed shot {name} --at {at_s:g} --out FILE.png"
         )
+    refuse_files(rrd=rrd)
     log = _read(name)
-    _show([log], rrd, None if at_s is None else _within(at_s, log))
+    _show("view", [name], [log], rrd, None if at_s is None else _within(at_s, log))
     return 0
 
 
 def lay_over(first: str, second: str, *, rrd: Path | None) -> int:
     """Send two flown runs to a Rerun viewer, or to a file, one over the other."""
-    _show([_read(first), _read(second)], rrd, None)
+    refuse_files(rrd=rrd)
+    names = [first, second]
+    _show("compare", names, [_read(name) for name in names], rrd, None)
     return 0
 
 
@@ -45,6 +50,7 @@ def picture_runs(names: Sequence[str], *, at_s: float | None, out: Path, size: s
     logs = [_read(name) for name in names]
     with terminable():
         shoot(out, _within(at_s, *logs), *logs, size=(int(match[1]), int(match[2])))
+    _say(said(out))
     return 0
 
 
@@ -77,14 +83,40 @@ def _within(at_s: float | None, *logs: Log) -> float:
     return at_s
 
 
-def _show(logs: Sequence[Log], rrd: Path | None, at_s: float | None) -> None:
+def _show(
+    command: str,
+    names: Sequence[str],
+    logs: Sequence[Log],
+    rrd: Path | None,
+    at_s: float | None,
+) -> None:
     if rrd is None:
         viewer = LiveViewer(patient=True, at_s=at_s)
         if trouble := obstacle(viewer.port):
-            raise InputError(trouble)
+            raise InputError(f"{trouble}. {_instead(command, names)}")
         replay(viewer, *logs)
         return
+    if is_stdout(rrd):
+        raise InputError("--rrd -: a recording goes to a file; write its name")
     try:
         replay(RrdFile(rrd), *logs)
     except OSError as error:
         raise InputError(f"--rrd {rrd}: {error.strerror or error}") from error
+    _say(said(rrd, f"a recording for `rerun {rrd}`"))
+
+
+def _instead(command: str, names: Sequence[str]) -> str:
+    """What shows runs where no viewer opens."""
+    runs = shlex.join(names)
+    ways = [
+        f"`testbed shot {runs} --out FILE.png` for a picture",
+        f"`testbed {command} {runs} --rrd FILE.rrd` for a recording that `rerun FILE.rrd` opens "
+        "elsewhere",
+    ]
+    if command == "compare":
+        ways.append(f"`testbed compare {runs} --numbers` for a table")
+    return f"Write {', '.join(ways[:-1])} or {ways[-1]}."
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr)

@@ -31,13 +31,14 @@ def error_table(
         exact: estimates are the truth, so that nothing else is believed.
     """
     published = metrics.get("published") or {}
+    beside = [name for name in portions if name in compared(metrics)]
     table = new_table()
     table.add_column(Text("\nRMS error, m", style="bold"), no_wrap=True)
     for name in portions:
         start, end = metrics["portions"][name]["window_s"]
         title = Text.assemble((name, "bold cyan"), f"\n{start:g}–{end:g} s", justify="right")
         table.add_column(title, justify="right", no_wrap=True)
-        if _has(published, name):
+        if name in beside:
             table.add_column(Text("\npaper"), justify="right", style="dim", no_wrap=True)
             table.add_column(Text("\nratio"), justify="right", no_wrap=True)
     followers = list(metrics["engaged_at_s"])
@@ -46,7 +47,8 @@ def error_table(
         for portion in portions:
             ours = metrics["portions"][portion]["rms_m"][name]
             theirs = _nth(published.get("rms_m", {}).get(portion), followers.index(name))
-            cells += _cells(ours, theirs, "{:.2f}", _has(published, portion))
+            theirs = None if _lost_within(metrics, portion, name) else theirs
+            cells += _cells(ours, theirs, "{:.2f}", portion in beside)
         table.add_row(*cells)
     if len(names) < len(followers):
         table.add_row(Text(f"(the worst of {len(followers)})", style="dim"))
@@ -57,7 +59,8 @@ def error_table(
         for portion in portions:
             theirs = published.get(key, {}).get(portion)
             ours = metrics["portions"][portion][key]
-            cells += _cells(ours, theirs, form, _has(published, portion))
+            theirs = None if _lost_within(metrics, portion, *followers) else theirs
+            cells += _cells(ours, theirs, form, portion in beside)
         table.add_row(*cells)
     extremes = [("largest, m", _largest, "{:.2f}"), ("leader bank, °", _bank, "{:.1f}")]
     if not exact:
@@ -66,16 +69,58 @@ def error_table(
         cells = [Text(label, style="dim")]
         for portion in portions:
             cells.append(Text(show(value(metrics["portions"][portion]), form), style="dim"))
-            cells += ["", ""] if _has(published, portion) else []
+            cells += ["", ""] if portion in beside else []
         table.add_row(*cells)
     if not all(metrics["portions"][name]["complete"] for name in portions):
-        cells = [Text("covered, s", style="yellow")]
+        cells = [Text("flown, s", style="yellow")]
         for portion in portions:
-            covered = metrics["portions"][portion]["covered_s"]
-            cells.append(Text(f"{covered:g}", style="yellow"))
-            cells += ["", ""] if _has(published, portion) else []
+            cells.append(Text(flown_part(metrics, portion), style="yellow"))
+            cells += ["", ""] if portion in beside else []
         table.add_row(*cells)
     return table
+
+
+def compared(metrics: Document) -> list[str]:
+    """The portions to hold against published numbers: those that have some, flown to their end."""
+    published = metrics.get("published") or {}
+    found = metrics["portions"]
+    return [name for name in found if found[name]["complete"] and _has(published, name)]
+
+
+def published_mean(metrics: Document, portion: str) -> float | None:
+    """The mean RMS error that was published of a portion, m, if there is one to compare with."""
+    if portion not in compared(metrics) or _lost_within(metrics, portion, *metrics["max_error_m"]):
+        return None
+    mean = metrics["published"].get("mean_rms_m", {}).get(portion)
+    return None if mean is None else float(mean)
+
+
+def beside_published(metrics: Document) -> str:
+    """Where the published numbers are from, and what is not held against them; "" of none."""
+    published = metrics.get("published") or {}
+    found = metrics["portions"]
+    known = [name for name in found if _has(published, name)]
+    cut = [name for name in known if not found[name]["complete"]]
+    said = [f"published: {published['source']}"] if len(cut) < len(known) else []
+    if cut:
+        said.append(f"not flown to the end, so not compared: {', '.join(cut)}")
+    return "; ".join(said)
+
+
+def flown_part(metrics: Document, portion: str) -> str:
+    """Which part of a window the run flew, s: "all", "none", or from when to when."""
+    start, end = metrics["portions"][portion]["window_s"]
+    if metrics["portions"][portion]["complete"]:
+        return "all"
+    until = min(float(metrics["simulated_s"]), end)
+    return f"{start:g}–{until:g}" if metrics["portions"][portion]["covered_s"] else "none"
+
+
+def _lost_within(metrics: Document, portion: str, *names: str) -> bool:
+    """Whether one of these, or the leader, was lost before a window ended."""
+    lost, end = metrics["lost_at_s"], metrics["portions"][portion]["window_s"][1]
+    times = [lost.get(name) for name in (next(iter(lost), ""), *names)]
+    return any(at is not None and at < end for at in times)
 
 
 def _cells(ours: float | None, theirs: float | None, form: str, compared: bool) -> list[Text | str]:

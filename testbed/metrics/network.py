@@ -16,11 +16,11 @@ WORDS = {
     "partition": "across a partition",
     "listed": "as listed",
 }
-OTHERS = {"mute": "not sent", "overtaken": "overtaken", "duplicated": "twice"}
+OTHERS = {"overtaken": "overtaken", "duplicated": "twice"}
 
 
 def describe(network: Mapping[str, Any] | None) -> list[str]:
-    """What the radio did, in up to three lines; none if all came at once.
+    """What the radio did, in up to four lines; none if all came without delay.
 
     Args:
         network: of the metrics document; None: of a run in flight.
@@ -36,6 +36,8 @@ def describe(network: Mapping[str, Any] | None) -> list[str]:
     counts = {WORDS[fate]: count for fate, count in together["lost"].items()}
     counts |= {words: together[key] for key, words in OTHERS.items()}
     lines.append(", ".join(f"{count:,} {what}" for what, count in counts.items() if count))
+    if together["mute"]:
+        lines.append(f"{together['mute']:,} not sent: sender mute or lost")
     how = []
     if together["bursts"]["longest"] > 1:
         bursts = together["bursts"]

@@ -16,6 +16,7 @@ from testbed.metrics.error_table import (
     ABREAST,
     NOTHING,
     Document,
+    beside_published,
     error_table,
     new_table,
     show,
@@ -36,9 +37,8 @@ def render_table(metrics: Document, console: Console, *, log: Path | None = None
     for first in range(0, len(portions), ABREAST):
         console.print()
         console.print(error_table(metrics, portions[first : first + ABREAST], listed, exact=exact))
-    source = (metrics.get("published") or {}).get("source")
-    if source and portions:
-        console.print(Text(f" published: {source}", style="dim"))
+    if beside := beside_published(metrics):
+        console.print(Text(f" {beside}", style="dim"))
     if metrics["engaged_at_s"]:
         console.print()
         console.print(follower_table(metrics, listed))

@@ -34,6 +34,7 @@ UNITS: Mapping[str, str] = {
     "v": "V",
 }
 Numbers = NDArray[Any]
+MOST_ALIKE = 5  # names that are offered in the place of one that is none
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +87,12 @@ class Flight:
 
     log: Log
 
+    def __repr__(self) -> str:
+        """Which run it is and how it ended."""
+        kinds = ", ".join(dict.fromkeys(self.info.aircraft))
+        outcome = str(self.metrics["outcome"]) if self.metrics else "cut short"
+        return f"<Flight of {self.info.scenario_name}: {self.log.size} ({kinds}); {outcome}>"
+
     @property
     def info(self) -> RunInfo:
         """What was known before the first frame: names, bounds, seed, versions."""
@@ -123,6 +130,8 @@ class Flight:
         """
         if name not in QUANTITIES:
             alike = difflib.get_close_matches(name, QUANTITIES, n=3)
+            alike += [each for each in QUANTITIES if name and name in each and each not in alike]
+            alike = alike[:MOST_ALIKE]
             hint = f"; did you mean {', '.join(alike)}?" if alike else "; keys() lists them"
             raise KeyError(f"{name}{hint}")
         return self.of(QUANTITIES[name])

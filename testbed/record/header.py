@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,11 @@ from testbed.state import Origin, RunInfo
 
 
 def to_json(info: RunInfo) -> str:
-    """All of it but the directory, which is where the log lies, and the page, which is beside."""
+    """All of it but where the log lies, and the page and its code, which are beside."""
     values: dict[str, Any] = {
         field.name: getattr(info, field.name)
         for field in dataclasses.fields(info)
-        if field.name not in ("directory", "scenario_yaml")
+        if field.name not in ("directory", "scenario_yaml", "code")
     }
     values["origin"] = dataclasses.asdict(info.origin)
     values["leader_path_ned"] = np.asarray(info.leader_path_ned).tolist()
@@ -25,7 +26,7 @@ def to_json(info: RunInfo) -> str:
     return json.dumps(values, ensure_ascii=False)
 
 
-def from_json(text: str, *, scenario_yaml: str) -> RunInfo:
+def from_json(text: str, *, scenario_yaml: str, code: Mapping[str, bytes]) -> RunInfo:
     """The same again.
 
     Raises:
@@ -53,6 +54,6 @@ def from_json(text: str, *, scenario_yaml: str) -> RunInfo:
             "bounded_in_ned",
         ):
             values[name] = tuple(values[name])
-        return RunInfo(scenario_yaml=scenario_yaml, **values)
+        return RunInfo(scenario_yaml=scenario_yaml, code=dict(code), **values)
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"the run's header lacks or adds something: {error}") from error

@@ -14,7 +14,7 @@ from testbed.record import door
 from testbed.record.door import Contents, LogError
 from testbed.record.header import from_json
 from testbed.record.messages import LOG_SCHEMA, STATE, TOPICS, Topic
-from testbed.record.recorder import INFO_NAME, METRICS_NAME, SCENARIO_NAME
+from testbed.record.recorder import CODE_ENDING, INFO_NAME, METRICS_NAME, SCENARIO_NAME
 from testbed.record.wire import layout
 from testbed.state import (
     AirData,
@@ -28,6 +28,7 @@ from testbed.state import (
     Surfaces,
     Truths,
     VehicleState,
+    listed,
 )
 
 _NS = 10**9
@@ -62,6 +63,20 @@ class Log:
     metrics: Mapping[str, Any] | None  # None: the run did not come to its end
     finished: bool  # False: the writer never closed the file
     lost_bytes: int  # of a record cut short at the end
+
+    def __repr__(self) -> str:
+        """How much of what there is."""
+        records = "truth, estimate, air, command, surfaces, formation, links, lost"
+        ended = "" if self.finished else ", cut short"
+        count = len(self.events)
+        events = f"{count} event{'s' * (count != 1)}{ended}"
+        return f"<Log of {self.info.scenario_name}: {records} of {self.size}; {events}>"
+
+    @property
+    def size(self) -> str:
+        """Frames, seconds and aircraft in words."""
+        last = f", {self.time_s[-1] - self.time_s[0]:g} s" if self.time_s.size else ""
+        return f"{self.time_s.size} frames{last}, of {listed(self.info.names)}"
 
 
 def read_log(path: Path) -> Log:
@@ -152,6 +167,7 @@ def _info(path: Path, contents: Contents) -> RunInfo:
         return from_json(
             contents.attachments[INFO_NAME].decode(),
             scenario_yaml=contents.attachments.get(SCENARIO_NAME, b"").decode(),
+            code={n: data for n, data in contents.attachments.items() if n.endswith(CODE_ENDING)},
         )
     except ValueError as error:
         raise LogError(f"{path}: {error}") from error

@@ -22,6 +22,7 @@ from testbed.record.wire import layout
 from testbed.state import Event, Frame, RunInfo
 
 SCENARIO_NAME, INFO_NAME, METRICS_NAME = "scenario.resolved.yaml", "run.json", "metrics.json"
+CODE_ENDING = ".py"  # of what is attached as code that the page names
 FIX_HZ = 5
 FLUSH_S = 0.35  # of wall-clock time, at the latest: a kill loses less than half a second
 _CHUNK_AIRCRAFT_FRAMES = 800
@@ -57,6 +58,8 @@ class McapRecorder:
         page = info.scenario_yaml.encode()
         file.metadata("testbed", _metadata(info, hashlib.sha256(page).hexdigest()))
         file.attachment(SCENARIO_NAME, "application/yaml", page)
+        for name, code in info.code.items():
+            file.attachment(name, "text/x-python", code)
         file.attachment(INFO_NAME, "application/json", to_json(info).encode())
         file.flush()
         self._open_streams(file, info.names)

@@ -7,13 +7,17 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from testbed.report.cast import Cast
 from testbed.report.flight import Flight
 from testbed.state import Array, Truths
-from testbed.views.panels import GREY, ORANGE, Band, Line, Panel, Space, Span
+from testbed.views.panels import BLACK, GREY, ORANGE, Band, Line, Panel, Space, Span, each_once
 
 WIDTH = 11.0  # inches
+AXIS_IN = 10.0  # of them, about what the time axis has
+LETTER_IN, GAP_IN = 0.085, 0.1  # of a portion's name, and after it
+LEVELS = 4  # lines for the names of portions
 MOST_MARKS = 40
 TIME = "time, s"
 MARK_COLOURS = {"info": GREY, "warning": ORANGE, "error": ORANGE}
@@ -48,11 +52,14 @@ class TimeAxis:
         """Of this flight."""
         time = flight.log.time_s
         self._limits = (float(time[0]), float(time[-1])) if time[-1] > time[0] else None
-        self._spans = [
-            Span(start, end, name)
-            for name, (start, end) in flight.log.info.portions.items()
-            if start < time[-1]
-        ]
+        self._spans = placed(
+            [
+                Span(start, end, name)
+                for name, (start, end) in flight.log.info.portions.items()
+                if start < time[-1]
+            ],
+            float(time[-1] - time[0]),
+        )
         # what happens before the start is of the page, not of the flight
         events = [each for each in flight.log.events if each.time_s > 0.0]
         order = sorted(events, key=lambda each: each.level == "info")[:MOST_MARKS]
@@ -84,6 +91,32 @@ class TimeAxis:
             marks=self._marks,
             **more,
         )
+
+
+def placed(spans: Sequence[Span], length: float) -> list[Span]:
+    """The spans of an axis of this length, their names below one another where they would meet.
+
+    A name that finds no room on `LEVELS` lines is left out.
+    """
+    free = [-np.inf] * LEVELS  # from where on each line is
+    out = []
+    for span in sorted(spans, key=lambda each: each.start):
+        end = span.start + (len(span.name) * LETTER_IN + GAP_IN) / AXIS_IN * length
+        level = next((k for k, begin in enumerate(free) if begin <= span.start), None)
+        if level is None:
+            out.append(replace(span, name=""))
+        else:
+            free[level] = end
+            out.append(replace(span, level=level))
+    return out
+
+
+def limits_at(time: Array, values: ArrayLike, name: str) -> list[Line]:
+    """Thin lines across times (K,), one at each value that differs; the first has the name."""
+    return [
+        Line(time[[0, -1]], np.full(2, value), BLACK, "" if k else name, 0.8)
+        for k, value in enumerate(each_once(values))
+    ]
 
 
 def settled(flight: Flight) -> tuple[Truths, str]:

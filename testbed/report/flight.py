@@ -71,8 +71,8 @@ def read_flight(run: str | Path) -> Flight:
 
 def _page(log: Log) -> Scenario | None:
     try:
-        return loads(log.info.scenario_yaml)
-    except InputError:  # of an older version, or with a file of its own that is not here
+        return loads(log.info.scenario_yaml, look=False)
+    except InputError:  # of another version
         return None
 
 

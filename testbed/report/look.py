@@ -32,8 +32,8 @@ a { color: var(--blue); }
   border-radius: .3rem; padding: .05rem .45rem; }
 .outcome.flown { color: var(--good); }
 .outcome.lost, .outcome.failed { color: var(--bad); }
-nav { margin: .6rem 0 1.4rem; font-size: .95rem; }
-nav a { margin-right: 1rem; white-space: nowrap; }
+nav { display: flex; flex-wrap: wrap; gap: .2rem 1rem; margin: .6rem 0 1.4rem; font-size: .95rem; }
+nav a { white-space: nowrap; }
 .cards { display: grid; grid-template-columns: repeat(auto-fit, minmax(11rem, 1fr)); gap: .8rem;
   margin: 1.2rem 0; padding: 0; list-style: none; }
 .cards li { background: var(--wash); border: 1px solid var(--rule); border-radius: .5rem;
@@ -41,12 +41,16 @@ nav a { margin-right: 1rem; white-space: nowrap; }
 .cards b { display: block; font-size: 1.45rem; font-weight: 650;
   font-variant-numeric: tabular-nums; }
 .cards span { color: var(--soft); font-size: .88rem; }
+.cards li.bad { border: 2px solid var(--bad); }
+.cards .bad b, .cards em { color: var(--bad); }
+.cards em { display: block; font-size: .88rem; font-style: normal; font-weight: 600; }
 .wide { overflow-x: auto; margin: .8rem 0; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .94rem; }
 th, td { padding: .28rem .8rem; text-align: right; vertical-align: bottom; }
 thead th { border-bottom: 1.5px solid var(--soft); font-weight: 600; line-height: 1.3; }
 th:first-child { text-align: left; padding-left: .2rem; }
 tbody th { font-weight: 500; }
+table:not(.facts) th:first-child { white-space: nowrap; }
 tbody tr:nth-child(even) { background: var(--wash); }
 tr.ends > * { border-bottom: 1px solid var(--rule); }
 .facts th, .facts td { text-align: left; vertical-align: top; }

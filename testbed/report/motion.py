@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from testbed.formation.barrier import NO_BARRIER, Barrier, h, per_agent
 from testbed.frames import velocity_frame, wrap_pi
 from testbed.report.cast import LEADER, Cast, bands, curves, wishes
-from testbed.report.drawing import Drawing, TimeAxis, masked, settled, span_of
+from testbed.report.drawing import Drawing, TimeAxis, limits_at, masked, settled, span_of
 from testbed.report.flight import Flight
 from testbed.report.thinning import kept
 from testbed.state import Array
-from testbed.views.panels import BLACK, DASHED, DOTTED, Curve, Line, Panel, Space, break_turns
+from testbed.views.panels import BLACK, DASHED, Curve, Line, Panel, Space, break_turns
 
 FLOOR_M = 1e-3  # where the axis of the error's logarithm ends
 PATH_BUCKETS = 900  # paths bend in a corner, which is short
+PLANNED = "#c4c4c4"
 CLOSE_S = 24.0  # of a corner seen from near
 
 
@@ -37,15 +36,16 @@ def trajectory(flight: Flight, cast: Cast) -> Drawing:
         above.append(Line(y[at], x[at], colour, name, marker=marker, marker_phase=phase))
     commanded = log.info.leader_path_ned
     if commanded.size:
-        planned = Line(commanded[:, 1], commanded[:, 0], BLACK, "leader, path", 0.8, dashes=DOTTED)
-        above.append(planned)
+        # Broad and light below the rest: dots would fill each other's gaps where laps repeat.
+        planned = Line(commanded[:, 1], commanded[:, 0], PLANNED, "leader, path", width=3.5)
+        above.insert(0, planned)
     space = Space("over time", "east, m", "north, m", "time, s", paths)
     plan = Panel("from above", "east, m", "north, m", above, equal=True)
     crowd = f" Of {cast.crowd} followers those with the largest RMS error are drawn."
     return Drawing(
         "Trajectories",
         "Left: paths in the horizontal plane with time as the vertical axis. Right: the same from"
-        " above, on one scale, with the path the leader was told to fly."
+        " above, on one scale; grey: the path the leader was told to fly."
         + crowd
         * bool(cast.crowd),
         [[space, plan]],
@@ -192,7 +192,7 @@ def speed(flight: Flight, cast: Cast) -> Drawing | None:
         actual, desired = masked(flight, actual), masked(flight, desired)
         lines = [*curves(time, actual, cast), *wishes(time, desired, cast)]
         if title == "speed" and not in_air:
-            lines += _bounds(flight)
+            lines += limits_at(time, log.info.speed_bounds_mps, "speed bounds")
         # a band of angles that go round would be none
         area = () if title == "course" else bands(time, actual, cast)
         rows.append([axis.panel(title, unit, lines, area, last=title == "course")])
@@ -200,7 +200,8 @@ def speed(flight: Flight, cast: Cast) -> Drawing | None:
     if in_air:
         moving = log.truth.velocity_ned[:, 1:] - np.array(log.info.bounded_in_ned)
         airspeed = masked(flight, np.sqrt(np.sum(moving**2, axis=-1)))
-        lines = [*curves(time, airspeed, cast), *_bounds(flight)]
+        lines = [*curves(time, airspeed, cast)]
+        lines += limits_at(time, log.info.speed_bounds_mps, "speed bounds")
         area = bands(time, airspeed, cast)
         rows.insert(1, [axis.panel("speed through the steady wind", "speed, m/s", lines, area)])
         bounded += ", which hold for the speed through the steady wind"
@@ -260,12 +261,3 @@ def _relative(
         )
         rows.append([axis.panel("", unit, lines, area, last=k == 2, y_limits=limits)])
     return Drawing(title, caption + said, rows, 6.6)
-
-
-def _bounds(flight: Flight) -> Iterator[Line]:
-    """The ends of the speed sets, each once."""
-    ends = flight.log.time_s[[0, -1]]
-    for k, bound in enumerate(
-        sorted({b for each in flight.log.info.speed_bounds_mps for b in each})
-    ):
-        yield Line(ends, np.full(2, bound), BLACK, "" if k else "speed bounds", 0.8)

@@ -8,7 +8,15 @@ from html import escape
 from pathlib import Path
 
 from testbed.metrics.document import replacing
-from testbed.metrics.error_table import ABREAST, error_table, show
+from testbed.metrics.error_table import (
+    ABREAST,
+    beside_published,
+    compared,
+    error_table,
+    flown_part,
+    published_mean,
+    show,
+)
 from testbed.metrics.network import describe
 from testbed.metrics.network_table import MOST_LINKS, arrival_table, worst_links
 from testbed.metrics.table import facts, follower_table
@@ -17,6 +25,7 @@ from testbed.report.flight import Flight
 from testbed.report.look import STYLE
 from testbed.report.svg import for_page
 from testbed.report.tables import rows_to_html, to_html
+from testbed.state import listed
 
 FORMATS = ("png", "pdf", "svg")
 MOST_EVENTS = 200
@@ -110,29 +119,50 @@ def _head(flight: Flight) -> str:
         )
     if flight.page and flight.page.scenario.expectation:
         out.append(f"<p>Expected: {escape(flight.page.scenario.expectation)}</p>")
-    cards = "".join(f"<li><b>{value}</b><span>{what}</span></li>" for value, what in _cards(flight))
-    out.append(f'<ul class="cards">{cards}</ul>')
+    out.append(f'<ul class="cards">{"".join(_card(*each) for each in _cards(flight))}</ul>')
     return "".join(out)
 
 
-def _cards(flight: Flight) -> list[tuple[str, str]]:
+def _card(value: str, what: str, ill: str = "") -> str:
+    """A number of the head; what is ill about it stands there in words, and in a colour."""
+    said = f"<b>{value}</b><span>{what}</span>"
+    return f'<li class="bad">{said}<em>{escape(ill)}</em></li>' if ill else f"<li>{said}</li>"
+
+
+def _cards(flight: Flight) -> list[tuple[str, str, str]]:
+    """Numbers, what they are, and what is ill about them, if anything is."""
     metrics = flight.metrics
     cards = []
     for name, portion in list(metrics["portions"].items())[:ABREAST]:
         value = show(portion["mean_rms_m"], "{:.2f} m")
         what = f"mean RMS error, {escape(name)}"
-        theirs = ((metrics.get("published") or {}).get("mean_rms_m") or {}).get(name)
-        cards.append((value, what + (f"; paper\u00a0{theirs:g}\u00a0m" if theirs else "")))
+        if not portion["complete"]:
+            what += f"; flown: {flown_part(metrics, name)}{' s' * bool(portion['covered_s'])}"
+        theirs = published_mean(metrics, name)
+        cards.append((value, what + (f"; paper\u00a0{theirs:g}\u00a0m" if theirs else ""), ""))
     largest = [each for each in metrics["max_error_m"].values() if each is not None]
     if largest and not metrics["portions"]:
-        cards.append((f"{max(largest):.2f} m", "largest formation error"))
-    cards.append((show(metrics["min_separation_m"], "{:.2f} m"), "smallest separation"))
-    lost = [name for name, at in metrics["lost_at_s"].items() if at is not None]
-    engaged = [at for at in metrics["engaged_at_s"].values() if at is not None]
-    if flight.followers:
-        cards.append((f"{len(engaged)} of {len(flight.followers)}", "followers engaged"))
-    cards.append((str(len(lost)), "aircraft lost"))
+        cards.append((f"{max(largest):.2f} m", "largest formation error", ""))
+    apart = show(metrics["min_separation_m"], "{:.2f} m")
+    cards.append((apart, "smallest separation", _too_close(flight)))
+    engaged = metrics["engaged_at_s"]
+    if engaged:
+        never = [name for name, at in engaged.items() if at is None]
+        count = f"{len(engaged) - len(never)} of {len(engaged)}"
+        cards.append((count, "followers engaged", f"never: {listed(never)}" if never else ""))
+    lost = {name: at for name, at in metrics["lost_at_s"].items() if at is not None}
+    order = [f"{name} at {lost[name]:.1f} s" for name in sorted(lost, key=lambda name: lost[name])]
+    cards.append((str(len(lost)), "aircraft lost", listed(order)))
     return cards
+
+
+def _too_close(flight: Flight) -> str:
+    """In words, that two aircraft came nearer than the larger of them is wide; else ""."""
+    info, between = flight.log.info, flight.metrics["min_separation_between"]
+    span = max((info.wingspan_m[info.names.index(name)] for name in between or ()), default=0.0)
+    if not between or flight.metrics["min_separation_m"] >= span:
+        return ""
+    return f"closer than a wingspan, {span:.2f} m"
 
 
 def _errors(flight: Flight) -> str:
@@ -153,9 +183,9 @@ def _errors(flight: Flight) -> str:
             " portion, [HBH23] eq. (30); the error in percent is that of eq. (31), a share of the"
             " distance from the leader to the slot.</p>"
         )
-    source = (metrics.get("published") or {}).get("source")
-    if source and portions:
-        out.append(f"<p>Published: {escape(source)}. A ratio below 1 is a smaller error.</p>")
+    if beside := beside_published(metrics):
+        below = " A ratio below 1 is a smaller error." if compared(metrics) else ""
+        out.append(f"<p>{escape(beside[0].upper() + beside[1:])}.{below}</p>")
     return "".join(out)
 
 
@@ -167,7 +197,7 @@ def _followers(flight: Flight) -> str:
     out.append(rows_to_html(facts(metrics)))
     radio = metrics["network"]
     if radio and radio["links"] and not describe(radio):
-        out.append(f"<p>All {radio['all']['sent']:,} messages arrived at once.</p>")
+        out.append(f"<p>All {radio['all']['sent']:,} messages arrived, without delay.</p>")
     elif radio and radio["links"]:
         links = worst_links(radio["links"])
         out.append("<h3>Links</h3>" + to_html(arrival_table(links, radio["all"])))
@@ -224,12 +254,10 @@ def _again(flight: Flight) -> str:
     if not text:
         return "".join([*out, "<p>The log does not hold the page that was flown.</p>"])
     file = f"{info.scenario_name}.yaml"
-    encoded = base64.b64encode(text.encode()).decode()
     out.append(
         "<p>Save the page below, as it was flown with every default written out, and fly it with"
         f" these versions:</p><pre>testbed run {escape(file)}</pre>"
-        f'<p class="screen"><a download="{escape(file, quote=True)}" '
-        f'href="data:text/yaml;base64,{encoded}">Save {escape(file)}</a></p>'
+        f'<p class="screen">{_saved(file, "text/yaml", text.encode())}</p>'
     )
     touched = _from_outside(flight)
     if touched:
@@ -237,7 +265,22 @@ def _again(flight: Flight) -> str:
             f"<p>This run cannot be repeated from its page alone: {escape(', '.join(touched))}.</p>"
         )
     out.append(f'<pre class="page">{escape(text)}</pre>')
+    for name, code in info.code.items():
+        out.append(
+            f"<p>The page names {escape(name)}, the code of its law. Save it beside the page:</p>"
+            f'<p class="screen">{_saved(name, "text/x-python", code)}</p>'
+            f'<pre class="page">{escape(code.decode("utf-8", "replace"))}</pre>'
+        )
     return "".join(out)
+
+
+def _saved(name: str, kind: str, data: bytes) -> str:
+    """A link that saves a file."""
+    encoded = base64.b64encode(data).decode()
+    return (
+        f'<a download="{escape(name, quote=True)}" href="data:{kind};base64,{encoded}">'
+        f"Save {escape(name)}</a>"
+    )
 
 
 def _from_outside(flight: Flight) -> Sequence[str]:

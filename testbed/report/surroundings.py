@@ -6,7 +6,7 @@ import numpy as np
 
 from testbed.metrics.wind import CALM
 from testbed.report.cast import LEADER, LOOKS, Cast, Part, bands, curves, wishes
-from testbed.report.drawing import Drawing, TimeAxis, masked, settled, span_of
+from testbed.report.drawing import Drawing, TimeAxis, limits_at, masked, settled, span_of
 from testbed.report.flight import Flight
 from testbed.report.thinning import kept
 from testbed.state import Array
@@ -36,12 +36,8 @@ def commands(flight: Flight, cast: Cast) -> Drawing:
         if wanted is not None:
             lines += wishes(time, wanted[:, 1:], cast)
         if title == "bank":
-            ends = time[[0, -1]]
-            limits = sorted({s * np.degrees(x) for x in log.info.roll_limit_rad for s in (-1, 1)})
-            lines += [
-                Line(ends, np.full(2, limit), BLACK, "" if k else "bank limits", 0.8)
-                for k, limit in enumerate(limits)
-            ]
+            limits = np.degrees(log.info.roll_limit_rad)
+            lines += limits_at(time, np.stack((-limits, limits)), "bank limits")
         area = bands(time, actual[:, 1:], cast)
         rows.append([axis.panel(title, unit, lines, area, last=wanted is None)])
     return Drawing(

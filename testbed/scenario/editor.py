@@ -21,7 +21,8 @@ def json_schema() -> dict[str, Any]:
             "type": "string",
             "title": "Extends",
             "description": "Name or path of a scenario that this page changes: maps merge, "
-            "lists and scalars replace, null takes a key away.",
+            "lists and scalars replace, null takes a key away; question, expectation and published "
+            "numbers are not had under another name.",
         },
         **schema["properties"],
     }

@@ -28,6 +28,8 @@ _BOUNDS = {
     "less_than": ("lt", "below"),
     "less_than_equal": ("le", "at most"),
 }
+# What a page that extends another may have from it, and may be wrong of its own flight.
+_OF_HEADER = (("scenario", "portions"), ("scenario", "published"))
 
 
 def explain(error: ValidationError, tree: Node, model: type[BaseModel]) -> list[Problem]:
@@ -57,7 +59,27 @@ def _has_enough(detail: Mapping[str, Any], tree: Node) -> bool:
 
 def _problem(tree: Node, loc: tuple[str | int, ...], text: str) -> Problem:
     node, path, left = walk(tree, loc)
-    return Problem(node.key if left else node.place, text, path + left[:1])
+    place = node.key if left else node.place
+    hint, there = _inherited(tree, path, place)
+    return Problem(there or place, text + hint, path + left[:1])
+
+
+def _inherited(tree: Node, path: tuple[str, ...], place: Place) -> tuple[str, Place | None]:
+    """Return how to be rid of what another page or a longer run left in the header, and where.
+
+    A portion, or a published number of one, is wrong where `duration_s` or the portions are, not
+    where it was written.
+    """
+    asked, _, _ = walk(tree, ("scenario", "duration_s"))
+    by_option = asked.place.source.startswith("--set")
+    if path[:2] == ("scenario", "portions") and by_option:
+        out = f"; to leave it out write --set {'.'.join(path)}=null; --duration ends portions, too"
+        return out, None
+    if path[:2] not in _OF_HEADER or place.source == tree.place.source:
+        return "", None
+    key, under = (path[2], "portions") if path[1] == "portions" else ("published", "scenario")
+    there = asked.place if asked.place.source == tree.place.source else tree.place
+    return f"; it is inherited from {place}: write {key}: null under {under} to leave it out", there
 
 
 def _one(detail: Mapping[str, Any], tree: Node, schema: dict[str, Any]) -> Problem:

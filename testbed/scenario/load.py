@@ -21,7 +21,7 @@ from testbed.scenario.messages import Place, Problem, ScenarioError, did_you_mea
 from testbed.scenario.overrides import override
 from testbed.scenario.references import settle
 from testbed.scenario.schema import Scenario
-from testbed.scenario.tree import Node, Scalar, merge, plain, walk
+from testbed.scenario.tree import Node, Scalar, inherit, plain, walk
 
 _MOST_BYTES = 1_000_000
 _MOST_NODES = 100_000
@@ -76,13 +76,18 @@ def load(name_or_path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
     return _scenario(_chain(path, ()), overrides)
 
 
-def loads(text: str, overrides: Sequence[str] = (), *, source: str = "<page>") -> Scenario:
+def loads(
+    text: str, overrides: Sequence[str] = (), *, source: str = "<page>", look: bool = True
+) -> Scenario:
     """Read a scenario from the text of its page; paths in it are relative to here.
+
+    Of a page that a log kept the files that it names may be gone: without `look` nobody asks.
 
     Raises:
         ScenarioError: as `load` does; `source` stands for the file's name.
     """
-    return _scenario(_extended(_parse(text, source, Path.cwd()), ()), overrides)
+    tree = _extended(_parse(text, source, Path.cwd()), ())
+    return _scenario(tree, overrides) if look else _validated(tree, Scenario)
 
 
 def load_middle_loop(aircraft: str | Path, profile: str) -> MiddleLoopGains:
@@ -169,7 +174,7 @@ def _extended(tree: Node, chain: tuple[Path, ...]) -> Node:
         raise _stop(wish.place, f"{wish.value!r} extends this page in turn", ("extends",))
     if len(chain) >= _LONGEST_CHAIN:
         raise _stop(wish.place, f"more than {_LONGEST_CHAIN} pages in a row", ("extends",))
-    return merge(_chain(base, chain), top)
+    return inherit(_chain(base, chain), top)
 
 
 def _read(path: Path) -> Node:

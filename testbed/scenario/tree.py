@@ -30,6 +30,8 @@ _UNSAID = {"loss": "bernoulli"}
 # name in its place all of the set.
 _CHANGED = "sensors"
 _SET = "like"
+# What a page says of the experiment of its name.
+_OF_ITS_NAME = ("question", "expectation", "published")
 
 
 def merge(base: Node, top: Node, name: str = "") -> Node:
@@ -53,6 +55,29 @@ def merge(base: Node, top: Node, name: str = "") -> Node:
         else:
             merged[key] = merge(merged[key], node, key) if key in merged else node
     return replace(top, value=merged)
+
+
+def inherit(base: Node, top: Node) -> Node:
+    """Return a page merged with the one it extends, less what is true of that one's name alone.
+
+    Question, expectation and published numbers of an experiment are none of another's.
+    """
+    header, own = (_header(page) for page in (base, top))
+    old, new = header.get("name"), own.get("name")
+    if new is None or (old is not None and old.value == new.value):
+        return merge(base, top)
+    # what the page takes away by null stays until then
+    gone = {key for key in _OF_ITS_NAME if key not in own or own[key].value is not None}
+    kept = {key: node for key, node in header.items() if key not in gone}
+    assert isinstance(base.value, dict)
+    below = {**base.value, "scenario": replace(base.value["scenario"], value=kept)}
+    return merge(replace(base, value=below), top)
+
+
+def _header(page: Node) -> dict[str, Node]:
+    """Return what is under `scenario`, if that is a map."""
+    header = page.value.get("scenario") if isinstance(page.value, dict) else None
+    return header.value if header and isinstance(header.value, dict) else {}
 
 
 def takes_away(named: Mapping[str, Node], key: str, name: str) -> bool:

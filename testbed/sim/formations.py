@@ -49,7 +49,7 @@ def make_groups(
             told = replace(team, paper=law)
             law, origin = build_law(page.controller.law, page.controller.options, told)
             _check_own(page, team, law)
-            notes.append(f"the law {type(law).__name__} runs the code of {origin}")
+            notes.append(f"the law {type(law).__name__} runs {origin}")
         groups.append(
             Group(
                 rows=np.array(rows, dtype=np.intp),

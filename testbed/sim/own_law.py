@@ -1,11 +1,13 @@
 """A user's own law: found by `module:Class`, built for a team, and never guessed at.
 
 This runs code by design. It comes from a file that the page names (the scenario's folder) or from
-an installed package, and the run says which.
+an installed package, and the run says which, with a digest. A file that is not among the testbed's
+own scenarios is kept with the run.
 """
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import importlib.util
 import inspect
@@ -17,12 +19,12 @@ from typing import Any, cast
 
 from testbed.errors import InputError
 from testbed.formation.law import Law, Team
-from testbed.scenario import find_law
+from testbed.scenario import Scenario, find_law, library
 from testbed.sim.control import blamed
 
 
 def build_law(name: str, options: Mapping[str, Any], team: Team) -> tuple[Law, str]:
-    """The law of a page's `controller.law` for a team, and where its code came from.
+    """The law of a page's `controller.law` for a team, and in words where its code came from.
 
     Args:
         name: "module:Class" of a file in scenarios/ or an installed module, or
@@ -56,7 +58,45 @@ def build_law(name: str, options: Mapping[str, Any], team: Team) -> tuple[Law, s
         ) from error
     make = cast(Callable[..., Law], found)
     with blamed(origin):
-        return make(team, **options), origin
+        return make(team, **options), _said(place, origin)
+
+
+def with_its_law(page: Scenario) -> tuple[Scenario, Mapping[str, bytes]]:
+    """The page as it is kept with its run, and the files that lie beside it there.
+
+    A law's file is named as if it lay beside the page; one that comes with the testbed, or with an
+    installed package, is found by its name again.
+
+    Raises:
+        InputError: the file cannot be read any more.
+    """
+    place, _, class_name = find_law(page.controller.law).rpartition(":")
+    path = Path(place)
+    if path.suffix != ".py" or _ours(path):
+        return page, {}
+    law = page.controller.model_copy(update={"law": f"{path.name}:{class_name}"})
+    return page.model_copy(update={"controller": law}), {path.name: _read(path)}
+
+
+def _ours(path: Path) -> bool:
+    """Whether a file is among the testbed's own scenarios."""
+    return path.parent == library() / "scenarios"
+
+
+def _said(place: str, origin: str) -> str:
+    """Whose code it is: the same words wherever a file lies, so that runs of it are the same."""
+    path = Path(origin)
+    digest = hashlib.sha256(_read(path)).hexdigest()[:12] if path.is_file() else "unknown"
+    if not place.endswith(".py"):
+        return f"the installed module {place} (SHA-256 {digest})"
+    return f"{path.name}{' of the testbed' * _ours(path)} (SHA-256 {digest})"
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"controller.law: {path} cannot be read: {error.strerror}") from error
 
 
 def _import(place: str) -> tuple[ModuleType, str]:

@@ -99,6 +99,8 @@ def run(
         directory = create_run_directory(page.name, out=out) if write else None
         if directory:
             (directory / "scenario.resolved.yaml").write_text(world.info.scenario_yaml)
+            for name, code in world.info.code.items():
+                (directory / name).write_bytes(code)
         if station and directory and outside.tlog:
             station.keep(directory / "run.tlog")
         published = page.scenario.published

@@ -34,6 +34,7 @@ from testbed.sim.formations import barriers_of, make_groups, roll_limits
 from testbed.sim.hypotheses import warnings
 from testbed.sim.leaders import Led, make_leader
 from testbed.sim.limits import Proximity
+from testbed.sim.own_law import with_its_law
 from testbed.sim.partners import Partner
 from testbed.sim.pilots import Pilot
 from testbed.sim.radios import beats, make_radio
@@ -143,6 +144,7 @@ def build(page: Scenario, *, commanded: bool = False, arduplane: Path | None = N
     if ideal:
         parts.append((ideal, _ideal(page, ideal, starts, led, clock)))
     groups, said = make_groups(page, folders[1:], clock)
+    kept, code = with_its_law(page)
     radio, scripts = make_radio(page)
     vehicles = parts[0][1] if len(parts) == 1 else Mixed(parts)
     breakdowns = make_breakdowns(page, fleet, jsbsim)
@@ -188,7 +190,8 @@ def build(page: Scenario, *, commanded: bool = False, arduplane: Path | None = N
         ),
         info=RunInfo(
             scenario_name=page.name,
-            scenario_yaml=dump(page),
+            scenario_yaml=dump(kept),
+            code=code,
             names=names,
             aircraft=tuple(folder.name for folder in folders),
             wingspan_m=tuple(each.span for each in airframes),

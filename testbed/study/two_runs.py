@@ -11,7 +11,9 @@ import numpy as np
 
 from testbed.errors import InputError
 from testbed.record.read import Log
+from testbed.record.times import Indices, shared_frames
 from testbed.scenario import loads
+from testbed.state import Array
 from testbed.study.golden_page import differences
 from testbed.study.golden_table import RULES, measure
 from testbed.study.golden_words import row_name
@@ -39,7 +41,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True)
 class Apart:
-    """How far an aircraft was from where it was in the other run, over the frames of both."""
+    """How far an aircraft was from where it was in the other run, over the shared frames."""
 
     name: str
     largest_m: float | None  # None: never a number
@@ -59,7 +61,8 @@ class Difference:
     frames: tuple[int, int]
     same_frames: bool  # every number of every frame, to the bit
     same_events: bool
-    apart: tuple[Apart, ...]
+    shared_s: Array  # (K,) times of the frames that both have
+    apart: tuple[Apart, ...]  # over these frames
     within: float | None  # None: all has to be the same
 
     @property
@@ -84,6 +87,7 @@ def compare_runs(first: Log, second: Log, *, within: float | None = None) -> Dif
     documents = [_metrics(log) for log in (first, second)]
     pairs = _pairs(*(_leaves(document) for document in documents))
     measured = [measure(document) for document in documents]
+    i, j = shared_frames(first.time_s, second.time_s)
     return Difference(
         page=_pages_differ(first, second),
         versions=differences(first.info.versions, second.info.versions),
@@ -93,7 +97,8 @@ def compare_runs(first: Log, second: Log, *, within: float | None = None) -> Dif
         frames=(first.time_s.size, second.time_s.size),
         same_frames=_same(first, second),
         same_events=first.events == second.events,
-        apart=_apart(first, second),
+        shared_s=first.time_s[i],
+        apart=_apart(first, second, i, j),
         within=within,
     )
 
@@ -101,8 +106,7 @@ def compare_runs(first: Log, second: Log, *, within: float | None = None) -> Dif
 def _metrics(log: Log) -> Mapping[str, Any]:
     if log.metrics is None:
         raise InputError(
-            f"{log.info.scenario_name}: a run without metrics, for it was cut short; compare runs "
-            "that came to their end"
+            f"{log.info.scenario_name}: this run has no metrics, for it was killed before its end"
         )
     return log.metrics
 
@@ -130,13 +134,21 @@ def _label(key: str) -> str:
 
 
 def _pages_differ(first: Log, second: Log) -> tuple[str, ...]:
-    if first.info.scenario_yaml == second.info.scenario_yaml:
-        return ()
+    code = _code_differs(first.info.code, second.info.code)
+    yaml = [log.info.scenario_yaml for log in (first, second)]
+    if yaml[0] == yaml[1]:
+        return code
     try:
-        pages = [loads(log.info.scenario_yaml).model_dump(mode="json") for log in (first, second)]
+        pages = [loads(text, look=False).model_dump(mode="json") for text in yaml]
     except InputError:
-        return ("differs, but this version cannot read both pages",)
-    return differences(*pages)
+        return ("differs, but this version cannot read both pages", *code)
+    return (*differences(*pages), *code)
+
+
+def _code_differs(first: Mapping[str, bytes], second: Mapping[str, bytes]) -> tuple[str, ...]:
+    """Of files of code that both pages name, those that are not the same."""
+    shared = [name for name in first if name in second]
+    return tuple(f"{name} is other code" for name in shared if first[name] != second[name])
 
 
 def _same(first: Log, second: Log) -> bool:
@@ -153,10 +165,9 @@ def _same(first: Log, second: Log) -> bool:
     )
 
 
-def _apart(first: Log, second: Log) -> tuple[Apart, ...]:
-    """Each aircraft of both runs, at the times of both."""
-    # ticks of different rates, but the same times give the same quotients to the bit
-    time_s, i, j = np.intersect1d(first.time_s, second.time_s, return_indices=True)
+def _apart(first: Log, second: Log, i: Indices, j: Indices) -> tuple[Apart, ...]:
+    """Each aircraft of both runs, in the frames (K,) of either at the times of both."""
+    time_s = first.time_s[i]
     if not time_s.size:
         return ()
     out = []

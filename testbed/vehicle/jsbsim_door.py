@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from testbed.compiled import twin_of
 from testbed.frames import FOOT, metres_per_radian, rotation_ned_body
 from testbed.state import AirData, AirFelt, Airframe, Array, Origin, Surfaces, Truths, VehicleState
 from testbed.vehicle.breakage import Rig, check_faults, find_rig, stacked
+from testbed.vehicle.folder_cache import kept
 from testbed.vehicle.inertia import impossible_inertia
 from testbed.vehicle.jsbsim_model import AircraftError, JsbsimModel, Traits, find_traits
 from testbed.vehicle.linearize import Linear, linearize
@@ -285,32 +286,28 @@ class JsbsimFleet:
 
 
 def trim_aircraft(folder: Path, point: TrimPoint, origin: Origin | None = None) -> TrimResult:
-    """Trim the aircraft in a folder; the same question is answered once per process.
+    """Trim the aircraft in a folder; until its files change the same question is answered once.
 
     Raises:
         AircraftError: if the folder holds no aircraft JSBSim can load.
         TrimError: if there is no steady flight at the point.
     """
-    return _trim_aircraft(Path(folder).resolve(), point, origin or Origin())
+    return _trim_aircraft(folder, point, origin or Origin())
 
 
+@kept(maxsize=64)
 def airframe(folder: Path) -> Airframe:
     """What the air has to know of the aircraft in a folder.
 
     Raises:
         AircraftError: if the folder holds no aircraft JSBSim can load.
     """
-    return _airframe(Path(folder).resolve())
-
-
-@lru_cache(maxsize=64)
-def _airframe(folder: Path) -> Airframe:
     model = _load(folder, _TRIM_RATE_HZ)
     model.locate((0.0, 0.0, -1000.0), Origin())
     return model.airframe()
 
 
-@lru_cache(maxsize=64)
+@kept(maxsize=64)
 def _rig(folder: Path) -> Rig:
     model = _load(folder, _TRIM_RATE_HZ)
     model.locate((0.0, 0.0, -1000.0), Origin())
@@ -329,7 +326,7 @@ def linearize_aircraft(folder: Path, point: TrimPoint, origin: Origin | None = N
     return linearize(_located(folder, point, origin), trimmed)
 
 
-@lru_cache(maxsize=256)
+@kept(maxsize=256)
 def _trim_aircraft(folder: Path, point: TrimPoint, origin: Origin) -> TrimResult:
     return trim(_located(folder, point, origin), point)
 
@@ -346,7 +343,7 @@ def _load(folder: Path, rate_hz: int) -> JsbsimModel:
     return JsbsimModel(_executive(folder), rate_hz, _traits(folder))
 
 
-@lru_cache(maxsize=64)
+@kept(maxsize=64)
 def _traits(folder: Path) -> Traits:
     model = JsbsimModel(_executive(folder), _TRIM_RATE_HZ, Traits(has_rudder=True, has_lag=True))
     traits = find_traits(model)

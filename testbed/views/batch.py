@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.record.times import shared_frames
 from testbed.state import (
     AirData,
     Array,
@@ -173,9 +174,7 @@ def joined(first: Batch, second: Batch) -> Batch:
 
 def beside(first: Batch, second: Batch, labels: tuple[str, str]) -> Batch:
     """Two runs in one: the frames of the times that both have, aircraft one after the other."""
-    _, mine, other = np.intersect1d(
-        np.round(first.time, 6), np.round(second.time, 6), return_indices=True
-    )
+    mine, other = shared_frames(first.time, second.time)
     one, two = first.rows(mine), second.rows(other)
     columns = {
         name: np.concatenate([getattr(one, name), getattr(two, name)], axis=1)

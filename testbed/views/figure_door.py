@@ -17,7 +17,8 @@ from mpl_toolkits.mplot3d import Axes3D
 
 from testbed.views.panels import GREY, GRID, Line, Panel, Sheet, Space
 
-DOTS_PER_INCH = 100  # of a PNG
+DOTS_PER_INCH = 100  # by which a figure is laid out
+PNG_DOTS_PER_INCH = 200
 TITLES_IN, LEGEND_IN = 0.8, 0.35  # inches that titles and a row of the legend need
 KEY_IN, LETTER_IN = 0.8, 0.095  # of a name in the legend
 MARKERS = 8  # on a curve
@@ -46,14 +47,17 @@ STYLE: dict[Any, Any] = {
 
 
 def draw(sheet: Sheet, path: Path) -> None:
-    """Write a sheet as PNG (100 dots per inch), PDF or SVG, as the name's ending says.
+    """Write a sheet as PNG (200 dots per inch), PDF or SVG, as the name's ending says.
 
     Raises:
         OSError: it cannot be written.
     """
     ending = path.suffix.lower()
     with matplotlib.rc_context(STYLE):
-        _figure(sheet, titled=True).savefig(path, format=ending[1:], metadata=UNDATED[ending])
+        figure = _figure(sheet, titled=True)
+        figure.savefig(
+            path, format=ending[1:], dpi=PNG_DOTS_PER_INCH, metadata=UNDATED[ending]
+        )  # fmt: skip
 
 
 def to_svg(sheet: Sheet) -> str:
@@ -116,9 +120,11 @@ def _fill(ax: Axes, panel: Panel) -> None:
         ax.set_yscale("log")
     for span in panel.spans:
         ax.axvspan(span.start, span.end, color=GREY, alpha=0.13, lw=0)
-        ax.text(
-            span.start, 0.985, f" {span.name}", transform=ax.get_xaxis_transform(),
-            va="top", size=10.5, clip_on=True,
+        ax.axvline(span.start, color=GREY, lw=0.5)  # where the span before may end
+        ax.annotate(
+            span.name, (span.start, 1.0), (3.0, -2.0 - 12.5 * span.level),
+            xycoords=ax.get_xaxis_transform(), textcoords="offset points",
+            va="top", size=10.5, annotation_clip=False,
         )  # fmt: skip
     for at, colour in panel.marks:
         ax.axvline(at, color=colour, lw=0.9, ls=(0, (1, 2)))

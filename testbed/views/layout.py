@@ -7,12 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from testbed.views import signs
 from testbed.views.batch import Batch
 from testbed.views.scene import Scene, ground
 
 CHASE_TRAIL_S = 4.0
 OVERVIEW_TRAIL_S = 60.0
-PLOT_WINDOW_S = 120.0
+PLOT_WINDOW_S = 60.0  # before the cursor
+PLOT_AHEAD_S = 2.0  # after it
+LEAST_PLOTTED_S = 10.0
 # What a viewer draws without stuttering, over all aircraft:
 TRAIL_ROWS_PER_S = 100.0
 POSE_ROWS_PER_S = 500.0
@@ -20,6 +23,9 @@ PLOT_ROWS_PER_S = 200.0
 MOST_MOVING = 8  # aircraft whose control surfaces move
 MOST_NAMED = 12  # aircraft with their names beside them
 SMALLEST = 0.13  # of the distance to the chase camera: aircraft are drawn no smaller
+
+
+Span = tuple[float, float]  # s
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,10 +62,11 @@ class Framing:
 
 
 def framing(still: Scene, first: Batch) -> Framing:
-    """The cameras for a formation as its slots stand in the first frame."""
+    """The cameras for a formation as its slots stand in the first frame, as far as it tells."""
     slots = first.slot[0, : still.chased]
     placed = np.concatenate([first.position[0, :1], slots])
-    spread = placed - placed.mean(axis=0)
+    placed = placed[np.isfinite(placed).all(axis=-1)]
+    spread = placed - placed.mean(axis=0) if len(placed) else np.zeros((1, 3))
     radius = float(np.linalg.norm(spread, axis=-1).max())
     tall = float(np.abs(spread[:, 2]).max())
     span = max(still.wingspan)
@@ -90,18 +97,20 @@ def pictures(still: Scene, frame: Framing) -> tuple[Picture, Picture, Picture]:
     legend = [f"arrows: wind, {frame.wind:g} m per m/s"]
     legend += ["dots: own estimates"] if still.estimated else []
     legend += [f"aircraft {frame.size:g} x as large"] if frame.size > 1.0 else []
+    crowd = len(names) > MOST_NAMED
+    named = f"; named: the {signs.WORST} furthest from their slots" if crowd else ""
     return (
         Picture(
-            f"Formation ({'; '.join(legend)})",
+            f"{' · '.join(['Formation', *still.runs])} ({'; '.join(legend)})",
             "world/chase",
-            ("world/ground/scale", *upright, *markers, *names),
+            ("world/ground/scale", "world/chase/worst", *upright, *markers, *names),
             frame.chase,
             CHASE_TRAIL_S,
         ),
         Picture(
-            f"From above (grid {frame.grid:g} m)",
+            f"From above (grid {frame.grid:g} m{named})",
             "world/chase",
-            ("world/ground/**", *upright, *markers, *(names if len(names) > MOST_NAMED else ())),
+            ("world/ground/**", *upright, *markers, *(names if crowd else ())),
             frame.above,
             CHASE_TRAIL_S,
             frame.grid,
@@ -114,6 +123,13 @@ def pictures(still: Scene, frame: Framing) -> tuple[Picture, Picture, Picture]:
             OVERVIEW_TRAIL_S,
         ),
     )
+
+
+def span_of(at_s: float, begin_s: float) -> Span:
+    """What plots show of a run that begins at `begin_s` and is looked at at `at_s`, s."""
+    begin = max(begin_s, at_s - PLOT_WINDOW_S)
+    end = max(at_s, begin + LEAST_PLOTTED_S)
+    return begin, end + PLOT_AHEAD_S / PLOT_WINDOW_S * (end - begin)
 
 
 def overview_eye(still: Scene) -> Eye:

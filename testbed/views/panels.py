@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from testbed.state import Array
 
@@ -54,6 +55,7 @@ class Span:
     start: float
     end: float
     name: str
+    level: int = 0  # lines below the top at which the name stands
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +113,11 @@ class Sheet:
     rows: Sequence[Sequence[Panel | Space]]
     widths: Sequence[float]  # of the columns, relative
     inches: tuple[float, float] = (16.0, 10.0)  # width, height
+
+
+def each_once(values: ArrayLike) -> list[float]:
+    """The numbers that differ, in order."""
+    return [float(value) for value in np.unique(np.asarray(values, dtype=np.float64))]
 
 
 def break_turns(angle: Array) -> Array:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,8 +11,9 @@ from testbed.formation.barrier import Barrier, h
 from testbed.frames import course, flight_path_angle, wrap_pi
 from testbed.state import Array
 from testbed.views.batch import Batch
-from testbed.views.panels import break_turns
+from testbed.views.panels import break_turns, each_once
 from testbed.views.scene import BACKDROP, Colour, Scene, mixed
+from testbed.views.signs import STALE_S
 
 LIMIT: Colour = (150, 150, 150)
 MOST_DESIRED = 8  # aircraft: of more, what they should do is not drawn beside what they do
@@ -34,13 +35,28 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class Plot:
-    """A pair of axes over time."""
+    """A pair of axes over time, as high as what is seen in them.
+
+    Attributes:
+        name: of the entity.
+        title: what, and its unit.
+        series: of aircraft.
+        least: what the axis shows at the least, so that a quiet plot looks quiet.
+        limits: lines with their names, always in sight.
+        whole: whether the axis shows `least` and nothing beyond.
+    """
 
     name: str
     title: str
     series: tuple[Series, ...]
-    range: tuple[float, float]
+    least: tuple[float, float]
     limits: tuple[tuple[str, float], ...] = ()
+    whole: bool = False
+
+    @property
+    def still(self) -> tuple[float, ...]:
+        """What is drawn and does not move: the limits, and unless it is the whole axis, `least`."""
+        return (*(value for _, value in self.limits), *(() if self.whole else self.least))
 
 
 def tabs(still: Scene) -> tuple[tuple[Plot, ...], ...]:
@@ -66,20 +82,20 @@ def _speeds(still: Scene) -> tuple[Plot, ...]:
         lambda batch: np.linalg.norm(batch.velocity, axis=-1),
         lambda batch: batch.speed_desired,
     )
-    bounds = sorted({float(v) for v in still.speed_bounds.ravel()}) or [12.0, 33.0]
+    bounds = each_once(still.speed_bounds) or [12.0, 33.0]
     within = tuple((f"bound {value:g}", value) for value in bounds if still.followers)
-    low, high = bounds[0] - 2.0, bounds[-1] + 2.0
+    least = bounds[0] - 1.0, bounds[-1] + 1.0
     if not still.bounded_in.any():
         title = "Ground speed and bounds, m/s" if within else "Ground speed, m/s"
-        return (Plot("speed", title, ground, (low, high), within),)
+        return (Plot("speed", title, ground, least, within),)
     air = _everyone(
         still, "actual", lambda batch: np.linalg.norm(batch.velocity - still.bounded_in, axis=-1)
     )
     both = len({bool(each.any()) for each in still.bounded_in}) > 1
     title = "Speed as its bounds are measured, m/s" if both else "Airspeed and bounds, m/s"
     return (
-        Plot("speed", title, (air,), (low, high), within),
-        Plot("ground_speed", "Ground speed, m/s", ground, (low - 8.0, high + 8.0)),
+        Plot("speed", title, (air,), least, within),
+        Plot("ground_speed", "Ground speed, m/s", ground, least),
     )
 
 
@@ -95,14 +111,14 @@ def _directions(still: Scene) -> tuple[Plot, Plot]:
         lambda batch: np.degrees(batch.climb_desired),
     )
     return (
-        Plot("course", "Course, deg", headed, ANGLES),
-        Plot("climb", "Flight path, deg", climbing, (-20.0, 20.0)),
+        Plot("course", "Course, deg", headed, ANGLES, whole=True),
+        Plot("climb", "Flight path, deg", climbing, (-10.0, 10.0)),
     )
 
 
 def _bank(still: Scene) -> Plot:
-    banks = sorted({float(v) for v in np.degrees(still.roll_limit)})
-    largest = 1.2 * banks[-1] if banks else 60.0
+    banks = each_once(np.degrees(still.roll_limit))
+    largest = 1.1 * banks[-1] if banks else 60.0
     actual = _everyone(still, "actual", lambda batch: np.degrees(batch.euler[..., 0]))
     limits = tuple((f"limit {side * each:g}", side * each) for each in banks for side in (-1, 1))
     return Plot("bank", "Bank and limits, deg", (actual,), (-largest, largest), limits)
@@ -110,13 +126,13 @@ def _bank(still: Scene) -> Plot:
 
 def _throttle(still: Scene) -> Plot:
     commanded = _everyone(still, "commanded", lambda batch: batch.throttle)
-    return Plot("throttle", "Throttle", (commanded,), (-0.02, 1.02))
+    return Plot("throttle", "Throttle", (commanded,), (0.0, 1.0))
 
 
 def _altitude(still: Scene) -> Plot:
     heights = -np.concatenate(still.paths)[:, 2] if still.paths else np.array([100.0])
     actual = _everyone(still, "actual", lambda batch: -batch.position[..., 2])
-    around = (float(heights.min()) - 30.0, float(heights.max()) + 30.0)
+    around = (float(heights.min()) - 10.0, float(heights.max()) + 10.0)
     return Plot("altitude", "Altitude, m", (actual,), around)
 
 
@@ -124,21 +140,21 @@ def _air(still: Scene) -> tuple[Plot, Plot]:
     along = _everyone(still, "felt", lambda batch: np.linalg.norm(batch.wind[..., :2], axis=-1))
     up = _everyone(still, "felt", lambda batch: -batch.wind[..., 2])
     return (
-        Plot("wind", "Wind felt, m/s", (along,), (0.0, 12.0)),
-        Plot("updraught", "Updraught, m/s", (up,), (-4.0, 4.0)),
+        Plot("wind", "Wind felt, m/s", (along,), (0.0, 5.0)),
+        Plot("updraught", "Updraught, m/s", (up,), (-1.0, 1.0)),
     )
 
 
 def _error(still: Scene) -> Plot:
     error = _followers(still, "error", lambda batch: np.linalg.norm(batch.error, axis=-1))
-    return Plot("error", "Position error, m", (error,), (0.0, 6.0))
+    return Plot("error", "Position error, m", (error,), (0.0, 1.0))
 
 
 def _estimate(still: Scene) -> Plot:
     off = _everyone(
         still, "off", lambda batch: np.linalg.norm(batch.believed - batch.position, axis=-1)
     )
-    return Plot("estimate", "Estimate off by, m", (off,), (0.0, 6.0))
+    return Plot("estimate", "Estimate off by, m", (off,), (0.0, 1.0))
 
 
 def _barrier(still: Scene) -> Plot:
@@ -153,15 +169,14 @@ def _barrier(still: Scene) -> Plot:
         through = batch.velocity[:, rows] - still.bounded_in[rows]
         return h(Barrier(example, nu), np.linalg.norm(through, axis=-1), low, high)[0]
 
-    labels = tuple(still.names[row] for row in rows)
-    series = (Series("h", labels, tuple(still.colours[row] for row in rows), value),)
+    series = (_series(still, "h", rows.tolist(), value),)
     return Plot("barrier", "Speed barrier", series, (-0.1, 1.1), (("bound", 0.0),))
 
 
 def _age(still: Scene) -> Plot:
     """How old the oldest news is that each follower uses of another."""
     oldest = _followers(still, "age", lambda batch: np.fmax.reduce(batch.age, axis=-1))
-    return Plot("age", "Oldest news used, s", (oldest,), (0.0, 1.0))
+    return Plot("age", "Oldest news used, s", (oldest,), (0.0, STALE_S))
 
 
 def _both(still: Scene, actual: Values, desired: Values) -> tuple[Series, ...]:
@@ -170,15 +185,36 @@ def _both(still: Scene, actual: Values, desired: Values) -> tuple[Series, ...]:
     done = _everyone(still, "actual", actual)
     if not rows or len(still.names) > MOST_DESIRED:
         return (done,)
-    labels = tuple(f"{still.names[row]} desired" for row in rows)
-    faded = tuple(mixed(still.colours[row], BACKDROP, 0.45) for row in rows)
-    return (done, Series("desired", labels, faded, desired, width=1.0))
+    wanted = _series(still, "desired", rows, desired)
+    return (
+        done,
+        replace(
+            wanted,
+            labels=tuple(f"{label} desired" for label in wanted.labels),
+            colours=tuple(mixed(colour, BACKDROP, 0.45) for colour in wanted.colours),
+            width=1.0,
+        ),
+    )
 
 
 def _everyone(still: Scene, name: str, values: Values) -> Series:
-    return Series(name, still.names, still.colours, values)
+    return _series(still, name, range(len(still.names)), values)
 
 
 def _followers(still: Scene, name: str, values: Values) -> Series:
-    labels = tuple(still.names[row] for row in still.followers)
-    return Series(name, labels, tuple(still.colours[row] for row in still.followers), values)
+    return _series(still, name, still.followers, values)
+
+
+def _series(still: Scene, name: str, rows: Sequence[int], values: Values) -> Series:
+    """The values (m, k) of k aircraft, by their rows, until they are lost."""
+    chosen = list(rows)
+
+    def until_lost(batch: Batch) -> Array:
+        return np.where(batch.lost[:, chosen] > 0.0, np.nan, values(batch))
+
+    return Series(
+        name,
+        tuple(still.names[row] for row in chosen),
+        tuple(still.colours[row] for row in chosen),
+        until_lost,
+    )

@@ -37,6 +37,7 @@ GRID_MARGIN = 150.0  # m of grid beyond the path
 class Scene:
     """The part of a view that stands still: of N aircraft, n of which have a slot."""
 
+    scenario: str
     title: str
     recording_id: str
     names: tuple[str, ...]  # N, a leader first
@@ -52,6 +53,7 @@ class Scene:
     estimated: bool  # whether aircraft fly by estimates that are not the truth
     roll_limit: Array  # (n,) rad
     frame_rate_hz: float  # of the frames that are shown
+    runs: tuple[str, ...] = ()  # of two in one view, what each is and its colour
 
 
 def scene_of(info: RunInfo) -> Scene:
@@ -59,6 +61,7 @@ def scene_of(info: RunInfo) -> Scene:
     run = f" {info.directory.name}" if info.directory else ""
     n = len(info.names) - 1
     return Scene(
+        scenario=info.scenario_name,
         title=info.scenario_name + run,
         # Of its own each time: a replay must not be added to the live recording of the same run.
         recording_id=uuid.uuid4().hex,
@@ -88,7 +91,7 @@ def together(first: Scene, second: Scene, labels: tuple[str, str]) -> Scene:
         labels: short names of the two, set before the names of aircraft.
     """
     count = len(first.names)
-    shades = (FOLLOWERS[0], FOLLOWERS[1])
+    shades = (FOLLOWERS[0], FOLLOWERS[1])  # blue and orange
     colours = [
         tuple(lighter(shade, row, len(each.names)) for row in range(len(each.names)))
         for shade, each in zip(shades, (first, second), strict=True)
@@ -97,6 +100,10 @@ def together(first: Scene, second: Scene, labels: tuple[str, str]) -> Scene:
         tuple(f"{label}.{name}" for name in each.names)
         for label, each in zip(labels, (first, second), strict=True)
     ]
+    known = (first, second)
+    told = [each.scenario for each in known]
+    if told[0] == told[1]:
+        told = [each.title for each in known]
     same = len(first.paths) == len(second.paths) and all(
         np.array_equal(*pair) for pair in zip(first.paths, second.paths, strict=True)
     )
@@ -115,6 +122,10 @@ def together(first: Scene, second: Scene, labels: tuple[str, str]) -> Scene:
         barriers=first.barriers + second.barriers,
         roll_limit=np.concatenate([first.roll_limit, second.roll_limit]),
         estimated=first.estimated or second.estimated,
+        runs=tuple(
+            f"{label}, {shade}: {run}"
+            for label, shade, run in zip(labels, ("blue", "orange"), told, strict=True)
+        ),
     )
 
 

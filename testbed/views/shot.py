@@ -6,13 +6,13 @@ import time
 from pathlib import Path
 
 from testbed.views.replay import Recorded, send, shown
-from testbed.views.viewer import free_port, headless
+from testbed.views.viewer import headless
 
 SIZE = (1600, 900)  # pixels
 LOADED_S = 60.0  # a long run on a slow machine
 LIMIT_S = 120.0  # for all of it
 DRAWN_S = 1.0  # the viewer lays out and draws a few times, and does not say when it is done
-GREETED_S = 6.0  # for so long it tells people in a corner that it listens
+GREETED_S = 6.0  # for so long after it first draws it tells people in a corner that it listens
 
 
 class ViewTroubleError(RuntimeError):
@@ -43,14 +43,15 @@ def shoot(
     """
     from testbed.views.rerun_door import Recording, Remote
 
-    port, (still, batch) = free_port(), shown(first, second)
-    with headless(port, size, limit_s=LIMIT_S):
+    still, batch = shown(first, second)
+    with headless(size, limit_s=LIMIT_S) as port:
+        remote = Remote(port, still.recording_id)
+        remote.draw()
         greeted = time.monotonic() + GREETED_S
-        recording = Recording(still, live=False)
+        recording = Recording(still, live=False, at_s=at_s)
         recording.open(port)
         send(recording, batch)
         recording.flush(LOADED_S)
-        remote = Remote(port, still.recording_id)
         remote.stop_at(at_s, LOADED_S)
         remote.hide_menu()
         time.sleep(max(DRAWN_S, greeted - time.monotonic()))

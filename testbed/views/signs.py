@@ -16,12 +16,13 @@ from testbed.state import Array
 from testbed.views.batch import Batch
 from testbed.views.scene import Scene
 
-SIGNS = ("links", "wind", "believed")  # entities in the frame of the chase camera
+SIGNS = ("links", "wind", "believed", "worst")  # entities in the frame of the chase camera
 MOST_LINKS = 120  # at once; of more only those that fail are drawn
 FLASH_S = 0.3  # after a message that was lost
 STALE_S = 0.5  # news older than this is drawn as such
 FRESH, STALE, LOST = (96, 112, 136), (240, 200, 60), (255, 60, 40)
 THIN, BROAD = 0.6, 2.0  # points
+WORST = 3  # of many, so many are named
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +85,31 @@ class Links:
         return last
 
 
+@dataclass(frozen=True, slots=True)
+class Labels:
+    """Names at places, those of one frame after those of another; S in all."""
+
+    counts: NDArray[np.intp]  # (m,) of each frame
+    rows: NDArray[np.intp]  # (S,) of the aircraft
+    places: Array  # (S, 3) m
+    texts: list[str]  # S
+
+
+def worst(still: Scene, batch: Batch) -> Labels:
+    """Who is furthest from its slot, of those that are not lost, and how far."""
+    rows = np.array(still.followers, dtype=np.intp)
+    error = np.linalg.norm(batch.error, axis=-1)
+    error[~np.isfinite(error) | (batch.lost[:, rows] > 0.0)] = -1.0
+    order = np.argsort(-error, axis=1, kind="stable")[:, :WORST]
+    far = np.take_along_axis(error, order, axis=1)
+    shown = far >= 0.0
+    chosen = rows[order][shown]
+    frame = np.nonzero(shown)[0]
+    texts = [f"{still.names[k]} {e:.1f} m" for k, e in zip(chosen, far[shown], strict=True)]
+    place = to_chase(still, batch, batch.position)
+    return Labels(shown.sum(axis=1), chosen, place[frame, chosen], texts)
+
+
 def to_chase(still: Scene, batch: Batch, place: Array) -> Array:
     """Places (m, N, 3) in the frame of the chase camera."""
     return turned(place - centre(still, batch)[:, None], course(batch.velocity[:, 0]))
@@ -102,5 +128,6 @@ def centre(still: Scene, batch: Batch) -> Array:
     Slots rather than aircraft: the picture stays steady when one of them strays.
     """
     placed = np.concatenate([batch.position[:, :1], batch.slot[:, : still.chased]], axis=1)
-    middle: Array = placed.mean(axis=1)
+    known = np.isfinite(placed).all(axis=-1, keepdims=True)  # (m, n + 1, 1)
+    middle: Array = np.where(known, placed, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
     return middle

@@ -55,7 +55,12 @@ class LiveViewer:
 
         trouble = obstacle(self.port)
         if trouble is not None:
-            log.warning("No live view, the run goes on without it: %s", trouble)
+            log.warning(
+                "No live view, the run goes on without it: %s. Afterwards `testbed shot RUN --out "
+                "FILE.png` makes a picture, and `testbed view RUN --rrd FILE.rrd` a recording for "
+                "`rerun FILE.rrd` elsewhere.",
+                trouble,
+            )
             return None
         return Feeder(still, port=self.port, patient=self.patient, at_s=self.at_s)
 

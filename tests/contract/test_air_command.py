@@ -254,7 +254,7 @@ def test_a_picture_is_of_its_kind_and_the_same_each_time(name, start, tmp_path):
         drawn.append((tmp_path / name).read_bytes())
     assert drawn[0].startswith(start) and drawn[0] == drawn[1]
     if name == "a.png":
-        assert struct.unpack(">II", drawn[0][16:24]) == (1600, 1000)
+        assert struct.unpack(">II", drawn[0][16:24]) == (3200, 2000)
 
 
 @pytest.mark.parametrize("model", ["none", "coherent"])

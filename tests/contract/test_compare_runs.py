@@ -178,7 +178,22 @@ def test_scripts_are_told_by_the_exit_code(desk, tmp_path):
 def test_a_run_cut_short_has_no_metrics_to_compare(desk, flown, tmp_path):
     data = flown.read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
-    assert "cut short" in desk("cut.mcap", "--numbers", code=2).stderr
+    said = desk("cut.mcap", "--numbers", code=2).stderr
+    assert "error: cut.mcap: this run has no metrics" in said and "leave --numbers out" in said
+
+
+def test_of_runs_of_unlike_length_the_motion_is_compared_where_both_have_it(desk, tmp_path):
+    run(tmp_path / "short", list(frames())[:-20])
+    said = desk("short", "--numbers", code=3).stdout
+    shared = FRAMES - 20
+    last = (shared - 1) / 25
+    assert (
+        f" motion   the same to the last bit in the {shared} frames of both, 0 to {last:g} s"
+        in said
+    )
+    assert f"{FRAMES} and {shared} frames" in said
+    said = desk("moved", "--numbers", code=3).stdout
+    assert f" motion   1 of 4 aircraft moved otherwise in the {FRAMES} frames of both" in said
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import pandas
 import pytest
 from commands import call_command
 from pyarrow import parquet
-from record_flight import decoded, event, record, run_frames, run_info
+from record_flight import RECORDS, decoded, event, record, run_frames, run_info
 
 import testbed
 from testbed.record import arrow_door
@@ -21,6 +21,7 @@ from testbed.record.door import LogError
 from testbed.record.export import write_npz
 from testbed.record.flight import QUANTITIES, UNITS
 from testbed.record.messages import TOPICS
+from testbed.state import VehicleState, listed
 
 FRAMES = 60
 # what is no length, speed, angle, …: shares, coefficients, counts, bits, and yes or no
@@ -174,7 +175,33 @@ def test_before_the_log_tells_of_messages_there_is_no_count(tmp_path):
     assert told[told.argmax() :].all()
 
 
+def test_a_flight_and_its_parts_are_printed_in_few_words(flight, path, tmp_path):
+    text = repr(flight)
+    assert text == (
+        "<Flight of synthetic: 60 frames, 2.36 s, of leader, uav1, uav2, uav3 (rascal110); flown>"
+    )
+    assert repr(flight.info).startswith("<RunInfo of synthetic: leader, uav1") and "60 s" in repr(
+        flight.info
+    )
+    assert "1 event>" in repr(flight.log) and "truth" in repr(flight.log)
+    assert "position_ned 60×4×3" in repr(flight.log.truth)
+    now = VehicleState(*(each[0, :1] for each in flight.log.truth))
+    assert "airspeed=array([" in repr(now)  # few numbers are shown
+    for part in (flight, flight.log, flight.info, *frame_parts(flight.log)):
+        assert len(repr(part)) < 500
+    (tmp_path / "cut.mcap").write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    assert repr(testbed.load(tmp_path / "cut.mcap")).endswith("; cut short>")
+    many = ", ".join(f"uav{i}" for i in range(1, 5))
+    assert listed(run_info(30).names) == f"leader, {many}, … 31 in all"
+
+
+def frame_parts(log):
+    return [getattr(log, name) for name in RECORDS]
+
+
 def test_a_name_that_is_none_is_answered_with_those_like_it(flight):
+    with pytest.raises(KeyError, match="did you mean .*state_position_north_m"):
+        flight["north"]
     with pytest.raises(KeyError, match="did you mean .*state_roll_rad"):
         flight["state_rol_rad"]
     with pytest.raises(KeyError, match=r"keys\(\)"):

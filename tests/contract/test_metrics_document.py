@@ -147,6 +147,33 @@ def test_the_table_shows_ours_beside_the_published():
     assert "logs/synthetic/20260101T000000Z-0000/run.mcap" in text
 
 
+def first_rows(text):
+    """The first line that begins with each word, in words."""
+    lines = [line.split() for line in text.splitlines() if line.strip()]
+    return {words[0]: words for words in reversed(lines)}
+
+
+def test_only_windows_flown_to_their_end_are_held_against_published_numbers():
+    both = {"source": "elsewhere", "mean_rms_m": {"first": 1.0, "second": 1.0}}
+    metrics = document(published=both)  # 3.16 s, of 2 to 4 s for the second
+    rows = first_rows(shown(metrics))
+    ours, other = (metrics["portions"][name]["mean_rms_m"] for name in ("first", "second"))
+    assert rows["mean"] == ["mean", f"{ours:.2f}", "1", f"{ours:.2f}", f"{other:.2f}"]
+    assert rows["flown,"] == ["flown,", "s", "all", "2–3.16"]
+    assert "published: elsewhere; not flown to the end, so not compared: second" in shown(metrics)
+    nothing = shown(document(published=both, portions={"second": (2.0, 4.0)}))
+    assert not {"elsewhere;", "elsewhere", "paper", "ratio"} & set(nothing.split())
+    never = shown(document(published=both, portions={"second": (8.0, 9.0)}))
+    assert ["flown,", "s", "none"] in [line.split() for line in never.splitlines()]
+
+
+def test_who_was_lost_within_a_window_is_not_held_against_published_numbers():
+    theirs = {"source": "x", "rms_m": {"first": [1.0] * 3}, "mean_rms_m": {"first": 1.0}}
+    rows = first_rows(shown(document(published=theirs, gone_from=40, portions={"first": (1, 2)})))
+    beside = [rows[name][2:] for name in ("uav1", "uav2", "uav3", "mean")]
+    assert [each == ["–", "–"] for each in beside] == [False, False, True, True]
+
+
 @pytest.mark.parametrize("followers", [0, 1, 3, 30])
 @pytest.mark.parametrize("published", [None, PUBLISHED], ids=["alone", "beside"])
 @pytest.mark.parametrize("noisy_from", [None, 0], ids=["exact", "noisy"])
@@ -258,7 +285,8 @@ def test_the_table_says_what_was_lost_and_why():
     seldom = link(99000, 98997, lost={"listed": 3}, bursts=lone, mute=10)
     assert radio(seldom, uav1=0.7, uav2=0.7) == [
         "> 99.9 % of 99,000 delivered",
-        "3 as listed, 10 not sent",
+        "3 as listed",
+        "10 not sent: sender mute or lost",
     ]
 
 
@@ -269,7 +297,7 @@ def test_the_table_says_how_late_messages_were_if_they_were_not_equally_late():
     assert radio(twice) == ["1,200 overtaken, 3 twice"]
 
 
-def test_the_table_says_all_of_it_in_three_lines():
+def test_the_table_says_all_of_it_in_four_lines():
     together = link(
         300_000,
         210_000,
@@ -282,7 +310,8 @@ def test_the_table_says_all_of_it_in_three_lines():
     )
     assert radio(together, uav1=0.7, uav2=0.698) == [
         "70.0 % of 300,000 delivered; worst leader > uav2 69.8 %",
-        "90,000 lost, 100 not sent, 37,297 overtaken, 2,795 twice",
+        "90,000 lost, 37,297 overtaken, 2,795 twice",
+        "100 not sent: sender mute or lost",
         "1.4 lost in a row, 11 at most; 115 ms late, p95 245",
     ]
 

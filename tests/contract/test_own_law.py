@@ -1,5 +1,7 @@
 """A law of one's own: found, held to its contract, blamed by line, and flown."""
 
+import hashlib
+import shutil
 import sys
 import textwrap
 
@@ -8,10 +10,14 @@ import pytest
 
 import testbed
 from testbed.errors import InputError
+from testbed.record.read import read_log
+from testbed.report import figures, read_flight
+from testbed.report.page import page_of
 from testbed.scenario import list_scenarios, load, shorten
 from testbed.sim.law_contract import check_law
 from testbed.sim.world import build
 from testbed.state import Inbox, VehicleState
+from testbed.study.two_runs import compare_runs
 
 GOOD = """
     import numpy as np
@@ -29,6 +35,9 @@ GOOD = """
             BODY
             return FbwaCommand(np.zeros(n), np.full(n, self.roll), np.full(n, 0.3)), memory
 """
+
+
+SHORT = ("scenario.duration_s=0.4", "scenario.portions={}", "scenario.published=null")
 
 
 def page(folder, body="pass", *, text=GOOD, law="mine:Straight", more=""):
@@ -50,9 +59,47 @@ def test_a_law_beside_its_page_flies_and_the_run_says_whose_code_it_is(tmp_path)
     flown = testbed.run(shorten(load(path), 4.0), write=False)
     assert flown.outcome == "flown"
     (note,) = (event for event in flown.metrics["events"] if event["level"] == "info")
-    assert note["text"] == f"the law Straight runs the code of {tmp_path / 'mine.py'}"
+    digest = hashlib.sha256((tmp_path / "mine.py").read_bytes()).hexdigest()[:12]
+    assert note["text"] == f"the law Straight runs mine.py (SHA-256 {digest})"
     # as flown it means the same from anywhere
     assert flown.scenario.controller.law == f"{tmp_path / 'mine.py'}:Straight"
+
+
+def test_a_run_keeps_its_law_and_is_repeated_from_its_own_page_to_the_bit(tmp_path, monkeypatch):
+    monkeypatch.setattr(figures, "MAKERS", ())  # to draw them takes seconds
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    path = page(mine, "self.roll = 0.01 * float(np.round(now))")
+    source = (mine / "mine.py").read_bytes()
+    changes = ("fleet.*.vehicle=jsbsim", "scenario.question=What is it?", *SHORT)
+    testbed.run(path, changes, out=tmp_path / "first")
+    shutil.rmtree(mine)  # nothing is left but the run
+    first = tmp_path / "first"
+    assert (first / "mine.py").read_bytes() == source
+    kept = (first / "scenario.resolved.yaml").read_text()
+    assert "law: mine.py:Straight" in kept and str(tmp_path) not in kept
+    testbed.run(first / "scenario.resolved.yaml", out=tmp_path / "again")
+    logs = [read_log(tmp_path / run / "run.mcap") for run in ("first", "again")]
+    found = compare_runs(*logs)
+    assert found.same and not found.page
+    assert logs[1].info.code == {"mine.py": source}
+    # from elsewhere, the report still knows its page, and holds its law
+    shutil.copy(first / "run.mcap", tmp_path / "alone.mcap")
+    shutil.rmtree(first)
+    flight = read_flight(tmp_path / "alone.mcap")
+    assert flight.page.scenario.question == "What is it?"
+    text = page_of(flight)
+    assert "Save mine.py" in text and "class Straight:" in text
+
+
+def test_two_runs_of_unlike_code_under_one_name_say_so(tmp_path):
+    logs = []
+    for roll in ("0.0", "0.1"):
+        (tmp_path / roll).mkdir()
+        path = page(tmp_path / roll, f"self.roll = {roll}")
+        testbed.run(path, SHORT, out=tmp_path / roll / "run")
+        logs.append(read_log(tmp_path / roll / "run" / "run.mcap"))
+    assert compare_runs(*logs).page == ("mine.py is other code",)
 
 
 def test_a_law_leaves_nothing_beside_its_page(tmp_path, monkeypatch):

@@ -1,6 +1,7 @@
 """The report: one page with every figure and the run's own numbers, whatever became of the run."""
 
 import base64
+import itertools
 import json
 import re
 import shutil
@@ -21,10 +22,12 @@ from testbed.metrics.document import complete
 from testbed.record.recorder import McapRecorder
 from testbed.report import figures, read_flight, write_figures, write_page
 from testbed.report.cast import SINGLE, WORST, cast_of
+from testbed.report.drawing import AXIS_IN, LETTER_IN, LEVELS, placed
 from testbed.report.figures import figures_of
-from testbed.report.page import page_of
+from testbed.report.page import _head, page_of
 from testbed.report.surroundings import STRETCHES, _windows
 from testbed.report.thinning import BUCKETS, kept, percentiles
+from testbed.views.panels import Span
 
 MOST_BYTES = 5_000_000
 ALWAYS = {"trajectory", "altitude", "commands"}
@@ -281,6 +284,43 @@ def test_a_killed_run_says_so_and_is_counted_again(flown, tmp_path, only):
     assert 0.0 < flight.metrics["simulated_s"] < 12.0
     assert "The log was never closed" in page_of(flight)
     assert flight.metrics["simulated_s"] == flight.log.time_s[-1]
+    # a window that was flown in part is held against nobody's numbers
+    ends = flight.log.time_s[-1]
+    flown_to_the_end = [end <= ends for _, end in flight.log.info.portions.values()]
+    assert not all(flown_to_the_end)
+    text = page_of(flight)
+    assert "flown: " in text and ("<br>ratio<" in text) is any(flown_to_the_end)
+    assert "not flown to the end, so not compared" in text.lower()
+
+
+def test_what_is_ill_is_marked_with_a_word(tmp_path, only):
+    only("altitude")
+    well = read_flight(synthetic(tmp_path / "well", info=run_info(wingspan_m=(1e-6,) * 4)))
+    cards = re.findall(r"<li.*?</li>", _head(well))
+    assert [("class" in card, "<em>" in card) for card in cards[-3:]] == [
+        (False, False),
+        (True, True),  # nobody engages in a made-up run
+        (False, False),
+    ]
+    assert "never: uav1, uav2, uav3" in cards[-2]
+    info = run_info(wingspan_m=(1e6, 2e6, 3.0, 2.0))
+    ill = read_flight(synthetic(tmp_path / "ill", info=info, gone_from=30))
+    close, _, lost = re.findall(r"<li.*?</li>", _head(ill))[-3:]
+    assert '<li class="bad">' in close and "closer than a wingspan, " in close
+    assert '<li class="bad"><b>1</b>' in lost and "uav3 at 1.2 s" in lost
+
+
+def test_names_of_portions_do_not_meet():
+    spans = [Span(10.0 * k, 10.0 * k + 10.0, f"portion-{k}") for k in range(60)]
+    drawn = placed(spans, 600.0)
+    assert [each.start for each in drawn] == [each.start for each in spans]
+    per_letter = LETTER_IN / AXIS_IN * 600.0
+    for one, other in itertools.combinations([each for each in drawn if each.name], 2):
+        apart = abs(one.start - other.start) >= len(one.name) * per_letter
+        assert apart or one.level != other.level
+    assert {each.level for each in drawn if each.name} == set(range(LEVELS))
+    few = placed(spans[:60:20], 600.0)
+    assert [each.level for each in few] == [0, 0, 0]
 
 
 def test_of_many_followers_the_worst_are_drawn_over_a_band_of_all(tmp_path, only):

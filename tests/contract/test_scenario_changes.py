@@ -13,6 +13,7 @@ from testbed.scenario import (
     find_tune,
     list_aircraft,
     list_data,
+    list_scenarios,
     load,
     load_middle_loop,
     loads,
@@ -56,6 +57,42 @@ def test_maps_merge_deeply_and_lists_and_scalars_replace(tmp_path):
     assert changed.formation.leader_gains == gains
     assert (changed.formation.k, changed.formation.c) == (1.0, base.formation.c)
     assert changed.fleet == base.fleet
+
+
+def test_what_is_true_of_a_name_is_not_of_another(tmp_path):
+    said = ("question", "expectation", "published")
+    base = load("simulation-3").scenario
+    same = load(page(tmp_path, "same.yaml", "extends: simulation-3\nrates: {log_hz: 50}\n"))
+    again = "extends: simulation-3\nscenario: {name: simulation-3}\n"
+    for kept in (same, load(page(tmp_path, "again.yaml", again))):
+        assert [getattr(kept.scenario, key) for key in said] == [getattr(base, key) for key in said]
+    other = "extends: simulation-3\nscenario: {name: other, published: null}\n"
+    header = load(page(tmp_path, "other.yaml", other)).scenario
+    assert [getattr(header, key) for key in said] == ["", "", None]
+    assert header.portions == base.portions
+    below = "extends: other.yaml\nscenario: {name: below, question: Why?, published: {source: x}}\n"
+    header = load(page(tmp_path, "below.yaml", below)).scenario
+    assert (header.question, header.expectation) == ("Why?", "")
+    assert header.published.source == "x" and not header.published.rms_m  # no part of another's
+
+
+def test_a_portion_of_another_page_is_wrong_where_this_one_is_shorter(tmp_path):
+    short = "extends: simulation-3\nscenario:\n  name: short\n  duration_s: 600\n"
+    said = refusal(load, page(tmp_path, "short.yaml", short))
+    assert "short.yaml:4:15: scenario.portions.circles: ends at 1080 s, after the run" in said
+    assert "inherited from" in said and "write circles: null under portions" in said
+    named = short.replace("short", "simulation-3") + "  portions: {circles: null}\n"
+    said = refusal(load, page(tmp_path, "named.yaml", named))
+    assert "published.rms_m.circles: no portion has this name" in said
+    assert "write published: null under scenario" in said
+    said = refusal(load, "simulation-3", ["scenario.duration_s=600"])
+    assert "write --set scenario.portions.circles=null" in said
+
+
+@pytest.mark.parametrize("name", list_scenarios())
+def test_every_scenario_says_what_it_asks_and_expects(name):
+    header = load(name).scenario
+    assert header.question.endswith("?") and header.expectation
 
 
 def test_null_takes_a_key_away(tmp_path):

@@ -45,16 +45,11 @@ HERE = Path(__file__).parents[2]
 
 
 @contextlib.contextmanager
-def saving_viewer(path: Path, port: int):
-    """A viewer that saves what it is sent, ended by its own process group."""
-    process = viewer.launched(viewer.program(), port, "--save", str(path))
-    try:
-        assert viewer.awaited(process, port), "it did not start"
-        yield process
-    finally:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
+def saving_viewer(path: Path):
+    """A viewer that saves what it is sent, and its port; it ends with the test."""
+    with viewer.tethered(viewer.program(), "--save", str(path)) as (process, port):
+        assert process.poll() is None, "it did not start"
+        yield process, port
 
 
 def fly(view: RerunView, frames, info) -> float:
@@ -100,7 +95,7 @@ def test_calls_per_batch_do_not_grow_with_frames():
         recording.send(run.rows(slice(50, None)))
         calls.append(recording.calls - before)
     # poses, trails, control surfaces, slots; the camera, wind and links; plots with their limits
-    assert calls[0] == calls[1] == 4 + 4 + 4 * 5 + 3 + 3 + 15
+    assert calls[0] == calls[1] == 4 + 4 + 4 * 5 + 3 + 3 + 13 + 9
 
 
 def test_a_batch_ends_at_its_size_and_at_its_half_second():
@@ -184,7 +179,7 @@ def test_an_rrd_file_that_cannot_be_written_is_said_before_the_flight(tmp_path):
 
 
 def test_a_replay_writes_the_whole_flight(tmp_path):
-    path = tmp_path / "new" / "run.rrd"
+    path = tmp_path / "run.rrd"
     replay(RrdFile(path), views_flight.log(4, 60.0))
     assert rows_of(path) > 1500 * (4 + 3 + 1 + 4)  # poses and four plots of every frame
 
@@ -235,9 +230,9 @@ def wait_until_written(path):
 
 
 def test_a_live_viewer_gets_everything_and_the_end_is_quick(caplog, tmp_path):
-    port, seen, complete = viewer.free_port(), tmp_path / "seen.rrd", tmp_path / "whole.rrd"
+    seen, complete = tmp_path / "seen.rrd", tmp_path / "whole.rrd"
     info, frames = views_flight.info(4, 120.0), list(views_flight.frames(4, 120.0))
-    with saving_viewer(seen, port) as program:
+    with saving_viewer(seen) as (program, port):
         view = RerunView(LiveViewer(port=port))
         fly(view, frames, info)
         process = view._outlet.process
@@ -301,8 +296,8 @@ def test_no_viewer_changes_a_run_or_its_log_or_costs_it_a_second(monkeypatch, tm
     assert len(warnings_of(caplog)) == 1
     for name, deed in (("killed", signal.SIGKILL), ("frozen", signal.SIGSTOP)):
         caplog.clear()
-        port, seen = viewer.free_port(), tmp_path / f"{name}.rrd"
-        with saving_viewer(seen, port) as program:
+        seen = tmp_path / f"{name}.rrd"
+        with saving_viewer(seen) as (program, port):
             view = Watched(
                 LiveViewer(port=port), 500, functools.partial(strike, program, deed, seen)
             )

@@ -16,6 +16,8 @@ from testbed.views.batch import COLUMNS, Collector, beside, parts, whole
 from testbed.views.meshes import cut
 from testbed.views.panels import break_turns
 from testbed.views.replay import shown
+from testbed.views.rerun_door import Recording
+from testbed.views.rerun_door.blueprint import axes
 from testbed.views.scene import scene_of, together
 
 
@@ -63,6 +65,21 @@ def test_two_runs_beside_each_other_share_their_times_and_no_link():
     assert still.followers == (1, 3, 4, 5) and len(still.speed_bounds) == 4
     assert len(still.paths) == 1  # both have the same
     assert len(set(still.colours)) == 6
+
+
+def test_the_picture_of_two_runs_says_which_is_which():
+    one, two = scene(2), scene(4)
+    other = dataclasses.replace(two, scenario="other", title="other then")
+    again = dataclasses.replace(one, title="made-up then")
+    for second, said in (
+        (other, ("A, blue: made-up", "B, orange: other")),
+        (again, ("A, blue: made-up", "B, orange: made-up then")),
+    ):
+        still = together(one, second, ("A", "B"))
+        assert still.runs == said
+        behind = layout.pictures(still, layout.framing(still, flight(2)))[0]
+        assert all(each in behind.name for each in said)
+    assert scene(2).runs == ()
 
 
 @pytest.mark.parametrize("barriers", [(), ((5, 0.05), (6, 2.0))], ids=["own law", "paper"])
@@ -217,6 +234,80 @@ def test_angles_are_not_drawn_across_half_a_turn():
     np.testing.assert_allclose(break_turns(angle)[:, 0], [170.0, 179.0, np.nan, -170.0])
 
 
+def lost_from(batch, aircraft, frame):
+    lost = batch.lost.copy()
+    lost[frame:, aircraft] = 1.0
+    return dataclasses.replace(batch, lost=lost)
+
+
+def test_plots_of_an_aircraft_end_where_it_is_lost():
+    still, batch = scene(3, barriers=((5, 0.05),) * 2), lost_from(flight(3), 2, 100)
+    for drawn in (p for row in plots.tabs(still) for p in row):
+        for series in drawn.series:
+            values = series.values(batch)
+            mine = [label.startswith("uav2") for label in series.labels].index(True)
+            assert np.isnan(values[100:, mine]).all(), drawn.name
+            assert np.isfinite(values[1:100, mine]).any() or drawn.name == "age"
+            assert not np.isnan(values[100:, 0]).all(), "the others go on"
+
+
+def sent(still, batch):
+    """What a recording sends, by entity: times and columns."""
+    recording, columns = Recording(still, live=False), {}
+    recording.open(None)
+    recording._columns = lambda entity, *what: columns.setdefault(entity, []).append(what)
+    for part in parts(batch, 60):
+        recording.send(part)
+    return columns
+
+
+def test_the_slot_and_the_arrow_of_an_aircraft_end_where_it_is_lost():
+    batch = lost_from(flight(3), 2, 100)
+    columns = sent(scene(3), batch)
+    slot = columns["world/slots/uav2"]
+    times = np.concatenate([time for time, _ in slot])
+    assert times.max() == batch.time[100] and len(times) == 101
+    assert "Transform3D:scale" in " ".join(str(e.component_descriptor()) for e in slot[-1][1])
+    assert sum(len(time) for time, _ in columns["world/slots/uav1"]) == len(batch)
+    arrows = [next(iter(said)).as_arrow_array() for _, said in columns["world/chase/wind"]]
+    assert [len(row) for each in arrows for row in each] == [3] * 100 + [2] * (len(batch) - 100)
+    assert [len(time) for time, _ in columns["world/losses/uav2"]] == [1]
+
+
+def test_an_axis_shows_its_least_its_bounds_and_whatever_is_beyond():
+    still = scene(4)
+    for drawn in (p for row in plots.tabs(still) for p in row):
+        axis = axes(drawn, named=True, live=True, span=None).properties.get("ScalarAxis")
+        assert (axis is not None) == (drawn.name == "course"), "others go with what is seen"
+        assert set(drawn.still) >= {value for _, value in drawn.limits}
+        assert drawn.whole or set(drawn.still) >= set(drawn.least)
+    assert plot(still, "error").least == (0.0, 1.0)
+
+
+def test_plots_of_a_picture_show_the_last_minute_before_it():
+    assert layout.span_of(300.0, 0.0) == (240.0, 302.0)
+    assert layout.span_of(20.0, 0.0) == (0.0, pytest.approx(20.0 * 31 / 30))
+    assert layout.span_of(0.0, 0.0) == (0.0, pytest.approx(10.0 * 31 / 30))
+    still = scene(2)
+    shown = axes(plot(still, "error"), named=True, live=False, span=(240.0, 302.0))
+    seen = shown.properties["TimeAxis"].view_range.as_arrow_array().to_pylist()
+    assert "240000000000" in str(seen) and "302000000000" in str(seen)
+
+
+def test_of_many_the_furthest_from_their_slots_are_named():
+    still, batch = scene(20), lost_from(flight(20, 1.0), 5, 10)
+    error = np.full_like(batch.error, 0.1)
+    error[:, [4, 7, 9], 0] = [30.0, 2.0, 8.0]  # uav5, uav8 and uav10
+    told = signs.worst(still, dataclasses.replace(batch, error=error))
+    np.testing.assert_array_equal(told.counts, 3)
+    assert told.texts[:3] == ["uav5 30.0 m", "uav10 8.0 m", "uav8 2.0 m"]
+    assert told.texts[-3:-1] == ["uav10 8.0 m", "uav8 2.0 m"], "uav5 is lost"
+    place = signs.to_chase(still, batch, batch.position)
+    np.testing.assert_array_equal(told.places[:3], place[0, [5, 10, 8]])
+    assert "world/chase/worst" in sent(still, batch)
+    assert "world/chase/worst" not in sent(scene(4), flight(4, 1.0))
+
+
 @pytest.mark.parametrize("aircraft", [1, 2, 4, 8, 9, 20, 50])
 def test_every_plot_has_a_label_and_a_colour_for_each_of_its_lines(aircraft):
     still, batch = scene(aircraft, estimated=True), flight(aircraft, 2.0)
@@ -249,6 +340,19 @@ def test_the_cameras_see_the_whole_formation_and_the_whole_path(aircraft):
     assert seen_from(frame.overview, still.paths[0]).max() < np.radians(30.0)
     drawn = frame.size * max(still.wingspan)
     assert drawn >= 0.1 * np.linalg.norm(frame.chase.position)
+
+
+@pytest.mark.parametrize("known", [0, 2, 4])
+def test_cameras_stand_somewhere_whatever_of_the_first_frame_is_a_number(known):
+    still, batch = scene(4), flight(4, 1.0)
+    batch.position[:, known:] = np.nan
+    batch.slot[:, max(known - 1, 0) :] = np.nan
+    frame = layout.framing(still, batch)
+    told = [frame.size, frame.grid, frame.wind]
+    for eye in (frame.chase, frame.above, frame.overview):
+        told += [*eye.position, *eye.target]
+    assert np.isfinite(told).all()
+    assert np.isfinite(signs.centre(still, batch)).all()
 
 
 @pytest.mark.parametrize(("aircraft", "rows"), [(1, 25), (4, 100), (20, 500), (50, 625)])

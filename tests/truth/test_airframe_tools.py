@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import re
 import shutil
 from pathlib import Path
@@ -20,6 +21,7 @@ from testbed.vehicle.jsbsim_door import (
     AircraftError,
     JsbsimFleet,
     Start,
+    airframe,
     linearize_aircraft,
     trim_aircraft,
 )
@@ -124,6 +126,24 @@ def test_servos_that_lag_change_no_trim(tmp_path):
     assert fleet.read().acceleration_ned[0] == pytest.approx([0, 0, 0], abs=1e-4)
     a, b = linearize_aircraft(folder, LEVEL).a, linearize_aircraft(RASCAL, LEVEL).a
     assert a == pytest.approx(b, abs=1e-3)
+
+
+def test_an_aircraft_that_was_edited_is_read_again(tmp_path):
+    folder = changed(RASCAL, tmp_path)
+    model = folder / f"{folder.name}.xml"
+    before = airframe(folder), trim_aircraft(folder, LEVEL)
+    assert airframe(folder) is before[0] and trim_aircraft(folder, LEVEL) is before[1]
+    seen, text = model.stat(), model.read_text()
+    [span] = re.findall(r"<wingspan[^>]*>\s*([\d.]+)", text)
+    wider = span[:-1] + ("8" if span[-1] != "8" else "9")
+    model.write_text(re.sub(r"(<wingspan[^>]*>\s*)[\d.]+", rf"\g<1>{wider}", text))
+    os.utime(model, ns=(seen.st_atime_ns, seen.st_mtime_ns))
+    assert model.stat().st_size == seen.st_size  # as old and as long, but not the same
+    after = airframe(folder), trim_aircraft(folder, LEVEL)
+    assert after[0].span / before[0].span == pytest.approx(float(wider) / float(span))
+    assert after[1] is not before[1]
+    model.write_text(text)
+    assert airframe(folder) == before[0]
 
 
 class TestWind:

@@ -21,12 +21,21 @@ def blueprint(
     tabs: Sequence[Sequence[plots.Plot]],
     *,
     live: bool,
+    span: layout.Span | None = None,
 ) -> rrb.Blueprint:
-    """The layout of the viewer: pictures on the left, plots in tabs and events on the right."""
+    """The layout of the viewer: pictures on the left, plots in tabs and events on the right.
+
+    Args:
+        still: what is shown.
+        frame: where the cameras stand.
+        tabs: what is plotted.
+        live: whether the viewer follows a flight that goes on.
+        span: what the plots show, s; None: the last minute, wherever the cursor is.
+    """
     named = len(still.names) <= layout.MOST_NAMED
     latest_s = layout.stride(still, layout.PLOT_ROWS_PER_S) / still.frame_rate_hz
     shown = layout.pictures(still, frame)
-    behind, above, flight = (picture(each, latest_s) for each in shown)
+    behind, above, flight = (picture(each, still.names, latest_s) for each in shown)
     events = rrb.TextLogView(
         origin="/events",
         name="Events",
@@ -39,7 +48,10 @@ def blueprint(
             rrb.Vertical(behind, rrb.Horizontal(above, flight), row_shares=[5, 4]),
             rrb.Vertical(
                 *(
-                    rrb.Tabs(*(axes(plot, named=named, live=live) for plot in row), active_tab=0)
+                    rrb.Tabs(
+                        *(axes(plot, named=named, live=live, span=span) for plot in row),
+                        active_tab=0,
+                    )
                     for row in tabs
                 ),
                 events,
@@ -57,17 +69,20 @@ def blueprint(
     )
 
 
-def picture(shown: layout.Picture, latest_s: float) -> rrb.Spatial3DView:
+def picture(shown: layout.Picture, names: Sequence[str], latest_s: float) -> rrb.Spatial3DView:
     """A view of the world.
 
     Args:
         shown: what of it, and from where.
+        names: of the aircraft.
         latest_s: between two rows of what has no trail.
     """
     # Just less than that: neither none of the rows nor two of them.
     now: dict[rr.encodings.EntityPathLike, rrb.VisibleTimeRanges] = {
         f"world/chase/{sign}": trailing(0.99 * latest_s) for sign in SIGNS
     }
+    # Where somebody was lost stays marked.
+    now |= {f"world/losses/{name}": trailing(None) for name in names}
     return rrb.Spatial3DView(
         origin=shown.origin,
         name=shown.name,
@@ -84,22 +99,36 @@ def picture(shown: layout.Picture, latest_s: float) -> rrb.Spatial3DView:
     )
 
 
-def axes(plot: plots.Plot, *, named: bool, live: bool) -> rrb.TimeSeriesView:
-    """A view of a plot; a flight that goes on shows its last minutes."""
+def axes(
+    plot: plots.Plot, *, named: bool, live: bool, span: layout.Span | None
+) -> rrb.TimeSeriesView:
+    """A view of a plot: of the last minute before the cursor, or of a stretch, s."""
+    begin, end = (
+        (
+            rr.TimeRangeBoundary.cursor_relative(seconds=-layout.PLOT_WINDOW_S),
+            rr.TimeRangeBoundary.cursor_relative(seconds=layout.PLOT_AHEAD_S),
+        )
+        if span is None
+        else (rr.TimeRangeBoundary.absolute(seconds=each) for each in span)
+    )
     return rrb.TimeSeriesView(
         origin=f"/plots/{plot.name}",
         name=plot.title,
-        axis_y=rrb.ScalarAxis(range=plot.range),
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=named and plot.name == "error"),
+        axis_x=rrb.TimeAxis(view_range=rrb.TimeRange(begin, end)),
+        axis_y=rrb.ScalarAxis(range=plot.least) if plot.whole else None,
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=named and plot.name == "error"),
         background=rrb.archetypes.PlotBackground(color=BACKDROP, show_grid=True),
-        time_ranges=trailing(layout.PLOT_WINDOW_S) if live else None,
+        # of a flight that goes on no more is drawn than is looked at
+        time_ranges=trailing(2.0 * layout.PLOT_WINDOW_S) if live else None,
     )
 
 
-def trailing(seconds: float) -> rrb.VisibleTimeRanges:
-    """The last seconds before the time cursor."""
+def trailing(seconds: float | None) -> rrb.VisibleTimeRanges:
+    """The last seconds before the time cursor, or all of them."""
     return rrb.VisibleTimeRanges(
         timeline=TIMELINE,
-        start=rr.TimeRangeBoundary.cursor_relative(seconds=-seconds),
+        start=rr.TimeRangeBoundary.infinite()
+        if seconds is None
+        else rr.TimeRangeBoundary.cursor_relative(seconds=-seconds),
         end=rr.TimeRangeBoundary.cursor_relative(),
     )

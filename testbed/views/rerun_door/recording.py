@@ -9,8 +9,10 @@ Entities of a run, in the north-east-down world:
     world/losses/<name>           where an aircraft was lost
     world/paths, world/ground     still
     world/chase                   a frame that goes with the formation and turns with its course;
-                                  in it `links`, `wind` and `believed`
-    plots/<quantity>/<series>     one line per aircraft; plots/<quantity>/limits
+                                  in it `links`, `wind`, `believed` and, of many, the names of the
+                                  `worst`
+    plots/<quantity>/<series>     one line per aircraft; in plots/<quantity>/limits bounds, and,
+                                  unseen, what the axis shows at the least
     events                        text
 
 A batch costs a fixed number of calls plus a few per aircraft, whatever number of frames it holds.
@@ -43,15 +45,17 @@ def address(port: int) -> str:
 class Recording:
     """One run on its way to a viewer, a file or memory."""
 
-    def __init__(self, still: Scene, *, live: bool) -> None:
+    def __init__(self, still: Scene, *, live: bool, at_s: float | None = None) -> None:
         """Name the run; `open` it before `send`.
 
         Args:
             still: the part of the view that does not move.
             live: whether a viewer follows the flight as it happens, or opens it afterwards.
+            at_s: the only time that will be looked at, s; None: the plots go with the cursor.
         """
         self._scene = still
         self._live = live
+        self._at_s = at_s
         self._drawings = [
             airframe(*each) for each in zip(still.airframes, still.wingspan, strict=True)
         ]
@@ -74,7 +78,6 @@ class Recording:
             OSError: the file cannot be written.
         """
         if isinstance(to, Path):
-            to.parent.mkdir(parents=True, exist_ok=True)
             with to.open("wb"):  # Rerun would only log the failure
                 pass
             self._stream.save(to)
@@ -125,7 +128,11 @@ class Recording:
         for entity, what in stills(still, self._drawings, self._frame, self._tabs):
             self.calls += 1
             self._stream.log(entity, *what, static=True)
-        self._stream.send_blueprint(blueprint(still, self._frame, self._tabs, live=self._live))
+        at_s, begin = self._at_s, float(first.time[0])
+        span = None if at_s is None else layout.span_of(at_s, begin)
+        self._stream.send_blueprint(
+            blueprint(still, self._frame, self._tabs, live=self._live, span=span)
+        )
 
     def _send_motion(self, batch: Batch) -> None:
         shown = self._every(batch, layout.POSE_ROWS_PER_S)
@@ -139,8 +146,9 @@ class Recording:
             if len(self._scene.names) <= layout.MOST_MOVING:
                 self._send_flaps(name, self._drawings[k], shown.time, deflection[:, k])
         for i, k in enumerate(self._scene.followers):
-            at = f"world/slots/{self._scene.names[k]}"
-            self._poses(at, shown.time, shown.slot[:, i], heading)
+            at, has = f"world/slots/{self._scene.names[k]}", shown.lost[:, k] == 0.0
+            if has.any():
+                self._poses(at, shown.time[has], shown.slot[has, i], heading[has])
         self._poses("world/chase", shown.time, signs.centre(self._scene, shown), heading)
         self._send_trails(batch)
         for row in np.flatnonzero(batch.lost.any(axis=0) & ~self._lost):
@@ -148,13 +156,19 @@ class Recording:
         self._lost |= batch.lost.any(axis=0)
 
     def _send_loss(self, batch: Batch, k: int) -> None:
-        """A mark where an aircraft was lost."""
+        """A mark where an aircraft was lost, and the end of its slot."""
         first, name = int(batch.lost[:, k].argmax()), self._scene.names[k]
-        place, size = batch.position[first : first + 1, k], rr.Radius.ui_points([4.0])
+        when, size = batch.time[first : first + 1], rr.Radius.ui_points([4.0])
         said = rr.Points3D.columns(
-            positions=place, labels=[f"{name} lost"], colors=[signs.LOST], radii=size
+            positions=batch.position[first : first + 1, k],
+            labels=[f"{name} lost"],
+            colors=[signs.LOST],
+            radii=size,
         )
-        self._columns(f"world/losses/{name}", batch.time[first : first + 1], said)
+        self._columns(f"world/losses/{name}", when, said)
+        if k in self._scene.followers:
+            nowhere = rr.Transform3D.columns(scale=np.zeros((1, 3)))
+            self._columns(f"world/slots/{name}", when, nowhere)
 
     def _send_flaps(self, name: str, drawing: Airframe, time: Array, deflection: Array) -> None:
         for flap in drawing.flaps:
@@ -190,15 +204,24 @@ class Recording:
         shown = self._every(batch, layout.PLOT_ROWS_PER_S)
         if not len(shown):
             return
-        still, count = self._scene, [len(self._scene.names)] * len(shown)
+        still, flown = self._scene, shown.lost == 0.0
+        count = flown.sum(axis=1)
         place = signs.to_chase(still, shown, shown.position)
         wind = self._frame.wind * signs.turned(shown.wind, course(shown.velocity[:, 0]))
-        arrows = rr.Arrows3D.columns(origins=place.reshape(-1, 3), vectors=wind.reshape(-1, 3))
+        arrows = rr.Arrows3D.columns(origins=place[flown], vectors=wind[flown])
         self._columns("world/chase/wind", shown.time, arrows.partition(count))
         if still.estimated:
             place = signs.to_chase(still, shown, shown.believed)
-            points = rr.Points3D.columns(positions=place.reshape(-1, 3))
+            points = rr.Points3D.columns(positions=place[flown])
             self._columns("world/chase/believed", shown.time, points.partition(count))
+        if len(still.names) > layout.MOST_NAMED:
+            told = signs.worst(still, shown)
+            points = rr.Points3D.columns(
+                positions=told.places,
+                labels=told.texts,
+                colors=np.array(still.colours, np.uint8)[told.rows],
+            )
+            self._columns("world/chase/worst", shown.time, points.partition(told.counts))
         if still.followers:
             lines = self._links.lines(shown)
             strips = rr.LineStrips3D.columns(
@@ -220,9 +243,8 @@ class Recording:
             for series in plot.series:
                 values = series.values(known)[-len(shown) :]
                 self._scalars(f"plots/{plot.name}/{series.name}", shown.time, values)
-            if plot.limits:
-                limits = np.tile([value for _, value in plot.limits], (2, 1))
-                self._scalars(f"plots/{plot.name}/limits", ends, limits)
+            if plot.still:
+                self._scalars(f"plots/{plot.name}/limits", ends, np.tile(plot.still, (2, 1)))
 
     def _scalars(self, entity: str, time: Array, values: Array) -> None:
         column = rr.Scalars.columns(scalars=values.ravel())

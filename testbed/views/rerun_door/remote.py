@@ -37,6 +37,10 @@ class Remote:
         """Take the bar with the menu out of the window."""
         self._client.run_command("ui.toggle_top_panel")
 
+    def draw(self) -> None:
+        """Wait until the viewer has drawn, whatever it is."""
+        self._client.take_screenshot(max_size=16)
+
     def picture(self, path: Path) -> list[str]:
         """Save what the viewer shows as PNG; what its views complain of."""
         self._client.save_screenshot(str(path.absolute()))
@@ -44,9 +48,13 @@ class Remote:
         return [f"{view.name}: {report.summary}" for view in views for report in view.reports]
 
     def _reached(self) -> float:
+        try:
+            state = self._client.get_state()
+        except TimeoutError:  # it waits for less than our patience
+            return -math.inf
         ends = (
             line.end
-            for recording in self._client.get_state().recordings
+            for recording in state.recordings
             if self._id in str(recording.store_id)
             for line in recording.timelines
             if line.name == TIMELINE and line.end is not None

@@ -47,6 +47,9 @@ def stills(
     yield "world/chase/wind", (arrows,)
     points = rr.Points3D.from_fields(colors=BELIEF, radii=rr.Radius.ui_points(3.0))
     yield "world/chase/believed", (points,)
+    if len(still.names) > layout.MOST_NAMED:
+        above = rr.Points3D.from_fields(radii=rr.Radius.ui_points(0.1), show_labels=True)
+        yield "world/chase/worst", (above,)
     yield from _ground(scene.ground(still.paths))
     for plot in (plot for row in tabs for plot in row):
         yield from _axes(plot)
@@ -72,13 +75,15 @@ def _aircraft(name: str, drawing: Airframe, paint: scene.Colour, size: float) ->
 
 
 def _ground(area: scene.Ground) -> Iterator[Entity]:
-    def lines(strips: Sequence[Array], colour: scene.Colour) -> tuple[rr.LineStrips3D]:
-        return (rr.LineStrips3D(strips, radii=rr.Radius.ui_points(0.5), colors=colour),)
+    def lines(
+        strips: Sequence[Array], colour: scene.Colour, points: float = 0.5
+    ) -> tuple[rr.LineStrips3D]:
+        return (rr.LineStrips3D(strips, radii=rr.Radius.ui_points(points), colors=colour),)
 
     yield "world/ground/grid", lines(area.lines, GRID)
     if area.paths:
         shadows = [path * [1.0, 1.0, 0.0] for path in area.paths]
-        yield "world/paths/line", lines(area.paths, PATH)
+        yield "world/paths/line", lines(area.paths, PATH, 0.8)
         yield "world/paths/shadow", lines(shadows, GRID)
         yield "world/paths/posts", lines(tuple(area.posts), GRID)
     small = rr.Radius.ui_points(0.1)
@@ -90,11 +95,16 @@ def _axes(plot: plots.Plot) -> Iterator[Entity]:
     for series in plot.series:
         lines = rr.SeriesLines(colors=series.colours, names=series.labels, widths=series.width)
         yield f"plots/{plot.name}/{series.name}", (lines,)
-    if plot.limits:
-        names = [name for name, _ in plot.limits]
-        colours = [plots.LIMIT] * len(names)
-        limits = rr.SeriesLines(colors=colours, names=names, widths=1.0)
-        yield f"plots/{plot.name}/limits", (limits,)
+    if plot.still:
+        # Two lines that nobody sees make the axis show what lies between them. A legend, in which
+        # equal names are one, has nothing to add for them.
+        unseen = len(plot.still) - len(plot.limits)
+        names = [name for name, _ in plot.limits] + [plot.series[0].labels[0]] * unseen
+        colours = [(*plots.LIMIT, 255)] * len(plot.limits) + [(0, 0, 0, 0)] * unseen
+        yield (
+            f"plots/{plot.name}/limits",
+            (rr.SeriesLines(colors=colours, names=names, widths=1.0),),
+        )
 
 
 def painted(mesh: Mesh, paint: scene.Colour, trim: scene.Colour, alpha: int = 255) -> rr.Mesh3D:
