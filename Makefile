@@ -17,7 +17,7 @@ CLIENTS_STAMP := $(CLIENTS)/.installed
 MAKEFLAGS += --no-print-directory
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test checks warm lint types tests clients check-all bench results netem docs wheel lock clean
+.PHONY: help setup run test checks warm lint types tests clients check-all bench results gap netem docs wheel lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,4p'
@@ -54,8 +54,8 @@ clients: $(CLIENTS_STAMP)
 	@:
 
 # Everything: the tests, all starts of the theorem, the air's and the network's statistics on more
-# samples, broken MAVLink and flight logs, real time with nothing else running, every golden table, and
-# the wheel built and flown from a fresh environment.
+# samples, broken MAVLink and flight logs, real time with nothing else running, a study whose processes
+# are killed, every golden table, and the wheel built and flown from a fresh environment.
 check-all: test wheel
 	@TESTBED_STARTS=1000 $(BIN)/pytest -q tests/theorems/test_theorem_many_starts.py
 	@TESTBED_AIR_SAMPLES=60 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_air_dryden.py \
@@ -69,6 +69,7 @@ check-all: test wheel
 	@TESTBED_FRAMES=10000 $(BIN)/pytest -q tests/clients/test_storm.py
 	@TESTBED_QUIET=1 $(BIN)/pytest -q tests/clients/test_real_time.py
 	@TESTBED_WHOLE=1 $(BIN)/pytest -q -n $(JOBS) tests/golden
+	@TESTBED_STUDIES=1 $(BIN)/pytest -q tests/contract/test_sweep.py
 	@TESTBED_ARDUPLANE_WHOLE=1 $(BIN)/pytest -q tests/contract/test_arduplane.py
 	@$(BIN)/testbed check --jobs $(JOBS)
 	@rm -rf build/fresh && $(BIN)/python -m venv build/fresh
@@ -94,6 +95,11 @@ results: $(STAMP)
 	@$(BIN)/python benchmarks/air.py --into docs/air.md $(ARGS)
 	@$(BIN)/python benchmarks/network.py --into docs/network.md $(ARGS)
 	@$(BIN)/python benchmarks/sensors.py --into docs/sensors.md $(ARGS)
+
+# Flies the studies of docs/gap.md into logs/studies/gap, going on where they were stopped, and writes its
+# tables and its figure: 224 flights, about an hour on two cores.
+gap: $(STAMP)
+	@$(BIN)/python benchmarks/gap_budget.py --jobs $(JOBS) --into docs/gap.md $(ARGS)
 
 # Holds the network's arithmetic to this kernel's own tc netem, as root, who leaves no files behind.
 netem: SUDO = $(if $(filter 0,$(shell id -u)),,sudo)

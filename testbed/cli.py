@@ -17,8 +17,10 @@ from testbed.export_commands import compare, export
 from testbed.flight_commands import import_flight
 from testbed.network_commands import network
 from testbed.options import Overrides, ScenarioName
-from testbed.report_commands import report
+from testbed.report_commands import report, study_report
 from testbed.run_commands import run
+from testbed.study_commands import sweep
+from testbed.tune_commands import tune
 from testbed.view_commands import shot, view
 
 LOST = 1
@@ -143,7 +145,7 @@ def check(
 
 @app.command("list")
 def list_all() -> None:
-    """List the scenarios and aircraft that can be named."""
+    """List the scenarios, studies, tunes and aircraft that can be named."""
     from testbed.console import list_library
 
     list_library()
@@ -210,7 +212,9 @@ def respond(
         raise typer.Exit(LOST) from None
 
 
-app.command(epilog=EXITS)(compare)
+for many in (compare, sweep, tune):
+    app.command(epilog=EXITS)(many)
+app.command("study-report")(study_report)
 app.command("import")(import_flight)
 for command in (report, export, trim, linearize, step, air, network):
     app.command()(command)

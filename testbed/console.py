@@ -17,11 +17,21 @@ from testbed.mavlink.signing import read_key
 from testbed.metrics.table import render_table
 from testbed.outputs import is_stdout, put_json, refuse_files
 from testbed.progress import ProgressBar
-from testbed.scenario import Scenario, list_aircraft, list_scenarios, load, shorten
+from testbed.scenario import (
+    Scenario,
+    list_aircraft,
+    list_scenarios,
+    list_studies,
+    list_tunings,
+    load,
+    shorten,
+)
 from testbed.scenario.pilots import ArduPlane, External
 from testbed.sim.outside import Outside
 from testbed.sim.run import run
 from testbed.state import Observer
+from testbed.study.plan import load_study
+from testbed.study.tune_page import load_tune
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +114,7 @@ def find_outside(asked: Flight, page: Scenario, tell: Callable[[str], None]) -> 
 
 
 def list_library() -> None:
-    """Print the scenarios with their questions, and the aircraft."""
+    """Print the scenarios, studies and tunes with their questions, and the aircraft."""
     console = Console()
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("scenario", no_wrap=True)
@@ -112,4 +122,14 @@ def list_library() -> None:
     for name in list_scenarios():
         table.add_row(name, load(name).scenario.question)
     console.print(table)
+    studies = {name: load_study(name).page.study for name in list_studies()}
+    tunes = {name: load_tune(name).page.study for name in list_tunings()}
+    for kind, pages in (("study", studies), ("tune", tunes)):
+        table = Table(box=None, pad_edge=False, header_style="bold")
+        table.add_column(kind, no_wrap=True)
+        table.add_column("question")
+        for name, header in pages.items():
+            table.add_row(name, header.question)
+        console.print()
+        console.print(table)
     console.print(f"\n[bold]aircraft[/]\n{chr(10).join(list_aircraft())}")

@@ -18,8 +18,8 @@ from testbed.network.report import LOSSES, word
 from testbed.outputs import is_stdout, put_json, refuse_files
 from testbed.progress import counting
 from testbed.scenario import Scenario, load
-from testbed.sim.run import stopping
 from testbed.sim.sounding import Heard, sound
+from testbed.sim.stop import stopping
 
 MOST_PACKETS = 10_000_000
 MOST_ROWS = 50_000_000  # of all links: half a gigabyte of memory, and several of CSV

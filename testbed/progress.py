@@ -14,6 +14,7 @@ from rich.text import Text
 from testbed.state import Event, Frame, RunInfo
 
 PERIOD_S = 0.1  # of wall-clock time between redraws
+SEEN_S = 600.0  # the stretch of the past that tells how quick we are
 
 
 class _Speed(ProgressColumn):
@@ -59,13 +60,16 @@ class ProgressBar:
 
 
 @contextmanager
-def counting(what: str, *, of: int = 0, done: str = "") -> Iterator[Callable[[int, int], None]]:
+def counting(
+    what: str, *, of: int = 0, done: str = "", hidden: bool = False
+) -> Iterator[Callable[[int, int], None]]:
     """A bar on standard error, silent where that is no terminal, for as long as the block lasts.
 
     Args:
         what: is shown before the bar.
         of: how many there will be, if that is known.
         done: after the numbers, with a blank.
+        hidden: show nothing.
 
     Yields:
         A function that moves the bar: how many are done, and of how many.
@@ -78,12 +82,17 @@ def counting(what: str, *, of: int = 0, done: str = "") -> Iterator[Callable[[in
         TimeRemainingColumn(compact=True),
         console=console,
         transient=True,
-        disable=not console.is_terminal,
+        disable=hidden or not console.is_terminal,
+        speed_estimate_period=SEEN_S,
     )
     with bar:
-        task = bar.add_task(what, total=of)
+        task = bar.add_task(what, total=of, start=False)
+        begun: list[int] = []
 
         def show(number: int, of: int) -> None:
+            if not begun:  # what was done before says nothing about how quick we are
+                begun.append(number)
+                bar.reset(task, total=of, completed=number)
             bar.update(task, completed=number, total=of)
 
         yield show

@@ -1,4 +1,4 @@
-"""The only module that imports pyarrow: runs as tables, for Parquet, CSV and pandas.
+"""The only module that imports pyarrow: runs as tables, for Parquet, CSV and pandas; and studies.
 
 A table has one row for each frame and aircraft, in order of time and then of the run's names.
 What is about each aircraft is a column for every aircraft, named before the unit:
@@ -7,7 +7,8 @@ What is about each aircraft is a column for every aircraft, named before the uni
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
@@ -96,3 +97,77 @@ def to_pandas(flight: Flight) -> pandas.DataFrame:
     whole = arrow.concat_tables(tables(flight)).replace_schema_metadata()
     frame: pandas.DataFrame = whole.to_pandas()
     return frame.set_index(["time_s", "aircraft"])
+
+
+KINDS: Mapping[str, Any] = {
+    "int64": arrow.int64(),
+    "double": arrow.float64(),
+    "string": arrow.string(),
+    "bool": arrow.bool_(),
+}
+
+
+def write_columns(
+    file: IO[bytes],
+    fields: Mapping[str, str],
+    groups: Iterable[Sequence[Sequence[Any]]],
+    facts: Mapping[str, str],
+) -> None:
+    """Write any table as Parquet, a group of rows at a time.
+
+    Args:
+        file: where to.
+        fields: the kind of each column, one of `KINDS`, by its name.
+        groups: of each group of rows its columns; None is no value.
+        facts: texts to be kept with the table.
+    """
+    kind = arrow.schema(
+        [arrow.field(name, KINDS[each]) for name, each in fields.items()],
+        metadata=dict(facts),
+    )
+    with parquet.ParquetWriter(file, kind, compression="zstd") as writer:
+        for group in groups:
+            cells = [arrow.array(c, each.type) for c, each in zip(group, kind, strict=True)]
+            writer.write_table(arrow.Table.from_arrays(cells, schema=kind))
+
+
+def read_columns(
+    path: Path, names: Iterable[str] | None = None
+) -> tuple[dict[str, Numbers], dict[str, str]]:
+    """Read a table and its facts.
+
+    Args:
+        path: the file.
+        names: columns to read, of those that there are; all, if None.
+
+    Returns:
+        The columns (rows,) by name, a missing double as nan and a missing text as None; and the
+        texts that are kept with the table.
+
+    Raises:
+        ValueError: it is not a Parquet file.
+        OSError: it cannot be read.
+    """
+    try:
+        with parquet.ParquetFile(path) as file:
+            kind = file.schema_arrow
+            wanted = kind.names if names is None else [n for n in kind.names if n in set(names)]
+            table = file.read(columns=wanted)
+    except arrow.ArrowInvalid as error:
+        raise ValueError(f"is not a Parquet file: {error}") from None
+    facts = {key.decode(): text.decode() for key, text in (kind.metadata or {}).items()}
+    columns = {name: table[name].to_numpy(zero_copy_only=False) for name in wanted}
+    return columns, facts
+
+
+def column_names(path: Path) -> tuple[str, ...]:
+    """The columns of a Parquet file.
+
+    Raises:
+        ValueError: it is not a Parquet file.
+        OSError: it cannot be read.
+    """
+    try:
+        return tuple(parquet.read_schema(path).names)
+    except arrow.ArrowInvalid as error:
+        raise ValueError(f"is not a Parquet file: {error}") from None

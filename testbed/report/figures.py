@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,18 +10,8 @@ from testbed.report import motion, surroundings
 from testbed.report.cast import Cast, cast_of
 from testbed.report.drawing import Drawing
 from testbed.report.flight import Flight
+from testbed.report.shell import Figure
 from testbed.views.panels import Sheet
-
-
-@dataclass(frozen=True, slots=True)
-class Figure:
-    """A figure of the report."""
-
-    name: str  # of its file and its anchor
-    title: str
-    caption: str  # what is seen, also for those who cannot see it
-    sheet: Sheet
-
 
 Maker = Callable[[Flight, Cast], Drawing | None]
 MAKERS: Sequence[tuple[str, Maker]] = (

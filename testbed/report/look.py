@@ -40,7 +40,7 @@ nav a { white-space: nowrap; }
   padding: .7rem .9rem; }
 .cards b { display: block; font-size: 1.45rem; font-weight: 650;
   font-variant-numeric: tabular-nums; }
-.cards span { color: var(--soft); font-size: .88rem; }
+.cards span { color: var(--soft); font-size: .88rem; overflow-wrap: anywhere; }
 .cards li.bad { border: 2px solid var(--bad); }
 .cards .bad b, .cards em { color: var(--bad); }
 .cards em { display: block; font-size: .88rem; font-style: normal; font-weight: 600; }

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
-from testbed.metrics.document import replacing
 from testbed.metrics.error_table import (
     ABREAST,
     beside_published,
@@ -20,14 +18,22 @@ from testbed.metrics.error_table import (
 from testbed.metrics.network import describe
 from testbed.metrics.network_table import MOST_LINKS, arrival_table, worst_links
 from testbed.metrics.table import facts, follower_table
-from testbed.report.figures import Figure, figures_of
+from testbed.report.figures import figures_of
 from testbed.report.flight import Flight
-from testbed.report.look import STYLE
-from testbed.report.svg import for_page
+from testbed.report.shell import (
+    FORMATS,
+    cards,
+    document,
+    draw_all,
+    figure_html,
+    saved,
+    write_text,
+)
 from testbed.report.tables import rows_to_html, to_html
 from testbed.state import listed
 
-FORMATS = ("png", "pdf", "svg")
+__all__ = ["FORMATS", "page_of", "write_figures", "write_page"]
+
 MOST_EVENTS = 200
 PARTS = (
     ("errors", "Formation error"),
@@ -44,9 +50,7 @@ def write_page(flight: Flight, path: Path) -> None:
     Raises:
         OSError: it cannot be written.
     """
-    text = page_of(flight)
-    with replacing(path) as file:
-        file.write(text)
+    write_text(page_of(flight), path)
 
 
 def write_figures(flight: Flight, folder: Path, ending: str) -> list[Path]:
@@ -60,39 +64,24 @@ def write_figures(flight: Flight, folder: Path, ending: str) -> list[Path]:
     Raises:
         OSError: one cannot be written.
     """
-    from testbed.views.figure_door import draw
-
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = []
-    for figure in figures_of(flight):
-        paths.append(folder / f"{figure.name}.{ending}")
-        draw(figure.sheet, paths[-1])
-    return paths
+    return draw_all(figures_of(flight), folder, ending)
 
 
 def page_of(flight: Flight) -> str:
     """The page as text."""
-    name = escape(flight.log.info.scenario_name)
     parts = {
         "errors": _errors(flight),
         "followers": _followers(flight),
-        "figures": "".join(_figure(figure) for figure in figures_of(flight)),
+        "figures": "".join(map(figure_html, figures_of(flight))),
         "events": _events(flight),
         "again": _again(flight),
     }
-    shown = [(part, title) for part, title in PARTS if parts[part]]
-    links = "".join(f'<a href="#{part}">{title}</a>' for part, title in shown)
-    body = "".join(
-        f'<section id="{part}"><h2>{title}</h2>{parts[part]}</section>' for part, title in shown
-    )
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        '<link rel="icon" href="data:,">\n'
-        f"<title>{name} · report</title>\n<style>\n{STYLE}\n</style>\n</head>\n<body>\n"
-        f"<header>{_head(flight)}<nav>{links}</nav></header>\n<main>{body}</main>\n"
-        f"<footer>Made by testbed {escape(_version(flight))} from {escape(flight.path.name)}."
-        "</footer>\n</body>\n</html>\n"
+    return document(
+        flight.log.info.scenario_name,
+        head=_head(flight),
+        parts=parts,
+        titles=PARTS,
+        foot=f"Made by testbed {_version(flight)} from {flight.path.name}.",
     )
 
 
@@ -119,41 +108,35 @@ def _head(flight: Flight) -> str:
         )
     if flight.page and flight.page.scenario.expectation:
         out.append(f"<p>Expected: {escape(flight.page.scenario.expectation)}</p>")
-    out.append(f'<ul class="cards">{"".join(_card(*each) for each in _cards(flight))}</ul>')
+    out.append(cards(_cards(flight)))
     return "".join(out)
-
-
-def _card(value: str, what: str, ill: str = "") -> str:
-    """A number of the head; what is ill about it stands there in words, and in a colour."""
-    said = f"<b>{value}</b><span>{what}</span>"
-    return f'<li class="bad">{said}<em>{escape(ill)}</em></li>' if ill else f"<li>{said}</li>"
 
 
 def _cards(flight: Flight) -> list[tuple[str, str, str]]:
     """Numbers, what they are, and what is ill about them, if anything is."""
     metrics = flight.metrics
-    cards = []
+    shown = []
     for name, portion in list(metrics["portions"].items())[:ABREAST]:
         value = show(portion["mean_rms_m"], "{:.2f} m")
         what = f"mean RMS error, {escape(name)}"
         if not portion["complete"]:
             what += f"; flown: {flown_part(metrics, name)}{' s' * bool(portion['covered_s'])}"
         theirs = published_mean(metrics, name)
-        cards.append((value, what + (f"; paper\u00a0{theirs:g}\u00a0m" if theirs else ""), ""))
+        shown.append((value, what + (f"; paper\u00a0{theirs:g}\u00a0m" if theirs else ""), ""))
     largest = [each for each in metrics["max_error_m"].values() if each is not None]
     if largest and not metrics["portions"]:
-        cards.append((f"{max(largest):.2f} m", "largest formation error", ""))
+        shown.append((f"{max(largest):.2f} m", "largest formation error", ""))
     apart = show(metrics["min_separation_m"], "{:.2f} m")
-    cards.append((apart, "smallest separation", _too_close(flight)))
+    shown.append((apart, "smallest separation", _too_close(flight)))
     engaged = metrics["engaged_at_s"]
     if engaged:
         never = [name for name, at in engaged.items() if at is None]
         count = f"{len(engaged) - len(never)} of {len(engaged)}"
-        cards.append((count, "followers engaged", f"never: {listed(never)}" if never else ""))
+        shown.append((count, "followers engaged", f"never: {listed(never)}" if never else ""))
     lost = {name: at for name, at in metrics["lost_at_s"].items() if at is not None}
     order = [f"{name} at {lost[name]:.1f} s" for name in sorted(lost, key=lambda name: lost[name])]
-    cards.append((str(len(lost)), "aircraft lost", listed(order)))
-    return cards
+    shown.append((str(len(lost)), "aircraft lost", listed(order)))
+    return shown
 
 
 def _too_close(flight: Flight) -> str:
@@ -207,17 +190,6 @@ def _followers(flight: Flight) -> str:
     return "".join(out)
 
 
-def _figure(figure: Figure) -> str:
-    from testbed.views.figure_door import to_svg
-
-    label = escape(f"{figure.title}. {figure.caption}", quote=True)
-    return (
-        f'<figure id="figure-{figure.name}"><h3>{escape(figure.title)}</h3>'
-        f"{for_page(to_svg(figure.sheet), figure.name, label)}"
-        f"<figcaption>{escape(figure.caption)}</figcaption></figure>"
-    )
-
-
 def _events(flight: Flight) -> str:
     events = flight.metrics["events"]
     if not events:
@@ -257,7 +229,7 @@ def _again(flight: Flight) -> str:
     out.append(
         "<p>Save the page below, as it was flown with every default written out, and fly it with"
         f" these versions:</p><pre>testbed run {escape(file)}</pre>"
-        f'<p class="screen">{_saved(file, "text/yaml", text.encode())}</p>'
+        f'<p class="screen">{saved(file, "text/yaml", text.encode())}</p>'
     )
     touched = _from_outside(flight)
     if touched:
@@ -268,19 +240,10 @@ def _again(flight: Flight) -> str:
     for name, code in info.code.items():
         out.append(
             f"<p>The page names {escape(name)}, the code of its law. Save it beside the page:</p>"
-            f'<p class="screen">{_saved(name, "text/x-python", code)}</p>'
+            f'<p class="screen">{saved(name, "text/x-python", code)}</p>'
             f'<pre class="page">{escape(code.decode("utf-8", "replace"))}</pre>'
         )
     return "".join(out)
-
-
-def _saved(name: str, kind: str, data: bytes) -> str:
-    """A link that saves a file."""
-    encoded = base64.b64encode(data).decode()
-    return (
-        f'<a download="{escape(name, quote=True)}" href="data:{kind};base64,{encoded}">'
-        f"Save {escape(name)}</a>"
-    )
 
 
 def _from_outside(flight: Flight) -> Sequence[str]:

@@ -27,7 +27,7 @@ from testbed.scenario.fields import (
     Seconds,
     Section,
 )
-from testbed.scenario.gains import EstimatorChoice
+from testbed.scenario.gains import EstimatorChoice, GainChanges
 
 
 def _law_name(value: str) -> str:
@@ -244,6 +244,17 @@ class Controller(Section):
     profile: Name = Field(
         "paper",
         description="Gains of the middle loop: a section of the airframe's middle_loop.yaml.",
+    )
+    middle_loop: str | None = Field(
+        None,
+        min_length=1,
+        description="A file like the airframe's middle_loop.yaml in its place: a path, relative to "
+        "this page; for fleets of one airframe.",
+    )
+    gains: GainChanges = Field(
+        {},
+        description="What is different from the profile, for all followers: its keys with other "
+        "numbers, as in course: {p: 3}.",
     )
     gain_scale: Number = Field(
         1.0, gt=0, description="Multiplies every PID gain of the middle loop, no unit."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from typing import Any
 
@@ -34,7 +35,7 @@ _OF_HEADER = (("scenario", "portions"), ("scenario", "published"))
 
 def explain(error: ValidationError, tree: Node, model: type[BaseModel]) -> list[Problem]:
     """Return what is wrong with the page, in the order of its text."""
-    schema = model.model_json_schema(by_alias=True)
+    schema = _schema(model)
     problems: list[Problem] = []
     for detail in error.errors(include_url=False):
         if detail["type"] == "cross":
@@ -45,6 +46,12 @@ def explain(error: ValidationError, tree: Node, model: type[BaseModel]) -> list[
     for problem in problems:  # a list that is too short is said once, not per missing element
         unique.setdefault(problem.path, problem)
     return sorted(unique.values(), key=lambda p: _reading_order(p.place))
+
+
+@functools.cache
+def _schema(model: type[BaseModel]) -> dict[str, Any]:
+    """The schema of a page, which takes a while to make; many pages may be wrong in one study."""
+    return model.model_json_schema(by_alias=True)
 
 
 def _reading_order(place: Place | None) -> tuple[str, int, int]:

@@ -150,6 +150,9 @@ class MiddleLoopGains(Section):
     limits: Limits = Field(Limits(), description="Where the commands saturate, degrees.")
 
 
+GainChanges = Mapping[Name, Number | Mapping[Name, Number]]
+
+
 class MiddleLoopFile(RootModel[Mapping[Name, MiddleLoopGains]]):
     """The file: a profile by name."""
 

@@ -1,65 +1,56 @@
-"""From YAML to a frozen page. The only module that imports yaml.
-
-Plain scalars are read by the rules of YAML 1.2, where `no` is a word and `1e-2` a number; PyYAML's
-own rules of YAML 1.1 have it the other way round. Tags, merge keys and repeated keys are errors.
-"""
+"""From a page, those it extends and the changes asked for, to one frozen object."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
-
-import yaml
-from pydantic import BaseModel, ValidationError
 
 from testbed.scenario import resolve
-from testbed.scenario.explain import explain
-from testbed.scenario.gains import Guidance, MiddleLoopFile, MiddleLoopGains
+from testbed.scenario.gains import GainChanges, Guidance, MiddleLoopFile, MiddleLoopGains
 from testbed.scenario.messages import Place, Problem, ScenarioError, did_you_mean
 from testbed.scenario.overrides import override
 from testbed.scenario.references import settle
 from testbed.scenario.schema import Scenario
-from testbed.scenario.tree import Node, Scalar, inherit, plain, walk
+from testbed.scenario.tree import Node, inherit, planted, walk
+from testbed.scenario.yaml_door import parse, read, stop, validated, write
 
-_MOST_BYTES = 1_000_000
-_MOST_NODES = 100_000
-_DEEPEST = 40
 _LONGEST_CHAIN = 20
-
-_WHOLE = re.compile(r"[-+]?[0-9]+")
-_NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
-_NOT_FINITE = {".inf": "inf", "+.inf": "inf", "-.inf": "-inf", ".nan": "nan"}
-_WORDS: dict[str, Scalar] = {"": None, "~": None, "null": None, "true": True, "false": False}
-
-ModelT = TypeVar("ModelT", bound=BaseModel)
+_AS_IS: GainChanges = {}
+CHANGES = Place("controller.gains")  # of what is wrong in changes to a profile
 
 
-class _Reader(yaml.CSafeLoader):
-    """PyYAML's C parser with no rules for plain scalars: ours are below."""
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """A page that has been read and may be changed many times over; its files are read once."""
 
-    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 - PyYAML's own protocol
+    path: Path
+    tree: Node
 
+    def page(self, overrides: Sequence[str] = ()) -> Scenario:
+        """The page with changes, checked.
 
-class _Writer(yaml.CSafeDumper):
-    """PyYAML's C emitter: no anchors, flat lists on one line, quotes where we need them."""
+        Args:
+            overrides: texts `key.path=value`, applied in order after `extends`.
 
-    def ignore_aliases(self, data: object) -> bool:
-        """Write every value out."""
-        return True
-
-    def _list(self, data: list[Any]) -> yaml.Node:
-        flow = not any(isinstance(item, list | dict) for item in data)
-        return self.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=flow)
-
-    def _text(self, data: str) -> yaml.Node:
-        style = None if isinstance(_scalar(data), str) else '"'
-        return self.represent_scalar("tag:yaml.org,2002:str", data, style=style)
+        Raises:
+            ScenarioError: with every problem found, each with its place.
+        """
+        return _scenario(self.tree, overrides)
 
 
-_Writer.add_representer(list, _Writer._list)
-_Writer.add_representer(str, _Writer._text)
+def open_draft(name_or_path: str | Path, *, folder: Path | None = None) -> Draft:
+    """Read a scenario and what it extends, unchecked.
+
+    Args:
+        name_or_path: a name of `list_scenarios()`, or the path of a page.
+        folder: what a relative path is relative to; here, if None.
+
+    Raises:
+        ScenarioError: there is no such page, or it is not YAML.
+    """
+    path = resolve.find_scenario(name_or_path, folder=folder)
+    return Draft(path, _chain(path, ()))
 
 
 def load(name_or_path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
@@ -72,8 +63,7 @@ def load(name_or_path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
     Raises:
         ScenarioError: with every problem found, each with its place.
     """
-    path = resolve.find_scenario(name_or_path)
-    return _scenario(_chain(path, ()), overrides)
+    return open_draft(name_or_path).page(overrides)
 
 
 def loads(
@@ -86,27 +76,63 @@ def loads(
     Raises:
         ScenarioError: as `load` does; `source` stands for the file's name.
     """
-    tree = _extended(_parse(text, source, Path.cwd()), ())
-    return _scenario(tree, overrides) if look else _validated(tree, Scenario)
+    tree = _extended(parse(text, source, Path.cwd()), ())
+    return _scenario(tree, overrides) if look else validated(tree, Scenario)
 
 
-def load_middle_loop(aircraft: str | Path, profile: str) -> MiddleLoopGains:
+def load_middle_loop(
+    aircraft: str | Path,
+    profile: str,
+    *,
+    file: str | Path | None = None,
+    changes: GainChanges = _AS_IS,
+) -> MiddleLoopGains:
     """Read one profile of an airframe's middle_loop.yaml.
 
     Args:
         aircraft: name or path of the airframe.
         profile: name of a section of that file.
+        file: in place of the airframe's own.
+        changes: what is different from the profile.
 
     Raises:
-        ScenarioError: the airframe, the file or the profile is missing, or a gain is wrong.
+        ScenarioError: the airframe, the file or the profile is missing, or a gain is wrong; one of
+            `changes` has the place `CHANGES`, and its path begins there.
     """
-    tree = _read(resolve.find_aircraft(aircraft) / "middle_loop.yaml")
-    profiles = _validated(tree, MiddleLoopFile).root
+    tree = read(Path(file) if file else resolve.find_aircraft(aircraft) / "middle_loop.yaml")
+    profiles = validated(tree, MiddleLoopFile).root
     if profile in profiles:
-        return profiles[profile]
+        own = profiles[profile]
+        if not changes:
+            return own
+        data = own.model_dump(mode="json")
+        for key, value in changes.items():
+            inner = data.get(key)
+            if isinstance(value, Mapping) and isinstance(inner, dict):
+                data[key] = {**inner, **value}
+            else:
+                data[key] = value
+        return validated(planted(data, CHANGES), MiddleLoopGains)
     hint = did_you_mean(profile, profiles)
     known = ", ".join(profiles)
-    raise _stop(tree.place, f"there is no profile {profile!r}{hint} (write one of {known})")
+    raise stop(tree.place, f"there is no profile {profile!r}{hint} (write one of {known})")
+
+
+def gains_of(page: Scenario, aircraft: str | Path) -> MiddleLoopGains:
+    """The middle loop's gains with which a page flies followers of this airframe.
+
+    Raises:
+        ScenarioError: as `load_middle_loop` does.
+    """
+    controller = page.controller
+    return load_middle_loop(
+        aircraft, controller.profile, file=controller.middle_loop, changes=controller.gains
+    )
+
+
+def dump_middle_loop(profiles: Mapping[str, MiddleLoopGains]) -> str:
+    """Return gains by profile as the text of a middle_loop.yaml."""
+    return write({name: gains.model_dump(mode="json") for name, gains in profiles.items()})
 
 
 def load_guidance(aircraft: str | Path) -> Guidance:
@@ -116,20 +142,18 @@ def load_guidance(aircraft: str | Path) -> Guidance:
         ScenarioError: the airframe is missing, or a gain is wrong.
     """
     path = resolve.find_aircraft(aircraft) / "guidance.yaml"
-    return _validated(_read(path), Guidance) if path.is_file() else Guidance()
+    return validated(read(path), Guidance) if path.is_file() else Guidance()
 
 
 def dump(page: Scenario) -> str:
     """Return the whole page as YAML, defaults included; it loads again to an equal object."""
-    data = page.model_dump(mode="json", by_alias=True)
-    text: str = yaml.dump(data, Dumper=_Writer, sort_keys=False, allow_unicode=True, width=100)
-    return text
+    return write(page.model_dump(mode="json", by_alias=True))
 
 
 def _scenario(tree: Node, overrides: Sequence[str]) -> Scenario:
     for text in overrides:
-        tree = override(tree, text, _parse)
-    page = settle(_validated(tree, Scenario), tree)
+        tree = override(tree, text, parse)
+    page = settle(validated(tree, Scenario), tree)
     _check_profile(page, tree)
     return page
 
@@ -137,24 +161,28 @@ def _scenario(tree: Node, overrides: Sequence[str]) -> Scenario:
 def _check_profile(page: Scenario, tree: Node) -> None:
     node, path, left = walk(tree, ("controller", "profile"))
     problems = []
-    for aircraft in dict.fromkeys(follower.aircraft for follower in page.fleet):
+    airframes = tuple(dict.fromkeys(follower.aircraft for follower in page.fleet))
+    if page.controller.middle_loop is not None and len(airframes) > 1:
+        file, at, _ = walk(tree, ("controller", "middle_loop"))
+        text = f"is for one airframe, and the fleet has {', '.join(airframes)} (leave it out)"
+        problems.append(Problem(file.place, text, at))
+    for aircraft in airframes:
         try:
-            load_middle_loop(aircraft, page.controller.profile)
+            gains_of(page, aircraft)
         except ScenarioError as error:
-            problems += [Problem(node.place, str(each), path + left) for each in error.problems]
+            for each in error.problems:
+                if each.place == CHANGES:
+                    wrong, at, rest = walk(tree, ("controller", "gains", *each.path))
+                    problems.append(Problem(wrong.place, each.text, at + rest))
+                else:
+                    problems.append(Problem(node.place, str(each), path + left))
+    problems = list(dict.fromkeys(problems))
     if problems:
         raise ScenarioError(problems)
 
 
-def _validated(tree: Node, model: type[ModelT]) -> ModelT:
-    try:
-        return model.model_validate(plain(tree))
-    except ValidationError as error:
-        raise ScenarioError(explain(error, tree, model)) from None
-
-
 def _chain(path: Path, below: tuple[Path, ...]) -> Node:
-    return _extended(_read(path), (*below, path))
+    return _extended(read(path), (*below, path))
 
 
 def _extended(tree: Node, chain: tuple[Path, ...]) -> Node:
@@ -165,136 +193,13 @@ def _extended(tree: Node, chain: tuple[Path, ...]) -> Node:
     wish = own.pop("extends")
     top = Node(own, tree.place, tree.key, tree.folder)
     if not isinstance(wish.value, str):
-        raise _stop(wish.place, "must be the name or the path of a scenario", ("extends",))
+        raise stop(wish.place, "must be the name or the path of a scenario", ("extends",))
     try:
         base = resolve.find_scenario(wish.value, folder=wish.folder)
     except ScenarioError as error:
-        raise _stop(wish.place, error.problems[0].text, ("extends",)) from None
+        raise stop(wish.place, error.problems[0].text, ("extends",)) from None
     if base in chain:
-        raise _stop(wish.place, f"{wish.value!r} extends this page in turn", ("extends",))
+        raise stop(wish.place, f"{wish.value!r} extends this page in turn", ("extends",))
     if len(chain) >= _LONGEST_CHAIN:
-        raise _stop(wish.place, f"more than {_LONGEST_CHAIN} pages in a row", ("extends",))
+        raise stop(wish.place, f"more than {_LONGEST_CHAIN} pages in a row", ("extends",))
     return inherit(_chain(base, chain), top)
-
-
-def _read(path: Path) -> Node:
-    source = _shown(path)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise _stop(Place(source), f"cannot be read: {error.strerror}") from None
-    if len(data) > _MOST_BYTES:
-        raise _stop(Place(source), f"is larger than {_MOST_BYTES:,} bytes: not a page")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise _stop(Place(source, line, 1), "is not UTF-8 text (save the file as UTF-8)") from None
-    return _parse(text, source, path.resolve().parent)
-
-
-def _shown(path: Path) -> str:
-    """Return the path as short as a reader here can use it."""
-    resolved = path.resolve()
-    here = Path.cwd().resolve()
-    return str(resolved.relative_to(here) if resolved.is_relative_to(here) else resolved)
-
-
-def _parse(text: str, source: str, folder: Path) -> Node:
-    """Return the tree of a YAML text."""
-    try:
-        _refuse_depth(text, source)
-        root = yaml.compose(text, Loader=_Reader)
-    except yaml.MarkedYAMLError as error:
-        place = _place(source, error.problem_mark or error.context_mark)
-        raise _stop(place, f"is not YAML: {error.problem or error.context}") from None
-    except yaml.YAMLError as error:
-        raise _stop(Place(source), f"is not YAML: {str(error).splitlines()[0]}") from None
-    if root is None:
-        return Node(None, Place(source, 1, 1), Place(source, 1, 1), folder)
-    return _Builder(source, folder).node(root, None, 0)
-
-
-def _place(source: str, mark: Any) -> Place:  # noqa: ANN401 - one of PyYAML's two classes
-    return Place(source, mark.line + 1, mark.column + 1) if mark else Place(source)
-
-
-def _refuse_depth(text: str, source: str) -> None:
-    """Stop before PyYAML composes a text so deep that its C code would overflow the stack."""
-    depth = 0
-    for event in yaml.parse(text, Loader=_Reader):
-        if isinstance(event, yaml.CollectionStartEvent):
-            depth += 1
-            if depth > _DEEPEST:
-                raise _stop(_place(source, event.start_mark), "is too deep")
-        elif isinstance(event, yaml.CollectionEndEvent):
-            depth -= 1
-
-
-class _Builder:
-    """Turns PyYAML's nodes into ours, counting them: an alias can stand for millions."""
-
-    def __init__(self, source: str, folder: Path) -> None:
-        self.source = source
-        self.folder = folder
-        self.count = 0
-
-    def place(self, node: yaml.Node) -> Place:
-        return _place(self.source, node.start_mark)
-
-    def node(self, node: yaml.Node, key: yaml.Node | None, depth: int) -> Node:
-        self.count += 1
-        place = self.place(node)
-        if self.count > _MOST_NODES or depth > _DEEPEST:
-            raise _stop(place, "the page is too large or too deep")
-        value: Scalar | tuple[Node, ...] | dict[str, Node]
-        if isinstance(node, yaml.ScalarNode):
-            self.refuse_tag(node, "tag:yaml.org,2002:str")
-            value = _scalar(node.value) if not node.style else node.value
-        elif isinstance(node, yaml.SequenceNode):
-            self.refuse_tag(node, "tag:yaml.org,2002:seq")
-            value = tuple(self.node(child, None, depth + 1) for child in node.value)
-        else:
-            self.refuse_tag(node, "tag:yaml.org,2002:map")
-            value = self.map(node, depth)
-        return Node(value, place, self.place(key) if key else place, self.folder)
-
-    def map(self, node: yaml.Node, depth: int) -> dict[str, Node]:
-        children: dict[str, Node] = {}
-        for key, child in node.value:
-            if not isinstance(key, yaml.ScalarNode):
-                raise _stop(self.place(key), "a key must be a word")
-            if key.value == "<<" and not key.style:
-                raise _stop(self.place(key), "merge keys are not read (write extends instead)")
-            if key.value in children:
-                first = children[key.value].key
-                raise _stop(
-                    self.place(key),
-                    f"the key {key.value!r} is here twice, first in line {first.line} (write it "
-                    "once)",
-                )
-            children[key.value] = self.node(child, key, depth + 1)
-        return children
-
-    def refuse_tag(self, node: yaml.Node, expected: str) -> None:
-        if node.tag not in (expected, "!"):
-            tag = node.tag.replace("tag:yaml.org,2002:", "!!")
-            raise _stop(self.place(node), f"the tag {tag} is not read (leave it out)")
-
-
-def _scalar(text: str) -> Scalar:
-    """Return what a plain scalar means by the core schema of YAML 1.2."""
-    if text.lower() in _WORDS and text in (text.lower(), text.upper(), text.capitalize()):
-        return _WORDS[text.lower()]
-    if len(text) <= 40:
-        if _WHOLE.fullmatch(text):
-            return int(text)
-        if _NUMBER.fullmatch(text):
-            return float(text)
-    if text.lower() in _NOT_FINITE:
-        return float(_NOT_FINITE[text.lower()])
-    return text
-
-
-def _stop(place: Place, text: str, path: tuple[str, ...] = ()) -> ScenarioError:
-    return ScenarioError([Problem(place, text, path)])

@@ -13,6 +13,7 @@ from testbed.scenario.schema import Scenario
 from testbed.scenario.tree import Node, walk
 
 _Loc = tuple[str | int, ...]
+_GAINS = "middle_loop.yaml"
 
 
 class _Settler:
@@ -58,6 +59,16 @@ class _Settler:
             return
         kept = resolve.library() / "scenarios" / "data" / found.name
         self.changes.append((loc, found.name if found == kept else str(found)))
+
+    def gains(self, loc: _Loc, file: str) -> None:
+        """Settle a file of gains."""
+        found = (self.folder(*loc) / Path(file).expanduser()).resolve()
+        if found.is_file():
+            self.changes.append((loc, str(found)))
+            return
+        node, path, left = walk(self.tree, loc)
+        text = f"there is no file {found} (write the path of a file like an airframe's {_GAINS})"
+        self.problems.append(Problem(node.place, text, path + left))
 
     def law(self, loc: _Loc, name: str) -> None:
         """Settle a law that is not the paper's."""
@@ -106,6 +117,8 @@ def settle(page: Scenario, tree: Node) -> Scenario:
             settler.recording((*loc, "jitter", "file"), link.jitter.file)
         if link.trace is not None:
             settler.recording((*loc, "trace", "file"), link.trace.file)
+    if page.controller.middle_loop is not None:
+        settler.gains(("controller", "middle_loop"), page.controller.middle_loop)
     if page.controller.law != "paper":
         settler.law(("controller", "law"), page.controller.law)
     if settler.problems:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from testbed.scenario.messages import Place, Problem, ScenarioError, did_you_mean
 
+_TUNINGS = Path("scenarios", "studies", "tunes")
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 
@@ -32,6 +33,16 @@ def list_scenarios() -> tuple[str, ...]:
     return tuple(sorted(f.stem for f in (library() / "scenarios").glob("*.yaml")))
 
 
+def list_studies() -> tuple[str, ...]:
+    """Return the names of the studies that come with the testbed, sorted."""
+    return tuple(sorted(f.stem for f in (library() / "scenarios" / "studies").glob("*.yaml")))
+
+
+def list_tunings() -> tuple[str, ...]:
+    """Return the names of the tunes that come with the testbed, sorted."""
+    return tuple(sorted(f.stem for f in (library() / _TUNINGS).glob("*.yaml")))
+
+
 def list_data() -> tuple[str, ...]:
     """Return the names of the data files that scenarios use, sorted."""
     return tuple(sorted(f.name for f in (library() / "scenarios" / "data").glob("*.csv")))
@@ -51,6 +62,38 @@ def find_scenario(name_or_path: str | Path, *, folder: Path | None = None) -> Pa
     if path.is_file():
         return path
     raise _not_found("scenario", text, list_scenarios(), "a page ending in .yaml")
+
+
+def find_study(name_or_path: str | Path) -> Path:
+    """Return the page of a study, from its name or a path.
+
+    Raises:
+        ScenarioError: there is no such page.
+    """
+    text = str(name_or_path)
+    kept = library() / "scenarios" / "studies" / f"{text}.yaml"
+    if _is_name(text) and kept.is_file():
+        return kept
+    path = _absolute(text, None)
+    if path.is_file():
+        return path
+    raise _not_found("study", text, list_studies(), "a page ending in .yaml")
+
+
+def find_tuning(name_or_path: str | Path) -> Path:
+    """Return the page of a tune, from its name or a path.
+
+    Raises:
+        ScenarioError: there is no such page.
+    """
+    text = str(name_or_path)
+    kept = library() / _TUNINGS / f"{text}.yaml"
+    if _is_name(text) and kept.is_file():
+        return kept
+    path = _absolute(text, None)
+    if path.is_file():
+        return path
+    raise _not_found("tune", text, list_tunings(), "a page ending in .yaml")
 
 
 def find_aircraft(name_or_path: str | Path, *, folder: Path | None = None) -> Path:

@@ -92,6 +92,18 @@ def spelt_out(node: Node, name: str) -> Node:
     return replace(node, value={_SET: node})
 
 
+def planted(value: Plain, place: Place) -> Node:
+    """Return bare values as a tree that stands at one place."""
+    grown: Scalar | tuple[Node, ...] | dict[str, Node]
+    if isinstance(value, dict):
+        grown = {name: planted(child, place) for name, child in value.items()}
+    elif isinstance(value, list):
+        grown = tuple(planted(child, place) for child in value)
+    else:
+        grown = value
+    return Node(grown, place, place, Path())
+
+
 def plain(node: Node) -> Plain:
     """Return the bare value: dicts, lists and scalars."""
     if isinstance(node.value, dict):

@@ -17,7 +17,7 @@ from testbed.formation.law import Law, Team
 from testbed.formation.laws import SpeedSet
 from testbed.formation.paper_law import PaperLaw
 from testbed.scenario import MiddleLoopGains as Profile
-from testbed.scenario import Scenario, load_middle_loop
+from testbed.scenario import Scenario, gains_of
 from testbed.scenario.gains import Estimators
 from testbed.sim.clock import Clock
 from testbed.sim.control import Group
@@ -38,7 +38,7 @@ def make_groups(
     Returns:
         The groups, and what is to be said of a law that is not the paper's.
     """
-    profiles = [load_middle_loop(folder, page.controller.profile) for folder in folders]
+    profiles = [gains_of(page, folder) for folder in folders]
     whole = make_team(page, profiles, dt=clock.control / clock.base_rate_hz)
     groups, notes = [], []
     for rows in clock.groups:

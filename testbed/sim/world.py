@@ -208,15 +208,20 @@ def build(page: Scenario, *, commanded: bool = False, arduplane: Path | None = N
             estimated=not estimators.exact,
             leader_path_ned=led.path_ned,
             portions=dict(page.scenario.portions),
-            versions={
-                "testbed": __version__,
-                "schema": str(SCHEMA_VERSION),
-                "jsbsim": JSBSIM_VERSION,
-                "numpy": np.__version__,
-                "python": platform.python_version(),
-            },
+            versions=versions(),
         ),
     )
+
+
+def versions() -> dict[str, str]:
+    """What decides the numbers of a run beside its page."""
+    return {
+        "testbed": __version__,
+        "schema": str(SCHEMA_VERSION),
+        "jsbsim": JSBSIM_VERSION,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }
 
 
 def clock_of(page: Scenario) -> Clock:

@@ -49,6 +49,8 @@ def digests(page: Scenario) -> dict[str, str]:
         others.append(find_data(page.leader.path.file))
     if page.air.wind.file is not None:
         others.append(find_data(page.air.wind.file))
+    if page.controller.middle_loop is not None:
+        others.append(Path(page.controller.middle_loop))
     if page.controller.law != "paper":
         place, _, _ = find_law(page.controller.law).rpartition(":")
         others += [Path(place)] if place.endswith(".py") else []

@@ -10,18 +10,23 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.ticker import NullLocator
 from mpl_toolkits.mplot3d import Axes3D
 
-from testbed.views.panels import GREY, GRID, Line, Panel, Sheet, Space
+from testbed.views.panels import GREY, GRID, Heat, Line, Panel, Sheet, Space
 
 DOTS_PER_INCH = 100  # by which a figure is laid out
 PNG_DOTS_PER_INCH = 200
 TITLES_IN, LEGEND_IN = 0.8, 0.35  # inches that titles and a row of the legend need
 KEY_IN, LETTER_IN = 0.8, 0.095  # of a name in the legend
-MARKERS = 8  # on a curve
+HEAT = "cividis"  # the same order for colour-blind readers, and in grey
+HEAT_STEPS = 32
+# Letters on a cell, by its lightness; not quite black and white, which a page by night turns round.
+ON_LIGHT, ON_DARK = "#010101", "#fefefe"
 CLEAR = (1.0, 1.0, 1.0, 0.0)
 # What would differ between two files of the same sheet: when it was drawn.
 UNDATED: dict[str, dict[str, Any]] = {
@@ -137,15 +142,45 @@ def _fill(ax: Axes, panel: Panel) -> None:
     if panel.equal:
         ax.set_aspect("equal", adjustable="datalim")
         return
+    if panel.heat is not None:
+        _fill_heat(ax, panel.heat)
+    if panel.y_ticks and not panel.x_ticks:
+        ax.locator_params(axis="x", nbins=5)  # few: long numbers have to stand side by side
+    for axis, ticks in ((ax.xaxis, panel.x_ticks), (ax.yaxis, panel.y_ticks)):
+        if ticks:
+            axis.set_ticks([at for at, _ in ticks], [said for _, said in ticks])
+            axis.set_minor_locator(NullLocator())
     ax.set(xlim=panel.x_limits, ylim=panel.y_limits)
+
+
+def _fill_heat(ax: Axes, heat: Heat) -> None:
+    colours = matplotlib.colormaps[HEAT].resampled(HEAT_STEPS).with_extremes(bad=GREY)
+    low, high = heat.limits
+    mesh = ax.pcolormesh(
+        np.ma.masked_invalid(heat.values), cmap=colours, vmin=low, vmax=high, lw=0.6, ec=ON_DARK
+    )
+    for (i, k), value in np.ndenumerate(heat.values):
+        if heat.texts:
+            red, green, blue, _ = colours((value - low) / (high - low))
+            light = 0.299 * red + 0.587 * green + 0.114 * blue > 0.5
+            ax.text(
+                k + 0.5, i + 0.5, heat.texts[i][k], ha="center", va="center", size=11,
+                color=ON_LIGHT if light else ON_DARK,
+            )  # fmt: skip
+    ax.grid(False)
+    ax.figure.colorbar(mesh, ax=ax, label=heat.label)
 
 
 def _look(line: Line) -> dict[str, Any]:
     if line.dots:
-        return {"ls": "none", "marker": "o", "ms": 4.0}
+        return {
+            "ls": "none",
+            "marker": line.marker or "o",
+            "ms": 8.0 if line.marker == "x" else 4.0,
+        }
     look: dict[str, Any] = {"lw": line.width, "ls": line.dashes}
     if line.marker:
-        apart = max(len(line.x) // MARKERS, 1)
+        apart = max(len(line.x) // line.marks, 1) if line.marks else 1
         look |= {"marker": line.marker, "ms": 5.0, "mfc": "none"}
         look["markevery"] = (int(line.marker_phase * apart), apart)
     return look

@@ -35,6 +35,7 @@ class Line:
     dashes: str = "-"  # or DASHED or DOTTED
     marker: str = ""  # a shape that tells the curve apart where colours do not: "o", "s", "^", …
     marker_phase: float = 0.0  # 0..1 of the distance between two markers, where the first stands
+    marks: int = 8  # about so many markers; 0: one at each number
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +82,16 @@ class Space:
 
 
 @dataclass(frozen=True, slots=True)
+class Heat:
+    """A grid of cells, coloured by their numbers, on axes that count cells from 0."""
+
+    values: Array  # (rows, columns); where it is not a number the cell is grey
+    limits: tuple[float, float]  # where the colours begin and end
+    label: str  # of the scale of colours
+    texts: Sequence[Sequence[str]] = ()  # said inside the cells, row by row
+
+
+@dataclass(frozen=True, slots=True)
 class Panel:
     """One pair of axes."""
 
@@ -97,10 +108,15 @@ class Panel:
     spans: Sequence[Span] = ()
     marks: Sequence[tuple[float, str]] = ()  # where vertical lines stand, and their colours
     equal: bool = False  # the same scale on both axes, which fit what is drawn
+    x_ticks: Sequence[tuple[float, str]] = ()  # in place of numbers: where, and what is said there
+    y_ticks: Sequence[tuple[float, str]] = ()
+    heat: Heat | None = None  # below the lines
 
     @property
     def drawn(self) -> bool:
         """Whether there is a finite number to draw."""
+        if self.heat is not None and bool(np.isfinite(self.heat.values).any()):
+            return True
         return any(bool(np.isfinite(line.y).any()) for line in self.lines)
 
 

@@ -54,7 +54,7 @@ def test_matplotlib_has_one_door():
 
 
 def test_yaml_has_one_door():
-    assert importers("yaml") == {"scenario/load.py"}
+    assert importers("yaml") == {"scenario/yaml_door.py"}
 
 
 def test_pymavlink_has_one_door_and_only_its_generated_tables_pass():
@@ -85,6 +85,15 @@ def test_the_log_and_the_viewer_have_one_door_each(packages, home):
     assert len(doors) == 1, doors
     room, door = doors.pop()
     assert room == home and "door" in door
+
+
+def test_the_search_has_one_door():
+    assert importers("cma") == {"study/cma_door.py"}
+
+
+def test_who_flies_many_has_a_door_to_each_backend():
+    assert importers("joblib") == {"study/processes.py"}
+    assert importers("dask", "distributed") == {"study/cluster.py"}
 
 
 def test_formation_knows_only_numpy_and_the_shared_vocabulary():
@@ -176,6 +185,9 @@ def test_importing_the_page_loads_nothing_heavy(statement):
         "pyarrow",
         "pandas",
         "xarray",
+        "joblib",
+        "distributed",
+        "cma",
     }
     loaded = modules_after(statement)
     assert "testbed" in loaded

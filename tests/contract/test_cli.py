@@ -42,7 +42,8 @@ def test_version(tmp_path):
 def test_help_names_every_command_and_the_exit_codes(tmp_path):
     text = cli("--help", cwd=tmp_path).stdout
     named = (
-        "run view air validate check list schema respond import trim linearize step export compare"
+        "run view air validate check list schema respond import trim linearize step export compare "
+        "sweep study-report tune"
     )
     for command in named.split():
         assert f"{command} " in text

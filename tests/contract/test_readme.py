@@ -26,6 +26,7 @@ PAGES = (
     "README.md",
     "docs/simulations.md",
     "docs/experiments.md",
+    "docs/gap.md",
     "docs/autopilot.md",
     "docs/aircraft.md",
     "docs/air.md",
@@ -37,6 +38,9 @@ PAGES = (
     "docs/formation.md",
     "docs/own-law.md",
     "docs/check.md",
+    "docs/studies.md",
+    "docs/study-report.md",
+    "docs/tune.md",
     "docs/export.md",
     "docs/report.md",
     "docs/view.md",
@@ -53,9 +57,9 @@ PAGES = (
     "docs/reference/equations.md",
 )
 UAVS = ("uav1", "uav2", "uav3")
-SHOWN_S = (
-    100.0  # flights of the shell snippets end here: the laps have begun and a table is printed
-)
+# Where flights of the shell snippets end: what is pasted of a flight needs the laps to have begun.
+GLANCE_S, SHOWN_S = 15.0, 100.0
+PASTED_FROM_FLIGHTS = ("docs/export.md",)
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.M | re.S)
 
 # A `testbed` that ends flights early, checks with one seed and needs no viewer. The last of two
@@ -63,7 +67,8 @@ BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.M | re.S)
 # own; all else is handed, one at a time, to the one that runs the tests, which has it loaded.
 STAND_IN = """#!/bin/sh
 case "$*" in
-  run*) set -- "$@" --duration {duration:g} ;;
+  run*) set -- "$@" --duration "$TESTBED_SHOWN_S" ;;
+  air*) set -- "$@" --duration 20 ;;
   check*) set -- "$@" --seeds 1 ;;
   view*--rrd*) ;;
   view*) set -- "$@" --rrd "$(mktemp -u).rrd" ;;
@@ -135,16 +140,14 @@ def new_desk(tmp_path_factory):
         hand_over = folder / "bin" / "hand_over.py"
         hand_over.write_text(HAND_OVER)
         command = folder / "bin" / "testbed"
-        command.write_text(
-            STAND_IN.format(duration=SHOWN_S, python=sys.executable, hand_over=hand_over)
-        )
+        command.write_text(STAND_IN.format(python=sys.executable, hand_over=hand_over))
         command.chmod(command.stat().st_mode | stat.S_IXUSR)
         return folder
 
     return make
 
 
-def in_a_shell(folder, text):
+def in_a_shell(folder, text, shown_s=SHOWN_S):
     """What a snippet prints whose commands this process carries out, and bash all else."""
     ours, theirs = socket.socketpair()
     with ours, tempfile.TemporaryFile("w+") as paper:
@@ -152,6 +155,7 @@ def in_a_shell(folder, text):
         surroundings = environment(80) | {
             "PATH": f"{folder / 'bin'}{os.pathsep}{os.environ['PATH']}",
             "TESTBED_LINE": str(theirs.fileno()),
+            "TESTBED_SHOWN_S": f"{shown_s:g}",
         }
         shell = subprocess.Popen(
             ("bash", "-euc", text),
@@ -197,9 +201,12 @@ def trimmed(text: str) -> str:
 def test_every_snippet_runs_in_reading_order_and_prints_what_is_pasted(page, new_desk):
     desk = new_desk()
     ours = [snippet for snippet in SHELL + PYTHON if snippet.page == page]
+    shown_s = SHOWN_S if page in PASTED_FROM_FLIGHTS else GLANCE_S
     for snippet in sorted(ours, key=lambda s: s.line):
-        run = in_a_shell if snippet.kind == "sh" else in_python
-        printed = run(desk, snippet.text)
+        if snippet.kind == "sh":
+            printed = in_a_shell(desk, snippet.text, shown_s)
+        else:
+            printed = in_python(desk, snippet.text)
         if snippet.output is not None:
             assert printed == trimmed(snippet.output), snippet
 

@@ -19,14 +19,10 @@ def test_loss_and_latency_together_are_borne(seed) -> None:
         assert cells(metrics, portion).mean() <= 3.0
 
 
+@IN_FULL
+@pytest.mark.parametrize("then", ["loiter", "straight"])
 @pytest.mark.parametrize(
-    ("groups", "then"),
-    [
-        ("[[leader, uav1], [uav2, uav3]]", "loiter"),
-        pytest.param("[[leader], [uav1], [uav2], [uav3]]", "straight", marks=IN_FULL),
-        pytest.param("[[leader, uav1], [uav2, uav3]]", "straight", marks=IN_FULL),
-        pytest.param("[[leader], [uav1], [uav2], [uav3]]", "loiter", marks=IN_FULL),
-    ],
+    "groups", ["[[leader, uav1], [uav2, uav3]]", "[[leader], [uav1], [uav2], [uav3]]"]
 )
 def test_a_divided_formation_comes_together_again(groups, then) -> None:
     """After 20 s apart everybody is back within 5 m of its slot in 240 s, and stays there."""

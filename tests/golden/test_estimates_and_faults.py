@@ -62,6 +62,7 @@ def test_under_trees_errors_are_those_of_the_receivers_and_nobody_knows() -> Non
 # an engine
 
 
+@IN_FULL
 def test_an_engine_out_leaves_the_others_undisturbed() -> None:
     """UAV 2 is lost on the ground; the run has flown, and UAV 3 is where UAV 2 would have been."""
     metrics, calm = fly("engine-out-uav2"), fly("engine-out-uav2", "fleet.1.faults=[]")
@@ -104,6 +105,7 @@ def test_who_does_not_heed_a_failure_is_drawn_along() -> None:
 # a pitot tube
 
 
+@IN_FULL
 def test_a_follower_minds_a_blocked_pitot_tube_from_its_speed_bound_on() -> None:
     """15 m higher nothing happens; then the reading passes 30 m/s, and with bounds to 40 none."""
     blocked = fly("airspeed-blocked")

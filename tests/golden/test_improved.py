@@ -25,6 +25,7 @@ def test_on_the_papers_path() -> None:
         assert cells(metrics, portion).mean() <= 0.35
 
 
+@IN_FULL
 def test_behind_a_recorded_leader() -> None:
     """The paper's own numbers, on corners that are known."""
     metrics = fly("simulation-3-recorded-leader", IMPROVED, until="rectangles")
@@ -39,9 +40,8 @@ def test_on_a_path_that_saturates() -> None:
         assert (cells(metrics, portion) <= 1.5).all()
 
 
-@pytest.mark.parametrize(
-    "scenario", [pytest.param("simulation-3-noise", marks=IN_FULL), "simulation-3-latency"]
-)
+@IN_FULL
+@pytest.mark.parametrize("scenario", ["simulation-3-noise", "simulation-3-latency"])
 def test_it_costs_nothing_under_noise_and_delay(scenario) -> None:
     metrics = fly(scenario, IMPROVED, until=SAMPLE)
     for portion in FLOWN:

@@ -1,0 +1,117 @@
+"""A page as a reader and a browser have it."""
+
+import json
+import re
+import shutil
+import subprocess
+from html import unescape
+from html.parser import HTMLParser
+
+MOST_BYTES = 5_000_000
+VOID = {"meta", "link", "br", "img", "use", "path"}
+
+
+class Reader(HTMLParser):
+    """What a page is made of; tags have to be closed in order."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.figures, self.labels, self.links, self.fetched, self.tags = [], [], [], [], set()
+        self.tables, self._open, self._cell = [], [], None
+        self.feed(text)
+        assert not self._open
+
+    def handle_starttag(self, tag, attributes):
+        values = dict(attributes)
+        self.tags.add(tag)
+        if tag not in VOID:
+            self._open.append(tag)
+        if tag == "figure":
+            self.figures.append(values["id"].removeprefix("figure-"))
+        if tag == "svg":
+            self.labels.append(values["aria-label"])
+        if tag == "table":
+            self.tables.append([])
+        if tag == "tr":
+            self.tables[-1].append([])
+        if tag in ("td", "th"):
+            self._cell = ""
+        if tag == "a":
+            self.links.append(values["href"])
+        elif "src" in values or "href" in values:
+            self.fetched.append(values.get("src") or values["href"])
+
+    def handle_startendtag(self, tag, attributes):
+        self.handle_starttag(tag, attributes)
+        if tag not in VOID:
+            self._open.pop()
+
+    def handle_endtag(self, tag):
+        if tag in VOID:
+            return
+        assert self._open.pop() == tag
+        if tag in ("td", "th"):
+            self.tables[-1][-1].append(self._cell)
+            self._cell = None
+
+    def handle_data(self, data):
+        if self._cell is not None:
+            self._cell += data
+
+
+def stands_alone(text):
+    """What is on a page that needs nothing else; it is held to that."""
+    page = Reader(text)
+    assert len(page.labels) == len(page.figures) == text.count("<figcaption>")
+    assert all(len(label) > 40 for label in page.labels)
+    assert "script" not in page.tags
+    assert not [each for each in page.fetched if not each.startswith(("data:", "#"))]
+    assert not re.search(r"url\((?!#)|@import", text)
+    for link in page.links:
+        assert link.startswith("data:") or f'id="{link[1:]}"' in text
+    named = re.findall(r' id="([^"]*)"', text)
+    assert len(named) == len(set(named))
+    assert {*re.findall(r"url\(#([^)]*)\)", text), *re.findall(r'href="#([^"]*)"', text)} <= {
+        *named
+    }
+    assert len(text.encode()) < MOST_BYTES
+    return page
+
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+NEEDS_CHROMIUM = "needs Chromium: on Debian, apt-get install chromium"
+# what the browser drew, in pixels, left where the dumped page tells of it
+MEASURE = """<script>
+addEventListener("load", () => {
+  const sizes = {};
+  for (const figure of document.querySelectorAll("figure")) {
+    const plot = figure.querySelector("svg"), box = plot.getBoundingClientRect();
+    const drawn = plot.querySelector("g").getBBox(), text = plot.querySelectorAll("text").length;
+    sizes[figure.id] = [box.width, box.height, drawn.width, drawn.height, text];
+  }
+  const wide = document.documentElement.scrollWidth - innerWidth;
+  document.body.dataset.found = JSON.stringify({sizes, wide});
+});
+</script>"""
+
+
+def browse(text, folder):
+    """Sizes of a page's figures in a browser, by name, which has to show all and say nothing."""
+    (folder / "page.html").write_text(text.replace("</body>", MEASURE + "</body>"), "utf-8")
+    done = subprocess.run(
+        [
+            CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--window-size=1200,900",
+            f"--user-data-dir={folder / 'profile'}", "--enable-logging=stderr", "--log-level=0",
+            "--virtual-time-budget=2000", "--dump-dom", (folder / "page.html").as_uri(),
+        ],
+        capture_output=True, text=True, timeout=120, check=True,
+    )  # fmt: skip
+    assert "CONSOLE" not in done.stderr
+    found = json.loads(unescape(re.search(r'data-found="([^"]*)"', done.stdout)[1]))
+    names = {name.removeprefix("figure-"): size for name, size in found["sizes"].items()}
+    for width, height, drawn_width, drawn_height, words in names.values():
+        assert width > 900 and height > 150 and words > 10
+        # in points, of which the page shows 792 across
+        assert drawn_width > 500 and drawn_height > 100
+    assert found["wide"] <= 0
+    return names

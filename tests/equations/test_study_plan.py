@@ -1,0 +1,308 @@
+"""What a study flies: levels, points and seeds, counted by hand; and what its page may not say."""
+
+import math
+import statistics
+
+import pytest
+
+from testbed.scenario import ScenarioError, list_studies, load
+from testbed.study.checks import check
+from testbed.study.journal import Journal
+from testbed.study.levels import at, count_levels, level
+from testbed.study.page import Spread
+from testbed.study.plan import Plan, load_study
+from testbed.study.rows import Row, flatten
+from testbed.study.table import kind
+
+HEAD = "study: {schema: 1, name: s, scenario: simulation-3, "
+
+
+def study(tmp_path, text):
+    path = tmp_path / "s.yaml"
+    path.write_text(text)
+    return load_study(path)
+
+
+def levels(**keys):
+    spread = Spread.model_validate(keys)
+    return [level(spread, k) for k in range(count_levels(spread))]
+
+
+def test_rows_of_numbers_are_counted_in_decimals():
+    assert levels(**{"from": 0, "to": 1, "step": 0.1})[3] == 0.3
+    assert len(levels(**{"from": 0, "to": 1, "step": 0.1})) == 11
+    assert levels(**{"from": 0, "to": 1, "step": 0.3}) == [0, 0.3, 0.6, 0.9]
+    eighths = levels(**{"from": 0, "to": 8, "count": 3})
+    assert eighths == [0, 4, 8] and all(isinstance(each, int) for each in eighths)
+    assert levels(**{"from": 0, "to": 1, "count": 4}) == [0, 1 / 3, 2 / 3, 1]
+    assert levels(choice=["a", 2, True]) == ["a", 2, True]
+
+
+@pytest.mark.parametrize(
+    ("keys", "column"),
+    [
+        ({"choice": [1, 2]}, "int64"),
+        ({"choice": [1, 2.5]}, "double"),
+        ({"choice": [True, False]}, "bool"),
+        ({"choice": ["a", 1]}, "string"),
+        ({"choice": [True, 1]}, "string"),
+        ({"uniform": (0, 1)}, "double"),
+        ({"from": 0, "to": 8, "count": 3}, "int64"),
+    ],
+)
+def test_a_key_has_a_column_of_its_kind(keys, column):
+    assert kind(Spread.model_validate(keys)) == column
+
+
+def test_distributions_by_their_quantiles():
+    uniform, log, normal = (
+        Spread.model_validate(each)
+        for each in ({"uniform": (2, 4)}, {"log_uniform": (0.01, 100)}, {"normal": (5, 2)})
+    )
+    assert at(uniform, 0.25) == 2.5
+    assert at(log, 0.5) == pytest.approx(1.0, rel=1e-12)
+    assert at(log, 0.0) == 0.01
+    assert at(normal, 0.5) == 5.0
+    assert at(normal, statistics.NormalDist().cdf(1.5)) == pytest.approx(8.0, rel=1e-12)
+    assert math.isfinite(at(normal, 0.0))
+    thirds = Spread.model_validate({"choice": ("a", "b", "c")})
+    assert [at(thirds, share) for share in (0, 0.33, 0.34, 0.999999)] == ["a", "a", "b", "c"]
+
+
+FACTORIAL = (
+    HEAD
+    + """design: factorial, seeds: [7, 3], set: {network.delay_s: 0.05}, duration_s: 90}
+vary:
+  network.loss: [0, 0.1, 0.3]
+  air.wind.speed_mps: {from: 0, to: 8, count: 2}
+cases:
+  plain: {}
+  noisy: {fleet.*.sensors: gps-ins}
+"""
+)
+
+
+def test_a_factorial_plan_run_by_run(tmp_path):
+    plan = Plan(study(tmp_path, FACTORIAL))
+    assert len(plan) == 2 * 3 * 2 * 2
+    runs = list(plan)
+    assert [run.number for run in runs] == list(range(24))
+    assert [run.case for run in runs] == ["plain"] * 12 + ["noisy"] * 12
+    assert [run.seed for run in runs[:4]] == [7, 3, 7, 3]
+    points = [tuple(run.point.values()) for run in runs[:12:2]]
+    assert points == [(0, 0), (0, 8), (0.1, 0), (0.1, 8), (0.3, 0), (0.3, 8)]
+    assert plan[23] == runs[23]
+    assert runs[23].command == (
+        "testbed run simulation-3 --set network.delay_s=0.05 --set 'fleet.*.sensors=gps-ins' "
+        "--set network.loss=0.3 --set air.wind.speed_mps=8 --duration 90 --seed 3"
+    )
+    with pytest.raises(IndexError):
+        plan[24]
+
+
+def test_a_run_flies_the_page_of_its_command(tmp_path):
+    from testbed.scenario import shorten
+
+    plan = Plan(study(tmp_path, FACTORIAL))
+    run = plan[23]
+    ours = plan.page(run)
+    assert ours == shorten(load("simulation-3", [*run.overrides, "scenario.seed=3"]), 90)
+    assert (ours.network.loss.probability, ours.scenario.seed) == (0.3, 3)
+
+
+def test_whatever_a_case_sets_is_read_back(tmp_path):
+    text = (
+        HEAD
+        + "}\n"
+        + """
+cases:
+  all:
+    scenario.question: "yes, # it: is"
+    air.turbulence: {model: coherent, intensity: moderate}
+    formation.offsets_m.uav1: [-1.0e-7, 5, 0]
+    scenario.expectation: "07"
+"""
+    )
+    page = Plan(study(tmp_path, text)).base(0)
+    assert page.scenario.question == "yes, # it: is"
+    assert page.scenario.expectation == "07"
+    assert page.air.turbulence.model == "coherent"
+    assert page.formation.offsets_m["uav1"] == (-1e-7, 5, 0)
+
+
+def drawn(tmp_path, design, *more):
+    keys = {"network.loss": "{uniform: [0, 1]}", "air.wind.speed_mps": "{normal: [5, 1]}"}
+    keys |= dict(more)
+    text = f"{HEAD}design: {design}, samples: 40, design_seed: 2}}\nvary:\n"
+    text += "".join(f"  {key}: {value}\n" for key, value in keys.items())
+    plan = Plan(study(tmp_path, text))
+    points = [plan.point(k) for k in range(plan.points)]
+    return {key: [point[key] for point in points] for key in keys}
+
+
+def test_a_latin_hypercube_has_one_point_in_each_part_of_each_key(tmp_path):
+    values = drawn(tmp_path, "latin-hypercube")
+    assert sorted(int(40 * value) for value in values["network.loss"]) == list(range(40))
+    shares = [statistics.NormalDist(5, 1).cdf(v) for v in values["air.wind.speed_mps"]]
+    assert sorted(int(40 * share) for share in shares) == list(range(40))
+    assert values["network.loss"] != sorted(values["network.loss"])
+    assert abs(statistics.correlation(*values.values())) < 0.5
+
+
+@pytest.mark.parametrize("design", ["latin-hypercube", "monte-carlo"])
+def test_another_key_moves_no_other_dice(tmp_path, design):
+    before = drawn(tmp_path, design)
+    after = drawn(tmp_path, design, ("network.delay_s", "{log_uniform: [0.01, 1]}"))
+    assert {key: after[key] for key in before} == before
+    assert drawn(tmp_path, design) == before
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (HEAD + "}\nvary: {network.loss: [0, 1]}", "s.yaml:1:8: study: has no design"),
+        (HEAD + "design: factorial}", "study.design: has nothing to vary"),
+        (HEAD + "desing: factorial}", "did you mean 'design'?"),
+        (HEAD + "design: latin}\nvary: {a.b: [1]}", "write factorial, latin-hypercube or monte"),
+        (HEAD + "seeds: 0}", "study.seeds: must be 1 to 100,000"),
+        (HEAD + "seeds: [1, 1]}", "study.seeds: has something twice"),
+        (HEAD + "samples: 3}", "study.samples: is for latin-hypercube"),
+        (HEAD + "design: monte-carlo}\nvary: {a.b: [1]}", "write samples: 40"),
+        (HEAD + "set: {scenario.seed: 3}}", "study.set.scenario.seed: a study gives seeds"),
+        (
+            HEAD + "design: factorial}\nvary:\n  network.loss: {uniform: [0, 1]}",
+            "s.yaml:3:17: vary.network.loss: is a distribution",
+        ),
+        (
+            HEAD + "design: factorial}\nvary: {a.b: {from: 0, to: 1}}",
+            "either count or step",
+        ),
+        (HEAD + "design: factorial}\nvary: {a.b: {from: 1, to: 0, step: 1}}", "above from, 1"),
+        (HEAD + "design: factorial}\nvary: {a.b: {form: 1}}", "did you mean 'from'?"),
+        (HEAD + "design: factorial}\nvary: {a.b: [0, 0.0]}", "has 0.0 twice"),
+        (HEAD + "design: factorial}\nvary: {a.b: [[1, 2]]}", "must be a number, a word"),
+        (HEAD + "design: factorial}\nvary: {a.b: {uniform: [2, 1]}}", "write [low, high]"),
+        (HEAD + "design: factorial}\nvary: {a.b: {log_uniform: [0, 1]}}", "above 0"),
+        (
+            HEAD + "design: factorial}\nvary: {a.b: [1]}\ncases: {x: {a.b: 2}}",
+            "cases.x.a.b: is varied, too",
+        ),
+        (
+            HEAD + "design: factorial, seeds: 1000}\nvary: {a.b: {from: 0, to: 9999, step: 1}}",
+            "asks for 10,000,000 runs",
+        ),
+    ],
+)
+def test_what_a_page_may_not_say(tmp_path, text, says):
+    with pytest.raises(ScenarioError) as error:
+        study(tmp_path, text)
+    assert says in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (
+            HEAD + "design: factorial}\nvary:\n  network.loss: [0, 2]",
+            "s.yaml:3:17: vary.network.loss: network.loss=2: network.loss",
+        ),
+        (
+            HEAD + "}\ncases:\n  a: {}\n  b: {network.los: 1}",
+            "s.yaml:4:20: cases.b.network.los: network.los=1: network.los: is not a key",
+        ),
+        (HEAD + "set: {fleet.uav9.sensors: truth}}", "s.yaml:1:"),
+        (
+            HEAD + "design: monte-carlo, samples: 5}\nvary:\n  network.loss: {uniform: [2, 3]}",
+            "s.yaml:3:17: vary.network.loss: network.loss=2.",
+        ),
+        (
+            HEAD + "}\ncases:\n  x: {scenario: nowhere}",
+            "s.yaml:3:17: cases.x.scenario: there is no scenario 'nowhere'",
+        ),
+    ],
+)
+def test_what_its_scenarios_cannot_fly_is_told_before_anything_flies(tmp_path, text, says):
+    with pytest.raises(ScenarioError) as error:
+        check(Plan(study(tmp_path, text)))
+    assert says in str(error.value)
+
+
+@pytest.mark.parametrize("name", list_studies())
+def test_the_studies_that_come_with_it_can_be_flown(name):
+    chosen = load_study(name)
+    assert chosen.name == name and chosen.page.study.question
+    checked = check(Plan(chosen))
+    assert checked.refused == 0
+
+
+def test_a_drawn_value_that_cannot_be_flown_is_no_error(tmp_path):
+    text = HEAD + "design: latin-hypercube, samples: 4}\nvary: {network.loss: {uniform: [-1, 1]}}"
+    checked = check(Plan(study(tmp_path, text)))
+    assert (checked.points, checked.refused) == (4, 2)
+    assert "network.loss" in checked.example
+
+
+def test_of_many_points_every_level_is_read(tmp_path, monkeypatch):
+    monkeypatch.setattr("testbed.study.checks.MOST_CHECKED", 10)
+    text = HEAD + "design: factorial}\nvary:\n"
+    text += "  network.loss: {from: 0, to: 0.5, count: 6}\n  network.delay_s: [0, 0.1, 0.2, -1]\n"
+    with pytest.raises(ScenarioError, match="network.delay_s=-1"):
+        check(Plan(study(tmp_path, text)))
+
+
+def test_the_numbers_of_a_flight_and_no_others():
+    document = {
+        "schema": 1,
+        "seed": 4,
+        "versions": {"schema": "1", "jsbsim": "1"},
+        "wall_s": 3.0,
+        "portions": {"laps": {"rms_m": {"uav1": 1.5, "uav2": None}, "complete": True}},
+        "slot_speed_mps": {"uav1": [20, 25.0]},
+        "min_separation_between": ["leader", "uav1"],
+        "network": {"links": {"a": {"b": {"sent": 1}}}, "all": {"sent": 2}},
+        "events": [{"time_s": 1.0}],
+    }
+    assert flatten(document) == {
+        "portions.laps.rms_m.uav1": 1.5,
+        "portions.laps.rms_m.uav2": None,
+        "slot_speed_mps.uav1.0": 20.0,
+        "slot_speed_mps.uav1.1": 25.0,
+        "network.all.sent": 2.0,
+    }
+
+
+def test_a_journal_is_read_back_whatever_the_order(tmp_path):
+    path = tmp_path / "j"
+    journal = Journal(path, {"page": 1})
+    rows = [
+        Row(2, "flown", "", {"a.b": 0.1 + 0.2, "c": None}),
+        Row(0, "lost", "lost: é", {"d": 1e-300}),
+        Row(5, "failed", "why", {}),
+        Row(1, "flown", "", {"a": None, "c": 3.0}),
+    ]
+    for row in rows:
+        journal.add(row)
+    journal.close()
+    path.write_bytes(path.read_bytes() + b'{"run":7,"outco')
+    again = Journal(path)
+    assert again.begun == {"page": 1}
+    assert list(again.rows()) == sorted(rows, key=lambda row: row.run)
+    assert again.names() == ("d", "c", "a.b")  # what is below a stands for a
+    assert 7 not in again and 5 in again
+    again.add(Row(7, "flown", "", {"d": 2.0}))
+    again.close()
+    last = Journal(path)
+    assert last.runs() == [0, 1, 2, 5, 7]
+    last.close()
+
+
+def test_a_journal_that_is_damaged_in_its_midst_is_refused(tmp_path):
+    path = tmp_path / "j"
+    journal = Journal(path, {"page": 1})
+    for run in range(3):
+        journal.add(Row(run, "flown", "", {"a": 1.0}))
+    journal.close()
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join([*lines[:2], b"{\n", *lines[3:]]))
+    with pytest.raises(ValueError, match=r"j:3: is no line of a journal"):
+        Journal(path)
