@@ -59,7 +59,7 @@ PAGES = (
 UAVS = ("uav1", "uav2", "uav3")
 # Where flights of the shell snippets end: what is pasted of a flight needs the laps to have begun.
 GLANCE_S, SHOWN_S = 15.0, 100.0
-PASTED_FROM_FLIGHTS = ("docs/export.md",)
+PASTED_FROM_FLIGHTS = ("docs/air.md", "docs/export.md", "docs/run.md")
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.M | re.S)
 
 # A `testbed` that ends flights early, checks with one seed and needs no viewer. The last of two
@@ -68,7 +68,7 @@ BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.M | re.S)
 STAND_IN = """#!/bin/sh
 case "$*" in
   run*) set -- "$@" --duration "$TESTBED_SHOWN_S" ;;
-  air*) set -- "$@" --duration 20 ;;
+  air*) [ "$TESTBED_SHOWN_S" = {shown_s:g} ] || set -- "$@" --duration 20 ;;
   check*) set -- "$@" --seeds 1 ;;
   view*--rrd*) ;;
   view*) set -- "$@" --rrd "$(mktemp -u).rrd" ;;
@@ -140,7 +140,9 @@ def new_desk(tmp_path_factory):
         hand_over = folder / "bin" / "hand_over.py"
         hand_over.write_text(HAND_OVER)
         command = folder / "bin" / "testbed"
-        command.write_text(STAND_IN.format(python=sys.executable, hand_over=hand_over))
+        command.write_text(
+            STAND_IN.format(shown_s=SHOWN_S, python=sys.executable, hand_over=hand_over)
+        )
         command.chmod(command.stat().st_mode | stat.S_IXUSR)
         return folder
 
