@@ -97,4 +97,17 @@ def true_slots(
     return slot, position[1:] - slot, motion
 
 
-TRUE_SLOTS = twin_of(true_slots, "testbed.formation.geometry_twin")
+def write_true_slots(
+    position: Array,
+    velocity: Array,
+    offsets: Array,
+    altitudes: Array,
+    slot: Array,
+    error: Array,
+    motion: Array,
+) -> None:
+    """As `true_slots`, into arrays (n, 3), (n, 3) and (3, n) that are there."""
+    slot[:], error[:], motion[:] = true_slots(position, velocity, offsets, altitudes)
+
+
+TRUE_SLOTS = twin_of(write_true_slots, "testbed.formation.geometry_twin")

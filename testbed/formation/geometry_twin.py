@@ -36,12 +36,17 @@ def cross(a, b, c, x, y, z):
     return b * z - c * y, c * x - a * z, a * y - b * x
 
 
-@twin
 def true_slots(position, velocity, offsets, altitudes):
     n = len(position) - 1
-    slot, error, motion = np.empty((n, 3)), np.empty((n, 3)), np.empty((3, n))
+    written = np.empty((n, 3)), np.empty((n, 3)), np.empty((3, n))
+    write_true_slots(position, velocity, offsets, altitudes, *written)
+    return written
+
+
+@twin
+def write_true_slots(position, velocity, offsets, altitudes, slot, error, motion):
     leader = velocity[0]
-    for i in range(n):
+    for i in range(len(slot)):
         holding = not isnan(altitudes[i])
         cs, ss, cg, sg = frame_of(leader[0], leader[1], 0.0 if holding else leader[2])
         chi = to_ned(cs, ss, cg, sg, offsets[i + 1, 0], offsets[i + 1, 1], offsets[i + 1, 2])
@@ -56,4 +61,3 @@ def true_slots(position, velocity, offsets, altitudes):
         motion[0, i] = hypot(horizontal, down)
         motion[1, i] = atan2(east, north)
         motion[2, i] = atan2(-down, horizontal)
-    return slot, error, motion

@@ -20,18 +20,6 @@ from testbed.formation.geometry_twin import cross, to_ned
 from testbed.frames import COURSE_FLOOR
 
 
-def rows_of(record):
-    """Arrays (n,) as the rows of one array: handing numba each by itself costs more.
-
-    Those that a twin gave are such rows already.
-    """
-    whole = record[0].base
-    if isinstance(whole, np.ndarray) and whole.shape == (len(record), len(record[0])):
-        if all(each.base is whole for each in record):
-            return whole
-    return np.array(record)
-
-
 @twin
 def mu_of(agent, z):
     if not agent.spline:
@@ -77,17 +65,24 @@ def silence(inbox, i, m, now, limit):
     return isnan(inbox.stamp_s[i, m]) or now - inbox.received_s[i, m] > limit
 
 
-@twin
 def ages(now, stamp_s, received_s, unheeded, limit, needs_leader):
-    out = np.full(stamp_s.shape, nan)
-    limits = np.broadcast_to(limit, stamp_s.shape)
-    for i in range(stamp_s.shape[0]):
+    out = np.empty(stamp_s.shape)
+    limits = np.broadcast_to(limit, stamp_s.shape[1:]).copy()
+    rows = np.arange(len(stamp_s))
+    ages_into(rows, now, stamp_s, received_s, unheeded, limits, needs_leader, out)
+    return out
+
+
+@twin
+def ages_into(rows, now, stamp_s, received_s, unheeded, limit, needs_leader, out):
+    for k in range(len(rows)):
+        i = rows[k]
+        out[i] = nan
         for m in range(stamp_s.shape[1]):
-            if not unheeded[i, m] and now - received_s[i, m] <= limits[i, m]:
+            if not unheeded[k, m] and now - received_s[i, m] <= limit[m]:
                 out[i, m] = now - stamp_s[i, m]
             elif needs_leader and m == 0:
                 break
-    return out
 
 
 @twin
@@ -135,9 +130,24 @@ def kept_at(frame, rates, leader, place):
 
 @twin
 def errors_of(
-    agent, offsets, gains, from_timestamp, inbox, own, leader, slots, frame, rates, places, i, now
+    agent,
+    offsets,
+    gains,
+    from_timestamp,
+    inbox,
+    own,
+    leader,
+    slots,
+    frame,
+    rates,
+    places,
+    i,
+    k,
+    now,
 ):
-    """ξ_i and its rate, (6); own is (q_i, q̇_i), leader (q_g, q̇_g), slots (χ_i, χ̇_i).
+    """ξ_i and its rate, (6), of agent i, the k-th of those that step.
+
+    own is (q_i, q̇_i), leader (q_g, q̇_g), slots (χ_i, χ̇_i).
 
     Writes the places of neighbours that say something new and the times of that, if they are to
     be held.
@@ -149,7 +159,7 @@ def errors_of(
     level = 0.0 if agent.horizontal else 1.0
     x = y = z = xr = yr = zr = 0.0
     for m in range(gains.shape[1]):
-        gn, ge, gd = gains[i, m, 0], gains[i, m, 1], level * gains[i, m, 2]
+        gn, ge, gd = gains[k, m, 0], gains[k, m, 1], level * gains[k, m, 2]
         if gn == 0.0 and ge == 0.0 and gd == 0.0:
             continue
         position, velocity = leader
@@ -157,15 +167,15 @@ def errors_of(
             if not silence(inbox, i, m, now, agent.stale_after):
                 position, velocity = motion_of(agent, inbox, i, m, now, from_timestamp)
                 said = time_of(inbox, i, m, from_timestamp)
-                if agent.hold and not said <= place_time_s[i, m]:
-                    place_time_s[i, m] = said
+                if agent.hold and not said <= place_time_s[k, m]:
+                    place_time_s[k, m] = said
                     where = place_of(frame, leader[0], position)
-                    place[i, m, 0], place[i, m, 1], place[i, m, 2] = where
-            elif agent.hold and not isnan(place[i, m, 0]):
-                position, velocity = kept_at(frame, rates, leader, place[i, m])
+                    place[k, m, 0], place[k, m, 1], place[k, m, 2] = where
+            elif agent.hold and not isnan(place[k, m, 0]):
+                position, velocity = kept_at(frame, rates, leader, place[k, m])
             else:
                 continue
-        a, b, c = offsets[i, m]
+        a, b, c = offsets[k, m]
         da, db, dc = cross(rates[0], rates[1], rates[2], a, b, c)
         a, b, c = to_ned(cs, ss, cg, sg, a, b, c)
         da, db, dc = to_ned(cs, ss, cg, sg, da, db, dc)

@@ -16,7 +16,7 @@ import numpy as np
 from testbed.compiled import twin
 from testbed.formation.geometry import GRAVITY
 from testbed.formation.law import Diagnosis
-from testbed.formation.laws_twin import rows_of, velocity_rates
+from testbed.formation.laws_twin import velocity_rates
 from testbed.formation.middle_loop import (
     CLIPPED,
     PITCH,
@@ -28,10 +28,35 @@ from testbed.state import FbwaCommand
 
 
 def middle_step(loop, own, told, memory):
-    command, after, diagnosis = _step(
-        loop.table, loop.airspeed_error_as_printed, loop.dt, own, told, rows_of(memory)
+    n = len(loop.altitude)
+    command, after, floats = np.empty((3, n)), np.array(memory), np.empty((3, n))
+    guards, saturations = np.empty((2, n), np.uint8)
+    middle_into(
+        np.arange(n),
+        loop.table,
+        loop.airspeed_error_as_printed,
+        loop.dt,
+        own.position_ned,
+        own.velocity_ned,
+        own.acceleration_ned,
+        own.euler,
+        own.airspeed,
+        told.speed,
+        told.turn,
+        told.direction,
+        told.guards,
+        after,
+        command[0],
+        command[1],
+        command[2],
+        floats[0],
+        floats[1],
+        floats[2],
+        guards,
+        saturations,
     )
-    return command, MiddleLoopMemory(*after), diagnosis
+    diagnosis = Diagnosis(told.speed_desired, *floats, guards, saturations)
+    return FbwaCommand(*command), MiddleLoopMemory(*after), diagnosis
 
 
 @twin
@@ -48,24 +73,44 @@ def _integrate(integral, error, dt, command, low, high):
 
 
 @twin
-def _step(table, as_printed, dt, own, told, memory):
-    n = len(table)
-    pitch, roll, throttle = np.empty(n), np.empty(n), np.empty(n)
-    after = np.empty((8, n))
-    speed_command, course_desired, climb_desired = np.empty(n), np.empty(n), np.empty(n)
-    guards, saturations = np.empty(n, np.uint8), np.zeros(n, np.uint8)
-    for i in range(n):
-        g, y, sinking = table[i], told.direction[i], own.velocity_ned[i, 2]
+def middle_into(
+    rows,
+    table,
+    as_printed,
+    dt,
+    position,
+    velocity,
+    acceleration,
+    euler,
+    airspeeds,
+    speeds,
+    turns,
+    direction,
+    told_guards,
+    memory,
+    pitch,
+    roll,
+    throttle,
+    speed_command,
+    course_desired,
+    climb_desired,
+    guards,
+    saturations,
+):
+    """Of the agents in these rows; what is remembered changes in place, as does what they say."""
+    for k in range(len(rows)):
+        i = rows[k]
+        g, y, sinking = table[k], direction[i], velocity[i, 2]
         holding = not isnan(g.altitude)
-        v = (own.velocity_ned[i, 0], own.velocity_ned[i, 1], 0.0 if holding else sinking)
+        v = (velocity[i, 0], velocity[i, 1], 0.0 if holding else sinking)
         s = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-        airspeed, bank = own.airspeed[i], own.euler[i, 0]
-        unguarded = told.speed[i] + airspeed - s
+        airspeed, bank = airspeeds[i], euler[i, 0]
+        unguarded = speeds[i] + airspeed - s
         command = min(max(unguarded, g.speed_low), g.speed_high)
-        course_rate, climb_rate = velocity_rates(v, own.acceleration_ned[i])
+        course_rate, climb_rate = velocity_rates(v, acceleration[i])
         share = dt / (dt + g.rate_filter)
-        course_rate = _average(memory[4, i], course_rate, share)
-        climb_rate = _average(memory[5, i], climb_rate, share)
+        course_rate = _average(memory[4, k], course_rate, share)
+        climb_rate = _average(memory[5, k], climb_rate, share)
         climb = atan2(-v[2], hypot(v[0], v[1]))
         gd, cd = atan2(-y[2], hypot(y[0], y[1])), atan2(y[1], y[0])
 
@@ -73,19 +118,19 @@ def _step(table, as_printed, dt, own, told, memory):
         path = (
             gd
             - g.climb_p * climb_error
-            - g.climb_i * memory[0, i]
-            - g.climb_d * (climb_rate - told.turn[i, 1])
-            + g.incidence * (own.euler[i, 1] - climb)
+            - g.climb_i * memory[0, k]
+            - g.climb_d * (climb_rate - turns[i, 1])
+            + g.incidence * (euler[i, 1] - climb)
             + g.turn_incidence * (1.0 / cos(bank) - 1.0)
         )
-        height_error = -own.position_ned[i, 2] - g.altitude if holding else 0.0
-        hold = -g.altitude_p * height_error - g.altitude_i * memory[3, i] + g.altitude_d * sinking
+        height_error = -position[i, 2] - g.altitude if holding else 0.0
+        hold = -g.altitude_p * height_error - g.altitude_i * memory[3, k] + g.altitude_d * sinking
 
-        turn = told.turn[i, 2] / cos(climb)
+        turn = turns[i, 2] / cos(climb)
         turn_bank = atan(turn * s * cos(climb) / GRAVITY)
-        last = memory[6, i]
+        last = memory[6, k]
         slope = 0.0 if isnan(last) else (turn_bank - last) / dt
-        slope_before = memory[7, i]
+        slope_before = memory[7, k]
         slope = slope_before + dt / (dt + g.lead_filter) * (slope - slope_before)
         ahead = pi - (atan2(v[1], v[0]) - cd)
         course_error = pi - (ahead - 2.0 * pi * floor(ahead / (2.0 * pi)))
@@ -93,43 +138,40 @@ def _step(table, as_printed, dt, own, told, memory):
             turn_bank
             + g.roll_lead * slope
             - g.course_p * course_error
-            - g.course_i * memory[1, i]
+            - g.course_i * memory[1, k]
             - g.course_d * (course_rate - turn)
         )
 
-        error = airspeed - (told.speed[i] if as_printed else command)
+        error = airspeed - (speeds[i] if as_printed else command)
         power = (
             g.trim_throttle
             + g.eta_bank * (cos(bank) ** -2 - 1.0)
             + g.eta_speed * (command - g.trim_airspeed)
             + g.eta_climb * sin(gd)
             - g.speed_p * error
-            - g.speed_i * memory[2, i]
+            - g.speed_i * memory[2, k]
         )
 
         limit = g.pitch_limit
-        theta, climb_integral = _integrate(memory[0, i], climb_error, dt, path, -limit, limit)
-        level, altitude_integral = _integrate(memory[3, i], height_error, dt, hold, -limit, limit)
+        theta, climb_integral = _integrate(memory[0, k], climb_error, dt, path, -limit, limit)
+        level, altitude_integral = _integrate(memory[3, k], height_error, dt, hold, -limit, limit)
         wanted = hold if holding else path
         pitch[i] = level if holding else theta
         limit = g.roll_limit
-        roll[i], after[1, i] = _integrate(memory[1, i], course_error, dt, phi, -limit, limit)
-        throttle[i], after[2, i] = _integrate(memory[2, i], error, dt, power, 0.0, 1.0)
-        after[0, i] = 0.0 if holding else climb_integral
-        after[3, i] = altitude_integral
-        after[4, i], after[5, i] = course_rate, climb_rate
-        after[6, i], after[7, i] = turn_bank, slope
+        roll[i], course_integral = _integrate(memory[1, k], course_error, dt, phi, -limit, limit)
+        throttle[i], speed_integral = _integrate(memory[2, k], error, dt, power, 0.0, 1.0)
+        memory[0, k] = 0.0 if holding else climb_integral
+        memory[1, k], memory[2, k], memory[3, k] = (
+            course_integral,
+            speed_integral,
+            altitude_integral,
+        )
+        memory[4, k], memory[5, k] = course_rate, climb_rate
+        memory[6, k], memory[7, k] = turn_bank, slope
         saturations[i] = (
             (pitch[i] != wanted) * PITCH
             + (roll[i] != phi) * ROLL
             + (throttle[i] != power) * THROTTLE
         )
-        guards[i] = told.guards[i] | (CLIPPED if command != unguarded else 0)
+        guards[i] = told_guards[i] | (CLIPPED if command != unguarded else 0)
         speed_command[i], course_desired[i], climb_desired[i] = command, cd, gd
-    return (
-        FbwaCommand(pitch, roll, throttle),
-        after,
-        Diagnosis(
-            told.speed_desired, speed_command, course_desired, climb_desired, guards, saturations
-        ),
-    )

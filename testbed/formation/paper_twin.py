@@ -19,31 +19,41 @@ from testbed.formation.barrier import NO_BARRIER
 from testbed.formation.geometry import GRAVITY
 from testbed.formation.geometry_twin import cross, frame_of, to_ned
 from testbed.formation.laws import SLOPE_FLOOR
-from testbed.formation.laws_twin import errors_of, h_of, motion_of, mu_of, rows_of, silence, time_of
+from testbed.formation.laws_twin import errors_of, h_of, motion_of, mu_of, silence, time_of
 from testbed.formation.leader import BROADCAST, TURN, Memory
 from testbed.formation.paper_law import CLAMPED, OUTSIDE, SILENT
 from testbed.state import UnicycleCommand
 
 
 def paper_step(law, now, own, inbox, memory):
-    place, place_time_s = memory.place, memory.place_time_s
-    if law.hold:
-        place, place_time_s = place.copy(), place_time_s.copy()
-    told, acceleration, after = _step(
+    n = len(law.k)
+    after = Memory(*(each.copy() for each in memory))
+    remembered = np.array(memory[1:-2])
+    floats, vectors, guards = np.empty((2, n)), np.empty((2, n, 3)), np.empty(n, np.uint8)
+    step_into(
+        np.arange(n),
         law.table,
         law.known_offsets,
         law.gains,
         law.from_timestamp,
         law.bounds_of_airspeed,
         now,
-        own,
+        own.position_ned,
+        own.velocity_ned,
+        own.airspeed,
         inbox,
-        memory.acceleration,
-        rows_of(memory[1:-2]),
-        place,
-        place_time_s,
+        after.acceleration,
+        remembered,
+        after.place,
+        after.place_time_s,
+        floats[0],
+        vectors[0],
+        floats[1],
+        vectors[1],
+        guards,
     )
-    return told, Memory(acceleration, *after, place, place_time_s)
+    told = UnicycleCommand(floats[0], vectors[0], floats[1], vectors[1], guards)
+    return told, Memory(after.acceleration, *remembered, after.place, after.place_time_s)
 
 
 # The rows of what is remembered beside q̈_g and places, in the order of `leader.Memory`.
@@ -64,75 +74,93 @@ def _turn_of(v, yd, yd_rate, c):
 
 
 @twin
-def _leader_acceleration(agent, inbox, average, memory, i, said, frame, acceleration, after):
-    """The new average of q̈_g, and what is remembered of the leader, who `said` (s) all this."""
+def _leader_acceleration(agent, inbox, memory, i, k, said, frame, average, after):
+    """The new average of q̈_g, and what is remembered of the leader, who `said` (s) all this.
+
+    Of agent i, the k-th of those that step; memory is what it remembered.
+    """
     heard = inbox.velocity_ned[i, 0]
     v = (heard[0], heard[1], 0.0 if agent.horizontal else heard[2])
     speed = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     climb = atan2(-v[2], hypot(v[0], v[1]))
-    speed_rate, climb_rate = memory[SPEED_RATE, i], memory[CLIMB_RATE, i]
-    since = said - memory[TIME, i]
+    speed_rate, climb_rate = memory[SPEED_RATE], memory[CLIMB_RATE]
+    since = said - memory[TIME]
     if since > 0.0:
-        slope = (speed - memory[SPEED, i]) / since
+        slope = (speed - memory[SPEED]) / since
         speed_rate += agent.difference_blend[0] * (slope - speed_rate)
-        slope = (climb - memory[CLIMB, i]) / since
+        slope = (climb - memory[CLIMB]) / since
         climb_rate += agent.difference_blend[1] * (slope - climb_rate)
-    after[TIME, i], after[SPEED, i], after[CLIMB, i] = said, speed, climb
-    after[SPEED_RATE, i], after[CLIMB_RATE, i] = speed_rate, climb_rate
+    after[TIME, k], after[SPEED, k], after[CLIMB, k] = said, speed, climb
+    after[SPEED_RATE, k], after[CLIMB_RATE, k] = speed_rate, climb_rate
     if agent.acceleration_source == TURN:
         cs, ss, cg, sg = frame
         euler = inbox.euler[i, 0]
         turn = GRAVITY * tan(euler[0]) / (speed * cos(euler[1]))
         along, across = speed_rate, speed * turn * cos(climb)
         a, b, c = to_ned(cs, ss, cg, sg, along, across, -speed * climb_rate)
-        acceleration[i, 0], acceleration[i, 1], acceleration[i, 2] = a, b, c
+        average[k, 0], average[k, 1], average[k, 2] = a, b, c
         return
     for axis in range(3):
         sample = 0.0
         if agent.acceleration_source == BROADCAST:
             sample = inbox.acceleration_ned[i, 0, axis]
-        share = 0.0 if said <= memory[TIME, i] else agent.acceleration_blend[axis]
-        acceleration[i, axis] = average[i, axis] + share * (sample - average[i, axis])
+        share = 0.0 if said <= memory[TIME] else agent.acceleration_blend[axis]
+        average[k, axis] += share * (sample - average[k, axis])
 
 
 @twin
-def _step(
+def step_into(
+    rows,
     table,
     offsets,
     gains,
     from_timestamp,
     bounds_of_airspeed,
     now,
-    own,
+    position,
+    velocity,
+    airspeed,
     inbox,
-    average,
-    memory,
+    acceleration,
+    remembered,
     place,
     place_time_s,
+    speed_command,
+    turn,
+    speed_desired,
+    direction,
+    guards,
 ):
-    n = len(table)
-    speed_command, speed_desired = np.empty(n), np.empty(n)
-    turn, direction = np.zeros((n, 3)), np.empty((n, 3))
-    guards = np.zeros(n, np.uint8)
-    # of those that hear their leader no silence is remembered, of those that do not nothing else
-    acceleration, after = average.copy(), np.full((7, n), nan)
-    for i in range(n):
-        agent = table[i]
+    """Of the agents in these rows; what is remembered changes in place, as does what they say."""
+    for k in range(len(rows)):
+        i, agent = rows[k], table[k]
+        memory = (
+            remembered[TIME, k],
+            remembered[SPEED, k],
+            remembered[CLIMB, k],
+            remembered[SPEED_RATE, k],
+            remembered[CLIMB_RATE, k],
+            remembered[SINCE, k],
+            remembered[COURSE, k],
+        )
+        # of those that hear their leader no silence is remembered, of the others nothing else
+        remembered[:, k] = nan
+        turn[i, 0], guards[i] = 0.0, 0
         level = 0.0 if agent.horizontal else 1.0
-        q, heading = own.position_ned[i], own.velocity_ned[i]
+        q, heading = position[i], velocity[i]
         v = (heading[0], heading[1], level * heading[2])
         s = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
         if silence(inbox, i, 0, now, agent.silent_after):
-            begun = isnan(memory[SINCE, i])
-            since = now if begun else memory[SINCE, i]
-            held = atan2(v[1], v[0]) if begun else memory[COURSE, i]
-            after[SPEED_RATE, i] = after[CLIMB_RATE, i] = 0.0
-            after[SINCE, i], after[COURSE, i] = since, held
+            begun = isnan(memory[SINCE])
+            since = now if begun else memory[SINCE]
+            held = atan2(v[1], v[0]) if begun else memory[COURSE]
+            remembered[SPEED_RATE, k] = remembered[CLIMB_RATE, k] = 0.0
+            remembered[SINCE, k], remembered[COURSE, k] = since, held
             round_ = agent.silent_turn
             heading_now = held + round_ * (now - since)
             north, east = cos(heading_now), sin(heading_now)
             yd = (north, east, 0.0)
-            u = agent.silent_airspeed + s - own.airspeed[i]
+            u = agent.silent_airspeed + s - airspeed[i]
             speed_command[i] = speed_desired[i] = u
             c = agent.c + agent.c_speed * u * u
             turn[i, 1], turn[i, 2] = _turn_of(v, yd, (-round_ * east, round_ * north, 0.0), c)
@@ -160,7 +188,7 @@ def _step(
                 0.0,
                 curl * cosine - turning * climbing * sine,
             )
-        x, y, z = offsets[i, agent.row]
+        x, y, z = offsets[k, agent.row]
         chi = to_ned(cs, ss, cg, sg, x, y, z)
         a, b, c = cross(rates[0], rates[1], rates[2], x, y, z)
         chi_rate = to_ned(cs, ss, cg, sg, a, b, c)
@@ -168,7 +196,7 @@ def _step(
         x, y, z = cross(bending[0], bending[1], bending[2], x, y, z)
         chi_acceleration = to_ned(cs, ss, cg, sg, a + x, b + y, c + z)
         said = time_of(inbox, i, 0, from_timestamp)
-        _leader_acceleration(agent, inbox, average, memory, i, said, frame, acceleration, after)
+        _leader_acceleration(agent, inbox, memory, i, k, said, frame, acceleration, remembered)
 
         # Desired velocity and its rates, (6)-(12).
         (x, y, z), (xr, yr, zr) = errors_of(
@@ -184,20 +212,21 @@ def _step(
             rates,
             (place, place_time_s),
             i,
+            k,
             now,
         )
         mu, mu_slope = mu_of(agent, x * x + y * y + z * z)
         along = 2.0 * mu_slope * (x * xr + y * yr + z * zr)
-        k, w = agent.k, acceleration[i]
+        gain, w = agent.k, acceleration[k]
         p = (
-            leader[0] + chi_rate[0] + k * (mu * x),
-            leader[1] + chi_rate[1] + k * (mu * y),
-            leader[2] + chi_rate[2] + k * (mu * z),
+            leader[0] + chi_rate[0] + gain * (mu * x),
+            leader[1] + chi_rate[1] + gain * (mu * y),
+            leader[2] + chi_rate[2] + gain * (mu * z),
         )
         dp = (
-            w[0] + chi_acceleration[0] + k * (mu * xr + along * x),
-            w[1] + chi_acceleration[1] + k * (mu * yr + along * y),
-            level * w[2] + chi_acceleration[2] + k * (mu * zr + along * z),
+            w[0] + chi_acceleration[0] + gain * (mu * xr + along * x),
+            w[1] + chi_acceleration[1] + gain * (mu * yr + along * y),
+            level * w[2] + chi_acceleration[2] + gain * (mu * zr + along * z),
         )
         sd = sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
         yd = (p[0] / sd, p[1] / sd, p[2] / sd)
@@ -207,7 +236,7 @@ def _step(
             (dp[1] - sd_rate * yd[1]) / sd,
             (dp[2] - sd_rate * yd[2]) / sd,
         )
-        shift = s - own.airspeed[i] if bounds_of_airspeed else 0.0
+        shift = s - airspeed[i] if bounds_of_airspeed else 0.0
         low, high = agent.low + shift, agent.high + shift
         clamped = min(max(sd, agent.desired_low + shift), agent.desired_high + shift)
         if clamped != sd:
@@ -229,8 +258,3 @@ def _step(
         turn[i, 1], turn[i, 2] = _turn_of(v, yd, yd_rate, agent.c + agent.c_speed * sd * sd)
         speed_desired[i] = sd
         direction[i, 0], direction[i, 1], direction[i, 2] = yd
-    return (
-        UnicycleCommand(speed_command, turn, speed_desired, direction, guards),
-        acceleration,
-        after,
-    )

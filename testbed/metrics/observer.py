@@ -26,6 +26,8 @@ class MetricsObserver:
             summary: `source`, `rms_m`, `mean_rms_m` and `percent_error` by portion.
     """
 
+    borrows = True  # what is measured is copied at once
+
     def __init__(
         self,
         portions: Mapping[str, tuple[float, float]] | None = None,

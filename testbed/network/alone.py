@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.network.channel import Channel
-from testbed.network.fates import FATES
+from testbed.network.fates import BEFALL
 from testbed.network.links import Fates
 from testbed.network.traffic import idle
 from testbed.state import Array
@@ -50,7 +50,8 @@ def transmit(
     fate = np.empty((packets, n, aircraft), np.uint8)
     for k in range(packets):
         number = np.full(aircraft, k)
-        both[k], fate[k] = FATES(channel, traffic, rows, number, sent[k], script, untold, fading)
+        at = rows, number, sent[k], script, untold, fading
+        BEFALL(channel, traffic, *at, both[k], fate[k])
     both.sort(axis=-1)
     both[np.isinf(both)] = np.nan
     copies = np.isfinite(both).sum(axis=-1).astype(np.uint8)

@@ -63,7 +63,23 @@ def fates(
     return arrivals, fate
 
 
-FATES = twin_of(fates, "testbed.network.fates_twin")
+def befall(
+    channel: Channel,
+    traffic: Traffic,
+    rows: NDArray[np.int64],
+    sequence: NDArray[np.int64],
+    sent_s: Array,
+    script: Fates,
+    replayed: Array,
+    faded: Array,
+    arrivals: Array,
+    fate: Fates,
+) -> None:
+    """As `fates`; arrivals (n, S, 2) and fates (n, S) are written into arrays that are there."""
+    arrivals[:], fate[:] = fates(channel, traffic, rows, sequence, sent_s, script, replayed, faded)
+
+
+BEFALL = twin_of(befall, "testbed.network.fates_twin")
 
 
 class _Round:

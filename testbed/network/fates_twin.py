@@ -24,7 +24,14 @@ CORRUPTED, QUEUE = int(Fate.CORRUPTED), int(Fate.QUEUE)
 
 
 def fates(channel, traffic, rows, sequence, sent_s, script, replayed, faded):
-    return _fates(
+    arrivals, fate = np.empty((*script.shape, 2)), np.empty(script.shape, np.uint8)
+    told = (rows, sequence, sent_s, script, replayed, faded)
+    befall(channel, traffic, *told, arrivals, fate)
+    return arrivals, fate
+
+
+def befall(channel, traffic, rows, sequence, sent_s, script, replayed, faded, arrivals, fate):
+    _fates(
         channel.links,
         channel.keys,
         channel.quantiles,
@@ -38,6 +45,8 @@ def fates(channel, traffic, rows, sequence, sent_s, script, replayed, faded):
         script,
         replayed,
         faded,
+        arrivals,
+        fate,
     )
 
 
@@ -214,10 +223,12 @@ def _fates(
     script,
     replayed,
     faded,
+    arrivals,
+    fate,
 ):
     n, senders = script.shape
-    arrivals = np.full((n, senders, 2), inf)
-    fate = np.zeros((n, senders), np.uint8)
+    arrivals[:] = inf
+    fate[:] = 0
     for s in range(senders):
         m = rows[s]
         for i in range(n):
@@ -245,4 +256,3 @@ def _fates(
                 arrivals[i, s] = inf
                 if fate[i, s] != CORRUPTED:
                     spoiled_s[:] = inf
-    return arrivals, fate

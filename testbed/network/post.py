@@ -125,9 +125,7 @@ def _count(ledger: Ledger, link: tuple[int, int], fate: int, delay: float, both:
         ledger.longest[link] = max(ledger.longest[link], ledger.missing[link])
 
 
-def take_due(
-    post: Post, ledger: Ledger, count: int, read: Read, inbox: Inbox, now: float
-) -> tuple[int, Inbox]:
+def take_due(post: Post, ledger: Ledger, count: int, read: Read, inbox: Inbox, now: float) -> int:
     """Take out what has arrived by `now` (s), in the order of arrival; the newest is kept.
 
     Args:
@@ -135,30 +133,29 @@ def take_due(
         ledger: changed in place.
         count: messages that are on their way.
         read: changed in place.
-        inbox: as it was; it is not changed.
+        inbox: changed in place.
         now: s.
 
     Returns:
-        How many messages are still on their way, and the new inbox.
+        How many messages are still on their way.
     """
     due = post.arrival_s[:count] <= now + SIMULTANEOUS_S
     if not due.any():
-        return count, inbox
-    fresh = Inbox(*(each.copy() for each in inbox))
+        return count
     arrived = np.flatnonzero(due)
     for k in arrived[np.argsort(post.arrival_s[arrived], kind="stable")]:
         i, m, number = post.link[k]
         if number > read.number[i, m]:
             read.number[i, m], read.measured_s[i, m] = number, post.measured_s[k]
-            fresh.stamp_s[i, m], fresh.received_s[i, m] = post.stamp_s[k], post.arrival_s[k]
-            for vector, new in zip(fresh[2:], post.content[k], strict=True):
+            inbox.stamp_s[i, m], inbox.received_s[i, m] = post.stamp_s[k], post.arrival_s[k]
+            for vector, new in zip(inbox[2:], post.content[k], strict=True):
                 vector[i, m] = new
         elif number < read.number[i, m]:
             ledger.overtaken[i, m] += 1
     stay = np.flatnonzero(~due)
     for each in post:
         each[: len(stay)] = each[stay]
-    return len(stay), fresh
+    return len(stay)
 
 
 def use(ledger: Ledger, rows: Numbers, age_s: Array) -> None:
@@ -167,10 +164,11 @@ def use(ledger: Ledger, rows: Numbers, age_s: Array) -> None:
     Args:
         ledger: changed in place.
         rows: (m,) followers.
-        age_s: (m, N) s; nan: it used nothing.
+        age_s: (n, N) s of all followers; nan: it used nothing.
     """
-    for k, m in np.argwhere(~np.isnan(age_s)):
-        link, age = (rows[k], m), age_s[k, m]
+    for k, m in np.argwhere(~np.isnan(age_s[rows])):
+        link = rows[k], m
+        age = age_s[link]
         ledger.uses[link] += 1
         ledger.age_sum[link] += age
         ledger.age_least[link] = min(ledger.age_least[link], age)

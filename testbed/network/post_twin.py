@@ -18,7 +18,6 @@ from testbed.compiled import twin
 from testbed.network.ledger import BINS, LONGEST_BURST, PER_OCTAVE, SHORTEST_S
 from testbed.network.post import DELIVERED, MUTE
 from testbed.network.slots import SIMULTANEOUS_S
-from testbed.state import Inbox
 
 
 def post_round(post, ledger, count, rows, numbers, sent_s, stamps_s, message, arrivals, fate):
@@ -30,16 +29,14 @@ def post_round(post, ledger, count, rows, numbers, sent_s, stamps_s, message, ar
         numbers,
         sent_s,
         stamps_s,
-        message,
+        *message,
         arrivals,
         fate,
     )
 
 
 def take_due(post, ledger, count, read, inbox, now):
-    return _take_due(
-        post.link.base, ledger.sent.base, count, read.number, read.measured_s, inbox, now
-    )
+    return _take_due(post.link.base, ledger.sent.base, count, *read, now, *inbox)
 
 
 def use(ledger, rows, age_s):
@@ -53,7 +50,23 @@ def _bin_of(seconds):
 
 
 @twin
-def _post_round(post, ledger, count, rows, numbers, sent_s, stamps_s, message, arrivals, fate):
+def _post_round(
+    post,
+    ledger,
+    count,
+    rows,
+    numbers,
+    sent_s,
+    stamps_s,
+    measured_s,
+    position,
+    velocity,
+    acceleration,
+    euler,
+    euler_rates,
+    arrivals,
+    fate,
+):
     n, senders = fate.shape
     for i in range(n):
         for s in range(senders):
@@ -64,13 +77,13 @@ def _post_round(post, ledger, count, rows, numbers, sent_s, stamps_s, message, a
                 entry = post[count]
                 entry.arrival_s = arrivals[i, s, copy]
                 entry.link[0], entry.link[1], entry.link[2] = i, m, numbers[s]
-                entry.measured_s, entry.stamp_s = message.stamp_s[m], stamps_s[i, s]
+                entry.measured_s, entry.stamp_s = measured_s[m], stamps_s[i, s]
                 for axis in range(3):
-                    entry.content[0, axis] = message.position_ned[m, axis]
-                    entry.content[1, axis] = message.velocity_ned[m, axis]
-                    entry.content[2, axis] = message.acceleration_ned[m, axis]
-                    entry.content[3, axis] = message.euler[m, axis]
-                    entry.content[4, axis] = message.euler_rates[m, axis]
+                    entry.content[0, axis] = position[m, axis]
+                    entry.content[1, axis] = velocity[m, axis]
+                    entry.content[2, axis] = acceleration[m, axis]
+                    entry.content[3, axis] = euler[m, axis]
+                    entry.content[4, axis] = euler_rates[m, axis]
                 count += 1
             if m != i + 1:
                 first = min(arrivals[i, s, 0], arrivals[i, s, 1])
@@ -101,7 +114,21 @@ def _count(link, fate, delay, both):
 
 
 @twin
-def _take_due(post, ledger, count, read, measured_s, inbox, now):
+def _take_due(
+    post,
+    ledger,
+    count,
+    read,
+    measured_s,
+    now,
+    stamp_s,
+    received_s,
+    position,
+    velocity,
+    acceleration,
+    euler,
+    euler_rates,
+):
     arrived = np.empty(count, np.int64)
     times = np.empty(count)
     due = 0
@@ -110,16 +137,7 @@ def _take_due(post, ledger, count, read, measured_s, inbox, now):
             arrived[due], times[due] = k, post[k].arrival_s
             due += 1
     if due == 0:
-        return count, inbox
-    fresh = Inbox(
-        inbox.stamp_s.copy(),
-        inbox.received_s.copy(),
-        inbox.position_ned.copy(),
-        inbox.velocity_ned.copy(),
-        inbox.acceleration_ned.copy(),
-        inbox.euler.copy(),
-        inbox.euler_rates.copy(),
-    )
+        return count
     # most rounds arrive in the order they were sent in
     sorted_already = True
     for k in range(1, due):
@@ -130,14 +148,14 @@ def _take_due(post, ledger, count, read, measured_s, inbox, now):
         i, m, number = entry.link[0], entry.link[1], entry.link[2]
         if number > read[i, m]:
             read[i, m], measured_s[i, m] = number, entry.measured_s
-            fresh.stamp_s[i, m], fresh.received_s[i, m] = entry.stamp_s, entry.arrival_s
+            stamp_s[i, m], received_s[i, m] = entry.stamp_s, entry.arrival_s
             content = entry.content
             for axis in range(3):
-                fresh.position_ned[i, m, axis] = content[0, axis]
-                fresh.velocity_ned[i, m, axis] = content[1, axis]
-                fresh.acceleration_ned[i, m, axis] = content[2, axis]
-                fresh.euler[i, m, axis] = content[3, axis]
-                fresh.euler_rates[i, m, axis] = content[4, axis]
+                position[i, m, axis] = content[0, axis]
+                velocity[i, m, axis] = content[1, axis]
+                acceleration[i, m, axis] = content[2, axis]
+                euler[i, m, axis] = content[3, axis]
+                euler_rates[i, m, axis] = content[4, axis]
         elif number < read[i, m]:
             ledger[i, m].overtaken += 1
     stay = arrived[0]
@@ -145,16 +163,16 @@ def _take_due(post, ledger, count, read, measured_s, inbox, now):
         if post[k].arrival_s > now + SIMULTANEOUS_S:
             post[stay] = post[k]
             stay += 1
-    return stay, fresh
+    return stay
 
 
 @twin
 def _use(ledger, rows, age_s):
-    for k in range(len(rows)):
+    for i in rows:
         for m in range(age_s.shape[1]):
-            age = age_s[k, m]
+            age = age_s[i, m]
             if not isnan(age):
-                link = ledger[rows[k], m]
+                link = ledger[i, m]
                 link.uses += 1
                 link.age_sum += age
                 link.age_least = min(link.age_least, age)

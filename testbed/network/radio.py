@@ -11,7 +11,7 @@ import numpy as np
 from testbed.network.channel import Channel
 from testbed.network.clocks import Clocks, ahead, shows
 from testbed.network.encoded import Believed, Coder, Encoding
-from testbed.network.fates import FATES
+from testbed.network.fates import BEFALL
 from testbed.network.ledger import blank
 from testbed.network.links import Fate, Fates
 from testbed.network.post import (
@@ -59,15 +59,14 @@ class Radio:
         self._coder = Coder(encoding, channel) if encoding else None
         self._traffic, self._ledger = idle(channel), blank(n, aircraft)
         self._everyone = np.arange(aircraft)
-        self._number = np.zeros(aircraft, np.int64)  # of the next message of each
+        self._number = np.full(aircraft, -1)  # of the last message of each
         self._count = 0  # messages on their way
         self._post = room(4 * n * aircraft)
         self._read = Read(np.full(links, NOTHING), np.full(links, np.nan))
-        never, nothing = np.full(links, np.nan), np.full((*links, 3), np.nan)
-        self._inbox = Inbox(never, never, *(nothing,) * VECTORS)
-        self._nothing: dict[int, tuple[Fates, Array, Array]] = {}
+        vectors = np.full((VECTORS, *links, 3), np.nan)
+        self._inbox = Inbox(*np.full((2, *links), np.nan), *vectors)
+        self._rounds: dict[int, tuple[Any, ...]] = {}
         self._together: dict[bytes, Numbers] = {}
-        self._told: dict[int, Array] = {}
 
     @property
     def measured_s(self) -> Array:
@@ -92,24 +91,39 @@ class Radio:
             hushed: (N,) whose transmitters are silent; their messages count as not sent.
 
         Returns:
-            Arrivals (n, S, 2) s and fates (n, S) of the S messages; see `fates.fates`.
+            Arrivals (n, S, 2) s and fates (n, S) of the S messages; see `fates.fates`. The next
+            round of as many changes them.
         """
         rows = self._everyone if who is None else self._rows(who)
-        sent, number, measured = sent_s, self._number, message.stamp_s
-        if who is None or len(rows) == len(who):
-            self._number = number + 1
-        else:
-            self._number = number + who
+        sent, measured = sent_s, message.stamp_s
+        self._number += 1 if who is None else who
+        number = self._number
+        if len(rows) < len(number):
             sent, number, measured = sent[rows], number[rows], measured[rows]
-        script, traced, faded = self._befalls(sent, rows, number, truth)
+        script, traced, faded, told, arrivals, fate = self._round_of(len(rows))
+        given, coder, clocks = self._conditions, self._coder, self._conditions.clocks
+        if given.script:
+            script = given.script(sent_s, rows, number)
+        if given.trace:
+            traced = given.trace(sent_s, rows)
+        if given.fading:
+            faded = given.fading(truth, rows)
         if hushed is not None:
             script = np.where(hushed[rows], np.uint8(Fate.MUTE), script)
-        coder, clocks = self._coder, self._conditions.clocks
         stamp = shows(clocks, measured, rows) if clocks else measured
         if coder:
             message, stamp = coder.says(message, stamp, rows, number)
-        arrivals, fate = FATES(
-            self._channel, self._traffic, rows, number, sent, script, traced, faded
+        BEFALL(
+            self._channel,
+            self._traffic,
+            rows,
+            number,
+            sent,
+            script,
+            traced,
+            faded,
+            arrivals,
+            fate,
         )
         believed = None
         if coder:
@@ -118,7 +132,6 @@ class Radio:
         if self._count + arrivals.size > len(self._post.arrival_s):
             self._post = more_room(self._post, self._count)
         wrong = ahead(clocks, measured) if clocks else None
-        told = self._told.setdefault(len(rows), np.empty(fate.shape))
         told[:] = stamp if wrong is None else stamp - wrong
         first = self._count
         self._count = POST_ROUND(
@@ -138,15 +151,18 @@ class Radio:
         return arrivals, fate
 
     def deliver(self, now: float) -> Inbox:
-        """What the followers have received by `now`, s; a newer message replaces an older."""
+        """What the followers have received by `now`, s; a newer message replaces an older.
+
+        The inbox is the radio's own: the next delivery changes it.
+        """
         if self._count:
-            self._count, self._inbox = TAKE_DUE(
+            self._count = TAKE_DUE(
                 self._post, self._ledger, self._count, self._read, self._inbox, now
             )
         return self._inbox
 
     def use(self, rows: Numbers, age_s: Array) -> None:
-        """The followers `rows` (m,) used information of these ages (m, N) s; nan: none."""
+        """The followers `rows` (m,) of all used information of these ages (n, N) s; nan: none."""
         USE(self._ledger, rows, age_s)
 
     def counts(self) -> LinkCounts:
@@ -185,23 +201,20 @@ class Radio:
             self._together[key] = np.flatnonzero(who)
         return self._together[key]
 
-    def _befalls(
-        self, sent_s: Array, rows: Numbers, number: Numbers, truth: VehicleState
-    ) -> tuple[Fates, Array, Array]:
-        n, senders = len(self._channel.links), len(rows)
-        if senders not in self._nothing:
-            blank_round = (n, senders)
-            self._nothing[senders] = (
-                np.zeros(blank_round, np.uint8),
-                np.full(blank_round, np.nan),
-                np.zeros(blank_round),
+    def _round_of(self, senders: int) -> tuple[Any, ...]:
+        """Room for a round of S senders, made once for each S.
+
+        What befalls messages if nothing does: fates (n, S) of a script, delays (n, S) of a trace
+        and probabilities (n, S); and room for their stamps (n, S), arrivals (n, S, 2) and fates.
+        """
+        if senders not in self._rounds:
+            shape = len(self._channel.links), senders
+            self._rounds[senders] = (
+                np.zeros(shape, np.uint8),
+                np.full(shape, np.nan),
+                np.zeros(shape),
+                np.empty(shape),
+                np.empty((*shape, 2)),
+                np.empty(shape, np.uint8),
             )
-        script, told, faded = self._nothing[senders]
-        given = self._conditions
-        if given.script:
-            script = given.script(sent_s, rows, number)
-        if given.trace:
-            told = given.trace(sent_s, rows)
-        if given.fading:
-            faded = given.fading(truth, rows)
-        return script, told, faded
+        return self._rounds[senders]

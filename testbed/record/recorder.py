@@ -46,6 +46,8 @@ class McapRecorder:
         LogError: From `begin`, `observe` and `end`: the file cannot be written.
     """
 
+    borrows = True  # a frame is copied at once
+
     def __init__(self, path: Path) -> None:
         """See the class."""
         self._path = path

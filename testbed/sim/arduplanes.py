@@ -90,7 +90,7 @@ class ArduPlanes(Flown):
         for row, plane in self._planes.items():
             plane.tell(float(told.roll[row]), float(told.pitch[row]), float(told.throttle[row]))
             self._news += [(plane, *each) for each in plane.news()]
-        self._raw, self._pitot = self.surfaces, estimate.equivalent_airspeed
+        self._raw, self._pitot = self.surfaces, estimate.equivalent_airspeed.copy()
         self.surfaces = self._with_outputs()
 
     def remove(self, rows: Truths) -> None:

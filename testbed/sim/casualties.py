@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -31,8 +31,9 @@ class Casualties:
         self._breakdowns = breakdowns
         self.gone: Truths = np.zeros(len(names), dtype=bool)
         self._unforeseen = False
+        self._told = self.gone.tobytes()  # who was down at the last look
 
-    def changes(self, now: float, position_ned: Array, down: Truths) -> Iterator[Event]:
+    def changes(self, now: float, position_ned: Array, down: Truths) -> list[Event]:
         """What has happened since the last call, in events; `gone` follows.
 
         Args:
@@ -40,19 +41,23 @@ class Casualties:
             position_ned: (N, 3) m
             down: (N,) on the ground, or beyond what their flight models can do.
         """
-        yield from (
+        told = down.tobytes()
+        if told == self._told and not self._proximity.watches:
+            return []
+        self._told = told
+        events = [
             Event(now, "error", name, "lost: on the ground, or beyond what its flight model can do")
             for name, lost in zip(self._names, down & ~self.gone, strict=True)
             if lost
-        )
-        events, collided = self._proximity.changes(now, position_ned, self.gone | down)
-        yield from events
+        ]
+        close, collided = self._proximity.changes(now, position_ned, self.gone | down)
         gone = self.gone | down | collided
         new = gone & ~self.gone
         if new.any():
             foreseen = self._breakdowns.broken if self._breakdowns else self.gone
             self._unforeseen |= bool((new & ~foreseen).any())
             self.gone = gone  # a new array: observers keep the old one
+        return [*events, *close]
 
     @property
     def over(self) -> bool:

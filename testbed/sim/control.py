@@ -17,8 +17,9 @@ from testbed.errors import InputError
 from testbed.formation.flags import Guard, Saturation
 from testbed.formation.law import Diagnosis, Law, Team
 from testbed.formation.measurement import AGES
-from testbed.formation.middle_loop import MiddleLoop, MiddleLoopMemory
+from testbed.formation.middle_loop import MiddleLoop
 from testbed.formation.paper_law import PaperLaw
+from testbed.formation.together import STEP, begun, put, silent
 from testbed.frames import course, flight_path_angle
 from testbed.sim.vehicles import choose
 from testbed.state import (
@@ -80,7 +81,10 @@ class Group:
 
 
 class Control:
-    """What the n followers were last told by their own controllers."""
+    """What the n followers were last told by their own controllers.
+
+    Every step writes into the same arrays.
+    """
 
     def __init__(self, groups: tuple[Group, ...], offsets: Array, roster: Roster | None) -> None:
         """Nobody has stepped yet.
@@ -91,18 +95,14 @@ class Control:
             roster: what they make of it that somebody fails; None: nothing.
         """
         self.groups, self.offsets, self._roster = groups, offsets, roster
-        followers, aircraft = len(offsets) - 1, len(offsets)
-        self.alone: Truths = np.zeros(followers, dtype=bool)  # (n,) who has left the formation
+        aircraft = len(offsets)
+        self.alone: Truths = np.zeros(aircraft - 1, dtype=bool)  # (n,) who has left the formation
         self.places: Counts = np.arange(1, aircraft, dtype=np.uint32)  # (n,) whose place each has
-        self._memory: list[tuple[Any, MiddleLoopMemory] | None] = [None] * len(groups)
-        n, nothing = followers, np.zeros(followers, dtype=np.uint8)
-        self.command = FbwaCommand(np.zeros(n), np.zeros(n), np.zeros(n))
-        self.unicycle = UnicycleCommand(
-            np.zeros(n), np.zeros((n, 3)), np.zeros(n), np.zeros((n, 3)), nothing
-        )
-        unknown = np.full(n, np.nan)
-        self.diagnosis = Diagnosis(unknown, unknown, unknown, unknown, nothing, nothing)
-        self.age_s = np.full((n, aircraft), np.nan)  # of what follower i used of aircraft j
+        self._memory: list[Any] = [None] * len(groups)
+        sticks = np.zeros((3, aircraft))
+        self.told = FbwaCommand(*sticks)  # (N,) the leader's is for others to write
+        self._said = silent(sticks[:, 1:], aircraft)
+        self.command, self.unicycle, self.diagnosis, self.age_s = self._said
 
     def learn(self, number: int, now: float, inbox: Inbox, measured_s: Array) -> list[Event]:
         """What the followers of a group have learnt of who has failed; they act on it from now on.
@@ -125,7 +125,7 @@ class Control:
 
     def step(
         self, number: int, now: float, own: VehicleState, inbox: Inbox, measured_s: Array
-    ) -> tuple[NDArray[np.intp], Array]:
+    ) -> NDArray[np.intp]:
         """Step one group at the time `now` (s) from all followers' estimates and inboxes (n).
 
         Args:
@@ -136,15 +136,37 @@ class Control:
             measured_s: (n, N) s, when its content was true, which the followers do not know.
 
         Returns:
-            Who stepped (m,), and the age (m, N) s of what each used of each aircraft; nan: nothing.
+            Who stepped (m,).
         """
-        group = self.groups[number]
+        group, said = self.groups[number], self._said
+        rows, law = group.rows, group.law
         if self._roster is not None:
             inbox = self._roster.heard(inbox)
-        alone = len(self.groups) == 1
-        if not alone:
-            own, inbox = choose(own, group.rows), choose(inbox, group.rows)
-            measured_s = measured_s[group.rows]
+        if group.trusted and isinstance(law, PaperLaw):
+            if self._memory[number] is None:
+                self._memory[number] = begun(law, group.middle, choose(own, rows))
+            memory, heed = self._memory[number], (group.unheeded, group.patience)
+            STEP(law, group.middle, *heed, rows, now, own, inbox, measured_s, memory, said)
+        else:
+            self._own_law(number, group, now, choose(own, rows), choose(inbox, rows))
+            received_s, measured_s = inbox.received_s[rows], measured_s[rows]
+            said.age_s[rows] = AGES(
+                now, measured_s, received_s, group.unheeded, group.patience, group.trusted
+            )
+            deaf = rows[np.isnan(said.age_s[rows, 0])]
+            if not group.trusted:
+                said.diagnosis.guards[deaf] |= SILENT
+        if group.some_ideal:
+            parts = (choose(each, rows) for each in (own, said.unicycle, said.diagnosis))
+            flown, diagnosis = without_middle_loop(group.ideal, *parts)
+            put(said.unicycle, rows, flown)
+            put(said.diagnosis, rows, diagnosis)
+        return rows
+
+    def _own_law(
+        self, number: int, group: Group, now: float, own: VehicleState, inbox: Inbox
+    ) -> None:
+        """Step a group of m by whatever law; what it is given is its own to keep."""
         law_memory, middle_memory = self._memory[number] or (
             group.law.start(own),
             group.middle.start(),
@@ -161,23 +183,8 @@ class Control:
         else:
             command, unicycle, diagnosis = direct(told, own, group.team)
         self._memory[number] = law_memory, middle_memory
-        age = AGES(now, measured_s, inbox.received_s, group.unheeded, group.patience, group.trusted)
-        if not group.trusted:
-            silent = np.isnan(age[:, 0]) * SILENT
-            diagnosis = diagnosis._replace(guards=diagnosis.guards | silent.astype(np.uint8))
-        if group.some_ideal:
-            unicycle, diagnosis = without_middle_loop(group.ideal, own, unicycle, diagnosis)
-        if alone:
-            self.command, self.unicycle, self.diagnosis = command, unicycle, diagnosis
-            self.age_s = age
-            return group.rows, age
-        rows = group.rows
-        self.command = _put(self.command, rows, command)
-        self.unicycle = _put(self.unicycle, rows, unicycle)
-        self.diagnosis = _put(self.diagnosis, rows, diagnosis)
-        self.age_s = self.age_s.copy()
-        self.age_s[rows] = age
-        return rows, age
+        for whole, part in zip(self._said, (command, unicycle, diagnosis), strict=False):
+            put(whole, group.rows, part)
 
 
 def without_middle_loop(
@@ -277,13 +284,3 @@ def checked(told: object, team: Team, now: float) -> UnicycleCommand | FbwaComma
             )
         fields.append(array)
     return type(told)(*fields)
-
-
-def _put(whole: Any, rows: NDArray[np.intp], part: Any) -> Any:  # noqa: ANN401 - any record
-    """A record with these rows of every array replaced; the old one stays as it was."""
-    columns = []
-    for old, new in zip(whole, part, strict=True):
-        column: Array = old.copy()
-        column[rows] = new
-        columns.append(column)
-    return type(whole)(*columns)

@@ -35,6 +35,11 @@ class Proximity:
         self._least: Array = np.full(len(self._one), np.inf)  # m, since it came near
         self._collided: Truths = np.zeros(len(names), dtype=bool)
 
+    @property
+    def watches(self) -> bool:
+        """Whether there is a limit to keep."""
+        return self._reach > 0.0
+
     def changes(
         self, now: float, position_ned: Array, gone: Truths
     ) -> tuple[tuple[Event, ...], Truths]:
@@ -50,7 +55,7 @@ class Proximity:
             apart again, an error for each pair that collided; and who has collided, now or before
             (N,). What ends because one of a pair is gone ends without a word.
         """
-        if not self._reach:
+        if not self.watches:
             return (), self._collided
         distance = self._distances(position_ned)
         if not (distance < self._reach).any() and not self._near.any():

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from testbed.network.scripts import Calendar
+from testbed.sim.audience import Audience
 from testbed.sim.casualties import Casualties
 from testbed.sim.clock import Due
 from testbed.sim.control import Control
-from testbed.sim.pilots import with_ideal_leader, with_leader
-from testbed.sim.watch import Arrivals, Engagement, Silence, Staleness, broadcast, formation_state
+from testbed.sim.pilots import with_ideal_leader
+from testbed.sim.watch import Arrivals, Engagement, Silence, Slots, Speaker, Staleness
 from testbed.sim.world import World
 from testbed.state import Frame, Observer, followers
 
@@ -35,14 +36,17 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
     radio, calendar = world.radio, Calendar(world.scripts)
     breakdowns, deck = world.breakdowns, world.deck
     control = Control(world.groups, world.offsets, world.roster)
+    speaker, slots = Speaker(len(world.names)), Slots(len(world.names) - 1)
     silence = Silence(world.names[1:], world.groups[0].team.silent_after)
     staleness = Staleness(world.names, world.groups)
     arrivals = Arrivals(world.gusts, world.names)
     engagement = Engagement(world.names[1:], clock.base_rate_hz)
     casualties = Casualties(world.names, world.proximity, breakdowns, fly_on=world.fly_on)
+    audience = Audience(observers)
     news = list(world.notes)
-    lead, turn = (0.0, 0.0, 0.0), None
+    told, turn = control.told, None
     failing, hushed, apart = None, None, control.alone
+    seen, own = None, None
 
     for tick, ahead, due in clock.schedule(world.duration_s):
         now = clock.time_s(tick)
@@ -59,26 +63,28 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
         estimate = world.estimators.estimate(truth, fresh=due.autopilot, failing=failing)
 
         if due.broadcast is not None:
-            message = broadcast(estimate, now)
+            message = speaker.says(estimate, now)
             sent_s = message.stamp_s if due.sent_s is None else due.sent_s
             radio.send(sent_s, message, truth, due.broadcast, hushed)
         if due.control or due.lead:
-            own = followers(estimate)
+            if estimate is not seen or own is None:
+                seen, own = estimate, followers(estimate)
             inbox = radio.deliver(now)
             for number in due.control:
                 if learnt := control.learn(number, now, inbox, radio.measured_s):
                     news += learnt
                     apart = control.alone | casualties.gone[1:]
                     staleness.heed(control.groups, apart)
-                stepped, ages = control.step(number, now, own, inbox, radio.measured_s)
-                radio.use(stepped, ages)
+                stepped = control.step(number, now, own, inbox, radio.measured_s)
+                radio.use(stepped, control.age_s)
                 news += staleness.changes(now, stepped, inbox.received_s)
+            told = control.told
             if due.lead:
                 if deck is not None:
                     hung = None if failing is None else failing.frozen
                     deck.guide(now, estimate, casualties.gone, hung)
                 lead, turn = pilot.command(estimate)
-            told = with_leader(lead, control.command)
+                told.pitch[0], told.roll[0], told.throttle[0] = lead
             if world.ideal:
                 vehicles.steer(with_ideal_leader(turn, control.unicycle))
             news += silence.changes(now, control.diagnosis.guards, apart)
@@ -91,7 +97,7 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
                 news += partner.news(now)
             if failing is not None:
                 vehicles.fail(failing)
-            if lost := list(casualties.changes(now, truth.position_ned, vehicles.lost(truth))):
+            if lost := casualties.changes(now, truth.position_ned, vehicles.lost(truth)):
                 news += lost
                 vehicles.remove(casualties.gone)
                 if air is not None:
@@ -105,7 +111,7 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
             if reached is not None:
                 news += arrivals.changes(now, reached)
             news = [*calendar.changes(now), *news]  # what is scripted before what comes of it
-            formation = formation_state(
+            formation = slots.state(
                 truth,
                 estimate,
                 control.diagnosis if deck is None else deck.heeded(control.diagnosis),
@@ -114,25 +120,24 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
                 control.places,
                 world.altitudes,
             )
-            gone = casualties.gone[1:] | casualties.gone[0]
-            news += engagement.changes(tick, formation.error_ned, gone)
-            frame = Frame(
-                tick=tick,
-                time_s=now,
-                truth=truth,
-                estimate=estimate,
-                air=flown_in,
-                command=told,
-                surfaces=vehicles.surfaces,
-                formation=formation,
-                links=radio.counts(),
-                lost=casualties.gone,
-                events=tuple(news),
-                failing=failing,
+            news += engagement.changes(tick, formation.error_ned, casualties.gone)
+            audience.observe(
+                Frame(
+                    tick=tick,
+                    time_s=now,
+                    truth=truth,
+                    estimate=estimate,
+                    air=flown_in,
+                    command=told,
+                    surfaces=vehicles.surfaces,
+                    formation=formation,
+                    links=radio.counts(),
+                    lost=casualties.gone,
+                    events=tuple(news),
+                    failing=failing,
+                )
             )
             news = []
-            for observer in observers:
-                observer.observe(frame)
             if casualties.over:
                 return "lost"
         vehicles.step(ahead)

@@ -11,7 +11,7 @@ from testbed.guidance import leader as guidance
 from testbed.guidance.longitudinal import HoldGains
 from testbed.guidance.mission import Plan
 from testbed.sim.vehicles import Replayed
-from testbed.state import Array, FbwaCommand, UnicycleCommand, VehicleState
+from testbed.state import Array, UnicycleCommand, VehicleState
 
 Sticks = tuple[float, float, float]  # pitch (rad), roll (rad), throttle (0..1)
 Turn = tuple[float, Array]  # u (m/s) and ω (3,) rad/s of an ideal vehicle
@@ -76,16 +76,6 @@ class NoPilot:
     def command(self, estimate: VehicleState) -> tuple[Sticks, Turn | None]:
         """What it does stands for what it was told."""
         return self._leader.command, None
-
-
-def with_leader(lead: Sticks, command: FbwaCommand) -> FbwaCommand:
-    """The followers' command (n) behind the leader's pitch, roll, throttle: (n + 1)."""
-    told = np.empty((3, len(command.roll) + 1))
-    told[:, 0] = lead
-    told[0, 1:] = command.pitch
-    told[1, 1:] = command.roll
-    told[2, 1:] = command.throttle
-    return FbwaCommand(*told)
 
 
 def with_ideal_leader(lead: Turn | None, told: UnicycleCommand) -> UnicycleCommand:

@@ -20,11 +20,11 @@ from testbed.state import (
     VehicleState,
 )
 from testbed.vehicle.breakage import Servos, broken, resting
-from testbed.vehicle.fbwa import AUTOPILOT, settled
+from testbed.vehicle.fbwa import FLY, settled, standing
 from testbed.vehicle.ideal import IdealFleet
 from testbed.vehicle.jsbsim_door import JsbsimFleet
 from testbed.vehicle.params import FbwaParams, stack
-from testbed.vehicle.tables import FbwaGains
+from testbed.vehicle.tables import FbwaGains, FbwaMemory
 
 Record = TypeVar("Record", VehicleState, AirData, Surfaces, FbwaCommand)
 
@@ -37,13 +37,13 @@ class Vehicles(Protocol):
         """What their servos are told now."""
 
     def read(self) -> VehicleState:
-        """The truth now."""
+        """The truth now, in arrays that may be changed by the next call."""
 
     def air(self) -> AirData:
         """What the truth knows of the air now."""
 
     def lost(self, state: VehicleState) -> Truths:
-        """Which of them are on the ground, broken or not finite."""
+        """Which of them are on the ground, broken or not finite; until the next call."""
 
     def blow(self, felt: AirFelt) -> None:
         """Feel this air from now on; at the autopilot rate."""
@@ -71,11 +71,12 @@ class Flown:
         """Autopilots begin as if they had long held the trim."""
         self.fleet = fleet
         self._gains = gains
-        self._memory = settled(fleet.trimmed, gains)
-        self.surfaces = fleet.trimmed
-        self.read, self.air, self.lost = fleet.read, fleet.air, fleet.lost
+        self._memory = standing(settled(fleet.trimmed, gains), gains)
+        self._told = np.array(fleet.trimmed)
+        self.surfaces = self._autopilots = Surfaces(*self._told)
+        self.read, self.air, self.lost = fleet.look, fleet.air, fleet.lost
         self.blow = fleet.blow
-        self._memory_before = self._memory
+        self._memory_before = _copied(self._memory)
         self._failing: Failing | None = None
         self._servos: Servos | None = None
         self._tunes: dict[int, FbwaParams] = {}  # not heeded yet
@@ -97,7 +98,10 @@ class Flown:
             each = self._gains.each.copy()
             each[rows] = stack(tunes, self._gains.dt).each
             self._gains, self._tunes = self._gains._replace(each=each), {}
-        self.surfaces, self._memory = AUTOPILOT(estimate, told, self._memory, self._gains)
+        FLY(estimate, told, self._memory, self._gains, self._told)
+        self.surfaces = self._autopilots
+        if not self._memory.begun:
+            self._memory = self._memory._replace(begun=True)
 
     def fail(self, failing: Failing) -> None:
         """Break what the autopilots said, and hold the memory of those that hang."""
@@ -106,7 +110,7 @@ class Flown:
         if before.begun and frozen.any():
             self._memory.each[frozen] = before.each[frozen]
             self._memory.commands[:, :, frozen] = before.commands[:, :, frozen]
-        self._memory_before = self._memory
+        self._memory_before = _copied(self._memory)
         self._failing = failing
         self._servos_before = self._servos or resting(fleet.trimmed, fleet.rig)
         self._flow = self._still
@@ -131,6 +135,10 @@ class Flown:
     def step(self, ticks: int) -> None:
         """Run the flight models."""
         self.fleet.step(self.surfaces, ticks)
+
+
+def _copied(memory: FbwaMemory) -> FbwaMemory:
+    return FbwaMemory(memory.begun, memory.commands.copy(), memory.each.copy())
 
 
 class Ideal:

@@ -12,7 +12,7 @@ from testbed.formation import geometry
 from testbed.formation.flags import Guard
 from testbed.formation.law import Diagnosis
 from testbed.formation.paper_law import PaperLaw
-from testbed.frames import euler_rates
+from testbed.frames import write_euler_rates
 from testbed.metrics.tally import ENGAGED_HOLD_S, ENGAGED_RADIUS_M
 from testbed.sim.control import Group
 from testbed.state import (
@@ -26,59 +26,86 @@ from testbed.state import (
     VehicleState,
 )
 
-EULER_RATES = twin_of(euler_rates, "testbed.vehicle.twin")
+EULER_RATES = twin_of(write_euler_rates, "testbed.vehicle.twin")
 
 
-def broadcast(estimate: VehicleState, now: float) -> Broadcast:
-    """Every aircraft's own estimate (N), measured and stamped at the time `now` (s)."""
-    return Broadcast(
-        stamp_s=np.full(len(estimate.airspeed), now),
-        position_ned=estimate.position_ned,
-        velocity_ned=estimate.velocity_ned,
-        acceleration_ned=estimate.acceleration_ned,
-        euler=estimate.euler,
-        euler_rates=EULER_RATES(estimate.euler, estimate.rates_body),
-    )
+class Speaker:
+    """Says what every aircraft (N) tells the others: its own estimate."""
+
+    def __init__(self, aircraft: int) -> None:
+        """Nobody has said anything."""
+        self._stamp_s, self._euler_rates = np.empty(aircraft), np.empty((aircraft, 3))
+        self._of: VehicleState | None = None
+
+    def says(self, estimate: VehicleState, now: float) -> Broadcast:
+        """The estimate (N), measured and stamped at the time `now` (s), in the speaker's arrays."""
+        self._stamp_s.fill(now)
+        EULER_RATES(estimate.euler, estimate.rates_body, self._euler_rates)
+        if estimate is not self._of:
+            self._of = estimate
+            self._message = Broadcast(
+                stamp_s=self._stamp_s,
+                position_ned=estimate.position_ned,
+                velocity_ned=estimate.velocity_ned,
+                acceleration_ned=estimate.acceleration_ned,
+                euler=estimate.euler,
+                euler_rates=self._euler_rates,
+            )
+        return self._message
 
 
-def formation_state(
-    truth: VehicleState,
-    estimate: VehicleState,
-    diagnosis: Diagnosis,
-    age_s: Array,
-    offsets: Array,
-    places: Counts,
-    altitudes: Array,
-) -> FormationState:
-    """The followers' true slots χ + q_g and errors, beside what their control reported.
+class Slots:
+    """Where n followers should be, as the truth has it."""
 
-    A follower that holds an altitude (n,) has its slot there, in the horizontal frame; the others,
-    whose altitude is nan, have it in the leader's velocity frame.
-    """
-    slot, error, (speed, course, climb) = geometry.TRUE_SLOTS(
-        truth.position_ned, truth.velocity_ned, offsets, altitudes
-    )
-    believed = error
-    if estimate is not truth:
-        _, believed, _ = geometry.TRUE_SLOTS(
-            estimate.position_ned, estimate.velocity_ned, offsets, altitudes
+    def __init__(self, followers: int) -> None:
+        """Nobody has looked."""
+        self._true = _room(followers)
+        self._believed = _room(followers)
+
+    def state(
+        self,
+        truth: VehicleState,
+        estimate: VehicleState,
+        diagnosis: Diagnosis,
+        age_s: Array,
+        offsets: Array,
+        places: Counts,
+        altitudes: Array,
+    ) -> FormationState:
+        """The followers' true slots χ + q_g and errors, beside what their control reported.
+
+        A follower that holds an altitude (n,) has its slot there, in the horizontal frame; the
+        others, whose altitude is nan, have it in the leader's velocity frame. The next state is
+        written into the same arrays.
+        """
+        slot, error, (speed, course, climb) = self._true
+        geometry.TRUE_SLOTS(truth.position_ned, truth.velocity_ned, offsets, altitudes, *self._true)
+        believed = error
+        if estimate is not truth:
+            believed = self._believed[1]
+            geometry.TRUE_SLOTS(
+                estimate.position_ned, estimate.velocity_ned, offsets, altitudes, *self._believed
+            )
+        return FormationState(
+            slot_ned=slot,
+            error_ned=error,
+            speed=speed,
+            speed_desired=diagnosis.speed_desired,
+            speed_command=diagnosis.speed_command,
+            course=course,
+            course_desired=diagnosis.course_desired,
+            flight_path_angle=climb,
+            flight_path_angle_desired=diagnosis.flight_path_angle_desired,
+            guards=diagnosis.guards,
+            saturations=diagnosis.saturations,
+            age_s=age_s,
+            place=places,
+            believed_ned=believed,
         )
-    return FormationState(
-        slot_ned=slot,
-        error_ned=error,
-        speed=speed,
-        speed_desired=diagnosis.speed_desired,
-        speed_command=diagnosis.speed_command,
-        course=course,
-        course_desired=diagnosis.course_desired,
-        flight_path_angle=climb,
-        flight_path_angle_desired=diagnosis.flight_path_angle_desired,
-        guards=diagnosis.guards,
-        saturations=diagnosis.saturations,
-        age_s=age_s,
-        place=places,
-        believed_ned=believed,
-    )
+
+
+def _room(n: int) -> tuple[Array, Array, Array]:
+    return np.empty((n, 3)), np.empty((n, 3)), np.empty((3, n))
 
 
 class Silence:
@@ -99,7 +126,7 @@ class Silence:
             guards: (n,)
             apart: (n,) who is lost, or has left: nothing is said of them.
         """
-        if self._quiet and not guards.any():
+        if self._quiet and not any(guards.tobytes()):
             return
         deaf = ((guards & int(Guard.LEADER_SILENT)) != 0) & ~apart
         self._waiting = self._waiting & deaf & (now < self._patience)
@@ -195,6 +222,7 @@ class Engagement:
         self._names, self._rate = names, base_rate_hz
         self._since = np.full(len(names), -1)  # tick, inside without a break; -1: outside
         self._awaited: Truths = np.ones(len(names), dtype=bool)
+        self._waits = True  # for somebody
 
     def changes(self, tick: int, error_ned: Array, gone: Truths) -> Iterator[Event]:
         """An event for each follower that has held its slot for long enough, once in a run.
@@ -202,10 +230,11 @@ class Engagement:
         Args:
             tick: of the base rate.
             error_ned: (n, 3) m
-            gone: (n,) who is lost.
+            gone: (N,) who is lost.
         """
-        if not self._awaited.any():
+        if not self._waits:
             return
+        gone = gone[1:] | gone[0]
         inside = (np.linalg.norm(error_ned, axis=-1) <= ENGAGED_RADIUS_M) & ~gone
         self._since = np.where(inside, np.where(self._since < 0, tick, self._since), -1)
         held = tick - self._since >= ENGAGED_HOLD_S * self._rate
@@ -216,6 +245,7 @@ class Engagement:
                 text = f"engaged: within {ENGAGED_RADIUS_M:g} m of its slot since {began}"
                 yield Event(tick / self._rate, "info", name, text)
         self._awaited &= ~engaged
+        self._waits = bool(self._awaited.any())
 
 
 class Arrivals:

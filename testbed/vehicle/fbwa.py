@@ -150,4 +150,33 @@ def _integrate(m: Columns, error: Array, eas: Array, g: Columns) -> Array:
     return limited
 
 
+def fly(
+    estimate: VehicleState,
+    command: FbwaCommand,
+    memory: FbwaMemory,
+    gains: FbwaGains,
+    surfaces: Array,
+) -> None:
+    """One period of the law as `fbwa` has it, for who flies many: nothing new is made.
+
+    Args:
+        estimate: see `fbwa`.
+        command: see `fbwa`.
+        memory: `standing(...)`; its arrays are changed in place.
+        gains: see `fbwa`.
+        surfaces: (4, N) aileron, elevator, rudder, throttle; written.
+    """
+    surfaces[:], after = fbwa(estimate, command, memory, gains)
+    memory.commands[:], memory.each[:] = after.commands, after.each
+
+
+def standing(memory: FbwaMemory, gains: FbwaGains) -> FbwaMemory:
+    """The memory with arrays of its own, and room for the commands under way."""
+    commands = np.zeros((gains.command_periods + 1, 3, len(memory.each)))
+    if memory.begun:
+        commands[:] = memory.commands
+    return FbwaMemory(memory.begun, commands, memory.each.copy())
+
+
 AUTOPILOT = twin_of(fbwa, "testbed.vehicle.twin")
+FLY = twin_of(fly, "testbed.vehicle.twin")

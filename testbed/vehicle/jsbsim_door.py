@@ -8,6 +8,7 @@ print nothing.
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -17,14 +18,14 @@ from typing import Any
 import jsbsim
 import numpy as np
 
-from testbed.compiled import twin_of
-from testbed.frames import FOOT, metres_per_radian, rotation_ned_body
+from testbed.frames import FOOT, metres_per_radian
 from testbed.state import AirData, AirFelt, Airframe, Array, Origin, Surfaces, Truths, VehicleState
 from testbed.vehicle.breakage import Rig, check_faults, find_rig, stacked
 from testbed.vehicle.folder_cache import kept
 from testbed.vehicle.inertia import impossible_inertia
 from testbed.vehicle.jsbsim_model import AircraftError, JsbsimModel, Traits, find_traits
 from testbed.vehicle.linearize import Linear, linearize
+from testbed.vehicle.motion import LOST, MOTION, state_of
 from testbed.vehicle.trim import (
     STILL,
     TrimPoint,
@@ -36,14 +37,12 @@ from testbed.vehicle.trim import (
 
 __all__ = [
     "LOWEST",
-    "MOTION",
     "VERSION",
     "AircraftError",
     "JsbsimFleet",
     "Start",
     "airframe",
     "linearize_aircraft",
-    "motion",
     "trim_aircraft",
 ]
 VERSION: str = jsbsim.__version__
@@ -139,7 +138,10 @@ class JsbsimFleet:
         self._folders = [Path(folder).resolve() for folder in folders]
         self._models = models
         self._runs = [model.fdm.run for model in models]
-        self._setters = [model.setters for model in models]
+        # what steps each, and takes its commands; None: it is lost
+        self._flying: list[tuple[Any, ...] | None] = [
+            (i, model.fdm.run, *model.setters) for i, model in enumerate(models)
+        ]
         self._deaf = np.array([not model.turns for model in models])
         self._blown = [setter for m in models for setter in (*m.winds, *(m.turns or _DEAF))]
         self._felt = np.zeros((n, 3)), np.zeros(n)
@@ -163,7 +165,7 @@ class JsbsimFleet:
         ]
         north, east = metres_per_radian(origin)
         latitude, longitude = math.radians(origin.latitude_deg), math.radians(origin.longitude_deg)
-        self._zero = np.zeros(len(self._getters))
+        self._zero = np.zeros(17 * n)
         self._zero[: 3 * n] = np.tile([latitude, longitude, origin.elevation_m / FOOT], n)
         self._scale = np.concatenate(
             [
@@ -173,6 +175,14 @@ class JsbsimFleet:
                 np.full(2 * n, FOOT),
             ]
         )
+        # what is read is put here, and the records are views of it
+        self._raw, self._flat = np.empty(17 * n), np.empty(17 * n)
+        # of the ways to put numbers into an array the cheapest by far
+        self._pack, self._pack_air = (struct.Struct(f"{k * n}d").pack_into for k in (17, 6))
+        self._state = state_of(self._flat)
+        self._raw_air = np.empty(6 * n)
+        self._per_air = np.concatenate((np.ones(2 * n), np.full(n, 60.0), np.ones(3 * n)))
+        self._lost = np.zeros(n, dtype=bool)
 
     @property
     def trimmed(self) -> Surfaces:
@@ -187,20 +197,34 @@ class JsbsimFleet:
 
     def read(self) -> VehicleState:
         """The truth now, as fresh contiguous arrays."""
-        return MOTION(np.array([get() for get in self._getters]), self._zero, self._scale)
+        self.look()
+        return state_of(self._flat.copy())
+
+    def look(self) -> VehicleState:
+        """The truth now, in arrays that are the fleet's own: the next look changes them."""
+        self._pack(self._raw.data, 0, *[get() for get in self._getters])
+        MOTION(self._raw, self._zero, self._scale, self._flat)
+        return self._state
 
     def air(self) -> AirData:
         """What the truth knows of the air now; for observers."""
-        flat = np.array([get() for get in self._air])
         n = len(self._runs)
-        alpha, beta, rpm = flat[: 3 * n].reshape(3, n)
-        wind = FOOT * flat[3 * n :].reshape(n, 3)
+        self._pack_air(self._raw_air.data, 0, *[get() for get in self._air])
+        flat = self._raw_air / self._per_air
         battery = self._no_battery
         if self._battery:
             battery = battery.copy()
             for row, i, get in self._battery:
                 battery[row, i] = get()
-        return AirData(alpha, beta, rpm / 60.0, wind, *self._felt, battery[0], battery[1])
+        return AirData(
+            flat[:n],
+            flat[n : 2 * n],
+            flat[2 * n : 3 * n],
+            FOOT * self._raw_air[3 * n :].reshape(n, 3),
+            *self._felt,
+            battery[0],
+            battery[1],
+        )
 
     @property
     def deaf(self) -> Truths:
@@ -217,19 +241,23 @@ class JsbsimFleet:
 
     def step(self, surfaces: Surfaces, ticks: int) -> None:
         """Set the commands and run every aircraft for `ticks` steps of the base rate."""
-        aileron = surfaces.aileron.tolist()
-        elevator = surfaces.elevator.tolist()
-        rudder = surfaces.rudder.tolist()
-        throttle = surfaces.throttle.tolist()
+        told = zip(
+            self._flying,
+            surfaces.aileron.tolist(),
+            surfaces.elevator.tolist(),
+            surfaces.rudder.tolist(),
+            surfaces.throttle.tolist(),
+            strict=True,
+        )
         steps = range(ticks)
-        for i, run in enumerate(self._runs):
-            if self._broken[i]:
+        for flying, aileron, elevator, rudder, throttle in told:
+            if flying is None:
                 continue
-            set_aileron, set_elevator, set_rudder, set_throttle = self._setters[i]
-            set_aileron(aileron[i])
-            set_elevator(-elevator[i])
-            set_rudder(-rudder[i])
-            set_throttle(throttle[i])
+            i, run, set_aileron, set_elevator, set_rudder, set_throttle = flying
+            set_aileron(aileron)
+            set_elevator(-elevator)
+            set_rudder(-rudder)
+            set_throttle(throttle)
             try:
                 for _ in steps:
                     if not run():
@@ -255,6 +283,7 @@ class JsbsimFleet:
     def _remove(self, i: int) -> None:
         """Stop one; where JSBSim has lost its numbers it reads as at the start, in air of zero."""
         self._broken[i] = True
+        self._flying[i] = None
         each = np.arange(len(self._runs))
         three = each.repeat(3)
         own = np.flatnonzero(np.concatenate((np.tile(three, 5), each, each)) == i).tolist()
@@ -281,8 +310,9 @@ class JsbsimFleet:
         return list(self._runs)
 
     def lost(self, state: VehicleState) -> Truths:
-        """Which aircraft are on the ground, broken or not finite: (N,) bool."""
-        return self._broken | ~(-state.position_ned[:, 2] >= LOWEST)
+        """Which aircraft (N,) are on the ground, broken or not finite; until the next call."""
+        LOST(state.position_ned, self._broken, LOWEST, self._lost)
+        return self._lost
 
 
 def trim_aircraft(folder: Path, point: TrimPoint, origin: Origin | None = None) -> TrimResult:
@@ -374,24 +404,3 @@ def _executive(folder: Path) -> jsbsim.FGFDMExec:
         raise AircraftError(f"{folder / folder.name}.xml: JSBSim cannot load it")
     fdm.disable_output()
     return fdm
-
-
-def motion(raw: Array, zero: Array, scale: Array) -> VehicleState:
-    """The state of N aircraft from what JSBSim says of them, (raw − zero) scale, all (17 N,).
-
-    The acceleration is R_NB (d(u, v, w)/dt) + (R_NB ω) × velocity.
-    """
-    flat = (raw - zero) * scale
-    n = flat.size // 17
-    position, velocity, uvw_dot, euler, rates = flat[: 15 * n].reshape(5, n, 3)
-    airspeed, equivalent = flat[15 * n :].reshape(2, n)
-    yaw = euler[:, 2]
-    yaw[yaw > np.pi] -= 2.0 * np.pi
-    rotation = rotation_ned_body(euler)
-    along = (rotation @ uvw_dot[:, :, None])[:, :, 0]
-    turning = (rotation @ rates[:, :, None])[:, :, 0]
-    acceleration = along + np.cross(turning, velocity)
-    return VehicleState(position, velocity, acceleration, euler, rates, airspeed, equivalent)
-
-
-MOTION = twin_of(motion, "testbed.vehicle.twin")

@@ -28,6 +28,8 @@ class RerunView:
     run goes on without the view.
     """
 
+    borrows = True  # a frame is copied at once
+
     def __init__(self, sink: Sink | None = None, *, most_hz: float | None = None) -> None:
         """Show runs in `sink`: by default a viewer on this machine, found or started.
 

@@ -246,7 +246,7 @@ def test_the_same_frames_are_damaged_in_the_same_places_with_numpy_and_compiled(
         return np.array(found), link.summary()["damaged"]
 
     compiled, counts = exchange()
-    monkeypatch.setattr(radio_module, "FATES", numpy_fates.fates)
+    monkeypatch.setattr(radio_module, "BEFALL", numpy_fates.befall)
     monkeypatch.setattr(radio_module, "POST_ROUND", numpy_post.post_round)
     monkeypatch.setattr(radio_module, "TAKE_DUE", numpy_post.take_due)
     plain, others = exchange()

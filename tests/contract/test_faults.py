@@ -249,11 +249,14 @@ def test_places_are_taken_in_the_order_of_the_fleet():
     for frame in frames:
         seats = [1, 1, 2] if 2.0 <= frame.time_s else [1, 2, 3]
         assert frame.formation.place.tolist() == seats
-        slots, _, _ = TRUE_SLOTS(
+        slots, room = np.empty((3, 3)), (np.empty((3, 3)), np.empty((3, 3)))
+        TRUE_SLOTS(
             frame.truth.position_ned,
             frame.truth.velocity_ned,
             np.vstack([places[:1], places[seats]]),
             np.full(3, np.nan),
+            slots,
+            *room,
         )
         assert np.array_equal(frame.formation.slot_ned, slots), frame.time_s
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from testbed.state import FbwaCommand, Surfaces, VehicleState
-from testbed.vehicle.fbwa import fbwa, fresh, settled
+from testbed.vehicle.fbwa import fbwa, fly, fresh, settled, standing
 from testbed.vehicle.params import (
     AutopilotTiming,
     FbwaParams,
@@ -284,7 +284,8 @@ def test_the_compiled_twin_does_the_same(name: str, latency: float) -> None:
     gains = stack([tune, PLAIN, tune], DT, AutopilotTiming(command_latency=latency))
     rng = np.random.default_rng(7)
     ours = theirs = fresh(3)
-    for _ in range(400):
+    flown = [(standing(ours, gains), np.empty((4, 3))) for _ in range(2)]
+    for k in range(400):
         eas = rng.uniform(8.0, 35.0, 3)
         vectors = rng.normal(0.0, 1.0, (5, 3, 3))
         state = VehicleState(*vectors, airspeed=1.03 * eas, equivalent_airspeed=eas)
@@ -295,9 +296,16 @@ def test_the_compiled_twin_does_the_same(name: str, latency: float) -> None:
         two, theirs = twin.fbwa(state, command, theirs, gains)
         for field in Surfaces._fields:
             assert getattr(two, field) == pytest.approx(getattr(one, field), abs=1e-11)
-    assert theirs.commands == pytest.approx(ours.commands, abs=1e-11)
-    for field in MEMORY.names or ():
-        assert theirs.each[field] == pytest.approx(ours.each[field], rel=1e-9, abs=1e-9)
+        for engine, (memory, told) in zip((fly, twin.fly), flown, strict=True):
+            engine(state, command, memory, gains, told)
+        if not k:
+            flown = [(memory._replace(begun=True), told) for memory, told in flown]
+        assert np.array_equal(flown[0][1], np.array(one))
+        assert np.array_equal(flown[1][1], np.array(two))
+    for other in (theirs, *(memory for memory, _ in flown)):
+        assert other.commands == pytest.approx(ours.commands, abs=1e-11)
+        for field in MEMORY.names or ():
+            assert other.each[field] == pytest.approx(ours.each[field], rel=1e-9, abs=1e-9)
 
 
 def test_an_unfit_timing_is_refused() -> None:

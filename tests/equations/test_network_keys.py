@@ -6,7 +6,7 @@ from network_samples import PACKETS, assert_chance, make, send
 from scipy.stats import chi2_contingency
 
 from testbed.network.alone import transmit
-from testbed.network.fates import FATES
+from testbed.network.fates import BEFALL
 from testbed.network.links import Fate
 from testbed.network.traffic import idle
 
@@ -166,9 +166,9 @@ def scripted(script, **knobs):
     arrivals, fate = np.empty((len(script), 2)), np.empty(len(script), np.uint8)
     for k, said in enumerate(script):
         one = np.array([[said]], dtype=np.uint8)
-        both, became = FATES(
-            channel, traffic, row, np.array([k]), np.array([0.1 * k]), one, untold, fading
-        )
+        both, became = np.empty((1, 1, 2)), np.empty((1, 1), np.uint8)
+        sending = row, np.array([k]), np.array([0.1 * k])
+        BEFALL(channel, traffic, *sending, one, untold, fading, both, became)
         arrivals[k], fate[k] = both[0, 0], became[0, 0]
     return arrivals, fate
 

@@ -19,7 +19,7 @@ from network_samples import (
 from scipy import stats
 
 from testbed.network.alone import transmit
-from testbed.network.fates import FATES
+from testbed.network.fates import BEFALL
 from testbed.network.links import Fate
 from testbed.network.traffic import idle
 
@@ -38,9 +38,9 @@ def send_at(times, **knobs):
     script, untold, fading = np.zeros((1, 1), np.uint8), np.full((1, 1), np.nan), np.zeros((1, 1))
     arrivals, fate = np.empty(len(times)), np.empty(len(times), np.uint8)
     for k, now in enumerate(times):
-        both, became = FATES(
-            channel, traffic, row, np.array([k]), np.array([now]), script, untold, fading
-        )
+        both, became = np.empty((1, 1, 2)), np.empty((1, 1), np.uint8)
+        sending = row, np.array([k]), np.array([now])
+        BEFALL(channel, traffic, *sending, script, untold, fading, both, became)
         arrivals[k], fate[k] = both[0, 0].min(), became[0, 0]
     return arrivals, fate
 

@@ -267,7 +267,7 @@ def test_compiled_and_numpy_radios_count_and_deliver_the_same(monkeypatch):
                 link.send(now + 0.01 * rng.random(N), say(now), None, who)
             inbox = link.deliver(now)
             link.use(np.array([0, 1]), now - link.measured_s)
-            found.append((inbox, link.measured_s.copy()))
+            found.append(([each.copy() for each in inbox], link.measured_s.copy()))
         return link, found
 
     compiled, ours = flight()

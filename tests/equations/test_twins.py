@@ -13,6 +13,7 @@ from formation_cases import (
     LOW,
     PAPERS_MU,
     choose,
+    leaves,
     make_law,
     make_middle,
     middle_gains,
@@ -32,6 +33,7 @@ from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
 from testbed.formation.flags import Guard, Saturation
 from testbed.formation.geometry import true_slots
 from testbed.formation.measurement import ages
+from testbed.formation.together import begun, silent, together
 from testbed.frames import euler_rates
 
 pytest.importorskip("numba")
@@ -42,6 +44,7 @@ from testbed.formation import (  # noqa: E402
     middle_loop_twin,
     paper_twin,
 )
+from testbed.formation import together_twin as TOGETHER  # noqa: E402
 from testbed.vehicle import twin as vehicle_twin  # noqa: E402
 
 FUNCTIONS = [PAPERS_MU, example_1(2.5e5, 1.0, 0.8), EXAMPLE_2, EXAMPLE_3]
@@ -162,6 +165,35 @@ def test_the_middle_loop():
     assert seen == {"guards": sum(Guard), "saturations": sum(Saturation)}
 
 
+def test_a_whole_step_of_some_of_the_agents():
+    """Law, middle loop and ages behind one door, in rows of arrays that more agents share."""
+    rng = np.random.default_rng(47)
+    law = make_law(AGENTS, rng, **{**mixed_options(AGENTS, rng), "hold": True})
+    loop = make_middle(AGENTS, altitude=np.where(rng.random(AGENTS) < 0.4, 90.0, np.nan))
+    aircraft = law.gains.shape[1]
+    for hold in (False, True):
+        rows = rng.permutation(AGENTS)[:3]
+        mine, middle = replace(some_of(law, rows), hold=hold), choose(loop, rows)
+        unheeded, patience = rng.random((3, aircraft)) < 0.2, rng.uniform(0.1, 5.0, aircraft)
+        both = []
+        for _ in range(2):
+            own, _, _ = states(AGENTS, np.random.default_rng(48))
+            said = silent(np.zeros((3, AGENTS)), aircraft)
+            both.append((begun(mine, middle, choose(own, rows)), said))
+        for k in range(100):
+            now = 100.0 + 0.04 * k
+            own, inbox, _ = states(AGENTS, rng, silence=0.05, old=0.05, now=now)
+            given = (mine, middle, unheeded, patience, rows, now, own, inbox, inbox.stamp_s)
+            for step, (memory, said) in zip((together, TOGETHER.together), both, strict=True):
+                step(*given, memory, said)
+            ours, theirs = ((*leaves(memory), *leaves(said)) for memory, said in both)
+            compare(dict(ours), dict(theirs))
+        (_, said), others = both[0], [i for i in range(AGENTS) if i not in rows]
+        assert not said.command.pitch[others].any()
+        assert said.command.roll[rows].all()
+        assert 0 < np.isnan(said.age_s[rows]).sum() < said.age_s[rows].size
+
+
 def test_ages():
     rng = np.random.default_rng(44)
     stamp = 100.0 - rng.uniform(0.0, 8.0, (40, 5))
@@ -205,9 +237,11 @@ def test_no_twin_goes_without_such_a_test():
                 function, module = node.args
                 assert hasattr(importlib.import_module(module.value), function.id)
                 found.add(function.id)
-    elsewhere = {"fbwa", "motion", "advance_ticks", "report"}
+    elsewhere = {"fbwa", "fly", "motion", "lost", "advance_ticks", "report"}
     elsewhere |= {"place", "felt", "sample", "felt_in_field"}  # the air's
     elsewhere |= {"advance_filters", "turbulence_axes"}
-    elsewhere |= {"fates", "post_round", "take_due", "use"}  # the network's
+    elsewhere |= {"befall", "post_round", "take_due", "use"}  # the network's
     elsewhere |= {"navigate", "believe"}  # the sensors'
-    assert found == {"paper_step", "middle_step", "true_slots", "ages", "euler_rates"} | elsewhere
+    here = {"paper_step", "middle_step", "ages", "together"}
+    here |= {"write_true_slots", "write_euler_rates"}
+    assert found == here | elsewhere

@@ -10,9 +10,9 @@ from testbed.sim.watch import (
     Arrivals,
     Engagement,
     Silence,
+    Slots,
+    Speaker,
     Staleness,
-    broadcast,
-    formation_state,
 )
 from testbed.sim.world import build
 from testbed.state import VehicleState
@@ -41,7 +41,7 @@ def test_slots_and_errors_are_the_truths():
     # 5 m behind and 5 m right of east is west and south; 4 m down
     offsets = np.array([[0.0, 0.0, 0.0], [-5.0, 5.0, 0.0], [-5.0, -5.0, 4.0]])
     truth = flying()
-    state = formation_state(truth, truth, DIAGNOSIS, AGE_S, offsets, PLACES, NOBODY)
+    state = Slots(2).state(truth, truth, DIAGNOSIS, AGE_S, offsets, PLACES, NOBODY)
     assert state.slot_ned == pytest.approx(
         np.array([[95.0, 195.0, -50.0], [105.0, 195.0, -46.0]]), abs=1e-12
     )
@@ -70,7 +70,7 @@ def test_what_is_believed_is_the_error_of_the_estimates():
     estimate.position_ned[0, 0] += 2.0
     estimate.position_ned[2, 2] += 1.0
     offsets = np.array([[0.0, 0.0, 0.0], [-5.0, 5.0, 0.0], [-5.0, -5.0, 4.0]])
-    state = formation_state(truth, estimate, DIAGNOSIS, AGE_S, offsets, PLACES, NOBODY)
+    state = Slots(2).state(truth, estimate, DIAGNOSIS, AGE_S, offsets, PLACES, NOBODY)
     assert state.error_ned == pytest.approx(
         np.array([[1.0, 0.0, 0.0], [1.0, -1.0, -1.0]]), abs=1e-12
     )
@@ -85,7 +85,7 @@ def test_the_slot_of_who_holds_an_altitude_lies_at_it():
     offsets = np.array([[0.0, 0.0, 0.0], [-5.0, 5.0, 7.0], [-5.0, -5.0, 4.0]])
     for climb in (0.0, 15.0):
         flight.velocity_ned[0] = [0.0, 20.0, -climb]
-        state = formation_state(
+        state = Slots(2).state(
             flight, flight, DIAGNOSIS, AGE_S, offsets, PLACES, np.array([60.0, np.nan])
         )
         assert state.slot_ned[0] == pytest.approx([95.0, 195.0, -60.0], abs=1e-12)
@@ -100,7 +100,9 @@ def test_a_broadcast_is_the_senders_estimate_with_euler_rates():
     # a level turn at 60° of bank and 0.4 rad/s of course: p = 0, q = 0.4 sin 60°, r = 0.4 cos 60°
     state.euler[:] = [np.pi / 3.0, 0.0, 1.0]
     state.rates_body[:] = [0.0, 0.4 * np.sin(np.pi / 3.0), 0.2]
-    said = broadcast(state, 7.5)
+    speaker = Speaker(3)
+    speaker.says(flying(), 7.0)
+    said = speaker.says(state, 7.5)
     assert said.stamp_s.tolist() == [7.5, 7.5, 7.5]
     for name in ("position_ned", "velocity_ned", "acceleration_ned", "euler"):
         assert np.array_equal(getattr(said, name), getattr(state, name))
@@ -275,7 +277,7 @@ def engaged(*distances_m, names=("uav1", "uav2"), gone=(False, False)):
     watch = Engagement(names, 200)
     errors = np.zeros((len(distances_m), len(names), 3))
     errors[:, :, 1] = distances_m
-    lost = np.array(gone)
+    lost = np.array((False, *gone))  # the leader first
     return [e for k, error in enumerate(errors) for e in watch.changes(200 * k, error, lost)]
 
 
@@ -298,6 +300,6 @@ def test_five_seconds_are_counted_in_ticks():
     """At 25 Hz one frame in a hundred is, as a number of seconds, not 5 s after another."""
     for first in range(0, 4000, 8):
         watch, inside = Engagement(["uav1"], 200), np.zeros((1, 3))
-        nobody = np.zeros(1, dtype=bool)
+        nobody = np.zeros(2, dtype=bool)
         assert not list(watch.changes(first, inside, nobody))
         assert list(watch.changes(first + 1000, inside, nobody))

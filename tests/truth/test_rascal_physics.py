@@ -16,9 +16,9 @@ from testbed.vehicle.jsbsim_door import (
     AircraftError,
     JsbsimFleet,
     Start,
-    motion,
     trim_aircraft,
 )
+from testbed.vehicle.motion import lost, motion
 from testbed.vehicle.params import read_params, stack
 from testbed.vehicle.trim import TrimError, TrimPoint
 
@@ -116,8 +116,17 @@ def test_the_compiled_motion_is_the_same() -> None:
     twin = pytest.importorskip("testbed.vehicle.twin", exc_type=ImportError)
     rng = np.random.default_rng(3)
     raw, zero, scale = rng.normal(0.0, 2.0, (3, 17 * 50))
-    for ours, theirs in zip(motion(raw, zero, scale), twin.motion(raw, zero, scale), strict=True):
-        assert theirs == pytest.approx(ours, abs=1e-12)  # sums of ten terms of size 10, rounded
+    ours, theirs = np.empty((2, 17 * 50))
+    motion(raw, zero, scale, ours)
+    twin.motion(raw, zero, scale, theirs)
+    assert theirs == pytest.approx(ours, abs=1e-12)  # sums of ten terms of size 10, rounded
+    position = rng.normal(0.0, 2.0, (50, 3))
+    position[3, 2] = np.nan
+    broken, down, low = rng.random(50) < 0.2, np.empty(50, dtype=bool), np.empty(50, dtype=bool)
+    lost(position, broken, 1.0, down)
+    twin.lost(position, broken, 1.0, low)
+    assert np.array_equal(down, low)
+    assert np.array_equal(down, broken | (position[:, 2] > -1.0) | np.isnan(position[:, 2]))
 
 
 def _moments(**moved: float) -> np.ndarray:

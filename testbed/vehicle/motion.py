@@ -1,0 +1,40 @@
+"""The motion of N aircraft from the numbers that a flight model gives, and who of them is lost."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from testbed.compiled import twin_of
+from testbed.frames import rotation_ned_body
+from testbed.state import Array, Truths, VehicleState
+
+
+def state_of(flat: Array) -> VehicleState:
+    """The state of N aircraft as views of its numbers (17 N,), field after field."""
+    n = flat.size // 17
+    return VehicleState(*flat[: 15 * n].reshape(5, n, 3), *flat[15 * n :].reshape(2, n))
+
+
+def motion(raw: Array, zero: Array, scale: Array, flat: Array) -> None:
+    """Write the numbers of `state_of` from what JSBSim says: (raw − zero) scale, all (17 N,).
+
+    JSBSim's acceleration is that of u, v, w in the turning body: it becomes
+    R_NB (d(u, v, w)/dt) + (R_NB ω) × velocity.
+    """
+    flat[:] = (raw - zero) * scale
+    _, velocity, acceleration, euler, rates, _, _ = state_of(flat)
+    yaw = euler[:, 2]
+    yaw[yaw > np.pi] -= 2.0 * np.pi
+    rotation = rotation_ned_body(euler)
+    along = (rotation @ acceleration[:, :, None])[:, :, 0]
+    turning = (rotation @ rates[:, :, None])[:, :, 0]
+    acceleration[:] = along + np.cross(turning, velocity)
+
+
+def lost(position_ned: Array, broken: Truths, lowest: float, out: Truths) -> None:
+    """Write which aircraft (N,) are broken, lower than this (m), or nowhere."""
+    np.logical_or(broken, ~(-position_ned[:, 2] >= lowest), out=out)
+
+
+MOTION = twin_of(motion, "testbed.vehicle.twin")
+LOST = twin_of(lost, "testbed.vehicle.twin")
