@@ -67,6 +67,34 @@ def twin(function: F) -> F:
         config.CACHE_DIR = wanted
 
 
+class Entry:
+    """A way into a compiled function for callers who always hand over the same types.
+
+    numba asks every argument for its type at every call, and a table of records for each of its
+    fields: that can take longer than the law itself. Here only the first call is asked. Arrays have
+    to be C-contiguous and of the one type each time: who has others calls the function itself.
+    """
+
+    __slots__ = ("function", "types", "_enter")
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        """Into this `twin`, at its first call."""
+        self.function = function
+        self.types: tuple[Any, ...] | None = None  # of the first call's arguments
+        self._enter: Callable[..., Any] = self._first
+
+    def __call__(self, *args: Any) -> Any:  # noqa: ANN401 - whatever the function takes and gives
+        """What the function makes of it."""
+        return self._enter(*args)
+
+    def _first(self, *args: Any) -> Any:  # noqa: ANN401
+        given = self.function(*args)
+        dispatcher: Any = self.function
+        self.types = tuple(map(dispatcher.typeof_pyval, args))
+        self._enter = dispatcher.overloads[self.types].entry_point
+        return given
+
+
 @functools.cache
 def _machine_code(wanted: str) -> str:
     """The folder of the machine code of these sources; it need not be there, or be writable.

@@ -10,7 +10,7 @@ one by one: of a record of arrays numba asks the type anew at every call.
 
 from __future__ import annotations
 
-from testbed.compiled import twin
+from testbed.compiled import Entry, twin
 from testbed.formation.laws_twin import ages_into
 from testbed.formation.middle_loop_twin import middle_into
 from testbed.formation.paper_twin import step_into
@@ -18,7 +18,7 @@ from testbed.state import Inbox
 
 
 def together(law, loop, unheeded, patience, rows, now, own, inbox, measured_s, memory, said):
-    _together(
+    _enter(
         rows,
         law.table,
         law.known_offsets,
@@ -141,3 +141,6 @@ def _together(
         saturations,
     )
     ages_into(rows, now, measured_s, received_s, unheeded, patience, True, age_s)
+
+
+_enter = Entry(_together)

@@ -13,7 +13,7 @@ from math import ceil, inf, isinf, isnan
 
 import numpy as np
 
-from testbed.compiled import twin
+from testbed.compiled import Entry, twin
 from testbed.network.dice_twin import exact_delay, happens, loses, netem_delay, philox, unit
 from testbed.network.fates import MUTE
 from testbed.network.links import CORRUPT, DUPLICATE, OUTCOME, PATH, REORDER, SLOT, Fate
@@ -26,28 +26,17 @@ CORRUPTED, QUEUE = int(Fate.CORRUPTED), int(Fate.QUEUE)
 def fates(channel, traffic, rows, sequence, sent_s, script, replayed, faded):
     arrivals, fate = np.empty((*script.shape, 2)), np.empty(script.shape, np.uint8)
     told = (rows, sequence, sent_s, script, replayed, faded)
-    befall(channel, traffic, *told, arrivals, fate)
+    _fates(*channel_of(channel, traffic), *told, arrivals, fate)
     return arrivals, fate
 
 
 def befall(channel, traffic, rows, sequence, sent_s, script, replayed, faded, arrivals, fate):
-    _fates(
-        channel.links,
-        channel.keys,
-        channel.quantiles,
-        channel.tables,
-        traffic.state,
-        traffic.ring,
-        traffic.spoiled_s,
-        rows,
-        sequence,
-        sent_s,
-        script,
-        replayed,
-        faded,
-        arrivals,
-        fate,
-    )
+    told = (rows, sequence, sent_s, script, replayed, faded)
+    _enter(*channel_of(channel, traffic), *told, arrivals, fate)
+
+
+def channel_of(channel, traffic):
+    return (channel.links, channel.keys, channel.quantiles, channel.tables, *traffic)
 
 
 @twin
@@ -256,3 +245,6 @@ def _fates(
                 arrivals[i, s] = inf
                 if fate[i, s] != CORRUPTED:
                     spoiled_s[:] = inf
+
+
+_enter = Entry(_fates)

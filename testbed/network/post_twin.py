@@ -14,14 +14,14 @@ from math import ceil, inf, isnan, log2
 
 import numpy as np
 
-from testbed.compiled import twin
+from testbed.compiled import Entry, twin
 from testbed.network.ledger import BINS, LONGEST_BURST, PER_OCTAVE, SHORTEST_S
 from testbed.network.post import DELIVERED, MUTE
 from testbed.network.slots import SIMULTANEOUS_S
 
 
 def post_round(post, ledger, count, rows, numbers, sent_s, stamps_s, message, arrivals, fate):
-    return _post_round(
+    return _enter_round(
         post.link.base,
         ledger.sent.base,
         count,
@@ -36,11 +36,11 @@ def post_round(post, ledger, count, rows, numbers, sent_s, stamps_s, message, ar
 
 
 def take_due(post, ledger, count, read, inbox, now):
-    return _take_due(post.link.base, ledger.sent.base, count, *read, now, *inbox)
+    return _enter_due(post.link.base, ledger.sent.base, count, *read, now, *inbox)
 
 
 def use(ledger, rows, age_s):
-    _use(ledger.sent.base, rows, age_s)
+    _enter_use(ledger.sent.base, rows, age_s)
 
 
 @twin
@@ -178,3 +178,6 @@ def _use(ledger, rows, age_s):
                 link.age_least = min(link.age_least, age)
                 link.age_most = max(link.age_most, age)
                 link.ages[_bin_of(age)] += 1
+
+
+_enter_round, _enter_due, _enter_use = Entry(_post_round), Entry(_take_due), Entry(_use)

@@ -65,6 +65,7 @@ class Radio:
         self._read = Read(np.full(links, NOTHING), np.full(links, np.nan))
         vectors = np.full((VECTORS, *links, 3), np.nan)
         self._inbox = Inbox(*np.full((2, *links), np.nan), *vectors)
+        self._counts = LinkCounts(*np.zeros((2, *links), np.uint32))
         self._rounds: dict[int, tuple[Any, ...]] = {}
         self._together: dict[bytes, Numbers] = {}
 
@@ -95,10 +96,11 @@ class Radio:
             round of as many changes them.
         """
         rows = self._everyone if who is None else self._rows(who)
-        sent, measured = sent_s, message.stamp_s
-        self._number += 1 if who is None else who
-        number = self._number
-        if len(rows) < len(number):
+        sent, number, measured = sent_s, self._number, message.stamp_s
+        if len(rows) == len(number):
+            number += 1
+        else:
+            number[rows] += 1
             sent, number, measured = sent[rows], number[rows], measured[rows]
         script, traced, faded, told, arrivals, fate = self._round_of(len(rows))
         given, coder, clocks = self._conditions, self._coder, self._conditions.clocks
@@ -166,8 +168,10 @@ class Radio:
         USE(self._ledger, rows, age_s)
 
     def counts(self) -> LinkCounts:
-        """Messages sent and delivered up to now."""
-        return LinkCounts(self._ledger.sent.copy(), self._ledger.delivered.copy())
+        """Messages sent and delivered up to now; the next call changes them."""
+        np.copyto(self._counts.sent, self._ledger.sent)
+        np.copyto(self._counts.delivered, self._ledger.delivered)
+        return self._counts
 
     def summary(self) -> Mapping[str, Any]:
         """Numbers of every link, ready for JSON."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +62,7 @@ class Slots:
         """Nobody has looked."""
         self._true = _room(followers)
         self._believed = _room(followers)
+        self._given: tuple[Any, ...] = (None,) * 4
 
     def state(
         self,
@@ -78,14 +80,21 @@ class Slots:
         others, whose altitude is nan, have it in the leader's velocity frame. The next state is
         written into the same arrays.
         """
-        slot, error, (speed, course, climb) = self._true
         geometry.TRUE_SLOTS(truth.position_ned, truth.velocity_ned, offsets, altitudes, *self._true)
-        believed = error
-        if estimate is not truth:
-            believed = self._believed[1]
+        exact = estimate is truth
+        if not exact:
             geometry.TRUE_SLOTS(
                 estimate.position_ned, estimate.velocity_ned, offsets, altitudes, *self._believed
             )
+        given = diagnosis, age_s, places, exact
+        if any(one is not other for one, other in zip(given, self._given, strict=True)):
+            self._given, self._state = given, self._written(*given)
+        return self._state
+
+    def _written(
+        self, diagnosis: Diagnosis, age_s: Array, places: Counts, exact: bool
+    ) -> FormationState:
+        slot, error, (speed, course, climb) = self._true
         return FormationState(
             slot_ned=slot,
             error_ned=error,
@@ -100,7 +109,7 @@ class Slots:
             saturations=diagnosis.saturations,
             age_s=age_s,
             place=places,
-            believed_ned=believed,
+            believed_ned=error if exact else self._believed[1],
         )
 
 

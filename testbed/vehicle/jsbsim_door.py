@@ -144,7 +144,7 @@ class JsbsimFleet:
         ]
         self._deaf = np.array([not model.turns for model in models])
         self._blown = [setter for m in models for setter in (*m.winds, *(m.turns or _DEAF))]
-        self._felt = np.zeros((n, 3)), np.zeros(n)
+        self._felt: AirFelt | None = None  # nothing yet
         self._broken = np.zeros(n, dtype=bool)
         self._getters = [
             model.node(name).get_double_value
@@ -156,7 +156,7 @@ class JsbsimFleet:
             model.node(name).get_double_value for name in _AIR_SINGLES for model in models
         ] + [model.node(name).get_double_value for model in models for name in _WIND]
         self._first = [get() for get in self._getters]
-        self._no_battery = np.full((len(_BATTERY), n), np.nan)
+        self._batteries = np.full((len(_BATTERY), n), np.nan)
         self._battery = [
             (row, i, node.get_double_value)
             for i, model in enumerate(models)
@@ -164,9 +164,9 @@ class JsbsimFleet:
             if (node := model.find(name)) is not None
         ]
         north, east = metres_per_radian(origin)
-        latitude, longitude = math.radians(origin.latitude_deg), math.radians(origin.longitude_deg)
+        place = *np.radians([origin.latitude_deg, origin.longitude_deg]), origin.elevation_m / FOOT
         self._zero = np.zeros(17 * n)
-        self._zero[: 3 * n] = np.tile([latitude, longitude, origin.elevation_m / FOOT], n)
+        self._zero[: 3 * n] = np.tile(place, n)
         self._scale = np.concatenate(
             [
                 np.tile([north, east, -FOOT], n),
@@ -175,13 +175,15 @@ class JsbsimFleet:
                 np.full(2 * n, FOOT),
             ]
         )
-        # what is read is put here, and the records are views of it
         self._raw, self._flat = np.empty(17 * n), np.empty(17 * n)
         # of the ways to put numbers into an array the cheapest by far
         self._pack, self._pack_air = (struct.Struct(f"{k * n}d").pack_into for k in (17, 6))
         self._state = state_of(self._flat)
-        self._raw_air = np.empty(6 * n)
-        self._per_air = np.concatenate((np.ones(2 * n), np.full(n, 60.0), np.ones(3 * n)))
+        self._raw_air, self._flat_air = np.empty((2, 6 * n))
+        self._per_air = np.repeat([1.0, 1.0, 60.0], n)  # revolutions per minute
+        alpha, beta, rps = self._flat_air[: 3 * n].reshape(3, n)
+        wind, turn, roll = self._flat_air[3 * n :].reshape(n, 3), np.zeros((n, 3)), np.zeros(n)
+        self._in_air = AirData(alpha, beta, rps, wind, turn, roll, *self._batteries)
         self._lost = np.zeros(n, dtype=bool)
 
     @property
@@ -207,24 +209,18 @@ class JsbsimFleet:
         return self._state
 
     def air(self) -> AirData:
-        """What the truth knows of the air now; for observers."""
+        """What the truth knows of the air now; for observers, until the next call."""
         n = len(self._runs)
-        self._pack_air(self._raw_air.data, 0, *[get() for get in self._air])
-        flat = self._raw_air / self._per_air
-        battery = self._no_battery
-        if self._battery:
-            battery = battery.copy()
-            for row, i, get in self._battery:
-                battery[row, i] = get()
-        return AirData(
-            flat[:n],
-            flat[n : 2 * n],
-            flat[2 * n : 3 * n],
-            FOOT * self._raw_air[3 * n :].reshape(n, 3),
-            *self._felt,
-            battery[0],
-            battery[1],
-        )
+        raw, flat = self._raw_air, self._flat_air
+        self._pack_air(raw.data, 0, *[get() for get in self._air])
+        np.divide(raw[: 3 * n], self._per_air, out=flat[: 3 * n])
+        np.multiply(raw[3 * n :], FOOT, out=flat[3 * n :])
+        if self._felt is not None:
+            self._in_air.rates_body[:] = self._felt.rates_body
+            self._in_air.roll_coefficient[:] = self._felt.roll_coefficient
+        for row, i, get in self._battery:
+            self._batteries[row, i] = get()
+        return self._in_air
 
     @property
     def deaf(self) -> Truths:
@@ -233,7 +229,7 @@ class JsbsimFleet:
 
     def blow(self, felt: AirFelt) -> None:
         """Say what the air does to the aircraft from now on."""
-        self._felt = felt.rates_body, felt.roll_coefficient
+        self._felt = felt
         roll = felt.roll_coefficient[:, np.newaxis]
         told = np.concatenate((felt.wind_ned / FOOT, felt.rates_body, roll), axis=1)
         for set_value, value in zip(self._blown, told.ravel().tolist(), strict=True):

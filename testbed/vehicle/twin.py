@@ -14,7 +14,7 @@ from math import acos, cos, pi, radians, sin
 
 import numpy as np
 
-from testbed.compiled import twin
+from testbed.compiled import Entry, twin
 from testbed.state import Surfaces
 from testbed.vehicle.tables import FbwaMemory
 
@@ -33,12 +33,16 @@ def fbwa(estimate, command, memory, gains):
     if memory.begun:
         commands[:] = memory.commands
     surfaces, after = np.empty((4, n)), FbwaMemory(memory.begun, commands, memory.each.copy())
-    fly(estimate, command, after, gains, surfaces)
+    _fly(*_parts(estimate, command, after, gains), surfaces)
     return Surfaces(*surfaces), after._replace(begun=True)
 
 
 def fly(estimate, command, memory, gains, surfaces):
-    _fly(
+    _enter_fly(*_parts(estimate, command, memory, gains), surfaces)
+
+
+def _parts(estimate, command, memory, gains):
+    return (
         estimate.euler,
         estimate.rates_body,
         estimate.airspeed,
@@ -55,7 +59,6 @@ def fly(estimate, command, memory, gains, surfaces):
         gains.gyro_a1,
         gains.gyro_a2,
         gains.each,
-        surfaces,
     )
 
 
@@ -156,6 +159,9 @@ def _fly(
         surfaces[3, i] = throttle
 
 
+_enter_fly = Entry(_fly)
+
+
 @twin
 def _rotated(sf, cf, st, ct, sp, cp, x, y, z):
     """A body vector in NED, by three plane rotations."""
@@ -164,8 +170,20 @@ def _rotated(sf, cf, st, ct, sp, cp, x, y, z):
     return cp * ahead - sp * across, sp * ahead + cp * across, ct * below - st * x
 
 
-@twin
 def motion(raw, zero, scale, flat):
+    _enter_motion(raw, zero, scale, flat)
+
+
+def lost(position_ned, broken, lowest, out):
+    _enter_lost(position_ned, broken, lowest, out)
+
+
+def write_euler_rates(euler, rates_body, out):
+    _enter_euler_rates(euler, rates_body, out)
+
+
+@twin
+def _motion(raw, zero, scale, flat):
     n = raw.size // 17
     for k in range(17 * n):
         flat[k] = (raw[k] - zero[k]) * scale[k]
@@ -183,12 +201,11 @@ def motion(raw, zero, scale, flat):
 
 
 @twin
-def lost(position_ned, broken, lowest, out):
+def _lost(position_ned, broken, lowest, out):
     for i in range(len(out)):
         out[i] = broken[i] or not -position_ned[i, 2] >= lowest
 
 
-@twin
 def euler_rates(euler, rates_body):
     out = np.empty_like(euler)
     write_euler_rates(euler, rates_body, out)
@@ -196,10 +213,13 @@ def euler_rates(euler, rates_body):
 
 
 @twin
-def write_euler_rates(euler, rates_body, out):
+def _euler_rates(euler, rates_body, out):
     for i in range(euler.shape[0]):
         p, q, r = rates_body[i]
         sf, cf = sin(euler[i, 0]), cos(euler[i, 0])
         out[i, 2] = (q * sf + r * cf) / cos(euler[i, 1])
         out[i, 1] = q * cf - r * sf
         out[i, 0] = p + out[i, 2] * sin(euler[i, 1])
+
+
+_enter_motion, _enter_lost, _enter_euler_rates = Entry(_motion), Entry(_lost), Entry(_euler_rates)
