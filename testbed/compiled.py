@@ -73,25 +73,24 @@ class Entry:
     numba asks every argument for its type at every call, and a table of records for each of its
     fields: that can take longer than the law itself. Here only the first call is asked. Arrays have
     to be C-contiguous and of the one type each time: who has others calls the function itself.
+
+    Attributes:
+        call: the way in.
     """
 
-    __slots__ = ("function", "types", "_enter")
+    __slots__ = ("call", "function", "types")
 
     def __init__(self, function: Callable[..., Any]) -> None:
         """Into this `twin`, at its first call."""
         self.function = function
         self.types: tuple[Any, ...] | None = None  # of the first call's arguments
-        self._enter: Callable[..., Any] = self._first
+        self.call: Callable[..., Any] = self._first
 
-    def __call__(self, *args: Any) -> Any:  # noqa: ANN401 - whatever the function takes and gives
-        """What the function makes of it."""
-        return self._enter(*args)
-
-    def _first(self, *args: Any) -> Any:  # noqa: ANN401
+    def _first(self, *args: Any) -> Any:  # noqa: ANN401 - whatever the function takes and gives
         given = self.function(*args)
         dispatcher: Any = self.function
         self.types = tuple(map(dispatcher.typeof_pyval, args))
-        self._enter = dispatcher.overloads[self.types].entry_point
+        self.call = dispatcher.overloads[self.types].entry_point
         return given
 
 

@@ -44,7 +44,7 @@ def true_slots(position, velocity, offsets, altitudes):
 
 
 def write_true_slots(position, velocity, offsets, altitudes, slot, error, motion):
-    _enter_true_slots(position, velocity, offsets, altitudes, slot, error, motion)
+    _enter_true_slots.call(position, velocity, offsets, altitudes, slot, error, motion)
 
 
 @twin

@@ -18,7 +18,7 @@ from testbed.state import Inbox
 
 
 def together(law, loop, unheeded, patience, rows, now, own, inbox, measured_s, memory, said):
-    _enter(
+    _enter.call(
         rows,
         law.table,
         law.known_offsets,

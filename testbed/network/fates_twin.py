@@ -32,7 +32,7 @@ def fates(channel, traffic, rows, sequence, sent_s, script, replayed, faded):
 
 def befall(channel, traffic, rows, sequence, sent_s, script, replayed, faded, arrivals, fate):
     told = (rows, sequence, sent_s, script, replayed, faded)
-    _enter(*channel_of(channel, traffic), *told, arrivals, fate)
+    _enter.call(*channel_of(channel, traffic), *told, arrivals, fate)
 
 
 def channel_of(channel, traffic):

@@ -21,7 +21,7 @@ from testbed.network.slots import SIMULTANEOUS_S
 
 
 def post_round(post, ledger, count, rows, numbers, sent_s, stamps_s, message, arrivals, fate):
-    return _enter_round(
+    return _enter_round.call(
         post.link.base,
         ledger.sent.base,
         count,
@@ -36,11 +36,11 @@ def post_round(post, ledger, count, rows, numbers, sent_s, stamps_s, message, ar
 
 
 def take_due(post, ledger, count, read, inbox, now):
-    return _enter_due(post.link.base, ledger.sent.base, count, *read, now, *inbox)
+    return _enter_due.call(post.link.base, ledger.sent.base, count, *read, now, *inbox)
 
 
 def use(ledger, rows, age_s):
-    _enter_use(ledger.sent.base, rows, age_s)
+    _enter_use.call(ledger.sent.base, rows, age_s)
 
 
 @twin

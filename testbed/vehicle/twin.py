@@ -38,7 +38,7 @@ def fbwa(estimate, command, memory, gains):
 
 
 def fly(estimate, command, memory, gains, surfaces):
-    _enter_fly(*_parts(estimate, command, memory, gains), surfaces)
+    _enter_fly.call(*_parts(estimate, command, memory, gains), surfaces)
 
 
 def _parts(estimate, command, memory, gains):
@@ -171,15 +171,15 @@ def _rotated(sf, cf, st, ct, sp, cp, x, y, z):
 
 
 def motion(raw, zero, scale, flat):
-    _enter_motion(raw, zero, scale, flat)
+    _enter_motion.call(raw, zero, scale, flat)
 
 
 def lost(position_ned, broken, lowest, out):
-    _enter_lost(position_ned, broken, lowest, out)
+    _enter_lost.call(position_ned, broken, lowest, out)
 
 
 def write_euler_rates(euler, rates_body, out):
-    _enter_euler_rates(euler, rates_body, out)
+    _enter_euler_rates.call(euler, rates_body, out)
 
 
 @twin
