@@ -49,6 +49,44 @@ def twin_of(function: F, module: str) -> F:
     return call  # type: ignore[return-value]
 
 
+def ready_of(function: Callable[..., Any], module: str) -> Callable[..., Callable[..., Any]]:
+    """What binds the first arguments of a function, or of its compiled twin, for many calls.
+
+    numba asks every argument for its type at every call, a table of records for each of its fields:
+    that can take longer than the law itself. What is bound is asked once. Its arrays may change in
+    place. The module of twins has a function `ready_<name>`, which calls `bound`; or the function
+    itself takes nothing but arrays and numbers, all of them bound.
+    """
+    chosen: list[Callable[..., Any]] = []
+
+    def bind(*fixed: Any) -> Callable[..., Any]:  # noqa: ANN401 - whatever the function takes
+        if not chosen:
+            if engine() == "numba":
+                twins, name = importlib.import_module(module), function.__name__
+                ready = getattr(twins, f"ready_{name}", None)
+                chosen.append(ready or functools.partial(bound, getattr(twins, name)))
+            else:
+                chosen.append(functools.partial(functools.partial, function))
+        call: Callable[..., Any] = chosen[0](*fixed)
+        return call
+
+    return bind
+
+
+def bound(function: Callable[..., Any], *fixed: Any, more: tuple[Any, ...] = ()) -> Any:  # noqa: ANN401
+    """A compiled function with its first arguments bound.
+
+    Args:
+        function: a `twin`.
+        fixed: its first arguments.
+        more: of each argument behind them one such as will come.
+    """
+    dispatcher: Any = function
+    types = tuple(map(dispatcher.typeof_pyval, (*fixed, *more)))
+    dispatcher.compile(types)
+    return functools.partial(dispatcher.overloads[types].entry_point, *fixed)
+
+
 def twin(function: F) -> F:
     """Compile a function of a module of twins at its first call, and keep the machine code.
 
@@ -65,33 +103,6 @@ def twin(function: F) -> F:
         return numba.njit(cache=True, error_model="numpy")(function)  # type: ignore[return-value]
     finally:
         config.CACHE_DIR = wanted
-
-
-class Entry:
-    """A way into a compiled function for callers who always hand over the same types.
-
-    numba asks every argument for its type at every call, and a table of records for each of its
-    fields: that can take longer than the law itself. Here only the first call is asked. Arrays have
-    to be C-contiguous and of the one type each time: who has others calls the function itself.
-
-    Attributes:
-        call: the way in.
-    """
-
-    __slots__ = ("call", "function", "types")
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        """Into this `twin`, at its first call."""
-        self.function = function
-        self.types: tuple[Any, ...] | None = None  # of the first call's arguments
-        self.call: Callable[..., Any] = self._first
-
-    def _first(self, *args: Any) -> Any:  # noqa: ANN401 - whatever the function takes and gives
-        given = self.function(*args)
-        dispatcher: Any = self.function
-        self.types = tuple(map(dispatcher.typeof_pyval, args))
-        self.call = dispatcher.overloads[self.types].entry_point
-        return given
 
 
 @functools.cache

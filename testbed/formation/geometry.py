@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from testbed.compiled import twin_of
+from testbed.compiled import ready_of
 from testbed.formation.arrays import cross, rotate
 from testbed.frames import COURSE_FLOOR, velocity_frame
 from testbed.state import Array
@@ -110,4 +110,4 @@ def write_true_slots(
     slot[:], error[:], motion[:] = true_slots(position, velocity, offsets, altitudes)
 
 
-TRUE_SLOTS = twin_of(write_true_slots, "testbed.formation.geometry_twin")
+READY_TRUE_SLOTS = ready_of(write_true_slots, "testbed.formation.geometry_twin")

@@ -4,7 +4,7 @@ A test holds it to the numpy functions. numba compiles each function at its firs
 """
 
 # The numpy functions carry the docstrings and the types.
-# ruff: noqa: ANN001, ANN201, ANN202, D103
+# ruff: noqa: ANN001, ANN201, D103
 # mypy: ignore-errors
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from math import atan2, hypot, isnan
 
 import numpy as np
 
-from testbed.compiled import Entry, twin
+from testbed.compiled import twin
 from testbed.frames import COURSE_FLOOR
 
 
@@ -43,12 +43,8 @@ def true_slots(position, velocity, offsets, altitudes):
     return written
 
 
-def write_true_slots(position, velocity, offsets, altitudes, slot, error, motion):
-    _enter_true_slots.call(position, velocity, offsets, altitudes, slot, error, motion)
-
-
 @twin
-def _true_slots(position, velocity, offsets, altitudes, slot, error, motion):
+def write_true_slots(position, velocity, offsets, altitudes, slot, error, motion):
     leader = velocity[0]
     for i in range(len(slot)):
         holding = not isnan(altitudes[i])
@@ -65,6 +61,3 @@ def _true_slots(position, velocity, offsets, altitudes, slot, error, motion):
         motion[0, i] = hypot(horizontal, down)
         motion[1, i] = atan2(east, north)
         motion[2, i] = atan2(-down, horizontal)
-
-
-_enter_true_slots = Entry(_true_slots)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.compiled import twin_of
+from testbed.compiled import ready_of
 from testbed.formation.law import Diagnosis
 from testbed.formation.leader import Memory
 from testbed.formation.measurement import ages
@@ -74,12 +74,12 @@ def together(
     unheeded: Truths,
     patience: Array,
     rows: Rows,
-    now: float,
     own: VehicleState,
     inbox: Inbox,
     measured_s: Array,
     memory: Remembered,
     said: Said,
+    now: float,
 ) -> None:
     """Step m of n followers.
 
@@ -89,12 +89,12 @@ def together(
         unheeded: (m, N) whose messages they do not use.
         patience: (N,) s since the arrival of news, after which it is not used.
         rows: (m,) which of the n they are.
-        now: s.
         own: (n) estimates.
         inbox: (n, N) what they heard.
         measured_s: (n, N) s, when that was true.
         memory: of the m; changed in place.
         said: of the n; the rows of the m are written.
+        now: s.
     """
     mine, heard = _of(own, rows), _of(inbox, rows)
     remembered: Any = (*memory.leader, memory.place, memory.place_time_s)
@@ -120,4 +120,4 @@ def _of(record: Any, rows: Rows) -> Any:  # noqa: ANN401 - any record of arrays
     return type(record)(*(each[rows] for each in record))
 
 
-STEP = twin_of(together, "testbed.formation.together_twin")
+READY = ready_of(together, "testbed.formation.together_twin")

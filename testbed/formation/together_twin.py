@@ -10,15 +10,16 @@ one by one: of a record of arrays numba asks the type anew at every call.
 
 from __future__ import annotations
 
-from testbed.compiled import Entry, twin
+from testbed.compiled import bound, twin
 from testbed.formation.laws_twin import ages_into
 from testbed.formation.middle_loop_twin import middle_into
 from testbed.formation.paper_twin import step_into
 from testbed.state import Inbox
 
 
-def together(law, loop, unheeded, patience, rows, now, own, inbox, measured_s, memory, said):
-    _enter.call(
+def ready_together(law, loop, unheeded, patience, rows, own, inbox, measured_s, memory, said):
+    return bound(
+        _together,
         rows,
         law.table,
         law.known_offsets,
@@ -30,7 +31,6 @@ def together(law, loop, unheeded, patience, rows, now, own, inbox, measured_s, m
         loop.dt,
         unheeded,
         patience,
-        now,
         own.position_ned,
         own.velocity_ned,
         own.acceleration_ned,
@@ -43,6 +43,7 @@ def together(law, loop, unheeded, patience, rows, now, own, inbox, measured_s, m
         *said.unicycle,
         *said.diagnosis[1:],
         said.age_s,
+        more=(0.0,),
     )
 
 
@@ -59,7 +60,6 @@ def _together(
     dt,
     unheeded,
     patience,
-    now,
     position,
     velocity,
     acceleration,
@@ -92,6 +92,7 @@ def _together(
     guarded,
     saturations,
     age_s,
+    now,
 ):
     inbox = Inbox(stamp_s, received_s, positions, velocities, accelerations, eulers, euler_rates)
     step_into(
@@ -141,6 +142,3 @@ def _together(
         saturations,
     )
     ages_into(rows, now, measured_s, received_s, unheeded, patience, True, age_s)
-
-
-_enter = Entry(_together)

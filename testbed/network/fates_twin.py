@@ -13,7 +13,7 @@ from math import ceil, inf, isinf, isnan
 
 import numpy as np
 
-from testbed.compiled import Entry, twin
+from testbed.compiled import twin
 from testbed.network.dice_twin import exact_delay, happens, loses, netem_delay, philox, unit
 from testbed.network.fates import MUTE
 from testbed.network.links import CORRUPT, DUPLICATE, OUTCOME, PATH, REORDER, SLOT, Fate
@@ -32,7 +32,7 @@ def fates(channel, traffic, rows, sequence, sent_s, script, replayed, faded):
 
 def befall(channel, traffic, rows, sequence, sent_s, script, replayed, faded, arrivals, fate):
     told = (rows, sequence, sent_s, script, replayed, faded)
-    _enter.call(*channel_of(channel, traffic), *told, arrivals, fate)
+    _fates(*channel_of(channel, traffic), *told, arrivals, fate)
 
 
 def channel_of(channel, traffic):
@@ -245,6 +245,3 @@ def _fates(
                 arrivals[i, s] = inf
                 if fate[i, s] != CORRUPTED:
                     spoiled_s[:] = inf
-
-
-_enter = Entry(_fates)

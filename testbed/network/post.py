@@ -7,10 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.compiled import twin_of
+from testbed.compiled import ready_of, twin_of
+from testbed.network.channel import Channel
+from testbed.network.fates import fates
 from testbed.network.ledger import LONGEST_BURST, Ledger, bin_of
 from testbed.network.links import Fate, Fates
 from testbed.network.slots import SIMULTANEOUS_S
+from testbed.network.traffic import Traffic
 from testbed.state import Array, Broadcast, Inbox
 
 Numbers = NDArray[np.int64]
@@ -131,9 +134,9 @@ def take_due(post: Post, ledger: Ledger, count: int, read: Read, inbox: Inbox, n
     Args:
         post: changed in place.
         ledger: changed in place.
-        count: messages that are on their way.
         read: changed in place.
         inbox: changed in place.
+        count: messages that are on their way.
         now: s.
 
     Returns:
@@ -176,6 +179,57 @@ def use(ledger: Ledger, rows: Numbers, age_s: Array) -> None:
         ledger.ages[(*link, bin_of(age))] += 1
 
 
+def send_round(
+    channel: Channel,
+    traffic: Traffic,
+    post: Post,
+    ledger: Ledger,
+    rows: Numbers,
+    numbers: Numbers,
+    sent_s: Array,
+    script: Fates,
+    replayed: Array,
+    faded: Array,
+    shown: bool,
+    stamps_s: Array,
+    message: Broadcast,
+    arrivals: Array,
+    fate: Fates,
+    count: int,
+) -> int:
+    """One message of each of S aircraft: what becomes of it, and off it goes.
+
+    Args:
+        channel: see `fates.fates`.
+        traffic: changed in place.
+        post: changed in place; there must be room.
+        ledger: changed in place.
+        rows: (S,) who sends.
+        numbers: (N,) of the last message of each; changed in place.
+        sent_s: (N,) when they send, s.
+        script: (n, S) see `fates.fates`.
+        replayed: (n, S)
+        faded: (n, S)
+        shown: whether the stamps are given; or they are those of the message, and written.
+        stamps_s: (n, S) see `post_round`.
+        message: of all N aircraft.
+        arrivals: (n, S, 2) s, written.
+        fate: (n, S) of links.Fate, written.
+        count: messages that are on their way.
+
+    Returns:
+        How many messages are on their way now.
+    """
+    numbers[rows] += 1
+    sequence, sent = numbers[rows], sent_s[rows]
+    if not shown:
+        stamps_s[:] = message.stamp_s[rows]
+    told = script, replayed, faded
+    arrivals[:], fate[:] = fates(channel, traffic, rows, sequence, sent, *told)
+    return post_round(post, ledger, count, rows, sequence, sent, stamps_s, message, arrivals, fate)
+
+
 POST_ROUND = twin_of(post_round, "testbed.network.post_twin")
-TAKE_DUE = twin_of(take_due, "testbed.network.post_twin")
-USE = twin_of(use, "testbed.network.post_twin")
+READY_SEND_ROUND = ready_of(send_round, "testbed.network.post_twin")
+READY_TAKE_DUE = ready_of(take_due, "testbed.network.post_twin")
+READY_USE = ready_of(use, "testbed.network.post_twin")

@@ -14,14 +14,16 @@ from math import ceil, inf, isnan, log2
 
 import numpy as np
 
-from testbed.compiled import Entry, twin
+from testbed.compiled import bound, twin
+from testbed.network.fates_twin import _fates as fates_of
+from testbed.network.fates_twin import channel_of
 from testbed.network.ledger import BINS, LONGEST_BURST, PER_OCTAVE, SHORTEST_S
 from testbed.network.post import DELIVERED, MUTE
 from testbed.network.slots import SIMULTANEOUS_S
 
 
 def post_round(post, ledger, count, rows, numbers, sent_s, stamps_s, message, arrivals, fate):
-    return _enter_round.call(
+    return _post_round(
         post.link.base,
         ledger.sent.base,
         count,
@@ -35,12 +37,58 @@ def post_round(post, ledger, count, rows, numbers, sent_s, stamps_s, message, ar
     )
 
 
-def take_due(post, ledger, count, read, inbox, now):
-    return _enter_due.call(post.link.base, ledger.sent.base, count, *read, now, *inbox)
+def take_due(post, ledger, read, inbox, count, now):
+    return _take_due(post.link.base, ledger.sent.base, *read, *inbox, count, now)
+
+
+def ready_take_due(post, ledger, read, inbox):
+    given = post.link.base, ledger.sent.base, *read, *inbox
+    return bound(_take_due, *given, more=(0, 0.0))
 
 
 def use(ledger, rows, age_s):
-    _enter_use.call(ledger.sent.base, rows, age_s)
+    _use(ledger.sent.base, rows, age_s)
+
+
+def ready_use(ledger, rows, age_s):
+    return bound(_use, ledger.sent.base, rows, age_s)
+
+
+def ready_send_round(
+    channel,
+    traffic,
+    post,
+    ledger,
+    rows,
+    numbers,
+    sent_s,
+    script,
+    replayed,
+    faded,
+    shown,
+    stamps_s,
+    message,
+    arrivals,
+    fate,
+):
+    return bound(
+        _send_round,
+        *channel_of(channel, traffic),
+        post.link.base,
+        ledger.sent.base,
+        rows,
+        numbers,
+        sent_s,
+        script,
+        replayed,
+        faded,
+        shown,
+        stamps_s,
+        *message,
+        arrivals,
+        fate,
+        more=(0,),
+    )
 
 
 @twin
@@ -117,10 +165,8 @@ def _count(link, fate, delay, both):
 def _take_due(
     post,
     ledger,
-    count,
     read,
     measured_s,
-    now,
     stamp_s,
     received_s,
     position,
@@ -128,6 +174,8 @@ def _take_due(
     acceleration,
     euler,
     euler_rates,
+    count,
+    now,
 ):
     arrived = np.empty(count, np.int64)
     times = np.empty(count)
@@ -180,4 +228,45 @@ def _use(ledger, rows, age_s):
                 link.ages[_bin_of(age)] += 1
 
 
-_enter_round, _enter_due, _enter_use = Entry(_post_round), Entry(_take_due), Entry(_use)
+@twin
+def _send_round(
+    links,
+    keys,
+    quantiles,
+    tables,
+    states,
+    rings,
+    spoiled,
+    post,
+    ledger,
+    rows,
+    numbers,
+    sent_s,
+    script,
+    replayed,
+    faded,
+    shown,
+    stamps_s,
+    measured_s,
+    position,
+    velocity,
+    acceleration,
+    euler,
+    euler_rates,
+    arrivals,
+    fate,
+    count,
+):
+    senders = len(rows)
+    sequence, sent = np.empty(senders, np.int64), np.empty(senders)
+    for s in range(senders):
+        m = rows[s]
+        numbers[m] += 1
+        sequence[s], sent[s] = numbers[m], sent_s[m]
+        if not shown:
+            stamps_s[:, s] = measured_s[m]
+    told = (script, replayed, faded)
+    way = (links, keys, quantiles, tables, states, rings, spoiled)
+    fates_of(*way, rows, sequence, sent, *told, arrivals, fate)
+    said = (measured_s, position, velocity, acceleration, euler, euler_rates)
+    return _post_round(post, ledger, count, rows, sequence, sent, stamps_s, *said, arrivals, fate)

@@ -17,8 +17,9 @@ from testbed.network.links import Fate, Fates
 from testbed.network.post import (
     NOTHING,
     POST_ROUND,
-    TAKE_DUE,
-    USE,
+    READY_SEND_ROUND,
+    READY_TAKE_DUE,
+    READY_USE,
     VECTORS,
     Numbers,
     Read,
@@ -44,6 +45,22 @@ class Conditions:
     clocks: Clocks | None = None
 
 
+class _Round:
+    """What the rounds of S senders are written into; and what befalls them if nothing does."""
+
+    __slots__ = "ahead_s arrivals faded fate message rows script send stamp_s traced".split()
+
+    def __init__(self, rows: Numbers, shape: tuple[int, int]) -> None:
+        self.rows = rows  # (S,)
+        self.script: Fates = np.zeros(shape, np.uint8)
+        self.traced, self.faded = np.full(shape, np.nan), np.zeros(shape)
+        self.stamp_s = np.empty(shape)
+        self.ahead_s: Array | None = None  # (n, S) of the receivers' clocks
+        self.arrivals, self.fate = np.empty((*shape, 2)), np.empty(shape, np.uint8)
+        self.message: Broadcast | None = None  # that the sending is bound to
+        self.send: Callable[[int], int] | None = None
+
+
 class Radio:
     """Messages between N aircraft and their n followers."""
 
@@ -66,8 +83,14 @@ class Radio:
         vectors = np.full((VECTORS, *links, 3), np.nan)
         self._inbox = Inbox(*np.full((2, *links), np.nan), *vectors)
         self._counts = LinkCounts(*np.zeros((2, *links), np.uint32))
-        self._rounds: dict[int, tuple[Any, ...]] = {}
+        self._take_due = READY_TAKE_DUE(self._post, self._ledger, self._read, self._inbox)
+        self._sent_s = np.zeros(aircraft)
+        given = self._conditions
+        befalls = given.script, given.trace, given.fading, given.clocks, self._coder
+        self._plain = not any(befalls)  # nothing but the links' dice befalls a message
+        self._rounds: dict[tuple[int, bool], _Round] = {}
         self._together: dict[bytes, Numbers] = {}
+        self._used: dict[int, tuple[Any, Any]] = {}
 
     @property
     def measured_s(self) -> Array:
@@ -96,61 +119,84 @@ class Radio:
             round of as many changes them.
         """
         rows = self._everyone if who is None else self._rows(who)
-        sent, number, measured = sent_s, self._number, message.stamp_s
-        if len(rows) == len(number):
-            number += 1
+        amid = hushed is not None or not self._plain
+        spot = self._round(rows, amid)
+        if self._count + spot.arrivals.size > len(self._post.arrival_s):
+            self._make_room()
+        self._sent_s[:] = sent_s
+        if amid:
+            message = self._befall(sent_s, message, truth, hushed, spot)
+        if self._coder is None:
+            self._count = self._ready(spot, message, shown=amid)(self._count)
         else:
-            number[rows] += 1
-            sent, number, measured = sent[rows], number[rows], measured[rows]
-        script, traced, faded, told, arrivals, fate = self._round_of(len(rows))
-        given, coder, clocks = self._conditions, self._coder, self._conditions.clocks
-        if given.script:
-            script = given.script(sent_s, rows, number)
+            self._send_coded(self._coder, message, spot)
+        return spot.arrivals, spot.fate
+
+    def _befall(
+        self,
+        sent_s: Array,
+        message: Broadcast,
+        truth: VehicleState,
+        hushed: Truths | None,
+        spot: _Round,
+    ) -> Broadcast:
+        """Write what more befalls a round than the links' own dice; what its senders say."""
+        given, rows, clocks = self._conditions, spot.rows, self._conditions.clocks
+        number, measured = self._number[rows] + 1, message.stamp_s[rows]
+        spot.script[:] = given.script(sent_s, rows, number) if given.script else 0
         if given.trace:
-            traced = given.trace(sent_s, rows)
+            spot.traced[:] = given.trace(sent_s, rows)
         if given.fading:
-            faded = given.fading(truth, rows)
+            spot.faded[:] = given.fading(truth, rows)
         if hushed is not None:
-            script = np.where(hushed[rows], np.uint8(Fate.MUTE), script)
+            spot.script[:, hushed[rows]] = Fate.MUTE
         stamp = shows(clocks, measured, rows) if clocks else measured
-        if coder:
-            message, stamp = coder.says(message, stamp, rows, number)
-        BEFALL(
-            self._channel,
-            self._traffic,
-            rows,
-            number,
-            sent,
-            script,
-            traced,
-            faded,
-            arrivals,
-            fate,
-        )
-        believed = None
-        if coder:
-            spoiled_s = self._traffic.spoiled_s[:, rows]
-            believed = coder.damage(spoiled_s, arrivals, fate, rows, number)
-        if self._count + arrivals.size > len(self._post.arrival_s):
-            self._post = more_room(self._post, self._count)
-        wrong = ahead(clocks, measured) if clocks else None
-        told[:] = stamp if wrong is None else stamp - wrong
+        if self._coder:
+            message, stamp = self._coder.says(message, stamp, rows, number)
+        spot.ahead_s = ahead(clocks, measured) if clocks else None
+        spot.stamp_s[:] = stamp if spot.ahead_s is None else stamp - spot.ahead_s
+        return message
+
+    def _ready(self, spot: _Round, message: Broadcast, *, shown: bool) -> Callable[[int], int]:
+        """The sending of rounds of these senders, bound to the records it works on."""
+        if spot.send is None or spot.message is not message:
+            befallen = spot.script, spot.traced, spot.faded, shown, spot.stamp_s
+            spot.message = message
+            spot.send = READY_SEND_ROUND(
+                self._channel,
+                self._traffic,
+                self._post,
+                self._ledger,
+                spot.rows,
+                self._number,
+                self._sent_s,
+                *befallen,
+                message,
+                spot.arrivals,
+                spot.fate,
+            )
+        return spot.send
+
+    def _send_coded(self, coder: Coder, message: Broadcast, spot: _Round) -> None:
+        """Send a round as frames, of which some are damaged and believed."""
+        rows, became = spot.rows, (spot.arrivals, spot.fate)
+        self._number[rows] += 1
+        number, sent = self._number[rows], self._sent_s[rows]
+        befallen = spot.script, spot.traced, spot.faded
+        BEFALL(self._channel, self._traffic, rows, number, sent, *befallen, *became)
+        believed = coder.damage(self._traffic.spoiled_s[:, rows], *became, rows, number)
         first = self._count
         self._count = POST_ROUND(
-            self._post,
-            self._ledger,
-            self._count,
-            rows,
-            number,
-            sent,
-            told,
-            message,
-            arrivals,
-            fate,
+            self._post, self._ledger, first, rows, number, sent, spot.stamp_s, message, *became
         )
         if believed is not None:
-            self._falsify(first, believed, arrivals, wrong)
-        return arrivals, fate
+            self._falsify(first, believed, spot)
+
+    def _make_room(self) -> None:
+        self._post = more_room(self._post, self._count)
+        self._take_due = READY_TAKE_DUE(self._post, self._ledger, self._read, self._inbox)
+        for spot in self._rounds.values():
+            spot.send = None
 
     def deliver(self, now: float) -> Inbox:
         """What the followers have received by `now`, s; a newer message replaces an older.
@@ -158,14 +204,16 @@ class Radio:
         The inbox is the radio's own: the next delivery changes it.
         """
         if self._count:
-            self._count = TAKE_DUE(
-                self._post, self._ledger, self._count, self._read, self._inbox, now
-            )
+            self._count = self._take_due(self._count, now)
         return self._inbox
 
     def use(self, rows: Numbers, age_s: Array) -> None:
         """The followers `rows` (m,) of all used information of these ages (n, N) s; nan: none."""
-        USE(self._ledger, rows, age_s)
+        given, count = self._used.get(id(rows), ((), None))
+        if count is None or given[0] is not rows or given[1] is not age_s:
+            count = READY_USE(self._ledger, rows, age_s)
+            self._used[id(rows)] = (rows, age_s), count
+        count()
 
     def counts(self) -> LinkCounts:
         """Messages sent and delivered up to now; the next call changes them."""
@@ -181,22 +229,14 @@ class Radio:
             summary["damaged"] = {key: getattr(self._coder, key) for key in keys}
         return summary
 
-    def _falsify(
-        self, first: int, believed: Believed, arrivals: Array, wrong: Array | None
-    ) -> None:
-        """Put what damaged copies say into the messages on their way; the round's begin at first.
-
-        Args:
-            first: place of the round's first copy.
-            believed: the copies.
-            arrivals: (n, S, 2) s
-            wrong: (n, S) s, by how much the receivers' clocks are ahead; None: by nothing.
-        """
+    def _falsify(self, first: int, believed: Believed, spot: _Round) -> None:
+        """Put what damaged copies say into the messages on their way; the round begins at first."""
         i, s, copy = believed.at.T
-        way = np.flatnonzero(np.isfinite(arrivals))  # in the order of the post
-        at = first + np.searchsorted(way, np.ravel_multi_index((i, s, copy), arrivals.shape))
+        way = np.flatnonzero(np.isfinite(spot.arrivals))  # in the order of the post
+        at = first + np.searchsorted(way, np.ravel_multi_index((i, s, copy), spot.arrivals.shape))
         self._post.content[at] = believed.content
-        self._post.stamp_s[at] = believed.stamp_s - (0.0 if wrong is None else wrong[i, s])
+        late = 0.0 if spot.ahead_s is None else spot.ahead_s[i, s]
+        self._post.stamp_s[at] = believed.stamp_s - late
 
     def _rows(self, who: Truths) -> Numbers:
         """Rows of those who send together; most rounds are like others."""
@@ -205,20 +245,9 @@ class Radio:
             self._together[key] = np.flatnonzero(who)
         return self._together[key]
 
-    def _round_of(self, senders: int) -> tuple[Any, ...]:
-        """Room for a round of S senders, made once for each S.
-
-        What befalls messages if nothing does: fates (n, S) of a script, delays (n, S) of a trace
-        and probabilities (n, S); and room for their stamps (n, S), arrivals (n, S, 2) and fates.
-        """
-        if senders not in self._rounds:
-            shape = len(self._channel.links), senders
-            self._rounds[senders] = (
-                np.zeros(shape, np.uint8),
-                np.full(shape, np.nan),
-                np.zeros(shape),
-                np.empty(shape),
-                np.empty((*shape, 2)),
-                np.empty(shape, np.uint8),
-            )
-        return self._rounds[senders]
+    def _round(self, rows: Numbers, amid: bool) -> _Round:
+        """What rounds of these senders are written into."""
+        key = id(rows), amid
+        if key not in self._rounds:
+            self._rounds[key] = _Round(rows, (len(self._channel.links), len(rows)))
+        return self._rounds[key]

@@ -19,8 +19,9 @@ from testbed.formation.law import Diagnosis, Law, Team
 from testbed.formation.measurement import AGES
 from testbed.formation.middle_loop import MiddleLoop
 from testbed.formation.paper_law import PaperLaw
-from testbed.formation.together import STEP, begun, put, silent
+from testbed.formation.together import READY, begun, put, silent
 from testbed.frames import course, flight_path_angle
+from testbed.sim.steady import Steady
 from testbed.sim.vehicles import choose
 from testbed.state import (
     Array,
@@ -99,6 +100,10 @@ class Control:
         self.alone: Truths = np.zeros(aircraft - 1, dtype=bool)  # (n,) who has left the formation
         self.places: Counts = np.arange(1, aircraft, dtype=np.uint32)  # (n,) whose place each has
         self._memory: list[Any] = [None] * len(groups)
+        # of each group what its step is bound to, and that step
+        self._given: list[tuple[Any, ...]] = [(None,) * 4] * len(groups)
+        self._ready: list[Any] = [None] * len(groups)
+        self._heard = Steady()
         sticks = np.zeros((3, aircraft))
         self.told = FbwaCommand(*sticks)  # (N,) the leader's is for others to write
         self._said = silent(sticks[:, 1:], aircraft)
@@ -141,12 +146,18 @@ class Control:
         group, said = self.groups[number], self._said
         rows, law = group.rows, group.law
         if self._roster is not None:
-            inbox = self._roster.heard(inbox)
+            inbox = self._heard(self._roster.heard(inbox))
         if group.trusted and isinstance(law, PaperLaw):
-            if self._memory[number] is None:
-                self._memory[number] = begun(law, group.middle, choose(own, rows))
-            memory, heed = self._memory[number], (group.unheeded, group.patience)
-            STEP(law, group.middle, *heed, rows, now, own, inbox, measured_s, memory, said)
+            given = group, own, inbox, measured_s
+            if any(one is not other for one, other in zip(given, self._given[number], strict=True)):
+                if self._memory[number] is None:
+                    self._memory[number] = begun(law, group.middle, choose(own, rows))
+                memory, heed = self._memory[number], (group.unheeded, group.patience)
+                self._ready[number] = READY(
+                    law, group.middle, *heed, rows, *given[1:], memory, said
+                )
+                self._given[number] = given
+            self._ready[number](now)
         else:
             self._own_law(number, group, now, choose(own, rows), choose(inbox, rows))
             received_s, measured_s = inbox.received_s[rows], measured_s[rows]

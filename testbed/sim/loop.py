@@ -10,6 +10,7 @@ from testbed.sim.casualties import Casualties
 from testbed.sim.clock import Due
 from testbed.sim.control import Control
 from testbed.sim.pilots import with_ideal_leader
+from testbed.sim.steady import Steady
 from testbed.sim.watch import Arrivals, Engagement, Silence, Slots, Speaker, Staleness
 from testbed.sim.world import World
 from testbed.state import Frame, Observer, followers
@@ -43,6 +44,8 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
     engagement = Engagement(world.names[1:], clock.base_rate_hz)
     casualties = Casualties(world.names, world.proximity, breakdowns, fly_on=world.fly_on)
     audience = Audience(observers)
+    # what is read and believed stays in the same arrays, to which compiled code is bound
+    moved, believed, handed = Steady(), Steady(), Steady()
     news = list(world.notes)
     told, turn = control.told, None
     failing, hushed, apart = None, None, control.alone
@@ -52,7 +55,7 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
         now = clock.time_s(tick)
         if ended(now, due):
             return "interrupted"
-        truth = vehicles.read()
+        truth = moved(vehicles.read())
         flown_in = vehicles.air() if due.log else None  # what the truth came about in
         if due.autopilot and air is not None:
             vehicles.blow(air.felt(now, truth))
@@ -61,6 +64,8 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
             failing = breakdowns.failing
             hushed = failing.mute | failing.frozen | casualties.gone
         estimate = world.estimators.estimate(truth, fresh=due.autopilot, failing=failing)
+        if estimate is not truth:
+            estimate = believed(estimate)
 
         if due.broadcast is not None:
             message = speaker.says(estimate, now)
@@ -91,7 +96,7 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
         if due.autopilot:
             if deck is not None:
                 news += deck.news()
-                told = deck.told(told)
+                told = handed(deck.told(told))
             vehicles.act(estimate, told)
             for partner in world.partners:
                 news += partner.news(now)

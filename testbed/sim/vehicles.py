@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -20,7 +20,7 @@ from testbed.state import (
     VehicleState,
 )
 from testbed.vehicle.breakage import Servos, broken, resting
-from testbed.vehicle.fbwa import FLY, settled, standing
+from testbed.vehicle.fbwa import READY_FLY, settled, standing
 from testbed.vehicle.ideal import IdealFleet
 from testbed.vehicle.jsbsim_door import JsbsimFleet
 from testbed.vehicle.params import FbwaParams, stack
@@ -74,6 +74,9 @@ class Flown:
         self._memory = standing(settled(fleet.trimmed, gains), gains)
         self._told = np.array(fleet.trimmed)
         self.surfaces = self._autopilots = Surfaces(*self._told)
+        self._fly: Callable[[], None] | None = None  # bound to the records of the last period
+        self._estimate: VehicleState | None = None
+        self._command: FbwaCommand | None = None
         self.read, self.air, self.lost = fleet.look, fleet.air, fleet.lost
         self.blow = fleet.blow
         self._memory_before = _copied(self._memory)
@@ -97,11 +100,14 @@ class Flown:
             rows, tunes = list(self._tunes), list(self._tunes.values())
             each = self._gains.each.copy()
             each[rows] = stack(tunes, self._gains.dt).each
-            self._gains, self._tunes = self._gains._replace(each=each), {}
-        FLY(estimate, told, self._memory, self._gains, self._told)
+            self._gains, self._tunes, self._fly = self._gains._replace(each=each), {}, None
+        if self._fly is None or estimate is not self._estimate or told is not self._command:
+            self._estimate, self._command = estimate, told
+            self._fly = READY_FLY(estimate, told, self._memory, self._gains, self._told)
+        self._fly()
         self.surfaces = self._autopilots
         if not self._memory.begun:
-            self._memory = self._memory._replace(begun=True)
+            self._memory, self._fly = self._memory._replace(begun=True), None
 
     def fail(self, failing: Failing) -> None:
         """Break what the autopilots said, and hold the memory of those that hang."""

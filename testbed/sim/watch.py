@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.compiled import twin_of
-from testbed.formation import geometry
+from testbed.compiled import ready_of
 from testbed.formation.flags import Guard
+from testbed.formation.geometry import READY_TRUE_SLOTS
 from testbed.formation.law import Diagnosis
 from testbed.formation.paper_law import PaperLaw
 from testbed.frames import write_euler_rates
@@ -27,7 +27,7 @@ from testbed.state import (
     VehicleState,
 )
 
-EULER_RATES = twin_of(write_euler_rates, "testbed.vehicle.twin")
+READY_EULER_RATES = ready_of(write_euler_rates, "testbed.vehicle.twin")
 
 
 class Speaker:
@@ -41,9 +41,9 @@ class Speaker:
     def says(self, estimate: VehicleState, now: float) -> Broadcast:
         """The estimate (N), measured and stamped at the time `now` (s), in the speaker's arrays."""
         self._stamp_s.fill(now)
-        EULER_RATES(estimate.euler, estimate.rates_body, self._euler_rates)
         if estimate is not self._of:
             self._of = estimate
+            self._turn = READY_EULER_RATES(estimate.euler, estimate.rates_body, self._euler_rates)
             self._message = Broadcast(
                 stamp_s=self._stamp_s,
                 position_ned=estimate.position_ned,
@@ -52,6 +52,7 @@ class Speaker:
                 euler=estimate.euler,
                 euler_rates=self._euler_rates,
             )
+        self._turn()
         return self._message
 
 
@@ -62,7 +63,7 @@ class Slots:
         """Nobody has looked."""
         self._true = _room(followers)
         self._believed = _room(followers)
-        self._given: tuple[Any, ...] = (None,) * 4
+        self._given: tuple[Any, ...] = (None,) * 7
 
     def state(
         self,
@@ -80,19 +81,23 @@ class Slots:
         others, whose altitude is nan, have it in the leader's velocity frame. The next state is
         written into the same arrays.
         """
-        geometry.TRUE_SLOTS(truth.position_ned, truth.velocity_ned, offsets, altitudes, *self._true)
-        exact = estimate is truth
-        if not exact:
-            geometry.TRUE_SLOTS(
-                estimate.position_ned, estimate.velocity_ned, offsets, altitudes, *self._believed
-            )
-        given = diagnosis, age_s, places, exact
+        given = truth, estimate, diagnosis, age_s, offsets, places, altitudes
         if any(one is not other for one, other in zip(given, self._given, strict=True)):
-            self._given, self._state = given, self._written(*given)
+            self._given = given
+            places_of = [(truth, self._true)]
+            if estimate is not truth:
+                places_of.append((estimate, self._believed))
+            self._find = [
+                READY_TRUE_SLOTS(each.position_ned, each.velocity_ned, offsets, altitudes, *room)
+                for each, room in places_of
+            ]
+            self._state = self._written(diagnosis, age_s, places, exact=estimate is truth)
+        for find in self._find:
+            find()
         return self._state
 
     def _written(
-        self, diagnosis: Diagnosis, age_s: Array, places: Counts, exact: bool
+        self, diagnosis: Diagnosis, age_s: Array, places: Counts, *, exact: bool
     ) -> FormationState:
         slot, error, (speed, course, climb) = self._true
         return FormationState(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from testbed.compiled import twin_of
+from testbed.compiled import ready_of, twin_of
 from testbed.state import Array, FbwaCommand, Surfaces, VehicleState
 from testbed.vehicle.tables import MEMORY, Columns, FbwaGains, FbwaMemory
 
@@ -179,4 +179,4 @@ def standing(memory: FbwaMemory, gains: FbwaGains) -> FbwaMemory:
 
 
 AUTOPILOT = twin_of(fbwa, "testbed.vehicle.twin")
-FLY = twin_of(fly, "testbed.vehicle.twin")
+READY_FLY = ready_of(fly, "testbed.vehicle.twin")

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import jsbsim
 import numpy as np
@@ -25,7 +25,7 @@ from testbed.vehicle.folder_cache import kept
 from testbed.vehicle.inertia import impossible_inertia
 from testbed.vehicle.jsbsim_model import AircraftError, JsbsimModel, Traits, find_traits
 from testbed.vehicle.linearize import Linear, linearize
-from testbed.vehicle.motion import LOST, MOTION, state_of
+from testbed.vehicle.motion import READY_LOST, READY_MOTION, state_of
 from testbed.vehicle.trim import (
     STILL,
     TrimPoint,
@@ -179,12 +179,13 @@ class JsbsimFleet:
         # of the ways to put numbers into an array the cheapest by far
         self._pack, self._pack_air = (struct.Struct(f"{k * n}d").pack_into for k in (17, 6))
         self._state = state_of(self._flat)
+        self._move = READY_MOTION(self._raw, self._zero, self._scale, self._flat)
         self._raw_air, self._flat_air = np.empty((2, 6 * n))
         self._per_air = np.repeat([1.0, 1.0, 60.0], n)  # revolutions per minute
         alpha, beta, rps = self._flat_air[: 3 * n].reshape(3, n)
         wind, turn, roll = self._flat_air[3 * n :].reshape(n, 3), np.zeros((n, 3)), np.zeros(n)
         self._in_air = AirData(alpha, beta, rps, wind, turn, roll, *self._batteries)
-        self._lost = np.zeros(n, dtype=bool)
+        self._lost, self._looked_at = np.zeros(n, dtype=bool), cast(VehicleState | None, None)
 
     @property
     def trimmed(self) -> Surfaces:
@@ -205,7 +206,7 @@ class JsbsimFleet:
     def look(self) -> VehicleState:
         """The truth now, in arrays that are the fleet's own: the next look changes them."""
         self._pack(self._raw.data, 0, *[get() for get in self._getters])
-        MOTION(self._raw, self._zero, self._scale, self._flat)
+        self._move()
         return self._state
 
     def air(self) -> AirData:
@@ -307,7 +308,10 @@ class JsbsimFleet:
 
     def lost(self, state: VehicleState) -> Truths:
         """Which aircraft (N,) are on the ground, broken or not finite; until the next call."""
-        LOST(state.position_ned, self._broken, LOWEST, self._lost)
+        if state is not self._looked_at:
+            self._looked_at = state
+            self._look_down = READY_LOST(state.position_ned, self._broken, LOWEST, self._lost)
+        self._look_down()
         return self._lost
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from testbed.compiled import twin_of
+from testbed.compiled import ready_of
 from testbed.frames import rotation_ned_body
 from testbed.state import Array, Truths, VehicleState
 
@@ -36,5 +36,5 @@ def lost(position_ned: Array, broken: Truths, lowest: float, out: Truths) -> Non
     np.logical_or(broken, ~(-position_ned[:, 2] >= lowest), out=out)
 
 
-MOTION = twin_of(motion, "testbed.vehicle.twin")
-LOST = twin_of(lost, "testbed.vehicle.twin")
+READY_MOTION = ready_of(motion, "testbed.vehicle.twin")
+READY_LOST = ready_of(lost, "testbed.vehicle.twin")

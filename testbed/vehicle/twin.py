@@ -14,7 +14,7 @@ from math import acos, cos, pi, radians, sin
 
 import numpy as np
 
-from testbed.compiled import Entry, twin
+from testbed.compiled import bound, twin
 from testbed.state import Surfaces
 from testbed.vehicle.tables import FbwaMemory
 
@@ -37,8 +37,8 @@ def fbwa(estimate, command, memory, gains):
     return Surfaces(*surfaces), after._replace(begun=True)
 
 
-def fly(estimate, command, memory, gains, surfaces):
-    _enter_fly.call(*_parts(estimate, command, memory, gains), surfaces)
+def ready_fly(estimate, command, memory, gains, surfaces):
+    return bound(_fly, *_parts(estimate, command, memory, gains), surfaces)
 
 
 def _parts(estimate, command, memory, gains):
@@ -159,9 +159,6 @@ def _fly(
         surfaces[3, i] = throttle
 
 
-_enter_fly = Entry(_fly)
-
-
 @twin
 def _rotated(sf, cf, st, ct, sp, cp, x, y, z):
     """A body vector in NED, by three plane rotations."""
@@ -170,20 +167,8 @@ def _rotated(sf, cf, st, ct, sp, cp, x, y, z):
     return cp * ahead - sp * across, sp * ahead + cp * across, ct * below - st * x
 
 
-def motion(raw, zero, scale, flat):
-    _enter_motion.call(raw, zero, scale, flat)
-
-
-def lost(position_ned, broken, lowest, out):
-    _enter_lost.call(position_ned, broken, lowest, out)
-
-
-def write_euler_rates(euler, rates_body, out):
-    _enter_euler_rates.call(euler, rates_body, out)
-
-
 @twin
-def _motion(raw, zero, scale, flat):
+def motion(raw, zero, scale, flat):
     n = raw.size // 17
     for k in range(17 * n):
         flat[k] = (raw[k] - zero[k]) * scale[k]
@@ -201,7 +186,7 @@ def _motion(raw, zero, scale, flat):
 
 
 @twin
-def _lost(position_ned, broken, lowest, out):
+def lost(position_ned, broken, lowest, out):
     for i in range(len(out)):
         out[i] = broken[i] or not -position_ned[i, 2] >= lowest
 
@@ -213,13 +198,10 @@ def euler_rates(euler, rates_body):
 
 
 @twin
-def _euler_rates(euler, rates_body, out):
+def write_euler_rates(euler, rates_body, out):
     for i in range(euler.shape[0]):
         p, q, r = rates_body[i]
         sf, cf = sin(euler[i, 0]), cos(euler[i, 0])
         out[i, 2] = (q * sf + r * cf) / cos(euler[i, 1])
         out[i, 1] = q * cf - r * sf
         out[i, 0] = p + out[i, 2] * sin(euler[i, 1])
-
-
-_enter_motion, _enter_lost, _enter_euler_rates = Entry(_motion), Entry(_lost), Entry(_euler_rates)

@@ -3,6 +3,7 @@
 What damage does to a frame is in tests/equations/test_follow_target.py.
 """
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -248,7 +249,8 @@ def test_the_same_frames_are_damaged_in_the_same_places_with_numpy_and_compiled(
     compiled, counts = exchange()
     monkeypatch.setattr(radio_module, "BEFALL", numpy_fates.befall)
     monkeypatch.setattr(radio_module, "POST_ROUND", numpy_post.post_round)
-    monkeypatch.setattr(radio_module, "TAKE_DUE", numpy_post.take_due)
+    plainly = partial(partial, numpy_post.take_due)
+    monkeypatch.setattr(radio_module, "READY_TAKE_DUE", plainly)
     plain, others = exchange()
     np.testing.assert_allclose(compiled, plain, rtol=1e-12)  # rounding of delays
     assert counts == others

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 import testbed
 from testbed.cli import app
 from testbed.errors import InputError
-from testbed.formation.geometry import TRUE_SLOTS
+from testbed.formation.geometry import READY_TRUE_SLOTS
 from testbed.scenario import load, loads
 from testbed.sim.loop import fly
 from testbed.sim.world import build
@@ -250,14 +250,14 @@ def test_places_are_taken_in_the_order_of_the_fleet():
         seats = [1, 1, 2] if 2.0 <= frame.time_s else [1, 2, 3]
         assert frame.formation.place.tolist() == seats
         slots, room = np.empty((3, 3)), (np.empty((3, 3)), np.empty((3, 3)))
-        TRUE_SLOTS(
+        READY_TRUE_SLOTS(
             frame.truth.position_ned,
             frame.truth.velocity_ned,
             np.vstack([places[:1], places[seats]]),
             np.full(3, np.nan),
             slots,
             *room,
-        )
+        )()
         assert np.array_equal(frame.formation.slot_ned, slots), frame.time_s
 
 

@@ -3,6 +3,7 @@
 import math
 import warnings
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -284,6 +285,7 @@ def test_the_compiled_twin_does_the_same(name: str, latency: float) -> None:
     gains = stack([tune, PLAIN, tune], DT, AutopilotTiming(command_latency=latency))
     rng = np.random.default_rng(7)
     ours = theirs = fresh(3)
+    engines = partial(partial, fly), twin.ready_fly
     flown = [(standing(ours, gains), np.empty((4, 3))) for _ in range(2)]
     for k in range(400):
         eas = rng.uniform(8.0, 35.0, 3)
@@ -296,8 +298,10 @@ def test_the_compiled_twin_does_the_same(name: str, latency: float) -> None:
         two, theirs = twin.fbwa(state, command, theirs, gains)
         for field in Surfaces._fields:
             assert getattr(two, field) == pytest.approx(getattr(one, field), abs=1e-11)
-        for engine, (memory, told) in zip((fly, twin.fly), flown, strict=True):
-            engine(state, command, memory, gains, told)
+        for ready, (memory, told) in zip(
+            (partial(partial, fly), twin.ready_fly), flown, strict=True
+        ):
+            ready(state, command, memory, gains, told)()
         if not k:
             flown = [(memory._replace(begun=True), told) for memory, told in flown]
         assert np.array_equal(flown[0][1], np.array(one))

@@ -1,5 +1,7 @@
 """The radio: what is heard when, on which link, what replaces what, and what is counted."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -272,8 +274,9 @@ def test_compiled_and_numpy_radios_count_and_deliver_the_same(monkeypatch):
 
     compiled, ours = flight()
     rng = np.random.default_rng(5)
-    for name in ("post_round", "take_due", "use"):
-        monkeypatch.setattr(radio_module, name.upper(), getattr(numpy_post, name))
+    for name in ("send_round", "take_due", "use"):
+        plainly = partial(partial, getattr(numpy_post, name))
+        monkeypatch.setattr(radio_module, f"READY_{name.upper()}", plainly)
     plain, theirs = flight()
     for (inbox, measured), (other, others) in zip(ours, theirs, strict=True):
         for one, two in zip((*inbox, measured), (*other, others), strict=True):

@@ -4,6 +4,7 @@ import ast
 import importlib
 import itertools
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -43,8 +44,8 @@ from testbed.formation import (  # noqa: E402
     laws_twin,
     middle_loop_twin,
     paper_twin,
+    together_twin,
 )
-from testbed.formation import together_twin as TOGETHER  # noqa: E402
 from testbed.vehicle import twin as vehicle_twin  # noqa: E402
 
 FUNCTIONS = [PAPERS_MU, example_1(2.5e5, 1.0, 0.8), EXAMPLE_2, EXAMPLE_3]
@@ -170,7 +171,10 @@ def test_a_whole_step_of_some_of_the_agents():
     rng = np.random.default_rng(47)
     law = make_law(AGENTS, rng, **{**mixed_options(AGENTS, rng), "hold": True})
     loop = make_middle(AGENTS, altitude=np.where(rng.random(AGENTS) < 0.4, 90.0, np.nan))
-    aircraft = law.gains.shape[1]
+    aircraft, engines = (
+        law.gains.shape[1],
+        (partial(partial, together), together_twin.ready_together),
+    )
     for hold in (False, True):
         rows = rng.permutation(AGENTS)[:3]
         mine, middle = replace(some_of(law, rows), hold=hold), choose(loop, rows)
@@ -183,9 +187,9 @@ def test_a_whole_step_of_some_of_the_agents():
         for k in range(100):
             now = 100.0 + 0.04 * k
             own, inbox, _ = states(AGENTS, rng, silence=0.05, old=0.05, now=now)
-            given = (mine, middle, unheeded, patience, rows, now, own, inbox, inbox.stamp_s)
-            for step, (memory, said) in zip((together, TOGETHER.together), both, strict=True):
-                step(*given, memory, said)
+            given = (mine, middle, unheeded, patience, rows, own, inbox, inbox.stamp_s)
+            for ready, (memory, said) in zip(engines, both, strict=True):
+                ready(*given, memory, said)(now)
             ours, theirs = ((*leaves(memory), *leaves(said)) for memory, said in both)
             compare(dict(ours), dict(theirs))
         (_, said), others = both[0], [i for i in range(AGENTS) if i not in rows]
@@ -233,14 +237,17 @@ def test_no_twin_goes_without_such_a_test():
     found = set()
     for path in Path(testbed.__file__).parent.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "twin_of":
+            kind = getattr(node.func, "id", "") if isinstance(node, ast.Call) else ""
+            if kind in ("twin_of", "ready_of"):
                 function, module = node.args
-                assert hasattr(importlib.import_module(module.value), function.id)
+                twins = importlib.import_module(module.value)
+                names = [function.id, f"ready_{function.id}"][: 1 + (kind == "ready_of")]
+                assert any(hasattr(twins, name) for name in names)
                 found.add(function.id)
     elsewhere = {"fbwa", "fly", "motion", "lost", "advance_ticks", "report"}
     elsewhere |= {"place", "felt", "sample", "felt_in_field"}  # the air's
     elsewhere |= {"advance_filters", "turbulence_axes"}
-    elsewhere |= {"befall", "post_round", "take_due", "use"}  # the network's
+    elsewhere |= {"befall", "post_round", "send_round", "take_due", "use"}  # the network's
     elsewhere |= {"navigate", "believe"}  # the sensors'
     here = {"paper_step", "middle_step", "ages", "together"}
     here |= {"write_true_slots", "write_euler_rates"}
