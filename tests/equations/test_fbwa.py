@@ -298,9 +298,7 @@ def test_the_compiled_twin_does_the_same(name: str, latency: float) -> None:
         two, theirs = twin.fbwa(state, command, theirs, gains)
         for field in Surfaces._fields:
             assert getattr(two, field) == pytest.approx(getattr(one, field), abs=1e-11)
-        for ready, (memory, told) in zip(
-            (partial(partial, fly), twin.ready_fly), flown, strict=True
-        ):
+        for ready, (memory, told) in zip(engines, flown, strict=True):
             ready(state, command, memory, gains, told)()
         if not k:
             flown = [(memory._replace(begun=True), told) for memory, told in flown]
