@@ -11,8 +11,8 @@ velocity to the point on the path that far ahead. For small errors from a line t
 order system with period T and damping ζ.
 
 Everything is horizontal and relative to the ground: (north, east) in m and m/s, further components
-are ignored. Lateral acceleration and angles are positive to the right. Plain floats: there is one
-leader, and the standard library's math is ten times faster on one number than an array of one.
+are ignored. Lateral acceleration and angles are positive to the right. Plain floats, for one
+aircraft at a time, and nothing that numba does not compile as it stands; see `helm`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ CAPTURE_SINE = math.sqrt(0.5)  # a line is met at 45° or less
 SLOWEST = 0.1  # m/s, below which a ground course means nothing
 
 
-def look_ahead(speed: float, *, period: float, damping: float) -> float:
+def look_ahead(speed: float, period: float, damping: float) -> float:
     """Distance L1 = ζ T V / π (m) for a ground speed in m/s and a period in s."""
     return damping * period * max(speed, SLOWEST) / math.pi
 
@@ -50,7 +50,6 @@ def line_acceleration(
     velocity: Sequence[float],
     start: Sequence[float],
     end: Sequence[float],
-    *,
     period: float,
     damping: float,
 ) -> float:
@@ -77,7 +76,6 @@ def circle_acceleration(
     position: Sequence[float],
     velocity: Sequence[float],
     centre: Sequence[float],
-    *,
     radius: float,
     clockwise: bool,
     period: float,
@@ -110,7 +108,7 @@ def circle_acceleration(
 
 
 def turn_distance(
-    speed: float, turn: float, *, waypoint_radius: float, period: float, damping: float
+    speed: float, turn: float, waypoint_radius: float, period: float, damping: float
 ) -> float:
     """How far before a waypoint (m) the turn by the angle `turn` (rad) to the next leg begins.
 
@@ -120,7 +118,7 @@ def turn_distance(
     return ahead * min(1.0, abs(turn) / (0.5 * math.pi))
 
 
-def roll_command(acceleration: float, *, bank_limit: float) -> float:
+def roll_command(acceleration: float, bank_limit: float) -> float:
     """Roll (rad) of a coordinated turn with this lateral acceleration, within ±bank_limit."""
     return min(max(math.atan(acceleration / GRAVITY), -bank_limit), bank_limit)
 

@@ -10,7 +10,7 @@ each a feed-forward for what is known plus a small PI for what is not, follow h_
 with sin γ = ḣ / V. The integrals begin at the trimmed θ_0 and T_0 and so carry the incidence and
 the throttle of level flight. The followers of a formation repeat what the leader does: the
 reference is there to keep it easy to repeat. An ideal vehicle has no incidence and no throttle: it
-follows the same reference with γ̇ = k_p (γ_d − γ).
+follows the same reference with γ̇ = k_p (γ_d − γ). numba compiles this as it stands; see `helm`.
 """
 
 from __future__ import annotations
@@ -58,7 +58,6 @@ class Reference(NamedTuple):
 
 def climb_reference(
     memory: HoldMemory,
-    *,
     altitude: float,
     altitude_target: float,
     climb_target: float,
@@ -81,7 +80,6 @@ def climb_reference(
 
 def hold(
     memory: HoldMemory,
-    *,
     altitude: float,
     climb: float,
     airspeed: float,
@@ -137,7 +135,6 @@ def hold(
 
 def hold_path(
     memory: HoldMemory,
-    *,
     altitude: float,
     climb: float,
     speed: float,
@@ -161,7 +158,7 @@ def hold_path(
         gains=gains,
     )
     error = _path_angle(reference.demand, speed) - _path_angle(climb, speed)
-    held = memory._replace(altitude=reference.altitude, climb=reference.climb)
+    held = HoldMemory(reference.altitude, reference.climb, memory.pitch, memory.throttle)
     return gains.ideal_path * error, held
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -58,22 +59,46 @@ class Mission:
     damping: float = 0.75  # as NAVL1_DAMPING
 
 
-@dataclass(frozen=True, slots=True)
-class Segment:
-    """A straight line to a waypoint."""
+class Part(NamedTuple):
+    """A straight line to a waypoint, or one level of a circle.
 
+    What only a line or only a circle has is zero in the other.
+    """
+
+    circle: bool
     start: Point
-    end: Point
-    turn: float  # rad, between this line and the next
+    end: Point  # the waypoint; the centre and the altitude of a circle
+    turn: float  # rad, between this line and the next part
+    radius: float  # m
+    clockwise: bool
+    turns: float  # of a circle, from setting out for this level
+    onward: bool  # the next part is another level of this circle
 
 
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """A mission unrolled: every lap written out, checked, and never empty."""
+class Plan(NamedTuple):
+    """A mission unrolled: every lap and level written out, checked, and never empty."""
 
     mission: Mission
-    parts: tuple[Segment | LoiterLeg, ...]
+    parts: tuple[Part, ...]
     repeat_from: int  # the part that follows the last one
+
+
+def line(start: Point, end: Point) -> Part:
+    """A line, as if the next went straight on."""
+    return Part(False, start, end, 0.0, 0.0, False, 0.0, False)
+
+
+def circle(start: Point, leg: LoiterLeg) -> list[Part]:
+    """The levels of a circle, the first of them flown from `start`."""
+    parts = []
+    last = len(leg.levels) - 1
+    for number, level in enumerate(leg.levels):
+        end = (*leg.centre, level.altitude)
+        parts.append(
+            Part(True, start, end, 0.0, leg.radius, leg.clockwise, level.turns, number < last)
+        )
+        start = end
+    return parts
 
 
 def make_plan(mission: Mission, start: Point) -> Plan:
@@ -94,15 +119,15 @@ def unroll(mission: Mission, start: Point) -> Plan:
         InputError: A mission that makes no sense; the message names the leg and what to write.
     """
     _check_limits(mission)
-    parts: list[Segment | LoiterLeg] = []
+    parts: list[Part] = []
     here = start
     repeat_from = 0
     for number, leg in enumerate(mission.legs):
         last = number == len(mission.legs) - 1
         if isinstance(leg, LoiterLeg):
             _check_loiter(leg, f"legs[{number}]", mission)
-            parts.append(leg)
-            here = (*leg.centre, leg.levels[-1].altitude)
+            parts += circle(here, leg)
+            here = parts[-1].end
             repeat_from = len(parts) - 1
             continue
         _check_waypoints(leg, f"legs[{number}]", last=last)
@@ -110,7 +135,7 @@ def unroll(mission: Mission, start: Point) -> Plan:
         for _ in range(leg.laps + last):  # the last leg's extra lap is the one that repeats
             lap_starts.append(len(parts))
             for point in leg.points:
-                parts.append(Segment(here, point, 0.0))
+                parts.append(line(here, point))
                 here = point
         repeat_from = lap_starts[-1]
     for index in range(len(parts)):
@@ -119,7 +144,7 @@ def unroll(mission: Mission, start: Point) -> Plan:
     return Plan(mission, tuple(parts), repeat_from)
 
 
-def climbed(part: float, *, level_off: float) -> tuple[float, float]:
+def climbed(part: float, level_off: float) -> tuple[float, float]:
     """How much of a leg's climb is done after this part of it (0..1), and the derivative.
 
     A straight line, bent to level over the last `level_off` (0..1) of the leg.
@@ -137,27 +162,26 @@ def polyline(plan: Plan) -> Array:
     """The path as commanded, for drawing: (k, 3) m, NED. Corners are sharp; a circle per level."""
     points: list[tuple[float, float, float]] = []
     for part in plan.parts:
-        if isinstance(part, Segment):
+        if not part.circle:
             ends = (part.start, part.end) if not points else (part.end,)
             points += [(north, east, -altitude) for north, east, altitude in ends]
             continue
         side = 1.0 if part.clockwise else -1.0
-        for level in part.levels:
-            for angle in np.linspace(0.0, side * 2.0 * math.pi, 73):
-                north = part.centre[0] + part.radius * math.cos(angle)
-                east = part.centre[1] + part.radius * math.sin(angle)
-                points.append((north, east, -level.altitude))
+        for angle in np.linspace(0.0, side * 2.0 * math.pi, 73):
+            north = part.end[0] + part.radius * math.cos(angle)
+            east = part.end[1] + part.radius * math.sin(angle)
+            points.append((north, east, -part.end[2]))
     return np.array(points, dtype=np.float64).reshape(-1, 3)
 
 
-def with_turn(part: Segment | LoiterLeg, following: Segment | LoiterLeg) -> Segment | LoiterLeg:
-    """The part with its turn onto the one that follows."""
-    if isinstance(part, LoiterLeg):
+def with_turn(part: Part, following: Part) -> Part:
+    """The part with its turn onto the one that follows; a circle as it is."""
+    if part.circle:
         return part
-    target = following.end if isinstance(following, Segment) else following.centre
+    target = following.end
     inbound = math.atan2(part.end[1] - part.start[1], part.end[0] - part.start[0])
     outbound = math.atan2(target[1] - part.end[1], target[0] - part.end[0])
-    return Segment(part.start, part.end, math.remainder(outbound - inbound, 2.0 * math.pi))
+    return part._replace(turn=math.remainder(outbound - inbound, 2.0 * math.pi))
 
 
 def _check_limits(mission: Mission) -> None:
@@ -198,10 +222,10 @@ def _check_loiter(leg: LoiterLeg, where: str, mission: Mission) -> None:
         )
 
 
-def _check_segments(mission: Mission, parts: Sequence[Segment | LoiterLeg]) -> None:
+def _check_segments(mission: Mission, parts: Sequence[Part]) -> None:
     before = 0.0  # where the turn onto the segment ends, at the soonest
     for part in parts:
-        if isinstance(part, LoiterLeg):
+        if part.circle:
             before = 0.0
             continue
         after = l1.turn_distance(

@@ -53,15 +53,12 @@ def home(origin: Origin) -> Item:
 
 
 def items_of_parts(mission: Mission) -> tuple[int, ...]:
-    """Which item of `items_of` each part of the plan of a page's mission belongs to.
-
-    A circle is one part however many levels it has: its first.
-    """
+    """Which item of `items_of` each part of the plan of a page's mission belongs to."""
     numbers: list[int] = []
     item, last = 1, len(mission.legs) - 1
     for number, leg in enumerate(mission.legs):
         if isinstance(leg, LoiterLeg):
-            numbers.append(item)
+            numbers += range(item, item + len(leg.levels))
             item += len(leg.levels)
             continue
         ever = number == last

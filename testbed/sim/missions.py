@@ -45,44 +45,31 @@ _SETTLING = 0.5  # turns after a change of altitude
 
 @dataclass(frozen=True, slots=True)
 class Flyable:
-    """Items as a plan, with the item that each part belongs to and its airspeed.
-
-    The levels of a circle are items of their own, one after the other.
-    """
+    """Items as a plan, with the item that each part belongs to and its airspeed."""
 
     plan: Plan
     items: tuple[int, ...]
     airspeeds: tuple[float, ...]  # true, m/s
 
-    def part_of(self, item: int) -> tuple[int, int] | None:
-        """The first part and its level of an item, or of the next that has a place."""
-        levels = (len(p.levels) if isinstance(p, LoiterLeg) else 1 for p in self.plan.parts)
-        every = [
-            (own + level, part, level)
-            for part, (own, count) in enumerate(zip(self.items, levels, strict=True))
-            for level in range(count)
-            if own + level >= item
-        ]
-        return min(every)[1:] if every else None
+    def part_of(self, item: int) -> int | None:
+        """The first part of an item, or of the next that has a place."""
+        every = [(own, part) for part, own in enumerate(self.items) if own >= item]
+        return min(every)[1] if every else None
 
-    def going_on(self, part: int, level: int, here: Point) -> Flyable:
-        """What is left from a part on, which begins here, and of a circle at a level of it."""
+    def going_on(self, part: int, here: Point) -> Flyable:
+        """What is left from a part on, which begins here."""
         parts, again = self.plan.parts, self.plan.repeat_from
         # what has been begun elsewhere is not flown again as it was begun
         order = [*range(part, len(parts)), *(range(again, len(parts)) if part >= again else ())]
-        if isinstance(parts[part], LoiterLeg) and part == again:
+        if parts[part].circle and part == again:
             order = [part]  # which never ends
         begun = [parts[k] for k in order]
-        first = begun[0]
-        if isinstance(first, LoiterLeg):
-            begun[0] = replace(first, levels=first.levels[level:])
-        else:
-            following = begun[1] if len(begun) > 1 else parts[again]
-            begun[0] = with_turn(replace(first, start=here), following)
+        following = begun[1] if len(begun) > 1 else parts[again]
+        begun[0] = with_turn(begun[0]._replace(start=here), following)
         repeat = again - part if part < again else len(parts) - part
         return Flyable(
             Plan(self.plan.mission, tuple(begun), repeat if len(begun) > 1 else 0),
-            (self.items[part] + level, *(self.items[k] for k in order[1:])),
+            tuple(self.items[k] for k in order),
             tuple(self.airspeeds[k] for k in order),
         )
 
@@ -133,7 +120,7 @@ def flyable(
         plan = unroll(mission, start)
     except InputError as error:
         return Refusal(f"mission: {error}")
-    plan = replace(plan, mission=replace(mission, airspeed=legs[0].airspeed))
+    plan = plan._replace(mission=replace(mission, airspeed=legs[0].airspeed))
     numbers: list[int] = []
     speeds: list[float] = []
     for number, each in enumerate(legs):

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from testbed.guidance import leader as guidance
 from testbed.guidance.l1 import track_coordinates
 from testbed.guidance.longitudinal import HoldGains, HoldMemory
-from testbed.guidance.mission import LoiterLeg, Mission, Plan, Point, unroll
+from testbed.guidance.mission import Mission, Plan, Point, unroll
 from testbed.links.cockpit import Item, Refusal, Target
 from testbed.sim.missions import Flyable, around, easy, flyable
 from testbed.sim.pilots import MissionPilot, Sticks
@@ -60,8 +60,7 @@ class Navigator:
         """Of the mission, that is flown or will be gone on with."""
         if self._left is None or self._mission is None:
             return 0
-        memory = self._mission.memory
-        return self._left.items[memory.part] + memory.level
+        return self._left.items[self._mission.memory.part]
 
     @property
     def target(self) -> Target | None:
@@ -128,7 +127,7 @@ class Navigator:
         found = self._whole.part_of(item) if self._whole else None
         if self._whole is None or found is None or not 0 <= item < len(self.items):
             return False
-        self._begin(self._whole.going_on(*found, self.here))
+        self._begin(self._whole.going_on(found, self.here))
         return True
 
     def resume(self) -> None:
@@ -136,10 +135,10 @@ class Navigator:
         if self._left is None or self._mission is None:
             return
         memory = self._mission.memory
-        if isinstance(self._left.plan.parts[memory.part], LoiterLeg):
+        if self._left.plan.parts[memory.part].circle:
             self._mission.memory = memory._replace(hold=self._hold())  # its turns still count
         else:
-            self._begin(self._left.going_on(memory.part, 0, self.here))
+            self._begin(self._left.going_on(memory.part, self.here))
 
     def circle(self, place: Point, radius: float | None = None) -> None:
         """Circle a place, at the radius that all circles have or at this one, m."""
@@ -160,8 +159,7 @@ class Navigator:
         self.manner = manner
         if self._mission:
             old = self._mission.plan.mission
-            own = replace(manner, legs=old.legs, airspeed=old.airspeed)
-            self._mission.plan = replace(self._mission.plan, mission=own)
+            self._mission.change_manner(replace(manner, legs=old.legs, airspeed=old.airspeed))
         self._circle_anew()
 
     def fly_at(self, airspeed: float) -> None:
@@ -195,20 +193,17 @@ class Navigator:
 
 
 def _fly_at(pilot: MissionPilot, airspeed: float) -> None:
-    mission = replace(pilot.plan.mission, airspeed=airspeed)
-    pilot.plan = replace(pilot.plan, mission=mission)
+    pilot.change_manner(replace(pilot.plan.mission, airspeed=airspeed))
 
 
 def _target(pilot: MissionPilot, here: Point) -> Target:
     memory, airspeed = pilot.memory, pilot.plan.mission.airspeed
     part = pilot.plan.parts[memory.part]
-    if isinstance(part, LoiterLeg):
-        north, east = part.centre
+    north, east, altitude = part.end
+    if part.circle:
         away = math.hypot(here[0] - north, here[1] - east)
         course = math.atan2(east - here[1], north - here[0])
-        altitude = part.levels[memory.level].altitude
         return Target(north, east, altitude, airspeed, course, away - part.radius)
-    north, east, altitude = part.end
     course = math.atan2(east - part.start[1], north - part.start[0])
     _, right, _ = track_coordinates(here, part.start, part.end)
     return Target(north, east, altitude, airspeed, course, -right)

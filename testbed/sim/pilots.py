@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from collections.abc import Callable
+from typing import Any, Protocol
 
 import numpy as np
 
-from testbed.guidance import leader as guidance
+from testbed.guidance.helm import (
+    READY_FLY,
+    READY_FLY_IDEAL,
+    begin_flight,
+    change_manner,
+    memory_of,
+    table,
+)
+from testbed.guidance.leader import LeaderMemory
 from testbed.guidance.longitudinal import HoldGains
-from testbed.guidance.mission import Plan
+from testbed.guidance.mission import Mission, Plan
 from testbed.sim.vehicles import Replayed
 from testbed.state import Array, UnicycleCommand, VehicleState
 
@@ -30,7 +39,7 @@ class MissionPilot:
     def __init__(
         self,
         plan: Plan,
-        memory: guidance.LeaderMemory,
+        memory: LeaderMemory,
         *,
         dt: float,
         gains: HoldGains,
@@ -38,32 +47,48 @@ class MissionPilot:
         row: int = 0,
     ) -> None:
         """Begin the plan with this memory, stepping every `dt` s."""
-        self.plan, self.memory = plan, memory
-        self._dt, self._gains, self._ideal, self._row = dt, gains, ideal, row
+        self._ideal, self._row = ideal, row
+        self._plan, self._parts = plan, table(plan)
+        self._own = begin_flight(plan, memory, dt=dt, gains=gains)
+        self._estimate: VehicleState | None = None  # that a step is bound to
+
+    @property
+    def plan(self) -> Plan:
+        """What is flown."""
+        return self._plan
+
+    @property
+    def memory(self) -> LeaderMemory:
+        """Where in the plan it is, and what its hold remembers."""
+        return memory_of(self._own)
+
+    @memory.setter
+    def memory(self, memory: LeaderMemory) -> None:
+        self._own["memory"] = memory
+
+    def change_manner(self, mission: Mission) -> None:
+        """Fly the parts of the plan as this mission says from now on."""
+        self._plan = self._plan._replace(mission=mission)
+        change_manner(self._own, mission)
 
     def command(self, estimate: VehicleState) -> tuple[Sticks, Turn | None]:
         """See `Pilot`."""
-        row = self._row
-        position = estimate.position_ned[row].tolist()
-        velocity = estimate.velocity_ned[row].tolist()
+        if estimate is not self._estimate:
+            self._estimate, self._fly = estimate, self._ready(estimate)
+        if not self._ideal:
+            return self._fly(), None
+        speed, turn = self._fly()
+        north, east, down = estimate.velocity_ned[self._row].tolist()
+        climb = math.atan2(-down, math.hypot(north, east))
+        return (climb, float(estimate.euler[self._row, 0]), 0.0), (speed, np.array(turn))
+
+    def _ready(self, estimate: VehicleState) -> Callable[[], Any]:
+        """A step from this record, whatever it will say."""
+        position, velocity, own = estimate.position_ned, estimate.velocity_ned, self._own
         if self._ideal:
-            speed, turn, self.memory = guidance.unicycle_step(
-                self.memory, position, velocity, plan=self.plan, dt=self._dt, gains=self._gains
-            )
-            ahead = math.hypot(velocity[0], velocity[1])
-            climb = math.atan2(-velocity[2], ahead)
-            return (climb, float(estimate.euler[row, 0]), 0.0), (speed, np.array(turn))
-        pitch, roll, throttle, self.memory = guidance.step(
-            self.memory,
-            position,
-            velocity,
-            float(estimate.euler[row, 0]),
-            float(estimate.airspeed[row]),
-            plan=self.plan,
-            dt=self._dt,
-            gains=self._gains,
-        )
-        return (pitch, roll, throttle), None
+            return READY_FLY_IDEAL(position, velocity, self._row, self._parts, own)
+        euler, airspeed = estimate.euler, estimate.airspeed
+        return READY_FLY(position, velocity, euler, airspeed, self._row, self._parts, own)
 
 
 class NoPilot:

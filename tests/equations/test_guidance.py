@@ -163,11 +163,13 @@ def test_plan_counts_laps_and_turns() -> None:
     raised = tuple(point[:2] + (150.0 if i in (1, 3) else 100.0,) for i, point in enumerate(SQUARE))
     mission = Mission(legs=(WaypointLeg(SQUARE, 2), WaypointLeg(raised, 2), CIRCLE), airspeed=22.0)
     plan = make_plan(mission, (-200.0, 0.0, 100.0))
-    assert len(plan.parts) == 17 and plan.repeat_from == 16
-    segments = plan.parts[:-1]
-    assert [round(math.degrees(part.turn)) for part in segments[:-1]] == [90] * 15
-    assert round(math.degrees(segments[-1].turn)) == 135  # from west to the centre, north-east
-    assert segments[8].start == SQUARE[3] and segments[9].end[2] == 150.0
+    assert len(plan.parts) == 18 and plan.repeat_from == 17
+    lines, levels = plan.parts[:16], plan.parts[16:]
+    assert [round(math.degrees(part.turn)) for part in lines[:-1]] == [90] * 15
+    assert round(math.degrees(lines[-1].turn)) == 135  # from west to the centre, north-east
+    assert lines[8].start == SQUARE[3] and lines[9].end[2] == 150.0
+    assert [part.end for part in levels] == [(330.0, 330.0, 100.0), (330.0, 330.0, 120.0)]
+    assert [part.onward for part in levels] == [True, False]
 
 
 def test_last_waypoints_go_on_for_ever() -> None:
@@ -193,7 +195,8 @@ def test_mission_is_flown_as_written() -> None:
     plan = make_plan(mission, (-200.0, 0.0, 100.0))
     flown = fly(plan, (-200.0, 0.0, 100.0), 330.0)
     switch = np.flatnonzero(np.diff(flown["part"])) + 1
-    assert len(switch) == 4
+    assert len(switch) == 5
+    *switch, level = switch
     # each corner is passed at its own altitude, to the lag of the climb
     assert flown["altitude"][switch] == pytest.approx([100, 150, 100, 150], abs=1.0)
     # and no farther than the turn distance, but with all the bank allowed: no rounded corners
@@ -211,7 +214,6 @@ def test_mission_is_flown_as_written() -> None:
     assert np.abs(radius - 120.0).max() < 2.0
     bearing = np.unwrap(np.arctan2(*(flown["position"][:, 1::-1] - 330.0).T))
     first = np.flatnonzero(flown["captured"])[0]
-    level = np.flatnonzero(flown["level"])[0]
     assert bearing[level] - bearing[first] == pytest.approx(2.0 * math.pi, abs=0.01)
     assert flown["altitude"][-1] == pytest.approx(120.0, abs=0.2)
 
@@ -267,8 +269,7 @@ def fly(plan: Plan, start: tuple[float, float, float], duration: float) -> dict[
             memory, (north, east, -up), velocity, roll, speed, plan=plan, dt=dt, gains=HoldGains()
         )
         rows.append(
-            (tick * dt, (north, east, up), -velocity[2], roll)
-            + (memory.part, memory.level, memory.captured)
+            (tick * dt, (north, east, up), -velocity[2], roll) + (memory.part, memory.captured)
         )
         course += GRAVITY * math.tan(roll) / speed * dt
         roll += (phi - roll) / 0.3 * dt
@@ -281,7 +282,7 @@ def fly(plan: Plan, start: tuple[float, float, float], duration: float) -> dict[
         north += velocity[0] * dt
         east += velocity[1] * dt
         up -= velocity[2] * dt
-    names = ("time", "position", "climb", "roll", "part", "level", "captured")
+    names = ("time", "position", "climb", "roll", "part", "captured")
     flown = {
         name: np.array(values) for name, values in zip(names, zip(*rows, strict=True), strict=True)
     }

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from testbed.frames import geodetic_from_ned
-from testbed.guidance.mission import Level, LoiterLeg, Mission, Segment, WaypointLeg, make_plan
+from testbed.guidance.mission import Level, LoiterLeg, Mission, WaypointLeg, make_plan
 from testbed.links.cockpit import Item, Refusal
 from testbed.scenario import list_scenarios, load
 from testbed.sim.mission_items import home, items_of, items_of_parts
@@ -49,12 +49,11 @@ def refusal(*items):
 
 def test_waypoints_are_flown_in_order_and_the_last_is_circled():
     found = plan(*waypoints((500.0, 0.0, 120.0), (500.0, 400.0, 90.0)))
-    first, second, circle = found.plan.parts
+    first, second, last = found.plan.parts
     assert first.start == HERE
     assert np.allclose(first.end, (500.0, 0.0, 120.0), atol=1e-6)
     assert np.allclose(second.end, (500.0, 400.0, 90.0), atol=1e-6)
-    assert isinstance(circle, LoiterLeg) and np.allclose(circle.centre, (500.0, 400.0), atol=1e-6)
-    assert circle.levels[-1].altitude == 90.0
+    assert last.circle and np.allclose(last.end, (500.0, 400.0, 90.0), atol=1e-6)
     assert found.items == (1, 2, 2)
 
 
@@ -90,7 +89,7 @@ def test_turns_are_counted_or_timed(command):
         item(command, 300.0, 0.0, 100.0, parameters=(asked, 0.0, radius, 0.0)),
         *waypoints((0.0, 0.0, 100.0)),
     ).plan.parts
-    assert circle.levels[0].turns == pytest.approx(turns)
+    assert circle.turns == pytest.approx(turns)
 
 
 def test_a_circle_tighter_than_the_bank_limit_is_widened():
@@ -104,7 +103,7 @@ def test_a_circle_tighter_than_the_bank_limit_is_widened():
 
 def test_no_latitude_and_no_longitude_is_here():
     (circle,) = plan(Item(17, RELATIVE, (0.0,) * 4, 0.0, 0.0, 150.0)).plan.parts
-    assert circle.centre == HERE[:2] and circle.levels[0].altitude == 150.0
+    assert circle.end == (*HERE[:2], 150.0)
 
 
 @pytest.mark.parametrize(
@@ -136,7 +135,7 @@ def test_nothing_to_fly_is_no_mission():
 
 
 def on(found, item):
-    return found.going_on(*found.part_of(item), HERE)
+    return found.going_on(found.part_of(item), HERE)
 
 
 def test_going_on_at_an_item_begins_a_leg_from_where_the_aircraft_is():
@@ -145,7 +144,7 @@ def test_going_on_at_an_item_begins_a_leg_from_where_the_aircraft_is():
     left = on(found, 2)
     assert left.items == (2, 3, 1, 2, 3)
     first = left.plan.parts[0]
-    assert isinstance(first, Segment) and first.start == HERE
+    assert not first.circle and first.start == HERE
     # the turn onto the next leg is that from here on: from (510, 490) flown to west, to -500 north
     inbound = math.atan2(500.0 - HERE[1], 500.0 - HERE[0])
     assert first.turn == pytest.approx(math.remainder(math.pi - inbound, math.tau))
@@ -158,7 +157,7 @@ def test_what_is_begun_from_here_is_flown_whole_when_it_comes_again(part):
     found = plan(
         *waypoints((500.0, 0.0, 100.0), (500.0, 500.0, 100.0), (0.0, 500.0, 100.0)), jump(1, -1)
     )
-    left = found.going_on(part, 0, HERE)
+    left = found.going_on(part, HERE)
     flown, at = [], 0
     for _ in range(20):
         flown.append((left.items[at], left.plan.parts[at].start))
@@ -180,12 +179,13 @@ def test_levels_of_a_circle_are_items_of_their_own():
         LoiterLeg((300.0, 300.0), 120.0, (Level(100.0, 2.0), Level(130.0, 1.0), Level(90.0, 1.0))),
     )
     mission = Mission(legs=legs, airspeed=22.0)
-    whole = Flyable(make_plan(mission, HERE), items_of_parts(mission), (22.0, 22.0))
+    whole = Flyable(make_plan(mission, HERE), items_of_parts(mission), (22.0,) * 4)
     assert [item.z for item in items_of(mission, ORIGIN)[2:]] == [100.0, 130.0, 90.0]
     for number, altitude in ((2, 100.0), (3, 130.0), (4, 90.0)):
         left = on(whole, number)
-        assert left.items == (number,)
-        assert left.plan.parts[0].levels[0].altitude == altitude
+        assert left.items == tuple(range(number, 5))
+        assert left.plan.parts[0].end[2] == altitude
+        assert left.plan.repeat_from == 4 - number
 
 
 def test_a_change_of_altitude_gets_the_turns_it_needs():
@@ -193,7 +193,7 @@ def test_a_change_of_altitude_gets_the_turns_it_needs():
         item(31, 300.0, 0.0, 200.0, parameters=(0.0, 100.0, 0.0, 0.0)),
         *waypoints((0.0, 0.0, 200.0)),
     ).plan.parts
-    flown_s = circle.levels[0].turns * 2.0 * math.pi * circle.radius / 22.0
+    flown_s = circle.turns * 2.0 * math.pi * circle.radius / 22.0
     assert flown_s * MANNER.climb_limit > 100.0
 
 
@@ -212,10 +212,6 @@ def test_laps_without_end_are_bounded():
     assert time.perf_counter() - begun < 1.0
 
 
-def place(part):
-    return part.end[:2] if isinstance(part, Segment) else part.centre
-
-
 MISSIONS = [name for name in list_scenarios() if load(name).leader.path.kind == "mission"]
 
 
@@ -227,23 +223,14 @@ def test_a_pages_mission_as_items_gives_its_own_plan_again(name):
     assert isinstance(pilot, MissionPilot)
     plan_of_page, mission = pilot.plan, pilot.plan.mission
     origin = Origin(**page.scenario.origin.model_dump())
-    first = plan_of_page.parts[0]
-    start = first.start if isinstance(first, Segment) else HERE
-    again = flyable(items_of(mission, origin), start, mission, 60.0, origin)
-    numbers = items_of_parts(mission)
-    assert len(numbers) == len(plan_of_page.parts)
-    ours, theirs = plan_of_page.parts, again.plan.parts
-    # circles of several levels are one part here and an item each there
-    lines = [part for part in theirs if isinstance(part, Segment)]
-    assert len(lines) == sum(isinstance(part, Segment) for part in ours)
-    for one, other in zip([p for p in ours if isinstance(p, Segment)], lines, strict=True):
-        assert np.allclose(one.end, other.end, atol=1e-6)
-    # an item's number says the same place in both
-    for number in set(numbers):
-        mine = ours[numbers.index(number)]
-        other = theirs[again.items.index(number)]
-        assert type(mine) is type(other)
-        assert np.allclose(place(mine), place(other), atol=1e-6)
+    again = flyable(items_of(mission, origin), plan_of_page.parts[0].start, mission, 60.0, origin)
+    assert again.items == items_of_parts(mission)
+    assert again.plan.repeat_from == plan_of_page.repeat_from
+    for ours, theirs in zip(plan_of_page.parts, again.plan.parts, strict=True):
+        assert ours.circle == theirs.circle
+        assert np.allclose(ours.start, theirs.start, atol=1e-6)
+        assert np.allclose(ours.end, theirs.end, atol=1e-6)
+        assert (ours.radius, ours.clockwise) == (theirs.radius, theirs.clockwise)
 
 
 def test_a_plan_of_legs_that_meet_is_the_strict_one():
