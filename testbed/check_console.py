@@ -9,6 +9,7 @@ from pathlib import Path
 from rich.console import Console
 
 from testbed.errors import InputError
+from testbed.options import refuse_below_one
 from testbed.outputs import is_stdout, put_json, refuse_files
 from testbed.progress import counting
 from testbed.study.golden import Case, check, find_cases, renew
@@ -73,9 +74,7 @@ def _refuse(
     update: bool,
     reason: str | None,
 ) -> None:
-    for option, count in (("--seeds", seeds), ("--jobs", jobs)):
-        if count is not None and count < 1:
-            raise InputError(f"{option} {count}: write a whole number above 0")
+    refuse_below_one(seeds=seeds, jobs=jobs)
     if update and not (reason or "").strip():
         raise InputError(
             "--update: say why the numbers are what they should be, with --reason TEXT"

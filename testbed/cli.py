@@ -16,7 +16,7 @@ from testbed.errors import InputError, PartnerLost
 from testbed.export_commands import compare, export
 from testbed.flight_commands import import_flight
 from testbed.network_commands import network
-from testbed.options import Overrides, ScenarioName
+from testbed.options import Jobs, Overrides, ScenarioName
 from testbed.report_commands import report, study_report
 from testbed.run_commands import run
 from testbed.study_commands import sweep
@@ -103,10 +103,7 @@ def check(
             metavar="N", help="Flights of each.  \\[default: 4 of the table's; 16 for a new table]"
         ),
     ] = None,
-    jobs: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Flights at once.  \\[default: one per processor]"),
-    ] = None,
+    jobs: Jobs = None,
     junit: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write JUnit XML for a CI.")
     ] = None,

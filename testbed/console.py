@@ -30,8 +30,6 @@ from testbed.scenario.pilots import ArduPlane, External
 from testbed.sim.outside import Outside
 from testbed.sim.run import run
 from testbed.state import Observer
-from testbed.study.plan import load_study
-from testbed.study.tune_page import load_tune
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,21 +113,21 @@ def find_outside(asked: Flight, page: Scenario, tell: Callable[[str], None]) -> 
 
 def list_library() -> None:
     """Print the scenarios, studies and tunes with their questions, and the aircraft."""
+    from testbed.study.plan import load_study
+    from testbed.study.tune_page import load_tune
+
+    questions = {
+        "scenario": {name: load(name).scenario.question for name in list_scenarios()},
+        "study": {name: load_study(name).page.study.question for name in list_studies()},
+        "tune": {name: load_tune(name).page.study.question for name in list_tunings()},
+    }
     console = Console()
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("scenario", no_wrap=True)
-    table.add_column("question")
-    for name in list_scenarios():
-        table.add_row(name, load(name).scenario.question)
-    console.print(table)
-    studies = {name: load_study(name).page.study for name in list_studies()}
-    tunes = {name: load_tune(name).page.study for name in list_tunings()}
-    for kind, pages in (("study", studies), ("tune", tunes)):
+    for kind, asked in questions.items():
         table = Table(box=None, pad_edge=False, header_style="bold")
         table.add_column(kind, no_wrap=True)
         table.add_column("question")
-        for name, header in pages.items():
-            table.add_row(name, header.question)
-        console.print()
+        for name, question in asked.items():
+            table.add_row(name, question)
         console.print(table)
-    console.print(f"\n[bold]aircraft[/]\n{chr(10).join(list_aircraft())}")
+        console.print()
+    console.print(f"[bold]aircraft[/]\n{chr(10).join(list_aircraft())}")

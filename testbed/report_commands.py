@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from testbed.options import RunName
+from testbed.options import Figures, Format, RunName
 
 
 def report(
@@ -18,14 +18,8 @@ def report(
             metavar="FILE.html", help="The page.  \\[default: report.html beside the log]"
         ),
     ] = None,
-    figures: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Write every figure here too, as a file of its own."),
-    ] = None,
-    format: Annotated[
-        str | None,
-        typer.Option(metavar="png|pdf|svg", help="Of these files.  \\[default: png]"),
-    ] = None,
+    figures: Figures = None,
+    format: Format = None,
 ) -> None:
     """Make one page of a flown run: its figures, its tables, and all that repeats it.
 
@@ -62,14 +56,8 @@ def study_report(
         str | None,
         typer.Option(metavar="median|mean", help="Over seeds.  \\[default: median]"),
     ] = None,
-    figures: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Write every figure here too, as a file of its own."),
-    ] = None,
-    format: Annotated[
-        str | None,
-        typer.Option(metavar="png|pdf|svg", help="Of these files.  \\[default: png]"),
-    ] = None,
+    figures: Figures = None,
+    format: Format = None,
     tables: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Write every table here too, as CSV."),

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from testbed.options import Jobs
+
 
 class Backend(StrEnum):
     """Where a study is flown."""
@@ -29,10 +31,7 @@ def sweep(
             "logs/studies/STUDY/UTC-ID]",
         ),
     ] = None,
-    jobs: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Flights at once.  \\[default: one per processor]"),
-    ] = None,
+    jobs: Jobs = None,
     resume: Annotated[
         bool,
         typer.Option(

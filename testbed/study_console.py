@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from testbed.errors import InputError
+from testbed.options import refuse_below_one
 from testbed.outputs import is_stdout, put_json, refuse_files
 from testbed.progress import counting
 from testbed.study.crew import FLOWN
@@ -37,8 +37,7 @@ def sweep_and_show(
         InputError: the page or an option cannot be used.
         KeyboardInterrupt: Ctrl-C; what was flown is kept.
     """
-    if jobs is not None and jobs < 1:
-        raise InputError(f"--jobs {jobs}: write a whole number above 0")
+    refuse_below_one(jobs=jobs)
     refuse_files(json=json)
     speech = Console(stderr=True, highlight=False)
 

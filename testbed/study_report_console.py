@@ -13,21 +13,18 @@ from rich.console import Console
 
 from testbed.errors import InputError
 from testbed.outputs import is_stdout, put_json, refuse_files
-from testbed.report.shell import FORMATS
 from testbed.report.study import Rows, Study, write_figures, write_page, write_tables
 from testbed.report.study.grid import Cell
 from testbed.report.study.numbers import STATISTICS, Estimate
 from testbed.report.study.page import grids_of, summary
+from testbed.report_outputs import NAME, figure_ending, writing
 from testbed.scenario.messages import ScenarioError, did_you_mean
 from testbed.scenario.yaml_door import parse, validated
 from testbed.study.crew import FLOWN
 from testbed.study.page import StudyPage
 from testbed.study.places import FILE, STUDIES
-from testbed.study.rows import METRICS, SET
+from testbed.study.rows import METRICS, SET, last_error
 from testbed.study.table import StudyTable, read_table
-
-NAME = "report.html"
-USUAL = "mean_rms_m"  # of the last portion: what is shown where the page names nothing
 
 
 def report_study(
@@ -46,28 +43,18 @@ def report_study(
     Raises:
         InputError: there is no such study, an option cannot be used, or a file not be written.
     """
-    refuse_files(out=out, json=json)
-    if out and out.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"--out {out}: write a name that ends in .html")
-    if ending and not figures:
-        raise InputError(f"--format {ending}: is that of --figures DIR; write a folder for them")
-    ending = (ending or FORMATS[0]).lower().removeprefix(".")
-    if ending not in FORMATS:
-        raise InputError(f"--format {ending}: write one of {', '.join(FORMATS)}")
+    ending = figure_ending(out=out, figures=figures, ending=ending)
+    refuse_files(json=json)
     statistic = statistic or next(iter(STATISTICS))
     if statistic not in STATISTICS:
         raise InputError(f"--statistic {statistic}: write one of {', '.join(STATISTICS)}")
     path = find_table(name)
     study = read_study(path, metrics=metrics, statistic=statistic)
     page = out or path.with_name(NAME)
-    try:
+    with writing(page):
         write_page(study, page)
         drawn = write_figures(study, figures, ending) if figures else []
         written = write_tables(study, tables) if tables else []
-    except OSError as error:
-        raise InputError(
-            f"{error.filename or page}: cannot be written: {error.strerror}"
-        ) from error
     console = Console(stderr=is_stdout(json), highlight=False)
     summary(study, console)
     console.print(f" page     {page}", soft_wrap=True)
@@ -177,8 +164,7 @@ def _rows(table: StudyTable) -> Rows:
 def _metrics(rows: Rows, asked: Sequence[str], of_page: Sequence[str]) -> tuple[str, ...]:
     wanted = tuple(dict.fromkeys(asked or of_page))
     if not wanted:
-        usual = [name for name in rows.metrics if name.endswith(f".{USUAL}")]
-        return tuple(usual[-1:]) or tuple(rows.metrics)[:1]
+        return last_error(rows.metrics) or tuple(rows.metrics)[:1]
     for name in wanted:
         if name not in rows.metrics:
             near = did_you_mean(name, rows.metrics)

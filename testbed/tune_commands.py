@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from testbed.options import Jobs
+
 
 def tune(
     page: Annotated[
@@ -16,10 +18,7 @@ def tune(
         Path | None,
         typer.Option(metavar="DIR", help="Folder to make.  \\[default: logs/studies/NAME/UTC-ID]"),
     ] = None,
-    jobs: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Flights at once.  \\[default: one per processor]"),
-    ] = None,
+    jobs: Jobs = None,
     json: Annotated[
         Path | None,
         typer.Option("--json", metavar="FILE", help="Write the result here too; - is stdout."),

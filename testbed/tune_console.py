@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from testbed.errors import InputError
+from testbed.options import refuse_below_one
 from testbed.outputs import is_stdout, put_json, refuse_files
 from testbed.progress import counting
 from testbed.record.rundir import create_run_directory
@@ -30,8 +30,7 @@ def tune_and_show(name: str, *, out: Path | None, jobs: int | None, json: Path |
         InputError: the page or an option cannot be used.
         KeyboardInterrupt: Ctrl-C; what was found so far has been written.
     """
-    if jobs is not None and jobs < 1:
-        raise InputError(f"--jobs {jobs}: write a whole number above 0")
+    refuse_below_one(jobs=jobs)
     refuse_files(json=json)
     tune = load_tune(name)
     tuner = Tuner(tune)

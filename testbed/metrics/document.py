@@ -66,6 +66,12 @@ def _age(network: Mapping[str, Any], follower: str) -> dict[str, float | None]:
     }
 
 
+def losses(document: Mapping[str, Any]) -> list[str]:
+    """Who was lost when, in words and in order of time."""
+    lost = {name: at for name, at in document["lost_at_s"].items() if at is not None}
+    return [f"{name} at {lost[name]:.1f} s" for name in sorted(lost, key=lambda name: lost[name])]
+
+
 def to_json(document: Mapping[str, Any]) -> str:
     """The document as text, keys in their own order.
 

@@ -12,6 +12,7 @@ from rich.text import Text
 
 from testbed.formation.flags import Saturation
 from testbed.metrics import estimates, network, outside, wind
+from testbed.metrics.document import losses
 from testbed.metrics.error_table import (
     ABREAST,
     NOTHING,
@@ -104,7 +105,7 @@ def facts(metrics: Document) -> list[tuple[str, str | Text]]:
     between = metrics["min_separation_between"]
     if between:
         separation += f", {between[0]} and {between[1]} at {metrics['min_separation_at_s']:.1f} s"
-    lost = {name: at for name, at in metrics["lost_at_s"].items() if at is not None}
+    lost = losses(metrics)
     if lost:
         rows.append(("lost", _lost(lost)))
     rows.append(("smallest separation", separation))
@@ -161,13 +162,10 @@ def _kappa(metrics: Document) -> Text:
     )
 
 
-def _lost(lost: Mapping[str, float]) -> Text:
-    """Who was lost when, in order of time."""
-    order = sorted(lost, key=lambda each: lost[each])
-    texts = [f"{name} at {lost[name]:.1f} s" for name in order[:FOLLOWERS]]
-    if len(order) > FOLLOWERS:
-        texts.append(f"{len(order) - FOLLOWERS} more")
-    return Text(", ".join(texts) + "; counted until then", style="red")
+def _lost(losses: Sequence[str]) -> Text:
+    """The first of these losses in full."""
+    more = [f"{len(losses) - FOLLOWERS} more"] if len(losses) > FOLLOWERS else []
+    return Text(", ".join([*losses[:FOLLOWERS], *more]) + "; counted until then", style="red")
 
 
 def _left(left: Mapping[str, Mapping[str, Any]]) -> Text:

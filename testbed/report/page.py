@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
+from testbed.metrics.document import losses
 from testbed.metrics.error_table import (
     ABREAST,
     beside_published,
@@ -21,7 +22,6 @@ from testbed.metrics.table import facts, follower_table
 from testbed.report.figures import figures_of
 from testbed.report.flight import Flight
 from testbed.report.shell import (
-    FORMATS,
     cards,
     document,
     draw_all,
@@ -31,8 +31,6 @@ from testbed.report.shell import (
 )
 from testbed.report.tables import rows_to_html, to_html
 from testbed.state import listed
-
-__all__ = ["FORMATS", "page_of", "write_figures", "write_page"]
 
 MOST_EVENTS = 200
 PARTS = (
@@ -133,9 +131,8 @@ def _cards(flight: Flight) -> list[tuple[str, str, str]]:
         never = [name for name, at in engaged.items() if at is None]
         count = f"{len(engaged) - len(never)} of {len(engaged)}"
         shown.append((count, "followers engaged", f"never: {listed(never)}" if never else ""))
-    lost = {name: at for name, at in metrics["lost_at_s"].items() if at is not None}
-    order = [f"{name} at {lost[name]:.1f} s" for name in sorted(lost, key=lambda name: lost[name])]
-    shown.append((str(len(lost)), "aircraft lost", listed(order)))
+    lost = losses(metrics)
+    shown.append((str(len(lost)), "aircraft lost", listed(lost)))
     return shown
 
 

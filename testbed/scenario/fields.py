@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, WithJsonSchema
@@ -15,6 +15,21 @@ class Section(BaseModel):
     model_config = ConfigDict(
         frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=False
     )
+
+
+def refuse(problems: Iterable[tuple[tuple[str | int, ...], str]]) -> None:
+    """Refuse a page whose parts do not go together.
+
+    Args:
+        problems: for each the path to it, keys and indices from the top, and what is wrong.
+
+    Raises:
+        PydanticCustomError: there are any; with all of them, as `explain` takes them.
+    """
+    found = list(problems)
+    if found:
+        text = "; ".join(f"{'.'.join(map(str, path))}: {what}" for path, what in found)
+        raise PydanticCustomError("cross", "{text}", {"text": text, "problems": found})
 
 
 Number = Annotated[float, Strict()]

@@ -6,11 +6,17 @@ inside it. A name means a file kept there, and nothing else is searched.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from testbed.scenario.messages import Place, Problem, ScenarioError, did_you_mean
 
-_TUNINGS = Path("scenarios", "studies", "tunes")
+_SCENARIOS = Path("scenarios")
+_STUDIES = _SCENARIOS / "studies"
+_TUNINGS = _STUDIES / "tunes"
+_DATA = _SCENARIOS / "data"
+_PAGE, _TUNE = ".yaml", ".param"
+_A_PAGE = "a page ending in .yaml"
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 
@@ -30,22 +36,22 @@ def list_aircraft() -> tuple[str, ...]:
 
 def list_scenarios() -> tuple[str, ...]:
     """Return the names of the scenarios that come with the testbed, sorted."""
-    return tuple(sorted(f.stem for f in (library() / "scenarios").glob("*.yaml")))
+    return _stems(library() / _SCENARIOS, _PAGE)
 
 
 def list_studies() -> tuple[str, ...]:
     """Return the names of the studies that come with the testbed, sorted."""
-    return tuple(sorted(f.stem for f in (library() / "scenarios" / "studies").glob("*.yaml")))
+    return _stems(library() / _STUDIES, _PAGE)
 
 
 def list_tunings() -> tuple[str, ...]:
     """Return the names of the tunes that come with the testbed, sorted."""
-    return tuple(sorted(f.stem for f in (library() / _TUNINGS).glob("*.yaml")))
+    return _stems(library() / _TUNINGS, _PAGE)
 
 
 def list_data() -> tuple[str, ...]:
     """Return the names of the data files that scenarios use, sorted."""
-    return tuple(sorted(f.name for f in (library() / "scenarios" / "data").glob("*.csv")))
+    return tuple(sorted(f.name for f in (library() / _DATA).glob("*.csv")))
 
 
 def find_scenario(name_or_path: str | Path, *, folder: Path | None = None) -> Path:
@@ -54,14 +60,8 @@ def find_scenario(name_or_path: str | Path, *, folder: Path | None = None) -> Pa
     Raises:
         ScenarioError: there is no such page.
     """
-    text = str(name_or_path)
-    kept = library() / "scenarios" / f"{text}.yaml"
-    if _is_name(text) and kept.is_file():
-        return kept
-    path = _absolute(text, folder)
-    if path.is_file():
-        return path
-    raise _not_found("scenario", text, list_scenarios(), "a page ending in .yaml")
+    kept = library() / _SCENARIOS / f"{name_or_path}{_PAGE}"
+    return _find("scenario", name_or_path, kept, list_scenarios, _A_PAGE, folder)
 
 
 def find_study(name_or_path: str | Path) -> Path:
@@ -70,14 +70,8 @@ def find_study(name_or_path: str | Path) -> Path:
     Raises:
         ScenarioError: there is no such page.
     """
-    text = str(name_or_path)
-    kept = library() / "scenarios" / "studies" / f"{text}.yaml"
-    if _is_name(text) and kept.is_file():
-        return kept
-    path = _absolute(text, None)
-    if path.is_file():
-        return path
-    raise _not_found("study", text, list_studies(), "a page ending in .yaml")
+    kept = library() / _STUDIES / f"{name_or_path}{_PAGE}"
+    return _find("study", name_or_path, kept, list_studies, _A_PAGE)
 
 
 def find_tuning(name_or_path: str | Path) -> Path:
@@ -86,14 +80,8 @@ def find_tuning(name_or_path: str | Path) -> Path:
     Raises:
         ScenarioError: there is no such page.
     """
-    text = str(name_or_path)
-    kept = library() / _TUNINGS / f"{text}.yaml"
-    if _is_name(text) and kept.is_file():
-        return kept
-    path = _absolute(text, None)
-    if path.is_file():
-        return path
-    raise _not_found("tune", text, list_tunings(), "a page ending in .yaml")
+    kept = library() / _TUNINGS / f"{name_or_path}{_PAGE}"
+    return _find("tune", name_or_path, kept, list_tunings, _A_PAGE)
 
 
 def find_aircraft(name_or_path: str | Path, *, folder: Path | None = None) -> Path:
@@ -120,15 +108,8 @@ def find_tune(aircraft: str | Path, tune: str | Path, *, folder: Path | None = N
         ScenarioError: there is no such airframe or file.
     """
     home = find_aircraft(aircraft, folder=folder)
-    text = str(tune)
-    kept = home / f"{text}.param"
-    if _is_name(text) and kept.is_file():
-        return kept
-    path = _absolute(text, folder)
-    if path.is_file():
-        return path
-    known = tuple(sorted(f.stem for f in home.glob("*.param")))
-    raise _not_found(f"tune of {home.name}", text, known, "a .param file")
+    what, kept = f"tune of {home.name}", home / f"{tune}{_TUNE}"
+    return _find(what, tune, kept, lambda: _stems(home, _TUNE), "a .param file", folder)
 
 
 def find_data(name_or_path: str | Path, *, folder: Path | None = None) -> Path:
@@ -137,14 +118,8 @@ def find_data(name_or_path: str | Path, *, folder: Path | None = None) -> Path:
     Raises:
         ScenarioError: there is no such file.
     """
-    text = str(name_or_path)
-    kept = library() / "scenarios" / "data" / text
-    if _is_name(text) and kept.is_file():
-        return kept
-    path = _absolute(text, folder)
-    if path.is_file():
-        return path
-    raise _not_found("data file", text, list_data(), "a CSV file")
+    kept = library() / _DATA / name_or_path
+    return _find("data file", name_or_path, kept, list_data, "a CSV file", folder)
 
 
 def find_law(name: str, *, folder: Path | None = None) -> str:
@@ -168,6 +143,28 @@ def find_law(name: str, *, folder: Path | None = None) -> str:
         if (home / file).is_file():
             return f"{(home / file).resolve()}:{class_name}"
     return name
+
+
+def _find(
+    what: str,
+    name_or_path: str | Path,
+    kept: Path,
+    known: Callable[[], tuple[str, ...]],
+    path_of: str,
+    folder: Path | None = None,
+) -> Path:
+    """The file that is kept, if a name was given, or the one at the path from `folder`, or here."""
+    text = str(name_or_path)
+    if _is_name(text) and kept.is_file():
+        return kept
+    path = _absolute(text, folder)
+    if path.is_file():
+        return path
+    raise _not_found(what, text, known(), path_of)
+
+
+def _stems(folder: Path, ending: str) -> tuple[str, ...]:
+    return tuple(sorted(f.stem for f in folder.glob(f"*{ending}")))
 
 
 def _is_name(text: str) -> bool:

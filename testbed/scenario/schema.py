@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
-from pydantic_core import PydanticCustomError
 
 from testbed.scenario.air import Air
 from testbed.scenario.aircraft import Follower, Leader
@@ -22,6 +21,7 @@ from testbed.scenario.fields import (
     Seconds,
     Section,
     Whole,
+    refuse,
 )
 from testbed.scenario.limits import Limits
 from testbed.scenario.link import Window
@@ -121,8 +121,5 @@ class Scenario(Section):
 
     @model_validator(mode="after")
     def _cross_check(self) -> Self:
-        problems = cross_check(self)
-        if problems:
-            text = "; ".join(f"{'.'.join(map(str, path))}: {what}" for path, what in problems)
-            raise PydanticCustomError("cross", "{text}", {"text": text, "problems": problems})
+        refuse(cross_check(self))
         return self

@@ -187,7 +187,9 @@ def _pool(jobs: int | None, backend: str, scheduler: str | None) -> Pool:
 
 def fly(task: Task) -> Flown:
     """Fly a task in this process; what every backend does."""
-    from testbed.sim.run import run  # which takes its time, and is not for who only waits
+    # which take their time, and are not for who only waits
+    from testbed.metrics.document import losses
+    from testbed.sim.run import run
 
     page = task.page
     assert not isinstance(page, str)
@@ -197,7 +199,7 @@ def fly(task: Task) -> Flown:
         try:
             metrics = run(page, write=False).metrics
             outcome = str(metrics["outcome"])
-            error = _losses(metrics) if outcome == LOST else ""
+            error = f"lost: {', '.join(losses(metrics))}" if outcome == LOST else ""
         except InputError as refusal:
             outcome, error = REFUSED, f"cannot be flown: {refusal}"
         except Exception as fault:
@@ -205,10 +207,3 @@ def fly(task: Task) -> Flown:
             where = f"{Path(last.filename).name}:{last.lineno}"
             outcome, error = FAILED, f"failed: {type(fault).__name__}: {fault} ({where})"
     return Flown(task.number, outcome, error, metrics, time.perf_counter() - began)
-
-
-def _losses(metrics: Mapping[str, Any]) -> str:
-    """Who was lost when."""
-    lost = {name: at for name, at in metrics["lost_at_s"].items() if at is not None}
-    each = (f"{name} at {lost[name]:.1f} s" for name in sorted(lost, key=lambda name: lost[name]))
-    return f"lost: {', '.join(each)}"

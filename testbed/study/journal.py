@@ -10,7 +10,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -80,17 +80,13 @@ class Journal:
             }
         )
 
-    def rows(self, runs: Iterable[int] | None = None) -> Iterator[Row]:
+    def rows(self) -> Iterator[Row]:
         """Rows in order of their runs."""
-        for run in sorted(self._at) if runs is None else runs:
+        for run in sorted(self._at):
             self._file.seek(self._at[run])
             line = json.loads(self._file.readline())
             numbers = dict(zip(self._names[line["names"]], line["values"], strict=True))
             yield Row(run, line["outcome"], line["error"], numbers)
-
-    def runs(self) -> list[int]:
-        """The runs that are here, in order."""
-        return sorted(self._at)
 
     def names(self) -> tuple[str, ...]:
         """The names of all numbers, in order of the first run that has them.

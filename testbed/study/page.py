@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, ConfigDict, Field, WithJsonSchema, model_validator
 from pydantic_core import PydanticCustomError
 
-from testbed.scenario.fields import Name, Number, Seconds, Section, Whole
+from testbed.scenario.fields import Name, Number, Seconds, Section, Whole, refuse
 from testbed.study.page_checks import cross_check
 
 MOST_RUNS = 1_000_000
@@ -117,8 +117,5 @@ class StudyPage(Section):
 
     @model_validator(mode="after")
     def _cross_check(self) -> Self:
-        problems = cross_check(self)
-        if problems:
-            text = "; ".join(f"{'.'.join(map(str, path))}: {what}" for path, what in problems)
-            raise PydanticCustomError("cross", "{text}", {"text": text, "problems": problems})
+        refuse(cross_check(self))
         return self

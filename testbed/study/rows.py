@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,6 +33,7 @@ _LEFT_OUT = (
     ("network", "links"),
     ("network", "all", "bursts", "lengths"),
 )
+_ERROR = ".mean_rms_m"
 Numbers = Mapping[str, float | None]
 
 
@@ -59,6 +60,12 @@ def flatten(metrics: Mapping[str, Any]) -> dict[str, float | None]:
     Keys are joined by dots; numbers in a list are counted from 0. What is no number is left out.
     """
     return dict(_leaves(metrics, ()))
+
+
+def last_error(names: Iterable[str]) -> tuple[str, ...]:
+    """The mean RMS error of the last portion, if there is one: shown where a page names nothing."""
+    ours = [name for name in names if name.startswith("portions.") and name.endswith(_ERROR)]
+    return tuple(ours[-1:])
 
 
 def _leaves(value: Any, path: tuple[str, ...]) -> Iterator[tuple[str, float | None]]:  # noqa: ANN401

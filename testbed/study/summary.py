@@ -12,7 +12,7 @@ import numpy as np
 from testbed.scenario.messages import did_you_mean
 from testbed.study.crew import FLOWN
 from testbed.study.page import StudyPage
-from testbed.study.rows import METRICS, SET
+from testbed.study.rows import METRICS, SET, last_error
 from testbed.study.sweep import Swept
 from testbed.study.table import StudyTable, metric_names, read_table
 
@@ -65,19 +65,13 @@ def summarise(swept: Swept) -> Summary:
     """
     known = metric_names(swept.path)
     page = swept.study.page
-    wanted = page.study.metrics or _last_error(known)
+    wanted = page.study.metrics or last_error(known)
     unknown = {name: did_you_mean(name, known) for name in wanted if name not in known}
     metrics = tuple(name for name in wanted if name in known)
     sets = tuple(f"{SET}{key}" for key in page.vary)
     columns = ("case", "seed", *sets, "outcome", *(f"{METRICS}{name}" for name in metrics))
     table = read_table(swept.path, columns)
     return Summary(metrics, unknown, _groups(page, table, sets, metrics), _troubles(swept, table))
-
-
-def _last_error(known: Sequence[str]) -> tuple[str, ...]:
-    """The mean RMS error of the last portion."""
-    errors = [n for n in known if n.startswith("portions.") and n.endswith(".mean_rms_m")]
-    return tuple(n for n in errors[-1:] if "believed" not in n)
 
 
 def _groups(

@@ -7,10 +7,9 @@ import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from testbed.study.golden_band import student_quantile
-from testbed.study.tune_page import FEWEST_HELD_OUT
+import numpy as np
 
-LEVEL = 0.95
+from testbed.intervals import student
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,17 +88,12 @@ def judge(before: Found, after: Found) -> Judgement:
     if not units:
         nothing = (math.nan, math.nan, math.nan)
         return Judgement(0, 0, math.nan, math.nan, nothing, lost[0], lost[1])
-    differences = [new - old for old, new in units]
-    mean, reach = statistics.fmean(differences), math.nan
-    if len(units) >= FEWEST_HELD_OUT:
-        t = student_quantile(1.0 - LEVEL, len(units) - 1)
-        reach = t * statistics.stdev(differences) / math.sqrt(len(units))
     return Judgement(
         pairs,
         len(units),
         statistics.fmean(old for old, _ in units),
         statistics.fmean(new for _, new in units),
-        (mean, mean - reach, mean + reach),
+        student(np.array([new - old for old, new in units])),
         lost[0],
         lost[1],
     )

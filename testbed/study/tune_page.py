@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
-from pydantic_core import PydanticCustomError
 
 from testbed.scenario import find_tuning
-from testbed.scenario.fields import Number, Section, Whole
+from testbed.scenario.fields import Number, Section, Whole, refuse
 from testbed.scenario.yaml_door import read, validated
 from testbed.study.cma_door import FEWEST
 from testbed.study.page import Seed, StudyPage
@@ -21,7 +20,7 @@ from testbed.study.tune_cost import Robust
 
 GAINS = "controller.gains."  # keys below it go into the gains file
 HELD_OUT = 8  # seeds, where the page names none
-FEWEST_HELD_OUT = 3
+FEWEST_HELD_OUT = 3  # of which an interval can be made
 
 
 class Bounds(Section):
@@ -87,10 +86,7 @@ class TunePage(StudyPage):
 
     @model_validator(mode="after")
     def _cross_check_tune(self) -> Self:
-        problems = list(_checks(self))
-        if problems:
-            text = "; ".join(f"{'.'.join(map(str, path))}: {what}" for path, what in problems)
-            raise PydanticCustomError("cross", "{text}", {"text": text, "problems": problems})
+        refuse(_checks(self))
         return self
 
     @property

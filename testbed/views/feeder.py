@@ -49,7 +49,6 @@ class Feeder:
         """Start the feeding process; returns at once."""
         self._patient = patient
         self._left_out = 0
-        self._ending = False
         root = str(Path(__file__).parents[2])
         paths = os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))
         self.process = subprocess.Popen(

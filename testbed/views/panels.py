@@ -19,7 +19,7 @@ BLUE, ORANGE, GREEN = "#0072b2", "#d55e00", "#009e73"
 PURPLE, GOLD, SKY = "#a14a76", "#a87000", "#2f8fc4"
 BLACK, GREY = "#000000", "#8c8c8c"
 GRID = "#e3e3e3"
-DASHED, DOTTED = "--", ":"
+DASHED = "--"
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class Line:
     label: str = ""
     width: float = 1.0  # points
     dots: bool = False  # a dot at each number in place of a line through them
-    dashes: str = "-"  # or DASHED or DOTTED
+    dashes: str = "-"  # or DASHED
     marker: str = ""  # a shape that tells the curve apart where colours do not: "o", "s", "^", …
     marker_phase: float = 0.0  # 0..1 of the distance between two markers, where the first stands
     marks: int = 8  # about so many markers; 0: one at each number

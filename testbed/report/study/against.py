@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from testbed.report.cast import LOOKS
 from testbed.report.drawing import Drawing
-from testbed.report.study.numbers import LEVEL, running_quantiles
+from testbed.report.study.numbers import PERCENT, running_quantiles
 from testbed.report.study.rows import Parameter, Study, said
 from testbed.state import Array, Truths
 from testbed.views.panels import BLACK, DASHED, Band, Line, Panel, Space
@@ -23,7 +23,6 @@ WIDE = 50.0  # ratio of the largest to the smallest number that asks for a logar
 UNITS = {
     "m": "m", "mps": "m/s", "s": "s", "deg": "°", "percent": "%", "hz": "Hz", "radps": "rad/s",
 }  # fmt: skip
-PERCENT = round(100.0 * LEVEL)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from testbed.report.drawing import Drawing
 from testbed.report.shell import Figure
 from testbed.report.study import against
 from testbed.report.study.grid import number
-from testbed.report.study.numbers import LEVEL, Estimate, student
+from testbed.report.study.numbers import PERCENT, Estimate, student
 from testbed.report.study.rows import Parameter, Study
 from testbed.report.study.tables import levels_of
 from testbed.state import Array
@@ -23,7 +23,6 @@ MOST_METRICS = 4  # that are drawn; all are in the tables
 MOST_PAIRS = 6
 FEWEST_CELLS = 5  # flights in a cell of a heat map of drawn points, on average
 FEWEST_SPREAD = 10  # flights of a case whose distribution is drawn
-PERCENT = round(100.0 * LEVEL)
 
 Maker = Callable[[Study, str], Drawing | None]
 

@@ -9,16 +9,17 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri, stdtrit
+from scipy.special import ndtri
 
+from testbed import intervals
+from testbed.intervals import FEWEST, LEVEL
 from testbed.state import Array
 from testbed.streams import stream
 
-LEVEL = 0.95  # of all intervals
+PERCENT = round(100.0 * LEVEL)  # of all intervals
 DRAWS, FEWEST_DRAWS = 2000, 400  # of a bootstrap
 MOST_DRAWN = 4_000_000  # values of all draws together, above which there are fewer
 AT_ONCE = 1_000_000  # of these in memory
-FEWEST = 3  # numbers that an interval is made of
 SEED = 1  # of all draws here: the same file gives the same page
 
 Statistic = Callable[..., Array]
@@ -70,14 +71,7 @@ def bootstrap(values: Array, statistic: str, name: str) -> Estimate:
 
 def student(values: Array) -> Estimate:
     """The mean of independent, nearly normal values (n,) with Student's interval."""
-    count = values.size
-    if not count:
-        return NOTHING
-    mean = float(values.mean())
-    if count < FEWEST:
-        return Estimate(mean, math.nan, math.nan, count)
-    reach = stdtrit(count - 1, 0.5 + LEVEL / 2.0) * values.std(ddof=1) / math.sqrt(count)
-    return Estimate(mean, mean - float(reach), mean + float(reach), count)
+    return Estimate(*intervals.student(values), values.size) if values.size else NOTHING
 
 
 def wilson(hits: int, of: int) -> Estimate:

@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.report.study.grid import Cell, Grid
 from testbed.report.study.numbers import (
-    LEVEL,
+    PERCENT,
     Estimate,
     rank_correlation,
     student,
@@ -21,7 +21,6 @@ from testbed.state import Truths
 
 MOST_POINTS = 60  # rows of the table of all points
 MOST_WORST = 12
-PERCENT = round(100.0 * LEVEL)
 BINS = 4  # of a parameter with many numbers
 
 
