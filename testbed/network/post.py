@@ -128,7 +128,7 @@ def _count(ledger: Ledger, link: tuple[int, int], fate: int, delay: float, both:
         ledger.longest[link] = max(ledger.longest[link], ledger.missing[link])
 
 
-def take_due(post: Post, ledger: Ledger, count: int, read: Read, inbox: Inbox, now: float) -> int:
+def take_due(post: Post, ledger: Ledger, read: Read, inbox: Inbox, count: int, now: float) -> int:
     """Take out what has arrived by `now` (s), in the order of arrival; the newest is kept.
 
     Args:

@@ -274,6 +274,8 @@ def test_compiled_and_numpy_radios_count_and_deliver_the_same(monkeypatch):
 
     compiled, ours = flight()
     rng = np.random.default_rng(5)
+    fates_twin = pytest.importorskip("testbed.network.fates_twin", exc_type=ImportError)
+    monkeypatch.setattr(numpy_post, "fates", fates_twin.fates)  # the same delays to the last bit
     for name in ("send_round", "take_due", "use"):
         plainly = partial(partial, getattr(numpy_post, name))
         monkeypatch.setattr(radio_module, f"READY_{name.upper()}", plainly)
