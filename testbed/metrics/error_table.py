@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from statistics import median
 from typing import Any
 
 from rich import box
@@ -65,6 +66,8 @@ def error_table(
     extremes = [("largest, m", _largest, "{:.2f}"), ("leader bank, °", _bank, "{:.1f}")]
     if not exact:
         extremes.insert(0, ("mean believed", _believed, "{:.2f}"))
+    if len(names) < len(followers):
+        extremes.insert(0, ("median", _median, "{:.2f}"))
     for label, value, form in extremes:
         cells = [Text(label, style="dim")]
         for portion in portions:
@@ -147,6 +150,11 @@ def _nth(values: Sequence[float] | None, index: int) -> float | None:
 def _largest(portion: Mapping[str, Any]) -> float | None:
     errors = [error for error in portion["max_error_m"].values() if error is not None]
     return max(errors, default=None)
+
+
+def _median(portion: Mapping[str, Any]) -> float | None:
+    errors = [error for error in portion["rms_m"].values() if error is not None]
+    return median(errors) if errors else None
 
 
 def _believed(portion: Mapping[str, Any]) -> float | None:

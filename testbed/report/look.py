@@ -44,6 +44,7 @@ nav a { white-space: nowrap; }
 .cards li.bad { border: 2px solid var(--bad); }
 .cards .bad b, .cards em { color: var(--bad); }
 .cards em { display: block; font-size: .88rem; font-style: normal; font-weight: 600; }
+summary { cursor: pointer; color: var(--soft); font-size: .92rem; }
 .wide { overflow-x: auto; margin: .8rem 0; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .94rem; }
 th, td { padding: .28rem .8rem; text-align: right; vertical-align: bottom; }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from html import escape
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from testbed.metrics.error_table import (
 )
 from testbed.metrics.network import describe
 from testbed.metrics.network_table import MOST_LINKS, arrival_table, worst_links
-from testbed.metrics.table import facts, follower_table
+from testbed.metrics.table import facts, follower_table, worst_followers
 from testbed.report.figures import figures_of
 from testbed.report.flight import Flight
 from testbed.report.shell import (
@@ -151,10 +151,14 @@ def _errors(flight: Flight) -> str:
         return ""
     portions = list(metrics["portions"])
     exact = not any(metrics["relative_position_m"].values())
-    out = [
-        to_html(error_table(metrics, portions[k : k + ABREAST], names, exact=exact))
-        for k in range(0, len(portions), ABREAST)
-    ]
+
+    def tables(listed: Sequence[str]) -> str:
+        return "".join(
+            to_html(error_table(metrics, portions[k : k + ABREAST], listed, exact=exact))
+            for k in range(0, len(portions), ABREAST)
+        )
+
+    out = [_unfolding(flight, tables)]
     if not portions:
         out.append("<p>The page has no portions, so that no RMS errors are taken.</p>")
     else:
@@ -169,11 +173,20 @@ def _errors(flight: Flight) -> str:
     return "".join(out)
 
 
+def _unfolding(flight: Flight, table: Callable[[Sequence[str]], str]) -> str:
+    """A table of all followers; of many, of the worst, and below it one of all that unfolds."""
+    names, worst = flight.followers, worst_followers(flight.metrics)
+    if len(worst) == len(names):
+        return table(names)
+    whole = f"<details><summary>All {len(names)} followers</summary>{table(names)}</details>"
+    return table(worst) + whole
+
+
 def _followers(flight: Flight) -> str:
     metrics = flight.metrics
     out = []
     if flight.followers:
-        out.append(to_html(follower_table(metrics, flight.followers)))
+        out.append(_unfolding(flight, lambda listed: to_html(follower_table(metrics, listed))))
     out.append(rows_to_html(facts(metrics)))
     radio = metrics["network"]
     if radio and radio["links"] and not describe(radio):

@@ -151,23 +151,7 @@ class Virtual(Section):
 
 
 Vehicle = Literal["jsbsim", "ideal"]
-_VEHICLE = (
-    "What computes its motion: jsbsim, the aircraft behind its autopilot; or ideal, the extended "
-    "unicycle (1) to (4) of [HBH23] itself."
-)
-_SENSORS = (
-    "What its autopilot believes: truth, gps-ins, pixhawk, degraded, or a map of errors, with "
-    "like: pixhawk only of what differs."
-)
-_FAULTS = "What breaks in it, and when."
 Path = Annotated[Mission | Replay | Virtual, Field(discriminator="kind")]
-
-
-_COMMANDED_BY = (
-    "Who gives it commands: formation, the page's own controller or path; or external, a program "
-    "that speaks MAVLink, or a map with that kind."
-)
-_AUTOPILOT = "What flies it: virtual; or ardupilot, the real one, or a map with that kind."
 
 
 class Start(Section):
@@ -189,48 +173,54 @@ class Battery(Section):
     )
 
 
-class Leader(Section):
-    """The first aircraft: what it is, where it starts, and what it flies."""
+class Craft(Section):
+    """What every aircraft of a page has."""
 
-    name: Name = Field("leader", description="Name in logs and views.")
+    name: Name = Field(description="Name in logs, views, offsets and gains.")
     aircraft: str = Field(
         min_length=1, description="Airframe: a name in aircraft/, or the path of a folder."
     )
-    vehicle: Vehicle = Field("jsbsim", description=_VEHICLE)
-    autopilot: Autopilot = Field(VirtualAutopilot(), description=_AUTOPILOT)
-    commanded_by: CommandedBy = Field(ByFormation(), description=_COMMANDED_BY)
+    vehicle: Vehicle = Field(
+        "jsbsim",
+        description="What computes its motion: jsbsim, the aircraft behind its autopilot; or "
+        "ideal, the extended unicycle (1) to (4) of [HBH23] itself.",
+    )
+    autopilot: Autopilot = Field(
+        VirtualAutopilot(),
+        description="What flies it: virtual; or ardupilot, the real one, or a map with that kind.",
+    )
+    commanded_by: CommandedBy = Field(
+        ByFormation(),
+        description="Who gives it commands: formation, the page's own controller or path; or "
+        "external, a program that speaks MAVLink, or a map with that kind.",
+    )
     tune: str = Field(
         "autopilot",
         min_length=1,
         description="Autopilot parameters: <tune>.param of the airframe, or the path of a file.",
     )
     battery: Battery = Field(Battery(), description="Its battery, if the airframe has one.")
-    sensors: Sensors = Field(TRUTH, description=_SENSORS)
-    faults: tuple[Fault, ...] = Field((), description=_FAULTS)
+    sensors: Sensors = Field(
+        TRUTH,
+        description="What its autopilot believes: truth, gps-ins, pixhawk, degraded, or a map of "
+        "errors, with like: pixhawk only of what differs.",
+    )
+    faults: tuple[Fault, ...] = Field((), description="What breaks in it, and when.")
+
+
+class Leader(Craft):
+    """The first aircraft: what it is, where it starts, and what it flies."""
+
+    name: Name = Field("leader", description="Name in logs and views.")
     start: Start = Field(
         Start(), description="Where it is at time 0, m and degrees; a replay has its own."
     )
     path: Path = Field(description="What it flies.")
 
 
-class Follower(Section):
+class Follower(Craft):
     """An aircraft of the formation."""
 
-    name: Name = Field(description="Name in logs, views, offsets and gains.")
-    aircraft: str = Field(
-        min_length=1, description="Airframe: a name in aircraft/, or the path of a folder."
-    )
-    vehicle: Vehicle = Field("jsbsim", description=_VEHICLE)
-    autopilot: Autopilot = Field(VirtualAutopilot(), description=_AUTOPILOT)
-    commanded_by: CommandedBy = Field(ByFormation(), description=_COMMANDED_BY)
-    tune: str = Field(
-        "autopilot",
-        min_length=1,
-        description="Autopilot parameters: <tune>.param of the airframe, or the path of a file.",
-    )
-    battery: Battery = Field(Battery(), description="Its battery, if the airframe has one.")
     start_m: Offset = Field(
         description="Start [forward, right, down] of the leader's start along its course, m."
     )
-    sensors: Sensors = Field(TRUTH, description=_SENSORS)
-    faults: tuple[Fault, ...] = Field((), description=_FAULTS)

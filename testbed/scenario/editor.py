@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from testbed.scenario.pattern import Pattern
 from testbed.scenario.schema import Scenario
 
 
@@ -14,6 +15,13 @@ def json_schema() -> dict[str, Any]:
     required except the tags that tell kinds apart; reading the page is what decides.
     """
     schema: dict[str, Any] = _relaxed(Scenario.model_json_schema(by_alias=True))
+    pattern = _relaxed(Pattern.model_json_schema(by_alias=True))
+    schema["$defs"] |= {**pattern.pop("$defs"), "Pattern": pattern}
+    listed = schema["properties"]["fleet"]
+    schema["properties"]["fleet"] = {
+        **{key: listed.pop(key) for key in ("title", "description")},
+        "anyOf": [listed, {"$ref": "#/$defs/Pattern"}],
+    }
     schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
     schema["title"] = "Testbed scenario"
     schema["properties"] = {

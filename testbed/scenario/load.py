@@ -8,10 +8,11 @@ from pathlib import Path
 
 from testbed.scenario import resolve
 from testbed.scenario.gains import GainChanges, Guidance, MiddleLoopFile, MiddleLoopGains
-from testbed.scenario.messages import Place, Problem, ScenarioError, did_you_mean
+from testbed.scenario.messages import Place, Problem, ScenarioError, did_you_mean, folded
 from testbed.scenario.overrides import override
 from testbed.scenario.references import settle
 from testbed.scenario.schema import Scenario
+from testbed.scenario.spread import give_way, of_pattern, spread
 from testbed.scenario.tree import Node, inherit, planted, walk
 from testbed.scenario.yaml_door import parse, read, stop, validated, write
 
@@ -77,7 +78,7 @@ def loads(
         ScenarioError: as `load` does; `source` stands for the file's name.
     """
     tree = _extended(parse(text, source, Path.cwd()), ())
-    return _scenario(tree, overrides) if look else validated(tree, Scenario)
+    return _scenario(tree, overrides) if look else validated(spread(tree), Scenario)
 
 
 def load_middle_loop(
@@ -151,10 +152,19 @@ def dump(page: Scenario) -> str:
 
 
 def _scenario(tree: Node, overrides: Sequence[str]) -> Scenario:
+    # a pattern is as large as it gets before one aircraft in it is changed
+    early = [text for text in overrides if of_pattern(text.partition("=")[0])]
+    for text in early:
+        tree = override(give_way(tree, override(tree, text, parse)), text, parse)
+    tree = spread(tree)
     for text in overrides:
-        tree = override(tree, text, parse)
-    page = settle(validated(tree, Scenario), tree)
-    _check_profile(page, tree)
+        if text not in early:
+            tree = override(tree, text, parse)
+    try:
+        page = settle(validated(tree, Scenario), tree)
+        _check_profile(page, tree)
+    except ScenarioError as error:
+        raise ScenarioError(folded(error.problems)) from None
     return page
 
 
@@ -202,4 +212,5 @@ def _extended(tree: Node, chain: tuple[Path, ...]) -> Node:
         raise stop(wish.place, f"{wish.value!r} extends this page in turn", ("extends",))
     if len(chain) >= _LONGEST_CHAIN:
         raise stop(wish.place, f"more than {_LONGEST_CHAIN} pages in a row", ("extends",))
-    return inherit(_chain(base, chain), top)
+    below = _chain(base, chain)
+    return inherit(give_way(below, top), top)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from testbed.errors import InputError
 
@@ -43,6 +43,21 @@ class ScenarioError(InputError):
         """Carry the problems, in the order given."""
         self.problems = tuple(problems)
         super().__init__("\n".join(str(problem) for problem in self.problems))
+
+
+def folded(problems: Iterable[Problem]) -> list[Problem]:
+    """The problems, each once: what is wrong in one place of the text may be so for many aircraft.
+
+    Where their paths differ is then a `*`.
+    """
+    kept: dict[tuple[Place | None, str, int], Problem] = {}
+    for problem in problems:
+        key = (problem.place, problem.text, len(problem.path))
+        first = kept.setdefault(key, problem)
+        same = zip(first.path, problem.path, strict=True)
+        path = tuple(one if one == other else "*" for one, other in same)
+        kept[key] = replace(first, path=path)
+    return list(kept.values())
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

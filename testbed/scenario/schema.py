@@ -96,7 +96,9 @@ class Scenario(Section):
     scenario: Header = Field(description="What the run is.")
     rates: Rates = Field(Rates(), description="How often things happen, Hz.")
     leader: Leader = Field(description="The aircraft that everyone follows.")
-    fleet: tuple[Follower, ...] = Field(min_length=1, description="The followers, in order.")
+    fleet: tuple[Follower, ...] = Field(
+        min_length=1, description="The followers, in order: a list, or a pattern."
+    )
     formation: Formation = Field(description="Offsets, graph and gains of the formation.")
     controller: Controller = Field(Controller(), description="How the followers are controlled.")
     network: Network = Field(Network(), description="The radio between the aircraft.")

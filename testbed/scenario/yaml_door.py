@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -78,8 +79,8 @@ def read(path: Path) -> Node:
     return parse(text, source, path.resolve().parent)
 
 
-def validated(tree: Node, model: type[ModelT]) -> ModelT:
-    """Return the tree as a model.
+def validated(tree: Node, model: type[ModelT], under: tuple[str, ...] = ()) -> ModelT:
+    """Return the tree, which stands under these keys of a page, as a model.
 
     Raises:
         ScenarioError: with every problem found, each with its place.
@@ -87,7 +88,8 @@ def validated(tree: Node, model: type[ModelT]) -> ModelT:
     try:
         return model.model_validate(plain(tree))
     except ValidationError as error:
-        raise ScenarioError(explain(error, tree, model)) from None
+        problems = explain(error, tree, model)
+        raise ScenarioError([replace(one, path=under + one.path) for one in problems]) from None
 
 
 def write(data: object) -> str:

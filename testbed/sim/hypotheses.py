@@ -25,6 +25,9 @@ from testbed.sim.teams import agent_value, follower_names
 from testbed.state import Array, Event
 from testbed.vehicle.trim import STILL, Vector
 
+MOST_LINES = 6  # of slots whose speeds differ; of more the worst is told
+_SLOTS = "formation.kappa_mps"
+
 
 def warnings(
     page: Scenario, groups: Sequence[Group], led: Led, wind_ned: Vector
@@ -44,9 +47,14 @@ def warnings(
         )
         said.append(Event(0.0, "warning", "run", text))
     found: dict[str, list[str]] = {}
+    slots: dict[str, float] = {}  # by what is said of them, how much of κ there is
     for group in groups:
-        for text, rows in by_text(_findings(page, group, led, wind_ned)).items():
+        findings = list(_findings(page, group, led, wind_ned))
+        for text, rows in by_text(findings).items():
             found.setdefault(text, []).extend(group.team.names[row] for row in rows)
+        slots |= {each.text: each.number for each in findings if each.about == _SLOTS}
+    if len(slots) > MOST_LINES:
+        found = _summed_up(found, slots)
     order = follower_names(page)
     for names in found.values():
         names.sort(key=order.index)
@@ -55,6 +63,17 @@ def warnings(
         source = names[0] if alone else "run"
         said.append(Event(0.0, "warning", source, text if alone else f"{', '.join(names)}: {text}"))
     return tuple(said)
+
+
+def _summed_up(found: dict[str, list[str]], slots: dict[str, float]) -> dict[str, list[str]]:
+    """What is said of the slots said of the one with least room, and of how many others."""
+    worst = min(slots, key=lambda text: slots[text])
+    others = sum(len(found[text]) for text in slots) - len(found[worst])
+    return {
+        f"{text}; and so do the slots of {others} more, less so" if text == worst else text: names
+        for text, names in found.items()
+        if text == worst or text not in slots
+    }
 
 
 def _findings(page: Scenario, group: Group, led: Led, wind_ned: Vector) -> Iterator[Finding]:

@@ -4,6 +4,7 @@ import io
 import json
 import math
 import os
+import statistics
 
 import pytest
 import record_flight
@@ -184,6 +185,14 @@ def test_the_table_fits_80_columns_and_cuts_no_word(followers, published, noisy_
         text = shown(document(followers, portions=portions, **more))
         assert "…" not in text.replace("… and 3 more", "")
         assert max(map(len, text.splitlines())) <= 80
+
+
+def test_of_many_followers_the_one_in_the_middle_is_told():
+    metrics = document(30)
+    portions = metrics["portions"]
+    middle = [statistics.median(portions[name]["rms_m"].values()) for name in ("first", "second")]
+    assert first_rows(shown(metrics))["median"][1:] == [f"{each:.2f}" for each in middle]
+    assert "median" not in shown(document(12))
 
 
 def facts(metrics):

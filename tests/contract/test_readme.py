@@ -47,6 +47,7 @@ PAGES = (
     "docs/index.md",
     "docs/tutorial.md",
     "docs/own-scenario.md",
+    "docs/large.md",
     "docs/own-aircraft.md",
     "docs/run.md",
     "docs/ci.md",

@@ -282,6 +282,19 @@ def test_of_many_followers_the_worst_are_drawn_over_a_band_of_all(tmp_path, only
     np.testing.assert_allclose(panel.bands[0].high, high, rtol=1e-12)
 
 
+def test_of_many_followers_the_worst_are_listed_and_all_unfold(tmp_path):
+    flight = read_flight(synthetic(tmp_path / "run", count=200, followers=20))
+    text = page_of(flight)
+    for name in ("errors", "followers"):
+        part = text.split(f'<section id="{name}">')[1].split("</section>")[0]
+        worst, everyone = part.split("<details><summary>All 20 followers</summary>")
+        listed = set(re.findall(r'<th scope="row">(uav\d+)</th>', worst))
+        assert len(listed) == 12
+        assert listed < set(re.findall(r"uav\d+", everyone.split("</details>")[0]))
+    few = read_flight(synthetic(tmp_path / "few", count=50, followers=3))
+    assert "<details>" not in page_of(few)
+
+
 def test_thinning_keeps_extremes_ends_and_gaps():
     values = np.random.default_rng(1).standard_normal(27_001)
     values[[100, 20_000]] = 9.0, -9.0
