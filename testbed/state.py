@@ -4,7 +4,8 @@ The leading axis of every array counts aircraft. Row 0 is the leader, rows 1..n 
 in the order of the scenario's fleet. Arrays are contiguous, in SI units and radians; vectors are
 resolved in the local north-east-down frame (NED) of the scenario's origin unless a name says
 otherwise. An observer must not write into an array it is given. Records that are made at
-every tick are named tuples, which are cheap and which numba knows.
+every tick are named tuples, which are cheap and which numba knows. The loop makes them once and
+writes the next tick into them: who keeps one copies it.
 """
 
 from __future__ import annotations
@@ -273,7 +274,11 @@ class RunInfo:
 
 
 class Observer(Protocol):
-    """A watcher of a run. It sees frames, never the world, and cannot change either."""
+    """A watcher of a run. It sees frames, never the world, and cannot change either.
+
+    Its frames are its own to keep, unless it has an attribute `borrows` that is true: then they are
+    the loop's, which the next tick changes, and it costs nothing to hand them over.
+    """
 
     def begin(self, info: RunInfo) -> None:
         """Prepare; called once before the first frame."""

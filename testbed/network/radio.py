@@ -142,7 +142,7 @@ class Radio:
     ) -> Broadcast:
         """Write what more befalls a round than the links' own dice; what its senders say."""
         given, rows, clocks = self._conditions, spot.rows, self._conditions.clocks
-        number, measured = self._number[rows] + 1, message.stamp_s[rows]
+        sent_s, number, measured = sent_s[rows], self._number[rows] + 1, message.stamp_s[rows]
         spot.script[:] = given.script(sent_s, rows, number) if given.script else 0
         if given.trace:
             spot.traced[:] = given.trace(sent_s, rows)

@@ -8,10 +8,9 @@ from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
 
 from testbed.scenario.aircraft import Craft
-from testbed.scenario.fields import Gain, Metres, Name, Whole
+from testbed.scenario.fields import Gain, Metres, Name, Whole, refuse
 from testbed.scenario.messages import did_you_mean
 
 Kind = Literal["vee", "line-abreast", "column", "echelon-left", "echelon-right", "grid"]
@@ -91,10 +90,7 @@ class Pattern(Craft):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        problems = [*_spaced(self), *_strangers(self)]
-        if problems:
-            text = "; ".join(what for _, what in problems)
-            raise PydanticCustomError("cross", "{text}", {"text": text, "problems": problems})
+        refuse((*_spaced(self), *_strangers(self)))
         return self
 
 

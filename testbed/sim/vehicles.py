@@ -24,7 +24,7 @@ from testbed.vehicle.fbwa import READY_FLY, settled, standing
 from testbed.vehicle.ideal import IdealFleet
 from testbed.vehicle.jsbsim_door import JsbsimFleet
 from testbed.vehicle.params import FbwaParams, stack
-from testbed.vehicle.tables import FbwaGains, FbwaMemory
+from testbed.vehicle.tables import FbwaGains
 
 Record = TypeVar("Record", VehicleState, AirData, Surfaces, FbwaCommand)
 
@@ -69,8 +69,7 @@ class Flown:
 
     def __init__(self, fleet: JsbsimFleet, gains: FbwaGains) -> None:
         """Autopilots begin as if they had long held the trim."""
-        self.fleet = fleet
-        self._gains = gains
+        self.fleet, self._gains = fleet, gains
         self._memory = standing(settled(fleet.trimmed, gains), gains)
         self._told = np.array(fleet.trimmed)
         self.surfaces = self._autopilots = Surfaces(*self._told)
@@ -79,7 +78,7 @@ class Flown:
         self._command: FbwaCommand | None = None
         self.read, self.air, self.lost = fleet.look, fleet.air, fleet.lost
         self.blow = fleet.blow
-        self._memory_before = _copied(self._memory)
+        self._memory_before = standing(self._memory, self._gains)
         self._failing: Failing | None = None
         self._servos: Servos | None = None
         self._tunes: dict[int, FbwaParams] = {}  # not heeded yet
@@ -116,7 +115,7 @@ class Flown:
         if before.begun and frozen.any():
             self._memory.each[frozen] = before.each[frozen]
             self._memory.commands[:, :, frozen] = before.commands[:, :, frozen]
-        self._memory_before = _copied(self._memory)
+        self._memory_before = standing(self._memory, self._gains)
         self._failing = failing
         self._servos_before = self._servos or resting(fleet.trimmed, fleet.rig)
         self._flow = self._still
@@ -141,10 +140,6 @@ class Flown:
     def step(self, ticks: int) -> None:
         """Run the flight models."""
         self.fleet.step(self.surfaces, ticks)
-
-
-def _copied(memory: FbwaMemory) -> FbwaMemory:
-    return FbwaMemory(memory.begun, memory.commands.copy(), memory.each.copy())
 
 
 class Ideal:

@@ -238,14 +238,7 @@ class JsbsimFleet:
 
     def step(self, surfaces: Surfaces, ticks: int) -> None:
         """Set the commands and run every aircraft for `ticks` steps of the base rate."""
-        told = zip(
-            self._flying,
-            surfaces.aileron.tolist(),
-            surfaces.elevator.tolist(),
-            surfaces.rudder.tolist(),
-            surfaces.throttle.tolist(),
-            strict=True,
-        )
+        told = zip(self._flying, *(each.tolist() for each in surfaces), strict=True)
         steps = range(ticks)
         for flying, aileron, elevator, rudder, throttle in told:
             if flying is None:

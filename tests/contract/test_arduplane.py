@@ -134,7 +134,7 @@ def test_the_autopilot_of_an_aircraft_that_is_lost_is_ended_and_the_others_fly_o
             world.vehicles.act(world.vehicles.read(), level_command)
             if tick == 10:
                 world.vehicles.remove(np.array([True, False]))
-                there = world.vehicles.read().position_ned
+                there = world.vehicles.read().position_ned.copy()
             world.vehicles.step(4)
         moved = np.linalg.norm(world.vehicles.read().position_ned - there, axis=1)
         # 10 periods of 20 ms at 22 m/s

@@ -265,12 +265,12 @@ def test_a_frozen_autopilot_leaves_the_free_motion(
 ) -> None:
     """ẋ = A x + B u from where the autopilot froze, with u what it held then; told to turn hard."""
     vehicles = flown(folder, airspeed=airspeed)
-    trim, rest, level = vehicles.fleet.trims[0], motion(vehicles), vehicles.surfaces
+    trim, rest, level = vehicles.fleet.trims[0], motion(vehicles), np.array(vehicles.surfaces)
     roll, pitch = np.degrees([trim.placement.roll, trim.placement.pitch])
     wanted = told(roll + roll_deg, pitch + pitch_deg, trim.controls.throttle)
     fly(vehicles, nothing_fails(1), wanted, 0.3)
     held, first = vehicles.surfaces, motion(vehicles) - rest
-    moved = np.array(held).ravel() - np.array(level).ravel()
+    moved = np.array(held).ravel() - level.ravel()
     linear = linearize_aircraft(folder, TrimPoint(airspeed, altitude=700.0))
     system = np.zeros((13, 13))
     system[:9, :9], system[:9, 9:] = linear.a, linear.b
@@ -318,10 +318,10 @@ def test_a_battery_drops_and_goes_on_from_there() -> None:
     vehicles = flown(X8, X8, airspeed=18.0)
     wanted, failing = told(0.0, 2.0, 0.7, 2), nothing_fails(2)
     fly(vehicles, failing, wanted, 2.0)
-    before = vehicles.air().state_of_charge
+    before = vehicles.air().state_of_charge.copy()
     failing.charge[0] = 0.4
     fly(vehicles, failing, wanted, PERIOD)
-    dropped = vehicles.air().state_of_charge
+    dropped = vehicles.air().state_of_charge.copy()
     # of 10 Ah, less than 30 A in a period
     assert 0.4 - 30.0 * PERIOD / 3600.0 / 10.0 < dropped[0] < 0.4
     assert vehicles.air().battery_voltage[0] < 4.0 * 3.80 < vehicles.air().battery_voltage[1]
@@ -336,7 +336,7 @@ def test_a_battery_drops_and_goes_on_from_there() -> None:
     gone = full - vehicles.air().state_of_charge[0]
     # sampled once in a period, within which it changes by less
     assert gone == pytest.approx(np.sum(drawn) * PERIOD / 3600.0 / 10.0, rel=1e-3)
-    now = vehicles.air().state_of_charge
+    now = vehicles.air().state_of_charge.copy()
     vehicles.fleet.discharge(np.array([0.9, np.nan]))  # it is not filled
     vehicles.step(1)
     assert (vehicles.air().state_of_charge < now).all()
