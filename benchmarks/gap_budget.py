@@ -167,8 +167,8 @@ def rms(squares: Array) -> str:
 
 def percent(share: Array) -> str:
     """A share with its spread over the seeds."""
-    spread = f" ± {100.0 * share.std(ddof=1):.0f}" if len(share) > 1 else ""
-    return f"{100.0 * share.mean():.0f}{spread}"
+    spread = f" ± {100.0 * share.std(ddof=1):z.0f}" if len(share) > 1 else ""
+    return f"{100.0 * share.mean():z.0f}{spread}"
 
 
 def steps_table(studies: Studies) -> Iterator[str]:
@@ -203,8 +203,8 @@ def shares_table(studies: Studies) -> Iterator[str]:
         ends = [end for one in each for end in one[factor]]
         middle = np.mean([end.mean() for end in ends])
         sums += [*(end.mean() for end in ends), middle]
-        yield row(name, *map(percent, ends), f"{100.0 * middle:.0f}")
-    yield row("sum", *(f"{100.0 * each:.0f}" for each in sums))
+        yield row(name, *map(percent, ends), f"{100.0 * middle:z.0f}")
+    yield row("sum", *(f"{100.0 * each:z.0f}" for each in sums))
 
 
 def figure(studies: Studies) -> Sheet:

@@ -178,7 +178,7 @@ def _look(line: Line) -> dict[str, Any]:
             "marker": line.marker or "o",
             "ms": 8.0 if line.marker == "x" else 4.0,
         }
-    look: dict[str, Any] = {"lw": line.width, "ls": line.dashes}
+    look: dict[str, Any] = {"lw": line.width, "ls": line.dashes, "solid_capstyle": "butt"}
     if line.marker:
         apart = max(len(line.x) // line.marks, 1) if line.marks else 1
         look |= {"marker": line.marker, "ms": 5.0, "mfc": "none"}
