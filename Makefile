@@ -17,7 +17,7 @@ CLIENTS_STAMP := $(CLIENTS)/.installed
 MAKEFLAGS += --no-print-directory
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test checks warm lint types tests clients check-all bench results gap netem docs wheel lock clean
+.PHONY: help setup run test checks warm lint types tests clients check-all bench rates results gap netem docs wheel lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,4p'
@@ -78,10 +78,11 @@ check-all: test wheel
 	@build/fresh/bin/python -m pip install --quiet --disable-pip-version-check --no-deps dist/*.whl
 	@cd build && fresh/bin/testbed run simulation-3 --duration 30 --out fresh/run
 
-# What everything around the flight model costs, as a ratio to bare JSBSim; coherent air and estimates
+# What everything around the flight model costs, as a ratio to bare JSBSim, in which rooms, and how it
+# grows with the fleet (ARGS="--json FILE --into docs/speed.md" writes it down); coherent air and estimates
 # on top; the radio of 100 aircraft; and a live view.
 bench: $(STAMP)
-	@$(BIN)/python benchmarks/full_over_bare.py $(ARGS)
+	@$(BIN)/python benchmarks/speed.py $(ARGS)
 	@$(BIN)/python benchmarks/page_cost.py --set air.turbulence.model=coherent
 	@$(BIN)/python benchmarks/page_cost.py --set leader.sensors=pixhawk --set 'fleet.*.sensors=pixhawk'
 	@$(BIN)/python benchmarks/network_cost.py
@@ -100,6 +101,11 @@ results: $(STAMP)
 # tables and its figure: 224 flights, about an hour on two cores.
 gap: $(STAMP)
 	@$(BIN)/python benchmarks/gap_budget.py --jobs $(JOBS) --into docs/gap.md $(ARGS)
+
+# Flies the study of docs/speed.md that doubles one rate after the other, going on where it was stopped:
+# 33 flights of 1080 s.
+rates: $(STAMP)
+	@$(BIN)/python benchmarks/convergence.py --jobs $(JOBS) --into docs/speed.md $(ARGS)
 
 # Holds the network's arithmetic to this kernel's own tc netem, as root, who leaves no files behind.
 netem: SUDO = $(if $(filter 0,$(shell id -u)),,sudo)

@@ -1,96 +1,136 @@
 """What everything around the flight model costs: a whole run against bare JSBSim stepping.
 
-Both are measured in one process, in turns, on the same aircraft files at the same rate. Bare is
-the same aircraft, trimmed, their controls left alone, and nothing but `run()`; it starts anew every
-minute of flight so that no uncontrolled aircraft reaches the ground. Full is `testbed.run` with the
-log on and no viewer, everything included but the building of the world, which is said beside it.
-
-usage: make bench  (ARGS="--scenario NAME --duration S --repeats N --json FILE")
+Both are measured in one process, in turns, on the same aircraft files at the same rate, for the
+same number of steps in the same order. Bare is the same aircraft, trimmed, their controls left
+alone, and nothing but `run()`; it starts anew every minute of flight so that no uncontrolled
+aircraft reaches the ground. Full is `testbed.run` with the log on and no viewer, everything
+included but the building of the world, which is told apart.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
+import gc
 import statistics
 import tempfile
 import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from testbed.scenario import Scenario, load, shorten
+from testbed.scenario import Scenario
 from testbed.sim.run import run
 from testbed.sim.world import build
+from testbed.state import Event, Frame, Observer, RunInfo
 
 SEGMENT_S = 60.0
 
 
-def bare(page: Scenario) -> float:
-    """Wall-clock seconds of nothing but the flight models' steps."""
-    rate, left, spent = page.rates.physics_hz, page.scenario.duration_s, 0.0
-    while left > 0.0:
-        steps = range(round(min(left, SEGMENT_S) * rate))
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """Seconds by the clock on the wall, and of this process's processor time."""
+
+    wall_s: float
+    processor_s: float
+
+    def __add__(self, other: Cost) -> Cost:
+        """One after the other."""
+        return Cost(self.wall_s + other.wall_s, self.processor_s + other.processor_s)
+
+    def __truediv__(self, other: Cost) -> Cost:
+        """Both ratios."""
+        return Cost(self.wall_s / other.wall_s, self.processor_s / other.processor_s)
+
+
+def now() -> Cost:
+    """What was spent until now, from moments that mean nothing."""
+    return Cost(time.perf_counter(), time.process_time())
+
+
+def since(began: Cost) -> Cost:
+    """What was spent since then."""
+    ended = now()
+    return Cost(ended.wall_s - began.wall_s, ended.processor_s - began.processor_s)
+
+
+class Stopwatch(Observer):
+    """Measures the flight, without building and closing."""
+
+    def begin(self, info: RunInfo) -> None:
+        """Start."""
+        self.cost = Cost(0.0, 0.0)
+        self._began = now()
+
+    def observe(self, frame: Frame) -> None:
+        """Nothing."""
+
+    def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
+        """Stop."""
+        self.cost = since(self._began)
+
+
+def bare(page: Scenario, seconds: float) -> Cost:
+    """What nothing but the flight models' steps costs, for so many seconds of flight."""
+    rate, spent = page.rates.physics_hz, Cost(0.0, 0.0)
+    abreast = rate // page.rates.autopilot_hz  # steps of one aircraft before the next, as in a run
+    rounds = round(seconds * page.rates.autopilot_hz)
+    most = round(SEGMENT_S * page.rates.autopilot_hz)
+    while rounds > 0:
         fleet = build(page).fleet
         if fleet is None:
             raise SystemExit(f"{page.name}: no flight model in it to compare with")
-        runs = fleet.bare_runs()
-        began = time.perf_counter()
-        for _ in steps:
+        runs, steps = fleet.bare_runs(), range(abreast)
+        gc.collect()
+        began = now()
+        for _ in range(min(rounds, most)):
             for step in runs:
-                step()
-        spent += time.perf_counter() - began
-        left -= SEGMENT_S
+                for _ in steps:
+                    step()
+        spent += since(began)
+        rounds -= most
     return spent
 
 
-def full(page: Scenario) -> tuple[float, float]:
-    """Wall-clock seconds of a run, by its own account, and of building its world."""
+def full(page: Scenario, *watching: Observer) -> tuple[Cost, float]:
+    """What a flight costs, and the wall-clock seconds of building its world and closing its log."""
+    watch = Stopwatch()
     with tempfile.TemporaryDirectory() as folder:
-        began = time.perf_counter()
-        wall = float(run(page, out=Path(folder) / "run").metrics["wall_s"])
-        return wall, time.perf_counter() - began - wall
+        gc.collect()
+        began = now()
+        flown = run(page, out=Path(folder) / "run", observers=[watch, *watching])
+        whole = since(began)
+    if flown.outcome != "flown":
+        raise SystemExit(f"{page.name}: {flown.outcome}, and what is lost costs nothing")
+    return watch.cost, whole.wall_s - watch.cost.wall_s
 
 
-def main() -> None:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--scenario", default="simulation-3")
-    parser.add_argument("--duration", type=float, help="s of flight; default the scenario's")
-    parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--json", type=Path)
-    asked = parser.parse_args()
-    page = load(asked.scenario)
-    if asked.duration:
-        page = shorten(page, asked.duration)
-    full(shorten(page, 1.0))  # compiles what is compiled once
-    bares, fulls, builds = [bare(page)], [], []
-    for turn in range(asked.repeats):
-        wall, built = full(page)
-        fulls.append(wall)
-        builds.append(built)
-        bares.append(bare(page))
-        print(f"turn {turn + 1}: full {fulls[-1]:.2f} s, bare {bares[-1]:.2f} s", flush=True)
-    # each run against the mean of what was measured before and after it: machines drift
-    ratios = [2.0 * f / (b + c) for f, b, c in zip(fulls, bares, bares[1:], strict=False)]
-    seconds = page.scenario.duration_s
-    result = {
-        "scenario": page.name,
-        "aircraft": len(page.aircraft_names),
-        "simulated_s": seconds,
-        "full_over_bare": statistics.median(ratios),
-        "full_over_bare_spread": [min(ratios), max(ratios)],
-        "real_time_factor": seconds / statistics.median(fulls),
-        "bare_real_time_factor": seconds / statistics.median(bares),
-        "build_s": statistics.median(builds),
-    }
-    print(
-        f"{page.name}, {result['aircraft']} aircraft, {seconds:g} s: full / bare "
-        f"{result['full_over_bare']:.2f} ({min(ratios):.2f}-{max(ratios):.2f}), "
-        f"{result['real_time_factor']:.0f} x real time (bare {result['bare_real_time_factor']:.0f} "
-        f"x), building and closing {result['build_s']:.2f} s"
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """A flight, and one that is looked at, between two halves of the bare loop: machines drift."""
+
+    bare: Cost
+    full: Cost
+    looked_at: Cost
+    build_s: float
+
+    @property
+    def ratio(self) -> Cost:
+        """Full over bare."""
+        return self.full / self.bare
+
+
+def turn(page: Scenario, *watching: Observer) -> Turn:
+    """Measure once; the second flight is the one that is watched."""
+    half = page.scenario.duration_s / 2.0
+    before = bare(page, half)
+    cost, built = full(page)
+    looked_at, _ = full(page, *watching)
+    return Turn(before + bare(page, half), cost, looked_at, built)
+
+
+def median(costs: Sequence[Cost]) -> Cost:
+    """Of each of the two."""
+    return Cost(
+        statistics.median(each.wall_s for each in costs),
+        statistics.median(each.processor_s for each in costs),
     )
-    if asked.json:
-        asked.json.write_text(json.dumps(result, indent=2) + "\n")
-
-
-if __name__ == "__main__":
-    main()

@@ -9,19 +9,16 @@ an earlier call was stopped.
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from flown import Rows, fly
 from tables import insert, row
 
 from testbed.scenario import library, load
 from testbed.state import Array
-from testbed.study.sweep import sweep
-from testbed.study.table import read_table
 from testbed.views.figure_door import draw
 from testbed.views.panels import BLUE, GREY, ORANGE, Line, Panel, Sheet
 
@@ -43,43 +40,14 @@ FACTORS = {
 }
 IDEAL, FLOWN = "ideal", "as-flown"
 
-Cell = tuple[str, int]
-Rows = Mapping[Cell, Mapping[str, float]]
-"""The numbers of each run, by case and seed."""
 Studies = Mapping[str, Rows]
 
 
-def fly(folder: Path, jobs: int) -> tuple[Studies, str]:
-    """Fly what is missing of all studies; their rows, and the versions they were flown with."""
-    studies, versions = {}, ""
-    for name in (TABLE_2, REFERENCE, *(f"gap-budget-{number}" for number in BUDGETS)):
-        path = folder / f"{name}.parquet"
-        flown = sweep(name, path, jobs=jobs, resume=True, tell=_tell, progress=_count)
-        if not flown.good:
-            raise SystemExit(f"{path}: {dict(flown.outcomes)}")
-        table = read_table(path)
-        versions = ", ".join(
-            f"{k} {v}" for k, v in json.loads(table.facts["versions.json"]).items()
-        )
-        studies[name] = {(each["case"], each["seed"]): _numbers(each) for each in table.rows()}
-    return studies, versions
-
-
-def _tell(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
-
-
-def _count(flown: int, of: int) -> None:
-    print(f"\r{flown} of {of}", end="" if flown < of else "\n", file=sys.stderr, flush=True)
-
-
-def _numbers(each: Mapping[str, object]) -> dict[str, float]:
-    head = "metrics."
-    return {
-        key.removeprefix(head): value
-        for key, value in each.items()
-        if key.startswith(head) and isinstance(value, float)
-    }
+def flown_studies(folder: Path, jobs: int) -> tuple[Studies, str]:
+    """The rows of all studies, and the versions they were flown with."""
+    names = (TABLE_2, REFERENCE, *(f"gap-budget-{number}" for number in BUDGETS))
+    each = {name: fly(name, folder / f"{name}.parquet", jobs) for name in names}
+    return {name: rows for name, (rows, _) in each.items()}, each[REFERENCE][1]
 
 
 def seeds(rows: Rows) -> tuple[int, ...]:
@@ -275,8 +243,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=KEPT, help="folder of the Parquet files")
     parser.add_argument("--into", type=Path, help="a page with the two markers")
     asked = parser.parse_args(arguments)
-    asked.out.mkdir(parents=True, exist_ok=True)
-    lines = text(*fly(asked.out, asked.jobs))
+    lines = text(*flown_studies(asked.out, asked.jobs))
     print(lines)
     if asked.into:
         page = insert(asked.into.read_text(encoding="utf-8"), lines)

@@ -2,7 +2,8 @@
 
 Flies a study of 200 runs of Simulation 3 for 300 s, a leader and three followers, and says which
 part of the processors' time its workers used: their processor seconds, starting included, over the
-wall clock and the number of processors. With --compare it flies the same with one process, killed
+wall clock and the number of processors. What the host of a virtual machine kept of these for others
+is told, and the part of what was left. With --compare it flies the same with one process, killed
 three times and resumed, and on a local Dask cluster, and compares the files to the last bit.
 
 usage: python benchmarks/sweep.py [--runs N] [--seconds S] [--jobs N] [--compare] [--json FILE]
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import resource
 import signal
 import subprocess
@@ -40,6 +42,7 @@ vary:
   air.wind.speed_mps: {{uniform: [0, 5]}}
 """
 SEEDS = 4
+STAT = Path("/proc/stat")  # Linux
 POLL_S = 0.2
 
 
@@ -51,12 +54,20 @@ def command(page: Path, out: Path, *more: str) -> list[str]:
 def timed(page: Path, out: Path, jobs: int) -> dict[str, float]:
     """Fly it from here: wall clock, and processor seconds of the workers, s."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    began = time.perf_counter()
+    began, stolen_s = time.perf_counter(), stolen()
     sweep(page, out, jobs=jobs)
     wall_s = time.perf_counter() - began
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     used_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return {"wall_s": wall_s, "processor_s": used_s}
+    return {"wall_s": wall_s, "processor_s": used_s, "stolen_s": stolen() - stolen_s}
+
+
+def stolen() -> float:
+    """Processor seconds since the start that a host kept from this machine; 0 where none says so."""
+    if not STAT.exists():
+        return 0.0
+    # proc(5): cpu user nice system idle iowait irq softirq steal
+    return int(STAT.read_text(encoding="ascii").split()[8]) / os.sysconf("SC_CLK_TCK")
 
 
 def killed(words: Sequence[str], journal: Path, times: int) -> None:
@@ -117,11 +128,15 @@ def main() -> None:
             "jobs": asked.jobs,
             "bytes": out.stat().st_size,
         }
-        result["share"] = result["processor_s"] / result["wall_s"] / asked.jobs
+        there_s = result["wall_s"] * asked.jobs
+        result["share"] = result["processor_s"] / there_s
+        result["share_of_left"] = result["processor_s"] / (there_s - result["stolen_s"])
         print(
             f"{result['runs']} runs of {asked.seconds:g} s in {result['wall_s']:.1f} s on "
-            f"{asked.jobs} processors: {100 * result['share']:.1f} % of their time; "
-            f"{result['bytes'] / 1e6:.2f} MB"
+            f"{asked.jobs} processors: {100 * result['share']:.1f} % of their time, "
+            f"{100 * result['share_of_left']:.1f} % of what others left; "
+            f"{result['bytes'] / 1e6:.2f} MB",
+            flush=True,
         )
         if asked.compare:
             single = folder / "single.parquet"

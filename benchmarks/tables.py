@@ -13,7 +13,7 @@ from typing import Any
 
 import testbed
 
-BEGIN, END = "<!-- begin: make results -->", "<!-- end: make results -->"
+MADE_BY = "make results"
 SEEDS = (1, 2, 3, 4, 5)
 NOISE = ("leader.sensors=gps-ins", "fleet.*.sensors=gps-ins")
 
@@ -47,13 +47,14 @@ def versions(flown: Mapping[Case, Metrics]) -> str:
     return ", ".join(f"{name} {of}" for name, of in said.items())
 
 
-def insert(page: str, text: str) -> str:
-    """The page with the text between its markers."""
-    if page.count(BEGIN) != 1 or page.count(END) != 1:
-        raise SystemExit(f"expected one {BEGIN} and one {END}")
-    head, rest = page.split(BEGIN)
-    _, tail = rest.split(END)
-    return f"{head}{BEGIN}\n\n{text}\n\n{END}{tail}"
+def insert(page: str, text: str, made_by: str = MADE_BY) -> str:
+    """The page with the text between its markers, which say by which command it is made."""
+    begin, end = (f"<!-- {which}: {made_by} -->" for which in ("begin", "end"))
+    if page.count(begin) != 1 or page.count(end) != 1:
+        raise SystemExit(f"expected one {begin} and one {end}")
+    head, rest = page.split(begin)
+    _, tail = rest.split(end)
+    return f"{head}{begin}\n\n{text}\n\n{end}{tail}"
 
 
 def write_tables(

@@ -135,8 +135,9 @@ def _fill(ax: Axes, panel: Panel) -> None:
         ax.axvline(at, color=colour, lw=0.9, ls=(0, (1, 2)))
     for band in panel.bands:
         ax.fill_between(
-            band.x, band.low, band.high, color=band.colour, alpha=0.25, lw=0, label=band.label
-        )
+            band.x, band.low, band.high, color=band.colour, alpha=band.opacity, lw=0,
+            label=band.label,
+        )  # fmt: skip
     for line in panel.lines:
         ax.plot(line.x, line.y, color=line.colour, label=line.label or None, **_look(line))
     if panel.equal:

@@ -47,6 +47,7 @@ class Band:
     high: Array  # (k,)
     colour: str
     label: str = ""
+    opacity: float = 0.25  # 0..1
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,6 +27,7 @@ PAGES = (
     "docs/simulations.md",
     "docs/experiments.md",
     "docs/gap.md",
+    "docs/speed.md",
     "docs/autopilot.md",
     "docs/aircraft.md",
     "docs/air.md",

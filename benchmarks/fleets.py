@@ -1,0 +1,77 @@
+"""The pages whose speed is measured: vees of any size, Simulation 3, and one with all troubles."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from testbed.scenario import Scenario, load, shorten
+
+COUNTS = (1, 4, 10, 30, 100)
+APART_M = 5.0  # between neighbours of an arm, back and aside
+RADIUS_M = 1000.0  # wide enough for the outermost slots to stay inside the speed bounds
+BUSY_AIR = "turbulence-moderate"
+BUSY_RADIO = "bursty-wifi"
+
+
+def vee(count: int, duration_s: float) -> Scenario:
+    """Simulation 3 with this many flight models in a vee on a wide circle.
+
+    Each follower heeds the leader and the nearest ahead. One flight model alone follows
+    a leader that is a formula.
+    """
+    circle: dict[str, Any] = {
+        "kind": "mission",
+        "airspeed_mps": 22,
+        "bank_limit_deg": 30,
+        "legs": [
+            {
+                "kind": "loiter",
+                "centre_m": [0, 0],
+                "radius_m": RADIUS_M,
+                "direction": "clockwise",
+                "levels": [{"altitude_m": 200, "turns": 100}],
+            }
+        ],
+    }
+    if count == 1:
+        curve = {"kind": "circle", "radius_m": RADIUS_M}
+        circle = {"kind": "virtual", "speed_mps": 22, "curve": curve}
+    changes = {
+        "scenario.published": None,
+        "scenario.portions": {},
+        "leader.path": circle,
+        "leader.start": {"north_m": RADIUS_M, "east_m": 0, "altitude_m": 200, "course_deg": 90},
+        "fleet": {
+            "pattern": "vee",
+            "count": max(count - 1, 1),
+            "aircraft": "rascal110",
+            "spacing_m": [APART_M, APART_M, 0],
+            "neighbours": 1,
+            "among": "ahead",
+        },
+    }
+    return shorten(load("simulation-3", _texts(changes)), duration_s)
+
+
+def busy() -> Scenario:
+    """Simulation 3 in moderate turbulence, on noisy sensors and a crowded radio."""
+    air = load(BUSY_AIR)
+    changes = {
+        "scenario.published": None,
+        "air": air.model_dump(mode="json", by_alias=True)["air"],
+        "controller.bounds_of": air.controller.bounds_of,
+        "leader.sensors": "pixhawk",
+        "fleet.*.sensors": "pixhawk",
+    }
+    return load(BUSY_RADIO, _texts(changes))
+
+
+def flight_models(page: Scenario) -> int:
+    """How many of the aircraft are flight models."""
+    leads = page.leader.path.kind == "mission" and page.leader.vehicle == "jsbsim"
+    return int(leads) + sum(each.vehicle == "jsbsim" for each in page.fleet)
+
+
+def _texts(changes: dict[str, Any]) -> list[str]:
+    return [f"{key}={json.dumps(value)}" for key, value in changes.items()]

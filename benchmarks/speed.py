@@ -1,0 +1,114 @@
+"""What a flight costs beside bare JSBSim, in which rooms, and how that grows with the fleet.
+
+usage: make bench  (or: python benchmarks/speed.py [--repeats N] [--work AIRCRAFT_SECONDS]
+[--counts N ...] [--json FILE] [--into docs/speed.md])
+
+All pages are measured in one process, one after the other, and that several times over. Each turn
+of a page is the first half of the bare loop, the flight, the same flight with a timer that looks in
+which room it is, and the other half.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from fleets import COUNTS, busy, flight_models, vee
+from full_over_bare import Turn, full, median, turn
+from memory import memory
+from rooms import Rooms
+from speed_page import FIGURE, PAGE_MARK, SIMULATION, TROUBLES, machine, picture, text
+from tables import insert
+
+from testbed.scenario import Scenario, load, shorten
+from testbed.views.figure_door import draw
+
+WARM_S = 2.0
+LONGEST_S = 1080.0  # what Simulation 3 lasts
+MEMORY_S = 60.0
+
+
+def measure(pages: Mapping[str, Scenario], repeats: int) -> dict[str, dict[str, Any]]:
+    """Numbers of every page, by its name."""
+    for page in pages.values():
+        full(shorten(page, WARM_S))  # compiles what is compiled once
+    turns: dict[str, list[Turn]] = {name: [] for name in pages}
+    rooms = {name: Rooms() for name in pages}
+    for number in range(repeats):
+        for name, page in pages.items():
+            taken = turn(page, rooms[name])
+            turns[name].append(taken)
+            _tell(f"turn {number + 1}: {name}: full / bare {taken.ratio.wall_s:.2f}")
+    return {name: numbers(page, turns[name], rooms[name].shares) for name, page in pages.items()}
+
+
+def numbers(page: Scenario, turns: Sequence[Turn], shares: Mapping[str, float]) -> dict[str, Any]:
+    """What the turns of a page say, and each room's share of the time, ready for JSON."""
+    flown, bare = (median([getattr(each, of) for each in turns]) for of in ("full", "bare"))
+    ratio = median([each.ratio for each in turns])
+    seconds, aircraft = page.scenario.duration_s, flight_models(page)
+    each_us = 1e6 / (seconds * aircraft)
+    told: dict[str, Any] = {"aircraft": aircraft, "simulated_s": seconds, "turns": len(turns)}
+    for kind, key in (("wall_s", ""), ("processor_s", "_processor")):
+        ratios = [getattr(one.ratio, kind) for one in turns]
+        told["full_over_bare" + key] = getattr(ratio, kind)
+        told[f"full_over_bare{key}_spread"] = [min(ratios), max(ratios)]
+    return told | {
+        "real_time_factor": seconds / flown.wall_s,
+        "bare_real_time_factor": seconds / bare.wall_s,
+        "build_s": sorted(one.build_s for one in turns)[len(turns) // 2],
+        "us_per_aircraft_second": {
+            "bare": bare.processor_s * each_us,
+            "full": flown.processor_s * each_us,
+            **{room: share * flown.processor_s * each_us for room, share in shares.items()},
+        },
+        "looking_costs": median([one.looked_at / one.full for one in turns]).processor_s,
+    }
+
+
+def lasting(work: float, aircraft: int) -> float:
+    """Seconds of flight for so many aircraft-seconds."""
+    return min(work / aircraft, LONGEST_S)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure, print, and write what is asked for."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--work", type=float, default=2000.0, help="aircraft-seconds of a flight")
+    parser.add_argument("--counts", type=int, nargs="*", default=COUNTS)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--into", type=Path, help="a page with the two markers")
+    asked = parser.parse_args(arguments)
+    pages = {SIMULATION: load(SIMULATION), TROUBLES: busy()}
+    pages = {name: shorten(each, lasting(asked.work, 4)) for name, each in pages.items()}
+    pages |= {str(count): vee(count, lasting(asked.work, count)) for count in asked.counts}
+    beforehand = machine()
+    measured = measure(pages, asked.repeats)
+    result: dict[str, Any] = {
+        "machine": beforehand,
+        **{name: measured[name] for name in (SIMULATION, TROUBLES)},
+        "by_aircraft": {str(count): measured[str(count)] for count in asked.counts},
+    }
+    if asked.counts:
+        result["memory"] = memory(max(asked.counts), MEMORY_S)
+    lines = text(result)
+    print(lines)
+    if asked.json:
+        asked.json.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    if asked.into:
+        draw(picture(result), FIGURE)
+        page = insert(asked.into.read_text(encoding="utf-8"), lines, PAGE_MARK)
+        asked.into.write_text(page, encoding="utf-8")
+
+
+def _tell(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    main()
