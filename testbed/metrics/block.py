@@ -31,7 +31,7 @@ class Block:
     throttle: Array  # (K, N) commanded, 0..1
     lost: Truths  # (K, N)
     believed_ned: Array  # (K, n, 3) m, the error as everyone believes it to be
-    off: Sequence[Array]  # (K, N, ...) as of `estimates.errors`; empty: all estimates are exact
+    off: Sequence[Array]  # (K, N, ...) as of `estimates.fold`; empty: all estimates are exact
 
 
 def first_lost(block: Block, before: Ticks) -> Ticks:

@@ -16,9 +16,8 @@ import numpy as np
 
 from testbed.frames import wrap_pi
 from testbed.metrics.block import Ticks
-from testbed.state import Array, Frame, Truths
+from testbed.state import Array, Truths
 
-COLUMNS = 10  # of an aircraft: position 3, velocity 3, euler 3, airspeed
 _NAMES = ("horizontal_m", "height_m", "velocity_mps", "tilt_deg", "heading_deg", "airspeed_mps")
 _UNITS = np.array([1.0, 1.0, 1.0, math.degrees(1.0), math.degrees(1.0), 1.0])
 _FORMS = {
@@ -51,24 +50,12 @@ def empty(aircraft: int) -> Estimates:
     )
 
 
-def errors(frame: Frame) -> tuple[Array, ...]:
-    """Estimate less truth of N aircraft: position (N, 3), velocity, euler, airspeed (N,)."""
-    estimate, truth = frame.estimate, frame.truth
-    with np.errstate(invalid="ignore"):  # of an aircraft that left its model's range
-        return (
-            estimate.position_ned - truth.position_ned,
-            estimate.velocity_ned - truth.velocity_ned,
-            estimate.euler - truth.euler,
-            estimate.airspeed - truth.airspeed,
-        )
-
-
 def fold(estimates: Estimates, off: Sequence[Array], lost: Truths) -> Estimates:
     """The numbers with K more frames added.
 
     Args:
         estimates: of the frames before.
-        off: `errors` of K frames (K, N, ...).
+        off: estimate less truth of K frames: position (K, N, 3), velocity, euler, airspeed (K, N).
         lost: (K, N) aircraft that do not count.
     """
     position, velocity, euler, airspeed = off

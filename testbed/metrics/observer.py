@@ -4,16 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
-from testbed.metrics import estimates
 from testbed.metrics import tally as tallying
-from testbed.metrics.block import Block, Ticks
+from testbed.metrics.block import Block
 from testbed.metrics.summary import summarise
 from testbed.metrics.tally import BLOCK, Windows
-from testbed.state import Array, Event, Frame, RunInfo, Truths
+from testbed.rows import Columns, Kept, Rows
+from testbed.state import Array, Event, Frame, RunInfo
+
+_MEASURED = (
+    "truth.position_ned",
+    "truth.euler",
+    "formation.error_ned",
+    "formation.slot_ned",
+    "formation.guards",
+    "formation.saturations",
+    "air.wind_ned",
+    "air.roll_coefficient",
+    "command.throttle",
+    "lost",
+    "formation.place",
+)
+_ESTIMATED = ("position_ned", "velocity_ned", "euler", "airspeed")
+_BELIEVED = (
+    *(f"{who}.{kept}" for who in ("estimate", "truth") for kept in _ESTIMATED),
+    "formation.believed_ned",
+)
 
 
 class MetricsObserver:
@@ -26,7 +46,7 @@ class MetricsObserver:
             summary: `source`, `rms_m`, `mean_rms_m` and `percent_error` by portion.
     """
 
-    borrows = True  # what is measured is copied at once
+    borrows = True  # keeps no array of a frame
 
     def __init__(
         self,
@@ -48,49 +68,22 @@ class MetricsObserver:
             start_s=np.array([start for start, _ in spans.values()], dtype=np.float64),
             end_s=np.array([end for _, end in spans.values()], dtype=np.float64),
         )
-        aircraft, followers = len(info.names), len(info.names) - 1
-        self._tally = tallying.empty(len(spans), followers)
+        self._tally = tallying.empty(len(spans), len(info.names) - 1)
         self._events = []
-        self._tick = np.zeros(BLOCK, dtype=np.int64)
-        self._rows = np.empty((BLOCK, 12 * aircraft + 9 * followers))
-        # what the estimates add to these rows, in those of them whose estimates err
-        self._beliefs = np.zeros((BLOCK, estimates.COLUMNS * aircraft + 3 * followers))
-        self._errs = np.zeros(BLOCK, dtype=np.bool_)
-        self._filled = 0
+        self._kept = Kept(
+            rows=Rows(_MEASURED, attrgetter(*_MEASURED), room=BLOCK),
+            beliefs=Rows(_BELIEVED, attrgetter(*_BELIEVED), room=BLOCK),
+        )
 
     def observe(self, frame: Frame) -> None:
-        """Copy what is measured into a row; fold the block when it is full."""
-        formation = frame.formation
-        row = self._filled
-        np.concatenate(
-            (
-                frame.truth.position_ned,
-                frame.truth.euler,
-                formation.error_ned,
-                formation.slot_ned,
-                formation.guards,
-                formation.saturations,
-                frame.air.wind_ned,
-                frame.air.roll_coefficient,
-                frame.command.throttle,
-                frame.lost,
-                formation.place,
-            ),
-            axis=None,
-            out=self._rows[row],
-        )
-        if frame.estimate is not frame.truth:
-            self._errs[row] = True
-            believed = (*estimates.errors(frame), formation.believed_ned)
-            np.concatenate(believed, axis=None, out=self._beliefs[row])
-        self._tick[row] = frame.tick
-        self._filled = row + 1
+        """Copy what is measured; fold the block when it is full."""
+        kept = self._kept
+        kept.append(frame)
         if frame.events:
             self._events.extend(frame.events)
-        if self._filled == BLOCK:
+        if len(kept.tick) == BLOCK:
             self._tally = self._folded()
-            self._filled = 0
-            self._errs[:] = False
+            kept.clear()
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
         """Nothing is left to do: `summary` counts the rows of an open block too."""
@@ -116,11 +109,12 @@ class MetricsObserver:
 
     def _folded(self) -> tallying.Tally:
         assert self._info is not None
-        filled = slice(self._filled)
-        aircraft, errs = len(self._info.names), self._errs[filled]
-        block = _block(self._rows[filled], self._tick[filled], aircraft)
-        if errs.any():
-            block = _with_estimates(block, self._beliefs[filled], errs)
+        kept = self._kept
+        if not kept.tick:
+            return self._tally
+        block = _block(kept.tick, kept.rows.columns())
+        if kept.erring:
+            block = _with_estimates(block, kept.erring, kept.beliefs.columns())
         return tallying.fold(
             self._tally,
             block,
@@ -130,44 +124,38 @@ class MetricsObserver:
         )
 
 
-def _block(rows: Array, tick: Ticks, aircraft: int) -> Block:
-    """Give the columns of rows (K, columns) their names and shapes; estimates are exact."""
-    frames, followers = len(rows), aircraft - 1
-    widths = [3 * aircraft, 3 * aircraft, 3 * followers, 3 * followers, followers, followers]
-    widths += [3 * aircraft, aircraft, aircraft, aircraft]
-    position, euler, error, slot, guards, saturations, wind, roll, throttle, lost, place = np.split(
-        rows, np.cumsum(widths), axis=1
-    )
-    error_ned = error.reshape(frames, followers, 3)
+def _block(tick: list[int], columns: Columns) -> Block:
+    """The frames of which these are the ticks and the `_MEASURED`; estimates are exact."""
+    measured = {source: np.ascontiguousarray(values) for source, values in columns.items()}
+    error_ned = measured["formation.error_ned"]
     return Block(
-        tick=tick,
-        position_ned=position.reshape(frames, aircraft, 3),
-        bank=euler[:, 0],
+        tick=np.array(tick, dtype=np.int64),
+        position_ned=measured["truth.position_ned"],
+        bank=measured["truth.euler"][:, 0, 0],
         error_ned=error_ned,
-        slot_ned=slot.reshape(frames, followers, 3),
-        place=place,
-        guards=guards.astype(np.int64),
-        saturations=saturations.astype(np.int64),
-        wind_ned=wind.reshape(frames, aircraft, 3),
-        roll_coefficient=roll,
-        throttle=throttle,
-        lost=lost.astype(np.bool_),
+        slot_ned=measured["formation.slot_ned"],
+        place=measured["formation.place"],
+        guards=measured["formation.guards"].astype(np.int64),
+        saturations=measured["formation.saturations"].astype(np.int64),
+        wind_ned=measured["air.wind_ned"],
+        roll_coefficient=measured["air.roll_coefficient"],
+        throttle=measured["command.throttle"],
+        lost=measured["lost"],
         believed_ned=error_ned,
         off=(),
     )
 
 
-def _with_estimates(block: Block, beliefs: Array, errs: Truths) -> Block:
-    """The block with what the estimates add in the rows (K,) whose estimates err."""
-    frames, aircraft = block.lost.shape
-    beliefs = np.where(errs[:, None], beliefs, 0.0)
-    widths = np.array([3, 3, 3, 1]) * aircraft
-    position, velocity, euler, airspeed, believed = np.split(beliefs, np.cumsum(widths), axis=1)
-    vectors = (each.reshape(frames, aircraft, 3) for each in (position, velocity, euler))
-    return replace(
-        block,
-        believed_ned=np.where(
-            errs[:, None, None], believed.reshape(block.error_ned.shape), block.error_ned
-        ),
-        off=(*vectors, airspeed),
-    )
+def _with_estimates(block: Block, rows: list[int], columns: Columns) -> Block:
+    """The block with what the estimates add, which err in these of its rows, by the `_BELIEVED`."""
+    believed_ned = block.error_ned.copy()
+    believed_ned[rows] = columns["formation.believed_ned"]
+
+    def off(kept: str) -> Array:
+        estimate, truth = columns[f"estimate.{kept}"], columns[f"truth.{kept}"]
+        out = np.zeros((len(block.tick), *truth.shape[1:]))
+        with np.errstate(invalid="ignore"):  # of an aircraft that left its model's range
+            out[rows] = estimate - truth
+        return out
+
+    return replace(block, believed_ned=believed_ned, off=tuple(map(off, _ESTIMATED)))

@@ -6,7 +6,9 @@ run gives the same bits however it is observed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import IntFlag
 from typing import Any
 
 import numpy as np
@@ -130,28 +132,29 @@ def fold(
     bank = np.abs(block.bank)
     inside = (error <= ENGAGED_RADIUS_M) & ~gone
 
-    time_s = tick / base_rate_hz
-    masks = [(time_s >= start) & (time_s < end) for start, end in windows.spans]
+    # frames come in order of time, so that those of a portion are neighbours
+    cuts = np.searchsorted(tick / base_rate_hz, windows.spans).tolist()
+    parts = [slice(first, last) for first, last in cuts]
     separation, row, pair = _closest(block.position_ned)
     closer = separation < tally.separation
     inside_since, engaged = _engage(tally, tick, inside, base_rate_hz)
     saturated = block.saturations != 0
-    square = believed = _sums(error**2, masks)
+    square = believed = _sums(error**2, parts)
     if block.off:
         # by the same steps as the error's, so that what is as believed gives the same bits
-        believed = _sums(_length(block.believed_ned) ** 2, masks)
+        believed = _sums(_length(block.believed_ned) ** 2, parts)
     return Tally(
         last_tick=int(tick[-1]),
         alive=tally.alive + (~lost).sum(axis=0),
         paired=tally.paired + (~gone).sum(axis=0),
         lost=since,
-        count=tally.count + np.array([mask.sum() for mask in masks], dtype=np.int64),
-        counted=tally.counted + _sums(~gone, masks).astype(np.int64),
+        count=tally.count + np.array([last - first for first, last in cuts], dtype=np.int64),
+        counted=tally.counted + _sums(~gone, parts).astype(np.int64),
         square=tally.square + square,
         believed=tally.believed + believed,
-        square_ratio=tally.square_ratio + _sums(ratio**2, masks),
-        largest=np.maximum(tally.largest, _largest(error, masks)),
-        bank=np.maximum(tally.bank, _largest(bank, masks)),
+        square_ratio=tally.square_ratio + _sums(ratio**2, parts),
+        largest=np.maximum(tally.largest, _largest(error, parts)),
+        bank=np.maximum(tally.bank, _largest(bank, parts)),
         largest_ever=np.maximum(tally.largest_ever, error.max(axis=0)),
         bank_ever=float(np.maximum(tally.bank_ever, bank.max())),
         separation=separation if closer else tally.separation,
@@ -160,9 +163,9 @@ def fold(
         inside_since=inside_since,
         engaged=engaged,
         guarded=tally.guarded + (block.guards != 0).sum(axis=0),
-        guards=tally.guards + _count_bits(block.guards, list(Guard)),
+        guards=tally.guards + _count_bits(block.guards, Guard),
         saturated=tally.saturated + saturated.sum(axis=0),
-        saturations=tally.saturations + _count_bits(block.saturations, list(Saturation)),
+        saturations=tally.saturations + _count_bits(block.saturations, Saturation),
         last_saturated=np.maximum(tally.last_saturated, _last(tick, saturated)),
         speeds=speeds.fold(
             tally.speeds,
@@ -188,21 +191,22 @@ def _length(vectors: Array) -> Array:
     return length
 
 
-def _sums(values: NDArray[Any], masks: list[NDArray[np.bool_]]) -> Array:
+def _sums(values: NDArray[Any], parts: Sequence[slice]) -> Array:
     """Sums over the frames of each portion (P, ...) of values (K, ...)."""
-    sums = np.array([values[mask].sum(axis=0) for mask in masks])
-    return sums.reshape(len(masks), *values.shape[1:])
+    sums = np.array([values[part].sum(axis=0) for part in parts])
+    return sums.reshape(len(parts), *values.shape[1:])
 
 
-def _largest(values: Array, masks: list[NDArray[np.bool_]]) -> Array:
+def _largest(values: Array, parts: Sequence[slice]) -> Array:
     """Largest in each portion (P, ...) of values (K, ...) that are not negative."""
-    largest = np.array([values[mask].max(axis=0, initial=0.0) for mask in masks])
-    return largest.reshape(len(masks), *values.shape[1:])
+    largest = np.array([values[part].max(axis=0, initial=0.0) for part in parts])
+    return largest.reshape(len(parts), *values.shape[1:])
 
 
-def _count_bits(flags: Ticks, bits: list[Any]) -> Ticks:
+def _count_bits(flags: Ticks, bits: type[IntFlag]) -> Ticks:
     """Frames in which each bit was set (n, bits), from flags (K, n)."""
-    return np.stack([(flags & int(bit) != 0).sum(axis=0) for bit in bits], axis=-1)
+    counts: Ticks = np.count_nonzero(flags[..., None] & [int(bit) for bit in bits], axis=0)
+    return counts
 
 
 def _last(tick: Ticks, happened: NDArray[np.bool_]) -> Ticks:

@@ -1,4 +1,6 @@
-"""The only module that imports foxglove, mcap and protobuf: MCAP files, written and read.
+"""The only module that imports foxglove, mcap, protobuf and zstandard: MCAP files.
+
+They are written here, not by a library, as those handle messages one by one.
 
 Format: https://mcap.dev/spec. Foxglove's messages:
 https://docs.foxglove.dev/docs/visualization/message-schemas.
@@ -10,40 +12,56 @@ import functools
 import io
 import os
 import struct
-from collections.abc import Callable, Mapping, Sequence
+import zlib
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
-import foxglove
-from foxglove import channels, messages
-from foxglove.mcap import MCAPWriteOptions
+import zstandard
+from foxglove import messages
 from google.protobuf import descriptor_pool, message_factory
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import DecodeError
 from mcap import records
+from mcap.data_stream import RecordBuilder
 from mcap.exceptions import EndOfFile
+from mcap.opcode import Opcode
+from mcap.records import McapRecord
 from mcap.stream_reader import StreamReader
 
 from testbed.errors import InputError
+from testbed.record.chunk import Chunk, Schema, Stream, Strip, chunk
 from testbed.record.messages import Topic
 from testbed.state import Event
 
 _NS = 10**9
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")  # of a record: what it is, and the length of the rest
-# Chunks end where `flush` says and nowhere else. Compressed in this thread and at the level that
-# is fastest and still shrinks: the rest of a log is the noise of the last bits. Chunks carry their
-# own checksums; one over the whole file would make damage in an index, which nobody needs, fatal.
-_OPTIONS = MCAPWriteOptions(
-    chunk_size=None,
-    compression_level=1,
-    compression_threads=0,
-    disable_seeking=True,
-    calculate_data_section_crc=False,
+# Of a chunk: the same, its first and last time, what is packed: size, checksum, how and into what.
+_CHUNK = struct.Struct("<BQQQQII4sQ")
+_ZSTD = "zstd"
+_LIBRARY = "testbed"  # what wrote a file
+# The level that is fastest and still shrinks: the rest of a log is the noise of the last bits.
+_LEVEL = 1
+_GROUPS = (  # of the summary
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.STATISTICS,
+    Opcode.CHUNK_INDEX,
+    Opcode.ATTACHMENT_INDEX,
+    Opcode.METADATA_INDEX,
 )
 
-Write = Callable[[bytes, int], None]  # a message and its time in ns
+
+def _known(kind: Any) -> Schema:  # noqa: ANN401 - a class of foxglove.messages
+    schema = kind.get_schema()
+    return Schema(schema.name, schema.data)
+
+
+TRANSFORMS, FIX, LOG = map(_known, (messages.FrameTransforms, messages.LocationFix, messages.Log))
 
 
 class LogError(InputError):
@@ -53,13 +71,16 @@ class LogError(InputError):
 class LogFile:
     """An MCAP file being written.
 
-    What is written is in the file, whole or not at all, when `flush` returns.
+    A thread of its own compresses chunks and writes them, for which it does not need the
+    interpreter. A record is in the file whole or not at all.
 
     Args:
         path: A file that does not exist.
 
     Raises:
-        LogError: The file exists, or its folder is missing, full or not writable.
+        LogError: The file exists, or its folder is missing, full or not writable. Also from every
+            method that writes, of what was to be written before: the file has then closed itself
+            after its last whole record.
     """
 
     def __init__(self, path: Path) -> None:
@@ -71,131 +92,161 @@ class LogFile:
             raise LogError(f"{path}: there is a log already; name another directory") from None
         except OSError as error:
             raise LogError(f"{path}: cannot create the log: {error.strerror}") from error
-        self._context = foxglove.Context()
-        self._tail = _Tail()
-        self._writer = foxglove.open_mcap(
-            self._tail, context=self._context, writer_options=_OPTIONS
-        )
+        self._size = 0
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="log")
+        self._writing: Future[None] | None = None
+        self._compressor = zstandard.ZstdCompressor(level=_LEVEL)
+        self._streams: list[Stream] = []  # those that have a number
+        self._schemas: dict[str, int] = {}  # numbers by name
+        self._span_ns = (2**63, 0)
+        self._summary: dict[Opcode, list[bytes]] = {group: [] for group in _GROUPS}
+        self._put(_MAGIC + _bytes(records.Header(profile="", library=_LIBRARY)))
 
-    def topic(self, name: str, kind: Topic) -> Write:
-        """Open a stream of own messages, given as bytes."""
-        schema = foxglove.Schema(name=kind.message, encoding="protobuf", data=_descriptor_set(kind))
-        channel = foxglove.Channel(
-            name, message_encoding="protobuf", schema=schema, context=self._context
-        )
-        return channel.base.log
-
-    def transforms(self, name: str) -> Write:
-        """Open a stream of foxglove.FrameTransforms, given as bytes."""
-        channel = foxglove.Channel(
-            name,
-            message_encoding="protobuf",
-            schema=messages.FrameTransforms.get_schema(),
-            context=self._context,
-        )
-        return channel.base.log
-
-    def fixes(self, name: str, frame: str) -> Callable[[Sequence[float], int], None]:
-        """Open a stream of foxglove.LocationFix.
-
-        It takes latitude and longitude in deg and the altitude in m.
-        """
-        channel = channels.LocationFixChannel(name, context=self._context)
-
-        def write(place: Sequence[float], time_ns: int) -> None:
-            latitude, longitude, altitude = place
-            fix = messages.LocationFix(
-                timestamp=_timestamp(time_ns),
-                frame_id=frame,
-                latitude=latitude,
-                longitude=longitude,
-                altitude=altitude,
-            )
-            channel.log(fix, log_time=time_ns)
-
-        return write
-
-    def events(self, name: str) -> Callable[[Event], None]:
-        """Open a stream of foxglove.Log."""
-        channel = channels.LogChannel(name, context=self._context)
-
-        def write(event: Event) -> None:
-            time_ns = round(event.time_s * _NS)
-            line = messages.Log(
-                timestamp=_timestamp(time_ns),
-                level=getattr(messages.LogLevel, event.level.title(), messages.LogLevel.Unknown),
-                message=event.text,
-                name=event.source,
-            )
-            channel.log(line, log_time=time_ns)
-
-        return write
+    def stream(self, topic: str, schema: Schema) -> Stream:
+        """A stream of messages for the chunks of this file."""
+        return Stream(topic, schema, self._announce)
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Add a metadata record."""
-        self._writer.write_metadata(name, dict(values))
+        at, length = self._append(records.Metadata(name, dict(sorted(values.items()))))
+        index = records.MetadataIndex(offset=at, length=length, name=name)
+        self._summary[Opcode.METADATA_INDEX].append(_bytes(index))
 
     def attachment(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file."""
-        self._writer.attach(log_time=0, create_time=0, name=name, media_type=media_type, data=data)
+        what: dict[str, Any] = {"name": name, "media_type": media_type}
+        what |= {"log_time": 0, "create_time": 0}
+        at, length = self._append(records.Attachment(data=data, **what))
+        index = records.AttachmentIndex(offset=at, length=length, data_size=len(data), **what)
+        self._summary[Opcode.ATTACHMENT_INDEX].append(_bytes(index))
 
-    def flush(self) -> None:
-        """End the chunk and put everything written so far into the file."""
-        self._writer.flush()
-        self._save()
+    def write(self, strips: Sequence[Strip]) -> None:
+        """Write a chunk, which will be in the file as soon as it is compressed."""
+        self._wait()
+        if strips:
+            self._writing = self._thread.submit(self._save, chunk(strips))
 
     def close(self) -> None:
         """Write the summary that makes the file seekable, and close it."""
         if self._file.closed:
             return
-        self._writer.close()
-        self._save()
+        # a checksum over the whole file would make damage in an index, which nobody needs, fatal
+        self._append(records.DataEnd(data_section_crc=0))
+        self._put(self._end())
         self._file.close()
+        self._thread.shutdown()
 
-    def _save(self) -> None:
-        size = self._file.tell()
-        rest = memoryview(self._tail.take())
+    def _announce(self, stream: Stream) -> bytes:
+        if stream.number:
+            return b""
+        self._streams.append(stream)
+        stream.number = len(self._streams)
+        name, data = stream.schema.name, stream.schema.data
+        known = name in self._schemas
+        number = self._schemas.setdefault(name, len(self._schemas) + 1)
+        channel = _bytes(records.Channel(stream.number, stream.topic, "protobuf", {}, number))
+        self._summary[Opcode.CHANNEL].append(channel)
+        if known:
+            return channel
+        schema = _bytes(records.Schema(number, data, "protobuf", name))
+        self._summary[Opcode.SCHEMA].append(schema)
+        return schema + channel
+
+    def _save(self, made: Chunk) -> None:
+        data = b"".join(made.parts)
+        packing = self._compressor.compressobj()
+        packed = [packing.compress(data), packing.flush()]
+        size, span_ns = sum(map(len, packed)), (made.first_ns, made.last_ns)
+        length = _CHUNK.size + size
+        about = len(data), zlib.crc32(data), len(_ZSTD), _ZSTD.encode(), size
+        head = _CHUNK.pack(Opcode.CHUNK, length - _HEAD.size, *span_ns, *about)
+        numbers, indices = zip(*sorted(made.index.items()), strict=True)
+        at = self._size
+        self._put(b"".join([head, *packed, *indices]))
+        *places, end = accumulate(map(len, indices), initial=at + length)
+        index = records.ChunkIndex(
+            chunk_start_offset=at,
+            chunk_length=length,
+            message_index_offsets=dict(zip(numbers, places, strict=True)),
+            message_index_length=end - at - length,
+            compression=_ZSTD,
+            compressed_size=size,
+            uncompressed_size=len(data),
+            message_start_time=made.first_ns,
+            message_end_time=made.last_ns,
+        )
+        self._summary[Opcode.CHUNK_INDEX].append(_bytes(index))
+        first_ns, last_ns = self._span_ns
+        self._span_ns = min(first_ns, made.first_ns), max(last_ns, made.last_ns)
+
+    def _append(self, record: McapRecord) -> tuple[int, int]:
+        """Put a record behind all chunks and say where it is and how long."""
+        self._wait()
+        at, data = self._size, _bytes(record)
+        self._put(data)
+        return at, len(data)
+
+    def _wait(self) -> None:
+        """Until the thread is done; what has kept it from that is raised here."""
+        if self._writing:
+            self._writing.result()
+
+    def _put(self, data: bytes) -> None:
+        rest = memoryview(data)
         try:
             while rest:
                 rest = rest[self._file.write(rest) :]
         except OSError as error:
             # half a record would hide that the rest of the file is sound
-            os.ftruncate(self._file.fileno(), size)
+            os.ftruncate(self._file.fileno(), self._size)
             self._file.close()
             raise LogError(f"{self.path}: cannot write the log: {error.strerror}") from error
+        self._size += len(data)
+
+    def _end(self) -> bytes:
+        """Everything after the data: what is in the file and where, by groups of records."""
+        groups, counts = self._summary, {each.number: each.count for each in self._streams}
+        first, last = self._span_ns if counts else (0, 0)
+        statistics = records.Statistics(
+            attachment_count=len(groups[Opcode.ATTACHMENT_INDEX]),
+            channel_count=len(counts),
+            channel_message_counts=counts,
+            chunk_count=len(groups[Opcode.CHUNK_INDEX]),
+            message_count=sum(counts.values()),
+            message_end_time=last,
+            message_start_time=first,
+            metadata_count=len(groups[Opcode.METADATA_INDEX]),
+            schema_count=len(groups[Opcode.SCHEMA]),
+        )
+        groups[Opcode.STATISTICS].append(_bytes(statistics))
+        out = offsets = b""
+        for group, parts in groups.items():
+            data = b"".join(parts)
+            if data:
+                offset = records.SummaryOffset(group, self._size + len(out), len(data))
+                offsets += _bytes(offset)
+            out += data
+        footer = records.Footer(self._size, self._size + len(out), summary_crc=0)
+        out += offsets + _bytes(footer)[:-4]
+        return out + struct.pack("<I", zlib.crc32(out)) + _MAGIC
 
 
-class _Tail:
-    """What the library has written and the file has not yet.
-
-    The library forgets the cause of a failed write and reports some failures to stderr only, so
-    it writes into memory.
-    """
-
-    def __init__(self) -> None:
-        self._parts: list[bytes] = []
-        self._position = 0
-
-    def write(self, data: bytes | bytearray) -> int:
-        self._parts.append(bytes(data))
-        self._position += len(data)
-        return len(data)
-
-    def seek(self, offset: int, whence: int = 0) -> int:
-        # with disable_seeking the library only asks where it is
-        return self._position
-
-    def flush(self) -> None:
-        pass
-
-    def take(self) -> bytes:
-        data = b"".join(self._parts)
-        self._parts.clear()
-        return data
+def log_line(event: Event) -> bytes:
+    """A foxglove.Log."""
+    time_ns = round(event.time_s * _NS)
+    line = messages.Log(
+        timestamp=messages.Timestamp(sec=time_ns // _NS, nsec=time_ns % _NS),
+        level=getattr(messages.LogLevel, event.level.title(), messages.LogLevel.Unknown),
+        message=event.text,
+        name=event.source,
+    )
+    return line.encode()
 
 
-def _timestamp(time_ns: int) -> messages.Timestamp:
-    return messages.Timestamp(sec=time_ns // _NS, nsec=time_ns % _NS)
+def _bytes(record: McapRecord) -> bytes:
+    out = RecordBuilder()
+    record.write(out)
+    return bytes(out.end())
 
 
 @dataclass(slots=True)
@@ -284,13 +335,12 @@ def log_fields(payload: bytes) -> tuple[str, str, str]:
 def _log_class() -> Any:  # noqa: ANN401 - made at run time
     # a pool of its own: Foxglove's package may have registered the same names
     pool = descriptor_pool.DescriptorPool()
-    schema = messages.Log.get_schema()
-    for file in FileDescriptorSet.FromString(schema.data).file:
+    for file in FileDescriptorSet.FromString(LOG.data).file:
         pool.Add(file)
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(LOG.name))
 
 
-def _descriptor_set(kind: Topic) -> bytes:
+def schema(kind: Topic) -> Schema:
     """The schema of an own message: a FileDescriptorSet of one file."""
     package, _, name = kind.message.rpartition(".")
     out = FileDescriptorSet()
@@ -304,4 +354,4 @@ def _descriptor_set(kind: Topic) -> bytes:
             type=f"TYPE_{column.type.upper()}",
             label=label,
         )
-    return bytes(out.SerializeToString(deterministic=True))
+    return Schema(kind.message, bytes(out.SerializeToString(deterministic=True)))

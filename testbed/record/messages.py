@@ -25,7 +25,7 @@ class Column:
     unwritten: str | None = None  # source whose values it has where nothing was written
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)  # hashed at every chunk
 class Topic:
     """A stream `/<aircraft>/<name>` of one message for each aircraft (or follower) and frame."""
 

@@ -16,6 +16,7 @@ from testbed.record.header import from_json
 from testbed.record.messages import LOG_SCHEMA, STATE, TOPICS, Topic
 from testbed.record.recorder import CODE_ENDING, INFO_NAME, METRICS_NAME, SCENARIO_NAME
 from testbed.record.wire import layout
+from testbed.rows import WHOLE
 from testbed.state import (
     AirData,
     Array,
@@ -32,14 +33,6 @@ from testbed.state import (
 )
 
 _NS = 10**9
-_WHOLE = {
-    "formation.guards": "u1",
-    "formation.saturations": "u1",
-    "formation.place": "u4",
-    "links.sent": "u4",
-    "links.delivered": "u4",
-    "lost": "?",
-}
 _RecordT = TypeVar("_RecordT")
 
 
@@ -92,7 +85,7 @@ def read_log(path: Path) -> Log:
     columns: dict[str, Any] = {}
     for topic in TOPICS:
         columns |= _columns(path, contents, topic, info, tick, columns)
-    for source, kind in _WHOLE.items():
+    for source, kind in WHOLE.items():
         # a bit set of a frame that is not there reads as nothing set, a count as none
         columns[source] = np.nan_to_num(columns[source]).astype(kind)
     truth = _assemble(VehicleState, "truth", columns)

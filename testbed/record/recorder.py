@@ -5,19 +5,19 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Mapping, Sequence
-from itertools import chain
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from testbed.frames import geodetic_from_ned, quaternion_xyzw
-from testbed.record.door import LogError, LogFile, Write
+from testbed.record.chunk import Sheet, Strip, Whole, strip
+from testbed.record.columns import keep, unpack
+from testbed.record.door import FIX, LOG, TRANSFORMS, LogError, LogFile, log_line, schema
 from testbed.record.header import to_json
-from testbed.record.messages import BELIEVED, ESTIMATE, LOG_SCHEMA, NETWORK, TOPICS
-from testbed.record.rows import Rows, all_delivered, says_more
-from testbed.record.transforms import Transforms
+from testbed.record.messages import LOG_SCHEMA, TOPICS, Topic
+from testbed.record.transforms import Fixes, Transforms
 from testbed.record.wire import layout
 from testbed.state import Event, Frame, RunInfo
 
@@ -29,7 +29,7 @@ _CHUNK_AIRCRAFT_FRAMES = 800
 _WALL_CLOCK = ("wall_s", "real_time_factor")
 _NS = 10**9
 # NED in the east-north-up world that viewers draw with z up
-_ENU_FROM_NED = np.array([[[0.0, 0.0, 0.0, 0.5**0.5, 0.5**0.5, 0.0, 0.0]]])
+_ENU_FROM_NED = np.zeros((1, 1, 3)), np.array([[[0.5**0.5, 0.5**0.5, 0.0, 0.0]]])
 
 
 class McapRecorder:
@@ -46,7 +46,7 @@ class McapRecorder:
         LogError: From `begin`, `observe` and `end`: the file cannot be written.
     """
 
-    borrows = True  # a frame is copied at once
+    borrows = True  # keeps no array of a frame
 
     def __init__(self, path: Path) -> None:
         """See the class."""
@@ -63,10 +63,9 @@ class McapRecorder:
         for name, code in info.code.items():
             file.attachment(name, "text/x-python", code)
         file.attachment(INFO_NAME, "application/json", to_json(info).encode())
-        file.flush()
         self._open_streams(file, info.names)
-        frames = chunk_frames(len(info.names))
-        self._rows = Rows(frames=frames, aircraft=len(info.names))
+        self._full = chunk_frames(len(info.names))
+        self._kept = keep(self._full)
         self._events: list[tuple[int, Event]] = []  # with the row they come after
         self._written = 0  # frames
         self._fix_stride = max(1, round(info.frame_rate_hz / FIX_HZ))
@@ -75,24 +74,30 @@ class McapRecorder:
 
     def observe(self, frame: Frame) -> None:
         """Take a frame; write the chunk when it is full or old."""
-        rows = self._rows
-        rows.append(frame)
+        kept = self._kept
+        kept.append(frame)
+        count = len(kept.tick)
         if frame.events:
-            self._events.extend((len(rows), event) for event in frame.events)
-        if rows.full or time.monotonic() - self._flushed > FLUSH_S:
+            self._events.extend((count - 1, event) for event in frame.events)
+        if count == self._full or time.monotonic() - self._flushed > FLUSH_S:
             self.flush()
 
     def flush(self) -> None:
-        """Put everything seen so far into the file."""
-        file, rows = self._file, self._rows
-        if file is not None and (rows or self._events):
-            self._write_rows()
+        """Have everything seen so far written."""
+        file = self._file
+        if file is not None:
+            strips = [*self._strips(file)] if self._kept.tick else []
+            if self._events:
+                turns, events = zip(*self._events, strict=True)
+                time_ns = [round(event.time_s * _NS) for event in events]
+                lines = [[log_line(event)] for event in events]
+                strips.append(strip([self._event], lines, np.array(time_ns), np.array(turns)))
             try:
-                file.flush()
+                file.write(strips)
             except LogError:
                 self._file = None  # it has closed itself after its last whole record
                 raise
-            rows.clear()
+            self._kept.clear()
             self._events = []
         self._flushed = time.monotonic()
 
@@ -104,7 +109,7 @@ class McapRecorder:
         file = self._file
         if file is None:
             return
-        self._events.extend((len(self._rows), event) for event in events)
+        self._events.extend((len(self._kept.tick) - 1, event) for event in events)
         self.flush()
         timeless = {**summary, **{key: None for key in _WALL_CLOCK if key in summary}}
         text = json.dumps(timeless, indent=2, ensure_ascii=False, allow_nan=False)
@@ -120,60 +125,57 @@ class McapRecorder:
             file.close()
 
     def _open_streams(self, file: LogFile, names: tuple[str, ...]) -> None:
-        self._tf, self._tf_static = file.transforms("/tf"), file.transforms("/tf_static")
-        self._poses = Transforms("ned", names)
-        self._event = file.events("/events")
-        self._fixes = [file.fixes(f"/{name}/fix", name) for name in names]
+        self._tf, self._poses = file.stream("/tf", TRANSFORMS), Transforms("ned", names)
+        self._event = file.stream("/events", LOG)
+        self._fix, self._fixes = [file.stream(f"/{name}/fix", FIX) for name in names], Fixes(names)
         self._topics = {
             topic: (
                 layout(topic, len(names)),
-                [
-                    file.topic(f"/{name}/{topic.name}", topic)
-                    for name in (names[1:] if topic.followers_only else names)
-                ],
+                [file.stream(f"/{name}/{topic.name}", schema(topic)) for name in theirs],
             )
             for topic in TOPICS
+            if (theirs := names[1:] if topic.followers_only else names)
         }
+        self._sheets: dict[tuple[Topic, ...], Sheet] = {}  # by the topics that are in it
 
-    def _write_rows(self) -> None:
-        """The frames in the rows, one after the other, with the events between them."""
-        count, columns = len(self._rows), self._rows.columns()
-        time_ns = [tick * _NS // self._info.base_rate_hz for tick in self._rows.tick]
-        unwritten = [topic for topic in (ESTIMATE, BELIEVED) if not says_more(topic, columns)]
-        if all_delivered(columns):  # once a message is lost, no later count is as it was sent
-            unwritten.append(NETWORK)
-        writes: list[Write] = []
-        encoded: list[list[list[bytes]]] = []
-        for topic, (kind, streams) in self._topics.items():
-            if topic not in unwritten:
-                writes += streams
-                encoded.append(kind.encode(columns))
-        messages = [list(chain.from_iterable(parts)) for parts in zip(*encoded, strict=True)]
-        positions = columns["truth.position_ned"]
-        quaternions = quaternion_xyzw(columns["truth.euler"])
-        poses = np.concatenate([positions, quaternions], axis=-1)
-        transforms = self._poses.encode(poses, np.array(time_ns, dtype=np.int64))
-        fixing = range(-self._written % self._fix_stride, count, self._fix_stride)
-        places = geodetic_from_ned(positions[fixing.start :: fixing.step], self._info.origin)
-        fixed = dict(zip(fixing, places.tolist(), strict=True))
-        if not self._written and time_ns:
-            at = np.array(time_ns[:1], dtype=np.int64)
-            (static,) = Transforms("enu", ("ned",)).encode(_ENU_FROM_NED, at)
-            self._tf_static(static, time_ns[0])
-        for row, stamp in enumerate(time_ns):
-            self._write_events(row)
-            self._tf(transforms[row], stamp)
-            for write, message in zip(writes, messages[row], strict=True):
-                write(message, stamp)
-            for fix, place in zip(self._fixes, fixed.get(row, ()), strict=False):
-                fix(place, stamp)
-        self._write_events(count)
-        self._written += count
+    def _strips(self, file: LogFile) -> Iterator[Strip]:
+        """The frames that were kept, and what is before them and between them."""
+        time_ns = np.array(self._kept.tick, dtype=np.int64) * _NS // self._info.base_rate_hz
+        if not self._written:
+            static = [file.stream("/tf_static", TRANSFORMS)]
+            yield strip(static, [[_static(time_ns[:1])]], time_ns[:1], np.zeros(1, dtype=np.int64))
+        columns, told = unpack(self._kept)
+        topics = tuple(topic for topic in told if topic in self._topics)
+        positions, euler = columns["truth.position_ned"], columns["truth.euler"]
+        sheet = self._sheet(topics)
+        rows = sheet.blank(len(time_ns))
+        transforms, *messages = sheet.messages(rows)
+        self._poses.fill(transforms[:, 0], positions, quaternion_xyzw(euler), time_ns)
+        for topic, theirs in zip(topics, messages, strict=True):
+            self._topics[topic][0].fill(theirs, columns)
+        yield sheet.strip(rows, time_ns)
+        fixing = slice(-self._written % self._fix_stride, None, self._fix_stride)
+        turns = np.arange(len(time_ns))[fixing]
+        if turns.size:
+            places = geodetic_from_ned(positions[fixing], self._info.origin)
+            fixes = self._fixes.encode(places, time_ns[fixing])
+            yield strip(self._fix, fixes, time_ns[fixing], turns)
+        self._written += len(time_ns)
 
-    def _write_events(self, after: int) -> None:
-        for row, event in self._events:
-            if row == after:
-                self._event(event)
+    def _sheet(self, topics: tuple[Topic, ...]) -> Sheet:
+        if topics not in self._sheets:
+            kinds = [(self._poses.template, [self._tf])]
+            kinds += [(self._topics[t][0].template, self._topics[t][1]) for t in topics]
+            self._sheets[topics] = Sheet(kinds)
+        return self._sheets[topics]
+
+
+def _static(time_ns: Whole) -> bytes:
+    """The one message of `/tf_static`, sent at this time (1,)."""
+    transforms = Transforms("enu", ("ned",))
+    octets = np.array([list(transforms.template)], dtype=np.uint8)
+    transforms.fill(octets, *_ENU_FROM_NED, time_ns)
+    return octets.tobytes()
 
 
 def chunk_frames(aircraft: int) -> int:

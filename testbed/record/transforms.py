@@ -1,74 +1,124 @@
-"""`/tf` messages as bytes, for many frames at once: foxglove.FrameTransforms from one parent.
+"""Foxglove's messages of every frame as bytes: `/tf` and the fixes.
 
-As objects these messages would cost as much as all others together. Every length in them is made
-constant by writing the two numbers of a timestamp in five bytes each, which protobuf allows
-(https://protobuf.dev/programming-guides/encoding/#varints), so that numpy can fill them in.
+As objects these messages would cost as much as all others together. foxglove.FrameTransforms from
+one parent is of constant length, for its timestamps write their two numbers in five bytes each,
+which protobuf allows (https://protobuf.dev/programming-guides/encoding/#varints), so that numpy
+can fill it in; a foxglove.LocationFix is so but for its timestamp.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.record.wire import varint
+from testbed.record.chunk import Whole
+from testbed.record.wire import Octets, varint
 from testbed.state import Array
 
 _NS = 10**9
 _VARINT = 5  # bytes, enough for any uint32
 _HEAD = bytes([0x08, *bytes(_VARINT), 0x10, *bytes(_VARINT)])  # Timestamp: seconds, nanos
+_DOUBLE = np.dtype([("tag", "u1"), ("value", "<f8")])
 
 
 class Transforms:
-    """The layout of a run's `/tf`: where the values of each child stand in a message."""
+    """The layout of a run's `/tf`: a template and where the values of each child stand in it."""
 
     def __init__(self, parent: str, children: Sequence[str]) -> None:
         """Lay out the poses of these children in one parent."""
-        template = b""
-        self._stamps: list[int] = []  # where each child's timestamp begins
-        self._values: list[list[int]] = []  # where each child's seven numbers begin
-        for child in children:
-            head = _field(1, _HEAD) + _field(2, parent.encode()) + _field(3, child.encode())
-            body = head + _field(4, _doubles(3)) + _field(5, _doubles(4))
-            whole = _field(1, body)
-            start = len(template) + len(whole) - len(body)
-            self._stamps.append(start + 2)
-            first = start + len(head) + 2
-            second = first + len(_doubles(3)) + 2
-            self._values.append(
-                [first + 1 + 9 * axis for axis in range(3)]
-                + [second + 1 + 9 * axis for axis in range(4)]
-            )
-            template += whole
-        self._template = np.frombuffer(template, dtype=np.uint8)
+        self.template = b""
+        # neighbours whose names are of one length: how many, where the first begins, their values
+        self._groups: list[tuple[int, int, np.dtype[np.void]]] = []
+        for _, neighbours in groupby(children, key=lambda child: len(child.encode())):
+            poses = [_pose(parent, child) for child in neighbours]
+            self._groups.append((len(poses), len(self.template), _holes(poses[0])))
+            self.template += b"".join(poses)
 
-    def encode(self, poses: Array, time_ns: NDArray[np.int64]) -> list[bytes]:
-        """The messages of K frames.
+    def fill(self, messages: Octets, positions: Array, quaternions: Array, time_ns: Whole) -> None:
+        """Put K frames into messages (K, bytes) that are the template.
 
         Args:
-            poses: (K, children, 7) x, y, z in m and the quaternion x, y, z, w.
+            messages: one for each frame.
+            positions: (K, children, 3) m.
+            quaternions: (K, children, 4) x, y, z, w.
             time_ns: (K,)
         """
-        records = np.tile(self._template, (len(time_ns), 1))
-        octets = np.ascontiguousarray(poses, dtype="<f8").view(np.uint8)
-        octets = octets.reshape(*poses.shape, 8)
         seconds, nanos = _varints(time_ns // _NS), _varints(time_ns % _NS)
-        for child, (stamp, places) in enumerate(zip(self._stamps, self._values, strict=True)):
-            records[:, stamp + 1 : stamp + 1 + _VARINT] = seconds
-            records[:, stamp + 2 + _VARINT : stamp + 2 + 2 * _VARINT] = nanos
-            for k, place in enumerate(places):
-                records[:, place : place + 8] = octets[:, child, k]
-        out: list[bytes] = records.view(f"V{len(self._template)}")[:, 0].tolist()
-        return out
+        first = 0
+        for count, start, kind in self._groups:
+            group = messages[:, start : start + count * kind.itemsize]
+            records = group.reshape(len(messages), count, kind.itemsize).view(kind)[..., 0]
+            records["seconds"], records["nanos"] = seconds, nanos
+            records["translation"]["value"] = positions[:, first : first + count]
+            records["rotation"]["value"] = quaternions[:, first : first + count]
+            first += count
 
 
-def _varints(values: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Each value (K,) in five bytes (K, 5) of seven bits."""
+def _pose(parent: str, child: str) -> bytes:
+    names = _field(2, parent.encode()) + _field(3, child.encode())
+    return _field(1, _field(1, _HEAD) + names + _field(4, _doubles(3)) + _field(5, _doubles(4)))
+
+
+def _holes(pose: bytes) -> np.dtype[np.void]:
+    """Where the values are in a pose that has none yet."""
+    seconds = pose.index(_HEAD) + 1
+    rotation = len(pose) - len(_doubles(4))
+    holes = {
+        "seconds": (f"V{_VARINT}", seconds),
+        "nanos": (f"V{_VARINT}", seconds + _VARINT + 1),
+        "translation": ((_DOUBLE, (3,)), rotation - len(_field(5, b"")) - len(_doubles(3))),
+        "rotation": ((_DOUBLE, (4,)), rotation),
+    }
+    formats, offsets = zip(*holes.values(), strict=True)
+    return np.dtype(
+        {"names": [*holes], "formats": formats, "offsets": offsets, "itemsize": len(pose)}
+    )
+
+
+class Fixes:
+    """Where on Earth each aircraft is, as messages."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        """Of aircraft of these names."""
+        self._frames = [_field(7, name.encode()) for name in names]
+
+    def encode(self, places: Array, time_ns: Whole) -> list[list[bytes]]:
+        """The messages of N aircraft in R frames.
+
+        Args:
+            places: (R, N, 3) latitude and longitude in deg, altitude in m.
+            time_ns: (R,)
+        """
+        records = np.empty(places.shape, dtype=_DOUBLE)
+        records["tag"] = [number << 3 | 1 for number in (1, 2, 3)]
+        records["value"] = places
+        found: list[list[bytes]] = records.view(f"V{3 * _DOUBLE.itemsize}")[..., 0].tolist()
+        return [
+            [place + stamp + frame for place, frame in zip(row, self._frames, strict=True)]
+            for row, stamp in zip(found, map(_stamp, time_ns.tolist()), strict=True)
+        ]
+
+
+def _stamp(time_ns: int) -> bytes:
+    """The timestamp of a fix, without the numbers that are zero."""
+    return _field(6, _number(1, time_ns // _NS) + _number(2, time_ns % _NS))
+
+
+@lru_cache(256)
+def _number(number: int, value: int) -> bytes:
+    return varint(number << 3) + varint(value) if value else b""
+
+
+def _varints(values: Whole) -> NDArray[np.void]:
+    """Each value (K,) in five bytes of seven bits, (K, 1)."""
     shifts = 7 * np.arange(_VARINT)
     octets = (values[:, None] >> shifts) & 0x7F
     octets[:, :-1] |= 0x80
-    return octets.astype(np.uint8)
+    return octets.astype(np.uint8).view(f"V{_VARINT}")
 
 
 def _field(number: int, data: bytes) -> bytes:

@@ -2,20 +2,23 @@
 
 In proto3 a field of fixed length is a constant tag and its value, so a message of such fields is
 a template with holes (https://protobuf.dev/programming-guides/encoding/). Here the holes are the
-fields of a numpy record, and numpy fills them for all frames and aircraft.
+fields of a numpy record, one for each column, and numpy fills them for all frames and aircraft.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.record.messages import BOOL, DOUBLE, FIXED32, Column, Topic
 from testbed.state import Array
 
+Octets: TypeAlias = NDArray[np.uint8]
 Records: TypeAlias = np.ndarray[Any, np.dtype[np.void]]
 
 _VARINT, _FIXED64, _LENGTH, _FIXED32 = 0, 1, 2, 5  # wire types; a truth is a varint of one byte
@@ -28,22 +31,19 @@ class Layout:
 
     topic: Topic
     template: bytes
-    holes: np.dtype[np.void]  # the values by field name, at their places in the template
+    holes: np.dtype[np.void]  # by source, at their places in the template
 
-    def encode(self, columns: Records) -> list[list[bytes]]:
-        """The messages of K frames and their agents.
+    def fill(self, messages: Octets, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Put values into messages (..., agents, bytes) that are the template.
 
         Args:
-            columns: (K,) whose fields are the values (agents, components) by source.
+            messages: of any frames.
+            columns: the values (..., agents) or (..., agents, components) by source.
         """
-        records = self._blank(columns[self.topic.columns[0].source].shape[:-1])
+        records = messages.view(self.holes)[..., 0]
         for column in self.topic.columns:
-            values = columns[column.source]
-            for i, name in enumerate(column.names):
-                records[name] = values if column.per_aircraft else values[..., i]
-        # whole records without field names, which numpy hands out as bytes
-        out: list[list[bytes]] = records.view(f"V{len(self.template)}").tolist()
-        return out
+            hole = _hole(records, column)
+            hole[...] = columns[column.source].reshape(hole.shape)
 
     def decode(self, messages: Sequence[bytes]) -> dict[str, Array]:
         """Values (K, components) by source of K messages.
@@ -55,37 +55,40 @@ class Layout:
         if len(data) != len(messages) * len(self.template):
             raise ValueError("a message has another length than it should")
         records = np.frombuffer(data, dtype=self.holes)
-        again = self._blank(records.shape)
-        for name, _ in self.topic.fields:
-            again[name] = records[name]
+        columns = {c.source: _hole(records, c) for c in self.topic.columns}
+        template = np.frombuffer(self.template, dtype=np.uint8)
+        again = np.tile(template, (len(messages), 1))
+        self.fill(again, columns)
         if again.tobytes() != data:
             raise ValueError("a message is laid out in another way than it should")
-        return {column.source: _values(records, column) for column in self.topic.columns}
-
-    def _blank(self, shape: tuple[int, ...]) -> Records:
-        template = np.frombuffer(self.template, dtype=np.uint8)
-        records: Records = np.tile(template, (*shape, 1)).view(self.holes)[..., 0]
-        return records
+        return {source: values.astype(np.float64) for source, values in columns.items()}
 
 
 def layout(topic: Topic, aircraft: int) -> Layout:
     """The layout of a topic's messages in a run of this many aircraft."""
     template = b""
     offsets: list[int] = []
-    kinds: list[np.dtype[Any]] = []
-    for number, (_, column) in enumerate(topic.fields, start=1):
+    kinds: list[Any] = []
+    number = 1
+    for column in topic.columns:
         code, wire_type = _TYPES[column.type]
-        kind = np.dtype((code, (aircraft,)) if column.per_aircraft else code)
         if column.per_aircraft:
-            template += varint(number << 3 | _LENGTH) + varint(kind.itemsize)
+            size = aircraft * np.dtype(code).itemsize
+            template += varint(number << 3 | _LENGTH) + varint(size)
+            offsets.append(len(template))
+            kinds.append((code, (aircraft,)))
+            template += bytes(size)
         else:
-            template += varint(number << 3 | wire_type)
-        offsets.append(len(template))
-        kinds.append(kind)
-        template += bytes(kind.itemsize)
+            tags = [varint(n << 3 | wire_type) for n in range(number, number + len(column.names))]
+            assert len({*map(len, tags)}) == 1, f"{column.source}: tags of two lengths"
+            value = np.dtype([("tag", f"V{len(tags[0])}"), ("value", code)])
+            offsets.append(len(template))
+            kinds.append((value, (len(tags),)))
+            template += b"".join(tag + bytes(np.dtype(code).itemsize) for tag in tags)
+        number += len(column.names)
     holes = np.dtype(
         {
-            "names": [name for name, _ in topic.fields],
+            "names": [column.source for column in topic.columns],
             "formats": kinds,
             "offsets": offsets,
             "itemsize": len(template),
@@ -94,12 +97,12 @@ def layout(topic: Topic, aircraft: int) -> Layout:
     return Layout(topic, template, holes)
 
 
-def _values(records: Records, column: Column) -> Array:
-    if column.per_aircraft:
-        return np.asarray(records[column.names[0]], dtype=np.float64)
-    return np.stack([records[name].astype(np.float64) for name in column.names], axis=-1)
+def _hole(records: Records, column: Column) -> NDArray[Any]:
+    hole = records[column.source]
+    return hole if column.per_aircraft else hole["value"]
 
 
+@lru_cache(1024)
 def varint(value: int) -> bytes:
     """A whole number, not negative, seven bits to a byte."""
     out = bytearray()

@@ -1,18 +1,24 @@
 """The log holds what was seen, to the bit, for any reader, however the run ends."""
 
+import io
 import json
 import os
 import resource
 import signal
+import struct
 import subprocess
 import sys
 import time
+import zlib
 from pathlib import Path
 
 import mcap.reader
 import numpy as np
 import pytest
-from record_flight import assert_same_frame, decoded, event, record, run_frames, run_info
+import zstandard
+from mcap import records
+from mcap.stream_reader import StreamReader
+from record_flight import RECORDS, assert_same_frame, decoded, event, record, run_frames, run_info
 
 from testbed.frames import geodetic_from_ned, rotation_ned_body
 from testbed.metrics import MetricsObserver
@@ -231,6 +237,55 @@ def test_the_same_run_gives_the_same_bytes(tmp_path):
     assert one.read_bytes() == two.read_bytes()
 
 
+def test_what_was_seen_may_be_overwritten(tmp_path):
+    info = run_info()
+    log, live = McapRecorder(tmp_path / "lent.mcap"), MetricsObserver()
+    for observer in (log, live):
+        assert observer.borrows
+        observer.begin(info)
+    for frame in run_frames(300, noisy_from=200):
+        for observer in (log, live):
+            observer.observe(frame)
+        for name in RECORDS:
+            for array in getattr(frame, name):
+                array[...] = 0
+    log.end({"outcome": "flown", "wall_s": 1.5}, ())
+    kept = record(tmp_path / "kept.mcap", run_frames(300, noisy_from=200))
+    assert (tmp_path / "lent.mcap").read_bytes() == kept.read_bytes()
+    again = MetricsObserver()
+    again.begin(info)
+    for frame in run_frames(300, noisy_from=200):
+        again.observe(frame)
+    assert live.summary() == again.summary()
+
+
+def test_the_index_finds_every_message(tmp_path):
+    some = [event(k) for k in (0, 3, 3, CHUNK, CHUNK + 1)]
+    seen = run_frames(CHUNK + 60, noisy_from=CHUNK, lossy_from=7, events=some)
+    data = record(tmp_path / "run.mcap", seen).read_bytes()
+    head = struct.Struct("<BQHIQQ")  # of a message: its kind, its length, channel, number and times
+    found = {}
+    for one in StreamReader(io.BytesIO(data), emit_chunks=True).records:
+        if isinstance(one, records.Chunk):
+            chunk = zstandard.ZstdDecompressor().decompressobj().decompress(one.data)
+            assert zlib.crc32(chunk) == one.uncompressed_crc
+        elif isinstance(one, records.MessageIndex):
+            for time_ns, place in one.records:
+                kind, _, channel, number, *times = head.unpack_from(chunk, place)
+                assert (kind, channel, times) == (5, one.channel_id, [time_ns, time_ns])
+                found.setdefault(channel, []).append(number)
+        elif isinstance(one, records.ChunkIndex):
+            for channel, place in one.message_index_offsets.items():
+                assert struct.unpack_from("<BQH", data, place)[::2] == (7, channel)
+            assert data[one.chunk_start_offset] == 6
+        elif isinstance(one, records.Statistics):
+            statistics = one
+    counts = {channel: len(numbers) for channel, numbers in found.items()}
+    assert counts == statistics.channel_message_counts
+    assert all(numbers == [*range(1, len(numbers) + 1)] for numbers in found.values())
+    assert (statistics.message_count, statistics.chunk_count) == (sum(counts.values()), 2)
+
+
 def test_a_slow_run_writes_the_same_messages_sooner(tmp_path, monkeypatch):
     fast = record(tmp_path / "fast.mcap", run_frames(70))
     monkeypatch.setattr(recorder, "FLUSH_S", -1.0)  # as if every frame came late
@@ -395,4 +450,13 @@ def test_a_frame_whose_arrays_are_not_as_agreed_is_refused(tmp_path):
     command = frame.command._replace(roll=np.arange(4))
     with pytest.raises(TypeError, match=r"command\.roll: int64"):
         log.observe(frame._replace(command=command))
+    log.close()
+
+
+def test_a_frame_of_other_sizes_than_those_before_is_refused(tmp_path):
+    log = McapRecorder(tmp_path / "run.mcap")
+    log.begin(run_info())
+    log.observe(*run_frames(1))
+    with pytest.raises(ValueError, match="different structures"):
+        log.observe(*run_frames(1, followers=4))
     log.close()

@@ -1,0 +1,104 @@
+"""Arrays of frames as rows of bytes: copied as they come, unpacked many at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.state import Frame
+
+Columns = dict[str, NDArray[Any]]  # (K, ...) by source, the path from Frame
+
+WHOLE = {  # what is not a float64 in a frame
+    "formation.guards": "u1",
+    "formation.saturations": "u1",
+    "formation.place": "u4",
+    "links.sent": "u4",
+    "links.delivered": "u4",
+    "lost": "?",
+}
+
+
+class Rows:
+    """Some of the arrays of frames.
+
+    Args:
+        sources: of the arrays.
+        take: gives them, in this order.
+        room: for so many frames.
+    """
+
+    def __init__(
+        self, sources: Sequence[str], take: Callable[[Frame], Sequence[Any]], *, room: int
+    ) -> None:
+        """See the class."""
+        self._sources, self._take, self._room = sources, take, room
+        self._kind: np.dtype[Any] | None = None
+        self._count = 0
+
+    def append(self, frame: Frame) -> None:
+        """Copy arrays of a frame, which are laid out as in all others.
+
+        Raises:
+            TypeError: An array of the first frame has not the type it should have.
+            ValueError: The arrays are not as large as those of the first frame.
+        """
+        arrays = self._take(frame)
+        if self._kind is None:
+            self._kind = _kind(self._sources, arrays)
+            self._size = self._kind.itemsize
+            self._octets = memoryview(bytearray(self._room * self._size))
+        at = self._count * self._size
+        self._octets[at : at + self._size] = b"".join(arrays)
+        self._count += 1
+
+    def columns(self) -> Columns:
+        """The arrays of K frames, one at least, where they are kept: they last as long."""
+        rows = np.frombuffer(self._octets, dtype=self._kind or object, count=self._count)
+        return {source: rows[source] for source in self._sources}
+
+    def clear(self) -> None:
+        """Forget the frames."""
+        self._count = 0
+
+
+@dataclass(slots=True)
+class Kept:
+    """What an observer keeps of frames.
+
+    Args:
+        rows: of each frame.
+        beliefs: of each whose estimates are not the truth.
+    """
+
+    rows: Rows
+    beliefs: Rows
+    tick: list[int] = field(default_factory=list)
+    erring: list[int] = field(default_factory=list)  # the rows of which the beliefs are
+
+    def append(self, frame: Frame) -> None:
+        """Copy it."""
+        if frame.estimate is not frame.truth:
+            self.erring.append(len(self.tick))
+            self.beliefs.append(frame)
+        self.rows.append(frame)
+        self.tick.append(frame.tick)
+
+    def clear(self) -> None:
+        """Forget the frames."""
+        for each in (self.rows, self.beliefs, self.tick, self.erring):
+            each.clear()
+
+
+def _kind(sources: Sequence[str], arrays: Sequence[NDArray[Any]]) -> np.dtype[Any]:
+    kind: list[tuple[str, Any, tuple[int, ...]]] = []
+    for source, array in zip(sources, arrays, strict=True):
+        expected = np.dtype(WHOLE.get(source, "f8"))
+        if array.dtype != expected:
+            raise TypeError(f"{source}: {array.dtype} instead of {expected}")
+        kind.append((source, expected, array.shape))
+    return np.dtype(kind)
