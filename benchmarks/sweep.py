@@ -63,7 +63,7 @@ def timed(page: Path, out: Path, jobs: int) -> dict[str, float]:
 
 
 def stolen() -> float:
-    """Processor seconds since the start that a host kept from this machine; 0 where none says so."""
+    """Processor seconds that a host has kept from this machine; 0 where none says so."""
     if not STAT.exists():
         return 0.0
     # proc(5): cpu user nice system idle iowait irq softirq steal

@@ -105,6 +105,17 @@ def twin(function: F) -> F:
         config.CACHE_DIR = wanted
 
 
+def instructions(function: F) -> F:
+    """A function of a module of twins that writes LLVM's instructions: numba's `intrinsic`.
+
+    Raises:
+        ImportError: numba is missing.
+    """
+    from numba.extending import intrinsic
+
+    return intrinsic(function)  # type: ignore[no-any-return]
+
+
 @functools.cache
 def _machine_code(wanted: str) -> str:
     """The folder of the machine code of these sources; it need not be there, or be writable.

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from testbed.air.airframe import FELT, PLACE, points_body
+from testbed.air.airframe import points_body
 from testbed.air.field import Field
-from testbed.air.field_sample import FELT_IN_FIELD
-from testbed.air.gusts import Gusts
-from testbed.air.independent import TURBULENCE_AXES, Independent
-from testbed.air.mean import MeanWind
+from testbed.air.field_sample import READY_FELT_IN_FIELD
+from testbed.air.gusts import Gusts, make_gusts
+from testbed.air.independent import Independent
+from testbed.air.mean import READY_MEAN, MeanWind
+from testbed.air.uneven import READY_UNEVEN
 from testbed.air.wake import Wakes
 from testbed.state import AirFelt, Airframe, Array, Truths, VehicleState
 
@@ -29,7 +30,6 @@ class Air:
         field: turbulence that all aircraft share; None: none.
         own: turbulence of each aircraft's own; None: none.
         wakes: what aircraft do to one another; None: nothing.
-        dt: s between two calls of `felt`.
 
     Attributes:
         steady: the mean wind of the start is all there ever is, everywhere.
@@ -44,56 +44,65 @@ class Air:
         field: Field | None = None,
         own: Independent | None = None,
         wakes: Wakes | None = None,
-        dt: float,
     ) -> None:
         """See the class."""
+        n = len(airframes)
         self.mean, self.gusts, self.field = mean, gusts, field
         self._own, self._wakes = own, wakes
-        self._dt, self._drift = dt, np.zeros(3)
         self._body = points_body(airframes)
-        self._differs = gusts is not None or not mean.uniform
-        self.steady = mean.steady and not (self._differs or field or own or wakes)
-        everywhere = mean.steady and mean.uniform
-        still = np.zeros((2, len(airframes), 3))
-        self._mean = mean.velocity_ned(0.0, still[0, :, 0]) if everywhere else None
-        self._no_rates, self._no_roll = still[1], still[0, :, 0].copy()
+        self._blown = gusts or make_gusts([], mean)
+        self._uneven = gusts is not None or not mean.uniform
+        self.steady = mean.steady and not (self._uneven or field or own or wakes)
+        self._mean, self._ambient = mean.velocity_ned(0.0, np.zeros(n)), np.empty((n, 3))
+        self._speed, self._carried = mean.displacement_ned(1.0), np.zeros(3)
+        self._felt = AirFelt(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n))
+        self._motion: VehicleState | None = None
 
     def felt(self, now: float, motion: VehicleState) -> AirFelt:
-        """What the air does to the airframes at a time, s; once per period, for it remembers."""
-        mean = self._mean
-        if mean is None:
-            mean = self.mean.velocity_ned(now, -motion.position_ned[:, 2])
-        ambient = wind = mean  # what blows in the large, and all that blows
-        rates, roll = self._no_rates, self._no_roll
-        carried = self.mean.displacement_ned(now)
-        position, euler = motion.position_ned, motion.euler
+        """What the air does to the airframes at a time, s; once per period, for it remembers.
+
+        What is given is overwritten at the next call. A motion that is the same record each time,
+        written anew, is cheapest.
+        """
+        if motion is not self._motion:
+            self._bind(motion)
+        felt, mean = self._felt, self._mean
+        if self._blow is None:
+            np.multiply(self._speed, now, out=self._carried)
+        else:
+            self._blow(now)
+        if self._in_field is not None:
+            self._in_field()
+        else:
+            felt.wind_ned[:], felt.rates_body[:] = mean, 0.0
+        if self._unevenly is not None:
+            self._unevenly(now)
+        for add in self._added:
+            add()
+        return felt
+
+    def _bind(self, motion: VehicleState) -> None:
+        """Bind everything that is felt to the arrays of a motion."""
+        self._motion = motion
+        position, velocity, acceleration, euler = motion[:4]
+        wind, rates, roll = self._felt
+        mean, carried, ambient = self._mean, self._carried, self._mean
+        self._blow = self._in_field = self._unevenly = None
+        self._added: list[Callable[[], None]] = []
+        if not (self.mean.steady and self.mean.uniform):
+            self._blow = READY_MEAN(self.mean, position, mean, carried)
         if self.field is not None:
-            tables = self.field.tables
-            wind, rates = FELT_IN_FIELD(tables, position, euler, self._body, carried, mean)
-        if self._differs:
-            points = PLACE(position, euler, self._body)
-            blown, turns = FELT(self._difference(now, mean, points, carried), euler, self._body)
-            ambient, wind, rates = ambient + blown, wind + blown, rates + turns
+            at = position, euler, self._body, carried, mean
+            self._in_field = READY_FELT_IN_FIELD(self.field.tables, *at, wind, rates)
+        if self._uneven:
+            ambient = self._ambient  # what blows in the large
+            at = position, euler, self._body, mean, carried
+            self._unevenly = READY_UNEVEN(self.mean, self._blown, *at, ambient, wind, rates)
         if self._own is not None:
-            through_air = motion.velocity_ned - mean
-            airspeed = np.sqrt((through_air**2).sum(axis=1))
-            height = -position[:, 2]
-            draws, turns = self._own.step(height, airspeed)
-            axes = TURBULENCE_AXES(height, through_air, euler)
-            wind = wind + (axes @ draws[:, :, np.newaxis])[:, :, 0]
-            rates = rates + turns
+            self._added.append(self._own.bind(position, velocity, euler, mean, wind, rates))
         if self._wakes is not None:
-            washed, roll = self._wakes.step(
-                position - self._drift,
-                motion.velocity_ned - ambient,
-                motion.acceleration_ned,
-                euler,
-            )
-            # one drift for all trails: who feels them flies near to who sheds them
-            if self._wakes.sheds.any():
-                self._drift = self._drift + self._dt * ambient[self._wakes.sheds].mean(axis=0)
-            wind = wind + washed
-        return AirFelt(wind, rates, roll)
+            given = position, velocity, acceleration, euler, ambient, wind, roll
+            self._added.append(self._wakes.bind(*given))
 
     def remove(self, rows: Truths) -> None:
         """Forget the trails of these aircraft (N,), which are lost; they shed and feel no more."""
@@ -105,10 +114,3 @@ class Air:
         if self.gusts is None:
             return None
         return self.gusts.inside(now, position_ned, self.mean.displacement_ned(now))
-
-    def _difference(self, now: float, mean: Array, points: Array, carried: Array) -> Array:
-        """What gusts and the wind's profile add to the mean (N, 5, 3) m/s at points."""
-        sheared = self.mean.velocity_ned(now, -points[:, :, 2]) - mean[:, np.newaxis]
-        if self.gusts is None:
-            return sheared
-        return sheared + self.gusts.velocity_ned(now, points, carried)

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from testbed.compiled import twin_of
 from testbed.frames import rotation_ned_body
 from testbed.state import Airframe, Array
 
@@ -57,7 +56,3 @@ def felt(velocity_ned: Array, euler: Array, body: Array) -> tuple[Array, Array]:
     rates[:, 1] = -(along * rotation[:, :, 2]).sum(axis=1)
     rates[:, 2] = (along * rotation[:, :, 1]).sum(axis=1)
     return wind, rates
-
-
-PLACE = twin_of(place, "testbed.air.airframe_twin")
-FELT = twin_of(felt, "testbed.air.airframe_twin")

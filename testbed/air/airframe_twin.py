@@ -13,7 +13,7 @@ from math import cos, sin
 
 import numpy as np
 
-from testbed.air.airframe import AHEAD, BEHIND, MEAN, POINTS, RIGHT, SLOPE, WING
+from testbed.air.airframe import AHEAD, BEHIND, MEAN, RIGHT, SLOPE, WING
 from testbed.compiled import twin
 
 _MEAN, _SLOPE = tuple(MEAN.tolist()), tuple(SLOPE.tolist())
@@ -32,34 +32,60 @@ def rotation_of(phi, theta, psi):
 
 
 @twin
+def write_rotations(euler, out):
+    """R_NB (N, 3, 3) of N attitudes."""
+    for i in range(len(out)):
+        x, y, z = rotation_of(euler[i, 0], euler[i, 1], euler[i, 2])
+        out[i, 0, 0], out[i, 0, 1], out[i, 0, 2] = x
+        out[i, 1, 0], out[i, 1, 1], out[i, 1, 2] = y
+        out[i, 2, 0], out[i, 2, 1], out[i, 2, 2] = z
+
+
 def place(position_ned, euler, body):
-    n = len(position_ned)
-    out = np.empty((n, POINTS, 3))
-    for i in range(n):
-        rotation = rotation_of(euler[i, 0], euler[i, 1], euler[i, 2])
-        for k in range(POINTS):
-            x, y, z = body[i, k, 0], body[i, k, 1], body[i, k, 2]
-            for axis in range(3):
-                row = rotation[axis]
-                out[i, k, axis] = position_ned[i, axis] + row[0] * x + row[1] * y + row[2] * z
+    rotations, out = np.empty((len(euler), 3, 3)), np.empty(body.shape)
+    write_rotations(euler, rotations)
+    write_places(position_ned, rotations, body, out)
     return out
 
 
 @twin
+def write_places(position_ned, rotations, body, out):
+    for i in range(body.shape[0]):
+        for k in range(body.shape[1]):
+            x, y, z = body[i, k, 0], body[i, k, 1], body[i, k, 2]
+            for axis in range(3):
+                out[i, k, axis] = (
+                    position_ned[i, axis]
+                    + rotations[i, axis, 0] * x
+                    + rotations[i, axis, 1] * y
+                    + rotations[i, axis, 2] * z
+                )
+
+
 def felt(velocity_ned, euler, body):
-    n = len(velocity_ned)
-    wind, rates = np.zeros((n, 3)), np.zeros((n, 3))
-    for i in range(n):
-        rotation = rotation_of(euler[i, 0], euler[i, 1], euler[i, 2])
+    rotations = np.empty((len(euler), 3, 3))
+    wind, rates = np.zeros((2, len(euler), 3))
+    write_rotations(euler, rotations)
+    add_felt(velocity_ned, rotations, body, wind, rates)
+    return wind, rates
+
+
+@twin
+def add_felt(velocity_ned, rotations, body, wind, rates):
+    for i in range(len(wind)):
         length = body[i, AHEAD, 0] - body[i, BEHIND, 0]
+        p = q = r = 0.0
         for axis in range(3):
-            slope = 0.0
+            mean = slope = 0.0
             for k in range(AHEAD):
-                wind[i, axis] += _MEAN[k] * velocity_ned[i, k, axis]
+                mean += _MEAN[k] * velocity_ned[i, k, axis]
                 slope += _SLOPE[k] * velocity_ned[i, k, axis]
             slope = slope / body[i, RIGHT, 1] * _OUTERMOST
             along = (velocity_ned[i, AHEAD, axis] - velocity_ned[i, BEHIND, axis]) / length
-            rates[i, 0] += slope * rotation[axis][2]
-            rates[i, 1] -= along * rotation[axis][2]
-            rates[i, 2] += along * rotation[axis][1]
-    return wind, rates
+            p += slope * rotations[i, axis, 2]
+            q -= along * rotations[i, axis, 2]
+            r += along * rotations[i, axis, 1]
+            wind[i, axis] += mean
+        rates[i, 0] += p
+        rates[i, 1] += q
+        rates[i, 2] += r

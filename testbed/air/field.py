@@ -110,7 +110,7 @@ def make_field(
     widest = _widest(float(length.max()), path_m, widest_m)
     cells, counts = boxes(finest_m, widest)
     axes = np.stack([box_axes(box) / cell for box, cell in enumerate(cells)])
-    values = np.zeros((int((counts**3).sum()), 3), dtype=np.float32)
+    values = np.zeros((int((counts**3).sum()) + 1, 3), dtype=np.float32)
     first = np.concatenate([[0], np.cumsum(counts**3)[:-1]])
 
     def fill(box: int) -> Array:

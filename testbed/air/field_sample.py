@@ -8,14 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.air import airframe
-from testbed.compiled import twin_of
+from testbed.compiled import ready_of, twin_of
 from testbed.state import Array
 
 
 class Tables(NamedTuple):
     """The periodic boxes of a field, the finest first."""
 
-    values: NDArray[np.float32]  # (cells, 3) spline coefficients north, east, down, m/s
+    # (cells + 1, 3) spline coefficients north, east, down, m/s; the last row is there because the
+    # twin reads by fours
+    values: NDArray[np.float32]
     first: NDArray[np.int64]  # (boxes,) row of a box's cell 0, 0, 0; its third index runs fastest
     counts: NDArray[np.int64]  # (boxes,) cells along its edge
     axes: Array  # (boxes, 3, 3) NED metres to cells along the box's own axes
@@ -93,5 +95,19 @@ def felt_in_field(
     return wind + mean, rates
 
 
+def write_felt_in_field(
+    tables: Tables,
+    position: Array,
+    euler: Array,
+    body: Array,
+    carried: Array,
+    mean: Array,
+    wind: Array,
+    rates: Array,
+) -> None:
+    """As `felt_in_field`, into arrays that are there."""
+    wind[:], rates[:] = felt_in_field(tables, position, euler, body, carried, mean)
+
+
 FIELD = twin_of(sample, "testbed.air.field_twin")
-FELT_IN_FIELD = twin_of(felt_in_field, "testbed.air.field_twin")
+READY_FELT_IN_FIELD = ready_of(write_felt_in_field, "testbed.air.field_twin")

@@ -1,6 +1,9 @@
 """The compiled twin of `field_sample`: splines written out per point.
 
-A test holds it to the numpy function. numba compiles each function at its first call.
+A test holds it to the numpy function. numba compiles each function at its first call. The sums over
+nodes are most of what a field costs, so north, east and down are taken at once, as lanes of one
+vector: LLVM is told so, for its own search for such lanes is off in numba. A lane rounds as the
+same sum does by itself.
 """
 
 # The numpy functions carry the docstrings and the types.
@@ -12,9 +15,67 @@ from __future__ import annotations
 from math import floor
 
 import numpy as np
+from llvmlite import ir
 
-from testbed.air.airframe_twin import felt, place
-from testbed.compiled import twin
+from testbed.air.airframe_twin import add_felt, write_places, write_rotations
+from testbed.compiled import bound, instructions, twin
+
+LANES = 4  # north, east, down, and one that is nobody's
+_SINGLES = ir.VectorType(ir.FloatType(), LANES)
+_DOUBLES = ir.VectorType(ir.DoubleType(), LANES)
+
+
+def _vector(builder, numbers):
+    """Four numbers as the lanes of a vector."""
+    out = ir.Constant(_DOUBLES, ir.Undefined)
+    for lane, number in enumerate(numbers):
+        out = builder.insert_element(out, number, ir.Constant(ir.IntType(32), lane))
+    return out
+
+
+def _tuple(context, builder, kind, vector):
+    """The lanes of a vector as a tuple."""
+    lanes = [ir.Constant(ir.IntType(32), lane) for lane in range(LANES)]
+    return context.make_tuple(builder, kind, [builder.extract_element(vector, k) for k in lanes])
+
+
+@instructions
+def _along(typing, values, row, nodes, weights):
+    """Σ weights × values at row + nodes, over the four nodes of a line, in lanes.
+
+    A row of three is read as four numbers: behind the last one there has to be a number more.
+    """
+
+    def generate(context, builder, signature, args):
+        values, row, nodes, weights = args
+        table = context.make_array(signature.args[0])(context, builder, values)
+        total = None
+        for node in range(LANES):
+            index = builder.add(row, builder.extract_value(nodes, node))
+            index = builder.mul(index, ir.Constant(index.type, 3))
+            place = builder.bitcast(builder.gep(table.data, [index]), _SINGLES.as_pointer())
+            weight = _vector(builder, [builder.extract_value(weights, node)] * LANES)
+            term = builder.fmul(weight, builder.fpext(builder.load(place, align=4), _DOUBLES))
+            total = term if total is None else builder.fadd(total, term)
+        return _tuple(context, builder, signature.return_type, total)
+
+    return weights(values, row, nodes, weights), generate
+
+
+@instructions
+def _plus(typing, total, weight, numbers):
+    """Total + weight × numbers, in lanes."""
+
+    def generate(context, builder, signature, args):
+        total, weight, numbers = args
+        total, numbers = (
+            _vector(builder, [builder.extract_value(each, lane) for lane in range(LANES)])
+            for each in (total, numbers)
+        )
+        total = builder.fadd(total, builder.fmul(_vector(builder, [weight] * LANES), numbers))
+        return _tuple(context, builder, signature.return_type, total)
+
+    return total(total, weight, numbers), generate
 
 
 @twin
@@ -50,100 +111,122 @@ def _nodes(base, count):
 
 
 @twin
-def _cells(axes, north, east, down):
+def _cells(axes, box, north, east, down):
     return (
-        axes[0, 0] * north + axes[0, 1] * east + axes[0, 2] * down,
-        axes[1, 0] * north + axes[1, 1] * east + axes[1, 2] * down,
-        axes[2, 0] * north + axes[2, 1] * east + axes[2, 2] * down,
+        axes[box, 0, 0] * north + axes[box, 0, 1] * east + axes[box, 0, 2] * down,
+        axes[box, 1, 0] * north + axes[box, 1, 1] * east + axes[box, 1, 2] * down,
+        axes[box, 2, 0] * north + axes[box, 2, 1] * east + axes[box, 2, 2] * down,
     )
 
 
 @twin
-def _about(first, count, axes, place):
-    """Along each axis of the box: the first row of values, nodes, and how far past the second."""
-    x, y, z = _cells(axes, place[0], place[1], place[2])
-    fx, fy, fz = floor(x), floor(y), floor(z)
-    nodes = _nodes(fx, count), _nodes(fy, count), _nodes(fz, count)
-    return nodes, (x - fx, y - fy, z - fz), np.uint64(first), np.uint64(count)
+def _add_plane(values, row, count, y, z, wx, wy, wz, total):
+    """The sum over the 16 nodes of a plane, onto the total."""
+    total = _plus(total, wx * wy[0], _along(values, row + y[0] * count, z, wz))
+    total = _plus(total, wx * wy[1], _along(values, row + y[1] * count, z, wz))
+    total = _plus(total, wx * wy[2], _along(values, row + y[2] * count, z, wz))
+    return _plus(total, wx * wy[3], _along(values, row + y[3] * count, z, wz))
 
 
 @twin
-def _along(values, row, nodes, w):
-    """The sum over the four nodes of a line."""
-    a, b, c, d = row + nodes[0], row + nodes[1], row + nodes[2], row + nodes[3]
+def _velocity(values, first, size, cells):
+    """The velocity at a place in a box."""
+    fx, fy, fz = floor(cells[0]), floor(cells[1]), floor(cells[2])
+    x, y, z = _nodes(fx, size), _nodes(fy, size), _nodes(fz, size)
+    wx, wy, wz = _weights(cells[0] - fx), _weights(cells[1] - fy), _weights(cells[2] - fz)
+    first, count = np.uint64(first), np.uint64(size)
+    plane = count * count
+    total = (0.0, 0.0, 0.0, 0.0)
+    total = _add_plane(values, first + x[0] * plane, count, y, z, wx[0], wy, wz, total)
+    total = _add_plane(values, first + x[1] * plane, count, y, z, wx[1], wy, wz, total)
+    total = _add_plane(values, first + x[2] * plane, count, y, z, wx[2], wy, wz, total)
+    return _add_plane(values, first + x[3] * plane, count, y, z, wx[3], wy, wz, total)
+
+
+@twin
+def _add_line(values, row, z, wx, sx, wy, sy, wz, sz, totals):
+    """The sums over the nodes of a line, onto velocity and derivatives."""
+    value, slope = _along(values, row, z, wz), _along(values, row, z, sz)
+    both, by_x, by_y = wx * wy, sx * wy, wx * sy
     return (
-        w[0] * values[a, 0] + w[1] * values[b, 0] + w[2] * values[c, 0] + w[3] * values[d, 0],
-        w[0] * values[a, 1] + w[1] * values[b, 1] + w[2] * values[c, 1] + w[3] * values[d, 1],
-        w[0] * values[a, 2] + w[1] * values[b, 2] + w[2] * values[c, 2] + w[3] * values[d, 2],
+        _plus(totals[0], both, value),
+        _plus(totals[1], by_x, value),
+        _plus(totals[2], by_y, value),
+        _plus(totals[3], both, slope),
     )
 
 
 @twin
-def _add_velocity(values, first, count, axes, place, out):
-    (ix, iy, iz), (x, y, z), first, count = _about(first, count, axes, place)
-    wx, wy, wz = _weights(x), _weights(y), _weights(z)
-    north = east = down = 0.0
-    for i in range(4):
-        for j in range(4):
-            u, v, w = _along(values, first + (ix[i] * count + iy[j]) * count, iz, wz)
-            weight = wx[i] * wy[j]
-            north += weight * u
-            east += weight * v
-            down += weight * w
-    out[0] += north
-    out[1] += east
-    out[2] += down
+def _add_plane_and_slopes(values, row, count, y, z, wx, sx, wy, sy, wz, sz, totals):
+    totals = _add_line(values, row + y[0] * count, z, wx, sx, wy[0], sy[0], wz, sz, totals)
+    totals = _add_line(values, row + y[1] * count, z, wx, sx, wy[1], sy[1], wz, sz, totals)
+    totals = _add_line(values, row + y[2] * count, z, wx, sx, wy[2], sy[2], wz, sz, totals)
+    return _add_line(values, row + y[3] * count, z, wx, sx, wy[3], sy[3], wz, sz, totals)
 
 
 @twin
-def _velocity_and_slopes(values, first, count, axes, place, out):
-    """The velocity and its derivatives by the three cell coordinates into (4, 3)."""
-    (ix, iy, iz), (x, y, z), first, count = _about(first, count, axes, place)
-    wx, wy, wz = _weights(x), _weights(y), _weights(z)
-    sx, sy, sz = _slopes(x), _slopes(y), _slopes(z)
-    out[:] = 0.0
-    for i in range(4):
-        for j in range(4):
-            row = first + (ix[i] * count + iy[j]) * count
-            value, slope = _along(values, row, iz, wz), _along(values, row, iz, sz)
-            both, by_x, by_y = wx[i] * wy[j], sx[i] * wy[j], wx[i] * sy[j]
-            for c in range(3):
-                out[0, c] += both * value[c]
-                out[1, c] += by_x * value[c]
-                out[2, c] += by_y * value[c]
-                out[3, c] += both * slope[c]
+def _velocity_and_slopes(values, first, size, cells):
+    """The velocity and its derivatives by the three cell coordinates."""
+    fx, fy, fz = floor(cells[0]), floor(cells[1]), floor(cells[2])
+    x, y, z = _nodes(fx, size), _nodes(fy, size), _nodes(fz, size)
+    wx, wy, wz = _weights(cells[0] - fx), _weights(cells[1] - fy), _weights(cells[2] - fz)
+    sx, sy, sz = _slopes(cells[0] - fx), _slopes(cells[1] - fy), _slopes(cells[2] - fz)
+    first, count = np.uint64(first), np.uint64(size)
+    plane = count * count
+    none = (0.0, 0.0, 0.0, 0.0)
+    totals = none, none, none, none
+    planes = first + x[0] * plane, first + x[1] * plane, first + x[2] * plane, first + x[3] * plane
+    for k in range(4):
+        totals = _add_plane_and_slopes(
+            values, planes[k], count, y, z, wx[k], sx[k], wy, sy, wz, sz, totals
+        )
+    return totals
 
 
-@twin
 def sample(tables, centre, points):
-    values, near = tables.values, tables.near
-    out = np.zeros(points.shape)
-    found = np.empty((4, 3))
-    for box in range(len(tables.first)):
-        first, count, axes = tables.first[box], tables.counts[box], tables.axes[box]
-        for n in range(len(points)):
-            if box < near:
-                for k in range(points.shape[1]):
-                    _add_velocity(values, first, count, axes, points[n, k], out[n, k])
-                continue
-            _velocity_and_slopes(values, first, count, axes, centre[n], found)
-            for k in range(points.shape[1]):
-                dx, dy, dz = _cells(
-                    axes,
-                    points[n, k, 0] - centre[n, 0],
-                    points[n, k, 1] - centre[n, 1],
-                    points[n, k, 2] - centre[n, 2],
-                )
-                for c in range(3):
-                    out[n, k, c] += (
-                        found[0, c] + dx * found[1, c] + dy * found[2, c] + dz * found[3, c]
-                    )
+    out = np.empty(points.shape)
+    write_sample(*tables, centre, points, out)
     return out
 
 
 @twin
-def felt_in_field(tables, position, euler, body, carried, mean):
-    in_air = position - carried
-    points = place(in_air, euler, body)
-    wind, rates = felt(sample(tables, in_air, points), euler, body)
-    return wind + mean, rates
+def write_sample(values, first, counts, axes, near, centre, points, out):
+    for n in range(points.shape[0]):
+        north, east, down = centre[n, 0], centre[n, 1], centre[n, 2]
+        for k in range(points.shape[1]):
+            out[n, k, 0] = out[n, k, 1] = out[n, k, 2] = 0.0
+            for box in range(near):
+                cells = _cells(axes, box, points[n, k, 0], points[n, k, 1], points[n, k, 2])
+                u, v, w, _ = _velocity(values, first[box], counts[box], cells)
+                out[n, k, 0] += u
+                out[n, k, 1] += v
+                out[n, k, 2] += w
+        for box in range(near, len(first)):
+            cells = _cells(axes, box, north, east, down)
+            there, by_x, by_y, by_z = _velocity_and_slopes(values, first[box], counts[box], cells)
+            for k in range(points.shape[1]):
+                x, y, z = points[n, k, 0] - north, points[n, k, 1] - east, points[n, k, 2] - down
+                x, y, z = _cells(axes, box, x, y, z)
+                for c in range(3):
+                    out[n, k, c] += there[c] + x * by_x[c] + y * by_y[c] + z * by_z[c]
+
+
+def ready_write_felt_in_field(tables, position, euler, body, carried, mean, wind, rates):
+    return bound(_write_felt, *tables, position, euler, body, carried, mean, wind, rates)
+
+
+@twin
+def _write_felt(
+    values, first, counts, axes, near, position, euler, body, carried, mean, wind, rates
+):
+    n = len(position)
+    in_air, rotations = np.empty((n, 3)), np.empty((n, 3, 3))
+    points, velocity = np.empty(body.shape), np.empty(body.shape)
+    for i in range(n):
+        for axis in range(3):
+            in_air[i, axis] = position[i, axis] - carried[axis]
+            wind[i, axis], rates[i, axis] = mean[i, axis], 0.0
+    write_rotations(euler, rotations)
+    write_places(in_air, rotations, body, points)
+    write_sample(values, first, counts, axes, near, in_air, points, velocity)
+    add_felt(velocity, rotations, body, wind, rates)

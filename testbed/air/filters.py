@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.air.spectra import roll_variance
+from testbed.compiled import twin_of
 from testbed.state import Array
 
 
@@ -161,3 +162,24 @@ def make_filters(
         speed=strength[:, 1:, :, None] * basis,
         rate=slope[..., None] * _rate(corner),
     )
+
+
+def blank_filters(spectrum: str, n: int) -> Filters:
+    """Arrays for the filters of n aircraft."""
+    parts = len(MIXTURES[spectrum].share)
+    plain, blocks = (n, parts + 1), (n, 2, parts)
+    shapes = (plain, plain, plain, (*blocks, 3, 3), (*blocks, 3, 3), (*blocks, 2), (*blocks, 3))
+    return Filters(*(np.zeros(shape) for shape in shapes))
+
+
+def write_filters(
+    spectrum: str, distance: Array, sigma: Array, length: Array, span: Array, filters: Filters
+) -> None:
+    """As `make_filters`, into arrays that are there."""
+    for old, new in zip(
+        filters, make_filters(spectrum, distance, sigma, length, span), strict=True
+    ):
+        old[:] = new
+
+
+FILTERS = twin_of(write_filters, "testbed.air.filters_twin")

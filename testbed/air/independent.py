@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from testbed.air.filters import Filters, count, make_filters
+from testbed.air.filters import FILTERS, Filters, blank_filters, count
 from testbed.air.mil import share_above
-from testbed.compiled import twin_of
+from testbed.compiled import ready_of
 from testbed.errors import InputError
 from testbed.frames import COURSE_FLOOR, rotation_ned_body
 from testbed.state import Array
@@ -71,8 +71,37 @@ def turbulence_axes(height: Array, velocity_through_air_ned: Array, euler: Array
     return (1.0 - above) * level + above * rotation_ned_body(euler)
 
 
-ADVANCE_FILTERS = twin_of(advance_filters, "testbed.air.independent_twin")
-TURBULENCE_AXES = twin_of(turbulence_axes, "testbed.air.independent_twin")
+def add_turbulence(
+    state: Array,
+    filters: Filters,
+    position: Array,
+    velocity: Array,
+    euler: Array,
+    mean: Array,
+    wind: Array,
+    rates: Array,
+    draw: Array,
+) -> None:
+    """Step the filters, and add what they give to the wind and to the turns of the air.
+
+    Args:
+        state: (N, 7 M + 1), as in `advance_filters`; changed in place.
+        filters: of this step.
+        position: (N, 3) m, NED.
+        velocity: (N, 3) m/s over the ground, NED.
+        euler: (N, 3) rad.
+        mean: (N, 3) m/s, the mean wind.
+        wind: (N, 3) m/s; added to.
+        rates: (N, 3) rad/s; added to.
+        draw: standard normal numbers (N, 7 M + 1).
+    """
+    state[:], turbulence, turns = advance_filters(state, draw, filters)
+    axes = turbulence_axes(-position[:, 2], velocity - mean, euler)
+    wind += (axes @ turbulence[:, :, np.newaxis])[:, :, 0]
+    rates += turns
+
+
+READY_ADD_TURBULENCE = ready_of(add_turbulence, "testbed.air.independent_twin")
 
 
 class Independent:
@@ -114,10 +143,10 @@ class Independent:
         self._scales = scales
         self._hold = max(1, round(hold_s / dt))
         self._held = 0  # steps that the filters are still good for
-        self._filters: Filters
+        self._filters = blank_filters(spectrum, len(names))
         self._numbers = count(spectrum)
         self._streams = [stream(seed, f"air/{name}") for name in names]
-        self._draws = np.empty((0, len(names), self._numbers))
+        self._draws: Sequence[Array] = ()
         self._next = 0
         # of unit variance and uncorrelated: the filters start as they go on
         self._state = self._draw().copy()
@@ -126,26 +155,37 @@ class Independent:
         """The next standard normal numbers (N, 7 M + 1)."""
         if self._next == len(self._draws):
             blocks = [each.standard_normal((BLOCK, self._numbers)) for each in self._streams]
-            self._draws, self._next = np.stack(blocks, axis=1), 0
+            self._draws, self._next = list(np.stack(blocks, axis=1)), 0
         self._next += 1
-        numbers: Array = self._draws[self._next - 1]
-        return numbers
+        return self._draws[self._next - 1]
 
-    def step(self, height: Array, airspeed: Array) -> tuple[Array, Array]:
-        """The next sample: turbulence (N, 3), m/s, in turbulence axes; p, q, r (N, 3), rad/s.
+    def bind(
+        self,
+        position: Array,
+        velocity: Array,
+        euler: Array,
+        mean: Array,
+        wind: Array,
+        rates: Array,
+    ) -> Callable[[], None]:
+        """What moves on by dt and adds what is felt; see `add_turbulence`.
 
-        Turbulence is longitudinal (forward), lateral (right) and vertical (down). Rates are those
-        with which the air turns about body axes: an airframe that turned with it would feel none.
-
-        Args:
-            height: above the ground (N), m.
-            airspeed: true (N), m/s.
+        The arrays may change from call to call. The standard's turbulence is longitudinal
+        (forward), lateral (right) and vertical (down).
+        Rates are those with which the air turns about body axes: an airframe that turned with it
+        would feel none.
         """
-        if self._held == 0:
-            sigma, length = self._scales(height)
-            distance = np.asarray(airspeed, dtype=np.float64) * self._dt
-            self._filters = make_filters(self._spectrum, distance, sigma, length, self._spans)
-            self._held = self._hold
-        self._held -= 1
-        self._state, turbulence, rates = ADVANCE_FILTERS(self._state, self._draw(), self._filters)
-        return turbulence, rates
+        given = position, velocity, euler, mean, wind, rates
+        add = READY_ADD_TURBULENCE(self._state, self._filters, *given)
+
+        def step() -> None:
+            if self._held == 0:
+                airspeed = np.sqrt(((velocity - mean) ** 2).sum(axis=1))
+                sigma, length = self._scales(-position[:, 2])
+                distance = airspeed * self._dt
+                FILTERS(self._spectrum, distance, sigma, length, self._spans, self._filters)
+                self._held = self._hold
+            self._held -= 1
+            add(self._draw())
+
+        return step

@@ -10,7 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from testbed.compiled import ready_of
 from testbed.state import Array
+
+EVEN, LOG, POWER = range(3)  # kinds of profiles
 
 
 def blowing_from(speed: Array | float, direction: Array | float) -> Array:
@@ -28,6 +31,11 @@ class LogProfile:
     height: float  # h_r, m, where the wind has its speed
     roughness: float  # z₀, m, below h_r
 
+    @property
+    def numbers(self) -> tuple[int, float, float]:
+        """Kind, height, roughness."""
+        return LOG, self.height, self.roughness
+
     def factor(self, height: Array) -> Array:
         """Part (...,) of the speed at heights (...,) m."""
         scale = 1.0 / math.log(self.height / self.roughness)
@@ -41,6 +49,11 @@ class PowerProfile:
 
     height: float  # h_r, m, where the wind has its speed
     exponent: float  # a
+
+    @property
+    def numbers(self) -> tuple[int, float, float]:
+        """Kind, height, exponent."""
+        return POWER, self.height, self.exponent
 
     def factor(self, height: Array) -> Array:
         """Part (...,) of the speed at heights (...,) m."""
@@ -71,6 +84,11 @@ class MeanWind:
     def uniform(self) -> bool:
         """True if it is the same at all heights."""
         return self.profile is None
+
+    @property
+    def numbers(self) -> tuple[int, float, float]:
+        """Of the profile."""
+        return (EVEN, 0.0, 0.0) if self.profile is None else self.profile.numbers
 
     def velocity_ned(self, time: float, height: Array) -> Array:
         """Velocity (..., 3) m/s at one time, s, and heights (...,) m."""
@@ -125,3 +143,22 @@ def make_mean_wind(
         carried=carried,
         profile=profile,
     )
+
+
+def write_mean(
+    wind: MeanWind, position: Array, velocity: Array, displacement: Array, time: float
+) -> None:
+    """Write the mean wind at aircraft, and how far it has carried the air.
+
+    Args:
+        wind: the mean wind.
+        position: (N, 3) m, NED.
+        velocity: (N, 3) m/s; written.
+        displacement: (3,) m; written.
+        time: s.
+    """
+    velocity[:] = wind.velocity_ned(time, -position[:, 2])
+    displacement[:] = wind.displacement_ned(time)
+
+
+READY_MEAN = ready_of(write_mean, "testbed.air.mean_twin")

@@ -15,13 +15,14 @@ the wing that sheds it.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from testbed.air.lifting_line import nodes, roll_coefficient, roll_gain
 from testbed.air.trails import Trails, abeam, remember, straight, unit
-from testbed.compiled import twin_of
+from testbed.compiled import ready_of
 from testbed.frames import GRAVITY, rotation_ned_body
 from testbed.state import Array, Truths
 
@@ -175,7 +176,43 @@ def felt(
     return mean, roll_coefficient(downwash, speed, tables.roll_gain)
 
 
-WAKES = twin_of(felt, "testbed.air.wake_twin")
+def add_wakes(
+    tables: Tables,
+    trails: Trails,
+    drift: Array,
+    position: Array,
+    velocity: Array,
+    acceleration: Array,
+    euler: Array,
+    ambient: Array,
+    wind: Array,
+    roll: Array,
+    tick: int,
+) -> None:
+    """As `felt`, over the ground; what is felt goes into arrays that are there.
+
+    Args:
+        tables: of the N aircraft.
+        trails: of the N aircraft, written in place.
+        drift: (3,) m, how far the air has carried the trails; moved on by a tick.
+        position: (N, 3) m, NED.
+        velocity: (N, 3) m/s over the ground, NED.
+        acceleration: (N, 3) m/s², NED.
+        euler: (N, 3) rad.
+        ambient: (N, 3) m/s, the wind that carries the air.
+        wind: (N, 3) m/s; added to.
+        roll: (N,) rolling-moment coefficient; written.
+        tick: of this call.
+    """
+    given = position - drift, velocity - ambient, acceleration, euler
+    washed, roll[:] = felt(tables, trails, tick, *given)
+    wind += washed
+    # one drift for all trails: who feels them flies near to who sheds them
+    if tables.sheds.any():
+        drift += tables.dt * ambient[tables.sheds].mean(axis=0)
+
+
+READY_WAKES = ready_of(add_wakes, "testbed.air.wake_twin")
 
 
 class Wakes:
@@ -215,8 +252,8 @@ class Wakes:
             span,
             mass,
             roll_gain(span**2 / area, lift_slope),
-            sheds,
-            feels,
+            sheds.copy(),
+            feels.copy(),
             *nodes(POINTS),
             *pairs(PAIRS),
             core_spans * span,
@@ -227,36 +264,47 @@ class Wakes:
             max(1, round(KEPT_S / dt)),
         )
         self._trails: Trails | None = None
-        self._tick = 0
-
-    @property
-    def sheds(self) -> Truths:
-        """(N,) whether it leaves a trail."""
-        return self._tables.sheds
+        self._tick, self._drift = 0, np.zeros(3)
 
     def remove(self, rows: Truths) -> None:
         """Leave out the trails of these (N,), and what they feel."""
-        tables = self._tables
-        self._tables = tables._replace(sheds=tables.sheds & ~rows, feels=tables.feels & ~rows)
+        for which in (self._tables.sheds, self._tables.feels):
+            which &= ~rows
 
-    def step(
-        self, position_air: Array, velocity_air_ned: Array, acceleration_ned: Array, euler: Array
-    ) -> tuple[Array, Array]:
-        """Move on by dt. At the first step the trails are as if the flight had been straight.
+    def bind(
+        self,
+        position: Array,
+        velocity: Array,
+        acceleration: Array,
+        euler: Array,
+        ambient: Array,
+        wind: Array,
+        roll: Array,
+    ) -> Callable[[], None]:
+        """What moves on by dt and adds what is felt; see `add_wakes`.
 
-        See `felt` for what is given and returned.
+        The arrays may change from call to call. At the first step the trails are as if the flight
+        had been straight.
         """
-        given = (position_air, velocity_air_ned, acceleration_ned, euler)
-        if self._trails is None:
-            tables = self._tables
-            self._trails = straight(
-                position_air,
-                velocity_air_ned,
-                *shed(tables, velocity_air_ned, acceleration_ned, euler),
-                kept=tables.kept,
-                dt=tables.dt,
-                memory_s=tables.memory_s,
-            )
-        told = WAKES(self._tables, self._trails, self._tick, *given)
-        self._tick += 1
-        return told
+        tables = self._tables
+        given = position, velocity, acceleration, euler, ambient, wind, roll
+        add: Callable[[int], None] | None = None
+
+        def step() -> None:
+            nonlocal add
+            if self._trails is None:
+                through_air = velocity - ambient
+                self._trails = straight(
+                    position,
+                    through_air,
+                    *shed(tables, through_air, acceleration, euler),
+                    kept=tables.kept,
+                    dt=tables.dt,
+                    memory_s=tables.memory_s,
+                )
+            if add is None:
+                add = READY_WAKES(tables, self._trails, self._drift, *given)
+            add(self._tick)
+            self._tick += 1
+
+        return step

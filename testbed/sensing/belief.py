@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.compiled import twin_of
 from testbed.frames import GRAVITY, rotation_ned_body, wrap_pi
 from testbed.sensing import navigation
 from testbed.sensing.errors import FORCE_BIAS, FORCE_NOISE, GYRO_BIAS, GYRO_NOISE
@@ -57,6 +56,3 @@ def euler_errors(euler: Array, rotation: Array) -> Array:
         ],
         axis=1,
     )
-
-
-BELIEVE = twin_of(believe, "testbed.sensing.belief_twin")

@@ -5,7 +5,7 @@ first call.
 """
 
 # The numpy functions carry the docstrings and the types.
-# ruff: noqa: ANN001, ANN201, D103
+# ruff: noqa: ANN001, ANN201, ANN202, D103
 # mypy: ignore-errors
 
 from __future__ import annotations
@@ -17,48 +17,62 @@ import numpy as np
 from testbed.compiled import twin
 from testbed.frames import GRAVITY
 from testbed.sensing import errors as _columns
+from testbed.state import VehicleState
 
 GYRO_BIAS, GYRO_NOISE = _columns.GYRO_BIAS.start, _columns.GYRO_NOISE.start
 FORCE_BIAS, FORCE_NOISE = _columns.FORCE_BIAS.start, _columns.FORCE_NOISE.start
 VELOCITY, POSITION, TURN, PUSH = 3, 6, 9, 12
+FIELDS = tuple(VehicleState._fields.index(name) for name in VehicleState._fields[:5])
+AT, MOVES, PUSHED, POINTS, TURNS = FIELDS  # rows of a state's vectors
 
 
 @twin
-def rotation_of(euler, out):
-    """R_NB of roll, pitch, yaw."""
-    cf, sf = cos(euler[0]), sin(euler[0])
-    ct, st = cos(euler[1]), sin(euler[1])
-    cp, sp = cos(euler[2]), sin(euler[2])
-    out[0, 0], out[0, 1], out[0, 2] = ct * cp, sf * st * cp - cf * sp, cf * st * cp + sf * sp
-    out[1, 0], out[1, 1], out[1, 2] = ct * sp, sf * st * sp + cf * cp, cf * st * sp - sf * cp
-    out[2, 0], out[2, 1], out[2, 2] = -st, sf * ct, cf * ct
+def rotation_of(phi, theta, psi):
+    """R_NB row by row, of roll, pitch, yaw."""
+    cf, sf, ct, st, cp, sp = cos(phi), sin(phi), cos(theta), sin(theta), cos(psi), sin(psi)
+    return (
+        (ct * cp, sf * st * cp - cf * sp, cf * st * cp + sf * sp),
+        (ct * sp, sf * st * sp + cf * cp, cf * st * sp - sf * cp),
+        (-st, sf * ct, cf * ct),
+    )
 
 
-@twin
 def believe(out, rows, flown, states, errors):
-    r = np.empty((3, 3))
-    felt = np.empty(3)
-    for at in range(len(rows)):
-        i = rows[at]
-        e, off, x = errors[i], flown[at], states[at]
-        euler, push = out.euler[i], out.acceleration_ned[i]
-        rotation_of(euler, r)
+    vectors = np.array(out[:5])
+    write_beliefs(vectors, rows, flown, states, errors)
+    for old, new in zip(out[:5], vectors, strict=True):
+        old[:] = new
+
+
+@twin
+def write_beliefs(vectors, rows, flown, states, errors):
+    for m in range(len(rows)):
+        i = rows[m]
+        phi, theta, psi = vectors[POINTS, i, 0], vectors[POINTS, i, 1], vectors[POINTS, i, 2]
+        x, y, z = rotation_of(phi, theta, psi)
+        north, east = vectors[PUSHED, i, 0], vectors[PUSHED, i, 1]
+        down = vectors[PUSHED, i, 2] - GRAVITY
+        a = errors[i, FORCE_BIAS] + errors[i, FORCE_NOISE] - states[m, PUSH]
+        b = errors[i, FORCE_BIAS + 1] + errors[i, FORCE_NOISE + 1] - states[m, PUSH + 1]
+        c = errors[i, FORCE_BIAS + 2] + errors[i, FORCE_NOISE + 2] - states[m, PUSH + 2]
+        a += x[0] * north + y[0] * east
+        a += z[0] * down
+        b += x[1] * north + y[1] * east
+        b += z[1] * down
+        c += x[2] * north + y[2] * east
+        c += z[2] * down
+        s, t = sin(psi), cos(psi)
+        ahead = t * flown[m, 0] + s * flown[m, 1]
+        phi += ahead / cos(theta)
+        psi = pi - (pi - psi - (flown[m, 2] + ahead * tan(theta))) % (2.0 * pi)
+        theta += t * flown[m, 1] - s * flown[m, 0]
+        vectors[POINTS, i, 0], vectors[POINTS, i, 1], vectors[POINTS, i, 2] = phi, theta, psi
+        x, y, z = rotation_of(phi, theta, psi)
+        vectors[PUSHED, i, 0] = x[0] * a + x[1] * b + x[2] * c
+        vectors[PUSHED, i, 1] = y[0] * a + y[1] * b + y[2] * c
+        vectors[PUSHED, i, 2] = z[0] * a + z[1] * b + z[2] * c + GRAVITY
         for axis in range(3):
-            felt[axis] = e[FORCE_BIAS + axis] + e[FORCE_NOISE + axis] - x[PUSH + axis]
-            felt[axis] += r[0, axis] * push[0] + r[1, axis] * push[1]
-            felt[axis] += r[2, axis] * (push[2] - GRAVITY)
-        s, c = sin(euler[2]), cos(euler[2])
-        ahead = c * off[0] + s * off[1]
-        roll, pitch = ahead / cos(euler[1]), c * off[1] - s * off[0]
-        yaw = off[2] + ahead * tan(euler[1])
-        euler[0] += roll
-        euler[1] += pitch
-        euler[2] = pi - (pi - euler[2] - yaw) % (2.0 * pi)
-        rotation_of(euler, r)
-        for axis in range(3):
-            push[axis] = r[axis, 0] * felt[0] + r[axis, 1] * felt[1] + r[axis, 2] * felt[2]
-            turned = e[GYRO_BIAS + axis] + e[GYRO_NOISE + axis] - x[TURN + axis]
-            out.rates_body[i, axis] += turned
-            out.velocity_ned[i, axis] += off[VELOCITY + axis]
-            out.position_ned[i, axis] += off[POSITION + axis]
-        push[2] += GRAVITY
+            turned = errors[i, GYRO_BIAS + axis] + errors[i, GYRO_NOISE + axis]
+            vectors[TURNS, i, axis] += turned - states[m, TURN + axis]
+            vectors[MOVES, i, axis] += flown[m, VELOCITY + axis]
+            vectors[AT, i, axis] += flown[m, POSITION + axis]

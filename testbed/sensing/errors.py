@@ -102,37 +102,42 @@ class SensorErrors:
         levels: of their errors.
         seed: of the run.
         dt: s from draw to draw.
+
+    Attributes:
+        now: the errors (N, COLUMNS); each draw changes them.
+        parts: (2, N, COLUMNS) what they keep, and how much of a draw they take.
     """
 
     def __init__(self, names: Sequence[str], levels: Levels, *, seed: int, dt: float) -> None:
         """See the class."""
         tau = np.where(levels.time_constant_s > 0.0, levels.time_constant_s, 1.0)
-        self._keep = np.where(levels.time_constant_s > 0.0, np.exp(-dt / tau), 0.0)
-        self._fresh = levels.sigma * np.sqrt(1.0 - self._keep**2)
+        keep = np.where(levels.time_constant_s > 0.0, np.exp(-dt / tau), 0.0)
+        self.parts = np.array([keep, levels.sigma * np.sqrt(1.0 - keep**2)])
         self._sky = [(stream(seed, f"sky/{sensor}"), width) for sensor, width in _SKY.items()]
         self._own = [
             [(stream(seed, f"sensors/{name}/{sensor}"), width) for sensor, width in _OWN.items()]
             for name in names
         ]
-        self._draws = np.empty((0, len(names), COLUMNS))
+        self._draws: Sequence[Array] = ()
         self._next = 0
-        self.now = levels.sigma * self._draw()
+        self.now = levels.sigma * self.draw()
 
     def advance(self) -> Array:
-        """The next errors (N, COLUMNS)."""
-        self.now = self._keep * self.now + self._fresh * self._draw()
+        """The next errors, as they are `now`."""
+        keep, fresh = self.parts
+        self.now[:] = keep * self.now + fresh * self.draw()
         return self.now
 
-    def _draw(self) -> Array:
+    def draw(self) -> Array:
+        """The next standard normal numbers (N, COLUMNS)."""
         if self._next == len(self._draws):
             draws = np.empty((BLOCK, len(self._own), COLUMNS))
             draws[:, :, :_SHARED] = _block(self._sky)[:, np.newaxis]
             for row, streams in enumerate(self._own):
                 draws[:, row, _SHARED:] = _block(streams)
-            self._draws, self._next = draws, 0
+            self._draws, self._next = list(draws), 0
         self._next += 1
-        numbers: Array = self._draws[self._next - 1]
-        return numbers
+        return self._draws[self._next - 1]
 
 
 def _axes(pair: tuple[float, float]) -> tuple[float, float, float]:

@@ -8,19 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from testbed.frames import rotation_ned_body
 from testbed.scenario.sensors import Sensors
-from testbed.sensing.belief import BELIEVE
 from testbed.sensing.errors import SensorErrors, make_levels, make_offsets
-from testbed.sensing.fusion import NAVIGATE, aligned
+from testbed.sensing.fusion import aligned
 from testbed.sensing.jitter import Jitter, NoiseLevel
-from testbed.sensing.navigation import Memory, Sensed, begin
+from testbed.sensing.navigation import begin
 from testbed.sensing.pitot import Pitots
+from testbed.sensing.senses import READY_SENSE, Broken, Senses
 from testbed.sensing.settings import make_settings
 from testbed.state import Failing, VehicleState
 
@@ -58,25 +56,37 @@ class Estimators:
         self.exact = self._plain and self._jitter.exact
         if self._plain:
             return
-        self._tick = 0
-        self._offsets = make_offsets(names, sensors, seed)
-        self._errors = SensorErrors(
-            names, make_levels(sensors, 1 / rate_hz), seed=seed, dt=1 / rate_hz
+        n, rows = len(names), np.flatnonzero(through)
+        none = np.zeros(n, dtype=bool)
+        self._broken = Broken(none, np.zeros((n, 3)), none.copy(), none.copy())
+        self._truth: VehicleState | None = None
+        errors = SensorErrors(names, make_levels(sensors, 1 / rate_hz), seed=seed, dt=1 / rate_hz)
+        offsets = make_offsets(names, sensors, seed)
+        settings = make_settings([sensors[row] for row in rows.tolist()], rate_hz)
+        nose = rotation_ned_body(start.euler)[:, :, 0]
+        wind = start.velocity_ned - start.airspeed[:, np.newaxis] * nose
+        periods = round(WARM_UP_S * rate_hz)
+        memory = begin(
+            settings,
+            -periods,
+            aligned(settings, errors.now[rows], offsets.heading[rows], wind[rows, :2]),
+            (start.position_ned - WARM_UP_S * start.velocity_ned)[rows],
+            start.velocity_ned[rows],
         )
-        self._pitots = Pitots(sensors, rate_hz=rate_hz)
-        self._rows: NDArray[np.intp] = np.flatnonzero(through)
-        self._nothing = np.zeros(len(names), dtype=bool), np.zeros((len(names), 3))
-        self._all = bool(through.all())
-        self._memory: Memory | None = None
-        if self._rows.size:
-            own = [sensors[row] for row in self._rows.tolist()]
-            self._settings = make_settings(own, rate_hz)
+        pitots, flown = Pitots(sensors, rate_hz=rate_hz), np.zeros((len(rows), 9))
+        vectors, speeds = np.zeros((5, n, 3)), np.zeros((2, n))
+        filters = rows, settings, memory, flown
+        self._senses = Senses(errors, offsets, pitots, *filters, vectors, speeds)
+        self._believed = VehicleState(*vectors, *speeds)
+        self._tick = -periods
         self._warm_up(start, rate_hz)
 
     def estimate(
         self, truth: VehicleState, *, fresh: bool, failing: Failing | None = None
     ) -> VehicleState:
-        """The next estimate. The truth itself where nothing errs.
+        """The next estimate, which the one after it overwrites. The truth itself where none errs.
+
+        A truth that is the same record each time, written anew, is cheapest.
 
         Args:
             truth: of N aircraft.
@@ -85,71 +95,33 @@ class Estimators:
         """
         if self._plain:
             return self._jitter.on(truth, fresh=fresh)
-        if fresh:
-            self._advance(truth, failing)
-        return self._jitter.on(self._believed(truth), fresh=fresh)
-
-    def _advance(self, truth: VehicleState, failing: Failing | None) -> None:
-        """One period of sensors and filters."""
-        errors = self._errors.advance()
-        tick = self._tick
-        eas, tas = self._pitots.read(tick, truth, errors, self._offsets, failing)
-        self._tick += 1
-        if self._memory is None:
-            return
-        lost, jump = (failing.gps_lost, failing.gps_jump) if failing else self._nothing
-        sensed = Sensed(
-            errors=errors,
-            heading=self._offsets.heading,
-            equivalent_airspeed=eas,
-            airspeed=tas,
-            airspeed_new=self._pitots.sampled(tick),
-            gps_lost=lost,
-            gps_jump=jump,
-        )
-        if not self._all:
-            truth, sensed = _rows_of(truth, self._rows), _rows_of(sensed, self._rows)
-        self._flown = NAVIGATE(self._memory, self._settings, tick, truth, sensed)
-
-    def _believed(self, truth: VehicleState) -> VehicleState:
-        """The truth with the errors of now."""
-        eas, tas = self._pitots.now(truth)
-        if self._memory is None:
-            return truth._replace(airspeed=tas, equivalent_airspeed=eas)
-        out = VehicleState(*(each.copy() for each in truth))
-        out = out._replace(airspeed=tas, equivalent_airspeed=eas)
-        BELIEVE(out, self._rows, self._flown, self._memory.states, self._errors.now)
-        return out
+        if failing is not None:
+            tubes = failing.pitot_blocked, failing.pitot_drained
+            now = failing.gps_lost, failing.gps_jump, *tubes
+            for known, new in zip(self._broken, now, strict=True):
+                known[...] = new
+        if truth is not self._truth:
+            self._truth = truth
+            self._sense = READY_SENSE(self._senses, truth, self._broken)
+        self._sense(self._tick, fresh)
+        self._tick += fresh
+        return self._jitter.on(self._believed, fresh=fresh)
 
     def _warm_up(self, start: VehicleState, rate_hz: int) -> None:
         """Fly straight on with the motion of the start until the filters have settled.
 
         Everybody's sensors are on as long, so that who has a filter moves no others' errors.
         """
-        rows, periods = self._rows, round(WARM_UP_S * rate_hz)
         level = start._replace(
             acceleration_ned=np.zeros_like(start.acceleration_ned),
             rates_body=np.zeros_like(start.rates_body),
         )
-        if rows.size:
-            nose = rotation_ned_body(start.euler)[:, :, 0]
-            wind = start.velocity_ned - start.airspeed[:, np.newaxis] * nose
-            sensed = self._errors.now[rows], self._offsets.heading[rows]
-            self._memory = begin(
-                self._settings,
-                -periods,
-                aligned(self._settings, *sensed, wind[rows, :2]),
-                (start.position_ned - WARM_UP_S * start.velocity_ned)[rows],
-                start.velocity_ned[rows],
-            )
-        for tick in range(-periods, 0):
-            self._tick = tick
-            place = start.position_ned + tick / rate_hz * start.velocity_ned
-            self._advance(level._replace(position_ned=place), None)
-
-
-def _rows_of(record: Any, rows: NDArray[np.intp]) -> Any:  # noqa: ANN401 - any record of arrays
-    return type(record)(*(each[rows] for each in record))
+        place = np.array(start.position_ned)
+        sense = READY_SENSE(self._senses, level._replace(position_ned=place), self._broken)
+        for tick in range(self._tick, 0):
+            place[:] = start.position_ned + tick / rate_hz * start.velocity_ned
+            sense(tick, True)
+        self._tick = 0
 
 
 def filtered(sensors: Sensors) -> bool:

@@ -11,7 +11,6 @@ import math
 
 import numpy as np
 
-from testbed.compiled import twin_of
 from testbed.frames import GRAVITY, rotation_ned_body
 from testbed.sensing.errors import (
     BARO_NOISE,
@@ -263,6 +262,3 @@ def _through_air(memory: Memory, rows: Rows, truth: VehicleState) -> Array:
     air: Array = truth.velocity_ned[rows] + memory.states[rows, VELOCITY]
     air[:, :2] -= memory.states[rows, WIND]
     return air
-
-
-NAVIGATE = twin_of(navigate, "testbed.sensing.fusion_twin")

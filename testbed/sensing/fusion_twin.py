@@ -1,4 +1,4 @@
-"""The compiled twin of `fusion.navigate`, aircraft by aircraft.
+"""The compiled twin of `fusion.navigate`, filter by filter.
 
 That function defines what this does; a test compares them along a flight. numba compiles it at its
 first call.
@@ -19,260 +19,246 @@ from testbed.frames import GRAVITY
 from testbed.sensing import errors as _columns
 from testbed.sensing.belief_twin import rotation_of
 from testbed.sensing.fusion import HEIGHTS
-from testbed.sensing.navigation import (
-    SLIP_VARIANCE,
-    SLOWEST_AIR,
-    SMOOTHING_S,
-    STATES,
-)
+from testbed.sensing.navigation import SLIP_VARIANCE, SLOWEST_AIR, SMOOTHING_S, STATES
+from testbed.sensing.navigation_twin import FLOWING, drift, fuse, spread
 
 GPS_SHARED, GPS_OWN = _columns.GPS_SHARED.start, _columns.GPS_OWN.start
 GPS_NOISE, GPS_VELOCITY = _columns.GPS_NOISE.start, _columns.GPS_VELOCITY.start
 BARO_SHARED, BARO_OWN, BARO_NOISE = _columns.BARO_SHARED, _columns.BARO_OWN, _columns.BARO_NOISE
-GYRO_BIAS, GYRO_NOISE = _columns.GYRO_BIAS.start, _columns.GYRO_NOISE.start
-FORCE_BIAS, FORCE_NOISE = _columns.FORCE_BIAS.start, _columns.FORCE_NOISE.start
 HEADING_NOISE = _columns.HEADING_NOISE
-TILT, VELOCITY, POSITION, HEIGHT, TURN, PUSH, WIND = 0, 3, 6, 8, 9, 12, 15
+VELOCITY, POSITION, HEIGHT, WIND = 3, 6, 8, 15
+MOST = 8  # states that one measurement depends on
 
 
 @twin
-def _block(transition, row, column, a, factor):
-    for i in range(3):
-        for j in range(3):
-            transition[row + i, column + j] = factor * a[i, j]
-
-
-@twin
-def _spread(p, r, f, process, dt, transition, half):
-    """Covariance p after dt, in place; transition and half are room to work in."""
-    skew = np.zeros((3, 3))  # ε × f = −[f]× ε
-    skew[0, 1], skew[0, 2], skew[1, 2] = f[2], -f[1], f[0]
-    skew[1, 0], skew[2, 0], skew[2, 1] = -f[2], f[1], -f[0]
-    turned = np.zeros((3, 3))
-    for i in range(3):
-        for j in range(3):
-            for k in range(3):
-                turned[i, j] += skew[i, k] * r[k, j]
-    transition[:] = 0.0
-    for i in range(STATES):
-        transition[i, i] = 1.0
-    for i in range(3):
-        transition[POSITION + i, VELOCITY + i] = dt
-    _block(transition, TILT, TURN, r, -dt)
-    _block(transition, VELOCITY, PUSH, r, -dt)
-    _block(transition, VELOCITY, TILT, skew, dt)
-    _block(transition, VELOCITY, TURN, turned, -0.5 * dt * dt)
-    _block(transition, POSITION, TILT, skew, 0.5 * dt * dt)
-    _block(transition, POSITION, PUSH, r, -0.5 * dt * dt)
-    # only the first nine states gain anything from others
-    for i in range(STATES):
-        for j in range(STATES):
-            total = p[i, j]
-            if i < TURN:
-                total = 0.0
-                for k in range(WIND):
-                    total += transition[i, k] * p[k, j]
-            half[i, j] = total
-    for i in range(STATES):
-        for j in range(STATES):
-            total = half[i, j]
-            if j < TURN:
-                total = 0.0
-                for k in range(WIND):
-                    total += half[i, k] * transition[j, k]
-            p[i, j] = total
-    for i in range(STATES):
-        p[i, i] += process[i] * dt
-
-
-@twin
-def _fuse(x, p, slope, innovation, variance, along):
-    """One number into the states x and covariance p."""
+def _take(x, p, count, innovation, variance, gate, room):
+    """One number, which depends on `count` states, unless it is beyond the gate."""
+    where, slope, _ = room
     total = variance
-    for i in range(STATES):
-        along[i] = 0.0
-        for j in range(STATES):
-            along[i] += p[i, j] * slope[j]
-        total += along[i] * slope[i]
-    for i in range(STATES):
-        gain = along[i] / total
-        x[i] -= gain * innovation
-        for j in range(STATES):
-            p[i, j] -= gain * along[j]
-
-
-@twin
-def _take(x, p, slope, innovation, variance, gate, along):
-    total = variance
-    for k in range(STATES):
-        for j in range(STATES):
-            total += slope[k] * p[k, j] * slope[j]
+    for k in range(count):
+        for j in range(count):
+            total += slope[k] * p[where[k], where[j]] * slope[j]
     if innovation * innovation <= gate * gate * total:
-        _fuse(x, p, slope, innovation, variance, along)
+        fuse(x, p, count, innovation, variance, room)
 
 
 @twin
-def _take_axes(memory, settings, step, i, kind, off, slope, along):
-    """States of which `off` is the innovation, less what they are now."""
-    x, p = memory.states[i], memory.covariance[i]
+def _take_axes(x, p, residual, accepted, g, step, hz, m, kind, off, at, room):
+    """States of which `off`, from `at` on, is the innovation, less what they are now."""
+    where, slope, _ = room
     first, axes = ((VELOCITY, 3), (POSITION, 2), (HEIGHT, 1))[kind]
-    noise = settings.position_noise[i, first - POSITION :] if kind else settings.velocity_noise[i]
-    again = step - memory.accepted[kind, i] > settings.reset_after_s[i] * settings.rate_hz
+    again = step - accepted[kind, m] > g.reset_after_s * hz
     square = total = 0.0
     for k in range(axes):
-        square += (off[k] + x[first + k]) ** 2
-        total += p[first + k, first + k] + noise[k] ** 2
-    if not again and square > settings.gate[i] ** 2 * total:
+        noise = g.position_noise[first - POSITION + k] if kind else g.velocity_noise[k]
+        square += (off[at + k] + x[first + k]) ** 2
+        total += p[first + k, first + k] + noise**2
+    if not again and square > g.gate**2 * total:
         return
-    memory.accepted[kind, i] = step
+    accepted[kind, m] = step
     for k in range(axes):
+        noise = g.position_noise[first - POSITION + k] if kind else g.velocity_noise[k]
         axis = first + k
-        innovation = off[k] + x[axis]
+        innovation = off[at + k] + x[axis]
         if again:
             x[axis] -= innovation
-            memory.residual[i, axis] -= innovation
+            residual[m, axis] -= innovation
             p[axis, :] = 0.0
             p[:, axis] = 0.0
-            p[axis, axis] = noise[k] ** 2
+            p[axis, axis] = noise**2
         else:
-            slope[:] = 0.0
-            slope[axis] = 1.0
-            _fuse(x, p, slope, innovation, noise[k] ** 2, along)
+            where[0], slope[0] = axis, 1.0
+            fuse(x, p, 1, innovation, noise**2, room)
 
 
 @twin
-def _take_fix(memory, settings, step, sensed, i, slope, along):
-    x, e = memory.states[i], sensed.errors[i]
-    length = len(memory.motions)
-    assumed = (step - settings.assumed[i]) % length
-    real = (step - settings.latency[i]) % length
-    expected = np.empty(6)
+def _expect_fix(x, g, step, m, motions, past, errors, jump, i, off):
+    """What was expected of a fix, less what it says: velocity, then position."""
+    length = len(motions)
+    assumed, real = (step - g.assumed) % length, (step - g.latency) % length
     for axis in range(3):
-        there, then = memory.motions[assumed, i], memory.motions[real, i]
-        was = memory.errors[assumed, i]
-        expected[axis] = was[axis] + there[3 + axis] - then[3 + axis]
-        expected[axis] -= e[GPS_VELOCITY + axis] + x[VELOCITY + axis]
-        fix = e[GPS_SHARED + axis] + e[GPS_OWN + axis] + e[GPS_NOISE + axis]
-        expected[3 + axis] = was[3 + axis] + there[axis] - then[axis]
-        expected[3 + axis] -= fix + sensed.gps_jump[i, axis] + x[POSITION + axis]
-    _take_axes(memory, settings, step, i, 0, expected, slope, along)
-    _take_axes(memory, settings, step, i, 1, expected[3:], slope, along)
-    if settings.gps_height[i]:
-        _take_axes(memory, settings, step, i, HEIGHTS, expected[5:], slope, along)
+        off[axis] = past[assumed, m, axis] + motions[assumed, m, 3 + axis]
+        off[axis] -= motions[real, m, 3 + axis]
+        off[axis] -= errors[i, GPS_VELOCITY + axis] + x[VELOCITY + axis]
+        fix = errors[i, GPS_SHARED + axis] + errors[i, GPS_OWN + axis] + errors[i, GPS_NOISE + axis]
+        off[3 + axis] = past[assumed, m, 3 + axis] + motions[assumed, m, axis]
+        off[3 + axis] -= motions[real, m, axis]
+        off[3 + axis] -= fix + jump[i, axis] + x[POSITION + axis]
 
 
 @twin
-def _take_air(x, p, velocity, settings, sensed, i, r, slope, along):
-    """Airspeed, then slip."""
-    a, b = velocity[0] + x[VELOCITY] - x[WIND], velocity[1] + x[VELOCITY + 1] - x[WIND + 1]
-    c = velocity[2] + x[VELOCITY + 2]
+def _take_heading(x, p, pitch, yaw, wrong, g, room):
+    where, slope, _ = room
+    where[0], where[1], where[2] = 0, 1, 2
+    slope[0], slope[1], slope[2] = tan(pitch) * cos(yaw), tan(pitch) * sin(yaw), 1.0
+    innovation = slope[0] * x[0] + slope[1] * x[1] + x[2] - wrong
+    _take(x, p, 3, innovation, g.heading_noise**2, g.gate, room)
+
+
+@twin
+def _through(x, velocity, i):
+    """Velocity through the air as the filter believes it."""
+    return (
+        velocity[i, 0] + x[VELOCITY] - x[WIND],
+        velocity[i, 1] + x[VELOCITY + 1] - x[WIND + 1],
+        velocity[i, 2] + x[VELOCITY + 2],
+    )
+
+
+@twin
+def _take_airspeed(x, p, velocity, i, equivalent, true, g, room):
+    where, slope, _ = room
+    a, b, c = _through(x, velocity, i)
     speed = sqrt(a * a + b * b + c * c)
     if speed > SLOWEST_AIR:
-        slope[:] = 0.0
-        slope[VELOCITY], slope[VELOCITY + 1], slope[VELOCITY + 2] = a / speed, b / speed, c / speed
-        slope[WIND], slope[WIND + 1] = -a / speed, -b / speed
-        tas = sensed.airspeed[i]
-        variance = (settings.airspeed_noise[i] * tas / sensed.equivalent_airspeed[i]) ** 2
-        _take(x, p, slope, speed - tas, variance, settings.airspeed_gate[i], along)
-
-    a, b = velocity[0] + x[VELOCITY] - x[WIND], velocity[1] + x[VELOCITY + 1] - x[WIND + 1]
-    c = velocity[2] + x[VELOCITY + 2]
-    n0, n1, n2 = _tilted(x, r, 0)
-    s0, s1, s2 = _tilted(x, r, 1)
-    forward = n0 * a + n1 * b + n2 * c
-    if forward > SLOWEST_AIR:
-        slope[:] = 0.0
-        slope[VELOCITY], slope[VELOCITY + 1] = s0 / forward, s1 / forward
-        slope[VELOCITY + 2] = s2 / forward
-        slope[WIND], slope[WIND + 1] = -s0 / forward, -s1 / forward
-        slope[TILT] = (s1 * c - s2 * b) / forward
-        slope[TILT + 1] = (s2 * a - s0 * c) / forward
-        slope[TILT + 2] = (s0 * b - s1 * a) / forward
-        slip = (s0 * a + s1 * b + s2 * c) / forward
-        _fuse(x, p, slope, slip, SLIP_VARIANCE, along)
+        for k in range(3):
+            where[k] = VELOCITY + k
+        where[3], where[4] = WIND, WIND + 1
+        slope[0], slope[1], slope[2] = a / speed, b / speed, c / speed
+        slope[3], slope[4] = -a / speed, -b / speed
+        variance = (g.airspeed_noise * true / equivalent) ** 2
+        _take(x, p, 5, speed - true, variance, g.airspeed_gate, room)
 
 
 @twin
 def _tilted(x, r, axis):
     """A body axis as the filter takes it to lie."""
-    a, b, c = r[0, axis], r[1, axis], r[2, axis]
+    a, b, c = r[0][axis], r[1][axis], r[2][axis]
     return a + x[1] * c - x[2] * b, b + x[2] * a - x[0] * c, c + x[0] * b - x[1] * a
 
 
 @twin
+def _take_slip(x, p, velocity, i, r, room):
+    where, slope, _ = room
+    a, b, c = _through(x, velocity, i)
+    n0, n1, n2 = _tilted(x, r, 0)
+    s0, s1, s2 = _tilted(x, r, 1)
+    forward = n0 * a + n1 * b + n2 * c
+    if forward > SLOWEST_AIR:
+        for k in range(VELOCITY + 3):
+            where[k] = k
+        where[6], where[7] = WIND, WIND + 1
+        slope[0] = (s1 * c - s2 * b) / forward
+        slope[1] = (s2 * a - s0 * c) / forward
+        slope[2] = (s0 * b - s1 * a) / forward
+        slope[3], slope[4], slope[5] = s0 / forward, s1 / forward, s2 / forward
+        slope[6], slope[7] = -s0 / forward, -s1 / forward
+        slip = (s0 * a + s1 * b + s2 * c) / forward
+        fuse(x, p, MOST, slip, SLIP_VARIANCE, room)
+
+
+@twin
+def due(rate_hz, step, steps_hz):
+    return (step * rate_hz) % steps_hz < rate_hz
+
+
 def navigate(memory, settings, step, truth, sensed):
-    n, hz = len(memory.states), settings.rate_hz
+    n = len(memory.states)
+    flown = np.empty((n, 9))
+    told = np.array([sensed.equivalent_airspeed, sensed.airspeed])
+    seen = sensed.errors, sensed.heading, told, sensed.airspeed_new
+    broken = sensed.gps_lost, sensed.gps_jump
+    step_filters(np.arange(n), *settings, *memory, flown, step, *truth[:4], *seen, *broken)
+    return flown
+
+
+@twin
+def step_filters(
+    rows,
+    settings,
+    hz,
+    states,
+    covariance,
+    residual,
+    motions,
+    past,
+    spread_at,
+    accepted,
+    flown,
+    step,
+    position,
+    velocity,
+    acceleration,
+    euler,
+    errors,
+    heading,
+    told,
+    told_new,
+    lost,
+    jump,
+):
     dt = 1.0 / hz
     decay = exp(-dt / SMOOTHING_S)
-    length = len(memory.motions)
-    now = step % length
-    flown = np.empty((n, 9))
-    r, transition, half = np.empty((3, 3)), np.empty((STATES, STATES)), np.empty((STATES, STATES))
-    off = np.empty(1)
-    f, slope, along, before = np.empty(3), np.empty(STATES), np.empty(STATES), np.empty(9)
-    for i in range(n):
-        x, p, e, residual = (
-            memory.states[i],
-            memory.covariance[i],
-            sensed.errors[i],
-            memory.residual[i],
-        )
-        rotation_of(truth.euler[i], r)
+    now = step % len(motions)
+    measured = False
+    for m in range(len(rows)):
+        i, g = rows[m], settings[m]
+        r = rotation_of(euler[i, 0], euler[i, 1], euler[i, 2])
+        f = acceleration[i, 0], acceleration[i, 1], acceleration[i, 2] - GRAVITY
+        drift(states, m, errors, i, r, f, dt)
         for axis in range(3):
-            f[axis] = truth.acceleration_ned[i, axis]
-        f[2] -= GRAVITY
-        push = (
-            x[1] * f[2] - x[2] * f[1],
-            x[2] * f[0] - x[0] * f[2],
-            x[0] * f[1] - x[1] * f[0],
-        )
-        for axis in range(3):
-            turned = felt = 0.0
-            for k in range(3):
-                turned += r[axis, k] * (e[GYRO_BIAS + k] + e[GYRO_NOISE + k] - x[TURN + k])
-                felt += r[axis, k] * (e[FORCE_BIAS + k] + e[FORCE_NOISE + k] - x[PUSH + k])
-            x[POSITION + axis] += dt * x[VELOCITY + axis]
-            x[VELOCITY + axis] += dt * (push[axis] + felt)
-            x[TILT + axis] += dt * turned
-            memory.motions[now, i, axis] = truth.position_ned[i, axis]
-            memory.motions[now, i, 3 + axis] = truth.velocity_ned[i, axis]
-            memory.errors[now, i, axis] = x[VELOCITY + axis]
-            memory.errors[now, i, 3 + axis] = x[POSITION + axis]
+            motions[now, m, axis], motions[now, m, 3 + axis] = position[i, axis], velocity[i, axis]
+            past[now, m, axis] = states[m, VELOCITY + axis]
+            past[now, m, 3 + axis] = states[m, POSITION + axis]
         for k in range(9):
-            residual[k] *= decay
-            before[k] = x[k]
+            residual[m, k] *= decay
+            flown[m, k] = states[m, k] + residual[m, k]
+        measured |= _measures(g, step, hz, lost[i], told_new[i])
+    if measured:
+        filters = states, covariance, residual, motions, past, spread_at, accepted, flown
+        truth, sensed = (
+            (velocity, acceleration, euler),
+            (errors, heading, told, told_new, lost, jump),
+        )
+        _take_all(rows, settings, hz, filters, step, truth, sensed)
 
-        fixed = (step * settings.gps_hz[i]) % hz < settings.gps_hz[i] and not sensed.gps_lost[i]
-        height = (step * settings.barometer_hz[i]) % hz < settings.barometer_hz[i]
-        height = height and not settings.gps_height[i]
-        heading = (step * settings.compass_hz[i]) % hz < settings.compass_hz[i]
-        if fixed or height or heading or sensed.airspeed_new[i]:
-            _spread(
-                p, r, f, settings.process[i], dt * (step - memory.spread_at[i]), transition, half
-            )
-            memory.spread_at[i] = step
-            if fixed:
-                _take_fix(memory, settings, step, sensed, i, slope, along)
-            if height:
-                off[0] = -(e[BARO_SHARED] + e[BARO_OWN] + e[BARO_NOISE])
-                _take_axes(memory, settings, step, i, HEIGHTS, off, slope, along)
-            if heading:
-                euler = truth.euler[i]
-                slope[:] = 0.0
-                slope[0], slope[1] = tan(euler[1]) * cos(euler[2]), tan(euler[1]) * sin(euler[2])
-                slope[2] = 1.0
-                innovation = slope[0] * x[0] + slope[1] * x[1] + x[2]
-                innovation -= sensed.heading[i] + e[HEADING_NOISE]
-                variance = settings.heading_noise[i] ** 2
-                _take(x, p, slope, innovation, variance, settings.gate[i], along)
-            if sensed.airspeed_new[i]:
-                _take_air(x, p, truth.velocity_ned[i], settings, sensed, i, r, slope, along)
-            for k in range(9):
-                change = x[k] - before[k]
-                residual[k] -= change
-                if k >= VELOCITY:
-                    for late in range(length):
-                        memory.errors[late, i, k - VELOCITY] += change
+
+@twin
+def _measures(g, step, hz, lost, told_new):
+    """Whether a filter takes anything in at this step."""
+    height = due(g.barometer_hz, step, hz) and not g.gps_height
+    fixed = due(g.gps_hz, step, hz) and not lost
+    return fixed or height or due(g.compass_hz, step, hz) or told_new
+
+
+@twin
+def _take_all(rows, settings, hz, filters, step, truth, sensed):
+    """What is measured at this step, into each of the filters."""
+    states, covariance, residual, motions, past, spread_at, accepted, flown = filters
+    velocity, acceleration, euler = truth
+    errors, heading, told, told_new, lost, jump = sensed
+    rooms = np.empty((9, FLOWING)), np.empty((STATES, STATES)), np.empty((STATES, STATES))
+    room = np.empty(MOST, np.int64), np.empty(MOST), np.empty(STATES)
+    off, before, dt = np.empty(6), np.empty(9), 1.0 / hz
+    for m in range(len(rows)):
+        i, g = rows[m], settings[m]
+        if not _measures(g, step, hz, lost[i], told_new[i]):
+            continue
+        x, p = states[m], covariance[m]
+        before[:] = x[:9]
+        r = rotation_of(euler[i, 0], euler[i, 1], euler[i, 2])
+        f = acceleration[i, 0], acceleration[i, 1], acceleration[i, 2] - GRAVITY
+        spread(p, r, f, g, dt * (step - spread_at[m]), rooms)
+        spread_at[m] = step
+        if due(g.gps_hz, step, hz) and not lost[i]:
+            _expect_fix(x, g, step, m, motions, past, errors, jump, i, off)
+            _take_axes(x, p, residual, accepted, g, step, hz, m, 0, off, 0, room)
+            _take_axes(x, p, residual, accepted, g, step, hz, m, 1, off, 3, room)
+            if g.gps_height:
+                _take_axes(x, p, residual, accepted, g, step, hz, m, HEIGHTS, off, 5, room)
+        if due(g.barometer_hz, step, hz) and not g.gps_height:
+            off[0] = -(errors[i, BARO_SHARED] + errors[i, BARO_OWN] + errors[i, BARO_NOISE])
+            _take_axes(x, p, residual, accepted, g, step, hz, m, HEIGHTS, off, 0, room)
+        if due(g.compass_hz, step, hz):
+            wrong = heading[i] + errors[i, HEADING_NOISE]
+            _take_heading(x, p, euler[i, 1], euler[i, 2], wrong, g, room)
+        if told_new[i]:
+            _take_airspeed(x, p, velocity, i, told[0, i], told[1, i], g, room)
+            _take_slip(x, p, velocity, i, r, room)
         for k in range(9):
-            flown[i, k] = x[k] + residual[k]
-    return flown
+            change = x[k] - before[k]
+            residual[m, k] -= change
+            if k >= VELOCITY:
+                for late in range(len(motions)):
+                    past[late, m, k - VELOCITY] += change
+            flown[m, k] = x[k] + residual[m, k]

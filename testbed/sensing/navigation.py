@@ -16,7 +16,7 @@ Axes are NED. The attitude error is the small rotation ε of R_est = (1 + [ε]×
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,24 +39,38 @@ SLOWEST_AIR = 1.0  # m/s, below it airspeed and slip say nothing
 _BEGUN = np.repeat([0.05, 0.5, 1.0, 0.01, 0.2, 2.0], [3, 3, 3, 3, 3, 2])
 
 
-class Settings(NamedTuple):
-    """The settings of M filters, and the sensors behind them."""
+SETTINGS = np.dtype(
+    [
+        ("process", "f8", (STATES,)),  # variance that each state gains per second
+        ("position_noise", "f8", (3,)),  # m; of height, that of where it comes from
+        ("velocity_noise", "f8", (3,)),  # m/s, of the GPS
+        ("airspeed_noise", "f8"),  # m/s, equivalent
+        ("heading_noise", "f8"),  # rad
+        ("gate", "f8"),  # standard deviations of an innovation that is refused
+        ("airspeed_gate", "f8"),
+        ("reset_after_s", "f8"),
+        ("gps_hz", "i8"),
+        ("barometer_hz", "i8"),
+        ("compass_hz", "i8"),
+        ("latency", "i8"),  # steps, that fixes have
+        ("assumed", "i8"),  # steps, that the filter takes them to have
+        ("gps_height", "?"),  # height comes from the GPS, and not from the barometer
+    ]
+)
 
-    process: Array  # (M, STATES) variance that each state gains per second
-    position_noise: Array  # (M, 3) m; of height, that of where it comes from
-    gps_height: Truths  # (M,) height comes from the GPS, and not from the barometer
-    velocity_noise: Array  # (M, 3) m/s, of the GPS
-    airspeed_noise: Array  # (M,) m/s, equivalent
-    heading_noise: Array  # (M,) rad
-    gate: Array  # (M,) standard deviations of an innovation that is refused
-    airspeed_gate: Array  # (M,)
-    reset_after_s: Array  # (M,)
-    gps_hz: Counts  # (M,)
-    barometer_hz: Counts  # (M,)
-    compass_hz: Counts  # (M,)
-    latency: Counts  # (M,) steps, that fixes have
-    assumed: Counts  # (M,) steps, that the filter takes them to have
+
+class Settings(NamedTuple):
+    """The settings of M filters, and the sensors behind them: a table, for the twin's sake.
+
+    Its columns (M, ...) are attributes too.
+    """
+
+    each: Any  # (M,) of SETTINGS
     rate_hz: int  # of the steps
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - an array of a field's type
+        """A column."""
+        return self.each[name]
 
 
 class Memory(NamedTuple):
@@ -92,7 +106,7 @@ def begin(settings: Settings, step: int, states: Array, position: Array, velocit
     n = len(states)
     covariance = np.zeros((n, STATES, STATES))
     covariance[:] = np.diag(_BEGUN**2)
-    length = 1 + int(max(settings.latency.max(), settings.assumed.max()))
+    length = 1 + int(max(settings.latency.max(initial=0), settings.assumed.max(initial=0)))
     motions = np.empty((length, n, 6))
     for ago in range(length):
         there = motions[(step - ago) % length]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,7 +13,25 @@ from testbed.sensing.errors import PITOT_NOISE, Offsets
 from testbed.state import Array, Failing, Truths, VehicleState
 
 SEA_LEVEL_DENSITY = 1.225  # kg/m³, ISA
-_LEAST_PRESSURE = 1e-4  # Pa: an airspeed of zero has no inverse, and the autopilot scales with that
+LEAST_PRESSURE = 1e-4  # Pa: an airspeed of zero has no inverse, and the autopilot scales with that
+
+PITOT = np.dtype(
+    [
+        ("rate_hz", "i8"),
+        ("share", "f8"),  # of what is new, that the filter takes in
+        ("erring", "?"),  # the page describes it
+    ]
+)
+# Rows of what N tubes remember: filtered pressure, Pa; what a blocked tube has trapped, its
+# pressure and the height at which that happened; not numbers where there is nothing.
+PRESSURE, TRAPPED, TRAPPED_AT = range(3)
+
+
+class Blocked(NamedTuple):
+    """What is broken in N tubes, as `state.Failing` has it."""
+
+    pitot_blocked: Truths  # (N,)
+    pitot_drained: Truths  # (N,)
 
 
 class Pitots:
@@ -21,28 +40,32 @@ class Pitots:
     A tube whose mouth and drain are both blocked keeps the total pressure of that moment, so that
     it reads high above that height and low below it; with an open drain it reads nothing (FAA
     Pilot's Handbook of Aeronautical Knowledge, FAA-H-8083-25C, ch. 8).
+
+    Attributes:
+        each: (N,) of PITOT.
+        held: (3, N) what is remembered.
+        told: (2, N) equivalent and true airspeed, m/s, as read last.
+        calls_hz: how often they are called.
     """
 
     def __init__(self, sensors: Sequence[Sensors], *, rate_hz: int) -> None:
         """Sampled at a rate that does not go beyond `rate_hz`, that of the calls."""
         described = [each.airspeed for each in sensors]
-        self._erring = np.array([each is not None for each in described])
-        self._rate = np.array([rate_hz if each is None else each.rate_hz for each in described])
-        self._calls_hz = rate_hz
+        self.calls_hz = rate_hz
+        self.each = np.zeros(len(described), dtype=PITOT)
+        self.each["erring"] = [each is not None for each in described]
+        self.each["rate_hz"] = [rate_hz if each is None else each.rate_hz for each in described]
         smoothing = np.array([each.smoothing_s if each else 0.0 for each in described])
         with np.errstate(divide="ignore"):
-            self._share = np.where(
-                smoothing > 0.0, 1.0 - np.exp(-1.0 / (self._rate * smoothing)), 1.0
-            )
-        n = len(described)
-        self._pressure = np.full(n, np.nan)  # Pa, filtered
-        self._last = np.zeros(n), np.zeros(n)
-        # What a blocked tube has trapped: its pressure and height when that happened.
-        self._trapped = np.full((2, n), np.nan)
+            share = 1.0 - np.exp(-1.0 / (self.each["rate_hz"] * smoothing))
+        self.each["share"] = np.where(smoothing > 0.0, share, 1.0)
+        self.held = np.full((3, len(described)), np.nan)
+        self.told = np.zeros((2, len(described)))
 
     def sampled(self, tick: int) -> Truths:
         """Which of them (N,) are read at this call."""
-        due: Truths = (tick * self._rate) % self._calls_hz < self._rate
+        rate = self.each["rate_hz"]
+        due: Truths = (tick * rate) % self.calls_hz < rate
         return due
 
     def read(
@@ -51,33 +74,32 @@ class Pitots:
         truth: VehicleState,
         errors: Array,
         offsets: Offsets,
-        failing: Failing | None,
-    ) -> tuple[Array, Array]:
-        """Equivalent and true airspeed (N,) m/s as measured at this call."""
+        failing: Blocked | Failing,
+    ) -> None:
+        """Measure once more; see `told`."""
         eas = truth.equivalent_airspeed
-        pressure = 0.5 * SEA_LEVEL_DENSITY * eas * eas
-        if failing is not None:
-            pressure = self._as_blocked(truth, pressure, failing)
+        pressure = self._as_blocked(truth, 0.5 * SEA_LEVEL_DENSITY * eas * eas, failing)
         measured = (1.0 + offsets.scale) * pressure + offsets.pressure + errors[:, PITOT_NOISE]
-        before = np.where(np.isnan(self._pressure), measured, self._pressure)
-        after = before + self._share * (measured - before)
-        self._pressure = np.where(self.sampled(tick), after, before)
-        read = np.sqrt(np.maximum(self._pressure, _LEAST_PRESSURE) * (2.0 / SEA_LEVEL_DENSITY))
+        filtered = self.held[PRESSURE]
+        before = np.where(np.isnan(filtered), measured, filtered)
+        after = before + self.each["share"] * (measured - before)
+        filtered[:] = np.where(self.sampled(tick), after, before)
+        read = np.sqrt(np.maximum(filtered, LEAST_PRESSURE) * (2.0 / SEA_LEVEL_DENSITY))
         # the density is known: nobody errs in it by more than a hundredth
-        self._last = read, read * (truth.airspeed / truth.equivalent_airspeed)
-        return self._last
+        self.told[:] = read, read * (truth.airspeed / truth.equivalent_airspeed)
 
-    def now(self, truth: VehicleState) -> tuple[Array, Array]:
-        """Equivalent and true airspeed (N,) as known now: an exact sensor is never late."""
-        exact = ~self._erring & np.isnan(self._trapped[0])
-        eas, tas = self._last
-        return np.where(exact, truth.equivalent_airspeed, eas), np.where(exact, truth.airspeed, tas)
+    def now(self, truth: VehicleState) -> Array:
+        """Equivalent and true airspeed (2, N) as known now: an exact sensor is never late."""
+        exact = ~self.each["erring"] & np.isnan(self.held[TRAPPED])
+        return np.where(exact, np.array([truth.equivalent_airspeed, truth.airspeed]), self.told)
 
-    def _as_blocked(self, truth: VehicleState, pressure: Array, failing: Failing) -> Array:
-        height = -truth.position_ned[:, 2]
+    def _as_blocked(
+        self, truth: VehicleState, pressure: Array, failing: Blocked | Failing
+    ) -> Array:
+        height, trapped = -truth.position_ned[:, 2], self.held[TRAPPED:]
         blocked = failing.pitot_blocked
-        now = np.where(np.isnan(self._trapped), np.array([pressure, height]), self._trapped)
-        self._trapped = np.where(blocked, now, np.nan)
+        now = np.where(np.isnan(trapped), np.array([pressure, height]), trapped)
+        trapped[:] = np.where(blocked, now, np.nan)
         # static pressure falls by ρ g per metre, with ρ = ρ0 (EAS/TAS)²
         ratio = truth.equivalent_airspeed / truth.airspeed
         climbed = SEA_LEVEL_DENSITY * ratio * ratio * GRAVITY * (height - now[1])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from testbed.scenario.sensors import Sensors
-from testbed.sensing.navigation import STEP_S, Counts, Settings
+from testbed.sensing.navigation import SETTINGS, STEP_S, Counts, Settings
 from testbed.state import Array
 
 GPS_HEIGHT = 1.5  # EKF3's noise of a GPS height, in that of a horizontal position
@@ -31,32 +31,31 @@ def make_settings(sensors: Sequence[Sensors], rate_hz: int) -> Settings:
         column("wind_noise_mps2"),
     )
     horizontal, velocity = column("gps_position_noise_m"), column("gps_velocity_noise_mps")
-    by_gps = np.array([one.height_source == "gps" for one in estimators])
+    by_gps = np.array([one.height_source == "gps" for one in estimators], dtype=bool)
     height = np.where(by_gps, GPS_HEIGHT * horizontal, column("barometer_noise_m"))
-    return Settings(
-        process=np.repeat(STEP_S * np.stack(noises, axis=1) ** 2, [3, 3, 3, 3, 3, 2], axis=1),
-        position_noise=np.stack([horizontal, horizontal, height], axis=1),
-        gps_height=by_gps,
-        velocity_noise=velocity[:, [0, 0, 1]],
-        airspeed_noise=column("airspeed_noise_mps"),
-        heading_noise=np.radians(column("heading_noise_deg")),
-        gate=column("gate_sigma"),
-        airspeed_gate=column("airspeed_gate_sigma"),
-        reset_after_s=column("reset_after_s"),
-        gps_hz=_rates([each.gps for each in sensors]),
-        barometer_hz=_rates([each.barometer for each in sensors]),
-        compass_hz=_rates([each.magnetometer for each in sensors]),
-        latency=_steps([each.gps.latency_s if each.gps else 0.0 for each in sensors], rate_hz),
-        assumed=_steps(
-            [each.estimator.gps_delay_s if each.gps else 0.0 for each in sensors], rate_hz
-        ),
-        rate_hz=rate_hz,
-    )
+    each = np.zeros(len(sensors), dtype=SETTINGS)
+    process = STEP_S * np.stack(noises, axis=1) ** 2
+    each["process"] = np.repeat(process, [3, 3, 3, 3, 3, 2], axis=1)
+    each["position_noise"] = np.stack([horizontal, horizontal, height], axis=1)
+    each["velocity_noise"] = velocity.reshape(-1, 2)[:, [0, 0, 1]]
+    each["airspeed_noise"] = column("airspeed_noise_mps")
+    each["heading_noise"] = np.radians(column("heading_noise_deg"))
+    each["gate"], each["airspeed_gate"] = column("gate_sigma"), column("airspeed_gate_sigma")
+    each["reset_after_s"] = column("reset_after_s")
+    each["gps_hz"] = _rates([one.gps for one in sensors])
+    each["barometer_hz"] = _rates([one.barometer for one in sensors])
+    each["compass_hz"] = _rates([one.magnetometer for one in sensors])
+    latency = [one.gps.latency_s if one.gps else 0.0 for one in sensors]
+    assumed = [one.estimator.gps_delay_s if one.gps else 0.0 for one in sensors]
+    each["latency"], each["assumed"] = _steps(latency, rate_hz), _steps(assumed, rate_hz)
+    each["gps_height"] = by_gps
+    return Settings(each, rate_hz)
 
 
 def _rates(sensors: Sequence[Any]) -> Counts:
-    return np.array([_PERFECT_HZ if each is None else each.rate_hz for each in sensors])
+    rates = [_PERFECT_HZ if each is None else each.rate_hz for each in sensors]
+    return np.array(rates, dtype=np.int64)
 
 
 def _steps(delays_s: Sequence[float], rate_hz: int) -> Counts:
-    return np.array([round(delay * rate_hz) for delay in delays_s])
+    return np.array([round(delay * rate_hz) for delay in delays_s], dtype=np.int64)

@@ -120,7 +120,6 @@ def make_air(
         field=field,
         own=own,
         wakes=_wakes(page, airframes, dt, sheds),
-        dt=dt,
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from testbed.errors import InputError
 from testbed.scenario import Scenario, dump, find_aircraft
 from testbed.sim.airs import make_air, make_mean, scales
+from testbed.sim.steady import Steady
 from testbed.state import Array, VehicleState
 from testbed.vehicle.jsbsim_door import airframe
 
@@ -86,14 +87,15 @@ def fly_probes(page: Scenario, flown: Course) -> Felt:
     height = np.full(probes, flown.height)
     level = np.tile([0.0, 0.0, flown.course], (probes, 1))
     still, fast = np.zeros((probes, 3)), np.full(probes, flown.airspeed)
-    before = mean_wind.velocity_ned(0.0, height)
+    before, steady = mean_wind.velocity_ned(0.0, height), Steady()
     for k, now in enumerate(time.tolist()):
         blowing = mean_wind.velocity_ned(now, height)
         if k:  # exact for a wind that is steady, or linear between its rows
             over_ground = flown.airspeed * ahead + 0.5 * (before + blowing) * [1.0, 1.0, 0.0]
             position = position + over_ground * dt
         velocity = flown.airspeed * ahead + blowing * [1.0, 1.0, 0.0]
-        felt = air.felt(now, VehicleState(position, velocity, still, level, still, fast, fast))
+        moved = VehicleState(position, velocity, still, level, still, fast, fast)
+        felt = air.felt(now, steady(moved))
         wind[k], rates[k] = felt.wind_ned, felt.rates_body
         places[k], mean[k] = position, blowing
         before = blowing

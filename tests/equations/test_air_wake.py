@@ -1,6 +1,7 @@
 """Trailing vortices: their strength, their place, the velocity about them and what it does."""
 
 import os
+from functools import partial
 
 import numpy as np
 import pytest
@@ -45,8 +46,16 @@ def level(wakes, *positions, heading=0.0):
     position = np.array(positions, dtype=float) @ turn.T
     velocity = np.tile(SPEED * turn[:, 0], (len(position), 1))
     euler = np.tile([0.0, 0.0, heading], (len(position), 1))
-    wind, roll = wakes.step(position, velocity, np.zeros_like(position), euler)
+    wind, roll = felt(wakes, position, velocity, np.zeros_like(position), euler)
     return wind @ turn, roll
+
+
+def felt(wakes, position, velocity, acceleration, euler, ambient=0.0):
+    """Wind (N, 3) and rolling-moment coefficient (N,) of the next step."""
+    wind, roll = np.zeros_like(position), np.zeros(len(position))
+    ambient = np.zeros_like(position) + ambient
+    wakes.bind(position, velocity, acceleration, euler, ambient, wind, roll)()
+    return wind, roll
 
 
 def small(**changes):
@@ -185,7 +194,7 @@ def test_the_circulation_bears_the_weight_and_the_load_of_a_turn():
         axes = rotation_ned_body(euler[0])
         load = 1.0 / np.cos(bank)
         position[1] = axes @ [-500.0, 0.0, load * SINKING * 500.0 / SPEED]
-        down[bank] = wakes.step(position, velocity, pulled, euler)[0][1] @ axes / load
+        down[bank] = felt(wakes, position, velocity, pulled, euler)[0][1] @ axes / load
     assert down[0.5] == pytest.approx(down[0.0], abs=1e-6)
     assert down[0.0][2] == pytest.approx(two_dimensional(0.0, 0.0)[1], abs=1e-6)
 
@@ -302,7 +311,7 @@ def test_two_aircraft_in_a_turn_feel_what_they_would_in_straight_flight():
         position = -SPEED / turn * inward
         wing = rotation_ned_body(euler)[1, :, 1]
         position[1] += offset * wing
-        wind, roll = wakes.step(position, SPEED * forward, SPEED * turn * inward, euler)
+        wind, roll = felt(wakes, position, SPEED * forward, SPEED * turn * inward, euler)
     heavier = make(mass=np.full(2, MASS / np.cos(bank)))
     wind_level, roll_level = level(heavier, (0.0, 0.0, 0.0), (-25.0, offset, 0.0))
     axes = rotation_ned_body(euler)[1]
@@ -413,10 +422,11 @@ def test_the_compiled_twin_does_the_same(monkeypatch):
         }
         ours, theirs = make(count, **given), make(count, **given)
         for now in flight(rng, count):
-            monkeypatch.setattr(wake, "WAKES", wake.felt)
-            wind, roll = ours.step(*now)
-            monkeypatch.setattr(wake, "WAKES", wake_twin.felt)
-            compiled = theirs.step(*now)
+            ambient = rng.normal(0.0, 3.0, (count, 3))
+            monkeypatch.setattr(wake, "READY_WAKES", partial(partial, wake.add_wakes))
+            wind, roll = felt(ours, *now, ambient)
+            monkeypatch.setattr(wake, "READY_WAKES", wake_twin.ready_add_wakes)
+            compiled = felt(theirs, *now, ambient)
             assert compiled[0] == pytest.approx(wind, abs=1e-11)
             assert compiled[1] == pytest.approx(roll, abs=1e-11)
             most = max(most, abs(wind).max())

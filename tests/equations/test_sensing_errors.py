@@ -83,7 +83,7 @@ def errors_over(steps, pages, *, aircraft=None, dt=DT, seed=SEED):
     """Errors (steps, N, COLUMNS) from the very first."""
     aircraft = names(len(pages)) if aircraft is None else aircraft
     each = SensorErrors(aircraft, make_levels(pages, dt), seed=seed, dt=dt)
-    return np.stack([each.now, *(each.advance() for _ in range(steps - 1))])
+    return np.stack([each.now.copy(), *(each.advance().copy() for _ in range(steps - 1))])
 
 
 def allan_variance(series, draws):
@@ -324,7 +324,7 @@ def read(pages, truths, failing=None, seed=SEED):
     offsets = make_offsets(aircraft, pages, seed)
     pitots, out = Pitots(pages, rate_hz=RATE_HZ), []
     for tick, truth in enumerate(truths):
-        broken = None if failing is None else failing(tick)
+        broken = nothing_fails(n) if failing is None else failing(tick)
         pitots.read(tick, truth, each.advance(), offsets, broken)
         out.append(pitots.now(truth))
     return np.array(out)

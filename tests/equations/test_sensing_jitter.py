@@ -194,7 +194,7 @@ def test_between_two_of_its_moments_an_error_stays_as_it_is():
     moved = flying._replace(position_ned=flying.position_ned + 100.0)
     often, seldom = jitters(names(2)), jitters(names(2))
     for _ in range(5):
-        at_first = often.on(flying, fresh=True)
+        at_first = VehicleState(*(array.copy() for array in often.on(flying, fresh=True)))
         for _ in range(3):
             between = often.on(moved, fresh=False)
             error = between.position_ned - moved.position_ned

@@ -1,20 +1,22 @@
 """The compiled filter does what the readable one says, along flights that reach every branch."""
 
 import copy
+from functools import partial
 
 import numpy as np
 import pytest
-from sensing_samples import SPEED, THINNER, Filters, make_flight, page
+from sensing_samples import SPEED, THINNER, Filters, make_flight, nothing_fails, page
 
-from testbed.sensing import belief, fusion
+from testbed.sensing import belief, estimators, fusion, jitter, senses
 from testbed.sensing import errors as columns
 from testbed.sensing.errors import SensorErrors, make_levels
+from testbed.sensing.estimators import Estimators
 from testbed.sensing.navigation import VELOCITY
 from testbed.state import VehicleState
 
 pytest.importorskip("numba")
 
-from testbed.sensing import belief_twin, fusion_twin  # noqa: E402
+from testbed.sensing import belief_twin, fusion_twin, jitter_twin, senses_twin  # noqa: E402
 
 # The two take the same sums in other orders and differ by roundings of 1e-16, of positions of
 # 1e3 m, that a filter gathers for some seconds: by 1e-11 along this flight.
@@ -153,3 +155,54 @@ def test_what_is_believed():
             assert np.array_equal(array[others], getattr(truth, name)[others])
             changed = name not in ("airspeed", "equivalent_airspeed")
             assert (array[rows] != getattr(truth, name)[rows]).all() == changed
+
+
+def test_all_that_is_sensed_along_a_flight(monkeypatch):
+    """Tubes that are blocked and open again, drained or not; a lost GPS; and asked in between."""
+    monkeypatch.setattr(estimators, "WARM_UP_S", 2.0)
+    flight = make_flight(HZ, (4, 0, 0), (8, 1, 0.1))
+    tube = page(airspeed={"noise_pa": 3.0, "offset_pa": 10.0, "smoothing_s": 0.1, "rate_hz": 20})
+    pages = [page(), tube, *PAGES, tube, page("pixhawk")]
+    n = len(pages)
+    names = [f"uav{i}" for i in range(n)]
+
+    def failing(k):
+        blocked = (np.arange(n) % 2 == 0) & (100 < k < 300)
+        return nothing_fails(n)._replace(
+            pitot_blocked=blocked,
+            pitot_drained=blocked & (np.arange(n) % 4 == 0),
+            gps_lost=(np.arange(n) % 3 == 0) & (200 < k < 400),
+        )
+
+    def believed(engine):
+        monkeypatch.setattr(estimators, "READY_SENSE", engine)
+        start = flight.at(0, n)
+        each = Estimators(names, pages, seed=3, rate_hz=HZ, start=start, breakable=True)
+        out = []
+        for k in range(len(flight)):
+            truth = flight.at(k, n)
+            for fresh in (True, False)[: 1 + k % 2]:
+                estimate = each.estimate(truth, fresh=fresh, failing=failing(k))
+                out.append(np.concatenate([np.reshape(array, (n, -1)) for array in estimate], 1))
+        return np.array(out)
+
+    ours, theirs = believed(partial(partial, senses.sense)), believed(senses_twin.ready_sense)
+    np.testing.assert_allclose(theirs, ours, rtol=TOLERANCE, atol=TOLERANCE)
+    assert abs(ours[:, 0, -2:] - SPEED).max() > 1.0  # blocked in a climb
+
+
+def test_errors_on_top_of_an_estimate():
+    rng = np.random.default_rng(73)
+    n = 5
+    errors, draw = rng.normal(0.0, 0.1, (2, n, 9))
+    parts = rng.uniform(0.0, 1.0, (2, n, 9))
+    vectors = rng.normal(0.0, 1.0, (5, n, 3))
+    estimate = VehicleState(*vectors, *rng.uniform(15.0, 25.0, (2, n)))
+    mine, other = errors.copy(), errors.copy()
+    ours, theirs = (VehicleState(*np.empty((5, n, 3)), *np.empty((2, n))) for _ in range(2))
+    compiled = jitter_twin.ready_jitter(other, parts, estimate, theirs)
+    for each in (draw, None, 2.0 * draw, None):
+        jitter.jitter(mine, parts, estimate, ours, each)
+        compiled(each)
+        np.testing.assert_allclose(other, mine, rtol=1e-15, atol=0.0)
+        compare(ours._asdict(), theirs._asdict())
