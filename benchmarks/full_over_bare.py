@@ -56,6 +56,8 @@ def since(began: Cost) -> Cost:
 class Stopwatch(Observer):
     """Measures the flight, without building and closing."""
 
+    borrows = True  # keeps no array of a frame: copies would be made for it
+
     def begin(self, info: RunInfo) -> None:
         """Start."""
         self.cost = Cost(0.0, 0.0)

@@ -38,6 +38,8 @@ def memory_now() -> dict[str, float]:
 class Resident(Observer):
     """Takes down the memory that is resident, every second of flight."""
 
+    borrows = True
+
     def begin(self, info: RunInfo) -> None:
         """Nothing was flown yet."""
         self.times: list[float] = []

@@ -83,6 +83,8 @@ _DEEDS: Mapping[str, Mapping[str, str]] = {
 class Rooms(Observer):
     """Counts in which rooms a flight is found. In the main thread only."""
 
+    borrows = True
+
     def __init__(self) -> None:
         """Nothing was seen yet; flights one after the other add up."""
         self._found: Counter[str] = Counter()

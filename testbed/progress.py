@@ -28,6 +28,8 @@ class _Speed(ProgressColumn):
 class ProgressBar:
     """Show how far a run is; silent where the console is no terminal."""
 
+    borrows = True  # keeps nothing of a frame
+
     def __init__(self, console: Console) -> None:
         """Draw on this console."""
         self._progress = Progress(

@@ -22,7 +22,7 @@ from testbed.metrics.speeds import Speeds
 from testbed.metrics.wind import Wind
 from testbed.state import Array
 
-BLOCK = 256
+BLOCK = 1024
 ENGAGED_RADIUS_M = 5.0
 ENGAGED_HOLD_S = 5.0
 

@@ -145,6 +145,7 @@ class JsbsimFleet:
         self._deaf = np.array([not model.turns for model in models])
         self._blown = [setter for m in models for setter in (*m.winds, *(m.turns or _DEAF))]
         self._felt: AirFelt | None = None  # nothing yet
+        self._told = np.empty((n, 7))  # of the air
         self._broken = np.zeros(n, dtype=bool)
         self._getters = [
             model.node(name).get_double_value
@@ -231,8 +232,10 @@ class JsbsimFleet:
     def blow(self, felt: AirFelt) -> None:
         """Say what the air does to the aircraft from now on."""
         self._felt = felt
-        roll = felt.roll_coefficient[:, np.newaxis]
-        told = np.concatenate((felt.wind_ned / FOOT, felt.rates_body, roll), axis=1)
+        told = self._told
+        np.divide(felt.wind_ned, FOOT, out=told[:, :3])
+        told[:, 3:6] = felt.rates_body
+        told[:, 6] = felt.roll_coefficient
         for set_value, value in zip(self._blown, told.ravel().tolist(), strict=True):
             set_value(value)
 
