@@ -80,13 +80,15 @@ check-all: test wheel
 
 # What everything around the flight model costs, as a ratio to bare JSBSim, in which rooms, and how it
 # grows with the fleet (ARGS="--json FILE --into docs/speed.md" writes it down); coherent air and estimates
-# on top; the radio of 100 aircraft; and a live view.
+# on top; the radio of 100 aircraft; a live view; and how long it takes
+# to begin.
 bench: $(STAMP)
 	@$(BIN)/python benchmarks/speed.py $(ARGS)
 	@$(BIN)/python benchmarks/page_cost.py --set air.turbulence.model=coherent
 	@$(BIN)/python benchmarks/page_cost.py --set leader.sensors=pixhawk --set 'fleet.*.sensors=pixhawk'
 	@$(BIN)/python benchmarks/network_cost.py
 	@$(BIN)/python benchmarks/view_cost.py
+	@$(BIN)/python benchmarks/startup.py
 
 # Flies every row of the tables in docs/simulations.md, experiments.md, air.md, network.md and sensors.md
 # and writes them there.

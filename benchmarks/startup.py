@@ -20,12 +20,15 @@ import tempfile
 import time
 from pathlib import Path
 
+# Bytecode is kept, as it is for whoever uses the testbed twice.
+ENVIRONMENT = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
 # The progress bar is made before the flight and sees its first frame before the second tick.
 TO_FIRST_TICK = """
 import os, sys
 from testbed import cli, console
 
 class FirstTick:
+    borrows = True
     def __init__(self, *told): pass
     def begin(self, info): pass
     def observe(self, frame): os._exit(0)
@@ -43,7 +46,7 @@ def took(arguments: list[str]) -> tuple[float, float]:
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
         process = subprocess.Popen(
-            [sys.executable, *arguments], cwd=folder, stdout=subprocess.DEVNULL
+            [sys.executable, *arguments], cwd=folder, env=ENVIRONMENT, stdout=subprocess.DEVNULL
         )
         _, status, used = os.wait4(process.pid, 0)
         wall = time.perf_counter() - began

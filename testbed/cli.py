@@ -12,6 +12,7 @@ import typer
 from testbed import __version__
 from testbed.air_commands import air
 from testbed.airframe_commands import linearize, step, trim
+from testbed.command_group import MARKUP, CommandGroup
 from testbed.errors import InputError, PartnerLost
 from testbed.export_commands import compare, export
 from testbed.flight_commands import import_flight
@@ -34,39 +35,7 @@ EXITS = (
     "4 internal error, 5 a program outside was lost, 130 interrupted."
 )
 
-app = typer.Typer(
-    name="testbed",
-    help="Fly formations of fixed-wing aircraft: JSBSim behind virtual ArduPlane autopilots.",
-    epilog=EXITS,
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
-)
 
-
-def _version(asked: bool) -> None:
-    if asked:
-        typer.echo(f"testbed {__version__}")
-        raise typer.Exit
-
-
-@app.callback()
-def _main(
-    version: Annotated[
-        bool,
-        typer.Option("--version", help="Print the version.", callback=_version, is_eager=True),
-    ] = False,
-) -> None:
-    pass
-
-
-app.command(epilog=EXITS)(run)
-for look in (view, shot):
-    app.command(epilog=EXITS)(look)
-
-
-@app.command()
 def validate(
     scenario: ScenarioName,
     overrides: Overrides = None,
@@ -87,7 +56,6 @@ def validate(
     typer.echo(dump(page) if resolved else f"{scenario}: good")
 
 
-@app.command(epilog=EXITS)
 def check(
     scenarios: Annotated[
         list[str] | None,
@@ -140,7 +108,6 @@ def check(
     )
 
 
-@app.command("list")
 def list_all() -> None:
     """List the scenarios, studies, tunes and aircraft that can be named."""
     from testbed.console import list_library
@@ -148,7 +115,6 @@ def list_all() -> None:
     list_library()
 
 
-@app.command()
 def schema() -> None:
     """Print the JSON schema of a scenario page, for editors."""
     import json
@@ -158,7 +124,6 @@ def schema() -> None:
     typer.echo(json.dumps(json_schema(), indent=2, ensure_ascii=False))
 
 
-@app.command()
 def respond(
     aircraft: Annotated[str, typer.Argument(metavar="AIRCRAFT", help="Name or folder.")],
     commands: Annotated[
@@ -209,12 +174,58 @@ def respond(
         raise typer.Exit(LOST) from None
 
 
-for many in (compare, sweep, tune):
-    app.command(epilog=EXITS)(many)
-app.command("study-report")(study_report)
-app.command("import")(import_flight)
-for command in (report, export, trim, linearize, step, air, network):
-    app.command()(command)
+class _Commands(CommandGroup):
+    functions = {
+        "run": run,
+        "view": view,
+        "shot": shot,
+        "validate": validate,
+        "check": check,
+        "list": list_all,
+        "schema": schema,
+        "respond": respond,
+        "compare": compare,
+        "sweep": sweep,
+        "tune": tune,
+        "study-report": study_report,
+        "import": import_flight,
+        "report": report,
+        "export": export,
+        "trim": trim,
+        "linearize": linearize,
+        "step": step,
+        "air": air,
+        "network": network,
+    }
+    epilogs = dict.fromkeys(("run", "view", "shot", "check", "compare", "sweep", "tune"), EXITS)
+
+
+app = typer.Typer(
+    name="testbed",
+    cls=_Commands,
+    help="Fly formations of fixed-wing aircraft: JSBSim behind virtual ArduPlane autopilots.",
+    epilog=EXITS,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=MARKUP,
+)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"testbed {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _main(
+    version: Annotated[
+        bool,
+        typer.Option("--version", help="Print the version.", callback=_version, is_eager=True),
+    ] = False,
+) -> None:
+    pass
 
 
 def main() -> None:

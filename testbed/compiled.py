@@ -19,6 +19,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
+from testbed.standing_in import standing_in
+
 F = TypeVar("F", bound=Callable[..., Any])
 _IMPORT = re.compile(
     r"^[ \t]*(?:from|import)[ \t]+testbed([\w.]*)(?:[ \t]+import[ \t]+(\([^)]*\)|[^\n#]*))?", re.M
@@ -100,7 +102,9 @@ def twin(function: F) -> F:
     config.CACHE_DIR = _machine_code(wanted)
     try:
         # numpy divides by zero as IEEE does; nothing is reordered, so that runs repeat to the bit
-        return numba.njit(cache=True, error_model="numpy")(function)  # type: ignore[return-value]
+        compiled: Any = numba.njit(cache=True, error_model="numpy")(function)
+        _load_alone(compiled)
+        return compiled  # type: ignore[no-any-return]
     finally:
         config.CACHE_DIR = wanted
 
@@ -114,6 +118,25 @@ def instructions(function: F) -> F:
     from numba.extending import intrinsic
 
     return intrinsic(function)  # type: ignore[no-any-return]
+
+
+def _load_alone(compiled: Any) -> None:  # noqa: ANN401 - numba's
+    """Let a function's machine code be loaded without what only compiling needs.
+
+    Before it looks for machine code numba collects the types and operations of all that it can
+    compile, scipy's linear algebra too: a fifth of a run's start. What is not found is compiled,
+    for which it collects them all the same.
+    """
+    from numba.core.runtime.nrt import rtsys
+
+    cache = compiled._cache
+
+    def load(signature: Any, context: Any) -> Any:  # noqa: ANN401
+        rtsys.initialize(context)
+        with cache._guard_against_spurious_io_errors(), standing_in("scipy.linalg.cython_blas"):
+            return cache._load_overload(signature, context)
+
+    cache.load_overload = load
 
 
 @functools.cache

@@ -13,7 +13,6 @@ from rich.text import Text
 
 from testbed.errors import InputError
 from testbed.links.addresses import parse_address
-from testbed.mavlink.signing import read_key
 from testbed.metrics.table import render_table
 from testbed.outputs import is_stdout, put_json, refuse_files
 from testbed.progress import ProgressBar
@@ -101,12 +100,17 @@ def find_outside(asked: Flight, page: Scenario, tell: Callable[[str], None]) -> 
     flown = (each.autopilot for each in page.aircraft)
     if asked.arduplane and not any(isinstance(each, ArduPlane) for each in flown):
         tell(f"warning: --arduplane {asked.arduplane}: no aircraft has autopilot: ardupilot")
+    key = None
+    if asked.key:
+        from testbed.mavlink.signing import read_key
+
+        key = read_key(asked.key)
     return Outside(
         tell=tell,
         mavlink=mavlink,
         pace=pace or None,
         tlog=asked.tlog,
-        key=read_key(asked.key) if asked.key else None,
+        key=key,
         arduplane=asked.arduplane,
     )
 

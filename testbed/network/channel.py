@@ -218,7 +218,7 @@ def _put_jitter(
 
 def _moments(value_of: Callable[[Array], Array]) -> tuple[float, float]:
     """Mean and standard deviation over the quantiles of a table."""
-    value = value_of(delays.TABLE_Z)
+    value = value_of(delays.table_z())
     return float(value.mean()), float(value.std())
 
 

@@ -13,9 +13,6 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import quad
-from scipy.optimize import brentq
-from scipy.special import ndtr, ndtri
 
 from testbed.network.links import (
     EMPIRICAL,
@@ -26,12 +23,14 @@ from testbed.network.links import (
     UNIFORM,
     Links,
 )
+from testbed.network.normal import probability, quantile
 from testbed.state import Array
 
 # Pareto with this shape and scale 1; mean 3/2, variance 3/4.
 PARETO_SHAPE = 3.0
 PARETO_MEAN = 1.5
 PARETO_DEVIATION = math.sqrt(0.75)
+PARETO_WITH_Z = 0.6783527895499961  # mean of z pareto(z), an integral that a test does
 NORMAL_SHARE = 0.25  # of paretonormal, as in iproute2; both parts grow with the same z
 NETEM_PARETO = 4.0 / 3.0  # iproute2's scale of its pareto table
 
@@ -40,25 +39,24 @@ NANOSECONDS = 1e9  # in which netem counts, in a second
 NETEM_TABLE = 4096  # entries of a table of netem
 NETEM_SCALE = 8192  # table entry of one standard deviation
 LARGEST_ENTRY = 32767
-TABLE_Z = ndtri((np.arange(NETEM_TABLE) + 0.5) / NETEM_TABLE)  # of its entries
+
+
+@cache
+def table_z() -> Array:
+    """The z of the entries of a table of netem (NETEM_TABLE,)."""
+    return quantile((np.arange(NETEM_TABLE) + 0.5) / NETEM_TABLE)
 
 
 def pareto(z: Array) -> Array:
     """Pareto with mean 0 and standard deviation 1."""
-    heavy: Array = ndtr(-z) ** (-1.0 / PARETO_SHAPE)
+    heavy: Array = probability(-z) ** (-1.0 / PARETO_SHAPE)
     return (heavy - PARETO_MEAN) / PARETO_DEVIATION
 
 
-@cache
 def mixed_deviation() -> float:
     """Standard deviation of a quarter normal and three quarters of iproute2's Pareto."""
     scale = (1.0 - NORMAL_SHARE) * NETEM_PARETO * PARETO_DEVIATION
-
-    def product(z: float) -> float:
-        return float(z * pareto(np.array(z)) * math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi))
-
-    shared = quad(product, -12.0, 12.0)[0]
-    return math.sqrt(NORMAL_SHARE**2 + scale**2 + 2.0 * NORMAL_SHARE * scale * shared)
+    return math.sqrt(NORMAL_SHARE**2 + scale**2 + 2.0 * NORMAL_SHARE * scale * PARETO_WITH_Z)
 
 
 def paretonormal(z: Array) -> Array:
@@ -69,7 +67,7 @@ def paretonormal(z: Array) -> Array:
 
 def looked_up(table: Array, z: Array) -> Array:
     """Quantile of a table (TABLE_STEPS + 1,) at Φ(z)."""
-    out: Array = np.interp(ndtr(z) * TABLE_STEPS, np.arange(TABLE_STEPS + 1.0), table)
+    out: Array = np.interp(probability(z) * TABLE_STEPS, np.arange(TABLE_STEPS + 1.0), table)
     return out
 
 
@@ -100,7 +98,7 @@ def varied(links: Links, z: Array, tables: Array) -> Array:
 
 
 _STANDARD: dict[int, Callable[[Array], Array]] = {
-    UNIFORM: lambda z: 2.0 * ndtr(z) - 1.0,
+    UNIFORM: lambda z: 2.0 * probability(z) - 1.0,
     NORMAL: lambda z: z,
     PARETO: pareto,
     PARETONORMAL: paretonormal,
@@ -130,6 +128,8 @@ def normal_correlation(value_of: Callable[[Array], Array], wanted: float) -> flo
     """
     if wanted == 0.0:
         return 0.0
+    from scipy.optimize import brentq  # few pages need it
+
     z = np.linspace(-_REACH, _REACH, _GRID)
     weight = np.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi) * (z[1] - z[0])
     value = value_of(z)
@@ -165,7 +165,7 @@ def netem_table(jitter: int, standard: Callable[[Array], Array] | None = None) -
         standard: a function of z (K,) with mean 0 and standard deviation 1.
     """
     j = np.arange(NETEM_TABLE)
-    normal = NETEM_SCALE * ndtri((4.0 * j + 0.5) / (4.0 * NETEM_TABLE))
+    normal = NETEM_SCALE * quantile((4.0 * j + 0.5) / (4.0 * NETEM_TABLE))
     tail = (1.0 - j / NETEM_TABLE) ** (-1.0 / PARETO_SHAPE) - PARETO_MEAN
     heavy = np.minimum(np.rint(NETEM_SCALE * NETEM_PARETO * tail), LARGEST_ENTRY)
     if jitter == PARETO:
@@ -173,5 +173,5 @@ def netem_table(jitter: int, standard: Callable[[Array], Array] | None = None) -
     elif jitter == PARETONORMAL:
         entries = np.rint(NORMAL_SHARE * normal + (1.0 - NORMAL_SHARE) * heavy)
     else:
-        entries = np.rint(NETEM_SCALE * standard(TABLE_Z) if standard else normal)
+        entries = np.rint(NETEM_SCALE * standard(table_z()) if standard else normal)
     return np.clip(entries, -LARGEST_ENTRY - 1, LARGEST_ENTRY).astype(np.int16)

@@ -1,7 +1,5 @@
 """The air of the page: mean wind, turbulence, gusts and wakes."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field

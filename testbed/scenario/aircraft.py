@@ -1,7 +1,5 @@
 """The aircraft of the page: the leader with its path, and the fleet that follows."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field

@@ -1,7 +1,5 @@
 """The formation and its control law on the page: what it wants, and with which gains."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self

@@ -1,7 +1,5 @@
 """What breaks in an aircraft on the page, and when."""
 
-from __future__ import annotations
-
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field

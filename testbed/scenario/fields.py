@@ -1,6 +1,8 @@
-"""The building blocks of the page: a strict base, numbers with their unit, gains per direction."""
+"""The building blocks of the page: a strict base, numbers with their unit, gains per direction.
 
-from __future__ import annotations
+Sections are written without `from __future__ import annotations`: pydantic would have to evaluate
+each annotation from its text, whenever anything starts.
+"""
 
 from collections.abc import Iterable, Sequence
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """An airframe's middle_loop.yaml: gains of the middle loop [HBH23] (19) to (21), by profile."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Annotated, Literal
 

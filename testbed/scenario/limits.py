@@ -1,7 +1,5 @@
 """When an aircraft counts as lost on the page, and what the run does then."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field

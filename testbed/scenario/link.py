@@ -1,7 +1,5 @@
 """What a message meets on one directed link: every knob of the channel, each of them optional."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal
 
 from pydantic import (

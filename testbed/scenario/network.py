@@ -1,7 +1,5 @@
 """The radio between the aircraft on the page: one link for all, and what is different for some."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 

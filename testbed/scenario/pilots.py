@@ -1,7 +1,5 @@
 """Who flies an aircraft: what its autopilot is, and where its commands come from."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Literal
 

@@ -1,7 +1,5 @@
 """The page: one frozen object composed of the rooms' sections. Schema 1."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Literal, Self
 

@@ -3,8 +3,6 @@
 Every sensor that is left out measures the truth. The Gauss-Markov processes are of first order.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 

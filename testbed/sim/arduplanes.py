@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from testbed.ardupilot.link import Plane, Wanted
 from testbed.ardupilot.packets import motion_columns
 from testbed.ardupilot.process import end
 from testbed.scenario import Scenario
@@ -17,6 +17,9 @@ from testbed.sim.vehicles import Flown, choose
 from testbed.state import Event, FbwaCommand, Origin, Surfaces, Truths, VehicleState
 from testbed.vehicle.jsbsim_door import JsbsimFleet
 from testbed.vehicle.tables import FbwaGains
+
+if TYPE_CHECKING:
+    from testbed.ardupilot.link import Plane
 
 
 class ArduPlanes(Flown):
@@ -154,6 +157,8 @@ def make_flown(
     """
     if not any(isinstance(page.aircraft[row].autopilot, ArduPlane) for row in rows):
         return Flown(fleet, gains)
+    from testbed.ardupilot.link import Plane, Wanted  # few pages need them
+
     origin = Origin(**page.scenario.origin.model_dump())
     yaw = fleet.read().euler[:, 2]
     planes = {}

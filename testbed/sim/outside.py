@@ -6,17 +6,18 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from testbed.errors import InputError
 from testbed.links.addresses import Address
-from testbed.links.station import Station
-from testbed.mavlink.signing import Signing, signing_time
 from testbed.scenario import Scenario
 from testbed.scenario.pilots import External
 from testbed.sim.pace import Pace
 from testbed.sim.world import World
 from testbed.state import Event
+
+if TYPE_CHECKING:
+    from testbed.links.station import Station
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +80,10 @@ def make_station(outside: Outside, world: World) -> Station | None:
     """
     if world.deck is None or not outside.looks_on:
         return None
+    # few runs have one
+    from testbed.links.station import Station
+    from testbed.mavlink.signing import Signing, signing_time
+
     now = time.time()
     return Station(
         outside.mavlink,

@@ -83,6 +83,8 @@ def test_help_loads_nothing_heavy(tmp_path):
     assert "testbed.cli" in loaded
     assert not loaded & {"jsbsim", "numba", "rerun", "numpy", "scipy", "yaml", "mcap", "pydantic"}
     assert not any(name.startswith("pymavlink") for name in loaded)
+    # what typer imports for those who write Markdown or want pretty tracebacks
+    assert not loaded & {"rich.markdown", "markdown_it", "rich.traceback", "pygments", "attr"}
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from testbed import compiled
+from testbed import compiled, standing_in
 
 pytest.importorskip("numba")
 
@@ -39,7 +39,8 @@ def test_a_constant_of_another_file_is_compiled_anew(tmp_path):
     package = tmp_path / "testbed"
     package.mkdir()
     (package / "__init__.py").touch()
-    shutil.copy(Path(compiled.__file__), package)
+    for module in (compiled, standing_in):
+        shutil.copy(module.__file__, package)
     (package / "room_twin.py").write_text(TWIN)
     (package / "numbers.py").write_text("STEP = 1\n")
     assert printed(tmp_path) == ["2", "0"]

@@ -21,6 +21,8 @@ from scipy.integrate import quad
 
 from testbed.errors import InputError
 from testbed.network.alone import transmit
+from testbed.network.delays import PARETO_WITH_Z
+from testbed.network.delays import pareto as pareto_of
 from testbed.network.links import Fate
 
 DELAY, SPREAD = 0.1, 0.02
@@ -134,6 +136,20 @@ def flight(request, measured):
     flow = send(**knobs)
     assert (flow.fate == Fate.DELIVERED).all()
     return name, LAWS[name], rho, behind, flow.delay_s
+
+
+def test_how_a_pareto_number_goes_with_its_normal_one_is_the_integral():
+    """By Stein's lemma the mean of z g(z) is that of g'(z): another integrand."""
+
+    def product(z):
+        return z * float(pareto_of(np.array(z))) * stats.norm.pdf(z)
+
+    def slope(z):
+        return stats.norm.sf(z) ** (-1.0 / PARETO - 1.0) * stats.norm.pdf(z) ** 2 / PARETO
+
+    assert quad(product, -12.0, 12.0)[0] == pytest.approx(PARETO_WITH_Z, rel=1e-14)
+    other = quad(slope, -12.0, 12.0, epsrel=1e-12, limit=200)[0] / math.sqrt(0.75)
+    assert other == pytest.approx(PARETO_WITH_Z, rel=1e-9)
 
 
 def test_a_constant_delay_is_the_same_for_all():
