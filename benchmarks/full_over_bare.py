@@ -18,6 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rooms import Rooms
+
 from testbed.scenario import Scenario
 from testbed.sim.run import run
 from testbed.sim.world import build
@@ -121,12 +123,13 @@ class Turn:
         return self.full / self.bare
 
 
-def turn(page: Scenario, *watching: Observer) -> Turn:
-    """Measure once; the second flight is the one that is watched."""
+def turn(page: Scenario, rooms: Rooms) -> Turn:
+    """Measure once; in the second flight it is looked which room takes the time."""
     half = page.scenario.duration_s / 2.0
     before = bare(page, half)
     cost, built = full(page)
-    looked_at, _ = full(page, *watching)
+    with rooms.within():
+        looked_at, _ = full(page, rooms)
     return Turn(before + bare(page, half), cost, looked_at, built)
 
 

@@ -1,25 +1,30 @@
 """Which room of the house a flight spends its time in.
 
-A timer interrupts the flight every millisecond and looks at what is being done: the innermost
-function that belongs to a room counts. So nothing of the flight is wrapped or changed, and what the
-looking costs is measured beside it. Compiled functions count for who called them.
+The doors by which the loop enters the rooms are given a clock: from one crossing to the next, time
+belongs to the room that is in. What is between rooms is the loop's own. The clocks cost some time
+themselves, which is measured beside it.
 """
 
 from __future__ import annotations
 
-import functools
-import signal
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from types import CodeType, FrameType
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
-import testbed
+from testbed.air.air import Air
+from testbed.metrics import MetricsObserver
+from testbed.network.radio import Radio
+from testbed.record.recorder import McapRecorder
+from testbed.sensing.estimators import Estimators
+from testbed.sim.breakdowns import Breakdowns
+from testbed.sim.casualties import Casualties
+from testbed.sim.control import Control
+from testbed.sim.pilots import MissionPilot
+from testbed.sim.vehicles import Flown
+from testbed.sim.watch import Arrivals, Engagement, Silence, Slots, Speaker, Staleness
 from testbed.state import Event, Frame, Observer, RunInfo
-
-EVERY_S = 0.00097  # no whole part of any period of the flight
-HOME = Path(testbed.__file__).parent
+from testbed.vehicle.jsbsim_door import JsbsimFleet
 
 ROOMS: Mapping[str, str] = {
     "physics": "the flight models' own steps, and setting their controls",
@@ -36,93 +41,83 @@ ROOMS: Mapping[str, str] = {
     "loop": "the clock, and what hands things from one room to the next",
 }
 
-# Of what is in a folder, or in a file of it, before its folder.
-_PLACES: Mapping[str, str] = {
-    "air": "air",
-    "formation": "control",
-    "guidance": "leader",
-    "metrics": "metrics",
-    "network": "network",
-    "record": "log",
-    "sensing": "sensing",
-    "sim": "loop",
-    "sim/airs.py": "air",
-    "sim/breakdowns.py": "events",
-    "sim/casualties.py": "events",
-    "sim/control.py": "control",
-    "sim/deck.py": "leader",
-    "sim/failures.py": "events",
-    "sim/limits.py": "events",
-    "sim/middle_loops.py": "control",
-    "sim/navigator.py": "leader",
-    "sim/own_law.py": "control",
-    "sim/pilots.py": "leader",
-    "sim/radios.py": "network",
-    "sim/watch.py": "events",
-    "vehicle": "physics",
-    "vehicle/fbwa.py": "autopilot",
-}
-# What one file does for several rooms, by names of its functions.
-_DEEDS: Mapping[str, Mapping[str, str]] = {
-    "sim/watch.py": {"broadcast": "network", "formation_state": "metrics"},
-    **dict.fromkeys(
-        ("sim/vehicles.py", "vehicle/jsbsim_door.py", "vehicle/jsbsim_model.py"),
-        {
-            "step": "physics",
-            "read": "truth",
-            "air": "truth",
-            "lost": "events",
-            "blow": "air",
-            "act": "autopilot",
-            "fail": "autopilot",
-        },
-    ),
+DOORS: Mapping[str, Sequence[tuple[type, str]]] = {
+    "physics": [(Flown, "step")],
+    "truth": [(JsbsimFleet, "look"), (JsbsimFleet, "air")],
+    "air": [(Air, "felt"), (Air, "gusts_inside"), (JsbsimFleet, "blow")],
+    "sensing": [(Estimators, "estimate")],
+    "autopilot": [(Flown, "act"), (Flown, "fail")],
+    "network": [
+        (Speaker, "says"),
+        *((Radio, name) for name in ("send", "deliver", "use", "counts")),
+    ],
+    "leader": [(MissionPilot, "command")],
+    "control": [(Control, "learn"), (Control, "step")],
+    "events": [
+        (JsbsimFleet, "lost"),
+        *((kind, "changes") for kind in (Casualties, Breakdowns, Silence, Staleness)),
+        *((kind, "changes") for kind in (Arrivals, Engagement)),
+    ],
+    "metrics": [(Slots, "state"), (MetricsObserver, "observe")],
+    "log": [(McapRecorder, "observe")],
 }
 
 
 class Rooms(Observer):
-    """Counts in which rooms a flight is found. In the main thread only."""
+    """Adds up the time in each room, of flights that are built and flown `within` it."""
 
     borrows = True
 
     def __init__(self) -> None:
         """Nothing was seen yet; flights one after the other add up."""
-        self._found: Counter[str] = Counter()
+        self._spent = dict.fromkeys(ROOMS, 0.0)
+        self._in, self._since = "loop", 0.0
+
+    @contextmanager
+    def within(self) -> Iterator[None]:
+        """Have the doors watched."""
+        before = [
+            (kind, name, getattr(kind, name)) for each in DOORS.values() for kind, name in each
+        ]
+        try:
+            for room, doors in DOORS.items():
+                for kind, name in doors:
+                    setattr(kind, name, self._watched(room, getattr(kind, name)))
+            yield
+        finally:
+            for kind, name, function in before:
+                setattr(kind, name, function)
 
     def begin(self, info: RunInfo) -> None:
-        """Begin to look."""
-        self._before = signal.signal(signal.SIGALRM, self._look)
-        signal.setitimer(signal.ITIMER_REAL, EVERY_S, EVERY_S)
+        """Begin to count."""
+        self._since = time.perf_counter()
 
     def observe(self, frame: Frame) -> None:
         """Nothing."""
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
-        """Look no more."""
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, self._before)
+        """Count no more."""
+        self._cross("loop")
 
     @property
     def shares(self) -> dict[str, float]:
         """Of the time, by room."""
-        return {room: self._found[room] / self._found.total() for room in ROOMS}
+        whole = sum(self._spent.values())
+        return {room: spent / whole for room, spent in self._spent.items()}
 
-    def _look(self, number: int, frame: FrameType | None) -> None:
-        room = None
-        while frame is not None and room is None:
-            room, frame = room_of(frame.f_code), frame.f_back
-        self._found[room or "loop"] += 1
+    def _cross(self, room: str) -> str:
+        """Into a room; the one that is left."""
+        now, before = time.perf_counter(), self._in
+        self._spent[before] += now - self._since
+        self._in, self._since = room, now
+        return before
 
+    def _watched(self, room: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def watched(*given: Any, **named: Any) -> Any:  # noqa: ANN401 - as the function
+            before = self._cross(room)
+            try:
+                return function(*given, **named)
+            finally:
+                self._cross(before)
 
-@functools.cache
-def room_of(code: CodeType) -> str | None:
-    """The room that a function belongs to; None: whoever called it knows."""
-    file = Path(code.co_filename)
-    if not file.is_relative_to(HOME):
-        return None
-    place = file.relative_to(HOME).as_posix()
-    deeds = _DEEDS.get(place)
-    if deeds is None:
-        return _PLACES.get(place) or _PLACES.get(place.partition("/")[0])
-    known = (deeds[name] for name in code.co_qualname.split(".") if name in deeds)
-    return next(known, _PLACES.get(place))
+        return watched

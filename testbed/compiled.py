@@ -117,7 +117,8 @@ def instructions(function: F) -> F:
     """
     from numba.extending import intrinsic
 
-    return intrinsic(function)  # type: ignore[no-any-return]
+    made: Any = intrinsic(function)
+    return made  # type: ignore[no-any-return]
 
 
 def _load_alone(compiled: Any) -> None:  # noqa: ANN401 - numba's

@@ -11,7 +11,8 @@ from math import cos, exp, expm1, pi, sin, sqrt
 import numpy as np
 
 from testbed.air.trails import Trails
-from testbed.air.wake import FADED, NEAREST, ROLL_UP, SLOWEST, Tables
+from testbed.air.vortices import NEAREST
+from testbed.air.wake import FADED, ROLL_UP, SLOWEST, Tables
 from testbed.compiled import bound, twin
 from testbed.frames import GRAVITY
 

@@ -40,7 +40,7 @@ from testbed.scenario.link import (
 )
 from testbed.scenario.network import Network, Tdma
 from testbed.scenario.resolve import find_data
-from testbed.state import Array
+from testbed.state import Array, Truths
 
 JITTERS = {
     "uniform": UNIFORM,
@@ -64,13 +64,16 @@ class Channel(NamedTuple):
     tables: NDArray[np.int16]  # (U, delays.NETEM_TABLE)
 
 
-def make_channel(names: Sequence[str], network: Network, seed: int) -> Channel:
+def make_channel(
+    names: Sequence[str], network: Network, seed: int, heeded: Truths | None = None
+) -> Channel:
     """The channel of a page's network.
 
     Args:
         names: N, the leader first, who does not listen.
         network: the section of the page.
         seed: of the run; with the names of a link it makes the key of its dice.
+        heeded: (n, N) whose messages followers listen to; None: everyone's.
 
     Raises:
         InputError: a file of delays cannot be read.
@@ -85,6 +88,9 @@ def make_channel(names: Sequence[str], network: Network, seed: int) -> Channel:
             keys[i, m] = key_of(seed, f"network/{sender}>{receiver}")
             if sender == receiver:
                 links[i, m]["own"] = True
+                continue
+            if heeded is not None and not heeded[i, m]:
+                links[i, m]["unheard"] = True
                 continue
             link = network.link(sender, receiver)
             alike = link, sender if network.tdma else ""

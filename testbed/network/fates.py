@@ -101,7 +101,8 @@ class _Round:
 
     def fly(self, script: Fates, replayed: Array, faded: Array) -> tuple[Array, Fates]:
         """Arrivals (n, S, 2) and fates (n, S)."""
-        other, exact = ~self.link["own"], ~self.netem
+        own, unheard = self.link["own"], self.link["unheard"]
+        other, exact = ~(own | unheard), ~self.netem
         words = self.dice.words(0, OUTCOME)
         lost = self.dice.loses(words[0], words[1], other)
         twice = self.dice.happens(DUPLICATE, words[3], other)
@@ -134,7 +135,8 @@ class _Round:
         fate = np.where(script > 0, script, fate)
         arrivals[fate != Fate.DELIVERED] = np.inf
         self.spoiled_s[(fate != Fate.DELIVERED) & (fate != Fate.CORRUPTED)] = np.inf
-        arrivals[~other, 0], fate[~other] = self.sent_s[~other], Fate.DELIVERED
+        arrivals[own, 0], fate[own] = self.sent_s[own], Fate.DELIVERED
+        fate[unheard] = Fate.UNHEARD
         return arrivals, fate.astype(np.uint8)
 
     def leaves(self, where: Truths) -> tuple[Array, Truths]:

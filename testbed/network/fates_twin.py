@@ -20,7 +20,7 @@ from testbed.network.links import CORRUPT, DUPLICATE, OUTCOME, PATH, REORDER, SL
 from testbed.network.slots import SIMULTANEOUS_S
 
 DELIVERED, LOST, FADED = int(Fate.DELIVERED), int(Fate.LOST), int(Fate.FADED)
-CORRUPTED, QUEUE = int(Fate.CORRUPTED), int(Fate.QUEUE)
+CORRUPTED, QUEUE, UNHEARD = int(Fate.CORRUPTED), int(Fate.QUEUE), int(Fate.UNHEARD)
 
 
 def fates(channel, traffic, rows, sequence, sent_s, script, replayed, faded):
@@ -218,13 +218,16 @@ def _fates(
     n, senders = script.shape
     arrivals[:] = inf
     fate[:] = 0
-    for s in range(senders):
-        m = rows[s]
-        for i in range(n):
+    for i in range(n):  # links to one follower are neighbours in memory
+        for s in range(senders):
+            m = rows[s]
             link, spoiled_s = links[i, m], spoiled[i, m]
             spoiled_s[:] = inf
             if link.own:
                 arrivals[i, s, 0] = sent_s[s]
+                continue
+            if link.unheard:
+                fate[i, s] = UNHEARD
                 continue
             fate[i, s] = _one(
                 link,

@@ -27,6 +27,7 @@ class Fate(IntEnum):
     PARTITION = 6
     LISTED = 7  # in the list of packets to drop
     MUTE = 8  # was not even sent
+    UNHEARD = 9  # by who does not listen to its sender
 
 
 NO_LOSS, BERNOULLI, GILBERT_ELLIOTT, FOUR_STATE = range(4)
@@ -39,6 +40,7 @@ LOSS, DUPLICATE, CORRUPT, REORDER, DELAY = range(5)
 LINK = np.dtype(
     [
         ("own", "?"),  # from an aircraft to itself: perfect
+        ("unheard", "?"),  # the receiver does not listen; neither is anything counted
         ("netem", "?"),
         ("delay", "f8"),  # s
         ("jitter", "i8"),

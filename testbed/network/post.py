@@ -18,7 +18,7 @@ from testbed.state import Array, Broadcast, Inbox
 
 Numbers = NDArray[np.int64]
 VECTORS = len(Inbox._fields) - 2
-DELIVERED, MUTE = int(Fate.DELIVERED), int(Fate.MUTE)
+DELIVERED, MUTE, UNHEARD = int(Fate.DELIVERED), int(Fate.MUTE), int(Fate.UNHEARD)
 NOTHING = -1  # the number of a message that was never read
 
 
@@ -103,7 +103,7 @@ def post_round(
         count += 1
     first = arrivals.min(axis=2)
     for i, s in np.ndindex(*fate.shape):
-        if rows[s] != i + 1:
+        if rows[s] != i + 1 and fate[i, s] != UNHEARD:
             both = np.isfinite(arrivals[i, s]).all()
             _count(ledger, (i, rows[s]), int(fate[i, s]), first[i, s] - sent_s[s], bool(both))
     return count

@@ -18,7 +18,7 @@ from testbed.compiled import bound, twin
 from testbed.network.fates_twin import _fates as fates_of
 from testbed.network.fates_twin import channel_of
 from testbed.network.ledger import BINS, LONGEST_BURST, PER_OCTAVE, SHORTEST_S
-from testbed.network.post import DELIVERED, MUTE
+from testbed.network.post import DELIVERED, MUTE, UNHEARD
 from testbed.network.slots import SIMULTANEOUS_S
 
 
@@ -133,7 +133,7 @@ def _post_round(
                     entry.content[3, axis] = euler[m, axis]
                     entry.content[4, axis] = euler_rates[m, axis]
                 count += 1
-            if m != i + 1:
+            if m != i + 1 and fate[i, s] != UNHEARD:
                 first = min(arrivals[i, s, 0], arrivals[i, s, 1])
                 both = max(arrivals[i, s, 0], arrivals[i, s, 1]) < inf
                 _count(ledger[i, m], fate[i, s], first - sent_s[s], both)
@@ -263,8 +263,10 @@ def _send_round(
         m = rows[s]
         numbers[m] += 1
         sequence[s], sent[s] = numbers[m], sent_s[m]
-        if not shown:
-            stamps_s[:, s] = measured_s[m]
+    if not shown:
+        for i in range(len(stamps_s)):
+            for s in range(senders):
+                stamps_s[i, s] = measured_s[rows[s]]
     told = (script, replayed, faded)
     way = (links, keys, quantiles, tables, states, rings, spoiled)
     fates_of(*way, rows, sequence, sent, *told, arrivals, fate)

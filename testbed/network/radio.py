@@ -223,7 +223,7 @@ class Radio:
 
     def summary(self) -> Mapping[str, Any]:
         """Numbers of every link, ready for JSON."""
-        summary = summarise(self._ledger, self._channel.names)
+        summary = summarise(self._ledger, self._channel.names, self._channel.links["unheard"])
         if self._coder:
             keys = ("refused", "discarded", "believed")
             summary["damaged"] = {key: getattr(self._coder, key) for key in keys}

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from testbed.network.ledger import LONGEST_BURST, Ledger, Numbers, edges
 from testbed.network.links import Fate
+from testbed.state import Truths
 
 Links = tuple[NDArray[np.intp], NDArray[np.intp]]  # rows and columns (L,) of some links
 
 QUANTILES = {"p50": 0.50, "p95": 0.95, "p99": 0.99}
 OF_AGES = ("p50", "p95")
 # What became of messages that were sent and not delivered; the mute send none.
-LOSSES = tuple(fate for fate in Fate if fate not in (Fate.DELIVERED, Fate.MUTE))
+LOSSES = tuple(f for f in Fate if f not in (Fate.DELIVERED, Fate.MUTE, Fate.UNHEARD))
 
 
 def word(fate: Fate) -> str:
@@ -24,7 +25,9 @@ def word(fate: Fate) -> str:
     return fate.name.lower()
 
 
-def summarise(ledger: Ledger, names: Sequence[str]) -> dict[str, Any]:
+def summarise(
+    ledger: Ledger, names: Sequence[str], unheard: Truths | None = None
+) -> dict[str, Any]:
     """Numbers of every link by sender and receiver, and of all links together.
 
     A message still on its way counts as what will become of it; a burst of loss that goes on
@@ -33,9 +36,13 @@ def summarise(ledger: Ledger, names: Sequence[str]) -> dict[str, Any]:
     Args:
         ledger: of the links between N aircraft and n followers.
         names: N, the leader first.
+        unheard: (n, N) links on which nobody listens, which are left out; None: none.
     """
     n, aircraft = ledger.sent.shape
-    senders, receivers = np.nonzero(~np.eye(aircraft, n, k=-1, dtype=bool))
+    left_out = np.eye(aircraft, n, k=-1, dtype=bool)
+    if unheard is not None:
+        left_out |= unheard.T
+    senders, receivers = np.nonzero(~left_out)
     links: dict[str, dict[str, Any]] = {}
     for m, i in zip(senders.tolist(), receivers.tolist(), strict=True):
         only = np.array([i]), np.array([m])

@@ -86,6 +86,11 @@ class Network(Link):
         {}, description="By aircraft, windows [from, to] in which it sends nothing, s."
     )
     partitions: tuple[Partition, ...] = Field((), description="Times of a divided network.")
+    hears: Literal["all", "heeded"] = Field(
+        "all",
+        description="Whom each follower listens to: all, or heeded, the leader and those for "
+        "whom it has a gain.",
+    )
     tdma: Tdma | None = Field(None, description="Everyone sends in slots of its own.")
     broadcast: Mapping[Name, Beat] = Field(
         {}, description="By aircraft, when it sends if not with all others."

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Protocol
 
 import numpy as np
 
 from testbed.frames import GRAVITY
 from testbed.scenario.sensors import Sensors
 from testbed.sensing.errors import PITOT_NOISE, Offsets
-from testbed.state import Array, Failing, Truths, VehicleState
+from testbed.state import Array, Truths, VehicleState
 
 SEA_LEVEL_DENSITY = 1.225  # kg/m³, ISA
 LEAST_PRESSURE = 1e-4  # Pa: an airspeed of zero has no inverse, and the autopilot scales with that
@@ -27,11 +27,16 @@ PITOT = np.dtype(
 PRESSURE, TRAPPED, TRAPPED_AT = range(3)
 
 
-class Blocked(NamedTuple):
+class Blocked(Protocol):
     """What is broken in N tubes, as `state.Failing` has it."""
 
-    pitot_blocked: Truths  # (N,)
-    pitot_drained: Truths  # (N,)
+    @property
+    def pitot_blocked(self) -> Truths:
+        """(N,) mouths."""
+
+    @property
+    def pitot_drained(self) -> Truths:
+        """(N,) drains that are open."""
 
 
 class Pitots:
@@ -74,7 +79,7 @@ class Pitots:
         truth: VehicleState,
         errors: Array,
         offsets: Offsets,
-        failing: Blocked | Failing,
+        failing: Blocked,
     ) -> None:
         """Measure once more; see `told`."""
         eas = truth.equivalent_airspeed
@@ -93,9 +98,7 @@ class Pitots:
         exact = ~self.each["erring"] & np.isnan(self.held[TRAPPED])
         return np.where(exact, np.array([truth.equivalent_airspeed, truth.airspeed]), self.told)
 
-    def _as_blocked(
-        self, truth: VehicleState, pressure: Array, failing: Blocked | Failing
-    ) -> Array:
+    def _as_blocked(self, truth: VehicleState, pressure: Array, failing: Blocked) -> Array:
         height, trapped = -truth.position_ned[:, 2], self.held[TRAPPED:]
         blocked = failing.pitot_blocked
         now = np.where(np.isnan(trapped), np.array([pressure, height]), trapped)

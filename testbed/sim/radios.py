@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
+import numpy as np
+
 from testbed.mavlink.follow_target import FollowTarget
 from testbed.network.channel import make_channel
 from testbed.network.clocks import make_clocks
@@ -14,7 +16,8 @@ from testbed.network.radio import Conditions, Radio
 from testbed.network.scripts import Scripts, blocked, make_scripts
 from testbed.network.trace import make_replays, replayed
 from testbed.scenario import Scenario
-from testbed.state import Array, Origin, VehicleState
+from testbed.sim.teams import make_gains
+from testbed.state import Array, Origin, Truths, VehicleState
 
 
 def make_radio(page: Scenario) -> tuple[Radio, Scripts]:
@@ -35,7 +38,17 @@ def make_radio(page: Scenario) -> tuple[Radio, Scripts]:
     encoding = None
     if network.encoding == "follow-target":
         encoding = FollowTarget(Origin(**page.scenario.origin.model_dump()))
-    return Radio(make_channel(names, network, seed), conditions, encoding), scripts
+    channel = make_channel(names, network, seed, _heeded(page))
+    return Radio(channel, conditions, encoding), scripts
+
+
+def _heeded(page: Scenario) -> Truths | None:
+    """Whom (n, N) followers listen to: the leader, and those they have a gain for; None: all."""
+    if page.network.hears == "all":
+        return None
+    heeded: Truths = np.any(make_gains(page) != 0.0, axis=2)
+    heeded[:, 0] = True
+    return heeded
 
 
 def beats(page: Scenario) -> dict[int, tuple[float | None, float | None]]:

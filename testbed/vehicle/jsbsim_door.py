@@ -191,13 +191,9 @@ class JsbsimFleet:
     @property
     def trimmed(self) -> Surfaces:
         """The surfaces that hold the aircraft in trim at their starts."""
-        controls = [trimmed.controls for trimmed in self.trims]
-        return Surfaces(
-            aileron=np.array([one.aileron for one in controls]),
-            elevator=np.array([one.elevator for one in controls]),
-            rudder=np.array([one.rudder for one in controls]),
-            throttle=np.array([one.throttle for one in controls]),
-        )
+        held = (trimmed.controls for trimmed in self.trims)
+        each = [(one.aileron, one.elevator, one.rudder, one.throttle) for one in held]
+        return Surfaces(*np.array(each).T.copy())
 
     def read(self) -> VehicleState:
         """The truth now, as fresh contiguous arrays."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
+import testbed
 from testbed.scenario import ScenarioError, dump, json_schema, load, loads
 from testbed.scenario.aircraft import Craft
 from testbed.scenario.pattern import Pattern
@@ -299,3 +300,37 @@ def test_of_many_slots_that_are_too_fast_the_worst_is_told(synchronous):
     assert note.text.endswith("; and so do the slots of 20 more, less so")
     # a pair of slots each: as many as the table has lines for
     assert len(build(load("vee-30", [*changes, "fleet.count=20"])).notes) == 6
+
+
+def test_a_follower_that_hears_only_whom_it_heeds_flies_the_same():
+    """The paper's law asks for nobody else's messages: to the bit."""
+    changes = ["fleet.count=6", "scenario.duration_s=4", "scenario.portions=null", "log.mcap=false"]
+    flown = {}
+    for hears in ("all", "heeded"):
+        watcher = Keeper()
+        run = testbed.run(
+            load("vee-30", [*changes, f"network.hears={hears}"]), write=False, observers=[watcher]
+        )
+        flown[hears] = watcher.seen, run.metrics["network"]["links"]
+    for of_all, of_some in zip(flown["all"][0], flown["heeded"][0], strict=True):
+        assert np.array_equal(of_all, of_some)
+    assert {name: len(by) for name, by in flown["all"][1].items()} == {
+        "leader": 6,
+        **{f"uav{k}": 5 for k in range(1, 7)},
+    }
+    assert sum(len(by) for by in flown["heeded"][1].values()) == 6 + 6 * 2
+
+
+class Keeper:
+    """Keeps where everybody is."""
+
+    def begin(self, info):
+        """Nothing was seen."""
+        self.seen = []
+
+    def observe(self, frame):
+        """Keep it."""
+        self.seen.append(frame.truth.position_ned)
+
+    def end(self, summary, events):
+        """Nothing."""

@@ -9,7 +9,8 @@ import pytest
 from testbed.air import wake
 from testbed.air.lifting_line import nodes, roll_coefficient, roll_gain
 from testbed.air.trails import abeam, remember, straight
-from testbed.air.wake import Wakes, horseshoe, pairs
+from testbed.air.vortices import horseshoe, pairs
+from testbed.air.wake import Wakes
 from testbed.errors import InputError
 from testbed.frames import GRAVITY, rotation_ned_body
 

@@ -288,3 +288,24 @@ def test_compiled_and_numpy_radios_count_and_deliver_the_same(monkeypatch):
     assert compiled._ledger.overtaken.any()
     assert compiled._ledger.twice.any()
     assert compiled._count == plain._count > 0
+
+
+@pytest.mark.parametrize("post_round", [None, numpy_post.post_round], ids=["own", "numpy"])
+def test_who_is_not_listened_to_is_neither_heard_nor_counted(post_round, monkeypatch):
+    """And whoever is listened to is heard as if everybody were."""
+    if post_round:
+        monkeypatch.setattr(
+            radio_module, "READY_SEND_ROUND", partial(partial, numpy_post.send_round)
+        )
+    network = Network.model_validate({"loss": 0.3, "delay_s": 0.02})
+    heeded = np.array([[True, False, False], [True, True, False]])
+    everyone, some = (Radio(make_channel(NAMES, network, 1, mask)) for mask in (None, heeded))
+    for (_, full), (_, inbox) in zip(heard(everyone, 60), heard(some, 60), strict=True):
+        listened = heeded | OWN
+        for of_all, of_some in zip(full, inbox, strict=True):
+            np.testing.assert_array_equal(of_some[listened], of_all[listened])
+            assert np.isnan(of_some[~listened]).all()
+    assert (some.counts().sent == 61 * heeded).all()
+    assert some.summary()["links"].keys() == {"leader", "uav1"}
+    assert some.summary()["links"]["uav1"].keys() == {"uav2"}
+    assert some.summary()["all"]["sent"] == 3 * 61

@@ -81,7 +81,7 @@ def random_link(rng, files):
     return {key: knobs[key] for key in kept}
 
 
-def random_channel(rng, files, **common):
+def random_channel(rng, files, *, heeded=None, **common):
     links = {
         sender: {receiver: random_link(rng, files) for receiver in NAMES[1:] if receiver != sender}
         for sender in NAMES
@@ -91,7 +91,7 @@ def random_channel(rng, files, **common):
             for link in receivers.values():
                 link.pop("slots", None)
     network = Network.model_validate({"links": links, **common})
-    return make_channel(NAMES, network, int(rng.integers(1000)))
+    return make_channel(NAMES, network, int(rng.integers(1000)), heeded)
 
 
 def rounds(rng, told):
@@ -138,6 +138,14 @@ def test_random_links(case, files):
     seen = compare(random_channel(rng, files), rng)
     for fate in (Fate.DELIVERED, Fate.LOST, Fate.FADED, Fate.CORRUPTED, Fate.QUEUE, Fate.MUTE):
         assert seen[fate] > 20, fate
+
+
+@pytest.mark.parametrize("case", range(2))
+def test_links_that_nobody_listens_to(case, files):
+    rng = np.random.default_rng([55, case])
+    heeded = rng.random((N - 1, N)) < 0.6
+    seen = compare(random_channel(rng, files, heeded=heeded), rng)
+    assert min(seen[Fate.UNHEARD], seen[Fate.DELIVERED]) > 100
 
 
 @pytest.mark.parametrize("case", range(2))
