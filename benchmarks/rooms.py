@@ -72,6 +72,7 @@ class Rooms(Observer):
         """Nothing was seen yet; flights one after the other add up."""
         self._spent = dict.fromkeys(ROOMS, 0.0)
         self._in, self._since = "loop", 0.0
+        self._flies = False  # while a world is built its parts are called, too
 
     @contextmanager
     def within(self) -> Iterator[None]:
@@ -90,7 +91,7 @@ class Rooms(Observer):
 
     def begin(self, info: RunInfo) -> None:
         """Begin to count."""
-        self._since = time.perf_counter()
+        self._since, self._flies = time.perf_counter(), True
 
     def observe(self, frame: Frame) -> None:
         """Nothing."""
@@ -98,6 +99,7 @@ class Rooms(Observer):
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
         """Count no more."""
         self._cross("loop")
+        self._flies = False
 
     @property
     def shares(self) -> dict[str, float]:
@@ -108,7 +110,8 @@ class Rooms(Observer):
     def _cross(self, room: str) -> str:
         """Into a room; the one that is left."""
         now, before = time.perf_counter(), self._in
-        self._spent[before] += now - self._since
+        if self._flies:
+            self._spent[before] += now - self._since
         self._in, self._since = room, now
         return before
 
