@@ -42,6 +42,7 @@ def vee(count: int, duration_s: float) -> Scenario:
         "scenario.portions": {},
         "leader.path": circle,
         "leader.start": {"north_m": RADIUS_M, "east_m": 0, "altitude_m": 200, "course_deg": 90},
+        "network.hears": "heeded",
         "fleet": {
             "pattern": "vee",
             "count": max(count - 1, 1),
@@ -65,12 +66,6 @@ def busy() -> Scenario:
         "fleet.*.sensors": "pixhawk",
     }
     return load(BUSY_RADIO, _texts(changes))
-
-
-def flight_models(page: Scenario) -> int:
-    """How many of the aircraft are flight models."""
-    leads = page.leader.path.kind == "mission" and page.leader.vehicle == "jsbsim"
-    return int(leads) + sum(each.vehicle == "jsbsim" for each in page.fleet)
 
 
 def _texts(changes: dict[str, Any]) -> list[str]:

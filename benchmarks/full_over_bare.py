@@ -24,6 +24,7 @@ from testbed.scenario import Scenario
 from testbed.sim.run import run
 from testbed.sim.world import build
 from testbed.state import Event, Frame, Observer, RunInfo
+from testbed.vehicle.crew import crew_of
 
 SEGMENT_S = 60.0
 
@@ -95,13 +96,14 @@ def bare(page: Scenario, seconds: float) -> Cost:
     return spent
 
 
-def full(page: Scenario, *watching: Observer) -> tuple[Cost, float]:
+def full(page: Scenario, *watching: Observer, processes: int = 1) -> tuple[Cost, float]:
     """What a flight costs, and the wall-clock seconds of building its world and closing its log."""
     watch = Stopwatch()
     with tempfile.TemporaryDirectory() as folder:
         gc.collect()
         began = now()
-        flown = run(page, out=Path(folder) / "run", observers=[watch, *watching])
+        out, watchers = Path(folder) / "run", [watch, *watching]
+        flown = run(page, out=out, observers=watchers, processes=processes)
         whole = since(began)
     if flown.outcome != "flown":
         raise SystemExit(f"{page.name}: {flown.outcome}, and what is lost costs nothing")
@@ -116,6 +118,7 @@ class Turn:
     full: Cost
     looked_at: Cost
     build_s: float
+    crewed: Cost | None  # stepped by as many processes as are best; None: that is one
 
     @property
     def ratio(self) -> Cost:
@@ -125,12 +128,19 @@ class Turn:
 
 def turn(page: Scenario, rooms: Rooms) -> Turn:
     """Measure once; in the second flight it is looked which room takes the time."""
-    half = page.scenario.duration_s / 2.0
+    half, processes = page.scenario.duration_s / 2.0, crew_of(flight_models(page))
     before = bare(page, half)
     cost, built = full(page)
     with rooms.within():
         looked_at, _ = full(page, rooms)
-    return Turn(before + bare(page, half), cost, looked_at, built)
+    crewed = full(page, processes=processes)[0] if processes > 1 else None
+    return Turn(before + bare(page, half), cost, looked_at, built, crewed)
+
+
+def flight_models(page: Scenario) -> int:
+    """How many of the aircraft are flight models."""
+    leads = page.leader.path.kind == "mission" and page.leader.vehicle == "jsbsim"
+    return int(leads) + sum(each.vehicle == "jsbsim" for each in page.fleet)
 
 
 def median(costs: Sequence[Cost]) -> Cost:

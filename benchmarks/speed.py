@@ -12,19 +12,21 @@ from __future__ import annotations
 
 import argparse
 import json
+import statistics
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from fleets import COUNTS, busy, flight_models, vee
-from full_over_bare import Turn, full, median, turn
+from fleets import COUNTS, busy, vee
+from full_over_bare import Turn, flight_models, full, median, turn
 from memory import memory
 from rooms import Rooms
 from speed_page import FIGURE, PAGE_MARK, SIMULATION, TROUBLES, machine, picture, text
 from tables import insert
 
 from testbed.scenario import Scenario, load, shorten
+from testbed.vehicle.crew import crew_of
 from testbed.views.figure_door import draw
 
 WARM_S = 2.0
@@ -57,10 +59,24 @@ def numbers(page: Scenario, turns: Sequence[Turn], shares: Mapping[str, float]) 
         ratios = [getattr(one.ratio, kind) for one in turns]
         told["full_over_bare" + key] = getattr(ratio, kind)
         told[f"full_over_bare{key}_spread"] = [min(ratios), max(ratios)]
+    if turns[0].crewed:
+        costs = [one.crewed for one in turns if one.crewed]
+        crewed, shares_of_bare = (
+            median(costs),
+            [one.wall_s / each.bare.wall_s for one, each in zip(costs, turns, strict=True)],
+        )
+        told["crew"] = {
+            "processes": crew_of(aircraft),
+            "full_over_bare": statistics.median(shares_of_bare),
+            "full_over_bare_spread": [min(shares_of_bare), max(shares_of_bare)],
+            "real_time_factor": seconds / crewed.wall_s,
+            "us_per_aircraft_second": crewed.wall_s * each_us,
+        }
     return told | {
         "real_time_factor": seconds / flown.wall_s,
         "bare_real_time_factor": seconds / bare.wall_s,
         "build_s": sorted(one.build_s for one in turns)[len(turns) // 2],
+        "wall_us_per_aircraft_second": flown.wall_s * each_us,
         "us_per_aircraft_second": {
             "bare": bare.processor_s * each_us,
             "full": flown.processor_s * each_us,

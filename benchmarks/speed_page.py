@@ -101,8 +101,8 @@ def text(result: Told) -> str:
 def ratios(result: Told) -> Iterator[str]:
     """Full over bare, and how much faster than real time."""
     heads = ("", "aircraft", "full / bare", "by processor time", "bar", "× real time", "bare")
-    yield row(*heads, "building, s")
-    yield "|---|" + "--:|" * 7
+    yield row(*heads, "building, s", "processes", "full / bare", "× real time")
+    yield "|---|" + "--:|" * 10
     for name, told in cases(result).items():
         yield row(
             name,
@@ -113,7 +113,15 @@ def ratios(result: Told) -> Iterator[str]:
             f"{told['real_time_factor']:.3g}",
             f"{told['bare_real_time_factor']:.3g}",
             f"{told['build_s']:.2f}",
+            *_crewed(told.get("crew")),
         )
+
+
+def _crewed(told: Told | None) -> tuple[str, str, str]:
+    if told is None:
+        return "", "", ""
+    factor = f"{told['real_time_factor']:.3g}"
+    return str(told["processes"]), _spread(told, "full_over_bare"), factor
 
 
 def _spread(told: Told, key: str) -> str:
@@ -140,8 +148,22 @@ def growth(result: Told) -> Iterator[str]:
     by_count = result["by_aircraft"]
     counts = sorted(map(int, by_count))
     if 4 in counts and counts[-1] > 4:
-        few, many = (by_count[str(n)]["us_per_aircraft_second"]["full"] for n in (4, counts[-1]))
-        yield f"An aircraft among {counts[-1]} costs {many / few:.2f} times as much as one among 4."
+        few, many = by_count["4"], by_count[str(counts[-1])]
+        alone, bare = (
+            many["us_per_aircraft_second"][key] / few["us_per_aircraft_second"][key]
+            for key in ("full", "bare")
+        )
+        said = (
+            f"An aircraft among {counts[-1]} costs {alone:.2f} times as much processor time as one "
+            f"among 4, and {bare:.2f} times as much in the bare loop"
+        )
+        if "crew" in many:
+            crewed = many["crew"]["us_per_aircraft_second"] / few["wall_us_per_aircraft_second"]
+            said += (
+                f"; stepped by {many['crew']['processes']} processes, {crewed:.2f} times as much "
+                "time by the clock on the wall"
+            )
+        yield f"{said}."
     if "memory" in result:
         told = result["memory"]
         yield (

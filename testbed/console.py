@@ -43,6 +43,7 @@ class Flight:
     json: Path | None
     view: bool
     quiet: bool
+    processes: int | None
     mavlink: tuple[str, ...]
     pace: float | None
     tlog: bool
@@ -68,7 +69,7 @@ def fly_and_show(asked: Flight) -> int:
         from testbed.views import FAST_HZ, LiveViewer, RerunView
 
         watchers.append(RerunView(LiveViewer(), most_hz=None if outside.pace else FAST_HZ))
-    flown = run(page, out=asked.out, observers=watchers, outside=outside)
+    flown = run(page, out=asked.out, observers=watchers, outside=outside, processes=asked.processes)
     if not asked.quiet:
         render_table(flown.metrics, Console(stderr=is_stdout(asked.json)), log=flown.directory)
         for copy in sorted(flown.directory.glob("*.py")) if flown.directory else ():

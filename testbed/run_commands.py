@@ -35,6 +35,15 @@ def run(
     quiet: Annotated[
         bool, typer.Option("--quiet", "-q", help="No progress bar and no table.")
     ] = False,
+    processes: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="Processes that step flight models; no number depends on it.  \\[default: 1; from "
+            "20 aircraft on more]",
+        ),
+    ] = None,
     mavlink: Annotated[
         list[str] | None,
         typer.Option(
@@ -98,6 +107,7 @@ def run(
                 json=json,
                 view=view,
                 quiet=quiet,
+                processes=processes,
                 mavlink=tuple(mavlink or ()),
                 pace=pace,
                 tlog=tlog,

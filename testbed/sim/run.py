@@ -22,6 +22,7 @@ from testbed.sim.partners import Stopped
 from testbed.sim.stop import stopping
 from testbed.sim.world import build
 from testbed.state import Event, Observer
+from testbed.vehicle.crew import CrewedFleet
 
 EXIT_CODES: Mapping[str, int] = {"flown": 0, "lost": 1, "failed": 4, "interrupted": 130}
 
@@ -59,6 +60,7 @@ def run(
     write: bool = True,
     observers: Sequence[Observer] = (),
     outside: Outside = NOBODY,
+    processes: int | None = 1,
 ) -> Run:
     """Fly a scenario to its end.
 
@@ -72,6 +74,8 @@ def run(
         write: leave the log, the resolved page and the metrics there.
         observers: more watchers; one that raises ends the run as failed.
         outside: who may see and command the aircraft, and the pace.
+        processes: that step flight models, this one included; None: as many as are best for so
+            many aircraft on this machine. No number depends on it.
 
     Raises:
         ScenarioError: and other ValueErrors: the page cannot be flown, and what to write instead.
@@ -79,7 +83,9 @@ def run(
         PartnerLost: a program outside that the page needs is gone or silent.
     """
     page = scenario if isinstance(scenario, Scenario) else load(scenario, overrides)
-    world = build(page, commanded=outside.looks_on, arduplane=outside.arduplane)
+    world = build(
+        page, commanded=outside.looks_on, arduplane=outside.arduplane, processes=processes
+    )
     world = checked(outside, page, world)
     for partner in world.partners:
         partner.check()
@@ -90,6 +96,8 @@ def run(
 
     # Everything that has been opened or begun is ended, whatever happens to the flight.
     with stopping() as stop, ExitStack() as closing:
+        if isinstance(world.fleet, CrewedFleet):
+            closing.callback(world.fleet.close)
         station = make_station(outside, world)
         if station:
             closing.callback(station.close)

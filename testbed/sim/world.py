@@ -43,6 +43,7 @@ from testbed.sim.teams import agent_value, make_altitudes, make_offsets
 from testbed.sim.vehicles import Flown, Ideal, Mixed, Vehicles
 from testbed.state import Array, Event, Origin, RunInfo
 from testbed.streams import stream
+from testbed.vehicle.crew import make_fleet
 from testbed.vehicle.ideal import IdealFleet
 from testbed.vehicle.jsbsim_door import VERSION as JSBSIM_VERSION
 from testbed.vehicle.jsbsim_door import JsbsimFleet, Start, airframe
@@ -81,7 +82,13 @@ class World:
     info: RunInfo
 
 
-def build(page: Scenario, *, commanded: bool = False, arduplane: Path | None = None) -> World:
+def build(
+    page: Scenario,
+    *,
+    commanded: bool = False,
+    arduplane: Path | None = None,
+    processes: int | None = 1,
+) -> World:
     """Build the world of a page.
 
     Args:
@@ -90,6 +97,7 @@ def build(page: Scenario, *, commanded: bool = False, arduplane: Path | None = N
             the page says so.
         arduplane: the program for `autopilot: ardupilot` where the page names none; None: that of
             the environment.
+        processes: that step flight models; None: as many as are best here.
 
     Raises:
         ScenarioError, ParamError, AircraftError, TrimError, ValueError: what cannot be built, with
@@ -127,7 +135,7 @@ def build(page: Scenario, *, commanded: bool = False, arduplane: Path | None = N
     fleet = None
     jsbsim = [row for row, kind in enumerate(kinds) if kind == "jsbsim"]
     if jsbsim:
-        fleet = JsbsimFleet(
+        fleet = make_fleet(
             [folders[row] for row in jsbsim],
             [
                 replace(starts[row], state_of_charge=page.aircraft[row].battery.state_of_charge)
@@ -135,6 +143,7 @@ def build(page: Scenario, *, commanded: bool = False, arduplane: Path | None = N
             ],
             origin,
             clock.base_rate_hz,
+            processes=processes,
         )
         period = clock.autopilot / clock.base_rate_hz
         gains = stack([tunes[row] for row in jsbsim], period)

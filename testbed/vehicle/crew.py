@@ -1,0 +1,291 @@
+"""A fleet that is stepped by several processes at once, for large formations.
+
+Each process steps some of the aircraft. They are forked from the one that flies the scenario when
+it takes its first step, so that nothing is loaded, trimmed or placed twice, and share a piece of
+memory with it. Flight models know nothing of one another: whoever steps them, the numbers are the
+same to the bit.
+"""
+
+from __future__ import annotations
+
+import gc
+import mmap
+import multiprocessing
+import os
+import signal
+import sys
+import warnings
+import weakref
+from collections.abc import Callable, Sequence
+from functools import partial
+from multiprocessing.synchronize import Semaphore
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from testbed.errors import PartnerLost
+from testbed.state import AirFelt, Array, Origin, Surfaces
+from testbed.vehicle.jsbsim_door import JsbsimFleet, Start
+
+WORTH_IT = 20  # aircraft from which on two processes were measured to be faster than one
+LOOKS = 400  # of one who waits before it leaves the processor to others, some 0.1 ms
+AGAIN_S = 0.5  # how often who waits looks whether the other is still there
+_NUMBERS = {"motion": 17, "air": 6, "battery": 2, "surfaces": 4, "told": 7, "charge": 1}
+_DOUBLE = np.dtype(np.float64).itemsize
+# Called in a process of its own, gives what it does whenever it is told to.
+Post = Callable[[], Callable[[], None]]
+
+
+def crew_of(aircraft: int) -> int:
+    """How many processes are best for so many flight models on this machine."""
+    if sys.platform != "linux" or aircraft < WORTH_IT:
+        return 1
+    return max(1, min(len(os.sched_getaffinity(0)), aircraft // (WORTH_IT // 2)))
+
+
+def make_fleet(
+    folders: Sequence[Path],
+    starts: Sequence[Start],
+    origin: Origin,
+    base_rate_hz: int,
+    *,
+    processes: int | None,
+) -> JsbsimFleet:
+    """A fleet as `JsbsimFleet` takes it, stepped by so many processes; None: `crew_of`."""
+    crew = crew_of(len(folders)) if processes is None else min(processes, len(folders))
+    if crew < 2:
+        return JsbsimFleet(folders, starts, origin, base_rate_hz)
+    return CrewedFleet(folders, starts, origin, base_rate_hz, processes=crew)
+
+
+class _Shared:
+    """Numbers that all processes see, of N aircraft; doubles but for the last three."""
+
+    def __init__(self, n: int) -> None:
+        words = n * sum(_NUMBERS.values()) + 2
+        memory = mmap.mmap(-1, _DOUBLE * words + 2 * n)
+        numbers, at = np.frombuffer(memory, dtype=np.float64, count=words - 2), 0
+        self.of: dict[str, Array] = {}
+        for name, each in _NUMBERS.items():
+            self.of[name] = numbers[at : at + each * n]
+            at += each * n
+        self.of["charge"][:] = np.nan  # to which a battery is emptied now
+        # ticks to step, and how often it was told what blows
+        self.words = memoryview(memory)[_DOUBLE * (words - 2) : _DOUBLE * words].cast("q")
+        flags = np.frombuffer(memory, dtype=bool, offset=_DOUBLE * words)
+        self.broken, self.gone = flags.reshape(2, n)
+
+
+class CrewedFleet(JsbsimFleet):
+    """N JSBSim aircraft on one clock, as a `JsbsimFleet`, stepped by several processes."""
+
+    def __init__(
+        self,
+        folders: Sequence[Path],
+        starts: Sequence[Start],
+        origin: Origin,
+        base_rate_hz: int,
+        *,
+        processes: int,
+    ) -> None:
+        """See `JsbsimFleet`.
+
+        Args:
+            folders: N aircraft folders.
+            starts: N starts.
+            origin: of the local frame.
+            base_rate_hz: steps per second.
+            processes: in which the N aircraft are stepped, this one included.
+        """
+        super().__init__(folders, starts, origin, base_rate_hz)
+        n = len(folders)
+        self._shared = _Shared(n)
+        self._broken = self._shared.broken
+        self._told = self._shared.of["told"].reshape(n, 7)
+        parts = np.array_split(np.arange(n), min(processes, n))
+        self._mine, *self._theirs = (part.tolist() for part in parts)
+        self._crew: _Crew | None = None
+        three = np.arange(n).repeat(3)
+        # whose each number is, in the order of the getters
+        self._of_motion = np.concatenate([np.tile(three, 5), np.tile(np.arange(n), 2)]).tolist()
+        self._of_air = np.concatenate([np.tile(np.arange(n), 3), three]).tolist()
+
+    def step(self, surfaces: Surfaces, ticks: int) -> None:
+        """Set the commands and run every aircraft for `ticks` steps of the base rate."""
+        crew = self._crew or self._hire()
+        self._shared.of["surfaces"].reshape(4, -1)[:] = surfaces
+        self._shared.words[0] = ticks
+        crew.go()
+        super().step(surfaces, ticks)
+        crew.wait()
+
+    def blow(self, felt: AirFelt) -> None:
+        """Say what the air does to the aircraft from now on."""
+        super().blow(felt)
+        self._shared.words[1] += 1
+
+    def discharge(self, charge: Array) -> None:
+        """Empty batteries to a state of charge (N,) 0..1 at once; not a number: as they are."""
+        if self._crew is None:
+            super().discharge(charge)
+            return
+        mine = np.full(len(charge), np.nan)
+        mine[self._mine] = charge[self._mine]
+        super().discharge(mine)
+        self._shared.of["charge"][:] = charge
+
+    def close(self) -> None:
+        """End the other processes; what was read last stays."""
+        if self._crew is not None:
+            self._crew.end()
+
+    def _remove(self, i: int) -> None:
+        super()._remove(i)
+        self._shared.gone[i] = True
+
+    def _hire(self) -> _Crew:
+        """Fork the others, and leave their aircraft to them."""
+        crew = _Crew([(rows, partial(self._work, rows)) for rows in self._theirs])
+        self._crew = crew
+        weakref.finalize(self, crew.end)
+        theirs = {i for rows in self._theirs for i in rows}
+        numbers = {name: each.data for name, each in self._shared.of.items()}
+        for i in theirs:
+            self._flying[i] = None
+        for getters, of, name in (
+            (self._getters, self._of_motion, "motion"),
+            (self._air, self._of_air, "air"),
+        ):
+            for k, i in enumerate(of):
+                if i in theirs:
+                    getters[k] = partial(numbers[name].__getitem__, k)
+        self._battery = [
+            (row, i, partial(numbers["battery"].__getitem__, row * len(self._models) + i))
+            if i in theirs
+            else (row, i, get)
+            for row, i, get in self._battery
+        ]
+        self._blown = [
+            _unheard if k // 7 in theirs else setter for k, setter in enumerate(self._blown)
+        ]
+        return crew
+
+    def _work(self, rows: Sequence[int]) -> Callable[[], None]:
+        """What a process that has these aircraft does at each step; called in that process."""
+        shared, n = self._shared, len(self._models)
+        for i in set(range(n)) - set(rows):
+            self._flying[i] = None
+        surfaces = Surfaces(*shared.of["surfaces"].reshape(4, n))
+        motion = [k for k, i in enumerate(self._of_motion) if i in rows]
+        air = [k for k, i in enumerate(self._of_air) if i in rows]
+        battery = [(row * n + i, get) for row, i, get in self._battery if i in rows]
+        blown = [7 * i + k for i in rows for k in range(7)]
+        numbers: dict[str, Any] = {name: each.data for name, each in shared.of.items()}
+        heard = 0
+
+        def work() -> None:
+            nonlocal heard
+            ticks, told = shared.words
+            if told != heard:
+                heard = told
+                for k in blown:
+                    self._blown[k](numbers["told"][k])
+            for i in rows:
+                if (charge := numbers["charge"][i]) == charge:  # a number
+                    self._models[i].discharge(charge)
+                    numbers["charge"][i] = np.nan
+                if shared.gone[i] and self._flying[i] is not None:
+                    self._remove(i)
+            JsbsimFleet.step(self, surfaces, ticks)
+            # what JSBSim has lost its numbers of has other getters now
+            for k in motion:
+                numbers["motion"][k] = self._getters[k]()
+            for k in air:
+                numbers["air"][k] = self._air[k]()
+            for k, get in battery:
+                numbers["battery"][k] = get()
+
+        return work
+
+
+def _unheard(value: float) -> None:
+    """In the place of a setter of what another process steps."""
+
+
+class _Crew:
+    """Processes that do something each time they are told to, and die with this one.
+
+    Args:
+        posts: of each process its aircraft, and what gives, there, what it does.
+    """
+
+    def __init__(self, posts: Sequence[tuple[Sequence[int], Post]]) -> None:
+        """Fork them."""
+        make = multiprocessing.get_context("fork").Semaphore
+        self._told, self._done = ([make(0) for _ in posts] for _ in range(2))
+        self._rows = [rows for rows, _ in posts]
+        self._parent, self._children = os.getpid(), list[int]()
+        for (_, begin), told, done in zip(posts, self._told, self._done, strict=True):
+            with warnings.catch_warnings():
+                # threads are not copied; the copy calls nothing that could wait for one of them
+                warnings.simplefilter("ignore", DeprecationWarning)
+                child = os.fork()
+            if not child:
+                self._serve(begin, told, done)
+            self._children.append(child)
+
+    def go(self) -> None:
+        """Have everyone work."""
+        for each in self._told:
+            each.release()
+
+    def wait(self) -> None:
+        """Until everyone is done.
+
+        Raises:
+            PartnerLost: one is gone.
+        """
+        for k, done in enumerate(self._done):
+            while not _taken(done):
+                ended, status = os.waitpid(self._children[k], os.WNOHANG)
+                if ended:
+                    self._children[k] = 0
+                    rows = ", ".join(map(str, self._rows[k]))
+                    raise PartnerLost(
+                        f"a process that steps aircraft ({rows} of the flight models, from 0) has "
+                        f"ended with {os.waitstatus_to_exitcode(status)} (is there enough memory? "
+                        "--processes 1 does without)"
+                    )
+
+    def end(self) -> None:
+        """End everyone. Harmless when repeated, and in a copy of this process."""
+        if os.getpid() != self._parent:
+            return
+        for k, child in enumerate(self._children):
+            if child:
+                os.kill(child, signal.SIGKILL)  # they hold nothing that could be lost
+                os.waitpid(child, 0)
+            self._children[k] = 0
+
+    def _serve(self, begin: Post, told: Semaphore, done: Semaphore) -> None:
+        """The life of a forked process."""
+        try:
+            for number in (signal.SIGINT, signal.SIGTERM):  # of the group: the parent decides
+                signal.signal(number, signal.SIG_IGN)
+            gc.freeze()
+            work = begin()
+            while os.getppid() == self._parent:
+                if _taken(told):
+                    work()
+                    done.release()
+        finally:
+            os._exit(1)
+
+
+def _taken(semaphore: Semaphore) -> bool:
+    """Wait for a semaphore a while: first awake, for most waits are short."""
+    for _ in range(LOOKS):
+        if semaphore.acquire(False):
+            return True
+    return semaphore.acquire(True, AGAIN_S)
