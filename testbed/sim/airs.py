@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from testbed.air.recorded import read_wind
 from testbed.air.wake import Wakes
 from testbed.errors import InputError
 from testbed.scenario import Scenario, find_data
-from testbed.state import Airframe, Array
+from testbed.state import Airframe, Array, Event
 from testbed.vehicle.trim import Vector
 
 SEA_LEVEL_DENSITY = 1.225  # kg/m³
@@ -121,6 +121,17 @@ def make_air(
         own=own,
         wakes=_wakes(page, airframes, dt, sheds),
     )
+
+
+def standing(page: Scenario) -> Iterator[Event]:
+    """A warning of a field through which no wind carries the aircraft."""
+    wind = page.air.wind
+    if page.air.turbulence.model == "coherent" and not (wind.speed_mps or wind.file):
+        text = (
+            "coherent turbulence without a mean wind stands still: who circles meets its gusts "
+            "again every lap (write air.wind.speed_mps)"
+        )
+        yield Event(0.0, "warning", "run", text)
 
 
 def _profile(page: Scenario) -> Profile | None:

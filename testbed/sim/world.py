@@ -23,7 +23,7 @@ from testbed.scenario import (
     find_tune,
 )
 from testbed.sensing.estimators import Estimators
-from testbed.sim.airs import make_air, make_mean, start_wind
+from testbed.sim.airs import make_air, make_mean, standing, start_wind
 from testbed.sim.arduplanes import ArduPlanes, make_flown
 from testbed.sim.breakdowns import Breakdowns
 from testbed.sim.clock import Clock, make_clock
@@ -135,11 +135,12 @@ def build(
     fleet = None
     jsbsim = [row for row, kind in enumerate(kinds) if kind == "jsbsim"]
     if jsbsim:
+        charges = [page.aircraft[row].battery.state_of_charge for row in jsbsim]
         fleet = make_fleet(
             [folders[row] for row in jsbsim],
             [
-                replace(starts[row], state_of_charge=page.aircraft[row].battery.state_of_charge)
-                for row in jsbsim
+                replace(starts[row], state_of_charge=c)
+                for row, c in zip(jsbsim, charges, strict=True)
             ],
             origin,
             clock.base_rate_hz,
@@ -193,7 +194,7 @@ def build(
         notes=(
             *(Event(0.0, "info", "run", text) for text in said),
             *_deaf(fleet, air, [names[row] for row in jsbsim]),
-            *_standing(page),
+            *standing(page),
             *unfelt(page),
             *warnings(page, groups, led, wind),
         ),
@@ -279,17 +280,6 @@ def _deaf(fleet: JsbsimFleet | None, air: Air, names: Sequence[str]) -> Iterator
                 "properties air/p-rad_sec, air/q-rad_sec, air/r-rad_sec and air/roll-coefficient"
             )
             yield Event(0.0, "warning", name, text)
-
-
-def _standing(page: Scenario) -> Iterator[Event]:
-    """A warning of a field through which no wind carries the aircraft."""
-    wind = page.air.wind
-    if page.air.turbulence.model == "coherent" and not (wind.speed_mps or wind.file):
-        text = (
-            "coherent turbulence without a mean wind stands still: who circles meets its gusts "
-            "again every lap (write air.wind.speed_mps)"
-        )
-        yield Event(0.0, "warning", "run", text)
 
 
 def _start(leader: Start, offset_m: tuple[float, float, float]) -> Start:
