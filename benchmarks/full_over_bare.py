@@ -74,8 +74,15 @@ class Stopwatch(Observer):
         self.cost = since(self._began)
 
 
-def bare(page: Scenario, seconds: float) -> Cost:
-    """What nothing but the flight models' steps costs, for so many seconds of flight."""
+def bare(page: Scenario, seconds: float, *, held: bool = False) -> Cost:
+    """What nothing but the flight models' steps costs, for so many seconds of flight.
+
+    Args:
+        page: whose aircraft.
+        seconds: of flight.
+        held: controls are set, at their trim, and motions read as often as autopilots do it: what
+            any loop round these models costs at least.
+    """
     rate, spent = page.rates.physics_hz, Cost(0.0, 0.0)
     abreast = rate // page.rates.autopilot_hz  # steps of one aircraft before the next, as in a run
     rounds = round(seconds * page.rates.autopilot_hz)
@@ -84,10 +91,14 @@ def bare(page: Scenario, seconds: float) -> Cost:
         fleet = build(page).fleet
         if fleet is None:
             raise SystemExit(f"{page.name}: no flight model in it to compare with")
-        runs, steps = fleet.bare_runs(), range(abreast)
+        runs, steps, trimmed = fleet.bare_runs(), range(abreast), fleet.trimmed
         gc.collect()
         began = now()
         for _ in range(min(rounds, most)):
+            if held:
+                fleet.look()
+                fleet.step(trimmed, abreast)
+                continue
             for step in runs:
                 for _ in steps:
                     step()
@@ -118,6 +129,7 @@ class Turn:
     full: Cost
     looked_at: Cost
     build_s: float
+    held: Cost  # the bare loop with controls set and motions read
     crewed: Cost | None  # stepped by as many processes as are best; None: that is one
 
     @property
@@ -134,7 +146,8 @@ def turn(page: Scenario, rooms: Rooms) -> Turn:
     with rooms.within():
         looked_at, _ = full(page, rooms)
     crewed = full(page, processes=processes)[0] if processes > 1 else None
-    return Turn(before + bare(page, half), cost, looked_at, built, crewed)
+    held = bare(page, 2.0 * half, held=True)
+    return Turn(before + bare(page, half), cost, looked_at, built, held, crewed)
 
 
 def flight_models(page: Scenario) -> int:

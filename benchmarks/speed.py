@@ -54,6 +54,7 @@ def numbers(page: Scenario, turns: Sequence[Turn], shares: Mapping[str, float]) 
     ratio = median([each.ratio for each in turns])
     seconds, aircraft = page.scenario.duration_s, flight_models(page)
     each_us = 1e6 / (seconds * aircraft)
+    held = [each.held.processor_s / each.bare.processor_s for each in turns]
     told: dict[str, Any] = {"aircraft": aircraft, "simulated_s": seconds, "turns": len(turns)}
     for kind, key in (("wall_s", ""), ("processor_s", "_processor")):
         ratios = [getattr(one.ratio, kind) for one in turns]
@@ -75,6 +76,7 @@ def numbers(page: Scenario, turns: Sequence[Turn], shares: Mapping[str, float]) 
     return told | {
         "real_time_factor": seconds / flown.wall_s,
         "bare_real_time_factor": seconds / bare.wall_s,
+        "held_over_bare_processor": statistics.median(held),
         "build_s": sorted(one.build_s for one in turns)[len(turns) // 2],
         "wall_us_per_aircraft_second": flown.wall_s * each_us,
         "us_per_aircraft_second": {

@@ -1,0 +1,164 @@
+"""What numbers do not depend on: who looks, where and beside what it is flown. All to the bit."""
+
+import os
+import socket
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from commands import environment
+
+import testbed
+from testbed.links.addresses import parse_address
+from testbed.record.door import read
+from testbed.scenario import dump, load, loads
+from testbed.sim.outside import NOBODY
+
+# Everything that draws from a seed: turbulence, sensors, a radio that loses, delays and repeats.
+BUSY = [
+    "scenario.duration_s=3",
+    "scenario.portions=null",
+    "scenario.published=null",
+    "air.wind={speed_mps: 4, from_deg: 30}",
+    "air.turbulence={model: dryden, intensity: moderate}",
+    "leader.sensors=pixhawk",
+    "fleet.*.sensors=pixhawk",
+    "network.loss=0.2",
+    "network.delay_s=0.05",
+    "network.jitter={distribution: normal, spread_s: 0.02}",
+    "network.duplicate=0.05",
+]
+SEEN = ("truth", "estimate", "air", "command", "surfaces", "formation", "links")
+
+
+class Keeper:
+    """Keeps all arrays of all frames."""
+
+    def begin(self, info):
+        """Nothing was seen."""
+        self.frames = []
+
+    def observe(self, frame):
+        """Keep it."""
+        self.frames.append(frame)
+
+    def end(self, summary, events):
+        """Nothing."""
+
+
+def fly(page, **how):
+    keeper = Keeper()
+    testbed.run(page, observers=[keeper], **({"write": False} | how))
+    return keeper.frames
+
+
+def assert_same(ours, theirs, aircraft=None):
+    """To the bit; of so many aircraft, or of all."""
+    assert len(ours) == len(theirs) > 50
+    for one, other in zip(ours, theirs, strict=True):
+        for name in SEEN if aircraft is None else SEEN[:3]:
+            for field, array in zip(getattr(one, name)._fields, getattr(one, name), strict=True):
+                their = getattr(getattr(other, name), field)
+                np.testing.assert_array_equal(
+                    their if aircraft is None else their[:aircraft],
+                    array,
+                    err_msg=f"{name}.{field}",
+                )
+
+
+@pytest.fixture(scope="module")
+def page():
+    return load("simulation-3", BUSY)
+
+
+@pytest.fixture(scope="module")
+def alone(page):
+    """Frames of a flight that nobody else looks at."""
+    return fly(page)
+
+
+def test_logging(page, alone, tmp_path):
+    assert_same(alone, fly(page, write=True, out=tmp_path / "run"))
+
+
+def test_telemetry(page, alone):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground:
+        ground.bind(("127.0.0.1", 0))
+        ground.settimeout(20.0)
+        address = parse_address(f"udpout:127.0.0.1:{ground.getsockname()[1]}")
+        assert_same(alone, fly(page, outside=replace(NOBODY, mavlink=(address,))))
+        assert ground.recv(300)[0] == 0xFD  # something was told
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux")
+def test_processes(page, alone):
+    assert_same(alone, fly(page, processes=2))
+
+
+def backwards(value):
+    """The same page, its keys in the opposite order; lists stay as they are."""
+    if isinstance(value, dict):
+        return {key: backwards(value[key]) for key in reversed(value)}
+    return [backwards(each) for each in value] if isinstance(value, list) else value
+
+
+def test_the_order_of_keys(page, alone):
+    tree = yaml.safe_load(dump(page))
+    turned = yaml.safe_dump(backwards(tree), sort_keys=False)
+    assert next(iter(yaml.safe_load(turned))) == list(tree)[-1]
+    assert_same(alone, fly(loads(turned)))
+
+
+@pytest.mark.parametrize("turbulence", ["dryden", "von-karman", "coherent"])
+def test_an_aircraft_that_neither_talks_nor_disturbs_the_air(turbulence):
+    changes = [*BUSY, f"air.turbulence={{model: {turbulence}, intensity: moderate}}"]
+    page = load("simulation-3", changes)
+    tree = yaml.safe_load(dump(page))
+    tree["fleet"].append(tree["fleet"][-1] | {"name": "shadow", "start_m": [-90, 40, 5]})
+    tree["formation"]["offsets_m"]["shadow"] = [-60, 30, 5]
+    tree["formation"]["leader_gains"]["shadow"] = 1
+    tree["network"]["mute_s"] = {"shadow": [[0, 10]]}
+    assert_same(fly(page), fly(loads(yaml.safe_dump(tree))), aircraft=4)
+
+
+PLACES = {
+    "here": {},
+    "elsewhere": {},
+    "another locale": {"LC_ALL": "C", "LANG": "de_DE.UTF-8"},
+    "other hashes": {"PYTHONHASHSEED": "7"},
+    "another zone": {"TZ": "Asia/Kathmandu", "COLUMNS": "40"},
+    "without a home": {"HOME": "/nonexistent", "TERM": "dumb"},
+}
+
+
+def test_directory_locale_hashes_and_other_runs_beside(tmp_path):
+    """All at once, so that each has others beside it; their logs say the same.
+
+    A slow run cuts its log into shorter chunks, so that not all bytes are the same: all messages
+    are, their times, and what is attached.
+    """
+    running = {}
+    for place, changes in PLACES.items():
+        folder = tmp_path / place
+        folder.mkdir()
+        command = ["run", "simulation-3", "--out", "run", "-q"]
+        for change in BUSY:
+            command += ["--set", change]
+        running[place] = subprocess.Popen(
+            [sys.executable, "-m", "testbed", *command],
+            cwd=folder,
+            env=environment(80) | changes,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+    logs = {}
+    for place, process in running.items():
+        _, said = process.communicate(timeout=120)
+        assert process.returncode == 0, f"{place}: {said}"
+        logs[place] = read(tmp_path / place / "run" / "run.mcap")
+        assert os.listdir(tmp_path / place) == ["run"]
+    for place, log in logs.items():
+        assert log == logs["here"], place
