@@ -18,6 +18,7 @@ from testbed.export_commands import compare, export
 from testbed.flight_commands import import_flight
 from testbed.network_commands import network
 from testbed.options import Jobs, Overrides, ScenarioName
+from testbed.recover_commands import recover
 from testbed.report_commands import report, study_report
 from testbed.run_commands import run
 from testbed.study_commands import sweep
@@ -190,6 +191,7 @@ class _Commands(CommandGroup):
         "study-report": study_report,
         "import": import_flight,
         "report": report,
+        "recover": recover,
         "export": export,
         "trim": trim,
         "linearize": linearize,
