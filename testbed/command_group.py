@@ -42,9 +42,13 @@ class CommandGroup(TyperGroup):
         """See typer."""
         name, _, rest = super().resolve_command(*told)
         assert name is not None
+        return name, self.whole(name), rest
+
+    def whole(self, name: str) -> Any:  # noqa: ANN401 - typer's own copy of click
+        """A command with its options."""
         alone = typer.Typer(add_completion=False, rich_markup_mode=MARKUP)
         alone.command(name, cls=Command, epilog=self.epilogs.get(name))(self.functions[name])
-        return name, typer.main.get_command(alone), rest
+        return typer.main.get_command(alone)
 
     def format_help(self, *told: Any) -> None:  # noqa: ANN401
         """See typer."""

@@ -14,7 +14,8 @@ def markdown() -> str:
     """One part for each command, in the order of `testbed --help`."""
     group: Any = typer.main.get_command(app)
     parts = [f"{EXITS}\n"]
-    for name, command in group.commands.items():
+    for name in group.commands:
+        command = group.whole(name)
         parts += [f"## testbed {name}\n", f"```text\n{usage(name, command)}\n```\n"]
         parts += [f"{plain(command.help)}\n", table(command)]
     return "\n".join(parts)

@@ -1,7 +1,5 @@
 """A fleet that is a pattern: who flies in which slot, and who heeds whom."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from functools import cached_property

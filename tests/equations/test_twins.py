@@ -245,10 +245,10 @@ def test_no_twin_goes_without_such_a_test():
                 assert any(hasattr(twins, name) for name in names)
                 found.add(function.id)
     elsewhere = {"fbwa", "fly", "motion", "lost", "advance_ticks", "report"}
-    elsewhere |= {"place", "felt", "sample", "felt_in_field"}  # the air's
-    elsewhere |= {"advance_filters", "turbulence_axes"}
+    elsewhere |= {"sample", "write_felt_in_field", "write_filters", "add_turbulence"}  # the air's
+    elsewhere |= {"write_mean", "add_uneven", "add_wakes"}
     elsewhere |= {"befall", "post_round", "send_round", "take_due", "use"}  # the network's
-    elsewhere |= {"navigate", "believe"}  # the sensors'
+    elsewhere |= {"sense", "jitter"}  # the sensors'
     elsewhere |= {"fly", "fly_ideal"}  # the leader's
     here = {"paper_step", "middle_step", "ages", "together"}
     here |= {"write_true_slots", "write_euler_rates"}

@@ -46,7 +46,8 @@ def felt(aircraft, offset):
     )
     position = np.array([[0.0, 0.0, 0.0], [-span, offset * span, 0.0]])
     velocity = np.array([[speed, 0.0, 0.0]] * 2)
-    wind, roll = wakes.step(position, velocity, np.zeros((2, 3)), np.zeros((2, 3)))
+    still, wind, roll = np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(2)
+    wakes.bind(position, velocity, still, still, still, wind, roll)()
     return wind[1, 2] / speed, roll[1]
 
 
