@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, Protocol, TypeVar
+from collections.abc import Callable
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -25,8 +25,6 @@ from testbed.vehicle.ideal import IdealFleet
 from testbed.vehicle.jsbsim_door import JsbsimFleet
 from testbed.vehicle.params import FbwaParams, stack
 from testbed.vehicle.tables import FbwaGains
-
-Record = TypeVar("Record", VehicleState, AirData, Surfaces, FbwaCommand)
 
 
 class Vehicles(Protocol):
@@ -227,72 +225,6 @@ class Replayed:
     def step(self, ticks: int) -> None:
         """On to the next event."""
         self._row += 1
-
-
-class Mixed:
-    """Several kinds together, each with its own rows among the N aircraft."""
-
-    def __init__(self, parts: Sequence[tuple[Sequence[int], Vehicles]]) -> None:
-        """Rows of all parts together are 0..N−1, each once."""
-        self._parts = [(np.array(rows, dtype=np.intp), part) for rows, part in parts]
-        order = np.argsort(np.concatenate([rows for rows, _ in self._parts]))
-        self._order = None if (np.diff(order) == 1).all() else order
-
-    @property
-    def surfaces(self) -> Surfaces:
-        """Of all."""
-        return self._join([part.surfaces for _, part in self._parts])
-
-    def read(self) -> VehicleState:
-        """Of all."""
-        return self._join([part.read() for _, part in self._parts])
-
-    def air(self) -> AirData:
-        """Of all."""
-        return self._join([part.air() for _, part in self._parts])
-
-    def lost(self, state: VehicleState) -> Truths:
-        """Of all."""
-        out = np.zeros(len(state.airspeed), dtype=bool)
-        for rows, part in self._parts:
-            out[rows] = part.lost(choose(state, rows))
-        return out
-
-    def blow(self, felt: AirFelt) -> None:
-        """To each its own."""
-        for rows, part in self._parts:
-            part.blow(choose(felt, rows))
-
-    def steer(self, told: UnicycleCommand) -> None:
-        """To each its own."""
-        for rows, part in self._parts:
-            part.steer(choose(told, rows))
-
-    def act(self, estimate: VehicleState, told: FbwaCommand) -> None:
-        """To each its own."""
-        for rows, part in self._parts:
-            part.act(choose(estimate, rows), choose(told, rows))
-
-    def fail(self, failing: Failing) -> None:
-        """To each its own."""
-        for rows, part in self._parts:
-            part.fail(choose(failing, rows))
-
-    def remove(self, rows: Truths) -> None:
-        """To each its own."""
-        for own, part in self._parts:
-            part.remove(rows[own])
-
-    def step(self, ticks: int) -> None:
-        """All of them."""
-        for _, part in self._parts:
-            part.step(ticks)
-
-    def _join(self, records: Sequence[Record]) -> Record:
-        columns = (np.concatenate(each) for each in zip(*records, strict=True))
-        order = self._order
-        kind = type(records[0])
-        return kind(*(each if order is None else each[order] for each in columns))
 
 
 def choose(record: Any, rows: Any) -> Any:  # noqa: ANN401 - any record of arrays, any index

@@ -34,13 +34,14 @@ from testbed.sim.formations import barriers_of, make_groups, roll_limits
 from testbed.sim.hypotheses import warnings
 from testbed.sim.leaders import Led, make_leader
 from testbed.sim.limits import Proximity
+from testbed.sim.mixed import Mixed
 from testbed.sim.own_law import with_its_law
 from testbed.sim.partners import Partner
 from testbed.sim.pilots import Pilot
 from testbed.sim.radios import beats, make_radio
 from testbed.sim.roster import Roster
 from testbed.sim.teams import agent_value, make_altitudes, make_offsets
-from testbed.sim.vehicles import Flown, Ideal, Mixed, Vehicles
+from testbed.sim.vehicles import Flown, Ideal, Vehicles
 from testbed.state import Array, Event, Origin, RunInfo
 from testbed.streams import stream
 from testbed.vehicle.crew import make_fleet

@@ -1,5 +1,7 @@
 """Machine code is kept, and never that of sources that have changed."""
 
+import importlib
+import pkgutil
 import shutil
 import subprocess
 import sys
@@ -7,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
+import testbed
 from testbed import compiled, standing_in
+from testbed.scenario import load, shorten
 
 pytest.importorskip("numba")
 
@@ -75,3 +79,31 @@ def test_every_module_that_a_twin_loads_is_a_source(name):
         file for file in loaded if file.name == "__init__.py" or file.parent.name == "scenario"
     }
     assert loaded - passed <= set(compiled._sources(package))
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["simulation-3", "simulation-3-recorded-leader", "ideal-figure-eight", "mixed-fleet"],
+)
+def test_a_longer_flight_binds_no_more(name, monkeypatch):
+    """Whatever flies together, compiled code is bound when a flight begins, not at every tick."""
+    count = 0
+
+    def counted(*given, **named):
+        nonlocal count
+        count += 1
+        return bound(*given, **named)
+
+    bound = compiled.bound
+    for module in pkgutil.walk_packages(testbed.__path__, "testbed."):
+        if module.name.endswith("twin"):
+            twins = importlib.import_module(module.name)
+            if hasattr(twins, "bound"):
+                monkeypatch.setattr(twins, "bound", counted)
+    monkeypatch.setattr(compiled, "bound", counted)
+    counts = []
+    for seconds in (1.0, 3.0):
+        count = 0
+        testbed.run(shorten(load(name), seconds), write=False)
+        counts.append(count)
+    assert counts[0] == counts[1] > 3

@@ -15,7 +15,8 @@ from scipy.optimize import brentq
 from testbed.errors import InputError
 from testbed.frames import FOOT
 from testbed.sim.breakdowns import nothing_fails
-from testbed.sim.vehicles import Flown, Ideal, Mixed
+from testbed.sim.mixed import Mixed
+from testbed.sim.vehicles import Flown, Ideal
 from testbed.state import AirFelt, FbwaCommand, Origin, Surfaces, UnicycleCommand, VehicleState
 from testbed.vehicle.breakage import SURFACES
 from testbed.vehicle.ideal import IdealFleet
