@@ -30,7 +30,7 @@ def vee(count: int, duration_s: float) -> Scenario:
                 "centre_m": [0, 0],
                 "radius_m": RADIUS_M,
                 "direction": "clockwise",
-                "levels": [{"altitude_m": 200, "turns": 100}],
+                "levels": [{"altitude_m": 200, "turns": 1000}],
             }
         ],
     }

@@ -1,0 +1,87 @@
+"""Whether a long flight needs ever more memory, or ever more time for a second of it.
+
+usage: python benchmarks/soak.py [--hours H] [--aircraft N] [--json FILE]
+
+Flies a vee on a circle, with its log, and looks every half minute of flight at what memory is
+resident and at the clock. The first tenth does not count: libraries are loaded and buffers filled.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from fleets import vee
+from full_over_bare import full
+from memory import memory_now
+
+from testbed.state import Event, Frame, Observer, RunInfo
+
+EVERY_S = 30.0
+PARTS = 9  # after the first tenth
+
+
+class Looks(Observer):
+    """Takes down time of flight, memory, and processor time."""
+
+    borrows = True
+
+    def begin(self, info: RunInfo) -> None:
+        """Nothing was flown yet."""
+        self.seen: list[tuple[float, float, float]] = []
+
+    def observe(self, frame: Frame) -> None:
+        """Look now and then."""
+        if frame.time_s >= EVERY_S * len(self.seen):
+            self.seen.append((frame.time_s, memory_now()["VmRSS"], time.process_time()))
+
+    def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
+        """Nothing."""
+
+
+def numbers(seen: Sequence[tuple[float, float, float]]) -> dict[str, Any]:
+    """What the looks say of the flight after its first tenth."""
+    at, resident, spent = np.array(seen[len(seen) // 10 :]).T
+    growth = float(np.polyfit(at, resident, 1)[0])
+    ends = np.linspace(0, len(at) - 1, PARTS + 1).astype(int)
+    speeds = np.diff(at[ends]) / np.diff(spent[ends])
+    return {
+        "simulated_s": float(at[-1]),
+        "resident_mb": [float(resident[0]) / 1e6, float(resident[-1]) / 1e6],
+        "growth_mb_per_hour": growth * 3600.0 / 1e6,
+        "simulated_s_per_processor_s": speeds.tolist(),
+        "last_over_first": float(speeds[-1] / speeds[0]),
+        "slope_of_speed_per_hour": float(
+            np.polyfit(at[ends[1:]], speeds / speeds.mean(), 1)[0] * 3600.0
+        ),
+    }
+
+
+def main() -> None:
+    """Fly, and print."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--hours", type=float, default=1.0)
+    parser.add_argument("--aircraft", type=int, default=4)
+    parser.add_argument("--json", type=Path)
+    asked = parser.parse_args()
+    looks = Looks()
+    full(vee(asked.aircraft, asked.hours * 3600.0), looks)
+    told = numbers(looks.seen)
+    first, last = told["resident_mb"]
+    each = ", ".join(f"{speed:.0f}" for speed in told["simulated_s_per_processor_s"])
+    print(
+        f"{asked.aircraft} aircraft, {told['simulated_s'] / 3600.0:.2f} h: {first:.0f} to "
+        f"{last:.0f} MB, {told['growth_mb_per_hour']:+.2f} MB/h; simulated seconds per processor "
+        f"second in ninths: {each}"
+    )
+    if asked.json:
+        asked.json.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
