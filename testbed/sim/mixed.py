@@ -33,21 +33,21 @@ class Mixed:
         self._state, self._estimate, self._told = (
             [_Own(rows) for rows, _ in self._parts] for _ in range(3)
         )
-        order = np.argsort(np.concatenate([rows for rows, _ in self._parts]))
-        self._order = None if (np.diff(order) == 1).all() else order
+        places = [_place(rows) for rows, _ in self._parts]
+        self._read, self._air, self._surfaces = (_Whole(places) for _ in range(3))
 
     @property
     def surfaces(self) -> Surfaces:
         """Of all."""
-        return self._join([part.surfaces for _, part in self._parts])
+        return self._surfaces([part.surfaces for _, part in self._parts])
 
     def read(self) -> VehicleState:
         """Of all."""
-        return self._join([part.read() for _, part in self._parts])
+        return self._read([part.read() for _, part in self._parts])
 
     def air(self) -> AirData:
         """Of all."""
-        return self._join([part.air() for _, part in self._parts])
+        return self._air([part.air() for _, part in self._parts])
 
     def lost(self, state: VehicleState) -> Truths:
         """Of all."""
@@ -87,20 +87,32 @@ class Mixed:
         for _, part in self._parts:
             part.step(ticks)
 
-    def _join(self, records: Sequence[Record]) -> Record:
-        columns = (np.concatenate(each) for each in zip(*records, strict=True))
-        order = self._order
-        kind = type(records[0])
-        return kind(*(each if order is None else each[order] for each in columns))
+
+class _Whole:
+    """The records of all parts as one that stays."""
+
+    def __init__(self, places: Sequence[Any]) -> None:
+        self._places = places
+        self._whole: Any = None
+
+    def __call__(self, records: Sequence[Record]) -> Record:
+        if self._whole is None:
+            n = sum(len(each[0]) for each in records)
+            of_one = records[0]
+            self._whole = type(of_one)(*(np.empty((n, *each.shape[1:])) for each in of_one))
+        for place, record in zip(self._places, records, strict=True):
+            for whole, part in zip(self._whole, record, strict=True):
+                whole[place] = part
+        joined: Record = self._whole
+        return joined
 
 
 class _Own:
     """The rows of a record that are one part's, as a record that stays while the whole does."""
 
     def __init__(self, rows: NDArray[np.intp]) -> None:
-        first, last = int(rows[0]), int(rows[-1]) + 1
-        together = last - first == len(rows) and bool((np.diff(rows) == 1).all())
-        self._rows, self._together = (slice(first, last) if together else rows), together
+        self._rows = _place(rows)
+        self._together = isinstance(self._rows, slice)
         self._whole: Any = None
         self._own: Any = None
         self._copies = Steady()
@@ -111,3 +123,9 @@ class _Own:
         if whole is not self._whole:  # else what was looked at then shows what is there now
             self._whole, self._own = whole, choose(whole, self._rows)
         return self._own
+
+
+def _place(rows: NDArray[np.intp]) -> Any:  # noqa: ANN401 - an index
+    """Rows as a slice, if they are neighbours in order."""
+    first, last = int(rows[0]), int(rows[-1]) + 1
+    return slice(first, last) if np.array_equal(rows, np.arange(first, last)) else rows
