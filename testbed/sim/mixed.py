@@ -98,7 +98,7 @@ class _Whole:
     def __call__(self, records: Sequence[Record]) -> Record:
         if self._whole is None:
             n = sum(len(each[0]) for each in records)
-            of_one = records[0]
+            of_one: Any = records[0]
             self._whole = type(of_one)(*(np.empty((n, *each.shape[1:])) for each in of_one))
         for place, record in zip(self._places, records, strict=True):
             for whole, part in zip(self._whole, record, strict=True):

@@ -468,7 +468,7 @@ def test_faults_and_losses_find_their_rows_among_several_kinds() -> None:
     surfaces: Surfaces = mixed.surfaces
     assert surfaces.throttle[0] > 0.0 and surfaces.throttle[2] == 0.0
     mixed.remove(np.array([False, True, True]))
-    where = mixed.read().position_ned
+    where = mixed.read().position_ned.copy()
     mixed.step(20)
     moved = np.linalg.norm(mixed.read().position_ned - where, axis=1)
     assert moved[0] > 1.9 and (moved[1:] == 0.0).all()
