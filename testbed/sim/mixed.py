@@ -13,6 +13,7 @@ from testbed.sim.vehicles import Vehicles, choose
 from testbed.state import (
     AirData,
     AirFelt,
+    Array,
     Failing,
     FbwaCommand,
     Surfaces,
@@ -97,9 +98,9 @@ class _Whole:
 
     def __call__(self, records: Sequence[Record]) -> Record:
         if self._whole is None:
-            n = sum(len(each[0]) for each in records)
-            of_one: Any = records[0]
-            self._whole = type(of_one)(*(np.empty((n, *each.shape[1:])) for each in of_one))
+            n = sum(len(record[0]) for record in records)
+            kind, one = type(records[0]), list[Array](records[0])
+            self._whole = kind(*(np.empty((n, *array.shape[1:])) for array in one))
         for place, record in zip(self._places, records, strict=True):
             for whole, part in zip(self._whole, record, strict=True):
                 whole[place] = part
