@@ -13,7 +13,6 @@ from testbed.sim.vehicles import Vehicles, choose
 from testbed.state import (
     AirData,
     AirFelt,
-    Array,
     Failing,
     FbwaCommand,
     Surfaces,
@@ -98,14 +97,17 @@ class _Whole:
 
     def __call__(self, records: Sequence[Record]) -> Record:
         if self._whole is None:
-            n = sum(len(record[0]) for record in records)
-            kind, one = type(records[0]), list[Array](records[0])
-            self._whole = kind(*(np.empty((n, *array.shape[1:])) for array in one))
+            self._whole = _blank(records[0], sum(len(record[0]) for record in records))
         for place, record in zip(self._places, records, strict=True):
             for whole, part in zip(self._whole, record, strict=True):
                 whole[place] = part
         joined: Record = self._whole
         return joined
+
+
+def _blank(like: Any, n: int) -> Any:  # noqa: ANN401 - any record of arrays
+    """A record of this kind with room for n aircraft."""
+    return type(like)(*(np.empty((n, *array.shape[1:])) for array in like))
 
 
 class _Own:
