@@ -1,0 +1,25 @@
+"""Every promise of docs/promises.md names a test that is there."""
+
+import ast
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+PROMISE = re.compile(r"^\| .+ \| \[[\w.]+\]\(\.\./(tests/[\w/]+\.py)\) `(\w+)` \|$")
+
+
+def test_every_promise_has_its_test():
+    page = (ROOT / "docs" / "promises.md").read_text(encoding="utf-8")
+    lines = [
+        line
+        for line in page.splitlines()
+        if line.startswith("|") and not line.startswith(("|---", "| promise", "| what"))
+    ]
+    assert len(lines) > 20
+    for line in lines:
+        found = PROMISE.match(line)
+        assert found, line
+        file, name = found.groups()
+        tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
+        names = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+        assert name in names, f"{file} has no {name}"
