@@ -10,8 +10,8 @@ from testbed.options import RunName
 def recover(run: RunName) -> None:
     """Finish the log of a run that was killed, and its metrics.json.
 
-    Nothing is lost that could still be read. What the radio did and how long the run
-    took is not known any more, and null.
+    Everything that can be read stays. What the radio did and how long the run took
+    is in no log, and null.
     """
     from rich.console import Console
 

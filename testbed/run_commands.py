@@ -40,8 +40,8 @@ def run(
         typer.Option(
             min=1,
             metavar="N",
-            help="Processes that step flight models; no number depends on it.  \\[default: 1; from "
-            "20 aircraft on more]",
+            help="Processes that step flight models; no number depends on it.  \\[default: 1, "
+            "more from 20 aircraft on]",
         ),
     ] = None,
     mavlink: Annotated[
