@@ -56,9 +56,6 @@ def numbers(seen: Sequence[tuple[float, float, float]]) -> dict[str, Any]:
         "growth_mb_per_hour": growth * 3600.0 / 1e6,
         "simulated_s_per_processor_s": speeds.tolist(),
         "last_over_first": float(speeds[-1] / speeds[0]),
-        "slope_of_speed_per_hour": float(
-            np.polyfit(at[ends[1:]], speeds / speeds.mean(), 1)[0] * 3600.0
-        ),
     }
 
 

@@ -11,8 +11,6 @@ from __future__ import annotations
 
 from math import cos, sin
 
-import numpy as np
-
 from testbed.air.airframe import AHEAD, BEHIND, MEAN, RIGHT, SLOPE, WING
 from testbed.compiled import twin
 
@@ -41,13 +39,6 @@ def write_rotations(euler, out):
         out[i, 2, 0], out[i, 2, 1], out[i, 2, 2] = z
 
 
-def place(position_ned, euler, body):
-    rotations, out = np.empty((len(euler), 3, 3)), np.empty(body.shape)
-    write_rotations(euler, rotations)
-    write_places(position_ned, rotations, body, out)
-    return out
-
-
 @twin
 def write_places(position_ned, rotations, body, out):
     for i in range(body.shape[0]):
@@ -60,14 +51,6 @@ def write_places(position_ned, rotations, body, out):
                     + rotations[i, axis, 1] * y
                     + rotations[i, axis, 2] * z
                 )
-
-
-def felt(velocity_ned, euler, body):
-    rotations = np.empty((len(euler), 3, 3))
-    wind, rates = np.zeros((2, len(euler), 3))
-    write_rotations(euler, rotations)
-    add_felt(velocity_ned, rotations, body, wind, rates)
-    return wind, rates
 
 
 @twin

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
+from testbed.errors import InputError
 from testbed.record import door
 from testbed.record.door import Contents, LogError
 from testbed.record.header import from_json
@@ -17,6 +18,7 @@ from testbed.record.messages import LOG_SCHEMA, STATE, TOPICS, Topic
 from testbed.record.recorder import CODE_ENDING, INFO_NAME, METRICS_NAME, SCENARIO_NAME
 from testbed.record.wire import layout
 from testbed.rows import WHOLE
+from testbed.scenario import Scenario, loads
 from testbed.state import (
     AirData,
     Array,
@@ -25,6 +27,7 @@ from testbed.state import (
     FormationState,
     Frame,
     LinkCounts,
+    Observer,
     RunInfo,
     Surfaces,
     Truths,
@@ -139,6 +142,26 @@ def frames(log: Log) -> Iterator[Frame]:
             lost=log.lost[k],
             events=tuple(events[first:taken]),
         )
+
+
+def replay(log: Log, watchers: Sequence[Observer]) -> list[Event]:
+    """Show a log to observers of runs, which are left to be ended; the events after its frames."""
+    for watcher in watchers:
+        watcher.begin(log.info)
+    shown = 0
+    for frame in frames(log):
+        for watcher in watchers:
+            watcher.observe(frame)
+        shown += len(frame.events)
+    return sorted(log.events, key=lambda event: event.time_s)[shown:]
+
+
+def page_of(log: Log) -> Scenario | None:
+    """The page as flown; None: it is of another version."""
+    try:
+        return loads(log.info.scenario_yaml, look=False)
+    except InputError:
+        return None
 
 
 def _at(record: _RecordT, k: int) -> _RecordT:

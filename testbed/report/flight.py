@@ -11,9 +11,9 @@ import numpy as np
 
 from testbed.errors import InputError
 from testbed.metrics import MetricsObserver
-from testbed.record.read import Log, frames, read_log
+from testbed.record.read import Log, page_of, read_log, replay
 from testbed.record.rundir import find_run
-from testbed.scenario import Scenario, loads
+from testbed.scenario import Scenario
 from testbed.state import Array, Truths
 
 Numbers = Mapping[str, Any]
@@ -65,23 +65,11 @@ def read_flight(run: str | Path) -> Flight:
     log = read_log(path)
     if not log.tick.size:
         raise InputError(f"{path}: no frame was logged, so that there is nothing to report")
-    page = _page(log)
+    page = page_of(log)
     return Flight(path, log, log.metrics or _counted(log, page), page)
-
-
-def _page(log: Log) -> Scenario | None:
-    try:
-        return loads(log.info.scenario_yaml, look=False)
-    except InputError:  # of another version
-        return None
 
 
 def _counted(log: Log, page: Scenario | None) -> Numbers:
     published = page.scenario.published if page else None
     meter = MetricsObserver(published=published.model_dump() if published else None)
-    meter.begin(log.info)
-    taken = 0
-    for frame in frames(log):
-        meter.observe(frame)
-        taken += len(frame.events)
-    return meter.summary(sorted(log.events, key=lambda event: event.time_s)[taken:])
+    return meter.summary(replay(log, [meter]))

@@ -12,8 +12,6 @@ from __future__ import annotations
 
 from math import cos, pi, sin, tan
 
-import numpy as np
-
 from testbed.compiled import twin
 from testbed.frames import GRAVITY
 from testbed.sensing import errors as _columns
@@ -35,13 +33,6 @@ def rotation_of(phi, theta, psi):
         (ct * sp, sf * st * sp + cf * cp, cf * st * sp - sf * cp),
         (-st, sf * ct, cf * ct),
     )
-
-
-def believe(out, rows, flown, states, errors):
-    vectors = np.array(out[:5])
-    write_beliefs(vectors, rows, flown, states, errors)
-    for old, new in zip(out[:5], vectors, strict=True):
-        old[:] = new
 
 
 @twin

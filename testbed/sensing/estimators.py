@@ -91,7 +91,7 @@ class Estimators:
         Args:
             truth: of N aircraft.
             fresh: errors move on; so once per period. Between they stay as they are.
-            failing: what is broken now.
+            failing: what is broken now; None: what was, which is nothing at first.
         """
         if self._plain:
             return self._jitter.on(truth, fresh=fresh)

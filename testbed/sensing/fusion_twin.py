@@ -152,16 +152,6 @@ def due(rate_hz, step, steps_hz):
     return (step * rate_hz) % steps_hz < rate_hz
 
 
-def navigate(memory, settings, step, truth, sensed):
-    n = len(memory.states)
-    flown = np.empty((n, 9))
-    told = np.array([sensed.equivalent_airspeed, sensed.airspeed])
-    seen = sensed.errors, sensed.heading, told, sensed.airspeed_new
-    broken = sensed.gps_lost, sensed.gps_jump
-    step_filters(np.arange(n), *settings, *memory, flown, step, *truth[:4], *seen, *broken)
-    return flown
-
-
 @twin
 def step_filters(
     rows,

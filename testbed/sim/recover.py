@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from testbed.errors import InputError
 from testbed.metrics import MetricsObserver
 from testbed.metrics.document import write_json
 from testbed.record.door import LogError
-from testbed.record.read import Log, frames, read_log
+from testbed.record.read import Log, page_of, read_log, replay
 from testbed.record.recorder import McapRecorder
 from testbed.record.rundir import find_run
-from testbed.scenario import loads
 from testbed.state import Event
 
 
@@ -65,22 +63,14 @@ def recover(run: str | Path) -> Recovered:
 
 def _again(log: Log, path: Path) -> dict[str, Any]:
     """Record the frames of a log once more; the metrics."""
-    try:
-        published = loads(log.info.scenario_yaml, look=False).scenario.published
-    except InputError:  # a page of another version
-        published = None
+    page = page_of(log)
+    published = page.scenario.published if page else None
     meter = MetricsObserver(published=published.model_dump() if published else None)
     recorder = McapRecorder(path)
-    meter.begin(log.info)
-    recorder.begin(log.info)
-    taken = 0
-    for frame in frames(log):
-        meter.observe(frame)
-        recorder.observe(frame)
-        taken += len(frame.events)
+    rest = replay(log, [meter, recorder])
     last_s = float(log.time_s[-1])
     cut = Event(last_s, "warning", "run", f"recovered: the log was cut after {last_s:g} s")
-    after = [*sorted(log.events, key=lambda event: event.time_s)[taken:], cut]
+    after = [*rest, cut]
     metrics = {**meter.summary(after), "outcome": "interrupted", "recovered": True}
     recorder.end(metrics, after)
     return metrics

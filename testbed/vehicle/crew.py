@@ -106,10 +106,6 @@ class CrewedFleet(JsbsimFleet):
         parts = np.array_split(np.arange(n), min(processes, n))
         self._mine, *self._theirs = (part.tolist() for part in parts)
         self._crew: _Crew | None = None
-        three = np.arange(n).repeat(3)
-        # whose each number is, in the order of the getters
-        self._of_motion = np.concatenate([np.tile(three, 5), np.tile(np.arange(n), 2)]).tolist()
-        self._of_air = np.concatenate([np.tile(np.arange(n), 3), three]).tolist()
 
     def step(self, surfaces: Surfaces, ticks: int) -> None:
         """Set the commands and run every aircraft for `ticks` steps of the base rate."""

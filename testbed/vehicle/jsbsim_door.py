@@ -157,6 +157,10 @@ class JsbsimFleet:
             model.node(name).get_double_value for name in _AIR_SINGLES for model in models
         ] + [model.node(name).get_double_value for model in models for name in _WIND]
         self._first = [get() for get in self._getters]
+        # whose each number is, in the order of the getters
+        each, three = np.arange(n), np.arange(n).repeat(3)
+        self._of_motion = np.concatenate((np.tile(three, 5), each, each)).tolist()
+        self._of_air = np.concatenate((each, each, each, three)).tolist()
         self._batteries = np.full((len(_BATTERY), n), np.nan)
         self._battery = [
             (row, i, node.get_double_value)
@@ -273,14 +277,12 @@ class JsbsimFleet:
         """Stop one; where JSBSim has lost its numbers it reads as at the start, in air of zero."""
         self._broken[i] = True
         self._flying[i] = None
-        each = np.arange(len(self._runs))
-        three = each.repeat(3)
-        own = np.flatnonzero(np.concatenate((np.tile(three, 5), each, each)) == i).tolist()
+        own = [k for k, of in enumerate(self._of_motion) if of == i]
         if not all(abs(self._getters[k]()) < _ABSURD for k in own):
             for k in own:
                 self._getters[k] = partial(float, self._first[k])
-        for k in np.flatnonzero(np.concatenate((each, each, each, three)) == i).tolist():
-            if not abs(self._air[k]()) < _ABSURD:
+        for k, of in enumerate(self._of_air):
+            if of == i and not abs(self._air[k]()) < _ABSURD:
                 self._air[k] = float
 
     @cached_property
