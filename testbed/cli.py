@@ -32,8 +32,8 @@ PARTNER_LOST = 5
 INTERRUPTED = 130
 
 EXITS = (
-    "Exit codes: 0 good, 1 an aircraft was lost, 2 bad input, 3 regression or runs that differ, "
-    "4 internal error, 5 a program outside was lost, 130 interrupted."
+    "Exit codes: 0 good, 1 an aircraft was lost or upset, 2 bad input, 3 regression or runs that "
+    "differ, 4 internal error, 5 a program outside was lost, 130 interrupted."
 )
 
 

@@ -10,6 +10,7 @@ writes the next tick into them: who keeps one copies it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -45,6 +46,7 @@ class Airframe:
     arm: float  # m, how far ahead of and behind the centre of gravity the air is felt
     mass: float  # kg
     lift_slope: float  # 1/rad, of the lift coefficient
+    stall_angle: float = math.inf  # rad, of attack, where lift is largest; infinite: it only grows
 
 
 def listed(names: Sequence[str]) -> str:

@@ -12,7 +12,7 @@ from typing import Any, TextIO
 
 from testbed.errors import InputError
 
-OUTCOMES = ("flown", "lost", "interrupted", "failed")
+OUTCOMES = ("flown", "lost", "upset", "interrupted", "failed")
 
 
 def complete(
@@ -70,6 +70,12 @@ def losses(document: Mapping[str, Any]) -> list[str]:
     """Who was lost when, in words and in order of time."""
     lost = {name: at for name, at in document["lost_at_s"].items() if at is not None}
     return [f"{name} at {lost[name]:.1f} s" for name in sorted(lost, key=lambda name: lost[name])]
+
+
+def errors(document: Mapping[str, Any]) -> list[tuple[float, str]]:
+    """What went wrong in flight: when, s, and of whom what; in order of time."""
+    found = [each for each in document["events"] if each["level"] == "error"]
+    return [(each["time_s"], f"{each['source']}: {each['text']}") for each in found]
 
 
 def to_json(document: Mapping[str, Any]) -> str:

@@ -25,7 +25,7 @@ from testbed.metrics.error_table import (
 
 FOLLOWERS = 12  # followers listed one by one; of more, the worst are shown
 EVENTS = 6
-OUTCOME_STYLES = {"flown": "bold green", "lost": "bold red", "failed": "bold red"}
+OUTCOME_STYLES = {"flown": "bold green"} | dict.fromkeys(("lost", "upset", "failed"), "bold red")
 EVENT_STYLES = {"error": "red", "warning": "yellow"}
 
 
@@ -184,12 +184,14 @@ def _events(events: Sequence[Mapping[str, Any]]) -> list[Text]:
         for e in events
         if e["level"] in EVENT_STYLES or (e["source"] == "run" and not e["time_s"])
     ]
+    # errors before anything else, for they are why a run is not to be believed
+    first = sorted(range(len(loud)), key=lambda i: loud[i]["level"] != "error")[:EVENTS]
     lines = [
         Text(
             f" {event['level']:<8}{event['time_s']:>9.2f} s  {event['source']}: {event['text']}",
             style=EVENT_STYLES.get(event["level"], ""),
         )
-        for event in loud[:EVENTS]
+        for event in (loud[i] for i in sorted(first))
     ]
     if len(loud) > EVENTS:
         lines.append(Text(f" … and {len(loud) - EVENTS} more in the log", style="dim"))

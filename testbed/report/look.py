@@ -31,7 +31,7 @@ a { color: var(--blue); }
 .outcome { font-weight: 600; color: var(--ink); border: 1px solid currentColor;
   border-radius: .3rem; padding: .05rem .45rem; }
 .outcome.flown { color: var(--good); }
-.outcome.lost, .outcome.failed { color: var(--bad); }
+.outcome.lost, .outcome.upset, .outcome.failed { color: var(--bad); }
 nav { display: flex; flex-wrap: wrap; gap: .2rem 1rem; margin: .6rem 0 1.4rem; font-size: .95rem; }
 nav a { white-space: nowrap; }
 .cards { display: grid; grid-template-columns: repeat(auto-fit, minmax(11rem, 1fr)); gap: .8rem;

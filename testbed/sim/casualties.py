@@ -9,6 +9,14 @@ import numpy as np
 from testbed.sim.breakdowns import Breakdowns
 from testbed.sim.limits import Proximity
 from testbed.state import Array, Event, Truths
+from testbed.vehicle.ideal import LOWEST
+
+
+def _cause(position_ned: Array) -> str:
+    """Why an aircraft at this place (3,) moves no more."""
+    if -position_ned[2] < LOWEST:
+        return f"on the ground, at {-position_ned[2]:.1f} m"
+    return "its motion was no longer a number, or beyond what its flight model can do"
 
 
 class Casualties:
@@ -46,9 +54,8 @@ class Casualties:
             return []
         self._told = told
         events = [
-            Event(now, "error", name, "lost: on the ground, or beyond what its flight model can do")
-            for name, lost in zip(self._names, down & ~self.gone, strict=True)
-            if lost
+            Event(now, "error", self._names[row], f"lost: {_cause(position_ned[row])}")
+            for row in np.flatnonzero(down & ~self.gone).tolist()
         ]
         close, collided = self._proximity.changes(now, position_ned, self.gone | down)
         gone = self.gone | down | collided

@@ -91,12 +91,25 @@ class Deck:
 
     def heeded(self, diagnosis: Diagnosis) -> Diagnosis:
         """What the control of the n followers did, without those who fly something else."""
-        away = [row - 1 for row, seat in self._seats if row and seat.commanded is not None]
+        away = self._away()
         if not away:
             return diagnosis
         guards, saturations = diagnosis.guards.copy(), diagnosis.saturations.copy()
         guards[away] = saturations[away] = 0
         return diagnosis._replace(guards=guards, saturations=saturations)
+
+    def away(self, apart: Truths) -> Truths:
+        """Who of the n followers is apart from its slot: these, and who flies something else."""
+        away = self._away()
+        if not away:
+            return apart
+        out = apart.copy()
+        out[away] = True
+        return out
+
+    def _away(self) -> list[int]:
+        """Followers that fly something else."""
+        return [row - 1 for row, seat in self._seats if row and seat.commanded is not None]
 
     def asked(self) -> Mapping[str, Mapping[str, int]]:
         """How often programs outside had what done, by aircraft and kind; for the metrics."""

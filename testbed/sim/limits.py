@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from testbed.scenario import Scenario
 from testbed.state import Array, Event, Truths
 
 AGAIN = 1.1  # of the separation, beyond which an encounter is over: a pair at it does not chatter
@@ -121,3 +122,11 @@ class Proximity:
 
     def _of(self, pair: np.intp) -> tuple[str, str]:
         return self._names[self._one[pair]], self._names[self._other[pair]]
+
+
+def make_proximity(page: Scenario) -> Proximity:
+    """The watch that a page wants."""
+    wanted = page.limits
+    return Proximity(
+        page.aircraft_names, collision_m=wanted.collision_m, separation_m=wanted.separation_m
+    )

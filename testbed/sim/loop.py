@@ -31,7 +31,7 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
             run.
 
     Returns:
-        The outcome: "flown", "lost" or "interrupted".
+        The outcome: "flown", "lost", "upset" or "interrupted".
     """
     clock, vehicles, pilot, air = world.clock, world.vehicles, world.pilot, world.air
     radio, calendar = world.radio, Calendar(world.scripts)
@@ -43,7 +43,7 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
     arrivals = Arrivals(world.gusts, world.names)
     engagement = Engagement(world.names[1:], clock.base_rate_hz)
     casualties = Casualties(world.names, world.proximity, breakdowns, fly_on=world.fly_on)
-    audience = Audience(observers)
+    upsets, audience = world.upsets, Audience(observers)
     # what is read and believed stays in the same arrays, to which compiled code is bound
     moved, believed, handed = Steady(), Steady(), Steady()
     news = list(world.notes)
@@ -126,6 +126,10 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
                 world.altitudes,
             )
             news += engagement.changes(tick, formation.error_ned, casualties.gone)
+            away = apart if deck is None else deck.away(apart)
+            news += upsets.changes(
+                now, truth, flown_in, formation, engagement.engaged, (casualties.gone, away)
+            )
             audience.observe(
                 Frame(
                     tick=tick,
@@ -145,5 +149,7 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
             news = []
             if casualties.over:
                 return "lost"
+            if upsets.over:
+                return "upset"
         vehicles.step(ahead)
-    return casualties.outcome
+    return "upset" if upsets.unforeseen and casualties.outcome == "flown" else casualties.outcome

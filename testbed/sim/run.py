@@ -24,7 +24,7 @@ from testbed.sim.world import build
 from testbed.state import Event, Observer
 from testbed.vehicle.crew import CrewedFleet
 
-EXIT_CODES: Mapping[str, int] = {"flown": 0, "lost": 1, "failed": 4, "interrupted": 130}
+EXIT_CODES: Mapping[str, int] = {"flown": 0, "lost": 1, "upset": 1, "failed": 4, "interrupted": 130}
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class Run:
 
     @property
     def outcome(self) -> str:
-        """How it ended: "flown", "lost" or "interrupted"."""
+        """How it ended: "flown", "lost", "upset" or "interrupted"."""
         return str(self.metrics["outcome"])
 
     @property

@@ -15,13 +15,7 @@ from testbed.air.air import Air
 from testbed.errors import InputError
 from testbed.network.radio import Radio
 from testbed.network.scripts import Scripts
-from testbed.scenario import (
-    SCHEMA_VERSION,
-    Scenario,
-    dump,
-    find_aircraft,
-    find_tune,
-)
+from testbed.scenario import SCHEMA_VERSION, Scenario, dump, find_aircraft, find_tune
 from testbed.sensing.estimators import Estimators
 from testbed.sim.airs import make_air, make_mean, standing, start_wind
 from testbed.sim.arduplanes import ArduPlanes, make_flown
@@ -33,7 +27,7 @@ from testbed.sim.failures import make_breakdowns, make_roster, unfelt
 from testbed.sim.formations import barriers_of, make_groups, roll_limits
 from testbed.sim.hypotheses import warnings
 from testbed.sim.leaders import Led, make_leader
-from testbed.sim.limits import Proximity
+from testbed.sim.limits import Proximity, make_proximity
 from testbed.sim.mixed import Mixed
 from testbed.sim.own_law import with_its_law
 from testbed.sim.partners import Partner
@@ -41,6 +35,7 @@ from testbed.sim.pilots import Pilot
 from testbed.sim.radios import beats, make_radio
 from testbed.sim.roster import Roster
 from testbed.sim.teams import agent_value, make_altitudes, make_offsets
+from testbed.sim.upsets import Upsets, make_upsets
 from testbed.sim.vehicles import Flown, Ideal, Vehicles
 from testbed.state import Array, Event, Origin, RunInfo
 from testbed.streams import stream
@@ -71,6 +66,7 @@ class World:
     breakdowns: Breakdowns | None  # None: nothing breaks
     roster: Roster | None  # None: nobody heeds that somebody failed
     proximity: Proximity
+    upsets: Upsets
     fly_on: bool  # when an aircraft is lost; or stop
     pilot: Pilot
     deck: Deck | None  # None: nobody outside commands anything
@@ -183,7 +179,8 @@ def build(
         estimators=estimators,
         breakdowns=breakdowns,
         roster=make_roster(page, breakdowns),
-        proximity=Proximity(names, **page.limits.model_dump(exclude={"when_lost"})),
+        proximity=make_proximity(page),
+        upsets=make_upsets(page, tunes, airframes, jsbsim, breakdowns),
         fly_on=page.limits.when_lost == "fly-on",
         pilot=deck if deck and deck.leads else led.pilot,
         deck=deck,

@@ -24,7 +24,7 @@ from testbed.sim.stop import Stop, stopping
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
 
-FLOWN, LOST, FAILED, REFUSED = "flown", "lost", "failed", "cannot be flown"
+FLOWN, LOST, UPSET, FAILED, REFUSED = "flown", "lost", "upset", "failed", "cannot be flown"
 INTERRUPTED = "interrupted"
 CHANCES = 2  # of a flight whose process ends under it
 POLL_S = 0.1  # between two looks at whether a signal came
@@ -45,7 +45,7 @@ class Flown:
 
     Args:
         number: the task's.
-        outcome: "flown", "lost", "failed" or "cannot be flown".
+        outcome: "flown", "lost", "upset", "failed" or "cannot be flown".
         error: what went wrong; empty where nothing did.
         metrics: the document of metrics.json; None where there is none.
         wall_s: how long it took.
@@ -188,7 +188,7 @@ def _pool(jobs: int | None, backend: str, scheduler: str | None) -> Pool:
 def fly(task: Task) -> Flown:
     """Fly a task in this process; what every backend does."""
     # which take their time, and are not for who only waits
-    from testbed.metrics.document import losses
+    from testbed.metrics.document import errors, losses
     from testbed.sim.run import run
 
     page = task.page
@@ -200,6 +200,9 @@ def fly(task: Task) -> Flown:
             metrics = run(page, write=False).metrics
             outcome = str(metrics["outcome"])
             error = f"lost: {', '.join(losses(metrics))}" if outcome == LOST else ""
+            if outcome == UPSET:
+                (at, what), *_ = errors(metrics)
+                error = f"upset: {what}, at {at:.1f} s"
         except InputError as refusal:
             outcome, error = REFUSED, f"cannot be flown: {refusal}"
         except Exception as fault:

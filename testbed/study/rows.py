@@ -7,11 +7,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from testbed.study.crew import FAILED, FLOWN, LOST, REFUSED
+from testbed.study.crew import FAILED, FLOWN, LOST, REFUSED, UPSET
 
 METRICS = "metrics."  # before the name of a number of metrics.json
 SET = "set."  # before a key that varies
-OUTCOMES = (FLOWN, LOST, FAILED, REFUSED)
+OUTCOMES = (FLOWN, LOST, UPSET, FAILED, REFUSED)
 
 # What is not of the flight but of the page, the machine or the moment; what has as many numbers
 # as there are links, or keys of its own in each run; and words.

@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from testbed.metrics.document import errors
 from testbed.scenario.fields import NotNegative, Number, Section
 
 Metrics = Mapping[str, Any]
@@ -66,10 +67,12 @@ def cost(metrics: Metrics | None, metric: str, *, duration_s: float, bound: floa
     value = sound(metrics, metric)
     if value is not None:
         return value if value <= bound else bound * (2.0 - bound / value)
-    if metrics is None or metrics["outcome"] != "lost":
+    if metrics is None or metrics["outcome"] not in ("lost", "upset"):
         return 3.0 * bound
-    lost = [at for at in metrics["lost_at_s"].values() if at is not None]
-    held = min(lost) / duration_s if lost else 0.0
+    wrong = [at for at in metrics["lost_at_s"].values() if at is not None]
+    if metrics["outcome"] == "upset":
+        wrong += [at for at, _ in errors(metrics)]
+    held = min(wrong) / duration_s if wrong else 0.0
     return bound * (3.0 - min(max(held, 0.0), 1.0))
 
 

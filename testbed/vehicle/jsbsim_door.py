@@ -25,15 +25,9 @@ from testbed.vehicle.folder_cache import kept
 from testbed.vehicle.inertia import impossible_inertia
 from testbed.vehicle.jsbsim_model import AircraftError, JsbsimModel, Traits, find_traits
 from testbed.vehicle.linearize import Linear, linearize
+from testbed.vehicle.measure import measured_airframe
 from testbed.vehicle.motion import READY_LOST, READY_MOTION, state_of
-from testbed.vehicle.trim import (
-    STILL,
-    TrimPoint,
-    TrimResult,
-    Vector,
-    course_through_air,
-    trim,
-)
+from testbed.vehicle.trim import STILL, TrimPoint, TrimResult, Vector, course_through_air, trim
 
 __all__ = [
     "LOWEST",
@@ -328,7 +322,7 @@ def airframe(folder: Path) -> Airframe:
     """
     model = _load(folder, _TRIM_RATE_HZ)
     model.locate((0.0, 0.0, -1000.0), Origin())
-    return model.airframe()
+    return measured_airframe(model)
 
 
 @kept(maxsize=64)

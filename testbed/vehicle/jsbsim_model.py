@@ -13,7 +13,7 @@ import numpy as np
 
 from testbed.errors import InputError
 from testbed.frames import FOOT, geodetic_from_ned, rotation_ned_body
-from testbed.state import Airframe, Array, Origin
+from testbed.state import Array, Origin
 from testbed.vehicle.breakage import SURFACES
 from testbed.vehicle.trim import STILL, Controls, Placement, Vector
 
@@ -22,10 +22,9 @@ _TURNS = ("p-rad_sec", "q-rad_sec", "r-rad_sec", "roll-coefficient")
 _TURNED = ("left-aileron", *SURFACES[1:])  # ailerons turn together
 _SPIN_STEPS = 2000  # at most, until the propeller and the surfaces have settled
 _LONGEST_MEMORY = 6  # steps that JSBSim's integrators look back, and one to spare
-_POUND = 4.4482216152605  # N, of force
-_SLUG_FOOT2 = _POUND * FOOT  # kg m²; a slug is a pound-force per foot/s²
+POUND = 4.4482216152605  # N, of force
+_SLUG_FOOT2 = POUND * FOOT  # kg m²; a slug is a pound-force per foot/s²
 _NOTHING = 1e-6  # m/s² and rad/s²: less is rounding
-_INCIDENCE = 0.02  # rad, far from the stall
 _GLANCE = 1e-5  # s, a step that shows how the propeller's speed changes
 
 
@@ -64,7 +63,6 @@ class JsbsimModel:
         self._senses = self._sense.get_double_value()
         self._rpm = self.node("propulsion/engine/propeller-rpm").get_double_value
         self._moments = [self.node(f"moments/{axis}-aero-lbsft").get_double_value for axis in "lmn"]
-        self._mass = self.node("inertia/mass-slugs").get_double_value
         self._hold = self.node("forces/hold-down").set_double_value
         self.winds = tuple(
             self.node(f"atmosphere/wind-{axis}-fps").set_double_value
@@ -218,36 +216,6 @@ class JsbsimModel:
         )
         # JSBSim names by ixz the element itself and by ixy and iyz its opposite.
         return np.array([[xx, -xy, xz], [-xy, yy, -yz], [xz, -yz, zz]])
-
-    def airframe(self) -> Airframe:
-        """The sizes of the wing, the mass as fuelled, and the slope of the lift near no incidence.
-
-        The air is felt as far ahead of and behind the centre of gravity as the tail is long, or
-        half a chord where there is no tail.
-        """
-        size = {
-            name: self.node(f"metrics/{key}").get_double_value()
-            for name, key in (("area", "Sw-sqft"), ("span", "bw-ft"), ("tail", "lh-ft"))
-        }
-        chord = self.node("metrics/cbarw-ft").get_double_value()
-        lift = [self._lift(alpha) for alpha in (0.0, _INCIDENCE)]  # also puts what is in the tanks
-        return Airframe(
-            span=size["span"] * FOOT,
-            area=size["area"] * FOOT**2,
-            arm=(size["tail"] or 0.5 * chord) * FOOT,
-            mass=self._mass() * _POUND / FOOT,
-            lift_slope=(lift[1] - lift[0]) / _INCIDENCE / size["area"],
-        )
-
-    def _lift(self, alpha: float) -> float:
-        """Lift over dynamic pressure at an angle of attack, ft²."""
-        speed = 20.0
-        velocity = (speed * math.cos(alpha), 0.0, speed * math.sin(alpha))
-        neutral = Controls(0.0, 0.0, 0.0, 0.0)
-        self.place(Placement(velocity, STILL, 0.0, alpha, 0.0), neutral, spin=False)
-        # for the aerodynamic force JSBSim counts drag and lift positive, unlike its other forces
-        force = self.node("forces/fwz-aero-lbs").get_double_value()
-        return float(force) / float(self.node("aero/qbar-psf").get_double_value())
 
     def propeller_acceleration(self) -> float:
         """Change of the propeller's speed as placed, revolutions per s²."""

@@ -346,6 +346,10 @@ WRONG_SETTINGS = [
     ),
     (["limits={collision_m: 0}"], "limits.collision_m: is 0 (write a number above 0)"),
     (["limits={when_lost: go}"], "limits.when_lost: is 'go' (write stop or fly-on)"),
+    (["limits={when_upset: go}"], "limits.when_upset: is 'go' (write stop or fly-on)"),
+    (["limits={formation_m: 0}"], "limits.formation_m: is 0 (write a number above 0)"),
+    (["limits={stall_deg: 200}"], "limits.stall_deg: is 200 (write a number at most 180)"),
+    (["limits={overspeed_mps: -1}"], "limits.overspeed_mps: is -1 (write a number above 0)"),
     (
         ["formation.on_failure={answer: re-slot}", "formation.altitudes_m={uav1: 90}"],
         "formation.on_failure.answer: is re-slot, and altitudes_m names followers whose altitude "

@@ -80,7 +80,11 @@ def test_defaults_are_the_ones_the_page_documents():
     assert page.limits.model_dump() == {
         "collision_m": None,
         "separation_m": None,
+        "overspeed_mps": None,
+        "stall_deg": None,
+        "formation_m": 100.0,
         "when_lost": "stop",
+        "when_upset": "fly-on",
     }
 
 

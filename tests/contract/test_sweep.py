@@ -245,7 +245,13 @@ def test_a_bad_run_is_a_row_and_exit_code_1(here, tmp_path):
     assert "2 cannot be flown" in done.stdout
     assert "no run has a number 'max_err'" in done.stdout
     document = json.loads((tmp_path / "b.json").read_text())
-    assert document["outcomes"] == {"flown": 1, "lost": 1, "failed": 0, "cannot be flown": 2}
+    assert document["outcomes"] == {
+        "flown": 1,
+        "lost": 1,
+        "upset": 0,
+        "failed": 0,
+        "cannot be flown": 2,
+    }
     assert document["complete"] and len(document["troubles"]) == 3
 
 
