@@ -12,13 +12,14 @@ from typing import Any
 from testbed.metrics import MetricsObserver
 from testbed.metrics.document import complete, write_json
 from testbed.record.recorder import McapRecorder
-from testbed.record.rundir import create_run_directory
+from testbed.record.rundir import LOGS, create_run_directory
 from testbed.scenario import Scenario, load
 from testbed.sim.gate import Gate
 from testbed.sim.loop import fly
 from testbed.sim.outside import NOBODY, Outside, announcement, checked, make_station, report
 from testbed.sim.pace import Pace
 from testbed.sim.partners import Stopped
+from testbed.sim.sizes import check_disk
 from testbed.sim.stop import stopping
 from testbed.sim.world import build
 from testbed.state import Event, Observer
@@ -83,6 +84,8 @@ def run(
         PartnerLost: a program outside that the page needs is gone or silent.
     """
     page = scenario if isinstance(scenario, Scenario) else load(scenario, overrides)
+    if write and page.log.mcap:
+        check_disk(page, out or LOGS)
     world = build(
         page, commanded=outside.looks_on, arduplane=outside.arduplane, processes=processes
     )

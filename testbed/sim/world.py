@@ -34,6 +34,7 @@ from testbed.sim.partners import Partner
 from testbed.sim.pilots import Pilot
 from testbed.sim.radios import beats, make_radio
 from testbed.sim.roster import Roster
+from testbed.sim.sizes import check_memory
 from testbed.sim.teams import agent_value, make_altitudes, make_offsets
 from testbed.sim.upsets import Upsets, make_upsets
 from testbed.sim.vehicles import Flown, Ideal, Vehicles
@@ -102,6 +103,7 @@ def build(
     """
     names = page.aircraft_names
     clock = clock_of(page)
+    check_memory(page, clock)
     origin = Origin(**page.scenario.origin.model_dump())
     folders = [find_aircraft(each.aircraft) for each in page.aircraft]
     files = [find_tune(at, each.tune) for at, each in zip(folders, page.aircraft, strict=True)]
