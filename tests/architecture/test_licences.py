@@ -28,7 +28,7 @@ OF_TOOLS = {"MPL-2.0"}
 
 @pytest.fixture
 def licences(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT / "website"))
+    monkeypatch.syspath_prepend(str(ROOT / "release"))
     return importlib.import_module("licences")
 
 
@@ -51,5 +51,5 @@ def test_every_locked_package_has_a_licence_that_goes_with_mit(licences):
 def test_the_page_is_what_packages_say(licences):
     page = (ROOT / "docs" / "licences.md").read_text(encoding="utf-8")
     missing = set(licences.rows()) - set(page.splitlines())  # on another Python there may be fewer
-    assert not missing, "write it anew: python website/licences.py > docs/licences.md"
+    assert not missing, "write it anew: python release/licences.py > docs/licences.md"
     assert page.startswith(licences.HEAD) and page.endswith(licences.FOOT)

@@ -1,6 +1,6 @@
 """The licences of all that is installed with the testbed, from what packages say of themselves.
 
-usage: python website/licences.py > docs/licences.md
+usage: python release/licences.py > docs/licences.md
 """
 
 from __future__ import annotations
@@ -8,11 +8,9 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
-from pathlib import Path
 
-from packaging.requirements import Requirement
+from locked import LOCK, here, needed, pins
 
-LOCK = Path(__file__).parent.parent / "requirements.lock"
 # As packages word it, where they do not use the names of https://spdx.org/licenses.
 WORDINGS = {
     "3-Clause BSD License": "BSD-3-Clause",
@@ -52,26 +50,12 @@ that go with MIT.
 
 def locked() -> list[str]:
     """Names of all packages in the lock file, tools for tests and pages too."""
-    found = re.findall(r"^([A-Za-z0-9_.-]+)==", LOCK.read_text(encoding="utf-8"), re.M)
-    return sorted({name.lower().replace("_", "-") for name in found})
+    return sorted({pin.name for pin in pins(LOCK.read_text(encoding="utf-8"))})
 
 
 def running() -> list[str]:
     """Names of those among them that the testbed needs to run, as they are installed here."""
-    seen: set[tuple[str, str]] = set()
-    waiting = [("testbed", "")]
-    while waiting:
-        name, extra = waiting.pop()
-        key = name.lower().replace("_", "-"), extra
-        found = installed(name)
-        if key in seen or found is None:
-            continue
-        seen.add(key)
-        for text in found.requires or ():
-            wanted = Requirement(text)
-            if wanted.marker is None or wanted.marker.evaluate({"extra": extra}):
-                waiting += [(wanted.name, each) for each in ("", *wanted.extras)]
-    return sorted({name for name, _ in seen} - {"testbed"})
+    return sorted(name for name in needed(here()) if installed(name) is not None)
 
 
 def installed(name: str) -> Distribution | None:

@@ -1,0 +1,165 @@
+"""Make the files of a release in dist/ and check them; nothing is published.
+
+usage: python release/make_release.py [--tag vX.Y.Z] [--no-flight]
+
+Wheel and sdist are built twice from what is committed, in surroundings that differ, and must be
+the same to the bit. The wheel is installed by pip into a fresh environment, with the hashes of the
+lock file, and flies Simulation 3 by name from an empty directory. Beside the packages dist/ gets
+the pins of what runs with them (.lock), the bill of materials of that environment (.cdx.json), and
+SHA256SUMS.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import venv
+from importlib.metadata import distributions
+from pathlib import Path
+
+from bill import Wheel, bill
+from locked import ROOT, here, needed, project, running_lock, running_pins
+from packages import (
+    UnfitError,
+    build,
+    check_sdist,
+    check_version,
+    check_wheel,
+    committed,
+    git,
+    sha256,
+    version_of,
+)
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+DIST = ROOT / "dist"
+FLOWN_S = 30
+HEAD = """# What testbed {version} runs with, pinned to the hash: a part of its requirements.lock.
+# In the folder of the wheel:
+#    pip install --require-hashes -r {name}
+"""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Make it and say what was made; 1: it must not be released."""
+    asked = argparse.ArgumentParser(description="Make the files of a release and check them.")
+    asked.add_argument("--tag", help="the tag that is released: checked against the version")
+    asked.add_argument("--no-flight", action="store_true", help="neither install nor fly it")
+    given = asked.parse_args(arguments)
+    try:
+        with tempfile.TemporaryDirectory() as place:
+            make(Path(place), given.tag or None, flight=not given.no_flight)
+    except (UnfitError, ValueError) as error:
+        print(f"no release: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def make(place: Path, tag: str | None, *, flight: bool) -> None:
+    """Make everything.
+
+    Args:
+        place: an empty folder for what is not kept.
+        tag: as on the command line.
+        flight: whether to install and fly it, and to write its bill of materials.
+    """
+    if changed := git("status", "--porcelain").splitlines():
+        if tag:
+            raise UnfitError(f"not committed: {', '.join(each[3:] for each in changed)}")
+        print("Built from what is committed, without what has changed since", file=sys.stderr)
+    epoch_s = int(git("log", "-1", "--format=%ct"))
+    sdist, wheel = built(place, epoch_s)
+    version = version_of(wheel)
+    files = committed()
+    check_wheel(wheel, files, version)
+    check_sdist(sdist, files, version)
+    check_version(version, tag)
+    lock = DIST / f"testbed-{version}.lock"
+    pinned = "\n".join(pin.text for pin in running_lock())
+    ours = f"./{wheel.name} \\\n    --hash=sha256:{sha256(wheel)}\n"
+    lock.write_text(
+        f"{HEAD.format(version=version, name=lock.name)}{pinned}\n{ours}", encoding="utf-8"
+    )
+    if flight:
+        packages = installed(place / "fresh", lock)
+        fly(place)
+        write_bill(DIST / f"testbed-{version}.cdx.json", wheel, epoch_s, packages)
+    made = sorted(path for path in DIST.iterdir() if path.name != "SHA256SUMS")
+    sums = "".join(f"{sha256(path)}  {path.name}\n" for path in made)
+    (DIST / "SHA256SUMS").write_text(sums, encoding="utf-8")
+    print(sums, end="")
+
+
+def built(place: Path, epoch_s: int) -> tuple[Path, Path]:
+    """Sdist and wheel in dist/, after they were built twice and came out the same."""
+    once = build(place / "once", epoch_s=epoch_s)
+    again = build(place / "again", epoch_s=epoch_s, odd=True)
+    if [(path.name, sha256(path)) for path in once] != [(p.name, sha256(p)) for p in again]:
+        raise UnfitError("two builds of the same commit differ")
+    shutil.rmtree(DIST, ignore_errors=True)
+    DIST.mkdir()
+    (sdist,) = (DIST / path.name for path in once if path.name.endswith(".tar.gz"))
+    (wheel,) = (DIST / path.name for path in once if path.suffix == ".whl")
+    for path in once:
+        shutil.copyfile(path, DIST / path.name)
+    print(f"{wheel.name}, {sdist.name}: built twice, the same to the bit", flush=True)
+    return sdist, wheel
+
+
+def installed(fresh: Path, lock: Path) -> Path:
+    """Where the packages are of a fresh environment into which pip put what the lock says."""
+    venv.create(fresh, with_pip=True)
+    pip = (str(fresh / "bin" / "python"), "-m", "pip", "--disable-pip-version-check")
+    run((*pip, "install", "--quiet", "--require-hashes", "-r", lock.name), lock.parent)
+    run((*pip, "check"), lock.parent)
+    print("installed from its lock file, with hashes, into a fresh environment", flush=True)
+    (packages,) = fresh.glob("lib/python3*/site-packages")
+    return packages
+
+
+def fly(place: Path) -> None:
+    """Fly Simulation 3 by name with the fresh environment, from an empty directory."""
+    empty = place / "empty"
+    empty.mkdir()
+    words = ("run", "simulation-3", "--duration", str(FLOWN_S), "--out", "run", "--quiet")
+    run((str(place / "fresh" / "bin" / "testbed"), *words), empty)
+    numbers = json.loads((empty / "run" / "metrics.json").read_text(encoding="utf-8"))
+    if numbers["outcome"] != "flown":
+        raise UnfitError(f"Simulation 3 was {numbers['outcome']}")
+    if [each.name for each in empty.iterdir()] != ["run"]:
+        raise UnfitError("the flight left more than its run")
+    print(f"{FLOWN_S} s of Simulation 3 flown by name from an empty directory", flush=True)
+
+
+def run(command: tuple[str, ...], cwd: Path) -> None:
+    """Run a command that knows nothing of this checkout and its environment."""
+    kept = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    done = subprocess.run(command, cwd=cwd, env=kept, capture_output=True, text=True)
+    if done.returncode:
+        raise UnfitError(f"{' '.join(command)}:\n{done.stdout}{done.stderr}")
+
+
+def write_bill(path: Path, wheel: Path, epoch_s: int, packages: Path) -> None:
+    """Write the bill of materials of the environment whose packages are there."""
+    dependencies = project()["dependencies"]
+    assert isinstance(dependencies, list)
+    first = [canonicalize_name(Requirement(each).name) for each in dependencies]
+    made = bill(
+        Wheel(version_of(wheel), sha256(wheel), epoch_s),
+        distributions(path=[str(packages)]),
+        running_pins(here()),
+        needed(here()),
+        first,
+    )
+    path.write_text(json.dumps(made, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    print(f"{path.name}: {len(made['components'])} packages", flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
