@@ -14,10 +14,12 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 CLIENTS := .venv-clients
 CLIENTS_STAMP := $(CLIENTS)/.installed
+TOOLS := .venv-release
+TOOLS_STAMP := $(TOOLS)/.installed
 MAKEFLAGS += --no-print-directory
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test checks warm lint types tests clients check-all bench rates results gap netem docs wheel lock clean
+.PHONY: help setup run test checks warm lint types tests clients check-all bench rates results gap netem docs release audit lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,4p'
@@ -55,8 +57,8 @@ clients: $(CLIENTS_STAMP)
 
 # Everything: the tests, all starts of the theorem, the air's and the network's statistics on more
 # samples, broken MAVLink and flight logs, real time with nothing else running, a study whose processes
-# are killed, every golden table, and the wheel built and flown from a fresh environment.
-check-all: test wheel
+# are killed, every golden table, and a release made and flown from a fresh environment.
+check-all: test release
 	@TESTBED_STARTS=1000 $(BIN)/pytest -q tests/theorems/test_theorem_many_starts.py
 	@TESTBED_AIR_SAMPLES=60 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_air_dryden.py \
 		tests/equations/test_air_von_karman.py tests/equations/test_air_field.py
@@ -72,11 +74,6 @@ check-all: test wheel
 	@TESTBED_STUDIES=1 $(BIN)/pytest -q tests/contract/test_sweep.py
 	@TESTBED_ARDUPLANE_WHOLE=1 $(BIN)/pytest -q tests/contract/test_arduplane.py
 	@$(BIN)/testbed check --jobs $(JOBS)
-	@rm -rf build/fresh && $(BIN)/python -m venv build/fresh
-	@build/fresh/bin/python -m pip install --quiet --disable-pip-version-check \
-		--require-hashes -r requirements.lock
-	@build/fresh/bin/python -m pip install --quiet --disable-pip-version-check --no-deps dist/*.whl
-	@cd build && fresh/bin/testbed run simulation-3 --duration 30 --out fresh/run
 
 # What everything around the flight model costs, as a ratio to bare JSBSim, in which rooms, and how it
 # grows with the fleet (ARGS="--json FILE --into docs/speed.md" writes it down); coherent air and estimates
@@ -121,8 +118,21 @@ netem: $(STAMP)
 docs: $(STAMP)
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
-wheel: $(STAMP)
-	@rm -rf dist && $(BIN)/python -m build --no-isolation --wheel >/dev/null && ls dist/*.whl
+# Wheel, sdist, pins, bill of materials and sums in dist/, built from what is committed, checked and flown
+# from a fresh environment. TAG=v1.2.3, read from the environment, is held to version and changelog.
+release: $(STAMP) $(TOOLS_STAMP)
+	@$(BIN)/python release/make_release.py $(ARGS)
+	@$(TOOLS)/bin/python release/valid.py dist/*.cdx.json
+
+# Known vulnerabilities of all that is pinned, from PyPI's database; whatever could not be looked up fails,
+# too. And what is unsafe in the workflows.
+audit: $(TOOLS_STAMP)
+	@$(TOOLS)/bin/zizmor --offline --quiet .github
+	@for lock in requirements.lock release/requirements.lock tests/clients/requirements.lock; do \
+		echo "$$lock:"; \
+		$(TOOLS)/bin/pip-audit --strict --require-hashes --disable-pip --progress-spinner off \
+			-r $$lock || exit 1; \
+	done
 
 # Needs uv. Takes the newest releases inside the ranges of pyproject.toml.
 lock:
@@ -132,9 +142,12 @@ lock:
 	@uv pip compile tests/clients/requirements.in --no-deps --universal --python-version 3.11 \
 		--generate-hashes --no-annotate --no-config --upgrade --quiet \
 		--custom-compile-command "make lock" -o tests/clients/requirements.lock
+	@uv pip compile release/requirements.in --universal --python-version 3.11 \
+		--generate-hashes --no-annotate --no-config --upgrade --quiet \
+		--custom-compile-command "make lock" -o release/requirements.lock
 
 clean:
-	@rm -rf $(VENV) $(CLIENTS) build dist .mypy_cache .pytest_cache .ruff_cache
+	@rm -rf $(VENV) $(CLIENTS) $(TOOLS) build dist .mypy_cache .pytest_cache .ruff_cache
 
 $(STAMP): requirements.lock pyproject.toml
 	@set -e; \
@@ -164,3 +177,10 @@ $(CLIENTS_STAMP): tests/clients/requirements.lock | $(STAMP)
 	@$(CLIENTS)/bin/python -m pip install --quiet --disable-pip-version-check \
 		--no-deps --require-hashes -r tests/clients/requirements.lock
 	@touch $(CLIENTS_STAMP)
+
+$(TOOLS_STAMP): release/requirements.lock | $(STAMP)
+	@echo "Installing the tools of releases into $(TOOLS); once, a minute"
+	@$(BIN)/python -m venv --clear $(TOOLS)
+	@$(TOOLS)/bin/python -m pip install --quiet --disable-pip-version-check \
+		--require-hashes -r release/requirements.lock
+	@touch $(TOOLS_STAMP)

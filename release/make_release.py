@@ -49,7 +49,11 @@ HEAD = """# What testbed {version} runs with, pinned to the hash: a part of its 
 def main(arguments: list[str] | None = None) -> int:
     """Make it and say what was made; 1: it must not be released."""
     asked = argparse.ArgumentParser(description="Make the files of a release and check them.")
-    asked.add_argument("--tag", help="the tag that is released: checked against the version")
+    asked.add_argument(
+        "--tag",
+        default=os.environ.get("TAG"),
+        help="the tag that is released, held to version and changelog; $TAG if not given",
+    )
     asked.add_argument("--no-flight", action="store_true", help="neither install nor fly it")
     given = asked.parse_args(arguments)
     try:

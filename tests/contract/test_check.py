@@ -279,8 +279,6 @@ def test_the_workflow_uploads_what_the_check_writes():
     (job,) = workflow["jobs"].values()
     supported = re.findall(r'"Programming Language :: Python :: (3\.\d+)"', PYPROJECT)
     assert job["strategy"]["matrix"]["python"] == supported
-    uses = [step["uses"] for step in job["steps"] if "uses" in step]
-    assert all(re.fullmatch(r"[\w-]+/[\w-]+@v\d+", each) for each in uses)
     runs = [step["run"] for step in job["steps"] if "run" in step]
     (check_step,) = [each for each in runs if "testbed check" in each]
     (upload,) = [step for step in job["steps"] if "upload-artifact" in step.get("uses", "")]

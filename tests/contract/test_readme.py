@@ -52,6 +52,8 @@ PAGES = (
     "docs/own-aircraft.md",
     "docs/run.md",
     "docs/ci.md",
+    "docs/supply-chain.md",
+    "SECURITY.md",
     "docs/physics.md",
     "docs/reference/commands.md",
     "docs/reference/scenario.md",

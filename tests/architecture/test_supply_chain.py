@@ -1,0 +1,214 @@
+"""What is installed is pinned, what is released is checked, workflows may do what they must."""
+
+import importlib
+import json
+import re
+import shutil
+from importlib.metadata import distribution, distributions
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[2]
+LOCKS = ("requirements.lock", "release/requirements.lock", "tests/clients/requirements.lock")
+WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
+# Steps that install nothing themselves: they leave it to make, which is looked at below.
+HARMLESS = re.compile(
+    r"make |\.ci/run$|\.venv/bin/testbed |\(cd dist && sha256sum |gh release create"
+)
+WHEEL = "a" * 64
+
+
+@pytest.fixture
+def release(monkeypatch):
+    """Import a module of release/."""
+    monkeypatch.syspath_prepend(str(ROOT / "release"))
+    return importlib.import_module
+
+
+def jobs():
+    for path in WORKFLOWS:
+        for name, job in yaml.safe_load(path.read_text(encoding="utf-8"))["jobs"].items():
+            yield path.name, name, job
+
+
+@pytest.mark.parametrize("name", LOCKS)
+def test_every_pin_of_every_lock_is_one_version_with_hashes(release, name):
+    text = (ROOT / name).read_text(encoding="utf-8")
+    found = release("locked").pins(text)
+    assert len(found) == len(re.findall(r"^[A-Za-z0-9]", text, re.M)) >= 6
+    assert "://" not in text and "--index-url" not in text  # wherever it is installed from
+
+
+@pytest.mark.parametrize("text", ("numpy>=2 --hash=sha256:" + WHEEL, "numpy==2.3.0"))
+def test_what_is_not_pinned_or_has_no_hash_is_refused(release, text):
+    with pytest.raises(ValueError, match="one version with its hashes"):
+        release("locked").pins(text)
+
+
+def test_pip_installs_with_hashes_or_only_the_checkout():
+    for name in ("Makefile", ".ci/run", "release/make_release.py"):
+        text = (ROOT / name).read_text(encoding="utf-8").replace("\\\n", " ")
+        for line in re.findall(r"^.*\bpip.*\binstall\b.*$", text, re.M):
+            ours = "--no-deps --no-build-isolation --editable ." in line
+            assert "--require-hashes" in line or ours, (name, line)
+    for file, name, job in jobs():
+        for step in job["steps"]:
+            first = step.get("run", "make ").splitlines()[0]
+            assert HARMLESS.match(first), (file, name, first)
+            assert not re.search(r"\b(pip|uv|npm|curl|wget)\b", step.get("run", "")), (file, name)
+
+
+def test_actions_are_pinned_by_commit_with_the_version_said():
+    for path in WORKFLOWS:
+        lines = re.findall(r"uses: (.*)$", path.read_text(encoding="utf-8"), re.M)
+        assert lines
+        for line in lines:
+            assert re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40} # v\d+\.\d+\.\d+", line), line
+    pins = {}
+    for path in WORKFLOWS:  # one commit for one version everywhere
+        for action, commit in re.findall(r"uses: (\S+)@(\S+)", path.read_text(encoding="utf-8")):
+            assert pins.setdefault(action, commit) == commit, action
+
+
+def test_what_may_write_runs_nothing_of_the_repository_and_nothing_else_may_write():
+    writing = set()
+    for path in WORKFLOWS:
+        told = yaml.safe_load(path.read_text(encoding="utf-8"))
+        assert told["permissions"] in ({}, {"contents": "read"}), path.name
+        assert "pull_request_target" not in told[True]  # YAML reads `on` as true
+    for file, name, job in jobs():
+        uses = [step["uses"].split("@")[0] for step in job["steps"] if "uses" in step]
+        if "write" in job.get("permissions", {}).values():
+            writing.add((file, name))
+            assert "actions/checkout" not in uses, (file, name)
+        for step in job["steps"]:
+            assert "${{" not in step.get("run", ""), (file, name)  # no text that becomes a command
+            if step.get("uses", "").startswith("actions/checkout@"):
+                assert step["with"]["persist-credentials"] is False, (file, name)
+    assert writing == {("release.yml", each) for each in ("attest", "draft", "publish")}
+
+
+def test_a_release_is_tested_audited_checked_and_then_attested_drafted_and_approved():
+    told = yaml.safe_load((ROOT / ".github/workflows/release.yml").read_text(encoding="utf-8"))
+    assert told[True] == {"push": {"tags": ["v*"]}}
+    jobs = told["jobs"]
+    runs = [step["run"] for step in jobs["build"]["steps"] if "run" in step]
+    assert runs == [".ci/run", "make audit", "make release"]
+    assert [jobs[name]["needs"] for name in ("attest", "draft", "publish")] == [
+        "build",
+        "attest",
+        "draft",
+    ]
+    assert "--draft" in jobs["draft"]["steps"][-1]["run"]
+    assert jobs["publish"]["environment"] == "pypi"
+    assert jobs["publish"]["permissions"] == {"id-token": "write"}
+
+
+def test_an_audit_runs_every_week_and_fails_on_what_it_could_not_look_up():
+    told = yaml.safe_load((ROOT / ".github/workflows/audit.yml").read_text(encoding="utf-8"))
+    assert told[True]["schedule"]
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ")
+    (audit,) = re.findall(r"^audit:.*\n((?:\t.*\n)+)", makefile, re.M)
+    assert "pip-audit --strict --require-hashes" in audit
+    assert all(lock in audit for lock in LOCKS)
+
+
+def test_the_pins_of_a_release_are_those_of_what_runs(release):
+    locked = release("locked")
+    everything = locked.pins((ROOT / "requirements.lock").read_text(encoding="utf-8"))
+    running = locked.running_lock()
+    assert set(running) < set(everything)
+    names = {pin.name for pin in running}
+    assert {"jsbsim", "numpy", "pymavlink", "rerun-sdk"} <= names
+    assert not names & {"pytest", "ruff", "mkdocs", "hatchling", "distributed"}
+    assert locked.pins("\n".join(pin.text for pin in running)) == running
+
+
+def made(release, installed=None, pinned=None):
+    locked, bill = release("locked"), release("bill")
+    here = locked.here()
+    pinned = pinned or locked.running_pins(here)
+    installed = [distribution(name) for name in pinned] if installed is None else installed
+    wheel = bill.Wheel("1.2.3", WHEEL, 1_700_000_000)
+    return pinned, bill.bill(wheel, installed, pinned, locked.needed(here), ["numpy", "jsbsim"])
+
+
+def test_the_bill_lists_exactly_what_runs_as_the_lock_has_it(release):
+    pinned, bill = made(release)
+    assert {each["name"] for each in bill["components"]} == set(pinned)
+    for each in bill["components"]:
+        pin = pinned[each["name"]]
+        assert each["version"] == pin.version
+        (files,) = each["externalReferences"]
+        assert [(file["alg"], file["content"]) for file in files["hashes"]] == [
+            ("SHA-256", sum_) for sum_ in pin.hashes
+        ]
+        assert each["purl"] == each["bom-ref"] == f"pkg:pypi/{pin.name}@{pin.version}"
+        assert each["licenses"] and each["type"] == "library"
+    page = (ROOT / "docs" / "licences.md").read_text(encoding="utf-8")
+    for each in bill["components"]:
+        (told,) = each["licenses"]
+        said = told.get("expression") or next(iter(told["license"].values()))
+        assert f"| [{each['name']}](https://pypi.org/project/{each['name']}/) | {said} |" in page
+
+
+def test_the_bill_has_what_the_standard_requires(release):
+    _, bill = made(release)
+    assert (bill["bomFormat"], bill["specVersion"], bill["version"]) == ("CycloneDX", "1.6", 1)
+    assert re.fullmatch(r"urn:uuid:[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}", bill["serialNumber"])
+    assert bill["metadata"]["timestamp"] == "2023-11-14T22:13:20+00:00"
+    ours = bill["metadata"]["component"]
+    assert (ours["name"], ours["version"], ours["type"]) == ("testbed", "1.2.3", "application")
+    assert ours["hashes"] == [{"alg": "SHA-256", "content": WHEEL}]
+    references = {ours["bom-ref"]} | {each["bom-ref"] for each in bill["components"]}
+    assert len(references) == 1 + len(bill["components"])
+    assert {each["ref"] for each in bill["dependencies"]} == references
+    assert all(set(each["dependsOn"]) <= references for each in bill["dependencies"])
+    assert json.dumps(made(release)[1]) == json.dumps(bill)
+
+
+def test_an_environment_that_is_not_the_locks_has_no_bill(release):
+    with pytest.raises(ValueError, match="differ: .*mypy"):
+        made(release, installed=distributions())
+    pinned, _ = made(release)
+    with pytest.raises(ValueError, match="differ: numpy"):
+        made(release, installed=[distribution(name) for name in pinned if name != "numpy"])
+
+
+def test_a_wheel_with_a_stray_file_or_without_an_aircraft_is_refused(release):
+    packages = release("packages")
+    files = ["testbed/a.py", "aircraft/x.xml", "scenarios/s.yaml", "tests/t.py", "logs/.gitkeep"]
+    expected = packages.expected_in_wheel(files, "1.2.3")
+    assert {"testbed/_data/aircraft/x.xml", "testbed/_data/scenarios/s.yaml"} < expected
+    assert not [each for each in expected if "test" in each.removeprefix("testbed")]
+    packages.check_contents(set(expected), expected, "wheel")
+    for there in (expected | {"tests/t.py"}, expected - {"testbed/_data/aircraft/x.xml"}):
+        with pytest.raises(packages.UnfitError, match=r"tests/t\.py|aircraft/x\.xml"):
+            packages.check_contents(there, expected, "wheel")
+
+
+def test_a_tag_that_is_not_the_version_or_not_in_the_changelog_is_refused(release):
+    packages = release("packages")
+    version = distribution("testbed").version
+    packages.check_version(version, None)
+    with pytest.raises(packages.UnfitError, match=r"the tag is v9\.9\.9"):
+        packages.check_version(version, "v9.9.9")
+    with pytest.raises(packages.UnfitError, match=r"CITATION\.cff"):
+        packages.check_version("9.9.9", "v9.9.9")
+
+
+def test_two_builds_of_what_is_committed_are_the_same_and_hold_what_they_must(release, tmp_path):
+    if shutil.which("git") is None or not (ROOT / ".git").exists():
+        pytest.skip("no checkout of git")
+    packages = release("packages")
+    once = packages.build(tmp_path / "once", epoch_s=1_700_000_000)
+    again = packages.build(tmp_path / "again", epoch_s=1_700_000_000, odd=True)
+    assert [packages.sha256(path) for path in once] == [packages.sha256(path) for path in again]
+    sdist, wheel = sorted(once, key=lambda path: path.suffix)
+    files, version = packages.committed(), packages.version_of(wheel)
+    packages.check_wheel(wheel, files, version)
+    packages.check_sdist(sdist, files, version)
+    with pytest.raises(packages.UnfitError, match="is not the wheel"):
+        packages.check_wheel(wheel, files, "9.9.9")
