@@ -42,7 +42,7 @@ DIST = ROOT / "dist"
 FLOWN_S = 30
 HEAD = """# What testbed {version} runs with, pinned to the hash: a part of its requirements.lock.
 # In the folder of the wheel:
-#    pip install --require-hashes -r {name}
+#    pip install --only-binary :all: --require-hashes -r {name}
 """
 
 
@@ -120,7 +120,9 @@ def installed(fresh: Path, lock: Path) -> Path:
     """Where the packages are of a fresh environment into which pip put what the lock says."""
     venv.create(fresh, with_pip=True)
     pip = (str(fresh / "bin" / "python"), "-m", "pip", "--disable-pip-version-check")
-    run((*pip, "install", "--quiet", "--require-hashes", "-r", lock.name), lock.parent)
+    # Wheels alone: to install what is built first is to run what it brings along for that.
+    told = ("install", "--quiet", "--only-binary", ":all:", "--require-hashes", "-r", lock.name)
+    run((*pip, *told), lock.parent)
     run((*pip, "check"), lock.parent)
     print("installed from its lock file, with hashes, into a fresh environment", flush=True)
     (packages,) = fresh.glob("lib/python3*/site-packages")
