@@ -37,7 +37,7 @@ class Cluster:
             import distributed
         except ImportError as error:
             raise InputError(
-                f"--backend dask: {error}; install it with: pip install 'testbed[dask]'"
+                f"--backend dask: {error}; install it with: pip install distributed"
             ) from None
         self._dask = distributed
         try:

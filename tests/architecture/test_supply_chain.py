@@ -60,6 +60,17 @@ def test_pip_installs_with_hashes_or_only_the_checkout():
             assert not re.search(r"\b(pip|uv|npm|curl|wget)\b", step.get("run", "")), (file, name)
 
 
+def test_nobody_is_told_to_install_the_testbed_of_other_people():
+    """That is what an index has under our name, until we have another one."""
+    told = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "testbed").rglob("*.py")]
+    wrong = [
+        path.relative_to(ROOT).as_posix()
+        for path in told
+        if re.search(r"pip install ['\"]?testbed(?![\w.-])", path.read_text(encoding="utf-8"))
+    ]
+    assert wrong == ["docs/supply-chain.md"]  # which says so
+
+
 def test_actions_are_pinned_by_commit_with_the_version_said():
     for path in WORKFLOWS:
         lines = re.findall(r"uses: (.*)$", path.read_text(encoding="utf-8"), re.M)

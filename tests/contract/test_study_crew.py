@@ -119,7 +119,7 @@ def test_a_crew_that_cannot_be_had_is_refused(asked, says):
 def test_without_dask_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with (
-        pytest.raises(InputError, match=r"pip install 'testbed\[dask\]'"),
+        pytest.raises(InputError, match="pip install distributed"),
         crew(backend="dask", scheduler="tcp://127.0.0.1:1"),
     ):
         pass
