@@ -10,6 +10,7 @@ import sys
 import tarfile
 import tomllib
 import zipfile
+from concurrent.futures import ThreadPoolExecutor
 from email.message import Message
 from email.parser import BytesParser
 from pathlib import Path, PurePosixPath
@@ -71,6 +72,22 @@ def build(folder: Path, *, epoch_s: int, odd: bool = False) -> list[Path]:
     if done.returncode:
         raise UnfitError(f"cannot be built:\n{done.stdout}{done.stderr}")
     return sorted((folder / "dist").iterdir())
+
+
+def build_twice(folder: Path, *, epoch_s: int) -> list[Path]:
+    """Build them in two ways at once and return them, if both came out the same.
+
+    Args:
+        folder: where.
+        epoch_s: the time that files in the packages have.
+    """
+    with ThreadPoolExecutor() as pool:
+        usual = pool.submit(build, folder / "once", epoch_s=epoch_s)
+        odd = pool.submit(build, folder / "again", epoch_s=epoch_s, odd=True)
+        once, again = usual.result(), odd.result()
+    if [(path.name, sha256(path)) for path in once] != [(p.name, sha256(p)) for p in again]:
+        raise UnfitError("two builds of the same commit differ")
+    return once
 
 
 def sha256(path: Path) -> str:

@@ -214,12 +214,23 @@ def test_two_builds_of_what_is_committed_are_the_same_and_hold_what_they_must(re
     if shutil.which("git") is None or not (ROOT / ".git").exists():
         pytest.skip("no checkout of git")
     packages = release("packages")
-    once = packages.build(tmp_path / "once", epoch_s=1_700_000_000)
-    again = packages.build(tmp_path / "again", epoch_s=1_700_000_000, odd=True)
-    assert [packages.sha256(path) for path in once] == [packages.sha256(path) for path in again]
+    once = packages.build_twice(tmp_path, epoch_s=1_700_000_000)
     sdist, wheel = sorted(once, key=lambda path: path.suffix)
     files, version = packages.committed(), packages.version_of(wheel)
     packages.check_wheel(wheel, files, version)
     packages.check_sdist(sdist, files, version)
     with pytest.raises(packages.UnfitError, match="is not the wheel"):
         packages.check_wheel(wheel, files, "9.9.9")
+
+
+def test_two_builds_that_differ_are_refused(release, tmp_path, monkeypatch):
+    packages = release("packages")
+
+    def build(folder, *, epoch_s, odd=False):
+        folder.mkdir()
+        (folder / "testbed.whl").write_text(f"{epoch_s} {odd}")
+        return list(folder.iterdir())
+
+    monkeypatch.setattr(packages, "build", build)
+    with pytest.raises(packages.UnfitError, match="two builds of the same commit differ"):
+        packages.build_twice(tmp_path, epoch_s=1)
