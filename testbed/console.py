@@ -14,7 +14,7 @@ from rich.text import Text
 from testbed.errors import InputError
 from testbed.links.addresses import parse_address
 from testbed.metrics.table import render_table
-from testbed.outputs import is_stdout, put_json, refuse_files
+from testbed.outputs import Paper, is_stdout, put_json, refuse_files
 from testbed.progress import ProgressBar
 from testbed.scenario import (
     Scenario,
@@ -68,13 +68,15 @@ def fly_and_show(asked: Flight) -> int:
     if asked.view:
         from testbed.views import FAST_HZ, LiveViewer, RerunView
 
-        watchers.append(RerunView(LiveViewer(), most_hz=None if outside.pace else FAST_HZ))
+        viewer = LiveViewer()
+        outside.tell(f"view: {viewer.address}")
+        watchers.append(RerunView(viewer, most_hz=None if outside.pace else FAST_HZ))
     flown = run(page, out=asked.out, observers=watchers, outside=outside, processes=asked.processes)
     if not asked.quiet:
-        render_table(flown.metrics, Console(stderr=is_stdout(asked.json)), log=flown.directory)
+        paper = Paper(stderr=is_stdout(asked.json))
+        render_table(flown.metrics, paper, log=flown.directory)
         for copy in sorted(flown.directory.glob("*.py")) if flown.directory else ():
-            words = Text(f" {'law':<20}{copy}, a copy of its code")
-            Console(stderr=is_stdout(asked.json)).print(words, soft_wrap=True)
+            paper.print(Text(f" {'law':<20}{copy}, a copy of its code"), soft_wrap=True)
     put_json(asked.json, flown.metrics)
     return flown.exit_code
 

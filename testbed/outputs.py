@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
+
 from testbed.errors import InputError
 from testbed.metrics.document import to_json, write_json
+
+
+class Paper(Console):
+    """A console whose reader may leave, as `head` does: nobody hears the rest, and nothing ends."""
+
+    def on_broken_pipe(self) -> None:
+        """Say the rest to nobody; rich would end the program as if an aircraft had been lost."""
+        self.quiet = True
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), self.file.fileno())
 
 
 def is_stdout(path: Path | None) -> bool:

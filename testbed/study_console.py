@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from testbed.options import refuse_below_one
-from testbed.outputs import is_stdout, put_json, refuse_files
+from testbed.outputs import Paper, is_stdout, put_json, refuse_files
 from testbed.progress import counting
 from testbed.study.crew import FLOWN
 from testbed.study.summary import Group, Summary, summarise, to_document
@@ -70,7 +70,7 @@ def sweep_and_show(
         raise
     summary = summarise(swept)
     if not quiet:
-        show_summary(swept, summary, Console(stderr=is_stdout(json), highlight=False))
+        show_summary(swept, summary, Paper(stderr=is_stdout(json), highlight=False))
     put_json(json, to_document(swept, summary))
     return GOOD if swept.good else LOST
 

@@ -94,6 +94,7 @@ def _show(
         viewer = LiveViewer(patient=True, at_s=at_s)
         if trouble := obstacle(viewer.port):
             raise InputError(f"{trouble}. {_instead(command, names)}")
+        _say(f"view: {viewer.address}")
         replay(viewer, *logs)
         return
     if is_stdout(rrd):

@@ -30,6 +30,11 @@ _MOST_BYTES = 2048
 _IDLE = (1500, 1500, 1000, 1500)  # µs, before its parameters are known
 
 
+def ports(instance: int) -> tuple[int, int]:
+    """Of an instance's physics, UDP, and of its first MAVLink, TCP; two more are 2 and 3 above."""
+    return _PHYSICS_PORT + _PORTS * instance, _MAVLINK_PORT + _PORTS * instance
+
+
 @dataclass(frozen=True, slots=True)
 class Wanted:
     """What the page says of an aircraft that ArduPlane flies."""
@@ -53,8 +58,7 @@ class Plane:
         """Not started."""
         self.name, self._wanted, self._origin = wanted.name, wanted, origin
         self._rates = physics_hz, autopilot_hz
-        self._physics_port = _PHYSICS_PORT + _PORTS * wanted.instance
-        self._mavlink_port = _MAVLINK_PORT + _PORTS * wanted.instance
+        self._physics_port, self._mavlink_port = ports(wanted.instance)
         self._udp: socket.socket | None = None
         self._peer: tuple[str, int] | None = None
         self._count: int | None = None

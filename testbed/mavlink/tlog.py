@@ -6,7 +6,9 @@ A record is a big-endian 64-bit count of µs since 1970, UTC, and one MAVLink fr
 from __future__ import annotations
 
 import struct
+import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -14,29 +16,50 @@ from typing import Self
 from testbed.mavlink.door import MavlinkError, Message, decode, frame_length
 
 _TIME = struct.Struct(">Q")
+_FLUSH_S, _KEPT = 0.35, 1 << 14  # wall-clock s and bytes after which records are written
 
 
 class TlogWriter:
     """A log being written. Used in a `with`, or closed by `close`.
 
     Raises:
-        MavlinkError: the file cannot be written.
+        MavlinkError: the file cannot be written; also from all methods, once.
     """
 
     def __init__(self, path: Path) -> None:
         """Make the file; one that was there is replaced."""
-        try:
-            self._file = path.open("wb")
-        except OSError as error:
-            raise MavlinkError(f"{path}: cannot be written: {error.strerror}") from error
+        self._path, self._flushed = path, time.monotonic()
+        with self._refused():
+            # records are kept here: a file that had them could not be closed on a full disk
+            self._file = path.open("wb", buffering=0)
+        self._kept = bytearray()
 
     def write(self, time_us: int, frame: bytes) -> None:
         """Add a frame heard at this time, µs since 1970."""
-        self._file.write(_TIME.pack(time_us) + frame)
+        self._kept += _TIME.pack(time_us) + frame
+        if len(self._kept) > _KEPT or time.monotonic() - self._flushed > _FLUSH_S:
+            self._flush()
 
     def close(self) -> None:
         """Write what is left."""
-        self._file.close()
+        try:
+            self._flush()
+        finally:
+            self._file.close()
+
+    def _flush(self) -> None:
+        kept, self._kept, self._flushed = self._kept, bytearray(), time.monotonic()
+        rest = memoryview(kept)
+        with self._refused():
+            while rest:
+                rest = rest[self._file.write(rest) :]
+
+    @contextmanager
+    def _refused(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise MavlinkError(f"{self._path}: cannot be written: {error.strerror}") from error
 
     def __enter__(self) -> Self:
         """This log."""

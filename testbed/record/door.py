@@ -68,11 +68,15 @@ class LogError(InputError):
     """A log that cannot be read or written: which, where and why."""
 
 
+NOTHING = "was cut before its first frame: nothing was recorded"
+
+
 class LogFile:
     """An MCAP file being written.
 
     A thread of its own compresses chunks and writes them, for which it does not need the
-    interpreter. A record is in the file whole or not at all.
+    interpreter. A record is in the file whole or not at all. Before each the file is looked for:
+    one that nobody can find any more is not written on.
 
     Args:
         path: A file that does not exist.
@@ -100,7 +104,7 @@ class LogFile:
         self._schemas: dict[str, int] = {}  # numbers by name
         self._span_ns = (2**63, 0)
         self._summary: dict[Opcode, list[bytes]] = {group: [] for group in _GROUPS}
-        self._put(_MAGIC + _bytes(records.Header(profile="", library=_LIBRARY)))
+        self._put(_BEGINNING)
 
     def stream(self, topic: str, schema: Schema) -> Stream:
         """A stream of messages for the chunks of this file."""
@@ -193,6 +197,12 @@ class LogFile:
 
     def _put(self, data: bytes) -> None:
         rest = memoryview(data)
+        if not self._there():
+            self._file.close()
+            raise LogError(
+                f"{self.path}: the log is not there any more: {self.path.parent} was removed or "
+                "moved during the run"
+            )
         try:
             while rest:
                 rest = rest[self._file.write(rest) :]
@@ -202,6 +212,13 @@ class LogFile:
             self._file.close()
             raise LogError(f"{self.path}: cannot write the log: {error.strerror}") from error
         self._size += len(data)
+
+    def _there(self) -> bool:
+        """Whether the open file has its name still: a folder that is removed takes it along."""
+        try:
+            return os.path.samestat(os.stat(self.path), os.fstat(self._file.fileno()))
+        except OSError:
+            return False
 
     def _end(self) -> bytes:
         """Everything after the data: what is in the file and where, by groups of records."""
@@ -249,6 +266,9 @@ def _bytes(record: McapRecord) -> bytes:
     return bytes(out.end())
 
 
+_BEGINNING = _MAGIC + _bytes(records.Header(profile="", library=_LIBRARY))
+
+
 @dataclass(slots=True)
 class Messages:
     """The messages of a topic in the order of the file."""
@@ -264,6 +284,7 @@ class Contents:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
     messages: dict[str, Messages] = field(default_factory=dict)
+    begun: bool = False  # it begins as we begin one
     finished: bool = False  # the writer closed the file
     lost_bytes: int = 0  # of a record that was cut
 
@@ -278,10 +299,12 @@ def read(path: Path) -> Contents:
         data = path.read_bytes()
     except OSError as error:
         raise LogError(f"{path}: cannot read the log: {error.strerror}") from error
+    if _BEGINNING.startswith(data):
+        raise LogError(f"{path}: {NOTHING}")
     if not data.startswith(_MAGIC):
         raise LogError(f"{path}: not an MCAP file")
     sound, at = _sound(data), len(_MAGIC)
-    out = Contents(lost_bytes=len(data) - sound)
+    out = Contents(begun=data.startswith(_BEGINNING), lost_bytes=len(data) - sound)
     topics: dict[int, Messages] = {}
     source = io.BytesIO(data[:sound])
     try:

@@ -15,7 +15,8 @@ from testbed.record import door
 from testbed.record.door import Contents, LogError
 from testbed.record.header import from_json
 from testbed.record.messages import LOG_SCHEMA, STATE, TOPICS, Topic
-from testbed.record.recorder import CODE_ENDING, INFO_NAME, METRICS_NAME, SCENARIO_NAME
+from testbed.record.recorder import CODE_ENDING, INFO_NAME, METRICS_NAME
+from testbed.record.rundir import SCENARIO_NAME
 from testbed.record.wire import layout
 from testbed.rows import WHOLE
 from testbed.scenario import Scenario, loads
@@ -172,6 +173,8 @@ def _at(record: _RecordT, k: int) -> _RecordT:
 
 def _info(path: Path, contents: Contents) -> RunInfo:
     found = contents.metadata.get("testbed")
+    if contents.begun and not contents.finished and INFO_NAME not in contents.attachments:
+        raise LogError(f"{path}: {door.NOTHING}")
     if found is None or INFO_NAME not in contents.attachments:
         raise LogError(f"{path}: an MCAP file, but not a log of a testbed run")
     if found.get("log_schema") != str(LOG_SCHEMA):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -17,14 +18,16 @@ from testbed.record.columns import keep, unpack
 from testbed.record.door import FIX, LOG, TRANSFORMS, LogError, LogFile, log_line, schema
 from testbed.record.header import to_json
 from testbed.record.messages import LOG_SCHEMA, TOPICS, Topic
+from testbed.record.rundir import SCENARIO_NAME
 from testbed.record.transforms import Fixes, Transforms
 from testbed.record.wire import layout
 from testbed.state import Event, Frame, RunInfo
 
-SCENARIO_NAME, INFO_NAME, METRICS_NAME = "scenario.resolved.yaml", "run.json", "metrics.json"
+INFO_NAME, METRICS_NAME = "run.json", "metrics.json"
 CODE_ENDING = ".py"  # of what is attached as code that the page names
 FIX_HZ = 5
 FLUSH_S = 0.35  # of wall-clock time, at the latest: a kill loses less than half a second
+_SHORTEST_S = 0.005  # of the thread's sleep
 _CHUNK_AIRCRAFT_FRAMES = 800
 _WALL_CLOCK = ("wall_s", "real_time_factor")
 _NS = 10**9
@@ -37,13 +40,14 @@ class McapRecorder:
 
     Chunks end after a number of frames that depends on nothing but the number of aircraft, so the
     same scenario and seed give the same bytes; only a run so slow that such a chunk lasts longer
-    than `FLUSH_S` is cut sooner, which changes chunks and no message.
+    than `FLUSH_S` is cut sooner, which changes chunks and no message. A thread sees to that also
+    where no frame follows, as when the run waits for a program outside.
 
     Args:
         path: The file, which must not exist.
 
     Raises:
-        LogError: From `begin`, `observe` and `end`: the file cannot be written.
+        LogError: From all methods: the file cannot be written, or is not there any more.
     """
 
     borrows = True  # keeps no array of a frame
@@ -52,6 +56,9 @@ class McapRecorder:
         """See the class."""
         self._path = path
         self._file: LogFile | None = None
+        self._lock = threading.RLock()  # of all that follows
+        self._over = threading.Event()
+        self._trouble: Exception | None = None  # that the thread met
 
     def begin(self, info: RunInfo) -> None:
         """Create the file and write what is known before the first frame."""
@@ -71,19 +78,49 @@ class McapRecorder:
         self._fix_stride = max(1, round(info.frame_rate_hz / FIX_HZ))
         self._flushed = time.monotonic()
         self._file = file
+        threading.Thread(target=self._keep_up, name="log-clock", daemon=True).start()
 
     def observe(self, frame: Frame) -> None:
         """Take a frame; write the chunk when it is full or old."""
-        kept = self._kept
-        kept.append(frame)
-        count = len(kept.tick)
-        if frame.events:
-            self._events.extend((count - 1, event) for event in frame.events)
-        if count == self._full or time.monotonic() - self._flushed > FLUSH_S:
-            self.flush()
+        with self._lock:
+            self._complain()
+            kept = self._kept
+            kept.append(frame)
+            count = len(kept.tick)
+            if frame.events:
+                self._events.extend((count - 1, event) for event in frame.events)
+            if count == self._full or time.monotonic() - self._flushed > FLUSH_S:
+                self._flush()
 
     def flush(self) -> None:
         """Have everything seen so far written."""
+        with self._lock:
+            self._complain()
+            self._flush()
+
+    def _keep_up(self) -> None:
+        """Write what nobody else has written in time; a thread."""
+        left = FLUSH_S
+        while not self._over.wait(max(left, _SHORTEST_S)):
+            with self._lock:
+                if self._file is None:
+                    return
+                left = self._flushed + FLUSH_S - time.monotonic()
+                if left > 0.0:
+                    continue
+                left = FLUSH_S
+                try:
+                    self._flush()
+                except Exception as error:
+                    self._trouble = error  # the next who calls is told
+                    return
+
+    def _complain(self) -> None:
+        trouble, self._trouble = self._trouble, None
+        if trouble is not None:
+            raise trouble
+
+    def _flush(self) -> None:
         file = self._file
         if file is not None:
             strips = [*self._strips(file)] if self._kept.tick else []
@@ -106,23 +143,28 @@ class McapRecorder:
 
         The metrics are attached without wall-clock times, which differ from run to run.
         """
-        file = self._file
-        if file is None:
-            return
-        self._events.extend((len(self._kept.tick) - 1, event) for event in events)
-        self.flush()
-        timeless = {**summary, **{key: None for key in _WALL_CLOCK if key in summary}}
-        text = json.dumps(timeless, indent=2, ensure_ascii=False, allow_nan=False)
-        file.attachment(METRICS_NAME, "application/json", text.encode())
-        self.close()
+        with self._lock:
+            self._complain()
+            file = self._file
+            if file is None:
+                return
+            self._events.extend((len(self._kept.tick) - 1, event) for event in events)
+            self._flush()
+            timeless = {**summary, **{key: None for key in _WALL_CLOCK if key in summary}}
+            text = json.dumps(timeless, indent=2, ensure_ascii=False, allow_nan=False)
+            file.attachment(METRICS_NAME, "application/json", text.encode())
+            self.close()
 
     def close(self) -> None:
         """Finish the file; for a run that ends without metrics. Harmless when repeated."""
-        if self._file is not None:
-            file = self._file
-            self.flush()
-            self._file = None
-            file.close()
+        with self._lock:
+            self._over.set()
+            self._complain()
+            if self._file is not None:
+                file = self._file
+                self._flush()
+                self._file = None
+                file.close()
 
     def _open_streams(self, file: LogFile, names: tuple[str, ...]) -> None:
         self._tf, self._poses = file.stream("/tf", TRANSFORMS), Transforms("ned", names)

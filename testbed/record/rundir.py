@@ -11,7 +11,7 @@ from pathlib import Path
 from testbed.record.door import LogError
 
 LOGS = Path("logs")
-LOG_NAME = "run.mcap"
+LOG_NAME, SCENARIO_NAME = "run.mcap", "scenario.resolved.yaml"
 _ATTEMPTS = 100
 
 
@@ -47,6 +47,26 @@ def create_run_directory(scenario: str, *, out: Path | None = None, logs: Path =
     raise LogError(f"{parent}: no free name for a run directory; give one with --out DIR")
 
 
+def leave(directory: Path, name: str, data: bytes) -> None:
+    """Write a file of a run that has none of this name.
+
+    The first one claims a directory that was empty: of two runs that were given it at the same
+    moment one goes on.
+
+    Raises:
+        LogError: There is one, or it cannot be written.
+    """
+    try:
+        with open(directory / name, "xb") as file:
+            file.write(data)
+    except FileExistsError:
+        raise LogError(
+            f"--out {directory}: another run has just begun in it; name a new or an empty directory"
+        ) from None
+    except OSError as error:
+        raise LogError(f"{directory / name}: cannot be written: {error.strerror}") from error
+
+
 def find_run(run: str | Path, *, logs: Path = LOGS) -> Path:
     """The log of a run, named by its directory, by the `.mcap` file, or by its scenario.
 
@@ -64,6 +84,8 @@ def find_run(run: str | Path, *, logs: Path = LOGS) -> Path:
         runs = _runs(directory)
         if runs:
             return runs[-1] / LOG_NAME
+    if (path / SCENARIO_NAME).is_file():
+        raise LogError(f"{run}: no {LOG_NAME} in there: nothing was recorded")
     if path.is_dir():
         raise LogError(f"{run}: no {LOG_NAME} in there, and no runs below")
     known = sorted(p.name for p in logs.iterdir() if _runs(p)) if logs.is_dir() else []

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from testbed.errors import InputError
 from testbed.links.addresses import Address
 from testbed.scenario import Scenario
-from testbed.scenario.pilots import External
+from testbed.scenario.pilots import ArduPlane, External
 from testbed.sim.pace import Pace
 from testbed.sim.world import World
 from testbed.state import Event
@@ -117,3 +117,17 @@ def announcement(outside: Outside, page: Scenario) -> Iterator[str]:
         if not address.loopback:
             who_can = "who has the key" if outside.key else "anybody who reaches it"
             yield f"warning: {address.host} is not this machine alone: {who_can} can command"
+    for row, (name, asked) in enumerate((e.name, e.autopilot) for e in page.aircraft):
+        if isinstance(asked, ArduPlane):
+            # few pages need them
+            from testbed.ardupilot.link import HOST
+            from testbed.ardupilot.link import ports as ports_of
+
+            physics, mavlink = ports_of(row if asked.instance is None else asked.instance)
+            yield f"ArduPlane: {name} by {physics}/udp and {mavlink}/tcp of {HOST}"
+            if asked.start:
+                yield (
+                    f"warning: ArduPlane itself listens on {mavlink}, {mavlink + 2} and "
+                    f"{mavlink + 3}/tcp of every address of this machine: anybody who reaches it "
+                    f"can command {name}"
+                )

@@ -10,10 +10,10 @@ from typing import Any
 
 from testbed.metrics import MetricsObserver
 from testbed.metrics.document import write_json
-from testbed.record.door import LogError
+from testbed.record.door import NOTHING, LogError
 from testbed.record.read import Log, page_of, read_log, replay
-from testbed.record.recorder import McapRecorder
-from testbed.record.rundir import find_run
+from testbed.record.recorder import METRICS_NAME, McapRecorder
+from testbed.record.rundir import LOG_NAME, find_run
 from testbed.state import Event
 
 
@@ -43,10 +43,13 @@ def recover(run: str | Path) -> Recovered:
     """
     path = find_run(run)
     log = read_log(path)
+    beside = path.with_name(METRICS_NAME)
     if log.finished and log.metrics is not None:
+        if path.name == LOG_NAME and not beside.exists():  # it was killed between the two
+            write_json(beside, log.metrics)
         return Recovered(path, log.metrics, was_cut=False, lost_bytes=0)
     if not log.tick.size:
-        raise LogError(f"{path}: was cut before its first frame: there is nothing to recover")
+        raise LogError(f"{path}: {NOTHING}")
     fresh = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         metrics = _again(log, fresh)
@@ -57,7 +60,7 @@ def recover(run: str | Path) -> Recovered:
         raise LogError(f"{path}: cannot be replaced: {error.strerror}") from error
     finally:
         fresh.unlink(missing_ok=True)
-    write_json(path.with_name("metrics.json"), metrics)
+    write_json(beside, metrics)
     return Recovered(path, metrics, was_cut=True, lost_bytes=log.lost_bytes)
 
 

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from testbed.errors import InputError
 from testbed.metrics import MetricsObserver
 from testbed.metrics.document import complete, write_json
-from testbed.record.recorder import McapRecorder
-from testbed.record.rundir import LOGS, create_run_directory
+from testbed.record.recorder import METRICS_NAME, McapRecorder
+from testbed.record.rundir import LOG_NAME, LOGS, SCENARIO_NAME, create_run_directory, leave
 from testbed.scenario import Scenario, load
 from testbed.sim.gate import Gate
 from testbed.sim.loop import fly
@@ -104,18 +105,18 @@ def run(
         station = make_station(outside, world)
         if station:
             closing.callback(station.close)
-            for line in announcement(outside, page):
-                outside.tell(line)
+        for line in announcement(outside, page):
+            outside.tell(line)
         directory = create_run_directory(page.name, out=out) if write else None
         if directory:
-            (directory / "scenario.resolved.yaml").write_text(world.info.scenario_yaml)
+            leave(directory, SCENARIO_NAME, world.info.scenario_yaml.encode())
             for name, code in world.info.code.items():
-                (directory / name).write_bytes(code)
+                leave(directory, name, code)
         if station and directory and outside.tlog:
             station.keep(directory / "run.tlog")
         published = page.scenario.published
         meter = MetricsObserver(published=published.model_dump() if published else None)
-        log = [McapRecorder(directory / "run.mcap")] if directory and page.log.mcap else []
+        log = [McapRecorder(directory / LOG_NAME)] if directory and page.log.mcap else []
         watchers: list[Observer] = [meter, *log, *observers, *([station] if station else [])]
         began = time.perf_counter()
 
@@ -130,9 +131,17 @@ def run(
                     wall_s=wall,
                 )
             )
-            if directory:
-                write_json(directory / "metrics.json", metrics)
 
+        def document(_: object, error: BaseException | None, __: object) -> None:
+            # last, so that a log is finished where metrics are; of troubles the first is told
+            if directory and metrics:
+                try:
+                    write_json(directory / METRICS_NAME, metrics)
+                except InputError:
+                    if error is None:
+                        raise
+
+        closing.push(document)
         for watcher in watchers:
             watcher.begin(world.info)
             closing.callback(watcher.end, metrics, problem)
@@ -150,7 +159,7 @@ def run(
         except BaseException as error:
             now = meter.summary()["simulated_s"]
             problem.append(Event(now, "error", "run", f"failed: {error!r}"))
-            if directory:
+            if directory and (directory / LOG_NAME).exists():
                 error.add_note(f"log: {directory}")
             raise
     return Run(page, metrics, directory)

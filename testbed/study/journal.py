@@ -40,6 +40,10 @@ class Journal:
         self._numbers: dict[tuple[str, ...], int] = {}
         try:
             self._file: BinaryIO = path.open("xb+" if begun is not None else "rb+")
+        except FileExistsError:
+            raise InputError(
+                f"{path}: another sweep has just begun it (name another file with --out)"
+            ) from None
         except OSError as error:
             raise InputError(f"{path}: cannot be opened: {error.strerror}") from None
         try:

@@ -119,9 +119,9 @@ def sweep(
                 plan, ours, journal, _Writer(place, plan, journal, facts, refresh_s), progress
             )
             outcomes = Counter(row.outcome for row in journal.rows())
+            place.journal.unlink()  # while it is held: nobody goes on with what is complete
         finally:
             journal.close()
-        place.journal.unlink()
     return Swept(study, place.path, flown, _counted(outcomes))
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from testbed import __version__
 from testbed.errors import InputError
 from testbed.metrics.document import replacing, write_json
+from testbed.record.rundir import leave
 from testbed.scenario import dump_middle_loop, find_scenario, gains_of, library, load
 from testbed.scenario.yaml_door import write
 from testbed.study.tune_cost import said
@@ -38,7 +39,7 @@ class Keeper:
     def begin(self, first: Trial) -> None:
         """Write the page, and what the scenario had as the first trial."""
         page = self._tuner.tune.page
-        self._put(COPY, self._tuner.tune.study.text)
+        leave(self.out, COPY, self._tuner.tune.study.text.encode())  # which makes it ours
         runs = [f"cost of run {run.number}" for run in self._tuner.runs]
         head = ["trial", "generation", "cost", *page.gains, *runs]
         self._put(TRIALS, _line(head) + _line(_cells(first)))

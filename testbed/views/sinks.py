@@ -48,6 +48,13 @@ class LiveViewer:
     patient: bool = False
     at_s: float | None = None
 
+    @property
+    def address(self) -> str:
+        """Where it listens, in words."""
+        from testbed.views.viewer import HOST
+
+        return f"a Rerun viewer on {HOST}:{self.port}, which this machine alone reaches"
+
     def open(self, still: Scene) -> Outlet | None:
         """Start the process that feeds the viewer, or say why there will be no view."""
         from testbed.views.feeder import Feeder

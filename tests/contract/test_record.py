@@ -4,6 +4,7 @@ import io
 import json
 import os
 import resource
+import shutil
 import signal
 import struct
 import subprocess
@@ -385,6 +386,59 @@ def test_a_full_disk_leaves_a_readable_log_and_says_so(tmp_path):
     assert back.tick.size > 0
 
 
+def test_a_log_cut_before_its_first_frame_says_that_nothing_was_recorded(tmp_path):
+    """Wherever that is: in its first bytes, in what is attached, in the first frames' chunk."""
+    whole = record(tmp_path / "run.mcap", run_frames(3)).read_bytes()
+    path = tmp_path / "cut.mcap"
+    ends = [*range(60), *range(60, 20_000, 97)]
+    told = 0
+    for end in ends:
+        path.write_bytes(whole[:end])
+        try:
+            log = read_log(path)
+        except LogError as error:
+            told += 1
+            assert str(error) == f"{path}: was cut before its first frame: nothing was recorded"
+        else:
+            assert told > 60 and log.info.names == run_info().names
+    assert told > 60
+
+
+def test_what_was_flown_is_written_though_no_frame_follows(tmp_path):
+    """A run may wait for a program outside, for long, and be killed then."""
+    log = McapRecorder(tmp_path / "run.mcap")
+    log.begin(run_info())
+    time.sleep(recorder.FLUSH_S / 2)
+    for frame in run_frames(10):
+        log.observe(frame)
+    time.sleep(0.5)
+    assert read_log(tmp_path / "run.mcap").tick.size == 10
+    log.end({}, ())
+    assert read_log(tmp_path / "run.mcap").tick.size == 10
+
+
+@pytest.mark.parametrize("gone", ["removed", "moved", "replaced"])
+def test_a_log_that_nobody_can_find_any_more_is_not_written_on(tmp_path, gone):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    log = McapRecorder(folder / "run.mcap")
+    log.begin(run_info())
+    if gone == "removed":
+        shutil.rmtree(folder)
+    else:
+        folder.rename(tmp_path / "elsewhere")
+    if gone == "replaced":
+        folder.mkdir()
+        (folder / "run.mcap").write_bytes(b"another")
+    begun = time.monotonic()
+    with pytest.raises(LogError, match=r"run\.mcap: the log is not there any more: .* moved"):
+        for frame in run_frames(2000):
+            log.observe(frame)
+            time.sleep(0.01)
+            assert time.monotonic() - begun < 2.0
+    log.end({}, ())  # which has been said
+
+
 def test_damage_is_told_from_a_cut(tmp_path):
     whole = record(tmp_path / "run.mcap", run_frames(160)).read_bytes()
     path = tmp_path / "bad.mcap"
@@ -405,7 +459,10 @@ def test_damage_is_told_from_a_cut(tmp_path):
 
 @pytest.mark.parametrize(
     ("data", "message"),
-    [(b"", "not an MCAP file"), (b"\x89MCAP0\r\n" + b"\x0f" * 40, "not a log of a testbed run")],
+    [
+        (b"a text", "not an MCAP file"),
+        (b"\x89MCAP0\r\n" + b"\x0f" * 40, "not a log of a testbed run"),
+    ],
 )
 def test_another_file_is_refused(tmp_path, data, message):
     path = tmp_path / "other.mcap"
