@@ -1,11 +1,13 @@
 """Runs as processes of their own that are killed, and what they had done by then."""
 
+import json
 import os
 import signal
 import struct
 import subprocess
 import sys
 import time
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,30 +16,64 @@ from commands import environment
 from record_flight import RECORDS
 
 LONGEST_S = 0.5  # of the clock on the wall, of what was flown and is not in the log
-SECONDS = 150.0  # of the flights
+SECONDS = 100.0  # of the flights
 PAGE = "simulation-3"
 PATIENCE_S = 120.0
 _NOTE = struct.Struct("dd")
 
-# `testbed run`, and after each frame the moment and its time, past all buffers.
-NOTING = """
-import os, struct, sys, time
+# Forks a `testbed run` for each line it is told, and tells its id and how it ended. After each
+# frame a run notes the moment and its time, past all buffers.
+_FORKING = """
+import json, os, struct, sys, time
 import testbed.console
+from testbed.cli import main
+from testbed.scenario import load, shorten
+from testbed.sim.run import run
 
-paper = os.open(sys.argv.pop(1), os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+run(shorten(load("simulation-3"), 0.1), write=False)  # loads what flights need
 
 class Notes:
     borrows = True
+    def __init__(self, paper):
+        self.paper = os.open(paper, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     def begin(self, info): pass
     def observe(self, frame):
-        os.write(paper, struct.pack("dd", time.monotonic(), frame.time_s))
+        os.write(self.paper, struct.pack("dd", time.monotonic(), frame.time_s))
     def end(self, summary, events): pass
 
-run = testbed.console.run
-testbed.console.run = lambda *a, observers=(), **k: run(*a, observers=[*observers, Notes()], **k)
-from testbed.cli import main
-main()
+print("ready", flush=True)
+for line in sys.stdin:
+    paper, *arguments = json.loads(line)
+    child = os.fork()
+    if not child:
+        notes = Notes(paper)
+        testbed.console.run = lambda *a, observers=(), **k: run(
+            *a, observers=[*observers, notes], **k
+        )
+        sys.argv = ["testbed", *arguments]
+        main()
+        sys.exit()
+    print(child, flush=True)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 """
+
+
+@contextmanager
+def hangar():
+    """Where runs are begun."""
+    with subprocess.Popen(
+        [sys.executable, "-c", _FORKING],
+        env=environment(100),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as process:
+        try:
+            assert process.stdout.readline() == "ready\n"
+            yield process
+        finally:
+            os.killpg(process.pid, signal.SIGKILL)
 
 
 @dataclass
@@ -76,35 +112,33 @@ def moments(count, seed):
             pace = [1.0, 0.2, 20.0, 1.0, 0.05][k // 4 % 5]
             yield Moment("log", rng.uniform(0.0, 2.5), pace=pace)
         elif k % 4 == 2:
-            yield Moment("start", rng.uniform(0.0, 4.0))
+            yield Moment("start", rng.uniform(0.0, 1.5))
         else:
             yield Moment("end", rng.uniform(0.0, 0.15), seconds=2.0)
 
 
-def kill(folder, moment):
+def kill(hangar, folder, moment):
     """Fly and kill."""
     out, paper = folder / "run", folder / "notes"
-    command = [sys.executable, "-c", NOTING, str(paper), "run", PAGE, "--quiet"]
-    command += ["--out", str(out), f"--duration={moment.seconds:g}", f"--pace={moment.pace:g}"]
-    with subprocess.Popen(
-        command, cwd=folder, env=environment(100), stderr=subprocess.PIPE, text=True
-    ) as process:
-        try:
-            stop = time.monotonic() + PATIENCE_S
-            while not _begun(moment, out, paper) and process.poll() is None:
-                assert time.monotonic() < stop, "it did not begin"
-                time.sleep(0.002)
-            time.sleep(moment.wait_s)
-            sockets = _sockets(process.pid)
-            killed = time.monotonic()
-            process.send_signal(signal.SIGKILL)
-            said = process.communicate()[1]
-        finally:
-            process.kill()
-    assert process.returncode in (0, -signal.SIGKILL), said
+    command = ["run", PAGE, "--quiet", "--out", str(out)]
+    command += [f"--duration={moment.seconds:g}", f"--pace={moment.pace:g}"]
+    hangar.stdin.write(json.dumps([str(paper), *command]) + "\n")
+    hangar.stdin.flush()
+    process = int(hangar.stdout.readline())
+    stop = time.monotonic() + PATIENCE_S
+    while not _begun(moment, out, paper):
+        assert time.monotonic() < stop, "it did not begin"
+        time.sleep(0.002)
+    time.sleep(moment.wait_s)
+    sockets = _sockets(process)
+    killed = time.monotonic()
+    with suppress(ProcessLookupError):  # it has ended by itself
+        os.kill(process, signal.SIGKILL)
+    code = int(hangar.stdout.readline())
+    assert code in (0, -signal.SIGKILL)
     notes = paper.read_bytes() if paper.exists() else b""
     whole = notes[: len(notes) // _NOTE.size * _NOTE.size]
-    return Killed(out, killed, process.returncode == 0, sockets, [*_NOTE.iter_unpack(whole)])
+    return Killed(out, killed, code == 0, sockets, [*_NOTE.iter_unpack(whole)])
 
 
 def _begun(moment, out, paper):

@@ -5,15 +5,18 @@ TESTBED_KILLS: how many runs are killed; each is a process of its own.
 
 import json
 import os
+import time
 
 import pytest
 from commands import call_command
-from killing import LONGEST_S, PAGE, SECONDS, assert_same_beginning, kill, moments
+from killing import LONGEST_S, PAGE, SECONDS, assert_same_beginning, hangar, kill, moments
+from together import together
 
 import testbed
 from testbed.record.door import LogError
 from testbed.record.read import read_log
 from testbed.scenario import load, shorten
+from testbed.sim.recover import recover
 
 KILLS = int(os.environ.get("TESTBED_KILLS", "4"))
 SEED = 20261122
@@ -28,6 +31,12 @@ def whole(tmp_path_factory):
     return out, read_log(out / LOG)
 
 
+@pytest.fixture(scope="module")
+def ours():
+    with hangar() as process:
+        yield process
+
+
 def errors(done):
     """What a command that failed said: one line."""
     lines = done.stderr.strip().splitlines()
@@ -40,10 +49,12 @@ def command(*arguments, cwd, code):
 
 
 @pytest.mark.parametrize("number", range(KILLS))
-def test_a_run_that_is_killed_at_any_moment_is_recovered(number, whole, tmp_path, record_property):
+def test_a_run_that_is_killed_at_any_moment_is_recovered(
+    number, whole, ours, tmp_path, record_property
+):
     """SIGKILL: half a second of the clock on the wall is missing at most, and no bit is wrong."""
     moment = [*moments(KILLS, SEED)][number]
-    run = kill(tmp_path, moment)
+    run = kill(ours, tmp_path, moment)
     assert run.sockets == 0  # nobody asked for one
     try:
         before = read_log(run.out / LOG)
@@ -68,3 +79,111 @@ def test_a_run_that_is_killed_at_any_moment_is_recovered(number, whole, tmp_path
     assert outcome == after.metrics["outcome"] == ("flown" if before.finished else "interrupted")
     assert (run.out / PAGE_FILE).read_text() == after.info.scenario_yaml
     assert load(run.out / PAGE_FILE).scenario.duration_s == moment.seconds
+
+
+FLY = ("testbed", "run", PAGE, "--quiet")
+
+
+def mounts(folder, options):
+    """A small file system of its own there."""
+    return ("sh", "-c", f"mkdir -p {folder} && mount -t tmpfs -o {options} tmpfs {folder}")
+
+
+def kept(folder, into):
+    """What is in it, for when it is gone with who mounted it."""
+    return ("cp", "-r", folder, into)
+
+
+def test_a_file_system_that_is_full_or_read_only_is_one_line_and_the_log_is_readable(tmp_path):
+    disk, tiny, fixed = (tmp_path / name for name in ("disk", "tiny", "fixed"))
+    alone, logged = ("--out", disk / "run"), ("--tlog", "--set=log.mcap=false")
+    *_, full, _, again, _, tlog, _, _, begun, _, new, empty, default, _ = together(
+        tmp_path,
+        [mounts(disk, "size=1500k")],
+        [(*FLY, *alone)],
+        [kept(disk, "full")],
+        [("testbed", "recover", disk / "run")],
+        [("sh", "-c", f"rm -rf {disk}/*")],
+        [(*FLY, *alone, *logged)],
+        [kept(disk, "telemetry")],
+        [mounts(tiny, "size=8k")],
+        [(*FLY, "--out", tiny / "run")],
+        [("sh", "-c", f"mkdir -p {fixed} && mount -t tmpfs -o ro tmpfs {fixed}")],
+        [(*FLY, "--out", fixed / "run")],
+        [(*FLY, "--out", fixed)],
+        [("cd", fixed, *FLY)],
+        [("true",)],
+        apart=True,
+    )
+    ((full,), (again,), (tlog,), (begun,), (new,), (empty,), (default,)) = (
+        full, again, tlog, begun, new, empty, default
+    )  # fmt: skip
+    assert full.error == f"error: {disk}/run/{LOG}: cannot write the log: No space left on device"
+    assert full.stderr.splitlines()[1:] == [f"log: {disk}/run"]
+    log = read_log(tmp_path / "full" / "run" / LOG)
+    assert log.tick.size > 200 and log.lost_bytes == 0 and not log.finished
+    assert f"{disk}/run: " in again.error or LOG in again.error
+    assert "No space left on device" in again.error
+    assert tlog.error.endswith("run.tlog: cannot be written: No space left on device")
+    assert begun.error.endswith(": No space left on device")
+    for each, words in ((new, "cannot make the run directory"), (empty, "not writable")):
+        assert f"{fixed}" in each.error and words in each.error, each.error
+    assert "logs/simulation-3: cannot make the run directory: Read-only" in default.error
+    assert {each.code for each in (full, again, tlog, begun, new, empty, default)} == {2}
+    recovered = recover(tmp_path / "full" / "run")  # where there is room
+    assert recovered.was_cut and read_log(recovered.log).tick.size == log.tick.size
+
+
+def test_a_directory_that_vanishes_in_mid_flight_ends_the_run_with_its_name(tmp_path):
+    """Rather than flying on for a log that nobody can find, and calling that a success."""
+    large = '[ "$(stat -c %s run/run.mcap 2>/dev/null || echo 0)" -gt 200000 ]'
+    deeds = [
+        f"until {large}; do sleep 0.02; done; {deed}" for deed in ("rm -rf run", "mv run away")
+    ]
+    flight = (*FLY, "--out", "run", "--pace=20")  # 54 s
+    begun = time.monotonic()
+    pairs = together(tmp_path, *([flight, ("sh", "-c", deed)] for deed in deeds))
+    assert time.monotonic() - begun < 54.0
+    for flown, _ in pairs:
+        assert flown.code == 2
+        assert flown.error == (
+            f"error: run/{LOG}: the log is not there any more: run was removed or moved during the "
+            "run"
+        )
+        assert flown.stderr.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+    assert read_log(tmp_path / "away" / LOG).tick.size > 100
+
+
+def test_runs_that_begin_at_the_same_moment_do_not_collide(tmp_path):
+    """In one directory each has its own; of those that are given one place, one has it."""
+    short = (*FLY, "--duration=0.2")
+    rounds = 2
+    free = [[(*short, f"--seed={k}") for k in (1, 2)]] * rounds
+    bound = [
+        [(*short, "--out", f"one-{number}", f"--seed={k}") for k in (1, 2)]
+        for number in range(rounds)
+    ]
+    ended = together(tmp_path, *free, *bound)
+    assert all(run.code == 0 for pair in ended[:rounds] for run in pair)
+    found = [*(tmp_path / "logs" / PAGE).iterdir()]
+    assert len(found) == 2 * rounds
+    seeds = []
+    for run in found:
+        log, metrics = read_log(run / LOG), json.loads((run / METRICS).read_text())
+        assert log.finished and log.info.seed == metrics["seed"]
+        assert load(run / PAGE_FILE).scenario.seed == metrics["seed"]
+        seeds.append(metrics["seed"])
+    assert sorted(seeds) == [1] * rounds + [2] * rounds
+    for number, pair in enumerate(ended[rounds:]):
+        assert sorted(run.code for run in pair) == [0, 2], pair
+        (winner,) = [k for k, run in enumerate(pair, 1) if run.code == 0]
+        (refused,) = [run for run in pair if run.code == 2]
+        assert f"--out one-{number}: " in refused.error
+        assert "name a new or an empty directory" in refused.error
+        run = tmp_path / f"one-{number}"
+        assert {each.name for each in run.iterdir()} == {LOG, PAGE_FILE, METRICS}
+        log = read_log(run / LOG)
+        assert log.finished and log.info.seed == winner
+        assert load(run / PAGE_FILE).scenario.seed == winner
+        assert json.loads((run / METRICS).read_text())["seed"] == winner

@@ -13,6 +13,8 @@ import study_pages as pages
 from commands import call_command, environment
 
 from testbed.errors import InputError
+from testbed.study.journal import Journal
+from testbed.study.places import find_file
 from testbed.study.rows import flatten
 from testbed.study.sweep import sweep
 from testbed.study.table import read_rows, read_table
@@ -195,6 +197,28 @@ def test_two_sweeps_do_not_write_one_file(desk, here, tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         sweep("small.yaml", out, progress=progress)
+
+
+def test_two_sweeps_that_begin_at_once_do_not_write_one_file(desk, here, tmp_path, monkeypatch):
+    """Neither has seen the other's file when it looks; and nobody goes on with a complete one."""
+    out = tmp_path / "study.parquet"
+    looked = find_file("small", out, resume=False)
+
+    def progress(done, of):
+        with pytest.raises(InputError, match=r"study\.journal: another sweep has just begun it"):
+            sweep("small.yaml", out)
+
+    close = Journal.close
+
+    def held(journal):
+        assert not journal.path.exists()
+        close(journal)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("testbed.study.sweep.find_file", lambda *_, **__: looked)
+        patch.setattr(Journal, "close", held)
+        sweep("small.yaml", out, progress=progress)
+    assert same(desk, out)
 
 
 BAD = """
