@@ -57,7 +57,8 @@ clients: $(CLIENTS_STAMP)
 
 # Everything: the tests, all starts of the theorem, the air's and the network's statistics on more
 # samples, broken MAVLink and flight logs, real time with nothing else running, a study whose processes
-# are killed, every golden table, and a release made and flown from a fresh environment.
+# are killed, 200 runs killed at any moment, every golden table, and a release made and flown from a fresh
+# environment.
 check-all: test release
 	@TESTBED_STARTS=1000 $(BIN)/pytest -q tests/theorems/test_theorem_many_starts.py
 	@TESTBED_AIR_SAMPLES=60 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_air_dryden.py \
@@ -72,6 +73,7 @@ check-all: test release
 	@TESTBED_QUIET=1 $(BIN)/pytest -q tests/clients/test_real_time.py
 	@TESTBED_WHOLE=1 $(BIN)/pytest -q -n $(JOBS) tests/golden
 	@TESTBED_STUDIES=1 $(BIN)/pytest -q tests/contract/test_sweep.py
+	@TESTBED_KILLS=200 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_endings.py
 	@TESTBED_ARDUPLANE_WHOLE=1 $(BIN)/pytest -q tests/contract/test_arduplane.py
 	@$(BIN)/testbed check --jobs $(JOBS)
 

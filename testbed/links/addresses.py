@@ -23,6 +23,14 @@ _REMEDY = (
 )
 
 
+def is_loopback(host: str) -> bool:
+    """Whether a name or a number is of this computer alone."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
 @dataclass(frozen=True, slots=True)
 class Address:
     """One address as it was given.
@@ -47,10 +55,7 @@ class Address:
     @property
     def loopback(self) -> bool:
         """Whether only this computer is reached."""
-        try:
-            return ipaddress.ip_address(self.host).is_loopback
-        except ValueError:
-            return self.host == "localhost"
+        return is_loopback(self.host)
 
     def of(self, row: int, name: str = "") -> Address:
         """Where the aircraft of this row is reached.

@@ -7,10 +7,13 @@ by a path where this machine has it. A worker flies one page at a time, whatever
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from concurrent.futures import Future
 from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
 
 from testbed.errors import InputError
+from testbed.links.addresses import is_loopback
 from testbed.study.crew import Flown, Task, fly
 
 if TYPE_CHECKING:
@@ -19,6 +22,18 @@ if TYPE_CHECKING:
 CONNECT_S = 10.0
 WORKERS_S = 30.0  # for the first worker to appear
 _LOOK_S = 5.0  # between two looks at how many there are
+
+
+def notices(scheduler: str) -> Iterator[str]:
+    """What people should know of a cluster: where it is, and whom they trust."""
+    yield f"cluster: {scheduler}"
+    place = scheduler if "://" in scheduler else f"tcp://{scheduler}"
+    host = urlsplit(place).hostname or scheduler
+    if not is_loopback(host):
+        yield (
+            f"warning: {host} is not this machine alone: pages go there, and who has it can run "
+            "code here (Dask's own TLS keeps others away)"
+        )
 
 
 class Cluster:

@@ -19,6 +19,7 @@ from testbed.scenario import Scenario, dump
 from testbed.scenario.messages import ScenarioError
 from testbed.sim.world import versions
 from testbed.study.checks import check
+from testbed.study.cluster import notices
 from testbed.study.crew import FLOWN, Crew, Flown, Task, crew
 from testbed.study.golden_page import differences, digests, page_kept
 from testbed.study.journal import Journal
@@ -102,6 +103,9 @@ def sweep(
         f"{len(plan.seeds)} seeds; {checked.points:,} pages read in "
         f"{time.monotonic() - began:.1f} s"
     )
+    if backend == "dask" and scheduler is not None:
+        for line in notices(scheduler):
+            tell(line)
     with crew(jobs=jobs, backend=backend, scheduler=scheduler) as ours:
         place = find_file(study.name, out, resume=resume)
         tell(f"file: {place.path}")

@@ -1,6 +1,7 @@
 """The command line: what it prints, what it leaves, and its exit codes."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -222,6 +223,24 @@ def test_json_to_stdout_is_json_alone(tmp_path):
     assert metrics == json.loads((tmp_path / "empty" / "metrics.json").read_text())
     assert "smallest separation" in done.stderr
     assert files(tmp_path) == {"empty/metrics.json", "empty/scenario.resolved.yaml"}
+
+
+def test_a_reader_of_the_table_who_leaves_is_not_an_aircraft_that_was_lost(tmp_path):
+    read, write = os.pipe()
+    os.close(read)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "testbed", "run", "simulation-3", "--duration=1", "--out=run"],
+            cwd=tmp_path,
+            env=ENV,
+            stdout=write,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+    finally:
+        os.close(write)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert json.loads((tmp_path / "run" / "metrics.json").read_text())["outcome"] == "flown"
 
 
 def test_settings_reach_the_flight(tmp_path):

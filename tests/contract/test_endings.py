@@ -49,9 +49,7 @@ def command(*arguments, cwd, code):
 
 
 @pytest.mark.parametrize("number", range(KILLS))
-def test_a_run_that_is_killed_at_any_moment_is_recovered(
-    number, whole, ours, tmp_path, record_property
-):
+def test_a_run_that_is_killed_at_any_moment_is_recovered(number, whole, ours, tmp_path):
     """SIGKILL: half a second of the clock on the wall is missing at most, and no bit is wrong."""
     moment = [*moments(KILLS, SEED)][number]
     run = kill(ours, tmp_path, moment)
@@ -64,7 +62,7 @@ def test_a_run_that_is_killed_at_any_moment_is_recovered(
         frames = 0
     missing = run.missing_s(float(before.time_s[-1]) if frames else -1.0)
     facts = {"after": moment.after, "pace": moment.pace, "frames": frames, "missing_s": missing}
-    record_property("killed", json.dumps({**facts, "ended": run.ended}))
+    print(json.dumps({**facts, "ended": run.ended}))  # pytest -rP shows it
     assert missing <= LONGEST_S
     if not frames:
         said = errors(command("recover", run.out, cwd=tmp_path, code=2))
@@ -99,7 +97,7 @@ def test_a_file_system_that_is_full_or_read_only_is_one_line_and_the_log_is_read
     alone, logged = ("--out", disk / "run"), ("--tlog", "--set=log.mcap=false")
     *_, full, _, again, _, tlog, _, _, begun, _, new, empty, default, _ = together(
         tmp_path,
-        [mounts(disk, "size=1500k")],
+        [mounts(disk, "size=700k")],
         [(*FLY, *alone)],
         [kept(disk, "full")],
         [("testbed", "recover", disk / "run")],
@@ -121,7 +119,7 @@ def test_a_file_system_that_is_full_or_read_only_is_one_line_and_the_log_is_read
     assert full.error == f"error: {disk}/run/{LOG}: cannot write the log: No space left on device"
     assert full.stderr.splitlines()[1:] == [f"log: {disk}/run"]
     log = read_log(tmp_path / "full" / "run" / LOG)
-    assert log.tick.size > 200 and log.lost_bytes == 0 and not log.finished
+    assert log.tick.size > 100 and log.lost_bytes == 0 and not log.finished
     assert f"{disk}/run: " in again.error or LOG in again.error
     assert "No space left on device" in again.error
     assert tlog.error.endswith("run.tlog: cannot be written: No space left on device")
@@ -137,9 +135,7 @@ def test_a_file_system_that_is_full_or_read_only_is_one_line_and_the_log_is_read
 def test_a_directory_that_vanishes_in_mid_flight_ends_the_run_with_its_name(tmp_path):
     """Rather than flying on for a log that nobody can find, and calling that a success."""
     large = '[ "$(stat -c %s run/run.mcap 2>/dev/null || echo 0)" -gt 200000 ]'
-    deeds = [
-        f"until {large}; do sleep 0.02; done; {deed}" for deed in ("rm -rf run", "mv run away")
-    ]
+    deeds = [f"until {large}; do sleep 0.02; done; {deed}" for deed in ("rm -r run", "mv run away")]
     flight = (*FLY, "--out", "run", "--pace=20")  # 54 s
     begun = time.monotonic()
     pairs = together(tmp_path, *([flight, ("sh", "-c", deed)] for deed in deeds))

@@ -6,6 +6,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from commands import call_command
 from links_cockpit import TO, Notebook, frame, info
 
 from testbed.errors import InputError
@@ -359,6 +360,49 @@ def test_signed_words_are_believed_and_others_counted_and_reported_once(opened):
         assert [event.level for event in first] == ([] if believed else ["warning"])
         assert later == []
         ground.socket.close()
+
+
+def test_what_was_signed_before_or_long_ago_is_not_believed(opened):
+    key = Signing(KEY, time=signing_time(EPOCH_US * 1e-6))
+    notebook, ground = Notebook(), Ground(signing=key)
+    station = opened(out(ground), notebooks=[notebook], signing=key)
+    station.observe(frame())
+    _, ground.peer = ground.socket.recvfrom(65536)
+    said = ground.codec.pack("COMMAND_LONG", **ARM, param1=1.0)
+    for _ in range(3):
+        ground.socket.sendto(said, ground.peer)
+    station.poll(0.0)
+    assert len(notebook.calls) == 1
+    assert station.summary()["refused"] == {"replayed": 2}
+    # by another who has the key, in a minute that is over
+    old = Codec(254, 190, Signing(KEY, time=key.time - 61 * 100_000))
+    ground.socket.sendto(old.pack("COMMAND_LONG", **ARM, param1=1.0), ground.peer)
+    station.poll(0.1)
+    assert len(notebook.calls) == 1
+    assert station.summary()["refused"] == {"replayed": 3}
+    assert [event.level for event in station.news()] == ["warning"]
+    ground.say("COMMAND_LONG", **ARM, param1=1.0)
+    station.poll(0.2)
+    assert len(notebook.calls) == 2
+    ground.socket.close()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (None, "cannot read this key"),
+        ("  \n", "empty; write a passphrase or 64 hexadecimal digits"),
+        ("ab" * 20, "40 hexadecimal digits; write 64, or a passphrase"),
+    ],
+)
+def test_a_key_that_is_missing_or_cut_is_refused_before_anything_is_opened(tmp_path, text, words):
+    path = tmp_path / "key"
+    if text is not None:
+        path.write_text(text)
+    arguments = ("run", "simulation-3", "--mavlink", "14659", "--mavlink-key", path)
+    said = call_command(*arguments, cwd=tmp_path, code=2, columns=200).stderr
+    assert f"{path}: " in said and words in said
+    assert "MAVLink:" not in said and not (tmp_path / "logs").exists()
 
 
 def test_the_table_says_why_somebody_was_not_believed():

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from testbed.record.door import LogError
-from testbed.record.rundir import LOG_NAME, create_run_directory, find_run
+from testbed.record.rundir import LOG_NAME, create_run_directory, find_run, leave
 
 
 def flown(directory):
@@ -41,6 +41,16 @@ def test_a_named_directory_that_holds_something_is_refused(tmp_path):
     flown(tmp_path)
     with pytest.raises(LogError, match="not empty; name a new or an empty directory"):
         create_run_directory("s", out=tmp_path)
+
+
+def test_of_two_that_find_a_directory_empty_the_first_to_write_has_it(tmp_path):
+    mine, other = (create_run_directory("s", out=tmp_path / "run") for _ in range(2))
+    leave(mine, "page", b"mine")
+    with pytest.raises(LogError, match=r"run: another run has just begun in it; name a new"):
+        leave(other, "page", b"its")
+    assert (tmp_path / "run" / "page").read_bytes() == b"mine"
+    with pytest.raises(LogError, match=r"gone/page: cannot be written: No such file"):
+        leave(tmp_path / "gone", "page", b"")
 
 
 def test_a_file_in_the_way_is_refused(tmp_path):
@@ -90,5 +100,8 @@ def test_a_run_that_is_not_there_is_explained(tmp_path):
         find_run("unknown", logs=tmp_path)
     with pytest.raises(LogError, match="no runs yet"):
         find_run("unknown", logs=tmp_path / "none")
-    with pytest.raises(LogError, match=r"no run\.mcap in there"):
+    with pytest.raises(LogError, match=r"no run\.mcap in there, and no runs below"):
+        find_run(tmp_path / "empty", logs=tmp_path)
+    (tmp_path / "empty" / "scenario.resolved.yaml").touch()
+    with pytest.raises(LogError, match=r"no run\.mcap in there: nothing was recorded"):
         find_run(tmp_path / "empty", logs=tmp_path)

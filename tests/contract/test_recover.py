@@ -94,6 +94,17 @@ def test_the_command_says_what_it_found(cut):
     call_command("report", run, cwd=run.parent, code=0, columns=100)
 
 
+def test_metrics_that_were_not_written_any_more_are_those_of_the_finished_log(whole, cut):
+    """Killed between the two."""
+    run = cut(1.0)
+    kept = (run / "run.mcap").read_bytes()
+    assert not recover(run).was_cut
+    told = json.loads((run / "metrics.json").read_text())
+    of_the_day = {"wall_s": None, "real_time_factor": None}
+    assert told == json.loads((whole / "metrics.json").read_text()) | of_the_day
+    assert (run / "run.mcap").read_bytes() == kept
+
+
 def test_a_log_without_a_frame_stays_as_it_is(cut):
     run = cut(1.0)
     log = (run / "run.mcap").read_bytes()

@@ -205,8 +205,10 @@ def test_two_sweeps_that_begin_at_once_do_not_write_one_file(desk, here, tmp_pat
     looked = find_file("small", out, resume=False)
 
     def progress(done, of):
-        with pytest.raises(InputError, match=r"study\.journal: another sweep has just begun it"):
+        with pytest.raises(InputError, match=r"study\.journal: another sweep is at work on it"):
             sweep("small.yaml", out)
+        with pytest.raises(InputError, match=r"study\.journal: another sweep has just begun it"):
+            Journal(looked.journal, {})
 
     close = Journal.close
 

@@ -1,0 +1,112 @@
+"""What is opened to programs outside: this machine alone unless asked, and said aloud."""
+
+import os
+import socket
+from pathlib import Path
+
+import pytest
+
+from testbed.links.addresses import parse_address
+from testbed.links.endpoint import Endpoint
+from testbed.scenario import load
+from testbed.sim.outside import Outside, announcement
+from testbed.study.cluster import notices
+from testbed.views import LiveViewer, viewer
+
+KEY = bytes(32)
+LOOPBACK = "0100007F", "0" * 24 + "01000000"  # as Linux's tables have it
+PORT = 14650
+
+
+def said(*addresses, page="simulation-3", changes=(), **more):
+    outside = Outside(mavlink=tuple(map(parse_address, addresses)), **more)
+    return list(announcement(outside, load(page, changes)))
+
+
+@pytest.mark.parametrize("text", [str(PORT), f"udpout::{PORT}", f"udpin::{PORT}", f"udp::{PORT}"])
+def test_a_link_without_a_host_is_for_this_machine_alone_and_is_said(text):
+    address = parse_address(text)
+    endpoint = Endpoint(address, lambda: 0.0)
+    try:
+        with socket.socket(fileno=os.dup(endpoint.fileno())) as ours:
+            assert ours.getsockname()[0] == "127.0.0.1"
+    finally:
+        endpoint.close()
+    (line,) = said(text)
+    assert line == f"MAVLink: leader to uav3 are systems 1 to 4, {address}, as fast as it flies"
+    assert f"127.0.0.1:{PORT}" in line
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.7", "example.org"])
+@pytest.mark.parametrize(
+    ("key", "who"), [(None, "anybody who reaches it"), (KEY, "who has the key")]
+)
+def test_any_other_address_is_warned_of_by_name(host, key, who):
+    first, warning = said(f"udpin:{host}:{PORT}", key=key)
+    assert f"udpin:{host}:{PORT}" in first and ("signed" in first) == (key is not None)
+    assert warning == f"warning: {host} is not this machine alone: {who} can command"
+    lines = said(str(PORT), f"udpout:{host}:{PORT}", key=key)
+    assert [line.startswith("warning") for line in lines] == [False, False, True]
+
+
+def test_where_arduplane_listens_is_said_for_it_chooses_itself():
+    changes = ["fleet.1.autopilot={kind: ardupilot, instance: 7}"]
+    line, warning = said(changes=changes)
+    assert line == "ArduPlane: uav2 by 9072/udp and 5830/tcp of 127.0.0.1"
+    assert warning.startswith(
+        "warning: ArduPlane itself listens on 5830, 5832 and 5833/tcp of every"
+    )
+    assert warning.endswith("can command uav2")
+    (line,) = said(changes=["fleet.1.autopilot={kind: ardupilot, start: false}"])
+    assert line == "ArduPlane: uav2 by 9022/udp and 5780/tcp of 127.0.0.1"
+
+
+def test_who_flies_alone_opens_nothing():
+    assert said() == []
+
+
+@pytest.mark.parametrize(
+    ("scheduler", "warned"),
+    [
+        ("tcp://127.0.0.1:8786", False),
+        ("tcp://localhost:8786", False),
+        ("tcp://[::1]:8786", False),
+        ("10.0.0.4:8786", True),
+        ("tcp://cluster.example.org:8786", True),
+    ],
+)
+def test_a_cluster_is_said_and_warned_of_where_it_is_elsewhere(scheduler, warned):
+    first, *more = notices(scheduler)
+    assert first == f"cluster: {scheduler}"
+    assert len(more) == warned
+    host = scheduler.removeprefix("tcp://").removesuffix(":8786")
+    assert all(each.startswith(f"warning: {host} is not this machine") for each in more)
+
+
+def listening(process):
+    """Addresses, as Linux's tables have them, on which a group of processes listens or hears."""
+    found = {}
+    for table in ("tcp", "tcp6", "udp", "udp6"):
+        for row in map(str.split, Path("/proc/net", table).read_text().splitlines()[1:]):
+            if row[3] == viewer.LISTENS or table.startswith("udp"):
+                found[f"socket:[{row[9]}]"] = row[1].rpartition(":")[0]
+    ours = []
+    for each in Path("/proc").glob("[0-9]*"):
+        try:
+            if os.getpgid(int(each.name)) == process:
+                links = [os.readlink(link) for link in (each / "fd").iterdir()]
+                ours += [found[link] for link in links if link in found]
+        except OSError:  # it has ended
+            continue
+    return ours
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="Linux's tables of sockets")
+def test_a_viewer_listens_on_this_machine_alone_and_is_said(tmp_path):
+    program = viewer.program()
+    with viewer.tethered(program, "--save", str(tmp_path / "it.rrd")) as (process, port):
+        assert process.poll() is None
+        addresses = listening(process.pid)
+    assert addresses and set(addresses) <= set(LOOPBACK)
+    told = LiveViewer(port=port).address
+    assert told == f"a Rerun viewer on 127.0.0.1:{port}, which this machine alone reaches"
