@@ -5,7 +5,7 @@ TESTBED_KILLS: how many runs are killed; each is a process of its own.
 
 import json
 import os
-import time
+import shutil
 
 import pytest
 from commands import call_command
@@ -19,6 +19,7 @@ from testbed.scenario import load, shorten
 from testbed.sim.recover import recover
 
 KILLS = int(os.environ.get("TESTBED_KILLS", "4"))
+AT_ONCE = 10  # of them, by one test
 SEED = 20261122
 LOG, PAGE_FILE, METRICS = "run.mcap", "scenario.resolved.yaml", "metrics.json"
 
@@ -28,7 +29,7 @@ def whole(tmp_path_factory):
     """A flight that nobody disturbed."""
     out = tmp_path_factory.mktemp("whole") / "run"
     testbed.run(shorten(load(PAGE), SECONDS), out=out)
-    return out, read_log(out / LOG)
+    return read_log(out / LOG)
 
 
 @pytest.fixture(scope="module")
@@ -48,31 +49,36 @@ def command(*arguments, cwd, code):
     return call_command(*arguments, cwd=cwd, code=code, columns=500)
 
 
-@pytest.mark.parametrize("number", range(KILLS))
-def test_a_run_that_is_killed_at_any_moment_is_recovered(number, whole, ours, tmp_path):
+@pytest.mark.parametrize("first", range(0, KILLS, AT_ONCE))
+def test_a_run_that_is_killed_at_any_moment_is_recovered(first, whole, ours, tmp_path):
     """SIGKILL: half a second of the clock on the wall is missing at most, and no bit is wrong."""
-    moment = [*moments(KILLS, SEED)][number]
-    run = kill(ours, tmp_path, moment)
+    for number, moment in enumerate([*moments(KILLS, SEED)][first : first + AT_ONCE], first):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        assert_recovered(moment, kill(ours, folder, moment), whole)
+        shutil.rmtree(folder)
+
+
+def assert_recovered(moment, run, whole):
     assert run.sockets == 0  # nobody asked for one
     try:
         before = read_log(run.out / LOG)
         frames = before.tick.size
-    except LogError as error:
-        assert not run.notes or run.missing_s(-1.0) <= LONGEST_S, str(error)
+    except LogError:
         frames = 0
     missing = run.missing_s(float(before.time_s[-1]) if frames else -1.0)
     facts = {"after": moment.after, "pace": moment.pace, "frames": frames, "missing_s": missing}
     print(json.dumps({**facts, "ended": run.ended}))  # pytest -rP shows it
     assert missing <= LONGEST_S
     if not frames:
-        said = errors(command("recover", run.out, cwd=tmp_path, code=2))
+        said = errors(command("recover", run.out, cwd=run.out.parent, code=2))
         assert "nothing was recorded" in said or not any(run.out.glob("*")), said
         return
-    said = command("recover", run.out, cwd=tmp_path, code=0).stdout
+    said = command("recover", run.out, cwd=run.out.parent, code=0).stdout
     assert f"{LOG}: {'is whole' if before.finished else 'finished'}" in said
     after = read_log(run.out / LOG)
     assert after.finished and after.tick.size == frames
-    assert_same_beginning(after, whole[1])
+    assert_same_beginning(after, whole)
     outcome = json.loads((run.out / METRICS).read_text())["outcome"]
     assert outcome == after.metrics["outcome"] == ("flown" if before.finished else "interrupted")
     assert (run.out / PAGE_FILE).read_text() == after.info.scenario_yaml
@@ -136,10 +142,8 @@ def test_a_directory_that_vanishes_in_mid_flight_ends_the_run_with_its_name(tmp_
     """Rather than flying on for a log that nobody can find, and calling that a success."""
     large = '[ "$(stat -c %s run/run.mcap 2>/dev/null || echo 0)" -gt 200000 ]'
     deeds = [f"until {large}; do sleep 0.02; done; {deed}" for deed in ("rm -r run", "mv run away")]
-    flight = (*FLY, "--out", "run", "--pace=20")  # 54 s
-    begun = time.monotonic()
+    flight = (*FLY, "--out", "run", "--pace=20")
     pairs = together(tmp_path, *([flight, ("sh", "-c", deed)] for deed in deeds))
-    assert time.monotonic() - begun < 54.0
     for flown, _ in pairs:
         assert flown.code == 2
         assert flown.error == (
@@ -148,7 +152,8 @@ def test_a_directory_that_vanishes_in_mid_flight_ends_the_run_with_its_name(tmp_
         )
         assert flown.stderr.count("\n") == 1
     assert not (tmp_path / "run").exists()
-    assert read_log(tmp_path / "away" / LOG).tick.size > 100
+    log = read_log(tmp_path / "away" / LOG)
+    assert log.tick.size > 100 and log.time_s[-1] < 500.0  # of 1080
 
 
 def test_runs_that_begin_at_the_same_moment_do_not_collide(tmp_path):
