@@ -188,3 +188,15 @@ def test_runs_that_begin_at_the_same_moment_do_not_collide(tmp_path):
         assert log.finished and log.info.seed == winner
         assert load(run / PAGE_FILE).scenario.seed == winner
         assert json.loads((run / METRICS).read_text())["seed"] == winner
+
+
+def test_a_run_that_finds_anothers_page_in_its_directory_leaves_it_as_it_is(tmp_path, monkeypatch):
+    """Both had found it empty."""
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / PAGE_FILE).write_text("another's")
+    monkeypatch.setattr("testbed.sim.run.create_run_directory", lambda *_, **__: run)
+    with pytest.raises(LogError, match="another run has just begun in it; name a new"):
+        testbed.run(shorten(load(PAGE), 1.0), out=run)
+    assert [each.name for each in run.iterdir()] == [PAGE_FILE]
+    assert (run / PAGE_FILE).read_text() == "another's"
