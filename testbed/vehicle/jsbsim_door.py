@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, cast
@@ -20,25 +20,25 @@ import numpy as np
 
 from testbed.frames import FOOT, metres_per_radian
 from testbed.state import AirData, AirFelt, Airframe, Array, Origin, Surfaces, Truths, VehicleState
+from testbed.vehicle.airframe_files import explored
 from testbed.vehicle.breakage import Rig, check_faults, find_rig, stacked
 from testbed.vehicle.folder_cache import kept
+from testbed.vehicle.heard import Heard
 from testbed.vehicle.inertia import impossible_inertia
 from testbed.vehicle.jsbsim_model import AircraftError, JsbsimModel, Traits, find_traits
 from testbed.vehicle.linearize import Linear, linearize
 from testbed.vehicle.measure import measured_airframe
 from testbed.vehicle.motion import READY_LOST, READY_MOTION, state_of
-from testbed.vehicle.trim import STILL, TrimPoint, TrimResult, Vector, course_through_air, trim
+from testbed.vehicle.trim import (
+    STILL,
+    TrimPoint,
+    TrimResult,
+    Vector,
+    course_through_air,
+    said_of,
+    trim,
+)
 
-__all__ = [
-    "LOWEST",
-    "VERSION",
-    "AircraftError",
-    "JsbsimFleet",
-    "Start",
-    "airframe",
-    "linearize_aircraft",
-    "trim_aircraft",
-]
 VERSION: str = jsbsim.__version__
 LOWEST = 1.0  # m above the terrain: an aircraft below counts as on the ground
 _TRIM_RATE_HZ = 200
@@ -97,10 +97,8 @@ class JsbsimFleet:
             base_rate_hz: steps per second.
 
         Raises:
-            AircraftError: if a folder holds no aircraft JSBSim can load, or one that no rigid
-                body can be.
-            TrimError: if an aircraft has no steady flight at its start, or the wind lets it keep
-                no course.
+            AircraftError, TrimError: an aircraft cannot be loaded, has no steady flight at its
+                start, or the wind lets it keep no course.
         """
         models, trims = [], []
         for folder, start in zip(folders, starts, strict=True):
@@ -307,8 +305,7 @@ def trim_aircraft(folder: Path, point: TrimPoint, origin: Origin | None = None) 
     """Trim the aircraft in a folder; until its files change the same question is answered once.
 
     Raises:
-        AircraftError: if the folder holds no aircraft JSBSim can load.
-        TrimError: if there is no steady flight at the point.
+        AircraftError, TrimError: there is no such aircraft, or no steady flight at the point.
     """
     return _trim_aircraft(folder, point, origin or Origin())
 
@@ -320,24 +317,25 @@ def airframe(folder: Path) -> Airframe:
     Raises:
         AircraftError: if the folder holds no aircraft JSBSim can load.
     """
-    model = _load(folder, _TRIM_RATE_HZ)
-    model.locate((0.0, 0.0, -1000.0), Origin())
-    return measured_airframe(model)
+    return measured_airframe(_aloft(folder))
 
 
 @kept(maxsize=64)
 def _rig(folder: Path) -> Rig:
+    return find_rig(_aloft(folder))
+
+
+def _aloft(folder: Path) -> JsbsimModel:
     model = _load(folder, _TRIM_RATE_HZ)
     model.locate((0.0, 0.0, -1000.0), Origin())
-    return find_rig(model)
+    return model
 
 
 def linearize_aircraft(folder: Path, point: TrimPoint, origin: Origin | None = None) -> Linear:
     """Linearise the aircraft in a folder about its trim.
 
     Raises:
-        AircraftError: if the folder holds no aircraft JSBSim can load.
-        TrimError: if there is no steady flight at the point.
+        AircraftError, TrimError: as `trim_aircraft` does.
     """
     origin = origin or Origin()
     trimmed = trim_aircraft(folder, point, origin)
@@ -346,7 +344,9 @@ def linearize_aircraft(folder: Path, point: TrimPoint, origin: Origin | None = N
 
 @kept(maxsize=256)
 def _trim_aircraft(folder: Path, point: TrimPoint, origin: Origin) -> TrimResult:
-    return trim(_located(folder, point, origin), point)
+    model = _located(folder, point, origin)
+    with said_of(folder.name):
+        return trim(model, point)
 
 
 def _located(folder: Path, point: TrimPoint, origin: Origin) -> JsbsimModel:
@@ -358,37 +358,39 @@ def _located(folder: Path, point: TrimPoint, origin: Origin) -> JsbsimModel:
 
 def _load(folder: Path, rate_hz: int) -> JsbsimModel:
     folder = Path(folder).resolve()
-    return JsbsimModel(_executive(folder), rate_hz, _traits(folder))
+    traits = _traits(folder)
+    return JsbsimModel(_executive(folder), rate_hz, traits)
 
 
 @kept(maxsize=64)
 def _traits(folder: Path) -> Traits:
+    """Found in a copy of this process: JSBSim crashes on many an aircraft that is wrong."""
+    return Traits(**explored(folder, partial(_explore, folder)))
+
+
+def _explore(folder: Path, tell: Callable[[str], None]) -> dict[str, bool]:
+    _LISTENER.tell = tell
     model = JsbsimModel(_executive(folder), _TRIM_RATE_HZ, Traits(has_rudder=True, has_lag=True))
     traits = find_traits(model)
-    fault = impossible_inertia(model.inertia())
-    if fault is not None:
-        raise AircraftError(f"{folder / folder.name}.xml: mass_balance: no rigid body has {fault}")
-    return traits
+    if fault := impossible_inertia(model.inertia()):
+        raise AircraftError(f"mass_balance: no rigid body has {fault}")
+    return asdict(traits)
 
 
 def _executive(folder: Path) -> jsbsim.FGFDMExec:
     """JSBSim with the aircraft of a folder loaded, silent."""
-    if not (folder / f"{folder.name}.xml").is_file():
-        raise AircraftError(
-            f"{folder}: no {folder.name}.xml in it; an aircraft folder holds a JSBSim "
-            f"aircraft named like the folder"
-        )
     jsbsim.FGJSBBase().debug_lvl = 0
+    jsbsim.set_logger(_LISTENER)
     fdm = jsbsim.FGFDMExec(str(folder), None)
     fdm.set_debug_level(0)
     fdm.set_aircraft_path(str(folder.parent))
     fdm.set_engine_path(str(folder / "Engines"))
     fdm.set_systems_path(str(folder / "Systems"))
-    try:
-        loaded = fdm.load_model(folder.name)
-    except Exception as error:
-        raise AircraftError(f"{folder / folder.name}.xml: JSBSim says: {error}") from error
-    if not loaded:
-        raise AircraftError(f"{folder / folder.name}.xml: JSBSim cannot load it")
+    if not fdm.load_model(folder.name):
+        raise AircraftError("JSBSim cannot load it")
     fdm.disable_output()
     return fdm
+
+
+# Prints nothing; kept here, for JSBSim has no hold of it.
+_LISTENER: Any = type("Listener", (Heard, jsbsim.FGLogger), {})()

@@ -12,6 +12,8 @@ bank against the propeller's torque; asked for a bank, it turns at the rate that
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -170,6 +172,15 @@ def course_through_air(airspeed: float, course: float, wind_ned: Vector) -> floa
     return course - math.asin(across / airspeed)
 
 
+@contextmanager
+def said_of(name: str) -> Iterator[None]:
+    """Name the aircraft in a `TrimError` from within."""
+    try:
+        yield
+    except TrimError as error:
+        raise TrimError(f"{name}: {error}") from None
+
+
 def trim(model: TrimModel, point: TrimPoint) -> TrimResult:
     """Find steady flight by Newton's method with limited steps.
 
@@ -223,6 +234,8 @@ def _newton(model: TrimModel, point: TrimPoint, throttle: float) -> tuple[Array,
             moved[j] += step
             spin = j == 5 or (model.has_lag and j >= 2)
             jacobian[:, j] = (_residual(model, point, moved, spin=spin) - f) / step
+        if not np.isfinite(jacobian).all():
+            break  # numbers beyond all models, of which no step leads back
         newton = np.linalg.lstsq(jacobian, -f, rcond=None)[0]
         newton *= min(1.0, float(np.min(_LONGEST / np.maximum(np.abs(newton), 1e-12))))
         x = np.minimum(_HIGH, np.maximum(_LOW, x + newton))

@@ -1,0 +1,149 @@
+"""A process that feeds mutated files to the testbed, for those that end it or never end.
+
+    python mutation_worker.py KIND FOLDER
+
+reads numbers of mutations, one a line, and answers each with a line of JSON. FOLDER is empty; what
+is written anywhere but into a run's own directory, started, connected or executed is told, too.
+"""
+
+import json
+import os
+import random
+import re
+import sys
+import traceback
+import warnings
+from pathlib import Path
+
+from mutation_kinds import KINDS
+from mutations import mutated
+
+from testbed.errors import InputError
+
+SEED = 20261122
+LONGEST_ERROR = 20_000  # characters
+LINE = re.compile(r"\S+\.yaml:\d+:")
+WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
+CHANGES = ("os.remove", "os.rename", "os.mkdir", "os.rmdir", "os.symlink", "os.link", "os.truncate")
+PROGRAMS = ("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "os.spawn")
+EVIL = "evil.py"  # lies in the way of whoever looks for code where it should not
+SOCKETS = ("socket.bind", "socket.connect", "socket.sendto", "socket.getaddrinfo")
+
+
+class Guard:
+    """Notes what this process does beside reading, while it is armed."""
+
+    def __init__(self, folder):
+        self.armed = False
+        self.seen = []
+        # compiled code is kept by who flies, whatever is flown; a log is recovered in its place
+        self.allowed = [
+            os.environ.get("NUMBA_CACHE_DIR", "nowhere"),
+            os.devnull,
+            folder / "home/run",
+        ]
+        sys.addaudithook(self.hear)
+
+    def hear(self, event, args):
+        if not self.armed:
+            return
+        if event == "open":
+            path, mode, flags = args
+            wants = flags & WRITING if isinstance(flags, int) else set(mode or "") & set("wax+")
+            if wants and isinstance(path, str | bytes | os.PathLike):
+                self.note_path(event, path)
+        elif event in CHANGES:
+            self.note_path(event, args[0])
+        elif event in PROGRAMS or event in SOCKETS:
+            self.seen.append(f"{event} {args!r:.200}")
+        elif event == "exec" and Path(args[0].co_filename).name == EVIL:
+            self.seen.append(f"ran {args[0].co_filename}")
+
+    def note_path(self, event, path):
+        path = os.path.abspath(os.fsdecode(path))
+        if not any(path.startswith(str(each)) for each in self.allowed):
+            self.seen.append(f"{event} {path}")
+
+
+def fault_of(error, path):
+    """What is not clear about an error, or nothing."""
+    text = str(error)
+    if len(text) > LONGEST_ERROR:
+        return f"an error of {len(text)} characters"
+    if not all(each.isprintable() or each == "\n" for each in text):
+        return "an error that is not printable"
+    first = text.partition("\n")[0]
+    folder = next((p for p in path.parents if (p / f"{p.name}.xml").is_file()), path)
+    # a page may be wrong in a line of the page that it extends
+    names = (path.name, f"{folder.name}/", f"{folder.name}:")
+    if not any(each in first for each in names) and not LINE.match(first):
+        return "an error that does not name the file"
+    return ""
+
+
+def tried(kind, path):
+    """How the testbed took a file: good, or refused; or what is wrong with how it took it."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            kind.feed(path)
+    except InputError as error:
+        fault = fault_of(error, path)
+        return ("fault", f"{fault}: {error}") if fault else ("refused", str(error))
+    except Exception:
+        return "fault", traceback.format_exc()
+    return "good", ""
+
+
+def listing(folder):
+    return {str(p): p.stat().st_size for p in folder.rglob("*") if p.is_file()}
+
+
+def chosen(name, files, number):
+    """The file that a number stands for, and what becomes of it; below 0 they are as they were."""
+    if number < 0:
+        path = files[-number - 1]
+        return path, path.read_bytes(), "whole"
+    dice = random.Random(f"{SEED}/{name}/{number}")
+    path = dice.choice(files)
+    return path, *mutated(path.read_bytes(), path.suffix, dice)
+
+
+def main(name, folder):
+    answers = os.fdopen(os.dup(1), "w", buffering=1)
+    said = os.open(folder / "said", os.O_RDWR | os.O_CREAT)
+    os.dup2(said, 1)
+    os.dup2(said, 2)
+    kind, home, here = KINDS[name], folder / "home", folder / "here"
+    home.mkdir()
+    here.mkdir()
+    os.chdir(here)
+    files = kind.put(home)
+    for place in (here, home, folder):
+        (place / EVIL).write_text("class Law: pass\n")
+    guard = Guard(folder)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        before = listing(here)
+    for line in sys.stdin:
+        path, data, way = chosen(name, files, int(line))
+        whole = path.read_bytes()
+        path.write_bytes(data)
+        at = os.lseek(said, 0, os.SEEK_END)
+        guard.seen.clear()
+        guard.armed = True
+        outcome, text = tried(kind, path)
+        guard.armed = False
+        if guard.seen:
+            outcome, text = "fault", f"did what nobody asked for: {guard.seen}; {text}"
+        elif listing(here) != before:
+            outcome, text = "fault", f"left files: {listing(here)}; {text}"
+        elif os.lseek(said, 0, os.SEEK_END) > at:
+            printed = os.pread(said, 500, at).decode(errors="replace")
+            outcome, text = "fault", f"printed: {printed}; {text}"
+        path.write_bytes(whole)
+        answers.write(json.dumps([outcome, text, way, str(path.relative_to(home))]) + "\n")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], Path(sys.argv[2]).resolve())

@@ -1,0 +1,264 @@
+"""Files as hostile or careless people, bad disks and bad links make them."""
+
+import re
+import struct
+from copy import deepcopy
+
+import yaml
+
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?")
+TOKEN = re.compile(r"[\w./+-]+")
+ODD = (
+    *("nan", ".nan", "inf", "-.inf", "1e308", "-1e308", "1e-320", "-1", "0", "-0.0", "1e9", "010"),
+    *("0x10", "9" * 30, "9" * 400, "1_000", "1,5", "true", "null", "~", "[]", "{}", "''", '""'),
+    *("x" * 5000, "é", "\u202e", "\u2028", "\ufeff", "\x00", "\x1b[2J", '"\\ud800"', '"\\e[2J"'),
+    *("../../../etc/passwd", "/dev/zero", "/dev/stdin", "..", "~root", "%s", "$HOME", "evil:Law"),
+    *("evil.py:Law", "../evil.py:Law", "os:system", "antigravity:X", ":", "a:", "__import__:x"),
+)
+YAMLS = (
+    "!!python/object/apply:os.system ['touch pwned']",
+    "!!python/name:os.system",
+    "!!python/object/new:subprocess.Popen [['touch', 'pwned']]",
+    "!!binary aGVsbG8=",
+    "!!timestamp 2001-01-01",
+    "!include /etc/passwd",
+    "&a [*a]",
+    "*nobody",
+    "<<: *nobody",
+    "? [a, b]\n: c",
+    "|\n  text",
+    "--- second: page",
+    "[" * 60 + "]" * 60,
+    "{a: " * 3000 + "}" * 3000,
+    "[" + "0, " * 5000 + "0]",
+    "\t- x",
+    "%YAML 9.9\n---\n",
+)
+
+
+def flip(data, dice):
+    """Some bits are others."""
+    out = bytearray(data)
+    for _ in range(dice.choice((1, 1, 2, 5, 20))):
+        if out:
+            out[dice.randrange(len(out))] ^= 1 << dice.randrange(8)
+    return bytes(out)
+
+
+def cut(data, dice):
+    """The file ends early, or lacks a piece."""
+    one, two = sorted(dice.randrange(len(data) + 1) for _ in range(2))
+    return data[:one] if dice.random() < 0.5 else data[:one] + data[two:]
+
+
+def splice(data, dice):
+    """A piece stands somewhere else, or bytes of nowhere do."""
+    one, two = sorted(dice.randrange(len(data) + 1) for _ in range(2))
+    piece = data[one:two][:2000] if dice.random() < 0.5 else dice.randbytes(dice.randrange(1, 200))
+    at = dice.randrange(len(data) + 1)
+    return data[:at] + piece + data[at:]
+
+
+def lines(data, dice):
+    """Lines are missing, twice, or in another order."""
+    rows = data.splitlines(keepends=True)
+    for _ in range(dice.choice((1, 1, 2, 4))):
+        if not rows:
+            break
+        one, two = dice.randrange(len(rows)), dice.randrange(len(rows))
+        way = dice.randrange(4)
+        if way == 0:
+            del rows[one]
+        elif way == 1:
+            rows.insert(two, rows[one])
+        elif way == 2:
+            rows[one], rows[two] = rows[two], rows[one]
+        else:
+            rows[one] = rows[one][dice.randrange(len(rows[one])) :]
+    return b"".join(rows)
+
+
+def replaced(data, dice, pattern, values):
+    """Some of what a pattern finds reads as one of these values."""
+    text = data.decode("utf-8", "surrogateescape")
+    for _ in range(dice.choice((1, 1, 1, 2, 4))):
+        found = list(pattern.finditer(text))
+        if found:
+            at = dice.choice(found)
+            text = text[: at.start()] + dice.choice(values) + text[at.end() :]
+    return text.encode("utf-8", "surrogateescape")
+
+
+def number(data, dice):
+    """Numbers are others, some of them absurd."""
+    near = [
+        str(dice.uniform(-2, 40)),
+        str(dice.randrange(-3, 200)),
+        repr(10 ** dice.uniform(-9, 9)),
+    ]
+    return replaced(data, dice, NUMBER, (*near, *near, *near, *ODD))
+
+
+def token(data, dice):
+    """Words are others, of the file or of nowhere."""
+    text = data.decode("utf-8", "replace")
+    own = TOKEN.findall(text)[:5000] or ["x"]
+    return replaced(data, dice, TOKEN, (*(dice.choice(own) for _ in range(20)), *ODD))
+
+
+def structure(data, dice):
+    """A page whose keys are missing, moved, renamed or of another type."""
+    tree = yaml.safe_load(data)
+    for _ in range(dice.choice((1, 1, 2, 3))):
+        places = list(_places(tree))
+        if not places:
+            break
+        home, key = dice.choice(places)
+        other, there = dice.choice(places)
+        way = dice.randrange(6)
+        if way == 0:
+            del home[key]
+        elif way == 1:
+            home[key] = deepcopy(other[there])
+        elif way == 2 and isinstance(home, dict):
+            home[dice.choice(("x", "", "null", "1", str(key) + "s"))] = home.pop(key)
+        elif way == 3:
+            home[key] = dice.choice((None, True, 1, -1.5, 10**40, "x", [], {}, [[]], {"a": {}}))
+        elif way == 4:
+            home[key] = [home[key]] * dice.choice((1, 2, 300))
+        else:
+            home[key] = {str(key): home[key]}
+    return yaml.safe_dump(tree, sort_keys=False).encode()
+
+
+def _places(tree):
+    if isinstance(tree, dict | list):
+        for key in list(tree) if isinstance(tree, dict) else range(len(tree)):
+            yield tree, key
+            yield from _places(tree[key])
+
+
+def spelled(data, dice):
+    """A value is one of YAML's own oddities, or the page ends in one."""
+    rows = data.splitlines(keepends=True)
+    odd = dice.choice(YAMLS).encode()
+    at = dice.randrange(len(rows))
+    if dice.random() < 0.3 or b":" not in rows[at]:
+        return b"".join([*rows[:at], odd, b"\n", *rows[at:]])
+    rows[at] = rows[at].partition(b":")[0] + b": " + odd + b"\n"
+    return b"".join(rows)
+
+
+XMLS = (
+    '<input port="41234" type="SOCKET"/>',
+    '<output name="pwned.csv" type="CSV" rate="100"><simulation> ON </simulation></output>',
+    '<output file="pwned"/>',
+    '<system file="../../evil"/>',
+    '<system file="/etc/passwd"/>',
+    '<system file="nobody"/>',
+    '<engine file="../Engines/x"/>',
+    '<aerodynamics file="{self}"/>',
+    '<property value="1"> simulation/write-state-file </property>',
+    '<property value="1"> simulation/terminate </property>',
+    '<system name="s"><channel name="c"><pure_gain name="simulation/write-state-file"><input> '
+    "simulation/sim-time-sec </input></pure_gain></channel></system>",
+    "<a>" * 3000 + "</a>" * 3000,
+    "<function>" * 40 + "<value> 1 </value>" + "</function>" * 40,
+    "<!-- " + "x" * 5000 + " -->",
+    "&lol9;",
+    "<![CDATA[ x ]]>",
+    '<?xml-stylesheet href="x"?>',
+)
+DOCTYPES = (
+    '<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/passwd">]>',
+    '<!DOCTYPE x SYSTEM "file:///dev/zero">',
+    '<!DOCTYPE x [<!ENTITY lol "lol"><!ENTITY lol9 "&lol;&lol;&lol;&lol;&lol;&lol;">]>',
+)
+ELEMENT = re.compile(r"<([\w]+)[^<>]*(?:/>|>(?:[^<]*)</\1>)")
+BLOCK = re.compile(r"<(\w+)[^<>]*(?<!/)>.*?</\1>", re.DOTALL)
+ATTRIBUTE = re.compile(r'(?<=")[^"<>]*(?=")')
+TAG = re.compile(r"<[^!?][^<>]*>")
+
+
+def elements(data, dice):
+    """Elements are missing, twice, moved, or others than they were."""
+    text = data.decode("utf-8", "surrogateescape")
+    pattern = dice.choice((ELEMENT, BLOCK))
+    for _ in range(dice.choice((1, 1, 2))):
+        found = list(pattern.finditer(text))
+        if not found:
+            break
+        one, two = dice.choice(found), dice.choice(found)
+        way = dice.randrange(4)
+        new = ("", one.group() * 2, two.group(), re.sub(r">[^<]*<", "> <", one.group(), count=1))
+        text = text[: one.start()] + new[way] + text[one.end() :]
+    return text.encode("utf-8", "surrogateescape")
+
+
+def planted(data, dice):
+    """Something stands among the elements that no airframe needs."""
+    text = data.decode("utf-8", "surrogateescape")
+    if dice.random() < 0.2:
+        at = text.find("?>") + 2
+        return (text[:at] + dice.choice(DOCTYPES) + text[at:]).encode("utf-8", "surrogateescape")
+    found = list(TAG.finditer(text))
+    at = dice.choice(found).end() if found else 0
+    return (text[:at] + dice.choice(XMLS) + text[at:]).encode("utf-8", "surrogateescape")
+
+
+def attribute(data, dice):
+    """Attributes have other values: units, names, files."""
+    text = data.decode("utf-8", "surrogateescape")
+    own = ATTRIBUTE.findall(text) or ["x"]
+    values = [dice.choice(own) for _ in range(20)]
+    return replaced(data, dice, ATTRIBUTE, (*values, *(o for o in ODD if '"' not in o)))
+
+
+_RECORD = struct.Struct("<BQ")
+
+
+def records(data, dice):
+    """Records of an MCAP file have other kinds, lengths or bytes, are missing, or twice."""
+    spans, at = [], 8
+    while at + _RECORD.size <= len(data) - 8:
+        end = at + _RECORD.size + _RECORD.unpack_from(data, at)[1]
+        if end > len(data):
+            break
+        spans.append((at, end))
+        at = end
+    if not spans:
+        return flip(data, dice)
+    one, end = dice.choice(spans)
+    out = bytearray(data)
+    way = dice.randrange(5)
+    if way == 0:
+        out[one] = dice.randrange(256)
+    elif way == 1:
+        length = dice.choice((0, 1, 2**40, 2**63, 2**64 - 1, end - one, dice.randrange(1000)))
+        out[one + 1 : one + 9] = struct.pack("<Q", length)
+    elif way == 2:
+        del out[one:end]
+    elif way == 3:
+        out[end:end] = out[one:end]
+    else:
+        for _ in range(dice.randrange(1, 9)):
+            # the head of a chunk, its checksum among it, is as likely as all that is packed
+            far = min(end, one + 60) if dice.random() < 0.5 else end
+            out[dice.randrange(one, far)] = dice.randrange(256)
+    return bytes(out)
+
+
+ANY = (flip, cut, splice, lines, token, number, number)
+WAYS = {
+    ".yaml": (*ANY, structure, structure, structure, structure, spelled, spelled),
+    ".param": ANY,
+    ".csv": ANY,
+    ".xml": (*ANY, number, elements, elements, elements, planted, planted, attribute, attribute),
+    ".mcap": (flip, cut, splice, records, records, records),
+}
+
+
+def mutated(data, ending, dice):
+    """What becomes of a file that ends so, and in which way."""
+    way = dice.choice(WAYS[ending])
+    return way(data, dice), way.__name__

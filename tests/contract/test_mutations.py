@@ -1,0 +1,106 @@
+"""Files that are broken, by chance or on purpose, give a result or one clear error.
+
+TESTBED_MUTATIONS sets how many are tried, over all kinds. What goes wrong is told with its number;
+`python tests/contract/test_mutations.py KIND NUMBER FOLDER` leaves the file that did it there.
+"""
+
+import json
+import os
+import random
+import selectors
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from mutation_kinds import KINDS
+from mutation_worker import SEED
+from mutations import mutated
+
+MUTATIONS = int(os.environ.get("TESTBED_MUTATIONS", "600"))
+LONGEST_S = 60.0  # for one file; machine code may have to be compiled first
+TOLD = 20  # of faults
+
+
+class Worker:
+    """A process that tries files, begun anew when one has ended it."""
+
+    def __init__(self, kind, folder):
+        self.kind, self.folder, self.count = kind, folder, 0
+        self.process = None
+
+    def begin(self):
+        self.count += 1
+        folder = self.folder / str(self.count)
+        folder.mkdir(parents=True)
+        command = [sys.executable, Path(__file__).with_name("mutation_worker.py")]
+        self.process = subprocess.Popen(
+            [*command, self.kind, folder],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=(folder / "errors").open("wb"),
+            text=True,
+        )
+        self.answers = selectors.DefaultSelector()
+        self.answers.register(self.process.stdout, selectors.EVENT_READ)
+
+    def end(self):
+        if self.process:
+            self.process.kill()
+            self.process.wait()
+            self.process.stdin.close()
+            self.process.stdout.close()
+            self.process = None
+
+    def ask(self, number):
+        """Outcome, text, way and file of a mutation."""
+        if self.process is None:
+            self.begin()
+        self.process.stdin.write(f"{number}\n")
+        self.process.stdin.flush()
+        if not self.answers.select(LONGEST_S):
+            self.end()
+            return "fault", f"nothing after {LONGEST_S:g} s", "", ""
+        line = self.process.stdout.readline()
+        if line:
+            return json.loads(line)
+        code = self.process.wait()
+        errors = (self.folder / str(self.count) / "errors").read_text(errors="replace")[-2000:]
+        said = (self.folder / str(self.count) / "said").read_text(errors="replace")[-2000:]
+        self.end()
+        return "fault", f"ended the process with {code}: {errors}{said}", "", ""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_broken_file_gives_a_result_or_one_clear_error(kind, tmp_path):
+    worker = Worker(kind, tmp_path)
+    seen, faults = Counter(), []
+    try:
+        for number in range(max(1, MUTATIONS * KINDS[kind].share // 100)):
+            outcome, text, way, file = worker.ask(number)
+            seen[outcome] += 1
+            if outcome == "fault":
+                faults.append(f"{kind} {number} ({way} of {file}): {text}")
+    finally:
+        worker.end()
+    print(kind, dict(seen))
+    assert not faults, f"{len(faults)} of {seen.total()}:\n" + "\n".join(faults[:TOLD])
+    # mutations that all fail alike, or that all fly, try nothing
+    assert seen["good"] and seen["refused"]
+
+
+def keep(kind, number, folder):
+    """Leave the mutated file of a number, among the files it needs."""
+    home = Path(folder).resolve()
+    home.mkdir(parents=True)
+    files = KINDS[kind].put(home)
+    dice = random.Random(f"{SEED}/{kind}/{number}")
+    path = dice.choice(files)
+    data, way = mutated(path.read_bytes(), path.suffix, dice)
+    path.write_bytes(data)
+    print(way, path)
+
+
+if __name__ == "__main__":
+    keep(sys.argv[1], int(sys.argv[2]), sys.argv[3])
