@@ -56,9 +56,9 @@ clients: $(CLIENTS_STAMP)
 	@:
 
 # Everything: the tests, all starts of the theorem, the air's and the network's statistics on more
-# samples, broken MAVLink and flight logs, real time with nothing else running, a study whose processes
-# are killed, 200 runs killed at any moment, every golden table, and a release made and flown from a fresh
-# environment.
+# samples, broken MAVLink, flight logs and inputs of every kind, real time with nothing else running,
+# a study whose processes are killed, 200 runs killed at any moment, every golden table, and a release
+# made and flown from a fresh environment.
 check-all: test release
 	@TESTBED_STARTS=1000 $(BIN)/pytest -q tests/theorems/test_theorem_many_starts.py
 	@TESTBED_AIR_SAMPLES=60 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_air_dryden.py \
@@ -70,6 +70,7 @@ check-all: test release
 		tests/contract/test_links_noise.py tests/contract/test_dataflash.py \
 		tests/truth/test_import_flight.py tests/equations/test_follow_target.py
 	@TESTBED_FRAMES=10000 $(BIN)/pytest -q tests/clients/test_storm.py
+	@TESTBED_MUTATIONS=20000 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_mutations.py
 	@TESTBED_QUIET=1 $(BIN)/pytest -q tests/clients/test_real_time.py
 	@TESTBED_WHOLE=1 $(BIN)/pytest -q -n $(JOBS) tests/golden
 	@TESTBED_STUDIES=1 $(BIN)/pytest -q tests/contract/test_sweep.py

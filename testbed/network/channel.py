@@ -194,6 +194,8 @@ def _put_jitter(
     if kind == EMPIRICAL and jitter.file:
         table = read_table(find_data(jitter.file))
         samples = table.numbers(["delay_s"])[:, 0]
+        if not samples.size:
+            raise table.refusal(0, "no rows; write at least one delay_s below the header")
         least = int(samples.argmin())
         if delay + samples[least] < 0.0 and not record["netem"]:
             raise table.refusal(

@@ -43,6 +43,7 @@ _HEAD = struct.Struct("<BQ")  # of a record: what it is, and the length of the r
 # Of a chunk: the same, its first and last time, what is packed: size, checksum, how and into what.
 _CHUNK = struct.Struct("<BQQQQII4sQ")
 _ZSTD = "zstd"
+_LONGEST = 200  # characters of what a library has against a file, which may quote all of it
 _LIBRARY = "testbed"  # what wrote a file
 # The level that is fastest and still shrinks: the rest of a log is the noise of the last bits.
 _LEVEL = 1
@@ -324,7 +325,7 @@ def read(path: Path) -> Contents:
     except Exception as error:
         # whatever a damaged byte sets off in the library, the place is what matters
         if not (isinstance(error, EndOfFile) and at == sound):
-            raise LogError(f"{path}: damaged after byte {at}: {error!r}") from error
+            raise LogError(f"{path}: damaged after byte {at}: {repr(error)[:_LONGEST]}") from error
     return out
 
 

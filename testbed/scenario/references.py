@@ -47,7 +47,7 @@ class _Settler:
         binary = getattr(craft.autopilot, "binary", None)
         if binary is not None:  # whether it is there only matters to who flies the page
             folder = self.folder(*loc, "autopilot", "binary")
-            found = (folder / Path(binary).expanduser()).resolve()
+            found = resolve.absolute(binary, folder)
             self.changes.append(((*loc, "autopilot", "binary"), str(found)))
 
     def recording(self, loc: _Loc, file: str) -> None:
@@ -62,8 +62,8 @@ class _Settler:
 
     def gains(self, loc: _Loc, file: str) -> None:
         """Settle a file of gains."""
-        found = (self.folder(*loc) / Path(file).expanduser()).resolve()
-        if found.is_file():
+        found = resolve.absolute(file, self.folder(*loc))
+        if resolve.is_file(found):
             self.changes.append((loc, str(found)))
             return
         node, path, left = walk(self.tree, loc)

@@ -92,10 +92,10 @@ def find_aircraft(name_or_path: str | Path, *, folder: Path | None = None) -> Pa
     """
     text = str(name_or_path)
     kept = library() / "aircraft" / text
-    path = kept if _is_name(text) and kept.is_dir() else _absolute(text, folder)
-    if (path / f"{path.name}.xml").is_file():
+    path = kept if _is_name(text) and _is_there(kept, Path.is_dir) else absolute(text, folder)
+    if is_file(path / f"{path.name}.xml"):
         return path
-    if path.is_dir():
+    if _is_there(path, Path.is_dir):
         text = f"{path} has no {path.name}.xml: not an aircraft (write a folder with that model)"
         raise ScenarioError([Problem(Place(str(path)), text)])
     raise _not_found("aircraft", text, list_aircraft(), "a folder with a JSBSim model")
@@ -125,24 +125,34 @@ def find_data(name_or_path: str | Path, *, folder: Path | None = None) -> Path:
 def find_law(name: str, *, folder: Path | None = None) -> str:
     """Return where a law `module:Class` comes from: "file.py:Class", or itself if installed.
 
-    A module.py in `folder` (the page's, or here) or in scenarios/ is meant before an installed
-    module of that name.
+    A module.py in `folder` (the page's) or in scenarios/ is meant before an installed module of
+    that name. Without a folder, a name that was found before is found again.
 
     Raises:
-        ScenarioError: the name is the path of a file that is not there.
+        ScenarioError: the name is the path of a file that is not there, or that leaves the folder:
+            no page runs code from elsewhere.
     """
     place, _, class_name = name.rpartition(":")
     if place.endswith(".py"):
-        path = _absolute(place, folder)
-        if path.is_file():
-            return f"{path}:{class_name}"
-        text = f"there is no file {path} (write module:Class, with module.py beside the page)"
-        raise ScenarioError([Problem(Place(str(path)), text)])
+        path = absolute(place, folder)
+        if not is_file(path):
+            text = f"there is no file {path} (write module:Class, with module.py beside the page)"
+            raise ScenarioError([Problem(Place(str(path)), text)])
+        _refuse_outside(path, folder)
+        return f"{path}:{class_name}"
     file = f"{place.replace('.', '/')}.py"
-    for home in (folder or Path.cwd(), library() / "scenarios"):
-        if (home / file).is_file():
-            return f"{(home / file).resolve()}:{class_name}"
+    for home in (folder, library() / "scenarios"):
+        if home is not None and is_file(home / file):
+            path = (home / file).resolve()
+            _refuse_outside(path, home)
+            return f"{path}:{class_name}"
     return name
+
+
+def _refuse_outside(path: Path, folder: Path | None) -> None:
+    if folder is not None and not path.is_relative_to(folder.resolve()):
+        text = f"{path} is not in the page's folder, {folder} (put a copy beside the page)"
+        raise ScenarioError([Problem(Place(str(path)), text)])
 
 
 def _find(
@@ -155,10 +165,10 @@ def _find(
 ) -> Path:
     """The file that is kept, if a name was given, or the one at the path from `folder`, or here."""
     text = str(name_or_path)
-    if _is_name(text) and kept.is_file():
+    if _is_name(text) and is_file(kept):
         return kept
-    path = _absolute(text, folder)
-    if path.is_file():
+    path = absolute(text, folder)
+    if is_file(path):
         return path
     raise _not_found(what, text, known(), path_of)
 
@@ -171,8 +181,25 @@ def _is_name(text: str) -> bool:
     return Path(text).name == text and text not in ("", ".", "..")
 
 
-def _absolute(text: str, folder: Path | None) -> Path:
-    return ((folder or Path.cwd()) / Path(text).expanduser()).resolve()
+def is_file(path: Path) -> bool:
+    """Whether there is a file of this name; no name is too odd to ask."""
+    return _is_there(path, Path.is_file)
+
+
+def _is_there(path: Path, kind: Callable[[Path], bool]) -> bool:
+    try:
+        return kind(path)
+    except OSError:  # its name is too long, or it lies where nobody may look
+        return False
+
+
+def absolute(text: str, folder: Path | None) -> Path:
+    """The path that a page means, from `folder` or from here; it need not be there."""
+    path = Path(text)
+    try:
+        return ((folder or Path.cwd()) / path.expanduser()).resolve()
+    except (OSError, RuntimeError, ValueError):  # a user, a loop of links, a byte that no name has
+        return (folder or Path.cwd()) / path
 
 
 def _not_found(what: str, text: str, known: tuple[str, ...], path: str) -> ScenarioError:

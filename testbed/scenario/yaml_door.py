@@ -7,6 +7,7 @@ own rules of YAML 1.1 have it the other way round. Tags, merge keys and repeated
 from __future__ import annotations
 
 import json
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -102,7 +103,9 @@ def word(value: object) -> str:
     """Return plain data as YAML on one line; it reads back as the same, numbers to the last bit."""
     if isinstance(value, str) and _BARE.fullmatch(value) and isinstance(_scalar(value), str):
         return value
-    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+    if isinstance(value, float) and not math.isfinite(value):
+        return f"{value:+}".replace("inf", ".inf").replace("+nan", ".nan")
+    return json.dumps(value, ensure_ascii=False)
 
 
 def _shown(path: Path) -> str:

@@ -1,8 +1,8 @@
 """A user's own law: found by `module:Class`, built for a team, and never guessed at.
 
-This runs code by design. It comes from a file that the page names (the scenario's folder) or from
-an installed package, and the run says which, with a digest. A file that is not among the testbed's
-own scenarios is kept with the run.
+This runs code by design. It comes from a file in the scenario's folder or from an installed
+package, and the run says which, with a digest. A file that is not among the testbed's own scenarios
+is kept with the run.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from testbed.errors import InputError
 from testbed.formation.law import Law, Team
 from testbed.scenario import Scenario, find_law, library
 from testbed.sim.control import blamed
+from testbed.sim.installed import is_installed
 
 
 def build_law(name: str, options: Mapping[str, Any], team: Team) -> tuple[Law, str]:
@@ -119,11 +120,11 @@ def _import(place: str) -> tuple[ModuleType, str]:
         finally:
             sys.dont_write_bytecode = before
         return module, str(path)
+    remedy = f"write a {place}.py beside the page, install the package, or check the name"
+    if not all(part.isidentifier() for part in place.split(".")) or not is_installed(place):
+        raise InputError(f"controller.law: no module {place!r} ({remedy})")
     try:
         module = importlib.import_module(place)
     except ImportError as error:
-        raise InputError(
-            f"controller.law: no module {place!r} (write a {place}.py beside the page, install "
-            f"the package, or check the name): {error}"
-        ) from error
+        raise InputError(f"controller.law: no module {place!r} ({remedy}): {error}") from error
     return module, str(getattr(module, "__file__", None) or place)

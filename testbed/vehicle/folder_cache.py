@@ -6,10 +6,13 @@ In one process, a notebook for one, an aircraft may be flown, edited and flown a
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable
 from functools import lru_cache, wraps
 from pathlib import Path
 from typing import Concatenate, ParamSpec, TypeVar
+
+from testbed.vehicle.airframe_files import MOST_BYTES
 
 _Rest = ParamSpec("_Rest")
 _FoundT = TypeVar("_FoundT")
@@ -45,7 +48,18 @@ def _digest(folder: Path) -> str:
     """
     content = hashlib.blake2b(digest_size=16)
     for file in sorted(folder.rglob("*.xml")):
-        data = file.read_bytes()
-        content.update(f"{file.relative_to(folder)}\0{len(data)}\0".encode())
+        data = _start_of(file)
+        content.update(os.fsencode(f"{file.relative_to(folder)}\0{len(data)}\0"))
         content.update(data)
     return content.hexdigest()
+
+
+def _start_of(file: Path) -> bytes:
+    """As much of a file as an aircraft can have; of what is no file or not to be read, nothing."""
+    try:
+        if not file.is_file():  # a pipe would be waited for
+            return b""
+        with file.open("rb") as stream:
+            return stream.read(MOST_BYTES + 1)
+    except OSError:
+        return b""  # to be said by who reads the aircraft

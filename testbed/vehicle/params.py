@@ -85,6 +85,7 @@ _POSITIVE = (
     "navl1_period",
     "navl1_damping",
 )
+_SMALLEST, _LARGEST = 1e-9, 1e9  # of what is not 0: quotients of others are beyond all numbers
 _SHORTEST_TCONST = 0.05  # s, ArduPlane's own floor
 
 
@@ -150,6 +151,10 @@ def with_param(params: FbwaParams, name: str, value: float) -> FbwaParams:
 
 def _faults(params: FbwaParams) -> Iterator[tuple[str, str]]:
     """What no autopilot can fly with: the parameter's field, and what is wrong with it."""
+    for name in sorted(_NAMES):
+        value = getattr(params, name)
+        if value and not _SMALLEST <= abs(value) <= _LARGEST:
+            yield name, f"{name.upper()} is {value:g}; a size is {_SMALLEST:g} to {_LARGEST:g}"
     for name in _POSITIVE:
         if not getattr(params, name) > 0.0:
             yield name, f"{name.upper()} must be greater than 0"

@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from testbed.scenario import dump, library, load, load_guidance, load_middle_loop, shorten
+from testbed.scenario import dump, load, load_guidance, load_middle_loop, shorten
 from testbed.state import Surfaces
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "tests" / "data"
+MOST_RUNS = 60  # of a study whose every page is read
 ROWS = 40  # of a recording: what is wrong in a row is wrong in a thousand
 
 
@@ -32,7 +33,8 @@ def copied(*sources, only):
     def put(home):
         for source in sources:
             ignore = shutil.ignore_patterns("data", "golden", "__pycache__")
-            to = home / source.name
+            to = home / source.relative_to(ROOT)
+            to.parent.mkdir(parents=True, exist_ok=True)
             if source.is_dir():
                 shutil.copytree(source, to, ignore=ignore, dirs_exist_ok=True)
             else:
@@ -55,26 +57,33 @@ def feed_page(path):
 
     page = load(path)
     dump(page)
+    if "tests" in path.parts:
+        return  # not for flying
     if page.scenario.duration_s > 2000 or len(page.aircraft) > 8 or page.rates.autopilot_hz > 500:
         return  # as good as any other, and as long as a flight
     page = shorten(page, 0.2)
-    fly(build(page), [], lambda now, due: False)
+    world = build(page)
+    if world.partners:
+        return  # they are not here
+    fly(world, [], lambda now, due: False)
 
 
 def feed_study(path):
+    """Plan it, and read the page of one of its runs."""
+    from testbed.study.checks import check
     from testbed.study.plan import load_study, plan
 
     runs = plan(load_study(path))
-    for number in {0, len(runs) // 2, len(runs) - 1}:
-        runs.page(runs[number])
+    if len(runs) <= MOST_RUNS:
+        check(runs)
+    else:
+        runs[len(runs) - 1]
 
 
 def feed_tune(path):
-    from testbed.study.plan import plan
     from testbed.study.tune_page import load_tune
 
-    runs = plan(load_tune(path).study)
-    runs.page(runs[0])
+    load_tune(path)
 
 
 def feed_pages_beside(path):
@@ -115,7 +124,7 @@ def feed_table(path):
     elif "wind" in path.name:
         read_wind(path, 10.0, 0.5)
     elif "trace" in path.name:
-        read_trace(path, "uav1", "leader")
+        read_trace(path, "lead", "uav1")
     elif "delays" in path.name:
         page = load(
             ROOT / "scenarios" / "simulation-3.yaml",
@@ -136,8 +145,8 @@ def feed_aircraft(path):
     if folder.name in ("Engines", "Systems"):
         folder = folder.parent
     airframe(folder)
-    linearize_aircraft(folder, TrimPoint(airspeed=20.0, altitude=300.0))
-    start = Start(position_ned=(0.0, 0.0, -300.0), course=0.0, airspeed=20.0)
+    linearize_aircraft(folder, TrimPoint(airspeed=20.0))
+    start = Start(position_ned=(0.0, 0.0, -100.0), course=0.0, airspeed=20.0)
     fleet = JsbsimFleet([folder], [start], Origin(), 200)
     for _ in range(5):
         fleet.step(Surfaces(*(np.full(1, each) for each in (0.1, 0.1, 0.1, 0.5))), 4)
@@ -167,22 +176,22 @@ def flown_log(home):
     return [home / "run" / "run.mcap"]
 
 
-def aircraft(home):
-    return copied(*(library() / "aircraft").iterdir(), only=ends(".xml"))(home)
-
-
-PAGES = (ROOT / "scenarios", DATA / "scenarios")
+AIRCRAFT = ROOT / "aircraft"
+PAGES = (ROOT / "scenarios", DATA / "scenarios", AIRCRAFT)
 KINDS = {
     "pages": Kind(
         20,
-        copied(*PAGES, only=lambda p: p.suffix == ".yaml" and "studies" not in p.parts),
+        copied(
+            *PAGES,
+            only=lambda p: (
+                p.suffix == ".yaml" and "aircraft" not in p.parts and "studies" not in p.parts
+            ),
+        ),
         feed_page,
     ),
     "studies": Kind(15, copied(*PAGES, only=ends(".yaml", within="studies")), feed_pages_beside),
-    "params": Kind(
-        15, copied(*PAGES, *(ROOT / "aircraft").iterdir(), only=ends(".param")), feed_param
-    ),
-    "gains": Kind(10, copied(*(ROOT / "aircraft").iterdir(), only=ends(".yaml")), feed_gains),
+    "params": Kind(15, copied(*PAGES, AIRCRAFT, only=ends(".param")), feed_param),
+    "gains": Kind(10, copied(AIRCRAFT, only=ends(".yaml")), feed_gains),
     "tables": Kind(
         15,
         copied(
@@ -193,6 +202,6 @@ KINDS = {
         ),
         feed_table,
     ),
-    "aircraft": Kind(15, aircraft, feed_aircraft),
+    "aircraft": Kind(15, copied(AIRCRAFT, only=ends(".xml")), feed_aircraft),
     "logs": Kind(10, flown_log, feed_log),
 }

@@ -22,7 +22,9 @@ from testbed.errors import InputError
 
 SEED = 20261122
 LONGEST_ERROR = 20_000  # characters
-LINE = re.compile(r"\S+\.yaml:\d+:")
+LINE = re.compile(r"\S+\.(yaml|py):\d+:")
+# What is found while a world is built names the key, or the aircraft, of the page that was given.
+KEY = re.compile(r"(scenario|leader|fleet|formation|controller|air|network|rates|limits|uav\d)\b")
 WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 CHANGES = ("os.remove", "os.rename", "os.mkdir", "os.rmdir", "os.symlink", "os.link", "os.truncate")
 PROGRAMS = ("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "os.spawn")
@@ -53,7 +55,9 @@ class Guard:
             if wants and isinstance(path, str | bytes | os.PathLike):
                 self.note_path(event, path)
         elif event in CHANGES:
-            self.note_path(event, args[0])
+            fd = args[-1] if isinstance(args[-1], int) else -1
+            folder = os.readlink(f"/proc/self/fd/{fd}") if fd >= 0 else "."
+            self.note_path(event, os.path.join(folder, os.fsdecode(args[0])))
         elif event in PROGRAMS or event in SOCKETS:
             self.seen.append(f"{event} {args!r:.200}")
         elif event == "exec" and Path(args[0].co_filename).name == EVIL:
@@ -74,9 +78,10 @@ def fault_of(error, path):
         return "an error that is not printable"
     first = text.partition("\n")[0]
     folder = next((p for p in path.parents if (p / f"{p.name}.xml").is_file()), path)
-    # a page may be wrong in a line of the page that it extends
+    if path.suffix == ".yaml" and (LINE.match(first) or KEY.match(first)):
+        return ""  # a page may be wrong in a line of the page that it extends, or of its law
     names = (path.name, f"{folder.name}/", f"{folder.name}:")
-    if not any(each in first for each in names) and not LINE.match(first):
+    if not any(each in first for each in names):
         return "an error that does not name the file"
     return ""
 

@@ -1,6 +1,7 @@
 """A law of one's own: found, held to its contract, blamed by line, and flown."""
 
 import hashlib
+import json
 import shutil
 import sys
 import textwrap
@@ -111,10 +112,38 @@ def test_a_law_leaves_nothing_beside_its_page(tmp_path, monkeypatch):
     assert sys.dont_write_bytecode is False
 
 
+def installed(folder):
+    """Make of a folder on the path a package that was installed to be edited, as pip does."""
+    about = folder / "a_package_of_laws-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: a-package-of-laws\nVersion: 1.0\n"
+    )
+    url = {"url": folder.as_uri(), "dir_info": {"editable": True}}
+    (about / "direct_url.json").write_text(json.dumps(url))
+
+
+def test_code_that_is_only_in_the_way_is_not_run(tmp_path, monkeypatch):
+    (tmp_path / "in_the_way.py").write_text("raise AssertionError('ran')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    (home := tmp_path / "pages").mkdir()
+    for law in ("in_the_way:Law", "antigravity:Law", "in_the_way.deeper:Law", "os:system"):
+        assert "no module" in refusal(page(home, law=law)), law
+    monkeypatch.chdir(home)
+    for law in ("../in_the_way.py:Law", f"{tmp_path}/in_the_way.py:Law"):
+        text = refusal(page(home, law=law))
+        assert "is not in the page's folder" in text and "mine.yaml:2" in text
+    (home / "linked.py").symlink_to(tmp_path / "in_the_way.py")
+    assert "is not in the page's folder" in refusal(page(home, law="linked:Law"))
+    assert "in_the_way" not in sys.modules and "antigravity" not in sys.modules
+
+
 def test_a_law_may_be_installed(tmp_path, monkeypatch):
     page(tmp_path)
     (tmp_path / "mine.py").rename(tmp_path / "a_package_of_laws.py")
     monkeypatch.syspath_prepend(tmp_path)
+    installed(tmp_path)
     world = build(load("simulation-3", ["controller.law=a_package_of_laws:Straight"]))
     assert type(world.groups[0].law).__name__ == "Straight"
     assert not world.groups[0].trusted
