@@ -73,7 +73,9 @@ class _Settler:
     def law(self, loc: _Loc, name: str) -> None:
         """Settle a law that is not the paper's."""
         try:
-            found = resolve.find_law(name, folder=self.folder(*loc))
+            # who gives a text or an option, not a file, names the code himself
+            given = not resolve.is_file(Path(walk(self.tree, loc)[0].place.source))
+            found = resolve.find_law(name, folder=self.folder(*loc), anywhere=given)
         except ScenarioError as error:
             self.blame(error, *loc)
             return

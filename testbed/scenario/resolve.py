@@ -122,15 +122,15 @@ def find_data(name_or_path: str | Path, *, folder: Path | None = None) -> Path:
     return _find("data file", name_or_path, kept, list_data, "a CSV file", folder)
 
 
-def find_law(name: str, *, folder: Path | None = None) -> str:
+def find_law(name: str, *, folder: Path | None = None, anywhere: bool = False) -> str:
     """Return where a law `module:Class` comes from: "file.py:Class", or itself if installed.
 
     A module.py in `folder` (the page's) or in scenarios/ is meant before an installed module of
-    that name. Without a folder, a name that was found before is found again.
+    that name. Without a folder, a name that was found before is found again. A path may lead out
+    of the folder with `anywhere` alone: no file of a page runs code from elsewhere.
 
     Raises:
-        ScenarioError: the name is the path of a file that is not there, or that leaves the folder:
-            no page runs code from elsewhere.
+        ScenarioError: the name is the path of a file that is not there, or leaves the folder.
     """
     place, _, class_name = name.rpartition(":")
     if place.endswith(".py"):
@@ -138,7 +138,8 @@ def find_law(name: str, *, folder: Path | None = None) -> str:
         if not is_file(path):
             text = f"there is no file {path} (write module:Class, with module.py beside the page)"
             raise ScenarioError([Problem(Place(str(path)), text)])
-        _refuse_outside(path, folder)
+        if not anywhere:
+            _refuse_outside(path, folder)
         return f"{path}:{class_name}"
     file = f"{place.replace('.', '/')}.py"
     for home in (folder, library() / "scenarios"):

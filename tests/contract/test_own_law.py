@@ -136,6 +136,9 @@ def test_code_that_is_only_in_the_way_is_not_run(tmp_path, monkeypatch):
         assert "is not in the page's folder" in text and "mine.yaml:2" in text
     (home / "linked.py").symlink_to(tmp_path / "in_the_way.py")
     assert "is not in the page's folder" in refusal(page(home, law="linked:Law"))
+    (tmp_path / "mine.py").write_text((home / "mine.py").read_text())
+    asked = load(page(home), [f"controller.law={tmp_path}/mine.py:Straight"])
+    assert asked.controller.law == f"{tmp_path}/mine.py:Straight"
     assert "in_the_way" not in sys.modules and "antigravity" not in sys.modules
 
 
