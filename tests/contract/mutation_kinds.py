@@ -180,7 +180,7 @@ AIRCRAFT = ROOT / "aircraft"
 PAGES = (ROOT / "scenarios", DATA / "scenarios", AIRCRAFT)
 KINDS = {
     "pages": Kind(
-        20,
+        14,
         copied(
             *PAGES,
             only=lambda p: (
@@ -189,11 +189,11 @@ KINDS = {
         ),
         feed_page,
     ),
-    "studies": Kind(15, copied(*PAGES, only=ends(".yaml", within="studies")), feed_pages_beside),
-    "params": Kind(15, copied(*PAGES, AIRCRAFT, only=ends(".param")), feed_param),
-    "gains": Kind(10, copied(AIRCRAFT, only=ends(".yaml")), feed_gains),
+    "studies": Kind(14, copied(*PAGES, only=ends(".yaml", within="studies")), feed_pages_beside),
+    "params": Kind(20, copied(*PAGES, AIRCRAFT, only=ends(".param")), feed_param),
+    "gains": Kind(12, copied(AIRCRAFT, only=ends(".yaml")), feed_gains),
     "tables": Kind(
-        15,
+        20,
         copied(
             *(ROOT / "scenarios" / "data").glob("*.csv"),
             *(DATA / "scenarios").glob("*.csv"),
@@ -202,6 +202,6 @@ KINDS = {
         ),
         feed_table,
     ),
-    "aircraft": Kind(15, copied(AIRCRAFT, only=ends(".xml")), feed_aircraft),
-    "logs": Kind(10, flown_log, feed_log),
+    "aircraft": Kind(8, copied(AIRCRAFT, only=ends(".xml")), feed_aircraft),
+    "logs": Kind(12, flown_log, feed_log),
 }

@@ -107,7 +107,7 @@ def listing(folder):
 def chosen(name, files, number):
     """The file that a number stands for, and what becomes of it; below 0 they are as they were."""
     if number < 0:
-        path = files[-number - 1]
+        path = files[(-number - 1) % len(files)]
         return path, path.read_bytes(), "whole"
     dice = random.Random(f"{SEED}/{name}/{number}")
     path = dice.choice(files)
