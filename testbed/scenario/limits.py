@@ -34,8 +34,8 @@ class Limits(Section):
     )
     formation_m: Distance | None = Field(
         100.0,
-        description="A follower farther than this from its slot for five seconds is upset, m; "
-        "until it has been engaged, than its distance at the start and this; null: nobody looks.",
+        description="A follower that is this much farther from its slot than it has been, for five "
+        "seconds, is upset, m; null: nobody looks.",
     )
     when_lost: Literal["stop", "fly-on"] = Field(
         "stop",

@@ -127,9 +127,7 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
             )
             news += engagement.changes(tick, formation.error_ned, casualties.gone)
             away = apart if deck is None else deck.away(apart)
-            news += upsets.changes(
-                now, truth, flown_in, formation, engagement.engaged, (casualties.gone, away)
-            )
+            news += upsets.changes(now, truth, flown_in, formation, (casualties.gone, away))
             audience.observe(
                 Frame(
                     tick=tick,

@@ -14,7 +14,6 @@ from testbed.scenario import Scenario
 from testbed.scenario.sensors import TRUTH
 from testbed.sim.clock import Clock
 
-GIGA = 1e9
 _PROGRAM = 180e6  # bytes: libraries, tables and buffers
 _AIRCRAFT = 1.5e6  # of a flight model and what belongs to it
 _PATH = 400.0  # of a tick of a leader that is computed beforehand, while it is
@@ -100,4 +99,4 @@ def _memory() -> Iterator[float]:
 
 
 def _told(size: float) -> str:
-    return f"{size / GIGA:.1f} GB"
+    return f"{size / 1e9:.1f} GB" if size >= 1e8 else f"{size / 1e6:.1f} MB"

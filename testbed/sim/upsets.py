@@ -47,16 +47,22 @@ def measured(airspeed: Array, alpha: Array, error_ned: Array) -> Array:
     return out
 
 
-def beyond(airspeed: Array, alpha: Array, error_ned: Array, limits: Array) -> bool:
-    """Whether any of N aircraft is beyond a limit.
+def beyond(
+    airspeed: Array, alpha: Array, error_ned: Array, limits: Array, closest_m: Array
+) -> bool:
+    """Whether any of N aircraft is beyond a limit; `closest_m` follows.
 
     Args:
         airspeed: (N,) m/s, equivalent.
         alpha: (N,) rad, angle of attack.
         error_ned: (N − 1, 3) m, of the followers.
-        limits: (3, N) of airspeed, angle of attack and distance; infinite where nobody looks.
+        limits: (3, N) of airspeed, angle of attack, and how much farther from its slot a follower
+            may be than it has been; infinite where nobody looks.
+        closest_m: (N,) how close to its slot each has been, m; the leader's is 0.
     """
-    return bool((measured(airspeed, alpha, error_ned) > limits).any())
+    values = measured(airspeed, alpha, error_ned)
+    np.fmin(closest_m, values[2], out=closest_m)
+    return bool((values[:2] > limits[:2]).any() or (values[2] > limits[2] + closest_m).any())
 
 
 READY_BEYOND = ready_of(beyond, "testbed.sim.upsets_twin")
@@ -81,15 +87,18 @@ class Upsets:
 
         Args:
             names: N
-            limits: (3, N) largest equivalent airspeed, m/s, angle of attack, rad, and distance of
-                a follower from its slot, m; infinite where nobody looks.
+            limits: (3, N) largest equivalent airspeed, m/s, angle of attack, rad, and how much
+                farther from its slot a follower may be than it has been, m; infinite where nobody
+                looks.
             breakdowns: of the page.
             stops: whether the run ends with the first upset that no fault of the page explains.
         """
         self._names, self._breakdowns, self._stops = names, breakdowns, stops
-        self._formation_m = limits[2, 1:]
-        self._limits = limits.copy()
-        self._engaged: Truths | None = None
+        self._limits = limits
+        # to the slot, since the start or since it flew something else: who joins may come from far
+        self._closest_m: Array = np.full(len(names), np.inf)
+        self._apart: Truths | None = None
+        self._somebody_apart = False
         self._since: Array = np.full(limits.shape, np.nan)  # s, beyond it without a break
         self._most: Array = np.zeros(limits.shape)  # since then
         self._told: Truths = np.zeros(limits.shape, dtype=bool)
@@ -104,7 +113,6 @@ class Upsets:
         truth: VehicleState,
         air: AirData,
         formation: FormationState,
-        engaged: Truths,
         away: tuple[Truths, Truths],
     ) -> Iterator[Event]:
         """An event for each upset that began or ended since the last call.
@@ -116,17 +124,19 @@ class Upsets:
             truth: of N aircraft.
             air: what the truth knows of theirs.
             formation: of the n followers.
-            engaged: (n,) who has held its slot before; another array when that has changed.
-            away: (N,) who is lost, and (n,) who has no slot to keep.
+            away: (N,) who is lost, and (n,) who has no slot to keep; other arrays when that has
+                changed.
         """
-        if engaged is not self._engaged:
-            self._measure(engaged, formation.error_ned)
+        if away[1] is not self._apart:
+            self._apart, self._somebody_apart = away[1], bool(away[1].any())
+        if self._somebody_apart:
+            self._closest_m[1:][away[1]] = np.inf
         looks = zip(self._steady, (truth, air, formation), strict=True)
         given = [steady(record) for steady, record in looks]
         if len(self._bound) != len(given) or any(map(operator.is_not, given, self._bound)):
             self._bound = given
             seen = given[0].equivalent_airspeed, given[1].alpha, given[2].error_ned
-            self._look = READY_BEYOND(*seen, self._limits)
+            self._look = READY_BEYOND(*seen, self._limits, self._closest_m)
         if self._look() or self._busy:
             values = measured(truth.equivalent_airspeed, air.alpha, formation.error_ned)
             yield from self._changed(now, values, away)
@@ -141,18 +151,13 @@ class Upsets:
         """Whether anybody was upset without a fault that explains it."""
         return self._unforeseen
 
-    def _measure(self, engaged: Truths, error_ned: Array) -> None:
-        """Hold those who were engaged to their slots, and others to where they began, too."""
-        if self._engaged is None:
-            self._begun_m = np.linalg.norm(error_ned, axis=1)
-        self._engaged = engaged
-        self._limits[2, 1:] = self._formation_m + np.where(engaged, 0.0, self._begun_m)
-
     def _changed(self, now: float, values: Array, away: tuple[Truths, Truths]) -> Iterator[Event]:
         lost, without_slot = away
         here = np.tile(~lost, (3, 1))
-        here[2, 1:] &= ~without_slot
-        above = here & (values > np.where(self._told, BACK * self._limits, self._limits))
+        here[2, 1:] &= ~without_slot & ~lost[0]
+        limits = self._limits.copy()
+        limits[2] += self._closest_m
+        above = here & (values > np.where(self._told, BACK * limits, limits))
         most = np.fmax(self._most, values)
         since = np.where(np.isnan(self._since), now, self._since)
         began = above & ~self._told & (now - since >= HOLD_S - SIMULTANEOUS_S)
@@ -160,7 +165,7 @@ class Upsets:
         explained = self._explained()
         for kind, row in np.argwhere(began):
             level = "warning" if explained[kind, row] else "error"
-            at, limit = (each[kind, row] * _SHOWN[kind] for each in (values, self._limits))
+            at, limit = (each[kind, row] * _SHOWN[kind] for each in (values, limits))
             text = _BEGINS[kind].format(at=at, limit=limit)
             yield Event(now, level, self._names[row], text)
         for kind, row in np.argwhere(ended):

@@ -12,12 +12,17 @@ from testbed.compiled import twin
 
 
 @twin
-def beyond(airspeed, alpha, error_ned, limits):
+def beyond(airspeed, alpha, error_ned, limits, closest_m):
+    out = False
     for i in range(len(airspeed)):
         if airspeed[i] > limits[0, i] or alpha[i] > limits[1, i]:
-            return True
+            out = True
+    closest_m[0] = 0.0
     for i in range(len(error_ned)):
         x, y, z = error_ned[i]
-        if sqrt(x * x + y * y + z * z) > limits[2, i + 1]:
-            return True
-    return False
+        distance = sqrt(x * x + y * y + z * z)
+        if distance < closest_m[i + 1]:
+            closest_m[i + 1] = distance
+        if distance > limits[2, i + 1] + closest_m[i + 1]:
+            out = True
+    return out

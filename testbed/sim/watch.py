@@ -235,7 +235,6 @@ class Engagement:
         """Nobody has."""
         self._names, self._rate = names, base_rate_hz
         self._since = np.full(len(names), -1)  # tick, inside without a break; -1: outside
-        self.engaged: Truths = np.zeros(len(names), dtype=bool)  # (n,)
         self._awaited: Truths = np.ones(len(names), dtype=bool)
         self._waits = True  # for somebody
 
@@ -259,10 +258,8 @@ class Engagement:
                 began = f"{since / self._rate:.1f} s"
                 text = f"engaged: within {ENGAGED_RADIUS_M:g} m of its slot since {began}"
                 yield Event(tick / self._rate, "info", name, text)
-        if engaged.any():
-            self.engaged = self.engaged | engaged  # another array: who compares it sees a change
-            self._awaited &= ~engaged
-            self._waits = bool(self._awaited.any())
+        self._awaited &= ~engaged
+        self._waits = bool(self._awaited.any())
 
 
 class Arrivals:

@@ -151,10 +151,6 @@ def with_param(params: FbwaParams, name: str, value: float) -> FbwaParams:
 
 def _faults(params: FbwaParams) -> Iterator[tuple[str, str]]:
     """What no autopilot can fly with: the parameter's field, and what is wrong with it."""
-    for name in sorted(_NAMES):
-        value = getattr(params, name)
-        if value and not _SMALLEST <= abs(value) <= _LARGEST:
-            yield name, f"{name.upper()} is {value:g}; a size is {_SMALLEST:g} to {_LARGEST:g}"
     for name in _POSITIVE:
         if not getattr(params, name) > 0.0:
             yield name, f"{name.upper()} must be greater than 0"
@@ -170,6 +166,10 @@ def _faults(params: FbwaParams) -> Iterator[tuple[str, str]]:
             f"AIRSPEED_MAX ({params.airspeed_max:g}) must be greater than AIRSPEED_MIN "
             f"({params.airspeed_min:g})",
         )
+    for name in sorted(_NAMES):
+        value = getattr(params, name)
+        if value and not _SMALLEST <= abs(value) <= _LARGEST:
+            yield name, f"{name.upper()} is {value:g}; a size is {_SMALLEST:g} to {_LARGEST:g}"
 
 
 @dataclass(frozen=True, slots=True)

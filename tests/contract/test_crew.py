@@ -117,7 +117,9 @@ def flight(tmp_path):
         start_new_session=True,
     ) as process:
         try:
-            yield process, wait_for(lambda: children(process.pid))[0], tmp_path / "run"
+            run = tmp_path / "run"
+            wait_for((run / "run.mcap").exists)  # aircraft have been tried out, in a child, too
+            yield process, wait_for(lambda: children(process.pid))[0], run
         finally:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)

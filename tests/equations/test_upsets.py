@@ -13,7 +13,6 @@ from testbed.streams import stream
 DT = 0.04
 NAMES = ("leader", "uav1", "uav2")
 NOBODY = (np.zeros(3, dtype=bool), np.zeros(2, dtype=bool))
-NEVER = np.zeros(2, dtype=bool)
 OVERSPEED, STALL, FORMATION = 40.0, math.radians(13.0), 100.0
 
 
@@ -22,14 +21,14 @@ def watch(breakdowns=None, *, stops=False):
     return Upsets(NAMES, limits, breakdowns, stops=stops)
 
 
-def flown(upsets, histories, *, engaged=NEVER, away=NOBODY, first=0):
+def flown(upsets, histories, *, away=NOBODY, first=0):
     """The events of histories by step: uav1's airspeed, angle of attack in deg, and distance."""
     events = []
     for k, (airspeed, alpha, distance) in enumerate(histories, start=first):
         truth = SimpleNamespace(equivalent_airspeed=np.array([20.0, airspeed, 20.0]))
         air = SimpleNamespace(alpha=np.radians([3.0, alpha, 3.0]))
         error = np.array([[0.6 * distance, 0.0, 0.8 * distance], [1.0, 0.0, 0.0]])
-        news = upsets.changes(k * DT, Record(truth), Record(air), Slots(error), engaged, away)
+        news = upsets.changes(k * DT, Record(truth), Record(air), Slots(error), away)
         events += news
     return events
 
@@ -59,7 +58,7 @@ CALM = (20.0, 3.0, 1.0)
 def test_who_stays_within_the_limits_is_not_mentioned():
     near = (OVERSPEED, math.degrees(STALL), FORMATION)
     upsets = watch()
-    assert flown(upsets, [near] * 400, engaged=np.ones(2, dtype=bool)) == []
+    assert flown(upsets, [(*near[:2], 0.0)] + [near] * 400) == []
     assert (upsets.unforeseen, upsets.over) == (False, False)
 
 
@@ -98,24 +97,36 @@ def test_a_formation_is_lost_after_five_seconds():
     events = flown(
         upsets,
         [CALM] * 25 + [(20.0, 3.0, 120.0)] * 200 + [CALM] * 5,
-        engaged=np.ones(2, dtype=bool),
     )
     assert told(events) == [
-        (6.0, "error", "uav1", "lost its formation: 120 m from its slot (limit 100 m)"),
+        (6.0, "error", "uav1", "lost its formation: 120 m from its slot (limit 101 m)"),
         (9.0, "info", "uav1", "back from 120 m off its slot at most, after 8.0 s"),
     ]
 
 
-def test_who_was_never_in_its_slot_is_held_to_where_it_began():
+def test_a_follower_is_held_to_how_close_it_has_been():
     upsets = watch()
     assert flown(upsets, [(20.0, 3.0, 250.0)] + [(20.0, 3.0, 349.0)] * 400) == []
     (event,) = flown(upsets, [(20.0, 3.0, 351.0)] * 400, first=401)
     assert "lost its formation: 351 m from its slot (limit 350 m)" in event.text
     upsets = watch()
-    flown(upsets, [(20.0, 3.0, 250.0)])
-    engaged = np.array([True, False])
-    (event,) = flown(upsets, [(20.0, 3.0, 101.0)] * 400, engaged=engaged, first=1)
+    flown(upsets, [(20.0, 3.0, 250.0), (20.0, 3.0, 0.0)])
+    (event,) = flown(upsets, [(20.0, 3.0, 101.0)] * 400, first=2)
     assert "lost its formation: 101 m from its slot (limit 100 m)" in event.text
+
+
+def test_who_comes_back_from_something_else_counts_anew():
+    upsets, apart = watch(), (NOBODY[0], np.array([True, False]))
+    assert flown(upsets, [CALM] * 25 + [(20.0, 3.0, 90.0)] * 25) == []
+    assert flown(upsets, [(20.0, 3.0, 700.0)] * 400, away=apart, first=50) == []
+    assert flown(upsets, [(20.0, 3.0, 790.0)] * 400, first=450) == []
+    (event,) = flown(upsets, [CALM] + [(20.0, 3.0, 790.0)] * 400, first=850)
+    assert "lost its formation: 790 m from its slot (limit 101 m)" in event.text
+
+
+def test_without_a_leader_nobody_has_a_place():
+    gone = (np.array([True, False, False]), NOBODY[1])
+    assert flown(watch(), [CALM] + [(20.0, 3.0, 700.0)] * 400, away=gone) == []
 
 
 def test_who_flies_at_a_limit_does_not_chatter():
@@ -127,12 +138,13 @@ def test_who_flies_at_a_limit_does_not_chatter():
 
 @pytest.mark.parametrize("away", [0, 1])
 def test_what_ends_because_somebody_is_away_ends_without_a_word(away):
-    far, present = [(20.0, 3.0, 150.0)] * 200, np.ones(2, dtype=bool)
+    far = [(20.0, 3.0, 150.0)] * 200
     upsets = watch()
-    assert len(flown(upsets, far, engaged=present)) == 1
-    gone = (np.array([False, True, False]), NEVER) if away else (NOBODY[0], np.array([True, False]))
-    assert flown(upsets, far, engaged=present, away=gone, first=200) == []
-    assert flown(upsets, [CALM] * 50, engaged=present, away=gone, first=400) == []
+    assert len(flown(upsets, [CALM, *far])) == 1
+    lost, apart = np.array([False, True, False]), np.array([True, False])
+    gone = (lost, NOBODY[1]) if away else (NOBODY[0], apart)
+    assert flown(upsets, far, away=gone, first=200) == []
+    assert flown(upsets, [CALM] * 50, away=gone, first=400) == []
 
 
 def test_who_has_left_its_slot_can_still_stall():
@@ -160,7 +172,7 @@ def broken(row):
 )
 def test_what_a_fault_of_the_page_explains_is_a_warning(history, row, level):
     upsets = watch(broken(row), stops=True)
-    (event,) = flown(upsets, [history] * 200, engaged=np.ones(2, dtype=bool))
+    (event,) = flown(upsets, [CALM] + [history] * 200)
     assert event.level == level
     assert upsets.unforeseen == upsets.over == (level == "error")
 
@@ -179,8 +191,17 @@ def test_the_compiled_look_sees_what_numpy_sees():
         limits = np.tile([[OVERSPEED], [STALL], [FORMATION]], (1, 5))
         limits[:, 2] = np.inf
         airspeed[2], alpha[2] = rng.choice([np.nan, 1e6]), np.nan
+        error[rng.integers(4)] = rng.choice([1.0, np.nan, np.inf])
+        closest = np.array([0.0, *rng.choice([0.0, 10.0, np.inf], 4)])
         args = airspeed, alpha, error, limits
-        expected = bool((measured(*args[:3]) > limits).any())
-        assert beyond(*args) == compiled(*args) == READY_BEYOND(*args)() == expected
+        rooms = closest.copy(), closest.copy(), closest.copy()
+        distance = measured(*args[:3])[2]
+        near = np.where(distance < closest, distance, closest)
+        allowed = limits + np.stack([np.zeros(5), np.zeros(5), near])
+        expected = bool((measured(*args[:3]) > allowed).any())
+        looks = beyond(*args, rooms[0]), compiled(*args, rooms[1]), READY_BEYOND(*args, rooms[2])()
+        assert looks == (expected,) * 3
+        for room in rooms:
+            np.testing.assert_allclose(room, near, rtol=1e-15)
         seen += expected
     assert 100 < seen < 400
