@@ -93,6 +93,12 @@ def mounts(folder, options):
     return ("sh", "-c", f"mkdir -p {folder} && mount -t tmpfs -o {options} tmpfs {folder}")
 
 
+def fills(folder, after):
+    """Something else that takes all the room there is, once a file is so large."""
+    large = f'[ "$(stat -c %s {after} 2>/dev/null || echo 0)" -gt 200000 ]'
+    return ("sh", "-c", f"until {large}; do sleep 0.02; done; cat /dev/zero > {folder}/other; true")
+
+
 def kept(folder, into):
     """What is in it, for when it is gone with who mounted it."""
     return ("cp", "-r", folder, into)
@@ -101,17 +107,16 @@ def kept(folder, into):
 def test_a_file_system_that_is_full_or_read_only_is_one_line_and_the_log_is_readable(tmp_path):
     disk, tiny, fixed = (tmp_path / name for name in ("disk", "tiny", "fixed"))
     alone, logged = ("--out", disk / "run"), ("--tlog", "--set=log.mcap=false")
-    *_, full, _, again, _, tlog, _, _, begun, _, new, empty, default, _ = together(
+    _, full, _, again, _, tlog, _, begun, _, new, empty, default, _ = together(
         tmp_path,
-        [mounts(disk, "size=700k")],
-        [(*FLY, *alone)],
-        [kept(disk, "full")],
+        [mounts(disk, "size=60m")],  # a whole log has room
+        [(*FLY, *alone), fills(disk, disk / "run" / LOG)],
+        [kept(disk / "run", "full")],
         [("testbed", "recover", disk / "run")],
         [("sh", "-c", f"rm -rf {disk}/*")],
-        [(*FLY, *alone, *logged)],
-        [kept(disk, "telemetry")],
+        [(*FLY, *alone, *logged), fills(disk, disk / "run" / "run.tlog")],
         [mounts(tiny, "size=8k")],
-        [(*FLY, "--out", tiny / "run")],
+        [(*FLY, "--out", tiny / "run", "--set=log.mcap=false")],
         [("sh", "-c", f"mkdir -p {fixed} && mount -t tmpfs -o ro tmpfs {fixed}")],
         [(*FLY, "--out", fixed / "run")],
         [(*FLY, "--out", fixed)],
@@ -119,12 +124,12 @@ def test_a_file_system_that_is_full_or_read_only_is_one_line_and_the_log_is_read
         [("true",)],
         apart=True,
     )
-    ((full,), (again,), (tlog,), (begun,), (new,), (empty,), (default,)) = (
+    ((full, _), (again,), (tlog, _), (begun,), (new,), (empty,), (default,)) = (
         full, again, tlog, begun, new, empty, default
     )  # fmt: skip
     assert full.error == f"error: {disk}/run/{LOG}: cannot write the log: No space left on device"
     assert full.stderr.splitlines()[1:] == [f"log: {disk}/run"]
-    log = read_log(tmp_path / "full" / "run" / LOG)
+    log = read_log(tmp_path / "full" / LOG)
     assert log.tick.size > 100 and log.lost_bytes == 0 and not log.finished
     assert f"{disk}/run: " in again.error or LOG in again.error
     assert "No space left on device" in again.error
@@ -134,7 +139,7 @@ def test_a_file_system_that_is_full_or_read_only_is_one_line_and_the_log_is_read
         assert f"{fixed}" in each.error and words in each.error, each.error
     assert "logs/simulation-3: cannot make the run directory: Read-only" in default.error
     assert {each.code for each in (full, again, tlog, begun, new, empty, default)} == {2}
-    recovered = recover(tmp_path / "full" / "run")  # where there is room
+    recovered = recover(tmp_path / "full")  # where there is room
     assert recovered.was_cut and read_log(recovered.log).tick.size == log.tick.size
 
 
