@@ -19,7 +19,7 @@ from testbed.state import VehicleState
 
 MAGIC, CHUNK = 8, 6  # bytes that an MCAP file begins with, and the number of a chunk
 HEAD = struct.Struct("<BQ")  # of a record: its number, and the length of the rest
-CUTS = int(os.environ.get("TESTBED_CUTS", "12"))
+CUTS = int(os.environ.get("TESTBED_CUTS", "4"))
 PAGE = [
     "scenario.duration_s=60",
     "scenario.portions={early: [5, 12], late: [12, 60]}",

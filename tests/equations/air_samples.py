@@ -15,6 +15,7 @@ from testbed.air.mil import HIGH, INTENSITIES, LOW, Scales
 from testbed.air.spectra import psd
 
 SAMPLES = int(os.environ.get("TESTBED_AIR_SAMPLES", "16"))  # aircraft per case
+IN_FULL = "TESTBED_AIR_SAMPLES" in os.environ
 SPAN = 2.8
 LONGEST = 1000.0  # L ω/V up to which the sum of Dryden fields is von Kármán's
 COMPONENTS = ("u", "v", "w", "p", "q", "r")
@@ -47,11 +48,15 @@ class Case:
 
 
 def cases(spectrum):
-    """Two airspeeds, one height in each altitude band, two steps; every case its own draws."""
+    """Two airspeeds, one height in each altitude band, two steps; every case its own draws.
+
+    Unless they are flown in full, each airspeed at each height has one of the two steps.
+    """
     heights = (100.0, 450.0, 900.0)
     assert heights[0] < LOW < heights[1] < HIGH < heights[2]
     every = [(v, h, dt) for v in (15.0, 30.0) for h in heights for dt in (0.02, 0.005)]
-    return [Case(spectrum, *each, seed) for seed, each in enumerate(every)]
+    flown = [Case(spectrum, *each, seed) for seed, each in enumerate(every)]
+    return flown if IN_FULL else [one for one in flown if one.seed % 4 in (0, 3)]
 
 
 def felt(air, height, airspeed):
