@@ -171,9 +171,8 @@ def growth(result: Told) -> Iterator[str]:
     if "memory" in result:
         told = result["memory"]
         yield (
-            f"{told['aircraft']} aircraft need {told['peak_mb']:.0f} MB after "
-            f"{told['simulated_s']:g} s and {1e3 * told['growth_mb_per_s']:.0f} kB more each "
-            f"second: {told['foretold_mb'] / 1e3:.2f} GB after {told['foretold_s']:g} s."
+            f"{told['aircraft']} aircraft need {told['peak_mb']:.0f} MB for the first "
+            f"{told['simulated_s']:g} s."
         )
     yield ""
 
