@@ -12,6 +12,7 @@ from typing import Any, TextIO
 
 from testbed.errors import InputError
 
+UPSETS = ("overspeed", "stalled", "lost its formation")  # how their events begin
 OUTCOMES = ("flown", "lost", "upset", "interrupted", "failed")
 
 
@@ -70,6 +71,19 @@ def losses(document: Mapping[str, Any]) -> list[str]:
     """Who was lost when, in words and in order of time."""
     lost = {name: at for name, at in document["lost_at_s"].items() if at is not None}
     return [f"{name} at {lost[name]:.1f} s" for name in sorted(lost, key=lambda name: lost[name])]
+
+
+def upsets(document: Mapping[str, Any]) -> list[str]:
+    """Who was beyond a limit that no fault explains: what, when first, and how often; in words."""
+    found: dict[tuple[str, str], list[float]] = {}
+    for event in document["events"]:
+        what = event["text"].partition(":")[0]
+        if event["level"] == "error" and what in UPSETS:
+            found.setdefault((event["source"], what), []).append(event["time_s"])
+    return [
+        f"{name} {what} at {times[0]:.1f} s" + (f", {len(times)} × in all" if times[1:] else "")
+        for (name, what), times in found.items()
+    ]
 
 
 def errors(document: Mapping[str, Any]) -> list[tuple[float, str]]:

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from testbed.formation.flags import Saturation
 from testbed.metrics import estimates, network, outside, wind
-from testbed.metrics.document import losses
+from testbed.metrics.document import losses, upsets
 from testbed.metrics.error_table import (
     ABREAST,
     NOTHING,
@@ -107,7 +107,9 @@ def facts(metrics: Document) -> list[tuple[str, str | Text]]:
         separation += f", {between[0]} and {between[1]} at {metrics['min_separation_at_s']:.1f} s"
     lost = losses(metrics)
     if lost:
-        rows.append(("lost", _lost(lost)))
+        rows.append(("lost", _named(lost, "; counted until then")))
+    if upset := upsets(metrics):
+        rows.append(("upset", _named(upset)))
     rows.append(("smallest separation", separation))
     rows.append(("leader's bank", show(metrics["leader_bank_deg"], "{:.1f}° at most")))
     if metrics["engaged_at_s"]:
@@ -162,10 +164,10 @@ def _kappa(metrics: Document) -> Text:
     )
 
 
-def _lost(losses: Sequence[str]) -> Text:
-    """The first of these losses in full."""
-    more = [f"{len(losses) - FOLLOWERS} more"] if len(losses) > FOLLOWERS else []
-    return Text(", ".join([*losses[:FOLLOWERS], *more]) + "; counted until then", style="red")
+def _named(troubles: Sequence[str], note: str = "") -> Text:
+    """The first of these in full."""
+    more = [f"{len(troubles) - FOLLOWERS} more"] if len(troubles) > FOLLOWERS else []
+    return Text(", ".join([*troubles[:FOLLOWERS], *more]) + note, style="red")
 
 
 def _left(left: Mapping[str, Mapping[str, Any]]) -> Text:

@@ -140,3 +140,10 @@ def test_an_aircraft_stalls_where_its_lift_is_largest():
     linear = 0.0867 + 4.0203 * alpha
     lift = (1.0 - sigma) * linear + sigma * 2.0 * np.sin(alpha) ** 2 * np.cos(alpha)
     assert x8.stall_angle == pytest.approx(alpha[lift.argmax()], abs=math.radians(0.06))
+
+
+def test_the_table_says_once_who_was_upset_and_how_often(tmp_path):
+    _, output, metrics = flown(tmp_path, "scenario.duration_s=24")
+    times = [e["time_s"] for e in metrics["events"] if e["text"].startswith("stalled")]
+    assert len(times) > 2
+    assert f"upset               uav1 stalled at {times[0]:.1f} s, {len(times)} × in all" in output
