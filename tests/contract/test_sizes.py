@@ -94,7 +94,7 @@ def test_a_flight_that_leaves_no_log_needs_no_room(tmp_path, monkeypatch):
     monkeypatch.setattr(sizes.shutil, "disk_usage", lambda place: Usage(9e9, 9e9, 0.0))
     page = shorten(load("simulation-3", ["log.mcap=false"]), 0.2)
     assert testbed.run(page, out=tmp_path / "run").outcome == "flown"
-    with pytest.raises(InputError, match=r"has 0\.0 GB"):
+    with pytest.raises(InputError, match=r"has 0\.0 MB"):
         testbed.run(shorten(load("simulation-3"), 0.2), out=tmp_path / "other")
 
 
