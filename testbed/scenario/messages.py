@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 
 from testbed.errors import InputError
 
+MOST_TOLD = 50  # problems in the text of an error
+
 
 @dataclass(frozen=True, slots=True)
 class Place:
@@ -42,7 +44,10 @@ class ScenarioError(InputError):
     def __init__(self, problems: Sequence[Problem]) -> None:
         """Carry the problems, in the order given."""
         self.problems = tuple(problems)
-        super().__init__("\n".join(str(problem) for problem in self.problems))
+        told = [str(problem) for problem in self.problems[:MOST_TOLD]]
+        if more := len(self.problems) - len(told):
+            told.append(f"and {more:,} more")
+        super().__init__("\n".join(told))
 
 
 def folded(problems: Iterable[Problem]) -> list[Problem]:

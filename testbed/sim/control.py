@@ -272,7 +272,7 @@ def checked(told: object, team: Team, now: float) -> UnicycleCommand | FbwaComma
     n = len(team.names)
     if not isinstance(told, UnicycleCommand | FbwaCommand):
         raise InputError(
-            f"the law answered with {type(told).__name__} at {now:g} s (return a "
+            f"controller.law: the law answered with {type(told).__name__} at {now:g} s (return a "
             "UnicycleCommand or an FbwaCommand, and the memory)"
         )
     fields = []
@@ -285,13 +285,14 @@ def checked(told: object, team: Team, now: float) -> UnicycleCommand | FbwaComma
             array = None
         if array is None:
             raise InputError(
-                f"the law's {name} is not an array of shape {shape} at {now:g} s (one row for "
-                f"each of {', '.join(team.names)})"
+                f"controller.law: the law's {name} is not an array of shape {shape} at {now:g} s "
+                f"(one row for each of {', '.join(team.names)})"
             )
         wrong = np.flatnonzero(~np.isfinite(array).reshape(n, -1).all(axis=1))
         if len(wrong):
             raise InputError(
-                f"the law's {name} for {team.names[wrong[0]]} is not a finite number at {now:g} s"
+                f"controller.law: the law's {name} for {team.names[wrong[0]]} is not a finite "
+                f"number at {now:g} s"
             )
         fields.append(array)
     return type(told)(*fields)

@@ -45,7 +45,7 @@ from testbed.vehicle.ideal import IdealFleet
 from testbed.vehicle.jsbsim_door import VERSION as JSBSIM_VERSION
 from testbed.vehicle.jsbsim_door import JsbsimFleet, Start, airframe
 from testbed.vehicle.params import read_params, stack
-from testbed.vehicle.trim import STILL
+from testbed.vehicle.trim import STILL, said_of
 
 LOWEST_START_M = 5.0  # above the ground; an aircraft starts in trimmed flight
 
@@ -110,7 +110,8 @@ def build(
     tunes = [read_params(file) for file in files]
     mean = make_mean(page)
     wind = start_wind(mean, page.leader.start.altitude_m)
-    led = make_leader(page, clock, tunes[0], folders[0], origin, wind)
+    with said_of("leader"):
+        led = make_leader(page, clock, tunes[0], folders[0], origin, wind)
     starts = [led.start, *(_start(led.start, each.start_m) for each in page.fleet)]
     starts = [replace(s, wind_ned=start_wind(mean, -s.position_ned[2])) for s in starts]
     kinds = ["moves" if led.moves else page.leader.vehicle, *(f.vehicle for f in page.fleet)]
@@ -135,16 +136,12 @@ def build(
     jsbsim = [row for row, kind in enumerate(kinds) if kind == "jsbsim"]
     if jsbsim:
         charges = [page.aircraft[row].battery.state_of_charge for row in jsbsim]
-        fleet = make_fleet(
-            [folders[row] for row in jsbsim],
-            [
-                replace(starts[row], state_of_charge=c)
-                for row, c in zip(jsbsim, charges, strict=True)
-            ],
-            origin,
-            clock.base_rate_hz,
-            processes=processes,
-        )
+        charged = [
+            replace(starts[row], state_of_charge=c) for row, c in zip(jsbsim, charges, strict=True)
+        ]
+        flown, rate = [folders[row] for row in jsbsim], clock.base_rate_hz
+        with said_of("fleet"):
+            fleet = make_fleet(flown, charged, origin, rate, processes=processes)
         period = clock.autopilot / clock.base_rate_hz
         gains = stack([tunes[row] for row in jsbsim], period)
         virtual = make_flown(page, fleet, gains, jsbsim, files, arduplane)

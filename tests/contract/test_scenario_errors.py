@@ -356,3 +356,13 @@ def test_problems_carry_what_a_program_needs():
     assert (first.place.line, first.place.column) == (2, 50)
     assert first.path == ("scenario", "duration_s")
     assert second.path == ("scenario", "seed")
+
+
+def test_an_error_of_a_thousand_places_tells_the_first_fifty():
+    text = f"scenario: {{schema: 1, name: many, portions: {dict.fromkeys(range(1000), 0)}}}"
+    with pytest.raises(ScenarioError) as refused:
+        loads(text)
+    lines = str(refused.value).splitlines()
+    assert len(refused.value.problems) >= 1000
+    assert len(lines) == 51
+    assert lines[-1] == f"and {len(refused.value.problems) - 50:,} more"
