@@ -47,7 +47,7 @@ def copied(*sources, only):
 
 
 def ends(ending, *, within=""):
-    return lambda path: path.suffix == ending and within in path.parent.as_posix()
+    return lambda path: path.suffix == ending and (not within or within in path.parent.parts)
 
 
 def feed_page(path):
