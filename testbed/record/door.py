@@ -43,6 +43,7 @@ _HEAD = struct.Struct("<BQ")  # of a record: what it is, and the length of the r
 # Of a chunk: the same, its first and last time, what is packed: size, checksum, how and into what.
 _CHUNK = struct.Struct("<BQQQQII4sQ")
 _ZSTD = "zstd"
+_LARGEST_CHUNK = 1 << 28  # bytes; one holds a fraction of a second by the clock on the wall
 _LONGEST = 200  # characters of what a library has against a file, which may quote all of it
 _LIBRARY = "testbed"  # what wrote a file
 # The level that is fastest and still shrinks: the rest of a log is the noise of the last bits.
@@ -304,7 +305,7 @@ def read(path: Path) -> Contents:
         raise LogError(f"{path}: {NOTHING}")
     if not data.startswith(_MAGIC):
         raise LogError(f"{path}: not an MCAP file")
-    sound, at = _sound(data), len(_MAGIC)
+    sound, at = _sound(path, data), len(_MAGIC)
     out = Contents(begun=data.startswith(_BEGINNING), lost_bytes=len(data) - sound)
     topics: dict[int, Messages] = {}
     source = io.BytesIO(data[:sound])
@@ -329,15 +330,33 @@ def read(path: Path) -> Contents:
     return out
 
 
-def _sound(data: bytes) -> int:
-    """Where the last whole record ends, or the file."""
+def _sound(path: Path, data: bytes) -> int:
+    """Where the last whole record ends, or the file.
+
+    Raises:
+        LogError: A chunk would be unpacked to more than any log has.
+    """
     at = len(_MAGIC)
     while len(data) - at >= _HEAD.size:
-        end = at + _HEAD.size + _HEAD.unpack_from(data, at)[1]
+        kind, length = _HEAD.unpack_from(data, at)
+        end = at + _HEAD.size + length
         if end > len(data):
             break
+        if kind == Opcode.CHUNK and (size := _unpacked(data[at:end])) > _LARGEST_CHUNK:
+            raise LogError(f"{path}: a chunk of {size:,} bytes at byte {at}: no run has such a one")
         at = end
     return len(data) if data[at:] == _MAGIC else at
+
+
+def _unpacked(chunk: bytes) -> int:
+    """What a chunk says of its size, or its compressed data do: zstd believes these."""
+    if len(chunk) < _CHUNK.size:
+        return 0  # damaged: the library says how
+    size = int(_CHUNK.unpack_from(chunk)[4])
+    try:
+        return max(size, zstandard.frame_content_size(chunk[_CHUNK.size :]))
+    except zstandard.ZstdError:  # packed in another way, or not at all
+        return size
 
 
 def log_fields(payload: bytes) -> tuple[str, str, str]:

@@ -517,3 +517,24 @@ def test_a_frame_of_other_sizes_than_those_before_is_refused(tmp_path):
     with pytest.raises(ValueError, match="different structures"):
         log.observe(*run_frames(1, followers=4))
     log.close()
+
+
+@pytest.mark.parametrize("where", ["the chunk", "its data"])
+def test_a_chunk_that_would_fill_the_memory_is_refused_unread(tmp_path, where):
+    """A kilobyte of zstd may stand for gigabytes."""
+    path = record(tmp_path / "run.mcap", run_frames(160))
+    data = bytearray(path.read_bytes())
+    head = struct.Struct("<BQ")
+    at = len(b"\x89MCAP0\r\n")
+    while data[at] != 6:  # a chunk
+        at += head.size + head.unpack_from(data, at)[1]
+    if where == "the chunk":
+        struct.pack_into("<Q", data, at + head.size + 16, 1 << 40)
+    else:
+        packed = at + head.size + 8 + 8 + 8 + 4 + 4 + 4 + 8
+        # zstd: magic, a descriptor that says 8 bytes of content size and no window follow
+        data[packed + 4] = 0b11100000
+        struct.pack_into("<Q", data, packed + 5, 1 << 40)
+    path.write_bytes(data)
+    with pytest.raises(LogError, match=rf"a chunk of {1 << 40:,} bytes at byte {at}: no run"):
+        read_log(path)
