@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from testbed.interrupts import remembered
 from testbed.sim.partners import Stopped
 
 
@@ -17,9 +18,9 @@ class Stop:
     """
 
     def __init__(self) -> None:
-        """None came."""
+        """None came, but while libraries were loaded."""
         # not a threading.Event: a handler interrupted by itself would wait for its own lock
-        self._signals = 0
+        self._signals = remembered()
         self._undisturbed = False
 
     def __call__(self) -> bool:

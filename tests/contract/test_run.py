@@ -244,6 +244,36 @@ def test_a_signal_ends_the_run_with_all_that_was_flown(tmp_path, number, after):
     assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == before
 
 
+SWALLOWED = """
+import os, signal, sys
+from testbed import cli
+
+def loads_a_library():
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+        signal.sigtimedwait([], 1)
+    except:  # as some do
+        print("swallowed")
+    sys.argv = ["testbed", "run", "simulation-3", "--quiet", "--out", "run"]
+    cli.app(standalone_mode=True)
+
+app, cli.app = cli.app, lambda: None
+cli.main()
+cli.app = app
+loads_a_library()
+"""
+
+
+def test_ctrl_c_that_a_library_swallows_is_heeded(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", SWALLOWED],
+        cwd=tmp_path, capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert done.stdout == "swallowed\n"
+    assert done.returncode == 130, done.stderr
+    assert json.loads((tmp_path / "run" / "metrics.json").read_text())["simulated_s"] == 0.0
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_second_signal_ends_at_once_and_still_leaves_everything(tmp_path, number):
     out = tmp_path / "run"
