@@ -16,7 +16,7 @@ from testbed.command_group import MARKUP, CommandGroup
 from testbed.errors import InputError, PartnerLost
 from testbed.export_commands import compare, export
 from testbed.flight_commands import import_flight
-from testbed.interrupts import remember
+from testbed.interrupts import remembering
 from testbed.network_commands import network
 from testbed.options import Jobs, Overrides, ScenarioName
 from testbed.recover_commands import recover
@@ -233,9 +233,9 @@ def _main(
 
 def main() -> None:
     """Run the command line; every ending has its exit code."""
-    remember()
     try:
-        app()
+        with remembering():
+            app()
     except InputError as error:
         for line in (f"error: {error}", *getattr(error, "__notes__", ())):
             typer.echo(line, err=True)

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import FrameType
 
 _came: list[int] = []
 
 
-def remember() -> None:
-    """Raise KeyboardInterrupt at Ctrl-C, as Python does, and remember that it came."""
-    if (
-        signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    ):  # else somebody wants otherwise
+@contextmanager
+def remembering() -> Iterator[None]:
+    """Raise KeyboardInterrupt at Ctrl-C, as Python does, and remember meanwhile that it came."""
+    before = signal.getsignal(signal.SIGINT)
+    if before is signal.default_int_handler:  # else somebody wants otherwise
         signal.signal(signal.SIGINT, _interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        _came.clear()
 
 
 def remembered() -> int:

@@ -336,19 +336,19 @@ def _sound(path: Path, data: bytes) -> int:
     Raises:
         LogError: A chunk would be unpacked to more than any log has.
     """
-    at = len(_MAGIC)
+    at, view = len(_MAGIC), memoryview(data)
     while len(data) - at >= _HEAD.size:
         kind, length = _HEAD.unpack_from(data, at)
         end = at + _HEAD.size + length
         if end > len(data):
             break
-        if kind == Opcode.CHUNK and (size := _unpacked(data[at:end])) > _LARGEST_CHUNK:
+        if kind == Opcode.CHUNK and (size := _unpacked(view[at:end])) > _LARGEST_CHUNK:
             raise LogError(f"{path}: a chunk of {size:,} bytes at byte {at}: no run has such a one")
         at = end
     return len(data) if data[at:] == _MAGIC else at
 
 
-def _unpacked(chunk: bytes) -> int:
+def _unpacked(chunk: memoryview) -> int:
     """What a chunk says of its size, or its compressed data do: zstd believes these."""
     if len(chunk) < _CHUNK.size:
         return 0  # damaged: the library says how

@@ -103,9 +103,9 @@ class Upsets:
         self._most: Array = np.zeros(limits.shape)  # since then
         self._told: Truths = np.zeros(limits.shape, dtype=bool)
         self._busy = False  # somebody was beyond a limit at the last look
-        self._unforeseen = False
+        self.unforeseen = False  # somebody was upset without a fault that explains it
         self._steady = Steady(), Steady(), Steady()
-        self._bound: list[object] = []
+        self._bound: list[object] = [None, None, None]
 
     def changes(
         self,
@@ -133,7 +133,7 @@ class Upsets:
             self._closest_m[1:][away[1]] = np.inf
         looks = zip(self._steady, (truth, air, formation), strict=True)
         given = [steady(record) for steady, record in looks]
-        if len(self._bound) != len(given) or any(map(operator.is_not, given, self._bound)):
+        if any(map(operator.is_not, given, self._bound)):
             self._bound = given
             seen = given[0].equivalent_airspeed, given[1].alpha, given[2].error_ned
             self._look = READY_BEYOND(*seen, self._limits, self._closest_m)
@@ -144,12 +144,7 @@ class Upsets:
     @property
     def over(self) -> bool:
         """Whether the run ends here."""
-        return self._stops and self._unforeseen
-
-    @property
-    def unforeseen(self) -> bool:
-        """Whether anybody was upset without a fault that explains it."""
-        return self._unforeseen
+        return self._stops and self.unforeseen
 
     def _changed(self, now: float, values: Array, away: tuple[Truths, Truths]) -> Iterator[Event]:
         lost, without_slot = away
@@ -171,7 +166,7 @@ class Upsets:
         for kind, row in np.argwhere(ended):
             lasted, peak = now - since[kind, row], most[kind, row] * _SHOWN[kind]
             yield Event(now, "info", self._names[row], _ENDS[kind].format(lasted=lasted, most=peak))
-        self._unforeseen |= bool((began & ~explained).any())
+        self.unforeseen |= bool((began & ~explained).any())
         self._told = (self._told | began) & above
         self._since, self._most = np.where(above, since, np.nan), np.where(above, most, 0.0)
         self._busy = bool(above.any())

@@ -188,7 +188,7 @@ def _pool(jobs: int | None, backend: str, scheduler: str | None) -> Pool:
 def fly(task: Task) -> Flown:
     """Fly a task in this process; what every backend does."""
     # which take their time, and are not for who only waits
-    from testbed.metrics.document import errors, losses
+    from testbed.metrics.document import losses, upsets
     from testbed.sim.run import run
 
     page = task.page
@@ -199,10 +199,8 @@ def fly(task: Task) -> Flown:
         try:
             metrics = run(page, write=False).metrics
             outcome = str(metrics["outcome"])
-            error = f"lost: {', '.join(losses(metrics))}" if outcome == LOST else ""
-            if outcome == UPSET:
-                (at, what), *_ = errors(metrics)
-                error = f"upset: {what}, at {at:.1f} s"
+            wrong = {LOST: losses, UPSET: upsets}.get(outcome)
+            error = f"{outcome}: {', '.join(wrong(metrics))}" if wrong else ""
         except InputError as refusal:
             outcome, error = REFUSED, f"cannot be flown: {refusal}"
         except Exception as fault:

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from testbed.metrics.document import errors
 from testbed.study.flights import Flight
 from testbed.study.golden_band import prediction_band
 from testbed.study.golden_page import differences, spelt_out
@@ -105,8 +106,7 @@ def faults_of(flight: Flight) -> list[Fault]:
         return [Fault(flight.seed, flight.problem)]
     metrics = flight.metrics
     if metrics["outcome"] != "flown":
-        errors = [event for event in metrics["events"] if event["level"] == "error"]
-        why = "".join(f"; {each['source']}: {each['text']}" for each in errors[:3])
+        why = "".join(f"; {what}" for _, what in errors(metrics)[:3])
         text = f"{metrics['outcome']} at {metrics['simulated_s']:g} s{why}"
         return [Fault(flight.seed, text)]
     never = [name for name, at in metrics["engaged_at_s"].items() if at is None]

@@ -1,8 +1,8 @@
 """What a flight costs a search, and what the flights of one set of gains cost together.
 
 A metric counts as it is up to a bound B, and beyond it as B (2 - B / value), which is as steep
-there and stays below 2 B. An aircraft that is lost costs 2 B and up to B more the earlier it was
-lost; a flight that gives no number costs 3 B. So any loss is worse than any flight without one, a
+there and stays below 2 B. An aircraft that is lost or upset costs 2 B and up to B more the earlier
+it was; a flight that gives no number costs 3 B. So any loss is worse than any flight without one, a
 later loss is better than an early one, and no number runs away.
 """
 

@@ -12,6 +12,9 @@ from testbed.cli import app
 from testbed.scenario import find_aircraft, loads
 from testbed.sim.loop import fly
 from testbed.sim.world import build
+from testbed.study.crew import Task
+from testbed.study.crew import fly as fly_task
+from testbed.study.tune_cost import cost
 from testbed.vehicle.jsbsim_door import airframe
 
 # UAV 1 may never be faster than 7 m/s, at which no Rascal flies; UAV 2 flies beside the leader.
@@ -147,3 +150,13 @@ def test_the_table_says_once_who_was_upset_and_how_often(tmp_path):
     times = [e["time_s"] for e in metrics["events"] if e["text"].startswith("stalled")]
     assert len(times) > 2
     assert f"upset               uav1 stalled at {times[0]:.1f} s, {len(times)} × in all" in output
+
+
+def test_a_study_says_who_was_upset_and_a_search_pays_for_it():
+    """More than for any flight without one, and less the later it began."""
+    row = fly_task(Task(7, loads(SLOW)))
+    assert (row.number, row.outcome) == (7, "upset")
+    assert row.error.startswith("upset: uav1 stalled at ")
+    at = next(e["time_s"] for e in row.metrics["events"] if e["level"] == "error")
+    paid = cost(row.metrics, "max_error_m.uav2", duration_s=12.0, bound=5.0)
+    assert paid == pytest.approx(5.0 * (3.0 - at / 12.0))

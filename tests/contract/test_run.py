@@ -255,12 +255,10 @@ def loads_a_library():
     except:  # as some do
         print("swallowed")
     sys.argv = ["testbed", "run", "simulation-3", "--quiet", "--out", "run"]
-    cli.app(standalone_mode=True)
+    app()
 
-app, cli.app = cli.app, lambda: None
+app, cli.app = cli.app, loads_a_library
 cli.main()
-cli.app = app
-loads_a_library()
 """
 
 
