@@ -23,7 +23,7 @@ from testbed.network.radio import Radio
 from testbed.scenario import find_aircraft
 from testbed.scenario.network import Network
 from testbed.state import Broadcast, Origin
-from testbed.vehicle.jsbsim_door import JsbsimFleet, Start
+from testbed.vehicle.fleet import JsbsimFleet, Start
 
 PHYSICS_HZ, CONTROL_HZ, MESSAGES_HZ = 200, 25, 10
 LINK = {

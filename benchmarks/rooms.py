@@ -20,11 +20,12 @@ from testbed.sensing.estimators import Estimators
 from testbed.sim.breakdowns import Breakdowns
 from testbed.sim.casualties import Casualties
 from testbed.sim.control import Control
+from testbed.sim.hearing import Silence, Staleness
 from testbed.sim.pilots import MissionPilot
 from testbed.sim.vehicles import Flown
-from testbed.sim.watch import Arrivals, Engagement, Silence, Slots, Speaker, Staleness
+from testbed.sim.watch import Arrivals, Engagement, Slots, Speaker
 from testbed.state import Event, Frame, Observer, RunInfo
-from testbed.vehicle.jsbsim_door import JsbsimFleet
+from testbed.vehicle.fleet import JsbsimFleet
 
 ROOMS: Mapping[str, str] = {
     "physics": "the flight models' own steps, and setting their controls",
@@ -68,8 +69,9 @@ class Rooms(Observer):
 
     borrows = True
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
         """Nothing was seen yet; flights one after the other add up."""
+        self._clock = clock
         self._spent = dict.fromkeys(ROOMS, 0.0)
         self._in, self._since = "loop", 0.0
         self._flies = False  # while a world is built its parts are called, too
@@ -91,7 +93,7 @@ class Rooms(Observer):
 
     def begin(self, info: RunInfo) -> None:
         """Begin to count."""
-        self._since, self._flies = time.perf_counter(), True
+        self._since, self._flies = self._clock(), True
 
     def observe(self, frame: Frame) -> None:
         """Nothing."""
@@ -109,7 +111,7 @@ class Rooms(Observer):
 
     def _cross(self, room: str) -> str:
         """Into a room; the one that is left."""
-        now, before = time.perf_counter(), self._in
+        now, before = self._clock(), self._in
         if self._flies:
             self._spent[before] += now - self._since
         self._in, self._since = room, now

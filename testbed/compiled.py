@@ -81,12 +81,22 @@ def bound(function: Callable[..., Any], *fixed: Any, more: tuple[Any, ...] = ())
     Args:
         function: a `twin`.
         fixed: its first arguments.
-        more: of each argument behind them one such as will come.
+        more: of each argument behind them one such as will come; three at most.
     """
-    dispatcher: Any = function
-    types = tuple(map(dispatcher.typeof_pyval, (*fixed, *more)))
+    from testbed.unboxed import Unboxed
+
+    dispatcher = _calling(function, len(more))
+    unboxed = Unboxed(tuple(map(dispatcher.typeof_pyval, fixed)), fixed)
+    types = tuple(map(dispatcher.typeof_pyval, (unboxed, *more)))
     dispatcher.compile(types)
-    return functools.partial(dispatcher.overloads[types].entry_point, *fixed)
+    return functools.partial(dispatcher.overloads[types].entry_point, unboxed)
+
+
+@functools.cache
+def _calling(function: Callable[..., Any], more: int) -> Any:  # noqa: ANN401 - numba's
+    from testbed.unboxed import calling
+
+    return twin(calling(function, more))
 
 
 def twin(function: F) -> F:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from operator import is_
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.compiled import ready_of
 from testbed.state import Frame
 
 Columns = dict[str, NDArray[Any]]  # (K, ...) by source, the path from Frame
@@ -29,16 +31,24 @@ class Rows:
     Args:
         sources: of the arrays.
         take: gives them, in this order.
+        records: gives what they are taken from.
         room: for so many frames.
     """
 
     def __init__(
-        self, sources: Sequence[str], take: Callable[[Frame], Sequence[Any]], *, room: int
+        self,
+        sources: Sequence[str],
+        take: Callable[[Frame], Sequence[Any]],
+        records: Callable[[Frame], tuple[Any, ...]],
+        *,
+        room: int,
     ) -> None:
         """See the class."""
-        self._sources, self._take, self._room = sources, take, room
+        self._sources, self._take, self._records, self._room = sources, take, records, room
         self._kind: np.dtype[Any] | None = None
-        self._count = 0
+        self._count, self._size = 0, 0  # rows, and bytes of each
+        self._last: tuple[Any, ...] = ()  # records
+        self._ready: Callable[[int], None] | None = None  # bound to their arrays
 
     def append(self, frame: Frame) -> None:
         """Copy arrays of a frame, which are laid out as in all others.
@@ -47,18 +57,28 @@ class Rows:
             TypeError: An array of the first frame has not the type it should have.
             ValueError: The arrays are not as large as those of the first frame.
         """
-        arrays = self._take(frame)
-        if self._kind is None:
-            self._kind = _kind(self._sources, arrays)
-            self._size = self._kind.itemsize
-            self._octets = memoryview(bytearray(self._room * self._size))
+        records, last = self._records(frame), self._last
+        same = len(last) > 0 and all(map(is_, records, last))
         at = self._count * self._size
-        self._octets[at : at + self._size] = b"".join(arrays)
+        if same and self._ready is not None:
+            self._ready(at)
+        else:
+            arrays = self._take(frame)
+            if self._kind is None:
+                self._kind = _kind(self._sources, arrays)
+                self._size = self._kind.itemsize
+                self._octets = np.empty(self._room * self._size, np.uint8)
+            if sum(each.nbytes for each in arrays) != self._size:
+                raise ValueError("the arrays are not as large as those of the first frame")
+            gather(arrays, self._octets, at)
+            # a loop writes the next frame into the same arrays: who did so once does it again
+            self._ready = READY_GATHER(arrays, self._octets) if same else None
+            self._last = records
         self._count += 1
 
     def columns(self) -> Columns:
         """The arrays of K frames, one at least, where they are kept: they last as long."""
-        rows = np.frombuffer(self._octets, dtype=self._kind or object, count=self._count)
+        rows = self._octets.view(self._kind or object)[: self._count]
         return {source: rows[source] for source in self._sources}
 
     def clear(self) -> None:
@@ -92,6 +112,15 @@ class Kept:
         """Forget the frames."""
         for each in (self.rows, self.beliefs, self.tick, self.erring):
             each.clear()
+
+
+def gather(arrays: Sequence[NDArray[Any]], octets: NDArray[np.uint8], at: int) -> None:
+    """Copy contiguous arrays one behind the other into octets from `at` on."""
+    row = b"".join(each.data for each in arrays)
+    octets.data[at : at + len(row)] = row
+
+
+READY_GATHER = ready_of(gather, "testbed.rows_twin")
 
 
 def _kind(sources: Sequence[str], arrays: Sequence[NDArray[Any]]) -> np.dtype[Any]:

@@ -71,8 +71,8 @@ class MetricsObserver:
         self._tally = tallying.empty(len(spans), len(info.names) - 1)
         self._events = []
         self._kept = Kept(
-            rows=Rows(_MEASURED, attrgetter(*_MEASURED), room=BLOCK),
-            beliefs=Rows(_BELIEVED, attrgetter(*_BELIEVED), room=BLOCK),
+            rows=_rows(_MEASURED),
+            beliefs=_rows(_BELIEVED),
         )
 
     def observe(self, frame: Frame) -> None:
@@ -122,6 +122,11 @@ class MetricsObserver:
             base_rate_hz=self._info.base_rate_hz,
             medium_ned=np.array(self._info.bounded_in_ned),
         )
+
+
+def _rows(sources: Sequence[str]) -> Rows:
+    records = dict.fromkeys(source.partition(".")[0] for source in sources)
+    return Rows(sources, attrgetter(*sources), attrgetter(*records), room=BLOCK)
 
 
 def _block(tick: list[int], columns: Columns) -> Block:

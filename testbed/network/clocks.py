@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.compiled import ready_of
 from testbed.scenario.network import StampClock
 from testbed.state import Array
 
@@ -32,26 +33,27 @@ def make_clocks(names: Sequence[str], clocks: Mapping[str, StampClock]) -> Clock
     )
 
 
-def shows(clocks: Clocks, measured_s: Array, rows: NDArray[np.int64]) -> Array:
-    """What the clock of each of S senders shows, (S,) s.
+def show(
+    clocks: Clocks, measured_s: Array, rows: NDArray[np.int64], shown_s: Array, ahead_s: Array
+) -> None:
+    """Write what the clocks of S senders show, and what those of n receivers are ahead then.
+
+    A receiver holds a stamp against its own clock, so what is wrong with both alike cancels: less
+    what it is ahead, a stamp is on a scale on which the receiver's clock is right.
 
     Args:
         clocks: of N aircraft, the leader's first.
-        measured_s: (S,) true time.
+        measured_s: (N,) true time.
         rows: (S,) who sends.
+        shown_s: (S,) s, is written.
+        ahead_s: (n, S) s, is written.
     """
-    shown: Array = measured_s + clocks.offset[rows] + clocks.drift[rows] * measured_s
+    true_s = measured_s[rows]
+    shown_s[:] = true_s + clocks.offset[rows] + clocks.drift[rows] * true_s
     grain = clocks.resolution[rows]
     coarse = grain > 0.0
-    shown[coarse] = np.floor(shown[coarse] / grain[coarse]) * grain[coarse]
-    return shown
+    shown_s[coarse] = np.floor(shown_s[coarse] / grain[coarse]) * grain[coarse]
+    ahead_s[:] = clocks.offset[1:, None] + clocks.drift[1:, None] * true_s
 
 
-def ahead(clocks: Clocks, measured_s: Array) -> Array:
-    """By how much the clock of each of n followers is ahead at these true times (S,), (n, S) s.
-
-    A receiver holds a stamp against its own clock, so what is wrong with both alike cancels: less
-    this, a stamp is on a scale on which the receiver's clock is right.
-    """
-    out: Array = clocks.offset[1:, None] + clocks.drift[1:, None] * measured_s
-    return out
+READY_SHOW = ready_of(show, "testbed.network.clocks_twin")

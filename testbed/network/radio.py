@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from testbed.network.channel import Channel
-from testbed.network.clocks import Clocks, ahead, shows
+from testbed.network.clocks import READY_SHOW, Clocks
 from testbed.network.encoded import Believed, Coder, Encoding
 from testbed.network.fates import BEFALL
 from testbed.network.ledger import blank
@@ -48,14 +48,19 @@ class Conditions:
 class _Round:
     """What the rounds of S senders are written into; and what befalls them if nothing does."""
 
-    __slots__ = "ahead_s arrivals faded fate message rows script send stamp_s traced".split()
+    __slots__ = (
+        *("ahead_s", "arrivals", "faded", "fate", "measured_s", "message", "rows", "script"),
+        *("send", "show", "shown_s", "stamp_s", "traced"),
+    )
 
     def __init__(self, rows: Numbers, shape: tuple[int, int]) -> None:
         self.rows = rows  # (S,)
         self.script: Fates = np.zeros(shape, np.uint8)
         self.traced, self.faded = np.full(shape, np.nan), np.zeros(shape)
-        self.stamp_s = np.empty(shape)
-        self.ahead_s: Array | None = None  # (n, S) of the receivers' clocks
+        self.stamp_s, self.shown_s = np.empty(shape), np.empty(len(rows))
+        self.ahead_s = np.zeros(shape)  # of the receivers' clocks
+        self.measured_s: Array | None = None  # that the clocks are bound to
+        self.show: Callable[[], None] | None = None
         self.arrivals, self.fate = np.empty((*shape, 2)), np.empty(shape, np.uint8)
         self.message: Broadcast | None = None  # that the sending is bound to
         self.send: Callable[[int], int] | None = None
@@ -141,20 +146,28 @@ class Radio:
         spot: _Round,
     ) -> Broadcast:
         """Write what more befalls a round than the links' own dice; what its senders say."""
-        given, rows, clocks = self._conditions, spot.rows, self._conditions.clocks
-        sent_s, number, measured = sent_s[rows], self._number[rows] + 1, message.stamp_s[rows]
-        spot.script[:] = given.script(sent_s, rows, number) if given.script else 0
+        given, rows = self._conditions, spot.rows
+        if given.script:
+            spot.script[:] = given.script(sent_s[rows], rows, self._number[rows] + 1)
+        else:
+            spot.script.fill(0)
         if given.trace:
-            spot.traced[:] = given.trace(sent_s, rows)
+            spot.traced[:] = given.trace(sent_s[rows], rows)
         if given.fading:
             spot.faded[:] = given.fading(truth, rows)
         if hushed is not None:
             spot.script[:, hushed[rows]] = Fate.MUTE
-        stamp = shows(clocks, measured, rows) if clocks else measured
+        if given.clocks is None:
+            stamp = message.stamp_s[rows]
+        else:
+            if spot.show is None or spot.measured_s is not message.stamp_s:
+                said = spot.measured_s = message.stamp_s
+                spot.show = READY_SHOW(given.clocks, said, rows, spot.shown_s, spot.ahead_s)
+            spot.show()
+            stamp = spot.shown_s
         if self._coder:
-            message, stamp = self._coder.says(message, stamp, rows, number)
-        spot.ahead_s = ahead(clocks, measured) if clocks else None
-        spot.stamp_s[:] = stamp if spot.ahead_s is None else stamp - spot.ahead_s
+            message, stamp = self._coder.says(message, stamp, rows, self._number[rows] + 1)
+        np.subtract(stamp, spot.ahead_s, out=spot.stamp_s)
         return message
 
     def _ready(self, spot: _Round, message: Broadcast, *, shown: bool) -> Callable[[int], int]:
@@ -235,8 +248,7 @@ class Radio:
         way = np.flatnonzero(np.isfinite(spot.arrivals))  # in the order of the post
         at = first + np.searchsorted(way, np.ravel_multi_index((i, s, copy), spot.arrivals.shape))
         self._post.content[at] = believed.content
-        late = 0.0 if spot.ahead_s is None else spot.ahead_s[i, s]
-        self._post.stamp_s[at] = believed.stamp_s - late
+        self._post.stamp_s[at] = believed.stamp_s - spot.ahead_s[i, s]
 
     def _rows(self, who: Truths) -> Numbers:
         """Rows of those who send together; most rounds are like others."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,8 @@ from testbed.rows import Columns, Kept, Rows
 from testbed.state import Frame
 
 _BELIEFS = (ESTIMATE, BELIEVED)
+_SEEN = attrgetter("truth", "air", "surfaces", "lost", "command", "formation", "links")
+_BELIEVED = attrgetter("estimate", "formation")
 
 
 def keep(room: int) -> Kept:
@@ -21,8 +24,8 @@ def keep(room: int) -> Kept:
         return [column.source for topic in told for column in topic.columns]
 
     return Kept(
-        rows=Rows(sources(False), _seen, room=room),
-        beliefs=Rows(sources(True), _believed, room=room),
+        rows=Rows(sources(False), _seen, _SEEN, room=room),
+        beliefs=Rows(sources(True), _believed, _BELIEVED, room=room),
     )
 
 

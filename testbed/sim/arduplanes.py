@@ -15,7 +15,7 @@ from testbed.scenario import Scenario
 from testbed.scenario.pilots import ArduPlane
 from testbed.sim.vehicles import Flown, choose
 from testbed.state import Event, FbwaCommand, Origin, Surfaces, Truths, VehicleState
-from testbed.vehicle.jsbsim_door import JsbsimFleet
+from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.tables import FbwaGains
 
 if TYPE_CHECKING:

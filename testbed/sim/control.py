@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
+from operator import is_
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -149,7 +150,7 @@ class Control:
             inbox = self._heard(self._roster.heard(inbox))
         if group.trusted and isinstance(law, PaperLaw):
             given = group, own, inbox, measured_s
-            if any(one is not other for one, other in zip(given, self._given[number], strict=True)):
+            if not all(map(is_, given, self._given[number])):
                 if self._memory[number] is None:
                     self._memory[number] = begun(law, group.middle, choose(own, rows))
                 memory, heed = self._memory[number], (group.unheeded, group.patience)

@@ -15,7 +15,7 @@ from testbed.sim.breakdowns import Breakdowns, words
 from testbed.sim.roster import Roster
 from testbed.sim.teams import cut_off, make_altitudes, make_gains, make_offsets
 from testbed.state import Event
-from testbed.vehicle.jsbsim_door import JsbsimFleet
+from testbed.vehicle.fleet import JsbsimFleet
 
 
 def make_breakdowns(

@@ -9,9 +9,10 @@ from testbed.sim.audience import Audience
 from testbed.sim.casualties import Casualties
 from testbed.sim.clock import Due
 from testbed.sim.control import Control
+from testbed.sim.hearing import Silence, Staleness
 from testbed.sim.pilots import with_ideal_leader
 from testbed.sim.steady import Steady
-from testbed.sim.watch import Arrivals, Engagement, Silence, Slots, Speaker, Staleness
+from testbed.sim.watch import Arrivals, Engagement, Slots, Speaker
 from testbed.sim.world import World
 from testbed.state import Frame, Observer, followers
 

@@ -21,8 +21,8 @@ from testbed.scenario import MiddleLoopGains as Profile
 from testbed.sim.middle_loops import middle_gains
 from testbed.sim.vehicles import Flown
 from testbed.state import Array, Origin, UnicycleCommand
+from testbed.vehicle.fleet import JsbsimFleet, Start
 from testbed.vehicle.identify import FirstOrder, fit_first_order
-from testbed.vehicle.jsbsim_door import JsbsimFleet, Start
 from testbed.vehicle.params import FbwaParams, stack
 
 BASE_RATE_HZ = 200

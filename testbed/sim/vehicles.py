@@ -21,8 +21,8 @@ from testbed.state import (
 )
 from testbed.vehicle.breakage import Servos, broken, resting
 from testbed.vehicle.fbwa import READY_FLY, settled, standing
+from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.ideal import IdealFleet
-from testbed.vehicle.jsbsim_door import JsbsimFleet
 from testbed.vehicle.params import FbwaParams, stack
 from testbed.vehicle.tables import FbwaGains
 
@@ -82,6 +82,7 @@ class Flown:
         self._tunes: dict[int, FbwaParams] = {}  # not heeded yet
         self._servos_before: Servos | None = None
         self._still = self._flow = np.zeros((len(fleet.trims), 2))
+        self._moved = True  # the surfaces, since the last step
 
     def retune(self, row: int, tune: FbwaParams) -> None:
         """Give the autopilot in this row of the fleet other parameters; its memory stays."""
@@ -102,7 +103,7 @@ class Flown:
             self._estimate, self._command = estimate, told
             self._fly = READY_FLY(estimate, told, self._memory, self._gains, self._told)
         self._fly()
-        self.surfaces = self._autopilots
+        self.surfaces, self._moved = self._autopilots, True
         if not self._memory.begun:
             self._memory, self._fly = self._memory._replace(begun=True), None
 
@@ -137,7 +138,8 @@ class Flown:
 
     def step(self, ticks: int) -> None:
         """Run the flight models."""
-        self.fleet.step(self.surfaces, ticks)
+        self.fleet.step(self.surfaces if self._moved else None, ticks)
+        self._moved = False
 
 
 class Ideal:

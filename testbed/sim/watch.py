@@ -3,30 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from operator import is_
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from testbed.compiled import ready_of
-from testbed.formation.flags import Guard
 from testbed.formation.geometry import READY_TRUE_SLOTS
 from testbed.formation.law import Diagnosis
-from testbed.formation.paper_law import PaperLaw
 from testbed.frames import write_euler_rates
 from testbed.metrics.tally import ENGAGED_HOLD_S, ENGAGED_RADIUS_M
-from testbed.sim.control import Group
 from testbed.state import (
     Array,
     Broadcast,
     Counts,
     Event,
-    Flags,
     FormationState,
     Truths,
     VehicleState,
 )
 
+Ticks = NDArray[np.int64]
 READY_EULER_RATES = ready_of(write_euler_rates, "testbed.vehicle.twin")
 
 
@@ -82,7 +80,7 @@ class Slots:
         written into the same arrays.
         """
         given = truth, estimate, diagnosis, age_s, offsets, places, altitudes
-        if any(one is not other for one, other in zip(given, self._given, strict=True)):
+        if not all(map(is_, given, self._given)):
             self._given = given
             places_of = [(truth, self._true)]
             if estimate is not truth:
@@ -122,110 +120,25 @@ def _room(n: int) -> tuple[Array, Array, Array]:
     return np.empty((n, 3)), np.empty((n, 3)), np.empty((3, n))
 
 
-class Silence:
-    """Watches which followers have stopped or begun to hear their leader."""
+def held(
+    error_ned: Array, gone: Truths, awaited: Truths, since: Ticks, long: float, tick: int
+) -> bool:
+    """Whether anybody that is awaited has been in its slot for long enough; `since` follows.
 
-    def __init__(self, names: Sequence[str], patience: float) -> None:
-        """Nobody is deaf yet; who has heard nothing at all is given this long, s."""
-        self._names, self._patience = names, patience
-        self._deaf: Truths = np.zeros(len(names), dtype=bool)
-        self._waiting: Truths = np.ones(len(names), dtype=bool)
-        self._quiet = False  # everybody has heard the leader, and hears it
-
-    def changes(self, now: float, guards: Flags, apart: Truths) -> Iterator[Event]:
-        """An event for each follower whose leader fell silent or came back since the last call.
-
-        Args:
-            now: s
-            guards: (n,)
-            apart: (n,) who is lost, or has left: nothing is said of them.
-        """
-        if self._quiet and not any(guards.tobytes()):
-            return
-        deaf = ((guards & int(Guard.LEADER_SILENT)) != 0) & ~apart
-        self._waiting = self._waiting & deaf & (now < self._patience)
-        deaf &= ~self._waiting
-        for name, before, after in zip(self._names, self._deaf, deaf, strict=True):
-            if after and not before:
-                yield Event(now, "warning", name, "does not hear the leader: flies on its own")
-            elif before and not after:
-                yield Event(now, "info", name, "hears the leader again")
-        self._deaf = deaf
-        self._quiet = not (deaf.any() or self._waiting.any())
+    Args:
+        error_ned: (n, 3) m
+        gone: (N,) who is lost.
+        awaited: (n,)
+        since: (n,) tick, inside without a break; -1: outside.
+        long: enough, ticks.
+        tick: now.
+    """
+    inside = (np.linalg.norm(error_ned, axis=-1) <= ENGAGED_RADIUS_M) & ~(gone[1:] | gone[0])
+    since[:] = np.where(inside, np.where(since < 0, tick, since), -1)
+    return bool((awaited & inside & (tick - since >= long)).any())
 
 
-class Staleness:
-    """Watches which followers have stopped or begun to hear the neighbours that they heed."""
-
-    def __init__(self, names: Sequence[str], groups: Sequence[Group]) -> None:
-        """Of N names, the leader's first: nobody is missed; news is given time from 0 s on."""
-        self._names = names
-        self._heeded = _heeded(len(names), groups)
-        law = groups[0].law
-        self._limit = groups[0].team.stale_after
-        self._leaders_limit = groups[0].team.silent_after
-        self._paper = isinstance(law, PaperLaw)  # of a law of the user's own nobody knows
-        self._hold = isinstance(law, PaperLaw) and law.hold
-        self._missed: Truths = np.zeros_like(self._heeded)
-        # Whom a law that holds places has none for yet: it takes them while the leader is heard.
-        self._nowhere: Truths = self._heeded & self._hold
-        self._placing = self._hold
-        # When the oldest news that anybody uses arrived: before it is too old no other is.
-        self._oldest = 0.0
-
-    def changes(self, now: float, rows: NDArray[np.intp], received_s: Array) -> Iterator[Event]:
-        """An event for each neighbour whose news became too old, or new, since the last call.
-
-        Args:
-            now: s, when the followers of these rows stepped.
-            rows: (m,) among the n followers.
-            received_s: (n, N) as in the inboxes then; nan: nothing heard yet.
-        """
-        if self._placing:
-            age = now - received_s[rows]
-            self._nowhere[rows] &= ~((age <= self._limit) & (age[:, :1] <= self._leaders_limit))
-            self._placing = bool(self._nowhere.any())
-        if now - self._oldest <= self._limit:
-            return
-        heard = np.where(self._heeded, np.fmax(received_s, 0.0), np.inf)
-        missed = self._missed.copy()
-        missed[rows] = now - heard[rows] > self._limit
-        for i, m in np.argwhere(missed != self._missed):
-            name, other = self._names[i + 1], self._names[m]
-            if missed[i, m]:
-                what = self._consequence(bool(self._nowhere[i, m]))
-                yield Event(now, "warning", name, f"does not hear {other}{what}")
-            else:
-                yield Event(now, "info", name, f"hears {other} again")
-        self._missed = missed
-        self._oldest = -np.inf if missed.any() else float(heard.min())
-
-    def heed(self, groups: Sequence[Group], apart: Truths) -> None:
-        """Miss no one from now on but those that these groups reckon with.
-
-        Args:
-            groups: of the followers.
-            apart: (n,) who misses nobody: who is lost, or has left.
-        """
-        self._heeded = _heeded(len(self._names), groups) & ~apart[:, np.newaxis]
-        self._missed = self._missed & self._heeded
-        self._nowhere = self._nowhere & self._heeded
-        self._oldest = -np.inf
-
-    def _consequence(self, nowhere: bool) -> str:
-        if not self._paper:
-            return ""
-        return ": takes it to hold its place" if self._hold and not nowhere else ": leaves it out"
-
-
-def _heeded(aircraft: int, groups: Sequence[Group]) -> Truths:
-    """Whose messages each follower uses (n, N), the leader's aside."""
-    out: Truths = np.zeros((aircraft - 1, aircraft), dtype=bool)
-    for group in groups:
-        out[group.rows] = ~group.unheeded
-    out[:, 0] = False
-    np.fill_diagonal(out[:, 1:], False)
-    return out
+READY_HELD = ready_of(held, "testbed.sim.watch_twin")
 
 
 class Engagement:
@@ -234,9 +147,11 @@ class Engagement:
     def __init__(self, names: Sequence[str], base_rate_hz: int) -> None:
         """Nobody has."""
         self._names, self._rate = names, base_rate_hz
-        self._since = np.full(len(names), -1)  # tick, inside without a break; -1: outside
+        self._long = ENGAGED_HOLD_S * base_rate_hz
+        self._since: Ticks = np.full(len(names), -1)  # see `held`
         self._awaited: Truths = np.ones(len(names), dtype=bool)
         self._waits = True  # for somebody
+        self._given: tuple[Any, ...] = (None, None)
 
     def changes(self, tick: int, error_ned: Array, gone: Truths) -> Iterator[Event]:
         """An event for each follower that has held its slot for long enough, once in a run.
@@ -248,11 +163,13 @@ class Engagement:
         """
         if not self._waits:
             return
-        gone = gone[1:] | gone[0]
-        inside = (np.linalg.norm(error_ned, axis=-1) <= ENGAGED_RADIUS_M) & ~gone
-        self._since = np.where(inside, np.where(self._since < 0, tick, self._since), -1)
-        held = tick - self._since >= ENGAGED_HOLD_S * self._rate
-        engaged = self._awaited & inside & held
+        if not all(map(is_, (error_ned, gone), self._given)):
+            self._given = error_ned, gone
+            self._held = READY_HELD(*self._given, self._awaited, self._since, self._long)
+        if not self._held(tick):
+            return
+        inside = self._since >= 0
+        engaged = self._awaited & inside & (tick - self._since >= self._long)
         for name, since, now_engaged in zip(self._names, self._since, engaged, strict=True):
             if now_engaged:
                 began = f"{since / self._rate:.1f} s"

@@ -41,9 +41,10 @@ from testbed.sim.vehicles import Flown, Ideal, Vehicles
 from testbed.state import Array, Event, Origin, RunInfo
 from testbed.streams import stream
 from testbed.vehicle.crew import make_fleet
+from testbed.vehicle.fleet import JsbsimFleet, Start
 from testbed.vehicle.ideal import IdealFleet
 from testbed.vehicle.jsbsim_door import VERSION as JSBSIM_VERSION
-from testbed.vehicle.jsbsim_door import JsbsimFleet, Start, airframe
+from testbed.vehicle.jsbsim_door import airframe
 from testbed.vehicle.params import read_params, stack
 from testbed.vehicle.trim import STILL, said_of
 

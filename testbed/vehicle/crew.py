@@ -26,7 +26,7 @@ import numpy as np
 
 from testbed.errors import PartnerLost
 from testbed.state import AirFelt, Array, Origin, Surfaces
-from testbed.vehicle.jsbsim_door import JsbsimFleet, Start
+from testbed.vehicle.fleet import JsbsimFleet, Start
 
 WORTH_IT = 20  # aircraft from which on two processes were measured to be faster than one
 LOOKS = 400  # of one who waits before it leaves the processor to others, some 0.1 ms
@@ -107,10 +107,11 @@ class CrewedFleet(JsbsimFleet):
         self._mine, *self._theirs = (part.tolist() for part in parts)
         self._crew: _Crew | None = None
 
-    def step(self, surfaces: Surfaces, ticks: int) -> None:
-        """Set the commands and run every aircraft for `ticks` steps of the base rate."""
+    def step(self, surfaces: Surfaces | None, ticks: int) -> None:
+        """Run every aircraft for `ticks` steps of the base rate."""
         crew = self._crew or self._hire()
-        self._shared.of["surfaces"].reshape(4, -1)[:] = surfaces
+        if surfaces is not None:
+            self._shared.of["surfaces"].reshape(4, -1)[:] = surfaces
         self._shared.words[0] = ticks
         crew.go()
         super().step(surfaces, ticks)

@@ -16,7 +16,7 @@ import numpy as np
 from testbed.errors import InputError
 from testbed.state import Array, FbwaCommand, Origin, Surfaces
 from testbed.vehicle.fbwa import AUTOPILOT, settled
-from testbed.vehicle.jsbsim_door import JsbsimFleet, Start
+from testbed.vehicle.fleet import JsbsimFleet, Start
 from testbed.vehicle.params import AutopilotTiming, read_params, stack
 from testbed.vehicle.tables import FbwaGains
 

@@ -65,7 +65,11 @@ def test_pymavlink_has_one_door_and_only_its_generated_tables_pass():
 
 
 def test_numba_has_one_door_and_it_is_for_twins_only():
-    assert importers("numba") == {"compiled.py", "guidance/helm_twin.py"}
+    assert importers("numba") == {
+        *("compiled.py", "unboxed.py"),
+        *("guidance/helm_twin.py", "rows_twin.py"),
+    }
+    assert importers("testbed.unboxed") == {"compiled.py"}
     twins = {path for path in MODULES if path.endswith("twin.py")}
     decorated = {path for path, found in MODULES.items() if "testbed.compiled.twin" in found}
     assert decorated == twins

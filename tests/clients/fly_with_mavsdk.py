@@ -49,22 +49,16 @@ def item(number, command, north, east, altitude):
     )
 
 
-async def until(stream, holds, seconds=60.0):
-    """The first value of a stream for which this holds."""
-
-    async def watch():
-        async for value in stream:
-            if holds(value):
-                return value
-
-    return await asyncio.wait_for(watch(), seconds)
+async def until(stream, holds):
+    """The first value of a stream for which this holds; whoever runs this ends a wait in vain."""
+    async for value in stream:
+        if holds(value):
+            return value
+    raise EOFError("the stream has ended")
 
 
-async def systems(mavsdk, count, seconds):
-    for _ in range(round(seconds / 0.1)):
-        found = await mavsdk.get_systems()
-        if len(found) >= count:
-            break
+async def systems(mavsdk, count):
+    while len(await mavsdk.get_systems()) < count:
         await asyncio.sleep(0.1)
     return {await each.get_system_id(): each for each in await mavsdk.get_systems()}
 
@@ -91,7 +85,7 @@ async def main(url):
         Configuration.create_with_component_type(ComponentType.GROUND_STATION)
     ) as mavsdk:
         await mavsdk.add_any_connection(url)
-        found = await systems(mavsdk, 4, 110.0)
+        found = await systems(mavsdk, 4)
         say("systems", ids=sorted(found))
         leader = found[1]
         telemetry, action = TelemetryAsync(leader), ActionAsync(leader)

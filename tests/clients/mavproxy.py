@@ -2,10 +2,10 @@
 
 import os
 import subprocess
-import time
 from contextlib import contextmanager
 
 from outside_run import clients
+from patience import until
 
 MODULES = "signing,wp,param,mode,arm,misc,rc,cmdlong"
 
@@ -25,14 +25,15 @@ class Terminal:
         self._process.stdin.write(line + "\n")
         self._process.stdin.flush()
 
-    def see(self, text, seconds=20.0):
+    def see(self, text):
         """Wait for something that was not there at the last look."""
-        stop = time.monotonic() + seconds
-        while text not in self.said[self._read :]:
+
+        def seen():
             assert self._process.poll() is None, self.said
-            assert self._flight.process.poll() is None, self._flight.said
-            assert time.monotonic() < stop, f"no {text!r} in:\n{self.said}"
-            time.sleep(0.05)
+            assert self._flight.process.poll() is None, self._flight.said + self.said
+            return text in self.said[self._read :]
+
+        until(seen, f"no {text!r}")
         self._read = self.said.index(text, self._read) + len(text)
 
 

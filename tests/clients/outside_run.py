@@ -5,17 +5,16 @@ import os
 import socket
 import subprocess
 import sys
-import time
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE_S, until
 
 from testbed.record.read import frames, read_log
 
 ROOT = Path(__file__).parents[2]
 CLIENTS = ROOT / ".venv-clients" / "bin"
-PATIENCE_S = 120.0  # a machine that is busy, and compiles the flight laws for the first time
 
 
 def clients():
@@ -84,20 +83,18 @@ def flying(folder, *arguments, page="simulation-3"):
             process.wait()
 
 
-def run_client(flight, *command, seconds=PATIENCE_S):
+def run_client(flight, *command):
     """What a client's program said; it ended well, in time, and before the flight it is for."""
     paper = flight.out.parent / "client.txt"
     with paper.open("w") as file:
         process = subprocess.Popen(list(map(str, command)), stdout=file, stderr=subprocess.STDOUT)
         try:
-            stop = time.monotonic() + seconds
-            while process.poll() is None and flight.process.poll() is None:
-                assert time.monotonic() < stop, paper.read_text()
-                time.sleep(0.05)
+            until(lambda: process.poll() is not None or flight.process.poll() is not None)
         finally:
             if process.poll() is None:
                 process.kill()
             code = process.wait()
+            print(paper.read_text())  # pytest shows it where the test fails
     assert code == 0, flight.said + paper.read_text()
     return paper.read_text()
 

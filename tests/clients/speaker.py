@@ -4,6 +4,8 @@ import math
 import socket
 import time
 
+from patience import PATIENCE_S
+
 from testbed.mavlink.door import Codec
 
 SYSTEM, COMPONENT = 250, 190
@@ -42,16 +44,16 @@ class Speaker:
             return []
         return self._ear.feed(data, whole=True)
 
-    def hear_while(self, flight, seconds=120.0):
+    def hear_while(self, flight):
         """All that is heard until the flight is over."""
-        stop = time.monotonic() + seconds
+        stop = time.monotonic() + PATIENCE_S
         while flight.process.poll() is None:
             assert time.monotonic() < stop, flight.said
             yield from self.hear()
 
-    def wait_for(self, flight, name, holds=lambda message: True, seconds=120.0):
+    def wait_for(self, flight, name, holds=lambda message: True):
         """The first message of this name for which this holds."""
-        for message in self.hear_while(flight, seconds):
+        for message in self.hear_while(flight):
             if message.name == name and holds(message):
                 return message
         raise AssertionError(f"no {name}: {flight.said}")

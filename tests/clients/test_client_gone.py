@@ -10,7 +10,7 @@ UAV3 = 4  # its system
 
 def test_a_client_that_dies_in_mid_flight_leaves_the_run_and_its_log_whole(tmp_path):
     with Speaker() as speaker:
-        arguments = (f"--mavlink={speaker.address}", "--pace=4", f"--duration={SECONDS}", EXTERNAL)
+        arguments = (f"--mavlink={speaker.address}", "--pace=2", f"--duration={SECONDS}", EXTERNAL)
         with flying(tmp_path / "flight", *arguments) as flight:
             for message in speaker.hear_while(flight):
                 if message.name == "ATTITUDE" and message.system == UAV3:

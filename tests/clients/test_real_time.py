@@ -35,11 +35,15 @@ def test_the_pace_a_run_reports_is_that_of_the_listeners_clock(tmp_path):
     metrics, heard = timed(tmp_path / "flight")
     report, late = metrics["pace"], metrics["pace"]["late_s"]
     heard = heard[heard[:, 1] > 0.0]  # the first tick may compile, and is before the schedule
-    span = heard[-1] - heard[0]
-    assert len(heard) > 9 * (SECONDS - 1.0) and span[1] > SECONDS - 1.0
+    wall, flown = heard.T
+    span = flown[-1] - flown[0]
+    assert len(heard) > 9 * (SECONDS - 1.0) and span > SECONDS - 1.0
+    # a busy machine lets the listener hear some late: of a second, what was heard soonest counts
+    behind = wall - flown
+    first, last = (behind[near].min() for near in (flown < flown[0] + 1.0, flown > flown[-1] - 1.0))
     # both ends as late as the latest tick, and the listener's own turn on two busy cores
-    slack = (2.0 * late["max"] + 0.3) / span[1]
-    assert span[1] / span[0] == pytest.approx(report["achieved"], abs=slack)
+    slack = (2.0 * late["max"] + 0.3) / span
+    assert span / (span + last - first) == pytest.approx(report["achieved"], abs=slack)
     assert report["asked"] == 1.0
     assert 0.0 <= late["mean"] <= late["p99"] <= late["max"]
     assert report["achieved"] <= 1.0 + slack  # never ahead

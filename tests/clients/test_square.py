@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 from outside_run import ROOT, clients, flying, free_port, run_client, said_events
+from patience import PATIENCE_S
 
 SIDE_M, PASSED_M = 350.0, 30.0
 
@@ -13,7 +14,7 @@ def test_the_example_flies_its_square(tmp_path):
     with flying(
         tmp_path / "flight",
         f"--mavlink=udpout:127.0.0.1:{port}",
-        "--set=fleet.2.commanded_by={kind: external, lockstep: true, patience_s: 60}",
+        f"--set=fleet.2.commanded_by={{kind: external, lockstep: true, patience_s: {PATIENCE_S}}}",
         page=ROOT / "examples" / "square.yaml",
     ) as flight:
         script = ROOT / "examples" / "square.py"

@@ -68,7 +68,7 @@ def test_a_storm_on_the_link_moves_no_aircraft_by_a_bit(tmp_path):
         calm_frames = flight.frames()
     with (
         Speaker() as speaker,
-        flying(tmp_path / "storm", length, f"--mavlink={speaker.address}", "--pace=6") as flight,
+        flying(tmp_path / "storm", length, f"--mavlink={speaker.address}", "--pace=3") as flight,
     ):
         for _ in speaker.hear_while(flight):
             for _ in range(AT_ONCE if sent < FRAMES else 0):

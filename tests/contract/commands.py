@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE_S
 
 from testbed.cli import main
 
@@ -23,8 +24,16 @@ class Done:
     stderr: str
 
 
-def environment(columns):
-    return {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": str(columns)}
+def environment(columns, *folders):
+    """Of a process that imports the testbed, and modules of these folders."""
+    paths = os.pathsep.join(map(str, [ROOT, *folders]))
+    return {**os.environ, "PYTHONPATH": paths, "COLUMNS": str(columns)}
+
+
+def children(of):
+    """Ids of the processes that a process has begun."""
+    tasks = Path(f"/proc/{of}/task").glob("*/children")
+    return [int(each) for task in tasks for each in task.read_text().split()]
 
 
 def run_command(*arguments, cwd, code, columns):
@@ -35,7 +44,7 @@ def run_command(*arguments, cwd, code, columns):
         env=environment(columns),
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
     )
     assert done.returncode == code, done.stderr + done.stdout
     assert "Traceback" not in done.stderr

@@ -13,19 +13,21 @@ from pathlib import Path
 
 import numpy as np
 from commands import environment
+from given_time import last_s
+from patience import until
 from record_flight import RECORDS
 
-LONGEST_S = 0.5  # of the clock on the wall, of what was flown and is not in the log
+LONGEST_S = 0.5  # of the time a run is given, of what was flown and is not in the log
 SECONDS = 100.0  # of the flights
 PAGE = "simulation-3"
-PATIENCE_S = 120.0
 _NOTE = struct.Struct("dd")
 
 # Forks a `testbed run` for each line it is told, and tells its id and how it ended. After each
 # frame a run notes the moment and its time, past all buffers.
 _FORKING = """
-import json, os, struct, sys, time
+import json, os, struct, sys
 import testbed.console
+from given_time import GivenTime
 from testbed.cli import main
 from testbed.scenario import load, shorten
 from testbed.sim.run import run
@@ -34,19 +36,20 @@ run(shorten(load("simulation-3"), 0.1), write=False)  # loads what flights need
 
 class Notes:
     borrows = True
-    def __init__(self, paper):
+    def __init__(self, paper, given):
         self.paper = os.open(paper, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+        self.given = given
     def begin(self, info): pass
     def observe(self, frame):
-        os.write(self.paper, struct.pack("dd", time.monotonic(), frame.time_s))
+        os.write(self.paper, struct.pack("dd", self.given.now_s, frame.time_s))
     def end(self, summary, events): pass
 
 print("ready", flush=True)
 for line in sys.stdin:
-    paper, *arguments = json.loads(line)
+    paper, clock, *arguments = json.loads(line)
     child = os.fork()
     if not child:
-        notes = Notes(paper)
+        notes = Notes(paper, GivenTime(clock).__enter__())
         testbed.console.run = lambda *a, observers=(), **k: run(
             *a, observers=[*observers, notes], **k
         )
@@ -63,7 +66,7 @@ def hangar():
     """Where runs are begun."""
     with subprocess.Popen(
         [sys.executable, "-c", _FORKING],
-        env=environment(100),
+        env=environment(100, Path(__file__).parent),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -81,7 +84,7 @@ class Killed:
     """A run that was killed, or had ended just before."""
 
     out: Path
-    killed_s: float  # of the monotonic clock
+    killed_s: float  # of the time it was given
     ended: bool  # by itself
     sockets: int  # that it had
     notes: list[tuple[float, float]] = field(default_factory=list)  # when, which time
@@ -119,25 +122,22 @@ def moments(count, seed):
 
 def kill(hangar, folder, moment):
     """Fly and kill."""
-    out, paper = folder / "run", folder / "notes"
+    out, paper, clock = folder / "run", folder / "notes", folder / "clock"
     command = ["run", PAGE, "--quiet", "--out", str(out)]
     command += [f"--duration={moment.seconds:g}", f"--pace={moment.pace:g}"]
-    hangar.stdin.write(json.dumps([str(paper), *command]) + "\n")
+    hangar.stdin.write(json.dumps([str(paper), str(clock), *command]) + "\n")
     hangar.stdin.flush()
     process = int(hangar.stdout.readline())
-    stop = time.monotonic() + PATIENCE_S
-    while not _begun(moment, out, paper):
-        assert time.monotonic() < stop, "it did not begin"
-        time.sleep(0.002)
+    until(lambda: _begun(moment, out, paper))
     time.sleep(moment.wait_s)
     sockets = _sockets(process)
-    killed = time.monotonic()
     with suppress(ProcessLookupError):  # it has ended by itself
         os.kill(process, signal.SIGKILL)
     code = int(hangar.stdout.readline())
     assert code in (0, -signal.SIGKILL)
     notes = paper.read_bytes() if paper.exists() else b""
     whole = notes[: len(notes) // _NOTE.size * _NOTE.size]
+    killed = last_s(clock) if clock.exists() else 0.0
     return Killed(out, killed, code == 0, sockets, [*_NOTE.iter_unpack(whole)])
 
 

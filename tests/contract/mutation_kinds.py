@@ -138,7 +138,8 @@ def feed_table(path):
 def feed_aircraft(path):
     """Load the aircraft, look at it, trim it, fly it."""
     from testbed.state import Origin
-    from testbed.vehicle.jsbsim_door import JsbsimFleet, Start, airframe, linearize_aircraft
+    from testbed.vehicle.fleet import JsbsimFleet, Start
+    from testbed.vehicle.jsbsim_door import airframe, linearize_aircraft
     from testbed.vehicle.trim import TrimPoint
 
     folder = path if path.suffix != ".xml" else path.parent

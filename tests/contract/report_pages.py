@@ -7,6 +7,8 @@ import subprocess
 from html import unescape
 from html.parser import HTMLParser
 
+from patience import PATIENCE_S
+
 MOST_BYTES = 5_000_000
 VOID = {"meta", "link", "br", "img", "use", "path"}
 
@@ -104,7 +106,7 @@ def browse(text, folder):
             f"--user-data-dir={folder / 'profile'}", "--enable-logging=stderr", "--log-level=0",
             "--virtual-time-budget=2000", "--dump-dom", (folder / "page.html").as_uri(),
         ],
-        capture_output=True, text=True, timeout=120, check=True,
+        capture_output=True, text=True, timeout=PATIENCE_S, check=True,
     )  # fmt: skip
     assert "CONSOLE" not in done.stderr
     found = json.loads(unescape(re.search(r'data-found="([^"]*)"', done.stdout)[1]))

@@ -6,11 +6,11 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
 from arduplanes import FIRST, PAGE, SOON, ardupilot, binary, complaint, fly, level, page, running
+from patience import PATIENCE_S, until
 from rich.console import Console
 
 from testbed.ardupilot.defaults import defaults_text
@@ -151,20 +151,17 @@ def test_a_run_that_is_stopped_leaves_nothing(binary, tmp_path):
     words = [sys.executable, "-c", code, "page.yaml", asked]
     child = subprocess.Popen(words, cwd=tmp_path, start_new_session=True)
     try:
-        deadline = time.monotonic() + 30
-        while not list((tmp_path / "logs").glob("*/*/run.mcap")) and time.monotonic() < deadline:
-            time.sleep(0.05)
-        time.sleep(0.2)
-        assert running()
+        until(lambda: list((tmp_path / "logs").glob("*/*/run.mcap")))
+        until(running)
         os.killpg(child.pid, signal.SIGINT)  # as Ctrl-C does, to whoever is in the group
-        assert child.wait(timeout=30) == 130
+        assert child.wait(timeout=PATIENCE_S) == 130
     finally:
         child.kill()
         child.wait()
 
 
 def test_one_that_somebody_else_starts_is_waited_for(binary, tmp_path):
-    scenario = page(1.0, start="false", patience_s=20)
+    scenario = page(1.0, start="false", patience_s=PATIENCE_S)
     said = complaint(page(1.0, start="false", patience_s=0.3))
     assert f"start it with: arduplane --model JSON:127.0.0.1 --speedup 100 -I{FIRST} " in said
     defaults = tmp_path / "defaults.parm"
@@ -174,7 +171,7 @@ def test_one_that_somebody_else_starts_is_waited_for(binary, tmp_path):
     child = subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.DEVNULL)
     try:
         assert fly(scenario)[-1].time_s == 1.0
-        child.wait(timeout=10)  # it ends when we hang up: it is not ours to end
+        child.wait(timeout=PATIENCE_S)  # it ends when we hang up: it is not ours to end
     finally:
         child.kill()
         child.wait()

@@ -4,16 +4,17 @@ import json
 import os
 import signal
 import threading
-import time
+from contextlib import contextmanager
 
 import pytest
 from arduplanes import SOON, binary, page, running
+from given_time import GivenTime
+from patience import PATIENCE_S, until
 
 import testbed
+from testbed.ardupilot.process import Process
 
 assert binary  # a fixture
-
-PATIENCE_S = 60
 
 
 @pytest.fixture(autouse=True)
@@ -27,22 +28,32 @@ def handlers():
         signal.signal(each, handler)
 
 
+@contextmanager
 def signalled(*after_s, number=signal.SIGTERM, begun):
-    """Send this process signals, s after something has begun; when the first was sent."""
-    sent = []
+    """Send this process signals, each s after the one before, once something has begun.
+
+    When they were sent, on a clock that goes on until the block is left: nobody is signalled then.
+    """
+    sent, over = [], threading.Event()
 
     def send():
-        deadline = time.monotonic() + 30
-        while not begun() and time.monotonic() < deadline:
-            time.sleep(0.02)
-        since = time.monotonic()
+        while not begun():
+            if over.wait(0.02):
+                return
         for each in after_s:
-            time.sleep(max(0.0, since + each - time.monotonic()))
-            sent.append(time.monotonic())
+            if over.wait(each):
+                return
+            sent.append(given.now_s)
             os.kill(os.getpid(), number)
 
-    threading.Thread(target=send, daemon=True).start()
-    return sent
+    thread = threading.Thread(target=send, daemon=True)
+    with GivenTime() as given:
+        thread.start()
+        try:
+            yield sent, given
+        finally:
+            over.set()
+            thread.join()
 
 
 def printed(folders, words):
@@ -66,10 +77,12 @@ def test_a_stop_is_heeded_while_it_is_waited_for(
     monkeypatch.setenv("STAND_IN", trouble)
     monkeypatch.setattr("testbed.ardupilot.bring_up._STAGE_S", 3600.0)
     folders = tmp_path / "folders"
-    sent = signalled(0.3, number=number, begun=lambda: printed(folders, words))
-    flown = testbed.run(page(5.0, "log.mcap=true", patience_s=PATIENCE_S), out=tmp_path / "run")
-    # 0.3 s until it is looked at, 1 s for one that does not heed SIGTERM, and a busy machine
-    assert time.monotonic() - sent[0] < 5.0
+    asked = page(5.0, "log.mcap=true", patience_s=PATIENCE_S)
+    begun = signalled(0.3, number=number, begun=lambda: printed(folders, words))
+    with begun as (sent, given):
+        flown = testbed.run(asked, out=tmp_path / "run")
+        # 0.3 s until it is looked at, 1 s for one that does not heed SIGTERM, and its end
+        assert given.now_s - sent[0] < 5.0
     assert (flown.outcome, flown.exit_code) == ("interrupted", 130)
     assert json.loads((tmp_path / "run/metrics.json").read_text())["outcome"] == "interrupted"
     assert (tmp_path / "run/run.mcap").stat().st_size > 0
@@ -77,10 +90,18 @@ def test_a_stop_is_heeded_while_it_is_waited_for(
 
 def test_more_signals_while_it_is_being_ended_leave_nothing(binary, monkeypatch, tmp_path):
     monkeypatch.setenv("STAND_IN", "never-listens")
-    # the first is heeded within 0.3 s; it is killed 1 s after it was asked to end
-    sent = signalled(0.0, 0.5, 0.7, 0.9, begun=lambda: printed(tmp_path / "folders", "thinking"))
-    flown = testbed.run(page(5.0, patience_s=PATIENCE_S), out=tmp_path / "run")
-    assert len(sent) >= 3
+    more = []
+
+    def wait(process, moment, really=Process.wait):
+        with signalled(0.1, 0.2, 0.2, begun=lambda: True) as (sent, _):
+            really(process, moment)
+            until(lambda: len(sent) == 3)
+            more.extend(sent)
+
+    monkeypatch.setattr(Process, "wait", wait)  # for its end
+    with signalled(0.0, begun=lambda: printed(tmp_path / "folders", "thinking")):
+        flown = testbed.run(page(5.0, patience_s=PATIENCE_S), out=tmp_path / "run")
+    assert len(more) >= 3
     assert flown.outcome == "interrupted"
     assert not running()
     assert (tmp_path / "run/metrics.json").exists()

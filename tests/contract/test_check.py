@@ -6,14 +6,14 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from xml.etree import ElementTree
 
 import check_pages as pages
 import pytest
 import yaml
-from commands import call_command, environment, run_command
+from commands import call_command, children, environment, run_command
+from patience import PATIENCE_S, until
 
 from testbed.check_console import check_and_show
 from testbed.study.flights import Flight, fly_all
@@ -242,18 +242,16 @@ def test_ctrl_c_is_130_and_leaves_nothing(tmp_path):
         start_new_session=True,
     )
     try:
-        time.sleep(2.0)  # its processes have started, or are about to
+        until(lambda: process.poll() is not None or children(process.pid))
         process.send_signal(signal.SIGINT)
-        printed, errors = process.communicate(timeout=60)
+        printed, errors = process.communicate(timeout=PATIENCE_S)
     finally:
         process.kill()
     assert process.returncode == INTERRUPTED, errors
     assert (printed, errors) == ("", "")
     assert pages.files(tmp_path).keys() == {"long.yaml"}
-    deadline = time.monotonic() + 30.0
-    while anybody_of(process.pid):  # Python's own tracker of shared resources ends a little later
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    # Python's own tracker of shared resources ends a little later
+    until(lambda: not anybody_of(process.pid))
 
 
 def anybody_of(group):

@@ -1,6 +1,7 @@
 """Machine code is kept, and never that of sources that have changed."""
 
 import importlib
+import os
 import pkgutil
 import shutil
 import subprocess
@@ -8,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE_S
 
 import testbed
 from testbed import compiled, standing_in
@@ -33,7 +35,7 @@ def printed(folder):
         cwd=folder,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         check=True,
     )
     return done.stdout.split()
@@ -70,7 +72,7 @@ def test_every_module_that_a_twin_loads_is_a_source(name):
         "if n.startswith('testbed') and m.__file__))"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S, check=True
     )
     loaded = {Path(file) for file in done.stdout.split()}
     package = Path(compiled.__file__).parent
@@ -79,6 +81,65 @@ def test_every_module_that_a_twin_loads_is_a_source(name):
         file for file in loaded if file.name == "__init__.py" or file.parent.name == "scenario"
     }
     assert loaded - passed <= set(compiled._sources(package))
+
+
+MIXED = """
+import gc
+from typing import NamedTuple
+
+import numpy as np
+
+from testbed.compiled import bound, twin
+
+
+class Pair(NamedTuple):
+    wide: np.ndarray
+    flag: bool
+
+
+@twin
+def mixed(flag, pair, count, rows, view, weight, out, x, n):
+    out[0] = x + weight * pair.wide[1, 2] + 10.0 * rows[0] + view[1, 1]
+    out[1] = n + count + 100 * flag + 1000 * pair.flag
+    return len(rows) + n
+
+
+def given(flag):
+    wide, rows = np.arange(6.0).reshape(2, 3), np.array([3, 4], np.int32)
+    view = np.arange(24.0).reshape(4, 6)[::2, ::3]
+    return flag, Pair(wide, not flag), 7, rows, view, 0.5
+
+
+for flag in (True, False):
+    ours, theirs = np.zeros((2, 2))
+    call = bound(mixed, *given(flag), theirs, more=(0.0, 0))
+    gc.collect()
+    litter = [np.full(1000, -1.0) for _ in range(100)]
+    for x, n in ((1.0, 2), (-3.5, 4)):
+        assert mixed(*given(flag), ours, x, n) == call(x, n) == 2 + n
+        assert ours.tolist() == theirs.tolist(), (ours, theirs)
+    assert ours[1] == 11 + (100 if flag else 1000)
+try:
+    bound(mixed, "text")
+except TypeError as error:
+    print(error)
+"""
+
+
+def test_bound_arguments_are_those_of_a_call_and_stay_alive(tmp_path):
+    """Arrays, numbers and truths, alone and in records, and behind them what comes at each call."""
+    (tmp_path / "mixed.py").write_text(MIXED)
+    environment = {key: value for key, value in os.environ.items() if key != "TESTBED_NUMPY"}
+    done = subprocess.run(
+        [sys.executable, "mixed.py"],
+        cwd=tmp_path,
+        env=environment | {"NUMBA_CACHE_DIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == "an argument of unicode_type cannot be bound\n"
 
 
 @pytest.mark.parametrize(

@@ -4,12 +4,12 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import environment
+from commands import children, environment
+from patience import PATIENCE_S, until
 
 import testbed
 from testbed.record.read import read_log
@@ -97,12 +97,6 @@ def test_few_aircraft_are_stepped_by_one(monkeypatch):
     assert crew_of(100) == 1
 
 
-def children(of):
-    """Ids of the processes that a process has begun."""
-    tasks = Path(f"/proc/{of}/task").glob("*/children")
-    return [int(each) for task in tasks for each in task.read_text().split()]
-
-
 @pytest.fixture
 def flight(tmp_path):
     """A run of two processes in flight, and the other one's id."""
@@ -117,48 +111,40 @@ def flight(tmp_path):
         start_new_session=True,
     ) as process:
         try:
-            run = tmp_path / "run"
-            wait_for((run / "run.mcap").exists)  # aircraft have been tried out, in a child, too
-            yield process, wait_for(lambda: children(process.pid))[0], run
+            log = tmp_path / "run" / "run.mcap"
+            # more than the header: aircraft, which were tried out in a child, too, are in flight
+            until(lambda: log.exists() and log.stat().st_size > 100_000)
+            (other,) = children(process.pid)
+            yield process, other, log
         finally:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
 
 
-def wait_for(what, longest_s=60.0):
-    end = time.monotonic() + longest_s
-    while not (found := what()):
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.05)
-    return found
-
-
 def test_a_process_that_is_killed_ends_the_run_with_a_word(flight):
-    process, other, run = flight
-    time.sleep(0.5)
+    process, other, path = flight
     os.kill(other, signal.SIGKILL)
-    _, said = process.communicate(timeout=60)
+    _, said = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 5
     assert "a process that steps aircraft (4, 5, 6 of the flight models, from 0)" in said
     assert "ended with -9" in said and "--processes 1" in said
     assert "Traceback" not in said
-    log = read_log(run / "run.mcap")
+    log = read_log(path)
     assert log.finished and "has ended with -9" in log.events[-1].text
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_to_all_of_them_ends_the_run_in_order(flight, number):
-    process, other, run = flight
-    time.sleep(0.5)
+    process, other, path = flight
     os.killpg(process.pid, number)
-    process.communicate(timeout=60)
+    process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130
-    assert read_log(run / "run.mcap").finished
+    assert read_log(path).finished
     assert not Path(f"/proc/{other}").exists()
 
 
 def test_without_its_parent_a_process_ends(flight):
     process, other, _ = flight
     process.kill()
-    process.wait(timeout=60)
-    wait_for(lambda: not Path(f"/proc/{other}").exists(), 10.0)
+    process.wait(timeout=PATIENCE_S)
+    until(lambda: not Path(f"/proc/{other}").exists())

@@ -51,7 +51,10 @@ def command(*arguments, cwd, code):
 
 @pytest.mark.parametrize("first", range(0, KILLS, AT_ONCE))
 def test_a_run_that_is_killed_at_any_moment_is_recovered(first, whole, ours, tmp_path):
-    """SIGKILL: half a second of the clock on the wall is missing at most, and no bit is wrong."""
+    """SIGKILL: half a second of the clock on the wall is missing at most, and no bit is wrong.
+
+    That is promised of a machine that lets the run have its turns; see `GivenTime`.
+    """
     for number, moment in enumerate([*moments(KILLS, SEED)][first : first + AT_ONCE], first):
         folder = tmp_path / str(number)
         folder.mkdir()

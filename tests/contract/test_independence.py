@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from commands import environment
+from patience import PATIENCE_S
 
 import testbed
 from testbed.links.addresses import parse_address
@@ -87,7 +88,7 @@ def test_logging(page, alone, tmp_path):
 def test_telemetry(page, alone):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground:
         ground.bind(("127.0.0.1", 0))
-        ground.settimeout(20.0)
+        ground.settimeout(PATIENCE_S)
         address = parse_address(f"udpout:127.0.0.1:{ground.getsockname()[1]}")
         assert_same(alone, fly(page, outside=replace(NOBODY, mavlink=(address,))))
         assert ground.recv(300)[0] == 0xFD  # something was told
@@ -156,7 +157,7 @@ def test_directory_locale_hashes_and_other_runs_beside(tmp_path):
         )
     logs = {}
     for place, process in running.items():
-        _, said = process.communicate(timeout=120)
+        _, said = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 0, f"{place}: {said}"
         logs[place] = read(tmp_path / place / "run" / "run.mcap")
         assert os.listdir(tmp_path / place) == ["run"]

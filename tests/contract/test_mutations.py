@@ -17,9 +17,9 @@ import pytest
 from mutation_kinds import KINDS
 from mutation_worker import SEED
 from mutations import mutated
+from patience import PATIENCE_S
 
 MUTATIONS = int(os.environ.get("TESTBED_MUTATIONS", "240"))
-LONGEST_S = 300.0  # for one file: the first flight of a process may have to compile for minutes
 TOLD = 20  # of faults
 WHOLE = 4  # files of a kind that are tried as they are
 
@@ -62,9 +62,9 @@ class Worker:
             self.begin()
         self.process.stdin.write(f"{number}\n")
         self.process.stdin.flush()
-        if not self.answers.select(LONGEST_S):
+        if not self.answers.select(PATIENCE_S):
             self.end()
-            return "fault", f"nothing after {LONGEST_S:g} s", "", ""
+            return "fault", f"nothing after {PATIENCE_S:g} s", "", ""
         line = self.process.stdout.readline()
         if line:
             return json.loads(line)

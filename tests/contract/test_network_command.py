@@ -1,17 +1,16 @@
 """`testbed network`: what it writes is what its channel does, and what a flight would meet."""
 
-import contextlib
 import csv
 import json
 import math
 import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
-from commands import call_command, run_command
+from commands import call_command, environment, run_command
+from patience import PATIENCE_S
 from typer.testing import CliRunner
 
 from testbed.cli import app
@@ -327,19 +326,39 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
     assert [each.read_text() for each in tmp_path.iterdir()] == ["old"]
 
 
+# `testbed` that says when messages are being sent.
+TELLING = """
+import sys
+from testbed import cli, network_console
+
+def sound(*given, tell, really=network_console.sound, **named):
+    def show(count, of):
+        tell(count, of)
+        print("sending", flush=True)
+    return really(*given, tell=show, **named)
+
+network_console.sound = sound
+sys.argv[0] = "testbed"
+cli.main()
+"""
+
+
 def test_ctrl_c_ends_it_and_leaves_the_file_as_it_was(tmp_path):
     path = tmp_path / "messages.csv"
     path.write_text("old")
     words = ("network", "bursty-wifi", "--packets", "3000000", "--out", path.name)
-    command = subprocess.Popen([sys.executable, "-m", "testbed", *words], cwd=tmp_path)
+    command = subprocess.Popen(
+        [sys.executable, "-c", TELLING, *words],
+        cwd=tmp_path,
+        env=environment(80),
+        stdout=subprocess.PIPE,
+        text=True,
+    )
     try:
-        for _ in range(3):  # machine code may have to be made first, and that asks nobody
-            time.sleep(5.0)  # before it has begun, Python itself answers
-            command.send_signal(signal.SIGINT)
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                command.wait(timeout=60.0)
-                break
-        assert command.poll() == 130
+        assert command.stdout.readline() == "sending\n"
+        command.send_signal(signal.SIGINT)
+        command.communicate(timeout=PATIENCE_S)
+        assert command.returncode == 130
     finally:
         command.kill()
         command.wait()

@@ -5,6 +5,7 @@ from pathlib import Path
 import nbclient
 import nbformat
 import pytest
+from patience import PATIENCE_S
 
 NOTEBOOK = Path(__file__).parents[2] / "examples" / "look_at_a_run.ipynb"
 
@@ -15,7 +16,7 @@ def ran(tmp_path_factory):
     notebook = nbformat.read(NOTEBOOK, as_version=4)
     folder = str(tmp_path_factory.mktemp("desk"))
     nbclient.NotebookClient(
-        notebook, timeout=120, resources={"metadata": {"path": folder}}
+        notebook, timeout=PATIENCE_S, resources={"metadata": {"path": folder}}
     ).execute()
     return notebook
 

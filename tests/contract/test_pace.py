@@ -1,6 +1,6 @@
 """Simulated time against a clock that a test turns."""
 
-import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -84,21 +84,25 @@ def test_a_wait_that_is_given_up_counts_for_nothing():
 class Silence:
     """A station that nobody speaks to."""
 
+    def __init__(self, clock):
+        self.clock = clock
+
     def poll(self, now_s):
         pass
 
     def wait(self, seconds, now_s):
-        time.sleep(seconds)
+        self.clock.idle(seconds)
 
 
-@pytest.mark.parametrize("station", [None, Silence()], ids=["alone", "with a station"])
-def test_a_stop_is_heeded_between_two_ticks_however_slow_the_pace(station):
-    asked = time.monotonic() + 0.25
-    pace = Pace(0.001)
-    gate = Gate(None, station, pace, lambda: time.monotonic() >= asked)
+@pytest.mark.parametrize("accompanied", [False, True], ids=["alone", "with a station"])
+def test_a_stop_is_heeded_between_two_ticks_however_slow_the_pace(accompanied, monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr("testbed.sim.gate.time", SimpleNamespace(sleep=clock.idle))
+    asked = clock.now + 0.25
+    pace = Pace(0.001, clock)
+    gate = Gate(None, Silence(clock) if accompanied else None, pace, lambda: clock.now >= asked)
     due = Due(None, None, (), lead=True, autopilot=True, log=True)
     assert not gate(0.2, due)
     assert gate(0.22, due)  # 20 s later
-    # a slice of 0.1 s, and as much again of a busy machine
-    assert time.monotonic() - asked < 0.2
+    assert clock.now - asked < 0.1
     assert pace.report()["late_s"]["max"] == 0.0

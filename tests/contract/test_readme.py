@@ -18,6 +18,7 @@ from pathlib import Path
 
 import pytest
 from commands import call, environment
+from patience import PATIENCE_S
 
 from testbed.scenario import find_scenario, list_scenarios, loads
 
@@ -90,7 +91,6 @@ line = socket.socket(fileno=int(os.environ["TESTBED_LINE"]))
 socket.send_fds(line, [json.dumps([os.getcwd(), sys.argv[1:]]).encode()], [1, 2])
 sys.exit(int(line.recv(16)))
 """
-LONGEST_S = 120.0
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ def in_a_shell(folder, text, shown_s=SHOWN_S):
     """What a snippet prints whose commands this process carries out, and bash all else."""
     ours, theirs = socket.socketpair()
     with ours, tempfile.TemporaryFile("w+") as paper:
-        ours.settimeout(LONGEST_S)
+        ours.settimeout(PATIENCE_S)
         surroundings = environment(80) | {
             "PATH": f"{folder / 'bin'}{os.pathsep}{os.environ['PATH']}",
             "TESTBED_LINE": str(theirs.fileno()),
@@ -181,7 +181,7 @@ def in_a_shell(folder, text, shown_s=SHOWN_S):
                 with open(papers[0], "w") as out, open(papers[1], "w") as err:
                     code = call(arguments, cwd=cwd, columns=80, out=out, err=err)
                 ours.sendall(str(code).encode())
-            shell.wait(timeout=LONGEST_S)
+            shell.wait(timeout=PATIENCE_S)
         finally:
             shell.kill()
             shell.wait()

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from patience import PATIENCE_S
 from run_flight import DIVE, NOISY, Collector, arrays, fingerprint, flown, short
 
 import testbed
@@ -265,7 +266,7 @@ cli.main()
 def test_ctrl_c_that_a_library_swallows_is_heeded(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", SWALLOWED],
-        cwd=tmp_path, capture_output=True, text=True, timeout=60,
+        cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE_S,
     )  # fmt: skip
     assert done.stdout == "swallowed\n"
     assert done.returncode == 130, done.stderr
@@ -310,7 +311,7 @@ def test_outside_the_main_thread_a_run_flies_without_handlers():
         target=lambda: results.append(testbed.run(short(seconds=1), write=False))
     )
     thread.start()
-    thread.join(60)
+    thread.join(PATIENCE_S)
     assert [result.outcome for result in results] == ["flown"]
 
 

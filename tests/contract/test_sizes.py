@@ -5,6 +5,7 @@ import sys
 from collections import namedtuple
 
 import pytest
+from patience import PATIENCE_S
 from typer.testing import CliRunner
 
 import testbed
@@ -65,7 +66,7 @@ def test_a_flight_takes_no_more_memory_than_was_foretold_and_not_much_less(name,
     page = load(name, changes)
     done = subprocess.run(
         [sys.executable, "-c", MEASURED, name, str(until), *changes],
-        check=True, capture_output=True, text=True, timeout=120,
+        check=True, capture_output=True, text=True, timeout=PATIENCE_S,
     )  # fmt: skip
     most = int(done.stdout)
     assert 0.75 * sizes.memory_needed(page, clock_of(page)) < most

@@ -1,6 +1,7 @@
 """What measures speed: bare and full do the same steps, and every room is found."""
 
 import importlib
+import itertools
 from pathlib import Path
 
 import pytest
@@ -26,14 +27,21 @@ def test_every_room_but_the_loop_has_doors(benchmark):
 def test_a_flight_is_found_in_its_rooms(benchmark):
     rooms, ratio = benchmark("rooms"), benchmark("full_over_bare")
     page = shorten(load("simulation-3"), 4.0)
-    ratio.full(page)
-    watch = rooms.Rooms()
+    # a clock that goes on by one whenever somebody looks at it
+    watch = rooms.Rooms(itertools.count().__next__)
     with watch.within():
         ratio.full(page, watch)
     assert sum(watch.shares.values()) == pytest.approx(1.0)
-    assert max(watch.shares, key=watch.shares.__getitem__) == "physics"
-    assert watch.shares["air"] == 0.0  # still
-    assert watch.shares["log"] > 0.0
+    ticks, frames = 4 * page.rates.autopilot_hz + 1, 4 * page.rates.log_hz + 1
+    # the log is entered once for every frame
+    visits = {room: frames * share / watch.shares["log"] for room, share in watch.shares.items()}
+    assert visits["physics"] == visits["autopilot"] == pytest.approx(ticks)
+    assert visits["leader"] == pytest.approx(frames)
+    # what learns and then steps, and what takes the slots and then the frame
+    assert visits["control"] == visits["metrics"] == pytest.approx(2 * frames)
+    assert visits["air"] == 0.0  # still
+    assert min(visits[room] for room in ("truth", "sensing", "network", "events")) > frames
+    assert max(visits, key=visits.__getitem__) == "loop"  # between any two of them
 
 
 def test_numbers_of_turns(benchmark):

@@ -4,12 +4,12 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import crew_tasks
 import pytest
 from commands import environment
+from patience import PATIENCE_S, until
 
 from testbed.errors import InputError
 from testbed.study.crew import Task, crew
@@ -48,14 +48,6 @@ def gone(pid):
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
 
 
-def wait_for(what, longest_s=60.0):
-    deadline = time.monotonic() + longest_s
-    while not (found := what()):
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-    return found
-
-
 def test_a_killed_process_takes_only_its_own_task_with_it_and_that_once(idle, tmp_path):
     pages = [
         ("say", "before"),
@@ -90,14 +82,14 @@ def test_no_process_outlives_who_started_it(tmp_path, ended_by):
         [sys.executable, script, HERE, mark], env=environment(80), stderr=subprocess.PIPE
     )
     try:
-        worker = wait_for(lambda: mark.exists() and int(mark.read_text()))
+        worker = until(lambda: mark.exists() and int(mark.read_text()))
         parent.send_signal(ended_by)
-        _, errors = parent.communicate(timeout=60)
+        _, errors = parent.communicate(timeout=PATIENCE_S)
     finally:
         parent.kill()
     expected = -signal.SIGKILL if ended_by == signal.SIGKILL else INTERRUPTED
     assert parent.returncode == expected, errors
-    wait_for(lambda: gone(worker))
+    until(lambda: gone(worker))
     if ended_by != signal.SIGKILL:
         assert errors == b""
 

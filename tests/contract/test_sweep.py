@@ -6,11 +6,11 @@ import shlex
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
 import study_pages as pages
 from commands import call_command, environment
+from patience import PATIENCE_S, until
 
 from testbed.errors import InputError
 from testbed.study.journal import Journal
@@ -330,15 +330,12 @@ def test_a_study_whose_processes_are_killed_is_resumed_to_the_bit(desk, tmp_path
         before = rows()
         parent = subprocess.Popen((*asked, "--jobs", "2"), env=environment(80), cwd=desk)
         try:
-            deadline = time.monotonic() + 120.0
-            while rows() == before:
-                assert time.monotonic() < deadline and parent.poll() is None
-                time.sleep(0.02)
+            until(lambda before=before: rows() > before)
             parent.send_signal(number)
-            parent.wait(timeout=60)
+            parent.wait(timeout=PATIENCE_S)
         finally:
             parent.kill()
         assert parent.returncode in (-signal.SIGKILL, INTERRUPTED)
     assert 0 < len(read_table(out).columns["run"]) < pages.RUNS
-    subprocess.run(asked, env=environment(80), cwd=desk, check=True, timeout=120)
+    subprocess.run(asked, env=environment(80), cwd=desk, check=True, timeout=PATIENCE_S)
     assert same(desk, out)

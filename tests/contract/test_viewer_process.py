@@ -6,17 +6,21 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from patience import PATIENCE_S, until
 
 from testbed.errors import InputError
 from testbed.views import viewer
 from testbed.views.rerun_door import remote
 
-WAIT_S = 20.0
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch):
+    """On a busy machine programs may begin late."""
+    monkeypatch.setattr(viewer, "START_S", PATIENCE_S)
 
 
 def stub(path, text):
@@ -28,16 +32,8 @@ def stub(path, text):
 
 def read_line(descriptor):
     """What comes through a pipe; nothing when all who could write have ended."""
-    assert select.select([descriptor], [], [], WAIT_S)[0], "nothing came, and nobody ended"
+    assert select.select([descriptor], [], [], PATIENCE_S)[0], "nothing came, and nobody ended"
     return os.read(descriptor, 100)
-
-
-def wait_until(holds):
-    """What a process that was killed leaves is gone in a moment, but not at once."""
-    deadline = time.monotonic() + WAIT_S
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 @pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGTERM])
@@ -58,9 +54,9 @@ def test_a_viewer_and_its_scratch_files_go_when_its_starter_is_killed(tmp_path, 
     try:
         assert read_line(reader) == b"up\n"
         starter.send_signal(ending)
-        starter.wait(WAIT_S)
+        starter.wait(PATIENCE_S)
         assert read_line(reader) == b"", "all that held the pipe's other end are gone"
-        wait_until(lambda: not scratch.exists())
+        until(lambda: not scratch.exists())  # in a moment, not at once
     finally:
         os.close(reader)
         starter.kill()
@@ -90,7 +86,7 @@ def test_a_port_that_somebody_else_takes_is_not_mistaken_for_the_viewer(
         with viewer.tethered(program) as (process, port):
             assert port == ports[1] and process.poll() is None
         assert process.poll() is not None
-        wait_until(lambda: not viewer.listening(port))
+        until(lambda: not viewer.listening(port))
 
 
 def test_a_viewer_that_does_not_start_is_not_tried_again(tmp_path, monkeypatch):
@@ -108,7 +104,7 @@ def test_a_viewer_that_is_ended_in_the_midst_is_not_waited_for(tmp_path, monkeyp
         pytest.raises(InputError, match="does not answer"),
         viewer.headless((640, 400), limit_s=0.2) as port,
     ):
-        wait_until(lambda: not viewer.listening(port))
+        until(lambda: not viewer.listening(port))
         raise RuntimeError("what a client says when its viewer is gone")
 
 
@@ -125,5 +121,5 @@ def test_a_viewer_that_is_too_busy_to_answer_is_asked_again(monkeypatch):
 
     client = SimpleNamespace(get_state=get_state, set_time=lambda *_, **what: told.append(what))
     monkeypatch.setattr(remote.ViewerClient, "connect", lambda address: client)
-    remote.Remote(1, "run-1").stop_at(5.0, WAIT_S)
+    remote.Remote(1, "run-1").stop_at(5.0, PATIENCE_S)
     assert told == [{"duration": 5.0, "play_state": "paused"}]

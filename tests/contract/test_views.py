@@ -9,12 +9,13 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 import views_flight
+from given_time import GivenTime
+from patience import PATIENCE_S, until
 
 from testbed import run
 from testbed.record.read import read_log
@@ -44,6 +45,14 @@ from testbed.views.view import BATCH_FRAMES
 HERE = Path(__file__).parents[2]
 
 
+@pytest.fixture(autouse=True)
+def patient(monkeypatch):
+    """On a busy machine programs may begin late, and draw slowly."""
+    monkeypatch.setattr(viewer, "START_S", PATIENCE_S)
+    monkeypatch.setattr(shot, "LIMIT_S", PATIENCE_S)
+    monkeypatch.setattr(shot, "LOADED_S", PATIENCE_S)
+
+
 @contextlib.contextmanager
 def saving_viewer(path: Path):
     """A viewer that saves what it is sent, and its port; it ends with the test."""
@@ -52,15 +61,11 @@ def saving_viewer(path: Path):
         yield process, port
 
 
-def fly(view: RerunView, frames, info) -> float:
-    """Show frames; the longest time in s the run waited for its view."""
+def fly(view: RerunView, frames, info) -> None:
+    """Show frames."""
     view.begin(info)
-    worst = 0.0
     for frame in frames:
-        start = time.perf_counter()
         view.observe(frame)
-        worst = max(worst, time.perf_counter() - start)
-    return worst
 
 
 def rows_of(path: Path) -> int:
@@ -215,52 +220,45 @@ def test_a_viewer_that_does_not_start_is_one_warning(monkeypatch, caplog, tmp_pa
     monkeypatch.setenv("PYTHONPATH", str(tmp_path) + os.pathsep + str(HERE))
     view = RerunView(LiveViewer(port=port))
     fly(view, views_flight.frames(2, 1.0), views_flight.info(2, 1.0))
-    view._outlet.process.wait(20)
+    view._outlet.process.wait(PATIENCE_S)
     view.end({}, ())
     assert len(warnings_of(caplog)) == 1 and "did not start" in warnings_of(caplog)[0]
-
-
-def wait_until_written(path):
-    """The viewer saves what it was sent in its own time: wait until the file grows no more."""
-    deadline, size, since = time.monotonic() + 20.0, -1, time.monotonic()
-    while time.monotonic() < deadline and time.monotonic() - since < 1.5:
-        if path.exists() and path.stat().st_size != size:
-            size, since = path.stat().st_size, time.monotonic()
-        time.sleep(0.05)
 
 
 def test_a_live_viewer_gets_everything_and_the_end_is_quick(caplog, tmp_path):
     seen, complete = tmp_path / "seen.rrd", tmp_path / "whole.rrd"
     info, frames = views_flight.info(4, 120.0), list(views_flight.frames(4, 120.0))
-    with saving_viewer(seen) as (program, port):
+    replay(RrdFile(complete), views_flight.log(4, 120.0))
+    rows = rows_of(complete)
+    with saving_viewer(seen) as (program, port), GivenTime() as given:
         view = RerunView(LiveViewer(port=port))
         fly(view, frames, info)
         process = view._outlet.process
-        start = time.perf_counter()
+        start = given.now_s
         view.end({}, ())
-        assert time.perf_counter() - start < 1.0
-        assert process.wait(20) == 0
-        wait_until_written(seen)
+        assert given.now_s - start < 1.0
+        assert process.wait(PATIENCE_S) == 0
+        # the viewer saves what it was sent in its own time
+        until(lambda: rows_of(seen) > rows - 50)
         os.killpg(program.pid, signal.SIGTERM)
-        program.wait(20)
+        program.wait(PATIENCE_S)
     assert warnings_of(caplog) == []
-    replay(RrdFile(complete), views_flight.log(4, 120.0))
     # Batches of another size have a few more rows: the two ends of each limit.
-    assert rows_of(complete) - 50 < rows_of(seen) < rows_of(complete) + 50
+    assert rows - 50 < rows_of(seen) < rows + 50
 
 
 class Watched(RerunView):
     """A view that tells what the run waited for it, and does a deed in mid-flight."""
 
-    def __init__(self, sink, at_frame=None, deed=None):
+    def __init__(self, sink, given, at_frame=None, deed=None):
         super().__init__(sink)
-        self.at_frame, self.deed = at_frame, deed
+        self.given, self.at_frame, self.deed = given, at_frame, deed
         self.frame, self.waited = 0, 0.0
 
-    def timed(self, method, *given, clock=time.perf_counter):
-        start = clock()
-        method(*given)
-        self.waited += clock() - start
+    def timed(self, method, *told):
+        start = self.given.now_s
+        method(*told)
+        self.waited += self.given.now_s - start
 
     def begin(self, info):
         self.timed(super().begin, info)
@@ -269,9 +267,10 @@ class Watched(RerunView):
     def observe(self, frame):
         if self.frame == self.at_frame:
             self.deed()
+        if self.frame + 1 == self.at_frame:
+            self._due = 0.0  # however soon that is, something has been passed on by then
         self.frame += 1
-        # nothing here can wait: what a busy machine gives to others in between is not the view's
-        self.timed(super().observe, frame, clock=time.thread_time)
+        self.timed(super().observe, frame)
 
     def end(self, summary, events):
         self.timed(super().end, summary, events)
@@ -291,20 +290,22 @@ def test_no_viewer_changes_a_run_or_its_log_or_costs_it_a_second(monkeypatch, tm
         return compare_runs(one, other, within=None).same  # every number, event and frame
 
     alone = flight("alone")
-    missing = Watched(LiveViewer(port=viewer.free_port()))
-    assert same(flight("missing", missing), alone)
+    with GivenTime() as given:
+        missing = Watched(LiveViewer(port=viewer.free_port()), given)
+        assert same(flight("missing", missing), alone)
     assert missing.waited < 1.0
     assert len(warnings_of(caplog)) == 1
     for name, deed in (("killed", signal.SIGKILL), ("frozen", signal.SIGSTOP)):
         caplog.clear()
         seen = tmp_path / f"{name}.rrd"
-        with saving_viewer(seen) as (program, port):
+        with saving_viewer(seen) as (program, port), GivenTime() as given:
             view = Watched(
-                LiveViewer(port=port), 500, functools.partial(strike, program, deed, seen)
+                LiveViewer(port=port), given, 500, functools.partial(strike, program, deed, seen)
             )
             assert same(flight(name, view), alone)
             process = view.feeding
-        process.wait(30)  # a frozen viewer is killed by now: the feeding process ends by itself
+        # a frozen viewer is killed by now: the feeding process ends by itself
+        process.wait(PATIENCE_S)
         assert view.frame == 1001 and view.waited < 1.0
         assert len(warnings_of(caplog)) <= 1
         if name == "killed":
@@ -313,10 +314,7 @@ def test_no_viewer_changes_a_run_or_its_log_or_costs_it_a_second(monkeypatch, tm
 
 def strike(program, deed, seen):
     """What befalls a viewer that has begun to show."""
-    deadline = time.monotonic() + 20.0
-    while not seen.exists() or seen.stat().st_size < 50_000:
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    until(lambda: seen.exists() and seen.stat().st_size >= 50_000)
     os.killpg(program.pid, deed)
 
 

@@ -12,8 +12,8 @@ from testbed.errors import InputError
 from testbed.frames import GRAVITY, body_rates, euler_rates, flight_path_angle, wrap_pi
 from testbed.state import VehicleState
 from testbed.vehicle import ideal
+from testbed.vehicle.fleet import LOWEST
 from testbed.vehicle.ideal import ADVANCE_TICKS, IdealFleet, Unicycle, advance, unicycle
-from testbed.vehicle.jsbsim_door import LOWEST
 
 RATE = 200
 DT = 1.0 / RATE

@@ -1,7 +1,6 @@
 """Missions of ground stations and plans of guidance say the same."""
 
 import math
-import time
 
 import numpy as np
 import pytest
@@ -205,11 +204,10 @@ def test_each_circle_is_as_wide_as_its_own_airspeed_needs():
     assert found.plan.mission.airspeed == 22.0
 
 
-def test_laps_without_end_are_bounded():
+def test_laps_without_end_are_bounded(monkeypatch):
+    monkeypatch.setattr("testbed.sim.missions.unroll", pytest.fail)  # that would take long
     places = waypoints(*((100.0 * k, 0.0, 100.0) for k in range(1, 700)))
-    begun = time.perf_counter()
     assert "10000 or fewer" in refusal(*places, jump(1, 1000)).text
-    assert time.perf_counter() - begun < 1.0
 
 
 MISSIONS = [name for name in list_scenarios() if load(name).leader.path.kind == "mission"]

@@ -8,7 +8,7 @@ import pytest
 from testbed.network import post as numpy_post
 from testbed.network import radio as radio_module
 from testbed.network.channel import make_channel
-from testbed.network.clocks import make_clocks
+from testbed.network.clocks import READY_SHOW, Clocks, make_clocks, show
 from testbed.network.ledger import Ledger, bin_of, edges
 from testbed.network.links import Fate
 from testbed.network.radio import Conditions, Radio
@@ -204,6 +204,23 @@ def test_clocks_that_are_wrong_alike_agree():
     link = radio(conditions=Conditions(clocks=make_clocks(NAMES, clocks)))
     link.send(np.full(N, 100.0), say(100.0), None)
     assert link.deliver(100.0).stamp_s == pytest.approx(100.0, abs=1e-12)
+
+
+def test_the_compiled_clocks():
+    rng = np.random.default_rng(46)
+    grain = np.where(rng.random(N) < 0.5, 0.0, rng.uniform(1e-3, 0.5, N))
+    clocks = Clocks(rng.normal(0.0, 100.0, N), rng.normal(0.0, 1e-4, N), grain)
+    measured, rows = np.empty(N), np.array([2, 0])
+    ours, theirs = (
+        (np.full(len(rows), np.nan), np.full((FOLLOWERS, len(rows)), np.nan)) for _ in range(2)
+    )
+    look = READY_SHOW(clocks, measured, rows, *theirs)
+    for _ in range(200):
+        measured[:] = rng.uniform(0.0, 1e4, N)
+        show(clocks, measured, rows, *ours)
+        look()
+        for one, two in zip(ours, theirs, strict=True):
+            assert np.array_equal(one, two)  # the same sums in the same order: to the bit
 
 
 # the ledger

@@ -6,14 +6,8 @@ import pytest
 from testbed.formation.flags import Guard
 from testbed.formation.law import Diagnosis
 from testbed.scenario import load
-from testbed.sim.watch import (
-    Arrivals,
-    Engagement,
-    Silence,
-    Slots,
-    Speaker,
-    Staleness,
-)
+from testbed.sim.hearing import Silence, Staleness
+from testbed.sim.watch import READY_HELD, Arrivals, Engagement, Slots, Speaker, held
 from testbed.sim.world import build
 from testbed.state import VehicleState
 
@@ -294,6 +288,25 @@ def test_a_follower_engages_once_it_has_held_its_slot_for_five_seconds():
 def test_who_is_lost_does_not_engage_wherever_it_lies():
     told = engaged(*[(1.0, 1.0)] * 10, gone=(True, False))
     assert [event.source for event in told] == ["uav2"]
+
+
+def test_the_compiled_look_at_who_holds_a_slot():
+    rng = np.random.default_rng(45)
+    n, answers = 4, []
+    error, gone = np.zeros((n, 3)), np.zeros(n + 1, dtype=bool)
+    since, awaited = np.full((2, n), -1), np.ones(n, dtype=bool)
+    look = READY_HELD(error, gone, awaited, since[1], 60.0)
+    for tick in range(0, 40_000, 8):
+        error[:] = rng.normal(0.0, 1.8, (n, 3))
+        if tick == 20_000:
+            gone[2], awaited[0] = True, False
+        if tick == 36_000:
+            gone[0] = True
+        answers.append(held(error, gone, awaited, since[0], 60.0, tick))
+        assert look(tick) == answers[-1]
+        assert np.array_equal(*since)
+    assert 500 < sum(answers[:4500]) < 4400
+    assert not any(answers[4500:])
 
 
 def test_five_seconds_are_counted_in_ticks():

@@ -7,7 +7,8 @@ import pytest
 
 from testbed.scenario import find_aircraft
 from testbed.state import AirFelt, Origin
-from testbed.vehicle.jsbsim_door import JsbsimFleet, Start, airframe
+from testbed.vehicle.fleet import JsbsimFleet, Start
+from testbed.vehicle.jsbsim_door import airframe
 
 AIRCRAFT = {"rascal110": 22.0, "skywalker_x8": 18.0}
 RATE = 200

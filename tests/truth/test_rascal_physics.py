@@ -8,16 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from patience import PATIENCE_S
 
 from testbed.frames import FOOT, GRAVITY
 from testbed.state import FbwaCommand, Origin, Surfaces, VehicleState
 from testbed.vehicle.fbwa import AUTOPILOT, settled
-from testbed.vehicle.jsbsim_door import (
-    AircraftError,
-    JsbsimFleet,
-    Start,
-    trim_aircraft,
-)
+from testbed.vehicle.fleet import JsbsimFleet, Start
+from testbed.vehicle.jsbsim_door import AircraftError, trim_aircraft
 from testbed.vehicle.motion import lost, motion
 from testbed.vehicle.params import read_params, stack
 from testbed.vehicle.trim import TrimError, TrimPoint
@@ -238,7 +235,7 @@ def test_flying_opens_no_socket_writes_nothing_and_prints_nothing(tmp_path: Path
 import os, sys
 from pathlib import Path
 from testbed.state import Origin
-from testbed.vehicle.jsbsim_door import JsbsimFleet, Start
+from testbed.vehicle.fleet import JsbsimFleet, Start
 fleet = JsbsimFleet([Path({str(RASCAL)!r})], [Start((0.0, 0.0, -100.0))], Origin(), 200)
 fleet.step(fleet.trimmed, 200)
 for number in os.listdir("/proc/self/fd"):
@@ -256,7 +253,7 @@ for number in os.listdir("/proc/self/fd"):
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     assert list(tmp_path.iterdir()) == []

@@ -11,11 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from patience import PATIENCE_S
 
 from testbed.frames import FOOT, GRAVITY
 from testbed.state import FbwaCommand, Origin, Surfaces
 from testbed.vehicle.fbwa import AUTOPILOT, settled
-from testbed.vehicle.jsbsim_door import JsbsimFleet, Start, trim_aircraft
+from testbed.vehicle.fleet import JsbsimFleet, Start
+from testbed.vehicle.jsbsim_door import trim_aircraft
 from testbed.vehicle.params import read_params, stack
 from testbed.vehicle.trim import TrimError, TrimPoint
 
@@ -267,7 +269,8 @@ def test_trims_and_flights_repeat_to_the_bit_and_print_nothing(tmp_path: Path) -
     """In another process, after another trim: the same numbers, and not a word beside them."""
     flight = (
         "from pathlib import Path; from testbed.state import Origin\n"
-        "from testbed.vehicle.jsbsim_door import JsbsimFleet, Start, trim_aircraft\n"
+        "from testbed.vehicle.fleet import JsbsimFleet, Start\n"
+        "from testbed.vehicle.jsbsim_door import trim_aircraft\n"
         "from testbed.vehicle.trim import TrimPoint\n"
         f"x8 = Path({str(X8)!r})\n"
         "trim_aircraft(x8, TrimPoint(16.0))\n"
@@ -283,7 +286,7 @@ def test_trims_and_flights_repeat_to_the_bit_and_print_nothing(tmp_path: Path) -
         env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
     )
     fleet = _fleet(Start((0.0, 0.0, -100.0), airspeed=18.0, bank=0.3))
     fleet.step(fleet.trimmed, 100)

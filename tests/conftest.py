@@ -1,0 +1,1 @@
+"""Has pytest find what tests of every folder share: the modules beside this file."""
