@@ -38,6 +38,7 @@ class Casualties:
         self._names, self._proximity, self._fly_on = names, proximity, fly_on
         self._breakdowns = breakdowns
         self.gone: Truths = np.zeros(len(names), dtype=bool)
+        self.over = False  # the run ends here
         self._unforeseen = False
         self._told = self.gone.tobytes()  # who was down at the last look
 
@@ -64,12 +65,8 @@ class Casualties:
             foreseen = self._breakdowns.broken if self._breakdowns else self.gone
             self._unforeseen |= bool((new & ~foreseen).any())
             self.gone = gone  # a new array: observers keep the old one
+            self.over = bool(gone.all()) or not self._fly_on
         return [*events, *close]
-
-    @property
-    def over(self) -> bool:
-        """Whether the run ends here."""
-        return bool(self.gone.all() if self._fly_on else self.gone.any())
 
     @property
     def outcome(self) -> str:

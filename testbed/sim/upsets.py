@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-import operator
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from operator import is_
 
 import numpy as np
 
@@ -105,7 +105,7 @@ class Upsets:
         self._busy = False  # somebody was beyond a limit at the last look
         self.unforeseen = False  # somebody was upset without a fault that explains it
         self._steady = Steady(), Steady(), Steady()
-        self._bound: list[object] = [None, None, None]
+        self._bound: tuple[object, ...] = (None, None, None)
 
     def changes(
         self,
@@ -114,7 +114,7 @@ class Upsets:
         air: AirData,
         formation: FormationState,
         away: tuple[Truths, Truths],
-    ) -> Iterator[Event]:
+    ) -> Iterable[Event]:
         """An event for each upset that began or ended since the last call.
 
         What ends because an aircraft is away ends without a word.
@@ -131,15 +131,17 @@ class Upsets:
             self._apart, self._somebody_apart = away[1], bool(away[1].any())
         if self._somebody_apart:
             self._closest_m[1:][away[1]] = np.inf
-        looks = zip(self._steady, (truth, air, formation), strict=True)
-        given = [steady(record) for steady, record in looks]
-        if any(map(operator.is_not, given, self._bound)):
-            self._bound = given
-            seen = given[0].equivalent_airspeed, given[1].alpha, given[2].error_ned
-            self._look = READY_BEYOND(*seen, self._limits, self._closest_m)
-        if self._look() or self._busy:
-            values = measured(truth.equivalent_airspeed, air.alpha, formation.error_ned)
-            yield from self._changed(now, values, away)
+        if not all(map(is_, (truth, air, formation), self._bound)):
+            looks = zip(self._steady, (truth, air, formation), strict=True)
+            given = tuple(steady(record) for steady, record in looks)
+            if not all(map(is_, given, self._bound)):
+                self._bound = given
+                seen = given[0].equivalent_airspeed, given[1].alpha, given[2].error_ned
+                self._look = READY_BEYOND(*seen, self._limits, self._closest_m)
+        if not self._look() and not self._busy:
+            return ()
+        values = measured(truth.equivalent_airspeed, air.alpha, formation.error_ned)
+        return self._changed(now, values, away)
 
     @property
     def over(self) -> bool:
