@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 import traceback
 from pathlib import Path
@@ -233,6 +234,8 @@ def _main(
 
 def main() -> None:
     """Run the command line; every ending has its exit code."""
+    # what is loaded stays: to look for garbage in it over and over is a tenth of a run's start
+    gc.set_threshold(100_000, 20, 50)
     try:
         with remembering():
             app()

@@ -83,11 +83,11 @@ def bound(function: Callable[..., Any], *fixed: Any, more: tuple[Any, ...] = ())
         fixed: its first arguments.
         more: of each argument behind them one such as will come; three at most.
     """
-    from testbed.unboxed import Unboxed
+    from testbed.unboxed import Unboxed, kind_of
 
     dispatcher = _calling(function, len(more))
-    unboxed = Unboxed(tuple(map(dispatcher.typeof_pyval, fixed)), fixed)
-    types = tuple(map(dispatcher.typeof_pyval, (unboxed, *more)))
+    unboxed = Unboxed(tuple(map(kind_of, fixed)), fixed)
+    types = tuple(map(kind_of, (unboxed, *more)))
     dispatcher.compile(types)
     return functools.partial(dispatcher.overloads[types].entry_point, unboxed)
 

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import types
+from numba import typeof, types
 from numba.extending import (
     NativeValue,
     intrinsic,
@@ -29,6 +29,7 @@ from numba.extending import (
     typeof_impl,
     unbox,
 )
+from numba.np.numpy_support import from_dtype, map_layout
 
 FORMS = {types.float64: "d", types.int64: "q", types.boolean: "?"}  # of `struct`
 
@@ -52,6 +53,16 @@ class Unboxed(int):
         unboxed = super().__new__(cls, block.ctypes.data)
         unboxed.kinds, unboxed.alive = tuple(kinds), (block, values)
         return unboxed
+
+
+def kind_of(value: Any) -> types.Type:  # noqa: ANN401
+    """Numba's type of an argument."""
+    if type(value) is np.ndarray:
+        # numba would ask whether it is masked, and load what knows of masks
+        kind, fixed = from_dtype(value.dtype), not value.flags.writeable
+        aligned = value.flags.aligned
+        return types.Array(kind, value.ndim, map_layout(value), readonly=fixed, aligned=aligned)
+    return typeof(value)
 
 
 def _laid_out(kind: types.Type, value: Any) -> Iterator[tuple[str, Any]]:  # noqa: ANN401

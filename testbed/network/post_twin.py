@@ -38,12 +38,18 @@ def post_round(post, ledger, count, rows, numbers, sent_s, stamps_s, message, ar
 
 
 def take_due(post, ledger, read, inbox, count, now):
-    return _take_due(post.link.base, ledger.sent.base, *read, *inbox, count, now)
+    given = post.link.base, ledger.sent.base, *read, *inbox, *_desk(post)
+    return _take_due(*given, count, now)
 
 
 def ready_take_due(post, ledger, read, inbox):
-    given = post.link.base, ledger.sent.base, *read, *inbox
+    given = post.link.base, ledger.sent.base, *read, *inbox, *_desk(post)
     return bound(_take_due, *given, more=(0, 0.0))
+
+
+def _desk(post):
+    """Where messages are put in order; numba's own arrays would take long to load."""
+    return np.empty((2, len(post.link.base)), np.int64)
 
 
 def use(ledger, rows, age_s):
@@ -87,6 +93,8 @@ def ready_send_round(
         *message,
         arrivals,
         fate,
+        np.empty(len(rows), np.int64),
+        np.empty(len(rows)),
         more=(0,),
     )
 
@@ -162,6 +170,29 @@ def _count(link, fate, delay, both):
 
 
 @twin
+def _put_in_order(post, arrived, spare, due):
+    """By arrival, those of one moment as they are: merges of ever longer runs."""
+    width = 1
+    while width < due:
+        for left in range(0, due, 2 * width):
+            middle, right = min(left + width, due), min(left + 2 * width, due)
+            i, j = left, middle
+            for k in range(left, right):
+                early = i < middle
+                if early and j < right:
+                    early = post[arrived[i]].arrival_s <= post[arrived[j]].arrival_s
+                if early:
+                    spare[k] = arrived[i]
+                    i += 1
+                else:
+                    spare[k] = arrived[j]
+                    j += 1
+        for k in range(due):
+            arrived[k] = spare[k]
+        width *= 2
+
+
+@twin
 def _take_due(
     post,
     ledger,
@@ -174,24 +205,26 @@ def _take_due(
     acceleration,
     euler,
     euler_rates,
+    arrived,
+    spare,
     count,
     now,
 ):
-    arrived = np.empty(count, np.int64)
-    times = np.empty(count)
     due = 0
+    # most rounds arrive in the order they were sent in
+    sorted_already = True
     for k in range(count):
         if post[k].arrival_s <= now + SIMULTANEOUS_S:
-            arrived[due], times[due] = k, post[k].arrival_s
+            if due and post[k].arrival_s < post[arrived[due - 1]].arrival_s:
+                sorted_already = False
+            arrived[due] = k
             due += 1
     if due == 0:
         return count
-    # most rounds arrive in the order they were sent in
-    sorted_already = True
-    for k in range(1, due):
-        sorted_already = sorted_already and times[k] >= times[k - 1]
-    order = np.arange(due) if sorted_already else np.argsort(times[:due], kind="mergesort")
-    for at in order:
+    first = arrived[0]
+    if not sorted_already:
+        _put_in_order(post, arrived, spare, due)
+    for at in range(due):
         entry = post[arrived[at]]
         i, m, number = entry.link[0], entry.link[1], entry.link[2]
         if number > read[i, m]:
@@ -206,8 +239,8 @@ def _take_due(
                 euler_rates[i, m, axis] = content[4, axis]
         elif number < read[i, m]:
             ledger[i, m].overtaken += 1
-    stay = arrived[0]
-    for k in range(arrived[0], count):
+    stay = first
+    for k in range(first, count):
         if post[k].arrival_s > now + SIMULTANEOUS_S:
             post[stay] = post[k]
             stay += 1
@@ -255,10 +288,11 @@ def _send_round(
     euler_rates,
     arrivals,
     fate,
+    sequence,
+    sent,
     count,
 ):
     senders = len(rows)
-    sequence, sent = np.empty(senders, np.int64), np.empty(senders)
     for s in range(senders):
         m = rows[s]
         numbers[m] += 1
