@@ -82,6 +82,9 @@ def bound(function: Callable[..., Any], *fixed: Any, more: tuple[Any, ...] = ())
         function: a `twin`.
         fixed: its first arguments.
         more: of each argument behind them one such as will come; three at most.
+
+    Raises:
+        TypeError: an argument is neither array, number, truth, nor a tuple of these.
     """
     from testbed.unboxed import Unboxed, kind_of
 
