@@ -47,8 +47,9 @@ lint: $(STAMP)
 types: $(STAMP)
 	@$(BIN)/mypy --no-error-summary
 
+# One thread each for numpy's linear algebra: the tests are as many as there are processors already.
 tests: $(STAMP) $(CLIENTS_STAMP)
-	@$(BIN)/pytest -q -n $(WORKERS) $(ARGS)
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -q -n $(WORKERS) $(ARGS)
 
 # Ground stations and libraries that tests/clients runs as programs, apart from what the testbed is
 # made of.
@@ -57,15 +58,16 @@ clients: $(CLIENTS_STAMP)
 
 # Everything: the tests, all starts of the theorem, the air's and the network's statistics on more
 # samples, broken MAVLink, flight logs and inputs of every kind, real time with nothing else running,
-# a study whose processes are killed, 200 runs killed at any moment, every golden table, and a release
-# made and flown from a fresh environment.
+# a study whose processes are killed, 200 runs killed at any moment, the snippets of every page, the laws of
+# large formations, every golden table, and a release made and flown from a fresh environment.
 check-all: test release
 	@TESTBED_STARTS=1000 $(BIN)/pytest -q tests/theorems/test_theorem_many_starts.py
 	@TESTBED_AIR_SAMPLES=60 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_air_dryden.py \
 		tests/equations/test_air_von_karman.py tests/equations/test_air_field.py
 	@TESTBED_PACKETS=1000000 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_network_loss.py \
 		tests/equations/test_network_delay.py tests/equations/test_network_queue.py \
-		tests/equations/test_network_keys.py
+		tests/equations/test_network_keys.py tests/equations/test_network_twin.py
+	@TESTBED_PACKETS=10000 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_network_report.py
 	@TESTBED_FRAMES=600000 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_mavlink_noise.py \
 		tests/contract/test_links_noise.py tests/contract/test_dataflash.py \
 		tests/truth/test_import_flight.py tests/equations/test_follow_target.py
@@ -75,7 +77,9 @@ check-all: test release
 	@TESTBED_WHOLE=1 $(BIN)/pytest -q -n $(JOBS) tests/golden
 	@TESTBED_STUDIES=1 $(BIN)/pytest -q tests/contract/test_sweep.py
 	@TESTBED_KILLS=200 TESTBED_CUTS=40 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_endings.py \
-		tests/contract/test_recover.py
+		tests/contract/test_recover.py tests/contract/test_record.py
+	@TESTBED_DOCS=1 TESTBED_LAWS=1 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_readme.py \
+		tests/contract/test_own_law.py
 	@TESTBED_ARDUPLANE_WHOLE=1 $(BIN)/pytest -q tests/contract/test_arduplane.py
 	@$(BIN)/testbed check --jobs $(JOBS)
 

@@ -234,6 +234,7 @@ def _main(
 
 def main() -> None:
     """Run the command line; every ending has its exit code."""
+    thresholds = gc.get_threshold()
     # what is loaded stays: to look for garbage in it over and over is a tenth of a run's start
     gc.set_threshold(100_000, 20, 50)
     try:
@@ -249,3 +250,5 @@ def main() -> None:
         traceback.print_exc()
         typer.echo("internal error: this is a fault of testbed, not of your input", err=True)
         sys.exit(INTERNAL_ERROR)
+    finally:
+        gc.set_threshold(*thresholds)

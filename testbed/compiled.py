@@ -88,11 +88,19 @@ def bound(function: Callable[..., Any], *fixed: Any, more: tuple[Any, ...] = ())
     """
     from testbed.unboxed import Unboxed, kind_of
 
-    dispatcher = _calling(function, len(more))
-    unboxed = Unboxed(tuple(map(kind_of, fixed)), fixed)
-    types = tuple(map(kind_of, (unboxed, *more)))
+    kinds = tuple(map(kind_of, fixed))
+    entry = _entry(function, kinds, tuple(map(kind_of, more)))
+    return functools.partial(entry, Unboxed(kinds, fixed))
+
+
+@functools.cache
+def _entry(function: Callable[..., Any], kinds: tuple[Any, ...], more: tuple[Any, ...]) -> Any:  # noqa: ANN401
+    """What Python calls of a function whose first arguments, of these types, are unboxed."""
+    from testbed.unboxed import UnboxedType
+
+    dispatcher, types = _calling(function, len(more)), (UnboxedType(kinds), *more)
     dispatcher.compile(types)
-    return functools.partial(dispatcher.overloads[types].entry_point, unboxed)
+    return dispatcher.overloads[types].entry_point
 
 
 @functools.cache

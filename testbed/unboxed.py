@@ -15,6 +15,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Sequence
+from functools import cache
+from itertools import chain
 from types import FunctionType
 from typing import Any
 
@@ -29,7 +31,7 @@ from numba.extending import (
     typeof_impl,
     unbox,
 )
-from numba.np.numpy_support import from_dtype, map_layout
+from numba.np.numpy_support import from_dtype
 
 FORMS = {types.float64: "d", types.int64: "q", types.boolean: "?"}  # of `struct`
 
@@ -49,33 +51,48 @@ class Unboxed(int):
         """See the class."""
         parts = [part for pair in zip(kinds, values, strict=True) for part in _laid_out(*pair)]
         forms, numbers = zip(*parts, strict=True)
-        block = np.frombuffer(bytearray(struct.pack("@" + "".join(forms), *numbers)), np.uint8)
+        data = struct.pack("@" + "".join(forms), *chain.from_iterable(numbers))
+        block = np.frombuffer(bytearray(data), np.uint8)
         unboxed = super().__new__(cls, block.ctypes.data)
         unboxed.kinds, unboxed.alive = tuple(kinds), (block, values)
         return unboxed
 
 
 def kind_of(value: Any) -> types.Type:  # noqa: ANN401
-    """Numba's type of an argument."""
+    """Numba's type of an argument; its own answer takes long, and loads what knows of masks."""
     if type(value) is np.ndarray:
-        # numba would ask whether it is masked, and load what knows of masks
-        kind, fixed = from_dtype(value.dtype), not value.flags.writeable
-        aligned = value.flags.aligned
-        return types.Array(kind, value.ndim, map_layout(value), readonly=fixed, aligned=aligned)
+        flags = value.flags
+        layout = "C" if flags.c_contiguous else "F" if flags.f_contiguous else "A"
+        return _array(value.dtype, value.ndim, layout, not flags.writeable, flags.aligned)
+    if isinstance(value, tuple):
+        return _tuple(type(value), tuple(map(kind_of, value)))
     return typeof(value)
 
 
-def _laid_out(kind: types.Type, value: Any) -> Iterator[tuple[str, Any]]:  # noqa: ANN401
-    """The members of an argument, each with its form."""
+@cache
+def _array(
+    kind: np.dtype, dimensions: int, layout: str, readonly: bool, aligned: bool
+) -> types.Array:
+    return types.Array(from_dtype(kind), dimensions, layout, readonly=readonly, aligned=aligned)
+
+
+@cache
+def _tuple(kind: type, kinds: tuple[types.Type, ...]) -> types.BaseTuple:
+    return types.BaseTuple.from_types(kinds, None if kind is tuple else kind)
+
+
+def _laid_out(kind: types.Type, value: Any) -> Iterator[tuple[str, tuple[Any, ...]]]:  # noqa: ANN401
+    """The numbers of an argument, with their forms."""
     if isinstance(kind, types.BaseTuple):
         for pair in zip(kind, value, strict=True):
             yield from _laid_out(*pair)
     elif isinstance(kind, types.Array):
         # nobody counts references to it, and it has no parent to return
-        whole = 0, 0, value.size, value.itemsize, value.ctypes.data, *value.shape, *value.strides
-        yield from (("q", number) for number in whole)
+        place, _ = value.__array_interface__["data"]
+        whole = 0, 0, value.size, value.itemsize, place, *value.shape, *value.strides
+        yield f"{len(whole)}q", whole
     elif kind in FORMS:
-        yield FORMS[kind], value
+        yield FORMS[kind], (value,)
     else:
         raise TypeError(f"an argument of {kind} cannot be bound")
 

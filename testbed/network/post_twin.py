@@ -10,15 +10,15 @@ the records that posts and ledgers are views of: one array costs less than many.
 
 from __future__ import annotations
 
-from math import ceil, inf, isnan, log2
+from math import inf, isnan
 
 import numpy as np
 
 from testbed.compiled import bound, twin
 from testbed.network.fates_twin import _fates as fates_of
 from testbed.network.fates_twin import channel_of
-from testbed.network.ledger import BINS, LONGEST_BURST, PER_OCTAVE, SHORTEST_S
-from testbed.network.post import DELIVERED, MUTE, UNHEARD
+from testbed.network.ledger_twin import bin_of, count_message
+from testbed.network.post import UNHEARD
 from testbed.network.slots import SIMULTANEOUS_S
 
 
@@ -100,12 +100,6 @@ def ready_send_round(
 
 
 @twin
-def _bin_of(seconds):
-    octaves = log2(max(seconds, SHORTEST_S) / SHORTEST_S)
-    return min(int(ceil(octaves * PER_OCTAVE)), BINS - 1)
-
-
-@twin
 def _post_round(
     post,
     ledger,
@@ -144,29 +138,8 @@ def _post_round(
             if m != i + 1 and fate[i, s] != UNHEARD:
                 first = min(arrivals[i, s, 0], arrivals[i, s, 1])
                 both = max(arrivals[i, s, 0], arrivals[i, s, 1]) < inf
-                _count(ledger[i, m], fate[i, s], first - sent_s[s], both)
+                count_message(ledger[i, m], fate[i, s], first - sent_s[s], both)
     return count
-
-
-@twin
-def _count(link, fate, delay, both):
-    link.fates[fate] += 1
-    if fate == MUTE:
-        return
-    link.sent += 1
-    if fate == DELIVERED:
-        link.delivered += 1
-        link.twice += both
-        link.delay_sum += delay
-        link.delay_least = min(link.delay_least, delay)
-        link.delay_most = max(link.delay_most, delay)
-        link.delays[_bin_of(delay)] += 1
-        if link.missing:
-            link.bursts[min(link.missing, LONGEST_BURST) - 1] += 1
-            link.missing = 0
-    else:
-        link.missing += 1
-        link.longest = max(link.longest, link.missing)
 
 
 @twin
@@ -258,7 +231,7 @@ def _use(ledger, rows, age_s):
                 link.age_sum += age
                 link.age_least = min(link.age_least, age)
                 link.age_most = max(link.age_most, age)
-                link.ages[_bin_of(age)] += 1
+                link.ages[bin_of(age)] += 1
 
 
 @twin

@@ -88,8 +88,8 @@ def sound(
             continue
         now = clock.time_s(tick)
         sent_s = np.full(aircraft, now) if due.sent_s is None else due.sent_s
-        message = content._replace(stamp_s=np.full(aircraft, now))
-        arrivals, fate = radio.send(sent_s, message, truth, who)
+        content.stamp_s.fill(now)
+        arrivals, fate = radio.send(sent_s, content, truth, who)
         radio.deliver(now)
         if heard is not None:
             rows = everyone[who]

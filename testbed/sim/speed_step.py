@@ -19,6 +19,7 @@ from testbed.formation.flags import Saturation
 from testbed.formation.middle_loop import MiddleLoop
 from testbed.scenario import MiddleLoopGains as Profile
 from testbed.sim.middle_loops import middle_gains
+from testbed.sim.steady import Steady
 from testbed.sim.vehicles import Flown
 from testbed.state import Array, Origin, UnicycleCommand
 from testbed.vehicle.fleet import JsbsimFleet, Start
@@ -79,7 +80,7 @@ def speed_step(
     fleet = JsbsimFleet([folder], [start], Origin(), BASE_RATE_HZ)
     aircraft = Flown(fleet, stack([params], AUTOPILOT_TICKS / BASE_RATE_HZ))
     loop = _middle_loop(profile)
-    loop_memory = loop.start()
+    loop_memory, handed = loop.start(), Steady()
     first = round(SETTLE_S * BASE_RATE_HZ)
     rows: list[tuple[float, ...]] = []
     command = None
@@ -98,7 +99,7 @@ def speed_step(
                 altitude = -float(state.position_ned[0, 2])
                 limited = bool(diagnosis.saturations[0] & int(Saturation.THROTTLE))
                 rows.append((tick - first, speed, float(command.throttle[0]), altitude, limited))
-        aircraft.act(state, command)
+        aircraft.act(state, handed(command))
         aircraft.step(AUTOPILOT_TICKS)
     ticks, speed, throttle, altitude, at_limit = np.array(rows).T
     time = ticks / BASE_RATE_HZ

@@ -2,6 +2,7 @@
 
 import ast
 import json
+import os
 import re
 import subprocess
 import sys
@@ -205,10 +206,14 @@ def test_a_module_is_short(path):
 
 
 def text_files():
-    skipped = {".git", ".venv", ".venv-clients", "logs", "build", "dist", "__pycache__"}
-    for path in ROOT.rglob("*"):
-        parts = path.relative_to(ROOT).parts
-        if path.is_file() and not any(p in skipped or p.endswith("_cache") for p in parts):
+    skipped = {".git", "logs", "build", "dist", "__pycache__"}
+    for here, folders, files in os.walk(ROOT):
+        folders[:] = [
+            name
+            for name in folders
+            if name not in skipped and not name.startswith(".venv") and not name.endswith("_cache")
+        ]
+        for path in filter(Path.is_file, (Path(here, name) for name in files)):
             try:
                 yield path, path.read_text(encoding="utf-8")
             except UnicodeDecodeError:

@@ -34,7 +34,7 @@ def fingerprint(frames):
 
 
 def test_a_mixed_flight_repeats_to_the_bit_and_leaves_the_virtual_autopilots_theirs(binary):
-    mixed = shorten(load("simulation-3", [f"leader.autopilot={ardupilot()}"]), 20.0)
+    mixed = shorten(load("simulation-3", [f"leader.autopilot={ardupilot()}"]), 8.0)
     first, second = fly(mixed), fly(mixed)
     assert fingerprint(first) == fingerprint(second)
     # its servos are told in whole µs: 500 of them are a full deflection

@@ -39,7 +39,7 @@ def desk(tmp_path_factory):
     folder = tmp_path_factory.mktemp("desk")
     pages.write(folder, "exact")
     pages.write(folder, "noisy", noisy=True)
-    options = ("--update", "--seeds", "3", "--reason", "first flights")
+    options = ("--update", "--seeds", "3", "--jobs", "1", "--reason", "first flights")
     done = check_here("exact.yaml", "noisy.yaml", *options, cwd=folder)
     assert "exact.yaml · written · seeds 1, 2, the same for every seed" in done.stdout
     assert "noisy.yaml · written · seeds 1 to 3, with dice" in done.stdout
@@ -72,8 +72,8 @@ def failed(desk, tmp_path_factory):
         (folder / "golden" / f"{name}.json").write_bytes(table)
     before = pages.files(folder)
     names = [f"{name}.yaml" for name in changes]
-    outputs = ("--seeds", "1", "--junit", "junit.xml", "--json", "found.json")
-    done = check(*names, *outputs, cwd=folder, code=REGRESSION)
+    outputs = ("--seeds", "1", "--jobs", "1", "--junit", "junit.xml", "--json", "found.json")
+    done = check_here(*names, *outputs, cwd=folder, code=REGRESSION)
     assert pages.files(folder).items() > before.items()
     assert pages.files(folder).keys() == {*before, "junit.xml", "found.json"}
     return folder, done.stdout

@@ -253,7 +253,7 @@ def test_settings_reach_the_flight(tmp_path):
 
 def test_a_lost_aircraft_is_1(tmp_path):
     (tmp_path / "dive.yaml").write_text(DIVE)
-    done = cli_process("run", "dive.yaml", "--out", "run", cwd=tmp_path, code=LOST)
+    done = cli("run", "dive.yaml", "--out", "run", cwd=tmp_path, code=LOST)
     assert "uav1: lost" in done.stdout
     assert json.loads((tmp_path / "run" / "metrics.json").read_text())["outcome"] == "lost"
     log = read_log(tmp_path / "run" / "run.mcap")

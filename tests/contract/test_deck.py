@@ -54,8 +54,20 @@ def same_bits(ones, others):
             assert left.tobytes() == right.tobytes()
 
 
-def test_who_looks_on_changes_no_bit():
-    same_bits(flown(), flown(commanded=False))
+@pytest.fixture(scope="module")
+def unwatched():
+    """Frames of a flight that nobody outside looks at."""
+    return flown(commanded=False)
+
+
+@pytest.fixture(scope="module")
+def quiet():
+    """The same where somebody looks, and asks for nothing."""
+    return flown()
+
+
+def test_who_looks_on_changes_no_bit(quiet, unwatched):
+    same_bits(quiet, unwatched)
 
 
 def follower_away(frames, row=3):
@@ -154,31 +166,32 @@ def test_a_leader_that_is_taken_off_its_mission_goes_on_to_the_same_waypoint():
     assert frames[-1].truth.airspeed[0] == pytest.approx(22.0, abs=1.0)
 
 
-@pytest.mark.parametrize(
-    ("change", "radius"),
-    [
-        (lambda c: c[3].change_airspeed(28.0), 1.25 * 28.0**2 / 9.80665),
-        (lambda c: c[3].change_parameter("WP_LOITER_RAD", 150.0), 150.0),
-        (
-            lambda c: c[3].change_parameter("ROLL_LIMIT_DEG", 25.0),
-            1.25 * 22.0**2 / (9.80665 * math.tan(math.radians(25.0))),
-        ),
-    ],
-    ids=["airspeed", "radius", "bank"],
-)
-def test_a_circle_that_is_flown_follows_what_it_depends_on(change, radius):
-    box, answers = {}, []
+def test_circles_that_are_flown_follow_what_they_depend_on():
+    """Airspeed, radius and bank, each of one aircraft; they circle 10 m above one another."""
+    centres, answers = {}, []
+    radii = {
+        1: 1.25 * 28.0**2 / 9.80665,
+        2: 150.0,
+        3: 1.25 * 22.0**2 / (9.80665 * math.tan(math.radians(25.0))),
+    }
 
     def away(cockpits):
-        box["centre"] = cockpits[3]._navigator.here[:2]
-        assert cockpits[3].change_mode(Mode.LOITER) is None
+        for row in radii:
+            centres[row] = cockpits[row]._navigator.here[:2]
+            assert cockpits[row].change_mode(Mode.LOITER) is None
 
-    frames = flown({2.0: away, 30.0: lambda c: answers.append(change(c))}, seconds=100.0)
-    assert answers == [None]
-    path = of([f for f in frames if f.time_s > 85.0], lambda f: f.truth.position_ned[3, :2])
-    far = np.linalg.norm(path - box["centre"], axis=1)
-    assert np.abs(far - radius).max() < 0.12 * radius
-    assert np.ptp(far) < 0.03 * radius
+    def change(cockpits):
+        answers.append(cockpits[1].change_airspeed(28.0))
+        answers.append(cockpits[2].change_parameter("WP_LOITER_RAD", 150.0))
+        answers.append(cockpits[3].change_parameter("ROLL_LIMIT_DEG", 25.0))
+
+    frames = flown({2.0: away, 30.0: change}, seconds=100.0)
+    assert answers == [None] * 3
+    settled = of([f for f in frames if f.time_s > 85.0], lambda f: f.truth.position_ned)
+    for row, radius in radii.items():
+        far = np.linalg.norm(settled[:, row, :2] - centres[row], axis=1)
+        assert np.abs(far - radius).max() < 0.12 * radius, row
+        assert np.ptp(far) < 0.03 * radius, row
 
 
 def test_a_place_takes_an_aircraft_out_of_its_failsafe():
@@ -245,11 +258,11 @@ def test_sticks_are_flown_from_the_next_period_on_and_their_silence_is_a_failsaf
 @pytest.mark.parametrize(
     ("row", "why"), [(1, "commanded_by: external"), (0, "in AUTO: sticks are for FBWA")]
 )
-def test_sticks_that_nobody_asked_for_are_refused_and_move_nothing(row, why):
+def test_sticks_that_nobody_asked_for_are_refused_and_move_nothing(unwatched, row, why):
     refusals = []
     frames = flown({2.0: lambda c: refusals.append(c[row].sticks(0.5, 0.1, 1.0))})
     assert why in refusals[0].text
-    same_bits(frames, flown(commanded=False))
+    same_bits(frames, unwatched)
 
 
 def test_a_leader_is_flown_by_hand_in_fbwa():
@@ -263,14 +276,14 @@ def test_a_leader_is_flown_by_hand_in_fbwa():
 
 
 @pytest.mark.parametrize("name", ["RLL_RATE_P", "RLL2SRV_TCONST", "ROLL_LIMIT_DEG"])
-def test_a_parameter_acts_at_once_and_only_on_its_aircraft(name):
+def test_a_parameter_acts_at_once_and_only_on_its_aircraft(quiet, name):
     values = {"RLL_RATE_P": 0.02, "RLL2SRV_TCONST": 2.0, "ROLL_LIMIT_DEG": 1.0}
     answers = []
 
     def change(cockpits):
         answers.append(cockpits[1].change_parameter(name, values[name]))
 
-    quiet, changed = flown(), flown({4.0: change})
+    changed = flown({4.0: change}, seconds=5.0)
     assert answers == [None]
     before = [k for k, frame in enumerate(quiet) if frame.time_s <= 4.0 - 1e-9]
     same_bits(quiet[: len(before)], changed[: len(before)])
@@ -281,12 +294,12 @@ def test_a_parameter_acts_at_once_and_only_on_its_aircraft(name):
     assert said[0].startswith(f"{name} {values[name]:g} (was ")
 
 
-def test_a_parameter_set_to_what_it_is_moves_nothing():
+def test_a_parameter_set_to_what_it_is_moves_nothing(quiet):
     def change(cockpits):
         for name, value in cockpits[1].parameters.items():
             assert cockpits[1].change_parameter(name, float(np.float32(value))) is None
 
-    same_bits(flown(), flown({4.0: change}))
+    same_bits(quiet, flown({4.0: change}))
 
 
 @pytest.mark.parametrize(

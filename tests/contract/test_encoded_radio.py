@@ -340,9 +340,9 @@ def test_a_radio_that_believes_everything_does_not_stop_a_flight(flown, monkeypa
 
     monkeypatch.setattr(radios, "FollowTarget", Credulous)
     changes = (
-        "scenario.duration_s=12",
+        "scenario.duration_s=6",
         "scenario.published=null",
-        "scenario.portions={all: [2, 12]}",
+        "scenario.portions={all: [2, 6]}",
         "network.encoding=follow-target",
         "network.corrupt={probability: 0.5, bits: 60}",
         "controller.extrapolate_from=timestamp",

@@ -75,28 +75,26 @@ class Worker:
         return "fault", f"ended the process with {code}: {errors}{said}", "", ""
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_file_is_good_before_it_is_broken(kind, tmp_path):
-    worker = Worker(kind, tmp_path)
-    try:
-        taken = [worker.ask(-1 - number) for number in range(WHOLE)]
-    finally:
-        worker.end()
+@pytest.fixture(scope="module", params=KINDS)
+def worker(request, tmp_path_factory):
+    """One of each kind: to begin it takes longer than to try some files."""
+    worker = Worker(request.param, tmp_path_factory.mktemp(request.param))
+    yield worker
+    worker.end()
+
+
+def test_every_file_is_good_before_it_is_broken(worker):
+    taken = [worker.ask(-1 - number) for number in range(WHOLE)]
     assert [each for each in taken if each[0] != "good"] == []
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_broken_file_gives_a_result_or_one_clear_error(kind, tmp_path):
-    worker = Worker(kind, tmp_path)
-    seen, faults = Counter(), []
-    try:
-        for number in range(max(1, MUTATIONS * KINDS[kind].share // 100)):
-            outcome, text, way, file = worker.ask(number)
-            seen[outcome] += 1
-            if outcome == "fault":
-                faults.append(f"{kind} {number} ({way} of {file}): {text}")
-    finally:
-        worker.end()
+def test_a_broken_file_gives_a_result_or_one_clear_error(worker):
+    kind, seen, faults = worker.kind, Counter(), []
+    for number in range(max(1, MUTATIONS * KINDS[kind].share // 100)):
+        outcome, text, way, file = worker.ask(number)
+        seen[outcome] += 1
+        if outcome == "fault":
+            faults.append(f"{kind} {number} ({way} of {file}): {text}")
     print(kind, dict(seen))
     assert not faults, f"{len(faults)} of {seen.total()}:\n" + "\n".join(faults[:TOLD])
     # mutations that all fail alike, or that all fly, try nothing

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import shutil
 import sys
 import textwrap
@@ -248,12 +249,16 @@ def test_sticks_do_not_fly_an_ideal_vehicle(tmp_path):
     "name", ["own-law-leader-follower", "own-law-integral", "own-law-repulsion"]
 )
 def test_the_examples_keep_the_contract_and_hold_a_formation(name):
-    flown = testbed.run(shorten(load(name), 60.0), write=False)
+    flown = testbed.run(shorten(load(name), 25.0), write=False)
     assert flown.outcome == "flown"
     assert all(flown.metrics["engaged_at_s"].values())
 
 
-@pytest.mark.parametrize("name", list_scenarios())
+# of a hundred aircraft; vee-30 has the same law for thirty
+LARGE = () if os.environ.get("TESTBED_LAWS") else ("vee-100",)
+
+
+@pytest.mark.parametrize("name", [name for name in list_scenarios() if name not in LARGE])
 def test_the_law_of_every_scenario_keeps_the_contract(name):
     for group in build(load(name)).groups:
         check_law(group.law, group.team)

@@ -1,4 +1,7 @@
-"""The pages for people: their snippets run, what they paste is what comes out, their links lead."""
+"""The pages for people: their snippets run, what they paste is what comes out, their links lead.
+
+TESTBED_DOCS=1: the snippets of pages that take long, too.
+"""
 
 from __future__ import annotations
 
@@ -60,6 +63,15 @@ PAGES = (
     "docs/reference/scenario.md",
     "docs/reference/python.md",
     "docs/reference/equations.md",
+)
+# Their snippets fly, draw or step for long, and tests of their commands show much of the same.
+LONG = (
+    "docs/aircraft.md",
+    "docs/air.md",
+    "docs/autopilot.md",
+    "docs/export.md",
+    "docs/network.md",
+    "docs/own-aircraft.md",
 )
 UAVS = ("uav1", "uav2", "uav3")
 # Where flights of the shell snippets end: what is pasted of a flight needs the laps to have begun.
@@ -128,6 +140,17 @@ def gap(text, block, after):
 EVERY = [snippet for page in PAGES for snippet in snippets(page)]
 SHELL = [s for s in EVERY if s.kind == "sh" and not s.text.startswith("make ")]
 PYTHON = [s for s in EVERY if s.kind == "python"]
+RUN = [
+    pytest.param(
+        page,
+        marks=pytest.mark.skipif(
+            page in LONG and not os.environ.get("TESTBED_DOCS"),
+            reason="a page that takes long: TESTBED_DOCS=1",
+        ),
+    )
+    for page in PAGES
+    if any(snippet.page == page for snippet in SHELL + PYTHON)
+]
 TOUR = ("The first scenario, key by key", "Your own scenario")  # the part, and the next
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
@@ -203,7 +226,7 @@ def trimmed(text: str) -> str:
     return "\n".join(line.rstrip() for line in text.strip().splitlines())
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if any(s.page == p for s in SHELL + PYTHON)])
+@pytest.mark.parametrize("page", RUN)
 def test_every_snippet_runs_in_reading_order_and_prints_what_is_pasted(page, new_desk):
     desk = new_desk()
     ours = [snippet for snippet in SHELL + PYTHON if snippet.page == page]

@@ -13,6 +13,7 @@ import testbed
 from testbed.metrics import MetricsObserver
 from testbed.record.door import LogError
 from testbed.record.read import frames, read_log
+from testbed.report import figures
 from testbed.scenario import load
 from testbed.sim.recover import recover
 from testbed.state import VehicleState
@@ -83,7 +84,8 @@ def test_everything_that_was_whole_is_there(whole, cut):
         assert {each.name for each in run.iterdir()} == {each.name for each in whole.iterdir()}
 
 
-def test_the_command_says_what_it_found(cut):
+def test_the_command_says_what_it_found(cut, monkeypatch):
+    monkeypatch.setattr(figures, "MAKERS", ())  # of the report: to draw them takes seconds
     run = cut(0.6)
     said = call_command("recover", run, cwd=run.parent, code=0, columns=100).stdout
     assert "interrupted" in said and "run.mcap: finished" in said

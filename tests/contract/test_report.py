@@ -288,7 +288,8 @@ def test_of_many_followers_the_worst_are_drawn_over_a_band_of_all(tmp_path, only
     np.testing.assert_allclose(panel.bands[0].high, high, rtol=1e-12)
 
 
-def test_of_many_followers_the_worst_are_listed_and_all_unfold(tmp_path):
+def test_of_many_followers_the_worst_are_listed_and_all_unfold(tmp_path, only):
+    only("altitude")
     flight = read_flight(synthetic(tmp_path / "run", count=200, followers=20))
     text = page_of(flight)
     for name in ("errors", "followers"):

@@ -29,9 +29,9 @@ ROOT = HERE.parents[1]
 
 @pytest.mark.parametrize("noise", [(), NOISY], ids=["exact", "noisy"])
 def test_the_same_page_gives_the_same_bits_again_and_in_another_process(noise):
-    ours = fingerprint(flown(*noise))
-    assert fingerprint(flown(*noise)) == ours
-    code = f"from run_flight import *; print(fingerprint(flown(*{noise!r})))"
+    ours = fingerprint(flown(*noise, seconds=10.0))
+    assert fingerprint(flown(*noise, seconds=10.0)) == ours
+    code = f"from run_flight import *; print(fingerprint(flown(*{noise!r}, seconds=10.0)))"
     path = os.pathsep.join([str(HERE), str(ROOT)])
     fresh = subprocess.run(
         [sys.executable, "-c", code],

@@ -59,13 +59,24 @@ def cases(spectrum):
     return flown if IN_FULL else [one for one in flown if one.seed % 4 in (0, 3)]
 
 
-def felt(air, height, airspeed):
-    """What the next sample is to aircraft that fly north and level: turbulence and rates (N, 3)."""
+def flown(air, height, airspeed, steps):
+    """Turbulence and rates (steps, N, 6) of aircraft that fly north and level through still air."""
     position, velocity, still = np.zeros((3, len(height), 3))
     position[:, 2], velocity[:, 0] = -height, airspeed
     wind, rates = np.zeros((2, len(height), 3))
-    air.bind(position, velocity, still, still, wind, rates)()
-    return wind, rates
+    step = air.bind(position, velocity, still, still, wind, rates)
+    out = np.empty((steps, len(height), 6))
+    for each in out:
+        wind[:] = rates[:] = 0.0
+        step()
+        each[:, :3], each[:, 3:] = wind, rates
+    return out
+
+
+def felt(air, height, airspeed):
+    """The next sample alone: turbulence and rates (N, 3)."""
+    (sample,) = flown(air, height, airspeed, 1)
+    return sample[:, :3], sample[:, 3:]
 
 
 def fly(case, steps, aircraft):
@@ -80,10 +91,7 @@ def fly(case, steps, aircraft):
         hold_s=1e9,  # heights and airspeeds stay
     )
     height, airspeed = np.full(aircraft, case.height), np.full(aircraft, case.airspeed)
-    out = np.empty((steps, aircraft, 6))
-    for k in range(steps):
-        out[k, :, :3], out[k, :, 3:] = felt(air, height, airspeed)
-    return out
+    return flown(air, height, airspeed, steps)
 
 
 def closed_variance(case):

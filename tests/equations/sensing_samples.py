@@ -69,13 +69,20 @@ class Flight(NamedTuple):
     wind: np.ndarray  # (3,)
     rate_hz: int
 
+    @property
+    def motion(self):
+        """All that an aircraft does, step by step: (K, ...) each."""
+        vectors = (self.position, self.velocity, self.acceleration, self.euler, self.rates)
+        return VehicleState(*vectors, self.airspeed, self.airspeed / THINNER)
+
     def at(self, k, aircraft=1):
         """The motion at a step of so many aircraft that fly it side by side."""
-        airspeed = np.full(aircraft, self.airspeed[k])
-        vectors = (self.position, self.velocity, self.acceleration, self.euler, self.rates)
-        return VehicleState(
-            *(np.tile(each[k], (aircraft, 1)) for each in vectors), airspeed, airspeed / THINNER
-        )
+        return VehicleState(*(np.repeat(each[k][None], aircraft, axis=0) for each in self.motion))
+
+    def write(self, k, truth):
+        """Write the motion at a step over one that was made by `at`."""
+        for array, each in zip(truth, self.motion, strict=True):
+            array[...] = each[k]
 
     def __len__(self):
         return len(self.airspeed)

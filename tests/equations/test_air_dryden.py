@@ -13,6 +13,7 @@ from air_samples import (
     closed_variance,
     discrete_variance,
     felt,
+    flown,
     fly,
     freedom,
     inside,
@@ -116,8 +117,8 @@ def test_rates_are_slopes_of_the_same_turbulence():
         spectrum="dryden",
         scales=Scales("dryden", *MODERATE, sigma=(1.0,) * 3, length=(50.0,) * 3),
     )
-    flown = [felt(air, np.array([100.0]), np.array([1.0])) for _ in range(count)]
-    turbulence, rates = np.array([[t[0], r[0]] for t, r in flown]).swapaxes(0, 1)
+    seen = flown(air, np.array([100.0]), np.array([1.0]), count)[:, 0]
+    turbulence, rates = seen[:, :3], seen[:, 3:]
     for component, rate, sign, tau in ((2, 1, -1.0, 1.0), (1, 2, 1.0, 0.75)):
         slope = sign * np.diff(turbulence[:, component]) / step
         expected = (1.0 - np.exp(-1.0 / tau)) * np.sqrt(2.0 * tau)
@@ -228,7 +229,7 @@ def test_air_that_is_not_flown_through_stays():
 
 
 def test_draws_are_keyed_by_name_and_differ():
-    def flown(names, seed=1):
+    def seen(names, seed=1):
         air = Independent(
             names,
             seed=seed,
@@ -238,17 +239,14 @@ def test_draws_are_keyed_by_name_and_differ():
             scales=Scales("dryden", *MODERATE),
         )
         n = len(names)
-        steps = [felt(air, np.full(n, 100.0), np.full(n, 20.0)) for _ in range(600)]
-        return {
-            name: np.array([np.append(t[i], r[i]) for t, r in steps])
-            for i, name in enumerate(names)
-        }
+        steps = flown(air, np.full(n, 100.0), np.full(n, 20.0), 600)
+        return {name: steps[:, i] for i, name in enumerate(names)}
 
-    alone, together = flown(["uav2"]), flown(["leader", "uav1", "uav2", "uav3"])
+    alone, together = seen(["uav2"]), seen(["leader", "uav1", "uav2", "uav3"])
     np.testing.assert_array_equal(alone["uav2"], together["uav2"])
-    np.testing.assert_array_equal(together["uav1"], flown(["uav1", "leader"])["uav1"])
+    np.testing.assert_array_equal(together["uav1"], seen(["uav1", "leader"])["uav1"])
     assert (together["uav1"] != together["uav2"]).all()
-    assert (flown(["uav2"], seed=2)["uav2"] != alone["uav2"]).all()
+    assert (seen(["uav2"], seed=2)["uav2"] != alone["uav2"]).all()
 
 
 def test_aircraft_are_uncorrelated_and_so_are_components():

@@ -13,7 +13,7 @@ from testbed.scenario import load
 from testbed.sim.sounding import sound
 
 NAMES = ("leader", "uav1", "uav2")
-PACKETS = int(os.environ.get("TESTBED_PACKETS", "4000"))
+PACKETS = int(os.environ.get("TESTBED_PACKETS", "2000"))
 BIN = edges()[1] / edges()[0]  # a bin ends at this many times its beginning
 
 

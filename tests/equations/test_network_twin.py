@@ -1,4 +1,9 @@
-"""The compiled channel does what the readable one does, on random links for hundreds of rounds."""
+"""The compiled channel does what the readable one does, on random links for a hundred rounds.
+
+TESTBED_PACKETS makes it 250 of them.
+"""
+
+import os
 
 import numpy as np
 import pytest
@@ -13,7 +18,7 @@ twin = pytest.importorskip("testbed.network.fates_twin", exc_type=ImportError)
 
 NAMES = ("leader", "uav1", "uav2", "uav3", "uav4")
 N = len(NAMES)
-ROUNDS = 250
+ROUNDS = 250 if "TESTBED_PACKETS" in os.environ else 120
 PERIOD = 0.1
 # The two take logarithms and the like from other libraries: 1e-16, which the quantile of Pareto's
 # law and an hour of flight magnify. The page's times are of the order of a second.
@@ -113,23 +118,27 @@ def rounds(rng, told):
 
 def compare(channel, rng, told=True):
     """Fly both; returns how often each fate came about."""
-    ours, theirs = idle(channel), idle(channel)
-    seen = np.zeros(len(Fate), dtype=np.int64)
+    each = {fates: idle(channel), twin.fates: idle(channel)}
+    became = {of: [] for of in each}  # arrivals, fates and states after each round
     for sending in rounds(rng, told):
-        arrivals, fate = fates(channel, ours, *sending)
-        their_arrivals, their_fate = twin.fates(channel, theirs, *sending)
-        assert their_fate.dtype == fate.dtype
-        np.testing.assert_array_equal(their_fate, fate)
-        np.testing.assert_allclose(their_arrivals, arrivals, rtol=0.0, atol=TOLERANCE)
-        seen += np.bincount(fate.ravel(), minlength=len(Fate))
-        for name in ours.state.dtype.names:
-            mine, its = ours.state[name], theirs.state[name]
-            if mine.dtype.kind == "f":
-                np.testing.assert_allclose(its, mine, rtol=TOLERANCE, atol=TOLERANCE, err_msg=name)
-            else:
-                np.testing.assert_array_equal(its, mine, err_msg=name)
+        for of, traffic in each.items():
+            became[of].append((*of(channel, traffic, *sending), traffic.state.copy()))
+    (arrivals, fate, state), (their_arrivals, their_fate, their_state) = (
+        (np.concatenate(came, 1), np.concatenate(what, 1), np.array(states))
+        for came, what, states in (zip(*found, strict=True) for found in became.values())
+    )
+    assert their_fate.dtype == fate.dtype
+    np.testing.assert_array_equal(their_fate, fate)
+    np.testing.assert_allclose(their_arrivals, arrivals, rtol=0.0, atol=TOLERANCE)
+    for name in state.dtype.names:
+        mine, its = state[name], their_state[name]
+        if mine.dtype.kind == "f":
+            np.testing.assert_allclose(its, mine, rtol=TOLERANCE, atol=TOLERANCE, err_msg=name)
+        else:
+            np.testing.assert_array_equal(its, mine, err_msg=name)
+    ours, theirs = each.values()
     np.testing.assert_allclose(theirs.ring, ours.ring, rtol=0.0, atol=TOLERANCE)
-    return seen
+    return np.bincount(fate.ravel(), minlength=len(Fate))
 
 
 @pytest.mark.parametrize("case", range(6))

@@ -51,9 +51,11 @@ def fly(each, n, steps=None, flight=FLIGHT, failing=None):
     """Estimates of n aircraft at every step, or at so many."""
     steps = len(flight) if steps is None else steps
     broken = (lambda k: None) if failing is None else failing
-    return [
-        kept(each.estimate(flight.at(k, n), fresh=True, failing=broken(k))) for k in range(steps)
-    ]
+    truth, seen = flight.at(0, n), []
+    for k in range(steps):
+        flight.write(k, truth)
+        seen.append(kept(each.estimate(truth, fresh=True, failing=broken(k))))
+    return seen
 
 
 def kept(estimate):
@@ -66,10 +68,7 @@ def wrong(estimates, flight=FLIGHT):
     out = {}
     for name in VehicleState._fields:
         seen = np.array([getattr(each, name) for each in estimates])
-        right = np.array(
-            [getattr(flight.at(k, seen.shape[1]), name) for k in range(len(estimates))]
-        )
-        out[name] = seen - right
+        out[name] = seen - getattr(flight.motion, name)[: len(seen), None]
     out["euler"] = wrap_pi(out["euler"])
     return out
 

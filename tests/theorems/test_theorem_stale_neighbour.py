@@ -50,7 +50,7 @@ def rows(begin, end):
 
 
 def flown(law, mute=MUTE, then=None, until=END):
-    """Errors of uav2 and uav3 from their slots in the leader's frame (K, 2, 3), and the memory.
+    """Errors of uav2 and uav3 from their slots in the leader's frame (K, 2, 3), and K memories.
 
     Once uav1 is stale, they fly by the law `then`, if there is one.
     """
@@ -59,7 +59,7 @@ def flown(law, mute=MUTE, then=None, until=END):
     start = [helix(0.0, offset) for offset in offsets]
     vehicles = unicycle(*(np.array([each[k] for each in start[2:]]) for k in (0, 1)))
     speed, turn, pole = vehicles.speed, np.zeros((2, 3)), law.pole[1:]
-    memory, said, errors, inbox = None, 0.0, [], None
+    memories, said, errors, inbox = [], 0.0, [], None
     for tick in range(round(until * HZ)):
         now = tick / HZ
         law = then if then and now - said > LIMIT else law
@@ -85,10 +85,11 @@ def flown(law, mute=MUTE, then=None, until=END):
         acceleration = np.zeros((3, 4, 3))
         acceleration[:, 0] = moved[0][2]
         inbox = Inbox(when, when, *news, acceleration, np.zeros((3, 4, 3)), rates)
-        told, memory = law.step(now, own, inbox, memory or law.start(own))
+        told, memory = law.step(now, own, inbox, memories[-1] if memories else law.start(own))
+        memories.append(memory)
         speed, turn = told.speed[1:].copy(), told.turn[1:].copy()
         vehicles = ADVANCE_TICKS(vehicles, speed, turn, pole, 1.0 / (HZ * TICKS), TICKS)
-    return np.array(errors), memory
+    return np.array(errors), memories
 
 
 @pytest.fixture(scope="module")
@@ -109,8 +110,8 @@ def test_a_neighbour_that_keeps_its_place_may_fall_silent(heard, limit):
     turn gain c = 0.1 per second at the slowest, in six radians of turn and when it is heard again.
     """
     law = make_law("hold", limit)
-    held, _ = flown(law)
-    _, memory = flown(law, until=MUTE[0] + limit + 1.0)
+    held, memories = flown(law)
+    memory = memories[round((MUTE[0] + limit + 1.0) * HZ) - 1]
     # the last word was one period before the silence
     last, offset = MUTE[0] - 1.0 / HZ, np.array([-5.0, 5.0, 0.0]) + ASIDE
     assert memory.place[1, 1] == pytest.approx(offset, abs=1e-9)

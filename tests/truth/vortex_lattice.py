@@ -6,6 +6,7 @@ quarters. Axes: x back, y right, z up; airspeed 1; the quarter chords of the win
 """
 
 import numpy as np
+from scipy.linalg import lu_factor, lu_solve
 
 BACK = np.array([1.0, 0.0, 0.0])
 
@@ -19,21 +20,22 @@ def elliptic(span, area):
 
 
 def along_segment(points, start, end, core):
-    """Velocity (p, 3) per circulation of a straight vortex; Katz and Plotkin eq. (2.72)."""
-    first, second, whole = points - start, points - end, end - start
+    """Velocity (p, v, 3) per circulation of straight vortices; Katz and Plotkin eq. (2.72)."""
+    first, second, whole = points[:, None] - start, points[:, None] - end, end - start
     normal = np.cross(first, second)
     unit1 = first / np.linalg.norm(first, axis=-1, keepdims=True)
     unit2 = second / np.linalg.norm(second, axis=-1, keepdims=True)
-    square = np.sum(normal**2, axis=-1) + core**2 * np.sum(whole**2)
-    return normal * (((unit1 - unit2) @ whole) / square / (4.0 * np.pi))[:, None]
+    square = np.sum(normal**2, axis=-1) + core**2 * np.sum(whole**2, axis=-1)
+    along = np.sum((unit1 - unit2) * whole, axis=-1)
+    return normal * (along / square / (4.0 * np.pi))[..., None]
 
 
 def to_infinity(points, start, core):
-    """The same of a vortex that starts there and goes straight back for ever."""
-    arm = points - start
+    """The same of vortices that start there and go straight back for ever."""
+    arm = points[:, None] - start
     normal = np.cross(BACK, arm)
-    reach = 1.0 + arm[:, 0] / np.linalg.norm(arm, axis=-1)
-    return normal * (reach / (np.sum(normal**2, axis=-1) + core**2) / (4.0 * np.pi))[:, None]
+    reach = 1.0 + arm[..., 0] / np.linalg.norm(arm, axis=-1)
+    return normal * (reach / (np.sum(normal**2, axis=-1) + core**2) / (4.0 * np.pi))[..., None]
 
 
 class Wing:
@@ -56,21 +58,17 @@ class Wing:
         self.start, self.end, self.control = (
             np.concatenate(each) for each in (self.start, self.end, self.control)
         )
-        self.influence = self.upwash_per_circulation(self.control, 0.0)
+        self.influence = lu_factor(self.upwash_per_circulation(self.control, 0.0))
 
     def upwash_per_circulation(self, points, core):
         """(p, panels)"""
-        columns = [
-            along_segment(points, start, end, core)
-            + to_infinity(points, end, core)
-            - to_infinity(points, start, core)
-            for start, end in zip(self.start, self.end, strict=True)
-        ]
-        return np.stack(columns, axis=1)[:, :, 2]
+        velocity = along_segment(points, self.start, self.end, core)
+        velocity += to_infinity(points, self.end, core) - to_infinity(points, self.start, core)
+        return velocity[..., 2]
 
     def circulations(self, upwash):
         """(panels,) with which nothing flows through the wing in an upwash (panels,)."""
-        return np.linalg.solve(self.influence, -upwash)
+        return lu_solve(self.influence, -upwash)
 
     def lift_coefficient(self, circulations):
         return 2.0 * np.sum(circulations * self.width) / self.area
