@@ -19,7 +19,7 @@ TOOLS_STAMP := $(TOOLS)/.installed
 MAKEFLAGS += --no-print-directory
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test checks warm lint types tests clients check-all bench rates results gap netem docs release audit lock clean
+.PHONY: help setup run test checks warm-sensors warm-flights lint types tests clients check-all bench rates results gap netem docs release audit lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,4p'
@@ -32,13 +32,13 @@ run: $(STAMP)
 
 # What the flights of the tests need is compiled once, beside the checks that need no flight.
 test:
-	@$(MAKE) -j 2 checks warm
+	@$(MAKE) -j 3 checks warm-sensors warm-flights
 	@$(MAKE) tests
 
 checks: lint types
 
-warm: $(STAMP)
-	@$(BIN)/python tests/warm.py
+warm-sensors warm-flights: warm-%: $(STAMP)
+	@$(BIN)/python tests/warm.py $*
 
 lint: $(STAMP)
 	@$(BIN)/ruff check --quiet .

@@ -89,8 +89,8 @@ def bound(function: Callable[..., Any], *fixed: Any, more: tuple[Any, ...] = ())
     from testbed.unboxed import Unboxed, kind_of
 
     kinds = tuple(map(kind_of, fixed))
-    entry = _entry(function, kinds, tuple(map(kind_of, more)))
-    return functools.partial(entry, Unboxed(kinds, fixed))
+    unboxed = Unboxed(kinds, fixed)
+    return functools.partial(_entry(function, kinds, tuple(map(kind_of, more))), unboxed)
 
 
 @functools.cache

@@ -1,7 +1,16 @@
-"""Compiles what flights need, before several processes would each do it for themselves."""
+"""Compiles what flights need, before several processes would each do it for themselves.
+
+usage: python tests/warm.py sensors|flights
+"""
+
+import sys
 
 from testbed.scenario import load, shorten
 from testbed.sim.run import run
+from testbed.sim.world import build
 
-for name in ("simulation-3-pixhawk", "turbulence-moderate", "close-formation-wake"):
-    run(shorten(load(name, ["log.mcap=false"]), 0.5), write=False)
+if sys.argv[1] == "sensors":  # takes as long as all the rest
+    build(load("simulation-3-pixhawk"))
+else:
+    for name in ("simulation-3", "turbulence-moderate", "close-formation-wake"):
+        run(shorten(load(name, ["log.mcap=false"]), 0.5), write=False)

@@ -249,6 +249,9 @@ SWALLOWED = """
 import os, signal, sys
 from testbed import cli
 
+# as from a terminal; who began the tests may have them ignore it
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
 def loads_a_library():
     try:
         os.kill(os.getpid(), signal.SIGINT)
