@@ -23,14 +23,7 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import typeof, types
-from numba.extending import (
-    NativeValue,
-    intrinsic,
-    models,
-    register_model,
-    typeof_impl,
-    unbox,
-)
+from numba.extending import NativeValue, intrinsic, models, register_model, unbox
 from numba.np.numpy_support import from_dtype
 
 FORMS = {types.float64: "d", types.int64: "q", types.boolean: "?"}  # of `struct`
@@ -54,7 +47,7 @@ class Unboxed(int):
         data = struct.pack("@" + "".join(forms), *chain.from_iterable(numbers))
         block = np.frombuffer(bytearray(data), np.uint8)
         unboxed = super().__new__(cls, block.ctypes.data)
-        unboxed.kinds, unboxed.alive = tuple(kinds), (block, values)
+        unboxed.alive = block, values
         return unboxed
 
 
@@ -104,11 +97,6 @@ class UnboxedType(types.Type):
         """See the class."""
         self.kinds = kinds
         super().__init__(name=f"Unboxed({', '.join(map(str, kinds))})")
-
-
-@typeof_impl.register(Unboxed)
-def _type_of(unboxed, _):
-    return UnboxedType(unboxed.kinds)
 
 
 @register_model(UnboxedType)

@@ -70,6 +70,10 @@ def test_an_engine_out_leaves_the_others_undisturbed() -> None:
     assert [name for name, when in lost.items() if when is not None] == ["uav2"]
     assert 125.0 + 60.0 < lost["uav2"] < 125.0 + 110.0
     told = [(e["source"], e["text"].split(":")[0]) for e in metrics["events"]]
+    # a glider that is told to climb stalls again and again; of the others none does
+    stalls = [each for each in told if "stalled" in each[1]]
+    assert {name for name, _ in stalls} == {"uav2"}
+    told = [each for each in told if each not in stalls]
     assert sorted(told[:3]) == [(name, "engaged") for name in ("uav1", "uav2", "uav3")]
     assert told[3:] == [
         ("uav2", "engine out"),
