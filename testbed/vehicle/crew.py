@@ -16,22 +16,23 @@ import signal
 import sys
 import warnings
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from multiprocessing.synchronize import Semaphore
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from testbed.errors import PartnerLost
 from testbed.state import AirFelt, Array, Origin, Surfaces
 from testbed.vehicle.fleet import JsbsimFleet, Start
+from testbed.vehicle.instruments import BATTERY, FLOW, MOTION, SPEEDS, WIND, numbers_of
+from testbed.vehicle.properties import READY_READ, READY_WRITE
 
 WORTH_IT = 20  # aircraft from which on two processes were measured to be faster than one
 LOOKS = 400  # of one who waits before it leaves the processor to others, some 0.1 ms
 AGAIN_S = 0.5  # how often who waits looks whether the other is still there
-_NUMBERS = {"motion": 17, "air": 6, "battery": 2, "surfaces": 4, "told": 7, "charge": 1}
+_NUMBERS = {"motion": 17, "air": 8, "surfaces": 4, "told": 7, "charge": 1}
 _DOUBLE = np.dtype(np.float64).itemsize
 # Called in a process of its own, gives what it does whenever it is told to.
 Post = Callable[[], Callable[[], None]]
@@ -101,8 +102,11 @@ class CrewedFleet(JsbsimFleet):
         super().__init__(folders, starts, origin, base_rate_hz)
         n = len(folders)
         self._shared = _Shared(n)
-        self._broken = self._shared.broken
-        self._told = self._shared.of["told"].reshape(n, 7)
+        self._broken, numbers = self._shared.broken, self._shared.of
+        for name, own in (("motion", self._raw), ("air", self._raw_air), ("told", self._told)):
+            numbers[name][:] = own
+        self._raw, self._raw_air, self._told = numbers["motion"], numbers["air"], numbers["told"]
+        self._bind()
         parts = np.array_split(np.arange(n), min(processes, n))
         self._mine, *self._theirs = (part.tolist() for part in parts)
         self._crew: _Crew | None = None
@@ -137,6 +141,12 @@ class CrewedFleet(JsbsimFleet):
         if self._crew is not None:
             self._crew.end()
 
+    def _bind(self) -> None:
+        super()._bind()
+        self._hear = READY_WRITE(self._blown, self._told)
+        self._tell_motion = READY_READ(self._motion, self._raw)
+        self._tell_air = READY_READ(self._of_air, self._raw_air)
+
     def _remove(self, i: int) -> None:
         super()._remove(i)
         self._shared.gone[i] = True
@@ -146,39 +156,29 @@ class CrewedFleet(JsbsimFleet):
         crew = _Crew([(rows, partial(self._work, rows)) for rows in self._theirs])
         self._crew = crew
         weakref.finalize(self, crew.end)
-        theirs = {i for rows in self._theirs for i in rows}
-        numbers = {name: each.data for name, each in self._shared.of.items()}
-        for i in theirs:
-            self._flying[i] = None
-        for getters, of, name in (
-            (self._getters, self._of_motion, "motion"),
-            (self._air, self._of_air, "air"),
-        ):
-            for k, i in enumerate(of):
-                if i in theirs:
-                    getters[k] = partial(numbers[name].__getitem__, k)
-        self._battery = [
-            (row, i, partial(numbers["battery"].__getitem__, row * len(self._models) + i))
-            if i in theirs
-            else (row, i, get)
-            for row, i, get in self._battery
-        ]
-        self._blown = [
-            _unheard if k // 7 in theirs else setter for k, setter in enumerate(self._blown)
-        ]
+        self._leave({i for rows in self._theirs for i in rows})
         return crew
+
+    def _leave(self, rows: Iterable[int]) -> None:
+        """Leave these aircraft to others: what they read is found in the shared memory."""
+        n = len(self._models)
+        for i in rows:
+            self._runs[i] = None
+            for nodes, numbers in (
+                (self._motion, numbers_of(i, n, MOTION, SPEEDS)),
+                (self._of_air, numbers_of(i, n, (WIND,), (*FLOW, *BATTERY))),
+                (self._controls, range(i, 4 * n, n)),
+                (self._blown, range(7 * i, 7 * i + 7)),
+            ):
+                for k in numbers:
+                    nodes[k] = None
+        self._bind()
 
     def _work(self, rows: Sequence[int]) -> Callable[[], None]:
         """What a process that has these aircraft does at each step; called in that process."""
         shared, n = self._shared, len(self._models)
-        for i in set(range(n)) - set(rows):
-            self._flying[i] = None
-        surfaces = Surfaces(*shared.of["surfaces"].reshape(4, n))
-        motion = [k for k, i in enumerate(self._of_motion) if i in rows]
-        air = [k for k, i in enumerate(self._of_air) if i in rows]
-        battery = [(row * n + i, get) for row, i, get in self._battery if i in rows]
-        blown = [7 * i + k for i in rows for k in range(7)]
-        numbers: dict[str, Any] = {name: each.data for name, each in shared.of.items()}
+        self._leave(set(range(n)) - set(rows))
+        surfaces, charge = Surfaces(*shared.of["surfaces"].reshape(4, n)), shared.of["charge"]
         heard = 0
 
         def work() -> None:
@@ -186,28 +186,18 @@ class CrewedFleet(JsbsimFleet):
             ticks, told = shared.words
             if told != heard:
                 heard = told
-                for k in blown:
-                    self._blown[k](numbers["told"][k])
+                self._hear()
             for i in rows:
-                if (charge := numbers["charge"][i]) == charge:  # a number
-                    self._models[i].discharge(charge)
-                    numbers["charge"][i] = np.nan
-                if shared.gone[i] and self._flying[i] is not None:
+                if not np.isnan(charge[i]):
+                    self._models[i].discharge(float(charge[i]))
+                    charge[i] = np.nan
+                if shared.gone[i] and self._runs[i] is not None:
                     self._remove(i)
             JsbsimFleet.step(self, surfaces, ticks)
-            # what JSBSim has lost its numbers of has other getters now
-            for k in motion:
-                numbers["motion"][k] = self._getters[k]()
-            for k in air:
-                numbers["air"][k] = self._air[k]()
-            for k, get in battery:
-                numbers["battery"][k] = get()
+            self._tell_motion()
+            self._tell_air()
 
         return work
-
-
-def _unheard(value: float) -> None:
-    """In the place of a setter of what another process steps."""
 
 
 class _Crew:

@@ -7,10 +7,9 @@ Feet and JSBSim's signs (elevator positive nose down, rudder positive nose left)
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,28 +18,26 @@ import numpy as np
 from testbed.frames import FOOT, metres_per_radian
 from testbed.state import AirData, AirFelt, Array, Origin, Surfaces, Truths, VehicleState
 from testbed.vehicle.breakage import Rig, check_faults, stacked
+from testbed.vehicle.instruments import (
+    BATTERY,
+    FLOW,
+    MOTION,
+    READY_BLOW,
+    READY_COMMAND,
+    READY_LOOK,
+    READY_SENSE_AIR,
+    SPEEDS,
+    WIND,
+    nodes_of,
+    numbers_of,
+)
 from testbed.vehicle.jsbsim_door import load, rig_of, trim_aircraft
-from testbed.vehicle.motion import READY_LOST, READY_MOTION, state_of
+from testbed.vehicle.motion import READY_LOST, state_of
+from testbed.vehicle.properties import read
 from testbed.vehicle.trim import STILL, TrimPoint, TrimResult, Vector, course_through_air
 
 LOWEST = 1.0  # m above the terrain: an aircraft below counts as on the ground
 _ABSURD = 1e9  # ft, ft/s², rad, rpm: nothing that flies reads this
-
-# Three numbers per aircraft, then one per aircraft: rows of the flat vector that `read` fills.
-_TRIPLES = (
-    ("position/lat-geod-rad", "position/long-gc-rad", "position/geod-alt-ft"),
-    ("velocities/v-north-fps", "velocities/v-east-fps", "velocities/v-down-fps"),
-    ("accelerations/udot-ft_sec2", "accelerations/vdot-ft_sec2", "accelerations/wdot-ft_sec2"),
-    ("attitude/phi-rad", "attitude/theta-rad", "attitude/psi-rad"),
-    ("velocities/p-rad_sec", "velocities/q-rad_sec", "velocities/r-rad_sec"),
-)
-_SINGLES = ("velocities/vt-fps", "velocities/ve-fps")
-# What `air` fills: one number per aircraft, then three.
-_AIR_SINGLES = ("aero/alpha-rad", "aero/beta-rad", "propulsion/engine/propeller-rpm")
-# And of those that have a battery.
-_BATTERY = ("battery/state-of-charge", "battery/voltage-v")
-_DEAF = (lambda _: None,) * 4  # in the place of setters of properties that are not there
-_WIND = tuple(f"atmosphere/total-wind-{axis}-fps" for axis in ("north", "east", "down"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,37 +108,21 @@ class JsbsimFleet:
         self.trims: tuple[TrimResult, ...] = tuple(trims)
         self._folders = [Path(folder).resolve() for folder in folders]
         self._models = models
-        self._runs = [model.fdm.run for model in models]
-        # what steps each, and takes its commands; None: it is lost
-        self._flying: list[tuple[Any, ...] | None] = [
-            (i, model.fdm.run, *model.setters) for i, model in enumerate(models)
-        ]
+        # what steps each; None: it is lost
+        self._runs: list[Callable[[], bool] | None] = list(self.bare_runs())
         self._deaf = np.array([not model.turns for model in models])
-        self._blown = [setter for m in models for setter in (*m.winds, *(m.turns or _DEAF))]
-        self._felt: AirFelt | None = None  # nothing yet
-        self._told = np.empty((n, 7))  # of the air
         self._broken = np.zeros(n, dtype=bool)
-        self._getters = [
-            model.node(name).get_double_value
-            for names in _TRIPLES
-            for model in models
-            for name in names
-        ] + [model.node(name).get_double_value for name in _SINGLES for model in models]
-        self._air = [
-            model.node(name).get_double_value for name in _AIR_SINGLES for model in models
-        ] + [model.node(name).get_double_value for model in models for name in _WIND]
-        self._first = [get() for get in self._getters]
-        # whose each number is, in the order of the getters
-        each, three = np.arange(n), np.arange(n).repeat(3)
-        self._of_motion = np.concatenate((np.tile(three, 5), each, each)).tolist()
-        self._of_air = np.concatenate((each, each, each, three)).tolist()
-        self._batteries = np.full((len(_BATTERY), n), np.nan)
-        self._battery = [
-            (row, i, node.get_double_value)
-            for i, model in enumerate(models)
-            for row, name in enumerate(_BATTERY)
-            if (node := model.find(name)) is not None
-        ]
+        # properties: None where an aircraft has none, or another number stands for it
+        self._motion = nodes_of(models, MOTION, SPEEDS)
+        batteries = [model.find(name) for name in BATTERY for model in models]
+        self._of_air = nodes_of(models, (WIND,), FLOW) + batteries
+        self._blown = [node for m in models for node in (*m.winds, *(m.turns or (None,) * 4))]
+        self._controls = [model.controls[row] for row in range(4) for model in models]
+        # their numbers, in JSBSim's units
+        self._raw, self._raw_air = np.empty(17 * n), np.full(8 * n, np.nan)
+        self._told, self._commanded = np.empty(7 * n), np.empty(4 * n)
+        read(self._motion, self._raw)
+        self._first = self._raw.copy()
         north, east = metres_per_radian(origin)
         place = *np.radians([origin.latitude_deg, origin.longitude_deg]), origin.elevation_m / FOOT
         self._zero = np.zeros(17 * n)
@@ -154,21 +135,21 @@ class JsbsimFleet:
                 np.full(2 * n, FOOT),
             ]
         )
-        self._raw, self._flat = np.empty(17 * n), np.empty(17 * n)
-        # of the ways to put numbers into an array the cheapest by far
-        self._pack, self._pack_air = (struct.Struct(f"{k * n}d").pack_into for k in (17, 6))
+        self._flat = np.empty(17 * n)
         self._state = state_of(self._flat)
-        self._move = READY_MOTION(self._raw, self._zero, self._scale, self._flat)
-        self._raw_air, self._flat_air = np.empty((2, 6 * n))
-        self._per_air = np.repeat([1.0, 1.0, 60.0], n)  # revolutions per minute
-        (raw, winds), (flat, winds_si) = (
-            (each[: 3 * n], each[3 * n :]) for each in (self._raw_air, self._flat_air)
-        )
-        self._air_views = raw, winds, flat, winds_si
-        alpha, beta, rps = flat.reshape(3, n)
-        wind, turn, roll = winds_si.reshape(n, 3), np.zeros((n, 3)), np.zeros(n)
-        self._in_air = AirData(alpha, beta, rps, wind, turn, roll, *self._batteries)
+        self._felt = AirFelt(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n))
+        alpha, beta, rps, *others = np.empty((6, n))
+        self._in_air = AirData(alpha, beta, rps, *np.empty((2, n, 3)), *others)
         self._lost, self._looked_at = np.zeros(n, dtype=bool), cast(VehicleState | None, None)
+        self._surfaces: Surfaces | None = None  # that commands are bound to
+        self._bind()
+
+    def _bind(self) -> None:
+        """Bind what reads and sets to the properties that there are now, and their numbers."""
+        self._look = READY_LOOK(self._motion, self._raw, self._zero, self._scale, self._flat)
+        self._look_at_air = READY_SENSE_AIR(self._of_air, self._raw_air, self._felt, self._in_air)
+        self._blow = READY_BLOW(self._blown, self._felt, self._told)
+        self._surfaces = None
 
     @property
     def trimmed(self) -> Surfaces:
@@ -179,26 +160,17 @@ class JsbsimFleet:
 
     def read(self) -> VehicleState:
         """The truth now, as fresh contiguous arrays."""
-        self.look()
+        self._look()
         return state_of(self._flat.copy())
 
     def look(self) -> VehicleState:
         """The truth now, in arrays that are the fleet's own: the next look changes them."""
-        self._pack(self._raw.data, 0, *[get() for get in self._getters])
-        self._move()
+        self._look()
         return self._state
 
     def air(self) -> AirData:
         """What the truth knows of the air now; for observers, until the next call."""
-        raw, winds, flat, winds_si = self._air_views
-        self._pack_air(self._raw_air.data, 0, *[get() for get in self._air])
-        np.divide(raw, self._per_air, out=flat)
-        np.multiply(winds, FOOT, out=winds_si)
-        if self._felt is not None:
-            self._in_air.rates_body[:] = self._felt.rates_body
-            self._in_air.roll_coefficient[:] = self._felt.roll_coefficient
-        for row, i, get in self._battery:
-            self._batteries[row, i] = get()
+        self._look_at_air()
         return self._in_air
 
     @property
@@ -208,23 +180,10 @@ class JsbsimFleet:
 
     def blow(self, felt: AirFelt) -> None:
         """Say what the air does to the aircraft from now on."""
-        self._felt = felt
-        told = self._told
-        np.divide(felt.wind_ned, FOOT, out=told[:, :3])
-        told[:, 3:6] = felt.rates_body
-        told[:, 6] = felt.roll_coefficient
-        for set_value, value in zip(self._blown, told.ravel().tolist(), strict=True):
-            set_value(value)
-
-    def _command(self, surfaces: Surfaces) -> None:
-        told = zip(self._flying, *(each.tolist() for each in surfaces), strict=True)
-        for flying, aileron, elevator, rudder, throttle in told:
-            if flying is not None:
-                _, _, set_aileron, set_elevator, set_rudder, set_throttle = flying
-                set_aileron(aileron)
-                set_elevator(-elevator)
-                set_rudder(-rudder)
-                set_throttle(throttle)
+        if felt is not self._felt:
+            self._felt = felt
+            self._bind()
+        self._blow()
 
     def step(self, surfaces: Surfaces | None, ticks: int) -> None:
         """Run every aircraft for `ticks` steps of the base rate.
@@ -234,19 +193,21 @@ class JsbsimFleet:
             ticks: how many.
         """
         if surfaces is not None:
-            self._command(surfaces)
+            if surfaces is not self._surfaces:
+                self._surfaces = surfaces
+                self._command = READY_COMMAND(self._controls, surfaces, self._commanded)
+            self._command()
         steps = range(ticks)
-        for flying in self._flying:
-            if flying is None:
+        for i, run in enumerate(self._runs):
+            if run is None:
                 continue
-            run = flying[1]
             try:
                 for _ in steps:
                     if not run():
-                        self._remove(flying[0])
+                        self._remove(i)
                         break
             except Exception:  # JSBSim's own, of many types: the state is beyond its models
-                self._remove(flying[0])
+                self._remove(i)
 
     def discharge(self, charge: Array) -> None:
         """Empty batteries to a state of charge (N,) 0..1 at once; not a number: as they are.
@@ -264,15 +225,17 @@ class JsbsimFleet:
 
     def _remove(self, i: int) -> None:
         """Stop one; where JSBSim has lost its numbers it reads as at the start, in air of zero."""
-        self._broken[i] = True
-        self._flying[i] = None
-        own = [k for k, of in enumerate(self._of_motion) if of == i]
-        if not all(abs(self._getters[k]()) < _ABSURD for k in own):
-            for k in own:
-                self._getters[k] = partial(float, self._first[k])
-        for k, of in enumerate(self._of_air):
-            if of == i and not abs(self._air[k]()) < _ABSURD:
-                self._air[k] = float
+        self._broken[i], self._runs[i] = True, None
+        n = len(self._models)
+        motion, air = numbers_of(i, n, MOTION, SPEEDS), numbers_of(i, n, (WIND,), FLOW)
+        if not all(abs(_number(self._motion, self._raw, k)) < _ABSURD for k in motion):
+            for k in motion:
+                self._motion[k], self._raw[k] = None, self._first[k]
+        for k in air:
+            if not abs(_number(self._of_air, self._raw_air, k)) < _ABSURD:
+                self._of_air[k], self._raw_air[k] = None, 0.0
+        self._controls[i::n] = [None] * 4
+        self._bind()
 
     @cached_property
     def rig(self) -> Rig:
@@ -282,12 +245,12 @@ class JsbsimFleet:
     def check_faults(self, row: int, name: str, faults: Iterable[Any]) -> None:
         """As `breakage.check_faults`, of the aircraft in a row of this fleet."""
         kind = self._folders[row].name
-        battery = self._models[row].find(_BATTERY[0]) is not None
+        battery = self._models[row].find(BATTERY[0]) is not None
         check_faults(name, kind, self.rig, row, battery=battery, faults=faults)
 
     def bare_runs(self) -> list[Callable[[], bool]]:
         """Each aircraft's own step, for measuring what everything else costs."""
-        return list(self._runs)
+        return [model.fdm.run for model in self._models]
 
     def lost(self, state: VehicleState) -> Truths:
         """Which aircraft (N,) are on the ground, broken or not finite; until the next call."""
@@ -296,3 +259,9 @@ class JsbsimFleet:
             self._look_down = READY_LOST(state.position_ned, self._broken, LOWEST, self._lost)
         self._look_down()
         return self._lost
+
+
+def _number(nodes: Sequence[Any], numbers: Array, k: int) -> float:
+    """What a property is, or the number that stands for it."""
+    node = nodes[k]
+    return float(numbers[k] if node is None else node.get_double_value())

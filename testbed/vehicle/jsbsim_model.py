@@ -55,8 +55,8 @@ class JsbsimModel:
         self.fdm.set_dt(self._dt)
         self._manager = self.fdm.get_property_manager()
         self.node("atmosphere/turb-type").set_double_value(0.0)
-        self.setters = tuple(
-            self.node(f"fcs/{name}-cmd-norm").set_double_value
+        self.controls = tuple(
+            self.node(f"fcs/{name}-cmd-norm")
             for name in ("aileron", "elevator", "rudder", "throttle")
         )
         self._sense = self.node("propulsion/engine/propeller-sense")
@@ -65,12 +65,11 @@ class JsbsimModel:
         self._moments = [self.node(f"moments/{axis}-aero-lbsft").get_double_value for axis in "lmn"]
         self._hold = self.node("forces/hold-down").set_double_value
         self.winds = tuple(
-            self.node(f"atmosphere/wind-{axis}-fps").set_double_value
-            for axis in ("north", "east", "down")
+            self.node(f"atmosphere/wind-{axis}-fps") for axis in ("north", "east", "down")
         )
         turns = [self.find(f"air/{name}") for name in _TURNS]
         # all or none: half of it would be another airframe
-        self.turns = tuple(turn.set_double_value for turn in turns) if all(turns) else ()
+        self.turns = tuple(turns) if all(turns) else ()
         self._velocities = [
             self.node(f"velocities/v-{axis}-fps").get_double_value
             for axis in ("north", "east", "down")
@@ -169,14 +168,16 @@ class JsbsimModel:
             self._initialise(placement, course, STILL)
             self._sense.set_double_value(0.0)
             self._hold(1.0)
-            for set_wind, velocity in zip(self.winds, self._velocities, strict=True):
-                set_wind(-velocity())
+            for wind, velocity in zip(self.winds, self._velocities, strict=True):
+                wind.set_double_value(-velocity())
             self._settle()
             self._hold(0.0)
             self._sense.set_double_value(self._senses)
         self._initialise(placement, course, wind_ned)
-        for set_wind, value in zip(self.winds, wind_ned, strict=True):
-            set_wind(value / FOOT)  # the initial condition leaves rounding errors in it
+        for wind, value in zip(self.winds, wind_ned, strict=True):
+            wind.set_double_value(
+                value / FOOT
+            )  # the initial condition leaves rounding errors in it
         if any(wind_ned):
             # The initial condition knew no wind: evaluate again, in no time, until nothing that
             # JSBSim's integrators remember is older.
@@ -233,8 +234,8 @@ class JsbsimModel:
 
     def _command(self, controls: Controls) -> None:
         values = (controls.aileron, -controls.elevator, -controls.rudder, controls.throttle)
-        for set_value, value in zip(self.setters, values, strict=True):
-            set_value(value)
+        for control, value in zip(self.controls, values, strict=True):
+            control.set_double_value(value)
 
     def _initialise(self, placement: Placement, course: float, wind_ned: Vector) -> None:
         angles = (placement.roll, placement.pitch, course - placement.course)

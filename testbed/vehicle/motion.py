@@ -36,5 +36,4 @@ def lost(position_ned: Array, broken: Truths, lowest: float, out: Truths) -> Non
     np.logical_or(broken, ~(-position_ned[:, 2] >= lowest), out=out)
 
 
-READY_MOTION = ready_of(motion, "testbed.vehicle.twin")
 READY_LOST = ready_of(lost, "testbed.vehicle.twin")

@@ -68,7 +68,7 @@ def test_pymavlink_has_one_door_and_only_its_generated_tables_pass():
 def test_numba_has_one_door_and_it_is_for_twins_only():
     assert importers("numba") == {
         *("compiled.py", "unboxed.py"),
-        *("guidance/helm_twin.py", "rows_twin.py"),
+        *("guidance/helm_twin.py", "rows_twin.py", "vehicle/properties_twin.py"),
     }
     assert importers("testbed.unboxed") == {"compiled.py"}
     twins = {path for path in MODULES if path.endswith("twin.py")}

@@ -119,7 +119,7 @@ def test_a_motion_that_is_no_number_is_a_loss_with_its_cause():
 
     def breaks(now, due):
         if now == 3.0:
-            world.fleet._models[1].winds[0](math.nan)
+            world.fleet._models[1].winds[0].set_double_value(math.nan)
         return False
 
     assert fly(world, [seen], breaks) == "lost"

@@ -1,0 +1,34 @@
+"""Properties of JSBSim that are read or set many at once.
+
+Through Python each takes a call of its own: some hundred in a period of four aircraft. Where
+JSBSim's library shows the functions behind them, machine code calls these one after the other; the
+numbers are the same to the bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from testbed.compiled import ready_of
+from testbed.state import Array
+
+Nodes = Sequence[Any]  # of JSBSim's; None: there is none, or it is somebody else's
+
+
+def read(nodes: Nodes, numbers: Array) -> None:
+    """Write what properties (K,) are into numbers (K,); where there is none, its number stays."""
+    for k, node in enumerate(nodes):
+        if node is not None:
+            numbers[k] = node.get_double_value()
+
+
+def write(nodes: Nodes, numbers: Array) -> None:
+    """Set properties (K,) to numbers (K,), those that there are."""
+    for node, number in zip(nodes, numbers.tolist(), strict=True):
+        if node is not None:
+            node.set_double_value(number)
+
+
+READY_READ = ready_of(read, "testbed.vehicle.properties_twin")
+READY_WRITE = ready_of(write, "testbed.vehicle.properties_twin")

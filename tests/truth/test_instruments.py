@@ -1,0 +1,85 @@
+"""Flight models are read and set by their own functions as they are through Python, to the bit."""
+
+import math
+
+import numpy as np
+import pytest
+
+from testbed.scenario import find_aircraft
+from testbed.state import AirFelt, Origin, Surfaces
+from testbed.vehicle import jsbsim_door
+from testbed.vehicle.fleet import JsbsimFleet, Start
+from testbed.vehicle.properties import READY_READ, READY_WRITE, read, write
+
+KINDS = ("rascal110", "skywalker_x8", "rascal110")
+PERIODS, TICKS = 40, 4
+
+
+def aloft():
+    starts = [
+        Start((0.0, 40.0 * row, -300.0), airspeed=20.0, state_of_charge=0.9 if row == 1 else 1.0)
+        for row in range(len(KINDS))
+    ]
+    return JsbsimFleet([find_aircraft(kind) for kind in KINDS], starts, Origin(), 200)
+
+
+def flown(remove=None):
+    """All that is read of three aircraft that are pushed about, every period."""
+    rng, fleet, out = np.random.default_rng(9), aloft(), []
+    n = len(KINDS)
+    for period in range(PERIODS):
+        fleet.blow(AirFelt(*rng.normal(0.0, (3.0, 0.05), (n, 3, 2)).T.swapaxes(1, 2), np.zeros(n)))
+        trim = fleet.trimmed
+        fleet.step(Surfaces(*(each + rng.normal(0.0, 0.02, n) for each in trim)), TICKS)
+        if period == remove:
+            fleet._models[1].winds[0].set_double_value(math.nan)
+        state, air = fleet.look(), fleet.air()
+        out.append([np.array(each).ravel() for record in (state, air) for each in record])
+        if fleet.lost(state).any():
+            fleet.remove(fleet.lost(state))
+    return [np.concatenate(each) for each in zip(*out, strict=True)]
+
+
+@pytest.fixture
+def hidden(monkeypatch):
+    """A JSBSim whose library does not show its functions, as one built otherwise."""
+    twins = pytest.importorskip("testbed.vehicle.properties_twin", exc_type=ImportError)
+    if jsbsim_door.functions() is None:
+        pytest.skip("this JSBSim does not show its functions")
+    return lambda: monkeypatch.setattr(twins, "functions", lambda: None)
+
+
+@pytest.mark.parametrize("remove", [None, 10])
+def test_flights_are_the_same_to_the_bit(hidden, remove):
+    shown = flown(remove)
+    hidden()
+    through_python = flown(remove)
+    for one, two in zip(shown, through_python, strict=True):
+        np.testing.assert_array_equal(one, two)
+
+
+def test_one_that_is_not_there_keeps_its_number(hidden):
+    model = aloft()._models[0]
+    nodes = [model.node("attitude/theta-rad"), None, model.node("velocities/vt-fps")]
+    ours, theirs = np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 3.0])
+    READY_READ(nodes, theirs)()
+    read(nodes, ours)
+    np.testing.assert_array_equal(theirs, ours)
+    assert ours[1] == 2.0 and ours[2] == pytest.approx(20.0 / 0.3048)
+
+    wind = [model.winds[0], None, model.winds[2]]
+    for put in (lambda numbers: READY_WRITE(wind, numbers)(), lambda numbers: write(wind, numbers)):
+        numbers = np.random.default_rng(3).normal(size=3)
+        put(numbers)
+        said = [each.get_double_value() for each in model.winds]
+        assert said == [numbers[0], 0.0, numbers[2]]
+
+
+def test_another_release_is_left_to_python(monkeypatch):
+    """It may keep its properties elsewhere."""
+    jsbsim_door.functions.cache_clear()
+    monkeypatch.setattr(jsbsim_door, "VERSION", "1.3.4")
+    try:
+        assert jsbsim_door.functions() is None
+    finally:
+        jsbsim_door.functions.cache_clear()
