@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.compiled import ready_of
 from testbed.scenario.network import StampClock
 from testbed.state import Array
 
@@ -54,6 +53,3 @@ def show(
     coarse = grain > 0.0
     shown_s[coarse] = np.floor(shown_s[coarse] / grain[coarse]) * grain[coarse]
     ahead_s[:] = clocks.offset[1:, None] + clocks.drift[1:, None] * true_s
-
-
-READY_SHOW = ready_of(show, "testbed.network.clocks_twin")

@@ -8,15 +8,11 @@ from __future__ import annotations
 
 from math import floor
 
-from testbed.compiled import bound, twin
-
-
-def ready_show(clocks, measured_s, rows, shown_s, ahead_s):
-    return bound(_show, *clocks, measured_s, rows, shown_s, ahead_s)
+from testbed.compiled import twin
 
 
 @twin
-def _show(offset, drift, resolution, measured_s, rows, shown_s, ahead_s):
+def show_of(offset, drift, resolution, measured_s, rows, shown_s, ahead_s):
     for s in range(len(rows)):
         sender = rows[s]
         measured = measured_s[sender]

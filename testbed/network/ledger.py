@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.compiled import ready_of
 from testbed.network.links import Fate
-from testbed.state import Array, Counts
+from testbed.state import Array, Counts, LinkCounts
 
 Numbers = NDArray[np.int64]
 
@@ -85,3 +86,31 @@ def edges() -> Array:
     ends: Array = SHORTEST_S * 2.0 ** (np.arange(BINS) / PER_OCTAVE)
     ends[-1] = np.inf
     return ends
+
+
+def use(ledger: Ledger, rows: Numbers, age_s: Array) -> None:
+    """Count the age of what each of the followers `rows` (m,) used of each aircraft.
+
+    Args:
+        ledger: changed in place.
+        rows: (m,) followers.
+        age_s: (n, N) s of all followers; nan: it used nothing.
+    """
+    for k, m in np.argwhere(~np.isnan(age_s[rows])):
+        link = rows[k], m
+        age = age_s[link]
+        ledger.uses[link] += 1
+        ledger.age_sum[link] += age
+        ledger.age_least[link] = min(ledger.age_least[link], age)
+        ledger.age_most[link] = max(ledger.age_most[link], age)
+        ledger.ages[(*link, bin_of(age))] += 1
+
+
+def count(ledger: Ledger, counts: LinkCounts) -> None:
+    """Write how many messages were sent and delivered on each link."""
+    np.copyto(counts.sent, ledger.sent)
+    np.copyto(counts.delivered, ledger.delivered)
+
+
+READY_COUNT = ready_of(count, "testbed.network.ledger_twin")
+READY_USE = ready_of(use, "testbed.network.ledger_twin")

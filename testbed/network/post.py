@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from testbed.compiled import ready_of, twin_of
 from testbed.network.channel import Channel
+from testbed.network.clocks import Clocks, show
 from testbed.network.fates import fates
 from testbed.network.ledger import LONGEST_BURST, Ledger, bin_of
 from testbed.network.links import Fate, Fates
@@ -161,24 +162,6 @@ def take_due(post: Post, ledger: Ledger, read: Read, inbox: Inbox, count: int, n
     return len(stay)
 
 
-def use(ledger: Ledger, rows: Numbers, age_s: Array) -> None:
-    """Count the age of what each of the followers `rows` (m,) used of each aircraft.
-
-    Args:
-        ledger: changed in place.
-        rows: (m,) followers.
-        age_s: (n, N) s of all followers; nan: it used nothing.
-    """
-    for k, m in np.argwhere(~np.isnan(age_s[rows])):
-        link = rows[k], m
-        age = age_s[link]
-        ledger.uses[link] += 1
-        ledger.age_sum[link] += age
-        ledger.age_least[link] = min(ledger.age_least[link], age)
-        ledger.age_most[link] = max(ledger.age_most[link], age)
-        ledger.ages[(*link, bin_of(age))] += 1
-
-
 def send_round(
     channel: Channel,
     traffic: Traffic,
@@ -190,8 +173,9 @@ def send_round(
     script: Fates,
     replayed: Array,
     faded: Array,
-    shown: bool,
-    stamps_s: Array,
+    clocks: Clocks,
+    shown_s: Array,
+    ahead_s: Array,
     message: Broadcast,
     arrivals: Array,
     fate: Fates,
@@ -210,8 +194,9 @@ def send_round(
         script: (n, S) see `fates.fates`.
         replayed: (n, S)
         faded: (n, S)
-        shown: whether the stamps are given; or they are those of the message, and written.
-        stamps_s: (n, S) see `post_round`.
+        clocks: of all N aircraft.
+        shown_s: (S,) see `clocks.show`, written.
+        ahead_s: (n, S) see `clocks.show`, written.
         message: of all N aircraft.
         arrivals: (n, S, 2) s, written.
         fate: (n, S) of links.Fate, written.
@@ -222,9 +207,8 @@ def send_round(
     """
     numbers[rows] += 1
     sequence, sent = numbers[rows], sent_s[rows]
-    if not shown:
-        stamps_s[:] = message.stamp_s[rows]
-    told = script, replayed, faded
+    show(clocks, message.stamp_s, rows, shown_s, ahead_s)
+    stamps_s, told = shown_s - ahead_s, (script, replayed, faded)
     arrivals[:], fate[:] = fates(channel, traffic, rows, sequence, sent, *told)
     return post_round(post, ledger, count, rows, sequence, sent, stamps_s, message, arrivals, fate)
 
@@ -232,4 +216,3 @@ def send_round(
 POST_ROUND = twin_of(post_round, "testbed.network.post_twin")
 READY_SEND_ROUND = ready_of(send_round, "testbed.network.post_twin")
 READY_TAKE_DUE = ready_of(take_due, "testbed.network.post_twin")
-READY_USE = ready_of(use, "testbed.network.post_twin")

@@ -10,14 +10,15 @@ the records that posts and ledgers are views of: one array costs less than many.
 
 from __future__ import annotations
 
-from math import inf, isnan
+from math import inf
 
 import numpy as np
 
 from testbed.compiled import bound, twin
+from testbed.network.clocks_twin import show_of
 from testbed.network.fates_twin import _fates as fates_of
 from testbed.network.fates_twin import channel_of
-from testbed.network.ledger_twin import bin_of, count_message
+from testbed.network.ledger_twin import count_message
 from testbed.network.post import UNHEARD
 from testbed.network.slots import SIMULTANEOUS_S
 
@@ -52,14 +53,6 @@ def _desk(post):
     return np.empty((2, len(post.link.base)), np.int64)
 
 
-def use(ledger, rows, age_s):
-    _use(ledger.sent.base, rows, age_s)
-
-
-def ready_use(ledger, rows, age_s):
-    return bound(_use, ledger.sent.base, rows, age_s)
-
-
 def ready_send_round(
     channel,
     traffic,
@@ -71,8 +64,9 @@ def ready_send_round(
     script,
     replayed,
     faded,
-    shown,
-    stamps_s,
+    clocks,
+    shown_s,
+    ahead_s,
     message,
     arrivals,
     fate,
@@ -88,13 +82,15 @@ def ready_send_round(
         script,
         replayed,
         faded,
-        shown,
-        stamps_s,
+        *clocks,
+        shown_s,
+        ahead_s,
         *message,
         arrivals,
         fate,
         np.empty(len(rows), np.int64),
         np.empty(len(rows)),
+        np.empty_like(ahead_s),
         more=(0,),
     )
 
@@ -221,20 +217,6 @@ def _take_due(
 
 
 @twin
-def _use(ledger, rows, age_s):
-    for i in rows:
-        for m in range(age_s.shape[1]):
-            age = age_s[i, m]
-            if not isnan(age):
-                link = ledger[i, m]
-                link.uses += 1
-                link.age_sum += age
-                link.age_least = min(link.age_least, age)
-                link.age_most = max(link.age_most, age)
-                link.ages[bin_of(age)] += 1
-
-
-@twin
 def _send_round(
     links,
     keys,
@@ -251,8 +233,11 @@ def _send_round(
     script,
     replayed,
     faded,
-    shown,
-    stamps_s,
+    offset,
+    drift,
+    resolution,
+    shown_s,
+    ahead_s,
     measured_s,
     position,
     velocity,
@@ -263,6 +248,7 @@ def _send_round(
     fate,
     sequence,
     sent,
+    stamps_s,
     count,
 ):
     senders = len(rows)
@@ -270,10 +256,10 @@ def _send_round(
         m = rows[s]
         numbers[m] += 1
         sequence[s], sent[s] = numbers[m], sent_s[m]
-    if not shown:
-        for i in range(len(stamps_s)):
-            for s in range(senders):
-                stamps_s[i, s] = measured_s[rows[s]]
+    show_of(offset, drift, resolution, measured_s, rows, shown_s, ahead_s)
+    for i in range(len(stamps_s)):
+        for s in range(senders):
+            stamps_s[i, s] = shown_s[s] - ahead_s[i, s]
     told = (script, replayed, faded)
     way = (links, keys, quantiles, tables, states, rings, spoiled)
     fates_of(*way, rows, sequence, sent, *told, arrivals, fate)

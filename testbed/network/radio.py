@@ -9,17 +9,16 @@ from typing import Any
 import numpy as np
 
 from testbed.network.channel import Channel
-from testbed.network.clocks import READY_SHOW, Clocks
+from testbed.network.clocks import Clocks, show
 from testbed.network.encoded import Believed, Coder, Encoding
 from testbed.network.fates import BEFALL
-from testbed.network.ledger import blank
+from testbed.network.ledger import READY_COUNT, READY_USE, blank
 from testbed.network.links import Fate, Fates
 from testbed.network.post import (
     NOTHING,
     POST_ROUND,
     READY_SEND_ROUND,
     READY_TAKE_DUE,
-    READY_USE,
     VECTORS,
     Numbers,
     Read,
@@ -42,25 +41,23 @@ class Conditions:
     trace: Callable[[Array, Numbers], Array] | None = None
     # Probability (n, S) of being lost to distance and airframes, in this formation (N).
     fading: Callable[[VehicleState, Numbers], Array] | None = None
-    clocks: Clocks | None = None
+    clocks: Clocks | None = None  # None: all are right
 
 
 class _Round:
     """What the rounds of S senders are written into; and what befalls them if nothing does."""
 
     __slots__ = (
-        *("ahead_s", "arrivals", "faded", "fate", "measured_s", "message", "rows", "script"),
-        *("send", "show", "shown_s", "stamp_s", "traced"),
+        *("ahead_s", "arrivals", "faded", "fate", "message", "muted", "rows", "script"),
+        *("send", "shown_s", "traced"),
     )
 
     def __init__(self, rows: Numbers, shape: tuple[int, int]) -> None:
         self.rows = rows  # (S,)
         self.script: Fates = np.zeros(shape, np.uint8)
+        self.muted = False  # somebody was, in the script
         self.traced, self.faded = np.full(shape, np.nan), np.zeros(shape)
-        self.stamp_s, self.shown_s = np.empty(shape), np.empty(len(rows))
-        self.ahead_s = np.zeros(shape)  # of the receivers' clocks
-        self.measured_s: Array | None = None  # that the clocks are bound to
-        self.show: Callable[[], None] | None = None
+        self.shown_s, self.ahead_s = np.empty(len(rows)), np.empty(shape)
         self.arrivals, self.fate = np.empty((*shape, 2)), np.empty(shape, np.uint8)
         self.message: Broadcast | None = None  # that the sending is bound to
         self.send: Callable[[int], int] | None = None
@@ -88,12 +85,14 @@ class Radio:
         vectors = np.full((VECTORS, *links, 3), np.nan)
         self._inbox = Inbox(*np.full((2, *links), np.nan), *vectors)
         self._counts = LinkCounts(*np.zeros((2, *links), np.uint32))
+        self._count_up = READY_COUNT(self._ledger, self._counts)
         self._take_due = READY_TAKE_DUE(self._post, self._ledger, self._read, self._inbox)
         self._sent_s = np.zeros(aircraft)
+        self._clocks = self._conditions.clocks or Clocks(*np.zeros((3, aircraft)))
+        # whether more befalls a message than the links' own dice
         given = self._conditions
-        befalls = given.script, given.trace, given.fading, given.clocks, self._coder
-        self._plain = not any(befalls)  # nothing but the links' dice befalls a message
-        self._rounds: dict[tuple[int, bool], _Round] = {}
+        self._eventful = any((given.script, given.trace, given.fading))
+        self._rounds: dict[int, _Round] = {}  # by the senders' rows, kept in `_together`
         self._together: dict[bytes, Numbers] = {}
         self._used: dict[int, tuple[Any, Any]] = {}
 
@@ -124,70 +123,53 @@ class Radio:
             round of as many changes them.
         """
         rows = self._everyone if who is None else self._rows(who)
-        amid = hushed is not None or not self._plain
-        spot = self._round(rows, amid)
+        spot = self._rounds.get(id(rows)) or self._round(rows)
         if self._count + spot.arrivals.size > len(self._post.arrival_s):
             self._make_room()
         self._sent_s[:] = sent_s
-        if amid:
-            message = self._befall(sent_s, message, truth, hushed, spot)
-        if self._coder is None:
-            self._count = self._ready(spot, message, shown=amid)(self._count)
-        else:
+        if self._eventful or spot.muted or hushed is not None:
+            self._befall(sent_s, truth, hushed, spot)
+        if self._coder is not None:
             self._send_coded(self._coder, message, spot)
+        else:
+            same = spot.message is message
+            send = spot.send if same and spot.send else self._bound(spot, message)
+            self._count = send(self._count)
         return spot.arrivals, spot.fate
 
     def _befall(
-        self,
-        sent_s: Array,
-        message: Broadcast,
-        truth: VehicleState,
-        hushed: Truths | None,
-        spot: _Round,
-    ) -> Broadcast:
-        """Write what more befalls a round than the links' own dice; what its senders say."""
+        self, sent_s: Array, truth: VehicleState, hushed: Truths | None, spot: _Round
+    ) -> None:
+        """Write what more befalls a round than the links' own dice."""
         given, rows = self._conditions, spot.rows
         if given.script:
             spot.script[:] = given.script(sent_s[rows], rows, self._number[rows] + 1)
-        else:
+        elif spot.muted:
             spot.script.fill(0)
         if given.trace:
             spot.traced[:] = given.trace(sent_s[rows], rows)
         if given.fading:
             spot.faded[:] = given.fading(truth, rows)
+        spot.muted = hushed is not None
         if hushed is not None:
             spot.script[:, hushed[rows]] = Fate.MUTE
-        if given.clocks is None:
-            stamp = message.stamp_s[rows]
-        else:
-            if spot.show is None or spot.measured_s is not message.stamp_s:
-                said = spot.measured_s = message.stamp_s
-                spot.show = READY_SHOW(given.clocks, said, rows, spot.shown_s, spot.ahead_s)
-            spot.show()
-            stamp = spot.shown_s
-        if self._coder:
-            message, stamp = self._coder.says(message, stamp, rows, self._number[rows] + 1)
-        np.subtract(stamp, spot.ahead_s, out=spot.stamp_s)
-        return message
 
-    def _ready(self, spot: _Round, message: Broadcast, *, shown: bool) -> Callable[[int], int]:
+    def _bound(self, spot: _Round, message: Broadcast) -> Callable[[int], int]:
         """The sending of rounds of these senders, bound to the records it works on."""
-        if spot.send is None or spot.message is not message:
-            befallen = spot.script, spot.traced, spot.faded, shown, spot.stamp_s
-            spot.message = message
-            spot.send = READY_SEND_ROUND(
-                self._channel,
-                self._traffic,
-                self._post,
-                self._ledger,
-                spot.rows,
-                self._number,
-                self._sent_s,
-                *befallen,
-                message,
-                spot.arrivals,
-                spot.fate,
-            )
+        spot.message = message
+        spot.send = READY_SEND_ROUND(
+            self._channel,
+            self._traffic,
+            self._post,
+            self._ledger,
+            spot.rows,
+            self._number,
+            self._sent_s,
+            *(spot.script, spot.traced, spot.faded),
+            *(self._clocks, spot.shown_s, spot.ahead_s),
+            message,
+            *(spot.arrivals, spot.fate),
+        )
         return spot.send
 
     def _send_coded(self, coder: Coder, message: Broadcast, spot: _Round) -> None:
@@ -195,12 +177,14 @@ class Radio:
         rows, became = spot.rows, (spot.arrivals, spot.fate)
         self._number[rows] += 1
         number, sent = self._number[rows], self._sent_s[rows]
+        show(self._clocks, message.stamp_s, rows, spot.shown_s, spot.ahead_s)
+        message, stamp_s = coder.says(message, spot.shown_s, rows, number)
         befallen = spot.script, spot.traced, spot.faded
         BEFALL(self._channel, self._traffic, rows, number, sent, *befallen, *became)
         believed = coder.damage(self._traffic.spoiled_s[:, rows], *became, rows, number)
-        first = self._count
+        first, stamps_s = self._count, stamp_s - spot.ahead_s
         self._count = POST_ROUND(
-            self._post, self._ledger, first, rows, number, sent, spot.stamp_s, message, *became
+            self._post, self._ledger, first, rows, number, sent, stamps_s, message, *became
         )
         if believed is not None:
             self._falsify(first, believed, spot)
@@ -230,8 +214,7 @@ class Radio:
 
     def counts(self) -> LinkCounts:
         """Messages sent and delivered up to now; the next call changes them."""
-        np.copyto(self._counts.sent, self._ledger.sent)
-        np.copyto(self._counts.delivered, self._ledger.delivered)
+        self._count_up()
         return self._counts
 
     def summary(self) -> Mapping[str, Any]:
@@ -257,9 +240,7 @@ class Radio:
             self._together[key] = np.flatnonzero(who)
         return self._together[key]
 
-    def _round(self, rows: Numbers, amid: bool) -> _Round:
+    def _round(self, rows: Numbers) -> _Round:
         """What rounds of these senders are written into."""
-        key = id(rows), amid
-        if key not in self._rounds:
-            self._rounds[key] = _Round(rows, (len(self._channel.links), len(rows)))
-        return self._rounds[key]
+        made = self._rounds[id(rows)] = _Round(rows, (len(self._channel.links), len(rows)))
+        return made

@@ -83,22 +83,19 @@ class Clock:
 
     def schedule(self, duration_s: float) -> Iterator[tuple[int, int, Due]]:
         """Every tick up to the duration at which something happens, ticks to the next, and what."""
-        pattern, period = self._pattern(), self.period
-        last = self.ticks(duration_s)
-        begin = (0, self._due(0, everyone=True))
+        pattern, period, last = self._pattern(), self.period, self.ticks(duration_s)
         repeated = (
             (lap * period + tick, due) for lap in itertools.count() for tick, due in pattern
         )
         events: Iterator[tuple[int, Due]] = itertools.chain(
-            [begin], itertools.islice(repeated, 1, None)
+            [(0, self._due(0, everyone=True))], itertools.islice(repeated, 1, None)
         )
         if self.beats:
             events = self._with_beats(events)
-        tick, due = next(events)
-        while tick <= last:
-            following, next_due = next(events)
+        for (tick, due), (following, _) in itertools.pairwise(events):
+            if tick > last:
+                return
             yield tick, following - tick, due
-            tick, due = following, next_due
 
     def _with_beats(self, events: Iterable[tuple[int, Due]]) -> Iterator[tuple[int, Due]]:
         """The same events, and the sending of those with a beat of their own."""

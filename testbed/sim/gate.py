@@ -55,6 +55,7 @@ class Gate:
         """Nothing has been flown yet."""
         self._deck, self._station, self._pace, self._stop = deck, station, pace, stop
         self._tell = tell
+        self._alone = deck is None and station is None and pace is None
         self._framed_s: float | None = None
 
     def __call__(self, now: float, due: Due) -> bool:
@@ -63,6 +64,8 @@ class Gate:
         Raises:
             PartnerLost: lockstep has waited in vain.
         """
+        if self._alone:
+            return self._stop()
         if self._deck is not None and self._framed_s is not None:
             self._deck.ask(self._framed_s)
         self._framed_s = now if due.log else None

@@ -5,10 +5,11 @@ from functools import partial
 import numpy as np
 import pytest
 
+from testbed.network import ledger as numpy_ledger
 from testbed.network import post as numpy_post
 from testbed.network import radio as radio_module
 from testbed.network.channel import make_channel
-from testbed.network.clocks import READY_SHOW, Clocks, make_clocks, show
+from testbed.network.clocks import Clocks, make_clocks, show
 from testbed.network.ledger import Ledger, bin_of, edges
 from testbed.network.links import Fate
 from testbed.network.radio import Conditions, Radio
@@ -207,6 +208,7 @@ def test_clocks_that_are_wrong_alike_agree():
 
 
 def test_the_compiled_clocks():
+    twin = pytest.importorskip("testbed.network.clocks_twin", exc_type=ImportError)
     rng = np.random.default_rng(46)
     grain = np.where(rng.random(N) < 0.5, 0.0, rng.uniform(1e-3, 0.5, N))
     clocks = Clocks(rng.normal(0.0, 100.0, N), rng.normal(0.0, 1e-4, N), grain)
@@ -214,11 +216,10 @@ def test_the_compiled_clocks():
     ours, theirs = (
         (np.full(len(rows), np.nan), np.full((FOLLOWERS, len(rows)), np.nan)) for _ in range(2)
     )
-    look = READY_SHOW(clocks, measured, rows, *theirs)
     for _ in range(200):
         measured[:] = rng.uniform(0.0, 1e4, N)
         show(clocks, measured, rows, *ours)
-        look()
+        twin.show_of(*clocks, measured, rows, *theirs)
         for one, two in zip(ours, theirs, strict=True):
             assert np.array_equal(one, two)  # the same sums in the same order: to the bit
 
@@ -286,15 +287,19 @@ def test_compiled_and_numpy_radios_count_and_deliver_the_same(monkeypatch):
                 link.send(now + 0.01 * rng.random(N), say(now), None, who)
             inbox = link.deliver(now)
             link.use(np.array([0, 1]), now - link.measured_s)
-            found.append(([each.copy() for each in inbox], link.measured_s.copy()))
+            read = *inbox, *link.counts()
+            found.append(([each.copy() for each in read], link.measured_s.copy()))
         return link, found
 
     compiled, ours = flight()
     rng = np.random.default_rng(5)
     fates_twin = pytest.importorskip("testbed.network.fates_twin", exc_type=ImportError)
     monkeypatch.setattr(numpy_post, "fates", fates_twin.fates)  # the same delays to the last bit
-    for name in ("send_round", "take_due", "use"):
-        plainly = partial(partial, getattr(numpy_post, name))
+    for of, name in (
+        *((numpy_post, each) for each in ("send_round", "take_due")),
+        *((numpy_ledger, each) for each in ("use", "count")),
+    ):
+        plainly = partial(partial, getattr(of, name))
         monkeypatch.setattr(radio_module, f"READY_{name.upper()}", plainly)
     plain, theirs = flight()
     for (inbox, measured), (other, others) in zip(ours, theirs, strict=True):

@@ -6,7 +6,14 @@ import pytest
 from testbed.formation.flags import Guard
 from testbed.formation.law import Diagnosis
 from testbed.scenario import load
-from testbed.sim.hearing import Silence, Staleness
+from testbed.sim.hearing import (
+    READY_OVERDUE,
+    READY_SOME_DEAF,
+    Silence,
+    Staleness,
+    overdue,
+    some_deaf,
+)
 from testbed.sim.watch import READY_HELD, Arrivals, Engagement, Slots, Speaker, held
 from testbed.sim.world import build
 from testbed.state import VehicleState
@@ -164,7 +171,7 @@ def neighbours(*changes, page="simulation-3"):
     watch = Staleness(world.names, world.groups)
 
     def changes_of(now, received, rows=ALL):
-        events = watch.changes(now, rows, np.array(received))
+        events = watch.changes(now, np.array(rows), np.array(received))
         return [(e.time_s, e.level, e.source, e.text) for e in events]
 
     return changes_of
@@ -206,6 +213,29 @@ def test_a_first_message_of_a_neighbour_is_missed_when_it_is_late():
         (2.1, "warning", "uav2", f"does not hear uav1{LEFT_OUT}")
     ]
     assert changes(2.2, heard_at(2.2)) == [(2.2, "info", "uav2", "hears uav1 again")]
+
+
+def test_the_compiled_watch_over_news():
+    pytest.importorskip("numba")
+    rng = np.random.default_rng(11)
+    heeded, found = rng.random((3, 4)) < 0.7, set()
+    received, (missed, ours, theirs) = np.empty((3, 4)), np.zeros((3, 3, 4), bool)
+    for rows in (np.array([0, 2]), np.array([1])):
+        given = rows, received, heeded, missed, 2.0
+        look = READY_OVERDUE(*given, theirs)
+        for now in rng.uniform(0.0, 8.0, 200):
+            received[:] = np.where(
+                rng.random((3, 4)) < 0.2, np.nan, now - rng.uniform(0, 3, (3, 4))
+            )
+            missed[:] = rng.random((3, 4)) < 0.1
+            found.add(overdue(*given, ours, now))
+            assert look(now) == overdue(*given, ours, now)
+            assert np.array_equal(ours, theirs)
+    assert found == {False, True}
+    guards = np.zeros(3, np.uint8)
+    anybody = READY_SOME_DEAF(guards)
+    for guards[:] in rng.integers(0, 256, (200, 3)) & [[15, 255, 255]]:
+        assert anybody() == some_deaf(guards)
 
 
 def test_who_was_heard_only_while_the_leader_was_silent_has_no_place_to_hold():
