@@ -92,6 +92,8 @@ class Radio:
         # whether more befalls a message than the links' own dice
         given = self._conditions
         self._eventful = any((given.script, given.trace, given.fading))
+        # whether it asks for the motion of those too who neither send nor listen
+        self.looks_around = given.fading is not None
         self._rounds: dict[int, _Round] = {}  # by the senders' rows, kept in `_together`
         self._together: dict[bytes, Numbers] = {}
         self._used: dict[int, tuple[Any, Any]] = {}

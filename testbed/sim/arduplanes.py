@@ -102,7 +102,7 @@ class ArduPlanes(Flown):
         lost = [row for row in self._planes if rows[row]]
         self._end([self._planes.pop(row) for row in lost])
 
-    def step(self, ticks: int) -> None:
+    def step(self, ticks: int, wanted: Sequence[bool] | None = None) -> None:
         """Tick by tick: motion out, pulses in, and the flight models run."""
         planes = self._planes
         rows = np.array(list(planes), dtype=np.intp)

@@ -7,6 +7,7 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import or_
 
 import numpy as np
 
@@ -24,6 +25,7 @@ class Due:
     lead: bool  # the leader's guidance steps
     autopilot: bool  # estimates get new errors, and autopilots fly
     log: bool
+    wanted: tuple[bool, ...] | None  # (N,) whose motion is asked for; None: everyone's
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,8 +83,8 @@ class Clock:
         """Ticks in a duration, rounded to the nearest."""
         return round(duration_s * self.base_rate_hz)
 
-    def schedule(self, duration_s: float) -> Iterator[tuple[int, int, Due]]:
-        """Every tick up to the duration at which something happens, ticks to the next, and what."""
+    def schedule(self, duration_s: float) -> Iterator[tuple[int, Due, int, Due]]:
+        """Every tick up to the duration at which something happens, and what; ticks to the next."""
         pattern, period, last = self._pattern(), self.period, self.ticks(duration_s)
         repeated = (
             (lap * period + tick, due) for lap in itertools.count() for tick, due in pattern
@@ -92,10 +94,10 @@ class Clock:
         )
         if self.beats:
             events = self._with_beats(events)
-        for (tick, due), (following, _) in itertools.pairwise(events):
+        for (tick, due), (following, then) in itertools.pairwise(events):
             if tick > last:
                 return
-            yield tick, following - tick, due
+            yield tick, due, following - tick, then
 
     def _with_beats(self, events: Iterable[tuple[int, Due]]) -> Iterator[tuple[int, Due]]:
         """The same events, and the sending of those with a beat of their own."""
@@ -125,7 +127,9 @@ class Clock:
         sent_s = np.full(n, self.time_s(tick))
         for _, row, time_s in group:
             who[row], sent_s[row] = True, time_s
-        return replace(due, broadcast=who, sent_s=sent_s)
+        also = tuple(who.tolist()) if due is NOTHING_DUE else due.wanted
+        wanted = also and tuple(map(or_, also, who.tolist()))
+        return replace(due, broadcast=who, sent_s=sent_s, wanted=wanted)
 
     def _pattern(self) -> list[tuple[int, Due]]:
         """What happens in one period of all the rates; tick 0 is always there."""
@@ -155,17 +159,24 @@ class Clock:
             for number, phase in enumerate(self._moments)
             if everyone or (tick - phase) % self.control == 0
         )
+        regular = [tick % period == 0 for period in (self.control, self.autopilot, self.log)]
+        wanted = send.tolist()
+        for number in step:
+            for follower in self.groups[number]:
+                wanted[follower + 1] = True
+        lead, autopilot, log = regular
         return Due(
             broadcast=send if send.any() else None,
             sent_s=None,
             control=step,
-            lead=tick % self.control == 0,
-            autopilot=tick % self.autopilot == 0,
-            log=tick % self.log == 0,
+            lead=lead,
+            autopilot=autopilot,
+            log=log,
+            wanted=None if any(regular) else tuple(wanted),
         )
 
 
-NOTHING_DUE = Due(broadcast=None, sent_s=None, control=(), lead=False, autopilot=False, log=False)
+NOTHING_DUE = Due(None, None, control=(), lead=False, autopilot=False, log=False, wanted=())
 
 
 def make_clock(

@@ -60,7 +60,7 @@ def make_leader(
     path = page.leader.path
     if isinstance(path, MissionOnPage):
         return _mission(page, path, clock, tune, folder, origin, wind_ned)
-    ticks = (tick for tick, _, _ in clock.schedule(page.scenario.duration_s))
+    ticks = (tick for tick, *_ in clock.schedule(page.scenario.duration_s))
     times = np.fromiter(ticks, dtype=np.float64) / clock.base_rate_hz
     track = (
         analytic.evaluate(_curve(page, path), times, wind_ned)

@@ -82,10 +82,10 @@ class Mixed:
         for own, part in self._parts:
             part.remove(rows[own])
 
-    def step(self, ticks: int) -> None:
-        """All of them."""
-        for _, part in self._parts:
-            part.step(ticks)
+    def step(self, ticks: int, wanted: Sequence[bool] | None = None) -> None:
+        """To each its own."""
+        for rows, part in self._parts:
+            part.step(ticks, wanted and [wanted[row] for row in rows.tolist()])
 
 
 class _Whole:

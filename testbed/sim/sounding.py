@@ -76,7 +76,7 @@ def sound(
     )
     longest = max([clock.broadcast / clock.base_rate_hz, *(beat.period_s for beat in clock.beats)])
     latest = max([longest, *(beat.phase_s for beat in clock.beats)])
-    for round_, (tick, _, due) in enumerate(only.schedule(latest + (packets + 1) * longest)):
+    for round_, (tick, due, *_) in enumerate(only.schedule(latest + (packets + 1) * longest)):
         if stop():
             raise KeyboardInterrupt
         if due.broadcast is None:

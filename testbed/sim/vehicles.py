@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -58,8 +58,13 @@ class Vehicles(Protocol):
     def remove(self, rows: Truths) -> None:
         """Stop moving these (N,), which are lost; they read as now from now on."""
 
-    def step(self, ticks: int) -> None:
-        """Move on by ticks of the base rate."""
+    def step(self, ticks: int, wanted: Sequence[bool] | None = None) -> None:
+        """Move on by ticks of the base rate.
+
+        Args:
+            ticks: how many.
+            wanted: (N,) who has to; the others may be behind until they are wanted. None: everyone.
+        """
 
 
 class Flown:
@@ -136,9 +141,9 @@ class Flown:
         """Fly them no more."""
         self.fleet.remove(rows)
 
-    def step(self, ticks: int) -> None:
+    def step(self, ticks: int, wanted: Sequence[bool] | None = None) -> None:
         """Run the flight models."""
-        self.fleet.step(self.surfaces if self._moved else None, ticks)
+        self.fleet.step(self.surfaces if self._moved else None, ticks, wanted)
         self._moved = False
 
 
@@ -151,7 +156,7 @@ class Ideal:
         nothing = np.zeros(len(fleet.read().airspeed))
         self.surfaces = Surfaces(nothing, nothing, nothing, nothing)
         self.read, self.air, self.lost = fleet.read, fleet.air, fleet.lost
-        self.step, self.blow, self.remove = fleet.step, fleet.blow, fleet.remove
+        self.blow, self.remove = fleet.blow, fleet.remove
 
     def steer(self, told: UnicycleCommand) -> None:
         """Fly with this u and ω."""
@@ -162,6 +167,10 @@ class Ideal:
 
     def fail(self, failing: Failing) -> None:
         """There is nothing that could break."""
+
+    def step(self, ticks: int, wanted: Sequence[bool] | None = None) -> None:
+        """All of them fly."""
+        self.fleet.step(ticks)
 
 
 class Replayed:
@@ -224,7 +233,7 @@ class Replayed:
     def remove(self, rows: Truths) -> None:
         """It flies on whatever happens."""
 
-    def step(self, ticks: int) -> None:
+    def step(self, ticks: int, wanted: Sequence[bool] | None = None) -> None:
         """On to the next event."""
         self._row += 1
 

@@ -111,8 +111,10 @@ class CrewedFleet(JsbsimFleet):
         self._mine, *self._theirs = (part.tolist() for part in parts)
         self._crew: _Crew | None = None
 
-    def step(self, surfaces: Surfaces | None, ticks: int) -> None:
-        """Run every aircraft for `ticks` steps of the base rate."""
+    def step(
+        self, surfaces: Surfaces | None, ticks: int, wanted: Sequence[bool] | None = None
+    ) -> None:
+        """Run every aircraft for `ticks` steps of the base rate, whoever is wanted."""
         crew = self._crew or self._hire()
         if surfaces is not None:
             self._shared.of["surfaces"].reshape(4, -1)[:] = surfaces

@@ -110,6 +110,7 @@ class JsbsimFleet:
         self._models = models
         # what steps each; None: it is lost
         self._runs: list[Callable[[], bool] | None] = list(self.bare_runs())
+        self._behind = [0] * n  # ticks
         self._deaf = np.array([not model.turns for model in models])
         self._broken = np.zeros(n, dtype=bool)
         # properties: None where an aircraft has none, or another number stands for it
@@ -185,24 +186,32 @@ class JsbsimFleet:
             self._bind()
         self._blow()
 
-    def step(self, surfaces: Surfaces | None, ticks: int) -> None:
+    def step(
+        self, surfaces: Surfaces | None, ticks: int, wanted: Sequence[bool] | None = None
+    ) -> None:
         """Run every aircraft for `ticks` steps of the base rate.
 
         Args:
-            surfaces: the commands from now on; None: as they are.
+            surfaces: the commands from now on, when nobody is behind; None: as they are.
             ticks: how many.
+            wanted: (N,) who has to; the others are behind until they are wanted, and read as they
+                were. Longer runs are cheaper, for a flight model is large. None: everyone.
         """
         if surfaces is not None:
             if surfaces is not self._surfaces:
                 self._surfaces = surfaces
                 self._command = READY_COMMAND(self._controls, surfaces, self._commanded)
             self._command()
-        steps = range(ticks)
+        behind = self._behind
         for i, run in enumerate(self._runs):
+            if wanted is not None and not wanted[i]:
+                behind[i] += ticks
+                continue
+            steps, behind[i] = behind[i] + ticks, 0
             if run is None:
                 continue
             try:
-                for _ in steps:
+                for _ in range(steps):
                     if not run():
                         self._remove(i)
                         break

@@ -102,7 +102,7 @@ def level(scenario):
     try:
         for partner in partners:
             partner.begin(lambda: None)
-        for tick, ahead, due in world.clock.schedule(world.duration_s):
+        for tick, due, ahead, _ in world.clock.schedule(world.duration_s):
             if due.autopilot:
                 vehicles.act(vehicles.read(), FbwaCommand(still, still, still + 0.3))
                 for partner in partners:

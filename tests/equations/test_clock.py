@@ -27,7 +27,7 @@ def clock_of(rates, **more):
 
 def events(clock, duration_s):
     """(tick, what, who) of everything that happens; who of the aircraft, 0 the leader."""
-    for tick, _, due in clock.schedule(duration_s):
+    for tick, due, *_ in clock.schedule(duration_s):
         for what in ("lead", "autopilot", "log"):
             if getattr(due, what):
                 yield tick, what, None
@@ -67,12 +67,13 @@ def test_ticks_follow_each_other_without_a_gap(rates, phases):
     clock = clock_of(rates, aircraft=3, phases=phases)
     found = list(clock.schedule(2.0))
     assert found[0][0] == 0
-    for (tick, ahead, _), (following, _, _) in itertools.pairwise(found):
+    for (tick, _, ahead, then), (following, due, *_) in itertools.pairwise(found):
         assert ahead > 0
         assert following == tick + ahead
+        assert then is due
     last = 2 * rates[0]
     assert found[-1][0] == last  # every rate here has an event at 2 s
-    assert found[-1][0] + found[-1][1] > last
+    assert found[-1][0] + found[-1][2] > last
 
 
 def test_the_end_is_part_of_the_run():
@@ -161,7 +162,7 @@ def test_an_aircraft_sends_at_moments_of_its_own():
     clock = make_clock(**RATES, aircraft=3, beats={1: (0.031, 0.003)})
     sent = [
         (tick, m, due.sent_s[m] if due.sent_s is not None else tick / 200)
-        for tick, _, due in clock.schedule(1.0)
+        for tick, due, *_ in clock.schedule(1.0)
         if due.broadcast is not None
         for m in range(3)
         if due.broadcast[m]
@@ -180,7 +181,7 @@ def test_a_beat_at_the_ticks_is_that_of_all_others():
     """0.04 s from 0 s is every 8th tick, though most multiples of 0.04 are not binary."""
     plain = make_clock(**RATES, aircraft=2)
     own = make_clock(**RATES, aircraft=2, beats={0: (0.04, 0.0), 1: (None, None)})
-    for (tick, ahead, due), (other, others, theirs) in zip(
+    for (tick, due, ahead, _), (other, theirs, others, _) in zip(
         own.schedule(100.0), plain.schedule(100.0), strict=True
     ):
         assert (tick, ahead) == (other, others)
@@ -192,8 +193,24 @@ def test_a_beat_at_the_ticks_is_that_of_all_others():
 def test_ticks_of_beats_follow_each_other_without_a_gap():
     clock = make_clock(**RATES, aircraft=3, beats={0: (0.0173, 0.4), 2: (0.11, 0.0021)})
     found = list(clock.schedule(3.0))
-    for (tick, ahead, _), (following, _, _) in itertools.pairwise(found):
+    for (tick, _, ahead, then), (following, due, *_) in itertools.pairwise(found):
         assert ahead > 0
         assert following == tick + ahead
-    sensed = [tick for tick, _, due in found if due.autopilot]
+        assert then is due
+    sensed = [tick for tick, due, *_ in found if due.autopilot]
     assert sensed == list(range(0, 601, clock.autopilot))
+
+
+@pytest.mark.parametrize("beats", [None, {0: (0.0173, 0.4), 2: (0.11, 0.0021)}], ids=["", "beats"])
+def test_who_neither_steps_nor_sends_is_not_wanted_between_periods(beats):
+    clock = make_clock(**RATES, aircraft=4, phases=(0.0, 0.3, 0.5, 0.8), beats=beats)
+    some = 0
+    for _, due, *_ in clock.schedule(5.0):
+        if due.autopilot or due.log or due.lead:
+            assert due.wanted is None
+            continue
+        heard = np.zeros(4, bool) if due.broadcast is None else due.broadcast
+        steps = {1 + i for number in due.control for i in clock.groups[number]}
+        assert due.wanted == tuple(heard[row] or row in steps for row in range(4))
+        some += sum(due.wanted)
+    assert some > 100
