@@ -12,7 +12,7 @@ from testbed.compiled import twin
 
 
 @twin
-def show_of(offset, drift, resolution, measured_s, rows, shown_s, ahead_s):
+def show(offset, drift, resolution, measured_s, rows, shown_s, ahead_s):
     for s in range(len(rows)):
         sender = rows[s]
         measured = measured_s[sender]

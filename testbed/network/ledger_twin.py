@@ -43,10 +43,6 @@ def count_message(link, fate, delay, both):
         link.longest = max(link.longest, link.missing)
 
 
-def use(ledger, rows, age_s):
-    _use(ledger.sent.base, rows, age_s)
-
-
 def ready_use(ledger, rows, age_s):
     return bound(_use, ledger.sent.base, rows, age_s)
 

@@ -15,7 +15,7 @@ from math import inf
 import numpy as np
 
 from testbed.compiled import bound, twin
-from testbed.network.clocks_twin import show_of
+from testbed.network.clocks_twin import show
 from testbed.network.fates_twin import _fates as fates_of
 from testbed.network.fates_twin import channel_of
 from testbed.network.ledger_twin import count_message
@@ -36,11 +36,6 @@ def post_round(post, ledger, count, rows, numbers, sent_s, stamps_s, message, ar
         arrivals,
         fate,
     )
-
-
-def take_due(post, ledger, read, inbox, count, now):
-    given = post.link.base, ledger.sent.base, *read, *inbox, *_desk(post)
-    return _take_due(*given, count, now)
 
 
 def ready_take_due(post, ledger, read, inbox):
@@ -256,7 +251,7 @@ def _send_round(
         m = rows[s]
         numbers[m] += 1
         sequence[s], sent[s] = numbers[m], sent_s[m]
-    show_of(offset, drift, resolution, measured_s, rows, shown_s, ahead_s)
+    show(offset, drift, resolution, measured_s, rows, shown_s, ahead_s)
     for i in range(len(stamps_s)):
         for s in range(senders):
             stamps_s[i, s] = shown_s[s] - ahead_s[i, s]

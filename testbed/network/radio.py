@@ -96,7 +96,7 @@ class Radio:
         self.looks_around = given.fading is not None
         self._rounds: dict[int, _Round] = {}  # by the senders' rows, kept in `_together`
         self._together: dict[bytes, Numbers] = {}
-        self._used: dict[int, tuple[Any, Any]] = {}
+        self._used: dict[int, tuple[Any, ...]] = {}  # by who used, which are kept in it
 
     @property
     def measured_s(self) -> Array:
@@ -122,7 +122,7 @@ class Radio:
 
         Returns:
             Arrivals (n, S, 2) s and fates (n, S) of the S messages; see `fates.fates`. The next
-            round of as many changes them.
+            round of the same senders changes them.
         """
         rows = self._everyone if who is None else self._rows(who)
         spot = self._rounds.get(id(rows)) or self._round(rows)
@@ -208,10 +208,10 @@ class Radio:
 
     def use(self, rows: Numbers, age_s: Array) -> None:
         """The followers `rows` (m,) of all used information of these ages (n, N) s; nan: none."""
-        given, count = self._used.get(id(rows), ((), None))
-        if count is None or given[0] is not rows or given[1] is not age_s:
+        _, given, count = self._used.get(id(rows), (None, None, None))
+        if given is not age_s or count is None:
             count = READY_USE(self._ledger, rows, age_s)
-            self._used[id(rows)] = (rows, age_s), count
+            self._used[id(rows)] = rows, age_s, count
         count()
 
     def counts(self) -> LinkCounts:

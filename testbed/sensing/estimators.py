@@ -105,8 +105,7 @@ class Estimators:
             self._sense = READY_SENSE(self._senses, truth, self._broken)
         self._sense(self._tick, fresh)
         self._tick += fresh
-        believed = self._believed
-        return believed if self._jitter.exact else self._jitter.on(believed, fresh=fresh)
+        return self._jitter.on(self._believed, fresh=fresh)
 
     def _warm_up(self, start: VehicleState, rate_hz: int) -> None:
         """Fly straight on with the motion of the start until the filters have settled.

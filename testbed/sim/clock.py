@@ -84,7 +84,10 @@ class Clock:
         return round(duration_s * self.base_rate_hz)
 
     def schedule(self, duration_s: float) -> Iterator[tuple[int, Due, int, Due]]:
-        """Every tick up to the duration at which something happens, and what; ticks to the next."""
+        """Every tick up to the duration at which something happens.
+
+        Each comes with what happens, with the ticks to the next, and with what happens there.
+        """
         pattern, period, last = self._pattern(), self.period, self.ticks(duration_s)
         repeated = (
             (lap * period + tick, due) for lap in itertools.count() for tick, due in pattern
@@ -127,8 +130,8 @@ class Clock:
         sent_s = np.full(n, self.time_s(tick))
         for _, row, time_s in group:
             who[row], sent_s[row] = True, time_s
-        also = tuple(who.tolist()) if due is NOTHING_DUE else due.wanted
-        wanted = also and tuple(map(or_, also, who.tolist()))
+        others = due.wanted if due.wanted != () else (False,) * n
+        wanted = None if others is None else tuple(map(or_, others, who.tolist()))
         return replace(due, broadcast=who, sent_s=sent_s, wanted=wanted)
 
     def _pattern(self) -> list[tuple[int, Due]]:

@@ -22,7 +22,6 @@ from testbed.formation.middle_loop import MiddleLoop
 from testbed.formation.paper_law import PaperLaw
 from testbed.formation.together import READY, begun, put, silent
 from testbed.frames import course, flight_path_angle
-from testbed.sim.steady import Steady
 from testbed.sim.vehicles import choose
 from testbed.state import (
     Array,
@@ -34,6 +33,7 @@ from testbed.state import (
     UnicycleCommand,
     VehicleState,
 )
+from testbed.steady import Steady
 
 if TYPE_CHECKING:
     from testbed.sim.roster import Roster

@@ -99,7 +99,7 @@ class Staleness:
         self._paper = isinstance(law, PaperLaw)  # of a law of the user's own nobody knows
         self._hold = isinstance(law, PaperLaw) and law.hold
         self._missed, self._late = np.zeros((2, *self._heeded.shape), dtype=bool)
-        self._looks: dict[int, tuple[Any, ...]] = {}  # by who looks
+        self._looks: dict[int, tuple[Any, ...]] = {}  # by who looks, which are kept in it
         # Whom a law that holds places has none for yet: it takes them while the leader is heard.
         self._nowhere: Truths = self._heeded & self._hold
         self._placing = self._hold
@@ -116,8 +116,8 @@ class Staleness:
             age = now - received_s[rows]
             self._nowhere[rows] &= ~((age <= self._limit) & (age[:, :1] <= self._leaders_limit))
             self._placing = bool(self._nowhere.any())
-        of, given, look = self._looks.get(id(rows), (None, None, None))
-        if of is not rows or given is not received_s or look is None:
+        _, given, look = self._looks.get(id(rows), (None, None, None))
+        if given is not received_s or look is None:
             at = rows, received_s, self._heeded, self._missed, self._limit, self._late
             look = READY_OVERDUE(*at)
             self._looks[id(rows)] = rows, received_s, look

@@ -11,10 +11,10 @@ from testbed.sim.clock import Due
 from testbed.sim.control import Control
 from testbed.sim.hearing import Silence, Staleness
 from testbed.sim.pilots import with_ideal_leader
-from testbed.sim.steady import Steady
 from testbed.sim.watch import Arrivals, Engagement, Slots, Speaker
 from testbed.sim.world import World
 from testbed.state import Frame, Observer, followers
+from testbed.steady import Steady
 
 
 def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due], bool]) -> str:
@@ -23,7 +23,7 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
     At each tick: the truth is read, the air blows where the aircraft are, what is due to break
     breaks and estimates are made, due broadcasts are sent and what is due arrives, the leader and
     the followers that are due compute their commands from their own estimate and inbox, autopilots
-    turn these into surfaces, observers look, and everything moves.
+    turn these into surfaces, observers look, and everything moves that the next tick asks for.
 
     Args:
         world: as built; its vehicles move.

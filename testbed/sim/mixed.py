@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.sim.steady import Steady
 from testbed.sim.vehicles import Vehicles, choose
 from testbed.state import (
     AirData,
@@ -20,6 +19,7 @@ from testbed.state import (
     UnicycleCommand,
     VehicleState,
 )
+from testbed.steady import Steady
 
 Record = TypeVar("Record", VehicleState, AirData, Surfaces, FbwaCommand)
 

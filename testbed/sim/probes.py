@@ -10,8 +10,8 @@ import numpy as np
 from testbed.errors import InputError
 from testbed.scenario import Scenario, dump, find_aircraft
 from testbed.sim.airs import make_air, make_mean, scales
-from testbed.sim.steady import Steady
 from testbed.state import Array, VehicleState
+from testbed.steady import Steady
 from testbed.vehicle.jsbsim_door import airframe
 
 SCHEMA = """testbed air 1: probes p of P at times k of T; SI units, angles in rad

@@ -19,9 +19,9 @@ from testbed.formation.flags import Saturation
 from testbed.formation.middle_loop import MiddleLoop
 from testbed.scenario import MiddleLoopGains as Profile
 from testbed.sim.middle_loops import middle_gains
-from testbed.sim.steady import Steady
 from testbed.sim.vehicles import Flown
 from testbed.state import Array, Origin, UnicycleCommand
+from testbed.steady import Steady
 from testbed.vehicle.fleet import JsbsimFleet, Start
 from testbed.vehicle.identify import FirstOrder, fit_first_order
 from testbed.vehicle.params import FbwaParams, stack

@@ -11,7 +11,6 @@ import numpy as np
 from testbed.compiled import ready_of
 from testbed.scenario import Scenario
 from testbed.sim.breakdowns import SIMULTANEOUS_S, Breakdowns
-from testbed.sim.steady import Steady
 from testbed.state import (
     AirData,
     Airframe,
@@ -21,6 +20,7 @@ from testbed.state import (
     Truths,
     VehicleState,
 )
+from testbed.steady import Steady
 from testbed.vehicle.params import FbwaParams
 
 HOLD_S = np.array([[0.5], [0.5], [5.0]])  # beyond a limit for so long: a gust is no upset

@@ -63,7 +63,8 @@ class Vehicles(Protocol):
 
         Args:
             ticks: how many.
-            wanted: (N,) who has to; the others may be behind until they are wanted. None: everyone.
+            wanted: (N,) who has to; the others may be behind until they are wanted. None: everyone,
+                as where anything but reading follows.
         """
 
 

@@ -106,6 +106,7 @@ class CrewedFleet(JsbsimFleet):
         for name, own in (("motion", self._raw), ("air", self._raw_air), ("told", self._told)):
             numbers[name][:] = own
         self._raw, self._raw_air, self._told = numbers["motion"], numbers["air"], numbers["told"]
+        self._surfaces = Surfaces(*numbers["surfaces"].reshape(4, n))
         self._bind()
         parts = np.array_split(np.arange(n), min(processes, n))
         self._mine, *self._theirs = (part.tolist() for part in parts)
@@ -118,6 +119,7 @@ class CrewedFleet(JsbsimFleet):
         crew = self._crew or self._hire()
         if surfaces is not None:
             self._shared.of["surfaces"].reshape(4, -1)[:] = surfaces
+            surfaces = self._surfaces
         self._shared.words[0] = ticks
         crew.go()
         super().step(surfaces, ticks)
@@ -180,8 +182,7 @@ class CrewedFleet(JsbsimFleet):
         """What a process that has these aircraft does at each step; called in that process."""
         shared, n = self._shared, len(self._models)
         self._leave(set(range(n)) - set(rows))
-        surfaces, charge = Surfaces(*shared.of["surfaces"].reshape(4, n)), shared.of["charge"]
-        heard = 0
+        charge, heard = shared.of["charge"], 0
 
         def work() -> None:
             nonlocal heard
@@ -195,7 +196,7 @@ class CrewedFleet(JsbsimFleet):
                     charge[i] = np.nan
                 if shared.gone[i] and self._runs[i] is not None:
                     self._remove(i)
-            JsbsimFleet.step(self, surfaces, ticks)
+            JsbsimFleet.step(self, self._surfaces, ticks)
             self._tell_motion()
             self._tell_air()
 

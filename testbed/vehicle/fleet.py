@@ -1,7 +1,7 @@
 """N JSBSim aircraft that are placed in trim, stepped and read.
 
-Feet and JSBSim's signs (elevator positive nose down, rudder positive nose left) stop here and in
-`jsbsim_model`. Aircraft open no sockets, write no files and print nothing.
+Feet and JSBSim's signs stop in `jsbsim_model` and `instruments`. Aircraft open no sockets, write no
+files and print nothing.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 
 from testbed.frames import FOOT, metres_per_radian
 from testbed.state import AirData, AirFelt, Array, Origin, Surfaces, Truths, VehicleState
+from testbed.steady import Steady
 from testbed.vehicle.breakage import Rig, check_faults, stacked
 from testbed.vehicle.instruments import (
     BATTERY,
@@ -142,7 +143,7 @@ class JsbsimFleet:
         alpha, beta, rps, *others = np.empty((6, n))
         self._in_air = AirData(alpha, beta, rps, *np.empty((2, n, 3)), *others)
         self._lost, self._looked_at = np.zeros(n, dtype=bool), cast(VehicleState | None, None)
-        self._surfaces: Surfaces | None = None  # that commands are bound to
+        self._surfaces, self._airs, self._orders = self.trimmed, Steady(), Steady()
         self._bind()
 
     def _bind(self) -> None:
@@ -150,7 +151,7 @@ class JsbsimFleet:
         self._look = READY_LOOK(self._motion, self._raw, self._zero, self._scale, self._flat)
         self._look_at_air = READY_SENSE_AIR(self._of_air, self._raw_air, self._felt, self._in_air)
         self._blow = READY_BLOW(self._blown, self._felt, self._told)
-        self._surfaces = None
+        self._command = READY_COMMAND(self._controls, self._surfaces, self._commanded)
 
     @property
     def trimmed(self) -> Surfaces:
@@ -181,6 +182,7 @@ class JsbsimFleet:
 
     def blow(self, felt: AirFelt) -> None:
         """Say what the air does to the aircraft from now on."""
+        felt = self._airs(felt)
         if felt is not self._felt:
             self._felt = felt
             self._bind()
@@ -198,9 +200,10 @@ class JsbsimFleet:
                 were. Longer runs are cheaper, for a flight model is large. None: everyone.
         """
         if surfaces is not None:
+            surfaces = self._orders(surfaces)
             if surfaces is not self._surfaces:
                 self._surfaces = surfaces
-                self._command = READY_COMMAND(self._controls, surfaces, self._commanded)
+                self._bind()
             self._command()
         behind = self._behind
         for i, run in enumerate(self._runs):
@@ -229,7 +232,7 @@ class JsbsimFleet:
 
     def remove(self, rows: Truths) -> None:
         """Step these aircraft (N,) no more: they are lost, and read as now from now on."""
-        for i in np.flatnonzero(rows).tolist():
+        for i in np.flatnonzero(rows & ~self._broken).tolist():
             self._remove(i)
 
     def _remove(self, i: int) -> None:

@@ -1,15 +1,14 @@
 """The door to JSBSim: the aircraft of a folder, loaded, and what is asked of it before it flies.
 
-The only module that imports jsbsim. Feet and JSBSim's signs stop in `jsbsim_model` and `fleet`.
+The only module that imports jsbsim. Feet and JSBSim's signs stop in `jsbsim_model` and
+`instruments`.
 """
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable
 from dataclasses import asdict
-from functools import cache, partial
-from importlib.util import find_spec
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,13 +27,6 @@ from testbed.vehicle.trim import TrimPoint, TrimResult, said_of, trim
 
 VERSION: str = jsbsim.__version__
 _TRIM_RATE_HZ = 200
-# `double SGPropertyNode::getDoubleValue() const` and `bool SGPropertyNode::setDoubleValue(double)`,
-# as compilers other than Microsoft's name them.
-_FUNCTIONS = {
-    "get": "_ZNK14SGPropertyNode14getDoubleValueEv",
-    "set": "_ZN14SGPropertyNode14setDoubleValueEd",
-}
-_OBJECT = 3 * ctypes.sizeof(ctypes.c_void_p)  # of Python's own before a property's one field
 
 
 def trim_aircraft(folder: Path, point: TrimPoint, origin: Origin | None = None) -> TrimResult:
@@ -117,31 +109,6 @@ def _explore(folder: Path, tell: Callable[[str], None]) -> dict[str, bool]:
     if fault := impossible_inertia(model.inertia()):
         raise AircraftError(f"mass_balance: no rigid body has {fault}")
     return asdict(traits)
-
-
-@cache
-def functions() -> dict[str, int] | None:
-    """Addresses of JSBSim's functions that get and set a property; None: its library hides them.
-
-    They are for machine code, and this release's alone: another may keep its properties elsewhere.
-    """
-    held = jsbsim.FGPropertyNode.__basicsize__ - ctypes.sizeof(ctypes.c_void_p)
-    compiled = find_spec("jsbsim._jsbsim")
-    if VERSION != "1.3.3" or held != _OBJECT or compiled is None:
-        return None
-    try:
-        library = ctypes.CDLL(compiled.origin)
-        return {
-            name: ctypes.cast(getattr(library, symbol), ctypes.c_void_p).value or 0
-            for name, symbol in _FUNCTIONS.items()
-        }
-    except (AttributeError, OSError):
-        return None
-
-
-def address_of(node: jsbsim.FGPropertyNode) -> int:
-    """Where JSBSim keeps a property, for `functions`; it stays there as long as its aircraft."""
-    return ctypes.c_size_t.from_address(id(node) + _OBJECT).value
 
 
 def _executive(folder: Path) -> jsbsim.FGFDMExec:

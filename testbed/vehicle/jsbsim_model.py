@@ -1,6 +1,6 @@
 """One JSBSim aircraft before it flies: placed at will, and asked what it would do.
 
-With the door, the only module that knows JSBSim's units and signs.
+With the door and `instruments`, all that knows JSBSim's units and signs.
 """
 
 from __future__ import annotations
@@ -174,10 +174,9 @@ class JsbsimModel:
             self._hold(0.0)
             self._sense.set_double_value(self._senses)
         self._initialise(placement, course, wind_ned)
+        # the initial condition leaves rounding errors in the wind
         for wind, value in zip(self.winds, wind_ned, strict=True):
-            wind.set_double_value(
-                value / FOOT
-            )  # the initial condition leaves rounding errors in it
+            wind.set_double_value(value / FOOT)
         if any(wind_ned):
             # The initial condition knew no wind: evaluate again, in no time, until nothing that
             # JSBSim's integrators remember is older.

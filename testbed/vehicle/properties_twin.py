@@ -15,7 +15,7 @@ from numba import types
 
 from testbed.compiled import bound, instructions, twin
 from testbed.vehicle import properties
-from testbed.vehicle.jsbsim_door import address_of, functions
+from testbed.vehicle.addresses import address_of, functions
 
 _WORD, _REAL = ir.IntType(64), ir.DoubleType()
 
@@ -47,7 +47,8 @@ def _say(_, setter, node, number):
 def reading(compiled):
     """What binds a twin that reads nodes into the numbers behind them, with JSBSim's own function.
 
-    Where that is hidden, Python reads first, and the twin finds nothing left to read.
+    Where that is hidden, Python reads first, and the twin finds nothing left to read. Who calls
+    keeps the aircraft, in whose memory the properties are.
     """
 
     def ready(nodes, numbers, *fixed):

@@ -9,7 +9,7 @@ from run_flight import Collector
 from typer.testing import CliRunner
 
 from testbed.cli import app
-from testbed.scenario import find_aircraft, loads
+from testbed.scenario import find_aircraft, loads, shorten
 from testbed.sim.loop import fly
 from testbed.sim.world import build
 from testbed.study.crew import Task
@@ -130,6 +130,24 @@ def test_a_motion_that_is_no_number_is_a_loss_with_its_cause():
     last = seen.frames[-1]
     assert (last.time_s, last.lost.tolist()) == (12.0, [False, True, False])
     assert np.isfinite(last.truth.position_ned).all()
+
+
+def test_a_motion_that_is_no_number_is_the_same_in_another_process():
+    """UAV 2's, from the first step on, which the second of two processes steps."""
+    kept = []
+    for processes in (1, 2):
+        page = loads(SLOW, ["formation.agents={}", "limits.when_lost=fly-on"])
+        world, seen = build(shorten(page, 3.0), processes=processes), Collector()
+        world.fleet._models[2].winds[0].set_double_value(math.nan)
+        assert fly(world, [seen], lambda now, due: False) == "lost"
+        kept.append([(f.truth, f.air, f.lost) for f in seen.frames])
+        if processes == 2:
+            world.fleet.close()
+    assert kept[0][-1][2].tolist() == [False, False, True]
+    for (*alone, _), (*shared, _) in zip(*kept, strict=True):
+        for ours, theirs in zip(alone, shared, strict=True):
+            for name, one, two in zip(ours._fields, ours, theirs, strict=True):
+                np.testing.assert_array_equal(two, one, err_msg=name)
 
 
 def test_an_aircraft_stalls_where_its_lift_is_largest():

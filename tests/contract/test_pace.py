@@ -101,7 +101,7 @@ def test_a_stop_is_heeded_between_two_ticks_however_slow_the_pace(accompanied, m
     asked = clock.now + 0.25
     pace = Pace(0.001, clock)
     gate = Gate(None, Silence(clock) if accompanied else None, pace, lambda: clock.now >= asked)
-    due = Due(None, None, (), lead=True, autopilot=True, log=True)
+    due = Due(None, None, (), lead=True, autopilot=True, log=True, wanted=None)
     assert not gate(0.2, due)
     assert gate(0.22, due)  # 20 s later
     assert clock.now - asked < 0.1

@@ -219,7 +219,7 @@ def test_the_compiled_clocks():
     for _ in range(200):
         measured[:] = rng.uniform(0.0, 1e4, N)
         show(clocks, measured, rows, *ours)
-        twin.show_of(*clocks, measured, rows, *theirs)
+        twin.show(*clocks, measured, rows, *theirs)
         for one, two in zip(ours, theirs, strict=True):
             assert np.array_equal(one, two)  # the same sums in the same order: to the bit
 
