@@ -96,8 +96,9 @@ def lasting(work: float, aircraft: int) -> float:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure, print, and write what is asked for."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--work", type=float, default=2000.0, help="aircraft-seconds of a flight")
+    # many short turns: a machine that others use too drifts within seconds
+    parser.add_argument("--repeats", type=int, default=15)
+    parser.add_argument("--work", type=float, default=600.0, help="aircraft-seconds of a flight")
     parser.add_argument("--counts", type=int, nargs="*", default=COUNTS)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--into", type=Path, help="a page with the two markers")

@@ -1,6 +1,7 @@
 """Flight models are read and set by their own functions as they are through Python, to the bit."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -83,3 +84,9 @@ def test_another_release_is_left_to_python(monkeypatch):
         assert addresses.functions() is None
     finally:
         addresses.functions.cache_clear()
+
+
+def test_what_is_known_is_the_release_that_is_pinned():
+    """A release that is pinned anew is to be looked at: else flights become slower, unnoticed."""
+    pins = (Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8")
+    assert f'"jsbsim=={addresses.RELEASE}"' in pins
