@@ -72,11 +72,10 @@ def sense_air(nodes: Nodes, raw: Array, felt: AirFelt, air: AirData) -> None:
         air: (N) becomes what the air does.
     """
     read(nodes, raw)
-    wind, flow = raw[: 3 * len(felt.wind_ned)], raw[3 * len(felt.wind_ned) :]
-    air.wind_ned[:] = wind.reshape(-1, 3) * FOOT
-    air.alpha[:], air.beta[:], rpm, air.state_of_charge[:], air.battery_voltage[:] = flow.reshape(
-        5, -1
-    )
+    n = len(felt.wind_ned)
+    air.wind_ned[:] = raw[: 3 * n].reshape(n, 3) * FOOT
+    air.alpha[:], air.beta[:], rpm, *battery = raw[3 * n :].reshape(5, n)
+    air.state_of_charge[:], air.battery_voltage[:] = battery
     air.propeller_rps[:] = rpm / 60.0
     air.rates_body[:], air.roll_coefficient[:] = felt.rates_body, felt.roll_coefficient
 

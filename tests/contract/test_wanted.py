@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from run_flight import Collector
 
 import testbed
 from testbed.scenario import load, shorten
@@ -12,25 +13,11 @@ APART = ["rates.synchronous=false"]
 FADING = [*APART, "network.range_loss=[[0, 0.0], [5, 0.5], [50, 1.0]]"]
 
 
-class Watcher:
-    def __init__(self):
-        self.rows = []
-
-    def begin(self, info):
-        pass
-
-    def observe(self, frame):
-        records = frame.truth, frame.estimate, frame.air, frame.command, frame.links
-        self.rows.append(np.concatenate([np.ravel(each) for of in records for each in of]))
-
-    def end(self, summary, events):
-        pass
-
-
 def flown(page):
-    watcher = Watcher()
-    testbed.run(page, write=False, observers=[watcher])
-    return np.array(watcher.rows)
+    seen = Collector()
+    testbed.run(page, write=False, observers=[seen])
+    records = [(f.truth, f.estimate, f.air, f.command, f.links) for f in seen.frames]
+    return np.array([np.concatenate([np.ravel(a) for r in of for a in r]) for of in records])
 
 
 @pytest.mark.parametrize(

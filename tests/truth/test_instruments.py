@@ -1,6 +1,7 @@
 """Flight models are read and set by their own functions as they are through Python, to the bit."""
 
 import math
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,8 @@ import pytest
 
 from testbed.scenario import find_aircraft
 from testbed.state import AirFelt, Origin, Surfaces
-from testbed.vehicle import addresses
+from testbed.vehicle import addresses, instruments
+from testbed.vehicle import fleet as fleets
 from testbed.vehicle.fleet import JsbsimFleet, Start
 from testbed.vehicle.properties import READY_READ, READY_WRITE, read, write
 
@@ -57,6 +59,17 @@ def test_flights_are_the_same_to_the_bit(hidden, remove):
     through_python = flown(remove)
     for one, two in zip(shown, through_python, strict=True):
         np.testing.assert_array_equal(one, two)
+
+
+def test_the_readable_functions_say_the_same(monkeypatch):
+    pytest.importorskip("numba")
+    compiled = flown()
+    for name in ("look", "sense_air", "blow", "command"):
+        plainly = partial(partial, getattr(instruments, name))
+        monkeypatch.setattr(fleets, f"READY_{name.upper()}", plainly)
+    for one, two in zip(compiled, flown(), strict=True):
+        # the same sums in another order: roundings, of positions some 1e3 m large
+        np.testing.assert_allclose(two, one, rtol=1e-9, atol=1e-9)
 
 
 def test_one_that_is_not_there_keeps_its_number(hidden):
