@@ -16,6 +16,7 @@ from testbed.scenario.pilots import ArduPlane
 from testbed.sim.vehicles import Flown, choose
 from testbed.state import Event, FbwaCommand, Origin, Surfaces, Truths, VehicleState
 from testbed.vehicle.fleet import JsbsimFleet
+from testbed.vehicle.legs import Leg
 from testbed.vehicle.tables import FbwaGains
 
 if TYPE_CHECKING:
@@ -102,7 +103,7 @@ class ArduPlanes(Flown):
         lost = [row for row in self._planes if rows[row]]
         self._end([self._planes.pop(row) for row in lost])
 
-    def step(self, ticks: int, wanted: Sequence[bool] | None = None) -> None:
+    def step(self, ticks: int, legs: tuple[Leg, ...] = ()) -> None:
         """Tick by tick: motion out, pulses in, and the flight models run."""
         planes = self._planes
         rows = np.array(list(planes), dtype=np.intp)

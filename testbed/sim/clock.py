@@ -13,6 +13,7 @@ import numpy as np
 
 from testbed.errors import InputError
 from testbed.state import Array, Truths
+from testbed.vehicle.legs import Leg
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,24 +84,35 @@ class Clock:
         """Ticks in a duration, rounded to the nearest."""
         return round(duration_s * self.base_rate_hz)
 
-    def schedule(self, duration_s: float) -> Iterator[tuple[int, Due, int, Due]]:
+    def schedule(
+        self, duration_s: float, *, everyone: bool = False
+    ) -> Iterator[tuple[int, Due, int, tuple[Leg, ...]]]:
         """Every tick up to the duration at which something happens.
 
-        Each comes with what happens, with the ticks to the next, and with what happens there.
+        Each comes with what happens, and with the ticks to the next. At those at which flight
+        models may be told something or asked for more than their motion there are the legs to the
+        next such tick; at others none.
+
+        Args:
+            duration_s: of the flight.
+            everyone: whoever sends, the motion of everyone is asked for.
         """
         pattern, period, last = self._pattern(), self.period, self.ticks(duration_s)
-        repeated = (
-            (lap * period + tick, due) for lap in itertools.count() for tick, due in pattern
-        )
-        events: Iterator[tuple[int, Due]] = itertools.chain(
-            [(0, self._due(0, everyone=True))], itertools.islice(repeated, 1, None)
-        )
+        first = self._due(0, everyone=True)
         if self.beats:
-            events = self._with_beats(events)
-        for (tick, due), (following, then) in itertools.pairwise(events):
-            if tick > last:
-                return
-            yield tick, due, following - tick, then
+            laps = (
+                (lap * period + tick, due) for lap in itertools.count() for tick, due in pattern
+            )
+            events = itertools.chain([(0, first)], itertools.islice(laps, 1, None))
+            stretches = _stretches(self._with_beats(events), everyone=everyone)
+        else:
+            repeated = list(_stretches([*pattern, (period, pattern[0][1])], everyone=everyone))
+            stretches = (
+                (lap * period + tick, due if lap or tick else first, ticks, legs)
+                for lap in itertools.count()
+                for tick, due, ticks, legs in repeated
+            )
+        return itertools.takewhile(lambda event: event[0] <= last, stretches)
 
     def _with_beats(self, events: Iterable[tuple[int, Due]]) -> Iterator[tuple[int, Due]]:
         """The same events, and the sending of those with a beat of their own."""
@@ -177,6 +189,25 @@ class Clock:
             log=log,
             wanted=None if any(regular) else tuple(wanted),
         )
+
+
+def _stretches(
+    events: Iterable[tuple[int, Due]], *, everyone: bool
+) -> Iterator[tuple[int, Due, int, tuple[Leg, ...]]]:
+    """Events with the ticks to the next, and with legs as `schedule` has them."""
+    stretch: list[tuple[int, Due]] = []
+    for following in events:
+        stretch.append(following)
+        if len(stretch) == 1 or not (following[1].autopilot or following[1].log):
+            continue
+        pairs = list(itertools.pairwise(stretch))
+        legs = tuple(
+            Leg(then - tick, None if everyone else due.wanted) for (tick, _), (then, due) in pairs
+        )
+        for ((tick, due), _), leg in zip(pairs, legs, strict=True):
+            yield tick, due, leg.ticks, legs
+            legs = ()
+        stretch = [following]
 
 
 NOTHING_DUE = Due(None, None, control=(), lead=False, autopilot=False, log=False, wanted=())

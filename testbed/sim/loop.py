@@ -52,7 +52,7 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
     failing, hushed, apart = None, None, control.alone
     seen, own = None, None
 
-    for tick, due, ahead, then in clock.schedule(world.duration_s):
+    for tick, due, ticks, legs in clock.schedule(world.duration_s, everyone=radio.looks_around):
         now = clock.time_s(tick)
         if ended(now, due):
             return "interrupted"
@@ -150,6 +150,5 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
                 return "lost"
             if upsets.over:
                 return "upset"
-        # whose motion nobody asks for between two periods of the autopilots may follow later
-        vehicles.step(ahead, None if radio.looks_around else then.wanted)
+        vehicles.step(ticks, legs)
     return "upset" if upsets.unforeseen and casualties.outcome == "flown" else casualties.outcome

@@ -20,6 +20,7 @@ from testbed.state import (
     VehicleState,
 )
 from testbed.steady import Steady
+from testbed.vehicle.legs import Leg, those_of
 
 Record = TypeVar("Record", VehicleState, AirData, Surfaces, FbwaCommand)
 
@@ -30,6 +31,7 @@ class Mixed:
     def __init__(self, parts: Sequence[tuple[Sequence[int], Vehicles]]) -> None:
         """Rows of all parts together are 0..N−1, each once."""
         self._parts = [(np.array(rows, dtype=np.intp), part) for rows, part in parts]
+        self._rows = [tuple(rows) for rows, _ in parts]
         self._state, self._estimate, self._told = (
             [_Own(rows) for rows, _ in self._parts] for _ in range(3)
         )
@@ -82,10 +84,10 @@ class Mixed:
         for own, part in self._parts:
             part.remove(rows[own])
 
-    def step(self, ticks: int, wanted: Sequence[bool] | None = None) -> None:
+    def step(self, ticks: int, legs: tuple[Leg, ...] = ()) -> None:
         """To each its own."""
-        for rows, part in self._parts:
-            part.step(ticks, wanted and [wanted[row] for row in rows.tolist()])
+        for rows, (_, part) in zip(self._rows, self._parts, strict=True):
+            part.step(ticks, those_of(legs, rows))
 
 
 class _Whole:

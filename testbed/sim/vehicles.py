@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
@@ -23,6 +23,7 @@ from testbed.vehicle.breakage import Servos, broken, resting
 from testbed.vehicle.fbwa import READY_FLY, settled, standing
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.ideal import IdealFleet
+from testbed.vehicle.legs import Leg
 from testbed.vehicle.params import FbwaParams, stack
 from testbed.vehicle.tables import FbwaGains
 
@@ -58,13 +59,14 @@ class Vehicles(Protocol):
     def remove(self, rows: Truths) -> None:
         """Stop moving these (N,), which are lost; they read as now from now on."""
 
-    def step(self, ticks: int, wanted: Sequence[bool] | None = None) -> None:
+    def step(self, ticks: int, legs: tuple[Leg, ...] = ()) -> None:
         """Move on by ticks of the base rate.
 
         Args:
             ticks: how many.
-            wanted: (N,) who has to; the others may be behind until they are wanted. None: everyone,
-                as where anything but reading follows.
+            legs: all that come, the first with these ticks, until anybody tells them anything or
+                asks for more than their motion: they may fly all of them at once. None are given
+                while those from before last, or where nothing is known.
         """
 
 
@@ -142,9 +144,9 @@ class Flown:
         """Fly them no more."""
         self.fleet.remove(rows)
 
-    def step(self, ticks: int, wanted: Sequence[bool] | None = None) -> None:
+    def step(self, ticks: int, legs: tuple[Leg, ...] = ()) -> None:
         """Run the flight models."""
-        self.fleet.step(self.surfaces if self._moved else None, ticks, wanted)
+        self.fleet.step(self.surfaces if self._moved else None, ticks, legs)
         self._moved = False
 
 
@@ -169,7 +171,7 @@ class Ideal:
     def fail(self, failing: Failing) -> None:
         """There is nothing that could break."""
 
-    def step(self, ticks: int, wanted: Sequence[bool] | None = None) -> None:
+    def step(self, ticks: int, legs: tuple[Leg, ...] = ()) -> None:
         """All of them fly."""
         self.fleet.step(ticks)
 
@@ -234,7 +236,7 @@ class Replayed:
     def remove(self, rows: Truths) -> None:
         """It flies on whatever happens."""
 
-    def step(self, ticks: int, wanted: Sequence[bool] | None = None) -> None:
+    def step(self, ticks: int, legs: tuple[Leg, ...] = ()) -> None:
         """On to the next event."""
         self._row += 1
 

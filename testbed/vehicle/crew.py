@@ -26,13 +26,15 @@ import numpy as np
 from testbed.errors import PartnerLost
 from testbed.state import AirFelt, Array, Origin, Surfaces
 from testbed.vehicle.fleet import JsbsimFleet, Start
-from testbed.vehicle.instruments import BATTERY, FLOW, MOTION, SPEEDS, WIND, numbers_of
-from testbed.vehicle.properties import READY_READ, READY_WRITE
+from testbed.vehicle.instruments import MOTION
+from testbed.vehicle.legs import LONGEST, Leg, program
+from testbed.vehicle.properties import READY_READ, READY_WRITE, flat
 
 WORTH_IT = 20  # aircraft from which on two processes were measured to be faster than one
 LOOKS = 400  # of one who waits before it leaves the processor to others, some 0.1 ms
 AGAIN_S = 0.5  # how often who waits looks whether the other is still there
-_NUMBERS = {"motion": 17, "air": 8, "surfaces": 4, "told": 7, "charge": 1}
+_NUMBERS = {"notes": LONGEST * len(MOTION), "air": 8, "surfaces": 4, "told": 7, "charge": 1}
+_WORDS = 2 + LONGEST
 _DOUBLE = np.dtype(np.float64).itemsize
 # Called in a process of its own, gives what it does whenever it is told to.
 Post = Callable[[], Callable[[], None]]
@@ -61,21 +63,21 @@ def make_fleet(
 
 
 class _Shared:
-    """Numbers that all processes see, of N aircraft; doubles but for the last three."""
+    """Numbers that all processes see, of N aircraft; doubles but for the last four."""
 
     def __init__(self, n: int) -> None:
-        words = n * sum(_NUMBERS.values()) + 2
-        memory = mmap.mmap(-1, _DOUBLE * words + 2 * n)
-        numbers, at = np.frombuffer(memory, dtype=np.float64, count=words - 2), 0
+        words = n * sum(_NUMBERS.values()) + _WORDS
+        memory = mmap.mmap(-1, _DOUBLE * words + (2 + LONGEST) * n)
+        numbers, at = np.frombuffer(memory, dtype=np.float64, count=words - _WORDS), 0
         self.of: dict[str, Array] = {}
         for name, each in _NUMBERS.items():
             self.of[name] = numbers[at : at + each * n]
             at += each * n
         self.of["charge"][:] = np.nan  # to which a battery is emptied now
-        # ticks to step, and how often it was told what blows
-        self.words = memoryview(memory)[_DOUBLE * (words - 2) : _DOUBLE * words].cast("q")
-        flags = np.frombuffer(memory, dtype=bool, offset=_DOUBLE * words)
-        self.broken, self.gone = flags.reshape(2, n)
+        # how many legs to fly, how often it was told what blows, and the ticks of the legs
+        self.words = memoryview(memory)[_DOUBLE * (words - _WORDS) : _DOUBLE * words].cast("q")
+        flags = np.frombuffer(memory, dtype=bool, offset=_DOUBLE * words).reshape(-1, n)
+        self.broken, self.gone, self.asked = flags[0], flags[1], flags[2:]
 
 
 class CrewedFleet(JsbsimFleet):
@@ -103,26 +105,33 @@ class CrewedFleet(JsbsimFleet):
         n = len(folders)
         self._shared = _Shared(n)
         self._broken, numbers = self._shared.broken, self._shared.of
-        for name, own in (("motion", self._raw), ("air", self._raw_air), ("told", self._told)):
-            numbers[name][:] = own
-        self._raw, self._raw_air, self._told = numbers["motion"], numbers["air"], numbers["told"]
+        for name, own in (("notes", self._notes), ("air", self._raw_air), ("told", self._told)):
+            numbers[name][:] = own.ravel()
+        self._notes = numbers["notes"].reshape(self._notes.shape)
+        self._raw_air, self._told = numbers["air"], numbers["told"]
+        self._shared.asked[:] = self._asked
+        self._asked = self._shared.asked
         self._surfaces = Surfaces(*numbers["surfaces"].reshape(4, n))
         self._bind()
         parts = np.array_split(np.arange(n), min(processes, n))
         self._mine, *self._theirs = (part.tolist() for part in parts)
         self._crew: _Crew | None = None
 
-    def step(
-        self, surfaces: Surfaces | None, ticks: int, wanted: Sequence[bool] | None = None
-    ) -> None:
-        """Run every aircraft for `ticks` steps of the base rate, whoever is wanted."""
-        crew = self._crew or self._hire()
-        if surfaces is not None:
-            self._shared.of["surfaces"].reshape(4, -1)[:] = surfaces
-            surfaces = self._surfaces
-        self._shared.words[0] = ticks
+    def _take(self, surfaces: Surfaces) -> None:
+        """Tell everybody."""
+        self._shared.of["surfaces"].reshape(4, -1)[:] = surfaces
+        super()._take(self._surfaces)
+
+    def _run(self, legs: tuple[Leg, ...]) -> None:
+        """Run through legs, all at once."""
+        crew, words = self._crew or self._hire(), self._shared.words
+        words[0] = len(legs)
+        for k, leg in enumerate(legs):
+            words[2 + k] = leg.ticks
+        asked, parts = program(legs, len(self._models))
+        self._asked[: len(legs)] = asked
         crew.go()
-        super().step(surfaces, ticks)
+        self._run_through(self._mine, parts)
         crew.wait()
 
     def blow(self, felt: AirFelt) -> None:
@@ -145,11 +154,10 @@ class CrewedFleet(JsbsimFleet):
         if self._crew is not None:
             self._crew.end()
 
-    def _bind(self) -> None:
-        super()._bind()
-        self._hear = READY_WRITE(self._blown, self._told)
-        self._tell_motion = READY_READ(self._motion, self._raw)
-        self._tell_air = READY_READ(self._of_air, self._raw_air)
+    def _bind_to_air(self) -> None:
+        super()._bind_to_air()
+        self._hear = READY_WRITE(flat(self._blown), self._told)
+        self._tell_air = READY_READ(flat(self._of_air), self._raw_air)
 
     def _remove(self, i: int) -> None:
         super()._remove(i)
@@ -165,17 +173,10 @@ class CrewedFleet(JsbsimFleet):
 
     def _leave(self, rows: Iterable[int]) -> None:
         """Leave these aircraft to others: what they read is found in the shared memory."""
-        n = len(self._models)
         for i in rows:
             self._runs[i] = None
-            for nodes, numbers in (
-                (self._motion, numbers_of(i, n, MOTION, SPEEDS)),
-                (self._of_air, numbers_of(i, n, (WIND,), (*FLOW, *BATTERY))),
-                (self._controls, range(i, 4 * n, n)),
-                (self._blown, range(7 * i, 7 * i + 7)),
-            ):
-                for k in numbers:
-                    nodes[k] = None
+            for nodes in (self._motion, self._of_air, self._controls, self._blown):
+                nodes[i] = [None] * len(nodes[i])
         self._bind()
 
     def _work(self, rows: Sequence[int]) -> Callable[[], None]:
@@ -186,7 +187,7 @@ class CrewedFleet(JsbsimFleet):
 
         def work() -> None:
             nonlocal heard
-            ticks, told = shared.words
+            count, told, *ticks = shared.words
             if told != heard:
                 heard = told
                 self._hear()
@@ -196,8 +197,10 @@ class CrewedFleet(JsbsimFleet):
                     charge[i] = np.nan
                 if shared.gone[i] and self._runs[i] is not None:
                     self._remove(i)
-            JsbsimFleet.step(self, self._surfaces, ticks)
-            self._tell_motion()
+            self._command()
+            asked = map(tuple, shared.asked[:count].tolist())
+            legs = tuple(map(Leg, ticks[:count], asked))
+            self._run_through(rows, program(legs, n).parts)
             self._tell_air()
 
         return work

@@ -20,25 +20,22 @@ from testbed.state import AirData, AirFelt, Array, Origin, Surfaces, Truths, Veh
 from testbed.steady import Steady
 from testbed.vehicle.breakage import Rig, check_faults, stacked
 from testbed.vehicle.instruments import (
+    AIR,
     BATTERY,
-    FLOW,
     MOTION,
     READY_BLOW,
     READY_COMMAND,
     READY_LOOK,
+    READY_NOTE,
     READY_SENSE_AIR,
-    SPEEDS,
-    WIND,
-    nodes_of,
-    numbers_of,
 )
 from testbed.vehicle.jsbsim_door import load, rig_of, trim_aircraft
+from testbed.vehicle.legs import LONGEST, Leg, program
 from testbed.vehicle.motion import READY_LOST, state_of
-from testbed.vehicle.properties import read
+from testbed.vehicle.properties import flat, sane
 from testbed.vehicle.trim import STILL, TrimPoint, TrimResult, Vector, course_through_air
 
 LOWEST = 1.0  # m above the terrain: an aircraft below counts as on the ground
-_ABSURD = 1e9  # ft, ft/s², rad, rpm: nothing that flies reads this
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,32 +108,26 @@ class JsbsimFleet:
         self._models = models
         # what steps each; None: it is lost
         self._runs: list[Callable[[], bool] | None] = list(self.bare_runs())
-        self._behind = [0] * n  # ticks
         self._deaf = np.array([not model.turns for model in models])
         self._broken = np.zeros(n, dtype=bool)
         # properties: None where an aircraft has none, or another number stands for it
-        self._motion = nodes_of(models, MOTION, SPEEDS)
-        batteries = [model.find(name) for name in BATTERY for model in models]
-        self._of_air = nodes_of(models, (WIND,), FLOW) + batteries
-        self._blown = [node for m in models for node in (*m.winds, *(m.turns or (None,) * 4))]
-        self._controls = [model.controls[row] for row in range(4) for model in models]
+        self._motion = [[model.node(name) for name in MOTION] for model in models]
+        self._of_air = [
+            [*map(model.node, AIR), *(model.find(name) for name in BATTERY)] for model in models
+        ]
+        self._blown = [[*m.winds, *(m.turns or (None,) * 4)] for m in models]
+        self._controls = [list(model.controls) for model in models]
         # their numbers, in JSBSim's units
-        self._raw, self._raw_air = np.empty(17 * n), np.full(8 * n, np.nan)
+        self._numbers, self._raw_air = np.empty((n, len(MOTION))), np.full(8 * n, np.nan)
         self._told, self._commanded = np.empty(7 * n), np.empty(4 * n)
-        read(self._motion, self._raw)
-        self._first = self._raw.copy()
+        # the motion after each of the legs that are flown at once, and whose is written down
+        self._notes = np.empty((LONGEST, n, len(MOTION)))
+        self._asked = np.ones((LONGEST, n), dtype=bool)
+        self._leg, self._left = 0, 0  # that is looked at, and how many are flown beyond
         north, east = metres_per_radian(origin)
         place = *np.radians([origin.latitude_deg, origin.longitude_deg]), origin.elevation_m / FOOT
-        self._zero = np.zeros(17 * n)
-        self._zero[: 3 * n] = np.tile(place, n)
-        self._scale = np.concatenate(
-            [
-                np.tile([north, east, -FOOT], n),
-                np.full(6 * n, FOOT),
-                np.ones(6 * n),
-                np.full(2 * n, FOOT),
-            ]
-        )
+        self._zero = np.array([*place, *[0.0] * 14])
+        self._scale = np.array([north, east, -FOOT, *[FOOT] * 6, *[1.0] * 6, FOOT, FOOT])
         self._flat = np.empty(17 * n)
         self._state = state_of(self._flat)
         self._felt = AirFelt(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n))
@@ -145,13 +136,27 @@ class JsbsimFleet:
         self._lost, self._looked_at = np.zeros(n, dtype=bool), cast(VehicleState | None, None)
         self._surfaces, self._airs, self._orders = self.trimmed, Steady(), Steady()
         self._bind()
+        for note in self._note:
+            note(0)
+        self._first = self._numbers.copy()
 
     def _bind(self) -> None:
         """Bind what reads and sets to the properties that there are now, and their numbers."""
-        self._look = READY_LOOK(self._motion, self._raw, self._zero, self._scale, self._flat)
-        self._look_at_air = READY_SENSE_AIR(self._of_air, self._raw_air, self._felt, self._in_air)
-        self._blow = READY_BLOW(self._blown, self._felt, self._told)
-        self._command = READY_COMMAND(self._controls, self._surfaces, self._commanded)
+        self._note = [self._noting(i) for i in range(len(self._models))]
+        self._look = READY_LOOK(self._notes, self._asked, self._zero, self._scale, self._flat)
+        self._bind_to_air()
+        self._bind_to_controls()
+
+    def _bind_to_air(self) -> None:
+        nodes, told = flat(self._of_air), flat(self._blown)
+        self._look_at_air = READY_SENSE_AIR(nodes, self._raw_air, self._felt, self._in_air)
+        self._blow = READY_BLOW(told, self._felt, self._told)
+
+    def _bind_to_controls(self) -> None:
+        self._command = READY_COMMAND(flat(self._controls), self._surfaces, self._commanded)
+
+    def _noting(self, i: int) -> Callable[[int], None]:
+        return READY_NOTE(self._motion[i], self._numbers[i], self._notes, i)
 
     @property
     def trimmed(self) -> Surfaces:
@@ -162,16 +167,16 @@ class JsbsimFleet:
 
     def read(self) -> VehicleState:
         """The truth now, as fresh contiguous arrays."""
-        self._look()
+        self._look(self._leg)
         return state_of(self._flat.copy())
 
     def look(self) -> VehicleState:
         """The truth now, in arrays that are the fleet's own: the next look changes them."""
-        self._look()
+        self._look(self._leg)
         return self._state
 
     def air(self) -> AirData:
-        """What the truth knows of the air now; for observers, until the next call."""
+        """What is known of the air now, at the end of the legs; until the next call."""
         self._look_at_air()
         return self._in_air
 
@@ -185,41 +190,63 @@ class JsbsimFleet:
         felt = self._airs(felt)
         if felt is not self._felt:
             self._felt = felt
-            self._bind()
+            self._bind_to_air()
         self._blow()
 
-    def step(
-        self, surfaces: Surfaces | None, ticks: int, wanted: Sequence[bool] | None = None
-    ) -> None:
+    def step(self, surfaces: Surfaces | None, ticks: int, legs: tuple[Leg, ...] = ()) -> None:
         """Run every aircraft for `ticks` steps of the base rate.
 
         Args:
-            surfaces: the commands from now on, when nobody is behind; None: as they are.
+            surfaces: the commands from now on; None: as they are.
             ticks: how many.
-            wanted: (N,) who has to; the others are behind until they are wanted, and read as they
-                were. Longer runs are cheaper, for a flight model is large. None: everyone.
+            legs: that are to be flown without a word, the first with these ticks. The aircraft
+                run through them at once, and steps that follow only turn to what they were at the
+                end of the next: no surfaces are taken there, nor a look at the air.
+
+        Raises:
+            RuntimeError: surfaces in the midst of legs.
         """
+        if self._left:
+            if surfaces is not None:
+                raise RuntimeError("surfaces are told to aircraft that have flown on already")
+            self._leg, self._left = self._leg + 1, self._left - 1
+            return
         if surfaces is not None:
-            surfaces = self._orders(surfaces)
-            if surfaces is not self._surfaces:
-                self._surfaces = surfaces
-                self._bind()
-            self._command()
-        behind = self._behind
-        for i, run in enumerate(self._runs):
-            if wanted is not None and not wanted[i]:
-                behind[i] += ticks
-                continue
-            steps, behind[i] = behind[i] + ticks, 0
-            if run is None:
-                continue
-            try:
-                for _ in range(steps):
-                    if not run():
+            self._take(surfaces)
+        legs = legs[:LONGEST] or (Leg(ticks),)
+        self._run(legs)
+        self._leg, self._left = 0, len(legs) - 1
+
+    def _take(self, surfaces: Surfaces) -> None:
+        """Command them."""
+        surfaces = self._orders(surfaces)
+        if surfaces is not self._surfaces:
+            self._surfaces = surfaces
+            self._bind_to_controls()
+        self._command()
+
+    def _run(self, legs: tuple[Leg, ...]) -> None:
+        """Run through legs, and write down what is asked for."""
+        asked, parts = program(legs, len(self._models))
+        self._asked[: len(legs)] = asked
+        self._run_through(range(len(self._models)), parts)
+
+    def _run_through(self, rows: Iterable[int], parts: Sequence[Sequence[tuple[int, int]]]) -> None:
+        """Run these aircraft through the parts of a program."""
+        for i in rows:
+            run = self._runs[i]
+            for ticks, leg in parts[i]:
+                if run is not None:
+                    on = True
+                    try:
+                        for _ in range(ticks):
+                            on = on and run()
+                    except Exception:  # JSBSim's own, of many types: beyond its models
+                        on = False
+                    if not on:
                         self._remove(i)
-                        break
-            except Exception:  # JSBSim's own, of many types: the state is beyond its models
-                self._remove(i)
+                        run = None
+                self._note[i](leg)
 
     def discharge(self, charge: Array) -> None:
         """Empty batteries to a state of charge (N,) 0..1 at once; not a number: as they are.
@@ -238,16 +265,16 @@ class JsbsimFleet:
     def _remove(self, i: int) -> None:
         """Stop one; where JSBSim has lost its numbers it reads as at the start, in air of zero."""
         self._broken[i], self._runs[i] = True, None
-        n = len(self._models)
-        motion, air = numbers_of(i, n, MOTION, SPEEDS), numbers_of(i, n, (WIND,), FLOW)
-        if not all(abs(_number(self._motion, self._raw, k)) < _ABSURD for k in motion):
-            for k in motion:
-                self._motion[k], self._raw[k] = None, self._first[k]
-        for k in air:
-            if not abs(_number(self._of_air, self._raw_air, k)) < _ABSURD:
-                self._of_air[k], self._raw_air[k] = None, 0.0
-        self._controls[i::n] = [None] * 4
-        self._bind()
+        if not all(sane(self._motion[i], self._numbers[i])):
+            self._motion[i], self._numbers[i] = [None] * len(MOTION), self._first[i]
+        air = self._raw_air.reshape(len(self._models), -1)[i, : len(AIR)]
+        for k, said in enumerate(sane(self._of_air[i][: len(AIR)], air)):
+            if not said:
+                self._of_air[i][k], air[k] = None, 0.0
+        self._controls[i] = [None] * 4
+        self._note[i] = self._noting(i)
+        self._bind_to_air()
+        self._bind_to_controls()
 
     @cached_property
     def rig(self) -> Rig:
@@ -271,9 +298,3 @@ class JsbsimFleet:
             self._look_down = READY_LOST(state.position_ned, self._broken, LOWEST, self._lost)
         self._look_down()
         return self._lost
-
-
-def _number(nodes: Sequence[Any], numbers: Array, k: int) -> float:
-    """What a property is, or the number that stands for it."""
-    node = nodes[k]
-    return float(numbers[k] if node is None else node.get_double_value())

@@ -6,75 +6,70 @@ left) stop here and in `jsbsim_model`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 from testbed.compiled import ready_of
 from testbed.frames import FOOT
-from testbed.state import AirData, AirFelt, Array, Surfaces
-from testbed.vehicle.jsbsim_model import JsbsimModel
+from testbed.state import AirData, AirFelt, Array, Surfaces, Truths
 from testbed.vehicle.motion import motion
 from testbed.vehicle.properties import Nodes, read, write
 
-# Three numbers per aircraft each, and one each.
+# Of each aircraft, in the order of the fields of `VehicleState`.
 MOTION = (
-    ("position/lat-geod-rad", "position/long-gc-rad", "position/geod-alt-ft"),
-    ("velocities/v-north-fps", "velocities/v-east-fps", "velocities/v-down-fps"),
-    ("accelerations/udot-ft_sec2", "accelerations/vdot-ft_sec2", "accelerations/wdot-ft_sec2"),
-    ("attitude/phi-rad", "attitude/theta-rad", "attitude/psi-rad"),
-    ("velocities/p-rad_sec", "velocities/q-rad_sec", "velocities/r-rad_sec"),
+    *(f"position/{each}" for each in ("lat-geod-rad", "long-gc-rad", "geod-alt-ft")),
+    *(f"velocities/v-{axis}-fps" for axis in ("north", "east", "down")),
+    *(f"accelerations/{each}-ft_sec2" for each in ("udot", "vdot", "wdot")),
+    *(f"attitude/{angle}-rad" for angle in ("phi", "theta", "psi")),
+    *(f"velocities/{rate}-rad_sec" for rate in ("p", "q", "r")),
+    *("velocities/vt-fps", "velocities/ve-fps"),
 )
-SPEEDS = ("velocities/vt-fps", "velocities/ve-fps")
-WIND = tuple(f"atmosphere/total-wind-{axis}-fps" for axis in ("north", "east", "down"))
-FLOW = ("aero/alpha-rad", "aero/beta-rad", "propulsion/engine/propeller-rpm")
-# One each, of those that have a battery.
+AIR = (
+    *(f"atmosphere/total-wind-{axis}-fps" for axis in ("north", "east", "down")),
+    *("aero/alpha-rad", "aero/beta-rad", "propulsion/engine/propeller-rpm"),
+)
+# Of those that have a battery.
 BATTERY = ("battery/state-of-charge", "battery/voltage-v")
 
 
-def nodes_of(
-    models: Sequence[JsbsimModel], triples: Sequence[Sequence[str]], singles: Sequence[str]
-) -> list[Any]:
-    """Properties of N aircraft: three of each, and again, then one of each, and again."""
-    named = [model.node(name) for names in triples for model in models for name in names]
-    return named + [model.node(name) for name in singles for model in models]
-
-
-def numbers_of(
-    i: int, aircraft: int, triples: Sequence[Sequence[str]], singles: Sequence[str]
-) -> list[int]:
-    """Which of `nodes_of` are those of aircraft i."""
-    vectors = [3 * (aircraft * row + i) + axis for row in range(len(triples)) for axis in range(3)]
-    first = 3 * aircraft * len(triples)
-    return vectors + [first + aircraft * row + i for row in range(len(singles))]
-
-
-def look(nodes: Nodes, raw: Array, zero: Array, scale: Array, flat: Array) -> None:
-    """Read the motion.
+def note(nodes: Nodes, numbers: Array, notes: Array, row: int, leg: int) -> None:
+    """Read the motion of one aircraft, and write it down.
 
     Args:
-        nodes: (17 N,) MOTION, SPEEDS.
-        raw: (17 N,) what they say.
-        zero: (17 N,) as `motion` has it, and scale.
-        scale: (17 N,)
-        flat: (17 N,) becomes the numbers of `state_of`.
+        nodes: (17,) MOTION
+        numbers: (17,) what they say.
+        notes: (legs, N, 17) where it is written down.
+        row: of the aircraft.
+        leg: after which.
     """
-    read(nodes, raw)
-    motion(raw, zero, scale, flat)
+    read(nodes, numbers)
+    notes[leg, row] = numbers
+
+
+def look(notes: Array, asked: Truths, zero: Array, scale: Array, flat: Array, leg: int) -> None:
+    """Write the motion after a leg, of those that are asked; the others' stays.
+
+    Args:
+        notes: (legs, N, 17) what was written down.
+        asked: (legs, N)
+        zero: (17,) as `motion` has it, and scale.
+        scale: (17,)
+        flat: (17 N,) becomes the numbers of `state_of`.
+        leg: after which.
+    """
+    motion(notes[leg], asked[leg], zero, scale, flat)
 
 
 def sense_air(nodes: Nodes, raw: Array, felt: AirFelt, air: AirData) -> None:
     """Read the air, and what batteries say.
 
     Args:
-        nodes: (8 N,) WIND, FLOW, BATTERY.
+        nodes: (8 N,) of each aircraft AIR, BATTERY.
         raw: (8 N,) what they say.
         felt: (N) what they were told last.
         air: (N) becomes what the air does.
     """
     read(nodes, raw)
-    n = len(felt.wind_ned)
-    air.wind_ned[:] = raw[: 3 * n].reshape(n, 3) * FOOT
-    air.alpha[:], air.beta[:], rpm, *battery = raw[3 * n :].reshape(5, n)
+    each = raw.reshape(-1, len(AIR) + len(BATTERY))
+    air.wind_ned[:] = each[:, :3] * FOOT
+    air.alpha[:], air.beta[:], rpm, *battery = each[:, 3:].T
     air.state_of_charge[:], air.battery_voltage[:] = battery
     air.propeller_rps[:] = rpm / 60.0
     air.rates_body[:], air.roll_coefficient[:] = felt.rates_body, felt.roll_coefficient
@@ -99,16 +94,17 @@ def command(nodes: Nodes, surfaces: Surfaces, told: Array) -> None:
     """Say where the surfaces and throttles are to be.
 
     Args:
-        nodes: (4 N,) ailerons of all, elevators, rudders, throttles.
+        nodes: (4 N,) of each aircraft the aileron, elevator, rudder and throttle.
         surfaces: (N)
         told: (4 N,) becomes what they are told.
     """
-    each = told.reshape(4, -1)
-    each[0], each[1] = surfaces.aileron, -surfaces.elevator
-    each[2], each[3] = -surfaces.rudder, surfaces.throttle
+    each = told.reshape(-1, 4)
+    each[:, 0], each[:, 1] = surfaces.aileron, -surfaces.elevator
+    each[:, 2], each[:, 3] = -surfaces.rudder, surfaces.throttle
     write(nodes, told)
 
 
+READY_NOTE = ready_of(note, "testbed.vehicle.instruments_twin")
 READY_LOOK = ready_of(look, "testbed.vehicle.instruments_twin")
 READY_SENSE_AIR = ready_of(sense_air, "testbed.vehicle.instruments_twin")
 READY_BLOW = ready_of(blow, "testbed.vehicle.instruments_twin")

@@ -15,20 +15,31 @@ def state_of(flat: Array) -> VehicleState:
     return VehicleState(*flat[: 15 * n].reshape(5, n, 3), *flat[15 * n :].reshape(2, n))
 
 
-def motion(raw: Array, zero: Array, scale: Array, flat: Array) -> None:
-    """Write the numbers of `state_of` from what JSBSim says: (raw − zero) scale, all (17 N,).
+def motion(said: Array, asked: Truths, zero: Array, scale: Array, flat: Array) -> None:
+    """Write the numbers of `state_of` from what JSBSim says: (said − zero) scale.
 
     JSBSim's acceleration is that of u, v, w in the turning body: it becomes
     R_NB (d(u, v, w)/dt) + (R_NB ω) × velocity.
+
+    Args:
+        said: (N, 17) numbers of each aircraft, in the order of the fields.
+        asked: (N,) whose; the others' stay.
+        zero: (17,)
+        scale: (17,)
+        flat: (17 N,) becomes the numbers.
     """
-    flat[:] = (raw - zero) * scale
-    _, velocity, acceleration, euler, rates, _, _ = state_of(flat)
+    numbers = (said - zero) * scale
+    vectors, speeds = numbers[:, :15].reshape(-1, 5, 3), numbers[:, 15:]
+    _, velocity, acceleration, euler, rates = vectors.swapaxes(0, 1)
     yaw = euler[:, 2]
     yaw[yaw > np.pi] -= 2.0 * np.pi
     rotation = rotation_ned_body(euler)
     along = (rotation @ acceleration[:, :, None])[:, :, 0]
     turning = (rotation @ rates[:, :, None])[:, :, 0]
     acceleration[:] = along + np.cross(turning, velocity)
+    state = state_of(flat)
+    for own, new in zip(state, (*vectors.swapaxes(0, 1), *speeds.T), strict=True):
+        own[asked] = new[asked]
 
 
 def lost(position_ned: Array, broken: Truths, lowest: float, out: Truths) -> None:

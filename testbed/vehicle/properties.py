@@ -7,13 +7,29 @@ numbers are the same to the bit.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from itertools import chain
 from typing import Any
 
 from testbed.compiled import ready_of
 from testbed.state import Array
 
 Nodes = Sequence[Any]  # of JSBSim's; None: there is none, or it is somebody else's
+_ABSURD = 1e9  # ft, ft/s², rad, rpm: nothing that flies reads this
+
+
+def flat(nodes: Iterable[Nodes]) -> list[Any]:
+    """Those of one aircraft after those of the other."""
+    return list(chain.from_iterable(nodes))
+
+
+def sane(nodes: Nodes, numbers: Array) -> list[bool]:
+    """Of each property (K,), or the number that stands for it, whether anything flying reads so."""
+    said = [
+        number if node is None else node.get_double_value()
+        for node, number in zip(nodes, numbers.tolist(), strict=True)
+    ]
+    return [abs(each) < _ABSURD for each in said]
 
 
 def read(nodes: Nodes, numbers: Array) -> None:

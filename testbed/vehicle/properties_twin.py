@@ -44,7 +44,7 @@ def _say(_, setter, node, number):
     return types.void(types.int64, types.int64, types.float64), generate
 
 
-def reading(compiled):
+def reading(compiled, more=()):
     """What binds a twin that reads nodes into the numbers behind them, with JSBSim's own function.
 
     Where that is hidden, Python reads first, and the twin finds nothing left to read. Who calls
@@ -53,8 +53,8 @@ def reading(compiled):
 
     def ready(nodes, numbers, *fixed):
         getter, places = _places(nodes, "get")
-        call = bound(compiled, getter, places, numbers, *fixed)
-        return call if getter else lambda: (properties.read(nodes, numbers), call())
+        call = bound(compiled, getter, places, numbers, *fixed, more=more)
+        return call if getter else lambda *then: (properties.read(nodes, numbers), call(*then))
 
     return ready
 

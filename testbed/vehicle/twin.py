@@ -168,11 +168,15 @@ def _rotated(sf, cf, st, ct, sp, cp, x, y, z):
 
 
 @twin
-def motion(raw, zero, scale, flat):
-    n = raw.size // 17
-    for k in range(17 * n):
-        flat[k] = (raw[k] - zero[k]) * scale[k]
+def motion(said, asked, zero, scale, flat):
+    n = len(said)
     for i in range(n):
+        if not asked[i]:
+            continue
+        for k in range(15):
+            flat[3 * (n * (k // 3) + i) + k % 3] = (said[i, k] - zero[k]) * scale[k]
+        for k in range(2):
+            flat[n * (15 + k) + i] = (said[i, 15 + k] - zero[15 + k]) * scale[15 + k]
         v, a, e, w = 3 * (n + i), 3 * (2 * n + i), 3 * (3 * n + i), 3 * (4 * n + i)
         if flat[e + 2] > pi:
             flat[e + 2] -= 2.0 * pi

@@ -102,12 +102,12 @@ def level(scenario):
     try:
         for partner in partners:
             partner.begin(lambda: None)
-        for tick, due, ahead, _ in world.clock.schedule(world.duration_s):
+        for tick, due, ticks, legs in world.clock.schedule(world.duration_s):
             if due.autopilot:
                 vehicles.act(vehicles.read(), FbwaCommand(still, still, still + 0.3))
                 for partner in partners:
                     said += partner.news(world.clock.time_s(tick))
-            vehicles.step(ahead)
+            vehicles.step(ticks, legs)
     finally:
         for partner in partners:
             partner.close()

@@ -67,13 +67,27 @@ def test_ticks_follow_each_other_without_a_gap(rates, phases):
     clock = clock_of(rates, aircraft=3, phases=phases)
     found = list(clock.schedule(2.0))
     assert found[0][0] == 0
-    for (tick, _, ahead, then), (following, due, *_) in itertools.pairwise(found):
+    for (tick, _, ahead, _), (following, *_) in itertools.pairwise(found):
         assert ahead > 0
         assert following == tick + ahead
-        assert then is due
     last = 2 * rates[0]
     assert found[-1][0] == last  # every rate here has an event at 2 s
     assert found[-1][0] + found[-1][2] > last
+
+
+@every
+@pytest.mark.parametrize("beats", [None, {1: (0.0301, None), 2: (None, 0.0123)}], ids=str)
+@pytest.mark.parametrize("everyone", [False, True])
+def test_legs_lead_to_where_somebody_may_be_told_something(rates, beats, everyone):
+    """They are given at autopilots' periods and frames, reach to the next, and leave none out."""
+    clock = clock_of(rates, aircraft=3, phases=(0.0, 0.3, 0.99), beats=beats)
+    found = list(clock.schedule(4.0, everyone=everyone))
+    known = []
+    for (tick, due, ahead, legs), (_, then, *_) in itertools.pairwise(found):
+        assert bool(legs) == (due.autopilot or due.log) == (not known)
+        known = known or list(legs)
+        leg = known.pop(0)
+        assert leg == (ahead, None if everyone else then.wanted), tick
 
 
 def test_the_end_is_part_of_the_run():
@@ -193,10 +207,9 @@ def test_a_beat_at_the_ticks_is_that_of_all_others():
 def test_ticks_of_beats_follow_each_other_without_a_gap():
     clock = make_clock(**RATES, aircraft=3, beats={0: (0.0173, 0.4), 2: (0.11, 0.0021)})
     found = list(clock.schedule(3.0))
-    for (tick, _, ahead, then), (following, due, *_) in itertools.pairwise(found):
+    for (tick, _, ahead, _), (following, *_) in itertools.pairwise(found):
         assert ahead > 0
         assert following == tick + ahead
-        assert then is due
     sensed = [tick for tick, due, *_ in found if due.autopilot]
     assert sensed == list(range(0, 601, clock.autopilot))
 

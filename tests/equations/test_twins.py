@@ -245,7 +245,7 @@ def test_no_twin_goes_without_such_a_test():
                 assert any(hasattr(twins, name) for name in names)
                 found.add(function.id)
     elsewhere = {"fbwa", "fly", "lost", "advance_ticks", "report"}
-    elsewhere |= {"read", "write", "look", "sense_air", "blow", "command"}  # flight models'
+    elsewhere |= {"read", "write", "note", "look", "sense_air", "blow", "command"}  # flight models'
     elsewhere |= {"sample", "write_felt_in_field", "write_filters", "add_turbulence"}  # the air's
     elsewhere |= {"write_mean", "add_uneven", "add_wakes"}
     elsewhere |= {"befall", "post_round", "send_round", "take_due", "use", "count"}  # the network's

@@ -12,6 +12,7 @@ from testbed.state import AirFelt, Origin, Surfaces
 from testbed.vehicle import addresses, instruments
 from testbed.vehicle import fleet as fleets
 from testbed.vehicle.fleet import JsbsimFleet, Start
+from testbed.vehicle.legs import LONGEST, Leg
 from testbed.vehicle.properties import READY_READ, READY_WRITE, read, write
 
 KINDS = ("rascal110", "skywalker_x8", "rascal110")
@@ -64,12 +65,37 @@ def test_flights_are_the_same_to_the_bit(hidden, remove):
 def test_the_readable_functions_say_the_same(monkeypatch):
     pytest.importorskip("numba")
     compiled = flown()
-    for name in ("look", "sense_air", "blow", "command"):
+    for name in ("note", "look", "sense_air", "blow", "command"):
         plainly = partial(partial, getattr(instruments, name))
         monkeypatch.setattr(fleets, f"READY_{name.upper()}", plainly)
     for one, two in zip(compiled, flown(), strict=True):
         # the same sums in another order: roundings, of positions some 1e3 m large
         np.testing.assert_allclose(two, one, rtol=1e-9, atol=1e-9)
+
+
+def test_legs_that_are_flown_at_once_are_those_flown_one_by_one():
+    """More than fit in one go, with motions asked for here and there; the others read as before."""
+    rng, n = np.random.default_rng(4), len(KINDS)
+    legs = tuple(
+        Leg(int(rng.integers(1, 4)), tuple(rng.random(n) < 0.5)) for _ in range(3 * LONGEST)
+    )
+    at_once, apart = aloft(), aloft()
+    before = np.array(at_once.look().position_ned)
+    for k, leg in enumerate(legs):
+        at_once.step(None, leg.ticks, () if 0 < k % LONGEST else legs[k:])
+        apart.step(None, leg.ticks)
+        true = apart.look()
+        for row, wanted in enumerate((True,) * n if k % LONGEST == LONGEST - 1 else leg.wanted):
+            if wanted:
+                before[row] = true.position_ned[row]
+        np.testing.assert_array_equal(at_once.look().position_ned, before)
+
+
+def test_nobody_is_told_anything_in_the_midst_of_legs():
+    fleet = aloft()
+    fleet.step(fleet.trimmed, 1, (Leg(1), Leg(1)))
+    with pytest.raises(RuntimeError, match="flown on already"):
+        fleet.step(fleet.trimmed, 1)
 
 
 def test_one_that_is_not_there_keeps_its_number(hidden):
