@@ -22,6 +22,7 @@ from typing import Any, TypeVar
 from testbed.standing_in import standing_in
 
 F = TypeVar("F", bound=Callable[..., Any])
+_NAME = re.compile(r"\w+")
 _IMPORT = re.compile(
     r"^[ \t]*(?:from|import)[ \t]+testbed([\w.]*)(?:[ \t]+import[ \t]+(\([^)]*\)|[^\n#]*))?", re.M
 )
@@ -107,7 +108,9 @@ def _entry(function: Callable[..., Any], kinds: tuple[Any, ...], more: tuple[Any
 def _calling(function: Callable[..., Any], more: int) -> Any:  # noqa: ANN401 - numba's
     from testbed.unboxed import calling
 
-    return twin(calling(function, more))
+    compiled: Any = twin(calling(function, more))
+    _save_alone(compiled)
+    return compiled
 
 
 def twin(function: F) -> F:
@@ -161,6 +164,29 @@ def _load_alone(compiled: Any) -> None:  # noqa: ANN401 - numba's
     cache.load_overload = load
 
 
+def _save_alone(compiled: Any) -> None:  # noqa: ANN401 - numba's
+    """Keep the machine code of a function without what only other compiled code would need.
+
+    That is the same in LLVM's own terms, which takes longer to load than the machine code: of it
+    only the names are kept, by which numba knows what there is.
+    """
+    from llvmlite.binding import parse_assembly
+
+    kept = compiled._cache._impl
+    reduce = kept.reduce
+
+    def machine_code(result: Any) -> Any:  # noqa: ANN401
+        module = result.library._get_module_for_linking()
+        names = [each.name for each in module.functions if not each.is_declaration]
+        held = [each.name for each in module.global_variables if not each.is_declaration]
+        lines = [f'define void @"{name}"() {{ ret void }}' for name in names]
+        lines += [f'@"{name}" = global i8 0' for name in held]
+        (name, form, (code, _)), *rest = reduce(result)
+        return ((name, form, (code, parse_assembly("\n".join(lines)).as_bitcode())), *rest)
+
+    kept.reduce = machine_code
+
+
 @functools.cache
 def _machine_code(wanted: str) -> str:
     """The folder of the machine code of these sources; it need not be there, or be writable.
@@ -174,8 +200,8 @@ def _machine_code(wanted: str) -> str:
     """
     package = Path(__file__).parent
     digest = hashlib.sha256()
-    for source, text in sorted(_sources(package).items()):
-        digest.update(source.relative_to(package).as_posix().encode() + text.encode())
+    for name, text in sorted(_sources(package).items()):
+        digest.update(name.encode() + text)
     parent = Path(wanted) if wanted else package / "__pycache__"
     folder = parent / f"twins-{digest.hexdigest()[:16]}"
     if not folder.exists():
@@ -184,17 +210,28 @@ def _machine_code(wanted: str) -> str:
     return str(folder)
 
 
-def _sources(package: Path) -> dict[Path, str]:
-    """The modules of twins, and every module of the package that they lead to; with their text."""
-    found: dict[Path, str] = {}
-    waiting = [Path(__file__), *package.rglob("*twin.py")]
-    while waiting:
-        source = waiting.pop()
-        if source in found or not source.is_file():
-            continue
-        found[source] = source.read_text(encoding="utf-8")
-        for module, names in _IMPORT.findall(found[source]):
-            place = package.joinpath(*module.split("."))
-            waiting += [place.with_name(f"{place.name}.py"), place / "__init__.py"]
-            waiting += [place / f"{name}.py" for name in re.findall(r"\w+", names)]
+def _sources(package: Path) -> dict[str, bytes]:
+    """The modules of twins, and every module of the package that they lead to; with their text.
+
+    Returns:
+        By the path below the package.
+    """
+    found: dict[str, bytes] = {}
+    tried: set[str] = set()
+    twins = (twin.relative_to(package).with_suffix("") for twin in package.rglob("*twin.py"))
+    waiting = {Path(__file__).stem, *(twin.as_posix() for twin in twins)}
+    while waiting := waiting - tried:
+        tried |= waiting
+        led_to: set[str] = set()
+        for name in waiting:
+            try:
+                text = (package / f"{name}.py").read_bytes()
+            except FileNotFoundError:  # what is imported from a module need not be one itself
+                continue
+            found[f"{name}.py"] = text
+            for module, names in _IMPORT.findall(text.decode()):
+                place = module.lstrip(".").replace(".", "/")
+                led_to |= {place, f"{place}/__init__"}
+                led_to |= {f"{place}/{each}" for each in _NAME.findall(names)}
+        waiting = led_to
     return found
