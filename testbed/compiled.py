@@ -35,6 +35,12 @@ def engine() -> str:
     return "numba" if importlib.util.find_spec("numba") else "numpy"
 
 
+def load_engine() -> None:
+    """Load what will fly, which takes a while, now."""
+    if engine() == "numba":
+        importlib.import_module("numba")
+
+
 def twin_of(function: F, module: str) -> F:
     """The compiled function of the same name in a module of twins, or the function itself.
 

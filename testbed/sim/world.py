@@ -12,6 +12,7 @@ import numpy as np
 
 from testbed import __version__
 from testbed.air.air import Air
+from testbed.compiled import load_engine
 from testbed.errors import InputError
 from testbed.network.radio import Radio
 from testbed.network.scripts import Scripts
@@ -44,7 +45,7 @@ from testbed.vehicle.crew import make_fleet
 from testbed.vehicle.fleet import JsbsimFleet, Start
 from testbed.vehicle.ideal import IdealFleet
 from testbed.vehicle.jsbsim_door import VERSION as JSBSIM_VERSION
-from testbed.vehicle.jsbsim_door import airframe
+from testbed.vehicle.jsbsim_door import airframe, explore_ahead
 from testbed.vehicle.params import read_params, stack
 from testbed.vehicle.trim import STILL, said_of
 
@@ -107,6 +108,8 @@ def build(
     check_memory(page, clock)
     origin = Origin(**page.scenario.origin.model_dump())
     folders = [find_aircraft(each.aircraft) for each in page.aircraft]
+    explore_ahead(folders)
+    load_engine()
     files = [find_tune(at, each.tune) for at, each in zip(folders, page.aircraft, strict=True)]
     tunes = [read_params(file) for file in files]
     mean = make_mean(page)

@@ -7,12 +7,13 @@ to anywhere, and expands entities without end. None of it is asked for by who fl
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 from xml.parsers import expat
 
 from testbed.vehicle.jsbsim_model import AircraftError
-from testbed.vehicle.trial import attempt
+from testbed.vehicle.trial import Trial, attempt
 
 MOST_BYTES = 10_000_000  # of a file
 MOST_FILES = 100
@@ -25,18 +26,26 @@ _SPEAKS = {
 _WRITES = "write-state-file"  # a property: JSBSim writes a file when it is set
 
 
-def explored(folder: Path, explore: Callable[[Callable[[str], None]], Any]) -> Any:  # noqa: ANN401
-    """What is found out of an aircraft in a copy of this process.
+def explored(folder: Path, explore: Callable[[Callable[[str], None]], Any]) -> Callable[[], Any]:
+    """Begin to find something out of an aircraft in a copy of this process.
 
     Args:
         folder: of the aircraft.
         explore: takes what is told each thing that is wrong, and answers with plain data.
 
+    Returns:
+        What waits for the answer, to be called once; it raises AircraftError with what JSBSim has
+        against the aircraft.
+
     Raises:
-        AircraftError: as `check_airframe`, or what JSBSim has against it.
+        AircraftError: as `check_airframe`.
     """
     check_airframe(folder)
-    trial = attempt(explore)
+    return partial(_answer, folder, attempt(explore))
+
+
+def _answer(folder: Path, ended: Callable[[], Trial]) -> Any:  # noqa: ANN401
+    trial = ended()
     if trial.answer is not None:
         return trial.answer
     # later records repeat from afar what the first one says that has a place

@@ -34,14 +34,14 @@ def kept(maxsize: int) -> Callable[[_Finder[_Rest, _FoundT]], _Finder[_Rest, _Fo
         @wraps(find)
         def ask(folder: Path, /, *args: _Rest.args, **kwargs: _Rest.kwargs) -> _FoundT:
             folder = Path(folder).resolve()
-            return found(_digest(folder), folder, *args, **kwargs)  # type: ignore[arg-type]
+            return found(digest(folder), folder, *args, **kwargs)  # type: ignore[arg-type]
 
         return ask
 
     return decorate
 
 
-def _digest(folder: Path) -> str:
+def digest(folder: Path) -> str:
     """What all XML files of a folder and the folders in it say, names included.
 
     Not when they changed: an edit that is as long as what it replaces may be as old, too.

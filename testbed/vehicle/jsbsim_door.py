@@ -6,7 +6,8 @@ The only module that imports jsbsim. Feet and JSBSim's signs stop in `jsbsim_mod
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -17,7 +18,7 @@ import jsbsim
 from testbed.state import Airframe, Origin
 from testbed.vehicle.airframe_files import explored
 from testbed.vehicle.breakage import Rig, find_rig
-from testbed.vehicle.folder_cache import kept
+from testbed.vehicle.folder_cache import digest, kept
 from testbed.vehicle.heard import Heard
 from testbed.vehicle.inertia import impossible_inertia
 from testbed.vehicle.jsbsim_model import AircraftError, JsbsimModel, Traits, find_traits
@@ -27,6 +28,8 @@ from testbed.vehicle.trim import TrimPoint, TrimResult, said_of, trim
 
 VERSION: str = jsbsim.__version__
 _TRIM_RATE_HZ = 200
+# Folders with what their files say, of which it was asked; with what waits for an answer, if any.
+_ASKED: dict[tuple[Path, str], Callable[[], Any] | None] = {}
 
 
 def trim_aircraft(folder: Path, point: TrimPoint, origin: Origin | None = None) -> TrimResult:
@@ -96,10 +99,26 @@ def load(folder: Path, rate_hz: int) -> JsbsimModel:
     return JsbsimModel(_executive(folder), rate_hz, traits)
 
 
+def explore_ahead(folders: Iterable[Path]) -> None:
+    """Begin to find out what `load` has to know of aircraft, of which nothing was asked before.
+
+    It is done by other processes while this one goes on. What is wrong with an aircraft is for who
+    loads it.
+    """
+    for folder in {Path(each).resolve() for each in folders}:
+        files = folder, digest(folder)
+        if files not in _ASKED:
+            with suppress(AircraftError):
+                _ASKED[files] = explored(folder, partial(_explore, folder))
+
+
 @kept(maxsize=64)
 def _traits(folder: Path) -> Traits:
     """Found in a copy of this process: JSBSim crashes on many an aircraft that is wrong."""
-    return Traits(**explored(folder, partial(_explore, folder)))
+    files = folder, digest(folder)
+    answer = _ASKED.get(files) or explored(folder, partial(_explore, folder))
+    _ASKED[files] = None
+    return Traits(**answer())
 
 
 def _explore(folder: Path, tell: Callable[[str], None]) -> dict[str, bool]:

@@ -15,6 +15,7 @@ import signal
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NoReturn
 
 LONGEST_S = 30  # an aircraft that flies takes a fraction of a second
@@ -30,11 +31,14 @@ class Trial:
     end: str  # how the process ended, in words; empty: as it should
 
 
-def attempt(work: Callable[[Callable[[str], None]], Any]) -> Trial:
-    """Do some work in a copy of this process, for `LONGEST_S` at most.
+def attempt(work: Callable[[Callable[[str], None]], Any]) -> Callable[[], Trial]:
+    """Begin some work in a copy of this process, for `LONGEST_S` at most.
 
     Args:
         work: is given a function that takes what it has to say, and answers with plain data.
+
+    Returns:
+        What waits for its end, to be called once.
     """
     read, write = os.pipe()
     with warnings.catch_warnings():
@@ -45,6 +49,11 @@ def attempt(work: Callable[[Callable[[str], None]], Any]) -> Trial:
         os.close(read)
         _serve(work, write)
     os.close(write)
+    return partial(_ended, child, read)
+
+
+def _ended(child: int, read: int) -> Trial:
+    """How the work of a copy went, which tells it through a pipe."""
     with os.fdopen(read, encoding="utf-8", errors="replace") as pipe:
         lines = pipe.read().splitlines()
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])

@@ -119,10 +119,10 @@ def test_where_jsbsim_crashes_the_error_has_what_it_said_last(folder, file, old,
 def test_a_crash_without_a_word_is_an_error(folder):
     explore = lambda tell: os.kill(os.getpid(), 11)  # noqa: E731
     with pytest.raises(AircraftError, match=r"xml: JSBSim crashed \(SIGSEGV\)"):
-        airframe_files.explored(folder, explore)
+        airframe_files.explored(folder, explore)()
 
 
 def test_what_never_ends_is_ended(folder, monkeypatch):
     monkeypatch.setattr(trial, "LONGEST_S", 1)
     with pytest.raises(AircraftError, match="did not come to an end within 1 s"):
-        airframe_files.explored(folder, lambda tell: time.sleep(60))
+        airframe_files.explored(folder, lambda tell: time.sleep(60))()
