@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from testbed.network.channel import make_channel
+from testbed.network.ledger import use
 from testbed.network.radio import Radio
 from testbed.scenario import find_aircraft
 from testbed.scenario.network import Network
@@ -60,7 +61,7 @@ def radio_s(radio: Radio, aircraft: int, start_s: float, seconds: float, togethe
             radio.send(stamps, message._replace(stamp_s=stamps), None, who)
         if tick % control == 0:
             radio.deliver(now)
-            radio.use(rows, now - radio.measured_s)
+            use(radio.ledger, rows, now - radio.measured_s)
     return time.perf_counter() - began
 
 

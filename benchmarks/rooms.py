@@ -20,7 +20,7 @@ from testbed.sensing.estimators import Estimators
 from testbed.sim.breakdowns import Breakdowns
 from testbed.sim.casualties import Casualties
 from testbed.sim.control import Control
-from testbed.sim.hearing import Silence, Staleness
+from testbed.sim.hearing import Hearing
 from testbed.sim.pilots import MissionPilot
 from testbed.sim.vehicles import Flown
 from testbed.sim.watch import Arrivals, Engagement, Slots, Speaker
@@ -50,13 +50,14 @@ DOORS: Mapping[str, Sequence[tuple[type, str]]] = {
     "autopilot": [(Flown, "act"), (Flown, "fail")],
     "network": [
         (Speaker, "says"),
-        *((Radio, name) for name in ("send", "deliver", "use", "counts")),
+        *((Radio, name) for name in ("send", "deliver", "counts")),
     ],
     "leader": [(MissionPilot, "command")],
     "control": [(Control, "learn"), (Control, "step")],
     "events": [
         (JsbsimFleet, "lost"),
-        *((kind, "changes") for kind in (Casualties, Breakdowns, Silence, Staleness)),
+        *((kind, "changes") for kind in (Casualties, Breakdowns)),
+        *((Hearing, name) for name in ("changes", "silences")),
         *((kind, "changes") for kind in (Arrivals, Engagement)),
     ],
     "metrics": [(Slots, "state"), (MetricsObserver, "observe")],

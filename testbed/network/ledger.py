@@ -113,4 +113,3 @@ def count(ledger: Ledger, counts: LinkCounts) -> None:
 
 
 READY_COUNT = ready_of(count, "testbed.network.ledger_twin")
-READY_USE = ready_of(use, "testbed.network.ledger_twin")

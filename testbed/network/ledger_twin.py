@@ -43,10 +43,6 @@ def count_message(link, fate, delay, both):
         link.longest = max(link.longest, link.missing)
 
 
-def ready_use(ledger, rows, age_s):
-    return bound(_use, ledger.sent.base, rows, age_s)
-
-
 def ready_count(ledger, counts):
     return bound(_count, ledger.sent.base, *counts)
 
@@ -60,7 +56,7 @@ def _count(ledger, sent, delivered):
 
 
 @twin
-def _use(ledger, rows, age_s):
+def use(ledger, rows, age_s):
     for i in rows:
         for m in range(age_s.shape[1]):
             age = age_s[i, m]

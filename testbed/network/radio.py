@@ -12,7 +12,7 @@ from testbed.network.channel import Channel
 from testbed.network.clocks import Clocks, show
 from testbed.network.encoded import Believed, Coder, Encoding
 from testbed.network.fates import BEFALL
-from testbed.network.ledger import READY_COUNT, READY_USE, blank
+from testbed.network.ledger import READY_COUNT, blank
 from testbed.network.links import Fate, Fates
 from testbed.network.post import (
     NOTHING,
@@ -76,7 +76,8 @@ class Radio:
         self._channel, self._conditions = channel, conditions or Conditions()
         n, aircraft = links = channel.links.shape
         self._coder = Coder(encoding, channel) if encoding else None
-        self._traffic, self._ledger = idle(channel), blank(n, aircraft)
+        # what happened on each link, and what is used of it by who steps
+        self._traffic, self.ledger = idle(channel), blank(n, aircraft)
         self._everyone = np.arange(aircraft)
         self._number = np.full(aircraft, -1)  # of the last message of each
         self._count = 0  # messages on their way
@@ -85,8 +86,8 @@ class Radio:
         vectors = np.full((VECTORS, *links, 3), np.nan)
         self._inbox = Inbox(*np.full((2, *links), np.nan), *vectors)
         self._counts = LinkCounts(*np.zeros((2, *links), np.uint32))
-        self._count_up = READY_COUNT(self._ledger, self._counts)
-        self._take_due = READY_TAKE_DUE(self._post, self._ledger, self._read, self._inbox)
+        self._count_up = READY_COUNT(self.ledger, self._counts)
+        self._take_due = READY_TAKE_DUE(self._post, self.ledger, self._read, self._inbox)
         self._sent_s = np.zeros(aircraft)
         self._clocks = self._conditions.clocks or Clocks(*np.zeros((3, aircraft)))
         # whether more befalls a message than the links' own dice
@@ -96,7 +97,6 @@ class Radio:
         self.looks_around = given.fading is not None
         self._rounds: dict[int, _Round] = {}  # by the senders' rows, kept in `_together`
         self._together: dict[bytes, Numbers] = {}
-        self._used: dict[int, tuple[Any, ...]] = {}  # by who used, which are kept in it
 
     @property
     def measured_s(self) -> Array:
@@ -163,7 +163,7 @@ class Radio:
             self._channel,
             self._traffic,
             self._post,
-            self._ledger,
+            self.ledger,
             spot.rows,
             self._number,
             self._sent_s,
@@ -186,14 +186,14 @@ class Radio:
         believed = coder.damage(self._traffic.spoiled_s[:, rows], *became, rows, number)
         first, stamps_s = self._count, stamp_s - spot.ahead_s
         self._count = POST_ROUND(
-            self._post, self._ledger, first, rows, number, sent, stamps_s, message, *became
+            self._post, self.ledger, first, rows, number, sent, stamps_s, message, *became
         )
         if believed is not None:
             self._falsify(first, believed, spot)
 
     def _make_room(self) -> None:
         self._post = more_room(self._post, self._count)
-        self._take_due = READY_TAKE_DUE(self._post, self._ledger, self._read, self._inbox)
+        self._take_due = READY_TAKE_DUE(self._post, self.ledger, self._read, self._inbox)
         for spot in self._rounds.values():
             spot.send = None
 
@@ -206,14 +206,6 @@ class Radio:
             self._count = self._take_due(self._count, now)
         return self._inbox
 
-    def use(self, rows: Numbers, age_s: Array) -> None:
-        """The followers `rows` (m,) of all used information of these ages (n, N) s; nan: none."""
-        _, given, count = self._used.get(id(rows), (None, None, None))
-        if given is not age_s or count is None:
-            count = READY_USE(self._ledger, rows, age_s)
-            self._used[id(rows)] = rows, age_s, count
-        count()
-
     def counts(self) -> LinkCounts:
         """Messages sent and delivered up to now; the next call changes them."""
         self._count_up()
@@ -221,7 +213,7 @@ class Radio:
 
     def summary(self) -> Mapping[str, Any]:
         """Numbers of every link, ready for JSON."""
-        summary = summarise(self._ledger, self._channel.names, self._channel.links["unheard"])
+        summary = summarise(self.ledger, self._channel.names, self._channel.links["unheard"])
         if self._coder:
             keys = ("refused", "discarded", "believed")
             summary["damaged"] = {key: getattr(self._coder, key) for key in keys}

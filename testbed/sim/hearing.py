@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from operator import is_
 from typing import Any
 
 import numpy as np
@@ -11,44 +12,117 @@ from numpy.typing import NDArray
 from testbed.compiled import ready_of
 from testbed.formation.flags import Guard
 from testbed.formation.paper_law import PaperLaw
+from testbed.network.ledger import Ledger, use
 from testbed.sim.control import Group
 from testbed.state import Array, Event, Flags, Truths
 
+Numbers = NDArray[np.intp]
+
 SILENT = int(Guard.LEADER_SILENT)
+OVERDUE, DEAF = 1, 2  # what `heard` finds
 
 
-def some_deaf(guards: Flags) -> bool:
-    """Whether any of the followers (n,) does not hear its leader."""
-    return bool((guards & SILENT).any())
-
-
-def overdue(
-    rows: NDArray[np.intp],
+def heard(
+    ledger: Ledger,
+    rows: Numbers,
+    age_s: Array,
+    guards: Flags,
     received_s: Array,
     heeded: Truths,
     missed: Truths,
     limit: float,
     late: Truths,
     now: float,
-) -> bool:
-    """Whether anybody's news has become too old, or is so no longer.
+) -> int:
+    """Count what followers used, and look whether anybody's news has become too old or new.
 
     Args:
-        rows: (m,) of the followers that look.
+        ledger: of the radio; what was used is counted in it.
+        rows: (m,) of the followers that have stepped.
+        age_s: (n, N) s, of what they used of each aircraft; nan: nothing.
+        guards: (n,)
         received_s: (n, N) s, when they last heard of each aircraft; nan: never.
         heeded: (n, N) whom they reckon with.
         missed: (n, N) whose news was too old before.
         limit: s since it was received, or since the start.
         late: (n, N) whose news is too old now, is written in these rows.
         now: s.
+
+    Returns:
+        OVERDUE where `late` and `missed` differ in these rows, DEAF where any of the n followers
+        does not hear its leader.
     """
-    heard = np.fmax(received_s[rows], 0.0)
-    late[rows] = heeded[rows] & (now - heard > limit)
-    return bool((late[rows] != missed[rows]).any())
+    use(ledger, rows, age_s)
+    late[rows] = heeded[rows] & (now - np.fmax(received_s[rows], 0.0) > limit)
+    overdue = (late[rows] != missed[rows]).any()
+    return OVERDUE * int(overdue) | DEAF * int((guards & SILENT).any())
 
 
-READY_SOME_DEAF = ready_of(some_deaf, "testbed.sim.hearing_twin")
-READY_OVERDUE = ready_of(overdue, "testbed.sim.hearing_twin")
+READY_HEARD = ready_of(heard, "testbed.sim.hearing_twin")
+
+
+class Hearing:
+    """Watches who hears whom, and counts how old what they use is.
+
+    Args:
+        names: N of the aircraft, the leader's first.
+        groups: of the followers.
+        ledger: of the radio.
+    """
+
+    def __init__(self, names: Sequence[str], groups: Sequence[Group], ledger: Ledger) -> None:
+        """See the class."""
+        self._ledger = ledger
+        self._silence = Silence(names[1:], groups[0].team.silent_after)
+        self._staleness = Staleness(names, groups)
+        self._deaf = True  # somebody may be
+        self._looks: dict[int, tuple[Any, ...]] = {}  # by who looks, which are kept in it
+
+    def changes(
+        self, now: float, rows: Numbers, age_s: Array, guards: Flags, received_s: Array
+    ) -> Iterable[Event]:
+        """An event for each neighbour whose news became too old, or new, since the last call.
+
+        Args:
+            now: s, when the followers of these rows stepped.
+            rows: (m,) among the n followers.
+            age_s: (n, N) s, of what they used.
+            guards: (n,)
+            received_s: (n, N) s, as in the inboxes then; nan: nothing heard yet.
+        """
+        stale = self._staleness
+        if stale.placing:
+            stale.place(now, rows, received_s)
+        given = age_s, guards, received_s
+        known = self._looks.get(id(rows))
+        if known is None or not all(map(is_, given, known[1])):
+            at = stale.heeded, stale.missed, stale.limit, stale.late
+            look = READY_HEARD(self._ledger, rows, *given, *at)
+            known = self._looks[id(rows)] = rows, given, look
+        found = known[2](now)
+        self._deaf = bool(found & DEAF)
+        return stale.changes(now) if found & OVERDUE else ()
+
+    def silences(self, now: float, guards: Flags, apart: Truths) -> Iterable[Event]:
+        """An event for each follower whose leader fell silent or came back since the last call.
+
+        Args:
+            now: s
+            guards: (n,) after all that have stepped.
+            apart: (n,) who is lost, or has left: nothing is said of them.
+        """
+        if self._silence.quiet and not self._deaf:
+            return ()
+        return self._silence.changes(now, guards, apart)
+
+    def heed(self, groups: Sequence[Group], apart: Truths) -> None:
+        """Miss no one from now on but those that these groups reckon with.
+
+        Args:
+            groups: of the followers.
+            apart: (n,) who misses nobody: who is lost, or has left.
+        """
+        self._staleness.heed(groups, apart)
 
 
 class Silence:
@@ -59,8 +133,7 @@ class Silence:
         self._names, self._patience = names, patience
         self._deaf: Truths = np.zeros(len(names), dtype=bool)
         self._waiting: Truths = np.ones(len(names), dtype=bool)
-        self._quiet = False  # everybody has heard the leader, and hears it
-        self._guards: Flags | None = None  # that are looked at
+        self.quiet = False  # everybody has heard the leader, and hears it
 
     def changes(self, now: float, guards: Flags, apart: Truths) -> Iterator[Event]:
         """An event for each follower whose leader fell silent or came back since the last call.
@@ -70,10 +143,6 @@ class Silence:
             guards: (n,)
             apart: (n,) who is lost, or has left: nothing is said of them.
         """
-        if guards is not self._guards:
-            self._guards, self._some_deaf = guards, READY_SOME_DEAF(guards)
-        if self._quiet and not self._some_deaf():
-            return
         deaf = ((guards & SILENT) != 0) & ~apart
         self._waiting = self._waiting & deaf & (now < self._patience)
         deaf &= ~self._waiting
@@ -83,7 +152,7 @@ class Silence:
             elif before and not after:
                 yield Event(now, "info", name, "hears the leader again")
         self._deaf = deaf
-        self._quiet = not (deaf.any() or self._waiting.any())
+        self.quiet = not (deaf.any() or self._waiting.any())
 
 
 class Staleness:
@@ -92,45 +161,33 @@ class Staleness:
     def __init__(self, names: Sequence[str], groups: Sequence[Group]) -> None:
         """Of N names, the leader's first: nobody is missed; news is given time from 0 s on."""
         self._names = names
-        self._heeded = _heeded(len(names), groups)
-        law = groups[0].law
-        self._limit = groups[0].team.stale_after
-        self._leaders_limit = groups[0].team.silent_after
+        law, team = groups[0].law, groups[0].team
+        self.limit, self._leaders_limit = team.stale_after, team.silent_after
         self._paper = isinstance(law, PaperLaw)  # of a law of the user's own nobody knows
         self._hold = isinstance(law, PaperLaw) and law.hold
-        self._missed, self._late = np.zeros((2, *self._heeded.shape), dtype=bool)
-        self._looks: dict[int, tuple[Any, ...]] = {}  # by who looks, which are kept in it
+        # (n, N) whom each reckons with; whose news was too old before; and is now
+        self.heeded = _heeded(len(names), groups)
+        self.missed, self.late = np.zeros((2, *self.heeded.shape), dtype=bool)
         # Whom a law that holds places has none for yet: it takes them while the leader is heard.
-        self._nowhere: Truths = self._heeded & self._hold
-        self._placing = self._hold
+        self._nowhere: Truths = self.heeded & self._hold
+        self.placing = self._hold
 
-    def changes(self, now: float, rows: NDArray[np.intp], received_s: Array) -> Iterator[Event]:
-        """An event for each neighbour whose news became too old, or new, since the last call.
+    def place(self, now: float, rows: Numbers, received_s: Array) -> None:
+        """Take it in that followers (m,) have places for those they hear (n, N) now, s."""
+        age = now - received_s[rows]
+        self._nowhere[rows] &= ~((age <= self.limit) & (age[:, :1] <= self._leaders_limit))
+        self.placing = bool(self._nowhere.any())
 
-        Args:
-            now: s, when the followers of these rows stepped.
-            rows: (m,) among the n followers.
-            received_s: (n, N) as in the inboxes then; nan: nothing heard yet.
-        """
-        if self._placing:
-            age = now - received_s[rows]
-            self._nowhere[rows] &= ~((age <= self._limit) & (age[:, :1] <= self._leaders_limit))
-            self._placing = bool(self._nowhere.any())
-        _, given, look = self._looks.get(id(rows), (None, None, None))
-        if given is not received_s or look is None:
-            at = rows, received_s, self._heeded, self._missed, self._limit, self._late
-            look = READY_OVERDUE(*at)
-            self._looks[id(rows)] = rows, received_s, look
-        if not look(now):
-            return
-        for i, m in np.argwhere(self._late != self._missed):
+    def changes(self, now: float) -> Iterator[Event]:
+        """An event for each neighbour who is late now and was not missed, or the reverse."""
+        for i, m in np.argwhere(self.late != self.missed):
             name, other = self._names[i + 1], self._names[m]
-            if self._late[i, m]:
+            if self.late[i, m]:
                 what = self._consequence(bool(self._nowhere[i, m]))
                 yield Event(now, "warning", name, f"does not hear {other}{what}")
             else:
                 yield Event(now, "info", name, f"hears {other} again")
-        self._missed[:] = self._late
+        self.missed[:] = self.late
 
     def heed(self, groups: Sequence[Group], apart: Truths) -> None:
         """Miss no one from now on but those that these groups reckon with.
@@ -139,9 +196,9 @@ class Staleness:
             groups: of the followers.
             apart: (n,) who misses nobody: who is lost, or has left.
         """
-        self._heeded[:] = _heeded(len(self._names), groups) & ~apart[:, np.newaxis]
-        for each in (self._missed, self._late, self._nowhere):
-            each &= self._heeded
+        self.heeded[:] = _heeded(len(self._names), groups) & ~apart[:, np.newaxis]
+        for each in (self.missed, self.late, self._nowhere):
+            each &= self.heeded
 
     def _consequence(self, nowhere: bool) -> str:
         if not self._paper:

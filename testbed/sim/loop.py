@@ -9,7 +9,7 @@ from testbed.sim.audience import Audience
 from testbed.sim.casualties import Casualties
 from testbed.sim.clock import Due
 from testbed.sim.control import Control
-from testbed.sim.hearing import Silence, Staleness
+from testbed.sim.hearing import Hearing
 from testbed.sim.pilots import with_ideal_leader
 from testbed.sim.watch import Arrivals, Engagement, Slots, Speaker
 from testbed.sim.world import World
@@ -39,8 +39,7 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
     breakdowns, deck = world.breakdowns, world.deck
     control = Control(world.groups, world.offsets, world.roster)
     speaker, slots = Speaker(len(world.names)), Slots(len(world.names) - 1)
-    silence = Silence(world.names[1:], world.groups[0].team.silent_after)
-    staleness = Staleness(world.names, world.groups)
+    hearing = Hearing(world.names, world.groups, radio.ledger)
     arrivals = Arrivals(world.gusts, world.names)
     engagement = Engagement(world.names[1:], clock.base_rate_hz)
     casualties = Casualties(world.names, world.proximity, breakdowns, fly_on=world.fly_on)
@@ -80,10 +79,10 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
                 if learnt := control.learn(number, now, inbox, radio.measured_s):
                     news += learnt
                     apart = control.alone | casualties.gone[1:]
-                    staleness.heed(control.groups, apart)
+                    hearing.heed(control.groups, apart)
                 stepped = control.step(number, now, own, inbox, radio.measured_s)
-                radio.use(stepped, control.age_s)
-                news += staleness.changes(now, stepped, inbox.received_s)
+                guards = control.diagnosis.guards
+                news += hearing.changes(now, stepped, control.age_s, guards, inbox.received_s)
             told = control.told
             if due.lead:
                 if deck is not None:
@@ -93,7 +92,7 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
                 told.pitch[0], told.roll[0], told.throttle[0] = lead
             if world.ideal:
                 vehicles.steer(with_ideal_leader(turn, control.unicycle))
-            news += silence.changes(now, control.diagnosis.guards, apart)
+            news += hearing.silences(now, control.diagnosis.guards, apart)
         if due.autopilot:
             if deck is not None:
                 news += deck.news()
@@ -110,7 +109,7 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
                     air.remove(casualties.gone)
                 hushed = casualties.gone if hushed is None else hushed | casualties.gone
                 apart = control.alone | casualties.gone[1:]
-                staleness.heed(control.groups, apart)
+                hearing.heed(control.groups, apart)
 
         if flown_in is not None:
             reached = None if air is None else air.gusts_inside(now, truth.position_ned)

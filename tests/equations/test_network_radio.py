@@ -228,7 +228,7 @@ def test_the_compiled_clocks():
 
 
 def ledger_of(link) -> Ledger:
-    return link._ledger
+    return link.ledger
 
 
 def test_bursts_of_loss_are_counted_by_their_length():
@@ -286,7 +286,6 @@ def test_compiled_and_numpy_radios_count_and_deliver_the_same(monkeypatch):
             if who.any():
                 link.send(now + 0.01 * rng.random(N), say(now), None, who)
             inbox = link.deliver(now)
-            link.use(np.array([0, 1]), now - link.measured_s)
             read = *inbox, *link.counts()
             found.append(([each.copy() for each in read], link.measured_s.copy()))
         return link, found
@@ -297,7 +296,7 @@ def test_compiled_and_numpy_radios_count_and_deliver_the_same(monkeypatch):
     monkeypatch.setattr(numpy_post, "fates", fates_twin.fates)  # the same delays to the last bit
     for of, name in (
         *((numpy_post, each) for each in ("send_round", "take_due")),
-        *((numpy_ledger, each) for each in ("use", "count")),
+        (numpy_ledger, "count"),
     ):
         plainly = partial(partial, getattr(of, name))
         monkeypatch.setattr(radio_module, f"READY_{name.upper()}", plainly)
@@ -305,10 +304,10 @@ def test_compiled_and_numpy_radios_count_and_deliver_the_same(monkeypatch):
     for (inbox, measured), (other, others) in zip(ours, theirs, strict=True):
         for one, two in zip((*inbox, measured), (*other, others), strict=True):
             np.testing.assert_array_equal(one, two)
-    for name, one, two in zip(Ledger._fields, compiled._ledger, plain._ledger, strict=True):
+    for name, one, two in zip(Ledger._fields, compiled.ledger, plain.ledger, strict=True):
         np.testing.assert_allclose(one, two, rtol=1e-12, err_msg=name)
-    assert compiled._ledger.overtaken.any()
-    assert compiled._ledger.twice.any()
+    assert compiled.ledger.overtaken.any()
+    assert compiled.ledger.twice.any()
     assert compiled._count == plain._count > 0
 
 

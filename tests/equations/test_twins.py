@@ -248,11 +248,11 @@ def test_no_twin_goes_without_such_a_test():
     elsewhere |= {"read", "write", "note", "look", "sense_air", "blow", "command"}  # flight models'
     elsewhere |= {"sample", "write_felt_in_field", "write_filters", "add_turbulence"}  # the air's
     elsewhere |= {"write_mean", "add_uneven", "add_wakes"}
-    elsewhere |= {"befall", "post_round", "send_round", "take_due", "use", "count"}  # the network's
+    elsewhere |= {"befall", "post_round", "send_round", "take_due", "count"}  # the network's
     elsewhere |= {"sense", "jitter"}  # the sensors'
     elsewhere |= {"fly", "fly_ideal"}  # the leader's
     elsewhere |= {"beyond", "held", "gather"}  # of upsets, slots that are held, and rows
-    elsewhere |= {"some_deaf", "overdue"}  # of who hears whom
+    elsewhere |= {"heard"}  # of who hears whom
     here = {"paper_step", "middle_step", "ages", "together"}
     here |= {"write_true_slots", "write_euler_rates"}
     assert found == here | elsewhere

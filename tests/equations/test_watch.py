@@ -5,15 +5,9 @@ import pytest
 
 from testbed.formation.flags import Guard
 from testbed.formation.law import Diagnosis
+from testbed.network.ledger import Ledger, blank
 from testbed.scenario import load
-from testbed.sim.hearing import (
-    READY_OVERDUE,
-    READY_SOME_DEAF,
-    Silence,
-    Staleness,
-    overdue,
-    some_deaf,
-)
+from testbed.sim.hearing import DEAF, OVERDUE, READY_HEARD, Hearing, Silence, heard
 from testbed.sim.watch import READY_HELD, Arrivals, Engagement, Slots, Speaker, held
 from testbed.sim.world import build
 from testbed.state import VehicleState
@@ -110,7 +104,7 @@ def test_a_broadcast_is_the_senders_estimate_with_euler_rates():
     assert said.euler_rates == pytest.approx(np.tile([0.0, 0.0, 0.4], (3, 1)), abs=1e-15)
 
 
-DEAF = int(Guard.LEADER_SILENT)
+MUTE = int(Guard.LEADER_SILENT)
 
 
 def test_silence_and_its_end_are_events_of_who_does_not_hear():
@@ -126,21 +120,21 @@ def test_silence_and_its_end_are_events_of_who_does_not_hear():
     assert changes(0.0, 0, 0, 0) == []
     # other guards are no silence
     assert changes(1.0, 7, 0, 1) == []
-    assert changes(2.0, DEAF, DEAF | 4, 0) == [
+    assert changes(2.0, MUTE, MUTE | 4, 0) == [
         (2.0, "warning", "uav1", lost),
         (2.0, "warning", "uav2", lost),
     ]
     # said once
-    assert changes(3.0, DEAF, DEAF, 0) == []
-    assert changes(3.5, DEAF | 1, DEAF, 2) == []
-    assert changes(4.0, DEAF, 0, DEAF) == [
+    assert changes(3.0, MUTE, MUTE, 0) == []
+    assert changes(3.5, MUTE | 1, MUTE, 2) == []
+    assert changes(4.0, MUTE, 0, MUTE) == [
         (4.0, "info", "uav2", found),
         (4.0, "warning", "uav3", lost),
     ]
     assert changes(5.0, 0, 0, 0) == [(5.0, "info", "uav1", found), (5.0, "info", "uav3", found)]
     assert changes(6.0, 0, 0, 0) == []
     # and again, as news
-    assert changes(7.0, 0, DEAF, 0) == [(7.0, "warning", "uav2", lost)]
+    assert changes(7.0, 0, MUTE, 0) == [(7.0, "warning", "uav2", lost)]
 
 
 def test_a_first_message_under_way_is_no_silence_until_it_is_late():
@@ -154,10 +148,10 @@ def test_a_first_message_under_way_is_no_silence_until_it_is_late():
             )
         ]
 
-    assert changes(0.0, DEAF, DEAF) == []
-    assert changes(0.1, 0, DEAF) == []
-    assert changes(4.9, DEAF, DEAF) == [("uav1", "warning")]
-    assert changes(5.0, 0, DEAF) == [("uav1", "info"), ("uav2", "warning")]
+    assert changes(0.0, MUTE, MUTE) == []
+    assert changes(0.1, 0, MUTE) == []
+    assert changes(4.9, MUTE, MUTE) == [("uav1", "warning")]
+    assert changes(5.0, 0, MUTE) == [("uav1", "info"), ("uav2", "warning")]
 
 
 NOTHING = np.nan
@@ -168,10 +162,11 @@ LEFT_OUT, HELD = ": leaves it out", ": takes it to hold its place"
 def neighbours(*changes, page="simulation-3"):
     """What is said of neighbours of simulation-3: uav2 heeds uav1, and uav3 heeds uav2."""
     world = build(load(page, ["controller.staleness.after_s=2", *changes]))
-    watch = Staleness(world.names, world.groups)
+    watch = Hearing(world.names, world.groups, world.radio.ledger)
+    unused, guards = np.full((3, 4), np.nan), np.zeros(3, np.uint8)
 
     def changes_of(now, received, rows=ALL):
-        events = watch.changes(now, np.array(rows), np.array(received))
+        events = watch.changes(now, np.array(rows), unused, guards, np.array(received))
         return [(e.time_s, e.level, e.source, e.text) for e in events]
 
     return changes_of
@@ -219,23 +214,46 @@ def test_the_compiled_watch_over_news():
     pytest.importorskip("numba")
     rng = np.random.default_rng(11)
     heeded, found = rng.random((3, 4)) < 0.7, set()
-    received, (missed, ours, theirs) = np.empty((3, 4)), np.zeros((3, 3, 4), bool)
+    (received, age_s), guards = np.empty((2, 3, 4)), np.zeros(3, np.uint8)
+    missed, ours, theirs = np.zeros((3, 3, 4), bool)
+    ledgers = blank(3, 4), blank(3, 4)
     for rows in (np.array([0, 2]), np.array([1])):
-        given = rows, received, heeded, missed, 2.0
-        look = READY_OVERDUE(*given, theirs)
+        given = rows, age_s, guards, received, heeded, missed, 2.0
+        look = READY_HEARD(ledgers[1], *given, theirs)
         for now in rng.uniform(0.0, 8.0, 200):
-            received[:] = np.where(
-                rng.random((3, 4)) < 0.2, np.nan, now - rng.uniform(0, 3, (3, 4))
-            )
+            lost = rng.random((2, 3, 4)) < 0.2
+            received[:], age_s[:] = np.where(lost, np.nan, rng.uniform(0.0, 3.0, (2, 3, 4)))
+            received[:] = now - received
             missed[:] = rng.random((3, 4)) < 0.1
-            found.add(overdue(*given, ours, now))
-            assert look(now) == overdue(*given, ours, now)
+            guards[:] = rng.integers(0, 256, 3) & [15, 255, 255]
+            said = heard(ledgers[0], *given, ours, now)
+            found.add(said)
+            assert look(now) == said
             assert np.array_equal(ours, theirs)
-    assert found == {False, True}
+    assert found == {0, DEAF, OVERDUE, DEAF | OVERDUE}
+    assert ledgers[0].uses.any()
+    for name, one, two in zip(Ledger._fields, *ledgers, strict=True):
+        np.testing.assert_allclose(two, one, rtol=1e-12, err_msg=name)
+
+
+def test_who_is_watched_hears_its_leader_or_not():
+    """Looked for by who steps: of a leader that nobody has ever missed nothing more is asked."""
+    world = build(load("simulation-3"))
+    watch = Hearing(world.names, world.groups, world.radio.ledger)
+    unused, nobody = np.full((3, 4), np.nan), np.zeros(3, bool)
     guards = np.zeros(3, np.uint8)
-    anybody = READY_SOME_DEAF(guards)
-    for guards[:] in rng.integers(0, 256, (200, 3)) & [[15, 255, 255]]:
-        assert anybody() == some_deaf(guards)
+
+    def said(now, *deaf):
+        guards[:] = np.where(deaf, MUTE, 0)
+        events = [*watch.changes(now, ALL, unused, guards, heard_at(now))]
+        events += watch.silences(now, guards, nobody)
+        return [(event.level, event.source) for event in events]
+
+    assert said(1.0, False, False, False) == []
+    assert said(2.0, False, True, False) == [("warning", "uav2")]
+    assert said(3.0, False, True, False) == []
+    assert said(4.0, False, False, False) == [("info", "uav2")]
+    assert said(5.0, True, False, False) == [("warning", "uav1")]
 
 
 def test_who_was_heard_only_while_the_leader_was_silent_has_no_place_to_hold():
