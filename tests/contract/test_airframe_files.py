@@ -7,8 +7,8 @@ import time
 import pytest
 
 from testbed.scenario import library
-from testbed.vehicle import airframe_files, trial
-from testbed.vehicle.jsbsim_door import airframe
+from testbed.vehicle import airframe_files, jsbsim_door, trial
+from testbed.vehicle.jsbsim_door import airframe, explore_ahead
 from testbed.vehicle.jsbsim_model import AircraftError
 
 MAIN, MOTOR = "rascal110.xml", "Engines/rascal110_motor.xml"
@@ -126,3 +126,30 @@ def test_what_never_ends_is_ended(folder, monkeypatch):
     monkeypatch.setattr(trial, "LONGEST_S", 1)
     with pytest.raises(AircraftError, match="did not come to an end within 1 s"):
         airframe_files.explored(folder, lambda tell: time.sleep(60))()
+
+
+def test_what_is_asked_ahead_is_asked_once(folder, monkeypatch):
+    """And anew of files that have changed; what is wrong is for who loads the aircraft."""
+    asked = []
+
+    def counted(*given):
+        asked.append(given)
+        return airframe_files.explored(*given)
+
+    monkeypatch.setattr(jsbsim_door, "explored", counted)
+    explore_ahead([folder, folder])
+    explore_ahead([folder])
+    airframe(folder)
+    assert len(asked) == 1
+    explore_ahead([folder])
+    assert len(asked) == 1
+    explore_ahead([folder])
+    change(folder / MAIN, "> 1.95 <", "> 0.01 <")
+    explore_ahead([folder])
+    assert len(asked) == 2
+    assert "mass_balance: no rigid body has" in refusal(folder)
+    assert len(asked) == 2
+
+    change(folder / MAIN, "<mass_balance>", '<input port="41234" type="SOCKET"/><mass_balance>')
+    explore_ahead([folder])
+    assert "<input> opens a socket" in refusal(folder)
