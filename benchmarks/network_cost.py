@@ -19,12 +19,13 @@ from pathlib import Path
 import numpy as np
 
 from testbed.network.channel import make_channel
-from testbed.network.ledger import use
 from testbed.network.radio import Radio
 from testbed.scenario import find_aircraft
 from testbed.scenario.network import Network
+from testbed.sim.hearing import READY_HEARD
 from testbed.state import Broadcast, Origin
-from testbed.vehicle.fleet import JsbsimFleet, Start
+from testbed.vehicle.fleet import JsbsimFleet
+from testbed.vehicle.start import Start
 
 PHYSICS_HZ, CONTROL_HZ, MESSAGES_HZ = 200, 25, 10
 LINK = {
@@ -38,7 +39,7 @@ LINK = {
 
 
 def flight_s(fleet: JsbsimFleet, seconds: float) -> float:
-    """Wall time of the models alone, s."""
+    """Wall time of the models alone, and of setting and reading them, s."""
     trimmed = fleet.trimmed
     began = time.perf_counter()
     for _ in range(round(seconds * CONTROL_HZ)):
@@ -51,7 +52,10 @@ def radio_s(radio: Radio, aircraft: int, start_s: float, seconds: float, togethe
     message = Broadcast(np.zeros(aircraft), *(np.zeros((aircraft, 3)) for _ in range(5)))
     period, control = PHYSICS_HZ // MESSAGES_HZ, PHYSICS_HZ // CONTROL_HZ
     phase = np.zeros(aircraft, int) if together else np.arange(aircraft) % period
-    rows = np.arange(aircraft - 1)
+    rows, age_s = np.arange(aircraft - 1), np.empty((aircraft - 1, aircraft))
+    heeded, missed, late = np.zeros((3, *age_s.shape), dtype=bool)
+    received, guards = radio.deliver(start_s).received_s, np.zeros(aircraft - 1, np.uint8)
+    heard = READY_HEARD(radio.ledger, rows, age_s, guards, received, heeded, missed, np.inf, late)
     began = time.perf_counter()
     for tick in range(round(seconds * PHYSICS_HZ)):
         now = start_s + tick / PHYSICS_HZ
@@ -61,7 +65,8 @@ def radio_s(radio: Radio, aircraft: int, start_s: float, seconds: float, togethe
             radio.send(stamps, message._replace(stamp_s=stamps), None, who)
         if tick % control == 0:
             radio.deliver(now)
-            use(radio.ledger, rows, now - radio.measured_s)
+            np.subtract(now, radio.measured_s, out=age_s)
+            heard(now)
     return time.perf_counter() - began
 
 

@@ -28,15 +28,15 @@ from testbed.state import Event, Frame, Observer, RunInfo
 from testbed.vehicle.fleet import JsbsimFleet
 
 ROOMS: Mapping[str, str] = {
-    "physics": "the flight models' own steps, and setting their controls",
-    "truth": "reading the flight models",
+    "physics": "the flight models' own steps, setting their controls and reading their motion",
+    "truth": "making what was read of the flight models the state, and what they say of the air",
     "air": "what blows where each aircraft is, and telling the flight models",
     "sensing": "sensors and estimates",
     "autopilot": "fly-by-wire A",
     "network": "sending, losing, delaying and delivering messages",
     "leader": "guidance of the leader",
     "control": "formation law and middle loop",
-    "events": "what is watched for: losses, silences, faults, engagement",
+    "events": "what is watched for: losses, silences with ages of news, faults, engagement",
     "metrics": "true errors, and the numbers of the run",
     "log": "the MCAP file",
     "loop": "the clock, and what hands things from one room to the next",

@@ -185,12 +185,17 @@ def _save_alone(compiled: Any) -> None:  # noqa: ANN401 - numba's
         module = result.library._get_module_for_linking()
         names = [each.name for each in module.functions if not each.is_declaration]
         held = [each.name for each in module.global_variables if not each.is_declaration]
-        lines = [f'define void @"{name}"() {{ ret void }}' for name in names]
-        lines += [f'@"{name}" = global i8 0' for name in held]
+        lines = [f'define void @"{_quoted(name)}"() {{ ret void }}' for name in names]
+        lines += [f'@"{_quoted(name)}" = global i8 0' for name in held]
         (name, form, (code, _)), *rest = reduce(result)
         return ((name, form, (code, parse_assembly("\n".join(lines)).as_bitcode())), *rest)
 
     kept.reduce = machine_code
+
+
+def _quoted(name: str) -> str:
+    """A name as LLVM's text has it between quotation marks."""
+    return "".join(chr(c) if chr(c).isalnum() and c < 128 else f"\\{c:02X}" for c in name.encode())
 
 
 @functools.cache
@@ -239,5 +244,5 @@ def _sources(package: Path) -> dict[str, bytes]:
                 place = module.lstrip(".").replace(".", "/")
                 led_to |= {place, f"{place}/__init__"}
                 led_to |= {f"{place}/{each}" for each in _NAME.findall(names)}
-        waiting = led_to
+        waiting = {name.lstrip("/") for name in led_to}
     return found

@@ -1,4 +1,4 @@
-"""Bit flags that say which guard or saturation acted on an agent's command."""
+"""Bit flags that say which guard or saturation acted on an agent's command, and who is missed."""
 
 from __future__ import annotations
 
@@ -12,6 +12,13 @@ class Guard(IntFlag):
     OUTSIDE_SPEED_SET = 2  # s left S: the second branch of (14)
     SPEED_COMMAND_CLIPPED = 4  # u + s_a − s left the speed bounds
     LEADER_SILENT = 8  # the leader was not heard for too long
+
+
+class Missing(IntFlag):
+    """What there is to tell of who hears whom."""
+
+    OVERDUE = 1  # of a neighbour, or no longer
+    DEAF = 2  # somebody, to the leader
 
 
 class Saturation(IntFlag):

@@ -98,7 +98,7 @@ class Clock:
             everyone: whoever sends, the motion of everyone is asked for.
         """
         pattern, period, last = self._pattern(), self.period, self.ticks(duration_s)
-        first = self._due(0, everyone=True)
+        first = self._due(0, beginning=True)
         if self.beats:
             laps = (
                 (lap * period + tick, due) for lap in itertools.count() for tick, due in pattern
@@ -162,17 +162,17 @@ class Clock:
             }
         return [(tick, self._due(tick)) for tick in sorted(ticks)]
 
-    def _due(self, tick: int, *, everyone: bool = False) -> Due:
+    def _due(self, tick: int, *, beginning: bool = False) -> Due:
         send = np.array(
             [
-                phase is not None and (everyone or (tick - phase) % self.broadcast == 0)
+                phase is not None and (beginning or (tick - phase) % self.broadcast == 0)
                 for phase in self.broadcast_phases
             ]
         )
         step = tuple(
             number
             for number, phase in enumerate(self._moments)
-            if everyone or (tick - phase) % self.control == 0
+            if beginning or (tick - phase) % self.control == 0
         )
         regular = [tick % period == 0 for period in (self.control, self.autopilot, self.log)]
         wanted = send.tolist()

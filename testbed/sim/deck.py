@@ -26,8 +26,8 @@ from testbed.sim.seat import Seat
 from testbed.sim.unmanned import Unmanned
 from testbed.sim.vehicles import Flown
 from testbed.state import Event, FbwaCommand, Origin, Truths, VehicleState
-from testbed.vehicle.fleet import Start
 from testbed.vehicle.params import FbwaParams
+from testbed.vehicle.start import Start
 
 _BANK_DEG, _CLIMB_MPS = 45.0, 1.5  # of circles, where the page says nothing
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.compiled import ready_of
-from testbed.formation.flags import Guard
+from testbed.formation.flags import Guard, Missing
 from testbed.formation.paper_law import PaperLaw
 from testbed.network.ledger import Ledger, use
 from testbed.sim.control import Group
@@ -19,7 +19,7 @@ from testbed.state import Array, Event, Flags, Truths
 Numbers = NDArray[np.intp]
 
 SILENT = int(Guard.LEADER_SILENT)
-OVERDUE, DEAF = 1, 2  # what `heard` finds
+OVERDUE, DEAF = map(int, Missing)
 
 
 def heard(

@@ -7,8 +7,11 @@
 from __future__ import annotations
 
 from testbed.compiled import bound, twin
+from testbed.formation.flags import Guard, Missing
 from testbed.network.ledger_twin import use
-from testbed.sim.hearing import DEAF, OVERDUE, SILENT
+
+SILENT = int(Guard.LEADER_SILENT)
+OVERDUE, DEAF = map(int, Missing)
 
 
 def ready_heard(ledger, *fixed):

@@ -24,9 +24,9 @@ from testbed.sim.clock import Clock
 from testbed.sim.pilots import MissionPilot, NoPilot, Pilot
 from testbed.sim.vehicles import Replayed
 from testbed.state import Array, Origin
-from testbed.vehicle.fleet import Start
 from testbed.vehicle.jsbsim_door import trim_aircraft
 from testbed.vehicle.params import FbwaParams
+from testbed.vehicle.start import Start
 from testbed.vehicle.trim import STILL, TrimPoint, Vector, course_through_air
 
 

@@ -23,7 +23,7 @@ def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due
     At each tick: the truth is read, the air blows where the aircraft are, what is due to break
     breaks and estimates are made, due broadcasts are sent and what is due arrives, the leader and
     the followers that are due compute their commands from their own estimate and inbox, autopilots
-    turn these into surfaces, observers look, and everything moves that the next tick asks for.
+    turn these into surfaces, observers look, and everything moves to the next.
 
     Args:
         world: as built; its vehicles move.

@@ -22,9 +22,10 @@ from testbed.sim.middle_loops import middle_gains
 from testbed.sim.vehicles import Flown
 from testbed.state import Array, Origin, UnicycleCommand
 from testbed.steady import Steady
-from testbed.vehicle.fleet import JsbsimFleet, Start
+from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.identify import FirstOrder, fit_first_order
 from testbed.vehicle.params import FbwaParams, stack
+from testbed.vehicle.start import Start
 
 BASE_RATE_HZ = 200
 AUTOPILOT_TICKS = 4  # 50 Hz

@@ -39,7 +39,7 @@ class Vehicles(Protocol):
         """The truth now, in arrays that may be changed by the next call."""
 
     def air(self) -> AirData:
-        """What the truth knows of the air now."""
+        """What the truth knows of the air now; not amid legs, see `step`."""
 
     def lost(self, state: VehicleState) -> Truths:
         """Which of them are on the ground, broken or not finite; until the next call."""

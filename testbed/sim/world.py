@@ -42,11 +42,12 @@ from testbed.sim.vehicles import Flown, Ideal, Vehicles
 from testbed.state import Array, Event, Origin, RunInfo
 from testbed.streams import stream
 from testbed.vehicle.crew import make_fleet
-from testbed.vehicle.fleet import JsbsimFleet, Start
+from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.ideal import IdealFleet
 from testbed.vehicle.jsbsim_door import VERSION as JSBSIM_VERSION
-from testbed.vehicle.jsbsim_door import airframe, explore_ahead
+from testbed.vehicle.jsbsim_door import airframe, explore
 from testbed.vehicle.params import read_params, stack
+from testbed.vehicle.start import Start
 from testbed.vehicle.trim import STILL, said_of
 
 LOWEST_START_M = 5.0  # above the ground; an aircraft starts in trimmed flight
@@ -108,8 +109,7 @@ def build(
     check_memory(page, clock)
     origin = Origin(**page.scenario.origin.model_dump())
     folders = [find_aircraft(each.aircraft) for each in page.aircraft]
-    explore_ahead(folders)
-    load_engine()
+    explore(folders, meanwhile=load_engine)
     files = [find_tune(at, each.tune) for at, each in zip(folders, page.aircraft, strict=True)]
     tunes = [read_params(file) for file in files]
     mean = make_mean(page)

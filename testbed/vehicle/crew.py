@@ -25,10 +25,11 @@ import numpy as np
 
 from testbed.errors import PartnerLost
 from testbed.state import AirFelt, Array, Origin, Surfaces
-from testbed.vehicle.fleet import JsbsimFleet, Start
+from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.instruments import MOTION
-from testbed.vehicle.legs import LONGEST, Leg, program
+from testbed.vehicle.legs import LONGEST, Leg, parts_of
 from testbed.vehicle.properties import READY_READ, READY_WRITE, flat
+from testbed.vehicle.start import Start
 
 WORTH_IT = 20  # aircraft from which on two processes were measured to be faster than one
 LOOKS = 400  # of one who waits before it leaves the processor to others, some 0.1 ms
@@ -77,7 +78,7 @@ class _Shared:
         # how many legs to fly, how often it was told what blows, and the ticks of the legs
         self.words = memoryview(memory)[_DOUBLE * (words - _WORDS) : _DOUBLE * words].cast("q")
         flags = np.frombuffer(memory, dtype=bool, offset=_DOUBLE * words).reshape(-1, n)
-        self.broken, self.gone, self.asked = flags[0], flags[1], flags[2:]
+        self.broken, self.gone, self.wanted = flags[0], flags[1], flags[2:]
 
 
 class CrewedFleet(JsbsimFleet):
@@ -109,12 +110,14 @@ class CrewedFleet(JsbsimFleet):
             numbers[name][:] = own.ravel()
         self._notes = numbers["notes"].reshape(self._notes.shape)
         self._raw_air, self._told = numbers["air"], numbers["told"]
-        self._shared.asked[:] = self._asked
-        self._asked = self._shared.asked
-        self._surfaces = Surfaces(*numbers["surfaces"].reshape(4, n))
+        self._shared.wanted[:] = self._wanted
+        self._wanted = self._shared.wanted
+        surfaces = numbers["surfaces"].reshape(4, n)
+        surfaces[:] = self._surfaces
+        self._surfaces = Surfaces(*surfaces)
         self._bind()
         parts = np.array_split(np.arange(n), min(processes, n))
-        self._mine, *self._theirs = (part.tolist() for part in parts)
+        self._mine, *self._theirs = (tuple(part.tolist()) for part in parts)
         self._crew: _Crew | None = None
 
     def _take(self, surfaces: Surfaces) -> None:
@@ -123,15 +126,13 @@ class CrewedFleet(JsbsimFleet):
         super()._take(self._surfaces)
 
     def _run(self, legs: tuple[Leg, ...]) -> None:
-        """Run through legs, all at once."""
+        """Run everyone through legs, all at once."""
         crew, words = self._crew or self._hire(), self._shared.words
         words[0] = len(legs)
         for k, leg in enumerate(legs):
             words[2 + k] = leg.ticks
-        asked, parts = program(legs, len(self._models))
-        self._asked[: len(legs)] = asked
         crew.go()
-        self._run_through(self._mine, parts)
+        self._run_through(self._mine, parts_of(legs, self._mine))
         crew.wait()
 
     def blow(self, felt: AirFelt) -> None:
@@ -145,7 +146,8 @@ class CrewedFleet(JsbsimFleet):
             super().discharge(charge)
             return
         mine = np.full(len(charge), np.nan)
-        mine[self._mine] = charge[self._mine]
+        own = list(self._mine)
+        mine[own] = charge[own]
         super().discharge(mine)
         self._shared.of["charge"][:] = charge
 
@@ -198,9 +200,9 @@ class CrewedFleet(JsbsimFleet):
                 if shared.gone[i] and self._runs[i] is not None:
                     self._remove(i)
             self._command()
-            asked = map(tuple, shared.asked[:count].tolist())
-            legs = tuple(map(Leg, ticks[:count], asked))
-            self._run_through(rows, program(legs, n).parts)
+            wanted = map(tuple, shared.wanted[:count, list(rows)].tolist())
+            legs = tuple(map(Leg, ticks[:count], wanted))
+            self._run_through(rows, parts_of(legs, tuple(range(len(rows)))))
             self._tell_air()
 
         return work

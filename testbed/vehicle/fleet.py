@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
@@ -30,29 +29,14 @@ from testbed.vehicle.instruments import (
     READY_SENSE_AIR,
 )
 from testbed.vehicle.jsbsim_door import load, rig_of, trim_aircraft
-from testbed.vehicle.legs import LONGEST, Leg, program
+from testbed.vehicle.legs import LONGEST, Leg, Parts, parts_of, wanted_of
 from testbed.vehicle.motion import READY_LOST, state_of
 from testbed.vehicle.properties import flat, sane
-from testbed.vehicle.trim import STILL, TrimPoint, TrimResult, Vector, course_through_air
+from testbed.vehicle.start import Start
+from testbed.vehicle.trim import TrimPoint, TrimResult, course_through_air
 
+_AHEAD = "aircraft that have flown on already are told or asked something that comes before"
 LOWEST = 1.0  # m above the terrain: an aircraft below counts as on the ground
-
-
-@dataclass(frozen=True, slots=True)
-class Start:
-    """Where and how an aircraft begins, in trim in the air that carries it.
-
-    In wind the nose is turned so that the track over the ground has the course asked for; airspeed
-    and flight-path angle are those of the motion through the air.
-    """
-
-    position_ned: Vector  # m from the origin
-    course: float = 0.0  # rad, over the ground
-    airspeed: float = 22.0  # true, m/s
-    flight_path_angle: float = 0.0  # rad, through the air
-    bank: float = 0.0  # rad
-    wind_ned: Vector = STILL  # m/s, velocity of the air, which stays so until `blow`
-    state_of_charge: float = 1.0  # 0..1 of its battery, where it has one
 
 
 class JsbsimFleet:
@@ -121,9 +105,12 @@ class JsbsimFleet:
         self._numbers, self._raw_air = np.empty((n, len(MOTION))), np.full(8 * n, np.nan)
         self._told, self._commanded = np.empty(7 * n), np.empty(4 * n)
         # the motion after each of the legs that are flown at once, and whose is written down
-        self._notes = np.empty((LONGEST, n, len(MOTION)))
-        self._asked = np.ones((LONGEST, n), dtype=bool)
-        self._leg, self._left = 0, 0  # that is looked at, and how many are flown beyond
+        self._notes = np.zeros((LONGEST, n, len(MOTION)))
+        self._wanted = np.ones((LONGEST, n), dtype=bool)
+        self._rows = tuple(range(n))
+        # those that are flown, and which of them is looked at
+        self._legs: tuple[Leg, ...] = (Leg(0),)
+        self._leg = 0
         north, east = metres_per_radian(origin)
         place = *np.radians([origin.latitude_deg, origin.longitude_deg]), origin.elevation_m / FOOT
         self._zero = np.array([*place, *[0.0] * 14])
@@ -143,7 +130,7 @@ class JsbsimFleet:
     def _bind(self) -> None:
         """Bind what reads and sets to the properties that there are now, and their numbers."""
         self._note = [self._noting(i) for i in range(len(self._models))]
-        self._look = READY_LOOK(self._notes, self._asked, self._zero, self._scale, self._flat)
+        self._look = READY_LOOK(self._notes, self._wanted, self._zero, self._scale, self._flat)
         self._bind_to_air()
         self._bind_to_controls()
 
@@ -176,7 +163,8 @@ class JsbsimFleet:
         return self._state
 
     def air(self) -> AirData:
-        """What is known of the air now, at the end of the legs; until the next call."""
+        """What is known of the air now; for observers, until the next call; not amid legs."""
+        self._stands()
         self._look_at_air()
         return self._in_air
 
@@ -187,6 +175,7 @@ class JsbsimFleet:
 
     def blow(self, felt: AirFelt) -> None:
         """Say what the air does to the aircraft from now on."""
+        self._stands()
         felt = self._airs(felt)
         if felt is not self._felt:
             self._felt = felt
@@ -204,18 +193,27 @@ class JsbsimFleet:
                 end of the next: no surfaces are taken there, nor a look at the air.
 
         Raises:
-            RuntimeError: surfaces in the midst of legs.
+            RuntimeError: surfaces, other legs or other ticks in the midst of legs.
         """
-        if self._left:
-            if surfaces is not None:
-                raise RuntimeError("surfaces are told to aircraft that have flown on already")
-            self._leg, self._left = self._leg + 1, self._left - 1
+        if self._leg + 1 < len(self._legs):
+            self._leg += 1
+            if surfaces is not None or legs or ticks != self._legs[self._leg].ticks:
+                raise RuntimeError(_AHEAD)
             return
         if surfaces is not None:
             self._take(surfaces)
-        legs = legs[:LONGEST] or (Leg(ticks),)
-        self._run(legs)
-        self._leg, self._left = 0, len(legs) - 1
+        self._legs, self._leg = legs[:LONGEST] or (Leg(ticks),), 0
+        self._wanted[: len(self._legs)] = wanted_of(self._legs, len(self._models))
+        self._run(self._legs)
+
+    def _stands(self) -> None:
+        """Nobody has flown on.
+
+        Raises:
+            RuntimeError: in the midst of legs.
+        """
+        if self._leg + 1 < len(self._legs):
+            raise RuntimeError(_AHEAD)
 
     def _take(self, surfaces: Surfaces) -> None:
         """Command them."""
@@ -226,16 +224,14 @@ class JsbsimFleet:
         self._command()
 
     def _run(self, legs: tuple[Leg, ...]) -> None:
-        """Run through legs, and write down what is asked for."""
-        asked, parts = program(legs, len(self._models))
-        self._asked[: len(legs)] = asked
-        self._run_through(range(len(self._models)), parts)
+        """Run everyone through legs."""
+        self._run_through(self._rows, parts_of(legs, self._rows))
 
-    def _run_through(self, rows: Iterable[int], parts: Sequence[Sequence[tuple[int, int]]]) -> None:
-        """Run these aircraft through the parts of a program."""
-        for i in rows:
+    def _run_through(self, rows: Sequence[int], parts: Sequence[Parts]) -> None:
+        """Run these aircraft through their parts, and write down what is wanted."""
+        for i, theirs in zip(rows, parts, strict=True):
             run = self._runs[i]
-            for ticks, leg in parts[i]:
+            for ticks, leg in theirs:
                 if run is not None:
                     on = True
                     try:
@@ -254,11 +250,13 @@ class JsbsimFleet:
         Raises:
             AircraftError: if an aircraft that is to have less has no battery.
         """
+        self._stands()
         for i in np.flatnonzero(~np.isnan(charge)).tolist():
             self._models[i].discharge(float(charge[i]))
 
     def remove(self, rows: Truths) -> None:
         """Step these aircraft (N,) no more: they are lost, and read as now from now on."""
+        self._stands()
         for i in np.flatnonzero(rows & ~self._broken).tolist():
             self._remove(i)
 

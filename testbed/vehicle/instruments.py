@@ -43,18 +43,18 @@ def note(nodes: Nodes, numbers: Array, notes: Array, row: int, leg: int) -> None
     notes[leg, row] = numbers
 
 
-def look(notes: Array, asked: Truths, zero: Array, scale: Array, flat: Array, leg: int) -> None:
-    """Write the motion after a leg, of those that are asked; the others' stays.
+def look(notes: Array, wanted: Truths, zero: Array, scale: Array, flat: Array, leg: int) -> None:
+    """Write the motion after a leg, of those whose is wanted; the others' stays.
 
     Args:
         notes: (legs, N, 17) what was written down.
-        asked: (legs, N)
+        wanted: (legs, N)
         zero: (17,) as `motion` has it, and scale.
         scale: (17,)
         flat: (17 N,) becomes the numbers of `state_of`.
         leg: after which.
     """
-    motion(notes[leg], asked[leg], zero, scale, flat)
+    motion(notes[leg], wanted[leg], zero, scale, flat)
 
 
 def sense_air(nodes: Nodes, raw: Array, felt: AirFelt, air: AirData) -> None:

@@ -23,8 +23,8 @@ def note(getter, nodes, numbers, notes, row, leg):
 
 
 @twin
-def look(notes, asked, zero, scale, flat, leg):
-    motion(notes[leg], asked[leg], zero, scale, flat)
+def look(notes, wanted, zero, scale, flat, leg):
+    motion(notes[leg], wanted[leg], zero, scale, flat)
 
 
 @twin

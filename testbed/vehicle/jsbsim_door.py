@@ -28,8 +28,8 @@ from testbed.vehicle.trim import TrimPoint, TrimResult, said_of, trim
 
 VERSION: str = jsbsim.__version__
 _TRIM_RATE_HZ = 200
-# Folders with what their files say, of which it was asked; with what waits for an answer, if any.
-_ASKED: dict[tuple[Path, str], Callable[[], Any] | None] = {}
+# What was found out of folders before it was asked for; by what their files say.
+_FOUND: dict[tuple[Path, str], Traits] = {}
 
 
 def trim_aircraft(folder: Path, point: TrimPoint, origin: Origin | None = None) -> TrimResult:
@@ -99,26 +99,34 @@ def load(folder: Path, rate_hz: int) -> JsbsimModel:
     return JsbsimModel(_executive(folder), rate_hz, traits)
 
 
-def explore_ahead(folders: Iterable[Path]) -> None:
-    """Begin to find out what `load` has to know of aircraft, of which nothing was asked before.
+def explore(folders: Iterable[Path], meanwhile: Callable[[], None]) -> None:
+    """Find out what `load` has to know of aircraft, in copies of this process, while it does more.
 
-    It is done by other processes while this one goes on. What is wrong with an aircraft is for who
-    loads it.
+    What is wrong with an aircraft is for who loads it.
+
+    Args:
+        folders: of the aircraft.
+        meanwhile: what else is to be done.
     """
+    begun = {}
     for folder in {Path(each).resolve() for each in folders}:
         files = folder, digest(folder)
-        if files not in _ASKED:
+        if files not in _FOUND:
             with suppress(AircraftError):
-                _ASKED[files] = explored(folder, partial(_explore, folder))
+                begun[files] = explored(folder, partial(_explore, folder))
+    try:
+        meanwhile()
+    finally:
+        for files, answer in begun.items():
+            with suppress(AircraftError):
+                _FOUND[files] = Traits(**answer())
 
 
 @kept(maxsize=64)
 def _traits(folder: Path) -> Traits:
     """Found in a copy of this process: JSBSim crashes on many an aircraft that is wrong."""
-    files = folder, digest(folder)
-    answer = _ASKED.get(files) or explored(folder, partial(_explore, folder))
-    _ASKED[files] = None
-    return Traits(**answer())
+    found = _FOUND.get((folder, digest(folder)))
+    return found or Traits(**explored(folder, partial(_explore, folder))())
 
 
 def _explore(folder: Path, tell: Callable[[str], None]) -> dict[str, bool]:

@@ -8,13 +8,15 @@ What its motion was on the way is written down where somebody will ask for it.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from testbed.state import Truths
 
 LONGEST = 16  # legs that are flown in one go
+# Of one aircraft: ticks, and the leg at whose end its motion is written down.
+Parts: TypeAlias = tuple[tuple[int, int], ...]
 
 
 class Leg(NamedTuple):
@@ -24,29 +26,32 @@ class Leg(NamedTuple):
     wanted: tuple[bool, ...] | None = None  # (N,) whose motion is asked for; None: everyone's
 
 
-class Program(NamedTuple):
-    """What N flight models have to do for some legs."""
-
-    asked: Truths  # (legs, N) whose motion is asked for at the end of each
-    # of each aircraft, one after the other: ticks, and the leg at whose end it is written down
-    parts: tuple[tuple[tuple[int, int], ...], ...]
-
-
-@lru_cache(maxsize=1024)
-def program(legs: tuple[Leg, ...], aircraft: int) -> Program:
-    """The program of at most LONGEST legs; at the end of the last everyone is written down."""
+@lru_cache(maxsize=256)
+def wanted_of(legs: tuple[Leg, ...], aircraft: int) -> Truths:
+    """(legs, N) whose motion is asked for at the end of each; of the last leg everyone's."""
     everyone = (True,) * aircraft
-    asked = np.array([everyone if leg.wanted is None else leg.wanted for leg in legs])
-    asked[-1] = True
-    ends = np.cumsum([leg.ticks for leg in legs])
-    parts = []
-    for row in asked.T:
-        (at,) = row.nonzero()
-        parts.append(tuple(zip(np.diff(ends[at], prepend=0).tolist(), at.tolist(), strict=True)))
-    return Program(asked, tuple(parts))
+    wanted = np.array([everyone if leg.wanted is None else leg.wanted for leg in legs])
+    wanted[-1] = True
+    return wanted
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=256)
+def parts_of(legs: tuple[Leg, ...], rows: tuple[int, ...]) -> tuple[Parts, ...]:
+    """What each of these aircraft runs through, one part after the other."""
+    return tuple(_parts(legs, row) for row in rows)
+
+
+def _parts(legs: tuple[Leg, ...], row: int) -> Parts:
+    parts, ticks, last = [], 0, len(legs) - 1
+    for number, leg in enumerate(legs):
+        ticks += leg.ticks
+        if number == last or leg.wanted is None or leg.wanted[row]:
+            parts.append((ticks, number))
+            ticks = 0
+    return tuple(parts)
+
+
+@lru_cache(maxsize=256)
 def those_of(legs: tuple[Leg, ...], rows: tuple[int, ...]) -> tuple[Leg, ...]:
     """The same legs for some of the aircraft."""
     return tuple(

@@ -15,7 +15,7 @@ def state_of(flat: Array) -> VehicleState:
     return VehicleState(*flat[: 15 * n].reshape(5, n, 3), *flat[15 * n :].reshape(2, n))
 
 
-def motion(said: Array, asked: Truths, zero: Array, scale: Array, flat: Array) -> None:
+def motion(said: Array, wanted: Truths, zero: Array, scale: Array, flat: Array) -> None:
     """Write the numbers of `state_of` from what JSBSim says: (said − zero) scale.
 
     JSBSim's acceleration is that of u, v, w in the turning body: it becomes
@@ -23,7 +23,7 @@ def motion(said: Array, asked: Truths, zero: Array, scale: Array, flat: Array) -
 
     Args:
         said: (N, 17) numbers of each aircraft, in the order of the fields.
-        asked: (N,) whose; the others' stay.
+        wanted: (N,) whose; the others' stay.
         zero: (17,)
         scale: (17,)
         flat: (17 N,) becomes the numbers.
@@ -39,7 +39,7 @@ def motion(said: Array, asked: Truths, zero: Array, scale: Array, flat: Array) -
     acceleration[:] = along + np.cross(turning, velocity)
     state = state_of(flat)
     for own, new in zip(state, (*vectors.swapaxes(0, 1), *speeds.T), strict=True):
-        own[asked] = new[asked]
+        own[wanted] = new[wanted]
 
 
 def lost(position_ned: Array, broken: Truths, lowest: float, out: Truths) -> None:

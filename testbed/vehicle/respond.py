@@ -16,8 +16,9 @@ import numpy as np
 from testbed.errors import InputError
 from testbed.state import Array, FbwaCommand, Origin, Surfaces
 from testbed.vehicle.fbwa import AUTOPILOT, settled
-from testbed.vehicle.fleet import JsbsimFleet, Start
+from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.params import AutopilotTiming, read_params, stack
+from testbed.vehicle.start import Start
 from testbed.vehicle.tables import FbwaGains
 
 BASE_RATE_HZ = 200

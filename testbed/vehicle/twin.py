@@ -168,10 +168,10 @@ def _rotated(sf, cf, st, ct, sp, cp, x, y, z):
 
 
 @twin
-def motion(said, asked, zero, scale, flat):
+def motion(said, wanted, zero, scale, flat):
     n = len(said)
     for i in range(n):
-        if not asked[i]:
+        if not wanted[i]:
             continue
         for k in range(15):
             flat[3 * (n * (k // 3) + i) + k % 3] = (said[i, k] - zero[k]) * scale[k]

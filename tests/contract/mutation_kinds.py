@@ -138,8 +138,9 @@ def feed_table(path):
 def feed_aircraft(path):
     """Load the aircraft, look at it, trim it, fly it."""
     from testbed.state import Origin
-    from testbed.vehicle.fleet import JsbsimFleet, Start
+    from testbed.vehicle.fleet import JsbsimFleet
     from testbed.vehicle.jsbsim_door import airframe, linearize_aircraft
+    from testbed.vehicle.start import Start
     from testbed.vehicle.trim import TrimPoint
 
     folder = path if path.suffix != ".xml" else path.parent

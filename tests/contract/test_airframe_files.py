@@ -5,10 +5,11 @@ import shutil
 import time
 
 import pytest
+from commands import children
 
 from testbed.scenario import library
 from testbed.vehicle import airframe_files, jsbsim_door, trial
-from testbed.vehicle.jsbsim_door import airframe, explore_ahead
+from testbed.vehicle.jsbsim_door import airframe, explore
 from testbed.vehicle.jsbsim_model import AircraftError
 
 MAIN, MOTOR = "rascal110.xml", "Engines/rascal110_motor.xml"
@@ -128,28 +129,33 @@ def test_what_never_ends_is_ended(folder, monkeypatch):
         airframe_files.explored(folder, lambda tell: time.sleep(60))()
 
 
-def test_what_is_asked_ahead_is_asked_once(folder, monkeypatch):
+def test_what_is_found_out_meanwhile_is_found_out_once(folder, monkeypatch):
     """And anew of files that have changed; what is wrong is for who loads the aircraft."""
-    asked = []
+    asked, done = [], []
 
     def counted(*given):
         asked.append(given)
         return airframe_files.explored(*given)
 
+    def meanwhile():
+        done.append(len(asked))
+
     monkeypatch.setattr(jsbsim_door, "explored", counted)
-    explore_ahead([folder, folder])
-    explore_ahead([folder])
+    explore([folder, folder], meanwhile)
+    explore([folder], meanwhile)
     airframe(folder)
-    assert len(asked) == 1
-    explore_ahead([folder])
-    assert len(asked) == 1
-    explore_ahead([folder])
+    assert done == [1, 1] and len(asked) == 1
     change(folder / MAIN, "> 1.95 <", "> 0.01 <")
-    explore_ahead([folder])
+    explore([folder], meanwhile)
     assert len(asked) == 2
     assert "mass_balance: no rigid body has" in refusal(folder)
-    assert len(asked) == 2
 
     change(folder / MAIN, "<mass_balance>", '<input port="41234" type="SOCKET"/><mass_balance>')
-    explore_ahead([folder])
+    explore([folder], meanwhile)
     assert "<input> opens a socket" in refusal(folder)
+
+
+def test_nobody_is_left_to_wait_for_where_something_else_fails(folder):
+    with pytest.raises(ZeroDivisionError):
+        explore([folder], lambda: 1 // 0)
+    assert not children(os.getpid())

@@ -61,7 +61,24 @@ def test_what_no_twin_leads_to_costs_no_machine_code():
     package = Path(compiled.__file__).parent
     sources = set(compiled._sources(package))
     assert {"compiled.py", "frames.py", "state.py", "vehicle/twin.py"} <= sources
-    assert not {"cli.py", "console.py", "sim/loop.py", "record/door.py"} & sources
+    others = {"cli.py", "console.py", "sim/loop.py", "record/door.py"}
+    assert not (others | {"vehicle/fleet.py", "sim/control.py"}) & sources
+
+
+def test_a_module_of_the_package_itself_is_followed(tmp_path):
+    """However it is imported."""
+    (tmp_path / "room").mkdir()
+    for name, text in (
+        ("room/a_twin.py", "from testbed import frames\nfrom testbed.room import own\n"),
+        ("frames.py", "import testbed.state\n"),
+        ("state.py", "from testbed.state_of import (\n    what,\n)\n"),
+        ("state_of.py", ""),
+        ("room/own.py", ""),
+        ("other.py", ""),
+    ):
+        (tmp_path / name).write_text(text)
+    found = {"room/a_twin.py", "frames.py", "state.py", "state_of.py", "room/own.py"}
+    assert set(compiled._sources(tmp_path)) == found
 
 
 def test_every_module_that_a_twin_loads_is_a_source():

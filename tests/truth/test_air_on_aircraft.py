@@ -7,8 +7,9 @@ import pytest
 
 from testbed.scenario import find_aircraft
 from testbed.state import AirFelt, Origin
-from testbed.vehicle.fleet import JsbsimFleet, Start
+from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.jsbsim_door import airframe
+from testbed.vehicle.start import Start
 
 AIRCRAFT = {"rascal110": 22.0, "skywalker_x8": 18.0}
 RATE = 200

@@ -17,11 +17,12 @@ from testbed.frames import FOOT, GRAVITY
 from testbed.scenario import load_middle_loop
 from testbed.sim.speed_step import speed_step
 from testbed.state import AirFelt, Origin, Surfaces
-from testbed.vehicle.fleet import JsbsimFleet, Start
+from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.jsbsim_door import AircraftError, airframe, linearize_aircraft, trim_aircraft
 from testbed.vehicle.linearize import CONTROLS, STATES
 from testbed.vehicle.modes import find_modes
 from testbed.vehicle.params import read_params
+from testbed.vehicle.start import Start
 from testbed.vehicle.trim import TrimError, TrimPoint
 
 ROOT = Path(__file__).parents[2]

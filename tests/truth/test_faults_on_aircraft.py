@@ -19,11 +19,12 @@ from testbed.sim.mixed import Mixed
 from testbed.sim.vehicles import Flown, Ideal
 from testbed.state import AirFelt, FbwaCommand, Origin, Surfaces, UnicycleCommand, VehicleState
 from testbed.vehicle.breakage import SURFACES
-from testbed.vehicle.fleet import JsbsimFleet, Start
+from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.ideal import IdealFleet
 from testbed.vehicle.jsbsim_door import linearize_aircraft
 from testbed.vehicle.linearize import STATES
 from testbed.vehicle.params import read_params, stack
+from testbed.vehicle.start import Start
 from testbed.vehicle.trim import TrimPoint
 
 AIRCRAFT = Path(__file__).parents[2] / "aircraft"

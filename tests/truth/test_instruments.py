@@ -11,9 +11,10 @@ from testbed.scenario import find_aircraft
 from testbed.state import AirFelt, Origin, Surfaces
 from testbed.vehicle import addresses, instruments
 from testbed.vehicle import fleet as fleets
-from testbed.vehicle.fleet import JsbsimFleet, Start
+from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.legs import LONGEST, Leg
 from testbed.vehicle.properties import READY_READ, READY_WRITE, read, write
+from testbed.vehicle.start import Start
 
 KINDS = ("rascal110", "skywalker_x8", "rascal110")
 PERIODS, TICKS = 40, 4
@@ -94,8 +95,25 @@ def test_legs_that_are_flown_at_once_are_those_flown_one_by_one():
 def test_nobody_is_told_anything_in_the_midst_of_legs():
     fleet = aloft()
     fleet.step(fleet.trimmed, 1, (Leg(1), Leg(1)))
+    still = AirFelt(np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3))
+    for wrong in (
+        lambda: fleet.blow(still),
+        fleet.air,
+        lambda: fleet.discharge(np.full(3, np.nan)),
+        lambda: fleet.remove(np.zeros(3, bool)),
+        lambda: fleet.step(fleet.trimmed, 1),
+    ):
+        with pytest.raises(RuntimeError, match="flown on already"):
+            wrong()
+    fleet.air()
+
+
+@pytest.mark.parametrize("then", [(2, ()), (1, (Leg(1),))])
+def test_legs_that_were_flown_are_gone_through_as_they_were_told(then):
+    fleet = aloft()
+    fleet.step(None, 1, (Leg(1), Leg(1)))
     with pytest.raises(RuntimeError, match="flown on already"):
-        fleet.step(fleet.trimmed, 1)
+        fleet.step(None, *then)
 
 
 def test_one_that_is_not_there_keeps_its_number(hidden):

@@ -13,10 +13,11 @@ from patience import PATIENCE_S
 from testbed.frames import FOOT, GRAVITY
 from testbed.state import FbwaCommand, Origin, Surfaces, VehicleState
 from testbed.vehicle.fbwa import AUTOPILOT, settled
-from testbed.vehicle.fleet import JsbsimFleet, Start
+from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.jsbsim_door import AircraftError, trim_aircraft
-from testbed.vehicle.motion import lost, motion
+from testbed.vehicle.motion import lost, motion, state_of
 from testbed.vehicle.params import read_params, stack
+from testbed.vehicle.start import Start
 from testbed.vehicle.trim import TrimError, TrimPoint
 
 ROOT = Path(__file__).parents[2]
@@ -112,10 +113,12 @@ def test_acceleration_and_velocity_are_derivatives() -> None:
 def test_the_compiled_motion_is_the_same() -> None:
     twin = pytest.importorskip("testbed.vehicle.twin", exc_type=ImportError)
     rng = np.random.default_rng(3)
-    raw, zero, scale = rng.normal(0.0, 2.0, (3, 17 * 50))
-    ours, theirs = np.empty((2, 17 * 50))
-    motion(raw, zero, scale, ours)
-    twin.motion(raw, zero, scale, theirs)
+    said, (zero, scale) = rng.normal(0.0, 2.0, (50, 17)), rng.normal(0.0, 2.0, (2, 17))
+    wanted = rng.random(50) < 0.7
+    ours, theirs = np.full((2, 17 * 50), 7.0)
+    motion(said, wanted, zero, scale, ours)
+    twin.motion(said, wanted, zero, scale, theirs)
+    assert all((each[~wanted] == 7.0).all() for each in state_of(ours))
     assert theirs == pytest.approx(ours, abs=1e-12)  # sums of ten terms of size 10, rounded
     position = rng.normal(0.0, 2.0, (50, 3))
     position[3, 2] = np.nan
@@ -235,7 +238,8 @@ def test_flying_opens_no_socket_writes_nothing_and_prints_nothing(tmp_path: Path
 import os, sys
 from pathlib import Path
 from testbed.state import Origin
-from testbed.vehicle.fleet import JsbsimFleet, Start
+from testbed.vehicle.fleet import JsbsimFleet
+from testbed.vehicle.start import Start
 fleet = JsbsimFleet([Path({str(RASCAL)!r})], [Start((0.0, 0.0, -100.0))], Origin(), 200)
 fleet.step(fleet.trimmed, 200)
 for number in os.listdir("/proc/self/fd"):

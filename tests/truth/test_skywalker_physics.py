@@ -16,9 +16,10 @@ from patience import PATIENCE_S
 from testbed.frames import FOOT, GRAVITY
 from testbed.state import FbwaCommand, Origin, Surfaces
 from testbed.vehicle.fbwa import AUTOPILOT, settled
-from testbed.vehicle.fleet import JsbsimFleet, Start
+from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.jsbsim_door import trim_aircraft
 from testbed.vehicle.params import read_params, stack
+from testbed.vehicle.start import Start
 from testbed.vehicle.trim import TrimError, TrimPoint
 
 ROOT = Path(__file__).parents[2]
@@ -269,7 +270,8 @@ def test_trims_and_flights_repeat_to_the_bit_and_print_nothing(tmp_path: Path) -
     """In another process, after another trim: the same numbers, and not a word beside them."""
     flight = (
         "from pathlib import Path; from testbed.state import Origin\n"
-        "from testbed.vehicle.fleet import JsbsimFleet, Start\n"
+        "from testbed.vehicle.fleet import JsbsimFleet\n"
+        "from testbed.vehicle.start import Start\n"
         "from testbed.vehicle.jsbsim_door import trim_aircraft\n"
         "from testbed.vehicle.trim import TrimPoint\n"
         f"x8 = Path({str(X8)!r})\n"
