@@ -81,10 +81,10 @@ def text(result: Told) -> str:
             *ratios(result),
             "",
             "Full / bare by the clock on the wall and by the process's processor time: median and "
-            f"range of {result[SIMULATION]['turns']} turns. Of `simulation-3` and of all troubles "
-            f"the first {result[SIMULATION]['simulated_s']:g} s are flown. *Set and read*, by "
-            "processor time: the bare loop with controls set and motions read at the autopilot "
-            "rate, and nothing else.",
+            f"range, of {result[SIMULATION]['turns']} turns of `simulation-3` and of all troubles, "
+            f"of which the first {result[SIMULATION]['simulated_s']:g} s are flown, and of fewer "
+            "and longer ones of the others. *Set and read*, by processor time: the bare loop with "
+            "controls set and motions read at the autopilot rate, and nothing else.",
             "",
             *rooms(result),
             "",
