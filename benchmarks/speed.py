@@ -22,7 +22,7 @@ from fleets import COUNTS, busy, vee
 from full_over_bare import Turn, flight_models, full, median, turn
 from memory import memory
 from rooms import Rooms
-from speed_page import FIGURE, PAGE_MARK, SIMULATION, TROUBLES, machine, picture, text
+from speed_page import BARS, FIGURE, PAGE_MARK, SIMULATION, TROUBLES, machine, picture, text
 from tables import insert
 
 from testbed.scenario import Scenario, load, shorten
@@ -32,9 +32,9 @@ from testbed.views.figure_door import draw
 WARM_S = 2.0
 LONGEST_S = 1080.0  # what Simulation 3 lasts
 MEMORY_S = 60.0
-# Pages of which a bar is held take as many shorter turns for each of the others: a machine that
-# others use too is fast and slow in turns of seconds.
-BARS, OFTEN = (SIMULATION, TROUBLES), 5
+# Pages that have a bar take as many shorter turns for each of the others: a machine that others
+# use too is fast and slow in turns of seconds.
+OFTEN = 5
 
 
 def measure(pages: Mapping[str, Scenario], repeats: int) -> dict[str, dict[str, Any]]:

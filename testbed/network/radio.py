@@ -76,8 +76,8 @@ class Radio:
         self._channel, self._conditions = channel, conditions or Conditions()
         n, aircraft = links = channel.links.shape
         self._coder = Coder(encoding, channel) if encoding else None
-        # what happened on each link, and what is used of it by who steps
-        self._traffic, self.ledger = idle(channel), blank(n, aircraft)
+        self._traffic = idle(channel)
+        self.ledger = blank(n, aircraft)  # of what happens to messages, and of their use
         self._everyone = np.arange(aircraft)
         self._number = np.full(aircraft, -1)  # of the last message of each
         self._count = 0  # messages on their way

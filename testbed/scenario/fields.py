@@ -15,11 +15,7 @@ class Section(BaseModel):
     """A part of a page: frozen, and an unknown key is an error."""
 
     model_config = ConfigDict(
-        defer_build=True,
-        frozen=True,
-        extra="forbid",
-        allow_inf_nan=False,
-        use_attribute_docstrings=False,
+        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=False
     )
 
 

@@ -28,7 +28,7 @@ from testbed.state import AirFelt, Array, Origin, Surfaces
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.instruments import MOTION
 from testbed.vehicle.legs import LONGEST, Leg, parts_of
-from testbed.vehicle.properties import READY_READ, READY_WRITE, flat
+from testbed.vehicle.properties import READY_READ, READY_WRITE, joined
 from testbed.vehicle.start import Start
 
 WORTH_IT = 20  # aircraft from which on two processes were measured to be faster than one
@@ -158,8 +158,8 @@ class CrewedFleet(JsbsimFleet):
 
     def _bind_to_air(self) -> None:
         super()._bind_to_air()
-        self._hear = READY_WRITE(flat(self._blown), self._told)
-        self._tell_air = READY_READ(flat(self._of_air), self._raw_air)
+        self._hear = READY_WRITE(joined(self._blown), self._told)
+        self._tell_air = READY_READ(joined(self._of_air), self._raw_air)
 
     def _remove(self, i: int) -> None:
         super()._remove(i)

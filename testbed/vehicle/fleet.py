@@ -31,7 +31,7 @@ from testbed.vehicle.instruments import (
 from testbed.vehicle.jsbsim_door import load, rig_of, trim_aircraft
 from testbed.vehicle.legs import LONGEST, Leg, Parts, parts_of, wanted_of
 from testbed.vehicle.motion import READY_LOST, state_of
-from testbed.vehicle.properties import flat, sane
+from testbed.vehicle.properties import joined, sane
 from testbed.vehicle.start import Start
 from testbed.vehicle.trim import TrimPoint, TrimResult, course_through_air
 
@@ -135,12 +135,12 @@ class JsbsimFleet:
         self._bind_to_controls()
 
     def _bind_to_air(self) -> None:
-        nodes, told = flat(self._of_air), flat(self._blown)
+        nodes, told = joined(self._of_air), joined(self._blown)
         self._look_at_air = READY_SENSE_AIR(nodes, self._raw_air, self._felt, self._in_air)
         self._blow = READY_BLOW(told, self._felt, self._told)
 
     def _bind_to_controls(self) -> None:
-        self._command = READY_COMMAND(flat(self._controls), self._surfaces, self._commanded)
+        self._command = READY_COMMAND(joined(self._controls), self._surfaces, self._commanded)
 
     def _noting(self, i: int) -> Callable[[int], None]:
         return READY_NOTE(self._motion[i], self._numbers[i], self._notes, i)
@@ -195,7 +195,7 @@ class JsbsimFleet:
         Raises:
             RuntimeError: surfaces, other legs or other ticks in the midst of legs.
         """
-        if self._leg + 1 < len(self._legs):
+        if self._amid:
             self._leg += 1
             if surfaces is not None or legs or ticks != self._legs[self._leg].ticks:
                 raise RuntimeError(_AHEAD)
@@ -206,13 +206,13 @@ class JsbsimFleet:
         self._wanted[: len(self._legs)] = wanted_of(self._legs, len(self._models))
         self._run(self._legs)
 
-    def _stands(self) -> None:
-        """Nobody has flown on.
+    @property
+    def _amid(self) -> bool:
+        """Whether the aircraft have flown on beyond what is looked at."""
+        return self._leg + 1 < len(self._legs)
 
-        Raises:
-            RuntimeError: in the midst of legs.
-        """
-        if self._leg + 1 < len(self._legs):
+    def _stands(self) -> None:
+        if self._amid:
             raise RuntimeError(_AHEAD)
 
     def _take(self, surfaces: Surfaces) -> None:

@@ -28,7 +28,7 @@ from testbed.vehicle.trim import TrimPoint, TrimResult, said_of, trim
 
 VERSION: str = jsbsim.__version__
 _TRIM_RATE_HZ = 200
-# What was found out of folders before it was asked for; by what their files say.
+# What was found out of folders, by what their files say.
 _FOUND: dict[tuple[Path, str], Traits] = {}
 
 
@@ -122,11 +122,12 @@ def explore(folders: Iterable[Path], meanwhile: Callable[[], None]) -> None:
                 _FOUND[files] = Traits(**answer())
 
 
-@kept(maxsize=64)
 def _traits(folder: Path) -> Traits:
     """Found in a copy of this process: JSBSim crashes on many an aircraft that is wrong."""
-    found = _FOUND.get((folder, digest(folder)))
-    return found or Traits(**explored(folder, partial(_explore, folder))())
+    files = folder, digest(folder)
+    if files not in _FOUND:
+        _FOUND[files] = Traits(**explored(folder, partial(_explore, folder))())
+    return _FOUND[files]
 
 
 def _explore(folder: Path, tell: Callable[[str], None]) -> dict[str, bool]:

@@ -18,7 +18,7 @@ Nodes = Sequence[Any]  # of JSBSim's; None: there is none, or it is somebody els
 _ABSURD = 1e9  # ft, ft/s², rad, rpm: nothing that flies reads this
 
 
-def flat(nodes: Iterable[Nodes]) -> list[Any]:
+def joined(nodes: Iterable[Nodes]) -> list[Any]:
     """Those of one aircraft after those of the other."""
     return list(chain.from_iterable(nodes))
 
