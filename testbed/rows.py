@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from operator import is_
+from operator import is_, itemgetter
 from typing import Any
 
 import numpy as np
@@ -25,29 +24,33 @@ WHOLE = {  # what is not a float64 in a frame
 }
 
 
+_FIRST, _LAST = map(Frame._fields.index, ("truth", "lost"))
+_records = itemgetter(slice(_FIRST, _LAST + 1))  # all of a frame that has arrays
+
+
 class Rows:
-    """Some of the arrays of frames.
+    """Some of the arrays of frames, and the ticks of these.
 
     Args:
         sources: of the arrays.
         take: gives them, in this order.
-        records: gives what they are taken from.
         room: for so many frames.
+
+    Attributes:
+        tick: (K) of the base rate.
+        erring: those of the K frames whose estimates are not the truth.
     """
 
     def __init__(
-        self,
-        sources: Sequence[str],
-        take: Callable[[Frame], Sequence[Any]],
-        records: Callable[[Frame], tuple[Any, ...]],
-        *,
-        room: int,
+        self, sources: Sequence[str], take: Callable[[Frame], Sequence[Any]], *, room: int
     ) -> None:
         """See the class."""
-        self._sources, self._take, self._records, self._room = sources, take, records, room
+        self.tick: list[int] = []
+        self.erring: list[int] = []
+        self._sources, self._take, self._room = sources, take, room
         self._kind: np.dtype[Any] | None = None
-        self._count, self._size = 0, 0  # rows, and bytes of each
-        self._last: tuple[Any, ...] = ()  # records
+        self._size = 0  # bytes of a row
+        self._last: tuple[Any, ...] = (None,) * (_LAST + 1 - _FIRST)  # records
         self._ready: Callable[[int], None] | None = None  # bound to their arrays
 
     def append(self, frame: Frame) -> None:
@@ -57,61 +60,38 @@ class Rows:
             TypeError: An array of the first frame has not the type it should have.
             ValueError: The arrays are not as large as those of the first frame.
         """
-        records, last = self._records(frame), self._last
-        same = len(last) > 0 and all(map(is_, records, last))
-        at = self._count * self._size
+        count, records = len(self.tick), _records(frame)
+        same = all(map(is_, records, self._last))
         if same and self._ready is not None:
-            self._ready(at)
+            self._ready(count * self._size)
         else:
-            arrays = self._take(frame)
-            if self._kind is None:
-                self._kind = _kind(self._sources, arrays)
-                self._size = self._kind.itemsize
-                self._octets = np.empty(self._room * self._size, np.uint8)
-            if sum(each.nbytes for each in arrays) != self._size:
-                raise ValueError("the arrays are not as large as those of the first frame")
-            gather(arrays, self._octets, at)
-            # a loop writes the next frame into the same arrays: who did so once does it again
-            self._ready = READY_GATHER(arrays, self._octets) if same else None
+            self._copy(frame, count * self._size, again=same)
             self._last = records
-        self._count += 1
+        if frame.estimate is not frame.truth:
+            self.erring.append(count)
+        self.tick.append(frame.tick)
+
+    def _copy(self, frame: Frame, at: int, *, again: bool) -> None:
+        arrays = self._take(frame)
+        if self._kind is None:
+            self._kind = _kind(self._sources, arrays)
+            self._size = self._kind.itemsize
+            self._octets = np.empty(self._room * self._size, np.uint8)
+        if sum(each.nbytes for each in arrays) != self._size:
+            raise ValueError("the arrays are not as large as those of the first frame")
+        gather(arrays, self._octets, at)
+        # a loop writes the next frame into the same arrays: who did so once does it again
+        self._ready = READY_GATHER(arrays, self._octets) if again else None
 
     def columns(self) -> Columns:
         """The arrays of K frames, one at least, where they are kept: they last as long."""
-        rows = self._octets.view(self._kind or object)[: self._count]
+        rows = self._octets.view(self._kind or object)[: len(self.tick)]
         return {source: rows[source] for source in self._sources}
 
     def clear(self) -> None:
         """Forget the frames."""
-        self._count = 0
-
-
-@dataclass(slots=True)
-class Kept:
-    """What an observer keeps of frames.
-
-    Args:
-        rows: of each frame.
-        beliefs: of each whose estimates are not the truth.
-    """
-
-    rows: Rows
-    beliefs: Rows
-    tick: list[int] = field(default_factory=list)
-    erring: list[int] = field(default_factory=list)  # the rows of which the beliefs are
-
-    def append(self, frame: Frame) -> None:
-        """Copy it."""
-        if frame.estimate is not frame.truth:
-            self.erring.append(len(self.tick))
-            self.beliefs.append(frame)
-        self.rows.append(frame)
-        self.tick.append(frame.tick)
-
-    def clear(self) -> None:
-        """Forget the frames."""
-        for each in (self.rows, self.beliefs, self.tick, self.erring):
-            each.clear()
+        self.tick.clear()
+        self.erring.clear()
 
 
 def gather(arrays: Sequence[NDArray[Any]], octets: NDArray[np.uint8], at: int) -> None:

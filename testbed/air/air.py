@@ -8,11 +8,11 @@ import numpy as np
 
 from testbed.air.airframe import points_body
 from testbed.air.field import Field
-from testbed.air.field_sample import READY_FELT_IN_FIELD
+from testbed.air.field_sample import no_field
 from testbed.air.gusts import Gusts, make_gusts
 from testbed.air.independent import Independent
-from testbed.air.mean import READY_MEAN, MeanWind
-from testbed.air.uneven import READY_UNEVEN
+from testbed.air.mean import MeanWind
+from testbed.air.together import READY_BLOW
 from testbed.air.wake import Wakes
 from testbed.state import AirFelt, Airframe, Array, Truths, VehicleState
 
@@ -51,10 +51,9 @@ class Air:
         self._own, self._wakes = own, wakes
         self._body = points_body(airframes)
         self._blown = gusts or make_gusts([], mean)
-        self._uneven = gusts is not None or not mean.uniform
-        self.steady = mean.steady and not (self._uneven or field or own or wakes)
-        self._mean, self._ambient = mean.velocity_ned(0.0, np.zeros(n)), np.empty((n, 3))
-        self._speed, self._carried = mean.displacement_ned(1.0), np.zeros(3)
+        alike = mean.uniform and gusts is None
+        self.steady = mean.steady and alike and not (field or own or wakes)
+        self._mean, self._ambient, self._carried = *np.empty((2, n, 3)), np.empty(3)
         self._felt = AirFelt(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n))
         self._motion: VehicleState | None = None
 
@@ -66,38 +65,23 @@ class Air:
         """
         if motion is not self._motion:
             self._bind(motion)
-        felt, mean = self._felt, self._mean
-        if self._blow is None:
-            np.multiply(self._speed, now, out=self._carried)
-        else:
-            self._blow(now)
-        if self._in_field is not None:
-            self._in_field()
-        else:
-            felt.wind_ned[:], felt.rates_body[:] = mean, 0.0
-        if self._unevenly is not None:
-            self._unevenly(now)
+        self._blow(now)
         for add in self._added:
             add()
-        return felt
+        return self._felt
 
     def _bind(self, motion: VehicleState) -> None:
         """Bind everything that is felt to the arrays of a motion."""
         self._motion = motion
         position, velocity, acceleration, euler = motion[:4]
         wind, rates, roll = self._felt
-        mean, carried, ambient = self._mean, self._carried, self._mean
-        self._blow = self._in_field = self._unevenly = None
+        mean, ambient = self._mean, self._ambient
+        field = self.field.tables if self.field else no_field()
+        written = mean, self._carried, ambient, wind, rates
+        self._blow = READY_BLOW(
+            self.mean, field, self._blown, position, euler, self._body, *written
+        )
         self._added: list[Callable[[], None]] = []
-        if not (self.mean.steady and self.mean.uniform):
-            self._blow = READY_MEAN(self.mean, position, mean, carried)
-        if self.field is not None:
-            at = position, euler, self._body, carried, mean
-            self._in_field = READY_FELT_IN_FIELD(self.field.tables, *at, wind, rates)
-        if self._uneven:
-            ambient = self._ambient  # what blows in the large
-            at = position, euler, self._body, mean, carried
-            self._unevenly = READY_UNEVEN(self.mean, self._blown, *at, ambient, wind, rates)
         if self._own is not None:
             self._added.append(self._own.bind(position, velocity, euler, mean, wind, rates))
         if self._wakes is not None:

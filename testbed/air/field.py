@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.air.coherence import energy
-from testbed.air.field_sample import Tables
+from testbed.air.field_sample import MORE, Tables
 from testbed.errors import InputError
 from testbed.state import Array
 from testbed.streams import stream
@@ -110,11 +110,13 @@ def make_field(
     widest = _widest(float(length.max()), path_m, widest_m)
     cells, counts = boxes(finest_m, widest)
     axes = np.stack([box_axes(box) / cell for box, cell in enumerate(cells)])
-    values = np.zeros((int((counts**3).sum()) + 1, 3), dtype=np.float32)
-    first = np.concatenate([[0], np.cumsum(counts**3)[:-1]])
+    rows = counts**2 * (counts + MORE)
+    values = np.zeros((int(rows.sum()) + 1, 3), dtype=np.float32)
+    first = np.concatenate([[0], np.cumsum(rows)[:-1]])
 
     def fill(box: int) -> Array:
-        part = values[first[box] : first[box] + counts[box] ** 3]
+        count = int(counts[box])
+        part = values[first[box] : first[box] + rows[box]].reshape(count, count, count + MORE, 3)
         rng = stream(seed, f"air/field/{box}")
         return _fill(part, rng, cells, counts, box, sigma, length)
 
@@ -244,7 +246,10 @@ def _fill(
     sigma: Array,
     length: Array,
 ) -> Array:
-    """Draw the waves of a box into its table (cells, 3); returns their variances (3,)."""
+    """Draw the waves of a box into its table (cells, cells, cells + MORE, 3).
+
+    Returns their variances (3,).
+    """
     from scipy.fft import irfftn  # not every run has a field
 
     count = int(counts[box])
@@ -266,6 +271,7 @@ def _fill(
         root = np.sqrt(power[axis]).astype(np.float32)[square]
         drawn = k[after] * noise[last] - k[last] * noise[after]
         spectrum[x, y, z] = root * level * drawn
-        values[:, axis] = irfftn(spectrum, s=(count, count, count), norm="forward").ravel()
+        values[:, :, :count, axis] = irfftn(spectrum, s=(count, count, count), norm="forward")
         variance[axis] = (stands_for * root**2 * (k[after] ** 2 + k[last] ** 2)).sum(dtype=float)
+    values[:, :, count:] = values[:, :, :MORE]
     return variance

@@ -7,21 +7,33 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.air import airframe
-from testbed.compiled import ready_of, twin_of
+from testbed.compiled import twin_of
 from testbed.state import Array
+
+NODES = 4  # about a place, along each axis
+MORE = NODES - 1  # cells
 
 
 class Tables(NamedTuple):
-    """The periodic boxes of a field, the finest first."""
+    """The periodic boxes of a field, the finest first.
 
-    # (cells + 1, 3) spline coefficients north, east, down, m/s; the last row is there because the
+    Along its third axis a box has MORE cells, which are the first ones again: the nodes about a
+    place are neighbours in the table.
+    """
+
+    # (rows + 1, 3) spline coefficients north, east, down, m/s; the last row is there because the
     # twin reads by fours
     values: NDArray[np.float32]
     first: NDArray[np.int64]  # (boxes,) row of a box's cell 0, 0, 0; its third index runs fastest
     counts: NDArray[np.int64]  # (boxes,) cells along its edge
     axes: Array  # (boxes, 3, 3) NED metres to cells along the box's own axes
     near: int  # so many of them are looked up at every point, the coarser ones at centres only
+
+
+def no_field() -> Tables:
+    """Tables without a box: still air."""
+    none = np.zeros(0, dtype=np.int64)
+    return Tables(np.zeros((1, 3), dtype=np.float32), none, none, np.zeros((0, 3, 3)), 0)
 
 
 def sample(tables: Tables, centre: Array, points: Array) -> Array:
@@ -50,9 +62,12 @@ def _look_up(tables: Tables, box: int, cells: Array) -> Array:
     """Velocity and its derivatives by the three cell coordinates (..., 4, 3) at those (..., 3)."""
     base = np.floor(cells)
     weights, slopes = _spline(cells - base)
-    nodes = (base.astype(np.int64)[..., np.newaxis] + np.arange(-1, 3)) % tables.counts[box]
-    row = nodes[..., 0, :, np.newaxis] * tables.counts[box] + nodes[..., 1, np.newaxis, :]
-    row = row[..., np.newaxis] * tables.counts[box] + nodes[..., 2, np.newaxis, np.newaxis, :]
+    count = tables.counts[box]
+    lowest = (base.astype(np.int64)[..., np.newaxis] - 1) % count
+    nodes = lowest + np.arange(NODES)
+    across = nodes[..., :2, :] % count
+    row = across[..., 0, :, np.newaxis] * count + across[..., 1, np.newaxis, :]
+    row = row[..., np.newaxis] * (count + MORE) + nodes[..., 2, np.newaxis, np.newaxis, :]
     values = tables.values[tables.first[box] + row].astype(np.float64)
     terms = np.stack([weights, weights, weights, weights], axis=-2)  # (..., axis, term, 4)
     for axis in range(3):
@@ -76,38 +91,4 @@ def _spline(part: Array) -> tuple[Array, Array]:
     return weights / 6.0, slopes / 2.0
 
 
-def felt_in_field(
-    tables: Tables, position: Array, euler: Array, body: Array, carried: Array, mean: Array
-) -> tuple[Array, Array]:
-    """Wind (N, 3) NED and turn (N, 3) of the field's air, as `airframe.felt` takes them.
-
-    Args:
-        tables: of the field.
-        position: (N, 3) m of airframes, NED.
-        euler: (N, 3) rad, their attitudes.
-        body: (N, 5, 3) m, their points.
-        carried: (3,) m, how far the mean wind has carried the field.
-        mean: (N, 3) m/s, the mean wind there.
-    """
-    in_air = position - carried
-    points = airframe.place(in_air, euler, body)
-    wind, rates = airframe.felt(sample(tables, in_air, points), euler, body)
-    return wind + mean, rates
-
-
-def write_felt_in_field(
-    tables: Tables,
-    position: Array,
-    euler: Array,
-    body: Array,
-    carried: Array,
-    mean: Array,
-    wind: Array,
-    rates: Array,
-) -> None:
-    """As `felt_in_field`, into arrays that are there."""
-    wind[:], rates[:] = felt_in_field(tables, position, euler, body, carried, mean)
-
-
 FIELD = twin_of(sample, "testbed.air.field_twin")
-READY_FELT_IN_FIELD = ready_of(write_felt_in_field, "testbed.air.field_twin")

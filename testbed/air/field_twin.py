@@ -17,8 +17,8 @@ from math import floor
 import numpy as np
 from llvmlite import ir
 
-from testbed.air.airframe_twin import add_felt, write_places, write_rotations
-from testbed.compiled import bound, instructions, twin
+from testbed.air.field_sample import MORE, NODES
+from testbed.compiled import instructions, twin
 
 LANES = 4  # north, east, down, and one that is nobody's
 _SINGLES = ir.VectorType(ir.FloatType(), LANES)
@@ -40,26 +40,26 @@ def _tuple(context, builder, kind, vector):
 
 
 @instructions
-def _along(typing, values, row, nodes, weights):
-    """Σ weights × values at row + nodes, over the four nodes of a line, in lanes.
+def _along(typing, values, row, weights):
+    """Σ weights × values over the four nodes of a line, which begins at a row, in lanes.
 
     A row of three is read as four numbers: behind the last one there has to be a number more.
     """
 
     def generate(context, builder, signature, args):
-        values, row, nodes, weights = args
+        values, row, weights = args
         table = context.make_array(signature.args[0])(context, builder, values)
+        line = builder.gep(table.data, [builder.mul(row, ir.Constant(row.type, 3))])
         total = None
-        for node in range(LANES):
-            index = builder.add(row, builder.extract_value(nodes, node))
-            index = builder.mul(index, ir.Constant(index.type, 3))
-            place = builder.bitcast(builder.gep(table.data, [index]), _SINGLES.as_pointer())
+        for node in range(NODES):
+            place = builder.gep(line, [ir.Constant(row.type, 3 * node)])
+            place = builder.bitcast(place, _SINGLES.as_pointer())
             weight = _vector(builder, [builder.extract_value(weights, node)] * LANES)
             term = builder.fmul(weight, builder.fpext(builder.load(place, align=4), _DOUBLES))
             total = term if total is None else builder.fadd(total, term)
         return _tuple(context, builder, signature.return_type, total)
 
-    return weights(values, row, nodes, weights), generate
+    return weights(values, row, weights), generate
 
 
 @instructions
@@ -101,13 +101,14 @@ def _slopes(t):
 
 
 @twin
-def _nodes(base, count):
-    """The four nodes about a place, each in the box; unsigned, which no index has to be tested."""
-    a = (int(base) - 1) % count
+def _nodes(lowest, count, apart):
+    """Rows of the four nodes about a place along an axis, which are so many rows apart."""
+    a = (lowest - 1) % count
     b = a + 1 if a + 1 < count else 0
     c = b + 1 if b + 1 < count else 0
     d = c + 1 if c + 1 < count else 0
-    return np.uint64(a), np.uint64(b), np.uint64(c), np.uint64(d)
+    # unsigned, which no index has to be tested
+    return np.uint64(a * apart), np.uint64(b * apart), np.uint64(c * apart), np.uint64(d * apart)
 
 
 @twin
@@ -120,33 +121,33 @@ def _cells(axes, box, north, east, down):
 
 
 @twin
-def _add_plane(values, row, count, y, z, wx, wy, wz, total):
+def _add_plane(values, row, lines, wx, wy, wz, total):
     """The sum over the 16 nodes of a plane, onto the total."""
-    total = _plus(total, wx * wy[0], _along(values, row + y[0] * count, z, wz))
-    total = _plus(total, wx * wy[1], _along(values, row + y[1] * count, z, wz))
-    total = _plus(total, wx * wy[2], _along(values, row + y[2] * count, z, wz))
-    return _plus(total, wx * wy[3], _along(values, row + y[3] * count, z, wz))
+    total = _plus(total, wx * wy[0], _along(values, row + lines[0], wz))
+    total = _plus(total, wx * wy[1], _along(values, row + lines[1], wz))
+    total = _plus(total, wx * wy[2], _along(values, row + lines[2], wz))
+    return _plus(total, wx * wy[3], _along(values, row + lines[3], wz))
 
 
 @twin
-def _velocity(values, first, size, cells):
+def _velocity(values, first, count, cells):
     """The velocity at a place in a box."""
-    fx, fy, fz = floor(cells[0]), floor(cells[1]), floor(cells[2])
-    x, y, z = _nodes(fx, size), _nodes(fy, size), _nodes(fz, size)
-    wx, wy, wz = _weights(cells[0] - fx), _weights(cells[1] - fy), _weights(cells[2] - fz)
-    first, count = np.uint64(first), np.uint64(size)
-    plane = count * count
+    x, y, z = floor(cells[0]), floor(cells[1]), floor(cells[2])
+    wx, wy, wz = _weights(cells[0] - x), _weights(cells[1] - y), _weights(cells[2] - z)
+    line = count + MORE
+    planes, lines = _nodes(x, count, count * line), _nodes(y, count, line)
+    row = np.uint64(first + (z - 1) % count)
     total = (0.0, 0.0, 0.0, 0.0)
-    total = _add_plane(values, first + x[0] * plane, count, y, z, wx[0], wy, wz, total)
-    total = _add_plane(values, first + x[1] * plane, count, y, z, wx[1], wy, wz, total)
-    total = _add_plane(values, first + x[2] * plane, count, y, z, wx[2], wy, wz, total)
-    return _add_plane(values, first + x[3] * plane, count, y, z, wx[3], wy, wz, total)
+    total = _add_plane(values, row + planes[0], lines, wx[0], wy, wz, total)
+    total = _add_plane(values, row + planes[1], lines, wx[1], wy, wz, total)
+    total = _add_plane(values, row + planes[2], lines, wx[2], wy, wz, total)
+    return _add_plane(values, row + planes[3], lines, wx[3], wy, wz, total)
 
 
 @twin
-def _add_line(values, row, z, wx, sx, wy, sy, wz, sz, totals):
+def _add_line(values, row, wx, sx, wy, sy, wz, sz, totals):
     """The sums over the nodes of a line, onto velocity and derivatives."""
-    value, slope = _along(values, row, z, wz), _along(values, row, z, sz)
+    value, slope = _along(values, row, wz), _along(values, row, sz)
     both, by_x, by_y = wx * wy, sx * wy, wx * sy
     return (
         _plus(totals[0], both, value),
@@ -157,29 +158,22 @@ def _add_line(values, row, z, wx, sx, wy, sy, wz, sz, totals):
 
 
 @twin
-def _add_plane_and_slopes(values, row, count, y, z, wx, sx, wy, sy, wz, sz, totals):
-    totals = _add_line(values, row + y[0] * count, z, wx, sx, wy[0], sy[0], wz, sz, totals)
-    totals = _add_line(values, row + y[1] * count, z, wx, sx, wy[1], sy[1], wz, sz, totals)
-    totals = _add_line(values, row + y[2] * count, z, wx, sx, wy[2], sy[2], wz, sz, totals)
-    return _add_line(values, row + y[3] * count, z, wx, sx, wy[3], sy[3], wz, sz, totals)
-
-
-@twin
-def _velocity_and_slopes(values, first, size, cells):
+def _velocity_and_slopes(values, first, count, cells):
     """The velocity and its derivatives by the three cell coordinates."""
-    fx, fy, fz = floor(cells[0]), floor(cells[1]), floor(cells[2])
-    x, y, z = _nodes(fx, size), _nodes(fy, size), _nodes(fz, size)
-    wx, wy, wz = _weights(cells[0] - fx), _weights(cells[1] - fy), _weights(cells[2] - fz)
-    sx, sy, sz = _slopes(cells[0] - fx), _slopes(cells[1] - fy), _slopes(cells[2] - fz)
-    first, count = np.uint64(first), np.uint64(size)
-    plane = count * count
+    x, y, z = floor(cells[0]), floor(cells[1]), floor(cells[2])
+    wx, wy, wz = _weights(cells[0] - x), _weights(cells[1] - y), _weights(cells[2] - z)
+    sx, sy, sz = _slopes(cells[0] - x), _slopes(cells[1] - y), _slopes(cells[2] - z)
+    line = count + MORE
+    planes, lines = _nodes(x, count, count * line), _nodes(y, count, line)
+    row = np.uint64(first + (z - 1) % count)
     none = (0.0, 0.0, 0.0, 0.0)
     totals = none, none, none, none
-    planes = first + x[0] * plane, first + x[1] * plane, first + x[2] * plane, first + x[3] * plane
-    for k in range(4):
-        totals = _add_plane_and_slopes(
-            values, planes[k], count, y, z, wx[k], sx[k], wy, sy, wz, sz, totals
-        )
+    for i in range(NODES):
+        at, x, slope = row + planes[i], wx[i], sx[i]
+        totals = _add_line(values, at + lines[0], x, slope, wy[0], sy[0], wz, sz, totals)
+        totals = _add_line(values, at + lines[1], x, slope, wy[1], sy[1], wz, sz, totals)
+        totals = _add_line(values, at + lines[2], x, slope, wy[2], sy[2], wz, sz, totals)
+        totals = _add_line(values, at + lines[3], x, slope, wy[3], sy[3], wz, sz, totals)
     return totals
 
 
@@ -209,24 +203,3 @@ def write_sample(values, first, counts, axes, near, centre, points, out):
                 x, y, z = _cells(axes, box, x, y, z)
                 for c in range(3):
                     out[n, k, c] += there[c] + x * by_x[c] + y * by_y[c] + z * by_z[c]
-
-
-def ready_write_felt_in_field(tables, position, euler, body, carried, mean, wind, rates):
-    return bound(_write_felt, *tables, position, euler, body, carried, mean, wind, rates)
-
-
-@twin
-def _write_felt(
-    values, first, counts, axes, near, position, euler, body, carried, mean, wind, rates
-):
-    n = len(position)
-    in_air, rotations = np.empty((n, 3)), np.empty((n, 3, 3))
-    points, velocity = np.empty(body.shape), np.empty(body.shape)
-    for i in range(n):
-        for axis in range(3):
-            in_air[i, axis] = position[i, axis] - carried[axis]
-            wind[i, axis], rates[i, axis] = mean[i, axis], 0.0
-    write_rotations(euler, rotations)
-    write_places(in_air, rotations, body, points)
-    write_sample(values, first, counts, axes, near, in_air, points, velocity)
-    add_felt(velocity, rotations, body, wind, rates)

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbed.compiled import ready_of
 from testbed.state import Array
 
 EVEN, LOG, POWER = range(3)  # kinds of profiles
@@ -143,22 +142,3 @@ def make_mean_wind(
         carried=carried,
         profile=profile,
     )
-
-
-def write_mean(
-    wind: MeanWind, position: Array, velocity: Array, displacement: Array, time: float
-) -> None:
-    """Write the mean wind at aircraft, and how far it has carried the air.
-
-    Args:
-        wind: the mean wind.
-        position: (N, 3) m, NED.
-        velocity: (N, 3) m/s; written.
-        displacement: (3,) m; written.
-        time: s.
-    """
-    velocity[:] = wind.velocity_ned(time, -position[:, 2])
-    displacement[:] = wind.displacement_ned(time)
-
-
-READY_MEAN = ready_of(write_mean, "testbed.air.mean_twin")

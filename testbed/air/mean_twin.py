@@ -1,4 +1,4 @@
-"""The compiled twin of `mean.write_mean`."""
+"""The compiled twin of the mean wind, at aircraft and carrying the air."""
 
 # The numpy functions carry the docstrings and the types.
 # ruff: noqa: ANN001, ANN201, ANN202, D103
@@ -11,7 +11,7 @@ from math import log
 import numpy as np
 
 from testbed.air.mean import LOG, POWER
-from testbed.compiled import bound, twin
+from testbed.compiled import twin
 
 
 @twin
@@ -43,13 +43,8 @@ def factor(profile, height):
     return 1.0
 
 
-def ready_write_mean(wind, position, velocity, displacement):
-    rows = wind.time, wind.velocity, wind.slope, wind.path, wind.carried, wind.numbers
-    return bound(_write, *rows, position, velocity, displacement, more=(0.0,))
-
-
 @twin
-def _write(times, rows, slope, path, part, profile, position, velocity, displacement, time):
+def write_mean(times, rows, slope, path, part, profile, position, velocity, displacement, time):
     north, east, down = blowing(times, rows, slope, time)
     for i in range(len(velocity)):
         share = factor(profile, -position[i, 2])

@@ -13,7 +13,7 @@ from testbed.metrics import tally as tallying
 from testbed.metrics.block import Block
 from testbed.metrics.summary import summarise
 from testbed.metrics.tally import BLOCK, Windows
-from testbed.rows import Columns, Kept, Rows
+from testbed.rows import Columns, Rows
 from testbed.state import Array, Event, Frame, RunInfo
 
 _MEASURED = (
@@ -30,10 +30,9 @@ _MEASURED = (
     "formation.place",
 )
 _ESTIMATED = ("position_ned", "velocity_ned", "euler", "airspeed")
-_BELIEVED = (
-    *(f"{who}.{kept}" for who in ("estimate", "truth") for kept in _ESTIMATED),
-    "formation.believed_ned",
-)
+_BELIEVED = "formation.believed_ned"
+_COMPARED = (f"{who}.{kept}" for who in ("estimate", "truth") for kept in _ESTIMATED)
+_SOURCES = tuple(dict.fromkeys((*_MEASURED, *_COMPARED, _BELIEVED)))
 
 
 class MetricsObserver:
@@ -70,10 +69,7 @@ class MetricsObserver:
         )
         self._tally = tallying.empty(len(spans), len(info.names) - 1)
         self._events = []
-        self._kept = Kept(
-            rows=_rows(_MEASURED),
-            beliefs=_rows(_BELIEVED),
-        )
+        self._kept = Rows(_SOURCES, attrgetter(*_SOURCES), room=BLOCK)
 
     def observe(self, frame: Frame) -> None:
         """Copy what is measured; fold the block when it is full."""
@@ -112,9 +108,10 @@ class MetricsObserver:
         kept = self._kept
         if not kept.tick:
             return self._tally
-        block = _block(kept.tick, kept.rows.columns())
+        columns = kept.columns()
+        block = _block(kept.tick, columns)
         if kept.erring:
-            block = _with_estimates(block, kept.erring, kept.beliefs.columns())
+            block = _with_estimates(block, kept.erring, columns)
         return tallying.fold(
             self._tally,
             block,
@@ -124,14 +121,9 @@ class MetricsObserver:
         )
 
 
-def _rows(sources: Sequence[str]) -> Rows:
-    records = dict.fromkeys(source.partition(".")[0] for source in sources)
-    return Rows(sources, attrgetter(*sources), attrgetter(*records), room=BLOCK)
-
-
 def _block(tick: list[int], columns: Columns) -> Block:
     """The frames of which these are the ticks and the `_MEASURED`; estimates are exact."""
-    measured = {source: np.ascontiguousarray(values) for source, values in columns.items()}
+    measured = {source: np.ascontiguousarray(columns[source]) for source in _MEASURED}
     error_ned = measured["formation.error_ned"]
     return Block(
         tick=np.array(tick, dtype=np.int64),
@@ -152,15 +144,15 @@ def _block(tick: list[int], columns: Columns) -> Block:
 
 
 def _with_estimates(block: Block, rows: list[int], columns: Columns) -> Block:
-    """The block with what the estimates add, which err in these of its rows, by the `_BELIEVED`."""
+    """The block with what the estimates add, which err in these of its rows."""
     believed_ned = block.error_ned.copy()
-    believed_ned[rows] = columns["formation.believed_ned"]
+    believed_ned[rows] = columns[_BELIEVED][rows]
 
     def off(kept: str) -> Array:
         estimate, truth = columns[f"estimate.{kept}"], columns[f"truth.{kept}"]
         out = np.zeros((len(block.tick), *truth.shape[1:]))
         with np.errstate(invalid="ignore"):  # of an aircraft that left its model's range
-            out[rows] = estimate - truth
+            out[rows] = (estimate - truth)[rows]
         return out
 
     return replace(block, believed_ned=believed_ned, off=tuple(map(off, _ESTIMATED)))

@@ -2,63 +2,46 @@
 
 from __future__ import annotations
 
-from operator import attrgetter
 from typing import Any
 
-import numpy as np
-
 from testbed.record.messages import BELIEVED, ESTIMATE, NETWORK, TOPICS, Topic
-from testbed.rows import Columns, Kept, Rows
+from testbed.rows import Columns, Rows
 from testbed.state import Frame
 
-_BELIEFS = (ESTIMATE, BELIEVED)
-_SEEN = attrgetter("truth", "air", "surfaces", "lost", "command", "formation", "links")
-_BELIEVED = attrgetter("estimate", "formation")
 
-
-def keep(room: int) -> Kept:
+def keep(room: int) -> Rows:
     """Room for so many frames."""
-
-    def sources(beliefs: bool) -> list[str]:
-        told = [topic for topic in TOPICS if (topic in _BELIEFS) == beliefs]
-        return [column.source for topic in told for column in topic.columns]
-
-    return Kept(
-        rows=Rows(sources(False), _seen, _SEEN, room=room),
-        beliefs=Rows(sources(True), _believed, _BELIEVED, room=room),
-    )
+    return Rows([c.source for topic in TOPICS for c in topic.columns], _arrays, room=room)
 
 
-def _seen(frame: Frame) -> tuple[Any, ...]:
+def _arrays(frame: Frame) -> tuple[Any, ...]:
+    """In the order of the topics."""
     return (
         *frame.truth,
         *frame.air,
         *frame.surfaces,
         frame.lost,
+        *frame.estimate,
         *frame.command,
-        *frame.formation[:-1],  # all but what is believed
+        *frame.formation,
         *frame.links,
     )
 
 
-def _believed(frame: Frame) -> tuple[Any, ...]:
-    return (*frame.estimate, frame.formation.believed_ned)
-
-
-def unpack(kept: Kept) -> tuple[Columns, list[Topic]]:
+def unpack(kept: Rows) -> tuple[Columns, list[Topic]]:
     """The columns of K frames, one at least, and the topics that tell what no other does."""
-    columns = kept.rows.columns()
-    # once a message is lost, no later count is as it was sent
-    delivered = np.array_equal(columns["links.sent"], columns["links.delivered"])
-    untold = [NETWORK, *_BELIEFS] if delivered else [*_BELIEFS]
+    columns = kept.columns()
+
+    def differ(one: str, other: str) -> bool:
+        # by the bits, so that what is not a number equals itself
+        return columns[one].tobytes() != columns[other].tobytes()
+
+    told = [topic for topic in TOPICS if topic not in (ESTIMATE, BELIEVED, NETWORK)]
     if kept.erring:
-        beliefs = kept.beliefs.columns()
-        for topic in _BELIEFS:
-            for column in topic.columns:
-                same = columns[column.unwritten or ""]
-                columns[column.source] = values = same.copy()
-                values[kept.erring] = beliefs[column.source]
-                # by the bits, so that what is not a number equals itself
-                if topic in untold and np.any(values.view(np.uint64) != same.view(np.uint64)):
-                    untold.remove(topic)
-    return columns, [topic for topic in TOPICS if topic not in untold]
+        for topic in (ESTIMATE, BELIEVED):
+            if any(differ(column.source, column.unwritten or "") for column in topic.columns):
+                told.append(topic)
+    # once a message is lost, no later count is as it was sent
+    if differ("links.sent", "links.delivered"):
+        told.append(NETWORK)
+    return columns, sorted(told, key=TOPICS.index)

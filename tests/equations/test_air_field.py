@@ -25,7 +25,10 @@ from testbed.air.field import (
     strength,
     waves,
 )
-from testbed.air.field_sample import FIELD, felt_in_field, sample
+from testbed.air.field_sample import FIELD, no_field, sample
+from testbed.air.gusts import TimedGust, make_gusts
+from testbed.air.mean import LogProfile, make_mean_wind
+from testbed.air.together import blow
 from testbed.errors import InputError
 from testbed.state import Airframe
 
@@ -319,15 +322,44 @@ def test_the_compiled_field(field):
         points = centre[:, np.newaxis] + rng.uniform(-1.5, 1.5, (50, 6, 3))
         ours, theirs = (each(field.tables, centre, points) for each in (sample, field_twin.sample))
         assert theirs.shape == ours.shape
-        euler, carried, mean = rng.uniform(-1.0, 1.0, (50, 3)), *rng.normal(0.0, 9.0, (2, 3))
-        body = points_body([Airframe(2.8, 1.0, 0.8, 6.5, 5.0)] * 50)
-        given = field.tables, centre, euler, body, carried, np.tile(mean, (50, 1))
-        written = np.empty((2, 50, 3))
-        field_twin.ready_write_felt_in_field(*given, *written)()
-        for one, two in zip(felt_in_field(*given), written, strict=True):
-            np.testing.assert_allclose(two, one, rtol=0.0, atol=1e-9)  # 1e-10 over half a metre
         # sums of other order, and places of 1e5 m to 1e-11 m
         np.testing.assert_allclose(theirs, ours, rtol=0.0, atol=1e-10)
+
+
+def test_a_compiled_field_in_wind_and_gusts(field):
+    """Each adds to the other what it has by itself; the wind carries the field."""
+    pytest.importorskip("numba")
+    from testbed.air import together_twin
+
+    n, rng = 50, np.random.default_rng(9)
+    wind = make_mean_wind(np.zeros(1), np.array([[5.0, -3.0, 0.0]]), profile=LogProfile(10.0, 0.03))
+    gusts = make_gusts([TimedGust((3.0, -1.0, 2.0), start=1.0, ramp=4.0, pulse=False)], wind)
+    none = make_gusts([], wind)
+    position, euler = rng.normal(0.0, 300.0, (n, 3)), rng.uniform(-1.0, 1.0, (n, 3))
+    body = points_body([Airframe(2.8, 1.0, 0.8, 6.5, 5.0)] * n)
+
+    def blown(tables, gusts):
+        given = wind, tables, gusts, position, euler, body
+        ours, theirs = ((*np.empty((1, n, 3)), np.empty(3), *np.empty((3, n, 3))) for _ in "12")
+        blow(*given, *ours, 4.0)
+        together_twin.ready_blow(*given, *theirs)(4.0)
+        for one, two in zip(ours, theirs, strict=True):
+            np.testing.assert_allclose(two, one, rtol=0.0, atol=1e-9)  # 1e-10 over half a metre
+        return ours
+
+    (_, path, still, calm, level), (_, _, *_, turbulent, turned) = (
+        blown(tables, none) for tables in (no_field(), field.tables)
+    )
+    _, _, ambient, both, all_turned = blown(field.tables, gusts)
+    alone = blown(no_field(), gusts)
+    np.testing.assert_allclose(both - alone[3], turbulent - calm, atol=1e-12)
+    np.testing.assert_allclose(all_turned - alone[4], turned - level, atol=1e-12)
+    np.testing.assert_array_equal(ambient, alone[2])  # what sheds wakes is not tossed about
+    assert (turbulent - calm).std(axis=0) == pytest.approx(SIGMA, rel=0.5)
+    there = sample(field.tables, position - path, (position - path)[:, np.newaxis])[:, 0]
+    apart = turbulent - calm - there  # an average over the wing is not what blows in its middle
+    assert (apart.std(axis=0) < 0.3 * SIGMA).all()
+    assert not np.array_equal(still, ambient)
 
 
 def test_a_seed_is_a_field_to_the_bit(field):
@@ -342,7 +374,8 @@ def test_a_field_is_as_large_as_it_says(field):
     assert field.memory < 70e6
     assert (field.edge == field.cell * field.tables.counts).all()
     assert field.edge[-1] >= max(64.0 * LENGTH.max(), 80_000.0 / 5.0)
-    assert len(field.tables.values) == (field.tables.counts**3).sum() + 1  # and a spare
+    counts = field.tables.counts
+    assert len(field.tables.values) == (counts**2 * (counts + 3)).sum() + 1  # and a spare
 
 
 def test_a_field_keeps_its_scale_where_components_are_still():

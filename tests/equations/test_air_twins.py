@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from testbed.air.airframe import points_body
+from testbed.air.field_sample import no_field
 from testbed.air.gusts import PlacedGust, TimedGust, make_gusts
-from testbed.air.mean import LogProfile, PowerProfile, make_mean_wind, write_mean
-from testbed.air.uneven import add_uneven
+from testbed.air.mean import LogProfile, PowerProfile, make_mean_wind
+from testbed.air.together import blow
 from testbed.state import Airframe
 
 pytest.importorskip("numba")
 
-from testbed.air import mean_twin, uneven_twin  # noqa: E402
+from testbed.air import together_twin  # noqa: E402
 
 PROFILES = (None, LogProfile(10.0, 0.03), PowerProfile(10.0, 0.143))
 TIMES = (0.0, 0.7, 3.0, 11.5, 19.9, 20.0)  # s; rows of the wandering wind are at whole ones
@@ -37,21 +38,16 @@ def places(rng):
     return position
 
 
-def test_the_mean_wind():
-    rng = np.random.default_rng(90)
-    for wind, time in itertools.product(winds(rng), TIMES):
-        position = places(rng)
-        ours, theirs = ((np.empty((N, 3)), np.empty(3)) for _ in range(2))
-        write_mean(wind, position, *ours, time)
-        mean_twin.ready_write_mean(wind, position, *theirs)(time)
-        for one, two in zip(ours, theirs, strict=True):
-            np.testing.assert_allclose(two, one, rtol=1e-13, atol=1e-13)
+def room():
+    """For mean, path, ambient, wind and turns of N, all of it not a number."""
+    return np.full((N, 3), np.nan), np.full(3, np.nan), *np.full((3, N, 3), np.nan)
 
 
-def test_what_differs_from_point_to_point():
+def test_what_blows_for_everyone_alike():
+    """Without a field, which has a test of its own."""
     rng = np.random.default_rng(91)
     body = points_body([Airframe(2.8, 1.0, 0.8, 6.5, 5.0)] * N)
-    felt = []
+    turned, apart = [], []
     for wind in winds(rng):
         gusts = [
             TimedGust((3.0, -1.0, 2.0), start=1.0, ramp=4.0, pulse=False),
@@ -60,15 +56,19 @@ def test_what_differs_from_point_to_point():
         ]
         for some, time in itertools.product((gusts, []), TIMES):
             position, euler = places(rng), rng.uniform(-1.0, 1.0, (N, 3))
-            mean, path = np.empty((N, 3)), np.empty(3)
-            write_mean(wind, position, mean, path, time)
-            air = make_gusts(some, wind)
-            ours = rng.normal(0.0, 1.0, (3, N, 3))
-            theirs = ours.copy()
-            before = ours[2].copy()
-            add_uneven(wind, air, position, euler, body, mean, path, *ours, time)
-            given = wind, air, position, euler, body, mean, path
-            uneven_twin.ready_add_uneven(*given, *theirs)(time)
-            np.testing.assert_allclose(theirs, ours, rtol=1e-11, atol=1e-12)
-            felt.append(abs(ours[2] - before).max())
-    assert np.median(felt) > 1e-4  # rad/s: most of them turn somebody
+            given = wind, no_field(), make_gusts(some, wind), position, euler, body
+            ours, theirs = room(), room()
+            blow(*given, *ours, time)
+            together_twin.ready_blow(*given, *theirs)(time)
+            for one, two in zip(ours, theirs, strict=True):
+                np.testing.assert_allclose(two, one, rtol=1e-11, atol=1e-12)
+            mean, path, ambient, velocity, turns = ours
+            np.testing.assert_array_equal(path, wind.displacement_ned(time))
+            np.testing.assert_array_equal(mean, wind.velocity_ned(time, -position[:, 2]))
+            np.testing.assert_array_equal(ambient, velocity)  # no field
+            turned.append(abs(turns).max())
+            apart.append(abs(velocity - mean).max())
+            if not some and wind.uniform:
+                assert turned.pop() == apart.pop() == 0.0
+    assert np.median(turned) > 1e-4  # rad/s: most of them turn somebody
+    assert np.median(apart) > 1e-3  # m/s

@@ -1,38 +1,32 @@
 """Arrays of frames as rows of bytes: what comes out is what went in, whoever copies it."""
 
-from types import SimpleNamespace
-from typing import NamedTuple
-
 import numpy as np
 import pytest
 
 from testbed.rows import READY_GATHER, Rows, gather
+from testbed.state import Frame, VehicleState
 
-
-class Motion(NamedTuple):
-    place: np.ndarray
-    speed: np.ndarray
-
-
-SOURCES = ("motion.place", "motion.speed", "lost")
+SOURCES = ("truth.position_ned", "truth.airspeed", "lost")
 
 
 def rows(room=20):
     return Rows(
         SOURCES,
-        lambda frame: (*frame.motion, frame.lost),
-        lambda frame: (frame.motion, frame.lost),
+        lambda frame: (frame.truth.position_ned, frame.truth.airspeed, frame.lost),
         room=room,
     )
 
 
 def blank(n=3):
-    return SimpleNamespace(motion=Motion(np.zeros((n, 3)), np.zeros(n)), lost=np.zeros(n, bool))
+    truth = VehicleState(*np.zeros((5, n, 3)), *np.zeros((2, n)))
+    others = (None,) * 5
+    return Frame(0, 0.0, truth, truth, *others, np.zeros(n, bool))
 
 
 def write(frame, k):
-    frame.motion.place[:] = k + np.arange(frame.motion.place.size).reshape(-1, 3) / 7.0
-    frame.motion.speed[:] = -k
+    place = frame.truth.position_ned
+    place[:] = k + np.arange(place.size).reshape(-1, 3) / 7.0
+    frame.truth.airspeed[:] = -k
     frame.lost[:] = [(k + i) % 2 for i in range(len(frame.lost))]
 
 
@@ -40,8 +34,8 @@ def check(columns, frames):
     assert list(columns) == list(SOURCES)
     for k, frame in enumerate(frames):
         write(frame, k)
-        assert np.array_equal(columns["motion.place"][k], frame.motion.place)
-        assert np.array_equal(columns["motion.speed"][k], frame.motion.speed)
+        assert np.array_equal(columns["truth.position_ned"][k], frame.truth.position_ned)
+        assert np.array_equal(columns["truth.airspeed"][k], frame.truth.airspeed)
         assert np.array_equal(columns["lost"][k], frame.lost)
     assert len(columns["lost"]) == len(frames)
 
@@ -61,10 +55,21 @@ def test_one_array_may_be_another_while_the_rest_stays():
     kept, frame = rows(), blank()
     for k in range(9):
         if k == 5:
-            frame.lost = np.zeros(3, bool)
+            frame = frame._replace(lost=np.zeros(3, bool))
         write(frame, k)
         kept.append(frame)
     check(kept.columns(), [frame] * 9)
+
+
+def test_whose_estimates_are_not_the_truth():
+    kept, one = rows(), blank()
+    other = one._replace(tick=8, estimate=blank().truth)
+    for frame in (one, other, other, one._replace(tick=24)):
+        kept.append(frame)
+    assert (kept.tick, kept.erring) == ([0, 8, 8, 24], [1, 2])
+    kept.clear()
+    kept.append(other)
+    assert (kept.tick, kept.erring) == ([8], [0])
 
 
 def test_arrays_of_another_size_or_type_are_refused():
@@ -72,8 +77,7 @@ def test_arrays_of_another_size_or_type_are_refused():
     kept.append(blank())
     with pytest.raises(ValueError, match="not as large as those of the first frame"):
         kept.append(blank(4))
-    wrong = blank()
-    wrong.lost = np.zeros(3)
+    wrong = blank()._replace(lost=np.zeros(3))
     with pytest.raises(TypeError, match="lost: float64 instead of bool"):
         rows().append(wrong)
 

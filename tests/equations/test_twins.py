@@ -246,8 +246,7 @@ def test_no_twin_goes_without_such_a_test():
                 found.add(function.id)
     elsewhere = {"fbwa", "fly", "lost", "advance_ticks", "report"}
     elsewhere |= {"read", "write", "note", "look", "sense_air", "blow", "command"}  # flight models'
-    elsewhere |= {"sample", "write_felt_in_field", "write_filters", "add_turbulence"}  # the air's
-    elsewhere |= {"write_mean", "add_uneven", "add_wakes"}
+    elsewhere |= {"sample", "write_filters", "add_turbulence", "add_wakes"}  # the air's
     elsewhere |= {"befall", "post_round", "send_round", "take_due", "count"}  # the network's
     elsewhere |= {"sense", "jitter"}  # the sensors'
     elsewhere |= {"fly", "fly_ideal"}  # the leader's
