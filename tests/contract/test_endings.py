@@ -119,7 +119,7 @@ def test_a_file_system_that_is_full_or_read_only_is_one_line_and_the_log_is_read
         [("sh", "-c", f"rm -rf {disk}/*")],
         [(*FLY, *alone, *logged), fills(disk, disk / "run" / "run.tlog")],
         [mounts(tiny, "size=8k")],
-        [(*FLY, "--out", tiny / "run", "--set=log.mcap=false")],
+        [(*FLY, "--out", tiny / "run", "--set=log.mcap=false", "--duration=2")],
         [("sh", "-c", f"mkdir -p {fixed} && mount -t tmpfs -o ro tmpfs {fixed}")],
         [(*FLY, "--out", fixed / "run")],
         [(*FLY, "--out", fixed)],

@@ -58,7 +58,7 @@ def test_behind_a_recorded_leader() -> None:
 
 def test_a_path_that_saturates_loses_no_formation() -> None:
     """Back within 5 m of the slot 120 s after the last saturated stretch, never nearer than 3 m."""
-    metrics = fly("simulation-3-hard")
+    metrics = fly("simulation-3-hard", until=UNTIL)
     assert metrics["min_separation_m"] > 3.0
     assert metrics["leader_bank_deg"] > 44.0
     for name in UAVS:

@@ -28,11 +28,11 @@ RATE = frame_rate(LEADER.climb, LEADER.course_rate, np.zeros(1))
 ASIDE = np.array([0.0, 4.0, 0.0])
 
 
-def helix(t, offset):
-    """Position and velocity of what keeps an offset in the leader's frame; and q̈_g."""
+def helix(t, offsets):
+    """Positions and velocities (K, 3) of what keeps offsets in the leader's frame; and q̈_g."""
     position, velocity, acceleration = LEADER.motion(t)
-    chi, chi_rate, _ = slots(velocity_frame(velocity), RATE, np.zeros((1, 3)), offset[None])
-    return position[0] + chi[0, 0], velocity[0] + chi_rate[0, 0], acceleration[0]
+    chi, chi_rate, _ = slots(velocity_frame(velocity), RATE, np.zeros((1, 3)), offsets)
+    return position + chi[0], velocity + chi_rate[0], acceleration[0]
 
 
 def make_law(then, limit=LIMIT):
@@ -56,20 +56,18 @@ def flown(law, mute=MUTE, then=None, until=END):
     """
     offsets = law.offsets.copy()
     offsets[1] += ASIDE
-    start = [helix(0.0, offset) for offset in offsets]
-    vehicles = unicycle(*(np.array([each[k] for each in start[2:]]) for k in (0, 1)))
+    vehicles = unicycle(*(each[2:] for each in helix(0.0, offsets)[:2]))
     speed, turn, pole = vehicles.speed, np.zeros((2, 3)), law.pole[1:]
     memories, said, errors, inbox = [], 0.0, [], None
     for tick in range(round(until * HZ)):
         now = tick / HZ
         law = then if then and now - said > LIMIT else law
-        moved = [helix(now, offset) for offset in offsets]
-        slots_now = np.array([each[0] for each in moved])
+        slots_now, moved, acceleration_now = helix(now, offsets)
         seen = REPORT(vehicles, speed, turn, pole, np.zeros((2, 3)))
         frame = velocity_frame(LEADER.motion(now)[1])[0]
         errors.append((seen.position_ned - slots_now[2:]) @ frame)
         position = np.vstack([slots_now[:2], seen.position_ned])
-        velocity = np.vstack([[each[1] for each in moved[:2]], seen.velocity_ned])
+        velocity = np.vstack([moved[:2], seen.velocity_ned])
         own = np.stack([position[1:], velocity[1:]])
         airspeed = np.linalg.norm(velocity[1:], axis=1)
         own = VehicleState(*own, *np.zeros((3, 3, 3)), airspeed, airspeed)
@@ -83,7 +81,7 @@ def flown(law, mute=MUTE, then=None, until=END):
             for each, old in zip(news, inbox[2:4], strict=True):
                 each[1:, 1] = old[1:, 1]
         acceleration = np.zeros((3, 4, 3))
-        acceleration[:, 0] = moved[0][2]
+        acceleration[:, 0] = acceleration_now
         inbox = Inbox(when, when, *news, acceleration, np.zeros((3, 4, 3)), rates)
         told, memory = law.step(now, own, inbox, memories[-1] if memories else law.start(own))
         memories.append(memory)
@@ -116,8 +114,9 @@ def test_a_neighbour_that_keeps_its_place_may_fall_silent(heard, limit):
     last, offset = MUTE[0] - 1.0 / HZ, np.array([-5.0, 5.0, 0.0]) + ASIDE
     assert memory.place[1, 1] == pytest.approx(offset, abs=1e-9)
     assert memory.place_time_s[1, 1] == last
-    position, velocity, _ = helix(last, offset)
-    delta = np.linalg.norm(position + limit * velocity - helix(last + limit, offset)[0])
+    (position,), (velocity,), _ = helix(last, offset[None])
+    (after,), _, _ = helix(last + limit, offset[None])
+    delta = np.linalg.norm(position + limit * velocity - after)
     # ½ v σ̇ times the square of the limit, less a fortieth when that is a radian of the turn
     level = np.hypot(*velocity[:2])
     assert delta == pytest.approx(0.5 * level * 0.2 * limit**2, rel=0.03)
