@@ -145,14 +145,15 @@ def _block(tick: list[int], columns: Columns) -> Block:
 
 def _with_estimates(block: Block, rows: list[int], columns: Columns) -> Block:
     """The block with what the estimates add, which err in these of its rows."""
-    believed_ned = block.error_ned.copy()
-    believed_ned[rows] = columns[_BELIEVED][rows]
+    exact = np.ones(len(block.tick), dtype=bool)
+    exact[rows] = False
+    believed_ned = columns[_BELIEVED].copy()
+    believed_ned[exact] = block.error_ned[exact]
 
     def off(kept: str) -> Array:
-        estimate, truth = columns[f"estimate.{kept}"], columns[f"truth.{kept}"]
-        out = np.zeros((len(block.tick), *truth.shape[1:]))
         with np.errstate(invalid="ignore"):  # of an aircraft that left its model's range
-            out[rows] = (estimate - truth)[rows]
+            out: Array = columns[f"estimate.{kept}"] - columns[f"truth.{kept}"]
+        out[exact] = 0.0
         return out
 
     return replace(block, believed_ned=believed_ned, off=tuple(map(off, _ESTIMATED)))

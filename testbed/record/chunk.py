@@ -172,7 +172,7 @@ def _introduced(made: Strip, news: Sequence[bytes]) -> Strip:
 class Chunk:
     """What is compressed together."""
 
-    parts: Sequence[Any]  # bytes or arrays of them
+    data: bytes
     index: Mapping[int, bytes]  # the index record of each stream, by its number
     first_ns: int
     last_ns: int
@@ -194,8 +194,8 @@ def chunk(strips: Sequence[Strip]) -> Chunk:
         index |= zip(numbers, _index(numbers, made, places[first:last]), strict=True)
         first = last
     times = np.concatenate([made.time_ns for made in strips])
-    parts = [rows[i] for i in order.tolist()]
-    return Chunk(parts, index, first_ns=int(times.min()), last_ns=int(times.max()))
+    data = b"".join([rows[i] for i in order.tolist()])
+    return Chunk(data, index, first_ns=int(times.min()), last_ns=int(times.max()))
 
 
 def _index(numbers: Sequence[int], made: Strip, places: Whole) -> list[bytes]:

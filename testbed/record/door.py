@@ -77,8 +77,8 @@ class LogFile:
     """An MCAP file being written.
 
     A thread of its own compresses chunks and writes them, for which it does not need the
-    interpreter. A record is in the file whole or not at all. Before each the file is looked for:
-    one that nobody can find any more is not written on.
+    interpreter: wherever it does, the flight has to wait. A record is in the file whole or not at
+    all. Before each the file is looked for: one that nobody finds any more is not written on.
 
     Args:
         path: A file that does not exist.
@@ -130,6 +130,7 @@ class LogFile:
         """Write a chunk, which will be in the file as soon as it is compressed."""
         self._wait()
         if strips:
+            self._look()
             self._writing = self._thread.submit(self._save, chunk(strips))
 
     def close(self) -> None:
@@ -159,16 +160,14 @@ class LogFile:
         return schema + channel
 
     def _save(self, made: Chunk) -> None:
-        data = b"".join(made.parts)
-        packing = self._compressor.compressobj()
-        packed = [packing.compress(data), packing.flush()]
-        size, span_ns = sum(map(len, packed)), (made.first_ns, made.last_ns)
+        data, packed = made.data, self._compressor.compress(made.data)
+        size, span_ns = len(packed), (made.first_ns, made.last_ns)
         length = _CHUNK.size + size
         about = len(data), zlib.crc32(data), len(_ZSTD), _ZSTD.encode(), size
         head = _CHUNK.pack(Opcode.CHUNK, length - _HEAD.size, *span_ns, *about)
         numbers, indices = zip(*sorted(made.index.items()), strict=True)
         at = self._size
-        self._put(b"".join([head, *packed, *indices]))
+        self._put(b"".join([head, packed, *indices]))
         *places, end = accumulate(map(len, indices), initial=at + length)
         index = records.ChunkIndex(
             chunk_start_offset=at,
@@ -188,6 +187,7 @@ class LogFile:
     def _append(self, record: McapRecord) -> tuple[int, int]:
         """Put a record behind all chunks and say where it is and how long."""
         self._wait()
+        self._look()
         at, data = self._size, _bytes(record)
         self._put(data)
         return at, len(data)
@@ -199,12 +199,6 @@ class LogFile:
 
     def _put(self, data: bytes) -> None:
         rest = memoryview(data)
-        if not self._there():
-            self._file.close()
-            raise LogError(
-                f"{self.path}: the log is not there any more: {self.path.parent} was removed or "
-                "moved during the run"
-            )
         try:
             while rest:
                 rest = rest[self._file.write(rest) :]
@@ -215,12 +209,18 @@ class LogFile:
             raise LogError(f"{self.path}: cannot write the log: {error.strerror}") from error
         self._size += len(data)
 
-    def _there(self) -> bool:
+    def _look(self) -> None:
         """Whether the open file has its name still: a folder that is removed takes it along."""
         try:
-            return os.path.samestat(os.stat(self.path), os.fstat(self._file.fileno()))
+            there = os.path.samestat(os.stat(self.path), os.fstat(self._file.fileno()))
         except OSError:
-            return False
+            there = False
+        if not there:
+            self._file.close()
+            raise LogError(
+                f"{self.path}: the log is not there any more: {self.path.parent} was removed or "
+                "moved during the run"
+            )
 
     def _end(self) -> bytes:
         """Everything after the data: what is in the file and where, by groups of records."""
