@@ -169,11 +169,11 @@ def _velocity_and_slopes(values, first, count, cells):
     none = (0.0, 0.0, 0.0, 0.0)
     totals = none, none, none, none
     for i in range(NODES):
-        at, x, slope = row + planes[i], wx[i], sx[i]
-        totals = _add_line(values, at + lines[0], x, slope, wy[0], sy[0], wz, sz, totals)
-        totals = _add_line(values, at + lines[1], x, slope, wy[1], sy[1], wz, sz, totals)
-        totals = _add_line(values, at + lines[2], x, slope, wy[2], sy[2], wz, sz, totals)
-        totals = _add_line(values, at + lines[3], x, slope, wy[3], sy[3], wz, sz, totals)
+        at, weight, slope = row + planes[i], wx[i], sx[i]
+        totals = _add_line(values, at + lines[0], weight, slope, wy[0], sy[0], wz, sz, totals)
+        totals = _add_line(values, at + lines[1], weight, slope, wy[1], sy[1], wz, sz, totals)
+        totals = _add_line(values, at + lines[2], weight, slope, wy[2], sy[2], wz, sz, totals)
+        totals = _add_line(values, at + lines[3], weight, slope, wy[3], sy[3], wz, sz, totals)
     return totals
 
 
