@@ -64,6 +64,9 @@ def numbers(page: Scenario, turns: Sequence[Turn], shares: Mapping[str, float]) 
         ratios = [getattr(one.ratio, kind) for one in turns]
         told["full_over_bare" + key] = getattr(ratio, kind)
         told[f"full_over_bare{key}_spread"] = [min(ratios), max(ratios)]
+    # what others do on the machine only adds
+    least = [min(getattr(each, of).wall_s for each in turns) for of in ("full", "bare")]
+    told["least_full_over_least_bare"] = least[0] / least[1]
     if turns[0].crewed:
         costs = [one.crewed for one in turns if one.crewed]
         crewed, shares_of_bare = (
