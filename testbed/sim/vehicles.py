@@ -24,6 +24,7 @@ from testbed.vehicle.fbwa import READY_FLY, settled, standing
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.ideal import IdealFleet
 from testbed.vehicle.legs import Leg
+from testbed.vehicle.motion import state_of
 from testbed.vehicle.params import FbwaParams, stack
 from testbed.vehicle.tables import FbwaGains
 
@@ -181,40 +182,39 @@ class Replayed:
 
     def __init__(self, track: Track, equivalent_airspeed: Array, wind_ned: Array) -> None:
         """Begin the track, which has one row for every event of the clock."""
-        self._track, self._equivalent = track, equivalent_airspeed
-        self._wind, self._row = wind_ned[np.newaxis], 0
+        self._commanded, self._row = track.throttle, 0
+        speeds = track.airspeed[:, np.newaxis], equivalent_airspeed[:, np.newaxis]
+        vectors = track.position_ned, track.velocity_ned, track.acceleration_ned
+        # field after field, as in a state
+        self._motion = np.hstack((*vectors, track.euler, track.rates_body, *speeds))
+        self._euler = self._motion[:, 9:12]
+        self._now = np.empty(self._motion.shape[1])
+        self._state = state_of(self._now)
+        still, zero, nothing = np.zeros((1, 3)), np.zeros(1), np.full(1, np.nan)
+        self._throttle, self._wind = np.empty(1), wind_ned[np.newaxis].copy()
+        self._surfaces = Surfaces(zero, zero, zero, self._throttle)
+        self._air = AirData(zero, zero, zero, self._wind, still, zero, nothing, nothing)
 
     @property
     def command(self) -> tuple[float, float, float]:
         """Pitch, roll, throttle: what it does stands for what it was told."""
-        row = self._row
-        roll, pitch, _ = self._track.euler[row]
-        return float(pitch), float(roll), float(self._track.throttle[row])
+        roll, pitch, _ = self._euler[self._row].tolist()
+        return pitch, roll, float(self._commanded[self._row])
 
     @property
     def surfaces(self) -> Surfaces:
-        """A track has none but the throttle."""
-        still = np.zeros(1)
-        return Surfaces(still, still, still, self._track.throttle[self._row : self._row + 1])
+        """A track has none but the throttle; until the next call."""
+        self._throttle[0] = self._commanded[self._row]
+        return self._surfaces
 
     def read(self) -> VehicleState:
-        """The row of now."""
-        now, track = slice(self._row, self._row + 1), self._track
-        return VehicleState(
-            position_ned=track.position_ned[now],
-            velocity_ned=track.velocity_ned[now],
-            acceleration_ned=track.acceleration_ned[now],
-            euler=track.euler[now],
-            rates_body=track.rates_body[now],
-            airspeed=track.airspeed[now],
-            equivalent_airspeed=self._equivalent[now],
-        )
+        """The row of now, until the next call."""
+        np.copyto(self._now, self._motion[self._row])
+        return self._state
 
     def air(self) -> AirData:
         """A track tells nothing of its own: zero."""
-        zero, nothing = np.zeros(1), np.full(1, np.nan)
-        still = np.zeros((1, 3))
-        return AirData(zero, zero, zero, self._wind, still, zero, nothing, nothing)
+        return self._air
 
     def lost(self, state: VehicleState) -> Truths:
         """It flies on whatever happens."""
@@ -222,7 +222,7 @@ class Replayed:
 
     def blow(self, felt: AirFelt) -> None:
         """It moves as it does; only the log knows what wind there is."""
-        self._wind = felt.wind_ned
+        np.copyto(self._wind, felt.wind_ned)
 
     def steer(self, told: UnicycleCommand) -> None:
         """Nobody steers it."""
