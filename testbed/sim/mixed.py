@@ -116,7 +116,8 @@ class _Whole:
             self._copy(records)
             if same and self._order is not None:
                 arrays = [records[k][field] for field in self._fields for k in self._order]
-                self._ready = READY_GATHER(arrays, self._octets)
+                if all(each.flags.c_contiguous and each.dtype == float for each in arrays):
+                    self._ready = READY_GATHER(arrays, self._octets)
         joined: Record = self._whole
         return joined
 

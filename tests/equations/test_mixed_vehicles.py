@@ -54,4 +54,11 @@ def test_what_all_are_is_what_each_is(rows):
                     theirs = getattr(getattr(part, kept), field)
                     np.testing.assert_array_equal(getattr(seen, field)[own], theirs)
     state = mixed.read()
+    for part in parts:  # numbers that do not lie one behind the other
+        rates = np.empty((len(part.read().airspeed), 4))[:, :3]
+        part._state = part._state._replace(rates_body=rates)
+    for _ in range(4):
+        state = mixed.read()
+        for own, part in zip(rows, parts, strict=True):
+            np.testing.assert_array_equal(state.rates_body[own], part._state.rates_body)
     np.testing.assert_array_equal(mixed.lost(state), state.airspeed > 0.0)
