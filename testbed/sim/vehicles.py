@@ -24,7 +24,6 @@ from testbed.vehicle.fbwa import READY_FLY, settled, standing
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.ideal import IdealFleet
 from testbed.vehicle.legs import Leg
-from testbed.vehicle.motion import state_of
 from testbed.vehicle.params import FbwaParams, stack
 from testbed.vehicle.tables import FbwaGains
 
@@ -182,14 +181,11 @@ class Replayed:
 
     def __init__(self, track: Track, equivalent_airspeed: Array, wind_ned: Array) -> None:
         """Begin the track, which has one row for every event of the clock."""
-        self._commanded, self._row = track.throttle, 0
-        speeds = track.airspeed[:, np.newaxis], equivalent_airspeed[:, np.newaxis]
+        self._track, self._row = track, 0
         vectors = track.position_ned, track.velocity_ned, track.acceleration_ned
-        # field after field, as in a state
-        self._motion = np.hstack((*vectors, track.euler, track.rates_body, *speeds))
-        self._euler = self._motion[:, 9:12]
-        self._now = np.empty(self._motion.shape[1])
-        self._state = state_of(self._now)
+        moves = *vectors, track.euler, track.rates_body, track.airspeed, equivalent_airspeed
+        self._state = VehicleState(*np.empty((5, 1, 3)), *np.empty((2, 1)))
+        self._fields = tuple(zip(self._state, moves, strict=True))
         still, zero, nothing = np.zeros((1, 3)), np.zeros(1), np.full(1, np.nan)
         self._throttle, self._wind = np.empty(1), wind_ned[np.newaxis].copy()
         self._surfaces = Surfaces(zero, zero, zero, self._throttle)
@@ -198,18 +194,20 @@ class Replayed:
     @property
     def command(self) -> tuple[float, float, float]:
         """Pitch, roll, throttle: what it does stands for what it was told."""
-        roll, pitch, _ = self._euler[self._row].tolist()
-        return pitch, roll, float(self._commanded[self._row])
+        roll, pitch, _ = self._track.euler[self._row].tolist()
+        return pitch, roll, float(self._track.throttle[self._row])
 
     @property
     def surfaces(self) -> Surfaces:
         """A track has none but the throttle; until the next call."""
-        self._throttle[0] = self._commanded[self._row]
+        self._throttle[0] = self._track.throttle[self._row]
         return self._surfaces
 
     def read(self) -> VehicleState:
         """The row of now, until the next call."""
-        np.copyto(self._now, self._motion[self._row])
+        row = self._row
+        for now, moves in self._fields:
+            now[0] = moves[row]
         return self._state
 
     def air(self) -> AirData:
