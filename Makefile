@@ -1,11 +1,11 @@
-# Two commands do everything on a machine with Python and make:
+# Two commands, on a machine with Python and make:
 #   make run     fly Simulation 3 and print its table      (ARGS="--duration 120" for options)
 #   make test    lint, types and tests
 # The first of them creates .venv from requirements.lock. PYTHON=/path/to/python picks another one.
 
 PYTHON ?=
 JOBS ?= 2
-# tests at once: one more, for some wait for programs that wait for them
+# tests at once: one more than processors, because some tests wait for other programs
 WORKERS ?= $(shell expr $(JOBS) + 1)
 ARGS ?=
 
@@ -30,7 +30,7 @@ setup: $(STAMP)
 run: $(STAMP)
 	@$(BIN)/testbed run scenarios/simulation-3.yaml $(ARGS)
 
-# What the flights of the tests need is compiled once, beside the checks that need no flight.
+# Kernels for the tests' flights are compiled once, in parallel with the checks that fly nothing.
 test:
 	@$(MAKE) -j 3 checks warm-sensors warm-flights
 	@$(MAKE) tests
@@ -47,29 +47,28 @@ lint: $(STAMP)
 types: $(STAMP)
 	@$(BIN)/mypy --no-error-summary
 
-# One thread each for numpy's linear algebra: the tests are as many as there are processors already.
+# One thread each for numpy's linear algebra: there are as many tests at once as processors.
 tests: $(STAMP) $(CLIENTS_STAMP)
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -q -n $(WORKERS) $(ARGS)
 
-# Ground stations and libraries that tests/clients runs as programs, apart from what the testbed is
-# made of.
+# Ground stations and libraries that tests/clients runs as programs, in an environment of their own.
 clients: $(CLIENTS_STAMP)
 	@:
 
-# Everything: the tests, all starts of the theorem, the air's and the network's statistics on more
-# samples, broken MAVLink, flight logs and inputs of every kind, real time with nothing else running,
-# a study whose processes are killed, 200 runs killed at any moment, the snippets of every page, the laws of
-# large formations, every golden table, and a release made and flown from a fresh environment.
+# Everything: the tests, 1,000 starts of the theorem, statistics of air and network on more samples,
+# broken MAVLink frames, flight logs and input files, real time with nothing else running, a study whose
+# processes are killed, 200 runs killed at random moments, the snippets of every docs page, laws of large
+# formations, every golden table, and a release built and flown from a new environment.
 check-all: test release
 	@TESTBED_STARTS=1000 $(BIN)/pytest -q tests/theorems/test_theorem_many_starts.py
-	@TESTBED_AIR_SAMPLES=60 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_air_dryden.py \
-		tests/equations/test_air_von_karman.py tests/equations/test_air_field.py
+	@TESTBED_AIR_SAMPLES=60 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_atmosphere_dryden.py \
+		tests/equations/test_atmosphere_von_karman.py tests/equations/test_atmosphere_field.py
 	@TESTBED_PACKETS=1000000 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_network_loss.py \
 		tests/equations/test_network_delay.py tests/equations/test_network_queue.py \
-		tests/equations/test_network_keys.py tests/equations/test_network_twin.py
+		tests/equations/test_network_keys.py tests/equations/test_network_kernels.py
 	@TESTBED_PACKETS=10000 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_network_report.py
-	@TESTBED_FRAMES=600000 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_mavlink_noise.py \
-		tests/contract/test_links_noise.py tests/contract/test_dataflash.py \
+	@TESTBED_FRAMES=600000 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_mavlink_codec_noise.py \
+		tests/contract/test_mavlink_vehicle_noise.py tests/contract/test_dataflash.py \
 		tests/truth/test_import_flight.py tests/equations/test_follow_target.py
 	@TESTBED_FRAMES=10000 $(BIN)/pytest -q tests/clients/test_storm.py
 	@TESTBED_MUTATIONS=20000 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_mutations.py
@@ -83,20 +82,19 @@ check-all: test release
 	@TESTBED_ARDUPLANE_WHOLE=1 $(BIN)/pytest -q tests/contract/test_arduplane.py
 	@$(BIN)/testbed check --jobs $(JOBS)
 
-# What everything around the flight model costs, as a ratio to bare JSBSim, in which rooms, and how it
-# grows with the fleet (ARGS="--json FILE --into docs/speed.md" writes it down); coherent air and estimates
-# on top; the radio of 100 aircraft; a live view; and how long it takes
-# to begin.
+# Cost of a flight relative to bare JSBSim, by part and by size of the fleet (ARGS="--json FILE --into
+# docs/speed.md" writes it); of coherent turbulence and of sensor errors; of the network of 100 aircraft;
+# of a live view; and the time to start.
 bench: $(STAMP)
 	@$(BIN)/python benchmarks/speed.py $(ARGS)
-	@$(BIN)/python benchmarks/page_cost.py --set air.turbulence.model=coherent
-	@$(BIN)/python benchmarks/page_cost.py --set leader.sensors=pixhawk --set 'fleet.*.sensors=pixhawk'
+	@$(BIN)/python benchmarks/scenario_cost.py --set air.turbulence.model=coherent
+	@$(BIN)/python benchmarks/scenario_cost.py --set leader.sensors=pixhawk --set 'fleet.*.sensors=pixhawk'
 	@$(BIN)/python benchmarks/network_cost.py
 	@$(BIN)/python benchmarks/view_cost.py
 	@$(BIN)/python benchmarks/startup.py
 
-# Flies every row of the tables in docs/simulations.md, experiments.md, air.md, network.md and sensors.md
-# and writes them there.
+# Flies every row of the tables in docs/simulations.md, experiments.md, air.md, network.md and
+# sensors.md, and writes them there.
 results: $(STAMP)
 	@$(BIN)/python benchmarks/results.py --into docs/simulations.md $(ARGS)
 	@$(BIN)/python benchmarks/experiments.py --into docs/experiments.md $(ARGS)
@@ -104,17 +102,17 @@ results: $(STAMP)
 	@$(BIN)/python benchmarks/network.py --into docs/network.md $(ARGS)
 	@$(BIN)/python benchmarks/sensors.py --into docs/sensors.md $(ARGS)
 
-# Flies the studies of docs/gap.md into logs/studies/gap, going on where they were stopped, and writes its
-# tables and its figure: 224 flights, about an hour on two cores.
+# Flies the studies of docs/gap.md into logs/studies/gap, resuming interrupted ones, and writes its tables
+# and its figure: 224 flights, about an hour on two cores.
 gap: $(STAMP)
 	@$(BIN)/python benchmarks/gap_budget.py --jobs $(JOBS) --into docs/gap.md $(ARGS)
 
-# Flies the study of docs/speed.md that doubles one rate after the other, going on where it was stopped:
+# Flies the study of docs/speed.md that doubles one rate after the other, resuming an interrupted one:
 # 33 flights of 1080 s.
 rates: $(STAMP)
 	@$(BIN)/python benchmarks/convergence.py --jobs $(JOBS) --into docs/speed.md $(ARGS)
 
-# Holds the network's arithmetic to this kernel's own tc netem, as root, who leaves no files behind.
+# Compares arithmetic: netem with this kernel's tc netem, as root, without leaving files of root.
 netem: SUDO = $(if $(filter 0,$(shell id -u)),,sudo)
 netem: $(STAMP)
 	@cache=$$(mktemp -d) && trap "$(SUDO) rm -rf $$cache" EXIT && $(SUDO) env \
@@ -122,18 +120,18 @@ netem: $(STAMP)
 		TESTBED_PACKETS=$${TESTBED_PACKETS:-20000} \
 		$(BIN)/pytest -q -p no:cacheprovider tests/truth/test_netem.py
 
-# The pages, read on their own or by `python -m http.server -d build/site`, which their search needs.
+# The site in build/site. Open its files, or serve them for the search: python -m http.server -d build/site
 docs: $(STAMP)
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
-# Wheel, sdist, pins, bill of materials and sums in dist/, built from what is committed, checked and flown
-# from a fresh environment. TAG=v1.2.3, read from the environment, is held to version and changelog.
+# Wheel, sdist, pins, bill of materials and checksums in dist/, built from the last commit, checked, and
+# flown from a new environment. TAG=v1.2.3 (environment) is compared with version and changelog.
 release: $(STAMP) $(TOOLS_STAMP)
 	@$(BIN)/python release/make_release.py $(ARGS)
 	@$(TOOLS)/bin/python release/valid.py dist/*.cdx.json
 
-# Known vulnerabilities of all that is pinned, from PyPI's database; whatever could not be looked up fails,
-# too. And what is unsafe in the workflows.
+# Known vulnerabilities of all pinned packages, from PyPI's database; a package that cannot be looked up
+# is a failure. And unsafe constructs in the workflows.
 audit: $(TOOLS_STAMP)
 	@$(TOOLS)/bin/zizmor --offline --quiet .github
 	@for lock in requirements.lock release/requirements.lock tests/clients/requirements.lock; do \
@@ -142,7 +140,7 @@ audit: $(TOOLS_STAMP)
 			-r $$lock || exit 1; \
 	done
 
-# Needs uv. Takes the newest releases inside the ranges of pyproject.toml.
+# Needs uv. Pins the newest releases inside the ranges of pyproject.toml.
 lock:
 	@uv pip compile pyproject.toml --extra dev --extra docs --universal --python-version 3.11 \
 		--generate-hashes --no-annotate --no-config --upgrade --quiet \

@@ -1,4 +1,4 @@
-"""Every number of docs/experiments.md: the experiments' flights as Markdown tables.
+"""Write the tables of docs/experiments.md.
 
 usage: make results  (ARGS="--jobs N")
 """
@@ -11,46 +11,50 @@ from tables import NOISE, SEEDS, Case, Metrics, row, versions, write_tables
 
 from testbed.scenario import load
 
-PAGES = ("experiment-1", "experiment-2", "experiment-3")
+EXPERIMENTS = ("experiment-1", "experiment-2", "experiment-3")
 GAINS = (1, 2, 3, 4, 6)  # k, m/s
-FLEETS = {"Rascals alone": "simulation-3", "with two X8s": "mixed-fleet"}
-PAPER = {(page, seed): Case(page, (f"scenario.seed={seed}",)) for page in PAGES for seed in SEEDS}
+FLEETS = {"Rascals only": "simulation-3", "with two X8s": "mixed-fleet"}
+PAPER = {
+    (scenario, seed): Case(scenario, (f"scenario.seed={seed}",))
+    for scenario in EXPERIMENTS
+    for seed in SEEDS
+}
 SCAN = {
-    (page, k, noise): Case(page, (f"formation.k={k}", *noise))
-    for page in PAGES
+    (scenario, k, noise): Case(scenario, (f"formation.k={k}", *noise))
+    for scenario in EXPERIMENTS
     for k in GAINS
     for noise in ((), NOISE)
 }
-MIXED = {label: Case(page) for label, page in FLEETS.items()}
+MIXED_FLEETS = {label: Case(name) for label, name in FLEETS.items()}
 
 
 def over_seeds(values: Sequence[float], digits: int = 2) -> str:
-    """The mean, and the smallest and largest if they differ in print."""
+    """Return the mean, and the smallest and largest value if they differ in print."""
     low, high = (f"{value:.{digits}f}" for value in (min(values), max(values)))
     mean = f"{sum(values) / len(values):.{digits}f}"
     return mean if low == high else f"{mean} ({low}–{high})"
 
 
 def paper_table(flown: Mapping[Case, Metrics]) -> Iterator[str]:
-    """The paper's three experiments beside ours."""
+    """Return the rows of the paper's three experiments beside ours."""
     yield (
-        "| | portion | follower | [HBH23], m | here, m | largest, m | throttle at a limit, % | "
+        "| | window | follower | [HBH23], m | testbed, m | largest, m | throttle saturated, % | "
         "leader's bank, ° |"
     )
     yield "|---|---|---|--:|--:|--:|--:|--:|"
-    for name in PAGES:
-        page = load(name)
+    for name in EXPERIMENTS:
+        scenario = load(name)
         flights = [flown[PAPER[name, seed]] for seed in SEEDS]
-        published = page.scenario.published
+        published = scenario.scenario.published
         assert published is not None
-        for portion, printed in published.rms_m.items():
-            for follower, value in zip(page.fleet, printed, strict=True):
-                parts = [flight["portions"][portion] for flight in flights]
+        for window, printed in published.rms_m.items():
+            for follower, value in zip(scenario.fleet, printed, strict=True):
+                parts = [flight["windows"][window] for flight in flights]
                 limits = [flight["saturations"][follower.name] for flight in flights]
-                share = 100.0 / (page.rates.log_hz * page.scenario.duration_s)
+                share = 100.0 / (scenario.rates.log_hz * scenario.scenario.duration_s)
                 yield row(
                     name.replace("experiment-", "Experiment "),
-                    portion,
+                    window,
                     follower.name,
                     f"{value:g}",
                     over_seeds([part["rms_m"][follower.name] for part in parts]),
@@ -61,35 +65,35 @@ def paper_table(flown: Mapping[Case, Metrics]) -> Iterator[str]:
 
 
 def scan_table(flown: Mapping[Case, Metrics]) -> Iterator[str]:
-    """What k does: RMS errors as the mean over the followers."""
-    heads = [(name, portion) for name in PAGES for portion in load(name).scenario.portions]
-    titles = [f"{name[-1]}: {portion}" for name, portion in heads]
+    """Return the rows of mean RMS errors by k."""
+    heads = [(name, window) for name in EXPERIMENTS for window in load(name).scenario.windows]
+    titles = [f"{name[-1]}: {window}" for name, window in heads]
     yield row("RMS error, m", "k, m/s", *titles, "mean")
     yield "|---|--:|" + "--:|" * (len(heads) + 1)
     for noise, label in (((), "exact"), (NOISE, "GPS/INS noise")):
         for k in GAINS:
             values = [
-                flown[SCAN[name, k, noise]]["portions"][portion]["mean_rms_m"]
-                for name, portion in heads
+                flown[SCAN[name, k, noise]]["windows"][window]["mean_rms_m"]
+                for name, window in heads
             ]
             mean = sum(values) / len(values)
             yield row(label, f"{k:g}", *(f"{value:.2f}" for value in (*values, mean)))
 
 
 def mixed_table(flown: Mapping[Case, Metrics]) -> Iterator[str]:
-    """The same path with Rascals, and with X8s among them."""
+    """Return the rows of Simulation 3 with Rascals only and with X8s."""
     yield "| RMS error, m | laps: UAV 1 | 2 | 3 | circle: 1 | 2 | 3 | largest |"
     yield "|---|--:|--:|--:|--:|--:|--:|--:|"
-    for label, case in MIXED.items():
-        portions = flown[case]["portions"].values()
-        cells = [f"{value:.2f}" for part in portions for value in part["rms_m"].values()]
-        worst = max(max(part["max_error_m"].values()) for part in portions)
+    for label, case in MIXED_FLEETS.items():
+        windows = flown[case]["windows"].values()
+        cells = [f"{value:.2f}" for part in windows for value in part["rms_m"].values()]
+        worst = max(max(part["max_error_m"].values()) for part in windows)
         yield row(f"{label}: `{case.scenario}`", *cells, f"{worst:.1f}")
 
 
 def text(flown: Mapping[Case, Metrics]) -> list[str]:
-    """All tables."""
-    said = versions(flown)
+    """Return all tables as Markdown lines."""
+    text_of_versions = versions(flown)
     return [
         *paper_table(flown),
         "",
@@ -98,9 +102,9 @@ def text(flown: Mapping[Case, Metrics]) -> list[str]:
         *mixed_table(flown),
         "",
         f"First table: seeds {SEEDS[0]} to {SEEDS[-1]}, mean and range. The rest: seed 1. "
-        f"{said[0].upper()}{said[1:]}.",
+        f"{text_of_versions[0].upper()}{text_of_versions[1:]}.",
     ]
 
 
 if __name__ == "__main__":
-    write_tables(__doc__ or "", [*PAPER.values(), *MIXED.values(), *SCAN.values()], text)
+    write_tables(__doc__ or "", [*PAPER.values(), *MIXED_FLEETS.values(), *SCAN.values()], text)

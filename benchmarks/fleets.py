@@ -1,24 +1,24 @@
-"""The pages whose speed is measured: vees of any size, Simulation 3, and one with all troubles."""
+"""Scenarios whose speed is measured: vees of any size, and Simulation 3 with all effects."""
 
 from __future__ import annotations
 
 import json
 from typing import Any
 
-from testbed.scenario import Scenario, load, shorten
+from testbed.scenario import Scenario, load, set_duration
 
 COUNTS = (1, 4, 10, 30, 100)
-APART_M = 5.0  # between neighbours of an arm, back and aside
+SPACING_M = 5.0  # between neighbours of an arm, back and aside
 RADIUS_M = 1000.0  # wide enough for the outermost slots to stay inside the speed bounds
-BUSY_AIR = "turbulence-moderate"
-BUSY_RADIO = "bursty-wifi"
+AIR = "turbulence-moderate"
+RADIO = "bursty-wifi"
 
 
 def vee(count: int, duration_s: float) -> Scenario:
-    """Simulation 3 with this many flight models in a vee on a wide circle.
+    """Return Simulation 3 with this many flight models in a vee on a wide circle.
 
-    Each follower heeds the leader and the nearest ahead. One flight model alone follows
-    a leader that is a formula.
+    Each follower has gains for the leader and the nearest aircraft ahead. A single flight model
+    follows a leader that is a formula.
     """
     circle: dict[str, Any] = {
         "kind": "mission",
@@ -39,33 +39,33 @@ def vee(count: int, duration_s: float) -> Scenario:
         circle = {"kind": "virtual", "speed_mps": 22, "curve": curve}
     changes = {
         "scenario.published": None,
-        "scenario.portions": {},
+        "scenario.windows": {},
         "leader.path": circle,
         "leader.start": {"north_m": RADIUS_M, "east_m": 0, "altitude_m": 200, "course_deg": 90},
-        "network.hears": "heeded",
+        "network.receive": "neighbours",
         "fleet": {
             "pattern": "vee",
             "count": max(count - 1, 1),
             "aircraft": "rascal110",
-            "spacing_m": [APART_M, APART_M, 0],
+            "spacing_m": [SPACING_M, SPACING_M, 0],
             "neighbours": 1,
-            "among": "ahead",
+            "neighbours_from": "ahead",
         },
     }
-    return shorten(load("simulation-3", _texts(changes)), duration_s)
+    return set_duration(load("simulation-3", _texts(changes)), duration_s)
 
 
-def busy() -> Scenario:
-    """Simulation 3 in moderate turbulence, on noisy sensors and a crowded radio."""
-    air = load(BUSY_AIR)
+def all_effects() -> Scenario:
+    """Return Simulation 3 in moderate turbulence, with sensor errors and a bursty network."""
+    air = load(AIR)
     changes = {
         "scenario.published": None,
         "air": air.model_dump(mode="json", by_alias=True)["air"],
-        "controller.bounds_of": air.controller.bounds_of,
+        "controller.bounded_speed": air.controller.bounded_speed,
         "leader.sensors": "pixhawk",
         "fleet.*.sensors": "pixhawk",
     }
-    return load(BUSY_RADIO, _texts(changes))
+    return load(RADIO, _texts(changes))
 
 
 def _texts(changes: dict[str, Any]) -> list[str]:

@@ -1,10 +1,10 @@
-"""What everything around the flight model costs: a whole run against bare JSBSim stepping.
+"""Measure the cost of a whole run relative to bare JSBSim steps.
 
-Both are measured in one process, in turns, on the same aircraft files at the same rate, for the
-same number of steps in the same order. Bare is the same aircraft, trimmed, their controls left
-alone, and nothing but `run()`; it starts anew every minute of flight so that no uncontrolled
-aircraft reaches the ground. Full is `testbed.run` with the log on and no viewer, everything
-included but the building of the world, which is told apart.
+Both are measured in one process, alternating, on the same aircraft files at the same rate, for the
+same number of steps in the same order. Bare: the same aircraft in trim with constant controls, and
+nothing but `run()`; it restarts every minute of flight, so that no aircraft reaches the ground.
+Full: `testbed.run` with the log and without a viewer. Building the simulation is measured
+separately.
 """
 
 from __future__ import annotations
@@ -18,86 +18,87 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rooms import Rooms
+from part_timer import PartTimer
 
+from testbed.core.records import Event, Observer, RunInfo, Sample
 from testbed.scenario import Scenario
+from testbed.sim.build import build
 from testbed.sim.run import run
-from testbed.sim.world import build
-from testbed.state import Event, Frame, Observer, RunInfo
-from testbed.vehicle.crew import crew_of
+from testbed.vehicle.workers import default_processes
 
 SEGMENT_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """Seconds by the clock on the wall, and of this process's processor time."""
+    """Wall-clock seconds, and processor seconds of this process."""
 
     wall_s: float
     processor_s: float
 
     def __add__(self, other: Cost) -> Cost:
-        """One after the other."""
+        """Add both times."""
         return Cost(self.wall_s + other.wall_s, self.processor_s + other.processor_s)
 
     def __truediv__(self, other: Cost) -> Cost:
-        """Both ratios."""
+        """Return both ratios."""
         return Cost(self.wall_s / other.wall_s, self.processor_s / other.processor_s)
 
 
 def now() -> Cost:
-    """What was spent until now, from moments that mean nothing."""
+    """Return both clocks; only differences have a meaning."""
     return Cost(time.perf_counter(), time.process_time())
 
 
 def since(began: Cost) -> Cost:
-    """What was spent since then."""
+    """Return the time spent since then."""
     ended = now()
     return Cost(ended.wall_s - began.wall_s, ended.processor_s - began.processor_s)
 
 
 class Stopwatch(Observer):
-    """Measures the flight, without building and closing."""
+    """Measure the flight, without building and closing."""
 
-    borrows = True  # keeps no array of a frame: copies would be made for it
+    zero_copy = True  # keeps no array of a sample
 
     def begin(self, info: RunInfo) -> None:
-        """Start."""
+        """Start the clock."""
         self.cost = Cost(0.0, 0.0)
         self._began = now()
 
-    def observe(self, frame: Frame) -> None:
-        """Nothing."""
+    def observe(self, frame: Sample) -> None:
+        """Do nothing."""
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
-        """Stop."""
+        """Stop the clock."""
         self.cost = since(self._began)
 
 
-def bare(page: Scenario, seconds: float, *, held: bool = False) -> Cost:
-    """What nothing but the flight models' steps costs, for so many seconds of flight.
+def bare(scenario: Scenario, seconds: float, *, with_io: bool = False) -> Cost:
+    """Measure the flight models' steps alone.
 
     Args:
-        page: whose aircraft.
-        seconds: of flight.
-        held: controls are set, at their trim, and motions read as often as autopilots do it: what
-            any loop round these models costs at least.
+        scenario: scenario with the aircraft.
+        seconds: duration of the flight, s.
+        with_io: also write trimmed controls and read motions at the autopilot rate: the smallest
+            cost of any loop around these models.
     """
-    rate, spent = page.rates.physics_hz, Cost(0.0, 0.0)
-    abreast = rate // page.rates.autopilot_hz  # steps of one aircraft before the next, as in a run
-    rounds = round(seconds * page.rates.autopilot_hz)
-    most = round(SEGMENT_S * page.rates.autopilot_hz)
+    rate, spent = scenario.rates.physics_hz, Cost(0.0, 0.0)
+    steps_per_period = (
+        rate // scenario.rates.autopilot_hz
+    )  # of one aircraft before the next, as in a run
+    rounds = round(seconds * scenario.rates.autopilot_hz)
+    most = round(SEGMENT_S * scenario.rates.autopilot_hz)
     while rounds > 0:
-        fleet = build(page).fleet
+        fleet = build(scenario).fleet
         if fleet is None:
-            raise SystemExit(f"{page.name}: no flight model in it to compare with")
-        runs, steps, trimmed = fleet.bare_runs(), range(abreast), fleet.trimmed
+            raise SystemExit(f"{scenario.name}: has no flight model")
+        runs, steps, trimmed = fleet.bare_runs(), range(steps_per_period), fleet.trimmed
         gc.collect()
         began = now()
         for _ in range(min(rounds, most)):
-            if held:
-                fleet.look()
-                fleet.step(trimmed, abreast)
+            if with_io:
+                fleet.step(trimmed, steps_per_period)  # it reads the motions too
                 continue
             for step in runs:
                 for _ in steps:
@@ -107,57 +108,57 @@ def bare(page: Scenario, seconds: float, *, held: bool = False) -> Cost:
     return spent
 
 
-def full(page: Scenario, *watching: Observer, processes: int = 1) -> tuple[Cost, float]:
-    """What a flight costs, and the wall-clock seconds of building its world and closing its log."""
+def full(scenario: Scenario, *watching: Observer, processes: int = 1) -> tuple[Cost, float]:
+    """Measure a flight, and the wall-clock seconds of building and closing, s."""
     watch = Stopwatch()
     with tempfile.TemporaryDirectory() as folder:
         gc.collect()
         began = now()
         out, watchers = Path(folder) / "run", [watch, *watching]
-        flown = run(page, out=out, observers=watchers, processes=processes)
+        flown = run(scenario, out=out, observers=watchers, processes=processes)
         whole = since(began)
-    if flown.outcome != "flown":
-        raise SystemExit(f"{page.name}: {flown.outcome}, and what is lost costs nothing")
+    if flown.outcome != "completed":
+        raise SystemExit(f"{scenario.name}: {flown.outcome}: a lost aircraft costs nothing")
     return watch.cost, whole.wall_s - watch.cost.wall_s
 
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """A flight, and one that is looked at, between two halves of the bare loop: machines drift."""
+    """A flight and a timed flight between two halves of the bare loop, against drift."""
 
     bare: Cost
     full: Cost
-    looked_at: Cost
+    timed: Cost
     build_s: float
-    held: Cost  # the bare loop with controls set and motions read
-    crewed: Cost | None  # stepped by as many processes as are best; None: that is one
+    bare_with_io: Cost  # the bare loop with controls written and motions read
+    parallel: Cost | None  # stepped by several processes; None where one is best
 
     @property
     def ratio(self) -> Cost:
-        """Full over bare."""
+        """Full / bare."""
         return self.full / self.bare
 
 
-def turn(page: Scenario, rooms: Rooms) -> Turn:
-    """Measure once; in the second flight it is looked which room takes the time."""
-    half, processes = page.scenario.duration_s / 2.0, crew_of(flight_models(page))
-    before = bare(page, half)
-    cost, built = full(page)
-    with rooms.within():
-        looked_at, _ = full(page, rooms)
-    crewed = full(page, processes=processes)[0] if processes > 1 else None
-    held = bare(page, 2.0 * half, held=True)
-    return Turn(before + bare(page, half), cost, looked_at, built, held, crewed)
+def turn(scenario: Scenario, timer: PartTimer) -> Turn:
+    """Measure one turn; the second flight is timed by part."""
+    half, processes = scenario.scenario.duration_s / 2.0, default_processes(flight_models(scenario))
+    before = bare(scenario, half)
+    cost, built = full(scenario)
+    with timer.timing():
+        timed, _ = full(scenario, timer)
+    parallel = full(scenario, processes=processes)[0] if processes > 1 else None
+    with_io = bare(scenario, 2.0 * half, with_io=True)
+    return Turn(before + bare(scenario, half), cost, timed, built, with_io, parallel)
 
 
-def flight_models(page: Scenario) -> int:
-    """How many of the aircraft are flight models."""
-    leads = page.leader.path.kind == "mission" and page.leader.vehicle == "jsbsim"
-    return int(leads) + sum(each.vehicle == "jsbsim" for each in page.fleet)
+def flight_models(scenario: Scenario) -> int:
+    """Return how many of the aircraft are flight models."""
+    leads = scenario.leader.path.kind == "mission" and scenario.leader.vehicle == "jsbsim"
+    return int(leads) + sum(each.vehicle == "jsbsim" for each in scenario.fleet)
 
 
 def median(costs: Sequence[Cost]) -> Cost:
-    """Of each of the two."""
+    """Return the medians of both times."""
     return Cost(
         statistics.median(each.wall_s for each in costs),
         statistics.median(each.processor_s for each in costs),

@@ -1,9 +1,9 @@
-"""Tables and figure of docs/gap.md: why the experiments are worse than the simulations.
+"""Write tables and figure of docs/gap.md: errors of the experiments, and the share of each factor.
 
 usage: make gap  (ARGS="--jobs N")
 
-Flies the studies `as-flown` and `gap-budget-0` to `-3`, each into a Parquet file, and goes on where
-an earlier call was stopped.
+Flies the studies `as-flown` and `gap-budget-0` to `-3`, each into a Parquet file, and resumes an
+interrupted call.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from flown import Rows, fly
+from study_rows import Rows, fly
 from tables import insert, row
 
+from testbed.core.records import Array
 from testbed.scenario import library, load
-from testbed.state import Array
-from testbed.views.figure_door import draw
-from testbed.views.panels import BLUE, GREY, ORANGE, Line, Panel, Sheet
+from testbed.views.matplotlib_backend import save_figure
+from testbed.views.panels import BLUE, GREY, ORANGE, Line, Panel, PanelGrid
 
 HERE = Path(__file__).parent
 FIGURE = HERE.parent / "docs" / "images" / "gap-budget.png"
-KEPT = Path("logs") / "studies" / "gap"
+RESULTS = Path("logs") / "studies" / "gap"
 TABLE_2, REFERENCE = "as-flown", "gap-budget-0"
 BUDGETS = {1: "circles", 2: "rectangles", 3: "rectangles"}
-BAR = 0.25  # of the paper's number
+TOLERANCE = 0.25  # of the paper's number
 FACTORS = {
     "offsets": "larger offsets",
     "attitude": "slower attitude",
@@ -44,67 +44,67 @@ Studies = Mapping[str, Rows]
 
 
 def flown_studies(folder: Path, jobs: int) -> tuple[Studies, str]:
-    """The rows of all studies, and the versions they were flown with."""
+    """Return the rows of all studies, and the versions they were flown with."""
     names = (TABLE_2, REFERENCE, *(f"gap-budget-{number}" for number in BUDGETS))
     each = {name: fly(name, folder / f"{name}.parquet", jobs) for name in names}
     return {name: rows for name, (rows, _) in each.items()}, each[REFERENCE][1]
 
 
 def seeds(rows: Rows) -> tuple[int, ...]:
-    """The seeds that every case was flown with."""
+    """Return the seeds that every case was flown with."""
     cases = {case for case, _ in rows}
     drawn = sorted({seed for _, seed in rows})
     return tuple(seed for seed in drawn if all((case, seed) in rows for case in cases))
 
 
 def of_seeds(rows: Rows, case: str, key: str) -> list[float]:
-    """One number of a case, by seed."""
+    """Return one number of a case, by seed."""
     return [rows[case, seed][key] for seed in seeds(rows)]
 
 
 def paper_table(rows: Rows) -> Iterator[str]:
-    """The paper's Table 2 beside ours."""
-    yield "| | portion | follower | [HBH23], m | here, m | of the paper's | as believed, m |"
+    """Return the rows of the paper's Table 2 beside ours."""
+    yield "| | window | follower | [HBH23], m | testbed, m | ratio | estimated, m |"
     yield "|---|---|---|--:|--:|--:|--:|"
     for name in dict.fromkeys(case for case, _ in rows):
-        page = load(library() / "scenarios/studies/gap-budget" / f"{name}-as-flown.yaml")
-        published = page.scenario.published
+        scenario = load(library() / "scenarios/studies/gap-budget" / f"{name}-as-flown.yaml")
+        published = scenario.scenario.published
         assert published is not None
-        for portion, printed in published.rms_m.items():
-            for follower, paper in zip(page.fleet, printed, strict=True):
-                here = f"portions.{portion}.{{}}.{follower.name}"
-                true = of_seeds(rows, name, here.format("rms_m"))
-                felt = of_seeds(rows, name, here.format("believed_rms_m"))
+        for window, printed in published.rms_m.items():
+            for follower, paper in zip(scenario.fleet, printed, strict=True):
+                key = f"windows.{window}.{{}}.{follower.name}"
+                true = of_seeds(rows, name, key.format("rms_m"))
+                estimated = of_seeds(rows, name, key.format("estimated_rms_m"))
                 middle = statistics.median(true)
                 ratio = f"{100.0 * middle / paper:.0f} %"
-                if abs(middle / paper - 1.0) > BAR:
-                    ratio += " (missed)"
+                if abs(middle / paper - 1.0) > TOLERANCE:
+                    ratio += " (outside)"
                 yield row(
                     name.replace("experiment-", "Experiment "),
-                    portion,
+                    window,
                     follower.name,
                     f"{paper:g}",
                     f"{middle:.1f} ({min(true):.1f}–{max(true):.1f})",
                     ratio,
-                    f"{statistics.median(felt):.1f}",
+                    f"{statistics.median(estimated):.1f}",
                 )
 
 
-def better(rows: Rows) -> str:
-    """Whether Experiment 3 is better than 2, in a sentence."""
-    key = "portions.rectangles.mean_rms_m"
+def comparison_sentence(rows: Rows) -> str:
+    """Return a sentence that compares Experiments 2 and 3."""
+    key = "windows.rectangles.mean_rms_m"
     two, three = (np.array(of_seeds(rows, f"experiment-{n}", key)) for n in (2, 3))
     return (
         f"Mean over the followers, median of {len(two)} seeds: Experiment 2 "
         f"{np.median(two):.1f} m, Experiment 3 {np.median(three):.1f} m "
-        "(the paper: 8.7 and 7.4 m); Experiment 3 is the better one with "
+        "(the paper: 8.7 and 7.4 m); Experiment 3 has the smaller error with "
         f"{int((three < two).sum())} of the {len(two)} seeds."
     )
 
 
-def mean_squares(rows: Rows, portion: str) -> dict[str, Array]:
-    """The mean of the followers' squared errors, by case, one number for each seed, m²."""
-    head = f"portions.{portion}.rms_m."
+def mean_squares(rows: Rows, window: str) -> dict[str, Array]:
+    """Return the mean of the followers' squared errors, by case, one per seed, m²."""
+    head = f"windows.{window}.rms_m."
     return {
         case: np.array(
             [
@@ -117,7 +117,7 @@ def mean_squares(rows: Rows, portion: str) -> dict[str, Array]:
 
 
 def shares(squares: Mapping[str, Array]) -> dict[str, tuple[Array, Array]]:
-    """Each factor's share of the gap in mean square: switched on alone, switched off alone."""
+    """Return each factor's share of the gap in mean square: switched on alone, off alone."""
     gap = squares[FLOWN] - squares[IDEAL]
     return {
         factor: (
@@ -129,26 +129,26 @@ def shares(squares: Mapping[str, Array]) -> dict[str, tuple[Array, Array]]:
 
 
 def rms(squares: Array) -> str:
-    """The error over all seeds, m."""
+    """Return the root of the mean over all seeds as text, m."""
     return f"{np.sqrt(squares.mean()):.2f}"
 
 
 def percent(share: Array) -> str:
-    """A share with its spread over the seeds."""
+    """Return a share with its standard deviation over the seeds as text, %."""
     spread = f" ± {100.0 * share.std(ddof=1):z.0f}" if len(share) > 1 else ""
     return f"{100.0 * share.mean():z.0f}{spread}"
 
 
 def steps_table(studies: Studies) -> Iterator[str]:
-    """From the paper's simulation to the flights, m."""
+    """Return the rows of errors from the ideal flight to the flown one, m."""
     yield "| mean RMS error, m | Experiment 1, circle | Experiment 2 | Experiment 3 |"
     yield "|---|--:|--:|--:|"
     for name, case in (("Rascals", "rascal110"), ("X8s", "skywalker_x8")):
         part = studies[REFERENCE][case, 1]
-        laps, circle = (part[f"portions.{p}.mean_rms_m"] for p in ("rectangles", "circles"))
+        laps, circle = (part[f"windows.{p}.mean_rms_m"] for p in ("rectangles", "circles"))
         cells = (f"{circle:.2f}", f"{laps:.2f}", f"{laps:.2f}")
         yield row(f"Simulation 3 with {name}: its circle, its rectangles", *cells)
-    squares = [mean_squares(studies[f"gap-budget-{n}"], portion) for n, portion in BUDGETS.items()]
+    squares = [mean_squares(studies[f"gap-budget-{n}"], window) for n, window in BUDGETS.items()]
     yield row("ideal", *(rms(each[IDEAL]) for each in squares))
     for factor, name in FACTORS.items():
         yield row(f"ideal, with {name}", *(rms(each[f"with-{factor}"]) for each in squares))
@@ -160,11 +160,11 @@ def steps_table(studies: Studies) -> Iterator[str]:
 
 
 def shares_table(studies: Studies) -> Iterator[str]:
-    """Each factor's share of the gap, %."""
+    """Return the rows of each factor's share of the gap, %."""
     yield "| share of the gap, % | 1: alone | last | 2: alone | last | 3: alone | last | middle |"
     yield "|---|" + "--:|" * 7
     each = [
-        shares(mean_squares(studies[f"gap-budget-{n}"], portion)) for n, portion in BUDGETS.items()
+        shares(mean_squares(studies[f"gap-budget-{n}"], window)) for n, window in BUDGETS.items()
     ]
     sums = np.zeros(7)
     for factor, name in FACTORS.items():
@@ -175,12 +175,12 @@ def shares_table(studies: Studies) -> Iterator[str]:
     yield row("sum", *(f"{100.0 * each:z.0f}" for each in sums))
 
 
-def figure(studies: Studies) -> Sheet:
-    """Shares of the gap, a panel for each experiment: alone and last, a dot for each seed."""
+def figure(studies: Studies) -> PanelGrid:
+    """Return the figure: shares of the gap by experiment, alone and last, a dot per seed."""
     panels = []
-    for number, portion in BUDGETS.items():
+    for number, window in BUDGETS.items():
         lines = []
-        each = shares(mean_squares(studies[f"gap-budget-{number}"], portion))
+        each = shares(mean_squares(studies[f"gap-budget-{number}"], window))
         for at, (alone, last) in enumerate(each.values()):
             x, label = np.full(len(alone), float(at)), not at and number == 1
             ends = 100.0 * np.array([alone.mean(), last.mean()])
@@ -194,11 +194,11 @@ def figure(studies: Studies) -> Sheet:
                 ),
             ]
         names = [(float(at), name) for at, name in enumerate(FACTORS.values())]
-        title = f"Experiment {number}, {portion}"
+        title = f"Experiment {number}, {window}"
         lines.append(Line(np.array([-0.5, len(FACTORS) - 0.5]), np.zeros(2), GREY))
         limits = (-0.5, len(FACTORS) - 0.5)
         panels.append([Panel(title, "", "share, %", lines, x_limits=limits, x_ticks=names)])
-    return Sheet(
+    return PanelGrid(
         "Why flight is worse than simulation",
         "Shares of the mean square error between the ideal flight and the flight as flown; a dot "
         "for each seed",
@@ -209,8 +209,8 @@ def figure(studies: Studies) -> Sheet:
 
 
 def text(studies: Studies, versions: str) -> str:
-    """All tables; the figure is drawn beside."""
-    draw(figure(studies), FIGURE)
+    """Return all tables as text, and draw the figure."""
+    save_figure(figure(studies), FIGURE)
     drawn = seeds(studies[TABLE_2])
     few = {len(seeds(studies[f"gap-budget-{n}"])) for n in BUDGETS}
     counts = " or ".join(map(str, sorted(few)))
@@ -218,8 +218,8 @@ def text(studies: Studies, versions: str) -> str:
         [
             *paper_table(studies[TABLE_2]),
             "",
-            f"Here: median of seeds {drawn[0]} to {drawn[-1]}, and their range. "
-            f"{better(studies[TABLE_2])}",
+            f"Testbed: median of seeds {drawn[0]} to {drawn[-1]}, and their range. "
+            f"{comparison_sentence(studies[TABLE_2])}",
             "",
             *steps_table(studies),
             "",
@@ -237,17 +237,17 @@ def text(studies: Studies, versions: str) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Fly what is missing, and print or insert the tables."""
+    """Fly missing runs, and print or insert the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=KEPT, help="folder of the Parquet files")
-    parser.add_argument("--into", type=Path, help="a page with the two markers")
-    asked = parser.parse_args(arguments)
-    lines = text(*flown_studies(asked.out, asked.jobs))
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the Parquet files")
+    parser.add_argument("--into", type=Path, help="a Markdown file with the two markers")
+    options = parser.parse_args(arguments)
+    lines = text(*flown_studies(options.out, options.jobs))
     print(lines)
-    if asked.into:
-        page = insert(asked.into.read_text(encoding="utf-8"), lines)
-        asked.into.write_text(page, encoding="utf-8")
+    if options.into:
+        markdown = insert(options.into.read_text(encoding="utf-8"), lines)
+        options.into.write_text(markdown, encoding="utf-8")
 
 
 if __name__ == "__main__":

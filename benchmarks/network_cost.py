@@ -1,8 +1,8 @@
-"""What the radio costs beside the flight: many aircraft, all to all, against their flight models.
+"""Measure the cost of the network of many aircraft, all to all, relative to their flight models.
 
-Both do the same stretch of flight in one process, in turns: the models of N Rascals step at 200 Hz
-and nothing else; the radio takes 10 messages a second from each to each other on bursty, jittery,
-queued links, delivers them at 25 control steps a second and counts their ages.
+Both compute the same flight time in one process, alternating: the models of N Rascals step at
+200 Hz and nothing else; the network carries 10 messages a second from each to each other on links
+with bursts, jitter and queues, delivers them at 25 control steps a second and counts their ages.
 
 usage: make bench  (or: python benchmarks/network_cost.py [--aircraft N] [--seconds S]
 [--repeats N] [--json FILE])
@@ -18,14 +18,14 @@ from pathlib import Path
 
 import numpy as np
 
+from testbed.core.records import FOLLOWER, MESSAGE, Origin, allocate
 from testbed.network.channel import make_channel
 from testbed.network.radio import Radio
 from testbed.scenario import find_aircraft
 from testbed.scenario.network import Network
-from testbed.sim.hearing import READY_HEARD
-from testbed.state import Broadcast, Origin
+from testbed.sim.link_monitor import LINK_WATCH, check_links
 from testbed.vehicle.fleet import JsbsimFleet
-from testbed.vehicle.start import Start
+from testbed.vehicle.initial_state import InitialState
 
 PHYSICS_HZ, CONTROL_HZ, MESSAGES_HZ = 200, 25, 10
 LINK = {
@@ -39,7 +39,7 @@ LINK = {
 
 
 def flight_s(fleet: JsbsimFleet, seconds: float) -> float:
-    """Wall time of the models alone, and of setting and reading them, s."""
+    """Measure wall-clock time of the models, with writing and reading, s."""
     trimmed = fleet.trimmed
     began = time.perf_counter()
     for _ in range(round(seconds * CONTROL_HZ)):
@@ -48,57 +48,56 @@ def flight_s(fleet: JsbsimFleet, seconds: float) -> float:
 
 
 def radio_s(radio: Radio, aircraft: int, start_s: float, seconds: float, together: bool) -> float:
-    """Wall time of the radio alone, s; messages of all at once, or each at its own tick."""
-    message = Broadcast(np.zeros(aircraft), *(np.zeros((aircraft, 3)) for _ in range(5)))
+    """Measure wall-clock time of the network, s; all send at once, or each at its own tick."""
+    messages, sent_s = allocate(MESSAGE, aircraft), np.empty(aircraft)
     period, control = PHYSICS_HZ // MESSAGES_HZ, PHYSICS_HZ // CONTROL_HZ
     phase = np.zeros(aircraft, int) if together else np.arange(aircraft) % period
-    rows, age_s = np.arange(aircraft - 1), np.empty((aircraft - 1, aircraft))
-    heeded, missed, late = np.zeros((3, *age_s.shape), dtype=bool)
-    received, guards = radio.deliver(start_s).received_s, np.zeros(aircraft - 1, np.uint8)
-    heard = READY_HEARD(radio.ledger, rows, age_s, guards, received, heeded, missed, np.inf, late)
+    rows, followers = np.arange(aircraft - 1), allocate(FOLLOWER, aircraft - 1)
+    watches = allocate(LINK_WATCH, aircraft - 1, aircraft)
     began = time.perf_counter()
     for tick in range(round(seconds * PHYSICS_HZ)):
         now = start_s + tick / PHYSICS_HZ
-        who = tick % period == phase
-        if who.any():
-            stamps = np.full(aircraft, now)
-            radio.send(stamps, message._replace(stamp_s=stamps), None, who)
+        senders = np.equal(tick % period, phase)
+        if senders.any():
+            messages["stamp_s"] = sent_s[:] = now
+            radio.send(sent_s, messages, None, senders)
         if tick % control == 0:
             radio.deliver(now)
-            np.subtract(now, radio.measured_s, out=age_s)
-            heard(now)
+            np.subtract(now, radio.content_time_s, out=radio.links["age_s"])
+            check_links(radio.statistics, radio.links, followers, watches, np.inf, rows, now)
     return time.perf_counter() - began
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure, and print the result."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--aircraft", type=int, default=100)
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--json", type=Path)
-    asked = parser.parse_args()
-    n = asked.aircraft
+    options = parser.parse_args()
+    n = options.aircraft
     starts = [
-        Start(position_ned=(30.0 * row, 0.0, -100.0), course=0.0, airspeed=22.0) for row in range(n)
+        InitialState(position_ned=(30.0 * row, 0.0, -100.0), course=0.0, airspeed=22.0)
+        for row in range(n)
     ]
     fleet = JsbsimFleet([find_aircraft("rascal110")] * n, starts, Origin(), PHYSICS_HZ)
     names = tuple(f"uav{row}" for row in range(n))
     channel = make_channel(names, Network.model_validate(LINK), 1)
     radios = {together: Radio(channel) for together in (True, False)}
-    packets = asked.seconds * MESSAGES_HZ * n * (n - 1)
+    packets = options.seconds * MESSAGES_HZ * n * (n - 1)
     result: dict[str, float] = {}
     for together, radio in radios.items():
-        radio_s(radio, n, 0.0, 1.0, together)  # compiles what is compiled once
+        radio_s(radio, n, 0.0, 1.0, together)  # compiles the kernels
     turns = []
-    for turn in range(asked.repeats):
-        flown = flight_s(fleet, asked.seconds)
-        start = 1.0 + turn * asked.seconds
+    for turn in range(options.repeats):
+        flown = flight_s(fleet, options.seconds)
+        start = 1.0 + turn * options.seconds
         turns.append(
-            (flown, *(radio_s(radios[way], n, start, asked.seconds, way) for way in radios))
+            (flown, *(radio_s(radios[way], n, start, options.seconds, way) for way in radios))
         )
     if fleet.lost(fleet.read()).any():
-        raise SystemExit("an aircraft was lost, and what is lost costs nothing: fly a shorter time")
+        raise SystemExit("an aircraft was lost and costs nothing: fly a shorter time")
     for name, column in (("together", 1), ("at own moments", 2)):
         ratios = [turn[column] / turn[0] for turn in turns]
         result[name] = statistics.median(ratios)
@@ -107,8 +106,8 @@ def main() -> None:
             f"{result[name]:.2f} ({min(ratios):.2f}-{max(ratios):.2f}); "
             f"{1e9 * turns[-1][column] / packets:.0f} ns a packet"
         )
-    if asked.json:
-        asked.json.write_text(json.dumps(result, indent=2) + "\n")
+    if options.json:
+        options.json.write_text(json.dumps(result, indent=2) + "\n")
 
 
 if __name__ == "__main__":

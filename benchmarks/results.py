@@ -1,4 +1,4 @@
-"""Every number of docs/simulations.md: the simulations' flights as Markdown tables.
+"""Write the tables of docs/simulations.md.
 
 Flights are independent and fly on several processes. Nothing here depends on the clock: the same
 machine and versions give the same text.
@@ -18,48 +18,48 @@ from testbed.scenario import Scenario, load
 LATENCY, RECORDED, HARD = (
     f"simulation-3-{what}" for what in ("latency", "recorded-leader", "hard")
 )
-PROFILES = ("paper", "improved")
+PROFILES = ("tuned", "improved")
 LAWS = {
     "the paper's": "simulation-3",
     "with integral action": "own-law-integral",
     "leader-follower": "own-law-leader-follower",
 }
-GALE = ("air.wind.speed_mps=8", "air.wind.from_deg=45", "controller.bounds_of=airspeed")
+WIND = ("air.wind.speed_mps=8", "air.wind.from_deg=45", "controller.bounded_speed=airspeed")
 HEADER = "laps: UAV 1 | 2 | 3 | mean | circle: 1 | 2 | 3 | mean |"
 RULE = "--:|" * 8
 
 
 def profile(name: str) -> tuple[str, ...]:
-    """The override that chooses a profile."""
+    """Return the override that selects a profile."""
     return (f"controller.profile={name}",)
 
 
-# Section 9 of the paper, and what the same pages give with its authors' and with our gains.
-PAPERS = {
+# Section 9 of the paper, and the same scenarios with its authors' gains and with ours.
+PAPER = {
     (f"simulation-{number}", name): Case(f"simulation-{number}", profile(name))
     for number in (1, 2, 3)
     for name in ("authors", *PROFILES)
 }
 CONDITIONS = {
-    "as it is": Case("simulation-3"),
+    "unchanged": Case("simulation-3"),
     "every PID gain × 1.5": Case("simulation-3", ("controller.gain_scale=1.5",)),
     "every PID gain × 0.67": Case("simulation-3", ("controller.gain_scale=0.67",)),
     "GPS/INS noise: `simulation-3-noise`": Case("simulation-3-noise"),
     "latency 0.1 s, compensated: `simulation-3-latency`": Case(LATENCY),
     "latency 0.1 s, not compensated": Case(LATENCY, ("controller.extrapolate_from=receipt",)),
-    "wind of 8 m/s, bounds of the airspeed": Case("simulation-3", GALE),
+    "wind of 8 m/s, bounds of the airspeed": Case("simulation-3", WIND),
 }
 CHANGED = {
     (label, name): Case(case.scenario, (*case.overrides, *profile(name)))
     for label, case in CONDITIONS.items()
     for name in PROFILES
 }
-# The profile has no aircraft to suit here: this is the law's own error.
-IDEAL = "fleet.*.vehicle=ideal"
-RECKONED = "controller.estimators={turn_acceleration: roll_rate}"
-CHANGED["ideal vehicles", "paper"] = Case("simulation-3", (IDEAL,))
-CHANGED["ideal vehicles, ω̇_g reckoned with", "paper"] = Case("simulation-3", (IDEAL, RECKONED))
-HARDER = {
+# Without middle loop and airframe: the error of the law itself.
+IDEAL = "fleet.*.vehicle=unicycle"
+WITH_OMEGA_DOT = "controller.estimators={leader_angular_acceleration: roll_rate}"
+CHANGED["ideal vehicles", "tuned"] = Case("simulation-3", (IDEAL,))
+CHANGED["ideal vehicles, with ω̇_g", "tuned"] = Case("simulation-3", (IDEAL, WITH_OMEGA_DOT))
+HARD_PATHS = {
     (scenario, name): Case(scenario, profile(name))
     for scenario in (RECORDED, HARD)
     for name in PROFILES
@@ -72,46 +72,46 @@ NOISY = {
 CALM = {(law, None): Case(scenario) for law, scenario in LAWS.items()}
 
 
-def predicted_lag_m(page: Scenario) -> list[float]:
-    """How far each follower lags in steady flight if latency is not compensated, m.
+def predicted_lag_m(scenario: Scenario) -> list[float]:
+    """Predict each follower's lag in steady flight with uncompensated latency, m.
 
-    A neighbour seems a latency's flight behind where it is, and lags itself; a follower settles at
-    the mean over those it hears, weighted by the (north) gains of the graph.
+    A neighbour appears behind by the distance flown in the latency, and lags itself; a follower
+    settles at the mean over the received positions, weighted by the (north) gains of the graph.
     """
-    path = page.leader.path
+    path = scenario.leader.path
     assert path.kind == "mission", "the prediction needs a commanded speed"
-    late = page.network.delay_s * path.airspeed_mps
-    graph = page.formation
+    late = scenario.network.delay_s * path.airspeed_mps
+    graph = scenario.formation
     lags: dict[str, float] = {}
-    for name in (follower.name for follower in page.fleet):
-        heard = {other: gain[0] for other, gain in graph.neighbour_gains.get(name, {}).items()}
+    for name in (follower.name for follower in scenario.fleet):
+        received = {other: gain[0] for other, gain in graph.neighbour_gains.get(name, {}).items()}
         from_leader = graph.leader_gains[name][0]
-        total = from_leader * late + sum(g * (late + lags[other]) for other, g in heard.items())
-        lags[name] = total / (from_leader + sum(heard.values()))
+        total = from_leader * late + sum(g * (late + lags[other]) for other, g in received.items())
+        lags[name] = total / (from_leader + sum(received.values()))
     return list(lags.values())
 
 
 def errors(metrics: Metrics) -> list[str]:
-    """RMS errors and their mean, portion after portion, followers in fleet order."""
+    """Return RMS errors and their mean by window, followers in fleet order, as text."""
     return [
         f"{value:.2f}"
-        for portion in metrics["portions"].values()
-        for value in (*portion["rms_m"].values(), portion["mean_rms_m"])
+        for window in metrics["windows"].values()
+        for value in (*window["rms_m"].values(), window["mean_rms_m"])
     ]
 
 
 def separation(metrics: Metrics) -> str:
-    """The smallest separation of the whole flight and its time."""
+    """Return the smallest separation of the flight and its time as text."""
     return f"{metrics['min_separation_m']:.2f} m at {metrics['min_separation_at_s']:.0f} s"
 
 
 def bank(metrics: Metrics) -> str:
-    """The largest bank of the leader, portion by portion."""
-    return ", ".join(f"{p['leader_bank_deg']:.1f}" for p in metrics["portions"].values())
+    """Return the largest bank of the leader by window as text."""
+    return ", ".join(f"{p['leader_bank_deg']:.1f}" for p in metrics["windows"].values())
 
 
 def paper_table(flown: Mapping[Any, Metrics]) -> Iterator[str]:
-    """The paper's three simulations, cell by cell."""
+    """Return the rows of the paper's three simulations and ours."""
     yield f"| RMS error, m | numbers of | {HEADER} leader's bank, ° | closest |"
     yield f"|---|---|{RULE}---|---|"
     for number in (1, 2, 3):
@@ -119,8 +119,8 @@ def paper_table(flown: Mapping[Any, Metrics]) -> Iterator[str]:
         published = load(scenario).scenario.published
         assert published is not None
         cells = []
-        for portion, values in published.rms_m.items():
-            cells += [f"{value:g}" for value in (*values, published.mean_rms_m[portion])]
+        for window, values in published.rms_m.items():
+            cells += [f"{value:g}" for value in (*values, published.mean_rms_m[window])]
         yield row(f"Simulation {number}", "[HBH23] Table 1", *cells, "not printed", "not printed")
         for name in ("authors", *PROFILES):
             metrics = flown[scenario, name]
@@ -128,8 +128,8 @@ def paper_table(flown: Mapping[Any, Metrics]) -> Iterator[str]:
             yield row("", label, *errors(metrics), bank(metrics), separation(metrics))
 
 
-def changed_table(flown: Mapping[Any, Metrics]) -> Iterator[str]:
-    """Simulation 3 under other conditions."""
+def conditions_table(flown: Mapping[Any, Metrics]) -> Iterator[str]:
+    """Return the rows of Simulation 3 under other conditions."""
     yield f"| Simulation 3, RMS error, m | profile | {HEADER} closest |"
     yield f"|---|---|{RULE}---|"
     for (label, name), metrics in flown.items():
@@ -137,18 +137,18 @@ def changed_table(flown: Mapping[Any, Metrics]) -> Iterator[str]:
         yield row(first, f"`{name}`", *errors(metrics), separation(metrics))
     lag = predicted_lag_m(load(LATENCY))
     cells = [f"{value:.2f}" for value in (*lag, sum(lag) / len(lag))]
-    yield row("the lag predicted for that latency", "", *cells, *cells, "")
+    yield row("predicted lag at that latency", "", *cells, *cells, "")
 
 
-def harder_table(flown: Mapping[Any, Metrics]) -> Iterator[str]:
-    """Other leaders' paths, with what saturated."""
+def hard_paths_table(flown: Mapping[Any, Metrics]) -> Iterator[str]:
+    """Return the rows of other leaders' paths, with saturation."""
     yield (
-        f"| RMS error, m | profile | {HEADER} leader's bank, ° | closest | at a limit for, s | "
-        "within 5 m for good from, s |"
+        f"| RMS error, m | profile | {HEADER} leader's bank, ° | closest | saturated for, s | "
+        "in slot for good from, s |"
     )
     yield f"|---|---|{RULE}---|---|---|---|"
     for (scenario, name), metrics in flown.items():
-        inside = [value["inside_for_good_from_s"] for value in metrics["recovery"].values()]
+        inside = [value["in_slot_since_s"] for value in metrics["recovery"].values()]
         yield row(
             f"`{scenario}`",
             f"`{name}`",
@@ -156,36 +156,36 @@ def harder_table(flown: Mapping[Any, Metrics]) -> Iterator[str]:
             bank(metrics),
             separation(metrics),
             ", ".join(f"{value['seconds']:.0f}" for value in metrics["saturations"].values()),
-            ", ".join("never back" if value is None else f"{value:.0f}" for value in inside),
+            ", ".join("never" if value is None else f"{value:.0f}" for value in inside),
         )
 
 
 def laws_table(calm: Mapping[Any, Metrics], noisy: Mapping[Any, Metrics]) -> Iterator[str]:
-    """The paper's law and the two examples of a law of one's own, on the same seeds."""
-    yield "| law | page | calm: laps | circle | noise: laps | circle | closest, noise |"
+    """Return the rows of the paper's law and two other laws, on the same seeds."""
+    yield "| law | scenario | calm: laps | circle | noise: laps | circle | closest, noise |"
     yield "|---|---|--:|--:|--:|--:|--:|"
     for law, scenario in LAWS.items():
-        portions = calm[law, None]["portions"].values()
+        windows = calm[law, None]["windows"].values()
         flights = [noisy[law, seed] for seed in SEEDS]
-        cells = [f"{portion['mean_rms_m']:.2f}" for portion in portions]
-        for portion in ("rectangles", "circles"):
-            means = [flight["portions"][portion]["mean_rms_m"] for flight in flights]
+        cells = [f"{window['mean_rms_m']:.2f}" for window in windows]
+        for window in ("rectangles", "circles"):
+            means = [flight["windows"][window]["mean_rms_m"] for flight in flights]
             cells.append(f"{sum(means) / len(means):.2f} ({min(means):.2f}–{max(means):.2f})")
         closest = min(flight["min_separation_m"] for flight in flights)
         yield row(law, f"`{scenario}`", *cells, f"{closest:.2f} m")
 
 
 def text(flown: Mapping[Case, Metrics]) -> list[str]:
-    """All tables."""
-    papers, changed, harder, calm, noisy = (
+    """Return all tables as Markdown lines."""
+    paper, changed, hard_paths, calm, noisy = (
         {key: flown[case] for key, case in kind.items()} for kind in KINDS
     )
     return [
-        *paper_table(papers),
+        *paper_table(paper),
         "",
-        *changed_table(changed),
+        *conditions_table(changed),
         "",
-        *harder_table(harder),
+        *hard_paths_table(hard_paths),
         "",
         *laws_table(calm, noisy),
         "",
@@ -193,7 +193,7 @@ def text(flown: Mapping[Case, Metrics]) -> list[str]:
     ]
 
 
-KINDS: Sequence[Mapping[Any, Case]] = (PAPERS, CHANGED, HARDER, CALM, NOISY)
+KINDS: Sequence[Mapping[Any, Case]] = (PAPER, CHANGED, HARD_PATHS, CALM, NOISY)
 
 if __name__ == "__main__":
     write_tables(__doc__ or "", [case for kind in KINDS for case in kind.values()], text)

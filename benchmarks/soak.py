@@ -1,9 +1,9 @@
-"""Whether a long flight needs ever more memory, or ever more time for a second of it.
+"""Measure the growth of memory and of time per simulated second in a long flight.
 
 usage: python benchmarks/soak.py [--hours H] [--aircraft N] [--json FILE]
 
-Flies a vee on a circle, with its log, and looks every half minute of flight at what memory is
-resident and at the clock. The first tenth does not count: libraries are loaded and buffers filled.
+Flies a vee on a circle, with its log, and records resident memory and processor time every half
+minute of flight. The first tenth is left out: libraries are loaded and buffers filled.
 """
 
 from __future__ import annotations
@@ -20,32 +20,32 @@ from fleets import vee
 from full_over_bare import full
 from memory import memory_now
 
-from testbed.state import Event, Frame, Observer, RunInfo
+from testbed.core.records import Event, Observer, RunInfo, Sample
 
 EVERY_S = 30.0
 PARTS = 9  # after the first tenth
 
 
-class Looks(Observer):
-    """Takes down time of flight, memory, and processor time."""
+class ResourceObserver(Observer):
+    """Record time of flight, resident memory and processor time."""
 
-    borrows = True
+    zero_copy = True
 
     def begin(self, info: RunInfo) -> None:
-        """Nothing was flown yet."""
+        """Start with an empty list."""
         self.seen: list[tuple[float, float, float]] = []
 
-    def observe(self, frame: Frame) -> None:
-        """Look now and then."""
+    def observe(self, frame: Sample) -> None:
+        """Record every EVERY_S seconds."""
         if frame.time_s >= EVERY_S * len(self.seen):
             self.seen.append((frame.time_s, memory_now()["VmRSS"], time.process_time()))
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
-        """Nothing."""
+        """Do nothing."""
 
 
 def numbers(seen: Sequence[tuple[float, float, float]]) -> dict[str, Any]:
-    """What the looks say of the flight after its first tenth."""
+    """Return the numbers of the flight after its first tenth."""
     at, resident, spent = np.array(seen[len(seen) // 10 :]).T
     growth = float(np.polyfit(at, resident, 1)[0])
     ends = np.linspace(0, len(at) - 1, PARTS + 1).astype(int)
@@ -60,24 +60,24 @@ def numbers(seen: Sequence[tuple[float, float, float]]) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Fly, and print."""
+    """Fly, and print the result."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--hours", type=float, default=1.0)
     parser.add_argument("--aircraft", type=int, default=4)
     parser.add_argument("--json", type=Path)
-    asked = parser.parse_args()
-    looks = Looks()
-    full(vee(asked.aircraft, asked.hours * 3600.0), looks)
-    told = numbers(looks.seen)
-    first, last = told["resident_mb"]
-    each = ", ".join(f"{speed:.0f}" for speed in told["simulated_s_per_processor_s"])
+    options = parser.parse_args()
+    observer = ResourceObserver()
+    full(vee(options.aircraft, options.hours * 3600.0), observer)
+    result = numbers(observer.seen)
+    first, last = result["resident_mb"]
+    each = ", ".join(f"{speed:.0f}" for speed in result["simulated_s_per_processor_s"])
     print(
-        f"{asked.aircraft} aircraft, {told['simulated_s'] / 3600.0:.2f} h: {first:.0f} to "
-        f"{last:.0f} MB, {told['growth_mb_per_hour']:+.2f} MB/h; simulated seconds per processor "
+        f"{options.aircraft} aircraft, {result['simulated_s'] / 3600.0:.2f} h: {first:.0f} to "
+        f"{last:.0f} MB, {result['growth_mb_per_hour']:+.2f} MB/h; simulated seconds per processor "
         f"second in ninths: {each}"
     )
-    if asked.json:
-        asked.json.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+    if options.json:
+        options.json.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

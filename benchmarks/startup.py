@@ -1,9 +1,8 @@
-"""How long it takes to begin: `testbed --help`, and a run to its first tick, beside Python alone.
+"""Measure the start of `testbed --help` and of a run to its first tick, relative to Python alone.
 
-Processes are started in turns: one that does nothing, one that prints the help, and one that ends
-itself when the run's first frame is there. The first of each, which may have to compile, does not
-count. Ratios are to what Python alone took before and after, so that they say something on a
-machine that has other things to do.
+Processes are started alternately: one that does nothing, one that prints the help, and one that
+ends at the run's first sample. The first of each, which may compile, is left out. Ratios are to
+Python alone before and after, so that they also hold on a busy machine.
 
 usage: make bench  (or: python benchmarks/startup.py [--scenario NAME] [--repeats N] [--json FILE])
 """
@@ -20,29 +19,30 @@ import tempfile
 import time
 from pathlib import Path
 
-# Bytecode is kept, as it is for whoever uses the testbed twice.
+# Bytecode is kept, as from the second start on.
 ENVIRONMENT = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
-# The progress bar is made before the flight and sees its first frame before the second tick.
+# The progress bar is created before the flight and gets its first sample before the second tick.
 TO_FIRST_TICK = """
 import os, sys
-from testbed import cli, console
+import testbed.cli.progress
+from testbed.cli.main import main
 
 class FirstTick:
-    borrows = True
-    def __init__(self, *told): pass
+    zero_copy = True
+    def __init__(self, *args): pass
     def begin(self, info): pass
     def observe(self, frame): os._exit(0)
-    def end(self, *told): pass
+    def end(self, *args): pass
 
-console.ProgressBar = FirstTick
+testbed.cli.progress.ProgressBar = FirstTick
 sys.argv = ["testbed", "run", {scenario!r}, "--out", "run"]
-cli.main()
+main()
 sys.exit("the run ended without a tick")
 """
 
 
-def took(arguments: list[str]) -> tuple[float, float]:
-    """Wall clock and processor time of a process of Python, s."""
+def start_time_s(arguments: list[str]) -> tuple[float, float]:
+    """Measure wall-clock and processor time of a Python process, s."""
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
         process = subprocess.Popen(
@@ -57,45 +57,45 @@ def took(arguments: list[str]) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure, and print the result."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--scenario", default="simulation-3")
     parser.add_argument("--repeats", type=int, default=10)
     parser.add_argument("--json", type=Path)
-    asked = parser.parse_args()
-    nothing = ["-c", "pass"]
-    begun = {
+    options = parser.parse_args()
+    idle = ["-c", "pass"]
+    commands = {
         "testbed --help": ["-m", "testbed", "--help"],
-        f"testbed run {asked.scenario}, to its first tick": [
+        f"testbed run {options.scenario}, to its first tick": [
             "-c",
-            TO_FIRST_TICK.format(scenario=asked.scenario),
+            TO_FIRST_TICK.format(scenario=options.scenario),
         ],
     }
-    result: dict[str, object] = {"repeats": asked.repeats, "scenario": asked.scenario}
-    for arguments in begun.values():
-        took(arguments)  # compiles what is compiled once
-    alone = [took(nothing)]
-    measured: dict[str, list[tuple[float, float]]] = {name: [] for name in begun}
-    between: dict[str, list[float]] = {name: [] for name in begun}
-    for _ in range(asked.repeats):
-        for name, arguments in begun.items():
-            measured[name].append(took(arguments))
-            alone.append(took(nothing))
+    result: dict[str, object] = {"repeats": options.repeats, "scenario": options.scenario}
+    for arguments in commands.values():
+        start_time_s(arguments)  # compiles the kernels
+    alone = [start_time_s(idle)]
+    measured: dict[str, list[tuple[float, float]]] = {name: [] for name in commands}
+    between: dict[str, list[float]] = {name: [] for name in commands}
+    for _ in range(options.repeats):
+        for name, arguments in commands.items():
+            measured[name].append(start_time_s(arguments))
+            alone.append(start_time_s(idle))
             between[name].append(0.5 * (alone[-2][0] + alone[-1][0]))
-    show("python -c pass", alone, None, result)
+    print_line("python -c pass", alone, None, result)
     for name, each in measured.items():
-        show(name, each, between[name], result)
-    if asked.json:
-        asked.json.write_text(json.dumps(result, indent=2) + "\n")
+        print_line(name, each, between[name], result)
+    if options.json:
+        options.json.write_text(json.dumps(result, indent=2) + "\n")
 
 
-def show(
+def print_line(
     name: str,
     times: list[tuple[float, float]],
     alone: list[float] | None,
     result: dict[str, object],
 ) -> None:
-    """Print one line, and keep its numbers.
+    """Print one line, and add its numbers to the result.
 
     Args:
         name: what was started.
@@ -120,7 +120,7 @@ def show(
 
 
 def spread(values: list[float], form: str) -> str:
-    """The median, the smallest and the largest."""
+    """Return median, smallest and largest value as text."""
     median, low, high = statistics.median(values), min(values), max(values)
     return f"{median:{form}} ({low:{form}}-{high:{form}})"
 

@@ -1,9 +1,9 @@
-"""How well a study uses the processors, and that its file does not depend on who flies it.
+"""Measure how well a study uses the processors, and compare its file across backends.
 
-Flies a study of 200 runs of Simulation 3 for 300 s, a leader and three followers, and says which
-part of the processors' time its workers used: their processor seconds, starting included, over the
-wall clock and the number of processors. What the host of a virtual machine kept of these for others
-is told, and the part of what was left. With --compare it flies the same with one process, killed
+Flies a study of 200 runs of Simulation 3 for 300 s, a leader and three followers, and prints the
+share of the processors' time that its workers used: their processor seconds, start included, over
+wall-clock time and number of processors. Time that the host of a virtual machine gave to others is
+printed too, and the share of the rest. With --compare it flies the same with one process, killed
 three times and resumed, and on a local Dask cluster, and compares the files to the last bit.
 
 usage: python benchmarks/sweep.py [--runs N] [--seconds S] [--jobs N] [--compare] [--json FILE]
@@ -24,10 +24,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from testbed.study.sweep import sweep
-from testbed.study.table import StudyTable, read_table
+from testbed.studies.sweep import sweep
+from testbed.studies.table import StudyTable, read_table
 
-PAGE = """
+STUDY = """
 study:
   schema: 1
   name: benchmark
@@ -46,16 +46,16 @@ STAT = Path("/proc/stat")  # Linux
 POLL_S = 0.2
 
 
-def command(page: Path, out: Path, *more: str) -> list[str]:
-    """The command that flies it."""
-    return [sys.executable, "-m", "testbed", "sweep", str(page), "--out", str(out), "-q", *more]
+def command(study: Path, out: Path, *more: str) -> list[str]:
+    """Return the command that flies the study."""
+    return [sys.executable, "-m", "testbed", "sweep", str(study), "--out", str(out), "-q", *more]
 
 
-def timed(page: Path, out: Path, jobs: int) -> dict[str, float]:
-    """Fly it from here: wall clock, and processor seconds of the workers, s."""
+def timed(study: Path, out: Path, jobs: int) -> dict[str, float]:
+    """Fly the study; return wall-clock time and processor time of the workers, s."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     began, stolen_s = time.perf_counter(), stolen()
-    sweep(page, out, jobs=jobs)
+    sweep(study, out, jobs=jobs)
     wall_s = time.perf_counter() - began
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     used_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
@@ -63,7 +63,7 @@ def timed(page: Path, out: Path, jobs: int) -> dict[str, float]:
 
 
 def stolen() -> float:
-    """Processor seconds that a host has kept from this machine; 0 where none says so."""
+    """Return processor seconds that the host gave to other machines; 0 where unknown."""
     if not STAT.exists():
         return 0.0
     # proc(5): cpu user nice system idle iowait irq softirq steal
@@ -71,7 +71,7 @@ def stolen() -> float:
 
 
 def killed(words: Sequence[str], journal: Path, times: int) -> None:
-    """Have the command killed so many times in its midst, and resumed."""
+    """Run the command, kill it this many times on the way, and resume it."""
     for _ in range(times):
         before = journal.stat().st_size if journal.exists() else 0
         process = subprocess.Popen([*words, "--resume"])
@@ -84,10 +84,10 @@ def killed(words: Sequence[str], journal: Path, times: int) -> None:
 
 
 def same(one: StudyTable, other: StudyTable) -> bool:
-    """Whether two files have the same content, to the last bit."""
+    """Return whether two files have the same content, to the last bit."""
     return (
         list(one.columns) == list(other.columns)
-        and dict(one.facts) == dict(other.facts)
+        and dict(one.metadata) == dict(other.metadata)
         and all(
             repr(one.columns[name].tolist()) == repr(other.columns[name].tolist())
             for name in one.columns
@@ -95,65 +95,65 @@ def same(one: StudyTable, other: StudyTable) -> bool:
     )
 
 
-def on_dask(page: Path, out: Path, jobs: int) -> None:
-    """Fly it on a cluster of this machine."""
+def on_dask(study: Path, out: Path, jobs: int) -> None:
+    """Fly the study on a cluster of this machine."""
     from distributed import LocalCluster
 
     with LocalCluster(
         n_workers=jobs, threads_per_worker=1, processes=True, dashboard_address=None
     ) as cluster:
         address = cluster.scheduler_address
-        subprocess.run(command(page, out, "--backend", "dask", "--scheduler", address), check=True)
+        subprocess.run(command(study, out, "--backend", "dask", "--scheduler", address), check=True)
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure, and print the result."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--runs", type=int, default=200)
     parser.add_argument("--seconds", type=float, default=300.0)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--compare", action="store_true")
     parser.add_argument("--json", type=Path)
-    asked = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        page = folder / "benchmark.yaml"
-        points = max(1, asked.runs // SEEDS)
-        page.write_text(PAGE.format(seconds=asked.seconds, points=points, seeds=SEEDS))
+        study = folder / "benchmark.yaml"
+        points = max(1, options.runs // SEEDS)
+        study.write_text(STUDY.format(seconds=options.seconds, points=points, seeds=SEEDS))
         out = folder / "many.parquet"
-        result: dict[str, Any] = timed(page, out, asked.jobs)
+        result: dict[str, Any] = timed(study, out, options.jobs)
         table = read_table(out)
         result |= {
             "runs": len(table.columns["run"]),
-            "jobs": asked.jobs,
+            "jobs": options.jobs,
             "bytes": out.stat().st_size,
         }
-        there_s = result["wall_s"] * asked.jobs
-        result["share"] = result["processor_s"] / there_s
-        result["share_of_left"] = result["processor_s"] / (there_s - result["stolen_s"])
+        available_s = result["wall_s"] * options.jobs
+        result["share"] = result["processor_s"] / available_s
+        result["share_of_left"] = result["processor_s"] / (available_s - result["stolen_s"])
         print(
-            f"{result['runs']} runs of {asked.seconds:g} s in {result['wall_s']:.1f} s on "
-            f"{asked.jobs} processors: {100 * result['share']:.1f} % of their time, "
-            f"{100 * result['share_of_left']:.1f} % of what others left; "
+            f"{result['runs']} runs of {options.seconds:g} s in {result['wall_s']:.1f} s on "
+            f"{options.jobs} processors: {100 * result['share']:.1f} % of their time, "
+            f"{100 * result['share_of_left']:.1f} % of the time left by the host; "
             f"{result['bytes'] / 1e6:.2f} MB",
             flush=True,
         )
-        if asked.compare:
+        if options.compare:
             single = folder / "single.parquet"
-            result["single"] = timed(page, single, 1)
+            result["single"] = timed(study, single, 1)
             result["same_single"] = same(table, read_table(single))
             again = folder / "killed.parquet"
             killed(
-                command(page, again, "--jobs", str(asked.jobs)), again.with_suffix(".journal"), 3
+                command(study, again, "--jobs", str(options.jobs)), again.with_suffix(".journal"), 3
             )
             result["same_killed"] = same(table, read_table(again))
             dask = folder / "dask.parquet"
-            on_dask(page, dask, asked.jobs)
+            on_dask(study, dask, options.jobs)
             result["same_dask"] = same(table, read_table(dask))
             for what in ("single", "killed", "dask"):
                 print(f"same content, {what}: {result[f'same_{what}']}")
-    if asked.json:
-        asked.json.write_text(json.dumps(result, indent=2) + "\n")
+    if options.json:
+        options.json.write_text(json.dumps(result, indent=2) + "\n")
 
 
 if __name__ == "__main__":

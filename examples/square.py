@@ -1,4 +1,4 @@
-"""Flies an aircraft of a run around a square of 350 m, and leaves it circling where it began.
+"""Fly an aircraft of a run around a square of 350 m, and leave it circling at the start.
 
     testbed run examples/square.yaml --mavlink udpout:127.0.0.1:14550
     python examples/square.py
@@ -11,48 +11,48 @@ import sys
 
 from pymavlink import mavutil
 
-SYSTEM = 4  # the leader is 1, uav3 the fourth
-SIDE, SPEED, NEAR = 350.0, 22.0, 25.0  # m, m/s, and m from a corner that count as there
-SEEN = ["LOCAL_POSITION_NED", "VFR_HUD", "ATTITUDE"]
+SYSTEM = 4  # uav3; the leader is 1
+SIDE, SPEED, NEAR = 350.0, 22.0, 25.0  # m, m/s, and m from a corner at which it is reached
+MESSAGES = ["LOCAL_POSITION_NED", "VFR_HUD", "ATTITUDE"]
 NO_RATES, CUSTOM_MODE, LOITER = 7, 1, 12
 
 
-def within(value: float, limit: float) -> float:
-    """The value, no larger than a limit to either side."""
+def clamp(value: float, limit: float) -> float:
+    """Limit the magnitude of a value."""
     return max(-limit, min(limit, value))
 
 
 link = mavutil.mavlink_connection((sys.argv + ["udpin:127.0.0.1:14550"])[1], source_system=245)
-seen, corners, height = {}, [], 0.0
+latest, corners, height = {}, [], 0.0
 while True:
-    message = link.recv_match(type=SEEN, blocking=True, timeout=60)
+    message = link.recv_match(type=MESSAGES, blocking=True, timeout=60)
     if message is None:
-        sys.exit("nothing is heard")
+        sys.exit("no telemetry received")
     if message.get_srcSystem() != SYSTEM:
         continue
-    seen[message.get_type()] = message
-    if message.get_type() != "ATTITUDE" or len(seen) < len(SEEN):
-        continue  # each ATTITUDE is the end of a state, and is answered
-    place, speed = seen["LOCAL_POSITION_NED"], seen["VFR_HUD"].airspeed
-    course = math.atan2(place.vy, place.vx)
-    if not corners:  # ahead, then to the right, and back to where it is now
-        ahead, height = (SIDE * math.cos(course), SIDE * math.sin(course)), -place.z
+    latest[message.get_type()] = message
+    if message.get_type() != "ATTITUDE" or len(latest) < len(MESSAGES):
+        continue  # ATTITUDE is the last message of a sample, and is answered
+    position, speed = latest["LOCAL_POSITION_NED"], latest["VFR_HUD"].airspeed
+    course = math.atan2(position.vy, position.vx)
+    if not corners:  # ahead, to the right, back, and at the current position
+        ahead, height = (SIDE * math.cos(course), SIDE * math.sin(course)), -position.z
         for forward, right in ((1, 0), (1, 1), (0, 1), (0, 0)):
             north, east = (
                 forward * ahead[0] - right * ahead[1],
                 forward * ahead[1] + right * ahead[0],
             )
-            corners.append((place.x + north, place.y + east))
-    north, east = corners[0][0] - place.x, corners[0][1] - place.y
+            corners.append((position.x + north, position.y + east))
+    north, east = corners[0][0] - position.x, corners[0][1] - position.y
     if math.hypot(north, east) < NEAR:
         print(f"corner at {corners[0][0]:.0f} m north, {corners[0][1]:.0f} m east", flush=True)
         if not corners[1:]:
             break
         corners.pop(0)
     turn = math.remainder(math.atan2(east, north) - course, math.tau)
-    roll = within(1.5 * turn, math.radians(35.0))
-    pitch = 0.03 + within(0.02 * (height + place.z) + 0.04 * place.vz, 0.2)
-    throttle = 0.5 + within(0.08 * (SPEED - speed), 0.5)
+    roll = clamp(1.5 * turn, math.radians(35.0))
+    pitch = 0.03 + clamp(0.02 * (height + position.z) + 0.04 * position.vz, 0.2)
+    throttle = 0.5 + clamp(0.08 * (SPEED - speed), 0.5)
     (cr, cp), (sr, sp) = map(math.cos, (roll / 2, pitch / 2)), map(math.sin, (roll / 2, pitch / 2))
     attitude = [cr * cp, sr * cp, cr * sp, -sr * sp]  # w, x, y, z of a heading north
     stamp = message.time_boot_ms

@@ -1,4 +1,4 @@
-"""The bill of materials of a release: CycloneDX 1.6, https://cyclonedx.org/docs/1.6/json/."""
+"""Write the bill of materials of a release: CycloneDX 1.6, https://cyclonedx.org/docs/1.6/json/."""
 
 from __future__ import annotations
 
@@ -14,50 +14,50 @@ from licences import licence
 from locked import Pin, project
 from packaging.utils import canonicalize_name
 
-# What an environment of Python has of its own, without being asked.
+# Packages that every Python environment has.
 OF_PYTHON = {"pip", "setuptools", "wheel"}
 
 
 @dataclass(frozen=True, slots=True)
 class Wheel:
-    """The wheel that a bill is of."""
+    """The wheel of a release."""
 
     version: str
     sha256: str
     built_s: int
 
 
-def bill(
+def make_bill(
     wheel: Wheel,
     installed: Iterable[Distribution],
     pinned: Mapping[str, Pin],
     graph: Mapping[str, Iterable[str]],
     first: Iterable[str],
 ) -> dict[str, Any]:
-    """Everything that an installation of the wheel consists of, the same for the same wheel.
+    """Return the bill of materials of an installation; the same wheel gives the same bill.
 
     Args:
         wheel: the wheel.
         installed: the packages of an environment into which only the wheel was installed.
-        pinned: what the lock file says may be there.
-        graph: what each of those asks for.
-        first: what the testbed itself asks for.
+        pinned: the pins of the lock file, by name.
+        graph: the requirements of each package.
+        first: the requirements of the testbed itself.
 
     Raises:
-        ValueError: what is installed is not what is pinned.
+        ValueError: installed and pinned packages differ.
     """
     ours = {canonicalize_name(each.metadata["Name"]): each for each in installed}
-    there = {
+    found = {
         name: each.version for name, each in ours.items() if name not in OF_PYTHON | {"testbed"}
     }
-    meant = {name: pin.version for name, pin in pinned.items()}
-    if there != meant:
-        differ = sorted(f"{name} {version}" for name, version in there.items() ^ meant.items())
+    expected = {name: pin.version for name, pin in pinned.items()}
+    if found != expected:
+        differ = sorted(f"{name} {version}" for name, version in found.items() ^ expected.items())
         raise ValueError(f"installed and pinned differ: {', '.join(differ)}")
-    # PyPI has a testbed of somebody else: a `pkg:pypi` would be that one.
+    # PyPI has another project `testbed`: `pkg:pypi` would mean that one.
     root = f"pkg:generic/testbed@{wheel.version}"
     references = {name: f"pkg:pypi/{name}@{pin.version}" for name, pin in pinned.items()}
-    asks = {root: first} | {references[name]: graph[name] for name in sorted(pinned)}
+    requirements = {root: first} | {references[name]: graph[name] for name in sorted(pinned)}
     return {
         "$schema": "http://cyclonedx.org/schema/bom-1.6.schema.json",
         "bomFormat": "CycloneDX",
@@ -72,7 +72,7 @@ def bill(
                 "name": "testbed",
                 "version": wheel.version,
                 "description": project()["description"],
-                "licenses": said(str(project()["license"])),
+                "licenses": licence_entry(str(project()["license"])),
                 "hashes": [{"alg": "SHA-256", "content": wheel.sha256}],
                 "purl": root,
             },
@@ -80,20 +80,20 @@ def bill(
         "components": [component(pinned[name], licence(ours[name])) for name in sorted(pinned)],
         "dependencies": [
             {"ref": each, "dependsOn": sorted(references[name] for name in names)}
-            for each, names in asks.items()
+            for each, names in requirements.items()
         ],
     }
 
 
 def component(pin: Pin, of: str) -> dict[str, Any]:
-    """One package; the hashes are of the files of which pip takes the one that fits the system."""
+    """Return the entry of a package, with the hashes of all files that pip may choose from."""
     reference = f"pkg:pypi/{pin.name}@{pin.version}"
     return {
         "type": "library",
         "bom-ref": reference,
         "name": pin.name,
         "version": pin.version,
-        "licenses": said(of),
+        "licenses": licence_entry(of),
         "purl": reference,
         "externalReferences": [
             {
@@ -105,8 +105,8 @@ def component(pin: Pin, of: str) -> dict[str, Any]:
     }
 
 
-def said(of: str) -> list[dict[str, Any]]:
-    """A licence as CycloneDX has it: an expression, a name of SPDX, or a package's own word."""
+def licence_entry(of: str) -> list[dict[str, Any]]:
+    """Return a licence for CycloneDX: an expression, an SPDX id, or the package's own name."""
     if re.search(" (AND|OR|WITH) ", of):
         return [{"expression": of}]
-    return [{"license": {"name" if of == "BSD" else "id": of}}]  # which BSD, they do not say
+    return [{"license": {"name" if of == "BSD" else "id": of}}]  # without a clause count

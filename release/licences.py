@@ -1,4 +1,4 @@
-"""The licences of all that is installed with the testbed, from what packages say of themselves.
+"""Write docs/licences.md: licences of all installed packages, from their metadata.
 
 usage: python release/licences.py > docs/licences.md
 """
@@ -11,7 +11,7 @@ from importlib.metadata import Distribution, PackageNotFoundError, distribution
 
 from locked import LOCK, here, needed, pins
 
-# As packages word it, where they do not use the names of https://spdx.org/licenses.
+# Licence names that are not those of https://spdx.org/licenses.
 WORDINGS = {
     "3-Clause BSD License": "BSD-3-Clause",
     "Apache 2.0": "Apache-2.0",
@@ -30,36 +30,36 @@ WORDINGS = {
 }
 HEAD = """# Licences
 
-The testbed is under the MIT licence. What `pip install` brings along with it, by what each
-package says of itself:
+The testbed is under the MIT licence. This page lists the packages that `pip install` installs with
+it, with the licence in each package's metadata. `python release/licences.py > docs/licences.md`
+writes it.
 
 | package | licence |
 |---|---|
 """
 FOOT = """
-JSBSim and pymavlink are libraries under the LGPL, used as they are installed: each may be replaced
-by another version, which is what that licence asks for. Of pymavlink only the generated tables of
-messages are imported, which are under the MIT licence. Aircraft have sources of their own, in
-their folders ([Rascal](../aircraft/rascal110/SOURCE.md), [X8](../aircraft/skywalker_x8/SOURCE.md)).
+JSBSim and pymavlink are libraries under the LGPL, used unmodified: each can be replaced by another
+version, as that licence requires. Of pymavlink only the generated message tables are imported,
+which are under the MIT licence. The sources of the aircraft are in their folders
+([Rascal](../aircraft/rascal110/SOURCE.md), [X8](../aircraft/skywalker_x8/SOURCE.md)).
 
-Tools that only tests and pages need are in no installation of the testbed, and none of them is
-imported by it. A test holds this page and every package of the lock file to a list of licences
-that go with MIT.
+Tools for tests and docs are not installed with the testbed and not imported by it. A test compares
+this page, and every package of the lock file, with a list of licences compatible with MIT.
 """
 
 
 def locked() -> list[str]:
-    """Names of all packages in the lock file, tools for tests and pages too."""
+    """Return the names of all packages in the lock file, with tools for tests and docs."""
     return sorted({pin.name for pin in pins(LOCK.read_text(encoding="utf-8"))})
 
 
 def running() -> list[str]:
-    """Names of those among them that the testbed needs to run, as they are installed here."""
+    """Return the names of the installed runtime packages."""
     return sorted(name for name in needed(here()) if installed(name) is not None)
 
 
 def installed(name: str) -> Distribution | None:
-    """A package; None: of another system, or not here."""
+    """Return an installed package; None if it is for another system."""
     try:
         return distribution(name)
     except PackageNotFoundError:
@@ -67,20 +67,20 @@ def installed(name: str) -> Distribution | None:
 
 
 def licence(package: Distribution) -> str:
-    """What a package says its licence is, by the names of SPDX where they are known."""
-    told = package.metadata
-    if expression := told.get("License-Expression"):
+    """Return a package's licence, by its SPDX name where known."""
+    metadata = package.metadata
+    if expression := metadata.get("License-Expression"):
         return str(expression)
-    line = str(told.get("License") or "").strip().split("\n")[0]
+    line = str(metadata.get("License") or "").strip().split("\n")[0]
     if line in WORDINGS or re.fullmatch(r"[A-Za-z]+(-[A-Za-z0-9.]+)*", line) and line != "UNKNOWN":
         return WORDINGS.get(line, line)
-    named = (each for each in told.get_all("Classifier") or () if each.startswith("License ::"))
+    named = (each for each in metadata.get_all("Classifier") or () if each.startswith("License ::"))
     kinds = (each.split("::")[-1].strip() for each in named)
     return " AND ".join(WORDINGS.get(each, each) for each in kinds)
 
 
 def rows() -> Iterator[str]:
-    """One for each package that runs."""
+    """Return a table row per runtime package."""
     for name in running():
         found = installed(name)
         if found is not None:
@@ -88,7 +88,7 @@ def rows() -> Iterator[str]:
 
 
 def page() -> str:
-    """The whole page."""
+    """Return the whole page."""
     return HEAD + "\n".join(rows()) + "\n" + FOOT
 
 

@@ -1,4 +1,4 @@
-"""What the lock file pins, and the part of it that `pip install` of the testbed brings along."""
+"""Pins of the lock file, and the part that `pip install` of the testbed installs."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ LOCK = ROOT / "requirements.lock"
 PROJECT = ROOT / "pyproject.toml"
 PYTHON = "Programming Language :: Python :: 3."
 HASH = re.compile(r"--hash=sha256:([0-9a-f]{64})\b")
-Surroundings = Mapping[str, str]
+Environment = Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True)
 class Pin:
-    """One requirement of a lock file: all that may be installed of it."""
+    """One requirement of a lock file, with the hashes of its files."""
 
     name: str
     version: str
@@ -31,45 +31,45 @@ class Pin:
     hashes: tuple[str, ...]
     text: str
 
-    def wanted(self, surroundings: Surroundings) -> bool:
-        """Whether it is installed there."""
-        return self.marker is None or self.marker.evaluate(dict(surroundings))
+    def wanted(self, environment: Environment) -> bool:
+        """Return whether it is installed in this environment."""
+        return self.marker is None or self.marker.evaluate(dict(environment))
 
 
 def pins(text: str) -> list[Pin]:
-    """The requirements of a lock file; of one name there may be several, for other Pythons.
+    """Return the requirements of a lock file; a name may appear several times, for other Pythons.
 
     Raises:
-        ValueError: one of them is no exact version, or has no hash.
+        ValueError: a requirement is no exact version, or has no hash.
     """
     found: list[Pin] = []
     lines = "\n".join(line for line in text.splitlines() if not line.lstrip().startswith("#"))
     for block in re.split(r"\n(?=\S)", lines.strip()):
-        asked = Requirement(re.split(r"\s*\\\n|\s--", block)[0])
-        name = canonicalize_name(asked.name)
-        exact = re.fullmatch(r"==([^*,]+)", str(asked.specifier))
+        requirement = Requirement(re.split(r"\s*\\\n|\s--", block)[0])
+        name = canonicalize_name(requirement.name)
+        exact = re.fullmatch(r"==([^*,]+)", str(requirement.specifier))
         hashes = tuple(HASH.findall(block))
         if not exact or not hashes:
-            raise ValueError(f"{asked}: is not one version with its hashes")
-        found.append(Pin(name, exact[1], asked.marker, hashes, block))
+            raise ValueError(f"{requirement}: is not one version with its hashes")
+        found.append(Pin(name, exact[1], requirement.marker, hashes, block))
     return found
 
 
 def project() -> dict[str, object]:
-    """What pyproject.toml says of the project."""
+    """Return the project table of pyproject.toml."""
     with PROJECT.open("rb") as file:
-        told = tomllib.load(file)["project"]
-    assert isinstance(told, dict)
-    return told
+        table = tomllib.load(file)["project"]
+    assert isinstance(table, dict)
+    return table
 
 
-def here() -> Surroundings:
-    """What markers ask about, of this Python on this system."""
+def here() -> Environment:
+    """Return the values of markers for this Python on this system."""
     return {key: str(value) for key, value in default_environment().items()}
 
 
-def supported() -> list[Surroundings]:
-    """The same for every Python that the testbed runs on, on this system."""
+def supported() -> list[Environment]:
+    """Return the same for every supported Python, on this system."""
     classifiers = project()["classifiers"]
     assert isinstance(classifiers, list)
     minors = [each.removeprefix(PYTHON) for each in classifiers if each.startswith(PYTHON)]
@@ -79,8 +79,8 @@ def supported() -> list[Surroundings]:
     ]
 
 
-def asked_by(name: str) -> list[str]:
-    """What an installed package asks for; nothing, if it is of another system."""
+def requirements_of(name: str) -> list[str]:
+    """Return the requirements of an installed package; none if it is for another system."""
     try:
         return requires(name) or []
     except PackageNotFoundError:
@@ -88,16 +88,16 @@ def asked_by(name: str) -> list[str]:
 
 
 def needed(
-    surroundings: Surroundings,
+    environment: Environment,
     first: Iterable[str] | None = None,
-    asked: Callable[[str], list[str]] = asked_by,
+    requirements: Callable[[str], list[str]] = requirements_of,
 ) -> dict[str, set[str]]:
-    """What runs with the testbed there: each package, and the packages that it asks for itself.
+    """Return the runtime packages of the testbed, each with its own requirements.
 
     Args:
-        surroundings: where.
-        first: what the testbed asks for; as pyproject.toml has it.
-        asked: what a package asks for, by what is installed here.
+        environment: values of markers.
+        first: requirements of the testbed; default those of pyproject.toml.
+        requirements: returns the requirements of a package; default of the installed one.
     """
     if first is None:
         dependencies = project()["dependencies"]
@@ -114,23 +114,23 @@ def needed(
             if (name, extra) in done:
                 continue
             done.add((name, extra))
-            for each in map(Requirement, asked(name)):
-                if each.marker is None or each.marker.evaluate({**surroundings, "extra": extra}):
+            for each in map(Requirement, requirements(name)):
+                if each.marker is None or each.marker.evaluate({**environment, "extra": extra}):
                     graph[name].add(canonicalize_name(each.name))
                     waiting.append(each)
     return graph
 
 
-def running_pins(surroundings: Surroundings) -> dict[str, Pin]:
-    """The pins of all that runs with the testbed there, by name.
+def running_pins(environment: Environment) -> dict[str, Pin]:
+    """Return the pins of all runtime packages in an environment, by name.
 
     Raises:
-        ValueError: the lock file has not exactly one version of something.
+        ValueError: the lock file does not have exactly one version of a package.
     """
-    names = needed(surroundings)
+    names = needed(environment)
     found: dict[str, Pin] = {}
     for pin in pins(LOCK.read_text(encoding="utf-8")):
-        if pin.name in names and pin.wanted(surroundings):
+        if pin.name in names and pin.wanted(environment):
             if pin.name in found:
                 raise ValueError(f"{LOCK.name} has two versions of {pin.name}")
             found[pin.name] = pin
@@ -140,6 +140,6 @@ def running_pins(surroundings: Surroundings) -> dict[str, Pin]:
 
 
 def running_lock() -> list[Pin]:
-    """The pins of all that runs with the testbed on any Python that it runs on."""
+    """Return the pins of all runtime packages on any supported Python."""
     wanted = {pin for each in supported() for pin in running_pins(each).values()}
     return sorted(wanted, key=lambda pin: pin.text)

@@ -2,11 +2,10 @@
 
 usage: python release/make_release.py [--tag vX.Y.Z] [--no-flight]
 
-Wheel and sdist are built twice from what is committed, in surroundings that differ, and must be
-the same to the bit. The wheel is installed by pip into a fresh environment, with the hashes of the
-lock file, and flies Simulation 3 by name from an empty directory. Beside the packages dist/ gets
-the pins of what runs with them (.lock), the bill of materials of that environment (.cdx.json), and
-SHA256SUMS.
+Wheel and sdist are built twice from the last commit, in different environments, and must be the
+same to the bit. The wheel is installed by pip into a new environment, with the hashes of the lock
+file, and flies Simulation 3 by name from an empty directory. dist/ also gets the pins of the
+runtime packages (.lock), the bill of materials of that environment (.cdx.json), and SHA256SUMS.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ import venv
 from importlib.metadata import distributions
 from pathlib import Path
 
-from bill import Wheel, bill
+from bill import Wheel, make_bill
 from locked import ROOT, here, needed, project, running_lock, running_pins
 from packages import (
     UnfitError,
@@ -40,25 +39,25 @@ from packaging.utils import canonicalize_name
 
 DIST = ROOT / "dist"
 FLOWN_S = 30
-HEAD = """# What testbed {version} runs with, pinned to the hash: a part of its requirements.lock.
+HEAD = """# Runtime packages of testbed {version}, pinned with hashes; from its requirements.lock.
 # In the folder of the wheel:
 #    pip install --only-binary :all: --require-hashes -r {name}
 """
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Make it and say what was made; 1: it must not be released."""
-    asked = argparse.ArgumentParser(description="Make the files of a release and check them.")
-    asked.add_argument(
+    """Make the release files; return 1 if they must not be released."""
+    parser = argparse.ArgumentParser(description="Make the files of a release and check them.")
+    parser.add_argument(
         "--tag",
         default=os.environ.get("TAG"),
-        help="the tag that is released, held to version and changelog; $TAG if not given",
+        help="tag of the release, compared with version and changelog; default $TAG",
     )
-    asked.add_argument("--no-flight", action="store_true", help="neither install nor fly it")
-    given = asked.parse_args(arguments)
+    parser.add_argument("--no-flight", action="store_true", help="do not install and fly")
+    options = parser.parse_args(arguments)
     try:
         with tempfile.TemporaryDirectory() as place:
-            make(Path(place), given.tag or None, flight=not given.no_flight)
+            make(Path(place), options.tag or None, flight=not options.no_flight)
     except (UnfitError, ValueError) as error:
         print(f"no release: {error}", file=sys.stderr)
         return 1
@@ -66,17 +65,17 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def make(place: Path, tag: str | None, *, flight: bool) -> None:
-    """Make everything.
+    """Make all files of a release.
 
     Args:
-        place: an empty folder for what is not kept.
+        place: an empty temporary folder.
         tag: as on the command line.
-        flight: whether to install and fly it, and to write its bill of materials.
+        flight: install and fly the wheel, and write the bill of materials.
     """
     if changed := git("status", "--porcelain").splitlines():
         if tag:
             raise UnfitError(f"not committed: {', '.join(each[3:] for each in changed)}")
-        print("Built from what is committed, without what has changed since", file=sys.stderr)
+        print("Built from the last commit, without later changes", file=sys.stderr)
     epoch_s = int(git("log", "-1", "--format=%ct"))
     sdist, wheel = built(place, epoch_s)
     version = version_of(wheel)
@@ -101,7 +100,7 @@ def make(place: Path, tag: str | None, *, flight: bool) -> None:
 
 
 def built(place: Path, epoch_s: int) -> tuple[Path, Path]:
-    """Sdist and wheel in dist/, after they were built twice and came out the same."""
+    """Build twice, compare, and copy sdist and wheel to dist/."""
     once = build_twice(place, epoch_s=epoch_s)
     shutil.rmtree(DIST, ignore_errors=True)
     DIST.mkdir()
@@ -114,54 +113,54 @@ def built(place: Path, epoch_s: int) -> tuple[Path, Path]:
 
 
 def installed(fresh: Path, lock: Path) -> Path:
-    """Where the packages are of a fresh environment into which pip put what the lock says."""
+    """Install the lock file into a new environment; return its site-packages."""
     venv.create(fresh, with_pip=True)
     pip = (str(fresh / "bin" / "python"), "-m", "pip", "--disable-pip-version-check")
-    # Wheels alone: to install what is built first is to run what it brings along for that.
-    told = ("install", "--quiet", "--only-binary", ":all:", "--require-hashes", "-r", lock.name)
-    run((*pip, *told), lock.parent)
+    # Wheels only: installing an sdist runs its build code.
+    args = ("install", "--quiet", "--only-binary", ":all:", "--require-hashes", "-r", lock.name)
+    run((*pip, *args), lock.parent)
     run((*pip, "check"), lock.parent)
-    print("installed from its lock file, with hashes, into a fresh environment", flush=True)
+    print("installed from its lock file, with hashes, into a new environment", flush=True)
     (packages,) = fresh.glob("lib/python3*/site-packages")
     return packages
 
 
 def fly(place: Path) -> None:
-    """Fly Simulation 3 by name with the fresh environment, from an empty directory."""
+    """Fly Simulation 3 by name with the new environment, from an empty directory."""
     empty = place / "empty"
     empty.mkdir()
     words = ("run", "simulation-3", "--duration", str(FLOWN_S), "--out", "run", "--quiet")
     run((str(place / "fresh" / "bin" / "testbed"), *words), empty)
     numbers = json.loads((empty / "run" / "metrics.json").read_text(encoding="utf-8"))
-    if numbers["outcome"] != "flown":
-        raise UnfitError(f"Simulation 3 was {numbers['outcome']}")
+    if numbers["outcome"] != "completed":
+        raise UnfitError(f"outcome of Simulation 3: {numbers['outcome']}")
     if [each.name for each in empty.iterdir()] != ["run"]:
-        raise UnfitError("the flight left more than its run")
+        raise UnfitError("the flight wrote more than its run")
     print(f"{FLOWN_S} s of Simulation 3 flown by name from an empty directory", flush=True)
 
 
 def run(command: tuple[str, ...], cwd: Path) -> None:
-    """Run a command that knows nothing of this checkout and its environment."""
-    kept = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
-    done = subprocess.run(command, cwd=cwd, env=kept, capture_output=True, text=True)
+    """Run a command without the variables of this checkout's Python."""
+    variables = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    done = subprocess.run(command, cwd=cwd, env=variables, capture_output=True, text=True)
     if done.returncode:
         raise UnfitError(f"{' '.join(command)}:\n{done.stdout}{done.stderr}")
 
 
 def write_bill(path: Path, wheel: Path, epoch_s: int, packages: Path) -> None:
-    """Write the bill of materials of the environment whose packages are there."""
+    """Write the bill of materials of the packages in a folder."""
     dependencies = project()["dependencies"]
     assert isinstance(dependencies, list)
     first = [canonicalize_name(Requirement(each).name) for each in dependencies]
-    made = bill(
+    bill = make_bill(
         Wheel(version_of(wheel), sha256(wheel), epoch_s),
         distributions(path=[str(packages)]),
         running_pins(here()),
         needed(here()),
         first,
     )
-    path.write_text(json.dumps(made, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-    print(f"{path.name}: {len(made['components'])} packages", flush=True)
+    path.write_text(json.dumps(bill, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    print(f"{path.name}: {len(bill['components'])} packages", flush=True)
 
 
 if __name__ == "__main__":

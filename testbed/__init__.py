@@ -1,7 +1,7 @@
 """Flight-dynamics co-simulation of fixed-wing formations.
 
-`testbed.run("simulation-3")` flies a scenario and returns its numbers, `testbed.load(run)` reads a
-flown run back as arrays; `testbed --help` is the same from a shell.
+`testbed.run("simulation-3")` flies a scenario and returns its metrics, `testbed.load(run)` reads
+the log of a run as arrays; `testbed --help` lists the commands for a shell.
 """
 
 from __future__ import annotations
@@ -9,21 +9,21 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from testbed.record.flight import Flight, load
+    from testbed.logs.flight_data import FlightData, load
     from testbed.sim.run import Run, run
 
 __version__ = "0.1.0"
-__all__ = ["Flight", "Run", "__version__", "load", "run"]
+__all__ = ["FlightData", "Run", "__version__", "load", "run"]
 
 
-def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever the name stands for
-    """Load a room when it is first asked for: `testbed --help` needs none of them."""
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - a class or a function
+    """Import a public name when it is first used, so that `testbed --help` imports none of them."""
     if name in ("Run", "run"):
-        from testbed.sim import run as room
+        from testbed.sim import run as module
 
-        return getattr(room, name)
-    if name in ("Flight", "load"):
-        from testbed.record import flight
+        return getattr(module, name)
+    if name in ("FlightData", "load"):
+        from testbed.logs import flight_data
 
-        return getattr(flight, name)
+        return getattr(flight_data, name)
     raise AttributeError(f"module 'testbed' has no attribute {name!r}")

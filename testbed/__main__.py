@@ -1,5 +1,5 @@
-"""`python -m testbed` is the command line."""
+"""Run the command line with `python -m testbed`."""
 
-from testbed.cli import main
+from testbed.cli.main import main
 
 main()

@@ -1,34 +1,76 @@
-"""What a formation law of your own needs: `controller: {law: "module:Class"}` on the page.
+"""Types for a formation law of your own: `controller: {law: "module:Class"}` in a scenario.
 
     class MyLaw:
-        def __init__(self, team: Team, *, gain: float = 0.3) -> None: ...
+        def __init__(self, config: FormationConfig, *, gain: float = 0.3) -> None: ...
         def start(self, own: VehicleState) -> Memory: ...
         def step(self, now, own, inbox, memory) -> tuple[UnicycleCommand | FbwaCommand, Memory]: ...
 
-`module` is a file beside the page or an installed one; the page's `controller.options` are the
-keyword arguments. A law steps n followers at once (`team.names`); every array it gets or gives has
-one row for each, and row i may depend on what follower i knows and on nothing else: `own` row i is
-its own estimate, `inbox` row i the newest message it has received of each of the N aircraft (the
-leader's in column 0; nan: nothing heard yet). It must not write into what it is given, and what it
-remembers goes out and comes in as a value. It answers with
+`module` is a file beside the scenario, or an installed module; `controller.options` are the keyword
+arguments. `start` is called once, with the first estimates, and returns the memory before the first
+step; `step` is called every control period, at time `now` (s), and returns the command and the new
+memory.
 
-- a `UnicycleCommand`: ground speed u, turn ω, desired speed and direction. The middle loop of the
-  paper turns that into pitch, roll and throttle, and an ideal vehicle flies it as it is; or
-- an `FbwaCommand`: pitch, roll, throttle, the sticks of fly-by-wire A.
+A law steps n followers at once, of N aircraft. Each array has one row per follower, and row i of
+the command may depend on row i of `own` and `inbox` only: on what follower i knows. A law must not
+modify its inputs, and carries its state in the memory only. `testbed validate` checks these rules
+(`testbed.sim.law_contract`).
 
-`testbed validate` holds a law to all of that (`testbed.sim.law_contract`).
+Vectors are north, east, down (NED) from the scenario's origin; angles in rad, rates in rad/s.
+
+`FormationConfig`, the first argument of the class:
+
+- `names`: of the n followers. `agents` (n,): their rows among the N aircraft; the leader's is 0.
+- `offsets` (N, 3) m: slots, forward, right, down in the leader's velocity frame; 0 for the leader.
+- `gains` (n, N, 3): β_i of the leader in column 0, β_ij of the neighbours; per axis of NED.
+- `speed_min`, `speed_max` (n,) m/s: bounds of the ground speed, or of the airspeed with
+  `controller.bounded_speed: airspeed`.
+- `speed_pole` (n,) 1/s: p of the speed model ds/dt = p (u − s).
+- `pitch_limit`, `roll_limit` (n,) rad: of the fly-by-wire-A command.
+- `trim_throttle` (n,), 0 to 1: for level flight at `trim_airspeed` (n,) m/s.
+- `dt` s: control period.
+- `leader_timeout_s`, `neighbour_timeout_s` s: age at which messages of the leader, and of a
+  neighbour, should no longer be used.
+- `hbh23`: the built-in law of [HBH23] with the scenario's gains, for a law that extends it.
+
+`VehicleState`, the argument `own`, each follower's estimate of itself:
+
+- `position_ned` (n, 3) m; `velocity_ned` (n, 3) m/s, over the ground; `acceleration_ned` (n, 3)
+  m/s², its derivative.
+- `euler` (n, 3): roll, pitch, yaw. `rates_body` (n, 3): p, q, r.
+- `airspeed` (n,) m/s: true. `equivalent_airspeed` (n,) m/s: what a pitot tube measures.
+
+`Inbox`, the newest message that each follower has received of each aircraft, the leader's in column
+0; NaN before the first:
+
+- `stamp_s` (n, N) s: time of the measurement on the sender's clock. `received_s` (n, N) s: time of
+  arrival on the receiver's clock.
+- `position_ned`, `velocity_ned`, `acceleration_ned` (n, N, 3): as above. `euler`, `euler_rates`
+  (n, N, 3): roll, pitch, yaw, and their derivatives.
+
+Commands; a number stands for all rows:
+
+- `UnicycleCommand`, the inputs of the extended unicycle, [HBH23] (2) and (3). The middle loop turns
+  it into pitch, roll and throttle; `vehicle: unicycle` flies it directly.
+  `speed` (n,) m/s: u, commanded ground speed.
+  `omega` (n, 3): ω, angular velocity of the zero-roll velocity frame in its own axes forward,
+  right, down: (0, pitch rate, yaw rate).
+  `speed_desired` (n,) m/s: s_d, and `direction` (n, 3): y_d, a unit vector in NED; desired motion
+  for the middle loop and the log.
+  `limiter_flags` (n,): bit set of `LimiterFlag`, which limits acted; 0 for none.
+- `FbwaCommand`, what ArduPlane's mode FBWA takes from the sticks: `pitch` (n,) rad, nose up
+  positive; `roll` (n,) rad, right wing down positive; `throttle` (n,), 0 to 1.
 """
 
-from testbed.formation.flags import Guard
-from testbed.formation.law import Law, Team
-from testbed.state import FbwaCommand, Inbox, UnicycleCommand, VehicleState
+from testbed.core.records import FbwaCommand, Inbox, UnicycleCommand, VehicleState
+from testbed.formation.flags import LimiterFlag
+from testbed.formation.law import FormationConfig, Law
 
 __all__ = [
     "FbwaCommand",
-    "Guard",
+    "FormationConfig",
     "Inbox",
     "Law",
-    "Team",
+    "LimiterFlag",
     "UnicycleCommand",
     "VehicleState",
 ]

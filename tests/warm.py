@@ -5,12 +5,12 @@ usage: python tests/warm.py sensors|flights
 
 import sys
 
-from testbed.scenario import load, shorten
+from testbed.scenario import load, set_duration
+from testbed.sim.build import build
 from testbed.sim.run import run
-from testbed.sim.world import build
 
 if sys.argv[1] == "sensors":  # takes as long as all the rest
     build(load("simulation-3-pixhawk"))
 else:
     for name in ("simulation-3", "turbulence-moderate", "close-formation-wake"):
-        run(shorten(load(name, ["log.mcap=false"]), 0.5), write=False)
+        run(set_duration(load(name, ["log.mcap=false"]), 0.5), write=False)

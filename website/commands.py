@@ -7,15 +7,16 @@ from typing import Any
 
 import typer
 
-from testbed.cli import EXITS, app
+from testbed.cli.exit_codes import EXIT_CODES_HELP
+from testbed.cli.main import app
 
 
 def markdown() -> str:
     """One part for each command, in the order of `testbed --help`."""
     group: Any = typer.main.get_command(app)
-    parts = [f"{EXITS}\n"]
+    parts = [f"{EXIT_CODES_HELP}\n"]
     for name in group.commands:
-        command = group.whole(name)
+        command = group.full_command(name)
         parts += [f"## testbed {name}\n", f"```text\n{usage(name, command)}\n```\n"]
         parts += [f"{plain(command.help)}\n", table(command)]
     return "\n".join(parts)

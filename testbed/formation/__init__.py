@@ -1,7 +1,7 @@
-"""The paper: formation control of fixed-wing aircraft with strict speed constraints.
+"""Formation control of fixed-wing aircraft with strict speed constraints.
 
 [HBH23] C. Heintz, S. C. C. Bailey, J. B. Hoagg, "Formation control for autonomous fixed-wing air
-vehicles with strict speed constraints", Autonomous Robots, 2023. Pure functions over agents on the
-leading axis; all they are told of another aircraft is what its messages said. `paper.md` maps
-symbols and equations to the names used here.
+vehicles with strict speed constraints", Autonomous Robots, 2023. The kernels compute for one
+follower, which knows of other aircraft only the messages that it has received. `paper.md` maps the
+paper's symbols and equations to the names used here.
 """

@@ -1,35 +1,44 @@
-"""Which hypotheses of [HBH23] hold, as far as a world tells before it flies.
+"""Checks of the hypotheses of [HBH23] before a flight.
 
-(C1) and (C2) need no check here: `control_function.example_1` refuses what breaks them.
+`control_function.example_1` checks (C1) and (C2).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from testbed.formation.barrier import NO_BARRIER, Barrier, h
-from testbed.formation.laws import SLOPE_FLOOR, SpeedSet
-from testbed.state import Array
+from testbed.core.records import Array
+from testbed.formation.barrier import NO_BARRIER, Barrier, barrier_curve
+from testbed.formation.hbh23 import SLOPE_FLOOR
 
-GRID = 2001  # speeds at which a barrier is looked at, on S and to either side
-OUTSIDE = 5.0  # how far past the bounds that is, m/s; nobody is meant to fly there
+GRID = 2001  # speeds at which a barrier is checked, on S and on either side
+OUTSIDE = 5.0  # m/s, how far beyond the bounds a barrier is checked
+
+
+class SpeedSet(NamedTuple):
+    """Bounds of S and S_d, the sets of speeds and desired speeds of n agents; m/s, (n,) each."""
+
+    min: Array  # s_lo
+    max: Array  # s_hi
+    desired_min: Array  # s_lo + ε, with ε = κ − k ρ̄ by fact 1
+    desired_max: Array  # s_hi − ε
 
 
 class Finding(NamedTuple):
     """A hypothesis that does not hold, or may not."""
 
     agent: int  # row of the follower
-    about: str  # key of the page that it is about
-    number: float  # how far off: the unit and the sign are said in the text
+    about: str  # key of the scenario
+    number: float  # margin or violation; the text has its unit
     text: str  # one sentence with what to write instead
 
 
 def by_text(findings: Iterable[Finding]) -> dict[str, list[int]]:
-    """The agents of which the same is said, by what is said, in order of appearance."""
+    """Group agents by the text of their findings, in order of appearance."""
     agents: dict[str, list[int]] = {}
     for finding in findings:
         agents.setdefault(finding.text, []).append(finding.agent)
@@ -37,12 +46,12 @@ def by_text(findings: Iterable[Finding]) -> dict[str, list[int]]:
 
 
 def margin(k: Array, kappa: Array, bound: float | Array) -> Array:
-    """ε = κ − k ρ̄ (n,) m/s: how far the desired speed stays from the bounds, fact 1."""
+    """Return ε = κ − k ρ̄ (n,), m/s, the distance of the desired speed from the bounds, fact 1."""
     return kappa - k * bound
 
 
 def check_gain(k: Array, kappa: Array, bound: float | Array) -> list[Finding]:
-    """That k < κ/ρ̄, as [HBH23] eq. (7) demands; the number is ε, m/s.
+    """Check that k < κ/ρ̄, as [HBH23] eq. (7) requires; the number is ε, m/s.
 
     Args:
         k: (n,) m/s over ρ̄.
@@ -64,62 +73,57 @@ def check_gain(k: Array, kappa: Array, bound: float | Array) -> list[Finding]:
 
 
 def check_kappa(kappa: Array, low: Array, high: Array) -> list[Finding]:
-    """That there are speeds in (s_lo + κ, s_hi − κ); the number is how many m/s of them.
+    """Check that (s_lo + κ, s_hi − κ) is not empty; the number is its width, m/s.
 
     Args:
         kappa: κ (n,) m/s.
         low: s_lo (n,) m/s.
         high: s_hi (n,) m/s.
     """
-    room = high - low - 2.0 * kappa
+    width = high - low - 2.0 * kappa
     return [
         Finding(
             i,
             "formation.kappa_mps",
-            float(room[i]),
+            float(width[i]),
             f"kappa = {kappa[i]:g} m/s leaves no speed between {low[i]:g} + kappa and {high[i]:g} "
             "- kappa: no leader can be followed within the speed bounds (write a "
             f"formation.kappa_mps below {(high[i] - low[i]) / 2.0:g}, or a wider "
             "formation.speed_mps)",
         )
-        for i in np.flatnonzero(~(room > 0.0)).tolist()
+        for i in np.flatnonzero(~(width > 0.0)).tolist()
     ]
 
 
-def check_barrier(barrier: Barrier, speeds: SpeedSet) -> list[Finding]:
-    """(B1)-(B5) for every agent, on S x S_d and up to 5 m/s outside S.
+def check_barrier(barriers: Sequence[Barrier], speeds: SpeedSet) -> list[Finding]:
+    """Check (B1)-(B5) for every agent, on S x S_d and up to 5 m/s outside S.
 
-    Where S_d lies in S every ν > 0 keeps all five in examples 4 and 5, and every ν up to half the
-    width of S in example 6. Example 4: the divisor h(s) + (s_d − s) h'(s) of (14) is
+    If S_d is in S, all five hold in examples 4 and 5 for every ν > 0, and in example 6 for every ν
+    up to half the width of S. Example 4: the divisor h(s) + (s_d − s) h'(s) of (14) is
     h(s_d) + ν (s_d − s)². Example 5: times cosh² it is at least that, as sinh 2w >= 2w. Example 6
     is concave, so that no tangent lies below it and the divisor is at least h(s_d).
 
-    Example 5 also keeps (B3) and (B4), but only in exact arithmetic: outside S its slope soon
-    drops below the smallest that the law divides by. That is a finding where it happens within
-    those 5 m/s. Example 7, h = 1, breaks (B2)-(B4) by design: one finding says so.
+    Example 5 satisfies (B3) and (B4) only in exact arithmetic: outside S its slope soon falls below
+    the smallest that the law divides by. That is a finding if it happens within those 5 m/s.
+    Example 7, h = 1, violates (B2)-(B4) by design, which is one finding.
     """
-    count = len(speeds.low)
-    example = np.broadcast_to(barrier.example, count)
-    nu = np.broadcast_to(barrier.nu, count)
     return [
         Finding(i, "formation.barrier", number, text)
-        for i in range(count)
-        for number, text in _broken(
-            Barrier(int(example[i]), float(nu[i])), *(float(each[i]) for each in speeds)
-        )
+        for i, barrier in enumerate(barriers)
+        for number, text in _broken(barrier, *(float(each[i]) for each in speeds))
     ]
 
 
 def _broken(
     barrier: Barrier, low: float, high: float, desired_low: float, desired_high: float
 ) -> Iterator[tuple[float, str]]:
-    """What one agent's barrier breaks: a number and a sentence each."""
+    """Yield the conditions that one agent's barrier violates: a number and a text each."""
     if barrier.example == NO_BARRIER:
-        # h outside S, where (B2) wants it negative
+        # h outside S, where (B2) requires h < 0
         yield (
             1.0,
-            "no barrier: speeds are kept by saturation instead, and nothing proves that they stay "
-            "within the speed bounds (write formation.barrier: {example: 5, nu: 0.05} for a "
+            "no barrier: speeds are limited by saturation, without a proof that they stay within "
+            "the speed bounds (write formation.barrier: {example: 5, nu: 0.05} for a "
             "barrier)",
         )
         return
@@ -134,7 +138,7 @@ def _broken(
         return
 
     def at(s: Array) -> tuple[Array, Array]:
-        return h(barrier, s, np.full_like(s, low), np.full_like(s, high))
+        return barrier_curve(barrier, s, low, high)
 
     inside = np.linspace(low, high, GRID)[1:-1]
     below = np.linspace(low, max(low - OUTSIDE, 0.0), GRID)
@@ -161,7 +165,7 @@ def _broken(
             )
     if float(barrier.nu) > 0.0:
         yield from _flat(barrier, above - high, slope_above)
-    # The divisor is affine in s_d: its smallest value lies at an end of S_d.
+    # the divisor is affine in s_d: it is smallest at an end of S_d
     for s_d in (desired_low, desired_high):
         divisor = value + (s_d - inside) * slope
         bad = np.flatnonzero(divisor <= 0.0)
@@ -169,28 +173,28 @@ def _broken(
             worst = int(divisor.argmin())
             yield (
                 float(divisor[worst]),
-                f"(B5) fails: towards s_d = {s_d:.4g} m/s the divisor of the speed control is down "
-                f"to {divisor[worst]:.3g}, and not positive from {inside[bad[0]]:.4g} to "
+                f"(B5) fails: towards s_d = {s_d:.4g} m/s the divisor of the speed control is "
+                f"{divisor[worst]:.3g} at worst, and not positive from {inside[bad[0]]:.4g} to "
                 f"{inside[bad[-1]]:.4g} m/s (write a smaller formation.k, a larger "
                 "formation.kappa_mps, or formation.speed_desired_mps within the speed bounds)",
             )
 
 
 def _flat(barrier: Barrier, past: Array, slope: Array) -> Iterator[tuple[float, str]]:
-    """Where the slope is too small to divide by, `past` (m/s) the bounds; both ends are alike."""
+    """Yield the distance `past` (m/s) the bounds at which the slope is too small to divide by."""
     flat = np.abs(slope) < SLOPE_FLOOR
     if flat.any():
         distance = float(past[flat.argmax()])
         yield (
             distance,
             f"barrier {barrier.example} with nu = {barrier.nu:g} is flat to machine precision from "
-            f"{distance:.2g} m/s past the speed bounds: farther out only the clip on the commanded "
-            "airspeed acts (write a smaller nu of formation.barrier)",
+            f"{distance:.2g} m/s past the speed bounds: farther out only the limit on the "
+            "commanded airspeed acts (write a smaller nu of formation.barrier)",
         )
 
 
 def largest_kappa(slowest: Array, fastest: Array, low: Array, high: Array) -> Array:
-    """The κ (n,) m/s below which Assumption 1 holds; where it is not positive, for none.
+    """Return the κ (n,), m/s, below which Assumption 1 holds; not positive: for none.
 
     Args:
         slowest: smallest ‖q̇_g + χ̇_i‖ (n,) m/s.
@@ -204,7 +208,7 @@ def largest_kappa(slowest: Array, fastest: Array, low: Array, high: Array) -> Ar
 def check_slot_speed(
     slowest: Array, fastest: Array, kappa: Array, low: Array, high: Array, *, possible: bool
 ) -> list[Finding]:
-    """Assumption 1: ‖q̇_g + χ̇_i‖ stays in (s_lo + κ, s_hi − κ); the number is `largest_kappa`.
+    """Check Assumption 1, ‖q̇_g + χ̇_i‖ in (s_lo + κ, s_hi − κ); the number is `largest_kappa`.
 
     Args:
         slowest: smallest ‖q̇_g + χ̇_i‖ (n,) m/s.
@@ -212,26 +216,26 @@ def check_slot_speed(
         kappa: κ (n,) m/s.
         low: s_lo (n,) m/s.
         high: s_hi (n,) m/s.
-        possible: these speeds are what the leader's limits allow (`slot_speed_range`), not what
-            it is known to fly (`slot_speed`).
+        possible: the speeds are those that the leader's limits allow (`slot_speed_range`), not
+            those of its known path (`slot_speed`).
     """
-    room = largest_kappa(slowest, fastest, low, high)
+    limit = largest_kappa(slowest, fastest, low, high)
     return [
         Finding(
             i,
             "formation.kappa_mps",
-            float(room[i]),
+            float(limit[i]),
             f"the slot {'may move' if possible else 'moves'} at {slowest[i]:.2f} to "
             f"{fastest[i]:.2f} m/s over the ground, but Assumption 1 with kappa = {kappa[i]:g} "
-            f"wants it between {low[i] + kappa[i]:g} and {high[i] - kappa[i]:g} "
-            f"(write {_remedy(float(room[i]))}a wider formation.speed_mps, or a leader that turns "
+            f"requires {low[i] + kappa[i]:g} to {high[i] - kappa[i]:g} "
+            f"(write {_remedy(float(limit[i]))}a wider formation.speed_mps, or a leader that turns "
             "wider)",
         )
-        for i in np.flatnonzero(~(room > kappa)).tolist()
+        for i in np.flatnonzero(~(limit > kappa)).tolist()
     ]
 
 
-def _remedy(room: float) -> str:
-    """The κ to write, rounded down so that it lies below the largest; none if that is nothing."""
-    kappa = (math.ceil(100.0 * room) - 1) / 100.0
+def _remedy(limit: float) -> str:
+    """Suggest a κ below the limit, rounded down; "" if the limit is not positive."""
+    kappa = (math.ceil(100.0 * limit) - 1) / 100.0
     return f"formation.kappa_mps: {kappa:g}, " if kappa > 0.0 else ""

@@ -2,51 +2,70 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from math import tanh
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from testbed.state import Array
+from testbed.core.compile import entry, kernel
+from testbed.core.records import Array, Record, Records, Values, allocate
 
 NO_BARRIER = 7  # h = 1, as in the paper's experiments: the speeds are saturated instead
+
+BARRIER = np.dtype([("example", "i8"), ("nu", "f8")], align=True)
 
 
 class Barrier(NamedTuple):
     """h by the number of its example in [HBH23].
 
     4: ν (s_hi − s)(s − s_lo), ν in s²/m². 5: tanh of example 4. 6: 1 but for parabolas within ν
-    (m/s) of either bound and beyond. 7: no barrier, h = 1. Fields are numbers for all agents, or
-    arrays (n,) with one for each: `per_agent`.
+    (m/s) of either bound and beyond. 7: no barrier, h = 1.
     """
 
-    example: int | NDArray[np.int64]
-    nu: float | Array
+    example: int
+    nu: float
 
 
-def per_agent(barriers: Sequence[Barrier]) -> Barrier:
-    """One barrier for each of n agents."""
-    example, nu = zip(*barriers, strict=True)
-    return Barrier(np.array(example, dtype=np.int64), np.array(nu, dtype=np.float64))
+@kernel
+def h(barrier: Record, s: float, s_min: float, s_max: float) -> Values:
+    """Return the barrier and its slope at a ground speed s, m/s.
 
-
-def h(barrier: Barrier, s: Array, s_lo: Array, s_hi: Array) -> tuple[Array, Array]:
-    """Value and slope of the barrier at ground speeds s (n,) and bounds (n,), m/s."""
-    example, nu = barrier
-    product = nu * (s_hi - s) * (s - s_lo)
-    product_slope = nu * (s_hi + s_lo - 2.0 * s)
-    smooth = np.tanh(product)
-    # how far s has left the flat part of example 6, in parts of ν: negative below it
-    width = np.where(example == 6, nu, 1.0)
-    past = (np.maximum(s + width - s_hi, 0.0) - np.maximum(s_lo + width - s, 0.0)) / width
-    chosen = [example == 4, example == 5, example == 6]
-    shape = np.shape(s)
-    choices = [np.broadcast_to(each, shape) for each in chosen]
-    value = np.select(choices, [product, smooth, 1.0 - past * past], 1.0)
-    slope = np.select(
-        choices,
-        [product_slope, product_slope * (1.0 - smooth * smooth), -2.0 * past / width],
-        0.0,
-    )
+    Args:
+        barrier: record of BARRIER.
+        s: m/s.
+        s_min: s_lo, m/s.
+        s_max: s_hi, m/s.
+    """
+    nu = barrier.nu
+    if barrier.example == NO_BARRIER:
+        return 1.0, 0.0
+    if barrier.example == 6:
+        # how far s has left the flat part, in parts of ν: negative below it
+        past = (max(s + nu - s_max, 0.0) - max(s_min + nu - s, 0.0)) / nu
+        return 1.0 - past * past, -2.0 * past / nu
+    value, slope = nu * (s_max - s) * (s - s_min), nu * (s_max + s_min - 2.0 * s)
+    if barrier.example == 5:
+        value = tanh(value)
+        slope *= 1.0 - value * value
     return value, slope
+
+
+def barrier_curve(barrier: Barrier, s: Array, s_min: float, s_max: float) -> tuple[Array, Array]:
+    """Sample h and h' at ground speeds s (K,), m/s, for figures and checks."""
+    out = np.empty((2, len(s)))
+    _write_curve(barrier_records(barrier), np.ascontiguousarray(s, dtype=float), s_min, s_max, out)
+    return out[0], out[1]
+
+
+def barrier_records(*barriers: Barrier) -> Records:
+    """Pack barriers into records (n,) of BARRIER."""
+    records = allocate(BARRIER, len(barriers))
+    for record, barrier in zip(records, barriers, strict=True):
+        record["example"], record["nu"] = barrier
+    return records
+
+
+@entry
+def _write_curve(barrier: Records, s: Array, s_min: float, s_max: float, out: Array) -> None:
+    for k in range(len(s)):
+        out[0, k], out[1, k] = h(barrier[0], s[k], s_min, s_max)

@@ -1,24 +1,17 @@
-"""Bit flags that say which guard or saturation acted on an agent's command, and who is missed."""
+"""Bit flags of the limiters and saturations that acted on a command."""
 
 from __future__ import annotations
 
 from enum import IntFlag
 
 
-class Guard(IntFlag):
-    """A guard that kept the control law inside its domain."""
+class LimiterFlag(IntFlag):
+    """A limiter of the control law that acted."""
 
-    SPEED_DESIRED_CLAMPED = 1  # s_d left S_d and was clamped, its derivative zeroed
-    OUTSIDE_SPEED_SET = 2  # s left S: the second branch of (14)
-    SPEED_COMMAND_CLIPPED = 4  # u + s_a − s left the speed bounds
-    LEADER_SILENT = 8  # the leader was not heard for too long
-
-
-class Missing(IntFlag):
-    """What there is to tell of who hears whom."""
-
-    OVERDUE = 1  # of a neighbour, or no longer
-    DEAF = 2  # somebody, to the leader
+    SPEED_DESIRED_CLAMPED = 1  # s_d was outside S_d and clamped, its derivative set to zero
+    OUTSIDE_SPEED_SET = 2  # s is outside S: second branch of (14)
+    SPEED_COMMAND_CLIPPED = 4  # u + s_a − s was outside the speed bounds
+    LEADER_TIMEOUT = 8  # no message of the leader for leader_timeout_s
 
 
 class Saturation(IntFlag):

@@ -2,228 +2,195 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, NamedTuple
+from math import atan, atan2, cos, floor, hypot, isnan, nan, pi, sin, sqrt
 
 import numpy as np
 
-from testbed.compiled import twin_of
-from testbed.formation.arrays import norm
-from testbed.formation.flags import Guard, Saturation
-from testbed.formation.geometry import GRAVITY, velocity_rates
-from testbed.formation.law import Diagnosis
-from testbed.frames import course, flight_path_angle, wrap_pi
-from testbed.state import Array, FbwaCommand, Truths, UnicycleCommand, VehicleState
+from testbed.core.compile import kernel
+from testbed.core.records import Record, Records, Values, allocate
+from testbed.formation.flags import LimiterFlag, Saturation
+from testbed.formation.velocity_frame import GRAVITY, velocity_rates
 
 PITCH, ROLL, THROTTLE = map(int, (Saturation.PITCH, Saturation.ROLL, Saturation.THROTTLE))
-CLIPPED = int(Guard.SPEED_COMMAND_CLIPPED)
+CLIPPED = int(LimiterFlag.SPEED_COMMAND_CLIPPED)
 
-
-class MiddleLoopGains(NamedTuple):
-    """Gains of n agents, every array (n,); angles in rad, throttle as a fraction of full.
-
-    The last six are not in the paper; at zero they change nothing.
-    """
-
-    climb_p: Array  # k_γp, rad per rad
-    climb_i: Array  # k_γi, 1/s
-    climb_d: Array  # k_γd, s
-    course_p: Array  # k_σp, rad per rad
-    course_i: Array  # k_σi, 1/s
-    course_d: Array  # k_σd, s
-    speed_p: Array  # k_sp, throttle per m/s
-    speed_i: Array  # k_si, throttle per m
-    eta_speed: Array  # η_s, throttle per m/s
-    eta_bank: Array  # η_φ, throttle
-    trim_throttle: Array  # η_0, throttle
-    trim_airspeed: Array  # s_a0, m/s
-    pitch_limit: Array  # rad
-    roll_limit: Array  # rad
-    altitude_p: Array  # rad per m, of the horizontal variant's altitude hold
-    altitude_i: Array  # rad per m s
-    altitude_d: Array  # rad per m/s
-    incidence: Array  # 0 or 1: share of θ − γ fed forward to the pitch command
-    turn_incidence: Array  # rad, extra incidence per extra load factor, by the bank
-    roll_lead: Array  # s, by how much the coordinated turn's bank is commanded early
-    lead_filter: Array  # s, of the derivative that this takes
-    eta_climb: Array  # throttle per sin γ_d
-    rate_filter: Array  # s, of the filters on σ̇ and γ̇
-
-
-class MiddleLoopMemory(NamedTuple):
-    """The integrals of (19)-(21) and what is filtered, (n,) each; nan: not begun."""
-
-    climb: Array  # rad s
-    course: Array  # rad s
-    speed: Array  # m
-    altitude: Array  # m s
-    course_rate: Array  # rad/s
-    climb_rate: Array  # rad/s
-    turn_bank: Array  # rad, of the coordinated turn
-    turn_bank_rate: Array  # rad/s
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class MiddleLoop:
-    """The middle loops of n agents."""
-
-    gains: MiddleLoopGains
-    speed_low: Array  # (n,) m/s, the commanded airspeed is clipped to these
-    speed_high: Array  # (n,) m/s
-    altitude: Array  # (n,) m above the origin to hold by pitch; nan: (19) flies the pitch
-    # Take the (·) of (21) as s_a − u, as printed, which fights the feed-forward in wind; the
-    # default is s_a less the commanded airspeed, equal where there is no wind.
-    airspeed_error_as_printed: bool
-    dt: float  # s, control period
-
-    def start(self) -> MiddleLoopMemory:
-        """Integrals at rest, nothing filtered yet."""
-        n = len(self.altitude)
-        rest, never = np.zeros(n), np.full(n, np.nan)
-        return MiddleLoopMemory(rest, rest, rest, rest, never, never, never, rest)
-
-    def step(
-        self, own: VehicleState, told: UnicycleCommand, memory: MiddleLoopMemory
-    ) -> tuple[FbwaCommand, MiddleLoopMemory, Diagnosis]:
-        """One step: the command, the memory for the next, and what was after what."""
-        return STEP(self, own, told, memory)
-
-    @cached_property
-    def table(self) -> Any:  # noqa: ANN401 - a structured array
-        """What each agent is given, as one array of records for the compiled twin."""
-        table = np.zeros(len(self.altitude), dtype=LOOP)
-        for name in LOOP.names or ():
-            source = self.gains if name in MiddleLoopGains._fields else self
-            table[name] = getattr(source, name)
-        return table
-
-
+# Gains of one follower; angles in rad, throttle as a fraction of full. Those marked * are not in
+# the paper; at zero they change nothing.
 LOOP = np.dtype(
-    [(n, "f8") for n in (*MiddleLoopGains._fields, "speed_low", "speed_high", "altitude")]
+    [
+        ("gamma_p", "f8"),  # k_γp, rad per rad
+        ("gamma_i", "f8"),  # k_γi, 1/s
+        ("gamma_d", "f8"),  # k_γd, s
+        ("course_p", "f8"),  # k_σp, rad per rad
+        ("course_i", "f8"),  # k_σi, 1/s
+        ("course_d", "f8"),  # k_σd, s
+        ("speed_p", "f8"),  # k_sp, throttle per m/s
+        ("speed_i", "f8"),  # k_si, throttle per m
+        ("eta_speed", "f8"),  # η_s, throttle per m/s
+        ("eta_bank", "f8"),  # η_φ, throttle
+        ("trim_throttle", "f8"),  # η_0, throttle
+        ("trim_airspeed", "f8"),  # s_a0, m/s
+        ("pitch_limit", "f8"),  # rad
+        ("roll_limit", "f8"),  # rad
+        ("altitude_p", "f8"),  # rad per m, of the horizontal variant's altitude hold
+        ("altitude_i", "f8"),  # rad per m s
+        ("altitude_d", "f8"),  # rad per m/s
+        ("incidence", "f8"),  # * 0 or 1: share of θ − γ fed forward to the pitch command
+        ("turn_incidence", "f8"),  # * rad, extra incidence per extra load factor, by the bank
+        ("roll_lead", "f8"),  # * s, by how much the coordinated turn's bank is commanded early
+        ("lead_filter", "f8"),  # * s, of the derivative that this takes
+        ("eta_climb", "f8"),  # * throttle per sin γ_d
+        ("rate_filter", "f8"),  # * s, of the filters on σ̇ and γ̇
+        ("speed_min", "f8"),  # m/s, the commanded airspeed is clipped to these
+        ("speed_max", "f8"),  # m/s
+        ("altitude", "f8"),  # m above the origin to hold by pitch; nan: (19) flies the pitch
+        # The (·) of (21) is s_a − u, as printed, which opposes the feed-forward in wind; otherwise
+        # it is s_a minus the commanded airspeed, which is equal where there is no wind.
+        ("airspeed_error_as_printed", "?"),
+        ("dt", "f8"),  # s, control period
+    ],
+    align=True,
+)
+# The integrals of (19)-(21) and the filters of one follower; nan: not started.
+MEMORY = np.dtype(
+    [
+        ("gamma", "f8"),  # rad s
+        ("course", "f8"),  # rad s
+        ("speed", "f8"),  # m
+        ("altitude", "f8"),  # m s
+        ("chi_dot", "f8"),  # rad/s, filtered
+        ("gamma_dot", "f8"),  # rad/s, filtered
+        ("turn_bank", "f8"),  # rad, of the coordinated turn
+        ("turn_bank_rate", "f8"),  # rad/s, filtered
+    ],
+    align=True,
 )
 
 
-def middle_step(
-    loop: MiddleLoop, own: VehicleState, told: UnicycleCommand, memory: MiddleLoopMemory
-) -> tuple[FbwaCommand, MiddleLoopMemory, Diagnosis]:
-    """(19)-(21) for n agents; see `MiddleLoop.step`.
+def initial_memory(n: int) -> Records:
+    """Return the memory (n,) of middle loops whose integrals are zero and filters not started."""
+    memory = allocate(MEMORY, n)
+    for name in ("chi_dot", "gamma_dot", "turn_bank"):
+        memory[name] = nan
+    return memory
+
+
+@kernel
+def middle_loop(loop: Record, own: Record, memory: Record, out: Record, command: Record) -> None:
+    """Turn (u, ω) of one follower into pitch, roll and throttle.
+
+    γ̇_d ≈ e2ᵀω and σ̇_d ≈ e3ᵀω / cos γ.
 
     Args:
-        loop: gains and options.
-        own: what the agents believe of their motion.
-        told: u, ω and y_d; γ̇_d ≈ e2ᵀω and σ̇_d ≈ e3ᵀω / cos γ.
-        memory: of the step before.
+        loop: record of LOOP.
+        own: record of MOTION, the follower's estimate.
+        memory: record of MEMORY; written.
+        out: record of FOLLOWER: speed_command, omega, direction and limiter_flags are read;
+            limiter_flags, saturations and what is commanded and desired are written.
+        command: record of COMMAND; written.
     """
-    gains, dt = loop.gains, loop.dt
-    holding = ~np.isnan(loop.altitude)
-    # in the horizontal variant u and ω are motions in the plane, and so is what they are held to
-    velocity = own.velocity_ned.copy()
-    velocity[:, 2] = np.where(holding, 0.0, velocity[:, 2])
-    speed = norm(velocity)
-    unguarded = told.speed + own.airspeed - speed
-    airspeed_command = np.minimum(np.maximum(unguarded, loop.speed_low), loop.speed_high)
-    measured = velocity_rates(velocity, own.acceleration_ned)
-    share = dt / (dt + gains.rate_filter)
-    course_rate = _average(memory.course_rate, measured[0], share)
-    climb_rate = _average(memory.climb_rate, measured[1], share)
-    climb, climb_desired = flight_path_angle(velocity), flight_path_angle(told.direction)
-    course_desired = course(told.direction)
-    bank, attitude = own.euler[:, 0], own.euler[:, 1]
+    y_d, omega, velocity = out.direction, out.omega, own.velocity_ned
+    holds_altitude = not isnan(loop.altitude)
+    # in the horizontal variant u and ω are motions in the plane, and so is what they act on
+    v = (velocity[0], velocity[1], 0.0 if holds_altitude else velocity[2])
+    s = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    airspeed, phi, dt = own.airspeed, own.euler[0], loop.dt
+    unlimited = out.speed_command + airspeed - s
+    airspeed_command = min(max(unlimited, loop.speed_min), loop.speed_max)
+    chi_dot, gamma_dot = velocity_rates(v, own.acceleration_ned)
+    share = dt / (dt + loop.rate_filter)
+    chi_dot = _average(memory.chi_dot, chi_dot, share)
+    gamma_dot = _average(memory.gamma_dot, gamma_dot, share)
+    gamma = atan2(-v[2], hypot(v[0], v[1]))
+    gamma_d, course_d = atan2(-y_d[2], hypot(y_d[0], y_d[1])), atan2(y_d[1], y_d[0])
 
-    climb_error = climb - climb_desired
-    pitch = (
-        climb_desired
-        - gains.climb_p * climb_error
-        - gains.climb_i * memory.climb
-        - gains.climb_d * (climb_rate - told.turn[:, 1])
-        + gains.incidence * (attitude - climb)
-        + gains.turn_incidence * (1.0 / np.cos(bank) - 1.0)
+    # (19), or altitude hold in the horizontal variant
+    gamma_error = gamma - gamma_d
+    pitch_by_path = (
+        gamma_d
+        - loop.gamma_p * gamma_error
+        - loop.gamma_i * memory.gamma
+        - loop.gamma_d * (gamma_dot - omega[1])
+        + loop.incidence * (own.euler[1] - gamma)
+        + loop.turn_incidence * (1.0 / cos(phi) - 1.0)
     )
-    height_error = np.where(holding, -own.position_ned[:, 2] - loop.altitude, 0.0)
-    hold = (
-        -gains.altitude_p * height_error
-        - gains.altitude_i * memory.altitude
-        + gains.altitude_d * own.velocity_ned[:, 2]
+    height_error = -own.position_ned[2] - loop.altitude if holds_altitude else 0.0
+    pitch_by_altitude = (
+        -loop.altitude_p * height_error
+        - loop.altitude_i * memory.altitude
+        + loop.altitude_d * velocity[2]
     )
 
-    course_rate_desired = told.turn[:, 2] / np.cos(climb)
-    turn_bank = np.arctan(course_rate_desired * speed * np.cos(climb) / GRAVITY)
-    last = np.where(np.isnan(memory.turn_bank), turn_bank, memory.turn_bank)
-    turn_bank_rate = memory.turn_bank_rate + dt / (dt + gains.lead_filter) * (
-        (turn_bank - last) / dt - memory.turn_bank_rate
-    )
-    course_error = wrap_pi(course(velocity) - course_desired)
+    # (20)
+    chi_dot_d = omega[2] / cos(gamma)
+    turn_bank = atan(chi_dot_d * s * cos(gamma) / GRAVITY)
+    last = memory.turn_bank
+    slope = 0.0 if isnan(last) else (turn_bank - last) / dt
+    slope_before = memory.turn_bank_rate
+    slope = slope_before + dt / (dt + loop.lead_filter) * (slope - slope_before)
+    ahead = pi - (atan2(v[1], v[0]) - course_d)
+    course_error = pi - (ahead - 2.0 * pi * floor(ahead / (2.0 * pi)))
     roll = (
         turn_bank
-        + gains.roll_lead * turn_bank_rate
-        - gains.course_p * course_error
-        - gains.course_i * memory.course
-        - gains.course_d * (course_rate - course_rate_desired)
+        + loop.roll_lead * slope
+        - loop.course_p * course_error
+        - loop.course_i * memory.course
+        - loop.course_d * (chi_dot - chi_dot_d)
     )
 
-    reference = told.speed if loop.airspeed_error_as_printed else airspeed_command
-    airspeed_error = own.airspeed - reference
+    # (21)
+    reference = out.speed_command if loop.airspeed_error_as_printed else airspeed_command
+    airspeed_error = airspeed - reference
     throttle = (
-        gains.trim_throttle
-        + gains.eta_bank * (np.cos(bank) ** -2 - 1.0)
-        + gains.eta_speed * (airspeed_command - gains.trim_airspeed)
-        + gains.eta_climb * np.sin(climb_desired)
-        - gains.speed_p * airspeed_error
-        - gains.speed_i * memory.speed
+        loop.trim_throttle
+        + loop.eta_bank * (cos(phi) ** -2 - 1.0)
+        + loop.eta_speed * (airspeed_command - loop.trim_airspeed)
+        + loop.eta_climb * sin(gamma_d)
+        - loop.speed_p * airspeed_error
+        - loop.speed_i * memory.speed
     )
 
-    limit = gains.pitch_limit
-    climb_pitch, climb_integral, _ = _integrate(memory.climb, climb_error, dt, pitch, -limit, limit)
-    hold_pitch, altitude_integral, _ = _integrate(
-        memory.altitude, height_error, dt, hold, -limit, limit
+    limit = loop.pitch_limit
+    path_pitch, gamma_integral = _limit(memory.gamma, gamma_error, dt, pitch_by_path, -limit, limit)
+    altitude_pitch, altitude_integral = _limit(
+        memory.altitude, height_error, dt, pitch_by_altitude, -limit, limit
     )
-    wanted = np.where(holding, hold, pitch)
-    pitch = np.where(holding, hold_pitch, climb_pitch)
-    roll, course_integral, roll_flag = _integrate(
-        memory.course, course_error, dt, roll, -gains.roll_limit, gains.roll_limit
+    unlimited_pitch = pitch_by_altitude if holds_altitude else pitch_by_path
+    command.pitch = altitude_pitch if holds_altitude else path_pitch
+    limit = loop.roll_limit
+    command.roll, course_integral = _limit(memory.course, course_error, dt, roll, -limit, limit)
+    command.throttle, speed_integral = _limit(memory.speed, airspeed_error, dt, throttle, 0.0, 1.0)
+    memory.gamma = 0.0 if holds_altitude else gamma_integral
+    memory.course, memory.speed, memory.altitude = (
+        course_integral,
+        speed_integral,
+        altitude_integral,
     )
-    throttle, speed_integral, throttle_flag = _integrate(
-        memory.speed, airspeed_error, dt, throttle, 0.0 * speed, 1.0 + 0.0 * speed
+    memory.chi_dot, memory.gamma_dot = chi_dot, gamma_dot
+    memory.turn_bank, memory.turn_bank_rate = turn_bank, slope
+    out.saturations = (
+        (command.pitch != unlimited_pitch) * PITCH
+        + (command.roll != roll) * ROLL
+        + (command.throttle != throttle) * THROTTLE
     )
-    saturations = (pitch != wanted) * PITCH + roll_flag * ROLL + throttle_flag * THROTTLE
-    guards = told.guards | ((airspeed_command != unguarded) * CLIPPED).astype(np.uint8)
-    return (
-        FbwaCommand(pitch, roll, throttle),
-        MiddleLoopMemory(
-            np.where(holding, 0.0, climb_integral),
-            course_integral,
-            speed_integral,
-            altitude_integral,
-            course_rate,
-            climb_rate,
-            turn_bank,
-            turn_bank_rate,
-        ),
-        Diagnosis(
-            told.speed_desired,
-            airspeed_command,
-            course_desired,
-            climb_desired,
-            guards,
-            saturations.astype(np.uint8),
-        ),
-    )
+    if airspeed_command != unlimited:
+        out.limiter_flags |= CLIPPED
+    out.airspeed_command = airspeed_command
+    out.course_desired, out.flight_path_angle_desired = course_d, gamma_d
 
 
-def _average(last: Array, sample: Array, share: Array) -> Array:
-    """The exponential average, begun at the first sample."""
-    return np.where(np.isnan(last), sample, last + share * (sample - last))
+@kernel
+def _average(last: float, sample: float, share: float) -> float:
+    """Return the exponential average, which starts at the first sample."""
+    return sample if isnan(last) else last + share * (sample - last)
 
 
-def _integrate(
-    integral: Array, error: Array, dt: float, command: Array, limit_lo: Array, limit_hi: Array
-) -> tuple[Array, Array, Truths]:
-    """Saturate a command that falls with its error's integral; hold the integral if that hurts."""
-    limited = np.minimum(np.maximum(command, limit_lo), limit_hi)
-    saturated = limited != command
-    grows = saturated & ((command > limited) == (error < 0.0))
-    return limited, np.where(grows, integral, integral + dt * error), saturated
-
-
-STEP = twin_of(middle_step, "testbed.formation.middle_loop_twin")
+@kernel
+def _limit(
+    integral: float, error: float, dt: float, command: Record, low: float, high: float
+) -> Values:
+    """Limit a command that falls with its error's integral; prevent wind-up."""
+    limited = min(max(command, low), high)
+    if limited != command and (command > limited) == (error < 0.0):
+        return limited, integral
+    return limited, integral + dt * error

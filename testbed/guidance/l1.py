@@ -1,18 +1,18 @@
-"""Lateral guidance: which way to bank to follow a line or a circle.
+"""Lateral guidance along a line or a circle.
 
 The nonlinear guidance law of S. Park, J. Deyst and J. P. How, "A new nonlinear guidance logic for
-trajectory tracking", AIAA 2004-4900, in the form ArduPlane flies as its L1 controller (parameters
-NAVL1_PERIOD and NAVL1_DAMPING; B. Hilton, P. Riseborough). The law looks ahead by the distance
+trajectory tracking", AIAA 2004-4900, in the form of ArduPlane's L1 controller (parameters
+NAVL1_PERIOD and NAVL1_DAMPING; B. Hilton, P. Riseborough). With the look-ahead distance
 
     L1 = ζ T V / π
 
-and asks for the lateral acceleration 4 ζ² V²/L1 sin η, where η is the angle from the ground
-velocity to the point on the path that far ahead. For small errors from a line this is a second
-order system with period T and damping ζ.
+the lateral acceleration is 4 ζ² V²/L1 sin η, where η is the angle from the ground velocity to the
+point on the path at that distance. For small errors from a line this is a second-order system with
+period T and damping ζ.
 
-Everything is horizontal and relative to the ground: (north, east) in m and m/s, further components
-are ignored. Lateral acceleration and angles are positive to the right. Plain floats, for one
-aircraft at a time, and nothing that numba does not compile as it stands; see `helm`.
+Everything is horizontal and relative to the ground: (north, east) in m and m/s; further components
+are ignored. Lateral acceleration and angles are positive to the right. The functions are for one
+aircraft; `guidance_step` compiles them.
 """
 
 from __future__ import annotations
@@ -20,23 +20,26 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from testbed.frames import GRAVITY
+from testbed.core.compile import jitable
+from testbed.core.frames import GRAVITY
 
-CAPTURE_SINE = math.sqrt(0.5)  # a line is met at 45° or less
-SLOWEST = 0.1  # m/s, below which a ground course means nothing
+CAPTURE_SINE = math.sqrt(0.5)  # of the largest angle to the line, 45°
+MIN_SPEED = 0.1  # m/s, below which the ground course is undefined
 
 
+@jitable
 def look_ahead(speed: float, period: float, damping: float) -> float:
-    """Distance L1 = ζ T V / π (m) for a ground speed in m/s and a period in s."""
-    return damping * period * max(speed, SLOWEST) / math.pi
+    """Return the look-ahead distance L1 = ζ T V / π (m) at a ground speed (m/s)."""
+    return damping * period * max(speed, MIN_SPEED) / math.pi
 
 
+@jitable
 def track_coordinates(
     position: Sequence[float], start: Sequence[float], end: Sequence[float]
 ) -> tuple[float, float, float]:
-    """Distance along the track start → end, distance right of it, and its length (all m).
+    """Return the distance along the track start → end, the distance right of it, its length; m.
 
-    A track without length is the line through `end` along north, of length zero.
+    A track of length zero points north.
     """
     north, east = end[0] - start[0], end[1] - start[1]
     length = math.hypot(north, east)
@@ -45,6 +48,7 @@ def track_coordinates(
     return dn * north + de * east, de * north - dn * east, length
 
 
+@jitable
 def line_acceleration(
     position: Sequence[float],
     velocity: Sequence[float],
@@ -53,13 +57,13 @@ def line_acceleration(
     period: float,
     damping: float,
 ) -> float:
-    """Lateral acceleration (m/s²) that captures and follows the line from `start` to `end`.
+    """Return the lateral acceleration (m/s²) that captures and follows a line.
 
-    Far behind the start the aircraft heads for the start, and 3 s past the end it heads back for
-    the end; between, it meets the line at 45° or less. ArduPlane also remembers the side of its
-    last turn while it flies directly away from its target; here the velocity alone decides.
+    Far behind `start` the aircraft heads for the start, and 3 s past `end` it heads back for the
+    end; between, it approaches the line at 45° or less. ArduPlane also stores the direction of its
+    last turn while it flies directly away from its target; here only the velocity determines it.
     """
-    speed = max(math.hypot(velocity[0], velocity[1]), SLOWEST)
+    speed = max(math.hypot(velocity[0], velocity[1]), MIN_SPEED)
     ahead = look_ahead(speed, period=period, damping=damping)
     along, right, length = track_coordinates(position, start, end)
     if math.hypot(along, right) > ahead and along < -CAPTURE_SINE * math.hypot(along, right):
@@ -72,6 +76,7 @@ def line_acceleration(
     return _acceleration(eta, speed, ahead, damping)
 
 
+@jitable
 def circle_acceleration(
     position: Sequence[float],
     velocity: Sequence[float],
@@ -81,14 +86,14 @@ def circle_acceleration(
     period: float,
     damping: float,
 ) -> tuple[float, bool]:
-    """Lateral acceleration (m/s²) that captures and follows a circle, and whether it is captured.
+    """Return the lateral acceleration (m/s²) that captures and follows a circle, and if captured.
 
-    Captured, it is V_t²/r towards the centre plus (2π/T)² and 2ζ(2π/T) times the radial error and
-    its rate, so that the radial error too has period T and damping ζ. From outside the aircraft
-    heads for the centre until the circle asks for the harder turn.
+    On the circle it is V_t²/r towards the centre plus (2π/T)² and 2ζ(2π/T) times the radial error
+    and its rate, so that the radial error has period T and damping ζ as well. From outside the
+    aircraft heads for the centre until following the circle needs the tighter turn.
     """
     side = 1.0 if clockwise else -1.0
-    speed = max(math.hypot(velocity[0], velocity[1]), SLOWEST)
+    speed = max(math.hypot(velocity[0], velocity[1]), MIN_SPEED)
     ahead = look_ahead(speed, period=period, damping=damping)
     inward_n, inward_e = centre[0] - position[0], centre[1] - position[1]
     distance = math.hypot(inward_n, inward_e)
@@ -96,10 +101,10 @@ def circle_acceleration(
     to_centre = _acceleration(eta, speed, ahead, damping)
 
     outward = -speed * math.cos(eta)  # radial speed
-    around = side * speed * math.sin(eta)  # tangential speed, positive the right way round
+    around = side * speed * math.sin(eta)  # tangential speed, positive along the circle
     omega = 2.0 * math.pi / period
     correction = omega**2 * (distance - radius) + 2.0 * damping * omega * outward
-    if outward > 0.0 and around < 0.0:  # leaving the wrong way round: never turn outwards
+    if outward > 0.0 and around < 0.0:  # leaving against its direction: do not turn outwards
         correction = max(correction, 0.0)
     on_circle = side * (correction + around**2 / max(0.5 * radius, distance))
     if distance > radius and side * to_centre < side * on_circle:
@@ -107,29 +112,33 @@ def circle_acceleration(
     return on_circle, True
 
 
+@jitable
 def turn_distance(
     speed: float, turn: float, waypoint_radius: float, period: float, damping: float
 ) -> float:
-    """How far before a waypoint (m) the turn by the angle `turn` (rad) to the next leg begins.
+    """Return the distance before a waypoint (m) at which the turn by an angle (rad) begins.
 
-    The look-ahead distance, at most the acceptance radius, and in proportion for turns below 90°.
+    It is the look-ahead distance, at most `waypoint_radius`, scaled down for turns below 90°.
     """
     ahead = min(waypoint_radius, look_ahead(speed, period=period, damping=damping))
     return ahead * min(1.0, abs(turn) / (0.5 * math.pi))
 
 
+@jitable
 def roll_command(acceleration: float, bank_limit: float) -> float:
-    """Roll (rad) of a coordinated turn with this lateral acceleration, within ±bank_limit."""
+    """Return the roll (rad) of a coordinated turn with a lateral acceleration, limited."""
     return min(max(math.atan(acceleration / GRAVITY), -bank_limit), bank_limit)
 
 
+@jitable
 def _angle_to(velocity: Sequence[float], north: float, east: float) -> float:
-    """Angle (rad) from the velocity to a direction, positive clockwise seen from above."""
+    """Return the angle (rad) from the velocity to a direction, positive clockwise from above."""
     return math.atan2(
         velocity[0] * east - velocity[1] * north, velocity[0] * north + velocity[1] * east
     )
 
 
+@jitable
 def _acceleration(eta: float, speed: float, ahead: float, damping: float) -> float:
     eta = min(max(eta, -0.5 * math.pi), 0.5 * math.pi)
     return 4.0 * damping**2 * speed**2 / ahead * math.sin(eta)

@@ -1,4 +1,4 @@
-"""DataFlash logs of ArduPlane: the .bin files it writes on board.
+"""Read DataFlash logs of ArduPlane, the .bin files that it writes on board.
 
 Messages and units: https://ardupilot.org/plane/docs/logmessages.html.
 """
@@ -11,39 +11,43 @@ from pathlib import Path
 
 import numpy as np
 
+from testbed.mavlink.codec import MavlinkError
 from testbed.mavlink.dataflash_format import FMT, HEAD, Contents, Table, read_messages
-from testbed.mavlink.door import MavlinkError
-from testbed.mavlink.logged import (
-    RADIAN,
-    Draw,
-    Log,
-    Rows,
-    Span,
-    changed,
-    entry,
-    in_order,
-    true_airspeed,
+from testbed.mavlink.flight_log import (
+    RAD_PER_DEG,
+    ColumnSource,
+    FlightLog,
+    MessageTable,
+    ModeInterval,
+    field_source,
+    increasing,
+    transformed_source,
+    true_airspeed_source,
 )
-from testbed.mavlink.servos import CONTROLS, demand, output, throttle
+from testbed.mavlink.servo_outputs import (
+    SERVO_COLUMNS,
+    demand_source,
+    output_source,
+    throttle_output_source,
+)
 
-BEGINNING = HEAD + bytes([FMT])  # the definition of definitions
-ATTITUDE = "ATT"
+SIGNATURE = HEAD + bytes([FMT])  # first bytes of a log: the definition of FMT
+_ATTITUDE = "ATT"
 _REMEDY = "have it logged (LOG_BITMASK, or LOG_DISARMED for the ground)"
 
 
-def _outputs(number: int) -> str:
+def _output_field(number: int) -> str:
     return f"C{number}"
 
 
-_CHANNELS = tuple(_outputs(n) for n in range(1, 15))
-# By message: its fields, and the field that numbers several sensors of a kind, of which the first
-# is taken.
-_WANTED: Mapping[str, tuple[tuple[str, ...], str | None]] = {
+_OUTPUTS = tuple(_output_field(n) for n in range(1, 15))
+# By message: its fields, and the field with the number of the sensor, of which the first is used.
+_FIELDS_BY_MESSAGE: Mapping[str, tuple[tuple[str, ...], str | None]] = {
     "ATT": (("DesRoll", "Roll", "DesPitch", "Pitch", "Yaw"), None),
     "IMU": (("GyrX", "GyrY", "GyrZ"), "I"),
     "ARSP": (("Airspeed",), "I"),
     "CTUN": (("As", "E2T", "ThO"), None),
-    "RCOU": (_CHANNELS, None),
+    "RCOU": (_OUTPUTS, None),
     "AETR": (("Ail", "Elev", "Thr", "Rudd"), None),
     "POS": (("Alt", "RelHomeAlt"), None),
     "GPS": (("Alt", "VZ"), "I"),
@@ -51,39 +55,48 @@ _WANTED: Mapping[str, tuple[tuple[str, ...], str | None]] = {
     "XKF1": (("VD",), "C"),
     "AOA": (("AOA", "SSA"), None),
 }
-_SEA_LEVEL = (entry("POS", "Alt"), entry("GPS", "Alt"))
+_SEA_LEVEL = (field_source("POS", "Alt"), field_source("GPS", "Alt"))
 
 
-COLUMNS: Mapping[str, tuple[Draw, ...]] = {
-    "theta_cmd_rad": (entry("ATT", "DesPitch", RADIAN, held=True),),
-    "phi_cmd_rad": (entry("ATT", "DesRoll", RADIAN, held=True),),
+COLUMNS: Mapping[str, tuple[ColumnSource, ...]] = {
+    "theta_cmd_rad": (field_source("ATT", "DesPitch", RAD_PER_DEG, held=True),),
+    "phi_cmd_rad": (field_source("ATT", "DesRoll", RAD_PER_DEG, held=True),),
     "throttle_cmd": (
-        entry("AETR", "Thr", 0.01, held=True),
-        entry("CTUN", "ThO", 0.01, held=True),
-        throttle("RCOU", _outputs),
+        field_source("AETR", "Thr", 0.01, held=True),
+        field_source("CTUN", "ThO", 0.01, held=True),
+        throttle_output_source("RCOU", _output_field),
     ),
-    "phi_rad": (entry("ATT", "Roll", RADIAN),),
-    "theta_rad": (entry("ATT", "Pitch", RADIAN),),
-    "psi_rad": (entry("ATT", "Yaw", RADIAN),),
-    "p_radps": (entry("IMU", "GyrX"),),
-    "q_radps": (entry("IMU", "GyrY"),),
-    "r_radps": (entry("IMU", "GyrZ"),),
+    "phi_rad": (field_source("ATT", "Roll", RAD_PER_DEG),),
+    "theta_rad": (field_source("ATT", "Pitch", RAD_PER_DEG),),
+    "psi_rad": (field_source("ATT", "Yaw", RAD_PER_DEG),),
+    "p_radps": (field_source("IMU", "GyrX"),),
+    "q_radps": (field_source("IMU", "GyrY"),),
+    "r_radps": (field_source("IMU", "GyrZ"),),
     "airspeed_mps": tuple(
-        true_airspeed(source, (entry("CTUN", "E2T"),), _SEA_LEVEL)
-        for source in (entry("ARSP", "Airspeed"), entry("CTUN", "As"))
+        true_airspeed_source(source, (field_source("CTUN", "E2T"),), _SEA_LEVEL)
+        for source in (field_source("ARSP", "Airspeed"), field_source("CTUN", "As"))
     ),
     "altitude_m": (
-        entry("POS", "RelHomeAlt"),
-        entry("BARO", "Alt"),
-        changed(entry("GPS", "Alt"), lambda values: values - values[0], "{} above its first"),
+        field_source("POS", "RelHomeAlt"),
+        field_source("BARO", "Alt"),
+        transformed_source(
+            field_source("GPS", "Alt"), lambda values: values - values[0], "{} above its first"
+        ),
     ),
-    "v_down_mps": (entry("XKF1", "VD"), entry("GPS", "VZ"), entry("BARO", "CRt", -1.0)),
-    "beta_rad": (entry("AOA", "SSA", RADIAN),),
-    "alpha_rad": (entry("AOA", "AOA", RADIAN),),
-    **{column: (output("RCOU", _outputs, column), demand(column)) for column in CONTROLS},
+    "v_down_mps": (
+        field_source("XKF1", "VD"),
+        field_source("GPS", "VZ"),
+        field_source("BARO", "CRt", -1.0),
+    ),
+    "beta_rad": (field_source("AOA", "SSA", RAD_PER_DEG),),
+    "alpha_rad": (field_source("AOA", "AOA", RAD_PER_DEG),),
+    **{
+        column: (output_source("RCOU", _output_field, column), demand_source(column))
+        for column in SERVO_COLUMNS
+    },
 }
 
-SOUGHT = {
+_MESSAGES = {
     "theta_cmd_rad": "ATT.DesPitch",
     "phi_cmd_rad": "ATT.DesRoll",
     "throttle_cmd": "AETR or CTUN",
@@ -95,59 +108,66 @@ SOUGHT = {
     "v_down_mps": "XKF1, GPS or BARO",
     "beta_rad": "AOA",
     "alpha_rad": "AOA",
-    **dict.fromkeys(CONTROLS, "RCOU or AETR"),
+    **dict.fromkeys(SERVO_COLUMNS, "RCOU or AETR"),
 }
 
 
-def read_log(path: Path) -> Log:
-    """Read the .bin log of an ArduPlane flight; times are since the autopilot booted.
+def read_log(path: Path) -> FlightLog:
+    """Read the .bin log of an ArduPlane flight; times are from its boot.
 
     Raises:
-        MavlinkError: it cannot be read, or another vehicle wrote it.
+        MavlinkError: it cannot be read, or is not a log of ArduPlane.
     """
     try:
         data = path.read_bytes()
     except OSError as error:
         raise MavlinkError(f"{path}: cannot be read: {error.strerror}") from error
-    asked = {
-        name: ("TimeUS", *fields, *([which] if which else []))
-        for name, (fields, which) in _WANTED.items()
+    requested = {
+        name: ("TimeUS", *fields, *([sensor] if sensor else []))
+        for name, (fields, sensor) in _FIELDS_BY_MESSAGE.items()
     }
-    asked |= {"MODE": ("TimeUS", "ModeNum", "Mode"), "PARM": ("Name", "Value"), "MSG": ("Message",)}
-    contents = read_messages(data, asked)
+    requested |= {
+        "MODE": ("TimeUS", "ModeNum", "Mode"),
+        "PARM": ("Name", "Value"),
+        "MSG": ("Message",),
+    }
+    contents = read_messages(data, requested)
     found = contents.tables
-    if said := found.get("MSG"):
-        _refuse_others(path, said.texts.get("Message", ()))
-    rows = {}
-    for name, (_, which) in _WANTED.items():
-        if name in found and (made := _rows(found[name], which)):
-            rows[name] = made
-    stop = max((float(made.time[-1]) for made in rows.values()), default=0.0)
+    if texts := found.get("MSG"):
+        _check_vehicle(path, texts.texts.get("Message", ()))
+    tables = {}
+    for name, (_, sensor) in _FIELDS_BY_MESSAGE.items():
+        if name in found and (table := _message_table(found[name], sensor)):
+            tables[name] = table
+    end = max((float(table.time[-1]) for table in tables.values()), default=0.0)
     notes = _notes(contents)
-    return Log(
+    return FlightLog(
         path=path,
-        rows=rows,
+        tables=tables,
         params=_params(found["PARM"]) if "PARM" in found else {},
-        spans=_spans(found["MODE"], stop) if "MODE" in found else (),
+        modes=_mode_intervals(found["MODE"], end) if "MODE" in found else (),
         notes=notes,
-        home=(entry("POS", "Alt"), entry("POS", "RelHomeAlt")),
+        attitude=_ATTITUDE,
+        columns=COLUMNS,
+        messages=_MESSAGES,
         remedy=f"{_REMEDY}, or download it again: {'; '.join(notes)}" if notes else _REMEDY,
+        home=(field_source("POS", "Alt"), field_source("POS", "RelHomeAlt")),
     )
 
 
-def _rows(table: Table, which: str | None) -> Rows | None:
-    """Messages as columns: of the first sensor, with times that do not run backwards."""
+def _message_table(table: Table, sensor: str | None) -> MessageTable | None:
+    """Take the messages of the first sensor, without times that decrease."""
     numbers = table.numbers
     if "TimeUS" not in numbers:
         return None
     time = 1e-6 * numbers["TimeUS"]
-    taken = np.isfinite(time)
-    if which is not None and which in numbers:  # older logs do not number them
-        taken &= numbers[which] == 0.0
-    taken[taken] = in_order(time[taken])
-    if not taken.any():
+    keep = np.isfinite(time)
+    if sensor is not None and sensor in numbers:  # older logs do not number them
+        keep &= numbers[sensor] == 0.0
+    keep[keep] = increasing(time[keep])
+    if not keep.any():
         return None
-    return Rows(time[taken], {name: values[taken] for name, values in numbers.items()})
+    return MessageTable(time[keep], {name: values[keep] for name, values in numbers.items()})
 
 
 def _params(table: Table) -> dict[str, float]:
@@ -155,22 +175,26 @@ def _params(table: Table) -> dict[str, float]:
     return dict(zip(names, values.tolist(), strict=False))
 
 
-def _spans(table: Table, stop: float) -> tuple[Span, ...]:
+def _mode_intervals(table: Table, log_end: float) -> tuple[ModeInterval, ...]:
     numbers = table.numbers
-    flown = numbers.get("ModeNum", numbers.get("Mode"))
-    if flown is None or "TimeUS" not in numbers:
+    modes = numbers.get("ModeNum", numbers.get("Mode"))
+    if modes is None or "TimeUS" not in numbers:
         return ()
-    known = np.isfinite(flown) & np.isfinite(numbers["TimeUS"])
-    begins = (1e-6 * numbers["TimeUS"][known]).tolist()
-    ends = [*begins, stop][1:]
+    valid = np.isfinite(modes) & np.isfinite(numbers["TimeUS"])
+    starts = (1e-6 * numbers["TimeUS"][valid]).tolist()
+    ends = [*starts, log_end][1:]
     return tuple(
-        Span(int(mode), begin, end)
-        for mode, begin, end in zip(flown[known].tolist(), begins, ends, strict=True)
+        ModeInterval(int(mode), start, end)
+        for mode, start, end in zip(modes[valid].tolist(), starts, ends, strict=True)
     )
 
 
-def _refuse_others(path: Path, texts: Iterable[str]) -> None:
-    """Modes have other numbers on other vehicles."""
+def _check_vehicle(path: Path, texts: Iterable[str]) -> None:
+    """Reject logs of other vehicles, whose modes have other numbers.
+
+    Raises:
+        MavlinkError: a text is of another vehicle.
+    """
     for text in texts:
         if vehicle := re.match(r"Ardu(Copter|Rover|Sub)|APMrover2|Blimp|AntennaTracker", text):
             raise MavlinkError(f"{path}: a log of {vehicle.group()}; give one of ArduPlane")

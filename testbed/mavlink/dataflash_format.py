@@ -1,7 +1,7 @@
-"""The binary format of DataFlash logs: messages one after another, some of which define the others.
+"""Parse the binary format of DataFlash logs.
 
-A message is the bytes A3 95, its type, and its fields: little-endian, without gaps. Those of type
-128, FMT, say how long the messages of a type are, what they are called and which fields they hold
+A message consists of the bytes A3 95, its type, and its fields, little-endian and without gaps.
+Messages of type 128, FMT, define length, name and fields of the other types
 (https://github.com/ArduPilot/ardupilot/blob/master/libraries/AP_Logger/README.md).
 """
 
@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.state import Array
+from testbed.core.records import Array
 
 HEAD = b"\xa3\x95"
 FMT = 0x80
-_FIELDS = 3  # bytes before the fields
+_FIELDS = 3  # offset of the fields, bytes
 _DEFINITION = np.dtype(
     [("head", "S3"), ("type", "u1"), ("length", "u1"), ("name", "S4"), ("format", "S16")]
     + [("labels", "S64")]
@@ -47,19 +47,19 @@ _CODES = {
     "M": ("<u1", 1.0),
     "q": ("<i8", 1.0),
     "Q": ("<u8", 1.0),
-}  # what a field is, and by what it is divided; None: it is text, or an array, which is passed over
+}  # type of a field and its divisor; None: a text, or an array, which is skipped
 _SIZES = {code: np.dtype(kind).itemsize for code, (kind, _) in _CODES.items()}
 
-_Places = NDArray[np.int64]
+_Offsets = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """The messages of one name in the order of the file, M of them, and the fields asked for.
+    """The M messages of one name, with the requested fields, in file order.
 
     Attributes:
-        numbers: (M,) each; hundredths have become units, and L degrees.
-        texts: M each, without their padding.
+        numbers: (M,) each, in units instead of hundredths, and degrees for L.
+        texts: M each, without padding.
     """
 
     numbers: Mapping[str, Array]
@@ -68,14 +68,14 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """What was asked for of a log.
+    """The requested messages of a log.
 
     Attributes:
-        tables: by name; those without a message are left out.
-        unreadable: names that were asked for, and whose definition is damaged.
-        skipped: bytes that belong to no message: noise, messages damaged or not defined, and the
-            message before each of these, of which it cannot be known.
-        cut: bytes of a last message that has no end.
+        tables: by name, without names that have no messages.
+        unreadable: requested names whose definition is damaged.
+        skipped: bytes outside of messages: noise, damaged or undefined messages, and the message
+            before each of these, whose end cannot be verified.
+        cut: bytes of an incomplete last message.
     """
 
     tables: Mapping[str, Table]
@@ -88,84 +88,86 @@ class Contents:
 class _Definition:
     name: str
     length: int  # of a message, bytes
-    fields: tuple[tuple[str, int, str], ...] | None  # label, offset, code; None: not known
+    fields: tuple[tuple[str, int, str], ...] | None  # label, offset, code; None: unknown
 
 
 def read_messages(data: bytes, wanted: Mapping[str, Collection[str]]) -> Contents:
-    """The messages of these names, with these fields of them; nothing else is decoded.
+    """Read the requested messages and fields.
 
-    A message counts where another begins at its end, or the file ends there. Definitions serve
-    the whole file, wherever they stand.
+    A message is valid if another one, or the end of the file, follows it. Definitions apply to
+    the whole file, wherever they are.
 
     Args:
-        data: a whole file, however damaged.
-        wanted: fields by the name of the message; those the log does not define are left out.
+        data: a complete file, which may be damaged.
+        wanted: fields by message name; undefined fields are omitted.
     """
     octets = np.frombuffer(data, np.uint8)
-    begins = _heads(octets)
-    kinds = octets[begins + 2]
-    definitions = _definitions(octets, begins, kinds)
+    starts = _headers(octets)
+    types = octets[starts + 2]
+    definitions = _definitions(octets, starts, types)
     lengths = np.zeros(256, np.int64)
     lengths[FMT] = _DEFINITION.itemsize
-    for kind, definition in definitions.items():
-        lengths[kind] = definition.length
-    ends = begins + lengths[kinds]
-    taken = _chain(begins, ends, _joined(octets, ends) & (lengths[kinds] > 0), len(data))
-    end = int(ends[taken].max(initial=0))
-    cut = _cut(data, end, lengths)
-    kinds = kinds[taken]
-    counts = np.bincount(kinds, minlength=256)
-    begins = begins[taken]
+    for number, definition in definitions.items():
+        lengths[number] = definition.length
+    ends = starts + lengths[types]
+    candidates = _is_boundary(octets, ends) & (lengths[types] > 0)
+    valid = _remove_nested(starts, ends, candidates, len(data))
+    end = int(ends[valid].max(initial=0))
+    cut = _cut_bytes(data, end, lengths)
+    types = types[valid]
+    counts = np.bincount(types, minlength=256)
+    starts = starts[valid]
     tables, unreadable = {}, []
     for name, labels in wanted.items():
-        named = [kind for kind, definition in definitions.items() if definition.name == name]
-        known = [kind for kind in named if definitions[kind].fields is not None]
+        named = [number for number, definition in definitions.items() if definition.name == name]
+        known = [number for number in named if definitions[number].fields is not None]
         if named and not known:
             unreadable.append(name)
-        for kind in sorted(known, key=lambda kind: counts[kind]):
-            if counts[kind]:  # damage can give one name to two types: the commoner is the last
-                tables[name] = _table(octets, begins[kinds == kind], definitions[kind], labels)
+        for number in sorted(known, key=lambda number: counts[number]):
+            if counts[number]:  # damage may give a name to two types: the more frequent is last
+                where = starts[types == number]
+                tables[name] = _table(octets, where, definitions[number], labels)
     skipped = len(data) - int(np.sum(lengths * counts)) - cut
     return Contents(tables, tuple(unreadable), skipped, cut)
 
 
-def _heads(octets: NDArray[np.uint8]) -> _Places:
-    """Where a message may begin."""
+def _headers(octets: NDArray[np.uint8]) -> _Offsets:
+    """Find all offsets at which a message may start."""
     first = np.flatnonzero(octets[:-2] == HEAD[0])
-    both: _Places = first[octets[first + 1] == HEAD[1]]
+    both: _Offsets = first[octets[first + 1] == HEAD[1]]
     return both
 
 
-def _joined(octets: NDArray[np.uint8], ends: _Places) -> NDArray[np.bool_]:
-    """Whether a message may begin at each of these places, or the file ends there."""
-    joined = ends <= len(octets)
+def _is_boundary(octets: NDArray[np.uint8], offsets: _Offsets) -> NDArray[np.bool_]:
+    """Check at each offset whether a message may start there, or the file ends."""
+    boundary = offsets <= len(octets)
     for k, octet in enumerate(HEAD):
-        beyond = ends + k >= len(octets)
-        joined &= beyond | (octets[np.where(beyond, 0, ends + k)] == octet)
-    return joined
+        beyond = offsets + k >= len(octets)
+        boundary &= beyond | (octets[np.where(beyond, 0, offsets + k)] == octet)
+    return boundary
 
 
-def _chain(
-    begins: _Places, ends: _Places, whole: NDArray[np.bool_], stop: int
+def _remove_nested(
+    starts: _Offsets, ends: _Offsets, candidates: NDArray[np.bool_], stop: int
 ) -> NDArray[np.bool_]:
-    """Which of the whole messages to take, where one seems to lie inside another.
+    """Decide between candidates of which one lies inside another.
 
-    It is none, unless both end together: then the outer one has lost bytes, and its length reaches
-    as far as a message behind it.
+    The inner one is invalid, unless both have the same end: then the outer one has lost bytes, and
+    its length reaches the end of a later message.
     """
-    taken = whole.copy()
-    holding = np.flatnonzero(whole & (ends > np.append(begins[1:], stop)))
-    for k, beyond in zip(holding, np.searchsorted(begins, ends[holding]), strict=True):
+    valid = candidates.copy()
+    outer = np.flatnonzero(candidates & (ends > np.append(starts[1:], stop)))
+    for k, beyond in zip(outer, np.searchsorted(starts, ends[outer]), strict=True):
         inside = slice(k + 1, beyond)
-        if taken[k] and (whole[inside] & (ends[inside] == ends[k])).any():
-            taken[k] = False
-        elif taken[k]:
-            taken[inside] = False
-    return taken
+        if valid[k] and (candidates[inside] & (ends[inside] == ends[k])).any():
+            valid[k] = False
+        elif valid[k]:
+            valid[inside] = False
+    return valid
 
 
-def _cut(data: bytes, end: int, lengths: NDArray[np.int64]) -> int:
-    """How many bytes the file holds of a message that begins here and does not end."""
+def _cut_bytes(data: bytes, end: int, lengths: NDArray[np.int64]) -> int:
+    """Count the bytes of an incomplete message at this offset; 0: none."""
     rest = len(data) - end
     if not rest or not HEAD.startswith(data[end : end + 2]):
         return 0
@@ -173,42 +175,43 @@ def _cut(data: bytes, end: int, lengths: NDArray[np.int64]) -> int:
 
 
 def _definitions(
-    octets: NDArray[np.uint8], begins: _Places, kinds: NDArray[np.uint8]
+    octets: NDArray[np.uint8], starts: _Offsets, types: NDArray[np.uint8]
 ) -> dict[int, _Definition]:
-    """Of every type the definition under which most of its messages end where others begin.
+    """Find for each type the definition that fits most of its messages.
 
-    One that is damaged may speak of another's type, or its length and its fields may disagree.
+    A damaged definition may have the number of another type, or a length that contradicts its
+    fields.
     """
     found: defaultdict[int, Counter[_Definition]] = defaultdict(Counter)
-    where = begins[(kinds == FMT) & (begins + _DEFINITION.itemsize <= len(octets))]
-    for row in _gathered(octets, where, _DEFINITION).tolist():
-        found[row[1]].update(_readings(*row[2:]))
+    where = starts[(types == FMT) & (starts + _DEFINITION.itemsize <= len(octets))]
+    for row in _gather(octets, where, _DEFINITION).tolist():
+        found[row[1]].update(_interpretations(*row[2:]))
     found.pop(FMT, None)
 
-    def best(kind: int, readings: Counter[_Definition]) -> _Definition:
-        places = begins[kinds == kind]
-        joins = {
-            length: np.count_nonzero(_joined(octets, places + length))
-            for length in {reading.length for reading in readings}
+    def best(number: int, candidates: Counter[_Definition]) -> _Definition:
+        offsets = starts[types == number]
+        fits = {
+            length: np.count_nonzero(_is_boundary(octets, offsets + length))
+            for length in {candidate.length for candidate in candidates}
         }
-        return max(readings, key=lambda reading: (joins[reading.length], readings[reading]))
+        return max(candidates, key=lambda each: (fits[each.length], candidates[each]))
 
     return {
-        kind: next(iter(readings)) if len(readings) == 1 else best(kind, readings)
-        for kind, readings in found.items()
-        if readings
+        number: next(iter(candidates)) if len(candidates) == 1 else best(number, candidates)
+        for number, candidates in found.items()
+        if candidates
     }
 
 
-def _readings(length: int, name: bytes, form: bytes, labels: bytes) -> list[_Definition]:
-    """What a definition may mean: none if it is noise, two if its length or format is damaged."""
+def _interpretations(length: int, name: bytes, form: bytes, labels: bytes) -> list[_Definition]:
+    """Parse a definition: none if it is noise, two if it is inconsistent."""
     name, form, labels = (text.split(b"\0", 1)[0] for text in (name, form, labels))
     if not _NAME.fullmatch(name) or not _FORMAT.fullmatch(form):
         return []
-    called = name.decode()
+    text = name.decode()
     codes = form.decode()
     if not set(codes) <= _CODES.keys():
-        return [_Definition(called, length, None)] if length > _FIELDS else []
+        return [_Definition(text, length, None)] if length > _FIELDS else []
     sizes = [_SIZES[code] for code in codes]
     offsets = [_FIELDS + sum(sizes[:k]) for k in range(len(sizes))]
     size = offsets[-1] + sizes[-1]
@@ -216,14 +219,14 @@ def _readings(length: int, name: bytes, form: bytes, labels: bytes) -> list[_Def
     fields = None
     if len(split) == len(codes) and all(_LABEL.fullmatch(label) for label in split):
         fields = tuple(zip((label.decode() for label in split), offsets, codes, strict=True))
-    readings = [_Definition(called, size, fields)]
+    interpretations = [_Definition(text, size, fields)]
     if _FIELDS < length != size:
-        readings.append(_Definition(called, length, None))
-    return readings
+        interpretations.append(_Definition(text, length, None))
+    return interpretations
 
 
 def _table(
-    octets: NDArray[np.uint8], where: _Places, definition: _Definition, labels: Collection[str]
+    octets: NDArray[np.uint8], where: _Offsets, definition: _Definition, labels: Collection[str]
 ) -> Table:
     fields = {
         label: (offset, *_CODES[code])
@@ -238,7 +241,7 @@ def _table(
             "itemsize": definition.length,
         }
     )
-    rows = _gathered(octets, where, layout)
+    rows = _gather(octets, where, layout)
     numbers: dict[str, Array] = {}
     texts = {}
     for label, (_, _, divisor) in fields.items():
@@ -247,14 +250,14 @@ def _table(
                 text.split(b"\0", 1)[0].decode("utf-8", "replace") for text in rows[label].tolist()
             )
         else:
-            with np.errstate(invalid="ignore"):  # damage can make a NaN that signals
+            with np.errstate(invalid="ignore"):  # damage may make a signalling NaN
                 numbers[label] = rows[label].astype(np.float64) / divisor
     return Table(numbers, texts)
 
 
-def _gathered(octets: NDArray[np.uint8], where: _Places, layout: np.dtype[Any]) -> NDArray[Any]:
-    """A record of this layout from each of these places, none of which is too near the end."""
+def _gather(octets: NDArray[np.uint8], where: _Offsets, layout: np.dtype[Any]) -> NDArray[Any]:
+    """Read a record of this layout at each of these offsets."""
     if not len(where):
         return np.empty(0, layout)
-    records = len(octets) - layout.itemsize + 1  # one begins at every byte
+    records = len(octets) - layout.itemsize + 1  # a record may start at every byte
     return np.ndarray((records,), layout, octets, strides=(1,))[where]

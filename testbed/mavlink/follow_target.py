@@ -1,8 +1,7 @@
-"""What aircraft tell each other as MAVLink: FOLLOW_TARGET, packed and read many at a time.
+"""Broadcasts between aircraft as FOLLOW_TARGET frames, packed and unpacked in arrays.
 
-https://mavlink.io/en/messages/common.html#FOLLOW_TARGET. A flight packs thousands of them a
-second, so this one message has its own arrays of bytes; a test holds them to the door's codec, bit
-for bit.
+https://mavlink.io/en/messages/common.html#FOLLOW_TARGET. A flight packs thousands of them per
+second; a test compares the frames with those of the codec, bit for bit.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.frames import (
+from testbed.core.frames import (
     body_rates,
     euler_from_quaternion,
     euler_rates,
@@ -18,10 +17,10 @@ from testbed.frames import (
     ned_from_geodetic,
     quaternion_xyzw,
 )
-from testbed.state import Array, Broadcast, Origin, Truths
+from testbed.core.records import Array, BoolArray, Broadcast, Origin
 
 Frames = NDArray[np.uint8]
-Numbers = NDArray[np.int64]
+IntArray = NDArray[np.int64]
 
 PAYLOAD = np.dtype(
     [
@@ -52,33 +51,32 @@ FRAME = np.dtype(
         ("checksum", "<u2"),
     ]
 )
-LENGTH = FRAME.itemsize  # bytes: nothing is cut off, for the last of the payload is never zero
+LENGTH = FRAME.itemsize  # bytes; nothing is truncated, as the last byte of the payload is not zero
 NUMBER = 144
-SEED = 127  # of the checksum, by the message's definition
+SEED = 127  # CRC_EXTRA of the message
 MAGIC, AUTOPILOT = 0xFD, 1
-# Position, velocity, acceleration, attitude and rates.
-CAPABILITIES = 0b1111
+CAPABILITIES = 0b1111  # position, velocity, acceleration, attitude and rates
 
 E7 = 1e7
-TURN_E7 = 3_600_000_000
+FULL_TURN_E7 = 3_600_000_000
 MS = 1000
-# What clocks show at the start: one that is behind, an hour at most, still counts from zero up.
+# Timestamp at time 0, so that it is not negative for clocks that are slow by up to an hour.
 BEGIN_MS = 3_600_000
-_ROUNDING_MS = 1e-6  # a tick is a whole ms but for the last digits
+_ROUNDING_MS = 1e-6  # so that rounding errors do not truncate a tick to the ms before
 
 
 def _checksum_tables() -> tuple[int, NDArray[np.uint16]]:
-    """CRC-16/MCRF4XX of a frame of zeros, and what each value of each byte adds to it.
+    """Compute the CRC-16/MCRF4XX of a frame of zeros, and the contribution of every byte value.
 
-    The checksum is linear: that of a frame is the exclusive or of what its bytes add.
+    The checksum is linear: that of a frame is the exclusive or of the contributions of its bytes.
     """
-    zeros, polynomial = 0xFFFF, 0x8408  # to begin with; x^16 + x^12 + x^5 + 1, mirrored
+    zeros, polynomial = 0xFFFF, 0x8408  # initial value; x^16 + x^12 + x^5 + 1, reflected
     table: NDArray[np.uint16] = np.arange(256, dtype=np.uint16)
     for _ in range(8):
         table = np.where(table & 1, (table >> 1) ^ polynomial, table >> 1).astype(np.uint16)
     summed = LENGTH - 3  # all but the first byte and the checksum itself
     tables = np.empty((summed, 256), np.uint16)
-    added = (table >> 8) ^ table[table & 0xFF]  # by a byte that the seed follows
+    added = (table >> 8) ^ table[table & 0xFF]  # by the last byte, which the seed follows
     for place in reversed(range(summed)):
         tables[place] = added
         added = (added >> 8) ^ table[added & 0xFF]
@@ -92,40 +90,40 @@ _PLACES = np.arange(len(_TABLES))
 
 
 def checksum(frames: Frames) -> NDArray[np.uint16]:
-    """What the checksums of frames (K, LENGTH) should be, (K,)."""
+    """Compute the checksums (K,) of frames (K, LENGTH)."""
     added = _TABLES[_PLACES, frames[:, 1:-2]]
     found: NDArray[np.uint16] = np.bitwise_xor.reduce(added, axis=1) ^ np.uint16(_OF_ZEROS)
     return found
 
 
 class FollowTarget:
-    """Broadcasts as frames, and frames as broadcasts."""
+    """Convert broadcasts to frames, and frames to broadcasts."""
 
     def __init__(self, origin: Origin) -> None:
-        """Positions are in NED at this origin in broadcasts, and on the earth in frames."""
+        """Use this origin of the NED positions in broadcasts; frames have geodetic positions."""
         self._origin = origin
 
-    def pack(self, message: Broadcast, rows: Numbers, numbers: Numbers) -> Frames:
-        """Frames (S, LENGTH) of what S aircraft say.
+    def pack(self, message: Broadcast, rows: IntArray, numbers: IntArray) -> Frames:
+        """Pack the broadcasts of S aircraft to frames (S, LENGTH).
 
         Args:
-            message: (S); its stamps are what the senders' clocks show.
-            rows: (S,) who they are; the system id is one more.
-            numbers: (S,) of their messages, of which a frame has the last byte.
+            message: (S); its stamps are times of the senders' clocks.
+            rows: (S,) of the senders; the system id is one more.
+            numbers: (S,) of their messages; frames have them modulo 256.
         """
         frames = np.zeros(len(rows), FRAME)
         frames["magic"], frames["length"] = MAGIC, PAYLOAD.itemsize
         frames["sequence"], frames["system"] = numbers % 256, rows + 1
         frames["component"], frames["number"][:, 0] = AUTOPILOT, NUMBER
         payload = frames["payload"]
-        # what is not a number has no place on the earth, and is nobody's who sends
+        # NaN, which is of aircraft that do not send, has no geodetic position
         with np.errstate(invalid="ignore", over="ignore"):
             clock = np.floor(message.stamp_s * MS + _ROUNDING_MS) + BEGIN_MS
             payload["timestamp"] = np.maximum(clock, 0.0)
             place = geodetic_from_ned(message.position_ned, self._origin)
             payload["lat"] = np.rint(place[:, 0] * E7)
-            half = TURN_E7 // 2
-            payload["lon"] = np.mod(np.rint(place[:, 1] * E7) + half, TURN_E7) - half
+            half = FULL_TURN_E7 // 2
+            payload["lon"] = np.mod(np.rint(place[:, 1] * E7) + half, FULL_TURN_E7) - half
             payload["alt"] = place[:, 2]
             payload["vel"], payload["acc"] = message.velocity_ned, message.acceleration_ned
             attitude = quaternion_xyzw(message.euler)
@@ -137,33 +135,33 @@ class FollowTarget:
         frames["checksum"] = checksum(raw)
         return raw
 
-    def unpack(self, frames: Frames) -> tuple[Broadcast, Numbers, Truths]:
-        """What K frames (K, LENGTH) say to one who takes nothing but these messages.
+    def unpack(self, frames: Frames) -> tuple[Broadcast, IntArray, BoolArray]:
+        """Unpack K frames (K, LENGTH).
 
         Returns:
-            What the bytes make, whatever that is, of K broadcasts; the row of the sender by its
-            system id (K,); and whether the frame is good (K,): it is FOLLOW_TARGET, of MAVLink 2,
-            not signed, and its checksum is right.
+            The K broadcasts, of bad frames with any values; the rows of the senders by system id
+            (K,); and whether each frame is good (K,): an unsigned FOLLOW_TARGET of MAVLink 2 with
+            the right checksum.
         """
-        heard = np.ascontiguousarray(frames).view(FRAME)[:, 0]
-        payload = heard["payload"]
-        number = heard["number"]
+        received = np.ascontiguousarray(frames).view(FRAME)[:, 0]
+        payload = received["payload"]
+        number = received["number"]
         good = (
-            (heard["magic"] == MAGIC)
-            & (heard["length"] == PAYLOAD.itemsize)
-            & (heard["incompat_flags"] == 0)
+            (received["magic"] == MAGIC)
+            & (received["length"] == PAYLOAD.itemsize)
+            & (received["incompat_flags"] == 0)
             & (number[:, 0] == NUMBER)
             & ~number[:, 1:].any(axis=1)
-            & (heard["checksum"] == checksum(frames))
+            & (received["checksum"] == checksum(frames))
         )
-        place = np.empty((len(heard), 3))
+        place = np.empty((len(received), 3))
         place[:, 0], place[:, 1] = payload["lat"] / E7, payload["lon"] / E7
         place[:, 2] = _wide(payload["alt"])
         quaternion = np.roll(_wide(payload["attitude_q"]), -1, axis=1)
         # a damaged frame may hold anything
         with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
             euler = euler_from_quaternion(quaternion)
-            said = Broadcast(
+            broadcast = Broadcast(
                 stamp_s=(payload["timestamp"].astype(np.float64) - BEGIN_MS) / MS,
                 position_ned=ned_from_geodetic(place, self._origin),
                 velocity_ned=_wide(payload["vel"]),
@@ -171,11 +169,11 @@ class FollowTarget:
                 euler=euler,
                 euler_rates=euler_rates(euler, _wide(payload["rates"])),
             )
-        return said, heard["system"].astype(np.int64) - 1, good
+        return broadcast, received["system"].astype(np.int64) - 1, good
 
 
 def _wide(numbers: NDArray[np.float32]) -> Array:
-    # of 32 bits, a signalling not-a-number becomes a quiet one, which is an invalid operation
+    # converting a signalling NaN to a quiet one is an invalid operation
     with np.errstate(invalid="ignore"):
         return numbers.astype(np.float64)
 

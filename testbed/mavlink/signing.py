@@ -1,6 +1,6 @@
-"""MAVLink 2 signatures: who may speak on a link, and what has been said before.
+"""MAVLink 2 message signing: https://mavlink.io/en/guide/message_signing.html.
 
-https://mavlink.io/en/guide/message_signing.html. Times count 10 µs from the start of 2015, UTC.
+Signature times count 10 µs from the start of 2015, UTC.
 """
 
 from __future__ import annotations
@@ -13,28 +13,28 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from testbed.errors import InputError
+from testbed.core.errors import InputError
 
-SIGNATURE = 13  # bytes: link, time, and the start of the hash
-_HASH = 6  # bytes of it that are sent
+SIGNATURE_BYTES = 13  # link id, time and the truncated hash
+_HASH_BYTES = 6
 _EPOCH = 1420070400  # s, 2015-01-01 in Unix time
 _PER_SECOND = 100_000
-_LATEST = (1 << 48) - 1
-_PATIENCE = 60 * _PER_SECOND  # how far behind ours the clock of a newcomer may be
+_MAX_TIME = (1 << 48) - 1
+_MAX_AGE = 60 * _PER_SECOND  # of the first signature of a stream
 
 Verdict = Literal["good", "unsigned", "forged", "replayed"]
 
 
 def signing_time(unix_s: float) -> int:
-    """The time of a signature, 10 µs, from Unix time in s."""
-    return min(max(round((unix_s - _EPOCH) * _PER_SECOND), 0), _LATEST)
+    """Convert Unix time, s, to the time of a signature, 10 µs."""
+    return min(max(round((unix_s - _EPOCH) * _PER_SECOND), 0), _MAX_TIME)
 
 
 def read_key(path: Path) -> bytes:
-    """The secret key in a file: 64 hexadecimal digits, or a passphrase as ground stations take it.
+    """Read a secret key: 64 hexadecimal digits, or a passphrase, whose SHA-256 is the key.
 
     Raises:
-        InputError: it cannot be read, or there is nothing in it.
+        InputError: the file cannot be read, or contains no key.
     """
     try:
         text = path.read_text(encoding="utf-8").strip()
@@ -51,13 +51,13 @@ def read_key(path: Path) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Signing:
-    """What both ends of a signed link share, and where this end begins.
+    """Key, link id and first time of one end of a signed link.
 
     Attributes:
-        key: 32 secret bytes.
-        link: which of its links this end signs for, 0 to 255.
-        time: of the first signature, `signing_time`; a receiver that has heard a later one from
-            the same sender and link refuses it.
+        key: 32 secret bytes, common to both ends.
+        link: link id that this end signs with, 0 to 255.
+        time: of the first signature, see `signing_time`; a receiver rejects times that are not
+            later than the last one of the same sender and link.
     """
 
     key: bytes = field(repr=False)
@@ -65,52 +65,55 @@ class Signing:
     time: int = 0
 
     def __post_init__(self) -> None:
-        """Refuse what cannot sign.
+        """Check the ranges.
 
         Raises:
-            InputError: naming what to give instead.
+            InputError: a value is out of range.
         """
         if len(self.key) != 32:
             raise InputError(f"signing key: {len(self.key)} bytes; give 32")
         if not 0 <= self.link <= 255:
             raise InputError(f"signing link: {self.link}; give a number of 0 to 255")
-        if not 0 <= self.time <= _LATEST:
+        if not 0 <= self.time <= _MAX_TIME:
             raise InputError(f"signing time: {self.time}; give 10 µs since 2015, 0 to 2⁴⁸ − 1")
 
 
-class Seal:
-    """Signs what is sent and judges what is heard; remembers the last time of every stream."""
+class MessageSigner:
+    """Sign outgoing frames and verify incoming ones.
+
+    A stream is a link id, system and component. Its latest time is stored to reject replays.
+    """
 
     def __init__(self, signing: Signing) -> None:
-        """Begin with nothing heard."""
+        """Start without received streams."""
         self._signing = signing
         self._time = signing.time
-        self._heard: dict[tuple[int, int, int], int] = {}
+        self._latest: dict[tuple[int, int, int], int] = {}
 
     def advance(self, time: int) -> None:
-        """Let the clock, 10 µs, reach this time; it never goes back."""
-        self._time = max(self._time, min(time, _LATEST))
+        """Advance the clock, 10 µs, to this time; an earlier time changes nothing."""
+        self._time = max(self._time, min(time, _MAX_TIME))
 
     def sign(self, frame: bytes) -> bytes:
-        """The frame, its checksum included, with its signature. Every signature has a new time."""
+        """Append a signature with a new time to a frame with its checksum."""
         signed = frame + bytes([self._signing.link]) + struct.pack("<Q", self._time)[:6]
         self.advance(self._time + 1)
         return signed + self._hash(signed)
 
-    def judge(self, frame: bytes, signed: bool) -> Verdict:
-        """What to think of a frame whose checksum is right; only a good one is remembered."""
+    def verify(self, frame: bytes, signed: bool) -> Verdict:
+        """Verify a frame whose checksum is right; only a good one updates times."""
         if not signed:
             return "unsigned"
-        if not hmac.compare_digest(self._hash(frame[:-_HASH]), frame[-_HASH:]):
+        if not hmac.compare_digest(self._hash(frame[:-_HASH_BYTES]), frame[-_HASH_BYTES:]):
             return "forged"
-        time = int.from_bytes(frame[-_HASH - 6 : -_HASH], "little")
-        stream = (frame[-SIGNATURE], frame[5], frame[6])
-        latest = self._heard.get(stream, self._time - _PATIENCE - 1)
+        time = int.from_bytes(frame[-_HASH_BYTES - 6 : -_HASH_BYTES], "little")
+        stream = (frame[-SIGNATURE_BYTES], frame[5], frame[6])
+        latest = self._latest.get(stream, self._time - _MAX_AGE - 1)
         if time <= latest:
             return "replayed"
-        self._heard[stream] = time
+        self._latest[stream] = time
         self.advance(time)
         return "good"
 
     def _hash(self, signed: bytes) -> bytes:
-        return hashlib.sha256(self._signing.key + signed).digest()[:_HASH]
+        return hashlib.sha256(self._signing.key + signed).digest()[:_HASH_BYTES]

@@ -1,4 +1,4 @@
-"""Telemetry logs, as ground stations write them: frames, each after the moment it was heard.
+"""Write and read telemetry logs (.tlog): MAVLink frames with the times of their receipt.
 
 A record is a big-endian 64-bit count of µs since 1970, UTC, and one MAVLink frame.
 """
@@ -13,56 +13,61 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from testbed.mavlink.door import MavlinkError, Message, decode, frame_length
+from testbed.mavlink.codec import MavlinkError, Message, decode, frame_length
 
 _TIME = struct.Struct(">Q")
-_FLUSH_S, _KEPT = 0.35, 1 << 14  # wall-clock s and bytes after which records are written
+_FLUSH_S, _BUFFER_BYTES = 0.35, 1 << 14  # wall-clock s and bytes after which records are written
 
 
 class TlogWriter:
-    """A log being written. Used in a `with`, or closed by `close`.
+    """Write a log; a context manager.
 
     Raises:
-        MavlinkError: the file cannot be written; also from all methods, once.
+        MavlinkError: the file cannot be written; also from every method, once.
     """
 
     def __init__(self, path: Path) -> None:
-        """Make the file; one that was there is replaced."""
+        """Create or replace the file."""
         self._path, self._flushed = path, time.monotonic()
-        with self._refused():
-            # records are kept here: a file that had them could not be closed on a full disk
+        with self._write_errors():
+            # buffered here, because a file with buffered data cannot be closed on a full disk
             self._file = path.open("wb", buffering=0)
-        self._kept = bytearray()
+        self._buffer = bytearray()
 
     def write(self, time_us: int, frame: bytes) -> None:
-        """Add a frame heard at this time, µs since 1970."""
-        self._kept += _TIME.pack(time_us) + frame
-        if len(self._kept) > _KEPT or time.monotonic() - self._flushed > _FLUSH_S:
+        """Add a frame.
+
+        Args:
+            time_us: of its receipt, µs since 1970.
+            frame: one MAVLink frame.
+        """
+        self._buffer += _TIME.pack(time_us) + frame
+        if len(self._buffer) > _BUFFER_BYTES or time.monotonic() - self._flushed > _FLUSH_S:
             self._flush()
 
     def close(self) -> None:
-        """Write what is left."""
+        """Write the buffered records and close the file."""
         try:
             self._flush()
         finally:
             self._file.close()
 
     def _flush(self) -> None:
-        kept, self._kept, self._flushed = self._kept, bytearray(), time.monotonic()
-        rest = memoryview(kept)
-        with self._refused():
+        buffer, self._buffer, self._flushed = self._buffer, bytearray(), time.monotonic()
+        rest = memoryview(buffer)
+        with self._write_errors():
             while rest:
                 rest = rest[self._file.write(rest) :]
 
     @contextmanager
-    def _refused(self) -> Iterator[None]:
+    def _write_errors(self) -> Iterator[None]:
         try:
             yield
         except OSError as error:
             raise MavlinkError(f"{self._path}: cannot be written: {error.strerror}") from error
 
     def __enter__(self) -> Self:
-        """This log."""
+        """Return this writer."""
         return self
 
     def __exit__(
@@ -71,21 +76,21 @@ class TlogWriter:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Close it, whatever happened."""
+        """Close the log."""
         self.close()
 
 
 class Tlog:
-    """A log that was written: iterate over its (time in µs, message).
+    """Iterate over the (time in µs, message) of a log.
 
-    Signatures are not checked: whoever kept the log did. After damage, reading goes on at the
-    next good record.
+    Signatures are not verified, as the writer of the log has done so. After damage, reading
+    continues at the next good record.
 
     Attributes:
         unread: records whose frame has a wrong checksum or is not in ArduPilot's dialect.
-        damaged: bytes in no record at all.
-        cut: bytes of a last record that has no end.
-        These are of the latest iteration.
+        damaged: bytes outside of records.
+        cut: bytes of an incomplete last record.
+        All are of the latest iteration.
 
     Raises:
         MavlinkError: the file cannot be read.
@@ -100,10 +105,10 @@ class Tlog:
         self.unread = self.damaged = self.cut = 0
 
     def __iter__(self) -> Iterator[tuple[int, Message]]:
-        """The records in the order of the file."""
+        """Yield the records in the order of the file."""
         self.unread = self.damaged = self.cut = 0
         data = self._data
-        at = good = 0  # where we look, and where the last record ended
+        at = good = 0  # current position, and end of the last record
         while at < len(data):
             frame = at + _TIME.size
             end = frame + (frame_length(data, frame) if frame < len(data) else 0)
@@ -112,25 +117,25 @@ class Tlog:
                 self.damaged += at - good
                 yield _TIME.unpack_from(data, at)[0], message
                 at = good = end
-            elif at == good and frame < end <= len(data) and self._goes_on(end):
+            elif at == good and frame < end <= len(data) and self._is_boundary(end):
                 self.unread += 1
                 at = good = end
             else:
                 at += 1
-        if self._cut_off(good):
+        if self._is_cut(good):
             self.cut = len(data) - good
         else:
             self.damaged += len(data) - good
 
-    def _goes_on(self, at: int) -> bool:
-        """Whether another record begins here, or the file ends."""
+    def _is_boundary(self, at: int) -> bool:
+        """Check whether another record starts here, or the file ends."""
         frame = at + _TIME.size
         return at == len(self._data) or (
             frame < len(self._data) and frame_length(self._data, frame) > 0
         )
 
-    def _cut_off(self, at: int) -> bool:
-        """Whether the file ends inside a record that begins here."""
+    def _is_cut(self, at: int) -> bool:
+        """Check whether the file ends inside a record that starts here."""
         frame = at + _TIME.size
         if frame >= len(self._data):
             return True
@@ -138,10 +143,10 @@ class Tlog:
         return length > 0 and frame + length > len(self._data)
 
 
-def holds_records(head: bytes) -> bool:
-    """Whether a file that begins so is a telemetry log: a good record is in it, after its time.
+def has_records(head: bytes) -> bool:
+    """Check whether a file with this beginning is a telemetry log.
 
-    Frames that follow one another without times are none.
+    It is if it contains a good frame after a time; frames without times are not a log.
     """
     for at in range(len(head) - _TIME.size):
         length = frame_length(head, at + _TIME.size)

@@ -1,4 +1,4 @@
-"""Numbers of a run: position errors, separations, guards and saturations counted."""
+"""Metrics of a run: formation errors, separations, limits, winds and estimates."""
 
 from testbed.metrics.observer import MetricsObserver
 from testbed.metrics.summary import SCHEMA

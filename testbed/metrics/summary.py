@@ -1,4 +1,4 @@
-"""From a tally to the numbers people read: the keys of metrics.json."""
+"""The numbers of a run from its accumulator: the keys of metrics.json."""
 
 from __future__ import annotations
 
@@ -9,77 +9,82 @@ from typing import Any
 
 import numpy as np
 
+from testbed.core.frames import wind_from_deg
+from testbed.core.records import Array, Event, RunInfo
 from testbed.formation.assumptions import largest_kappa
-from testbed.formation.flags import Guard, Saturation
-from testbed.metrics import estimates, wind
-from testbed.metrics.block import NEVER, Ticks
-from testbed.metrics.tally import Tally, Windows
-from testbed.state import Array, Event, RunInfo
+from testbed.formation.flags import LimiterFlag, Saturation
+from testbed.metrics.accumulator import ESTIMATE_KEYS, Accumulator
+from testbed.metrics.sample_block import NEVER, Ticks
 
-SCHEMA = 1  # of metrics.json; raised when a key changes its meaning or goes
+SCHEMA = 2  # of metrics.json; raised when a key is renamed, removed or changes its meaning
+CALM_MPS = 1e-6  # a slower wind is rounding
+
+_DEGREES = np.array([1.0, 1.0, 1.0, math.degrees(1.0), math.degrees(1.0), 1.0])
 
 
 def summarise(
-    tally: Tally,
+    total: Accumulator,
     *,
-    windows: Windows,
+    windows: Mapping[str, tuple[float, float]],
     info: RunInfo,
     events: Sequence[Event],
     published: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
-    """The metrics document; `document.complete` puts in what only the runner knows.
+    """Compute the metrics document; `document.finalise` adds what only the runner knows.
 
-    RMS errors are [HBH23] eqs. (30), (31) with the integral as the sum over frames. The percent
-    error is that of its Table 1: the RMS of ‖q̃_i‖/‖χ_i‖, averaged over the followers. κ as
-    measured is the largest with which Assumption 1 held: negative where a slot left the bounds.
-    A lost aircraft counts until it was lost; behind a lost leader there are no slots.
+    RMS errors are [HBH23] eqs. (30), (31) with the integral as the sum over samples. The percent
+    error is that of its Table 1: the RMS of ‖q̃_i‖/‖χ_i‖, averaged over the followers. The
+    measured κ is the largest with which Assumption 1 held: negative where the speed of a slot left
+    the bounds. A lost aircraft counts until it was lost; behind a lost leader there are no slots.
     """
     followers = info.names[1:]
-    paired = tally.separation_tick != NEVER
-    closest = [info.names[i] for i in tally.separation_pair] if paired else None
+    paired = total.min_separation_tick != NEVER
+    closest = [info.names[i] for i in total.min_separation_pair] if paired else None
+    relative = np.sqrt(total.relative_square / np.maximum(total.slot_samples, 1))
     return {
         "schema": SCHEMA,
         "scenario": info.scenario_name,
         "seed": info.seed,
         "versions": dict(info.versions),
         "outcome": None,
-        "simulated_s": _time(tally.last_tick, info) or 0.0,
+        "simulated_s": _time(total.last_tick, info) or 0.0,
         "wall_s": None,
         "real_time_factor": None,
-        "portions": {
-            name: _portion(tally, p, windows, info) for p, name in enumerate(windows.names)
+        "windows": {
+            name: _window(total, p, span, info) for p, (name, span) in enumerate(windows.items())
         },
-        "min_separation_m": _number(tally.separation),
-        "min_separation_at_s": _time(tally.separation_tick, info),
+        "min_separation_m": _number(total.min_separation),
+        "min_separation_at_s": _time(total.min_separation_tick, info),
         "min_separation_between": closest,
-        "lost_at_s": _times(tally.lost, info.names, info),
-        "engaged_at_s": _times(tally.engaged, followers, info),
-        "max_error_m": _numbers(tally.largest_ever, followers),
-        "leader_bank_deg": _number(math.degrees(tally.bank_ever)),
-        "guards": _flags(Guard, tally.guarded, tally.guards, info),
-        "saturations": _flags(Saturation, tally.saturated, tally.saturations, info),
-        **_kappa(tally.speeds.smallest_ever, info),
-        "kappa_at_s": _times(_tightest(tally, info), followers, info),
+        "lost_at_s": _times(total.lost_tick, info.names, info),
+        "joined_at_s": _times(total.joined_tick, followers, info),
+        "max_error_m": _by_name(total.max_error, followers),
+        "leader_bank_deg": _number(math.degrees(total.max_bank)),
+        "limiter_flags": _flags(LimiterFlag, total.limited_samples, total.limiter_samples, info),
+        "saturations": _flags(Saturation, total.saturated_samples, total.saturation_samples, info),
+        **_slot_speed(total.min_speed, total.max_speed, info),
+        "kappa_at_s": _times(_tightest(total, info), followers, info),
         "kappa_assumed_mps": dict(zip(followers, info.kappa_mps, strict=True)),
         "left_speed_set": {
             name: {
-                "times": int(tally.speeds.left[i]),
-                "first_s": _time(int(tally.speeds.first_left[i]), info),
+                "times": int(total.left_speed_set[i]),
+                "first_s": _time(int(total.first_left_tick[i]), info),
             }
             for i, name in enumerate(followers)
         },
         "recovery": {
             name: {
-                "last_saturated_s": _time(int(tally.last_saturated[i]), info),
-                "inside_for_good_from_s": _time(int(tally.inside_since[i]), info),
+                "last_saturated_s": _time(int(total.last_saturated_tick[i]), info),
+                "in_slot_since_s": _time(int(total.in_slot_since[i]), info),
             }
             for i, name in enumerate(followers)
         },
         "age_of_information_s": {name: {"mean": None, "max": None} for name in followers},
         "network": None,
-        "mean_throttle": _numbers(tally.throttle / np.maximum(tally.alive, 1), info.names),
-        "wind": wind.summarise(tally.wind, info.names, tally.alive),
-        **estimates.summarise(tally.estimates, info.names, frames=tally.alive, paired=tally.paired),
+        "mean_throttle": _by_name(total.throttle_sum / np.maximum(total.samples, 1), info.names),
+        "wind": _wind(total, info.names),
+        "estimate_error": _estimate_error(total, info.names),
+        "relative_position_error_m": _by_name(relative, followers),
         "published": None if published is None else dict(published),
         "events": [
             {"time_s": e.time_s, "level": e.level, "source": e.source, "text": e.text}
@@ -88,11 +93,12 @@ def summarise(
     }
 
 
-def _portion(tally: Tally, p: int, windows: Windows, info: RunInfo) -> dict[str, Any]:
+def _window(total: Accumulator, p: int, span: tuple[float, float], info: RunInfo) -> dict[str, Any]:
+    """Numbers of window p."""
     followers = info.names[1:]
-    count = int(tally.count[p])
+    count = int(total.window_samples[p])
     covered = count / info.frame_rate_hz
-    start, end = float(windows.start_s[p]), float(windows.end_s[p])
+    start, end = float(span[0]), float(span[1])
     nothing = dict.fromkeys(followers)
     out: dict[str, Any] = {
         "window_s": [start, end],
@@ -100,27 +106,28 @@ def _portion(tally: Tally, p: int, windows: Windows, info: RunInfo) -> dict[str,
         "complete": covered >= end - start - 1.0 / info.frame_rate_hz,
         "rms_m": nothing,
         "mean_rms_m": None,
-        "believed_rms_m": nothing,
-        "believed_mean_rms_m": None,
+        "estimated_rms_m": nothing,
+        "estimated_mean_rms_m": None,
         "percent_error": None,
         "max_error_m": nothing,
         "leader_bank_deg": None,
-        **_kappa(tally.speeds.smallest[:, p], info),
+        **_slot_speed(total.window_min_speed[p], total.window_max_speed[p], info),
     }
     if count:
-        counted = tally.counted[p]
+        counted = total.window_slot_samples[p]
         some = counted > 0
-        frames = np.where(some, counted, np.nan)
-        rms = np.sqrt(tally.square[p] / frames)
-        believed = np.sqrt(tally.believed[p] / frames)
-        ratio = np.sqrt(tally.square_ratio[p] / frames)
-        out["rms_m"] = _numbers(rms, followers)
+        samples = np.where(some, counted, np.nan)
+        rms = np.sqrt(total.square_error[p] / samples)
+        estimated = np.sqrt(total.square_estimated_error[p] / samples)
+        ratio = np.sqrt(total.square_error_ratio[p] / samples)
+        out["rms_m"] = _by_name(rms, followers)
         out["mean_rms_m"] = _mean(rms[some])
-        out["believed_rms_m"] = _numbers(believed, followers)
-        out["believed_mean_rms_m"] = _mean(believed[some])
+        out["estimated_rms_m"] = _by_name(estimated, followers)
+        out["estimated_mean_rms_m"] = _mean(estimated[some])
         out["percent_error"] = _mean(100.0 * ratio[some])
-        out["max_error_m"] = _numbers(np.where(some, tally.largest[p], np.nan), followers)
-        out["leader_bank_deg"] = _number(math.degrees(tally.bank[p]))
+        largest = np.where(some, total.window_max_error[p], np.nan)
+        out["max_error_m"] = _by_name(largest, followers)
+        out["leader_bank_deg"] = _number(math.degrees(total.window_max_bank[p]))
     return out
 
 
@@ -129,31 +136,29 @@ def _bounds(info: RunInfo) -> Array:
     return np.array(info.speed_bounds_mps, dtype=np.float64).reshape(-1, 2).T
 
 
-def _kappa(smallest: Array, info: RunInfo) -> dict[str, dict[str, Any]]:
-    """κ as measured, and the slots' ground speeds, from the smallest of ± these (2, n)."""
+def _slot_speed(slowest: Array, fastest: Array, info: RunInfo) -> dict[str, dict[str, Any]]:
+    """The measured κ, and the range of the slots' speeds (n,), m/s."""
     followers = info.names[1:]
-    slowest, fastest = smallest[0], -smallest[1]
     kappa = largest_kappa(slowest, fastest, *_bounds(info))
-    seen = zip(followers, slowest, fastest, strict=True)
+    ranges = zip(followers, slowest, fastest, strict=True)
     return {
-        "kappa_mps": _numbers(np.where(np.isfinite(slowest), kappa, np.nan), followers),
-        "slot_speed_mps": {name: [_number(low), _number(high)] for name, low, high in seen},
+        "kappa_mps": _by_name(np.where(np.isfinite(slowest), kappa, np.nan), followers),
+        "slot_speed_mps": {name: [_number(low), _number(high)] for name, low, high in ranges},
     }
 
 
-def _tightest(tally: Tally, info: RunInfo) -> Ticks:
-    """When each slot was closest to the bounds, or farthest beyond (n,)."""
+def _tightest(total: Accumulator, info: RunInfo) -> Ticks:
+    """Ticks (n,) at which each slot's speed was closest to the bounds, or farthest beyond."""
     low, high = _bounds(info)
-    slowest, fastest = tally.speeds.smallest_ever[0], -tally.speeds.smallest_ever[1]
-    slow, fast = tally.speeds.smallest_tick
-    tightest: Ticks = np.where(slowest - low <= high - fastest, slow, fast)
+    slower = total.min_speed - low <= high - total.max_speed
+    tightest: Ticks = np.where(slower, total.min_speed_tick, total.max_speed_tick)
     return tightest
 
 
 def _flags(
     kind: type[IntFlag], any_of_them: Ticks, each: Ticks, info: RunInfo
 ) -> dict[str, dict[str, Any]]:
-    """For each follower: frames and seconds with any of these flags, and frames with each."""
+    """By follower: samples and seconds with any of these flags, and samples with each."""
     return {
         name: {
             "frames": int(any_of_them[i]),
@@ -164,12 +169,44 @@ def _flags(
     }
 
 
+def _wind(total: Accumulator, names: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """By aircraft: mean wind, RMS of the gusts about it, largest speed, and effect of wakes."""
+    samples = np.maximum(total.samples, 1)[:, None]
+    mean = total.wind_sum / samples
+    gusts = np.sqrt(np.maximum(total.wind_square / samples - mean**2, 0.0))
+    gusts[gusts < CALM_MPS] = 0.0
+    north, east = mean[:, 0], mean[:, 1]
+    from_deg, known = wind_from_deg(mean), np.hypot(north, east) > CALM_MPS
+    return {
+        name: {
+            "mean_ned_mps": [_number(value) for value in mean[i].tolist()],
+            "mean_mps": _number(float(np.hypot(north[i], east[i]))),
+            "from_deg": _number(float(from_deg[i])) if known[i] else None,
+            "gusts_rms_ned_mps": [_number(value) for value in gusts[i].tolist()],
+            "max_mps": _number(float(total.max_wind[i])),
+            "max_wake_delta_cl": _number(float(total.max_wake_delta_cl[i])),
+        }
+        for i, name in enumerate(names)
+    }
+
+
+def _estimate_error(total: Accumulator, names: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """By aircraft: RMS of estimate minus truth, and its largest horizontal position error."""
+    rms = np.sqrt(total.estimate_square / np.maximum(total.samples, 1)[:, None]) * _DEGREES
+    keys = (*ESTIMATE_KEYS, "max_horizontal_m")
+    rows = np.column_stack((rms, total.max_horizontal)).tolist()
+    return {
+        name: {key: _number(value) for key, value in zip(keys, row, strict=True)}
+        for name, row in zip(names, rows, strict=True)
+    }
+
+
 def _number(value: float) -> float | None:
-    """A number JSON can hold: null stands for what is not one."""
+    """Convert a number to JSON: null for NaN and infinity."""
     return float(value) if math.isfinite(value) else None
 
 
-def _numbers(values: Array, names: Sequence[str]) -> dict[str, float | None]:
+def _by_name(values: Array, names: Sequence[str]) -> dict[str, float | None]:
     return {name: _number(float(value)) for name, value in zip(names, values, strict=True)}
 
 

@@ -1,55 +1,57 @@
-"""Clocks that stamp messages, and are wrong: stamps move, ticks do not."""
+"""Clocks that stamp messages with errors: offset, drift and resolution.
+
+Errors change time stamps only; the schedule of the simulation runs in true time.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from math import floor
 
 import numpy as np
-from numpy.typing import NDArray
 
+from testbed.core.compile import jitable
+from testbed.core.records import Record, Records, Values, allocate
 from testbed.scenario.network import StampClock
-from testbed.state import Array
 
 MILLION = 1e6
 
-
-class Clocks(NamedTuple):
-    """Of N aircraft (N,) each."""
-
-    offset: Array  # s ahead of true time at the start
-    drift: Array  # s gained per s
-    resolution: Array  # s, of a stamp; 0: as fine as numbers are
-
-
-def make_clocks(names: Sequence[str], clocks: Mapping[str, StampClock]) -> Clocks:
-    """The clocks of a page; those that it does not name are right."""
-    each = [clocks.get(name, StampClock()) for name in names]
-    return Clocks(
-        np.array([one.offset_s for one in each]),
-        np.array([one.drift_ppm / MILLION for one in each]),
-        np.array([one.resolution_s for one in each]),
-    )
+# The clock of one aircraft.
+CLOCK = np.dtype(
+    [
+        ("offset", "f8"),  # s ahead of true time at the start
+        ("drift", "f8"),  # s gained per s
+        ("resolution", "f8"),  # s, of a stamp; 0: that of the numbers
+    ],
+    align=True,
+)
 
 
-def show(
-    clocks: Clocks, measured_s: Array, rows: NDArray[np.int64], shown_s: Array, ahead_s: Array
-) -> None:
-    """Write what the clocks of S senders show, and what those of n receivers are ahead then.
+def make_clocks(names: Sequence[str], clocks: Mapping[str, StampClock]) -> Records:
+    """Return the clocks (N,) of aircraft; those that the scenario does not name are exact."""
+    records = allocate(CLOCK, len(names))
+    for record, name in zip(records, names, strict=True):
+        clock = clocks.get(name, StampClock())
+        record["offset"] = clock.offset_s
+        record["drift"] = clock.drift_ppm / MILLION
+        record["resolution"] = clock.resolution_s
+    return records
 
-    A receiver holds a stamp against its own clock, so what is wrong with both alike cancels: less
-    what it is ahead, a stamp is on a scale on which the receiver's clock is right.
 
-    Args:
-        clocks: of N aircraft, the leader's first.
-        measured_s: (N,) true time.
-        rows: (S,) who sends.
-        shown_s: (S,) s, is written.
-        ahead_s: (n, S) s, is written.
+@jitable
+def clock_reading(clock: Record, time_s: float) -> float:
+    """Return the stamp, s, that a clock gives at a true time, s."""
+    reading = float(time_s + clock.offset + clock.drift * time_s)
+    if clock.resolution > 0.0:
+        reading = floor(reading / clock.resolution) * float(clock.resolution)
+    return reading
+
+
+@jitable
+def clock_error(clock: Record, time_s: Values) -> Values:
+    """Return by how much a clock is ahead at a true time, s; in Python also of many clocks.
+
+    A receiver compares a stamp with its own clock. A stamp minus the receiver's error is therefore
+    on a time scale on which the receiver's clock is exact.
     """
-    true_s = measured_s[rows]
-    shown_s[:] = true_s + clocks.offset[rows] + clocks.drift[rows] * true_s
-    grain = clocks.resolution[rows]
-    coarse = grain > 0.0
-    shown_s[coarse] = np.floor(shown_s[coarse] / grain[coarse]) * grain[coarse]
-    ahead_s[:] = clocks.offset[1:, None] + clocks.drift[1:, None] * true_s
+    return clock.offset + clock.drift * time_s

@@ -1,8 +1,9 @@
 """Distributions of delay as functions of a standard normal, and netem's tables of them.
 
-A delay is g(z) with z of a first-order autoregressive normal process, so that its distribution is
-exact whatever its correlation. The process's coefficient is found such that the delays, not z, have
-the correlation asked for.
+A delay is g(z), where z is a first-order autoregressive normal process: its distribution is exact
+whatever its correlation. The coefficient of the process is computed such that the delays, not z,
+have the correlation of the scenario. These functions work on arrays and make the tables before a
+run; `packet_random.jitter` is g for one packet.
 """
 
 from __future__ import annotations
@@ -14,113 +15,99 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.core.records import Array, Records
 from testbed.network.links import (
     EMPIRICAL,
     LOGNORMAL,
+    NETEM_TABLE,
     NORMAL,
     PARETO,
     PARETONORMAL,
     UNIFORM,
-    Links,
 )
 from testbed.network.normal import probability, quantile
-from testbed.state import Array
 
 # Pareto with this shape and scale 1; mean 3/2, variance 3/4.
 PARETO_SHAPE = 3.0
 PARETO_MEAN = 1.5
 PARETO_DEVIATION = math.sqrt(0.75)
-PARETO_WITH_Z = 0.6783527895499961  # mean of z pareto(z), an integral that a test does
+PARETO_WITH_Z = 0.6783527895499961  # mean of z pareto(z); a test integrates it
 NORMAL_SHARE = 0.25  # of paretonormal, as in iproute2; both parts grow with the same z
 NETEM_PARETO = 4.0 / 3.0  # iproute2's scale of its pareto table
 
 TABLE_STEPS = 1024  # of a table of quantiles
 NANOSECONDS = 1e9  # in which netem counts, in a second
-NETEM_TABLE = 4096  # entries of a table of netem
 NETEM_SCALE = 8192  # table entry of one standard deviation
 LARGEST_ENTRY = 32767
 
 
 @cache
 def table_z() -> Array:
-    """The z of the entries of a table of netem (NETEM_TABLE,)."""
+    """Return the z of the entries of a table of netem (NETEM_TABLE,)."""
     return quantile((np.arange(NETEM_TABLE) + 0.5) / NETEM_TABLE)
 
 
 def pareto(z: Array) -> Array:
-    """Pareto with mean 0 and standard deviation 1."""
+    """Return a Pareto number of mean 0 and standard deviation 1, as a function of z (…)."""
     heavy: Array = probability(-z) ** (-1.0 / PARETO_SHAPE)
     return (heavy - PARETO_MEAN) / PARETO_DEVIATION
 
 
 def mixed_deviation() -> float:
-    """Standard deviation of a quarter normal and three quarters of iproute2's Pareto."""
+    """Return the standard deviation of a quarter normal and three quarters of iproute2's Pareto."""
     scale = (1.0 - NORMAL_SHARE) * NETEM_PARETO * PARETO_DEVIATION
     return math.sqrt(NORMAL_SHARE**2 + scale**2 + 2.0 * NORMAL_SHARE * scale * PARETO_WITH_Z)
 
 
 def paretonormal(z: Array) -> Array:
-    """A quarter normal and three quarters Pareto, with mean 0 and standard deviation 1."""
+    """Return a quarter normal, three quarters Pareto number of mean 0 and standard deviation 1."""
     scale = (1.0 - NORMAL_SHARE) * NETEM_PARETO * PARETO_DEVIATION
     return (NORMAL_SHARE * z + scale * pareto(z)) / mixed_deviation()
 
 
-def looked_up(table: Array, z: Array) -> Array:
-    """Quantile of a table (TABLE_STEPS + 1,) at Φ(z)."""
+def interpolate_quantiles(table: Array, z: Array) -> Array:
+    """Return the quantile of a table (TABLE_STEPS + 1,) at Φ(z), for z (…)."""
     out: Array = np.interp(probability(z) * TABLE_STEPS, np.arange(TABLE_STEPS + 1.0), table)
     return out
 
 
-def varied(links: Links, z: Array, tables: Array) -> Array:
-    """What jitter adds to the delay of each link's packet, s, as z (…) has it.
+def jitter_of(parameters: Records, z: Array, quantiles: Array | None) -> Array:
+    """Return what the jitter of one link adds to its delay, s.
 
     Args:
-        links: records of `links.LINK` (…).
-        z: of a standard normal distribution (…).
-        tables: quantiles (T, TABLE_STEPS + 1) of the empirical ones.
+        parameters: () of LINK_PARAMETERS.
+        z: (K,) of a standard normal distribution.
+        quantiles: (TABLE_STEPS + 1,) s, of an empirical distribution.
     """
-    shape, spread = links["jitter"], links["spread"]
-    out = np.zeros(np.shape(z))
-    for kind, of in _STANDARD.items():
-        chosen = shape == kind
-        if chosen.any():
-            out[chosen] = spread[chosen] * of(z[chosen])
-    chosen = shape == LOGNORMAL
-    if chosen.any():
-        mean, deviation = np.moveaxis(links["shape"][chosen], -1, 0)
-        out[chosen] = np.exp(mean + deviation * z[chosen]) - links["delay"][chosen]
-    chosen = shape == EMPIRICAL
-    if chosen.any():
-        for row in np.unique(links["table"][chosen]):
-            same = chosen & (links["table"] == row)
-            out[same] = looked_up(tables[row], z[same])
-    return out
+    kind, spread = parameters["jitter"], parameters["spread"]
+    if kind == LOGNORMAL:
+        mean, deviation = parameters["lognormal"]
+        return np.asarray(np.exp(mean + deviation * z) - parameters["delay"])
+    if kind == EMPIRICAL and quantiles is not None:
+        return interpolate_quantiles(quantiles, z)
+    if kind == UNIFORM:
+        return np.asarray(spread * (2.0 * probability(z) - 1.0))
+    if kind == NORMAL:
+        return np.asarray(spread * z)
+    return np.asarray(spread * (pareto(z) if kind == PARETO else paretonormal(z)))
 
 
-_STANDARD: dict[int, Callable[[Array], Array]] = {
-    UNIFORM: lambda z: 2.0 * probability(z) - 1.0,
-    NORMAL: lambda z: z,
-    PARETO: pareto,
-    PARETONORMAL: paretonormal,
-}
-
-
-def log_shape(mean: float, deviation: float) -> tuple[float, float]:
-    """Mean and standard deviation of the logarithm of a lognormal number with these."""
+def log_moments(mean: float, deviation: float) -> tuple[float, float]:
+    """Return mean and standard deviation of the logarithm of a lognormal number with these."""
     variance = math.log1p((deviation / mean) ** 2)
     return math.log(mean) - 0.5 * variance, math.sqrt(variance)
 
 
 def quantiles(samples: Array) -> Array:
-    """The table (TABLE_STEPS + 1,) of measured delays (K,)."""
+    """Return the quantiles (TABLE_STEPS + 1,) of measured delays (K,)."""
     return np.quantile(samples, np.linspace(0.0, 1.0, TABLE_STEPS + 1))
 
 
 def normal_correlation(value_of: Callable[[Array], Array], wanted: float) -> float:
-    """The correlation of two normals z whose values g(z) have the wanted correlation.
+    """Return the correlation of two normals z whose values g(z) have the wanted correlation.
 
-    By Mehler's formula the correlation of g(z) is a power series in that of z, with the squares of
-    g's coefficients in normalised Hermite polynomials.
+    By Mehler's formula the correlation of g(z) is a power series in that of z, whose coefficients
+    are the squares of those of g in normalised Hermite polynomials.
 
     Args:
         value_of: g.
@@ -128,7 +115,7 @@ def normal_correlation(value_of: Callable[[Array], Array], wanted: float) -> flo
     """
     if wanted == 0.0:
         return 0.0
-    from scipy.optimize import brentq  # few pages need it
+    from scipy.optimize import brentq  # slow to import, and few scenarios need it
 
     z = np.linspace(-_REACH, _REACH, _GRID)
     weight = np.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi) * (z[1] - z[0])
@@ -146,7 +133,7 @@ def normal_correlation(value_of: Callable[[Array], Array], wanted: float) -> flo
     rest = max(1.0 - float(shares.sum()), 0.0)
 
     def correlation(rho: float) -> float:
-        # what no term has, very long tails, counts like the last
+        # the part that no term has, very long tails, counts like the last term
         return float((shares * rho**powers).sum()) + rest * rho**_TERMS
 
     return float(brentq(lambda rho: correlation(rho) - wanted, 0.0, 1.0, xtol=1e-12))
@@ -156,12 +143,12 @@ _REACH, _GRID, _TERMS = 14.0, 20001, 80
 
 
 def netem_table(jitter: int, standard: Callable[[Array], Array] | None = None) -> NDArray[np.int16]:
-    """The 4096 numbers from which netem draws a delay, in 1/8192 of the spread.
+    """Return the 4096 numbers from which netem draws a delay, in 1/8192 of the spread.
 
-    Those of normal, pareto and paretonormal are the numbers of iproute2's files, to 1.
+    Those of normal, pareto and paretonormal are those of iproute2's files, to within 1.
 
     Args:
-        jitter: NORMAL, PARETO or PARETONORMAL; others are made of quantiles of `standard`.
+        jitter: NORMAL, PARETO or PARETONORMAL; others are quantiles of `standard`.
         standard: a function of z (K,) with mean 0 and standard deviation 1.
     """
     j = np.arange(NETEM_TABLE)

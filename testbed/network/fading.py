@@ -1,8 +1,8 @@
-"""Loss from where the aircraft are and how they bank: distance, and airframes in the way.
+"""Loss that depends on positions and attitudes: distance, and shadowing by airframes.
 
-An antenna below an airframe does not see what is above the plane of its wings. How far past that
-plane the other aircraft is, seen from either end of a link, gives a probability of loss each;
-distance gives a third. They are independent of each other.
+An antenna below an airframe is shadowed above the plane of the wings. How far past that plane the
+other aircraft is, seen from either end of a link, gives a probability of loss each; distance gives
+a third. They are independent.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.frames import rotation_ned_body
+from testbed.core.frames import rotation_ned_body
+from testbed.core.records import Array
 from testbed.scenario.network import Network
-from testbed.state import Array
 
 NEAREST = 1e-9  # m; nearer than this there is no line of sight to have an angle
 
@@ -23,21 +23,21 @@ Curve = tuple[tuple[float, float], ...]  # abscissa and probability, in rising o
 
 
 class Curves(NamedTuple):
-    """What fades on the links between N aircraft and n followers; -1: nothing."""
+    """Probabilities of loss on the links between N aircraft and n followers; -1: none."""
 
     by_distance: tuple[Array, ...]  # (2, points) each: m, probability
     by_angle: tuple[Array, ...]  # (2, points) each: rad, probability
-    distance: NDArray[np.int64]  # (n, N) which of `by_distance`
-    angle: NDArray[np.int64]  # (n, N) which of `by_angle`
+    distance: NDArray[np.int64]  # (n, N) index into `by_distance`
+    angle: NDArray[np.int64]  # (n, N) index into `by_angle`
     side: Array  # (n, N) of the airframe the antennas are on: 1 below, -1 above
 
 
 def make_curves(names: Sequence[str], network: Network) -> Curves | None:
-    """The curves of a page's links; none if no link fades.
+    """Make the curves of a scenario's links; None if no link fades.
 
     Args:
-        names: N, the leader first, who does not listen.
-        network: the section of the page.
+        names: N, the leader first, which does not receive.
+        network: the section of the scenario.
     """
     shape = (len(names) - 1, len(names))
     distance, angle, side = np.full(shape, -1), np.full(shape, -1), np.ones(shape)
@@ -61,7 +61,7 @@ def make_curves(names: Sequence[str], network: Network) -> Curves | None:
 
 
 def fading(position_ned: Array, euler: Array, curves: Curves) -> Array:
-    """Probability (n, N) that a message is lost to distance or an airframe.
+    """Return the probability (n, N) that a message is lost to distance or an airframe.
 
     Args:
         position_ned: (N, 3) m.
@@ -70,21 +70,21 @@ def fading(position_ned: Array, euler: Array, curves: Curves) -> Array:
     """
     sight = position_ned[1:, None] - position_ned  # (n, N, 3) from the sender to the receiver
     length = np.sqrt(np.sum(sight * sight, axis=-1))
-    passes = 1.0 - _looked_up(curves.by_distance, curves.distance, length)
+    passes = 1.0 - _interpolate(curves.by_distance, curves.distance, length)
     if curves.by_angle:
         down = rotation_ned_body(euler)[..., 2]  # (N, 3) the body's z axis
         unit = sight / np.maximum(length, NEAREST)[..., None]
         for axis, sign in ((down, -1.0), (down[1:, None], 1.0)):  # from the sender; the receiver
             height = sign * curves.side * np.sum(unit * axis, axis=-1)
             past = np.arcsin(np.clip(height, -1.0, 1.0))
-            passes *= 1.0 - _looked_up(curves.by_angle, curves.angle, past)
+            passes *= 1.0 - _interpolate(curves.by_angle, curves.angle, past)
     return 1.0 - passes
 
 
-def _looked_up(curves: tuple[Array, ...], which: NDArray[np.int64], abscissa: Array) -> Array:
-    """Probability (n, N) by the curve of each link; 0 where it has none."""
-    out = np.zeros(which.shape)
+def _interpolate(curves: tuple[Array, ...], index: NDArray[np.int64], abscissa: Array) -> Array:
+    """Return the probability (n, N) by the curve of each link; 0 where it has none."""
+    out = np.zeros(index.shape)
     for number, (x, probability) in enumerate(curves):
-        chosen = which == number
+        chosen = index == number
         out[chosen] = np.interp(abscissa[chosen], x, probability)
     return out

@@ -1,7 +1,7 @@
-"""The links between N aircraft and their n followers as tables: what is set, and what is going on.
+"""Tables of the links between N aircraft and their n followers: parameters, state, packets.
 
-Rows of a table are followers, columns aircraft: [i, m] is the directed link from m to i. The names
-of fields stand for the keys of the page.
+Rows of a table are followers, columns are aircraft: [i, m] is the directed link from aircraft m to
+follower i, which is aircraft i + 1. Fields of LINK_PARAMETERS stand for keys of the scenario.
 """
 
 from __future__ import annotations
@@ -11,76 +11,97 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-Links = np.ndarray[tuple[int, ...], np.dtype[np.void]]
-Fates = NDArray[np.uint8]
+Numbers = NDArray[np.int64]
+Outcomes = NDArray[np.uint8]  # of PacketOutcome
 
 
-class Fate(IntEnum):
-    """What became of a packet."""
+class PacketOutcome(IntEnum):
+    """What happened to a packet on a link."""
 
     DELIVERED = 0
     LOST = 1  # by the loss model or the trace
     FADED = 2  # by distance, or behind an airframe
-    CORRUPTED = 3  # arrived, and its checksum was wrong
-    QUEUE = 4  # dropped at the tail of the transmitter's queue
+    CORRUPTED = 3  # received with a wrong checksum
+    QUEUE = 4  # dropped because the transmitter's queue was full
     BLACKOUT = 5
     PARTITION = 6
     LISTED = 7  # in the list of packets to drop
-    MUTE = 8  # was not even sent
-    UNHEARD = 9  # by who does not listen to its sender
+    MUTED = 8  # not sent: the transmitter is off
+    UNSUBSCRIBED = 9  # the receiver does not use this sender's messages
 
 
-NO_LOSS, BERNOULLI, GILBERT_ELLIOTT, FOUR_STATE = range(4)
+NO_LOSS, BERNOULLI, GILBERT_ELLIOTT, FOUR_STATE = range(4)  # kinds of loss
 NO_JITTER, UNIFORM, NORMAL, LOGNORMAL, PARETO, PARETONORMAL, EMPIRICAL = range(7)
-# Events with a probability and a correlation; netem correlates the delay in the same way.
+# Random events with a probability and a correlation; netem correlates delays in the same way.
 LOSS, DUPLICATE, CORRUPT, REORDER, DELAY = range(5)
+NETEM_ONE = 0xFFFFFFFF  # netem's number for a probability or correlation of one
+NETEM_TABLE = 4096  # values of a table of netem
+# Blocks of random words of one packet or link, by what they decide.
+OUTCOME, PATH, START, SLOT, BITS = range(5)
 
-# What is set. Of events: the probability after a packet that had none and after one that had one,
-# by which a probability and a lag-1 correlation come about; for netem its 32-bit numbers.
-LINK = np.dtype(
+# Parameters of one link. Of each event: the probability after a packet without the event and after
+# one with it, which give its probability and lag-1 correlation; for netem its 32-bit numbers.
+LINK_PARAMETERS = np.dtype(
     [
+        ("key", "u8", 2),  # of the link's random numbers
         ("own", "?"),  # from an aircraft to itself: perfect
-        ("unheard", "?"),  # the receiver does not listen; neither is anything counted
-        ("netem", "?"),
-        ("delay", "f8"),  # s
-        ("jitter", "i8"),
-        ("spread", "f8"),  # s
-        ("shape", "f8", (2,)),  # of lognormal: mean and deviation of the logarithm
-        ("table", "i8"),  # of quantiles, for empirical and for netem
-        ("rho", "f8"),  # of the normal process behind the jitter
+        ("random", "?"),  # whether any random event can occur, or delays are random
+        ("unsubscribed", "?"),  # the receiver does not use the messages, which are not counted
+        ("netem", "?"),  # arithmetic of netem
         ("in_order", "?"),
-        ("loss", "i8"),
-        ("p", "f8", (5,)),  # of the Markov chains, in the order of the page
-        ("after_none", "f8", (4,)),
-        ("after_one", "f8", (4,)),
-        ("share", "u8", (4,)),
-        ("blend", "u8", (5,)),
-        ("gap", "i8"),
+        ("delay", "f8"),  # s
+        ("jitter", "i8"),  # kind
+        ("spread", "f8"),  # s
+        ("lognormal", "f8", 2),  # mean and standard deviation of the logarithm
+        ("table", "i8"),  # row of the tables of delays
+        ("rho", "f8"),  # coefficient of the normal process behind the jitter
+        ("loss", "i8"),  # kind
+        ("p", "f8", 5),  # transition probabilities of the loss model, in the scenario's order
+        ("after_none", "f8", 4),  # probability of an event after a packet without it
+        ("after_one", "f8", 4),  # probability of an event after a packet with it
+        ("share", "u8", 4),  # netem: probability of an event, of NETEM_ONE
+        ("blend", "u8", 5),  # netem: correlation of an event, of NETEM_ONE
+        ("gap", "i8"),  # packets from one that may overtake to the next
         ("service", "f8"),  # s on the air per packet; 0: none
         ("queue", "i8"),  # packets that may wait; 0: any number
-        ("slot", "f8", (2,)),  # s from slot to slot, shortest and longest; 0: no slots
+        ("slot", "f8", 2),  # s from slot to slot, shortest and longest; 0: no slots
         ("first_slot", "f8"),  # s
-        ("per_slot", "i8"),
-        ("bits", "i8"),  # of a corrupt frame that are not what they were
-    ]
+        ("per_slot", "i8"),  # packets
+        ("bits", "i8"),  # wrong bits of a corrupt frame
+    ],
+    align=True,
 )
-
-# What is going on.
-STATE = np.dtype(
+# A table of delays: quantiles (`delays.quantiles`), s, in the first values, or netem's table.
+DELAY_TABLE = np.dtype([("values", "f8", NETEM_TABLE)])
+# What a link keeps from one packet to the next.
+LINK_STATE = np.dtype(
     [
-        ("chain", "i8"),  # state of the loss model, 0 is the good one
-        ("had", "u1", (4,)),  # whether the packet before had the event
-        ("blended", "u8", (5,)),  # what netem remembers of its dice
-        ("z", "f8"),  # of the normal process; nan: not begun
+        ("chain", "i8"),  # state of the loss model; 0 is the good one
+        ("had", "u1", 4),  # whether the last packet had the event
+        ("blended", "u8", 5),  # netem: last correlated word of each event
+        ("z", "f8"),  # of the normal process behind the jitter; nan: not started
         ("passed", "i8"),  # packets since the last that overtook
-        ("free", "f8"),  # when the transmitter is free, s
-        ("latest", "f8"),  # arrival, s
-        ("slot_number", "i8"),  # the last slot that was used, or the first of all
-        ("slot_at", "f8"),  # s
+        ("free", "f8"),  # time at which the transmitter is free, s
+        ("latest", "f8"),  # latest arrival so far, s
+        ("slot_number", "i8"),  # of the last slot used, or of the first
+        ("slot_at", "f8"),  # s, its time
         ("slot_left", "i8"),  # packets that it still takes
-        ("place", "i8"),  # of the next packet in the ring of the queue
-    ]
+        ("next_departure", "i8"),  # index of the next packet in the ring of departures
+    ],
+    align=True,
 )
-
-# Blocks of dice: what each word of them decides.
-OUTCOME, PATH, START, SLOT, PLACES = range(5)
+# The newest packet of a link: what decides about it besides the link's random numbers, and what
+# happened to it.
+PACKET = np.dtype(
+    [
+        ("scripted", "u1"),  # PacketOutcome by the scenario's outages; 0: none
+        ("outcome", "u1"),  # PacketOutcome
+        ("trace_delay_s", "f8"),  # delay by a trace; infinite: lost, nan: no trace
+        ("fading", "f8"),  # probability of a loss to distance and airframes
+        ("arrival_s", "f8", 2),  # of the packet and its second copy; infinite: none
+        ("corrupted_s", "f8", 2),  # arrivals of corrupted copies; infinite: none
+        ("departures_s", "f8", 2),  # times at which its copies leave the queue, the first `queued`
+        ("queued", "i8"),
+    ],
+    align=True,
+)

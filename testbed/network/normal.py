@@ -1,4 +1,4 @@
-"""The standard normal distribution; of scipy, which takes longer to load than a page to build."""
+"""The standard normal distribution; scipy, which computes it, is slow to import."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.state import Array
+from testbed.core.records import Array
 
 
 def probability(z: Array) -> Array:
-    """Φ(z), the share of a standard normal below z (…)."""
+    """Return Φ(z), the share of a standard normal below z (…)."""
     from scipy.special import ndtr
 
     below: Array = ndtr(z)
@@ -19,7 +19,7 @@ def probability(z: Array) -> Array:
 
 
 def quantile(share: NDArray[np.floating[Any]]) -> Array:
-    """The z (…) that has this share 0..1 of a standard normal below it."""
+    """Return the z (…) that has this share 0..1 of a standard normal below it."""
     from scipy.special import ndtri
 
     z: Array = ndtri(share)

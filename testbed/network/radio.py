@@ -1,240 +1,257 @@
-"""The radio of a run: broadcasts go in, what each follower has heard comes out."""
+"""The radio of a run: broadcasts go in, the newest messages received by each follower come out."""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from testbed.core.compile import Kernel
+from testbed.core.records import (
+    LINK,
+    MESSAGE,
+    Array,
+    BoolArray,
+    Broadcast,
+    Inbox,
+    LinkCounters,
+    Records,
+    VehicleState,
+    allocate,
+    fields_of,
+    write_fields,
+)
 from testbed.network.channel import Channel
-from testbed.network.clocks import Clocks, show
-from testbed.network.encoded import Believed, Coder, Encoding
-from testbed.network.fates import BEFALL
-from testbed.network.ledger import READY_COUNT, blank
-from testbed.network.links import Fate, Fates
-from testbed.network.post import (
-    NOTHING,
-    POST_ROUND,
-    READY_SEND_ROUND,
-    READY_TAKE_DUE,
-    VECTORS,
-    Numbers,
-    Read,
-    more_room,
-    room,
+from testbed.network.clocks import clock_error
+from testbed.network.encoding import Encoder, Encoding, UndetectedErrors
+from testbed.network.link_state import initial_departures, initial_links, initial_transmitters
+from testbed.network.link_statistics import initial_statistics
+from testbed.network.links import Numbers, Outcomes
+from testbed.network.packet_outcomes import transmit_broadcast
+from testbed.network.packet_queue import (
+    NO_MESSAGE,
+    allocate_queue,
+    deliver_due,
+    enqueue_broadcast,
+    send_broadcast,
 )
 from testbed.network.report import summarise
-from testbed.network.traffic import idle
-from testbed.state import Array, Broadcast, Inbox, LinkCounts, Truths, VehicleState
 
 
 @dataclass(frozen=True, slots=True)
-class Conditions:
-    """What befalls messages beside the links' own dice; None: nothing."""
+class ExtraLosses:
+    """Losses and delays besides the random numbers of the links; None: none.
 
-    # `links.Fate` (n, S) that a script has, 0: none, for messages sent at these times (S,) s, by
-    # `rows` (S,), with these numbers (S,).
-    script: Callable[[Array, Numbers, Numbers], Fates] | None = None
-    # Delay (n, S) s that a trace has for them, infinite: lost, nan: none; by times and rows.
+    All are functions of transmission times (S,) s or motions, and of the rows (S,) of the senders.
+    """
+
+    # PacketOutcome (n, S) by outages, 0: none; of times, rows and sequence numbers (S,)
+    outages: Callable[[Array, Numbers, Numbers], Outcomes] | None = None
+    # Delay (n, S) s by a trace, infinite: lost, nan: no trace; of times and rows
     trace: Callable[[Array, Numbers], Array] | None = None
-    # Probability (n, S) of being lost to distance and airframes, in this formation (N).
+    # Probability (n, S) of a loss to distance and airframes; of the motion of all N, and rows
     fading: Callable[[VehicleState, Numbers], Array] | None = None
-    clocks: Clocks | None = None  # None: all are right
-
-
-class _Round:
-    """What the rounds of S senders are written into; and what befalls them if nothing does."""
-
-    __slots__ = (
-        *("ahead_s", "arrivals", "faded", "fate", "message", "muted", "rows", "script"),
-        *("send", "shown_s", "traced"),
-    )
-
-    def __init__(self, rows: Numbers, shape: tuple[int, int]) -> None:
-        self.rows = rows  # (S,)
-        self.script: Fates = np.zeros(shape, np.uint8)
-        self.muted = False  # somebody was, in the script
-        self.traced, self.faded = np.full(shape, np.nan), np.zeros(shape)
-        self.shown_s, self.ahead_s = np.empty(len(rows)), np.empty(shape)
-        self.arrivals, self.fate = np.empty((*shape, 2)), np.empty(shape, np.uint8)
-        self.message: Broadcast | None = None  # that the sending is bound to
-        self.send: Callable[[int], int] | None = None
 
 
 class Radio:
-    """Messages between N aircraft and their n followers."""
+    """Send messages between N aircraft and deliver them to n followers.
+
+    Args:
+        channel: the links.
+        losses: besides those of the links' random numbers.
+        encoding: as frames of bytes; None: messages arrive with every digit.
+        clocks: (N,) of CLOCK, which stamp messages; None: all are exact.
+
+    Attributes:
+        links: (n, N) of LINK, the newest message received of each aircraft, and counters.
+        packets: (n, N) of PACKET, of the last broadcast of each aircraft.
+        statistics: (n, N) of LINK_STATISTICS.
+        needs_all_positions: whether sending needs the positions of all aircraft.
+    """
 
     def __init__(
         self,
         channel: Channel,
-        conditions: Conditions | None = None,
+        losses: ExtraLosses | None = None,
         encoding: Encoding | None = None,
+        clocks: Records | None = None,
     ) -> None:
-        """Nothing was said yet. Without an encoding, messages arrive to the last digit."""
-        self._channel, self._conditions = channel, conditions or Conditions()
-        n, aircraft = links = channel.links.shape
-        self._coder = Coder(encoding, channel) if encoding else None
-        self._traffic = idle(channel)
-        self.ledger = blank(n, aircraft)  # of what happens to messages, and of their use
-        self._everyone = np.arange(aircraft)
-        self._number = np.full(aircraft, -1)  # of the last message of each
+        """See the class."""
+        n, aircraft = channel.links.shape
+        self._channel, self._losses = channel, losses or ExtraLosses()
+        self.needs_all_positions = self._losses.fading is not None
+        self._has_losses = losses is not None and losses != ExtraLosses()
+        self._encoder = Encoder(encoding, channel) if encoding else None
+        self._links, self.statistics = initial_links(channel), initial_statistics(n, aircraft)
+        self._transmitters = initial_transmitters(aircraft, clocks)
+        self.packets = self._links["packet"]
+        self.links = allocate(LINK, n, aircraft)
+        for name in (*Inbox._fields, "measured_s"):
+            self.links[name] = np.nan
+        self.links["number"] = NO_MESSAGE
+        self._inbox = fields_of(Inbox, self.links)
+        self._counts = fields_of(LinkCounters, self.links)
+        self._sent, self._delivered = self.statistics["sent"], self.statistics["delivered"]
+        self._messages = allocate(MESSAGE, aircraft)
+        self._all, self._none = np.ones(aircraft, dtype=bool), np.zeros(aircraft, dtype=bool)
+        self._departures_s = initial_departures(channel)
         self._count = 0  # messages on their way
-        self._post = room(4 * n * aircraft)
-        self._read = Read(np.full(links, NOTHING), np.full(links, np.nan))
-        vectors = np.full((VECTORS, *links, 3), np.nan)
-        self._inbox = Inbox(*np.full((2, *links), np.nan), *vectors)
-        self._counts = LinkCounts(*np.zeros((2, *links), np.uint32))
-        self._count_up = READY_COUNT(self.ledger, self._counts)
-        self._take_due = READY_TAKE_DUE(self._post, self.ledger, self._read, self._inbox)
-        self._sent_s = np.zeros(aircraft)
-        self._clocks = self._conditions.clocks or Clocks(*np.zeros((3, aircraft)))
-        # whether more befalls a message than the links' own dice
-        given = self._conditions
-        self._eventful = any((given.script, given.trace, given.fading))
-        # whether it asks for the motion of those too who neither send nor listen
-        self.looks_around = given.fading is not None
-        self._rounds: dict[int, _Round] = {}  # by the senders' rows, kept in `_together`
-        self._together: dict[bytes, Numbers] = {}
+        self._most = 2 * n * aircraft  # that one broadcast adds
+        self._bind(allocate_queue(2 * self._most))
+
+    def _bind(self, queue: Records) -> None:
+        """Bind the entries to the state of this radio and to a queue."""
+        links, transmitters = self._links, self._transmitters
+        self._queue = queue
+        self._transmit = functools.partial(
+            transmit_broadcast, links, self._departures_s, self._channel.tables, transmitters
+        )
+        self._enqueue = functools.partial(
+            enqueue_broadcast, links, transmitters, queue, self.statistics
+        )
+        self._send = functools.partial(
+            send_broadcast,
+            links,
+            self._departures_s,
+            self._channel.tables,
+            transmitters,
+            queue,
+            self.statistics,
+        )
+        self._deliver = functools.partial(deliver_due, queue, self.links, self.statistics)
+
+    def _grow_queue(self) -> None:
+        """Double the space for messages on their way."""
+        queue = allocate_queue(2 * len(self._queue))
+        queue[: self._count] = self._queue[: self._count]
+        self._bind(queue)
 
     @property
-    def measured_s(self) -> Array:
-        """(n, N) when what is in the inboxes was true, s; nan: nothing heard yet."""
-        return self._read.measured_s
+    def content_time_s(self) -> Array:
+        """True time of the content of the newest messages (n, N), s; nan: none received."""
+        return np.asarray(self.links["measured_s"])
 
     def send(
         self,
         sent_s: Array,
-        message: Broadcast,
-        truth: VehicleState,
-        who: Truths | None = None,
-        hushed: Truths | None = None,
-    ) -> tuple[Array, Fates]:
-        """The aircraft `who` (N,), by default all, send their messages at sent_s (N,).
+        message: Broadcast | Records,
+        truth: VehicleState | None,
+        senders: BoolArray | None = None,
+        muted: BoolArray | None = None,
+    ) -> Records:
+        """Send one message of each sender.
 
         Args:
-            sent_s: (N,) s, of those who send.
-            message: of all N; its stamps are the true time of its content.
-            truth: the motion of all N, on which distances and airframes in the way depend.
-            who: (N,)
-            hushed: (N,) whose transmitters are silent; their messages count as not sent.
+            sent_s: (N,) s, transmission times of the senders.
+            message: of all N, or (N,) of MESSAGE, which is not copied; stamped with the true
+                times of the content.
+            truth: motion of all N, which fading depends on.
+            senders: (N,); None: all.
+            muted: (N,) transmitters that are off: their messages are numbered and not sent; None:
+                none.
 
         Returns:
-            Arrivals (n, S, 2) s and fates (n, S) of the S messages; see `fates.fates`. The next
-            round of the same senders changes them.
+            `packets`: their outcomes and arrival times.
         """
-        rows = self._everyone if who is None else self._rows(who)
-        spot = self._rounds.get(id(rows)) or self._round(rows)
-        if self._count + spot.arrivals.size > len(self._post.arrival_s):
-            self._make_room()
-        self._sent_s[:] = sent_s
-        if self._eventful or spot.muted or hushed is not None:
-            self._befall(sent_s, truth, hushed, spot)
-        if self._coder is not None:
-            self._send_coded(self._coder, message, spot)
+        senders = self._all if senders is None else senders
+        muted = self._none if muted is None else muted
+        if isinstance(message, Broadcast):
+            write_fields(self._messages, message)
+            message = self._messages
+        if self._count + self._most > len(self._queue):
+            self._grow_queue()
+        if self._has_losses:
+            self._write_losses(sent_s, truth, senders)
+        if self._encoder is not None:
+            self._send_frames(self._encoder, sent_s, message, senders, muted)
         else:
-            same = spot.message is message
-            send = spot.send if same and spot.send else self._bound(spot, message)
-            self._count = send(self._count)
-        return spot.arrivals, spot.fate
-
-    def _befall(
-        self, sent_s: Array, truth: VehicleState, hushed: Truths | None, spot: _Round
-    ) -> None:
-        """Write what more befalls a round than the links' own dice."""
-        given, rows = self._conditions, spot.rows
-        if given.script:
-            spot.script[:] = given.script(sent_s[rows], rows, self._number[rows] + 1)
-        elif spot.muted:
-            spot.script.fill(0)
-        if given.trace:
-            spot.traced[:] = given.trace(sent_s[rows], rows)
-        if given.fading:
-            spot.faded[:] = given.fading(truth, rows)
-        spot.muted = hushed is not None
-        if hushed is not None:
-            spot.script[:, hushed[rows]] = Fate.MUTE
-
-    def _bound(self, spot: _Round, message: Broadcast) -> Callable[[int], int]:
-        """The sending of rounds of these senders, bound to the records it works on."""
-        spot.message = message
-        spot.send = READY_SEND_ROUND(
-            self._channel,
-            self._traffic,
-            self._post,
-            self.ledger,
-            spot.rows,
-            self._number,
-            self._sent_s,
-            *(spot.script, spot.traced, spot.faded),
-            *(self._clocks, spot.shown_s, spot.ahead_s),
-            message,
-            *(spot.arrivals, spot.fate),
-        )
-        return spot.send
-
-    def _send_coded(self, coder: Coder, message: Broadcast, spot: _Round) -> None:
-        """Send a round as frames, of which some are damaged and believed."""
-        rows, became = spot.rows, (spot.arrivals, spot.fate)
-        self._number[rows] += 1
-        number, sent = self._number[rows], self._sent_s[rows]
-        show(self._clocks, message.stamp_s, rows, spot.shown_s, spot.ahead_s)
-        message, stamp_s = coder.says(message, spot.shown_s, rows, number)
-        befallen = spot.script, spot.traced, spot.faded
-        BEFALL(self._channel, self._traffic, rows, number, sent, *befallen, *became)
-        believed = coder.damage(self._traffic.spoiled_s[:, rows], *became, rows, number)
-        first, stamps_s = self._count, stamp_s - spot.ahead_s
-        self._count = POST_ROUND(
-            self._post, self.ledger, first, rows, number, sent, stamps_s, message, *became
-        )
-        if believed is not None:
-            self._falsify(first, believed, spot)
-
-    def _make_room(self) -> None:
-        self._post = more_room(self._post, self._count)
-        self._take_due = READY_TAKE_DUE(self._post, self.ledger, self._read, self._inbox)
-        for spot in self._rounds.values():
-            spot.send = None
+            self._count = self._send(senders, muted, sent_s, message, self._count)
+        return self.packets
 
     def deliver(self, now: float) -> Inbox:
-        """What the followers have received by `now`, s; a newer message replaces an older.
+        """Deliver what has arrived by `now`, s; a newer message replaces an older.
 
-        The inbox is the radio's own: the next delivery changes it.
+        Returns:
+            The newest messages received: views of `links`.
         """
         if self._count:
-            self._count = self._take_due(self._count, now)
+            self._count = self._deliver(self._count, now)
         return self._inbox
 
-    def counts(self) -> LinkCounts:
-        """Messages sent and delivered up to now; the next call changes them."""
-        self._count_up()
+    def counts(self) -> LinkCounters:
+        """Write the numbers of messages sent and delivered up to now into `links`.
+
+        Returns:
+            Views of `links`.
+        """
+        np.copyto(self._counts.sent, self._sent)
+        np.copyto(self._counts.delivered, self._delivered)
         return self._counts
 
     def summary(self) -> Mapping[str, Any]:
-        """Numbers of every link, ready for JSON."""
-        summary = summarise(self.ledger, self._channel.names, self._channel.links["unheard"])
-        if self._coder:
-            keys = ("refused", "discarded", "believed")
-            summary["damaged"] = {key: getattr(self._coder, key) for key in keys}
+        """Return the statistics of every link, ready for JSON."""
+        channel = self._channel
+        summary = summarise(self.statistics, channel.names, channel.links["unsubscribed"])
+        if self._encoder:
+            keys = ("refused", "discarded", "undetected")
+            summary["damaged"] = {key: getattr(self._encoder, key) for key in keys}
         return summary
 
-    def _falsify(self, first: int, believed: Believed, spot: _Round) -> None:
-        """Put what damaged copies say into the messages on their way; the round begins at first."""
-        i, s, copy = believed.at.T
-        way = np.flatnonzero(np.isfinite(spot.arrivals))  # in the order of the post
-        at = first + np.searchsorted(way, np.ravel_multi_index((i, s, copy), spot.arrivals.shape))
-        self._post.content[at] = believed.content
-        self._post.stamp_s[at] = believed.stamp_s - spot.ahead_s[i, s]
+    def kernels(self) -> list[Kernel]:
+        """Return the compiled calls of `send` and `deliver`, for `core.compile.prepare`."""
+        sent_s = np.zeros(len(self._all))
+        deliver = functools.partial(self._deliver, 0, 0.0)
+        if self._encoder is None:
+            args = self._all, self._none, sent_s, self._messages, 0
+            return [functools.partial(self._send, *args), deliver]
+        return [
+            functools.partial(self._transmit, self._all, self._none, sent_s, self._messages),
+            functools.partial(self._enqueue, 0, sent_s, self._messages, 0),
+            deliver,
+        ]
 
-    def _rows(self, who: Truths) -> Numbers:
-        """Rows of those who send together; most rounds are like others."""
-        key = who.tobytes()
-        if key not in self._together:
-            self._together[key] = np.flatnonzero(who)
-        return self._together[key]
+    def _write_losses(self, sent_s: Array, truth: VehicleState | None, senders: BoolArray) -> None:
+        """Write what acts on the senders' packets besides the links' random numbers."""
+        losses, packets, rows = self._losses, self.packets, np.flatnonzero(senders)
+        if losses.outages:
+            numbers = self._transmitters["number"][rows] + 1
+            packets["scripted"][:, rows] = losses.outages(sent_s[rows], rows, numbers)
+        if losses.trace:
+            packets["trace_delay_s"][:, rows] = losses.trace(sent_s[rows], rows)
+        if losses.fading and truth is not None:
+            packets["fading"][:, rows] = losses.fading(truth, rows)
 
-    def _round(self, rows: Numbers) -> _Round:
-        """What rounds of these senders are written into."""
-        made = self._rounds[id(rows)] = _Round(rows, (len(self._channel.links), len(rows)))
-        return made
+    def _send_frames(
+        self,
+        encoder: Encoder,
+        sent_s: Array,
+        messages: Records,
+        senders: BoolArray,
+        muted: BoolArray,
+    ) -> None:
+        """Send messages as frames, of which some are corrupted and pass the checksum."""
+        transmitters, first = self._transmitters, self._count
+        sending = self._transmit(senders, muted, sent_s, messages)
+        rows = np.flatnonzero(senders)
+        numbers = np.array(transmitters["number"][rows])
+        messages = encoder.encode(messages, transmitters["stamp_s"], rows, numbers)
+        errors = encoder.corrupt(self.packets, rows, numbers)
+        self._count = self._enqueue(sending, sent_s, messages, first)
+        if errors is not None:
+            self._write_errors(first, errors, rows)
+
+    def _write_errors(self, first: int, errors: UndetectedErrors, rows: Numbers) -> None:
+        """Write the content of corrupted copies into the queue, where a broadcast is from first."""
+        i, s, copy = errors.at.T
+        arrival_s = self.packets["arrival_s"][:, rows]
+        queued = np.flatnonzero(np.isfinite(arrival_s))  # in the order of the queue
+        at = first + np.searchsorted(queued, np.ravel_multi_index((i, s, copy), arrival_s.shape))
+        written = self._queue["message"]
+        for name, values in zip(Broadcast._fields[1:], errors.message[1:], strict=True):
+            written[name][at] = values
+        clocks = self._transmitters["clock"].view(np.recarray)[i + 1]
+        ahead_s = clock_error(clocks, self._queue["measured_s"][at])
+        written["stamp_s"][at] = errors.message.stamp_s - ahead_s

@@ -1,8 +1,8 @@
-"""Measured traces: what a link did to messages sent in the past, replayed by the time of sending.
+"""Measured traces: losses and delays of messages in the past, replayed by transmission time.
 
-A message meets what the row nearest to it in time met. So a trace that is replayed at the pace it
-was sent at gives its own fates, each once, even if that pace was not quite even. The links of a
-file share its time: what failed together fails together.
+A message has the delay of the row nearest to it in time. So a trace that is replayed at its own
+rate gives its own outcomes, each once, even if the rate was not quite even. The links of a file
+share its time: links that failed together fail together.
 """
 
 from __future__ import annotations
@@ -16,50 +16,49 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.csv_table import Table, read_table
+from testbed.core.csv_table import Table, read_table
+from testbed.core.random import stream
+from testbed.core.records import Array
 from testbed.scenario.network import Network
 from testbed.scenario.resolve import find_data
-from testbed.state import Array
-from testbed.streams import stream
 
 ENDS = ("source", "destination")
 
 
 class Trace(NamedTuple):
-    """K messages over one link, and over again after the span; times are the file's."""
+    """K messages over one link, repeated after the span; times are those of the file."""
 
     sent_s: Array  # (K,)
     delay_s: Array  # (K,); infinite: lost
-    earliest_s: float  # row of the file, of any link
+    earliest_s: float  # of all rows of the file
     span_s: float  # of its longest link, and that link's median interval to the first row again
-    from_s: float  # since when the first row is nearer than the last of the lap before
-    until_s: Array  # (K,) up to when each row is nearer than the next
+    from_s: float  # from when the first row is nearer than the last of the previous repetition
+    until_s: Array  # (K,) until when each row is nearer than the next
 
 
 class Replays(NamedTuple):
     """The links between N aircraft and n followers that replay a trace."""
 
     traces: tuple[Trace, ...]
-    which: NDArray[np.int64]  # (n, N) number of the trace, -1: none
+    trace_index: NDArray[np.int64]  # (n, N) into `traces`, -1: none
     begin_s: Array  # (n, N) time of the file at the start of the run
 
 
 def make_replays(names: Sequence[str], network: Network, seed: int) -> Replays | None:
-    """What the links of a page replay; none if no link does.
+    """Make the traces that the links of a scenario replay; None if no link does.
 
     Args:
-        names: N, the leader first, who does not listen.
-        network: the section of the page.
-        seed: of the run; with the names of a link it gives the moment where a shifted trace begins.
+        names: N, the leader first, which does not receive.
+        network: the section of the scenario.
+        seed: of the run; with the names of a link it gives the random start of a trace.
 
     Raises:
         InputError: a file is not a trace of the links it is for.
     """
-    which = np.full((len(names) - 1, len(names)), -1)
-    begin = np.zeros(which.shape)
+    index = np.full((len(names) - 1, len(names)), -1)
+    begin = np.zeros(index.shape)
     files: dict[str, _File] = {}
-    known: dict[int, int] = {}  # numbers of traces by their identity
-    traces: list[Trace] = []
+    traces: dict[tuple[str, ...], Trace] = {}  # by file and link
     for i, destination in enumerate(names[1:]):
         for m, source in enumerate(names):
             chosen = None if source == destination else network.link(source, destination).trace
@@ -67,22 +66,22 @@ def make_replays(names: Sequence[str], network: Network, seed: int) -> Replays |
                 continue
             if chosen.file not in files:
                 files[chosen.file] = _File(find_data(chosen.file))
-            trace = files[chosen.file].trace(source, destination)
-            which[i, m] = known.setdefault(id(trace), len(traces))
-            if which[i, m] == len(traces):
-                traces.append(trace)
+            file = files[chosen.file]
+            key = chosen.file, *file.link(source, destination)
+            trace = traces.setdefault(key, file.trace(source, destination))
+            index[i, m] = list(traces).index(key)
             begin[i, m] = trace.earliest_s if chosen.begin_s is None else chosen.begin_s
-            if chosen.shifted:
+            if chosen.random_start:
                 draw = stream(seed, f"network/{source}>{destination}/trace").random()
                 begin[i, m] += draw * trace.span_s
-    return Replays(tuple(traces), which, begin) if traces else None
+    return Replays(tuple(traces.values()), index, begin) if traces else None
 
 
 def read_trace(path: Path, source: str, destination: str) -> Trace:
-    """Read what happened to messages from one aircraft to another.
+    """Read the trace of messages from one aircraft to another.
 
-    The file has columns sent_s and received_s, whose empty cells are losses; and source and
-    destination, if it has several links. Other columns are ignored.
+    The file has columns sent_s and received_s, whose empty cells are losses; with several links
+    also source and destination. Other columns are ignored.
 
     Raises:
         InputError: with file, line and remedy, if it is not a trace of this link.
@@ -90,23 +89,26 @@ def read_trace(path: Path, source: str, destination: str) -> Trace:
     return _File(path).trace(source, destination)
 
 
-def looked_up(trace: Trace, time_s: Array) -> Array:
-    """Delay of messages sent at these times (…) of the file or of laps of it, s; infinite: lost."""
+def trace_delay(trace: Trace, time_s: Array) -> Array:
+    """Return the delay of messages sent at these times (…) of the file, s; infinite: lost."""
     moment = trace.from_s + np.mod(time_s - trace.from_s, trace.span_s)
     near = np.searchsorted(trace.until_s, moment, side="right")
     return trace.delay_s[np.minimum(near, len(trace.delay_s) - 1)]
 
 
-def replayed(replays: Replays, sent_s: Array, rows: NDArray[np.int64]) -> Array:
-    """Delay (n, S) s of messages sent at `sent_s` (S,) by the aircraft `rows` (S,) to n followers.
+def replayed_delays(replays: Replays, sent_s: Array, rows: NDArray[np.int64]) -> Array:
+    """Return the delays (n, S) s of messages to n followers; infinite: lost, nan: no trace.
 
-    Infinite: lost; nan: the link replays no trace.
+    Args:
+        replays: of all links.
+        sent_s: (S,) s, transmission times.
+        rows: (S,) of the senders.
     """
-    which, time_s = replays.which[:, rows], sent_s + replays.begin_s[:, rows]
-    out = np.full(which.shape, np.nan)
-    for number in np.unique(which[which >= 0]):
-        links = which == number
-        out[links] = looked_up(replays.traces[number], time_s[links])
+    index, time_s = replays.trace_index[:, rows], sent_s + replays.begin_s[:, rows]
+    out = np.full(index.shape, np.nan)
+    for number in np.unique(index[index >= 0]):
+        links = index == number
+        out[links] = trace_delay(replays.traces[number], time_s[links])
     return out
 
 
@@ -121,24 +123,28 @@ class _File:
             raise table.refusal(
                 0, f"missing column {', '.join(missing)}; write sent_s and received_s in the header"
             )
-        told = [name for name in ENDS if name in table.header]
-        if len(told) == 1:
+        ends = [name for name in ENDS if name in table.header]
+        if len(ends) == 1:
             raise table.refusal(
-                0, f"{told[0]} without the other end; write both {' and '.join(ENDS)}, or neither"
+                0, f"{ends[0]} without the other end; write both {' and '.join(ENDS)}, or neither"
             )
         links: dict[tuple[str, ...], list[int]] = {}
-        ends = zip(*map(table.column, told), strict=True) if told else [()] * len(table.rows)
-        for k, pair in enumerate(ends):
+        pairs = zip(*map(table.column, ends), strict=True) if ends else [()] * len(table.rows)
+        for k, pair in enumerate(pairs):
             links.setdefault(pair, []).append(k)
-        self._table, self._links, self._one_link = table, links, not told
+        self._table, self._links, self._one_link = table, links, not ends
+
+    def link(self, source: str, destination: str) -> tuple[str, ...]:
+        """Return the ends of a link as the file has them: none if it has one link for all."""
+        return () if self._one_link else (source, destination)
 
     def trace(self, source: str, destination: str) -> Trace:
-        """What happened from one aircraft to another."""
-        pair = () if self._one_link else (source, destination)
+        """Return the trace from one aircraft to another."""
+        pair = self.link(source, destination)
         if pair in self._links:
             return self._traces[pair]
         if self._one_link:
-            raise self._table.refusal(0, "no rows; a trace needs two, to have a pace")
+            raise self._table.refusal(0, "no rows; a trace needs two, to have a rate")
         known = ", ".join(f"{a} to {b}" for a, b in self._links)
         raise self._table.refusal(
             0,
@@ -148,8 +154,8 @@ class _File:
 
     @cached_property
     def _traces(self) -> dict[tuple[str, ...], Trace]:
-        """By ends of a link; of a file of one link, by nothing."""
-        each = {pair: _messages(_picked(self._table, rows)) for pair, rows in self._links.items()}
+        """Return the traces by source and destination; of a file of one link by ()."""
+        each = {pair: _messages(_select(self._table, rows)) for pair, rows in self._links.items()}
         times = [sent for sent, _ in each.values()]
         earliest, latest = min(sent[0] for sent in times), max(sent[-1] for sent in times)
         lap = max(np.ptp(sent) + np.median(np.diff(sent)) for sent in times)
@@ -157,7 +163,7 @@ class _File:
         return {pair: _trace(*messages, float(earliest), span) for pair, messages in each.items()}
 
 
-def _picked(table: Table, rows: Sequence[int]) -> Table:
+def _select(table: Table, rows: Sequence[int]) -> Table:
     return replace(
         table,
         rows=tuple(table.rows[k] for k in rows),
@@ -166,13 +172,13 @@ def _picked(table: Table, rows: Sequence[int]) -> Table:
 
 
 def _messages(table: Table) -> tuple[Array, Array]:
-    """When messages (K,) of a table of one link were sent, s, and their delays."""
+    """Return transmission times (K,) and delays (K,) of a table of one link, s."""
     sent = table.numbers(["sent_s"])[:, 0]
     if len(sent) < 2:
-        raise table.refusal(0, "fewer than two rows; a trace needs two, to have a pace")
+        raise table.refusal(0, "fewer than two rows; a trace needs two, to have a rate")
     arrived = [k for k, text in enumerate(table.column("received_s")) if text]
     delay = np.full(len(sent), np.inf)
-    delay[arrived] = _picked(table, arrived).numbers(["received_s"])[:, 0] - sent[arrived]
+    delay[arrived] = _select(table, arrived).numbers(["received_s"])[:, 0] - sent[arrived]
     steps = np.diff(sent)
     if (steps <= 0.0).any():
         k = int(np.argmax(steps <= 0.0))

@@ -1,19 +1,17 @@
-"""From the text of a page to an immutable `Scenario`; what is wrong is named by line and column."""
+"""Scenario files: read, check and resolve them to an immutable `Scenario`."""
 
-from testbed.scenario.editor import json_schema
-from testbed.scenario.gains import MiddleLoopGains
 from testbed.scenario.load import (
-    Draft,
+    ScenarioFile,
     dump,
     dump_middle_loop,
-    gains_of,
     load,
     load_guidance,
     load_middle_loop,
     loads,
-    open_draft,
+    middle_loop_gains,
+    open_scenario,
 )
-from testbed.scenario.messages import Place, Problem, ScenarioError
+from testbed.scenario.middle_loop import MiddleLoopGains
 from testbed.scenario.resolve import (
     find_aircraft,
     find_data,
@@ -29,20 +27,19 @@ from testbed.scenario.resolve import (
     list_studies,
     list_tunings,
 )
-from testbed.scenario.schema import SCHEMA_VERSION, Scenario
-from testbed.scenario.shorten import shorten
+from testbed.scenario.schema import SCHEMA_VERSION, Scenario, json_schema, set_duration
+from testbed.scenario.violations import Place, Problem, ScenarioError
 
 __all__ = [
     "SCHEMA_VERSION",
-    "Draft",
     "MiddleLoopGains",
     "Place",
     "Problem",
     "Scenario",
     "ScenarioError",
+    "ScenarioFile",
     "dump",
     "dump_middle_loop",
-    "gains_of",
     "find_aircraft",
     "find_data",
     "find_law",
@@ -61,6 +58,7 @@ __all__ = [
     "load_guidance",
     "load_middle_loop",
     "loads",
-    "open_draft",
-    "shorten",
+    "middle_loop_gains",
+    "open_scenario",
+    "set_duration",
 ]

@@ -1,4 +1,4 @@
-"""The air of the page: mean wind, turbulence, gusts and wakes."""
+"""The `air` section: mean wind, turbulence, gusts and wakes."""
 
 from typing import Annotated, Literal
 
@@ -14,40 +14,40 @@ from testbed.scenario.fields import (
     Section,
 )
 
-_REFERENCE = "Height above the origin's ground where the wind has its speed, m."
-_SHAPE = "A ramp rises to velocity_mps as half a cosine and stays; a pulse falls back the same way."
-Spread = Annotated[MetresPerSecond, Field(ge=0, le=30)]
+_REFERENCE = "Height above the ground at the origin where the wind has speed_mps, m."
+_SHAPE = "ramp: rise to velocity_mps as half a cosine and stay; pulse: rise and fall back."
+Sigma = Annotated[MetresPerSecond, Field(ge=0, le=30)]
 Length = Annotated[Metres, Field(ge=1, le=100_000)]
-Blast = Annotated[MetresPerSecond, Field(ge=-60, le=60)]
-Velocity = tuple[Blast, Blast, Blast]
+GustSpeed = Annotated[MetresPerSecond, Field(ge=-60, le=60)]
+GustVelocity = tuple[GustSpeed, GustSpeed, GustSpeed]
 
 
 class UniformProfile(Section):
-    """The same wind at all heights."""
+    """Wind that is the same at all heights."""
 
-    kind: Literal["uniform"] = Field(description="The same at all heights.")
+    kind: Literal["uniform"] = Field(description="The same wind at all heights.")
 
 
 class LogProfile(Section):
-    """The logarithmic law; MIL-F-8785C 3.7.3.2 has it with 6.1 m (20 ft) and its roughness."""
+    """Logarithmic profile; MIL-F-8785C 3.7.3.2 uses it with 6.1 m (20 ft) and its roughness."""
 
-    kind: Literal["log"] = Field(description="Logarithm of the height over the roughness.")
+    kind: Literal["log"] = Field(description="Wind proportional to ln(height / roughness).")
     height_m: Metres = Field(10.0, gt=0, description=_REFERENCE)
     roughness_m: Metres = Field(
         0.03,
         gt=0,
         description="Roughness length of the ground, m: 0.03 is short grass; MIL-F-8785C has "
-        "0.046 (0.15 ft) for landing approaches and 0.61 (2 ft) else.",
+        "0.046 (0.15 ft) for landing approaches and 0.61 (2 ft) otherwise.",
     )
 
 
 class PowerProfile(Section):
-    """The power law of engineering practice."""
+    """Power-law profile of engineering practice."""
 
-    kind: Literal["power"] = Field(description="A power of the height.")
+    kind: Literal["power"] = Field(description="Wind proportional to a power of the height.")
     height_m: Metres = Field(10.0, gt=0, description=_REFERENCE)
     exponent: Number = Field(
-        0.143, gt=0, le=1, description="Exponent, no unit: 1/7 is open country."
+        0.143, gt=0, le=1, description="Exponent, no unit; 1/7 is typical of open country."
     )
 
 
@@ -55,126 +55,134 @@ Profile = Annotated[UniformProfile | LogProfile | PowerProfile, Field(discrimina
 
 
 class Wind(Section):
-    """The mean wind: steady or recorded, the same at all places of one height."""
+    """Mean wind, constant or recorded; the same at all points of one height."""
 
     speed_mps: MetresPerSecond = Field(
-        0.0, ge=0, le=60, description="Speed at the height that the profile names, m/s."
+        0.0, ge=0, le=60, description="Speed at the reference height of the profile, m/s."
     )
     from_deg: Degrees = Field(
-        0.0, ge=-360, le=360, description="Where it blows from, degrees clockwise from north."
+        0.0,
+        ge=-360,
+        le=360,
+        description="Direction the wind blows from, degrees clockwise from north.",
     )
     profile: Profile = Field(
-        UniformProfile(kind="uniform"), description="How the speed grows with height."
+        UniformProfile(kind="uniform"), description="Change of the speed with height."
     )
     file: str | None = Field(
         None,
         min_length=1,
-        description="CSV of a recorded wind in place of speed_mps and from_deg: relative to this "
-        "page, or a name in scenarios/data. Its first row is time 0.",
+        description="CSV file of a recorded wind in place of speed_mps and from_deg: a path from "
+        "this file, or a name in scenarios/data. Its first row is time 0.",
     )
-    longest_gap_s: Seconds = Field(
-        10.0, gt=0, description="Rows of the file may be no farther apart than this, s."
+    max_gap_s: Seconds = Field(
+        10.0, gt=0, description="Longest time between two rows of the file, s."
     )
 
 
 class Turbulence(Section):
-    """Continuous turbulence of MIL-F-8785C, at the height above the origin's ground."""
+    """Continuous turbulence of MIL-F-8785C at the height above the ground at the origin."""
 
     model: Literal["none", "dryden", "von-karman", "coherent"] = Field(
         "none",
-        description="dryden and von-karman: each aircraft feels its own; coherent: one frozen von "
-        "Karman field that the mean wind carries past all of them.",
+        description="dryden, von-karman: independent for each aircraft; coherent: one frozen von "
+        "Karman field, carried past all aircraft by the mean wind.",
     )
     intensity: Literal["light", "moderate", "severe"] = Field(
         "moderate",
-        description="A wind of 15, 30 or 45 knots at 20 ft for low heights, and a probability of "
-        "exceedance of 1e-2, 1e-3 or 1e-5 above 2000 ft.",
+        description="At low heights a wind of 15, 30 or 45 knots at 20 ft; above 2000 ft an "
+        "exceedance probability of 1e-2, 1e-3 or 1e-5.",
     )
     w20_mps: MetresPerSecond | None = Field(
-        None, ge=0, le=60, description="Wind at 20 ft in place of the intensity's, m/s."
+        None, ge=0, le=60, description="Wind at 20 ft in place of that of intensity, m/s."
     )
     probability: Number | None = Field(
         None,
         ge=1e-6,
         le=0.2,
-        description="Probability of exceedance in place of the intensity's, 1e-6 to 0.2.",
+        description="Exceedance probability in place of that of intensity, 1e-6 to 0.2.",
     )
-    sigma_mps: tuple[Spread, Spread, Spread] | None = Field(
+    sigma_mps: tuple[Sigma, Sigma, Sigma] | None = Field(
         None,
         description="Standard deviations [longitudinal, lateral, vertical] at all heights in "
-        "place of the standard's, m/s.",
+        "place of those of MIL-F-8785C, m/s.",
     )
     length_m: tuple[Length, Length, Length] | None = Field(
         None,
         description="Scale lengths [longitudinal, lateral, vertical] at all heights in place of "
-        "the standard's, m, as MIL-F-8785C counts them: MIL-HDBK-1797 halves the last two.",
+        "those of MIL-F-8785C and by its definition, m; MIL-HDBK-1797 halves the last two.",
     )
     height_m: Metres | None = Field(
         None,
         gt=0,
-        description="For coherent: the height whose intensities and lengths the field has, m; by "
+        description="For coherent: height at which intensities and scale lengths are taken, m; by "
         "default that of the leader's start.",
     )
 
 
 class TimedGust(Section):
-    """A gust that everyone feels at once, 1 - cos in time."""
+    """Gust that reaches all aircraft at the same time, 1 - cos in time."""
 
-    kind: Literal["time"] = Field(description="Everywhere at once.")
-    name: Name = Field(description="Name in the events of the run.")
-    velocity_mps: Velocity = Field(description="What it adds at most [north, east, down], m/s.")
-    at_s: Seconds = Field(ge=0, description="When it begins, s.")
-    ramp_s: Seconds = Field(gt=0, description="How long it takes to rise, s.")
+    kind: Literal["time"] = Field(description="At all points at the same time.")
+    name: Name = Field(description="Name in the events of the log.")
+    velocity_mps: GustVelocity = Field(description="Largest added wind [north, east, down], m/s.")
+    at_s: Seconds = Field(ge=0, description="Time of its beginning, s.")
+    ramp_s: Seconds = Field(gt=0, description="Time from zero to velocity_mps, s.")
     shape: Literal["pulse", "ramp"] = Field("pulse", description=_SHAPE)
 
 
-class PlacedGust(Section):
-    """A gust behind a plane front, 1 - cos in depth; MIL-F-8785C 3.7.1.3."""
+class GustFront(Section):
+    """Gust behind a plane front, 1 - cos in distance; MIL-F-8785C 3.7.1.3."""
 
-    kind: Literal["place"] = Field(description="Behind a front that moves or stands.")
-    name: Name = Field(description="Name in the events of the run.")
-    velocity_mps: Velocity = Field(description="What it adds at most [north, east, down], m/s.")
+    kind: Literal["front"] = Field(description="Behind a moving or standing front.")
+    name: Name = Field(description="Name in the events of the log.")
+    velocity_mps: GustVelocity = Field(description="Largest added wind [north, east, down], m/s.")
     at_m: tuple[Metres, Metres] = Field(
         description="A point of the front at at_s [north, east], m from the origin."
     )
-    at_s: Seconds = Field(0.0, ge=0, description="When the front is at at_m, s.")
+    at_s: Seconds = Field(0.0, ge=0, description="Time at which the front is at at_m, s.")
     towards_deg: Degrees = Field(
         ge=-360,
         le=360,
-        description="Where the front faces and speed_mps takes it, degrees clockwise from north.",
+        description="Direction of the front's motion, degrees clockwise from north.",
     )
-    length_m: Metres = Field(gt=0, description="Depth over which the gust rises, m.")
+    length_m: Metres = Field(
+        gt=0, description="Distance behind the front over which the gust rises, m."
+    )
     speed_mps: MetresPerSecond | None = Field(
         None,
         ge=0,
         le=100,
-        description="Speed of the front over the ground, m/s; by default the mean wind's: "
-        "backwards if that blows against it, not at all in a calm.",
+        description="Ground speed of the front, m/s; by default the component of the mean wind "
+        "along towards_deg, negative in a headwind.",
     )
     shape: Literal["pulse", "ramp"] = Field("pulse", description=_SHAPE)
 
 
-Gust = Annotated[TimedGust | PlacedGust, Field(discriminator="kind")]
+Gust = Annotated[TimedGust | GustFront, Field(discriminator="kind")]
 
 
 class Wake(Section):
-    """The vortices that every flying aircraft trails and the others feel."""
+    """Trailing vortices of every flying aircraft, which act on the others."""
 
     core_spans: Number = Field(
-        0.05, gt=0, le=1, description="Radius of a vortex core, spans of the wing that shed it."
+        0.05,
+        gt=0,
+        le=1,
+        description="Radius of a vortex core in wing spans of the aircraft that shed it.",
     )
     decay_s: Seconds | None = Field(
-        None, gt=0, description="Time in which a vortex falls to 1/e, s; by default it does not."
+        None, gt=0, description="Time in which a vortex decays to 1/e, s; no decay by default."
     )
     memory_s: Seconds = Field(
-        10.0, gt=0, le=600, description="How much of each trail is kept, s of flight."
+        10.0, gt=0, le=600, description="Length of the trail behind each aircraft, s of flight."
     )
 
 
 class Air(Section):
-    """The air the aircraft fly in."""
+    """Wind, turbulence, gusts and wakes."""
 
-    wind: Wind = Field(Wind(), description="The mean wind.")
+    wind: Wind = Field(Wind(), description="Mean wind.")
     turbulence: Turbulence = Field(Turbulence(), description="Continuous turbulence.")
-    gusts: tuple[Gust, ...] = Field((), description="Discrete gusts; several add up.")
-    wake: Wake | None = Field(None, description="The wakes of the aircraft; none by default.")
+    gusts: tuple[Gust, ...] = Field((), description="Discrete gusts; they add up.")
+    wake: Wake | None = Field(None, description="Wakes of the aircraft; none by default.")

@@ -1,10 +1,11 @@
-"""The aircraft of the page: the leader with its path, and the fleet that follows."""
+"""The `leader` and `fleet` sections: airframe, autopilot, sensors, faults, start and path."""
 
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from testbed.scenario.faults import Fault
+from testbed.scenario.control_source import Autopilot, ByFormation, CommandedBy, VirtualAutopilot
+from testbed.scenario.faults import AnyFault
 from testbed.scenario.fields import (
     Degrees,
     Metres,
@@ -16,31 +17,30 @@ from testbed.scenario.fields import (
     Section,
     Whole,
 )
-from testbed.scenario.pilots import Autopilot, ByFormation, CommandedBy, VirtualAutopilot
 from testbed.scenario.sensors import TRUTH, Sensors
 
 Point = tuple[Metres, Metres, Metres]
 
 
 class Waypoints(Section):
-    """Legs from point to point, the turn begun early enough to meet the next leg."""
+    """Straight legs between points; each turn begins early enough to end on the next leg."""
 
-    kind: Literal["waypoints"] = Field(description="Legs from point to point.")
+    kind: Literal["waypoints"] = Field(description="Straight legs between points.")
     points_m: tuple[Point, ...] = Field(
         min_length=1, description="Waypoints [north, east, altitude], m from the origin."
     )
-    laps: Whole = Field(1, ge=1, description="How often the points are flown, a number.")
+    laps: Whole = Field(1, ge=1, description="Number of times the points are flown.")
 
 
 class Level(Section):
-    """A stretch of a loiter at one altitude."""
+    """Full circles of a loiter at one altitude."""
 
     altitude_m: Metres = Field(description="Altitude above the origin, m.")
-    turns: Number = Field(gt=0, description="Full circles at this altitude, a number.")
+    turns: Number = Field(gt=0, description="Number of full circles at this altitude.")
 
 
 class Loiter(Section):
-    """A circle, level after level."""
+    """Circle flown at one altitude after the other."""
 
     kind: Literal["loiter"] = Field(description="A circle.")
     centre_m: tuple[Metres, Metres] = Field(
@@ -48,10 +48,10 @@ class Loiter(Section):
     )
     radius_m: Metres = Field(gt=0, description="Radius, m.")
     direction: Literal["clockwise", "anticlockwise"] = Field(
-        "clockwise", description="Sense of the turn seen from above."
+        "clockwise", description="Direction of the turn, seen from above."
     )
     levels: tuple[Level, ...] = Field(
-        min_length=1, description="Altitudes flown in order; the last is kept."
+        min_length=1, description="Altitudes in order; the last is held."
     )
 
 
@@ -59,76 +59,77 @@ Leg = Annotated[Waypoints | Loiter, Field(discriminator="kind")]
 
 
 class Mission(Section):
-    """A path flown by guidance: the leader is a simulated aircraft."""
+    """Mission flown by a simulated aircraft under guidance."""
 
-    kind: Literal["mission"] = Field(description="Legs flown by the leader's own guidance.")
+    kind: Literal["mission"] = Field(description="Legs flown by the guidance of the leader.")
     airspeed_mps: MetresPerSecond = Field(gt=0, description="Airspeed to hold, m/s.")
     bank_limit_deg: Degrees = Field(
-        30.0, gt=0, lt=80, description="Largest bank that guidance asks for, degrees."
+        30.0, gt=0, lt=80, description="Largest bank angle command of the guidance, degrees."
     )
     climb_limit_mps: MetresPerSecond = Field(
         1.5,
         gt=0,
-        description="Rate between the levels of a circle, m/s; a leg's climb follows its points.",
+        description="Climb rate between the levels of a loiter, m/s; on a leg it follows from the "
+        "points.",
     )
     waypoint_radius_m: Metres = Field(
-        90.0, gt=0, description="A turn begins no farther from its waypoint than this, m."
+        90.0, gt=0, description="Largest distance from a waypoint at which its turn begins, m."
     )
     legs: tuple[Leg, ...] = Field(
-        min_length=1, description="Flown in order; the last goes on until the end of the run."
+        min_length=1, description="Legs in order; the last is flown until the end of the run."
     )
 
 
 class Replay(Section):
-    """A recorded flight: the leader moves as the record says."""
+    """Recorded flight: the leader moves along a recorded trajectory."""
 
     kind: Literal["replay"] = Field(description="A recorded flight.")
     file: str = Field(
         min_length=1,
-        description="CSV of the flight: relative to this page, or a name in scenarios/data.",
+        description="CSV file of the flight: a path from this file, or a name in scenarios/data.",
     )
 
 
 class Straight(Section):
-    """A straight line at constant speed."""
+    """Straight line at constant speed."""
 
-    kind: Literal["straight"] = Field(description="A straight line.")
-    climb_mps: MetresPerSecond = Field(0.0, description="Vertical part of the speed, m/s.")
+    kind: Literal["straight"] = Field(description="Straight line.")
+    climb_mps: MetresPerSecond = Field(0.0, description="Vertical speed, m/s.")
 
 
 class Circle(Section):
-    """A circle; with a climb, a helix."""
+    """Circle, or with a climb a helix."""
 
-    kind: Literal["circle"] = Field(description="A circle, or with a climb a helix.")
+    kind: Literal["circle"] = Field(description="Circle, or with a climb a helix.")
     radius_m: Metres = Field(gt=0, description="Radius, m.")
     direction: Literal["clockwise", "anticlockwise"] = Field(
-        "clockwise", description="Sense of the turn seen from above."
+        "clockwise", description="Direction of the turn, seen from above."
     )
-    climb_mps: MetresPerSecond = Field(0.0, description="Vertical part of the speed, m/s.")
+    climb_mps: MetresPerSecond = Field(0.0, description="Vertical speed, m/s.")
 
 
 class FigureEight(Section):
-    """A level figure-eight from its crossing."""
+    """Level figure-eight, from its crossing."""
 
-    kind: Literal["figure-eight"] = Field(description="A figure-eight.")
+    kind: Literal["figure-eight"] = Field(description="Level figure-eight.")
     radius_m: Metres = Field(gt=0, description="Radius of its tightest turn, m.")
     direction: Literal["clockwise", "anticlockwise"] = Field(
-        "clockwise", description="Sense of the first loop seen from above."
+        "clockwise", description="Direction of the first loop, seen from above."
     )
 
 
 class Weave(Section):
-    """Straight on with a cosine to the side."""
+    """Straight line with a sinusoidal lateral offset."""
 
-    kind: Literal["weave"] = Field(description="Straight on, weaving to the right and back.")
-    amplitude_m: Metres = Field(gt=0, description="Half the width, m.")
+    kind: Literal["weave"] = Field(description="Straight line with a sinusoidal lateral offset.")
+    amplitude_m: Metres = Field(gt=0, description="Amplitude of the offset, half its width, m.")
     period_s: Seconds = Field(gt=0, description="Period, s.")
 
 
 class SpeedChange(Section):
-    """A straight line at a speed that swings about its mean."""
+    """Straight line at a sinusoidal speed."""
 
-    kind: Literal["speed-change"] = Field(description="A straight line at a swinging speed.")
+    kind: Literal["speed-change"] = Field(description="Straight line at a sinusoidal speed.")
     amplitude_mps: MetresPerSecond = Field(gt=0, description="Amplitude of the speed, m/s.")
     period_s: Seconds = Field(gt=0, description="Period, s.")
 
@@ -139,21 +140,21 @@ Curve = Annotated[
 
 
 class Virtual(Section):
-    """A leader that is a formula: exact position, velocity and acceleration, and nobody in it."""
+    """Virtual leader: exact position, velocity and acceleration of a curve."""
 
-    kind: Literal["virtual"] = Field(description="A virtual leader on a curve.")
+    kind: Literal["virtual"] = Field(description="Virtual leader on a curve.")
     speed_mps: MetresPerSecond = Field(
-        gt=0, description="Ground speed along the curve; of a weave, ahead, m/s."
+        gt=0, description="Ground speed along the curve, of a weave along its axis, m/s."
     )
-    curve: Curve = Field(description="The curve, from the leader's start along its course.")
+    curve: Curve = Field(description="Curve from the start of the leader, along its course.")
 
 
-Vehicle = Literal["jsbsim", "ideal"]
+Vehicle = Literal["jsbsim", "unicycle"]
 Path = Annotated[Mission | Replay | Virtual, Field(discriminator="kind")]
 
 
 class Start(Section):
-    """Where the leader is when the clock starts."""
+    """Position and course of the leader at time 0."""
 
     north_m: Metres = Field(0.0, description="North of the origin, m.")
     east_m: Metres = Field(0.0, description="East of the origin, m.")
@@ -164,15 +165,15 @@ class Start(Section):
 
 
 class Battery(Section):
-    """How an electric aircraft begins; a sagging battery gives less thrust."""
+    """Battery of an electric aircraft; a low battery gives less thrust."""
 
     state_of_charge: Number = Field(
         1.0, gt=0, le=1, description="Charge at the start, 0 to 1 of a full battery."
     )
 
 
-class Craft(Section):
-    """What every aircraft of a page has."""
+class Aircraft(Section):
+    """Keys of every aircraft."""
 
     name: Name = Field(description="Name in logs, views, offsets and gains.")
     aircraft: str = Field(
@@ -180,45 +181,48 @@ class Craft(Section):
     )
     vehicle: Vehicle = Field(
         "jsbsim",
-        description="What computes its motion: jsbsim, the aircraft behind its autopilot; or "
-        "ideal, the extended unicycle (1) to (4) of [HBH23] itself.",
+        description="Model of its motion: jsbsim, a flight model with an autopilot; or unicycle, "
+        "the extended unicycle (1) to (4) of [HBH23].",
     )
     autopilot: Autopilot = Field(
         VirtualAutopilot(),
-        description="What flies it: virtual; or ardupilot, the real one, or a map with that kind.",
+        description="Autopilot: virtual, or ardupilot, or a map with kind: ardupilot.",
     )
     commanded_by: CommandedBy = Field(
         ByFormation(),
-        description="Who gives it commands: formation, the page's own controller or path; or "
-        "external, a program that speaks MAVLink, or a map with that kind.",
+        description="Source of its commands: formation, the controller of this scenario (of a "
+        "leader its path); or external, a program that sends MAVLink, or a map with that kind.",
     )
     tune: str = Field(
         "autopilot",
         min_length=1,
         description="Autopilot parameters: <tune>.param of the airframe, or the path of a file.",
     )
-    battery: Battery = Field(Battery(), description="Its battery, if the airframe has one.")
+    battery: Battery = Field(Battery(), description="Battery, if the airframe has one.")
     sensors: Sensors = Field(
         TRUTH,
-        description="What its autopilot believes: truth, gps-ins, pixhawk, degraded, or a map of "
-        "errors, with like: pixhawk only of what differs.",
+        description="Errors of its state estimate: truth, gps-ins, pixhawk, degraded, or a map; a "
+        "map with preset: pixhawk changes that preset.",
     )
-    faults: tuple[Fault, ...] = Field((), description="What breaks in it, and when.")
+    faults: tuple[AnyFault, ...] = Field(
+        (), description="Faults of this aircraft, and when they begin."
+    )
 
 
-class Leader(Craft):
-    """The first aircraft: what it is, where it starts, and what it flies."""
+class Leader(Aircraft):
+    """The aircraft that the formation follows."""
 
     name: Name = Field("leader", description="Name in logs and views.")
     start: Start = Field(
-        Start(), description="Where it is at time 0, m and degrees; a replay has its own."
+        Start(), description="Position and course at time 0, m and degrees; a replay has its own."
     )
-    path: Path = Field(description="What it flies.")
+    path: Path = Field(description="Path of the leader.")
 
 
-class Follower(Craft):
+class Follower(Aircraft):
     """An aircraft of the formation."""
 
     start_m: Offset = Field(
-        description="Start [forward, right, down] of the leader's start along its course, m."
+        description="Start relative to the leader's start [forward, right, down], along its "
+        "course, m."
     )

@@ -1,47 +1,75 @@
-"""What one part of the page demands of another."""
+"""Checks of sections against each other: names, rates, windows, faults, control sources."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
-from testbed.scenario.fault_checks import check_faults, crafts
-from testbed.scenario.messages import did_you_mean
+from testbed.scenario.aircraft import Follower, Leader
+from testbed.scenario.control_source import ArduPlane, External
+from testbed.scenario.faults import AnyFault
+from testbed.scenario.fields import Finding, KeyPath
 from testbed.scenario.network_checks import check_network
-from testbed.scenario.pilot_checks import check_pilots
-from testbed.scenario.sensors import MEASURE
+from testbed.scenario.sensors import SENSOR_NAMES
+from testbed.scenario.violations import did_you_mean
 
 if TYPE_CHECKING:
     from testbed.scenario.schema import Scenario
 
-Path = tuple[str | int, ...]
-Finding = tuple[Path, str]
+_ARDUPLANE_MIN_HZ = 50  # smallest SCHED_LOOP_RATE
+_NOT_DECLARABLE = {
+    "autopilot-frozen": "a frozen autopilot cannot declare it",
+    "transmitter-off": "an aircraft that sends nothing cannot declare it",
+}
 
 
-def cross_check(page: Scenario) -> list[Finding]:
-    """Return every contradiction between the parts: where, and what to write instead."""
+def cross_check(scenario: Scenario) -> list[Finding]:
+    """Return every contradiction between sections."""
     return [
-        *_rates(page),
-        *_names(page),
-        *_formation(page),
-        *_agents(page),
-        *_kinds(page),
-        *_sensors(page),
-        *check_pilots(page),
-        *check_faults(page),
-        *_limits(page),
-        *check_network(page),
-        *_wind(page),
-        *_turbulence(page),
-        *_gusts(page),
-        *_portions(page),
-        *_published(page),
+        *_rates(scenario),
+        *_names(scenario),
+        *_formation(scenario),
+        *_agents(scenario),
+        *_law(scenario),
+        *_sensors(scenario),
+        *_ardupilot(scenario),
+        *_external(scenario),
+        *_faults(scenario),
+        *_limits(scenario),
+        *check_network(scenario),
+        *_wind(scenario),
+        *_turbulence(scenario),
+        *_gusts(scenario),
+        *_windows(scenario),
+        *_published(scenario),
     ]
 
 
-def _rates(page: Scenario) -> Iterator[Finding]:
-    base = page.rates.physics_hz
-    for key, rate in page.rates:
+def _aircraft(scenario: Scenario) -> Iterator[tuple[KeyPath, Leader | Follower]]:
+    """Yield every aircraft with its path, the leader first."""
+    yield ("leader",), scenario.leader
+    for index, follower in enumerate(scenario.fleet):
+        yield ("fleet", index), follower
+
+
+def _unknown_followers(
+    at: KeyPath, names: Iterable[str], followers: list[str]
+) -> Iterator[Finding]:
+    for name in names:
+        if name not in followers:
+            yield (
+                (*at, name),
+                f"no follower has this name{did_you_mean(name, followers)} (the fleet has "
+                f"{', '.join(followers)})",
+            )
+
+
+# header and rates
+
+
+def _rates(scenario: Scenario) -> Iterator[Finding]:
+    base = scenario.rates.physics_hz
+    for key, rate in scenario.rates:
         if key != "synchronous" and base % rate:
             below = next(
                 divisor for divisor in range(min(rate, base), 0, -1) if base % divisor == 0
@@ -53,9 +81,48 @@ def _rates(page: Scenario) -> Iterator[Finding]:
             )
 
 
-def _names(page: Scenario) -> Iterator[Finding]:
-    seen = {page.leader.name: "the leader"}
-    for index, follower in enumerate(page.fleet):
+def _windows(scenario: Scenario) -> Iterator[Finding]:
+    duration = scenario.scenario.duration_s
+    for name, (begin, end) in scenario.scenario.windows.items():
+        at = ("scenario", "windows", name)
+        if begin >= end:
+            yield at, f"[{begin:g}, {end:g}] is not a window (write [from, to] in s)"
+        elif end > duration:
+            yield (
+                at,
+                f"ends at {end:g} s, after the run, which lasts {duration:g} s (end it earlier, or "
+                "write a longer duration_s)",
+            )
+
+
+def _published(scenario: Scenario) -> Iterator[Finding]:
+    published = scenario.scenario.published
+    if published is None:
+        return
+    windows = list(scenario.scenario.windows)
+    for key in ("rms_m", "mean_rms_m", "percent_error"):
+        for name in getattr(published, key):
+            if name not in windows:
+                yield (
+                    ("scenario", "published", key, name),
+                    f"no window has this name{did_you_mean(name, windows)} (windows has "
+                    f"{', '.join(windows) or 'none'})",
+                )
+    for name, row in published.rms_m.items():
+        if len(row) != len(scenario.fleet):
+            yield (
+                ("scenario", "published", "rms_m", name),
+                f"has {len(row)} numbers for {len(scenario.fleet)} followers (write one per "
+                "follower, in fleet order)",
+            )
+
+
+# aircraft
+
+
+def _names(scenario: Scenario) -> Iterator[Finding]:
+    seen = {scenario.leader.name: "the leader"}
+    for index, follower in enumerate(scenario.fleet):
         if follower.name in seen:
             yield (
                 ("fleet", index, "name"),
@@ -65,31 +132,177 @@ def _names(page: Scenario) -> Iterator[Finding]:
             seen[follower.name] = f"fleet.{index}"
 
 
-def _formation(page: Scenario) -> Iterator[Finding]:
-    followers = [follower.name for follower in page.fleet]
-    formation = page.formation
+def _sensors(scenario: Scenario) -> Iterator[Finding]:
+    max_rate = scenario.rates.autopilot_hz
+    for at, aircraft in _aircraft(scenario):
+        for name in SENSOR_NAMES:
+            sensor = getattr(aircraft.sensors, name)
+            rate = getattr(sensor, "rate_hz", 0)
+            if rate > max_rate:
+                yield (
+                    (*at, "sensors", name, "rate_hz"),
+                    f"the {name} measures at {rate} Hz, above rates.autopilot_hz, {max_rate} Hz, "
+                    f"at which sensors are read (write a rate_hz of at most {max_rate})",
+                )
+
+
+def _ardupilot(scenario: Scenario) -> Iterator[Finding]:
+    used: dict[int, str] = {}
+    for row, (at, aircraft) in enumerate(_aircraft(scenario)):
+        autopilot = aircraft.autopilot
+        if not isinstance(autopilot, ArduPlane):
+            continue
+        where = (*at, "autopilot")
+        if isinstance(aircraft, Leader) and aircraft.path.kind != "mission":
+            yield (
+                where,
+                f"is ardupilot, and a leader with a path of kind {aircraft.path.kind} has no "
+                "autopilot (write a path of kind: mission, or leave this out)",
+            )
+        elif aircraft.vehicle == "unicycle":
+            yield (
+                where,
+                "is ardupilot, and a unicycle has no control surfaces (write vehicle: jsbsim, or "
+                "leave this out)",
+            )
+        instance = row if autopilot.instance is None else autopilot.instance
+        if instance in used:
+            yield (
+                (*where, "instance"),
+                f"{instance} is also that of {used[instance]} (write another: it sets the ports)",
+            )
+        used.setdefault(instance, aircraft.name)
+        if scenario.rates.autopilot_hz < _ARDUPLANE_MIN_HZ:
+            yield (
+                ("rates", "autopilot_hz"),
+                f"is {scenario.rates.autopilot_hz}, and ArduPlane, the autopilot of "
+                f"{aircraft.name}, needs at least {_ARDUPLANE_MIN_HZ} Hz (write "
+                f"{_ARDUPLANE_MIN_HZ})",
+            )
+
+
+def _external(scenario: Scenario) -> Iterator[Finding]:
+    for at, aircraft in _aircraft(scenario):
+        source = aircraft.commanded_by
+        if not isinstance(source, External):
+            continue
+        where = (*at, "commanded_by")
+        if isinstance(aircraft, Leader) and aircraft.path.kind != "mission":
+            yield (
+                where,
+                f"is external, and a leader with a path of kind {aircraft.path.kind} takes no "
+                "commands (write a path of kind: mission, or leave this out)",
+            )
+        elif aircraft.vehicle == "unicycle":
+            yield (
+                where,
+                "is external, and a unicycle has no autopilot to command (write vehicle: jsbsim, "
+                "or leave this out)",
+            )
+        elif isinstance(aircraft.autopilot, ArduPlane):
+            yield (
+                where,
+                "is external, and ArduPlane takes commands over its own link (write autopilot: "
+                "virtual, or leave this out)",
+            )
+        if source.lockstep and scenario.rates.log_hz != scenario.rates.control_hz:
+            yield (
+                ("rates", "log_hz"),
+                f"is {scenario.rates.log_hz}, and in lockstep {aircraft.name} needs a sample at "
+                f"every control period (write {scenario.rates.control_hz}, as control_hz)",
+            )
+
+
+# faults
+
+
+def _faults(scenario: Scenario) -> Iterator[Finding]:
+    for at, aircraft in _aircraft(scenario):
+        reason, cure = _no_flight_model(aircraft)
+        for index, fault in enumerate(aircraft.faults):
+            where = (*at, "faults", index)
+            yield from _fault_beginning(where, fault, scenario.scenario.duration_s)
+            if fault.kind == "battery-low" and fault.duration_s is not None:
+                text = "a battery in flight does not recharge (leave this out)"
+                yield (*where, "duration_s"), text
+            if fault.declared and fault.kind in _NOT_DECLARABLE:
+                yield (*where, "declared"), f"{_NOT_DECLARABLE[fault.kind]} (leave this out)"
+            if reason:
+                yield from _fault_without_flight_model(where, fault, reason, cure)
+
+
+def _fault_beginning(at: KeyPath, fault: AnyFault, duration: float) -> Iterator[Finding]:
+    when = fault.when
+    if fault.at_s is None and when is None:
+        yield (
+            at,
+            "never begins (write at_s: 20 or when: {quantity: airspeed_mps, below: 15}, for "
+            "example)",
+        )
+    elif fault.at_s is not None and fault.at_s > duration:
+        yield (
+            (*at, "at_s"),
+            f"{fault.at_s:g} s is after the run, which lasts {duration:g} s (write less, or a "
+            "longer duration_s)",
+        )
+    if when is not None and (when.above is None) == (when.below is None):
+        given = "neither above nor below" if when.above is None else "above and below"
+        yield (*at, "when"), f"has {given} (write one of the two, as in below: 15)"
+
+
+def _no_flight_model(aircraft: Leader | Follower) -> tuple[str, str]:
+    """Return why this aircraft has no flight model that can fail, and the cure; or ""."""
+    if isinstance(aircraft, Leader) and aircraft.path.kind != "mission":
+        reason = f"a leader on a path of kind {aircraft.path.kind} has no flight model"
+        return reason, "a path of kind: mission"
+    if aircraft.vehicle == "unicycle":
+        return "a unicycle has no parts that fail", "vehicle: jsbsim"
+    return "", ""
+
+
+def _fault_without_flight_model(
+    at: KeyPath, fault: AnyFault, reason: str, cure: str
+) -> Iterator[Finding]:
+    if fault.NEEDS_FLIGHT_MODEL:
+        yield (*at, "kind"), f"is {fault.kind}, and {reason} (leave the fault out, or write {cure})"
+    elif fault.when is not None and fault.when.quantity == "state_of_charge":
+        yield (
+            (*at, "when", "quantity"),
+            f"is state_of_charge, and this aircraft has no battery (write another, or {cure})",
+        )
+
+
+# formation and controller
+
+
+def _formation(scenario: Scenario) -> Iterator[Finding]:
+    followers = [follower.name for follower in scenario.fleet]
+    formation = scenario.formation
     for name in followers:
         if name not in formation.offsets_m:
             yield (
                 ("formation", "offsets_m"),
                 f"the offset of {name!r} is missing (write {name}: [forward, right, down] in m)",
             )
-    yield from _known(("formation", "offsets_m"), formation.offsets_m, followers)
-    yield from _known(("formation", "leader_gains"), formation.leader_gains, followers)
-    yield from _known(("formation", "neighbour_gains"), formation.neighbour_gains, followers)
+    for key in ("offsets_m", "leader_gains", "neighbour_gains", "altitudes_m", "agents"):
+        yield from _unknown_followers(("formation", key), getattr(formation, key), followers)
     for name, gains in formation.neighbour_gains.items():
         at = ("formation", "neighbour_gains", name)
-        yield from _known(at, gains, followers)
+        yield from _unknown_followers(at, gains, followers)
         if name in gains:
             yield (*at, name), "an aircraft is not its own neighbour (leave this key out)"
-    yield from _known(("formation", "altitudes_m"), formation.altitudes_m, followers)
+    if formation.on_failure.response == "reassign-slots" and formation.altitudes_m:
+        yield (
+            ("formation", "on_failure", "response"),
+            "is reassign-slots, and altitudes_m sets altitudes by follower, not by slot (write "
+            "drop, or leave altitudes_m out)",
+        )
 
 
-def _agents(page: Scenario) -> Iterator[Finding]:
-    formation = page.formation
-    followers = [follower.name for follower in page.fleet]
-    yield from _known(("formation", "agents"), formation.agents, followers)
-    parts: list[tuple[Path, Any]] = [(("formation",), formation)]
+def _agents(scenario: Scenario) -> Iterator[Finding]:
+    """Check ranges of speeds, and that the desired ones lie within the bounds."""
+    formation = scenario.formation
+    parts: list[tuple[KeyPath, Any]] = [(("formation",), formation)]
     parts += [(("formation", "agents", name), own) for name, own in formation.agents.items()]
     for at, part in parts:
         for key in ("speed_mps", "speed_desired_mps"):
@@ -101,60 +314,43 @@ def _agents(page: Scenario) -> Iterator[Finding]:
                     "highest] in m/s, both above 0)",
                 )
 
-    for follower in followers:
-        own = formation.agents.get(follower)
+    for follower in scenario.fleet:
+        own = formation.agents.get(follower.name)
         bounds = own.speed_mps if own and own.speed_mps else formation.speed_mps
         desired = own.speed_desired_mps if own else None
-        at = ("formation", "agents", follower) if desired else ("formation",)
+        at = ("formation", "agents", follower.name) if desired else ("formation",)
         desired = desired or formation.speed_desired_mps
         if desired and not bounds[0] <= desired[0] < desired[1] <= bounds[1]:
             yield (
                 (*at, "speed_desired_mps"),
                 f"[{desired[0]:g}, {desired[1]:g}] does not lie in the speed bounds of "
-                f"{follower}, [{bounds[0]:g}, {bounds[1]:g}] m/s (write speeds between them)",
+                f"{follower.name}, [{bounds[0]:g}, {bounds[1]:g}] m/s (write speeds between them)",
             )
 
 
-def _kinds(page: Scenario) -> Iterator[Finding]:
-    if page.controller.law == "paper" and page.controller.options:
+def _law(scenario: Scenario) -> Iterator[Finding]:
+    if scenario.controller.law == "hbh23" and scenario.controller.options:
         yield (
             ("controller", "options"),
-            "the paper's law takes no options (write its gains under formation, or leave this out)",
+            "the law hbh23 has no options (write its gains under formation, or leave this out)",
         )
 
 
-def _sensors(page: Scenario) -> Iterator[Finding]:
-    most = page.rates.autopilot_hz
-    for at, craft in crafts(page):
-        for name in MEASURE:
-            sensor = getattr(craft.sensors, name)
-            rate = getattr(sensor, "rate_hz", 0)
-            if rate > most:
-                yield (
-                    (*at, "sensors", name, "rate_hz"),
-                    f"the {name} measures at {rate} Hz, above rates.autopilot_hz, {most} Hz, at "
-                    f"which sensors are read (write a rate_hz of at most {most})",
-                )
+# air and limits
 
 
-def _limits(page: Scenario) -> Iterator[Finding]:
-    collision, separation = page.limits.collision_m, page.limits.separation_m
+def _limits(scenario: Scenario) -> Iterator[Finding]:
+    collision, separation = scenario.limits.collision_m, scenario.limits.separation_m
     if collision is not None and separation is not None and collision > separation:
         yield (
             ("limits", "collision_m"),
             f"{collision:g} m is above separation_m, {separation:g} m: the warning would come "
             f"after the collision (write at most {separation:g}, or a larger separation_m)",
         )
-    if page.formation.on_failure.answer == "re-slot" and page.formation.altitudes_m:
-        yield (
-            ("formation", "on_failure", "answer"),
-            "is re-slot, and altitudes_m names followers whose altitude would stay with them in "
-            "another's slot (write drop, or leave altitudes_m out)",
-        )
 
 
-def _wind(page: Scenario) -> Iterator[Finding]:
-    wind = page.air.wind
+def _wind(scenario: Scenario) -> Iterator[Finding]:
+    wind = scenario.air.wind
     if wind.file is not None:
         for key, value in (("speed_mps", wind.speed_mps), ("from_deg", wind.from_deg)):
             if value:
@@ -168,91 +364,44 @@ def _wind(page: Scenario) -> Iterator[Finding]:
         yield (
             ("air", "wind", "profile", "roughness_m"),
             f"{profile.roughness_m:g} m is not below height_m, {profile.height_m:g} m (write the "
-            "roughness length, about a tenth of the height of what grows there, or another "
-            "height_m)",
+            "roughness length, about a tenth of the height of the vegetation, or another height_m)",
         )
 
 
-def _turbulence(page: Scenario) -> Iterator[Finding]:
-    turbulence = page.air.turbulence
+def _turbulence(scenario: Scenario) -> Iterator[Finding]:
+    turbulence = scenario.air.turbulence
     at = ("air", "turbulence")
     if turbulence.model == "none":
         for key in ("w20_mps", "probability", "sigma_mps", "length_m"):
             if getattr(turbulence, key) is not None:
                 yield (
                     (*at, key),
-                    "says how strong the turbulence is, and there is none (write model: dryden, "
-                    "von-karman or coherent, or leave this out)",
+                    "has no effect with model: none (write model: dryden, von-karman or coherent, "
+                    "or leave this out)",
                 )
     if turbulence.model != "coherent" and turbulence.height_m is not None:
         yield (
             (*at, "height_m"),
-            f"belongs to model: coherent, and the model is {turbulence.model} (leave this out: "
-            "each aircraft's own height counts)",
+            f"is for model: coherent, and the model is {turbulence.model} (leave this out: the "
+            "height of each aircraft is used)",
         )
     if turbulence.model == "coherent":
         for key in ("sigma_mps", "length_m"):
-            three = getattr(turbulence, key)
-            if three is not None and three[0] != three[1]:
+            values = getattr(turbulence, key)
+            if values is not None and values[0] != values[1]:
                 yield (
                     (*at, key),
-                    f"{three[0]:g} and {three[1]:g} differ, and one field for all has no "
+                    f"{values[0]:g} and {values[1]:g} differ, and a field for all aircraft has no "
                     "longitudinal direction (write the same number for the first two)",
                 )
 
 
-def _gusts(page: Scenario) -> Iterator[Finding]:
+def _gusts(scenario: Scenario) -> Iterator[Finding]:
     seen: dict[str, int] = {}
-    for index, gust in enumerate(page.air.gusts):
+    for index, gust in enumerate(scenario.air.gusts):
         first = seen.setdefault(gust.name, index)
         if first != index:
             yield (
                 ("air", "gusts", index, "name"),
                 f"{gust.name!r} is already the name of gusts.{first} (write another)",
-            )
-
-
-def _known(at: Path, names: Iterable[str], followers: list[str]) -> Iterator[Finding]:
-    for name in names:
-        if name not in followers:
-            yield (
-                (*at, name),
-                f"no follower has this name{did_you_mean(name, followers)} (the fleet has "
-                f"{', '.join(followers)})",
-            )
-
-
-def _portions(page: Scenario) -> Iterator[Finding]:
-    duration = page.scenario.duration_s
-    for name, (begin, end) in page.scenario.portions.items():
-        at = ("scenario", "portions", name)
-        if begin >= end:
-            yield at, f"[{begin:g}, {end:g}] is not a window (write [from, to] in s)"
-        elif end > duration:
-            yield (
-                at,
-                f"ends at {end:g} s, after the run, which lasts {duration:g} s (end it earlier, or "
-                "write a longer duration_s)",
-            )
-
-
-def _published(page: Scenario) -> Iterator[Finding]:
-    published = page.scenario.published
-    if published is None:
-        return
-    portions = list(page.scenario.portions)
-    for key in ("rms_m", "mean_rms_m", "percent_error"):
-        for name in getattr(published, key):
-            if name not in portions:
-                yield (
-                    ("scenario", "published", key, name),
-                    f"no portion has this name{did_you_mean(name, portions)} (portions has "
-                    f"{', '.join(portions) or 'none'})",
-                )
-    for name, row in published.rms_m.items():
-        if len(row) != len(page.fleet):
-            yield (
-                ("scenario", "published", "rms_m", name),
-                f"has {len(row)} numbers for {len(page.fleet)} followers (write one per follower, "
-                "in fleet order)",
             )

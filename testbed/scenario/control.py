@@ -1,4 +1,4 @@
-"""The formation and its control law on the page: what it wants, and with which gains."""
+"""The `formation` and `controller` sections: offsets, graph, gains and control law."""
 
 import re
 from collections.abc import Mapping
@@ -15,6 +15,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError
 
 from testbed.scenario.fields import (
+    Degrees,
     Gain,
     Metres,
     MetresPerSecond,
@@ -24,23 +25,24 @@ from testbed.scenario.fields import (
     PerSecond,
     Seconds,
     Section,
+    is_number,
 )
-from testbed.scenario.gains import EstimatorChoice, GainChanges
+from testbed.scenario.middle_loop import EstimatorChanges, GainChanges
 
 
 def _law_name(value: str) -> str:
-    """Let through the paper's law and module:Class."""
-    if not re.fullmatch(r"paper|[^:]+:[A-Za-z_]\w*", value):
-        raise PydanticCustomError("law", "must be paper, or module:Class for a law of your own")
+    """Accept hbh23 and module:Class."""
+    if not re.fullmatch(r"hbh23|[^:]+:[A-Za-z_]\w*", value):
+        raise PydanticCustomError("law", "must be hbh23, or module:Class for your own law")
     return value
 
 
 LawName = Annotated[str, Field(max_length=500), AfterValidator(_law_name)]
-Option = str | int | float | bool | tuple[float, ...]
+LawOption = str | int | float | bool | tuple[float, ...]
 
 
 class PowerControlFunction(Section):
-    """μ(z) = (ν₁ + ν₂ z)^(−m). [HBH23] Example 1."""
+    """μ(z) = (ν₁ + ν₂ z)^(−m), [HBH23] Example 1."""
 
     example: Literal[1] = Field(description="Number of the example in [HBH23].")
     nu1: Number = Field(50.0, gt=0, description="ν₁, m².")
@@ -49,13 +51,13 @@ class PowerControlFunction(Section):
 
 
 class SplineControlFunction(Section):
-    """μ(z) constant near zero, then a cubic, then z^(−1/2). [HBH23] Examples 2 and 3."""
+    """μ(z) constant near zero, then a cubic, then z^(−1/2); [HBH23] Examples 2 and 3."""
 
     example: Literal[2, 3] = Field(description="Number of the example in [HBH23].")
 
 
 class Barrier(Section):
-    """The function h that keeps the speed inside its bounds. [HBH23] Examples 4 to 6."""
+    """Function h that keeps the speed within its bounds; [HBH23] Examples 4 to 6."""
 
     example: Literal[4, 5, 6] = Field(description="Number of the example in [HBH23].")
     nu: Number = Field(
@@ -64,29 +66,28 @@ class Barrier(Section):
 
 
 class NoBarrier(Section):
-    """h = 1: the speed command is saturated instead. [HBH23] Section 10."""
+    """h = 1, with a saturated speed command; [HBH23] Section 10."""
 
-    example: Literal[7] = Field(description="7 stands for no barrier, as in the experiments.")
+    example: Literal[7] = Field(description="7: no barrier, as in the experiments.")
 
 
-class TurnGain(Section):
-    """c_i(t) = constant + per_speed_squared s_d²; a number stands for the constant alone."""
+class PointingGain(Section):
+    """c_i(t) = constant + per_speed_squared s_d²; a number stands for the constant."""
 
     constant: PerSecond = Field(0.0, ge=0, description="Constant part, 1/s.")
     per_speed_squared: Number = Field(
-        0.0, ge=0, description="Times the square of the desired speed s_d, s/m²."
+        0.0, ge=0, description="Factor of the square of the desired speed s_d, s/m²."
     )
 
     @model_validator(mode="before")
     @classmethod
-    def _number(cls, value: Any) -> Any:  # noqa: ANN401 - whatever the page holds
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        return {"constant": value} if number else value
+    def _number(cls, value: Any) -> Any:  # noqa: ANN401 - any YAML value
+        return {"constant": value} if is_number(value) else value
 
     @model_validator(mode="after")
     def _positive(self) -> Self:
         if not (self.constant or self.per_speed_squared):
-            raise PydanticCustomError("turn", "must be above 0 (write 0.1, say, in 1/s)")
+            raise PydanticCustomError("turn", "must be above 0 (write 0.1, for example, in 1/s)")
         return self
 
     @model_serializer(mode="wrap")
@@ -110,12 +111,12 @@ SpeedRange = tuple[MetresPerSecond, MetresPerSecond]
 
 
 class Agent(Section):
-    """What one follower has different from the rest; what is left out is the formation's."""
+    """Parameters of one follower; those that are left out are the formation's."""
 
     k: Number | None = Field(None, gt=0, description="k_i of (7), m/s.")
     a: PerSecond | None = Field(None, gt=0, description="a_i of (14), 1/s.")
     b: Number | None = Field(None, ge=0, description="b_i of (14), s/m².")
-    c: TurnGain | None = Field(None, description="c_i of (15), 1/s, or a map.")
+    c: PointingGain | None = Field(None, description="c_i of (15), 1/s, or a map.")
     kappa_mps: MetresPerSecond | None = Field(None, gt=0, description="κ_i, m/s.")
     speed_mps: SpeedRange | None = Field(None, description="Bounds S_i [lowest, highest], m/s.")
     speed_desired_mps: SpeedRange | None = Field(
@@ -129,31 +130,34 @@ class Agent(Section):
 
 
 class OnFailure(Section):
-    """What the formation does when an aircraft tells that it has failed."""
+    """Response of the followers to an aircraft that declares a fault."""
 
-    answer: Literal["fly-on", "drop", "re-slot"] = Field(
-        "fly-on",
-        description="fly-on: nothing; drop: leave it out of (6); re-slot: leave it out, and the "
-        "followers that are left take the first offsets in the order of the fleet.",
+    response: Literal["ignore", "drop", "reassign-slots"] = Field(
+        "ignore",
+        description="ignore: no response; drop: leave it out of (6); reassign-slots: also assign "
+        "the first offsets to the remaining followers, in fleet order.",
     )
-    after_s: Seconds = Field(2.0, ge=0, description="From the failure to its being told, s.")
-    clear_m: Metres = Field(
+    declared_after_s: Seconds = Field(
+        2.0, ge=0, description="Time from a failure to its declaration, s."
+    )
+    clearance_m: Metres = Field(
         30.0,
         gt=0,
-        description="A place is filled once who failed has told that it is this far from it, m.",
+        description="A slot is reassigned once the failed aircraft reports to be this far from "
+        "it, m.",
     )
 
 
 class Formation(Section):
-    """Offsets, graph, gains and bounds of the formation law; defaults are [HBH23] Section 9."""
+    """Offsets, graph, gains and bounds of the formation; defaults are of [HBH23] Section 9."""
 
     offsets_m: Mapping[Name, Offset] = Field(
         description="υ_i by follower: [forward, right, down] in the leader's velocity frame, m."
     )
     altitudes_m: Mapping[Name, Metres] = Field(
         {},
-        description="Followers that fly the horizontal variant: the law sees the plane, and pitch "
-        "holds this altitude above the origin, m.",
+        description="Followers with the horizontal variant: the law acts in the horizontal plane, "
+        "and pitch holds this altitude above the origin, m.",
     )
     leader_gains: Mapping[Name, Gain] = Field(
         {},
@@ -166,12 +170,12 @@ class Formation(Section):
     k: Number = Field(3.0, gt=0, description="k_i of the desired velocity (7), m/s.")
     a: PerSecond = Field(1.0, gt=0, description="a_i of the speed law (14), 1/s.")
     b: Number = Field(0.1, ge=0, description="b_i of the speed law (14), s/m².")
-    c: TurnGain = Field(
-        TurnGain(constant=0.1),
-        description="c_i of the pointing law (15): 1/s, or a map of how it grows with s_d.",
+    c: PointingGain = Field(
+        PointingGain(constant=0.1),
+        description="c_i of the pointing law (15): 1/s, or a map with its growth with s_d.",
     )
     kappa_mps: MetresPerSecond = Field(
-        3.6, gt=0, description="κ_i: how far the leader's speed stays from the bounds, m/s."
+        3.6, gt=0, description="κ_i: margin of the slot's speed to the speed bounds, m/s."
     )
     speed_mps: SpeedRange = Field(
         (16.0, 30.0), description="Speed bounds S_i [lowest, highest], m/s."
@@ -179,7 +183,7 @@ class Formation(Section):
     speed_desired_mps: SpeedRange | None = Field(
         None,
         description="Bounds of the desired speed s_d [lowest, highest], m/s; by default the speed "
-        "bounds less κ − k ρ̄.",
+        "bounds, narrowed by κ − k ρ̄.",
     )
     speed_pole_per_s: PerSecond = Field(
         0.64, gt=0, description="Pole p of the speed model f = −p s, g = p, 1/s."
@@ -189,97 +193,85 @@ class Formation(Section):
     )
     barrier: BarrierFunction = Field(Barrier(example=5), description="The function h_i of (14).")
     agents: Mapping[Name, Agent] = Field(
-        {}, description="By follower, what it has different from the values above."
+        {}, description="By follower, parameters that differ from those above."
     )
     on_failure: OnFailure = Field(
-        OnFailure(), description="What the others do when an aircraft has failed."
-    )
-
-
-class Silence(Section):
-    """What a follower does when its leader falls silent."""
-
-    after_s: Seconds = Field(
-        5.0, gt=0, description="Without news of its leader for this long, a follower is alone, s."
-    )
-    then: Literal["straight", "loiter"] = Field(
-        "straight",
-        description="Without its leader a follower flies level at its trim airspeed: straight on, "
-        "or round in a circle.",
-    )
-    bank_deg: Number = Field(
-        20.0, ge=-60, le=60, description="Bank of that circle, degrees; right is positive."
-    )
-
-
-class Staleness(Section):
-    """What a follower does when a neighbour falls silent."""
-
-    after_s: Seconds | None = Field(
-        None,
-        gt=0,
-        description="Without news of a neighbour for this long, what was known of it is too old; "
-        "by default silence.after_s, s.",
-    )
-    then: Literal["drop", "hold"] = Field(
-        "drop",
-        description="Leave the neighbour out of (6), or take it to hold the place in the leader's "
-        "velocity frame that it had when its last message was new.",
+        OnFailure(), description="Response to an aircraft that declares a fault."
     )
 
 
 class Controller(Section):
-    """Which law flies the followers, and the options the paper leaves open."""
+    """Control law of the followers, and options that the paper leaves open."""
 
     law: LawName = Field(
-        "paper",
-        description="The control law: paper is [HBH23] (5) to (15); module:Class is your own, from "
-        "a module.py beside this page or an installed package.",
+        "hbh23",
+        description="Control law: hbh23 is [HBH23] (5) to (15); module:Class is your own law, from "
+        "module.py in the folder of this file or from an installed package.",
     )
-    options: Mapping[Name, Option] = Field(
-        {}, description="Keyword arguments of your own law's class."
+    options: Mapping[Name, LawOption] = Field(
+        {}, description="Keyword arguments of the class of your own law."
     )
     profile: Name = Field(
-        "paper",
+        "tuned",
         description="Gains of the middle loop: a section of the airframe's middle_loop.yaml.",
     )
     middle_loop: str | None = Field(
         None,
         min_length=1,
-        description="A file like the airframe's middle_loop.yaml in its place: a path, relative to "
-        "this page; for fleets of one airframe.",
+        description="File in place of the airframe's middle_loop.yaml: a path from this file; for "
+        "fleets of one airframe.",
     )
     gains: GainChanges = Field(
         {},
-        description="What is different from the profile, for all followers: its keys with other "
-        "numbers, as in course: {p: 3}.",
+        description="Changes to the profile for all followers, as in course: {p: 3}.",
     )
     gain_scale: Number = Field(
-        1.0, gt=0, description="Multiplies every PID gain of the middle loop, no unit."
+        1.0, gt=0, description="Factor of every PID gain of the middle loop, no unit."
     )
-    estimators: EstimatorChoice = Field(
-        EstimatorChoice(),
-        description="What is made of the others' messages; what is left out is as in the profile.",
+    estimators: EstimatorChanges = Field(
+        EstimatorChanges(),
+        description="Estimates from received messages; keys that are left out are the profile's.",
     )
     extrapolate_from: Literal["receipt", "timestamp"] = Field(
         "receipt",
-        description="From when a neighbour's message is extrapolated: timestamp needs "
-        "synchronised clocks and compensates latency.",
+        description="Time from which a message is extrapolated: timestamp compensates latency and "
+        "needs synchronised clocks.",
     )
     throttle_error: Literal["ground_speed", "airspeed"] = Field(
         "ground_speed",
-        description="The speed error of (21): ground_speed is right in wind, airspeed as printed.",
+        description="Speed error of (21): ground_speed, which is correct in wind, or airspeed, as "
+        "printed.",
     )
     pitch_feedforward: Literal["none", "incidence"] = Field(
         "none",
-        description="Add nothing to (19), or the incidence θ − γ, as the authors' code does.",
+        description="Addition to (19): none, or the angle of attack θ − γ as in the authors' code.",
     )
-    bounds_of: Literal["ground_speed", "airspeed"] = Field(
+    bounded_speed: Literal["ground_speed", "airspeed"] = Field(
         "ground_speed",
-        description="What the speed bounds bound: ground_speed is the paper's, airspeed shifts "
-        "them by the wind, as the authors' code does.",
+        description="Speed to which the speed bounds apply: ground_speed as in the paper, or "
+        "airspeed (bounds shifted by the wind) as in the authors' code.",
     )
-    silence: Silence = Field(Silence(), description="What happens without news of the leader.")
-    staleness: Staleness = Field(
-        Staleness(), description="What happens without news of a neighbour."
+    leader_timeout_s: Seconds = Field(
+        5.0,
+        gt=0,
+        description="Time without a message from the leader after which a follower leaves the "
+        "formation, s.",
+    )
+    on_leader_timeout: Literal["straight", "loiter"] = Field(
+        "straight",
+        description="Then it flies level at its trim airspeed: straight, or in a circle.",
+    )
+    loiter_bank_deg: Degrees = Field(
+        20.0, ge=-60, le=60, description="Bank angle of that circle, degrees; right is positive."
+    )
+    neighbour_timeout_s: Seconds | None = Field(
+        None,
+        gt=0,
+        description="Time without a message from a neighbour after which it is not extrapolated, "
+        "s; by default leader_timeout_s.",
+    )
+    on_neighbour_timeout: Literal["drop", "hold-relative-position"] = Field(
+        "drop",
+        description="drop: leave the neighbour out of (6); hold-relative-position: hold its "
+        "position in the leader's velocity frame at its last message.",
     )

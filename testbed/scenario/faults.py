@@ -1,4 +1,4 @@
-"""What breaks in an aircraft on the page, and when."""
+"""Faults of an aircraft and the conditions under which they begin."""
 
 from typing import Annotated, ClassVar, Literal
 
@@ -7,140 +7,147 @@ from pydantic import Field
 from testbed.scenario.fields import Number, Offset, Seconds, Section
 
 Surface = Literal["aileron", "elevator", "rudder", "left-elevon", "right-elevon"]
-_SURFACE = "Which surface; the airframe must have it."
+_SURFACE = "Control surface; the airframe must have it."
 
 
 class Condition(Section):
-    """A state of the aircraft in which a fault begins: the truth's, not what it believes."""
+    """Condition on the true state of the aircraft under which a fault begins."""
 
     quantity: Literal["altitude_m", "airspeed_mps", "bank_deg", "state_of_charge"] = Field(
-        description="What is watched: altitude above the origin, m; true airspeed, m/s; bank to "
-        "either side, degrees; charge, 0 to 1.",
+        description="Quantity: altitude above the origin, m; true airspeed, m/s; bank angle to "
+        "either side, degrees; state of charge, 0 to 1.",
     )
-    above: Number | None = Field(None, description="Begin above this, in the quantity's unit.")
-    below: Number | None = Field(None, description="Begin below this, in the quantity's unit.")
+    above: Number | None = Field(
+        None, description="Begin above this value, in the unit of the quantity."
+    )
+    below: Number | None = Field(
+        None, description="Begin below this value, in the unit of the quantity."
+    )
 
 
-class Breakdown(Section):
-    """What all faults have: when they begin and end, and whether the others are told."""
+class Fault(Section):
+    """Keys of every fault: beginning, end, and whether the aircraft reports it."""
 
-    DECLARED: ClassVar[bool]  # unless the page says otherwise
-    OF_FLIGHT: ClassVar[bool] = False  # needs an airframe that flies by its forces
+    DECLARED: ClassVar[bool]  # default of `declared`
+    NEEDS_FLIGHT_MODEL: ClassVar[bool] = False
 
-    kind: str = Field(description="What breaks.")
+    kind: str = Field(description="Kind of fault.")
     at_s: Annotated[Seconds, Field(ge=0)] | None = Field(
-        None, description="When it begins, or with when: from when that counts, s."
+        None,
+        description="Time of its beginning; with a condition, the time from which it applies, s.",
     )
     when: Condition | None = Field(
-        None, description="The state in which it begins; once begun, it does not begin again."
+        None, description="Condition under which it begins; it begins only once."
     )
-    lasts_s: Annotated[Seconds, Field(gt=0)] | None = Field(
-        None, description="How long it lasts, s; by default for good."
+    duration_s: Annotated[Seconds, Field(gt=0)] | None = Field(
+        None, description="How long it lasts, s; by default to the end of the run."
     )
     declared: Annotated[bool, Field(strict=True)] | None = Field(
         None,
-        description="Whether the aircraft tells the others formation.on_failure.after_s later: "
-        "true or false; by default as the kind of fault lets it.",
+        description="Whether the aircraft reports the fault, formation.on_failure.declared_after_s "
+        "later: true or false; the default depends on the kind of fault.",
     )
 
     @property
     def is_declared(self) -> bool:
-        """Whether the aircraft tells the others."""
+        """Whether the aircraft reports the fault to the others."""
         return self.DECLARED if self.declared is None else self.declared
 
 
-class EngineOut(Breakdown):
+class EngineOut(Fault):
     """No thrust."""
 
-    DECLARED = OF_FLIGHT = True
+    DECLARED = NEEDS_FLIGHT_MODEL = True
     kind: Literal["engine-out"] = Field(description="No thrust.")
 
 
-class ThrustLoss(Breakdown):
-    """Less of the throttle reaches the motor."""
+class ThrustLoss(Fault):
+    """Less thrust: the motor gets a share of the throttle."""
 
-    DECLARED = OF_FLIGHT = True
+    DECLARED = NEEDS_FLIGHT_MODEL = True
     kind: Literal["thrust-loss"] = Field(description="Less thrust.")
-    left: Number = Field(
-        ge=0, le=1, description="Share of the throttle that reaches the motor, 0 to 1."
+    remaining: Number = Field(
+        ge=0, le=1, description="Remaining share of the throttle command, 0 to 1."
     )
 
 
-class SurfaceStuck(Breakdown):
-    """A surface does not move."""
+class SurfaceStuck(Fault):
+    """A control surface does not move."""
 
-    DECLARED = OF_FLIGHT = True
-    kind: Literal["surface-stuck"] = Field(description="A surface does not move.")
+    DECLARED = NEEDS_FLIGHT_MODEL = True
+    kind: Literal["surface-stuck"] = Field(description="A control surface does not move.")
     surface: Surface = Field(description=_SURFACE)
     position: Annotated[Number, Field(ge=-1, le=1)] | None = Field(
         None,
-        description="Where, -1 to 1 of its travel; positive rolls right, pitches up, yaws right, "
-        "of an elevon is up; by default where it is at that moment.",
+        description="Position, -1 to 1 of its travel; positive rolls right, pitches up, yaws "
+        "right, of an elevon up; by default its position at that time.",
     )
 
 
-class SurfaceFloating(Breakdown):
-    """A surface that nothing holds turns with the flow."""
+class SurfaceFloating(Fault):
+    """A control surface floats: it turns with the flow."""
 
-    DECLARED = OF_FLIGHT = True
-    kind: Literal["surface-floating"] = Field(description="Nothing holds a surface.")
+    DECLARED = NEEDS_FLIGHT_MODEL = True
+    kind: Literal["surface-floating"] = Field(description="A control surface floats.")
     surface: Surface = Field(description=_SURFACE)
     ratio: Number = Field(
         0.5, ge=-1, le=1, description="Deflection per angle of the flow, rad/rad."
     )
 
 
-class AirspeedBlocked(Breakdown):
-    """The opening of the pitot tube is blocked."""
+class AirspeedBlocked(Fault):
+    """The inlet of the pitot tube is blocked."""
 
     DECLARED = False
     kind: Literal["airspeed-blocked"] = Field(description="The pitot tube is blocked.")
     drain: Literal["blocked", "open"] = Field(
         "blocked",
-        description="blocked keeps the pressure in: the airspeed grows with height; open lets it "
-        "out: the airspeed falls to 0.",
+        description="Drain hole. blocked: the pressure is trapped, measured airspeed grows with "
+        "height; open: measured airspeed falls to 0.",
     )
 
 
-class GpsLost(Breakdown):
-    """No more fixes."""
+class GpsLost(Fault):
+    """The GPS receiver gives no fixes."""
 
     DECLARED = True
-    kind: Literal["gps-lost"] = Field(description="No more fixes.")
+    kind: Literal["gps-lost"] = Field(description="The GPS receiver gives no fixes.")
 
 
-class GpsJump(Breakdown):
-    """Every fix is off by the same."""
-
-    DECLARED = False
-    kind: Literal["gps-jump"] = Field(description="Every fix is off by the same.")
-    offset_m: Offset = Field(description="By how much [north, east, down], m.")
-
-
-class AutopilotFrozen(Breakdown):
-    """The autopilot hangs: servos keep what they were told last."""
+class GpsJump(Fault):
+    """Every GPS fix has the same added error."""
 
     DECLARED = False
-    OF_FLIGHT = True
-    kind: Literal["autopilot-frozen"] = Field(description="The autopilot hangs.")
+    kind: Literal["gps-jump"] = Field(description="Every GPS fix has the same added error.")
+    offset_m: Offset = Field(description="Added error [north, east, down], m.")
 
 
-class RadioMute(Breakdown):
-    """The transmitter is silent."""
+class AutopilotFrozen(Fault):
+    """The autopilot freezes: servos hold the last command."""
 
     DECLARED = False
-    kind: Literal["radio-mute"] = Field(description="Nothing is sent.")
+    NEEDS_FLIGHT_MODEL = True
+    kind: Literal["autopilot-frozen"] = Field(description="The autopilot freezes.")
 
 
-class BatteryLow(Breakdown):
-    """The battery drops to a lower charge, and goes on from there."""
+class TransmitterOff(Fault):
+    """The transmitter sends nothing."""
 
-    DECLARED = OF_FLIGHT = True
+    DECLARED = False
+    kind: Literal["transmitter-off"] = Field(description="The transmitter sends nothing.")
+
+
+class BatteryLow(Fault):
+    """The battery drops to a lower charge and discharges from there."""
+
+    DECLARED = NEEDS_FLIGHT_MODEL = True
     kind: Literal["battery-low"] = Field(description="The battery drops to a lower charge.")
-    state_of_charge: Number = Field(gt=0, le=1, description="To which it drops, 0 to 1.")
+    state_of_charge: Number = Field(
+        gt=0, le=1, description="State of charge to which it drops, 0 to 1."
+    )
 
 
-Fault = Annotated[
+AnyFault = Annotated[
     EngineOut
     | ThrustLoss
     | SurfaceStuck
@@ -149,7 +156,7 @@ Fault = Annotated[
     | GpsLost
     | GpsJump
     | AutopilotFrozen
-    | RadioMute
+    | TransmitterOff
     | BatteryLow,
     Field(discriminator="kind"),
 ]

@@ -1,7 +1,7 @@
-"""The building blocks of the page: a strict base, numbers with their unit, gains per direction.
+"""Building blocks of the schema: a strict base class, numbers with units, gains per direction.
 
-Sections are written without `from __future__ import annotations`: pydantic would have to evaluate
-each annotation from its text, whenever anything starts.
+Modules with sections leave out `from __future__ import annotations`: pydantic would have to
+evaluate each annotation from its text at every start.
 """
 
 from collections.abc import Iterable, Sequence
@@ -10,25 +10,27 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, WithJsonSchema
 from pydantic_core import PydanticCustomError
 
+KeyPath = tuple[str | int, ...]
+"""Keys and list indices from the top of a file to a value."""
+Finding = tuple[KeyPath, str]
+"""A path, what is wrong there and what to write instead."""
+
 
 class Section(BaseModel):
-    """A part of a page: frozen, and an unknown key is an error."""
+    """A map of a scenario: frozen; an unknown key is an error."""
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=False
     )
 
 
-def refuse(problems: Iterable[tuple[tuple[str | int, ...], str]]) -> None:
-    """Refuse a page whose parts do not go together.
-
-    Args:
-        problems: for each the path to it, keys and indices from the top, and what is wrong.
+def raise_findings(findings: Iterable[Finding]) -> None:
+    """Raise one error for sections that contradict each other.
 
     Raises:
-        PydanticCustomError: there are any; with all of them, as `explain` takes them.
+        PydanticCustomError: there is a finding; with all of them, for `explain`.
     """
-    found = list(problems)
+    found = list(findings)
     if found:
         text = "; ".join(f"{'.'.join(map(str, path))}: {what}" for path, what in found)
         raise PydanticCustomError("cross", "{text}", {"text": text, "problems": found})
@@ -48,9 +50,14 @@ Percent = Annotated[Number, Field(json_schema_extra={"unit": "%"})]
 Hertz = Annotated[Whole, Field(gt=0, le=10_000, json_schema_extra={"unit": "Hz"})]
 
 
-def _per_direction(value: Any) -> Any:  # noqa: ANN401 - whatever the page holds
-    """Spread a scalar over north, east and down; take the diagonal of a diagonal matrix."""
-    if isinstance(value, int | float) and not isinstance(value, bool):
+def is_number(value: object) -> bool:
+    """Tell whether a value is a number; true and false are none."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _per_direction(value: Any) -> Any:  # noqa: ANN401 - any YAML value
+    """Repeat a scalar for north, east and down; take the diagonal of a diagonal matrix."""
+    if is_number(value):
         return (value, value, value)
     if isinstance(value, Sequence) and not isinstance(value, str) and len(value) == 3:
         rows = [row for row in value if isinstance(row, Sequence) and not isinstance(row, str)]
@@ -87,7 +94,7 @@ Gain = Annotated[
     BeforeValidator(_per_direction),
     WithJsonSchema(_GAIN_SCHEMA),
 ]
-"""A position gain per inertial direction, always a triple once read."""
+"""A position gain per direction (north, east, down), no unit."""
 
 Offset = tuple[Metres, Metres, Metres]
-"""Three lengths in m; the field that uses it says along which axes."""
+"""Three lengths, m; the field that uses it names the axes."""

@@ -1,35 +1,39 @@
-"""From a page, those it extends and the changes asked for, to one frozen object."""
+"""Read a scenario: its file, the files it extends, and settings, resolved to one frozen object."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from testbed.scenario import resolve
-from testbed.scenario.gains import GainChanges, Guidance, MiddleLoopFile, MiddleLoopGains
-from testbed.scenario.messages import Place, Problem, ScenarioError, did_you_mean, folded
-from testbed.scenario.overrides import override
-from testbed.scenario.references import settle
+from testbed.scenario.middle_loop import GainChanges, Guidance, MiddleLoopFile, MiddleLoopGains
+from testbed.scenario.overrides import override, parse_setting
+from testbed.scenario.pattern import drop_follower_keys, expand_pattern, is_pattern_key
+from testbed.scenario.references import resolve_references
 from testbed.scenario.schema import Scenario
-from testbed.scenario.spread import give_way, of_pattern, spread
-from testbed.scenario.tree import Node, inherit, planted, walk
-from testbed.scenario.yaml_door import parse, read, stop, validated, write
+from testbed.scenario.schema_1 import MIDDLE_LOOP, renamed_keys
+from testbed.scenario.tree import Node, inherit, plant, walk
+from testbed.scenario.violations import Place, Problem, ScenarioError, did_you_mean, merge_repeated
+from testbed.scenario.yaml_io import error_at, parse, read, validate, write
 
-_LONGEST_CHAIN = 20
-_AS_IS: GainChanges = {}
-CHANGES = Place("controller.gains")  # of what is wrong in changes to a profile
+_MAX_CHAIN = 20  # files that extend each other
+_NO_CHANGES: GainChanges = {}
+CHANGES = Place("controller.gains")  # place of problems in changes to a profile
 
 
 @dataclass(frozen=True, slots=True)
-class Draft:
-    """A page that has been read and may be changed many times over; its files are read once."""
+class ScenarioFile:
+    """A scenario file merged with those it extends, not yet checked.
+
+    It can be resolved many times with different settings without being read again.
+    """
 
     path: Path
     tree: Node
 
-    def page(self, overrides: Sequence[str] = ()) -> Scenario:
-        """The page with changes, checked.
+    def resolve(self, overrides: Sequence[str] = ()) -> Scenario:
+        """Return the scenario with settings, checked.
 
         Args:
             overrides: texts `key.path=value`, applied in order after `extends`.
@@ -37,48 +41,57 @@ class Draft:
         Raises:
             ScenarioError: with every problem found, each with its place.
         """
-        return _scenario(self.tree, overrides)
+        return _resolve(self.tree, overrides)
 
 
-def open_draft(name_or_path: str | Path, *, folder: Path | None = None) -> Draft:
-    """Read a scenario and what it extends, unchecked.
+def open_scenario(name_or_path: str | Path, *, folder: Path | None = None) -> ScenarioFile:
+    """Read a scenario file and those it extends.
 
     Args:
-        name_or_path: a name of `list_scenarios()`, or the path of a page.
-        folder: what a relative path is relative to; here, if None.
+        name_or_path: a name of `list_scenarios()`, or the path of a file.
+        folder: base of a relative path; None: the working directory.
 
     Raises:
-        ScenarioError: there is no such page, or it is not YAML.
+        ScenarioError: a file does not exist, is not YAML, or is of schema 1.
     """
     path = resolve.find_scenario(name_or_path, folder=folder)
-    return Draft(path, _chain(path, ()))
+    return ScenarioFile(path, _merged(_files(read(path), (path,))))
 
 
 def load(name_or_path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
     """Read a scenario by name or path and return it, checked.
 
     Args:
-        name_or_path: a name of `list_scenarios()`, or the path of a page.
+        name_or_path: a name of `list_scenarios()`, or the path of a file.
         overrides: texts `key.path=value`, applied in order after `extends`.
 
     Raises:
         ScenarioError: with every problem found, each with its place.
     """
-    return open_draft(name_or_path).page(overrides)
+    return open_scenario(name_or_path).resolve(overrides)
 
 
 def loads(
-    text: str, overrides: Sequence[str] = (), *, source: str = "<page>", look: bool = True
+    text: str,
+    overrides: Sequence[str] = (),
+    *,
+    source: str = "<scenario>",
+    check_files: bool = True,
 ) -> Scenario:
-    """Read a scenario from the text of its page; paths in it are relative to here.
+    """Read a scenario from a text; paths in it are from the working directory.
 
-    Of a page that a log kept the files that it names may be gone: without `look` nobody asks.
+    Args:
+        text: of the file.
+        overrides: as `load` has them.
+        source: name of the file in errors.
+        check_files: look for the files that the scenario names; False for that of a log, whose
+            files may be elsewhere.
 
     Raises:
-        ScenarioError: as `load` does; `source` stands for the file's name.
+        ScenarioError: with every problem found, each with its place.
     """
-    tree = _extended(parse(text, source, Path.cwd()), ())
-    return _scenario(tree, overrides) if look else validated(spread(tree), Scenario)
+    tree = _merged(_files(parse(text, source, Path.cwd()), ()))
+    return _resolve(tree, overrides) if check_files else validate(expand_pattern(tree), Scenario)
 
 
 def load_middle_loop(
@@ -86,7 +99,7 @@ def load_middle_loop(
     profile: str,
     *,
     file: str | Path | None = None,
-    changes: GainChanges = _AS_IS,
+    changes: GainChanges = _NO_CHANGES,
 ) -> MiddleLoopGains:
     """Read one profile of an airframe's middle_loop.yaml.
 
@@ -94,38 +107,40 @@ def load_middle_loop(
         aircraft: name or path of the airframe.
         profile: name of a section of that file.
         file: in place of the airframe's own.
-        changes: what is different from the profile.
+        changes: values that differ from the profile.
 
     Raises:
-        ScenarioError: the airframe, the file or the profile is missing, or a gain is wrong; one of
-            `changes` has the place `CHANGES`, and its path begins there.
+        ScenarioError: the airframe, the file or the profile does not exist, or a gain is wrong; a
+            wrong change has the place `CHANGES`, and its path begins there.
     """
     tree = read(Path(file) if file else resolve.find_aircraft(aircraft) / "middle_loop.yaml")
-    profiles = validated(tree, MiddleLoopFile).root
+    if renamed := renamed_keys(tree, MIDDLE_LOOP):
+        raise ScenarioError(renamed)
+    profiles = validate(tree, MiddleLoopFile).root
     if profile in profiles:
-        own = profiles[profile]
+        gains = profiles[profile]
         if not changes:
-            return own
-        data = own.model_dump(mode="json")
+            return gains
+        data = gains.model_dump(mode="json")
         for key, value in changes.items():
             inner = data.get(key)
             if isinstance(value, Mapping) and isinstance(inner, dict):
                 data[key] = {**inner, **value}
             else:
                 data[key] = value
-        return validated(planted(data, CHANGES), MiddleLoopGains)
+        return validate(plant(data, CHANGES), MiddleLoopGains)
     hint = did_you_mean(profile, profiles)
     known = ", ".join(profiles)
-    raise stop(tree.place, f"there is no profile {profile!r}{hint} (write one of {known})")
+    raise error_at(tree.place, f"there is no profile {profile!r}{hint} (write one of {known})")
 
 
-def gains_of(page: Scenario, aircraft: str | Path) -> MiddleLoopGains:
-    """The middle loop's gains with which a page flies followers of this airframe.
+def middle_loop_gains(scenario: Scenario, aircraft: str | Path) -> MiddleLoopGains:
+    """Return the gains of the middle loop for followers of an airframe.
 
     Raises:
         ScenarioError: as `load_middle_loop` does.
     """
-    controller = page.controller
+    controller = scenario.controller
     return load_middle_loop(
         aircraft, controller.profile, file=controller.middle_loop, changes=controller.gains
     )
@@ -137,80 +152,98 @@ def dump_middle_loop(profiles: Mapping[str, MiddleLoopGains]) -> str:
 
 
 def load_guidance(aircraft: str | Path) -> Guidance:
-    """Read an airframe's guidance.yaml; without one, what suits the Rascal 110.
+    """Read an airframe's guidance.yaml; without the file, gains for the Rascal 110.
 
     Raises:
-        ScenarioError: the airframe is missing, or a gain is wrong.
+        ScenarioError: the airframe does not exist, or a gain is wrong.
     """
     path = resolve.find_aircraft(aircraft) / "guidance.yaml"
-    return validated(read(path), Guidance) if path.is_file() else Guidance()
+    return validate(read(path), Guidance) if path.is_file() else Guidance()
 
 
-def dump(page: Scenario) -> str:
-    """Return the whole page as YAML, defaults included; it loads again to an equal object."""
-    return write(page.model_dump(mode="json", by_alias=True))
+def dump(scenario: Scenario) -> str:
+    """Return a scenario as YAML with all defaults; it loads again to an equal object."""
+    return write(scenario.model_dump(mode="json", by_alias=True))
 
 
-def _scenario(tree: Node, overrides: Sequence[str]) -> Scenario:
-    # a pattern is as large as it gets before one aircraft in it is changed
-    early = [text for text in overrides if of_pattern(text.partition("=")[0])]
-    for text in early:
-        tree = override(give_way(tree, override(tree, text, parse)), text, parse)
-    tree = spread(tree)
-    for text in overrides:
-        if text not in early:
-            tree = override(tree, text, parse)
+def _resolve(tree: Node, overrides: Sequence[str]) -> Scenario:
+    settings = [parse_setting(text) for text in overrides]
+    renamed = [problem for each in settings for problem in renamed_keys(each.tree)]
+    if renamed:
+        raise ScenarioError(renamed)
+    # settings of a pattern precede those of one aircraft in it
+    for setting in settings:
+        if is_pattern_key(setting.keys):
+            tree = override(drop_follower_keys(tree, override(tree, setting)), setting)
+    tree = expand_pattern(tree)
+    for setting in settings:
+        if not is_pattern_key(setting.keys):
+            tree = override(tree, setting)
     try:
-        page = settle(validated(tree, Scenario), tree)
-        _check_profile(page, tree)
+        scenario = resolve_references(validate(tree, Scenario), tree)
+        _check_gains(scenario, tree)
     except ScenarioError as error:
-        raise ScenarioError(folded(error.problems)) from None
-    return page
+        raise ScenarioError(merge_repeated(error.problems)) from None
+    return scenario
 
 
-def _check_profile(page: Scenario, tree: Node) -> None:
-    node, path, left = walk(tree, ("controller", "profile"))
+def _check_gains(scenario: Scenario, tree: Node) -> None:
+    """Check profile, file and changes of the middle loop for every airframe of the fleet."""
+    node, path, rest = walk(tree, ("controller", "profile"))
     problems = []
-    airframes = tuple(dict.fromkeys(follower.aircraft for follower in page.fleet))
-    if page.controller.middle_loop is not None and len(airframes) > 1:
+    airframes = tuple(dict.fromkeys(follower.aircraft for follower in scenario.fleet))
+    if scenario.controller.middle_loop is not None and len(airframes) > 1:
         file, at, _ = walk(tree, ("controller", "middle_loop"))
         text = f"is for one airframe, and the fleet has {', '.join(airframes)} (leave it out)"
         problems.append(Problem(file.place, text, at))
     for aircraft in airframes:
         try:
-            gains_of(page, aircraft)
+            middle_loop_gains(scenario, aircraft)
         except ScenarioError as error:
             for each in error.problems:
                 if each.place == CHANGES:
-                    wrong, at, rest = walk(tree, ("controller", "gains", *each.path))
-                    problems.append(Problem(wrong.place, each.text, at + rest))
+                    change, at, missing = walk(tree, ("controller", "gains", *each.path))
+                    problems.append(Problem(change.place, each.text, at + missing))
                 else:
-                    problems.append(Problem(node.place, str(each), path + left))
+                    problems.append(Problem(node.place, str(each), path + rest))
     problems = list(dict.fromkeys(problems))
     if problems:
         raise ScenarioError(problems)
 
 
-def _chain(path: Path, below: tuple[Path, ...]) -> Node:
-    return _extended(read(path), (*below, path))
-
-
-def _extended(tree: Node, chain: tuple[Path, ...]) -> Node:
-    """Put the page on top of the one it extends, and that on top of its own."""
+def _files(tree: Node, chain: tuple[Path, ...]) -> list[Node]:
+    """Read the files that a scenario extends; return all, this one first, without `extends`."""
     if not isinstance(tree.value, dict) or "extends" not in tree.value:
-        return tree
+        return [tree]
     own = dict(tree.value)
-    wish = own.pop("extends")
-    top = Node(own, tree.place, tree.key, tree.folder)
-    if not isinstance(wish.value, str):
-        raise stop(wish.place, "must be the name or the path of a scenario", ("extends",))
+    extends = own.pop("extends")
+    top = replace(tree, value=own)
+    if not isinstance(extends.value, str):
+        text = "must be the name or the path of a scenario"
+        raise error_at(extends.place, text, ("extends",))
     try:
-        base = resolve.find_scenario(wish.value, folder=wish.folder)
+        base = resolve.find_scenario(extends.value, folder=extends.folder)
     except ScenarioError as error:
-        raise stop(wish.place, error.problems[0].text, ("extends",)) from None
+        raise error_at(extends.place, error.problems[0].text, ("extends",)) from None
     if base in chain:
-        raise stop(wish.place, f"{wish.value!r} extends this page in turn", ("extends",))
-    if len(chain) >= _LONGEST_CHAIN:
-        raise stop(wish.place, f"more than {_LONGEST_CHAIN} pages in a row", ("extends",))
-    below = _chain(base, chain)
-    return inherit(give_way(below, top), top)
+        text = f"{extends.value!r} extends this file in turn (write another scenario)"
+        raise error_at(extends.place, text, ("extends",))
+    if len(chain) >= _MAX_CHAIN:
+        text = f"is a chain of more than {_MAX_CHAIN} files (write a shorter one)"
+        raise error_at(extends.place, text, ("extends",))
+    return [top, *_files(read(base), (*chain, base))]
+
+
+def _merged(files: list[Node]) -> Node:
+    """Merge each file with the next one, which it extends.
+
+    Raises:
+        ScenarioError: some are of schema 1; with the new name of every key, in all files.
+    """
+    renamed = [problem for tree in files for problem in renamed_keys(tree)]
+    if renamed:
+        raise ScenarioError(renamed)
+    *tops, tree = files
+    for top in reversed(tops):
+        tree = inherit(drop_follower_keys(tree, top), top)
+    return tree

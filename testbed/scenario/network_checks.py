@@ -1,86 +1,103 @@
-"""What the network on the page demands: of the fleet, of the rates, and of itself."""
+"""Checks of the `network` section: names, windows, and keys of a link that exclude each other."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from testbed.scenario.link_checks import AT, Finding, Path, check_links, refuse_window, sections
-from testbed.scenario.messages import did_you_mean
-from testbed.scenario.network import ANY, Network
+from testbed.scenario.fields import Finding, KeyPath
+from testbed.scenario.network import (
+    ANY,
+    SHORTEST_SLOT_S,
+    Curve,
+    FourState,
+    GilbertElliott,
+    Jitter,
+    Link,
+    Loss,
+    Network,
+    TransmitSlots,
+)
+from testbed.scenario.violations import did_you_mean
 
 if TYPE_CHECKING:
     from testbed.scenario.schema import Scenario
 
-MOST_SYSTEMS = 255  # ids of MAVLink, from 1
+MAX_SYSTEMS = 255  # MAVLink system ids, from 1
+_AT: KeyPath = ("network",)
+_REPLACED_BY_TRACE = ("loss", "delay_s", "jitter")
+_LEAVE_OUT = "(leave one of them out)"
+# Reach of a distribution below its mean, in spread_s; normal ones have no bound.
+_REACH_BELOW = {"uniform": 1.0, "pareto": 3.0**-0.5}  # pareto: shape 3
+_MIN_LOGNORMAL_MEAN = 1e-3  # in spread_s
 
 
-def check_network(page: Scenario) -> Iterator[Finding]:
-    """Yield every contradiction of the network: where, and what to write instead."""
-    yield from _encoding(page)
-    yield from _senders(page)
-    yield from _partitions(page)
-    yield from _tdma(page)
-    yield from _ends(page)
-    yield from check_links(page.network, page.aircraft_names)
+def check_network(scenario: Scenario) -> Iterator[Finding]:
+    """Yield the contradictions of the network section."""
+    yield from _encoding(scenario)
+    yield from _senders(scenario)
+    yield from _partitions(scenario)
+    yield from _tdma(scenario)
+    yield from _ends(scenario)
+    yield from _links(scenario.network, scenario.aircraft_names)
 
 
-def _encoding(page: Scenario) -> Iterator[Finding]:
-    network = page.network
+def _encoding(scenario: Scenario) -> Iterator[Finding]:
+    network = scenario.network
     if network.encoding == "exact":
-        for at, link in sections(network):
+        for at, link in link_entries(network):
             if link.corrupt is not None and link.corrupt.bits > 1:
                 yield (
                     (*at, "corrupt", "bits"),
-                    "has a meaning where messages are frames with a checksum (write "
+                    "applies to messages with a checksum (write "
                     "network.encoding: follow-target, or leave this out)",
                 )
         return
     if network.message_bytes != Network.model_fields["message_bytes"].default:
         yield (
-            (*AT, "message_bytes"),
-            f"is the encoding's: a frame of {network.encoding} has {network.sent_bytes} bytes "
+            (*_AT, "message_bytes"),
+            f"has no effect: a frame of encoding {network.encoding} has {network.sent_bytes} bytes "
             "(leave this out, or write encoding: exact)",
         )
-    if len(page.aircraft_names) > MOST_SYSTEMS:
+    if len(scenario.aircraft_names) > MAX_SYSTEMS:
         yield (
-            (*AT, "encoding"),
-            f"is for {MOST_SYSTEMS} aircraft, each with a system id of MAVLink, and these are "
-            f"{len(page.aircraft_names)} (write exact, or a smaller fleet)",
+            (*_AT, "encoding"),
+            f"is for at most {MAX_SYSTEMS} aircraft, the number of MAVLink system ids, and here "
+            f"are {len(scenario.aircraft_names)} (write exact, or a smaller fleet)",
         )
 
 
-def _unknown(at: Path, name: str, names: Sequence[str]) -> Iterator[Finding]:
+def _unknown(at: KeyPath, name: str, names: Sequence[str]) -> Iterator[Finding]:
     if name not in names:
         yield (
             at,
-            f"no aircraft has this name{did_you_mean(name, names)} (the run has "
+            f"no aircraft has this name{did_you_mean(name, names)} (the aircraft are "
             f"{', '.join(names)})",
         )
 
 
-def _senders(page: Scenario) -> Iterator[Finding]:
-    network, names = page.network, page.aircraft_names
-    for key in ("mute_s", "broadcast", "clocks"):
+def _senders(scenario: Scenario) -> Iterator[Finding]:
+    network, names = scenario.network, scenario.aircraft_names
+    for key in ("transmitter_off_s", "broadcast", "clocks"):
         for name in getattr(network, key):
-            yield from _unknown((*AT, key, name), name, names)
-    for name, windows in network.mute_s.items():
+            yield from _unknown((*_AT, key, name), name, names)
+    for name, windows in network.transmitter_off_s.items():
         for index, window in enumerate(windows):
-            yield from refuse_window((*AT, "mute_s", name, index), window)
-    step = 1.0 / page.rates.physics_hz
+            yield from _check_window((*_AT, "transmitter_off_s", name, index), window)
+    step = 1.0 / scenario.rates.physics_hz
     for name, beat in network.broadcast.items():
         if beat.period_s is not None and beat.period_s < step:
             yield (
-                (*AT, "broadcast", name, "period_s"),
-                f"{beat.period_s:g} s is less than a step of the run (write at least {step:g}, or "
-                "a higher rates.physics_hz)",
+                (*_AT, "broadcast", name, "period_s"),
+                f"{beat.period_s:g} s is shorter than a simulation step (write at least {step:g}, "
+                "or a higher rates.physics_hz)",
             )
 
 
-def _partitions(page: Scenario) -> Iterator[Finding]:
-    for index, partition in enumerate(page.network.partitions):
-        at = (*AT, "partitions", index)
-        yield from refuse_window((*at, "window_s"), partition.window_s)
+def _partitions(scenario: Scenario) -> Iterator[Finding]:
+    for index, partition in enumerate(scenario.network.partitions):
+        at = (*_AT, "partitions", index)
+        yield from _check_window((*at, "window_s"), partition.window_s)
         groups = partition.groups
         places = [
             ((*at, "groups", row, column), name)
@@ -88,13 +105,16 @@ def _partitions(page: Scenario) -> Iterator[Finding]:
             for column, name in enumerate(group)
         ]
         for place, name in places:
-            yield from _unknown(place, name, page.aircraft_names)
+            yield from _unknown(place, name, scenario.aircraft_names)
         yield from _twice(places, "is in a group already (write each name once)")
-        if any(set(page.aircraft_names) <= set(group) for group in groups):
-            yield (*at, "groups"), "has everyone in one group: nothing is divided (write fewer)"
+        if any(set(scenario.aircraft_names) <= set(group) for group in groups):
+            yield (
+                (*at, "groups"),
+                "puts all aircraft in one group, which divides nothing (write fewer names)",
+            )
 
 
-def _twice(places: Iterable[tuple[Path, str]], text: str) -> Iterator[Finding]:
+def _twice(places: Iterable[tuple[KeyPath, str]], text: str) -> Iterator[Finding]:
     seen = set()
     for place, name in places:
         if name in seen:
@@ -102,35 +122,35 @@ def _twice(places: Iterable[tuple[Path, str]], text: str) -> Iterator[Finding]:
         seen.add(name)
 
 
-def _tdma(page: Scenario) -> Iterator[Finding]:
-    network, names = page.network, page.aircraft_names
+def _tdma(scenario: Scenario) -> Iterator[Finding]:
+    network, names = scenario.network, scenario.aircraft_names
     if network.tdma is None:
         return
-    for at, link in sections(network):
+    for at, link in link_entries(network):
         if link.slots is not None and link.slots.every_s[1] > 0:
             yield (
                 (*at, "slots"),
-                "are slots of this link alone, and network.tdma has everyone's (leave one out)",
+                "cannot be combined with network.tdma, which sets the slots of all (leave one out)",
             )
     order = network.tdma.order
     if order is None:
         return
-    at = (*AT, "tdma", "order")
+    at = (*_AT, "tdma", "order")
     places = [((*at, index), name) for index, name in enumerate(order)]
     for place, name in places:
         yield from _unknown(place, name, names)
     yield from _twice(places, "has a slot already (write each name once)")
-    left = [name for name in names if name not in order]
-    if left:
-        yield at, f"has no slot for {', '.join(left)} (write every aircraft, or leave order out)"
+    missing = [name for name in names if name not in order]
+    if missing:
+        yield at, f"has no slot for {', '.join(missing)} (write every aircraft, or leave order out)"
 
 
-def _ends(page: Scenario) -> Iterator[Finding]:
-    """Whether the keys under links are a sender and one who listens."""
-    names = page.aircraft_names
+def _ends(scenario: Scenario) -> Iterator[Finding]:
+    """Check that the keys below links are a sender and a receiver."""
+    names = scenario.aircraft_names
     leader, *followers = names
-    for sender, receivers in page.network.links.items():
-        at = (*AT, "links", sender)
+    for sender, receivers in scenario.network.links.items():
+        at = (*_AT, "links", sender)
         if sender != ANY:
             yield from _unknown(at, sender, names)
         for receiver in receivers:
@@ -139,14 +159,178 @@ def _ends(page: Scenario) -> Iterator[Finding]:
             if receiver == leader:
                 yield (
                     (*at, receiver),
-                    "is the leader, which does not listen (write the sender first, then a "
+                    "is the leader, which receives no messages (write the sender first, then a "
                     "follower or '*')",
                 )
             elif receiver == sender:
-                yield (*at, receiver), "an aircraft hears itself at once (leave this key out)"
+                yield (*at, receiver), "is sender and receiver (leave this key out)"
             elif receiver not in names:
                 yield (
                     (*at, receiver),
                     f"no follower has this name{did_you_mean(receiver, followers)} (the fleet has "
                     f"{', '.join(followers)}; '*' is all of them)",
                 )
+
+
+def _links(network: Network, names: Sequence[str]) -> Iterator[Finding]:
+    """Check each entry that describes a link, then the resolved links."""
+    for at, link in link_entries(network):
+        yield from _entry(at, link)
+    seen = set()
+    for source, destination in _pairs(network, names):
+        for finding in _resolved(network, source, destination):
+            if finding[0] not in seen:  # one finding per entry, not per link
+                seen.add(finding[0])
+                yield finding
+
+
+def link_entries(network: Network) -> Iterator[tuple[KeyPath, Link]]:
+    """Yield every entry that describes a link and its path: the common one, then the others."""
+    yield _AT, network
+    for sender, receivers in network.links.items():
+        for receiver, link in receivers.items():
+            yield (*_AT, "links", sender, receiver), link
+
+
+def _check_window(at: KeyPath, window: tuple[float, float]) -> Iterator[Finding]:
+    """Check that a window begins before it ends."""
+    begin, end = window
+    if begin >= end:
+        yield at, f"[{begin:g}, {end:g}] is not a window (write [from, to] in s)"
+
+
+def _entry(at: KeyPath, link: Link) -> Iterator[Finding]:
+    if link.loss is not None:
+        yield from _loss((*at, "loss"), link.loss)
+    if link.jitter is not None:
+        yield from _jitter((*at, "jitter"), link.jitter)
+    if link.slots is not None:
+        yield from _slots((*at, "slots", "every_s"), link.slots)
+    if link.range_loss is not None:
+        yield from _curve((*at, "range_loss"), link.range_loss, "distances")
+    if link.shadowing is not None:
+        yield from _curve((*at, "shadowing", "loss"), link.shadowing.loss, "angles")
+    for index, window in enumerate(link.blackout_s or ()):
+        yield from _check_window((*at, "blackout_s", index), window)
+
+
+def _loss(at: KeyPath, loss: Loss) -> Iterator[Finding]:
+    if isinstance(loss, GilbertElliott) and loss.p == loss.r == 0.0:
+        yield at, "p and r are both 0, so that the state never changes (write one above 0)"
+    if isinstance(loss, FourState):
+        for first, second in (("p13", "p14"), ("p31", "p32")):
+            total = getattr(loss, first) + getattr(loss, second)
+            if total > 1.0:
+                yield (
+                    (*at, second),
+                    f"{first} + {second} is {total:g}, and both leave state {first[1]} (write at "
+                    "most 1 for the sum)",
+                )
+
+
+def _jitter(at: KeyPath, jitter: Jitter) -> Iterator[Finding]:
+    if jitter.distribution == "empirical":
+        if jitter.file is None:
+            yield (*at, "file"), "is missing (write the name of a CSV file with a column delay_s)"
+        if jitter.spread_s:
+            yield (
+                (*at, "spread_s"),
+                "has no effect with distribution: empirical (leave this out)",
+            )
+    elif jitter.file is not None:
+        yield (
+            (*at, "file"),
+            f"is for distribution: empirical, and the distribution is {jitter.distribution} "
+            f"{_LEAVE_OUT}",
+        )
+
+
+def _slots(at: KeyPath, slots: TransmitSlots) -> Iterator[Finding]:
+    shortest, longest = slots.every_s
+    if longest < shortest or shortest == 0.0 < longest:
+        yield (
+            at,
+            f"[{shortest:g}, {longest:g}] is not a range of times (write [shortest, longest], "
+            "both above 0)",
+        )
+    elif 0.0 < shortest < SHORTEST_SLOT_S:
+        yield at, f"{shortest:g} s is too short for a slot (write at least {SHORTEST_SLOT_S:g})"
+
+
+def _curve(at: KeyPath, curve: Curve, what: str) -> Iterator[Finding]:
+    for index in range(1, len(curve)):
+        before, here = curve[index - 1][0], curve[index][0]
+        if here <= before:
+            yield (
+                (*at, index, 0),
+                f"{here:g} is not above {before:g} (write the {what} in rising order)",
+            )
+
+
+def _pairs(network: Network, names: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield the links with an entry, and one of those that are alike."""
+    sources = {*network.links} - {ANY}
+    destinations = {receiver for each in network.links.values() for receiver in each} - {ANY}
+    others = [name for name in names if name not in sources][:1]
+    unnamed = [name for name in names[1:] if name not in destinations]
+    for source in (name for name in names if name in sources or name in others):
+        rest = [name for name in unnamed if name != source][:1]
+        for destination in names[1:]:
+            if destination != source and (destination in destinations or destination in rest):
+                yield source, destination
+
+
+def _resolved(network: Network, source: str, destination: str) -> Iterator[Finding]:
+    """Check one resolved link; a finding is at the entry that decides the key."""
+    link = network.link(source, destination)
+    last = _deciding_entries(network, source, destination)
+    words = f"from {source} to {destination}"
+    if link.trace is not None:
+        for key in _REPLACED_BY_TRACE:
+            # a less specific entry is for the links without trace
+            if getattr(link, key) and last[key][0] >= last["trace"][0]:
+                yield (
+                    (*last[key][1], key),
+                    f"has no effect {words}: trace.file sets arrivals and delays {_LEAVE_OUT}",
+                )
+        return
+    delay, jitter, reorder = link.delay_s or 0.0, link.jitter, link.reorder
+    if jitter is not None and jitter.spread_s > 0.0:
+        at = (*last["jitter"][1], "jitter")
+        reach = jitter.spread_s * _REACH_BELOW.get(jitter.distribution, 0.0)
+        # netem replaces a negative delay by 0
+        if reach > delay and link.arithmetic != "netem":
+            yield (
+                (*at, "spread_s"),
+                f"{jitter.spread_s:g} s reaches {reach:.4g} s below delay_s {words}, {delay:g} s: "
+                "messages would arrive before they are sent (write less, or a longer delay_s)",
+            )
+        if jitter.distribution == "lognormal" and delay < _MIN_LOGNORMAL_MEAN * jitter.spread_s:
+            yield (
+                (*at, "distribution"),
+                f"is lognormal with mean delay_s, and delay_s is {delay:g} s {words} (write a "
+                "longer delay_s)",
+            )
+    if reorder is not None and reorder.probability > 0.0:
+        at = (*last["reorder"][1], "reorder")
+        if jitter is not None and jitter.in_order:
+            yield at, f"lets packets overtake, which jitter.in_order prevents {_LEAVE_OUT}"
+        elif jitter is None and delay == 0.0:
+            yield (
+                at,
+                f"lets packets overtake delayed ones, and delay_s is 0 {words} (write a delay_s)",
+            )
+
+
+def _deciding_entries(
+    network: Network, source: str, destination: str
+) -> dict[str, tuple[int, KeyPath]]:
+    """Return by key the rank and path of the most specific entry that sets it for a link."""
+    last = dict.fromkeys(Link.model_fields, (0, _AT))
+    ends = ((ANY, ANY), (ANY, destination), (source, ANY), (source, destination))
+    for rank, (sender, receiver) in enumerate(ends, start=1):
+        special = network.links.get(sender, {}).get(receiver)
+        for key in last:
+            if getattr(special, key, None) is not None:
+                last[key] = (rank, (*_AT, "links", sender, receiver))
+    return last

@@ -1,65 +1,71 @@
-"""A fleet that is a pattern: who flies in which slot, and who heeds whom."""
+"""Fleets that are a pattern: slots, neighbours, and their expansion to a list of followers."""
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from testbed.scenario.aircraft import Craft
-from testbed.scenario.fields import Gain, Metres, Name, Whole, refuse
-from testbed.scenario.messages import did_you_mean
+from testbed.scenario.aircraft import Aircraft
+from testbed.scenario.fields import Finding, Gain, Metres, Name, Whole, raise_findings
+from testbed.scenario.tree import Node, Plain, merge, plant
+from testbed.scenario.violations import did_you_mean
+from testbed.scenario.yaml_io import validate
+
+FLEET, FORMATION = "fleet", "formation"
+# keys of the formation that name followers
+_BY_FOLLOWER = ("offsets_m", "altitudes_m", "leader_gains", "neighbour_gains", "agents")
 
 Kind = Literal["vee", "line-abreast", "column", "echelon-left", "echelon-right", "grid"]
 Slot = tuple[float, float, float]
-Finding = tuple[tuple[str | int, ...], str]
-# What of the spacing a pattern has no use for: its place, the word for it, and who has it.
-_IDLE = {"line-abreast": (0, "behind", "vee"), "column": (1, "beside", "echelon-right")}
+# Unused element of the spacing: its index, its name, and a pattern that uses it.
+_UNUSED = {"line-abreast": (0, "behind", "vee"), "column": (1, "beside", "echelon-right")}
 _SPACING_M = {"line-abreast": (0.0, 10.0, 0.0), "column": (10.0, 0.0, 0.0)}
 
 
-class Pattern(Craft):
-    """A fleet of like aircraft in a pattern, which is read as the list that it stands for."""
+class Pattern(Aircraft):
+    """Fleet of like aircraft in a pattern; it is read as the list that it stands for."""
 
-    name: Name = Field("uav", description="What the names begin with: uav1, uav2 and so on.")
+    name: Name = Field("uav", description="Prefix of the names: uav1, uav2 and so on.")
     pattern: Kind = Field(
         description="vee: ranks behind the leader, right and left in turn; line-abreast: the same "
-        "beside it; column; echelon-left, echelon-right; or grid: rows, as square as it goes."
+        "beside it; column; echelon-left, echelon-right; grid: rows, as square as possible."
     )
-    count: Annotated[Whole, Field(ge=1, le=255)] = Field(
-        description="How many followers there are, a number."
-    )
+    count: Annotated[Whole, Field(ge=1, le=255)] = Field(description="Number of followers.")
     spacing_m: tuple[Metres, Metres, Metres] | None = Field(
         None,
-        description="From each to the next [behind, beside, below], m; by default 10 behind and "
-        "10 beside where the pattern has that.",
+        description="Distance from slot to slot [behind, beside, below], m; by default 10 behind "
+        "and 10 beside, where the pattern has it.",
     )
     start_behind_m: Metres = Field(
-        20.0, description="All start this far behind their slots, m; a negative number is ahead."
+        20.0, description="Distance of all starts behind the slots, m; negative is ahead."
     )
     neighbours: Annotated[Whole, Field(ge=0)] = Field(
-        2, description="How many others each heeds, those with the nearest slots; a number."
+        2, description="Number of neighbours of each follower: those with the nearest slots."
     )
-    among: Literal["all", "ahead"] = Field(
-        "all", description="Of whom: of all; or of those ahead, which have lower numbers."
+    neighbours_from: Literal["all", "ahead"] = Field(
+        "all", description="Candidates: all, or ahead: followers with lower numbers."
     )
-    leader_gain: Gain = Field((1.0, 1.0, 1.0), description="formation.leader_gains of everyone.")
+    leader_gain: Gain = Field(
+        (1.0, 1.0, 1.0), description="formation.leader_gains of every follower."
+    )
     neighbour_gain: Gain = Field(
-        (1.0, 1.0, 1.0), description="formation.neighbour_gains for whom it heeds."
+        (1.0, 1.0, 1.0), description="formation.neighbour_gains for each neighbour."
     )
     agents: Mapping[Name, Mapping[Name, Any]] = Field(
-        {}, description="By follower, what of an aircraft's keys is different for it."
+        {}, description="By follower, keys of an aircraft that differ."
     )
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the followers, in order."""
+        """Return the names of the followers, in order."""
         return tuple(f"{self.name}{number}" for number in range(1, self.count + 1))
 
     @cached_property
     def slots(self) -> tuple[Slot, ...]:
-        """Slots [forward, right, down] of the leader, m, in the order of the names."""
+        """Return the slots [forward, right, down] of the leader, m, in the order of the names."""
         behind, beside, below = self.spacing_m or _SPACING_M.get(self.pattern, (10.0, 10.0, 0.0))
         steps = (_steps(self.pattern, index, self.count) for index in range(self.count))
         return tuple(
@@ -67,33 +73,32 @@ class Pattern(Craft):
         )
 
     @property
-    def heeded(self) -> tuple[tuple[int, ...], ...]:
-        """Whom each heeds, the nearest first, and of two that are as near the first in order."""
-        everyone = range(self.count)
-        ahead = self.among == "ahead"
+    def neighbour_indices(self) -> tuple[tuple[int, ...], ...]:
+        """Return the neighbours of each follower, nearest first, ties in fleet order."""
+        ahead = self.neighbours_from == "ahead"
         return tuple(
-            tuple(self._by_distance(index, range(index) if ahead else everyone)[: self.neighbours])
-            for index in everyone
+            tuple(self._by_distance(index, range(index if ahead else self.count)))[
+                : self.neighbours
+            ]
+            for index in range(self.count)
         )
 
     def _by_distance(self, index: int, others: range) -> list[int]:
         slots = self.slots
 
         def distance(other: int) -> float:
-            return round(
-                math.dist(slots[index], slots[other]), 6
-            )  # rounding alone is no difference
+            return round(math.dist(slots[index], slots[other]), 6)  # ties despite rounding
 
         return sorted((other for other in others if other != index), key=distance)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        refuse((*_spaced(self), *_strangers(self)))
+        raise_findings((*_check_spacing(self), *_check_agents(self)))
         return self
 
 
 def _steps(pattern: Kind, index: int, count: int) -> tuple[float, float, float]:
-    """Steps [behind, beside, below] from the leader to one of `count` followers, from 0."""
+    """Return steps [behind, beside, below] from the leader to follower `index` of `count`."""
     rank, pair = index + 1, index // 2 + 1
     side = pair if index % 2 == 0 else -pair
     if pattern == "vee":
@@ -104,20 +109,20 @@ def _steps(pattern: Kind, index: int, count: int) -> tuple[float, float, float]:
         return rank, 0, rank
     if pattern == "grid":
         width = math.ceil(math.sqrt(count))
-        row, place = divmod(index, width)
+        row, column = divmod(index, width)
         abreast = min(width, count - row * width)
-        return row + 1, place - (abreast - 1) / 2, row + 1
+        return row + 1, column - (abreast - 1) / 2, row + 1
     return rank, rank if pattern == "echelon-right" else -rank, rank
 
 
-def _spaced(fleet: Pattern) -> Iterator[Finding]:
-    """Whether the spacing is of the pattern, and leaves everyone a place of its own."""
+def _check_spacing(fleet: Pattern) -> Iterator[Finding]:
+    """Check that the pattern uses the spacing, and that all slots are apart."""
     at = ("spacing_m",)
-    if fleet.spacing_m is not None and fleet.pattern in _IDLE:
-        place, word, other = _IDLE[fleet.pattern]
-        if fleet.spacing_m[place]:
-            text = f"has {fleet.spacing_m[place]:g} m {word}, where a {fleet.pattern} has nobody"
-            yield (*at, place), f"{text} (write 0, or pattern: {other})"
+    if fleet.spacing_m is not None and fleet.pattern in _UNUSED:
+        index, word, other = _UNUSED[fleet.pattern]
+        if fleet.spacing_m[index]:
+            text = f"has {fleet.spacing_m[index]:g} m {word}, which a {fleet.pattern} does not use"
+            yield (*at, index), f"{text} (write 0, or pattern: {other})"
             return
     taken: dict[tuple[float, ...], str] = {(0.0, 0.0, 0.0): "the leader"}
     for name, slot in zip(fleet.names, fleet.slots, strict=True):
@@ -129,10 +134,92 @@ def _spaced(fleet: Pattern) -> Iterator[Finding]:
         taken[near] = name
 
 
-def _strangers(fleet: Pattern) -> Iterator[Finding]:
-    """Whether those that are different are there."""
+def _check_agents(fleet: Pattern) -> Iterator[Finding]:
     for name in fleet.agents:
         if name not in fleet.names:
             hint = did_you_mean(name, fleet.names)
-            everyone = f"{fleet.names[0]} to {fleet.names[-1]}"
-            yield ("agents", name), f"no follower has this name{hint} (the fleet has {everyone})"
+            names = f"{fleet.names[0]} to {fleet.names[-1]}"
+            yield ("agents", name), f"no follower has this name{hint} (the fleet has {names})"
+
+
+def is_pattern_key(keys: tuple[str, ...]) -> bool:
+    """Tell whether keys lead to the fleet or a key of its pattern, not to one aircraft."""
+    first, *rest = keys
+    return first == FLEET and (not rest or rest[0] in Pattern.model_fields)
+
+
+def expand_pattern(scenario: Node) -> Node:
+    """Replace a pattern by the list of followers, with their offsets and gains.
+
+    Keys of the file's own `formation` take precedence. Generated values have the place of the
+    pattern, for errors.
+
+    Raises:
+        ScenarioError: with every problem of the pattern, each with its place.
+    """
+    pattern = _child(scenario, FLEET)
+    if pattern is None or not isinstance(pattern.value, dict):
+        return scenario
+    fleet = validate(pattern, Pattern, under=(FLEET,))
+    assert isinstance(scenario.value, dict)
+    formation = plant(_formation(fleet), pattern.place)
+    own = _child(scenario, FORMATION)
+    return replace(
+        scenario,
+        value=scenario.value
+        | {
+            FLEET: replace(pattern, value=_followers(fleet, pattern)),
+            FORMATION: merge(formation, own) if own else formation,
+        },
+    )
+
+
+def drop_follower_keys(base: Node, top: Node) -> Node:
+    """Return `base` without keys by follower, if a pattern in `top` replaces its list of followers.
+
+    The same names may be in other slots.
+    """
+    old, new, formation = _child(base, FLEET), _child(top, FLEET), _child(base, FORMATION)
+    if not (old and new and isinstance(old.value, tuple) and isinstance(new.value, dict)):
+        return base
+    if not (isinstance(base.value, dict) and formation and isinstance(formation.value, dict)):
+        return base
+    rest = {key: node for key, node in formation.value.items() if key not in _BY_FOLLOWER}
+    return replace(base, value=base.value | {FORMATION: replace(formation, value=rest)})
+
+
+def _child(node: Node, key: str) -> Node | None:
+    return node.value.get(key) if isinstance(node.value, dict) else None
+
+
+def _followers(fleet: Pattern, pattern: Node) -> tuple[Node, ...]:
+    """Return the list of followers: common keys, and over them those of each."""
+    assert isinstance(pattern.value, dict)
+    common = {key: node for key, node in pattern.value.items() if key in Aircraft.model_fields}
+    agents = _child(pattern, "agents")
+    followers = []
+    for name, (forward, right, down) in zip(fleet.names, fleet.slots, strict=True):
+        start: Plain = [forward - fleet.start_behind_m, right, down]
+        generated = {
+            key: plant(value, pattern.place) for key, value in (("name", name), ("start_m", start))
+        }
+        follower = replace(pattern, value=common | generated)
+        own = _child(agents, name) if agents else None
+        followers.append(merge(follower, own) if own else follower)
+    return tuple(followers)
+
+
+def _formation(fleet: Pattern) -> Plain:
+    """Return offsets, and gains that are not zero, by name."""
+    formation: dict[str, Plain] = {
+        "offsets_m": {name: [*slot] for name, slot in zip(fleet.names, fleet.slots, strict=True)}
+    }
+    if any(fleet.leader_gain):
+        formation["leader_gains"] = {name: [*fleet.leader_gain] for name in fleet.names}
+    if any(fleet.neighbour_gain):
+        formation["neighbour_gains"] = {
+            name: {fleet.names[other]: [*fleet.neighbour_gain] for other in neighbours}
+            for name, neighbours in zip(fleet.names, fleet.neighbour_indices, strict=True)
+            if neighbours
+        }
+    return formation

@@ -1,7 +1,7 @@
-"""The one resolver: aircraft, scenarios and data files by name or path.
+"""Find airframes, scenarios, studies and data files by name or path.
 
-A checkout keeps `aircraft/` and `scenarios/` beside the package; an installed wheel carries them
-inside it. A name means a file kept there, and nothing else is searched.
+A checkout has `aircraft/` and `scenarios/` beside the package, an installed wheel inside it. A name
+is that of a file there; no other folder is searched.
 """
 
 from __future__ import annotations
@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from testbed.scenario.messages import Place, Problem, ScenarioError, did_you_mean
+from testbed.scenario.violations import Place, Problem, ScenarioError, did_you_mean
 
 _SCENARIOS = Path("scenarios")
 _STUDIES = _SCENARIOS / "studies"
 _TUNINGS = _STUDIES / "tunes"
 _DATA = _SCENARIOS / "data"
-_PAGE, _TUNE = ".yaml", ".param"
-_A_PAGE = "a page ending in .yaml"
+_YAML, _PARAM = ".yaml", ".param"
+_YAML_FILE = "a .yaml file"
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 
@@ -36,17 +36,17 @@ def list_aircraft() -> tuple[str, ...]:
 
 def list_scenarios() -> tuple[str, ...]:
     """Return the names of the scenarios that come with the testbed, sorted."""
-    return _stems(library() / _SCENARIOS, _PAGE)
+    return _stems(library() / _SCENARIOS, _YAML)
 
 
 def list_studies() -> tuple[str, ...]:
     """Return the names of the studies that come with the testbed, sorted."""
-    return _stems(library() / _STUDIES, _PAGE)
+    return _stems(library() / _STUDIES, _YAML)
 
 
 def list_tunings() -> tuple[str, ...]:
     """Return the names of the tunes that come with the testbed, sorted."""
-    return _stems(library() / _TUNINGS, _PAGE)
+    return _stems(library() / _TUNINGS, _YAML)
 
 
 def list_data() -> tuple[str, ...]:
@@ -55,48 +55,48 @@ def list_data() -> tuple[str, ...]:
 
 
 def find_scenario(name_or_path: str | Path, *, folder: Path | None = None) -> Path:
-    """Return the page of a scenario, from its name or a path (relative to `folder`, or here).
+    """Return the file of a scenario, by name or path (from `folder`, or here).
 
     Raises:
-        ScenarioError: there is no such page.
+        ScenarioError: there is no such file.
     """
-    kept = library() / _SCENARIOS / f"{name_or_path}{_PAGE}"
-    return _find("scenario", name_or_path, kept, list_scenarios, _A_PAGE, folder)
+    own = library() / _SCENARIOS / f"{name_or_path}{_YAML}"
+    return _find("scenario", name_or_path, own, list_scenarios, _YAML_FILE, folder)
 
 
 def find_study(name_or_path: str | Path) -> Path:
-    """Return the page of a study, from its name or a path.
+    """Return the file of a study, by name or path.
 
     Raises:
-        ScenarioError: there is no such page.
+        ScenarioError: there is no such file.
     """
-    kept = library() / _STUDIES / f"{name_or_path}{_PAGE}"
-    return _find("study", name_or_path, kept, list_studies, _A_PAGE)
+    own = library() / _STUDIES / f"{name_or_path}{_YAML}"
+    return _find("study", name_or_path, own, list_studies, _YAML_FILE)
 
 
 def find_tuning(name_or_path: str | Path) -> Path:
-    """Return the page of a tune, from its name or a path.
+    """Return the file of a tune, by name or path.
 
     Raises:
-        ScenarioError: there is no such page.
+        ScenarioError: there is no such file.
     """
-    kept = library() / _TUNINGS / f"{name_or_path}{_PAGE}"
-    return _find("tune", name_or_path, kept, list_tunings, _A_PAGE)
+    own = library() / _TUNINGS / f"{name_or_path}{_YAML}"
+    return _find("tune", name_or_path, own, list_tunings, _YAML_FILE)
 
 
 def find_aircraft(name_or_path: str | Path, *, folder: Path | None = None) -> Path:
-    """Return the folder of an airframe, from its name or a path (relative to `folder`, or here).
+    """Return the folder of an airframe, by name or path (from `folder`, or here).
 
     Raises:
         ScenarioError: there is no such folder, or it has no <folder's name>.xml.
     """
     text = str(name_or_path)
-    kept = library() / "aircraft" / text
-    path = kept if _is_name(text) and _is_there(kept, Path.is_dir) else absolute(text, folder)
+    own = library() / "aircraft" / text
+    path = own if _is_name(text) and _exists(own, Path.is_dir) else absolute(text, folder)
     if is_file(path / f"{path.name}.xml"):
         return path
-    if _is_there(path, Path.is_dir):
-        text = f"{path} has no {path.name}.xml: not an aircraft (write a folder with that model)"
+    if _exists(path, Path.is_dir):
+        text = f"{path} has no {path.name}.xml (write a folder with a model of its name)"
         raise ScenarioError([Problem(Place(str(path)), text)])
     raise _not_found("aircraft", text, list_aircraft(), "a folder with a JSBSim model")
 
@@ -108,40 +108,43 @@ def find_tune(aircraft: str | Path, tune: str | Path, *, folder: Path | None = N
         ScenarioError: there is no such airframe or file.
     """
     home = find_aircraft(aircraft, folder=folder)
-    what, kept = f"tune of {home.name}", home / f"{tune}{_TUNE}"
-    return _find(what, tune, kept, lambda: _stems(home, _TUNE), "a .param file", folder)
+    what, own = f"tune of {home.name}", home / f"{tune}{_PARAM}"
+    return _find(what, tune, own, lambda: _stems(home, _PARAM), "a .param file", folder)
 
 
 def find_data(name_or_path: str | Path, *, folder: Path | None = None) -> Path:
-    """Return a data file, from its name in scenarios/data or a path (from `folder`, or here).
+    """Return a data file, by name in scenarios/data or path (from `folder`, or here).
 
     Raises:
         ScenarioError: there is no such file.
     """
-    kept = library() / _DATA / name_or_path
-    return _find("data file", name_or_path, kept, list_data, "a CSV file", folder)
+    own = library() / _DATA / name_or_path
+    return _find("data file", name_or_path, own, list_data, "a CSV file", folder)
 
 
 def find_law(name: str, *, folder: Path | None = None, anywhere: bool = False) -> str:
-    """Return where a law `module:Class` comes from: "file.py:Class", or itself if installed.
+    """Return the source of a law `module:Class`: "file.py:Class", or itself if installed.
 
-    A module.py in `folder` (the page's) or in scenarios/ is meant before an installed module of
-    that name. Without a folder, a name that was found before is found again. A path may lead out
-    of the folder with `anywhere` alone: no file of a page runs code from elsewhere.
+    A module.py in `folder` (of the scenario file) or in scenarios/ precedes an installed module.
+
+    Args:
+        name: `module:Class` or `file.py:Class`.
+        folder: None: find a resolved name again.
+        anywhere: allow files outside of the folder; a scenario file runs no code from elsewhere.
 
     Raises:
-        ScenarioError: the name is the path of a file that is not there, or leaves the folder.
+        ScenarioError: the file does not exist, or is outside of the folder.
     """
-    place, _, class_name = name.rpartition(":")
-    if place.endswith(".py"):
-        path = absolute(place, folder)
+    module, _, class_name = name.rpartition(":")
+    if module.endswith(".py"):
+        path = absolute(module, folder)
         if not is_file(path):
-            text = f"there is no file {path} (write module:Class, with module.py beside the page)"
+            text = f"there is no file {path} (write module:Class, with module.py in this folder)"
             raise ScenarioError([Problem(Place(str(path)), text)])
         if not anywhere:
             _refuse_outside(path, folder)
         return f"{path}:{class_name}"
-    file = f"{place.replace('.', '/')}.py"
+    file = f"{module.replace('.', '/')}.py"
     for home in (folder, library() / "scenarios"):
         if home is not None and is_file(home / file):
             path = (home / file).resolve()
@@ -152,22 +155,22 @@ def find_law(name: str, *, folder: Path | None = None, anywhere: bool = False) -
 
 def _refuse_outside(path: Path, folder: Path | None) -> None:
     if folder is not None and not path.is_relative_to(folder.resolve()):
-        text = f"{path} is not in the page's folder, {folder} (put a copy beside the page)"
+        text = f"{path} is not in the folder of the scenario file, {folder} (put a copy there)"
         raise ScenarioError([Problem(Place(str(path)), text)])
 
 
 def _find(
     what: str,
     name_or_path: str | Path,
-    kept: Path,
+    own: Path,
     known: Callable[[], tuple[str, ...]],
     path_of: str,
     folder: Path | None = None,
 ) -> Path:
-    """The file that is kept, if a name was given, or the one at the path from `folder`, or here."""
+    """Return the testbed's own file of a name, or the file at a path from `folder` or here."""
     text = str(name_or_path)
-    if _is_name(text) and is_file(kept):
-        return kept
+    if _is_name(text) and is_file(own):
+        return own
     path = absolute(text, folder)
     if is_file(path):
         return path
@@ -183,23 +186,23 @@ def _is_name(text: str) -> bool:
 
 
 def is_file(path: Path) -> bool:
-    """Whether there is a file of this name; no name is too odd to ask."""
-    return _is_there(path, Path.is_file)
+    """Tell whether a file exists; a name that no file can have is no error."""
+    return _exists(path, Path.is_file)
 
 
-def _is_there(path: Path, kind: Callable[[Path], bool]) -> bool:
+def _exists(path: Path, kind: Callable[[Path], bool]) -> bool:
     try:
         return kind(path)
-    except OSError:  # its name is too long, or it lies where nobody may look
+    except OSError:  # name too long, or no permission
         return False
 
 
 def absolute(text: str, folder: Path | None) -> Path:
-    """The path that a page means, from `folder` or from here; it need not be there."""
+    """Return the absolute path from `folder` or from here; the file need not exist."""
     path = Path(text)
     try:
         return ((folder or Path.cwd()) / path.expanduser()).resolve()
-    except (OSError, RuntimeError, ValueError):  # a user, a loop of links, a byte that no name has
+    except (OSError, RuntimeError, ValueError):  # unknown user, loop of links, invalid byte
         return (folder or Path.cwd()) / path
 
 

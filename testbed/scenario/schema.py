@@ -1,7 +1,7 @@
-"""The page: one frozen object composed of the rooms' sections. Schema 1."""
+"""The schema of a scenario: one frozen object, its JSON schema, and the change of its duration."""
 
 from collections.abc import Mapping
-from typing import Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -14,22 +14,24 @@ from testbed.scenario.fields import (
     Flag,
     Hertz,
     Metres,
+    MetresPerSecond,
     Name,
     Percent,
     Seconds,
     Section,
     Whole,
-    refuse,
+    raise_findings,
 )
-from testbed.scenario.limits import Limits
-from testbed.scenario.link import Window
-from testbed.scenario.network import Network
+from testbed.scenario.network import Network, Window
+from testbed.scenario.pattern import Pattern
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+
+Distance = Annotated[Metres, Field(gt=0)]
 
 
-class OriginOnPage(Section):
-    """Where the local north-east-down frame touches the earth (WGS 84)."""
+class Origin(Section):
+    """Origin of the local north-east-down frame (WGS 84)."""
 
     latitude_deg: Degrees = Field(38.0, ge=-85, le=85, description="Latitude, degrees.")
     longitude_deg: Degrees = Field(0.0, ge=-180, le=180, description="Longitude, degrees.")
@@ -37,89 +39,200 @@ class OriginOnPage(Section):
 
 
 class Published(Section):
-    """A published table to be printed beside ours."""
+    """Published table, printed beside the results."""
 
-    source: str = Field(min_length=1, description="Where the numbers were printed.")
+    source: str = Field(min_length=1, description="Source of the numbers.")
     rms_m: Mapping[Name, tuple[Metres, ...]] = Field(
-        {}, description="RMS error by portion, one number per follower in fleet order, m."
+        {}, description="RMS error by window, one number per follower in fleet order, m."
     )
-    mean_rms_m: Mapping[Name, Metres] = Field({}, description="Mean RMS error by portion, m.")
+    mean_rms_m: Mapping[Name, Metres] = Field({}, description="Mean RMS error by window, m.")
     percent_error: Mapping[Name, Percent] = Field(
-        {}, description="RMS of the error against the offset's length by portion, %."
+        {}, description="RMS error in percent of the length of the offset, by window, %."
     )
 
 
 class Header(Section):
-    """What the run is, how long it is, and what it is asked."""
+    """Name, question, duration, seed and windows of the run."""
 
     model_config = ConfigDict(populate_by_name=True)
 
-    schema_version: Literal[1] = Field(alias="schema", description="Version of the page: 1.")
-    name: Name = Field(description="Name of the scenario; its runs are kept under this name.")
-    question: str = Field("", description="The question the run answers.")
-    expectation: str = Field("", description="The answer that is expected.")
+    schema_version: Literal[2] = Field(alias="schema", description="Version of this schema: 2.")
+    name: Name = Field(description="Name of the scenario and of the folder of its runs.")
+    question: str = Field("", description="Question that the run answers.")
+    expectation: str = Field("", description="Expected answer.")
     duration_s: Seconds = Field(gt=0, le=86_400, description="Length of the run, s.")
     seed: Whole = Field(1, ge=0, lt=2**63, description="Seed of every random stream, a number.")
-    origin: OriginOnPage = Field(OriginOnPage(), description="Where the flight is on the earth.")
-    portions: Mapping[Name, Window] = Field(
-        {}, description="Windows [from, to] for which RMS errors are reported, s."
+    origin: Origin = Field(Origin(), description="Origin of the local frame on the earth.")
+    windows: Mapping[Name, Window] = Field(
+        {}, description="Windows [from, to] for which errors are reported, s."
     )
-    published: Published | None = Field(None, description="A table to be printed beside ours.")
+    published: Published | None = Field(
+        None, description="Published table, printed beside the results."
+    )
 
 
 class Rates(Section):
-    """How often things happen; each rate divides physics_hz."""
+    """Rates of the loops; each divides physics_hz."""
 
     physics_hz: Hertz = Field(200, description="Steps of the flight model, Hz.")
     autopilot_hz: Hertz = Field(50, description="Autopilots, Hz.")
     control_hz: Hertz = Field(25, description="Formation controllers, Hz.")
     broadcast_hz: Hertz = Field(25, description="Messages of each aircraft, Hz.")
-    log_hz: Hertz = Field(25, description="Frames for the log, the view and the metrics, Hz.")
+    log_hz: Hertz = Field(25, description="Samples for the log, the view and the metrics, Hz.")
     synchronous: Flag = Field(
         True,
-        description="All aircraft act at the same moments: true; or each at a phase of its own, "
-        "drawn from the seed: false.",
+        description="true: all aircraft act at the same times; false: each with its own phase, "
+        "drawn from the seed.",
+    )
+
+
+class Limits(Section):
+    """Limits of separation, airspeed, angle of attack and formation error, and the response."""
+
+    collision_m: Distance | None = Field(
+        None,
+        description="Distance of the centres of two aircraft below which both are lost, m; not "
+        "checked by default.",
+    )
+    separation_m: Distance | None = Field(
+        None,
+        description="Distance of the centres of two aircraft below which the log has a warning, m; "
+        "not checked by default.",
+    )
+    overspeed_mps: Annotated[MetresPerSecond, Field(gt=0)] | None = Field(
+        None,
+        description="Equivalent airspeed above which, for 0.5 s, a flight model exceeds its "
+        "envelope, m/s; by default 1.5 times AIRSPEED_MAX of its autopilot.",
+    )
+    stall_deg: Annotated[Degrees, Field(gt=0, le=180)] | None = Field(
+        None,
+        description="Angle of attack above which, for 0.5 s, a flight model exceeds its envelope, "
+        "degrees; by default that of maximum lift.",
+    )
+    formation_lost_m: Distance | None = Field(
+        100.0,
+        description="A follower more than this beyond its closest distance to its slot, for 5 s, "
+        "is out of formation, m; null: not checked.",
+    )
+    on_loss: Literal["stop", "continue"] = Field(
+        "stop",
+        description="When an aircraft is lost (ground contact, collision or numerical failure): "
+        "stop the run, or continue without it.",
+    )
+    on_limit_exceeded: Literal["stop", "continue"] = Field(
+        "continue",
+        description="When overspeed_mps, stall_deg or formation_lost_m is exceeded: stop the run, "
+        "or continue.",
     )
 
 
 class Log(Section):
-    """What a run leaves behind."""
+    """Files that a run writes."""
 
     mcap: Flag = Field(True, description="Write run.mcap: true or false.")
 
 
 class Scenario(Section):
-    """One page: everything that decides the numbers of a run."""
+    """A scenario: everything that determines the numbers of a run."""
 
-    scenario: Header = Field(description="What the run is.")
-    rates: Rates = Field(Rates(), description="How often things happen, Hz.")
-    leader: Leader = Field(description="The aircraft that everyone follows.")
+    scenario: Header = Field(description="Name, question, duration, seed and windows.")
+    rates: Rates = Field(Rates(), description="Rates of the loops, Hz.")
+    leader: Leader = Field(description="The aircraft that the formation follows.")
     fleet: tuple[Follower, ...] = Field(
-        min_length=1, description="The followers, in order: a list, or a pattern."
+        min_length=1, description="The followers in order: a list, or a pattern."
     )
     formation: Formation = Field(description="Offsets, graph and gains of the formation.")
-    controller: Controller = Field(Controller(), description="How the followers are controlled.")
-    network: Network = Field(Network(), description="The radio between the aircraft.")
-    air: Air = Field(Air(), description="The air the aircraft fly in.")
-    limits: Limits = Field(Limits(), description="When an aircraft counts as lost.")
-    log: Log = Field(Log(), description="What the run leaves behind.")
+    controller: Controller = Field(Controller(), description="Control law of the followers.")
+    network: Network = Field(Network(), description="Radio between the aircraft.")
+    air: Air = Field(Air(), description="Wind, turbulence, gusts and wakes.")
+    limits: Limits = Field(Limits(), description="Limits, and what happens beyond them.")
+    log: Log = Field(Log(), description="Files that the run writes.")
 
     @property
     def name(self) -> str:
-        """Name of the scenario."""
+        """Return the name of the scenario."""
         return self.scenario.name
 
     @property
     def aircraft_names(self) -> tuple[str, ...]:
-        """Names of all aircraft, the leader first, then the fleet in order."""
+        """Return the names of all aircraft, the leader first, then the fleet in order."""
         return tuple(each.name for each in self.aircraft)
 
     @property
     def aircraft(self) -> tuple[Leader | Follower, ...]:
-        """All aircraft, the leader first, then the fleet in order."""
+        """Return all aircraft, the leader first, then the fleet in order."""
         return (self.leader, *self.fleet)
 
     @model_validator(mode="after")
     def _cross_check(self) -> Self:
-        refuse(cross_check(self))
+        raise_findings(cross_check(self))
         return self
+
+
+def set_duration(scenario: Scenario, duration_s: float) -> Scenario:
+    """Return the scenario with another duration, in s, without what does not fit into it.
+
+    A window that has begun by then ends with the run; windows and faults that begin later are
+    dropped. Published numbers remain for complete windows only.
+
+    Raises:
+        ValueError: (pydantic's) the duration is not above 0.
+    """
+    data = scenario.model_dump(by_alias=True)
+    header = data["scenario"]
+    windows = scenario.scenario.windows
+    complete = {name for name, (_, end) in windows.items() if end <= duration_s}
+    header["duration_s"] = duration_s
+    header["windows"] = {
+        name: (begin, min(end, duration_s))
+        for name, (begin, end) in windows.items()
+        if begin < duration_s
+    }
+    if header["published"] is not None:
+        for key in ("rms_m", "mean_rms_m", "percent_error"):
+            table = header["published"][key]
+            header["published"][key] = {name: table[name] for name in table if name in complete}
+    for aircraft in (data["leader"], *data["fleet"]):
+        aircraft["faults"] = [
+            fault for fault in aircraft["faults"] if (fault["at_s"] or 0) <= duration_s
+        ]
+    return Scenario.model_validate(data)
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON schema of a scenario file, for completion and hints in an editor.
+
+    Only the keys that tell kinds apart are required: a file that extends another may leave out
+    the rest. `testbed validate` decides.
+    """
+    schema: dict[str, Any] = _without_required(Scenario.model_json_schema(by_alias=True))
+    pattern = _without_required(Pattern.model_json_schema(by_alias=True))
+    schema["$defs"] |= {**pattern.pop("$defs"), "Pattern": pattern}
+    fleet = schema["properties"]["fleet"]
+    schema["properties"]["fleet"] = {
+        **{key: fleet.pop(key) for key in ("title", "description")},
+        "anyOf": [fleet, {"$ref": "#/$defs/Pattern"}],
+    }
+    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
+    schema["title"] = "Testbed scenario"
+    schema["properties"] = {
+        "extends": {
+            "type": "string",
+            "title": "Extends",
+            "description": "Name or path of the scenario that this file changes: maps merge, lists "
+            "and scalars replace, null removes a key. question, expectation and published are not "
+            "inherited when the scenario is renamed.",
+        },
+        **schema["properties"],
+    }
+    return schema
+
+
+def _without_required(schema: Any) -> Any:  # noqa: ANN401 - nested plain data
+    if isinstance(schema, list):
+        return [_without_required(item) for item in schema]
+    if not isinstance(schema, dict):
+        return schema
+    result = {key: _without_required(value) for key, value in schema.items() if key != "required"}
+    kinds = [key for key in schema.get("required", ()) if key in ("kind", "example")]
+    return {**result, "required": kinds} if kinds else result

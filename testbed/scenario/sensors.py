@@ -1,6 +1,7 @@
-"""What an autopilot measures and makes of it: sensors that err, and the estimator behind them.
+"""The `sensors` section of an aircraft: sensor errors, the navigation filter, and presets.
 
-Every sensor that is left out measures the truth. The Gauss-Markov processes are of first order.
+A sensor that is left out measures the truth. Drifts and wandering biases are first-order
+Gauss-Markov processes.
 """
 
 from collections.abc import Mapping
@@ -25,20 +26,88 @@ from testbed.scenario.fields import (
     Seconds,
     Section,
 )
-from testbed.scenario.messages import did_you_mean
-from testbed.scenario.sensor_presets import PRESETS, on_top
+from testbed.scenario.violations import did_you_mean
 
 _CORRELATION = "Correlation time of the first-order Gauss-Markov process, s."
-_SHARED = "Correlation time of the drift that all share, s."
-_OWN = "Correlation time of the drift of its own, s."
-_RATE = "How often it measures, at most rates.autopilot_hz, Hz."
+_SHARED = "Correlation time of the drift common to all aircraft, s."
+_OWN = "Correlation time of the drift of this sensor, s."
+_RATE = "Measurement rate, at most rates.autopilot_hz, Hz."
+
+PRESETS: Mapping[str, Mapping[str, Any]] = {
+    "truth": {},
+    # Errors of an INS with a standard GPS receiver: slow position drift, small fast errors of
+    # velocity and attitude.
+    "gps-ins": {
+        "position": {"sigma_m": 0.3, "time_constant_s": 10.0},
+        "velocity": {"sigma_mps": 0.05, "time_constant_s": 0.2},
+        "attitude": {"sigma_deg": 0.3, "time_constant_s": 0.2},
+    },
+    # Hobby autopilot with open sky: single-frequency receiver, whose drift is mostly ionospheric
+    # and so common to all aircraft, and MEMS sensors on a damped mount.
+    "pixhawk": {
+        "gps": {
+            "rate_hz": 5,
+            "latency_s": 0.12,
+            "noise_m": [0.1, 0.2],
+            "velocity_noise_mps": [0.07, 0.15],
+            "shared_drift_m": [1.3, 2.6],
+            "shared_time_constant_s": 600.0,
+            "own_drift_m": [0.25, 0.5],
+            "own_time_constant_s": 60.0,
+        },
+        "barometer": {
+            "noise_m": 0.2,
+            "shared_drift_m": 1.0,
+            "shared_time_constant_s": 600.0,
+            "own_drift_m": 0.3,
+            "own_time_constant_s": 300.0,
+        },
+        "airspeed": {"noise_pa": 2.0, "offset_sigma_pa": 5.0, "scale_sigma": 0.02},
+        "gyro": {"noise_dps_rthz": 0.02, "bias_dps": 0.1, "bias_time_constant_s": 1000.0},
+        "accelerometer": {
+            "noise_mps2_rthz": 0.03,
+            "bias_mps2": 0.07,
+            "bias_time_constant_s": 300.0,
+        },
+        "magnetometer": {"noise_deg": 0.5, "offset_sigma_deg": 2.0},
+    },
+    # Few satellites between trees, an old receiver with more latency than the estimator assumes,
+    # strong vibration.
+    "degraded": {
+        "gps": {
+            "rate_hz": 2,
+            "latency_s": 0.22,
+            "noise_m": [0.5, 1.0],
+            "velocity_noise_mps": [0.3, 0.5],
+            "shared_drift_m": [2.1, 4.2],
+            "shared_time_constant_s": 600.0,
+            "own_drift_m": [1.5, 3.0],
+            "own_time_constant_s": 60.0,
+        },
+        "barometer": {
+            "noise_m": 0.5,
+            "shared_drift_m": 1.0,
+            "shared_time_constant_s": 600.0,
+            "own_drift_m": 1.0,
+            "own_time_constant_s": 300.0,
+        },
+        "airspeed": {"noise_pa": 5.0, "offset_sigma_pa": 20.0, "scale_sigma": 0.05},
+        "gyro": {"noise_dps_rthz": 0.1, "bias_dps": 0.3, "bias_time_constant_s": 1000.0},
+        "accelerometer": {
+            "noise_mps2_rthz": 0.1,
+            "bias_mps2": 0.2,
+            "bias_time_constant_s": 300.0,
+        },
+        "magnetometer": {"noise_deg": 1.0, "offset_sigma_deg": 5.0},
+    },
+}
 
 Latency = Annotated[Seconds, Field(ge=0, le=10)]
 Correlation = Annotated[Seconds, Field(gt=0)]
 Sigma = Annotated[Number, Field(ge=0)]
 Positive = Annotated[Number, Field(gt=0)]
-Spread = tuple[Annotated[Metres, Field(ge=0)], Annotated[Metres, Field(ge=0)]]
-SpeedSpread = tuple[
+SigmaPair = tuple[Annotated[Metres, Field(ge=0)], Annotated[Metres, Field(ge=0)]]
+SpeedSigmaPair = tuple[
     Annotated[MetresPerSecond, Field(ge=0)], Annotated[MetresPerSecond, Field(ge=0)]
 ]
 
@@ -65,102 +134,105 @@ class AttitudeNoise(Section):
 
 
 class Gps(Section):
-    """A receiver: fixes of position and velocity that come late, with errors it shares and owns."""
+    """GPS receiver: delayed fixes of position and velocity, with common and own errors."""
 
     rate_hz: Hertz = Field(5, description=_RATE)
-    latency_s: Latency = Field(0.12, description="From the measurement to its fix, s.")
-    noise_m: Spread = Field(
-        (0.0, 0.0), description="White, 1 sigma of a fix [horizontal per axis, vertical], m."
+    latency_s: Latency = Field(0.12, description="Time from the measurement to its fix, s.")
+    noise_m: SigmaPair = Field(
+        (0.0, 0.0), description="White noise of a fix, 1 sigma [horizontal per axis, vertical], m."
     )
-    velocity_noise_mps: SpeedSpread = Field(
-        (0.0, 0.0), description="White, 1 sigma of a fix [horizontal per axis, vertical], m/s."
-    )
-    shared_drift_m: Spread = Field(
+    velocity_noise_mps: SpeedSigmaPair = Field(
         (0.0, 0.0),
-        description="Drift that all receivers share, as that of the ionosphere: 1 sigma "
-        "[horizontal per axis, vertical], m.",
+        description="White noise of a fix, 1 sigma [horizontal per axis, vertical], m/s.",
+    )
+    shared_drift_m: SigmaPair = Field(
+        (0.0, 0.0),
+        description="Drift common to all receivers, as by the ionosphere: 1 sigma [horizontal per "
+        "axis, vertical], m.",
     )
     shared_time_constant_s: Correlation = Field(600.0, description=_SHARED)
-    own_drift_m: Spread = Field(
+    own_drift_m: SigmaPair = Field(
         (0.0, 0.0),
-        description="Drift of this receiver, as that of reflections: 1 sigma [horizontal per "
-        "axis, vertical], m.",
+        description="Drift of this receiver, as by multipath: 1 sigma [horizontal per axis, "
+        "vertical], m.",
     )
     own_time_constant_s: Correlation = Field(60.0, description=_OWN)
 
 
 class Barometer(Section):
-    """Static pressure as a height, with drifts of the weather and of the sensor."""
+    """Barometric height, with drifts of the weather and of the sensor."""
 
     rate_hz: Hertz = Field(10, description=_RATE)
-    noise_m: Sigma = Field(0.0, description="White, 1 sigma of a measurement, m.")
+    noise_m: Sigma = Field(0.0, description="White noise of a measurement, 1 sigma, m.")
     shared_drift_m: Sigma = Field(
-        0.0, description="Drift that all share, as that of the weather: 1 sigma, m."
+        0.0, description="Drift common to all aircraft, as by the weather: 1 sigma, m."
     )
     shared_time_constant_s: Correlation = Field(600.0, description=_SHARED)
     own_drift_m: Sigma = Field(
-        0.0, description="Drift of this sensor, as that of its temperature: 1 sigma, m."
+        0.0, description="Drift of this sensor, as by its temperature: 1 sigma, m."
     )
     own_time_constant_s: Correlation = Field(60.0, description=_OWN)
 
 
 class AirspeedSensor(Section):
-    """A pitot tube: dynamic pressure with an offset and a scale, behind a filter."""
+    """Airspeed sensor: dynamic pressure with offset and scale errors, behind a filter."""
 
     rate_hz: Hertz = Field(10, description=_RATE)
-    noise_pa: Sigma = Field(0.0, description="White, 1 sigma of a measurement, Pa.")
-    offset_pa: Number = Field(0.0, description="Known error of the pressure, Pa.")
+    noise_pa: Sigma = Field(0.0, description="White noise of a measurement, 1 sigma, Pa.")
+    offset_pa: Number = Field(0.0, description="Constant error of the pressure, Pa.")
     offset_sigma_pa: Sigma = Field(
-        0.0, description="Error of the pressure drawn once per aircraft: 1 sigma, Pa."
+        0.0, description="Random constant error of the pressure, drawn per aircraft: 1 sigma, Pa."
     )
     scale: Number = Field(
-        0.0, gt=-1, description="Known error as a share of the dynamic pressure, above -1."
+        0.0, gt=-1, description="Constant error as a share of the dynamic pressure, above -1."
     )
     scale_sigma: Sigma = Field(
-        0.0, description="Error as a share drawn once per aircraft: 1 sigma, no unit."
+        0.0, description="Random constant error as a share, drawn per aircraft: 1 sigma, no unit."
     )
     smoothing_s: Annotated[Seconds, Field(ge=0)] = Field(
-        0.28, description="Time constant of the filter behind it, s; 0 has none."
+        0.28, description="Time constant of the filter behind it, s; 0: no filter."
     )
 
 
 class Gyro(Section):
-    """Rates of turn about body axes, the same errors on each."""
+    """Gyroscopes: angular rates about the body axes, same error model on each."""
 
     noise_dps_rthz: Sigma = Field(
-        0.0, description="White: root of its two-sided density, degrees/s per root hertz."
+        0.0, description="White noise: root of the two-sided density, degrees/s per root hertz."
     )
-    bias_dps: Sigma = Field(0.0, description="Bias that wanders: 1 sigma, degrees/s.")
-    bias_time_constant_s: Correlation = Field(1000.0, description="Its correlation time, s.")
+    bias_dps: Sigma = Field(0.0, description="Wandering bias: 1 sigma, degrees/s.")
+    bias_time_constant_s: Correlation = Field(
+        1000.0, description="Correlation time of the bias, s."
+    )
 
 
 class Accelerometer(Section):
-    """Specific force along body axes, the same errors on each."""
+    """Accelerometers: specific force along the body axes, same error model on each."""
 
     noise_mps2_rthz: Sigma = Field(
-        0.0, description="White: root of its two-sided density, m/s² per root hertz."
+        0.0, description="White noise: root of the two-sided density, m/s² per root hertz."
     )
-    bias_mps2: Sigma = Field(0.0, description="Bias that wanders: 1 sigma, m/s².")
-    bias_time_constant_s: Correlation = Field(300.0, description="Its correlation time, s.")
+    bias_mps2: Sigma = Field(0.0, description="Wandering bias: 1 sigma, m/s².")
+    bias_time_constant_s: Correlation = Field(300.0, description="Correlation time of the bias, s.")
 
 
 class Magnetometer(Section):
-    """The compass, as the heading it gives."""
+    """Magnetometer, as a measured heading."""
 
     rate_hz: Hertz = Field(10, description=_RATE)
     noise_deg: Annotated[Degrees, Field(ge=0)] = Field(
-        0.0, description="White, 1 sigma of a measurement, degrees."
+        0.0, description="White noise of a measurement, 1 sigma, degrees."
     )
     offset_deg: Degrees = Field(
-        0.0, ge=-180, le=180, description="Known error, clockwise positive, degrees."
+        0.0, ge=-180, le=180, description="Constant error, clockwise positive, degrees."
     )
     offset_sigma_deg: Annotated[Degrees, Field(ge=0)] = Field(
-        0.0, description="Error drawn once per aircraft: 1 sigma, degrees."
+        0.0, description="Random constant error, drawn per aircraft: 1 sigma, degrees."
     )
 
 
 class Estimator(Section):
-    """What the estimator takes its sensors to be: defaults of ArduPilot's EKF3 for planes."""
+    """Sensor errors assumed by the navigation filter; defaults of ArduPilot's EKF3 for planes."""
 
     gps_position_noise_m: Positive = Field(0.5, description="1 sigma per axis, m: EK3_POSNE_M_NSE.")
     gps_velocity_noise_mps: tuple[Positive, Positive] = Field(
@@ -171,8 +243,8 @@ class Estimator(Section):
     barometer_noise_m: Positive = Field(3.0, description="1 sigma, m: EK3_ALT_M_NSE.")
     height_source: Literal["barometer", "gps"] = Field(
         "barometer",
-        description="Where height comes from: EK3_SRC1_POSZ. A GPS counts with 1.5 times its "
-        "horizontal noise.",
+        description="Source of the height: EK3_SRC1_POSZ. GPS height has 1.5 times the horizontal "
+        "noise.",
     )
     airspeed_noise_mps: Positive = Field(1.4, description="1 sigma, m/s: EK3_EAS_M_NSE.")
     heading_noise_deg: Positive = Field(
@@ -181,30 +253,30 @@ class Estimator(Section):
     gyro_noise_radps: Sigma = Field(0.015, description="1 sigma, rad/s: EK3_GYRO_P_NSE.")
     accelerometer_noise_mps2: Sigma = Field(0.35, description="1 sigma, m/s²: EK3_ACC_P_NSE.")
     gyro_bias_noise_radps2: Sigma = Field(
-        0.001, description="How fast the gyro's bias may wander, rad/s²: EK3_GBIAS_P_NSE."
+        0.001, description="Process noise of the gyro bias, rad/s²: EK3_GBIAS_P_NSE."
     )
     accelerometer_bias_noise_mps3: Sigma = Field(
-        0.02, description="How fast the accelerometer's may, m/s³: EK3_ABIAS_P_NSE."
+        0.02, description="Process noise of the accelerometer bias, m/s³: EK3_ABIAS_P_NSE."
     )
     wind_noise_mps2: Sigma = Field(
-        0.1, description="How fast the wind may change, m/s²: EK3_WIND_P_NSE."
+        0.1, description="Process noise of the wind, m/s²: EK3_WIND_P_NSE."
     )
-    gps_delay_s: Latency = Field(0.12, description="What it takes the GPS's latency to be, s.")
+    gps_delay_s: Latency = Field(0.12, description="Assumed latency of the GPS, s.")
     gate_sigma: Positive = Field(
         5.0,
-        description="What is farther from its prediction than this many standard deviations is "
-        "refused, a number: EK3_POS_I_GATE and its like over 100.",
+        description="Measurements farther from their prediction than this many standard deviations "
+        "are rejected, a number: EK3_POS_I_GATE and the like / 100.",
     )
     airspeed_gate_sigma: Positive = Field(
-        4.0, description="The same of the airspeed, a number: EK3_EAS_I_GATE over 100."
+        4.0, description="The same for airspeed, a number: EK3_EAS_I_GATE / 100."
     )
     reset_after_s: Positive = Field(
-        10.0, description="Fixes refused for this long: it starts again from the GPS, s."
+        10.0, description="Time of rejected fixes after which the filter resets to the GPS, s."
     )
 
 
 class Sensors(Section):
-    """What errs in one aircraft's estimate; a preset's name stands for its numbers."""
+    """Errors of the state estimate of one aircraft; the name of a preset stands for its map."""
 
     position: PositionNoise = Field(
         default=PositionNoise(sigma_m=0.0, time_constant_s=1.0),
@@ -220,61 +292,79 @@ class Sensors(Section):
     )
     gps: Gps | None = Field(None, description="The GPS receiver; exact if left out.")
     barometer: Barometer | None = Field(None, description="The barometer; exact if left out.")
-    airspeed: AirspeedSensor | None = Field(None, description="The pitot tube; exact if left out.")
-    gyro: Gyro | None = Field(None, description="The gyros; exact if left out.")
+    airspeed: AirspeedSensor | None = Field(
+        None, description="The airspeed sensor; exact if left out."
+    )
+    gyro: Gyro | None = Field(None, description="The gyroscopes; exact if left out.")
     accelerometer: Accelerometer | None = Field(
         None, description="The accelerometers; exact if left out."
     )
-    magnetometer: Magnetometer | None = Field(None, description="The compass; exact if left out.")
-    estimator: Estimator = Field(Estimator(), description="What the estimator takes them to be.")
+    magnetometer: Magnetometer | None = Field(
+        None, description="The magnetometer; exact if left out."
+    )
+    estimator: Estimator = Field(
+        Estimator(), description="Errors that the navigation filter assumes."
+    )
 
     @property
     def measured(self) -> bool:
-        """True if the page has a sensor, so that an estimator is what the autopilot believes."""
-        return not all(getattr(self, name) is None for name in MEASURE)
+        """Whether a sensor is simulated, so that the estimate is that of a navigation filter."""
+        return not all(getattr(self, name) is None for name in SENSOR_NAMES)
 
     @property
     def exact(self) -> bool:
-        """True if the estimate is the truth."""
+        """Whether the estimate is the truth."""
         added = self.position.sigma_m or self.velocity.sigma_mps or self.attitude.sigma_deg
         return not (added or self.measured)
 
     @model_validator(mode="before")
     @classmethod
-    def _expand_preset(cls, value: Any) -> Any:  # noqa: ANN401 - whatever the page holds
+    def _expand_preset(cls, value: Any) -> Any:  # noqa: ANN401 - any YAML value
         if isinstance(value, str):
-            return _preset(value, ", or a map of what errs")
-        if not (isinstance(value, Mapping) and "like" in value):
+            return _preset(value, ", or a map of errors")
+        if not (isinstance(value, Mapping) and "preset" in value):
             return value
         try:
-            preset = _preset(value["like"])
+            preset = _preset(value["preset"])
         except PydanticCustomError as error:
-            detail = InitErrorDetails(type=error, loc=("like",), input=value["like"])
+            detail = InitErrorDetails(type=error, loc=("preset",), input=value["preset"])
             raise ValidationError.from_exception_data("Sensors", [detail]) from None
-        return on_top(preset, {key: value[key] for key in value if key != "like"})
+        return _merge_preset(preset, {key: value[key] for key in value if key != "preset"})
 
     @model_serializer(mode="wrap")
-    def _name_the_truth(self, handler: Any) -> Any:  # noqa: ANN401 - pydantic's protocol
+    def _truth_by_name(self, handler: Any) -> Any:  # noqa: ANN401 - pydantic's protocol
         return "truth" if self == TRUTH else handler(self)
 
     @classmethod
     def __get_pydantic_json_schema__(
         cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
-        """Allow a preset's name beside the map, and in it."""
+        """Allow the name of a preset beside the map, and as its key preset."""
         schema = dict(handler.resolve_ref_schema(handler(core_schema)))
-        like = {"enum": list(PRESETS), "description": "The preset from which the map differs."}
-        schema["properties"] = {"like": like, **schema["properties"]}
+        preset = {"enum": list(PRESETS), "description": "Preset that the map changes."}
+        schema["properties"] = {"preset": preset, **schema["properties"]}
         return {"anyOf": [{"enum": list(PRESETS)}, schema]}
 
 
-def _preset(name: Any, more: str = "") -> Mapping[str, Any]:  # noqa: ANN401 - from the page
+def _merge_preset(preset: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a preset with changes: maps merge key by key, other values replace."""
+    merged = dict(preset)
+    for key, value in changes.items():
+        below = merged.get(key)
+        if isinstance(below, Mapping) and isinstance(value, Mapping):
+            merged[key] = {**below, **value}
+        else:
+            merged[key] = value
+    return merged
+
+
+def _preset(name: Any, more: str = "") -> Mapping[str, Any]:  # noqa: ANN401 - any YAML value
     if isinstance(name, str) and name in PRESETS:
         return PRESETS[name]
     known = ", ".join(PRESETS)
     raise PydanticCustomError(
         "preset",
-        "{value} is not a known sensor set{hint} (write one of {known}{more})",
+        "{value} is not a preset of sensors{hint} (write one of {known}{more})",
         {
             "value": repr(name),
             "hint": did_you_mean(str(name), PRESETS),
@@ -284,5 +374,5 @@ def _preset(name: Any, more: str = "") -> Mapping[str, Any]:  # noqa: ANN401 - f
     )
 
 
-MEASURE = ("gps", "barometer", "airspeed", "gyro", "accelerometer", "magnetometer")
+SENSOR_NAMES = ("gps", "barometer", "airspeed", "gyro", "accelerometer", "magnetometer")
 TRUTH = Sensors()

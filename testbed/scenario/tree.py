@@ -1,4 +1,4 @@
-"""A page as it was written: values that know their place, merged without losing it."""
+"""Tree of a YAML file: values with their places, and the merge of two trees."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from testbed.scenario.messages import Place
+from testbed.scenario.violations import Place
 
 Scalar = str | int | float | bool | None
 Plain = Scalar | list["Plain"] | dict[str, "Plain"]
@@ -14,43 +14,41 @@ Plain = Scalar | list["Plain"] | dict[str, "Plain"]
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A value and where it stands. Maps and lists hold nodes."""
+    """A value and its place. Maps and lists hold nodes."""
 
     value: Scalar | tuple[Node, ...] | dict[str, Node]
     place: Place  # of the value
-    key: Place  # of the key that names it; of the value itself in a list
-    folder: Path  # what a relative path in it is relative to
+    key: Place  # of the key that names it; in a list, of the value
+    folder: Path  # base of relative paths in the value
 
 
-# A map whose key of this name differs is another kind of thing: nothing of the old one is kept.
-_KINDS = ("kind", "example")
-# By key, what kind a map is that says none.
-_UNSAID = {"loss": "bernoulli"}
-# A map under this key may say which set of values it changes: null in it is then a value, as is a
-# name in its place all of the set.
-_CHANGED = "sensors"
-_SET = "like"
-# What a page says of the experiment of its name.
-_OF_ITS_NAME = ("question", "expectation", "published")
+# Maps that differ in one of these keys do not merge.
+_KIND_KEYS = ("kind", "example")
+# Kind of a map without the key `kind`, by the key that holds the map.
+_DEFAULT_KINDS = {"loss": "bernoulli"}
+# A map under this key may change a preset: null in it is a value, and a name stands for the preset.
+_WITH_PRESET = "sensors"
+_PRESET = "preset"
+# Keys of `scenario` that a file with another name does not inherit.
+_BY_NAME = ("question", "expectation", "published")
 
 
 def merge(base: Node, top: Node, name: str = "") -> Node:
-    """Return `base` changed by `top`: maps merge deeply, everything else is replaced.
+    """Return `base` changed by `top`: maps merge deeply, lists and scalars are replaced.
 
-    `name` is the key they are under. Two maps of different `kind` (or `example`) do not merge: the
-    new one replaces the old. A key whose new value is null is taken away, which leaves its
-    default, if it has one.
+    `name` is the key of both. A map of another `kind` (or `example`) replaces the old one. Null
+    removes a key, so that its default holds.
     """
     if not (isinstance(base.value, dict) and isinstance(top.value, dict)):
         return top
-    for kind in _KINDS:
+    for kind in _KIND_KEYS:
         old, new = base.value.get(kind), top.value.get(kind)
-        was = old.value if old else _UNSAID.get(name)
-        if was and new and was != new.value:
+        old_kind = old.value if old else _DEFAULT_KINDS.get(name)
+        if old_kind and new and old_kind != new.value:
             return top
     merged = dict(base.value)
     for key, node in top.value.items():
-        if node.value is None and takes_away(merged, key, name):
+        if node.value is None and null_removes(merged, key, name):
             del merged[key]
         else:
             merged[key] = merge(merged[key], node, key) if key in merged else node
@@ -58,54 +56,54 @@ def merge(base: Node, top: Node, name: str = "") -> Node:
 
 
 def inherit(base: Node, top: Node) -> Node:
-    """Return a page merged with the one it extends, less what is true of that one's name alone.
+    """Merge a file with the one it extends; a renamed scenario does not inherit its question.
 
-    Question, expectation and published numbers of an experiment are none of another's.
+    Nor the expectation and the published numbers.
     """
-    header, own = (_header(page) for page in (base, top))
-    old, new = header.get("name"), own.get("name")
+    old_header, new_header = _header(base), _header(top)
+    old, new = old_header.get("name"), new_header.get("name")
     if new is None or (old is not None and old.value == new.value):
         return merge(base, top)
-    # what the page takes away by null stays until then
-    gone = {key for key in _OF_ITS_NAME if key not in own or own[key].value is not None}
-    kept = {key: node for key, node in header.items() if key not in gone}
+    # a key that the top file removes by null stays for the merge
+    dropped = {k for k in _BY_NAME if k not in new_header or new_header[k].value is not None}
+    rest = {key: node for key, node in old_header.items() if key not in dropped}
     assert isinstance(base.value, dict)
-    below = {**base.value, "scenario": replace(base.value["scenario"], value=kept)}
+    below = {**base.value, "scenario": replace(base.value["scenario"], value=rest)}
     return merge(replace(base, value=below), top)
 
 
-def _header(page: Node) -> dict[str, Node]:
-    """Return what is under `scenario`, if that is a map."""
-    header = page.value.get("scenario") if isinstance(page.value, dict) else None
+def _header(tree: Node) -> dict[str, Node]:
+    """Return the map under `scenario`, or an empty one."""
+    header = tree.value.get("scenario") if isinstance(tree.value, dict) else None
     return header.value if header and isinstance(header.value, dict) else {}
 
 
-def takes_away(named: Mapping[str, Node], key: str, name: str) -> bool:
-    """Tell whether null takes a key out of the map under `name`, or is the value it then has."""
-    return key in named and not (name == _CHANGED and _SET in named and key != _SET)
+def null_removes(named: Mapping[str, Node], key: str, name: str) -> bool:
+    """Tell whether null removes a key from the map under `name`, or is its new value."""
+    return key in named and not (name == _WITH_PRESET and _PRESET in named and key != _PRESET)
 
 
-def spelt_out(node: Node, name: str) -> Node:
-    """Return what is under `name` as a map, if it is the name of a set of values."""
-    if name != _CHANGED or not isinstance(node.value, str):
+def expand_preset(node: Node, name: str) -> Node:
+    """Return the value under `name` as a map, if it is the name of a preset."""
+    if name != _WITH_PRESET or not isinstance(node.value, str):
         return node
-    return replace(node, value={_SET: node})
+    return replace(node, value={_PRESET: node})
 
 
-def planted(value: Plain, place: Place) -> Node:
-    """Return bare values as a tree that stands at one place."""
-    grown: Scalar | tuple[Node, ...] | dict[str, Node]
+def plant(value: Plain, place: Place) -> Node:
+    """Return plain values as a tree whose nodes all have one place."""
+    nodes: Scalar | tuple[Node, ...] | dict[str, Node]
     if isinstance(value, dict):
-        grown = {name: planted(child, place) for name, child in value.items()}
+        nodes = {name: plant(child, place) for name, child in value.items()}
     elif isinstance(value, list):
-        grown = tuple(planted(child, place) for child in value)
+        nodes = tuple(plant(child, place) for child in value)
     else:
-        grown = value
-    return Node(grown, place, place, Path())
+        nodes = value
+    return Node(nodes, place, place, Path())
 
 
 def plain(node: Node) -> Plain:
-    """Return the bare value: dicts, lists and scalars."""
+    """Return the value without places: dicts, lists and scalars."""
     if isinstance(node.value, dict):
         return {name: plain(child) for name, child in node.value.items()}
     if isinstance(node.value, tuple):
@@ -114,12 +112,11 @@ def plain(node: Node) -> Plain:
 
 
 def walk(node: Node, loc: tuple[str | int, ...]) -> tuple[Node, tuple[str, ...], tuple[str, ...]]:
-    """Follow a pydantic location through the page.
+    """Follow a location of pydantic through the tree; tags of unions in it are skipped.
 
     Returns:
-        The deepest node that exists, the path to it, and what of the location is left: nothing,
-        or the key that is missing. Tags of unions, which pydantic puts into a location, are
-        skipped.
+        the deepest node that exists, the path to it, and the rest of the location: empty, or
+        beginning with the key that is missing.
     """
     path: list[str] = []
     for index, part in enumerate(loc):
@@ -129,9 +126,9 @@ def walk(node: Node, loc: tuple[str | int, ...]) -> tuple[Node, tuple[str, ...],
                 node = node.value[name]
                 path.append(name)
                 continue
-            if any(kind in node.value and node.value[kind].value == part for kind in _KINDS):
+            if any(kind in node.value and node.value[kind].value == part for kind in _KIND_KEYS):
                 continue
-            if path and _UNSAID.get(path[-1]) == part:
+            if path and _DEFAULT_KINDS.get(path[-1]) == part:
                 continue
             return node, tuple(path), tuple(str(rest) for rest in loc[index:])
         if isinstance(node.value, tuple) and isinstance(part, int) and part < len(node.value):

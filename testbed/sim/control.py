@@ -1,4 +1,4 @@
-"""The followers' control: groups that step together, each with its law and its middle loop."""
+"""Step the followers' control: groups of followers, each by its law and middle loop."""
 
 from __future__ import annotations
 
@@ -7,243 +7,237 @@ import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
-from operator import is_
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from testbed.errors import InputError
-from testbed.formation.flags import Guard, Saturation
-from testbed.formation.law import Diagnosis, Law, Team
-from testbed.formation.measurement import AGES
-from testbed.formation.middle_loop import MiddleLoop
-from testbed.formation.paper_law import PaperLaw
-from testbed.formation.together import READY, begun, put, silent
-from testbed.frames import course, flight_path_angle
-from testbed.sim.vehicles import choose
-from testbed.state import (
+from testbed.core.compile import Kernel, entry
+from testbed.core.errors import InputError
+from testbed.core.frames import course, flight_path_angle
+from testbed.core.records import (
     Array,
-    Counts,
+    BoolArray,
     Event,
     FbwaCommand,
     Inbox,
-    Truths,
+    Indices,
+    Records,
     UnicycleCommand,
     VehicleState,
+    fields_of,
 )
-from testbed.steady import Steady
+from testbed.formation.control_step import control_step, finish_step
+from testbed.formation.flags import LimiterFlag, Saturation
+from testbed.formation.law import FormationConfig, Law
+from testbed.formation.message_extrapolation import message_ages
 
 if TYPE_CHECKING:
-    from testbed.sim.roster import Roster
+    from testbed.sim.membership import FormationMembership
 
-OUTSIDE, CLIPPED = int(Guard.OUTSIDE_SPEED_SET), int(Guard.SPEED_COMMAND_CLIPPED)
-SILENT = int(Guard.LEADER_SILENT)
+LEADER_TIMEOUT = int(LimiterFlag.LEADER_TIMEOUT)
+_UNKNOWN = ("speed_desired", "airspeed_command", "course_desired", "flight_path_angle_desired")
 
 
 @dataclass(frozen=True)
 class Group:
-    """Followers that step at the same moments."""
+    """Followers whose control steps at the same ticks."""
 
-    rows: NDArray[np.intp]  # (m,) among the n followers
-    team: Team
-    law: Law
-    middle: MiddleLoop
-    ideal: Truths  # (m,) an ideal vehicle, which flies the law's answer without middle loop
-    trusted: bool  # False: the law is the user's own, and what it says is looked at
-
-    @cached_property
-    def unheeded(self) -> Truths:
-        """(m, N) whose messages the law does not use: it has no gains for them.
-
-        The leader's are always used. What a law of the user's own uses is not known.
-        """
-        if not self.trusted:
-            return np.zeros(self.team.gains.shape[:2], dtype=bool)
-        unused: Truths = (self.team.gains == 0.0).all(axis=2)
-        unused[:, 0] = False
-        return unused
-
-    @cached_property
-    def patience(self) -> Array:
-        """(N,) s since news of each aircraft arrived, after which the law does not use it.
-
-        A neighbour that the law holds at its place is reckoned with however old its news is.
-        """
-        holds = isinstance(self.law, PaperLaw) and self.law.hold
-        limit = np.full(self.team.gains.shape[1], np.inf if holds else self.team.stale_after)
-        limit[0] = self.team.silent_after
-        return limit
-
-    @cached_property
-    def some_ideal(self) -> bool:
-        """Whether there are ideal vehicles among them."""
-        return bool(self.ideal.any())
+    rows: Indices  # (m,) among the n followers
+    config: FormationConfig
+    law: Law | None  # a user's law; None: that of [HBH23]
 
 
 class Control:
-    """What the n followers were last told by their own controllers.
+    """Step the control of n followers on the records of the run.
 
-    Every step writes into the same arrays.
+    Attributes:
+        offsets: υ (N, 3) m of the followers' present slots.
+        left: (n,) followers that have left the formation.
     """
 
-    def __init__(self, groups: tuple[Group, ...], offsets: Array, roster: Roster | None) -> None:
-        """Nobody has stepped yet.
+    def __init__(
+        self,
+        groups: tuple[Group, ...],
+        controllers: Records,
+        neighbours: Records,
+        offsets: Array,
+        membership: FormationMembership | None,
+        run: tuple[Records, Records, Records],
+    ) -> None:
+        """Start before the first step; outputs are NaN.
 
         Args:
-            groups: all followers, each in one.
-            offsets: υ (N, 3) m of the followers' places, the leader's zero first.
-            roster: what they make of it that somebody fails; None: nothing.
+            groups: of followers; each follower is in one.
+            controllers: (n,) of CONTROLLER.
+            neighbours: (n, N) of NEIGHBOUR.
+            offsets: υ (N, 3) m of the followers' slots, the leader's zero first.
+            membership: responses to declared failures; None: none.
+            run: AIRCRAFT (N,), FOLLOWER (n,) and LINK (n, N).
         """
-        self.groups, self.offsets, self._roster = groups, offsets, roster
-        aircraft = len(offsets)
-        self.alone: Truths = np.zeros(aircraft - 1, dtype=bool)  # (n,) who has left the formation
-        self.places: Counts = np.arange(1, aircraft, dtype=np.uint32)  # (n,) whose place each has
+        self.groups, self.offsets, self._membership = groups, offsets, membership
+        self._aircraft, self._followers, self._links = run
+        self._neighbours = neighbours
+        for name in _UNKNOWN:
+            self._followers[name] = np.nan
+        self._followers["slot_index"] = np.arange(1, len(offsets))
+        self._links["age_s"] = np.nan
+        self.left: BoolArray = np.zeros(len(self._followers), dtype=bool)
         self._memory: list[Any] = [None] * len(groups)
-        # of each group what its step is bound to, and that step
-        self._given: list[tuple[Any, ...]] = [(None,) * 4] * len(groups)
-        self._ready: list[Any] = [None] * len(groups)
-        self._heard = Steady()
-        sticks = np.zeros((3, aircraft))
-        self.told = FbwaCommand(*sticks)  # (N,) the leader's is for others to write
-        self._said = silent(sticks[:, 1:], aircraft)
-        self.command, self.unicycle, self.diagnosis, self.age_s = self._said
+        self._use_all_messages()
+        parts = controllers, neighbours, *run
+        self._steps = [partial(_control, group.rows, *parts) for group in groups]
+        self._finish = [partial(_finish, group.rows, *parts) for group in groups]
 
-    def learn(self, number: int, now: float, inbox: Inbox, measured_s: Array) -> list[Event]:
-        """What the followers of a group have learnt of who has failed; they act on it from now on.
+    def kernels(self) -> list[Kernel]:
+        """Return the compiled calls of `step`, for `core.compile.prepare`."""
+        groups = enumerate(self.groups)
+        return [
+            partial(self._steps[i], 0.0)
+            if group.law is None
+            else partial(self._finish[i], True, 0.0)
+            for i, group in groups
+        ]
+
+    def _use_all_messages(self) -> None:
+        """Mark all messages as used by users' laws, because their use is not known."""
+        for group in self.groups:
+            if group.law is not None:
+                self._neighbours["used"][group.rows] = True
+
+    def update_membership(self, number: int, now: float) -> list[Event]:
+        """Step the responses of a group's followers to declared failures; return events.
 
         Args:
             number: of the group.
             now: s.
-            inbox: (n, N)
-            measured_s: (n, N) s, as in `step`.
         """
-        if self._roster is None:
+        membership = self._membership
+        if membership is None:
             return []
-        learnt = list(self._roster.changes(now, self.groups[number].rows, inbox, measured_s))
-        if learnt:
-            self.groups = tuple(map(self._roster.regrouped, self.groups))
-            self.offsets = self._roster.offsets
-            self.places = self._roster.places.astype(np.uint32)
-            self.alone = self._roster.alone
-        return learnt
+        inbox = fields_of(Inbox, self._links)
+        measured_s = np.ascontiguousarray(self._links["measured_s"])
+        events = list(membership.changes(now, self.groups[number].rows, inbox, measured_s))
+        if events:
+            membership.write_neighbours(self._neighbours)
+            self._use_all_messages()
+            self.offsets = membership.offsets
+            self._followers["slot_index"] = membership.slots
+            self.left = membership.left
+        return events
 
-    def step(
-        self, number: int, now: float, own: VehicleState, inbox: Inbox, measured_s: Array
-    ) -> NDArray[np.intp]:
-        """Step one group at the time `now` (s) from all followers' estimates and inboxes (n).
-
-        Args:
-            number: of the group.
-            now: s.
-            own: (n)
-            inbox: (n, N)
-            measured_s: (n, N) s, when its content was true, which the followers do not know.
+    def step(self, number: int, now: float) -> Indices:
+        """Step one group at the time `now` (s).
 
         Returns:
-            Who stepped (m,).
+            The followers that stepped (m,).
         """
-        group, said = self.groups[number], self._said
-        rows, law = group.rows, group.law
-        if self._roster is not None:
-            inbox = self._heard(self._roster.heard(inbox))
-        if group.trusted and isinstance(law, PaperLaw):
-            given = group, own, inbox, measured_s
-            if not all(map(is_, given, self._given[number])):
-                if self._memory[number] is None:
-                    self._memory[number] = begun(law, group.middle, choose(own, rows))
-                memory, heed = self._memory[number], (group.unheeded, group.patience)
-                self._ready[number] = READY(
-                    law, group.middle, *heed, rows, *given[1:], memory, said
-                )
-                self._given[number] = given
-            self._ready[number](now)
+        group = self.groups[number]
+        if group.law is None:
+            self._steps[number](now)
         else:
-            self._own_law(number, group, now, choose(own, rows), choose(inbox, rows))
-            received_s, measured_s = inbox.received_s[rows], measured_s[rows]
-            said.age_s[rows] = AGES(
-                now, measured_s, received_s, group.unheeded, group.patience, group.trusted
-            )
-            deaf = rows[np.isnan(said.age_s[rows, 0])]
-            if not group.trusted:
-                said.diagnosis.guards[deaf] |= SILENT
-        if group.some_ideal:
-            parts = (choose(each, rows) for each in (own, said.unicycle, said.diagnosis))
-            flown, diagnosis = without_middle_loop(group.ideal, *parts)
-            put(said.unicycle, rows, flown)
-            put(said.diagnosis, rows, diagnosis)
-        return rows
+            self._step_user_law(number, group, group.law, now)
+        return group.rows
 
-    def _own_law(
-        self, number: int, group: Group, now: float, own: VehicleState, inbox: Inbox
-    ) -> None:
-        """Step a group of m by whatever law; what it is given is its own to keep."""
-        law_memory, middle_memory = self._memory[number] or (
-            group.law.start(own),
-            group.middle.start(),
+    def _step_user_law(self, number: int, group: Group, law: Law, now: float) -> None:
+        """Step a group by a user's law, which receives copies of its inputs."""
+        rows, followers = group.rows, self._followers
+        estimate = fields_of(VehicleState, self._aircraft["estimate"])
+        own = VehicleState(*(each[1:][rows] for each in estimate))
+        inbox = Inbox(*(each[rows] for each in fields_of(Inbox, self._links)))
+        excluded = self._neighbours["excluded"][rows]
+        if excluded.any():
+            for each in inbox:
+                each[excluded] = np.nan
+        memory = law.start(own) if self._memory[number] is None else self._memory[number][0]
+        with user_code_errors(law_file(law)):
+            command, memory = law.step(now, own, inbox, memory)
+        command = validate_command(command, group.config, now)
+        self._memory[number] = (memory,)
+        if isinstance(command, UnicycleCommand):
+            followers["speed_command"][rows] = command.speed
+            for name in ("omega", "speed_desired", "direction", "limiter_flags"):
+                followers[name][rows] = getattr(command, name)
+            self._finish[number](True, now)
+        else:
+            self._write_fbwa(command, own, group)
+            self._finish[number](False, now)
+        timed_out = rows[np.isnan(self._links["age_s"][rows, 0])]
+        followers["limiter_flags"][timed_out] |= LEADER_TIMEOUT
+
+    def _write_fbwa(self, command: FbwaCommand, own: VehicleState, group: Group) -> None:
+        """Write a fly-by-wire-A command, limited; desired speeds are NaN."""
+        config, rows, followers = group.config, group.rows, self._followers
+        pitch = np.clip(command.pitch, -config.pitch_limit, config.pitch_limit)
+        roll = np.clip(command.roll, -config.roll_limit, config.roll_limit)
+        throttle = np.clip(command.throttle, 0.0, 1.0)
+        control = self._aircraft["control"]
+        for name, array in (("pitch", pitch), ("roll", roll), ("throttle", throttle)):
+            control[name][1:][rows] = array
+        motion = own.velocity_ned / np.linalg.norm(own.velocity_ned, axis=1, keepdims=True)
+        followers["speed_command"][rows] = followers["omega"][rows] = np.nan
+        followers["speed_desired"][rows] = followers["airspeed_command"][rows] = np.nan
+        followers["direction"][rows] = motion
+        followers["course_desired"][rows] = course(motion)
+        followers["flight_path_angle_desired"][rows] = flight_path_angle(motion)
+        followers["limiter_flags"][rows] = 0
+        followers["saturations"][rows] = (
+            (pitch != command.pitch) * int(Saturation.PITCH)
+            + (roll != command.roll) * int(Saturation.ROLL)
+            + (throttle != command.throttle) * int(Saturation.THROTTLE)
         )
-        if group.trusted:
-            told, law_memory = group.law.step(now, own, inbox, law_memory)
+
+
+@entry
+def _control(
+    rows: Indices,
+    controllers: Records,
+    neighbours: Records,
+    aircraft: Records,
+    followers: Records,
+    links: Records,
+    now: float,
+) -> None:
+    """Step the followers in these rows (m,) by the law of [HBH23]."""
+    for i in rows:
+        a = aircraft[i + 1]
+        control_step(
+            controllers[i], now, a.estimate, links[i], neighbours[i], followers[i], a.control
+        )
+
+
+@entry
+def _finish(
+    rows: Indices,
+    controllers: Records,
+    neighbours: Records,
+    aircraft: Records,
+    followers: Records,
+    links: Records,
+    with_middle_loop: bool,
+    now: float,
+) -> None:
+    """Run the middle loops of a user's law, and write the message ages."""
+    for i in rows:
+        a = aircraft[i + 1]
+        if with_middle_loop:
+            finish_step(
+                controllers[i],
+                now,
+                a.estimate,
+                links[i],
+                neighbours[i],
+                False,
+                followers[i],
+                a.control,
+            )
         else:
-            with blamed(file_of(group.law)):
-                told, law_memory = group.law.step(now, own, inbox, law_memory)
-            told = checked(told, group.team, now)
-        if isinstance(told, UnicycleCommand):
-            unicycle = told
-            command, middle_memory, diagnosis = group.middle.step(own, told, middle_memory)
-        else:
-            command, unicycle, diagnosis = direct(told, own, group.team)
-        self._memory[number] = law_memory, middle_memory
-        for whole, part in zip(self._said, (command, unicycle, diagnosis), strict=False):
-            put(whole, group.rows, part)
-
-
-def without_middle_loop(
-    ideal: Truths, own: VehicleState, told: UnicycleCommand, diagnosis: Diagnosis
-) -> tuple[UnicycleCommand, Diagnosis]:
-    """What ideal vehicles (m,) fly, and nothing said of a middle loop that they have not.
-
-    They fly u as it is; but outside the speed set, where (14) divides by a slope of h that all but
-    vanishes, the guard on the commanded airspeed stands for them too.
-    """
-    outside = ideal & ((told.guards & OUTSIDE) != 0)
-    speed = np.linalg.norm(own.velocity_ned, axis=1)
-    guarded = np.where(outside, diagnosis.speed_command - own.airspeed + speed, told.speed)
-    unclipped = diagnosis.guards & np.uint8(0xFF ^ CLIPPED)
-    clipped = np.where(ideal & ~outside, unclipped, diagnosis.guards)
-    return told._replace(speed=guarded), diagnosis._replace(
-        speed_command=np.where(ideal, guarded + own.airspeed - speed, diagnosis.speed_command),
-        guards=clipped.astype(np.uint8),
-        saturations=np.where(ideal, 0, diagnosis.saturations).astype(np.uint8),
-    )
-
-
-def direct(
-    told: FbwaCommand, own: VehicleState, team: Team
-) -> tuple[FbwaCommand, UnicycleCommand, Diagnosis]:
-    """A law's fly-by-wire-A command within its limits; what it was after it did not say."""
-    pitch = np.clip(told.pitch, -team.pitch_limit, team.pitch_limit)
-    roll = np.clip(told.roll, -team.roll_limit, team.roll_limit)
-    throttle = np.clip(told.throttle, 0.0, 1.0)
-    saturations = (
-        (pitch != told.pitch) * int(Saturation.PITCH)
-        + (roll != told.roll) * int(Saturation.ROLL)
-        + (throttle != told.throttle) * int(Saturation.THROTTLE)
-    ).astype(np.uint8)
-    n = len(pitch)
-    unknown, none = np.full(n, np.nan), np.zeros(n, dtype=np.uint8)
-    motion = own.velocity_ned / np.linalg.norm(own.velocity_ned, axis=1, keepdims=True)
-    return (
-        FbwaCommand(pitch, roll, throttle),
-        UnicycleCommand(unknown, np.full((n, 3), np.nan), unknown, motion, none),
-        Diagnosis(unknown, unknown, course(motion), flight_path_angle(motion), none, saturations),
-    )
+            message_ages(now, neighbours[i], False, links[i])
 
 
 @contextmanager
-def blamed(file: str) -> Iterator[None]:
-    """Whatever the code of a law's file raises inside is told with its line.
+def user_code_errors(file: str) -> Iterator[None]:
+    """Turn exceptions of a user's code into errors with file and line.
 
     Raises:
         InputError: for every exception.
@@ -255,31 +249,38 @@ def blamed(file: str) -> Iterator[None]:
     except Exception as error:
         frames = traceback.extract_tb(error.__traceback__)
         lines = [frame.lineno for frame in frames if frame.filename == file]
-        place = f"{file}:{lines[-1]}" if lines else file
-        raise InputError(f"{place}: the law raised {type(error).__name__}: {error}") from error
+        location = f"{file}:{lines[-1]}" if lines else file
+        raise InputError(f"{location}: the law raised {type(error).__name__}: {error}") from error
 
 
-def file_of(law: object) -> str:
-    """The file that a law's class is written in."""
+def law_file(law: object) -> str:
+    """Return the file in which a law's class is defined."""
     return inspect.getfile(type(law))
 
 
-def checked(told: object, team: Team, now: float) -> UnicycleCommand | FbwaCommand:
-    """What a user's law answered, if it is an answer.
+def validate_command(
+    command: object, config: FormationConfig, now: float
+) -> UnicycleCommand | FbwaCommand:
+    """Check the command of a user's law, and return it with arrays of full shape.
+
+    Args:
+        command: as the law returned it.
+        config: of the law's followers.
+        now: s, for the message.
 
     Raises:
-        InputError: naming what is wrong, whose it is and when.
+        InputError: the command has another type or shape, or is not finite.
     """
-    n = len(team.names)
-    if not isinstance(told, UnicycleCommand | FbwaCommand):
+    n = len(config.names)
+    if not isinstance(command, UnicycleCommand | FbwaCommand):
         raise InputError(
-            f"controller.law: the law answered with {type(told).__name__} at {now:g} s (return a "
+            f"controller.law: the law returned {type(command).__name__} at {now:g} s (return a "
             "UnicycleCommand or an FbwaCommand, and the memory)"
         )
     fields = []
-    for name, value in zip(told._fields, told, strict=True):
-        shape = (n, 3) if name in ("turn", "direction") else (n,)
-        kind = np.uint8 if name == "guards" else np.float64
+    for name, value in zip(command._fields, command, strict=True):
+        shape = (n, 3) if name in ("omega", "direction") else (n,)
+        kind = np.uint8 if name == "limiter_flags" else np.float64
         try:
             array = np.ascontiguousarray(np.broadcast_to(np.asarray(value, dtype=kind), shape))
         except (TypeError, ValueError, OverflowError):
@@ -287,13 +288,13 @@ def checked(told: object, team: Team, now: float) -> UnicycleCommand | FbwaComma
         if array is None:
             raise InputError(
                 f"controller.law: the law's {name} is not an array of shape {shape} at {now:g} s "
-                f"(one row for each of {', '.join(team.names)})"
+                f"(one row for each of {', '.join(config.names)})"
             )
         wrong = np.flatnonzero(~np.isfinite(array).reshape(n, -1).all(axis=1))
         if len(wrong):
             raise InputError(
-                f"controller.law: the law's {name} for {team.names[wrong[0]]} is not a finite "
+                f"controller.law: the law's {name} for {config.names[wrong[0]]} is not a finite "
                 f"number at {now:g} s"
             )
         fields.append(array)
-    return type(told)(*fields)
+    return type(command)(*fields)

@@ -1,153 +1,269 @@
-"""The loop: everyone reads a tick before anyone writes the next."""
+"""The loop: every aircraft reads a tick before any aircraft writes the next."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
-from testbed.network.scripts import Calendar
-from testbed.sim.audience import Audience
-from testbed.sim.casualties import Casualties
-from testbed.sim.clock import Due
-from testbed.sim.control import Control
-from testbed.sim.hearing import Hearing
-from testbed.sim.pilots import with_ideal_leader
-from testbed.sim.watch import Arrivals, Engagement, Slots, Speaker
-from testbed.sim.world import World
-from testbed.state import Frame, Observer, followers
-from testbed.steady import Steady
+import numpy as np
+
+from testbed.core.compile import Kernel
+from testbed.core.records import (
+    MESSAGE,
+    AirData,
+    BoolArray,
+    Event,
+    FormationState,
+    Observer,
+    VehicleState,
+    allocate,
+    fields_of,
+    write_fields,
+)
+from testbed.core.samples import make_sample
+from testbed.network.outages import OutageEvents
+from testbed.sim.build import World
+from testbed.sim.gust_monitor import GustMonitor
+from testbed.sim.join_monitor import JoinMonitor
+from testbed.sim.leader_control import NO_INPUT
+from testbed.sim.link_monitor import LinkMonitor
+from testbed.sim.loss_monitor import LossMonitor
+from testbed.sim.observers import Observers
+from testbed.sim.schedule import TickActions
+from testbed.sim.stages import (
+    copy_control,
+    copy_truth,
+    find_down,
+    observe_formation,
+    write_messages,
+)
 
 
-def fly(world: World, observers: Sequence[Observer], ended: Callable[[float, Due], bool]) -> str:
-    """Fly the world to its end; observers get a frame at the log rate.
+def fly(
+    world: World, observers: Sequence[Observer], ended: Callable[[float, TickActions], bool]
+) -> str:
+    """Fly a world to its end; see `Flight.fly`."""
+    return Flight(world, observers).fly(ended)
 
-    At each tick: the truth is read, the air blows where the aircraft are, what is due to break
-    breaks and estimates are made, due broadcasts are sent and what is due arrives, the leader and
-    the followers that are due compute their commands from their own estimate and inbox, autopilots
-    turn these into surfaces, observers look, and everything moves to the next.
 
-    Args:
-        world: as built; its vehicles move.
-        observers: begun and ended by the caller.
-        ended: asked before each tick, of its time and what is due; it may wait, and true ends the
-            run.
+class Flight:
+    """One run of a world: its stages, and the monitors that turn what they find into events."""
 
-    Returns:
-        The outcome: "flown", "lost", "upset" or "interrupted".
-    """
-    clock, vehicles, pilot, air = world.clock, world.vehicles, world.pilot, world.air
-    radio, calendar = world.radio, Calendar(world.scripts)
-    breakdowns, deck = world.breakdowns, world.deck
-    control = Control(world.groups, world.offsets, world.roster)
-    speaker, slots = Speaker(len(world.names)), Slots(len(world.names) - 1)
-    hearing = Hearing(world.names, world.groups, radio.ledger)
-    arrivals = Arrivals(world.gusts, world.names)
-    engagement = Engagement(world.names[1:], clock.base_rate_hz)
-    casualties = Casualties(world.names, world.proximity, breakdowns, fly_on=world.fly_on)
-    upsets, audience = world.upsets, Audience(observers)
-    # what is read and believed stays in the same arrays, to which compiled code is bound
-    moved, believed, handed = Steady(), Steady(), Steady()
-    news = list(world.notes)
-    told, turn = control.told, None
-    failing, hushed, apart = None, None, control.alone
-    seen, own = None, None
+    def __init__(self, world: World, observers: Sequence[Observer]) -> None:
+        """Start before the first tick."""
+        self._world = world
+        aircraft, followers, links = world.aircraft, world.followers, world.links
+        self._control, self._radio = world.control, world.radio
+        self._truth = fields_of(VehicleState, aircraft["truth"])
+        self._estimate = fields_of(VehicleState, aircraft["estimate"])
+        self._exact = world.estimators.exact
+        self._copy_truth = partial(copy_truth, aircraft)
+        self._copy_control = partial(copy_control, aircraft)
+        self._messages, self._tick_s = allocate(MESSAGE, len(aircraft)), np.empty(len(aircraft))
+        self._write_messages = partial(write_messages, aircraft, self._messages)
+        self._find_down = partial(find_down, aircraft, world.scripted_leader)
+        self._link_monitor = LinkMonitor(
+            world.names,
+            world.neighbours,
+            (followers, links),
+            world.radio.statistics,
+            (world.config.leader_timeout_s, world.config.neighbour_timeout_s),
+            builtin=world.builtin_law,
+            hold=world.hold_stale_neighbours,
+        )
+        self._losses = LossMonitor(world.names, world.proximity, world.faults, fly_on=world.fly_on)
+        self._gust_monitor = GustMonitor(world.gusts, world.names)
+        self._join_monitor = JoinMonitor(
+            world.names[1:], world.clock.base_rate_hz, aircraft, followers
+        )
+        self._outages = OutageEvents(world.outages)
+        self._observers = Observers(observers)
+        self._sample = make_sample(
+            aircraft, followers, links, exact=self._exact, faults=world.faults is not None
+        )
+        self._events: list[Event] = list(world.initial_events)
+        self._left = self._control.left
+        self._muted: BoolArray | None = None
+        self._leader_input = NO_INPUT
 
-    for tick, due, ticks, legs in clock.schedule(world.duration_s, everyone=radio.looks_around):
-        now = clock.time_s(tick)
-        if ended(now, due):
-            return "interrupted"
-        truth = moved(vehicles.read())
-        flown_in = vehicles.air() if due.log else None  # what the truth came about in
-        if due.autopilot and air is not None:
-            vehicles.blow(air.felt(now, truth))
-        if due.autopilot and breakdowns is not None:
-            news += breakdowns.changes(now, truth, vehicles.air, casualties.gone)
-            failing = breakdowns.failing
-            hushed = failing.mute | failing.frozen | casualties.gone
-        estimate = world.estimators.estimate(truth, fresh=due.autopilot, failing=failing)
-        if estimate is not truth:
-            estimate = believed(estimate)
+    def fly(self, ended: Callable[[float, TickActions], bool]) -> str:
+        """Fly to the end; observers get a sample at the log rate.
 
-        if due.broadcast is not None:
-            message = speaker.says(estimate, now)
-            sent_s = message.stamp_s if due.sent_s is None else due.sent_s
-            radio.send(sent_s, message, truth, due.broadcast, hushed)
-        if due.control or due.lead:
-            if estimate is not seen or own is None:
-                seen, own = estimate, followers(estimate)
-            inbox = radio.deliver(now)
-            for number in due.control:
-                if learnt := control.learn(number, now, inbox, radio.measured_s):
-                    news += learnt
-                    apart = control.alone | casualties.gone[1:]
-                    hearing.heed(control.groups, apart)
-                stepped = control.step(number, now, own, inbox, radio.measured_s)
-                guards = control.diagnosis.guards
-                news += hearing.changes(now, stepped, control.age_s, guards, inbox.received_s)
-            told = control.told
-            if due.lead:
-                if deck is not None:
-                    hung = None if failing is None else failing.frozen
-                    deck.guide(now, estimate, casualties.gone, hung)
-                lead, turn = pilot.command(estimate)
-                told.pitch[0], told.roll[0], told.throttle[0] = lead
-            if world.ideal:
-                vehicles.steer(with_ideal_leader(turn, control.unicycle))
-            news += hearing.silences(now, control.diagnosis.guards, apart)
-        if due.autopilot:
-            if deck is not None:
-                news += deck.news()
-                told = handed(deck.told(told))
-            vehicles.act(estimate, told)
-            for partner in world.partners:
-                news += partner.news(now)
-            if failing is not None:
-                vehicles.fail(failing)
-            if lost := casualties.changes(now, truth.position_ned, vehicles.lost(truth)):
-                news += lost
-                vehicles.remove(casualties.gone)
-                if air is not None:
-                    air.remove(casualties.gone)
-                hushed = casualties.gone if hushed is None else hushed | casualties.gone
-                apart = control.alone | casualties.gone[1:]
-                hearing.heed(control.groups, apart)
+        Args:
+            ended: called before each tick with its time, s, and what is due; it may wait, and
+                true ends the run.
 
-        if flown_in is not None:
-            reached = None if air is None else air.gusts_inside(now, truth.position_ned)
-            if reached is not None:
-                news += arrivals.changes(now, reached)
-            news = [*calendar.changes(now), *news]  # what is scripted before what comes of it
-            formation = slots.state(
-                truth,
-                estimate,
-                control.diagnosis if deck is None else deck.heeded(control.diagnosis),
-                control.age_s,
-                control.offsets,
-                control.places,
+        Returns:
+            The outcome: "completed", "lost", "envelope_exceeded", "formation_lost" or
+            "interrupted".
+        """
+        world = self._world
+        world.estimators.warm_up(world.aircraft)
+        for tick, due, ticks, needed in world.clock.schedule(
+            world.duration_s, all_motions=world.radio.needs_all_positions
+        ):
+            now = world.clock.time_s(tick)
+            if ended(now, due):
+                return "interrupted"
+            self.sense(now, due)
+            self.control(now, due)
+            self.actuate(now, due)
+            if due.log and (outcome := self.observe(tick, now)):
+                return outcome
+            for vehicles in world.vehicles:
+                vehicles.step(ticks, needed)
+        return self.outcome
+
+    def kernels(self) -> list[Kernel]:
+        """Return the compiled calls of the run, for `core.compile.prepare`."""
+        world = self._world
+        calls: list[Kernel] = [
+            partial(self._write_messages, 0.0),
+            self._find_down,
+            self._copy_control,
+            partial(
+                observe_formation,
+                world.aircraft,
+                world.followers,
+                world.control.offsets,
                 world.altitudes,
-            )
-            news += engagement.changes(tick, formation.error_ned, casualties.gone)
-            away = apart if deck is None else deck.away(apart)
-            news += upsets.changes(now, truth, flown_in, formation, (casualties.gone, away))
-            audience.observe(
-                Frame(
-                    tick=tick,
-                    time_s=now,
-                    truth=truth,
-                    estimate=estimate,
-                    air=flown_in,
-                    command=told,
-                    surfaces=vehicles.surfaces,
-                    formation=formation,
-                    links=radio.counts(),
-                    lost=casualties.gone,
-                    events=tuple(news),
-                    failing=failing,
-                )
-            )
-            news = []
-            if casualties.over:
-                return "lost"
-            if upsets.over:
-                return "upset"
-        vehicles.step(ticks, legs)
-    return "upset" if upsets.unforeseen and casualties.outcome == "flown" else casualties.outcome
+            ),
+            *world.radio.kernels(),
+            *world.control.kernels(),
+            *world.leader_controller.kernels(world.aircraft),
+        ]
+        for vehicles in world.vehicles:
+            calls += vehicles.kernels(world.followers)
+        calls += [self._copy_truth] if self._exact else world.estimators.kernels()
+        calls += [*self._link_monitor.kernels(), *self._join_monitor.kernels()]
+        calls += world.envelope.kernels(world.aircraft, world.followers)
+        if world.air is not None:
+            calls += world.air.kernels()
+        return calls
+
+    @property
+    def outcome(self) -> str:
+        """How a run has ended that came to its end."""
+        losses = self._losses.outcome
+        return "lost" if losses == "lost" else self._world.envelope.outcome
+
+    def sense(self, now: float, due: TickActions) -> None:
+        """Stage 1: wind, faults that begin, sensor errors and estimates."""
+        world, aircraft = self._world, self._world.aircraft
+        if due.log:
+            for vehicles in world.vehicles:
+                vehicles.read_air()
+        if due.autopilot and world.air is not None:
+            world.air.sample_wind(now)
+            for vehicles in world.vehicles:
+                vehicles.set_wind()
+        faults = world.faults
+        if due.autopilot and faults is not None:
+            self._events += faults.changes(now, self._truth, self._read_air, self._losses.lost)
+            write_fields(aircraft["faults"], faults.state)
+            self._muted = faults.state.transmitter_off | faults.state.frozen | self._losses.lost
+        if self._exact:
+            self._copy_truth()
+        else:
+            world.estimators.estimate(aircraft, advance=due.autopilot)
+
+    def control(self, now: float, due: TickActions) -> None:
+        """Stage 2: messages, the formation law with its middle loop, the leader's guidance."""
+        world, aircraft, radio = self._world, self._world.aircraft, self._radio
+        if due.broadcast is not None:
+            self._write_messages(now)
+            self._tick_s.fill(now)
+            sent_s = self._tick_s if due.sent_s is None else due.sent_s
+            radio.send(sent_s, self._messages, self._truth, due.broadcast, self._muted)
+        if not (due.control or due.guidance):
+            return
+        radio.deliver(now)
+        for number in due.control:
+            if learnt := self._control.update_membership(number, now):
+                self._events += learnt
+                self._update_left()
+            rows = self._control.step(number, now)
+            self._events += self._link_monitor.neighbour_changes(now, rows)
+        if due.guidance:
+            external = world.external_control
+            if external is not None:
+                frozen = None if world.faults is None else world.faults.state.frozen
+                external.guide(now, self._estimate, self._losses.lost, frozen)
+            self._leader_input = world.leader_controller.step(aircraft)
+        for vehicles in world.vehicles:
+            vehicles.set_unicycle(world.followers, *self._leader_input)
+        self._copy_control()
+        self._events += self._link_monitor.leader_changes(now)
+
+    def actuate(self, now: float, due: TickActions) -> None:
+        """Stage 3: external commands, fly-by-wire A, actuator faults, losses."""
+        if not due.autopilot:
+            return
+        world, aircraft = self._world, self._world.aircraft
+        if world.external_control is not None:
+            self._events += world.external_control.pop_events()
+            self._copy_control()
+            world.external_control.override_commands(aircraft)
+        for vehicles in world.vehicles:
+            vehicles.autopilot_step()
+        for process in world.external_processes:
+            self._events += process.pop_events(now)
+        if world.faults is not None:
+            for vehicles in world.vehicles:
+                vehicles.apply_faults()
+        if self._find_down() or world.proximity.enabled:
+            self._lose(now)
+
+    def observe(self, tick: int, now: float) -> str | None:
+        """Hand a sample and the events to the observers; return the outcome if the run ends."""
+        world, losses = self._world, self._losses
+        aircraft, followers = world.aircraft, world.followers
+        if world.air is not None:
+            reached = world.air.active_gusts(now)
+            if reached is not None:
+                self._events += self._gust_monitor.changes(now, reached)
+        # what is scripted comes before what follows from it
+        events = [*self._outages.changes(now), *self._events]
+        observe_formation(aircraft, followers, self._control.offsets, world.altitudes)
+        sample, external, left = self._sample, world.external_control, self._left
+        if external is not None:
+            left = external.left_formation(left)
+            masked = external.mask_diagnostics(followers)
+            if masked is not followers:
+                records = aircraft, masked, world.links
+                formation = fields_of(FormationState, masked, age_s=world.links["age_s"])
+                sample = sample._replace(formation=formation, records=records)
+        events += self._join_monitor.changes(tick)
+        events += world.envelope.changes(now, aircraft, followers, left)
+        self._radio.counts()
+        self._observers.observe(sample._replace(tick=tick, time_s=now, events=tuple(events)))
+        self._events = []
+        if losses.terminate:
+            return "lost"
+        return world.envelope.outcome if world.envelope.terminate else None
+
+    def _lose(self, now: float) -> None:
+        """Remove the aircraft that are lost from now on."""
+        world, aircraft = self._world, self._world.aircraft
+        events = self._losses.changes(now, self._truth.position_ned, np.array(aircraft["down"]))
+        if not events:
+            return
+        self._events += events
+        gone = self._losses.lost
+        aircraft["lost"] = gone
+        for vehicles in world.vehicles:
+            vehicles.remove(gone)
+        if world.air is not None:
+            world.air.remove(gone)
+        self._muted = gone if self._muted is None else self._muted | gone
+        self._update_left()
+
+    def _update_left(self) -> None:
+        self._left = self._control.left | self._losses.lost[1:]
+        self._link_monitor.set_left(self._left)
+
+    def _read_air(self) -> AirData:
+        """Read what is known of the air now, for faults that begin at a state of charge."""
+        for vehicles in self._world.vehicles:
+            vehicles.read_air()
+        return self._sample.air

@@ -1,4 +1,4 @@
-"""Where an aircraft goes when nobody holds its sticks: its mission, and circles."""
+"""Guidance of an aircraft that flies a mission or a circle under external command."""
 
 from __future__ import annotations
 
@@ -6,204 +6,215 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from testbed.guidance import leader as guidance
+from testbed.core.records import Origin, VehicleState
+from testbed.guidance import mission_follower as guidance
+from testbed.guidance.altitude_airspeed_hold import HoldGains, HoldMemory
+from testbed.guidance.flight_plan import FlightPlan, Mission, Point, expand_laps
 from testbed.guidance.l1 import track_coordinates
-from testbed.guidance.longitudinal import HoldGains, HoldMemory
-from testbed.guidance.mission import Mission, Plan, Point, unroll
-from testbed.links.cockpit import Item, Refusal, Target
-from testbed.sim.missions import Flyable, around, easy, flyable
-from testbed.sim.pilots import MissionPilot, Sticks
-from testbed.state import Origin, VehicleState
+from testbed.mavlink.mission_plans import ItemFlightPlan, loiter, loiter_radius, plan_from_items
+from testbed.mavlink.vehicle_control import MissionItem, NavigationTarget, Rejection
+from testbed.sim.leader_control import FbwaInput, MissionController
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
-    """How an aircraft flies what it is told, and from where it begins."""
+class NavigatorConfig:
+    """Initial position, trim, gains and limits of one aircraft's guidance."""
 
     row: int  # among the N aircraft
     start: Point  # north, east, altitude above the origin, m
-    trim: Sticks  # of the level flight it starts in
+    trim: FbwaInput  # of the level flight at the start
     hold: HoldGains
-    manner: Mission  # limits and the airspeed; its legs are not flown
+    flight_params: Mission  # limits and the first airspeed; its legs are not used
     origin: Origin  # home
-    dt: float  # s, from one step of guidance to the next
+    dt: float  # s, period of the guidance
 
 
 class Navigator:
-    """Flies one aircraft's mission, or circles; knows where it was at the last control period."""
+    """Fly one aircraft's mission, or a circle.
 
-    def __init__(self, course: Course, radius: float) -> None:
-        """Without a mission.
+    Attributes:
+        position: north, east, altitude above the origin at the last update, m.
+        items: of the mission, home first.
+        flight_params: limits and airspeed.
+        loiter_radius: of circles that have none of their own, m; negative: anticlockwise.
+    """
 
-        Args:
-            course: of this aircraft.
-            radius: of circles that have none of their own, m; negative: anticlockwise.
-        """
-        self._course, self.manner, self.radius = course, course.manner, radius
-        self.here, self._climb = course.start, 0.0
-        self.items: Sequence[Item] = ()
-        self._whole: Flyable | None = None  # the mission, and what is left of it
-        self._left: Flyable | None = None
-        self._mission: MissionPilot | None = None
-        self._circle: MissionPilot | None = None
-        self._flown: MissionPilot | None = None  # of the two, in this control period
-        self._circled: tuple[Point, float | None] = (course.start, None)  # place and own radius
-        self._asked: float | None = None  # airspeed that was asked for by hand, m/s
+    def __init__(self, config: NavigatorConfig, loiter_radius: float) -> None:
+        """Start without a mission."""
+        self._config = config
+        self.flight_params, self.loiter_radius = config.flight_params, loiter_radius
+        self.position, self._climb_rate = config.start, 0.0
+        self.items: Sequence[MissionItem] = ()
+        self._plan: ItemFlightPlan | None = None  # the whole mission
+        self._rest: ItemFlightPlan | None = None  # its remaining segments
+        self._mission: MissionController | None = None
+        self._circle: MissionController | None = None
+        self._active: MissionController | None = None  # of the two, in this control period
+        self._centre: tuple[Point, float | None] = (config.start, None)  # with its own radius
+        self._airspeed: float | None = None  # set by command, m/s
 
     @property
     def has_mission(self) -> bool:
-        """Whether there is one to fly."""
+        """Whether there is a mission to fly."""
         return self._mission is not None
 
     @property
-    def item(self) -> int:
-        """Of the mission, that is flown or will be gone on with."""
-        if self._left is None or self._mission is None:
+    def current_item(self) -> int:
+        """The mission item that is flown, or is resumed with."""
+        if self._rest is None or self._mission is None:
             return 0
-        return self._left.items[self._mission.memory.part]
+        return self._rest.items[self._mission.memory.segment]
 
     @property
-    def target(self) -> Target | None:
-        """Where its mission or circle takes it; None: it has flown neither since it looked."""
-        return _target(self._flown, self.here) if self._flown else None
+    def target(self) -> NavigationTarget | None:
+        """The target of the mission or circle; None: neither was flown since the last update."""
+        return _target(self._active, self.position) if self._active else None
 
-    def look(self, estimate: VehicleState) -> None:
-        """Take in where the aircraft is."""
-        row = self._course.row
+    def update(self, estimate: VehicleState) -> None:
+        """Read the aircraft's position and climb rate from the estimates of N aircraft."""
+        row = self._config.row
         north, east, down = estimate.position_ned[row].tolist()
-        self.here = (north, east, -down)
-        self._climb = -float(estimate.velocity_ned[row, 2])
-        self._flown = None
+        self.position = (north, east, -down)
+        self._climb_rate = -float(estimate.velocity_ned[row, 2])
+        self._active = None
 
-    def fly_mission(self, estimate: VehicleState) -> Sticks:
-        """A step along the mission; there is one."""
-        pilot, left = self._mission, self._left
-        assert pilot is not None and left is not None
-        self._flown = pilot
-        before = left.airspeeds[pilot.memory.part]
-        sticks, _ = pilot.command(estimate)
-        after = left.airspeeds[pilot.memory.part]
+    def fly_mission(self, estimate: VehicleState) -> FbwaInput:
+        """Step along the mission, which must exist."""
+        controller, rest = self._mission, self._rest
+        assert controller is not None and rest is not None
+        self._active = controller
+        before = rest.airspeeds[controller.memory.segment]
+        command = controller.command(estimate)
+        after = rest.airspeeds[controller.memory.segment]
         if after != before:
-            self._asked = None
-            _fly_at(pilot, after)
-        return sticks
+            self._airspeed = None
+            _set_airspeed(controller, after)
+        return command
 
-    def fly_circle(self, estimate: VehicleState) -> Sticks:
-        """A step around the circle; there is one."""
+    def fly_circle(self, estimate: VehicleState) -> FbwaInput:
+        """Step around the circle, which must exist."""
         assert self._circle is not None
-        self._flown = self._circle
-        return self._circle.command(estimate)[0]
+        self._active = self._circle
+        return self._circle.command(estimate)
 
-    def take_over(self, mission: Flyable, items: Sequence[Item], pilot: MissionPilot) -> None:
-        """Have this mission, which this pilot flies."""
-        self._whole = self._left = mission
-        self.items, self._mission = items, pilot
+    def take_over(
+        self, plan: ItemFlightPlan, items: Sequence[MissionItem], controller: MissionController
+    ) -> None:
+        """Take the mission that this controller flies."""
+        self._plan = self._rest = plan
+        self.items, self._mission = items, controller
 
-    def change_mission(self, items: Sequence[Item], slow: float, fast: float) -> Refusal | None:
-        """Have this mission, home as its item 0, from its first item on; or say what is wrong.
+    def set_mission(
+        self, items: Sequence[MissionItem], airspeed_limits: tuple[float, float]
+    ) -> Rejection | None:
+        """Replace the mission and start at its first item.
 
         Args:
             items: home first.
-            slow: the airspeeds it may ask for, m/s.
-            fast: m/s
+            airspeed_limits: lowest and highest that an item may ask for, m/s.
         """
-        found = flyable(items, self.here, self.manner, self.radius, self._course.origin)
-        if isinstance(found, Refusal):
-            return found
-        for item, speed in zip(found.items, found.airspeeds, strict=True):
-            if not slow <= speed <= fast:
-                return Refusal(f"mission: {speed:g} m/s: write {slow:g} to {fast:g}", item=item)
-        self._whole, self.items, self._asked = found, tuple(items), None
-        self._begin(found)
+        plan = plan_from_items(
+            items, self.position, self.flight_params, self.loiter_radius, self._config.origin
+        )
+        if isinstance(plan, Rejection):
+            return plan
+        low, high = airspeed_limits
+        for item, speed in zip(plan.items, plan.airspeeds, strict=True):
+            if not low <= speed <= high:
+                return Rejection(f"mission: {speed:g} m/s: write {low:g} to {high:g}", item=item)
+        self._plan, self.items, self._airspeed = plan, tuple(items), None
+        self._start(plan)
         return None
 
     def clear_mission(self) -> None:
-        """Have none."""
-        self._whole = self._left = self._mission = None
+        """Remove the mission."""
+        self._plan = self._rest = self._mission = None
         self.items = ()
 
-    def go_on_at(self, item: int) -> bool:
-        """Fly this item of the mission next, from here; false: it is no place in it."""
-        found = self._whole.part_of(item) if self._whole else None
-        if self._whole is None or found is None or not 0 <= item < len(self.items):
+    def set_current_item(self, item: int) -> bool:
+        """Fly this item next, from the current position; return false if it has no position."""
+        segment = self._plan.segment_of(item) if self._plan else None
+        if self._plan is None or segment is None or not 0 <= item < len(self.items):
             return False
-        self._begin(self._whole.going_on(found, self.here))
+        self._start(self._plan.resume(segment, self.position))
         return True
 
-    def resume(self) -> None:
-        """Go on with the mission from here, after something else was flown."""
-        if self._left is None or self._mission is None:
+    def resume_mission(self) -> None:
+        """Resume the mission from the current position, after another mode."""
+        if self._rest is None or self._mission is None:
             return
         memory = self._mission.memory
-        if self._left.plan.parts[memory.part].circle:
+        if self._rest.plan.segments[memory.segment].circle:
             self._mission.memory = memory._replace(hold=self._hold())  # its turns still count
         else:
-            self._begin(self._left.going_on(memory.part, self.here))
+            self._start(self._rest.resume(memory.segment, self.position))
 
-    def circle(self, place: Point, radius: float | None = None) -> None:
-        """Circle a place, at the radius that all circles have or at this one, m."""
-        self._circled = place, radius
-        speed = self.manner.airspeed
-        leg = around(place, radius or easy(self.radius, self.manner, speed), self.manner, speed)
-        self._circle = self._pilot(unroll(replace(self.manner, legs=(leg,)), self.here))
+    def circle(self, centre: Point, radius: float | None = None) -> None:
+        """Circle a point at this radius, m; None: `loiter_radius`."""
+        self._centre = centre, radius
+        params, speed = self.flight_params, self.flight_params.airspeed
+        leg = loiter(
+            centre, radius or loiter_radius(self.loiter_radius, params, speed), params, speed
+        )
+        self._circle = self._controller(expand_laps(replace(params, legs=(leg,)), self.position))
 
-    def change_radius(self, radius: float) -> None:
-        """The radius of circles that have none of their own, m."""
-        self.radius = radius
-        self._circle_anew()
+    def set_loiter_radius(self, radius: float) -> None:
+        """Set the radius of circles that have none of their own, m."""
+        self.loiter_radius = radius
+        self._update_circle()
 
-    def behave(self, manner: Mission) -> None:
-        """Fly in this manner, along the legs and at the airspeed that the mission has."""
-        if manner == self.manner:
+    def set_flight_params(self, params: Mission) -> None:
+        """Set limits and airspeed; the mission keeps its legs and its airspeed."""
+        if params == self.flight_params:
             return
-        self.manner = manner
+        self.flight_params = params
         if self._mission:
             old = self._mission.plan.mission
-            self._mission.change_manner(replace(manner, legs=old.legs, airspeed=old.airspeed))
-        self._circle_anew()
+            self._mission.set_flight_params(replace(params, legs=old.legs, airspeed=old.airspeed))
+        self._update_circle()
 
-    def fly_at(self, airspeed: float) -> None:
-        """Fly everything at this true airspeed, m/s, until the mission says otherwise."""
-        self._asked = airspeed
-        self.manner = replace(self.manner, airspeed=airspeed)
+    def set_airspeed(self, airspeed: float) -> None:
+        """Fly at this true airspeed, m/s, until a mission item changes it."""
+        self._airspeed = airspeed
+        self.flight_params = replace(self.flight_params, airspeed=airspeed)
         if self._mission:
-            _fly_at(self._mission, airspeed)
-        self._circle_anew()
+            _set_airspeed(self._mission, airspeed)
+        self._update_circle()
 
-    def _circle_anew(self) -> None:
-        """Circle the same place as the manner now allows."""
+    def _update_circle(self) -> None:
+        """Circle the same point with the current parameters."""
         if self._circle:
             hold = self._circle.memory.hold
-            self.circle(*self._circled)
+            self.circle(*self._centre)
             self._circle.memory = self._circle.memory._replace(hold=hold)
 
-    def _begin(self, left: Flyable) -> None:
-        self._left = left
-        self._mission = self._pilot(left.plan)
-        _fly_at(self._mission, self._asked or left.airspeeds[0])
+    def _start(self, rest: ItemFlightPlan) -> None:
+        self._rest = rest
+        self._mission = self._controller(rest.plan)
+        _set_airspeed(self._mission, self._airspeed or rest.airspeeds[0])
 
-    def _pilot(self, plan: Plan) -> MissionPilot:
-        course = self._course
-        memory = guidance.begin(altitude=self.here[2])._replace(hold=self._hold())
-        return MissionPilot(plan, memory, dt=course.dt, gains=course.hold, row=course.row)
+    def _controller(self, plan: FlightPlan) -> MissionController:
+        config = self._config
+        memory = guidance.initial_memory(altitude=self.position[2])._replace(hold=self._hold())
+        return MissionController(plan, memory, dt=config.dt, gains=config.hold, row=config.row)
 
     def _hold(self) -> HoldMemory:
-        pitch, _, throttle = self._course.trim
-        return HoldMemory(self.here[2], self._climb, pitch, throttle)
+        pitch, _, throttle = self._config.trim
+        return HoldMemory(self.position[2], self._climb_rate, pitch, throttle)
 
 
-def _fly_at(pilot: MissionPilot, airspeed: float) -> None:
-    pilot.change_manner(replace(pilot.plan.mission, airspeed=airspeed))
+def _set_airspeed(controller: MissionController, airspeed: float) -> None:
+    controller.set_flight_params(replace(controller.plan.mission, airspeed=airspeed))
 
 
-def _target(pilot: MissionPilot, here: Point) -> Target:
-    memory, airspeed = pilot.memory, pilot.plan.mission.airspeed
-    part = pilot.plan.parts[memory.part]
-    north, east, altitude = part.end
-    if part.circle:
-        away = math.hypot(here[0] - north, here[1] - east)
+def _target(controller: MissionController, here: Point) -> NavigationTarget:
+    memory, airspeed = controller.memory, controller.plan.mission.airspeed
+    segment = controller.plan.segments[memory.segment]
+    north, east, altitude = segment.end
+    if segment.circle:
+        distance = math.hypot(here[0] - north, here[1] - east)
         course = math.atan2(east - here[1], north - here[0])
-        return Target(north, east, altitude, airspeed, course, away - part.radius)
-    course = math.atan2(east - part.start[1], north - part.start[0])
-    _, right, _ = track_coordinates(here, part.start, part.end)
-    return Target(north, east, altitude, airspeed, course, -right)
+        return NavigationTarget(north, east, altitude, airspeed, course, distance - segment.radius)
+    course = math.atan2(east - segment.start[1], north - segment.start[0])
+    _, right, _ = track_coordinates(here, segment.start, segment.end)
+    return NavigationTarget(north, east, altitude, airspeed, course, -right)

@@ -1,4 +1,4 @@
-"""A run that was cut short, finished from what its log has."""
+"""Finish the log and the metrics of a run that was cut short."""
 
 from __future__ import annotations
 
@@ -8,66 +8,67 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from testbed.core.records import Event
+from testbed.logs.mcap_file import NO_SAMPLES, LogError
+from testbed.logs.read import Log, read_log, replay, scenario_of
+from testbed.logs.recorder import McapRecorder
+from testbed.logs.run_directory import LOG_NAME, METRICS_NAME, find_run
 from testbed.metrics import MetricsObserver
 from testbed.metrics.document import write_json
-from testbed.record.door import NOTHING, LogError
-from testbed.record.read import Log, page_of, read_log, replay
-from testbed.record.recorder import METRICS_NAME, McapRecorder
-from testbed.record.rundir import LOG_NAME, find_run
-from testbed.state import Event
 
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
-    """What was found and made of it."""
+    """The result of recovering a run."""
 
     log: Path
     metrics: Mapping[str, Any]
-    was_cut: bool  # False: there was nothing to do
-    lost_bytes: int  # of a record that was cut in two, which nobody can read
+    was_cut: bool  # False: the log was complete
+    lost_bytes: int  # of an incomplete record at the end
 
 
 def recover(run: str | Path) -> Recovered:
-    """Finish the log of a run that was killed, and count its metrics.
+    """Finish the log of a run that was killed, and compute its metrics.
 
-    The log takes the old one's place in one move, once everything that could be read of that was
-    read back from it; whatever fails, the old one stays. Numbers of frames are as they would have
-    been, had the run been stopped there; what the radio did and how long the run took is not in a
-    log, and null.
+    A new log replaces the old one in one move, after all samples and events of the old one were
+    read back from it; on any failure the old one stays. Metrics are those of a run stopped at the
+    cut; network statistics and wall-clock times are not in a log, and null.
 
     Args:
-        run: its directory, its `.mcap` file, or its scenario for the latest.
+        run: its directory, its `.mcap` file, or its scenario's name for the latest run.
 
     Raises:
-        LogError: there is no such run, its log is damaged before its end, or cannot be written.
+        LogError: There is no such run, its log is damaged before its end, or cannot be written.
     """
     path = find_run(run)
     log = read_log(path)
-    beside = path.with_name(METRICS_NAME)
+    metrics_path = path.with_name(METRICS_NAME)
     if log.finished and log.metrics is not None:
-        if path.name == LOG_NAME and not beside.exists():  # it was killed between the two
-            write_json(beside, log.metrics)
+        if path.name == LOG_NAME and not metrics_path.exists():  # killed after the log was finished
+            write_json(metrics_path, log.metrics)
         return Recovered(path, log.metrics, was_cut=False, lost_bytes=0)
     if not log.tick.size:
-        raise LogError(f"{path}: {NOTHING}")
-    fresh = path.with_name(f".{path.name}.{os.getpid()}")
+        raise LogError(f"{path}: {NO_SAMPLES}")
+    new_path = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        metrics = _again(log, fresh)
-        if not _as_long(read_log(fresh), log):
-            raise LogError(f"{path}: what was written is not what was read (keep the old one)")
-        os.replace(fresh, path)
+        metrics = _rewrite(log, new_path)
+        if not _is_complete(read_log(new_path), log):
+            raise LogError(
+                f"{path}: the new log lacks samples or events of this one, which is kept"
+            )
+        os.replace(new_path, path)
     except OSError as error:
         raise LogError(f"{path}: cannot be replaced: {error.strerror}") from error
     finally:
-        fresh.unlink(missing_ok=True)
-    write_json(beside, metrics)
+        new_path.unlink(missing_ok=True)
+    write_json(metrics_path, metrics)
     return Recovered(path, metrics, was_cut=True, lost_bytes=log.lost_bytes)
 
 
-def _again(log: Log, path: Path) -> dict[str, Any]:
-    """Record the frames of a log once more; the metrics."""
-    page = page_of(log)
-    published = page.scenario.published if page else None
+def _rewrite(log: Log, path: Path) -> dict[str, Any]:
+    """Write the samples of a log to a new one; return their metrics."""
+    scenario = scenario_of(log)
+    published = scenario.scenario.published if scenario else None
     meter = MetricsObserver(published=published.model_dump() if published else None)
     recorder = McapRecorder(path)
     rest = replay(log, [meter, recorder])
@@ -79,7 +80,7 @@ def _again(log: Log, path: Path) -> dict[str, Any]:
     return metrics
 
 
-def _as_long(fresh: Log, old: Log) -> bool:
-    """Whether a log has all frames and events of the old one, and is finished."""
-    whole = fresh.finished and fresh.metrics is not None
-    return whole and len(fresh.events) == len(old.events) + 1 and fresh.tick.size == old.tick.size
+def _is_complete(new: Log, old: Log) -> bool:
+    """Return whether a new log is finished, with all samples and events of the old."""
+    finished = new.finished and new.metrics is not None
+    return finished and len(new.events) == len(old.events) + 1 and new.tick.size == old.tick.size

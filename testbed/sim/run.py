@@ -1,32 +1,53 @@
-"""A run from a page to its numbers: build, fly, watch, and leave everything readable."""
+"""Fly a scenario: build, fly, observe, and write log, resolved scenario and metrics."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from testbed.errors import InputError
+from testbed.core.compile import prepare
+from testbed.core.errors import InputError
+from testbed.core.records import Event, Observer
+from testbed.logs.recorder import McapRecorder
+from testbed.logs.run_directory import (
+    LOG_NAME,
+    LOGS,
+    METRICS_NAME,
+    SCENARIO_NAME,
+    create_run_directory,
+    write_run_file,
+)
 from testbed.metrics import MetricsObserver
-from testbed.metrics.document import complete, write_json
-from testbed.record.recorder import METRICS_NAME, McapRecorder
-from testbed.record.rundir import LOG_NAME, LOGS, SCENARIO_NAME, create_run_directory, leave
+from testbed.metrics.document import finalise, write_json
 from testbed.scenario import Scenario, load
-from testbed.sim.gate import Gate
-from testbed.sim.loop import fly
-from testbed.sim.outside import NOBODY, Outside, announcement, checked, make_station, report
-from testbed.sim.pace import Pace
-from testbed.sim.partners import Stopped
-from testbed.sim.sizes import check_disk
-from testbed.sim.stop import stopping
-from testbed.sim.world import build
-from testbed.state import Event, Observer
-from testbed.vehicle.crew import CrewedFleet
+from testbed.sim.build import build
+from testbed.sim.external_options import (
+    NO_EXTERNAL,
+    ExternalOptions,
+    announcements,
+    check_links,
+    external_summary,
+    make_server,
+)
+from testbed.sim.loop import Flight
+from testbed.sim.pacing import RealTimePacer
+from testbed.sim.resources import check_disk
+from testbed.sim.stop_request import RunStopped, stop_on_signals
+from testbed.sim.tick_gate import TickGate
+from testbed.vehicle.workers import ParallelFleet
 
-EXIT_CODES: Mapping[str, int] = {"flown": 0, "lost": 1, "upset": 1, "failed": 4, "interrupted": 130}
+EXIT_CODES: Mapping[str, int] = {
+    "completed": 0,
+    "lost": 1,
+    "envelope_exceeded": 1,
+    "formation_lost": 1,
+    "failed": 4,
+    "interrupted": 130,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +55,9 @@ class Run:
     """A flown scenario.
 
     Args:
-        scenario: the page as flown.
-        metrics: the document of `metrics.json`.
-        directory: where its files are; None if nothing was written.
+        scenario: as resolved.
+        metrics: the content of `metrics.json`.
+        directory: of its files; None if nothing was written.
     """
 
     scenario: Scenario
@@ -45,12 +66,12 @@ class Run:
 
     @property
     def outcome(self) -> str:
-        """How it ended: "flown", "lost", "upset" or "interrupted"."""
+        """The outcome: a key of `EXIT_CODES` except "failed"."""
         return str(self.metrics["outcome"])
 
     @property
     def exit_code(self) -> int:
-        """What the command line returns for this outcome."""
+        """The exit code of the command line for this outcome."""
         return EXIT_CODES[self.outcome]
 
 
@@ -61,79 +82,86 @@ def run(
     out: Path | None = None,
     write: bool = True,
     observers: Sequence[Observer] = (),
-    outside: Outside = NOBODY,
+    external: ExternalOptions = NO_EXTERNAL,
     processes: int | None = 1,
+    compiling: Callable[[int, int], None] | None = None,
 ) -> Run:
     """Fly a scenario to its end.
 
-    Ctrl-C and SIGTERM end it after the current tick, or in the midst of a wait for ArduPlane, with
-    everything written; a second one raises KeyboardInterrupt.
+    Ctrl-C and SIGTERM end it after the current tick, or during a wait for ArduPlane, and all files
+    are written; a second one raises KeyboardInterrupt.
 
     Args:
-        scenario: a page, or the name or path of one.
+        scenario: a scenario, or the name or path of one.
         overrides: `key=value` as for `--set`; only with a name or path.
-        out: the run directory to make; default `logs/<scenario>/<UTC>-<id>` below the current one.
-        write: leave the log, the resolved page and the metrics there.
-        observers: more watchers; one that raises ends the run as failed.
-        outside: who may see and command the aircraft, and the pace.
-        processes: that step flight models, this one included; None: as many as are best for so
-            many aircraft on this machine. No number depends on it.
+        out: run directory to create; default `logs/<scenario>/<UTC>-<id>` in the current one.
+        write: write the log, the resolved scenario and the metrics there.
+        observers: further observers; one that raises ends the run as failed.
+        external: links to external programs, and the pace.
+        processes: that step flight models, including this one; None: as many as are fastest for
+            this number of aircraft on this machine. Results do not depend on it.
+        compiling: called with the number of kernels that are ready and of all kernels, while
+            kernels are compiled before the flight: once, after which they are on disk.
 
     Raises:
-        ScenarioError: and other ValueErrors: the page cannot be flown, and what to write instead.
+        ScenarioError: and other ValueErrors: the scenario cannot be flown; the message says what
+            to write instead.
         LogError: the run directory or the log cannot be written.
-        PartnerLost: a program outside that the page needs is gone or silent.
+        ExternalProgramLost: an external program that the scenario needs has ended or does not
+            respond.
     """
-    page = scenario if isinstance(scenario, Scenario) else load(scenario, overrides)
-    if write and page.log.mcap:
-        check_disk(page, out or LOGS)
+    loaded = scenario if isinstance(scenario, Scenario) else load(scenario, overrides)
+    if write and loaded.log.mcap:
+        check_disk(loaded, out or LOGS)
     world = build(
-        page, commanded=outside.looks_on, arduplane=outside.arduplane, processes=processes
+        loaded, commanded=external.has_server, arduplane=external.arduplane, processes=processes
     )
-    world = checked(outside, page, world)
-    for partner in world.partners:
-        partner.check()
-    pace = Pace(outside.pace) if outside.pace else None
+    world = check_links(external, loaded, world)
+    for process in world.external_processes:
+        process.check()
+    pacer = RealTimePacer(external.pace) if external.pace else None
     outcome = "failed"
-    problem: list[Event] = []
+    errors: list[Event] = []
     metrics: dict[str, Any] = {}
 
-    # Everything that has been opened or begun is ended, whatever happens to the flight.
-    with stopping() as stop, ExitStack() as closing:
-        if isinstance(world.fleet, CrewedFleet):
+    # whatever was opened or started is closed or ended, also after an error
+    with stop_on_signals() as stop, ExitStack() as closing:
+        if isinstance(world.fleet, ParallelFleet):
             closing.callback(world.fleet.close)
-        station = make_station(outside, world)
-        if station:
-            closing.callback(station.close)
-        for line in announcement(outside, page):
-            outside.tell(line)
-        directory = create_run_directory(page.name, out=out) if write else None
+        server = make_server(external, world)
+        if server:
+            closing.callback(server.close)
+        for line in announcements(external, loaded):
+            external.announce(line)
+        directory = create_run_directory(loaded.name, out=out) if write else None
         if directory:
-            leave(directory, SCENARIO_NAME, world.info.scenario_yaml.encode())
+            write_run_file(directory, SCENARIO_NAME, world.info.scenario_yaml.encode())
             for name, code in world.info.code.items():
-                leave(directory, name, code)
-        if station and directory and outside.tlog:
-            station.keep(directory / "run.tlog")
-        published = page.scenario.published
+                write_run_file(directory, name, code)
+        if server and directory and external.tlog:
+            server.log_to(directory / "run.tlog")
+        published = loaded.scenario.published
         meter = MetricsObserver(published=published.model_dump() if published else None)
-        log = [McapRecorder(directory / LOG_NAME)] if directory and page.log.mcap else []
-        watchers: list[Observer] = [meter, *log, *observers, *([station] if station else [])]
-        began = time.perf_counter()
+        log = [McapRecorder(directory / LOG_NAME)] if directory and loaded.log.mcap else []
+        all_observers: list[Observer] = [meter, *log, *observers, *([server] if server else [])]
+        flight = Flight(world, all_observers)
+        prepare(flight.kernels(), compiling)
+        start = time.perf_counter()
 
-        def conclude() -> None:
-            wall = time.perf_counter() - began
+        def finish_metrics() -> None:
+            wall = time.perf_counter() - start
             metrics.update(
-                complete(
-                    meter.summary(problem),
+                finalise(
+                    meter.summary(errors),
                     network=world.radio.summary(),
-                    outside=report(world, station, pace),
+                    external=external_summary(world, server, pacer),
                     outcome=outcome,
                     wall_s=wall,
                 )
             )
 
-        def document(_: object, error: BaseException | None, __: object) -> None:
-            # last, so that a log is finished where metrics are; of troubles the first is told
+        def write_metrics(_: object, error: BaseException | None, __: object) -> None:
+            # called last, so that a finished log exists where metrics do; the first error is raised
             if directory and metrics:
                 try:
                     write_json(directory / METRICS_NAME, metrics)
@@ -141,25 +169,26 @@ def run(
                     if error is None:
                         raise
 
-        closing.push(document)
-        for watcher in watchers:
-            watcher.begin(world.info)
-            closing.callback(watcher.end, metrics, problem)
-        closing.callback(conclude)
+        closing.push(write_metrics)
+        for observer in all_observers:
+            observer.begin(world.info)
+            closing.callback(observer.end, metrics, errors)
+        closing.callback(finish_metrics)
         try:
-            for partner in world.partners:
-                closing.callback(stop.undisturbed, partner.close)
-                partner.begin(stop.heed)
-            outcome = fly(world, watchers, Gate(world.deck, station, pace, stop, outside.tell))
-        except Stopped:
+            for process in world.external_processes:
+                closing.callback(stop.without_interruption, process.close)
+                process.start(stop.check)
+            gate = TickGate(world.external_control, server, pacer, stop, external.announce)
+            outcome = flight.fly(gate)
+        except RunStopped:
             outcome = "interrupted"
         except KeyboardInterrupt:
             outcome = "interrupted"
             raise
         except BaseException as error:
             now = meter.summary()["simulated_s"]
-            problem.append(Event(now, "error", "run", f"failed: {error!r}"))
+            errors.append(Event(now, "error", "run", f"failed: {error!r}"))
             if directory and (directory / LOG_NAME).exists():
                 error.add_note(f"log: {directory}")
             raise
-    return Run(page, metrics, directory)
+    return Run(loaded, metrics, directory)

@@ -1,244 +1,300 @@
-"""What moves: aircraft behind their autopilots, ideal vehicles, and leaders that are not flown."""
+"""Vehicles of a run: JSBSim aircraft, ideal vehicles, and leaders that follow a script.
+
+Each object reads and writes its rows of the run's AIRCRAFT records in place.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Protocol
+from functools import partial
+from typing import Protocol
 
 import numpy as np
 
-from testbed.guidance.replay import Track
-from testbed.state import (
-    AirData,
-    AirFelt,
+from testbed.autopilot.fbwa import fly_by_wire_a, settled_autopilots
+from testbed.autopilot.parameters import FbwaParams, make_gains
+from testbed.core.compile import Kernel, entry
+from testbed.core.records import (
+    ActuatorCommand,
     Array,
-    Failing,
-    FbwaCommand,
-    Surfaces,
-    Truths,
-    UnicycleCommand,
-    VehicleState,
+    BoolArray,
+    FaultState,
+    Indices,
+    Records,
+    fault_state,
+    fields_of,
 )
-from testbed.vehicle.breakage import Servos, broken, resting
-from testbed.vehicle.fbwa import READY_FLY, settled, standing
-from testbed.vehicle.fleet import JsbsimFleet
-from testbed.vehicle.ideal import IdealFleet
-from testbed.vehicle.legs import Leg
-from testbed.vehicle.params import FbwaParams, stack
-from testbed.vehicle.tables import FbwaGains
+from testbed.guidance.recorded_path import SampledTrajectory
+from testbed.vehicle.control_surfaces import Servos, apply_actuator_faults, initial_servos
+from testbed.vehicle.fleet import JsbsimFleet, write_fields_at
+from testbed.vehicle.unicycle import advance, are_finite, stop_unicycles, write_motion
 
 
 class Vehicles(Protocol):
-    """Some of the aircraft of a run, on one clock."""
+    """Some of the aircraft of a run, stepped together."""
 
-    @property
-    def surfaces(self) -> Surfaces:
-        """What their servos are told now."""
+    rows: Indices  # (M,) among the N aircraft
 
-    def read(self) -> VehicleState:
-        """The truth now, in arrays that may be changed by the next call."""
+    def read_air(self) -> None:
+        """Write `air` of the records."""
 
-    def air(self) -> AirData:
-        """What the truth knows of the air now; not amid legs, see `step`."""
+    def set_wind(self) -> None:
+        """Use `wind` of the records from now on; at the autopilot rate."""
 
-    def lost(self, state: VehicleState) -> Truths:
-        """Which of them are on the ground, broken or not finite; until the next call."""
+    def set_unicycle(self, followers: Records, speed: float, omega: Array) -> None:
+        """Set the inputs of extended unicycles; at the control rate.
 
-    def blow(self, felt: AirFelt) -> None:
-        """Feel this air from now on; at the autopilot rate."""
+        Args:
+            followers: (n,) of FOLLOWER.
+            speed: u of the leader, m/s.
+            omega: ω of the leader (3,), rad/s.
+        """
 
-    def steer(self, told: UnicycleCommand) -> None:
-        """Hand over what a formation law decided; at the control rate."""
+    def autopilot_step(self) -> None:
+        """Compute `surfaces` of the records from `command`; at the autopilot rate."""
 
-    def act(self, estimate: VehicleState, told: FbwaCommand) -> None:
-        """Let the autopilots fly what they are told; at the autopilot rate."""
+    def apply_faults(self) -> None:
+        """Apply `faults` to `surfaces`; after `autopilot_step`, in runs with faults."""
 
-    def fail(self, failing: Failing) -> None:
-        """Let what is broken have its way; right after `act`, only in runs that have faults."""
+    def remove(self, lost: BoolArray) -> None:
+        """Stop lost aircraft (N,); they keep their last motion."""
 
-    def remove(self, rows: Truths) -> None:
-        """Stop moving these (N,), which are lost; they read as now from now on."""
-
-    def step(self, ticks: int, legs: tuple[Leg, ...] = ()) -> None:
-        """Move on by ticks of the base rate.
+    def step(self, ticks: int, needed: tuple[int, ...] | None) -> None:
+        """Advance by ticks of the base rate; write `truth` of the aircraft needed.
 
         Args:
             ticks: how many.
-            legs: all that come, the first with these ticks, until anybody tells them anything or
-                asks for more than their motion: they may fly all of them at once. None are given
-                while those from before last, or where nothing is known.
+            needed: rows among the N aircraft; None: all.
         """
 
+    def kernels(self, followers: Records) -> list[Kernel]:
+        """Return the compiled calls of these vehicles, for `core.compile.prepare`."""
 
-class Flown:
+
+class JsbsimVehicles:
     """JSBSim aircraft behind their virtual autopilots."""
 
-    def __init__(self, fleet: JsbsimFleet, gains: FbwaGains) -> None:
-        """Autopilots begin as if they had long held the trim."""
-        self.fleet, self._gains = fleet, gains
-        self._memory = standing(settled(fleet.trimmed, gains), gains)
-        self._told = np.array(fleet.trimmed)
-        self.surfaces = self._autopilots = Surfaces(*self._told)
-        self._fly: Callable[[], None] | None = None  # bound to the records of the last period
-        self._estimate: VehicleState | None = None
-        self._command: FbwaCommand | None = None
-        self.read, self.air, self.lost = fleet.look, fleet.air, fleet.lost
-        self.blow = fleet.blow
-        self._memory_before = standing(self._memory, self._gains)
-        self._failing: Failing | None = None
+    def __init__(
+        self, fleet: JsbsimFleet, gains: Records, aircraft: Records, rows: Indices
+    ) -> None:
+        """Start in trim, with settled autopilots.
+
+        Args:
+            fleet: M flight models.
+            gains: (M,) of fbwa.GAINS.
+            aircraft: (N,) of AIRCRAFT.
+            rows: (M,) of the flight models among the aircraft.
+        """
+        fleet.bind(aircraft, rows)
+        self.fleet, self.rows, self._aircraft = fleet, rows, aircraft
+        self.autopilots = settled_autopilots(gains, fleet.trimmed)
+        self._fly = partial(fly_by_wire_a, rows, *self.autopilots, aircraft)
+        self.read_air, self.set_wind = fleet.read_air, fleet.write_wind
         self._servos: Servos | None = None
-        self._tunes: dict[int, FbwaParams] = {}  # not heeded yet
-        self._servos_before: Servos | None = None
-        self._still = self._flow = np.zeros((len(fleet.trims), 2))
-        self._moved = True  # the surfaces, since the last step
+        self._faults: FaultState | None = None
+        self._zero_flow = self._flow = np.zeros((len(rows), 2))
+        self._changed = True  # surfaces were written since the last step
+        self._needed: dict[tuple[int, ...], Indices] = {}  # flight models by the rows needed
 
-    def retune(self, row: int, tune: FbwaParams) -> None:
-        """Give the autopilot in this row of the fleet other parameters; its memory stays."""
-        self._tunes[row] = tune
+    def retune(self, row: int, params: FbwaParams) -> None:
+        """Set the parameters of the autopilot in a row of the fleet; its state stays."""
+        gains = self.autopilots.gains
+        gains[row] = make_gains([params], float(gains["dt"][row]))[0]
 
-    def steer(self, told: UnicycleCommand) -> None:
-        """An autopilot takes attitudes, not turns."""
+    def set_unicycle(self, followers: Records, speed: float, omega: Array) -> None:
+        """Ignore the inputs: an autopilot takes attitudes."""
 
-    def act(self, estimate: VehicleState, told: FbwaCommand) -> None:
-        """One period of the autopilots."""
-        if self._tunes:
-            # all at once, for a ground station may set many from one period to the next
-            rows, tunes = list(self._tunes), list(self._tunes.values())
-            each = self._gains.each.copy()
-            each[rows] = stack(tunes, self._gains.dt).each
-            self._gains, self._tunes, self._fly = self._gains._replace(each=each), {}, None
-        if self._fly is None or estimate is not self._estimate or told is not self._command:
-            self._estimate, self._command = estimate, told
-            self._fly = READY_FLY(estimate, told, self._memory, self._gains, self._told)
+    def kernels(self, followers: Records) -> list[Kernel]:
+        """See `Vehicles`."""
+        return [self._fly, *self.fleet.kernels()]
+
+    def autopilot_step(self) -> None:
+        """See `Vehicles`."""
         self._fly()
-        self.surfaces, self._moved = self._autopilots, True
-        if not self._memory.begun:
-            self._memory, self._fly = self._memory._replace(begun=True), None
+        self._changed = True
 
-    def fail(self, failing: Failing) -> None:
-        """Break what the autopilots said, and hold the memory of those that hang."""
-        fleet, frozen, before = self.fleet, failing.frozen, self._memory_before
-        # one that hangs from the start has been switched on, and hangs in its first period
-        if before.begun and frozen.any():
-            self._memory.each[frozen] = before.each[frozen]
-            self._memory.commands[:, :, frozen] = before.commands[:, :, frozen]
-        self._memory_before = standing(self._memory, self._gains)
-        self._failing = failing
-        self._servos_before = self._servos or resting(fleet.trimmed, fleet.rig)
-        self._flow = self._still
-        if failing.floating.any():
+    def apply_faults(self) -> None:
+        """See `Vehicles`."""
+        fleet, rows = self.fleet, self.rows
+        faults = fault_state(self._aircraft["faults"][rows])
+        self._flow = self._zero_flow
+        if faults.floating.any():
             air = fleet.air()
             self._flow = np.stack((air.alpha, air.beta), axis=1)
-        self.surfaces = self._reached(self.surfaces)
-        fleet.discharge(failing.charge)
+        self._apply_actuator_faults(faults, self._flow)
+        fleet.discharge(faults.charge)
 
-    def _reached(self, surfaces: Surfaces) -> Surfaces:
-        """What of this reaches surfaces and motors, after what `fail` was told last."""
-        failing, before = self._failing, self._servos_before
-        if failing is None or before is None:
-            return surfaces
-        reached, self._servos = broken(surfaces, before, failing, self._flow, self.fleet.rig)
-        return reached
+    def _apply_actuator_faults(self, faults: FaultState, flow: Array) -> None:
+        """Turn servo outputs in the records into the state of surfaces and motors."""
+        fleet = self.fleet
+        surfaces = fields_of(ActuatorCommand, self._aircraft["surfaces"])
+        before = self._servos or initial_servos(fleet.trimmed, fleet.geometry)
+        outputs = ActuatorCommand(*(each[self.rows] for each in surfaces))
+        actuators, self._servos = apply_actuator_faults(
+            outputs, before, faults, flow, fleet.geometry
+        )
+        write_fields_at(self._aircraft, self.rows, "surfaces", actuators)
 
-    def remove(self, rows: Truths) -> None:
-        """Fly them no more."""
-        self.fleet.remove(rows)
+    def remove(self, lost: BoolArray) -> None:
+        """See `Vehicles`."""
+        self.fleet.remove(lost[self.rows])
 
-    def step(self, ticks: int, legs: tuple[Leg, ...] = ()) -> None:
-        """Run the flight models."""
-        self.fleet.step(self.surfaces if self._moved else None, ticks, legs)
-        self._moved = False
+    def step(self, ticks: int, needed: tuple[int, ...] | None) -> None:
+        """See `Vehicles`."""
+        if self._changed:
+            self.fleet.write_surfaces()
+            self._changed = False
+        self.fleet.run(ticks, self.fleet.all_rows if needed is None else self._fleet_rows(needed))
 
-
-class Ideal:
-    """Extended unicycles, which do at once what the law decided."""
-
-    def __init__(self, fleet: IdealFleet) -> None:
-        """They have no surfaces."""
-        self.fleet = fleet
-        nothing = np.zeros(len(fleet.read().airspeed))
-        self.surfaces = Surfaces(nothing, nothing, nothing, nothing)
-        self.read, self.air, self.lost = fleet.read, fleet.air, fleet.lost
-        self.blow, self.remove = fleet.blow, fleet.remove
-
-    def steer(self, told: UnicycleCommand) -> None:
-        """Fly with this u and ω."""
-        self.fleet.command(told.speed, told.turn)
-
-    def act(self, estimate: VehicleState, told: FbwaCommand) -> None:
-        """There is no autopilot."""
-
-    def fail(self, failing: Failing) -> None:
-        """There is nothing that could break."""
-
-    def step(self, ticks: int, legs: tuple[Leg, ...] = ()) -> None:
-        """All of them fly."""
-        self.fleet.step(ticks)
+    def _fleet_rows(self, needed: tuple[int, ...]) -> Indices:
+        """Return the rows of the fleet that are among these of the aircraft."""
+        if needed not in self._needed:
+            self._needed[needed] = np.flatnonzero(np.isin(self.rows, needed))
+        return self._needed[needed]
 
 
-class Replayed:
-    """One leader that moves by itself: a recorded flight, or a formula."""
+class UnicycleVehicles:
+    """Extended unicycles, which follow (u, ω) without an autopilot."""
 
-    def __init__(self, track: Track, equivalent_airspeed: Array, wind_ned: Array) -> None:
-        """Begin the track, which has one row for every event of the clock."""
-        self._track, self._row = track, 0
-        vectors = track.position_ned, track.velocity_ned, track.acceleration_ned
-        moves = *vectors, track.euler, track.rates_body, track.airspeed, equivalent_airspeed
-        self._state = VehicleState(*np.empty((5, 1, 3)), *np.empty((2, 1)))
-        self._fields = tuple(zip(self._state, moves, strict=True))
-        still, zero, nothing = np.zeros((1, 3)), np.zeros(1), np.full(1, np.nan)
-        self._throttle, self._wind = np.empty(1), wind_ned[np.newaxis].copy()
-        self._surfaces = Surfaces(zero, zero, zero, self._throttle)
-        self._air = AirData(zero, zero, zero, self._wind, still, zero, nothing, nothing)
+    def __init__(
+        self, unicycles: Records, base_rate_hz: int, aircraft: Records, rows: Indices
+    ) -> None:
+        """Start, and write the initial motion.
 
-    @property
+        Args:
+            unicycles: (M,) of UNICYCLE.
+            base_rate_hz: steps per second.
+            aircraft: (N,) of AIRCRAFT.
+            rows: (M,) of the unicycles among the aircraft.
+        """
+        self.rows, self._unicycles, self._aircraft = rows, unicycles, aircraft
+        self._first, self._dt = unicycles.copy(), 1.0 / base_rate_hz
+        self._write = partial(write_motion, unicycles, rows, aircraft)
+        self._steer = partial(_steer, unicycles, rows)
+        air = aircraft["air"]
+        for name in ("state_of_charge", "battery_voltage"):
+            air[name][rows] = np.nan
+        self._write()
+
+    def read_air(self) -> None:
+        """See `Vehicles`: a unicycle flies along its nose and has no propeller or battery."""
+        wind = self._aircraft["wind"]["wind_ned"]
+        self._aircraft["air"]["wind_ned"][self.rows] = wind[self.rows]
+
+    def set_wind(self) -> None:
+        """See `Vehicles`: the motion is written with the wind of the records."""
+
+    def set_unicycle(self, followers: Records, speed: float, omega: Array) -> None:
+        """See `Vehicles`."""
+        self._steer(followers, speed, omega)
+
+    def kernels(self, followers: Records) -> list[Kernel]:
+        """See `Vehicles`."""
+        omega = np.zeros(3)
+        return [
+            partial(self._steer, followers, 0.0, omega),
+            partial(advance, self._unicycles, self._dt, 1),
+            self._write,
+        ]
+
+    def autopilot_step(self) -> None:
+        """Do nothing: there is no autopilot."""
+
+    def apply_faults(self) -> None:
+        """Do nothing: a unicycle has no parts that fail."""
+
+    def remove(self, lost: BoolArray) -> None:
+        """See `Vehicles`."""
+        stop_unicycles(self._unicycles, self._first, lost[self.rows])
+        self._aircraft["stopped"][self.rows] = self._unicycles["stopped"]
+
+    def step(self, ticks: int, needed: tuple[int, ...] | None) -> None:
+        """See `Vehicles`."""
+        advance(self._unicycles, self._dt, ticks)
+        self._write()
+        self._aircraft["stopped"][self.rows] |= ~are_finite(self._unicycles)
+
+
+@entry
+def _steer(
+    unicycles: Records, rows: Indices, followers: Records, speed: float, omega: Array
+) -> None:
+    """Copy (u, ω) of the followers, and of the leader, to their unicycles."""
+    for k in range(len(rows)):
+        v = unicycles[k]
+        if v.stopped:
+            continue
+        if rows[k] == 0:
+            v.speed_command = speed
+            for axis in range(3):
+                v.omega[axis] = omega[axis]
+        else:
+            f = followers[rows[k] - 1]
+            v.speed_command = f.speed_command
+            for axis in range(3):
+                v.omega[axis] = f.omega[axis]
+
+
+class ScriptedVehicle:
+    """A leader whose motion is given: a recorded flight, or a formula."""
+
+    def __init__(
+        self, track: SampledTrajectory, equivalent_airspeed: Array, wind_ned: Array
+    ) -> None:
+        """Start at the first row of a track, which has one row for each tick of the schedule."""
+        self.rows = np.zeros(1, dtype=np.intp)
+        self._track, self._row, self._wind = track, 0, wind_ned
+        self._equivalent_airspeed = equivalent_airspeed
+
+    def bind(self, aircraft: Records) -> None:
+        """Write row 0 of AIRCRAFT from now on."""
+        self._aircraft = aircraft
+        aircraft["wind"]["wind_ned"][0] = self._wind
+        for name in ("state_of_charge", "battery_voltage"):
+            aircraft["air"][name][0] = np.nan
+        self._write()
+
+    def _write(self) -> None:
+        """Write motion and throttle; the command is the motion itself."""
+        track, row, truth = self._track, self._row, self._aircraft["truth"]
+        if row == len(track.position_ned):
+            return  # the run has ended
+        for name in (
+            *("position_ned", "velocity_ned", "acceleration_ned", "euler", "rates_body"),
+            "airspeed",
+        ):
+            truth[name][0] = getattr(track, name)[row]
+        truth["equivalent_airspeed"][0] = self._equivalent_airspeed[row]
+        self._aircraft["surfaces"]["throttle"][0] = track.throttle[row]
+
     def command(self) -> tuple[float, float, float]:
-        """Pitch, roll, throttle: what it does stands for what it was told."""
+        """Return the present pitch, roll and throttle."""
         roll, pitch, _ = self._track.euler[self._row].tolist()
         return pitch, roll, float(self._track.throttle[self._row])
 
-    @property
-    def surfaces(self) -> Surfaces:
-        """A track has none but the throttle; until the next call."""
-        self._throttle[0] = self._track.throttle[self._row]
-        return self._surfaces
+    def read_air(self) -> None:
+        """See `Vehicles`: a script knows only the wind."""
+        self._aircraft["air"]["wind_ned"][0] = self._aircraft["wind"]["wind_ned"][0]
 
-    def read(self) -> VehicleState:
-        """The row of now, until the next call."""
-        row = self._row
-        for now, moves in self._fields:
-            now[0] = moves[row]
-        return self._state
+    def set_wind(self) -> None:
+        """Do nothing: the motion is given."""
 
-    def air(self) -> AirData:
-        """A track tells nothing of its own: zero."""
-        return self._air
+    def set_unicycle(self, followers: Records, speed: float, omega: Array) -> None:
+        """Ignore the inputs."""
 
-    def lost(self, state: VehicleState) -> Truths:
-        """It flies on whatever happens."""
-        return np.zeros(1, dtype=bool)
+    def kernels(self, followers: Records) -> list[Kernel]:
+        """See `Vehicles`: a script needs none."""
+        return []
 
-    def blow(self, felt: AirFelt) -> None:
-        """It moves as it does; only the log knows what wind there is."""
-        np.copyto(self._wind, felt.wind_ned)
+    def autopilot_step(self) -> None:
+        """Do nothing: there is no autopilot."""
 
-    def steer(self, told: UnicycleCommand) -> None:
-        """Nobody steers it."""
+    def apply_faults(self) -> None:
+        """Do nothing: the motion is given."""
 
-    def act(self, estimate: VehicleState, told: FbwaCommand) -> None:
-        """It has no autopilot."""
+    def remove(self, lost: BoolArray) -> None:
+        """Do nothing: the motion is given."""
 
-    def fail(self, failing: Failing) -> None:
-        """It moves as it does."""
-
-    def remove(self, rows: Truths) -> None:
-        """It flies on whatever happens."""
-
-    def step(self, ticks: int, legs: tuple[Leg, ...] = ()) -> None:
-        """On to the next event."""
+    def step(self, ticks: int, needed: tuple[int, ...] | None) -> None:
+        """Move to the next row of the track."""
         self._row += 1
-
-
-def choose(record: Any, rows: Any) -> Any:  # noqa: ANN401 - any record of arrays, any index
-    """The record with these rows of every array, contiguous."""
-    return type(record)(*(each[rows] for each in record))
+        self._write()

@@ -1,1 +1,1 @@
-"""An aircraft as a virtual autopilot: flight model, fly-by-wire law, trim and what it believes."""
+"""Flight models: JSBSim and ideal vehicles, trim, linearisation and control surfaces."""

@@ -1,6 +1,6 @@
-"""N JSBSim aircraft that are placed in trim, stepped and read.
+"""JSBSim aircraft on one clock: placed in trim, stepped and read.
 
-Feet and JSBSim's signs stop in `jsbsim_model` and `instruments`. Aircraft open no sockets, write no
+`jsbsim_model` and `jsbsim_io` convert JSBSim's units and signs. Aircraft open no sockets, write no
 files and print nothing.
 """
 
@@ -8,44 +8,60 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
-from testbed.frames import FOOT, metres_per_radian
-from testbed.state import AirData, AirFelt, Array, Origin, Surfaces, Truths, VehicleState
-from testbed.steady import Steady
-from testbed.vehicle.breakage import Rig, check_faults, stacked
-from testbed.vehicle.instruments import (
-    AIR,
-    BATTERY,
-    MOTION,
-    READY_BLOW,
-    READY_COMMAND,
-    READY_LOOK,
-    READY_NOTE,
-    READY_SENSE_AIR,
+from testbed.core.compile import Kernel
+from testbed.core.frames import FOOT, metres_per_radian
+from testbed.core.records import (
+    AIRCRAFT,
+    ActuatorCommand,
+    AirData,
+    Array,
+    BoolArray,
+    Indices,
+    Origin,
+    Records,
+    VehicleState,
+    WindInput,
+    allocate,
+    fields_of,
 )
-from testbed.vehicle.jsbsim_door import load, rig_of, trim_aircraft
-from testbed.vehicle.legs import LONGEST, Leg, Parts, parts_of, wanted_of
-from testbed.vehicle.motion import READY_LOST, state_of
-from testbed.vehicle.properties import joined, sane
-from testbed.vehicle.start import Start
+from testbed.vehicle.control_surfaces import ControlGeometry, check_faults, stack_geometry
+from testbed.vehicle.initial_state import InitialState
+from testbed.vehicle.jsbsim_adapter import control_geometry, load, trim_aircraft
+from testbed.vehicle.jsbsim_io import (
+    AIR_PROPERTIES,
+    BATTERY_PROPERTIES,
+    MOTION_PROPERTIES,
+    pack_surfaces,
+    pack_wind,
+    write_air,
+    write_truth,
+)
 from testbed.vehicle.trim import TrimPoint, TrimResult, course_through_air
 
-_AHEAD = "aircraft that have flown on already are told or asked something that comes before"
 LOWEST = 1.0  # m above the terrain: an aircraft below counts as on the ground
+_IMPLAUSIBLE = 1e9  # ft, ft/s², rad, rpm: no aircraft in flight reads this
+_WIND = 7  # numbers of `pack_wind`
+
+Setter = Callable[[float], None]
+Getter = Callable[[], float]
 
 
 class JsbsimFleet:
-    """N JSBSim aircraft on one clock."""
+    """N JSBSim aircraft on one clock.
+
+    They read and write records: their own ones, or those of a run after `bind`.
+    """
 
     def __init__(
         self,
         folders: Sequence[Path],
-        starts: Sequence[Start],
+        starts: Sequence[InitialState],
         origin: Origin,
         base_rate_hz: int,
     ) -> None:
@@ -53,13 +69,13 @@ class JsbsimFleet:
 
         Args:
             folders: N aircraft folders, each holding `<folder name>.xml`.
-            starts: N starts.
+            starts: N initial states.
             origin: of the local frame; its elevation is the terrain's.
             base_rate_hz: steps per second.
 
         Raises:
             AircraftError, TrimError: an aircraft cannot be loaded, has no steady flight at its
-                start, or the wind lets it keep no course.
+                start, or cannot hold its course in the wind.
         """
         models, trims = [], []
         for folder, start in zip(folders, starts, strict=True):
@@ -90,209 +106,211 @@ class JsbsimFleet:
         self.trims: tuple[TrimResult, ...] = tuple(trims)
         self._folders = [Path(folder).resolve() for folder in folders]
         self._models = models
-        # what steps each; None: it is lost
+        # None: the aircraft is lost, or another process steps it
         self._runs: list[Callable[[], bool] | None] = list(self.bare_runs())
-        self._deaf = np.array([not model.turns for model in models])
-        self._broken = np.zeros(n, dtype=bool)
-        # properties: None where an aircraft has none, or another number stands for it
-        self._motion = [[model.node(name) for name in MOTION] for model in models]
-        self._of_air = [
-            [*map(model.node, AIR), *(model.find(name) for name in BATTERY)] for model in models
+        self._getters: list[list[Getter]] = [
+            [model.node(name).get_double_value for name in MOTION_PROPERTIES] for model in models
         ]
-        self._blown = [[*m.winds, *(m.turns or (None,) * 4)] for m in models]
-        self._controls = [list(model.controls) for model in models]
-        # their numbers, in JSBSim's units
-        self._numbers, self._raw_air = np.empty((n, len(MOTION))), np.full(8 * n, np.nan)
-        self._told, self._commanded = np.empty(7 * n), np.empty(4 * n)
-        # the motion after each of the legs that are flown at once, and whose is written down
-        self._notes = np.zeros((LONGEST, n, len(MOTION)))
-        self._wanted = np.ones((LONGEST, n), dtype=bool)
-        self._rows = tuple(range(n))
-        # those that are flown, and which of them is looked at
-        self._legs: tuple[Leg, ...] = (Leg(0),)
-        self._leg = 0
+        self._air_getters: list[list[Getter | None]] = [
+            [
+                *(model.node(name).get_double_value for name in AIR_PROPERTIES),
+                *(_getter(model.find(name)) for name in BATTERY_PROPERTIES),
+            ]
+            for model in models
+        ]
+        self._wind_setters: list[list[Setter]] = [
+            [node.set_double_value for node in (*model.winds, *(model.turns or ()))]
+            for model in models
+        ]
+        self._setters: list[list[Setter]] = [
+            [node.set_double_value for node in model.controls] for model in models
+        ]
+        # in JSBSim's units
+        self._numbers = np.empty((n, len(MOTION_PROPERTIES)))
+        self._air_numbers = np.full((n, len(AIR_PROPERTIES) + len(BATTERY_PROPERTIES)), np.nan)
+        self._wind_numbers, self._controls = np.zeros((n, _WIND)), np.zeros((n, 4))
         north, east = metres_per_radian(origin)
         place = *np.radians([origin.latitude_deg, origin.longitude_deg]), origin.elevation_m / FOOT
         self._zero = np.array([*place, *[0.0] * 14])
         self._scale = np.array([north, east, -FOOT, *[FOOT] * 6, *[1.0] * 6, FOOT, FOOT])
-        self._flat = np.empty(17 * n)
-        self._state = state_of(self._flat)
-        self._felt = AirFelt(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n))
-        alpha, beta, rps, *others = np.empty((6, n))
-        self._in_air = AirData(alpha, beta, rps, *np.empty((2, n, 3)), *others)
-        self._lost, self._looked_at = np.zeros(n, dtype=bool), cast(VehicleState | None, None)
-        self._surfaces, self._airs, self._orders = self.trimmed, Steady(), Steady()
-        self._bind()
-        for note in self._note:
-            note(0)
+        self.all_rows = np.arange(n)
+        self._stopped: BoolArray = np.zeros(n, dtype=bool)
+        self._wind_changed = self._controls_changed = False  # since the models ran
+        self._read_numbers(range(n))
         self._first = self._numbers.copy()
+        self.bind(allocate(AIRCRAFT, n), self.all_rows)
 
-    def _bind(self) -> None:
-        """Bind what reads and sets to the properties that there are now, and their numbers."""
-        self._note = [self._noting(i) for i in range(len(self._models))]
-        self._look = READY_LOOK(self._notes, self._wanted, self._zero, self._scale, self._flat)
-        self._bind_to_air()
-        self._bind_to_controls()
+    def bind(self, aircraft: Records, rows: Indices) -> None:
+        """Read and write these rows (N,) of AIRCRAFT from now on; they begin in trim."""
+        self.aircraft, self.rows = aircraft, rows
+        write_fields_at(aircraft, rows, "surfaces", self.trimmed)
+        write_truth(self.all_rows, rows, self._numbers, self._zero, self._scale, aircraft)
+        self.read_air()
 
-    def _bind_to_air(self) -> None:
-        nodes, told = joined(self._of_air), joined(self._blown)
-        self._look_at_air = READY_SENSE_AIR(nodes, self._raw_air, self._felt, self._in_air)
-        self._blow = READY_BLOW(told, self._felt, self._told)
-
-    def _bind_to_controls(self) -> None:
-        self._command = READY_COMMAND(joined(self._controls), self._surfaces, self._commanded)
-
-    def _noting(self, i: int) -> Callable[[int], None]:
-        return READY_NOTE(self._motion[i], self._numbers[i], self._notes, i)
+    def kernels(self) -> list[Kernel]:
+        """Return the compiled calls of this fleet, for `core.compile.prepare`."""
+        numbers = self._numbers, self._zero, self._scale, self.aircraft
+        return [
+            partial(write_truth, self.all_rows, self.rows, *numbers),
+            partial(write_air, self.rows, self._air_numbers, self.aircraft),
+            partial(pack_wind, self.rows, self.aircraft, self._wind_numbers),
+            partial(pack_surfaces, self.rows, self.aircraft, self._controls),
+        ]
 
     @property
-    def trimmed(self) -> Surfaces:
-        """The surfaces that hold the aircraft in trim at their starts."""
+    def trimmed(self) -> ActuatorCommand:
+        """Return the controls that hold the aircraft in trim at their starts."""
         held = (trimmed.controls for trimmed in self.trims)
         each = [(one.aileron, one.elevator, one.rudder, one.throttle) for one in held]
-        return Surfaces(*np.array(each).T.copy())
+        return ActuatorCommand(*np.array(each).T.copy())
+
+    @property
+    def no_gust_inputs(self) -> BoolArray:
+        """Return which aircraft (N,) lack an input for rotations of the air."""
+        return np.array([not model.turns for model in self._models])
 
     def read(self) -> VehicleState:
-        """The truth now, as fresh contiguous arrays."""
-        self._look(self._leg)
-        return state_of(self._flat.copy())
+        """Copy the truth."""
+        return VehicleState(
+            *(each[self.rows] for each in fields_of(VehicleState, self.aircraft["truth"]))
+        )
 
-    def look(self) -> VehicleState:
-        """The truth now, in arrays that are the fleet's own: the next look changes them."""
-        self._look(self._leg)
-        return self._state
+    def read_air(self) -> None:
+        """Write the air data of the flight models into the records."""
+        self._read_air_numbers(range(len(self._models)))
+        write_air(self.rows, self._air_numbers, self.aircraft)
 
     def air(self) -> AirData:
-        """What is known of the air now; for observers, until the next call; not amid legs."""
-        self._stands()
-        self._look_at_air()
-        return self._in_air
+        """Read and copy the air data of the flight models."""
+        self.read_air()
+        return AirData(*(each[self.rows] for each in fields_of(AirData, self.aircraft["air"])))
 
-    @property
-    def deaf(self) -> Truths:
-        """Which aircraft (N,) lack a property that would tell them of turns of the air."""
-        return self._deaf
+    def write_wind(self) -> None:
+        """Give the wind of the records to the flight models, for their next run."""
+        pack_wind(self.rows, self.aircraft, self._wind_numbers)
+        self._wind_changed = True
 
-    def blow(self, felt: AirFelt) -> None:
-        """Say what the air does to the aircraft from now on."""
-        self._stands()
-        felt = self._airs(felt)
-        if felt is not self._felt:
-            self._felt = felt
-            self._bind_to_air()
-        self._blow()
+    def set_wind(self, wind: WindInput) -> None:
+        """Set the wind (N) that acts on the aircraft from now on."""
+        write_fields_at(self.aircraft, self.rows, "wind", wind)
+        self.write_wind()
 
-    def step(self, surfaces: Surfaces | None, ticks: int, legs: tuple[Leg, ...] = ()) -> None:
-        """Run every aircraft for `ticks` steps of the base rate.
+    def write_surfaces(self) -> None:
+        """Give the surfaces of the records to the flight models, for their next run."""
+        pack_surfaces(self.rows, self.aircraft, self._controls)
+        self._controls_changed = True
+
+    def step(self, surfaces: ActuatorCommand | None, ticks: int) -> None:
+        """Command surfaces (N), if any, run every aircraft for some ticks, and read them."""
+        if surfaces is not None:
+            write_fields_at(self.aircraft, self.rows, "surfaces", surfaces)
+            self.write_surfaces()
+        self.run(ticks, self.all_rows)
+
+    def run(self, ticks: int, read: Indices) -> None:
+        """Run every aircraft for some ticks of the base rate.
 
         Args:
-            surfaces: the commands from now on; None: as they are.
             ticks: how many.
-            legs: that are to be flown without a word, the first with these ticks. The aircraft
-                run through them at once, and steps that follow only turn to what they were at the
-                end of the next: no surfaces are taken there, nor a look at the air.
-
-        Raises:
-            RuntimeError: surfaces, other legs or other ticks in the midst of legs.
+            read: (K,) aircraft whose motion is then written into the records.
         """
-        if self._amid:
-            self._leg += 1
-            if surfaces is not None or legs or ticks != self._legs[self._leg].ticks:
-                raise RuntimeError(_AHEAD)
-            return
-        if surfaces is not None:
-            self._take(surfaces)
-        self._legs, self._leg = legs[:LONGEST] or (Leg(ticks),), 0
-        self._wanted[: len(self._legs)] = wanted_of(self._legs, len(self._models))
-        self._run(self._legs)
-
-    @property
-    def _amid(self) -> bool:
-        """Whether the aircraft have flown on beyond what is looked at."""
-        return self._leg + 1 < len(self._legs)
-
-    def _stands(self) -> None:
-        if self._amid:
-            raise RuntimeError(_AHEAD)
-
-    def _take(self, surfaces: Surfaces) -> None:
-        """Command them."""
-        surfaces = self._orders(surfaces)
-        if surfaces is not self._surfaces:
-            self._surfaces = surfaces
-            self._bind_to_controls()
-        self._command()
-
-    def _run(self, legs: tuple[Leg, ...]) -> None:
-        """Run everyone through legs."""
-        self._run_through(self._rows, parts_of(legs, self._rows))
-
-    def _run_through(self, rows: Sequence[int], parts: Sequence[Parts]) -> None:
-        """Run these aircraft through their parts, and write down what is wanted."""
-        for i, theirs in zip(rows, parts, strict=True):
-            run = self._runs[i]
-            for ticks, leg in theirs:
-                if run is not None:
-                    on = True
-                    try:
-                        for _ in range(ticks):
-                            on = on and run()
-                    except Exception:  # JSBSim's own, of many types: beyond its models
-                        on = False
-                    if not on:
-                        self._remove(i)
-                        run = None
-                self._note[i](leg)
+        self._run_models(range(len(self._models)), ticks, read)
+        write_truth(read, self.rows, self._numbers, self._zero, self._scale, self.aircraft)
 
     def discharge(self, charge: Array) -> None:
-        """Empty batteries to a state of charge (N,) 0..1 at once; not a number: as they are.
+        """Empty batteries to a state of charge (N,) 0..1 at once; NaN leaves one as it is.
 
         Raises:
-            AircraftError: if an aircraft that is to have less has no battery.
+            AircraftError: an aircraft to be discharged has no battery.
         """
-        self._stands()
         for i in np.flatnonzero(~np.isnan(charge)).tolist():
             self._models[i].discharge(float(charge[i]))
 
-    def remove(self, rows: Truths) -> None:
-        """Step these aircraft (N,) no more: they are lost, and read as now from now on."""
-        self._stands()
-        for i in np.flatnonzero(rows & ~self._broken).tolist():
-            self._remove(i)
+    def remove(self, rows: BoolArray) -> None:
+        """Stop stepping lost aircraft (N,); they keep their last motion."""
+        for i in np.flatnonzero(rows & ~self._stopped).tolist():
+            self._stop(i)
 
-    def _remove(self, i: int) -> None:
-        """Stop one; where JSBSim has lost its numbers it reads as at the start, in air of zero."""
-        self._broken[i], self._runs[i] = True, None
-        if not all(sane(self._motion[i], self._numbers[i])):
-            self._motion[i], self._numbers[i] = [None] * len(MOTION), self._first[i]
-        air = self._raw_air.reshape(len(self._models), -1)[i, : len(AIR)]
-        for k, said in enumerate(sane(self._of_air[i][: len(AIR)], air)):
-            if not said:
-                self._of_air[i][k], air[k] = None, 0.0
-        self._controls[i] = [None] * 4
-        self._note[i] = self._noting(i)
-        self._bind_to_air()
-        self._bind_to_controls()
+    def _run_models(self, which: Iterable[int], ticks: int, read: Indices) -> None:
+        """Set the inputs of models that have changed, run them, and read their motion.
+
+        One model after the other, each from end to end: its memory is then in the cache.
+        """
+        numbers, getters = self._numbers, self._getters
+        needed = None if len(read) == len(numbers) else set(read.tolist())
+        winds = self._wind_numbers.tolist() if self._wind_changed else None
+        controls = self._controls.tolist() if self._controls_changed else None
+        self._wind_changed = self._controls_changed = False
+        for i in which:
+            run = self._runs[i]
+            if run is None:
+                continue
+            if winds is not None:
+                for set_value, value in zip(self._wind_setters[i], winds[i], strict=False):
+                    set_value(value)
+            if controls is not None:
+                for set_value, value in zip(self._setters[i], controls[i], strict=False):
+                    set_value(value)
+            try:
+                for _ in range(ticks):
+                    if not run():
+                        self._stop(i)
+                        break
+            except Exception:  # JSBSim's own, of many types: beyond its models
+                self._stop(i)
+            if (needed is None or i in needed) and (of_model := getters[i]):
+                numbers[i] = [get() for get in of_model]
+
+    def _read_numbers(self, which: Iterable[int]) -> None:
+        numbers = self._numbers
+        for i in which:
+            if getters := self._getters[i]:
+                numbers[i] = [get() for get in getters]
+
+    def _read_air_numbers(self, which: Iterable[int]) -> None:
+        numbers = self._air_numbers
+        for i in which:
+            if getters := self._air_getters[i]:
+                numbers[i] = [math.nan if get is None else get() for get in getters]
+
+    def _stop(self, i: int) -> None:
+        """Stop an aircraft; implausible numbers of JSBSim are replaced by those of the start."""
+        self._runs[i], self._stopped[i] = None, True
+        self._read_numbers([i])
+        if not (np.abs(self._numbers[i]) < _IMPLAUSIBLE).all():
+            self._numbers[i] = self._first[i]
+        self._read_air_numbers([i])
+        air = self._air_numbers[i, : len(AIR_PROPERTIES)]
+        air[~(np.abs(air) < _IMPLAUSIBLE)] = 0.0
+        self._getters[i], self._air_getters[i], self._setters[i] = [], [], []
+        self.aircraft[self.rows[i]]["stopped"] = True
 
     @cached_property
-    def rig(self) -> Rig:
-        """The surfaces of the aircraft, for those that break."""
-        return stacked([rig_of(folder) for folder in self._folders])
+    def geometry(self) -> ControlGeometry:
+        """Return the control surfaces of the aircraft."""
+        return stack_geometry([control_geometry(folder) for folder in self._folders])
 
     def check_faults(self, row: int, name: str, faults: Iterable[Any]) -> None:
-        """As `breakage.check_faults`, of the aircraft in a row of this fleet."""
+        """Check faults as `control_surfaces.check_faults` does, for one aircraft of this fleet."""
         kind = self._folders[row].name
-        battery = self._models[row].find(BATTERY[0]) is not None
-        check_faults(name, kind, self.rig, row, battery=battery, faults=faults)
+        battery = self._models[row].find(BATTERY_PROPERTIES[0]) is not None
+        check_faults(name, kind, self.geometry, row, battery=battery, faults=faults)
 
     def bare_runs(self) -> list[Callable[[], bool]]:
-        """Each aircraft's own step, for measuring what everything else costs."""
+        """Return each aircraft's own step, for measuring what everything else costs."""
         return [model.fdm.run for model in self._models]
 
-    def lost(self, state: VehicleState) -> Truths:
-        """Which aircraft (N,) are on the ground, broken or not finite; until the next call."""
-        if state is not self._looked_at:
-            self._looked_at = state
-            self._look_down = READY_LOST(state.position_ned, self._broken, LOWEST, self._lost)
-        self._look_down()
-        return self._lost
+    def lost(self, state: VehicleState) -> BoolArray:
+        """Return which aircraft (N,) are on the ground or have stopped."""
+        lost: BoolArray = self._stopped | ~(-state.position_ned[:, 2] >= LOWEST)
+        return lost
+
+
+def write_fields_at(records: Records, rows: Indices, name: str, values: Any) -> None:  # noqa: ANN401
+    """Copy the arrays (M) of a named tuple into a nested record of these rows."""
+    for field, array in zip(values._fields, values, strict=True):
+        records[name][field][rows] = array
+
+
+def _getter(node: Any) -> Getter | None:  # noqa: ANN401 - JSBSim's
+    return None if node is None else node.get_double_value

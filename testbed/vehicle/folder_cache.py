@@ -1,6 +1,6 @@
-"""What is found out of an aircraft's folder, kept for as long as its files say the same.
+"""Cache of results that depend on the XML files of an aircraft folder.
 
-In one process, a notebook for one, an aircraft may be flown, edited and flown again.
+An aircraft may be flown, edited and flown again in one process, for example a notebook.
 """
 
 from __future__ import annotations
@@ -12,54 +12,56 @@ from functools import lru_cache, wraps
 from pathlib import Path
 from typing import Concatenate, ParamSpec, TypeVar
 
-from testbed.vehicle.airframe_files import MOST_BYTES
+from testbed.vehicle.airframe_validation import MAX_BYTES
 
 _Rest = ParamSpec("_Rest")
-_FoundT = TypeVar("_FoundT")
-_Finder = Callable[Concatenate[Path, _Rest], _FoundT]
+_ResultT = TypeVar("_ResultT")
+_Function = Callable[Concatenate[Path, _Rest], _ResultT]
 
 
-def kept(maxsize: int) -> Callable[[_Finder[_Rest, _FoundT]], _Finder[_Rest, _FoundT]]:
-    """Make a function of a folder answer the same question once, until a model file changes.
+def cache_by_folder(
+    maxsize: int,
+) -> Callable[[_Function[_Rest, _ResultT]], _Function[_Rest, _ResultT]]:
+    """Cache the results of a function of a folder until one of its XML files changes.
 
     Args:
-        maxsize: answers that are kept.
+        maxsize: number of results.
     """
 
-    def decorate(find: _Finder[_Rest, _FoundT]) -> _Finder[_Rest, _FoundT]:
+    def decorate(function: _Function[_Rest, _ResultT]) -> _Function[_Rest, _ResultT]:
         @lru_cache(maxsize=maxsize)
-        def found(_: str, folder: Path, *args: _Rest.args, **kwargs: _Rest.kwargs) -> _FoundT:
-            return find(folder, *args, **kwargs)
+        def cached(_: str, folder: Path, *args: _Rest.args, **kwargs: _Rest.kwargs) -> _ResultT:
+            return function(folder, *args, **kwargs)
 
-        @wraps(find)
-        def ask(folder: Path, /, *args: _Rest.args, **kwargs: _Rest.kwargs) -> _FoundT:
+        @wraps(function)
+        def call(folder: Path, /, *args: _Rest.args, **kwargs: _Rest.kwargs) -> _ResultT:
             folder = Path(folder).resolve()
-            return found(digest(folder), folder, *args, **kwargs)  # type: ignore[arg-type]
+            return cached(folder_digest(folder), folder, *args, **kwargs)  # type: ignore[arg-type]
 
-        return ask
+        return call
 
     return decorate
 
 
-def digest(folder: Path) -> str:
-    """What all XML files of a folder and the folders in it say, names included.
+def folder_digest(folder: Path) -> str:
+    """Return a digest of the names and contents of all XML files in and below a folder.
 
-    Not when they changed: an edit that is as long as what it replaces may be as old, too.
+    Times and sizes are not enough: an edit can keep both.
     """
     content = hashlib.blake2b(digest_size=16)
     for file in sorted(folder.rglob("*.xml")):
-        data = _start_of(file)
+        data = _read_start(file)
         content.update(os.fsencode(f"{file.relative_to(folder)}\0{len(data)}\0"))
         content.update(data)
     return content.hexdigest()
 
 
-def _start_of(file: Path) -> bytes:
-    """As much of a file as an aircraft can have; of what is no file or not to be read, nothing."""
+def _read_start(file: Path) -> bytes:
+    """Read up to the size limit of an aircraft file; nothing of what is no readable file."""
     try:
-        if not file.is_file():  # a pipe would be waited for
+        if not file.is_file():  # reading a pipe would block
             return b""
         with file.open("rb") as stream:
-            return stream.read(MOST_BYTES + 1)
+            return stream.read(MAX_BYTES + 1)
     except OSError:
-        return b""  # to be said by who reads the aircraft
+        return b""  # reported when the aircraft is loaded

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbed.state import Array
+from testbed.core.records import Array
 
-_POLES = (0.02, 20.0)  # 1/s, the range looked at
+_POLES = (0.02, 20.0)  # 1/s, search range
 _GRID = 61
 _ROUNDS = 8
-_ZOOM = 0.15  # share of the range that the next round looks at
+_ZOOM = 0.15  # width of the next round's range, relative to this one's
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +21,7 @@ class FirstOrder:
     pole: float  # p, 1/s
     delay: float  # T, s
     gain: float  # K
-    rms: float  # of what it leaves, in steps
+    rms: float  # of the residual, in steps
 
     @property
     def time_constant(self) -> float:
@@ -29,28 +29,28 @@ class FirstOrder:
         return 1.0 / self.pole
 
     def response(self, time: Array) -> Array:
-        """To a unit step at 0 s."""
+        """Return the response to a unit step at 0 s."""
         after = np.maximum(np.asarray(time) - self.delay, 0.0)
-        answer: Array = self.gain * (1.0 - np.exp(-self.pole * after))
-        return answer
+        response: Array = self.gain * (1.0 - np.exp(-self.pole * after))
+        return response
 
 
 def fit_first_order(time: Array, response: Array, *, gain: float | None = None) -> FirstOrder:
-    """The model of least square error, by a grid of poles and delays refined about its best.
+    """Fit a model by least squares, with a grid of poles and delays that is refined.
 
     Args:
         time: (k,) s after the step, increasing.
-        response: (k,) what moved, in steps.
+        response: (k,) in steps.
         gain: K if it is known; a formation law's speed model ṡ = p (u − s) has 1.
 
     Raises:
-        ValueError: if there are fewer than ten samples.
+        ValueError: there are fewer than ten samples.
     """
     if len(time) < 10:
         raise ValueError(f"{len(time)} samples are too few for a fit")
     low = np.array([np.log(_POLES[0]), 0.0])
     high = np.array([np.log(_POLES[1]), 0.5 * time[-1]])
-    least, most = low.copy(), high.copy()
+    lowest, highest = low.copy(), high.copy()
     best = FirstOrder(_POLES[0], 0.0, 0.0, np.inf)
     for _ in range(_ROUNDS):
         poles = np.exp(np.linspace(low[0], high[0], _GRID))
@@ -67,5 +67,5 @@ def fit_first_order(time: Array, response: Array, *, gain: float | None = None) 
                 )
         half = 0.5 * _ZOOM * (high - low)
         middle = np.array([np.log(best.pole), best.delay])
-        low, high = np.maximum(middle - half, least), np.minimum(middle + half, most)
+        low, high = np.maximum(middle - half, lowest), np.minimum(middle + half, highest)
     return best

@@ -1,26 +1,26 @@
-"""Which tensors of inertia a rigid body can have."""
+"""Check of inertia tensors."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from testbed.state import Array
+from testbed.core.records import Array
 
 _ROUNDING = 1e-6  # of the largest moment; a flat plate has J1 + J2 = J3 exactly
 _AXES = ((0, 0, "Jxx"), (1, 1, "Jyy"), (2, 2, "Jzz"), (0, 1, "Jxy"), (0, 2, "Jxz"), (1, 2, "Jyz"))
 
 
 def impossible_inertia(tensor: Array) -> str | None:
-    """Why no rigid body has this tensor of inertia (3, 3) in kg m², or None if one may.
+    """Return why no rigid body has an inertia tensor (3, 3), kg m²; None if one can.
 
     The principal moments J1 ≤ J2 ≤ J3 are integrals of y² + z², x² + z² and x² + y² over a mass
-    that is nowhere negative: they are positive, and none exceeds the sum of the others.
+    without negative density: they are positive, and none exceeds the sum of the others.
     """
     elements = ", ".join(
         f"{name} {tensor[i, j]:.4g}" for i, j, name in _AXES if i == j or tensor[i, j] != 0.0
     )
     if not np.isfinite(tensor).all():
-        return f"{elements} kg m²: not all of them are numbers"
+        return f"{elements} kg m²: they must be finite"
     first, second, third = np.linalg.eigvalsh(0.5 * (tensor + tensor.T)).tolist()
     principal = f"J1 {first:.4g}, J2 {second:.4g}, J3 {third:.4g}"
     if not first > 0.0:

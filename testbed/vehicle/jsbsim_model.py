@@ -1,6 +1,6 @@
-"""One JSBSim aircraft before it flies: placed at will, and asked what it would do.
+"""One JSBSim aircraft: placed in any state, with its accelerations there.
 
-With the door and `instruments`, all that knows JSBSim's units and signs.
+JSBSim's units and signs occur only here and in `jsbsim_io`.
 """
 
 from __future__ import annotations
@@ -11,43 +11,43 @@ from typing import Any
 
 import numpy as np
 
-from testbed.errors import InputError
-from testbed.frames import FOOT, geodetic_from_ned, rotation_ned_body
-from testbed.state import Array, Origin
-from testbed.vehicle.breakage import SURFACES
+from testbed.core.errors import InputError
+from testbed.core.frames import FOOT, geodetic_from_ned, rotation_ned_body
+from testbed.core.records import Array, Origin
+from testbed.vehicle.control_surfaces import SURFACES
 from testbed.vehicle.trim import STILL, Controls, Placement, Vector
 
-# The aircraft's own, which its aerodynamics take from its rates and add to its rolling moment.
+# Properties of the aircraft files: subtracted from the rates and added to the rolling moment.
 _TURNS = ("p-rad_sec", "q-rad_sec", "r-rad_sec", "roll-coefficient")
-_TURNED = ("left-aileron", *SURFACES[1:])  # ailerons turn together
-_SPIN_STEPS = 2000  # at most, until the propeller and the surfaces have settled
-_LONGEST_MEMORY = 6  # steps that JSBSim's integrators look back, and one to spare
+_DEFLECTED = ("left-aileron", *SURFACES[1:])  # ailerons deflect together
+_MAX_SPIN_STEPS = 2000  # until the propeller and the surfaces have settled
+_INTEGRATOR_STEPS = 6  # one more than JSBSim's integrators use
 POUND = 4.4482216152605  # N, of force
 _SLUG_FOOT2 = POUND * FOOT  # kg m²; a slug is a pound-force per foot/s²
-_NOTHING = 1e-6  # m/s² and rad/s²: less is rounding
-_GLANCE = 1e-5  # s, a step that shows how the propeller's speed changes
+_NO_EFFECT = 1e-6  # m/s² and rad/s², above rounding
+_SHORT_STEP = 1e-5  # s, for the acceleration of the propeller
 
 
 class AircraftError(InputError):
-    """An aircraft folder JSBSim cannot fly."""
+    """An aircraft folder that JSBSim cannot fly."""
 
 
 @dataclass(frozen=True, slots=True)
 class Traits:
-    """What of an aircraft is not a property of JSBSim's."""
+    """Features of an aircraft that JSBSim has no properties for."""
 
-    has_rudder: bool  # its command changes something
-    has_lag: bool  # surfaces follow their commands later
+    has_rudder: bool  # the rudder command has an effect
+    has_lag: bool  # surfaces lag behind their commands
 
 
 class JsbsimModel:
     """A JSBSim executive with an aircraft loaded."""
 
     def __init__(self, fdm: Any, rate_hz: int, traits: Traits) -> None:  # noqa: ANN401 - untyped
-        """Bind the properties; `fdm` is JSBSim's FGFDMExec, silenced.
+        """Bind the properties; `fdm` is JSBSim's FGFDMExec, without output.
 
         Raises:
-            AircraftError: if the aircraft lacks a property that is needed.
+            AircraftError: the aircraft lacks a required property.
         """
         self.fdm = fdm
         self.has_rudder, self.has_lag = traits.has_rudder, traits.has_lag
@@ -68,7 +68,7 @@ class JsbsimModel:
             self.node(f"atmosphere/wind-{axis}-fps") for axis in ("north", "east", "down")
         )
         turns = [self.find(f"air/{name}") for name in _TURNS]
-        # all or none: half of it would be another airframe
+        # all or none
         self.turns = tuple(turns) if all(turns) else ()
         self._velocities = [
             self.node(f"velocities/v-{axis}-fps").get_double_value
@@ -92,21 +92,25 @@ class JsbsimModel:
         ]
 
     def node(self, name: str) -> Any:  # noqa: ANN401
-        """A property, bound once."""
+        """Return the node of a property.
+
+        Raises:
+            AircraftError: there is no such property.
+        """
         node = self._manager.get_node(name)
         if node is None:
             raise AircraftError(f"{self.fdm.get_model_name()}: JSBSim has no property {name}")
         return node
 
     def find(self, name: str) -> Any:  # noqa: ANN401
-        """A property, or None where this aircraft has none of that name."""
+        """Return the node of a property; None if the aircraft does not have it."""
         return self._manager.get_node(name)
 
     def charge(self, state_of_charge: float) -> None:
-        """Say how full the battery is; takes effect when the aircraft is placed.
+        """Set the state of charge of the battery, from the next placement on.
 
         Raises:
-            AircraftError: the aircraft has no battery, and it is to be less than full.
+            AircraftError: the aircraft has no battery, and the state of charge is below 1.
         """
         node = self.find("battery/initial-state-of-charge")
         if node is not None:
@@ -114,11 +118,11 @@ class JsbsimModel:
         elif state_of_charge != 1.0:
             raise AircraftError(
                 f"{self.fdm.get_model_name()}: has no battery, so its state of charge cannot be "
-                f"{state_of_charge:g} (leave it out)"
+                f"{state_of_charge:g} (remove the key)"
             )
 
     def discharge(self, state_of_charge: float) -> None:
-        """Empty the battery in flight to a state of charge, from which it goes on; never fill it.
+        """Discharge the battery in flight to a state of charge; never charge it.
 
         Raises:
             AircraftError: the aircraft has no battery.
@@ -128,15 +132,15 @@ class JsbsimModel:
         initial.set_double_value(initial.get_double_value() + min(more, 0.0))
 
     def deflections(self) -> Array:
-        """How far the surfaces are turned, either way, (5,) rad, in the order of SURFACES.
+        """Return the magnitudes of the deflections (5,), rad, in the order of SURFACES.
 
-        It is 0 for those whose position JSBSim does not know.
+        0 for surfaces without a position property.
         """
-        nodes = [self.find(f"fcs/{name}-pos-rad") for name in _TURNED]
+        nodes = [self.find(f"fcs/{name}-pos-rad") for name in _DEFLECTED]
         return np.array([abs(node.get_double_value()) if node else 0.0 for node in nodes])
 
     def locate(self, position_ned: Vector, origin: Origin) -> None:
-        """Say where the aircraft is; takes effect when it is placed."""
+        """Set the position of the aircraft, from the next placement on."""
         latitude, longitude, height = geodetic_from_ned(np.array(position_ned), origin).tolist()
         self.node("ic/terrain-elevation-ft").set_double_value(origin.elevation_m / FOOT)
         self.node("ic/long-gc-deg").set_double_value(longitude)
@@ -156,12 +160,19 @@ class JsbsimModel:
         wind_ned: Vector = STILL,
         spin: bool,
     ) -> None:
-        """Put the aircraft in the air, on a course through it.
+        """Place the aircraft in flight.
 
-        A motor of constant power has a huge torque on a propeller at rest, and RPM cannot be set.
-        So with `spin` the aircraft is first held still in a wind as fast as it will fly, with no
-        torque on the airframe, until the propeller has settled, and surfaces that lag behind their
-        commands with it; then it is placed again.
+        A motor of constant power has a very large torque on a propeller at rest, and the propeller
+        speed cannot be set. With `spin` the aircraft is first held in place in a wind of its
+        airspeed, without torque on the airframe, until propeller and lagging surfaces have settled;
+        then it is placed again.
+
+        Args:
+            placement: velocity, rates and attitude.
+            controls: commands.
+            course: rad, through the air.
+            wind_ned: m/s, velocity of the air.
+            spin: let propeller and surfaces settle first.
         """
         self._command(controls)
         if spin:
@@ -178,16 +189,16 @@ class JsbsimModel:
         for wind, value in zip(self.winds, wind_ned, strict=True):
             wind.set_double_value(value / FOOT)
         if any(wind_ned):
-            # The initial condition knew no wind: evaluate again, in no time, until nothing that
-            # JSBSim's integrators remember is older.
+            # The initial condition had no wind: evaluate with the wind, without advancing time,
+            # until it fills the memory of JSBSim's integrators.
             self.fdm.suspend_integration()
-            for _ in range(_LONGEST_MEMORY):
+            for _ in range(_INTEGRATOR_STEPS):
                 self.fdm.run()
             self.fdm.resume_integration()
 
     def _settle(self) -> None:
         rpm, moments = -1.0, [math.inf] * 3
-        for _ in range(_SPIN_STEPS):
+        for _ in range(_MAX_SPIN_STEPS):
             self.fdm.run()
             rpm_before, rpm = rpm, self._rpm()
             settled = abs(rpm - rpm_before) < 1e-9 * rpm or rpm == rpm_before
@@ -202,29 +213,29 @@ class JsbsimModel:
         self.fdm.set_sim_time(0.0)
 
     def accelerations(self, placement: Placement, controls: Controls, *, spin: bool) -> Array:
-        """u̇, v̇, ẇ (m/s²), ṗ, q̇, ṙ (rad/s²) as placed; with `spin` the propeller settles first."""
+        """Return u̇, v̇, ẇ (m/s²), ṗ, q̇, ṙ (rad/s²) of a placement; see `place`."""
         self.place(placement, controls, spin=spin)
         values = np.array([get() for get in self._accelerations])
         values[:3] *= FOOT
         return values
 
     def inertia(self) -> Array:
-        """The tensor of inertia (3, 3) in body axes about the centre of gravity, kg m²."""
+        """Return the inertia tensor (3, 3) in body axes about the centre of gravity, kg m²."""
         xx, yy, zz, xy, xz, yz = (
             self.node(f"inertia/i{axes}-slugs_ft2").get_double_value() * _SLUG_FOOT2
             for axes in ("xx", "yy", "zz", "xy", "xz", "yz")
         )
-        # JSBSim names by ixz the element itself and by ixy and iyz its opposite.
+        # JSBSim's ixz is the element itself; its ixy and iyz are the negative elements.
         return np.array([[xx, -xy, xz], [-xy, yy, -yz], [xz, -yz, zz]])
 
     def propeller_acceleration(self) -> float:
-        """Change of the propeller's speed as placed, revolutions per s²."""
-        self.fdm.set_dt(_GLANCE)
+        """Return the rate of change of the propeller's speed, revolutions per s²."""
+        self.fdm.set_dt(_SHORT_STEP)
         before = self._rpm()
         self.fdm.run()
         after = self._rpm()
         self.fdm.set_dt(self._dt)
-        return float(after - before) / 60.0 / _GLANCE
+        return float(after - before) / 60.0 / _SHORT_STEP
 
     @property
     def propeller_rps(self) -> float:
@@ -252,7 +263,7 @@ class JsbsimModel:
 
 
 def find_traits(model: JsbsimModel) -> Traits:
-    """Put an aircraft in the air and see what moves it; `model` must assume rudder and lag."""
+    """Find traits by commands in flight; `model` must assume that it has a rudder and lag."""
     ahead = Placement((20.0, 0.0, 0.0), STILL, 0.0, 0.0, 0.0)
     neutral = Controls(0.0, 0.0, 0.0, 0.0)
     model.locate((0.0, 0.0, -1000.0), Origin())
@@ -262,6 +273,6 @@ def find_traits(model: JsbsimModel) -> Traits:
     pulled = Controls(0.1, 0.1, 0.0, 0.0)
     early, late = (model.accelerations(ahead, pulled, spin=False) for _ in range(2))
     return Traits(
-        has_rudder=bool(np.max(np.abs(yawed - before)) > _NOTHING),
-        has_lag=bool(np.max(np.abs(late - early)) > _NOTHING),
+        has_rudder=bool(np.max(np.abs(yawed - before)) > _NO_EFFECT),
+        has_lag=bool(np.max(np.abs(late - early)) > _NO_EFFECT),
     )

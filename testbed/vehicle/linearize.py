@@ -1,13 +1,12 @@
-"""Small motions about trim: ẋ = A x + B u by central differences of the flight model.
+"""Linearisation about trim, ẋ = A x + B u, by central differences of the flight model.
 
 The states are the body velocities u, w, v, the rates q, p, r, the pitch θ, the bank φ and the
-propeller's speed n; heading and position are left out, so the air is as dense everywhere as at
-the trim. The controls are held where the trim has them and the surfaces stand at their commands:
-a servo's lag is no state. Terms in α̇ are in A, because JSBSim evaluates them with the
-accelerations of the same instant.
+propeller's speed n. Heading and position are left out, so the air density is that at the trim. The
+controls are those of the trim, and the surfaces are at their commanded positions: servo lag is not
+a state. Terms in α̇ are in A, because JSBSim evaluates them with the accelerations of the same time.
 
-JSBSim has no door to the propeller's speed. It is moved by letting the propeller settle at a
-throttle a little off, and its acceleration is read from one step of 10 µs.
+The propeller's speed cannot be set in JSBSim. It is changed by letting the propeller settle at a
+slightly different throttle, and its acceleration is measured over one step of 10 µs.
 """
 
 from __future__ import annotations
@@ -17,11 +16,11 @@ from typing import Protocol
 
 import numpy as np
 
-from testbed.frames import euler_rates
-from testbed.state import Array
+from testbed.core.frames import euler_rates
+from testbed.core.records import Array
 from testbed.vehicle.trim import Controls, Placement, TrimModel, TrimResult, Vector
 
-# Longitudinal first. Heading is no state; its place in the Euler angles stays empty.
+# Longitudinal first; the heading is not a state.
 STATES = ("u", "w", "q", "theta", "n", "v", "p", "r", "phi")
 UNITS = ("m/s", "m/s", "rad/s", "rad", "rev/s", "m/s", "rad/s", "rad/s", "rad")
 CONTROLS = ("aileron", "elevator", "rudder", "throttle")
@@ -36,19 +35,19 @@ _STEPS = {
     "phi": 1e-4,
 }
 _CONTROL_STEP = 1e-3
-_THROTTLE_STEP = 0.01  # moves the propeller
+_THROTTLE_STEP = 0.01  # changes the propeller's speed
 
 
 class LinearModel(TrimModel, Protocol):
-    """A flight model that also says how its propeller's speed changes."""
+    """A flight model with the acceleration of its propeller."""
 
     def propeller_acceleration(self) -> float:
-        """Change of the propeller's speed as last placed, revolutions per s²."""
+        """Return the rate of change of the propeller's speed, revolutions per s²."""
 
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """ẋ = A x + B u about a trim; rows and columns as in STATES and CONTROLS."""
+    """ẋ = A x + B u about a trim; rows and columns in the order of STATES and CONTROLS."""
 
     trim: TrimResult
     a: Array  # (9, 9)
@@ -56,7 +55,7 @@ class Linear:
 
 
 def linearize(model: LinearModel, trim: TrimResult) -> Linear:
-    """Linearise a flight model about a steady flight, located where it was trimmed."""
+    """Linearise a flight model about a trim, at the position of the trim."""
     held, idle = trim.controls, trim.controls.throttle
     a, b = np.empty((9, 9)), np.empty((9, 4))
     for j, name in enumerate(STATES):
@@ -85,7 +84,7 @@ def _evaluate(
     controls: Controls,
     spin_throttle: float,
 ) -> tuple[float, Array]:
-    """The propeller's speed and ẋ (9,), after the propeller settled in trim at a throttle."""
+    """Return the propeller's speed and ẋ (9,), with the propeller settled at a throttle."""
     model.accelerations(trim.placement, replace(controls, throttle=spin_throttle), spin=True)
     speed = model.propeller_rps
     du, dv, dw, dp, dq, dr = model.accelerations(placement, controls, spin=False).tolist()
@@ -96,7 +95,7 @@ def _evaluate(
 
 
 def _moved(placement: Placement, name: str, change: float) -> Placement:
-    """A placement with one state changed."""
+    """Return a placement with one state changed."""
     if name == "theta":
         return replace(placement, pitch=placement.pitch + change)
     if name == "phi":
@@ -116,6 +115,6 @@ def _added(values: Vector, name: str, names: str, change: float) -> Vector:
 
 
 def _within(name: str, value: float, step: float) -> tuple[float, float]:
-    """Two values of a control around this one, inside its travel."""
+    """Return two values of a control around a value, within its travel."""
     least = -1.0 if name in ("aileron", "elevator", "rudder") else 0.0
     return max(value - step, least), min(value + step, 1.0)

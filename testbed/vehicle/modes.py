@@ -1,4 +1,4 @@
-"""The natural modes of an aircraft: eigenvalues with names.
+"""Natural modes of an aircraft: eigenvalues with names.
 
 A mode is named by the states that take part in it. The participation of state k in mode i,
 |W_ik V_ki| with the right eigenvectors in V and W = V⁻¹, summing to 1 over the states, does not
@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbed.state import Array
+from testbed.core.records import Array
 from testbed.vehicle.linearize import STATES
 
 _LONGITUDINAL = ("u", "w", "q", "theta", "n")
-_FIT = 0.4  # the least share of a mode's own states
+_FIT = 0.4  # smallest participation of the states that name a mode
 _REAL = 1e-9  # 1/s: an eigenvalue with a smaller imaginary part is real
 
 
@@ -24,7 +24,7 @@ _REAL = 1e-9  # 1/s: an eigenvalue with a smaller imaginary part is real
 class Mode:
     """A real eigenvalue, or a complex pair given by its upper member."""
 
-    name: str  # "unclassified" if the states that take part fit no known mode
+    name: str  # "unclassified" if the participation fits no known mode
     eigenvalue: complex  # 1/s
     participation: dict[str, float]  # by state, sums to 1
 
@@ -45,12 +45,12 @@ class Mode:
 
     @property
     def time_constant(self) -> float | None:
-        """−1 / Re λ, s, negative if the mode grows; none if it does neither."""
+        """−1 / Re λ, s, negative if the mode grows; None if it neither grows nor decays."""
         return -1.0 / self.eigenvalue.real if self.eigenvalue.real else None
 
     @property
     def period(self) -> float | None:
-        """Of a pair, s."""
+        """Period of a pair, s; None for a real mode."""
         return 2.0 * math.pi / self.eigenvalue.imag if self.oscillates else None
 
     @property
@@ -61,12 +61,12 @@ class Mode:
 
 
 def find_modes(a: Array) -> tuple[Mode, ...]:
-    """The modes of ẋ = A x with A (9, 9) over `linearize.STATES`, the fastest first.
+    """Find the modes of ẋ = A x with A (9, 9) over `linearize.STATES`, the fastest first.
 
-    Longitudinal pairs are the short period (in which w and q take part most) and the phugoid (u and
-    θ); lateral, a pair is the Dutch roll (v and r) and real modes are roll (p) and spiral (φ); the
-    real mode of n is the propeller's. A name is given once, to the mode it fits best; what is left
-    is unclassified.
+    Longitudinal pairs are the short period (largest participation of w and q) and the phugoid (u
+    and θ). The lateral pair is the Dutch roll (v and r), and real lateral modes are roll (p) and
+    spiral (φ); the real mode of n is the propeller's. Each name is used once, for the mode that it
+    fits best; the others are unclassified.
     """
     values, right = np.linalg.eig(a)
     share = np.abs(right * np.linalg.inv(right).T)
@@ -76,7 +76,7 @@ def find_modes(a: Array) -> tuple[Mode, ...]:
         if value.imag < -_REAL:
             continue
         eigenvalue = complex(value) if value.imag > _REAL else complex(value.real, 0.0)
-        # The two members of a pair take the same part.
+        # the two members of a pair have the same participation
         participation = dict(zip(STATES, column.tolist(), strict=True))
         fit, name = _best_name(participation, oscillates=eigenvalue.imag > 0.0)
         found.append((fit, name, eigenvalue, participation))
@@ -89,7 +89,7 @@ def find_modes(a: Array) -> tuple[Mode, ...]:
 
 
 def _best_name(part: dict[str, float], *, oscillates: bool) -> tuple[float, str]:
-    """How well a name fits, 0..1, and the name."""
+    """Return the fit of the best name, 0..1, and the name."""
     if sum(part[name] for name in _LONGITUDINAL) > 0.5:
         names = (
             {"short period": ("w", "q"), "phugoid": ("u", "theta")}

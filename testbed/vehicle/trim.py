@@ -1,12 +1,12 @@
 """Trim: the steady flight of an aircraft at a given airspeed, flight-path angle and bank.
 
 Steady means that all six accelerations of the body axes vanish while the aircraft turns at the
-coordinated rate g tan φ / (V cos γ). Six unknowns answer for them: angle of attack, sideslip,
-aileron, elevator, rudder and throttle; the propeller turns at the speed where its torque balances
-the motor's.
+coordinated rate g tan φ / (V cos γ). The six unknowns are angle of attack, sideslip, aileron,
+elevator, rudder and throttle; the propeller turns at the speed where its torque balances the
+motor's.
 
-An aircraft without a rudder gives up one wish instead. Asked to fly straight, it holds a small
-bank against the propeller's torque; asked for a bank, it turns at the rate that this bank gives.
+Without a rudder, one requirement is dropped. In straight flight the bank is free, which balances
+the propeller's torque; in a banked flight the turn rate is free.
 """
 
 from __future__ import annotations
@@ -19,29 +19,29 @@ from typing import Protocol
 
 import numpy as np
 
-from testbed.errors import InputError
-from testbed.frames import GRAVITY
-from testbed.state import Array
+from testbed.core.errors import InputError
+from testbed.core.frames import GRAVITY
+from testbed.core.records import Array
 
 Vector = tuple[float, float, float]
 STILL: Vector = (0.0, 0.0, 0.0)
 _STEP = np.array([1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])  # of the finite differences
-_LONGEST = np.array([0.08, 0.05, 0.3, 0.3, 0.3, 0.3])  # of one Newton step
+_MAX_STEP = np.array([0.08, 0.05, 0.3, 0.3, 0.3, 0.3])  # of one Newton iteration
 _LOW = np.array([-0.3, -0.3, -1.0, -1.0, -1.0, 0.0])
 _HIGH = np.array([0.5, 0.3, 1.0, 1.0, 1.0, 1.0])
 _ITERATIONS = 40
-_STEADY = 1e-4  # m/s² and rad/s²: what may be left
+_STEADY = 1e-4  # m/s² and rad/s², largest acceptable residual
 _FIRST_THROTTLES = (0.3, 0.6, 0.9)  # thrust may fall with throttle while the propeller brakes
-_GOOD = 1e-8  # m/s² and rad/s²: where Newton's steps no longer matter
+_CONVERGED = 1e-8  # m/s² and rad/s², residual at which the iteration ends
 
 
 class TrimError(InputError):
-    """There is no steady flight at the point asked for."""
+    """There is no steady flight at the requested point."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrimPoint:
-    """The flight asked for."""
+    """Requested steady flight."""
 
     airspeed: float  # true, m/s
     flight_path_angle: float = 0.0  # rad, climbing positive
@@ -52,7 +52,7 @@ class TrimPoint:
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """How an aircraft stands in the air, at a heading of zero."""
+    """Velocity, rates and attitude of an aircraft at a heading of zero."""
 
     velocity_body: Vector  # u, v, w through still air, m/s
     rates_body: Vector  # p, q, r, rad/s
@@ -63,7 +63,7 @@ class Placement:
 
 @dataclass(frozen=True, slots=True)
 class Controls:
-    """Commands in the sense of `state.Surfaces`."""
+    """Commands with the signs of `core.records.ActuatorCommand`."""
 
     aileron: float
     elevator: float
@@ -73,7 +73,7 @@ class Controls:
 
 @dataclass(frozen=True, slots=True)
 class TrimResult:
-    """Steady flight and what holds it."""
+    """Steady flight, and the controls that hold it."""
 
     point: TrimPoint
     alpha: float  # rad
@@ -82,18 +82,18 @@ class TrimResult:
     controls: Controls
     propeller_rps: float  # revolutions per second
     placement: Placement
-    has_rudder: bool  # if not, its command in the controls is zero and does nothing
-    residual: float  # largest of the accelerations left, m/s² and rad/s²
+    has_rudder: bool  # if not, the rudder command is zero and has no effect
+    residual: float  # largest remaining acceleration, m/s² and rad/s²
 
 
 class TrimModel(Protocol):
-    """A flight model that can be put anywhere and asked what it would do."""
+    """A flight model with accelerations in any placement."""
 
-    has_rudder: bool  # its command changes something
-    has_lag: bool  # its surfaces follow their commands later, unless it spins
+    has_rudder: bool  # the rudder command has an effect
+    has_lag: bool  # surfaces lag behind their commands, unless placed with `spin`
 
     def accelerations(self, placement: Placement, controls: Controls, *, spin: bool) -> Array:
-        """u̇, v̇, ẇ (m/s²), ṗ, q̇, ṙ (rad/s²); with `spin` propeller and surfaces settle first."""
+        """Return u̇, v̇, ẇ (m/s²), ṗ, q̇, ṙ (rad/s²); with `spin` propeller and surfaces settle."""
 
     @property
     def propeller_rps(self) -> float:
@@ -108,17 +108,17 @@ def place(
     bank: float | None = None,
     turn_rate: float | None = None,
 ) -> Placement:
-    """Attitude, velocity and rates of a steady turn; level flight is the turn of rate zero.
+    """Compute attitude, velocity and rates of a steady turn, at rate zero of level flight.
 
     The pitch attitude follows from γ by solving sin γ = a sin θ − b cos θ, where a and b are the
     components of the direction of flight along and across the wings' plane.
 
     Args:
-        point: the flight asked for.
+        point: requested flight.
         alpha: angle of attack, rad.
         beta: sideslip, rad.
-        bank: rad, if not the point's.
-        turn_rate: rad/s, if not the coordinated one of the point's bank.
+        bank: rad; default that of the point.
+        turn_rate: rad/s; default the coordinated one of the point's bank.
     """
     v, gamma = point.airspeed, point.flight_path_angle
     phi = point.bank if bank is None else bank
@@ -145,13 +145,13 @@ def place(
 
 
 def coordinated_turn(point: TrimPoint) -> float:
-    """Rate of the turn without side force, g tan φ / (V cos γ), rad/s."""
+    """Return the rate of a turn without side force, g tan φ / (V cos γ), rad/s."""
     v, gamma, phi = point.airspeed, point.flight_path_angle, point.bank
     return GRAVITY * math.tan(phi) / (v * math.cos(gamma))
 
 
 def course_through_air(airspeed: float, course: float, wind_ned: Vector) -> float:
-    """Course through the air (rad) that the wind bends to this course over the ground.
+    """Return the course through the air (rad) that gives a course over the ground.
 
     Args:
         airspeed: horizontal, m/s.
@@ -159,22 +159,22 @@ def course_through_air(airspeed: float, course: float, wind_ned: Vector) -> floa
         wind_ned: velocity of the air, m/s.
 
     Raises:
-        TrimError: if the wind is too strong to make way along the course.
+        TrimError: the wind is too strong to fly along the course.
     """
     north, east, _ = wind_ned
     across = east * math.cos(course) - north * math.sin(course)
     along = north * math.cos(course) + east * math.sin(course)
     if abs(across) >= airspeed or along + math.sqrt(airspeed**2 - across**2) <= 0.0:
         raise TrimError(
-            f"wind of {math.hypot(north, east):g} m/s: at {airspeed:g} m/s through the air there "
-            f"is no way along a course of {math.degrees(course):g}° over the ground"
+            f"wind of {math.hypot(north, east):g} m/s: at an airspeed of {airspeed:g} m/s the "
+            f"aircraft cannot fly a course of {math.degrees(course):g}° over the ground"
         )
     return course - math.asin(across / airspeed)
 
 
 @contextmanager
-def said_of(name: str) -> Iterator[None]:
-    """Name the aircraft in a `TrimError` from within."""
+def error_prefix(name: str) -> Iterator[None]:
+    """Begin each `TrimError` of the block with the name of an aircraft."""
     try:
         yield
     except TrimError as error:
@@ -185,7 +185,7 @@ def trim(model: TrimModel, point: TrimPoint) -> TrimResult:
     """Find steady flight by Newton's method with limited steps.
 
     Raises:
-        TrimError: if the controls saturate or the accelerations cannot be made to vanish.
+        TrimError: the controls saturate, or the accelerations do not vanish.
     """
     if not point.airspeed > 0.0 or abs(point.bank) > 1.4 or abs(point.flight_path_angle) > 1.4:
         raise TrimError(f"{_words(point)}: airspeed must be positive, angles below 80°")
@@ -198,8 +198,8 @@ def trim(model: TrimModel, point: TrimPoint) -> TrimResult:
             break
     if best > _STEADY:
         raise TrimError(
-            f"{_words(point)}: no steady flight; accelerations of {best:.2g} m/s² or rad/s² are "
-            f"left at throttle {best_x[5]:.2f}, elevator {best_x[3]:+.2f}"
+            f"{_words(point)}: no steady flight; accelerations of {best:.2g} m/s² or rad/s² "
+            f"remain at throttle {best_x[5]:.2f}, elevator {best_x[3]:+.2f}"
         )
     residual = float(np.max(np.abs(_residual(model, point, best_x, spin=True))))
     placement, controls, turn_rate = _flight(model, point, best_x)
@@ -217,7 +217,7 @@ def trim(model: TrimModel, point: TrimPoint) -> TrimResult:
 
 
 def _newton(model: TrimModel, point: TrimPoint, throttle: float) -> tuple[Array, float]:
-    """The best unknowns met from a first throttle, and the largest acceleration they leave."""
+    """Iterate from a first throttle; return the best unknowns and their largest acceleration."""
     x = np.array([0.0, 0.0, 0.0, 0.0, 0.0, throttle])
     f = _residual(model, point, x, spin=True)
     best_x, best = x, np.inf
@@ -225,7 +225,7 @@ def _newton(model: TrimModel, point: TrimPoint, throttle: float) -> tuple[Array,
         size = float(np.max(np.abs(f)))
         if size < best:
             best_x, best = x, size
-        if size < _GOOD:
+        if size < _CONVERGED:
             break
         jacobian = np.empty((6, 6))
         for j in range(6):
@@ -235,9 +235,9 @@ def _newton(model: TrimModel, point: TrimPoint, throttle: float) -> tuple[Array,
             spin = j == 5 or (model.has_lag and j >= 2)
             jacobian[:, j] = (_residual(model, point, moved, spin=spin) - f) / step
         if not np.isfinite(jacobian).all():
-            break  # numbers beyond all models, of which no step leads back
+            break  # outside the range of the model
         newton = np.linalg.lstsq(jacobian, -f, rcond=None)[0]
-        newton *= min(1.0, float(np.min(_LONGEST / np.maximum(np.abs(newton), 1e-12))))
+        newton *= min(1.0, float(np.min(_MAX_STEP / np.maximum(np.abs(newton), 1e-12))))
         x = np.minimum(_HIGH, np.maximum(_LOW, x + newton))
         f = _residual(model, point, x, spin=True)
     return best_x, best
@@ -249,7 +249,7 @@ def _residual(model: TrimModel, point: TrimPoint, x: Array, *, spin: bool) -> Ar
 
 
 def _flight(model: TrimModel, point: TrimPoint, x: Array) -> tuple[Placement, Controls, float]:
-    """Placement, controls and turn rate of the unknowns; the fifth is what answers for yaw."""
+    """Return placement, controls and turn rate of the unknowns; the fifth balances yaw."""
     alpha, beta, aileron, elevator, fifth, throttle = (float(value) for value in x)
     turn = coordinated_turn(point)
     if model.has_rudder:

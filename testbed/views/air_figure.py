@@ -1,4 +1,4 @@
-"""The figure of `testbed air`: what probes felt, beside what the model promises."""
+"""The figure of `testbed air`: wind at probes beside the closed form of the model."""
 
 from __future__ import annotations
 
@@ -7,22 +7,21 @@ from pathlib import Path
 
 import numpy as np
 
-from testbed.state import Array, Truths
-from testbed.views.panels import BLACK, BLUE, GREEN, GREY, ORANGE, Band, Line, Panel, Sheet
+from testbed.core.records import Array, BoolArray
+from testbed.views.panels import BLACK, BLUE, GREEN, GREY, ORANGE, Band, Line, Panel, PanelGrid
 
-ENDINGS = (".png", ".pdf", ".svg")
-SHOWN_S = 60.0  # of the records: more would be a smear
+SHOWN_S = 60.0  # of the records: more would be unreadable
 COMPONENTS = (
     ("longitudinal u", "u"),
     ("lateral v, right", "v"),
     ("vertical w, down", "w"),
 )
-PROBES = (BLUE, ORANGE)
+PROBE_COLOURS = (BLUE, ORANGE)
 
 
 @dataclass(frozen=True, slots=True)
-class AirPicture:
-    """What is drawn, with P probes, T samples and B bands of frequency."""
+class WindFigureData:
+    """Wind at P probes: T samples, and spectra in B frequency bands."""
 
     title: str
     subtitle: str
@@ -31,77 +30,77 @@ class AirPicture:
     velocity: Array  # (P, T, 3) m/s about the mean wind: longitudinal, right, down
     frequency_hz: Array  # (B,)
     psd: Array  # (P, 3, B) (m/s)²/Hz
-    psd_expected: tuple[Array, Array, Array] | None  # (3, B): closed form, ends of its 95 % band
-    separation: float | None  # m between two probes
+    psd_expected: tuple[Array, Array, Array] | None  # (3, B): closed form, limits of its 95 % band
+    separation: float | None  # m between two probes; None: one probe
     coherence: Array  # (3, B)
     coherence_expected: tuple[Array, Array, Array] | None  # (3, B), as above
 
 
-def sheet_of(picture: AirPicture) -> Sheet:
-    """The panels: a row for each component; records, spectra and, of two probes, coherence."""
-    two = picture.separation is not None
+def wind_figure(data: WindFigureData) -> PanelGrid:
+    """Lay out a row for each component: record, spectrum and, with two probes, coherence."""
+    two = data.separation is not None
     rows = [
-        [_record(picture, k), _spectrum(picture, k), *([_coherence(picture, k)] if two else [])]
+        [_record(data, k), _spectrum(data, k), *([_coherence(data, k)] if two else [])]
         for k in range(3)
     ]
-    return Sheet(picture.title, picture.subtitle, rows, (1.25, 1.0, 1.0) if two else (1.4, 1.0))
+    return PanelGrid(data.title, data.subtitle, rows, (1.25, 1.0, 1.0) if two else (1.4, 1.0))
 
 
-def draw_air(picture: AirPicture, path: Path) -> None:
+def save_wind_figure(data: WindFigureData, path: Path) -> None:
     """Write the figure.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: The file cannot be written.
     """
-    from testbed.views.figure_door import draw
+    from testbed.views.matplotlib_backend import save_figure
 
-    draw(sheet_of(picture), path)
+    save_figure(wind_figure(data), path)
 
 
-def _record(picture: AirPicture, k: int) -> Panel:
-    shown = _window(picture)
-    largest = 1.05 * float(np.abs(picture.velocity[:, shown]).max()) or 1.0
+def _record(data: WindFigureData, k: int) -> Panel:
+    shown = _window(data)
+    largest = 1.05 * float(np.abs(data.velocity[:, shown]).max()) or 1.0
     lines = [
-        Line(picture.time[shown], picture.velocity[probe, shown, k], colour, name)
-        for probe, (name, colour) in enumerate(zip(picture.names, PROBES, strict=False))
+        Line(data.time[shown], data.velocity[probe, shown, k], colour, name)
+        for probe, (name, colour) in enumerate(zip(data.names, PROBE_COLOURS, strict=False))
     ]
     return Panel(
         COMPONENTS[k][0],
         "time, s" if k == 2 else "",
         "m/s",
         lines,
-        x_limits=(float(picture.time[shown][0]), float(picture.time[shown][-1])),
+        x_limits=(float(data.time[shown][0]), float(data.time[shown][-1])),
         y_limits=(-largest, largest),
     )
 
 
-def _window(picture: AirPicture) -> Truths:
-    """A minute (T,) of the records: the first; without turbulence that round the largest gust."""
-    if picture.psd_expected is not None:
-        return picture.time <= SHOWN_S
-    largest = np.abs(picture.velocity).max(axis=(0, 2)).argmax()
-    begin = min(picture.time[largest] - 0.5 * SHOWN_S, picture.time[-1] - SHOWN_S)
+def _window(data: WindFigureData) -> BoolArray:
+    """Select a minute (T,) of the records: the first, or without turbulence the largest gust's."""
+    if data.psd_expected is not None:
+        return data.time <= SHOWN_S
+    largest = np.abs(data.velocity).max(axis=(0, 2)).argmax()
+    begin = min(data.time[largest] - 0.5 * SHOWN_S, data.time[-1] - SHOWN_S)
     begin = max(float(begin), 0.0)
-    shown: Truths = (picture.time >= begin) & (picture.time <= begin + SHOWN_S)
+    shown: BoolArray = (data.time >= begin) & (data.time <= begin + SHOWN_S)
     return shown
 
 
-def _spectrum(picture: AirPicture, k: int) -> Panel:
+def _spectrum(data: WindFigureData, k: int) -> Panel:
     symbol = COMPONENTS[k][1]
-    moving = np.where(picture.psd > 0.0, picture.psd, np.nan)
+    moving = np.where(data.psd > 0.0, data.psd, np.nan)
     lines = [
-        Line(picture.frequency_hz, moving[probe, k], colour, width=1.3)
-        for probe, colour in zip(range(len(picture.names)), PROBES, strict=False)
+        Line(data.frequency_hz, moving[probe, k], colour, width=1.3)
+        for probe, colour in zip(range(len(data.names)), PROBE_COLOURS, strict=False)
     ]
     bands, limits = [], None
-    if np.isfinite(moving[:, k]).any():  # below is the rounding of a record that hardly varies
+    if np.isfinite(moving[:, k]).any():  # below are rounding errors
         peak = float(np.nanmax(moving[:, k]))
         limits = (1e-8 * peak, 3.0 * peak)
-    if picture.psd_expected is not None and picture.psd_expected[0][k].all():
-        closed, low, high = (each[k] for each in picture.psd_expected)
-        limits = (0.1 * float(low.min()), 3.0 * float(high.max()))  # what is cut off falls far
-        lines.append(Line(picture.frequency_hz, closed, BLACK, "closed form", 1.2))
-        bands.append(Band(picture.frequency_hz, low, high, GREY, "95 % of estimates"))
+    if data.psd_expected is not None and data.psd_expected[0][k].all():
+        closed, low, high = (each[k] for each in data.psd_expected)
+        limits = (0.1 * float(low.min()), 3.0 * float(high.max()))  # spectra fall far below
+        lines.append(Line(data.frequency_hz, closed, BLACK, "closed form", 1.2))
+        bands.append(Band(data.frequency_hz, low, high, GREY, "95 % of estimates"))
     return Panel(
         f"spectrum of {symbol}",
         "frequency, Hz" if k == 2 else "",
@@ -115,17 +114,15 @@ def _spectrum(picture: AirPicture, k: int) -> Panel:
     )
 
 
-def _coherence(picture: AirPicture, k: int) -> Panel:
-    lines = [
-        Line(picture.frequency_hz, picture.coherence[k], GREEN, "between the probes", dots=True)
-    ]
+def _coherence(data: WindFigureData, k: int) -> Panel:
+    lines = [Line(data.frequency_hz, data.coherence[k], GREEN, "between the probes", dots=True)]
     bands = []
-    if picture.coherence_expected is not None:
-        closed, low, high = (each[k] for each in picture.coherence_expected)
-        lines.append(Line(picture.frequency_hz, closed, BLACK, "closed form", 1.2))
-        bands.append(Band(picture.frequency_hz, low, high, GREY, "95 % of estimates"))
+    if data.coherence_expected is not None:
+        closed, low, high = (each[k] for each in data.coherence_expected)
+        lines.append(Line(data.frequency_hz, closed, BLACK, "closed form", 1.2))
+        bands.append(Band(data.frequency_hz, low, high, GREY, "95 % of estimates"))
     return Panel(
-        f"coherence of {COMPONENTS[k][1]}, {picture.separation:g} m apart",
+        f"coherence of {COMPONENTS[k][1]}, {data.separation:g} m apart",
         "frequency, Hz" if k == 2 else "",
         "coherence, real part",
         lines,

@@ -1,7 +1,7 @@
-"""What each airframe looks like, drawn in code: no asset files.
+"""Draw each airframe as meshes made in code: no asset files.
 
-Body axes, metres, the centre of gravity at the origin. An airframe is found by its name; one that
-has no drawing of its own gets a plain aeroplane of the right wingspan.
+Body axes, metres, the centre of gravity at the origin. Airframes are found by name; one without a
+drawing is drawn as a generic aeroplane of its wingspan.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbed.state import Array
+from testbed.core.records import Array
 from testbed.views.meshes import (
     DARK,
     LIGHT,
     MAIN,
     Mesh,
-    body_of_revolution,
-    cut,
+    cut_control_surface,
     disc,
+    fuselage,
     join,
-    mirrored,
+    mirror,
     rod,
     surface,
     wheel,
@@ -29,65 +29,69 @@ from testbed.views.meshes import (
 )
 
 AILERON, ELEVATOR, RUDDER = np.eye(3)
-RASCAL_TRAVEL = np.radians(20.0)  # by eye: its flight model knows powers, no angles
+RASCAL_TRAVEL = np.radians(20.0)  # by eye: its flight model has no deflection angles
 ELEVON_TRAVEL = np.radians(35.0)  # as in the X8's SOURCE.md
 
 
 @dataclass(frozen=True, slots=True)
-class Flap:
-    """A control surface that turns about its hinge."""
+class ControlSurface:
+    """A control surface and its hinge."""
 
     name: str
-    mesh: Mesh  # about the hinge's inner end
-    hinge: Array  # (3,) m, that end
+    mesh: Mesh  # relative to the hinge's inner end
+    hinge: Array  # (3,) m, the hinge's inner end
     axis: Array  # (3,) unit: a positive angle moves the trailing edge down, or to the right
-    mix: Array  # (3,) of aileron, elevator and rudder, -1..1, to the share of its travel
-    travel: float  # rad, at the most
+    mix: Array  # (3,) of aileron, elevator and rudder, -1..1, to the fraction of its travel
+    travel: float  # rad, at most
 
-    def turn(self, deflection: Array) -> Array:
-        """Its quaternion (m, 4) xyzw at deflections (m, 3) of aileron, elevator and rudder."""
+    def quaternion(self, deflection: Array) -> Array:
+        """Rotate by deflections (m, 3) of aileron, elevator and rudder; (m, 4) x, y, z, w."""
         half = 0.5 * self.travel * np.clip(deflection @ self.mix, -1.0, 1.0)[:, None]
         return np.concatenate([np.sin(half) * self.axis, np.cos(half)], axis=-1)
 
 
 @dataclass(frozen=True, slots=True)
-class Airframe:
-    """What is drawn of one aircraft."""
+class AirframeDrawing:
+    """The meshes of one aircraft."""
 
     body: Mesh
-    disc: Mesh | None  # the turning propeller, drawn translucent
-    flaps: tuple[Flap, ...] = ()
+    disc: Mesh | None  # of the propeller, drawn translucent
+    control_surfaces: tuple[ControlSurface, ...] = ()
 
 
-def flap(name: str, moving: Array, mix: Array, travel: float, axis: int = 1) -> Flap:
-    """A control surface of sections (k, 4) that turns about the line of its leading edges.
+def control_surface(
+    name: str, moving: Array, mix: Array, travel: float, axis: int = 1
+) -> ControlSurface:
+    """Make a control surface of sections (k, 4), hinged at its leading edges.
 
     Args:
         name: of the entity.
-        moving: from the inner end to the outer.
-        mix: see `Flap`.
-        travel: see `Flap`.
-        axis: of the body, along which the hinge's axis points: 1 right, or 2 up for a fin.
+        moving: sections from the inner end to the outer.
+        mix: see `ControlSurface`.
+        travel: see `ControlSurface`.
+        axis: body axis of the hinge: 1 right, or 2 up for a fin.
     """
     hinge = moving[0, :3]
     along = moving[-1, :3] - hinge
     along = along / np.linalg.norm(along)
     forward = along[1] > 0.0 if axis == 1 else along[2] < 0.0
-    # Thicker for its own chord, as the rear of the surface it was cut from.
+    # thicker relative to its own chord, as it is the rear of a larger surface
     mesh = surface(moving - [*hinge, 0.0], LIGHT, 0.2)
-    return Flap(name, mesh, hinge, along if forward else -along, mix, travel)
+    return ControlSurface(name, mesh, hinge, along if forward else -along, mix, travel)
 
 
-def pair(name: str, moving: Array, right: Array, left: Array, travel: float) -> tuple[Flap, Flap]:
-    """A control surface on the right (sections (k, 4)) and its mirror image, with their mixes."""
+def control_surface_pair(
+    name: str, moving: Array, right: Array, left: Array, travel: float
+) -> tuple[ControlSurface, ControlSurface]:
+    """Make a right control surface of sections (k, 4) and its mirror image, with their mixes."""
     return (
-        flap(f"right_{name}", moving, right, travel),
-        flap(f"left_{name}", mirrored(moving), left, travel),
+        control_surface(f"right_{name}", moving, right, travel),
+        control_surface(f"left_{name}", mirror(moving), left, travel),
     )
 
 
-def rascal110(wingspan_m: float) -> Airframe:
-    """The Sig Rascal 110: a high elliptic-tipped wing, cabin, tail dragger's wheels.
+def rascal110(wingspan_m: float) -> AirframeDrawing:
+    """Draw the Sig Rascal 110: a high wing with elliptic tips, a cabin, tail-dragger gear.
 
     Proportions from the public three-view: 110 in of span on 76 in of length, 18 in propeller.
     """
@@ -118,10 +122,10 @@ def rascal110(wingspan_m: float) -> Airframe:
             [-1.045, 0.0, -0.345, 0.110],
         ]
     )
-    fixed_wing, aileron = cut(half_wing, 0.50, 0.92, 0.24)
-    fixed_tail, elevator = cut(half_tail, 0.06, 0.96, 0.42)
-    fixed_fin, rudder = cut(fin, 0.05, 0.97, 0.45)
-    fuselage = np.array(
+    fixed_wing, aileron = cut_control_surface(half_wing, 0.50, 0.92, 0.24)
+    fixed_tail, elevator = cut_control_surface(half_tail, 0.06, 0.96, 0.42)
+    fixed_fin, rudder = cut_control_surface(fin, 0.05, 0.97, 0.45)
+    hull = np.array(
         [
             [0.725, 0.045, 0.045, 0.030, 2.0],
             [0.700, 0.075, 0.080, 0.030, 2.3],
@@ -151,7 +155,7 @@ def rascal110(wingspan_m: float) -> Airframe:
         ]
     ) * [b, b, b, b, 1.0]
     band = half_wing[1:3] * [1, 1, 1, 0.76] + b * np.array([0.003, 0.0, 0.0, 0.002])
-    stripe = [surface(each, LIGHT, 0.125) for each in (band, mirrored(band))]
+    stripe = [surface(each, LIGHT, 0.125) for each in (band, mirror(band))]
     legs = [
         part
         for side in (1.0, -1.0)
@@ -166,9 +170,9 @@ def rascal110(wingspan_m: float) -> Airframe:
     ]
     tail_wheel = wheel((-1.06 * b, 0.0, 0.075 * b), 0.025 * b, 0.018 * b)
     body = join(
-        body_of_revolution(fuselage, LIGHT),
-        body_of_revolution(windscreen, DARK),
-        body_of_revolution(spinner, DARK),
+        fuselage(hull, LIGHT),
+        fuselage(windscreen, DARK),
+        fuselage(spinner, DARK),
         wing(fixed_wing, MAIN),
         wing(fixed_tail, MAIN),
         surface(fixed_fin, MAIN),
@@ -176,21 +180,21 @@ def rascal110(wingspan_m: float) -> Airframe:
         *legs,
         tail_wheel,
     )
-    return Airframe(
+    return AirframeDrawing(
         body,
         disc((0.74 * b, 0.0, 0.03 * b), 0.229 * b),
         (
-            *pair("aileron", aileron, -AILERON, AILERON, RASCAL_TRAVEL),
-            *pair("elevator", elevator, -ELEVATOR, -ELEVATOR, RASCAL_TRAVEL),
-            flap("rudder", rudder, RUDDER, RASCAL_TRAVEL, axis=2),
+            *control_surface_pair("aileron", aileron, -AILERON, AILERON, RASCAL_TRAVEL),
+            *control_surface_pair("elevator", elevator, -ELEVATOR, -ELEVATOR, RASCAL_TRAVEL),
+            control_surface("rudder", rudder, RUDDER, RASCAL_TRAVEL, axis=2),
         ),
     )
 
 
-def skywalker_x8(wingspan_m: float) -> Airframe:
-    """The Skywalker X8: a swept flying wing blended into a pod, winglets, a pusher propeller.
+def skywalker_x8(wingspan_m: float) -> AirframeDrawing:
+    """Draw the Skywalker X8: a swept flying wing with a pod, winglets and a pusher propeller.
 
-    Span, wing area and propeller (2.1 m, 0.75 m², 14 in) as in its SOURCE.md; the rest by eye.
+    Span, wing area and propeller (2.1 m, 0.75 m², 14 in) are from its SOURCE.md, the rest by eye.
     """
     b = wingspan_m / 2.1
     half_wing = b * np.array(
@@ -202,7 +206,7 @@ def skywalker_x8(wingspan_m: float) -> Airframe:
             [-0.340, 1.05, -0.042, 0.175],
         ]
     )
-    fixed_wing, elevon = cut(half_wing, 0.32, 0.93, 0.28)
+    fixed_wing, elevon = cut_control_surface(half_wing, 0.32, 0.93, 0.28)
     winglet = b * np.array([[-0.345, 1.035, 0.00, 0.175], [-0.455, 1.035, -0.21, 0.095]])
     pod = np.array(
         [
@@ -231,27 +235,29 @@ def skywalker_x8(wingspan_m: float) -> Airframe:
         ]
     ) * [b, b, b, b, 1.0]
     body = join(
-        body_of_revolution(pod, LIGHT),
-        body_of_revolution(hatch, DARK),
-        body_of_revolution(spinner, DARK),
+        fuselage(pod, LIGHT),
+        fuselage(hatch, DARK),
+        fuselage(spinner, DARK),
         wing(fixed_wing, MAIN),
         surface(winglet, LIGHT),
-        surface(mirrored(winglet), LIGHT),
+        surface(mirror(winglet), LIGHT),
     )
-    return Airframe(
+    return AirframeDrawing(
         body,
         disc((-0.30 * b, 0.0, -0.025 * b), 0.178 * b),
-        pair("elevon", elevon, -ELEVATOR - AILERON, -ELEVATOR + AILERON, ELEVON_TRAVEL),
+        control_surface_pair(
+            "elevon", elevon, -ELEVATOR - AILERON, -ELEVATOR + AILERON, ELEVON_TRAVEL
+        ),
     )
 
 
-def plain(wingspan_m: float) -> Airframe:
-    """A plain aeroplane with a mid wing, for an airframe nobody has drawn."""
+def generic_aeroplane(wingspan_m: float) -> AirframeDrawing:
+    """Draw an aeroplane with a mid wing, for airframes without a drawing of their own."""
     b = wingspan_m
     half_wing = b * np.array([[0.06, 0.0, 0.0, 0.15], [0.03, 0.5, -0.02, 0.09]])
     half_tail = b * np.array([[-0.34, 0.0, 0.0, 0.10], [-0.36, 0.17, 0.0, 0.07]])
     fin = b * np.array([[-0.32, 0.0, -0.01, 0.12], [-0.38, 0.0, -0.14, 0.06]])
-    fuselage = np.array(
+    hull = np.array(
         [
             [0.27, 0.005, 0.005, 0.0, 2.0],
             [0.22, 0.030, 0.030, 0.0, 2.0],
@@ -261,20 +267,20 @@ def plain(wingspan_m: float) -> Airframe:
         ]
     ) * [b, b, b, b, 1.0]
     body = join(
-        body_of_revolution(fuselage, LIGHT),
+        fuselage(hull, LIGHT),
         wing(half_wing, MAIN),
         wing(half_tail, MAIN),
         surface(fin, MAIN),
     )
-    return Airframe(body, None)
+    return AirframeDrawing(body, None)
 
 
-DRAWINGS: dict[str, Callable[[float], Airframe]] = {
+DRAWINGS: dict[str, Callable[[float], AirframeDrawing]] = {
     "rascal110": rascal110,
     "skywalker_x8": skywalker_x8,
 }
 
 
-def airframe(name: str, wingspan_m: float) -> Airframe:
-    """The drawing of an airframe at its wingspan; a plain aeroplane if it has none."""
-    return DRAWINGS.get(name, plain)(wingspan_m)
+def draw_airframe(name: str, wingspan_m: float) -> AirframeDrawing:
+    """Draw an airframe at its wingspan; a generic aeroplane if the name is unknown."""
+    return DRAWINGS.get(name, generic_aeroplane)(wingspan_m)

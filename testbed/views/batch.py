@@ -1,6 +1,6 @@
-"""What of a run moves in its view: frames as columns of plain numbers.
+"""The moving part of a view: consecutive samples as columns of plain numbers.
 
-They travel to another process when the view is live.
+Batches are pickled for another process when the view is live.
 """
 
 from __future__ import annotations
@@ -12,23 +12,22 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.record.times import shared_frames
-from testbed.state import (
+from testbed.core.records import (
+    ActuatorCommand,
     AirData,
     Array,
+    BoolArray,
     Event,
     FbwaCommand,
     FormationState,
-    Frame,
-    LinkCounts,
-    Surfaces,
-    Truths,
+    LinkCounters,
+    Sample,
     VehicleState,
 )
 
 
 class Source(Protocol):
-    """A frame, or the frames of a log stacked: their arrays then have K frames in front."""
+    """A sample, or a log, whose arrays have K samples on the leading axis."""
 
     @property
     def time_s(self) -> Any: ...  # noqa: ANN401, D102 - a number, or (K,)
@@ -41,24 +40,24 @@ class Source(Protocol):
     @property
     def command(self) -> FbwaCommand: ...  # noqa: D102
     @property
-    def surfaces(self) -> Surfaces: ...  # noqa: D102
+    def surfaces(self) -> ActuatorCommand: ...  # noqa: D102
     @property
     def formation(self) -> FormationState: ...  # noqa: D102
     @property
-    def links(self) -> LinkCounts: ...  # noqa: D102
+    def links(self) -> LinkCounters: ...  # noqa: D102
     @property
-    def lost(self) -> Truths: ...  # noqa: D102
+    def lost(self) -> BoolArray: ...  # noqa: D102
 
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Consecutive frames as columns; m of them, of N aircraft and n followers."""
+    """Columns of m consecutive samples of N aircraft and n followers."""
 
     time: Array  # (m,) s
     position: Array  # (m, N, 3) m NED
     velocity: Array  # (m, N, 3) m/s NED
     euler: Array  # (m, N, 3) rad
-    believed: Array  # (m, N, 3) m NED, where its own estimate says it is
+    estimated_position: Array  # (m, N, 3) m NED
     wind: Array  # (m, N, 3) m/s NED
     aileron: Array  # (m, N) -1..1
     elevator: Array  # (m, N) -1..1
@@ -69,28 +68,28 @@ class Batch:
     error: Array  # (m, n, 3) m NED
     speed_desired: Array  # (m, n) m/s
     course_desired: Array  # (m, n) rad
-    climb_desired: Array  # (m, n) rad, flight-path angle
-    age: Array  # (m, n, N) s, of what a follower used of each aircraft; nan: of none
+    flight_path_angle_desired: Array  # (m, n) rad
+    age: Array  # (m, n, N) s, of the data that a follower used of each aircraft; NaN: unused
     sent: Array  # (m, n, N) messages since the start
-    delivered: Array  # (m, n, N) of these, those that arrive
+    delivered: Array  # (m, n, N) of these, the ones that arrive
     events: tuple[Event, ...] = ()
 
     def __len__(self) -> int:
-        """The number of frames."""
+        """Count the samples."""
         return len(self.time)
 
     def rows(self, chosen: slice | NDArray[np.intp]) -> Batch:
-        """Some of its frames, without the events."""
-        return _of({name: getattr(self, name)[chosen] for name in COLUMNS})
+        """Select samples, without the events."""
+        return _batch({name: getattr(self, name)[chosen] for name in COLUMNS})
 
 
-# Where each column comes from, for one frame and for stacked ones alike.
+# The source of each column, in a sample and in a log alike.
 COLUMNS: Mapping[str, Callable[[Source], Any]] = {
     "time": lambda source: source.time_s,
     "position": lambda source: source.truth.position_ned,
     "velocity": lambda source: source.truth.velocity_ned,
     "euler": lambda source: source.truth.euler,
-    "believed": lambda source: source.estimate.position_ned,
+    "estimated_position": lambda source: source.estimate.position_ned,
     "wind": lambda source: source.air.wind_ned,
     "aileron": lambda source: source.surfaces.aileron,
     "elevator": lambda source: source.surfaces.elevator,
@@ -101,105 +100,103 @@ COLUMNS: Mapping[str, Callable[[Source], Any]] = {
     "error": lambda source: source.formation.error_ned,
     "speed_desired": lambda source: source.formation.speed_desired,
     "course_desired": lambda source: source.formation.course_desired,
-    "climb_desired": lambda source: source.formation.flight_path_angle_desired,
+    "flight_path_angle_desired": lambda source: source.formation.flight_path_angle_desired,
     "age": lambda source: source.formation.age_s,
     "sent": lambda source: source.links.sent,
     "delivered": lambda source: source.links.delivered,
 }
 assert tuple(COLUMNS) == tuple(each.name for each in fields(Batch) if each.name != "events")
-TABLES = {"age": np.nan, "sent": 0.0, "delivered": 0.0}  # of links, and where there is none
+LINK_COLUMNS = {"age": np.nan, "sent": 0.0, "delivered": 0.0}  # with the values of absent links
 
 
 class Collector:
-    """Copies frames into columns.
-
-    A frame is copied at once and not kept: it may be changed after the observer returns.
-    """
+    """Copy samples into columns; a sample may change after it was added."""
 
     def __init__(self, capacity: int) -> None:
-        """Make room for `capacity` frames when the first tells how large they are."""
+        """Allocate for `capacity` samples when the first one shows its shapes."""
         self._columns: tuple[Array, ...] = tuple(np.empty(0) for _ in COLUMNS)
         self._events: list[Event] = []
         self._capacity = capacity
-        self._filled = 0
+        self._size = 0
 
     @property
     def full(self) -> bool:
-        """Whether there is no room for another frame."""
-        return self._filled == self._capacity
+        """Whether the capacity is used up."""
+        return self._size == self._capacity
 
-    def add(self, frame: Frame) -> None:
-        """Copy one frame."""
+    def add(self, sample: Sample) -> None:
+        """Copy one sample."""
         if not self._columns[0].size:
-            shapes = (np.shape(take(frame)) for take in COLUMNS.values())
+            shapes = (np.shape(get(sample)) for get in COLUMNS.values())
             self._columns = tuple(np.empty((self._capacity, *shape)) for shape in shapes)
-        for column, take in zip(self._columns, COLUMNS.values(), strict=True):
-            column[self._filled] = take(frame)
-        if frame.events:
-            self._events.extend(frame.events)
-        self._filled += 1
+        for column, get in zip(self._columns, COLUMNS.values(), strict=True):
+            column[self._size] = get(sample)
+        if sample.events:
+            self._events.extend(sample.events)
+        self._size += 1
 
     def add_events(self, events: Sequence[Event]) -> None:
-        """Add what happened after the last frame."""
+        """Add events without a sample."""
         self._events.extend(events)
 
     def take(self) -> Batch:
-        """What was collected, and start again."""
-        filled = (each[: self._filled].copy() for each in self._columns)
-        batch = _of(dict(zip(COLUMNS, filled, strict=True)), self._events)
-        self._filled, self._events = 0, []
+        """Return the collected samples and start again."""
+        columns = (each[: self._size].copy() for each in self._columns)
+        batch = _batch(dict(zip(COLUMNS, columns, strict=True)), self._events)
+        self._size, self._events = 0, []
         return batch
 
 
-def whole(frames: Source, events: Sequence[Event]) -> Batch:
-    """The stacked frames of a log as one batch."""
-    return _of(
-        {name: np.asarray(take(frames), dtype=np.float64) for name, take in COLUMNS.items()}, events
+def batch_of(log: Source, events: Sequence[Event]) -> Batch:
+    """Make one batch of all samples of a log."""
+    return _batch(
+        {name: np.asarray(get(log), dtype=np.float64) for name, get in COLUMNS.items()}, events
     )
 
 
-def parts(batch: Batch, size: int) -> Iterator[Batch]:
-    """A long batch in pieces of up to `size` frames, its events in the last."""
+def split(batch: Batch, size: int) -> Iterator[Batch]:
+    """Split a batch into pieces of at most `size` samples; the events go with the last."""
     for begin in range(0, len(batch), size):
         piece = batch.rows(slice(begin, begin + size))
         yield replace(piece, events=batch.events) if begin + size >= len(batch) else piece
 
 
-def joined(first: Batch, second: Batch) -> Batch:
-    """The frames of two batches one after the other, without events."""
-    return _of(
+def concat(first: Batch, second: Batch) -> Batch:
+    """Append the samples of one batch to another, without events."""
+    return _batch(
         {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in COLUMNS}
     )
 
 
-def beside(first: Batch, second: Batch, labels: tuple[str, str]) -> Batch:
-    """Two runs in one: the frames of the times that both have, aircraft one after the other."""
-    mine, other = shared_frames(first.time, second.time)
-    one, two = first.rows(mine), second.rows(other)
+def overlay(first: Batch, second: Batch, labels: tuple[str, str]) -> Batch:
+    """Combine two runs at the times that both have, the aircraft of the first run first."""
+    # no tolerance: times are ticks over the base rate, equal ones are equal to the bit
+    found: Any = np.intersect1d(first.time, second.time, return_indices=True)
+    one, two = first.rows(found[1]), second.rows(found[2])
     columns = {
         name: np.concatenate([getattr(one, name), getattr(two, name)], axis=1)
         for name in COLUMNS
-        if name not in ("time", *TABLES)
+        if name not in ("time", *LINK_COLUMNS)
     }
     columns["time"] = one.time
-    for name, nothing in TABLES.items():
-        columns[name] = _apart(getattr(one, name), getattr(two, name), nothing)
+    for name, absent in LINK_COLUMNS.items():
+        columns[name] = _block_diagonal(getattr(one, name), getattr(two, name), absent)
     events = [
         replace(event, source=f"{label}.{event.source}")
         for label, each in zip(labels, (first, second), strict=True)
         for event in each.events
     ]
-    return _of(columns, sorted(events, key=lambda event: event.time_s))
+    return _batch(columns, sorted(events, key=lambda event: event.time_s))
 
 
-def _of(columns: Mapping[str, Any], events: Sequence[Event] = ()) -> Batch:
+def _batch(columns: Mapping[str, Any], events: Sequence[Event] = ()) -> Batch:
     return Batch(**columns, events=tuple(events))
 
 
-def _apart(one: Array, two: Array, nothing: float) -> Array:
-    """Two tables of links (m, n, N) as one in which neither run hears the other."""
+def _block_diagonal(one: Array, two: Array, absent: float) -> Array:
+    """Combine two tables of links (m, n, N) without links between the two runs."""
     m, n, count = one.shape
-    out: Array = np.full((m, n + two.shape[1], count + two.shape[2]), nothing)
+    out: Array = np.full((m, n + two.shape[1], count + two.shape[2]), absent)
     out[:, :n, :count] = one
     out[:, n:, count:] = two
     return out

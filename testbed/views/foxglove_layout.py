@@ -1,9 +1,9 @@
-"""A layout of Foxglove for the log of a run.
+"""Foxglove layout for the log of a run.
 
-The form is the one that Foxglove, from its days as Studio on, and Lichtblick import: panels by
-`<type>!<id>`, and the tree of how they share the window. Settings of panels have the names that
-Foxglove's SDK gives them (https://docs.foxglove.dev/docs/sdk, `foxglove.layouts`), paths the
-message path syntax (https://docs.foxglove.dev/docs/visualization/message-path-syntax).
+Foxglove and Lichtblick import this JSON: panels by `<type>!<id>`, and the tree by which they share
+the window. Panel settings are those of Foxglove's SDK (https://docs.foxglove.dev/docs/sdk,
+`foxglove.layouts`), paths follow
+https://docs.foxglove.dev/docs/visualization/message-path-syntax.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from typing import Any
 
 import numpy as np
 
-from testbed.state import RunInfo
-from testbed.views.log_plots import Curve, Page, pages
+from testbed.core.records import RunInfo
+from testbed.views.log_plots import Curve, Tab, tabs
 
-_SQUARE = 100.0  # m, of the grid on the ground
-_WINGSPANS_AWAY = 30.0
-_PLAIN = re.compile(r"[\w/-]+", re.ASCII)
+_SQUARE = 100.0  # m, of the ground grid
+_CAMERA_WINGSPANS = 30.0  # distance of the camera
+_UNQUOTED = re.compile(r"[\w/-]+", re.ASCII)
 
 
 def foxglove_layout(info: RunInfo) -> str:
-    """The text of the layout: the aircraft in their world, events, and plots in tabs."""
+    """Return the layout as JSON: a 3D view, the events, tabs of plots and a map."""
     leader = info.names[0]
     panels: dict[str, Any] = {
         "3D!world": {
@@ -34,7 +34,7 @@ def foxglove_layout(info: RunInfo) -> str:
             "fixedFrame": "enu",
             "enuFrameId": "enu",
             "cameraState": {
-                "distance": _WINGSPANS_AWAY * max(info.wingspan_m),
+                "distance": _CAMERA_WINGSPANS * max(info.wingspan_m),
                 "perspective": True,
                 "phi": 65,
                 "thetaOffset": 45,
@@ -45,7 +45,7 @@ def foxglove_layout(info: RunInfo) -> str:
                 "near": 0.5,
                 "far": 50_000,
             },
-            # a frame's axes as long as its aircraft is wide; older programs know the second name
+            # axes as long as the wingspan; older versions know the second name
             "scene": {
                 "transforms": {
                     "showLabel": True,
@@ -59,18 +59,18 @@ def foxglove_layout(info: RunInfo) -> str:
         },
         "RosOut!events": {"topicToRender": "/events", "searchTerms": [], "minLogLevel": 1},
     }
-    tabs = []
-    for page in pages(info.names):
-        ids = [f"Plot!{page.title}{k}" for k in range(len(page.plots))]
-        panels |= dict(zip(ids, _plots(page), strict=True))
-        tabs.append({"title": page.title, "layout": _stack(ids)})
+    tab_panels = []
+    for tab in tabs(info.names):
+        ids = [f"Plot!{tab.title}{k}" for k in range(len(tab.plots))]
+        panels |= dict(zip(ids, _plots(tab), strict=True))
+        tab_panels.append({"title": tab.title, "layout": _stack(ids)})
     panels["map!fixes"] = {
         "layer": "map",
-        "topicColors": {f"/{name}/fix": hue for name, hue in _hues(info.names).items()},
+        "topicColors": {f"/{name}/fix": colour for name, colour in _colours(info.names).items()},
         "followTopic": f"/{leader}/fix",
     }
-    tabs.append({"title": "map", "layout": "map!fixes"})
-    panels["Tab!plots"] = {"activeTabIdx": 0, "tabs": tabs}
+    tab_panels.append({"title": "map", "layout": "map!fixes"})
+    panels["Tab!plots"] = {"activeTabIdx": 0, "tabs": tab_panels}
     layout = {
         "configById": panels,
         "globalVariables": {},
@@ -87,16 +87,16 @@ def foxglove_layout(info: RunInfo) -> str:
 
 
 def message_path(curve: Curve) -> str:
-    """Where Foxglove finds a curve's numbers: /uav1/formation.age_s[0]."""
-    topic = curve.topic if _PLAIN.fullmatch(curve.topic) else f'"{curve.topic}"'
-    place = "" if curve.index is None else f"[{curve.index}]"
-    return f"{topic}.{curve.field}{place}"
+    """Return the message path of a curve: /uav1/formation.age_s[0]."""
+    topic = curve.topic if _UNQUOTED.fullmatch(curve.topic) else f'"{curve.topic}"'
+    index = "" if curve.index is None else f"[{curve.index}]"
+    return f"{topic}.{curve.field}{index}"
 
 
-def _plots(page: Page) -> list[dict[str, Any]]:
+def _plots(tab: Tab) -> list[dict[str, Any]]:
     return [
         {
-            # what Foxglove and Lichtblick call the heading of a panel
+            # the panel's title in Foxglove and in Lichtblick
             "foxglovePanelTitle": plot.title,
             "lichtblickPanelTitle": plot.title,
             "paths": [
@@ -118,18 +118,18 @@ def _plots(page: Page) -> list[dict[str, Any]]:
             "legendDisplay": "floating",
             "showPlotValuesInLegend": True,
         }
-        for plot in page.plots
+        for plot in tab.plots
     ]
 
 
-def _hues(names: Sequence[str]) -> dict[str, str]:
-    """The colour of each aircraft, as in the plots of airspeed, which show all."""
-    air = next(page for page in pages(names) if page.title == "air")
+def _colours(names: Sequence[str]) -> dict[str, str]:
+    """Look up the colour of each aircraft in the plot of airspeed, which has all aircraft."""
+    air = next(tab for tab in tabs(names) if tab.title == "air")
     return {name: curve.colour for name, curve in zip(names, air.plots[0].curves, strict=True)}
 
 
 def _stack(ids: Sequence[str], first: float | None = None) -> Any:  # noqa: ANN401 - a tree
-    """Panels one below the other, the first with so many percent of the height."""
+    """Stack panels, the first with so many percent of the height; None: equal heights."""
     if len(ids) == 1:
         return ids[0]
     return {
@@ -141,10 +141,10 @@ def _stack(ids: Sequence[str], first: float | None = None) -> Any:  # noqa: ANN4
 
 
 def _ground(info: RunInfo) -> dict[str, Any]:
-    """A grid at the height of the origin, of squares of 100 m, over the whole path."""
+    """Lay a grid of 100 m squares under the whole path, at the height of the origin."""
     east_north = np.vstack([np.zeros((1, 2)), info.leader_path_ned[:, 1::-1]])
     low, high = east_north.min(axis=0), east_north.max(axis=0)
-    half = math.ceil(max(high - low) / 2 / _SQUARE + 1)  # squares, one more than needed
+    half = math.ceil(max(high - low) / 2 / _SQUARE + 1)  # squares, with a margin of one
     middle = np.round((low + high) / 2 / _SQUARE) * _SQUARE
     return {
         "layerId": "foxglove.Grid",

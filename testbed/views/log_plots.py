@@ -1,47 +1,47 @@
-"""Which numbers of a log are worth a plot, for the programs that read logs themselves."""
+"""The plots of the Foxglove and PlotJuggler layouts: which fields of a log share which axes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from testbed.record.messages import COMMAND, ESTIMATE, FORMATION, STATE, Topic
-from testbed.views.scene import colour
+from testbed.logs.messages import COMMAND, ESTIMATE, FORMATION, STATE, Topic
+from testbed.views.scene import aircraft_colour
 
-_LEADER = "#808080"  # grey shows on white and on black
+_LEADER = "#808080"  # grey is visible on white and on black
 
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """A number of one aircraft over time."""
+    """A field of one aircraft over time."""
 
     topic: str  # /uav1/formation
     field: str  # error_north_m
-    index: int | None  # in a field that lists numbers
+    index: int | None  # in a repeated field
     label: str
     colour: str
-    dashed: bool = False  # what is asked for, beside what is
+    dashed: bool = False  # a desired or commanded value
 
 
 @dataclass(frozen=True, slots=True)
 class Plot:
-    """Curves over one axis."""
+    """Curves on the same axes."""
 
-    title: str  # what, and its unit
+    title: str  # quantity and unit
     curves: tuple[Curve, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Page:
-    """Plots seen together, one below the other."""
+class Tab:
+    """Plots shown together, one below the other."""
 
     title: str
     plots: tuple[Plot, ...]
 
 
-# of a page its title; of a plot its title, what is, and what is asked for
 _Field = tuple[Topic, str] | None
-_PAGES: tuple[tuple[str, tuple[tuple[str, _Field, _Field], ...]], ...] = (
+# Tabs by title; of each plot the title, the actual value and the desired or commanded one.
+_TABS: tuple[tuple[str, tuple[tuple[str, _Field, _Field], ...]], ...] = (
     (
         "formation",
         (
@@ -89,51 +89,51 @@ _PAGES: tuple[tuple[str, tuple[tuple[str, _Field, _Field], ...]], ...] = (
     ),
     (
         "network",
-        (("age of what followers use of the leader, s", (FORMATION, "age_s"), None),),
+        (("age of data used of the leader, s", (FORMATION, "age_s"), None),),
     ),
 )
 
 
-def pages(names: Sequence[str]) -> tuple[Page, ...]:
-    """What to plot of a run of these aircraft, the leader first; a lone leader has less."""
+def tabs(names: Sequence[str]) -> tuple[Tab, ...]:
+    """List the plots of a run of these aircraft, the leader first; empty ones are left out."""
     out = []
-    for title, plots in _PAGES:
-        made = [Plot(heading, _curves(names, *fields)) for heading, *fields in plots]
-        shown = tuple(plot for plot in made if plot.curves)
+    for title, plots in _TABS:
+        filled = [Plot(heading, _curves(names, *fields)) for heading, *fields in plots]
+        shown = tuple(plot for plot in filled if plot.curves)
         if shown:
-            out.append(Page(title, shown))
+            out.append(Tab(title, shown))
     return tuple(out)
 
 
-def topics(names: Sequence[str]) -> tuple[str, ...]:
-    """The topics of numbers: those plotted, and the estimates beside the states."""
-    found = {c.topic for page in pages(names) for plot in page.plots for c in plot.curves}
+def numeric_topics(names: Sequence[str]) -> tuple[str, ...]:
+    """List the topics of numbers: those plotted, and the estimates."""
+    found = {c.topic for tab in tabs(names) for plot in tab.plots for c in plot.curves}
     return tuple(sorted(found | {f"/{name}/{ESTIMATE.name}" for name in names}))
 
 
-def _curves(names: Sequence[str], actual: _Field, wanted: _Field) -> tuple[Curve, ...]:
+def _curves(names: Sequence[str], actual: _Field, desired: _Field) -> tuple[Curve, ...]:
     curves = []
     for number, name in enumerate(names):
-        for field, dashed in ((actual, False), (wanted, True)):
+        for field, dashed in ((actual, False), (desired, True)):
             if field is None or (number == 0 and field[0].followers_only):
                 continue
             topic, key = field
-            listed = dict(topic.fields)[key].per_aircraft
+            repeated = dict(topic.fields)[key].per_aircraft
             curves.append(
                 Curve(
                     topic=f"/{name}/{topic.name}",
                     field=key,
-                    index=0 if listed else None,
-                    label=f"{name}, asked for" if dashed else name,
-                    colour=_hex(number),
+                    index=0 if repeated else None,
+                    label=f"{name}, desired" if dashed else name,
+                    colour=_hex_colour(number),
                     dashed=dashed,
                 )
             )
     return tuple(curves)
 
 
-def _hex(number: int) -> str:
+def _hex_colour(number: int) -> str:
     if number == 0:
         return _LEADER
-    red, green, blue = colour(number)
+    red, green, blue = aircraft_colour(number)
     return f"#{red:02x}{green:02x}{blue:02x}"

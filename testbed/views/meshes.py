@@ -1,4 +1,4 @@
-"""Meshes from a handful of numbers: lofted bodies, lifting surfaces, wheels, discs.
+"""Make triangle meshes: lofted bodies, lifting surfaces, wheels, discs.
 
 Body axes (x forward, y right, z down), metres.
 """
@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.state import Array
+from testbed.core.records import Array
 
 Triangles = NDArray[np.uint32]
 
-MAIN, LIGHT, DARK = range(3)  # paints: the aircraft's own colour, nearly white, nearly black
+MAIN, LIGHT, DARK = range(3)  # paints: the aircraft's colour, nearly white, nearly black
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class Mesh:
 
 
 def join(*parts: Mesh) -> Mesh:
-    """One mesh of several."""
+    """Join meshes into one."""
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
     return Mesh(
         np.concatenate([part.vertices for part in parts]),
@@ -39,9 +39,9 @@ def join(*parts: Mesh) -> Mesh:
 
 
 def loft(rings: Array, paint: int) -> Mesh:
-    """A closed skin through rings (m, k, 3) of points, its two ends capped flat.
+    """Loft a closed skin through rings (m, k, 3) of points, with flat caps at both ends.
 
-    Faces look outward. The caps have vertices of their own, so that their edges stay sharp.
+    Faces point outward. The caps have their own vertices, so that their edges stay sharp.
     """
     count, around = rings.shape[:2]
     index = np.arange(count * around).reshape(count, around)
@@ -53,30 +53,30 @@ def loft(rings: Array, paint: int) -> Mesh:
     vertices = np.concatenate([rings.reshape(-1, 3), rings[0], rings[-1]])
     triangles = np.concatenate([skin.reshape(-1, 3), fan + first, fan[:, ::-1] + last])
     p, q, r = np.moveaxis(vertices[triangles] - vertices.mean(axis=0), 1, 0)
-    if np.einsum("ij,ij->", p, np.cross(q, r)) < 0.0:  # inside out: the rings ran the other way
+    if np.einsum("ij,ij->", p, np.cross(q, r)) < 0.0:  # the rings run the other way: inside out
         triangles = triangles[:, ::-1]
     paints = np.full(len(vertices), paint, np.uint8)
     return Mesh(vertices, triangles.astype(np.uint32), paints)
 
 
-def body_of_revolution(stations: Array, paint: int, around: int = 20) -> Mesh:
-    """A body along x through stations (m, 5): x, half width, half height, centre z, squareness.
+def fuselage(stations: Array, paint: int, around: int = 20) -> Mesh:
+    """Loft a body along x through stations (m, 5): x, half width, half height, centre z, exponent.
 
-    Squareness 2 is an ellipse, larger values are boxes with round corners.
+    Cross-sections are superellipses: exponent 2 is an ellipse, larger ones are rounded boxes.
     """
     angle = np.linspace(0.0, 2.0 * np.pi, around, endpoint=False)
-    x, width, height, centre, square = stations.T[..., None]
+    x, width, height, centre, exponent = stations.T[..., None]
     c, s = np.cos(angle), np.sin(angle)
-    y = width * np.sign(c) * np.abs(c) ** (2.0 / square)
-    z = centre + height * np.sign(s) * np.abs(s) ** (2.0 / square)
+    y = width * np.sign(c) * np.abs(c) ** (2.0 / exponent)
+    z = centre + height * np.sign(s) * np.abs(s) ** (2.0 / exponent)
     return loft(np.stack([np.broadcast_to(x, y.shape), y, z], axis=-1), paint)
 
 
 def surface(sections: Array, paint: int, thickness: float = 0.11) -> Mesh:
-    """A lifting surface through sections (m, 4): leading edge x, y, z and chord.
+    """Loft a lifting surface through sections (m, 4): leading edge x, y, z and chord.
 
-    Its thickness, a share of the chord, stands on the surface: along z for a wing, along y for a
-    fin (a surface that rises more than it spreads).
+    Its thickness, relative to the chord, is along z for a wing and along y for a fin, which is
+    a surface with more extent in z than in y.
     """
     u = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, 9)))  # chordwise, dense at the leading edge
     half = (
@@ -95,7 +95,7 @@ def surface(sections: Array, paint: int, thickness: float = 0.11) -> Mesh:
 
 
 def disc(centre: tuple[float, float, float], radius: float, around: int = 32) -> Mesh:
-    """A flat disc across x."""
+    """Make a flat disc perpendicular to x."""
     angle = np.linspace(0.0, 2.0 * np.pi, around, endpoint=False)
     rim = np.stack([np.zeros(around), np.cos(angle), np.sin(angle)], axis=-1) * radius
     k = np.arange(around)
@@ -107,14 +107,14 @@ def disc(centre: tuple[float, float, float], radius: float, around: int = 32) ->
 
 
 def rod(start: tuple[float, float, float], end: tuple[float, float, float], radius: float) -> Mesh:
-    """A strut between two points that differ in z."""
+    """Make a strut between two points that differ in z."""
     angle = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
     ring = radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(8)], axis=-1)
     return loft(np.stack([ring + start, ring + end]), DARK)
 
 
 def wheel(centre: tuple[float, float, float], radius: float, width: float) -> Mesh:
-    """A wheel that rolls along x."""
+    """Make a wheel that rolls along x."""
     angle = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
     rim = radius * np.stack([np.cos(angle), np.zeros(16), np.sin(angle)], axis=-1) + centre
     side = np.array([0.0, width / 2.0, 0.0])
@@ -122,48 +122,50 @@ def wheel(centre: tuple[float, float, float], radius: float, width: float) -> Me
 
 
 def wing(half: Array, paint: int) -> Mesh:
-    """Both halves of a wing from its right half's sections (m, 4), root first."""
-    left = mirrored(half[::-1])
+    """Make a whole wing from the sections (m, 4) of its right half, root first."""
+    left = mirror(half[::-1])
     root_shared = half[1:] if half[0, 1] == 0.0 else half
     return surface(np.concatenate([left, root_shared]), paint)
 
 
-def mirrored(sections: Array) -> Array:
-    """The same sections (m, 4) on the other side of the aircraft."""
+def mirror(sections: Array) -> Array:
+    """Mirror sections (m, 4) to the other side of the aircraft."""
     return sections * [1.0, -1.0, 1.0, 1.0]
 
 
-def cut(sections: Array, inner: float, outer: float, share: float) -> tuple[Array, Array]:
-    """A lifting surface without the control surface at its trailing edge, and that surface.
+def cut_control_surface(
+    sections: Array, inner: float, outer: float, share: float
+) -> tuple[Array, Array]:
+    """Cut a control surface out of the trailing edge of a lifting surface.
 
     Args:
-        sections: (m, 4) as in `surface`, of growing distance from the first.
-        inner: where the control surface begins, a share of the way from the first to the last.
-        outer: where it ends.
-        share: of the chord that moves.
+        sections: (m, 4) as in `surface`, ordered by distance from the first.
+        inner: start of the control surface, as a fraction of the span of the sections.
+        outer: end of the control surface, likewise.
+        share: fraction of the chord that moves.
 
     Returns:
-        The sections that stay, and those (k, 4) of what moves; its first and last leading edges
-        are the hinge.
+        The sections of the fixed part, and those (k, 4) of the control surface, whose first and
+        last leading edges are the ends of the hinge.
     """
-    way = np.linalg.norm(sections[:, 1:3] - sections[0, 1:3], axis=-1)
-    way = way / way[-1]
+    along = np.linalg.norm(sections[:, 1:3] - sections[0, 1:3], axis=-1)
+    along = along / along[-1]
 
     def at(where: Array) -> Array:
-        return np.stack([np.interp(where, way, sections[:, k]) for k in range(4)], axis=-1)
+        return np.stack([np.interp(where, along, sections[:, k]) for k in range(4)], axis=-1)
 
-    between = way[(way > inner) & (way < outer)]
+    between = along[(along > inner) & (along < outer)]
     moving = at(np.array([inner, *between, outer]))
     shortened = moving * [1.0, 1.0, 1.0, 1.0 - share]
     edges = at(np.array([inner, outer]))
-    fixed = [sections[way < inner], edges[:1], shortened, edges[1:], sections[way > outer]]
+    fixed = [sections[along < inner], edges[:1], shortened, edges[1:], sections[along > outer]]
     moving[:, 0] -= (1.0 - share) * moving[:, 3]
     moving[:, 3] *= share
     return np.concatenate(fixed), moving
 
 
-def normals(mesh: Mesh) -> Array:
-    """Unit normals (v, 3) at the vertices: of the faces around each, weighted by area."""
+def vertex_normals(mesh: Mesh) -> Array:
+    """Compute unit normals (v, 3) at the vertices, averaged over the faces by area."""
     a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
     face = np.cross(b - a, c - a)
     out = np.zeros_like(mesh.vertices)

@@ -1,6 +1,6 @@
-"""What a still figure shows, as plain numbers: panels of lines and bands, in rows.
+"""Figures as plain numbers: grids of panels with lines, bands and heat maps.
 
-The door to the drawing library knows these and nothing of flying.
+`matplotlib_backend` draws them.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from testbed.state import Array
+from testbed.core.records import Array
 
-# Okabe and Ito's palette on white: told apart by colour-blind readers, and in grey by lightness.
+# Okabe and Ito's palette on white: distinct for colour-blind readers, and in grey by lightness.
 BLUE, ORANGE, GREEN = "#0072b2", "#d55e00", "#009e73"
-# Three more, darkened: on white every one of the six stands out by more than 3 to 1.
+# Three more, darkened: all six have a contrast of more than 3 to 1 on white.
 PURPLE, GOLD, SKY = "#a14a76", "#a87000", "#2f8fc4"
 BLACK, GREY = "#000000", "#8c8c8c"
 GRID = "#e3e3e3"
@@ -24,23 +24,23 @@ DASHED = "--"
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A curve; where it is not a number it is broken."""
+    """A curve, with gaps where it is NaN."""
 
     x: Array  # (k,)
     y: Array  # (k,)
     colour: str
     label: str = ""
     width: float = 1.0  # points
-    dots: bool = False  # a dot at each number in place of a line through them
+    dots: bool = False  # a dot at each number in place of a line
     dashes: str = "-"  # or DASHED
-    marker: str = ""  # a shape that tells the curve apart where colours do not: "o", "s", "^", …
-    marker_phase: float = 0.0  # 0..1 of the distance between two markers, where the first stands
-    marks: int = 8  # about so many markers; 0: one at each number
+    marker: str = ""  # distinguishes curves without colours: "o", "s", "^", …
+    marker_phase: float = 0.0  # 0..1 of the distance between two markers, position of the first
+    marks: int = 8  # approximate number of markers; 0: one at each number
 
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """The surface between two curves."""
+    """The area between two curves."""
 
     x: Array  # (k,)
     low: Array  # (k,)
@@ -52,17 +52,17 @@ class Band:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A stretch of the horizontal axis, shaded and named."""
+    """A shaded and named interval of the horizontal axis."""
 
     start: float
     end: float
     name: str
-    level: int = 0  # lines below the top at which the name stands
+    level: int = 0  # text lines below the top at which the name stands
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
-    """A curve in space; what it is a panel beside it says, by the same colour."""
+class Curve3D:
+    """A curve in three dimensions; a panel beside it explains its colour."""
 
     x: Array  # (k,)
     y: Array  # (k,)
@@ -72,24 +72,24 @@ class Curve:
 
 
 @dataclass(frozen=True, slots=True)
-class Space:
+class Panel3D:
     """Three axes, seen from above the nearest corner."""
 
     title: str
     x_label: str
     y_label: str
     z_label: str
-    curves: Sequence[Curve]
+    curves: Sequence[Curve3D]
 
 
 @dataclass(frozen=True, slots=True)
-class Heat:
-    """A grid of cells, coloured by their numbers, on axes that count cells from 0."""
+class Heatmap:
+    """A grid of cells coloured by their values; the axes count cells from 0."""
 
-    values: Array  # (rows, columns); where it is not a number the cell is grey
-    limits: tuple[float, float]  # where the colours begin and end
-    label: str  # of the scale of colours
-    texts: Sequence[Sequence[str]] = ()  # said inside the cells, row by row
+    values: Array  # (rows, columns); NaN: a grey cell
+    limits: tuple[float, float]  # of the colour scale
+    label: str  # of the colour scale
+    texts: Sequence[Sequence[str]] = ()  # inside the cells, row by row
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,13 +105,13 @@ class Panel:
     y_log: bool = False
     x_limits: tuple[float, float] | None = None
     y_limits: tuple[float, float] | None = None
-    note: str = ""  # said inside the axes, where there is nothing to draw
+    note: str = ""  # text inside the axes when there is nothing to draw
     spans: Sequence[Span] = ()
-    marks: Sequence[tuple[float, str]] = ()  # where vertical lines stand, and their colours
-    equal: bool = False  # the same scale on both axes, which fit what is drawn
-    x_ticks: Sequence[tuple[float, str]] = ()  # in place of numbers: where, and what is said there
+    marks: Sequence[tuple[float, str]] = ()  # positions and colours of vertical lines
+    equal: bool = False  # the same scale on both axes, which fit the lines
+    x_ticks: Sequence[tuple[float, str]] = ()  # positions and texts in place of numbers
     y_ticks: Sequence[tuple[float, str]] = ()
-    heat: Heat | None = None  # below the lines
+    heat: Heatmap | None = None  # below the lines
 
     @property
     def drawn(self) -> bool:
@@ -122,23 +122,23 @@ class Panel:
 
 
 @dataclass(frozen=True, slots=True)
-class Sheet:
+class PanelGrid:
     """A figure: rows of panels below a title."""
 
     title: str
     subtitle: str
-    rows: Sequence[Sequence[Panel | Space]]
+    rows: Sequence[Sequence[Panel | Panel3D]]
     widths: Sequence[float]  # of the columns, relative
     inches: tuple[float, float] = (16.0, 10.0)  # width, height
 
 
-def each_once(values: ArrayLike) -> list[float]:
-    """The numbers that differ, in order."""
+def unique_values(values: ArrayLike) -> list[float]:
+    """List the distinct numbers in order."""
     return [float(value) for value in np.unique(np.asarray(values, dtype=np.float64))]
 
 
-def break_turns(angle: Array) -> Array:
-    """Angles (K, ...) in degrees within ±180, not a number in frames where they jump round."""
+def break_at_wrap(angle: Array) -> Array:
+    """Copy angles (K, ...) in degrees within ±180, with NaN where they wrap around."""
     jump = np.abs(np.diff(angle, axis=0)) > 180.0
     out = angle.copy()
     out[1:][jump] = np.nan

@@ -1,8 +1,8 @@
-"""A layout of PlotJuggler for the log of a run: `plotjuggler --layout run.plotjuggler.xml`.
+"""PlotJuggler layout for the log of a run: `plotjuggler --layout run.plotjuggler.xml`.
 
-PlotJuggler names what it finds in protobuf `<topic>/<field>`, and `<topic>/<field>[k]` in lists.
-A layout that names its data file loads it, without a dialogue that asks for topics; the topics are
-those of numbers alone, for older releases take any field called `timestamp` for a number.
+PlotJuggler names a protobuf field `<topic>/<field>`, of a repeated field `<topic>/<field>[k]`. The
+layout names its data file and topics, so that PlotJuggler loads it without a dialogue. Only topics
+of numbers are selected: older releases fail on fields called `timestamp`.
 """
 
 from __future__ import annotations
@@ -12,52 +12,52 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from testbed.record.flight import Flight
-from testbed.views.log_plots import Curve, Page, Plot, pages, topics
+from testbed.logs.flight_data import FlightData
+from testbed.views.log_plots import Curve, Plot, Tab, numeric_topics, tabs
 
 _MARGIN = 0.05  # of the range, above and below
 
 
-def plotjuggler_layout(flight: Flight, log: str) -> str:
-    """The text of the layout.
+def plotjuggler_layout(flight: FlightData, log: str) -> str:
+    """Return the layout as XML.
 
     Args:
-        flight: the run, for the ranges of its numbers.
-        log: path of the log, absolute or from the layout's folder.
+        flight: the run, for the ranges of the axes.
+        log: path of the log, absolute or relative to the layout's folder.
     """
     root = xml.Element("root")
     window = {"name": "Main Window", "parent": "main_window"}
     main = xml.SubElement(root, "tabbed_widget", window)
-    for page in pages(flight.names):
-        _tab(main, page, flight)
+    for tab in tabs(flight.names):
+        _add_tab(main, tab, flight)
     xml.SubElement(main, "currentTabIndex", index="0")
     xml.SubElement(root, "use_relative_time_offset", enabled="0")
-    # as a plugin's default, and for the file
-    _reader(xml.SubElement(root, "Plugins"), topics(flight.names))
+    # the plugin's default, and the settings of the file
+    _add_reader(xml.SubElement(root, "Plugins"), numeric_topics(flight.names))
     files = xml.SubElement(root, "previouslyLoaded_Datafiles")
     file = xml.SubElement(files, "fileInfo", filename=log, prefix="")
-    _reader(file, topics(flight.names))
+    _add_reader(file, numeric_topics(flight.names))
     xml.indent(root)
     return f"<?xml version='1.0' encoding='UTF-8'?>\n{xml.tostring(root, encoding='unicode')}\n"
 
 
 def series_name(curve: Curve) -> str:
-    """What PlotJuggler calls a curve's numbers: /uav1/formation/age_s[0]."""
-    place = "" if curve.index is None else f"[{curve.index}]"
-    return f"{curve.topic}/{curve.field}{place}"
+    """Return PlotJuggler's name of a curve: /uav1/formation/age_s[0]."""
+    index = "" if curve.index is None else f"[{curve.index}]"
+    return f"{curve.topic}/{curve.field}{index}"
 
 
-def _tab(main: xml.Element, page: Page, flight: Flight) -> None:
-    count = len(page.plots)
-    tab = xml.SubElement(main, "Tab", tab_name=page.title, containers="1")
+def _add_tab(main: xml.Element, tab: Tab, flight: FlightData) -> None:
+    count = len(tab.plots)
+    element = xml.SubElement(main, "Tab", tab_name=tab.title, containers="1")
     splitter = xml.SubElement(
-        xml.SubElement(tab, "Container"),
+        xml.SubElement(element, "Container"),
         "DockSplitter",
         orientation="-",
         count=str(count),
         sizes=";".join([f"{1 / count:.6f}"] * count),
     )
-    for plot in page.plots:
+    for plot in tab.plots:
         area = xml.SubElement(splitter, "DockArea", name=plot.title)
         drawn = xml.SubElement(
             area, "plot", style="Lines", mode="TimeSeries", flip_x="false", flip_y="false"
@@ -68,8 +68,8 @@ def _tab(main: xml.Element, page: Page, flight: Flight) -> None:
             xml.SubElement(drawn, "curve", name=series_name(curve), color=curve.colour)
 
 
-def _range(plot: Plot, flight: Flight) -> dict[str, str]:
-    """The window that shows all curves."""
+def _range(plot: Plot, flight: FlightData) -> dict[str, str]:
+    """Compute the ranges that show all curves."""
     low, high = np.inf, -np.inf
     for curve in plot.curves:
         name, topic = curve.topic.strip("/").split("/")
@@ -85,8 +85,8 @@ def _range(plot: Plot, flight: Flight) -> dict[str, str]:
     return {side: f"{value:.6f}" for side, value in sides.items()}
 
 
-def _reader(parent: xml.Element, selected: Sequence[str]) -> None:
-    """How the log is to be read: these topics, at the times of the log."""
+def _add_reader(parent: xml.Element, selected: Sequence[str]) -> None:
+    """Configure the MCAP reader: these topics, at the log times."""
     plugin = xml.SubElement(parent, "plugin", ID="DataLoad MCAP")
     xml.SubElement(
         plugin,

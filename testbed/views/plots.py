@@ -1,4 +1,4 @@
-"""What is plotted of a run, for any number of aircraft: arithmetic only."""
+"""The plots of a live or replayed view, for any number of aircraft."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from testbed.formation.barrier import Barrier, h
-from testbed.frames import course, flight_path_angle, wrap_pi
-from testbed.state import Array
+from testbed.core.frames import course, flight_path_angle, wrap_pi
+from testbed.core.records import Array
+from testbed.formation.barrier import Barrier, barrier_curve
+from testbed.views.annotations import STALE_S
 from testbed.views.batch import Batch
-from testbed.views.panels import break_turns, each_once
-from testbed.views.scene import BACKDROP, Colour, Scene, mixed
-from testbed.views.signs import STALE_S
+from testbed.views.panels import break_at_wrap, unique_values
+from testbed.views.scene import BACKDROP, Colour, Scene, mix
 
 LIMIT: Colour = (150, 150, 150)
-MOST_DESIRED = 8  # aircraft: of more, what they should do is not drawn beside what they do
-ANGLES = (-180.0, 180.0)  # deg
+MAX_DESIRED = 8  # aircraft: of more, desired values are not drawn
+COURSE_RANGE = (-180.0, 180.0)  # deg
 
 Values = Callable[[Batch], Array]  # (m, k)
 
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """One quantity of some aircraft; those of one plot share its axes."""
+    """One quantity of k aircraft; the series of a plot share its axes."""
 
     name: str
     labels: tuple[str, ...]  # k
@@ -35,178 +35,189 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class Plot:
-    """A pair of axes over time, as high as what is seen in them.
+    """A pair of axes over time; the vertical range fits what is shown.
 
     Attributes:
         name: of the entity.
-        title: what, and its unit.
+        title: quantity and unit.
         series: of aircraft.
-        least: what the axis shows at the least, so that a quiet plot looks quiet.
-        limits: lines with their names, always in sight.
-        whole: whether the axis shows `least` and nothing beyond.
+        min_range: the vertical range is never smaller, so that small changes look small.
+        limits: names and values of horizontal lines, always inside the range.
+        fixed_range: whether the range is `min_range`, whatever is shown.
     """
 
     name: str
     title: str
     series: tuple[Series, ...]
-    least: tuple[float, float]
+    min_range: tuple[float, float]
     limits: tuple[tuple[str, float], ...] = ()
-    whole: bool = False
+    fixed_range: bool = False
 
     @property
-    def still(self) -> tuple[float, ...]:
-        """What is drawn and does not move: the limits, and unless it is the whole axis, `least`."""
-        return (*(value for _, value in self.limits), *(() if self.whole else self.least))
+    def constants(self) -> tuple[float, ...]:
+        """Values drawn as constants: the limits, and `min_range` unless the range is fixed."""
+        limits = tuple(value for _, value in self.limits)
+        return limits if self.fixed_range else (*limits, *self.min_range)
 
 
-def tabs(still: Scene) -> tuple[tuple[Plot, ...], ...]:
-    """The plots, as rows of tabs: the first of each row is on top."""
-    flown = (*_speeds(still), *_directions(still))
-    steered, air = (_bank(still), _throttle(still)), _air(still)
-    if not still.followers:
-        return (flown[:1], flown[1:], (_altitude(still), *steered), air)
-    errors = (_error(still), *([_estimate(still)] if still.estimated else []))
-    barrier = (_barrier(still),) if any(still.barriers) else ()
+def tabs(scene: Scene) -> tuple[tuple[Plot, ...], ...]:
+    """List the plots as rows of tabs; the first of each row is open."""
+    motion = (*_speeds(scene), *_directions(scene))
+    commands, air = (_bank(scene), _throttle(scene)), _air(scene)
+    if not scene.followers:
+        return (motion[:1], motion[1:], (_altitude(scene), *commands), air)
+    errors = (_error(scene), *([_estimate_error(scene)] if scene.estimated else []))
+    barrier = (_barrier(scene),) if any(scene.barriers) else ()
     return (
         errors,
-        (flown[0], *barrier, *flown[1:]),
-        (*steered, _altitude(still)),
-        (_age(still), *air),
+        (motion[0], *barrier, *motion[1:]),
+        (*commands, _altitude(scene)),
+        (_data_age(scene), *air),
     )
 
 
-def _speeds(still: Scene) -> tuple[Plot, ...]:
-    """Speed within its bounds; where they are of airspeed, the speed over the ground too."""
-    ground = _both(
-        still,
+def _speeds(scene: Scene) -> tuple[Plot, ...]:
+    """Plot speed with its bounds; and ground speed if the bounds are of airspeed."""
+    ground = _actual_and_desired(
+        scene,
         lambda batch: np.linalg.norm(batch.velocity, axis=-1),
         lambda batch: batch.speed_desired,
     )
-    bounds = each_once(still.speed_bounds) or [12.0, 33.0]
-    within = tuple((f"bound {value:g}", value) for value in bounds if still.followers)
-    least = bounds[0] - 1.0, bounds[-1] + 1.0
-    if not still.bounded_in.any():
-        title = "Ground speed and bounds, m/s" if within else "Ground speed, m/s"
-        return (Plot("speed", title, ground, least, within),)
-    air = _everyone(
-        still, "actual", lambda batch: np.linalg.norm(batch.velocity - still.bounded_in, axis=-1)
+    bounds = unique_values(scene.speed_bounds) or [12.0, 33.0]
+    limits = tuple((f"bound {value:g}", value) for value in bounds if scene.followers)
+    min_range = bounds[0] - 1.0, bounds[-1] + 1.0
+    if not scene.bounds_wind.any():
+        title = "Ground speed and bounds, m/s" if limits else "Ground speed, m/s"
+        return (Plot("speed", title, ground, min_range, limits),)
+    air = _all_aircraft(
+        scene, "actual", lambda batch: np.linalg.norm(batch.velocity - scene.bounds_wind, axis=-1)
     )
-    both = len({bool(each.any()) for each in still.bounded_in}) > 1
-    title = "Speed as its bounds are measured, m/s" if both else "Airspeed and bounds, m/s"
+    mixed = len({bool(each.any()) for each in scene.bounds_wind}) > 1
+    title = "Speed as its bounds are measured, m/s" if mixed else "Airspeed and bounds, m/s"
     return (
-        Plot("speed", title, (air,), least, within),
-        Plot("ground_speed", "Ground speed, m/s", ground, least),
+        Plot("speed", title, (air,), min_range, limits),
+        Plot("ground_speed", "Ground speed, m/s", ground, min_range),
     )
 
 
-def _directions(still: Scene) -> tuple[Plot, Plot]:
-    headed = _both(
-        still,
-        lambda batch: break_turns(np.degrees(course(batch.velocity))),
-        lambda batch: break_turns(np.degrees(wrap_pi(batch.course_desired))),
+def _directions(scene: Scene) -> tuple[Plot, Plot]:
+    courses = _actual_and_desired(
+        scene,
+        lambda batch: break_at_wrap(np.degrees(course(batch.velocity))),
+        lambda batch: break_at_wrap(np.degrees(wrap_pi(batch.course_desired))),
     )
-    climbing = _both(
-        still,
+    angles = _actual_and_desired(
+        scene,
         lambda batch: np.degrees(flight_path_angle(batch.velocity)),
-        lambda batch: np.degrees(batch.climb_desired),
+        lambda batch: np.degrees(batch.flight_path_angle_desired),
     )
     return (
-        Plot("course", "Course, deg", headed, ANGLES, whole=True),
-        Plot("climb", "Flight path, deg", climbing, (-10.0, 10.0)),
+        Plot("course", "Course, deg", courses, COURSE_RANGE, fixed_range=True),
+        Plot("flight_path_angle", "Flight-path angle, deg", angles, (-10.0, 10.0)),
     )
 
 
-def _bank(still: Scene) -> Plot:
-    banks = each_once(np.degrees(still.roll_limit))
-    largest = 1.1 * banks[-1] if banks else 60.0
-    actual = _everyone(still, "actual", lambda batch: np.degrees(batch.euler[..., 0]))
-    limits = tuple((f"limit {side * each:g}", side * each) for each in banks for side in (-1, 1))
-    return Plot("bank", "Bank and limits, deg", (actual,), (-largest, largest), limits)
+def _bank(scene: Scene) -> Plot:
+    limits_deg = unique_values(np.degrees(scene.roll_limit))
+    largest = 1.1 * limits_deg[-1] if limits_deg else 60.0
+    actual = _all_aircraft(scene, "actual", lambda batch: np.degrees(batch.euler[..., 0]))
+    lines = tuple(
+        (f"limit {sign * each:g}", sign * each) for each in limits_deg for sign in (-1, 1)
+    )
+    return Plot("bank", "Bank and limits, deg", (actual,), (-largest, largest), lines)
 
 
-def _throttle(still: Scene) -> Plot:
-    commanded = _everyone(still, "commanded", lambda batch: batch.throttle)
+def _throttle(scene: Scene) -> Plot:
+    commanded = _all_aircraft(scene, "commanded", lambda batch: batch.throttle)
     return Plot("throttle", "Throttle", (commanded,), (0.0, 1.0))
 
 
-def _altitude(still: Scene) -> Plot:
-    heights = -np.concatenate(still.paths)[:, 2] if still.paths else np.array([100.0])
-    actual = _everyone(still, "actual", lambda batch: -batch.position[..., 2])
-    around = (float(heights.min()) - 10.0, float(heights.max()) + 10.0)
-    return Plot("altitude", "Altitude, m", (actual,), around)
+def _altitude(scene: Scene) -> Plot:
+    heights = -np.concatenate(scene.paths)[:, 2] if scene.paths else np.array([100.0])
+    actual = _all_aircraft(scene, "actual", lambda batch: -batch.position[..., 2])
+    min_range = (float(heights.min()) - 10.0, float(heights.max()) + 10.0)
+    return Plot("altitude", "Altitude, m", (actual,), min_range)
 
 
-def _air(still: Scene) -> tuple[Plot, Plot]:
-    along = _everyone(still, "felt", lambda batch: np.linalg.norm(batch.wind[..., :2], axis=-1))
-    up = _everyone(still, "felt", lambda batch: -batch.wind[..., 2])
+def _air(scene: Scene) -> tuple[Plot, Plot]:
+    horizontal = _all_aircraft(
+        scene, "horizontal", lambda batch: np.linalg.norm(batch.wind[..., :2], axis=-1)
+    )
+    up = _all_aircraft(scene, "up", lambda batch: -batch.wind[..., 2])
     return (
-        Plot("wind", "Wind felt, m/s", (along,), (0.0, 5.0)),
+        Plot("wind", "Horizontal wind, m/s", (horizontal,), (0.0, 5.0)),
         Plot("updraught", "Updraught, m/s", (up,), (-1.0, 1.0)),
     )
 
 
-def _error(still: Scene) -> Plot:
-    error = _followers(still, "error", lambda batch: np.linalg.norm(batch.error, axis=-1))
+def _error(scene: Scene) -> Plot:
+    error = _followers(scene, "error", lambda batch: np.linalg.norm(batch.error, axis=-1))
     return Plot("error", "Position error, m", (error,), (0.0, 1.0))
 
 
-def _estimate(still: Scene) -> Plot:
-    off = _everyone(
-        still, "off", lambda batch: np.linalg.norm(batch.believed - batch.position, axis=-1)
+def _estimate_error(scene: Scene) -> Plot:
+    error = _all_aircraft(
+        scene,
+        "error",
+        lambda batch: np.linalg.norm(batch.estimated_position - batch.position, axis=-1),
     )
-    return Plot("estimate", "Estimate off by, m", (off,), (0.0, 1.0))
+    return Plot("estimate_error", "Error of position estimate, m", (error,), (0.0, 1.0))
 
 
-def _barrier(still: Scene) -> Plot:
-    """The barrier h of (14): 1 in the midst of the speed set, 0 at its bounds."""
-    known = [i for i, each in enumerate(still.barriers) if each is not None]
-    rows = np.array(still.followers)[known]
-    chosen = [each for each in still.barriers if each is not None]
-    example, nu = (np.array(each) for each in zip(*chosen, strict=True))
-    low, high = still.speed_bounds[known].T
+def _barrier(scene: Scene) -> Plot:
+    """Plot the barrier h of (14): 1 in the middle of the speed set, 0 at its bounds."""
+    known = [i for i, each in enumerate(scene.barriers) if each is not None]
+    rows = np.array(scene.followers)[known]
+    chosen = [each for each in scene.barriers if each is not None]
+    low, high = scene.speed_bounds[known].T
 
     def value(batch: Batch) -> Array:
-        through = batch.velocity[:, rows] - still.bounded_in[rows]
-        return h(Barrier(example, nu), np.linalg.norm(through, axis=-1), low, high)[0]
+        through = batch.velocity[:, rows] - scene.bounds_wind[rows]
+        speed = np.linalg.norm(through, axis=-1)
+        curves = [
+            barrier_curve(Barrier(*each), speed[:, i], low[i], high[i])[0]
+            for i, each in enumerate(chosen)
+        ]
+        return np.stack(curves, axis=1)
 
-    series = (_series(still, "h", rows.tolist(), value),)
+    series = (_series(scene, "h", rows.tolist(), value),)
     return Plot("barrier", "Speed barrier", series, (-0.1, 1.1), (("bound", 0.0),))
 
 
-def _age(still: Scene) -> Plot:
-    """How old the oldest news is that each follower uses of another."""
-    oldest = _followers(still, "age", lambda batch: np.fmax.reduce(batch.age, axis=-1))
-    return Plot("age", "Oldest news used, s", (oldest,), (0.0, STALE_S))
+def _data_age(scene: Scene) -> Plot:
+    """Plot the largest age of the data that each follower uses of another aircraft."""
+    oldest = _followers(scene, "age", lambda batch: np.fmax.reduce(batch.age, axis=-1))
+    return Plot("age", "Oldest data used, s", (oldest,), (0.0, STALE_S))
 
 
-def _both(still: Scene, actual: Values, desired: Values) -> tuple[Series, ...]:
-    """What all do and, thin and faded, what followers should do."""
-    rows = still.followers
-    done = _everyone(still, "actual", actual)
-    if not rows or len(still.names) > MOST_DESIRED:
+def _actual_and_desired(scene: Scene, actual: Values, desired: Values) -> tuple[Series, ...]:
+    """Plot what all aircraft do and, thin and faded, what followers should do."""
+    rows = scene.followers
+    done = _all_aircraft(scene, "actual", actual)
+    if not rows or len(scene.names) > MAX_DESIRED:
         return (done,)
-    wanted = _series(still, "desired", rows, desired)
+    wanted = _series(scene, "desired", rows, desired)
     return (
         done,
         replace(
             wanted,
             labels=tuple(f"{label} desired" for label in wanted.labels),
-            colours=tuple(mixed(colour, BACKDROP, 0.45) for colour in wanted.colours),
+            colours=tuple(mix(colour, BACKDROP, 0.45) for colour in wanted.colours),
             width=1.0,
         ),
     )
 
 
-def _everyone(still: Scene, name: str, values: Values) -> Series:
-    return _series(still, name, range(len(still.names)), values)
+def _all_aircraft(scene: Scene, name: str, values: Values) -> Series:
+    return _series(scene, name, range(len(scene.names)), values)
 
 
-def _followers(still: Scene, name: str, values: Values) -> Series:
-    return _series(still, name, still.followers, values)
+def _followers(scene: Scene, name: str, values: Values) -> Series:
+    return _series(scene, name, scene.followers, values)
 
 
-def _series(still: Scene, name: str, rows: Sequence[int], values: Values) -> Series:
-    """The values (m, k) of k aircraft, by their rows, until they are lost."""
+def _series(scene: Scene, name: str, rows: Sequence[int], values: Values) -> Series:
+    """Plot the values (m, k) of k aircraft, by their rows, until they are lost."""
     chosen = list(rows)
 
     def until_lost(batch: Batch) -> Array:
@@ -214,7 +225,7 @@ def _series(still: Scene, name: str, rows: Sequence[int], values: Values) -> Ser
 
     return Series(
         name,
-        tuple(still.names[row] for row in chosen),
-        tuple(still.colours[row] for row in chosen),
+        tuple(scene.names[row] for row in chosen),
+        tuple(scene.colours[row] for row in chosen),
         until_lost,
     )

@@ -1,6 +1,7 @@
-"""What of a run stands still in its view, as plain numbers.
+"""The static part of a view: names, colours, paths, limits and the ground grid, as plain numbers.
 
-It travels to another process when the view is live, so it holds arrays, numbers and text only.
+A scene is pickled for another process when the view is live: it holds arrays, numbers and text
+only.
 """
 
 from __future__ import annotations
@@ -11,14 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from testbed.core.records import Array, RunInfo
 from testbed.formation.barrier import NO_BARRIER
-from testbed.state import Array, RunInfo
 
-Colour = tuple[int, int, int]
+Colour = tuple[int, int, int]  # red, green, blue, 0..255
 
 BACKDROP: Colour = (22, 26, 33)
 LEADER: Colour = (240, 240, 240)
-# Okabe and Ito's palette, told apart by colour-blind readers too; its black is the background here.
+# Okabe and Ito's palette for colour-blind readers, without black, which is the background here.
 FOLLOWERS: tuple[Colour, ...] = (
     (86, 180, 233),
     (230, 159, 0),
@@ -29,13 +30,13 @@ FOLLOWERS: tuple[Colour, ...] = (
     (0, 114, 178),
 )
 GRID_STEP = 100.0  # m
-POSTS = 40  # at most, along the path: they show its height
+MAX_POSTS = 40  # vertical lines along the path that show its height
 GRID_MARGIN = 150.0  # m of grid beyond the path
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """The part of a view that stands still: of N aircraft, n of which have a slot."""
+    """The static part of a view of N aircraft, n of which are followers."""
 
     scenario: str
     title: str
@@ -45,66 +46,65 @@ class Scene:
     wingspan: tuple[float, ...]  # N, m
     colours: tuple[Colour, ...]  # N
     followers: tuple[int, ...]  # n, rows of the N that have a slot
-    chased: int  # how many of the n the cameras follow, from the first on
+    camera_followers: int  # how many of the n the cameras follow, from the first on
     paths: tuple[Array, ...]  # (k, 3) m each, may be empty
     speed_bounds: Array  # (n, 2) m/s
-    bounded_in: Array  # (N, 3) m/s, motion of the air that those are measured in; zero: the ground
-    barriers: tuple[tuple[int, float] | None, ...]  # n, example and nu; None: none known
-    estimated: bool  # whether aircraft fly by estimates that are not the truth
+    bounds_wind: Array  # (N, 3) m/s, of the air that bounded speeds are relative to; zero: ground
+    barriers: tuple[tuple[int, float] | None, ...]  # n, example and nu; None: unknown
+    estimated: bool  # whether any aircraft flies by estimates that differ from the truth
     roll_limit: Array  # (n,) rad
-    frame_rate_hz: float  # of the frames that are shown
-    runs: tuple[str, ...] = ()  # of two in one view, what each is and its colour
+    sample_rate_hz: float  # of the samples that are shown
+    runs: tuple[str, ...] = ()  # of two runs in one view: label, colour and name of each
 
 
 def scene_of(info: RunInfo) -> Scene:
-    """The still part of the view of a run."""
+    """Make the scene of a run."""
     run = f" {info.directory.name}" if info.directory else ""
     n = len(info.names) - 1
     return Scene(
         scenario=info.scenario_name,
         title=info.scenario_name + run,
-        # Of its own each time: a replay must not be added to the live recording of the same run.
+        # a new one each time: a replay must not be added to the live recording of the same run
         recording_id=uuid.uuid4().hex,
         names=tuple(info.names),
         airframes=tuple(info.aircraft),
         wingspan=tuple(info.wingspan_m),
-        colours=tuple(colour(k) for k in range(n + 1)),
+        colours=tuple(aircraft_colour(k) for k in range(n + 1)),
         followers=tuple(range(1, n + 1)),
-        chased=n,
+        camera_followers=n,
         paths=tuple(p for p in [np.asarray(info.leader_path_ned, dtype=np.float64)] if p.size),
         speed_bounds=np.asarray(info.speed_bounds_mps, dtype=np.float64).reshape(-1, 2),
-        bounded_in=np.tile(np.asarray(info.bounded_in_ned, dtype=np.float64), (n + 1, 1)),
+        bounds_wind=np.tile(np.asarray(info.bounded_in_ned, dtype=np.float64), (n + 1, 1)),
         barriers=tuple(None if each[0] == NO_BARRIER else each for each in info.barriers)
         or (None,) * n,
         estimated=info.estimated,
         roll_limit=np.asarray(info.roll_limit_rad, dtype=np.float64),
-        frame_rate_hz=info.frame_rate_hz,
+        sample_rate_hz=info.frame_rate_hz,
     )
 
 
-def together(first: Scene, second: Scene, labels: tuple[str, str]) -> Scene:
-    """Two runs in one view: told apart by colour, the cameras follow the first.
+def overlay_scenes(first: Scene, second: Scene, labels: tuple[str, str]) -> Scene:
+    """Combine the scenes of two runs, told apart by colour; the cameras follow the first.
 
     Args:
         first: of the run whose formation the cameras follow.
-        second: of the other one.
-        labels: short names of the two, set before the names of aircraft.
+        second: of the other run.
+        labels: short names of the two, put before the names of aircraft.
     """
     count = len(first.names)
     shades = (FOLLOWERS[0], FOLLOWERS[1])  # blue and orange
     colours = [
-        tuple(lighter(shade, row, len(each.names)) for row in range(len(each.names)))
+        tuple(shade_in_run(shade, row, len(each.names)) for row in range(len(each.names)))
         for shade, each in zip(shades, (first, second), strict=True)
     ]
     names = [
         tuple(f"{label}.{name}" for name in each.names)
         for label, each in zip(labels, (first, second), strict=True)
     ]
-    known = (first, second)
-    told = [each.scenario for each in known]
-    if told[0] == told[1]:
-        told = [each.title for each in known]
-    same = len(first.paths) == len(second.paths) and all(
+    runs = [each.scenario for each in (first, second)]
+    if runs[0] == runs[1]:
+        runs = [each.title for each in (first, second)]
+    same_paths = len(first.paths) == len(second.paths) and all(
         np.array_equal(*pair) for pair in zip(first.paths, second.paths, strict=True)
     )
     return replace(
@@ -116,44 +116,44 @@ def together(first: Scene, second: Scene, labels: tuple[str, str]) -> Scene:
         wingspan=first.wingspan + second.wingspan,
         colours=colours[0] + colours[1],
         followers=first.followers + tuple(count + row for row in second.followers),
-        paths=first.paths if same else first.paths + second.paths,
+        paths=first.paths if same_paths else first.paths + second.paths,
         speed_bounds=np.concatenate([first.speed_bounds, second.speed_bounds]),
-        bounded_in=np.concatenate([first.bounded_in, second.bounded_in]),
+        bounds_wind=np.concatenate([first.bounds_wind, second.bounds_wind]),
         barriers=first.barriers + second.barriers,
         roll_limit=np.concatenate([first.roll_limit, second.roll_limit]),
         estimated=first.estimated or second.estimated,
         runs=tuple(
             f"{label}, {shade}: {run}"
-            for label, shade, run in zip(labels, ("blue", "orange"), told, strict=True)
+            for label, shade, run in zip(labels, ("blue", "orange"), runs, strict=True)
         ),
     )
 
 
-def colour(index: int) -> Colour:
-    """The colour of aircraft `index`; the leader is 0. After seven followers it starts again."""
+def aircraft_colour(index: int) -> Colour:
+    """Choose the colour of an aircraft; index 0 is the leader. Repeats after seven followers."""
     return LEADER if index == 0 else FOLLOWERS[(index - 1) % len(FOLLOWERS)]
 
 
-def lighter(shade: Colour, row: int, count: int) -> Colour:
-    """The colour of row `row` of a run that has a shade of its own: the leader is nearly white."""
+def shade_in_run(shade: Colour, row: int, count: int) -> Colour:
+    """Lighten the colour of a run for one of its aircraft; the leader is nearly white."""
     share = 0.75 if row == 0 else 0.45 * (row - 1) / max(count - 2, 1)
-    return mixed(shade, (255, 255, 255), share)
+    return mix(shade, (255, 255, 255), share)
 
 
-def mixed(one: Colour, other: Colour, share: float) -> Colour:
-    """A colour on the way from one (0) to the other (1)."""
+def mix(one: Colour, other: Colour, share: float) -> Colour:
+    """Interpolate between one colour (0) and another (1)."""
     red, green, blue = (round(a + share * (b - a)) for a, b in zip(one, other, strict=True))
     return red, green, blue
 
 
-def trim(paint: Colour) -> Colour:
-    """The second colour of an aircraft: light, but dark on one that is nearly white."""
+def secondary_colour(paint: Colour) -> Colour:
+    """Choose the second colour of an aircraft: light, but dark on one that is nearly white."""
     return (105, 115, 130) if min(paint) > 180 else (235, 235, 230)
 
 
 @dataclass(frozen=True, slots=True)
 class Ground:
-    """A grid on the ground with its scale."""
+    """A grid on the ground with its scale, and the paths above it."""
 
     lines: tuple[Array, ...]  # (k, 3) m each
     paths: tuple[Array, ...]  # (k, 3) m each, with a point every few metres
@@ -165,7 +165,7 @@ class Ground:
 
 
 def ground(paths: Sequence[Array]) -> Ground:
-    """The grid under paths (k, 3): whole steps around them, or around the origin without any."""
+    """Lay out the grid under paths (k, 3), or around the origin if there are none."""
     path = np.concatenate([np.empty((0, 3)), *paths])
     flat = path[:, :2] if len(path) else np.array([[-300.0, -300.0], [300.0, 300.0]])
     low = np.floor((flat.min(axis=0) - GRID_MARGIN) / GRID_STEP) * GRID_STEP
@@ -174,13 +174,14 @@ def ground(paths: Sequence[Array]) -> Ground:
     east = np.arange(low[1], high[1] + 1.0, GRID_STEP)
     across = [np.array([[n, low[1], 0.0], [n, high[1], 0.0]]) for n in north]
     along = [np.array([[low[0], e, 0.0], [high[0], e, 0.0]]) for e in east]
-    # Every second line is labelled, on the two edges nearest to the overview's eye.
+    # every second line has a label, on the two edges nearest to the overview camera
     marks = [(n, low[1] - 40.0, f"{n:.0f} m N") for n in north[::2]]
     marks += [(low[0] - 40.0, e, f"{e:.0f} m E") for e in east[::2]]
-    tops = path[np.unique(np.linspace(0, len(path) - 1, POSTS).astype(int))] if len(path) else path
+    posts = np.unique(np.linspace(0, len(path) - 1, MAX_POSTS).astype(int))
+    tops = path[posts] if len(path) else path
     return Ground(
-        lines=tuple(finely(line) for line in across + along),
-        paths=tuple(finely(each) for each in paths),
+        lines=tuple(subdivide(line) for line in across + along),
+        paths=tuple(subdivide(each) for each in paths),
         posts=np.stack([tops, tops * [1.0, 1.0, 0.0]], axis=1),
         label_positions=np.array([[n, e, 0.0] for n, e, _ in marks]),
         labels=tuple(text for _, _, text in marks),
@@ -189,10 +190,10 @@ def ground(paths: Sequence[Array]) -> Ground:
     )
 
 
-def finely(line: Array, step: float = 25.0) -> Array:
-    """A line (k, 3) with a point at least every `step` m.
+def subdivide(line: Array, step: float = 25.0) -> Array:
+    """Add points to a line (k, 3), at least one every `step` m.
 
-    A viewer gives each point of a line one width: a long segment that passes the camera would be
+    Rerun gives each point of a line one width: a long segment that passes the camera would be
     drawn as a broad band.
     """
     if len(line) < 2:

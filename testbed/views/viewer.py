@@ -1,4 +1,4 @@
-"""Finding a Rerun viewer on this machine, or starting one that only this machine can reach."""
+"""Find a Rerun viewer on this machine, or start one that only this machine can reach."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from testbed.errors import InputError
+from testbed.core.errors import InputError
 
 HOST = "127.0.0.1"
 PROBE_S = 0.3
 START_S = 20.0  # a first start on a slow machine
-PORTS = 3  # that are tried when others take the one that was free
-TETHER = Path(__file__).with_name("tether.py")
-LISTENS = "0A"  # the state of a socket in Linux's table
+PORT_ATTEMPTS = 3  # when another program takes the free port first
+CHILD_GUARD = Path(__file__).with_name("child_guard.py")
+TCP_LISTEN = "0A"  # the state of a socket in /proc/net/tcp
 
 
-def listening(port: int) -> bool:
-    """Whether something listens on the port."""
+def is_listening(port: int) -> bool:
+    """Check whether a program listens on the port."""
     try:
         with socket.create_connection((HOST, port), PROBE_S):
             return True
@@ -35,16 +35,16 @@ def listening(port: int) -> bool:
         return False
 
 
-def program() -> str | None:
-    """The `rerun` program of this Python environment."""
+def rerun_program() -> str | None:
+    """Find the `rerun` program of this Python environment."""
     return shutil.which("rerun", path=str(Path(sys.executable).parent))
 
 
-def obstacle(port: int) -> str | None:
-    """Why no viewer can be had, or None if one is there or may be started."""
-    if listening(port):
+def unavailable_reason(port: int) -> str | None:
+    """Explain why there is no viewer; None if one runs or can be started."""
+    if is_listening(port):
         return None
-    if program() is None:
+    if rerun_program() is None:
         return (
             f"there is no `rerun` program beside {sys.executable} and no viewer on "
             f"{HOST}:{port}: install rerun-sdk"
@@ -57,150 +57,150 @@ def obstacle(port: int) -> str | None:
 
 
 def free_port() -> int:
-    """A port of this machine on which nothing listens."""
+    """Find a port of this machine on which no program listens."""
     with socket.socket() as probe:
         probe.bind((HOST, 0))
         return int(probe.getsockname()[1])
 
 
-def start(port: int) -> bool:
+def start_viewer(port: int) -> bool:
     """Start a viewer that outlives this process, and wait until it listens.
 
     Returns:
-        Whether it listens; False as soon as it gives up.
+        Whether it listens; False as soon as it exits.
     """
-    executable = program()
+    executable = rerun_program()
     if executable is None:
         return False
-    viewer = launched(executable, port)
-    if awaited(viewer, port):
+    viewer = launch(executable, port)
+    if wait_until_listening(viewer, port):
         return True
-    end(viewer)
+    kill(viewer)
     return False
 
 
 @contextlib.contextmanager
-def headless(size: tuple[int, int], *, limit_s: float = math.inf) -> Iterator[int]:
-    """A viewer that draws without a screen, for as long as the context and this process last.
+def headless_viewer(size: tuple[int, int], *, limit_s: float = math.inf) -> Iterator[int]:
+    """Run a viewer that draws without a screen, until the context or this process ends.
 
     Args:
         size: width and height, pixels.
-        limit_s: after which it is ended whatever it does, and with it who waits for it.
+        limit_s: time after which it is killed.
 
     Yields:
         The port of this machine on which it listens.
 
     Raises:
-        InputError: there is none, it cannot draw, or it was ended.
+        InputError: There is no viewer, it cannot draw, or it did not answer in time.
     """
-    executable = program()
+    executable = rerun_program()
     if executable is None:
         raise InputError(f"there is no `rerun` program beside {sys.executable}: install rerun-sdk")
     window = ("--headless", "--window-size", "{}x{}".format(*size))
     scratch = tempfile.TemporaryDirectory(prefix="testbed-view-", ignore_cleanup_errors=True)
-    late = threading.Event()
-    with scratch as folder, tethered(executable, *window, folder=folder) as (viewer, port):
+    timed_out = threading.Event()
+    guarded = guarded_viewer(executable, *window, folder=scratch.name)
+    with scratch, guarded as (viewer, port):
         if viewer.poll() is not None:
             raise InputError(
                 "the Rerun viewer does not start without a screen: it needs a Vulkan driver (on "
                 "Debian and Ubuntu, apt-get install mesa-vulkan-drivers)"
             )
 
-        def give_up() -> None:
-            late.set()
-            end(viewer)
+        def time_out() -> None:
+            timed_out.set()
+            kill(viewer)
 
-        watch = threading.Timer(min(limit_s, threading.TIMEOUT_MAX), give_up)
-        watch.daemon = True
-        watch.start()
+        timer = threading.Timer(min(limit_s, threading.TIMEOUT_MAX), time_out)
+        timer.daemon = True
+        timer.start()
         try:
             yield port
         except Exception as error:
-            if late.is_set() or isinstance(error, TimeoutError):
+            if timed_out.is_set() or isinstance(error, TimeoutError):
                 raise InputError(
                     "the Rerun viewer does not answer; is the machine busy?"
                 ) from error
             raise
         finally:
-            watch.cancel()
+            timer.cancel()
 
 
 @contextlib.contextmanager
-def tethered(
+def guarded_viewer(
     executable: str, *arguments: str, folder: str = ""
 ) -> Iterator[tuple[subprocess.Popen[bytes], int]]:
-    """A viewer that ends with the context, or with this process however that ends.
+    """Run a viewer until the context ends or this process does, also by SIGKILL.
 
     Args:
         executable: the program.
         arguments: for it.
-        folder: for its scratch files, which are removed with it when this process is killed.
+        folder: for its scratch files; removed if this process is killed.
 
     Yields:
-        The viewer and the port that it holds; a viewer that has ended if it does not start.
+        The viewer and the port on which it listens; if it did not start, a process that has ended.
     """
-    for _ in range(PORTS):
+    for _ in range(PORT_ATTEMPTS):
         port = free_port()
-        viewer = launched(executable, port, *arguments, tether=True, folder=folder)
+        viewer = launch(executable, port, *arguments, guarded=True, folder=folder)
         try:
-            if awaited(viewer, port) and holds(viewer, port):
+            if wait_until_listening(viewer, port) and owns_port(viewer, port):
                 yield viewer, port
                 return
         finally:
-            end(viewer)
-        if not listening(port):  # else somebody took it between the first two lines above
+            kill(viewer)
+        if not is_listening(port):  # otherwise another program took the port first
             break
     yield viewer, port
 
 
-def launched(
-    executable: str, port: int, *arguments: str, tether: bool = False, folder: str = ""
+def launch(
+    executable: str, port: int, *arguments: str, guarded: bool = False, folder: str = ""
 ) -> subprocess.Popen[bytes]:
-    """A viewer on its way, reachable from this machine alone, in a process group of its own.
+    """Start a viewer that only this machine can reach, in its own process group.
 
     Args:
         executable: the program.
-        port: on which it is to listen.
+        port: on which it shall listen.
         arguments: for it.
-        tether: whether it ends when this process does, or outlives it.
-        folder: for its scratch files; none: where such files are by default.
+        guarded: whether it ends with this process, or outlives it.
+        folder: for its scratch files; empty: the system's default.
     """
     command = [executable, "--bind", HOST, "--port", str(port), "--hide-welcome-screen", *arguments]
-    if tether:
-        command = [sys.executable, "-I", "-S", str(TETHER), folder, *command]
-    # No questions on the terminal, no messages in the pictures, and, as everywhere where CI is set,
-    # no statistics of use for Rerun.
-    silent = {"RERUN_APP_ONLY": "true", "RUST_LOG": "off", "CI": "true"}
+    if guarded:
+        command = [sys.executable, "-I", "-S", str(CHILD_GUARD), folder, *command]
+    # no questions on the terminal, no notices in pictures and, because CI is set, no analytics
+    quiet = {"RERUN_APP_ONLY": "true", "RUST_LOG": "off", "CI": "true"}
     return subprocess.Popen(
         command,
-        stdin=subprocess.PIPE if tether else subprocess.DEVNULL,
+        stdin=subprocess.PIPE if guarded else subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        env=os.environ | silent | ({"TMPDIR": folder} if folder else {}),
-        start_new_session=True,  # Ctrl-C ends the run, not the picture of it
+        env=os.environ | quiet | ({"TMPDIR": folder} if folder else {}),
+        start_new_session=True,  # Ctrl-C is for the run
     )
 
 
-def awaited(viewer: subprocess.Popen[bytes], port: int) -> bool:
-    """Whether a viewer listens in the end; False as soon as it gives up."""
+def wait_until_listening(viewer: subprocess.Popen[bytes], port: int) -> bool:
+    """Wait until a viewer listens; False as soon as it exits, or after `START_S`."""
     deadline = time.monotonic() + START_S
     while time.monotonic() < deadline and viewer.poll() is None:
-        if listening(port):
+        if is_listening(port):
             return True
         time.sleep(0.1)
     return False
 
 
-def holds(viewer: subprocess.Popen[bytes], port: int) -> bool:
-    """Whether it is this viewer that listens on a port, as far as the system tells."""
+def owns_port(viewer: subprocess.Popen[bytes], port: int) -> bool:
+    """Check that this viewer, and no other program, listens on the port (Linux only)."""
     table = Path("/proc/net/tcp")
     if not table.exists():
         return viewer.poll() is None
     rows = (line.split() for line in table.read_text().splitlines()[1:])
     ours = f"{int.from_bytes(socket.inet_aton(HOST), sys.byteorder):08X}:{port:04X}"
-    sockets = {f"socket:[{row[9]}]" for row in rows if row[1] == ours and row[3] == LISTENS}
+    sockets = {f"socket:[{row[9]}]" for row in rows if row[1] == ours and row[3] == TCP_LISTEN}
     for process in Path("/proc").glob("[0-9]*"):
-        with contextlib.suppress(OSError):  # it has ended, or is somebody else's
+        with contextlib.suppress(OSError):  # it has ended, or belongs to another user
             if os.getpgid(int(process.name)) != viewer.pid:
                 continue
             if any(os.readlink(each) in sockets for each in (process / "fd").iterdir()):
@@ -208,8 +208,8 @@ def holds(viewer: subprocess.Popen[bytes], port: int) -> bool:
     return False
 
 
-def end(viewer: subprocess.Popen[bytes]) -> None:
-    """End a viewer with everything that it has started: its program is a script round another."""
+def kill(viewer: subprocess.Popen[bytes]) -> None:
+    """Kill a viewer and everything it started; `rerun` is a script that runs another program."""
     with contextlib.suppress(ProcessLookupError):
         os.killpg(viewer.pid, signal.SIGKILL)
     viewer.wait()

@@ -1,4 +1,4 @@
-"""Who may import what: the doors to heavy libraries, and the walls between the rooms."""
+"""Which module may import what: layers without cycles, one module for each heavy library."""
 
 import ast
 import json
@@ -14,24 +14,37 @@ import testbed
 
 PACKAGE = Path(testbed.__file__).parent
 ROOT = Path(__file__).parents[2]
-LONGEST_MODULE = 300
-LONGEST_DOOR = 400  # a door cannot be split: one module holds all that knows its library
+FILES = {
+    ".".join(("testbed", *path.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(
+        ".__init__"
+    ): path
+    for path in PACKAGE.rglob("*.py")
+}
 
 
-def imports(path):
-    """Every module that a file imports, at its top or inside a function."""
+def imports(path, *, while_loading=False):
+    """Names that a file imports: anywhere, or only while the module itself is loaded."""
     found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    waiting = [ast.parse(path.read_text(encoding="utf-8"))]
+    while waiting:
+        node = waiting.pop()
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path} imports relatively in line {node.lineno}"
-            found.add(node.module)
-            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+            for alias in node.names:
+                full = f"{node.module}.{alias.name}"
+                found |= {full} if full in FILES else {node.module, full}
+        if while_loading and (
+            isinstance(node, ast.FunctionDef)
+            or (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test))
+        ):
+            continue
+        waiting += ast.iter_child_nodes(node)
     return found
 
 
-MODULES = {path.relative_to(PACKAGE).as_posix(): imports(path) for path in PACKAGE.rglob("*.py")}
+IMPORTS = {name: imports(path) for name, path in FILES.items()}
 
 
 def within(module, packages):
@@ -39,131 +52,101 @@ def within(module, packages):
 
 
 def importers(*packages):
-    return {path for path, found in MODULES.items() if any(within(m, packages) for m in found)}
-
-
-def room(name):
-    return {path: found for path, found in MODULES.items() if path.startswith(f"{name}/")}
-
-
-def test_jsbsim_has_one_door():
-    assert importers("jsbsim") == {"vehicle/jsbsim_door.py"}
-
-
-def test_matplotlib_has_one_door():
-    assert importers("matplotlib", "mpl_toolkits") == {"views/figure_door.py"}
-
-
-def test_yaml_has_one_door():
-    assert importers("yaml") == {"scenario/yaml_door.py"}
-
-
-def test_pymavlink_has_one_door_and_only_its_generated_tables_pass():
-    """They are under the MIT licence; most of the rest is, or imports what is, under the GPL."""
-    assert importers("pymavlink") == {"mavlink/door.py"}
-    named = {m for m in MODULES["mavlink/door.py"] if within(m, ["pymavlink"])}
-    assert named == {"pymavlink.dialects.v20", "pymavlink.dialects.v20.ardupilotmega"}
-
-
-def test_numba_has_one_door_and_it_is_for_twins_only():
-    assert importers("numba") == {
-        *("compiled.py", "unboxed.py"),
-        *("guidance/helm_twin.py", "rows_twin.py", "vehicle/properties_twin.py"),
+    return {
+        name for name, found in IMPORTS.items() if any(within(each, packages) for each in found)
     }
-    assert importers("testbed.unboxed") == {"compiled.py"}
-    twins = {path for path in MODULES if path.endswith("twin.py")}
-    decorated = {path for path, found in MODULES.items() if "testbed.compiled.twin" in found}
-    assert decorated == twins
 
 
-@pytest.mark.parametrize(
-    ("packages", "home"),
-    [
-        (("mcap", "mcap_protobuf", "foxglove", "google.protobuf", "zstandard"), "record"),
-        (("pyarrow",), "record"),
-        (("rerun",), "views"),
-    ],
-)
-def test_the_log_and_the_viewer_have_one_door_each(packages, home):
-    # a door is a module, or a package of its own in its room
-    doors = {tuple(path.removesuffix(".py").split("/")[:2]) for path in importers(*packages)}
-    assert len(doors) == 1, doors
-    room, door = doors.pop()
-    assert room == home and "door" in door
+def package_of(name):
+    return ".".join(name.split(".")[:2])
 
 
-def test_the_search_has_one_door():
-    assert importers("cma") == {"study/cma_door.py"}
+def test_modules_import_without_cycles():
+    """Also inside a package; imports made inside functions are not counted."""
+    edges = {name: imports(path, while_loading=True) & FILES.keys() for name, path in FILES.items()}
+    while leaves := {name for name, needed in edges.items() if not needed - {name}}:
+        edges = {name: needed - leaves for name, needed in edges.items() if name not in leaves}
+    assert not edges
 
 
-def test_who_flies_many_has_a_door_to_each_backend():
-    assert importers("joblib") == {"study/processes.py"}
-    assert importers("dask", "distributed") == {"study/cluster.py"}
-
-
-def test_formation_knows_only_numpy_and_the_shared_vocabulary():
-    ours = ("testbed.state", "testbed.frames", "testbed.compiled", "testbed.formation")
-    modules = room("formation")
-    assert modules
-    for path, found in modules.items():
-        strangers = {
-            module
-            for module in found
-            if module.split(".")[0] not in sys.stdlib_module_names | {"numpy"}
-            and not within(module, ours)
-        }
-        # `from testbed import frames` also names the package itself
-        assert strangers <= {"testbed"}, path
-
-
-FLOWN = ["air", "vehicle", "sensing", "network", "guidance", "formation"]
-OBSERVERS = ["record", "metrics", "views"]
-READERS = ["report"]  # of what observers left
-OUTSIDE = ["links", "ardupilot"]  # programs outside, which speak MAVLink
-ROOMS = [*FLOWN, *OBSERVERS, *READERS, *OUTSIDE, "mavlink", "scenario"]
-
-
-def but(names, *allowed):
-    return [name for name in names if name not in allowed]
-
-
-FORBIDDEN = {
-    "air": [*but(ROOMS, "air"), "sim", "study"],
-    "vehicle": [*but(ROOMS, "vehicle", "scenario"), "sim", "study"],
-    "sensing": [*but(ROOMS, "sensing", "scenario"), "sim", "study"],
-    "network": [*but(ROOMS, "network", "scenario"), "sim", "study"],
-    "guidance": [*but(ROOMS, "guidance", "scenario"), "sim", "study"],
-    "record": [*but(FLOWN, "formation"), *READERS, "sim", "study"],
-    "metrics": [*but(FLOWN, "formation"), *READERS, "sim", "record", "views", "study"],
-    "views": [*but(FLOWN, "formation"), *READERS, "sim", "study"],
-    "report": [*but(FLOWN, "formation"), *OUTSIDE, "mavlink", "sim", "study"],
-    "mavlink": [*but(ROOMS, "mavlink"), "sim", "study"],
-    "links": [*but(ROOMS, "links", "mavlink"), "sim", "study"],
-    "ardupilot": [*but(ROOMS, "ardupilot", "mavlink"), "sim", "study"],
-    "scenario": [*but(ROOMS, "scenario"), "sim", "frames", "state", "study"],
-    "sim": ["cli", "views", "report", "study"],
-    "study": ["cli", "views", "report"],
+# What each package may know of the others; every one may know `core` and itself.
+MODELS = ("atmosphere", "formation", "guidance")
+LAYERS = {
+    "core": set(),
+    **{name: set() for name in MODELS},
+    "mavlink": {"guidance"},
+    "autopilot": {"mavlink"},
+    "vehicle": {"autopilot"},
+    "scenario": set(),
+    "network": {"scenario"},
+    "sensors": {"scenario"},
+    "metrics": {"formation"},
+    "logs": {"scenario", "formation"},
+    "views": {"formation", "logs"},
+    "reports": {"formation", "logs", "metrics", "scenario", "views"},
+    "sim": {
+        *MODELS,
+        *("mavlink", "autopilot", "vehicle", "scenario", "network", "sensors", "metrics", "logs"),
+    },
+    "studies": {"mavlink", "logs", "metrics", "scenario", "sim"},
+    "cli": None,  # the command line uses all of them, and nothing uses it
 }
 
 
-@pytest.mark.parametrize(("name", "others"), FORBIDDEN.items(), ids=FORBIDDEN)
-def test_a_room_does_not_know_its_neighbours(name, others):
-    modules = room(name)
+@pytest.mark.parametrize("name", LAYERS)
+def test_a_package_knows_only_its_layer(name):
+    allowed = LAYERS[name]
+    modules = {each: found for each, found in IMPORTS.items() if within(each, [f"testbed.{name}"])}
     assert modules
-    walls = [f"testbed.{other}" for other in others]
-    for path, found in modules.items():
-        assert not {module for module in found if within(module, walls)}, path
+    if allowed is None:
+        return
+    known = {f"testbed.{each}" for each in (*allowed, "core", name)}
+    for each, found in modules.items():
+        ours = {package_of(other) for other in found if other in FILES} - {"testbed", "testbed.run"}
+        assert ours <= known, each
 
 
-def test_sockets_and_programs_outside_have_few_doors():
-    opened = {"links/endpoint.py", "ardupilot/"}
-    for module in ("socket", "socketserver", "asyncio", "http"):
-        for path in importers(module):
-            assert any(path.startswith(door) for door in opened) or path.startswith("views/"), path
+def test_every_package_has_a_layer():
+    packages = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
+    assert packages == set(LAYERS)
 
 
-def test_nobody_imports_the_command_line():
-    assert importers("testbed.cli") <= {"__main__.py"}
+def test_only_main_imports_the_command_line():
+    outside = {name for name in importers("testbed.cli") if not within(name, ["testbed.cli"])}
+    assert outside == {"testbed.__main__"}
+
+
+ONE_MODULE = {
+    ("jsbsim",): "vehicle.jsbsim_adapter",
+    ("matplotlib", "mpl_toolkits"): "views.matplotlib_backend",
+    ("rerun",): "views.rerun_backend",
+    ("yaml",): "scenario.yaml_io",
+    ("pymavlink",): "mavlink.codec",
+    ("mcap", "mcap_protobuf", "foxglove", "google.protobuf", "zstandard"): "logs.mcap_file",
+    ("pyarrow",): "logs.arrow_io",
+    ("cma",): "studies.tune_search",
+    ("joblib",): "studies.local_workers",
+    ("dask", "distributed"): "studies.dask_workers",
+}
+
+
+@pytest.mark.parametrize(("libraries", "module"), ONE_MODULE.items(), ids=ONE_MODULE.values())
+def test_a_library_is_imported_in_one_place(libraries, module):
+    users = importers(*libraries)
+    assert users
+    assert all(within(user, [f"testbed.{module}"]) for user in users), users
+
+
+def test_only_mit_tables_of_pymavlink_are_imported():
+    """Most of the rest is, or imports what is, under the GPL."""
+    named = {each for each in IMPORTS["testbed.mavlink.codec"] if within(each, ["pymavlink"])}
+    assert named == {"pymavlink.dialects.v20", "pymavlink.dialects.v20.ardupilotmega"}
+
+
+def test_sockets_are_opened_in_few_places():
+    places = ["testbed.mavlink.udp_endpoint", "testbed.autopilot", "testbed.views"]
+    for name in importers("socket", "socketserver", "asyncio", "http"):
+        assert within(name, places), name
 
 
 def modules_after(statement):
@@ -199,12 +182,6 @@ def test_importing_the_page_loads_nothing_heavy(statement):
     assert not heavy & loaded
 
 
-@pytest.mark.parametrize("path", sorted(MODULES))
-def test_a_module_is_short(path):
-    longest = LONGEST_DOOR if path.endswith("door.py") else LONGEST_MODULE
-    assert len((PACKAGE / path).read_text(encoding="utf-8").splitlines()) <= longest
-
-
 def text_files():
     skipped = {".git", "logs", "build", "dist", "__pycache__"}
     for here, folders, files in os.walk(ROOT):
@@ -213,7 +190,7 @@ def text_files():
             for name in folders
             if name not in skipped and not name.startswith(".venv") and not name.endswith("_cache")
         ]
-        for path in filter(Path.is_file, (Path(here, name) for name in files)):
+        for path in filter(Path.is_file, (Path(here, name) for name in files if name != ".git")):
             try:
                 yield path, path.read_text(encoding="utf-8")
             except UnicodeDecodeError:

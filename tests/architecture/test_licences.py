@@ -1,4 +1,4 @@
-"""Everything that is installed has a licence that goes with ours, and the page says which."""
+"""Every installed package has a compatible licence, and docs/licences.md lists it."""
 
 import importlib
 import re
@@ -21,9 +21,9 @@ FREE = {
     "PSF-2.0",
     "Zlib",
 }
-# Libraries that are used as they are; and a list of certificates, and a matcher of paths, of tools.
-AS_THEY_ARE = {"jsbsim": "LGPL-2.1-or-later", "pymavlink": "LGPL-3.0"}
-OF_TOOLS = {"MPL-2.0"}
+# Libraries that are used unmodified; licences of tools only.
+UNMODIFIED = {"jsbsim": "LGPL-2.1-or-later", "pymavlink": "LGPL-3.0"}
+TOOLS = {"MPL-2.0"}
 
 
 @pytest.fixture
@@ -32,24 +32,24 @@ def licences(monkeypatch):
     return importlib.import_module("licences")
 
 
-def test_every_locked_package_has_a_licence_that_goes_with_mit(licences):
+def test_locked_packages_have_compatible_licences(licences):
     runs, seen = set(licences.running()), 0
     assert {"jsbsim", "numpy", "pymavlink", "mcap", "rerun-sdk"} <= runs < set(licences.locked())
     for name in licences.locked():
         package = licences.installed(name)
-        if package is None:  # of another system
+        if package is None:  # for another system
             continue
-        said = licences.licence(package)
-        if AS_THEY_ARE.get(name) == said:
+        licence = licences.licence(package)
+        if UNMODIFIED.get(name) == licence:
             continue
-        allowed = FREE if name in runs else FREE | OF_TOOLS
-        assert set(re.split(" AND | OR ", said)) <= allowed, f"{name}: {said or 'says none'}"
+        allowed = FREE if name in runs else FREE | TOOLS
+        assert set(re.split(" AND | OR ", licence)) <= allowed, f"{name}: {licence or 'no licence'}"
         seen += 1
     assert seen > 80
 
 
-def test_the_page_is_what_packages_say(licences):
+def test_licences_page_matches_the_packages(licences):
     page = (ROOT / "docs" / "licences.md").read_text(encoding="utf-8")
-    missing = set(licences.rows()) - set(page.splitlines())  # on another Python there may be fewer
-    assert not missing, "write it anew: python release/licences.py > docs/licences.md"
+    missing = set(licences.rows()) - set(page.splitlines())  # another Python may have fewer
+    assert not missing, "run python release/licences.py > docs/licences.md"
     assert page.startswith(licences.HEAD) and page.endswith(licences.FOOT)

@@ -1,4 +1,4 @@
-"""Every promise of docs/promises.md names a test that is there."""
+"""Every promise of docs/promises.md names an existing test."""
 
 import ast
 import re
@@ -8,7 +8,7 @@ ROOT = Path(__file__).parents[2]
 PROMISE = re.compile(r"^\| .+ \| \[[\w.]+\]\(\.\./(tests/[\w/]+\.py)\) `(\w+)` \|$")
 
 
-def test_every_promise_has_its_test():
+def test_every_promise_names_an_existing_test():
     page = (ROOT / "docs" / "promises.md").read_text(encoding="utf-8")
     lines = [
         line

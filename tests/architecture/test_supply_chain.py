@@ -1,4 +1,4 @@
-"""What is installed is pinned, what is released is checked, workflows may do what they must."""
+"""Packages are pinned, releases are checked, workflows have minimal permissions."""
 
 import importlib
 import json
@@ -13,7 +13,7 @@ import yaml
 ROOT = Path(__file__).parents[2]
 LOCKS = ("requirements.lock", "release/requirements.lock", "tests/clients/requirements.lock")
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
-# Steps that install nothing themselves: they leave it to make, which is looked at below.
+# Steps that install nothing themselves; the Makefile is checked below.
 HARMLESS = re.compile(
     r"make |\.ci/run$|\.venv/bin/testbed |\(cd dist && sha256sum |gh release create"
 )
@@ -34,20 +34,20 @@ def jobs():
 
 
 @pytest.mark.parametrize("name", LOCKS)
-def test_every_pin_of_every_lock_is_one_version_with_hashes(release, name):
+def test_every_pin_is_one_version_with_hashes(release, name):
     text = (ROOT / name).read_text(encoding="utf-8")
     found = release("locked").pins(text)
     assert len(found) == len(re.findall(r"^[A-Za-z0-9]", text, re.M)) >= 6
-    assert "://" not in text and "--index-url" not in text  # wherever it is installed from
+    assert "://" not in text and "--index-url" not in text  # independent of the index
 
 
 @pytest.mark.parametrize("text", ("numpy>=2 --hash=sha256:" + WHEEL, "numpy==2.3.0"))
-def test_what_is_not_pinned_or_has_no_hash_is_refused(release, text):
+def test_pin_without_version_or_hash_raises(release, text):
     with pytest.raises(ValueError, match="one version with its hashes"):
         release("locked").pins(text)
 
 
-def test_pip_installs_with_hashes_or_only_the_checkout():
+def test_pip_installs_require_hashes():
     for name in ("Makefile", ".ci/run", "release/make_release.py"):
         text = (ROOT / name).read_text(encoding="utf-8").replace("\\\n", " ")
         for line in re.findall(r"^.*\bpip\b.*\binstall\b.*$|^.*\"install\".*$", text, re.M):
@@ -60,18 +60,18 @@ def test_pip_installs_with_hashes_or_only_the_checkout():
             assert not re.search(r"\b(pip|uv|npm|curl|wget)\b", step.get("run", "")), (file, name)
 
 
-def test_nobody_is_told_to_install_the_testbed_of_other_people():
-    """That is what an index has under our name, until we have another one."""
-    told = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "testbed").rglob("*.py")]
+def test_docs_do_not_install_testbed_from_pypi():
+    """The project `testbed` on PyPI is another one."""
+    files = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "testbed").rglob("*.py")]
     wrong = [
         path.relative_to(ROOT).as_posix()
-        for path in told
+        for path in files
         if re.search(r"pip install ['\"]?testbed(?![\w.-])", path.read_text(encoding="utf-8"))
     ]
-    assert wrong == ["docs/supply-chain.md"]  # which says so
+    assert wrong == ["docs/supply-chain.md"]  # which warns of it
 
 
-def test_actions_are_pinned_by_commit_with_the_version_said():
+def test_actions_are_pinned_by_commit():
     for path in WORKFLOWS:
         lines = re.findall(r"uses: (.*)$", path.read_text(encoding="utf-8"), re.M)
         assert lines
@@ -83,28 +83,28 @@ def test_actions_are_pinned_by_commit_with_the_version_said():
             assert pins.setdefault(action, commit) == commit, action
 
 
-def test_what_may_write_runs_nothing_of_the_repository_and_nothing_else_may_write():
+def test_jobs_that_write_run_no_repository_code():
     writing = set()
     for path in WORKFLOWS:
-        told = yaml.safe_load(path.read_text(encoding="utf-8"))
-        assert told["permissions"] in ({}, {"contents": "read"}), path.name
-        assert "pull_request_target" not in told[True]  # YAML reads `on` as true
+        workflow = yaml.safe_load(path.read_text(encoding="utf-8"))
+        assert workflow["permissions"] in ({}, {"contents": "read"}), path.name
+        assert "pull_request_target" not in workflow[True]  # YAML reads `on` as true
     for file, name, job in jobs():
         uses = [step["uses"].split("@")[0] for step in job["steps"] if "uses" in step]
         if "write" in job.get("permissions", {}).values():
             writing.add((file, name))
             assert "actions/checkout" not in uses, (file, name)
         for step in job["steps"]:
-            assert "${{" not in step.get("run", ""), (file, name)  # no text that becomes a command
+            assert "${{" not in step.get("run", ""), (file, name)  # no text becomes a command
             if step.get("uses", "").startswith("actions/checkout@"):
                 assert step["with"]["persist-credentials"] is False, (file, name)
     assert writing == {("release.yml", each) for each in ("attest", "draft", "publish")}
 
 
-def test_a_release_is_tested_audited_checked_and_then_attested_drafted_and_approved():
-    told = yaml.safe_load((ROOT / ".github/workflows/release.yml").read_text(encoding="utf-8"))
-    assert told[True] == {"push": {"tags": ["v*"]}}
-    jobs = told["jobs"]
+def test_release_jobs_run_in_order():
+    workflow = yaml.safe_load((ROOT / ".github/workflows/release.yml").read_text(encoding="utf-8"))
+    assert workflow[True] == {"push": {"tags": ["v*"]}}
+    jobs = workflow["jobs"]
     runs = [step["run"] for step in jobs["build"]["steps"] if "run" in step]
     assert runs == [".ci/run", "make audit", "make release"]
     assert [jobs[name]["needs"] for name in ("attest", "draft", "publish")] == [
@@ -117,16 +117,16 @@ def test_a_release_is_tested_audited_checked_and_then_attested_drafted_and_appro
     assert jobs["publish"]["permissions"] == {"id-token": "write"}
 
 
-def test_an_audit_runs_every_week_and_fails_on_what_it_could_not_look_up():
-    told = yaml.safe_load((ROOT / ".github/workflows/audit.yml").read_text(encoding="utf-8"))
-    assert told[True]["schedule"]
+def test_audit_runs_weekly_on_every_lock_file():
+    workflow = yaml.safe_load((ROOT / ".github/workflows/audit.yml").read_text(encoding="utf-8"))
+    assert workflow[True]["schedule"]
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ")
     (audit,) = re.findall(r"^audit:.*\n((?:\t.*\n)+)", makefile, re.M)
     assert "pip-audit --strict --require-hashes" in audit
     assert all(lock in audit for lock in LOCKS)
 
 
-def test_the_pins_of_a_release_are_those_of_what_runs(release):
+def test_release_pins_are_the_runtime_packages(release):
     locked = release("locked")
     everything = locked.pins((ROOT / "requirements.lock").read_text(encoding="utf-8"))
     running = locked.running_lock()
@@ -143,10 +143,11 @@ def made(release, installed=None, pinned=None):
     pinned = pinned or locked.running_pins(here)
     installed = [distribution(name) for name in pinned] if installed is None else installed
     wheel = bill.Wheel("1.2.3", WHEEL, 1_700_000_000)
-    return pinned, bill.bill(wheel, installed, pinned, locked.needed(here), ["numpy", "jsbsim"])
+    graph = locked.needed(here)
+    return pinned, bill.make_bill(wheel, installed, pinned, graph, ["numpy", "jsbsim"])
 
 
-def test_the_bill_lists_exactly_what_runs_as_the_lock_has_it(release):
+def test_bill_lists_the_locked_packages(release):
     pinned, bill = made(release)
     assert {each["name"] for each in bill["components"]} == set(pinned)
     for each in bill["components"]:
@@ -160,12 +161,12 @@ def test_the_bill_lists_exactly_what_runs_as_the_lock_has_it(release):
         assert each["licenses"] and each["type"] == "library"
     page = (ROOT / "docs" / "licences.md").read_text(encoding="utf-8")
     for each in bill["components"]:
-        (told,) = each["licenses"]
-        said = told.get("expression") or next(iter(told["license"].values()))
-        assert f"| [{each['name']}](https://pypi.org/project/{each['name']}/) | {said} |" in page
+        (licence,) = each["licenses"]
+        name = licence.get("expression") or next(iter(licence["license"].values()))
+        assert f"| [{each['name']}](https://pypi.org/project/{each['name']}/) | {name} |" in page
 
 
-def test_the_bill_has_what_the_standard_requires(release):
+def test_bill_has_the_required_fields(release):
     _, bill = made(release)
     assert (bill["bomFormat"], bill["specVersion"], bill["version"]) == ("CycloneDX", "1.6", 1)
     assert re.fullmatch(r"urn:uuid:[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}", bill["serialNumber"])
@@ -180,7 +181,7 @@ def test_the_bill_has_what_the_standard_requires(release):
     assert json.dumps(made(release)[1]) == json.dumps(bill)
 
 
-def test_an_environment_that_is_not_the_locks_has_no_bill(release):
+def test_bill_of_another_environment_raises(release):
     with pytest.raises(ValueError, match="differ: .*mypy"):
         made(release, installed=distributions())
     pinned, _ = made(release)
@@ -188,7 +189,7 @@ def test_an_environment_that_is_not_the_locks_has_no_bill(release):
         made(release, installed=[distribution(name) for name in pinned if name != "numpy"])
 
 
-def test_a_wheel_with_a_stray_file_or_without_an_aircraft_is_refused(release):
+def test_wheel_with_wrong_files_raises(release):
     packages = release("packages")
     files = ["testbed/a.py", "aircraft/x.xml", "scenarios/s.yaml", "tests/t.py", "logs/.gitkeep"]
     expected = packages.expected_in_wheel(files, "1.2.3")
@@ -200,7 +201,7 @@ def test_a_wheel_with_a_stray_file_or_without_an_aircraft_is_refused(release):
             packages.check_contents(there, expected, "wheel")
 
 
-def test_a_tag_that_is_not_the_version_or_not_in_the_changelog_is_refused(release):
+def test_tag_that_differs_from_version_raises(release):
     packages = release("packages")
     version = distribution("testbed").version
     packages.check_version(version, None)
@@ -210,7 +211,7 @@ def test_a_tag_that_is_not_the_version_or_not_in_the_changelog_is_refused(releas
         packages.check_version("9.9.9", "v9.9.9")
 
 
-def test_two_builds_of_what_is_committed_are_the_same_and_hold_what_they_must(release, tmp_path):
+def test_two_builds_are_equal_and_complete(release, tmp_path):
     if shutil.which("git") is None or not (ROOT / ".git").exists():
         pytest.skip("no checkout of git")
     packages = release("packages")
@@ -223,7 +224,7 @@ def test_two_builds_of_what_is_committed_are_the_same_and_hold_what_they_must(re
         packages.check_wheel(wheel, files, "9.9.9")
 
 
-def test_two_builds_that_differ_are_refused(release, tmp_path, monkeypatch):
+def test_two_builds_that_differ_raise(release, tmp_path, monkeypatch):
     packages = release("packages")
 
     def build(folder, *, epoch_s, odd=False):

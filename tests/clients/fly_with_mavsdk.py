@@ -1,4 +1,4 @@
-"""Flies the leader of a run with MAVSDK and says what it saw, a JSON object a line.
+"""Command the leader of a run with MAVSDK, and print results as one JSON object per line.
 
 Run in the clients' environment: fly_with_mavsdk.py CONNECTION_URL
 """
@@ -21,22 +21,22 @@ from mavsdk.mavsdk import Configuration
 from mavsdk.plugins.mission_raw import MissionItem
 from mavsdk.plugins.offboard import Attitude
 
-LATITUDE_DEG, LONGITUDE_DEG, ELEVATION_M = 38.0, 0.0, 300.0  # of the page's origin
-NORTH_DEG = 1.0 / 110_996.0  # of a metre, at this latitude
+LATITUDE_DEG, LONGITUDE_DEG, ELEVATION_M = 38.0, 0.0, 300.0  # of the scenario's origin
+NORTH_DEG = 1.0 / 110_996.0  # per metre, at this latitude
 EAST_DEG = 1.0 / 87_832.0
 RELATIVE, WAYPOINT, UNLIMITED = 6, 16, 17
 
 
-def say(step, **seen):
-    print(json.dumps({"step": step, **seen}), flush=True)
+def report(step, **values):
+    print(json.dumps({"step": step, **values}), flush=True)
 
 
-def place(north, east):
+def position(north, east):
     return LATITUDE_DEG + north * NORTH_DEG, LONGITUDE_DEG + east * EAST_DEG
 
 
 def item(number, command, north, east, altitude):
-    latitude, longitude = place(north, east)
+    latitude, longitude = position(north, east)
     return MissionItem(
         number,
         RELATIVE,
@@ -50,7 +50,7 @@ def item(number, command, north, east, altitude):
 
 
 async def until(stream, holds):
-    """The first value of a stream for which this holds; whoever runs this ends a wait in vain."""
+    """Return the first value of a stream for which the condition holds; without a timeout."""
     async for value in stream:
         if holds(value):
             return value
@@ -86,23 +86,25 @@ async def main(url):
     ) as mavsdk:
         await mavsdk.add_any_connection(url)
         found = await systems(mavsdk, 4)
-        say("systems", ids=sorted(found))
+        report("systems", ids=sorted(found))
         leader = found[1]
         telemetry, action = TelemetryAsync(leader), ActionAsync(leader)
         texts = []
         listening = asyncio.create_task(keep_texts(telemetry, texts))
 
         await until(telemetry.subscribe_health_all_ok(), bool)
-        say("health", **fields(await until(telemetry.subscribe_health(), lambda h: h.is_armable)))
-        say("in air", value=await until(telemetry.subscribe_in_air(), bool))
+        report(
+            "health", **fields(await until(telemetry.subscribe_health(), lambda h: h.is_armable))
+        )
+        report("in air", value=await until(telemetry.subscribe_in_air(), bool))
         charged = TelemetryAsync(found[2]).subscribe_battery()
-        say("battery", **fields(await until(charged, lambda b: b.voltage_v > 0.0)))
-        say("armed", value=await until(telemetry.subscribe_armed(), bool))
+        report("battery", **fields(await until(charged, lambda b: b.voltage_v > 0.0)))
+        report("armed", value=await until(telemetry.subscribe_armed(), bool))
         home = await until(telemetry.subscribe_home(), lambda h: True)
-        say("home", altitude_m=home.absolute_altitude_m)
+        report("home", altitude_m=home.absolute_altitude_m)
         info = InfoAsync(leader)
         version, identity = await info.get_version(), await info.get_identification()
-        say(
+        report(
             "version",
             numbers=[
                 version.flight_sw_major,
@@ -115,7 +117,7 @@ async def main(url):
         param = ParamAsync(leader)
         before = await param.get_param_float("RLL_RATE_P")
         await param.set_param_float("RLL_RATE_P", 0.11)
-        say(
+        report(
             "parameter",
             before=before,
             after=await param.get_param_float("RLL_RATE_P"),
@@ -134,7 +136,7 @@ async def main(url):
         ]
         await mission.upload_mission(items)
         back = await mission.download_mission()
-        say(
+        report(
             "mission",
             same=[
                 all(
@@ -148,14 +150,14 @@ async def main(url):
 
         await action.hold()
         mode = await until(telemetry.subscribe_flight_mode(), lambda m: m.name == "HOLD")
-        say("mode", name=mode.name)
+        report("mode", name=mode.name)
         await mission.start_mission()
         mode = await until(telemetry.subscribe_flight_mode(), lambda m: m.name == "MISSION")
-        say("mode", name=mode.name)
-        target = place(north, east + 300.0)
+        report("mode", name=mode.name)
+        target = position(north, east + 300.0)
         progress = await until(mission.subscribe_mission_progress(), lambda p: p.current >= 2)
         at = await until(telemetry.subscribe_position(), lambda p: True)
-        say(
+        report(
             "progress",
             current=progress.current,
             total=progress.total,
@@ -164,18 +166,18 @@ async def main(url):
             ),
         )
 
-        there = place(north + 200.0, east - 200.0)
+        there = position(north + 200.0, east - 200.0)
         await action.goto_location(*there, ELEVATION_M + 130.0, 0.0)
         mode = await until(
             telemetry.subscribe_flight_mode(), lambda m: m.name not in ("MISSION", "HOLD")
         )
-        say("goto", mode=mode.name)
+        report("goto", mode=mode.name)
 
         offboard = OffboardAsync(leader)
         await offboard.set_attitude(Attitude(25.0, 2.0, 0.0, 0.5))
         await offboard.start()
         banked = await until(telemetry.subscribe_attitude_euler(), lambda a: a.roll_deg > 20.0)
-        say("offboard", roll_deg=banked.roll_deg)
+        report("offboard", roll_deg=banked.roll_deg)
 
         await action.hold()
         await until(telemetry.subscribe_flight_mode(), lambda m: m.name == "HOLD")
@@ -183,11 +185,11 @@ async def main(url):
         manual, last = ManualControlAsync(found[4]), TelemetryAsync(found[4])
         sticks = asyncio.create_task(hold_left(manual))
         banked = await until(last.subscribe_attitude_euler(), lambda a: a.roll_deg < -18.0)
-        say("manual", roll_deg=banked.roll_deg)
+        report("manual", roll_deg=banked.roll_deg)
         sticks.cancel()
 
         listening.cancel()
-        say("texts", texts=texts)
+        report("texts", texts=texts)
 
 
 asyncio.run(main(sys.argv[1]))

@@ -1,47 +1,47 @@
-"""MAVProxy as a person at a terminal uses it: a line is typed, and something is waited for."""
+"""Use MAVProxy as at a terminal: type a line, wait for a text."""
 
 import os
 import subprocess
 from contextlib import contextmanager
 
-from outside_run import clients
+from external_run import clients
 from patience import until
 
 MODULES = "signing,wp,param,mode,arm,misc,rc,cmdlong"
 
 
 class Terminal:
-    """What was typed and what was said."""
+    """Input and output of a MAVProxy process."""
 
-    def __init__(self, process, flight, paper):
-        self._process, self._flight, self._paper = process, flight, paper
+    def __init__(self, process, flight, output_file):
+        self._process, self._flight, self._output_file = process, flight, output_file
         self._read = 0
 
     @property
-    def said(self):
-        return self._paper.read_text()
+    def output(self):
+        return self._output_file.read_text()
 
     def type(self, line):
         self._process.stdin.write(line + "\n")
         self._process.stdin.flush()
 
     def see(self, text):
-        """Wait for something that was not there at the last look."""
+        """Wait for a text after the last one seen."""
 
-        def seen():
-            assert self._process.poll() is None, self.said
-            assert self._flight.process.poll() is None, self._flight.said + self.said
-            return text in self.said[self._read :]
+        def found():
+            assert self._process.poll() is None, self.output
+            assert self._flight.process.poll() is None, self._flight.output + self.output
+            return text in self.output[self._read :]
 
-        until(seen, f"no {text!r}")
-        self._read = self.said.index(text, self._read) + len(text)
+        until(found, f"no {text!r}")
+        self._read = self.output.index(text, self._read) + len(text)
 
 
 @contextmanager
-def mavproxy(folder, flight, master, *options):
-    """MAVProxy, with its state in this folder; it is over when the block is left."""
+def start_mavproxy(folder, flight, master, *options):
+    """Start MAVProxy with its state in this folder; the process ends with the block."""
     folder.mkdir(exist_ok=True)
-    paper = folder / "mavproxy.txt"
+    output_file = folder / "mavproxy.txt"
     bin = clients()
     command = [
         bin / "python",
@@ -54,7 +54,7 @@ def mavproxy(folder, flight, master, *options):
         "--source-system=245",
         *options,
     ]
-    with paper.open("w") as file:
+    with output_file.open("w") as file:
         process = subprocess.Popen(
             list(map(str, command)),
             cwd=folder,
@@ -65,7 +65,7 @@ def mavproxy(folder, flight, master, *options):
             text=True,
         )
         try:
-            yield Terminal(process, flight, paper)
+            yield Terminal(process, flight, output_file)
         finally:
             process.terminate()
             try:

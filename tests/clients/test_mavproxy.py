@@ -1,15 +1,15 @@
-"""MAVProxy, ArduPilot's ground station for terminals, on a link that waits for who speaks first."""
+"""MAVProxy, ArduPilot's ground station for terminals, on a listening link."""
 
 import re
 import time
 from collections import Counter
 
 import numpy as np
-from mavproxy import mavproxy
-from outside_run import flying, free_port, said_events
-from speaker import COMPONENT, SYSTEM, Speaker
+from external_run import event_texts, free_port, start_run
+from mavlink_client import COMPONENT, SYSTEM, MavlinkClient
+from mavproxy import start_mavproxy
 
-from testbed.mavlink.door import Codec
+from testbed.mavlink.codec import Codec
 from testbed.mavlink.signing import Signing, signing_time
 from testbed.mavlink.tlog import Tlog
 
@@ -21,18 +21,18 @@ MISSION = """QGC WPL 110
 2 0 3 16 0 0 0 0 38.002 0.0045 120 1
 3 0 3 17 0 0 100 0 38.002 0.0 110 1
 """
-NORTH_M, EAST_M = 900.0, 320.0  # of item 1, away from all that the page's mission flies
-RADIUS_M = 90.0  # of the page's waypoints: a turn begins no farther from them
+NORTH_M, EAST_M = 900.0, 320.0  # of item 1, away from the scenario's mission
+RADIUS_M = 90.0  # waypoint radius of the scenario
 
 
-def test_mavproxy_reads_and_sets_loads_a_mission_and_changes_modes(tmp_path):
+def test_mavproxy_parameters_mission_and_modes(tmp_path):
     way, port = tmp_path / "way.txt", free_port()
     way.write_text(MISSION.replace(" ", "\t").replace("QGC\tWPL\t", "QGC WPL "))
     with (
-        flying(
+        start_run(
             tmp_path / "flight", f"--mavlink=udpin:127.0.0.1:{port}", "--pace=4", "--tlog"
         ) as flight,
-        mavproxy(tmp_path / "ground", flight, f"udpout:127.0.0.1:{port}") as ground,
+        start_mavproxy(tmp_path / "ground", flight, f"udpout:127.0.0.1:{port}") as ground,
     ):
         ground.see("Received ")
         ground.type("param show RLL_RATE_P")
@@ -65,67 +65,67 @@ def test_mavproxy_reads_and_sets_loads_a_mission_and_changes_modes(tmp_path):
         ground.see("0 lost, 0.0% loss")
         metrics = flight.stop()
 
-    received = re.search(r"Received (\d+) parameters", ground.said)
+    received = re.search(r"Received (\d+) parameters", ground.output)
     assert received and int(received[1]) > 40
     for number in (1, 2, 3, 4):
-        assert f"Detected vehicle {number}:1 on link 0" in ground.said
-    assert not re.search("Traceback|Exception|[Bb]ad|[Nn]o response", ground.said)
-    assert said_events(metrics, "leader") == [
+        assert f"Detected vehicle {number}:1 on link 0" in ground.output
+    assert not re.search("Traceback|Exception|[Bb]ad|[Nn]o response", ground.output)
+    assert event_texts(metrics, "leader") == [
         "RLL_RATE_P 0.12 (was 0.34)",
         "mission of 3 items",
         "mode LOITER",
         "mode AUTO",
     ]
     assert metrics["mavlink"]["clients"] == ["245.230"]
-    assert metrics["mavlink"]["skipped_bytes"] == 0 and metrics["mavlink"]["refused"] == {}
+    assert metrics["mavlink"]["skipped_bytes"] == 0 and metrics["mavlink"]["rejected"] == {}
     log = Tlog(flight.out / "run.tlog")
     kept = Counter((message.system, message.name) for _, message in log)
     assert (log.cut, log.damaged, log.unread) == (0, 0, 0)
     link = metrics["mavlink"]
-    # the log begins with the parameters of all four
+    # the log starts with the parameters of all four
     begin = 4 * int(received[1])
-    assert kept.total() == begin + link["frames_sent"] + link["frames_heard"]
+    assert kept.total() == begin + link["frames_sent"] + link["frames_received"]
     assert kept[245, "MISSION_ITEM_INT"] == 4
 
-    begun = {each["text"]: each["time_s"] for each in metrics["events"]}
+    started = {each["text"]: each["time_s"] for each in metrics["events"]}
     position = np.array(
         [
             frame.truth.position_ned[0]
             for frame in flight.frames()
-            if begun["mission of 3 items"] < frame.time_s < begun["mode LOITER"]
+            if started["mission of 3 items"] < frame.time_s < started["mode LOITER"]
         ]
     )
     missed = np.hypot(position[:, 0] - NORTH_M, position[:, 1] - EAST_M)
     assert missed[0] > 2.0 * RADIUS_M and missed.min() < RADIUS_M
 
 
-def test_only_who_has_the_key_is_obeyed(tmp_path):
+def test_mavproxy_needs_the_key(tmp_path):
     key, port = tmp_path / "key.txt", free_port()
     key.write_text(KEY)
     forger = Signing(bytes(32), time=signing_time(time.time()))
     with (
-        Speaker() as stranger,
-        flying(
+        MavlinkClient() as intruder,
+        start_run(
             tmp_path / "flight",
             f"--mavlink=udpin:127.0.0.1:{port}",
-            f"--mavlink={stranger.address}",
+            f"--mavlink={intruder.address}",
             f"--mavlink-key={key}",
             "--pace=4",
         ) as flight,
     ):
-        stranger.wait_for(flight, "HEARTBEAT")
+        intruder.wait_for(flight, "HEARTBEAT")
         for signing in (None, forger):
-            stranger.mouth = Codec(SYSTEM, COMPONENT, signing)
+            intruder.codec = Codec(SYSTEM, COMPONENT, signing)
             for _ in range(3):
-                stranger.command(1, DO_SET_MODE, 1.0, LOITER)
-        begin = stranger.wait_for(flight, "ATTITUDE").number("time_boot_ms")
-        # it is told all the same what is flown, and half a second later that is the mission still
-        stranger.wait_for(
+                intruder.command(1, DO_SET_MODE, 1.0, LOITER)
+        begin = intruder.wait_for(flight, "ATTITUDE").number("time_boot_ms")
+        # telemetry is sent to it, and shows that the mission is still flown 2 s later
+        intruder.wait_for(
             flight, "ATTITUDE", lambda message: message.number("time_boot_ms") > begin + 2000.0
         )
-        mode = stranger.wait_for(flight, "HEARTBEAT", lambda message: message.system == 1)
+        mode = intruder.wait_for(flight, "HEARTBEAT", lambda message: message.system == 1)
         assert mode.fields["custom_mode"] == AUTO
-        with mavproxy(
+        with start_mavproxy(
             tmp_path / "ground",
             flight,
             f"udpout:127.0.0.1:{port}",
@@ -135,10 +135,10 @@ def test_only_who_has_the_key_is_obeyed(tmp_path):
             ground.type("mode LOITER")
             ground.see("Got COMMAND_ACK: DO_SET_MODE: ACCEPTED")
         metrics = flight.stop()
-    assert metrics["mavlink"]["refused"] == {"forged": 3, "unsigned": 3}
+    assert metrics["mavlink"]["rejected"] == {"forged": 3, "unsigned": 3}
     assert metrics["mavlink"]["clients"] == ["245.230"]
-    assert said_events(metrics, "leader") == ["mode LOITER"]
+    assert event_texts(metrics, "leader") == ["mode LOITER"]
     warnings = [each for each in metrics["events"] if each["level"] == "warning"]
     assert [each["text"] for each in warnings] == [
-        "MAVLink heard without this run's key: not believed"
+        "MAVLink messages without this run's key were ignored"
     ]

@@ -1,27 +1,27 @@
-"""The example for people who write their own programs, as it stands in examples/."""
+"""The example of an external program in examples/."""
 
 import re
 
 import numpy as np
-from outside_run import ROOT, clients, flying, free_port, run_client, said_events
+from external_run import ROOT, clients, event_texts, free_port, run_client, start_run
 from patience import PATIENCE_S
 
 SIDE_M, PASSED_M = 350.0, 30.0
 
 
-def test_the_example_flies_its_square(tmp_path):
+def test_example_flies_its_square(tmp_path):
     port = free_port()
-    with flying(
+    with start_run(
         tmp_path / "flight",
         f"--mavlink=udpout:127.0.0.1:{port}",
-        f"--set=fleet.2.commanded_by={{kind: external, lockstep: true, patience_s: {PATIENCE_S}}}",
-        page=ROOT / "examples" / "square.yaml",
+        f"--set=fleet.2.commanded_by={{kind: external, lockstep: true, timeout_s: {PATIENCE_S}}}",
+        scenario=ROOT / "examples" / "square.yaml",
     ) as flight:
         script = ROOT / "examples" / "square.py"
         url = f"udpin:127.0.0.1:{port}"
-        said = run_client(flight, clients() / "python", "-u", script, url)
+        output = run_client(flight, clients() / "python", "-u", script, url)
         metrics = flight.end(0)
-    places = re.findall(r"corner at (-?\d+) m north, (-?\d+) m east", said)
+    places = re.findall(r"corner at (-?\d+) m north, (-?\d+) m east", output)
     corners = np.array(places, dtype=float)
     assert corners.shape == (4, 2)
     sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
@@ -30,7 +30,7 @@ def test_the_example_flies_its_square(tmp_path):
     frames = flight.frames()
     position = np.array([frame.truth.position_ned[3] for frame in frames])
     away = np.hypot(*(position[:, None, :2] - corners).transpose(2, 0, 1))
-    reached = 0  # one after the other; the last is where it began
+    reached = 0  # in order; the last corner is the start
     for distance in away.T:
         near = np.flatnonzero(distance[reached:] < PASSED_M)
         assert near.size
@@ -38,9 +38,9 @@ def test_the_example_flies_its_square(tmp_path):
     assert np.abs(position[:reached, 2] - position[0, 2]).max() < 10.0
     speed = np.array([frame.truth.airspeed[3] for frame in frames])
     assert 17.0 < speed.min() and speed.max() < 27.0
-    assert said_events(metrics, "uav3") == ["mode LOITER"]
+    assert event_texts(metrics, "uav3") == ["mode LOITER"]
     assert metrics["lost_at_s"]["uav3"] is None
 
 
-def test_it_is_no_longer_than_sixty_lines():
+def test_example_has_at_most_sixty_lines():
     assert len((ROOT / "examples" / "square.py").read_text(encoding="utf-8").splitlines()) <= 60

@@ -1,7 +1,7 @@
-"""Noise, broken frames and well-formed nonsense on the link of a run: nothing may come of it.
+"""Noise, broken frames and invalid commands on the link of a run do not change the flight.
 
-All that is sent is refused or means nothing, so that the flight must be the same to the bit. What
-well-formed commands do is tested elsewhere. TESTBED_FRAMES: how many.
+Every message is rejected or has no effect, so that the flight must be the same to the bit.
+TESTBED_FRAMES sets the number of frames.
 """
 
 import json
@@ -9,19 +9,19 @@ import math
 import os
 import random
 
-from outside_run import flying
-from speaker import Speaker
+from external_run import start_run
+from mavlink_client import MavlinkClient
 
 FRAMES = int(os.environ.get("TESTBED_FRAMES", "2000"))
-AT_ONCE = FRAMES // 150  # to each datagram heard, so that the storm lasts half the flight
+AT_ONCE = FRAMES // 150  # per received datagram, so that the storm lasts half the flight
 SECONDS = 12.0
 SEED = 20261122
-OF_THE_DAY = {"wall_s", "real_time_factor", "mavlink", "pace"}
+WALL_CLOCK_KEYS = {"wall_s", "real_time_factor", "mavlink", "pace"}
 COMMANDS = (16, 20, 21, 22, 178, 192, 246, 300, 400, 511, 512, 31000)
 
 
-def nonsense(rng):
-    """A message that is right as a frame, and asks for what must not be done."""
+def invalid_message(rng):
+    """Make a message whose request must be rejected."""
     nan, inf = math.nan, math.inf
     target = {
         "target_system": rng.choice([0, 1, 2, 3, 4, 9, 255]),
@@ -48,7 +48,7 @@ def nonsense(rng):
 
 
 def broken(frame, rng):
-    """A frame cut off or changed, or no frame at all."""
+    """Cut or change a frame, or replace it by noise."""
     way = rng.randrange(3)
     if way == 0:
         return rng.randbytes(rng.randrange(1, 300))
@@ -60,32 +60,32 @@ def broken(frame, rng):
     return bytes(changed)
 
 
-def test_a_storm_on_the_link_moves_no_aircraft_by_a_bit(tmp_path):
+def test_storm_on_link_changes_no_bit(tmp_path):
     rng, sent, right = random.Random(SEED), 0, 0
     length = f"--duration={SECONDS}"
-    with flying(tmp_path / "calm", length) as flight:
+    with start_run(tmp_path / "calm", length) as flight:
         calm = flight.end()
         calm_frames = flight.frames()
     with (
-        Speaker() as speaker,
-        flying(tmp_path / "storm", length, f"--mavlink={speaker.address}", "--pace=3") as flight,
+        MavlinkClient() as client,
+        start_run(tmp_path / "storm", length, f"--mavlink={client.address}", "--pace=3") as flight,
     ):
-        for _ in speaker.hear_while(flight):
+        for _ in client.messages_until_end(flight):
             for _ in range(AT_ONCE if sent < FRAMES else 0):
-                (name, fields), target = nonsense(rng)
-                frame = speaker.mouth.pack(name, **fields, **target)
-                whole = rng.random() < 0.5
-                speaker.send(frame if whole else broken(frame, rng))
-                sent, right = sent + 1, right + whole
+                (name, fields), target = invalid_message(rng)
+                frame = client.codec.pack(name, **fields, **target)
+                intact = rng.random() < 0.5
+                client.send_bytes(frame if intact else broken(frame, rng))
+                sent, right = sent + 1, right + intact
         storm = flight.end()
         frames = flight.frames()
 
     assert sent >= FRAMES
-    # what the flight ended before is not heard, and a frame may be sent whole that was not changed
-    assert 0.5 * right < storm["mavlink"]["frames_heard"] < 1.02 * right
+    # messages after the end are not received; "broken" frames may be unchanged
+    assert 0.5 * right < storm["mavlink"]["frames_received"] < 1.02 * right
     assert storm["mavlink"]["skipped_bytes"] > 20 * (sent - right)
     assert storm.pop("commanded") == {}
-    same = [{k: v for k, v in each.items() if k not in OF_THE_DAY} for each in (calm, storm)]
+    same = [{k: v for k, v in each.items() if k not in WALL_CLOCK_KEYS} for each in (calm, storm)]
     assert json.dumps(same[0], sort_keys=True) == json.dumps(same[1], sort_keys=True)
     for left, right in zip(calm_frames, frames, strict=True):
         for a, b in zip((*left.truth, *left.command), (*right.truth, *right.command), strict=True):

@@ -1,4 +1,4 @@
-"""Pages flown by the stand-in for ArduPlane, and what is left of it afterwards."""
+"""Scenarios flown by the stand-in for ArduPlane, and checks that nothing of it remains."""
 
 import contextlib
 import os
@@ -7,22 +7,21 @@ import sys
 import tempfile
 from pathlib import Path
 
-import numpy as np
 import pytest
 from run_flight import Collector
 
 import testbed
-from testbed.errors import PartnerLost
-from testbed.scenario import loads, shorten
-from testbed.sim.world import build
-from testbed.state import FbwaCommand
+from testbed.core.errors import ExternalProgramLost
+from testbed.core.records import VehicleState, fields_of
+from testbed.scenario import loads, set_duration
+from testbed.sim.build import build
 
 STAND_IN = Path(__file__).with_name("arduplane_stand_in.py")
-# Test processes have neighbouring numbers; each has four instances of its own.
+# Parallel test processes have consecutive numbers; each has four instances of its own.
 FIRST = 8 + 4 * (os.getpid() % 60)
-SOON = 400 + 60  # packets: boots last a multiple of 2 s at 200 Hz, and this is 0.3 s later
-PAGE = """
-scenario: {schema: 1, name: two, duration_s: 3600}
+SOON = 400 + 60  # packets: startup lasts a multiple of 2 s at 200 Hz, and this is 0.3 s later
+SCENARIO = """
+scenario: {schema: 2, name: two, duration_s: 3600}
 leader:
   aircraft: rascal110
   path:
@@ -37,15 +36,15 @@ formation:
 """
 
 
-def ardupilot(place=0, **keys):
-    """What stands under `autopilot`, as an override has it."""
-    told = {"kind": "ardupilot", "instance": FIRST + place, **keys}
-    return "{" + ", ".join(f"{key}: {value}" for key, value in told.items()) + "}"
+def ardupilot(number=0, **keys):
+    """Return the value of `autopilot`, as in an override."""
+    autopilot = {"kind": "ardupilot", "instance": FIRST + number, **keys}
+    return "{" + ", ".join(f"{key}: {value}" for key, value in autopilot.items()) + "}"
 
 
 @pytest.fixture
 def binary(tmp_path, monkeypatch):
-    """The stand-in as a program; temporary folders are made beside it."""
+    """Provide the stand-in as a program, with temporary folders beside it."""
     program = tmp_path / "arduplane"
     program.write_text(f'#!/bin/sh\nexec "{sys.executable}" "{STAND_IN}" "$@"\n')
     program.chmod(0o755)
@@ -57,16 +56,16 @@ def binary(tmp_path, monkeypatch):
     yield program
     assert not running(), "a process is left"
     assert not list((tmp_path / "folders").iterdir()), "a folder is left"
-    for place in range(4):
+    for number in range(4):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-            udp.bind(("127.0.0.1", 9002 + 10 * (FIRST + place)))
+            udp.bind(("127.0.0.1", 9002 + 10 * (FIRST + number)))
         with socket.socket() as tcp:
-            assert tcp.connect_ex(("127.0.0.1", 5760 + 10 * (FIRST + place))), "a port is left"
+            assert tcp.connect_ex(("127.0.0.1", 5760 + 10 * (FIRST + number))), "a port is left"
 
 
 def running():
-    """Numbers of the stand-ins of this test process."""
-    own = {f"-I{FIRST + place}".encode() for place in range(4)}
+    """Return the process numbers of this test's stand-ins."""
+    own = {f"-I{FIRST + number}".encode() for number in range(4)}
     found = []
     for folder in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
@@ -76,39 +75,44 @@ def running():
     return found
 
 
-def page(seconds, *overrides, **keys):
-    return shorten(loads(PAGE, [f"leader.autopilot={ardupilot(**keys)}", *overrides]), seconds)
+def make_scenario(seconds, *overrides, **keys):
+    autopilot = f"leader.autopilot={ardupilot(**keys)}"
+    return set_duration(loads(SCENARIO, [autopilot, *overrides]), seconds)
 
 
 def fly(scenario):
-    seen = Collector()
-    flown = testbed.run(scenario, write=False, observers=[seen])
-    assert flown.outcome == "flown"
-    return seen.frames
+    collector = Collector()
+    result = testbed.run(scenario, write=False, observers=[collector])
+    assert result.outcome == "completed"
+    return collector.frames
 
 
-def complaint(scenario, kind=PartnerLost):
+def error_of(scenario, kind=ExternalProgramLost):
     with pytest.raises(kind) as caught:
         testbed.run(scenario, write=False)
     return str(caught.value)
 
 
-def level(scenario):
-    """Fly with the sticks held: what partners said, and the truth at the end."""
-    said = []
+LEVEL = (0.0, 0.0, 0.3)  # pitch, roll, throttle
+
+
+def fly_level(scenario):
+    """Fly with a constant command; return the events, and the truth at the end."""
+    events = []
     world = build(scenario)
-    vehicles, partners = world.vehicles, world.partners
-    still = np.zeros(len(world.names))
+    (vehicles,), processes = world.vehicles, world.external_processes
+    world.aircraft["command"] = LEVEL
     try:
-        for partner in partners:
-            partner.begin(lambda: None)
-        for tick, due, ticks, legs in world.clock.schedule(world.duration_s):
+        for process in processes:
+            process.start(lambda: None)
+        for tick, due, ticks, needed in world.clock.schedule(world.duration_s, all_motions=True):
             if due.autopilot:
-                vehicles.act(vehicles.read(), FbwaCommand(still, still, still + 0.3))
-                for partner in partners:
-                    said += partner.news(world.clock.time_s(tick))
-            vehicles.step(ticks, legs)
+                world.aircraft["estimate"] = world.aircraft["truth"]
+                vehicles.autopilot_step()
+                for process in processes:
+                    events += process.pop_events(world.clock.time_s(tick))
+            vehicles.step(ticks, needed)
     finally:
-        for partner in partners:
-            partner.close()
-    return said, vehicles.read()
+        for process in processes:
+            process.close()
+    return events, fields_of(VehicleState, world.aircraft["truth"])

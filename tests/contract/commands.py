@@ -1,4 +1,4 @@
-"""The command line, as a process of its own or, where that is not the point, in this one."""
+"""Run commands in a child process, or in this process, which has imported everything."""
 
 import contextlib
 import os
@@ -11,33 +11,33 @@ from pathlib import Path
 import pytest
 from patience import PATIENCE_S
 
-from testbed.cli import main
+from testbed.cli.main import main
 
 ROOT = Path(__file__).parents[2]
 
 
 @dataclass(frozen=True)
 class Done:
-    """What a command said."""
+    """Output of a command."""
 
     stdout: str
     stderr: str
 
 
 def environment(columns, *folders):
-    """Of a process that imports the testbed, and modules of these folders."""
+    """Environment of a process that imports the testbed and modules of these folders."""
     paths = os.pathsep.join(map(str, [ROOT, *folders]))
     return {**os.environ, "PYTHONPATH": paths, "COLUMNS": str(columns)}
 
 
 def children(of):
-    """Ids of the processes that a process has begun."""
+    """Ids of the child processes of a process."""
     tasks = Path(f"/proc/{of}/task").glob("*/children")
     return [int(each) for task in tasks for each in task.read_text().split()]
 
 
 def run_command(*arguments, cwd, code, columns):
-    """What the command said; it ended with this code and without a traceback."""
+    """Output of a command in a child process; it must exit with this code, without traceback."""
     done = subprocess.run(
         [sys.executable, "-m", "testbed", *map(str, arguments)],
         cwd=cwd,
@@ -52,19 +52,19 @@ def run_command(*arguments, cwd, code, columns):
 
 
 def call_command(*arguments, cwd, code, columns):
-    """The same in this process, which has imported everything and loaded the machine code."""
+    """As `run_command`, in this process."""
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
-        ended = call(arguments, cwd=cwd, columns=columns, out=out, err=err)
-        for paper in (out, err):
-            paper.seek(0)
+        exit_code = call(arguments, cwd=cwd, columns=columns, out=out, err=err)
+        for file in (out, err):
+            file.seek(0)
         done = Done(out.read(), err.read())
-    assert ended == code, done.stderr + done.stdout
+    assert exit_code == code, done.stderr + done.stdout
     assert "Traceback" not in done.stderr
     return done
 
 
 def call(arguments, *, cwd, columns, out, err):
-    """The exit code of a command that writes to two files."""
+    """Exit code of a command that writes to two files."""
     with (
         pytest.MonkeyPatch.context() as patch,
         contextlib.redirect_stdout(out),

@@ -1,8 +1,7 @@
-"""Time as a process is given it: the clock on the wall, which stands still while it may not run.
+"""Running time of a process: wall-clock time without the time in which it was not scheduled.
 
-How long something may take is a promise of a machine that lets it run. On one that is busy with
-other things a process wakes late, and stands still in between: that is not counted here. What is:
-every wait for something else, and all that the process computes.
+Time limits hold for a machine with a free processor. On a busy machine a process wakes late and is
+suspended; this time is not counted. Computing, and waiting for anything else, is counted.
 """
 
 import os
@@ -12,20 +11,20 @@ import time
 from pathlib import Path
 
 STEP_S = 0.005
-LATE_S = 0.005  # of waking, which is never to the point
+LATE_S = 0.005  # tolerated delay of waking
 _NOTE = struct.Struct("d")
 
 
 class GivenTime:
-    """The time given to this process since the block was entered.
+    """Running time of this process since the block was entered.
 
     Args:
-        paper: a file that has the time always, also when the process has been killed.
+        path: a file to which the time is written at every step, to be read after a kill.
     """
 
-    def __init__(self, paper=None):
+    def __init__(self, path=None):
         self.now_s = 0.0
-        self._paper = None if paper is None else os.open(paper, os.O_WRONLY | os.O_CREAT)
+        self._file = None if path is None else os.open(path, os.O_WRONLY | os.O_CREAT)
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._count, name="given time", daemon=True)
 
@@ -42,13 +41,13 @@ class GivenTime:
         while not self._over.wait(STEP_S):
             before, wall = wall, time.monotonic()
             used, own = own, time.process_time()
-            # beyond the step it asked for, it had as much time as it has used
+            # time beyond the step counts only as far as it was computing time
             self.now_s += min(wall - before, STEP_S + LATE_S + own - used)
-            if self._paper is not None:
-                os.pwrite(self._paper, _NOTE.pack(self.now_s), 0)
+            if self._file is not None:
+                os.pwrite(self._file, _NOTE.pack(self.now_s), 0)
 
 
-def last_s(paper):
-    """The time when a process ended that had this paper."""
-    note = Path(paper).read_bytes()
+def last_s(path):
+    """The last running time that a process wrote to this file."""
+    note = Path(path).read_bytes()
     return _NOTE.unpack(note)[0] if note else 0.0

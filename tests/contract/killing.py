@@ -1,4 +1,4 @@
-"""Runs as processes of their own that are killed, and what they had done by then."""
+"""Runs in child processes that are killed, with the time and the last sample at the kill."""
 
 import json
 import os
@@ -17,40 +17,40 @@ from given_time import last_s
 from patience import until
 from record_flight import RECORDS
 
-LONGEST_S = 0.5  # of the time a run is given, of what was flown and is not in the log
+MAX_MISSING_S = 0.5  # of the process's running time, whose samples are not in the log
 SECONDS = 100.0  # of the flights
-PAGE = "simulation-3"
+SCENARIO = "simulation-3"
 _NOTE = struct.Struct("dd")
 
-# Forks a `testbed run` for each line it is told, and tells its id and how it ended. After each
-# frame a run notes the moment and its time, past all buffers.
+# Forks a `testbed run` for each line of its input; prints its process id, and its exit code. After
+# each sample a run writes the running time and the simulated time to a file, without buffers.
 _FORKING = """
 import json, os, struct, sys
-import testbed.console
+import testbed.sim.run
 from given_time import GivenTime
-from testbed.cli import main
-from testbed.scenario import load, shorten
+from testbed.cli.main import main
+from testbed.scenario import load, set_duration
 from testbed.sim.run import run
 
-run(shorten(load("simulation-3"), 0.1), write=False)  # loads what flights need
+run(set_duration(load("simulation-3"), 0.1), write=False)  # loads what flights need
 
 class Notes:
-    borrows = True
-    def __init__(self, paper, given):
-        self.paper = os.open(paper, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    zero_copy = True
+    def __init__(self, path, given):
+        self.file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         self.given = given
     def begin(self, info): pass
     def observe(self, frame):
-        os.write(self.paper, struct.pack("dd", self.given.now_s, frame.time_s))
+        os.write(self.file, struct.pack("dd", self.given.now_s, frame.time_s))
     def end(self, summary, events): pass
 
 print("ready", flush=True)
 for line in sys.stdin:
-    paper, clock, *arguments = json.loads(line)
+    path, clock, *arguments = json.loads(line)
     child = os.fork()
     if not child:
-        notes = Notes(paper, GivenTime(clock).__enter__())
-        testbed.console.run = lambda *a, observers=(), **k: run(
+        notes = Notes(path, GivenTime(clock).__enter__())
+        testbed.sim.run.run = lambda *a, observers=(), **k: run(
             *a, observers=[*observers, notes], **k
         )
         sys.argv = ["testbed", *arguments]
@@ -62,8 +62,8 @@ for line in sys.stdin:
 
 
 @contextmanager
-def hangar():
-    """Where runs are begun."""
+def process_starter():
+    """Process that has imported everything and starts runs."""
     with subprocess.Popen(
         [sys.executable, "-c", _FORKING],
         env=environment(100, Path(__file__).parent),
@@ -81,23 +81,23 @@ def hangar():
 
 @dataclass
 class Killed:
-    """A run that was killed, or had ended just before."""
+    """A run that was killed, or ended just before."""
 
     out: Path
-    killed_s: float  # of the time it was given
-    ended: bool  # by itself
-    sockets: int  # that it had
-    notes: list[tuple[float, float]] = field(default_factory=list)  # when, which time
+    killed_s: float  # running time at the kill
+    ended: bool  # before the kill
+    sockets: int  # open at the kill
+    notes: list[tuple[float, float]] = field(default_factory=list)  # running time, simulated time
 
     def missing_s(self, last_s):
-        """How long ago it flew the first frame that is behind the log's last one, at the kill."""
-        gone = [at for at, time_s in self.notes if time_s > last_s]
-        return max(0.0, self.killed_s - min(gone)) if gone else 0.0
+        """Running time since the first sample after the last one in the log."""
+        missing = [at for at, time_s in self.notes if time_s > last_s]
+        return max(0.0, self.killed_s - min(missing)) if missing else 0.0
 
 
 @dataclass(frozen=True)
 class Moment:
-    """When to kill: a while after something that one waits for."""
+    """When to kill a run: a time after an event."""
 
     after: str  # start, log, end
     wait_s: float
@@ -106,7 +106,7 @@ class Moment:
 
 
 def moments(count, seed):
-    """Some in start-up, some in flights of every pace, some about the end."""
+    """Moments during start-up, in flights at several paces, and around the end."""
     rng = np.random.default_rng(seed)
     for k in range(count):
         if k % 4 == 0:
@@ -120,33 +120,35 @@ def moments(count, seed):
             yield Moment("end", rng.uniform(0.0, 0.15), seconds=2.0)
 
 
-def kill(hangar, folder, moment):
-    """Fly and kill."""
-    out, paper, clock = folder / "run", folder / "notes", folder / "clock"
-    command = ["run", PAGE, "--quiet", "--out", str(out)]
+def kill(starter, folder, moment):
+    """Start a run and kill it."""
+    out, notes_file, clock = folder / "run", folder / "notes", folder / "clock"
+    command = ["run", SCENARIO, "--quiet", "--out", str(out)]
     command += [f"--duration={moment.seconds:g}", f"--pace={moment.pace:g}"]
-    hangar.stdin.write(json.dumps([str(paper), str(clock), *command]) + "\n")
-    hangar.stdin.flush()
-    process = int(hangar.stdout.readline())
-    until(lambda: _begun(moment, out, paper))
+    starter.stdin.write(json.dumps([str(notes_file), str(clock), *command]) + "\n")
+    starter.stdin.flush()
+    process = int(starter.stdout.readline())
+    until(lambda: _reached(moment, out, notes_file))
     time.sleep(moment.wait_s)
     sockets = _sockets(process)
-    with suppress(ProcessLookupError):  # it has ended by itself
+    with suppress(ProcessLookupError):  # it has ended
         os.kill(process, signal.SIGKILL)
-    code = int(hangar.stdout.readline())
+    code = int(starter.stdout.readline())
     assert code in (0, -signal.SIGKILL)
-    notes = paper.read_bytes() if paper.exists() else b""
+    notes = notes_file.read_bytes() if notes_file.exists() else b""
     whole = notes[: len(notes) // _NOTE.size * _NOTE.size]
     killed = last_s(clock) if clock.exists() else 0.0
     return Killed(out, killed, code == 0, sockets, [*_NOTE.iter_unpack(whole)])
 
 
-def _begun(moment, out, paper):
+def _reached(moment, out, notes_file):
     if moment.after == "start":
         return True
     if moment.after == "log":
         return (out / "run.mcap").exists()
-    return paper.exists() and paper.stat().st_size >= _NOTE.size * round(25 * moment.seconds - 1)
+    return notes_file.exists() and notes_file.stat().st_size >= _NOTE.size * round(
+        25 * moment.seconds - 1
+    )
 
 
 def _sockets(process):
@@ -158,7 +160,7 @@ def _sockets(process):
 
 
 def assert_same_beginning(log, whole):
-    """Frames and events are those of a whole flight, to the bit, as far as they go."""
+    """Samples and events equal those of a complete run in every bit, up to the last sample."""
     count = log.tick.size
     assert log.tick.tobytes() == whole.tick[:count].tobytes()
     for record in (*RECORDS, "links"):

@@ -1,26 +1,26 @@
-"""What is mutated, and what the testbed does with each: give a result, or one clear error."""
+"""Kinds of input files that are mutated, and how the testbed reads each."""
 
 import shutil
 from pathlib import Path
 
 import numpy as np
 
-from testbed.scenario import dump, load, load_guidance, load_middle_loop, shorten
-from testbed.state import Surfaces
+from testbed.core.records import ActuatorCommand
+from testbed.scenario import dump, load, load_guidance, load_middle_loop, set_duration
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "tests" / "data"
-MOST_RUNS = 60  # of a study whose every page is read
-ROWS = 40  # of a recording: what is wrong in a row is wrong in a thousand
+MAX_RUNS = 60  # of a study of which every run is resolved
+ROWS = 40  # of a recording, to save time
 
 
 class Kind:
     """One kind of input.
 
     Args:
-        share: how many of a hundred mutations are of it.
-        files: what may be mutated; paths below `home`, where all of them are put first.
-        feed: gives the path of a mutated file to the testbed.
+        share: percent of the mutations.
+        put: copies files below a home, and returns the paths that may be mutated.
+        feed: reads a mutated file.
     """
 
     def __init__(self, share, put, feed):
@@ -28,7 +28,7 @@ class Kind:
 
 
 def copied(*sources, only):
-    """Put files and folders below a home; the paths of those that may be mutated."""
+    """Return a function that copies files and folders below a home; `only` selects for mutation."""
 
     def put(home):
         for source in sources:
@@ -46,48 +46,51 @@ def copied(*sources, only):
     return put
 
 
-def ends(ending, *, within=""):
+def by_suffix(ending, *, within=""):
     return lambda path: path.suffix == ending and (not within or within in path.parent.parts)
 
 
-def feed_page(path):
-    """Read it, write it, build its world, and fly two steps."""
+def feed_scenario(path):
+    """Resolve, dump and build it, and simulate 0.2 s."""
+    from testbed.sim.build import build
     from testbed.sim.loop import fly
-    from testbed.sim.world import build
 
-    page = load(path)
-    dump(page)
+    scenario = load(path)
+    dump(scenario)
     if "tests" in path.parts:
-        return  # not for flying
-    if page.scenario.duration_s > 2000 or len(page.aircraft) > 8 or page.rates.autopilot_hz > 500:
-        return  # as good as any other, and as long as a flight
-    page = shorten(page, 0.2)
-    world = build(page)
-    if world.partners:
-        return  # they are not here
+        return  # not flyable
+    if (
+        scenario.scenario.duration_s > 2000
+        or len(scenario.aircraft) > 8
+        or scenario.rates.autopilot_hz > 500
+    ):
+        return  # correct, but takes long
+    scenario = set_duration(scenario, 0.2)
+    world = build(scenario)
+    if world.external_processes:
+        return  # the programs are not installed
     fly(world, [], lambda now, due: False)
 
 
 def feed_study(path):
-    """Plan it, and read the page of one of its runs."""
-    from testbed.study.checks import check
-    from testbed.study.plan import load_study, plan
+    """Plan it, and resolve one of its runs, or all of few."""
+    from testbed.studies.plan import Plan, check_plan, load_study
 
-    runs = plan(load_study(path))
-    if len(runs) <= MOST_RUNS:
-        check(runs)
+    plan = Plan(load_study(path))
+    if len(plan) <= MAX_RUNS:
+        check_plan(plan)
     else:
-        runs[len(runs) - 1]
+        plan[len(plan) - 1]
 
 
 def feed_tune(path):
-    from testbed.study.tune_page import load_tune
+    from testbed.studies.tune_schema import load_tune
 
     load_tune(path)
 
 
-def feed_pages_beside(path):
-    """A study, a tune, or a page that one of them flies."""
+def feed_study_file(path):
+    """Read a study, a tune, or a scenario of one of them."""
     if "tunes" in path.parts:
         feed_tune(path)
     elif path.parent.name == "studies":
@@ -97,10 +100,12 @@ def feed_pages_beside(path):
 
 
 def feed_param(path):
-    from testbed.vehicle.params import read_params, stack
+    from testbed.autopilot.parameters import make_gains, read_params
 
-    gains = stack([read_params(path)], 1.0 / 50.0)
-    assert np.isfinite(gains.each["p"]).all()
+    gains = make_gains([read_params(path)], 1.0 / 50.0)
+    for name in gains.dtype.names:
+        # unlimited where the parameters set no limit
+        assert not np.isnan(gains[name]).any()
 
 
 def feed_gains(path):
@@ -108,39 +113,39 @@ def feed_gains(path):
     if path.name == "guidance.yaml":
         load_guidance(folder)
     else:
-        load_middle_loop(folder, "paper")
+        load_middle_loop(folder, "tuned")
 
 
 def feed_table(path):
-    """A recording as what its name says: a leader, a wind, a radio's trace, delays or commands."""
-    from testbed.air.recorded import read_wind
-    from testbed.guidance.replay import make_track, read_recording
+    """Read a recording by its name: leader, wind, trace, delays or commands."""
+    from testbed.atmosphere.recorded_wind import read_wind
+    from testbed.guidance.recorded_path import read_recording, sample_recording
     from testbed.network.channel import make_channel
     from testbed.network.trace import read_trace
-    from testbed.vehicle.respond import read_commands
+    from testbed.vehicle.replay_commands import read_commands
 
     if "leader" in path.name:
-        make_track(read_recording(path), np.linspace(0.0, 0.3, 7))
+        sample_recording(read_recording(path), np.linspace(0.0, 0.3, 7))
     elif "wind" in path.name:
         read_wind(path, 10.0, 0.5)
     elif "trace" in path.name:
         read_trace(path, "lead", "uav1")
     elif "delays" in path.name:
-        page = load(
+        scenario = load(
             ROOT / "scenarios" / "simulation-3.yaml",
             [f"network.jitter={{distribution: empirical, file: {path}}}"],
         )
-        make_channel(page.aircraft_names, page.network, 1)
+        make_channel(scenario.aircraft_names, scenario.network, 1)
     else:
         read_commands(path)
 
 
 def feed_aircraft(path):
-    """Load the aircraft, look at it, trim it, fly it."""
-    from testbed.state import Origin
+    """Load, linearize and trim an aircraft, and simulate five steps."""
+    from testbed.core.records import Origin
     from testbed.vehicle.fleet import JsbsimFleet
-    from testbed.vehicle.jsbsim_door import airframe, linearize_aircraft
-    from testbed.vehicle.start import Start
+    from testbed.vehicle.initial_state import InitialState
+    from testbed.vehicle.jsbsim_adapter import airframe, linearize_aircraft
     from testbed.vehicle.trim import TrimPoint
 
     folder = path if path.suffix != ".xml" else path.parent
@@ -148,62 +153,64 @@ def feed_aircraft(path):
         folder = folder.parent
     airframe(folder)
     linearize_aircraft(folder, TrimPoint(airspeed=20.0))
-    start = Start(position_ned=(0.0, 0.0, -100.0), course=0.0, airspeed=20.0)
+    start = InitialState(position_ned=(0.0, 0.0, -100.0), course=0.0, airspeed=20.0)
     fleet = JsbsimFleet([folder], [start], Origin(), 200)
     for _ in range(5):
-        fleet.step(Surfaces(*(np.full(1, each) for each in (0.1, 0.1, 0.1, 0.5))), 4)
+        fleet.step(ActuatorCommand(*(np.full(1, each) for each in (0.1, 0.1, 0.1, 0.5))), 4)
         fleet.lost(fleet.read())
         fleet.air()
-    assert fleet.rig is not None
+    assert fleet.geometry is not None
 
 
 def feed_log(path):
-    """Read it back, show it, and finish it if it was cut."""
-    from testbed.record.read import frames, read_log
+    """Read, print and recover a log."""
+    from testbed.logs.read import read_log, samples
     from testbed.sim.recover import recover
 
     log = read_log(path)
     repr(log)
-    for _ in frames(log):
+    for _ in samples(log):
         pass
     recover(path)
 
 
-def flown_log(home):
-    """A run of a second, flown here."""
+def make_log(home):
+    """Simulate a second with a log."""
     import testbed
 
-    page = shorten(load("simulation-3"), 1.0)
-    testbed.run(page, out=home / "run")
+    scenario = set_duration(load("simulation-3"), 1.0)
+    testbed.run(scenario, out=home / "run")
     return [home / "run" / "run.mcap"]
 
 
 AIRCRAFT = ROOT / "aircraft"
-PAGES = (ROOT / "scenarios", DATA / "scenarios", AIRCRAFT)
+SOURCES = (ROOT / "scenarios", DATA / "scenarios", AIRCRAFT)
 KINDS = {
-    "pages": Kind(
+    "scenarios": Kind(
         14,
         copied(
-            *PAGES,
+            *SOURCES,
             only=lambda p: (
                 p.suffix == ".yaml" and "aircraft" not in p.parts and "studies" not in p.parts
             ),
         ),
-        feed_page,
+        feed_scenario,
     ),
-    "studies": Kind(14, copied(*PAGES, only=ends(".yaml", within="studies")), feed_pages_beside),
-    "params": Kind(20, copied(*PAGES, AIRCRAFT, only=ends(".param")), feed_param),
-    "gains": Kind(12, copied(AIRCRAFT, only=ends(".yaml")), feed_gains),
+    "studies": Kind(
+        14, copied(*SOURCES, only=by_suffix(".yaml", within="studies")), feed_study_file
+    ),
+    "params": Kind(20, copied(*SOURCES, AIRCRAFT, only=by_suffix(".param")), feed_param),
+    "gains": Kind(12, copied(AIRCRAFT, only=by_suffix(".yaml")), feed_gains),
     "tables": Kind(
         20,
         copied(
             *(ROOT / "scenarios" / "data").glob("*.csv"),
             *(DATA / "scenarios").glob("*.csv"),
             *DATA.glob("*.csv"),
-            only=ends(".csv"),
+            only=by_suffix(".csv"),
         ),
         feed_table,
     ),
-    "aircraft": Kind(8, copied(AIRCRAFT, only=ends(".xml")), feed_aircraft),
-    "logs": Kind(12, flown_log, feed_log),
+    "aircraft": Kind(8, copied(AIRCRAFT, only=by_suffix(".xml")), feed_aircraft),
+    "logs": Kind(12, make_log, feed_log),
 }

@@ -1,9 +1,9 @@
-"""A process that feeds mutated files to the testbed, for those that end it or never end.
+"""Process that feeds mutated files to the testbed; a crash or an endless loop ends only it.
 
     python mutation_worker.py KIND FOLDER
 
-reads numbers of mutations, one a line, and answers each with a line of JSON. FOLDER is empty; what
-is written anywhere but into a run's own directory, started, connected or executed is told, too.
+reads numbers of mutations, one per line, and answers each with a line of JSON. FOLDER is empty.
+Files written outside of a run's directory, processes, connections and foreign code are faults.
 """
 
 import json
@@ -16,84 +16,84 @@ import warnings
 from pathlib import Path
 
 from mutation_kinds import KINDS
-from mutations import mutated
+from mutations import mutate
 
 import testbed
-from testbed.errors import InputError
+from testbed.core.errors import InputError
 
 SEED = 20261122
-LONGEST_ERROR = 20_000  # characters
+MAX_ERROR = 20_000  # characters
 LINE = re.compile(r"\S+\.(yaml|py):\d+:")
-# What is found while a world is built names the key, or the aircraft, of the page that was given.
+# Errors of building name a key or an aircraft of the scenario.
 KEY = re.compile(r"(scenario|leader|fleet|formation|controller|air|network|rates|limits|uav\d)\b")
 WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 CHANGES = ("os.remove", "os.rename", "os.mkdir", "os.rmdir", "os.symlink", "os.link", "os.truncate")
 PROGRAMS = ("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "os.spawn")
-EVIL = "evil.py"  # lies in the way of whoever looks for code where it should not
+EVIL = "evil.py"  # code that no input may run
 SOCKETS = ("socket.bind", "socket.connect", "socket.sendto", "socket.getaddrinfo")
 
 
-class Guard:
-    """Notes what this process does beside reading, while it is armed."""
+class AuditGuard:
+    """Records what this process does beside reading, while armed."""
 
     def __init__(self, folder):
         self.armed = False
         self.seen = []
-        # compiled code is kept by who flies, whatever is flown; a log is recovered in its place
+        # the cache of compiled code, and the run whose log is recovered
         self.allowed = [
             os.environ.get("NUMBA_CACHE_DIR", "nowhere"),
-            Path(testbed.__file__).parent / "__pycache__" / "twins-",
+            Path(testbed.__file__).parent / "__pycache__" / "kernels-",
             os.devnull,
             folder / "home/run",
         ]
-        sys.addaudithook(self.hear)
+        sys.addaudithook(self.record)
 
-    def hear(self, event, args):
+    def record(self, event, args):
         if not self.armed:
             return
         if event == "open":
             path, mode, flags = args
-            wants = flags & WRITING if isinstance(flags, int) else set(mode or "") & set("wax+")
-            if wants and isinstance(path, str | bytes | os.PathLike):
-                self.note_path(event, path)
+            writes = flags & WRITING if isinstance(flags, int) else set(mode or "") & set("wax+")
+            if writes and isinstance(path, str | bytes | os.PathLike):
+                self.record_path(event, path)
         elif event in CHANGES:
             fd = args[-1] if isinstance(args[-1], int) else -1
             folder = os.readlink(f"/proc/self/fd/{fd}") if fd >= 0 else "."
-            self.note_path(event, os.path.join(folder, os.fsdecode(args[0])))
+            self.record_path(event, os.path.join(folder, os.fsdecode(args[0])))
         elif event in PROGRAMS or event in SOCKETS:
             self.seen.append(f"{event} {args!r:.200}")
         elif event == "exec" and Path(args[0].co_filename).name == EVIL:
             self.seen.append(f"ran {args[0].co_filename}")
 
-    def note_path(self, event, path):
+    def record_path(self, event, path):
         path = os.path.abspath(os.fsdecode(path))
         if not any(path.startswith(str(each)) for each in self.allowed):
             self.seen.append(f"{event} {path}")
 
 
 def fault_of(error, path):
-    """What is not clear about an error, or nothing."""
+    """Return what is unclear about an error, or ""."""
     text = str(error)
-    if len(text) > LONGEST_ERROR:
+    if len(text) > MAX_ERROR:
         return f"an error of {len(text)} characters"
     if not all(each.isprintable() or each == "\n" for each in text):
         return "an error that is not printable"
     first = text.partition("\n")[0]
     folder = next((p for p in path.parents if (p / f"{p.name}.xml").is_file()), path)
     if path.suffix == ".yaml" and (LINE.match(first) or KEY.match(first)):
-        return ""  # a page may be wrong in a line of the page that it extends, or of its law
+        return ""  # the line may be in a file that it extends, or in its law
     names = (path.name, f"{folder.name}/", f"{folder.name}:")
     if not any(each in first for each in names):
         return "an error that does not name the file"
     return ""
 
 
-def tried(kind, path):
-    """How the testbed took a file: good, or refused; or what is wrong with how it took it."""
+def try_file(kind, path):
+    """Return the outcome, good, refused or fault, and a text."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
-            if "own-law" in path.name:  # its arithmetic is its author's to mend
+            if "own-law" in path.name:  # floating-point warnings of an own law
                 warnings.simplefilter("ignore", RuntimeWarning)
             kind.feed(path)
     except InputError as error:
@@ -108,21 +108,21 @@ def listing(folder):
     return {str(p): p.stat().st_size for p in folder.rglob("*") if p.is_file()}
 
 
-def chosen(name, files, number):
-    """The file that a number stands for, and what becomes of it; below 0 they are as they were."""
+def choose(name, files, number):
+    """Return the file of a number, its mutated bytes and the mutation; below 0 unchanged."""
     if number < 0:
         path = files[(-number - 1) % len(files)]
         return path, path.read_bytes(), "whole"
-    dice = random.Random(f"{SEED}/{name}/{number}")
-    path = dice.choice(files)
-    return path, *mutated(path.read_bytes(), path.suffix, dice)
+    rng = random.Random(f"{SEED}/{name}/{number}")
+    path = rng.choice(files)
+    return path, *mutate(path.read_bytes(), path.suffix, rng)
 
 
 def main(name, folder):
     answers = os.fdopen(os.dup(1), "w", buffering=1)
-    said = os.open(folder / "said", os.O_RDWR | os.O_CREAT)
-    os.dup2(said, 1)
-    os.dup2(said, 2)
+    output = os.open(folder / "output", os.O_RDWR | os.O_CREAT)
+    os.dup2(output, 1)
+    os.dup2(output, 2)
     kind, home, here = KINDS[name], folder / "home", folder / "here"
     home.mkdir()
     here.mkdir()
@@ -130,25 +130,25 @@ def main(name, folder):
     files = kind.put(home)
     for place in (here, home, folder):
         (place / EVIL).write_text("class Law: pass\n")
-    guard = Guard(folder)
+    guard = AuditGuard(folder)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         before = listing(here)
     for line in sys.stdin:
-        path, data, way = chosen(name, files, int(line))
+        path, data, way = choose(name, files, int(line))
         whole = path.read_bytes()
         path.write_bytes(data)
-        at = os.lseek(said, 0, os.SEEK_END)
+        at = os.lseek(output, 0, os.SEEK_END)
         guard.seen.clear()
         guard.armed = True
-        outcome, text = tried(kind, path)
+        outcome, text = try_file(kind, path)
         guard.armed = False
         if guard.seen:
-            outcome, text = "fault", f"did what nobody asked for: {guard.seen}; {text}"
+            outcome, text = "fault", f"unexpected: {guard.seen}; {text}"
         elif listing(here) != before:
             outcome, text = "fault", f"left files: {listing(here)}; {text}"
-        elif os.lseek(said, 0, os.SEEK_END) > at:
-            printed = os.pread(said, 500, at).decode(errors="replace")
+        elif os.lseek(output, 0, os.SEEK_END) > at:
+            printed = os.pread(output, 500, at).decode(errors="replace")
             outcome, text = "fault", f"printed: {printed}; {text}"
         path.write_bytes(whole)
         answers.write(json.dumps([outcome, text, way, str(path.relative_to(home))]) + "\n")

@@ -1,4 +1,4 @@
-"""Files as hostile or careless people, bad disks and bad links make them."""
+"""Mutations of files: hostile or careless edits, bad disks and bad links."""
 
 import re
 import struct
@@ -36,37 +36,37 @@ YAMLS = (
 )
 
 
-def flip(data, dice):
-    """Some bits are others."""
+def flip(data, rng):
+    """Invert some bits."""
     out = bytearray(data)
-    for _ in range(dice.choice((1, 1, 2, 5, 20))):
+    for _ in range(rng.choice((1, 1, 2, 5, 20))):
         if out:
-            out[dice.randrange(len(out))] ^= 1 << dice.randrange(8)
+            out[rng.randrange(len(out))] ^= 1 << rng.randrange(8)
     return bytes(out)
 
 
-def cut(data, dice):
-    """The file ends early, or lacks a piece."""
-    one, two = sorted(dice.randrange(len(data) + 1) for _ in range(2))
-    return data[:one] if dice.random() < 0.5 else data[:one] + data[two:]
+def cut(data, rng):
+    """End the file early, or remove a piece."""
+    one, two = sorted(rng.randrange(len(data) + 1) for _ in range(2))
+    return data[:one] if rng.random() < 0.5 else data[:one] + data[two:]
 
 
-def splice(data, dice):
-    """A piece stands somewhere else, or bytes of nowhere do."""
-    one, two = sorted(dice.randrange(len(data) + 1) for _ in range(2))
-    piece = data[one:two][:2000] if dice.random() < 0.5 else dice.randbytes(dice.randrange(1, 200))
-    at = dice.randrange(len(data) + 1)
+def splice(data, rng):
+    """Insert a copy of a piece, or random bytes."""
+    one, two = sorted(rng.randrange(len(data) + 1) for _ in range(2))
+    piece = data[one:two][:2000] if rng.random() < 0.5 else rng.randbytes(rng.randrange(1, 200))
+    at = rng.randrange(len(data) + 1)
     return data[:at] + piece + data[at:]
 
 
-def lines(data, dice):
-    """Lines are missing, twice, or in another order."""
+def lines(data, rng):
+    """Remove, repeat or swap lines."""
     rows = data.splitlines(keepends=True)
-    for _ in range(dice.choice((1, 1, 2, 4))):
+    for _ in range(rng.choice((1, 1, 2, 4))):
         if not rows:
             break
-        one, two = dice.randrange(len(rows)), dice.randrange(len(rows))
-        way = dice.randrange(4)
+        one, two = rng.randrange(len(rows)), rng.randrange(len(rows))
+        way = rng.randrange(4)
         if way == 0:
             del rows[one]
         elif way == 1:
@@ -74,58 +74,58 @@ def lines(data, dice):
         elif way == 2:
             rows[one], rows[two] = rows[two], rows[one]
         else:
-            rows[one] = rows[one][dice.randrange(len(rows[one])) :]
+            rows[one] = rows[one][rng.randrange(len(rows[one])) :]
     return b"".join(rows)
 
 
-def replaced(data, dice, pattern, values):
-    """Some of what a pattern finds reads as one of these values."""
+def replaced(data, rng, pattern, values):
+    """Replace some matches of a pattern by one of the values."""
     text = data.decode("utf-8", "surrogateescape")
-    for _ in range(dice.choice((1, 1, 1, 2, 4))):
+    for _ in range(rng.choice((1, 1, 1, 2, 4))):
         found = list(pattern.finditer(text))
         if found:
-            at = dice.choice(found)
-            text = text[: at.start()] + dice.choice(values) + text[at.end() :]
+            at = rng.choice(found)
+            text = text[: at.start()] + rng.choice(values) + text[at.end() :]
     return text.encode("utf-8", "surrogateescape")
 
 
-def number(data, dice):
-    """Numbers are others, some of them absurd."""
+def number(data, rng):
+    """Change numbers, some to absurd ones."""
     near = [
-        str(dice.uniform(-2, 40)),
-        str(dice.randrange(-3, 200)),
-        repr(10 ** dice.uniform(-9, 9)),
+        str(rng.uniform(-2, 40)),
+        str(rng.randrange(-3, 200)),
+        repr(10 ** rng.uniform(-9, 9)),
     ]
-    return replaced(data, dice, NUMBER, (*near, *near, *near, *ODD))
+    return replaced(data, rng, NUMBER, (*near, *near, *near, *ODD))
 
 
-def token(data, dice):
-    """Words are others, of the file or of nowhere."""
+def token(data, rng):
+    """Change words, to others of the file or foreign ones."""
     text = data.decode("utf-8", "replace")
     own = TOKEN.findall(text)[:5000] or ["x"]
-    return replaced(data, dice, TOKEN, (*(dice.choice(own) for _ in range(20)), *ODD))
+    return replaced(data, rng, TOKEN, (*(rng.choice(own) for _ in range(20)), *ODD))
 
 
-def structure(data, dice):
-    """A page whose keys are missing, moved, renamed or of another type."""
+def structure(data, rng):
+    """Remove, move or rename keys, or change the type of values."""
     tree = yaml.safe_load(data)
-    for _ in range(dice.choice((1, 1, 2, 3))):
+    for _ in range(rng.choice((1, 1, 2, 3))):
         places = list(_places(tree))
         if not places:
             break
-        home, key = dice.choice(places)
-        other, there = dice.choice(places)
-        way = dice.randrange(6)
+        home, key = rng.choice(places)
+        other, there = rng.choice(places)
+        way = rng.randrange(6)
         if way == 0:
             del home[key]
         elif way == 1:
             home[key] = deepcopy(other[there])
         elif way == 2 and isinstance(home, dict):
-            home[dice.choice(("x", "", "null", "1", str(key) + "s"))] = home.pop(key)
+            home[rng.choice(("x", "", "null", "1", str(key) + "s"))] = home.pop(key)
         elif way == 3:
-            home[key] = dice.choice((None, True, 1, -1.5, 10**40, "x", [], {}, [[]], {"a": {}}))
+            home[key] = rng.choice((None, True, 1, -1.5, 10**40, "x", [], {}, [[]], {"a": {}}))
         elif way == 4:
-            home[key] = [home[key]] * dice.choice((1, 2, 300))
+            home[key] = [home[key]] * rng.choice((1, 2, 300))
         else:
             home[key] = {str(key): home[key]}
     return yaml.safe_dump(tree, sort_keys=False).encode()
@@ -138,12 +138,12 @@ def _places(tree):
             yield from _places(tree[key])
 
 
-def spelled(data, dice):
-    """A value is one of YAML's own oddities, or the page ends in one."""
+def spelled(data, rng):
+    """Insert an unusual YAML construct."""
     rows = data.splitlines(keepends=True)
-    odd = dice.choice(YAMLS).encode()
-    at = dice.randrange(len(rows))
-    if dice.random() < 0.3 or b":" not in rows[at]:
+    odd = rng.choice(YAMLS).encode()
+    at = rng.randrange(len(rows))
+    if rng.random() < 0.3 or b":" not in rows[at]:
         return b"".join([*rows[:at], odd, b"\n", *rows[at:]])
     rows[at] = rows[at].partition(b":")[0] + b": " + odd + b"\n"
     return b"".join(rows)
@@ -180,45 +180,45 @@ ATTRIBUTE = re.compile(r'(?<=")[^"<>]*(?=")')
 TAG = re.compile(r"<[^!?][^<>]*>")
 
 
-def elements(data, dice):
-    """Elements are missing, twice, moved, or others than they were."""
+def elements(data, rng):
+    """Remove, repeat, replace or empty elements."""
     text = data.decode("utf-8", "surrogateescape")
-    pattern = dice.choice((ELEMENT, BLOCK))
-    for _ in range(dice.choice((1, 1, 2))):
+    pattern = rng.choice((ELEMENT, BLOCK))
+    for _ in range(rng.choice((1, 1, 2))):
         found = list(pattern.finditer(text))
         if not found:
             break
-        one, two = dice.choice(found), dice.choice(found)
-        way = dice.randrange(4)
+        one, two = rng.choice(found), rng.choice(found)
+        way = rng.randrange(4)
         new = ("", one.group() * 2, two.group(), re.sub(r">[^<]*<", "> <", one.group(), count=1))
         text = text[: one.start()] + new[way] + text[one.end() :]
     return text.encode("utf-8", "surrogateescape")
 
 
-def planted(data, dice):
-    """Something stands among the elements that no airframe needs."""
+def planted(data, rng):
+    """Insert a foreign element or document type."""
     text = data.decode("utf-8", "surrogateescape")
-    if dice.random() < 0.2:
+    if rng.random() < 0.2:
         at = text.find("?>") + 2
-        return (text[:at] + dice.choice(DOCTYPES) + text[at:]).encode("utf-8", "surrogateescape")
+        return (text[:at] + rng.choice(DOCTYPES) + text[at:]).encode("utf-8", "surrogateescape")
     found = list(TAG.finditer(text))
-    at = dice.choice(found).end() if found else 0
-    return (text[:at] + dice.choice(XMLS) + text[at:]).encode("utf-8", "surrogateescape")
+    at = rng.choice(found).end() if found else 0
+    return (text[:at] + rng.choice(XMLS) + text[at:]).encode("utf-8", "surrogateescape")
 
 
-def attribute(data, dice):
-    """Attributes have other values: units, names, files."""
+def attribute(data, rng):
+    """Change attributes: units, names, files."""
     text = data.decode("utf-8", "surrogateescape")
     own = ATTRIBUTE.findall(text) or ["x"]
-    values = [dice.choice(own) for _ in range(20)]
-    return replaced(data, dice, ATTRIBUTE, (*values, *(o for o in ODD if '"' not in o)))
+    values = [rng.choice(own) for _ in range(20)]
+    return replaced(data, rng, ATTRIBUTE, (*values, *(o for o in ODD if '"' not in o)))
 
 
 _RECORD = struct.Struct("<BQ")
 
 
-def records(data, dice):
-    """Records of an MCAP file have other kinds, lengths or bytes, are missing, or twice."""
+def records(data, rng):
+    """Change kind, length or bytes of MCAP records, remove or repeat them."""
     spans, at = [], 8
     while at + _RECORD.size <= len(data) - 8:
         end = at + _RECORD.size + _RECORD.unpack_from(data, at)[1]
@@ -227,29 +227,29 @@ def records(data, dice):
         spans.append((at, end))
         at = end
     if not spans:
-        return flip(data, dice)
-    one, end = dice.choice(spans)
+        return flip(data, rng)
+    one, end = rng.choice(spans)
     out = bytearray(data)
-    way = dice.randrange(5)
+    way = rng.randrange(5)
     if way == 0:
-        out[one] = dice.randrange(256)
+        out[one] = rng.randrange(256)
     elif way == 1:
-        length = dice.choice((0, 1, 2**40, 2**63, 2**64 - 1, end - one, dice.randrange(1000)))
+        length = rng.choice((0, 1, 2**40, 2**63, 2**64 - 1, end - one, rng.randrange(1000)))
         out[one + 1 : one + 9] = struct.pack("<Q", length)
     elif way == 2:
         del out[one:end]
     elif way == 3:
         out[end:end] = out[one:end]
     else:
-        for _ in range(dice.randrange(1, 9)):
-            # the head of a chunk, its checksum among it, is as likely as all that is packed
-            far = min(end, one + 60) if dice.random() < 0.5 else end
-            out[dice.randrange(one, far)] = dice.randrange(256)
+        for _ in range(rng.randrange(1, 9)):
+            # half of the changes in the head of a chunk, which has its checksum
+            far = min(end, one + 60) if rng.random() < 0.5 else end
+            out[rng.randrange(one, far)] = rng.randrange(256)
     return bytes(out)
 
 
 ANY = (flip, cut, splice, lines, token, number, number)
-WAYS = {
+MUTATIONS = {
     ".yaml": (*ANY, structure, structure, structure, structure, spelled, spelled),
     ".param": ANY,
     ".csv": ANY,
@@ -258,7 +258,7 @@ WAYS = {
 }
 
 
-def mutated(data, ending, dice):
-    """What becomes of a file that ends so, and in which way."""
-    way = dice.choice(WAYS[ending])
-    return way(data, dice), way.__name__
+def mutate(data, suffix, rng):
+    """Return the mutated bytes of a file of this suffix, and the name of the mutation."""
+    way = rng.choice(MUTATIONS[suffix])
+    return way(data, rng), way.__name__

@@ -1,26 +1,26 @@
-"""A synthetic run whose every number is random, so that no two can be mistaken for one another."""
+"""A synthetic run of random numbers, in which no two fields can be confused."""
 
 import mcap.reader
 import numpy as np
 from google.protobuf import descriptor_pool, message_factory
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
-from testbed.record.recorder import McapRecorder
-from testbed.state import (
+from testbed.core.records import (
+    ActuatorCommand,
     AirData,
     Event,
     FbwaCommand,
     FormationState,
-    Frame,
-    LinkCounts,
+    LinkCounters,
     Origin,
     RunInfo,
-    Surfaces,
+    Sample,
     VehicleState,
 )
+from testbed.logs.recorder import McapRecorder
 
 RECORDS = ("truth", "estimate", "air", "command", "surfaces", "formation")
-BASE_RATE_HZ, FRAME_RATE_HZ = 200, 25
+BASE_RATE_HZ, SAMPLE_RATE_HZ = 200, 25
 
 
 def run_info(followers=3, **changes):
@@ -33,78 +33,86 @@ def run_info(followers=3, **changes):
         "wingspan_m": (2.8,) * len(names),
         "origin": Origin(38.0, -84.5, 290.0),
         "base_rate_hz": BASE_RATE_HZ,
-        "frame_rate_hz": FRAME_RATE_HZ,
+        "frame_rate_hz": SAMPLE_RATE_HZ,
         "duration_s": 60.0,
         "seed": 7,
         "speed_bounds_mps": ((16.0, 30.0),) * followers,
         "kappa_mps": (3.6,) * followers,
         "roll_limit_rad": (0.8,) * followers,
         "leader_path_ned": np.array([[0.0, 0.0, -100.0], [1.0 / 3.0, 2.0, -100.0]]),
-        "portions": {"first": (1.0, 2.0), "second": (2.0, 4.0)},
+        "windows": {"first": (1.0, 2.0), "second": (2.0, 4.0)},
         "versions": {"testbed": "0.0", "jsbsim": "1.3.3"},
     }
     return RunInfo(**{**values, **changes})
 
 
-def run_frames(
-    count, followers=3, *, noisy_from=None, lossy_from=None, gone_from=None, seed=1, events=()
+def run_samples(
+    count, followers=3, *, noisy_from=None, lossy_from=None, lost_from=None, seed=1, events=()
 ):
-    """Frames of a run.
+    """Generate the samples of a run.
 
-    From one frame on, or never, estimates differ from the truth, messages are lost, and the last
-    aircraft is lost.
+    Args:
+        count: of the samples.
+        followers: of the leader.
+        noisy_from: the first sample in which estimates differ from the truth; None: none.
+        lossy_from: the first sample in which messages are lost; None: none.
+        lost_from: the first sample in which the last aircraft is lost; None: none.
+        seed: of the numbers.
+        events: pairs of a sample's number and an event.
     """
     rng = np.random.default_rng(seed)
-    n, ours = followers, followers + 1
-    sent, lost = np.zeros((2, n, ours), dtype=np.uint32)
+    n, aircraft = followers, followers + 1
+    sent, lost = np.zeros((2, n, aircraft), dtype=np.uint32)
 
     def motion():
-        vectors = (rng.standard_normal((ours, 3)) * 100.0 for _ in range(5))
-        return VehicleState(*vectors, rng.standard_normal(ours), rng.standard_normal(ours))
+        vectors = (rng.standard_normal((aircraft, 3)) * 100.0 for _ in range(5))
+        return VehicleState(*vectors, rng.standard_normal(aircraft), rng.standard_normal(aircraft))
 
     def scalars(number, size):
         return [rng.standard_normal(size) for _ in range(number)]
 
     for k in range(count):
         truth = motion()
-        ages = np.where(rng.random((n, ours)) < 0.5, np.nan, rng.random((n, ours)))
-        tick = k * BASE_RATE_HZ // FRAME_RATE_HZ
-        sent = sent + rng.integers(1, 3, (n, ours)).astype(np.uint32)
+        ages = np.where(rng.random((n, aircraft)) < 0.5, np.nan, rng.random((n, aircraft)))
+        tick = k * BASE_RATE_HZ // SAMPLE_RATE_HZ
+        sent = sent + rng.integers(1, 3, (n, aircraft)).astype(np.uint32)
         if lossy_from is not None and k >= lossy_from:
-            lost = lost + rng.integers(0, 2, (n, ours)).astype(np.uint32)
+            lost = lost + rng.integers(0, 2, (n, aircraft)).astype(np.uint32)
         exact = noisy_from is None or k < noisy_from
         error = rng.standard_normal((n, 3))
-        gone = np.zeros(ours, dtype=bool)
-        gone[-1] = gone_from is not None and k >= gone_from
-        yield Frame(
+        lost_aircraft = np.zeros(aircraft, dtype=bool)
+        lost_aircraft[-1] = lost_from is not None and k >= lost_from
+        yield Sample(
             tick=tick,
             time_s=tick / BASE_RATE_HZ,
             truth=truth,
             estimate=truth if exact else motion(),
-            air=AirData(*scalars(3, ours), *rng.standard_normal((2, ours, 3)), *scalars(3, ours)),
-            command=FbwaCommand(*scalars(3, ours)),
-            surfaces=Surfaces(*scalars(4, ours)),
+            air=AirData(
+                *scalars(3, aircraft), *rng.standard_normal((2, aircraft, 3)), *scalars(3, aircraft)
+            ),
+            command=FbwaCommand(*scalars(3, aircraft)),
+            surfaces=ActuatorCommand(*scalars(4, aircraft)),
             formation=FormationState(
                 rng.standard_normal((n, 3)),
                 error,
                 *scalars(7, n),
-                guards=rng.integers(0, 8, n).astype(np.uint8),
+                limiter_flags=rng.integers(0, 8, n).astype(np.uint8),
                 saturations=rng.integers(0, 8, n).astype(np.uint8),
                 age_s=ages,
-                place=rng.integers(1, 300, n).astype(np.uint32),
-                believed_ned=error if exact else rng.standard_normal((n, 3)),
+                slot_index=rng.integers(1, 300, n).astype(np.uint32),
+                estimated_error_ned=error if exact else rng.standard_normal((n, 3)),
             ),
-            links=LinkCounts(sent, sent - lost),
-            lost=gone,
+            links=LinkCounters(sent, sent - lost),
+            lost=lost_aircraft,
             events=tuple(event for at, event in events if at == k),
         )
 
 
 def event(k, text="something", level="warning"):
-    return k, Event(k / FRAME_RATE_HZ, level, "uav1", text)
+    return k, Event(k / SAMPLE_RATE_HZ, level, "uav1", text)
 
 
-def assert_same_frame(one, other):
+def assert_same_sample(one, other):
     assert (one.tick, one.time_s, one.events) == (other.tick, other.time_s, other.events)
     np.testing.assert_array_equal(one.lost, other.lost)
     assert other.lost.dtype == bool
@@ -117,14 +125,14 @@ def assert_same_frame(one, other):
 def record(path, seen, info=None, *, summary=None, events=()):
     log = McapRecorder(path)
     log.begin(info or run_info())
-    for frame in seen:
-        log.observe(frame)
-    log.end({"outcome": "flown", "wall_s": 1.5} if summary is None else summary, events)
+    for sample in seen:
+        log.observe(sample)
+    log.end({"outcome": "completed", "wall_s": 1.5} if summary is None else summary, events)
     return path
 
 
 def decoded(path):
-    """Every message as the file's own schemas describe it: topic, time and protobuf message."""
+    """Decode a log with its own schemas: topic, time in ns and protobuf message of each."""
     classes = {}
     with open(path, "rb") as file:
         reader = mcap.reader.make_reader(file, validate_crcs=True)

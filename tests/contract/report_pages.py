@@ -1,4 +1,4 @@
-"""A page as a reader and a browser have it."""
+"""Parse the HTML of reports, and measure it in a browser."""
 
 import json
 import re
@@ -9,12 +9,12 @@ from html.parser import HTMLParser
 
 from patience import PATIENCE_S
 
-MOST_BYTES = 5_000_000
+MAX_BYTES = 5_000_000
 VOID = {"meta", "link", "br", "img", "use", "path"}
 
 
 class Reader(HTMLParser):
-    """What a page is made of; tags have to be closed in order."""
+    """Parse figures, tables and links of a page; tags must be closed in order."""
 
     def __init__(self, text):
         super().__init__()
@@ -62,7 +62,7 @@ class Reader(HTMLParser):
 
 
 def stands_alone(text):
-    """What is on a page that needs nothing else; it is held to that."""
+    """Parse a page, and assert that it needs no scripts and no external resources."""
     page = Reader(text)
     assert len(page.labels) == len(page.figures) == text.count("<figcaption>")
     assert all(len(label) > 40 for label in page.labels)
@@ -76,13 +76,13 @@ def stands_alone(text):
     assert {*re.findall(r"url\(#([^)]*)\)", text), *re.findall(r'href="#([^"]*)"', text)} <= {
         *named
     }
-    assert len(text.encode()) < MOST_BYTES
+    assert len(text.encode()) < MAX_BYTES
     return page
 
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 NEEDS_CHROMIUM = "needs Chromium: on Debian, apt-get install chromium"
-# what the browser drew, in pixels, left where the dumped page tells of it
+# sizes in pixels as the browser drew them, written to an attribute of the dumped page
 MEASURE = """<script>
 addEventListener("load", () => {
   const sizes = {};
@@ -98,7 +98,7 @@ addEventListener("load", () => {
 
 
 def browse(text, folder):
-    """Sizes of a page's figures in a browser, by name, which has to show all and say nothing."""
+    """Measure the figures of a page in a browser, by name; assert no console messages."""
     (folder / "page.html").write_text(text.replace("</body>", MEASURE + "</body>"), "utf-8")
     done = subprocess.run(
         [
@@ -113,7 +113,7 @@ def browse(text, folder):
     names = {name.removeprefix("figure-"): size for name, size in found["sizes"].items()}
     for width, height, drawn_width, drawn_height, words in names.values():
         assert width > 900 and height > 150 and words > 10
-        # in points, of which the page shows 792 across
+        # in points; the width of a figure is 792
         assert drawn_width > 500 and drawn_height > 100
     assert found["wide"] <= 0
     return names

@@ -1,18 +1,19 @@
-"""Short flights and their fingerprints, for the tests of whole runs."""
+"""Short flights, their fingerprints and what their laws received, for tests of whole runs."""
 
 import hashlib
+import textwrap
 
 import numpy as np
 
-from testbed.scenario import load, shorten
+from testbed.scenario import load, set_duration
+from testbed.sim.build import build
 from testbed.sim.loop import fly
-from testbed.sim.world import build
 
 SECONDS = 20.0
 NOISY = ("leader.sensors=gps-ins", "fleet.*.sensors=gps-ins")
 # A follower whose slot lies below the ground.
 DIVE = """
-scenario: {schema: 1, name: dive, duration_s: 30}
+scenario: {schema: 2, name: dive, duration_s: 30}
 leader:
   aircraft: rascal110
   start: {altitude_m: 20}
@@ -45,15 +46,50 @@ class Collector:
 
 
 def short(*changes, seconds=SECONDS):
-    return shorten(load("simulation-3", ["log.mcap=false", *changes]), seconds)
+    return set_duration(load("simulation-3", ["log.mcap=false", *changes]), seconds)
 
 
 def flown(*changes, seconds=SECONDS):
     collector = Collector()
-    assert (
-        fly(build(short(*changes, seconds=seconds)), [collector], lambda now, due: False) == "flown"
-    )
+    world = build(short(*changes, seconds=seconds))
+    assert fly(world, [collector], lambda now, due: False) == "completed"
     return collector.frames
+
+
+RECORDER = """
+    class Recorder:
+        def __init__(self, config):
+            self.hbh23, self.received = config.hbh23, []
+
+        def start(self, own):
+            return self.hbh23.start(own)
+
+        def step(self, now, own, inbox, memory):
+            copies = [type(each)(*(array.copy() for array in each)) for each in (own, inbox)]
+            self.received.append((now, *copies))
+            return self.hbh23.step(now, own, inbox, memory)
+"""
+
+
+def recorder(folder):
+    """Write an own law that is [HBH23]'s and records its inputs; return the change it takes."""
+    path = folder / "recorder.py"
+    path.write_text(textwrap.dedent(RECORDER))
+    return f"controller.law={path}:Recorder"
+
+
+def flown_with_recorder(page):
+    """Fly a scenario whose law is a `recorder`.
+
+    Returns:
+        The samples, and for each control step its time, own estimates and inbox.
+    """
+    world, collector = build(page), Collector()
+    (group,) = world.control.groups
+    received = group.law.received
+    received.clear()  # what the check of the law before the flight gave it
+    assert fly(world, [collector], lambda now, due: False) == "completed"
+    return collector.frames, received
 
 
 def arrays(frame):

@@ -1,19 +1,19 @@
-"""Air in whole worlds: repeatable, each aircraft's own, and told of."""
+"""The air in whole runs: repeatable, shared or independent, with events and warnings."""
 
 import shutil
 
 import numpy as np
 import pytest
 
-from testbed.errors import InputError
-from testbed.scenario import find_aircraft, load, shorten
+from testbed.core.errors import InputError
+from testbed.core.records import AIRCRAFT, allocate
+from testbed.scenario import find_aircraft, load, set_duration
 from testbed.scenario.schema import Scenario
-from testbed.sim.airs import make_air, make_mean
-from testbed.sim.probes import Course, fly_probes
+from testbed.sim.build import build
+from testbed.sim.build_air import build_air, build_mean_wind
+from testbed.sim.probes import ProbePath, fly_probes
 from testbed.sim.run import run
-from testbed.sim.world import build
-from testbed.state import VehicleState
-from testbed.vehicle.jsbsim_door import airframe
+from testbed.vehicle.jsbsim_adapter import airframe
 
 SECONDS = 4.0
 AIRS = {
@@ -28,7 +28,7 @@ AIRS = {
 
 
 class Watcher:
-    """Keeps the wind and the positions of every frame."""
+    """Stores all samples and events."""
 
     def begin(self, info):
         self.frames, self.events, self.names = [], [], info.names
@@ -51,18 +51,18 @@ class Watcher:
 
 def fly(*overrides, scenario="simulation-3", seconds=SECONDS):
     watcher = Watcher()
-    page = shorten(load(scenario, list(overrides)), seconds)
-    assert run(page, write=False, observers=[watcher]).outcome == "flown"
+    page = set_duration(load(scenario, list(overrides)), seconds)
+    assert run(page, write=False, observers=[watcher]).outcome == "completed"
     return watcher
 
 
-def test_still_and_steady_air_cost_nothing():
+def test_air_still_or_steady_is_not_simulated():
     for overrides in ([], ["air.wind.speed_mps=5"], ["air.turbulence.model=none"]):
         assert build(load("simulation-3", overrides)).air is None
 
 
 @pytest.mark.parametrize("air", AIRS.values(), ids=AIRS)
-def test_the_same_page_is_the_same_air_to_the_bit(air):
+def test_air_same_scenario_is_equal_to_the_bit(air):
     one, two = fly(*air), fly(*air)
     for name in one.names:
         assert np.array_equal(one.wind(name), two.wind(name))
@@ -71,34 +71,34 @@ def test_the_same_page_is_the_same_air_to_the_bit(air):
 
 
 @pytest.mark.parametrize("air", AIRS.values(), ids=AIRS)
-def test_what_is_logged_moves_no_aircraft(air):
+def test_air_is_independent_of_the_log_rate(air):
     often, seldom = fly(*air, "rates.log_hz=50"), fly(*air, "rates.log_hz=10")
     assert np.array_equal(often.position("uav2")[::5], seldom.position("uav2"))
 
 
 @pytest.mark.parametrize("model", ["dryden", "von-karman", "coherent"])
-def test_another_seed_is_another_air(model):
+def test_air_differs_with_the_seed(model):
     one, two = fly(*AIRS[model]), fly(*AIRS[model], "scenario.seed=2")
     assert not np.array_equal(one.wind("uav1"), two.wind("uav1"))
 
 
 @pytest.mark.parametrize("model", ["dryden", "von-karman", "coherent"])
-def test_how_high_the_ground_lies_is_all_the_same_to_the_air(model):
-    """A probe's record has nothing of the flight in it, whose air is thinner."""
+def test_air_is_independent_of_the_elevation(model):
+    """By probes, whose record does not depend on the density."""
 
-    def felt(elevation):
+    def probed(elevation):
         page = load("simulation-3", [*AIRS[model], f"scenario.origin.elevation_m={elevation}"])
-        course = Course(
+        course = ProbePath(
             rate_hz=50.0, duration_s=5.0, airspeed=22.0, course=0.3, height=150.0, separation=None
         )
         return fly_probes(page, course)
 
-    low, high = felt(0.0), felt(1500.0)
+    low, high = probed(0.0), probed(1500.0)
     assert np.array_equal(low.wind_ned, high.wind_ned)
-    assert np.array_equal(low.rates_body, high.rates_body)
+    assert np.array_equal(low.wind_gradient_rates, high.wind_gradient_rates)
 
 
-def test_draws_of_their_own_differ_and_a_shared_field_does_not():
+def test_field_is_shared_and_own_turbulence_is_not():
     own, shared = fly(*AIRS["von-karman"]), fly(*AIRS["coherent"])
 
     def apart(watcher):
@@ -108,7 +108,7 @@ def test_draws_of_their_own_differ_and_a_shared_field_does_not():
     assert apart(shared) < 0.7 * apart(own)
 
 
-def test_one_aircraft_more_moves_no_dice():
+def test_own_turbulence_is_independent_of_the_fleet():
     three = fly(*AIRS["dryden"])
     page = load("simulation-3", [*AIRS["dryden"]]).model_dump(by_alias=True)
     page["scenario"]["published"] = None
@@ -119,13 +119,14 @@ def test_one_aircraft_more_moves_no_dice():
         "neighbour_gains": {},
     }
     watcher = Watcher()
-    alone = shorten(Scenario.model_validate(page), SECONDS)
-    assert run(alone, write=False, observers=[watcher]).outcome == "flown"
+    alone = set_duration(Scenario.model_validate(page), SECONDS)
+    assert run(alone, write=False, observers=[watcher]).outcome == "completed"
     for name in ("leader", "uav1"):
         assert np.array_equal(three.wind(name), watcher.wind(name))
 
 
-def test_an_ideal_vehicle_is_moved_by_no_gust_but_flies_in_it():
+def test_ideal_vehicle_in_gusts_keeps_its_path():
+    """Its airspeed varies."""
     still = fly(scenario="ideal-figure-eight")
     rough = fly(*AIRS["dryden"], scenario="ideal-figure-eight")
     assert np.array_equal(still.position("uav1"), rough.position("uav1"))
@@ -133,62 +134,68 @@ def test_an_ideal_vehicle_is_moved_by_no_gust_but_flies_in_it():
     assert np.std(airspeeds) > 0.1
 
 
-def test_gusts_are_told_of_when_they_arrive():
+def test_gust_arrivals_are_events():
     """A standing front across the way of the leader, which starts 30 m before it at 22 m/s."""
     front = "name: front, velocity_mps: [0, 3, 0], at_m: [640, -50], towards_deg: 270"
-    watcher = fly(f"air.gusts=[{{kind: place, {front}, length_m: 20, speed_mps: 0, shape: ramp}}]")
+    watcher = fly(f"air.gusts=[{{kind: front, {front}, length_m: 20, speed_mps: 0, shape: ramp}}]")
     reached = {e.source: e.time_s for e in watcher.events if e.text == "gust front reaches it"}
     assert list(reached) == ["leader", "uav1", "uav2", "uav3"]  # they fly 25 and 45 m behind it
     assert reached["leader"] == pytest.approx(30.0 / 22.0, abs=0.05)
     assert watcher.wind("leader")[-1] == pytest.approx([0.0, 3.0, 0.0], abs=1e-6)
     puff = [e for e in fly(*AIRS["gusts"]).events if "puff" in e.text]
-    assert [(e.source, e.text) for e in puff] == [("run", "gust puff reaches everyone")]
+    assert [(e.source, e.text) for e in puff] == [("run", "gust puff reaches all aircraft")]
     assert puff[0].time_s == pytest.approx(1.0, abs=0.05)
 
 
-def test_a_model_that_cannot_feel_turns_says_so(tmp_path):
+def test_model_without_gust_inputs_gives_a_warning(tmp_path):
     folder = tmp_path / "deaf"
     shutil.copytree(find_aircraft("rascal110"), folder)
     text = (folder / "rascal110.xml").read_text().replace("air/q-rad_sec", "other/q-rad_sec")
     (folder / "deaf.xml").write_text(text)
     (folder / "rascal110.xml").unlink()
     page = load("simulation-3", [f"fleet.0.aircraft={folder}", "air.turbulence.model=dryden"])
-    said = [(note.source, note.text) for note in build(page).notes if "air/q-rad_sec" in note.text]
-    assert [source for source, _ in said] == ["uav1"]
+    events = [
+        (note.source, note.text)
+        for note in build(page).initial_events
+        if "air/q-rad_sec" in note.text
+    ]
+    assert [source for source, _ in events] == ["uav1"]
 
 
-def test_a_field_that_stands_still_is_told_of():
-    told = [note.text for note in build(load("turbulence-moderate")).notes]
-    assert not any("stands still" in text for text in told)
+def test_field_without_wind_gives_a_warning():
+    texts = [note.text for note in build(load("turbulence-moderate")).initial_events]
+    assert not any("stands still" in text for text in texts)
     calm = load("simulation-3", ["air.turbulence.model=coherent"])
-    assert any("stands still" in note.text for note in build(calm).notes)
+    assert any("stands still" in note.text for note in build(calm).initial_events)
 
 
-def test_wakes_are_felt_beside_and_behind():
-    flown = run(shorten(load("close-formation-wake"), 60.0), write=False)
-    felt = {name: each["mean_ned_mps"][2] for name, each in flown.metrics["wind"].items()}
-    assert felt["uav1"] < -0.02  # beside: upwash
-    assert felt["uav2"] < -0.02
-    assert felt["uav3"] > 0.05  # behind: downwash
-    assert abs(felt["leader"]) < 0.01
+def test_wakes_act_beside_and_behind():
+    flown = run(set_duration(load("close-formation-wake"), 60.0), write=False)
+    wind_down = {name: each["mean_ned_mps"][2] for name, each in flown.metrics["wind"].items()}
+    assert wind_down["uav1"] < -0.02  # beside: upwash
+    assert wind_down["uav2"] < -0.02
+    assert wind_down["uav3"] > 0.05  # behind: downwash
+    assert abs(wind_down["leader"]) < 0.01
 
 
 def behind_in(*overrides):
-    """What a Rascal 9 m behind and 1 m right of another feels after 3 s, both blown by 5 m/s."""
+    """Wind of a Rascal 9 m behind and 1 m right of another after 3 s, both in a wind of 5 m/s."""
     page = load("simulation-3", ["air.wake.core_spans=0.05", *overrides])
     rascal = airframe(find_aircraft("rascal110"))
     names = ["one", "two"]
-    air = make_air(page, make_mean(page), names, [rascal] * 2, dt=0.02, sheds=[True] * 2)
+    air = build_air(page, build_mean_wind(page), names, [rascal] * 2, dt=0.02, sheds=[True] * 2)
+    aircraft = allocate(AIRCRAFT, 2)
+    air.bind(aircraft)
+    motion, wind = aircraft["truth"], aircraft["wind"]
     start = np.array([[0.0, 0.0, -100.0], [-9.0, 1.0, -100.0]])
-    velocity = np.array([[22.0, 5.0, 0.0]] * 2)
-    none, zero = np.zeros((2, 3)), np.zeros(2)
+    motion["velocity_ned"] = velocity = np.array([[22.0, 5.0, 0.0]] * 2)
     for k in range(151):
-        motion = VehicleState(start + velocity * 0.02 * k, velocity, none, none, none, zero, zero)
-        felt = air.felt(0.02 * k, motion)
-    return felt.wind_ned[1], felt.roll_coefficient[1]
+        motion["position_ned"] = start + velocity * 0.02 * k
+        air.sample_wind(0.02 * k)
+    return np.array(wind["wind_ned"][1]), float(wind["wake_delta_cl"][1])
 
 
-def test_a_gust_that_stays_carries_trails_as_the_mean_wind_does():
+def test_lasting_gust_moves_trails_as_the_mean_wind():
     mean = behind_in("air.wind={speed_mps: 5, from_deg: 270}")
     gust = "{kind: time, name: shift, velocity_mps: [0, 5, 0], at_s: 0, ramp_s: 0.01, shape: ramp}"
     shear = "{speed_mps: 5, from_deg: 270, profile: {kind: log, height_m: 100}}"
@@ -200,13 +207,13 @@ def test_a_gust_that_stays_carries_trails_as_the_mean_wind_does():
 
 
 @pytest.mark.parametrize(
-    ("overrides", "said"),
+    ("overrides", "message"),
     [
         (["air.turbulence.height_m=2"], "that of 2 m above the ground.*air.turbulence.height_m"),
         (["air.turbulence.length_m=[2, 2, 2]"], "length of 2 m.*air.turbulence.length_m"),
     ],
 )
-def test_a_field_too_coarse_for_its_air_is_refused_with_the_pages_keys(overrides, said):
+def test_field_too_coarse_error_names_the_keys(overrides, message):
     page = load("simulation-3", ["air.turbulence.model=coherent", *overrides])
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         build(page)

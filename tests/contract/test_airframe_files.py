@@ -1,4 +1,4 @@
-"""What an aircraft's XML may not ask of JSBSim, and what JSBSim may not do to who loads it."""
+"""Aircraft files: forbidden elements, limits, and crashes of JSBSim."""
 
 import os
 import shutil
@@ -8,8 +8,8 @@ import pytest
 from commands import children
 
 from testbed.scenario import library
-from testbed.vehicle import airframe_files, jsbsim_door, trial
-from testbed.vehicle.jsbsim_door import airframe, explore
+from testbed.vehicle import airframe_validation, forked_trial, jsbsim_adapter
+from testbed.vehicle.jsbsim_adapter import airframe, probe_airframes
 from testbed.vehicle.jsbsim_model import AircraftError
 
 MAIN, MOTOR = "rascal110.xml", "Engines/rascal110_motor.xml"
@@ -24,7 +24,7 @@ def folder(tmp_path):
     return home
 
 
-def refusal(folder):
+def error_of(folder):
     with pytest.raises(AircraftError) as caught:
         airframe(folder)
     return str(caught.value)
@@ -43,7 +43,7 @@ def begin(folder):
 
 
 @pytest.mark.parametrize(
-    ("element", "said"),
+    ("element", "message"),
     [
         ('<input port="41234" type="SOCKET"/>', "<input> opens a socket (remove it)"),
         ('<output name="x.csv" type="CSV"/>', "<output> opens a socket or writes a file"),
@@ -51,22 +51,22 @@ def begin(folder):
         ('<system file="/etc/passwd"/>', "file='/etc/passwd' leaves the aircraft's folder"),
         ('<system file="Systems/../../beside"/>', "leaves the aircraft's folder"),
         ('<system file="linked"/>', "file='linked' is a link out of the aircraft's folder"),
-        ('<system file="nobody"/>', "there is no nobody.xml in the aircraft's folder"),
+        ('<system file="missing"/>', "there is no missing.xml in the aircraft's folder"),
         ('<system file="SOURCE.md"/>', "is not a name that ends in .xml"),
         (
             '<system name="s"><property value="1">simulation/write-state-file</property></system>',
-            "the property simulation/write-state-file writes a file (leave it out)",
+            "the property simulation/write-state-file writes a file (remove it)",
         ),
         ("<a>" * 60 + "</a>" * 60, "<a> is deeper than 50 elements"),
         ("&passwd;", "is not XML: undefined entity"),
     ],
 )
-def test_what_an_aircraft_may_not_ask_for_is_refused_by_file_and_line(folder, element, said):
+def test_forbidden_element_error_has_file_and_line(folder, element, message):
     (folder / "Systems").mkdir(exist_ok=True)
     (folder / "Systems" / "linked.xml").symlink_to(folder.parent / "beside.xml")
     line = change(folder / MAIN, begin(folder), f"{begin(folder)}\n{element}") + 1
-    text = refusal(folder)
-    assert text.startswith(f"{folder / MAIN}:{line}: ") and said in text
+    text = error_of(folder)
+    assert text.startswith(f"{folder / MAIN}:{line}: ") and message in text
 
 
 @pytest.mark.parametrize(
@@ -78,84 +78,76 @@ def test_what_an_aircraft_may_not_ask_for_is_refused_by_file_and_line(folder, el
     ],
 )
 @pytest.mark.parametrize("file", [MAIN, MOTOR])
-def test_entities_are_refused_in_every_file(folder, file, doctype):
+def test_entities_are_errors_in_every_file(folder, file, doctype):
     change(folder / file, "<!--", f"{doctype}\n<!--")
-    assert f"{folder / file}:2: <!DOCTYPE> and entities are not read" in refusal(folder)
+    assert f"{folder / file}:2: <!DOCTYPE> and entities are not allowed" in error_of(folder)
 
 
-def test_files_that_name_one_another_are_refused(folder):
+def test_files_that_name_each_other_are_an_error(folder):
     change(folder / MAIN, begin(folder), f'{begin(folder)}\n<system file="a"/>')
     (folder / "a.xml").write_text('<system name="a"><system file="b"/></system>')
     (folder / "b.xml").write_text('<system name="b"><system file="a"/></system>')
-    assert "which names it in turn (remove one)" in refusal(folder)
+    assert "which names it too" in error_of(folder)
 
 
-def test_a_model_that_is_a_link_out_a_pipe_or_huge_is_refused(folder):
-    os.mkfifo(folder / "pipe.xml")  # whoever reads it waits for ever
+def test_links_pipes_and_huge_files(folder):
+    os.mkfifo(folder / "pipe.xml")  # reading it would block
     assert airframe(folder).span > 2.0
     with (folder / MAIN).open("a") as main:
-        main.write(" " * airframe_files.MOST_BYTES)
-    assert "is larger than 10,000,000 bytes: not an aircraft" in refusal(folder)
+        main.write(" " * airframe_validation.MAX_BYTES)
+    assert "is larger than 10,000,000 bytes" in error_of(folder)
     (folder / MAIN).rename(folder.parent / "elsewhere.xml")
     (folder / MAIN).symlink_to(folder.parent / "elsewhere.xml")
-    assert "is a link out of" in refusal(folder)
+    assert "is a link out of" in error_of(folder)
 
 
 @pytest.mark.parametrize(
-    ("file", "old", "new", "said"),
+    ("file", "old", "new", "message"),
     [
         (PROPELLER, "0.8   0.0172", "54    0.0172", "row lookup is not monotonically increasing"),
         (MOTOR, 'unit="WATTS"', 'unit="nan"', 'Supplied unit: "nan" does not exist'),
     ],
 )
-def test_where_jsbsim_crashes_the_error_has_what_it_said_last(folder, file, old, new, said, capfd):
+def test_crash_of_jsbsim_error_has_its_last_output(folder, file, old, new, message, capfd):
     change(folder / file, old, new)
-    text = refusal(folder)
-    assert text.startswith(f"{folder / file}:") and f"JSBSim says: {said}" in text.replace(
+    text = error_of(folder)
+    assert text.startswith(f"{folder / file}:") and f"JSBSim: {message}" in text.replace(
         "FGTable: ", ""
     )
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_crash_without_a_word_is_an_error(folder):
-    explore = lambda tell: os.kill(os.getpid(), 11)  # noqa: E731
+def test_crash_without_output_is_an_error(folder):
+    crash = lambda on_error: os.kill(os.getpid(), 11)  # noqa: E731
     with pytest.raises(AircraftError, match=r"xml: JSBSim crashed \(SIGSEGV\)"):
-        airframe_files.explored(folder, explore)()
+        airframe_validation.probe_in_copy(folder, crash)()
 
 
-def test_what_never_ends_is_ended(folder, monkeypatch):
-    monkeypatch.setattr(trial, "LONGEST_S", 1)
-    with pytest.raises(AircraftError, match="did not come to an end within 1 s"):
-        airframe_files.explored(folder, lambda tell: time.sleep(60))()
+def test_endless_work_is_ended(folder, monkeypatch):
+    monkeypatch.setattr(forked_trial, "TIMEOUT_S", 1)
+    with pytest.raises(AircraftError, match="did not end within 1 s"):
+        airframe_validation.probe_in_copy(folder, lambda on_error: time.sleep(60))()
 
 
-def test_what_is_found_out_meanwhile_is_found_out_once(folder, monkeypatch):
-    """And anew of files that have changed; what is wrong is for who loads the aircraft."""
-    asked, done = [], []
+def test_traits_are_determined_once_per_content(folder, monkeypatch):
+    """And again for changed files; errors are raised when the aircraft is loaded."""
+    calls = []
 
-    def counted(*given):
-        asked.append(given)
-        return airframe_files.explored(*given)
+    def counted(*args):
+        calls.append(args)
+        return airframe_validation.probe_in_copy(*args)
 
-    def meanwhile():
-        done.append(len(asked))
-
-    monkeypatch.setattr(jsbsim_door, "explored", counted)
-    explore([folder, folder], meanwhile)
-    explore([folder], meanwhile)
+    monkeypatch.setattr(jsbsim_adapter, "probe_in_copy", counted)
+    probe_airframes([folder, folder])
+    probe_airframes([folder])
     airframe(folder)
-    assert done == [1, 1] and len(asked) == 1
+    assert len(calls) == 1
     change(folder / MAIN, "> 1.95 <", "> 0.01 <")
-    explore([folder], meanwhile)
-    assert len(asked) == 2
-    assert "mass_balance: no rigid body has" in refusal(folder)
+    probe_airframes([folder])
+    assert len(calls) == 2
+    assert "mass_balance: no rigid body has" in error_of(folder)
 
     change(folder / MAIN, "<mass_balance>", '<input port="41234" type="SOCKET"/><mass_balance>')
-    explore([folder], meanwhile)
-    assert "<input> opens a socket" in refusal(folder)
-
-
-def test_nobody_is_left_to_wait_for_where_something_else_fails(folder):
-    with pytest.raises(ZeroDivisionError):
-        explore([folder], lambda: 1 // 0)
+    probe_airframes([folder])
+    assert "<input> opens a socket" in error_of(folder)
     assert not children(os.getpid())

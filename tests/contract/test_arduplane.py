@@ -1,4 +1,4 @@
-"""ArduPlane as an autopilot, by a stand-in that speaks the same packets: its flights."""
+"""Flights with ArduPlane as the autopilot, played by a stand-in with the same packets."""
 
 import hashlib
 import io
@@ -9,17 +9,29 @@ import sys
 
 import numpy as np
 import pytest
-from arduplanes import FIRST, PAGE, SOON, ardupilot, binary, complaint, fly, level, page, running
+from arduplanes import (
+    FIRST,
+    LEVEL,
+    SCENARIO,
+    SOON,
+    ardupilot,
+    binary,
+    error_of,
+    fly,
+    fly_level,
+    make_scenario,
+    running,
+)
 from patience import PATIENCE_S, until
 from rich.console import Console
 
-from testbed.ardupilot.defaults import defaults_text
-from testbed.ardupilot.process import command_line
-from testbed.metrics.table import render_table
-from testbed.scenario import find_tune, load, loads, shorten
+from testbed.autopilot.sitl_parameters import defaults_text
+from testbed.autopilot.sitl_process import command_line
+from testbed.core.records import Origin
+from testbed.metrics.tables import render_table
+from testbed.scenario import find_tune, load, loads, set_duration
+from testbed.sim.build import build
 from testbed.sim.run import run
-from testbed.sim.world import build
-from testbed.state import FbwaCommand, Origin
 
 assert binary  # a fixture
 WHOLE = os.environ.get("TESTBED_ARDUPLANE_WHOLE")
@@ -33,50 +45,52 @@ def fingerprint(frames):
     return digest.hexdigest()
 
 
-def test_a_mixed_flight_repeats_to_the_bit_and_leaves_the_virtual_autopilots_theirs(binary):
-    mixed = shorten(load("simulation-3", [f"leader.autopilot={ardupilot()}"]), 8.0)
+def test_mixed_flight_repeats_to_the_bit(binary):
+    mixed = set_duration(load("simulation-3", [f"leader.autopilot={ardupilot()}"]), 8.0)
     first, second = fly(mixed), fly(mixed)
     assert fingerprint(first) == fingerprint(second)
-    # its servos are told in whole µs: 500 of them are a full deflection
+    # its servo pulses are whole µs: 500 are full deflection
     pulses = 500.0 * np.array([frame.surfaces.aileron for frame in first[1:]])
     assert np.abs(pulses[:, 0] - np.rint(pulses[:, 0])).max() < 1e-9
     assert np.abs(pulses[:, 1] - np.rint(pulses[:, 1])).max() > 0.1
 
 
-def test_the_metrics_and_the_table_say_which_arduplane_flew_whom(binary, tmp_path):
-    flown = run(page(1.0), out=tmp_path / "run")
-    (name,) = flown.metrics["arduplane"]
-    assert flown.metrics["arduplane"] == {name: "4.7.1 (stand-in)"}
-    paper = io.StringIO()
-    render_table(flown.metrics, Console(file=paper, width=80))
-    assert f" ArduPlane           4.7.1 (stand-in): {name}" in paper.getvalue()
+def test_metrics_and_table_show_arduplane_versions(binary, tmp_path):
+    result = run(make_scenario(1.0), out=tmp_path / "run")
+    (name,) = result.metrics["arduplane"]
+    assert result.metrics["arduplane"] == {name: "4.7.1 (stand-in)"}
+    output = io.StringIO()
+    render_table(result.metrics, Console(file=output, width=80))
+    assert f" ArduPlane           4.7.1 (stand-in): {name}" in output.getvalue()
 
 
-def test_who_flies_beside_one_keeps_the_bits(binary):
-    _, beside = level(page(2.0))
-    said, alone = level(shorten(loads(PAGE), 2.0))
-    assert not said
-    for theirs, own in zip(beside, alone, strict=True):
-        assert theirs[1].tobytes() == own[1].tobytes()
-    assert beside.euler[0].tobytes() != alone.euler[0].tobytes()
+def test_virtual_autopilots_beside_it_are_unchanged(binary):
+    _, mixed = fly_level(make_scenario(2.0))
+    events, virtual = fly_level(set_duration(loads(SCENARIO), 2.0))
+    assert not events
+    for one, other in zip(mixed, virtual, strict=True):
+        assert one[1].tobytes() == other[1].tobytes()
+    assert mixed.euler[0].tobytes() != virtual.euler[0].tobytes()
 
 
-def test_four_of_them_hold_the_slots_as_the_virtual_autopilots_do(binary):
-    """The whole flight where TESTBED_ARDUPLANE_WHOLE is set; else some seconds from the slots."""
+def test_four_arduplanes_hold_slots_like_virtual(binary):
+    """Fly all of Simulation 3 if TESTBED_ARDUPLANE_WHOLE is set, else 12 s from the slots."""
     four = [f"leader.autopilot={ardupilot()}"]
     four += [f"fleet.uav{n}.autopilot={ardupilot(n)}" for n in (1, 2, 3)]
     if WHOLE:
-        windows = load("simulation-3").scenario.portions
+        windows = load("simulation-3").scenario.windows
         scenario, virtual = load("simulation-3", four), load("simulation-3")
     else:
         slots = load("simulation-3").formation.offsets_m.items()
         there = [f"fleet.{name}.start_m={list(slot)}" for name, slot in slots]
         windows = {"on the way": (2.0, 12.0)}
-        scenario, virtual = (shorten(load("simulation-3", [*there, *o]), 12.0) for o in (four, ()))
+        scenario, virtual = (
+            set_duration(load("simulation-3", [*there, *o]), 12.0) for o in (four, ())
+        )
     real, ours = fly(scenario), fly(virtual)
     for begin, end in windows.values():
         theirs, own = rms(real, begin, end), rms(ours, begin, end)
-        # 5 % or 0.1 m, whichever is more: pulses and the throttle's whole percent cost less
+        # 5 % or 0.1 m, whichever is larger; rounding of pulses and throttle has less effect
         assert np.all(np.abs(theirs - own) <= np.maximum(0.05 * own, 0.1)), (theirs, own)
 
 
@@ -85,31 +99,31 @@ def rms(frames, begin, end):
     return np.sqrt(np.mean(np.sum(np.square(errors), axis=2), axis=0))
 
 
-def test_an_elevon_aircraft_flies_too(binary):
-    frames = fly(page(4.0, "leader.aircraft=skywalker_x8"))
+def test_elevon_aircraft_flies(binary):
+    frames = fly(make_scenario(4.0, "leader.aircraft=skywalker_x8"))
     assert abs(frames[-1].truth.euler[0, 0]) < np.radians(10)
     assert frames[-1].truth.position_ned[0, 2] == pytest.approx(-100.0, abs=5.0)
 
 
-def test_thirty_two_outputs_and_no_rc_in_the_link_fly_the_same_way(binary, monkeypatch):
-    plain = fly(page(3.0))[-1].truth
-    monkeypatch.setenv("STAND_IN", "outputs32 deaf")
-    said = [event.text for event in level(page(1.0))[0]]
-    assert any("RC_CHANNELS_OVERRIDE" in text for text in said)
-    other = fly(page(3.0))[-1].truth
-    # overrides come when they come: a period of the autopilot or two later, at 22 m/s
+def test_32_outputs_and_overrides_fly_the_same(binary, monkeypatch):
+    plain = fly(make_scenario(3.0))[-1].truth
+    monkeypatch.setenv("STAND_IN", "outputs32 ignores-rc")
+    events, _ = fly_level(make_scenario(1.0))
+    assert any("RC_CHANNELS_OVERRIDE" in event.text for event in events)
+    other = fly(make_scenario(3.0))[-1].truth
+    # overrides arrive an autopilot period or two later, at 22 m/s
     np.testing.assert_allclose(other.position_ned, plain.position_ned, atol=0.5)
 
 
-def test_an_answer_that_is_lost_is_given_again_and_nothing_moves_twice(binary, monkeypatch):
-    plain = fingerprint(fly(page(2.0)))
+def test_lost_answer_is_sent_again(binary, monkeypatch):
+    plain = fingerprint(fly(make_scenario(2.0)))
     monkeypatch.setenv("STAND_IN", f"resend@{SOON}")
-    assert fingerprint(fly(page(2.0))) == plain
+    assert fingerprint(fly(make_scenario(2.0))) == plain
 
 
-def test_what_breaks_breaks_behind_its_servos(binary):
+def test_faults_act_behind_the_servo_outputs(binary):
     fault = "leader.faults=[{kind: surface-stuck, surface: aileron, position: 0.4, at_s: 1}, "
-    frames = fly(page(2.0, fault + "{kind: engine-out, at_s: 1}]"))
+    frames = fly(make_scenario(2.0, fault + "{kind: engine-out, at_s: 1}]"))
     before, after = (np.array([f.time_s for f in frames]) <= 0.9, slice(-20, None))
     ailerons = np.array([frame.surfaces.aileron[0] for frame in frames])
     throttles = np.array([frame.surfaces.throttle[0] for frame in frames])
@@ -117,61 +131,62 @@ def test_what_breaks_breaks_behind_its_servos(binary):
     assert np.all(throttles[before][1:] > 0.05) and np.all(throttles[after] == 0.0)
 
 
-def test_an_autopilot_that_hangs_holds_its_servos(binary):
-    frames = fly(page(2.0, "leader.faults=[{kind: autopilot-frozen, at_s: 1}]"))
+def test_frozen_arduplane_holds_its_servos(binary):
+    frames = fly(make_scenario(2.0, "leader.faults=[{kind: autopilot-frozen, at_s: 1}]"))
     held = {tuple(float(each[0]) for each in f.surfaces) for f in frames if f.time_s > 1.1}
     assert len(held) == 1
 
 
-def test_the_autopilot_of_an_aircraft_that_is_lost_is_ended_and_the_others_fly_on(binary):
-    world = build(page(1.0, f"fleet.uav1.autopilot={ardupilot(1)}"))
-    (partner,) = world.partners
-    level_command = FbwaCommand(*np.array([[0.0, 0.0], [0.0, 0.0], [0.3, 0.3]]))
+def test_arduplane_of_lost_aircraft_is_stopped(binary):
+    world = build(make_scenario(1.0, f"fleet.uav1.autopilot={ardupilot(1)}"))
+    (process,), (vehicles,), aircraft = world.external_processes, world.vehicles, world.aircraft
+    aircraft["command"] = LEVEL
     try:
-        partner.begin(lambda: None)
+        process.start(lambda: None)
         assert len(running()) == 2
-        for tick in range(20):
-            world.vehicles.act(world.vehicles.read(), level_command)
-            if tick == 10:
-                world.vehicles.remove(np.array([True, False]))
-                there = world.vehicles.read().position_ned.copy()
-            world.vehicles.step(4)
-        moved = np.linalg.norm(world.vehicles.read().position_ned - there, axis=1)
+        for period in range(20):
+            aircraft["estimate"] = aircraft["truth"]
+            vehicles.autopilot_step()
+            if period == 10:
+                vehicles.remove(np.array([True, False]))
+                before = aircraft["truth"]["position_ned"].copy()
+            vehicles.step(4, None)
+        moved = np.linalg.norm(aircraft["truth"]["position_ned"] - before, axis=1)
         # 10 periods of 20 ms at 22 m/s
         assert moved[0] == 0.0 and moved[1] == pytest.approx(4.4, abs=0.2)
         assert len(running()) == 1
     finally:
-        partner.close()
+        process.close()
 
 
-def test_a_run_that_is_stopped_leaves_nothing(binary, tmp_path):
+def test_stopped_run_leaves_no_process_or_folder(binary, tmp_path):
     code = "import sys, testbed; sys.exit(testbed.run(sys.argv[1], sys.argv[2:]).exit_code)"
-    asked = f"leader.autopilot={ardupilot()}"
-    (tmp_path / "page.yaml").write_text(PAGE)
-    words = [sys.executable, "-c", code, "page.yaml", asked]
-    child = subprocess.Popen(words, cwd=tmp_path, start_new_session=True)
+    override = f"leader.autopilot={ardupilot()}"
+    (tmp_path / "two.yaml").write_text(SCENARIO)
+    command = [sys.executable, "-c", code, "two.yaml", override]
+    child = subprocess.Popen(command, cwd=tmp_path, start_new_session=True)
     try:
         until(lambda: list((tmp_path / "logs").glob("*/*/run.mcap")))
         until(running)
-        os.killpg(child.pid, signal.SIGINT)  # as Ctrl-C does, to whoever is in the group
+        os.killpg(child.pid, signal.SIGINT)  # to the process group, as Ctrl-C does
         assert child.wait(timeout=PATIENCE_S) == 130
     finally:
         child.kill()
         child.wait()
 
 
-def test_one_that_somebody_else_starts_is_waited_for(binary, tmp_path):
-    scenario = page(1.0, start="false", patience_s=PATIENCE_S)
-    said = complaint(page(1.0, start="false", patience_s=0.3))
-    assert f"start it with: arduplane --model JSON:127.0.0.1 --speedup 100 -I{FIRST} " in said
+def test_separately_started_arduplane_is_awaited(binary, tmp_path):
+    scenario = make_scenario(1.0, start="false", timeout_s=PATIENCE_S)
+    text = error_of(make_scenario(1.0, start="false", timeout_s=0.3))
+    assert f"start it with: arduplane --model JSON:127.0.0.1 --speedup 100 -I{FIRST} " in text
     defaults = tmp_path / "defaults.parm"
     tune = find_tune("rascal110", "autopilot")
     defaults.write_text(defaults_text(tune, physics_hz=200, autopilot_hz=50))
-    words = command_line(binary, FIRST, Origin(), 0.0, defaults)
-    child = subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.DEVNULL)
+    command = command_line(binary, FIRST, Origin(), 0.0, defaults)
+    child = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL)
     try:
         assert fly(scenario)[-1].time_s == 1.0
-        child.wait(timeout=PATIENCE_S)  # it ends when we hang up: it is not ours to end
+        child.wait(timeout=PATIENCE_S)  # it ends when we close the connection
     finally:
         child.kill()
         child.wait()

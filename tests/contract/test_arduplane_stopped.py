@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM while an ArduPlane, played by the stand-in, is waited for."""
+"""Ctrl-C and SIGTERM while the run waits for an ArduPlane, played by the stand-in."""
 
 import json
 import os
@@ -7,19 +7,19 @@ import threading
 from contextlib import contextmanager
 
 import pytest
-from arduplanes import SOON, binary, page, running
+from arduplanes import SOON, binary, make_scenario, running
 from given_time import GivenTime
 from patience import PATIENCE_S, until
 
 import testbed
-from testbed.ardupilot.process import Process
+from testbed.autopilot.sitl_process import SitlProcess
 
 assert binary  # a fixture
 
 
 @pytest.fixture(autouse=True)
 def handlers():
-    """A signal that comes too late fails a test, and does not end all of them."""
+    """Ignore signals that come too late, so that they do not end the test process."""
     before = {
         each: signal.signal(each, lambda *_: None) for each in (signal.SIGINT, signal.SIGTERM)
     }
@@ -29,15 +29,16 @@ def handlers():
 
 
 @contextmanager
-def signalled(*after_s, number=signal.SIGTERM, begun):
-    """Send this process signals, each s after the one before, once something has begun.
+def signalled(*after_s, number=signal.SIGTERM, started):
+    """Send signals to this process, each this many s after the one before.
 
-    When they were sent, on a clock that goes on until the block is left: nobody is signalled then.
+    The first delay starts when `started()` is true. Yields the times at which signals were sent
+    and the clock of these times. No signal is sent after the block.
     """
     sent, over = [], threading.Event()
 
     def send():
-        while not begun():
+        while not started():
             if over.wait(0.02):
                 return
         for each in after_s:
@@ -61,47 +62,45 @@ def printed(folders, words):
 
 
 @pytest.mark.parametrize(
-    ("trouble", "words"),
+    ("misbehaviour", "words"),
     [
-        ("never-listens", "thinking"),
-        ("hang@60", "thinking"),
-        (f"hang@{SOON}", "thinking"),
+        ("never-listens", "frozen"),
+        ("hang@60", "frozen"),
+        (f"hang@{SOON}", "frozen"),
         ("never-arms", "JSON received"),
     ],
-    ids=["never listens", "hangs in its boot", "hangs in flight", "boots on and on"],
+    ids=["never listens", "freezes in its boot", "freezes in flight", "never arms"],
 )
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_stop_is_heeded_while_it_is_waited_for(
-    binary, monkeypatch, tmp_path, trouble, words, number
-):
-    monkeypatch.setenv("STAND_IN", trouble)
-    monkeypatch.setattr("testbed.ardupilot.bring_up._STAGE_S", 3600.0)
+def test_stop_ends_wait_for_arduplane(binary, monkeypatch, tmp_path, misbehaviour, words, number):
+    monkeypatch.setenv("STAND_IN", misbehaviour)
+    monkeypatch.setattr("testbed.autopilot.startup._STAGE_TIMEOUT_S", 3600.0)
     folders = tmp_path / "folders"
-    asked = page(5.0, "log.mcap=true", patience_s=PATIENCE_S)
-    begun = signalled(0.3, number=number, begun=lambda: printed(folders, words))
-    with begun as (sent, given):
-        flown = testbed.run(asked, out=tmp_path / "run")
-        # 0.3 s until it is looked at, 1 s for one that does not heed SIGTERM, and its end
-        assert given.now_s - sent[0] < 5.0
-    assert (flown.outcome, flown.exit_code) == ("interrupted", 130)
+    scenario = make_scenario(5.0, "log.mcap=true", timeout_s=PATIENCE_S)
+    signals = signalled(0.3, number=number, started=lambda: printed(folders, words))
+    with signals as (sent, clock):
+        result = testbed.run(scenario, out=tmp_path / "run")
+        # 0.3 s until the next check, 1 s from SIGTERM to SIGKILL, and the end of the run
+        assert clock.now_s - sent[0] < 5.0
+    assert (result.outcome, result.exit_code) == ("interrupted", 130)
     assert json.loads((tmp_path / "run/metrics.json").read_text())["outcome"] == "interrupted"
     assert (tmp_path / "run/run.mcap").stat().st_size > 0
 
 
-def test_more_signals_while_it_is_being_ended_leave_nothing(binary, monkeypatch, tmp_path):
+def test_repeated_signals_leave_nothing(binary, monkeypatch, tmp_path):
     monkeypatch.setenv("STAND_IN", "never-listens")
     more = []
 
-    def wait(process, moment, really=Process.wait):
-        with signalled(0.1, 0.2, 0.2, begun=lambda: True) as (sent, _):
-            really(process, moment)
+    def wait(process, moment, original=SitlProcess.wait):
+        with signalled(0.1, 0.2, 0.2, started=lambda: True) as (sent, _):
+            original(process, moment)
             until(lambda: len(sent) == 3)
             more.extend(sent)
 
-    monkeypatch.setattr(Process, "wait", wait)  # for its end
-    with signalled(0.0, begun=lambda: printed(tmp_path / "folders", "thinking")):
-        flown = testbed.run(page(5.0, patience_s=PATIENCE_S), out=tmp_path / "run")
+    monkeypatch.setattr(SitlProcess, "wait", wait)
+    with signalled(0.0, started=lambda: printed(tmp_path / "folders", "frozen")):
+        result = testbed.run(make_scenario(5.0, timeout_s=PATIENCE_S), out=tmp_path / "run")
     assert len(more) >= 3
-    assert flown.outcome == "interrupted"
+    assert result.outcome == "interrupted"
     assert not running()
     assert (tmp_path / "run/metrics.json").exists()

@@ -1,4 +1,4 @@
-"""DataFlash logs: read whole, cut, and damaged. TESTBED_FRAMES sets how many are damaged."""
+"""DataFlash logs: complete, cut and damaged. TESTBED_FRAMES sets the number of damaged logs."""
 
 import os
 import random
@@ -24,7 +24,7 @@ CODES = {
 }
 CODES |= {"a": "64s"}
 HEAD = b"\xa3\x95"
-# The spare type stands first and between the others; nobody asks for it.
+# The spare type is first and between the others; it is not requested.
 TYPES = {
     9: ("SPAR", "QIfB", "TimeUS,Spare,Part,N"),
     1: ("ATT", "Qff", "TimeUS,Roll,Pitch"),
@@ -48,7 +48,7 @@ def message(kind, *values, types=TYPES):
     return HEAD + bytes([kind]) + struct.pack(coded(types[kind][1]), *values)
 
 
-DEFINITIONS = [definition(kind, *said) for kind, said in TYPES.items()]
+DEFINITIONS = [definition(kind, *fields) for kind, fields in TYPES.items()]
 MESSAGES = [
     row
     for k in range(12)
@@ -65,7 +65,7 @@ LOG = b"".join(PARTS)
 
 
 def content(data, wanted=WANTED):
-    """Of a log, as plain values: the same twice is equal."""
+    """Return the content of a log as Python values, for comparison."""
     read = read_messages(data, wanted)
     return {
         name: {label: values.tolist() for label, values in table.numbers.items()}
@@ -85,7 +85,7 @@ WHOLE = {
 }
 
 
-def test_a_whole_log_is_read_and_nothing_else_of_it():
+def test_dataflash_reads_requested_messages():
     assert content(LOG) == WHOLE
     read = read_messages(LOG, WANTED)
     assert (read.skipped, read.cut, read.unreadable) == (0, 0, ())
@@ -119,17 +119,17 @@ def test_a_whole_log_is_read_and_nothing_else_of_it():
         ("Z", b"\xc2\xb0\xff\0rest", "\u00b0\ufffd"),
     ],
 )
-def test_every_kind_of_field_is_what_the_format_says(code, written, read):
+def test_dataflash_decodes_every_field_type(code, written, read):
     types = {1: ("X", f"B{code}aB", "A,B,C,D")}
     data = definition(1, *types[1]) + 2 * message(1, 1, written, bytes(64), 2, types=types)
     found = read_messages(data, {"X": "ABCD"}).tables["X"]
     assert found.numbers["A"].tolist() == [1.0, 1.0]
-    assert found.numbers["D"].tolist() == [2.0, 2.0]  # behind the array, which is passed over
+    assert found.numbers["D"].tolist() == [2.0, 2.0]  # after the array, which is skipped
     (value,) = {*found.texts.get("B", ()), *found.numbers.get("B", np.empty(0)).tolist()}
     assert value == read
 
 
-def test_a_log_cut_anywhere_gives_its_whole_messages_and_says_how_much_is_cut():
+def test_dataflash_cut_log_keeps_complete_messages():
     ends = np.cumsum([len(part) for part in PARTS])
     for length in range(len(LOG) + 1):
         parts = int(np.searchsorted(ends, length, side="right"))
@@ -141,7 +141,7 @@ def test_a_log_cut_anywhere_gives_its_whole_messages_and_says_how_much_is_cut():
 
 
 @pytest.mark.parametrize("noise", [b"\0", bytes(64), b"\xa3", b"\x95\xa3", b"\xff" * 300])
-def test_noise_costs_itself_and_the_message_before_it(noise):
+def test_dataflash_noise_loses_one_message(noise):
     for k in range(1, len(MESSAGES)):
         before = b"".join([*DEFINITIONS, *MESSAGES[: k - 1]])
         after = b"".join(MESSAGES[k:])
@@ -150,17 +150,17 @@ def test_noise_costs_itself_and_the_message_before_it(noise):
         assert content(before + MESSAGES[k - 1] + noise + after) == content(before + after)
 
 
-def test_bytes_that_are_lost_cost_the_message_they_were_in():
+def test_dataflash_missing_bytes_lose_one_message():
     for k, part in enumerate(MESSAGES[:-1]):
         before, after = PARTS[: 4 + k], PARTS[5 + k :]
         rest = content(b"".join(before + after))
-        for lost in range(1, len(part) - 1):  # one byte alone is noise
+        for lost in range(1, len(part) - 1):  # a single byte is noise
             data = b"".join([*before, part[:-lost], *after])
             assert content(data) == rest
             assert read_messages(data, WANTED).skipped == len(part) - lost
 
 
-def test_what_looks_like_a_message_inside_another_is_none():
+def test_dataflash_nested_header_is_ignored():
     inside = message(1, 5, 5.0, 5.0) + HEAD + b"\x01"
     data = LOG + message(2, 1, inside) + message(2, 2, inside + message(3, 1, 1, 1) + HEAD)
     read = read_messages(data, WANTED)
@@ -169,9 +169,9 @@ def test_what_looks_like_a_message_inside_another_is_none():
     assert read.skipped == 0
 
 
-def test_types_that_nobody_defined_cost_nothing_else():
-    stranger = HEAD + b"\x63" + bytes(30)
-    data = b"".join([*DEFINITIONS, *(part + stranger for part in MESSAGES)])
+def test_dataflash_undefined_types_are_skipped():
+    undefined = HEAD + b"\x63" + bytes(30)
+    data = b"".join([*DEFINITIONS, *(part + undefined for part in MESSAGES)])
     assert content(data) == WHOLE
     assert read_messages(data, WANTED).skipped == 33 * len(MESSAGES)
 
@@ -181,14 +181,14 @@ def changed(data, at):
         yield data[:at] + bytes([value]) + data[at + 1 :]
 
 
-def test_a_damaged_definition_of_a_message_nobody_asks_for_costs_nothing():
+def test_dataflash_unused_bad_definition_is_ignored():
     for at in range(len(DEFINITIONS[0])):
         for data in changed(LOG, at):
             assert content(data) == WHOLE
 
 
-def test_a_damaged_definition_costs_its_own_message_at_most():
-    """A damaged length costs nothing: the fields have one, too, and only one of them fits."""
+def test_dataflash_bad_definition_loses_own_messages():
+    """A damaged length loses nothing: the fields imply one, too, and only one of them fits."""
     begin, length = len(DEFINITIONS[0]), len(DEFINITIONS[1])
     others = {name: WHOLE[name] for name in ("MSG", "GPS")}
     for at in range(begin, begin + length):
@@ -196,14 +196,14 @@ def test_a_damaged_definition_costs_its_own_message_at_most():
             found = content(data)
             attitude = found.pop("ATT", {})
             assert found == others
-            # a field of another name, or of another kind as long
+            # a field of another name, or of another type of the same size
             kept = [label for label in attitude if attitude[label] == WHOLE["ATT"][label]]
             assert len(kept) >= len(attitude) - (at - begin in range(9, 25))
             if at - begin == 4:
                 assert attitude == WHOLE["ATT"]
 
 
-def test_a_definition_that_is_damaged_where_it_says_what_is_in_it_is_named():
+def test_dataflash_unreadable_definition_is_named():
     data = LOG.replace(b"TimeUS,Roll", b"TimeUS-Roll")
     read = read_messages(data, WANTED)
     assert read.unreadable == ("ATT",)
@@ -211,18 +211,18 @@ def test_a_definition_that_is_damaged_where_it_says_what_is_in_it_is_named():
     assert read_messages(data, {"GPS": ("Alt",)}).unreadable == ()
 
 
-def test_of_two_definitions_the_one_that_fits_counts():
+def test_dataflash_fitting_definition_is_used():
     wrong = definition(1, "ATT", "Qf", "TimeUS,Roll")
     for data in (wrong + LOG, LOG + wrong, wrong + wrong + LOG):
         assert content(data) == WHOLE
 
 
-def test_definitions_may_stand_behind_their_messages():
+def test_dataflash_definitions_may_follow_messages():
     assert content(b"".join([*MESSAGES, *DEFINITIONS])) == WHOLE
 
 
-def plainly(data):
-    """The messages of an undamaged log, read one after another."""
+def read_simply(data):
+    """Read the messages of an undamaged log one by one."""
     forms, found, at = {}, [], 0
     while at < len(data):
         kind = data[at + 2]
@@ -237,21 +237,21 @@ def plainly(data):
     return found
 
 
-def test_logs_of_any_layout_are_read_as_one_reads_them_plainly():
+def test_dataflash_agrees_with_simple_reader():
     rng = random.Random(SEED)
     for _ in range(20):
         types = {}
         for kind in rng.sample(range(1, 128), 12):
             form = "".join(rng.choices("bBhHiIqQ", k=rng.randrange(1, 17)))
             types[kind] = (f"T{kind}", form, ",".join(f"f{k}" for k in range(len(form))))
-        data = b"".join(definition(kind, *said) for kind, said in types.items())
+        data = b"".join(definition(kind, *fields) for kind, fields in types.items())
         for kind in rng.choices(list(types), k=300):
             size = struct.calcsize(coded(types[kind][1]))
             data += HEAD + bytes([kind]) + rng.randbytes(size)
         wanted = {name: labels.split(",") for name, _, labels in types.values()}
         read = read_messages(data, wanted)
         assert (read.skipped, read.cut) == (0, 0)
-        plain = plainly(data)
+        plain = read_simply(data)
         for kind, (name, _, labels) in types.items():
             rows = [row for number, row in plain if number == kind]
             assert (name in read.tables) == bool(rows)
@@ -279,7 +279,7 @@ def damaged(rng):
     return bytes(data)
 
 
-def test_no_damage_raises_and_every_byte_is_accounted_for():
+def test_dataflash_damage_accounts_for_every_byte():
     rng = random.Random(SEED + 1)
     everything = {name: labels.split(",") for name, _, labels in TYPES.values()}
     for _ in range(TRIES):

@@ -1,4 +1,4 @@
-"""The paper's experiments on the Skywalker X8, and a mixed fleet: pages, and short flights."""
+"""The paper's experiments on the Skywalker X8, and a mixed fleet: parameters and short runs."""
 
 import functools
 
@@ -6,47 +6,49 @@ import numpy as np
 import pytest
 from run_flight import Collector
 
-from testbed.scenario import ScenarioError, load, shorten
+from testbed.scenario import ScenarioError, load, set_duration
+from testbed.sim.build import build
 from testbed.sim.loop import fly
 from testbed.sim.run import run
-from testbed.sim.world import build
 
 EXPERIMENTS = ("experiment-1", "experiment-2", "experiment-3")
-SECONDS = 56.0  # engaged, and in Experiment 1 once round the circle
+SECONDS = 56.0  # in slot, and in Experiment 1 once round the circle
 
 
 @functools.cache
 def flight(name):
-    """The metrics and frames of a shortened flight."""
+    """Return the metrics and samples of a run of SECONDS."""
     watcher = Collector()
-    page = shorten(load(name, ["log.mcap=false"]), SECONDS)
-    return run(page, write=False, observers=[watcher]).metrics, watcher.frames
+    scenario = set_duration(load(name, ["log.mcap=false"]), SECONDS)
+    return run(scenario, write=False, observers=[watcher]).metrics, watcher.frames
 
 
 def stacked(name, record, field, *, since):
-    """One field of one record over the frames from a time on."""
+    """Return one field of one record over the samples from a time on."""
     frames = [frame for frame in flight(name)[1] if frame.time_s >= since]
     return np.array([getattr(getattr(frame, record), field) for frame in frames])
 
 
-# pages
+# parameters
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
-def test_a_page_has_the_papers_parameters(name):
-    page = load(name)
-    assert {page.leader.aircraft, *(each.aircraft for each in page.fleet)} == {"skywalker_x8"}
-    assert (page.rates.control_hz, page.rates.broadcast_hz) == (10, 10)
-    law = page.formation
+def test_experiment_has_the_papers_parameters(name):
+    scenario = load(name)
+    assert {scenario.leader.aircraft, *(each.aircraft for each in scenario.fleet)} == {
+        "skywalker_x8"
+    }
+    assert (scenario.rates.control_hz, scenario.rates.broadcast_hz) == (10, 10)
+    law = scenario.formation
     assert (law.a, law.b, law.speed_pole_per_s) == (1.0, 0.0, 0.4)
     assert (law.c.constant, law.c.per_speed_squared) == (0.0, 0.0003)
     assert law.speed_mps == law.speed_desired_mps == (18.0, 30.0)
     assert (law.control_function.nu1, law.control_function.nu2) == (2.5e5, 1.0)
     assert law.control_function.m == 0.5 and law.barrier.example == 7
-    assert page.controller.estimators.leader_acceleration == "turn"
+    assert scenario.controller.estimators.leader_acceleration == "coordinated_turn"
 
 
-def test_all_experiments_fly_with_one_k():
+def test_experiments_have_one_k():
     assert {load(name).formation.k for name in EXPERIMENTS} == {3.0}
 
 
@@ -71,20 +73,22 @@ def test_offsets_and_graphs_are_the_papers():
     ("name", "about"),
     [("experiment-1", {"barrier", "slot"}), ("experiment-2", {"barrier"})],
 )
-def test_what_breaks_the_papers_hypotheses_is_said_before_the_flight(name, about):
-    """Where the leader's limits keep the slots between the bounds, only the barrier is missing."""
-    said = [event.text for event in build(load(name)).notes if event.level == "warning"]
+def test_broken_hypotheses_are_warned_before_flight(name, about):
+    """In Experiment 2 the leader's limits keep the slots within the bounds."""
+    warnings = [
+        event.text for event in build(load(name)).initial_events if event.level == "warning"
+    ]
     kinds = {"no barrier": "barrier", "the slot may move": "slot"}
-    found = {kind for text in said for words, kind in kinds.items() if words in text}
-    assert found == about and len(said) == len(about)
+    found = {kind for text in warnings for words, kind in kinds.items() if words in text}
+    assert found == about and len(warnings) == len(about)
 
 
-def test_a_profile_that_the_x8_has_not_is_named_with_those_it_has():
-    with pytest.raises(ScenarioError, match=r"no profile 'nimble' \(write one of paper"):
+def test_unknown_profile_lists_the_known_ones():
+    with pytest.raises(ScenarioError, match=r"no profile 'nimble' \(write one of tuned"):
         load("experiment-1", ["controller.profile=nimble"])
 
 
-# flights
+# runs
 
 
 @pytest.mark.parametrize(
@@ -96,14 +100,14 @@ def test_a_profile_that_the_x8_has_not_is_named_with_those_it_has():
         ("mixed-fleet", 1.4, 0.5),
     ],
 )
-def test_everyone_engages_and_nobody_is_lost(name, largest, rms):
-    metrics, frames = flight(name)
-    assert metrics["outcome"] == "flown"
-    assert frames[-1].time_s == SECONDS
-    assert all(0.0 < at < 15.0 for at in metrics["engaged_at_s"].values())
-    told = {e["source"]: e["text"] for e in metrics["events"] if "engaged" in e["text"]}
-    for follower, at in metrics["engaged_at_s"].items():
-        assert told[follower].endswith(f"since {at:.1f} s")
+def test_followers_join_and_stay_in_slot(name, largest, rms):
+    metrics, samples = flight(name)
+    assert metrics["outcome"] == "completed"
+    assert samples[-1].time_s == SECONDS
+    assert all(0.0 < at < 15.0 for at in metrics["joined_at_s"].values())
+    joined = {e["source"]: e["text"] for e in metrics["events"] if "joined" in e["text"]}
+    for follower, at in metrics["joined_at_s"].items():
+        assert joined[follower].endswith(f"since {at:.1f} s")
     assert metrics["min_separation_m"] > 5.0
     late = np.linalg.norm(stacked(name, "formation", "error_ned", since=30.0), axis=-1)
     assert late.max() < largest
@@ -111,11 +115,11 @@ def test_everyone_engages_and_nobody_is_lost(name, largest, rms):
 
 
 @pytest.mark.parametrize("name", ["experiment-2", "experiment-3"])
-def test_controllers_step_at_moments_of_their_own(name):
-    """Seen from outside: the ticks at which a follower's command changes."""
+def test_unsynchronised_controllers_have_own_phases(name):
+    """The ticks at which a follower's command changes."""
     collector = Collector()
-    page = shorten(load(name, ["log.mcap=false", "rates.log_hz=200"]), 3.0)
-    fly(build(page), [collector], lambda now, due: False)
+    scenario = set_duration(load(name, ["log.mcap=false", "rates.log_hz=200"]), 3.0)
+    fly(build(scenario), [collector], lambda now, due: False)
     rolls = np.array([frame.command.roll for frame in collector.frames])
     changes = [np.flatnonzero(np.diff(column)) + 1 for column in rolls.T]
     phases = [set((ticks[ticks > 20] % 20).tolist()) for ticks in changes[1:]]
@@ -124,7 +128,7 @@ def test_controllers_step_at_moments_of_their_own(name):
     assert set((changes[0] % 20).tolist()) <= {0}, "the leader's guidance is the clock"
 
 
-def test_another_seed_is_another_set_of_phases():
+def test_phases_depend_on_seed():
     phases = {
         build(load("experiment-2", [f"scenario.seed={seed}"])).clock.control_phases
         for seed in range(1, 6)
@@ -132,7 +136,7 @@ def test_another_seed_is_another_set_of_phases():
     assert len(phases) > 3
 
 
-def test_the_leader_of_experiment_1_flies_in_a_wind_of_4_from_the_north_west():
+def test_experiment_1_wind_is_4_mps_from_north_west():
     ground = stacked("experiment-1", "truth", "velocity_ned", since=10.0)[:, 0]
     airspeed = stacked("experiment-1", "truth", "airspeed", since=10.0)[:, 0]
     wind = np.array([-4.0, 4.0, 0.0]) * np.sqrt(0.5)
@@ -145,13 +149,13 @@ def test_the_leader_of_experiment_1_flies_in_a_wind_of_4_from_the_north_west():
     assert np.degrees(np.arctan2(fastest[1], fastest[0])) == pytest.approx(135.0, abs=10.0)
 
 
-def test_slots_of_the_horizontal_variant_lie_at_80_and_120_m():
+def test_horizontal_variant_slots_are_at_80_and_120_m():
     slots = stacked("experiment-3", "formation", "slot_ned", since=0.0)
     assert (slots[..., 2] == [-80.0, -120.0]).all()
     flown = stacked("experiment-3", "truth", "position_ned", since=30.0)
     np.testing.assert_allclose(flown[:, 0, 2], -100.0, atol=1.0)
     np.testing.assert_allclose(flown[:, 1:, 2], [[-80.0, -120.0]] * len(flown), atol=3.0)
-    # in the plane the slot hangs on the leader's track
+    # in the plane the slot keeps its distance to the leader
     beside = np.linalg.norm(slots[:, :, :2] - _leader_plane("experiment-3"), axis=-1)
     np.testing.assert_allclose(beside, np.sqrt(200.0), rtol=1e-9)
 
@@ -161,43 +165,43 @@ def _leader_plane(name):
 
 
 def test_four_x8s_fly_the_path_of_simulation_3():
-    """The tune of the experiments at 25 Hz, with offsets of 5 m."""
+    """Parameters of the experiments at 25 Hz, with offsets of 5 m."""
     changes = ["log.mcap=false", "leader.aircraft=skywalker_x8", "fleet.*.aircraft=skywalker_x8"]
     metrics = run(
-        shorten(
+        set_duration(
             load(
                 "simulation-3",
-                [*changes, "scenario.portions={laps: [30, 75]}", "scenario.published=null"],
+                [*changes, "scenario.windows={laps: [30, 75]}", "scenario.published=null"],
             ),
             75.0,
         ),
         write=False,
     ).metrics
-    assert metrics["outcome"] == "flown"
-    assert max(metrics["portions"]["laps"]["rms_m"].values()) < 0.7
+    assert metrics["outcome"] == "completed"
+    assert max(metrics["windows"]["laps"]["rms_m"].values()) < 0.7
 
 
-def test_the_x8s_middle_loop_keeps_a_gain_margin_of_two():
-    """Every PID gain doubled, at 10 Hz: errors still fall, before oscillation takes over."""
-    changes = ["log.mcap=false", "scenario.portions={corners: [20, 50]}", "scenario.published=null"]
+def test_x8_middle_loop_has_gain_margin_of_two():
+    """With every PID gain doubled, at 10 Hz, errors still decrease."""
+    changes = ["log.mcap=false", "scenario.windows={corners: [20, 50]}", "scenario.published=null"]
     rms = [
         run(
-            shorten(load("experiment-2", [*changes, f"controller.gain_scale={scale}"]), 50.0),
+            set_duration(load("experiment-2", [*changes, f"controller.gain_scale={scale}"]), 50.0),
             write=False,
-        ).metrics["portions"]["corners"]["mean_rms_m"]
+        ).metrics["windows"]["corners"]["mean_rms_m"]
         for scale in (1, 2)
     ]
     assert rms[1] < rms[0]
 
 
-def test_unlike_aircraft_fly_by_their_own_speed_models_and_airframes():
-    page = load("mixed-fleet")
-    world = build(page)
+def test_mixed_fleet_has_own_speed_models():
+    scenario = load("mixed-fleet")
+    world = build(scenario)
     assert world.info.aircraft == ("rascal110", "skywalker_x8", "skywalker_x8", "rascal110")
     poles = {
         name: pole
-        for group in world.groups
-        for name, pole in zip(group.team.names, group.team.speed_pole.tolist(), strict=True)
+        for group in world.control.groups
+        for name, pole in zip(group.config.names, group.config.speed_pole.tolist(), strict=True)
     }
     assert poles == {"uav1": 0.4, "uav2": 0.4, "uav3": 0.64}
     throttle = stacked("mixed-fleet", "command", "throttle", since=30.0).mean(axis=0)

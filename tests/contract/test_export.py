@@ -1,4 +1,4 @@
-"""A run in other forms: every number of the log is there, under its name, for readers of theirs."""
+"""Exports of a run: every number of the log, by name, for arrays, tables and other programs."""
 
 import csv
 import io
@@ -13,30 +13,29 @@ import pandas
 import pytest
 from commands import call_command
 from pyarrow import parquet
-from record_flight import RECORDS, decoded, event, record, run_frames, run_info
+from record_flight import RECORDS, decoded, event, record, run_info, run_samples
 
 import testbed
-from testbed.record import arrow_door
-from testbed.record.door import LogError
-from testbed.record.export import write_npz
-from testbed.record.flight import QUANTITIES, UNITS
-from testbed.record.messages import TOPICS
-from testbed.state import VehicleState, listed
+from testbed.core.records import VehicleState, join_names
+from testbed.logs import arrow_io
+from testbed.logs.flight_data import QUANTITIES, UNITS, write_npz
+from testbed.logs.mcap_file import LogError
+from testbed.logs.messages import TOPICS
 
-FRAMES = 60
-# what is no length, speed, angle, …: shares, coefficients, counts, bits, and yes or no
-PLAIN = {"aileron", "elevator", "rudder", "throttle", "lost", "place"}
-PLAIN_ENDS = ("_coefficient", "_of_charge", "_bits", "_count")
+SAMPLES = 60
+# dimensionless fields: ratios, coefficients, counts, indices, bits and booleans
+DIMENSIONLESS = {"aileron", "elevator", "rudder", "throttle", "lost", "slot_index"}
+DIMENSIONLESS_ENDS = ("_delta_cl", "_of_charge", "_bits", "_count")
 
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
-    """A log in which estimates err and messages are lost from frame 20 on, and one is lost."""
-    seen = run_frames(
-        FRAMES, noisy_from=20, lossy_from=20, gone_from=40, events=[event(30, "a gust")]
+    """A log with estimate errors and lost messages from sample 20, a lost aircraft from 40."""
+    seen = run_samples(
+        SAMPLES, noisy_from=20, lossy_from=20, lost_from=40, events=[event(30, "a gust")]
     )
     folder = tmp_path_factory.mktemp("run")
-    return record(folder / "run.mcap", seen, summary={"outcome": "flown"})
+    return record(folder / "run.mcap", seen, summary={"outcome": "completed"})
 
 
 @pytest.fixture(scope="module")
@@ -47,12 +46,12 @@ def flight(path):
 @pytest.fixture(scope="module")
 def table(flight):
     file = io.BytesIO()
-    arrow_door.write_parquet(flight, file)
+    arrow_io.write_parquet(flight, file)
     return parquet.read_table(file)
 
 
-def said(path):
-    """What any protobuf reader finds: a number by time in ns, aircraft and column."""
+def decoded_numbers(path):
+    """Decode with the file's own schemas: numbers by time in ns, aircraft and column."""
     names = run_info().names
     found = {}
     for topic, stamp, message in decoded(path):
@@ -71,12 +70,12 @@ def said(path):
     return found
 
 
-def test_a_table_has_what_the_messages_say_and_nothing_where_they_say_nothing(path, table):
-    messages = said(path)
+def test_parquet_equals_decoded_messages(path, table):
+    messages = decoded_numbers(path)
     rows = table.to_pylist()
     assert [row["aircraft"] for row in rows[:5]] == ["leader", "uav1", "uav2", "uav3", "leader"]
-    assert len(rows) == FRAMES * 4
-    told = 0
+    assert len(rows) == SAMPLES * 4
+    compared = 0
     for row in rows:
         stamp = round(row["time_s"] * 1e9)
         for column, value in row.items():
@@ -84,24 +83,24 @@ def test_a_table_has_what_the_messages_say_and_nothing_where_they_say_nothing(pa
                 continue
             message = messages.get((stamp, row["aircraft"], column))
             if message is None or math.isnan(message):
-                # of what is not written, exact estimates are the truth
-                assert value is None or column.startswith(("estimate_", "believed_")), column
+                # unwritten estimates have the true values
+                assert value is None or column.startswith(("estimate_", "estimated_error_")), column
             else:
                 assert value == message, (stamp, column)
-                told += 1
-    assert told == sum(not math.isnan(value) for value in messages.values())
-    assert told > 10_000
+                compared += 1
+    assert compared == sum(not math.isnan(value) for value in messages.values())
+    assert compared > 10_000
 
 
-def test_where_nothing_errs_estimates_are_the_truth(table):
+def test_exact_estimates_equal_truth_in_table(table):
     row = table.to_pylist()[1]
     assert row["estimate_roll_rad"] == row["state_roll_rad"]
-    assert row["believed_error_down_m"] == row["formation_error_down_m"]
+    assert row["estimated_error_down_m"] == row["formation_error_down_m"]
 
 
-def test_csv_is_the_table_to_the_last_bit(flight, table):
+def test_csv_equals_parquet_to_the_bit(flight, table):
     file = io.BytesIO()
-    arrow_door.write_csv(flight, file)
+    arrow_io.write_csv(flight, file)
     header, *rows = csv.reader(io.StringIO(file.getvalue().decode()))
     assert header == table.column_names
     expected = table.to_pylist()
@@ -116,26 +115,26 @@ def test_csv_is_the_table_to_the_last_bit(flight, table):
                 assert float(cell) == value
 
 
-def test_npz_is_the_arrays_by_name(flight):
+def test_npz_has_arrays_and_documents(flight):
     file = io.BytesIO()
     write_npz(flight, file)
     file.seek(0)
-    kept = np.load(file, allow_pickle=False)
-    np.testing.assert_array_equal(kept["time_s"], flight.time_s)
-    assert kept["aircraft"].tolist() == list(flight.names)
+    arrays = np.load(file, allow_pickle=False)
+    np.testing.assert_array_equal(arrays["time_s"], flight.time_s)
+    assert arrays["aircraft"].tolist() == list(flight.names)
     for name in flight.keys():
-        np.testing.assert_array_equal(kept[name], flight[name])
-    assert str(kept["scenario.resolved.yaml"]) == flight.info.scenario_yaml
-    assert json.loads(str(kept["run.json"]))["seed"] == "7"
+        np.testing.assert_array_equal(arrays[name], flight[name])
+    assert str(arrays["scenario.resolved.yaml"]) == flight.info.scenario_yaml
+    assert json.loads(str(arrays["run.json"]))["seed"] == "7"
 
 
-def test_parquet_says_what_the_run_was_and_the_units_of_its_columns(flight, table):
-    facts = {key.decode(): value.decode() for key, value in table.schema.metadata.items()}
-    assert facts["scenario.resolved.yaml"] == run_info().scenario_yaml
-    run = json.loads(facts["run.json"])
+def test_parquet_has_documents_and_units(flight, table):
+    documents = {key.decode(): value.decode() for key, value in table.schema.metadata.items()}
+    assert documents["scenario.resolved.yaml"] == run_info().scenario_yaml
+    run = json.loads(documents["run.json"])
     assert (run["seed"], run["version.jsbsim"], run["finished"]) == ("7", "1.3.3", True)
-    assert json.loads(facts["metrics.json"]) == {"outcome": "flown"}
-    assert [each["text"] for each in json.loads(facts["events.json"])] == ["a gust"]
+    assert json.loads(documents["metrics.json"]) == {"outcome": "completed"}
+    assert [each["text"] for each in json.loads(documents["events.json"])] == ["a gust"]
     units = {
         field.name: (field.metadata or {}).get(b"unit", b"").decode() for field in table.schema
     }
@@ -144,41 +143,42 @@ def test_parquet_says_what_the_run_was_and_the_units_of_its_columns(flight, tabl
     assert units["command_throttle"] == ""
 
 
-def test_every_number_of_the_log_says_its_unit_or_is_a_plain_number():
+def test_every_field_has_unit_or_is_dimensionless():
     fields = [field for topic in TOPICS for field, _ in topic.fields]
     assert len(fields) > 60
     for field in fields:
         known = field.rpartition("_")[2] in UNITS
-        assert known != (field in PLAIN or field.endswith(PLAIN_ENDS)), field
+        assert known != (field in DIMENSIONLESS or field.endswith(DIMENSIONLESS_ENDS)), field
     assert len(QUANTITIES) == len(fields)
 
 
-def test_arrays_have_a_row_for_every_aircraft(flight):
+def test_arrays_have_row_for_every_aircraft(flight):
     log = flight.log
     np.testing.assert_array_equal(flight["state_pitch_rad"], log.truth.euler[..., 1])
     slots = flight["formation_slot_east_m"]
     assert np.isnan(slots[:, 0]).all()
     np.testing.assert_array_equal(slots[:, 1:], log.formation.slot_ned[..., 1])
-    places = flight["formation_place"]
-    assert places.dtype == np.uint32 and not places[:, 0].any()
-    assert flight["formation_age_s"].shape == (FRAMES, 4, 4)
+    slots = flight["formation_slot_index"]
+    assert slots.dtype == np.uint32 and not slots[:, 0].any()
+    assert flight["formation_age_s"].shape == (SAMPLES, 4, 4)
     np.testing.assert_array_equal(flight["formation_age_s"][:, 2, 0], log.formation.age_s[:, 1, 0])
     assert set(dict(flight)) == set(flight.keys())
 
 
-def test_before_the_log_tells_of_messages_there_is_no_count(tmp_path):
-    # a chunk is 200 frames of four aircraft; the first loss is in the second
-    path = record(tmp_path / "run.mcap", run_frames(450, lossy_from=250))
+def test_message_counts_before_first_loss_are_nan(tmp_path):
+    # a chunk has 200 samples of four aircraft; the first loss is in the second chunk
+    path = record(tmp_path / "run.mcap", run_samples(450, lossy_from=250))
     sent = testbed.load(path)["network_sent_count"]
-    told = ~np.isnan(sent[:, 1, 0])
-    assert 0 < told.argmax() <= 250
-    assert told[told.argmax() :].all()
+    counted = ~np.isnan(sent[:, 1, 0])
+    assert 0 < counted.argmax() <= 250
+    assert counted[counted.argmax() :].all()
 
 
-def test_a_flight_and_its_parts_are_printed_in_few_words(flight, path, tmp_path):
+def test_repr_is_short(flight, path, tmp_path):
     text = repr(flight)
     assert text == (
-        "<Flight of synthetic: 60 frames, 2.36 s, of leader, uav1, uav2, uav3 (rascal110); flown>"
+        "<FlightData of synthetic: 60 samples, 2.36 s, of leader, uav1, uav2, uav3 (rascal110);"
+        " completed>"
     )
     assert repr(flight.info).startswith("<RunInfo of synthetic: leader, uav1") and "60 s" in repr(
         flight.info
@@ -186,20 +186,20 @@ def test_a_flight_and_its_parts_are_printed_in_few_words(flight, path, tmp_path)
     assert "1 event>" in repr(flight.log) and "truth" in repr(flight.log)
     assert "position_ned 60×4×3" in repr(flight.log.truth)
     now = VehicleState(*(each[0, :1] for each in flight.log.truth))
-    assert "airspeed=array([" in repr(now)  # few numbers are shown
-    for part in (flight, flight.log, flight.info, *frame_parts(flight.log)):
+    assert "airspeed=array([" in repr(now)  # short arrays are printed
+    for part in (flight, flight.log, flight.info, *records_of(flight.log)):
         assert len(repr(part)) < 500
     (tmp_path / "cut.mcap").write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     assert repr(testbed.load(tmp_path / "cut.mcap")).endswith("; cut short>")
     many = ", ".join(f"uav{i}" for i in range(1, 5))
-    assert listed(run_info(30).names) == f"leader, {many}, … 31 in all"
+    assert join_names(run_info(30).names) == f"leader, {many}, … 31 in all"
 
 
-def frame_parts(log):
+def records_of(log):
     return [getattr(log, name) for name in RECORDS]
 
 
-def test_a_name_that_is_none_is_answered_with_those_like_it(flight):
+def test_unknown_name_suggests_similar(flight):
     with pytest.raises(KeyError, match="did you mean .*state_position_north_m"):
         flight["north"]
     with pytest.raises(KeyError, match="did you mean .*state_roll_rad"):
@@ -208,12 +208,12 @@ def test_a_name_that_is_none_is_answered_with_those_like_it(flight):
         flight["§"]
 
 
-def test_pandas_and_xarray_have_the_same_numbers(flight):
-    frame = flight.to_pandas()
+def test_pandas_and_xarray_equal_arrays(flight):
+    table = flight.to_pandas()
     at = (flight.time_s[33], "uav2")
-    assert frame.loc[at, "state_yaw_rad"] == flight["state_yaw_rad"][33, 2]
-    assert frame.index.names == ["time_s", "aircraft"]
-    assert pandas.isna(frame.loc[(0.0, "leader"), "formation_speed_mps"])
+    assert table.loc[at, "state_yaw_rad"] == flight["state_yaw_rad"][33, 2]
+    assert table.index.names == ["time_s", "aircraft"]
+    assert pandas.isna(table.loc[(0.0, "leader"), "formation_speed_mps"])
     data = flight.to_xarray()
     age = data["formation_age_s"].sel(aircraft="uav3", other="leader")
     np.testing.assert_array_equal(age, flight["formation_age_s"][:, 3, 0])
@@ -221,35 +221,35 @@ def test_pandas_and_xarray_have_the_same_numbers(flight):
     assert data.attrs["scenario.resolved.yaml"] == flight.info.scenario_yaml
 
 
-@pytest.mark.parametrize("rows", [28, FRAMES * 4])
-def test_parts_make_the_same_table(flight, table, monkeypatch, rows):
-    monkeypatch.setattr(arrow_door, "_ROWS", rows)
+@pytest.mark.parametrize("rows", [28, SAMPLES * 4])
+def test_row_groups_do_not_change_table(flight, table, monkeypatch, rows):
+    monkeypatch.setattr(arrow_io, "_ROWS", rows)
     file = io.BytesIO()
-    arrow_door.write_parquet(flight, file)
-    assert parquet.ParquetFile(file).num_row_groups == math.ceil(FRAMES / (rows // 4))
+    arrow_io.write_parquet(flight, file)
+    assert parquet.ParquetFile(file).num_row_groups == math.ceil(SAMPLES / (rows // 4))
     assert parquet.read_table(file).to_pylist() == table.to_pylist()
 
 
-def test_of_a_run_that_was_cut_short_what_is_whole_is_written(tmp_path, path):
+def test_export_of_cut_run_has_complete_samples(tmp_path, path):
     whole = path.read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole[: len(whole) * 2 // 3])
     done = call_command("export", cut, "--format", "parquet", cwd=tmp_path, code=0, columns=120)
     assert "the run was cut short" in done.stderr
-    kept = parquet.read_table(tmp_path / "cut.parquet")
-    assert json.loads(kept.schema.metadata[b"run.json"])["finished"] is False
-    assert json.loads(kept.schema.metadata[b"metrics.json"]) is None
+    table = parquet.read_table(tmp_path / "cut.parquet")
+    assert json.loads(table.schema.metadata[b"run.json"])["finished"] is False
+    assert json.loads(table.schema.metadata[b"metrics.json"]) is None
 
 
-def test_a_run_without_frames_is_a_table_without_rows(tmp_path):
-    nothing = testbed.load(record(tmp_path / "run.mcap", ()))
+def test_run_without_samples_is_table_without_rows(tmp_path):
+    empty = testbed.load(record(tmp_path / "run.mcap", ()))
     file = io.BytesIO()
-    arrow_door.write_csv(nothing, file)
+    arrow_io.write_csv(empty, file)
     assert file.getvalue().decode().count("\n") == 1
-    assert nothing.to_pandas().empty
+    assert empty.to_pandas().empty
 
 
-def test_the_command_writes_beside_the_log_or_where_it_is_told(tmp_path, path):
+def test_export_command_writes_every_format(tmp_path, path):
     folder = tmp_path / "run"
     folder.mkdir()
     (folder / "run.mcap").write_bytes(path.read_bytes())
@@ -280,12 +280,12 @@ def test_the_command_writes_beside_the_log_or_where_it_is_told(tmp_path, path):
     assert (folder / "run.mcap").read_bytes() == path.read_bytes()
 
 
-def test_a_run_that_is_none_is_refused():
+def test_load_missing_run_raises():
     with pytest.raises(LogError, match="no-such-run"):
         testbed.load("no-such-run")
 
 
-def test_loading_a_run_needs_neither_the_simulation_nor_pandas():
+def test_load_imports_no_simulation_or_pandas():
     code = (
         "import sys, testbed\n"
         "try: testbed.load('no-such-run')\n"
@@ -293,10 +293,10 @@ def test_loading_a_run_needs_neither_the_simulation_nor_pandas():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())
-    assert "testbed.record.flight" in loaded
+    assert "testbed.logs.flight_data" in loaded
     assert not loaded & {"jsbsim", "numba", "pandas", "pyarrow", "rerun"}
 
 
-def test_the_names_of_the_columns_need_no_quotes():
+def test_column_names_need_no_quotes():
     word = re.compile(r"[a-z][a-z0-9_]*")
     assert all(word.fullmatch(name) for name in QUANTITIES)

@@ -13,15 +13,15 @@ from commands import environment
 from patience import PATIENCE_S
 
 import testbed
-from testbed.links.addresses import parse_address
-from testbed.record.door import read
+from testbed.logs.mcap_file import read
+from testbed.mavlink.addresses import parse_address
 from testbed.scenario import dump, load, loads
-from testbed.sim.outside import NOBODY
+from testbed.sim.external_options import NO_EXTERNAL
 
 # Everything that draws from a seed: turbulence, sensors, a radio that loses, delays and repeats.
 BUSY = [
     "scenario.duration_s=3",
-    "scenario.portions=null",
+    "scenario.windows=null",
     "scenario.published=null",
     "air.wind={speed_mps: 4, from_deg: 30}",
     "air.turbulence={model: dryden, intensity: moderate}",
@@ -90,7 +90,7 @@ def test_telemetry(page, alone):
         ground.bind(("127.0.0.1", 0))
         ground.settimeout(PATIENCE_S)
         address = parse_address(f"udpout:127.0.0.1:{ground.getsockname()[1]}")
-        assert_same(alone, fly(page, outside=replace(NOBODY, mavlink=(address,))))
+        assert_same(alone, fly(page, external=replace(NO_EXTERNAL, mavlink=(address,))))
         assert ground.recv(300)[0] == 0xFD  # something was told
 
 
@@ -121,7 +121,7 @@ def test_an_aircraft_that_neither_talks_nor_disturbs_the_air(turbulence):
     tree["fleet"].append(tree["fleet"][-1] | {"name": "shadow", "start_m": [-90, 40, 5]})
     tree["formation"]["offsets_m"]["shadow"] = [-60, 30, 5]
     tree["formation"]["leader_gains"]["shadow"] = 1
-    tree["network"]["mute_s"] = {"shadow": [[0, 10]]}
+    tree["network"]["transmitter_off_s"] = {"shadow": [[0, 10]]}
     assert_same(fly(page), fly(loads(yaml.safe_dump(tree))), aircraft=4)
 
 

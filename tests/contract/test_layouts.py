@@ -1,4 +1,4 @@
-"""Layouts for the programs that open logs name what is in the log, and frames hang together."""
+"""Layouts for Foxglove and PlotJuggler name fields that the log has; its frames form one tree."""
 
 import json
 import re
@@ -9,16 +9,16 @@ import foxglove.layouts as sdk
 import numpy as np
 import pytest
 from commands import call_command
-from record_flight import decoded, record, run_frames, run_info
+from record_flight import decoded, record, run_info, run_samples
 
 import testbed
-from testbed.frames import geodetic_from_ned
+from testbed.core.frames import geodetic_from_ned
 from testbed.views.foxglove_layout import foxglove_layout
-from testbed.views.log_plots import topics
+from testbed.views.log_plots import numeric_topics
 from testbed.views.plotjuggler_layout import plotjuggler_layout
 
-FRAMES = 30
-# Foxglove's message path: a topic, quoted if it has other characters; fields; places in lists
+SAMPLES = 30
+# Foxglove's message path: topic, quoted if it has other characters; field; index in a list
 PATH = re.compile(r'(?:"(?P<quoted>[^"]+)"|(?P<plain>[\w/-]+))\.(?P<field>\w+)(?:\[(?P<at>\d+)\])?')
 FLEETS = {
     "one": ("leader",),
@@ -33,13 +33,13 @@ def path(request, tmp_path_factory):
     names = FLEETS[request.param]
     info = run_info(len(names) - 1, names=names)
     folder = tmp_path_factory.mktemp("run")
-    seen = run_frames(FRAMES, len(names) - 1, noisy_from=0)
+    seen = run_samples(SAMPLES, len(names) - 1, noisy_from=0)
     return record(folder / "run.mcap", seen, info)
 
 
 @pytest.fixture(scope="module")
 def messages(path):
-    """The messages of the log by topic, as its own schemas describe them."""
+    """Decode the log with its own schemas: messages by topic."""
     found = {}
     for topic, stamp, message in decoded(path):
         found.setdefault(topic, []).append((stamp, message))
@@ -59,7 +59,7 @@ def panels_in(tree):
     return panels_in(tree["first"]) + panels_in(tree["second"])
 
 
-def test_foxglove_shows_every_panel_once(layout):
+def test_foxglove_layout_shows_every_panel_once(layout):
     panels = layout["configById"]
     shown = panels_in(layout["layout"])
     for tab in panels["Tab!plots"]["tabs"]:
@@ -68,7 +68,7 @@ def test_foxglove_shows_every_panel_once(layout):
     assert {name.partition("!")[0] for name in shown} == {"3D", "RosOut", "Tab", "Plot", "map"}
 
 
-def test_foxglove_finds_every_number_it_plots(layout, messages):
+def test_foxglove_plots_name_fields_of_log(layout, messages):
     plotted = [
         series["value"]
         for name, panel in layout["configById"].items()
@@ -86,7 +86,7 @@ def test_foxglove_finds_every_number_it_plots(layout, messages):
         assert isinstance(number, float), value
 
 
-def test_foxglove_knows_the_topics_and_frames_of_the_other_panels(layout, messages):
+def test_foxglove_panels_name_topics_and_frames_of_log(layout, messages):
     panels = layout["configById"]
     frames = {t.child_frame_id for _, each in messages["/tf"] for t in each.transforms}
     [(_, static)] = messages["/tf_static"]
@@ -97,8 +97,8 @@ def test_foxglove_knows_the_topics_and_frames_of_the_other_panels(layout, messag
     assert panels["map!fixes"]["followTopic"] in fixes
 
 
-def test_foxglove_knows_every_setting(layout):
-    """The SDK's own types of panels list the settings there are, but for headings."""
+def test_foxglove_settings_are_known_to_sdk(layout):
+    """The SDK's panel types list all settings except the titles."""
     known = {
         "3D": set(sdk.ThreeDeeConfig()._to_dict()),
         "Plot": set(sdk.PlotConfig()._to_dict()) | {"foxglovePanelTitle", "lichtblickPanelTitle"},
@@ -120,7 +120,7 @@ def test_foxglove_knows_every_setting(layout):
     assert set(world["layers"]["ground"]) <= grid
 
 
-def test_the_grid_is_of_squares_of_100_m_under_the_whole_path():
+def test_foxglove_grid_covers_path_in_100_m_squares():
     path = np.array([[0.0, 0.0, -100.0], [1230.0, -40.0, -100.0], [1230.0, 700.0, -90.0]])
     ground = json.loads(foxglove_layout(run_info(leader_path_ned=path)))
     ground = ground["configById"]["3D!world"]["layers"]["ground"]
@@ -132,8 +132,8 @@ def test_the_grid_is_of_squares_of_100_m_under_the_whole_path():
     assert east - half <= -40 and 700 <= east + half
 
 
-def juggled(messages):
-    """The series PlotJuggler makes: `<topic>/<field>`, and `<topic>/<field>[k]` of lists."""
+def plotjuggler_series(messages):
+    """Name series as PlotJuggler does: `<topic>/<field>`, and `<topic>/<field>[k]` of lists."""
     found = {}
     for topic, each in messages.items():
         for _, message in each:
@@ -147,8 +147,8 @@ def juggled(messages):
     return found
 
 
-def test_plotjuggler_finds_every_curve_and_shows_all_of_it(path, messages):
-    series = juggled(messages)
+def test_plotjuggler_axes_contain_every_curve(path, messages):
+    series = plotjuggler_series(messages)
     root = xml.fromstring(plotjuggler_layout(testbed.load(path), path.name))
     selected = root.find("previouslyLoaded_Datafiles/fileInfo/plugin/parameters")
     chosen = set(selected.get("selected_topics").split(";"))
@@ -156,29 +156,29 @@ def test_plotjuggler_finds_every_curve_and_shows_all_of_it(path, messages):
     assert plots
     for plot in plots:
         sides = {side: float(value) for side, value in plot.find("range").items()}
-        assert (sides["left"], sides["right"]) == (0.0, 1.16)  # 30 frames at 25 Hz
+        assert (sides["left"], sides["right"]) == (0.0, 1.16)  # 30 samples at 25 Hz
         curves = [curve.get("name") for curve in plot.iter("curve")]
         values = np.concatenate([series[name] for name in curves])
         assert sides["bottom"] < np.nanmin(values) and np.nanmax(values) < sides["top"]
         assert {name.rpartition("/")[0] for name in curves} <= chosen
 
 
-def test_plotjuggler_splits_as_often_as_it_says(path):
+def test_plotjuggler_splitter_counts_match(path):
     root = xml.fromstring(plotjuggler_layout(testbed.load(path), path.name))
     for splitter in root.iter("DockSplitter"):
         assert int(splitter.get("count")) == len(splitter) == len(splitter.get("sizes").split(";"))
     assert len(list(root.iter("Tab"))) >= 2
 
 
-def test_plotjuggler_selects_topics_of_numbers_that_are_there(path, messages):
+def test_plotjuggler_selects_numeric_topics_of_log(path, messages):
     names = testbed.load(path).names
-    assert set(topics(names)) <= set(messages)
-    for topic in topics(names):
+    assert set(numeric_topics(names)) <= set(messages)
+    for topic in numeric_topics(names):
         fields = {field.name for field in messages[topic][0][1].DESCRIPTOR.fields}
         assert "timestamp" not in fields
 
 
-def test_the_layout_leads_plotjuggler_to_the_log(tmp_path, path):
+def test_plotjuggler_layout_names_log_relative(tmp_path, path):
     made = tmp_path / "elsewhere.xml"
     arguments = ("export", path, "--format", "plotjuggler", "--out", made)
     call_command(*arguments, cwd=tmp_path, code=0, columns=120)
@@ -187,7 +187,7 @@ def test_the_layout_leads_plotjuggler_to_the_log(tmp_path, path):
     assert (made.parent / named).resolve() == path.resolve()
 
 
-def test_every_frame_hangs_from_one_root_from_the_first_moment_on(path, messages):
+def test_every_frame_has_root_enu_from_first_sample(path, messages):
     names = testbed.load(path).names
     for stamp, each in messages["/tf"]:
         parents = {t.child_frame_id: t.parent_frame_id for t in each.transforms}
@@ -206,25 +206,25 @@ def test_every_frame_hangs_from_one_root_from_the_first_moment_on(path, messages
             assert {fix.frame_id for _, fix in found} == {topic.split("/")[1]}
 
 
-def test_a_fix_and_a_frame_are_the_same_place(path, messages):
+def test_fix_equals_transform(path, messages):
     log = testbed.load(path).log
     frames = {stamp: each for stamp, each in messages["/tf"]}
     for name in log.info.names:
         for stamp, fix in messages[f"/{name}/fix"]:
             [frame] = [t for t in frames[stamp].transforms if t.child_frame_id == name]
             ned = np.array([getattr(frame.translation, axis) for axis in "xyz"])
-            place = geodetic_from_ned(ned, log.info.origin)
-            np.testing.assert_array_equal([fix.latitude, fix.longitude, fix.altitude], place)
+            expected = geodetic_from_ned(ned, log.info.origin)
+            np.testing.assert_array_equal([fix.latitude, fix.longitude, fix.altitude], expected)
             # 1 deg of latitude is 111.0 to 111.4 km between 30 and 50 degrees north
             north = (fix.latitude - log.info.origin.latitude_deg) * 111_000
             assert north == pytest.approx(ned[0], rel=0.004, abs=0.01)
             assert fix.altitude == pytest.approx(log.info.origin.elevation_m - ned[2], abs=0.05)
 
 
-def test_times_never_go_back_and_are_those_of_the_frames(path, messages):
+def test_message_times_ascend_at_sample_times(path, messages):
     stamps = [stamp for _, stamp, _ in decoded(path)]
     assert stamps == sorted(stamps)
-    ticks = [round(k * 1e9 / 25) for k in range(FRAMES)]
+    ticks = [round(k * 1e9 / 25) for k in range(SAMPLES)]
     names = testbed.load(path).names
     for topic in ("/tf", *(f"/{name}/state" for name in names)):
         assert [stamp for stamp, _ in messages[topic]] == ticks

@@ -1,4 +1,4 @@
-"""metrics.json and the table: the keys others rely on, and what people see."""
+"""metrics.json and its tables: the keys that others rely on, and the text on a terminal."""
 
 import io
 import json
@@ -8,13 +8,22 @@ import statistics
 
 import pytest
 import record_flight
-from record_flight import event, run_frames
+from record_flight import event, run_samples
 from rich.console import Console
+from snapshot import check_snapshot
 
-from testbed.errors import InputError
+from testbed.core.errors import InputError
 from testbed.metrics import MetricsObserver
-from testbed.metrics.document import complete, to_json, write_json
-from testbed.metrics.table import render_table
+from testbed.metrics.document import finalise, to_json, write_json
+from testbed.metrics.facts import (
+    describe_arduplanes,
+    describe_commands,
+    describe_mavlink,
+    describe_network,
+    describe_pace,
+    facts,
+)
+from testbed.metrics.tables import render_table
 
 PUBLISHED = {
     "source": "[HBH23] Table 1, Simulation 3",
@@ -22,6 +31,7 @@ PUBLISHED = {
     "mean_rms_m": {"first": 1.4},
     "percent_error": {"first": 18},
 }
+WIDTHS = (60, 80, 120)
 
 
 def run_info(followers=3, **changes):
@@ -29,14 +39,14 @@ def run_info(followers=3, **changes):
 
 
 def link(sent=0, delivered=0, **more):
-    """The numbers of a link, or of several, over which nothing was said unless told."""
+    """Statistics of a link, or of several: by default nothing was sent."""
     nothing = {"count": 0, "mean": None, "longest": 0, "lengths": {}}
     return {
         "sent": sent,
         "delivered": delivered,
         "delivered_share": delivered / sent if sent else None,
         "lost": {},
-        "mute": 0,
+        "muted": 0,
         "duplicated": 0,
         "overtaken": 0,
         "delay_s": None,
@@ -45,71 +55,74 @@ def link(sent=0, delivered=0, **more):
     } | more
 
 
-def age(mean, most, uses):
-    return {"mean": mean, "max": most, "p50": mean, "p95": most, "uses": uses}
+def age(mean, largest, uses):
+    return {"mean": mean, "max": largest, "p50": mean, "p95": largest, "uses": uses}
 
 
-QUIET = {"links": {}, "all": link()}
+NO_MESSAGES = {"links": {}, "all": link()}
 
 
 def document(
     followers=3,
     *,
     published=None,
-    outcome="flown",
-    network=QUIET,
+    outcome="completed",
+    network=NO_MESSAGES,
     noisy_from=None,
-    gone_from=None,
+    lost_from=None,
     **changes,
 ):
     meter = MetricsObserver(published=published)
     meter.begin(run_info(followers, **changes))
     gusts = [event(k, f"gust {k}") for k in range(9)]
-    seen = run_frames(80, followers, noisy_from=noisy_from, gone_from=gone_from, events=gusts)
-    for frame in seen:
-        meter.observe(frame)
-    return complete(meter.summary(), network=network, outside={}, outcome=outcome, wall_s=2.0)
+    for sample in run_samples(
+        80, followers, noisy_from=noisy_from, lost_from=lost_from, events=gusts
+    ):
+        meter.observe(sample)
+    return finalise(meter.summary(), network=network, external={}, outcome=outcome, wall_s=2.0)
 
 
-def shown(metrics, width=80):
+def printed(metrics, width=80):
     console = Console(file=io.StringIO(), width=width)
     render_table(metrics, console, log="logs/synthetic/20260101T000000Z-0000/run.mcap")
     return console.file.getvalue()
 
 
-def test_the_document_has_the_promised_keys():
+def first_rows(text):
+    """The first line that begins with each word, in words."""
+    lines = [line.split() for line in text.splitlines() if line.strip()]
+    return {words[0]: words for words in reversed(lines)}
+
+
+def test_document_has_the_documented_keys():
     metrics = json.loads(to_json(document()))
-    portion = metrics["portions"]["first"]
-    assert list(portion["rms_m"]) == ["uav1", "uav2", "uav3"]
-    assert {"mean_rms_m", "percent_error"} <= set(portion)
-    promised = {"min_separation_m", "engaged_at_s", "simulated_s", "wall_s", "real_time_factor"}
-    promised |= {"leader_bank_deg", "outcome", "schema", "scenario", "seed", "versions", "guards"}
-    promised |= {"kappa_mps", "kappa_at_s", "kappa_assumed_mps", "slot_speed_mps"}
-    promised |= {"saturations", "published", "events", "left_speed_set"}
-    promised |= {"estimate_error", "relative_position_m", "lost_at_s"}
-    assert promised | {"network", "age_of_information_s"} <= set(metrics)
-    assert {"kappa_mps", "slot_speed_mps"} <= set(portion)
-    assert {"believed_rms_m", "believed_mean_rms_m"} <= set(portion)
-    off = {"horizontal_m", "height_m", "velocity_mps", "tilt_deg", "heading_deg", "airspeed_mps"}
-    assert set(metrics["estimate_error"]["leader"]) == off | {"largest_horizontal_m"}
-    assert list(metrics["relative_position_m"]) == ["uav1", "uav2", "uav3"]
+    window = metrics["windows"]["first"]
+    expected = {"schema", "scenario", "seed", "versions", "outcome", "events", "published"}
+    expected |= {"simulated_s", "wall_s", "real_time_factor", "windows", "lost_at_s", "joined_at_s"}
+    expected |= {"min_separation_m", "max_error_m", "leader_bank_deg", "wind", "mean_throttle"}
+    expected |= {"limiter_flags", "saturations", "left_speed_set", "recovery"}
+    expected |= {"kappa_mps", "kappa_at_s", "kappa_assumed_mps", "slot_speed_mps"}
+    expected |= {"estimate_error", "relative_position_error_m"}
+    assert expected | {"network", "age_of_information_s"} <= set(metrics)
+    assert list(window["rms_m"]) == ["uav1", "uav2", "uav3"]
+    assert {"mean_rms_m", "percent_error", "kappa_mps", "slot_speed_mps"} <= set(window)
+    assert {"estimated_rms_m", "estimated_mean_rms_m"} <= set(window)
+    errors = {"horizontal_m", "height_m", "velocity_mps", "tilt_deg", "heading_deg", "airspeed_mps"}
+    assert set(metrics["estimate_error"]["leader"]) == errors | {"max_horizontal_m"}
+    assert list(metrics["relative_position_error_m"]) == ["uav1", "uav2", "uav3"]
     assert list(metrics["lost_at_s"]) == ["leader", "uav1", "uav2", "uav3"]
     assert metrics["simulated_s"] == 79 / 25
     assert metrics["real_time_factor"] == metrics["simulated_s"] / 2.0
 
 
-def test_the_text_is_the_same_for_the_same_run():
-    assert to_json(document()) == to_json(document())
-
-
-def test_a_document_with_an_unknown_outcome_or_no_number_is_refused():
-    with pytest.raises(ValueError, match="'landed' is none of flown, lost"):
+def test_document_refuses_unknown_outcome_and_nan():
+    with pytest.raises(ValueError, match="'landed' is none of completed, lost"):
         document(outcome="landed")
     with pytest.raises(ValueError, match="JSON"):
         to_json({"rms_m": math.nan})
 
 
-def test_writing_replaces_the_file_in_one_move(tmp_path, monkeypatch):
+def test_write_json_that_fails_keeps_the_old_file(tmp_path, monkeypatch):
     path = tmp_path / "metrics.json"
     write_json(path, {"a": 1})
     path.chmod(0o444)
@@ -126,126 +139,114 @@ def test_writing_replaces_the_file_in_one_move(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_the_file_is_as_public_as_others(tmp_path):
+def test_write_json_gives_the_mode_of_other_files(tmp_path):
     other = tmp_path / "other"
     other.touch()
     write_json(tmp_path / "metrics.json", {})
     assert (tmp_path / "metrics.json").stat().st_mode == other.stat().st_mode
 
 
-def test_the_table_shows_ours_beside_the_published():
+@pytest.mark.parametrize("width", WIDTHS[:2])
+def test_tables_of_a_run_are_as_in_the_snapshot(width):
+    """A run with published numbers, erring estimates, a lost aircraft and many events."""
+    metrics = document(published=PUBLISHED, noisy_from=0, lost_from=50, outcome="lost")
+    check_snapshot(f"metrics_table_{width}", printed(metrics, width))
+
+
+def test_error_table_has_our_and_published_numbers():
     metrics = document(published=PUBLISHED)
-    text = shown(metrics)
-    ours = metrics["portions"]["first"]["rms_m"]["uav2"]
-    [row] = [line.split() for line in text.splitlines() if line.startswith(" uav2 ")][:1]
-    other = metrics["portions"]["second"]["rms_m"]["uav2"]
+    row = first_rows(printed(metrics))["uav2"]
+    ours, other = (metrics["windows"][name]["rms_m"]["uav2"] for name in ("first", "second"))
     assert row == ["uav2", f"{ours:.2f}", "1.4", f"{ours / 1.4:.2f}", f"{other:.2f}"]
-    assert "[HBH23] Table 1, Simulation 3" in text
-    assert "flown · 3 s simulated in 2.0 s (1.6 × real time) · seed 7" in text
-    assert "gust 5" in text
-    assert "gust 6" not in text
-    assert "… and 3 more in the log" in text
-    assert "logs/synthetic/20260101T000000Z-0000/run.mcap" in text
 
 
-def first_rows(text):
-    """The first line that begins with each word, in words."""
-    lines = [line.split() for line in text.splitlines() if line.strip()]
-    return {words[0]: words for words in reversed(lines)}
-
-
-def test_only_windows_flown_to_their_end_are_held_against_published_numbers():
+def test_error_table_compares_only_complete_windows():
     both = {"source": "elsewhere", "mean_rms_m": {"first": 1.0, "second": 1.0}}
     metrics = document(published=both)  # 3.16 s, of 2 to 4 s for the second
-    rows = first_rows(shown(metrics))
-    ours, other = (metrics["portions"][name]["mean_rms_m"] for name in ("first", "second"))
+    rows = first_rows(printed(metrics))
+    ours, other = (metrics["windows"][name]["mean_rms_m"] for name in ("first", "second"))
     assert rows["mean"] == ["mean", f"{ours:.2f}", "1", f"{ours:.2f}", f"{other:.2f}"]
-    assert rows["flown,"] == ["flown,", "s", "all", "2–3.16"]
-    assert "published: elsewhere; not flown to the end, so not compared: second" in shown(metrics)
-    nothing = shown(document(published=both, portions={"second": (2.0, 4.0)}))
+    assert rows["covered,"] == ["covered,", "s", "all", "2–3.16"]
+    nothing = printed(document(published=both, windows={"second": (2.0, 4.0)}))
     assert not {"elsewhere;", "elsewhere", "paper", "ratio"} & set(nothing.split())
-    never = shown(document(published=both, portions={"second": (8.0, 9.0)}))
-    assert ["flown,", "s", "none"] in [line.split() for line in never.splitlines()]
+    never = first_rows(printed(document(published=both, windows={"second": (8.0, 9.0)})))
+    assert never["covered,"] == ["covered,", "s", "none"]
 
 
-def test_who_was_lost_within_a_window_is_not_held_against_published_numbers():
+def test_error_table_compares_no_window_of_a_lost_aircraft():
     theirs = {"source": "x", "rms_m": {"first": [1.0] * 3}, "mean_rms_m": {"first": 1.0}}
-    rows = first_rows(shown(document(published=theirs, gone_from=40, portions={"first": (1, 2)})))
+    rows = first_rows(printed(document(published=theirs, lost_from=40, windows={"first": (1, 2)})))
     beside = [rows[name][2:] for name in ("uav1", "uav2", "uav3", "mean")]
     assert [each == ["–", "–"] for each in beside] == [False, False, True, True]
 
 
+@pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("followers", [0, 1, 3, 30])
-@pytest.mark.parametrize("published", [None, PUBLISHED], ids=["alone", "beside"])
+@pytest.mark.parametrize("published", [None, PUBLISHED], ids=["own", "compared"])
 @pytest.mark.parametrize("noisy_from", [None, 0], ids=["exact", "noisy"])
-def test_the_table_fits_80_columns_and_cuts_no_word(followers, published, noisy_from):
-    more = {"published": published, "noisy_from": noisy_from, "gone_from": noisy_from}
+def test_tables_fit_the_width_and_cut_no_word(width, followers, published, noisy_from):
+    more = {"published": published, "noisy_from": noisy_from, "lost_from": noisy_from}
     names = {f"p{i}": (0.5 * i, 0.5 * i + 1.0) for i in range(7)}
-    for portions in ({}, {"first": (1.0, 2.0)}, names, {"never": (90.0, 95.0)}):
-        text = shown(document(followers, portions=portions, **more))
-        assert "…" not in text.replace("… and 3 more", "")
-        assert max(map(len, text.splitlines())) <= 80
+    for windows in ({}, {"first": (1.0, 2.0)}, names, {"never": (90.0, 95.0)}):
+        lines = printed(document(followers, windows=windows, **more), width).splitlines()
+        assert "…" not in "".join(lines).replace("… and 3 more", "")
+        assert max(len(line) for line in lines if "run.mcap" not in line) <= width
 
 
-def test_of_many_followers_the_one_in_the_middle_is_told():
+def test_error_table_of_many_followers_has_the_median():
     metrics = document(30)
-    portions = metrics["portions"]
-    middle = [statistics.median(portions[name]["rms_m"].values()) for name in ("first", "second")]
-    assert first_rows(shown(metrics))["median"][1:] == [f"{each:.2f}" for each in middle]
-    assert "median" not in shown(document(12))
+    windows = metrics["windows"]
+    middle = [statistics.median(windows[name]["rms_m"].values()) for name in ("first", "second")]
+    assert first_rows(printed(metrics))["median"][1:] == [f"{each:.2f}" for each in middle]
+    assert "median" not in printed(document(12))
 
 
-def facts(metrics):
-    """The first line of each fact."""
-    return {line[:20].strip(): line[21:].rstrip() for line in shown(metrics).splitlines()}
+def test_exact_estimates_and_no_loss_have_no_lines():
+    text = printed(document())
+    assert "estimate" not in text
+    assert "lost" not in dict(facts(document()))
 
 
-def test_the_table_says_nothing_of_exact_estimates_and_of_lost_aircraft_that_are_not():
-    text = shown(document())
-    assert "believed" not in text
-    assert "estimates" not in text
-    assert "lost" not in facts(document())
-
-
-def test_the_table_says_what_estimates_were_worth():
+def test_error_table_has_the_error_from_the_estimates():
     metrics = document(noisy_from=0)
-    [row] = [line.split() for line in shown(metrics).splitlines() if "believed" in line]
-    means = [metrics["portions"][name]["believed_mean_rms_m"] for name in ("first", "second")]
-    assert row == ["mean", "believed", *(f"{mean:.2f}" for mean in means)]
-    off = [numbers["horizontal_m"] for numbers in metrics["estimate_error"].values()]
-    together = math.sqrt(sum(each**2 for each in off) / len(off))
-    assert facts(metrics)["estimates err by"].startswith(f"{together:.2f} m horizontal, ")
+    [row] = [line.split() for line in printed(metrics).splitlines() if "mean estimated" in line]
+    means = [metrics["windows"][name]["estimated_mean_rms_m"] for name in ("first", "second")]
+    assert row == ["mean", "estimated", *(f"{mean:.2f}" for mean in means)]
+    errors = [numbers["horizontal_m"] for numbers in metrics["estimate_error"].values()]
+    together = math.sqrt(sum(each**2 for each in errors) / len(errors))
+    assert f"horizontal {together:.2f} m, " in dict(facts(metrics))["estimate error, RMS"]
 
 
-def test_the_table_says_who_was_lost_and_when():
-    metrics = document(gone_from=50)
+def test_lost_aircraft_are_named_in_order_of_time():
+    metrics = document(lost_from=50)
     assert metrics["lost_at_s"]["uav3"] == 2.0
-    assert facts(metrics)["lost"] == "uav3 at 2.0 s; counted until then"
     metrics["lost_at_s"] |= {"leader": 1.04, "uav3": 61.25}
-    expected = "leader at 1.0 s, uav3 at 61.2 s; counted until then"
-    assert facts(metrics)["lost"] == expected
-    many = document(30, noisy_from=0)
+    assert str(dict(facts(metrics))["lost"]).startswith("leader at 1.0 s, uav3 at 61.2 s;")
+    many = document(30)
     many["lost_at_s"] = {name: 0.1 * k for k, name in enumerate(many["lost_at_s"])}
-    text = shown(many)
-    assert "uav11 at 1.1 s, 19 more; counted until then" in " ".join(text.split())
+    assert "uav11 at 1.1 s, 19 more;" in str(dict(facts(many))["lost"])
 
 
-def test_the_table_says_whose_kappa_was_smallest_and_what_the_page_says():
+def test_kappa_line_names_the_follower_with_least_margin():
     metrics = document(kappa_mps=(3.6, 3.6, 9.0))
-    # uav3 keeps more than uav2, but least of what the page says of it
+    # uav3 keeps more than uav2, but least of what the scenario assumes of it
     metrics |= {"kappa_mps": {"uav1": None, "uav2": 3.5, "uav3": 4.0}}
     metrics |= {"kappa_at_s": {"uav1": None, "uav2": 1.0, "uav3": 12.34}}
-    metrics["left_speed_set"] = {name: {"times": 0, "first_s": None} for name in metrics["guards"]}
-    shown_facts = facts(metrics)
-    assert shown_facts["kappa measured"] == "4.00 m/s, uav3 at 12.3 s; the page says 9"
-    assert "left the speed set" not in shown_facts
-    metrics["left_speed_set"]["uav2"] = {"times": 3, "first_s": 4.0}
-    assert facts(metrics)["left the speed set"] == "uav2 at 4.0 s, 3 × in all"
-    metrics["left_speed_set"]["uav3"] = {"times": 1, "first_s": 2.0}
-    assert facts(metrics)["left the speed set"] == "uav3 at 2.0 s, 1 × in all; 1 more"
+    assert str(dict(facts(metrics))["kappa measured"]) == "4.00 m/s, uav3 at 12.3 s; assumed 9"
 
 
-def test_the_age_of_information_is_over_all_uses_of_what_was_heard():
+def test_speed_set_line_names_the_first_follower_to_leave():
+    metrics = document()
+    left = {name: {"times": 0, "first_s": None} for name in metrics["limiter_flags"]}
+    metrics["left_speed_set"] = left
+    assert "left the speed set" not in dict(facts(metrics))
+    left["uav2"] = {"times": 3, "first_s": 4.0}
+    assert str(dict(facts(metrics))["left the speed set"]) == "uav2 at 4.0 s, 3 times"
+    left["uav3"] = {"times": 1, "first_s": 2.0}
+    assert str(dict(facts(metrics))["left the speed set"]) == "uav3 at 2.0 s, 1 time; 1 more"
+
+
+def test_age_of_information_is_over_all_uses():
     # uav1 used 10 messages of the leader, 0.1 s old in the mean, and 30 of uav2, 0.3 s old
     links = {
         "leader": {"uav1": link(age_s=age(0.1, 0.4, 10)), "uav2": link(age_s=age(0.2, 0.2, 5))},
@@ -255,83 +256,75 @@ def test_the_age_of_information_is_over_all_uses_of_what_was_heard():
     ages = document(2, network={"links": links, "all": link()})["age_of_information_s"]
     assert ages["uav1"] == {"mean": pytest.approx(0.25, rel=1e-15), "max": 0.4}
     assert ages["uav2"] == {"mean": 0.2, "max": 0.2}
-    nothing_heard = document(1)["age_of_information_s"]
-    assert nothing_heard == {"uav1": {"mean": None, "max": None}}
+    nothing_received = document(1)["age_of_information_s"]
+    assert nothing_received == {"uav1": {"mean": None, "max": None}}
 
 
-def radio(together, **shares):
-    """Facts about a network of these numbers in all and these shares on links from the leader."""
-    links = {"leader": {name: link(1000, round(1000 * share)) for name, share in shares.items()}}
-    text = shown(document(3, network={"links": links, "all": together}))
-    assert max(map(len, text.splitlines())) <= 80
-    lines = text.splitlines()
-    at = [k for k, line in enumerate(lines) if line.startswith(" network ")]
-    if not at:
-        return []
-    end = next((k for k in range(at[0] + 1, len(lines)) if lines[k][:3].strip()), len(lines))
-    return [line[21:].rstrip() for line in lines[at[0] : end]]
-
-
-def late(p50, p95):
+def delay(p50, p95):
     return {"mean": p50, "min": p50, "max": p95, "p50": p50, "p95": p95, "p99": p95}
 
 
-def test_the_table_says_nothing_of_a_perfect_radio_and_how_late_another_is():
-    assert radio(link(300, 300, delay_s=late(0.0, 1e-12)), uav1=1.0) == []
-    assert radio(link(300, 300, delay_s=late(0.1, 0.1 + 1e-12)), uav1=1.0) == ["100 ms late"]
+def bursts(count, mean, longest):
+    return {"count": count, "mean": mean, "longest": longest, "lengths": {}}
 
 
-def test_the_table_says_what_was_lost_and_why():
-    bursts = {"count": 7000, "mean": 1.43, "longest": 11, "lengths": {}}
-    losses = {"lost": 96876, "blackout": 1203}
-    together = link(324000, 225921, lost=losses, bursts=bursts, delay_s=late(0.1, 0.1))
-    assert radio(together, uav1=0.7, uav2=0.698) == [
-        "69.7 % of 324,000 delivered; worst leader > uav2 69.8 %",
-        "96,876 lost, 1,203 in a blackout",
-        "1.4 lost in a row, 11 at most; 100 ms late",
-    ]
-    lone = {"count": 3, "mean": 1.0, "longest": 1, "lengths": {"1": 3}}
-    seldom = link(99000, 98997, lost={"listed": 3}, bursts=lone, mute=10)
-    assert radio(seldom, uav1=0.7, uav2=0.7) == [
-        "> 99.9 % of 99,000 delivered",
-        "3 as listed",
-        "10 not sent: sender mute or lost",
-    ]
-
-
-def test_the_table_says_how_late_messages_were_if_they_were_not_equally_late():
-    jitter = link(300, 300, delay_s=late(0.0804, 0.1916))
-    assert radio(jitter) == ["80.4 ms late, p95 192"]
-    twice = link(300, 300, delay_s=late(0.0, 0.0), overtaken=1200, duplicated=3)
-    assert radio(twice) == ["1,200 overtaken, 3 twice"]
-
-
-def test_the_table_says_all_of_it_in_four_lines():
-    together = link(
+NETWORKS = {
+    "perfect": link(300, 300, delay_s=delay(0.0, 1e-12)),
+    "late": link(300, 300, delay_s=delay(0.1, 0.1 + 1e-12)),
+    "jitter": link(300, 300, delay_s=delay(0.0804, 0.1916)),
+    "overtaken": link(300, 300, delay_s=delay(0.0, 0.0), overtaken=1200, duplicated=3),
+    "bursts": link(
+        324_000,
+        225_921,
+        lost={"lost": 96_876, "blackout": 1_203},
+        bursts=bursts(7000, 1.43, 11),
+        delay_s=delay(0.1, 0.1),
+    ),
+    "seldom": link(99_000, 98_997, lost={"listed": 3}, bursts=bursts(3, 1.0, 1), muted=10),
+    "everything": link(
         300_000,
         210_000,
         lost={"lost": 90_000},
-        mute=100,
+        muted=100,
         overtaken=37_297,
         duplicated=2_795,
-        bursts={"count": 64_000, "mean": 1.40625, "longest": 11, "lengths": {}},
-        delay_s=late(0.115, 0.245),
-    )
-    assert radio(together, uav1=0.7, uav2=0.698) == [
-        "70.0 % of 300,000 delivered; worst leader > uav2 69.8 %",
-        "90,000 lost, 37,297 overtaken, 2,795 twice",
-        "100 not sent: sender mute or lost",
-        "1.4 lost in a row, 11 at most; 115 ms late, p95 245",
+        bursts=bursts(64_000, 1.40625, 11),
+        delay_s=delay(0.115, 0.245),
+    ),
+}
+
+
+def test_network_lines_are_as_in_the_snapshot():
+    assert describe_network(None) == []
+    lines = []
+    links = {"leader": {"uav1": link(1000, 700), "uav2": link(1000, 698)}}
+    for name, total in NETWORKS.items():
+        lines += [f"{name}:", *describe_network({"links": links, "all": total})]
+    check_snapshot("metrics_network", "\n".join(lines))
+
+
+def test_lines_on_external_programs_are_as_in_the_snapshot():
+    late = {"mean": 0.0012, "p99": 0.0051, "max": 0.0117}
+    traffic = {"frames_sent": 9, "frames_received": 4, "clients": ["255.190"]}
+    rejected = {"forged": 1, "replayed": 1, "unsigned": 3}
+    texts = [
+        describe_pace({"requested": 1.0, "achieved": 0.998, "late_s": late}),
+        describe_pace({"requested": 2.0, "achieved": None, "late_s": late}),
+        describe_mavlink(traffic | {"rejected": {}}),
+        describe_mavlink(traffic | {"clients": [], "rejected": rejected}),
+        describe_arduplanes({"uav1": "4.7.1", "uav2": "4.6.0", "uav3": "4.7.1"}),
+        describe_commands({"leader": {"airspeeds": 2}, "uav1": {"modes": 1, "parameters": 1}}),
     ]
+    check_snapshot("metrics_external", "\n\n".join(map(str, texts)))
 
 
-def test_a_pipe_gets_no_colours():
-    assert "\x1b" not in shown(document(published=PUBLISHED))
+def test_tables_without_a_terminal_have_no_colours():
+    assert "\x1b" not in printed(document(published=PUBLISHED))
 
 
-def test_a_run_in_flight_can_be_shown():
+def test_tables_of_an_unfinished_run_can_be_printed():
     meter = MetricsObserver()
     meter.begin(run_info())
-    text = shown(meter.summary())
+    text = printed(meter.summary())
     assert "in flight" in text
     assert "never" in text

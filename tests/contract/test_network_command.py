@@ -1,4 +1,4 @@
-"""`testbed network`: what it writes is what its channel does, and what a flight would meet."""
+"""`testbed network`: its file against the network's model and against a flight; table, errors."""
 
 import csv
 import json
@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 from commands import call_command, environment, run_command
 from patience import PATIENCE_S
+from snapshot import check_snapshot
 from typer.testing import CliRunner
 
-from testbed.cli import app
-from testbed.errors import InputError
-from testbed.scenario import load, shorten
+from testbed.cli.main import app
+from testbed.core.errors import InputError
+from testbed.scenario import load, set_duration
 from testbed.sim.run import run
 
-COLUMNS = ["source", "destination", "sequence", "sent_s", "received_s", "fate", "copies"]
+COLUMNS = ["source", "destination", "sequence", "sent_s", "received_s", "outcome", "copies"]
 LINKS = [
     ("leader", "uav1"),
     ("leader", "uav2"),
@@ -38,7 +39,7 @@ def network(*arguments, sets=(), scenario="simulation-3"):
 
 
 def sent(tmp_path, *arguments, sets=(), scenario="simulation-3"):
-    """The rows that the command writes, by link."""
+    """Rows that the command writes, by link."""
     path = tmp_path / "messages.csv"
     done = network("--out", path, *arguments, sets=sets, scenario=scenario)
     assert done.exit_code == 0, done.output
@@ -55,39 +56,38 @@ def column(rows, name, kind=float):
     return np.array([kind(row[name] or "nan") for row in rows])
 
 
-def fates(rows):
-    return [row["fate"] for row in rows]
+def outcomes(rows):
+    return [row["outcome"] for row in rows]
 
 
-def test_rows_are_in_order_and_without_those_to_oneself(tmp_path):
+def test_rows_are_in_order_of_links_and_sequence(tmp_path):
     links = sent(tmp_path, "--packets", 40)
     assert list(links) == LINKS
     for rows in links.values():
         assert column(rows, "sequence", int).tolist() == list(range(40))
         assert column(rows, "sent_s").tolist() == [k / 25.0 for k in range(40)]
         assert column(rows, "received_s").tolist() == column(rows, "sent_s").tolist()
-        assert set(fates(rows)) == {"delivered"}
+        assert set(outcomes(rows)) == {"delivered"}
         assert {row["copies"] for row in rows} == {"1"}
 
 
-def test_what_is_lost_has_no_time_and_no_copies(tmp_path):
+def test_lost_message_has_no_time_and_no_copies(tmp_path):
     sets = ("network.loss=0.5", "network.duplicate=0.5", "network.delay_s=0.1")
     for rows in sent(tmp_path, "--packets", 300, sets=sets).values():
         for row in rows:
-            assert row["fate"] in ("delivered", "lost")
-            assert (row["received_s"] == "") == (row["copies"] == "0") == (row["fate"] == "lost")
+            assert row["outcome"] in ("delivered", "lost")
+            assert (row["received_s"] == "") == (row["copies"] == "0") == (row["outcome"] == "lost")
         assert {row["copies"] for row in rows} == {"0", "1", "2"}
         here = [row for row in rows if row["received_s"]]
         delay = column(here, "received_s") - column(here, "sent_s")
         assert np.allclose(delay, 0.1, rtol=0.0, atol=1e-12)
 
 
-def test_numbers_read_back_to_the_same(tmp_path):
+def test_numbers_are_written_with_all_digits(tmp_path):
     sets = ("network.delay_s=0.1", "network.jitter={distribution: lognormal, spread_s: 0.05}")
     links = sent(tmp_path, "--packets", 200, sets=sets)
     for row in links["leader", "uav1"]:
         assert repr(float(row["received_s"])) == row["received_s"]
-    # only so many digits tell the numbers from their neighbours
     assert max(len(row["received_s"]) for row in links["leader", "uav1"]) > 16
 
 
@@ -96,8 +96,12 @@ def test_numbers_read_back_to_the_same(tmp_path):
     [
         (("network.drop=[0, 3]",), ("uav1", "uav2"), {0: "listed", 3: "listed"}),
         (("network.blackout_s=[[0.1, 0.2]]",), ("uav1", "uav2"), {3: "blackout", 4: "blackout"}),
-        (("network.mute_s={uav1: [[0.1, 0.2]]}",), ("uav1", "uav3"), {3: "mute", 4: "mute"}),
-        (("network.mute_s={uav1: [[0.1, 0.2]]}",), ("uav2", "uav1"), {}),
+        (
+            ("network.transmitter_off_s={uav1: [[0.1, 0.2]]}",),
+            ("uav1", "uav3"),
+            {3: "muted", 4: "muted"},
+        ),
+        (("network.transmitter_off_s={uav1: [[0.1, 0.2]]}",), ("uav2", "uav1"), {}),
         (
             ("network.partitions=[{window_s: [0, 0.1], groups: [[leader, uav1]]}]",),
             ("leader", "uav2"),
@@ -113,31 +117,31 @@ def test_numbers_read_back_to_the_same(tmp_path):
         ),
     ],
 )
-def test_what_is_written_down_happens(sets, link, expected, tmp_path):
+def test_scripted_losses_have_their_outcome(sets, link, expected, tmp_path):
     rows = sent(tmp_path, "--packets", 10, sets=sets)[link]
-    told = {k: fate for k, fate in enumerate(fates(rows)) if fate != "delivered"}
-    assert told == expected
+    found = {k: outcome for k, outcome in enumerate(outcomes(rows)) if outcome != "delivered"}
+    assert found == expected
 
 
-def test_a_trace_is_replayed(tmp_path):
+def test_trace_is_replayed(tmp_path):
     (tmp_path / "trace.csv").write_text("sent_s,received_s\n0,0.25\n0.04,\n0.08,0.1\n")
-    page = (
+    scenario = (
         "extends: simulation-3\n"
-        "scenario: {schema: 1, name: traced}\n"
+        "scenario: {schema: 2, name: traced}\n"
         "network: {links: {leader: {uav1: {trace: {file: trace.csv}}}}}\n"
     )
-    (tmp_path / "traced.yaml").write_text(page)
+    (tmp_path / "traced.yaml").write_text(scenario)
     links = sent(tmp_path, "--packets", 6, scenario=str(tmp_path / "traced.yaml"))
     rows = links["leader", "uav1"]
-    assert fates(rows) == ["delivered", "lost", "delivered"] * 2
+    assert outcomes(rows) == ["delivered", "lost", "delivered"] * 2
     delay = column(rows, "received_s") - column(rows, "sent_s")
     assert delay[::3] == pytest.approx([0.25, 0.25], abs=1e-12)
     assert delay[2::3] == pytest.approx([0.02, 0.02], abs=1e-12)
-    assert set(fates(links["uav1", "uav2"])) == {"delivered"}
+    assert set(outcomes(links["uav1", "uav2"])) == {"delivered"}
 
 
-def test_what_was_written_is_replayed(tmp_path):
-    """With senders at moments of their own, the first of them later than an interval."""
+def test_written_file_replays_as_a_trace(tmp_path):
+    """With senders at different times, the first of them later than one period."""
     beats = (
         "network.broadcast={leader: {period_s: 0.1, phase_s: 0.3}, uav1: {period_s: 0.11, "
         "phase_s: 0.05}}",
@@ -151,20 +155,20 @@ def test_what_was_written_is_replayed(tmp_path):
     assert replayed == recorded
 
 
-def test_geometry_is_that_of_the_start(tmp_path):
-    # from uav1 to uav2 it is as far as the page has it; the probability is that of the distance
-    page = load("simulation-3")
-    one, two = (np.array(page.fleet[k].start_m) for k in (0, 1))
+def test_range_loss_uses_distances_of_the_start(tmp_path):
+    # messages are lost with probability 1/2 at the distance between uav1 and uav2
+    scenario = load("simulation-3")
+    one, two = (np.array(scenario.fleet[k].start_m) for k in (0, 1))
     far = float(np.linalg.norm(one - two))
     curve = [[0, 0], [0.999 * far, 0], [1.001 * far, 1]]
-    lost = fates(
+    lost = outcomes(
         sent(tmp_path, "--packets", 1000, sets=(f"network.range_loss={curve}",))["uav1", "uav2"]
     )
-    # half, to six standard deviations of a fair coin
+    # six standard deviations of a binomial distribution
     assert abs(lost.count("faded") - 500) < 6.0 * math.sqrt(250.0)
 
 
-def test_who_sends_with_a_beat_of_its_own_does_so_here(tmp_path):
+def test_broadcast_period_of_a_sender_applies(tmp_path):
     sets = ("network.broadcast={uav2: {period_s: 0.07, phase_s: 0.013}}",)
     links = sent(tmp_path, "--packets", 50, sets=sets)
     own = column(links["uav2", "uav1"], "sent_s")
@@ -172,7 +176,7 @@ def test_who_sends_with_a_beat_of_its_own_does_so_here(tmp_path):
     assert column(links["uav1", "uav2"], "sent_s") == pytest.approx(np.arange(50) / 25.0)
 
 
-def test_a_flight_meets_the_same(tmp_path):
+def test_flight_has_the_same_messages(tmp_path):
     sets = (
         "network.loss={probability: 0.3, correlation: 0.2}",
         "network.delay_s=0.05",
@@ -182,22 +186,22 @@ def test_a_flight_meets_the_same(tmp_path):
         "network.broadcast={uav2: {period_s: 0.05}}",
         "rates.synchronous=false",
     )
-    page = shorten(load("simulation-3", sets), 6.0)
-    flown = run(page, write=False).metrics["network"]["links"]
+    scenario = set_duration(load("simulation-3", sets), 6.0)
+    flown = run(scenario, write=False).metrics["network"]["links"]
     links = sent(tmp_path, "--packets", 160, sets=sets)
     for (source, destination), rows in links.items():
         before = column(rows, "sent_s") <= 6.0 + 1e-9
         link = flown[source][destination]
         assert link["sent"] == before.sum() > 100
-        told = [fate for fate, there in zip(fates(rows), before, strict=True) if there]
-        assert link["delivered"] == told.count("delivered")
-        assert link["lost"] == {name: told.count(name) for name in ("lost", "blackout")}
+        found = [outcome for outcome, there in zip(outcomes(rows), before, strict=True) if there]
+        assert link["delivered"] == found.count("delivered")
+        assert link["lost"] == {name: found.count(name) for name in ("lost", "blackout")}
         delay = (column(rows, "received_s") - column(rows, "sent_s"))[before]
         assert link["delay_s"]["mean"] == pytest.approx(np.nanmean(delay), rel=1e-9)
         assert link["delay_s"]["max"] == pytest.approx(np.nanmax(delay), rel=1e-9)
 
 
-def test_the_seed_is_all_the_chance_there_is(tmp_path):
+def test_file_depends_only_on_the_seed(tmp_path):
     sets = ("network.loss=0.3", "network.delay_s=0.1", "network.jitter={spread_s: 0.1}")
     files = [tmp_path / name for name in ("one.csv", "two.csv", "other.csv")]
     for path, seed in zip(files, (7, 7, 8), strict=True):
@@ -207,7 +211,7 @@ def test_the_seed_is_all_the_chance_there_is(tmp_path):
     assert one == two != other
 
 
-def test_the_numbers_are_those_of_the_rows(tmp_path):
+def test_summary_has_the_counts_of_the_rows(tmp_path):
     sets = ("network.loss=0.3", "network.delay_s=0.1", "network.duplicate=0.2")
     path = tmp_path / "table.json"
     links = sent(tmp_path, "--packets", 500, "--json", path, sets=sets)
@@ -215,14 +219,14 @@ def test_the_numbers_are_those_of_the_rows(tmp_path):
     assert (table["scenario"], table["seed"], table["packets"]) == ("simulation-3", 1, 500)
     everyone = [row for rows in links.values() for row in rows]
     assert table["all"]["sent"] == len(everyone) == 4500
-    assert table["all"]["lost"] == {"lost": fates(everyone).count("lost")}
+    assert table["all"]["lost"] == {"lost": outcomes(everyone).count("lost")}
     for (source, destination), rows in links.items():
         link = table["links"][source][destination]
-        assert link["delivered"] == fates(rows).count("delivered")
+        assert link["delivered"] == outcomes(rows).count("delivered")
         assert link["duplicated"] == [row["copies"] for row in rows].count("2")
 
 
-def test_json_on_stdout_leaves_the_table_to_stderr():
+def test_json_on_stdout_moves_table_to_stderr():
     done = network("--packets", 20, "--json", "-", sets=("network.loss=1",))
     assert json.loads(done.stdout)["all"]["delivered_share"] == 0.0
     assert "arrived" in done.stderr
@@ -238,30 +242,28 @@ EVERYTHING = (
     "network.range_loss=[[0, 0.1]]",
     "network.drop=[1]",
     "network.blackout_s=[[2, 3]]",
-    "network.mute_s={uav1: [[4, 5]]}",
+    "network.transmitter_off_s={uav1: [[4, 5]]}",
     "network.partitions=[{window_s: [6, 7], groups: [[leader, uav1]]}]",
 )
 
 
-def test_the_table_fits_eighty_columns(tmp_path):
+def test_table_fits_80_columns(tmp_path):
     words = [word for each in EVERYTHING for word in ("--set", each)]
     words += ["--packets", "1100", "--json", "table.json"]
     done = call_command("network", "simulation-3", *words, cwd=tmp_path, code=0, columns=80)
-    assert "…" not in done.stdout
+    check_snapshot("network", done.stdout)
     assert max(map(len, done.stdout.splitlines())) <= 80
     together = json.loads((tmp_path / "table.json").read_text())["all"]
     assert len(together["lost"]) == 7
-    for number in (*together["lost"].values(), together["mute"], together["overtaken"]):
-        assert f"{number:,}" in done.stdout
 
 
-def test_a_perfect_radio_needs_one_table():
-    done = network("--packets", 10)
-    assert "100.0" in done.stdout
-    assert not any(word in done.stdout for word in ("mute", "overtaken", "duplicated"))
+def test_perfect_network_has_one_table(tmp_path):
+    words = ("network", "simulation-3", "--packets", 10)
+    done = call_command(*words, cwd=tmp_path, code=0, columns=80)
+    check_snapshot("network_perfect", done.stdout)
 
 
-def test_of_many_links_the_worst_are_shown():
+def test_many_links_show_the_worst():
     names = [f"uav{k}" for k in range(1, 6)]
     fleet = [f"{{name: {each}, aircraft: rascal110, start_m: [-20, 9, 0]}}" for each in names]
     offsets = [f"{each}: [-20, 0, 0]" for each in names]
@@ -280,40 +282,40 @@ def test_of_many_links_the_worst_are_shown():
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (("--packets", "0"), "--packets 0: write a number of 1 to 10,000,000"),
         (("--packets", "10000001"), "--packets 10000001: write a number of 1 to 10,000,000"),
         (
             ("--packets", "9000000"),
-            "9 links make 81,000,000 rows of them; write at most 5,555,555",
+            "9 links make 81,000,000 messages; write at most 5,555,555",
         ),
         (("--out", "no/a.csv"), "--out no/a.csv: there is no folder"),
         (("--out", "."), "--out .: this is a folder"),
         (("--out", "a.txt"), "--out a.txt: write a name that ends in .csv"),
         (("--out", "-"), "--out -: write a name that ends in .csv"),
-        (("--out", "a.csv", "--json", "a.csv"), "--json a.csv: this is --out too"),
+        (("--out", "a.csv", "--json", "a.csv"), "--json a.csv: --out names the same file"),
         (("--json", "no/a.json"), "--json no/a.json: there is no folder"),
         (("--set", "network.loss=2"), "network.loss"),
         (("--set", "network.trace={file: nowhere.csv}"), "nowhere.csv"),
     ],
 )
-def test_bad_input_says_what_to_write(words, said, tmp_path, monkeypatch):
+def test_bad_input_says_what_to_write(words, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done = network(*words)
     assert isinstance(done.exception, InputError), done.exception
-    assert said in str(done.exception)
+    assert message in str(done.exception)
     assert not list(tmp_path.iterdir())
 
 
-def test_bad_input_ends_with_two_and_without_a_traceback(tmp_path):
+def test_bad_input_exits_2_without_traceback(tmp_path):
     done = run_command(
         "network", "simulation-3", "--packets", "-1", cwd=tmp_path, code=2, columns=80
     )
     assert done.stderr == "error: --packets -1: write a number of 1 to 10,000,000\n"
 
 
-def test_a_file_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
+def test_failed_write_keeps_the_old_file(tmp_path, monkeypatch):
     path = tmp_path / "messages.csv"
     path.write_text("old")
 
@@ -322,33 +324,34 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
 
     monkeypatch.setattr("os.fsync", fail)
     done = network("--packets", 10, "--out", path)
-    assert "cannot write it: No space left" in str(done.exception)
+    assert "cannot be written: No space left" in str(done.exception)
     assert [each.read_text() for each in tmp_path.iterdir()] == ["old"]
 
 
-# `testbed` that says when messages are being sent.
-TELLING = """
+# `testbed` that prints a line whenever it has sent messages.
+PRINTING = """
 import sys
-from testbed import cli, network_console
+from testbed.cli.main import main
+from testbed.sim import channel_probe
 
-def sound(*given, tell, really=network_console.sound, **named):
+def probe_channel(*given, progress, really=channel_probe.probe_channel, **named):
     def show(count, of):
-        tell(count, of)
+        progress(count, of)
         print("sending", flush=True)
-    return really(*given, tell=show, **named)
+    return really(*given, progress=show, **named)
 
-network_console.sound = sound
+channel_probe.probe_channel = probe_channel
 sys.argv[0] = "testbed"
-cli.main()
+main()
 """
 
 
-def test_ctrl_c_ends_it_and_leaves_the_file_as_it_was(tmp_path):
+def test_ctrl_c_exits_130_and_keeps_the_old_file(tmp_path):
     path = tmp_path / "messages.csv"
     path.write_text("old")
     words = ("network", "bursty-wifi", "--packets", "3000000", "--out", path.name)
     command = subprocess.Popen(
-        [sys.executable, "-c", TELLING, *words],
+        [sys.executable, "-c", PRINTING, *words],
         cwd=tmp_path,
         env=environment(80),
         stdout=subprocess.PIPE,

@@ -1,4 +1,4 @@
-"""The example notebook, run in a kernel of its own."""
+"""The example notebook, run in its own kernel."""
 
 from pathlib import Path
 
@@ -12,9 +12,9 @@ NOTEBOOK = Path(__file__).parents[2] / "examples" / "look_at_a_run.ipynb"
 
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory):
-    """The notebook with what its cells gave."""
+    """Run the notebook; its cells have outputs."""
     notebook = nbformat.read(NOTEBOOK, as_version=4)
-    folder = str(tmp_path_factory.mktemp("desk"))
+    folder = str(tmp_path_factory.mktemp("notebook"))
     nbclient.NotebookClient(
         notebook, timeout=PATIENCE_S, resources={"metadata": {"path": folder}}
     ).execute()
@@ -25,11 +25,11 @@ def outputs(notebook):
     return [output for cell in notebook.cells for output in cell.get("outputs", [])]
 
 
-def test_the_notebook_is_kept_without_outputs():
+def test_notebook_is_stored_without_outputs():
     assert outputs(nbformat.read(NOTEBOOK, as_version=4)) == []
 
 
-def test_every_cell_shows_something_and_warns_of_nothing(ran):
+def test_notebook_cells_have_output_without_warnings(ran):
     code = [cell for cell in ran.cells if cell.cell_type == "code"]
     assert len(code) >= 6
     for cell in code:
@@ -39,8 +39,8 @@ def test_every_cell_shows_something_and_warns_of_nothing(ran):
             assert output.get("name") != "stderr", output.text
 
 
-def test_there_is_a_picture_and_the_news_is_as_old_as_the_page_says(ran):
+def test_notebook_has_picture_and_message_age(ran):
     assert any("image/png" in output.get("data", {}) for output in outputs(ran))
-    said = [output.text for output in outputs(ran) if output.output_type == "stream"]
-    # 0.1 s on the way and, at 50 Hz, 0 to 0.02 s until it is used
-    assert any("were 0.1" in text and " s old" in text for text in said), said
+    texts = [output.text for output in outputs(ran) if output.output_type == "stream"]
+    # a delay of 0.1 s and, at 50 Hz, 0 to 0.02 s until the message is used
+    assert any("were 0.1" in text and " s old" in text for text in texts), texts

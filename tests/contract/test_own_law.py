@@ -1,4 +1,4 @@
-"""A law of one's own: found, held to its contract, blamed by line, and flown."""
+"""Laws of users: import, contract, errors with their line, and flights."""
 
 import hashlib
 import json
@@ -11,23 +11,25 @@ import numpy as np
 import pytest
 
 import testbed
-from testbed.errors import InputError
-from testbed.record.read import read_log
-from testbed.report import figures, read_flight
-from testbed.report.page import page_of
-from testbed.scenario import list_scenarios, load, shorten
+from testbed.core.errors import InputError
+from testbed.core.records import Inbox, VehicleState
+from testbed.formation.control_step import Hbh23Law
+from testbed.logs.read import read_log
+from testbed.reports import figures, read_run, run_page
+from testbed.reports.html import render_page
+from testbed.scenario import find_aircraft, list_scenarios, load, set_duration
+from testbed.sim.build import build, build_clock
+from testbed.sim.build_control import build_control
 from testbed.sim.law_contract import check_law
-from testbed.sim.world import build
-from testbed.state import Inbox, VehicleState
-from testbed.study.two_runs import compare_runs
+from testbed.studies.compare_runs import compare_runs
 
 GOOD = """
     import numpy as np
     from testbed.law import FbwaCommand, UnicycleCommand
 
     class Straight:
-        def __init__(self, team, *, roll=0.0, memory=0.0):
-            self.team, self.roll, self.count = team, roll, 0
+        def __init__(self, config, *, roll=0.0, memory=0.0):
+            self.config, self.roll, self.count = config, roll, 0
 
         def start(self, own):
             return np.zeros(len(own.airspeed))
@@ -39,82 +41,82 @@ GOOD = """
 """
 
 
-SHORT = ("scenario.duration_s=0.4", "scenario.portions={}", "scenario.published=null")
+SHORT = ("scenario.duration_s=0.4", "scenario.windows={}", "scenario.published=null")
 
 
-def page(folder, body="pass", *, text=GOOD, law="mine:Straight", more=""):
-    """The path of a page with a law beside it, whose step does this."""
+def write(folder, body="pass", *, text=GOOD, law="mine:Straight", more=""):
+    """Write a scenario and a law whose step has this body; return the scenario's path."""
     (folder / "mine.py").write_text(textwrap.dedent(text).replace("BODY", body))
     path = folder / "mine.yaml"
     path.write_text(f"extends: simulation-3\ncontroller: {{law: '{law}'{more}}}\n")
     return path
 
 
-def refusal(path, *overrides):
+def build_error(path, *overrides):
     with pytest.raises(InputError) as caught:
         build(load(path, overrides))
     return str(caught.value)
 
 
-def test_a_law_beside_its_page_flies_and_the_run_says_whose_code_it_is(tmp_path):
-    path = page(tmp_path, more=", options: {roll: 0.1}")
-    flown = testbed.run(shorten(load(path), 4.0), write=False)
-    assert flown.outcome == "flown"
+def test_law_file_beside_scenario_flies_with_a_note(tmp_path):
+    path = write(tmp_path, more=", options: {roll: 0.1}")
+    flown = testbed.run(set_duration(load(path), 4.0), write=False)
+    assert flown.outcome == "completed"
     (note,) = (event for event in flown.metrics["events"] if event["level"] == "info")
     digest = hashlib.sha256((tmp_path / "mine.py").read_bytes()).hexdigest()[:12]
     assert note["text"] == f"the law Straight runs mine.py (SHA-256 {digest})"
-    # as flown it means the same from anywhere
+    # independent of the current folder
     assert flown.scenario.controller.law == f"{tmp_path / 'mine.py'}:Straight"
 
 
-def test_a_run_keeps_its_law_and_is_repeated_from_its_own_page_to_the_bit(tmp_path, monkeypatch):
-    monkeypatch.setattr(figures, "MAKERS", ())  # to draw them takes seconds
+def test_run_stores_its_law_and_is_repeated_to_the_bit(tmp_path, monkeypatch):
+    monkeypatch.setattr(figures, "MAKERS", ())  # drawing takes seconds
     mine = tmp_path / "mine"
     mine.mkdir()
-    path = page(mine, "self.roll = 0.01 * float(np.round(now))")
+    path = write(mine, "self.roll = 0.01 * float(np.round(now))")
     source = (mine / "mine.py").read_bytes()
     changes = ("fleet.*.vehicle=jsbsim", "scenario.question=What is it?", *SHORT)
     testbed.run(path, changes, out=tmp_path / "first")
-    shutil.rmtree(mine)  # nothing is left but the run
+    shutil.rmtree(mine)  # only the run remains
     first = tmp_path / "first"
     assert (first / "mine.py").read_bytes() == source
-    kept = (first / "scenario.resolved.yaml").read_text()
-    assert "law: mine.py:Straight" in kept and str(tmp_path) not in kept
+    stored = (first / "scenario.resolved.yaml").read_text()
+    assert "law: mine.py:Straight" in stored and str(tmp_path) not in stored
     testbed.run(first / "scenario.resolved.yaml", out=tmp_path / "again")
     logs = [read_log(tmp_path / run / "run.mcap") for run in ("first", "again")]
     found = compare_runs(*logs)
-    assert found.same and not found.page
+    assert found.same and not found.scenario
     assert logs[1].info.code == {"mine.py": source}
     # from elsewhere, the report still knows its page, and holds its law
     shutil.copy(first / "run.mcap", tmp_path / "alone.mcap")
     shutil.rmtree(first)
-    flight = read_flight(tmp_path / "alone.mcap")
-    assert flight.page.scenario.question == "What is it?"
-    text = page_of(flight)
+    data = read_run(tmp_path / "alone.mcap")
+    assert data.scenario.scenario.question == "What is it?"
+    text = render_page(run_page(data))
     assert "Save mine.py" in text and "class Straight:" in text
 
 
-def test_two_runs_of_unlike_code_under_one_name_say_so(tmp_path):
+def test_compare_different_code_of_one_name_is_listed(tmp_path):
     logs = []
     for roll in ("0.0", "0.1"):
         (tmp_path / roll).mkdir()
-        path = page(tmp_path / roll, f"self.roll = {roll}")
+        path = write(tmp_path / roll, f"self.roll = {roll}")
         testbed.run(path, SHORT, out=tmp_path / roll / "run")
         logs.append(read_log(tmp_path / roll / "run" / "run.mcap"))
-    assert compare_runs(*logs).page == ("mine.py is other code",)
+    assert compare_runs(*logs).scenario == ("code mine.py differs",)
 
 
-def test_a_law_leaves_nothing_beside_its_page(tmp_path, monkeypatch):
+def test_law_import_writes_no_files(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "dont_write_bytecode", False)
-    path = page(tmp_path)
+    path = write(tmp_path)
     before = sorted(tmp_path.iterdir())
     build(load(path))
     assert sorted(tmp_path.iterdir()) == before
     assert sys.dont_write_bytecode is False
 
 
-def installed(folder):
-    """Make of a folder on the path a package that was installed to be edited, as pip does."""
+def install_editable(folder):
+    """Make a folder on the path an editable installation, as pip does."""
     about = folder / "a_package_of_laws-1.0.dist-info"
     about.mkdir()
     (about / "METADATA").write_text(
@@ -124,81 +126,82 @@ def installed(folder):
     (about / "direct_url.json").write_text(json.dumps(url))
 
 
-def test_code_that_is_only_in_the_way_is_not_run(tmp_path, monkeypatch):
+def test_law_only_scenario_folder_and_packages_run(tmp_path, monkeypatch):
     (tmp_path / "in_the_way.py").write_text("raise AssertionError('ran')\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(tmp_path)
-    (home := tmp_path / "pages").mkdir()
+    (home := tmp_path / "scenarios").mkdir()
     for law in ("in_the_way:Law", "antigravity:Law", "in_the_way.deeper:Law", "os:system"):
-        assert "no module" in refusal(page(home, law=law)), law
+        assert "no module" in build_error(write(home, law=law)), law
     monkeypatch.chdir(home)
     for law in ("../in_the_way.py:Law", f"{tmp_path}/in_the_way.py:Law"):
-        text = refusal(page(home, law=law))
-        assert "is not in the page's folder" in text and "mine.yaml:2" in text
+        text = build_error(write(home, law=law))
+        assert "is not in the folder of the scenario file" in text and "mine.yaml:2" in text
     (home / "linked.py").symlink_to(tmp_path / "in_the_way.py")
-    assert "is not in the page's folder" in refusal(page(home, law="linked:Law"))
+    assert "is not in the folder of the scenario file" in build_error(write(home, law="linked:Law"))
     (tmp_path / "mine.py").write_text((home / "mine.py").read_text())
-    asked = load(page(home), [f"controller.law={tmp_path}/mine.py:Straight"])
+    asked = load(write(home), [f"controller.law={tmp_path}/mine.py:Straight"])
     assert asked.controller.law == f"{tmp_path}/mine.py:Straight"
     assert "in_the_way" not in sys.modules and "antigravity" not in sys.modules
 
 
-def test_a_law_may_be_installed(tmp_path, monkeypatch):
-    page(tmp_path)
+def test_law_of_an_installed_package(tmp_path, monkeypatch):
+    write(tmp_path)
     (tmp_path / "mine.py").rename(tmp_path / "a_package_of_laws.py")
     monkeypatch.syspath_prepend(tmp_path)
-    installed(tmp_path)
+    install_editable(tmp_path)
     world = build(load("simulation-3", ["controller.law=a_package_of_laws:Straight"]))
-    assert type(world.groups[0].law).__name__ == "Straight"
-    assert not world.groups[0].trusted
+    assert type(world.control.groups[0].law).__name__ == "Straight"
+    assert not world.builtin_law
     del sys.modules["a_package_of_laws"]
 
 
-def test_the_page_decides_which_of_two_files_of_a_name_is_meant(tmp_path):
+def test_law_files_of_one_name_in_two_folders(tmp_path):
     for name, roll in (("one", 0.1), ("two", 0.2)):
         (tmp_path / name).mkdir()
-        page(tmp_path / name, f"self.roll = {roll}")
+        write(tmp_path / name, f"self.roll = {roll}")
     rolls = [
-        testbed.run(shorten(load(tmp_path / name / "mine.yaml"), 1.0), write=False)
+        testbed.run(set_duration(load(tmp_path / name / "mine.yaml"), 1.0), write=False)
         for name in ("one", "two")
     ]
-    assert all(flown.outcome == "flown" for flown in rolls)
+    assert all(flown.outcome == "completed" for flown in rolls)
     assert rolls[0].metrics["leader_bank_deg"] == rolls[1].metrics["leader_bank_deg"]
-    one, two = (build(load(tmp_path / name / "mine.yaml")).groups[0].law for name in ("one", "two"))
+    names = (tmp_path / name / "mine.yaml" for name in ("one", "two"))
+    one, two = (build(load(path)).control.groups[0].law for path in names)
     assert type(one) is not type(two)
 
 
-def test_where_a_law_cannot_be_found_it_says_where_to_put_it(tmp_path):
-    assert "no module 'nowhere' (write a nowhere.py beside the page" in refusal(
-        page(tmp_path, law="nowhere:Straight")
+def test_law_missing_module_or_class_has_a_remedy(tmp_path):
+    assert "no module 'nowhere' (write a nowhere.py beside the scenario" in build_error(
+        write(tmp_path, law="nowhere:Straight")
     )
-    assert "has no class 'Curved' (it has" in refusal(page(tmp_path, law="mine:Curved"))
+    assert "has no class 'Curved' (it has" in build_error(write(tmp_path, law="mine:Curved"))
     with pytest.raises(InputError, match=r"there is no file .*gone\.py"):
-        load(page(tmp_path, law="gone.py:Straight"))
-    with pytest.raises(InputError, match="must be paper, or module:Class"):
-        load(page(tmp_path, law="mine"))
+        load(write(tmp_path, law="gone.py:Straight"))
+    with pytest.raises(InputError, match="must be hbh23, or module:Class"):
+        load(write(tmp_path, law="mine"))
 
 
-def test_a_file_that_python_cannot_read_is_named(tmp_path):
-    assert "mine.py cannot be imported: " in refusal(page(tmp_path, text="class Straight\n"))
+def test_law_syntax_error_names_the_file(tmp_path):
+    assert "mine.py cannot be imported: " in build_error(write(tmp_path, text="class Straight\n"))
 
 
-def test_options_are_the_keywords_of_the_class(tmp_path):
-    assert "unexpected keyword argument 'rolll'" in refusal(
-        page(tmp_path, more=", options: {rolll: 1}")
+def test_law_unknown_option_is_refused(tmp_path):
+    assert "unexpected keyword argument 'rolll'" in build_error(
+        write(tmp_path, more=", options: {rolll: 1}")
     )
 
 
-def test_methods_that_are_missing_are_named(tmp_path):
-    text = "class Straight:\n    def __init__(self, team): ...\n"
-    assert "Straight has no method start" in refusal(page(tmp_path, text=text))
+def test_law_missing_method_is_named(tmp_path):
+    text = "class Straight:\n    def __init__(self, config): ...\n"
+    assert "Straight has no method start" in build_error(write(tmp_path, text=text))
 
 
 @pytest.mark.parametrize(
-    ("body", "says"),
+    ("body", "message"),
     [
-        ("return None, memory", "answered with NoneType at 0 s"),
-        ("return memory", "must return two things from step"),
+        ("return None, memory", "returned NoneType at 0 s"),
+        ("return memory", "must return two values from step"),
         (
             "return FbwaCommand(np.zeros(n + 1), np.zeros(n), np.zeros(n)), memory",
             "pitch is not an array of shape",
@@ -207,51 +210,54 @@ def test_methods_that_are_missing_are_named(tmp_path):
             "return FbwaCommand(np.zeros(n), np.array([0.0, np.nan, 0.0]), np.zeros(n)), memory",
             "roll for uav2 is not a finite number",
         ),
-        ("own.position_ned[0] = 0.0", "writes into what it is given"),
-        ("inbox.stamp_s[0] = 0.0", "writes into what it is given"),
+        ("own.position_ned[0] = 0.0", "writes into its inputs"),
+        ("inbox.stamp_s[0] = 0.0", "writes into its inputs"),
         ("self.count += 1; self.roll = 0.001 * self.count", "does not carry its memory as a value"),
         ("memory += 1.0", "does not carry its memory as a value"),
         (
             "self.roll = float(own.position_ned[:, 0].mean()) * 1e-3",
-            "only uav2, uav3 know something else",
+            "only inputs of uav2, uav3 change",
         ),
         (
             "self.roll = float(np.nan_to_num(inbox.velocity_ned[2, 0, 1])) * 1e-3",
-            "only uav2, uav3 know something else",
+            "only inputs of uav2, uav3 change",
         ),
-        ("return UnicycleCommand(20.0, 0.0, 20.0, 0.5, 0), memory", "gives a direction of length"),
+        (
+            "return UnicycleCommand(20.0, 0.0, 20.0, 0.5, 0), memory",
+            "returns a direction of length",
+        ),
         ("1 / 0", "the law raised ZeroDivisionError: division by zero"),
     ],
 )
-def test_what_breaks_the_contract_is_refused_before_the_flight(tmp_path, body, says):
-    assert says in refusal(page(tmp_path, body))
+def test_contract_violation_is_refused(tmp_path, body, message):
+    assert message in build_error(write(tmp_path, body))
 
 
-def test_an_error_of_the_law_is_told_with_its_line(tmp_path):
-    path = page(tmp_path, "raise RuntimeError('no idea')")
+def test_law_exception_has_its_line(tmp_path):
+    path = write(tmp_path, "raise RuntimeError('no idea')")
     line = (tmp_path / "mine.py").read_text().split("raise")[0].count("\n") + 1
-    assert f"mine.py:{line}: the law raised RuntimeError: no idea" in refusal(path)
+    assert f"mine.py:{line}: the law raised RuntimeError: no idea" in build_error(path)
 
 
-def test_a_law_that_goes_wrong_in_flight_ends_the_run_with_its_time(tmp_path):
-    path = page(tmp_path, "self.roll = np.nan if now > 2.0 else 0.0")
+def test_law_nan_in_flight_ends_the_run_with_its_time(tmp_path):
+    path = write(tmp_path, "self.roll = np.nan if now > 2.0 else 0.0")
     with pytest.raises(InputError, match=r"roll for uav1 is not a finite number at 2\.04 s"):
-        testbed.run(shorten(load(path), 4.0), write=False)
+        testbed.run(set_duration(load(path), 4.0), write=False)
 
 
-def test_sticks_do_not_fly_an_ideal_vehicle(tmp_path):
-    said = refusal(page(tmp_path), "fleet.uav2.vehicle=ideal")
-    assert "Straight commands fly-by-wire A, which an ideal vehicle cannot fly" in said
-    assert "vehicle: jsbsim for uav2" in said
+def test_law_fbwa_command_with_unicycle_is_refused(tmp_path):
+    error = build_error(write(tmp_path), "fleet.uav2.vehicle=unicycle")
+    assert "Straight commands fly-by-wire A, which a unicycle cannot fly" in error
+    assert "vehicle: jsbsim for uav2" in error
 
 
 @pytest.mark.parametrize(
     "name", ["own-law-leader-follower", "own-law-integral", "own-law-repulsion"]
 )
-def test_the_examples_keep_the_contract_and_hold_a_formation(name):
-    flown = testbed.run(shorten(load(name), 25.0), write=False)
-    assert flown.outcome == "flown"
-    assert all(flown.metrics["engaged_at_s"].values())
+def test_example_laws_hold_the_formation(name):
+    flown = testbed.run(set_duration(load(name), 25.0), write=False)
+    assert flown.outcome == "completed"
+    assert all(flown.metrics["joined_at_s"].values())
 
 
 # of a hundred aircraft; vee-30 has the same law for thirty
@@ -259,121 +265,131 @@ LARGE = () if os.environ.get("TESTBED_LAWS") else ("vee-100",)
 
 
 @pytest.mark.parametrize("name", [name for name in list_scenarios() if name not in LARGE])
-def test_the_law_of_every_scenario_keeps_the_contract(name):
-    for group in build(load(name)).groups:
-        check_law(group.law, group.team)
+def test_contract_holds_for_every_scenario(name):
+    page = load(name)
+    folders = [find_aircraft(each.aircraft) for each in page.fleet]
+    built = build_control(page, folders, build_clock(page))
+    for group in built.groups:
+        # the built-in law has no object of its own in a run
+        rows = group.rows
+        law = group.law or Hbh23Law(built.controllers["law"][rows], built.neighbours[rows])
+        check_law(law, group.config)
 
 
-def test_laws_fly_unsynchronised_too():
+def test_law_with_unsynchronised_aircraft():
     page = load("own-law-integral", ["rates.synchronous=false"])
     world = build(page)
-    assert len(world.groups) > 1
-    assert testbed.run(shorten(page, 5.0), write=False).outcome == "flown"
+    assert len(world.control.groups) > 1
+    assert testbed.run(set_duration(page, 5.0), write=False).outcome == "completed"
 
 
-def test_looking_at_the_one_before_in_the_list_is_found_too(tmp_path):
+def test_contract_use_of_the_previous_row_is_found(tmp_path):
     body = "return FbwaCommand(np.zeros(n), np.r_[0.0, own.euler[:-1, 0]], np.zeros(n)), memory"
-    said = refusal(page(tmp_path, body))
-    assert "gives uav2 another roll when only uav1, uav3 know something else" in said
+    error = build_error(write(tmp_path, body))
+    assert "returns another roll for uav2 when only inputs of uav1, uav3 change" in error
 
 
-def test_messages_that_are_old_are_tried_too(tmp_path):
+def test_contract_old_messages_are_tested(tmp_path):
     body = "self.roll = np.nan if (now - np.nan_to_num(inbox.stamp_s, nan=now) > 1).any() else 0.0"
-    assert "is not a finite number" in refusal(page(tmp_path, body))
+    assert "is not a finite number" in build_error(write(tmp_path, body))
 
 
-def test_a_law_of_ones_own_is_told_and_logged_when_its_leader_is_silent(tmp_path):
-    path = page(tmp_path, "assert self.team.silent_after == 1.5")
-    changes = ["network.mute_s.leader=[[1, 4]]", "controller.silence.after_s=1.5"]
-    flown = testbed.run(shorten(load(path, changes), 5.0), write=False)
+def test_law_leader_timeout_is_a_warning_and_a_flag(tmp_path):
+    path = write(tmp_path, "assert self.config.leader_timeout_s == 1.5")
+    changes = ["network.transmitter_off_s.leader=[[1, 4]]", "controller.leader_timeout_s=1.5"]
+    flown = testbed.run(set_duration(load(path, changes), 5.0), write=False)
     said = [(e["time_s"], e["source"]) for e in flown.metrics["events"] if e["level"] == "warning"]
     assert said == [(pytest.approx(2.48), name) for name in ("uav1", "uav2", "uav3")]
-    assert flown.metrics["guards"]["uav1"]["by_kind"]["leader_silent"] > 0
+    assert flown.metrics["limiter_flags"]["uav1"]["by_kind"]["leader_timeout"] > 0
 
 
-def test_errors_while_a_law_is_made_are_the_laws(tmp_path):
+def test_law_exception_in_import_or_constructor(tmp_path):
     text = "import nothing_of_this_name\n"
-    assert "mine.py:1: the law raised ModuleNotFoundError" in refusal(page(tmp_path, text=text))
-    text = "class Straight:\n    def __init__(self, team):\n        {}['gain']\n"
+    assert "mine.py:1: the law raised ModuleNotFoundError" in build_error(
+        write(tmp_path, text=text)
+    )
+    text = "class Straight:\n    def __init__(self, config):\n        {}['gain']\n"
     text += "    def start(self, own): ...\n    def step(self, now, own, inbox, memory): ...\n"
-    assert "mine.py:3: the law raised KeyError: 'gain'" in refusal(page(tmp_path, text=text))
+    assert "mine.py:3: the law raised KeyError: 'gain'" in build_error(write(tmp_path, text=text))
 
 
-def meeting(places, now=10.0):
-    """Three followers and a leader at these places (4, 3), northbound at 22 m/s and heard."""
+def encounter(positions, now=10.0):
+    """Return time, estimates and messages of four aircraft (4, 3) flying north at 22 m/s."""
     velocity = np.tile([22.0, 0.0, 0.0], (4, 1))
-    still, speed = np.zeros((4, 3)), np.full(4, 22.0)
-    truth = VehicleState(np.array(places, dtype=float), velocity, still, still, still, speed, speed)
-    # what was heard is as old as it may be here: 0.1 s, in which they flew 2.2 m
-    said = np.full((3, 4), now - 0.1)
-    content = [np.tile(each, (3, 1, 1)) for each in (velocity, still, still, still)]
-    heard = np.tile(truth.position_ned - 0.1 * velocity, (3, 1, 1))
-    inbox = Inbox(said, said.copy(), heard, *content)
+    zeros, speed = np.zeros((4, 3)), np.full(4, 22.0)
+    truth = VehicleState(
+        np.array(positions, dtype=float), velocity, zeros, zeros, zeros, speed, speed
+    )
+    # messages are 0.1 s old, in which the aircraft fly 2.2 m
+    stamp = np.full((3, 4), now - 0.1)
+    content = [np.tile(each, (3, 1, 1)) for each in (velocity, zeros, zeros, zeros)]
+    position = np.tile(truth.position_ned - 0.1 * velocity, (3, 1, 1))
+    inbox = Inbox(stamp, stamp.copy(), position, *content)
     return now, VehicleState(*(each[1:] for each in truth)), inbox
 
 
 def repulsion():
-    (group,) = build(load("own-law-repulsion")).groups
+    (group,) = build(load("own-law-repulsion")).control.groups
     return group.law
 
 
-def stepped(law, meeting):
-    now, own, inbox = meeting
+def step(law, inputs):
+    now, own, inbox = inputs
     return law.step(now, own, inbox, law.start(own))
 
 
 def same(ours, theirs):
-    return all(np.array_equal(*pair, equal_nan=True) for pair in zip(ours, theirs, strict=True))
+    return all(one.tobytes() == two.tobytes() for one, two in zip(ours, theirs, strict=True))
 
 
 FAR = [[0, 0, -100], [-11, 20, -100], [-11, -9, -100], [-30, 0, -100]]  # 14 m apart and more
 
 
-def test_beyond_the_radius_repulsion_is_the_papers_law_to_the_bit():
+def test_repulsion_beyond_radius_is_hbh23_to_the_bit():
     law = repulsion()
-    ours, memory = stepped(law, meeting(FAR))
-    theirs, remembered = stepped(law.paper, meeting(FAR))
+    ours, memory = step(law, encounter(FAR))
+    theirs, remembered = step(law.hbh23, encounter(FAR))
     assert same(ours, theirs)
     assert same(memory, remembered)
 
 
-def test_within_the_radius_the_law_flies_from_a_position_moved_by_the_gain():
+def test_repulsion_within_radius_shifts_the_position():
     law = repulsion()
     places = [*FAR[:2], [-7, 17, -100], FAR[3]]  # uav1 and uav2: 4 m and 3 m, 5 m apart
-    now, own, inbox = meeting(places)
+    now, own, inbox = encounter(places)
     ours, _ = law.step(now, own, inbox, law.start(own))
-    towards = np.array([0.8, -0.6, 0.0])  # of uav2, as uav1 sees it; 7 m within the radius of 12 m
-    told = own.position_ned.copy()
-    told[0] += 4.0 * 7.0 * towards
-    told[1] -= 4.0 * 7.0 * towards
-    theirs, _ = stepped(law.paper, (now, own._replace(position_ned=told), inbox))
+    towards = np.array([0.8, -0.6, 0.0])  # from uav1 to uav2; 7 m inside the radius of 12 m
+    shifted = own.position_ned.copy()
+    shifted[0] += 4.0 * 7.0 * towards
+    shifted[1] -= 4.0 * 7.0 * towards
+    theirs, _ = step(law.hbh23, (now, own._replace(position_ned=shifted), inbox))
     for one, two in zip(ours, theirs, strict=True):
-        assert one == pytest.approx(two, rel=1e-9, abs=1e-9)  # other roundings, nothing else
-    plain, _ = stepped(law.paper, meeting(places))
-    assert (ours.turn[:2] != plain.turn[:2]).any(axis=1).all()
+        assert one == pytest.approx(two, rel=1e-9, abs=1e-9)  # up to rounding
+    plain, _ = step(law.hbh23, encounter(places))
+    assert (ours.omega[:2] != plain.omega[:2]).any(axis=1).all()
     for one, two in zip(ours, plain, strict=True):
-        assert np.array_equal(one[2], two[2])  # nobody is near uav3
+        assert np.array_equal(one[2], two[2])  # uav3 is beyond the radius
 
 
-def test_nobody_gives_way_to_news_that_is_missing_or_stale():
+def test_repulsion_ignores_missing_and_old_messages():
     law = repulsion()
-    now, own, inbox = meeting([*FAR[:2], [-7, 17, -100], FAR[3]])
+    now, own, inbox = encounter([*FAR[:2], [-7, 17, -100], FAR[3]])
     old = inbox.received_s.copy()
-    old[0, 2], old[1, 1] = np.nan, now - 1.01 * law.team.stale_after
-    unheard = inbox.stamp_s.copy()
-    unheard[0, 2] = np.nan
-    changed = now, own, inbox._replace(received_s=old, stamp_s=unheard)
-    assert same(stepped(law, changed)[0], stepped(law.paper, changed)[0])
+    old[0, 2], old[1, 1] = np.nan, now - 1.01 * law.config.neighbour_timeout_s
+    missing = inbox.stamp_s.copy()
+    missing[0, 2] = np.nan
+    changed = now, own, inbox._replace(received_s=old, stamp_s=missing)
+    assert same(step(law, changed)[0], step(law.hbh23, changed)[0])
 
 
-def test_repulsion_keeps_two_apart_that_the_papers_law_leads_into_each_other():
+def test_repulsion_prevents_a_collision_of_hbh23():
     page = load("own-law-repulsion")
-    ours = testbed.run(shorten(page, 12.0), write=False)
-    assert ours.outcome == "flown"
+    ours = testbed.run(set_duration(page, 12.0), write=False)
+    assert ours.outcome == "completed"
     assert ours.metrics["min_separation_m"] > 6.0
-    papers = ["controller.law=paper", "controller.options={}"]
-    assert testbed.run(shorten(load(page.name, papers), 12.0), write=False).outcome == "lost"
+    papers = ["controller.law=hbh23", "controller.options={}"]
+    assert testbed.run(set_duration(load(page.name, papers), 12.0), write=False).outcome == "lost"
     through = load(page.name, [*papers, "limits.collision_m=null"])  # each other
-    theirs = testbed.run(shorten(through, 12.0), write=False)
+    theirs = testbed.run(set_duration(through, 12.0), write=False)
     assert theirs.metrics["min_separation_between"] == ["uav1", "uav2"]
     assert theirs.metrics["min_separation_m"] < page.limits.collision_m

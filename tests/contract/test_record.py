@@ -1,4 +1,4 @@
-"""The log holds what was seen, to the bit, for any reader, however the run ends."""
+"""The recorder and the reader of logs: same bits for any reader, however the run ends."""
 
 import io
 import json
@@ -22,31 +22,31 @@ from given_time import last_s
 from mcap import records
 from mcap.stream_reader import StreamReader
 from patience import until
-from record_flight import RECORDS, assert_same_frame, decoded, event, record, run_frames, run_info
+from record_flight import RECORDS, assert_same_sample, decoded, event, record, run_info, run_samples
 
-from testbed.frames import geodetic_from_ned, rotation_ned_body
+from testbed.core.frames import geodetic_from_ned, rotation_ned_body
+from testbed.core.records import Event
+from testbed.logs import header, recorder
+from testbed.logs.mcap_file import LogError
+from testbed.logs.read import read_log, samples
+from testbed.logs.recorder import McapRecorder
 from testbed.metrics import MetricsObserver
-from testbed.record import recorder
-from testbed.record.door import LogError
-from testbed.record.read import frames, read_log
-from testbed.record.recorder import McapRecorder
-from testbed.state import Event
 
-CHUNK = recorder.chunk_frames(4)
-# Runs that are killed: how slow they are, and a seed of the moment; all where TESTBED_KILLS is set.
+CHUNK = recorder.chunk_samples(4)
+# Killed runs: pause between samples, seed of the moment; all of them with TESTBED_KILLS set.
 KILLED = [(0.0, 1), (0.1, 4)]
 if os.environ.get("TESTBED_KILLS"):
     KILLED += [(0.0, 2), (0.02, 3)]
 
 
 @pytest.fixture
-def quick(monkeypatch):
-    """No chunk is cut because a busy machine is slow."""
+def full_chunks(monkeypatch):
+    """Write only full chunks, also on a slow machine."""
     monkeypatch.setattr(recorder, "FLUSH_S", 3600.0)
 
 
 @pytest.mark.parametrize(
-    ("count", "followers", "noisy_from", "gone_from"),
+    ("count", "followers", "noisy_from", "lost_from"),
     [
         (120, 3, None, None),
         (120, 3, 60, 70),
@@ -57,104 +57,103 @@ def quick(monkeypatch):
         (CHUNK, 3, None, None),
     ],
 )
-def test_a_log_gives_back_every_frame(tmp_path, count, followers, noisy_from, gone_from):
-    # CHUNK frames end with a chunk, so that the event after them has a chunk of its own
+def test_log_read_back_has_every_sample(tmp_path, count, followers, noisy_from, lost_from):
+    # CHUNK samples fill a chunk, so that the event after them has a chunk of its own
     some = [event(0), event(0, "é ∞"), event(3, level="error")]
     seen = list(
-        run_frames(count, followers, noisy_from=noisy_from, gone_from=gone_from, events=some)
+        run_samples(count, followers, noisy_from=noisy_from, lost_from=lost_from, events=some)
     )
     last = Event(seen[-1].time_s, "info", "run", "the end")
     info = run_info(followers)
     log = read_log(record(tmp_path / "run.mcap", seen, info, events=(last,)))
-    back = list(frames(log))
+    back = list(samples(log))
     assert len(back) == count
     assert back[-1].events[-1] == last
     for one, other in zip(seen[:-1], back[:-1], strict=True):
-        assert_same_frame(one, other)
+        assert_same_sample(one, other)
     assert log.finished
     assert log.lost_bytes == 0
 
 
-def test_metrics_from_the_log_are_those_of_the_flight(tmp_path):
-    # from inside the second block, and later, there are estimates and a lost aircraft
-    seen, info = list(run_frames(300, noisy_from=261, gone_from=270)), run_info()
+def test_metrics_from_log_equal_live_metrics(tmp_path):
+    # estimates differ, and an aircraft is lost, inside the second block of the metrics
+    seen, info = list(run_samples(300, noisy_from=261, lost_from=270)), run_info()
     log = read_log(record(tmp_path / "run.mcap", seen, info))
     live, again = MetricsObserver(), MetricsObserver()
     live.begin(info)
     again.begin(log.info)
-    for one, other in zip(seen, frames(log), strict=True):
+    for one, other in zip(seen, samples(log), strict=True):
         live.observe(one)
         again.observe(other)
     assert again.summary() == live.summary()
 
 
-def test_a_log_gives_back_what_was_known_before_the_first_frame(tmp_path):
+def test_log_read_back_has_run_info(tmp_path):
     info = run_info(directory=tmp_path)
-    log = read_log(record(tmp_path / "run.mcap", run_frames(3), info))
+    log = read_log(record(tmp_path / "run.mcap", run_samples(3), info))
     for field in type(info).__annotations__:
         if field not in ("directory", "leader_path_ned"):
             assert getattr(log.info, field) == getattr(info, field), field
     np.testing.assert_array_equal(log.info.leader_path_ned, info.leader_path_ned)
     assert log.metadata["seed"] == "7"
     assert log.metadata["version.jsbsim"] == "1.3.3"
-    assert log.metrics == {"outcome": "flown", "wall_s": None}
+    assert log.metrics == {"outcome": "completed", "wall_s": None}
 
 
-def test_any_protobuf_reader_understands_the_log(tmp_path):
+def test_log_decodes_with_its_own_schemas(tmp_path):
     some = [event(50, "a gust")]
-    seen = list(run_frames(60, noisy_from=0, lossy_from=0, gone_from=31, events=some))
+    seen = list(run_samples(60, noisy_from=0, lossy_from=0, lost_from=31, events=some))
     info = run_info()
     messages = {}
     for topic, stamp, message in decoded(record(tmp_path / "run.mcap", seen, info)):
         messages.setdefault(topic, []).append((stamp, message))
-    each = ("state", "estimate", "command", "formation", "believed", "network", "fix")
+    each = ("state", "estimate", "command", "formation", "estimated_error", "network", "fix")
     expected = {f"/{name}/{part}" for name in info.names for part in each}
-    expected -= {"/leader/formation", "/leader/believed", "/leader/network"}
+    expected -= {"/leader/formation", "/leader/estimated_error", "/leader/network"}
     assert set(messages) == expected | {"/tf", "/tf_static", "/events"}
     assert len(messages["/uav2/state"]) == 60
     assert len(messages["/uav2/fix"]) == 12  # 5 Hz of 25
 
     k = 31
     stamp, state = messages["/uav2/state"][k]
-    frame = seen[k]
-    assert stamp == round(frame.time_s * 1e9)
-    assert state.position_down_m == frame.truth.position_ned[2, 2]
-    assert state.yaw_rate_radps == frame.truth.rates_body[2, 2]
-    assert state.equivalent_airspeed_mps == frame.truth.equivalent_airspeed[2]
-    assert state.wind_east_mps == frame.air.wind_ned[2, 1]
-    assert state.throttle == frame.surfaces.throttle[2]
-    assert messages["/uav2/estimate"][k][1].roll_rad == frame.estimate.euler[2, 0]
-    assert messages["/leader/command"][k][1].pitch_rad == frame.command.pitch[0]
-    said = [messages["/uav3/state"][row][1].lost for row in (30, 31)]
-    assert said == [False, True]
+    sample = seen[k]
+    assert stamp == round(sample.time_s * 1e9)
+    assert state.position_down_m == sample.truth.position_ned[2, 2]
+    assert state.yaw_rate_radps == sample.truth.rates_body[2, 2]
+    assert state.equivalent_airspeed_mps == sample.truth.equivalent_airspeed[2]
+    assert state.wind_east_mps == sample.air.wind_ned[2, 1]
+    assert state.throttle == sample.surfaces.throttle[2]
+    assert messages["/uav2/estimate"][k][1].roll_rad == sample.estimate.euler[2, 0]
+    assert messages["/leader/command"][k][1].pitch_rad == sample.command.pitch[0]
+    assert [messages["/uav3/state"][row][1].lost for row in (30, 31)] == [False, True]
     assert not state.lost
-    believed = messages["/uav2/believed"][k][1]
-    assert believed.believed_error_down_m == frame.formation.believed_ned[1, 2]
+    estimated = messages["/uav2/estimated_error"][k][1]
+    assert estimated.estimated_error_down_m == sample.formation.estimated_error_ned[1, 2]
     formation = messages["/uav2/formation"][k][1]
-    assert formation.error_east_m == frame.formation.error_ned[1, 1]
-    assert formation.flight_path_angle_desired_rad == frame.formation.flight_path_angle_desired[1]
-    assert formation.guard_bits == frame.formation.guards[1]
-    assert formation.saturation_bits == frame.formation.saturations[1]
-    np.testing.assert_array_equal(list(formation.age_s), frame.formation.age_s[1])
+    assert formation.error_east_m == sample.formation.error_ned[1, 1]
+    assert formation.flight_path_angle_desired_rad == sample.formation.flight_path_angle_desired[1]
+    assert formation.limiter_bits == sample.formation.limiter_flags[1]
+    assert formation.saturation_bits == sample.formation.saturations[1]
+    np.testing.assert_array_equal(list(formation.age_s), sample.formation.age_s[1])
 
     network = messages["/uav3/network"][k][1]
-    assert list(network.sent_count) == frame.links.sent[2].tolist()
-    assert list(network.delivered_count) == frame.links.delivered[2].tolist()
+    assert list(network.sent_count) == sample.links.sent[2].tolist()
+    assert list(network.delivered_count) == sample.links.delivered[2].tolist()
     assert list(network.delivered_count) != list(network.sent_count)
 
     stamp, fix = messages["/uav1/fix"][2]
-    frame = seen[10]
+    sample = seen[10]
     assert (fix.timestamp.seconds, fix.timestamp.nanos) == (0, 400_000_000)
-    place = geodetic_from_ned(frame.truth.position_ned[1], info.origin)
-    np.testing.assert_array_equal([fix.latitude, fix.longitude, fix.altitude], place)
+    expected = geodetic_from_ned(sample.truth.position_ned[1], info.origin)
+    np.testing.assert_array_equal([fix.latitude, fix.longitude, fix.altitude], expected)
     assert fix.frame_id == "uav1"
     [(stamp, line)] = messages["/events"]
     assert (stamp, line.timestamp.seconds) == (2_000_000_000, 2)
     assert (line.level, line.message, line.name) == (3, "a gust", "uav1")
 
 
-def test_transforms_turn_bodies_into_ned_and_ned_into_a_world_with_z_up(tmp_path):
-    seen = list(run_frames(30))
+def test_transforms_rotate_body_to_ned_and_ned_to_enu(tmp_path):
+    seen = list(run_samples(30))
     messages = {"/tf": [], "/tf_static": []}
     for topic, _, message in decoded(record(tmp_path / "run.mcap", seen)):
         messages.get(topic, []).append(message)
@@ -168,7 +167,7 @@ def test_transforms_turn_bodies_into_ned_and_ned_into_a_world_with_z_up(tmp_path
     assert (transform.timestamp.seconds, transform.timestamp.nanos) == (1, 160_000_000)
     nose = rotate(transform.rotation, np.array([1.0, 0.0, 0.0]))
     truth = seen[29].truth
-    # the quaternion takes another way than the matrix, a few roundings apart
+    # computed by a quaternion and by a matrix: equal up to rounding
     np.testing.assert_allclose(nose, rotation_ned_body(truth.euler[3])[:, 0], atol=1e-14)
     assert transform.translation.z == truth.position_ned[3, 2]
 
@@ -178,124 +177,124 @@ def test_transforms_turn_bodies_into_ned_and_ned_into_a_world_with_z_up(tmp_path
     np.testing.assert_allclose(north_east_down, east_north_up, atol=1e-15)
 
 
-@pytest.mark.usefixtures("quick")
-def test_an_estimate_is_written_only_where_it_differs(tmp_path):
-    path = record(tmp_path / "run.mcap", run_frames(3 * CHUNK, noisy_from=2 * CHUNK + 20))
+@pytest.mark.usefixtures("full_chunks")
+def test_estimate_written_only_in_chunks_that_differ(tmp_path):
+    path = record(tmp_path / "run.mcap", run_samples(3 * CHUNK, noisy_from=2 * CHUNK + 20))
     topics = [topic for topic, _, _ in decoded(path)]
     assert topics.count("/uav1/state") == 3 * CHUNK
-    # the chunk in which they began to differ
-    assert topics.count("/uav1/estimate") == topics.count("/uav1/believed") == CHUNK
+    # the chunk in which the estimates begin to differ
+    assert topics.count("/uav1/estimate") == topics.count("/uav1/estimated_error") == CHUNK
 
 
-def test_what_is_believed_is_written_only_where_it_differs(tmp_path):
-    # an airspeed that errs moves nobody
+def test_estimated_error_written_only_if_different(tmp_path):
+    # an airspeed error changes no position
     seen = []
-    for frame in run_frames(CHUNK):
-        estimate = frame.truth._replace(airspeed=frame.truth.airspeed + 1.0)
-        seen.append(frame._replace(estimate=estimate))
+    for sample in run_samples(CHUNK):
+        estimate = sample.truth._replace(airspeed=sample.truth.airspeed + 1.0)
+        seen.append(sample._replace(estimate=estimate))
     path = record(tmp_path / "run.mcap", seen)
     topics = {topic for topic, _, _ in decoded(path)}
     assert "/uav1/estimate" in topics
-    assert "/uav1/believed" not in topics
+    assert "/uav1/estimated_error" not in topics
     log = read_log(path)
-    assert log.formation.believed_ned is log.formation.error_ned
-    for one, other in zip(seen, frames(log), strict=True):
-        assert_same_frame(one, other)
+    assert log.formation.estimated_error_ned is log.formation.error_ned
+    for one, other in zip(seen, samples(log), strict=True):
+        assert_same_sample(one, other)
 
 
-def test_of_exact_estimates_the_log_says_that_they_are_the_truth(tmp_path):
-    log = read_log(record(tmp_path / "run.mcap", run_frames(CHUNK + 5)))
+def test_exact_estimates_read_back_as_truth(tmp_path):
+    log = read_log(record(tmp_path / "run.mcap", run_samples(CHUNK + 5)))
     assert log.estimate is log.truth
-    assert all(frame.estimate is frame.truth for frame in frames(log))
+    assert all(sample.estimate is sample.truth for sample in samples(log))
 
 
-def test_an_estimate_that_is_not_a_number_is_kept(tmp_path):
+def test_nan_estimates_read_back(tmp_path):
     seen = []
-    for frame in run_frames(20, noisy_from=0):
-        airspeed = np.where([False, True, False, False], np.nan, frame.estimate.airspeed)
-        believed = frame.formation.believed_ned * np.nan
+    for sample in run_samples(20, noisy_from=0):
+        airspeed = np.where([False, True, False, False], np.nan, sample.estimate.airspeed)
+        error = sample.formation.estimated_error_ned * np.nan
         seen.append(
-            frame._replace(
-                estimate=frame.estimate._replace(airspeed=airspeed),
-                formation=frame.formation._replace(believed_ned=believed),
+            sample._replace(
+                estimate=sample.estimate._replace(airspeed=airspeed),
+                formation=sample.formation._replace(estimated_error_ned=error),
             )
         )
     log = read_log(record(tmp_path / "run.mcap", seen))
-    for one, other in zip(seen, frames(log), strict=True):
-        assert_same_frame(one, other)
+    for one, other in zip(seen, samples(log), strict=True):
+        assert_same_sample(one, other)
 
 
-@pytest.mark.usefixtures("quick")
-def test_the_radio_is_written_from_the_first_loss_on(tmp_path):
-    seen = list(run_frames(3 * CHUNK, lossy_from=CHUNK + 20))
+@pytest.mark.usefixtures("full_chunks")
+def test_network_written_from_first_loss_on(tmp_path):
+    seen = list(run_samples(3 * CHUNK, lossy_from=CHUNK + 20))
     path = record(tmp_path / "run.mcap", seen)
     topics = [topic for topic, _, _ in decoded(path)]
     assert topics.count("/uav1/network") == topics.count("/uav3/network") == 2 * CHUNK
     assert "/leader/network" not in topics
-    for k, (ours, theirs) in enumerate(zip(seen, frames(read_log(path)), strict=True)):
+    for k, (ours, theirs) in enumerate(zip(seen, samples(read_log(path)), strict=True)):
         for before, after in zip(ours.links, theirs.links, strict=True):
             assert after.dtype == np.uint32
             assert np.array_equal(after, before if k >= CHUNK else np.zeros((3, 4)))
 
 
-def test_a_radio_that_loses_nothing_is_not_written(tmp_path):
-    path = record(tmp_path / "run.mcap", run_frames(CHUNK + 5))
+def test_network_without_loss_not_written(tmp_path):
+    path = record(tmp_path / "run.mcap", run_samples(CHUNK + 5))
     assert not [topic for topic, _, _ in decoded(path) if topic.endswith("/network")]
     assert not np.any(read_log(path).links)
 
 
-@pytest.mark.usefixtures("quick")
-def test_the_same_run_gives_the_same_bytes(tmp_path):
+@pytest.mark.usefixtures("full_chunks")
+def test_same_run_gives_same_bytes(tmp_path):
     (tmp_path / "other").mkdir()
     some = [event(9)]
-    one = record(tmp_path / "a.mcap", run_frames(130, events=some), run_info(directory=tmp_path))
-    again = {"outcome": "flown", "wall_s": 99.0}
-    two = record(tmp_path / "other" / "b.mcap", run_frames(130, events=some), summary=again)
+    one = record(tmp_path / "a.mcap", run_samples(130, events=some), run_info(directory=tmp_path))
+    again = {"outcome": "completed", "wall_s": 99.0}
+    two = record(tmp_path / "other" / "b.mcap", run_samples(130, events=some), summary=again)
     assert one.read_bytes() == two.read_bytes()
 
 
-@pytest.mark.usefixtures("quick")
-def test_what_was_seen_may_be_overwritten(tmp_path):
+@pytest.mark.usefixtures("full_chunks")
+def test_overwritten_samples_do_not_change_log(tmp_path):
     info = run_info()
     log, live = McapRecorder(tmp_path / "lent.mcap"), MetricsObserver()
     for observer in (log, live):
-        assert observer.borrows
+        assert observer.zero_copy
         observer.begin(info)
-    for frame in run_frames(300, noisy_from=200):
+    for sample in run_samples(300, noisy_from=200):
         for observer in (log, live):
-            observer.observe(frame)
+            observer.observe(sample)
         for name in RECORDS:
-            for array in getattr(frame, name):
+            for array in getattr(sample, name):
                 array[...] = 0
-    log.end({"outcome": "flown", "wall_s": 1.5}, ())
-    kept = record(tmp_path / "kept.mcap", run_frames(300, noisy_from=200))
+    log.end({"outcome": "completed", "wall_s": 1.5}, ())
+    kept = record(tmp_path / "kept.mcap", run_samples(300, noisy_from=200))
     assert (tmp_path / "lent.mcap").read_bytes() == kept.read_bytes()
     again = MetricsObserver()
     again.begin(info)
-    for frame in run_frames(300, noisy_from=200):
-        again.observe(frame)
+    for sample in run_samples(300, noisy_from=200):
+        again.observe(sample)
     assert live.summary() == again.summary()
 
 
-@pytest.mark.usefixtures("quick")
-def test_the_index_finds_every_message(tmp_path):
+@pytest.mark.usefixtures("full_chunks")
+def test_message_index_finds_every_message(tmp_path):
     some = [event(k) for k in (0, 3, 3, CHUNK, CHUNK + 1)]
-    seen = run_frames(CHUNK + 60, noisy_from=CHUNK, lossy_from=7, events=some)
+    seen = run_samples(CHUNK + 60, noisy_from=CHUNK, lossy_from=7, events=some)
     data = record(tmp_path / "run.mcap", seen).read_bytes()
-    head = struct.Struct("<BQHIQQ")  # of a message: its kind, its length, channel, number and times
+    head = struct.Struct("<BQHIQQ")  # of a message: opcode, length, channel, sequence, times
     found = {}
     for one in StreamReader(io.BytesIO(data), emit_chunks=True).records:
         if isinstance(one, records.Chunk):
             chunk = zstandard.ZstdDecompressor().decompressobj().decompress(one.data)
             assert zlib.crc32(chunk) == one.uncompressed_crc
         elif isinstance(one, records.MessageIndex):
-            for time_ns, place in one.records:
-                kind, _, channel, number, *times = head.unpack_from(chunk, place)
-                assert (kind, channel, times) == (5, one.channel_id, [time_ns, time_ns])
+            for time_ns, offset in one.records:
+                opcode, _, channel, number, *times = head.unpack_from(chunk, offset)
+                assert (opcode, channel, times) == (5, one.channel_id, [time_ns, time_ns])
                 found.setdefault(channel, []).append(number)
         elif isinstance(one, records.ChunkIndex):
-            for channel, place in one.message_index_offsets.items():
-                assert struct.unpack_from("<BQH", data, place)[::2] == (7, channel)
+            for channel, offset in one.message_index_offsets.items():
+                assert struct.unpack_from("<BQH", data, offset)[::2] == (7, channel)
             assert data[one.chunk_start_offset] == 6
         elif isinstance(one, records.Statistics):
             statistics = one
@@ -305,10 +304,10 @@ def test_the_index_finds_every_message(tmp_path):
     assert (statistics.message_count, statistics.chunk_count) == (sum(counts.values()), 2)
 
 
-def test_a_slow_run_writes_the_same_messages_sooner(tmp_path, monkeypatch):
-    fast = record(tmp_path / "fast.mcap", run_frames(70))
-    monkeypatch.setattr(recorder, "FLUSH_S", -1.0)  # as if every frame came late
-    slow = record(tmp_path / "slow.mcap", run_frames(70))
+def test_slow_run_writes_same_messages_in_more_chunks(tmp_path, monkeypatch):
+    fast = record(tmp_path / "fast.mcap", run_samples(70))
+    monkeypatch.setattr(recorder, "FLUSH_S", -1.0)  # every sample is late
+    slow = record(tmp_path / "slow.mcap", run_samples(70))
     assert slow.stat().st_size > fast.stat().st_size
     assert list(map(str, decoded(slow))) == list(map(str, decoded(fast)))
 
@@ -317,18 +316,18 @@ WRITER = """
 import sys, time
 from pathlib import Path
 from given_time import GivenTime
-from record_flight import run_frames, run_info
-from testbed.record.recorder import McapRecorder
+from record_flight import run_samples, run_info
+from testbed.logs.recorder import McapRecorder
 
 given = GivenTime(sys.argv[3]).__enter__()
 log = McapRecorder(Path(sys.argv[1]))
 log.begin(run_info())
 pause = float(sys.argv[2])
-seen = list(run_frames(50))
+seen = list(run_samples(50))
 k = 0
 while True:
-    frame = seen[k % 50]._replace(tick=8 * k, time_s=k / 25)
-    log.observe(frame)
+    sample = seen[k % 50]._replace(tick=8 * k, time_s=k / 25)
+    log.observe(sample)
     sys.stdout.write(f"{k} {given.now_s}\\n")
     sys.stdout.flush()
     k += 1
@@ -342,8 +341,8 @@ def at_s(line):
 
 
 @pytest.mark.parametrize(("pause_s", "seed"), KILLED)
-def test_a_killed_run_loses_less_than_half_a_second(tmp_path, pause_s, seed):
-    """Of the time that the machine gives it; see `GivenTime`."""
+def test_killed_run_loses_less_than_half_a_second(tmp_path, pause_s, seed):
+    """Measured in the time that the machine gives the process; see `GivenTime`."""
     path, clock = tmp_path / "run.mcap", tmp_path / "clock"
     with subprocess.Popen(
         [sys.executable, "-c", WRITER, str(path), str(pause_s), str(clock)],
@@ -357,24 +356,24 @@ def test_a_killed_run_loses_less_than_half_a_second(tmp_path, pause_s, seed):
             lines.append(writer.stdout.readline())
         writer.send_signal(signal.SIGKILL)
         lines += writer.stdout.readlines()
-    told = [line for line in lines if line.endswith("\n")]
+    complete = [line for line in lines if line.endswith("\n")]
     killed = last_s(clock)
-    assert killed >= at_s(told[-1])
-    due = max(int(line.split()[0]) for line in told if at_s(line) < killed - 0.5)
+    assert killed >= at_s(complete[-1])
+    due = max(int(line.split()[0]) for line in complete if at_s(line) < killed - 0.5)
     log = read_log(path)
     assert not log.finished
     assert log.metrics is None
     assert log.tick[-1] // 8 >= due
     np.testing.assert_array_equal(log.tick, 8 * np.arange(log.tick.size))
-    seen = list(run_frames(50))
-    for k, frame in enumerate(frames(log)):
-        np.testing.assert_array_equal(frame.truth.euler, seen[k % 50].truth.euler)
+    seen = list(run_samples(50))
+    for k, sample in enumerate(samples(log)):
+        np.testing.assert_array_equal(sample.truth.euler, seen[k % 50].truth.euler)
         if k == 120:
             break
 
 
-def test_a_log_cut_anywhere_gives_what_is_whole(tmp_path):
-    seen = list(run_frames(160))
+def test_cut_log_gives_complete_chunks(tmp_path):
+    seen = list(run_samples(160))
     whole = record(tmp_path / "run.mcap", seen).read_bytes()
     counts = []
     for end in np.linspace(5000, len(whole), 40).astype(int):
@@ -387,8 +386,8 @@ def test_a_log_cut_anywhere_gives_what_is_whole(tmp_path):
     assert (counts[0], counts[-1]) == (0, 160)
 
 
-@pytest.mark.usefixtures("quick")
-def test_a_full_disk_leaves_a_readable_log_and_says_so(tmp_path):
+@pytest.mark.usefixtures("full_chunks")
+def test_full_disk_raises_and_leaves_readable_log(tmp_path):
     path = tmp_path / "run.mcap"
     log = McapRecorder(path)
     log.begin(run_info())
@@ -397,9 +396,9 @@ def test_a_full_disk_leaves_a_readable_log_and_says_so(tmp_path):
     try:
         resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, limits[1]))
         with pytest.raises(LogError, match=r"run\.mcap: cannot write the log"):
-            for frame in run_frames(2000):
-                log.observe(frame)
-        log.end({}, ())  # the runner ends every observer; this one is done
+            for sample in run_samples(2000):
+                log.observe(sample)
+        log.end({}, ())  # the run ends every observer, also one that has failed
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         signal.signal(signal.SIGXFSZ, ignored)
@@ -410,46 +409,46 @@ def test_a_full_disk_leaves_a_readable_log_and_says_so(tmp_path):
     assert back.tick.size > 0
 
 
-def test_a_log_cut_before_its_first_frame_says_that_nothing_was_recorded(tmp_path):
-    """Wherever that is: in its first bytes, in what is attached, in the first frames' chunk."""
-    whole = record(tmp_path / "run.mcap", run_frames(3)).read_bytes()
+def test_log_cut_before_first_sample_raises(tmp_path):
+    """Cut in the file's head, in an attachment, or in the first chunk."""
+    whole = record(tmp_path / "run.mcap", run_samples(3)).read_bytes()
     path = tmp_path / "cut.mcap"
     ends = [*range(60), *range(60, 20_000, 97)]
-    told = 0
+    refused = 0
     for end in ends:
         path.write_bytes(whole[:end])
         try:
             log = read_log(path)
         except LogError as error:
-            told += 1
-            assert str(error) == f"{path}: was cut before its first frame: nothing was recorded"
+            refused += 1
+            assert str(error) == f"{path}: was cut before its first sample: nothing was recorded"
         else:
-            assert told > 60 and log.info.names == run_info().names
-    assert told > 60
+            assert refused > 60 and log.info.names == run_info().names
+    assert refused > 60
 
 
-def frames_in(path):
-    """How many have been written."""
+def samples_in(path):
+    """Count the samples written so far."""
     try:
         return read_log(path).tick.size
     except LogError:  # none yet
         return 0
 
 
-def test_what_was_flown_is_written_though_no_frame_follows(tmp_path):
-    """A run may wait for a program outside, for long, and be killed then."""
+def test_samples_written_while_run_waits(tmp_path):
+    """The run may wait for an external program, and be killed meanwhile."""
     path = tmp_path / "run.mcap"
     log = McapRecorder(path)
     log.begin(run_info())
-    for frame in run_frames(10):
-        log.observe(frame)
-    until(lambda: frames_in(path) == 10)
+    for sample in run_samples(10):
+        log.observe(sample)
+    until(lambda: samples_in(path) == 10)
     log.end({}, ())
-    assert frames_in(path) == 10
+    assert samples_in(path) == 10
 
 
-class Waiting:
-    """What the recorder's thread waits for, by a clock that goes on only then, to a moment."""
+class FakeClock:
+    """Stand in for `time` and for the event the flushing thread waits for, until a moment."""
 
     def __init__(self, end):
         self.now, self.end = 0.0, end
@@ -462,52 +461,52 @@ class Waiting:
         return self.now > self.end
 
     def set(self):
-        """The log is closed."""
+        """Do nothing: the log is closed."""
 
 
-@pytest.mark.parametrize("flown_s", [0.0, 0.1, recorder.FLUSH_S - 0.01])
-def test_what_was_flown_is_written_within_half_a_second(tmp_path, monkeypatch, flown_s):
-    """Its thread looks in time; this one is in its place."""
-    clock = Waiting(flown_s + 0.5)
+@pytest.mark.parametrize("last_s", [0.0, 0.1, recorder.FLUSH_S - 0.01])
+def test_samples_written_within_half_a_second(tmp_path, monkeypatch, last_s):
+    """The flushing thread, run here, writes in time after the last sample at `last_s`."""
+    clock = FakeClock(last_s + 0.5)
     monkeypatch.setattr(recorder, "time", clock)
     log = McapRecorder(tmp_path / "run.mcap")
-    with monkeypatch.context() as alone:
-        alone.setattr(recorder.threading.Thread, "start", lambda thread: None)
+    with monkeypatch.context() as patch:
+        patch.setattr(recorder.threading.Thread, "start", lambda thread: None)
         log.begin(run_info())
-    log._over, clock.now = clock, flown_s
-    for frame in run_frames(10):
-        log.observe(frame)
+    log._closed, clock.now = clock, last_s
+    for sample in run_samples(10):
+        log.observe(sample)
     clock.now = 0.0  # the thread has waited since the beginning
-    log._keep_up()
-    until(lambda: frames_in(tmp_path / "run.mcap") == 10)  # as soon as it is compressed
+    log._flush_loop()
+    until(lambda: samples_in(tmp_path / "run.mcap") == 10)  # as soon as it is compressed
     log.end({}, ())
 
 
-@pytest.mark.parametrize("gone", ["removed", "moved", "replaced"])
-def test_a_log_that_nobody_can_find_any_more_is_not_written_on(tmp_path, gone):
+@pytest.mark.parametrize("change", ["removed", "moved", "replaced"])
+def test_removed_log_raises(tmp_path, change):
     folder = tmp_path / "run"
     folder.mkdir()
     log = McapRecorder(folder / "run.mcap")
     log.begin(run_info())
-    if gone == "removed":
+    if change == "removed":
         shutil.rmtree(folder)
     else:
         folder.rename(tmp_path / "elsewhere")
-    if gone == "replaced":
+    if change == "replaced":
         folder.mkdir()
         (folder / "run.mcap").write_bytes(b"another")
     with pytest.raises(LogError, match=r"run\.mcap: the log is not there any more: .* moved"):
-        for frame in run_frames(CHUNK - 1):  # too few for a chunk: it is the time that has it seen
-            log.observe(frame)
+        for sample in run_samples(CHUNK - 1):  # too few for a chunk: noticed after FLUSH_S
+            log.observe(sample)
             time.sleep(0.01)
-    log.end({}, ())  # which has been said
+    log.end({}, ())  # the error was raised once
 
 
-def test_damage_is_told_from_a_cut(tmp_path):
-    whole = record(tmp_path / "run.mcap", run_frames(160)).read_bytes()
+def test_damaged_log_raises(tmp_path):
+    whole = record(tmp_path / "run.mcap", run_samples(160)).read_bytes()
     path = tmp_path / "bad.mcap"
     rng = np.random.default_rng(5)
-    told = 0
+    refused = 0
     for at in rng.integers(0, len(whole), 60):
         damaged = bytearray(whole)
         damaged[at] ^= 0xFF
@@ -515,10 +514,10 @@ def test_damage_is_told_from_a_cut(tmp_path):
         try:
             read_log(path)
         except LogError as error:
-            told += 1
+            refused += 1
             assert str(path) in str(error)
-    # most of a file is chunks, which carry checksums; in indexes and padding damage is harmless
-    assert told > 20
+    # most of a file is chunks, which have checksums; damage in an index is harmless
+    assert refused > 20
 
 
 @pytest.mark.parametrize(
@@ -528,65 +527,75 @@ def test_damage_is_told_from_a_cut(tmp_path):
         (b"\x89MCAP0\r\n" + b"\x0f" * 40, "not a log of a testbed run"),
     ],
 )
-def test_another_file_is_refused(tmp_path, data, message):
+def test_foreign_file_raises(tmp_path, data, message):
     path = tmp_path / "other.mcap"
     path.write_bytes(data)
     with pytest.raises(LogError, match=message):
         read_log(path)
 
 
-def test_a_log_of_another_schema_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(recorder, "LOG_SCHEMA", 99)
-    path = record(tmp_path / "run.mcap", run_frames(3))
-    with pytest.raises(LogError, match="log schema 99, but this version reads 3"):
+def test_log_of_another_schema_raises(tmp_path, monkeypatch):
+    monkeypatch.setattr(header, "LOG_SCHEMA", 99)
+    path = record(tmp_path / "run.mcap", run_samples(3))
+    with pytest.raises(LogError, match=r"log schema 99 of testbed 0\.0; .* schema 4 only"):
         read_log(path)
 
 
-def test_a_log_is_never_overwritten(tmp_path):
-    path = record(tmp_path / "run.mcap", run_frames(3))
+def test_existing_log_is_not_overwritten(tmp_path):
+    path = record(tmp_path / "run.mcap", run_samples(3))
     before = path.read_bytes()
     with pytest.raises(LogError, match="there is a log already"):
         McapRecorder(path).begin(run_info())
     assert path.read_bytes() == before
 
 
-def test_no_log_without_a_folder(tmp_path):
+def test_log_in_missing_folder_raises(tmp_path):
     with pytest.raises(LogError, match="cannot create the log"):
         McapRecorder(tmp_path / "missing" / "run.mcap").begin(run_info())
 
 
-def test_the_attached_metrics_are_json(tmp_path):
-    path = record(tmp_path / "run.mcap", run_frames(3), summary={"events": [], "a": None})
+def test_metrics_and_scenario_are_attached(tmp_path):
+    path = record(tmp_path / "run.mcap", run_samples(3), summary={"events": [], "a": None})
     with open(path, "rb") as file:
         attached = {a.name: a for a in mcap.reader.make_reader(file).iter_attachments()}
     assert json.loads(attached["metrics.json"].data) == {"events": [], "a": None}
     assert attached["scenario.resolved.yaml"].data == run_info().scenario_yaml.encode()
 
 
-def test_a_frame_whose_arrays_are_not_as_agreed_is_refused(tmp_path):
-    # rows are copied byte by byte, so that whole numbers would be read as others
+@pytest.mark.parametrize(
+    ("record", "field", "array", "found"),
+    [
+        ("command", "roll", np.arange(4), r"int64 \(4,\), not float64 \(4,\)"),
+        ("truth", "airspeed", np.ones((4, 1)), r"float64 \(4, 1\), not float64 \(4,\)"),
+        ("formation", "slot_ned", np.ones(3), r"float64 \(3,\), not float64 \(3, 3\)"),
+        ("formation", "age_s", np.ones(4), r"float64 \(4,\), not float64 \(3, 4\)"),
+        ("formation", "slot_index", np.ones(3), r"float64 \(3,\), not uint32 \(3,\)"),
+        ("links", "sent", np.ones((3, 4)), r"float64 \(3, 4\), not uint32 \(3, 4\)"),
+    ],
+)
+def test_sample_of_wrong_type_or_shape_raises(tmp_path, record, field, array, found):
     log = McapRecorder(tmp_path / "run.mcap")
     log.begin(run_info())
-    [frame] = run_frames(1)
-    command = frame.command._replace(roll=np.arange(4))
-    with pytest.raises(TypeError, match=r"command\.roll: int64"):
-        log.observe(frame._replace(command=command))
+    [sample] = run_samples(1)
+    wrong = getattr(sample, record)._replace(**{field: array})
+    with pytest.raises(ValueError, match=rf"{record}\.{field} of the sample is {found}"):
+        log.observe(sample._replace(**{record: wrong}))
     log.close()
 
 
-def test_a_frame_of_other_sizes_than_those_before_is_refused(tmp_path):
+def test_sample_of_other_size_raises(tmp_path):
     log = McapRecorder(tmp_path / "run.mcap")
     log.begin(run_info())
-    log.observe(*run_frames(1))
-    with pytest.raises(ValueError, match="not as large as those of the first frame"):
-        log.observe(*run_frames(1, followers=4))
+    log.observe(*run_samples(1))
+    with pytest.raises(ValueError, match="the sample has 5 aircraft, those before it have 4"):
+        log.observe(*run_samples(1, followers=4))
     log.close()
 
 
 @pytest.mark.parametrize("where", ["the chunk", "its data"])
-def test_a_chunk_that_would_fill_the_memory_is_refused_unread(tmp_path, where):
-    """A kilobyte of zstd may stand for gigabytes."""
-    path = record(tmp_path / "run.mcap", run_frames(160))
+def test_chunk_too_large_for_memory_raises(tmp_path, where):
+    """A kilobyte of zstd may decompress to gigabytes."""
+    path = record(tmp_path / "run.mcap", run_samples(160))
     data = bytearray(path.read_bytes())
     head = struct.Struct("<BQ")
     at = len(b"\x89MCAP0\r\n")
@@ -600,5 +609,5 @@ def test_a_chunk_that_would_fill_the_memory_is_refused_unread(tmp_path, where):
         data[packed + 4] = 0b11100000
         struct.pack_into("<Q", data, packed + 5, 1 << 40)
     path.write_bytes(data)
-    with pytest.raises(LogError, match=rf"a chunk of {1 << 40:,} bytes at byte {at}: no run"):
+    with pytest.raises(LogError, match=rf"chunk at byte {at} would be {1 << 40:,} bytes"):
         read_log(path)

@@ -1,6 +1,5 @@
-"""Whole runs in one process: the same bits again, nobody's truth leaked, every ending readable."""
+"""Runs in one process: repeated to the bit, inputs of the law, endings with complete files."""
 
-import dataclasses
 import json
 import os
 import signal
@@ -12,13 +11,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 from patience import PATIENCE_S
-from run_flight import DIVE, NOISY, Collector, arrays, fingerprint, flown, short
+from run_flight import (
+    DIVE,
+    NOISY,
+    Collector,
+    arrays,
+    fingerprint,
+    flown,
+    flown_with_recorder,
+    recorder,
+    short,
+)
 
 import testbed
-from testbed.formation.flags import Guard
-from testbed.record.read import frames, read_log
-from testbed.sim.loop import fly
-from testbed.sim.world import build
+from testbed.formation.flags import LimiterFlag
+from testbed.logs.read import read_log, samples
+from testbed.sim.build import build
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -28,7 +36,7 @@ ROOT = HERE.parents[1]
 
 
 @pytest.mark.parametrize("noise", [(), NOISY], ids=["exact", "noisy"])
-def test_the_same_page_gives_the_same_bits_again_and_in_another_process(noise):
+def test_run_is_repeated_to_the_bit(noise):
     ours = fingerprint(flown(*noise, seconds=10.0))
     assert fingerprint(flown(*noise, seconds=10.0)) == ours
     code = f"from run_flight import *; print(fingerprint(flown(*{noise!r}, seconds=10.0)))"
@@ -43,7 +51,7 @@ def test_the_same_page_gives_the_same_bits_again_and_in_another_process(noise):
     assert fresh.stdout.strip() == ours
 
 
-def test_the_seed_moves_the_noise_and_nothing_else():
+def test_seed_changes_only_sensor_errors():
     one, two = flown(*NOISY, seconds=2), flown(*NOISY, "scenario.seed=2", seconds=2)
     assert (one[0].estimate.position_ned != two[0].estimate.position_ned).all()
     assert np.array_equal(one[0].truth.position_ned, two[0].truth.position_ned)
@@ -52,7 +60,7 @@ def test_the_seed_moves_the_noise_and_nothing_else():
     assert exact[0] == exact[1]
 
 
-def test_watchers_and_the_log_move_nothing(tmp_path):
+def test_observers_and_log_change_no_flight(tmp_path):
     page = short(seconds=3)
     seen = Collector()
     testbed.run(page, out=tmp_path / "a", observers=[seen, Collector()])
@@ -63,8 +71,8 @@ def test_watchers_and_the_log_move_nothing(tmp_path):
 
 
 @pytest.mark.parametrize("log_hz", [10, 200])
-def test_how_often_it_is_logged_moves_nothing(log_hz):
-    """Nor do aircraft whose moments lie between those of the log, with errors and loss."""
+def test_log_rate_changes_no_flight(log_hz):
+    """Also of unsynchronised aircraft, with sensor errors and packet loss."""
     knobs = (*NOISY, "rates.synchronous=false", "network.loss=0.3")
     usual = {frame.tick: frame for frame in flown(*knobs, seconds=3)}
     other = {frame.tick: frame for frame in flown(*knobs, f"rates.log_hz={log_hz}", seconds=3)}
@@ -76,7 +84,7 @@ def test_how_often_it_is_logged_moves_nothing(log_hz):
             assert np.array_equal(array, two[name], equal_nan=True), (tick, name)
 
 
-def test_frames_come_at_the_log_rate_and_are_finite():
+def test_samples_come_at_the_log_rate_and_are_finite():
     seen = flown("rates.log_hz=10", seconds=2)
     assert [frame.tick for frame in seen] == list(range(0, 401, 20))
     assert [frame.time_s for frame in seen] == [tick / 200 for tick in range(0, 401, 20)]
@@ -92,79 +100,56 @@ def test_frames_come_at_the_log_rate_and_are_finite():
                 assert np.isfinite(array).all(), (frame.time_s, name)
 
 
-# what an agent is told
-
-
-class Overheard:
-    """Stands before a law and keeps what it is given."""
-
-    def __init__(self, law):
-        self._law, self.given = law, []
-
-    def start(self, own):
-        return self._law.start(own)
-
-    def step(self, now, own, inbox, memory):
-        copies = [type(each)(*(array.copy() for array in each)) for each in (own, inbox)]
-        self.given.append((now, *copies))
-        return self._law.step(now, own, inbox, memory)
+# inputs of the law
 
 
 @pytest.mark.parametrize("late", [0, 5])
-def test_an_agent_knows_its_own_estimate_and_what_the_others_sent(late):
-    """UAV 1's sensors err: it and the others act on what it believed, `late` ticks ago."""
-    page = short("fleet.0.sensors=gps-ins", f"network.delay_s={late * 0.04}", seconds=3)
-    world = build(page)
-    (group,), seen = world.groups, Collector()
-    law = Overheard(group.law)
-    overheard = (dataclasses.replace(group, law=law),)
-    fly(dataclasses.replace(world, groups=overheard), [seen], lambda now, due: False)
-    assert len(law.given) == len(seen.frames) == 76
-    for k, (now, own, inbox) in enumerate(law.given):
-        believed, truth = seen.frames[k].estimate, seen.frames[k].truth
-        assert now == seen.frames[k].time_s
+def test_law_receives_own_estimate_and_messages(late, tmp_path):
+    """UAV 1 has sensor errors: it and the others use its estimate of `late` periods ago."""
+    changes = "fleet.0.sensors=gps-ins", f"network.delay_s={late * 0.04}"
+    frames, received = flown_with_recorder(short(recorder(tmp_path), *changes, seconds=3))
+    assert len(received) == len(frames) == 76
+    for k, (now, own, inbox) in enumerate(received):
+        believed, truth = frames[k].estimate, frames[k].truth
+        assert now == frames[k].time_s
         for name in type(own)._fields:
             assert np.array_equal(getattr(own, name), getattr(believed, name)[1:]), name
         assert (own.position_ned[0] != truth.position_ned[1]).all()
         assert np.array_equal(own.position_ned[1:], truth.position_ned[2:])
-        others = ~np.eye(4, dtype=bool)[1:]  # no radio is between an agent and itself
+        others = ~np.eye(4, dtype=bool)[1:]  # a follower's own row is written without a radio
         assert (inbox.stamp_s[~others] == now).all()
         if k < late:
             assert all(np.isnan(array[others]).all() for array in inbox)
             continue
-        sent = seen.frames[k - late]
+        sent = frames[k - late]
         assert (inbox.stamp_s[others] == sent.time_s).all()
         assert inbox.received_s == pytest.approx(np.full((3, 4), now), abs=1e-9)
         for name in ("position_ned", "velocity_ned", "acceleration_ned", "euler"):
-            heard = getattr(inbox, name)
-            told = np.broadcast_to(getattr(sent.estimate, name), heard.shape)
-            assert np.array_equal(heard[others], told[others]), name
-            assert (heard[1:, 1] != getattr(sent.truth, name)[1]).any(), name
+            found = getattr(inbox, name)
+            expected = np.broadcast_to(getattr(sent.estimate, name), found.shape)
+            assert np.array_equal(found[others], expected[others]), name
+            assert (found[1:, 1] != getattr(sent.truth, name)[1]).any(), name
 
 
-def test_nobody_hears_at_another_rate_than_the_broadcasts():
-    page = short("rates.broadcast_hz=10", "rates.control_hz=50", seconds=2)
-    world = build(page)
-    (group,) = world.groups
-    law = Overheard(group.law)
-    overheard = (dataclasses.replace(group, law=law),)
-    fly(dataclasses.replace(world, groups=overheard), [], lambda now, due: False)
-    ages = {round(float((now - inbox.stamp_s).max()), 6) for now, _, inbox in law.given}
+def test_messages_come_at_the_broadcast_rate(tmp_path):
+    changes = "rates.broadcast_hz=10", "rates.control_hz=50"
+    _, received = flown_with_recorder(short(recorder(tmp_path), *changes, seconds=2))
+    ages = {round(float((now - inbox.stamp_s).max()), 6) for now, _, inbox in received}
     assert ages == {0.0, 0.02, 0.04, 0.06, 0.08}
 
 
-def test_a_law_that_is_told_nothing_flies_everyone_straight_and_level_at_trim():
-    """The commands come from the inbox and nowhere else."""
+def test_without_messages_followers_fly_level_at_trim():
+    """All commands derive from the inbox."""
     late = "network.delay_s=60"
     last = flown(late, seconds=20)[-1]
     told = last.formation
-    assert (told.guards == Guard.LEADER_SILENT).all()
+    assert (told.limiter_flags == LimiterFlag.LEADER_TIMEOUT).all()
     assert told.course_desired == pytest.approx(np.full(3, np.pi / 2.0), abs=1e-9)
     assert told.course == pytest.approx(told.course_desired, abs=0.01)
     assert (told.flight_path_angle_desired == 0.0).all()
-    (group,) = build(short(late)).groups
-    assert told.speed_command == pytest.approx(group.team.trim_airspeed, rel=1e-12)
-    assert last.truth.airspeed[1:] == pytest.approx(group.team.trim_airspeed, abs=0.1)
+    trim_airspeed = build(short(late)).config.trim_airspeed
+    assert told.airspeed_command == pytest.approx(trim_airspeed, rel=1e-12)
+    assert last.truth.airspeed[1:] == pytest.approx(trim_airspeed, abs=0.1)
     # a degree or two of bank, with which they steer the last third of a degree of course away
     assert last.truth.euler[1:, 0] == pytest.approx(np.zeros(3), abs=0.04)
     assert np.isnan(told.age_s).all()
@@ -173,7 +158,7 @@ def test_a_law_that_is_told_nothing_flies_everyone_straight_and_level_at_trim():
 # from Python
 
 
-def test_run_takes_a_name_and_settings_and_need_not_write(tmp_path, monkeypatch):
+def test_run_by_name_with_overrides_writes_nothing(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     watcher = Collector()
     result = testbed.run(
@@ -186,7 +171,7 @@ def test_run_takes_a_name_and_settings_and_need_not_write(tmp_path, monkeypatch)
     assert watcher.summary == result.metrics
 
 
-def test_a_run_directory_holds_the_page_the_log_and_the_metrics(tmp_path):
+def test_run_directory_has_scenario_log_and_metrics(tmp_path):
     page = short("log.mcap=true", seconds=2)
     watcher = Collector()
     result = testbed.run(page, out=tmp_path / "run", observers=[watcher])
@@ -201,14 +186,14 @@ def test_a_run_directory_holds_the_page_the_log_and_the_metrics(tmp_path):
     log = read_log(result.directory / "run.mcap")
     assert log.finished
     assert log.info.scenario_yaml == resolved.read_text()
-    assert fingerprint(frames(log)) == fingerprint(watcher.frames)
+    assert fingerprint(samples(log)) == fingerprint(watcher.frames)
 
 
 # endings
 
 
 class Stopper:
-    """Sends this process a signal after some frames, once or more."""
+    """Sends this process a signal after some samples, once or more."""
 
     def __init__(self, *, after, number=signal.SIGINT, times=1):
         self._after, self._number, self._times = after, number, times
@@ -229,7 +214,7 @@ class Stopper:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("after", [0, 30])
-def test_a_signal_ends_the_run_with_all_that_was_flown(tmp_path, number, after):
+def test_signal_ends_the_run_with_complete_files(tmp_path, number, after):
     before = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
     result = testbed.run(
         short("log.mcap=true"),
@@ -247,9 +232,9 @@ def test_a_signal_ends_the_run_with_all_that_was_flown(tmp_path, number, after):
 
 SWALLOWED = """
 import os, signal, sys
-from testbed import cli
+from testbed.cli import main as cli
 
-# as from a terminal; who began the tests may have them ignore it
+# as from a terminal; the parent of the tests may have set it to be ignored
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 def loads_a_library():
@@ -266,7 +251,7 @@ cli.main()
 """
 
 
-def test_ctrl_c_that_a_library_swallows_is_heeded(tmp_path):
+def test_ctrl_c_swallowed_by_a_library_ends_the_run(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", SWALLOWED],
         cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE_S,
@@ -277,7 +262,7 @@ def test_ctrl_c_that_a_library_swallows_is_heeded(tmp_path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_second_signal_ends_at_once_and_still_leaves_everything(tmp_path, number):
+def test_second_signal_ends_at_once_with_all_files(tmp_path, number):
     out = tmp_path / "run"
     stopper = Stopper(after=9, times=2, number=number)
     with pytest.raises(KeyboardInterrupt):
@@ -289,36 +274,36 @@ def test_a_second_signal_ends_at_once_and_still_leaves_everything(tmp_path, numb
 
 
 class Broken(Collector):
-    """Fails at its third frame."""
+    """Raises at its third sample."""
 
     def observe(self, frame):
         super().observe(frame)
         if len(self.frames) == 3:
-            raise RuntimeError("no more paper")
+            raise RuntimeError("disk full")
 
 
-def test_a_watcher_that_fails_ends_the_run_as_failed(tmp_path):
+def test_observer_that_raises_ends_the_run_as_failed(tmp_path):
     out, bystander = tmp_path / "run", Collector()
-    with pytest.raises(RuntimeError, match="no more paper"):
+    with pytest.raises(RuntimeError, match="disk full"):
         testbed.run(short("log.mcap=true"), out=out, observers=[bystander, Broken()])
     assert json.loads((out / "metrics.json").read_text())["outcome"] == "failed"
     log = read_log(out / "run.mcap")
     assert log.finished
-    assert any("no more paper" in event.text for event in log.events)
+    assert any("disk full" in event.text for event in log.events)
     assert bystander.summary["outcome"] == "failed"
 
 
-def test_outside_the_main_thread_a_run_flies_without_handlers():
+def test_run_outside_the_main_thread():
     results = []
     thread = threading.Thread(
         target=lambda: results.append(testbed.run(short(seconds=1), write=False))
     )
     thread.start()
     thread.join(PATIENCE_S)
-    assert [result.outcome for result in results] == ["flown"]
+    assert [result.outcome for result in results] == ["completed"]
 
 
-def test_an_aircraft_that_hits_the_ground_is_lost_and_named(tmp_path):
+def test_aircraft_on_the_ground_is_lost_and_named(tmp_path):
     (tmp_path / "dive.yaml").write_text(DIVE)
     watcher = Collector()
     result = testbed.run(tmp_path / "dive.yaml", write=False, observers=[watcher])

@@ -1,4 +1,4 @@
-"""An installed wheel finds its aircraft and scenarios as a checkout does."""
+"""Files of an installed wheel."""
 
 import os
 import subprocess
@@ -24,13 +24,13 @@ def installed(tmp_path_factory):
     return folder / "site"
 
 
-def test_the_wheel_finds_all_that_the_checkout_has(installed, tmp_path):
+def test_wheel_finds_all_files_of_checkout(installed, tmp_path):
     code = (
         "import testbed.scenario as s\n"
         "print(s.library())\n"
         "print(*s.list_aircraft(), *s.list_scenarios(), *s.list_data())\n"
-        "page = s.load('simulation-3')\n"
-        "print(s.find_tune(page.leader.aircraft, page.leader.tune).suffix)\n"
+        "scenario = s.load('simulation-3')\n"
+        "print(s.find_tune(scenario.leader.aircraft, scenario.leader.tune).suffix)\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", code],
@@ -47,7 +47,7 @@ def test_the_wheel_finds_all_that_the_checkout_has(installed, tmp_path):
     assert (installed / "testbed" / "py.typed").is_file()
 
 
-def test_every_aircraft_file_is_in_the_wheel(installed):
+def test_wheel_contains_aircraft_and_scenarios(installed):
     for folder in ("aircraft", "scenarios"):
         here = {p.relative_to(ROOT) for p in (ROOT / folder).rglob("*") if p.is_file()}
         there = installed / "testbed" / "_data"

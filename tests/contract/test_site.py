@@ -15,7 +15,7 @@ from patience import PATIENCE_S
 from typer.testing import CliRunner
 
 import testbed
-from testbed.cli import app
+from testbed.cli.main import app
 from testbed.scenario import json_schema
 
 ROOT = Path(__file__).parents[2]
@@ -97,7 +97,7 @@ def reference(site, name):
 
 def test_the_site_is_built_from_the_source_without_importing_what_it_describes(site):
     _, modules = site
-    assert "griffe" in modules and "testbed.cli" in modules
+    assert "griffe" in modules and "testbed.cli.main" in modules
     assert not HEAVY & modules
 
 

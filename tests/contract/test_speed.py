@@ -1,4 +1,4 @@
-"""What measures speed: bare and full do the same steps, and every room is found."""
+"""Speed benchmarks: bare and full make the same steps, and every part is timed."""
 
 import importlib
 import itertools
@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from testbed.scenario import load, shorten
-from testbed.sim.world import build
-from testbed.study.plan import load_study
+from testbed.scenario import load, set_duration
+from testbed.sim.build import build
+from testbed.studies.plan import load_study
 
 ROOT = Path(__file__).parents[2]
 
@@ -19,35 +19,36 @@ def benchmark(monkeypatch):
     return importlib.import_module
 
 
-def test_every_room_but_the_loop_has_doors(benchmark):
-    rooms = benchmark("rooms")
-    assert {*rooms.DOORS, "loop"} == set(rooms.ROOMS)
+def test_timed_methods_cover_every_part(benchmark):
+    timer = benchmark("part_timer")
+    assert {*timer.TIMED_METHODS, "loop"} == set(timer.PARTS)
 
 
-def test_a_flight_is_found_in_its_rooms(benchmark):
-    rooms, ratio = benchmark("rooms"), benchmark("full_over_bare")
-    page = shorten(load("simulation-3"), 4.0)
-    # a clock that goes on by one whenever somebody looks at it
-    watch = rooms.Rooms(itertools.count().__next__)
-    with watch.within():
+def test_part_timer_counts_calls_of_each_part(benchmark):
+    timer, ratio = benchmark("part_timer"), benchmark("full_over_bare")
+    page = set_duration(load("simulation-3"), 4.0)
+    # a clock that advances by one at each reading
+    watch = timer.PartTimer(itertools.count().__next__)
+    with watch.timing():
         ratio.full(page, watch)
     assert sum(watch.shares.values()) == pytest.approx(1.0)
     ticks, frames = 4 * page.rates.autopilot_hz + 1, 4 * page.rates.log_hz + 1
-    # the log is entered once for every frame
-    visits = {room: frames * share / watch.shares["log"] for room, share in watch.shares.items()}
-    assert visits["physics"] == visits["autopilot"] == pytest.approx(ticks)
-    assert visits["leader"] == pytest.approx(frames)
-    # what learns and then steps, and what takes the slots and then the frame
-    assert visits["control"] == visits["metrics"] == pytest.approx(2 * frames)
-    assert visits["air"] == 0.0  # still
-    assert min(visits[room] for room in ("truth", "sensing", "network", "events")) > frames
-    assert max(visits, key=visits.__getitem__) == "loop"  # between any two of them
+    # the log is called once per sample
+    calls = {part: frames * share / watch.shares["log"] for part, share in watch.shares.items()}
+    assert calls["physics"] == pytest.approx(ticks)
+    assert calls["autopilot"] == pytest.approx(ticks)
+    assert calls["leader"] == calls["metrics"] == pytest.approx(frames)
+    assert calls["control"] == pytest.approx(2 * frames)  # membership and step
+    assert calls["sensing"] == pytest.approx(1.0)  # exact: only the call before the flight
+    assert calls["air"] == 0.0  # still air
+    assert min(calls[part] for part in ("properties", "network", "events")) >= frames
+    assert max(calls, key=calls.__getitem__) == "loop"  # between any two parts
 
 
-def test_numbers_of_turns(benchmark):
+def test_numbers_are_medians_of_turns(benchmark):
     ratio, speed = benchmark("full_over_bare"), benchmark("speed")
     cost = ratio.Cost
-    page = shorten(load("simulation-3"), 10.0)  # 40 aircraft-seconds
+    page = set_duration(load("simulation-3"), 10.0)  # 40 aircraft-seconds
     turns = [
         ratio.Turn(
             cost(1.0, 0.8), cost(2.0, 2.0), cost(2.1, 2.1), 0.1, cost(1.1, 1.0), cost(1.5, 1.0)
@@ -59,49 +60,54 @@ def test_numbers_of_turns(benchmark):
             cost(2.0, 1.6), cost(5.0, 4.0), cost(5.0, 4.0), 0.3, cost(2.0, 2.0), cost(3.2, 1.0)
         ),
     ]
-    told = speed.numbers(page, turns, {"physics": 0.5, "log": 0.5})
-    assert told["full_over_bare"] == 2.5
-    assert told["full_over_bare_spread"] == pytest.approx([2.0, 3.0])
-    assert told["full_over_bare_processor_spread"] == pytest.approx([2.5, 3.0])
-    assert told["least_full_over_least_bare"] == pytest.approx(2.0 / 0.9)
-    assert told["real_time_factor"] == pytest.approx(10.0 / 2.7)
-    each = told["us_per_aircraft_second"]
+    result = speed.numbers(page, turns, {"physics": 0.5, "log": 0.5})
+    assert result["full_over_bare"] == 2.5
+    assert result["full_over_bare_spread"] == pytest.approx([2.0, 3.0])
+    assert result["full_over_bare_processor_spread"] == pytest.approx([2.5, 3.0])
+    assert result["least_full_over_least_bare"] == pytest.approx(2.0 / 0.9)
+    assert result["real_time_factor"] == pytest.approx(10.0 / 2.7)
+    each = result["us_per_aircraft_second"]
     assert each["full"] == pytest.approx(2.4e6 / 40.0) and each["bare"] == pytest.approx(0.8e6 / 40)
     assert each["physics"] == pytest.approx(each["full"] / 2.0)
-    assert told["looking_costs"] == 1.0 and told["build_s"] == 0.2
-    assert told["held_over_bare_processor"] == pytest.approx(1.25)
-    crew = told["crew"]  # medians of 1.5, 1.8 and 1.6 bare loops, and of 1.5, 1.62 and 3.2 s
-    assert crew["full_over_bare"] == 1.6
-    assert crew["full_over_bare_spread"] == pytest.approx([1.5, 1.8])
-    assert crew["real_time_factor"] == pytest.approx(10.0 / 1.62)
+    assert result["timing_cost"] == 1.0 and result["build_s"] == 0.2
+    assert result["io_over_bare_processor"] == pytest.approx(1.25)
+    # medians of 1.5, 1.8 and 1.6 bare loops, and of 1.5, 1.62 and 3.2 s
+    parallel = result["parallel"]
+    assert parallel["full_over_bare"] == 1.6
+    assert parallel["full_over_bare_spread"] == pytest.approx([1.5, 1.8])
+    assert parallel["real_time_factor"] == pytest.approx(10.0 / 1.62)
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
-def test_vees_have_as_many_flight_models_as_they_say(benchmark, count):
+def test_vee_has_the_requested_flight_models(benchmark, count):
     fleets = benchmark("fleets")
     page = fleets.vee(count, 1.0)
     fleet = build(page).fleet
     assert benchmark("full_over_bare").flight_models(page) == len(fleet.bare_runs()) == count
 
 
-def test_all_troubles_are_those_of_their_pages(benchmark):
-    page, radio, air = benchmark("fleets").busy(), load("bursty-wifi"), load("turbulence-moderate")
+def test_all_effects_come_from_their_scenarios(benchmark):
+    page, radio, air = (
+        benchmark("fleets").all_effects(),
+        load("bursty-wifi"),
+        load("turbulence-moderate"),
+    )
     assert (page.network, page.rates) == (radio.network, radio.rates)
-    assert page.air == air.air and page.controller.bounds_of == air.controller.bounds_of
+    assert page.air == air.air and page.controller.bounded_speed == air.controller.bounded_speed
     pixhawk = load("simulation-3-pixhawk").leader.sensors
     assert {each.sensors for each in page.aircraft} == {pixhawk}
 
 
-def test_the_study_of_rates_flies_every_case_that_its_table_needs(benchmark):
+def test_convergence_study_has_every_case_of_table(benchmark):
     convergence = benchmark("convergence")
-    page = load_study(convergence.STUDY).page
+    config = load_study(convergence.STUDY).config
     steps = {
         convergence.TWICE,
         *(c for each in convergence.LADDERS.values() for c in each.values()),
     }
-    assert set(page.cases) == {name + step for name in convergence.SIMULATIONS for step in steps}
+    assert set(config.cases) == {name + step for name in convergence.SIMULATIONS for step in steps}
     base = load("simulation-3").rates
-    own = {"physics": base.physics_hz, "autopilot": base.autopilot_hz, "frames": base.log_hz}
+    own = {"physics": base.physics_hz, "autopilot": base.autopilot_hz, "samples": base.log_hz}
     own["control and messages"] = base.control_hz
     for what, ladder in convergence.LADDERS.items():
         assert [rate for rate, case in ladder.items() if not case] == [own[what]]

@@ -1,4 +1,4 @@
-"""The report of a study: known answers come out, the page stands alone, losses are told."""
+"""Reports of studies: known results, a page without external resources, losses."""
 
 import csv
 import json
@@ -10,16 +10,17 @@ import numpy as np
 import pytest
 from commands import call_command
 from report_pages import CHROMIUM, NEEDS_CHROMIUM, browse, stands_alone
-from study_samples import METRIC, drawn, factorial, rows_of, study_of
+from study_samples import METRIC, drawn, factorial, flights_of, study_of
 
-from testbed.record.arrow_door import write_columns
-from testbed.report.study import figures, tables
-from testbed.report.study.grid import number, shown
-from testbed.report.study.numbers import Estimate
-from testbed.report.study.page import page_of
-from testbed.study_report_console import find_table, read_study
+from testbed.cli.study_report import find_study_file, read_study
+from testbed.logs.arrow_io import write_columns
+from testbed.reports.html import render_page
+from testbed.reports.study import figures, study_page, tables
+from testbed.reports.study.numbers import Estimate
+from testbed.reports.study.parameter_plots import parameters
+from testbed.reports.study.report_table import format_cell, format_number
 
-SLUG = "portions-laps-mean_rms_m"
+SLUG = "windows-laps-mean_rms_m"
 PAGE = """
 study:
   schema: 1
@@ -28,7 +29,7 @@ study:
   scenario: simulation-3
   design: factorial
   seeds: 3
-  metrics: [portions.laps.mean_rms_m]
+  metrics: [windows.laps.mean_rms_m]
 vary: {network.delay_s: [0, 0.1]}
 """
 
@@ -37,11 +38,7 @@ vary: {network.delay_s: [0, 0.1]}
 def made():
     """A factorial study, and its page."""
     study = factorial()
-    return study, page_of(study)
-
-
-def cells(grid):
-    return [[shown(cell) for cell in row] for row in grid.rows]
+    return study, render_page(study_page(study))
 
 
 def write_study(path, runs=6, *, page=PAGE, lost=()):
@@ -51,14 +48,14 @@ def write_study(path, runs=6, *, page=PAGE, lost=()):
     fields |= {f"metrics.{METRIC}": "double", "metrics.min_separation_m": "double"}
     rows = [
         [
-            k, "", 1 + k % 3, 0.1 * (k // 3), "lost" if k in lost else "flown",
+            k, "", 1 + k % 3, 0.1 * (k // 3), "lost" if k in lost else "completed",
             "lost: uav1 at 2.0 s" if k in lost else "",
             f"testbed run simulation-3 --set network.delay_s={0.1 * (k // 3):g} --seed {1 + k % 3}",
             None if k in lost else 1.0 + k, 5.0,
         ]
         for k in range(runs)
     ]  # fmt: skip
-    facts = {"study.schema": "1", "complete": "false", "study.name": "radio", "study.yaml": page}
+    facts = {"study.schema": "2", "complete": "false", "study.name": "radio", "study.yaml": page}
     facts |= {"runs": "6", "versions.json": '{"numpy": "2"}', "scenario.yaml": "scenario: {}\n"}
     groups = [list(map(list, zip(*rows, strict=True)))] if rows else []
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -67,7 +64,7 @@ def write_study(path, runs=6, *, page=PAGE, lost=()):
     return path
 
 
-def test_the_page_stands_alone_and_has_every_figure(made):
+def test_report_stands_alone_with_every_figure(made):
     study, text = made
     page = stands_alone(text)
     assert page.figures == [f"{name}-{SLUG}" for name in ("parameters", "heat", "cases", "spread")]
@@ -77,31 +74,31 @@ def test_the_page_stands_alone_and_has_every_figure(made):
         assert row[-1] in unescape(text)
 
 
-def test_the_numbers_of_the_page_are_those_of_the_rows(made):
+def test_report_has_the_statistics_of_the_rows(made):
     study, text = made
     page = stands_alone(text)
     ((metric, case, count, middle, least, *_), *_) = page.tables[0][1:]
-    rows = study.rows
-    mine = rows.good & (rows.case_index == 0)
-    by_seed = [rows.metrics[METRIC][mine & (rows.seed == seed)].mean() for seed in range(6)]
+    flights = study.flights
+    mine = flights.completed & (flights.case_index == 0)
+    by_seed = [flights.metrics[METRIC][mine & (flights.seed == seed)].mean() for seed in range(6)]
     assert (metric, case, int(count)) == (METRIC, "calm", mine.sum())
-    assert middle.split()[0] == number(float(np.median(by_seed)))
-    assert least == number(float(rows.metrics[METRIC][mine].min()))
+    assert middle.split()[0] == format_number(float(np.median(by_seed)))
+    assert least == format_number(float(flights.metrics[METRIC][mine].min()))
 
 
-def test_cases_are_compared_flight_by_flight(made):
+def test_cases_are_compared_in_pairs_of_flights(made):
     study, _ = made
-    grid = tables.cases(study)
-    for k, row in enumerate(grid.rows[1:], 1):
+    table = tables.cases(study)
+    for k, row in enumerate(table.rows[1:], 1):
         assert row[3].value == pytest.approx(0.5 * k, abs=0.02)  # as they were made
         assert row[3].low < 0.5 * k < row[3].high
         assert (row[4], row[5]) == ("larger", 6)
-    # what all flights of a seed share is far more than a case, and is not in the difference
-    assert grid.rows[1][3].high - grid.rows[1][3].low < 0.05
-    assert grid.rows[1][2].high - grid.rows[1][2].low > 0.2
+    # the effect of a seed exceeds that of a case, and cancels in the difference
+    assert table.rows[1][3].high - table.rows[1][3].low < 0.05
+    assert table.rows[1][2].high - table.rows[1][2].low > 0.2
 
 
-def test_what_matters_is_what_the_rows_were_made_of(made):
+def test_effects_are_those_of_the_samples(made):
     study, _ = made
     found = {row[1]: row[2:] for row in tables.effects(study).rows}
     loss, law = found["network.loss"], found["controller.law"]
@@ -110,7 +107,7 @@ def test_what_matters_is_what_the_rows_were_made_of(made):
     assert loss[2] > 5.0 * law[2] and loss[3] > 0.5 and math.isnan(law[3])
 
 
-def test_losses_are_counted_at_every_level_and_come_first_among_the_worst(made):
+def test_losses_are_counted_and_first_of_the_worst(made):
     study, _ = made
     found = {(row[0], row[1]): row[2:] for row in tables.losses(study).rows}
     assert found["all", ""][:3] == (324, 322, 2)
@@ -120,17 +117,17 @@ def test_losses_are_counted_at_every_level_and_come_first_among_the_worst(made):
     assert [row[0] for row in worst[:2]] == ["3", "40"]
     values = [row[2] for row in worst[2:]]
     assert values == sorted(values, reverse=True) and values[0] == np.nanmax(
-        study.rows.metrics[METRIC]
+        study.flights.metrics[METRIC]
     )
 
 
-def test_curves_bands_and_crosses_are_those_of_the_levels(made):
+def test_parameter_plot_has_curves_bands_crosses(made):
     study, _ = made
-    drawing = figures.against.parameters(study, METRIC)
+    drawing = parameters(study, METRIC)
     panel = drawing.rows[0][0]
     assert panel.x_label == "network.loss" and panel.y_label == "mean_rms_m, m"
     calm = panel.lines[0]
-    here = (study.rows.case_index == 0) & (study.rows.parameters[0].index == 1)
+    here = (study.flights.case_index == 0) & (study.flights.parameters[0].index == 1)
     found = study.estimate(METRIC, here, "network.loss/0.1/calm")
     assert (calm.x[1], calm.y[1]) == (0.1, found.value)
     assert (panel.bands[0].low[1], panel.bands[0].high[1]) == (found.low, found.high)
@@ -138,9 +135,9 @@ def test_curves_bands_and_crosses_are_those_of_the_levels(made):
     assert crosses.x.tolist() == [0.0, 0.1]
 
 
-def test_heat_maps_hold_every_pair(made):
+def test_heat_maps_have_every_pair(made):
     study, _ = made
-    first, second = figures.heat(study, METRIC).rows[0]
+    first, second = figures.heat_maps(study, METRIC).rows[0]
     assert (first.x_label, first.y_label) == ("network.loss", "air.wind.speed_mps")
     assert second.y_label == "controller.law" and first.heat.values.shape == (3, 3)
     grown = np.diff(first.heat.values, axis=0)
@@ -148,9 +145,9 @@ def test_heat_maps_hold_every_pair(made):
     assert sum("lost" in text for row in first.heat.texts for text in row) == 2
 
 
-def test_of_drawn_points_there_are_scatters_and_running_quantiles():
+def test_random_design_has_scatter_and_quantiles():
     study = drawn()
-    drawing = figures.against.parameters(study, METRIC)
+    drawing = parameters(study, METRIC)
     (dots, low, middle, high) = drawing.rows[0][0].lines
     assert dots.dots and dots.x.size == 299  # one was lost
     assert (low.y < middle.y).all() and (middle.y < high.y).all()
@@ -159,23 +156,23 @@ def test_of_drawn_points_there_are_scatters_and_running_quantiles():
     rank = {row[1]: row[5] for row in tables.effects(study).rows}
     assert rank["network.delay_s"] > 0.8 and abs(rank["air.sigma"]) < 0.15
     assert study.unit_name == "drawn points"
-    names = {figure.name.partition("-")[0] for figure in figures.figures_of(study)}
+    names = {figure.name.partition("-")[0] for figure in figures.study_figures(study)}
     assert names == {"parameters", "heat", "spread"}
     assert drawing.rows[0][1].x_log and not drawing.rows[0][0].x_log
 
 
-def test_a_study_of_very_many_flights_is_a_small_page():
+def test_report_of_many_flights_is_small():
     study = drawn(5_000)
-    drawing = figures.against.parameters(study, METRIC)
+    drawing = parameters(study, METRIC)
     assert sum(line.x.size for line in drawing.rows[0][0].lines) <= 6_000
-    assert figures.spread(study, METRIC).rows[0][0].lines[0].x.size <= 3_000
+    assert figures.distributions(study, METRIC).rows[0][0].lines[0].x.size <= 3_000
 
 
 @pytest.mark.parametrize("lost", [range(4), ()], ids=["all lost", "nothing varied"])
-def test_odd_studies_have_a_page(lost):
+def test_report_of_edge_cases_is_written(lost):
     table = [("", seed, {"a": 1.0}, 2.0) for seed in range(4)]
-    study = study_of(rows_of(table, lost), design="", question="", statistic="mean")
-    page = stands_alone(page_of(study))
+    study = study_of(flights_of(table, lost), design="", question="", statistic="mean")
+    page = stands_alone(render_page(study_page(study)))
     assert page.figures == []
     assert page.tables[0][1][-1] in ("–", "2.00")
 
@@ -184,14 +181,13 @@ def test_odd_studies_have_a_page(lost):
     ("value", "text"),
     [(0.0, "0"), (math.nan, "–"), (0.01234, "0.0123"), (12.345, "12.3"), (1234567.0, "1.23e+06")],
 )
-def test_numbers_are_short(value, text):
-    assert number(value) == text
-    assert shown(Estimate(value, math.nan, math.nan, 2)) == text
+def test_numbers_have_three_digits(value, text):
+    assert format_number(value) == text
+    assert format_cell(Estimate(value, math.nan, math.nan, 2)) == text
 
 
-def test_the_command_reads_a_sweeps_file_and_writes_what_is_asked_for(tmp_path, monkeypatch):
-    monkeypatch.setattr(figures, "figures_of", lambda study: iter(()))
-    monkeypatch.setattr("testbed.report.study.page.figures_of", lambda study: iter(()))
+def test_command_writes_report_tables_and_json(tmp_path, monkeypatch):
+    monkeypatch.setattr("testbed.reports.study.page.study_figures", lambda study: iter(()))
     write_study(tmp_path / "logs/studies/radio/20260101T000000Z-aa/study.parquet", lost=(4,))
     done = call_command(
         "study-report", "radio", "--out", "it.html", "--tables", "csv", "--json", "it.json",
@@ -211,42 +207,42 @@ def test_the_command_reads_a_sweeps_file_and_writes_what_is_asked_for(tmp_path, 
     assert found["tables"]["losses"][0]["lost"] == 1
 
 
-def test_a_study_that_has_not_ended_says_so(tmp_path):
+def test_unfinished_study_is_reported_as_such(tmp_path):
     path = write_study(tmp_path / "study.parquet", runs=4)
     study = read_study(path, metrics=("min_separation_m",), statistic="mean")
     assert study.metrics == ("min_separation_m",)
-    assert (study.planned, study.rows.run.size) == (6, 4)
-    assert "The study has not ended" in page_of(study)
-    assert find_table(str(tmp_path)) == path
+    assert (study.planned, study.flights.run.size) == (6, 4)
+    assert "The study has not ended" in render_page(study_page(study))
+    assert find_study_file(str(tmp_path)) == path
 
 
-def test_without_metrics_the_last_portion_is_shown(tmp_path):
-    page = PAGE.replace("  metrics: [portions.laps.mean_rms_m]\n", "")
+def test_without_metrics_last_window_is_reported(tmp_path):
+    page = PAGE.replace("  metrics: [windows.laps.mean_rms_m]\n", "")
     path = write_study(tmp_path / "study.parquet", page=page)
     assert read_study(path, metrics=(), statistic="median").metrics == (METRIC,)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["nowhere"], "neither a study's file"),
-        (["study.parquet", "--metric", "portions.lap.mean_rms_m"], f"did you mean '{METRIC}'"),
+        (["study.parquet", "--metric", "windows.lap.mean_rms_m"], f"did you mean '{METRIC}'"),
         (["study.parquet", "--out", "page.txt"], "write a name that ends in .html"),
-        (["study.parquet", "--format", "pdf"], "is that of --figures DIR"),
+        (["study.parquet", "--format", "pdf"], "is the format of --figures DIR"),
         (["study.parquet", "--statistic", "mode"], "write one of median, mean"),
         (["study.parquet", "--out", "gone/page.html"], "there is no folder"),
         (["empty.parquet"], "no run has ended yet"),
         (["text.parquet"], "text.parquet"),
     ],
 )
-def test_what_cannot_be_done_is_refused(tmp_path, arguments, said):
+def test_bad_input_says_what_to_write(tmp_path, arguments, message):
     write_study(tmp_path / "study.parquet")
     write_study(tmp_path / "empty.parquet", runs=0)
     (tmp_path / "text.parquet").write_text("no table")
     done = call_command("study-report", *arguments, cwd=tmp_path, code=2, columns=200)
-    assert said in done.stderr
+    assert message in done.stderr
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason=NEEDS_CHROMIUM)
-def test_a_browser_shows_every_figure_and_has_nothing_to_say(made, tmp_path):
+def test_browser_shows_every_figure_without_errors(made, tmp_path):
     assert len(browse(made[1], tmp_path)) == 4

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from testbed.links.addresses import parse_address
-from testbed.links.endpoint import Endpoint
+from testbed.mavlink.addresses import parse_address
+from testbed.mavlink.udp_endpoint import Endpoint
 from testbed.scenario import load
-from testbed.sim.outside import Outside, announcement
-from testbed.study.cluster import notices
+from testbed.sim.external_options import ExternalOptions, announcements
+from testbed.studies.dask_workers import cluster_notices
 from testbed.views import LiveViewer, viewer
 
 KEY = bytes(32)
@@ -19,8 +19,8 @@ PORT = 14650
 
 
 def said(*addresses, page="simulation-3", changes=(), **more):
-    outside = Outside(mavlink=tuple(map(parse_address, addresses)), **more)
-    return list(announcement(outside, load(page, changes)))
+    options = ExternalOptions(mavlink=tuple(map(parse_address, addresses)), **more)
+    return list(announcements(options, load(page, changes)))
 
 
 @pytest.mark.parametrize("text", [str(PORT), f"udpout::{PORT}", f"udpin::{PORT}", f"udp::{PORT}"])
@@ -33,19 +33,22 @@ def test_a_link_without_a_host_is_for_this_machine_alone_and_is_said(text):
     finally:
         endpoint.close()
     (line,) = said(text)
-    assert line == f"MAVLink: leader to uav3 are systems 1 to 4, {address}, as fast as it flies"
+    assert line == f"MAVLink: leader to uav3 are systems 1 to 4, {address}, as fast as possible"
     assert f"127.0.0.1:{PORT}" in line
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.7", "example.org"])
 @pytest.mark.parametrize(
-    ("key", "who"), [(None, "anybody who reaches it"), (KEY, "who has the key")]
+    ("key", "who"), [(None, "any program that"), (KEY, "any program with the key that")]
 )
 def test_any_other_address_is_warned_of_by_name(host, key, who):
-    first, warning = said(f"udpin:{host}:{PORT}", key=key)
+    first, warning = said(f"udpin:{host}:{PORT}", signing_key=key)
     assert f"udpin:{host}:{PORT}" in first and ("signed" in first) == (key is not None)
-    assert warning == f"warning: {host} is not this machine alone: {who} can command"
-    lines = said(str(PORT), f"udpout:{host}:{PORT}", key=key)
+    assert (
+        warning
+        == f"warning: {host} is not only this machine: {who} reaches it can command the aircraft"
+    )
+    lines = said(str(PORT), f"udpout:{host}:{PORT}", signing_key=key)
     assert [line.startswith("warning") for line in lines] == [False, False, True]
 
 
@@ -76,11 +79,11 @@ def test_who_flies_alone_opens_nothing():
     ],
 )
 def test_a_cluster_is_said_and_warned_of_where_it_is_elsewhere(scheduler, warned):
-    first, *more = notices(scheduler)
+    first, *more = cluster_notices(scheduler)
     assert first == f"cluster: {scheduler}"
     assert len(more) == warned
     host = scheduler.removeprefix("tcp://").removesuffix(":8786")
-    assert all(each.startswith(f"warning: {host} is not this machine") for each in more)
+    assert all(each.startswith(f"warning: {host} is another machine") for each in more)
 
 
 def listening(process):
@@ -88,7 +91,7 @@ def listening(process):
     found = {}
     for table in ("tcp", "tcp6", "udp", "udp6"):
         for row in map(str.split, Path("/proc/net", table).read_text().splitlines()[1:]):
-            if row[3] == viewer.LISTENS or table.startswith("udp"):
+            if row[3] == viewer.TCP_LISTEN or table.startswith("udp"):
                 found[f"socket:[{row[9]}]"] = row[1].rpartition(":")[0]
     ours = []
     for each in Path("/proc").glob("[0-9]*"):
@@ -103,8 +106,8 @@ def listening(process):
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="Linux's tables of sockets")
 def test_a_viewer_listens_on_this_machine_alone_and_is_said(tmp_path):
-    program = viewer.program()
-    with viewer.tethered(program, "--save", str(tmp_path / "it.rrd")) as (process, port):
+    program = viewer.rerun_program()
+    with viewer.guarded_viewer(program, "--save", str(tmp_path / "it.rrd")) as (process, port):
         assert process.poll() is None
         addresses = listening(process.pid)
     assert addresses and set(addresses) <= set(LOOPBACK)

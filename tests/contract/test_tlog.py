@@ -1,4 +1,4 @@
-"""Telemetry logs: written, read, read by pymavlink, and broken."""
+"""Telemetry logs: written, read, compared with pymavlink, and damaged."""
 
 import random
 import struct
@@ -6,7 +6,7 @@ import struct
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from testbed.mavlink.door import Codec, MavlinkError
+from testbed.mavlink.codec import Codec, MavlinkError
 from testbed.mavlink.signing import Signing
 from testbed.mavlink.tlog import Tlog, TlogWriter
 
@@ -32,20 +32,20 @@ def boots(log):
     return [message.fields["time_boot_ms"] // 40 for _, message in log]
 
 
-def test_what_was_written_is_read(tmp_path):
+def test_tlog_reads_what_was_written(tmp_path):
     packed = frames(50)
     path = written(tmp_path / "run.tlog", packed)
     log = Tlog(path)
     assert [time for time, _ in log] == [START + 40_000 * k for k in range(50)]
     assert boots(log) == list(range(50))
     assert (log.unread, log.damaged, log.cut) == (0, 0, 0)
-    # and it is laid out as others read it
+    # and pymavlink reads the frame
     data, parser = path.read_bytes(), dialect.MAVLink(None)
     assert data[:8] == START.to_bytes(8, "big")
     assert parser.decode(bytearray(data[8 : 8 + len(packed[0])])).time_boot_ms == 0
 
 
-def test_frames_of_both_versions_and_signed_ones_are_read(tmp_path):
+def test_tlog_reads_both_versions_and_signed(tmp_path):
     sender = dialect.MAVLink(None, 3, 1)
     old = dialect.MAVLink_system_time_message(START, 40).pack(sender, force_mavlink1=True)
     signed = frames(1, Codec(3, 1, Signing(b"k" * 32)))
@@ -53,7 +53,7 @@ def test_frames_of_both_versions_and_signed_ones_are_read(tmp_path):
 
 
 @pytest.mark.parametrize("missing", [1, 5, 21, 22, 24, 30, 31])
-def test_a_cut_end_costs_its_record_and_is_told(tmp_path, missing):
+def test_tlog_cut_end_loses_one_record(tmp_path, missing):
     path = written(tmp_path / "a.tlog", frames(20))
     data = path.read_bytes()
     path.write_bytes(data[:-missing])
@@ -65,7 +65,7 @@ def test_a_cut_end_costs_its_record_and_is_told(tmp_path, missing):
     assert log.damaged == 0
 
 
-def test_damage_costs_only_what_it_touches(tmp_path):
+def test_tlog_damage_loses_only_its_record(tmp_path):
     path = written(tmp_path / "a.tlog", frames(20))
     rng = random.Random(1)
     good = path.read_bytes()
@@ -84,7 +84,7 @@ def test_damage_costs_only_what_it_touches(tmp_path):
     assert (log.unread, log.damaged) == (1, 0)
 
 
-def test_messages_nobody_knows_are_passed_over(tmp_path):
+def test_tlog_unknown_messages_are_skipped(tmp_path):
     known = frames(2)
     strange = bytes([0xFD, 4, 0, 0, 0, 3, 1, 0xFF, 0xFF, 0x7F]) + b"what" + b"ab"
     log = Tlog(written(tmp_path / "a.tlog", [known[0], strange, known[1]]))
@@ -92,7 +92,7 @@ def test_messages_nobody_knows_are_passed_over(tmp_path):
     assert (log.unread, log.damaged) == (1, 0)
 
 
-def test_random_damage_never_raises(tmp_path):
+def test_tlog_random_damage_never_raises(tmp_path):
     rng = random.Random(2)
     good = written(tmp_path / "a.tlog", frames(30)).read_bytes()
     for _ in range(200):
@@ -106,14 +106,14 @@ def test_random_damage_never_raises(tmp_path):
         assert read + log.damaged + log.cut <= len(data)
 
 
-def test_files_that_cannot_be_opened_are_named(tmp_path):
+def test_tlog_unusable_file_is_an_error(tmp_path):
     with pytest.raises(MavlinkError, match="nothing.tlog"):
         Tlog(tmp_path / "nothing.tlog")
     with pytest.raises(MavlinkError, match="cannot be written"):
         TlogWriter(tmp_path)
 
 
-def test_the_layout_is_the_one_of_ground_stations(tmp_path):
+def test_tlog_layout_is_that_of_ground_stations(tmp_path):
     path = written(tmp_path / "a.tlog", frames(1))
     (time,) = struct.unpack_from(">Q", path.read_bytes())
     assert time == START

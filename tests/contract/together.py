@@ -1,4 +1,4 @@
-"""Commands at the same moment, each a process of its own, forked from one that has all loaded."""
+"""Commands that start at the same time, forked from a process that has imported everything."""
 
 import json
 import os
@@ -12,14 +12,14 @@ import pytest
 from commands import environment
 from patience import PATIENCE_S
 
-# A pipe that closes is the shot at which all of a group begin.
+# The commands of a group start when a pipe is closed.
 _FORKING = """
 import json, os, sys
 import testbed
-from testbed.cli import main
-from testbed.scenario import load, shorten
+from testbed.cli.main import main
+from testbed.scenario import load, set_duration
 
-testbed.run(shorten(load("simulation-3"), 0.1), write=False)  # loads what flights need
+testbed.run(set_duration(load("simulation-3"), 0.1), write=False)  # loads what flights need
 codes = []
 for number, group in enumerate(json.loads(sys.argv[1])):
     ready, begin = os.pipe()
@@ -28,8 +28,8 @@ for number, group in enumerate(json.loads(sys.argv[1])):
         children.append(os.fork())
         if not children[-1]:
             for stream in (1, 2):
-                said = os.open(f"said-{number}-{k}-{stream}", os.O_WRONLY | os.O_CREAT)
-                os.dup2(said, stream)
+                output = os.open(f"output-{number}-{k}-{stream}", os.O_WRONLY | os.O_CREAT)
+                os.dup2(output, stream)
             os.close(begin)
             os.read(ready, 1)
             if program == "cd":
@@ -49,7 +49,7 @@ print(json.dumps(codes))
 
 @dataclass(frozen=True)
 class Ended:
-    """How a command ended."""
+    """Exit code and output of a command."""
 
     code: int
     stdout: str
@@ -57,25 +57,25 @@ class Ended:
 
     @property
     def error(self):
-        """The one line it said of what went wrong."""
+        """The one line that begins with `error: `."""
         assert "Traceback" not in self.stderr, self.stderr
         (line,) = [each for each in self.stderr.splitlines() if each.startswith("error: ")]
         return line
 
 
 def together(folder, *groups, apart=False):
-    """How the commands of each group ended; a group begins when the one before is over.
+    """Results of the commands of each group; a group starts when the previous one has ended.
 
-    With `apart`, what they mount is theirs alone and gone with them; where the system allows it.
+    With `apart`, file systems that they mount are invisible to other processes and end with them.
     """
-    mine = ["unshare", "--mount", *(["--user", "--map-root-user"] if os.geteuid() else [])]
+    unshare = ["unshare", "--mount", *(["--user", "--map-root-user"] if os.geteuid() else [])]
     if apart:
-        tried = [*mine, "mount", "-t", "tmpfs", "tmpfs", "/mnt"]
+        tried = [*unshare, "mount", "-t", "tmpfs", "tmpfs", "/mnt"]
         if shutil.which("unshare") is None or subprocess.run(tried, capture_output=True).returncode:
-            pytest.skip("nothing can be mounted here, neither as root nor in a user's namespace")
+            pytest.skip("nothing can be mounted here, neither as root nor in a user namespace")
     plan = json.dumps([[list(map(str, command)) for command in group] for group in groups])
     with subprocess.Popen(
-        [*(mine if apart else []), sys.executable, "-c", _FORKING, plan],
+        [*(unshare if apart else []), sys.executable, "-c", _FORKING, plan],
         cwd=folder,
         env=environment(500),
         stdout=subprocess.PIPE,
@@ -84,15 +84,15 @@ def together(folder, *groups, apart=False):
         start_new_session=True,
     ) as process:
         try:
-            told, said = process.communicate(timeout=PATIENCE_S)
+            stdout, stderr = process.communicate(timeout=PATIENCE_S)
         finally:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
-    assert process.returncode == 0, said
+    assert process.returncode == 0, stderr
     return [
         [
-            Ended(code, *((folder / f"said-{k}-{i}-{stream}").read_text() for stream in (1, 2)))
+            Ended(code, *((folder / f"output-{k}-{i}-{stream}").read_text() for stream in (1, 2)))
             for i, code in enumerate(codes)
         ]
-        for k, codes in enumerate(json.loads(told.splitlines()[-1]))
+        for k, codes in enumerate(json.loads(stdout.splitlines()[-1]))
     ]

@@ -1,4 +1,4 @@
-"""Frames of a made-up flight: a formation on a rectangle with round corners, banked in them."""
+"""Samples of an artificial flight: a formation on a rectangle with round corners."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from testbed.frames import GRAVITY
-from testbed.scenario import Scenario, load
-from testbed.state import (
+from testbed.core.frames import GRAVITY
+from testbed.core.records import (
+    ActuatorCommand,
     AirData,
     Array,
     Event,
     FbwaCommand,
     FormationState,
-    Frame,
-    LinkCounts,
+    LinkCounters,
     Origin,
     RunInfo,
-    Surfaces,
+    Sample,
     VehicleState,
 )
+from testbed.scenario import Scenario, load
 
 SPEED = 22.0  # m/s
 SIDE, CORNER = 660.0, 110.0  # m, of the rectangle and of its corners' arcs
@@ -35,11 +35,11 @@ def vee(followers: int) -> Array:
 
 
 def vee_page(followers: int) -> Scenario:
-    """Simulation 3's leader and a vee of as many behind it, who each hear whom they fly behind."""
+    """Make a vee behind Simulation 3's leader; each follower listens to the one before it."""
     names = [f"uav{k + 1}" for k in range(followers)]
     offsets = dict(zip(names, vee(followers).tolist(), strict=True))
     page = load("simulation-3").model_dump(mode="json", exclude_unset=True)
-    page["scenario"] = {"schema": 1, "name": "vee", "duration_s": 1080.0}
+    page["scenario"] = {"schema": 2, "name": "vee", "duration_s": 1080.0}
     page["fleet"] = [
         {"name": name, "aircraft": "rascal110", "start_m": [ahead - 3.0, right, down]}
         for name, (ahead, right, down) in offsets.items()
@@ -53,7 +53,7 @@ def vee_page(followers: int) -> Scenario:
 
 
 def info(aircraft: int, duration_s: float) -> RunInfo:
-    """The first word about the flight."""
+    """Describe the flight."""
     corners = [[SIDE, 0, -100], [SIDE, SIDE, -100], [0, SIDE, -100], [0, 0, -100], [SIDE, 0, -100]]
     n = aircraft - 1
     return RunInfo(
@@ -71,13 +71,13 @@ def info(aircraft: int, duration_s: float) -> RunInfo:
         kappa_mps=(3.6,) * n,
         roll_limit_rad=(np.radians(45.0),) * n,
         leader_path_ned=np.array(corners, dtype=float),
-        portions={},
+        windows={},
         versions={},
     )
 
 
-def course_and_place(distance: Array) -> tuple[Array, Array, Array]:
-    """Place (m, 2), course (m,) and turning (m,) after a distance (m,) round the rectangle."""
+def course_and_position(distance: Array) -> tuple[Array, Array, Array]:
+    """Position (m, 2), course (m,) and turning (m,) after a distance (m,) round the rectangle."""
     straight, arc = SIDE - 2.0 * CORNER, 0.5 * np.pi * CORNER
     lap, leg = np.divmod(distance, straight + arc)
     turned = np.clip((leg - straight) / CORNER, 0.0, None)
@@ -85,15 +85,15 @@ def course_and_place(distance: Array) -> tuple[Array, Array, Array]:
     aside = CORNER * (1.0 - np.cos(turned))
     start = 0.5 * np.pi * (lap % 4)
     c, s = np.cos(start), np.sin(start)
-    # Each leg starts where its corner ended: the four starts are the turned ones of the first.
+    # the four starts of legs are rotations of the first
     first = np.array([CORNER - 0.5 * SIDE, -0.5 * SIDE])
     local = np.stack([along, aside], axis=-1) + first
-    place = np.stack([c * local[:, 0] - s * local[:, 1], s * local[:, 0] + c * local[:, 1]], -1)
-    return place + 0.5 * SIDE, start + turned, turned > 0.0
+    position = np.stack([c * local[:, 0] - s * local[:, 1], s * local[:, 0] + c * local[:, 1]], -1)
+    return position + 0.5 * SIDE, start + turned, turned > 0.0
 
 
-def frames(aircraft: int, duration_s: float, rate_hz: float = 25.0) -> Iterator[Frame]:
-    """The flight's frames."""
+def samples(aircraft: int, duration_s: float, rate_hz: float = 25.0) -> Iterator[Sample]:
+    """Generate the samples of the flight."""
     n = aircraft - 1
     offsets = np.concatenate([np.zeros((1, 3)), vee(n)])
     rng = np.random.default_rng(1)
@@ -103,12 +103,12 @@ def frames(aircraft: int, duration_s: float, rate_hz: float = 25.0) -> Iterator[
     start_error = np.concatenate([np.zeros((1, 3)), rng.normal(0.0, 6.0, (n, 3))])
     for tick in range(int(duration_s * rate_hz)):
         t = tick / rate_hz
-        place, sigma, turning = (v[0] for v in course_and_place(np.array([SPEED * t])))
+        position, sigma, turning = (v[0] for v in course_and_position(np.array([SPEED * t])))
         wanted = np.arctan(SPEED**2 / (CORNER * GRAVITY)) if turning else 0.0
         bank += (wanted - bank) / (0.6 * rate_hz)
         c, s = np.cos(sigma), np.sin(sigma)
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        centre = np.array([*place, -100.0 - 15.0 * np.sin(0.03 * t)])
+        centre = np.array([*position, -100.0 - 15.0 * np.sin(0.03 * t)])
         desired = centre + offsets @ turn.T
         sway = 0.35 * np.sin(phase + phase_rate * t) * (np.arange(aircraft) > 0)[:, None]
         error = sway + start_error * np.exp(-t / 5.0)
@@ -128,39 +128,39 @@ def frames(aircraft: int, duration_s: float, rate_hz: float = 25.0) -> Iterator[
         )
         zeros, nil = np.zeros(aircraft), np.zeros(n)
         throttle = 0.25 + 0.1 * np.sin(phase[:, 1] + t)
-        yield Frame(
+        yield Sample(
             tick=tick * 8,
             time_s=t,
             truth=state,
             estimate=state,
             air=AirData(zeros, zeros, zeros, *np.zeros((2, aircraft, 3)), *np.zeros((3, aircraft))),
             command=FbwaCommand(zeros, euler[:, 0], throttle),
-            surfaces=Surfaces(zeros, zeros, zeros, throttle),
-            links=LinkCounts(*np.zeros((2, n, aircraft), np.uint32)),
+            surfaces=ActuatorCommand(zeros, zeros, zeros, throttle),
+            links=LinkCounters(*np.zeros((2, n, aircraft), np.uint32)),
             formation=FormationState(
                 slot_ned=desired[1:],
                 error_ned=error[1:],
                 speed=np.linalg.norm(velocity[1:], axis=-1),
                 speed_desired=nil + SPEED,
-                speed_command=nil + SPEED,
+                airspeed_command=nil + SPEED,
                 course=nil + sigma,
                 course_desired=nil + sigma,
                 flight_path_angle=nil,
                 flight_path_angle_desired=nil,
-                guards=np.zeros(n, np.uint8),
+                limiter_flags=np.zeros(n, np.uint8),
                 saturations=np.zeros(n, np.uint8),
                 age_s=np.zeros((n, aircraft)),
-                place=np.arange(1, n + 1, dtype=np.uint32),
-                believed_ned=error[1:],
+                slot_index=np.arange(1, n + 1, dtype=np.uint32),
+                estimated_error_ned=error[1:],
             ),
             lost=np.zeros(aircraft, dtype=bool),
-            events=(Event(t, "info", "uav1", "engaged"),) if tick == 400 and n else (),
+            events=(Event(t, "info", "uav1", "joined"),) if tick == 400 and n else (),
         )
 
 
 def log(aircraft: int, duration_s: float) -> SimpleNamespace:
-    """The flight as a log reads back: its frames stacked."""
-    flown = list(frames(aircraft, duration_s))
+    """Stack the samples as in a log read back."""
+    flown = list(samples(aircraft, duration_s))
     records = ("truth", "estimate", "air", "command", "surfaces", "formation", "links")
     stacked = {
         name: type(getattr(flown[0], name))(
@@ -171,7 +171,7 @@ def log(aircraft: int, duration_s: float) -> SimpleNamespace:
     return SimpleNamespace(
         **stacked,
         info=info(aircraft, duration_s),
-        time_s=np.array([frame.time_s for frame in flown]),
-        lost=np.stack([frame.lost for frame in flown]),
-        events=tuple(event for frame in flown for event in frame.events),
+        time_s=np.array([sample.time_s for sample in flown]),
+        lost=np.stack([sample.lost for sample in flown]),
+        events=tuple(event for sample in flown for event in sample.events),
     )

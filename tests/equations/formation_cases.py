@@ -4,20 +4,23 @@ from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 import pytest
-
-from testbed.formation import barrier as barriers
-from testbed.formation import control_function, leader
-from testbed.formation.barrier import Barrier
-from testbed.formation.laws import SpeedSet
-from testbed.formation.leader import Memory
-from testbed.formation.middle_loop import (
+from reference import adapters
+from reference import formation_barrier as barriers
+from reference import formation_control_function as functions_of
+from reference.formation_hbh23 import Hbh23Law, hbh23_step
+from reference.formation_laws import SpeedSet
+from reference.formation_leader_filter import Memory
+from reference.formation_middle_loop import (
     MiddleLoop,
     MiddleLoopGains,
     MiddleLoopMemory,
     middle_step,
 )
-from testbed.formation.paper_law import PaperLaw, paper_step
-from testbed.state import Inbox, UnicycleCommand, VehicleState
+
+from testbed.core.records import Inbox, UnicycleCommand, VehicleState
+from testbed.formation import control_function
+from testbed.formation import leader_filter as leader
+from testbed.formation.barrier import Barrier
 
 LOW, HIGH, KAPPA = 16.0, 30.0, 3.6
 NOW, DT = 100.0, 0.04
@@ -25,19 +28,8 @@ PAPERS_MU = control_function.example_1(50.0, 1.0, 0.5)
 PAPERS_BARRIER = Barrier(5, 0.05)
 
 
-def _engines(name, definition):
-    """The function as it is read and, where numba is, as it flies."""
-    found = {"numpy": definition}
-    try:
-        from testbed.formation import middle_loop_twin, paper_twin
-    except ImportError:
-        return found
-    twin = paper_twin if hasattr(paper_twin, name) else middle_loop_twin
-    return {**found, "numba": getattr(twin, name)}
-
-
-LAW_ENGINES = _engines("paper_step", paper_step)
-LOOP_ENGINES = _engines("middle_step", middle_step)
+LAW_ENGINES = {"reference": hbh23_step, "kernel": adapters.hbh23_step}
+LOOP_ENGINES = {"reference": middle_step, "kernel": adapters.middle_step}
 each_engine = pytest.mark.parametrize("step", LAW_ENGINES.values(), ids=LAW_ENGINES)
 each_loop = pytest.mark.parametrize("middle", LOOP_ENGINES.values(), ids=LOOP_ENGINES)
 
@@ -58,7 +50,7 @@ def make_law(n, rng, *, mu=PAPERS_MU, barrier=PAPERS_BARRIER, **changes):
     functions = mu if isinstance(mu, list) else [mu] * n
     k = rng.uniform(2.0, 3.0, n)
     margin = KAPPA - k * np.array([min(each.bound, 1.0) for each in functions])
-    law = PaperLaw(
+    law = Hbh23Law(
         agents=np.arange(1, n + 1, dtype=np.intp),
         offsets=np.vstack([np.zeros(3), rng.uniform(-10.0, 10.0, (n, 3))]),
         gains=rng.uniform(0.2, 1.5, (n, n + 1, 3)) * (rng.random((n, n + 1, 1)) < 0.8),
@@ -67,8 +59,8 @@ def make_law(n, rng, *, mu=PAPERS_MU, barrier=PAPERS_BARRIER, **changes):
         b=rng.uniform(0.05, 0.2, n),
         c=rng.uniform(0.05, 0.2, n),
         c_speed=np.zeros(n),
-        pole=rng.uniform(0.4, 0.7, n),
-        control_function=control_function.per_agent(functions),
+        speed_pole=rng.uniform(0.4, 0.7, n),
+        control_function=functions_of.per_agent(functions),
         barrier=barriers.per_agent(barrier if isinstance(barrier, list) else [barrier] * n),
         speeds=SpeedSet(same(LOW, n), same(HIGH, n), LOW + margin, HIGH - margin),
         horizontal=flags(False, n),
@@ -79,11 +71,11 @@ def make_law(n, rng, *, mu=PAPERS_MU, barrier=PAPERS_BARRIER, **changes):
         acceleration_blend=np.tile([0.4, 0.4, 0.025], (n, 1)),
         difference_blend=np.tile([0.4, 0.2], (n, 1)),
         turn_acceleration=flags(False, n),
-        silent_after=5.0,
-        stale_after=5.0,
-        hold=False,
-        silent_airspeed=rng.uniform(20.0, 24.0, n),
-        silent_turn=np.zeros(n),
+        leader_timeout_s=5.0,
+        neighbour_timeout_s=5.0,
+        hold_stale_neighbours=False,
+        lost_leader_airspeed=rng.uniform(20.0, 24.0, n),
+        lost_leader_turn_rate=np.zeros(n),
     )
     return replace(law, **changes)
 
@@ -98,8 +90,8 @@ def mixed_options(n, rng):
         "acceleration_blend": rng.uniform(0.02, 1.0, (n, 3)),
         "difference_blend": rng.uniform(0.02, 1.0, (n, 2)),
         "turn_acceleration": rng.random(n) < 0.5,
-        "silent_turn": rng.choice([0.0, -0.2, 0.15], n),
-        "hold": bool(rng.random() < 0.5),
+        "lost_leader_turn_rate": rng.choice([0.0, -0.2, 0.15], n),
+        "hold_stale_neighbours": bool(rng.random() < 0.5),
     }
 
 
@@ -107,9 +99,9 @@ def middle_gains(n, **changes):
     """The paper's gains; what the paper has not is zero."""
     values = {
         **dict.fromkeys(MiddleLoopGains._fields, 0.0),
-        "climb_p": 1.5,
-        "climb_i": 0.2,
-        "climb_d": 0.1,
+        "gamma_p": 1.5,
+        "gamma_i": 0.2,
+        "gamma_d": 0.1,
         "course_p": 4.0,
         "course_i": 0.02,
         "course_d": 0.5,
@@ -132,8 +124,8 @@ def make_middle(n, *, altitude=np.nan, as_printed=False, dt=DT, **gains):
     """The middle loops of n agents with the paper's gains."""
     return MiddleLoop(
         gains=middle_gains(n, **gains),
-        speed_low=same(LOW, n),
-        speed_high=same(HIGH, n),
+        speed_min=same(LOW, n),
+        speed_max=same(HIGH, n),
         altitude=np.ones(n) * altitude,
         airspeed_error_as_printed=as_printed,
         dt=dt,
@@ -143,8 +135,8 @@ def make_middle(n, *, altitude=np.nan, as_printed=False, dt=DT, **gains):
 def velocities(rng, shape, low, high):
     """Velocities of speeds between these (m/s), any course, at most 20° up or down."""
     speed, course = rng.uniform(low, high, shape), rng.uniform(-np.pi, np.pi, shape)
-    climb = rng.uniform(-0.35, 0.35, shape)
-    parts = (np.cos(climb) * np.cos(course), np.cos(climb) * np.sin(course), -np.sin(climb))
+    gamma = rng.uniform(-0.35, 0.35, shape)
+    parts = (np.cos(gamma) * np.cos(course), np.cos(gamma) * np.sin(course), -np.sin(gamma))
     return speed[..., None] * np.stack(parts, axis=-1)
 
 
@@ -201,13 +193,13 @@ def some_memory(rng, stamp):
         acceleration=rng.normal(0.0, 1.0, (n, 3)),
         time_s=stamp[:, 0] - since,
         speed=rng.uniform(20.0, 24.0, n) * begun,
-        climb=rng.uniform(-0.2, 0.2, n) * begun,
+        gamma=rng.uniform(-0.2, 0.2, n) * begun,
         speed_rate=rng.normal(0.0, 1.0, n),
-        climb_rate=rng.normal(0.0, 0.1, n),
-        silent_since=np.full(n, np.nan),
-        silent_course=np.full(n, np.nan),
-        place=place,
-        place_time_s=np.where(np.isnan(place[:, :, 0]), np.nan, before),
+        gamma_dot=rng.normal(0.0, 0.1, n),
+        timeout_since=np.full(n, np.nan),
+        timeout_course=np.full(n, np.nan),
+        held_position=place,
+        held_time_s=np.where(np.isnan(place[:, :, 0]), np.nan, before),
     )
 
 
@@ -216,10 +208,10 @@ def middle_states(n, rng):
     own, _, _ = states(n, rng)
     told = UnicycleCommand(
         speed=rng.normal(23.0, 5.0, n),
-        turn=np.column_stack([np.zeros(n), rng.normal(0.0, 0.3, (n, 2))]),
+        omega=np.column_stack([np.zeros(n), rng.normal(0.0, 0.3, (n, 2))]),
         speed_desired=rng.uniform(LOW, HIGH, n),
         direction=velocities(rng, (n,), 1.0, 1.0),
-        guards=rng.integers(0, 16, n).astype(np.uint8) & np.uint8(0b1011),
+        limiter_flags=rng.integers(0, 16, n).astype(np.uint8) & np.uint8(0b1011),
     )
     begun = np.where(rng.random(n) < 0.8, 1.0, np.nan)
     integrals = rng.normal(0.0, 0.3, (4, n))
@@ -280,8 +272,8 @@ def reorder(law, own, inbox, memory, order):
     inbox = Inbox(*(_columns(each, everyone) for each in choose(inbox, order)))
     memory = choose(memory, order)
     memory = memory._replace(
-        place=_columns(memory.place, everyone),
-        place_time_s=_columns(memory.place_time_s, everyone),
+        held_position=_columns(memory.held_position, everyone),
+        held_time_s=_columns(memory.held_time_s, everyone),
     )
     return law, choose(own, order), inbox, memory
 

@@ -1,4 +1,4 @@
-"""Messages on one link, and whether chance alone explains what became of them."""
+"""Messages on one link, and tests of whether chance explains their outcomes."""
 
 import os
 from typing import NamedTuple
@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest, chisquare, norm, ttest_1samp
 
-from testbed.network.alone import transmit
 from testbed.network.channel import make_channel
-from testbed.network.links import Fate
+from testbed.network.channel_simulation import transmit
+from testbed.network.links import PacketOutcome
 from testbed.scenario.network import Network
 
 PACKETS = int(os.environ.get("TESTBED_PACKETS", "30000"))
@@ -27,7 +27,7 @@ class Flow(NamedTuple):
     sent_s: NDArray[np.float64]
     received_s: NDArray[np.float64]
     second_s: NDArray[np.float64]
-    fate: NDArray[np.uint8]
+    outcome: NDArray[np.uint8]
     copies: NDArray[np.uint8]
 
     @property
@@ -36,17 +36,17 @@ class Flow(NamedTuple):
 
     @property
     def lost(self):
-        return self.fate == Fate.LOST
+        return self.outcome == PacketOutcome.LOST
 
 
-def make(names=("leader", "uav1"), seed=None, **knobs):
-    """A channel with these keys of the page's network."""
-    return make_channel(names, Network.model_validate(knobs), SEED if seed is None else seed)
+def make(names=("leader", "uav1"), seed=None, **keys):
+    """Make a channel with these keys of a scenario's network."""
+    return make_channel(names, Network.model_validate(keys), SEED if seed is None else seed)
 
 
-def send(packets=PACKETS, period_s=1.0, phase_s=0.0, **knobs):
-    """What one link with these keys of the page makes of messages at equal distances."""
-    sent = transmit(make(**knobs), packets=packets, period_s=period_s, phase_s=phase_s)
+def send(packets=PACKETS, period_s=1.0, phase_s=0.0, **keys):
+    """Send messages at equal intervals on one link with these keys of a network."""
+    sent = transmit(make(**keys), packets=packets, period_s=period_s, phase_s=phase_s)
     return Flow(sent.sent_s[:, 0], *(each[:, 0, 0] for each in sent[1:]))
 
 

@@ -1,4 +1,4 @@
-"""Virtual and ideal leaders: every derivative of a curve by differences, and a mission as flown."""
+"""Virtual and ideal leaders: derivatives of paths by differences, and a mission."""
 
 from __future__ import annotations
 
@@ -8,15 +8,23 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from testbed.errors import InputError
-from testbed.frames import GRAVITY, euler_rates, wrap_pi
-from testbed.guidance import analytic
-from testbed.guidance.curves import SWING, Circle, FigureEight, SpeedChange, Straight, Weave
-from testbed.guidance.leader import begin, unicycle_step
-from testbed.guidance.longitudinal import HoldGains
-from testbed.guidance.mission import Level, LoiterLeg, Mission, WaypointLeg, make_plan
-from testbed.guidance.replay import Track
-from testbed.vehicle.ideal import IdealFleet
+from testbed.core.errors import InputError
+from testbed.core.frames import GRAVITY, euler_rates, wrap_pi
+from testbed.core.records import AIRCRAFT, allocate
+from testbed.guidance import analytic_paths as analytic
+from testbed.guidance.altitude_airspeed_hold import HoldGains
+from testbed.guidance.flight_plan import Level, LoiterLeg, Mission, WaypointLeg, make_plan
+from testbed.guidance.mission_follower import initial_memory, unicycle_step
+from testbed.guidance.path_curves import (
+    SWING,
+    Circle,
+    FigureEight,
+    SinusoidalPath,
+    SpeedChange,
+    Straight,
+)
+from testbed.guidance.recorded_path import SampledTrajectory
+from testbed.vehicle.unicycle import advance, make_unicycles, write_motion
 
 START = {"position_ned": (100.0, -50.0, -120.0), "course": 0.7, "speed": 22.0}
 CURVES = {
@@ -26,7 +34,7 @@ CURVES = {
     "helix": Circle(**START, radius=90.0, climb=-2.0),
     "figure-eight": FigureEight(**START, radius=100.0),
     "figure-eight, anticlockwise": FigureEight(**START, radius=60.0, clockwise=False),
-    "weave": Weave(**START, amplitude=40.0, period=20.0),
+    "weave": SinusoidalPath(**START, amplitude=40.0, period=20.0),
     "speed-change": SpeedChange(**START, amplitude=3.0, period=12.0),
 }
 WIDE = np.linspace(0.0, 200.0, 1201)
@@ -45,7 +53,7 @@ def frame_rates(curve, time):
 
 
 @every_curve
-def test_every_derivative_is_the_difference_of_the_one_before(curve):
+def test_derivatives_equal_finite_differences(curve):
     names = analytic.Derivatives._fields
     path = analytic.derivatives(curve, WIDE)
     for lower, higher in zip(names[:-1], names[1:], strict=True):
@@ -58,7 +66,7 @@ def test_every_derivative_is_the_difference_of_the_one_before(curve):
 
 
 @every_curve
-def test_a_curve_begins_where_and_how_it_says(curve):
+def test_path_begins_at_its_position_and_course(curve):
     path = analytic.derivatives(curve, np.zeros(1))
     assert path.position[0] == pytest.approx(START["position_ned"], abs=1e-12)
     north, east, down = path.velocity[0]
@@ -73,7 +81,7 @@ def test_attitude_and_rates_are_those_of_the_path(curve):
     path = analytic.derivatives(curve, WIDE)
     for name in ("position", "velocity", "acceleration"):
         np.testing.assert_array_equal(getattr(track, f"{name}_ned"), getattr(path, name))
-    assert {len(getattr(track, each.name)) for each in fields(Track)} == {len(WIDE)}
+    assert {len(getattr(track, each.name)) for each in fields(SampledTrajectory)} == {len(WIDE)}
 
     north, east, down = path.velocity.T
     assert wrap_pi(track.euler[:, 2] - np.arctan2(east, north)) == pytest.approx(0.0, abs=1e-12)
@@ -93,25 +101,21 @@ def test_attitude_and_rates_are_those_of_the_path(curve):
 
 
 @every_curve
-def test_the_velocity_frame_turns_as_it_says(curve):
+def test_frame_rates_equal_finite_differences(curve):
     rates = frame_rates(curve, WIDE)
     track = analytic.evaluate(curve, WIDE)
     turning = euler_rates(track.euler, track.rates_body)
-    assert rates.course_rate == pytest.approx(turning[:, 2], abs=1e-14)
-    assert rates.climb_angle_rate == pytest.approx(turning[:, 1], abs=1e-14)
+    assert rates.chi_dot == pytest.approx(turning[:, 2], abs=1e-14)
+    assert rates.gamma_dot == pytest.approx(turning[:, 1], abs=1e-14)
 
     def rate(name):
         return lambda time: getattr(frame_rates(curve, time), name)
 
-    assert difference(rate("course_rate"), WIDE) == pytest.approx(
-        rates.course_acceleration, abs=1e-8
-    )
-    assert difference(rate("climb_angle_rate"), WIDE) == pytest.approx(
-        rates.climb_angle_acceleration, abs=1e-8
-    )
+    assert difference(rate("chi_dot"), WIDE) == pytest.approx(rates.chi_ddot, abs=1e-8)
+    assert difference(rate("gamma_dot"), WIDE) == pytest.approx(rates.gamma_ddot, abs=1e-8)
 
 
-def test_a_climb_rate_that_changes_is_differentiated_too():
+def test_frame_rates_with_a_changing_climb():
     """No curve changes its climb, so the formulas for γ̇ and γ̈ meet a path that does."""
 
     def path(time):
@@ -129,13 +133,13 @@ def test_a_climb_rate_that_changes_is_differentiated_too():
         return np.arctan2(-velocity[:, 2], np.hypot(velocity[:, 0], velocity[:, 1]))
 
     rates = analytic.frame_rates(path(WIDE))
-    assert np.abs(rates.climb_angle_rate).max() > 0.01
-    assert difference(angle, WIDE) == pytest.approx(rates.climb_angle_rate, abs=1e-11)
-    slope = difference(lambda time: analytic.frame_rates(path(time)).climb_angle_rate, WIDE)
-    assert slope == pytest.approx(rates.climb_angle_acceleration, abs=1e-11)
+    assert np.abs(rates.gamma_dot).max() > 0.01
+    assert difference(angle, WIDE) == pytest.approx(rates.gamma_dot, abs=1e-11)
+    slope = difference(lambda time: analytic.frame_rates(path(time)).gamma_dot, WIDE)
+    assert slope == pytest.approx(rates.gamma_ddot, abs=1e-11)
 
 
-def test_a_circle_by_hand():
+def test_circle_by_hand():
     # σ̇ = 22 / 120 = 0.183333 rad/s; tan φ = 484 / (120 · 9.80665) = 0.4112855, φ = 22.3567°
     track = analytic.evaluate(CURVES["circle"], WIDE)
     assert np.degrees(track.euler[:, 0]) == pytest.approx(22.3567, abs=1e-4)
@@ -150,12 +154,12 @@ def test_a_circle_by_hand():
     # the helix: σ̇ = √(22² − 2²) / 90, and −2 m/s of climb are 2 m/s down
     helix = analytic.evaluate(CURVES["helix"], WIDE)
     rates = frame_rates(CURVES["helix"], WIDE)
-    assert rates.course_rate == pytest.approx(math.sqrt(480.0) / 90.0)
+    assert rates.chi_dot == pytest.approx(math.sqrt(480.0) / 90.0)
     assert helix.position_ned[:, 2] == pytest.approx(-120.0 + 2.0 * WIDE)
     assert helix.airspeed == pytest.approx(22.0)
 
 
-def test_the_figure_eight_closes_at_constant_speed_on_its_radius():
+def test_figure_eight_closes_with_its_radius():
     curve = CURVES["figure-eight"]
     assert curve.period == pytest.approx(2.0 * math.pi * 2.404826 * 100.0 / 22.0, rel=1e-6)
     time = curve.period * np.linspace(0.0, 1.0, 4001)
@@ -164,8 +168,8 @@ def test_the_figure_eight_closes_at_constant_speed_on_its_radius():
     for row in (0, 2000, 4000):  # at the crossing between the loops, and again at the end
         assert path.position[row] == pytest.approx(start, abs=1e-10)
     assert np.linalg.norm(path.velocity, axis=1) == pytest.approx(22.0)
-    assert np.abs(rates.course_rate).max() == pytest.approx(0.22, rel=1e-5)
-    assert rates.course_rate[:2001].min() > -1e-12 and rates.course_rate[2000:].max() < 1e-12
+    assert np.abs(rates.chi_dot).max() == pytest.approx(0.22, rel=1e-5)
+    assert rates.chi_dot[:2001].min() > -1e-12 and rates.chi_dot[2000:].max() < 1e-12
     # the two ways through the crossing: 2 z = 275.57° apart
     one, two = path.velocity[0] / 22.0, path.velocity[2000] / 22.0
     assert one @ two == pytest.approx(math.cos(2.0 * SWING), abs=1e-12)
@@ -180,7 +184,7 @@ def test_the_figure_eight_closes_at_constant_speed_on_its_radius():
     assert np.abs(along).max() == pytest.approx(104.7, abs=0.1)
 
 
-def test_a_wind_changes_the_airspeed_alone():
+def test_wind_changes_only_the_airspeed():
     wind = (3.0, -4.0, 0.0)
     still, windy = (analytic.evaluate(CURVES["weave"], WIDE, w) for w in ((0, 0, 0), wind))
     expected = np.linalg.norm(still.velocity_ned - wind, axis=1)
@@ -202,16 +206,16 @@ def test_a_wind_changes_the_airspeed_alone():
         # 2π √(40 / 16.986) = 9.642 s
         ("weave", {"period": 9.6}, "period_s: .* write 9.7 or more, or a smaller amplitude_m"),
         ("weave", {"amplitude": 0.0}, "amplitude_m: must be positive"),
-        ("speed-change", {"amplitude": 22.0}, "amplitude_mps: .* write less than speed_mps"),
+        ("speed-change", {"amplitude": 22.0}, "amplitude_mps: .* write less than 22"),
         ("speed-change", {"period": math.inf}, "period_s: must be positive"),
     ],
 )
-def test_a_curve_nobody_can_fly_is_refused(name, change, words):
+def test_impossible_path_is_an_error(name, change, words):
     with pytest.raises(InputError, match=words):
         replace(CURVES[name], **change)
 
 
-def test_what_an_error_says_to_write_is_accepted():
+def test_value_from_an_error_is_accepted():
     replace(CURVES["circle"], radius=28.5)
     replace(CURVES["weave"], period=9.7)
 
@@ -232,27 +236,27 @@ def flown():
     """Rows of time, north, east, altitude, speed, bank and part at 25 Hz for 1080 s."""
     legs = (WaypointLeg(LEVEL[1:]), WaypointLeg(LEVEL, 2), WaypointLeg(RAISED, 2), CIRCLE)
     plan = make_plan(Mission(legs=legs, airspeed=22.0), (640.0, -80.0, 100.0))
-    memory = begin(altitude=100.0)
+    memory = initial_memory(altitude=100.0)
     position, velocity = np.array([[640.0, -80.0, -100.0]]), np.array([[0.0, 22.0, 0.0]])
-    fleet = IdealFleet(position, velocity, np.array([0.64]), 200, np.zeros((1, 3)))
+    leader, aircraft = make_unicycles(position, velocity, np.array([0.64])), allocate(AIRCRAFT, 1)
+    row, truth = np.zeros(1, dtype=np.intp), aircraft["truth"]
     rows = []
     for k in range(1080 * 25):
-        state = fleet.read()
-        where, moving = state.position_ned[0].tolist(), state.velocity_ned[0].tolist()
+        write_motion(leader, row, aircraft)
+        where, moving = truth["position_ned"][0].tolist(), truth["velocity_ned"][0].tolist()
         speed, turn, memory = unicycle_step(
             memory, where, moving, plan=plan, dt=0.04, gains=HoldGains()
         )
         assert speed == 22.0 and turn[0] == 0.0
-        fleet.command(np.array([speed]), np.array([turn]))
-        bank = fleet.read().euler[0, 0]
-        rows.append(
-            [k / 25.0, where[0], where[1], -where[2], state.airspeed[0], bank] + [memory.part]
-        )
-        fleet.step(8)
+        leader["speed_command"], leader["omega"] = speed, turn
+        write_motion(leader, row, aircraft)
+        airspeed, bank = truth["airspeed"][0], truth["euler"][0, 0]
+        rows.append([k / 25.0, where[0], where[1], -where[2], airspeed, bank, memory.segment])
+        advance(leader, 1.0 / 200.0, 8)
     return np.array(rows).T
 
 
-def test_an_ideal_leader_passes_the_corners_in_time_at_their_altitudes(flown):
+def test_ideal_leader_passes_corners_at_altitude(flown):
     time, north, east, altitude, speed, _, part = flown
     begun = np.flatnonzero(np.diff(part)) + 1
     assert part[-1] == 23 and len(begun) == 23
@@ -273,7 +277,7 @@ def test_an_ideal_leader_passes_the_corners_in_time_at_their_altitudes(flown):
     assert np.all(laps > shortest) and np.all(laps < shortest + 2.0)
 
 
-def test_an_ideal_leader_keeps_to_the_sides_and_to_its_bank_limit(flown):
+def test_ideal_leader_keeps_to_legs_and_bank_limit(flown):
     _, north, east, _, _, bank, part = flown
     laps = (part > 0) & (part < 19)
     corner = np.array(CORNERS)
@@ -284,7 +288,7 @@ def test_an_ideal_leader_keeps_to_the_sides_and_to_its_bank_limit(flown):
     assert np.degrees(np.abs(bank).max()) == pytest.approx(30.0, abs=1e-9)
 
 
-def test_an_ideal_leader_counts_its_turns_on_the_circle(flown):
+def test_ideal_leader_counts_turns(flown):
     time, north, east, altitude, _, bank, part = flown
     change = np.flatnonzero(np.diff(part))[19:] + 1
     assert altitude[change] == pytest.approx([100.0, 130.0, 100.0, 150.0], abs=0.1)

@@ -1,4 +1,4 @@
-"""ArduPlane's packets and pulses against arithmetic by hand."""
+"""Packets, pulses and start parameters of ArduPlane, against hand arithmetic."""
 
 import json
 import math
@@ -8,36 +8,36 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from testbed.ardupilot.channels import (
-    FUNCTIONS,
-    LIMITS,
-    MAPS,
-    ChannelError,
-    make_outputs,
-    make_sticks,
-    ranges_needed,
-)
-from testbed.ardupilot.defaults import defaults_text
-from testbed.ardupilot.packets import (
+from testbed.autopilot.json_physics import (
     PacketError,
-    motion_columns,
-    motion_line,
     read_servos,
     specific_force,
+    state_columns,
+    state_line,
 )
-from testbed.frames import GRAVITY
-from testbed.state import VehicleState
-from testbed.streams import stream
-from testbed.vehicle.params import read_params
+from testbed.autopilot.parameters import read_params
+from testbed.autopilot.pwm import (
+    LIMITS,
+    RC_MAPS,
+    SERVO_FUNCTIONS,
+    ChannelError,
+    make_rc_channels,
+    make_servo_outputs,
+    range_names,
+)
+from testbed.autopilot.sitl_parameters import defaults_text
+from testbed.core.frames import GRAVITY
+from testbed.core.random import stream
+from testbed.core.records import VehicleState
 
 RASCAL = Path(__file__).parents[2] / "aircraft" / "rascal110" / "autopilot.param"
 
 
 def known(**changes):
-    """ArduPlane's defaults, and what is changed."""
-    values = dict(zip(MAPS, (1, 2, 3, 4), strict=True))
+    """Return ArduPlane's defaults with changes."""
+    values = dict(zip(RC_MAPS, (1, 2, 3, 4), strict=True))
     values |= dict(zip(LIMITS, (45.0, 20.0, -25.0, 0.5), strict=True))
-    values |= dict.fromkeys(FUNCTIONS, 0)
+    values |= dict.fromkeys(SERVO_FUNCTIONS, 0)
     values |= {f"SERVO{n}_FUNCTION": f for n, f in ((1, 4), (2, 19), (3, 70), (4, 21))}
     for n in range(1, 17):
         for kind in ("RC", "SERVO"):
@@ -62,20 +62,20 @@ def state(euler=(0.0, 0.0, 0.0), acceleration=(0.0, 0.0, 0.0)):
 # servo packets
 
 
-def test_a_servo_packet_is_taken_apart_byte_by_byte():
+def test_servo_packet_is_parsed():
     # 18458 = 0x481a, 200 = 0x00c8, 258 = 0x102, 1500 = 0x5dc, 1100 = 0x44c; low byte first
     data = bytes.fromhex("1a48 c800 02010000") + bytes.fromhex("dc05") + bytes.fromhex("4c04") * 15
     packet = read_servos(data)
     assert packet == (200, 258, (1500, *(1100,) * 15))
 
 
-def test_thirty_two_outputs_have_another_magic():
+def test_servo_packet_of_32_outputs():
     pulses = tuple(range(1000, 1032))
     assert read_servos(struct.pack("<HHI32H", 29569, 400, 7, *pulses)).pulses == pulses
 
 
 @pytest.mark.parametrize(
-    ("data", "said"),
+    ("data", "text"),
     [
         (b"", "0 bytes"),
         (b"garbage", "7 bytes"),
@@ -84,42 +84,42 @@ def test_thirty_two_outputs_have_another_magic():
         (struct.pack("<HHI16H", 29569, 200, 1, *[0] * 16), "40 bytes with magic 29569"),
     ],
 )
-def test_what_is_no_servo_packet_is_refused_with_what_it_is(data, said):
-    with pytest.raises(PacketError, match=said):
+def test_invalid_servo_packet_is_an_error(data, text):
+    with pytest.raises(PacketError, match=text):
         read_servos(data)
 
 
-# motion
+# states
 
 
-def test_accelerometers_of_level_flight_feel_the_wings_lift():
+def test_specific_force_in_level_flight():
     np.testing.assert_allclose(specific_force(state()), [[0.0, 0.0, -GRAVITY]], atol=1e-15)
 
 
-def test_accelerometers_in_a_level_turn_feel_the_load_factor_along_z_only():
+def test_specific_force_in_level_turn():
     # heading north in a turn to the right at a bank of 60°: a = g tan φ to the east, n = 2
     turn = state((math.radians(60), 0.0, 0.0), (0.0, GRAVITY * math.sqrt(3.0), 0.0))
     np.testing.assert_allclose(specific_force(turn), [[0.0, 0.0, -2.0 * GRAVITY]], atol=1e-12)
 
 
-def test_accelerometers_with_the_nose_up_and_east_feel_gravity_ahead():
+def test_specific_force_nose_up():
     climb = state((0.0, math.radians(30), math.radians(90)), (0.0, 2.0, 0.0))
-    # 2 m/s² to the east is 2 cos 30° along the nose; gravity presses g sin 30° into the seat
+    # 2 m/s² to the east is 2 cos 30° along the nose; gravity adds g sin 30°
     expected = 2.0 * math.cos(math.radians(30)) + 0.5 * GRAVITY
     assert specific_force(climb)[0, 0] == pytest.approx(expected, abs=1e-12)
 
 
 def line(voltage=math.nan, pulses=(1500, 1600, 1000, 1500), wind=(1.0, -2.0, 0.5)):
-    columns = motion_columns(state(), np.array([wind]), np.array([21.25]))
-    return motion_line(12.005, columns[0].tolist(), voltage, pulses)
+    columns = state_columns(state(), np.array([wind]), np.array([21.25]))
+    return state_line(12.005, columns[0].tolist(), voltage, pulses)
 
 
-def test_a_line_says_everything_to_the_last_bit():
+def test_state_line_has_every_value_exactly():
     data = line(voltage=14.5)
     assert data.startswith(b"\n") and data.endswith(b"\n") and data.count(b"\n") == 2
-    told = json.loads(data)
-    rc = told.pop("rc")
-    assert told == {
+    state_ = json.loads(data)
+    rc = state_.pop("rc")
+    assert state_ == {
         "timestamp": 12.005,
         "imu": {"gyro": [0.1, 0.2, 0.3], "accel_body": [0.0, 0.0, -GRAVITY]},
         "position": [1.0, 2.0, -3.0],
@@ -133,11 +133,11 @@ def test_a_line_says_everything_to_the_last_bit():
     assert list(rc) == ["rc_1", "rc_2", "rc_3", "rc_4"]
 
 
-def test_an_aircraft_without_battery_says_nothing_of_one():
+def test_state_line_without_battery():
     assert "battery" not in json.loads(line())
 
 
-def test_a_line_is_read_by_who_only_looks_for_the_first_place_of_a_key():
+def test_state_line_suits_arduplane_parser():
     text = line(voltage=12.0, pulses=range(1000, 1012)).decode()
     for key, value in (("velocity", "[20.0"), ("rc_1", "1000.25"), ("rc_2", "1001.25")):
         at = text.index(key)
@@ -147,76 +147,79 @@ def test_a_line_is_read_by_who_only_looks_for_the_first_place_of_a_key():
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-3])
-def test_pulses_survive_single_precision_and_a_cut(scale):
-    """1501 µs may become (1501 − 1000)/1000 in float32, times 1000, cut: 1500 without the rest."""
+def test_rc_pulses_survive_truncation(scale):
+    """1501 µs may become (1501 − 1000)/1000 in float32, times 1000, truncated: 1500."""
     for pulse in range(900, 2101):
         sent = json.loads(line(pulses=(pulse,) * 4))["rc"]["rc_1"]
         part = np.float32(np.float32(sent - 1000.0) * np.float32(scale))
         assert int(np.float32(part / np.float32(scale)) + np.float32(1000.0)) == pulse
 
 
-# sticks
+# channels
 
 
-def read_back(pulse, least, trim, most, turned):
-    """What ArduPlane makes of a pulse: part of the side of the trim it is on."""
-    side = trim - least if pulse < trim else most - trim
-    return (-1 if turned else 1) * (pulse - trim) / side
+def read_back(pulse, low, trim, high, reversed_):
+    """Convert a pulse to the share of the side of trim it is on, as ArduPlane does."""
+    side = trim - low if pulse < trim else high - trim
+    return (-1 if reversed_ else 1) * (pulse - trim) / side
 
 
-def test_sticks_by_hand():
-    sticks = make_sticks(known())
+def test_rc_pulses_by_hand():
+    channels = make_rc_channels(known())
     # 22.5° of 45° is half of 400 µs; 10° of 20° up is half; a quarter of 800 µs of throttle
-    assert sticks.pulses(math.radians(22.5), math.radians(10), 0.25) == (1700, 1700, 1300, 1500)
+    assert channels.pulses(math.radians(22.5), math.radians(10), 0.25) == (1700, 1700, 1300, 1500)
     # 12.5° of 25° down
-    assert sticks.pulses(-math.radians(45), -math.radians(12.5), 1.0) == (1100, 1300, 1900, 1500)
+    assert channels.pulses(-math.radians(45), -math.radians(12.5), 1.0) == (1100, 1300, 1900, 1500)
 
 
-def test_sticks_beyond_their_limits_stay_at_the_ends():
-    sticks = make_sticks(known())
-    assert sticks.pulses(2.0, -2.0, 1.5) == (1900, 1100, 1900, 1500)
-    assert sticks.pulses(-2.0, 2.0, -0.5) == (1100, 1900, 1100, 1500)
+def test_rc_pulses_are_clamped():
+    channels = make_rc_channels(known())
+    assert channels.pulses(2.0, -2.0, 1.5) == (1900, 1100, 1900, 1500)
+    assert channels.pulses(-2.0, 2.0, -0.5) == (1100, 1900, 1100, 1500)
 
 
-def test_sticks_are_read_back_within_half_a_microsecond():
-    draw = stream(1, "test/sticks")
+def test_rc_pulses_round_to_half_a_microsecond():
+    rng = stream(1, "test/sticks")
     for _ in range(500):
-        least, trim, most = (
-            int(draw.integers(*ends)) for ends in ((900, 1200), (1400, 1600), (1800, 2100))
+        low, trim, high = (
+            int(rng.integers(*ends)) for ends in ((900, 1200), (1400, 1600), (1800, 2100))
         )
-        turned = int(draw.integers(0, 2))
-        roll, pitch = draw.uniform(-math.radians(45), math.radians(45)), draw.uniform(-0.4, 0.3)
-        throttle = float(draw.uniform(0, 1))
+        reversed_ = int(rng.integers(0, 2))
+        roll, pitch = rng.uniform(-math.radians(45), math.radians(45)), rng.uniform(-0.4, 0.3)
+        throttle = float(rng.uniform(0, 1))
         ends = {
             f"RC{n}_{name}": value
             for n in (1, 2, 3)
-            for name, value in (("MIN", least), ("TRIM", trim), ("MAX", most), ("REVERSED", turned))
+            for name, value in (
+                ("MIN", low),
+                ("TRIM", trim),
+                ("MAX", high),
+                ("REVERSED", reversed_),
+            )
         }
-        one, two, three, four = make_sticks(known(**ends)).pulses(roll, pitch, throttle)
-        half = 0.5001 / min(trim - least, most - trim)
-        got = read_back(one, least, trim, most, turned) * math.radians(45)
+        one, two, three, four = make_rc_channels(known(**ends)).pulses(roll, pitch, throttle)
+        half = 0.5001 / min(trim - low, high - trim)
+        got = read_back(one, low, trim, high, reversed_) * math.radians(45)
         assert got == pytest.approx(roll, abs=half * math.radians(45))
-        got = read_back(two, least, trim, most, turned)
+        got = read_back(two, low, trim, high, reversed_)
         got *= math.radians(20) if got > 0 else math.radians(25)
         assert got == pytest.approx(pitch, abs=half * math.radians(25))
-        pulse = most - (three - least) if turned else three
-        assert (pulse - least) / (most - least) == pytest.approx(
-            throttle, abs=0.5001 / (most - least)
-        )
+        pulse = high - (three - low) if reversed_ else three
+        assert (pulse - low) / (high - low) == pytest.approx(throttle, abs=0.5001 / (high - low))
         assert four == 1500
 
 
-def test_dead_zones_change_nothing_in_fly_by_wire():
-    assert not [name for name in ranges_needed(known()) if name.endswith("_DZ")]
+def test_rc_dead_zones_have_no_effect():
+    assert not [name for name in range_names(known()) if name.endswith("_DZ")]
 
 
-def test_sticks_go_to_the_channels_they_are_mapped_to():
-    sticks = make_sticks(known(RCMAP_ROLL=5, RCMAP_PITCH=1, RCMAP_THROTTLE=2, RCMAP_YAW=3))
-    assert sticks.pulses(math.radians(45), 0.0, 0.0) == (1500, 1100, 1500, 1500, 1900)
+def test_rc_channels_are_mapped():
+    channels = make_rc_channels(known(RCMAP_ROLL=5, RCMAP_PITCH=1, RCMAP_THROTTLE=2, RCMAP_YAW=3))
+    assert channels.pulses(math.radians(45), 0.0, 0.0) == (1500, 1100, 1500, 1500, 1900)
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "text"),
     [
         ({"RCMAP_PITCH": 1}, "four different channels"),
         ({"RCMAP_YAW": 13}, "of 1 to 12"),
@@ -224,17 +227,17 @@ def test_sticks_go_to_the_channels_they_are_mapped_to():
         ({"ROLL_LIMIT_DEG": 0}, "ROLL_LIMIT_DEG is 0"),
     ],
 )
-def test_sticks_that_tell_nothing_are_refused(changes, said):
-    with pytest.raises(ChannelError, match=said):
-        make_sticks(known(**changes))
+def test_unusable_rc_channels_are_an_error(changes, text):
+    with pytest.raises(ChannelError, match=text):
+        make_rc_channels(known(**changes))
 
 
-# outputs
+# servo outputs
 
 
 def surfaces(pulses, mixing=math.nan, **changes):
     full = (*pulses, *(0,) * (16 - len(pulses)))
-    return pytest.approx(make_outputs(known(**changes), mixing).surfaces(full), abs=1e-12)
+    return pytest.approx(make_servo_outputs(known(**changes), mixing).surfaces(full), abs=1e-12)
 
 
 def test_surfaces_by_hand():
@@ -242,13 +245,13 @@ def test_surfaces_by_hand():
     assert surfaces((1500, 1500, 1900, 1525)) == (0.0, 0.0, 0.05, 1.0)
 
 
-def test_a_reversed_servo_and_a_trimmed_one():
+def test_servo_reversed_and_trimmed():
     assert surfaces((1600, 1500, 1100, 1500), SERVO1_REVERSED=1) == (-0.2, 0.0, 0.0, 0.0)
     assert surfaces((1500, 1550, 1100, 1500), SERVO2_TRIM=1550) == (0.0, 0.0, 0.0, 0.0)
     assert surfaces((1500, 1500, 1100, 1500), SERVO3_REVERSED=1) == (0.0, 0.0, 0.0, 1.0)
 
 
-def test_without_pulses_nothing_moves():
+def test_servos_without_pulses_are_neutral():
     assert surfaces((0, 0, 0, 0)) == (0.0, 0.0, 0.0, 0.0)
 
 
@@ -256,7 +259,7 @@ ELEVONS = {"SERVO1_FUNCTION": 77, "SERVO2_FUNCTION": 78, "SERVO4_FUNCTION": 0}
 
 
 @pytest.mark.parametrize("mixing", [1.0, 0.5])
-def test_elevons_give_the_aileron_and_elevator_that_put_them_there(mixing):
+def test_elevons_are_unmixed(mixing):
     """left = m (elevator − aileron), right = m (elevator + aileron), as the airframe mixes them."""
     aileron, elevator = 0.3, -0.4
     left, right = mixing * (elevator - aileron), mixing * (elevator + aileron)
@@ -264,19 +267,19 @@ def test_elevons_give_the_aileron_and_elevator_that_put_them_there(mixing):
     assert surfaces(pulses, mixing, **ELEVONS) == (aileron, elevator, 0.0, 0.5)
 
 
-def test_elevons_on_an_airframe_without_are_unmixed_as_arduplane_mixed_them():
+def test_elevons_without_airframe_mixing():
     # MIXING_GAIN 0.5: full elevator is half the travel of both
     assert surfaces((1750, 1750, 1100), **ELEVONS) == (0.0, 1.0, 0.0, 0.0)
 
 
-def test_a_v_tail_is_unmixed():
+def test_v_tail_is_unmixed():
     tail = {"SERVO2_FUNCTION": 79, "SERVO4_FUNCTION": 80}
     # left = 0.5 (elevator + rudder), right = 0.5 (elevator − rudder)
     assert surfaces((1500, 1650, 1100, 1550), **tail) == (0.0, 0.4, 0.2, 0.0)
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "text"),
     [
         ({"SERVO1_FUNCTION": 0}, "moves the aileron; write SERVOn_FUNCTION 4"),
         ({"SERVO3_FUNCTION": 0}, "moves the throttle"),
@@ -285,17 +288,17 @@ def test_a_v_tail_is_unmixed():
         ({**ELEVONS, "MIXING_GAIN": 0}, "MIXING_GAIN is 0"),
     ],
 )
-def test_outputs_that_cannot_fly_are_refused(changes, said):
-    with pytest.raises(ChannelError, match=said):
-        make_outputs(known(**changes), math.nan)
+def test_unusable_servo_outputs_are_an_error(changes, text):
+    with pytest.raises(ChannelError, match=text):
+        make_servo_outputs(known(**changes), math.nan)
 
 
-# parameters at the start
+# start parameters
 
 
-def test_arduplane_starts_with_the_tune_and_what_the_link_needs_each_once(tmp_path):
+def test_defaults_have_each_parameter_once(tmp_path):
     tune = tmp_path / "mine.param"
-    tune.write_text(RASCAL.read_text() + "AHRS_EKF_TYPE,3 # as it flew\nSCHED_LOOP_RATE 300\n")
+    tune.write_text(RASCAL.read_text() + "AHRS_EKF_TYPE,3 # another value\nSCHED_LOOP_RATE 300\n")
     text = defaults_text(tune, physics_hz=200, autopilot_hz=50)
     pairs = [line.split() for line in text.splitlines() if not line.startswith("#")]
     values = {name: float(value) for name, value in pairs}
@@ -310,7 +313,7 @@ def test_arduplane_starts_with_the_tune_and_what_the_link_needs_each_once(tmp_pa
         assert values[name.upper()] == getattr(flown, name)
 
 
-def test_no_sensor_of_arduplanes_adds_errors_to_those_of_the_page(tmp_path):
+def test_defaults_remove_simulated_sensor_errors(tmp_path):
     tune = tmp_path / "noisy.param"
     tune.write_text("SIM_ARSPD_RND 2\nARSPD_RATIO 1.6\nSIM_DRIFT_SPEED 0.05\n")
     text = defaults_text(tune, physics_hz=200, autopilot_hz=50)
@@ -320,12 +323,12 @@ def test_no_sensor_of_arduplanes_adds_errors_to_those_of_the_page(tmp_path):
     assert values["ARSPD_RATIO"] == values["SIM_ARSPD_RATIO"]
 
 
-def test_arduplane_reads_every_line_whole(tmp_path):
+def test_defaults_lines_fit_arduplane_buffer(tmp_path):
     text = defaults_text(RASCAL, physics_hz=200, autopilot_hz=50)
     assert max(len(line.encode()) for line in text.splitlines()) < 99
 
 
-def test_the_docs_name_every_parameter_that_is_set(tmp_path):
+def test_docs_list_every_parameter_that_is_set(tmp_path):
     empty = tmp_path / "empty.param"
     empty.write_text("")
     page = (RASCAL.parents[2] / "docs" / "arduplane.md").read_text(encoding="utf-8")

@@ -1,13 +1,15 @@
-"""Hypotheses of [HBH23] that are known before a flight: (7), (B1)-(B5) and Assumption 1."""
+"""Assumptions of [HBH23] that are checked before a flight: (7), (B1)-(B5) and Assumption 1."""
 
 import re
 
 import numpy as np
 import pytest
+from reference.adapters import frame_rate, h, rho_and_rate
+from reference.formation_arrays import norm
 
-from testbed.formation import barrier as barriers
-from testbed.formation.arrays import norm
+from testbed.core.frames import velocity_frame
 from testbed.formation.assumptions import (
+    SpeedSet,
     by_text,
     check_barrier,
     check_gain,
@@ -16,11 +18,10 @@ from testbed.formation.assumptions import (
     largest_kappa,
     margin,
 )
-from testbed.formation.barrier import Barrier, h
-from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1, rho_and_rate
-from testbed.formation.geometry import frame_rate, velocity_frame
-from testbed.formation.laws import SLOPE_FLOOR, SpeedSet
-from testbed.formation.slot_speed import slot_speed, slot_speed_range
+from testbed.formation.barrier import NO_BARRIER, Barrier, barrier_curve
+from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
+from testbed.formation.hbh23 import SLOPE_FLOOR
+from testbed.formation.slots import slot_speed, slot_speed_range
 
 LOW, HIGH, KAPPA = 16.0, 30.0, 3.6
 WIDTH = HIGH - LOW
@@ -59,7 +60,7 @@ def divisor(barrier, s, s_d):
 # the gain, eq. (7)
 
 
-def test_a_gain_at_its_bound_is_too_large():
+def test_check_gain_at_its_bound_is_found():
     found = check_gain(row(3.0, 3.6, 4.0), np.full(3, KAPPA), 1.0)
     assert [(f.agent, f.about) for f in found] == [(1, "formation.k"), (2, "formation.k")]
     assert [f.number for f in found] == pytest.approx([0.0, -0.4], abs=1e-15)
@@ -67,7 +68,7 @@ def test_a_gain_at_its_bound_is_too_large():
     assert "s_d may lie 0.4 m/s beyond the speed bounds" in found[1].text
 
 
-def test_every_agent_has_its_own_bound_on_rho():
+def test_check_gain_uses_each_agents_bound_on_rho():
     # ν1 = 50, ν2 = 1, m = 1: ρ̄ = 1/(2 √50), so that k may be 2 √50 times κ = 50.9
     bound = row(1.0, example_1(50.0, 1.0, 1.0).bound)
     assert [f.agent for f in check_gain(row(50.0, 50.0), np.full(2, KAPPA), bound)] == [0]
@@ -76,7 +77,7 @@ def test_every_agent_has_its_own_bound_on_rho():
 
 
 @pytest.mark.parametrize("function", FUNCTIONS.values(), ids=FUNCTIONS)
-def test_the_gain_is_refused_exactly_where_a_push_can_use_up_kappa(function):
+def test_check_gain_bound_is_the_largest_push(function):
     size = np.geomspace(1e-3, 1e6, 100_001)
     x = np.stack([0.6 * size, np.zeros_like(size), -0.8 * size], axis=1)
     push = norm(rho_and_rate(function, x, np.zeros_like(x))[0]).max()
@@ -86,7 +87,7 @@ def test_the_gain_is_refused_exactly_where_a_push_can_use_up_kappa(function):
         assert [f.agent for f in check_gain(row(k), row(KAPPA), function.bound)] == refused
 
 
-def test_kappa_must_leave_speeds_between_the_bounds():
+def test_check_kappa_leaves_speeds_between_bounds():
     low, high = np.full(3, LOW), np.full(3, HIGH)
     found = check_kappa(row(6.9, 7.0, 8.0), low, high)
     assert [f.agent for f in found] == [1, 2]
@@ -99,8 +100,8 @@ def test_kappa_must_leave_speeds_between_the_bounds():
 
 @every_barrier
 def test_the_examples_keep_their_conditions(barrier):
-    assert check_barrier(barrier, speed_set()) == []
-    assert check_barrier(barrier, speed_set(epsilon=0.0)) == []
+    assert check_barrier([barrier], speed_set()) == []
+    assert check_barrier([barrier], speed_set(epsilon=0.0)) == []
 
 
 @every_barrier
@@ -121,10 +122,10 @@ def test_b5_holds_by_its_closed_forms(barrier):
     assert (got > 0.0).all()
 
 
-def test_b5_fails_where_the_desired_speed_can_leave_the_speed_set():
+def test_b5_fails_for_desired_speeds_outside_the_set():
     # Example 4: the divisor is ν ((s_hi − s_d)(s_d − s_lo) + (s_d − s)²). At s_d = 15.5 that is
     # 0.02 (−7.25 + (s − 15.5)²): −0.14 at 16, and zero at 15.5 + √7.25 = 18.19 m/s.
-    low_end, high_end = check_barrier(Barrier(4, 0.02), speed_set(epsilon=-0.5))
+    low_end, high_end = check_barrier([Barrier(4, 0.02)], speed_set(epsilon=-0.5))
     assert low_end.number == pytest.approx(-0.14, abs=2e-4)  # the grid starts 7 mm/s inside
     assert "(B5)" in low_end.text
     found = re.search(r"not positive from ([\d.]+) to ([\d.]+) m/s", low_end.text)
@@ -135,7 +136,7 @@ def test_b5_fails_where_the_desired_speed_can_leave_the_speed_set():
 
 
 def test_a_negative_nu_breaks_every_condition():
-    found = check_barrier(Barrier(4, -0.02), speed_set())
+    found = check_barrier([Barrier(4, -0.02)], speed_set())
     names = [f.text[:4] for f in found]
     assert sorted(set(names)) == ["(B1)", "(B2)", "(B3)", "(B4)", "(B5)"]
     # (B1) is worst in the middle of S: −0.02·7²
@@ -143,9 +144,9 @@ def test_a_negative_nu_breaks_every_condition():
     assert "23 m/s" in found[0].text
 
 
-def test_example_6_has_two_ends_that_must_not_overlap():
+def test_check_barrier_example_6_ends_overlap():
     wide = Barrier(6, 7.5)
-    [found] = check_barrier(wide, speed_set())
+    [found] = check_barrier([wide], speed_set())
     assert found.number == 7.5
     assert "between 22.5 and 23.5 m/s" in found.text
     assert "up to 7" in found.text
@@ -156,14 +157,14 @@ def test_example_6_has_two_ends_that_must_not_overlap():
     assert quotient / h(wide, s, low, high)[1] == pytest.approx([1.0, 2.0, 2.0], rel=1e-6)
 
 
-def test_no_barrier_is_said_once():
-    [found] = check_barrier(Barrier(barriers.NO_BARRIER, 0.0), speed_set())
-    assert "no barrier: speeds are kept by saturation instead" in found.text
+def test_check_barrier_no_barrier_is_one_finding():
+    [found] = check_barrier([Barrier(NO_BARRIER, 0.0)], speed_set())
+    assert "no barrier: speeds are limited by saturation" in found.text
 
 
-def test_tanh_is_flat_outside_though_it_keeps_b3_and_b4():
+def test_check_barrier_tanh_is_flat_outside():
     barrier = Barrier(5, 0.5)
-    [found] = check_barrier(barrier, speed_set())
+    [found] = check_barrier([barrier], speed_set())
     # h' = −ν (w + 2d) / cosh²(x), x = ν d (d + w), d past the bound; in logarithms nothing is lost
     d = np.linspace(0.0, 5.0, 100_001)
     x = barrier.nu * d * (d + WIDTH)
@@ -177,12 +178,18 @@ def test_tanh_is_flat_outside_though_it_keeps_b3_and_b4():
 
 
 def test_every_agent_has_its_own_barrier():
-    several = barriers.per_agent([Barrier(4, 0.02), Barrier(6, 9.0), Barrier(5, 0.05)])
+    several = [Barrier(4, 0.02), Barrier(6, 9.0), Barrier(5, 0.05)]
     assert [f.agent for f in check_barrier(several, speed_set(n=3))] == [1]
-    assert [f.agent for f in check_barrier(Barrier(7, 0.0), speed_set(n=3))] == [0, 1, 2]
+    assert [f.agent for f in check_barrier([Barrier(7, 0.0)] * 3, speed_set(n=3))] == [0, 1, 2]
 
 
-def test_agents_of_which_the_same_is_said_are_named_together():
+@every_barrier
+def test_a_sampled_barrier_is_the_barrier_of_the_law(barrier):
+    s = np.linspace(LOW - 5.0, HIGH + 5.0, 201)
+    np.testing.assert_array_equal(barrier_curve(barrier, s, LOW, HIGH), h(barrier, s, LOW, HIGH))
+
+
+def test_by_text_merges_equal_findings():
     found = check_gain(row(4.0, 3.0, 4.0, 5.0), np.full(4, KAPPA), 1.0)
     assert list(by_text(found).values()) == [[0, 2], [3]]
 
@@ -190,7 +197,7 @@ def test_agents_of_which_the_same_is_said_are_named_together():
 # the speed of the slots, Assumption 1
 
 
-def test_the_slot_on_a_circle_moves_with_its_own_radius():
+def test_slot_speed_on_a_circle_by_its_radius():
     # clockwise at 22 m/s on 120 m: υ = (x, y) circles on √((120 − y)² + x²) at 22/120 rad/s
     offsets = np.array([[0.0, 12.0, 0.0], [0.0, -12.0, 5.0], [-50.0, 0.0, 0.0]])
     rate = np.array([[0.0, 0.0, 22.0 / 120.0]])
@@ -198,7 +205,7 @@ def test_the_slot_on_a_circle_moves_with_its_own_radius():
     assert got == pytest.approx([22.0 * 0.9, 22.0 * 1.1, 22.0 * 130.0 / 120.0], rel=1e-14)
 
 
-def test_the_slot_speed_is_the_derivative_of_the_slot():
+def test_slot_speed_is_the_derivative_of_the_slot():
     # a leader that turns, climbs and accelerates: course, flight-path angle and speed by time
     def velocity(t):
         sigma, gamma = 0.3 * t - 0.02 * t**2, 0.2 * np.sin(0.5 * t)
@@ -222,7 +229,7 @@ def test_the_slot_speed_is_the_derivative_of_the_slot():
         assert got == pytest.approx(expected, abs=2e-8)
 
 
-def test_the_range_in_level_turns_by_hand():
+def test_slot_speed_range_in_level_turns_by_hand():
     offsets = np.array([[0.0, 12.0, 0.0], [-9.0, 12.0, 3.0], [-60.0, 60.0, 0.0], [0.0, 0.0, 8.0]])
     limits = {"speed_min": 20.0, "speed_max": 24.0, "turn_rate": 0.25}
     slowest, fastest = slot_speed_range(offsets, **limits)
@@ -236,7 +243,7 @@ def test_the_range_in_level_turns_by_hand():
     assert (slowest[3], fastest[3]) == (20.0, 24.0)
 
 
-def test_the_slowest_slot_of_a_leader_that_pulls_up_by_hand():
+def test_slot_speed_range_of_a_pull_up_by_hand():
     # In the sharpest turn (−10, 8, 0.5) m moves at (20 − 2 + 0.5 y, −2.5, 10 y) m/s, y = γ̇: the
     # square is least at y = −9/100.25 rad/s, inside its limit, and 81/100.25 below that at zero.
     slowest, _ = slot_speed_range(
@@ -250,7 +257,7 @@ def test_the_slowest_slot_of_a_leader_that_pulls_up_by_hand():
 
 
 @pytest.mark.parametrize("climbing", [(0.0, 0.0), (0.2, 0.0), (0.0, 0.15), (0.3, 0.2)])
-def test_no_flight_within_the_limits_leaves_the_range(climbing):
+def test_slot_speed_range_holds_within_the_limits(climbing):
     climb_angle, climb_rate = climbing
     rng = np.random.default_rng(11)
     offsets = rng.uniform(-1.0, 1.0, (40, 3)) * rng.choice([10.0, 80.0, 250.0], (40, 1))
@@ -281,7 +288,7 @@ def test_no_flight_within_the_limits_leaves_the_range(climbing):
     assert (most - fastest <= 1e-9 + 0.01).all()
 
 
-def test_the_papers_circle_keeps_the_papers_kappa():
+def test_slot_speed_of_the_papers_circle_meets_kappa():
     offsets = np.array([[-5.0, 5.0, 0.0], [-5.0, -5.0, -4.0], [-5.0, -5.0, 4.0]])
     rate = 22.0 / 120.0
     low, high = np.full(3, LOW), np.full(3, HIGH)
@@ -292,7 +299,7 @@ def test_the_papers_circle_keeps_the_papers_kappa():
     assert room == pytest.approx(np.full(3, np.hypot(22.0 * 115 / 120, 5 * rate) - 16), rel=1e-12)
 
 
-def test_assumption_1_names_the_kappa_to_write():
+def test_check_slot_speed_names_the_largest_kappa():
     slowest, fastest = row(18.7, 14.7, 22.0, 19.5), row(25.0, 23.0, 27.234, 25.0)
     bounds = np.full(4, LOW), np.full(4, HIGH)
     kappa = row(3.6, 3.6, 3.6, 3.5)
@@ -301,7 +308,7 @@ def test_assumption_1_names_the_kappa_to_write():
     numbers = [f.number for f in found]
     assert numbers == pytest.approx([2.7, -1.3, 2.766, 3.5], abs=1e-12)
     assert "moves at 18.70 to 25.00 m/s" in found[0].text
-    assert "between 19.6 and 26.4" in found[0].text
+    assert "requires 19.6 to 26.4" in found[0].text
     assert "formation.kappa_mps" not in found[1].text  # no κ would do
     assert "formation.speed_mps" in found[1].text
     for f in (found[0], found[2], found[3]):

@@ -2,23 +2,58 @@
 
 import math
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from reference import adapters
+from reference import fbwa as reference
+from reference.adapters import reference_gains
+from reference.fbwa import fresh
+from reference.fbwa_tables import MEMORY
 
-from testbed.state import FbwaCommand, Surfaces, VehicleState
-from testbed.vehicle.fbwa import fbwa, fly, fresh, settled, standing
-from testbed.vehicle.params import (
+from testbed.autopilot.fbwa import fly_by_wire_a, initial_autopilots, settled_autopilots
+from testbed.autopilot.parameters import (
     AutopilotTiming,
     FbwaParams,
     ParamError,
+    make_gains,
     read_params,
-    stack,
 )
-from testbed.vehicle.tables import MEMORY
+from testbed.core.records import (
+    AIRCRAFT,
+    ActuatorCommand,
+    FbwaCommand,
+    VehicleState,
+    allocate,
+    write_fields,
+)
+
+
+class Engine(NamedTuple):
+    fbwa: Callable[..., Any]
+    settled: Callable[..., Any]
+
+
+def _fbwa(
+    state: VehicleState, command: FbwaCommand, memory: Any, gains: Any
+) -> tuple[ActuatorCommand, Any]:
+    return reference.fbwa(state, command, memory, reference_gains(gains))
+
+
+ENGINES = {
+    "reference": Engine(_fbwa, lambda held, gains: reference.settled(held, reference_gains(gains))),
+    "kernel": Engine(adapters.fbwa, adapters.settled),
+}
+
+
+@pytest.fixture(params=ENGINES.values(), ids=ENGINES)
+def engine(request: pytest.FixtureRequest) -> Engine:
+    return request.param
+
 
 DT = 0.02
 PROMPT = AutopilotTiming(command_latency=0.0, gyro_filter_hz=0.0)
@@ -68,52 +103,64 @@ def _command(roll: float = 0.0, pitch: float = 0.0, throttle: float = 0.5) -> Fb
     return FbwaCommand(np.radians([pitch]), np.radians([roll]), np.array([throttle]))
 
 
-def _once(params: FbwaParams, state: VehicleState, command: FbwaCommand) -> Surfaces:
-    return fbwa(state, command, fresh(1), gains=stack([params], DT, PROMPT))[0]
+def _once(
+    engine: Engine, params: FbwaParams, state: VehicleState, command: FbwaCommand
+) -> ActuatorCommand:
+    return engine.fbwa(state, command, fresh(1), gains=make_gains([params], DT, PROMPT))[0]
 
 
-def test_feed_forward_by_hand() -> None:
+def test_feed_forward_by_hand(engine: Engine) -> None:
     # 10° to go at 0.5 s: 20 °/s; × 0.3 / EAS2TAS 1.02 = 5.882 of 45 degrees of aileron.
-    surfaces = _once(PLAIN, _state(roll=5.0), _command(roll=15.0))
+    surfaces = _once(engine, PLAIN, _state(roll=5.0), _command(roll=15.0))
     assert surfaces.aileron[0] == pytest.approx(20.0 * 0.3 / 1.02 / 45.0, rel=1e-12)
     # Rudder: half the aileron.
     assert surfaces.rudder[0] == pytest.approx(0.5 * surfaces.aileron[0])
 
 
-def test_feed_forward_scales_with_one_over_speed_and_p_with_its_square() -> None:
+def test_feed_forward_scales_with_one_over_speed_and_p_with_its_square(engine: Engine) -> None:
     slow, fast = _state(p=-10.0, eas=16.0), _state(p=-10.0, eas=25.0)
     hold = _command()
     p_only = replace(PLAIN, rll_rate_ff=0.0, rll_rate_p=0.2)
     # Target 0, rate −10 °/s: P × 10 × s², s = 20/EAS.
-    assert _once(p_only, slow, hold).aileron[0] == pytest.approx(0.2 * 10 * (20 / 16) ** 2 / 45)
-    assert _once(p_only, fast, hold).aileron[0] == pytest.approx(0.2 * 10 * (20 / 25) ** 2 / 45)
+    assert _once(engine, p_only, slow, hold).aileron[0] == pytest.approx(
+        0.2 * 10 * (20 / 16) ** 2 / 45
+    )
+    assert _once(engine, p_only, fast, hold).aileron[0] == pytest.approx(
+        0.2 * 10 * (20 / 25) ** 2 / 45
+    )
     roll = _command(roll=10.0)
-    ratio = _once(PLAIN, slow, roll).aileron[0] / _once(PLAIN, fast, roll).aileron[0]
+    ratio = (
+        _once(engine, PLAIN, slow, roll).aileron[0] / _once(engine, PLAIN, fast, roll).aileron[0]
+    )
     assert ratio == pytest.approx(25.0 / 16.0)
 
 
-def test_speed_scaler_stays_in_its_limits() -> None:
+def test_speed_scaler_stays_in_its_limits(engine: Engine) -> None:
     # Highest: max(2, 20/(0.7·10)) = 2.857; lowest: min(0.5, 20/60) = 1/3.
     p_only = replace(PLAIN, rll_rate_ff=0.0, rll_rate_p=0.02)
     slow, fast = _state(p=-10.0, eas=2.0), _state(p=-10.0, eas=100.0)
-    assert _once(p_only, slow, _command()).aileron[0] == pytest.approx(0.2 * (2 / 0.7) ** 2 / 45)
-    assert _once(p_only, fast, _command()).aileron[0] == pytest.approx(0.2 / 9.0 / 45)
+    assert _once(engine, p_only, slow, _command()).aileron[0] == pytest.approx(
+        0.2 * (2 / 0.7) ** 2 / 45
+    )
+    assert _once(engine, p_only, fast, _command()).aileron[0] == pytest.approx(0.2 / 9.0 / 45)
 
 
-def test_low_throttle_lowers_the_nose() -> None:
+def test_low_throttle_lowers_the_nose(engine: Engine) -> None:
     # 30 % of 50 %: 2° × 20/50 = 0.8° off a 2° command, at 0.5 s: 2.4 °/s.
-    surfaces = _once(PLAIN, _state(), _command(pitch=2.0, throttle=0.3))
+    surfaces = _once(engine, PLAIN, _state(), _command(pitch=2.0, throttle=0.3))
     assert surfaces.elevator[0] == pytest.approx(1.2 / 0.5 * 0.4 / 1.02 / 45.0)
     assert surfaces.throttle[0] == 0.3
 
 
-def test_sticks_are_limited() -> None:
-    assert _once(PLAIN, _state(roll=50.0), _command(roll=80.0)).aileron[0] == pytest.approx(0.0)
-    up = _once(replace(PLAIN, ptch2srv_rll=0.0), _state(pitch=20.0), _command(pitch=60.0))
+def test_sticks_are_limited(engine: Engine) -> None:
+    assert _once(engine, PLAIN, _state(roll=50.0), _command(roll=80.0)).aileron[0] == pytest.approx(
+        0.0
+    )
+    up = _once(engine, replace(PLAIN, ptch2srv_rll=0.0), _state(pitch=20.0), _command(pitch=60.0))
     assert up.elevator[0] == pytest.approx(0.0)
     limited = replace(PLAIN, thr_max=75.0)
-    assert _once(limited, _state(), _command(throttle=1.0)).throttle[0] == 0.75
-    assert _once(limited, _state(), _command(throttle=-1.0)).throttle[0] == 0.0
+    assert _once(engine, limited, _state(), _command(throttle=1.0)).throttle[0] == 0.75
+    assert _once(engine, limited, _state(), _command(throttle=-1.0)).throttle[0] == 0.0
 
 
 @pytest.mark.parametrize(
@@ -125,83 +172,85 @@ def test_sticks_are_limited() -> None:
         (20.0, 50.0),  # n = 4: 75°, so ROLL_LIMIT_DEG
     ],
 )
-def test_load_factor_limits_the_bank(eas: float, limit: float) -> None:
-    at_limit = _once(PLAIN, _state(roll=limit, eas=eas), _command(roll=89.0))
+def test_load_factor_limits_the_bank(engine: Engine, eas: float, limit: float) -> None:
+    at_limit = _once(engine, PLAIN, _state(roll=limit, eas=eas), _command(roll=89.0))
     assert at_limit.aileron[0] == pytest.approx(0.0, abs=1e-12)
     stalls_at_8 = replace(PLAIN, airspeed_stall=8.0)
-    more = _once(stalls_at_8, _state(roll=limit, eas=eas), _command(roll=-89.0))
+    more = _once(engine, stalls_at_8, _state(roll=limit, eas=eas), _command(roll=-89.0))
     assert more.aileron[0] < 0.0
 
 
-def test_turns_are_coordinated_in_pitch() -> None:
+def test_turns_are_coordinated_in_pitch(engine: Engine) -> None:
     # q = g/V tan φ sin φ cos θ at 40°, 5°: 9.80665/20.4 · 0.83910 · 0.64279 · 0.99619 rad/s.
-    level = _once(PLAIN, _state(roll=40.0, pitch=5.0), _command(roll=40.0, pitch=5.0))
+    level = _once(engine, PLAIN, _state(roll=40.0, pitch=5.0), _command(roll=40.0, pitch=5.0))
     rate = math.degrees(9.80665 / 20.4 * 0.8390996 * 0.6427876 * 0.9961947)
     assert level.elevator[0] == pytest.approx(rate * 0.4 / 1.02 / 45.0, rel=1e-6)
 
 
-def test_pitch_is_given_up_beyond_the_roll_limit() -> None:
+def test_pitch_is_given_up_beyond_the_roll_limit(engine: Engine) -> None:
     def elevator(roll: float) -> float:
         wanted = _command(roll=roll, pitch=10.0)
-        return float(_once(replace(PLAIN, ptch2srv_rll=0.0), _state(roll=roll), wanted).elevator[0])
+        return float(
+            _once(engine, replace(PLAIN, ptch2srv_rll=0.0), _state(roll=roll), wanted).elevator[0]
+        )
 
     assert elevator(55.0) == pytest.approx(elevator(0.0))
     assert elevator(72.5) == pytest.approx(0.5 * elevator(0.0))  # half way from 55° to 90°
     assert elevator(90.0) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_rates_are_limited_on_each_side() -> None:
+def test_rates_are_limited_on_each_side(engine: Engine) -> None:
     params = replace(
         PLAIN, rll2srv_rmax=30.0, ptch2srv_rmax_up=12.0, ptch2srv_rmax_dn=6.0, ptch2srv_rll=0.0
     )
-    up = _once(params, _state(), _command(roll=45.0, pitch=15.0))
+    up = _once(engine, params, _state(), _command(roll=45.0, pitch=15.0))
     assert up.aileron[0] == pytest.approx(30.0 * 0.3 / 1.02 / 45.0)
     assert up.elevator[0] == pytest.approx(12.0 * 0.4 / 1.02 / 45.0)
-    down = _once(params, _state(), _command(roll=-45.0, pitch=-15.0))
+    down = _once(engine, params, _state(), _command(roll=-45.0, pitch=-15.0))
     assert down.aileron[0] == pytest.approx(-30.0 * 0.3 / 1.02 / 45.0)
     assert down.elevator[0] == pytest.approx(-6.0 * 0.4 / 1.02 / 45.0)
 
 
-def test_integral_grows_is_limited_and_freezes() -> None:
+def test_integral_grows_is_limited_and_freezes(engine: Engine) -> None:
     params = replace(PLAIN, rll_rate_ff=0.0, rll_rate_i=1.0, rll_rate_imax=0.1)
-    gains = stack([params], DT, PROMPT)
+    gains = make_gains([params], DT, PROMPT)
     rolling = _state(p=-10.0)
-    _, memory = fbwa(rolling, _command(), fresh(1), gains=gains)
+    _, memory = engine.fbwa(rolling, _command(), fresh(1), gains=gains)
     # 1 × 10° × 0.02 s of 45°
     assert memory.each["integral"][0, 0] == pytest.approx(10.0 * 0.02 / 45.0)
     for _ in range(200):
-        _, memory = fbwa(rolling, _command(), memory, gains=gains)
+        _, memory = engine.fbwa(rolling, _command(), memory, gains=gains)
     assert memory.each["integral"][0, 0] == pytest.approx(math.degrees(0.1) / 45.0)
     too_slow, before = _state(p=10.0, eas=10.0), memory.each["integral"]
-    _, memory = fbwa(too_slow, _command(), memory, gains=gains)
+    _, memory = engine.fbwa(too_slow, _command(), memory, gains=gains)
     assert np.array_equal(memory.each["integral"], before)
 
 
-def test_integral_does_not_grow_at_full_deflection_but_shrinks() -> None:
+def test_integral_does_not_grow_at_full_deflection_but_shrinks(engine: Engine) -> None:
     params = replace(PLAIN, rll_rate_ff=0.0, rll_rate_p=2.0, rll_rate_i=0.5)
-    gains = stack([params], DT, PROMPT)
+    gains = make_gains([params], DT, PROMPT)
     memory = fresh(1)
     for _ in range(3):
-        surfaces, memory = fbwa(_state(p=-60.0), _command(), memory, gains=gains)
+        surfaces, memory = engine.fbwa(_state(p=-60.0), _command(), memory, gains=gains)
     assert surfaces.aileron[0] == 1.0
     stuck = memory.each["integral"][0, 0]
-    _, memory = fbwa(_state(p=-60.0), _command(), memory, gains=gains)
+    _, memory = engine.fbwa(_state(p=-60.0), _command(), memory, gains=gains)
     assert memory.each["integral"][0, 0] == stuck
-    _, memory = fbwa(_state(p=60.0), _command(), memory, gains=gains)
+    _, memory = engine.fbwa(_state(p=60.0), _command(), memory, gains=gains)
     assert memory.each["integral"][0, 0] < stuck
 
 
-def test_the_loop_against_plain_scalar_arithmetic() -> None:
+def test_the_loop_against_plain_scalar_arithmetic(engine: Engine) -> None:
     """Second route: the rate loop of one axis in scalars, over 50 periods of a moving aircraft."""
     params = read_params(Path(__file__).parents[2] / "aircraft" / "rascal110" / "recorded.param")
-    gains, memory = stack([params], DT, PROMPT), fresh(1)
+    gains, memory = make_gains([params], DT, PROMPT), fresh(1)
     target = error = derivative = integral = output = 0.0
     a_target = DT / (DT + 1.0 / (2.0 * math.pi * params.rll_rate_fltt))
     a_derivative = DT / (DT + 1.0 / (2.0 * math.pi * params.rll_rate_fltd))
     for k in range(50):
         roll, p = 30.0 * math.sin(0.1 * k), 25.0 * math.cos(0.15 * k)
         state = _state(roll=roll, p=p, eas=18.0)
-        surfaces, memory = fbwa(state, _command(roll=20.0), memory, gains=gains)
+        surfaces, memory = engine.fbwa(state, _command(roll=20.0), memory, gains=gains)
         s = 15.0 / 18.0
         wanted = math.radians(max(-90.0, min(90.0, (20.0 - roll) / params.rll2srv_tconst))) * s * s
         last = error
@@ -222,12 +271,12 @@ def test_the_loop_against_plain_scalar_arithmetic() -> None:
         assert surfaces.aileron[0] == pytest.approx(expected, abs=1e-12)
 
 
-def test_commands_act_after_their_latency() -> None:
-    gains = stack([PLAIN], DT, AutopilotTiming(command_latency=0.03, gyro_filter_hz=0.0))
-    _, memory = fbwa(_state(), _command(), fresh(1), gains=gains)
+def test_commands_act_after_their_latency(engine: Engine) -> None:
+    gains = make_gains([PLAIN], DT, AutopilotTiming(command_latency=0.03, gyro_filter_hz=0.0))
+    _, memory = engine.fbwa(_state(), _command(), fresh(1), gains=gains)
     ailerons = []
     for _ in range(3):
-        surfaces, memory = fbwa(_state(), _command(roll=10.0), memory, gains=gains)
+        surfaces, memory = engine.fbwa(_state(), _command(roll=10.0), memory, gains=gains)
         ailerons.append(surfaces.aileron[0])
     # 1.5 periods: nothing, then half way between two samples, then all.
     assert ailerons[0] == 0.0
@@ -235,13 +284,15 @@ def test_commands_act_after_their_latency() -> None:
     assert ailerons[2] == pytest.approx(10.0 / 0.5 * 0.3 / 1.02 / 45.0)
 
 
-def test_gyro_filter_is_settled_passes_constants_and_halves_power_at_its_frequency() -> None:
+def test_gyro_filter_is_settled_passes_constants_and_halves_power_at_its_frequency(
+    engine: Engine,
+) -> None:
     p_only = replace(PLAIN, rll_rate_ff=0.0, rll_rate_p=0.1)
-    gains = stack([p_only], DT, AutopilotTiming(command_latency=0.0, gyro_filter_hz=4.0))
+    gains = make_gains([p_only], DT, AutopilotTiming(command_latency=0.0, gyro_filter_hz=4.0))
     memory, heard = fresh(1), []
     for k in range(400):
         state = _state(p=10.0 * math.cos(2.0 * math.pi * 4.0 * k * DT))
-        surfaces, memory = fbwa(state, _command(), memory, gains=gains)
+        surfaces, memory = engine.fbwa(state, _command(), memory, gains=gains)
         heard.append(surfaces.aileron[0])
     first, amplitude = heard[0], np.sqrt(2.0 * np.mean(np.square(heard[200:])))
     assert first == pytest.approx(-0.1 * 10.0 / 45.0)
@@ -249,15 +300,15 @@ def test_gyro_filter_is_settled_passes_constants_and_halves_power_at_its_frequen
     assert amplitude == pytest.approx(0.1 * 10.0 / 45.0 / math.sqrt(2.0), rel=1e-3)
 
 
-def test_settled_memory_holds_the_surfaces() -> None:
-    gains = stack([replace(PLAIN, servo1_min=1100.0, servo1_max=1900.0)], DT, PROMPT)
-    held = Surfaces(np.array([0.05]), np.array([-0.2]), np.zeros(1), np.array([0.5]))
-    surfaces, _ = fbwa(_state(), _command(), settled(held, gains), gains=gains)
+def test_settled_memory_holds_the_surfaces(engine: Engine) -> None:
+    gains = make_gains([replace(PLAIN, servo1_min=1100.0, servo1_max=1900.0)], DT, PROMPT)
+    held = ActuatorCommand(np.array([0.05]), np.array([-0.2]), np.zeros(1), np.array([0.5]))
+    surfaces, _ = engine.fbwa(_state(), _command(), engine.settled(held, gains), gains=gains)
     assert surfaces.aileron[0] == pytest.approx(0.05)
     assert surfaces.elevator[0] == pytest.approx(-0.2)
 
 
-def test_a_fleet_is_its_members() -> None:
+def test_a_fleet_is_its_members(engine: Engine) -> None:
     """Two aircraft with different tunes at once equal each alone, to the bit."""
     tunes = [PLAIN, replace(PLAIN, rll_rate_p=0.3, rll2srv_tconst=0.2, roll_limit_deg=30.0)]
     one, two = _state(roll=10.0, p=4.0), _state(roll=-20.0, q=3.0, eas=17.0)
@@ -268,53 +319,83 @@ def test_a_fleet_is_its_members() -> None:
         }
     )
     command = FbwaCommand(np.radians([5.0, -3.0]), np.radians([40.0, 20.0]), np.array([0.3, 0.6]))
-    together, _ = fbwa(both, command, fresh(2), gains=stack(tunes, DT))
+    together, _ = engine.fbwa(both, command, fresh(2), gains=make_gains(tunes, DT))
     for i, (tune, state) in enumerate(zip(tunes, (one, two), strict=True)):
         mine = FbwaCommand(command.pitch[[i]], command.roll[[i]], command.throttle[[i]])
-        alone, _ = fbwa(state, mine, fresh(1), gains=stack([tune], DT))
+        alone, _ = engine.fbwa(state, mine, fresh(1), gains=make_gains([tune], DT))
         for name in ("aileron", "elevator", "rudder", "throttle"):
             assert getattr(together, name)[i] == getattr(alone, name)[0]
 
 
 @pytest.mark.parametrize("latency", [0.0, 0.02, 0.05])
 @pytest.mark.parametrize("name", ["recorded", "autopilot"])
-def test_the_compiled_twin_does_the_same(name: str, latency: float) -> None:
+def test_the_kernel_does_what_the_reference_does(name: str, latency: float) -> None:
     """Both over 400 periods of noise that reaches every limit; rounding is all that may differ."""
-    twin = pytest.importorskip("testbed.vehicle.twin", exc_type=ImportError)
     tune = read_params(Path(__file__).parents[2] / "aircraft" / "rascal110" / f"{name}.param")
-    gains = stack([tune, PLAIN, tune], DT, AutopilotTiming(command_latency=latency))
+    gains = make_gains([tune, PLAIN, tune], DT, AutopilotTiming(command_latency=latency))
     rng = np.random.default_rng(7)
     ours = theirs = fresh(3)
-    engines = partial(partial, fly), twin.ready_fly
-    flown = [(standing(ours, gains), np.empty((4, 3))) for _ in range(2)]
-    for k in range(400):
+    autopilots, aircraft = initial_autopilots(gains), allocate(AIRCRAFT, 5)
+    rows = np.array([3, 0, 4])
+    for _ in range(400):
         eas = rng.uniform(8.0, 35.0, 3)
         vectors = rng.normal(0.0, 1.0, (5, 3, 3))
         state = VehicleState(*vectors, airspeed=1.03 * eas, equivalent_airspeed=eas)
         command = FbwaCommand(
             rng.normal(0.0, 0.3, 3), rng.normal(0.0, 1.0, 3), rng.uniform(-0.2, 1.2, 3)
         )
-        one, ours = fbwa(state, command, ours, gains)
-        two, theirs = twin.fbwa(state, command, theirs, gains)
-        for field in Surfaces._fields:
+        one, ours = _fbwa(state, command, ours, gains)
+        two, theirs = adapters.fbwa(state, command, theirs, gains)
+        # the same in some rows of the records of more aircraft
+        mine = allocate(AIRCRAFT, 3)
+        write_fields(mine["estimate"], state)
+        write_fields(mine["command"], command)
+        aircraft[rows] = mine
+        fly_by_wire_a(rows, *autopilots, aircraft)
+        for field in ActuatorCommand._fields:
             assert getattr(two, field) == pytest.approx(getattr(one, field), abs=1e-11)
-        for ready, (memory, told) in zip(engines, flown, strict=True):
-            ready(state, command, memory, gains, told)()
-        if not k:
-            flown = [(memory._replace(begun=True), told) for memory, told in flown]
-        assert np.array_equal(flown[0][1], np.array(one))
-        assert np.array_equal(flown[1][1], np.array(two))
-    for other in (theirs, *(memory for memory, _ in flown)):
-        assert other.commands == pytest.approx(ours.commands, abs=1e-11)
-        for field in MEMORY.names or ():
-            assert other.each[field] == pytest.approx(ours.each[field], rel=1e-9, abs=1e-9)
+            assert np.array_equal(aircraft["surfaces"][field][rows], getattr(two, field))
+            assert not aircraft["surfaces"][field][[1, 2]].any()
+    assert theirs.commands == pytest.approx(ours.commands, abs=1e-11)
+    for field in MEMORY.names or ():
+        assert theirs.each[field] == pytest.approx(ours.each[field], rel=1e-9, abs=1e-9)
+        assert np.array_equal(autopilots.memory[field], theirs.each[field])
+
+
+def test_a_frozen_autopilot_keeps_servos_and_memory() -> None:
+    gains = make_gains([PLAIN, PLAIN], DT, PROMPT)
+    held = ActuatorCommand(*np.full((4, 2), 0.1))
+    autopilots, aircraft = settled_autopilots(gains, held), allocate(AIRCRAFT, 2)
+
+    def step(**command: float) -> list[float]:
+        for row in range(2):
+            one = aircraft[row : row + 1]
+            write_fields(one["estimate"], _state())
+            write_fields(one["command"], _command(**command))
+        fly_by_wire_a(np.arange(2), *autopilots, aircraft)
+        return aircraft["surfaces"]["aileron"].tolist()
+
+    # frozen from the start its servos stay at the trim, and its filters settle all the same
+    aircraft["faults"]["frozen"][1] = True
+    free, frozen = step(roll=20.0)
+    assert free != 0.1
+    assert frozen == 0.1
+    assert autopilots.memory["started"].all()
+    before = autopilots.memory[1].copy()
+    again, frozen = step(roll=-20.0)
+    assert again != free
+    assert frozen == 0.1
+    assert autopilots.memory[1] == before
+    # and freed it flies on
+    aircraft["faults"]["frozen"][1] = False
+    assert step(roll=-20.0)[1] != 0.1
 
 
 def test_an_unfit_timing_is_refused() -> None:
     with pytest.raises(ValueError, match="25 Hz"):
-        stack([PLAIN], DT, AutopilotTiming(gyro_filter_hz=30.0))
+        make_gains([PLAIN], DT, AutopilotTiming(gyro_filter_hz=30.0))
     with pytest.raises(ValueError, match="negative"):
-        stack([PLAIN], DT, AutopilotTiming(command_latency=-0.01))
+        make_gains([PLAIN], DT, AutopilotTiming(command_latency=-0.01))
 
 
 def test_param_formats_and_defaults(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
-"""FOLLOW_TARGET in arrays: as the codec packs it, to the bit, and what its checksum lets through.
+"""FOLLOW_TARGET frames equal those of the codec, and error detection of the checksum.
 
-TESTBED_FRAMES sets how many damaged frames are tried, a hundred for each of its own.
+TESTBED_FRAMES sets the number of damaged frames: a hundred times as many.
 """
 
 import os
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, chisquare
 
-from testbed.frames import (
+from testbed.core.frames import (
     body_rates,
     euler_from_quaternion,
     geodetic_from_ned,
@@ -19,7 +19,8 @@ from testbed.frames import (
     quaternion_xyzw,
     rotation_ned_body,
 )
-from testbed.mavlink.door import Codec, decode
+from testbed.core.records import Broadcast, Origin
+from testbed.mavlink.codec import Codec, decode
 from testbed.mavlink.follow_target import (
     BEGIN_MS,
     FRAME,
@@ -27,19 +28,18 @@ from testbed.mavlink.follow_target import (
     FollowTarget,
     checksum,
 )
-from testbed.network.encoded import turned_over
+from testbed.network.encoding import flip_bits
 from testbed.network.philox import key_of
 from testbed.scenario.network import Network
-from testbed.state import Broadcast, Origin
 
 DAMAGED = 100 * int(os.environ.get("TESTBED_FRAMES", "10000"))
 CHUNK = 1 << 16
-LEVEL = 0.01 / 4  # four tests here ask chance
+LEVEL = 0.01 / 4  # of significance; four statistical tests
 ORIGINS = [Origin(), Origin(-35.5, 149.25, 584.0), Origin(51.0, -179.999, -20.0)]
 
 
-def said(rng, count):
-    """What aircraft say within 2 km, in any attitude but straight up."""
+def broadcasts(rng, count):
+    """Make broadcasts of aircraft within 2 km, in any attitude but near vertical."""
     vectors = [rng.normal(0.0, each, (count, 3)) for each in (700.0, 25.0, 4.0)]
     euler = rng.uniform(-1.0, 1.0, (count, 3)) * [np.pi, 1.5, np.pi]
     return Broadcast(np.floor(rng.uniform(0, 4e6, count)) / 1000, *vectors, euler, rng.normal(
@@ -47,17 +47,17 @@ def said(rng, count):
 
 
 def packed(rng, count, origin=ORIGINS[0]):
-    message = said(rng, count)
+    message = broadcasts(rng, count)
     rows = np.arange(count) % 255
     return message, FollowTarget(origin).pack(message, rows, rows + 200)
 
 
-def spoken(frame):
+def decoded(frame):
     message = decode(frame.tobytes())
     return message if message and message.name == "FOLLOW_TARGET" else None
 
 
-def test_a_frame_has_the_length_that_pages_reckon_with():
+def test_frame_length_is_that_of_the_scenario():
     network = Network.model_validate({"encoding": "follow-target"})
     rng = np.random.default_rng(1)
     assert packed(rng, 3)[1].shape == (3, network.sent_bytes)
@@ -66,8 +66,8 @@ def test_a_frame_has_the_length_that_pages_reckon_with():
 
 
 @pytest.mark.parametrize("origin", ORIGINS)
-def test_frames_are_those_of_the_codec_bit_for_bit(origin):
-    """Its fields are reckoned here one by one, from what each aircraft says."""
+def test_packed_frames_equal_those_of_the_codec(origin):
+    """Every field is computed here for each broadcast."""
     message, frames = packed(np.random.default_rng(2), 200, origin)
     place = geodetic_from_ned(message.position_ned, origin)
     attitude = quaternion_xyzw(message.euler)
@@ -94,7 +94,7 @@ def test_frames_are_those_of_the_codec_bit_for_bit(origin):
 
 
 @pytest.mark.parametrize("origin", ORIGINS)
-def test_what_is_read_is_what_was_said_but_for_the_last_digits_of_the_message(origin):
+def test_unpacked_broadcast_is_the_packed_one(origin):
     message, frames = packed(np.random.default_rng(3), 500, origin)
     read, rows, good = FollowTarget(origin).unpack(frames)
     assert good.all()
@@ -113,18 +113,18 @@ def test_what_is_read_is_what_was_said_but_for_the_last_digits_of_the_message(or
     assert np.abs(again - body_rates(message.euler, message.euler_rates)).max() < 1e-6
 
 
-def test_a_stamp_is_cut_to_whole_milliseconds_and_a_tick_is_one():
+def test_stamp_is_truncated_to_milliseconds():
     ticks = np.arange(200_000) / 200.0
     fine = np.array([0.0009, 12.3456789, 99.9999])
     times = np.concatenate([ticks, fine, [-3600.0, -0.0001]])
     nothing = np.zeros((len(times), 3))
-    coder, rows = FollowTarget(Origin()), np.zeros(len(times), np.int64)
-    read = coder.unpack(coder.pack(Broadcast(times, *[nothing] * 5), rows, rows))[0].stamp_s
+    converter, rows = FollowTarget(Origin()), np.zeros(len(times), np.int64)
+    read = converter.unpack(converter.pack(Broadcast(times, *[nothing] * 5), rows, rows))[0].stamp_s
     assert np.array_equal(read[: len(ticks)], ticks)
     assert read[len(ticks) :].tolist() == [0.0, 12.345, 99.999, -3600.0, -0.001]
 
 
-def test_places_on_the_earth_and_in_ned_are_inverse_and_east_is_the_shorter_way():
+def test_geodetic_and_ned_are_inverse():
     rng = np.random.default_rng(4)
     for origin in ORIGINS:
         ned = rng.normal(0.0, 3000.0, (100, 3))
@@ -134,9 +134,9 @@ def test_places_on_the_earth_and_in_ned_are_inverse_and_east_is_the_shorter_way(
     assert across[1] == pytest.approx(-0.002 * 111_320 * np.cos(np.radians(51.0)), rel=3e-3)
 
 
-def test_angles_of_a_quaternion_are_those_it_was_made_of_whatever_its_length():
+def test_euler_of_quaternion_of_any_norm():
     rng = np.random.default_rng(5)
-    euler = said(rng, 300).euler
+    euler = broadcasts(rng, 300).euler
     lengths = np.exp(rng.uniform(-20, 20, (300, 1)))
     back = euler_from_quaternion(quaternion_xyzw(euler) * lengths)
     assert back == pytest.approx(euler, abs=1e-12)
@@ -146,21 +146,21 @@ def test_angles_of_a_quaternion_are_those_it_was_made_of_whatever_its_length():
 # the checksum
 
 
-def test_no_frame_with_one_wrong_bit_is_read():
-    """All of them, by us and by the codec: start, length, flags, ids, content and checksum."""
-    coder = FollowTarget(Origin())
+def test_checksum_finds_every_single_bit_error():
+    """Test every bit, in arrays and with the codec."""
+    converter = FollowTarget(Origin())
     _, frames = packed(np.random.default_rng(6), 1)
     wrong = frames ^ np.packbits(np.eye(8 * LENGTH, dtype=bool), axis=1)
-    assert not coder.unpack(wrong)[2].any()
+    assert not converter.unpack(wrong)[2].any()
     for frame in wrong:
         assert decode(frame.tobytes()) is None
-        assert not Codec(9, 1).feed(frame.tobytes(), whole=True)
+        assert not Codec(9, 1).feed(frame.tobytes(), datagram=True)
 
 
-def test_two_wrong_bits_are_always_found_and_so_is_any_odd_number():
-    """Each bit changes the checksum in a way of its own, by an odd number of bits.
+def test_checksum_finds_double_and_odd_errors():
+    """Each bit has a different effect on the checksum, of an odd number of bits.
 
-    x^16 + x^12 + x^5 + 1 has a factor x + 1, so what it divides has an even number of bits.
+    x^16 + x^12 + x^5 + 1 has the factor x + 1, so its multiples have an even number of bits.
     """
     _, frames = packed(np.random.default_rng(7), 1)
     summed = np.packbits(np.eye(8 * LENGTH, dtype=bool)[8:-16], axis=1)
@@ -171,22 +171,22 @@ def test_two_wrong_bits_are_always_found_and_so_is_any_odd_number():
     assert all(change.bit_count() % 2 for change in changes.tolist())
 
 
-def test_what_passes_is_read_as_the_codec_reads_it():
-    """Any bytes under a right checksum, numbers that are none among them."""
+def test_any_payload_is_unpacked_like_the_codec():
+    """Any bytes with the right checksum, including NaN."""
     rng = np.random.default_rng(8)
-    coder = FollowTarget(Origin())
+    converter = FollowTarget(Origin())
     _, frames = packed(rng, 400)
     frames[:, 10:-2] = rng.integers(0, 256, (400, LENGTH - 12))
-    frames[:, -3] |= 1  # a last byte of zero would be cut off
+    frames[:, -3] |= 1  # a last byte of zero would be truncated
     floats = frames[:, 34:102].copy().view("<u4")
-    floats[:100] |= 0x7F800000  # exponents of infinities and of what is not a number,
-    floats[:50] &= 0xFFBFFFFF  # half of that signalling
+    floats[:100] |= 0x7F800000  # exponents of infinities and NaN,
+    floats[:50] &= 0xFFBFFFFF  # half of these signalling
     frames[:, 34:102] = floats.view(np.uint8)
     frames.view(FRAME)["checksum"][:, 0] = checksum(frames)
-    read, rows, good = coder.unpack(frames)
+    read, rows, good = converter.unpack(frames)
     assert good.all()
     for k, frame in enumerate(frames):
-        message = spoken(frame)
+        message = decoded(frame)
         assert message.system == rows[k] + 1
         assert read.stamp_s[k] == (float(message.fields["timestamp"]) - BEGIN_MS) / 1000
         for name, ours in (("vel", read.velocity_ned), ("acc", read.acceleration_ned)):
@@ -197,24 +197,24 @@ def test_what_passes_is_read_as_the_codec_reads_it():
         )
 
 
-def test_frames_of_other_kinds_are_not_taken_for_this_message():
-    coder = FollowTarget(Origin())
+def test_frames_of_other_messages_are_rejected():
+    converter = FollowTarget(Origin())
     _, frames = packed(np.random.default_rng(9), 5)
     heads = frames.view(FRAME)[:, 0]
     heads["magic"][0], heads["length"][1], heads["incompat_flags"][2] = 0xFE, 92, 1
     heads["number"][3, 0], heads["number"][4, 1] = 32, 1
-    heads["checksum"] = checksum(frames)  # right, by this message's seed
-    assert not coder.unpack(frames)[2].any()
-    assert not any(spoken(frame) for frame in frames)
+    heads["checksum"] = checksum(frames)  # right with this message's seed
+    assert not converter.unpack(frames)[2].any()
+    assert not any(decoded(frame) for frame in frames)
 
 
 def chunks(count):
-    """(first number, how many) of frames tried together."""
+    """Yield (first number, count) of frames tested together."""
     return [(at, min(CHUNK, count - at)) for at in range(0, count, CHUNK)]
 
 
-def test_of_frames_full_of_noise_one_in_65536_passes():
-    coder = FollowTarget(Origin())
+def test_checksum_passes_one_in_65536_of_noise():
+    converter = FollowTarget(Origin())
     _, frames = packed(np.random.default_rng(10), 1)
     rng = np.random.default_rng(11)
     passed = 0
@@ -223,29 +223,29 @@ def test_of_frames_full_of_noise_one_in_65536_passes():
         noise[:, 10:] = rng.integers(0, 256, (count, LENGTH - 10), dtype=np.uint8)
         sums = noise[:, -2].astype(np.uint16) | noise[:, -1].astype(np.uint16) << 8
         right = np.flatnonzero(checksum(noise) == sums)
-        assert coder.unpack(noise[right])[2].all()
-        assert all(spoken(frame) for frame in noise[right] if frame[-3])
+        assert converter.unpack(noise[right])[2].all()
+        assert all(decoded(frame) for frame in noise[right] if frame[-3])
         passed += len(right)
     assert binomtest(passed, DAMAGED, 2.0**-16).pvalue > LEVEL
 
 
 @pytest.mark.parametrize("bits", [7, 8])
-def test_of_frames_with_an_even_number_of_wrong_bits_twice_as_many_pass_and_of_odd_ones_none(bits):
-    """2^-15 of those whose start, length, flags and message id are not touched, which are shown."""
-    coder = FollowTarget(Origin())
+def test_checksum_pass_rate_by_number_of_errors(bits):
+    """Pass 2^-15 of those with intact start, length, flags and message id."""
+    converter = FollowTarget(Origin())
     _, frames = packed(np.random.default_rng(12), 1)
     tried, passed = DAMAGED // 4, 0
     key = np.array([key_of(3, "damage")], dtype=np.uint64)
     for first, count in chunks(tried):
         number = np.arange(first, first + count)
-        wrong = turned_over(
+        wrong = flip_bits(
             np.repeat(frames, count, axis=0),
             np.full(count, bits),
             np.repeat(key, count, axis=0),
             number,
             np.zeros(count, np.int64),
         )
-        passed += int(coder.unpack(wrong)[2].sum())
+        passed += int(converter.unpack(wrong)[2].sum())
     touched = 8 * (1 + 1 + 1 + 3)
     untouched = Fraction(comb(8 * LENGTH - touched, bits), comb(8 * LENGTH, bits))
     if bits % 2:
@@ -254,20 +254,20 @@ def test_of_frames_with_an_even_number_of_wrong_bits_twice_as_many_pass_and_of_o
         assert binomtest(passed, tried, float(untouched) / 2**15).pvalue > LEVEL
 
 
-def test_as_many_bits_are_turned_over_as_asked_for_anywhere_and_alike():
+def test_flipped_bits_are_uniform():
     rng = np.random.default_rng(13)
     count = 6000
     frames = rng.integers(0, 256, (count, LENGTH), dtype=np.uint8)
     bits = rng.choice([1, 2, 9, 839, 840], count)
     keys = rng.integers(0, 2**32, (count, 2), dtype=np.uint64)
     number, copy = rng.integers(0, 1000, count), rng.integers(0, 2, count)
-    turned = np.unpackbits(turned_over(frames, bits, keys, number, copy) ^ frames, axis=1)
+    turned = np.unpackbits(flip_bits(frames, bits, keys, number, copy) ^ frames, axis=1)
     assert np.array_equal(turned.sum(axis=1), bits)
     few = turned[bits < 100].sum(axis=0)
     assert chisquare(few).pvalue > LEVEL
-    # of all but one, which one is as free
+    # where all but one are flipped, that one is uniform, too
     left = 1 - turned[bits == 839]
     assert chisquare(left.sum(axis=0).reshape(20, 42).sum(axis=1)).pvalue > LEVEL
     some = np.arange(0, count, 7)
-    alone = turned_over(frames[some], bits[some], keys[some], number[some], copy[some])
+    alone = flip_bits(frames[some], bits[some], keys[some], number[some], copy[some])
     assert np.array_equal(np.unpackbits(alone ^ frames[some], axis=1), turned[some])

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from reference.adapters import h
+from reference.formation_barrier import per_agent
 
-from testbed.formation.barrier import NO_BARRIER, Barrier, h, per_agent
+from testbed.formation.barrier import NO_BARRIER, Barrier
 
 LOW, HIGH, EPSILON = 16.0, 30.0, 0.6
 BARRIERS = {

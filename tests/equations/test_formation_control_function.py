@@ -2,15 +2,10 @@
 
 import numpy as np
 import pytest
+from reference.adapters import mu, rho_and_rate
+from reference.formation_control_function import per_agent
 
-from testbed.formation.control_function import (
-    EXAMPLE_2,
-    EXAMPLE_3,
-    example_1,
-    mu,
-    per_agent,
-    rho_and_rate,
-)
+from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
 
 FUNCTIONS = {
     "paper's simulations": example_1(50.0, 1.0, 0.5),

@@ -2,18 +2,23 @@
 
 import numpy as np
 import pytest
-
-from testbed.formation.geometry import (
+from reference.adapters import (
     frame_acceleration,
     frame_rate,
-    slots,
+    from_ned,
     true_slots,
     velocity_frame,
     velocity_rates,
 )
-from testbed.frames import course, flight_path_angle
+from reference.adapters import slot_motions as slots
+
+from testbed.core import frames as core_frames
+from testbed.core.frames import course, flight_path_angle
 
 STEP = 1e-4
+each_frame = pytest.mark.parametrize(
+    "velocity_frame", [core_frames.velocity_frame, velocity_frame], ids=["core", "kernel"]
+)
 OFFSETS = np.array([[0.0, 0.0, 0.0], [-5.0, 5.0, 0.0], [-5.0, -5.0, -4.0]])
 
 
@@ -28,14 +33,16 @@ def random_velocities(count=200):
     return rng.normal(0.0, 1.0, (count, 3)) * rng.uniform(0.1, 40.0, (count, 1))
 
 
-def test_the_frame_is_a_rotation():
+@each_frame
+def test_the_frame_is_a_rotation(velocity_frame):
     frames = velocity_frame(random_velocities())
     product = frames @ frames.transpose(0, 2, 1)
     assert product == pytest.approx(np.broadcast_to(np.eye(3), product.shape), abs=1e-14)
     assert np.linalg.det(frames) == pytest.approx(1.0, abs=1e-14)
 
 
-def test_its_columns_are_forward_right_and_down():
+@each_frame
+def test_its_columns_are_forward_right_and_down(velocity_frame):
     v = random_velocities()
     frames = velocity_frame(v)
     assert frames[:, :, 0] == pytest.approx(v / np.linalg.norm(v, axis=1)[:, None], abs=1e-14)
@@ -45,7 +52,8 @@ def test_its_columns_are_forward_right_and_down():
     assert velocity_frame(np.array([[20.0, 0.0, 0.0]]))[0] == pytest.approx(np.eye(3), abs=0)
 
 
-def test_it_is_the_printed_matrix_24():
+@each_frame
+def test_it_is_the_printed_matrix_24(velocity_frame):
     v = random_velocities()
     sigma, gamma = np.arctan2(v[:, 1], v[:, 0]), -np.arcsin(v[:, 2] / np.linalg.norm(v, axis=1))
     assert course(v) == pytest.approx(sigma, abs=1e-14)
@@ -56,7 +64,15 @@ def test_it_is_the_printed_matrix_24():
     assert velocity_frame(v) == pytest.approx(printed.transpose(2, 0, 1), abs=1e-7)
 
 
-def test_straight_up_counts_as_north():
+def test_vectors_are_resolved_in_the_frame_by_its_transpose():
+    rng = np.random.default_rng(15)
+    v, vectors = random_velocities(), rng.normal(0.0, 20.0, (200, 3))
+    expected = (velocity_frame(v).transpose(0, 2, 1) @ vectors[:, :, None])[:, :, 0]
+    assert from_ned(v, vectors) == pytest.approx(expected, abs=1e-13)
+
+
+@each_frame
+def test_straight_up_counts_as_north(velocity_frame):
     up = velocity_frame(np.array([[0.0, 0.0, -10.0]]))[0]
     assert up == pytest.approx(np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]]), abs=0)
     assert all(np.isfinite(rate).all() for rate in velocity_rates(up[None, 0], up[None, 1]))
@@ -192,12 +208,12 @@ def test_rates_of_a_velocity_are_the_derivatives_of_its_angles():
     v = rng.normal(0.0, 10.0, (200, 3))
     v[:, 0] += np.where(v[:, 0] < 0.0, -5.0, 5.0)  # away from the vertical
     acceleration = rng.normal(0.0, 5.0, (200, 3))
-    course_rate, climb_rate = velocity_rates(v, acceleration)
+    chi_dot, gamma_dot = velocity_rates(v, acceleration)
     step = 1e-5
     ahead, behind = v + step * acceleration, v - step * acceleration
     turned = course(ahead) - course(behind)
     turned -= 2.0 * np.pi * np.round(turned / (2.0 * np.pi))
     climbed = flight_path_angle(ahead) - flight_path_angle(behind)
     # third derivatives below (20/5)³: 1e-10/6 · 64 · 2; rounding 4e-16/1e-5
-    assert turned / (2.0 * step) == pytest.approx(course_rate, abs=5e-8)
-    assert climbed / (2.0 * step) == pytest.approx(climb_rate, abs=5e-8)
+    assert turned / (2.0 * step) == pytest.approx(chi_dot, abs=5e-8)
+    assert climbed / (2.0 * step) == pytest.approx(gamma_dot, abs=5e-8)

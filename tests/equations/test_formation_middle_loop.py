@@ -6,7 +6,6 @@ from formation_cases import (
     DT,
     HIGH,
     LOW,
-    assert_same,
     choose,
     each_loop,
     leaves,
@@ -14,45 +13,45 @@ from formation_cases import (
     middle_states,
     results,
 )
+from reference.formation_middle_loop import MiddleLoopMemory
 
-from testbed.formation import middle_loop as room
-from testbed.formation.flags import Guard, Saturation
-from testbed.formation.geometry import velocity_frame
-from testbed.formation.middle_loop import MiddleLoopMemory, middle_step
-from testbed.state import UnicycleCommand, VehicleState
+from testbed.core.frames import velocity_frame
+from testbed.core.records import UnicycleCommand, VehicleState
+from testbed.formation.flags import LimiterFlag, Saturation
+from testbed.formation.middle_loop import initial_memory
 
 # Straight and level at trim: every error is zero.
 CALM = {
-    "climb": 0.0,
-    "climb_rate": 0.0,
-    "climb_desired": 0.0,
-    "climb_rate_desired": 0.0,
+    "gamma": 0.0,
+    "gamma_dot": 0.0,
+    "gamma_desired": 0.0,
+    "gamma_dot_desired": 0.0,
     "course": 0.0,
-    "course_rate": 0.0,
+    "chi_dot": 0.0,
     "course_desired": 0.0,
-    "course_rate_desired": 0.0,
+    "chi_dot_desired": 0.0,
     "speed": 20.0,
     "bank": 0.0,
     "attitude": 0.0,
     "altitude": 100.0,
     "airspeed": 22.0,
     "airspeed_command": 22.0,
-    "guards": 0,
+    "limiter_flags": 0,
 }
 
 
-def along(climb, course):
+def along(gamma, course):
     return np.array(
-        [[np.cos(climb) * np.cos(course), np.cos(climb) * np.sin(course), -np.sin(climb)]]
+        [[np.cos(gamma) * np.cos(course), np.cos(gamma) * np.sin(course), -np.sin(gamma)]]
     )
 
 
 def flying(**changes):
     """The state and the command of one agent that flies like this."""
     it = {**CALM, **changes}
-    velocity = it["speed"] * along(it["climb"], it["course"])
+    velocity = it["speed"] * along(it["gamma"], it["course"])
     (_, right, down) = velocity_frame(velocity)[0].T
-    turning = it["course_rate"] * np.cos(it["climb"]) * right - it["climb_rate"] * down
+    turning = it["chi_dot"] * np.cos(it["gamma"]) * right - it["gamma_dot"] * down
     own = VehicleState(
         position_ned=np.array([[0.0, 0.0, -it["altitude"]]]),
         velocity_ned=velocity,
@@ -62,13 +61,13 @@ def flying(**changes):
         airspeed=np.array([it["airspeed"]]),
         equivalent_airspeed=np.array([it["airspeed"]]),
     )
-    yawing = it["course_rate_desired"] * np.cos(it["climb"])
+    yawing = it["chi_dot_desired"] * np.cos(it["gamma"])
     told = UnicycleCommand(
         speed=np.array([it["airspeed_command"] - it["airspeed"] + it["speed"]]),
-        turn=np.array([[0.0, it["climb_rate_desired"], yawing]]),
+        omega=np.array([[0.0, it["gamma_dot_desired"], yawing]]),
         speed_desired=np.array([21.5]),
-        direction=along(it["climb_desired"], it["course_desired"]),
-        guards=np.array([it["guards"]], dtype=np.uint8),
+        direction=along(it["gamma_desired"], it["course_desired"]),
+        limiter_flags=np.array([it["limiter_flags"]], dtype=np.uint8),
     )
     return own, told
 
@@ -77,7 +76,7 @@ def run(middle, memory=None, loop=None, **changes):
     """One step of one agent: pitch, roll, throttle, memory, flags."""
     loop = loop or make_middle(1)
     command, after, diagnosis = middle(loop, *flying(**changes), memory or loop.start())
-    assert diagnosis.saturations.dtype == diagnosis.guards.dtype == np.uint8
+    assert diagnosis.saturations.dtype == diagnosis.limiter_flags.dtype == np.uint8
     return command, after, Saturation(int(diagnosis.saturations[0]))
 
 
@@ -99,14 +98,14 @@ def test_19_by_hand(middle):
     # 0.10 − 1.5 (0.04 − 0.10) − 0.2·0.3 − 0.1 (0.05 − 0.02) = 0.10 + 0.09 − 0.06 − 0.003
     command, memory, _ = run(
         middle,
-        integrals(climb=0.3),
-        climb=0.04,
-        climb_desired=0.10,
-        climb_rate=0.05,
-        climb_rate_desired=0.02,
+        integrals(gamma=0.3),
+        gamma=0.04,
+        gamma_desired=0.10,
+        gamma_dot=0.05,
+        gamma_dot_desired=0.02,
     )
     assert command.pitch[0] == pytest.approx(0.127, abs=1e-15)
-    assert memory.climb[0] == pytest.approx(0.3 - 0.04 * 0.06, abs=1e-16)
+    assert memory.gamma[0] == pytest.approx(0.3 - 0.04 * 0.06, abs=1e-16)
 
 
 @each_loop
@@ -115,12 +114,12 @@ def test_20_by_hand(middle):
     command, memory, _ = run(
         middle,
         integrals(course=1.5),
-        climb=0.2,
-        climb_desired=0.2,
+        gamma=0.2,
+        gamma_desired=0.2,
         course=0.02,
         course_desired=0.05,
-        course_rate=0.08,
-        course_rate_desired=0.10,
+        chi_dot=0.08,
+        chi_dot_desired=0.10,
     )
     turning = np.arctan(2.0 * 0.9800665778 / 9.81)
     assert command.roll[0] == pytest.approx(turning + 0.12 - 0.03 + 0.01, abs=1e-10)
@@ -131,7 +130,7 @@ def test_20_by_hand(middle):
 def test_a_steady_turn_needs_no_feedback(middle):
     # tan φ = V σ̇/g: 120 m radius at 22 m/s is 22.35°
     turn = 22.0 / 120.0
-    command, _, _ = run(middle, speed=22.0, course_rate=turn, course_rate_desired=turn)
+    command, _, _ = run(middle, speed=22.0, chi_dot=turn, chi_dot_desired=turn)
     assert np.degrees(command.roll[0]) == pytest.approx(22.35, abs=0.01)
 
 
@@ -161,7 +160,7 @@ def test_the_course_error_takes_the_short_way_round(middle):
 
 # of each command its integral, its flag, its limits, and the error that lowers it
 CASES = {
-    "pitch": ("climb", Saturation.PITCH, -np.pi / 9.0, np.pi / 9.0, "climb"),
+    "pitch": ("gamma", Saturation.PITCH, -np.pi / 9.0, np.pi / 9.0, "gamma"),
     "roll": ("course", Saturation.ROLL, -5 * np.pi / 18, 5 * np.pi / 18, "course"),
     "throttle": ("speed", Saturation.THROTTLE, 0.0, 1.0, "airspeed"),
 }
@@ -176,7 +175,7 @@ def saturating(channel):
 
 
 every_channel = pytest.mark.parametrize("channel", [*CASES, "altitude"])
-LARGE = {"airspeed": 10.0, "altitude": 50.0, "climb": 0.5, "course": 0.5}
+LARGE = {"airspeed": 10.0, "altitude": 50.0, "gamma": 0.5, "course": 0.5}
 
 
 @each_loop
@@ -205,7 +204,7 @@ def test_an_integral_that_holds_a_command_at_its_limit_unwinds(middle, channel, 
 
 @each_loop
 def test_flags_add_up(middle):
-    _, _, flags = run(middle, climb=-1.0, course=-1.0, airspeed=42.0)
+    _, _, flags = run(middle, gamma=-1.0, course=-1.0, airspeed=42.0)
     assert flags == Saturation.PITCH | Saturation.ROLL | Saturation.THROTTLE
 
 
@@ -221,7 +220,7 @@ def test_saturated_commands_are_flagged(middle):
 @each_loop
 def test_the_derivative_acts_on_the_error_of_the_rate(middle):
     # a rate that is as desired costs nothing, however large
-    command, _, _ = run(middle, climb_rate=0.3, climb_rate_desired=0.3)
+    command, _, _ = run(middle, gamma_dot=0.3, gamma_dot_desired=0.3)
     assert command.pitch[0] == pytest.approx(0.0, abs=1e-16)
 
 
@@ -234,14 +233,16 @@ def test_the_commanded_airspeed_stays_in_the_bounds(middle):
     own, told, memory = middle_states(400, rng)
     _, _, diagnosis = middle(make_middle(400), own, told, memory)
     wanted = told.speed + own.airspeed - np.linalg.norm(own.velocity_ned, axis=1)
-    assert diagnosis.speed_command == pytest.approx(np.clip(wanted, LOW, HIGH), abs=1e-12)
-    assert diagnosis.speed_command.min() == LOW and diagnosis.speed_command.max() == HIGH
-    clipped = (diagnosis.guards & Guard.SPEED_COMMAND_CLIPPED) != 0
-    at_bound = (diagnosis.speed_command == LOW) | (diagnosis.speed_command == HIGH)
+    assert diagnosis.airspeed_command == pytest.approx(np.clip(wanted, LOW, HIGH), abs=1e-12)
+    assert diagnosis.airspeed_command.min() == LOW and diagnosis.airspeed_command.max() == HIGH
+    clipped = (diagnosis.limiter_flags & LimiterFlag.SPEED_COMMAND_CLIPPED) != 0
+    at_bound = (diagnosis.airspeed_command == LOW) | (diagnosis.airspeed_command == HIGH)
     assert (clipped == at_bound).all()
     assert 0 < clipped.sum() < 400
     # what the law said of itself is kept
-    assert (diagnosis.guards & ~Guard.SPEED_COMMAND_CLIPPED == told.guards).all()
+    assert (
+        diagnosis.limiter_flags & ~LimiterFlag.SPEED_COMMAND_CLIPPED == told.limiter_flags
+    ).all()
     assert np.array_equal(diagnosis.speed_desired, told.speed_desired)
 
 
@@ -273,7 +274,7 @@ def test_the_two_readings_of_21_differ_by_the_wind(middle, wind):
 @each_loop
 def test_the_altitude_hold_by_hand(middle):
     # 4 m too high, climbing 20 sin 0.1: − 0.026·4 − 0.0017·2 − 0.0105·20 sin 0.1
-    command, memory, flags = run(middle, integrals(altitude=2.0), HELD, altitude=104.0, climb=0.1)
+    command, memory, flags = run(middle, integrals(altitude=2.0), HELD, altitude=104.0, gamma=0.1)
     sinking = -0.026 * 4.0 - 0.0017 * 2.0 - 0.0105 * 20.0 * np.sin(0.1)
     assert command.pitch[0] == pytest.approx(sinking, abs=1e-15)
     assert memory.altitude[0] == pytest.approx(2.0 + 0.04 * 4.0, abs=1e-14)
@@ -283,17 +284,17 @@ def test_the_altitude_hold_by_hand(middle):
 @each_loop
 def test_who_holds_an_altitude_asks_nobody_for_its_pitch(middle):
     """What the law says of climbing changes no pitch, and its integral of (19) stays at rest."""
-    calm, memory, _ = run(middle, integrals(climb=0.7), HELD, altitude=103.0)
+    calm, memory, _ = run(middle, integrals(gamma=0.7), HELD, altitude=103.0)
     asked, _, _ = run(
         middle,
-        integrals(climb=0.7),
+        integrals(gamma=0.7),
         HELD,
         altitude=103.0,
-        climb_desired=0.3,
-        climb_rate_desired=0.2,
+        gamma_desired=0.3,
+        gamma_dot_desired=0.2,
     )
     assert asked.pitch[0] == calm.pitch[0] == pytest.approx(-0.026 * 3.0, abs=1e-15)
-    assert memory.climb[0] == 0.0
+    assert memory.gamma[0] == 0.0
     # and who holds none keeps that integral at rest
     _, memory, _ = run(middle, integrals(altitude=3.0))
     assert memory.altitude[0] == 3.0
@@ -304,10 +305,10 @@ def test_the_incidence_is_fed_forward(middle):
     # θ = γ + 3°: the pitch that is held is the pitch that is asked for, and errors come on top
     loop = make_middle(1, incidence=1.0)
     attitude = 0.1 + np.radians(3.0)
-    level = {"climb": 0.1, "climb_desired": 0.1, "attitude": attitude}
+    level = {"gamma": 0.1, "gamma_desired": 0.1, "attitude": attitude}
     command, _, _ = run(middle, loop=loop, **level)
     assert command.pitch[0] == pytest.approx(attitude, abs=1e-15)
-    command, _, _ = run(middle, loop=loop, **{**level, "climb_desired": 0.15})
+    command, _, _ = run(middle, loop=loop, **{**level, "gamma_desired": 0.15})
     assert command.pitch[0] == pytest.approx(attitude + 0.05 + 1.5 * 0.05, abs=1e-15)
 
 
@@ -323,7 +324,7 @@ def test_a_bank_takes_more_incidence(middle):
 def test_a_climb_takes_more_throttle(middle):
     # 0.4 of throttle per sine of the angle that is asked for, whatever is flown
     loop = make_middle(1, eta_climb=0.4)
-    command, _, _ = run(middle, loop=loop, climb_desired=np.pi / 6.0, climb=0.5)
+    command, _, _ = run(middle, loop=loop, gamma_desired=np.pi / 6.0, gamma=0.5)
     assert command.throttle[0] == pytest.approx(0.22 + 0.2, abs=1e-15)
 
 
@@ -336,15 +337,15 @@ def bank_of(turn, speed=20.0):
 def test_the_bank_of_a_turn_is_led(middle, time_constant):
     """By hand: the first step knows no rate, the second takes its filtered part of it."""
     loop = make_middle(1, roll_lead=0.5, lead_filter=time_constant, course_d=0.0)
-    command, memory, _ = run(middle, loop=loop, course_rate_desired=0.10)
+    command, memory, _ = run(middle, loop=loop, chi_dot_desired=0.10)
     assert command.roll[0] == pytest.approx(bank_of(0.10), abs=1e-15)
     assert memory.turn_bank_rate[0] == 0.0
-    command, memory, _ = run(middle, memory, loop, course_rate_desired=0.11)
+    command, memory, _ = run(middle, memory, loop, chi_dot_desired=0.11)
     part = DT / (DT + time_constant)
     rate = part * (bank_of(0.11) - bank_of(0.10)) / DT
     assert memory.turn_bank_rate[0] == pytest.approx(rate, abs=1e-14)
     assert command.roll[0] == pytest.approx(bank_of(0.11) + 0.5 * rate, abs=1e-14)
-    command, memory, _ = run(middle, memory, loop, course_rate_desired=0.11)
+    command, memory, _ = run(middle, memory, loop, chi_dot_desired=0.11)
     assert memory.turn_bank_rate[0] == pytest.approx((1.0 - part) * rate, abs=1e-14)
 
 
@@ -356,7 +357,7 @@ def test_a_lead_is_the_turn_of_later(middle):
     memory = loop.start()
     for k in range(60):
         turn = 9.81 / 20.0 * np.tan(roll_rate * k * DT)
-        command, memory, _ = run(middle, memory, loop, course_rate_desired=turn)
+        command, memory, _ = run(middle, memory, loop, chi_dot_desired=turn)
         if k == 30:
             # the filter has forgotten its start but for (0.1/0.14)^30, some 4e-5
             later = roll_rate * (k * DT + lead)
@@ -367,32 +368,32 @@ def test_a_lead_is_the_turn_of_later(middle):
 def test_measured_rates_are_averaged_from_the_first_on(middle):
     # 0.04/(0.04 + 0.06) of a new sample
     loop = make_middle(1, rate_filter=0.06)
-    _, memory, _ = run(middle, loop=loop, course_rate=0.2, climb_rate=-0.1)
-    assert (memory.course_rate[0], memory.climb_rate[0]) == pytest.approx((0.2, -0.1), abs=1e-15)
-    command, memory, _ = run(middle, memory, loop, course_rate=0.3, climb_rate=0.1)
-    assert memory.course_rate[0] == pytest.approx(0.6 * 0.2 + 0.4 * 0.3, abs=1e-15)
-    assert memory.climb_rate[0] == pytest.approx(-0.6 * 0.1 + 0.4 * 0.1, abs=1e-15)
+    _, memory, _ = run(middle, loop=loop, chi_dot=0.2, gamma_dot=-0.1)
+    assert (memory.chi_dot[0], memory.gamma_dot[0]) == pytest.approx((0.2, -0.1), abs=1e-15)
+    command, memory, _ = run(middle, memory, loop, chi_dot=0.3, gamma_dot=0.1)
+    assert memory.chi_dot[0] == pytest.approx(0.6 * 0.2 + 0.4 * 0.3, abs=1e-15)
+    assert memory.gamma_dot[0] == pytest.approx(-0.6 * 0.1 + 0.4 * 0.1, abs=1e-15)
     assert command.roll[0] == pytest.approx(-0.5 * 0.24, abs=1e-15)
     assert command.pitch[0] == pytest.approx(-0.1 * -0.02, abs=1e-15)
 
 
 @each_loop
 def test_without_a_filter_rates_are_those_measured_now(middle):
-    memory = integrals(course_rate=5.0, climb_rate=-5.0)
-    _, memory, _ = run(middle, memory, course_rate=0.3, climb_rate=0.1)
-    assert (memory.course_rate[0], memory.climb_rate[0]) == pytest.approx((0.3, 0.1), abs=1e-15)
+    memory = integrals(chi_dot=5.0, gamma_dot=-5.0)
+    _, memory, _ = run(middle, memory, chi_dot=0.3, gamma_dot=0.1)
+    assert (memory.chi_dot[0], memory.gamma_dot[0]) == pytest.approx((0.3, 0.1), abs=1e-15)
 
 
 # agents
 
 
 def test_it_starts_at_rest():
-    memory = make_middle(3).start()
-    begun = ("climb", "course", "speed", "altitude", "turn_bank_rate")
+    begun = ("gamma", "course", "speed", "altitude", "turn_bank_rate")
+    records = initial_memory(3)
     for name in MiddleLoopMemory._fields:
-        value = getattr(memory, name)
-        assert value.shape == (3,)
-        assert (value == 0.0).all() if name in begun else np.isnan(value).all(), name
+        for value in (getattr(make_middle(3).start(), name), records[name]):
+            assert value.shape == (3,)
+            assert (value == 0.0).all() if name in begun else np.isnan(value).all(), name
 
 
 def mixed(n, rng):
@@ -422,12 +423,3 @@ def test_a_step_writes_into_nothing_it_is_given(middle):
     for record, copies in zip(given, before, strict=True):
         for name, array in leaves(record):
             np.testing.assert_array_equal(array, copies[name], err_msg=name)
-
-
-def test_the_step_that_flies_is_the_step_that_is_read():
-    assert room.STEP.__wrapped__ is middle_step
-    rng = np.random.default_rng(35)
-    loop, given = mixed(3, rng), middle_states(3, rng)
-    assert_same(
-        results(loop.step(*given)), results(middle_step(loop, *given)), rtol=1e-11, atol=1e-12
-    )

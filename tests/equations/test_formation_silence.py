@@ -17,12 +17,12 @@ from formation_cases import (
     same,
     states,
 )
+from reference.formation_message_extrapolation import times
 
-from testbed.formation import leader as leading
-from testbed.formation.flags import Guard
-from testbed.formation.measurement import times
-from testbed.frames import velocity_frame
-from testbed.state import Inbox
+from testbed.core.frames import velocity_frame
+from testbed.core.records import Inbox
+from testbed.formation import leader_filter as leading
+from testbed.formation.flags import LimiterFlag
 
 NEVER, LONG_AGO = "never", "long ago"
 each_way = pytest.mark.parametrize("way", [NEVER, LONG_AGO])
@@ -44,7 +44,7 @@ def unhear(inbox, links, way):
 @each_way
 def test_who_does_not_hear_the_leader_flies_level_straight_on(step, way):
     rng = np.random.default_rng(21)
-    law = make_law(3, rng, silent_airspeed=np.array([20.0, 21.0, 22.0]))
+    law = make_law(3, rng, lost_leader_airspeed=np.array([20.0, 21.0, 22.0]))
     own, inbox, memory = states(3, rng, low=20.0, high=24.0)
     quiet = unhear(inbox, np.s_[1, 0], way)
     told, after = step(law, NOW, own, quiet, memory)
@@ -55,20 +55,20 @@ def test_who_does_not_hear_the_leader_flies_level_straight_on(step, way):
     assert told.speed_desired[1] == told.speed[1]
     assert told.direction[1] == pytest.approx(level / np.linalg.norm(level), abs=1e-15)
     # (15) where ẏ_d = 0: c sin(γ_d − γ) upwards, nothing to the side
-    climb = np.arcsin(-own.velocity_ned[1, 2] / speed)
-    assert told.turn[1] == pytest.approx([0.0, -law.c[1] * np.sin(climb), 0.0], abs=1e-15)
-    assert told.guards[1] == Guard.LEADER_SILENT
+    gamma = np.arcsin(-own.velocity_ned[1, 2] / speed)
+    assert told.omega[1] == pytest.approx([0.0, -law.c[1] * np.sin(gamma), 0.0], abs=1e-15)
+    assert told.limiter_flags[1] == LimiterFlag.LEADER_TIMEOUT
     for name, array in results((told, after)).items():
-        forgotten = name in ("memory.time_s", "memory.speed", "memory.climb")
-        if name in ("memory.silent_since", "memory.silent_course"):
+        forgotten = name in ("memory.time_s", "memory.speed", "memory.gamma")
+        if name in ("memory.timeout_since", "memory.timeout_course"):
             assert np.isnan(array[[0, 2]]).all(), name
-        if name not in ("memory.place", "memory.place_time_s"):
+        if name not in ("memory.held_position", "memory.held_time_s"):
             assert np.isnan(array[1]) if forgotten else np.isfinite(array[1]).all(), name
     # nothing of that leaks to the others
     heard = results(step(law, NOW, own, inbox, memory))
     for name, array in results((told, after)).items():
         np.testing.assert_array_equal(array[[0, 2]], heard[name][[0, 2]], err_msg=name)
-    assert not (told.guards[[0, 2]] & Guard.LEADER_SILENT).any()
+    assert not (told.limiter_flags[[0, 2]] & LimiterFlag.LEADER_TIMEOUT).any()
 
 
 @each_engine
@@ -78,7 +78,9 @@ def test_or_round_in_a_circle(step, middle, way):
     """Level flight at 22 m/s, 20° of bank: σ̇ = g tan 20°/22; (20) banks for that rate."""
     rng = np.random.default_rng(67)
     rate = 9.81 * np.tan(np.radians(20.0)) / 22.0
-    law = make_law(2, rng, silent_turn=np.array([rate, -rate]), silent_airspeed=same(22.0, 2))
+    law = make_law(
+        2, rng, lost_leader_turn_rate=np.array([rate, -rate]), lost_leader_airspeed=same(22.0, 2)
+    )
     own, inbox, memory = states(2, rng)
     course = np.array([0.7, -2.0])
     velocity = 22.0 * np.column_stack([np.cos(course), np.sin(course), np.zeros(2)])
@@ -91,13 +93,13 @@ def test_or_round_in_a_circle(step, middle, way):
     )
     told, _ = step(law, NOW, own, unhear(inbox, np.s_[:, 0], way), memory)
     assert told.speed == pytest.approx([22.0, 22.0], abs=1e-13)
-    assert told.turn == pytest.approx(np.array([[0, 0, rate], [0, 0, -rate]]), abs=1e-15)
+    assert told.omega == pytest.approx(np.array([[0, 0, rate], [0, 0, -rate]]), abs=1e-15)
     loop = make_middle(2)
     command, _, diagnosis = middle(loop, own, told, loop.start())
     assert np.degrees(command.roll) == pytest.approx([20.0, -20.0], abs=1e-11)
     assert command.pitch == pytest.approx([0.0, 0.0], abs=1e-15)
     assert command.throttle == pytest.approx([0.22, 0.22], abs=1e-14)
-    assert (diagnosis.guards == Guard.LEADER_SILENT).all()
+    assert (diagnosis.limiter_flags == LimiterFlag.LEADER_TIMEOUT).all()
 
 
 @each_engine
@@ -106,13 +108,13 @@ def test_or_round_in_a_circle(step, middle, way):
 def test_the_course_of_the_silence_is_that_at_its_beginning(step, way, rate):
     """Blown off it, or left with a bank, a follower turns back; in a circle it keeps its phase."""
     rng = np.random.default_rng(73)
-    law = make_law(2, rng, silent_turn=same(rate, 2))
+    law = make_law(2, rng, lost_leader_turn_rate=same(rate, 2))
     own, inbox, memory = states(2, rng)
     own.velocity_ned[:] = [[20.0, 0.0, 0.0], [0.0, 20.0, 0.0]]
     quiet = unhear(inbox, np.s_[:, 0], way)
     _, memory = step(law, NOW, own, quiet, memory)
-    assert memory.silent_since.tolist() == [NOW, NOW]
-    assert memory.silent_course == pytest.approx([0.0, np.pi / 2.0], abs=1e-15)
+    assert memory.timeout_since.tolist() == [NOW, NOW]
+    assert memory.timeout_course == pytest.approx([0.0, np.pi / 2.0], abs=1e-15)
     off = 0.1
     own.velocity_ned[:] = 20.0 * np.array(
         [[np.cos(off), np.sin(off), 0.0], [-np.sin(off), np.cos(off), 0.0]]
@@ -125,12 +127,12 @@ def test_the_course_of_the_silence_is_that_at_its_beginning(step, way, rate):
     # (15): c sin(σ_d − σ) + σ̇_d cos²(σ_d − σ) less what the rate takes of c, by hand
     gap = 2.0 * rate - off
     pull = (law.c + rate * np.sin(gap)) * np.sin(gap) + rate * np.cos(gap) ** 2
-    assert told.turn[:, 2] == pytest.approx(pull, abs=1e-13)
-    assert np.array_equal(after.silent_since, memory.silent_since)
-    assert np.array_equal(after.silent_course, memory.silent_course)
+    assert told.omega[:, 2] == pytest.approx(pull, abs=1e-13)
+    assert np.array_equal(after.timeout_since, memory.timeout_since)
+    assert np.array_equal(after.timeout_course, memory.timeout_course)
     _, heard = step(law, NOW + 2.04, own, inbox, after)
-    assert np.isnan(heard.silent_since).all()
-    assert np.isnan(heard.silent_course).all()
+    assert np.isnan(heard.timeout_since).all()
+    assert np.isnan(heard.timeout_course).all()
 
 
 @each_engine
@@ -142,28 +144,28 @@ def test_the_turn_back_to_level_is_by_the_gain_of_that_speed(step, way):
     own, inbox, memory = states(2, rng)
     own.velocity_ned[:] = [22.0 * np.cos(0.2), 0.0, -22.0 * np.sin(0.2)]
     told, _ = step(law, NOW, own, unhear(inbox, np.s_[:, 0], way), memory)
-    flown = law.silent_airspeed + 22.0 - own.airspeed
+    flown = law.lost_leader_airspeed + 22.0 - own.airspeed
     gain = 0.02 + np.array([0.0, 4e-4]) * flown**2
-    assert told.turn[:, 1] == pytest.approx(-gain * np.sin(0.2), rel=1e-12)
+    assert told.omega[:, 1] == pytest.approx(-gain * np.sin(0.2), rel=1e-12)
 
 
 @each_engine
 def test_news_count_as_old_when_they_are_older_than_that(step):
-    """By the time of receipt, whatever their stamps; exactly `silent_after` is not too old."""
+    """By the time of receipt, whatever their stamps; exactly `leader_timeout_s` is not too old."""
     rng = np.random.default_rng(69)
-    law = make_law(3, rng, silent_after=2.0)
+    law = make_law(3, rng, leader_timeout_s=2.0)
     own, inbox, memory = states(3, rng)
     inbox.received_s[:, 0] = NOW - np.array([2.0, 2.0 + 1e-9, 0.0])
     inbox.stamp_s[:, 0] = NOW - np.array([2.1, 2.1, 60.0])
     told, _ = step(law, NOW, own, inbox, memory)
-    assert (told.guards & Guard.LEADER_SILENT != 0).tolist() == [False, True, False]
+    assert (told.limiter_flags & LimiterFlag.LEADER_TIMEOUT != 0).tolist() == [False, True, False]
 
 
 @each_engine
 @each_way
 def test_a_neighbour_not_heard_is_left_out_of_the_sum(step, way):
     rng = np.random.default_rng(22)
-    law = make_law(3, rng, gains=rng.uniform(0.5, 1.0, (3, 4, 3)), stale_after=4.0)
+    law = make_law(3, rng, gains=rng.uniform(0.5, 1.0, (3, 4, 3)), neighbour_timeout_s=4.0)
     own, inbox, memory = states(3, rng)
     without = replace(law, gains=law.gains.copy())
     without.gains[0, 2] = 0.0
@@ -184,9 +186,9 @@ def test_in_silence_what_was_known_of_the_leader_waits_or_is_dropped(step):
     own, inbox, memory = states(2, rng)
     _, after = step(law, NOW, own, unhear(inbox, np.s_[:, 0], LONG_AGO), memory)
     assert np.array_equal(after.acceleration, memory.acceleration)
-    assert after.speed_rate.tolist() == after.climb_rate.tolist() == [0.0, 0.0]
+    assert after.speed_rate.tolist() == after.gamma_dot.tolist() == [0.0, 0.0]
     _, again = step(law, NOW + 0.04, own, inbox, after)
-    assert again.speed_rate.tolist() == again.climb_rate.tolist() == [0.0, 0.0]
+    assert again.speed_rate.tolist() == again.gamma_dot.tolist() == [0.0, 0.0]
     assert np.array_equal(again.time_s, times(inbox, law.from_timestamp)[:, 0])
 
 
@@ -200,7 +202,7 @@ def test_once_it_hears_again_it_flies_as_if_it_had_always_heard(step):
     own, inbox, memory = states(3, rng)
     memory = memory._replace(time_s=times(inbox, law.from_timestamp)[:, 0] - 0.04)
     deaf, after = step(law, NOW, own, unhear(inbox, np.s_[:, 0], LONG_AGO), memory)
-    assert (deaf.guards & Guard.LEADER_SILENT).all()
+    assert (deaf.limiter_flags & LimiterFlag.LEADER_TIMEOUT).all()
     again, _ = step(law, NOW, own, inbox, after)
     always, _ = step(law, NOW, own, inbox, memory)
     for name in again._fields:
@@ -213,7 +215,7 @@ def test_a_leader_that_is_mute_for_two_seconds(step):
     """Muted in [1, 3) s, forgotten 0.5 s after its last word at 0.96 s, heard again at 3 s."""
     rng = np.random.default_rng(72)
     n = 2
-    law = make_law(n, rng, silent_after=0.5, horizontal=flags(False, n))
+    law = make_law(n, rng, leader_timeout_s=0.5, horizontal=flags(False, n))
     flagged = []
     own, _, _ = states(n, rng)
     memory = law.start(own)
@@ -226,8 +228,8 @@ def test_a_leader_that_is_mute_for_two_seconds(step):
             said, said, said[:, :, None] * velocity, velocity, *np.zeros((3, n, n + 1, 3))
         )
         told, memory = step(law, now, own, inbox, memory)
-        if (told.guards & Guard.LEADER_SILENT).any():
-            assert (told.guards & Guard.LEADER_SILENT).all()
+        if (told.limiter_flags & LimiterFlag.LEADER_TIMEOUT).any():
+            assert (told.limiter_flags & LimiterFlag.LEADER_TIMEOUT).all()
             flagged.append(now)
     # 0.96 + 0.5 = 1.46 s: the next control tick after it is 1.48 s
     assert (flagged[0], flagged[-1]) == pytest.approx((1.48, 2.96), abs=1e-12)
@@ -249,7 +251,11 @@ def places_of(inbox, horizontal):
 def all_heard_now(n, rng, **changes):
     """A law that holds whoever it does not hear, and what n agents know if all news is of now."""
     gains = rng.uniform(0.3, 1.0, (n, n + 1, 3))
-    law = make_law(n, rng, **{**mixed_options(n, rng), "gains": gains, "hold": True, **changes})
+    law = make_law(
+        n,
+        rng,
+        **{**mixed_options(n, rng), "gains": gains, "hold_stale_neighbours": True, **changes},
+    )
     own, inbox, memory = states(n, rng, low=19.0, high=27.0)
     inbox.stamp_s[:] = inbox.received_s[:] = NOW
     return law, own, inbox, memory
@@ -266,13 +272,13 @@ def test_the_place_of_a_neighbour_is_remembered_when_it_says_something_new(step)
     said_s = times(inbox, law.from_timestamp).copy()
     said_s[:, 0] = np.nan
     for link in ((1, 3), (2, 4)):
-        expected[link], said_s[link] = memory.place[link], memory.place_time_s[link]
-    np.testing.assert_allclose(after.place, expected, rtol=1e-13, atol=1e-13)
-    np.testing.assert_array_equal(after.place_time_s, said_s)
+        expected[link], said_s[link] = memory.held_position[link], memory.held_time_s[link]
+    np.testing.assert_allclose(after.held_position, expected, rtol=1e-13, atol=1e-13)
+    np.testing.assert_array_equal(after.held_time_s, said_s)
     # a law that leaves out who is silent remembers nothing new
-    _, dropped = step(replace(law, hold=False), NOW, own, inbox, memory)
-    np.testing.assert_array_equal(dropped.place, memory.place)
-    np.testing.assert_array_equal(dropped.place_time_s, memory.place_time_s)
+    _, dropped = step(replace(law, hold_stale_neighbours=False), NOW, own, inbox, memory)
+    np.testing.assert_array_equal(dropped.held_position, memory.held_position)
+    np.testing.assert_array_equal(dropped.held_time_s, memory.held_time_s)
 
 
 @each_engine
@@ -291,11 +297,11 @@ def test_a_message_gives_a_place_once_and_an_older_one_none(from_timestamp, step
     said_s[:, 2] = NOW - 1.0  # what a slow path brought in after it
     said_s[:, 3] = np.nextafter(NOW, np.inf)
     _, after = step(law, NOW, own, inbox, first)
-    np.testing.assert_array_equal(after.place[:, :3], first.place[:, :3])
-    np.testing.assert_array_equal(after.place_time_s[:, :3], first.place_time_s[:, :3])
+    np.testing.assert_array_equal(after.held_position[:, :3], first.held_position[:, :3])
+    np.testing.assert_array_equal(after.held_time_s[:, :3], first.held_time_s[:, :3])
     new = places_of(inbox, law.horizontal)[:, 3]
-    np.testing.assert_allclose(after.place[:, 3], new, rtol=1e-13, atol=1e-13)
-    np.testing.assert_array_equal(after.place_time_s[:, 3], said_s[:, 3])
+    np.testing.assert_allclose(after.held_position[:, 3], new, rtol=1e-13, atol=1e-13)
+    np.testing.assert_array_equal(after.held_time_s[:, 3], said_s[:, 3])
 
 
 @each_engine
@@ -305,32 +311,32 @@ def test_a_new_message_gives_the_place_at_the_step_not_at_its_stamp(step):
     straight = {"with_acceleration": flags(False, 3), "horizontal": flags(False, 3)}
     law, own, inbox, memory = all_heard_now(3, rng, **straight)
     inbox.received_s[:] -= rng.uniform(0.0, 0.3, (3, 4))
-    memory.place_time_s[:] -= 1.0
+    memory.held_time_s[:] -= 1.0
     _, after = step(law, NOW, own, inbox, memory)
     lag = (NOW - inbox.received_s)[:, :, None]
     brought = inbox._replace(position_ned=inbox.position_ned + lag * inbox.velocity_ned)
     expected = places_of(brought, law.horizontal)
-    np.testing.assert_allclose(after.place, expected, rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(after.held_position, expected, rtol=1e-13, atol=1e-13)
 
 
 @each_engine
 def test_news_of_a_neighbour_is_extrapolated_for_so_long_and_then_its_place_is_held(step):
-    """Exactly `stale_after` is not too old; the leader's news has a limit of its own."""
+    """Exactly `neighbour_timeout_s` is not too old; the leader's news has a limit of its own."""
     rng = np.random.default_rng(81)
-    limits = {"stale_after": 2.0, "silent_after": 1.0}
+    limits = {"neighbour_timeout_s": 2.0, "leader_timeout_s": 1.0}
     law, own, inbox, memory = all_heard_now(2, rng, horizontal=flags(False, 2), **limits)
     _, first = step(law, NOW, own, inbox, memory)
     inbox.received_s[:, [0, 2]] = inbox.stamp_s[:, [0, 2]] = NOW + 2.0
     inbox.velocity_ned[:, 0] += 1.0
     extrapolated, last = step(law, NOW + 2.0, own, inbox, first)
-    left_out, _ = step(replace(law, hold=False), NOW + 2.0, own, inbox, first)
+    left_out, _ = step(replace(law, hold_stale_neighbours=False), NOW + 2.0, own, inbox, first)
     # until then it is used as by a law that does not hold, and its place is that of its news
     assert_same(results((extrapolated, last)), results((left_out, last)), rtol=0, atol=0)
-    np.testing.assert_array_equal(last.place[:, 1], first.place[:, 1])
-    assert (last.place[:, 2] != first.place[:, 2]).all()
+    np.testing.assert_array_equal(last.held_position[:, 1], first.held_position[:, 1])
+    assert (last.held_position[:, 2] != first.held_position[:, 2]).all()
     late = np.nextafter(NOW + 2.0, np.inf)
     held, after = step(law, late, own, inbox, last)
-    np.testing.assert_array_equal(after.place, last.place)
+    np.testing.assert_array_equal(after.held_position, last.held_position)
     assert np.abs(held.direction - extrapolated.direction).max() > 1e-3
     # whatever else it said: it is not listened to
     inbox.position_ned[:, 1] += 50.0
@@ -343,20 +349,20 @@ def test_news_of_a_neighbour_is_extrapolated_for_so_long_and_then_its_place_is_h
 def test_while_the_leader_is_silent_places_wait(step):
     """Whoever was heard then alone has none, and is left out when the leader is back."""
     rng = np.random.default_rng(87)
-    limits = {"stale_after": 2.0, "silent_after": 1.0}
+    limits = {"neighbour_timeout_s": 2.0, "leader_timeout_s": 1.0}
     law, own, inbox, memory = all_heard_now(3, rng, **limits)
-    memory.place[:, 1], memory.place_time_s[:, 1] = np.nan, np.nan
+    memory.held_position[:, 1], memory.held_time_s[:, 1] = np.nan, np.nan
     told, after = step(law, NOW, own, unhear(inbox, np.s_[:, 0], LONG_AGO), memory)
-    assert (told.guards == Guard.LEADER_SILENT).all()
-    np.testing.assert_array_equal(after.place, memory.place)
-    np.testing.assert_array_equal(after.place_time_s, memory.place_time_s)
+    assert (told.limiter_flags == LimiterFlag.LEADER_TIMEOUT).all()
+    np.testing.assert_array_equal(after.held_position, memory.held_position)
+    np.testing.assert_array_equal(after.held_time_s, memory.held_time_s)
     inbox.received_s[:, 0] = inbox.stamp_s[:, 0] = NOW + 3.0
     back, later = step(law, NOW + 3.0, own, inbox, after)
     nothing = replace(law, gains=law.gains.copy())
     nothing.gains[:, 1] = 0.0
     without, _ = step(nothing, NOW + 3.0, own, inbox, after)
     assert_same(results((back, later)), results((without, later)), rtol=1e-12, atol=1e-12)
-    np.testing.assert_array_equal(later.place, memory.place)
+    np.testing.assert_array_equal(later.held_position, memory.held_position)
 
 
 @each_engine
@@ -365,7 +371,7 @@ def test_a_neighbour_held_in_its_slot_pulls_as_the_leader_does(step, way):
     """Of (6) q_j − χ_j = q_g is left, and of its rate q̇_g: β_ij is added to β_i."""
     rng = np.random.default_rng(82)
     law, own, inbox, memory = all_heard_now(3, rng)
-    memory.place[:, 2] = law.offsets[2]
+    memory.held_position[:, 2] = law.offsets[2]
     joined = replace(law, gains=law.gains.copy())
     joined.gains[:, 0] += joined.gains[:, 2]
     joined.gains[:, 2] = 0.0
@@ -380,26 +386,26 @@ def test_a_neighbour_that_is_held_is_a_slot_of_the_formation(step, way):
     """Anywhere, it is where a message would have it that says R_g p and its rate by differences."""
     rng = np.random.default_rng(83)
     law, own, inbox, memory = all_heard_now(3, rng)
-    memory.place[:, 2] = rng.normal(0.0, 10.0, (3, 3))
+    memory.held_position[:, 2] = rng.normal(0.0, 10.0, (3, 3))
     level = np.where(law.horizontal[:, None], [1.0, 1.0, 0.0], 1.0)
     velocity = inbox.velocity_ned[:, 0] * level
     speed = np.linalg.norm(velocity, axis=1)
-    course, climb = np.arctan2(velocity[:, 1], velocity[:, 0]), -np.arcsin(velocity[:, 2] / speed)
+    course, gamma = np.arctan2(velocity[:, 1], velocity[:, 0]), -np.arcsin(velocity[:, 2] / speed)
     rates = inbox.euler_rates[:, 0]
 
     def chi(dt):
         sigma = course + dt * rates[:, 2]
-        gamma = climb + dt * rates[:, 1] * level[:, 2]
-        ahead = np.stack([np.cos(gamma) * np.cos(sigma), np.cos(gamma) * np.sin(sigma)], axis=1)
-        frame = velocity_frame(np.column_stack([ahead, -np.sin(gamma)]))
-        return (frame @ memory.place[:, 2, :, None])[:, :, 0]
+        up = gamma + dt * rates[:, 1] * level[:, 2]
+        ahead = np.stack([np.cos(up) * np.cos(sigma), np.cos(up) * np.sin(sigma)], axis=1)
+        frame = velocity_frame(np.column_stack([ahead, -np.sin(up)]))
+        return (frame @ memory.held_position[:, 2, :, None])[:, :, 0]
 
     told_so = Inbox(*(each.copy() for each in inbox))
     told_so.position_ned[:, 2] = inbox.position_ned[:, 0] + chi(0.0)
     told_so.velocity_ned[:, 2] = velocity + (chi(1e-4) - chi(-1e-4)) / 2e-4
     held, _ = step(law, NOW, own, unhear(inbox, np.s_[:, 2], way), memory)
     heard, _ = step(law, NOW, own, told_so, memory)
-    assert np.abs(held.turn).max() > 0.01
+    assert np.abs(held.omega).max() > 0.01
     # differences of 1e-4 s err by 1e-8 of a rate of some 10 m/s
     assert_same(held._asdict(), heard._asdict(), rtol=1e-6, atol=1e-6)
 
@@ -409,9 +415,9 @@ def test_a_neighbour_that_is_held_is_a_slot_of_the_formation(step, way):
 def test_a_neighbour_that_was_never_anywhere_is_left_out(step, way):
     rng = np.random.default_rng(84)
     law, own, inbox, memory = all_heard_now(3, rng)
-    memory.place[:, 2], memory.place_time_s[:, 2] = np.nan, np.nan
+    memory.held_position[:, 2], memory.held_time_s[:, 2] = np.nan, np.nan
     quiet = unhear(inbox, np.s_[:, 2], way)
     held, after = step(law, NOW, own, quiet, memory)
-    dropped, _ = step(replace(law, hold=False), NOW, own, quiet, memory)
+    dropped, _ = step(replace(law, hold_stale_neighbours=False), NOW, own, quiet, memory)
     assert_same(results((held, after)), results((dropped, after)), rtol=0, atol=0)
-    assert np.isnan(after.place[:, 2]).all()
+    assert np.isnan(after.held_position[:, 2]).all()

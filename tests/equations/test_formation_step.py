@@ -1,4 +1,4 @@
-"""One step of the whole law: who sees what, in whose order, and what it asks for on a helix."""
+"""One step of the law: inputs, limits, symmetries and the equilibrium on a helix."""
 
 from dataclasses import replace
 
@@ -24,24 +24,24 @@ from formation_cases import (
     some_of,
     states,
 )
+from reference import formation_barrier as barrier_functions
+from reference import formation_control_function as control_functions
+from reference.adapters import law_records, neighbour_records
+from reference.formation_leader_filter import Memory
 
-from testbed.formation import barrier as barrier_functions
-from testbed.formation import control_function as control_functions
-from testbed.formation import leader as leading
-from testbed.formation import paper_law as room
+from testbed.core.frames import wrap_pi
+from testbed.core.records import Inbox
+from testbed.formation import leader_filter as leading
 from testbed.formation.barrier import Barrier
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
-from testbed.formation.flags import Guard
-from testbed.formation.leader import Memory
-from testbed.formation.paper_law import paper_step
-from testbed.frames import wrap_pi
-from testbed.state import Inbox
+from testbed.formation.control_step import Hbh23Law
+from testbed.formation.flags import LimiterFlag
 
 NORTH = np.array([1.0, 0.0, 0.0])
 
 
 @each_engine
-def test_without_a_delay_both_ways_agree(step):
+def test_without_delay_receipt_equals_timestamp(step):
     rng = np.random.default_rng(20)
     law = make_law(3, rng)
     own, inbox, memory = states(3, rng)
@@ -52,23 +52,23 @@ def test_without_a_delay_both_ways_agree(step):
 
 
 @each_engine
-def test_without_feedback_gains_the_leader_is_still_followed_in_velocity(step):
-    # β_i = 0 removes the position feedback alone: (7), (10), (22) hear the leader all the same
+def test_without_gains_leader_velocity_is_followed(step):
+    # β_i = 0 removes only the position feedback: (7), (10), (22) use the leader's message
     rng = np.random.default_rng(23)
     law = make_law(2, rng, gains=np.zeros((2, 3, 3)), offsets=np.zeros((3, 3)))
     own, inbox, memory = states(2, rng)
-    told, _ = step(law, NOW, own, inbox, memory)
+    output, _ = step(law, NOW, own, inbox, memory)
     leader = inbox.velocity_ned[:, 0]
     speed = np.linalg.norm(leader, axis=1)
-    assert told.direction == pytest.approx(leader / speed[:, None], abs=1e-15)
-    assert told.speed_desired == pytest.approx(speed)
+    assert output.direction == pytest.approx(leader / speed[:, None], abs=1e-15)
+    assert output.speed_desired == pytest.approx(speed)
 
 
-# guards and bounds
+# limiter_flags and bounds
 
 
 def level_flight(law, rng, *, leader, own_speed):
-    """Everyone flies north, level and steadily, at these speeds (n,)."""
+    """Level and steady flight north at these speeds (n,)."""
     n = len(law.k)
     own, inbox, memory = states(n, rng)
     inbox.velocity_ned[:, 0] = np.asarray(leader)[:, None] * NORTH
@@ -85,35 +85,39 @@ def followers_of_velocity(n, rng, **changes):
 
 
 @each_engine
-def test_guards_say_what_they_did(step):
+def test_limiter_flags_report_limits(step):
     rng = np.random.default_rng(24)
     law = followers_of_velocity(3, rng)
-    # all is well; the leader is too slow; own speed is beyond the bound
+    # within all limits; leader too slow; own speed beyond the bound
     given = level_flight(law, rng, leader=[22.0, 15.0, 22.0], own_speed=[22.0, 20.0, 31.0])
-    told, _ = step(law, NOW, *given)
-    assert told.guards.tolist() == [0, Guard.SPEED_DESIRED_CLAMPED, Guard.OUTSIDE_SPEED_SET]
-    lowest = law.speeds.desired_low[1]
+    output, _ = step(law, NOW, *given)
+    assert output.limiter_flags.tolist() == [
+        0,
+        LimiterFlag.SPEED_DESIRED_CLAMPED,
+        LimiterFlag.OUTSIDE_SPEED_SET,
+    ]
+    lowest = law.speeds.desired_min[1]
     assert LOW < lowest < 22.0
-    assert told.speed_desired == pytest.approx([22.0, lowest, 22.0], abs=1e-12)
-    assert told.guards.dtype == np.uint8
+    assert output.speed_desired == pytest.approx([22.0, lowest, 22.0], abs=1e-12)
+    assert output.limiter_flags.dtype == np.uint8
 
 
 @each_engine
-def test_bounds_of_the_airspeed_are_shifted_by_the_wind(step):
-    """7 m/s of headwind: 22 m/s of leader over the ground ask for 29 m/s in the air."""
+def test_airspeed_bounds_are_shifted_by_the_wind(step):
+    """7 m/s of headwind: 22 m/s of the leader over the ground are 29 m/s of airspeed."""
     rng = np.random.default_rng(46)
     ground = followers_of_velocity(2, rng)
     air = replace(ground, bounds_of_airspeed=True)
     own, inbox, memory = level_flight(ground, rng, leader=[22.0, 22.9], own_speed=[22.0, 22.0])
     own = own._replace(airspeed=own.airspeed + 7.0)
     calm, _ = step(ground, NOW, own, inbox, memory)
-    assert calm.guards.tolist() == [0, 0]
-    told, _ = step(air, NOW, own, inbox, memory)
-    # S is (9, 23) over the ground now, and S_d ends `HIGH − desired_high` below 23
-    highest = ground.speeds.desired_high - 7.0
-    assert told.guards.tolist() == [int(22.0 > highest[0]), int(22.9 > highest[1])]
-    assert told.guards[1] == Guard.SPEED_DESIRED_CLAMPED
-    assert told.speed_desired == pytest.approx(np.minimum([22.0, 22.9], highest), abs=1e-12)
+    assert calm.limiter_flags.tolist() == [0, 0]
+    output, _ = step(air, NOW, own, inbox, memory)
+    # S is (9, 23) over the ground now, and S_d ends `HIGH − desired_max` below 23
+    highest = ground.speeds.desired_max - 7.0
+    assert output.limiter_flags.tolist() == [int(22.0 > highest[0]), int(22.9 > highest[1])]
+    assert output.limiter_flags[1] == LimiterFlag.SPEED_DESIRED_CLAMPED
+    assert output.speed_desired == pytest.approx(np.minimum([22.0, 22.9], highest), abs=1e-12)
     # without wind they are the same bounds
     own = own._replace(airspeed=own.airspeed - 7.0)
     ours, theirs = (results(step(law, NOW, own, inbox, memory)) for law in (ground, air))
@@ -121,19 +125,19 @@ def test_bounds_of_the_airspeed_are_shifted_by_the_wind(step):
 
 
 @each_engine
-def test_the_turn_gain_grows_with_the_square_of_the_desired_speed(step):
+def test_turn_gain_grows_with_desired_speed_squared(step):
     """c = 0.05 + 3e-4·22²; flying straight where y_d lies across, (15) is c itself."""
     rng = np.random.default_rng(47)
     law = followers_of_velocity(2, rng, c=same(0.05, 2), c_speed=np.array([0.0, 3e-4]))
     own, inbox, memory = level_flight(law, rng, leader=[22.0, 22.0], own_speed=[22.0, 22.0])
     own.velocity_ned[:] = [0.0, -22.0, 0.0]  # west; the leader flies north, to the right
-    told, _ = step(law, NOW, own, inbox, memory)
-    assert told.turn[:, 2] == pytest.approx([0.05, 0.05 + 3e-4 * 484.0], abs=1e-15)
+    output, _ = step(law, NOW, own, inbox, memory)
+    assert output.omega[:, 2] == pytest.approx([0.05, 0.05 + 3e-4 * 484.0], abs=1e-15)
 
 
 @each_engine
-def test_agents_may_differ_in_everything(step):
-    """A law of agents that differ is, agent by agent, the law of agents that are all alike."""
+def test_followers_with_different_options(step):
+    """Each follower steps as in a law whose followers all have its options."""
     rng = np.random.default_rng(48)
     functions = [PAPERS_MU, example_1(2.5e5, 1.0, 0.8), EXAMPLE_2, EXAMPLE_3]
     barriers = [Barrier(4, 0.02), Barrier(5, 0.05), Barrier(6, 1.0), Barrier(7, 0.0)]
@@ -153,7 +157,7 @@ def test_agents_may_differ_in_everything(step):
                         "acceleration_source",
                         "acceleration_blend",
                         "turn_acceleration",
-                        "silent_turn",
+                        "lost_leader_turn_rate",
                     )
                 },
                 control_function=control_functions.per_agent([functions[i]] * 4),
@@ -184,13 +188,13 @@ SLOTS = np.array([[0.0, 0.0, 0.0], [-5.0, 5.0, 0.0], [-5.0, -5.0, -4.0], [9.0, 0
 @pytest.mark.parametrize("middle", LOOP_ENGINES.values(), ids=LOOP_ENGINES)
 @pytest.mark.parametrize("source", [leading.BROADCAST, leading.TURN], ids=["broadcast", "turn"])
 @pytest.mark.parametrize("gamma", [0.0, 0.3, -0.25])
-def test_whoever_is_in_its_slot_on_a_steady_helix_asks_for_that_helix(step, middle, source, gamma):
+def test_follower_in_its_slot_commands_a_steady_helix(step, middle, source, gamma):
     """Leader and slots turn about one axis, so every rate is known and every error is zero.
 
-    Then s_d = s, u = s, y_d = y and ω is the rate of the agent's own helix. The middle loop makes
-    of that: (19) is γ, (20) is the bank of a coordinated turn at the agent's own speed, and (21)
-    is its feed-forward. A leader that banks as its turn asks for tells as much as one that sends
-    its acceleration.
+    Then s_d = s, u = s, y_d = y and ω is the rate of the follower's own helix. Of the middle loop,
+    (19) is γ, (20) is the bank of a coordinated turn at the follower's own speed, and (21) is its
+    feed-forward. The bank of a leader in a coordinated turn gives the same acceleration as its
+    message.
     """
     n, turn, sigma = 3, 0.2, 2.9
     law = make_law(
@@ -199,7 +203,7 @@ def test_whoever_is_in_its_slot_on_a_steady_helix_asks_for_that_helix(step, midd
         offsets=SLOTS,
         acceleration_blend=np.ones((n, 3)),
         acceleration_source=np.full(n, source),
-        turn_acceleration=flags(True, n),  # ω̇_g is zero here, and so is what is made of it
+        turn_acceleration=flags(True, n),  # ω̇_g is zero here
     )
     position, velocity, acceleration, omega = helix(n, gamma, turn, sigma, law.offsets)
     speed = np.linalg.norm(velocity[1:], axis=1)
@@ -216,23 +220,23 @@ def test_whoever_is_in_its_slot_on_a_steady_helix_asks_for_that_helix(step, midd
     rates = np.tile(omega, (n, n + 1, 1))
     heard = (np.stack([each] * n) for each in (position, velocity, acceleration))
     inbox = Inbox(now, now, *heard, attitude, rates)
-    told, after = step(law, NOW, own, inbox, law.start(own))
+    output, after = step(law, NOW, own, inbox, law.start(own))
 
-    climb = np.arcsin(-velocity[1:, 2] / speed)
-    assert told.speed_desired == pytest.approx(speed, rel=1e-13)
-    assert told.speed == pytest.approx(speed, rel=1e-12)
-    assert told.direction == pytest.approx(velocity[1:] / speed[:, None], abs=1e-13)
-    own_turn = np.column_stack([np.zeros((n, 2)), turn * np.cos(climb)])
-    assert told.turn == pytest.approx(own_turn, abs=1e-13)
-    assert (told.guards == 0).all()
+    gamma = np.arcsin(-velocity[1:, 2] / speed)
+    assert output.speed_desired == pytest.approx(speed, rel=1e-13)
+    assert output.speed == pytest.approx(speed, rel=1e-12)
+    assert output.direction == pytest.approx(velocity[1:] / speed[:, None], abs=1e-13)
+    own_turn = np.column_stack([np.zeros((n, 2)), turn * np.cos(gamma)])
+    assert output.omega == pytest.approx(own_turn, abs=1e-13)
+    assert (output.limiter_flags == 0).all()
     assert after.acceleration == pytest.approx(np.tile(acceleration[0], (n, 1)), abs=1e-13)
 
     loop = make_middle(n)
-    command, memory, diagnosis = middle(loop, own, told, loop.start())
-    assert diagnosis.speed_command == pytest.approx(speed + 2.0, rel=1e-12)
-    assert (diagnosis.guards == 0).all()
-    assert command.pitch == pytest.approx(climb, abs=1e-12)
-    assert command.roll == pytest.approx(np.arctan(turn * speed * np.cos(climb) / 9.81), abs=1e-12)
+    command, memory, diagnosis = middle(loop, own, output, loop.start())
+    assert diagnosis.airspeed_command == pytest.approx(speed + 2.0, rel=1e-12)
+    assert (diagnosis.limiter_flags == 0).all()
+    assert command.pitch == pytest.approx(gamma, abs=1e-12)
+    assert command.roll == pytest.approx(np.arctan(turn * speed * np.cos(gamma) / 9.81), abs=1e-12)
     own_bank = np.cos(own.euler[:, 0]) ** -2 - 1.0
     assert command.throttle == pytest.approx(
         np.clip(0.22 + 0.12 * own_bank + 0.1 * (speed + 2.0 - 22.0), 0.0, 1.0), abs=1e-12
@@ -245,7 +249,7 @@ def test_whoever_is_in_its_slot_on_a_steady_helix_asks_for_that_helix(step, midd
 
 
 @each_engine
-def test_the_order_of_the_agents_does_not_matter(step):
+def test_order_of_followers_has_no_effect(step):
     rng = np.random.default_rng(28)
     n, order = 5, np.array([3, 0, 4, 1, 2])
     for _ in range(20):
@@ -255,7 +259,7 @@ def test_the_order_of_the_agents_does_not_matter(step):
         theirs = results(step(*reorder_at(NOW, law, own, inbox, memory, order)))
         expected = {name: array[order] for name, array in ours.items()}
         everyone = np.concatenate([[0], order + 1])
-        for name in ("memory.place", "memory.place_time_s"):
+        for name in ("memory.held_position", "memory.held_time_s"):
             expected[name] = expected[name][:, everyone]
         # sums over neighbours run in another order; (14) magnifies that where D is small
         assert_same(theirs, expected, rtol=1e-9, atol=1e-11)
@@ -267,8 +271,8 @@ def reorder_at(now, law, own, inbox, memory, order):
 
 
 @each_engine
-def test_an_agent_alone_is_the_same_agent_in_a_crowd(step):
-    """To the bit: the rows of the others are cut off, and what it knows of them stays."""
+def test_one_follower_steps_as_among_others(step):
+    """To the bit, with the same messages of the others."""
     rng = np.random.default_rng(29)
     n = 7
     for _ in range(5):
@@ -282,7 +286,7 @@ def test_an_agent_alone_is_the_same_agent_in_a_crowd(step):
 
 
 @each_engine
-def test_the_world_may_be_turned_about_the_vertical_and_moved(step):
+def test_rotation_about_the_vertical_and_translation(step):
     rng = np.random.default_rng(30)
     n, angle, shift = 4, 2.2, np.array([300.0, -700.0, 40.0])
     c, s = np.cos(angle), np.sin(angle)
@@ -313,7 +317,7 @@ def test_the_world_may_be_turned_about_the_vertical_and_moved(step):
         turned = results(step(law, NOW, own, inbox, memory))
         for name in ("told.direction", "memory.acceleration"):
             straight[name] = straight[name] @ turn.T
-        name = "memory.silent_course"
+        name = "memory.timeout_course"
         straight[name] = wrap_pi(straight[name] + angle)
         # positions of 700 m carry 1e-13 m; (14) magnifies that where D is small
         assert_same(turned, straight, rtol=1e-8, atol=1e-10)
@@ -323,7 +327,7 @@ def test_the_world_may_be_turned_about_the_vertical_and_moved(step):
 
 
 @each_engine
-def test_a_step_writes_into_nothing_it_is_given(step):
+def test_step_modifies_no_input(step):
     rng = np.random.default_rng(31)
     law = make_law(3, rng, **mixed_options(3, rng))
     given = (law, *states(3, rng, silence=0.2))
@@ -335,8 +339,8 @@ def test_a_step_writes_into_nothing_it_is_given(step):
 
 
 @each_engine
-def test_an_agent_sees_its_own_row_alone(step):
-    """Changing what one agent knows changes that agent's command and no other's."""
+def test_step_uses_only_the_followers_own_row(step):
+    """A change of one follower's inputs changes only its own command."""
     rng = np.random.default_rng(32)
     n = 4
     law = make_law(n, rng, **mixed_options(n, rng))
@@ -357,20 +361,14 @@ def test_an_agent_sees_its_own_row_alone(step):
     assert moved > 8
 
 
-def test_the_law_starts_with_nothing_heard():
+def test_initial_memory_has_no_message():
     law = make_law(3, np.random.default_rng(33))
-    memory = law.start(states(3, np.random.default_rng(33))[0])
-    known = ("acceleration", "speed_rate", "climb_rate")
+    kernel_law = Hbh23Law(law_records(law), neighbour_records(law, law.start(None)))
+    records = kernel_law.start(None)
+    known = ("acceleration", "speed_rate", "gamma_dot")
     for name in Memory._fields:
-        value = getattr(memory, name)
-        assert len(value) == 3
-        assert (value == 0.0).all() if name in known else np.isnan(value).all(), name
-
-
-def test_the_step_that_flies_is_the_step_that_is_read():
-    assert room.STEP.__wrapped__ is paper_step
-    law = make_law(2, np.random.default_rng(35))
-    own, inbox, memory = states(2, np.random.default_rng(36))
-    flown = results(law.step(NOW, own, inbox, memory))
-    assert_same(flown, results(paper_step(law, NOW, own, inbox, memory)), rtol=1e-10, atol=1e-12)
-    assert (law.k == same(law.k[0], 2)).sum() == 1
+        ours = getattr(law.start(None), name)
+        theirs = getattr(records, name) if name.startswith("held") else records.leader[name]
+        for value in (ours, theirs):
+            assert len(value) == 3
+            assert (value == 0.0).all() if name in known else np.isnan(value).all(), name

@@ -8,20 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from testbed.frames import GRAVITY
+from testbed.core.frames import GRAVITY
 from testbed.guidance import l1
-from testbed.guidance.leader import begin, step
-from testbed.guidance.longitudinal import HoldGains, HoldMemory, hold
-from testbed.guidance.mission import (
+from testbed.guidance.altitude_airspeed_hold import HoldGains, HoldMemory, hold
+from testbed.guidance.flight_plan import (
+    FlightPlan,
     Level,
     LoiterLeg,
     Mission,
-    Plan,
     WaypointLeg,
-    climbed,
+    climb_profile,
     make_plan,
     polyline,
 )
+from testbed.guidance.mission_follower import initial_memory, step
 
 L1 = {"period": 15.0, "damping": 0.75}
 SQUARE = ((660.0, 0.0, 100.0), (660.0, 660.0, 100.0), (0.0, 660.0, 100.0), (0.0, 0.0, 100.0))
@@ -45,9 +45,7 @@ def test_line_acceleration_by_hand() -> None:
 
 @pytest.mark.parametrize("speed", [15.0, 22.0])
 @pytest.mark.parametrize("period, damping", [(15.0, 0.75), (20.0, 0.9)])
-def test_line_loop_has_the_period_and_damping_asked_for(
-    speed: float, period: float, damping: float
-) -> None:
+def test_line_loop_has_its_period_and_damping(speed: float, period: float, damping: float) -> None:
     """Finite differences of the law give the coefficients of ÿ + 2ζω ẏ + ω² y = 0."""
 
     def lateral(right: float, drift: float) -> float:
@@ -85,7 +83,7 @@ def test_circle_loop(clockwise: bool) -> None:
     assert rate == pytest.approx(2.0 * 0.75 * omega, rel=1e-6)
 
 
-def test_line_from_far_heads_for_its_near_end() -> None:
+def test_line_from_far_heads_for_the_near_end() -> None:
     line = ((0.0, 0.0), (500.0, 0.0))
     behind = l1.line_acceleration((-300.0, 100.0), (0.0, 22.0), *line, **L1)
     assert behind < 0.0  # the start is ahead to the left of an eastward flight
@@ -95,7 +93,7 @@ def test_line_from_far_heads_for_its_near_end() -> None:
     assert aimed == pytest.approx(0.0, abs=1e-12)
 
 
-def test_turn_begins_at_the_look_ahead_or_the_acceptance_radius() -> None:
+def test_turn_distance_is_limited_by_both_distances() -> None:
     by = {"waypoint_radius": 90.0, **L1}
     assert l1.turn_distance(22.0, math.pi / 2, **by) == pytest.approx(78.7817, abs=1e-4)
     assert l1.turn_distance(22.0, -math.pi / 4, **by) == pytest.approx(39.3908, abs=1e-4)
@@ -107,9 +105,9 @@ def test_roll_of_a_coordinated_turn() -> None:
     assert l1.roll_command(-20.0, bank_limit=0.5) == -0.5
 
 
-def test_climb_of_a_leg_is_continuous_and_complete() -> None:
+def test_climb_profile_is_continuous_and_complete() -> None:
     parts = np.linspace(0.0, 1.0, 2001)
-    done, slope = np.array([climbed(float(part), level_off=0.2) for part in parts]).T
+    done, slope = np.array([climb_profile(float(part), level_off=0.2) for part in parts]).T
     assert (done[0], done[-1]) == (0.0, 1.0)
     # Straight part: 1 / (1 − 0.1). Central differences of a curve with second derivative ≤ 5.6.
     assert slope[1000] == pytest.approx(1.0 / 0.9)
@@ -123,7 +121,7 @@ def test_hold_in_trim_commands_the_trim() -> None:
     assert (pitch, throttle, after) == (0.01, 0.24, memory)
 
 
-def test_hold_pushes_the_right_way_and_rests_its_integrals_at_the_limits() -> None:
+def test_hold_signs_and_anti_windup() -> None:
     memory = HoldMemory(altitude=100.0, climb=0.0, pitch=0.0, throttle=0.24)
     pitch, throttle, after = _hold(memory, altitude=98.0)
     assert pitch > 0.0 and after.pitch > 0.0
@@ -134,7 +132,7 @@ def test_hold_pushes_the_right_way_and_rests_its_integrals_at_the_limits() -> No
     assert banked == pytest.approx(0.24 + 0.04)
 
 
-def test_climb_reference_is_limited_in_rate_and_change() -> None:
+def test_climb_reference_limits_rate_and_change() -> None:
     gains = HoldGains()
     memory = HoldMemory(altitude=100.0, climb=0.0, pitch=0.0, throttle=0.24)
     climbs = [0.0]
@@ -163,18 +161,18 @@ def test_plan_counts_laps_and_turns() -> None:
     raised = tuple(point[:2] + (150.0 if i in (1, 3) else 100.0,) for i, point in enumerate(SQUARE))
     mission = Mission(legs=(WaypointLeg(SQUARE, 2), WaypointLeg(raised, 2), CIRCLE), airspeed=22.0)
     plan = make_plan(mission, (-200.0, 0.0, 100.0))
-    assert len(plan.parts) == 18 and plan.repeat_from == 17
-    lines, levels = plan.parts[:16], plan.parts[16:]
+    assert len(plan.segments) == 18 and plan.repeat_from == 17
+    lines, levels = plan.segments[:16], plan.segments[16:]
     assert [round(math.degrees(part.turn)) for part in lines[:-1]] == [90] * 15
     assert round(math.degrees(lines[-1].turn)) == 135  # from west to the centre, north-east
     assert lines[8].start == SQUARE[3] and lines[9].end[2] == 150.0
     assert [part.end for part in levels] == [(330.0, 330.0, 100.0), (330.0, 330.0, 120.0)]
-    assert [part.onward for part in levels] == [True, False]
+    assert [part.continues for part in levels] == [True, False]
 
 
-def test_last_waypoints_go_on_for_ever() -> None:
+def test_last_waypoints_repeat() -> None:
     plan = make_plan(Mission(legs=(WaypointLeg(SQUARE, 1),), airspeed=22.0), (-200.0, 0.0, 100.0))
-    assert plan.parts[plan.repeat_from].start == SQUARE[3]
+    assert plan.segments[plan.repeat_from].start == SQUARE[3]
     flown = fly(plan, (-200.0, 0.0, 100.0), 300.0)  # 200 m + two laps of 2,493 m take 236 s
     assert {int(part) for part in flown["part"]} == set(range(8))
     assert flown["part"][-1] < 8 and flown["part"].max() == 7
@@ -246,18 +244,20 @@ def test_circle_is_captured_from_anywhere(clockwise: bool, start: tuple[float, f
         ({"legs": (replace(CIRCLE, levels=(Level(100.0, 0.0),)),)}, r"levels\[0\].turns"),
     ],
 )
-def test_mission_that_cannot_be_flown_is_refused(change: dict, words: str) -> None:
+def test_invalid_mission_is_an_error(change: dict, words: str) -> None:
     mission = replace(Mission(legs=(WaypointLeg(SQUARE), CIRCLE), airspeed=22.0), **change)
     with pytest.raises(ValueError, match=words):
         make_plan(mission, (0.0, 0.0, 100.0))
 
 
-def fly(plan: Plan, start: tuple[float, float, float], duration: float) -> dict[str, np.ndarray]:
+def fly(
+    plan: FlightPlan, start: tuple[float, float, float], duration: float
+) -> dict[str, np.ndarray]:
     """Fly a plan with a coordinated-turn point mass: first-order roll, pitch, path and thrust."""
     dt = 0.04
     north, east, up = start
     speed, course, gamma, roll, pitch = plan.mission.airspeed, 0.0, 0.0, 0.0, 0.02
-    memory = begin(altitude=up, pitch=0.02, throttle=0.24)
+    memory = initial_memory(altitude=up, pitch=0.02, throttle=0.24)
     rows = []
     for tick in range(round(duration / dt)):
         velocity = (
@@ -269,7 +269,7 @@ def fly(plan: Plan, start: tuple[float, float, float], duration: float) -> dict[
             memory, (north, east, -up), velocity, roll, speed, plan=plan, dt=dt, gains=HoldGains()
         )
         rows.append(
-            (tick * dt, (north, east, up), -velocity[2], roll) + (memory.part, memory.captured)
+            (tick * dt, (north, east, up), -velocity[2], roll) + (memory.segment, memory.captured)
         )
         course += GRAVITY * math.tan(roll) / speed * dt
         roll += (phi - roll) / 0.3 * dt

@@ -6,18 +6,20 @@ import math
 
 import numpy as np
 import pytest
+from reference import adapters
+from reference import unicycle as reference
+from reference.unicycle import Unicycle, unicycle
 
-from testbed.compiled import engine
-from testbed.errors import InputError
-from testbed.frames import GRAVITY, body_rates, euler_rates, flight_path_angle, wrap_pi
-from testbed.state import VehicleState
-from testbed.vehicle import ideal
-from testbed.vehicle.fleet import LOWEST
-from testbed.vehicle.ideal import ADVANCE_TICKS, IdealFleet, Unicycle, advance, unicycle
+from testbed.core.errors import InputError
+from testbed.core.frames import GRAVITY, body_rates, euler_rates, flight_path_angle, wrap_pi
+from testbed.core.records import AIRCRAFT, FOLLOWER, VehicleState, allocate, fields_of
+from testbed.sim.vehicles import UnicycleVehicles
+from testbed.vehicle.unicycle import are_finite, make_unicycles, stop_unicycles
 
 RATE = 200
 DT = 1.0 / RATE
 STILL = np.zeros(3)
+each_engine = pytest.mark.parametrize("ideal", [reference, adapters], ids=["reference", "kernel"])
 
 
 def velocity_of(speed, course, climb_angle):
@@ -61,7 +63,8 @@ def turning_flight(start, command, pole, turn_rate, course, duration):
 
 
 @pytest.mark.parametrize("duration", [300.0, 3600.0])
-def test_a_constant_turn_lands_on_the_closed_form_circle_and_helix(duration):
+@each_engine
+def test_a_constant_turn_lands_on_the_closed_form_circle_and_helix(ideal, duration):
     """Four turns, two of them climbing: with the first component of (26) γ stays as it is."""
     speed = np.array([22.0, 16.0, 22.0, 30.0])
     course = np.array([0.3, -2.0, 3.0, 1.0])
@@ -69,11 +72,11 @@ def test_a_constant_turn_lands_on_the_closed_form_circle_and_helix(duration):
     rate = np.array([22.0 / 120.0, -0.4, 0.21, -0.1])
     turn = np.column_stack([-rate * np.sin(gamma), 0.0 * rate, rate * np.cos(gamma)])
     start = np.array([[10.0, -20.0, -100.0]] * 4)
-    if engine() == "numpy":
+    if ideal is reference:
         duration = min(duration, 20.0)
     ticks = round(duration * RATE)
     begun = unicycle(start, velocity_of(speed, course, gamma))
-    state = ADVANCE_TICKS(begun, speed, turn, np.full(4, 0.64), DT, ticks)
+    state = ideal.advance_ticks(begun, speed, turn, np.full(4, 0.64), DT, ticks)
 
     angle = course + rate * duration
     radius = speed * np.cos(gamma) / rate
@@ -92,7 +95,8 @@ def test_a_constant_turn_lands_on_the_closed_form_circle_and_helix(duration):
     assert flown == pytest.approx(velocity_of(1.0, angle, gamma), abs=1e-10)
 
 
-def test_speed_is_the_exact_exponential_and_a_turn_meanwhile_is_of_fourth_order():
+@each_engine
+def test_speed_is_the_exact_exponential_and_a_turn_meanwhile_is_of_fourth_order(ideal):
     speed, command, pole, rate, course, duration = 16.0, 28.0, 0.64, 0.35, 0.7, 8.0
     exact = turning_flight(speed, command, pole, rate, course, duration)
     errors = []
@@ -100,7 +104,7 @@ def test_speed_is_the_exact_exponential_and_a_turn_meanwhile_is_of_fourth_order(
         state = unicycle(np.zeros((1, 3)), velocity_of(np.array([speed]), course, 0.0))
         for _ in range(round(duration / step)):
             turn = np.array([[0.0, 0.0, rate]])
-            state = advance(state, np.array([command]), turn, np.array([pole]), step)
+            state = ideal.advance(state, np.array([command]), turn, np.array([pole]), step)
         after = command + (speed - command) * math.exp(-pole * duration)
         assert state.speed[0] == pytest.approx(after, rel=1e-13)
         errors.append(abs(state.position[0, 0] + 1j * state.position[0, 1] - exact))
@@ -109,14 +113,15 @@ def test_speed_is_the_exact_exponential_and_a_turn_meanwhile_is_of_fourth_order(
     assert orders == pytest.approx(4.0, abs=0.05)
 
 
-def test_the_motion_satisfies_the_differential_equations():
+@each_engine
+def test_the_motion_satisfies_the_differential_equations(ideal):
     """Small steps either way: central differences of one flight give (1)-(3)."""
     rng = np.random.default_rng(3)
     n, small = 200, 1e-4
     state, (command, turn) = random_unicycles(rng, n), random_commands(rng, n)
     pole = rng.uniform(0.3, 1.0, n)
-    after = advance(state, command, turn, pole, small)
-    before = advance(state, command, turn, pole, -small)
+    after = ideal.advance(state, command, turn, pole, small)
+    before = ideal.advance(state, command, turn, pole, -small)
 
     def slope(name):
         return (getattr(after, name) - getattr(before, name)) / (2.0 * small)
@@ -130,61 +135,67 @@ def test_the_motion_satisfies_the_differential_equations():
     assert slope("rotation") == pytest.approx(state.rotation @ skew, abs=1e-7)
 
 
-def test_turns_right_and_up_are_what_the_components_say():
+@each_engine
+def test_turns_right_and_up_are_what_the_components_say(ideal):
     state = unicycle(np.zeros((3, 3)), np.array([[20.0, 0.0, 0.0]] * 3))
     turn = np.array([[0.2, 0.0, 0.0], [0.0, 0.2, 0.0], [0.0, 0.0, 0.2]])
-    after = advance(state, np.full(3, 20.0), turn, np.ones(3), 0.5)
+    after = ideal.advance(state, np.full(3, 20.0), turn, np.ones(3), 0.5)
     s, c = math.sin(0.1), math.cos(0.1)
     assert after.rotation[:, :, 0] == pytest.approx(np.array([[1, 0, 0], [c, 0, -s], [c, s, 0]]))
 
 
-def test_a_turn_means_the_same_whatever_the_roll_of_the_frame():
+@each_engine
+def test_a_turn_means_the_same_whatever_the_roll_of_the_frame(ideal):
     """ω comes in the zero-roll frame of y, and R may have rolled: y must not notice."""
     rng = np.random.default_rng(4)
     state, (command, turn) = random_unicycles(rng, 50), random_commands(rng, 50)
-    roll = ideal.rotation_by(np.outer(rng.uniform(-3.0, 3.0, 50), [1.0, 0.0, 0.0]))
+    roll = reference.rotation_by(np.outer(rng.uniform(-3.0, 3.0, 50), [1.0, 0.0, 0.0]))
     rolled = state._replace(rotation=state.rotation @ roll)
-    one = advance(state, command, turn, np.ones(50), 0.1)
-    two = advance(rolled, command, turn, np.ones(50), 0.1)
+    one = ideal.advance(state, command, turn, np.ones(50), 0.1)
+    two = ideal.advance(rolled, command, turn, np.ones(50), 0.1)
     assert two.position == pytest.approx(one.position, abs=1e-11)
     assert two.rotation[:, :, 0] == pytest.approx(one.rotation[:, :, 0], abs=1e-14)
     assert np.abs(two.rotation[:, :, 1] - one.rotation[:, :, 1]).max() > 0.1
 
 
-def test_rotations_stay_rotations_for_an_hour():
+@each_engine
+def test_rotations_stay_rotations_for_an_hour(ideal):
     rng = np.random.default_rng(5)
     state, pole = random_unicycles(rng, 1), np.array([0.64])
     worst = 0.0
-    for _ in range(3600 if engine() == "numba" else 5):
-        state = ADVANCE_TICKS(state, *random_commands(rng, 1), pole, DT, RATE)
+    for _ in range(5 if ideal is reference else 3600):
+        state = ideal.advance_ticks(state, *random_commands(rng, 1), pole, DT, RATE)
         worst = max(worst, orthonormality(state))
     assert worst < 1e-12
     assert np.linalg.det(state.rotation[0]) == pytest.approx(1.0, abs=1e-12)
 
 
-def test_a_fast_spin_and_a_spoilt_frame_come_back_to_rotations():
+@each_engine
+def test_a_fast_spin_and_a_spoilt_frame_come_back_to_rotations(ideal):
     """The Newton step, where the rounding it is there for is made a million times larger."""
     rng = np.random.default_rng(6)
     state = random_unicycles(rng, 20)
     spoilt = state._replace(rotation=state.rotation + rng.normal(0.0, 1e-8, (20, 3, 3)))
     assert orthonormality(spoilt) > 1e-9
     for turn in (np.zeros((20, 3)), rng.normal(0.0, 400.0, (20, 3))):
-        after = advance(spoilt, state.speed, turn, np.ones(20), DT)
+        after = ideal.advance(spoilt, state.speed, turn, np.ones(20), DT)
         assert orthonormality(after) < 1e-14
 
 
-def test_ticks_are_steps():
+@each_engine
+def test_ticks_are_steps(ideal):
     rng = np.random.default_rng(7)
     state, (command, turn) = random_unicycles(rng, 5), random_commands(rng, 5)
     pole = rng.uniform(0.3, 1.0, 5)
     steps = state
     for _ in range(7):
-        steps = advance(steps, command, turn, pole, DT)
+        steps = ideal.advance(steps, command, turn, pole, DT)
     for one, two in zip(steps, ideal.advance_ticks(state, command, turn, pole, DT, 7), strict=True):
         np.testing.assert_array_equal(one, two)
 
 
-def test_what_is_reported_is_the_derivative_of_the_flight():
+@each_engine
+def test_what_is_reported_is_the_derivative_of_the_flight(ideal):
     rng = np.random.default_rng(8)
     n, small = 100, 1e-4
     wind = np.array([[3.0, -2.0, 0.5]])
@@ -195,8 +206,8 @@ def test_what_is_reported_is_the_derivative_of_the_flight():
         return ideal.report(state, command, turn, pole, wind)
 
     now = seen(state)
-    after = seen(advance(state, command, turn, pole, small))
-    before = seen(advance(state, command, turn, pole, -small))
+    after = seen(ideal.advance(state, command, turn, pole, small))
+    before = seen(ideal.advance(state, command, turn, pole, -small))
     slope = (after.velocity_ned - before.velocity_ned) / (2.0 * small)
     assert slope == pytest.approx(now.acceleration_ned, abs=1e-6)
 
@@ -215,68 +226,136 @@ def test_what_is_reported_is_the_derivative_of_the_flight():
     np.testing.assert_array_equal(now.equivalent_airspeed, now.airspeed)
 
 
-def test_a_level_turn_by_hand():
-    # 22 m/s on 120 m: σ̇ = 0.18333 rad/s, tan φ = 22² / (120 · 9.80665) = 0.411285
-    fleet = make_fleet(1)
-    fleet.command(np.array([22.0]), np.array([[0.0, 0.0, 22.0 / 120.0]]))
-    state = fleet.read()
-    assert np.tan(state.euler[0, 0]) == pytest.approx(0.411285, abs=1e-6)
-    assert state.acceleration_ned[0] == pytest.approx([0.0, 22.0**2 / 120.0, 0.0])
-    assert euler_rates(state.euler, state.rates_body)[0] == pytest.approx([0.0, 0.0, 22.0 / 120.0])
-
-
 def make_fleet(n, wind=STILL):
+    """N ideal followers behind a leader, and the records that they read and write."""
     position = np.column_stack([np.zeros(n), 50.0 * np.arange(n), np.full(n, -100.0)])
-    velocity = np.tile([22.0, 0.0, 0.0], (n, 1))
-    return IdealFleet(position, velocity, np.full(n, 0.64), RATE, np.tile(wind, (n, 1)))
+    aircraft, followers = allocate(AIRCRAFT, n + 1), allocate(FOLLOWER, n)
+    aircraft["wind"]["wind_ned"] = wind
+    records = make_unicycles(position, np.tile([22.0, 0.0, 0.0], (n, 1)), np.full(n, 0.64))
+    return UnicycleVehicles(records, RATE, aircraft, np.arange(1, n + 1)), aircraft, followers
+
+
+def steer(fleet, followers, speed, omega):
+    followers["speed_command"], followers["omega"] = speed, omega
+    fleet.set_unicycle(followers, 0.0, np.zeros(3))
+
+
+def truth_of(aircraft):
+    return VehicleState(*(each[1:].copy() for each in fields_of(VehicleState, aircraft["truth"])))
 
 
 def test_fleet_holds_its_command_and_flies_straight_before_the_first():
-    fleet = make_fleet(2, wind=np.array([5.0, 0.0, 0.0]))
-    fleet.step(RATE)
-    state = fleet.read()
+    fleet, aircraft, followers = make_fleet(2, wind=np.array([5.0, 0.0, 0.0]))
+    fleet.step(RATE, None)
+    state = truth_of(aircraft)
     assert state.position_ned == pytest.approx(np.array([[22.0, 0, -100], [22.0, 50, -100]]))
     assert state.airspeed == pytest.approx(17.0)
     np.testing.assert_array_equal(state.acceleration_ned, 0.0)
-    air = fleet.air()
-    np.testing.assert_array_equal(air.wind_ned, [[5.0, 0.0, 0.0]] * 2)
-    assert not any(np.any(each) for each in (air.alpha, air.beta, air.propeller_rps))
+    fleet.read_air()
+    air = aircraft["air"][1:]
+    np.testing.assert_array_equal(air["wind_ned"], [[5.0, 0.0, 0.0]] * 2)
+    assert not any(air[name].any() for name in ("alpha", "beta", "propeller_rps"))
+    assert np.isnan(air["state_of_charge"]).all()
 
-    fleet.command(np.array([25.0, 20.0]), np.array([[0.0, 0.0, 0.1], [0.0, 0.05, 0.0]]))
+    steer(fleet, followers, [25.0, 20.0], [[0.0, 0.0, 0.1], [0.0, 0.05, 0.0]])
     for _ in range(10):
-        fleet.step(RATE // 10)
-    after = fleet.read()
+        fleet.step(RATE // 10, None)
+    after = truth_of(aircraft)
     speed = np.linalg.norm(after.velocity_ned, axis=1)
     fade = math.exp(-0.64)
     assert speed == pytest.approx([25.0 - 3.0 * fade, 20.0 + 2.0 * fade])
     assert after.euler[0, 2] == pytest.approx(0.1)
     assert after.euler[1, 1] == pytest.approx(0.05)
     assert after.position_ned[1, 2] < -100.0
-    # what was read before has not moved
-    assert state.position_ned[0, 0] == pytest.approx(22.0)
+    assert not aircraft["truth"]["position_ned"][0].any()  # the leader is not theirs
 
 
-def test_who_is_lost():
-    fleet = make_fleet(5)
-    state = fleet.read()
-    assert not fleet.lost(state).any()
-    state.position_ned[:3, 2] = [-ideal.LOWEST, -0.99, np.nan]
-    state.position_ned[3, 0] = np.inf
-    state.velocity_ned[4, 1] = np.nan
-    assert fleet.lost(state).tolist() == [False, True, True, True, True]
-    assert ideal.LOWEST == LOWEST  # every vehicle is lost at the same height
+def test_a_level_turn_by_hand():
+    # 22 m/s on 120 m: σ̇ = 0.18333 rad/s, tan φ = 22² / (120 · 9.80665) = 0.411285
+    fleet, aircraft, followers = make_fleet(1)
+    steer(fleet, followers, 22.0, [0.0, 0.0, 22.0 / 120.0])
+    fleet.step(0, None)
+    state = truth_of(aircraft)
+    assert np.tan(state.euler[0, 0]) == pytest.approx(0.411285, abs=1e-6)
+    assert state.acceleration_ned[0] == pytest.approx([0.0, 22.0**2 / 120.0, 0.0])
+    assert euler_rates(state.euler, state.rates_body)[0] == pytest.approx([0.0, 0.0, 22.0 / 120.0])
+
+
+def test_the_leader_is_steered_by_its_own_inputs():
+    aircraft, followers = allocate(AIRCRAFT, 2), allocate(FOLLOWER, 1)
+    records = make_unicycles(np.zeros((1, 3)), np.array([[22.0, 0.0, 0.0]]), np.ones(1))
+    leader = UnicycleVehicles(records, RATE, aircraft, np.zeros(1, dtype=np.intp))
+    followers["speed_command"] = 99.0
+    leader.set_unicycle(followers, 25.0, np.array([0.0, 0.1, 0.2]))
+    assert records["speed_command"].tolist() == [25.0]
+    assert records["omega"].tolist() == [[0.0, 0.1, 0.2]]
+
+
+def test_who_is_lost_keeps_its_motion_and_finite_numbers():
+    fleet, aircraft, followers = make_fleet(3)
+    steer(fleet, followers, [25.0, math.nan, 25.0], np.zeros(3))
+    start = truth_of(aircraft)
+    fleet.step(RATE, None)
+    assert aircraft["stopped"].tolist() == [False, False, True, False]
+    at = truth_of(aircraft)
+    fleet.remove(np.array([False, True, True, False]))
+    fleet.step(RATE, None)
+    after = truth_of(aircraft)
+    assert aircraft["stopped"].tolist() == [False, True, True, False]
+    for name in VehicleState._fields:
+        ours, first, last = (getattr(each, name) for each in (after, start, at))
+        np.testing.assert_array_equal(ours[0], last[0], err_msg=name)
+        np.testing.assert_array_equal(ours[1], first[1], err_msg=name)
+    assert after.position_ned[2, 0] > at.position_ned[2, 0] + 20.0
+    # who is lost takes no commands
+    steer(fleet, followers, 16.0, [0.0, 0.0, 1.0])
+    fleet.step(RATE, None)
+    np.testing.assert_array_equal(truth_of(aircraft).euler[:2], after.euler[:2])
+    # and the others do not notice
+    alone, untouched, wanted = make_fleet(3)
+    steer(alone, wanted, 25.0, np.zeros(3))
+    alone.step(2 * RATE, None)
+    for ours, theirs in zip(after, truth_of(untouched), strict=True):
+        assert ours[2] == pytest.approx(theirs[2], rel=1e-14)
+
+
+def test_finite_unicycles_are_found_and_a_stop_is_for_good():
+    records = make_unicycles(np.zeros((4, 3)), np.tile([22.0, 0.0, 0.0], (4, 1)), np.ones(4))
+    first = records.copy()
+    records["position"][1, 2] = np.inf
+    records["speed"][2] = np.nan
+    records["rotation"][3, 1, 1] = np.nan
+    assert are_finite(records).tolist() == [True, False, False, False]
+    stop_unicycles(records, first, np.array([False, True, True, True]))
+    assert are_finite(records).all()
+    assert records["stopped"].tolist() == [False, True, True, True]
+    records["position"][1] = 7.0
+    stop_unicycles(records, first, np.ones(4, dtype=bool))
+    assert (records["position"][1] == 7.0).all()
 
 
 def test_what_cannot_be_flown_is_refused():
     position = np.zeros((2, 3))
     velocity = np.array([[22.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     with pytest.raises(InputError, match="ideal vehicle 1 .* write a positive speed"):
-        unicycle(position, velocity)
+        make_unicycles(position, velocity, np.ones(2))
     with pytest.raises(InputError, match="speed pole .* is 0 1/s; write a positive"):
-        IdealFleet(position[:1], velocity[:1], np.array([0.0]), RATE, STILL)
+        make_unicycles(position[:1], velocity[:1], np.array([0.0]))
 
 
-def test_a_vertical_flight_has_a_frame():
+def test_unicycles_begin_without_roll_as_the_reference_says():
+    rng = np.random.default_rng(11)
+    velocity = rng.normal(0.0, 15.0, (20, 3))
+    position = rng.normal(0.0, 300.0, (20, 3))
+    records, theirs = make_unicycles(position, velocity, np.ones(20)), unicycle(position, velocity)
+    for name in Unicycle._fields:
+        np.testing.assert_array_equal(records[name], getattr(theirs, name))
+    np.testing.assert_array_equal(records["speed_command"], theirs.speed)
+    assert not records["omega"].any()
+
+
+@each_engine
+def test_a_vertical_flight_has_a_frame(ideal):
     state = unicycle(np.zeros((2, 3)), np.array([[0.0, 0.0, -20.0], [0.0, 0.0, 20.0]]))
     assert orthonormality(state) < 1e-15
     assert np.linalg.det(state.rotation) == pytest.approx(1.0)
@@ -290,10 +369,7 @@ def test_body_rates_undo_euler_rates():
     assert body_rates(euler, euler_rates(euler, rates)) == pytest.approx(rates, abs=1e-13)
 
 
-def test_the_twins():
-    pytest.importorskip("numba")
-    from testbed.vehicle import ideal_twin
-
+def test_the_kernels_do_what_the_reference_does():
     rng = np.random.default_rng(10)
     for n in (1, 40):
         state, (command, turn) = random_unicycles(rng, n), random_commands(rng, n)
@@ -301,11 +377,11 @@ def test_the_twins():
         turn[0] = 0.0  # where sin a / a is 1
         turn[:, 0] = rng.normal(0.0, 0.1, n)
         for ticks in (1, 30):
-            ours = ideal.advance_ticks(state, command, turn, pole, DT, ticks)
-            theirs = ideal_twin.advance_ticks(state, command, turn, pole, DT, ticks)
+            ours = reference.advance_ticks(state, command, turn, pole, DT, ticks)
+            theirs = adapters.advance_ticks(state, command, turn, pole, DT, ticks)
             compare(Unicycle, ours, theirs)
-        said = ideal.report(state, command, turn, pole, wind)
-        compare(VehicleState, said, ideal_twin.report(state, command, turn, pole, wind))
+        said = reference.report(state, command, turn, pole, wind)
+        compare(VehicleState, said, adapters.report(state, command, turn, pole, wind))
 
 
 def compare(kind, ours, theirs):

@@ -1,4 +1,4 @@
-"""Frames against pymavlink's own, message by message, and signatures against the description."""
+"""Frames compared with those of pymavlink, and signatures with the specification."""
 
 import hashlib
 import math
@@ -8,7 +8,7 @@ import struct
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from testbed.mavlink.door import Codec, MavlinkError, decode, number
+from testbed.mavlink.codec import Codec, MavlinkError, constant, decode
 from testbed.mavlink.signing import Signing, signing_time
 
 SEED = 20261121
@@ -20,18 +20,18 @@ HEARTBEAT = {
     "system_status": 4,
     "mavlink_version": 3,
 }
-WHOLE = {"int8_t": 8, "uint8_t": 8, "int16_t": 16, "uint16_t": 16, "int32_t": 32, "uint32_t": 32}
-WHOLE |= {"int64_t": 64, "uint64_t": 64}
-KINDS = sorted(dialect.mavlink_map.values(), key=lambda kind: kind.id)
+INTEGERS = {"int8_t": 8, "uint8_t": 8, "int16_t": 16, "uint16_t": 16, "int32_t": 32, "uint32_t": 32}
+INTEGERS |= {"int64_t": 64, "uint64_t": 64}
+DEFINITIONS = sorted(dialect.mavlink_map.values(), key=lambda kind: kind.id)
 
 
-def some(rng, kind, count):
-    """A value of a field, as it comes back from the wire."""
+def random_value(rng, kind, count):
+    """Make a random value of a field, as it is unpacked."""
 
     def one():
-        if kind in WHOLE:
-            low = 0 if kind.startswith("u") else -(2 ** (WHOLE[kind] - 1))
-            return rng.randrange(low, low + 2 ** WHOLE[kind])
+        if kind in INTEGERS:
+            low = 0 if kind.startswith("u") else -(2 ** (INTEGERS[kind] - 1))
+            return rng.randrange(low, low + 2 ** INTEGERS[kind])
         value = rng.uniform(-1e6, 1e6)
         return value if kind == "double" else struct.unpack("<f", struct.pack("<f", value))[0]
 
@@ -40,43 +40,45 @@ def some(rng, kind, count):
     return tuple(one() for _ in range(count)) if count else one()
 
 
-def filled(rng, kind):
+def random_fields(rng, kind):
     counts = dict(zip(kind.ordered_fieldnames, kind.array_lengths, strict=True))
     return {
-        name: some(rng, of, counts[name])
+        name: random_value(rng, of, counts[name])
         for name, of in zip(kind.fieldnames, kind.fieldtypes, strict=True)
     }
 
 
-def theirs(kind, fields, sender, **how):
+def pack_with_pymavlink(kind, fields, sender, **how):
     values = [v.encode() if isinstance(v, str) else v for v in fields.values()]
     return kind(*values).pack(sender, **how)
 
 
-def sender(system, component, sequence=0):
-    sender = dialect.MAVLink(None, system, component)
-    sender.seq = sequence
-    return sender
+def pymavlink_sender(system, component, sequence=0):
+    mavlink = dialect.MAVLink(None, system, component)
+    mavlink.seq = sequence
+    return mavlink
 
 
-@pytest.mark.parametrize("first", range(0, len(KINDS), 50))
-def test_every_message_is_packed_and_found_as_pymavlink_does(first):
+@pytest.mark.parametrize("first", range(0, len(DEFINITIONS), 50))
+def test_every_message_agrees_with_pymavlink(first):
     rng = random.Random(SEED + first)
-    for kind in KINDS[first : first + 50]:
-        fields = filled(rng, kind)
+    for kind in DEFINITIONS[first : first + 50]:
+        fields = random_fields(rng, kind)
         codec = Codec(7, 42)
         frame = codec.pack(kind.msgname, **fields)
-        assert frame == theirs(kind, fields, sender(7, 42)), kind.msgname
-        (found,) = codec.feed(frame, whole=True)
+        assert frame == pack_with_pymavlink(kind, fields, pymavlink_sender(7, 42)), kind.msgname
+        (found,) = codec.feed(frame, datagram=True)
         assert (found.name, found.system, found.component) == (kind.msgname, 7, 42)
         assert found.fields == fields, kind.msgname
         assert codec.skipped == 0
         if kind.id < 256:
-            old = decode(theirs(kind, fields, sender(7, 42), force_mavlink1=True))
+            old = decode(
+                pack_with_pymavlink(kind, fields, pymavlink_sender(7, 42), force_mavlink1=True)
+            )
             assert (old.name, old.system, old.fields) == (kind.msgname, 7, fields)
 
 
-def test_zeros_at_the_end_are_not_sent_and_come_back():
+def test_trailing_zeros_are_truncated():
     codec = Codec(1, 1)
     text = codec.pack("STATUSTEXT", severity=6, text="up")
     assert len(text) == 10 + 3 + 2
@@ -86,20 +88,20 @@ def test_zeros_at_the_end_are_not_sent_and_come_back():
     assert len(nothing) == 10 + 1 + 2
 
 
-def test_sequences_count_and_wrap():
+def test_sequence_numbers_wrap():
     codec = Codec(1, 1)
     frames = b"".join(codec.pack("HEARTBEAT", **HEARTBEAT) for _ in range(300))
     assert [m.sequence for m in Codec(2, 1).feed(frames)] == [k % 256 for k in range(300)]
 
 
-def test_what_is_not_a_number_travels():
+def test_nan_and_inf_are_transferred():
     hud = dict(airspeed=math.nan, groundspeed=math.inf, heading=0, throttle=0, alt=0, climb=0)
     (found,) = Codec(2, 1).feed(Codec(1, 1).pack("VFR_HUD", **hud))
     assert math.isnan(found.fields["airspeed"])
     assert found.number("groundspeed") == math.inf
 
 
-def test_buffers_may_be_short_and_arrays_of_numbers_may_not():
+def test_short_buffers_are_padded_arrays_are_not():
     codec = Codec(1, 1)
     ftp = dict(target_network=0, target_system=1, target_component=1)
     (found,) = codec.feed(codec.pack("FILE_TRANSFER_PROTOCOL", **ftp, payload=b"\1\2"))
@@ -109,7 +111,7 @@ def test_buffers_may_be_short_and_arrays_of_numbers_may_not():
 
 
 @pytest.mark.parametrize(
-    ("name", "changes", "said"),
+    ("name", "changes", "text"),
     [
         ("HEARTBEET", {}, "did you mean HEARTBEAT"),
         ("HEARTBEAT", {"colour": 1}, "HEARTBEAT: no field colour; its fields are"),
@@ -119,12 +121,12 @@ def test_buffers_may_be_short_and_arrays_of_numbers_may_not():
         ("STATUSTEXT", {"severity": 1, "text": "é" * 26}, "52 bytes"),
     ],
 )
-def test_what_cannot_be_packed_is_named(name, changes, said):
+def test_unpackable_message_is_an_error(name, changes, text):
     fields = (HEARTBEAT if name == "HEARTBEAT" else {}) | changes
     codec = Codec(1, 1)
-    with pytest.raises(MavlinkError, match=said):
+    with pytest.raises(MavlinkError, match=text):
         codec.pack(name, **{k: v for k, v in fields.items() if v is not None})
-    # and costs no sequence number
+    # and uses no sequence number
     assert codec.feed(codec.pack("HEARTBEAT", **HEARTBEAT))[0].sequence == 0
 
 
@@ -132,15 +134,15 @@ def test_systems_and_constants_are_checked():
     for system, component in ((0, 1), (256, 1), (1, 0)):
         with pytest.raises(MavlinkError, match="1 to 255"):
             Codec(system, component)
-    assert number("MAV_TYPE_FIXED_WING") == 1
+    assert constant("MAV_TYPE_FIXED_WING") == 1
     with pytest.raises(MavlinkError, match="MAV_TYPE_BROOM"):
-        number("MAV_TYPE_BROOM")
+        constant("MAV_TYPE_BROOM")
 
 
 KEY = bytes(range(32))
 
 
-def test_a_signature_is_what_the_description_says_and_pymavlink_believes_it():
+def test_signature_follows_the_specification():
     start = signing_time(1_700_000_000.0)
     assert start == (1_700_000_000 - 1_420_070_400) * 100_000
     codec = Codec(7, 1, Signing(KEY, link=3, time=start))
@@ -149,60 +151,60 @@ def test_a_signature_is_what_the_description_says_and_pymavlink_believes_it():
         assert frame[2] == 1
         assert frame[-13:-6] == bytes([3]) + struct.pack("<Q", start + k)[:6]
         assert frame[-6:] == hashlib.sha256(KEY + frame[:-6]).digest()[:6]
-    judge = dialect.MAVLink(None, 1, 1)
-    judge.signing.secret_key = KEY
-    assert [m.get_signed() for m in judge.parse_buffer(b"".join(frames))] == [True, True]
+    parser = dialect.MAVLink(None, 1, 1)
+    parser.signing.secret_key = KEY
+    assert [m.get_signed() for m in parser.parse_buffer(b"".join(frames))] == [True, True]
 
 
-def test_pymavlinks_signatures_are_believed():
-    speaker = sender(7, 1)
-    speaker.signing.secret_key, speaker.signing.sign_outgoing = KEY, True
-    speaker.signing.timestamp = 5
-    frame = dialect.MAVLink_heartbeat_message(1, 3, 81, 5, 4, 3).pack(speaker)
+def test_signatures_of_pymavlink_are_accepted():
+    peer = pymavlink_sender(7, 1)
+    peer.signing.secret_key, peer.signing.sign_outgoing = KEY, True
+    peer.signing.timestamp = 5
+    frame = dialect.MAVLink_heartbeat_message(1, 3, 81, 5, 4, 3).pack(peer)
     assert len(Codec(1, 1, Signing(KEY)).feed(frame)) == 1
 
 
-def test_only_what_is_signed_with_the_key_and_new_is_believed():
-    def said(codec):
+def test_signed_codec_rejects_forged_and_replayed():
+    def heartbeat(codec):
         return codec.pack("HEARTBEAT", **HEARTBEAT)
 
-    listener = Codec(1, 1, Signing(KEY, time=1000))
-    speaker = Codec(7, 1, Signing(KEY, time=2000))
-    first, second = said(speaker), said(speaker)
-    assert len(listener.feed(said(Codec(7, 1)))) == 0
-    assert len(listener.feed(said(Codec(7, 1, Signing(bytes(32), time=9_000_000))))) == 0
-    assert len(listener.feed(second)) == 1
-    assert len(listener.feed(second)) == 0
-    assert len(listener.feed(first)) == 0
-    assert listener.refused == {"unsigned": 1, "forged": 1, "replayed": 2}
-    # what was forged with a later time does not shut the true sender out
-    assert len(listener.feed(said(speaker))) == 1
-    # another link of the same sender has times of its own
-    assert len(listener.feed(said(Codec(7, 1, Signing(KEY, link=1, time=1500))))) == 1
-    # without a key everything is believed
+    receiver = Codec(1, 1, Signing(KEY, time=1000))
+    peer = Codec(7, 1, Signing(KEY, time=2000))
+    first, second = heartbeat(peer), heartbeat(peer)
+    assert len(receiver.feed(heartbeat(Codec(7, 1)))) == 0
+    assert len(receiver.feed(heartbeat(Codec(7, 1, Signing(bytes(32), time=9_000_000))))) == 0
+    assert len(receiver.feed(second)) == 1
+    assert len(receiver.feed(second)) == 0
+    assert len(receiver.feed(first)) == 0
+    assert receiver.rejected == {"unsigned": 1, "forged": 1, "replayed": 2}
+    # a forged later time does not block the true sender
+    assert len(receiver.feed(heartbeat(peer))) == 1
+    # another link of the same sender has its own times
+    assert len(receiver.feed(heartbeat(Codec(7, 1, Signing(KEY, link=1, time=1500))))) == 1
+    # without a key every frame is accepted
     assert len(Codec(1, 1).feed(first + second)) == 2
 
 
-def test_a_newcomer_may_be_a_minute_late_and_no_more():
+def test_first_signature_may_be_a_minute_old():
     now = 100_000_000
-    for behind, heard in ((6_000_000, 1), (6_000_001, 0)):
-        speaker = Codec(7, 1, Signing(KEY, time=now - behind))
-        listener = Codec(1, 1, Signing(KEY, time=now))
-        assert len(listener.feed(speaker.pack("HEARTBEAT", **HEARTBEAT))) == heard
+    for behind, accepted in ((6_000_000, 1), (6_000_001, 0)):
+        peer = Codec(7, 1, Signing(KEY, time=now - behind))
+        receiver = Codec(1, 1, Signing(KEY, time=now))
+        assert len(receiver.feed(peer.pack("HEARTBEAT", **HEARTBEAT))) == accepted
 
 
 @pytest.mark.parametrize(
-    ("signing", "said"),
+    ("signing", "text"),
     [
         ({"key": b"short"}, "give 32"),
         ({"key": KEY, "link": 256}, "0 to 255"),
         ({"key": KEY, "time": 1 << 48}, "10 µs since 2015"),
     ],
 )
-def test_what_cannot_sign_is_refused(signing, said):
-    with pytest.raises(ValueError, match=said):
+def test_invalid_signing_is_an_error(signing, text):
+    with pytest.raises(ValueError, match=text):
         Signing(**signing)
 
 
-def test_a_key_is_not_shown():
+def test_key_is_not_in_repr():
     assert "key" not in repr(Signing(b"k" * 32))

@@ -1,4 +1,4 @@
-"""Delays have the distribution and the correlation on the page, in exact and in netem."""
+"""Delays have the distribution and the correlation of the scenario, in exact and in netem."""
 
 import math
 from dataclasses import dataclass
@@ -19,11 +19,11 @@ from network_samples import (
 from scipy import stats
 from scipy.integrate import quad
 
-from testbed.errors import InputError
-from testbed.network.alone import transmit
+from testbed.core.errors import InputError
+from testbed.network.channel_simulation import transmit
 from testbed.network.delays import PARETO_WITH_Z
 from testbed.network.delays import pareto as pareto_of
-from testbed.network.links import Fate
+from testbed.network.links import PacketOutcome
 
 DELAY, SPREAD = 0.1, 0.02
 APART = 20  # packets, over which a correlation of a half is down to a millionth
@@ -129,16 +129,16 @@ def jitter(distribution, file, correlation=0.0):
 
 @pytest.fixture(scope="module", params=[(name, rho) for name in LAWS for rho in (0.0, 0.5)])
 def flight(request, measured):
-    """A law, the correlation on the page, that of the normal process behind it, and delays."""
+    """A law, the correlation of the scenario, that of the normal process behind it, and delays."""
     name, rho = request.param
-    knobs = {"delay_s": DELAY, "jitter": jitter(name, measured, rho)}
-    behind = make(**knobs).links[0, 0]["rho"]
-    flow = send(**knobs)
-    assert (flow.fate == Fate.DELIVERED).all()
+    keys = {"delay_s": DELAY, "jitter": jitter(name, measured, rho)}
+    behind = make(**keys).links[0, 0]["rho"]
+    flow = send(**keys)
+    assert (flow.outcome == PacketOutcome.DELIVERED).all()
     return name, LAWS[name], rho, behind, flow.delay_s
 
 
-def test_how_a_pareto_number_goes_with_its_normal_one_is_the_integral():
+def test_pareto_covariance_with_normal_is_the_integral():
     """By Stein's lemma the mean of z g(z) is that of g'(z): another integrand."""
 
     def product(z):
@@ -152,7 +152,7 @@ def test_how_a_pareto_number_goes_with_its_normal_one_is_the_integral():
     assert other == pytest.approx(PARETO_WITH_Z, rel=1e-9)
 
 
-def test_a_constant_delay_is_the_same_for_all():
+def test_constant_delay_is_the_same_for_all_packets():
     for arithmetic in ("exact", "netem"):
         flow = send(1000, delay_s=0.125, arithmetic=arithmetic)
         assert np.array_equal(flow.delay_s, np.full(1000, 0.125))
@@ -160,14 +160,14 @@ def test_a_constant_delay_is_the_same_for_all():
         assert np.array_equal(flow.delay_s, np.full(1000, 0.125))
 
 
-def test_the_distribution(flight):
+def test_delay_has_the_distribution(flight):
     """Kolmogorov and Smirnov's test, of packets that are independent."""
     _, law, rho, _, delay = flight
     sample = delay[:: APART if rho else 1]
     assert_chance(stats.kstest(sample, law.cdf).pvalue)
 
 
-def test_the_distribution_in_cells(flight):
+def test_delay_has_the_distribution_in_cells(flight):
     """As many in each of a hundred parts: tails count here as much as the middle."""
     _, law, rho, _, delay = flight
     sample = delay[:: APART if rho else 1]
@@ -175,7 +175,7 @@ def test_the_distribution_in_cells(flight):
     assert_counts(np.bincount(np.searchsorted(edges, sample), minlength=100), np.ones(100))
 
 
-def test_no_delay_is_out_of_range(flight):
+def test_delay_is_within_its_range(flight):
     name, _, _, _, delay = flight
     low, high = {
         "uniform": (DELAY - SPREAD, DELAY + SPREAD),
@@ -190,7 +190,7 @@ def test_no_delay_is_out_of_range(flight):
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_the_page_names_mean_and_deviation(name):
+def test_law_has_the_scenario_mean_and_deviation(name):
     """Of all but uniform and empirical; of the Pareto laws by integrals of their inverses."""
     law = LAWS[name]
     if name in ("normal", "lognormal", "pareto", "paretonormal"):
@@ -204,7 +204,7 @@ def test_the_page_names_mean_and_deviation(name):
         assert law.deviation == pytest.approx(half, rel=0.02)
 
 
-def test_the_process_behind_is_autoregressive_of_first_order(flight):
+def test_normal_process_is_autoregressive_of_order_1(flight):
     """Its innovations are independent normals, whatever the distribution of the delays."""
     name, law, _, rho, delay = flight
     z = law.score(delay)
@@ -216,7 +216,7 @@ def test_the_process_behind_is_autoregressive_of_first_order(flight):
         assert_normal((fresh * known).sum() / math.sqrt((known**2).sum()))
 
 
-def test_the_lag_1_correlation_of_delays_is_the_number_on_the_page(flight):
+def test_lag_1_correlation_is_that_of_the_scenario(flight):
     """By Student's test of batches. Pareto's fourth moment is infinite: there, with a cut tail."""
     name, law, wanted, behind, delay = flight
     normed, cap = (delay - law.mean) / law.deviation, np.inf
@@ -241,7 +241,7 @@ def double_integral(law, rho, cap=np.inf):
 
 @pytest.mark.parametrize("wanted", [0.1, 0.5, 0.9])
 @pytest.mark.parametrize("name", ["uniform", "normal", "lognormal", "pareto", "empirical"])
-def test_the_process_behind_gives_delays_their_correlation(name, wanted, measured):
+def test_rho_gives_delays_their_correlation(name, wanted, measured):
     """A sum over the plane, where the channel uses Hermite polynomials."""
     found = make(delay_s=DELAY, jitter=jitter(name, measured, wanted)).links[0, 0]["rho"]
     # a file has corners, which a sum of 1201 by 1201 points rounds off
@@ -250,7 +250,7 @@ def test_the_process_behind_gives_delays_their_correlation(name, wanted, measure
 
 
 @pytest.mark.parametrize("wanted", [0.05, 0.3, 0.5, 0.8, 0.99])
-def test_the_process_behind_has_known_correlations(wanted, measured):
+def test_rho_has_known_values(wanted, measured):
     """A normal law's own; 2 sin(pi c / 6) for a uniform one; a logarithm for a lognormal one."""
     s2 = math.log(1.0 + (SPREAD / DELAY) ** 2)
     known = {
@@ -263,7 +263,7 @@ def test_the_process_behind_has_known_correlations(wanted, measured):
         assert found == pytest.approx(rho, abs=1e-6)
 
 
-def test_a_delay_below_nothing_is_none():
+def test_negative_delay_becomes_zero():
     """A normal law of mean and deviation 50 ms is cut at 0, where one packet in six is."""
     law = stats.norm(0.05, 0.05)
     delay = send(delay_s=0.05, jitter={"distribution": "normal", "spread_s": 0.05}).delay_s
@@ -273,17 +273,17 @@ def test_a_delay_below_nothing_is_none():
     assert_chance(stats.kstest(above, lambda x: (law.cdf(x) - law.cdf(0.0)) / law.sf(0.0)).pvalue)
 
 
-def test_in_order_a_packet_waits_for_those_before_it():
-    """The same dice with and without: an arrival is the latest of all so far."""
-    knobs = {"delay_s": DELAY, "period_s": 0.01}
-    free = send(jitter={"spread_s": SPREAD, "correlation": 0.3}, **knobs)
-    kept = send(jitter={"spread_s": SPREAD, "correlation": 0.3, "in_order": True}, **knobs)
+def test_in_order_packet_waits_for_those_before():
+    """The same random numbers with and without: an arrival is the latest of all so far."""
+    keys = {"delay_s": DELAY, "period_s": 0.01}
+    free = send(jitter={"spread_s": SPREAD, "correlation": 0.3}, **keys)
+    kept = send(jitter={"spread_s": SPREAD, "correlation": 0.3, "in_order": True}, **keys)
     assert (np.diff(free.received_s) < 0.0).mean() > 0.1
     assert (np.diff(kept.received_s) >= 0.0).all()
     assert np.array_equal(kept.received_s, np.maximum.accumulate(free.received_s))
 
 
-def test_in_order_a_second_copy_waits_too():
+def test_in_order_second_copy_waits_too():
     flow = send(
         2000,
         period_s=0.01,
@@ -300,9 +300,9 @@ def test_in_order_a_second_copy_waits_too():
 # tc netem's tabledist
 
 
-def in_netem(distribution, file, correlation=0.0, **knobs):
+def in_netem(distribution, file, correlation=0.0, **keys):
     return send(
-        delay_s=DELAY, jitter=jitter(distribution, file, correlation), arithmetic="netem", **knobs
+        delay_s=DELAY, jitter=jitter(distribution, file, correlation), arithmetic="netem", **keys
     )
 
 
@@ -310,7 +310,7 @@ def nanoseconds(delay):
     return np.rint(delay * 1e9).astype(np.int64)
 
 
-def test_netems_uniform_delay_is_a_remainder(measured):
+def test_netem_uniform_delay_is_a_remainder(measured):
     """2^32 numbers over twice the spread in ns: the first of them come once more than others."""
     width = round(2e9 * SPREAD)
     whole, rest = divmod(2**32, width)
@@ -337,7 +337,7 @@ def iproute2(name):
 
 
 @pytest.mark.parametrize("name", ["normal", "pareto", "paretonormal"])
-def test_netems_tables_are_drawn_evenly(name, measured):
+def test_netem_tables_are_drawn_evenly(name, measured):
     """Every entry is as likely: 4096 divides 2^32."""
     expected = DELAY + SPREAD * iproute2(name) / 8192
     delay = in_netem(name, measured).delay_s
@@ -352,7 +352,7 @@ def test_netems_tables_are_drawn_evenly(name, measured):
 
 
 @pytest.mark.parametrize("name", ["normal", "lognormal", "empirical"])
-def test_netem_has_the_distribution_of_the_page(name, measured):
+def test_netem_has_the_scenario_distribution(name, measured):
     """To the width of its tables, of those that iproute2 has no other table for."""
     delay = in_netem(name, measured).delay_s
     edges = LAWS[name].ppf(np.arange(1, 20) / 20.0)
@@ -360,8 +360,8 @@ def test_netem_has_the_distribution_of_the_page(name, measured):
 
 
 @pytest.mark.parametrize("name", ["uniform", "normal"])
-def test_netems_correlation_of_delays_is_lost_in_the_remainder(name, measured):
-    """Dice are correlated; what is left of them after division is not."""
+def test_netem_remainder_removes_the_correlation(name, measured):
+    """Random numbers are correlated; their remainders after division are not."""
     delay = in_netem(name, measured, correlation=0.5).delay_s
     normed = (delay - LAWS[name].mean) / LAWS[name].deviation
     assert_mean(normed[1:] * normed[:-1], 0.0)
@@ -370,7 +370,7 @@ def test_netems_correlation_of_delays_is_lost_in_the_remainder(name, measured):
     assert_counts(np.bincount(np.searchsorted(edges, sample), minlength=20), np.ones(20))
 
 
-def test_netem_makes_a_table_of_its_own_of_each_links_delays(tmp_path):
+def test_netem_table_of_each_link_is_its_own(tmp_path):
     """Files and tables on several links do not get into another's way."""
     links = {}
     for k, (receiver, low) in enumerate((("uav1", 0.2), ("uav2", 0.4), ("uav3", 0.6))):
@@ -390,18 +390,20 @@ def test_netem_makes_a_table_of_its_own_of_each_links_delays(tmp_path):
 
 
 def test_netem_has_32_bits_for_a_jitter():
-    """In ns; its dice have 32 too, so a wider one would reach no further than 4.3 s."""
-    knobs = {"delay_s": 10.0, "arithmetic": "netem"}
-    delay = send(jitter={"spread_s": 5.0}, **knobs).delay_s
+    """In ns; its random numbers have 32 too, so a wider one would reach no further than 4.3 s."""
+    keys = {"delay_s": 10.0, "arithmetic": "netem"}
+    delay = send(jitter={"spread_s": 5.0}, **keys).delay_s
     longest = 0x7FFFFFFF / 1e9
     assert_chance(stats.kstest(delay, stats.uniform(10.0 - longest, 2.0 * longest).cdf).pvalue)
 
 
-def test_an_empirical_delay_is_not_less_than_none(tmp_path):
+def test_negative_empirical_delay_is_refused(tmp_path):
     path = tmp_path / "delays.csv"
     path.write_text("delay_s\n0.1\n-0.3\n0.2\n", encoding="utf-8")
     jitter = {"distribution": "empirical", "file": str(path)}
     with pytest.raises(InputError) as caught:
         make(delay_s=0.2, jitter=jitter)
-    assert str(caught.value).startswith(f"{path}:3: delay_s -0.3 s and the page's 0.2 s are less")
+    assert str(caught.value).startswith(
+        f"{path}:3: delay_s -0.3 s plus the scenario's 0.2 s is neg"
+    )
     make(delay_s=0.3, jitter=jitter)

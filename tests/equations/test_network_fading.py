@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from testbed.frames import rotation_ned_body
+from testbed.core.frames import rotation_ned_body
 from testbed.network.fading import fading, make_curves
 from testbed.scenario.network import Network
 
@@ -28,7 +28,7 @@ LEVEL = [0, 0, 0]
 @pytest.mark.parametrize(
     ("distance", "loss"), [(100, 0.0), (500, 0.0), (750, 0.25), (1000, 0.5), (2000, 1.0), (9e3, 1)]
 )
-def test_loss_by_distance_is_linear_between_and_holds_beyond(distance, loss):
+def test_loss_by_distance_is_interpolated(distance, loss):
     network = {"range_loss": [[500, 0], [1000, 0.5], [2000, 1]]}
     assert one_link([0.6 * distance, 0, -0.8 * distance], [LEVEL, LEVEL], network) == (
         pytest.approx(loss)
@@ -66,7 +66,7 @@ def test_shadow_of_either_airframe(position, leader, own, first, second):
 @pytest.mark.parametrize(
     ("position", "leader", "own", "first", "second"), GEOMETRY.values(), ids=GEOMETRY
 )
-def test_an_antenna_above_is_one_below_in_the_mirror(position, leader, own, first, second):
+def test_antenna_above_mirrors_one_below(position, leader, own, first, second):
     """Down becomes up: positions and pitch change sign, roll is past the vertical the other way."""
     mirrored = [position[0], position[1], -position[2]]
     flipped = [[-each[0], -each[1], each[2]] for each in (leader, own)]
@@ -75,7 +75,7 @@ def test_an_antenna_above_is_one_below_in_the_mirror(position, leader, own, firs
     assert one_link(mirrored, flipped, above) == pytest.approx(expected, abs=1e-12)
 
 
-def test_distance_and_both_airframes_are_independent():
+def test_distance_and_airframes_are_independent():
     network = {"range_loss": [[0, 0.5]], **SHADOWING}
     loss = one_link([0, 9, 0], [[20, 0, 0], [-50, 0, 0]], network)
     assert loss == pytest.approx(1 - 0.5 * 0.8 * 0.5)
@@ -104,7 +104,7 @@ BOTH = {"range_loss": [[100, 0], [900, 1]], "shadowing": {"loss": [[5, 0.1], [60
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_turning_and_moving_the_world_changes_nothing(seed):
+def test_rotation_and_translation_change_nothing(seed):
     position, euler, rng = random_formation(seed, 7)
     names = tuple(f"uav{k}" for k in range(7))
     curves = make_curves(names, Network.model_validate(BOTH))
@@ -123,7 +123,7 @@ def test_both_directions_of_a_link_fade_alike():
     assert np.allclose(between, between.T, atol=1e-12)
 
 
-def test_all_links_at_once_are_each_link_alone():
+def test_all_links_match_each_link_alone():
     network = {
         **SHADOWING,
         "links": {
@@ -133,7 +133,7 @@ def test_all_links_at_once_are_each_link_alone():
     }
     position, euler, _ = random_formation(6, 3)
     loss = faded(network, position, np.degrees(euler))
-    assert loss[0, 1] == loss[1, 2] == 0.0  # an aircraft hears itself
+    assert loss[0, 1] == loss[1, 2] == 0.0  # own links
     distance = np.linalg.norm(position[2] - position[0])
     assert loss[1, 0] == pytest.approx(np.interp(distance, [0, 1000], [0.2, 0.6]))
 
@@ -152,11 +152,11 @@ def test_all_links_at_once_are_each_link_alone():
         assert loss[i, m] == pytest.approx(1 - np.prod(1 - ends)), (i, m)
 
 
-def test_two_aircraft_in_one_place_are_in_nobodys_way():
+def test_two_aircraft_in_one_place_are_not_shadowed():
     assert one_link([0, 0, 0], [[90, 0, 0], LEVEL]) == 0.0
 
 
-def test_without_curves_nothing_is_computed():
+def test_no_curves_give_none():
     assert make_curves(NAMES, Network()) is None
     assert make_curves(NAMES, Network.model_validate({"range_loss": []})) is None
     assert make_curves(NAMES, Network.model_validate({"shadowing": {"loss": []}})) is None

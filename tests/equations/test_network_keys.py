@@ -1,20 +1,18 @@
-"""Dice belong to a link and a number: nothing that is set or said elsewhere moves them."""
+"""Random numbers depend on the link and the packet number only, not on other settings."""
 
 import numpy as np
 import pytest
 from network_samples import PACKETS, assert_chance, make, send
 from scipy.stats import chi2_contingency
 
-from testbed.network.alone import transmit
-from testbed.network.fates import BEFALL
-from testbed.network.links import Fate
-from testbed.network.traffic import idle
+from testbed.network.channel_simulation import transmit
+from testbed.network.links import PacketOutcome
 
 NAMES = ("leader", "uav1", "uav2", "uav3")
 SOURCE, DESTINATION = 1, 1  # uav1 to uav2
 HERE = (slice(None), DESTINATION, SOURCE)
 SOME = 300
-# A channel on which everything happens.
+# A channel with all effects.
 EVERYTHING = {
     "delay_s": 0.15,
     "jitter": {"distribution": "lognormal", "spread_s": 0.05, "correlation": 0.4},
@@ -25,7 +23,7 @@ EVERYTHING = {
     "rate": {"bit_per_s": 7000, "queue_packets": 2},
     "slots": {"every_s": [0.03, 0.09], "packets": 2, "queue_packets": 4},
 }
-KNOBS = {
+SETTINGS = {
     "delay_s": [0.05, 0.3],
     "jitter": [
         {"distribution": name, "spread_s": 0.1, "correlation": 0.7}
@@ -51,12 +49,12 @@ KNOBS = {
 }
 
 
-def sent(names=NAMES, seed=None, **knobs):
-    return transmit(make(names, seed, **knobs), packets=SOME, period_s=0.1)
+def sent(names=NAMES, seed=None, **keys):
+    return transmit(make(names, seed, **keys), packets=SOME, period_s=0.1)
 
 
 def same(ours, theirs, where):
-    """Whether all that happened is the same to the bit."""
+    """Return whether all outcomes and times are the same to the bit."""
     return all(
         np.array_equal(a[where], b[where], equal_nan=True)
         for a, b in zip(ours[1:], theirs[1:], strict=True)
@@ -64,33 +62,33 @@ def same(ours, theirs, where):
 
 
 def others():
-    """Every link but the one from uav1 to uav2."""
+    """Choose every link but the one from uav1 to uav2."""
     chosen = np.ones((len(NAMES) - 1, len(NAMES)), dtype=bool)
     chosen[DESTINATION, SOURCE] = False
     return slice(None), chosen
 
 
 @pytest.mark.parametrize("arithmetic", ["exact", "netem"])
-@pytest.mark.parametrize("knob", KNOBS)
-def test_another_setting_of_one_link_is_nothing_to_any_other(knob, arithmetic):
+@pytest.mark.parametrize("key", SETTINGS)
+def test_setting_of_one_link_changes_no_other(key, arithmetic):
     common = {**EVERYTHING, "arithmetic": arithmetic}
     before = sent(**common)
-    assert len(np.unique(before.fate)) > 3  # of what can happen much does
-    for value in KNOBS[knob]:
-        after = sent(**common, links={"uav1": {"uav2": {knob: value}}})
+    assert len(np.unique(before.outcome)) > 3  # most outcomes occur
+    for value in SETTINGS[key]:
+        after = sent(**common, links={"uav1": {"uav2": {key: value}}})
         assert same(before, after, others()), value
         assert not same(before, after, HERE), value
 
 
-def test_the_other_arithmetic_on_one_link_is_nothing_to_any_other():
+def test_arithmetic_of_one_link_changes_no_other():
     before = sent(**EVERYTHING)
     after = sent(**EVERYTHING, links={"uav1": {"uav2": {"arithmetic": "netem"}}})
     assert same(before, after, others())
     assert not same(before, after, HERE)
 
 
-def test_one_more_aircraft_is_nothing_to_the_others():
-    """Wherever in the list it comes."""
+def test_one_more_aircraft_changes_no_other_link():
+    """Wherever in the list it stands."""
     before = sent(**EVERYTHING)
     for at in (1, 2, 4):
         names = [*NAMES[:at], "new", *NAMES[at:]]
@@ -100,14 +98,14 @@ def test_one_more_aircraft_is_nothing_to_the_others():
         assert same(before, (None, *kept), slice(None))
 
 
-def test_another_order_of_the_fleet_is_the_same_fleet():
+def test_order_of_the_fleet_changes_nothing():
     before = sent(**EVERYTHING)
     after = sent(("leader", "uav3", "uav1", "uav2"), **EVERYTHING)
     kept = [each[:, [1, 2, 0]][:, :, [0, 2, 3, 1]] for each in after[1:]]
     assert same(before, (None, *kept), slice(None))
 
 
-def test_the_same_seed_is_the_same_to_the_bit_and_another_is_not():
+def test_seed_decides_every_packet():
     before = sent(**EVERYTHING)
     assert same(before, sent(**EVERYTHING), slice(None))
     after = sent(**EVERYTHING, seed=2)
@@ -117,15 +115,15 @@ def test_the_same_seed_is_the_same_to_the_bit_and_another_is_not():
             assert same(before, after, where) == (m == i + 1)
 
 
-def test_fates_of_two_links_have_nothing_to_do_with_another():
+def test_outcomes_of_two_links_are_independent():
     """There and back, from one sender, to one receiver, and with another seed."""
 
     def lost(**how):
-        return transmit(make(NAMES, **how, loss=0.3), packets=PACKETS // 4, period_s=0.1).fate
+        return transmit(make(NAMES, **how, loss=0.3), packets=PACKETS // 4, period_s=0.1).outcome
 
-    fate, reseeded = lost(), lost(seed=2)
-    here = fate[HERE] > 0
-    pairs = [fate[:, 0, 2], fate[:, 2, 1], fate[:, 1, 0], reseeded[HERE]]
+    outcome, reseeded = lost(), lost(seed=2)
+    here = outcome[HERE] > 0
+    pairs = [outcome[:, 0, 2], outcome[:, 2, 1], outcome[:, 1, 0], reseeded[HERE]]
     for other in pairs:
         cells = [[np.sum((here == a) & ((other > 0) == b)) for b in (0, 1)] for a in (0, 1)]
         assert_chance(chi2_contingency(cells).pvalue)
@@ -134,7 +132,7 @@ def test_fates_of_two_links_have_nothing_to_do_with_another():
 # one link
 
 
-def test_a_higher_probability_loses_the_same_packets_and_more():
+def test_higher_loss_loses_the_same_packets_and_more():
     """So that runs with more loss can be compared packet by packet."""
     for arithmetic in ("exact", "netem"):
         few = send(5000, loss=0.1, arithmetic=arithmetic).lost
@@ -144,78 +142,73 @@ def test_a_higher_probability_loses_the_same_packets_and_more():
 
 
 @pytest.mark.parametrize("arithmetic", ["exact", "netem"])
-def test_loss_moves_no_delay_of_what_arrives(arithmetic):
-    knobs = {
+def test_loss_changes_no_delay_of_other_packets(arithmetic):
+    keys = {
         "delay_s": 0.3,
         "jitter": {"spread_s": 0.05},
         "corrupt": 0.1,
         "arithmetic": arithmetic,
     }
-    free, lossy = send(5000, **knobs), send(5000, loss=0.4, **knobs)
+    free, lossy = send(5000, **keys), send(5000, loss=0.4, **keys)
     assert 0.3 < lossy.lost.mean() < 0.5
     kept = ~lossy.lost
     assert np.array_equal(free.received_s[kept], lossy.received_s[kept], equal_nan=True)
-    assert np.array_equal(free.fate[kept], lossy.fate[kept])
+    assert np.array_equal(free.outcome[kept], lossy.outcome[kept])
 
 
-def scripted(script, **knobs):
-    """Arrivals (K, 2) and fates (K,) of one link whose packets have these scripted fates (K,)."""
-    channel = make(**knobs)
-    traffic, row = idle(channel), np.array([0])
-    untold, fading = np.full((1, 1), np.nan), np.zeros((1, 1))
-    arrivals, fate = np.empty((len(script), 2)), np.empty(len(script), np.uint8)
-    for k, said in enumerate(script):
-        one = np.array([[said]], dtype=np.uint8)
-        both, became = np.empty((1, 1, 2)), np.empty((1, 1), np.uint8)
-        sending = row, np.array([k]), np.array([0.1 * k])
-        BEFALL(channel, traffic, *sending, one, untold, fading, both, became)
-        arrivals[k], fate[k] = both[0, 0], became[0, 0]
-    return arrivals, fate
+def with_outages(scripted, **keys):
+    """Send messages on one link, of which some (K,) have an outcome by an outage."""
+    return transmit(make(**keys), packets=len(scripted), period_s=0.1, scripted=scripted)
+
+
+def received(run):
+    """Return arrivals (K, 2) and outcomes (K,) on the link."""
+    return np.stack([run.received_s, run.second_s], axis=-1)[:, 0, 0], run.outcome[:, 0, 0]
 
 
 @pytest.mark.parametrize("arithmetic", ["exact", "netem"])
-@pytest.mark.parametrize("said", [Fate.LISTED, Fate.BLACKOUT, Fate.PARTITION])
-def test_a_scripted_loss_changes_no_other_packet(said, arithmetic):
-    """Not even with correlations and a queue: it was sent, and it had its place in both."""
-    script = np.zeros(SOME, np.uint8)
-    script[[0, 7, 100, 101, 102, 250]] = said
-    knobs = {**EVERYTHING, "arithmetic": arithmetic}
-    before, fate_before = scripted(np.zeros(SOME, np.uint8), **knobs)
-    after, fate_after = scripted(script, **knobs)
-    hit = script > 0
-    assert (fate_after[hit] == said).all()
-    assert np.isinf(after[hit]).all()
+@pytest.mark.parametrize("outage", ["LISTED", "BLACKOUT", "PARTITION"])
+def test_scripted_loss_changes_no_other_packet(outage, arithmetic):
+    """Not even with correlations and a queue: the packet was sent, and had its place in both."""
+    scripted = np.zeros(SOME, np.uint8)
+    scripted[[0, 7, 100, 101, 102, 250]] = PacketOutcome[outage]
+    keys = {**EVERYTHING, "arithmetic": arithmetic}
+    before, outcome_before = received(with_outages(np.zeros(SOME, np.uint8), **keys))
+    after, outcome_after = received(with_outages(scripted, **keys))
+    hit = scripted > 0
+    assert (outcome_after[hit] == PacketOutcome[outage]).all()
+    assert np.isnan(after[hit]).all()
     assert np.isfinite(before).any()
-    assert np.array_equal(before[~hit], after[~hit])
-    assert np.array_equal(fate_before[~hit], fate_after[~hit])
+    assert np.array_equal(before[~hit], after[~hit], equal_nan=True)
+    assert np.array_equal(outcome_before[~hit], outcome_after[~hit])
 
 
 @pytest.mark.parametrize("arithmetic", ["exact", "netem"])
-def test_silence_moves_no_loss_and_no_second_copy(arithmetic):
-    """A mute sender's numbers count on, and so do the dice of them."""
-    script = np.zeros(SOME, np.uint8)
-    script[40:90] = Fate.MUTE
+def test_muted_packets_change_no_later_random_numbers(arithmetic):
+    """A muted aircraft's messages are numbered, and use their random numbers."""
+    scripted = np.zeros(SOME, np.uint8)
+    scripted[40:90] = PacketOutcome.MUTED
     for loss in (0.3, EVERYTHING["loss"], {"probability": 0.3, "correlation": 0.5}):
-        knobs = {
+        keys = {
             "delay_s": 0.2,
             "jitter": {"spread_s": 0.02},
             "loss": loss,
             "duplicate": EVERYTHING["duplicate"],
             "arithmetic": arithmetic,
         }
-        before, fate_before = scripted(np.zeros(SOME, np.uint8), **knobs)
-        after, fate_after = scripted(script, **knobs)
-        sent_at = script == 0
-        assert (fate_after[~sent_at] == Fate.MUTE).all()
-        assert np.array_equal(fate_before[sent_at], fate_after[sent_at])
-        assert np.array_equal(np.isinf(before)[sent_at], np.isinf(after)[sent_at])
-        if arithmetic == "exact":  # netem asks again for a clone, and remembers
-            assert np.array_equal(before[sent_at], after[sent_at])
+        before, outcome_before = received(with_outages(np.zeros(SOME, np.uint8), **keys))
+        after, outcome_after = received(with_outages(scripted, **keys))
+        sent_at = scripted == 0
+        assert (outcome_after[~sent_at] == PacketOutcome.MUTED).all()
+        assert np.array_equal(outcome_before[sent_at], outcome_after[sent_at])
+        assert np.array_equal(np.isnan(before)[sent_at], np.isnan(after)[sent_at])
+        if arithmetic == "exact":  # netem draws again for a clone, and keeps the number
+            assert np.array_equal(before[sent_at], after[sent_at], equal_nan=True)
 
 
-def test_the_own_link_is_perfect_whatever_is_set():
+def test_own_link_is_perfect():
     flight = sent(**{**EVERYTHING, "loss": 1.0})
     for i in range(len(NAMES) - 1):
-        assert (flight.fate[:, i, i + 1] == Fate.DELIVERED).all()
+        assert (flight.outcome[:, i, i + 1] == PacketOutcome.DELIVERED).all()
         assert np.array_equal(flight.received_s[:, i, i + 1], flight.sent_s[:, i + 1])
         assert (flight.copies[:, i, i + 1] == 1).all()

@@ -16,8 +16,8 @@ from network_samples import (
 )
 from scipy.stats import chi2_contingency
 
-from testbed.network.alone import transmit
-from testbed.network.links import Fate
+from testbed.network.channel_simulation import transmit
+from testbed.network.links import PacketOutcome
 
 FORGOTTEN = 1e-3  # a correlation that no sample of this size can tell from none
 
@@ -50,7 +50,7 @@ class Chain:
         return share * (1.0 - share) + 2.0 * later
 
     def pair(self, lag):
-        """Probability (2, 2) of what becomes of a packet and of the one `lag` later."""
+        """Return the probability (2, 2) of losing a packet, and the one `lag` later."""
         between = np.linalg.matrix_power(self.step, lag - 1)
         kinds = (self.kept, self.lost)
         return np.array([[self.at @ a @ between @ b @ self.ones for b in kinds] for a in kinds])
@@ -136,10 +136,10 @@ CHAINS = {
 
 
 def chain_of(loss):
-    said = {key: value for key, value in loss.items() if key != "kind"}
+    args = {key: value for key, value in loss.items() if key != "kind"}
     if loss["kind"] == "bernoulli":
-        return correlated(said["probability"], said.get("correlation", 0.0))
-    return MAKERS[loss["kind"]](**said)
+        return correlated(args["probability"], args.get("correlation", 0.0))
+    return MAKERS[loss["kind"]](**args)
 
 
 def models():
@@ -156,21 +156,21 @@ def flight(request):
     return chain_of(loss), send(loss=loss, arithmetic=arithmetic)
 
 
-def test_what_is_not_lost_arrives_at_once(flight):
+def test_packet_not_lost_arrives_at_once(flight):
     _, flow = flight
-    assert np.isin(flow.fate, (Fate.DELIVERED, Fate.LOST)).all()
+    assert np.isin(flow.outcome, (PacketOutcome.DELIVERED, PacketOutcome.LOST)).all()
     assert np.array_equal(np.isnan(flow.received_s), flow.lost)
     assert np.array_equal(flow.received_s[~flow.lost], flow.sent_s[~flow.lost])
     assert np.array_equal(flow.copies, ~flow.lost)
 
 
-def test_the_share_is_that_of_the_stationary_chain(flight):
+def test_loss_share_is_that_of_the_stationary_chain(flight):
     chain, flow = flight
     assert_normal((flow.lost.mean() - chain.share) / np.sqrt(chain.variance() / PACKETS))
 
 
 @pytest.mark.parametrize("lag", [1, 2, 3])
-def test_packets_near_another_are_correlated_like_the_chain(flight, lag):
+def test_near_packets_are_correlated_like_the_chain(flight, lag):
     """Pairs so far apart that they are independent fall into four cells."""
     chain, flow = flight
     first = np.arange(0, PACKETS - lag, lag + chain.memory())
@@ -179,26 +179,26 @@ def test_packets_near_another_are_correlated_like_the_chain(flight, lag):
 
 
 @pytest.mark.parametrize("lag", [1, 2, 3])
-def test_a_correlation_is_the_number_on_the_page_to_the_power_of_the_lag(lag):
+def test_correlation_is_the_power_of_the_lag(lag):
     for name in ("correlated", "sticky"):
         p, rho = CHAINS[name]["probability"], CHAINS[name]["correlation"]
         joint = chain_of(CHAINS[name]).pair(lag)
         assert joint[1, 1] - p**2 == pytest.approx(rho**lag * p * (1.0 - p), rel=1e-9)
 
 
-def test_bursts_are_as_long_as_the_chain_makes_them(flight):
+def test_burst_lengths_are_those_of_the_chain(flight):
     chain, flow = flight
     probability, apart = chain.run(chain.lost, chain.kept)
     assert_lengths(runs(flow.lost)[0][::apart], probability)
 
 
-def test_gaps_are_as_long_as_the_chain_makes_them(flight):
+def test_gap_lengths_are_those_of_the_chain(flight):
     chain, flow = flight
     probability, apart = chain.run(chain.kept, chain.lost)
     assert_lengths(runs(flow.lost)[1][::apart], probability)
 
 
-def test_the_matrices_agree_with_closed_forms():
+def test_chain_matrices_agree_with_closed_forms():
     """Shares and burst lengths that the literature writes out."""
     p, r, bad, good = 0.1, 0.2, 0.8, 0.05
     chain = gilbert_elliott(p, r, bad, good)
@@ -216,7 +216,7 @@ def test_the_matrices_agree_with_closed_forms():
 
 
 @pytest.mark.parametrize("arithmetic", ["exact", "netem"])
-def test_never_and_always_are_meant(arithmetic):
+def test_loss_0_and_1_are_exact(arithmetic):
     """Whatever the correlation, in exact; netem's own walks off its certainties."""
     for correlation in (0.0, 0.9) if arithmetic == "exact" else (0.0,):
         for probability in (0.0, 1.0):
@@ -226,14 +226,14 @@ def test_never_and_always_are_meant(arithmetic):
 
 
 def first_packets(loss, packets):
-    """Lost or not (packets, links) on 20 x 19 links that have nothing but dice in common."""
+    """Lost or not (packets, links) on 20 x 19 links whose random numbers are independent."""
     names = ["leader", *(f"uav{i}" for i in range(1, 20))]
     sent = transmit(make(names, loss=loss), packets=packets, period_s=0.1)
     apart = ~np.eye(len(names), dtype=bool)[1:]
-    return sent.fate[:, apart] == Fate.LOST
+    return sent.outcome[:, apart] == PacketOutcome.LOST
 
 
-def test_the_first_packets_are_lost_as_often_as_all():
+def test_first_packets_are_lost_as_often_as_all():
     """A correlation changes how losses cluster, not how many there are, from the start."""
     sticky = [{"kind": "bernoulli", "probability": 0.3, "correlation": rho} for rho in (0, 0.99)]
     slow = [
@@ -254,7 +254,7 @@ def test_the_first_packets_are_lost_as_often_as_all():
     ],
     ids=["gilbert-elliott", "four-state"],
 )
-def test_a_link_that_dies_for_good_is_alive_at_first(loss):
+def test_link_that_fails_for_good_works_at_first(loss):
     lost = first_packets(loss, 2000)
     assert lost[-1].all()
     gone = np.argmax(lost, axis=0)  # the first packet lost; all later ones are
@@ -267,7 +267,7 @@ def test_a_link_that_dies_for_good_is_alive_at_first(loss):
     assert_counts(counts, np.diff(cumulative, prepend=0.0))
 
 
-def test_what_one_link_loses_says_nothing_of_another():
+def test_losses_of_two_links_are_independent():
     lost = first_packets({"probability": 0.3}, 500)
     for other in (1, 20, 300):
         assert_chance(
@@ -284,7 +284,7 @@ def test_what_one_link_loses_says_nothing_of_another():
 
 
 def blended_share(p, rho, cells=4096):
-    """How often netem's correlated dice are at most p: the stationary law, found by iteration.
+    """How often netem's correlated numbers are at most p: the stationary law, found by iteration.
 
     The next number is (1 - rho) u + rho x with a fresh u, so its distribution is an average of
     that of x over a window; the density starts even and settles by rho each time.
@@ -304,7 +304,7 @@ def blended_share(p, rho, cells=4096):
     return float(np.interp(p, edges, law))
 
 
-def test_the_blend_of_two_halves_in_closed_form():
+def test_blend_of_two_halves_has_closed_form():
     """The sum of 2^-k u_k has mean 1/2 and is even about it; blended by nothing u is even."""
     assert blended_share(0.5, 0.5) == pytest.approx(0.5, abs=1e-6)
     assert blended_share(0.3, 0.5) + blended_share(0.7, 0.5) == pytest.approx(1.0, abs=1e-6)
@@ -318,10 +318,10 @@ def test_the_blend_of_two_halves_in_closed_form():
 @pytest.mark.parametrize(
     ("p", "rho"), [(0.3, 0.5), (0.3, 0.25), (0.1, 0.25), (0.5, 0.5), (0.3, 0.75), (0.45, 0.9)]
 )
-def test_netem_with_correlation_loses_what_its_blend_makes_of_it(p, rho):
+def test_netem_correlated_loss_is_that_of_its_blend(p, rho):
     flow = send(loss={"probability": p, "correlation": rho}, arithmetic="netem")
     assert_mean(flow.lost, blended_share(p, rho))
 
 
-def test_netem_delivers_87_of_100_at_a_loss_of_30_correlated_by_half():
+def test_netem_30_percent_loss_delivers_87_percent():
     assert 1.0 - blended_share(0.3, 0.5) == pytest.approx(0.87, abs=0.005)

@@ -1,4 +1,4 @@
-"""The dice: Philox4x32-10 against its published answers, its definition, and chance."""
+"""Philox4x32-10 against its published answers, its definition, and chance."""
 
 import hashlib
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from network_samples import PACKETS, assert_counts, assert_normal, assert_share
 
+from testbed.core.compile import entry
 from testbed.network.channel import make_channel
 from testbed.network.philox import LOW, key_of, philox, unit
 from testbed.scenario.network import Network
@@ -46,52 +47,50 @@ def by_definition(key, counter):
     return tuple(x)
 
 
-def compiled(key, counter):
-    twin = pytest.importorskip("testbed.network.fates_twin", exc_type=ImportError)
-    number = np.uint64(number_of(counter))
-    return twin.philox(np.array(key, dtype=np.uint64), number, *counter[2:])
+@entry
+def compiled(key0, key1, counter, copy, block):
+    return philox(key0, key1, counter, copy, block)
 
 
 @pytest.mark.parametrize(("counter", "key", "answer"), KNOWN)
-def test_the_published_answers(counter, key, answer):
-    assert tuple(map(int, philox(*key, number_of(counter), *counter[2:]))) == answer
+def test_philox_gives_published_answers(counter, key, answer):
+    args = *map(np.uint64, key), np.uint64(number_of(counter)), *counter[2:]
+    assert tuple(map(int, philox(*args))) == answer
+    assert tuple(map(int, compiled(*args))) == answer
     assert by_definition(key, counter) == answer
 
 
-@pytest.mark.parametrize(("counter", "key", "answer"), KNOWN)
-def test_the_published_answers_compiled(counter, key, answer):
-    assert tuple(map(int, compiled(key, counter))) == answer
-
-
-def test_any_key_and_counter_as_defined():
+def test_philox_matches_its_definition():
     """An array of them at once, one by one by the definition, and compiled."""
     drawn = np.random.default_rng(3).integers(0, 2**32, (200, 6), dtype=np.uint64)
     key0, key1, low, high, copy, block = drawn.T
-    words = philox(key0, key1, low + (high << np.uint64(32)), copy, block)
+    counters = low + (high << np.uint64(32))
+    words = np.transpose(philox(key0, key1, counters, copy, block))
     for k, (*key, first, second, third, fourth) in enumerate(drawn.tolist()):
         expected = by_definition(key, (first, second, third, fourth))
-        assert tuple(int(word[k]) for word in words) == expected
-        assert tuple(map(int, compiled(key, (first, second, third, fourth)))) == expected
+        assert tuple(words[k].tolist()) == expected
+        one = compiled(key0[k], key1[k], counters[k], copy[k], block[k])
+        assert tuple(map(int, one)) == expected
 
 
-def test_keys_are_those_of_the_digest():
+def test_key_is_that_of_the_digest():
     digest = hashlib.sha256(b"7/network/leader>uav1").digest()
     assert key_of(7, "network/leader>uav1") == tuple(
         sum(digest[4 * word + k] << (8 * k) for k in range(4)) for word in range(2)
     )
 
 
-def test_no_two_links_and_no_two_seeds_share_a_key():
+def test_keys_of_links_and_seeds_differ():
     names = ["leader", *(f"uav{i}" for i in range(1, 12))]
     keys = {
         tuple(key)
         for seed in range(20)
-        for key in make_channel(names, Network(), seed).keys.reshape(-1, 2).tolist()
+        for key in make_channel(names, Network(), seed).links["key"].reshape(-1, 2).tolist()
     }
     assert len(keys) == 20 * 11 * 12
 
 
-def test_a_unit_is_never_an_end():
+def test_unit_is_never_0_or_1():
     ends = unit(np.array([0, LOW], dtype=np.uint64))
     assert ends == pytest.approx([2.0**-33, 1.0 - 2.0**-33], abs=0)
 
@@ -115,7 +114,7 @@ def test_every_bit_is_fair(words):
         assert_share((words >> np.uint64(bit)) & np.uint64(1), 0.5)
 
 
-def test_words_of_one_packet_and_of_its_neighbours_are_independent(words):
+def test_words_of_near_packets_are_independent(words):
     """Pairs fall evenly into the squares of a board: of words, and of packets next to another."""
     flat = words.reshape(-1, PACKETS) >> np.uint64(27)
     for first in range(len(flat)):
@@ -125,7 +124,7 @@ def test_words_of_one_packet_and_of_its_neighbours_are_independent(words):
             assert_counts(np.bincount(pair.astype(np.int64), minlength=1024), np.ones(1024))
 
 
-def test_links_are_independent():
+def test_words_of_links_are_independent():
     """Words of the same packet on two links, and with two seeds, are uncorrelated."""
     numbers = np.arange(PACKETS)
     first = unit(philox(*key_of(1, "network/leader>uav1"), numbers, 0, 0)[0]) - 0.5
@@ -134,7 +133,7 @@ def test_links_are_independent():
         assert_normal(12.0 * (first * second).sum() / np.sqrt(PACKETS))
 
 
-def test_one_bit_of_the_counter_changes_half_of_all_bits():
+def test_one_counter_bit_changes_half_of_all_bits():
     key = key_of(1, "network/leader>uav1")
     rng = np.random.default_rng(5)
     for bit in (0, 1, 7, 31, 32, 63):

@@ -18,37 +18,27 @@ from network_samples import (
 )
 from scipy import stats
 
-from testbed.network.alone import transmit
-from testbed.network.fates import BEFALL
-from testbed.network.links import Fate
-from testbed.network.traffic import idle
+from testbed.network.channel_simulation import transmit, transmit_at
+from testbed.network.links import PacketOutcome
 
 BITS = 800  # of the 100 bytes of a message
 
 
 def per_second(packets):
-    """The rate of a transmitter that sends so many messages in a second."""
+    """Return the rate, bit/s, of a transmitter that sends so many messages in a second."""
     return BITS * packets
 
 
-def send_at(times, **knobs):
-    """Arrivals and fates (K,) of messages on one link at these times."""
-    channel = make(**knobs)
-    traffic, row = idle(channel), np.array([0])
-    script, untold, fading = np.zeros((1, 1), np.uint8), np.full((1, 1), np.nan), np.zeros((1, 1))
-    arrivals, fate = np.empty(len(times)), np.empty(len(times), np.uint8)
-    for k, now in enumerate(times):
-        both, became = np.empty((1, 1, 2)), np.empty((1, 1), np.uint8)
-        sending = row, np.array([k]), np.array([now])
-        BEFALL(channel, traffic, *sending, script, untold, fading, both, became)
-        arrivals[k], fate[k] = both[0, 0].min(), became[0, 0]
-    return arrivals, fate
+def send_at(times, **keys):
+    """Return arrivals and outcomes (K,) of messages on one link at these times."""
+    run = transmit_at(make(**keys), np.repeat(np.asarray(times)[:, None], 2, axis=1))
+    return run.received_s[:, 0, 0], run.outcome[:, 0, 0]
 
 
 # rate
 
 
-def test_a_free_transmitter_adds_the_time_of_a_message():
+def test_free_transmitter_adds_time_on_air():
     """100 bytes and 28 of headers at 10240 bit/s take 0.1 s, whatever was before."""
     rate = {"bit_per_s": 10240, "overhead_bytes": 28}
     flow = send(1000, period_s=0.125, delay_s=0.25, rate=rate)
@@ -58,12 +48,12 @@ def test_a_free_transmitter_adds_the_time_of_a_message():
 
 
 @pytest.mark.parametrize("arithmetic", ["exact", "netem"])
-def test_no_rate_is_no_limit(arithmetic):
+def test_rate_0_is_no_limit(arithmetic):
     flow = send(1000, delay_s=0.25, rate={"bit_per_s": 0}, arithmetic=arithmetic)
     assert np.array_equal(flow.delay_s, np.full(1000, 0.25))
 
 
-def test_a_queue_of_three_by_hand():
+def test_queue_of_three_by_hand():
     """Messages every 50 ms, 100 ms each: the queue fills to three, then every other is dropped.
 
     Leaving at 0.1, 0.2, 0.3, ...: at 0.25 s those that leave at 0.3, 0.4 and 0.5 s are inside.
@@ -73,21 +63,21 @@ def test_a_queue_of_three_by_hand():
     n = np.nan
     by_hand = [0.1, 0.2, 0.3, 0.4, 0.5, n, 0.6, n, 0.7, n, 0.8, n]
     assert flow.received_s == pytest.approx(by_hand, abs=1e-9, nan_ok=True)
-    assert np.array_equal(flow.fate == Fate.QUEUE, np.isnan(by_hand))
-    assert np.isin(flow.fate, (Fate.DELIVERED, Fate.QUEUE)).all()
+    assert np.array_equal(flow.outcome == PacketOutcome.QUEUE, np.isnan(by_hand))
+    assert np.isin(flow.outcome, (PacketOutcome.DELIVERED, PacketOutcome.QUEUE)).all()
 
 
-def test_two_copies_enter_the_last_place_of_netems_queue():
+def test_netem_two_copies_enter_the_last_place():
     """The place is looked for once, for both; then it takes two to leave before one enters."""
     rate = {"bit_per_s": per_second(10), "queue_packets": 1}
     flow = send(6, period_s=0.09, duplicate=1, rate=rate, arithmetic="netem")
     assert flow.copies.tolist() == [2, 0, 0, 2, 0, 0]
     assert flow.received_s[[0, 3]] == pytest.approx([0.1, 0.37])
     assert flow.second_s[[0, 3]] == pytest.approx([0.2, 0.47])
-    assert (flow.fate[[1, 2, 4, 5]] == Fate.QUEUE).all()
+    assert (flow.outcome[[1, 2, 4, 5]] == PacketOutcome.QUEUE).all()
 
 
-def test_a_queue_of_netem_by_hand():
+def test_netem_queue_by_hand():
     """Its messages are inside until their delay is over, and the transmitter is after it.
 
     0.1 s of delay and 0.1 s each leave at 0.2, 0.3 and 0.4 s; at 0.15 s three are inside.
@@ -97,15 +87,15 @@ def test_a_queue_of_netem_by_hand():
     n = np.nan
     by_hand = [0.2, 0.3, 0.4, n, 0.5, n, 0.6, n, 0.7, n]
     assert flow.received_s == pytest.approx(by_hand, abs=1e-9, nan_ok=True)
-    assert np.array_equal(flow.fate == Fate.QUEUE, np.isnan(by_hand))
+    assert np.array_equal(flow.outcome == PacketOutcome.QUEUE, np.isnan(by_hand))
 
 
 @pytest.mark.parametrize("arithmetic", ["exact", "netem"])
 @pytest.mark.parametrize(("load", "places"), [(1.25, 1), (2.0, 7), (3.7, 50)])
-def test_an_overload_is_dropped_and_what_waits_is_bounded(load, places, arithmetic):
+def test_overload_is_dropped_and_waits_are_bounded(load, places, arithmetic):
     rate = {"bit_per_s": per_second(10), "queue_packets": places}
     flow = send(PACKETS // 4, period_s=0.1 / load, rate=rate, arithmetic=arithmetic)
-    dropped = flow.fate == Fate.QUEUE
+    dropped = flow.outcome == PacketOutcome.QUEUE
     if places > 1:  # it never runs dry, so it serves as many as it can
         assert dropped.mean() == pytest.approx(1.0 - 1.0 / load, abs=2.0 * places / len(dropped))
         assert np.diff(flow.received_s[~dropped]) == pytest.approx(0.1, abs=1e-6)
@@ -117,7 +107,7 @@ def test_an_overload_is_dropped_and_what_waits_is_bounded(load, places, arithmet
 
 
 def in_a_deque(times, service, places):
-    """The second route: when each leaves (nan: dropped), by looking at who is inside."""
+    """The second route: when each leaves (nan: dropped), by a queue of departure times."""
     inside, out = deque(), np.full(len(times), np.nan)
     for k, now in enumerate(times):
         while inside and inside[0] <= now:
@@ -130,23 +120,23 @@ def in_a_deque(times, service, places):
 
 @pytest.mark.parametrize("arithmetic", ["exact", "netem"])
 @pytest.mark.parametrize("load", [0.7, 1.3])
-def test_random_arrivals_as_in_a_queue_written_out(load, arithmetic):
+def test_random_arrivals_match_a_deque(load, arithmetic):
     times = np.cumsum(np.random.default_rng(4).exponential(0.1 / load, 10_000))
     rate = {"bit_per_s": per_second(10), "queue_packets": 4}
-    arrivals, fate = send_at(times, rate=rate, arithmetic=arithmetic)
+    arrivals, outcome = send_at(times, rate=rate, arithmetic=arithmetic)
     expected = in_a_deque(times, 0.1, 4)
-    assert np.array_equal(fate == Fate.QUEUE, np.isnan(expected))
-    assert 0.01 < (fate == Fate.QUEUE).mean() < 0.5
-    served = fate == Fate.DELIVERED
+    assert np.array_equal(outcome == PacketOutcome.QUEUE, np.isnan(expected))
+    assert 0.01 < (outcome == PacketOutcome.QUEUE).mean() < 0.5
+    served = outcome == PacketOutcome.DELIVERED
     assert arrivals[served] == pytest.approx(expected[served], abs=1e-9)
 
 
-def test_random_arrivals_wait_as_pollaczek_and_khinchine_say():
+def test_mean_wait_is_that_of_pollaczek_khinchine():
     """M/D/1: the mean wait is load x service / (2 (1 - load))."""
     load, service = 0.6, 0.1
     times = np.cumsum(np.random.default_rng(6).exponential(service / load, PACKETS))
-    arrivals, fate = send_at(times, rate={"bit_per_s": per_second(10), "queue_packets": 1000})
-    assert (fate == Fate.DELIVERED).all()
+    arrivals, outcome = send_at(times, rate={"bit_per_s": per_second(10), "queue_packets": 1000})
+    assert (outcome == PacketOutcome.DELIVERED).all()
     assert_mean(arrivals - times - service, load * service / (2.0 * (1.0 - load)))
 
 
@@ -161,31 +151,31 @@ def test_slots_by_hand():
     n = np.nan
     by_hand = [1.05, n, 1.15, n, 1.25, n, n, 1.35]
     assert flow.received_s == pytest.approx(by_hand, abs=1e-9, nan_ok=True)
-    assert np.array_equal(flow.fate == Fate.QUEUE, np.isnan(by_hand))
+    assert np.array_equal(flow.outcome == PacketOutcome.QUEUE, np.isnan(by_hand))
 
 
-def test_a_slot_takes_as_many_as_it_says_and_others_wait_for_the_next():
+def test_slot_takes_its_packets_and_others_wait():
     slots = {"every_s": 0.1, "packets": 2, "queue_packets": 6}
     flow = send(6, period_s=0.01, phase_s=0.01, slots=slots)
     assert flow.received_s == pytest.approx([0.1, 0.1, 0.2, 0.2, 0.3, 0.3], abs=1e-9)
 
 
 @pytest.mark.parametrize("every", [0.1, 0.05, 1e-3, 1e-4])
-def test_a_message_in_time_for_a_slot_takes_it(every):
+def test_message_in_time_for_a_slot_takes_it(every):
     """Times that are one in decimals and not in binary; hours into a flight, too."""
     for phase in (0.0, 0.7, 7200.3):
         slots = {"every_s": every, "first_s": 0.3, "queue_packets": 2}
         flow = send(2000, period_s=every, phase_s=phase + 0.3, slots=slots)
-        assert (flow.fate == Fate.DELIVERED).all()
+        assert (flow.outcome == PacketOutcome.DELIVERED).all()
         assert abs(flow.delay_s).max() < 2e-9
 
 
-def test_slots_at_random_are_evenly_apart():
+def test_random_slots_have_uniform_intervals():
     """Saturated, so that every slot is used: Kolmogorov and Smirnov on the gaps."""
     low, high = 0.05, 0.25
     slots = {"every_s": [low, high], "queue_packets": 20}
     flow = send(period_s=0.1, slots=slots)
-    times = flow.received_s[flow.fate == Fate.DELIVERED]
+    times = flow.received_s[flow.outcome == PacketOutcome.DELIVERED]
     gaps = np.diff(times)
     assert len(gaps) > PACKETS / 2
     assert_chance(stats.kstest(gaps, stats.uniform(low, high - low).cdf).pvalue)
@@ -193,7 +183,7 @@ def test_slots_at_random_are_evenly_apart():
     assert_mean(middle[1:] * middle[:-1], 0.0)
 
 
-def test_slots_at_random_come_and_go_whether_used_or_not():
+def test_random_slots_do_not_depend_on_use():
     """A message after a long silence takes the slot that a busy link has there."""
     slots = {"every_s": [0.05, 0.25], "queue_packets": 20}
     busy = send(4000, period_s=0.1, slots=slots).received_s
@@ -214,14 +204,14 @@ def turns(packets, period_s, phase_s=0.0, **tdma):
 
 
 @pytest.mark.parametrize("order", [None, ["uav2", "leader", "uav1"]])
-def test_in_a_frame_everyone_sends_in_its_own_slot(order):
+def test_tdma_aircraft_sends_in_its_own_slot(order):
     phases = np.array([0.01234567, 0.07712345, 0.19154321])  # never at a slot's very time
     sent = turns(2000, np.array([0.3, 0.47, 0.811]), phases, **({"order": order} if order else {}))
     rows = [["leader", "uav1", "uav2"].index(name) for name in order or ("leader", "uav1", "uav2")]
     for m in range(3):
-        to = 0 if m != 1 else 1  # nobody's message to itself waits
+        to = 0 if m != 1 else 1  # an aircraft's message to itself does not wait
         left = sent.received_s[:, to, m] - 1.0
-        assert (sent.fate[:, to, m] == Fate.DELIVERED).all()
+        assert (sent.outcome[:, to, m] == PacketOutcome.DELIVERED).all()
         own = 0.1 * rows.index(m)
         into_frame = (left - own + 0.15) % 0.3 - 0.15
         assert abs(into_frame).max() < 1e-8
@@ -229,7 +219,7 @@ def test_in_a_frame_everyone_sends_in_its_own_slot(order):
         assert wait == pytest.approx((own - sent.sent_s[:, m]) % 0.3, abs=1e-8)
 
 
-def test_in_a_frame_nobody_takes_two_turns():
+def test_tdma_aircraft_has_one_slot_per_frame():
     sent = turns(900, 0.1, 0.02)
     for m in range(3):
         to = 0 if m != 1 else 1
@@ -237,7 +227,9 @@ def test_in_a_frame_nobody_takes_two_turns():
         left = left[~np.isnan(left)]
         # the frame serves one of three; until the last leaves none may wait
         assert np.diff(left) == pytest.approx(0.3, abs=1e-8)
-        assert (sent.fate[:, to, m] == Fate.QUEUE).mean() == pytest.approx(2 / 3, abs=0.01)
+        assert (sent.outcome[:, to, m] == PacketOutcome.QUEUE).mean() == pytest.approx(
+            2 / 3, abs=0.01
+        )
 
 
 # overtaking
@@ -245,10 +237,10 @@ def test_in_a_frame_nobody_takes_two_turns():
 
 @pytest.mark.parametrize("arithmetic", ["exact", "netem"])
 @pytest.mark.parametrize(("q", "gap"), [(0.25, 1), (0.25, 5), (1.0, 3), (0.6, 2)])
-def test_packets_overtake_as_the_gap_allows(q, gap, arithmetic):
+def test_reordering_keeps_the_gap(q, gap, arithmetic):
     """A renewal process: gap - 1 packets may not, and then each does with probability q."""
-    knobs = {"reorder": {"probability": q, "gap": gap}, "arithmetic": arithmetic}
-    flow = send(period_s=0.125, delay_s=1.0, **knobs)
+    keys = {"reorder": {"probability": q, "gap": gap}, "arithmetic": arithmetic}
+    flow = send(period_s=0.125, delay_s=1.0, **keys)
     overtook = flow.delay_s == 0.0
     assert np.array_equal(flow.delay_s[~overtook], np.ones((~overtook).sum()))
     apart = np.diff(np.flatnonzero(overtook))
@@ -262,7 +254,7 @@ def test_packets_overtake_as_the_gap_allows(q, gap, arithmetic):
     assert_normal(deviation / np.sqrt(PACKETS * variance / mean**3))
 
 
-def test_the_order_of_arrivals_when_one_overtakes():
+def test_overtaking_packet_passes_those_on_their_way():
     """With a delay of three and a half periods it passes three: those not yet there."""
     flow = send(2000, period_s=1.0, delay_s=3.5, reorder={"probability": 0.2, "gap": 9})
     for k in np.flatnonzero(flow.delay_s == 0.0):
@@ -272,7 +264,7 @@ def test_the_order_of_arrivals_when_one_overtakes():
         assert np.array_equal(behind, np.arange(k - 3, k))
 
 
-def test_overtaking_is_correlated_as_the_page_says():
+def test_reordering_has_the_scenario_correlation():
     """Of neighbours by the chain, without a gap."""
     q, rho = 0.3, 0.5
     flow = send(delay_s=2.5, reorder={"probability": q, "correlation": rho})
@@ -285,37 +277,39 @@ def test_overtaking_is_correlated_as_the_page_says():
 # second copies and checksums
 
 
-def test_copies_and_fates_in_exact():
-    """A packet is lost, or it is doubled or not, and each copy is spoiled by itself."""
+def test_exact_copies_and_outcomes():
+    """A packet is lost, or it is doubled or not, and each copy is corrupted independently."""
     p, d, c = 0.3, 0.25, 0.2
     flow = send(loss=p, duplicate=d, corrupt=c)
-    good, spoiled = 1.0 - c, c
+    good, corrupt = 1.0 - c, c
     expected = {
-        (Fate.LOST, 0): p,
-        (Fate.CORRUPTED, 0): (1.0 - p) * ((1.0 - d) * spoiled + d * spoiled**2),
-        (Fate.DELIVERED, 1): (1.0 - p) * ((1.0 - d) * good + 2.0 * d * good * spoiled),
-        (Fate.DELIVERED, 2): (1.0 - p) * d * good**2,
+        (PacketOutcome.LOST, 0): p,
+        (PacketOutcome.CORRUPTED, 0): (1.0 - p) * ((1.0 - d) * corrupt + d * corrupt**2),
+        (PacketOutcome.DELIVERED, 1): (1.0 - p) * ((1.0 - d) * good + 2.0 * d * good * corrupt),
+        (PacketOutcome.DELIVERED, 2): (1.0 - p) * d * good**2,
     }
     assert_outcomes(flow, expected)
 
 
-def test_copies_and_fates_in_netem():
+def test_netem_copies_and_outcomes():
     """Of two copies a loss takes one; the second is then asked again, and never doubled."""
     p, d, c = 0.3, 0.25, 0.2
     flow = send(loss=p, duplicate=d, corrupt=c, arithmetic="netem")
     ones, twos = (1.0 - d) * (1.0 - p) + d * p + d * (1.0 - p) * p, d * (1.0 - p) ** 2
     expected = {
-        (Fate.LOST, 0): (1.0 - d) * p,
-        (Fate.CORRUPTED, 0): ones * c + twos * c**2,
-        (Fate.DELIVERED, 1): ones * (1.0 - c) + 2.0 * twos * c * (1.0 - c),
-        (Fate.DELIVERED, 2): twos * (1.0 - c) ** 2,
+        (PacketOutcome.LOST, 0): (1.0 - d) * p,
+        (PacketOutcome.CORRUPTED, 0): ones * c + twos * c**2,
+        (PacketOutcome.DELIVERED, 1): ones * (1.0 - c) + 2.0 * twos * c * (1.0 - c),
+        (PacketOutcome.DELIVERED, 2): twos * (1.0 - c) ** 2,
     }
     assert_outcomes(flow, expected)
 
 
 def assert_outcomes(flow, expected):
     assert sum(expected.values()) == pytest.approx(1.0)
-    counts = [np.sum((flow.fate == fate) & (flow.copies == copies)) for fate, copies in expected]
+    counts = [
+        np.sum((flow.outcome == outcome) & (flow.copies == copies)) for outcome, copies in expected
+    ]
     assert sum(counts) == PACKETS
     assert min(expected.values()) * PACKETS > LEAST
     assert_counts(counts, list(expected.values()))
@@ -324,7 +318,7 @@ def assert_outcomes(flow, expected):
 
 
 @pytest.mark.parametrize("arithmetic", ["exact", "netem"])
-def test_two_copies_have_delays_of_their_own(arithmetic):
+def test_two_copies_have_independent_delays(arithmetic):
     """The first of two is the lesser of two independent delays."""
     half = 2.0**29 / 1e9  # s, so that netem's remainders of 2^32 are even
     low, high = 1.0 - half, 1.0 + half
@@ -338,7 +332,7 @@ def test_two_copies_have_delays_of_their_own(arithmetic):
 
 
 @pytest.mark.parametrize("event", ["duplicate", "corrupt"])
-def test_events_are_correlated_as_the_page_says(event):
+def test_events_have_the_scenario_correlation(event):
     p, rho = 0.2, 0.6
     flow = send(**{event: {"probability": p, "correlation": rho}})
     had = flow.copies == (2 if event == "duplicate" else 0)
@@ -347,21 +341,26 @@ def test_events_are_correlated_as_the_page_says(event):
     assert_normal((had.mean() - p) / np.sqrt(p * (1.0 - p) * (1 + rho) / (1 - rho) / PACKETS))
 
 
-def test_events_that_are_certain_are():
+def test_certain_events_always_occur():
     for arithmetic in ("exact", "netem"):
         assert (send(500, duplicate=1.0, arithmetic=arithmetic).copies == 2).all()
-        assert (send(500, corrupt=1.0, arithmetic=arithmetic).fate == Fate.CORRUPTED).all()
+        assert (
+            send(500, corrupt=1.0, arithmetic=arithmetic).outcome == PacketOutcome.CORRUPTED
+        ).all()
         assert (send(500, delay_s=1.0, reorder=1.0, arithmetic=arithmetic).delay_s == 0.0).all()
 
 
-def test_fading_takes_packets_with_all_their_copies():
+def test_fading_loses_all_copies_of_a_packet():
     """And none that was lost before."""
     p, f = 0.2, 0.35
     sent = transmit(
-        make(loss=p, duplicate=0.5), packets=PACKETS, period_s=1.0, faded=np.array([[0.0, 0.0]]) + f
+        make(loss=p, duplicate=0.5),
+        packets=PACKETS,
+        period_s=1.0,
+        fading=np.array([[0.0, 0.0]]) + f,
     )
-    fate = sent.fate[:, 0, 0]
+    outcome = sent.outcome[:, 0, 0]
     expected = [(1.0 - p) * (1.0 - f), p, (1.0 - p) * f]
-    assert_counts(np.bincount(fate, minlength=3), expected)
-    assert (sent.copies[:, 0, 0][fate == Fate.FADED] == 0).all()
-    assert_share(sent.copies[:, 0, 0][fate == Fate.DELIVERED] == 2, 0.5)
+    assert_counts(np.bincount(outcome, minlength=3), expected)
+    assert (sent.copies[:, 0, 0][outcome == PacketOutcome.FADED] == 0).all()
+    assert_share(sent.copies[:, 0, 0][outcome == PacketOutcome.DELIVERED] == 2, 0.5)

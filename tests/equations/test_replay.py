@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from testbed.frames import euler_rates, wrap_pi
-from testbed.guidance.replay import COLUMNS, make_track, read_recording
+from testbed.core.frames import euler_rates, wrap_pi
+from testbed.guidance.recorded_path import COLUMNS, read_recording, sample_recording
 
 DATA = Path(__file__).parents[2] / "scenarios" / "data" / "arduplane-auto-leader-rascal.csv"
 
@@ -32,15 +32,15 @@ def write(path: Path, rows: np.ndarray, stamp: str = "%.3f") -> Path:
     return path
 
 
-def test_rows_are_met_exactly_and_the_curve_between_is_the_flight(tmp_path: Path) -> None:
+def test_recording_is_interpolated_exactly(tmp_path: Path) -> None:
     rows = orbit(0.035 + 0.08 * np.arange(900))
     recording = read_recording(write(tmp_path / "orbit.csv", rows))
-    at_rows = make_track(recording, recording.time - recording.time[0])
+    at_rows = sample_recording(recording, recording.time - recording.time[0])
     assert at_rows.position_ned == pytest.approx(recording.position_ned, abs=1e-9)
     assert at_rows.velocity_ned == pytest.approx(recording.velocity_ned, abs=1e-9)
 
     time = np.arange(0.1, 70.0, 0.005)
-    track = make_track(recording, time)
+    track = sample_recording(recording, time)
     truth = orbit(time + 0.035)
     # Hermite: h⁴/384 · |p⁗| = 0.08⁴/384 · 0.136 < 1e-7 m; the file's ninth decimal is below
     assert track.position_ned == pytest.approx(truth[:, 1:4], abs=1e-7)
@@ -56,7 +56,7 @@ def test_rows_are_met_exactly_and_the_curve_between_is_the_flight(tmp_path: Path
     assert slope == pytest.approx(track.acceleration_ned[1:-1], abs=1e-3)
 
 
-def test_rounded_stamps_are_put_back_on_their_grid(tmp_path: Path) -> None:
+def test_rounded_stamps_are_put_on_their_grid(tmp_path: Path) -> None:
     time = 0.035 + 0.08 * np.arange(200)
     rounded = read_recording(write(tmp_path / "rounded.csv", orbit(time), "%.2f"))
     assert np.diff(rounded.time) == pytest.approx(0.08, abs=1e-12)
@@ -65,7 +65,7 @@ def test_rounded_stamps_are_put_back_on_their_grid(tmp_path: Path) -> None:
     assert kept.time == pytest.approx(uneven, abs=1e-9)
 
 
-def test_recorded_leader_is_consistent_with_itself() -> None:
+def test_recorded_leader_is_consistent() -> None:
     recording = read_recording(DATA)
     assert len(recording.time) == 13750
     assert np.diff(recording.time) == pytest.approx(0.08, abs=1e-9)
@@ -76,7 +76,7 @@ def test_recorded_leader_is_consistent_with_itself() -> None:
     assert np.abs(step - mean)[settled].max() < 0.02
 
     time = np.arange(60.0, 1080.0, 0.02)
-    track = make_track(recording, time)
+    track = sample_recording(recording, time)
     assert np.degrees(np.abs(track.euler[:, 0]).max()) == pytest.approx(50.7, abs=0.1)
     # the gyros tell the same turn as the acceleration: horizontal speed times the yaw rate
     circle = (time > 520.0) & (time < 1050.0)
@@ -87,12 +87,12 @@ def test_recorded_leader_is_consistent_with_itself() -> None:
     assert np.median(load / expected) == pytest.approx(1.0, abs=0.01)
 
 
-def test_recording_shorter_than_the_run_is_refused(tmp_path: Path) -> None:
+def test_recording_shorter_than_run_is_an_error(tmp_path: Path) -> None:
     path = write(tmp_path / "short.csv", orbit(0.08 * np.arange(101)))
     recording = read_recording(path)
-    make_track(recording, np.array([0.0, 8.0]))
+    sample_recording(recording, np.array([0.0, 8.0]))
     with pytest.raises(ValueError, match=r"short.csv: .* lasts 8.00 s.*duration_s to 8 or less"):
-        make_track(recording, np.array([0.0, 8.1]))
+        sample_recording(recording, np.array([0.0, 8.1]))
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_recording_shorter_than_the_run_is_refused(tmp_path: Path) -> None:
         (11, "9.00," + "0," * 13 + "0", r"bad.csv:11: .*a gap of more than 1 s"),
     ],
 )
-def test_broken_recording_is_refused_with_its_line(
+def test_broken_recording_error_names_the_line(
     tmp_path: Path, line: int, text: str, words: str
 ) -> None:
     path = write(tmp_path / "bad.csv", orbit(0.08 * np.arange(10)))
@@ -117,7 +117,7 @@ def test_broken_recording_is_refused_with_its_line(
         read_recording(path)
 
 
-def test_empty_files_are_refused(tmp_path: Path) -> None:
+def test_empty_file_is_an_error(tmp_path: Path) -> None:
     empty = tmp_path / "empty.csv"
     empty.write_text("")
     with pytest.raises(ValueError, match="missing column t_s"):

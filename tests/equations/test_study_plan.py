@@ -1,4 +1,4 @@
-"""What a study flies: levels, points and seeds, counted by hand; and what its page may not say."""
+"""Studies: levels, points and seeds of a plan, invalid files, rows and the journal."""
 
 import math
 import statistics
@@ -6,13 +6,11 @@ import statistics
 import pytest
 
 from testbed.scenario import ScenarioError, list_studies, load
-from testbed.study.checks import check
-from testbed.study.journal import Journal
-from testbed.study.levels import at, count_levels, level
-from testbed.study.page import Spread
-from testbed.study.plan import Plan, load_study
-from testbed.study.rows import Row, flatten
-from testbed.study.table import kind
+from testbed.studies.journal import Journal
+from testbed.studies.plan import Plan, check_plan, load_study
+from testbed.studies.rows import Row, flatten_metrics
+from testbed.studies.study_schema import Variation
+from testbed.studies.table import column_type
 
 HEAD = "study: {schema: 1, name: s, scenario: simulation-3, "
 
@@ -24,11 +22,11 @@ def study(tmp_path, text):
 
 
 def levels(**keys):
-    spread = Spread.model_validate(keys)
-    return [level(spread, k) for k in range(count_levels(spread))]
+    values = Variation.model_validate(keys)
+    return [values.level(k) for k in range(values.level_count)]
 
 
-def test_rows_of_numbers_are_counted_in_decimals():
+def test_levels_are_exact_decimals():
     assert levels(**{"from": 0, "to": 1, "step": 0.1})[3] == 0.3
     assert len(levels(**{"from": 0, "to": 1, "step": 0.1})) == 11
     assert levels(**{"from": 0, "to": 1, "step": 0.3}) == [0, 0.3, 0.6, 0.9]
@@ -50,23 +48,23 @@ def test_rows_of_numbers_are_counted_in_decimals():
         ({"from": 0, "to": 8, "count": 3}, "int64"),
     ],
 )
-def test_a_key_has_a_column_of_its_kind(keys, column):
-    assert kind(Spread.model_validate(keys)) == column
+def test_column_type_fits_all_levels(keys, column):
+    assert column_type(Variation.model_validate(keys)) == column
 
 
-def test_distributions_by_their_quantiles():
+def test_distributions_have_their_quantiles():
     uniform, log, normal = (
-        Spread.model_validate(each)
+        Variation.model_validate(each)
         for each in ({"uniform": (2, 4)}, {"log_uniform": (0.01, 100)}, {"normal": (5, 2)})
     )
-    assert at(uniform, 0.25) == 2.5
-    assert at(log, 0.5) == pytest.approx(1.0, rel=1e-12)
-    assert at(log, 0.0) == 0.01
-    assert at(normal, 0.5) == 5.0
-    assert at(normal, statistics.NormalDist().cdf(1.5)) == pytest.approx(8.0, rel=1e-12)
-    assert math.isfinite(at(normal, 0.0))
-    thirds = Spread.model_validate({"choice": ("a", "b", "c")})
-    assert [at(thirds, share) for share in (0, 0.33, 0.34, 0.999999)] == ["a", "a", "b", "c"]
+    assert uniform.quantile(0.25) == 2.5
+    assert log.quantile(0.5) == pytest.approx(1.0, rel=1e-12)
+    assert log.quantile(0.0) == 0.01
+    assert normal.quantile(0.5) == 5.0
+    assert normal.quantile(statistics.NormalDist().cdf(1.5)) == pytest.approx(8.0, rel=1e-12)
+    assert math.isfinite(normal.quantile(0.0))
+    thirds = Variation.model_validate({"choice": ("a", "b", "c")})
+    assert [thirds.quantile(share) for share in (0, 0.33, 0.34, 0.999999)] == ["a", "a", "b", "c"]
 
 
 FACTORIAL = (
@@ -82,7 +80,7 @@ cases:
 )
 
 
-def test_a_factorial_plan_run_by_run(tmp_path):
+def test_plan_factorial_runs_in_order(tmp_path):
     plan = Plan(study(tmp_path, FACTORIAL))
     assert len(plan) == 2 * 3 * 2 * 2
     runs = list(plan)
@@ -100,17 +98,17 @@ def test_a_factorial_plan_run_by_run(tmp_path):
         plan[24]
 
 
-def test_a_run_flies_the_page_of_its_command(tmp_path):
-    from testbed.scenario import shorten
+def test_plan_scenario_is_that_of_the_command(tmp_path):
+    from testbed.scenario import set_duration
 
     plan = Plan(study(tmp_path, FACTORIAL))
     run = plan[23]
-    ours = plan.page(run)
-    assert ours == shorten(load("simulation-3", [*run.overrides, "scenario.seed=3"]), 90)
+    ours = plan.scenario(run)
+    assert ours == set_duration(load("simulation-3", [*run.overrides, "scenario.seed=3"]), 90)
     assert (ours.network.loss.probability, ours.scenario.seed) == (0.3, 3)
 
 
-def test_whatever_a_case_sets_is_read_back(tmp_path):
+def test_case_values_of_any_type_are_kept(tmp_path):
     text = (
         HEAD
         + "}\n"
@@ -123,7 +121,7 @@ cases:
     scenario.expectation: "07"
 """
     )
-    page = Plan(study(tmp_path, text)).base(0)
+    page = Plan(study(tmp_path, text)).case_scenario(0)
     assert page.scenario.question == "yes, # it: is"
     assert page.scenario.expectation == "07"
     assert page.air.turbulence.model == "coherent"
@@ -136,11 +134,11 @@ def drawn(tmp_path, design, *more):
     text = f"{HEAD}design: {design}, samples: 40, design_seed: 2}}\nvary:\n"
     text += "".join(f"  {key}: {value}\n" for key, value in keys.items())
     plan = Plan(study(tmp_path, text))
-    points = [plan.point(k) for k in range(plan.points)]
+    points = [plan.point(k) for k in range(plan.point_count)]
     return {key: [point[key] for point in points] for key in keys}
 
 
-def test_a_latin_hypercube_has_one_point_in_each_part_of_each_key(tmp_path):
+def test_latin_hypercube_one_point_in_each_part(tmp_path):
     values = drawn(tmp_path, "latin-hypercube")
     assert sorted(int(40 * value) for value in values["network.loss"]) == list(range(40))
     shares = [statistics.NormalDist(5, 1).cdf(v) for v in values["air.wind.speed_mps"]]
@@ -150,7 +148,7 @@ def test_a_latin_hypercube_has_one_point_in_each_part_of_each_key(tmp_path):
 
 
 @pytest.mark.parametrize("design", ["latin-hypercube", "monte-carlo"])
-def test_another_key_moves_no_other_dice(tmp_path, design):
+def test_design_new_key_changes_no_other_values(tmp_path, design):
     before = drawn(tmp_path, design)
     after = drawn(tmp_path, design, ("network.delay_s", "{log_uniform: [0.01, 1]}"))
     assert {key: after[key] for key in before} == before
@@ -158,17 +156,17 @@ def test_another_key_moves_no_other_dice(tmp_path, design):
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         (HEAD + "}\nvary: {network.loss: [0, 1]}", "s.yaml:1:8: study: has no design"),
         (HEAD + "design: factorial}", "study.design: has nothing to vary"),
         (HEAD + "desing: factorial}", "did you mean 'design'?"),
         (HEAD + "design: latin}\nvary: {a.b: [1]}", "write factorial, latin-hypercube or monte"),
         (HEAD + "seeds: 0}", "study.seeds: must be 1 to 100,000"),
-        (HEAD + "seeds: [1, 1]}", "study.seeds: has something twice"),
+        (HEAD + "seeds: [1, 1]}", "study.seeds: has an element twice"),
         (HEAD + "samples: 3}", "study.samples: is for latin-hypercube"),
         (HEAD + "design: monte-carlo}\nvary: {a.b: [1]}", "write samples: 40"),
-        (HEAD + "set: {scenario.seed: 3}}", "study.set.scenario.seed: a study gives seeds"),
+        (HEAD + "set: {scenario.seed: 3}}", "study.set.scenario.seed: the study sets the seeds"),
         (
             HEAD + "design: factorial}\nvary:\n  network.loss: {uniform: [0, 1]}",
             "s.yaml:3:17: vary.network.loss: is a distribution",
@@ -185,22 +183,22 @@ def test_another_key_moves_no_other_dice(tmp_path, design):
         (HEAD + "design: factorial}\nvary: {a.b: {log_uniform: [0, 1]}}", "above 0"),
         (
             HEAD + "design: factorial}\nvary: {a.b: [1]}\ncases: {x: {a.b: 2}}",
-            "cases.x.a.b: is varied, too",
+            "cases.x.a.b: is also in vary",
         ),
         (
             HEAD + "design: factorial, seeds: 1000}\nvary: {a.b: {from: 0, to: 9999, step: 1}}",
-            "asks for 10,000,000 runs",
+            "has 10,000,000 runs",
         ),
     ],
 )
-def test_what_a_page_may_not_say(tmp_path, text, says):
+def test_study_file_invalid_keys_are_refused(tmp_path, text, message):
     with pytest.raises(ScenarioError) as error:
         study(tmp_path, text)
-    assert says in str(error.value)
+    assert message in str(error.value)
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         (
             HEAD + "design: factorial}\nvary:\n  network.loss: [0, 2]",
@@ -221,86 +219,86 @@ def test_what_a_page_may_not_say(tmp_path, text, says):
         ),
     ],
 )
-def test_what_its_scenarios_cannot_fly_is_told_before_anything_flies(tmp_path, text, says):
+def test_check_plan_invalid_scenario_has_its_place(tmp_path, text, message):
     with pytest.raises(ScenarioError) as error:
-        check(Plan(study(tmp_path, text)))
-    assert says in str(error.value)
+        check_plan(Plan(study(tmp_path, text)))
+    assert message in str(error.value)
 
 
 @pytest.mark.parametrize("name", list_studies())
-def test_the_studies_that_come_with_it_can_be_flown(name):
+def test_check_plan_library_studies_are_valid(name):
     chosen = load_study(name)
-    assert chosen.name == name and chosen.page.study.question
-    checked = check(Plan(chosen))
-    assert checked.refused == 0
+    assert chosen.name == name and chosen.config.study.question
+    checked = check_plan(Plan(chosen))
+    assert checked.invalid == 0
 
 
-def test_a_drawn_value_that_cannot_be_flown_is_no_error(tmp_path):
+def test_check_plan_invalid_drawn_value_is_counted(tmp_path):
     text = HEAD + "design: latin-hypercube, samples: 4}\nvary: {network.loss: {uniform: [-1, 1]}}"
-    checked = check(Plan(study(tmp_path, text)))
-    assert (checked.points, checked.refused) == (4, 2)
+    checked = check_plan(Plan(study(tmp_path, text)))
+    assert (checked.checked, checked.invalid) == (4, 2)
     assert "network.loss" in checked.example
 
 
-def test_of_many_points_every_level_is_read(tmp_path, monkeypatch):
-    monkeypatch.setattr("testbed.study.checks.MOST_CHECKED", 10)
+def test_check_plan_many_points_reads_every_level(tmp_path, monkeypatch):
+    monkeypatch.setattr("testbed.studies.plan.MAX_CHECKED", 10)
     text = HEAD + "design: factorial}\nvary:\n"
     text += "  network.loss: {from: 0, to: 0.5, count: 6}\n  network.delay_s: [0, 0.1, 0.2, -1]\n"
     with pytest.raises(ScenarioError, match="network.delay_s=-1"):
-        check(Plan(study(tmp_path, text)))
+        check_plan(Plan(study(tmp_path, text)))
 
 
-def test_the_numbers_of_a_flight_and_no_others():
+def test_flatten_metrics_only_numbers_of_the_flight():
     document = {
         "schema": 1,
         "seed": 4,
         "versions": {"schema": "1", "jsbsim": "1"},
         "wall_s": 3.0,
-        "portions": {"laps": {"rms_m": {"uav1": 1.5, "uav2": None}, "complete": True}},
+        "windows": {"laps": {"rms_m": {"uav1": 1.5, "uav2": None}, "complete": True}},
         "slot_speed_mps": {"uav1": [20, 25.0]},
         "min_separation_between": ["leader", "uav1"],
         "network": {"links": {"a": {"b": {"sent": 1}}}, "all": {"sent": 2}},
         "events": [{"time_s": 1.0}],
     }
-    assert flatten(document) == {
-        "portions.laps.rms_m.uav1": 1.5,
-        "portions.laps.rms_m.uav2": None,
+    assert flatten_metrics(document) == {
+        "windows.laps.rms_m.uav1": 1.5,
+        "windows.laps.rms_m.uav2": None,
         "slot_speed_mps.uav1.0": 20.0,
         "slot_speed_mps.uav1.1": 25.0,
         "network.all.sent": 2.0,
     }
 
 
-def test_a_journal_is_read_back_whatever_the_order(tmp_path):
+def test_journal_is_read_back_in_order_of_runs(tmp_path):
     path = tmp_path / "j"
-    journal = Journal(path, {"page": 1})
+    journal = Journal(path, {"study": 1})
     rows = [
-        Row(2, "flown", "", {"a.b": 0.1 + 0.2, "c": None}),
+        Row(2, "completed", "", {"a.b": 0.1 + 0.2, "c": None}),
         Row(0, "lost", "lost: é", {"d": 1e-300}),
         Row(5, "failed", "why", {}),
-        Row(1, "flown", "", {"a": None, "c": 3.0}),
+        Row(1, "completed", "", {"a": None, "c": 3.0}),
     ]
     for row in rows:
         journal.add(row)
     journal.close()
     path.write_bytes(path.read_bytes() + b'{"run":7,"outco')
     again = Journal(path)
-    assert again.begun == {"page": 1}
+    assert again.inputs == {"study": 1}
     assert list(again.rows()) == sorted(rows, key=lambda row: row.run)
     assert again.names() == ("d", "c", "a.b")  # what is below a stands for a
     assert 7 not in again and 5 in again
-    again.add(Row(7, "flown", "", {"d": 2.0}))
+    again.add(Row(7, "completed", "", {"d": 2.0}))
     again.close()
     last = Journal(path)
     assert [row.run for row in last.rows()] == [0, 1, 2, 5, 7]
     last.close()
 
 
-def test_a_journal_that_is_damaged_in_its_midst_is_refused(tmp_path):
+def test_journal_damaged_line_is_refused(tmp_path):
     path = tmp_path / "j"
-    journal = Journal(path, {"page": 1})
+    journal = Journal(path, {"study": 1})
     for run in range(3):
-        journal.add(Row(run, "flown", "", {"a": 1.0}))
+        journal.add(Row(run, "completed", "", {"a": 1.0}))
     journal.close()
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(b"".join([*lines[:2], b"{\n", *lines[3:]]))

@@ -1,42 +1,37 @@
-"""The golden tables that come with the testbed: of pages that are there, whole, and with reasons.
-
-`testbed check` flies them; here nothing flies.
-"""
+"""Golden tables of the library: complete, one for each scenario with windows; no flights."""
 
 from __future__ import annotations
 
 import pytest
 
 from testbed.scenario import library, list_scenarios, load
-from testbed.study.golden import KEPT_SEEDS
-from testbed.study.golden_table import RULES, read_table
+from testbed.studies.golden import DETERMINISTIC_SEEDS, RANDOM_SEEDS
+from testbed.studies.golden_table import RULES, read_table
 
 FOLDER = library() / "scenarios" / "golden"
 NAMES = [path.stem for path in sorted(FOLDER.glob("*.json"))]
+NEEDS_EXTERNAL_PROGRAM = {"simulation-3-ardupilot"}
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_table_is_of_its_page_and_says_why(name):
-    assert name in list_scenarios(), "a table without a page"
-    table, page = read_table(FOLDER / f"{name}.json"), load(name)
-    assert table.scenario == page.name
-    for portion in page.scenario.portions:
-        for follower in page.fleet:
-            # who is broken may be lost before a portion, and has no error in it
-            assert f"rms_m/{portion}/{follower.name}" in table.rows or follower.faults
+def test_table_belongs_to_its_scenario(name):
+    """It has a reason, the current rules, and a number for each seed, window and follower."""
+    assert name in list_scenarios(), "a table without a scenario"
+    table, scenario = read_table(FOLDER / f"{name}.json"), load(name)
+    assert table.scenario == scenario.name
+    for window in scenario.scenario.windows:
+        for follower in scenario.fleet:
+            # a follower with a fault may be lost before a window, and has no error in it
+            assert f"rms_m/{window}/{follower.name}" in table.rows or follower.faults
     assert table.reason.strip()
-    assert set(table.rules) == set(RULES)
-    assert all(rule.reason for rule in table.rules.values())
-    assert len(table.seeds) == (KEPT_SEEDS if table.random else 2)
+    assert table.rules == dict(RULES)
+    assert len(table.seeds) == (RANDOM_SEEDS if table.random else DETERMINISTIC_SEEDS)
     for row in table.rows.values():
         assert len(row.by_seed) == len(table.seeds)
 
 
-NEEDS_A_PROGRAM = {"simulation-3-ardupilot"}  # that is no part of the testbed
-
-
-def test_every_page_with_portions_has_a_table():
+def test_every_scenario_with_windows_has_a_table():
     if not NAMES:
-        pytest.skip("no golden tables are kept")
-    with_portions = {name for name in list_scenarios() if load(name).scenario.portions}
-    assert with_portions - NEEDS_A_PROGRAM == set(NAMES)
+        pytest.skip("there are no golden tables")
+    with_windows = {name for name in list_scenarios() if load(name).scenario.windows}
+    assert with_windows - NEEDS_EXTERNAL_PROGRAM == set(NAMES)

@@ -1,8 +1,8 @@
 """The control law (5)-(15) around the extended unicycle (1)-(4), in continuous time.
 
 Many formations fly at once: M formations of n agents are M n agents on the leading axis, those of
-one formation next to each other. The controller is the product's; only the integrator is the
-tests' own: classical Runge-Kutta of order 4, with the law evaluated at every stage.
+one formation next to each other. The controller is the product's kernels; only the integrator is
+the tests' own: classical Runge-Kutta of order 4, with the law evaluated at every stage.
 """
 
 from dataclasses import dataclass, replace
@@ -10,18 +10,19 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-
-from testbed.formation import control_function as functions
-from testbed.formation.barrier import Barrier, h
-from testbed.formation.geometry import frame_rate, slots, velocity_frame
-from testbed.formation.laws import (
-    Desired,
-    SpeedSet,
+from reference import formation_control_function as functions
+from reference.adapters import (
     desired_velocity,
     formation_error,
+    frame_rate,
+    h,
     speed_control,
     turn_control,
+    velocity_frame,
 )
+from reference.adapters import slot_motions as slots
+from reference.formation_barrier import Barrier
+from reference.formation_laws import Desired, SpeedSet
 
 
 class State(NamedTuple):
@@ -69,7 +70,7 @@ class Wanted(NamedTuple):
     desired: Desired
     slot_velocity: np.ndarray  # q̇_g + χ̇ (N, 3)
     u: np.ndarray  # (N,) m/s
-    turn: np.ndarray  # ω (N, 3) rad/s in the zero-roll velocity frame
+    omega: np.ndarray  # ω (N, 3) rad/s in the zero-roll velocity frame
     rate: State  # q̇, ẏ, ṡ
 
 
@@ -133,7 +134,7 @@ class Formations:
             desired=desired,
             slot_velocity=v_g[each] + flat[1],
             u=u,
-            turn=np.stack([np.zeros_like(u), pitching, yawing], axis=1),
+            omega=np.stack([np.zeros_like(u), pitching, yawing], axis=1),
             rate=State(velocity, y_rate, self.pole * (u - s)),
         )
 
@@ -141,17 +142,17 @@ class Formations:
         return self.wanted(t, state).rate
 
     def h(self, s):
-        return h(self.barrier, s, self.speeds.low, self.speeds.high)[0]
+        return h(self.barrier, s, self.speeds.min, self.speeds.max)[0]
 
     @property
     def h_top(self):
         """h̄ (N,), (A4): every example is largest midway between the bounds."""
-        return self.h(0.5 * (self.speeds.low + self.speeds.high))
+        return self.h(0.5 * (self.speeds.min + self.speeds.max))
 
     @property
     def margin(self):
         """ε (N,)."""
-        return self.speeds.desired_low - self.speeds.low
+        return self.speeds.desired_min - self.speeds.min
 
     @property
     def couplings(self):

@@ -10,7 +10,7 @@ from closed_loop import angle, fly
 from theorem_cases import STEEPER_MU, at_slots, graph, one_formation, turned_away
 
 
-def test_flying_exactly_opposite_to_the_desired_direction_goes_on_for_ever():
+def test_flight_opposite_to_desired_direction_persists():
     """North-bound leader, agent south-bound behind it: every number of the law is exact."""
     formations = one_formation("straight", course=0.0, gains=graph([1.0]), offsets=[[-5, 3, 1]])
     start = at_slots(formations, np.array([[-10.0, 0.0, 0.0]]))
@@ -29,9 +29,7 @@ TOWARDS = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [0.3, -0.8, 0.5]])  # rig
     ("path", "deviations", "longest", "integration"),
     [("straight climb", [1e-8, 1e-6, 1e-4, 1e-2], 12.0, 1e-4), ("helix", [1e-3, 1e-2], 7.5, 2e-3)],
 )
-def test_a_deviation_from_opposite_grows_at_the_rate_c_until_the_agent_comes_back(
-    path, deviations, longest, integration
-):
+def test_deviation_from_opposite_grows_at_the_rate_c(path, deviations, longest, integration):
     """tan(δ/2) = tan(δ(0)/2) exp(c t), δ in rad, to the right, up and askew, started in the slot.
 
     An agent has turned by a right angle after −ln tan(δ(0)/2)/c: 9.6 s for 1e-8 rad at c = 2.

@@ -3,6 +3,10 @@
 import numpy as np
 import pytest
 from closed_loop import State, fly
+from reference import formation_barrier as barrier
+from reference import formation_control_function as control_function
+from reference.adapters import mu
+from reference.formation_laws import SpeedSet
 from theorem_bounds import Envelope
 from theorem_cases import (
     BARRIERS,
@@ -15,10 +19,6 @@ from theorem_cases import (
     one_formation,
     scattered,
 )
-
-from testbed.formation import barrier, control_function
-from testbed.formation.control_function import mu
-from testbed.formation.laws import SpeedSet
 
 
 def squadron(**changes):
@@ -42,7 +42,7 @@ def squadron(**changes):
     )
 
 
-def test_agents_that_differ_in_everything_converge():
+def test_different_agents_converge():
     """The envelope of `theorem_bounds` from 3 s on takes the least of the agents' own rates.
 
     The slowest is that of example 1 with ν1 = 50 m²: 2/√50 = 0.28 per second.
@@ -52,7 +52,7 @@ def test_agents_that_differ_in_everything_converge():
     speeds, envelope = formations.speeds, None
     times = np.concatenate([np.arange(0.0, 5.0, 0.05), np.linspace(5.0, 50.0, 451)])
     for t, state in fly(formations, start, times):
-        assert ((state.s > speeds.low) & (state.s < speeds.high)).all(), t
+        assert ((state.s > speeds.min) & (state.s < speeds.max)).all(), t
         wanted = formations.wanted(t, state)
         assert not wanted.desired.clamped.any()
         if t >= 3.0:
@@ -63,7 +63,7 @@ def test_agents_that_differ_in_everything_converge():
     assert proved.max() < 1e-3
 
 
-def test_an_agent_is_itself_in_any_company():
+def test_agent_with_only_the_leader_flies_as_alone():
     """Agents that hear the leader alone fly in a mixed formation as they would by themselves."""
     formations = squadron(gains=graph([1.0, 0.7, 1.3]))
     start = scattered(np.random.default_rng(19), formations)
@@ -84,7 +84,7 @@ def test_an_agent_is_itself_in_any_company():
             assert ours == pytest.approx(theirs[one], abs=1e-9)
 
 
-def test_the_speed_model_does_not_matter_in_continuous_time():
+def test_speed_pole_has_no_effect_in_continuous_time():
     """(14) cancels f = −p s and g = p: the closed loop is the same for any pole."""
     formations = squadron()
     start = scattered(np.random.default_rng(20), formations)
@@ -95,7 +95,7 @@ def test_the_speed_model_does_not_matter_in_continuous_time():
         assert ours == pytest.approx(theirs, abs=1e-9)
 
 
-def test_gains_per_axis_converge_even_where_the_axes_hear_different_agents():
+def test_different_graphs_per_axis_converge():
     """β and β_ij as diagonal matrices: three graphs, of which each makes A + B nonsingular.
 
     The argument of `theorem_bounds` holds for components: where |q̃_i|/x_i is the largest, m, of all

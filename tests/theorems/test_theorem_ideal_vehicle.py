@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from closed_loop import State, fly
+from reference.adapters import advance
+from reference.unicycle import unicycle
 from theorem_cases import at_slots, every_case, scattered
-
-from testbed.vehicle.ideal import advance, unicycle
 
 
 def state_of(vehicle):
@@ -18,7 +18,7 @@ def hold(formations, start, dt, steps):
     yield 0.0, state_of(vehicle)
     for step in range(steps):
         wanted = formations.wanted(step * dt, state_of(vehicle))
-        vehicle = advance(vehicle, wanted.u, wanted.turn, formations.pole, dt)
+        vehicle = advance(vehicle, wanted.u, wanted.omega, formations.pole, dt)
         yield (step + 1) * dt, state_of(vehicle)
 
 
@@ -26,7 +26,7 @@ def columns(state):
     return np.array([*state.q.T, *state.y.T, state.s])
 
 
-def test_it_tends_to_the_continuous_closed_loop_as_commands_are_held_for_less():
+def test_held_commands_converge_to_continuous_time():
     """Two integrators that share no line: errors of first order in dt, and none in the limit.
 
     Held for 20 ms, 10 ms and 5 ms, the differences from Runge-Kutta halve; the median of agents.
@@ -52,7 +52,7 @@ def errors_of(formations, t, state):
     return np.linalg.norm(formations.wanted(t, state).error, axis=1).reshape(4, 27)
 
 
-def test_held_commands_keep_a_formation_but_on_a_helix_where_a_turn_is_not_constant():
+def test_held_commands_keep_a_formation():
     """From their slots, at 25 Hz and at 50 Hz.
 
     Lines and level circles are flown exactly by constant commands. On a helix ω turns in NED while
@@ -69,7 +69,7 @@ def test_held_commands_keep_a_formation_but_on_a_helix_where_a_turn_is_not_const
     assert 1e-4 < found[0][3].max() < 3e-3
 
 
-def test_the_objectives_hold_at_25_hz():
+def test_objectives_hold_at_25_hz():
     """(O1) to (O3) from any direction and any speed half-way to a bound, commands held for 40 ms.
 
     The envelope of `theorem_bounds` falls at k μ(0)/x = 3/2/6 = 0.25 per second or faster once
@@ -80,7 +80,7 @@ def test_the_objectives_hold_at_25_hz():
     start = start._replace(s=0.5 * (start.s + 23.0))
     speeds = formations.speeds
     for t, state in hold(formations, start, 0.04, 1250):
-        assert ((state.s > speeds.low) & (state.s < speeds.high)).all(), t
+        assert ((state.s > speeds.min) & (state.s < speeds.max)).all(), t
     wanted = formations.wanted(t, state)
     assert errors_of(formations, t, state)[:3].max() < 1e-3
     assert errors_of(formations, t, state)[3].max() < 3e-3 + 1e-3

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from closed_loop import State, fly
+from reference.formation_laws import SpeedSet
 from theorem_cases import one_formation, random_formations, scattered
 
-from testbed.formation.geometry import velocity_frame
-from testbed.formation.laws import SpeedSet
+from testbed.core.frames import velocity_frame
 
 TIMES = np.linspace(0.0, 5.0, 101)
 # Two flights differ by roundings of positions of 1e3 m, and the loop forgets them as it converges.
@@ -43,7 +43,7 @@ def mapped(state, matrix):
     return State(state.q @ matrix.T, state.y @ matrix.T, state.s)
 
 
-def test_the_world_may_be_turned_about_the_vertical(original):
+def test_rotation_about_the_vertical(original):
     formations, start, end = original
     turn = rotation([0.0, 0.0, 1.0], 2.1)
     lead = formations.leader
@@ -52,7 +52,7 @@ def test_the_world_may_be_turned_about_the_vertical(original):
     assert_same(found, mapped(end, turn))
 
 
-def test_the_world_may_be_moved(original):
+def test_translation(original):
     formations, start, end = original
     by = np.array([700.0, -300.0, 150.0])
     moved = formations.leader._replace(origin=formations.leader.origin + by)
@@ -60,7 +60,7 @@ def test_the_world_may_be_moved(original):
     assert_same(found, end._replace(q=end.q + by))
 
 
-def test_the_world_may_be_mirrored(original):
+def test_reflection(original):
     """East and west exchanged: slots to the right are then slots to the left."""
     formations, start, end = original
     mirror = np.diag([1.0, -1.0, 1.0])
@@ -75,7 +75,7 @@ def test_the_world_may_be_mirrored(original):
     assert_same(found, mapped(end, mirror))
 
 
-def test_the_law_knows_no_vertical_only_the_leaders_frame_does():
+def test_rotation_of_straight_flight_about_any_axis():
     """A straight flight may be turned about any axis if slots are turned with it, not by (24)."""
     formations = one_formation("straight")
     start = scattered(np.random.default_rng(16), formations)
@@ -109,7 +109,7 @@ def chosen(formations, agents, columns):
     )
 
 
-def test_agents_may_be_listed_in_another_order(original):
+def test_permutation_of_the_agents(original):
     formations, start, end = original
     order = np.array([2, 0, 3, 1])
     agents = (np.arange(3)[:, None] * 4 + order).ravel()
@@ -118,7 +118,7 @@ def test_agents_may_be_listed_in_another_order(original):
     assert_same(found, State(*(each[agents] for each in end)))
 
 
-def test_formations_that_fly_at_once_do_not_know_of_each_other(original):
+def test_formations_of_a_batch_are_independent(original):
     """What a batch of formations does, each does alone: the other tests fly batches."""
     formations, start, end = original
     for one in range(3):

@@ -5,23 +5,23 @@ from functools import lru_cache
 import numpy as np
 import pytest
 from closed_loop import fly
+from reference.adapters import frame_acceleration, frame_rate
 from theorem_cases import PATHS, STEEPER_MU, at_slots, leader, one_formation
 
-from testbed.formation.geometry import frame_acceleration, frame_rate
-from testbed.guidance.analytic import derivatives, frame_rates
-from testbed.guidance.curves import Circle, FigureEight, Straight, Weave
+from testbed.guidance.analytic_paths import derivatives, frame_rates
+from testbed.guidance.path_curves import Circle, FigureEight, SinusoidalPath, Straight
 
 
 @pytest.mark.parametrize("path", PATHS)
-def test_the_tests_own_leaders_fly_the_products_curves(path):
-    climb, course_rate = PATHS[path]
+def test_leaders_equal_the_products_curves(path):
+    climb, chi_dot = PATHS[path]
     place = {"position_ned": (50.0, -20.0, -300.0), "course": 0.4, "speed": 22.0}
     place["climb"] = 22.0 * np.sin(climb)
-    if course_rate == 0.0:
+    if chi_dot == 0.0:
         curve = Straight(**place)
     else:
-        radius = 22.0 * np.cos(climb) / abs(course_rate)
-        curve = Circle(**place, radius=radius, clockwise=course_rate > 0.0)
+        radius = 22.0 * np.cos(climb) / abs(chi_dot)
+        curve = Circle(**place, radius=radius, clockwise=chi_dot > 0.0)
     ours = leader(path, origin=place["position_ned"])
     for t in (0.0, 1.7, 33.0):
         theirs = derivatives(curve, np.array([t]))
@@ -52,7 +52,7 @@ class Curved:
         return frame_rate(level, sigma, gamma), self.known * acceleration
 
 
-def test_slots_of_a_leader_whose_turn_changes_are_reached_if_their_acceleration_is_known():
+def test_leader_with_changing_turn_rate_is_followed():
     """Figure-eight and weave. With ω̇_g the agents converge; without it an error stays.
 
     Neglected, R_g [ω̇_g]x υ of up to 0.4 m/s² is missing from ṗ_d, so that s̃ and s_d θ stay at some
@@ -60,7 +60,7 @@ def test_slots_of_a_leader_whose_turn_changes_are_reached_if_their_acceleration_
     """
     place = {"position_ned": (0.0, 0.0, -300.0), "course": 0.4, "speed": 22.0}
     curves = Curved(
-        [FigureEight(**place, radius=70.0), Weave(**place, amplitude=15.0, period=15.0)]
+        [FigureEight(**place, radius=70.0), SinusoidalPath(**place, amplitude=15.0, period=15.0)]
     )
     formations = one_formation("circle", copies=4, mu=STEEPER_MU).change(leader=curves)
     errors = np.random.default_rng(26).uniform(-1.0, 1.0, (12, 3))

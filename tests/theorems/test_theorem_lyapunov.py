@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from closed_loop import fly, moved
+from reference.adapters import mu
 from theorem_bounds import exponential_bound, lyapunov
 from theorem_cases import (
     SIMULATION_2,
@@ -15,8 +16,6 @@ from theorem_cases import (
     scattered,
     turned_away,
 )
-
-from testbed.formation.control_function import mu
 
 
 def along(formations, t, state, function, step):
@@ -53,7 +52,7 @@ def check(function, proved):
         assert (expected < 0.0).all()
 
 
-def test_a3_the_lyapunov_function_of_the_speed_falls_as_proved():
+def test_a3_lyapunov_function_of_the_speed():
     """Ż = −a s̃²/h² − b s̃⁴/h³ of Z = ½ (s̃/h)², with s_d and ṡ_d from the states of all agents."""
 
     def z(formations, t, state):
@@ -67,7 +66,7 @@ def test_a3_the_lyapunov_function_of_the_speed_falls_as_proved():
     check(z, proved)
 
 
-def test_a9_the_lyapunov_function_of_the_direction_falls_as_proved():
+def test_a9_lyapunov_function_of_the_direction():
     """Ẏ = −c (1 − (y_dᵀ y)²) of Y = 1 − y_dᵀ y, with y_d and ẏ_d from the states of all agents."""
 
     def y(formations, t, state):
@@ -83,7 +82,7 @@ def error_of(formations, t, state):
     return formations.wanted(t, state).error
 
 
-def test_a12_the_position_error_moves_as_proved():
+def test_a12_derivative_of_the_position_error():
     """q̃̇ = k ρ(ξ) + s̃ y + s_d ỹ, and ξ = −(A + B) q̃ by (A14)."""
     for formations, t, state in states_in_flight():
         wanted = formations.wanted(t, state)
@@ -113,7 +112,7 @@ DIAGONAL = graph(
 @pytest.mark.parametrize(
     ("gains", "sharp"), [(SIMULATION_2, 40.0), (DIAGONAL, 5.0)], ids=["directed", "diagonal"]
 )
-def test_the_lyapunov_function_of_the_proof_falls_at_its_exponential_rate(gains, sharp):
+def test_a26_lyapunov_function_falls_exponentially(gains, sharp):
     """V(t) <= exp(−ℓ5 (t − t')) V(t') for all t' < t, with every constant of the proof computed.
 
     From starts so close that ℓ5 says something: V falls at no more than 5 ℓ5 in the end, and at

@@ -49,7 +49,7 @@ def report():
         was_inside = np.zeros(len(epsilon), dtype=bool)
         one = {"left S": 0, "late": 0, "clamped": 0, "above": -np.inf}
         for step, (t, state) in enumerate(fly(formations, start, TIMES)):
-            inside = (state.s > speeds.low) & (state.s < speeds.high)
+            inside = (state.s > speeds.min) & (state.s < speeds.max)
             one["left S"] += (was_inside & ~inside).sum()
             one["late"] += (~inside & (t > np.maximum(latest, 0.0))).sum()
             was_inside = inside
@@ -71,25 +71,25 @@ def report():
     return {name: np.array([one[name] for one in found]) for name in found[0]}
 
 
-def test_some_start_outside_the_speed_set(report):
+def test_some_starts_are_outside_the_speed_set(report):
     assert (report["outside"] > 0.05 * min(STARTS, AT_ONCE)).all()
 
 
-def test_a_speed_outside_s_is_inside_after_the_proved_time(report):
+def test_speed_outside_s_enters_in_the_proved_time(report):
     """ḣ = b s̃² > b ε² outside S, (A5), so that s enters S before −h(s(0))/(b ε²)."""
     assert (report["late"] == 0).all()
 
 
-def test_a_speed_in_s_stays_in_s(report):
+def test_speed_in_s_stays_in_s(report):
     assert (report["left S"] == 0).all()
 
 
-def test_the_desired_speed_stays_in_its_set(report):
+def test_desired_speed_stays_in_its_set(report):
     """Fact 1: no clamp is ever needed where Assumption 1 holds and k < κ/ρ̄."""
     assert (report["clamped"] == 0).all()
 
 
-def test_no_error_exceeds_its_proved_envelope(report):
+def test_no_error_exceeds_its_envelope(report):
     """See `theorem_bounds`: from 3 s on ‖q̃_i‖ ≤ x_i m, m starting from what 3 s measured."""
     assert (report["above"] < INTEGRATION).all()
 

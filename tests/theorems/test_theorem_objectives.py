@@ -33,7 +33,7 @@ def flight(formations):
     start = scattered(np.random.default_rng(4), formations, spread=10.0)
     speeds, closest = formations.speeds, np.inf
     for step, (t, state) in enumerate(fly(formations, start, TIMES)):
-        closest = min(closest, (state.s - speeds.low).min(), (speeds.high - state.s).min())
+        closest = min(closest, (state.s - speeds.min).min(), (speeds.max - state.s).min())
         if step == SETTLED:
             envelope = Envelope(formations, t, state)
         elif step > SETTLED and step % EVERY == 0:
@@ -45,14 +45,14 @@ def velocity_error(wanted):
     return np.linalg.norm(wanted.rate.q - wanted.slot_velocity, axis=1)
 
 
-def test_statement_i_in_formation_they_stay_in_formation(drift):
+def test_statement_i_formation_is_invariant(drift):
     # a turn of 0.18 rad/s and c = 4 per second against steps of 0.1 s: (0.4)⁴/120 of 22 m/s over c
     wanted, state = drift
     assert np.linalg.norm(wanted.error, axis=1).max() < 0.4**4 / 120.0 * 22.0 / 4.0
     assert angle(state.y, wanted.desired.direction).max() < 0.4**4 / 120.0
 
 
-def test_o1_every_agent_reaches_its_slot(formations, flight, drift):
+def test_o1_agents_reach_their_slots(formations, flight, drift):
     """The envelope of `theorem_bounds`, started at 2 s, is below a tenth of a millimetre at 72 s.
 
     Its rate near zero error is k μ(0)/x = 3/2/6 per second at worst; before, errors of some 60 m
@@ -65,7 +65,7 @@ def test_o1_every_agent_reaches_its_slot(formations, flight, drift):
     assert (error < proved + 2.0 * np.linalg.norm(drift[0].error, axis=1).max()).all()
 
 
-def test_o2_every_agent_moves_as_its_slot_does(formations, flight, drift):
+def test_o2_agents_move_as_their_slots(formations, flight, drift):
     """q̇ − q̇_g − χ̇ = k ρ(ξ) + s̃ y + s_d ỹ, (A12), with ‖ρ(ξ)‖ <= μ(0) ‖ξ‖, μ(0) = 1/2 per metre.
 
     The magnitudes in a row of A + B add up to 4 at most.
@@ -76,11 +76,11 @@ def test_o2_every_agent_moves_as_its_slot_does(formations, flight, drift):
     assert (velocity_error(wanted) < largest + 2.0 * velocity_error(drift[0]).max()).all()
 
 
-def test_o3_every_speed_stays_in_its_set(flight):
+def test_o3_speeds_stay_in_their_sets(flight):
     assert flight[3] > 0.0
 
 
-def test_speeds_and_directions_become_the_desired_ones(flight, drift):
+def test_statement_ii_speeds_and_directions_converge(flight, drift):
     """Statement ii) for s̃ and ỹ, which are down by exp(−72) and exp(−288)."""
     (wanted, state), (nought, at_rest) = flight[:2], drift
     gap = abs(state.s - wanted.desired.speed).max()

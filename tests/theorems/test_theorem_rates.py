@@ -10,6 +10,7 @@ Three facts follow from the proof of Theorem 1 for any leader, slots, graph and 
 import numpy as np
 import pytest
 from closed_loop import angle, fly, halved
+from reference.formation_control_function import per_agent
 from theorem_cases import (
     BARRIERS,
     PATHS,
@@ -25,7 +26,7 @@ from theorem_cases import (
     turned_away,
 )
 
-from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1, per_agent
+from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
 
 # States of thousands of metres, divided by errors down to 1e-6 of their start.
 ROUNDING = 1e-8
@@ -48,7 +49,7 @@ def with_tolerance(formations, start, times, measure):
     return fine, abs(fine - coarse).max(axis=0)
 
 
-def test_the_integration_is_of_fourth_order():
+def test_integration_is_of_fourth_order():
     """Halving steps of 25 ms divides an agent's error by 16; the median of 108 agents.
 
     Not that of one which shoots past its slot at 50 m/s: a step takes it through half of ρ's bend.
@@ -101,21 +102,21 @@ def with_b():
     return falling(0.1)
 
 
-def test_the_angle_to_the_desired_direction_falls_as_in_closed_form(with_b):
+def test_direction_error_in_closed_form(with_b):
     """tan(θ/2) = tan(θ(0)/2) exp(−c t), also while y_d turns with the leader and with ξ."""
     formations, half_angle, _, tolerance, _ = with_b
     proved = half_angle[0] - formations.c * TIMES[:, None]
     assert (abs(half_angle - proved) < tolerance).all()
 
 
-def test_without_b_the_relative_speed_error_falls_as_in_closed_form():
+def test_speed_error_without_b_in_closed_form():
     """s̃/h = s̃(0)/h(s(0)) exp(−a t)."""
     formations, _, zeta, _, tolerance = falling(0.0)
     assert zeta[0].max() > 4.0
     assert (abs(zeta - zeta[0] + formations.a * TIMES[:, None]) < tolerance).all()
 
 
-def test_with_b_the_relative_speed_error_falls_between_two_closed_forms(with_b):
+def test_speed_error_with_b_between_two_closed_forms(with_b):
     """With w = 1/ζ²: ẇ = 2 a w + 2 b h, and 0 <= h <= h̄.
 
     So w(0) exp(2 a t) <= w(t) <= (w(0) + b h̄/a) exp(2 a t) − b h̄/a.
@@ -130,7 +131,7 @@ def test_with_b_the_relative_speed_error_falls_between_two_closed_forms(with_b):
     assert (fastest < slowest - 0.1)[-1].any()
 
 
-def test_one_agent_flying_as_desired_closes_its_error_in_closed_form():
+def test_position_error_of_one_agent_in_closed_form():
     """ẋ = −k β x (ν1 + ν2 x²)^(−m) for x = β ‖q̃‖, so F(x(0)) − F(x(t)) = k β t with
 
     F(x) = √(ν1 + x²) − √ν1 arsinh(√ν1/x) for m = ½, ν2 = 1: from 29 m to some decimetres;
@@ -170,7 +171,7 @@ def exponential(matrix):
     return np.linalg.matrix_power(part, 1024)
 
 
-def test_near_their_slots_agents_flying_as_desired_follow_the_matrix_exponential():
+def test_small_errors_follow_the_matrix_exponential():
     """q̃(t) = exp(−diag(k) (A + B) t) q̃(0) where μ = 1: ‖ξ‖² < 0.5 m² or 0.1 m²; k unequal.
 
     Undirected and directed graphs, examples 2 and 3.
@@ -207,7 +208,7 @@ SLOW = {"k": 3.0 * 0.198062, "a": 0.25, "c": 0.25}  # 0.198062: the least eigenv
 
 
 @pytest.mark.parametrize("slowest", SLOW)
-def test_close_to_the_formation_errors_fall_at_the_slowest_rate_and_no_slower(slowest):
+def test_small_errors_fall_at_the_slowest_rate(slowest):
     """q̃ falls at the least of the eigenvalues of k μ(0) (A + B), a and c.
 
     (A12) linearised is q̃̇ = −k μ(0) (A + B) q̃ + s̃ y + s_d ỹ, with s̃ and ỹ falling at a and c.

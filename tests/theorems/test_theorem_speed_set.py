@@ -6,9 +6,9 @@
 import numpy as np
 import pytest
 from closed_loop import fly
+from reference.adapters import h
+from reference.formation_barrier import per_agent
 from theorem_cases import BARRIERS, at_slots, every_case, one_formation
-
-from testbed.formation.barrier import h, per_agent
 
 # Steps of 2 ms while speeds far outside S rush in at up to 500 per second, longer ones later.
 TIMES = np.concatenate(
@@ -28,10 +28,10 @@ def near_the_bounds(formations, by):
     start = at_slots(formations, rng.uniform(-30.0, 30.0, (n, 3)))
     upper, by = rng.random(n) < 0.5, rng.choice(by, n)
     speeds = formations.speeds
-    return start._replace(s=np.where(upper, speeds.high - by, speeds.low + by))
+    return start._replace(s=np.where(upper, speeds.max - by, speeds.min + by))
 
 
-def test_a_speed_that_starts_in_s_stays_in_s_for_ever():
+def test_speed_that_starts_in_s_stays_in_s():
     """|ζ| falls, at least as exp(−a t); so h(s) >= |s̃|/|ζ(0)| > 0 for ever, from any start in S.
 
     From then on when |ζ| h̄ < ε the speed is in S because s_d is, at least ε from the bounds:
@@ -41,7 +41,7 @@ def test_a_speed_that_starts_in_s_stays_in_s_for_ever():
     start = near_the_bounds(formations, BY)
     speeds, found = formations.speeds, []
     for t, state in fly(formations, start, TIMES):
-        assert ((state.s > speeds.low) & (state.s < speeds.high)).all(), t
+        assert ((state.s > speeds.min) & (state.s < speeds.max)).all(), t
         gap = formations.wanted(t, state).desired.speed - state.s
         found.append(abs(gap) / formations.h(state.s))
     found = np.array(found)
@@ -54,7 +54,7 @@ def test_a_speed_that_starts_in_s_stays_in_s_for_ever():
     assert (abs(gap) < formations.margin).all()
 
 
-def test_a_speed_that_starts_outside_s_enters_once_and_in_time():
+def test_speed_that_starts_outside_s_enters_once():
     """ḣ = b s̃² > b ε², so that h(s) = 0 is reached before −h(s(0))/(b ε²); s moves only inwards."""
     formations = every_case()
     start = near_the_bounds(formations, -BY)
@@ -64,7 +64,7 @@ def test_a_speed_that_starts_outside_s_enters_once_and_in_time():
     outside = np.ones(len(latest), dtype=bool)
     distance = np.full(len(latest), np.inf)
     for t, state in fly(formations, start, TIMES[TIMES < 6.0]):
-        beyond = np.maximum(speeds.low - state.s, state.s - speeds.high)
+        beyond = np.maximum(speeds.min - state.s, state.s - speeds.max)
         assert (outside | (beyond < 0.0)).all(), f"left S again before {t} s"
         assert ((beyond < distance) | ~outside).all(), f"moved away from S before {t} s"
         outside, distance = beyond >= 0.0, beyond
@@ -86,7 +86,7 @@ def time_to(barrier, start, end, speed_desired, b, low, high):
     return total
 
 
-def test_the_way_back_into_s_takes_the_time_that_a_quadrature_says():
+def test_time_to_enter_s_equals_a_quadrature():
     """Alone behind straight leaders that they do not hear the position of, so that s_d = 22 m/s."""
     b, low, high = 0.1, 16.0, 30.0
     barrier = per_agent([*BARRIERS.values()] * 2)
@@ -107,7 +107,7 @@ def test_the_way_back_into_s_takes_the_time_that_a_quadrature_says():
     assert (checked < len(times)).any()
 
 
-def test_the_quadrature_against_a_closed_form():
+def test_quadrature_against_a_closed_form():
     """Example 4: h' = 2 ν (m − s), m midway: with x = s − s_d, −(2 ν/b) [ln x − (s_d − m)/x]."""
     nu, b, low, high, s_d = 0.02, 0.1, 16.0, 30.0, 22.0
     x = np.array([32.0, 30.0]) - s_d

@@ -5,19 +5,21 @@ leader's helix, 4 m to the right of its own, so that it pulls uav2 out of its sl
 reckons with it can be told from whoever does not.
 """
 
-from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from closed_loop import Leader
+from reference.adapters import advance_ticks, frame_rate, report
+from reference.adapters import slot_motions as slots
+from reference.unicycle import unicycle
 
-from testbed.formation import leader as leading
-from testbed.formation.geometry import frame_rate, slots
-from testbed.frames import velocity_frame
-from testbed.scenario import load
-from testbed.sim.world import build
-from testbed.state import Inbox, VehicleState
-from testbed.vehicle.ideal import ADVANCE_TICKS, REPORT, unicycle
+from testbed.core.frames import velocity_frame
+from testbed.core.records import Inbox, VehicleState
+from testbed.formation import leader_filter as leading
+from testbed.formation.control_step import Hbh23Law
+from testbed.scenario import find_aircraft, load
+from testbed.sim.build_control import build_control
 
 HZ, TICKS = 25, 8
 MUTE = (20.0, 50.0)  # s; six radians of the turn
@@ -37,33 +39,34 @@ def helix(t, offsets):
 
 def make_law(then, limit=LIMIT):
     """Simulation 3's, with q̈_g as it is: how it is averaged is not the question."""
-    staleness = f"controller.staleness={{after_s: {limit}, then: {then}}}"
-    return replace(
-        build(load("simulation-3", [staleness])).groups[0].law,
-        acceleration_source=np.full(3, leading.BROADCAST),
-        acceleration_blend=np.ones((3, 3)),
-    )
+    timeout = [f"controller.neighbour_timeout_s={limit}", f"controller.on_neighbour_timeout={then}"]
+    scenario = load("simulation-3", timeout)
+    folders = [find_aircraft(each.aircraft) for each in scenario.fleet]
+    clock = SimpleNamespace(control=TICKS, base_rate_hz=HZ * TICKS, groups=((0, 1, 2),))
+    control = build_control(scenario, folders, clock)
+    law = control.controllers["law"].copy()
+    law["acceleration_source"], law["acceleration_blend"] = leading.BROADCAST, 1.0
+    return Hbh23Law(law, control.neighbours)
 
 
 def rows(begin, end):
     return slice(round(begin * HZ), round(end * HZ))
 
 
-def flown(law, mute=MUTE, then=None, until=END):
+def flown(law, mute=MUTE, then_gain=None, until=END):
     """Errors of uav2 and uav3 from their slots in the leader's frame (K, 2, 3), and K memories.
 
-    Once uav1 is stale, they fly by the law `then`, if there is one.
+    Once uav1 is stale, uav2 flies with this gain for it, if there is one.
     """
-    offsets = law.offsets.copy()
+    offsets = law.neighbours["offset"][0].copy()
     offsets[1] += ASIDE
     vehicles = unicycle(*(each[2:] for each in helix(0.0, offsets)[:2]))
-    speed, turn, pole = vehicles.speed, np.zeros((2, 3)), law.pole[1:]
+    speed, turn, pole = vehicles.speed, np.zeros((2, 3)), law.law["speed_pole"][1:]
     memories, said, errors, inbox = [], 0.0, [], None
     for tick in range(round(until * HZ)):
         now = tick / HZ
-        law = then if then and now - said > LIMIT else law
         slots_now, moved, acceleration_now = helix(now, offsets)
-        seen = REPORT(vehicles, speed, turn, pole, np.zeros((2, 3)))
+        seen = report(vehicles, speed, turn, pole, np.zeros((2, 3)))
         frame = velocity_frame(LEADER.motion(now)[1])[0]
         errors.append((seen.position_ned - slots_now[2:]) @ frame)
         position = np.vstack([slots_now[:2], seen.position_ned])
@@ -83,10 +86,13 @@ def flown(law, mute=MUTE, then=None, until=END):
         acceleration = np.zeros((3, 4, 3))
         acceleration[:, 0] = acceleration_now
         inbox = Inbox(when, when, *news, acceleration, np.zeros((3, 4, 3)), rates)
-        told, memory = law.step(now, own, inbox, memories[-1] if memories else law.start(own))
+        memory = memories[-1] if memories else law.start(own)
+        if then_gain is not None and now - said > LIMIT:
+            law.neighbours["gain"][1, 1] = then_gain
+        told, memory = law.step(now, own, inbox, memory)
         memories.append(memory)
-        speed, turn = told.speed[1:].copy(), told.turn[1:].copy()
-        vehicles = ADVANCE_TICKS(vehicles, speed, turn, pole, 1.0 / (HZ * TICKS), TICKS)
+        speed, turn = told.speed[1:].copy(), told.omega[1:].copy()
+        vehicles = advance_ticks(vehicles, speed, turn, pole, 1.0 / (HZ * TICKS), TICKS)
     return np.array(errors), memories
 
 
@@ -100,20 +106,20 @@ def heard():
 
 
 @pytest.mark.parametrize("limit", [LIMIT, 5.0])
-def test_a_neighbour_that_keeps_its_place_may_fall_silent(heard, limit):
+def test_timed_out_neighbour_is_held_at_its_position(heard, limit):
     """It is held where it was when it fell silent, however far a line has led from there since.
 
     Until the limit that line leaves the turn, by δ at the end. uav2 and uav3 are never off by as
     much; and once uav1 is held, in its place as if it were heard, what they are off decays by the
     turn gain c = 0.1 per second at the slowest, in six radians of turn and when it is heard again.
     """
-    law = make_law("hold", limit)
+    law = make_law("hold-relative-position", limit)
     held, memories = flown(law)
     memory = memories[round((MUTE[0] + limit + 1.0) * HZ) - 1]
     # the last word was one period before the silence
     last, offset = MUTE[0] - 1.0 / HZ, np.array([-5.0, 5.0, 0.0]) + ASIDE
-    assert memory.place[1, 1] == pytest.approx(offset, abs=1e-9)
-    assert memory.place_time_s[1, 1] == last
+    assert memory.held_position[1, 1] == pytest.approx(offset, abs=1e-9)
+    assert memory.held_time_s[1, 1] == last
     (position,), (velocity,), _ = helix(last, offset[None])
     (after,), _, _ = helix(last + limit, offset[None])
     delta = np.linalg.norm(position + limit * velocity - after)
@@ -127,12 +133,10 @@ def test_a_neighbour_that_keeps_its_place_may_fall_silent(heard, limit):
     assert (off < delta * np.exp(-0.1 * np.maximum(since, 0.0))[:, None]).all()
 
 
-def test_left_out_it_pulls_no_more(heard):
+def test_timed_out_neighbour_is_excluded(heard):
     """To the bit: while it is stale uav2 flies as if it had no gain for uav1, back to its slot."""
     law = make_law("drop")
-    without = replace(law, gains=law.gains.copy())
-    without.gains[1, 1] = 0.0
     dropped, _ = flown(law, until=MUTE[1])
-    leader_alone, _ = flown(law, then=without, until=MUTE[1])
+    leader_alone, _ = flown(law, then_gain=0.0, until=MUTE[1])
     np.testing.assert_array_equal(dropped, leader_alone)
     assert np.linalg.norm(dropped[-1, 0]) < 0.3 < np.linalg.norm(heard[len(dropped), 0])

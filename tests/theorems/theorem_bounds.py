@@ -20,8 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 from closed_loop import angle
-
-from testbed.formation.control_function import mu
+from reference.adapters import mu
 
 PIECES = 32  # intervals of r on which the inner minimum is bounded from below
 
@@ -60,9 +59,9 @@ class Envelope:
         values, _ = mu(f.mu, (r * wide) ** 2)
         along = (r[:-1] ** 2 + 2.0 * self.reach - 1.0) / (2.0 * self.reach)
         least = (np.minimum(values[1:], values[:-1]) * along).min(axis=0)
-        speed = np.minimum(self.speed_error * np.exp(-f.a * since), f.speeds.high - f.speeds.low)
+        speed = np.minimum(self.speed_error * np.exp(-f.a * since), f.speeds.max - f.speeds.min)
         direction = 2.0 * np.sin(np.arctan(self.half_angle * np.exp(-f.c * since)))
-        push = (speed + f.speeds.desired_high * direction) / self.x
+        push = (speed + f.speeds.desired_max * direction) / self.x
         return self.largest(push) + self.largest(-f.k / self.x * least * wide)
 
     def advance(self, t):
@@ -120,5 +119,5 @@ def lyapunov(formations, constants, state, wanted):
     x = constants.d * f.k * 2.0 * (root - function.nu1**0.5) / function.nu2
     y = 0.5 * ((state.y - wanted.desired.direction) ** 2).sum(axis=1)
     z = 0.5 * ((state.s - wanted.desired.speed) / f.h(state.s)) ** 2
-    of_direction = 4.0 * f.speeds.high**2 / (f.c * constants.r) * y
+    of_direction = 4.0 * f.speeds.max**2 / (f.c * constants.r) * y
     return (x / constants.l1 + of_direction + 2.0 * f.h_top**2 / f.a * z).sum()

@@ -2,12 +2,12 @@
 
 import numpy as np
 from closed_loop import Formations, Leader, State
+from reference.formation_barrier import per_agent as one_barrier_each
+from reference.formation_control_function import per_agent as one_function_each
+from reference.formation_laws import SpeedSet
 
 from testbed.formation.barrier import Barrier
-from testbed.formation.barrier import per_agent as one_barrier_each
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
-from testbed.formation.control_function import per_agent as one_function_each
-from testbed.formation.laws import SpeedSet
 
 LOW, HIGH = 16.0, 30.0
 PAPERS_MU = example_1(50.0, 1.0, 0.5)
@@ -132,7 +132,7 @@ def scattered(rng, formations, *, spread=20.0, outside=0.0):
     n = len(formations.k)
     start = at_slots(formations, rng.uniform(-spread, spread, (n, 3)))
     speeds = formations.speeds
-    s = rng.uniform(speeds.low - outside, speeds.high + outside)
+    s = rng.uniform(speeds.min - outside, speeds.max + outside)
     return State(start.q, directions(rng, n), s)
 
 

@@ -1,6 +1,6 @@
-"""Logs as an ArduPlane and a ground station would have written them of a recorded flight.
+"""Logs that an ArduPlane and a ground station would have written of a recorded flight.
 
-DataFlash by the public description of the format, frames by pymavlink itself.
+DataFlash follows the public description of the format; frames are pymavlink's.
 """
 
 import struct
@@ -32,14 +32,14 @@ def recorded():
 
 
 def true_over_equivalent(altitude):
-    """Of the standard atmosphere, from its temperature and pressure."""
+    """Return true over equivalent airspeed by temperature and pressure of the ISA."""
     temperature = 288.15 - 0.0065 * (altitude + HOME)
     pressure = 101325.0 * (temperature / 288.15) ** 5.2558797
     return np.sqrt(1.225 / (pressure / (287.052874 * temperature)))
 
 
 def demanded_pitch_deg(row):
-    """What ArduPlane logs: the stick's pitch, lowered below the trim throttle."""
+    """Return the pitch demand that ArduPlane logs, reduced below the trim throttle."""
     down = PARAMS["STAB_PITCH_DOWN"] * max(1.0 - row["throttle_cmd"] / 0.5, 0.0)
     return np.degrees(row["theta_cmd_rad"]) - down
 
@@ -86,7 +86,7 @@ class DataFlash:
 
 
 def write_dataflash(path, rows, *, params=PARAMS, modes=((0.0, FBWA),), text="", **how):
-    """A .bin of recorded rows; `modes` are (from when, which)."""
+    """Write a .bin of recorded rows; `modes` are (start, number)."""
     log = DataFlash(**how)
     log.add("MSG", 0, (text or "ArduPlane V4.7.0-dev").encode())
     for name, value in params.items():
@@ -98,11 +98,11 @@ def write_dataflash(path, rows, *, params=PARAMS, modes=((0.0, FBWA),), text="",
             mode = modes.pop(0)[1]
             log.add("MODE", us, mode, mode, 0)
         att = np.degrees([row["phi_cmd_rad"], row["phi_rad"], row["theta_rad"], row["psi_rad"]])
-        # the older layout ends before the last value
+        # the older layout has one field less
         att = (us, att[0], att[1], demanded_pitch_deg(row), att[2], 0.0, att[3], 0)
         layout = log.formats.get("ATT", FORMATS["ATT"])
         log.add("ATT", *att[: len(layout[1])])
-        log.add("IMU", us, 1, 9.0, 9.0, 9.0, 0.0, 0.0, 0.0)  # another sensor, which is broken
+        log.add("IMU", us, 1, 9.0, 9.0, 9.0, 0.0, 0.0, 0.0)  # another sensor, with wrong values
         log.add("IMU", us, 0, row["p_radps"], row["q_radps"], row["r_radps"], 0.0, 0.0, -9.8)
         ratio = true_over_equivalent(row["altitude_m"])
         log.add("ARSP", us, 0, row["airspeed_mps"] / ratio)
@@ -134,7 +134,7 @@ EPOCH_US = 1_700_000_000_000_000
 
 
 def tlog_records(rows, *, system=1, params=PARAMS, mode=FBWA, boot_ms=0, late=None, left_out=()):
-    """(µs, frame) of one vehicle; the messages of a row arrive together, `late` s after it."""
+    """Return (µs, frame) of one vehicle; messages of a row arrive together, `late` s after it."""
     late = np.zeros(len(rows)) if late is None else late
     sender, records = vehicle(system), []
 
@@ -148,8 +148,8 @@ def tlog_records(rows, *, system=1, params=PARAMS, mode=FBWA, boot_ms=0, late=No
         ms = boot_ms + round(1e3 * row["t_s"])
         if k == 0:
             for number, (name, value) in enumerate(params.items()):
-                told = (name.encode(), value, 9, len(params), number)
-                add(us, dialect.MAVLink_param_value_message(*told))
+                param = (name.encode(), value, 9, len(params), number)
+                add(us, dialect.MAVLink_param_value_message(*param))
         if k % 25 == 0 and mode is not None:
             add(us, heartbeat(mode(row["t_s"]) if callable(mode) else mode))
         attitude = [row[n] for n in ("phi_rad", "theta_rad", "psi_rad")]
@@ -173,7 +173,7 @@ def tlog_records(rows, *, system=1, params=PARAMS, mode=FBWA, boot_ms=0, late=No
 
 
 def write_tlog(path, *streams):
-    """A .tlog of several senders; it begins with the ground station that keeps it, at 0 s."""
+    """Write a .tlog of several senders; its first record is of a ground station, at 0 s."""
     station = vehicle(255, 190)
     first = heartbeat(0, dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID).pack(station)
     records = sorted((r for stream in streams for r in stream), key=lambda record: record[0])

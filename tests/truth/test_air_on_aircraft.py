@@ -1,15 +1,15 @@
-"""What the air does reaches the aircraft: its wind, its turn and a wake's rolling moment."""
+"""The air acts on the flight models: wind, wind gradients and a wake's rolling moment."""
 
 import math
 
 import numpy as np
 import pytest
 
+from testbed.core.records import Origin, WindInput
 from testbed.scenario import find_aircraft
-from testbed.state import AirFelt, Origin
 from testbed.vehicle.fleet import JsbsimFleet
-from testbed.vehicle.jsbsim_door import airframe
-from testbed.vehicle.start import Start
+from testbed.vehicle.initial_state import InitialState
+from testbed.vehicle.jsbsim_adapter import airframe
 
 AIRCRAFT = {"rascal110": 22.0, "skywalker_x8": 18.0}
 RATE = 200
@@ -22,30 +22,30 @@ def pressure(speed):
 
 
 def flown(name, *, rates=(0.0, 0.0, 0.0), wind=(0.0, 0.0, 0.0), roll=0.0, ticks=1):
-    """An aircraft in trim 400 m up, in air that begins to do this; its state and data later."""
-    start = Start((0.0, 0.0, -400.0), airspeed=AIRCRAFT[name])
+    """State and air data of an aircraft in trim 400 m up, some ticks after a wind sets in."""
+    start = InitialState((0.0, 0.0, -400.0), airspeed=AIRCRAFT[name])
     fleet = JsbsimFleet([find_aircraft(name)], [start], Origin(elevation_m=300.0), RATE)
-    fleet.blow(AirFelt(np.array([wind]), np.array([rates]), np.array([roll])))
+    fleet.set_wind(WindInput(np.array([wind]), np.array([rates]), np.array([roll])))
     fleet.step(fleet.trimmed, ticks)
     return fleet.read(), fleet.air()
 
 
 def gained(name, **does):
-    """p, q, r won by the first step that knows the air, rad/s², over one in still air.
+    """Angular acceleration, rad/s², of the first step with this air, minus that in still air.
 
-    JSBSim moves with the forces of the step before: the second step is the first to know.
+    JSBSim moves with the forces of the step before: the second step is the first to change.
     """
-    felt, still = flown(name, ticks=2, **does)[0], flown(name, ticks=2)[0]
-    return (felt.rates_body - still.rates_body)[0] * RATE
+    moved, still = flown(name, ticks=2, **does)[0], flown(name, ticks=2)[0]
+    return (moved.rates_body - still.rates_body)[0] * RATE
 
 
 @pytest.mark.parametrize(("name", "constant"), [("rascal110", 0.137), ("skywalker_x8", 0.049)])
 @pytest.mark.parametrize("turn", [0.1, -0.2])
-def test_an_aircraft_rolls_with_the_air(name, constant, turn):
+def test_roll_gradient_rolls_the_aircraft(name, constant, turn):
     """After five time constants of the roll mode, 2 V Ixx / (q S b² Clp), before it slips much."""
     state, air = flown(name, rates=(turn, 0.0, 0.0), ticks=round(5.0 * constant * RATE))
     assert state.rates_body[0, 0] == pytest.approx(turn, rel=0.1)
-    assert air.rates_body[0] == pytest.approx([turn, 0.0, 0.0])
+    assert air.wind_gradient_rates[0] == pytest.approx([turn, 0.0, 0.0])
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_an_aircraft_rolls_with_the_air(name, constant, turn):
         ("skywalker_x8", 1, 1.3012, 0.140),
     ],
 )
-def test_damping_acts_on_the_turn_against_the_air_by_hand(name, axis, derivative, inertia):
+def test_damping_acts_on_rates_relative_to_the_air(name, axis, derivative, inertia):
     """q S l (l / 2V) C times the air's turn, over the inertia; the X8 has products of inertia.
 
     In pitch C is Cmα̇ − Cmq: air that turns with q on the way through it raises the incidence by q.
@@ -72,7 +72,7 @@ def test_damping_acts_on_the_turn_against_the_air_by_hand(name, axis, derivative
 
 
 @pytest.mark.parametrize("name", AIRCRAFT)
-def test_a_rolling_moment_coefficient_is_felt_as_one(name):
+def test_wake_delta_cl_acts_as_rolling_moment(name):
     """By hand: ṗ = q S b Cl Izz / (Ixx Izz − Ixz²)."""
     frame, speed = airframe(find_aircraft(name)), AIRCRAFT[name]
     ixx, izz, ixz = {
@@ -84,7 +84,7 @@ def test_a_rolling_moment_coefficient_is_felt_as_one(name):
     assert gained(name, roll=0.01)[0] == pytest.approx(expected, rel=0.01)
 
 
-def test_a_gust_is_airspeed_at_once():
+def test_gust_changes_airspeed_at_once():
     state, air = flown("rascal110", wind=(-2.0, 0.0, 0.0))
     assert state.airspeed[0] == pytest.approx(24.0, abs=0.05)
     assert air.wind_ned[0] == pytest.approx([-2.0, 0.0, 0.0], abs=1e-9)
@@ -94,7 +94,7 @@ def test_a_gust_is_airspeed_at_once():
     assert 0.0 < climb < 1.0
 
 
-def test_what_the_air_knows_of_the_airframes():
+def test_airframe_values_are_those_of_the_sources():
     """The sizes are those of SOURCE.md; the slope is the models' own derivative CLα."""
     rascal, x8 = (airframe(find_aircraft(name)) for name in AIRCRAFT)
     assert rascal.span == pytest.approx(9.17 * 0.3048)

@@ -9,20 +9,26 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from snapshot import check_snapshot
 from typer.testing import CliRunner
 
-from testbed.cli import app
-from testbed.errors import InputError
-from testbed.frames import FOOT, GRAVITY
+from testbed.autopilot.parameters import read_params
+from testbed.cli.main import app
+from testbed.core.errors import InputError
+from testbed.core.frames import FOOT, GRAVITY
+from testbed.core.records import ActuatorCommand, Origin, WindInput
 from testbed.scenario import load_middle_loop
 from testbed.sim.speed_step import speed_step
-from testbed.state import AirFelt, Origin, Surfaces
 from testbed.vehicle.fleet import JsbsimFleet
-from testbed.vehicle.jsbsim_door import AircraftError, airframe, linearize_aircraft, trim_aircraft
+from testbed.vehicle.initial_state import InitialState
+from testbed.vehicle.jsbsim_adapter import (
+    AircraftError,
+    airframe,
+    linearize_aircraft,
+    trim_aircraft,
+)
 from testbed.vehicle.linearize import CONTROLS, STATES
 from testbed.vehicle.modes import find_modes
-from testbed.vehicle.params import read_params
-from testbed.vehicle.start import Start
 from testbed.vehicle.trim import TrimError, TrimPoint
 
 ROOT = Path(__file__).parents[2]
@@ -90,7 +96,9 @@ class TestWithoutRudder:
         side = -0.5 * DENSITY * 20.0**2 * AREA * result.beta / MASS
         rate = (GRAVITY * math.tan(bank) + side / math.cos(bank)) / 20.0
         assert result.turn_rate == pytest.approx(rate, rel=0.01)
-        fleet = JsbsimFleet([folder], [Start((0.0, 0.0, -1000.0), 0.0, 20.0, 0.0, bank)], HIGH, 200)
+        fleet = JsbsimFleet(
+            [folder], [InitialState((0.0, 0.0, -1000.0), 0.0, 20.0, 0.0, bank)], HIGH, 200
+        )
         before = fleet.read().euler[0]
         fleet.step(fleet.trimmed, 200)
         turned = fleet.read().euler[0] - before
@@ -117,7 +125,7 @@ def test_servos_that_lag_change_no_trim(tmp_path):
         assert getattr(slow.controls, name) == pytest.approx(
             getattr(quick.controls, name), abs=1e-6
         )
-    fleet = JsbsimFleet([folder], [Start((0.0, 0.0, -100.0))], Origin(), 200)
+    fleet = JsbsimFleet([folder], [InitialState((0.0, 0.0, -100.0))], Origin(), 200)
     assert fleet.read().acceleration_ned[0] == pytest.approx([0, 0, 0], abs=1e-4)
     a, b = linearize_aircraft(folder, LEVEL).a, linearize_aircraft(RASCAL, LEVEL).a
     assert a == pytest.approx(b, abs=1e-3)
@@ -145,7 +153,9 @@ class TestWind:
     @pytest.mark.parametrize("course", [0.0, 1.0, -2.5])
     @pytest.mark.parametrize("wind", [(0.0, 6.0, 0.0), (8.0, 0.0, 0.0), (-3.0, 5.0, 0.5)])
     def test_the_start_is_trimmed_in_the_moving_air(self, course, wind):
-        start = Start((0.0, 0.0, -400.0), course=course, flight_path_angle=0.03, wind_ned=wind)
+        start = InitialState(
+            (0.0, 0.0, -400.0), course=course, flight_path_angle=0.03, wind_ned=wind
+        )
         fleet = JsbsimFleet([RASCAL], [start], Origin(), 200)
         state, air = fleet.read(), fleet.air()
         assert state.airspeed[0] == pytest.approx(22.0, abs=1e-9)
@@ -167,17 +177,17 @@ class TestWind:
 
     def test_a_crosswind_crabs_by_hand(self):
         """6 m/s from the left at 22 m/s: the nose points asin(6/22) = 15.83° into it."""
-        start = Start((0.0, 0.0, -400.0), wind_ned=(0.0, 6.0, 0.0))
+        start = InitialState((0.0, 0.0, -400.0), wind_ned=(0.0, 6.0, 0.0))
         fleet = JsbsimFleet([RASCAL], [start], Origin(), 200)
         state = fleet.read()
         assert math.degrees(state.euler[0, 2]) == pytest.approx(-15.83, abs=0.02)
         assert state.velocity_ned[0] == pytest.approx([math.sqrt(22.0**2 - 36.0), 0, 0], abs=1e-6)
 
     def test_air_that_does_nothing_is_still_air_to_the_bit(self):
-        start = Start((0.0, 0.0, -100.0), course=1.0, bank=0.2)
+        start = InitialState((0.0, 0.0, -100.0), course=1.0, bank=0.2)
         one = JsbsimFleet([RASCAL], [start], Origin(), 200)
         two = JsbsimFleet([RASCAL], [start], Origin(), 200)
-        two.blow(AirFelt(np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(1)))
+        two.set_wind(WindInput(np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(1)))
         for fleet in (one, two):
             fleet.step(fleet.trimmed, 100)
         for ours, theirs in zip(one.read(), two.read(), strict=True):
@@ -185,8 +195,8 @@ class TestWind:
 
     def test_a_storm_is_refused(self):
         for wind in ((0.0, 23.0, 0.0), (-22.0, 0.0, 0.0)):
-            start = Start((0.0, 0.0, -400.0), wind_ned=wind)
-            with pytest.raises(TrimError, match="no way along a course"):
+            start = InitialState((0.0, 0.0, -400.0), wind_ned=wind)
+            with pytest.raises(TrimError, match="cannot fly a course"):
                 JsbsimFleet([RASCAL], [start], Origin(), 200)
 
 
@@ -213,7 +223,7 @@ class TestInertia:
         assert "J1 + J2 ≥ J3 fails: 0.29" in text
         assert "< 2.01" in text
         with pytest.raises(AircraftError, match="J1 \\+ J2"):
-            JsbsimFleet([folder], [Start((0.0, 0.0, -100.0))], Origin(), 200)
+            JsbsimFleet([folder], [InitialState((0.0, 0.0, -100.0))], Origin(), 200)
 
     def test_a_negative_moment_is_refused(self, tmp_path):
         folder = changed(RASCAL, tmp_path, (r"<ixz .*?</ixz>", '<ixz unit="SLUG*FT2"> 2.5 </ixz>'))
@@ -277,10 +287,10 @@ class TestModes:
 
 def free_flight(control, seconds):
     """Airspeed and yaw rate (k, 2) every 0.05 s after a fifth of a second of a control."""
-    start = Start((0.0, 0.0, -1000.0))
+    start = InitialState((0.0, 0.0, -1000.0))
     fleet = JsbsimFleet([RASCAL], [start], HIGH, 200)
     level = fleet.trimmed
-    fleet.step(Surfaces(**(level._asdict() | {control: getattr(level, control) + 0.02})), 40)
+    fleet.step(ActuatorCommand(**(level._asdict() | {control: getattr(level, control) + 0.02})), 40)
     rows = []
     for _ in range(round(seconds / 0.05)):
         fleet.step(level, 10)
@@ -298,12 +308,12 @@ def assert_prony(signal, dt, order, expected, tolerance):
     assert abs(nearest - expected) < tolerance * abs(expected)
 
 
-def test_the_speed_model_is_what_the_linear_aircraft_says():
+def test_speed_model_equals_the_linear_aircraft():
     """Level flight with throttle by feed-forward and P: one pole, X_T (dη/dV + k_sp).
 
     X_T is the acceleration by throttle, dη/dV the slope of the throttle that level flight needs.
     """
-    firm = load_middle_loop(RASCAL, "paper").flight_path  # holds level flight best
+    firm = load_middle_loop(RASCAL, "tuned").flight_path  # holds level flight best
     profile = load_middle_loop(RASCAL, "authors")
     speed = profile.speed.model_copy(update={"i": 0.0})
     pure = profile.model_copy(update={"speed": speed, "flight_path": firm})
@@ -328,7 +338,7 @@ def test_the_speed_model_is_what_the_linear_aircraft_says():
 
 
 def test_a_step_that_cannot_be_flown_says_so():
-    profile = load_middle_loop(RASCAL, "paper")
+    profile = load_middle_loop(RASCAL, "tuned")
     params = read_params(RASCAL / "autopilot.param")
     for step in (0.0, -22.0, math.nan):
         with pytest.raises(InputError, match="write 0.1 m/s or more"):
@@ -339,7 +349,7 @@ class TestCommands:
     def run(self, *arguments):
         return CliRunner().invoke(app, arguments, catch_exceptions=True)
 
-    def test_trim(self):
+    def test_trim_prints_table_and_json(self):
         done = self.run("trim", "rascal110", "--airspeed", "20", "--bank", "30", "--json", "-")
         assert done.exit_code == 0
         document = json.loads(done.stdout)
@@ -348,14 +358,13 @@ class TestCommands:
             20.0**2 / (GRAVITY * math.tan(math.radians(30.0))), rel=1e-6
         )
         assert document["residual"] < 1e-6
-        assert "turn radius" in done.stderr
+        check_snapshot("trim", done.stderr)
 
-    def test_linearize(self, tmp_path):
+    def test_linearize_prints_modes_and_json(self, tmp_path):
         path = tmp_path / "modes.json"
         done = self.run("linearize", "skywalker_x8", "--airspeed", "18", "--json", str(path))
         assert done.exit_code == 0
-        for name in ("short period", "phugoid", "Dutch roll", "spiral"):
-            assert name in done.stdout
+        check_snapshot("linearize", done.stdout)
         assert max(map(len, done.stdout.splitlines())) <= 80
         document = json.loads(path.read_text(encoding="utf-8"))
         values = np.linalg.eigvals(np.array(document["a"]))
@@ -363,7 +372,7 @@ class TestCommands:
             assert np.abs(values - complex(*mode["eigenvalue_per_s"])).min() < 1e-9
         assert document["trim"]["rudder"] is None
 
-    def test_step(self):
+    def test_step_prints_models_and_json(self):
         done = self.run("step", "rascal110", "--profile", "authors", "--json", "-")
         assert done.exit_code == 0
         document = json.loads(done.stdout)
@@ -375,17 +384,15 @@ class TestCommands:
         assert 0.2 < document["model_with_free_gain"]["pole_per_s"] < 0.4
         assert len(document["time_s"]) == len(document["ground_speed_mps"])
         assert document["throttle_limited_s"] == 0.0
-        assert "motor's limit" not in done.stderr
+        check_snapshot("step", done.stderr)
 
-    def test_a_step_that_the_throttle_cannot_follow_says_so(self):
+    def test_step_with_limited_throttle_warns(self):
+        """A line where the throttle is at a limit for more than 2 of the 20 s."""
         done = self.run("step", "skywalker_x8", "--step", "6")
-        assert " throttle at a limit  3.15 s" in done.stdout  # more than 2 s, of 20 s
-        (line,) = [line for line in done.stdout.splitlines() if "motor's limit" in line]
-        assert "not the loop's" in line
-        # a limited throttle for 6 % of the time is not worth a line
+        check_snapshot("step_limited", done.stdout)
         done = self.run("step", "skywalker_x8", "--step", "4")
-        assert " throttle at a limit  1.28 s" in done.stdout
-        assert "motor's limit" not in done.stdout
+        assert " throttle at a limit      1.28 s" in done.stdout
+        assert "that of the motor" not in done.stdout
 
     @pytest.mark.parametrize(
         ("arguments", "words"),
@@ -405,7 +412,7 @@ class TestCommands:
             (("trim", "rascal110", "--airspeed", "20", "--json", "/no/x.json"), "no folder"),
         ],
     )
-    def test_bad_input(self, arguments, words):
+    def test_bad_input_says_what_to_write(self, arguments, words):
         done = self.run(*arguments)
         assert isinstance(done.exception, InputError)  # which main() turns into exit code 2
         assert words in str(done.exception)

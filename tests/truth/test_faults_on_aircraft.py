@@ -12,33 +12,92 @@ import pytest
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from testbed.errors import InputError
-from testbed.frames import FOOT
-from testbed.sim.breakdowns import nothing_fails
-from testbed.sim.mixed import Mixed
-from testbed.sim.vehicles import Flown, Ideal
-from testbed.state import AirFelt, FbwaCommand, Origin, Surfaces, UnicycleCommand, VehicleState
-from testbed.vehicle.breakage import SURFACES
+from testbed.autopilot.parameters import make_gains, read_params
+from testbed.core.errors import InputError
+from testbed.core.frames import FOOT
+from testbed.core.records import (
+    AIRCRAFT,
+    ActuatorCommand,
+    AirData,
+    FbwaCommand,
+    Origin,
+    VehicleState,
+    WindInput,
+    allocate,
+    fields_of,
+    write_fields,
+)
+from testbed.sim.faults import no_faults
+from testbed.sim.vehicles import JsbsimVehicles, UnicycleVehicles
+from testbed.vehicle.control_surfaces import SURFACES
 from testbed.vehicle.fleet import JsbsimFleet
-from testbed.vehicle.ideal import IdealFleet
-from testbed.vehicle.jsbsim_door import linearize_aircraft
+from testbed.vehicle.initial_state import InitialState
+from testbed.vehicle.jsbsim_adapter import linearize_aircraft
 from testbed.vehicle.linearize import STATES
-from testbed.vehicle.params import read_params, stack
-from testbed.vehicle.start import Start
 from testbed.vehicle.trim import TrimPoint
+from testbed.vehicle.unicycle import make_unicycles
 
-AIRCRAFT = Path(__file__).parents[2] / "aircraft"
-RASCAL, X8 = AIRCRAFT / "rascal110", AIRCRAFT / "skywalker_x8"
+FOLDERS = Path(__file__).parents[2] / "aircraft"
+RASCAL, X8 = FOLDERS / "rascal110", FOLDERS / "skywalker_x8"
 PERIOD, TICKS = 0.02, 4  # s, of the autopilot, and steps of the base rate in it
 GRAVITY = 9.800  # m/s², at 38° N
 LEFT, RIGHT = SURFACES.index("left-elevon"), SURFACES.index("right-elevon")
 
 
+class Flight:
+    """Aircraft behind their autopilots, and their rows of the records of a run."""
+
+    def __init__(self, fleet, gains, aircraft=None, rows=None):
+        n = len(fleet.trims)
+        self.aircraft = allocate(AIRCRAFT, n) if aircraft is None else aircraft
+        self.rows = np.arange(n) if rows is None else np.array(rows)
+        self.fleet, self.vehicles = fleet, JsbsimVehicles(fleet, gains, self.aircraft, self.rows)
+
+    def _copied(self, kind, name):
+        records = fields_of(kind, self.aircraft[name])
+        return kind(*(each[self.rows] for each in records))
+
+    def read(self):
+        return self._copied(VehicleState, "truth")
+
+    def air(self):
+        self.vehicles.read_air()
+        return self._copied(AirData, "air")
+
+    @property
+    def surfaces(self):
+        return self._copied(ActuatorCommand, "surfaces")
+
+    def control(self, estimate, command, failing):
+        """One period of the autopilots, and of what has failed."""
+        aircraft = self.aircraft
+        write_fields(aircraft["estimate"], estimate)
+        write_fields(aircraft["command"], command)
+        write_fields(aircraft["faults"], failing)
+        self.vehicles.autopilot_step()
+        self.vehicles.apply_faults()
+
+    def step(self, ticks):
+        self.vehicles.step(ticks, None)
+
+    def blow(self, wind):
+        write_fields(self.aircraft["wind"], wind)
+        self.vehicles.set_wind()
+
+    def lost(self):
+        return self.fleet.lost(self.read())
+
+    def remove(self, lost):
+        self.vehicles.remove(lost)
+
+
 def flown(*folders, airspeed, altitude=400.0, apart=50.0):
-    starts = [Start((0.0, i * apart, -altitude), airspeed=airspeed) for i in range(len(folders))]
+    starts = [
+        InitialState((0.0, i * apart, -altitude), airspeed=airspeed) for i in range(len(folders))
+    ]
     fleet = JsbsimFleet(folders, starts, Origin(), 200)
     tunes = [read_params(folder / "autopilot.param") for folder in folders]
-    return Flown(fleet, stack(tunes, PERIOD))
+    return Flight(fleet, make_gains(tunes, PERIOD))
 
 
 def inside(vehicles, row=0):
@@ -56,8 +115,7 @@ def told(roll_deg, pitch_deg, throttle, n=1):
 
 def fly(vehicles, failing, command, seconds, each=None):
     for _ in range(round(seconds / PERIOD)):
-        vehicles.act(vehicles.read(), command)
-        vehicles.fail(failing)
+        vehicles.control(vehicles.read(), command, failing)
         vehicles.step(TICKS)
         if each is not None:
             each()
@@ -65,7 +123,7 @@ def fly(vehicles, failing, command, seconds, each=None):
 
 def hung(n=1):
     """Servos keep what trims the aircraft: flight with fixed controls."""
-    return nothing_fails(n)._replace(frozen=np.ones(n, dtype=bool))
+    return no_faults(n)._replace(frozen=np.ones(n, dtype=bool))
 
 
 def density(height):
@@ -172,7 +230,7 @@ def climb(kind, airspeed, rho, beta, down, pull):
 def test_climb_and_sink_balance_power(kind, folder, fault, pitch_deg, throttle, left) -> None:
     """(T − D) V / (m g) with the thrust of the propeller that takes what the shaft gives."""
     vehicles = flown(folder, airspeed=18.0, altitude=500.0)
-    failing, command, track = nothing_fails(1), told(0.0, pitch_deg, throttle), []
+    failing, command, track = no_faults(1), told(0.0, pitch_deg, throttle), []
     for name, value in fault.items():
         getattr(failing, name)[:] = value
 
@@ -222,7 +280,7 @@ def test_a_stuck_aileron_rolls_as_published() -> None:
         assert state.rates_body[0, 0] == pytest.approx(expected, rel=0.03)
 
 
-def test_floating_elevons_trim_where_their_moments_vanish() -> None:
+def test_floating_elevons_trim_at_zero_moment() -> None:
     """Cm0 + (Cmα − 0.3 Cmδ) α = 0, without thrust: the airspeed follows from the lift there."""
     vehicles, failing = flown(X8, airspeed=18.0, altitude=600.0), hung()
     failing.power[:] = 0.0
@@ -271,7 +329,7 @@ def test_a_frozen_autopilot_leaves_the_free_motion(
     trim, rest, level = vehicles.fleet.trims[0], motion(vehicles), np.array(vehicles.surfaces)
     roll, pitch = np.degrees([trim.placement.roll, trim.placement.pitch])
     wanted = told(roll + roll_deg, pitch + pitch_deg, trim.controls.throttle)
-    fly(vehicles, nothing_fails(1), wanted, 0.3)
+    fly(vehicles, no_faults(1), wanted, 0.3)
     held, first = vehicles.surfaces, motion(vehicles) - rest
     moved = np.array(held).ravel() - level.ravel()
     linear = linearize_aircraft(folder, TrimPoint(airspeed, altitude=700.0))
@@ -293,25 +351,22 @@ def test_a_frozen_autopilot_leaves_the_free_motion(
         assert ours == pytest.approx(theirs, abs=0.05 * np.abs(theirs).max())
 
 
-def test_an_autopilot_that_comes_back_goes_on_where_it_was() -> None:
+def test_autopilot_resumes_after_a_freeze() -> None:
     """Handed the same estimates, it says after a second of silence what it would have said."""
     hanging, awake = (flown(RASCAL, X8, airspeed=20.0) for _ in range(2))
     estimate, wanted = awake.read(), told(20.0, 4.0, 0.6, 2)
-    one = nothing_fails(2)
+    one = no_faults(2)
     one.frozen[0] = True
     for _ in range(20):
         for each in (hanging, awake):
-            each.act(estimate, wanted)
-            each.fail(nothing_fails(2))
+            each.control(estimate, wanted, no_faults(2))
     said = hanging.surfaces
     for _ in range(50):
-        hanging.act(estimate, told(-30.0, 0.0, 0.3, 2))  # it does not hear this either
-        hanging.fail(one)
+        hanging.control(estimate, told(-30.0, 0.0, 0.3, 2), one)  # it does not hear this either
         assert [part[0] for part in hanging.surfaces] == [part[0] for part in said]
     for _ in range(3):
         for each in (hanging, awake):
-            each.act(estimate, wanted)
-            each.fail(nothing_fails(2))
+            each.control(estimate, wanted, no_faults(2))
         assert [part[0] for part in hanging.surfaces] == [part[0] for part in awake.surfaces]
         assert hanging.surfaces.elevator[1] != awake.surfaces.elevator[1]  # it went on meanwhile
     assert hanging.surfaces.elevator[0] != said.elevator[0]
@@ -319,7 +374,7 @@ def test_an_autopilot_that_comes_back_goes_on_where_it_was() -> None:
 
 def test_a_battery_drops_and_goes_on_from_there() -> None:
     vehicles = flown(X8, X8, airspeed=18.0)
-    wanted, failing = told(0.0, 2.0, 0.7, 2), nothing_fails(2)
+    wanted, failing = told(0.0, 2.0, 0.7, 2), no_faults(2)
     fly(vehicles, failing, wanted, 2.0)
     before = vehicles.air().state_of_charge.copy()
     failing.charge[0] = 0.4
@@ -329,13 +384,13 @@ def test_a_battery_drops_and_goes_on_from_there() -> None:
     assert 0.4 - 30.0 * PERIOD / 3600.0 / 10.0 < dropped[0] < 0.4
     assert vehicles.air().battery_voltage[0] < 4.0 * 3.80 < vehicles.air().battery_voltage[1]
     assert 0.99 < dropped[1] < before[1]
-    fly(vehicles, nothing_fails(2), wanted, 3.0)  # until the current is steady
+    fly(vehicles, no_faults(2), wanted, 3.0)  # until the current is steady
     full, drawn = vehicles.air().state_of_charge[0], []
 
     def note():
         drawn.append(inside(vehicles)["battery/current-a"])
 
-    fly(vehicles, nothing_fails(2), wanted, 3.0, note)
+    fly(vehicles, no_faults(2), wanted, 3.0, note)
     gone = full - vehicles.air().state_of_charge[0]
     # sampled once in a period, within which it changes by less
     assert gone == pytest.approx(np.sum(drawn) * PERIOD / 3600.0 / 10.0, rel=1e-3)
@@ -346,7 +401,7 @@ def test_a_battery_drops_and_goes_on_from_there() -> None:
 
 
 def test_a_stuck_elevon_stands_still_in_the_aircraft() -> None:
-    vehicles, failing = flown(X8, airspeed=18.0), nothing_fails(1)
+    vehicles, failing = flown(X8, airspeed=18.0), no_faults(1)
     fly(vehicles, failing, told(0.0, 2.0, 0.7), 1.0)
     failing.stuck[0, LEFT] = True
     fly(vehicles, failing, told(10.0, 2.0, 0.7), 1.0)  # its servo's lag is over
@@ -361,7 +416,7 @@ def test_a_stuck_elevon_stands_still_in_the_aircraft() -> None:
     assert np.ptp(right) > 0.02
 
 
-def test_an_aircraft_is_asked_whether_it_has_what_breaks() -> None:
+def test_fault_of_a_missing_part_is_refused() -> None:
     class Fault:
         kind, surface = "surface-stuck", "left-elevon"
 
@@ -369,30 +424,30 @@ def test_an_aircraft_is_asked_whether_it_has_what_breaks() -> None:
         kind = "battery-low"
 
     fleet = flown(RASCAL, X8, airspeed=20.0).fleet
-    assert fleet.rig.fitted.tolist() == [[True] * 3 + [False] * 2, [False] * 3 + [True] * 2]
+    assert fleet.geometry.fitted.tolist() == [[True] * 3 + [False] * 2, [False] * 3 + [True] * 2]
     # the models' own numbers: 0.35 rad, the elevator 0.30 rad down, elevons 35°
-    assert fleet.rig.up[0, :3] == pytest.approx([0.35, 0.35, 0.35], rel=1e-12)
-    assert fleet.rig.down[0, :3] == pytest.approx([0.35, 0.30, 0.35], rel=1e-12)
-    assert fleet.rig.up[1, 3:] == pytest.approx(math.radians(35.0), rel=1e-8)
-    assert fleet.rig.mixing[1] == 1.0
+    assert fleet.geometry.up[0, :3] == pytest.approx([0.35, 0.35, 0.35], rel=1e-12)
+    assert fleet.geometry.down[0, :3] == pytest.approx([0.35, 0.30, 0.35], rel=1e-12)
+    assert fleet.geometry.up[1, 3:] == pytest.approx(math.radians(35.0), rel=1e-8)
+    assert fleet.geometry.mixing[1] == 1.0
     fleet.check_faults(1, "uav2", [Fault(), Battery()])
-    with pytest.raises(InputError, match="uav1: .* rascal110 has aileron, elevator, rudder"):
+    with pytest.raises(InputError, match="uav1: .* one of aileron, elevator, rudder"):
         fleet.check_faults(0, "uav1", [Fault()])
     with pytest.raises(InputError, match="uav1: fault battery-low: rascal110 has no battery"):
         fleet.check_faults(0, "uav1", [Battery()])
 
 
-def test_a_lost_aircraft_stays_where_it_is_and_the_others_do_not_notice() -> None:
+def test_lost_aircraft_stays_and_others_fly_on() -> None:
     pair, other = flown(RASCAL, X8, airspeed=20.0), flown(RASCAL, X8, airspeed=20.0)
     wanted = told(10.0, 3.0, 0.6, 2)
     for each in (pair, other):
-        fly(each, nothing_fails(2), wanted, 0.5)
-    assert not pair.lost(pair.read()).any()
+        fly(each, no_faults(2), wanted, 0.5)
+    assert not pair.lost().any()
     before = pair.read()
     pair.remove(np.array([False, True]))
     for each in (pair, other):
-        fly(each, nothing_fails(2), wanted, 0.5)
-    assert pair.lost(pair.read()).tolist() == [False, True]
+        fly(each, no_faults(2), wanted, 0.5)
+    assert pair.lost().tolist() == [False, True]
     for name in VehicleState._fields:
         now, then, theirs = (getattr(each, name) for each in (pair.read(), before, other.read()))
         assert np.array_equal(now[1], then[1])
@@ -400,78 +455,59 @@ def test_a_lost_aircraft_stays_where_it_is_and_the_others_do_not_notice() -> Non
 
 
 @pytest.mark.parametrize("folder", [RASCAL, X8])
-def test_a_state_that_is_no_number_is_removed_and_reads_without_a_warning(folder) -> None:
+def test_aircraft_with_nan_state_is_removed(folder) -> None:
     vehicles = flown(folder, folder, airspeed=20.0)
     start, wanted = vehicles.read(), told(0.0, 2.0, 0.6, 2)
     wind = np.array([[np.nan, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    vehicles.blow(AirFelt(wind, np.zeros((2, 3)), np.zeros(2)))
+    vehicles.blow(WindInput(wind, np.zeros((2, 3)), np.zeros(2)))
     vehicles.step(TICKS)
     assert not np.isfinite(vehicles.read().position_ned[0]).all()
-    lost = vehicles.lost(vehicles.read())
+    lost = vehicles.lost()
     assert lost.tolist() == [True, False]
     vehicles.remove(lost)
-    vehicles.blow(AirFelt(np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(2)))
-    fly(vehicles, nothing_fails(2), wanted, 0.2)
+    vehicles.blow(WindInput(np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(2)))
+    fly(vehicles, no_faults(2), wanted, 0.2)
     state, air = vehicles.read(), vehicles.air()
     assert all(np.isfinite(each).all() for each in state)
     assert all(np.isfinite(each).all() for each in air[:4])
     for now, then in zip(state, start, strict=True):
         assert np.array_equal(now[0], then[0])
     assert state.position_ned[1, 0] > 4.0
-    assert vehicles.lost(state).tolist() == [True, False]
+    assert vehicles.lost().tolist() == [True, False]
 
 
-def ideal(n):
-    velocity = np.tile([20.0, 0.0, 0.0], (n, 1))
-    position = np.array([[0.0, 10.0 * i, -100.0] for i in range(n)])
-    return Ideal(IdealFleet(position, velocity, np.ones(n), 200, np.zeros((n, 3))))
+def test_faults_and_losses_among_kinds_of_vehicles() -> None:
+    aircraft = allocate(AIRCRAFT, 3)
 
+    def one(row):
+        fleet = JsbsimFleet(
+            [RASCAL], [InitialState((0.0, 0.0, -400.0), airspeed=20.0)], Origin(), 200
+        )
+        tune = make_gains([read_params(RASCAL / "autopilot.param")], PERIOD)
+        return Flight(fleet, tune, aircraft, [row])
 
-def test_a_lost_ideal_vehicle_stops_and_the_others_do_not_notice() -> None:
-    pair, other = ideal(2), ideal(2)
-    climbing = UnicycleCommand(
-        speed=np.array([22.0, 18.0]),
-        turn=np.array([[0.0, 0.1, 0.2], [0.0, -0.1, 0.3]]),
-        speed_desired=np.array([22.0, 18.0]),
-        direction=np.tile([1.0, 0.0, 0.0], (2, 1)),
-        guards=np.zeros(2, dtype=np.uint8),
+    first, last = one(0), one(2)
+    unicycle = make_unicycles(
+        np.array([[0.0, 10.0, -100.0]]), np.array([[20.0, 0.0, 0.0]]), np.ones(1)
     )
-    for each in (pair, other):
-        each.steer(climbing)
-        each.step(100)
-    before = pair.read()
-    pair.remove(np.array([False, True]))
-    unsteered = climbing._replace(turn=np.array([[0.0, 0.2, 0.1], [np.nan] * 3]))
-    for each in (pair, other):
-        each.steer(unsteered)
-        each.step(100)
-    assert pair.lost(pair.read()).tolist() == [False, True]
-    for name in VehicleState._fields:
-        now, then, theirs = (getattr(each, name) for each in (pair.read(), before, other.read()))
-        assert np.array_equal(now[1], then[1])
-        assert np.array_equal(now[0], theirs[0])
-    # the other one has no number left; removed, it stands at its start
-    lost = other.lost(other.read())
-    assert lost.tolist() == [False, True]
-    other.remove(lost)
-    state = other.read()
-    assert all(np.isfinite(each).all() for each in state)
-    assert state.position_ned[1] == pytest.approx([0.0, 10.0, -100.0])
-    assert other.lost(state).tolist() == [False, True]
-
-
-def test_faults_and_losses_find_their_rows_among_several_kinds() -> None:
-    first, last = flown(RASCAL, airspeed=20.0), flown(RASCAL, airspeed=20.0)
-    mixed = Mixed([((2,), last), ((1,), ideal(1)), ((0,), first)])
-    failing = nothing_fails(3)
+    parts = [last.vehicles, UnicycleVehicles(unicycle, 200, aircraft, np.array([1]))]
+    parts.append(first.vehicles)
+    aircraft["estimate"] = aircraft["truth"]
+    write_fields(aircraft["command"], told(0.0, 2.0, 0.6, 3))
+    failing = no_faults(3)
     failing.power[2] = 0.0
-    mixed.act(mixed.read(), told(0.0, 2.0, 0.6, 3))
-    mixed.fail(failing)
-    surfaces: Surfaces = mixed.surfaces
-    assert surfaces.throttle[0] > 0.0 and surfaces.throttle[2] == 0.0
-    mixed.remove(np.array([False, True, True]))
-    where = mixed.read().position_ned.copy()
-    mixed.step(20)
-    moved = np.linalg.norm(mixed.read().position_ned - where, axis=1)
+    write_fields(aircraft["faults"], failing)
+    for each in parts:
+        each.autopilot_step()
+        each.apply_faults()
+    throttle = aircraft["surfaces"]["throttle"]
+    assert throttle[0] > 0.0 and throttle[2] == 0.0
+    lost = np.array([False, True, True])
+    for each in parts:
+        each.remove(lost)
+    where = aircraft["truth"]["position_ned"].copy()
+    for each in parts:
+        each.step(20, None)
+    moved = np.linalg.norm(aircraft["truth"]["position_ned"] - where, axis=1)
     assert moved[0] > 1.9 and (moved[1:] == 0.0).all()
-    assert mixed.lost(mixed.read()).tolist() == [False, True, True]
+    assert aircraft["stopped"].tolist() == [False, True, True]

@@ -1,4 +1,4 @@
-"""Real flights from their logs: a recorded one is written as both kinds, and comes back."""
+"""Import of flight logs: a recorded flight is written as both kinds of log, and read back."""
 
 import json
 import math
@@ -24,22 +24,22 @@ from flight_logs import (
     write_dataflash,
     write_tlog,
 )
+from typer.testing import CliRunner
 
-from testbed.errors import InputError
-from testbed.flight_console import import_and_show
-from testbed.mavlink import dataflash, telemetry
-from testbed.mavlink.flights import read_flight
-from testbed.vehicle.respond import ANSWERS, COMMANDS, respond
+from testbed.cli.import_flight import import_command
+from testbed.cli.main import app
+from testbed.core.errors import InputError
+from testbed.mavlink import dataflash, tlog_flight
+from testbed.mavlink.flight_import import read_flight
+from testbed.vehicle.replay_commands import COMMANDS, RESPONSES, respond
 
 FLIGHT = recorded()
 SHORT = FLIGHT[:500]  # 20 s
 RASCAL = ROOT / "aircraft" / "rascal110"
 
 
-def brought_in(path, out, **asked):
-    import_and_show(
-        path, out, **{"system": None, "begin": None, "end": None, "mode": "FBWA"} | asked
-    )
+def import_csv(path, out, **options):
+    import_command(path, out, **options)
     return np.genfromtxt(out, delimiter=",", names=True)
 
 
@@ -50,27 +50,27 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def logs(folder):
-    # a radio link that delays every row by up to 39 ms, and never the first
+    # a radio link that delays every row but the first by up to 39 ms
     late = np.random.default_rng(7).uniform(0.0, 0.039, len(FLIGHT))
     late[0] = 0.0
     write_dataflash(folder / "flight.bin", FLIGHT)
-    # the file begins with the ground station, at 0 s
+    # the first record is of the ground station, at 0 s
     write_tlog(folder / "flight.tlog", tlog_records(FLIGHT, late=late, boot_ms=123_456))
     return folder
 
 
-# One unit of the sixth digit of the CSVs (measured: none differs); GLOBAL_POSITION_INT has cm/s and
-# mm.
+# One unit of the sixth digit in the CSV files (measured: no difference); GLOBAL_POSITION_INT has
+# cm/s and mm.
 SIX = 1e-5
 TELEMETRY = {"v_down_mps": 0.00501, "altitude_m": 0.00051}
 
 
 @pytest.mark.parametrize(("kind", "coarser"), [("bin", {}), ("tlog", TELEMETRY)])
-def test_a_flight_comes_back_as_it_was(logs, kind, coarser):
-    flown = brought_in(logs / f"flight.{kind}", logs / f"{kind}.csv")
-    assert flown.dtype.names == FLIGHT.dtype.names == COMMANDS + ANSWERS
+def test_import_returns_the_flight(logs, kind, coarser):
+    imported = import_csv(logs / f"flight.{kind}", logs / f"{kind}.csv")
+    assert imported.dtype.names == FLIGHT.dtype.names == COMMANDS + RESPONSES
     for name in FLIGHT.dtype.names:
-        off = np.abs(flown[name] - FLIGHT[name])
+        off = np.abs(imported[name] - FLIGHT[name])
         if name == "psi_rad":
             off = np.minimum(off, 2.0 * math.pi - off)
         room = coarser.get(name, 0.0) + SIX * np.maximum(np.abs(FLIGHT[name]), 0.1)
@@ -80,36 +80,36 @@ def test_a_flight_comes_back_as_it_was(logs, kind, coarser):
 
 
 @pytest.mark.parametrize("kind", ["bin", "tlog"])
-def test_its_replay_is_the_replay_of_the_original(logs, kind):
+def test_import_replays_like_the_original(logs, kind):
     rows = RECORDING.read_text().splitlines(keepends=True)[:1001]  # 40 s
     (logs / "original.csv").write_text("".join(rows))
     respond(RASCAL, logs / "original.csv", logs / "a.csv")
-    brought_in(logs / f"flight.{kind}", logs / "commands.csv", end=40.0)
+    import_csv(logs / f"flight.{kind}", logs / "commands.csv", end=40.0)
     respond(RASCAL, logs / "commands.csv", logs / "b.csv")
     a, b = (np.genfromtxt(logs / f"{n}.csv", delimiter=",", names=True) for n in "ab")
     assert len(a) == len(b) == 1000
     for name in ("phi_rad", "theta_rad"):
-        # measured: no difference; this is what a last digit of a command or the start would make
+        # measured: no difference; allowed: the effect of a last digit of a command or the start
         assert np.abs(a[name] - b[name]).max() < 1e-5
     assert np.abs(a["airspeed_mps"] - b["airspeed_mps"]).max() < 1e-3
 
 
-def test_older_logs_are_in_hundredths_of_degrees(folder):
+def test_import_older_logs_in_centidegrees(folder):
     old = FORMATS | {"ATT": OLD_ATT}
     path = write_dataflash(folder / "old.bin", SHORT, formats=old)
-    flown = read_flight(path).columns
+    imported = read_flight(path).columns
     half = math.radians(0.005) + 1e-6
     for name in ("phi_rad", "theta_rad", "phi_cmd_rad", "theta_cmd_rad"):
-        assert np.abs(flown[name] - SHORT[name]).max() < half
+        assert np.abs(imported[name] - SHORT[name]).max() < half
 
 
-def test_columns_and_commands_are_those_of_a_replay():
-    for kind in (dataflash, telemetry):
-        assert ("t_s", *kind.COLUMNS) == COMMANDS + ANSWERS
+def test_import_columns_are_those_of_a_replay():
+    for kind in (dataflash, tlog_flight):
+        assert ("t_s", *kind.COLUMNS) == COMMANDS + RESPONSES
 
 
-def test_the_stick_is_found_under_the_pitch_that_was_logged(folder):
-    """Below the trim throttle ArduPlane logs a lower pitch; the replay lowers it again."""
+def test_import_adds_stab_pitch_down(folder):
+    """Below the trim throttle ArduPlane logs a reduced pitch; the replay reduces it again."""
     params = {k: v for k, v in PARAMS.items() if k != "STAB_PITCH_DOWN"}
     lowered = read_flight(write_dataflash(folder / "p.bin", SHORT, params=params))
     found = read_flight(write_dataflash(folder / "q.bin", SHORT))
@@ -120,15 +120,15 @@ def test_the_stick_is_found_under_the_pitch_that_was_logged(folder):
     assert not any("STAB_PITCH_DOWN" in note for note in found.notes)
 
 
-def test_true_airspeed_is_found_with_and_without_the_autopilots_ratio(folder):
+def test_import_true_airspeed_from_either_ratio(folder):
     path = write_dataflash(folder / "e.bin", SHORT, left_out=("CTUN",))
     flight = read_flight(path)
     assert flight.sources["airspeed_mps"] == "ARSP.Airspeed × the standard atmosphere at POS.Alt"
     assert np.abs(flight.columns["airspeed_mps"] - SHORT["airspeed_mps"]).max() < 1e-3
 
 
-def test_outputs_are_found_by_their_function_and_turned(folder):
-    """Aileron on output 4 and reversed, rudder on 1; the elevator not reversed, as in the air."""
+def test_import_outputs_by_function_and_reversed(folder):
+    """Aileron on output 4 and reversed, rudder on 1; the elevator not reversed."""
     params = PARAMS | {
         "SERVO1_FUNCTION": 21.0,
         "SERVO1_REVERSED": 1.0,
@@ -136,13 +136,13 @@ def test_outputs_are_found_by_their_function_and_turned(folder):
         "SERVO4_REVERSED": 1.0,
         "SERVO2_REVERSED": 0.0,
     }
-    flown = read_flight(write_dataflash(folder / "s.bin", SHORT, params=params)).columns
-    assert np.array_equal(flown["pwm_rud"], SHORT["pwm_ail"])
-    assert np.array_equal(flown["pwm_ail"], 3000.0 - SHORT["pwm_rud"])
-    assert np.array_equal(flown["pwm_ele"], 3000.0 - SHORT["pwm_ele"])
+    imported = read_flight(write_dataflash(folder / "s.bin", SHORT, params=params)).columns
+    assert np.array_equal(imported["pwm_rud"], SHORT["pwm_ail"])
+    assert np.array_equal(imported["pwm_ail"], 3000.0 - SHORT["pwm_rud"])
+    assert np.array_equal(imported["pwm_ele"], 3000.0 - SHORT["pwm_ele"])
 
 
-def test_mixed_surfaces_are_taken_from_what_was_asked_of_them(folder):
+def test_import_mixed_surfaces_from_demands(folder):
     elevons = PARAMS | {"SERVO1_FUNCTION": 77.0, "SERVO2_FUNCTION": 78.0, "SERVO4_FUNCTION": 0.0}
     flight = read_flight(write_dataflash(folder / "m.bin", SHORT, params=elevons))
     for name in ("pwm_ail", "pwm_ele", "pwm_rud"):
@@ -151,8 +151,8 @@ def test_mixed_surfaces_are_taken_from_what_was_asked_of_them(folder):
     assert flight.sources["pwm_thr"] == "RCOU.C3"
 
 
-def test_throttle_is_found_where_it_is_told(folder):
-    """In the recording the motor's output is one row later than its command, so it shows which."""
+def test_import_throttle_sources(folder):
+    """In the recording the motor output is one row later than its command."""
     ends = PARAMS | {"SERVO3_MIN": 1000.0, "SERVO3_MAX": 2000.0}
     rows = FLIGHT[2400:2800]
     sent = (rows["pwm_thr"] - 1000.0) / 1000.0
@@ -177,12 +177,12 @@ def test_throttle_is_found_where_it_is_told(folder):
         assert np.abs(flight.columns["throttle_cmd"] - wanted).max() < 1e-6
 
 
-def test_only_the_longest_stretch_in_the_mode_is_taken(folder):
+def test_import_longest_interval_in_mode(folder):
     modes = ((0.0, AUTO), (3.0, FBWA), (8.0, AUTO), (9.0, FBWA), (19.0, AUTO))
     path = write_dataflash(folder / "modes.bin", SHORT, modes=modes)
 
-    def ends(**asked):
-        time = read_flight(path, **asked).columns["t_s"]
+    def ends(**options):
+        time = read_flight(path, **options).columns["t_s"]
         return time[0], time[-1], len(time)
 
     rows = SHORT["t_s"]
@@ -192,14 +192,14 @@ def test_only_the_longest_stretch_in_the_mode_is_taken(folder):
     assert ends(mode="any") == pytest.approx((rows[0], rows[-1], len(rows)), abs=1e-9)
     assert ends(mode="auto", begin=5.0, end=8.99) == pytest.approx((8.015, 8.975, 25), abs=1e-9)
     assert read_flight(path, mode="any").modes == ("AUTO", "FBWA")
-    for asked in ({"mode": "RTL"}, {"begin": 30.0}):
+    for options in ({"mode": "RTL"}, {"begin": 30.0}):
         with pytest.raises(InputError, match=r"nothing in \w+ .* AUTO 0.0 to 3.0, FBWA 3.0"):
-            read_flight(path, **asked)
+            read_flight(path, **options)
     with pytest.raises(InputError, match="write any, or one of MANUAL"):
         read_flight(path, mode="HOVER")
 
 
-def test_a_mode_lasts_from_heartbeat_to_heartbeat(folder):
+def test_import_mode_between_heartbeats(folder):
     def mode(t):
         return FBWA if 5.0 < t < 12.0 else AUTO
 
@@ -208,22 +208,22 @@ def test_a_mode_lasts_from_heartbeat_to_heartbeat(folder):
     assert (time[0], time[-1]) == pytest.approx((5.015, 11.015), abs=1e-6)
 
 
-def test_a_pause_ends_a_stretch(folder):
+def test_import_pause_ends_an_interval(folder):
     rows = SHORT[(SHORT["t_s"] < 6.0) | (SHORT["t_s"] > 8.0)]
     flight = read_flight(write_dataflash(folder / "gap.bin", rows))
     assert flight.columns["t_s"][0] == pytest.approx(8.015)
     assert any("0.0 to 6.0" in note for note in flight.notes)
 
 
-def test_a_reboot_in_flight_starts_a_clock_of_its_own(folder):
+def test_import_reboot_starts_a_new_clock(folder):
     before = tlog_records(SHORT[:100], boot_ms=900_000)
     after = tlog_records(SHORT[150:], boot_ms=-5_000)
     time = read_flight(write_tlog(folder / "boot.tlog", before, after)).columns["t_s"]
     assert time == pytest.approx(SHORT["t_s"][150:], abs=1e-6)
 
 
-def test_slow_commands_are_told(folder):
-    """The demands come twice a second, as ground stations ask by default."""
+def test_import_notes_slow_commands(folder):
+    """Demands arrive twice per second, the default of ground stations."""
     path = folder / "slow.tlog"
     fast = tlog_records(SHORT, left_out=("NAV_CONTROLLER_OUTPUT",))
     others = ("ATTITUDE", "VFR_HUD", "GLOBAL_POSITION_INT", "SERVO_OUTPUT_RAW", "HEARTBEAT")
@@ -235,20 +235,20 @@ def test_slow_commands_are_told(folder):
     assert np.abs(flight.columns["phi_cmd_rad"] - held).max() < 1e-6
 
 
-def test_a_vehicle_among_several_has_to_be_named(folder):
+def test_import_several_vehicles_need_system(folder):
     other = SHORT.copy()
     other["phi_rad"] += 0.1
     path = write_tlog(
         folder / "two.tlog", tlog_records(SHORT), tlog_records(other[:250], system=7, mode=AUTO)
     )
-    for asked in ({}, {"system": 3}):
+    for options in ({}, {"system": 3}):
         with pytest.raises(InputError, match=r"one of 1 \(20 s FBWA\), 7 \(10 s AUTO\)"):
-            read_flight(path, **asked)
+            read_flight(path, **options)
     seventh = read_flight(path, system=7, mode="AUTO").columns["phi_rad"]
     assert np.abs(seventh - other["phi_rad"][:250]).max() < 1e-6
 
 
-def test_missing_columns_are_left_out_and_told(folder):
+def test_import_missing_columns_are_reported(folder):
     path = write_dataflash(folder / "few.bin", SHORT, left_out=("AOA", "ARSP", "IMU", "GPS"))
     flight = read_flight(path)
     assert set(flight.missing) == {
@@ -257,33 +257,33 @@ def test_missing_columns_are_left_out_and_told(folder):
     assert flight.sources["airspeed_mps"].startswith("CTUN.As")
     assert "no IMU; have it logged (LOG_BITMASK" in flight.missing["p_radps"]
     out = folder / "few.csv"
-    flown = brought_in(path, out)
-    assert "p_radps" not in flown.dtype.names
+    imported = import_csv(path, out)
+    assert "p_radps" not in imported.dtype.names
     respond(RASCAL, out, folder / "answer.csv")
 
 
 @pytest.mark.parametrize(
-    ("left_out", "said"),
+    ("left_out", "text"),
     [
         (("ATT",), "no ATT; have it logged"),
         (("AETR", "CTUN", "RCOU"), "no AETR or CTUN, so no throttle_cmd"),
     ],
 )
-def test_a_log_without_commands_is_refused(folder, left_out, said):
+def test_import_log_without_commands_is_an_error(folder, left_out, text):
     path = write_dataflash(folder / "none.bin", SHORT, left_out=left_out)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=text):
         read_flight(path)
 
 
-def test_a_tlog_without_demands_is_refused(folder):
+def test_import_tlog_without_demands_is_an_error(folder):
     records = tlog_records(SHORT, left_out=("NAV_CONTROLLER_OUTPUT",))
     with pytest.raises(InputError, match="no NAV_CONTROLLER_OUTPUT, so no theta_cmd_rad; have it"):
         read_flight(write_tlog(folder / "none.tlog", records))
-    with pytest.raises(InputError, match=r"no autopilot sent ATTITUDE; systems \[1\] were heard"):
+    with pytest.raises(InputError, match=r"no autopilot sent ATTITUDE; it has systems \[1\]"):
         read_flight(write_tlog(folder / "none.tlog", tlog_records(SHORT, left_out=("ATTITUDE",))))
 
 
-def test_other_vehicles_are_refused(folder):
+def test_import_other_vehicles_are_an_error(folder):
     path = write_dataflash(folder / "copter.bin", SHORT, text="ArduCopter V4.5.7")
     with pytest.raises(InputError, match="a log of ArduCopter; give one of ArduPlane"):
         read_flight(path)
@@ -294,7 +294,7 @@ def test_other_vehicles_are_refused(folder):
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "text"),
     [
         (b"", "this is empty"),
         (b"ULog\x01\x12\x35", "a PX4 ULog"),
@@ -305,28 +305,29 @@ def test_other_vehicles_are_refused(folder):
         (heartbeat(5).pack(vehicle(1)) * 20, "MAVLink without times"),
     ],
 )
-def test_what_is_neither_is_told_apart(folder, content, said):
+def test_import_other_files_are_identified(folder, content, text):
     path = folder / "flight.dat"
     path.write_bytes(content)
-    with pytest.raises(InputError, match=said) as error:
+    with pytest.raises(InputError, match=text) as error:
         read_flight(path)
     assert str(path) in str(error.value)
 
 
-def test_a_missing_file_a_bad_place_and_bad_times_are_named(folder, logs):
+def test_import_bad_arguments_are_errors(folder, logs):
     with pytest.raises(InputError, match="nothing.bin"):
         read_flight(folder / "nothing.bin")
     with pytest.raises(InputError, match="--system 3: .* leave it out"):
         read_flight(logs / "flight.bin", system=3)
     with pytest.raises(InputError, match="--out"):
-        brought_in(logs / "flight.bin", folder / "no" / "where.csv")
+        import_csv(logs / "flight.bin", folder / "no" / "where.csv")
     with pytest.raises(InputError, match="--from 9: not before --to 9"):
-        brought_in(logs / "flight.bin", folder / "o.csv", begin=9.0, end=9.0)
-    with pytest.raises(InputError, match="--to nan"):
-        brought_in(logs / "flight.bin", folder / "o.csv", end=math.nan)
+        import_csv(logs / "flight.bin", folder / "o.csv", begin=9.0, end=9.0)
+    words = ("import", logs / "flight.bin", "--out", folder / "o.csv", "--to", "nan")
+    done = CliRunner().invoke(app, list(map(str, words)))
+    assert str(done.exception) == "--to nan: write a finite number"
 
 
-def test_a_cut_log_gives_what_it_has_and_says_so(folder):
+def test_import_cut_log_is_noted(folder):
     whole = write_dataflash(folder / "whole.bin", SHORT).read_bytes()
     (folder / "cut.bin").write_bytes(whole[: len(whole) // 2])
     assert 240 < len(read_flight(folder / "cut.bin").columns["t_s"]) < 260
@@ -337,15 +338,15 @@ def test_a_cut_log_gives_what_it_has_and_says_so(folder):
     assert any("last record is cut off" in note for note in flight.notes)
 
 
-def test_one_damaged_time_costs_one_row(folder):
+def test_import_damaged_time_loses_one_row(folder):
     rows = SHORT.copy()
     rows["t_s"][100] = 1e6
     flight = read_flight(write_dataflash(folder / "time.bin", rows))
     assert len(flight.columns["t_s"]) == 499
 
 
-def damaged(good, rng):
-    """Up to five things that happen to files; as often in the few definitions as behind them."""
+def damage(good, rng):
+    """Damage a file up to five times, half of them in the definitions at its start."""
     data = bytearray(good)
     for _ in range(rng.randrange(1, 6)):
         at = rng.randrange(len(data)) if rng.random() < 0.5 else rng.randrange(3, 1300)
@@ -361,14 +362,14 @@ def damaged(good, rng):
     return bytes(data)
 
 
-def test_damage_is_told_or_refused_and_never_raises_anything_else(folder, capfd):
+def test_import_damage_is_noted_or_an_error(folder, capfd):
     rng = random.Random(3)
     path = folder / "damaged.bin"
     good = write_dataflash(path, SHORT[:100]).read_bytes()
     fine = 0
     tries = int(os.environ.get("TESTBED_FRAMES", "10000")) // 30
     for _ in range(tries):
-        path.write_bytes(damaged(good, rng))
+        path.write_bytes(damage(good, rng))
         try:
             fine += len(read_flight(path).columns["t_s"]) > 50
         except InputError as error:
@@ -377,18 +378,18 @@ def test_damage_is_told_or_refused_and_never_raises_anything_else(folder, capfd)
     assert capfd.readouterr().err == ""
 
 
-def test_noise_in_a_log_is_counted(folder):
+def test_import_noise_is_counted(folder):
     path = folder / "noise.bin"
     good = write_dataflash(path, SHORT).read_bytes()
     half = good.index(bytes([0xA3, 0x95, FORMATS["ATT"][0]]), len(good) // 2)
     path.write_bytes(good[:half] + bytes(64) + good[half:])
     flight = read_flight(path)
     assert len(flight.columns["t_s"]) == len(SHORT)
-    # and the AOA before them, 19 bytes, with which no other message begins where it ends
+    # and the AOA before them, 19 bytes, which no other message follows
     assert "83 bytes are damaged and were left out" in flight.notes
 
 
-def test_a_damaged_definition_is_named(folder):
+def test_import_damaged_definition_is_named(folder):
     path = folder / "defined.bin"
     good = write_dataflash(path, SHORT).read_bytes()
     path.write_bytes(good.replace(b"DesPitch,", b"DesPitch-"))
@@ -400,13 +401,13 @@ def test_a_damaged_definition_is_named(folder):
     assert np.abs(flight.columns["phi_rad"] - SHORT["phi_rad"]).max() < 1e-6
 
 
-def test_of_pymavlink_only_what_is_under_the_mit_licence_is_loaded(logs):
-    """Its generated tables are; the packages around them are empty but for a version."""
+def test_only_mit_modules_of_pymavlink_are_loaded(logs):
+    """Only its generated tables; the packages around them contain only a version."""
     code = f"""
 import json, sys
 from pathlib import Path
-from testbed.mavlink.door import Codec
-from testbed.mavlink.flights import read_flight
+from testbed.mavlink.codec import Codec
+from testbed.mavlink.flight_import import read_flight
 from testbed.mavlink.signing import Signing
 from testbed.mavlink.tlog import TlogWriter
 for kind in ("bin", "tlog"):

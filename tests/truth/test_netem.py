@@ -14,10 +14,10 @@ import pytest
 from netem_namespaces import HEADERS, netem, why_not
 from scipy import stats
 
-from testbed.network.alone import transmit
 from testbed.network.channel import make_channel
-from testbed.network.delays import NETEM_TABLE, netem_table
-from testbed.network.links import NORMAL, PARETO, PARETONORMAL
+from testbed.network.channel_simulation import transmit
+from testbed.network.delays import netem_table
+from testbed.network.links import NETEM_TABLE, NORMAL, PARETO, PARETONORMAL
 from testbed.scenario.network import Network
 
 PACKETS = int(os.environ.get("TESTBED_PACKETS", "20000"))
@@ -136,7 +136,7 @@ LONG = 1400  # bytes: where netem flips a bit of Ethernet's addresses UDP's chec
 
 @with_netem
 @pytest.mark.parametrize("options", FATES)
-def test_packets_come_through_as_often_and_in_such_runs(options):
+def test_loss_rates_and_runs_equal_the_kernels(options):
     payload = LONG if "corrupt" in options else 100
 
     def chance(seed):
@@ -147,7 +147,7 @@ def test_packets_come_through_as_often_and_in_such_runs(options):
 
 
 @with_netem
-def test_a_correlated_loss_of_a_quarter_loses_a_fourteenth():
+def test_correlated_loss_of_25_percent_loses_7():
     """Blended half and half the dice are Σ 2⁻ⁿ uₙ, below 1/4 with the chance 5/72 (Fabius 1966)."""
     fabius = 5.0 / 72.0
     knobs = {"loss": {"probability": 0.25, "correlation": 0.5}}
@@ -218,7 +218,7 @@ def further(low, high):
 
 @with_netem
 @pytest.mark.parametrize("options", JITTERS)
-def test_delays_are_distributed_and_correlated_as_in_the_kernel(options):
+def test_delay_distributions_equal_the_kernels(options):
     jitter = {"spread_s": 0.02, **JITTERS[options]}
 
     def chance(seed):
@@ -249,7 +249,7 @@ RATE, OVERHEAD, PAYLOAD = 2e6, 20, 100
 
 
 @with_netem
-def test_a_transmitter_sends_one_packet_after_the_other():
+def test_transmitter_sends_packets_in_sequence():
     packets = 2000
     theirs = from_netem("rate 2mbit 20", packets=packets, payload=PAYLOAD)
     period = np.ptp(theirs.sent_s) / (packets - 1)
@@ -292,7 +292,7 @@ def test_two_copies_enter_the_last_place_of_a_queue():
 
 
 @with_netem
-def test_behind_a_busy_transmitter_jitter_reorders_nothing():
+def test_no_reordering_behind_a_busy_transmitter():
     packets = 2000
     theirs = from_netem("delay 50ms 20ms rate 2mbit", packets=packets, payload=PAYLOAD)
     rate = {"bit_per_s": RATE, "overhead_bytes": HEADERS, "queue_packets": packets}
@@ -306,7 +306,7 @@ def test_behind_a_busy_transmitter_jitter_reorders_nothing():
 
 
 @with_netem
-def test_a_slot_takes_so_many_packets_and_the_next_comes_when_it_is_time():
+def test_slots_limit_packets_and_their_times():
     packets, every, room = 300, 0.002, 3
     theirs = from_netem(f"slot 2ms 2ms packets {room}", packets=packets).at_s
     slots = {"every_s": every, "first_s": every, "packets": room, "queue_packets": packets}

@@ -9,15 +9,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 from patience import PATIENCE_S
+from reference.motion import motion, state_of
 
-from testbed.frames import FOOT, GRAVITY
-from testbed.state import FbwaCommand, Origin, Surfaces, VehicleState
-from testbed.vehicle.fbwa import AUTOPILOT, settled
+from testbed.autopilot.fbwa import settled_autopilots, step_autopilots
+from testbed.autopilot.parameters import make_gains, read_params
+from testbed.core.frames import FOOT, GRAVITY
+from testbed.core.records import (
+    AIRCRAFT,
+    ActuatorCommand,
+    FbwaCommand,
+    Origin,
+    VehicleState,
+    allocate,
+    fields_of,
+)
 from testbed.vehicle.fleet import JsbsimFleet
-from testbed.vehicle.jsbsim_door import AircraftError, trim_aircraft
-from testbed.vehicle.motion import lost, motion, state_of
-from testbed.vehicle.params import read_params, stack
-from testbed.vehicle.start import Start
+from testbed.vehicle.initial_state import InitialState
+from testbed.vehicle.jsbsim_adapter import AircraftError, trim_aircraft
+from testbed.vehicle.jsbsim_io import write_truth
 from testbed.vehicle.trim import TrimError, TrimPoint
 
 ROOT = Path(__file__).parents[2]
@@ -28,7 +37,7 @@ AREA = 10.57 * FOOT**2  # m²
 SPAN, CHORD = 9.17 * FOOT, 1.15 * FOOT
 
 
-def _fleet(*starts: Start) -> JsbsimFleet:
+def _fleet(*starts: InitialState) -> JsbsimFleet:
     return JsbsimFleet([RASCAL] * len(starts), starts, ORIGIN, 200)
 
 
@@ -46,7 +55,9 @@ def test_level_trim() -> None:
 
 def test_trimmed_flight_stays() -> None:
     """Ten seconds with fixed controls: nothing kicks the aircraft, the propeller turns from 0 s."""
-    fleet = _fleet(Start((0.0, 0.0, -100.0)), Start((0.0, 50.0, -100.0), course=2.0, bank=0.4))
+    fleet = _fleet(
+        InitialState((0.0, 0.0, -100.0)), InitialState((0.0, 50.0, -100.0), course=2.0, bank=0.4)
+    )
     start, air = fleet.read(), fleet.air()
     assert (air.propeller_rps > 60.0).all()
     assert start.acceleration_ned[0] == pytest.approx([0, 0, 0], abs=1e-4)
@@ -61,7 +72,7 @@ def test_trimmed_flight_stays() -> None:
 def test_turn_rate_and_radius() -> None:
     """V²/(g tan φ) in a trimmed turn, read from the track."""
     bank = math.radians(30.0)
-    fleet = _fleet(Start((0.0, 0.0, -100.0), bank=bank))
+    fleet = _fleet(InitialState((0.0, 0.0, -100.0), bank=bank))
     state = fleet.read()
     radius = 22.0**2 / (GRAVITY * math.tan(bank))
     acceleration = float(np.linalg.norm(state.acceleration_ned))
@@ -92,9 +103,11 @@ def test_glide() -> None:
 
 def test_acceleration_and_velocity_are_derivatives() -> None:
     """Second route: central differences of velocity and position, in a manoeuvre."""
-    fleet = _fleet(Start((30.0, -40.0, -100.0), course=1.0))
+    fleet = _fleet(InitialState((30.0, -40.0, -100.0), course=1.0))
     level = fleet.trimmed
-    pulled = Surfaces(level.aileron + 0.3, level.elevator + 0.3, level.rudder, level.throttle + 0.3)
+    pulled = ActuatorCommand(
+        level.aileron + 0.3, level.elevator + 0.3, level.rudder, level.throttle + 0.3
+    )
     fleet.step(pulled, 60)
     before = fleet.read()
     fleet.step(pulled, 1)
@@ -110,36 +123,34 @@ def test_acceleration_and_velocity_are_derivatives() -> None:
     assert now.velocity_ned == pytest.approx(track, abs=3e-3)
 
 
-def test_the_compiled_motion_is_the_same() -> None:
-    twin = pytest.importorskip("testbed.vehicle.twin", exc_type=ImportError)
+def test_motion_kernel_equals_the_reference() -> None:
+    """In rows of the records of more aircraft, of which only those asked for are written."""
     rng = np.random.default_rng(3)
     said, (zero, scale) = rng.normal(0.0, 2.0, (50, 17)), rng.normal(0.0, 2.0, (2, 17))
-    wanted = rng.random(50) < 0.7
-    ours, theirs = np.full((2, 17 * 50), 7.0)
+    wanted, rows = rng.random(50) < 0.7, rng.permutation(60)[:50]
+    ours, aircraft = np.full(17 * 50, 7.0), allocate(AIRCRAFT, 60)
+    for name in VehicleState._fields:
+        aircraft["truth"][name] = 7.0
     motion(said, wanted, zero, scale, ours)
-    twin.motion(said, wanted, zero, scale, theirs)
-    assert all((each[~wanted] == 7.0).all() for each in state_of(ours))
-    assert theirs == pytest.approx(ours, abs=1e-12)  # sums of ten terms of size 10, rounded
-    position = rng.normal(0.0, 2.0, (50, 3))
-    position[3, 2] = np.nan
-    broken, down, low = rng.random(50) < 0.2, np.empty(50, dtype=bool), np.empty(50, dtype=bool)
-    lost(position, broken, 1.0, down)
-    twin.lost(position, broken, 1.0, low)
-    assert np.array_equal(down, low)
-    assert np.array_equal(down, broken | (position[:, 2] > -1.0) | np.isnan(position[:, 2]))
+    write_truth(np.flatnonzero(wanted), rows, said, zero, scale, aircraft)
+    theirs = fields_of(VehicleState, aircraft["truth"])
+    others = np.setdiff1d(np.arange(60), rows[wanted])
+    for one, two in zip(state_of(ours), theirs, strict=True):
+        assert two[rows] == pytest.approx(one, abs=1e-12)  # sums of ten terms of size 10, rounded
+        assert (two[others] == 7.0).all()
 
 
 def _moments(**moved: float) -> np.ndarray:
     """p', q', r' times inertia over q̄ S (b, c̄, b) after moving one control from trim."""
-    fleet = _fleet(Start((0.0, 0.0, -100.0)))
+    fleet = _fleet(InitialState((0.0, 0.0, -100.0)))
     level = fleet.trimmed
     values = {
         name: getattr(level, name) + moved.get(name, 0.0)
         for name in ("aileron", "elevator", "rudder", "throttle")
     }
-    fleet.step(Surfaces(**values), 1)
+    fleet.step(ActuatorCommand(**values), 1)
     first = fleet.read()
-    fleet.step(Surfaces(**values), 1)
+    fleet.step(ActuatorCommand(**values), 1)
     second = fleet.read()
     acceleration = (second.rates_body - first.rates_body)[0] * 200.0
     inertia = np.array([1.95, 1.55, 1.91]) * 14.593903 * FOOT**2
@@ -176,11 +187,13 @@ def test_an_impossible_trim_says_so() -> None:
 
 def test_a_folder_without_an_aircraft_says_so(tmp_path: Path) -> None:
     with pytest.raises(AircraftError, match=r"no .*\.xml"):
-        JsbsimFleet([tmp_path], [Start((0.0, 0.0, -100.0))], ORIGIN, 200)
+        JsbsimFleet([tmp_path], [InitialState((0.0, 0.0, -100.0))], ORIGIN, 200)
 
 
 def test_start_is_where_and_how_it_was_asked_for() -> None:
-    start = Start((700.0, -300.0, -150.0), course=-2.0, airspeed=20.0, flight_path_angle=0.05)
+    start = InitialState(
+        (700.0, -300.0, -150.0), course=-2.0, airspeed=20.0, flight_path_angle=0.05
+    )
     fleet = _fleet(start)
     state, air = fleet.read(), fleet.air()
     assert state.position_ned[0] == pytest.approx(start.position_ned, abs=1e-3)
@@ -192,9 +205,9 @@ def test_start_is_where_and_how_it_was_asked_for() -> None:
     assert air.wind_ned[0] == pytest.approx([0, 0, 0], abs=1e-12)
 
 
-def test_two_fleets_are_equal_to_the_bit_and_neighbours_do_not_matter() -> None:
-    one = Start((0.0, 0.0, -100.0))
-    pair, alone = _fleet(one, Start((0.0, 50.0, -120.0), bank=0.3)), _fleet(one)
+def test_fleets_are_equal_to_the_bit() -> None:
+    one = InitialState((0.0, 0.0, -100.0))
+    pair, alone = _fleet(one, InitialState((0.0, 50.0, -120.0), bank=0.3)), _fleet(one)
     pair.step(pair.trimmed, 200)
     alone.step(alone.trimmed, 200)
     for name in VehicleState._fields:
@@ -203,19 +216,19 @@ def test_two_fleets_are_equal_to_the_bit_and_neighbours_do_not_matter() -> None:
 
 
 def test_ground_contact_is_noticed() -> None:
-    fleet = _fleet(Start((0.0, 0.0, -5.0)), Start((0.0, 50.0, -100.0)))
+    fleet = _fleet(InitialState((0.0, 0.0, -5.0)), InitialState((0.0, 50.0, -100.0)))
     assert not fleet.lost(fleet.read()).any()
     level = fleet.trimmed
-    dive = Surfaces(level.aileron, level.elevator - 0.3, level.rudder, level.throttle * 0.0)
+    dive = ActuatorCommand(level.aileron, level.elevator - 0.3, level.rudder, level.throttle * 0.0)
     fleet.step(dive, 400)
     assert fleet.lost(fleet.read())[0]
 
 
 def test_the_tune_is_crisp_and_well_damped() -> None:
     """A 20° roll step: 63 % within 0.35 s, under 5 % of overshoot, hardly any pitch lost."""
-    fleet = _fleet(Start((0.0, 0.0, -100.0)))
-    gains = stack([read_params(RASCAL / "autopilot.param")], 0.02)
-    memory = settled(fleet.trimmed, gains)
+    fleet = _fleet(InitialState((0.0, 0.0, -100.0)))
+    gains = make_gains([read_params(RASCAL / "autopilot.param")], 0.02)
+    autopilots = settled_autopilots(gains, fleet.trimmed)
     pitch = np.array([fleet.trims[0].placement.pitch])
     command = FbwaCommand(
         roll=np.radians([20.0]), pitch=pitch, throttle=fleet.trimmed.throttle + 0.02
@@ -224,8 +237,7 @@ def test_the_tune_is_crisp_and_well_damped() -> None:
     for _ in range(150):
         state = fleet.read()
         euler.append(np.degrees(state.euler[0]))
-        surfaces, memory = AUTOPILOT(state, command, memory, gains)
-        fleet.step(surfaces, 4)
+        fleet.step(step_autopilots(autopilots, state, command), 4)
     roll = np.array(euler)[:, 0]
     assert np.argmax(roll > 0.632 * 20.0) * 0.02 < 0.35
     assert roll.max() < 1.05 * 20.0
@@ -233,14 +245,14 @@ def test_the_tune_is_crisp_and_well_damped() -> None:
     assert np.abs(np.array(euler)[:, 1] - np.degrees(pitch)).max() < 0.5
 
 
-def test_flying_opens_no_socket_writes_nothing_and_prints_nothing(tmp_path: Path) -> None:
+def test_flight_opens_no_socket_and_writes_nothing(tmp_path: Path) -> None:
     code = f"""
 import os, sys
 from pathlib import Path
-from testbed.state import Origin
+from testbed.core.records import Origin
 from testbed.vehicle.fleet import JsbsimFleet
-from testbed.vehicle.start import Start
-fleet = JsbsimFleet([Path({str(RASCAL)!r})], [Start((0.0, 0.0, -100.0))], Origin(), 200)
+from testbed.vehicle.initial_state import InitialState
+fleet = JsbsimFleet([Path({str(RASCAL)!r})], [InitialState((0.0, 0.0, -100.0))], Origin(), 200)
 fleet.step(fleet.trimmed, 200)
 for number in os.listdir("/proc/self/fd"):
     try:

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from testbed.vehicle.params import ParamError
-from testbed.vehicle.respond import AircraftLost, CommandsError, read_commands, respond
+from testbed.autopilot.parameters import ParamError
+from testbed.vehicle.replay_commands import AircraftLost, CommandsError, read_commands, respond
 
 ROOT = Path(__file__).parents[2]
 RASCAL = ROOT / "aircraft" / "rascal110"
@@ -31,13 +31,13 @@ def replay(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_roll_and_pitch_follow_the_recording(replay: Path) -> None:
     # Measured: 0.34° and 0.40°; the airframes differ in the elevator's drag (ORIGIN.md). The
-    # promise is 1.0° and 0.5°, and the roll bound is closer so that a lost latency shows.
+    # requirement is 1.0° and 0.5°; the closer bound of roll detects a missing latency.
     assert _rms_deg(replay, "phi_rad") < 0.5
     assert _rms_deg(replay, "theta_rad") < 0.5
 
 
-def test_the_servo_travel_is_part_of_it(tmp_path: Path) -> None:
-    """With the servos' whole travel the roll loop is 25 % too strong, and that shows."""
+def test_servo_travel_matters(tmp_path: Path) -> None:
+    """With the total servo travel the gain of the roll loop is 25 % too large."""
     tune = tmp_path / "whole.param"
     lines = (RASCAL / "recorded.param").read_text()
     tune.write_text(lines.replace("_MIN 1100", "_MIN 1000").replace("_MAX 1900", "_MAX 2000"))
@@ -45,17 +45,17 @@ def test_the_servo_travel_is_part_of_it(tmp_path: Path) -> None:
     assert _rms_deg(tmp_path / "out.csv", "phi_rad") > 0.8
 
 
-def test_four_columns_are_enough(tmp_path: Path, replay: Path) -> None:
+def test_replay_needs_four_columns(tmp_path: Path, replay: Path) -> None:
     commands = tmp_path / "commands.csv"
     rows = [line.split(",")[:4] for line in RECORDING.read_text().splitlines()]
     commands.write_text("\n".join(",".join(row) for row in rows) + "\n")
     respond(RASCAL, commands, tmp_path / "out.csv")
-    # It starts 1.3 m/s slower than the recording, which the first seconds show.
+    # It starts 1.3 m/s slower than the recording, which affects the first seconds.
     assert _rms_deg(tmp_path / "out.csv", "phi_rad") < 0.5
     assert _rms_deg(tmp_path / "out.csv", "theta_rad") < 0.5
 
 
-def test_replays_are_equal_to_the_bit(tmp_path: Path) -> None:
+def test_replays_are_bit_identical(tmp_path: Path) -> None:
     commands = tmp_path / "commands.csv"
     commands.write_text("".join(RECORDING.read_text().splitlines(keepends=True)[:400]))
     respond(RASCAL, commands, tmp_path / "a.csv")
@@ -82,7 +82,7 @@ GOOD = "t_s,theta_cmd_rad,phi_cmd_rad,throttle_cmd\n0,0,0,0.3\n0.04,0,0,0.3\n"
         (GOOD + "1e9,0,0,0.3\n", ":4: column t_s"),
     ],
 )
-def test_bad_commands_name_file_line_and_column(tmp_path: Path, text: str, where: str) -> None:
+def test_replay_bad_commands_name_file_and_line(tmp_path: Path, text: str, where: str) -> None:
     path = tmp_path / "commands.csv"
     path.write_text(text)
     with pytest.raises(CommandsError) as error:
@@ -91,14 +91,14 @@ def test_bad_commands_name_file_line_and_column(tmp_path: Path, text: str, where
     assert where in str(error.value)
 
 
-def test_a_missing_tune_and_a_missing_file_are_errors(tmp_path: Path) -> None:
+def test_replay_missing_files_are_errors(tmp_path: Path) -> None:
     with pytest.raises(CommandsError, match="nothing.csv"):
         read_commands(tmp_path / "nothing.csv")
     with pytest.raises(ParamError, match="nothing.param"):
         respond(RASCAL, RECORDING, tmp_path / "o.csv", param=tmp_path / "nothing.param")
 
 
-def test_a_lost_aircraft_is_loud_and_leaves_its_rows(tmp_path: Path) -> None:
+def test_replay_lost_aircraft_keeps_its_rows(tmp_path: Path) -> None:
     commands = tmp_path / "dive.csv"
     rows = "".join(f"{0.1 * k:.1f},-0.3,0,0\n" for k in range(100))
     commands.write_text("t_s,theta_cmd_rad,phi_cmd_rad,throttle_cmd\n" + rows)

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from patience import PATIENCE_S
 
-from testbed.frames import FOOT, GRAVITY
-from testbed.state import FbwaCommand, Origin, Surfaces
-from testbed.vehicle.fbwa import AUTOPILOT, settled
+from testbed.autopilot.fbwa import settled_autopilots, step_autopilots
+from testbed.autopilot.parameters import make_gains, read_params
+from testbed.core.frames import FOOT, GRAVITY
+from testbed.core.records import ActuatorCommand, FbwaCommand, Origin
 from testbed.vehicle.fleet import JsbsimFleet
-from testbed.vehicle.jsbsim_door import trim_aircraft
-from testbed.vehicle.params import read_params, stack
-from testbed.vehicle.start import Start
+from testbed.vehicle.initial_state import InitialState
+from testbed.vehicle.jsbsim_adapter import trim_aircraft
 from testbed.vehicle.trim import TrimError, TrimPoint
 
 ROOT = Path(__file__).parents[2]
@@ -31,13 +31,13 @@ POUND, SLUG_FOOT3 = 4.4482216152605, 515.3788  # N, kg/m³
 CAPACITY, RESISTANCE, FULL = 10.0, 0.03, 16.8  # Ah, ohm, V
 
 
-def _fleet(*starts: Start, rate: int = 200) -> JsbsimFleet:
+def _fleet(*starts: InitialState, rate: int = 200) -> JsbsimFleet:
     return JsbsimFleet([X8] * len(starts), starts, ORIGIN, rate)
 
 
 def _cruise(rate: int = 200):
     """One aircraft in trim at 18 m/s, and JSBSim itself to ask and to upset."""
-    fleet = _fleet(Start((0.0, 0.0, -100.0), airspeed=18.0), rate=rate)
+    fleet = _fleet(InitialState((0.0, 0.0, -100.0), airspeed=18.0), rate=rate)
     return fleet, fleet.bare_runs()[0].__self__
 
 
@@ -112,7 +112,7 @@ def test_published_values_at_rest_and_curvatures(bench) -> None:
         assert (up + down - 2.0 * zero[1]) / (2.0 * h * h) == pytest.approx(curvature, rel=1e-3)
 
 
-def test_inertia_from_moments_and_the_accelerations_they_cause(bench) -> None:
+def test_inertia_from_moments_and_accelerations(bench) -> None:
     """J with the sign of its product: a push to the right roll also yaws the nose right."""
     moments, accelerations = [], []
     for state in ({"roll": 0.1}, {"pitch": 0.1}, {"beta": 0.2}, {"beta": -0.1, "roll": 0.2}):
@@ -175,8 +175,8 @@ def _elevons(fdm) -> tuple[float, float]:
     return fdm["fcs/left-elevon-pos-rad"], fdm["fcs/right-elevon-pos-rad"]
 
 
-def _command(aileron: float, elevator: float, throttle: float = 0.7) -> Surfaces:
-    return Surfaces(*(np.array([value]) for value in (aileron, elevator, 0.0, throttle)))
+def _command(aileron: float, elevator: float, throttle: float = 0.7) -> ActuatorCommand:
+    return ActuatorCommand(*(np.array([value]) for value in (aileron, elevator, 0.0, throttle)))
 
 
 def test_elevons_limits_rate_and_signs() -> None:
@@ -205,13 +205,13 @@ def test_elevons_lag_by_time_whatever_the_rate() -> None:
         fleet, fdm = _cruise(rate)
         before = _elevons(fdm)[0]
         level = fleet.trimmed
-        small = Surfaces(level.aileron + 0.02, level.elevator, level.rudder, level.throttle)
+        small = ActuatorCommand(level.aileron + 0.02, level.elevator, level.rudder, level.throttle)
         fleet.step(small, rate // 25)
         gone = (_elevons(fdm)[0] - before) / (0.02 * TRAVEL)
         assert gone == pytest.approx(1.0 - math.exp(-1.0), abs=1e-6)
 
 
-def test_the_charge_falls_by_the_integral_of_the_current() -> None:
+def test_charge_falls_by_the_integral_of_current() -> None:
     fleet, fdm = _cruise()
     assert fdm["battery/state-of-charge"] == 1.0  # nothing was drawn before the flight
     level, drawn = fleet.trimmed, 0.0
@@ -266,17 +266,17 @@ def test_an_empty_battery_gives_less_thrust() -> None:
     assert in_flight[1] < 0.6 * in_flight[0]
 
 
-def test_trims_and_flights_repeat_to_the_bit_and_print_nothing(tmp_path: Path) -> None:
+def test_trims_and_flights_repeat_to_the_bit(tmp_path: Path) -> None:
     """In another process, after another trim: the same numbers, and not a word beside them."""
     flight = (
-        "from pathlib import Path; from testbed.state import Origin\n"
+        "from pathlib import Path; from testbed.core.records import Origin\n"
         "from testbed.vehicle.fleet import JsbsimFleet\n"
-        "from testbed.vehicle.start import Start\n"
-        "from testbed.vehicle.jsbsim_door import trim_aircraft\n"
+        "from testbed.vehicle.initial_state import InitialState\n"
+        "from testbed.vehicle.jsbsim_adapter import trim_aircraft\n"
         "from testbed.vehicle.trim import TrimPoint\n"
         f"x8 = Path({str(X8)!r})\n"
         "trim_aircraft(x8, TrimPoint(16.0))\n"
-        "start = Start((0.0, 0.0, -100.0), airspeed=18.0, bank=0.3)\n"
+        "start = InitialState((0.0, 0.0, -100.0), airspeed=18.0, bank=0.3)\n"
         "fleet = JsbsimFleet([x8], [start], Origin(), 200)\n"
         "fleet.step(fleet.trimmed, 100)\n"
         "fdm = fleet.bare_runs()[0].__self__\n"
@@ -290,7 +290,7 @@ def test_trims_and_flights_repeat_to_the_bit_and_print_nothing(tmp_path: Path) -
         text=True,
         timeout=PATIENCE_S,
     )
-    fleet = _fleet(Start((0.0, 0.0, -100.0), airspeed=18.0, bank=0.3))
+    fleet = _fleet(InitialState((0.0, 0.0, -100.0), airspeed=18.0, bank=0.3))
     fleet.step(fleet.trimmed, 100)
     charge = fleet.bare_runs()[0].__self__["battery/state-of-charge"]
     assert (done.returncode, done.stderr) == (0, "")
@@ -316,8 +316,8 @@ def test_trims_and_flights_repeat_to_the_bit_and_print_nothing(tmp_path: Path) -
 )
 def test_the_tune(airspeed: float, roll: float, pitch: float, within: float) -> None:
     """63 % of a step within a time, at most 3 % of overshoot, the other axis hardly moved."""
-    fleet = _fleet(Start((0.0, 0.0, -100.0), airspeed=airspeed))
-    gains = stack([read_params(X8 / "autopilot.param")], 0.02)
+    fleet = _fleet(InitialState((0.0, 0.0, -100.0), airspeed=airspeed))
+    gains = make_gains([read_params(X8 / "autopilot.param")], 0.02)
     trimmed = fleet.trims[0]
     # Below the trim throttle the law lowers the nose; ask for what it takes away.
     lowered = 2.0 / 0.69 * max(0.0, 0.69 - trimmed.controls.throttle)
@@ -327,12 +327,11 @@ def test_the_tune(airspeed: float, roll: float, pitch: float, within: float) -> 
         pitch=np.radians([level[1] + pitch + lowered]),
         throttle=fleet.trimmed.throttle,
     )
-    memory, angles = settled(fleet.trimmed, gains), []
+    autopilots, angles = settled_autopilots(gains, fleet.trimmed), []
     for _ in range(125):
         state = fleet.read()
         angles.append(np.degrees(state.euler[0, :2]) - level)
-        surfaces, memory = AUTOPILOT(state, command, memory, gains)
-        fleet.step(surfaces, 4)
+        fleet.step(step_autopilots(autopilots, state, command), 4)
     moved, other = (0, 1) if roll else (1, 0)
     track = np.array(angles)
     step = track[:, moved] / (roll or pitch)

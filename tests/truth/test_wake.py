@@ -1,11 +1,13 @@
-"""The rolling moment of a wake against a vortex lattice, solved without the model under test."""
+"""The rolling moment of a wake against a vortex lattice, an independent model."""
 
 import numpy as np
 import pytest
+from reference.adapters_atmosphere import add_wakes
 from vortex_lattice import Wing, elliptic, rectangular
 
-from testbed.air.wake import Wakes
-from testbed.frames import GRAVITY
+from testbed.atmosphere.wake import WakeModel
+from testbed.core.frames import GRAVITY
+from testbed.core.records import Airframe
 
 CORE_SPANS = 0.05
 DENSITY = 1.18  # kg/m³
@@ -28,16 +30,14 @@ def level_lift_coefficient(aircraft):
     return mass * GRAVITY / (0.5 * DENSITY * speed**2 * area)
 
 
-def felt(aircraft, offset):
+def modelled(aircraft, offset):
     """Down wind over airspeed and rolling-moment coefficient of a follower in level flight."""
     span, area, slope, mass, speed = aircraft
-    wakes = Wakes(
-        span=np.full(2, span),
-        area=np.full(2, area),
-        lift_slope=np.full(2, slope),
-        mass=np.full(2, mass),
+    wing = Airframe(span=span, area=area, arm=0.8, mass=mass, lift_slope=slope)
+    wakes = WakeModel(
+        [wing, wing],
         sheds=np.array([True, False]),
-        feels=np.array([False, True]),
+        affected=np.array([False, True]),
         core_spans=CORE_SPANS,
         decay_s=None,
         memory_s=10.0,
@@ -46,8 +46,7 @@ def felt(aircraft, offset):
     )
     position = np.array([[0.0, 0.0, 0.0], [-span, offset * span, 0.0]])
     velocity = np.array([[speed, 0.0, 0.0]] * 2)
-    still, wind, roll = np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(2)
-    wakes.bind(position, velocity, still, still, still, wind, roll)()
+    wind, roll = add_wakes(wakes, position, velocity, np.zeros((2, 3)), np.zeros((2, 3)), 0.0)
     return wind[1, 2] / speed, roll[1]
 
 
@@ -61,61 +60,64 @@ def lattice(aircraft, planform, **panels):
         for offset in OFFSETS
     ]
     lost = np.array([-wing.lift_coefficient(each) for each in behind]) / wing.lift_slope()
-    return lost, np.array([wing.roll_coefficient(each) for each in behind])
+    return lost, np.array([wing.wake_delta_cl(each) for each in behind])
 
 
 @pytest.fixture(scope="module", params=CASES.values(), ids=CASES.keys())
 def both(request):
     aircraft, planform = request.param
-    ours = np.transpose([felt(aircraft, offset) for offset in OFFSETS])
-    return ours, lattice(aircraft, planform), planform
+    model = np.transpose([modelled(aircraft, offset) for offset in OFFSETS])
+    return model, lattice(aircraft, planform), planform
 
 
 def crossings(roll):
     """Offsets, in spans, at which the moment changes its sign beside the leader."""
     at = np.flatnonzero(roll[1:-1] * roll[2:] < 0.0) + 1
-    share = roll[at] / (roll[at] - roll[at + 1])
-    return OFFSETS[at] + share * (OFFSETS[at + 1] - OFFSETS[at])
+    part = roll[at] / (roll[at] - roll[at + 1])
+    return OFFSETS[at] + part * (OFFSETS[at + 1] - OFFSETS[at])
 
 
-def test_the_lattice_lifts_and_damps_a_slender_wing_as_the_lifting_line_does():
+def test_lattice_slender_wing_matches_lifting_line():
+    """Its lift slope and its roll damping."""
     span, aspect_ratio = 1.0, 200.0
     wing = Wing(span, span**2 / aspect_ratio, elliptic(span, span**2 / aspect_ratio))
     mu = 2.0 / aspect_ratio
-    # the chord is left out of the lifting line, so they part by its share of the span
+    # the chord is left out of the lifting line, so they differ by its part of the span
     close = 4.0 / aspect_ratio
     assert wing.lift_slope() == pytest.approx(2.0 * np.pi / (1.0 + mu), rel=close)
     rolling = wing.circulations(wing.y / (0.5 * span))  # right wing going down
     damping = -2.0 * np.pi / 8.0 / (1.0 + 2.0 * mu)
-    assert wing.roll_coefficient(rolling) == pytest.approx(damping, rel=close)
+    assert wing.wake_delta_cl(rolling) == pytest.approx(damping, rel=close)
 
 
-def test_the_lattice_is_fine_enough():
+def test_lattice_is_fine_enough():
     coarse = lattice(RASCAL, rectangular)[1]
     fine = lattice(RASCAL, rectangular, chordwise=6, spanwise=60)[1]
     assert fine == pytest.approx(coarse, abs=0.01 * abs(coarse).max())
 
 
-def test_half_a_span_aside_the_rolling_moment_is_within_15_percent(both):
-    (_, ours), (_, theirs), _ = both
+def test_rolling_moment_half_a_span_aside_is_close(both):
+    """Within 15 %."""
+    (_, model), (_, reference), _ = both
     assert OFFSETS[HALF] == 0.5
-    assert ours[HALF] == pytest.approx(theirs[HALF], rel=0.15)
+    assert model[HALF] == pytest.approx(reference[HALF], rel=0.15)
 
 
-def test_the_rolling_moment_changes_its_sign_where_the_lattice_does(both):
-    (_, ours), (_, theirs), _ = both
-    (here,), (there,) = crossings(ours), crossings(theirs)
+def test_rolling_moment_changes_sign_as_the_lattices(both):
+    (_, model), (_, reference), _ = both
+    (here,), (there,) = crossings(model), crossings(reference)
     assert here == pytest.approx(there, abs=CORE_SPANS)
-    assert abs(ours[0]) < 1e-9 * abs(ours).max()
+    assert abs(model[0]) < 1e-9 * abs(model).max()
 
 
-def test_beside_an_elliptic_wing_the_rolling_moment_has_the_lattices_shape(both):
-    (_, ours), (_, theirs), planform = both
-    assert abs(ours).argmax() == abs(theirs).argmax()
+def test_rolling_moment_has_the_lattices_shape(both):
+    """Beside an elliptic wing."""
+    (_, model), (_, reference), planform = both
+    assert abs(model).argmax() == abs(reference).argmax()
     if planform is elliptic:  # a rectangular wing sheds more at its tips than the model's does
-        assert abs(ours - theirs).max() < 0.15 * abs(theirs).max()
+        assert abs(model - reference).max() < 0.15 * abs(reference).max()
 
 
-def test_the_lift_lost_is_within_15_percent_of_the_greatest(both):
-    (ours, _), (theirs, _), _ = both
-    assert ours == pytest.approx(theirs, abs=0.15 * abs(theirs).max())
+def test_lift_lost_is_within_15_percent_of_the_maximum(both):
+    (model, _), (reference, _), _ = both
+    assert model == pytest.approx(reference, abs=0.15 * abs(reference).max())

@@ -73,7 +73,7 @@ class Wing:
     def lift_coefficient(self, circulations):
         return 2.0 * np.sum(circulations * self.width) / self.area
 
-    def roll_coefficient(self, circulations):
+    def wake_delta_cl(self, circulations):
         """Right wing down."""
         moment = np.sum(circulations * self.width * self.y)
         return -2.0 * moment / (self.area * self.span)

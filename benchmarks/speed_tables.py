@@ -1,0 +1,282 @@
+"""Tables and figure of the results of `speed.py`."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from part_timer import PARTS
+from tables import row
+
+from testbed.sim.build import versions
+from testbed.views.panels import (
+    BLACK,
+    BLUE,
+    DASHED,
+    GOLD,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    Band,
+    Line,
+    Panel,
+    PanelGrid,
+)
+
+FIGURE = Path(__file__).parent.parent / "docs" / "images" / "speed.png"
+MARK = "make bench"
+SIMULATION, ALL_EFFECTS = "simulation-3", "all effects"
+TARGETS = {SIMULATION: 1.6, ALL_EFFECTS: 2.0}
+BROWN = "#6b4423"
+# Parts that are drawn together, from the bottom up, by the name in the legend.
+STACK: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "physics": (BLUE, ("physics",)),
+    "properties": (SKY, ("properties",)),
+    "air": (GREEN, ("air",)),
+    "sensing": (PURPLE, ("sensing",)),
+    "autopilot": (ORANGE, ("autopilot",)),
+    "network": (GOLD, ("network",)),
+    "control, leader": (BLACK, ("control", "leader")),
+    "log, metrics": (GREY, ("log", "metrics")),
+    "loop, events": (BROWN, ("loop", "events")),
+}
+OPACITY = 0.7
+
+Results = Mapping[str, Any]
+
+
+def machine() -> dict[str, Any]:
+    """Return the processor, the load before the measurement, and the versions."""
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text(encoding="utf-8").splitlines() if cpuinfo.exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    processor = names[0] if names else platform.processor() or platform.machine()
+    return {
+        "processor": processor,
+        "processors": os.cpu_count(),
+        "load": os.getloadavg()[0],
+        "versions": versions(),
+    }
+
+
+def cases(result: Results) -> dict[str, Results]:
+    """Return all results by their name in the tables."""
+    fleets = {f"vee of {count}": numbers for count, numbers in result["by_aircraft"].items()}
+    return {name: result[name] for name in TARGETS} | fleets
+
+
+def text(result: Results) -> str:
+    """Return all tables as text."""
+    setup = result["machine"]
+    flown = ", ".join(f"{name} {of}" for name, of in setup["versions"].items())
+    timing = max(numbers["timing_cost"] for numbers in cases(result).values())
+    return "\n".join(
+        [
+            *ratio_table(result),
+            "",
+            "Full / bare, by wall-clock time and by processor time of the process: median and "
+            f"range of {result[SIMULATION]['turns']} turns of `simulation-3` and of all effects, "
+            f"each the first {result[SIMULATION]['simulated_s']:g} s, and of fewer and longer "
+            "turns of the others. *Fastest*: the fastest flight of any turn over the fastest bare "
+            "loop, wall clock, which excludes most of the other load of the machine. *Write and "
+            "read*, by processor time: the bare loop with controls written and motions read at "
+            "the autopilot rate, and nothing else.",
+            "",
+            *parts_table(result),
+            "",
+            "Microseconds of processor time per second of flight and aircraft. The timing itself "
+            f"made the flights at most {100.0 * max(timing - 1.0, 0.0):.0f} % longer.",
+            "",
+            *growth(result),
+            "![Where the time goes](images/speed.png)",
+            "",
+            f"Measured on {setup['processors']} processors ({setup['processor']}) with a load "
+            f"of {setup['load']:.1f} from other programs, with {flown}.",
+        ]
+    )
+
+
+def ratio_table(result: Results) -> Iterator[str]:
+    """Return the rows of full / bare and of the speed relative to real time."""
+    heads = ("", "aircraft", "full / bare", "by processor time", "fastest", "target")
+    more = ("write and read / bare", "× real time", "bare", "building, s")
+    parallel = ("processes", "full / bare", "× real time")
+    yield row(*heads, *more, *parallel)
+    yield "|---|" + "--:|" * 12
+    for name, numbers in cases(result).items():
+        yield row(
+            name,
+            str(numbers["aircraft"]),
+            _spread(numbers, "full_over_bare"),
+            _spread(numbers, "full_over_bare_processor"),
+            f"{numbers['least_full_over_least_bare']:.2f}",
+            f"{TARGETS[name]:g}" if name in TARGETS else "",
+            f"{numbers['io_over_bare_processor']:.2f}",
+            f"{numbers['real_time_factor']:.3g}",
+            f"{numbers['bare_real_time_factor']:.3g}",
+            f"{numbers['build_s']:.2f}",
+            *_parallel(numbers.get("parallel")),
+        )
+
+
+def _parallel(numbers: Results | None) -> tuple[str, str, str]:
+    if numbers is None:
+        return "", "", ""
+    factor = f"{numbers['real_time_factor']:.3g}"
+    return str(numbers["processes"]), _spread(numbers, "full_over_bare"), factor
+
+
+def _spread(numbers: Results, key: str) -> str:
+    low, high = numbers[f"{key}_spread"]
+    return f"{numbers[key]:.2f} ({low:.2f}–{high:.2f})"
+
+
+def parts_table(result: Results) -> Iterator[str]:
+    """Return the rows of time by part."""
+    each = cases(result)
+    yield row("µs", *each)
+    yield "|---|" + "--:|" * len(each)
+    for part, about in PARTS.items():
+        yield row(
+            f"{part}: {about}",
+            *(f"{numbers['us_per_aircraft_second'][part]:.0f}" for numbers in each.values()),
+        )
+    for key, about in (("full", "all"), ("bare", "bare loop")):
+        yield row(
+            about, *(f"{numbers['us_per_aircraft_second'][key]:.0f}" for numbers in each.values())
+        )
+
+
+def growth(result: Results) -> Iterator[str]:
+    """Return sentences on the cost of many aircraft, and their memory."""
+    by_count = result["by_aircraft"]
+    counts = sorted(map(int, by_count))
+    if 4 in counts and counts[-1] > 4:
+        few, many = by_count["4"], by_count[str(counts[-1])]
+        full, bare = (
+            many["us_per_aircraft_second"][key] / few["us_per_aircraft_second"][key]
+            for key in ("full", "bare")
+        )
+        sentence = (
+            f"An aircraft among {counts[-1]} costs {full:.2f} times as much processor time as one "
+            f"among 4, and {bare:.2f} times as much in the bare loop"
+        )
+        if "parallel" in many:
+            parallel = (
+                many["parallel"]["us_per_aircraft_second"] / few["wall_us_per_aircraft_second"]
+            )
+            sentence += (
+                f"; stepped by {many['parallel']['processes']} processes, {parallel:.2f} times as "
+                "much wall-clock time"
+            )
+        yield f"{sentence}."
+    if "memory" in result:
+        numbers = result["memory"]
+        yield (
+            f"{numbers['aircraft']} aircraft need {numbers['peak_mb']:.0f} MB for the first "
+            f"{numbers['simulated_s']:g} s."
+        )
+    yield ""
+
+
+def picture(result: Results) -> PanelGrid:
+    """Return the figure: time by part as stacked columns, ratios by number of aircraft."""
+    counts = sorted(map(int, result["by_aircraft"]))
+    by_count = [result["by_aircraft"][str(count)] for count in counts]
+    columns = [*by_count, *(result[name] for name in TARGETS)]
+    names = [*map(str, counts), "simulation-3\n4", "all effects\n4"]
+    ticks = [(float(k), name) for k, name in enumerate(names)]
+    x = np.array(counts, dtype=float)
+    decades = [(float(count), str(count)) for count in counts]
+    ratio = np.array([numbers["full_over_bare"] for numbers in by_count])
+    spread = np.array([numbers["full_over_bare_spread"] for numbers in by_count]).T
+    factor = np.array([numbers["real_time_factor"] for numbers in by_count])
+    ideal = np.array([numbers["bare_real_time_factor"] for numbers in by_count])
+    ends = np.array([x[0], x[-1]])
+    marked = [
+        (name, result[name]["full_over_bare"], colour, sign)
+        for name, colour, sign in ((SIMULATION, ORANGE, "s"), (ALL_EFFECTS, GREEN, "^"))
+    ]
+    top = float(max(spread.max(), *(each for _, each, _, _ in marked)))
+    return PanelGrid(
+        "Where the time goes",
+        "Processor time by part, and a whole flight relative to the bare flight models",
+        [
+            [
+                _stacks(columns, ticks),
+                Panel(
+                    "Whole flight over bare loop",
+                    "flight models",
+                    "full / bare",
+                    [
+                        Line(x, ratio, BLUE, "vees", 1.5, marker="o", marks=0),
+                        *(
+                            Line(
+                                np.array([4.0]),
+                                np.array([each]),
+                                colour,
+                                name,
+                                1.5,
+                                True,
+                                "-",
+                                sign,
+                            )
+                            for name, each, colour, sign in marked
+                        ),
+                        *(
+                            Line(ends, np.full(2, bar), GREY, dashes=DASHED)
+                            for bar in TARGETS.values()
+                        ),
+                    ],
+                    [Band(x, spread[0], spread[1], BLUE)],
+                    x_log=True,
+                    y_limits=(0.0, 1.1 * top),
+                    x_ticks=decades,
+                ),
+                Panel(
+                    "Faster than real time",
+                    "flight models",
+                    "simulated s / s",
+                    [
+                        Line(x, factor, BLUE, width=1.5, marker="o", marks=0),
+                        Line(x, ideal, BLACK, width=1.5, dashes=DASHED),
+                        Line(ends, np.ones(2), GREY),
+                    ],
+                    x_log=True,
+                    y_log=True,
+                    x_ticks=decades,
+                ),
+            ]
+        ],
+        [2.4, 1.0, 1.0],
+        (19.0, 8.0),
+    )
+
+
+def _stacks(columns: Sequence[Results], ticks: Sequence[tuple[float, str]]) -> Panel:
+    """Return a column of parts per case, with the bare loop across it."""
+    bands, lines = [], []
+    for at, numbers in enumerate(columns):
+        costs, low = numbers["us_per_aircraft_second"], np.zeros(2)
+        x = at + np.array([-0.36, 0.36])
+        for name, (colour, parts) in STACK.items():
+            high = low + sum(costs[part] for part in parts)
+            bands.append(Band(x, low, high, colour, "" if at else name, OPACITY))
+            low = high
+        bare = np.full(2, costs["bare"])
+        lines.append(Line(x, bare, BLACK, "" if at else "bare loop", 2.0, dashes=DASHED))
+    return Panel(
+        "Processor time for one second of flight of one aircraft",
+        "flight models",
+        "µs",
+        lines,
+        bands,
+        y_limits=(0.0, max(each["us_per_aircraft_second"]["full"] for each in columns) * 1.05),
+        x_ticks=ticks,
+    )

@@ -1,1 +1,0 @@
-"""The air: mean wind, turbulence, gusts and wakes. Knows no aircraft but by where it is."""

@@ -1,0 +1,274 @@
+"""Fly-by-wire A: from pitch, roll and throttle to surfaces, as ArduPlane does it.
+
+The law is ArduPlane's, written from its documentation and its measured behaviour and compared
+with a recording of it. Angles and rates are in radians; ArduPlane's 45 degrees of surface at full
+output are part of the gains. The slew limiter (RLL_RATE_SMAX, PTCH_RATE_SMAX), which acts on
+sustained oscillation only, is not modelled.
+"""
+
+from __future__ import annotations
+
+from math import acos, cos, pi, radians
+from typing import NamedTuple
+
+import numpy as np
+
+from testbed.core.compile import entry, kernel
+from testbed.core.records import (
+    ACTUATORS,
+    AIRCRAFT,
+    ActuatorCommand,
+    Array,
+    FbwaCommand,
+    Indices,
+    Record,
+    Records,
+    Values,
+    VehicleState,
+    allocate,
+    fields_of,
+    write_fields,
+)
+
+LEAST_BANK_LIMIT = radians(25.0)  # stall prevention never asks for less
+COS_STEEPEST = cos(radians(80.0))  # beyond, the turn's pitch rate grows no more
+
+# Parameters of one autopilot, prepared for one rate; pairs hold roll, then pitch. Surface gains are
+# per full output, which ArduPlane calls 45 degrees.
+GAINS = np.dtype(
+    [
+        ("dt", "f8"),  # s, period
+        ("command_periods", "i8"),  # whole periods of the command's latency
+        ("command_fraction", "f8"),  # the rest, as a part of a period
+        ("gyro_b0", "f8"),  # of the gyro's filter; b1 = 2 b0, b2 = b0
+        ("gyro_a1", "f8"),
+        ("gyro_a2", "f8"),
+        ("airspeed_min", "f8"),
+        ("stall_speed", "f8"),
+        ("scaling_speed", "f8"),
+        ("scaler_low", "f8"),
+        ("scaler_high", "f8"),
+        ("roll_limit", "f8"),
+        ("fade_slope", "f8"),  # 1/rad, of the pitch rate between the roll limit + 5° and 90°
+        ("pitch_low", "f8"),
+        ("pitch_high", "f8"),
+        ("pitch_trim", "f8"),
+        ("throttle_max", "f8"),
+        ("throttle_trim", "f8"),
+        ("pitch_down", "f8"),  # rad per throttle below trim
+        ("turn", "f8"),  # m/s², g times the part of the turn's pitch rate that is fed forward
+        ("rudder_mix", "f8"),
+        ("travel", "f8", (2,)),  # of aileron and elevator, part of the whole at full output
+        ("rudder_travel", "f8"),
+        ("per_tconst", "f8", (2,)),
+        ("rate_low", "f8", (2,)),
+        ("rate_high", "f8", (2,)),
+        ("p", "f8", (2,)),
+        ("i_dt", "f8", (2,)),
+        ("d", "f8", (2,)),
+        ("ff", "f8", (2,)),
+        ("i_max", "f8", (2,)),
+        ("alpha_target", "f8", (2,)),
+        ("alpha_error", "f8", (2,)),
+        ("alpha_derivative", "f8", (2,)),
+    ],
+    align=True,
+)
+# What one autopilot keeps from one period to the next.
+MEMORY = np.dtype(
+    [
+        ("started", "?"),  # False before the first period: filters settle on their first input
+        ("gyro_first", "f8", (2,)),  # rad/s, states of the gyro's filter
+        ("gyro_second", "f8", (2,)),  # rad/s
+        ("target", "f8", (2,)),  # rad/s, filtered rate target, scaled
+        ("error", "f8", (2,)),  # rad/s, filtered rate error, scaled
+        ("derivative", "f8", (2,)),  # rad/s², filtered
+        ("integral", "f8", (2,)),  # part of full output
+        ("output", "f8", (2,)),  # sum before its limit, part of full output
+        ("surfaces", ACTUATORS),  # commanded last
+    ],
+    align=True,
+)
+ROLL, PITCH, THROTTLE = range(3)  # columns of a delay line
+
+
+class Autopilots(NamedTuple):
+    """The parameters and the state of N virtual autopilots; the state is written in place."""
+
+    gains: Records  # (N,) of GAINS, by `parameters.make_gains`
+    memory: Records  # (N,) of MEMORY
+    delay_line: Array  # (N, P, 3) roll, pitch, throttle commands under way, the newest first
+
+
+def initial_autopilots(gains: Records) -> Autopilots:
+    """Return N autopilots that have just been switched on."""
+    n = len(gains)
+    periods = int(gains["command_periods"].max(initial=0)) + 1
+    return Autopilots(gains, allocate(MEMORY, n), np.zeros((n, periods, 3)))
+
+
+def settled_autopilots(gains: Records, surfaces: ActuatorCommand) -> Autopilots:
+    """Return N autopilots that have long held these surfaces (N), as before a trimmed start."""
+    autopilots = initial_autopilots(gains)
+    memory = autopilots.memory
+    held = np.stack([surfaces.aileron, surfaces.elevator], axis=-1) / gains["travel"]
+    memory["integral"] = memory["output"] = np.clip(held, -gains["i_max"], gains["i_max"])
+    write_fields(memory["surfaces"], surfaces)
+    return autopilots
+
+
+def step_autopilots(
+    autopilots: Autopilots, estimate: VehicleState, command: FbwaCommand
+) -> ActuatorCommand:
+    """Step N autopilots by one period, outside a run.
+
+    Args:
+        autopilots: N, changed in place.
+        estimate: (N) what the autopilots believe of their motion.
+        command: (N), acted on after the command's latency.
+
+    Returns:
+        The surfaces (N).
+    """
+    aircraft = allocate(AIRCRAFT, len(autopilots.gains))
+    write_fields(aircraft["estimate"], estimate)
+    write_fields(aircraft["command"], command)
+    fly_by_wire_a(np.arange(len(aircraft)), *autopilots, aircraft)
+    return fields_of(ActuatorCommand, aircraft["surfaces"])
+
+
+@entry
+def fly_by_wire_a(
+    rows: Indices, gains: Records, memory: Record, delay_line: Array, aircraft: Records
+) -> None:
+    """Step the autopilots of the aircraft in these rows: command and estimate to surfaces.
+
+    A frozen autopilot keeps its state and its servo commands. One that is frozen from the start
+    takes its first period, and its servos stay where they were.
+
+    Args:
+        rows: (M,) of the aircraft that have a virtual autopilot.
+        gains: (M,) of GAINS.
+        memory: (M,) of MEMORY; written.
+        delay_line: (M, P, 3) of `Autopilots`; written.
+        aircraft: (N,) of AIRCRAFT; `surfaces` are written.
+    """
+    for k in range(len(rows)):
+        a, m = aircraft[rows[k]], memory[k]
+        frozen = a.faults.frozen
+        if not (frozen and m.started):
+            aileron, elevator, rudder, throttle = fbwa(
+                gains[k], m, delay_line[k], a.estimate, a.command
+            )
+            if not frozen:
+                m.surfaces.aileron = aileron
+                m.surfaces.elevator = elevator
+                m.surfaces.rudder = rudder
+                m.surfaces.throttle = throttle
+        a.surfaces.aileron = m.surfaces.aileron
+        a.surfaces.elevator = m.surfaces.elevator
+        a.surfaces.rudder = m.surfaces.rudder
+        a.surfaces.throttle = m.surfaces.throttle
+
+
+@kernel
+def fbwa(g: Record, m: Record, delay_line: Array, estimate: Record, command: Record) -> Values:
+    """Compute one period of fly-by-wire A for one aircraft.
+
+    Args:
+        g: record of GAINS.
+        m: record of MEMORY; written, but for its surfaces.
+        delay_line: (P, 3); written.
+        estimate: record of MOTION.
+        command: record of COMMAND.
+
+    Returns:
+        Aileron, elevator and rudder, -1..1, and throttle, 0..1.
+    """
+    fraction, started = g.command_fraction, m.started
+    roll_command = _delayed(delay_line, ROLL, fraction, started, command.roll)
+    pitch_command = _delayed(delay_line, PITCH, fraction, started, command.pitch)
+    throttle = _delayed(delay_line, THROTTLE, fraction, started, command.throttle)
+    throttle = _clip(throttle, 0.0, g.throttle_max)
+    eas, tas = estimate.equivalent_airspeed, estimate.airspeed
+    roll, pitch = estimate.euler[0], estimate.euler[1]
+
+    # the bank that the wing can bear at this speed
+    load = g.stall_speed / eas
+    limit = min(max(acos(min(load * load, 1.0)), LEAST_BANK_LIMIT), g.roll_limit)
+    # below the trim throttle the nose is lowered in proportion
+    lowered = g.pitch_down * max(g.throttle_trim - throttle, 0.0)
+    pitch_demand = _clip(pitch_command, g.pitch_low, g.pitch_high) - lowered
+    # the pitch rate of a level turn, g/V tan φ sin φ cos θ; tan φ sin φ is 1/cos φ − cos φ
+    cos_bank = max(cos(roll), COS_STEEPEST)
+    curve = (1.0 / cos_bank - cos_bank) * cos(pitch)
+    turning = g.turn * curve / max(tas, g.airspeed_min)
+    upright = _clip((0.5 * pi - abs(roll)) * g.fade_slope, 0.0, 1.0)
+    rates = (
+        (_clip(roll_command, -limit, limit) - roll) * g.per_tconst[0],
+        (max(pitch_demand, g.pitch_low) + g.pitch_trim - pitch) * g.per_tconst[1] + turning,
+    )
+
+    # the rate loop works on target and measurement times the square of the speed scaler
+    scaler = _clip(g.scaling_speed / eas, g.scaler_low, g.scaler_high)
+    squared = scaler * scaler
+    for axis in range(2):
+        rate = _clip(rates[axis], g.rate_low[axis], g.rate_high[axis])
+        rate *= squared * upright if axis == 1 else squared
+        gyro = estimate.rates_body[axis]
+        fed = g.gyro_b0 * gyro
+        if started:
+            measured = fed + m.gyro_first[axis]
+            m.gyro_first[axis] = 2.0 * fed - g.gyro_a1 * measured + m.gyro_second[axis]
+        else:
+            measured = gyro
+            m.gyro_first[axis] = gyro - fed
+        m.gyro_second[axis] = fed - g.gyro_a2 * measured
+        measured *= squared
+        if started:
+            last = m.error[axis]
+            m.target[axis] += g.alpha_target[axis] * (rate - m.target[axis])
+            m.error[axis] = last + g.alpha_error[axis] * (m.target[axis] - measured - last)
+            slope = (m.error[axis] - last) / g.dt - m.derivative[axis]
+            m.derivative[axis] += g.alpha_derivative[axis] * slope
+        else:
+            m.target[axis] = rate
+            m.error[axis] = rate - measured
+        # the integral cannot grow at full output, and is frozen when too slow
+        growth = g.i_dt[axis] * m.error[axis]
+        full = abs(m.output[axis]) >= 1.0 and m.integral[axis] * growth >= 0.0
+        if full or eas <= g.airspeed_min:
+            growth = 0.0
+        m.integral[axis] = _clip(m.integral[axis] + growth, -g.i_max[axis], g.i_max[axis])
+        forward = g.ff[axis] * m.target[axis] / (scaler * tas / eas)
+        m.output[axis] = (
+            forward + g.p[axis] * m.error[axis] + g.d[axis] * m.derivative[axis] + m.integral[axis]
+        )
+    m.started = True
+    aileron = _clip(m.output[0], -1.0, 1.0)
+    return (
+        aileron * g.travel[0],
+        _clip(m.output[1], -1.0, 1.0) * g.travel[1],
+        _clip(g.rudder_mix * aileron, -1.0, 1.0) * g.rudder_travel,
+        throttle,
+    )
+
+
+@kernel
+def _clip(value: float, low: float, high: float) -> float:
+    return min(max(value, low), high)
+
+
+@kernel
+def _delayed(line: Array, column: int, fraction: float, started: bool, now: float) -> float:
+    """Return a command one latency ago, and put the newest into the delay line."""
+    if not started:
+        line[:, column] = now
+        return now
+    whole = len(line) - 1
+    younger = now if whole == 0 else line[whole - 1, column]
+    late: float = younger + fraction * (line[whole, column] - younger)
+    for k in range(whole, 0, -1):
+        line[k, column] = line[k - 1, column]
+    line[0, column] = now
+    return late

@@ -1,0 +1,286 @@
+"""Autopilot parameters under ArduPlane's names, and the records of fly-by-wire A made of them."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from testbed.autopilot.fbwa import GAINS
+from testbed.core.errors import InputError
+from testbed.core.frames import GRAVITY
+from testbed.core.records import Array, Records, allocate
+
+
+class ParamError(InputError):
+    """A `.param` file that cannot be read, or a parameter with an invalid value."""
+
+
+@dataclass(frozen=True, slots=True)
+class FbwaParams:
+    """Parameters of fly-by-wire A and L1 guidance, with ArduPlane's units and defaults.
+
+    Fields are the parameters' names in lower case. A rate limit of zero means no limit.
+    """
+
+    airspeed_min: float = 9.0  # m/s
+    airspeed_cruise: float = 12.0  # m/s
+    airspeed_max: float = 22.0  # m/s
+    airspeed_stall: float = 0.0  # m/s, 0: use airspeed_min
+    scaling_speed: float = 15.0  # m/s, at which the gains are not scaled
+    roll_limit_deg: float = 45.0  # deg
+    ptch_lim_max_deg: float = 20.0  # deg
+    ptch_lim_min_deg: float = -25.0  # deg
+    ptch_trim_deg: float = 0.0  # deg, added to the pitch demand
+    trim_throttle: float = 45.0  # %
+    thr_max: float = 100.0  # %
+    stab_pitch_down: float = 2.0  # deg, at zero throttle
+    kff_rddrmix: float = 0.5  # rudder per aileron
+    rll2srv_tconst: float = 0.5  # s
+    rll2srv_rmax: float = 0.0  # deg/s
+    rll_rate_p: float = 0.08
+    rll_rate_i: float = 0.15  # 1/s
+    rll_rate_d: float = 0.0  # s
+    rll_rate_ff: float = 0.345
+    rll_rate_imax: float = 0.666  # rad of surface
+    rll_rate_fltt: float = 3.0  # Hz, 0: off, as for all filters
+    rll_rate_flte: float = 0.0  # Hz
+    rll_rate_fltd: float = 12.0  # Hz
+    rll_rate_smax: float = 150.0  # deg/s; the slew limiter is not modelled
+    ptch2srv_tconst: float = 0.5  # s
+    ptch2srv_rmax_up: float = 0.0  # deg/s
+    ptch2srv_rmax_dn: float = 0.0  # deg/s
+    ptch2srv_rll: float = 1.0  # share of the pitch rate of a level turn
+    ptch_rate_p: float = 0.04
+    ptch_rate_i: float = 0.15  # 1/s
+    ptch_rate_d: float = 0.0  # s
+    ptch_rate_ff: float = 0.345
+    ptch_rate_imax: float = 0.666  # rad of surface
+    ptch_rate_fltt: float = 3.0  # Hz
+    ptch_rate_flte: float = 0.0  # Hz
+    ptch_rate_fltd: float = 12.0  # Hz
+    ptch_rate_smax: float = 150.0  # deg/s; the slew limiter is not modelled
+    servo1_min: float = 1100.0  # µs, aileron; the total travel of a servo is 1000 to 2000 µs
+    servo1_max: float = 1900.0  # µs
+    servo2_min: float = 1100.0  # µs, elevator
+    servo2_max: float = 1900.0  # µs
+    servo4_min: float = 1100.0  # µs, rudder
+    servo4_max: float = 1900.0  # µs
+    sched_loop_rate: float = 50.0  # Hz
+    navl1_period: float = 17.0  # s
+    navl1_damping: float = 0.75
+
+
+_NAMES = frozenset(field.name for field in fields(FbwaParams))
+_POSITIVE = (
+    "airspeed_min",
+    "airspeed_max",
+    "scaling_speed",
+    "roll_limit_deg",
+    "sched_loop_rate",
+    "navl1_period",
+    "navl1_damping",
+)
+_MIN_SIZE, _MAX_SIZE = 1e-9, 1e9  # of values other than 0, so that quotients do not overflow
+_MIN_TCONST = 0.05  # s, as in ArduPlane
+
+
+def read_params(path: Path) -> FbwaParams:
+    """Read a `.param` file: lines of name and value, separated by comma or blanks.
+
+    `#` starts a comment. The last value of a name counts. Names that fly-by-wire A does not use
+    are ignored, with one warning that has their number.
+
+    Raises:
+        ParamError: the file cannot be read, or a line or value is invalid.
+    """
+    path = Path(path)
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ParamError(f"{path}: cannot read this parameter file: {error}") from error
+    values: dict[str, float] = {}
+    where: dict[str, int] = {}
+    unknown: set[str] = set()
+    for number, line in enumerate(lines, start=1):
+        words = line.split("#", 1)[0].replace(",", " ").split()
+        if not words:
+            continue
+        value = _number(words[1]) if len(words) == 2 else None
+        if value is None or not words[0].replace("_", "").isalnum() or words[0][0].isdigit():
+            raise ParamError(
+                f"{path}:{number}: expected a name and a number, as in 'RLL_RATE_P 0.3' or "
+                f"'RLL_RATE_P,0.3', found {line.strip()[:60]!r}"
+            )
+        name = words[0].lower()
+        if name in _NAMES:
+            values[name], where[name] = value, number
+        else:
+            unknown.add(words[0])
+    params = FbwaParams(**values)
+    for name, problem in _errors(params):
+        raise ParamError(f"{path}:{where.get(name, 1)}: {problem}")
+    if unknown:
+        some = ", ".join(sorted(unknown)[:3]) + (", …" if len(unknown) > 3 else "")
+        warnings.warn(
+            f"{path}: ignored {len(unknown)} parameters that fly-by-wire A does not use ({some})",
+            stacklevel=2,
+        )
+    return params
+
+
+def with_param(params: FbwaParams, name: str, value: float) -> FbwaParams:
+    """Change one parameter, by its name in ArduPlane.
+
+    Raises:
+        ParamError: the parameter is unknown, or cannot have this value.
+    """
+    if name.lower() not in _NAMES:
+        raise ParamError(f"{name}: not a parameter of fly-by-wire A")
+    if not math.isfinite(value):
+        raise ParamError(f"{name}: {value} is not a number")
+    changed = replace(params, **{name.lower(): value})
+    for _, error in _errors(changed):
+        raise ParamError(error)
+    return changed
+
+
+def _errors(params: FbwaParams) -> Iterator[tuple[str, str]]:
+    """Yield the field and the error of each invalid value."""
+    for name in _POSITIVE:
+        if not getattr(params, name) > 0.0:
+            yield name, f"{name.upper()} must be greater than 0"
+    for channel in (1, 2, 4):
+        low, high = (getattr(params, f"servo{channel}_{end}") for end in ("min", "max"))
+        if not 800.0 <= low < high <= 2200.0:
+            name = f"servo{channel}_{'max' if 800.0 <= low else 'min'}"
+            text = f"SERVO{channel}_MIN and _MAX ({low:g}, {high:g}) must rise within 800 to 2200"
+            yield name, text
+    if params.airspeed_max <= params.airspeed_min:
+        yield (
+            "airspeed_max",
+            f"AIRSPEED_MAX ({params.airspeed_max:g}) must be greater than AIRSPEED_MIN "
+            f"({params.airspeed_min:g})",
+        )
+    for name in sorted(_NAMES):
+        value = getattr(params, name)
+        if value and not _MIN_SIZE <= abs(value) <= _MAX_SIZE:
+            yield name, f"{name.upper()} is {value:g}; a size is {_MIN_SIZE:g} to {_MAX_SIZE:g}"
+
+
+@dataclass(frozen=True, slots=True)
+class AutopilotTiming:
+    """Delays of an autopilot from commands and motion to its surfaces.
+
+    The defaults were identified from the recording of ArduPlane with simulated physics at 200 Hz.
+    There its gyro filter, designed for 20 Hz at a sampling rate of 1000 Hz, acts at a fifth of
+    both.
+    """
+
+    command_latency: float = 0.02  # s; RC is read once per loop, after the control law
+    gyro_filter_hz: float = 4.0  # Hz, cut-off of a second-order Butterworth low-pass; 0: none
+
+
+def make_gains(
+    params: Sequence[FbwaParams], dt: float, timing: AutopilotTiming | None = None
+) -> Records:
+    """Convert N parameter sets to records (N,) of `fbwa.GAINS`.
+
+    Args:
+        params: N parameter sets.
+        dt: period of the autopilots, s.
+        timing: of all autopilots; None: the defaults.
+
+    Raises:
+        ValueError: the latency is negative, or the cut-off is above half the autopilot's rate.
+    """
+    timing = timing or AutopilotTiming()
+    if timing.command_latency < 0.0 or not 0.0 <= timing.gyro_filter_hz < 0.5 / dt:
+        raise ValueError(
+            f"{timing}: the command's latency must not be negative and the gyro's filter must lie "
+            f"between 0 and {0.5 / dt:g} Hz, half the autopilot's rate"
+        )
+
+    def row(name: str) -> Array:
+        return np.array([getattr(one, name) for one in params], dtype=np.float64)
+
+    def rows(roll: str, pitch: str) -> Array:
+        return np.stack([row(roll), row(pitch)], axis=-1)
+
+    def limit(name: str) -> Array:
+        value = np.radians(row(name))
+        return np.where(value > 0.0, value, np.inf)
+
+    def travel(channel: int) -> Array:
+        return (row(f"servo{channel}_max") - row(f"servo{channel}_min")) / 1000.0
+
+    full = math.degrees(1.0) / 45.0
+    scaling, low, high = row("scaling_speed"), row("airspeed_min"), row("airspeed_max")
+    roll_limit = np.radians(row("roll_limit_deg"))
+    stall = row("airspeed_stall")
+    trim = row("trim_throttle") / 100.0
+    b0, a1, a2 = _butterworth(timing.gyro_filter_hz, dt)
+    periods = timing.command_latency / dt
+    whole = int(periods + 1e-9)
+    each = allocate(GAINS, len(params))
+    each["dt"], each["command_periods"] = dt, whole
+    each["command_fraction"] = max(0.0, periods - whole)
+    each["gyro_b0"], each["gyro_a1"], each["gyro_a2"] = b0, a1, a2
+    each["airspeed_min"] = low
+    each["stall_speed"] = np.where(stall > 0.0, stall, low)
+    each["scaling_speed"] = scaling
+    each["scaler_low"] = np.minimum(0.5, scaling / (2.0 * high))
+    each["scaler_high"] = np.maximum(2.0, scaling / (0.7 * low))
+    each["roll_limit"] = roll_limit
+    each["fade_slope"] = 1.0 / np.maximum(np.pi / 2.0 - roll_limit - np.radians(5.0), 1e-3)
+    each["pitch_low"] = np.radians(row("ptch_lim_min_deg"))
+    each["pitch_high"] = np.radians(row("ptch_lim_max_deg"))
+    each["pitch_trim"] = np.radians(row("ptch_trim_deg"))
+    each["throttle_max"] = row("thr_max") / 100.0
+    each["throttle_trim"] = trim
+    each["pitch_down"] = np.radians(row("stab_pitch_down")) / np.where(trim > 0.0, trim, np.inf)
+    each["turn"] = GRAVITY * row("ptch2srv_rll")
+    each["rudder_mix"] = row("kff_rddrmix")
+    each["travel"] = np.stack([travel(1), travel(2)], axis=-1)
+    each["rudder_travel"] = travel(4)
+    each["per_tconst"] = 1.0 / np.maximum(_MIN_TCONST, rows("rll2srv_tconst", "ptch2srv_tconst"))
+    each["rate_low"] = -np.stack([limit("rll2srv_rmax"), limit("ptch2srv_rmax_dn")], axis=-1)
+    each["rate_high"] = np.stack([limit("rll2srv_rmax"), limit("ptch2srv_rmax_up")], axis=-1)
+    each["p"] = full * rows("rll_rate_p", "ptch_rate_p")
+    each["i_dt"] = full * dt * rows("rll_rate_i", "ptch_rate_i")
+    each["d"] = full * rows("rll_rate_d", "ptch_rate_d")
+    each["ff"] = full * rows("rll_rate_ff", "ptch_rate_ff")
+    each["i_max"] = full * rows("rll_rate_imax", "ptch_rate_imax")
+    each["alpha_target"] = _alpha(rows("rll_rate_fltt", "ptch_rate_fltt"), dt)
+    each["alpha_error"] = _alpha(rows("rll_rate_flte", "ptch_rate_flte"), dt)
+    each["alpha_derivative"] = _alpha(rows("rll_rate_fltd", "ptch_rate_fltd"), dt)
+    return each
+
+
+def _alpha(frequency: Array, dt: float) -> Array:
+    """Compute the weight of a new sample in a first-order low-pass; 0 Hz: no filter."""
+    safe = np.where(frequency > 0.0, frequency, np.inf)
+    return dt / (dt + 1.0 / (2.0 * np.pi * safe))
+
+
+def _butterworth(frequency: float, dt: float) -> tuple[float, float, float]:
+    """Compute b0, a1, a2 of a second-order Butterworth low-pass by the bilinear transform."""
+    if frequency == 0.0:
+        return 1.0, 2.0, 1.0  # numerator and denominator are equal: no filter
+    warped = math.tan(math.pi * frequency * dt)
+    scale = 1.0 + math.sqrt(2.0) * warped + warped * warped
+    b0 = warped * warped / scale
+    a1 = 2.0 * (warped * warped - 1.0) / scale
+    return b0, a1, 4.0 * b0 - 1.0 - a1
+
+
+def _number(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None

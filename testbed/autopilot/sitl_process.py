@@ -1,0 +1,160 @@
+"""ArduPlane processes: find the binary, start it in a temporary folder, and stop it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterable
+from pathlib import Path
+
+from testbed.core.errors import InputError
+from testbed.core.records import Origin
+
+VARIABLE = "ARDUPLANE"
+_SPEEDUP = 100  # limit of its speed, times real time; high, so that it never delays the run
+_GRACE_S = 1.0  # from SIGTERM to SIGKILL; it ignores SIGTERM while it waits for its physics
+_TAIL_LINES, _TAIL_BYTES = 12, 4000
+
+
+def find_binary(in_scenario: str | None, option: Path | None) -> Path:
+    """Find the ArduPlane binary: of the scenario, else of the option, else of the environment.
+
+    Raises:
+        InputError: none of them is set, or the file cannot be executed.
+    """
+    name = in_scenario or option or os.environ.get(VARIABLE)
+    if not name:
+        raise InputError(
+            "autopilot: ardupilot needs the program arduplane, and its path is not set (write "
+            f"--arduplane PATH, or set {VARIABLE}, or write binary: PATH under autopilot)"
+        )
+    path = Path(name).expanduser().resolve()
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such program (write the path of arduplane)")
+    if not os.access(path, os.X_OK):
+        raise InputError(f"{path}: is not executable (chmod +x it, or write another path)")
+    return path
+
+
+def command_line(
+    binary: Path | str, instance: int, origin: Origin, heading_deg: float, defaults: Path | str
+) -> list[str]:
+    """Return the command line of ArduPlane for the JSON link.
+
+    Args:
+        binary: path of ArduPlane.
+        instance: its number, which sets its ports.
+        origin: of the scenario, which is its home.
+        heading_deg: heading at the start.
+        defaults: path of its parameter file.
+    """
+    home = (origin.latitude_deg, origin.longitude_deg, origin.elevation_m, heading_deg)
+    return [
+        str(binary),
+        "--model",
+        "JSON:127.0.0.1",
+        "--speedup",
+        str(_SPEEDUP),
+        f"-I{instance}",
+        "--home",
+        ",".join(f"{number:.9g}" for number in home),
+        "--defaults",
+        str(defaults),
+    ]
+
+
+class SitlProcess:
+    """An ArduPlane process with a temporary working folder."""
+
+    def __init__(
+        self, binary: Path, instance: int, origin: Origin, heading_deg: float, defaults: str
+    ) -> None:
+        """Start the process.
+
+        Args:
+            binary: see `command_line`.
+            instance: see `command_line`.
+            origin: see `command_line`.
+            heading_deg: see `command_line`.
+            defaults: text of its parameter file.
+
+        Raises:
+            InputError: it cannot be started.
+        """
+        # an empty folder has the effect of --wipe
+        self._folder = Path(tempfile.mkdtemp(prefix="testbed-arduplane-"))
+        self._log = self._folder / "arduplane.log"
+        defaults_file = self._folder / "defaults.parm"
+        defaults_file.write_text(defaults, encoding="utf-8")
+        try:
+            with self._log.open("wb") as log:
+                self._child = subprocess.Popen(
+                    command_line(binary, instance, origin, heading_deg, defaults_file),
+                    cwd=self._folder,
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                    start_new_session=True,  # Ctrl-C goes to the run only, which then stops it
+                )
+        except OSError as error:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            raise InputError(f"{binary}: cannot be started: {error.strerror}") from error
+
+    @property
+    def pid(self) -> int:
+        """Number of the process and of its process group."""
+        return self._child.pid
+
+    def exit_text(self) -> str | None:
+        """Describe how it ended; None: it runs."""
+        code = self._child.poll()
+        if code is None:
+            return None
+        return f"was ended by signal {-code}" if code < 0 else f"ended with exit code {code}"
+
+    def output_tail(self) -> str:
+        """Return the last lines of its output, indented."""
+        try:
+            data = self._log.read_bytes()[-_TAIL_BYTES:]
+        except OSError:
+            data = b""
+        lines = [line.rstrip() for line in data.decode("utf-8", "replace").splitlines()]
+        tail = [f"    {line[:200]}" for line in lines if line][-_TAIL_LINES:]
+        return "\n".join(["it last printed:", *tail]) if tail else "it printed nothing"
+
+    def signal(self, number: signal.Signals) -> None:
+        """Send a signal to its process group."""
+        if self._child.returncode is None:  # not reaped, so that the number is still its own
+            try:
+                os.killpg(self.pid, number)
+            except ProcessLookupError:
+                pass
+
+    def wait(self, until: float) -> None:
+        """Wait for its end until this time of the monotonic clock, s."""
+        try:
+            self._child.wait(max(0.0, until - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            pass
+
+    def remove_folder(self) -> None:
+        """Remove its folder."""
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def stop_processes(processes: Iterable[SitlProcess]) -> None:
+    """Stop all processes at once, with SIGTERM and then SIGKILL, and remove their folders."""
+    running = list(processes)
+    for process in running:
+        process.signal(signal.SIGTERM)
+    deadline = time.monotonic() + _GRACE_S
+    for process in running:
+        process.wait(deadline)
+    for process in running:
+        process.signal(signal.SIGKILL)
+        process.wait(time.monotonic() + _GRACE_S)
+        process.remove_folder()

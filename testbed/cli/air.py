@@ -1,0 +1,306 @@
+"""The command that samples the wind of a scenario: air."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from testbed.cli.options import (
+    JsonFile,
+    Overrides,
+    ScenarioName,
+    Seed,
+    load_scenario,
+    output_option,
+    require_finite,
+    require_positive,
+)
+from testbed.cli.output import (
+    MISSING,
+    report_write_errors,
+    result_console,
+    ruled_table,
+    write_json_output,
+)
+from testbed.core.errors import InputError
+
+if TYPE_CHECKING:
+    from testbed.core.records import Array
+    from testbed.scenario import Scenario
+    from testbed.sim.probes import ProbePath, ProbeRecord
+
+DEFAULT_AIRSPEED = 20.0  # m/s, where the leader flies no mission
+MAX_SAMPLES = 20_000_000  # of all probes: more than a gigabyte
+MIN_SPECTRUM_SAMPLES = 100
+MODELS = {
+    "none": "no turbulence",
+    "dryden": "Dryden turbulence, independent at each probe",
+    "von-karman": "von Kármán turbulence, independent at each probe",
+    "coherent": "one von Kármán field for all probes",
+}
+
+
+def air_command(
+    scenario: ScenarioName,
+    out: Annotated[
+        Path | None,
+        output_option(
+            metavar="FILE.npz", help="Write the wind at the probes to this file, as NumPy arrays."
+        ),
+    ] = None,
+    rate: Annotated[
+        float, typer.Option(metavar="HZ", help="Samples per second.", callback=require_positive)
+    ] = 50.0,
+    duration: Annotated[
+        float,
+        typer.Option(metavar="SECONDS", help="Length of the flight.", callback=require_positive),
+    ] = 600.0,
+    airspeed: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M/S",
+            help="True airspeed.  \\[default: that of the leader's mission, or 20]",
+            callback=require_positive,
+        ),
+    ] = None,
+    course: Annotated[
+        float,
+        typer.Option(
+            metavar="DEG",
+            help="Direction of flight relative to the air, degrees clockwise from north.",
+            callback=require_finite,
+        ),
+    ] = 0.0,
+    height: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="Height above the ground.  \\[default: that of the leader's start]",
+            callback=require_positive,
+        ),
+    ] = None,
+    separation: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="Fly a second probe at this distance to the right of the first.",
+            callback=require_positive,
+        ),
+    ] = None,
+    overrides: Overrides = None,
+    seed: Seed = None,
+    plot: Annotated[
+        Path | None,
+        output_option(
+            help="Plot records, spectra and coherence with the closed forms of the model, as .png, "
+            ".pdf or .svg.",
+            suffixes=(".png", ".pdf", ".svg"),
+        ),
+    ] = None,
+    json: JsonFile = None,
+) -> None:
+    """Sample a scenario's wind along a straight flight, without simulating aircraft.
+
+    A probe holds height, airspeed and course with wings level and drifts with the mean wind. The
+    wind is averaged over the leader's wing span. The first probe starts where the leader does and
+    has the leader's turbulence; the second has that of the first follower. Gusts are included,
+    wakes are not.
+    """
+    from testbed.sim.probes import fly_probes, to_arrays
+
+    _check_samples(rate * duration, probes=1 if separation is None else 2, plot=plot is not None)
+    loaded = load_scenario(scenario, overrides, seed)
+    path = _probe_path(loaded, rate, duration, airspeed, course, height, separation)
+    record = fly_probes(loaded, path)
+    document = _document(loaded, path, record)
+    if out:
+        _save(out, to_arrays(loaded, path, record))
+    if plot:
+        _plot(plot, loaded, path, record)
+    console = result_console(json)
+    console.print(_headline(loaded, path))
+    console.write_line()
+    console.print(_table(document))
+    for name, file in (("arrays", out), ("figure", plot)):
+        if file:
+            console.write_line(f" {name}  {file}")
+    write_json_output(json, document)
+
+
+def _check_samples(samples: float, *, probes: int, plot: bool) -> None:
+    if samples < 1.5:
+        raise InputError("--duration × --rate: fewer than two samples; write a larger one")
+    most = MAX_SAMPLES // probes
+    if samples > most:
+        raise InputError(
+            f"--duration × --rate: {samples:.3g} samples; write smaller ones, for at most "
+            f"{most:.3g} samples"
+        )
+    if plot and round(samples) < MIN_SPECTRUM_SAMPLES:
+        raise InputError(
+            f"--plot: spectra need {MIN_SPECTRUM_SAMPLES} samples, and there are {round(samples)}; "
+            "write a longer --duration"
+        )
+
+
+def _probe_path(
+    scenario: Scenario,
+    rate: float,
+    duration: float,
+    airspeed: float | None,
+    course: float,
+    height: float | None,
+    separation: float | None,
+) -> ProbePath:
+    from testbed.scenario.aircraft import Mission
+    from testbed.sim.probes import ProbePath
+
+    path = scenario.leader.path
+    if airspeed is None:
+        airspeed = path.airspeed_mps if isinstance(path, Mission) else DEFAULT_AIRSPEED
+    if height is None:
+        height = scenario.leader.start.altitude_m
+        if height <= 0.0:
+            raise InputError(f"the leader starts {height:g} m above the ground: write a --height")
+    return ProbePath(
+        rate_hz=rate,
+        duration_s=duration,
+        airspeed=airspeed,
+        course=math.radians(course),
+        height=height,
+        separation=separation,
+    )
+
+
+def _save(path: Path, arrays: Mapping[str, Any]) -> None:
+    import numpy as np
+
+    # np.savez adds .npz to a name, but not to an open file
+    with report_write_errors(f"--out {path}"), path.open("wb") as file:
+        np.savez(file, **arrays)
+
+
+def _plot(file: Path, scenario: Scenario, path: ProbePath, record: ProbeRecord) -> None:
+    from testbed.sim.probe_spectra import closed_form, coherence_band, estimate, psd_band
+    from testbed.views.air_figure import WindFigureData, save_wind_figure
+
+    velocity = record.about_mean(path.course)
+    found = estimate(velocity, path.rate_hz)
+    closed = closed_form(scenario, path, record, found)
+    picture = WindFigureData(
+        title=f"{scenario.name} · {_model(scenario)}",
+        subtitle=_flight(path),
+        names=record.names,
+        time=record.time,
+        velocity=velocity,
+        frequency_hz=found.frequency_hz,
+        psd=found.psd,
+        psd_expected=closed and (closed.psd, *psd_band(closed.psd, found.freedom)),
+        separation=path.separation,
+        coherence=found.coherence,
+        coherence_expected=closed
+        and (closed.coherence, *coherence_band(closed.coherence, found.freedom)),
+    )
+    with report_write_errors(f"--plot {file}"):
+        save_wind_figure(picture, file)
+
+
+def _document(scenario: Scenario, path: ProbePath, record: ProbeRecord) -> dict[str, Any]:
+    import numpy as np
+
+    turbulence = record.about_mean(path.course)
+    mean = record.mean_wind_ned.mean(axis=1)
+    return {
+        "scenario": scenario.name,
+        "seed": scenario.scenario.seed,
+        "rate_hz": path.rate_hz,
+        "duration_s": path.duration_s,
+        "airspeed_mps": path.airspeed,
+        "course_deg": math.degrees(path.course),
+        "height_m": path.height,
+        "separation_m": path.separation,
+        "model": {
+            "name": scenario.air.turbulence.model,
+            "sigma_mps": _known(record.sigma),
+            "length_m": _known(record.length),
+        },
+        "probes": [
+            {
+                "name": name,
+                "mean_wind_mps": math.hypot(*mean[k, :2]),
+                "mean_wind_from_deg": _from_deg(mean[k]),
+                "mean_wind_down_mps": float(mean[k, 2]),
+                "rms_mps": _rms(turbulence[k]),
+                "rms_rates_deg_s": _rms(np.degrees(record.wind_gradient_rates[k])),
+            }
+            for k, name in enumerate(record.names)
+        ],
+    }
+
+
+def _rms(values: Array) -> list[float]:
+    import numpy as np
+
+    rms: list[float] = np.sqrt(np.square(values).mean(axis=0)).tolist()
+    return rms
+
+
+def _known(values: Array) -> list[float] | None:
+    numbers: list[float] = values.tolist()
+    return None if any(map(math.isnan, numbers)) else numbers
+
+
+def _model(scenario: Scenario) -> str:
+    return MODELS[scenario.air.turbulence.model]
+
+
+def _flight(path: ProbePath) -> str:
+    line = f"airspeed {path.airspeed:g} m/s, course {math.degrees(path.course):g}°"
+    line += f" · {path.height:g} m above the ground"
+    return f"{line} · {path.duration_s:g} s at {path.rate_hz:g} Hz"
+
+
+def _headline(scenario: Scenario, path: ProbePath) -> Text:
+    return Text.assemble(" ", (scenario.name, "bold"), f" · {_model(scenario)}\n {_flight(path)}")
+
+
+def _from_deg(wind: Array) -> float | None:
+    """Direction that a wind (3,) blows from; None in calm air."""
+    from testbed.core.frames import wind_from_deg
+
+    return float(wind_from_deg(wind)) if wind[:2].any() else None
+
+
+def _table(document: Mapping[str, Any]) -> Table:
+    table = ruled_table()
+    table.add_column(Text("\nprobe", style="bold"), no_wrap=True)
+    for name in (
+        "wind\nm/s",
+        "\nfrom",
+        "rms, m/s\nu forward",
+        "\nv right",
+        "\nw down",
+        "rms, °/s\np roll",
+        "\nq pitch",
+        "\nr yaw",
+    ):
+        table.add_column(name, justify="right", no_wrap=True)
+    for probe in document["probes"]:
+        from_deg = probe["mean_wind_from_deg"]
+        table.add_row(
+            probe["name"],
+            f"{probe['mean_wind_mps']:.2f}",
+            MISSING if from_deg is None else f"{round(from_deg) % 360}°",
+            *(f"{rms:.2f}" for rms in (*probe["rms_mps"], *probe["rms_rates_deg_s"])),
+        )
+    sigma = document["model"]["sigma_mps"]
+    if sigma:
+        cells = ["model, σ", "", "", *(f"{each:.2f}" for each in sigma), *[MISSING] * 3]
+        table.add_row(*(Text(cell, style="dim") for cell in cells))
+    return table

@@ -1,0 +1,194 @@
+"""The command that compares two runs: compare."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.table import Table
+
+from testbed.cli.exit_codes import ExitCode
+from testbed.cli.options import JsonFile, RrdFile, RunName
+from testbed.cli.output import MISSING, PipeSafeConsole, result_console, write_json_output
+from testbed.cli.view import overlay_runs
+from testbed.core.errors import InputError
+
+if TYPE_CHECKING:
+    from testbed.logs.read import Log
+    from testbed.studies.compare_runs import MetricPair, PositionDifference, RunDifference
+
+MAX_LINES = 12  # of differences of the scenarios, and of versions
+
+
+def compare_command(
+    first: RunName,
+    second: Annotated[str, typer.Argument(metavar="RUN", help="The run to compare it with.")],
+    numbers: Annotated[
+        bool,
+        typer.Option(
+            "--numbers",
+            help="Print a table instead; exit with 0 if the runs agree, with 3 if they differ.",
+        ),
+    ] = False,
+    within: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SHARE",
+            help="With --numbers: relative tolerance of metrics, such as 0.01; samples and events "
+            "are then not compared.  \\[default: every bit must be equal]",
+        ),
+    ] = None,
+    json: JsonFile = None,
+    rrd: RrdFile = None,
+) -> None:
+    """Overlay two runs in a Rerun viewer, or compare their metrics, events and samples."""
+    check_options(numbers=numbers, within=within, json=json, rrd=rrd)
+    if not numbers:
+        overlay_runs(first, second, rrd=rrd)
+        return
+    from testbed.logs.run_directory import find_run
+    from testbed.studies.compare_runs import compare_runs
+
+    paths = find_run(first), find_run(second)
+    logs = _read(paths[0]), _read(paths[1])
+    found = compare_runs(*logs, tolerance=within)
+    _print_comparison(found, logs, paths, result_console(json))
+    write_json_output(json, _document(found, paths))
+    raise typer.Exit(ExitCode.OK if found.same else ExitCode.DIFFERENT)
+
+
+def check_options(
+    *, numbers: bool, within: float | None, json: Path | None, rrd: Path | None
+) -> None:
+    """Refuse options that exclude each other.
+
+    Raises:
+        InputError: naming them.
+    """
+    if numbers and rrd:
+        raise InputError(f"--rrd {rrd}: is for the overlay; leave out --numbers")
+    if not numbers and (within is not None or json):
+        option = "--json" if within is None else "--within"
+        raise InputError(f"{option}: is for the comparison of metrics; write --numbers too")
+    if within is not None and not 0.0 <= within < 1.0:
+        raise InputError(f"--within {within:g}: write a share from 0 to 1, such as 0.01 for 1 %")
+
+
+def _read(path: Path) -> Log:
+    from testbed.logs.read import read_log
+
+    log = read_log(path)
+    if log.metrics is None:
+        raise InputError(
+            f"{path}: this run has no metrics, because it was killed before its end: finish it "
+            f"with `testbed recover {path}`, or leave out --numbers to overlay the runs"
+        )
+    return log
+
+
+def _print_comparison(
+    found: RunDifference, logs: Sequence[Log], paths: Sequence[Path], console: PipeSafeConsole
+) -> None:
+    for label, log, path in zip(("first", "second"), logs, paths, strict=True):
+        console.write_line(f" {label:10}{path}: {log.info.scenario_name}, seed {log.info.seed}")
+    _print_some(console, "scenario", found.scenario)
+    _print_some(console, "versions", found.versions)
+    console.write_line()
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    table.add_column(" ")
+    for heading in ("first", "second", "difference"):
+        table.add_column(heading, justify="right")
+    for label, pair in found.rows:
+        style = "" if pair.agrees(found.tolerance or 0.0) else "yellow"
+        values = (_format(pair.first), _format(pair.second), _change(pair))
+        table.add_row(f" {label}", *values, style=style)
+    console.print(table)
+    console.write_line()
+    console.write_line(f" {'motion':10}{_motion(found)}")
+    for each in found.positions:
+        if each.first_s is not None:
+            console.write_line(
+                f" {each.name:10}{_distance(each)}; different from {each.first_s:g} s on"
+            )
+    console.write_line(f" {_verdict(found)}", "bold green" if found.same else "bold yellow")
+
+
+def _motion(found: RunDifference) -> str:
+    if not found.positions:
+        return "not compared: no aircraft of one name has samples at the same times in both runs"
+    moved = sum(each.first_s is not None for each in found.positions)
+    times = found.shared_s
+    samples = f"{times.size} samples in both runs, {times[0]:g} to {times[-1]:g} s"
+    if not moved:
+        return f"every bit is equal; {samples}"
+    return f"{moved} of {len(found.positions)} aircraft differ; {samples}"
+
+
+def _distance(each: PositionDifference) -> str:
+    if each.largest_m is None:
+        return "the distance is NaN"
+    return f"up to {each.largest_m:.3g} m apart, at {each.at_s:g} s"
+
+
+def _verdict(found: RunDifference) -> str:
+    bound = "" if found.tolerance is None else f" by more than {100 * found.tolerance:g} %"
+    parts = []
+    if found.differing:
+        parts.append(f"{len(found.differing)} of {found.compared} metrics differ{bound}")
+    if found.tolerance is None:
+        if not found.same_samples:
+            first, second = found.sample_counts
+            parts.append("samples differ" if first == second else f"{first} and {second} samples")
+        parts += [] if found.same_events else ["events differ"]
+    if parts:
+        return "different: " + ", ".join(parts)
+    if found.tolerance is None:
+        return f"equal: {found.compared} metrics, all events and every bit of every sample"
+    return f"equal: {found.compared} metrics within {100 * found.tolerance:g} %"
+
+
+def _document(found: RunDifference, paths: Sequence[Path]) -> dict[str, Any]:
+    first, second = paths
+    return {
+        "same": found.same,
+        "first": str(first),
+        "second": str(second),
+        "within": found.tolerance,
+        "scenario": list(found.scenario),
+        "versions": list(found.versions),
+        "metrics_compared": found.compared,
+        "metrics_changed": {pair.key: [pair.first, pair.second] for pair in found.differing},
+        "samples": list(found.sample_counts),
+        "same_samples": found.same_samples,
+        "same_events": found.same_events,
+        "shared_samples": int(found.shared_s.size),
+        "position_differences": [asdict(each) for each in found.positions],
+    }
+
+
+def _format(value: float | None) -> str:
+    from testbed.studies.golden_report import format_number
+
+    return MISSING if value is None else format_number(value)
+
+
+def _change(pair: MetricPair) -> str:
+    if pair.first is None or pair.second is None:
+        return "" if pair.first is pair.second else "in one run only"
+    change = pair.second - pair.first
+    if change == 0.0:
+        return "none"
+    percent = 100.0 * change / abs(pair.first) if pair.first else 0.0
+    digits = f"{percent:+.3g}" if abs(percent) < 1000.0 else f"{percent:+,.0f}"
+    share = f" ({digits} %)" if percent else ""
+    return f"{'+' if change > 0.0 else '-'}{_format(abs(change))}{share}"
+
+
+def _print_some(console: PipeSafeConsole, label: str, lines: Sequence[str]) -> None:
+    for line in lines[:MAX_LINES]:
+        console.write_line(f" {label:10}{line}")
+    if len(lines) > MAX_LINES:
+        console.write_line(f" {'':10}and {len(lines) - MAX_LINES} more; --json FILE has all", "dim")

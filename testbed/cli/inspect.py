@@ -1,0 +1,401 @@
+"""The commands that analyse one aircraft: trim, linearize, step, respond."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from testbed.cli.exit_codes import ExitCode
+from testbed.cli.options import AircraftName, JsonFile, ParamFile, require_finite
+from testbed.cli.output import (
+    MISSING,
+    check_output_path,
+    report_write_errors,
+    result_console,
+    ruled_table,
+    write_json_output,
+)
+from testbed.core.errors import InputError
+
+if TYPE_CHECKING:
+    from testbed.core.records import Origin
+    from testbed.sim.speed_step import SpeedStep
+    from testbed.vehicle.identify import FirstOrder
+    from testbed.vehicle.modes import Mode
+    from testbed.vehicle.trim import TrimPoint, TrimResult
+
+ABOVE_GROUND = 1000.0  # m: height in trims, where the ground has no effect
+ALTITUDE_RANGE = (-430.0, 11000.0)  # m: the shore of the Dead Sea, the top of the troposphere
+LIMITED_SHARE = 0.1  # of the step response: above it the throttle limit shapes the response
+PARTICIPATION = 0.1  # states with a larger share in a mode are listed
+# [HBH23] calls them time constants, but f = −0.64 s, g = 0.64 shows that they are poles.
+PAPER_POLES = {"Rascal 110, simulation": 0.64, "Skywalker X8, flight": 0.4}
+
+
+def _check_altitude(parameter: typer.CallbackParam, altitude: float) -> float:
+    low, high = ALTITUDE_RANGE
+    if not low <= altitude <= high:
+        raise InputError(f"--altitude {altitude:g}: write {low:g} to {high:g} (m)")
+    return altitude
+
+
+Airspeed = Annotated[
+    float, typer.Option(metavar="M/S", help="True airspeed, m/s.", callback=require_finite)
+]
+Climb = Annotated[
+    float,
+    typer.Option(
+        metavar="DEG",
+        help="Flight path angle, degrees; negative in a descent.",
+        callback=require_finite,
+    ),
+]
+Bank = Annotated[
+    float,
+    typer.Option(
+        metavar="DEG", help="Bank angle, degrees; right wing down > 0.", callback=require_finite
+    ),
+]
+Altitude = Annotated[
+    float,
+    typer.Option(metavar="M", help="Altitude above sea level, m.", callback=_check_altitude),
+]
+
+
+def trim_command(
+    aircraft: AircraftName,
+    airspeed: Airspeed,
+    climb: Climb = 0.0,
+    bank: Bank = 0.0,
+    altitude: Altitude = 400.0,
+    json: JsonFile = None,
+) -> None:
+    """Find the steady flight of an aircraft: attitude, controls, propeller speed, residual."""
+    from testbed.scenario import find_aircraft
+    from testbed.vehicle.jsbsim_adapter import trim_aircraft
+
+    folder = find_aircraft(aircraft)
+    point, origin = _trim_point(airspeed, climb, bank, altitude)
+    result = trim_aircraft(folder, point, origin)
+    console = result_console(json)
+    console.write_line(_headline(folder, point))
+    console.write_line()
+    console.print(_trim_table(result))
+    write_json_output(json, {"aircraft": folder.name, **trim_document(result)})
+
+
+def linearize_command(
+    aircraft: AircraftName,
+    airspeed: Airspeed,
+    climb: Climb = 0.0,
+    bank: Bank = 0.0,
+    altitude: Altitude = 400.0,
+    json: JsonFile = None,
+) -> None:
+    """Linearise an aircraft about its trim and print its natural modes."""
+    from testbed.scenario import find_aircraft
+    from testbed.vehicle.jsbsim_adapter import linearize_aircraft
+    from testbed.vehicle.linearize import CONTROLS, STATES, UNITS
+    from testbed.vehicle.modes import find_modes
+
+    folder = find_aircraft(aircraft)
+    point, origin = _trim_point(airspeed, climb, bank, altitude)
+    linear = linearize_aircraft(folder, point, origin)
+    modes = find_modes(linear.a)
+    console = result_console(json)
+    console.write_line(_headline(folder, point))
+    console.write_line()
+    console.print(_modes_table(modes))
+    document = {
+        "aircraft": folder.name,
+        "trim": trim_document(linear.trim),
+        "states": dict(zip(STATES, UNITS, strict=True)),
+        "controls": list(CONTROLS),
+        "a": linear.a.tolist(),
+        "b": linear.b.tolist(),
+        "modes": [_mode_document(mode) for mode in modes],
+    }
+    write_json_output(json, document)
+
+
+def step_command(
+    aircraft: AircraftName,
+    airspeed: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M/S",
+            help="Airspeed before the step.  \\[default: the profile's trim airspeed]",
+            callback=require_finite,
+        ),
+    ] = None,
+    step: Annotated[
+        float,
+        typer.Option(metavar="M/S", help="Step of the airspeed command.", callback=require_finite),
+    ] = 2.0,
+    profile: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME", help="Gains of the middle loop: a profile of middle_loop.yaml."
+        ),
+    ] = "tuned",
+    param: ParamFile = "autopilot",
+    json: JsonFile = None,
+) -> None:
+    """Step the airspeed command in level flight and fit the speed model of the formation law."""
+    from testbed.autopilot.parameters import read_params
+    from testbed.scenario import find_aircraft, find_tune, load_middle_loop
+    from testbed.sim.speed_step import speed_step
+
+    folder = find_aircraft(aircraft)
+    gains = load_middle_loop(folder, profile)
+    params = read_params(find_tune(folder, param))
+    before = gains.trim_airspeed_mps if airspeed is None else airspeed
+    response = speed_step(folder, gains, params, airspeed=before, step=step)
+    console = result_console(json)
+    settings = f" · {before:g} {step:+g} m/s · profile {profile} · tune {Path(param).stem}"
+    console.write_line(Text.assemble(" ", (folder.name, "bold"), settings))
+    console.write_line()
+    console.print(_step_table(response))
+    console.write_line()
+    console.print(_step_facts(response))
+    if response.limited_s > LIMITED_SHARE * response.time[-1]:
+        line = " the throttle was at a limit: the pole is that of the motor, not of the loop"
+        console.write_line(line, "yellow")
+    document = {
+        "aircraft": folder.name,
+        "profile": profile,
+        "tune": param,
+        "airspeed_mps": before,
+        "step_mps": step,
+        "model": _model_document(response.model, step),
+        "model_with_free_gain": _model_document(response.free, step),
+        "paper_poles_per_s": PAPER_POLES,
+        "settled_at_steps": response.settled,
+        "altitude_change_m": response.altitude_change,
+        "throttle_limited_s": response.limited_s,
+        "time_s": response.time.tolist(),
+        "ground_speed_mps": response.speed.tolist(),
+        "throttle": response.throttle.tolist(),
+    }
+    write_json_output(json, document)
+
+
+def respond_command(
+    aircraft: AircraftName,
+    commands: Annotated[
+        Path,
+        typer.Argument(
+            metavar="COMMANDS.csv",
+            help="Columns t_s, theta_cmd_rad, phi_cmd_rad, throttle_cmd; others are ignored, "
+            "except airspeed_mps, altitude_m and psi_rad of the first row.",
+        ),
+    ],
+    output: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OUT.csv",
+            help="The response, with the same columns and times.",
+            callback=check_output_path,
+        ),
+    ],
+    param: ParamFile = "recorded",
+    airspeed: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M/S",
+            help="True airspeed at the start.  \\[default: airspeed_mps of the first row, or 22]",
+        ),
+    ] = None,
+    altitude: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="Altitude above the origin.  \\[default: altitude_m of the first row, or 100]",
+        ),
+    ] = None,
+    origin_elevation: Annotated[
+        float, typer.Option(metavar="M", help="Elevation of the origin above sea level.")
+    ] = 300.0,
+) -> None:
+    """Replay recorded fly-by-wire-A commands through one aircraft."""
+    from testbed.scenario import find_aircraft, find_tune
+    from testbed.vehicle.replay_commands import AircraftLost, respond
+
+    folder = find_aircraft(aircraft)
+    try:
+        with report_write_errors(str(output)):
+            respond(
+                folder,
+                commands,
+                output,
+                param=find_tune(folder, param),
+                airspeed=airspeed,
+                altitude=altitude,
+                origin_elevation=origin_elevation,
+            )
+    except AircraftLost as loss:
+        typer.echo(f"lost: {loss}", err=True)
+        raise typer.Exit(ExitCode.AIRCRAFT_LOST) from None
+
+
+def trim_document(result: TrimResult) -> dict[str, Any]:
+    """Convert a trim to JSON values."""
+    point, controls = result.point, result.controls
+    return {
+        "airspeed_mps": point.airspeed,
+        "climb_deg": math.degrees(point.flight_path_angle),
+        "climb_mps": point.airspeed * math.sin(point.flight_path_angle),
+        "altitude_m": point.altitude,
+        "bank_deg": math.degrees(result.placement.roll),
+        "pitch_deg": math.degrees(result.placement.pitch),
+        "alpha_deg": math.degrees(result.alpha),
+        "beta_deg": math.degrees(result.beta),
+        "turn_rate_deg_s": math.degrees(result.turn_rate),
+        "turn_radius_m": _turn_radius(result),
+        "load_factor": _load_factor(result),
+        "elevator": controls.elevator,
+        "aileron": controls.aileron,
+        "rudder": controls.rudder if result.has_rudder else None,
+        "throttle": controls.throttle,
+        "propeller_rpm": 60.0 * result.propeller_rps,
+        "residual": result.residual,
+    }
+
+
+def _trim_point(
+    airspeed: float, climb: float, bank: float, altitude: float
+) -> tuple[TrimPoint, Origin]:
+    from testbed.core.records import Origin
+    from testbed.vehicle.trim import TrimPoint
+
+    point = TrimPoint(airspeed, math.radians(climb), math.radians(bank), altitude)
+    return point, Origin(elevation_m=altitude - ABOVE_GROUND)
+
+
+def _headline(folder: Path, point: TrimPoint) -> Text:
+    line = Text.assemble(" ", (folder.name, "bold"), f" · {point.airspeed:g} m/s")
+    line.append(f" · flight path {math.degrees(point.flight_path_angle):g}°")
+    line.append(f" · bank {math.degrees(point.bank):g}° · altitude {point.altitude:g} m")
+    return line
+
+
+def _trim_table(result: TrimResult) -> Table:
+    values = trim_document(result)
+    radius = values["turn_radius_m"]
+    table = Table.grid(padding=(0, 2))
+    for _ in range(4):
+        table.add_column(justify="left", no_wrap=True)
+    rows = [
+        ("angle of attack", "alpha_deg", "elevator"),
+        ("sideslip", "beta_deg", "aileron"),
+        ("pitch", "pitch_deg", "rudder"),
+        ("bank", "bank_deg", "throttle"),
+    ]
+    for label, angle, control in rows:
+        position = "none" if values[control] is None else f"{values[control]:+.4f}"
+        table.add_row(f" {label}", f"{values[angle]:.3f}°", control, position)
+    turn = f"{values['turn_rate_deg_s']:.3f}°/s"
+    table.add_row(" turn rate", turn, "propeller", f"{values['propeller_rpm']:.0f} rpm")
+    turn_radius = MISSING if radius is None else f"{radius:.1f} m"
+    table.add_row(" turn radius", turn_radius, "load factor", f"{values['load_factor']:.4f}")
+    bound = 10.0 ** math.ceil(math.log10(max(result.residual, 1e-15)))
+    climb = f"{values['climb_mps']:.2f} m/s"
+    table.add_row(" climb rate", climb, "residual", f"below {bound:.0e} m/s², rad/s²")
+    return table
+
+
+def _turn_radius(result: TrimResult) -> float | None:
+    level = result.point.airspeed * math.cos(result.point.flight_path_angle)
+    return level / abs(result.turn_rate) if result.turn_rate else None
+
+
+def _load_factor(result: TrimResult) -> float:
+    """Aerodynamic and propeller force over the weight."""
+    from testbed.core.frames import GRAVITY
+
+    level = result.point.airspeed * math.cos(result.point.flight_path_angle)
+    return math.hypot(1.0, result.turn_rate * level / GRAVITY)
+
+
+def _modes_table(modes: tuple[Mode, ...]) -> Table:
+    table = ruled_table()
+    table.add_column(Text("\nmode", style="bold"), no_wrap=True)
+    for name in ("eigenvalue\n1/s", "freq.\nrad/s", "damp.\nratio", "time\nconst. s"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("½ or ×2\nin s", justify="right", no_wrap=True)
+    table.add_column("\nstates", style="dim", no_wrap=True)
+    for mode in modes:
+        unstable = mode.eigenvalue.real > 0.0
+        states = sorted(mode.participation, key=lambda state: -mode.participation[state])
+        value = f"{mode.eigenvalue.real:.3f}"
+        table.add_row(
+            Text(mode.name, style="yellow" if mode.name == "unclassified" else ""),
+            f"{value} ± {mode.eigenvalue.imag:.3f}i" if mode.oscillates else value,
+            _format(mode.frequency if mode.oscillates else None, "{:.3f}"),
+            _format(mode.damping, "{:.3f}"),
+            _format(mode.time_constant, "{:.3f}"),
+            Text(
+                _format(mode.half_or_double, "×2 {:.2f}" if unstable else "½ {:.2f}"),
+                style="red" if unstable else "",
+            ),
+            " ".join(state for state in states if mode.participation[state] > PARTICIPATION),
+        )
+    return table
+
+
+def _mode_document(mode: Mode) -> dict[str, Any]:
+    return {
+        "name": mode.name,
+        "eigenvalue_per_s": [mode.eigenvalue.real, mode.eigenvalue.imag],
+        "natural_frequency_rad_s": mode.frequency if mode.oscillates else None,
+        "damping_ratio": mode.damping,
+        "period_s": mode.period,
+        "time_constant_s": mode.time_constant,
+        "half_or_double_s": mode.half_or_double,
+        "grows": mode.eigenvalue.real > 0.0,
+        "participation": mode.participation,
+    }
+
+
+def _step_table(response: SpeedStep) -> Table:
+    table = ruled_table()
+    table.add_column(Text("\nspeed model", style="bold"), no_wrap=True)
+    for name in ("pole\n1/s", "time const.\ns", "delay\ns", "gain\n", "fit error\nrms, %"):
+        table.add_column(name, justify="right")
+    for label, model in (("gain 1", response.model), ("gain fitted", response.free)):
+        numbers = (model.pole, model.time_constant, model.delay, model.gain)
+        table.add_row(label, *(f"{number:.3f}" for number in numbers), f"{100.0 * model.rms:.1f}")
+    table.add_section()
+    for label, pole in PAPER_POLES.items():
+        cells = (f"{pole:.3f}", f"{1.0 / pole:.3f}", "0", "1", MISSING)
+        table.add_row(Text(label, style="dim"), *(Text(cell, style="dim") for cell in cells))
+    return table
+
+
+def _step_facts(response: SpeedStep) -> Table:
+    table = Table.grid(padding=(0, 2))
+    table.add_row(" final value", f"{100.0 * response.settled:.0f} % of the step")
+    table.add_row(" largest altitude change", f"{response.altitude_change:.1f} m")
+    limited = f"{response.limited_s:.2f} s" if response.limited_s else "never"
+    table.add_row(" throttle at a limit", limited)
+    return table
+
+
+def _model_document(model: FirstOrder, step: float) -> dict[str, Any]:
+    return {
+        "pole_per_s": model.pole,
+        "time_constant_s": model.time_constant,
+        "delay_s": model.delay,
+        "gain": model.gain,
+        "fit_error_rms_mps": model.rms * abs(step),
+        "fit_error_rms_steps": model.rms,
+    }
+
+
+def _format(value: float | None, pattern: str) -> str:
+    return MISSING if value is None else pattern.format(value)

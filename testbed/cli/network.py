@@ -1,0 +1,191 @@
+"""The command that sends messages over the network of a scenario: network."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from testbed.cli.options import (
+    JsonFile,
+    Overrides,
+    ScenarioName,
+    Seed,
+    load_scenario,
+    output_option,
+)
+from testbed.cli.output import report_write_errors, result_console, write_json_output
+from testbed.core.errors import InputError
+
+if TYPE_CHECKING:
+    from testbed.scenario import Scenario
+    from testbed.sim.channel_probe import MessageRecord
+
+MAX_PACKETS = 10_000_000
+MAX_ROWS = 50_000_000  # of all links: half a gigabyte of memory, several gigabytes of CSV
+COLUMNS = 5  # of counts, which fit side by side in 80 columns
+NOT_LOSSES = ("muted", "overtaken", "duplicated")
+HEADER = "source,destination,sequence,sent_s,received_s,outcome,copies\n"
+
+Document = Mapping[str, Any]
+
+
+def _check_packets(parameter: typer.CallbackParam, packets: int) -> int:
+    if not 1 <= packets <= MAX_PACKETS:
+        raise InputError(f"--packets {packets}: write a number of 1 to {MAX_PACKETS:,}")
+    return packets
+
+
+def network_command(
+    scenario: ScenarioName,
+    packets: Annotated[
+        int, typer.Option(metavar="N", help="Messages on every link.", callback=_check_packets)
+    ] = 10_000,
+    out: Annotated[
+        Path | None,
+        output_option(
+            metavar="FILE.csv",
+            help="Write a row per message: source, destination, sequence, sent_s, received_s "
+            "(empty if it did not arrive), outcome, copies.",
+            suffixes=(".csv",),
+        ),
+    ] = None,
+    overrides: Overrides = None,
+    seed: Seed = None,
+    json: JsonFile = None,
+) -> None:
+    """Send messages over a scenario's network, without simulating aircraft.
+
+    Every aircraft broadcasts as it would in a flight, and messages have the same random numbers.
+    Distances and obstruction by airframes are those of the start, in level flight. received_s is
+    the time of the first copy, copies the number that arrived.
+
+    The outcome is delivered; lost (by the loss model or a trace); faded (by distance or an
+    airframe); corrupted (wrong checksum); queue (full); blackout; partition; listed (in a drop
+    list); or muted (the transmitter was off).
+    """
+    from testbed.cli.progress import progress_counter
+    from testbed.sim.channel_probe import probe_channel
+    from testbed.sim.stop_request import stop_on_signals
+
+    if out and json and out.absolute() == json.absolute():
+        raise InputError(f"--json {json}: --out names the same file; write another name")
+    loaded = load_scenario(scenario, overrides, seed)
+    _check_rows(loaded, packets)
+    total = packets * len(loaded.aircraft_names)
+    with stop_on_signals() as stop, progress_counter("network", total=total, unit="sent") as update:
+        result = probe_channel(loaded, packets, record=out is not None, progress=update, stop=stop)
+        if stop():
+            raise KeyboardInterrupt
+    document = {
+        "scenario": loaded.name,
+        "seed": loaded.scenario.seed,
+        "packets": packets,
+        **result.summary,
+    }
+    if out and result.messages:
+        _save(out, loaded.aircraft_names, result.messages)
+    console = result_console(json)
+    _print_summary(console, document)
+    if out:
+        console.write_line(f" messages  {out}")
+    write_json_output(json, document)
+
+
+def _check_rows(scenario: Scenario, packets: int) -> None:
+    followers = len(scenario.aircraft_names) - 1
+    links = followers * followers
+    if not links:
+        raise InputError(f"{scenario.name}: there are no followers, so no links; write a fleet")
+    if links * packets > MAX_ROWS:
+        raise InputError(
+            f"--packets {packets}: {links} links make {links * packets:,} messages; write at most "
+            f"{MAX_ROWS // links:,}"
+        )
+
+
+def _save(path: Path, names: Sequence[str], messages: MessageRecord) -> None:
+    from testbed.cli.progress import progress_counter
+    from testbed.core.files import atomic_write
+
+    total, written = len(messages.outcome) * (len(names) - 1) ** 2, 0
+    with (
+        report_write_errors(f"--out {path}"),
+        atomic_write(path) as file,
+        progress_counter("network", total=total, unit="written") as update,
+    ):
+        file.write(HEADER)
+        for m, source in enumerate(names):
+            sent = [f"{k},{time!r}" for k, time in enumerate(messages.sent_s[:, m].tolist())]
+            for i, destination in enumerate(names[1:]):
+                if m != i + 1:
+                    file.writelines(_rows(f"{source},{destination}", sent, messages, i, m))
+                    written += len(sent)
+                    update(written, total)
+
+
+def _rows(link: str, sent: Sequence[str], messages: MessageRecord, i: int, m: int) -> Iterator[str]:
+    """Rows of one link; floats are written with as many digits as restore them exactly."""
+    from testbed.network.links import PacketOutcome
+    from testbed.network.report import outcome_name
+
+    ends = [
+        [f"{outcome_name(outcome)},{copies}\n" for copies in range(3)] for outcome in PacketOutcome
+    ]
+    for start, received_s, outcome, copies in zip(
+        sent,
+        messages.received_s[:, i, m].tolist(),
+        messages.outcome[:, i, m].tolist(),
+        messages.copies[:, i, m].tolist(),
+        strict=True,
+    ):
+        # NaN, which differs from itself: not received
+        received = repr(received_s) if received_s == received_s else ""
+        yield f"{link},{start},{received},{ends[outcome][copies]}"
+
+
+def _print_summary(console: Console, document: Document) -> None:
+    from testbed.metrics.link_tables import arrival_table, worst_links
+    from testbed.network.report import LOSSES, outcome_name
+
+    together, links = document["all"], _link_count(document)
+    console.print(
+        Text.assemble(
+            " ",
+            (document["scenario"], "bold"),
+            f" · {document['packets']:,} messages on each of {links} links"
+            f" · seed {document['seed']}",
+        )
+    )
+    listed = worst_links(document["links"])
+    console.print()
+    console.print(arrival_table(listed, together))
+    outcomes = [key for key in (*map(outcome_name, LOSSES), *NOT_LOSSES) if _count(together, key)]
+    for first in range(0, len(outcomes), COLUMNS):
+        console.print()
+        console.print(_count_table(listed, together, outcomes[first : first + COLUMNS]))
+    if len(listed) < links:
+        console.print(Text(f" (the worst of {links} links)", style="dim"))
+
+
+def _link_count(document: Document) -> int:
+    return sum(len(receivers) for receivers in document["links"].values())
+
+
+def _count_table(links: Mapping[str, Document], together: Document, keys: Sequence[str]) -> Table:
+    """Messages of each link by outcome."""
+    from testbed.metrics.link_tables import link_table
+
+    def cells(link: Document) -> list[str]:
+        return [f"{_count(link, key):,}" for key in keys]
+
+    return link_table("link", keys, links, together, cells)
+
+
+def _count(link: Document, key: str) -> int:
+    return int(link[key] if key in NOT_LOSSES else link["lost"].get(key, 0))

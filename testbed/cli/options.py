@@ -1,0 +1,123 @@
+"""Arguments and options that several commands share: name, help text and validation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from testbed.cli.output import check_output_path
+from testbed.core.errors import InputError
+
+if TYPE_CHECKING:
+    from testbed.scenario import Scenario
+
+
+def require_finite(parameter: typer.CallbackParam, value: float | None) -> float | None:
+    """Refuse NaN and infinity; a typer callback.
+
+    Raises:
+        InputError: the value is one of them.
+    """
+    if value is not None and not math.isfinite(value):
+        raise InputError(f"{parameter.opts[0]} {value}: write a finite number")
+    return value
+
+
+def require_positive(parameter: typer.CallbackParam, value: float | None) -> float | None:
+    """Refuse zero, negative and infinite numbers; a typer callback.
+
+    Raises:
+        InputError: the value is one of them.
+    """
+    require_finite(parameter, value)
+    if value is not None and value <= 0:
+        kind = "whole number" if isinstance(value, int) else "number"
+        raise InputError(f"{parameter.opts[0]} {value:g}: write a {kind} above 0")
+    return value
+
+
+def output_option(
+    *names: str, metavar: str = "FILE", help: str, suffixes: tuple[str, ...] = ()
+) -> Any:  # noqa: ANN401 - typer's own
+    """Declare an option for a file to write, whose path is checked before any work is done.
+
+    Args:
+        names: of the option; default: the name of the parameter.
+        metavar: name of the value in the help text.
+        help: of the option.
+        suffixes: of which the path must have one; default: any.
+    """
+
+    def check(parameter: typer.CallbackParam, path: Path | None) -> Path | None:
+        check_output_path(parameter, path)
+        if path and suffixes and path.suffix.lower() not in suffixes:
+            raise InputError(
+                f"{parameter.opts[0]} {path}: write a name that ends in {', '.join(suffixes)}"
+            )
+        return path
+
+    return typer.Option(*names, metavar=metavar, help=help, callback=check)
+
+
+ScenarioName = Annotated[
+    str, typer.Argument(metavar="SCENARIO", help="Name of a scenario (`testbed list`) or a path.")
+]
+RunName = Annotated[
+    str,
+    typer.Argument(
+        metavar="RUN",
+        help="A run directory, a .mcap file, or a scenario's name for its latest run.",
+    ),
+]
+AircraftName = Annotated[
+    str,
+    typer.Argument(metavar="AIRCRAFT", help="Name of an aircraft (`testbed list`) or its folder."),
+]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change a key of the scenario, e.g. network.delay_s=0.1 or "
+        "'fleet.*.sensors=gps-ins'; may be repeated.",
+    ),
+]
+Seed = Annotated[int | None, typer.Option(metavar="N", help="Seed of every random stream.")]
+Jobs = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N",
+        help="Flights at the same time.  \\[default: one per processor]",
+        callback=require_positive,
+    ),
+]
+JsonFile = Annotated[
+    Path | None,
+    output_option("--json", help="Write the results as JSON to this file; - is stdout."),
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar and no table.")]
+RrdFile = Annotated[
+    Path | None, output_option(help="Save a Rerun recording instead of opening a viewer.")
+]
+ParamFile = Annotated[
+    str,
+    typer.Option(
+        metavar="FILE", help="Autopilot parameters: a tune of the aircraft, or a .param file."
+    ),
+]
+
+
+def load_scenario(name: str, overrides: Sequence[str] | None, seed: int | None = None) -> Scenario:
+    """Load a scenario with the changes of --set and --seed.
+
+    Raises:
+        InputError: there is no such scenario, or it cannot be used.
+    """
+    from testbed.scenario import load
+
+    seeds = [] if seed is None else [f"scenario.seed={seed}"]
+    return load(name, (*(overrides or ()), *seeds))

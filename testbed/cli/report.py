@@ -1,0 +1,107 @@
+"""The command report, and the options and output that study-report shares with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from testbed.cli.options import RunName, output_option
+from testbed.cli.output import (
+    PipeSafeConsole,
+    format_size,
+    report_write_errors,
+    result_console,
+)
+from testbed.core.errors import InputError
+
+if TYPE_CHECKING:
+    from testbed.reports.figure_spec import Figure
+    from testbed.reports.html import Page
+
+REPORT_NAME = "report.html"
+
+
+ReportFile = Annotated[
+    Path | None,
+    output_option(
+        metavar="FILE.html",
+        help="The report.  \\[default: report.html beside the log or the study's file]",
+        suffixes=(".html", ".htm"),
+    ),
+]
+Figures = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", help="Also write every figure as a file to this folder."),
+]
+FigureFormat = Annotated[
+    str | None,
+    typer.Option(metavar="png|pdf|svg", help="Format of these files.  \\[default: png]"),
+]
+
+
+def report_command(
+    run: RunName,
+    out: ReportFile = None,
+    figures: Figures = None,
+    format: FigureFormat = None,
+) -> None:
+    """Write a report of a run: figures, tables and everything needed to repeat the run.
+
+    The report is one HTML file that needs only a browser, and can be printed.
+    """
+    from testbed.reports import read_run, run_figures, run_page
+
+    ending = figure_format(format, figures)
+    data = read_run(run)
+    report = out or data.path.with_name(REPORT_NAME)
+    console = result_console()
+    write_report(run_page(data), report, console)
+    if figures:
+        write_figures(run_figures(data), figures, ending, console)
+
+
+def write_report(page: Page, path: Path, console: PipeSafeConsole) -> None:
+    """Write the page of a report, and print its file and size.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    from testbed.reports import write_page
+
+    with report_write_errors(str(path)):
+        write_page(page, path)
+    console.write_line(f" report   {path}, {format_size(path)}")
+
+
+def write_figures(
+    figures: Iterable[Figure], folder: Path, ending: str, console: PipeSafeConsole
+) -> None:
+    """Write figures as files, and print their folder and size.
+
+    Raises:
+        InputError: a file cannot be written.
+    """
+    from testbed.reports import save_figures
+
+    with report_write_errors(f"--figures {folder}"):
+        files = save_figures(figures, folder, ending)
+    console.write_line(f" figures  {len(files)} in {folder}, {format_size(*files)}")
+
+
+def figure_format(name: str | None, figures: Path | None) -> str:
+    """Check --format and return the file ending of figures.
+
+    Raises:
+        InputError: there is no such format, or --figures is missing.
+    """
+    from testbed.reports.html import FORMATS
+
+    if name and not figures:
+        raise InputError(f"--format {name}: is the format of --figures DIR; write a folder too")
+    ending = (name or FORMATS[0]).lower().removeprefix(".")
+    if ending not in FORMATS:
+        raise InputError(f"--format {name}: write one of {', '.join(FORMATS)}")
+    return ending

@@ -1,0 +1,203 @@
+"""The command that flies a scenario: run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from testbed.cli.options import (
+    JsonFile,
+    Overrides,
+    Quiet,
+    ScenarioName,
+    Seed,
+    load_scenario,
+    require_positive,
+)
+from testbed.cli.output import message_console, result_console, write_json_output
+from testbed.core.errors import InputError
+
+if TYPE_CHECKING:
+    from testbed.core.records import Observer
+    from testbed.scenario import Scenario
+    from testbed.sim.external_options import ExternalOptions
+
+_EXTERNAL = "External programs"
+
+
+def run_command(
+    scenario: ScenarioName,
+    overrides: Overrides = None,
+    seed: Seed = None,
+    duration: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS",
+            help="Simulated time, instead of the scenario's.",
+            callback=require_positive,
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Run directory to create.  \\[default: logs/SCENARIO/UTC-ID]"
+        ),
+    ] = None,
+    json: JsonFile = None,
+    view: Annotated[
+        bool,
+        typer.Option("--view", help="Show the flight live in a Rerun viewer, opened if needed."),
+    ] = False,
+    quiet: Quiet = False,
+    processes: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Processes for the flight models; results do not depend on it.  \\[default: 1, "
+            "more from 20 aircraft on]",
+            callback=require_positive,
+        ),
+    ] = None,
+    mavlink: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Offer every aircraft as a MAVLink vehicle: udpout:HOST:PORT, udpin:HOST:PORT, "
+            "or PORT for udpout:127.0.0.1:PORT; PORT+STEP gives each aircraft its own port. May "
+            "be repeated.",
+            rich_help_panel=_EXTERNAL,
+        ),
+    ] = None,
+    pace: Annotated[
+        float | None,
+        typer.Option(
+            metavar="X",
+            help="Simulated seconds per second; 0: as fast as possible.  \\[default: 1 with "
+            "--mavlink unless the run waits for commands, else 0]",
+            rich_help_panel=_EXTERNAL,
+        ),
+    ] = None,
+    tlog: Annotated[
+        bool,
+        typer.Option(
+            "--tlog",
+            help="Also write the MAVLink telemetry to run.tlog.",
+            rich_help_panel=_EXTERNAL,
+        ),
+    ] = False,
+    mavlink_key: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Sign MAVLink and accept signed commands only. The file holds a passphrase or 64 "
+            "hexadecimal digits.",
+            rich_help_panel=_EXTERNAL,
+        ),
+    ] = None,
+    arduplane: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PATH",
+            help="ArduPlane binary for aircraft with autopilot: ardupilot.  \\[default: the "
+            "environment variable ARDUPLANE]",
+            rich_help_panel=_EXTERNAL,
+        ),
+    ] = None,
+) -> None:
+    """Fly a scenario and print a table of results.
+
+    Writes run.mcap, scenario.resolved.yaml and metrics.json to the run directory.
+    """
+    from testbed.cli.progress import CompilingBar, ProgressBar
+    from testbed.metrics.tables import render_table
+    from testbed.scenario import set_duration
+    from testbed.sim.run import run
+
+    loaded = load_scenario(scenario, overrides, seed)
+    if duration is not None:
+        loaded = set_duration(loaded, duration)
+    messages = message_console()
+    external = external_options(
+        loaded,
+        messages.write_line,
+        mavlink=mavlink or (),
+        pace=pace,
+        tlog=tlog,
+        key_file=mavlink_key,
+        arduplane=arduplane,
+    )
+    observers: list[Observer] = [] if quiet else [ProgressBar(messages)]
+    if view:
+        from testbed.views import FAST_HZ, LiveViewer, RerunView
+
+        viewer = LiveViewer()
+        messages.write_line(f"view: {viewer.address}")
+        observers.append(RerunView(viewer, max_hz=None if external.pace else FAST_HZ))
+    flown = run(
+        loaded,
+        out=out,
+        observers=observers,
+        external=external,
+        processes=processes,
+        compiling=None if quiet else CompilingBar(messages),
+    )
+    if not quiet:
+        console = result_console(json)
+        render_table(flown.metrics, console, log=flown.directory)
+        for path in sorted(flown.directory.glob("*.py")) if flown.directory else ():
+            console.write_line(f" {'control law':<20}{path}, a copy of its code")
+    write_json_output(json, flown.metrics)
+    raise typer.Exit(flown.exit_code)
+
+
+def external_options(
+    scenario: Scenario,
+    announce: Callable[[str], None],
+    *,
+    mavlink: Sequence[str],
+    pace: float | None,
+    tlog: bool,
+    key_file: Path | None,
+    arduplane: Path | None,
+) -> ExternalOptions:
+    """Read the options for external programs.
+
+    Raises:
+        InputError: an address, the key or the pace cannot be used.
+    """
+    from testbed.mavlink.addresses import parse_address
+    from testbed.scenario.control_source import ArduPlane, External
+    from testbed.sim.external_options import ExternalOptions
+
+    addresses = tuple(parse_address(each) for each in mavlink)
+    if pace is None:
+        sources = [each.commanded_by for each in scenario.aircraft]
+        lockstep = any(isinstance(each, External) and each.lockstep for each in sources)
+        pace = 1.0 if addresses and not lockstep else 0.0
+    if not 0.0 <= pace < math.inf:
+        raise InputError(f"--pace {pace:g}: write a number above 0, 1 for real time, or 0")
+    if key_file and not addresses:
+        raise InputError(
+            f"--mavlink-key {key_file}: there is no MAVLink link to sign; add --mavlink ADDRESS, "
+            "e.g. --mavlink udpout:127.0.0.1:14550"
+        )
+    autopilots = [each.autopilot for each in scenario.aircraft]
+    if arduplane and not any(isinstance(each, ArduPlane) for each in autopilots):
+        announce(f"warning: --arduplane {arduplane}: no aircraft has autopilot: ardupilot")
+    key = None
+    if key_file:
+        from testbed.mavlink.signing import read_key
+
+        key = read_key(key_file)
+    return ExternalOptions(
+        announce=announce,
+        mavlink=addresses,
+        pace=pace or None,
+        tlog=tlog,
+        signing_key=key,
+        arduplane=arduplane,
+    )

@@ -1,0 +1,247 @@
+"""The command that writes a report of a study: study-report."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from testbed.cli.options import JsonFile
+from testbed.cli.output import report_write_errors, result_console, write_json_output
+from testbed.cli.report import (
+    REPORT_NAME,
+    FigureFormat,
+    Figures,
+    ReportFile,
+    figure_format,
+    write_figures,
+    write_report,
+)
+from testbed.core.errors import InputError
+
+if TYPE_CHECKING:
+    from testbed.reports.study import StudyData, StudyFlights
+    from testbed.reports.study.report_table import Cell
+    from testbed.studies.study_schema import StudyConfig
+    from testbed.studies.table import StudyTable
+
+
+def study_report_command(
+    study: Annotated[
+        str,
+        typer.Argument(
+            metavar="STUDY",
+            help="A file written by `testbed sweep`, its directory, or a study's name for the "
+            "latest.",
+        ),
+    ],
+    out: ReportFile = None,
+    metric: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Report this number of metrics.json, e.g. windows.circles.mean_rms_m; may be "
+            "repeated.  \\[default: the metrics that the study names]",
+        ),
+    ] = None,
+    statistic: Annotated[
+        str, typer.Option(metavar="median|mean", help="Statistic over the seeds.")
+    ] = "median",
+    figures: Figures = None,
+    format: FigureFormat = None,
+    tables: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Also write every table as CSV to this folder."),
+    ] = None,
+    json: JsonFile = None,
+) -> None:
+    """Write a report of a study: results, effects of parameters, losses, commands to repeat."""
+    from testbed.reports.study import study_figures, study_page, write_tables
+    from testbed.reports.study.numbers import STATISTICS
+    from testbed.reports.study.page import print_summary
+
+    ending = figure_format(format, figures)
+    if statistic not in STATISTICS:
+        raise InputError(f"--statistic {statistic}: write one of {', '.join(STATISTICS)}")
+    path = find_study_file(study)
+    data = read_study(path, metrics=metric or (), statistic=statistic)
+    page = study_page(data)
+    console = result_console(json)
+    print_summary(data, console)
+    write_report(page, out or path.with_name(REPORT_NAME), console)
+    if figures:
+        write_figures(study_figures(data), figures, ending, console)
+    if tables:
+        with report_write_errors(f"--tables {tables}"):
+            files = write_tables(data, tables)
+        console.write_line(f" tables   {len(files)} in {tables}")
+    write_json_output(json, _document(data))
+
+
+def find_study_file(name: str) -> Path:
+    """Find a study's file by its path, its directory, or the study's name for the latest.
+
+    Raises:
+        InputError: there is no such study.
+    """
+    from testbed.studies.table import FILE, STUDIES
+
+    path = Path(name)
+    if path.is_file():
+        return path
+    if (path / FILE).is_file():
+        return path / FILE
+    for folder in (path, STUDIES / path):
+        files = sorted(folder.glob(f"*/{FILE}"))
+        if files:
+            return files[-1]
+    known = sorted({each.parent.parent.name for each in STUDIES.glob(f"*/*/{FILE}")})
+    hint = f"studies named {', '.join(known)}" if known else "no studies yet"
+    raise InputError(
+        f"{name}: neither a study's file, nor a directory with a {FILE}, nor a study run from "
+        f"here ({STUDIES} has {hint})"
+    )
+
+
+def read_study(path: Path, *, metrics: Sequence[str], statistic: str) -> StudyData:
+    """Read a study's file for the report.
+
+    Args:
+        path: the file.
+        metrics: names to report; none: those the study names, or the mean RMS error of the last
+            window.
+        statistic: a key of `STATISTICS`.
+
+    Raises:
+        InputError: this is not a study's file, it has no runs, or there is no such metric.
+    """
+    from testbed.reports.study import StudyData
+    from testbed.studies.table import read_table
+
+    table = read_table(path)
+    if not len(table.columns["run"]):
+        raise InputError(f"{path}: no run has ended yet, so there is nothing to report")
+    config = _study_config(table)
+    flights = _flights(table)
+    commands = dict(zip(flights.run.tolist(), table.columns["command"].tolist(), strict=True))
+    head = config.study if config else None
+    return StudyData(
+        name=table.metadata.get("study.name", path.stem),
+        file=path.name,
+        question=head.question if head else "",
+        scenario=_scenario_names(config),
+        design=(head.design or "") if head else "",
+        metrics=_select_metrics(flights, metrics, head.metrics if head else ()),
+        statistic=statistic,
+        flights=flights,
+        planned=int(table.metadata.get("runs", flights.run.size)),
+        versions=jsonlib.loads(table.metadata.get("versions.json", "{}")),
+        files={name: table.metadata.get(name, "") for name in ("study.yaml", "scenario.yaml")},
+        command=lambda run: str(commands[run]),
+        repeat="testbed sweep study.yaml",
+    )
+
+
+def _study_config(table: StudyTable) -> StudyConfig | None:
+    """Read the study's YAML; None if this version cannot read it."""
+    from testbed.scenario.violations import ScenarioError
+    from testbed.scenario.yaml_io import parse, validate
+    from testbed.studies.study_schema import StudyConfig
+
+    try:
+        return validate(parse(table.metadata["study.yaml"], "study.yaml", Path.cwd()), StudyConfig)
+    except (ScenarioError, KeyError):
+        return None
+
+
+def _scenario_names(config: StudyConfig | None) -> str:
+    if config is None:
+        return "its scenario"
+    of_cases = [str(case["scenario"]) for case in config.cases.values() if "scenario" in case]
+    own = [config.study.scenario] if len(of_cases) < max(len(config.cases), 1) else []
+    return ", ".join(dict.fromkeys((*own, *of_cases)))
+
+
+def _flights(table: StudyTable) -> StudyFlights:
+    import numpy as np
+
+    from testbed.reports.study import StudyFlights
+    from testbed.studies.flight_task import COMPLETED
+    from testbed.studies.rows import METRICS, SET
+
+    columns = table.columns
+    outcome = [str(each) for each in columns["outcome"].tolist()]
+    return StudyFlights(
+        run=columns["run"].astype(np.int64),
+        case=[str(each) for each in columns["case"].tolist()],
+        seed=columns["seed"].astype(np.int64),
+        outcome=outcome,
+        error=[str(each or "") for each in columns["error"].tolist()],
+        settings={
+            name.removeprefix(SET): values.tolist()
+            for name, values in columns.items()
+            if name.startswith(SET)
+        },
+        metrics={
+            name.removeprefix(METRICS): values.astype(np.float64)
+            for name, values in columns.items()
+            if name.startswith(METRICS)
+        },
+        completed=np.array([each == COMPLETED for each in outcome], dtype=np.bool_),
+    )
+
+
+def _select_metrics(
+    flights: StudyFlights, requested: Sequence[str], of_study: Sequence[str]
+) -> tuple[str, ...]:
+    from testbed.scenario.violations import did_you_mean
+    from testbed.studies.rows import default_metric
+
+    names = tuple(dict.fromkeys(requested or of_study))
+    if not names:
+        return default_metric(flights.metrics) or tuple(flights.metrics)[:1]
+    for name in names:
+        if name not in flights.metrics:
+            near = did_you_mean(name, flights.metrics)
+            known = [each for each in flights.metrics if each.startswith("windows.")][:6]
+            raise InputError(
+                f"{name}: this study has no such number{near} (write for example "
+                f"{', '.join(known or list(flights.metrics)[:6])})"
+            )
+    return names
+
+
+def _document(study: StudyData) -> dict[str, Any]:
+    """Convert all tables to JSON values."""
+    from testbed.reports.study import study_tables
+
+    return {
+        "schema": 2,
+        "study": study.name,
+        "runs": study.flights.run.size,
+        "planned": study.planned,
+        "statistic": study.statistic,
+        "tables": {
+            table.name: [
+                {
+                    heading: _json_value(cell)
+                    for heading, cell in zip(table.columns, row, strict=True)
+                }
+                for row in table.rows
+            ]
+            for table in study_tables(study)
+        },
+    }
+
+
+def _json_value(cell: Cell) -> Any:  # noqa: ANN401 - a number, a text or a map
+    from testbed.reports.study.numbers import Estimate
+
+    if isinstance(cell, Estimate):
+        numbers = {"value": cell.value, "low": cell.low, "high": cell.high}
+        return {name: _json_value(value) for name, value in numbers.items()} | {"count": cell.count}
+    return None if isinstance(cell, float) and not math.isfinite(cell) else cell

@@ -1,0 +1,145 @@
+"""The command that optimises gains: tune."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.table import Table
+
+from testbed.cli.options import Jobs, JsonFile
+from testbed.cli.output import PipeSafeConsole, message_console, result_console, write_json_output
+
+if TYPE_CHECKING:
+    from testbed.studies.tune_log import TuneResult
+    from testbed.studies.tune_problem import TuneProblem
+
+AT_BOUND = 0.02  # of the range between the bounds
+
+
+def tune_command(
+    tune: Annotated[
+        str, typer.Argument(metavar="TUNE", help="Name of a tune (`testbed list`) or a path.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Folder to create.  \\[default: logs/studies/TUNE/UTC-ID]"
+        ),
+    ] = None,
+    jobs: Jobs = None,
+    json: JsonFile = None,
+) -> None:
+    """Search gains that minimise a metric, and test them with held-out seeds.
+
+    Writes the gains to middle_loop.yaml, a scenario that flies them to tuned.yaml, every candidate
+    to candidates.csv, and result.json.
+    """
+    from testbed.cli.progress import progress_counter
+    from testbed.logs.run_directory import create_run_directory
+    from testbed.studies.table import STUDIES
+    from testbed.studies.tune import tune_gains
+    from testbed.studies.tune_log import GAINS_FILE, SCENARIO, to_document
+    from testbed.studies.tune_problem import TuneProblem
+    from testbed.studies.tune_schema import load_tune
+
+    problem = TuneProblem(load_tune(tune))
+    messages = message_console()
+    directory = create_run_directory(problem.tune.study.name, out=out, logs=STUDIES)
+    messages.write_line(f" {_announcement(problem)}")
+    try:
+        with progress_counter("flights") as progress:
+            result = tune_gains(
+                problem,
+                directory,
+                jobs=jobs,
+                progress=progress,
+                report=lambda text: messages.write_line(f" {text}"),
+            )
+    except KeyboardInterrupt:
+        files = [name for name in (SCENARIO, GAINS_FILE) if (directory / name).is_file()]
+        best = f"; the best gains are in {', '.join(files)}" if files else ""
+        messages.write_line(f" interrupted: results so far are in {directory}{best}")
+        raise
+    found = to_document(result, problem)
+    _print_result(result, problem, found, result_console(json))
+    write_json_output(json, found)
+
+
+def _announcement(problem: TuneProblem) -> str:
+    config = problem.tune.config
+    return (
+        f"{problem.tune.study.name}: {len(config.gains)} gains, {len(problem.runs)} flights for "
+        f"each candidate, at most {config.search.max_flights} flights, then "
+        f"{len(config.held_out_seeds)} held-out seeds"
+    )
+
+
+def _print_result(
+    result: TuneResult, problem: TuneProblem, found: Mapping[str, Any], console: PipeSafeConsole
+) -> None:
+    from testbed.studies.tune_log import GAINS_FILE, RESULT, SCENARIO
+    from testbed.studies.tune_schema import GAINS
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("gain", no_wrap=True)
+    for heading in ("lower bound", "upper bound", "before", "after"):
+        table.add_column(heading, justify="right")
+    table.add_column("")
+    positions = problem.space.point(result.best.gains)
+    for position, (key, gain) in zip(positions, found["gains"].items(), strict=True):
+        note = "at its bound" if not AT_BOUND < position < 1.0 - AT_BOUND else ""
+        numbers = (gain[name] for name in ("from", "to", "before", "after"))
+        table.add_row(key.removeprefix(GAINS), *(f"{each:.4g}" for each in numbers), note)
+    console.write_line()
+    console.print(table)
+    cost, comparison = found["cost"], found["comparison"]
+    console.write_line()
+    console.write_line(
+        f" {found['aggregate']} of {found['metric']} over seeds {_seed_ranges(found['seeds'])}: "
+        f"{cost['before']:.4g} before, {cost['after']:.4g} after"
+    )
+    console.write_line(f" {result.flights} flights: {result.stop_reason}")
+    if comparison is None:
+        console.write_line(" no better gains were found, and no gains were written")
+    else:
+        _print_comparison(comparison, found["held_out_seeds"], console)
+        for name in (SCENARIO, GAINS_FILE):
+            if (result.directory / name).is_file():
+                console.write_line(f" {name:16} {result.directory / name}")
+    console.write_line(f" {RESULT:16} {result.directory / RESULT}")
+
+
+def _print_comparison(
+    comparison: Mapping[str, Any], seeds: list[int], console: PipeSafeConsole
+) -> None:
+    difference = comparison["difference"]
+    line = f" held-out seeds {_seed_ranges(seeds)}: "
+    if comparison["pairs"]:
+        line += f"{comparison['before']:.4g} before, {comparison['after']:.4g} after"
+        if difference["low"] is not None and math.isfinite(difference["low"]):
+            line += (
+                f"; difference {difference['mean']:+.4g}, 95 % interval "
+                f"[{difference['low']:+.4g}, {difference['high']:+.4g}]"
+            )
+    failed = comparison["failed_before"], comparison["failed_after"]
+    line += f"; failed {failed[0]} before, {failed[1]} after" if any(failed) else ""
+    console.write_line(line)
+    color = "green" if comparison["better"] else "yellow"
+    console.write_line(f" {comparison['verdict']}", f"bold {color}")
+
+
+def _seed_ranges(seeds: list[int]) -> str:
+    """Format seeds, consecutive ones as a range: `1 to 4, 9`."""
+    ranges: list[list[int]] = []
+    for seed in seeds:
+        if ranges and seed == ranges[-1][-1] + 1:
+            ranges[-1].append(seed)
+        else:
+            ranges.append([seed])
+    return ", ".join(
+        f"{each[0]}" if len(each) == 1 else f"{each[0]} to {each[-1]}" for each in ranges
+    )

@@ -1,0 +1,1 @@
+"""Records, frames, random streams and other modules that all packages share."""

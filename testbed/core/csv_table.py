@@ -1,0 +1,106 @@
+"""Recordings in CSV: columns of finite numbers by name, refused with the line and a remedy."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from testbed.core.errors import InputError
+from testbed.core.records import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """The text of a file: a header and M rows; blank lines and those that begin with # are left."""
+
+    path: Path
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]  # (M,)
+    lines: tuple[int, ...]  # (1 + M,) of the header and the rows in the file, counted from 1
+
+    def numbers(self, columns: Sequence[str]) -> Array:
+        """These columns (M, len(columns)).
+
+        Raises:
+            InputError: a column is missing, a row is not as long as the header, or a cell of
+                these columns is not a finite number.
+        """
+        missing = [name for name in columns if name not in self.header]
+        if missing:
+            raise self.refusal(0, f"missing column {', '.join(missing)}; add it to the header")
+        for k, row in enumerate(self.rows, start=1):
+            if len(row) != len(self.header):
+                raise self.refusal(
+                    k,
+                    f"{len(row)} values under {len(self.header)} columns; write one value per "
+                    "column",
+                )
+        at = [self.header.index(name) for name in columns]
+        values = [
+            [self._number(k, row[i], self.header[i]) for i in at]
+            for k, row in enumerate(self.rows, start=1)
+        ]
+        return np.array(values, dtype=np.float64).reshape(len(values), len(at))
+
+    def column(self, name: str) -> list[str]:
+        """A column as it is written (M,)."""
+        at = self.header.index(name)
+        return [row[at] for row in self.rows]
+
+    def refuse_steps(self, time: Array, longest: float, remedy: str) -> None:
+        """Refuse times (M,) s that do not increase, or by more than `longest`, with this remedy.
+
+        Raises:
+            InputError: naming the two rows.
+        """
+        steps = np.diff(time)
+        for wrong, text in (
+            (steps <= 0.0, "t_s does not increase; sort the rows and remove repeated ones"),
+            (steps > longest, f"a gap of more than {longest:g} s before this row; {remedy}"),
+        ):
+            if wrong.any():
+                k = int(np.argmax(wrong))
+                went = f"t_s goes from {time[k]:.12g} to {time[k + 1]:.12g}"
+                raise self.refusal(k + 2, f"{went} after line {self.lines[k + 1]}: {text}")
+
+    def refusal(self, row: int, text: str) -> InputError:
+        """What is wrong with a row counted from 1, or with the header: 0."""
+        return InputError(f"{self.path}:{self.lines[row]}: {text}")
+
+    def _number(self, row: int, text: str, name: str) -> float:
+        if not text:
+            raise self.refusal(row, f"{name} is empty; write a number or remove the row")
+        try:
+            value = float(text)
+        except ValueError as error:
+            raise self.refusal(row, f"{error}; write numbers only") from error
+        if not math.isfinite(value):
+            raise self.refusal(row, f"{name} is {value}; remove the row or write a finite number")
+        return value
+
+
+def read_table(path: Path) -> Table:
+    """Read a CSV file whose first row is its header.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    rows, lines = [], []
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(file)
+            for row in reader:
+                if row and not row[0].lstrip().startswith("#"):
+                    rows.append(tuple(cell.strip() for cell in row))
+                    lines.append(reader.line_num)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: not a CSV text file ({error})") from error
+    header = rows[0] if rows else ()
+    return Table(path, header, tuple(rows[1:]), tuple(lines) or (1,))

@@ -1,0 +1,449 @@
+"""The records that all packages share.
+
+A thing has one documented numpy dtype: MOTION, COMMAND, AIRCRAFT, FOLLOWER, LINK and so on. The
+state of a run is a few arrays of them; kernels read and write them in place, and a log sample is a
+copy of them. The public API, observers and own laws see the same fields by the same names as named
+tuples of arrays (`VehicleState`, `FbwaCommand`, ...), which are views made by `fields_of`.
+
+The leading axis of every array counts aircraft: row 0 is the leader, rows 1 to n are the followers
+in the order of the scenario's fleet. Units are SI and radians; vectors are resolved in the local
+north-east-down frame (NED) of the scenario's origin unless a name says otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+ByteArray = NDArray[np.uint8]
+BoolArray = NDArray[np.bool_]
+UIntArray = NDArray[np.uint32]
+Indices = NDArray[np.intp]  # row numbers
+
+Records = NDArray[Any]  # a structured array
+# What kernels take and give; numba infers the types.
+Record: TypeAlias = Any  # one element of a structured array, its fields as attributes
+Vector: TypeAlias = Any  # three numbers: a tuple, or a field of a record
+Values: TypeAlias = Any  # a tuple of numbers and vectors
+
+_RecordT = TypeVar("_RecordT")
+# Without the compiler a plain record has no attributes: kernels in a debugger need recarrays.
+_DEBUG = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
+FEW = 100  # numbers of a record that are printed
+
+
+def _dtype(*fields: tuple[Any, ...]) -> np.dtype[Any]:
+    return np.dtype(list(fields), align=True)
+
+
+# The motion of an aircraft: the truth, or an autopilot's estimate of it. See `VehicleState`.
+MOTION = _dtype(
+    ("position_ned", "f8", 3),
+    ("velocity_ned", "f8", 3),
+    ("acceleration_ned", "f8", 3),
+    ("euler", "f8", 3),
+    ("rates_body", "f8", 3),
+    ("airspeed", "f8"),
+    ("equivalent_airspeed", "f8"),
+)
+# The wind that acts on an airframe. See `WindInput`.
+WIND = _dtype(("wind_ned", "f8", 3), ("wind_gradient_rates", "f8", 3), ("wake_delta_cl", "f8"))
+# Air data, propeller speed and battery state of the flight model. See `AirData`.
+AIR = _dtype(
+    ("alpha", "f8"),
+    ("beta", "f8"),
+    ("propeller_rps", "f8"),
+    ("wind_ned", "f8", 3),
+    ("wind_gradient_rates", "f8", 3),
+    ("wake_delta_cl", "f8"),
+    ("state_of_charge", "f8"),
+    ("battery_voltage", "f8"),
+)
+# A fly-by-wire-A command. See `FbwaCommand`.
+COMMAND = _dtype(("pitch", "f8"), ("roll", "f8"), ("throttle", "f8"))
+# Servo commands. See `ActuatorCommand`.
+ACTUATORS = _dtype(("aileron", "f8"), ("elevator", "f8"), ("rudder", "f8"), ("throttle", "f8"))
+# Active faults. See `FaultState`.
+FAULTS = _dtype(
+    ("power", "f8"),
+    ("stuck", "u1", 5),
+    ("stuck_at", "f8", 5),
+    ("floating", "u1", 5),
+    ("floats", "f8", 5),
+    ("frozen", "?"),
+    ("charge", "f8"),
+    ("pitot_blocked", "?"),
+    ("pitot_drained", "?"),
+    ("gps_lost", "?"),
+    ("gps_jump", "f8", 3),
+    ("transmitter_off", "?"),
+)
+# One aircraft at one moment, as kernels, observers and logs see it.
+AIRCRAFT = _dtype(
+    ("truth", MOTION),
+    ("estimate", MOTION),
+    ("wind", WIND),
+    ("air", AIR),
+    ("command", COMMAND),  # given to the autopilot
+    ("control", COMMAND),  # computed by the formation law or the leader's guidance
+    ("surfaces", ACTUATORS),
+    ("faults", FAULTS),
+    ("stopped", "?"),  # its model has failed, or is stepped no more
+    ("down", "?"),  # on the ground, or its model has stopped
+    ("lost", "?"),  # it has been down or has collided: it flies no more
+)
+# One follower: the inputs of the extended unicycle, and its formation. See `FormationState`.
+FOLLOWER = _dtype(
+    ("slot_ned", "f8", 3),
+    ("error_ned", "f8", 3),
+    ("speed", "f8"),
+    ("speed_desired", "f8"),
+    ("airspeed_command", "f8"),
+    ("course", "f8"),
+    ("course_desired", "f8"),
+    ("flight_path_angle", "f8"),
+    ("flight_path_angle_desired", "f8"),
+    ("limiter_flags", "u1"),
+    ("saturations", "u1"),
+    ("slot_index", "u4"),
+    ("estimated_error_ned", "f8", 3),
+    ("speed_command", "f8"),  # u, commanded ground speed, m/s
+    ("omega", "f8", 3),  # ω, rad/s, in the zero-roll velocity frame
+    ("direction", "f8", 3),  # y_d, unit vector
+)
+# What an aircraft broadcasts. See `Broadcast`.
+MESSAGE = _dtype(
+    ("stamp_s", "f8"),
+    ("position_ned", "f8", 3),
+    ("velocity_ned", "f8", 3),
+    ("acceleration_ned", "f8", 3),
+    ("euler", "f8", 3),
+    ("euler_rates", "f8", 3),
+)
+# What a follower has received of one aircraft (see `Inbox`), what it used of that, and counters.
+LINK = _dtype(
+    ("stamp_s", "f8"),
+    ("received_s", "f8"),
+    ("position_ned", "f8", 3),
+    ("velocity_ned", "f8", 3),
+    ("acceleration_ned", "f8", 3),
+    ("euler", "f8", 3),
+    ("euler_rates", "f8", 3),
+    ("number", "i8"),  # of the newest message; -1: none
+    ("measured_s", "f8"),  # s, true time of its content; nan: none
+    ("age_s", "f8"),  # s, age of what the last control step used; nan: not used
+    ("sent", "u4"),
+    ("delivered", "u4"),
+)
+
+
+def allocate(dtype: np.dtype[Any], *shape: int) -> Records:
+    """Allocate records, all zero."""
+    records: Records = np.zeros(shape, dtype=dtype)
+    return records.view(np.recarray) if _DEBUG else records
+
+
+def fields_of(kind: type[_RecordT], records: Records, **others: Any) -> _RecordT:  # noqa: ANN401
+    """View the fields of records as a named tuple of arrays.
+
+    Args:
+        kind: the named tuple, whose fields are fields of the records.
+        records: (...,)
+        others: fields that come from elsewhere.
+    """
+    names = kind._fields  # type: ignore[attr-defined]
+    return kind(*(others[n] if n in others else np.asarray(records[n]) for n in names))
+
+
+def write_fields(records: Records, values: Any, **others: Any) -> None:  # noqa: ANN401
+    """Copy the arrays of a named tuple into the fields of the same names.
+
+    Args:
+        records: (...,)
+        values: the named tuple.
+        others: names of fields by names of the tuple, where they differ.
+    """
+    for name, array in zip(values._fields, values, strict=True):
+        records[others.get(name, name)] = array
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where the local NED frame touches the earth (WGS 84)."""
+
+    latitude_deg: float = 38.0
+    longitude_deg: float = 0.0
+    elevation_m: float = 300.0
+
+
+@dataclass(frozen=True, slots=True)
+class Airframe:
+    """Properties of an airframe that determine the effect of wind and wakes."""
+
+    span: float  # m
+    area: float  # m², of the wing
+    arm: float  # m, distance of the wind samples ahead of and behind the centre of gravity
+    mass: float  # kg
+    lift_slope: float  # 1/rad, of the lift coefficient
+    stall_angle: float = math.inf  # rad, angle of attack of the largest lift; infinite: no stall
+
+
+def join_names(names: Sequence[str]) -> str:
+    """Join names; of many, the first few and their number."""
+    return ", ".join(names if len(names) <= 6 else (*names[:5], f"… {len(names)} in all"))
+
+
+def short_repr(kind: type[_RecordT]) -> type[_RecordT]:
+    """Make the repr of a record of arrays short: numbers if they are few, else shapes."""
+
+    def text(record: Any) -> str:  # noqa: ANN401 - a named tuple
+        few = sum(each.size for each in record) <= FEW
+        parts = [
+            f"{name}={each!r}" if few else f"{name} {'×'.join(map(str, each.shape))}"
+            for name, each in zip(record._fields, record, strict=True)
+        ]
+        return f"{kind.__name__}({', '.join(parts)})"
+
+    kind.__repr__ = text  # type: ignore[method-assign]
+    return kind
+
+
+@short_repr
+class VehicleState(NamedTuple):
+    """The motion of N aircraft: the truth, or an autopilot's estimate of it."""
+
+    position_ned: Array  # (N, 3) m from the origin
+    velocity_ned: Array  # (N, 3) m/s over the ground
+    acceleration_ned: Array  # (N, 3) m/s², derivative of velocity_ned
+    euler: Array  # (N, 3) roll, pitch, yaw, rad
+    rates_body: Array  # (N, 3) p, q, r, rad/s
+    airspeed: Array  # (N,) true airspeed, m/s
+    equivalent_airspeed: Array  # (N,) m/s, what a pitot tube measures
+
+
+def followers(state: VehicleState) -> VehicleState:
+    """View the rows (n) of the followers."""
+    return VehicleState(*(each[1:] for each in state))
+
+
+@short_repr
+class AirData(NamedTuple):
+    """True state besides the motion; logged and drawn, never an input of a controller."""
+
+    alpha: Array  # (N,) angle of attack, rad
+    beta: Array  # (N,) sideslip, rad
+    propeller_rps: Array  # (N,) revolutions per second
+    wind_ned: Array  # (N, 3) m/s, velocity of the air
+    wind_gradient_rates: Array  # (N, 3) rad/s, rotation of the air about body axes
+    wake_delta_cl: Array  # (N,) rolling-moment coefficient of wakes
+    state_of_charge: Array  # (N,) 0..1 of the battery; NaN without a battery
+    battery_voltage: Array  # (N,) V at its terminals; NaN without a battery
+
+
+class WindInput(NamedTuple):
+    """Wind on N airframes: its mean and gradients over each airframe."""
+
+    wind_ned: Array  # (N, 3) m/s, velocity of the air, averaged over the wing
+    wind_gradient_rates: (
+        Array  # (N, 3) rad/s, rotation of the air about body axes: ∂w/∂y, −∂w/∂x, ∂v/∂x
+    )
+    wake_delta_cl: Array  # (N,) rolling-moment coefficient of wakes, right wing down
+
+
+@short_repr
+class FbwaCommand(NamedTuple):
+    """A fly-by-wire-A command: the stick inputs of ArduPlane's mode FBWA."""
+
+    pitch: Array  # (N,) rad, nose up positive
+    roll: Array  # (N,) rad, right wing down positive
+    throttle: Array  # (N,) 0..1
+
+
+class UnicycleCommand(NamedTuple):
+    """Inputs of the extended unicycle, computed by a formation law; [HBH23] eqs. (2), (3)."""
+
+    speed: Array  # (n,) u, commanded ground speed, m/s: ṡ = p (u − s)
+    omega: Array  # (n, 3) ω, rad/s, in the zero-roll velocity frame; the first component is zero
+    speed_desired: Array  # (n,) s_d, m/s
+    direction: Array  # (n, 3) y_d, unit vector
+    limiter_flags: ByteArray  # (n,) bit set of formation.flags.LimiterFlag
+
+
+@short_repr
+class ActuatorCommand(NamedTuple):
+    """Normalised servo commands of an autopilot."""
+
+    aileron: Array  # (N,) -1..1, positive rolls right
+    elevator: Array  # (N,) -1..1, positive pitches up
+    rudder: Array  # (N,) -1..1, positive yaws right
+    throttle: Array  # (N,) 0..1
+
+
+class Broadcast(NamedTuple):
+    """Messages of N aircraft: their own estimates with time stamps of their own clocks."""
+
+    stamp_s: Array  # (N,) sender's time of the measurement
+    position_ned: Array  # (N, 3)
+    velocity_ned: Array  # (N, 3)
+    acceleration_ned: Array  # (N, 3)
+    euler: Array  # (N, 3) roll, pitch, yaw, rad
+    euler_rates: Array  # (N, 3) their rates, rad/s
+
+
+class Inbox(NamedTuple):
+    """The newest message of each of N aircraft that each of n followers has received."""
+
+    stamp_s: Array  # (n, N) sender's time of the measurement; NaN: no message yet
+    received_s: Array  # (n, N) receiver's time of the arrival; NaN: no message yet
+    position_ned: Array  # (n, N, 3)
+    velocity_ned: Array  # (n, N, 3)
+    acceleration_ned: Array  # (n, N, 3)
+    euler: Array  # (n, N, 3)
+    euler_rates: Array  # (n, N, 3)
+
+
+@short_repr
+class FormationState(NamedTuple):
+    """Outputs of the controllers of n followers, and their formation errors.
+
+    Slots and errors are computed from the truth, and are not fed back.
+    """
+
+    slot_ned: Array  # (n, 3) m, the desired position q_g + χ_i
+    error_ned: Array  # (n, 3) m, position − slot
+    speed: Array  # (n,) ground speed, m/s
+    speed_desired: Array  # (n,) s_d, m/s
+    airspeed_command: Array  # (n,) commanded airspeed, u + s_a − s after its limiter, m/s
+    course: Array  # (n,) rad
+    course_desired: Array  # (n,) rad
+    flight_path_angle: Array  # (n,) rad
+    flight_path_angle_desired: Array  # (n,) rad
+    limiter_flags: ByteArray  # (n,) bit set of formation.flags.LimiterFlag
+    saturations: ByteArray  # (n,) bit set of formation.flags.Saturation
+    slot_index: UIntArray  # (n,) slot of the follower, a row of the N
+    age_s: Array  # (n, n + 1) age of the message of aircraft j that follower i used, s; NaN: none
+    # (n, 3) m, formation error computed from the estimates; equals error_ned where they are exact
+    estimated_error_ned: Array
+
+
+class FaultState(NamedTuple):
+    """Active faults of N aircraft; surfaces in the order of `control_surfaces.SURFACES`."""
+
+    power: Array  # (N,) 0..1, share of the throttle that reaches the motor
+    stuck: BoolArray  # (N, 5) stuck surfaces
+    stuck_at: Array  # (N, 5) -1..1, their positions; NaN: where they were
+    floating: BoolArray  # (N, 5) floating surfaces
+    floats: Array  # (N, 5) their deflection per angle of the flow, rad/rad
+    frozen: BoolArray  # (N,) the autopilot is frozen: servos hold the last command
+    charge: Array  # (N,) 0..1 to which the battery drops now; NaN: no drop
+    pitot_blocked: BoolArray  # (N,)
+    pitot_drained: BoolArray  # (N,) the drain of a blocked pitot tube is open
+    gps_lost: BoolArray  # (N,)
+    gps_jump: Array  # (N, 3) m NED, error of every fix
+    transmitter_off: BoolArray  # (N,)
+
+
+def fault_state(faults: Records) -> FaultState:
+    """View records of FAULTS; flags are bytes in them, because kernels read no array of bool."""
+    flags = {name: np.asarray(faults[name]).view(np.bool_) for name in ("stuck", "floating")}
+    return fields_of(FaultState, faults, **flags)
+
+
+@short_repr
+class LinkCounters(NamedTuple):
+    """Messages on the links from N aircraft to their n followers since the start."""
+
+    sent: UIntArray  # (n, N)
+    delivered: UIntArray  # (n, N) of these, those that arrived or will arrive
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """An event of the log, the view and the table."""
+
+    time_s: float
+    level: str  # "info", "warning" or "error"
+    source: str  # name of an aircraft, or "run"
+    text: str
+
+
+class Sample(NamedTuple):
+    """All data of one logged tick."""
+
+    tick: int  # of the base rate
+    time_s: float
+    truth: VehicleState  # (N)
+    estimate: VehicleState  # (N)
+    air: AirData  # (N)
+    command: FbwaCommand  # (N)
+    surfaces: ActuatorCommand  # (N)
+    formation: FormationState  # (n)
+    links: LinkCounters  # (n, N)
+    lost: BoolArray  # (N,) lost now or before: on the ground, stopped or collided
+    events: tuple[Event, ...] = ()
+    failing: FaultState | None = None  # (N) active faults; None: the scenario has none
+    # AIRCRAFT (N,), FOLLOWER (n,) and LINK (n, N) that the fields above are views of; None: the
+    # fields are separate arrays
+    records: tuple[Records, Records, Records] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RunInfo:
+    """Description of a run, for observers before the first sample."""
+
+    scenario_name: str
+    scenario_yaml: str  # resolved scenario
+    names: tuple[str, ...]  # N aircraft, the leader first
+    aircraft: tuple[str, ...]  # N airframe names, "rascal110"
+    wingspan_m: tuple[float, ...]  # N
+    origin: Origin
+    base_rate_hz: int
+    frame_rate_hz: int
+    duration_s: float
+    seed: int
+    speed_bounds_mps: tuple[tuple[float, float], ...]  # n
+    kappa_mps: tuple[float, ...]  # n, margin of the slots' speeds to those bounds
+    roll_limit_rad: tuple[float, ...]  # n, of the FBWA command
+    leader_path_ned: Array  # (k, 3) the leader's path as commanded, for drawing; may be empty
+    windows: Mapping[str, tuple[float, float]]  # name -> window, s
+    versions: Mapping[str, str]  # testbed, jsbsim, numpy, python, schema
+    directory: Path | None = None  # the run directory, if there is one
+    # m/s, velocity of the medium that the speed bounds refer to: zero for the ground.
+    bounded_in_ned: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # n speed barriers h: number of the example in [HBH23], and ν; empty for an own law
+    barriers: tuple[tuple[int, float], ...] = ()
+    estimated: bool = False  # whether any estimate differs from the truth
+    # files of code that the scenario uses, by name
+    code: Mapping[str, bytes] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        """Name scenario, aircraft, seed and duration."""
+        return (
+            f"<RunInfo of {self.scenario_name}: {join_names(self.names)}; seed {self.seed},"
+            f" {self.duration_s:g} s planned, samples at {self.frame_rate_hz} Hz>"
+        )
+
+
+class Observer(Protocol):
+    """Observe the samples of a run.
+
+    Each sample is a copy, which the observer may keep. With a class attribute `zero_copy = True`
+    the arrays are the loop's own: they change at the next tick and must be copied where needed.
+    """
+
+    def begin(self, info: RunInfo) -> None:
+        """Prepare; called once before the first sample."""
+
+    def observe(self, frame: Sample) -> None:
+        """Take one sample; called at the log rate in order of time."""
+
+    def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
+        """Finish with the metrics of the run and the events after the last sample; called once."""

@@ -1,0 +1,73 @@
+"""The leader's acceleration q̈_g as a follower estimates it, [HBH23] sections 8 and 10."""
+
+from __future__ import annotations
+
+from math import atan2, cos, hypot, sqrt, tan
+
+import numpy as np
+
+from testbed.core.compile import kernel
+from testbed.core.records import Record, Vector
+from testbed.formation.velocity_frame import GRAVITY, to_ned
+
+# Source of q̈_g: zero, the broadcast, or bank and differences of the velocity.
+NOTHING, BROADCAST, TURN = 0, 1, 2
+
+# A follower's state for its leader between two control steps.
+MEMORY = np.dtype(
+    [
+        ("acceleration", "f8", 3),  # m/s², averaged estimate of q̈_g
+        ("time_s", "f8"),  # of the newest message used: its stamp or its receipt; nan: none
+        ("speed", "f8"),  # m/s, in that message
+        ("gamma", "f8"),  # rad, in that message
+        ("speed_rate", "f8"),  # m/s², averaged
+        ("gamma_dot", "f8"),  # rad/s, averaged
+        ("timeout_since", "f8"),  # s, since when the leader has timed out; nan: it has not
+        ("timeout_course", "f8"),  # rad, own course at that time
+    ],
+    align=True,
+)
+
+
+@kernel
+def estimate_leader_acceleration(
+    law: Record, link: Record, memory: Record, time_s: float, frame: Vector
+) -> None:
+    """Update the estimate of q̈_g from the leader's newest message.
+
+    TURN is a coordinated turn, sec. 10: s_g Ṙ_g e1 + ṡ_g R_g e1, σ̇_g ≈ g tan φ_g / (s_g cos θ_g).
+
+    Args:
+        law: record of LAW.
+        link: record of LINK, the leader's message.
+        memory: record of MEMORY; written.
+        time_s: of the message.
+        frame: cos σ_g, sin σ_g, cos γ_g, sin γ_g.
+    """
+    velocity = link.velocity_ned
+    v = (velocity[0], velocity[1], 0.0 if law.horizontal else velocity[2])
+    speed = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    gamma = atan2(-v[2], hypot(v[0], v[1]))
+    speed_rate, gamma_dot = memory.speed_rate, memory.gamma_dot
+    since = time_s - memory.time_s
+    if since > 0.0:
+        slope = (speed - memory.speed) / since
+        speed_rate += law.difference_blend[0] * (slope - speed_rate)
+        slope = (gamma - memory.gamma) / since
+        gamma_dot += law.difference_blend[1] * (slope - gamma_dot)
+    known = time_s <= memory.time_s  # an average takes every message once
+    memory.time_s, memory.speed, memory.gamma = time_s, speed, gamma
+    memory.speed_rate, memory.gamma_dot = speed_rate, gamma_dot
+    if law.acceleration_source == TURN:
+        euler = link.euler
+        chi_dot = GRAVITY * tan(euler[0]) / (speed * cos(euler[1]))
+        along, across = speed_rate, speed * chi_dot * cos(gamma)
+        a, b, c = to_ned(frame, along, across, -speed * gamma_dot)
+        memory.acceleration[0], memory.acceleration[1], memory.acceleration[2] = a, b, c
+        return
+    for axis in range(3):
+        sample = 0.0
+        if law.acceleration_source == BROADCAST:
+            sample = link.acceleration_ned[axis]
+        blend = 0.0 if known else law.acceleration_blend[axis]
+        memory.acceleration[axis] += blend * (sample - memory.acceleration[axis])

@@ -1,0 +1,69 @@
+"""The zero-roll velocity frame of [HBH23] eqs. (22)-(26), one vector at a time."""
+
+from __future__ import annotations
+
+from math import cos, hypot, sin, sqrt
+
+from testbed.core.compile import kernel
+from testbed.core.frames import COURSE_FLOOR
+from testbed.core.records import Record, Values, Vector
+
+GRAVITY = 9.81  # m/s², as printed beside (20)
+
+
+@kernel
+def frame_angles(x: float, y: float, z: float) -> Values:
+    """Return cos σ, sin σ, cos γ, sin γ of a velocity in NED, (22)-(24)."""
+    horizontal = hypot(x, y)
+    speed = hypot(horizontal, z)
+    cs, ss = (x / horizontal, y / horizontal) if horizontal > COURSE_FLOOR else (1.0, 0.0)
+    return cs, ss, horizontal / speed, -z / speed
+
+
+@kernel
+def to_ned(frame: Vector, x: float, y: float, z: float) -> Values:
+    """Resolve a vector of the velocity frame in NED: R(σ, γ) (x, y, z)."""
+    cs, ss, cg, sg = frame
+    return cg * cs * x - ss * y + sg * cs * z, cg * ss * x + cs * y + sg * ss * z, -sg * x + cg * z
+
+
+@kernel
+def from_ned(frame: Vector, x: float, y: float, z: float) -> Values:
+    """Resolve a vector of NED in the velocity frame: R(σ, γ)ᵀ (x, y, z)."""
+    cs, ss, cg, sg = frame
+    return cg * cs * x + cg * ss * y - sg * z, cs * y - ss * x, sg * cs * x + sg * ss * y + cg * z
+
+
+@kernel
+def cross(a: Record, b: float, c: float, x: float, y: float, z: float) -> Values:
+    """Return (a, b, c) × (x, y, z)."""
+    return b * z - c * y, c * x - a * z, a * y - b * x
+
+
+@kernel
+def frame_angular_velocity(gamma: float, chi_dot: float, gamma_dot: float) -> Values:
+    """Return ω_g, rad/s, in the velocity frame, (26), of γ (rad), σ̇ and γ̇ (rad/s)."""
+    return -chi_dot * sin(gamma), gamma_dot, chi_dot * cos(gamma)
+
+
+@kernel
+def frame_angular_acceleration(
+    gamma: float, chi_dot: float, gamma_dot: float, chi_ddot: float
+) -> Values:
+    """Return ω̇_g, rad/s², the derivative of (26) where γ̈ is zero."""
+    sine, cosine = sin(gamma), cos(gamma)
+    return (
+        -chi_ddot * sine - chi_dot * gamma_dot * cosine,
+        0.0,
+        chi_ddot * cosine - chi_dot * gamma_dot * sine,
+    )
+
+
+@kernel
+def velocity_rates(v: Vector, a: Record) -> Values:
+    """Return σ̇ and γ̇, rad/s, of a velocity (m/s) that changes at an acceleration (m/s²)."""
+    along, across = v[0] * a[0] + v[1] * a[1], v[0] * a[1] - v[1] * a[0]
+    square = max(v[0] * v[0] + v[1] * v[1], COURSE_FLOOR)
+    horizontal = sqrt(square)
+    gamma_dot = (v[2] * along / horizontal - horizontal * a[2]) / (square + v[2] * v[2])
+    return across / square, gamma_dot

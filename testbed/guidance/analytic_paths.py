@@ -1,0 +1,168 @@
+"""Analytic paths of virtual leaders, with exact derivatives.
+
+Horizontal vectors are complex numbers: ahead along the initial course + i to the right of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.core.frames import GRAVITY, body_rates, course, flight_path_angle
+from testbed.core.records import Array
+from testbed.guidance.path_curves import SWING, Circle, Curve, FigureEight, SinusoidalPath, Straight
+from testbed.guidance.recorded_path import SampledTrajectory
+
+_HARMONICS = 20  # J20(SWING) / 20 is 1e-18
+
+
+class Derivatives(NamedTuple):
+    """A path and its derivatives at T times, NED."""
+
+    position: Array  # (T, 3) m
+    velocity: Array  # (T, 3) m/s
+    acceleration: Array  # (T, 3) m/s²
+    jerk: Array  # (T, 3) m/s³
+
+
+class VelocityFrameRates(NamedTuple):
+    """Rates of the velocity frame R(σ, γ) of a path at T times, and their derivatives."""
+
+    chi_dot: Array  # σ̇ (T,) rad/s
+    gamma_dot: Array  # γ̇ (T,) rad/s
+    chi_ddot: Array  # σ̈ (T,) rad/s²
+    gamma_ddot: Array  # γ̈ (T,) rad/s²
+
+
+def derivatives(curve: Curve, time: Array) -> Derivatives:
+    """Compute position, velocity, acceleration and jerk of a path at times (T,) s."""
+    time = np.asarray(time, dtype=np.float64)
+    climb = curve.climb if isinstance(curve, Straight | Circle) else 0.0
+    turn = complex(math.cos(curve.course), math.sin(curve.course))
+    north, east, down = curve.position_ned
+    still = np.zeros_like(time)
+    rows = []
+    for order, ahead_right in enumerate(_horizontal(curve, time)):
+        level = turn * ahead_right
+        vertical = (-climb * time, still - climb, still, still)[order]
+        rows.append(np.stack([level.real, level.imag, vertical], axis=-1))
+    rows[0] += (north, east, down)
+    return Derivatives(*rows)
+
+
+def evaluate(
+    curve: Curve, time: Array, wind_ned: Sequence[float] = (0.0, 0.0, 0.0)
+) -> SampledTrajectory:
+    """Sample a path at times (T,) s, with the fields of a recorded flight.
+
+    The attitude is that of a coordinated turn: roll atan(σ̇ s cos γ / g), pitch γ, yaw σ; the body
+    rates belong to it. The airspeed is that in a steady wind (m/s), which does not move a virtual
+    leader. The throttle is zero.
+    """
+    position, velocity, acceleration, jerk = derivatives(curve, time)
+    rates = frame_rates(Derivatives(position, velocity, acceleration, jerk))
+    level = np.hypot(velocity[:, 0], velocity[:, 1])
+    slowing = (velocity[:, :2] * acceleration[:, :2]).sum(axis=1) / level
+    tangent = rates.chi_dot * level / GRAVITY
+    tangent_rate = (rates.chi_ddot * level + rates.chi_dot * slowing) / GRAVITY
+    euler = np.stack(
+        [np.arctan(tangent), flight_path_angle(velocity), course(velocity)],
+        axis=1,
+    )
+    angle_rates = np.stack(
+        [tangent_rate / (1.0 + tangent**2), rates.gamma_dot, rates.chi_dot], axis=1
+    )
+    return SampledTrajectory(
+        position_ned=position,
+        velocity_ned=velocity,
+        acceleration_ned=acceleration,
+        euler=euler,
+        rates_body=body_rates(euler, angle_rates),
+        airspeed=np.linalg.norm(velocity - np.asarray(wind_ned), axis=1),
+        throttle=np.zeros(len(position)),
+    )
+
+
+def frame_rates(path: Derivatives) -> VelocityFrameRates:
+    """Compute σ̇, γ̇, σ̈ and γ̈ of a path, for [HBH23] eq. (26).
+
+    They are the derivatives of σ = atan2(v_E, v_N) and γ = atan2(−v_D, h), h² = v_N² + v_E².
+    """
+    vn, ve, vd = path.velocity.T
+    an, ae, ad = path.acceleration.T
+    jn, je, jd = path.jerk.T
+    h2 = vn * vn + ve * ve
+    h = np.sqrt(h2)
+    h_rate = (vn * an + ve * ae) / h
+    h_acceleration = (an * an + ae * ae + vn * jn + ve * je - h_rate**2) / h
+    sigma_rate = (vn * ae - ve * an) / h2
+    sigma_acceleration = (vn * je - ve * jn - 2.0 * h * h_rate * sigma_rate) / h2
+    s2 = h2 + vd * vd
+    gamma_rate = (vd * h_rate - h * ad) / s2
+    change = 2.0 * (h * h_rate + vd * ad)  # of s²
+    gamma_acceleration = (vd * h_acceleration - h * jd - change * gamma_rate) / s2
+    return VelocityFrameRates(sigma_rate, gamma_rate, sigma_acceleration, gamma_acceleration)
+
+
+# complex numbers; their types differ between releases of numpy
+Complex = NDArray[Any]
+
+
+def _horizontal(curve: Curve, time: Array) -> tuple[Complex, Complex, Complex, Complex]:
+    """Compute ahead + i right of the start, and three derivatives, (T,)."""
+    zero = np.zeros(time.shape, dtype=np.complex128)
+    if isinstance(curve, Straight):
+        level = math.sqrt(curve.speed**2 - curve.climb**2)
+        return level * time + zero, level + zero, zero, zero
+    if isinstance(curve, Circle):
+        level = math.sqrt(curve.speed**2 - curve.climb**2)
+        turning = 1j * math.copysign(level / curve.radius, 1.0 if curve.clockwise else -1.0)
+        velocity = level * np.exp(turning * time)
+        return (velocity - level) / turning, velocity, turning * velocity, turning**2 * velocity
+    if isinstance(curve, FigureEight):
+        return _figure_eight(curve, time)
+    pulse = 2.0 * math.pi / curve.period
+    cosine, sine = np.cos(pulse * time), np.sin(pulse * time)
+    if isinstance(curve, SinusoidalPath):
+        right = 1j * curve.amplitude
+        return (
+            curve.speed * time + right * (1.0 - cosine),
+            curve.speed + right * pulse * sine,
+            right * pulse**2 * cosine,
+            -right * pulse**3 * sine,
+        )
+    swing = curve.amplitude
+    return (
+        curve.speed * time + swing / pulse * (1.0 - cosine) + zero,
+        curve.speed + swing * sine + zero,
+        swing * pulse * cosine + zero,
+        -swing * pulse**2 * sine + zero,
+    )
+
+
+def _figure_eight(curve: FigureEight, time: Array) -> tuple[Complex, Complex, Complex, Complex]:
+    """Integrate e^(i z (1 − cos θ)) term by term of its Fourier series.
+
+    e^(−i z cos θ) = J0(z) + 2 Σ (−i)^k J_k(z) cos kθ (Jacobi and Anger; Abramowitz and Stegun
+    9.1.44-45), with J0(z) = 0.
+    """
+    pulse = curve.speed / (SWING * curve.radius)
+    theta = pulse * time
+    nodes = 2.0 * np.pi * np.arange(64) / 64.0
+    series = np.zeros(time.shape, dtype=np.complex128)
+    for k in range(1, _HARMONICS + 1):
+        # Bessel's integral by the trapezium rule, exact to rounding for a periodic function
+        bessel = np.cos(k * nodes - SWING * np.sin(nodes)).mean()
+        series += 2.0 * (-1j) ** k * bessel / k * np.sin(k * theta)
+    position = SWING * curve.radius * np.exp(1j * SWING) * series
+    velocity = curve.speed * np.exp(1j * SWING * (1.0 - np.cos(theta)))
+    turn = SWING * pulse * np.sin(theta)
+    change = SWING * pulse**2 * np.cos(theta)
+    acceleration, jerk = 1j * turn * velocity, (1j * change - turn**2) * velocity
+    if curve.clockwise:
+        return position, velocity, acceleration, jerk
+    return position.conj(), velocity.conj(), acceleration.conj(), jerk.conj()

@@ -1,0 +1,142 @@
+"""Recorded flights of leaders: read from CSV, and sampled at the ticks of a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from testbed.core.csv_table import read_table
+from testbed.core.errors import InputError
+from testbed.core.frames import euler_rates, wrap_pi
+from testbed.core.records import Array
+
+COLUMNS = tuple(
+    "t_s north_m east_m down_m v_north_mps v_east_mps v_down_mps roll_rad pitch_rad yaw_rad "
+    "p_radps q_radps r_radps airspeed_mps throttle".split()
+)
+MAX_GAP_S = 1.0  # between two rows, for cubic interpolation
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A recorded flight: M rows at increasing times (s), SI units, NED, yaw unwrapped."""
+
+    time: Array  # (M,)
+    position_ned: Array  # (M, 3)
+    velocity_ned: Array  # (M, 3)
+    euler: Array  # (M, 3)
+    rates_body: Array  # (M, 3)
+    airspeed: Array  # (M,) true
+    throttle: Array  # (M,)
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class SampledTrajectory:
+    """The motion of a leader at T ticks."""
+
+    position_ned: Array  # (T, 3) m
+    velocity_ned: Array  # (T, 3) m/s
+    acceleration_ned: Array  # (T, 3) m/s²
+    euler: Array  # (T, 3) rad
+    rates_body: Array  # (T, 3) rad/s
+    airspeed: Array  # (T,) true, m/s
+    throttle: Array  # (T,) 0..1
+
+
+def read_recording(path: Path) -> Recording:
+    """Read a recording with the columns `COLUMNS` in any order; other columns are ignored.
+
+    Time stamps that are rounded values of an even grid are replaced by the grid: a stamp rounded to
+    0.01 s is an error of up to 0.1 m at 22 m/s.
+
+    Raises:
+        InputError: the file is not such a recording; the message has file, line and remedy.
+    """
+    table = read_table(path)
+    data = table.numbers(COLUMNS)
+    if len(data) < 2:
+        raise InputError(f"{path}: {len(data)} rows of numbers; a flight needs at least two")
+    table.refuse_steps(data[:, 0], MAX_GAP_S, "cut here")
+    return Recording(
+        time=_even_times(data[:, 0], table.column("t_s")),
+        position_ned=data[:, 1:4].copy(),
+        velocity_ned=data[:, 4:7].copy(),
+        euler=np.unwrap(data[:, 7:10], axis=0),
+        rates_body=data[:, 10:13].copy(),
+        airspeed=data[:, 13].copy(),
+        throttle=data[:, 14].copy(),
+        source=str(path),
+    )
+
+
+def sample_recording(recording: Recording, time: Array) -> SampledTrajectory:
+    """Sample a recording at simulation times (T,) s; time 0 is its first row.
+
+    Position, velocity and angles are cubic Hermite curves through the rows: position with the
+    recorded velocity as slope, angles with the recorded rates, velocity with its central
+    differences. The acceleration is the derivative of that velocity, and continuous; the second
+    derivative of the position would amplify its rounding.
+
+    Raises:
+        InputError: the recording is shorter than the run.
+    """
+    at = recording.time[0] + time
+    tolerance = 1e-9 * max(1.0, abs(recording.time[-1]))  # rounding of the sum
+    if at[-1] > recording.time[-1] + tolerance:
+        length = recording.time[-1] - recording.time[0]
+        raise InputError(
+            f"{recording.source}: the recording lasts {length:.2f} s, the scenario "
+            f"{time[-1]:.2f} s; set scenario.duration_s to {np.floor(length):.0f} or less"
+        )
+    at = np.minimum(at, recording.time[-1])
+    acceleration = np.gradient(recording.velocity_ned, recording.time, axis=0)
+    angle_rates = euler_rates(recording.euler, recording.rates_body)
+    rows = recording.time
+    position, _ = _hermite(at, rows, recording.position_ned, recording.velocity_ned)
+    velocity, acceleration = _hermite(at, rows, recording.velocity_ned, acceleration)
+    euler, _ = _hermite(at, rows, recording.euler, angle_rates)
+    euler[:, 2] = wrap_pi(euler[:, 2])
+    rates = [np.interp(at, rows, recording.rates_body[:, axis]) for axis in range(3)]
+    return SampledTrajectory(
+        position_ned=position,
+        velocity_ned=velocity,
+        acceleration_ned=acceleration,
+        euler=euler,
+        rates_body=np.stack(rates, axis=-1),
+        airspeed=np.interp(at, rows, recording.airspeed),
+        throttle=np.interp(at, rows, recording.throttle),
+    )
+
+
+def _even_times(time: Array, stamps: list[str]) -> Array:
+    """Return the even grid (M,) s that `time` was rounded from, or `time` if there is none.
+
+    A stamp may have been rounded at its last nonzero digit.
+    """
+    step = float(np.round(np.median(np.diff(time)), 6))
+    decimals = np.array([len(stamp.partition(".")[2].rstrip("0")) for stamp in stamps])
+    rounding = 0.5 * 10.0**-decimals + 1e-6  # and that of stamps stored as floats before
+    since_first = step * np.arange(len(time))
+    earliest = np.max(time - rounding - since_first)  # the first row, if all are on the grid
+    latest = np.min(time + rounding - since_first)
+    if earliest > latest:
+        return time.copy()
+    first = min(max(time[0], earliest), latest)
+    even: Array = first + since_first
+    return even
+
+
+def _hermite(at: Array, time: Array, value: Array, slope: Array) -> tuple[Array, Array]:
+    """Interpolate cubically at `at` (T,); return values and derivatives, from slopes (M, 3)."""
+    left = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
+    width = (time[left + 1] - time[left])[:, np.newaxis]
+    u = (at - time[left])[:, np.newaxis] / width
+    p0, p1 = value[left], value[left + 1]
+    m0, m1 = slope[left] * width, slope[left + 1] * width
+    square = 3.0 * (p1 - p0) - 2.0 * m0 - m1
+    cube = 2.0 * (p0 - p1) + m0 + m1
+    curve = p0 + u * (m0 + u * (square + u * cube))
+    return curve, (m0 + u * (2.0 * square + 3.0 * u * cube)) / width

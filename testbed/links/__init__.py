@@ -1,1 +1,0 @@
-"""Links to programs outside: every aircraft as a MAVLink vehicle."""

@@ -1,0 +1,1 @@
+"""Logs: write a run as MCAP, read it, and manage its directory."""

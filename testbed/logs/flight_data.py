@@ -1,0 +1,230 @@
+"""A recorded run as named arrays, for notebooks and exports."""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from operator import attrgetter
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.core.records import Array, Event, RunInfo
+from testbed.logs.messages import FIXED32, TOPICS
+from testbed.logs.read import Log, read_log
+from testbed.logs.run_directory import METRICS_NAME, SCENARIO_NAME, find_run
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+# The last word of a name is its unit; other names are dimensionless.
+UNITS: Mapping[str, str] = {
+    "m": "m",
+    "mps": "m/s",
+    "mps2": "m/s²",
+    "rad": "rad",
+    "radps": "rad/s",
+    "rps": "1/s",
+    "s": "s",
+    "v": "V",
+}
+Numbers = NDArray[Any]
+MAX_SUGGESTIONS = 5  # in place of an unknown name
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """One field of the log: a number of each aircraft, or of each pair, at every sample."""
+
+    name: str  # topic and field of the log: formation_error_north_m
+    unit: str  # "" if dimensionless
+    source: str  # path from Log
+    component: int | None  # of the array's last axis; None: all of it
+    followers_only: bool  # the leader has no value
+    per_aircraft: bool  # a value about every aircraft, (K, N, N)
+    integer: bool  # a count, an index or a set of bits
+
+    def columns(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        """Name the table columns: one, or one for each aircraft, before the unit."""
+        if not self.per_aircraft:
+            return (self.name,)
+        stem, _, unit = self.name.rpartition("_")
+        return tuple(f"{stem}_{name}_{unit}" for name in names)
+
+
+def _quantities() -> dict[str, Quantity]:
+    found = {}
+    for topic in TOPICS:
+        for column in topic.columns:
+            for i, field in enumerate(column.names):
+                prefixed = field.startswith(f"{topic.name}_")
+                name = field if prefixed else f"{topic.name}_{field}"
+                found[name] = Quantity(
+                    name=name,
+                    unit=UNITS.get(field.rpartition("_")[2], ""),
+                    source=column.source,
+                    component=i if len(column.names) > 1 else None,
+                    followers_only=topic.followers_only,
+                    per_aircraft=column.per_aircraft,
+                    integer=column.type == FIXED32,
+                )
+    return found
+
+
+QUANTITIES: Mapping[str, Quantity] = _quantities()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlightData:
+    """A recorded run.
+
+    `flight["state_roll_rad"]` is an array (K, N): K samples at `time_s` of N aircraft in the order
+    of `names`, the leader first. `keys()` lists the names; a name is a topic of the log and a field
+    in it. Quantities about each aircraft, as `formation_age_s`, are (K, N, N). Where only
+    followers have a value, the leader's row is NaN, or 0 in integers.
+
+    `log` has the same numbers as the records that controllers see: `flight.log.formation.error_ned`
+    is (K, n, 3).
+    """
+
+    log: Log
+
+    def __repr__(self) -> str:
+        """Name the run, its size and its outcome."""
+        kinds = ", ".join(dict.fromkeys(self.info.aircraft))
+        outcome = str(self.metrics["outcome"]) if self.metrics else "cut short"
+        return f"<FlightData of {self.info.scenario_name}: {self.log.size} ({kinds}); {outcome}>"
+
+    @property
+    def info(self) -> RunInfo:
+        """What is known before the first sample: names, bounds, seed, versions."""
+        return self.log.info
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """N aircraft, the leader first."""
+        return self.log.info.names
+
+    @property
+    def time_s(self) -> Array:
+        """(K,) of each sample."""
+        return self.log.time_s
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """The events of the run, in order."""
+        return self.log.events
+
+    @property
+    def metrics(self) -> Mapping[str, Any] | None:
+        """The content of metrics.json without wall-clock times; None if the run was cut short."""
+        return self.log.metrics
+
+    def keys(self) -> tuple[str, ...]:
+        """List the names of all quantities."""
+        return tuple(QUANTITIES)
+
+    def __getitem__(self, name: str) -> Numbers:
+        """Return a quantity (K, N), or (K, N, N) if it is about each aircraft.
+
+        Raises:
+            KeyError: No quantity has this name; suggests similar ones.
+        """
+        if name not in QUANTITIES:
+            similar = difflib.get_close_matches(name, QUANTITIES, n=3)
+            similar += [key for key in QUANTITIES if name and name in key and key not in similar]
+            similar = similar[:MAX_SUGGESTIONS]
+            hint = f"; did you mean {', '.join(similar)}?" if similar else "; keys() lists them"
+            raise KeyError(f"{name}{hint}")
+        return self.values(QUANTITIES[name])
+
+    def values(self, quantity: Quantity, rows: slice = slice(None)) -> Numbers:
+        """Return some samples of a quantity."""
+        values: Numbers = attrgetter(quantity.source)(self.log)[rows]
+        if quantity.component is not None:
+            values = values[..., quantity.component]
+        if quantity.source.startswith("links."):
+            # before the log counts messages their number is unknown, not zero
+            counted = self.log.links.sent[rows].any(axis=(1, 2), keepdims=True)
+            values = np.where(counted, values, np.nan)
+        if not quantity.followers_only:
+            return values
+        no_value = 0 if values.dtype.kind in "ub" else np.nan
+        out = np.full((len(values), len(self.names), *values.shape[2:]), no_value, values.dtype)
+        out[:, 1:] = values
+        return out
+
+    def documents(self) -> dict[str, str]:
+        """Return the texts that exports carry: the scenario, and JSON of run, metrics, events."""
+        log = self.log
+        return {
+            "run.json": json.dumps({**log.metadata, "names": self.names, "finished": log.finished}),
+            SCENARIO_NAME: log.info.scenario_yaml,
+            METRICS_NAME: json.dumps(log.metrics, ensure_ascii=False),
+            "events.json": json.dumps([asdict(each) for each in log.events], ensure_ascii=False),
+        }
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return a table with one row for each sample and aircraft; needs pandas.
+
+        The index is time_s and aircraft, the columns are those of `testbed export`.
+        """
+        import pandas
+
+        index = [self.time_s, list(self.names)]
+        columns = {}
+        for quantity in QUANTITIES.values():
+            values = self.values(quantity)
+            if quantity.followers_only and values.dtype.kind == "u":
+                values = values.astype(np.float64)
+                values[:, 0] = np.nan
+            names = quantity.columns(self.names)
+            for k, name in enumerate(names):
+                of_column = values[..., k] if quantity.per_aircraft else values
+                columns[name] = of_column.reshape(-1)
+        rows = pandas.MultiIndex.from_product(index, names=["time_s", "aircraft"])
+        return pandas.DataFrame(columns, index=rows)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return a dataset over time_s and aircraft, with units; needs xarray."""
+        import xarray
+
+        names = list(self.names)
+        variables = {
+            each.name: (
+                ("time_s", "aircraft", "other") if each.per_aircraft else ("time_s", "aircraft"),
+                self.values(each),
+                {"units": each.unit} if each.unit else {},
+            )
+            for each in QUANTITIES.values()
+        }
+        coordinates = {"time_s": self.time_s, "aircraft": names, "other": names}
+        return xarray.Dataset(variables, coords=coordinates, attrs=self.documents())
+
+
+def load(run: str | Path) -> FlightData:
+    """Load a run by its directory, its .mcap file, or a scenario's name for its latest run.
+
+    A run that was killed is read up to its last complete chunk.
+
+    Raises:
+        LogError: There is no such run, or its log is damaged before its end.
+    """
+    return FlightData(read_log(find_run(run)))
+
+
+def write_npz(flight: FlightData, file: IO[bytes]) -> None:
+    """Write a run as NumPy arrays by name, which `numpy.load` reads without pickle.
+
+    The arrays are those of `FlightData`, (K, N) and (K, N, N), with `time_s` (K,), `aircraft` (N,)
+    and the texts of `FlightData.documents`.
+    """
+    arrays: dict[str, Any] = {"time_s": flight.time_s, "aircraft": np.array(flight.names)}
+    arrays |= {name: flight[name] for name in flight.keys()}
+    arrays |= {name: np.array(text) for name, text in flight.documents().items()}
+    np.savez_compressed(file, **arrays)

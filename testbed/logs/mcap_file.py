@@ -1,0 +1,405 @@
+"""MCAP files: writing chunks, reading files back, also files that were cut short.
+
+The only module that imports foxglove, mcap, protobuf and zstandard. Format: https://mcap.dev/spec.
+Foxglove's messages: https://docs.foxglove.dev/docs/visualization/message-schemas.
+"""
+
+from __future__ import annotations
+
+import functools
+import io
+import os
+import struct
+import zlib
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from itertools import accumulate
+from pathlib import Path
+from typing import Any
+
+import zstandard
+from foxglove import messages
+from google.protobuf import descriptor_pool, message_factory
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.message import DecodeError
+from mcap import records
+from mcap.data_stream import RecordBuilder
+from mcap.exceptions import EndOfFile
+from mcap.opcode import Opcode
+from mcap.records import McapRecord
+from mcap.stream_reader import StreamReader
+
+from testbed.core.errors import InputError
+from testbed.core.records import Event
+from testbed.logs.message_batch import Channel, Chunk, MessageBatch, Schema, chunk
+from testbed.logs.messages import Topic
+
+_NS = 10**9
+_MAGIC = b"\x89MCAP0\r\n"
+_RECORD_HEAD = struct.Struct("<BQ")  # opcode, and length of the rest
+# Of a chunk: opcode, length, first and last time, uncompressed size and checksum, length and name
+# of the compression, compressed size.
+_CHUNK_HEAD = struct.Struct("<BQQQQII4sQ")
+_ZSTD = "zstd"
+_MAX_CHUNK_BYTES = 1 << 28  # uncompressed; a chunk holds a fraction of a second of wall time
+_MAX_REASON = 200  # characters of a library's error, which may quote the whole file
+_LIBRARY = "testbed"  # named in the header of our files
+# The fastest level: most bytes of a log are the last bits of numbers, which no level compresses.
+_ZSTD_LEVEL = 1
+_SUMMARY_GROUPS = (
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.STATISTICS,
+    Opcode.CHUNK_INDEX,
+    Opcode.ATTACHMENT_INDEX,
+    Opcode.METADATA_INDEX,
+)
+NO_SAMPLES = "was cut before its first sample: nothing was recorded"
+
+
+def _foxglove_schema(message_type: Any) -> Schema:  # noqa: ANN401 - a class of foxglove.messages
+    schema = message_type.get_schema()
+    return Schema(schema.name, schema.data)
+
+
+TRANSFORMS = _foxglove_schema(messages.FrameTransforms)
+FIX = _foxglove_schema(messages.LocationFix)
+LOG = _foxglove_schema(messages.Log)
+
+
+class LogError(InputError):
+    """A log cannot be read or written; the message names the file, the place and the reason."""
+
+
+class McapWriter:
+    """Write an MCAP file in chunks.
+
+    A thread compresses and writes chunks, mostly without the interpreter's lock, so that the
+    simulation goes on meanwhile. A record is in the file completely or not at all. Before each
+    record the file's name is checked: writing stops if the file was removed or moved.
+
+    Args:
+        path: A file that does not exist.
+
+    Raises:
+        LogError: The file exists, or its folder is missing, full or not writable. Every method
+            that writes raises it also for a chunk that an earlier call handed over; the file is
+            then closed after its last complete record.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """See the class."""
+        self.path = path
+        try:
+            self._file = open(path, "xb", buffering=0)  # noqa: SIM115 - closed by close()
+        except FileExistsError:
+            raise LogError(f"{path}: there is a log already; name another directory") from None
+        except OSError as error:
+            raise LogError(f"{path}: cannot create the log: {error.strerror}") from error
+        self._size = 0
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="log")
+        self._pending: Future[None] | None = None
+        self._compressor = zstandard.ZstdCompressor(level=_ZSTD_LEVEL)
+        self._channels: list[Channel] = []  # registered ones
+        self._schema_ids: dict[str, int] = {}  # by name
+        self._span_ns = (2**63, 0)
+        self._summary: dict[Opcode, list[bytes]] = {group: [] for group in _SUMMARY_GROUPS}
+        self._write(_FILE_HEAD)
+
+    def channel(self, topic: str, schema: Schema) -> Channel:
+        """Make a channel for messages of this file."""
+        return Channel(topic, schema, self._register)
+
+    def metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Write a metadata record."""
+        offset, length = self._append(records.Metadata(name, dict(sorted(values.items()))))
+        index = records.MetadataIndex(offset=offset, length=length, name=name)
+        self._summary[Opcode.METADATA_INDEX].append(_encode(index))
+
+    def attachment(self, name: str, media_type: str, data: bytes) -> None:
+        """Attach a file."""
+        head: dict[str, Any] = {"name": name, "media_type": media_type}
+        head |= {"log_time": 0, "create_time": 0}
+        offset, length = self._append(records.Attachment(data=data, **head))
+        index = records.AttachmentIndex(offset=offset, length=length, data_size=len(data), **head)
+        self._summary[Opcode.ATTACHMENT_INDEX].append(_encode(index))
+
+    def write_chunk(self, batches: Sequence[MessageBatch]) -> None:
+        """Hand over a chunk; it is in the file as soon as the thread has compressed it."""
+        self._wait()
+        if batches:
+            self._check_path()
+            self._pending = self._thread.submit(self._write_chunk, chunk(batches))
+
+    def close(self) -> None:
+        """Write the summary, which makes the file seekable, and close it."""
+        if self._file.closed:
+            return
+        # no checksum over the whole file: with one, damage in an unused index would be fatal
+        self._append(records.DataEnd(data_section_crc=0))
+        self._write(self._summary_section())
+        self._file.close()
+        self._thread.shutdown()
+
+    def _register(self, channel: Channel) -> bytes:
+        if channel.id:
+            return b""
+        self._channels.append(channel)
+        channel.id = len(self._channels)
+        name, data = channel.schema.name, channel.schema.data
+        known = name in self._schema_ids
+        schema_id = self._schema_ids.setdefault(name, len(self._schema_ids) + 1)
+        record = _encode(records.Channel(channel.id, channel.topic, "protobuf", {}, schema_id))
+        self._summary[Opcode.CHANNEL].append(record)
+        if known:
+            return record
+        schema = _encode(records.Schema(schema_id, data, "protobuf", name))
+        self._summary[Opcode.SCHEMA].append(schema)
+        return schema + record
+
+    def _write_chunk(self, made: Chunk) -> None:
+        data, compressed = made.data, self._compressor.compress(made.data)
+        size, span_ns = len(compressed), (made.first_ns, made.last_ns)
+        length = _CHUNK_HEAD.size + size
+        content = len(data), zlib.crc32(data), len(_ZSTD), _ZSTD.encode(), size
+        head = _CHUNK_HEAD.pack(Opcode.CHUNK, length - _RECORD_HEAD.size, *span_ns, *content)
+        ids, indices = zip(*sorted(made.index.items()), strict=True)
+        start = self._size
+        self._write(b"".join([head, compressed, *indices]))
+        *offsets, end = accumulate(map(len, indices), initial=start + length)
+        index = records.ChunkIndex(
+            chunk_start_offset=start,
+            chunk_length=length,
+            message_index_offsets=dict(zip(ids, offsets, strict=True)),
+            message_index_length=end - start - length,
+            compression=_ZSTD,
+            compressed_size=size,
+            uncompressed_size=len(data),
+            message_start_time=made.first_ns,
+            message_end_time=made.last_ns,
+        )
+        self._summary[Opcode.CHUNK_INDEX].append(_encode(index))
+        first_ns, last_ns = self._span_ns
+        self._span_ns = min(first_ns, made.first_ns), max(last_ns, made.last_ns)
+
+    def _append(self, record: McapRecord) -> tuple[int, int]:
+        """Write a record after all chunks; return its offset and length."""
+        self._wait()
+        self._check_path()
+        offset, data = self._size, _encode(record)
+        self._write(data)
+        return offset, len(data)
+
+    def _wait(self) -> None:
+        """Wait for the thread; raise what stopped it."""
+        if self._pending:
+            self._pending.result()
+
+    def _write(self, data: bytes) -> None:
+        rest = memoryview(data)
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) :]
+        except OSError as error:
+            # remove the incomplete record, so that the rest of the file stays readable
+            os.ftruncate(self._file.fileno(), self._size)
+            self._file.close()
+            raise LogError(f"{self.path}: cannot write the log: {error.strerror}") from error
+        self._size += len(data)
+
+    def _check_path(self) -> None:
+        """Refuse to go on if the path names no file, or another one."""
+        try:
+            same = os.path.samestat(os.stat(self.path), os.fstat(self._file.fileno()))
+        except OSError:
+            same = False
+        if not same:
+            self._file.close()
+            raise LogError(
+                f"{self.path}: the log is not there any more: {self.path.parent} was removed or "
+                "moved during the run"
+            )
+
+    def _summary_section(self) -> bytes:
+        """Encode the summary section, its offsets and the footer."""
+        groups = self._summary
+        counts = {channel.id: channel.message_count for channel in self._channels}
+        first, last = self._span_ns if counts else (0, 0)
+        statistics = records.Statistics(
+            attachment_count=len(groups[Opcode.ATTACHMENT_INDEX]),
+            channel_count=len(counts),
+            channel_message_counts=counts,
+            chunk_count=len(groups[Opcode.CHUNK_INDEX]),
+            message_count=sum(counts.values()),
+            message_end_time=last,
+            message_start_time=first,
+            metadata_count=len(groups[Opcode.METADATA_INDEX]),
+            schema_count=len(groups[Opcode.SCHEMA]),
+        )
+        groups[Opcode.STATISTICS].append(_encode(statistics))
+        out = offsets = b""
+        for group, parts in groups.items():
+            data = b"".join(parts)
+            if data:
+                offset = records.SummaryOffset(group, self._size + len(out), len(data))
+                offsets += _encode(offset)
+            out += data
+        footer = records.Footer(self._size, self._size + len(out), summary_crc=0)
+        out += offsets + _encode(footer)[:-4]
+        return out + struct.pack("<I", zlib.crc32(out)) + _MAGIC
+
+
+def _encode(record: McapRecord) -> bytes:
+    out = RecordBuilder()
+    record.write(out)
+    return bytes(out.end())
+
+
+_FILE_HEAD = _MAGIC + _encode(records.Header(profile="", library=_LIBRARY))
+
+
+@dataclass(slots=True)
+class TopicMessages:
+    """The messages of a topic in the order of the file."""
+
+    time_ns: list[int] = field(default_factory=list)
+    data: list[bytes] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class McapContents:
+    """The contents of a file, messages by topic."""
+
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    messages: dict[str, TopicMessages] = field(default_factory=dict)
+    own_header: bool = False  # the header is that of `McapWriter`
+    finished: bool = False  # the writer closed the file
+    lost_bytes: int = 0  # of an incomplete record at the end
+
+
+def read(path: Path) -> McapContents:
+    """Read a file from its start, without its summary: of a cut file all complete records.
+
+    Raises:
+        LogError: Not an MCAP file, cut before its first record, or damaged before its end.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise LogError(f"{path}: cannot read the log: {error.strerror}") from error
+    if _FILE_HEAD.startswith(data):
+        raise LogError(f"{path}: {NO_SAMPLES}")
+    if not data.startswith(_MAGIC):
+        raise LogError(f"{path}: not an MCAP file")
+    complete, offset = _complete_bytes(path, data), len(_MAGIC)
+    out = McapContents(own_header=data.startswith(_FILE_HEAD), lost_bytes=len(data) - complete)
+    topics: dict[int, TopicMessages] = {}
+    source = io.BytesIO(data[:complete])
+    try:
+        for record in StreamReader(source, validate_crcs=True).records:
+            offset = source.tell()
+            if isinstance(record, records.Message):
+                messages = topics[record.channel_id]
+                messages.time_ns.append(record.log_time)
+                messages.data.append(record.data)
+            elif isinstance(record, records.Channel):
+                topics[record.id] = out.messages.setdefault(record.topic, TopicMessages())
+            elif isinstance(record, records.Metadata):
+                out.metadata[record.name] = record.metadata
+            elif isinstance(record, records.Attachment):
+                out.attachments[record.name] = record.data
+        out.finished = True
+    except Exception as error:
+        # a damaged byte can raise anything in the library; the end of a cut file is no damage
+        if not (isinstance(error, EndOfFile) and offset == complete):
+            reason = repr(error)[:_MAX_REASON]
+            raise LogError(f"{path}: damaged after byte {offset}: {reason}") from error
+    return out
+
+
+def _complete_bytes(path: Path, data: bytes) -> int:
+    """Find the end of the last complete record.
+
+    Raises:
+        LogError: The uncompressed size of a chunk is larger than that of any log.
+    """
+    offset, view = len(_MAGIC), memoryview(data)
+    while len(data) - offset >= _RECORD_HEAD.size:
+        opcode, length = _RECORD_HEAD.unpack_from(data, offset)
+        end = offset + _RECORD_HEAD.size + length
+        if end > len(data):
+            break
+        if opcode == Opcode.CHUNK:
+            size = _uncompressed_size(view[offset:end])
+            if size > _MAX_CHUNK_BYTES:
+                raise LogError(
+                    f"{path}: the chunk at byte {offset} would be {size:,} bytes uncompressed; at"
+                    f" most {_MAX_CHUNK_BYTES:,} are allowed"
+                )
+        offset = end
+    return len(data) if data[offset:] == _MAGIC else offset
+
+
+def _uncompressed_size(chunk: memoryview) -> int:
+    """Read the uncompressed size, from the chunk and from its zstd data, which zstd trusts."""
+    if len(chunk) < _CHUNK_HEAD.size:
+        return 0  # damaged: the library's error says how
+    size = int(_CHUNK_HEAD.unpack_from(chunk)[4])
+    try:
+        return max(size, zstandard.frame_content_size(chunk[_CHUNK_HEAD.size :]))
+    except zstandard.ZstdError:  # another compression, or none
+        return size
+
+
+def encode_event(event: Event) -> bytes:
+    """Encode an event as foxglove.Log."""
+    time_ns = round(event.time_s * _NS)
+    line = messages.Log(
+        timestamp=messages.Timestamp(sec=time_ns // _NS, nsec=time_ns % _NS),
+        level=getattr(messages.LogLevel, event.level.title(), messages.LogLevel.Unknown),
+        message=event.text,
+        name=event.source,
+    )
+    return line.encode()
+
+
+def decode_event(payload: bytes, time_s: float) -> Event:
+    """Decode a foxglove.Log.
+
+    Raises:
+        ValueError: The bytes are another message.
+    """
+    try:
+        line = _log_class().FromString(payload)
+    except DecodeError as error:
+        raise ValueError(f"not a foxglove.Log: {error}") from error
+    levels = line.DESCRIPTOR.fields_by_name["level"].enum_type.values_by_number
+    level = levels[line.level if line.level in levels else 0].name.lower()
+    return Event(time_s, str(level), str(line.name), str(line.message))
+
+
+@functools.cache
+def _log_class() -> Any:  # noqa: ANN401 - made at run time
+    # a pool of its own: Foxglove's package may have registered the same names
+    pool = descriptor_pool.DescriptorPool()
+    for file in FileDescriptorSet.FromString(LOG.data).file:
+        pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(LOG.name))
+
+
+def topic_schema(topic: Topic) -> Schema:
+    """Describe the messages of a topic: a FileDescriptorSet of one file."""
+    package, _, name = topic.message_type.rpartition(".")
+    out = FileDescriptorSet()
+    file = out.file.add(name=f"{topic.message_type}.proto", package=package, syntax="proto3")
+    message = file.message_type.add(name=name)
+    for number, (field_name, column) in enumerate(topic.fields, start=1):
+        message.field.add(
+            name=field_name,
+            number=number,
+            type=f"TYPE_{column.type.upper()}",
+            label="LABEL_REPEATED" if column.per_aircraft else "LABEL_OPTIONAL",
+        )
+    return Schema(topic.message_type, bytes(out.SerializeToString(deterministic=True)))

@@ -1,0 +1,275 @@
+"""Read logs back as stacked arrays, and as the samples that observers saw."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from testbed.core.errors import InputError
+from testbed.core.records import (
+    ActuatorCommand,
+    AirData,
+    Array,
+    BoolArray,
+    Event,
+    FbwaCommand,
+    FormationState,
+    LinkCounters,
+    Observer,
+    RunInfo,
+    Sample,
+    VehicleState,
+    join_names,
+)
+from testbed.logs import mcap_file
+from testbed.logs.header import CODE_SUFFIX, INFO_NAME, METADATA_NAME, from_json
+from testbed.logs.mcap_file import LogError, McapContents
+from testbed.logs.messages import LOG_SCHEMA, STATE, TOPICS, Topic
+from testbed.logs.proto_template import IntArray, topic_template
+from testbed.logs.run_directory import METRICS_NAME, SCENARIO_NAME
+from testbed.scenario import Scenario, loads
+
+_NS = 10**9
+_INTEGERS = {  # what is not a float64 in a sample
+    "formation.limiter_flags": "u1",
+    "formation.saturations": "u1",
+    "formation.slot_index": "u4",
+    "links.sent": "u4",
+    "links.delivered": "u4",
+    "lost": "?",
+}
+_RecordT = TypeVar("_RecordT")
+
+
+@dataclass(frozen=True, slots=True)
+class Log:
+    """A run read back: the records of a `Sample` with K samples on the leading axis."""
+
+    info: RunInfo
+    metadata: Mapping[str, str]
+    tick: IntArray  # (K,) of the base rate
+    time_s: Array  # (K,)
+    truth: VehicleState  # (K, N, ...)
+    estimate: VehicleState  # (K, N, ...) `truth` itself if all estimates are exact
+    air: AirData  # (K, N, ...)
+    command: FbwaCommand  # (K, N)
+    surfaces: ActuatorCommand  # (K, N)
+    formation: FormationState  # (K, n, ...)
+    links: LinkCounters  # (K, n, N) zero in samples before the log counts messages
+    lost: BoolArray  # (K, N)
+    events: tuple[Event, ...]
+    metrics: Mapping[str, Any] | None  # None: the run was cut short
+    finished: bool  # False: the writer did not close the file
+    lost_bytes: int  # of an incomplete record at the end
+
+    def __repr__(self) -> str:
+        """Name the run, its size and its records."""
+        records = "truth, estimate, air, command, surfaces, formation, links, lost"
+        ended = "" if self.finished else ", cut short"
+        count = len(self.events)
+        events = f"{count} event{'s' * (count != 1)}{ended}"
+        return f"<Log of {self.info.scenario_name}: {records} of {self.size}; {events}>"
+
+    @property
+    def size(self) -> str:
+        """Samples, seconds and aircraft in words."""
+        last = f", {self.time_s[-1] - self.time_s[0]:g} s" if self.time_s.size else ""
+        return f"{self.time_s.size} samples{last}, of {join_names(self.info.names)}"
+
+
+def read_log(path: Path) -> Log:
+    """Read a log; of one that was cut short, everything up to the cut.
+
+    Raises:
+        LogError: Not a log of this schema, or damaged before its end.
+    """
+    contents = mcap_file.read(path)
+    info = _run_info(path, contents)
+    state = contents.messages.get(f"/{info.names[0]}/{STATE.name}")
+    tick = _ticks(state.time_ns if state else [], info)
+    columns: dict[str, Any] = {}
+    for topic in TOPICS:
+        columns |= _read_columns(path, contents, topic, info, tick, columns)
+    for source, dtype in _INTEGERS.items():
+        # in samples without a message no bit is set and no message counted
+        columns[source] = np.nan_to_num(columns[source]).astype(dtype)
+    truth = _record(VehicleState, "truth", columns)
+    estimate = _record(VehicleState, "estimate", columns)
+    exact = all(one is other for one, other in zip(estimate, truth, strict=True))
+    metrics = contents.attachments.get(METRICS_NAME)
+    return Log(
+        info=info,
+        metadata=contents.metadata.get(METADATA_NAME, {}),
+        tick=tick,
+        time_s=tick / info.base_rate_hz,
+        truth=truth,
+        estimate=truth if exact else estimate,
+        air=_record(AirData, "air", columns),
+        command=_record(FbwaCommand, "command", columns),
+        surfaces=_record(ActuatorCommand, "surfaces", columns),
+        formation=_record(FormationState, "formation", columns),
+        links=_record(LinkCounters, "links", columns),
+        lost=columns["lost"],
+        events=_events(path, contents),
+        metrics=None if metrics is None else _json(path, METRICS_NAME, metrics),
+        finished=contents.finished,
+        lost_bytes=contents.lost_bytes,
+    )
+
+
+def samples(log: Log) -> Iterator[Sample]:
+    """Iterate over the samples of a log, as observers of the run saw them.
+
+    An event comes with the first sample at or after its time; events after the last sample are
+    left out, as `Observer.end` gets them.
+    """
+    exact = log.estimate is log.truth
+    events = sorted(log.events, key=lambda event: event.time_s)
+    used = 0
+    for k in range(log.tick.size):
+        time_s = float(log.time_s[k])
+        first = used
+        while used < len(events) and events[used].time_s <= time_s:
+            used += 1
+        truth = _at(log.truth, k)
+        yield Sample(
+            tick=int(log.tick[k]),
+            time_s=time_s,
+            truth=truth,
+            estimate=truth if exact else _at(log.estimate, k),
+            air=_at(log.air, k),
+            command=_at(log.command, k),
+            surfaces=_at(log.surfaces, k),
+            formation=_at(log.formation, k),
+            links=_at(log.links, k),
+            lost=log.lost[k],
+            events=tuple(events[first:used]),
+        )
+
+
+def replay(log: Log, observers: Sequence[Observer]) -> list[Event]:
+    """Show a log to observers, without `end`; return the events after its last sample."""
+    for observer in observers:
+        observer.begin(log.info)
+    shown = 0
+    for sample in samples(log):
+        for observer in observers:
+            observer.observe(sample)
+        shown += len(sample.events)
+    return sorted(log.events, key=lambda event: event.time_s)[shown:]
+
+
+def scenario_of(log: Log) -> Scenario | None:
+    """Load the scenario as flown; None if this version does not accept it."""
+    try:
+        return loads(log.info.scenario_yaml, check_files=False)
+    except InputError:
+        return None
+
+
+def _at(record: _RecordT, k: int) -> _RecordT:
+    """Take sample k of a record of stacked arrays."""
+    kind = type(record)
+    return kind(**{name: getattr(record, name)[k] for name in kind.__annotations__})
+
+
+def _run_info(path: Path, contents: McapContents) -> RunInfo:
+    metadata = contents.metadata.get(METADATA_NAME)
+    complete = INFO_NAME in contents.attachments
+    if contents.own_header and not contents.finished and not complete:
+        raise LogError(f"{path}: {mcap_file.NO_SAMPLES}")
+    if metadata is None or not complete:
+        raise LogError(f"{path}: an MCAP file, but not a log of a testbed run")
+    if metadata.get("log_schema") != str(LOG_SCHEMA):
+        version = metadata.get("version.testbed", "of unknown version")
+        raise LogError(
+            f"{path}: log schema {metadata.get('log_schema')} of testbed {version}; this version"
+            f" reads schema {LOG_SCHEMA} only: read the log with the version that wrote it"
+        )
+    attached = contents.attachments
+    try:
+        return from_json(
+            attached[INFO_NAME].decode(),
+            scenario_yaml=attached.get(SCENARIO_NAME, b"").decode(),
+            code={name: data for name, data in attached.items() if name.endswith(CODE_SUFFIX)},
+        )
+    except ValueError as error:
+        raise LogError(f"{path}: {error}") from error
+
+
+def _ticks(time_ns: list[int], info: RunInfo) -> IntArray:
+    """Ticks of the base rate; the times are these, rounded down to whole nanoseconds."""
+    return np.rint(np.array(time_ns, dtype=np.float64) * info.base_rate_hz / _NS).astype(np.int64)
+
+
+def _read_columns(
+    path: Path,
+    contents: McapContents,
+    topic: Topic,
+    info: RunInfo,
+    tick: IntArray,
+    others: Mapping[str, Array],
+) -> dict[str, Array]:
+    """Decode the arrays (K, agents[, components]) of a topic, by source.
+
+    Samples without a message get the values of the column's default source, or NaN.
+    """
+    agents = info.names[1:] if topic.followers_only else info.names
+    found = [contents.messages.get(f"/{agent}/{topic.name}") for agent in agents]
+    defaults = {c.source: others[c.default_source] for c in topic.columns if c.default_source}
+    if defaults and not any(each and each.time_ns for each in found):
+        return defaults
+    template = topic_template(topic, len(info.names))
+    out: dict[str, Array] = {}
+    for column in topic.columns:
+        components = len(info.names) if column.per_aircraft else len(column.names)
+        shape = (tick.size, len(agents), components)
+        default = defaults.get(column.source)
+        out[column.source] = (
+            np.full(shape, np.nan) if default is None else default.reshape(shape).copy()
+        )
+    for i, (agent, messages) in enumerate(zip(agents, found, strict=True)):
+        if messages is None or not tick.size:
+            continue
+        own = _ticks(messages.time_ns, info)
+        rows = np.searchsorted(tick, own)
+        known = tick[np.minimum(rows, tick.size - 1)] == own
+        try:
+            values = template.decode(messages.data)
+        except ValueError as error:
+            raise LogError(f"{path}: /{agent}/{topic.name}: {error}") from error
+        for source, array in out.items():
+            array[rows[known], i] = values[source][known]
+    for column in topic.columns:
+        if len(column.names) == 1 and not column.per_aircraft:
+            out[column.source] = out[column.source][..., 0]
+    return out
+
+
+def _record(kind: type[_RecordT], name: str, columns: Mapping[str, Array]) -> _RecordT:
+    return kind(**{field: columns[f"{name}.{field}"] for field in kind.__annotations__})
+
+
+def _events(path: Path, contents: McapContents) -> tuple[Event, ...]:
+    found = contents.messages.get("/events")
+    if found is None:
+        return ()
+    try:
+        return tuple(
+            mcap_file.decode_event(payload, stamp / _NS)
+            for stamp, payload in zip(found.time_ns, found.data, strict=True)
+        )
+    except ValueError as error:
+        raise LogError(f"{path}: /events: {error}") from error
+
+
+def _json(path: Path, name: str, data: bytes) -> dict[str, Any]:
+    try:
+        return dict(json.loads(data))
+    except ValueError as error:
+        raise LogError(f"{path}: {name}: {error}") from error

@@ -1,0 +1,275 @@
+"""The observer that writes the log of a run."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from testbed.core.frames import geodetic_from_ned, quaternion_xyzw
+from testbed.core.records import Event, RunInfo, Sample
+from testbed.core.samples import Columns, SampleBuffer
+from testbed.logs.header import INFO_NAME, METADATA_NAME, metadata, to_json
+from testbed.logs.mcap_file import (
+    FIX,
+    LOG,
+    TRANSFORMS,
+    LogError,
+    McapWriter,
+    encode_event,
+    topic_schema,
+)
+from testbed.logs.message_batch import MessageBatch, MessageRows, message_batch
+from testbed.logs.messages import ESTIMATE, ESTIMATED_ERROR, NETWORK, TOPICS, Topic
+from testbed.logs.proto_template import GnssFixes, IntArray, TransformsTemplate, topic_template
+from testbed.logs.run_directory import METRICS_NAME, SCENARIO_NAME
+
+FIX_HZ = 5
+FLUSH_S = 0.35  # of wall time, at most, between writes: a killed run loses less than half a second
+_MIN_SLEEP_S = 0.005  # of the flushing thread
+_CHUNK_AIRCRAFT_SAMPLES = 800
+_WALL_CLOCK_KEYS = ("wall_s", "real_time_factor")
+_NS = 10**9
+# Position and quaternion (x, y, z, w) of the NED frame in the east-north-up world that viewers
+# draw with z up.
+_ENU_FROM_NED = np.zeros((1, 1, 3)), np.array([[[0.5**0.5, 0.5**0.5, 0.0, 0.0]]])
+
+
+class McapRecorder:
+    """Write a run as MCAP: https://mcap.dev, protobuf, zstd, indexed.
+
+    A chunk ends after a number of samples that depends on the number of aircraft only, so that the
+    same scenario and seed give the same bytes. If such a chunk would last longer than `FLUSH_S` of
+    wall time, a shorter one is written, which changes no message. A thread does so also while no
+    sample arrives, as when the run waits for an external program.
+
+    Args:
+        path: The file, which must not exist.
+
+    Raises:
+        LogError: From all methods: the file cannot be written, or was removed or moved.
+    """
+
+    zero_copy = True  # copies what it needs
+
+    def __init__(self, path: Path) -> None:
+        """See the class."""
+        self._path = path
+        self._file: McapWriter | None = None
+        self._lock = threading.RLock()  # of everything below
+        self._closed = threading.Event()
+        self._writer_error: Exception | None = None  # raised in the thread
+
+    def begin(self, info: RunInfo) -> None:
+        """Create the file and write its header."""
+        file = McapWriter(self._path)
+        self._info = info
+        file.metadata(METADATA_NAME, metadata(info))
+        file.attachment(SCENARIO_NAME, "application/yaml", info.scenario_yaml.encode())
+        for name, code in info.code.items():
+            file.attachment(name, "text/x-python", code)
+        file.attachment(INFO_NAME, "application/json", to_json(info).encode())
+        self._encoder = _SampleEncoder(file, info)
+        self._chunk_samples = chunk_samples(len(info.names))
+        self._samples = SampleBuffer(self._chunk_samples)
+        self._events: list[tuple[int, Event]] = []  # with the sample they follow in the chunk
+        self._event_channel = file.channel("/events", LOG)
+        self._flushed = time.monotonic()
+        self._file = file
+        threading.Thread(target=self._flush_loop, name="log-clock", daemon=True).start()
+
+    def observe(self, sample: Sample) -> None:
+        """Copy a sample; write the chunk when it is full or old."""
+        with self._lock:
+            self._raise_writer_error()
+            self._samples.append(sample)
+            count = len(self._samples.tick)
+            if sample.events:
+                self._events.extend((count - 1, event) for event in sample.events)
+            if count == self._chunk_samples or time.monotonic() - self._flushed > FLUSH_S:
+                self._flush()
+
+    def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
+        """Write the last samples, the events after them and the metrics; finish the file.
+
+        The metrics are attached without wall-clock times, which differ from run to run.
+        """
+        with self._lock:
+            self._raise_writer_error()
+            file = self._file
+            if file is None:
+                return
+            self._events.extend((len(self._samples.tick) - 1, event) for event in events)
+            self._flush()
+            timeless = {**summary, **{key: None for key in _WALL_CLOCK_KEYS if key in summary}}
+            text = json.dumps(timeless, indent=2, ensure_ascii=False, allow_nan=False)
+            file.attachment(METRICS_NAME, "application/json", text.encode())
+            self.close()
+
+    def close(self) -> None:
+        """Finish the file, without metrics if `end` was not called. Harmless when repeated."""
+        with self._lock:
+            self._closed.set()
+            self._raise_writer_error()
+            if self._file is not None:
+                file = self._file
+                self._flush()
+                self._file = None
+                file.close()
+
+    def _flush_loop(self) -> None:
+        """Flush where no sample arrives in time; runs in a thread."""
+        remaining = FLUSH_S
+        while not self._closed.wait(max(remaining, _MIN_SLEEP_S)):
+            with self._lock:
+                if self._file is None:
+                    return
+                remaining = self._flushed + FLUSH_S - time.monotonic()
+                if remaining > 0.0:
+                    continue
+                remaining = FLUSH_S
+                try:
+                    self._flush()
+                except Exception as error:
+                    self._writer_error = error  # raised by the next call of a method
+                    return
+
+    def _raise_writer_error(self) -> None:
+        error, self._writer_error = self._writer_error, None
+        if error is not None:
+            raise error
+
+    def _flush(self) -> None:
+        file = self._file
+        if file is not None:
+            batches: list[MessageBatch] = []
+            if self._samples.tick:
+                columns = self._samples.columns()
+                topics = _changed_topics(columns, estimates_differ=bool(self._samples.erring))
+                ticks = np.array(self._samples.tick, dtype=np.int64)
+                batches += self._encoder.encode(ticks, columns, topics)
+            if self._events:
+                order, events = zip(*self._events, strict=True)
+                time_ns = [round(event.time_s * _NS) for event in events]
+                lines = [[encode_event(event)] for event in events]
+                batches.append(
+                    message_batch([self._event_channel], lines, np.array(time_ns), np.array(order))
+                )
+            try:
+                file.write_chunk(batches)
+            except LogError:
+                self._file = None  # it is closed after its last complete record
+                raise
+            self._samples.clear()
+            self._events = []
+        self._flushed = time.monotonic()
+
+
+class _SampleEncoder:
+    """Encode samples as messages of a file."""
+
+    def __init__(self, file: McapWriter, info: RunInfo) -> None:
+        """Prepare the channels and templates of all topics that a run of these aircraft has."""
+        names = info.names
+        self._info, self._file = info, file
+        self._tf, self._transforms = (
+            file.channel("/tf", TRANSFORMS),
+            TransformsTemplate("ned", names),
+        )
+        self._fix_channels = [file.channel(f"/{name}/fix", FIX) for name in names]
+        self._fixes = GnssFixes(names)
+        self._fix_stride = max(1, round(info.frame_rate_hz / FIX_HZ))
+        self._topics = {
+            topic: (
+                topic_template(topic, len(names)),
+                [file.channel(f"/{name}/{topic.name}", topic_schema(topic)) for name in agents],
+            )
+            for topic in TOPICS
+            if (agents := names[1:] if topic.followers_only else names)
+        }
+        self._rows: dict[tuple[Topic, ...], MessageRows] = {}
+        self._encoded = 0  # samples
+
+    def encode(
+        self, ticks: IntArray, columns: Columns, topics: Sequence[Topic]
+    ) -> Iterator[MessageBatch]:
+        """Encode the next K samples.
+
+        Args:
+            ticks: (K,) of the base rate.
+            columns: arrays (K, ...) by source.
+            topics: those to write.
+        """
+        info = self._info
+        time_ns = ticks * _NS // info.base_rate_hz
+        if not self._encoded:
+            static = [self._file.channel("/tf_static", TRANSFORMS)]
+            yield message_batch(
+                static, [[_static_transform(time_ns[:1])]], time_ns[:1], np.zeros(1, dtype=np.int64)
+            )
+        positions, euler = columns["truth.position_ned"], columns["truth.euler"]
+        present = tuple(topic for topic in topics if topic in self._topics)
+        layout = self._message_rows(present)
+        rows = layout.allocate(len(ticks))
+        transforms, *messages = layout.messages(rows)
+        self._transforms.fill(transforms[:, 0], positions, quaternion_xyzw(euler), time_ns)
+        for topic, of_topic in zip(present, messages, strict=True):
+            self._topics[topic][0].fill(of_topic, columns)
+        yield layout.batch(rows, time_ns)
+        with_fix = slice(-self._encoded % self._fix_stride, None, self._fix_stride)
+        order = np.arange(len(ticks))[with_fix]
+        if order.size:
+            geodetic = geodetic_from_ned(positions[with_fix], info.origin)
+            fixes = self._fixes.encode(geodetic, time_ns[with_fix])
+            yield message_batch(self._fix_channels, fixes, time_ns[with_fix], order)
+        self._encoded += len(ticks)
+
+    def _message_rows(self, topics: tuple[Topic, ...]) -> MessageRows:
+        if topics not in self._rows:
+            groups = [(self._transforms.data, [self._tf])]
+            for topic in topics:
+                template, channels = self._topics[topic]
+                groups.append((template.data, channels))
+            self._rows[topics] = MessageRows(groups)
+        return self._rows[topics]
+
+
+def _changed_topics(columns: Columns, *, estimates_differ: bool) -> list[Topic]:
+    """Select the topics to write: estimates that differ from the truth, links that lost messages.
+
+    Args:
+        columns: arrays (K, ...) by source.
+        estimates_differ: False if all estimates are the truth itself.
+    """
+
+    def differ(one: str, other: str) -> bool:
+        # compared by bits, so that NaN equals itself
+        return columns[one].tobytes() != columns[other].tobytes()
+
+    written = {topic for topic in TOPICS if topic not in (ESTIMATE, ESTIMATED_ERROR, NETWORK)}
+    if estimates_differ:
+        for topic in (ESTIMATE, ESTIMATED_ERROR):
+            if any(differ(column.source, column.default_source or "") for column in topic.columns):
+                written.add(topic)
+    # the counts are cumulative: after the first loss they differ for ever
+    if differ("links.sent", "links.delivered"):
+        written.add(NETWORK)
+    return [topic for topic in TOPICS if topic in written]
+
+
+def _static_transform(time_ns: IntArray) -> bytes:
+    """Encode the one message of `/tf_static`: NED in the east-north-up world, at time_ns (1,)."""
+    template = TransformsTemplate("enu", ("ned",))
+    octets = np.array([list(template.data)], dtype=np.uint8)
+    template.fill(octets, *_ENU_FROM_NED, time_ns)
+    return octets.tobytes()
+
+
+def chunk_samples(aircraft: int) -> int:
+    """Samples in a full chunk."""
+    return min(max(_CHUNK_AIRCRAFT_SAMPLES // aircraft, 10), 200)

@@ -1,0 +1,132 @@
+"""Run directories: one for each run, with fixed file names, found again by the scenario's name."""
+
+from __future__ import annotations
+
+import os
+import re
+import secrets
+from datetime import UTC, datetime
+from pathlib import Path
+
+from testbed.logs.mcap_file import LogError
+
+LOGS = Path("logs")
+LOG_NAME, SCENARIO_NAME, METRICS_NAME = "run.mcap", "scenario.resolved.yaml", "metrics.json"
+_ATTEMPTS = 100  # at a free directory name
+
+
+def create_run_directory(scenario: str, *, out: Path | None = None, logs: Path = LOGS) -> Path:
+    """Create the directory of a new run.
+
+    Without `out` it is `logs/<scenario>/<UTC>-<short id>`. Creating it reserves it: two runs that
+    start at the same moment get different directories.
+
+    Args:
+        scenario: Name of the scenario.
+        out: The run directory itself, new or empty.
+        logs: The folder of all runs.
+
+    Raises:
+        LogError: It cannot be created, or `out` is not empty.
+    """
+    if out is not None:
+        return _create_or_use(out)
+    parent = logs / _folder_name(scenario)
+    try:
+        parent.mkdir(parents=True, exist_ok=True)
+        for _ in range(_ATTEMPTS):
+            now = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+            directory = parent / f"{now}-{secrets.token_hex(2)}"
+            try:
+                directory.mkdir()
+            except FileExistsError:
+                continue
+            return directory
+    except OSError as error:
+        raise _creation_error(parent, error) from error
+    raise LogError(f"{parent}: no free name for a run directory; give one with --out DIR")
+
+
+def write_run_file(directory: Path, name: str, data: bytes) -> None:
+    """Write a new file of a run.
+
+    Two runs that were given the same empty directory at the same moment both write their scenario
+    first: the second one fails here.
+
+    Raises:
+        LogError: The file exists, or cannot be written.
+    """
+    try:
+        with open(directory / name, "xb") as file:
+            file.write(data)
+    except FileExistsError:
+        raise LogError(
+            f"--out {directory}: another run has just begun in it; name a new or an empty directory"
+        ) from None
+    except OSError as error:
+        raise LogError(f"{directory / name}: cannot be written: {error.strerror}") from error
+
+
+def find_run(run: str | Path, *, logs: Path = LOGS) -> Path:
+    """Find the log of a run by its directory, its `.mcap` file, or its scenario's name.
+
+    A scenario's name stands for its latest run below `logs`.
+
+    Raises:
+        LogError: There is no such run; says what was looked for.
+    """
+    path = Path(run)
+    if path.is_file():
+        return path
+    for directory in (path, logs / path):
+        if (directory / LOG_NAME).is_file():
+            return directory / LOG_NAME
+        runs = _runs(directory)
+        if runs:
+            return runs[-1] / LOG_NAME
+    if (path / SCENARIO_NAME).is_file():
+        raise LogError(f"{run}: no {LOG_NAME} in there: nothing was recorded")
+    if path.is_dir():
+        raise LogError(f"{run}: no {LOG_NAME} in there, and no runs below")
+    known = sorted(p.name for p in logs.iterdir() if _runs(p)) if logs.is_dir() else []
+    hint = f"runs of: {', '.join(known)}" if known else "no runs yet"
+    raise LogError(
+        f"{run}: neither a run directory, nor a .mcap file, nor a scenario flown from here"
+        f" ({logs}{os.sep} has {hint})"
+    )
+
+
+def _create_or_use(out: Path) -> Path:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        occupied = any(out.iterdir())
+    except OSError as error:
+        raise _creation_error(out, error) from error
+    if occupied:
+        raise LogError(f"--out {out}: not empty; name a new or an empty directory")
+    if not os.access(out, os.W_OK):
+        raise LogError(f"--out {out}: not writable; name another directory")
+    return out
+
+
+def _runs(directory: Path) -> list[Path]:
+    """List the runs in a folder, the latest last."""
+    if not directory.is_dir():
+        return []
+
+    def age(run: Path) -> tuple[str, int]:
+        # names begin with the second of the start; within a second the later log is the later run
+        return run.name.partition("-")[0], (run / LOG_NAME).stat().st_mtime_ns
+
+    return sorted((p for p in directory.iterdir() if (p / LOG_NAME).is_file()), key=age)
+
+
+def _folder_name(scenario: str) -> str:
+    """Turn a scenario's name into the name of one folder."""
+    return re.sub(r"[^\w.-]+", "-", scenario).strip(".-") or "run"
+
+
+def _creation_error(path: Path, error: OSError) -> LogError:
+    return LogError(
+        f"{path}: cannot make the run directory: {error.strerror}; name another with --out DIR"
+    )

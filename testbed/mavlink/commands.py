@@ -1,0 +1,268 @@
+"""The command protocol: https://mavlink.io/en/services/command.html.
+
+Every command is answered with one COMMAND_ACK.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from enum import IntEnum
+from typing import NamedTuple
+
+from testbed.mavlink.codec import Message, constant
+from testbed.mavlink.message_schedule import MessageSchedule, message_names
+from testbed.mavlink.mission_items import HOME_LEVEL, SEA_LEVEL, Position, check_position
+from testbed.mavlink.outgoing import Fields, Handler, OutgoingMessage, sender_of
+from testbed.mavlink.telemetry_messages import build_message
+from testbed.mavlink.vehicle_context import VehicleContext
+from testbed.mavlink.vehicle_control import Mode, Rejection
+
+_FORCE = 21196.0  # param2 of MAV_CMD_COMPONENT_ARM_DISARM
+_CUSTOM = 1  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+_E7 = 1e7
+_MODES = frozenset(map(float, Mode))
+_RTL = 11.0  # ArduPlane's mode
+
+
+class Result(IntEnum):
+    """Result of a command: MAV_RESULT."""
+
+    ACCEPTED = 0
+    TEMPORARILY_REJECTED = 1
+    DENIED = 2
+    UNSUPPORTED = 3
+    FAILED = 4
+    COMMAND_INT_ONLY = 8
+    UNSUPPORTED_FRAME = 9
+
+
+class CommandRequest(NamedTuple):
+    """A command from a COMMAND_LONG or a COMMAND_INT."""
+
+    command: int
+    # param1 to param7; a position is in degrees
+    params: tuple[float, float, float, float, float, float, float]
+    frame: int | None  # MAV_FRAME; None: of a COMMAND_LONG, which has none
+    wall_s: float  # wall-clock time
+
+
+class CommandReply(NamedTuple):
+    """The result of a command, and the messages after its COMMAND_ACK."""
+
+    result: Result
+    messages: tuple[OutgoingMessage, ...] = ()
+
+
+class CommandProtocol:
+    """Execute commands, and answer with the result and the reason of a rejection."""
+
+    def __init__(self, context: VehicleContext, schedule: MessageSchedule) -> None:
+        """Serve one vehicle."""
+        self._context, self._schedule = context, schedule
+        self.handlers: Mapping[str, Handler] = {
+            "COMMAND_LONG": self._handle,
+            "COMMAND_INT": self._handle,
+            "SET_MODE": self._set_mode,
+        }
+        self._commands: Mapping[int, Callable[[CommandRequest], CommandReply]] = {
+            constant(f"MAV_CMD_{name}"): execute
+            for name, execute in {
+                "COMPONENT_ARM_DISARM": self._arm,
+                "DO_SET_MODE": self._do_set_mode,
+                "DO_REPOSITION": self._reposition,
+                "DO_CHANGE_SPEED": self._change_speed,
+                "MISSION_START": self._start_mission,
+                "DO_SET_MISSION_CURRENT": self._set_current,
+                "NAV_LOITER_UNLIM": self._loiter,
+                "SET_MESSAGE_INTERVAL": self._set_interval,
+                "GET_MESSAGE_INTERVAL": self._get_interval,
+                "REQUEST_MESSAGE": self._request,
+                "REQUEST_AUTOPILOT_CAPABILITIES": self._capabilities,
+                "GET_HOME_POSITION": self._home,
+                "PREFLIGHT_REBOOT_SHUTDOWN": self._reboot,
+                "NAV_RETURN_TO_LAUNCH": self._return,
+                "NAV_TAKEOFF": self._take_off,
+                "NAV_LAND": self._land,
+            }.items()
+        }
+
+    def _handle(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+        request = _read(message, wall_s)
+        execute = self._commands.get(request.command)
+        reply = CommandReply(Result.UNSUPPORTED) if execute is None else execute(request)
+        answer: Fields = {
+            "command": request.command,
+            "result": reply.result,
+            **sender_of(message).target,
+        }
+        return [OutgoingMessage("COMMAND_ACK", answer), *reply.messages]
+
+    def _set_mode(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+        """Execute a SET_MODE, which ArduPilot answers like a command."""
+        base, custom = message.number("base_mode"), message.number("custom_mode")
+        reply = self._change_mode(base, custom, wall_s)
+        answer: Fields = {
+            "command": constant("MAVLINK_MSG_ID_SET_MODE"),
+            "result": reply.result,
+            **sender_of(message).target,
+        }
+        return [OutgoingMessage("COMMAND_ACK", answer), *reply.messages]
+
+    def _arm(self, request: CommandRequest) -> CommandReply:
+        arm, force = request.params[:2]
+        if arm not in (0.0, 1.0):
+            return self._denied("Arming: give 1, or 0 to disarm", request.wall_s)
+        rejection = self._context.control.set_armed(arm == 1.0, force=force == _FORCE)
+        return self._reply(rejection, request.wall_s)
+
+    def _do_set_mode(self, request: CommandRequest) -> CommandReply:
+        return self._change_mode(request.params[0], request.params[1], request.wall_s)
+
+    def _change_mode(self, base: float, custom: float, wall_s: float) -> CommandReply:
+        modes = ", ".join(f"{mode.value} {mode.name}" for mode in Mode)
+        if not math.isfinite(base) or not int(base) & _CUSTOM:
+            return self._denied(f"custom mode: {modes}", wall_s)
+        if custom == _RTL:
+            return self._denied(_unsupported("RTL").text, wall_s)
+        if custom not in _MODES:
+            return self._denied(f"no mode {custom:.0f}: {modes}", wall_s)
+        return self._reply(self._context.control.set_mode(Mode(int(custom))), wall_s)
+
+    def _reposition(self, request: CommandRequest) -> CommandReply:
+        if request.frame is None:
+            return CommandReply(Result.COMMAND_INT_ONLY)  # which has the frame of the altitude
+        if request.frame not in (*SEA_LEVEL, *HOME_LEVEL):
+            return CommandReply(Result.UNSUPPORTED_FRAME)
+        _, flags, radius, anticlockwise, latitude_deg, longitude_deg, altitude = request.params
+        keep = math.isnan(altitude)
+        position = Position(latitude_deg, longitude_deg, 0.0 if keep else altitude)
+        if check_position(position) is not None or math.isinf(radius):
+            return self._denied("Fly there: give latitude, longitude, altitude", request.wall_s)
+        control = self._context.control
+        if control.mode is not Mode.GUIDED:
+            if not math.isfinite(flags) or not int(flags) & 1:
+                text = "Fly there: set the flag that changes to GUIDED"
+                return self._denied(text, request.wall_s)
+            rejection = control.set_mode(Mode.GUIDED)
+            if rejection is not None:
+                return self._reply(rejection, request.wall_s)
+        home = self._context.origin.elevation_m if request.frame in SEA_LEVEL else 0.0
+        sign = -1.0 if anticlockwise == 1.0 else 1.0
+        rejection = control.set_loiter_point(
+            latitude_deg,
+            longitude_deg,
+            None if keep else altitude - home,
+            None if math.isnan(radius) or radius == 0.0 else sign * radius,
+        )
+        return self._reply(rejection, request.wall_s)
+
+    def _change_speed(self, request: CommandRequest) -> CommandReply:
+        kind, speed = request.params[:2]
+        if kind != 0.0 or not (math.isfinite(speed) and speed > 0.0):
+            return self._denied("Speed: give an airspeed, type 0, in m/s", request.wall_s)
+        return self._reply(self._context.control.set_airspeed(speed), request.wall_s)
+
+    def _start_mission(self, request: CommandRequest) -> CommandReply:
+        first, last = (each or 0.0 for each in request.params[:2])
+        count = len(self._context.control.mission)
+        if not (0.0 <= first < max(count, 1) and last in (0.0, count - 1.0)):
+            text = "Mission: first must be an item, last the last one"
+            return self._denied(text, request.wall_s)
+        control = self._context.control
+        rejection = control.set_mode(Mode.AUTO)
+        if rejection is None and first > 0.0:
+            rejection = control.set_current_item(int(first))
+        return self._reply(rejection, request.wall_s)
+
+    def _set_current(self, request: CommandRequest) -> CommandReply:
+        item = request.params[0]
+        if not 0.0 <= item <= 65535.0:
+            return self._denied("Mission: give the number of an item", request.wall_s)
+        reply = self._reply(self._context.control.set_current_item(int(item)), request.wall_s)
+        current = build_message("MISSION_CURRENT", self._context)
+        return CommandReply(reply.result, (*reply.messages, *current))
+
+    def _loiter(self, request: CommandRequest) -> CommandReply:
+        """Circle the current position, as the command has none."""
+        return self._reply(self._context.control.set_mode(Mode.LOITER), request.wall_s)
+
+    def _set_interval(self, request: CommandRequest) -> CommandReply:
+        name, interval_us = message_names().get(_id(request.params[0])), request.params[1]
+        if name is None or not math.isfinite(interval_us):
+            return CommandReply(Result.DENIED)
+        self._schedule.set_interval(name, interval_us)
+        return CommandReply(Result.ACCEPTED)
+
+    def _get_interval(self, request: CommandRequest) -> CommandReply:
+        message = _id(request.params[0])
+        return CommandReply(Result.ACCEPTED, (self._interval(message),))
+
+    def _request(self, request: CommandRequest) -> CommandReply:
+        message = _id(request.params[0])
+        if message == constant("MAVLINK_MSG_ID_MESSAGE_INTERVAL"):
+            return CommandReply(Result.ACCEPTED, (self._interval(_id(request.params[1])),))
+        name = message_names().get(message)
+        if name is None:
+            return CommandReply(Result.UNSUPPORTED)
+        messages = build_message(name, self._context)
+        result = Result.ACCEPTED if messages else Result.TEMPORARILY_REJECTED
+        return CommandReply(result, tuple(messages))
+
+    def _capabilities(self, request: CommandRequest) -> CommandReply:
+        if request.params[0] != 1.0:
+            return CommandReply(Result.DENIED)
+        version = build_message("AUTOPILOT_VERSION", self._context)
+        return CommandReply(Result.ACCEPTED, tuple(version))
+
+    def _home(self, request: CommandRequest) -> CommandReply:
+        return CommandReply(Result.ACCEPTED, tuple(build_message("HOME_POSITION", self._context)))
+
+    def _reboot(self, request: CommandRequest) -> CommandReply:
+        return self._denied("Reboot: not possible during a run", request.wall_s)
+
+    def _return(self, request: CommandRequest) -> CommandReply:
+        return self._reply(_unsupported("RTL"), request.wall_s)
+
+    def _take_off(self, request: CommandRequest) -> CommandReply:
+        return self._reply(_unsupported("TAKEOFF"), request.wall_s)
+
+    def _land(self, request: CommandRequest) -> CommandReply:
+        return self._reply(_unsupported("LAND"), request.wall_s)
+
+    def _interval(self, message: int) -> OutgoingMessage:
+        """Make a MESSAGE_INTERVAL; the interval of unknown messages is 0."""
+        name = message_names().get(message)
+        interval = 0 if name is None else self._schedule.interval_us(name)
+        fields: Fields = {"message_id": max(message, 0), "interval_us": interval}
+        return OutgoingMessage("MESSAGE_INTERVAL", fields)
+
+    def _reply(self, rejection: Rejection | None, wall_s: float) -> CommandReply:
+        if rejection is None:
+            return CommandReply(Result.ACCEPTED)
+        result = Result.FAILED if rejection.supported else Result.UNSUPPORTED
+        warning = self._context.texts.make_warning(rejection.text, wall_s)
+        return CommandReply(result, tuple(warning))
+
+    def _denied(self, text: str, wall_s: float) -> CommandReply:
+        return CommandReply(Result.DENIED, tuple(self._context.texts.make_warning(text, wall_s)))
+
+
+def _read(message: Message, wall_s: float) -> CommandRequest:
+    one, two, three, four = (message.number(f"param{n}") for n in range(1, 5))
+    command = int(message.number("command"))
+    if message.name == "COMMAND_LONG":
+        five, six, seven = (message.number(f"param{n}") for n in range(5, 8))
+        return CommandRequest(command, (one, two, three, four, five, six, seven), None, wall_s)
+    x, y, z = (message.number(axis) for axis in "xyz")
+    params = (one, two, three, four, x / _E7, y / _E7, z)
+    return CommandRequest(command, params, int(message.number("frame")), wall_s)
+
+
+def _unsupported(name: str) -> Rejection:
+    return Rejection(f"no {name} here: LOITER, GUIDED or AUTO", supported=False)
+
+
+def _id(value: float) -> int:
+    """Convert a parameter to a message number; -1 if it is out of range."""
+    return int(value) if 0.0 <= value <= 65535.0 else -1

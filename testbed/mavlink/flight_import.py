@@ -1,0 +1,244 @@
+"""Import of real flights: from a flight log to a recording for replay."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from testbed.core.records import Array
+from testbed.mavlink import dataflash, tlog_flight
+from testbed.mavlink.codec import MavlinkError, decode, frame_length
+from testbed.mavlink.flight_log import (
+    MODES,
+    RAD_PER_DEG,
+    FlightLog,
+    MessageTable,
+    Series,
+    first_available,
+    longest_gap,
+    mode_name,
+    resample,
+)
+from testbed.mavlink.tlog import has_records
+
+COMMANDS = ("theta_cmd_rad", "phi_cmd_rad", "throttle_cmd")
+ANY = "any"
+_MAX_GAP = 1.0  # s without attitude, at which an interval ends
+_HEAD_BYTES = 65536  # in which a tlog is recognised
+_OTHER_FORMATS = {
+    b"ULog": "a PX4 ULog",
+    b"\x89MCAP": "an MCAP log (testbed view shows one)",
+    b"FMT,": "a DataFlash log as text; give the .bin it was made from",
+    b"\x1f\x8b": "compressed; unpack it first",
+    b"PK\x03\x04": "a ZIP archive; unpack it first",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedFlight:
+    """An interval of a flight, as columns of a recording.
+
+    Attributes:
+        columns: by name, t_s first; each (M,), M the number of attitude messages.
+        sources: message and field of each column.
+        missing: by column that the log does not have, the reason and the remedy.
+        notes: about data quality.
+        modes: flight modes in the interval.
+    """
+
+    columns: Mapping[str, Array]
+    sources: Mapping[str, str]
+    missing: Mapping[str, str]
+    notes: tuple[str, ...]
+    modes: tuple[str, ...]
+
+
+def read_flight(
+    path: Path,
+    *,
+    system: int | None = None,
+    begin: float = -math.inf,
+    end: float = math.inf,
+    mode: str = "FBWA",
+) -> ImportedFlight:
+    """Read the longest interval in one mode, without gaps, of a .bin or .tlog.
+
+    Times are s: in a .bin from the boot of the autopilot, in a .tlog from its first record.
+
+    Args:
+        path: the log; its content, not its name, decides on the format.
+        system: id of the vehicle in a .tlog.
+        begin: earliest time.
+        end: latest time.
+        mode: of ArduPlane, e.g. FBWA; `any`.
+
+    Raises:
+        MavlinkError: the file cannot be read, or does not contain such a flight.
+    """
+    log = _read_log(path, system)
+    attitude = log.tables.get(log.attitude)
+    if attitude is None:
+        raise MavlinkError(f"{path}: no {log.attitude}; {log.remedy}")
+    series, missing = _read_columns(log)
+    commands_start = max(series[name].time[0] for name in COMMANDS)
+    time, other = _longest_interval(log, attitude, max(begin, commands_start), end, mode)
+    columns = {"t_s": time} | {name: resample(one, time) for name, one in series.items()}
+    columns["throttle_cmd"] = np.clip(columns["throttle_cmd"], 0.0, 1.0)
+    columns["psi_rad"] = np.mod(columns["psi_rad"], 2.0 * math.pi)
+    sources = {name: one.source for name, one in series.items()}
+    pitch_down = _pitch_down(log, columns["throttle_cmd"])
+    if pitch_down is not None:
+        columns["theta_cmd_rad"] = columns["theta_cmd_rad"] + pitch_down
+        sources["theta_cmd_rad"] += " + STAB_PITCH_DOWN"
+    notes = (*log.notes, *other, *_notes(log, series, time, pitch_down is not None))
+    return ImportedFlight(columns, sources, missing, notes, _modes(log, time))
+
+
+def _read_log(path: Path, system: int | None) -> FlightLog:
+    """Read a log of either kind."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD_BYTES)
+    except OSError as error:
+        raise MavlinkError(f"{path}: cannot be read: {error.strerror}") from error
+    if head.startswith(dataflash.SIGNATURE):
+        if system is not None:
+            raise MavlinkError(f"--system {system}: {path} is of one vehicle; leave it out")
+        return dataflash.read_log(path)
+    if has_records(head):
+        return tlog_flight.read_log(path, system)
+    names = (name for magic, name in _OTHER_FORMATS.items() if head.startswith(magic))
+    found = next(names, "neither")
+    if not head:
+        found = "empty"
+    elif decode(head[: frame_length(head, 0)]):
+        found = "MAVLink without times"
+    raise MavlinkError(
+        f"{path}: this is {found}; give a DataFlash log of ArduPlane (.bin) or a telemetry log "
+        "(.tlog)"
+    )
+
+
+def _read_columns(log: FlightLog) -> tuple[dict[str, Series], dict[str, str]]:
+    """Read all columns, and explain the missing ones.
+
+    Raises:
+        MavlinkError: a command or attitude is missing.
+    """
+    series, missing = {}, {}
+    for name, sources in log.columns.items():
+        if found := first_available(log, sources):
+            series[name] = found
+        elif name in COMMANDS or name not in log.messages:
+            message = log.messages.get(name, name)
+            raise MavlinkError(f"{log.path}: no {message}, so no {name}; {log.remedy}")
+        else:
+            missing[name] = f"no {log.messages[name]}; {log.remedy}"
+    return series, missing
+
+
+def _longest_interval(
+    log: FlightLog, attitude: MessageTable, begin: float, end: float, mode: str
+) -> tuple[Array, tuple[str, ...]]:
+    """Find the times of the longest interval, and a note on others."""
+    number = None if mode == ANY else _mode_number(mode)
+    time = attitude.time[np.concatenate([[True], np.diff(attitude.time) > 0.0])]
+    wanted = (time >= begin) & (time <= end)
+    if number is not None:
+        in_mode = np.zeros(len(time), dtype=bool)
+        for interval in log.modes:
+            if interval.mode == number:
+                in_mode |= (time >= interval.start) & (time <= interval.end)
+        wanted &= in_mode
+    where = np.flatnonzero(wanted)
+    breaks = np.flatnonzero((np.diff(where) > 1) | (np.diff(time[where]) > _MAX_GAP)) + 1
+    intervals = [part for part in np.split(time[where], breaks) if len(part) > 1]
+    if not intervals:
+        raise MavlinkError(_no_interval(log, time, mode))
+    longest = max(intervals, key=lambda part: float(part[-1] - part[0]))
+    others = ", ".join(
+        f"{part[0]:.1f} to {part[-1]:.1f}" for part in intervals if part is not longest
+    )
+    note = f"the longest of {len(intervals)} intervals; --from and --to choose others: {others} s"
+    return longest, (note,) if others else ()
+
+
+def _mode_number(mode: str) -> int:
+    for number, name in MODES.items():
+        if name == mode.upper():
+            return number
+    raise MavlinkError(f"--mode {mode}: write any, or one of {', '.join(MODES.values())}")
+
+
+def _no_interval(log: FlightLog, time: Array, mode: str) -> str:
+    modes = ", ".join(f"{mode_name(m.mode)} {m.start:.1f} to {m.end:.1f}" for m in log.modes)
+    return (
+        f"{log.path}: nothing in {mode} between --from and --to; it has attitude from "
+        f"{time[0]:.1f} to {time[-1]:.1f} s and the modes {modes or '(none logged)'}; write "
+        "another --mode, or --mode any"
+    )
+
+
+def _modes(log: FlightLog, time: Array) -> tuple[str, ...]:
+    modes = [m.mode for m in log.modes if m.start < time[-1] and m.end > time[0]]
+    return tuple(mode_name(mode) for mode in dict.fromkeys(modes))
+
+
+def _pitch_down(log: FlightLog, throttle: Array) -> Array | None:
+    """Compute what STAB_PITCH_DOWN subtracted from the logged pitch demand, rad.
+
+    The replay subtracts it again. None: its parameters are not in the log.
+    """
+    down = log.params.get("STAB_PITCH_DOWN")
+    trim = log.params.get("TRIM_THROTTLE")
+    if down is None or not trim:
+        return None
+    return RAD_PER_DEG * down * np.maximum(1.0 - 100.0 * throttle / trim, 0.0)
+
+
+def _notes(
+    log: FlightLog, series: Mapping[str, Series], time: Array, pitch_down: bool
+) -> tuple[str, ...]:
+    notes = []
+    for name, one in series.items():
+        gap = longest_gap(one, time)
+        if one.held and name in COMMANDS and _period(one.time) > 2.0 * _period(time):
+            notes.append(
+                f"{name}: {one.source} came {1.0 / _period(one.time):.3g} times a second; a step "
+                f"may be {gap:.2g} s late"
+            )
+        elif gap > _MAX_GAP:
+            notes.append(f"{name}: {one.source} has gaps of up to {gap:.1f} s")
+    if not pitch_down:
+        notes.append(
+            "STAB_PITCH_DOWN and TRIM_THROTTLE are not in the log: the pitch demand is as logged, "
+            "reduced by STAB_PITCH_DOWN; replay it with a tune in which STAB_PITCH_DOWN is 0"
+        )
+    if not any(name.startswith("SERVO") for name in log.params):
+        notes.append(
+            "SERVOn_ parameters are not in the log: outputs 1 to 4 are taken for aileron, "
+            "elevator, throttle, rudder, with their pulses as logged"
+        )
+    above_sea, above_home = (source(log) for source in log.home)
+    if above_sea and above_home:
+        height = resample(above_sea, time[:1])[0] - resample(above_home, time[:1])[0]
+        notes.append(
+            f"home is {height:.0f} m above sea level: respond --origin-elevation {height:.0f}"
+        )
+    return tuple(notes)
+
+
+def _period(time: Array) -> float:
+    return float(np.median(np.diff(time))) if len(time) > 1 else math.inf
+
+
+def write_flight(flight: ImportedFlight, write: Callable[[str], object]) -> None:
+    """Write a flight as CSV."""
+    write(",".join(flight.columns) + "\n")
+    numbers = [values.tolist() for values in flight.columns.values()]
+    for t, *row in zip(*numbers, strict=True):
+        write(",".join([f"{t:.10g}", *(f"{value:.6g}" for value in row)]) + "\n")

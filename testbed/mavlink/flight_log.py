@@ -1,0 +1,214 @@
+"""Flight logs of ArduPlane in one form, and sources of recording columns in their messages."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.core.records import Array
+
+RAD_PER_DEG = math.pi / 180.0
+MODES = {
+    0: "MANUAL",
+    1: "CIRCLE",
+    2: "STABILIZE",
+    3: "TRAINING",
+    4: "ACRO",
+    5: "FBWA",
+    6: "FBWB",
+    7: "CRUISE",
+    8: "AUTOTUNE",
+    10: "AUTO",
+    11: "RTL",
+    12: "LOITER",
+    13: "TAKEOFF",
+    15: "GUIDED",
+    24: "THERMAL",
+    26: "AUTOLAND",
+}  # of ArduPlane; those without hovering
+_MAX_TIME_ERROR = 1.0  # s between a time and the median of it and its neighbours
+_ISA_PER_METRE, _ISA_POWER = 2.25577e-5, 4.25588  # of air density, troposphere
+
+
+@dataclass(frozen=True, slots=True)
+class MessageTable:
+    """All M messages of one name, in order of time."""
+
+    time: Array  # (M,) s
+    fields: Mapping[str, Array]  # (M,) each
+
+
+@dataclass(frozen=True, slots=True)
+class ModeInterval:
+    """An interval in one flight mode, s."""
+
+    mode: int
+    start: float
+    end: float
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """A column at the times of its messages."""
+
+    source: str  # message and field
+    time: Array  # (M,) s
+    values: Array  # (M,) in the unit of the column
+    held: bool = False  # values hold until the next; False: they are interpolated linearly
+
+
+ColumnSource = Callable[["FlightLog"], Series | None]  # None: the log does not have the column
+
+
+@dataclass(frozen=True, slots=True)
+class FlightLog:
+    """A log of one vehicle, of either kind.
+
+    Attributes:
+        path: the file.
+        tables: by message; only messages that columns are read from.
+        params: latest values by name.
+        modes: in order of time.
+        notes: about damage and doubtful data.
+        attitude: name of the attitude message, at whose times columns are sampled.
+        columns: sources of each column, the preferred one first.
+        messages: by column, the messages that it is read from, for error messages.
+        remedy: how to get a missing message into such a log.
+        home: sources of the altitudes above sea level and above home, m.
+    """
+
+    path: Path
+    tables: Mapping[str, MessageTable]
+    params: Mapping[str, float]
+    modes: tuple[ModeInterval, ...]
+    notes: tuple[str, ...]
+    attitude: str
+    columns: Mapping[str, tuple[ColumnSource, ...]]
+    messages: Mapping[str, str]
+    remedy: str
+    home: tuple[ColumnSource, ColumnSource]
+
+
+def increasing(time: Array) -> NDArray[np.bool_]:
+    """Mask the times (M,) to keep so that they do not decrease.
+
+    A time that is far from both neighbours is damaged and removed alone.
+    """
+    if len(time) > 2:
+        around = np.pad(time, 1, mode="reflect")
+        middle = np.median(np.stack([around[:-2], time, around[2:]]), axis=0)
+        valid = np.abs(time - middle) <= _MAX_TIME_ERROR
+    else:
+        valid = np.isfinite(time)
+    latest = np.maximum.accumulate(np.where(valid, time, -np.inf))
+    keep: NDArray[np.bool_] = valid & (time >= latest)
+    return keep
+
+
+def mode_name(mode: int) -> str:
+    """Return ArduPlane's name of a mode."""
+    return MODES.get(mode, f"mode {mode}")
+
+
+def field_source(
+    message: str, name: str, scale: float = 1.0, *, held: bool = False
+) -> ColumnSource:
+    """Make a source that reads one field, without messages in which it is not finite."""
+
+    def source(log: FlightLog) -> Series | None:
+        table = log.tables.get(message)
+        values = None if table is None else table.fields.get(name)
+        if table is None or values is None:
+            return None
+        valid = np.isfinite(values)
+        if not valid.any():
+            return None
+        return Series(f"{message}.{name}", table.time[valid], scale * values[valid], held)
+
+    return source
+
+
+def transformed_source(
+    source: ColumnSource, function: Callable[[Array], Array], description: str
+) -> ColumnSource:
+    """Make a source that applies a function to another one's values.
+
+    Args:
+        source: the other one.
+        function: of the values.
+        description: of the result, with {} for the other source.
+    """
+
+    def transformed(log: FlightLog) -> Series | None:
+        series = source(log)
+        if series is None:
+            return None
+        text = description.format(series.source)
+        return Series(text, series.time, function(series.values), series.held)
+
+    return transformed
+
+
+def true_airspeed_source(
+    equivalent: ColumnSource,
+    ratios: tuple[ColumnSource, ...],
+    altitudes: tuple[ColumnSource, ...],
+) -> ColumnSource:
+    """Make a source of true airspeed.
+
+    Args:
+        equivalent: equivalent airspeed, m/s.
+        ratios: true over equivalent airspeed, as logged by the autopilot.
+        altitudes: m above sea level, for the ratio of the standard atmosphere if no ratio is
+            logged.
+    """
+
+    def source(log: FlightLog) -> Series | None:
+        series = equivalent(log)
+        if series is None:
+            return None
+        for ratio in ratios:
+            if (known := ratio(log)) and (known.values > 0.5).all():
+                factor, origin = np.interp(series.time, known.time, known.values), known.source
+                break
+        else:
+            if altitude := first_available(log, altitudes):
+                height = np.interp(series.time, altitude.time, altitude.values)
+                factor = (1.0 - _ISA_PER_METRE * height) ** (-0.5 * _ISA_POWER)
+                origin = f"the standard atmosphere at {altitude.source}"
+            else:
+                factor, origin = np.ones_like(series.time), "1, as no altitude is logged"
+        return Series(f"{series.source} × {origin}", series.time, series.values * factor)
+
+    return source
+
+
+def first_available(log: FlightLog, sources: tuple[ColumnSource, ...]) -> Series | None:
+    """Read the first of these sources that the log has."""
+    for source in sources:
+        if series := source(log):
+            return series
+    return None
+
+
+def resample(series: Series, time: Array) -> Array:
+    """Sample a series at times (M,); outside its times its first and last values hold."""
+    if series.held:
+        latest = np.searchsorted(series.time, time, side="right") - 1
+        return series.values[np.maximum(latest, 0)]
+    return np.interp(time, series.time, series.values)
+
+
+def longest_gap(series: Series, time: Array) -> float:
+    """Return the longest time, s, without a value of the series within `time`."""
+    inside = series.time[(series.time > time[0]) & (series.time < time[-1])]
+    before = series.time[series.time <= time[0]][-1:]
+    after = series.time[series.time >= time[-1]][:1]
+    start = before if len(before) else time[:1]
+    end = after if len(after) else time[-1:]
+    return float(np.max(np.diff(np.concatenate([start, inside, end])), initial=0.0))

@@ -1,0 +1,142 @@
+"""Manual control over MAVLink: RC_CHANNELS_OVERRIDE, MANUAL_CONTROL, SET_ATTITUDE_TARGET."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from testbed.core.frames import euler_from_quaternion
+from testbed.mavlink.codec import Message
+from testbed.mavlink.outgoing import Handler, OutgoingMessage
+from testbed.mavlink.rc_channels import PITCH, ROLL, THROTTLE, PwmRange, RcScaling
+from testbed.mavlink.vehicle_context import VehicleContext
+
+HOLD_S = 3.0  # simulated s without a message after which all sticks are released
+QUATERNION_NORM = (0.9, 1.1)  # accepted range
+_RELEASE, _IGNORE = 0, 65535  # in place of a pulse
+_NO_AXIS = 32767  # of MANUAL_CONTROL
+_NO_RATES, _NO_THROTTLE, _NO_ATTITUDE = 7, 64, 128  # ATTITUDE_TARGET_TYPEMASK
+_THRUST_VECTOR = 32
+_CRUISE = "TRIM_THROTTLE"  # %, throttle while its stick is released
+
+
+class ManualControl:
+    """Convert stick and attitude messages to fly-by-wire-A commands.
+
+    A stick without a new value keeps its last one. A released stick is centred, the throttle is
+    then TRIM_THROTTLE. While all are released no command is sent.
+    """
+
+    def __init__(self, context: VehicleContext) -> None:
+        """Start with all sticks released."""
+        self._context = context
+        self._sticks: list[float | None] = [None, None, None]  # roll, pitch, throttle
+        self._latest_s = -math.inf
+        self.handlers: Mapping[str, Handler] = {
+            "RC_CHANNELS_OVERRIDE": self._override,
+            "MANUAL_CONTROL": self._manual,
+            "SET_ATTITUDE_TARGET": self._attitude,
+        }
+
+    def _override(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+        """Take pulses in place of those of an RC receiver."""
+        scaling = self._context.rc_scaling()
+        self._release_stale()
+        for stick, channel in enumerate((ROLL, PITCH, THROTTLE)):
+            pulse_us = int(message.number(f"chan{channel}_raw"))
+            if pulse_us == _RELEASE:
+                self._sticks[stick] = None
+            elif pulse_us != _IGNORE:
+                self._sticks[stick] = _stick_value(stick, pulse_us, scaling)
+        return self._send_command(wall_s)
+
+    def _manual(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+        """Take joystick axes: x forward is nose down, y right, z throttle from 0.
+
+        Like ArduPlane, it converts them to whole µs over the range of the stick.
+        """
+        scaling = self._context.rc_scaling()
+        self._release_stale()
+        axes = (
+            ("y", scaling.roll, 1.0, (-1000.0, 1000.0)),
+            ("x", scaling.pitch, -1.0, (-1000.0, 1000.0)),
+            ("z", scaling.throttle, 1.0, (0.0, 1000.0)),
+        )
+        for stick, (axis, pwm_range, sign, ends) in enumerate(axes):
+            value = int(message.number(axis))
+            if value != _NO_AXIS:
+                pulse_us = _pulse_of_axis(sign * value, ends, pwm_range)
+                self._sticks[stick] = _stick_value(stick, pulse_us, scaling)
+        return self._send_command(wall_s)
+
+    def _attitude(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+        """Take roll and pitch of a quaternion, and a thrust; rates beside them are ignored."""
+        mask, thrust = int(message.number("type_mask")), message.number("thrust")
+        q = message.fields["q"]
+        if mask & _THRUST_VECTOR:
+            return self._warn("Attitude target: give thrust 0 to 1, no vector", wall_s)
+        if mask & _NO_ATTITUDE and mask & _NO_RATES != _NO_RATES:
+            return self._warn("Attitude target: give an attitude, not just rates", wall_s)
+        if not mask & _NO_THROTTLE and not math.isfinite(thrust):
+            return self._warn("Attitude target: thrust is no number: give 0 to 1", wall_s)
+        angles = None
+        if not mask & _NO_ATTITUDE:
+            assert isinstance(q, tuple)
+            w, x, y, z = (float(each) for each in q)
+            norm = math.sqrt(w * w + x * x + y * y + z * z)
+            if not QUATERNION_NORM[0] <= norm <= QUATERNION_NORM[1]:
+                return self._warn("Attitude target: give a unit quaternion w, x, y, z", wall_s)
+            roll, pitch, _ = euler_from_quaternion(np.array([x, y, z, w])).tolist()
+            angles = self._context.rc_scaling().limits.clamp(roll, pitch)
+        self._release_stale()
+        if angles is not None:
+            self._sticks[:2] = angles
+        if not mask & _NO_THROTTLE:
+            self._sticks[2] = min(max(thrust, 0.0), 1.0)
+        return self._send_command(wall_s, attitude=True, answers_s=self._answered_s(message))
+
+    def _answered_s(self, message: Message) -> float | None:
+        """Return the time, s, of the sample that an attitude target answers.
+
+        None: its time stamp is not that of a sample.
+        """
+        stamp, snapshot = int(message.number("time_boot_ms")), self._context.snapshot
+        return 1e-3 * stamp if snapshot is not None and 0 < stamp <= snapshot.boot_ms else None
+
+    def _release_stale(self) -> None:
+        """Release all sticks after `HOLD_S` without a message."""
+        snapshot = self._context.snapshot
+        now = 0.0 if snapshot is None else snapshot.sample.time_s
+        if now - self._latest_s > HOLD_S:
+            self._sticks = [None, None, None]
+        self._latest_s = now
+
+    def _send_command(
+        self, wall_s: float, *, attitude: bool = False, answers_s: float | None = None
+    ) -> list[OutgoingMessage]:
+        roll, pitch, throttle = self._sticks
+        if roll is None and pitch is None and throttle is None:
+            return []
+        if throttle is None:
+            throttle = self._context.parameters().get(_CRUISE, 0.0) / 100.0
+        rejection = self._context.control.set_manual_command(
+            roll or 0.0, pitch or 0.0, throttle, attitude=attitude, answers_s=answers_s
+        )
+        return [] if rejection is None else self._warn(rejection.text, wall_s)
+
+    def _warn(self, text: str, wall_s: float) -> list[OutgoingMessage]:
+        return self._context.texts.make_warning(text, wall_s)
+
+
+def _stick_value(stick: int, pulse_us: float, scaling: RcScaling) -> float:
+    """Convert a pulse of roll (0), pitch (1) or throttle (2)."""
+    convert = (scaling.roll_angle, scaling.pitch_angle, scaling.throttle_share)[stick]
+    return convert(pulse_us)
+
+
+def _pulse_of_axis(value: float, ends: tuple[float, float], pwm_range: PwmRange) -> float:
+    low, high = ends
+    share = (value - low) / (high - low)
+    return math.trunc(pwm_range.min + share * (pwm_range.max - pwm_range.min))

@@ -1,0 +1,221 @@
+"""The mission protocol: https://mavlink.io/en/services/mission.html.
+
+Fence and rally points are not supported: their lists are empty, and clearing them succeeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from testbed.mavlink.codec import Message
+from testbed.mavlink.mission_items import HOME_LEVEL, MissionResult, item_fields, read_item
+from testbed.mavlink.outgoing import Handler, OutgoingMessage, Sender, sender_of
+from testbed.mavlink.telemetry_messages import build_message
+from testbed.mavlink.vehicle_context import VehicleContext
+from testbed.mavlink.vehicle_control import MissionItem, Rejection
+
+MAX_ITEMS = 700
+REPEAT_S = 1.0  # between two requests of one item, s of wall-clock time
+REPEATS = 5
+MISSION, FENCE, RALLY, ALL = 0, 1, 2, 255  # MAV_MISSION_TYPE
+_GUIDED, _ALTITUDE = 2, 3  # ArduPilot's MISSION_ITEM.current: fly there now, change altitude now
+
+
+@dataclass(slots=True)
+class _Upload:
+    """An upload that is not complete yet."""
+
+    sender: Sender
+    count: int
+    requested_s: float  # wall-clock time of the latest request for an item
+    repeats: int = 0
+    items: list[MissionItem] = field(default_factory=list)
+
+
+class MissionProtocol:
+    """Receive and send missions; a mission is applied only when it is complete."""
+
+    def __init__(self, context: VehicleContext) -> None:
+        """Start without an upload."""
+        self._context = context
+        self._upload: _Upload | None = None
+        self._done: tuple[Sender, int, MissionResult] | None = None  # the last upload
+        self.handlers: Mapping[str, Handler] = {
+            "MISSION_COUNT": self._count,
+            "MISSION_ITEM_INT": self._item,
+            "MISSION_ITEM": self._item,
+            "MISSION_ACK": self._ack,
+            "MISSION_CLEAR_ALL": self._clear,
+            "MISSION_REQUEST_LIST": self._list,
+            "MISSION_REQUEST_INT": self._request,
+            "MISSION_REQUEST": self._request,
+            "MISSION_REQUEST_PARTIAL_LIST": self._partial,
+            "MISSION_WRITE_PARTIAL_LIST": self._partial,
+            "MISSION_SET_CURRENT": self._set_current,
+        }
+
+    def poll(self, wall_s: float) -> list[OutgoingMessage]:
+        """Repeat the request for a missing item; cancel the upload after `REPEATS`.
+
+        Args:
+            wall_s: wall-clock time.
+        """
+        upload = self._upload
+        if upload is None or wall_s - upload.requested_s < REPEAT_S:
+            return []
+        if upload.repeats >= REPEATS:
+            self._upload = None
+            return [_ack(upload.sender, MissionResult.CANCELLED)]
+        upload.repeats += 1
+        return [self._request_item(upload, wall_s)]
+
+    def _count(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+        """Start an upload; its sender may restart it."""
+        sender, mission_type = sender_of(message), _mission_type(message)
+        count = int(message.number("count"))
+        if mission_type != MISSION:
+            empty = count == 0 and mission_type in (FENCE, RALLY)
+            result = MissionResult.ACCEPTED if empty else MissionResult.UNSUPPORTED
+            return [_ack(sender, result, mission_type)]
+        if self._other_uploads(sender):
+            return [_ack(sender, MissionResult.DENIED)]
+        if count > MAX_ITEMS:
+            self._upload = None
+            return [_ack(sender, MissionResult.NO_SPACE)]
+        self._upload = _Upload(sender, count, wall_s)
+        if count == 0:
+            return self._finish(self._upload, wall_s)
+        return [self._request_item(self._upload, wall_s)]
+
+    def _item(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+        sender, mission_type = sender_of(message), _mission_type(message)
+        if mission_type != MISSION:
+            return [_ack(sender, MissionResult.UNSUPPORTED, mission_type)]
+        current = int(message.number("current"))
+        if message.name == "MISSION_ITEM" and current in (_GUIDED, _ALTITUDE):
+            return self._guided_item(message, wall_s, move=current == _GUIDED)
+        sequence, upload = int(message.number("seq")), self._upload
+        if upload is None or upload.sender != sender:
+            return self._unexpected_item(sender, sequence)
+        if sequence < len(upload.items):
+            return []  # a repetition
+        if sequence > len(upload.items):
+            return self._abort(upload, MissionResult.INVALID_SEQUENCE)
+        item = read_item(message)
+        if isinstance(item, MissionResult):
+            return self._abort(upload, item)
+        upload.items.append(item)
+        if len(upload.items) == upload.count:
+            return self._finish(upload, wall_s)
+        upload.repeats = 0
+        return [self._request_item(upload, wall_s)]
+
+    def _unexpected_item(self, sender: Sender, sequence: int) -> list[OutgoingMessage]:
+        """Answer an item outside of an upload; a repetition of the last one as before."""
+        if self._done and self._done[:2] == (sender, sequence + 1):
+            return [_ack(sender, self._done[2])]
+        other = self._other_uploads(sender)
+        return [_ack(sender, MissionResult.DENIED if other else MissionResult.ERROR)]
+
+    def _finish(self, upload: _Upload, wall_s: float) -> list[OutgoingMessage]:
+        """Apply the complete mission."""
+        self._upload = None
+        rejection = self._context.control.set_mission(tuple(upload.items))
+        result = _result(rejection)
+        self._done = (upload.sender, upload.count, result)
+        replies = [_ack(upload.sender, result)]
+        if rejection is not None:
+            return replies + self._context.texts.make_warning(rejection.text, wall_s)
+        return replies + build_message("MISSION_CURRENT", self._context)
+
+    def _abort(self, upload: _Upload, result: MissionResult) -> list[OutgoingMessage]:
+        self._upload = None
+        return [_ack(upload.sender, result)]
+
+    def _request_item(self, upload: _Upload, wall_s: float) -> OutgoingMessage:
+        upload.requested_s = wall_s
+        fields = {**upload.sender.target, "seq": len(upload.items), "mission_type": MISSION}
+        return OutgoingMessage("MISSION_REQUEST_INT", fields)
+
+    def _other_uploads(self, sender: Sender) -> bool:
+        """Check whether another program is uploading a mission."""
+        return self._upload is not None and self._upload.sender != sender
+
+    def _ack(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+        """Cancel the upload if its sender does; the end of a download needs no answer."""
+        upload = self._upload
+        cancelled = int(message.number("type")) != MissionResult.ACCEPTED
+        if upload and cancelled and upload.sender == sender_of(message):
+            if _mission_type(message) == MISSION:
+                self._upload = None
+        return []
+
+    def _clear(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+        sender, mission_type = sender_of(message), _mission_type(message)
+        if mission_type in (FENCE, RALLY):
+            return [_ack(sender, MissionResult.ACCEPTED, mission_type)]
+        if mission_type not in (MISSION, ALL):
+            return [_ack(sender, MissionResult.UNSUPPORTED, mission_type)]
+        if self._other_uploads(sender):
+            return [_ack(sender, MissionResult.DENIED, mission_type)]
+        self._upload = None
+        rejection = self._context.control.set_mission(())
+        texts = self._context.texts.make_warning(rejection.text, wall_s) if rejection else []
+        return [_ack(sender, _result(rejection), mission_type), *texts]
+
+    def _list(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+        mission_type = _mission_type(message)
+        count = len(self._context.control.mission) if mission_type == MISSION else 0
+        fields = {**sender_of(message).target, "count": count, "mission_type": mission_type}
+        return [OutgoingMessage("MISSION_COUNT", fields)]
+
+    def _request(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+        """Send one item, in the form of the request."""
+        sender, mission_type = sender_of(message), _mission_type(message)
+        mission, sequence = self._context.control.mission, int(message.number("seq"))
+        if mission_type != MISSION or sequence >= len(mission):
+            return [_ack(sender, MissionResult.INVALID_SEQUENCE, mission_type)]
+        name = "MISSION_ITEM_INT" if message.name == "MISSION_REQUEST_INT" else "MISSION_ITEM"
+        fields = item_fields(
+            mission[sequence],
+            sequence,
+            current=sequence == self._context.control.current_item,
+            as_int=name == "MISSION_ITEM_INT",
+        )
+        return [OutgoingMessage(name, {**sender.target, **fields, "mission_type": mission_type})]
+
+    def _partial(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+        """Reject partial lists."""
+        return [_ack(sender_of(message), MissionResult.UNSUPPORTED, _mission_type(message))]
+
+    def _set_current(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+        rejection = self._context.control.set_current_item(int(message.number("seq")))
+        texts = self._context.texts.make_warning(rejection.text, wall_s) if rejection else []
+        return build_message("MISSION_CURRENT", self._context) + texts
+
+    def _guided_item(self, message: Message, wall_s: float, *, move: bool) -> list[OutgoingMessage]:
+        """Execute ArduPilot's "fly here" request, a MISSION_ITEM with current 2."""
+        item = read_item(message)
+        if isinstance(item, MissionResult):
+            return [_ack(sender_of(message), item)]
+        if not move or item.frame not in HOME_LEVEL:
+            return [_ack(sender_of(message), MissionResult.UNSUPPORTED)]
+        rejection = self._context.control.set_loiter_point(item.x, item.y, item.z, None)
+        texts = self._context.texts.make_warning(rejection.text, wall_s) if rejection else []
+        return [_ack(sender_of(message), _result(rejection)), *texts]
+
+
+def _mission_type(message: Message) -> int:
+    return int(message.number("mission_type"))
+
+
+def _ack(sender: Sender, result: MissionResult, mission_type: int = MISSION) -> OutgoingMessage:
+    fields = {**sender.target, "type": result, "mission_type": mission_type}
+    return OutgoingMessage("MISSION_ACK", fields)
+
+
+def _result(rejection: Rejection | None) -> MissionResult:
+    if rejection is None:
+        return MissionResult.ACCEPTED
+    return MissionResult.INVALID if rejection.supported else MissionResult.UNSUPPORTED

@@ -1,0 +1,302 @@
+"""MAVLink server: all aircraft of a run as vehicles for external programs."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from testbed.core.errors import InputError
+from testbed.core.records import Event, Origin, RunInfo, Sample
+from testbed.mavlink.addresses import Address, link_addresses
+from testbed.mavlink.codec import Codec, Message
+from testbed.mavlink.link import MavlinkLink, authenticated_frames
+from testbed.mavlink.outgoing import OutgoingMessage
+from testbed.mavlink.signing import Signing, signing_time
+from testbed.mavlink.telemetry_messages import ATTITUDE
+from testbed.mavlink.telemetry_snapshot import TelemetrySnapshot
+from testbed.mavlink.tlog import TlogWriter
+from testbed.mavlink.udp_endpoint import Endpoint, Peer, wait
+from testbed.mavlink.vehicle import COMPONENT, MavlinkVehicle
+from testbed.mavlink.vehicle_control import VehicleControl
+
+MAX_VEHICLES = 250  # higher system ids are those of ground stations
+MAX_CLIENTS = 32
+RECEIVE_BUDGET_S = 0.005  # wall-clock s per link and poll, so that a flood cannot stop a flight
+POLL_S = 0.02  # wall-clock s between two polls while waiting
+
+
+class Client(NamedTuple):
+    """An external program that has sent an accepted message."""
+
+    system: int
+    component: int
+    latest_s: float  # simulation time of its latest message
+
+
+class MavlinkServer:
+    """Send telemetry of every sample, and pass commands on to the aircraft.
+
+    An observer of a run, which also receives between samples, in `poll` and `wait`. Without
+    commands it does not change the simulation.
+    """
+
+    def __init__(
+        self,
+        addresses: Sequence[Address],
+        controls: Sequence[VehicleControl],
+        *,
+        epoch_us: int,
+        signing: Signing | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Open the links; nothing is sent before `begin`.
+
+        Args:
+            addresses: of the links, each for all aircraft.
+            controls: of N aircraft, leader first; their system ids count from 1.
+            epoch_us: Unix time of the start of the run, µs.
+            signing: sign messages, and accept only signed ones; None: neither. Its time is that
+                of `epoch_us`.
+            clock: wall-clock time, s.
+
+        Raises:
+            InputError: a link cannot be opened, or there are too many aircraft.
+        """
+        if len(controls) > MAX_VEHICLES:
+            raise InputError(
+                f"{len(controls)} aircraft: MAVLink numbers {MAX_VEHICLES}; fly fewer with it"
+            )
+        self._controls, self._clock, self._epoch_us = controls, clock, epoch_us
+        self._signed, self._opened_s = signing is not None, clock()
+        self._codecs = [Codec(row + 1, COMPONENT, signing) for row in range(len(controls))]
+        self._vehicles: list[MavlinkVehicle] = []
+        self._names: Mapping[str, int] = {}
+        self._origin = Origin()
+        self._snapshot: TelemetrySnapshot | None = None
+        self._now_s = 0.0
+        self._clients: dict[tuple[int, int], float] = {}
+        self._frames_sent = self._frames_received = 0
+        self._warned = False
+        self._links: list[MavlinkLink] = []
+        self._log: TlogWriter | None = None
+        try:
+            for address, rows in link_addresses(addresses, [each.name for each in controls]):
+                codec = Codec(MAX_VEHICLES, COMPONENT, signing)
+                self._links.append(MavlinkLink(Endpoint(address, clock), rows, codec))
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def clients(self) -> tuple[Client, ...]:
+        """The programs that have sent an accepted message."""
+        return tuple(Client(*ids, latest_s) for ids, latest_s in self._clients.items())
+
+    def log_to(self, tlog: Path) -> None:
+        """Log every sent and received frame from `begin` on, all parameters first.
+
+        Raises:
+            MavlinkError: the file cannot be written.
+        """
+        self._log = TlogWriter(tlog)
+
+    def begin(self, info: RunInfo) -> None:
+        """Create the vehicles, which send from the first sample on."""
+        self._origin = info.origin
+        self._names = {name: row for row, name in enumerate(info.names)}
+        self._vehicles = [
+            MavlinkVehicle(control, row + 1, row, info, self._epoch_us)
+            for row, control in enumerate(self._controls)
+        ]
+        if self._log is not None:
+            for codec, vehicle in zip(self._codecs, self._vehicles, strict=True):
+                for message in vehicle.parameter_messages():
+                    self._log.write(
+                        self._timestamp_us(), codec.pack(message.name, **message.fields)
+                    )
+
+    def observe(self, frame: Sample) -> None:
+        """Send the messages that are due with a sample, and its events."""
+        self._set_time(frame.time_s)
+        snapshot, wall_s = TelemetrySnapshot(frame, self._origin), self._clock()
+        self._snapshot = snapshot
+        last = []  # lockstep programs answer these, and have then received all other messages
+        for row, vehicle in self._responsive_vehicles():
+            messages = vehicle.update(snapshot, wall_s)
+            if vehicle.lockstep:
+                last += [(row, message) for message in messages if message.name == ATTITUDE]
+                messages = [message for message in messages if message.name != ATTITUDE]
+            self._send(row, messages)
+        self._send_events(frame.events)
+        for row, message in last:
+            self._send(row, [message])
+        self._flush()
+
+    def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
+        """Send the last events, and close the links."""
+        self._send_events(events)
+        self._flush()
+        self.close()
+
+    def poll(self, now_s: float) -> None:
+        """Handle received messages.
+
+        Args:
+            now_s: simulation time, s.
+        """
+        self._receive(now_s)
+
+    def wait(self, seconds: float, now_s: float) -> None:
+        """Handle messages until one has been received or the time is over.
+
+        Args:
+            seconds: of wall-clock time.
+            now_s: simulation time, s.
+        """
+        endpoints = [link.endpoint for link in self._links]
+        stop = self._clock() + seconds
+        while not self._receive(now_s):
+            remaining = stop - self._clock()
+            if remaining <= 0.0:
+                return
+            wait(endpoints, min(remaining, POLL_S))
+
+    def repeat(self, now_s: float) -> None:
+        """Send the latest state of the lockstep vehicles again.
+
+        Args:
+            now_s: simulation time, s.
+        """
+        self._set_time(now_s)
+        for row, vehicle in self._responsive_vehicles():
+            if vehicle.lockstep and self._snapshot is not None:
+                self._send(row, vehicle.lockstep_state())
+        self._flush()
+
+    def pop_events(self) -> list[Event]:
+        """Return a warning, once per run, after a message failed verification."""
+        if self._warned or not self._rejected():
+            return []
+        self._warned = True
+        text = "MAVLink messages without this run's key were ignored"
+        return [Event(self._now_s, "warning", "run", text)]
+
+    def summary(self) -> dict[str, Any]:
+        """Count the traffic over all links, for the metrics."""
+        return {
+            "frames_sent": self._frames_sent,
+            "frames_received": self._frames_received,
+            "rejected": dict(sorted(self._rejected().items())),
+            "skipped_bytes": sum(link.codec.skipped for link in self._links),
+            "datagrams_dropped": sum(link.endpoint.dropped for link in self._links),
+            "clients": [f"{system}.{component}" for system, component in sorted(self._clients)],
+        }
+
+    def close(self) -> None:
+        """Close links and log; may be called again."""
+        for link in self._links:
+            link.endpoint.close()
+        if self._log is not None:
+            self._log.close()
+            self._log = None
+
+    def _receive(self, now_s: float) -> bool:
+        """Handle received messages, send what is due; true: there were messages."""
+        if not self._vehicles:
+            return False
+        self._set_time(now_s)
+        wall_s, received = self._clock(), False
+        for link in self._links:
+            received |= self._serve_link(link, wall_s)
+        for row, vehicle in self._responsive_vehicles():
+            self._send(row, vehicle.poll(wall_s))
+        self._flush()
+        return received
+
+    def _responsive_vehicles(self) -> Iterator[tuple[int, MavlinkVehicle]]:
+        """Yield row and vehicle of all aircraft whose autopilot is not frozen."""
+        for row, vehicle in enumerate(self._vehicles):
+            if self._snapshot is None or not self._snapshot.autopilot_frozen(row):
+                yield row, vehicle
+
+    def _serve_link(self, link: MavlinkLink, wall_s: float) -> bool:
+        """Handle the messages of a link for `RECEIVE_BUDGET_S`; true: there were some.
+
+        The others are handled, in order, at the next polls. The budget is checked per message
+        and per datagram, because a datagram may contain a hundred messages or only noise.
+        """
+        stop, received = self._clock() + RECEIVE_BUDGET_S, False
+        datagrams = link.endpoint.receive()
+        while self._clock() <= stop:
+            if link.unhandled:
+                self._handle(link, link.unhandled.popleft(), wall_s)
+                received = True
+            elif (datagram := next(datagrams, None)) is not None:
+                self._parse_datagram(link, *datagram)
+            else:
+                break
+        return received
+
+    def _parse_datagram(self, link: MavlinkLink, peer: Peer, data: bytes) -> None:
+        """Store the messages of a datagram, and log their frames."""
+        messages = link.codec.feed(data, datagram=True)
+        if messages:
+            link.endpoint.add_peer(peer)
+            self._frames_received += len(messages)
+            link.unhandled += messages
+            if self._log is not None:
+                for frame in authenticated_frames(data, messages):
+                    self._log.write(self._timestamp_us(), frame)
+
+    def _handle(self, link: MavlinkLink, message: Message, wall_s: float) -> None:
+        self._register_client(message)
+        for row, vehicle in self._responsive_vehicles():
+            if row in link.rows:
+                self._send(row, vehicle.handle(message, wall_s))
+
+    def _register_client(self, message: Message) -> None:
+        ids = (message.system, message.component)
+        if ids in self._clients or len(self._clients) < MAX_CLIENTS:
+            self._clients[ids] = self._now_s
+
+    def _send_events(self, events: Sequence[Event]) -> None:
+        """Send each event from its aircraft; those of the run from the leader.
+
+        Events of an aircraft whose autopilot is frozen are not sent.
+        """
+        responsive = dict(self._responsive_vehicles())
+        for event in events:
+            row = self._names.get(event.source, 0)
+            if row in responsive:
+                self._send(row, responsive[row].event_text(event))
+
+    def _send(self, row: int, messages: Sequence[OutgoingMessage]) -> None:
+        for message in messages:
+            frame = self._codecs[row].pack(message.name, **message.fields)
+            self._frames_sent += 1
+            for link in self._links:
+                if row in link.rows:
+                    link.queue(frame)
+            if self._log is not None:
+                self._log.write(self._timestamp_us(), frame)
+
+    def _flush(self) -> None:
+        for link in self._links:
+            link.flush()
+
+    def _set_time(self, now_s: float) -> None:
+        """Set simulation time and signature clocks; signatures use wall-clock time."""
+        self._now_s = now_s
+        if self._signed:
+            time_now = signing_time(1e-6 * self._epoch_us + self._clock() - self._opened_s)
+            for codec in (*self._codecs, *(link.codec for link in self._links)):
+                codec.advance(time_now)
+
+    def _timestamp_us(self) -> int:
+        return self._epoch_us + round(self._now_s * 1e6)
+
+    def _rejected(self) -> Counter[str]:
+        return sum((Counter(link.codec.rejected) for link in self._links), Counter())

@@ -1,0 +1,126 @@
+"""One sample for telemetry: each record converted to Python numbers once for all aircraft."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+
+import numpy as np
+
+from testbed.core.frames import geodetic_from_ned, quaternion_xyzw
+from testbed.core.records import Array, Origin, Sample
+
+Rows = list[list[float]]
+
+I16, I32 = (-(1 << 15), (1 << 15) - 1), (-(1 << 31), (1 << 31) - 1)
+MAX_MAGNITUDE = 1e18  # whose squares and sums still fit single precision
+U16, U32 = (0, (1 << 16) - 1), (0, (1 << 32) - 1)
+
+
+def to_integer(value: float, bounds: tuple[int, int]) -> int:
+    """Round and clamp to the range of an integer field; NaN becomes 0."""
+    if math.isnan(value):
+        return 0
+    low, high = bounds
+    return round(min(max(value, low), high))
+
+
+def to_rows(values: Array) -> Rows:
+    """Convert to lists of finite numbers; NaN becomes 0, magnitudes are clamped."""
+    rows: Rows = np.clip(np.nan_to_num(values), -MAX_MAGNITUDE, MAX_MAGNITUDE).tolist()
+    return rows
+
+
+def to_finite(value: float) -> float:
+    """Convert to a finite number; NaN becomes 0, the magnitude is clamped."""
+    return 0.0 if math.isnan(value) else float(min(max(value, -MAX_MAGNITUDE), MAX_MAGNITUDE))
+
+
+class TelemetrySnapshot:
+    """The values of a sample that telemetry uses, each converted on first use.
+
+    Attributes:
+        sample: the sample.
+        boot_ms: simulation time, ms, modulo 2³².
+    """
+
+    def __init__(self, sample: Sample, origin: Origin) -> None:
+        """Refer to a sample, which must not change."""
+        self.sample = sample
+        self.boot_ms = round(sample.time_s * 1e3) & U32[1]
+        self._origin = origin
+
+    @cached_property
+    def position_ned(self) -> Rows:
+        """Estimated positions, (N, 3) m."""
+        return to_rows(self.sample.estimate.position_ned)
+
+    @cached_property
+    def geodetic(self) -> Rows:
+        """Estimated latitude deg, longitude deg and height above sea level m, (N, 3)."""
+        return to_rows(geodetic_from_ned(self.sample.estimate.position_ned, self._origin))
+
+    @cached_property
+    def velocity_ned(self) -> Rows:
+        """Estimated velocities over ground, (N, 3) m/s."""
+        return to_rows(self.sample.estimate.velocity_ned)
+
+    @cached_property
+    def euler(self) -> Rows:
+        """Estimated roll, pitch and yaw, (N, 3) rad."""
+        return to_rows(self.sample.estimate.euler)
+
+    @cached_property
+    def quaternion_xyzw(self) -> Rows:
+        """Estimated attitudes as quaternions, (N, 4)."""
+        return to_rows(quaternion_xyzw(self.sample.estimate.euler))
+
+    @cached_property
+    def rates_body(self) -> Rows:
+        """Estimated body rates, (N, 3) rad/s."""
+        return to_rows(self.sample.estimate.rates_body)
+
+    @cached_property
+    def equivalent_airspeed(self) -> list[float]:
+        """Estimated equivalent airspeeds, (N,) m/s."""
+        return [to_finite(each) for each in self.sample.estimate.equivalent_airspeed]
+
+    @cached_property
+    def command(self) -> Rows:
+        """Roll rad, pitch rad and throttle 0..1 of the fly-by-wire-A commands, (N, 3)."""
+        command = self.sample.command
+        return to_rows(np.stack((command.roll, command.pitch, command.throttle), axis=1))
+
+    @cached_property
+    def surfaces(self) -> Rows:
+        """Servo commands for aileron, elevator, throttle and rudder, (N, 4)."""
+        servos = self.sample.surfaces
+        columns = (servos.aileron, servos.elevator, servos.throttle, servos.rudder)
+        return to_rows(np.stack(columns, axis=1))
+
+    @cached_property
+    def wind_ned(self) -> Rows:
+        """Velocities of the air, (N, 3) m/s."""
+        return to_rows(self.sample.air.wind_ned)
+
+    @cached_property
+    def lost(self) -> list[bool]:
+        """Whether each aircraft has crashed or broken, (N,)."""
+        lost: list[bool] = self.sample.lost.tolist()
+        return lost
+
+    def has_fix(self, row: int) -> bool:
+        """Check whether the GPS receiver of an aircraft has a fix."""
+        faults = self.sample.failing
+        return faults is None or not faults.gps_lost[row]
+
+    def autopilot_frozen(self, row: int) -> bool:
+        """Check whether the autopilot of an aircraft is frozen."""
+        faults = self.sample.failing
+        return faults is not None and bool(faults.frozen[row])
+
+    def battery(self, row: int) -> tuple[float, float] | None:
+        """Return state of charge 0..1 and voltage V; None: no battery."""
+        charge = float(self.sample.air.state_of_charge[row])
+        voltage = float(self.sample.air.battery_voltage[row])
+        return None if math.isnan(charge) or math.isnan(voltage) else (charge, voltage)

@@ -1,0 +1,131 @@
+"""One aircraft as a MAVLink vehicle: handles messages and makes telemetry, without sockets."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+
+from testbed.core.records import Event, RunInfo
+from testbed.mavlink import telemetry_status as status
+from testbed.mavlink.codec import Message
+from testbed.mavlink.commands import CommandProtocol
+from testbed.mavlink.manual_control import ManualControl
+from testbed.mavlink.message_schedule import MessageSchedule
+from testbed.mavlink.missions import MissionProtocol
+from testbed.mavlink.outgoing import Handler, OutgoingMessage, Severity
+from testbed.mavlink.parameters import ParameterProtocol
+from testbed.mavlink.services import Services
+from testbed.mavlink.telemetry_messages import HEARTBEAT, LOCKSTEP_STATE, build_message
+from testbed.mavlink.telemetry_snapshot import TelemetrySnapshot
+from testbed.mavlink.vehicle_context import VehicleContext
+from testbed.mavlink.vehicle_control import Mode, VehicleControl
+
+COMPONENT = 1  # an autopilot
+HEARTBEAT_S = 1.5  # wall-clock s: keeps a run that waits visible to ground stations
+_BROADCAST = 0
+_SEVERITY = {"info": Severity.INFO, "warning": Severity.WARNING, "error": Severity.ERROR}
+
+
+class MavlinkVehicle:
+    """Handle the messages to one aircraft and make those from it.
+
+    Times named `wall_s` are wall-clock times, used for timeouts; telemetry is in simulation time.
+
+    Attributes:
+        system: its MAVLink system id.
+        lockstep: whether the run waits for commands to it.
+    """
+
+    def __init__(
+        self, control: VehicleControl, system: int, row: int, info: RunInfo, epoch_us: int
+    ) -> None:
+        """Start without a sample.
+
+        Args:
+            control: takes commands to the aircraft.
+            system: its MAVLink system id, 1 to 255.
+            row: of the aircraft in samples.
+            info: of the run.
+            epoch_us: Unix time of the start of the run, µs.
+        """
+        self.system, self.lockstep = system, control.lockstep
+        version = info.versions.get("testbed", "0")
+        self._context = VehicleContext(control, system, row, info.origin, version, epoch_us)
+        self._schedule = MessageSchedule(info.frame_rate_hz, lockstep=self.lockstep)
+        self._parameters = ParameterProtocol(self._context)
+        self._missions = MissionProtocol(self._context)
+        commands = CommandProtocol(self._context, self._schedule)
+        services = Services(self._context, self._schedule)
+        manual = ManualControl(self._context)
+        parts = (self._parameters, self._missions, commands, services, manual)
+        self._handlers: Mapping[str, Handler] = dict(
+            itertools.chain.from_iterable(part.handlers.items() for part in parts)
+        )
+        self._item = self._active_item()
+        self._heartbeat_s = float("-inf")
+
+    def handle(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
+        """Execute a message if it is addressed to this vehicle, and return the answers."""
+        handler = self._handlers.get(message.name)
+        if handler is None or not self._is_addressed(message):
+            return []
+        before = self._active_item()
+        replies = handler(message, wall_s)
+        if self._active_item() != before:
+            self._item = self._active_item()  # by command: no item has been reached
+        return replies
+
+    def update(self, snapshot: TelemetrySnapshot, wall_s: float) -> list[OutgoingMessage]:
+        """Take a sample, and return the messages that are due with it."""
+        context = self._context
+        context.snapshot = snapshot
+        names = self._schedule.due(snapshot.sample.time_s)
+        if HEARTBEAT in names:
+            self._heartbeat_s = wall_s
+        messages = self._item_reached()
+        for name in names:
+            messages += build_message(name, context)
+        return messages
+
+    def poll(self, wall_s: float) -> list[OutgoingMessage]:
+        """Return messages due between samples: lists, repeated requests, heartbeats."""
+        messages = self._parameters.poll() + self._missions.poll(wall_s)
+        if wall_s - self._heartbeat_s >= HEARTBEAT_S:
+            self._heartbeat_s = wall_s
+            messages.append(OutgoingMessage(HEARTBEAT, status.heartbeat(self._context)))
+        return messages
+
+    def parameter_messages(self) -> list[OutgoingMessage]:
+        """Return all parameters, for a log."""
+        return self._parameters.all_values()
+
+    def lockstep_state(self) -> list[OutgoingMessage]:
+        """Return the state messages of the latest sample."""
+        return [
+            message for name in LOCKSTEP_STATE for message in build_message(name, self._context)
+        ]
+
+    def event_text(self, event: Event) -> list[OutgoingMessage]:
+        """Make the STATUSTEXT of an event."""
+        severity = _SEVERITY.get(event.level, Severity.WARNING)
+        return self._context.texts.make_text(severity, event.text)
+
+    def _item_reached(self) -> list[OutgoingMessage]:
+        """Report the previous mission item when the aircraft goes on to the next."""
+        before, self._item = self._item, self._active_item()
+        if before == self._item or None in (before, self._item):
+            return []
+        reached = OutgoingMessage("MISSION_ITEM_REACHED", {"seq": before or 0})
+        return [reached, *build_message("MISSION_CURRENT", self._context)]
+
+    def _active_item(self) -> int | None:
+        """Return the mission item that is flown; None: no mission is flown."""
+        control = self._context.control
+        return control.current_item if control.mode is Mode.AUTO else None
+
+    def _is_addressed(self, message: Message) -> bool:
+        """Check whether a message is for this vehicle, or for all."""
+        fields = message.fields
+        system = fields.get("target_system", fields.get("target", _BROADCAST))
+        component = fields.get("target_component", _BROADCAST)
+        return system in (_BROADCAST, self.system) and component in (_BROADCAST, COMPONENT)

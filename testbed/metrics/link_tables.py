@@ -1,0 +1,74 @@
+"""Tables of a network's links: what arrived on each, and how late."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from testbed.metrics.document import Document
+from testbed.metrics.facts import ABSENT, percent
+
+MAX_LINKS = 12  # listed one by one; of more, those that delivered least
+
+
+def worst_links(links: Mapping[str, Mapping[str, Document]]) -> dict[str, Document]:
+    """Return the links to list: all, or of many those that delivered least, in order.
+
+    Args:
+        links: statistics by sender and receiver.
+    """
+    named = {
+        f"{source} > {destination}": link
+        for source, receivers in links.items()
+        for destination, link in receivers.items()
+    }
+    if len(named) <= MAX_LINKS:
+        return named
+
+    def quality(name: str) -> tuple[float, float]:
+        share, delay = named[name]["delivered_share"], named[name]["delay_s"]
+        return (1.0 if share is None else share), -(delay["p99"] if delay else 0.0)
+
+    worst = set(sorted(named, key=quality)[:MAX_LINKS])
+    return {name: link for name, link in named.items() if name in worst}
+
+
+def link_table(
+    title: str,
+    columns: Sequence[str],
+    links: Mapping[str, Document],
+    total: Document,
+    cells: Callable[[Document], Sequence[str]],
+) -> Table:
+    """Make a table with a row for each link and one for all together."""
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, collapse_padding=True, header_style="")
+    # the only column that may be broken over lines, because names can be long
+    table.add_column(Text(title, style="bold"))
+    for name in columns:
+        table.add_column(name, justify="right", no_wrap=True)
+    for name, link in links.items():
+        table.add_row(name, *cells(link))
+    table.add_section()
+    table.add_row("all", *cells(total))
+    return table
+
+
+def arrival_table(links: Mapping[str, Document], total: Document) -> Table:
+    """Make a table of what arrived on each link, how late, and of bursts of losses."""
+
+    def cells(link: Document) -> list[str]:
+        delay, bursts = link["delay_s"], link["bursts"]
+        return [
+            f"{link['sent']:,}",
+            percent(link["delivered_share"]).removesuffix(" %"),
+            *(ABSENT if delay is None else f"{1e3 * delay[p]:.1f}" for p in ("p50", "p95", "p99")),
+            ABSENT if bursts["mean"] is None else f"{bursts['mean']:.2f}",
+            f"{bursts['longest']:,}",
+        ]
+
+    delays = ("delay\np50, ms", "\np95", "\np99")
+    columns = ("\nsent", "arrived\n%", *delays, "loss burst\nmean", "\nmax")
+    return link_table("\nlink", columns, links, total, cells)

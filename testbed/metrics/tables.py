@@ -1,0 +1,337 @@
+"""The metrics document on a terminal: tables readable without colours at 60 columns and more."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from testbed.formation.flags import Saturation
+from testbed.metrics.document import EXCEEDED, Document
+from testbed.metrics.facts import ABSENT, facts, shown
+
+Columns = dict[str, list[Text | str]]  # cells by heading
+
+MAX_FOLLOWERS = 12  # listed one by one; of more, those with the largest errors
+MAX_WINDOWS = 3  # side by side in 80 columns
+MAX_EVENTS = 6
+OUTCOME_STYLES = {"completed": "bold green"} | dict.fromkeys(
+    ("lost", *EXCEEDED, "failed"), "bold red"
+)
+EVENT_STYLES = {"error": "red", "warning": "yellow"}
+
+
+def render_table(metrics: Document, console: Console, *, log: Path | None = None) -> None:
+    """Print a metrics document; `log` is the recording to name at the end."""
+    for line in _headline(metrics, console.width):
+        console.print(line)
+    names = worst_followers(metrics)
+    for table in error_tables(metrics, names, fits=_fits(console)):
+        console.print()
+        console.print(table)
+    if source := published_note(metrics):
+        console.print(Text(f" {source}", style="dim"))
+    if names:
+        for table in follower_tables(metrics, names, fits=_fits(console)):
+            console.print()
+            console.print(table)
+    console.print()
+    console.print(_grid(facts(metrics)))
+    _print_events(metrics["events"], console)
+    if log is not None:
+        # not wrapped: a path broken over two lines cannot be copied
+        console.print(Text(f" {'log':<20}{log}"), soft_wrap=True)
+
+
+def worst_followers(metrics: Document) -> list[str]:
+    """Return the followers to list: all, or of many those with the largest RMS error, in order."""
+    followers = list(metrics["joined_at_s"])
+    if len(followers) <= MAX_FOLLOWERS:
+        return followers
+
+    def badness(name: str) -> float:
+        errors = [window["rms_m"][name] for window in metrics["windows"].values()]
+        errors.append(None if errors else metrics["max_error_m"][name])
+        return max((error for error in errors if error is not None), default=float("inf"))
+
+    worst = set(sorted(followers, key=badness, reverse=True)[:MAX_FOLLOWERS])
+    return [name for name in followers if name in worst]
+
+
+def error_tables(
+    metrics: Document,
+    names: Sequence[str],
+    *,
+    fits: Callable[[Table], bool] = lambda table: True,
+) -> list[Table]:
+    """Make tables of the RMS errors, with up to `MAX_WINDOWS` windows side by side if it fits.
+
+    Args:
+        metrics: the document.
+        names: the followers to list.
+        fits: whether a table is narrow enough.
+    """
+    windows, tables = list(metrics["windows"]), []
+    while windows:
+        for count in range(min(MAX_WINDOWS, len(windows)), 0, -1):
+            table = _error_table(metrics, windows[:count], names)
+            if count == 1 or fits(table):
+                break
+        tables.append(table)
+        del windows[:count]
+    return tables
+
+
+def _error_table(metrics: Document, windows: Sequence[str], names: Sequence[str]) -> Table:
+    published = metrics.get("published") or {}
+    beside = [name for name in windows if name in compared_windows(metrics)]
+    followers = list(metrics["joined_at_s"])
+    table = _new_table()
+    table.add_column(Text("\nRMS error, m", style="bold"), no_wrap=True)
+    for window in windows:
+        start, end = metrics["windows"][window]["window_s"]
+        title = Text.assemble((window, "bold cyan"), f"\n{start:g}–{end:g} s", justify="right")
+        table.add_column(title, justify="right", no_wrap=True)
+        if window in beside:
+            table.add_column(Text("\npaper"), justify="right", style="dim", no_wrap=True)
+            table.add_column(Text("\nratio"), justify="right", no_wrap=True)
+
+    def add(label: Text | str, by_window: Sequence[list[Text | str]]) -> None:
+        cells: list[Text | str] = [label]
+        for window, own in zip(windows, by_window, strict=True):
+            cells += own + [""] * (3 - len(own) if window in beside else 0)
+        table.add_row(*cells)
+
+    def compare(key: str, form: str, window: str, name: str | None = None) -> list[Text | str]:
+        """Our number, and the published one with the ratio if the window has one."""
+        ours, theirs = metrics["windows"][window][key], published.get(key, {}).get(window)
+        if name is not None:
+            ours, theirs = ours[name], _nth(theirs, followers.index(name))
+        if _lost_within(metrics, window, *(followers if name is None else [name])):
+            theirs = None
+        return _compared_cells(ours, theirs, form) if window in beside else [shown(ours, form)]
+
+    for name in names:
+        add(name, [compare("rms_m", "{:.2f}", window, name) for window in windows])
+    if len(names) < len(followers):
+        table.add_row(Text(f"(the worst of {len(followers)})", style="dim"))
+    table.add_section()
+    averages = (("mean", "mean_rms_m", "{:.2f}"), ("error, %", "percent_error", "{:.0f}"))
+    for label, key, form in averages:
+        add(Text(label, style="bold"), [compare(key, form, window) for window in windows])
+    found = [metrics["windows"][window] for window in windows]
+    rows = [
+        ("largest, m", "{:.2f}", [_of_known(each["max_error_m"], max) for each in found]),
+        ("leader bank, °", "{:.1f}", [each["leader_bank_deg"] for each in found]),
+    ]
+    if any(metrics["relative_position_error_m"].values()):
+        estimated = [each["estimated_mean_rms_m"] for each in found]
+        rows.insert(0, ("mean estimated", "{:.2f}", estimated))
+    if len(names) < len(followers):
+        rows.insert(0, ("median", "{:.2f}", [_of_known(each["rms_m"], median) for each in found]))
+    for label, form, values in rows:
+        cells = [Text(shown(value, form), style="dim") for value in values]
+        add(Text(label, style="dim"), [[cell] for cell in cells])
+    if not all(each["complete"] for each in found):
+        cells = [Text(covered_part(metrics, window), style="yellow") for window in windows]
+        add(Text("covered, s", style="yellow"), [[cell] for cell in cells])
+    return table
+
+
+def follower_tables(
+    metrics: Document,
+    names: Sequence[str],
+    *,
+    fits: Callable[[Table], bool] = lambda table: True,
+) -> list[Table]:
+    """Make a table of joining, limiters, saturation and message age, or two if one is too wide."""
+    joined, ages = metrics["joined_at_s"], metrics["age_of_information_s"]
+    limits, saturations = metrics["limiter_flags"], metrics["saturations"]
+    recovery = metrics["recovery"]
+    columns: Columns = {
+        "joined\nat, s": [_joined(joined[name]) for name in names],
+        "limiter\non, s": [_seconds(limits[name]["seconds"]) for name in names],
+        "message\nage, ms": [_milliseconds(ages[name]["mean"]) for name in names],
+    }
+    saturation: Columns = {
+        "saturated\nfor, s": [_seconds(saturations[name]["seconds"]) for name in names],
+        **{
+            f"{kind}\n%": [_saturated_share(metrics, name, kind) for name in names]
+            for kind in (str(flag.name).lower() for flag in Saturation)
+        },
+        "last\nat, s": [shown(recovery[name]["last_saturated_s"], "{:.1f}") for name in names],
+    }
+    table = _follower_table(names, columns | saturation)
+    if fits(table):
+        return [table]
+    return [_follower_table(names, columns), _follower_table(names, saturation)]
+
+
+def _follower_table(names: Sequence[str], columns: Columns) -> Table:
+    table = _new_table()
+    table.add_column(Text("\nfollower", style="bold"), no_wrap=True)
+    for heading in columns:
+        style = "dim" if heading.endswith("%") else ""
+        table.add_column(heading, justify="right", style=style, no_wrap=True)
+    for name, *cells in zip(names, *columns.values(), strict=True):
+        table.add_row(name, *cells)
+    return table
+
+
+def compared_windows(metrics: Document) -> list[str]:
+    """Return the complete windows that have published numbers."""
+    found = metrics["windows"]
+    return [name for name in _published_windows(metrics) if found[name]["complete"]]
+
+
+def published_mean(metrics: Document, window: str) -> float | None:
+    """Return the published mean RMS error of a window, m, if ours can be compared with it."""
+    if window not in compared_windows(metrics):
+        return None
+    if _lost_within(metrics, window, *metrics["max_error_m"]):
+        return None
+    mean = metrics["published"].get("mean_rms_m", {}).get(window)
+    return None if mean is None else float(mean)
+
+
+def published_note(metrics: Document) -> str:
+    """Name the source of published numbers and the windows not compared; "" if there are none."""
+    known = _published_windows(metrics)
+    cut = [name for name in known if not metrics["windows"][name]["complete"]]
+    notes = [f"published: {metrics['published']['source']}"] if len(cut) < len(known) else []
+    if cut:
+        notes.append(f"incomplete, not compared: {', '.join(cut)}")
+    return "; ".join(notes)
+
+
+def covered_part(metrics: Document, window: str) -> str:
+    """Name the part of a window that the run covers, s: "all", "none", or its start and end."""
+    found = metrics["windows"][window]
+    if found["complete"]:
+        return "all"
+    start, end = found["window_s"]
+    until = min(float(metrics["simulated_s"]), end)
+    return f"{start:g}–{until:g}" if found["covered_s"] else "none"
+
+
+def _fits(console: Console) -> Callable[[Table], bool]:
+    unlimited = console.options.update_width(10_000)
+    return lambda table: console.measure(table, options=unlimited).maximum <= console.width
+
+
+def _new_table() -> Table:
+    """Rules without a frame; the margin of one column is the padding's."""
+    return Table(box=box.SIMPLE_HEAD, show_edge=False, collapse_padding=True, header_style="")
+
+
+def _grid(rows: Sequence[tuple[str, str | Text]]) -> Table:
+    table = Table.grid(padding=(0, 1))
+    table.add_column(width=20)
+    table.add_column()
+    for name, text in rows:
+        table.add_row(f" {name}", text)
+    return table
+
+
+def _headline(metrics: Document, width: int) -> list[Text]:
+    """Scenario, outcome, times and seed, broken between these where a line is full."""
+    outcome = (metrics["outcome"] or "in flight").replace("_", " ")
+    time = f"{metrics['simulated_s']:.0f} s simulated"
+    if metrics["wall_s"] is not None:
+        time += f" in {metrics['wall_s']:.1f} s"
+    if (factor := metrics["real_time_factor"]) is not None:
+        time += f" ({factor:.0f} × real time)" if factor >= 10.0 else f" ({factor:.1f} × real time)"
+    style = OUTCOME_STYLES.get(metrics["outcome"], "bold yellow")
+    lines = [Text.assemble(" ", (str(metrics["scenario"]), "bold"))]
+    for part in (Text(outcome, style=style), Text(time), Text(f"seed {metrics['seed']}")):
+        if lines[-1].cell_len + 3 + part.cell_len > width:
+            lines.append(Text("  ").append_text(part))
+        else:
+            lines[-1] = Text.assemble(lines[-1], " · ", part)
+    return lines
+
+
+def _print_events(events: Sequence[Mapping[str, Any]], console: Console) -> None:
+    """Print the first warnings and errors, and the run's own notes from before the flight."""
+    loud = [
+        e
+        for e in events
+        if e["level"] in EVENT_STYLES or (e["source"] == "run" and not e["time_s"])
+    ]
+    # errors before warnings, because they decide whether the run is valid
+    first = sorted(range(len(loud)), key=lambda i: loud[i]["level"] != "error")[:MAX_EVENTS]
+    table = Table.grid(padding=(0, 1))
+    table.add_column(width=8)
+    table.add_column(justify="right", width=11, no_wrap=True)
+    table.add_column()
+    for event in (loud[i] for i in sorted(first)):
+        text = f" {event['source']}: {event['text']}"
+        style = EVENT_STYLES.get(event["level"], "")
+        table.add_row(f" {event['level']}", f"{event['time_s']:.2f} s", text, style=style)
+    if first:
+        console.print(table)
+    if len(loud) > MAX_EVENTS:
+        more = f" … and {len(loud) - MAX_EVENTS} more in the log"
+        console.print(Text(more, style="dim"))
+
+
+def _published_windows(metrics: Document) -> list[str]:
+    published = metrics.get("published") or {}
+    known = [published.get(key) or {} for key in ("rms_m", "mean_rms_m", "percent_error")]
+    return [name for name in metrics["windows"] if any(name in each for each in known)]
+
+
+def _lost_within(metrics: Document, window: str, *names: str) -> bool:
+    """Whether one of these, or the leader, was lost before a window ended."""
+    lost, end = metrics["lost_at_s"], metrics["windows"][window]["window_s"][1]
+    times = [lost.get(name) for name in (next(iter(lost), ""), *names)]
+    return any(at is not None and at < end for at in times)
+
+
+def _compared_cells(ours: float | None, theirs: float | None, form: str) -> list[Text | str]:
+    value = Text(shown(ours, form))
+    if ours is None or not theirs:
+        return [value, shown(theirs, "{:g}"), ABSENT]
+    ratio = ours / theirs
+    style = "green" if ratio <= 1.0 else "red"
+    value.stylize(style)
+    return [value, f"{theirs:g}", Text(f"{ratio:.2f}", style=style)]
+
+
+def _nth(values: Sequence[float] | None, index: int) -> float | None:
+    return values[index] if values is not None and index < len(values) else None
+
+
+def _of_known(
+    values: Mapping[str, float | None], statistic: Callable[[list[float]], float]
+) -> float | None:
+    known = [value for value in values.values() if value is not None]
+    return statistic(known) if known else None
+
+
+def _joined(at: float | None) -> Text | str:
+    return Text("never", style="red") if at is None else f"{at:.1f}"
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.1f}" if value else "0"
+
+
+def _milliseconds(seconds: float | None) -> str:
+    return ABSENT if seconds is None else f"{1e3 * seconds:.0f}"
+
+
+def _saturated_share(metrics: Document, name: str, kind: str) -> str:
+    """Format the share of the samples in which a command was saturated, %."""
+    found = metrics["saturations"][name]
+    period = found["seconds"] / found["frames"] if found["frames"] else 0.0
+    # the first and the last sample count, too
+    samples = float(metrics["simulated_s"]) / period + 1.0 if period else 1.0
+    share = 100.0 * found["by_kind"][kind] / samples
+    return f"{share:.1f}" if share else "0"

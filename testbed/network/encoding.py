@@ -1,0 +1,138 @@
+"""Messages as frames of bytes: what is transmitted, and what a receiver reads in damaged frames."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.core.records import MESSAGE, Array, BoolArray, Broadcast, Records, allocate
+from testbed.network.channel import Channel
+from testbed.network.links import BITS, Numbers, PacketOutcome
+from testbed.network.philox import philox, unit
+
+Frames = NDArray[np.uint8]
+
+
+class Encoding(Protocol):
+    """Pack messages into frames of L bytes and unpack them."""
+
+    def pack(self, message: Broadcast, rows: Numbers, numbers: Numbers) -> Frames:
+        """Return the frames (S, L) of S messages.
+
+        Args:
+            message: (S), stamped by the senders' clocks.
+            rows: (S,) of the senders.
+            numbers: (S,) sequence numbers.
+        """
+
+    def unpack(self, frames: Frames) -> tuple[Broadcast, Numbers, BoolArray]:
+        """Return K messages, the rows of their senders (K,), and whether they are valid (K,).
+
+        A receiver discards a frame that is not valid without reading its content.
+        """
+
+
+class UndetectedErrors(NamedTuple):
+    """B copies of messages that pass all checks with wrong bits."""
+
+    at: Numbers  # (B, 3) follower, index among the senders, copy
+    message: Broadcast  # (B) as read, stamped by the senders' clocks
+
+
+class Encoder:
+    """Encode broadcasts of N aircraft, and decide what receivers make of damaged frames.
+
+    Attributes:
+        refused: damaged copies with a wrong checksum, or of another message type.
+        discarded: copies that pass, with another sender or numbers that are not finite.
+        undetected: copies that pass and are used.
+    """
+
+    def __init__(self, encoding: Encoding, channel: Channel) -> None:
+        """Start before the first broadcast."""
+        self._encoding, self._channel = encoding, channel
+        self._read = allocate(MESSAGE, len(channel.names))
+        self._frames: Frames = np.zeros((0, 0), np.uint8)
+        self.refused = self.discarded = self.undetected = 0
+
+    def encode(self, messages: Records, stamp_s: Array, rows: Numbers, numbers: Numbers) -> Records:
+        """Pack the messages of a broadcast, and read the undamaged frames as a receiver does.
+
+        Args:
+            messages: (N,) of MESSAGE, stamped with the true times of their content.
+            stamp_s: (N,) s, by the senders' clocks; what the frames say is written.
+            rows: (S,) of the senders.
+            numbers: (S,) sequence numbers.
+
+        Returns:
+            (N,) of MESSAGE as read, with true stamps.
+        """
+        content = (messages[name][rows] for name in Broadcast._fields[1:])
+        self._frames = self._encoding.pack(Broadcast(stamp_s[rows], *content), rows, numbers)
+        read, _, _ = self._encoding.unpack(self._frames)
+        for name, values in zip(Broadcast._fields, read, strict=True):
+            self._read[name][rows] = values
+        stamp_s[rows] = read.stamp_s
+        self._read["stamp_s"] = messages["stamp_s"]
+        return self._read
+
+    def corrupt(self, packets: Records, rows: Numbers, numbers: Numbers) -> UndetectedErrors | None:
+        """Flip bits of the corrupted copies of a broadcast; some pass all checks all the same.
+
+        Args:
+            packets: (n, N) of PACKET; copies that pass are written as delivered.
+            rows: (S,) of the senders.
+            numbers: (S,) sequence numbers.
+
+        Returns:
+            The copies that pass; None: none.
+        """
+        corrupted_s = packets["corrupted_s"][:, rows]
+        at = np.argwhere(np.isfinite(corrupted_s))
+        if not len(at):
+            return None
+        i, s, copy = at.T
+        links = self._channel.links[i, rows[s]]
+        frames = flip_bits(self._frames[s], links["bits"], links["key"], numbers[s], copy)
+        read, sender, valid = self._encoding.unpack(frames)
+        finite = np.isfinite(np.stack(read[1:], axis=1)).all(axis=(1, 2))
+        plausible = finite & (sender == rows[s])
+        used = valid & plausible
+        self.refused += int((~valid).sum())
+        self.discarded += int((valid & ~plausible).sum())
+        if not used.any():
+            return None
+        self.undetected += int(used.sum())
+        i, s, copy = at[used].T
+        packets["arrival_s"][i, rows[s], copy] = corrupted_s[i, s, copy]
+        packets["outcome"][i, rows[s]] = PacketOutcome.DELIVERED
+        return UndetectedErrors(at[used], Broadcast(*(each[used] for each in read)))
+
+
+def flip_bits(
+    frames: Frames, bits: Numbers, keys: NDArray[np.uint64], numbers: Numbers, copies: Numbers
+) -> Frames:
+    """Return frames with some bits flipped, at random places.
+
+    All sets of places of a size are equally likely (Floyd's sampling; J. Bentley and R. Floyd, "A
+    sample of brilliance", CACM 30, 1987).
+
+    Args:
+        frames: (K, L)
+        bits: (K,) number of bits to flip, at most 8 L.
+        keys: (K, 2) of the links.
+        numbers: (K,) sequence numbers of the messages.
+        copies: (K,) which copy of the message, 0 or 1.
+    """
+    count, size = len(frames), 8 * frames.shape[1]
+    flipped = np.zeros((count, size), dtype=np.bool_)
+    for k in range(int(bits.max())):
+        each = np.flatnonzero(bits > k)
+        last = size - bits[each] + k
+        word = philox(keys[each, 0], keys[each, 1], numbers[each], copies[each], BITS + k)[0]
+        place = (unit(word) * (last + 1)).astype(np.int64)
+        flipped[each, np.where(flipped[each, place], last, place)] = True
+    damaged: Frames = frames ^ np.packbits(flipped, axis=1)
+    return damaged

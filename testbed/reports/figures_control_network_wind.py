@@ -1,0 +1,231 @@
+"""Figures of commands, network, wind and estimates."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from testbed.core.records import Array
+from testbed.metrics.summary import CALM_MPS
+from testbed.reports.axes import (
+    TimeAxis,
+    bound_lines,
+    mask_without_slot,
+    padded_limits,
+    samples_on_axis,
+)
+from testbed.reports.decimate import decimate
+from testbed.reports.figure_spec import FigureSpec
+from testbed.reports.plot_selection import (
+    LEADER_COLOUR,
+    STYLES,
+    DrawnFollower,
+    PlotSelection,
+    desired_curves,
+    follower_curves,
+    percentile_bands,
+)
+from testbed.reports.run_data import RunData
+from testbed.views.panels import BLACK, GREY, Band, Line, Panel
+
+DELIVERY_WINDOW_S = 10.0  # of the share of delivered messages
+AGE_INTERVALS = 100
+MAX_LINKS = 4  # drawn one by one
+
+
+def commands(run: RunData, selection: PlotSelection) -> FigureSpec:
+    """Draw bank with its limits, pitch and throttle."""
+    log, axis, time = run.log, TimeAxis(run), run.log.time_s
+    alive = np.where(log.lost, np.nan, 1.0)
+    bank, pitch = (np.degrees(log.truth.euler[..., k]) * alive for k in (0, 1))
+    bank_command, pitch_command = (
+        np.degrees(each) * alive for each in (log.command.roll, log.command.pitch)
+    )
+    rows = []
+    quantities = (
+        ("bank", "bank, °", bank, bank_command),
+        ("pitch", "pitch, °", pitch, pitch_command),
+        ("commanded throttle", "throttle, %", 100.0 * log.command.throttle * alive, None),
+    )
+    for title, unit, actual, commanded in quantities:
+        lines = _all_curves(run, actual, selection)
+        if commanded is not None:
+            lines += desired_curves(time, commanded[:, 1:], selection)
+        if title == "bank":
+            limits = np.degrees(log.info.roll_limit_rad)
+            lines += bound_lines(time, np.stack((-limits, limits)), "bank limits")
+        bands = percentile_bands(time, actual[:, 1:], selection)
+        rows.append([axis.panel(title, unit, lines, bands, last=commanded is None)])
+    return FigureSpec(
+        "Bank, pitch and throttle",
+        "Solid: actual bank and pitch, and the commanded throttle; dashed: the fly-by-wire-A"
+        " commands; thin solid lines: the limits of the bank command." + axis.note,
+        rows,
+        7.2,
+    )
+
+
+def network(run: RunData, selection: PlotSelection) -> FigureSpec | None:
+    """Draw the ages of the messages used, and the share of messages delivered."""
+    log, axis, time = run.log, TimeAxis(run), run.log.time_s
+    age_ms = 1e3 * np.fmax.reduce(log.formation.age_s, axis=-1)
+    sent = log.links.sent.astype(np.float64)
+    missing = sent - log.links.delivered
+    if not np.nanmax(age_ms, initial=0.0) > 0.0 and not missing.any():
+        return None
+    at, mean, largest = interval_statistics(time, age_ms)
+    lines = [*follower_curves(at, mean, selection), *desired_curves(at, largest, selection)]
+    bands = percentile_bands(at, mean, selection)
+    title = "age of the oldest message in use"
+    rows = [[axis.panel(title, "age, ms", lines, bands, last=not missing.any())]]
+    caption = (
+        "Age of the oldest message that a follower used: mean (solid) and maximum (dashed) over"
+        f" each of {AGE_INTERVALS} equal intervals of the run."
+    )
+    if missing.any():
+        lines, bands = _delivered_shares(run, sent, missing)
+        title = f"messages delivered of those sent in the last {DELIVERY_WINDOW_S:g} s"
+        rows.append(
+            [axis.panel(title, "share, %", lines, bands, last=True, y_limits=(-3.0, 103.0))]
+        )
+        caption += (
+            f" Below: the share of the messages sent in the last {DELIVERY_WINDOW_S:g} s that"
+            " arrived; thick: all links together; coloured: the links that delivered least;"
+            " grey: from the worst to the best link."
+        )
+    return FigureSpec("Network", caption, rows, 2.5 * len(rows) + 0.3)
+
+
+def wind(run: RunData, selection: PlotSelection) -> FigureSpec | None:
+    """Draw the wind at each aircraft."""
+    log, axis, time = run.log, TimeAxis(run), run.log.time_s
+    wind_ned = np.where(log.lost[..., None], np.nan, log.air.wind_ned)
+    if np.nanmax(np.abs(wind_ned), initial=0.0) < CALM_MPS:
+        return None
+    horizontal, upwards = np.hypot(wind_ned[..., 0], wind_ned[..., 1]), -wind_ned[..., 2]
+    rows: list[list[Panel]] = []
+    for title, unit, values in (
+        ("horizontal wind", "speed, m/s", horizontal),
+        ("vertical wind", "upwards, m/s", upwards),
+    ):
+        lines = _all_curves(run, values, selection)
+        bands = percentile_bands(time, values[:, 1:], selection)
+        rows.append([axis.panel(title, unit, lines, bands, last=values is upwards)])
+    caption = (
+        "Velocity of the air at each aircraft, averaged over its wing: mean wind, turbulence,"
+        " gusts and wakes."
+    )
+    return FigureSpec("Wind", caption + axis.note, rows, 5.2)
+
+
+def estimates(run: RunData, selection: PlotSelection) -> FigureSpec | None:
+    """Draw the position errors of estimates, and the formation error by them."""
+    log, axis, time = run.log, TimeAxis(run), run.log.time_s
+    if log.estimate is log.truth:
+        return None
+    error = log.estimate.position_ned - log.truth.position_ned
+    error = np.where(log.lost[..., None], np.nan, error)
+    horizontal, height = np.hypot(error[..., 0], error[..., 1]), -error[..., 2]
+    rows = []
+    for title, unit, values in (
+        ("horizontal position, estimate − truth", "distance, m", horizontal),
+        ("height, estimate − truth", "height, m", height),
+    ):
+        lines = _all_curves(run, values, selection)
+        bands = percentile_bands(time, values[:, 1:], selection)
+        rows.append([axis.panel(title, unit, lines, bands, last=not run.followers)])
+    caption = "Errors of the aircraft's own estimates."
+    if run.followers:
+        estimated = np.sqrt(np.sum(log.formation.estimated_error_ned**2, axis=-1))
+        estimated = mask_without_slot(run, estimated)
+        on_axis, note = samples_on_axis(run)
+        limits = padded_limits([np.where(on_axis, each, np.nan) for each in (estimated, run.error)])
+        lines = [*follower_curves(time, run.error, selection)]
+        lines += desired_curves(time, estimated, selection)
+        bands = percentile_bands(time, run.error, selection)
+        title = "‖q̃‖, true and estimated"
+        rows.append([axis.panel(title, "‖q̃‖, m", lines, bands, last=True, y_limits=limits)])
+        caption += " Below: the formation error, true (solid) and by the estimates (dashed)." + note
+    return FigureSpec("Estimates", caption + axis.note, rows, 2.4 * len(rows) + 0.2)
+
+
+def interval_statistics(time: Array, values: Array) -> tuple[Array, Array, Array]:
+    """Compute mean and maximum over `AGE_INTERVALS` equal intervals of a run.
+
+    Args:
+        time: (K,) s.
+        values: (K, n); NaN is left out.
+
+    Returns:
+        Mean times (m,), means (m, n) and maxima (m, n), with m at most `AGE_INTERVALS`.
+    """
+    samples = max(-(-len(time) // AGE_INTERVALS), 1)
+    padding = -len(time) % samples  # of the last interval
+    blocks = np.pad(values, ((0, padding), (0, 0)), constant_values=np.nan)
+    blocks = blocks.reshape(-1, samples, values.shape[1])
+    count = np.isfinite(blocks).sum(axis=1)
+    total = np.nansum(blocks, axis=1)
+    mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    mean_time = np.nanmean(
+        np.pad(time, (0, padding), constant_values=np.nan).reshape(-1, samples), axis=1
+    )
+    return mean_time, mean, np.fmax.reduce(blocks, axis=1)
+
+
+def _all_curves(run: RunData, values: Array, selection: PlotSelection) -> list[Line]:
+    """Make the curves of the leader and the followers, of values (K, N)."""
+    time = run.log.time_s
+    at = decimate(values[:, 0])
+    leader = Line(time[at], values[at, 0], LEADER_COLOUR, run.log.info.names[0], 0.9)
+    return [leader, *follower_curves(time, values[:, 1:], selection)]
+
+
+def _delivered_shares(
+    run: RunData, sent: Array, missing: Array
+) -> tuple[list[Line], tuple[Band, ...]]:
+    """Make curves of the share of messages delivered, percent, over a moving window.
+
+    Args:
+        run: the run.
+        sent: (K, n, N) messages since the start. A log counts them from the first loss on; they
+            are zero before, when all messages arrived.
+        missing: (K, n, N) of these, the ones that do not arrive.
+    """
+    log, names = run.log, run.log.info.names
+    samples = max(round(DELIVERY_WINDOW_S * log.info.frame_rate_hz), 1)
+    window_start = np.maximum(np.arange(log.tick.size) - samples, 0)
+    counted = sent.sum(axis=(1, 2)) > 0.0
+    # the first windows hold too few messages for a share
+    early = np.arange(log.tick.size) < min(samples, log.tick.size // 2)
+
+    def share(sent: Array, missing: Array) -> Array:
+        """Compute the share over the window from cumulative counts (K, ...)."""
+        lost, total = missing - missing[window_start], sent - sent[window_start]
+        known = (counted & counted[window_start]).reshape(-1, *[1] * (sent.ndim - 1))
+        delivered = 100.0 * (1.0 - lost / np.maximum(total, 1.0))
+        out = np.where(known & (total > 0.0), delivered, np.nan)
+        out = np.where(~known & (lost == 0.0), 100.0, out)
+        out[early] = np.nan
+        return out
+
+    all_links = share(sent.sum(axis=(1, 2)), missing.sum(axis=(1, 2)))
+    # links by receiver and sender; no link from an aircraft to itself
+    links = [
+        (missing[-1, i, j] / sent[-1, i, j], i, j)
+        for i in range(sent.shape[1])
+        for j in range(sent.shape[2])
+        if sent[-1, i, j] > 0.0
+    ]
+    by_link = share(sent, missing).reshape(len(sent), -1)
+    columns = np.array([i * sent.shape[2] + j for _, i, j in links])
+    lines: list[Line] = []
+    worst = sorted(links, key=lambda link: -link[0])[: MAX_LINKS if len(links) > 1 else 0]
+    for k, (_, i, j) in enumerate(sorted(worst, key=lambda link: link[1:])):
+        curve = DrawnFollower(0, f"{names[j]} > {names[i + 1]}", *STYLES[k], phase=k / MAX_LINKS)
+        values = by_link[:, i * sent.shape[2] + j][:, None]
+        lines += follower_curves(log.time_s, values, PlotSelection((curve,), 0))
+    at = decimate(all_links)
+    lines.append(Line(log.time_s[at], all_links[at], BLACK, "all links", 1.6))
+    low = np.fmin.reduce(by_link[:, columns], axis=1)
+    high = np.fmax.reduce(by_link[:, columns], axis=1)
+    at = decimate(low, high)
+    return lines, (Band(log.time_s[at], low[at], high[at], GREY, "worst to best link"),)

@@ -1,0 +1,75 @@
+"""A recorded run for its report: log, metrics and scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from testbed.core.errors import InputError
+from testbed.core.records import Array, BoolArray
+from testbed.logs.read import Log, read_log, replay, scenario_of
+from testbed.logs.run_directory import find_run
+from testbed.metrics import MetricsObserver
+from testbed.scenario import Scenario
+
+Metrics = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class RunData:
+    """A run of N aircraft and K samples; n = N − 1 of the aircraft are followers."""
+
+    path: Path  # of the log
+    log: Log
+    metrics: Metrics
+    scenario: Scenario | None  # None: this version cannot read it
+
+    @property
+    def followers(self) -> tuple[str, ...]:
+        """Names of the followers (n,)."""
+        return self.log.info.names[1:]
+
+    @property
+    def without_slot(self) -> BoolArray:
+        """(K, n) whether a follower or the leader is lost, so that the follower has no slot."""
+        lost: BoolArray = self.log.lost[:, 1:] | self.log.lost[:, :1]
+        return lost
+
+    @property
+    def error(self) -> Array:
+        """‖q̃_i‖ (K, n), m; NaN for followers without a slot."""
+        error = np.sqrt(np.sum(self.log.formation.error_ned**2, axis=-1))
+        return np.where(self.without_slot, np.nan, error)
+
+    @property
+    def outcome(self) -> str:
+        """Outcome of the run; "cut short" if its log ends before the run did."""
+        return str(self.metrics["outcome"] or "cut short")
+
+
+def read_run(run: str | Path) -> RunData:
+    """Read the log of a run, named as for `find_run`.
+
+    The metrics are those in the log, equal to metrics.json. A run that was killed left none; they
+    are computed from the samples in its log.
+
+    Raises:
+        LogError: there is no such run, or its log is damaged.
+        InputError: the run ended before its first sample.
+    """
+    path = find_run(run)
+    log = read_log(path)
+    if not log.tick.size:
+        raise InputError(f"{path}: the log has no samples, so there is nothing to report")
+    scenario = scenario_of(log)
+    return RunData(path, log, log.metrics or _compute_metrics(log, scenario), scenario)
+
+
+def _compute_metrics(log: Log, scenario: Scenario | None) -> Metrics:
+    published = scenario.scenario.published if scenario else None
+    observer = MetricsObserver(published=published.model_dump() if published else None)
+    return observer.summary(replay(log, [observer]))

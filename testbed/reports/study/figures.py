@@ -1,0 +1,177 @@
+"""The figures of a study in their order."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from itertools import combinations
+
+import numpy as np
+
+from testbed.core.records import Array
+from testbed.reports.figure_spec import Figure, FigureSpec, make_figure
+from testbed.reports.plot_selection import STYLES
+from testbed.reports.study.numbers import PERCENT, Estimate, mean_estimate
+from testbed.reports.study.parameter_plots import (
+    axis_label,
+    decimate_evenly,
+    in_pairs,
+    needs_log_axis,
+    parameters,
+)
+from testbed.reports.study.report_table import format_number
+from testbed.reports.study.study_data import Parameter, StudyData
+from testbed.reports.study.tables import level_groups
+from testbed.views.panels import BLACK, Heatmap, Line, Panel
+
+MAX_METRICS = 4  # drawn; the tables have all
+MAX_PAIRS = 6
+MIN_CELL_FLIGHTS = 5  # average number of flights in a cell of a heat map of drawn points
+MIN_CASE_FLIGHTS = 10  # of a case whose distribution is drawn
+
+Maker = Callable[[StudyData, str], FigureSpec | None]
+
+
+def study_figures(study: StudyData) -> Iterator[Figure]:
+    """Yield the figures for which the study has data, metric by metric."""
+    makers: Sequence[tuple[str, Maker]] = (
+        ("parameters", parameters),
+        ("heat", heat_maps),
+        ("cases", cases),
+        ("spread", distributions),
+    )
+    subtitle = f"{study.name} · {study.flights.run.size:,} flights of {study.scenario}"
+    for metric in study.metrics[:MAX_METRICS]:
+        slug = re.sub(r"[^A-Za-z0-9_]+", "-", metric)
+        for name, make in makers:
+            spec = make(study, metric)
+            if spec is not None:
+                yield make_figure(f"{name}-{slug}", spec, subtitle)
+
+
+def heat_maps(study: StudyData, metric: str) -> FigureSpec | None:
+    """Draw the metric over pairs of parameters."""
+    parameters = study.flights.parameters
+    pairs = list(combinations(parameters, 2))
+    found = [_heat_map(study, metric, *pair) for pair in pairs[:MAX_PAIRS]]
+    panels = [panel for panel in found if panel is not None]
+    if not panels:
+        return None
+    caption = (
+        f"{study.statistic.capitalize()} of {metric} over pairs of parameters, and over all values"
+        " of the others; brighter is larger. Below a number: how many flights of the cell were"
+        " lost or failed. Grey: no flight of the cell was completed."
+    )
+    if any(each.continuous for each in parameters):
+        caption += " Parameters with many numbers are divided into groups of equal size."
+    if len(pairs) > MAX_PAIRS:
+        caption += f" These are the first {MAX_PAIRS} of {len(pairs)} pairs."
+    rows, widths = in_pairs(panels)
+    tallest = max(len(panel.y_ticks) for panel in panels)
+    height_in = (1.3 + 0.5 * max(tallest, 4)) * len(rows)
+    return FigureSpec(f"{metric} over pairs", caption, rows, height_in, widths)
+
+
+def _heat_map(study: StudyData, metric: str, x: Parameter, y: Parameter) -> Panel | None:
+    columns, rows = list(level_groups(x)), list(level_groups(y))
+    flights = study.flights
+    if study.random and flights.run.size < MIN_CELL_FLIGHTS * len(columns) * len(rows):
+        return None
+    values = np.full((len(rows), len(columns)), np.nan)
+    texts = [[""] * len(columns) for _ in rows]
+    for i, (_, of_row) in enumerate(rows):
+        for k, (_, of_column) in enumerate(columns):
+            here = of_row & of_column
+            values[i, k] = study.centre(metric, here)
+            incomplete = int((here & ~flights.completed).sum())
+            lost = f"\n{incomplete} lost" if incomplete else ""
+            texts[i][k] = format_number(float(values[i, k])) + lost
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return None
+    low, high = float(known.min()), float(known.max())
+    limits = low, high if high > low else low + 1.0
+    return Panel(
+        "",
+        x.key,
+        y.key,
+        heat=Heatmap(values, limits, axis_label(metric), texts),
+        x_ticks=[(k + 0.5, name.replace(" to ", "\nto ")) for k, (name, _) in enumerate(columns)],
+        y_ticks=[(i + 0.5, name) for i, (name, _) in enumerate(rows)],
+    )
+
+
+def cases(study: StudyData, metric: str) -> FigureSpec | None:
+    """Draw every case with its interval, and its difference from the first."""
+    flights = study.flights
+    if len(flights.cases) < 2:
+        return None
+    first, count = flights.cases[0], len(flights.cases)
+    estimates = [
+        study.estimate(metric, flights.case_index == k, f"all/{name}")
+        for k, name in enumerate(flights.cases)
+    ]
+    differences = [mean_estimate(study.differences(metric, k)) for k in range(1, count)]
+    ticks = [(float(-k), name) for k, name in enumerate(flights.cases)]
+    limits = (-count + 0.4, 0.6)
+    label = axis_label(metric)
+    panels = [
+        Panel(
+            f"{study.statistic} of a case", label, "", _interval_lines(estimates, 0),
+            y_ticks=ticks, y_limits=limits,
+        ),
+        Panel(
+            f"mean difference from {first}", f"minus {first}: {label}", "",
+            _interval_lines(differences, 1), y_ticks=ticks, y_limits=limits, marks=[(0.0, BLACK)],
+        ),
+    ]  # fmt: skip
+    caption = (
+        f"Left: {study.statistic} of {metric} of each case over {study.unit_name} with its"
+        f" {PERCENT} % interval (bootstrap). Right: the difference from {first}, the mean of the"
+        f" differences at the same point and seed with Student's {PERCENT} % interval. A"
+        " difference whose interval contains 0 (dotted line) is not significant."
+    )
+    height_in = 1.5 + 0.36 * count
+    return FigureSpec(f"{metric} by case", caption, [panels], height_in, (1.0, 1.0))
+
+
+def _interval_lines(estimates: Sequence[Estimate], first: int) -> list[Line]:
+    """Make dots on horizontal intervals, from row −first downwards."""
+    colour = STYLES[0][0]
+    lines = [
+        Line(np.array([each.low, each.high]), np.full(2, -float(k)), colour, width=2.2)
+        for k, each in enumerate(estimates, first)
+        if np.isfinite(each.low)
+    ]
+    at = np.array([each.value for each in estimates])
+    rows = -np.arange(first, first + len(estimates), dtype=np.float64)
+    return [*lines, Line(at, np.where(np.isfinite(at), rows, np.nan), colour, dots=True)]
+
+
+def distributions(study: StudyData, metric: str) -> FigureSpec | None:
+    """Draw the cumulative distribution of the metric, case by case."""
+    flights, values = study.flights, study.flights.metrics[metric]
+    lines: list[Line] = []
+    for k, name in enumerate(flights.cases[: len(STYLES)]):
+        of_case = flights.case_index == k
+        known = np.sort(values[of_case & flights.completed & np.isfinite(values)])
+        if known.size < MIN_CASE_FLIGHTS:
+            continue
+        at = decimate_evenly(known.size)
+        lines.append(_steps(known[at], (at + 1.0) / int(of_case.sum()), *STYLES[k], label=name))
+    if not lines:
+        return None
+    drawn = np.concatenate([line.x for line in lines])
+    panel = Panel(
+        "", axis_label(metric), "share of flights", lines,
+        y_limits=(0.0, 1.02), x_log=needs_log_axis(drawn),
+    )  # fmt: skip
+    caption = (
+        f"Share of all flights of a case whose {metric} is at most the value on the horizontal"
+        " axis. A curve that ends below 1 lacks flights that were lost or failed."
+    )
+    return FigureSpec(f"Distribution of {metric}", caption, [[panel]], 3.6)
+
+
+def _steps(x: Array, y: Array, colour: str, marker: str, *, label: str) -> Line:
+    return Line(np.repeat(x, 2)[1:], np.repeat(y, 2)[:-1], colour, label, 1.5, marker=marker)

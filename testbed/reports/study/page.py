@@ -1,0 +1,131 @@
+"""The report of a study: its page, and its summary on the terminal."""
+
+from __future__ import annotations
+
+from html import escape
+
+from rich.console import Console
+from rich.padding import Padding
+
+from testbed import __version__
+from testbed.reports.html import Page, Section, cards_html, figure_html, file_html
+from testbed.reports.study import tables
+from testbed.reports.study.figures import study_figures
+from testbed.reports.study.report_table import ReportTable, format_cell, format_number
+from testbed.reports.study.study_data import StudyData
+from testbed.reports.tables import rows_to_html, text_table_to_html, to_html
+
+MAX_CARDS = 3  # metrics in the head
+
+
+def study_page(study: StudyData) -> Page:
+    """Make the page of a study."""
+    effects, cases = tables.effects(study), tables.cases(study)
+    results = _table_html(tables.overview(study)) + (_table_html(effects, 3) if effects else "")
+    return Page(
+        title=study.name,
+        head=_head(study),
+        sections=(
+            Section("results", "Results", results),
+            Section("figures", "Figures", "".join(map(figure_html, study_figures(study)))),
+            Section("cases", "Cases", _table_html(cases) if cases else ""),
+            Section(
+                "points", "Points", "".join(_table_html(each, 3) for each in tables.points(study))
+            ),
+            Section("losses", "How flights ended", _table_html(tables.losses(study))),
+            Section("worst", "Worst runs", _worst_html(tables.worst(study))),
+            Section("repeat", "To repeat this study", _repeat(study)),
+        ),
+        footer=f"Made by testbed {__version__} from {study.file}.",
+    )
+
+
+def print_summary(study: StudyData, console: Console) -> None:
+    """Print the tables of a study, without those of points."""
+    console.print(f" [bold]{study.name}[/] · {' · '.join(_facts(study))}", soft_wrap=True)
+    shown = [tables.overview(study), tables.effects(study), tables.cases(study)]
+    if not study.flights.completed.all():
+        shown.append(tables.losses(study))
+    for table in shown:
+        if table is None:
+            continue
+        console.print(f"\n[bold]{table.title.lower()}[/]")
+        for metric, part in table.by_metric():
+            if metric:
+                console.print(f" {metric}", style="dim", soft_wrap=True)
+            console.print(Padding(part.to_rich(), (0, 0, 0, 1)))
+    console.print("\n[bold]worst runs[/]")
+    for number, outcome, value, command in tables.worst(study).rows:
+        line = f" {number}  {outcome}  {format_cell(value)}"
+        console.print(line, soft_wrap=True, markup=False)
+        console.print(f"   {command}", soft_wrap=True, markup=False)
+    console.print()
+
+
+def _facts(study: StudyData) -> list[str]:
+    flights = study.flights
+    out = [f"{flights.run.size:,} of {study.planned:,} flights of {study.scenario}"]
+    if len(flights.cases) > 1:
+        out.append(f"{len(flights.cases)} cases")
+    count = len(set(flights.seed.tolist()))
+    out.append(f"{count} seed{'s' * (count != 1)}")
+    incomplete = int((~flights.completed).sum())
+    return [*out, f"{incomplete} lost or failed"]
+
+
+def _head(study: StudyData) -> str:
+    flights = study.flights
+    out = [f"<h1>{escape(study.name)}</h1>"]
+    if study.question:
+        out.append(f'<p class="question">{escape(study.question)}</p>')
+    out.append(f'<p class="meta">{escape(" · ".join(_facts(study)))}</p>')
+    if flights.run.size < study.planned:
+        out.append("<p>The study has not ended; the report has the flights that have.</p>")
+    keys = [f"{each.key} ({len(each.levels)})" for each in flights.parameters]
+    if keys:
+        out.append(f"<p>Varied, {escape(study.design)}: {escape(', '.join(keys))}.</p>")
+    cards = []
+    for metric in study.metrics[:MAX_CARDS]:
+        estimate = study.estimate(metric, flights.case_index == 0, f"all/{flights.cases[0]}")
+        value = format_number(estimate.value)
+        interval = format_cell(estimate).removeprefix(value)
+        case = f", {flights.cases[0]}" if len(flights.cases) > 1 else ""
+        meaning = f"{metric}, {study.statistic}{interval}{case}"
+        cards.append((value, escape(meaning), ""))
+    completed = int(flights.completed.sum())
+    cards.append((f"{completed:,}", "flights completed without losing an aircraft", ""))
+    incomplete = flights.run.size - completed
+    problem = "excluded from all other numbers: see How flights ended" if incomplete else ""
+    cards.append((f"{incomplete:,}", "lost or failed", problem))
+    out.append(cards_html(cards))
+    return "".join(out)
+
+
+def _table_html(table: ReportTable, heading: int = 0) -> str:
+    title = f"<h{heading}>{escape(table.title)}</h{heading}>" if heading else ""
+    return f"{title}{to_html(table.to_rich())}{_note(table)}"
+
+
+def _note(table: ReportTable) -> str:
+    return f"<p>{escape(table.note)}</p>" if table.note else ""
+
+
+def _worst_html(table: ReportTable) -> str:
+    rows = []
+    for row in table.rows:
+        number, outcome, value, command = (escape(format_cell(cell)) for cell in row)
+        rows.append(
+            f'<th scope="row">{number}</th><td>{outcome}</td><td>{value}</td>'
+            f"<td><code>{command}</code></td>"
+        )
+    return text_table_to_html(table.columns, rows) + _note(table)
+
+
+def _repeat(study: StudyData) -> str:
+    out = [rows_to_html([*study.versions.items()])] if study.versions else []
+    if study.repeat:
+        out.append(f"<pre>{escape(study.repeat)}</pre>")
+    for name, text in study.files.items():
+        if text:
+            out.append(file_html(name, "text/yaml", text.encode()))
+    return "".join(out)

@@ -1,0 +1,205 @@
+"""A metric against each parameter: curves with intervals over levels, scatters over numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.core.records import Array, BoolArray
+from testbed.reports.figure_spec import FigureSpec
+from testbed.reports.plot_selection import STYLES
+from testbed.reports.study.numbers import PERCENT, running_quantiles
+from testbed.reports.study.study_data import Parameter, StudyData, format_level
+from testbed.views.panels import BLACK, DASHED, Band, Line, Panel, Panel3D
+
+MAX_DOTS = 1500  # of a scatter
+MIN_RUNNING = 30  # flights of a scatter with running quantiles
+WINDOW = 0.15  # share of the flights in the window of a running quantile
+QUANTILES = (0.1, 0.5, 0.9)
+LOG_RATIO = 50.0  # of the largest to the smallest number, above which an axis is logarithmic
+UNITS = {
+    "m": "m", "mps": "m/s", "s": "s", "deg": "°", "percent": "%", "hz": "Hz", "radps": "rad/s",
+}  # fmt: skip
+EMPTY_NOTE = "no completed flights"
+
+
+@dataclass(frozen=True)
+class Group:
+    """Flights that make one curve of a panel."""
+
+    name: str
+    flights: BoolArray  # (R,)
+    colour: str
+    marker: str
+    shift: float  # sideways, where levels are not numbers
+
+
+def axis_label(metric: str) -> str:
+    """Return the end of a metric's path from its last name with a unit, and the unit."""
+    names = metric.split(".")
+    for k in range(len(names) - 1, -1, -1):
+        unit = UNITS.get(names[k].rsplit("_", 1)[-1]) if "_" in names[k] else None
+        if unit:
+            return f"{'.'.join(names[k:])}, {unit}"
+    return names[-1]
+
+
+def needs_log_axis(values: Array) -> bool:
+    """Return whether all numbers are above 0 and span a wide range."""
+    known = values[np.isfinite(values)]
+    return bool(known.size and known.min() > 0.0 and known.max() > LOG_RATIO * known.min())
+
+
+def decimate_evenly(count: int) -> NDArray[np.intp]:
+    """Select up to `MAX_DOTS` indices below `count`, evenly spaced, with first and last."""
+    if count <= MAX_DOTS:
+        return np.arange(count)
+    return np.unique(np.linspace(0, count - 1, MAX_DOTS).round().astype(np.intp))
+
+
+def in_pairs(panels: Sequence[Panel]) -> tuple[list[list[Panel | Panel3D]], tuple[float, ...]]:
+    """Arrange panels in rows of two, or one alone; return rows and widths of the columns."""
+    rows: list[list[Panel | Panel3D]] = [[*panels[k : k + 2]] for k in range(0, len(panels), 2)]
+    return rows, (1.0,) if len(panels) == 1 else (1.0, 1.0)
+
+
+def parameters(study: StudyData, metric: str) -> FigureSpec | None:
+    """Draw a panel for each parameter."""
+    flights = study.flights
+    if not flights.parameters:
+        return None
+    panels: list[Panel] = []
+    _, grouped_by = _groups(study, flights.parameters[0])
+    for each in flights.parameters:
+        groups, _ = _groups(study, each)
+        draw = _scatter if each.continuous and study.random else _curves
+        panels.append(draw(study, metric, each, groups))
+    caption = [f"{metric} against each parameter"]
+    caption.append(f"; one curve for each of the {grouped_by}." if grouped_by else ".")
+    if any(not (each.continuous and study.random) for each in flights.parameters):
+        caption.append(
+            f" Markers: {study.statistic} over {study.unit_name}, each taken as its mean over the"
+            f" parameters not shown; shaded, or as vertical lines: its {PERCENT} % interval"
+            " (bootstrap). A black cross: flights at this level were lost or failed, and are"
+            " excluded."
+        )
+    if any(each.continuous and study.random for each in flights.parameters):
+        caption.append(
+            f" Dots are flights, at most {MAX_DOTS:,} of them, evenly selected; lines are running"
+            " quantiles, 10, 50 and 90 % (with several cases, 50 % only), over the nearest"
+            f" {WINDOW:.0%} of the flights."
+        )
+    if len(flights.cases) > len(STYLES):
+        caption.append(f" The first {len(STYLES)} of {len(flights.cases)} cases are drawn.")
+    rows, widths = in_pairs(panels)
+    height_in = 3.4 * len(rows) + 0.3
+    return FigureSpec(f"{metric} against parameters", "".join(caption), rows, height_in, widths)
+
+
+def _groups(study: StudyData, parameter: Parameter) -> tuple[list[Group], str]:
+    """Group the flights by case, or with one case and two parameters by the other parameter.
+
+    Returns:
+        The groups, and in words what they are; "" for a single group.
+    """
+    flights = study.flights
+    others = [each for each in flights.parameters if each is not parameter]
+    names: Sequence[str] = flights.cases
+    index, by = flights.case_index, "cases"
+    if len(flights.cases) == 1:
+        other = others[0] if len(others) == 1 and not study.random else None
+        if other is None or len(other.levels) > len(STYLES):
+            everything = np.ones(flights.run.size, dtype=np.bool_)
+            return [Group("", everything, *STYLES[0], shift=0.0)], ""
+        names = [f"{other.key} {format_level(level)}" for level in other.levels]
+        index, by = other.index, "levels of the other parameter"
+    count = min(len(names), len(STYLES))
+    spacing = 0.5 / max(count, 2)
+    return [
+        Group(names[k], index == k, *STYLES[k], shift=spacing * (k - 0.5 * (count - 1)))
+        for k in range(count)
+    ], by
+
+
+def _curves(study: StudyData, metric: str, parameter: Parameter, groups: Sequence[Group]) -> Panel:
+    lines: list[Line] = []
+    bands: list[Band] = []
+    values: list[Array] = []
+    crosses: list[tuple[float, float]] = []
+    for group in groups:
+        estimates = [
+            study.estimate(
+                metric,
+                group.flights & (parameter.index == k),
+                f"{parameter.key}/{format_level(level)}/{group.name}",
+            )
+            for k, level in enumerate(parameter.levels)
+        ]
+        x = parameter.numbers + (0.0 if parameter.numeric else group.shift)
+        y, low, high = (
+            np.array([getattr(each, name) for each in estimates])
+            for name in ("value", "low", "high")
+        )
+        values.append(y)
+        if parameter.numeric:
+            lines.append(Line(x, y, group.colour, group.name, 1.6, marker=group.marker, marks=0))
+            if np.isfinite(low).any():
+                bands.append(Band(x, low, high, group.colour))
+        else:
+            lines.append(Line(x, y, group.colour, group.name, dots=True, marker=group.marker))
+            lines += [
+                Line(np.full(2, at), np.array(ends), group.colour, width=2.0)
+                for at, *ends in zip(x, low, high, strict=True)
+                if np.isfinite(ends).all()
+            ]
+        for k, at in enumerate(x):
+            incomplete = group.flights & (parameter.index == k) & ~study.flights.completed
+            if incomplete.any() and np.isfinite(y[k]):
+                crosses.append((float(at), float(y[k])))
+    if crosses:
+        at, y = np.array(crosses).T
+        lines.append(Line(at, y, BLACK, "flights lost or failed", dots=True, marker="x"))
+    ticks = [(float(k), format_level(level)) for k, level in enumerate(parameter.levels)]
+    limits = (-0.5, len(parameter.levels) - 0.5)
+    return Panel(
+        "",
+        parameter.key,
+        axis_label(metric),
+        lines,
+        bands,
+        x_log=parameter.logarithmic,
+        y_log=needs_log_axis(np.concatenate(values)),
+        x_limits=None if parameter.numeric else limits,
+        x_ticks=() if parameter.numeric else ticks,
+        note=EMPTY_NOTE,
+    )
+
+
+def _scatter(study: StudyData, metric: str, parameter: Parameter, groups: Sequence[Group]) -> Panel:
+    x, y = parameter.numbers[parameter.index], study.flights.metrics[metric]
+    lines: list[Line] = []
+    known = study.flights.completed & np.isfinite(y)
+    single = len(groups) == 1
+    for group in groups:
+        rows = np.flatnonzero(group.flights & known)
+        rows = rows[np.argsort(x[rows], kind="stable")]
+        dots = rows[decimate_evenly(rows.size)]
+        lines.append(Line(x[dots], y[dots], group.colour, group.name, dots=True))
+        if rows.size < MIN_RUNNING:
+            continue
+        window = max(int(WINDOW * rows.size), MIN_RUNNING // 3)
+        middle, quantiles = running_quantiles(x[rows], y[rows], QUANTILES, window=window)
+        at = decimate_evenly(middle.size)
+        for share, values in zip(QUANTILES, quantiles, strict=True):
+            if single or share == 0.5:
+                colour = BLACK if single else group.colour
+                dashes = "-" if share == 0.5 else DASHED
+                label = f"{share:.0%}" if single else ""
+                lines.append(Line(middle[at], values[at], colour, label, 1.8, dashes=dashes))
+    return Panel(
+        "", parameter.key, axis_label(metric), lines,
+        x_log=parameter.logarithmic, y_log=needs_log_axis(y[known]), note=EMPTY_NOTE,
+    )  # fmt: skip

@@ -1,0 +1,247 @@
+"""The tables of a study: results, effects of parameters, cases, points, losses, worst flights."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from testbed.core.records import BoolArray
+from testbed.reports.html import write_text
+from testbed.reports.study.numbers import (
+    PERCENT,
+    Estimate,
+    mean_estimate,
+    rank_correlation,
+    variance_share,
+    wilson,
+)
+from testbed.reports.study.report_table import Cell, ReportTable
+from testbed.reports.study.study_data import MAX_LEVELS, Parameter, StudyData, format_level
+
+MAX_POINTS = 60  # rows of the table of all points
+MAX_WORST = 12
+GROUPS = 4  # of a parameter with many numbers
+
+
+def study_tables(study: StudyData) -> Iterator[ReportTable]:
+    """Yield the tables for which the study has data."""
+    yield overview(study)
+    for table in (effects(study), cases(study)):
+        if table is not None:
+            yield table
+    yield from points(study)
+    yield losses(study)
+    yield worst(study)
+
+
+def write_tables(study: StudyData, folder: Path) -> list[Path]:
+    """Write every table as CSV to a folder, which is made if needed; return the files.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for table in study_tables(study):
+        name = re.sub(r"[^\w.-]+", "-", table.name)
+        paths.append(folder / f"{name}.csv")
+        write_text(table.to_csv(), paths[-1])
+    return paths
+
+
+def overview(study: StudyData) -> ReportTable:
+    """Tabulate each metric by case, over all completed flights."""
+    flights, out = study.flights, []
+    case_column = len(flights.cases) > 1
+    for metric in study.metrics:
+        values = flights.metrics[metric]
+        for k, case in enumerate(flights.cases):
+            of_case = flights.case_index == k
+            known = values[of_case & flights.completed & np.isfinite(values)]
+            spread = np.quantile(known, [0.05, 0.95]) if known.size else [math.nan, math.nan]
+            out.append(
+                (
+                    metric,
+                    *([case] if case_column else []),
+                    known.size,
+                    study.estimate(metric, of_case, f"all/{case}"),
+                    float(known.min()) if known.size else math.nan,
+                    float(spread[0]),
+                    float(spread[1]),
+                    float(known.max()) if known.size else math.nan,
+                )
+            )
+    centre = f"{study.statistic} [{PERCENT} %]"
+    columns = ("metric", *(["case"] if case_column else []), "flights", centre)
+    note = (
+        f"The {study.statistic} over {study.unit_name}, of the mean over the flights of each, with"
+        f" its {PERCENT} % interval (bootstrap). Lost and failed flights are excluded."
+    )
+    columns = (*columns, "least", "5 %", "95 %", "largest")
+    return ReportTable("overview", "Overview", columns, out, note)
+
+
+def points(study: StudyData) -> Iterator[ReportTable]:
+    """Tabulate every point of a factorial study with up to `MAX_POINTS`, metric by metric."""
+    flights = study.flights
+    if study.random or not flights.parameters:
+        return
+    groups = sorted({*zip(flights.case_index.tolist(), flights.point.tolist(), strict=True)})
+    if len(groups) > MAX_POINTS:
+        return
+    case_column = len(flights.cases) > 1
+    for metric in study.metrics:
+        out: list[tuple[Cell, ...]] = []
+        for case, point in groups:
+            here = (flights.case_index == case) & (flights.point == point)
+            one = int(np.flatnonzero(here)[0])
+            values = [format_level(each.levels[each.index[one]]) for each in flights.parameters]
+            name = f"point/{flights.cases[case]}/{'/'.join(values)}"
+            estimate = study.estimate(metric, here, name)
+            incomplete = int((here & ~flights.completed).sum())
+            case_cell = [flights.cases[case]] if case_column else []
+            out.append((*case_cell, *values, int(here.sum()), incomplete, estimate))
+        names = (*(["case"] if case_column else []), *(each.key for each in flights.parameters))
+        columns = (*names, "flights", "lost or failed", f"{study.statistic} [{PERCENT} %]")
+        yield ReportTable(f"points-{metric}", f"{metric} at every point", columns, out)
+
+
+def cases(study: StudyData) -> ReportTable | None:
+    """Tabulate the differences of the cases from the first one."""
+    flights = study.flights
+    if len(flights.cases) < 2:
+        return None
+    out: list[tuple[Cell, ...]] = []
+    for metric in study.metrics:
+        for k, case in enumerate(flights.cases):
+            centre = study.estimate(metric, flights.case_index == k, f"all/{case}")
+            if not k:
+                out.append((metric, case, centre, "", "", 0))
+                continue
+            difference = mean_estimate(study.differences(metric, k))
+            out.append((metric, case, centre, difference, verdict(difference), difference.count))
+    first, unit = flights.cases[0], study.unit_name
+    note = (
+        f"Difference: the mean over {unit} of a case minus {first}, paired by point and seed where"
+        f" both flights were completed, with Student's {PERCENT} % interval. It is not corrected"
+        " for the number of cases."
+    )
+    centre_heading = f"{study.statistic} [{PERCENT} %]"
+    difference_heading = f"minus {first} [{PERCENT} %]"
+    columns = ("metric", "case", centre_heading, difference_heading, "verdict", unit)
+    ends = frozenset(range(len(flights.cases) - 1, len(out), len(flights.cases)))
+    return ReportTable("cases", "Cases", columns, out, note, ends)
+
+
+def verdict(difference: Estimate) -> str:
+    """Name the sign of a difference whose interval does not contain 0."""
+    if math.isnan(difference.low):
+        return "too few"
+    if difference.low > 0.0:
+        return "larger"
+    return "smaller" if difference.high < 0.0 else "not significant"
+
+
+def effects(study: StudyData) -> ReportTable | None:
+    """Tabulate the effect of each parameter on each metric."""
+    flights = study.flights
+    if not flights.parameters:
+        return None
+    out: list[tuple[Cell, ...]] = []
+    for metric in study.metrics:
+        values = flights.metrics[metric]
+        known = flights.completed & np.isfinite(values)
+        for each in flights.parameters:
+            x = each.numbers[each.index]
+            share = rank = math.nan
+            if not each.continuous:
+                share = 100.0 * variance_share(values[known], each.index[known])
+            if each.numeric and known.any():
+                rank = rank_correlation(x[known], values[known])
+            low, high = _range(study, metric, each)
+            out.append((metric, each.key, low, high, share, rank))
+    note = (
+        f"Smallest and largest {study.statistic} among the levels of the parameter, over all other"
+        f" parameters; of a parameter with more than {MAX_LEVELS} numbers, among {GROUPS} groups of"
+        " equal size. The share of the variance that lies between the levels (η²) measures the"
+        " effect of the parameter alone, without interactions. The rank correlation is Spearman's:"
+        " 1 or -1 where the metric always rises or falls with the parameter."
+    )
+    columns = ("metric", "parameter", "smallest", "largest", "variance, %", "rank correlation")
+    return ReportTable("effects", "What matters", columns, out, note)
+
+
+def _range(study: StudyData, metric: str, parameter: Parameter) -> tuple[float, float]:
+    centres = [study.centre(metric, here) for _, here in level_groups(parameter)]
+    known = [each for each in centres if math.isfinite(each)]
+    return (min(known), max(known)) if known else (math.nan, math.nan)
+
+
+def level_groups(parameter: Parameter) -> Iterator[tuple[str, BoolArray]]:
+    """Yield the levels and their flights (R,); of many numbers, groups of equal size."""
+    if not parameter.continuous:
+        for k, level in enumerate(parameter.levels):
+            yield format_level(level), parameter.index == k
+        return
+    x = parameter.numbers[parameter.index]
+    edges = np.quantile(x, np.linspace(0.0, 1.0, GROUPS + 1))
+    group = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, GROUPS - 1)
+    for k in range(GROUPS):
+        yield f"{edges[k]:.2g} to {edges[k + 1]:.2g}", group == k
+
+
+def losses(study: StudyData) -> ReportTable:
+    """Tabulate the outcomes of flights by case and level."""
+    flights = study.flights
+    kinds = list(dict.fromkeys(flights.outcome))
+    outcome = np.array(flights.outcome, dtype=object)
+    groups: list[tuple[str, str, BoolArray]] = [
+        ("all", "", np.ones(flights.run.size, dtype=np.bool_))
+    ]
+    if len(flights.cases) > 1:
+        groups += [("case", name, flights.case_index == k) for k, name in enumerate(flights.cases)]
+    for each in flights.parameters:
+        groups += [(each.key, level, here) for level, here in level_groups(each)]
+    out: list[tuple[Cell, ...]] = []
+    ends = set()
+    for i, (group, level, here) in enumerate(groups):
+        counts = [int((here & (outcome == kind)).sum()) for kind in kinds]
+        share = wilson(int((here & ~flights.completed).sum()), int(here.sum()))
+        percent = Estimate(100.0 * share.value, 100.0 * share.low, 100.0 * share.high, share.count)
+        out.append((group, level, int(here.sum()), *counts, percent))
+        if i + 1 < len(groups) and groups[i + 1][0] != group:
+            ends.add(i)
+    note = (
+        f"Share of lost and failed flights with Wilson's {PERCENT} % interval, which assumes"
+        " independent flights."
+    )
+    columns = ("group", "level", "flights", *kinds, f"lost or failed, % [{PERCENT} %]")
+    return ReportTable("losses", "How flights ended", columns, out, note, frozenset(ends))
+
+
+def worst(study: StudyData) -> ReportTable:
+    """Tabulate lost and failed flights, then the largest of the first metric, with commands."""
+    flights = study.flights
+    metric = study.metrics[0] if study.metrics else ""
+    values = flights.metrics[metric] if metric else np.full(flights.run.size, math.nan)
+    incomplete = np.flatnonzero(~flights.completed)[: MAX_WORST // 2]
+    known = np.flatnonzero(flights.completed & np.isfinite(values))
+    order = np.argsort(-values[known], kind="stable")
+    largest = known[order][: MAX_WORST - len(incomplete)]
+    out: list[tuple[Cell, ...]] = []
+    for i in (*incomplete.tolist(), *largest.tolist()):
+        number = int(flights.run[i])
+        outcome = flights.error[i] or flights.outcome[i]
+        out.append((str(number), outcome, float(values[i]), study.command(number)))
+    more = int((~flights.completed).sum()) - len(incomplete)
+    note = (
+        f"{more} more flights were lost or failed; see the column outcome of the file."
+        if more
+        else ""
+    )
+    columns = ("run", "outcome", metric or "metric", "command")
+    return ReportTable("worst", "Worst runs", columns, out, note, code=True)

@@ -1,0 +1,68 @@
+"""Problems of a file, each with its place, and the error that carries them."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from testbed.core.errors import InputError
+
+MAX_LISTED = 50  # problems in the text of an error
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A position in a file: line and column from 1; line 0 is the whole file."""
+
+    source: str
+    line: int = 0
+    column: int = 0
+
+    def __str__(self) -> str:
+        """Render as file:line:column, which editors understand."""
+        return f"{self.source}:{self.line}:{self.column}" if self.line else self.source
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One wrong value: its place, its path and a text with the remedy."""
+
+    place: Place | None  # None: of no single file
+    text: str
+    path: tuple[str, ...] = ()  # keys and list indices from the top of the file
+
+    def __str__(self) -> str:
+        """Render on one line."""
+        parts = (str(self.place) if self.place else "", ".".join(self.path), self.text)
+        return ": ".join(part for part in parts if part)
+
+
+class ScenarioError(InputError):
+    """A scenario that cannot be used. `problems` has all of them, the text one per line."""
+
+    def __init__(self, problems: Sequence[Problem]) -> None:
+        """Store the problems in the order given."""
+        self.problems = tuple(problems)
+        lines = [str(problem) for problem in self.problems[:MAX_LISTED]]
+        if more := len(self.problems) - len(lines):
+            lines.append(f"and {more:,} more")
+        super().__init__("\n".join(lines))
+
+
+def merge_repeated(problems: Iterable[Problem]) -> list[Problem]:
+    """Return the problems, those of one place and text once; paths that differ get a `*`."""
+    merged: dict[tuple[Place | None, str, int], Problem] = {}
+    for problem in problems:
+        key = (problem.place, problem.text, len(problem.path))
+        first = merged.setdefault(key, problem)
+        pairs = zip(first.path, problem.path, strict=True)
+        path = tuple(one if one == other else "*" for one, other in pairs)
+        merged[key] = replace(first, path=path)
+    return list(merged.values())
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return ": did you mean 'x'?" for the nearest known word, or nothing."""
+    close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
+    return f": did you mean {close[0]!r}?" if close else ""

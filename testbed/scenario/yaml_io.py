@@ -1,0 +1,235 @@
+"""Read YAML to a tree with places, and write it; the only module that imports yaml.
+
+Plain scalars follow YAML 1.2, in which `no` is text and `1e-2` a number; in PyYAML's YAML 1.1 it
+is the other way round. Tags, merge keys and repeated keys are errors.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from testbed.scenario.error_messages import explain
+from testbed.scenario.tree import Node, Scalar, plain
+from testbed.scenario.violations import Place, Problem, ScenarioError
+
+_MAX_BYTES = 1_000_000
+_MAX_NODES = 100_000
+_MAX_DEPTH = 40
+
+_INTEGER = re.compile(r"[-+]?[0-9]+")
+_NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_BARE = re.compile(r"[A-Za-z0-9_./][\w./+-]*")  # text that needs no quotes
+_NOT_FINITE = {".inf": "inf", "+.inf": "inf", "-.inf": "-inf", ".nan": "nan"}
+_WORDS: dict[str, Scalar] = {"": None, "~": None, "null": None, "true": True, "false": False}
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
+
+
+class _Reader(yaml.CSafeLoader):
+    """PyYAML's C parser without rules for plain scalars; `_scalar` has them."""
+
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 - PyYAML's own protocol
+
+
+class _Writer(yaml.CSafeDumper):
+    """PyYAML's C emitter: no anchors, flat lists on one line, quotes by YAML 1.2."""
+
+    def ignore_aliases(self, data: object) -> bool:
+        """Write repeated values in full."""
+        return True
+
+    def _list(self, data: list[Any]) -> yaml.Node:
+        flow = not any(isinstance(item, list | dict) for item in data)
+        return self.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=flow)
+
+    def _text(self, data: str) -> yaml.Node:
+        style = None if isinstance(_scalar(data), str) else '"'
+        return self.represent_scalar("tag:yaml.org,2002:str", data, style=style)
+
+
+_Writer.add_representer(list, _Writer._list)
+_Writer.add_representer(str, _Writer._text)
+
+
+def read(path: Path) -> Node:
+    """Read the tree of a file.
+
+    Raises:
+        ScenarioError: it cannot be read, is not UTF-8, or not YAML.
+    """
+    source = _short(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise error_at(Place(source), f"cannot be read: {error.strerror}") from None
+    if len(data) > _MAX_BYTES:
+        raise error_at(Place(source), f"is larger than {_MAX_BYTES:,} bytes (write a smaller file)")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise error_at(
+            Place(source, line, 1), "is not UTF-8 text (save the file as UTF-8)"
+        ) from None
+    return parse(text, source, path.resolve().parent)
+
+
+def validate(tree: Node, model: type[ModelT], under: tuple[str, ...] = ()) -> ModelT:
+    """Validate a tree as a pydantic model.
+
+    Args:
+        tree: of a file or a part of one.
+        model: class of the result.
+        under: keys of that part, for errors.
+
+    Raises:
+        ScenarioError: with every problem found, each with its place.
+    """
+    try:
+        return model.model_validate(plain(tree))
+    except ValidationError as error:
+        problems = explain(error, tree, model)
+        raise ScenarioError([replace(one, path=under + one.path) for one in problems]) from None
+
+
+def write(data: object) -> str:
+    """Return plain data as YAML text that reads back as the same."""
+    text: str = yaml.dump(data, Dumper=_Writer, sort_keys=False, allow_unicode=True, width=100)
+    return text
+
+
+def to_inline(value: object) -> str:
+    """Return plain data as YAML on one line that reads back as the same, to the last bit."""
+    if isinstance(value, str) and _BARE.fullmatch(value) and isinstance(_scalar(value), str):
+        return value
+    if isinstance(value, float) and not math.isfinite(value):
+        return f"{value:+}".replace("inf", ".inf").replace("+nan", ".nan")
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _short(path: Path) -> str:
+    """Return the path relative to the working directory, if it is below."""
+    resolved = path.resolve()
+    here = Path.cwd().resolve()
+    return str(resolved.relative_to(here) if resolved.is_relative_to(here) else resolved)
+
+
+def parse(text: str, source: str, folder: Path) -> Node:
+    """Read the tree of a YAML text.
+
+    Args:
+        text: of the file.
+        source: name of the file in errors.
+        folder: base of relative paths in it.
+
+    Raises:
+        ScenarioError: it is not YAML, or has tags, merge keys or repeated keys.
+    """
+    try:
+        _refuse_depth(text, source)
+        root = yaml.compose(text, Loader=_Reader)
+    except yaml.MarkedYAMLError as error:
+        place = _place_of(source, error.problem_mark or error.context_mark)
+        raise error_at(place, f"is not YAML: {error.problem or error.context}") from None
+    except yaml.YAMLError as error:
+        raise error_at(Place(source), f"is not YAML: {str(error).splitlines()[0]}") from None
+    if root is None:
+        return Node(None, Place(source, 1, 1), Place(source, 1, 1), folder)
+    return _Builder(source, folder).node(root, None, 0)
+
+
+def _place_of(source: str, mark: Any) -> Place:  # noqa: ANN401 - one of PyYAML's two classes
+    return Place(source, mark.line + 1, mark.column + 1) if mark else Place(source)
+
+
+def _refuse_depth(text: str, source: str) -> None:
+    """Refuse a text so deep that PyYAML's C code would overflow the stack."""
+    depth = 0
+    for event in yaml.parse(text, Loader=_Reader):
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+            if depth > _MAX_DEPTH:
+                raise error_at(
+                    _place_of(source, event.start_mark),
+                    f"is nested deeper than {_MAX_DEPTH} levels (write a flatter file)",
+                )
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+
+
+class _Builder:
+    """Converts nodes of PyYAML, and counts them: an alias can stand for millions."""
+
+    def __init__(self, source: str, folder: Path) -> None:
+        self.source = source
+        self.folder = folder
+        self.count = 0
+
+    def place(self, node: yaml.Node) -> Place:
+        return _place_of(self.source, node.start_mark)
+
+    def node(self, node: yaml.Node, key: yaml.Node | None, depth: int) -> Node:
+        self.count += 1
+        place = self.place(node)
+        if self.count > _MAX_NODES or depth > _MAX_DEPTH:
+            raise error_at(place, "is too large or too deep (write a smaller file)")
+        value: Scalar | tuple[Node, ...] | dict[str, Node]
+        if isinstance(node, yaml.ScalarNode):
+            self.refuse_tag(node, "tag:yaml.org,2002:str")
+            value = _scalar(node.value) if not node.style else node.value
+        elif isinstance(node, yaml.SequenceNode):
+            self.refuse_tag(node, "tag:yaml.org,2002:seq")
+            value = tuple(self.node(child, None, depth + 1) for child in node.value)
+        else:
+            self.refuse_tag(node, "tag:yaml.org,2002:map")
+            value = self.map(node, depth)
+        return Node(value, place, self.place(key) if key else place, self.folder)
+
+    def map(self, node: yaml.Node, depth: int) -> dict[str, Node]:
+        children: dict[str, Node] = {}
+        for key, child in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                raise error_at(self.place(key), "a key must be a word")
+            if key.value == "<<" and not key.style:
+                raise error_at(self.place(key), "merge keys are not read (write extends instead)")
+            if key.value in children:
+                first = children[key.value].key
+                raise error_at(
+                    self.place(key),
+                    f"the key {key.value!r} is repeated, first in line {first.line} (write it "
+                    "once)",
+                )
+            children[key.value] = self.node(child, key, depth + 1)
+        return children
+
+    def refuse_tag(self, node: yaml.Node, expected: str) -> None:
+        if node.tag not in (expected, "!"):
+            tag = node.tag.replace("tag:yaml.org,2002:", "!!")
+            raise error_at(self.place(node), f"the tag {tag} is not read (leave it out)")
+
+
+def _scalar(text: str) -> Scalar:
+    """Return the value of a plain scalar by the core schema of YAML 1.2."""
+    if text.lower() in _WORDS and text in (text.lower(), text.upper(), text.capitalize()):
+        return _WORDS[text.lower()]
+    if len(text) <= 40:
+        if _INTEGER.fullmatch(text):
+            return int(text)
+        if _NUMBER.fullmatch(text):
+            return float(text)
+    if text.lower() in _NOT_FINITE:
+        return float(_NOT_FINITE[text.lower()])
+    return text
+
+
+def error_at(place: Place, text: str, path: tuple[str, ...] = ()) -> ScenarioError:
+    """Return an error with one problem."""
+    return ScenarioError([Problem(place, text, path)])

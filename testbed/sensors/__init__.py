@@ -1,0 +1,1 @@
+"""State estimates of autopilots: sensor errors, airspeed sensors and the navigation filter."""

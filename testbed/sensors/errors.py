@@ -1,0 +1,229 @@
+"""Random errors of sensors: white noise and first-order Gauss-Markov drifts.
+
+Every error follows e ← k e + g z from one step to the next, with z standard normal. White noise has
+k = 0. A drift of standard deviation σ and time constant τ has k = exp(−dt/τ) and g = σ √(1 − k²),
+so that its variance does not depend on dt. White noise of two-sided density N² has the standard
+deviation N/√dt in samples dt apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from testbed.core.compile import jitable, kernel
+from testbed.core.random import stream
+from testbed.core.records import Array, Records, allocate
+from testbed.scenario.sensors import Sensors
+
+BLOCK = 256  # steps whose random numbers are drawn at a time; the numbers do not depend on it
+
+# The errors of one aircraft's sensors. Those common to all receivers and all barometers come first,
+# then those of one sensor after the other, in the order of its random stream's numbers.
+ERRORS = np.dtype(
+    [
+        ("gps_shared", "f8", 3),  # m NED
+        ("barometer_shared", "f8"),  # m, down
+        ("gps_own", "f8", 3),  # m NED
+        ("gps_noise", "f8", 3),  # m NED
+        ("gps_velocity_noise", "f8", 3),  # m/s NED
+        ("barometer_own", "f8"),  # m, down
+        ("barometer_noise", "f8"),  # m, down
+        ("pressure_noise", "f8"),  # Pa, of the airspeed sensor
+        ("gyro_bias", "f8", 3),  # rad/s, body axes
+        ("gyro_noise", "f8", 3),
+        ("accelerometer_bias", "f8", 3),  # m/s², body axes
+        ("accelerometer_noise", "f8", 3),
+        ("heading_noise", "f8"),  # rad
+    ],
+    align=True,
+)
+ERROR_COUNT = ERRORS.itemsize // 8
+# Random streams common to all aircraft, and of each aircraft, with their numbers per step.
+SHARED_STREAMS = {"gps": 3, "barometer": 1}
+OWN_STREAMS = {
+    "gps": 9,
+    "barometer": 2,
+    "airspeed": 1,
+    "gyro": 6,
+    "accelerometer": 6,
+    "magnetometer": 1,
+}
+
+# Random generators, and how many numbers each gives per step.
+Streams: TypeAlias = Sequence[tuple[np.random.Generator, int]]
+
+
+class NoiseParameters(NamedTuple):
+    """The statistics of K errors of each of N aircraft."""
+
+    sigma: Array  # (N, K) standard deviation; of a drift that of the stationary process
+    time_constant_s: Array  # (N, K) of a drift; 0: white noise
+
+
+class ConstantBiases(NamedTuple):
+    """Constant errors of the sensors of N aircraft."""
+
+    pressure: Array  # (N,) Pa, added to the dynamic pressure
+    scale: Array  # (N,) part of the dynamic pressure, added to it
+    heading: Array  # (N,) rad
+
+
+class GaussMarkovErrors:
+    """K random errors of each of N aircraft, stationary from the first step.
+
+    Args:
+        parameters: (N, K)
+        dt: s, step.
+        own: random streams of each aircraft, for the errors behind the shared ones.
+        shared: random streams common to all aircraft, for the first errors.
+
+    Attributes:
+        coefficients: (2, N, K) k and g of the recursion.
+        values: (N, K) the present errors, which `advance_errors` changes.
+    """
+
+    def __init__(
+        self,
+        parameters: NoiseParameters,
+        dt: float,
+        own: Sequence[Streams],
+        shared: Streams = (),
+    ) -> None:
+        """See the class."""
+        sigma, time_constant = parameters
+        drifts = time_constant > 0.0
+        tau = np.where(drifts, time_constant, 1.0)
+        keep = np.where(drifts, np.exp(-dt / tau), 0.0)
+        self.coefficients = np.array([keep, sigma * np.sqrt(1.0 - keep**2)])
+        self._own, self._shared = own, shared
+        self._blocks: Sequence[Array] = ()
+        self._next = 0
+        self.values = sigma * self.draw()
+
+    def draw(self) -> Array:
+        """Return the next standard normal numbers (N, K)."""
+        if self._next == len(self._blocks):
+            self._blocks, self._next = list(self._draw_block()), 0
+        self._next += 1
+        return self._blocks[self._next - 1]
+
+    def _draw_block(self) -> Array:
+        """Draw the numbers (BLOCK, N, K) of many steps."""
+        shared = sum(width for _, width in self._shared)
+        block = np.empty((BLOCK, *self.coefficients.shape[1:]))
+        if shared:
+            block[:, :, :shared] = _draw_streams(self._shared)[:, np.newaxis]
+        for row, streams in enumerate(self._own):
+            block[:, row, shared:] = _draw_streams(streams)
+        return block
+
+
+def _draw_streams(streams: Streams) -> Array:
+    return np.concatenate([each.standard_normal((BLOCK, width)) for each, width in streams], axis=1)
+
+
+@kernel
+def advance_errors(coefficients: Array, values: Array, numbers: Array) -> None:
+    """Advance all errors by one step.
+
+    Args:
+        coefficients: (2, N, K) of `GaussMarkovErrors`.
+        values: (N, K) of `GaussMarkovErrors`; written.
+        numbers: (N, K), standard normal.
+    """
+    for i in range(values.shape[0]):
+        for k in range(values.shape[1]):
+            values[i, k] = (
+                coefficients[0, i, k] * values[i, k] + coefficients[1, i, k] * (numbers[i, k])
+            )
+
+
+@jitable
+def is_sampled(rate_hz: int, step: int, steps_per_s: int) -> bool:
+    """Return whether a sensor measures at a step; steps may be negative."""
+    return (step * rate_hz) % steps_per_s < rate_hz
+
+
+def make_sensor_errors(
+    names: Sequence[str], sensors: Sequence[Sensors], *, seed: int, dt: float
+) -> GaussMarkovErrors:
+    """Return the random errors of the sensors of N aircraft, whose values are those of ERRORS.
+
+    Every sensor has a stream of its own, "sensors/<aircraft>/<sensor>"; errors common to all
+    aircraft come from "sky/gps" and "sky/barometer".
+
+    Args:
+        names: N names of aircraft.
+        sensors: N sections of the scenario.
+        seed: of the run.
+        dt: s, step.
+    """
+    own = [
+        [(stream(seed, f"sensors/{name}/{sensor}"), width) for sensor, width in OWN_STREAMS.items()]
+        for name in names
+    ]
+    shared = [(stream(seed, f"sky/{sensor}"), width) for sensor, width in SHARED_STREAMS.items()]
+    return GaussMarkovErrors(make_noise_parameters(sensors, dt), dt, own, shared)
+
+
+def view_errors(errors: GaussMarkovErrors) -> Records:
+    """View the values of sensor errors as records (N,) of ERRORS."""
+    records = errors.values.view(ERRORS)[:, 0]
+    return records.view(type(allocate(ERRORS, 0)))
+
+
+def make_noise_parameters(sensors: Sequence[Sensors], dt: float) -> NoiseParameters:
+    """Return the statistics (N, K) of ERRORS, drawn every `dt` s; a missing sensor has no error."""
+    sigma, tau = np.zeros((2, len(sensors)), dtype=ERRORS)
+    for row, each in enumerate(sensors):
+        s, t = sigma[row], tau[row]
+        if (gps := each.gps) is not None:
+            s["gps_shared"] = _axes(gps.shared_drift_m)
+            t["gps_shared"] = gps.shared_time_constant_s
+            s["gps_own"], t["gps_own"] = _axes(gps.own_drift_m), gps.own_time_constant_s
+            s["gps_noise"] = _axes(gps.noise_m)
+            s["gps_velocity_noise"] = _axes(gps.velocity_noise_mps)
+        if (barometer := each.barometer) is not None:
+            s["barometer_shared"] = barometer.shared_drift_m
+            t["barometer_shared"] = barometer.shared_time_constant_s
+            s["barometer_own"] = barometer.own_drift_m
+            t["barometer_own"] = barometer.own_time_constant_s
+            s["barometer_noise"] = barometer.noise_m
+        if (airspeed := each.airspeed) is not None:
+            s["pressure_noise"] = airspeed.noise_pa
+        if (gyro := each.gyro) is not None:
+            s["gyro_bias"] = math.radians(gyro.bias_dps)
+            t["gyro_bias"] = gyro.bias_time_constant_s
+            s["gyro_noise"] = math.radians(gyro.noise_dps_rthz) / math.sqrt(dt)
+        if (accelerometer := each.accelerometer) is not None:
+            s["accelerometer_bias"] = accelerometer.bias_mps2
+            t["accelerometer_bias"] = accelerometer.bias_time_constant_s
+            s["accelerometer_noise"] = accelerometer.noise_mps2_rthz / math.sqrt(dt)
+        if (magnetometer := each.magnetometer) is not None:
+            s["heading_noise"] = math.radians(magnetometer.noise_deg)
+    return NoiseParameters(*(each.view("f8").reshape(-1, ERROR_COUNT) for each in (sigma, tau)))
+
+
+def make_constant_biases(
+    names: Sequence[str], sensors: Sequence[Sensors], seed: int
+) -> ConstantBiases:
+    """Return given and drawn constant errors of N aircraft, streams "sensors/<name>/offsets"."""
+    out = ConstantBiases(*np.zeros((3, len(names))))
+    for row, (name, each) in enumerate(zip(names, sensors, strict=True)):
+        pressure, scale, heading = stream(seed, f"sensors/{name}/offsets").standard_normal(3)
+        if (airspeed := each.airspeed) is not None:
+            out.pressure[row] = airspeed.offset_pa + airspeed.offset_sigma_pa * pressure
+            out.scale[row] = max(airspeed.scale + airspeed.scale_sigma * scale, -1.0)
+        if (magnetometer := each.magnetometer) is not None:
+            offset_deg = magnetometer.offset_deg + magnetometer.offset_sigma_deg * heading
+            out.heading[row] = math.radians(offset_deg)
+    return out
+
+
+def _axes(pair: tuple[float, float]) -> tuple[float, float, float]:
+    """Return north, east and down from horizontal and vertical."""
+    return pair[0], pair[0], pair[1]

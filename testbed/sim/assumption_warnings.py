@@ -1,0 +1,128 @@
+"""Warn before the flight of assumptions of [HBH23] that a scenario does not meet."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from testbed.core.records import Array, Event
+from testbed.formation.assumptions import (
+    Finding,
+    SpeedSet,
+    by_text,
+    check_barrier,
+    check_gain,
+    check_kappa,
+    check_slot_speed,
+)
+from testbed.formation.barrier import Barrier
+from testbed.formation.law import FormationConfig
+from testbed.formation.slots import frame_rates, slot_speed, slot_speed_range
+from testbed.scenario import Scenario
+from testbed.sim.build_control import BuiltControl
+from testbed.sim.build_formation import agent_value, follower_names
+from testbed.sim.build_leader import LeaderSetup
+from testbed.vehicle.trim import STILL, Vector
+
+MAX_SLOT_WARNINGS = 6  # above which only the worst is given, with the number of the others
+_KAPPA = "formation.kappa_mps"
+
+
+def assumption_warnings(
+    scenario: Scenario, built: BuiltControl, leader: LeaderSetup, wind_ned: Vector
+) -> tuple[Event, ...]:
+    """Return a warning for each assumption that does not hold, or may not."""
+    findings = list(_findings(scenario, built, leader, wind_ned))
+    found: dict[str, list[str]] = {}
+    for text, rows in by_text(findings).items():
+        found.setdefault(text, []).extend(built.config.names[row] for row in rows)
+    margins = {each.text: each.number for each in findings if each.about == _KAPPA}
+    if len(margins) > MAX_SLOT_WARNINGS:
+        found = _only_worst_slot(found, margins)
+    order = follower_names(scenario)
+    for names in found.values():
+        names.sort(key=order.index)
+    return (
+        *_wind_warnings(scenario, wind_ned),
+        *(
+            Event(0.0, "warning", names[0], text)
+            if len(names) == 1
+            else Event(0.0, "warning", "run", f"{', '.join(names)}: {text}")
+            for text, names in found.items()
+        ),
+    )
+
+
+def _wind_warnings(scenario: Scenario, wind_ned: Vector) -> Iterator[Event]:
+    """Warn where the wind is not the one for which speeds were computed."""
+    if scenario.leader.path.kind == "replay" and any(wind_ned):
+        text = (
+            "a recorded flight repeats its ground track: its attitude and airspeed are those of "
+            "the wind it was flown in (leave air.wind out, or fly a mission)"
+        )
+        yield Event(0.0, "warning", scenario.leader.name, text)
+    if scenario.air.wind.file and scenario.controller.bounded_speed == "airspeed":
+        text = (
+            "kappa and the speeds of the slots are computed for the wind at the start, and the "
+            "recorded wind changes; the law itself bounds the airspeed"
+        )
+        yield Event(0.0, "warning", "run", text)
+
+
+def _only_worst_slot(
+    found: dict[str, list[str]], margins: dict[str, float]
+) -> dict[str, list[str]]:
+    """Replace the warnings of all slots by the one with the smallest margin."""
+    worst = min(margins, key=lambda text: margins[text])
+    others = sum(len(found[text]) for text in margins) - len(found[worst])
+    return {
+        f"{text}; {others} other slots have the same problem to a lesser degree"
+        if text == worst
+        else text: names
+        for text, names in found.items()
+        if text == worst or text not in margins
+    }
+
+
+def _findings(
+    scenario: Scenario, built: BuiltControl, leader: LeaderSetup, wind_ned: Vector
+) -> Iterator[Finding]:
+    config, law = built.config, built.controllers["law"]
+    kappa = np.array([agent_value(scenario, name, "kappa_mps") for name in config.names])
+    yield from check_kappa(kappa, config.speed_min, config.speed_max)
+    if built.builtin:
+        bound = law["mu"]["bound"]
+        fixed = [
+            agent_value(scenario, name, "speed_desired_mps") is not None for name in config.names
+        ]
+        yield from (each for each in check_gain(law["k"], kappa, bound) if not fixed[each.agent])
+        barriers = [Barrier(*each) for each in built.barriers]
+        speeds = SpeedSet(*(law[f"speed_{name}"] for name in SpeedSet._fields))
+        yield from check_barrier(barriers, speeds)
+    medium = wind_ned if scenario.controller.bounded_speed == "airspeed" else None
+    slowest, fastest, possible = _slot_speeds(config, leader, medium)
+    yield from check_slot_speed(
+        slowest, fastest, kappa, config.speed_min, config.speed_max, possible=possible
+    )
+
+
+def _slot_speeds(
+    config: FormationConfig, leader: LeaderSetup, wind_ned: Vector | None
+) -> tuple[Array, Array, bool]:
+    """Compute the smallest and largest speeds of the slots.
+
+    Returns:
+        Smallest and largest speed of each slot (n,) m/s, and whether they are limits rather than
+        speeds of a known path.
+    """
+    offsets = config.offsets[config.agents]
+    if leader.limits:
+        limits = leader.limits if wind_ned is None else leader.limits_in_air
+        assert limits is not None, "a leader on a mission has both"
+        return (*slot_speed_range(offsets, **limits._asdict()), True)
+    assert leader.track is not None, "a leader has limits or a known track"
+    velocity = leader.track.velocity_ned - np.array(wind_ned or STILL)
+    rate = frame_rates(velocity, leader.track.acceleration_ned)
+    speeds = slot_speed(velocity, rate, offsets)
+    return speeds.min(axis=0), speeds.max(axis=0), False

@@ -1,0 +1,313 @@
+"""An aircraft under the commands of a ground station: modes, arming, parameters, a mission."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from testbed.autopilot.parameters import FbwaParams
+from testbed.core.frames import ned_from_geodetic
+from testbed.core.records import Event, VehicleState
+from testbed.mavlink.mission_plans import (
+    MAX_ALTITUDE_M,
+    MAX_DISTANCE_M,
+    MIN_ALTITUDE_M,
+    ItemFlightPlan,
+)
+from testbed.mavlink.vehicle_control import (
+    MissionItem,
+    Mode,
+    NavigationTarget,
+    Rejection,
+    VehicleControl,
+)
+from testbed.scenario.control_source import External
+from testbed.sim.leader_control import FbwaInput, MissionController
+from testbed.sim.navigator import Navigator, NavigatorConfig
+from testbed.sim.parameter_server import ParameterServer
+
+_LOITER_RADIUS = 60.0  # m, ArduPlane's default of WP_LOITER_RAD
+_ANGLE_LIMIT = math.radians(75.0)  # of a manual command
+_TIME_RESOLUTION_S = 5e-4  # time_boot_ms has whole milliseconds
+
+OwnMission = tuple[ItemFlightPlan, tuple[MissionItem, ...], MissionController]
+
+
+class AutopilotSession(VehicleControl):
+    """Control an aircraft with a virtual autopilot by external commands.
+
+    In the scenario's own mode, its own controller flies the aircraft, bit for bit as without a
+    session. A command takes effect at the next tick.
+
+    Attributes:
+        lost: whether the aircraft crashed or broke.
+        frozen: whether its autopilot is frozen.
+        command_counts: executed requests by kind.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        config: NavigatorConfig,
+        params: FbwaParams,
+        apply_params: Callable[[FbwaParams], None],
+        *,
+        external: External | None,
+        mission: OwnMission | None,
+    ) -> None:
+        """Start in the scenario's mode: AUTO for a leader with a mission, otherwise FBWA.
+
+        Args:
+            name: of the aircraft.
+            config: of its navigator.
+            params: of its autopilot.
+            apply_params: gives its autopilot other parameters.
+            external: the scenario's `commanded_by: external`, or None.
+            mission: of a leader, its mission in the scenario and its controller.
+        """
+        super().__init__(name, Mode.AUTO if mission and not external else Mode.FBWA, "")
+        self._external, self._leads = external or External(), mission is not None
+        self.external = external is not None
+        self.lockstep = external is not None and external.lockstep
+        self._trim, self._origin = config.trim, config.origin
+        self._navigator = Navigator(config, _LOITER_RADIUS)
+        self._parameters = ParameterServer(params, apply_params, self._navigator)
+        if mission:
+            self._navigator.take_over(*mission)
+        self.lost = self.frozen = False
+        self._manual: FbwaInput = self._trim  # the latest sticks or attitude target
+        self._manual_s: float | None = 0.0  # its time; None: GUIDED circles a point
+        self._guided: FbwaInput = self._trim  # command of the navigator
+        self._now = 0.0
+        self._sample_s: float | None = None  # of the sample that lockstep waits for an answer to
+        self._events: list[Event] = []
+        self.command_counts: Counter[str] = Counter()
+
+    @property
+    def timeout_s(self) -> float:
+        """How long lockstep waits for a command, s of wall-clock time."""
+        return self._external.timeout_s
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """See `VehicleControl`."""
+        return self._parameters.values
+
+    @property
+    def mission(self) -> Sequence[MissionItem]:
+        """See `VehicleControl`."""
+        return self._navigator.items
+
+    @property
+    def current_item(self) -> int:
+        """See `VehicleControl`."""
+        return self._navigator.current_item
+
+    @property
+    def target(self) -> NavigationTarget | None:
+        """See `VehicleControl`."""
+        return self._navigator.target
+
+    @property
+    def waiting(self) -> bool:
+        """Whether lockstep waits for a command."""
+        return self._sample_s is not None and self._is_manual and not (self.lost or self.frozen)
+
+    @property
+    def command(self) -> FbwaInput | None:
+        """The current command; None: the scenario's own controller commands this follower."""
+        if self._is_manual and not self.failsafe:
+            command = self._manual
+        elif self.mode is Mode.FBWA and not self._takes_manual:
+            return None if self.armed else (*self._trim[:2], 0.0)
+        else:
+            command = self._guided
+        return command if self.armed else (*command[:2], 0.0)
+
+    def guide(self, now: float, estimate: VehicleState) -> None:
+        """Step the failsafe and the active guidance, once per control period.
+
+        Args:
+            now: s
+            estimate: of N aircraft.
+        """
+        self._now = now
+        self._navigator.update(estimate)
+        self._check_command_timeout()
+        if self.mode is Mode.AUTO:
+            self._guided = self._navigator.fly_mission(estimate)
+        elif self.failsafe or not (self._is_manual or self.mode is Mode.FBWA):
+            self._guided = self._navigator.fly_circle(estimate)
+
+    def expect_command(self, now: float) -> None:
+        """Wait, in lockstep, for a command in reply to the sample of this time, s."""
+        if self.lockstep:
+            self._sample_s = now
+
+    def pop_events(self) -> list[Event]:
+        """Return the events since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def set_mode(self, mode: Mode) -> Rejection | None:
+        """See `VehicleControl`."""
+        if self.lost:
+            return Rejection("lost: takes no commands")
+        if mode is Mode.AUTO and not self._navigator.has_mission:
+            return Rejection("AUTO: has no mission; upload one")
+        if mode is self.mode:
+            return None
+        if mode is Mode.AUTO:
+            self._navigator.resume_mission()
+        elif mode is not Mode.FBWA:
+            self._navigator.circle(self._navigator.position)
+        self._manual = self._guided = self._trim
+        self._manual_s = None if mode is Mode.GUIDED else self._now
+        self.mode, self.failsafe, self._sample_s = mode, False, None
+        self._report(f"mode {mode.name}", "modes")
+        return None
+
+    def set_armed(self, armed: bool, *, force: bool) -> Rejection | None:
+        """See `VehicleControl`."""
+        if armed == self.armed:
+            return None
+        if self.lost:
+            return Rejection("lost: takes no commands")
+        if not armed and not force:
+            return Rejection("in flight: disarming must be forced (param2 21196)")
+        self.armed = armed
+        if armed:
+            self._report("armed", "arming")
+        else:
+            self._report("disarmed: motor off", "arming", level="warning")
+        return None
+
+    def set_parameter(self, name: str, value: float) -> Rejection | None:
+        """See `VehicleControl`."""
+        change = self._parameters.set(name, value)
+        if isinstance(change, Rejection):
+            return change
+        if change:
+            self._report(change, "parameters")
+        return None
+
+    def set_mission(self, items: Sequence[MissionItem]) -> Rejection | None:
+        """See `VehicleControl`."""
+        if len(items) <= 1:
+            if self.mode is Mode.AUTO:
+                return Rejection("mission: AUTO is flying it; change the mode first")
+            self._navigator.clear_mission()
+            self._report("mission cleared", "missions")
+            return None
+        rejection = self._navigator.set_mission(items, self._parameters.airspeed_limits)
+        if rejection is None:
+            self._report(f"mission of {len(items) - 1} items", "missions")
+        return rejection
+
+    def set_current_item(self, item: int) -> Rejection | None:
+        """See `VehicleControl`."""
+        if not self._navigator.set_current_item(item):
+            return Rejection(f"mission: item {item} has no position to fly to")
+        self._report(f"continues at mission item {self.current_item}", "missions")
+        return None
+
+    def set_loiter_point(
+        self,
+        latitude_deg: float,
+        longitude_deg: float,
+        altitude: float | None,
+        radius: float | None,
+    ) -> Rejection | None:
+        """See `VehicleControl`."""
+        if self.mode is not Mode.GUIDED:
+            return Rejection(f"mode {self.mode.name}: positions are for GUIDED")
+        here = self._navigator.position
+        position = np.array([latitude_deg, longitude_deg, 0.0])
+        north, east, _ = ned_from_geodetic(position, self._origin).tolist()
+        distance = math.hypot(north - here[0], east - here[1])
+        height = here[2] if altitude is None else altitude
+        if not (distance <= MAX_DISTANCE_M and MIN_ALTITUDE_M <= height <= MAX_ALTITUDE_M):
+            return Rejection("write a position within 100 km, 5 m to 20 km up")
+        self._navigator.circle((north, east, height), radius)
+        self._manual_s, self.failsafe = None, False
+        self._report(
+            f"flies to {north:.0f} m north, {east:.0f} m east, {height:.0f} m up", "places"
+        )
+        return None
+
+    def set_airspeed(self, airspeed: float) -> Rejection | None:
+        """See `VehicleControl`."""
+        low, high = self._parameters.airspeed_limits
+        if not low <= airspeed <= high:
+            return Rejection(f"{airspeed:g} m/s: write {low:g} to {high:g}")
+        self._navigator.set_airspeed(airspeed)
+        self._report(f"airspeed {airspeed:g} m/s", "airspeeds")
+        return None
+
+    def set_manual_command(
+        self,
+        roll: float,
+        pitch: float,
+        throttle: float,
+        *,
+        attitude: bool = False,
+        answers_s: float | None = None,
+    ) -> Rejection | None:
+        """See `VehicleControl`."""
+        if self.lost:
+            return Rejection("lost: takes no commands")
+        if self.mode is Mode.FBWA and not self._takes_manual:
+            return Rejection("flown by the formation, not commanded_by: external")
+        if self.mode is not Mode.FBWA and not (self.mode is Mode.GUIDED and attitude):
+            return Rejection(f"mode {self.mode.name}: manual commands are for FBWA")
+        if not all(map(math.isfinite, (roll, pitch, throttle))):
+            return Rejection("manual command with a value that is not finite")
+        if (
+            self._sample_s is not None
+            and answers_s is not None
+            and answers_s < self._sample_s - _TIME_RESOLUTION_S
+        ):
+            return None
+        self._manual = (
+            min(max(pitch, -_ANGLE_LIMIT), _ANGLE_LIMIT),
+            min(max(roll, -_ANGLE_LIMIT), _ANGLE_LIMIT),
+            min(max(throttle, 0.0), 1.0),
+        )
+        self._manual_s, self._sample_s = self._now, None
+        self.command_counts["commands"] += 1
+        if self.failsafe:
+            self.failsafe = False
+            self._report("receives commands again")
+        return None
+
+    @property
+    def _takes_manual(self) -> bool:
+        """Whether FBWA takes manual commands: of a leader, and of an external follower."""
+        return self.external or self._leads
+
+    @property
+    def _is_manual(self) -> bool:
+        """Whether manual commands control the aircraft, or would but for the failsafe."""
+        if self.mode is Mode.FBWA:
+            return self._takes_manual
+        return self.mode is Mode.GUIDED and self._manual_s is not None
+
+    def _check_command_timeout(self) -> None:
+        """Enter the failsafe when manual commands have stopped: circle the current position."""
+        timeout_s = self._external.failsafe_s
+        if self.failsafe or not self._is_manual or self._manual_s is None:
+            return
+        if self._now - self._manual_s > timeout_s:
+            self.failsafe = True
+            self._navigator.circle(self._navigator.position)
+            text = f"receives no commands for {timeout_s:g} s: circles its position"
+            self._report(text, level="warning")
+
+    def _report(self, text: str, kind: str = "", level: str = "info") -> None:
+        """Add an event; one with a kind counts as an executed request."""
+        self._events.append(Event(self._now, level, self.name, text))
+        if kind:
+            self.command_counts[kind] += 1

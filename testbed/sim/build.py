@@ -1,0 +1,275 @@
+"""Build the world of a scenario: every object of a run, checked before the flight."""
+
+from __future__ import annotations
+
+import platform
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from testbed import __version__
+from testbed.atmosphere.air import Air
+from testbed.core.random import stream
+from testbed.core.records import (
+    AIRCRAFT,
+    FOLLOWER,
+    Array,
+    Event,
+    Records,
+    RunInfo,
+    allocate,
+    write_fields,
+)
+from testbed.formation.law import FormationConfig
+from testbed.network.outages import Outages
+from testbed.network.radio import Radio
+from testbed.scenario import SCHEMA_VERSION, Scenario, dump
+from testbed.sensors.estimators import Estimators
+from testbed.sim.arduplane_vehicles import ArduPlaneVehicles
+from testbed.sim.assumption_warnings import assumption_warnings
+from testbed.sim.build_air import build_air, build_mean_wind, initial_wind, still_field_warnings
+from testbed.sim.build_control import BuiltControl, build_control
+from testbed.sim.build_faults import build_faults, build_membership, fault_warnings
+from testbed.sim.build_formation import agent_value, build_altitudes, build_offsets
+from testbed.sim.build_leader import LeaderSetup, build_leader
+from testbed.sim.build_radio import build_radio, transmit_times
+from testbed.sim.build_vehicles import (
+    AircraftModels,
+    build_origin,
+    build_starts,
+    build_vehicles,
+    gust_input_warnings,
+    read_models,
+    vehicle_kinds,
+)
+from testbed.sim.control import Control
+from testbed.sim.envelope_monitor import EnvelopeMonitor, build_envelope_monitor
+from testbed.sim.external_control import ExternalControl, build_external_control
+from testbed.sim.external_process import ExternalProcess
+from testbed.sim.faults import FaultManager, no_faults
+from testbed.sim.leader_control import LeaderController
+from testbed.sim.proximity import ProximityMonitor, build_proximity
+from testbed.sim.resources import check_memory
+from testbed.sim.schedule import Clock, make_clock
+from testbed.sim.user_law import with_stored_law
+from testbed.sim.vehicles import Vehicles
+from testbed.vehicle.fleet import JsbsimFleet
+from testbed.vehicle.jsbsim_adapter import VERSION as JSBSIM_VERSION
+from testbed.vehicle.trim import STILL, Vector
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """The records of a run, and the objects that step them."""
+
+    clock: Clock
+    duration_s: float
+    names: tuple[str, ...]
+    aircraft: Records  # (N,) of AIRCRAFT
+    followers: Records  # (n,) of FOLLOWER
+    links: Records  # (n, N) of LINK
+    neighbours: Records  # (n, N) of NEIGHBOUR
+    config: FormationConfig
+    builtin_law: bool  # the law is that of [HBH23]
+    hold_stale_neighbours: bool
+    air: Air | None  # None: it is steady
+    gusts: tuple[str, ...]  # names of its discrete gusts
+    vehicles: tuple[Vehicles, ...]
+    scripted_leader: bool  # it follows a recording or a formula
+    external_processes: tuple[ExternalProcess, ...]
+    fleet: JsbsimFleet | None  # the JSBSim models, if there are any
+    estimators: Estimators
+    faults: FaultManager | None  # None: the scenario has none
+    proximity: ProximityMonitor
+    envelope: EnvelopeMonitor
+    fly_on: bool  # the run continues without lost aircraft
+    leader_controller: LeaderController
+    external_control: ExternalControl | None  # None: no external commands
+    control: Control
+    radio: Radio
+    outages: Outages
+    altitudes: Array  # (n,) m, of followers that hold an altitude; NaN for the others
+    initial_events: tuple[Event, ...]  # from before the flight
+    info: RunInfo
+
+
+def build(
+    scenario: Scenario,
+    *,
+    commanded: bool = False,
+    arduplane: Path | None = None,
+    processes: int | None = 1,
+) -> World:
+    """Build the world of a scenario.
+
+    Args:
+        scenario: as resolved.
+        commanded: external programs may command the aircraft, also where the scenario does not say
+            so.
+        arduplane: the program for `autopilot: ardupilot` where the scenario names none; None: that
+            of the environment.
+        processes: that step JSBSim models; None: as many as are fastest on this machine.
+
+    Raises:
+        ScenarioError, ParamError, AircraftError, TrimError, ValueError: something cannot be built;
+            the message says what to write instead.
+    """
+    names = scenario.aircraft_names
+    clock = build_clock(scenario)
+    check_memory(scenario, clock)
+    models = read_models(scenario)
+    mean_wind = build_mean_wind(scenario)
+    wind = initial_wind(mean_wind, scenario.leader.start.altitude_m)
+    origin = build_origin(scenario)
+    leader = build_leader(scenario, clock, models.params[0], models.folders[0], origin, wind)
+    kinds = vehicle_kinds(scenario, leader)
+    starts = build_starts(scenario, leader, mean_wind, kinds)
+    aircraft, followers = allocate(AIRCRAFT, len(names)), allocate(FOLLOWER, len(names) - 1)
+    write_fields(aircraft["faults"], no_faults(len(names)))
+    air = build_air(
+        scenario,
+        mean_wind,
+        names,
+        models.airframes,
+        dt=clock.autopilot / clock.base_rate_hz,
+        sheds=[kind == "jsbsim" for kind in kinds],
+    )
+    air.bind(aircraft)
+    vehicles = build_vehicles(
+        scenario,
+        models,
+        leader,
+        starts,
+        kinds,
+        clock,
+        aircraft,
+        arduplane=arduplane,
+        processes=processes,
+    )
+    jsbsim, jsbsim_rows = vehicles.jsbsim, vehicles.jsbsim_rows
+    control = build_control(scenario, models.folders[1:], clock)
+    radio, outages = build_radio(scenario)
+    faults = build_faults(scenario, vehicles.fleet, jsbsim_rows)
+    external = None
+    if commanded or any(each.commanded_by.kind == "external" for each in scenario.aircraft):
+        external = build_external_control(
+            scenario, clock, leader, starts, models.params, models.folders, jsbsim, jsbsim_rows
+        )
+    estimators = _build_estimators(scenario, faults)
+    return World(
+        clock=clock,
+        duration_s=scenario.scenario.duration_s,
+        names=names,
+        aircraft=aircraft,
+        followers=followers,
+        links=radio.links,
+        neighbours=control.neighbours,
+        config=control.config,
+        builtin_law=control.builtin,
+        hold_stale_neighbours=control.hold_stale_neighbours,
+        air=None if air.steady else air,
+        gusts=tuple(gust.name for gust in scenario.air.gusts),
+        vehicles=vehicles.vehicles,
+        scripted_leader=leader.vehicle is not None,
+        external_processes=(jsbsim,) if isinstance(jsbsim, ArduPlaneVehicles) else (),
+        fleet=vehicles.fleet,
+        estimators=estimators,
+        faults=faults,
+        proximity=build_proximity(scenario),
+        envelope=build_envelope_monitor(
+            scenario, models.params, models.airframes, jsbsim_rows, faults
+        ),
+        fly_on=scenario.limits.on_loss == "continue",
+        leader_controller=external if external and external.commands_leader else leader.controller,
+        external_control=external,
+        control=Control(
+            control.groups,
+            control.controllers,
+            control.neighbours,
+            build_offsets(scenario),
+            build_membership(scenario, faults),
+            (aircraft, followers, radio.links),
+        ),
+        radio=radio,
+        outages=outages,
+        altitudes=build_altitudes(scenario),
+        initial_events=(
+            *(Event(0.0, "info", "run", text) for text in control.messages),
+            *gust_input_warnings(scenario, vehicles, steady_air=air.steady),
+            *still_field_warnings(scenario),
+            *fault_warnings(scenario),
+            *assumption_warnings(scenario, control, leader, wind),
+        ),
+        info=_run_info(scenario, clock, models, leader, control, wind, exact=estimators.exact),
+    )
+
+
+def build_clock(scenario: Scenario) -> Clock:
+    """Build the clock of a scenario, with random phases of unsynchronised aircraft."""
+    rates = scenario.rates.model_dump()
+    synchronous = rates.pop("synchronous")
+    names, seed = scenario.aircraft_names, scenario.scenario.seed
+    phases = None
+    if not synchronous:
+        phases = [float(stream(seed, f"phase/{name}").random()) for name in names]
+    times = transmit_times(scenario)
+    return make_clock(**rates, aircraft=len(names), phases=phases, transmit_times=times)
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that determine the numbers of a run beside its scenario."""
+    return {
+        "testbed": __version__,
+        "schema": str(SCHEMA_VERSION),
+        "jsbsim": JSBSIM_VERSION,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }
+
+
+def _build_estimators(scenario: Scenario, faults: FaultManager | None) -> Estimators:
+    return Estimators(
+        scenario.aircraft_names,
+        [each.sensors for each in scenario.aircraft],
+        seed=scenario.scenario.seed,
+        rate_hz=scenario.rates.autopilot_hz,
+        sensor_faults=faults is not None and faults.affects_sensors,
+    )
+
+
+def _run_info(
+    scenario: Scenario,
+    clock: Clock,
+    models: AircraftModels,
+    leader: LeaderSetup,
+    control: BuiltControl,
+    wind: Vector,
+    *,
+    exact: bool,
+) -> RunInfo:
+    """Describe the run for its observers; `exact`: estimates are the truth."""
+    stored, code = with_stored_law(scenario)
+    followers = scenario.aircraft_names[1:]
+    return RunInfo(
+        scenario_name=scenario.name,
+        scenario_yaml=dump(stored),
+        code=code,
+        names=scenario.aircraft_names,
+        aircraft=tuple(folder.name for folder in models.folders),
+        wingspan_m=tuple(each.span for each in models.airframes),
+        origin=build_origin(scenario),
+        base_rate_hz=clock.base_rate_hz,
+        frame_rate_hz=scenario.rates.log_hz,
+        duration_s=scenario.scenario.duration_s,
+        seed=scenario.scenario.seed,
+        speed_bounds_mps=tuple(agent_value(scenario, name, "speed_mps") for name in followers),
+        bounded_in_ned=wind if scenario.controller.bounded_speed == "airspeed" else STILL,
+        kappa_mps=tuple(agent_value(scenario, name, "kappa_mps") for name in followers),
+        roll_limit_rad=tuple(control.config.roll_limit.tolist()),
+        barriers=control.barriers,
+        estimated=not exact,
+        leader_path_ned=leader.path_ned,
+        windows=dict(scenario.scenario.windows),
+        versions=versions(),
+    )

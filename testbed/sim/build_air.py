@@ -1,0 +1,217 @@
+"""Build the air of a scenario for its aircraft."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from testbed.atmosphere.air import Air
+from testbed.atmosphere.dryden import DrydenTurbulence
+from testbed.atmosphere.gusts import GustFront, TimedGust, make_gusts
+from testbed.atmosphere.mean_wind import (
+    LOGARITHMIC,
+    POWER,
+    MeanWind,
+    Profile,
+    make_mean_wind,
+    wind_from_direction,
+)
+from testbed.atmosphere.mil_f_8785c import INTENSITIES, Scales
+from testbed.atmosphere.recorded_wind import read_wind
+from testbed.atmosphere.turbulence_field import (
+    FINEST,
+    MAX_UNRESOLVED,
+    TurbulenceField,
+    make_field,
+    unresolved_variance,
+)
+from testbed.atmosphere.wake import WakeModel
+from testbed.core.errors import InputError
+from testbed.core.records import Airframe, Array, Event, Records
+from testbed.scenario import Scenario, find_data
+
+SEA_LEVEL_DENSITY = 1.225  # kg/m³
+
+
+def density_ratio(altitude: Array) -> Array:
+    """Return the ratio of air density to that at sea level, by altitude (m), ISA."""
+    return (1.0 - 2.25577e-5 * altitude) ** 4.25588
+
+
+def build_mean_wind(scenario: Scenario, duration_s: float | None = None) -> MeanWind:
+    """Build the mean wind, which moves the air at the height of the leader's start.
+
+    Args:
+        scenario: as resolved.
+        duration_s: how long a recorded wind has to last; None: as long as the run.
+
+    Raises:
+        InputError: the recorded wind is no such file, or too short.
+    """
+    wind = scenario.air.wind
+    if wind.file is None:
+        time = np.zeros(1)
+        velocity = wind_from_direction(np.array([wind.speed_mps]), math.radians(wind.from_deg))
+    else:
+        path = find_data(wind.file)
+        duration = scenario.scenario.duration_s if duration_s is None else duration_s
+        time, velocity = read_wind(path, wind.max_gap_s, duration)
+    height = scenario.leader.start.altitude_m
+    return make_mean_wind(time, velocity, profile=_profile(scenario), advection_height=height)
+
+
+def initial_wind(mean: MeanWind, height: float) -> tuple[float, float, float]:
+    """Return the velocity of the air at the start, m/s NED, at a height, m."""
+    north, east, down = mean.velocity_ned(0.0, height).tolist()
+    return north, east, down
+
+
+def turbulence_scales(scenario: Scenario) -> Scales | None:
+    """Return intensities and lengths of the turbulence by height; None without turbulence."""
+    turbulence = scenario.air.turbulence
+    if turbulence.model == "none":
+        return None
+    standard = INTENSITIES[turbulence.intensity]
+    return Scales(
+        "dryden" if turbulence.model == "dryden" else "von-karman",
+        standard.w20 if turbulence.w20_mps is None else turbulence.w20_mps,
+        standard.probability if turbulence.probability is None else turbulence.probability,
+        turbulence.sigma_mps,
+        turbulence.length_m,
+    )
+
+
+def build_air(
+    scenario: Scenario,
+    mean: MeanWind,
+    names: Sequence[str],
+    airframes: Sequence[Airframe],
+    *,
+    dt: float,
+    sheds: Sequence[bool],
+) -> Air:
+    """Build the air around N aircraft.
+
+    Args:
+        scenario: as resolved.
+        mean: its mean wind.
+        names: N, which key the random numbers.
+        airframes: N.
+        dt: s, between samples of the wind.
+        sheds: N, whether the aircraft sheds wakes and is affected by them.
+
+    Raises:
+        InputError: the scenario's air cannot be built.
+    """
+    dryden = field = None
+    turbulence = turbulence_scales(scenario)
+    if turbulence is not None and scenario.air.turbulence.model == "coherent":
+        field = _field(scenario, turbulence, airframes)
+    elif turbulence is not None:
+        dryden = DrydenTurbulence(
+            names,
+            seed=scenario.scenario.seed,
+            dt=dt,
+            spans=[each.span for each in airframes],
+            spectrum=turbulence.spectrum,
+            scales=turbulence,
+        )
+    return Air(
+        mean,
+        airframes,
+        gusts=_gusts(scenario, mean),
+        field=field,
+        dryden=dryden,
+        wakes=_wakes(scenario, airframes, dt, sheds),
+    )
+
+
+def still_field_warnings(scenario: Scenario) -> Iterator[Event]:
+    """Warn of a turbulence field that no wind moves over the ground."""
+    wind = scenario.air.wind
+    if scenario.air.turbulence.model == "coherent" and not (wind.speed_mps or wind.file):
+        text = (
+            "coherent turbulence without a mean wind stands still: an aircraft that circles meets "
+            "the same gusts every lap (write air.wind.speed_mps)"
+        )
+        yield Event(0.0, "warning", "run", text)
+
+
+def _profile(scenario: Scenario) -> Profile | None:
+    profile = scenario.air.wind.profile
+    if profile.kind == "log":
+        return Profile(LOGARITHMIC, profile.height_m, profile.roughness_m)
+    if profile.kind == "power":
+        return Profile(POWER, profile.height_m, profile.exponent)
+    return None
+
+
+def _gusts(scenario: Scenario, mean: MeanWind) -> Records | None:
+    gusts: list[TimedGust | GustFront] = []
+    for gust in scenario.air.gusts:
+        pulse = gust.shape == "pulse"
+        if gust.kind == "time":
+            gusts.append(TimedGust(gust.velocity_mps, gust.at_s, gust.ramp_s, pulse))
+            continue
+        direction = math.radians(gust.towards_deg)
+        gusts.append(
+            GustFront(
+                gust.velocity_mps,
+                gust.at_m,
+                direction,
+                gust.at_s,
+                gust.length_m,
+                gust.speed_mps,
+                pulse,
+            )
+        )
+    return make_gusts(gusts, mean) if gusts else None
+
+
+def _field(
+    scenario: Scenario, turbulence: Scales, airframes: Sequence[Airframe]
+) -> TurbulenceField:
+    height = scenario.air.turbulence.height_m
+    if height is None:
+        height = scenario.leader.start.altitude_m
+    sigma, length = turbulence(np.array(height))
+    _check_scale_length(scenario, height, float(length.min()))
+    reach = max(max(0.5 * each.span, each.arm) for each in airframes)
+    return make_field(scenario.scenario.seed, sigma, length, reach_m=reach)
+
+
+def _check_scale_length(scenario: Scenario, height: float, length: float) -> None:
+    """Check what `make_field` checks, with the scenario's keys in the message."""
+    unresolved = unresolved_variance(FINEST, length)
+    if unresolved <= MAX_UNRESOLVED:
+        return
+    key = "length_m" if scenario.air.turbulence.length_m is not None else "height_m"
+    cause = f"a scale length of {length:.3g} m"
+    if key == "height_m":
+        cause = f"{cause}, which is that of {height:g} m above the ground,"
+    raise InputError(
+        f"air.turbulence: of turbulence with {cause} the field lacks {100.0 * unresolved:.0f} % of "
+        f"the variance, in waves shorter than its cells (write a larger air.turbulence.{key}, or "
+        "model: von-karman)"
+    )
+
+
+def _wakes(
+    scenario: Scenario, airframes: Sequence[Airframe], dt: float, sheds: Sequence[bool]
+) -> WakeModel | None:
+    wake = scenario.air.wake
+    if wake is None or sum(sheds) < 2:  # no two aircraft
+        return None
+    altitude = scenario.scenario.origin.elevation_m + scenario.leader.start.altitude_m
+    return WakeModel(
+        airframes,
+        sheds=sheds,
+        affected=sheds,
+        core_spans=wake.core_spans,
+        decay_s=wake.decay_s,
+        memory_s=wake.memory_s,
+        dt=dt,
+        density=SEA_LEVEL_DENSITY * float(density_ratio(np.array(altitude))),
+    )

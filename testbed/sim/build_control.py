@@ -1,0 +1,177 @@
+"""Build formation laws and middle loops from a scenario."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from testbed.core.errors import InputError
+from testbed.core.records import Array, FbwaCommand, Records, allocate
+from testbed.formation import control_function
+from testbed.formation import leader_filter as leader
+from testbed.formation.assumptions import SpeedSet
+from testbed.formation.barrier import Barrier
+from testbed.formation.control_function import ControlFunction
+from testbed.formation.control_step import Hbh23Law, initial_controllers, make_neighbours
+from testbed.formation.hbh23 import LAW
+from testbed.formation.law import FormationConfig, Law
+from testbed.formation.velocity_frame import GRAVITY
+from testbed.scenario import MiddleLoopGains as Profile
+from testbed.scenario import Scenario, middle_loop_gains
+from testbed.sim.build_formation import agent_value, build_config, select_followers
+from testbed.sim.build_middle_loop import build_loops
+from testbed.sim.control import Group
+from testbed.sim.law_contract import check_law
+from testbed.sim.schedule import Clock
+from testbed.sim.user_law import build_law
+
+_ACCELERATION_SOURCES = {
+    "none": leader.NOTHING,
+    "broadcast": leader.BROADCAST,
+    "coordinated_turn": leader.TURN,
+}
+
+
+@dataclass(frozen=True)
+class BuiltControl:
+    """The control of n followers, before the first step."""
+
+    config: FormationConfig  # of all followers
+    groups: tuple[Group, ...]
+    controllers: Records  # (n,) of CONTROLLER
+    neighbours: Records  # (n, N) of NEIGHBOUR
+    builtin: bool  # the law is that of [HBH23]
+    hold_stale_neighbours: bool
+    messages: tuple[str, ...]  # about a user's law
+
+    @property
+    def barriers(self) -> tuple[tuple[int, float], ...]:
+        """Example and ν of each follower's barrier; empty for a user's law."""
+        barrier = self.controllers["law"]["barrier"]
+        pairs = zip(barrier["example"].tolist(), barrier["nu"].tolist(), strict=True)
+        return tuple(pairs) if self.builtin else ()
+
+
+def build_control(scenario: Scenario, folders: Sequence[Path], clock: Clock) -> BuiltControl:
+    """Build the control of followers with airframes of these folders."""
+    profiles = [middle_loop_gains(scenario, folder) for folder in folders]
+    config = build_config(scenario, profiles, dt=clock.control / clock.base_rate_hz)
+    law = build_law_records(scenario, config, profiles)
+    loops = build_loops(scenario, config, profiles)
+    builtin = scenario.controller.law == "hbh23"
+    hold = builtin and scenario.controller.on_neighbour_timeout == "hold-relative-position"
+    timeout_s = math.inf if hold else config.neighbour_timeout_s
+    neighbours = make_neighbours(config.offsets, config.gains, config.leader_timeout_s, timeout_s)
+    controllers = initial_controllers(law, loops, [e.vehicle == "unicycle" for e in scenario.fleet])
+    groups, messages = [], []
+    for rows in clock.groups:
+        members, user_law = select_followers(config, rows), None
+        if not builtin:
+            indices = list(rows)
+            hbh23 = Hbh23Law(law[indices], neighbours[indices])
+            user_law, origin = build_law(
+                scenario.controller.law, scenario.controller.options, replace(members, hbh23=hbh23)
+            )
+            _check_user_law(scenario, members, user_law)
+            messages.append(f"the law {type(user_law).__name__} runs {origin}")
+        groups.append(Group(np.array(rows, dtype=np.intp), members, user_law))
+    return BuiltControl(
+        config,
+        tuple(groups),
+        controllers,
+        neighbours,
+        builtin,
+        hold,
+        tuple(dict.fromkeys(messages)),
+    )
+
+
+def _check_user_law(scenario: Scenario, config: FormationConfig, law: Law) -> None:
+    """Check a user's law, and that its vehicles accept its type of command."""
+    command = check_law(law, config)
+    unicycles = [each.name for each in scenario.fleet if each.vehicle == "unicycle"]
+    unable = [name for name in config.names if name in unicycles]
+    if command is FbwaCommand and unable:
+        raise InputError(
+            f"controller.law: {type(law).__name__} commands fly-by-wire A, which a unicycle "
+            f"cannot fly (write vehicle: jsbsim for {', '.join(unable)}, or return a "
+            "UnicycleCommand)"
+        )
+
+
+def build_law_records(
+    scenario: Scenario, config: FormationConfig, profiles: Sequence[Profile]
+) -> Records:
+    """Return the laws (n,) of LAW of followers with these middle-loop profiles."""
+    controller, names = scenario.controller, config.names
+    law = allocate(LAW, len(names))
+    chosen = [controller.estimators.over(profile.estimators) for profile in profiles]
+    loiters = controller.on_leader_timeout == "loiter"
+    tangent = math.tan(math.radians(controller.loiter_bank_deg)) if loiters else 0.0
+    law["row"], law["speed_pole"] = config.agents, config.speed_pole
+    for key in ("k", "a", "b"):
+        law[key] = [agent_value(scenario, name, key) for name in names]
+    turns = [agent_value(scenario, name, "c") for name in names]
+    law["c"] = [each.constant for each in turns]
+    law["c_speed"] = [each.per_speed_squared for each in turns]
+    functions = [
+        make_control_function(agent_value(scenario, name, "control_function")) for name in names
+    ]
+    for field in ControlFunction._fields:
+        law["mu"][field] = [getattr(each, field) for each in functions]
+    for i, name in enumerate(names):
+        barrier = make_barrier(agent_value(scenario, name, "barrier"))
+        law["barrier"]["example"][i], law["barrier"]["nu"][i] = barrier
+    for field, speeds in _speed_set(scenario, config, law["k"], functions)._asdict().items():
+        law[f"speed_{field}"] = speeds
+    law["horizontal"] = [name in scenario.formation.altitudes_m for name in names]
+    law["bounds_of_airspeed"] = controller.bounded_speed == "airspeed"
+    law["from_timestamp"] = controller.extrapolate_from == "timestamp"
+    law["with_acceleration"] = [each.extrapolation == "acceleration" for each in chosen]
+    law["acceleration_source"] = [
+        _ACCELERATION_SOURCES[each.leader_acceleration] for each in chosen
+    ]
+    law["acceleration_blend"] = [each.leader_acceleration_blend for each in chosen]
+    law["difference_blend"] = [each.leader_difference_blend for each in chosen]
+    law["turn_acceleration"] = [each.leader_angular_acceleration == "roll_rate" for each in chosen]
+    law["leader_timeout_s"] = config.leader_timeout_s
+    law["neighbour_timeout_s"] = config.neighbour_timeout_s
+    law["hold_stale_neighbours"] = controller.on_neighbour_timeout == "hold-relative-position"
+    law["lost_leader_airspeed"] = config.trim_airspeed
+    law["lost_leader_turn_rate"] = GRAVITY * tangent / config.trim_airspeed
+    return law
+
+
+def make_control_function(chosen: Any) -> ControlFunction:  # noqa: ANN401 - a union
+    """Return μ of a `control_function` section."""
+    if chosen.example == 1:
+        return control_function.example_1(chosen.nu1, chosen.nu2, chosen.m)
+    return control_function.EXAMPLE_2 if chosen.example == 2 else control_function.EXAMPLE_3
+
+
+def make_barrier(chosen: Any) -> Barrier:  # noqa: ANN401 - a union
+    """Return h of a `barrier` section."""
+    return Barrier(chosen.example, 0.0 if chosen.example == 7 else chosen.nu)
+
+
+def _speed_set(
+    scenario: Scenario,
+    config: FormationConfig,
+    k: Array,
+    functions: Sequence[ControlFunction],
+) -> SpeedSet:
+    """Return S and S_d, by fact 1 where the scenario does not give S_d."""
+    low, high = config.speed_min, config.speed_max
+    kappa = np.array([agent_value(scenario, name, "kappa_mps") for name in config.names])
+    margin = kappa - k * np.array([each.bound for each in functions])
+    desired_low, desired_high = low + margin, high - margin
+    for i, name in enumerate(config.names):
+        bounds = agent_value(scenario, name, "speed_desired_mps")
+        if bounds is not None:
+            desired_low[i], desired_high[i] = bounds
+    return SpeedSet(low, high, desired_low, desired_high)

@@ -1,0 +1,221 @@
+"""Build the leader of a scenario: controller, vehicle, initial state and path."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from testbed.autopilot.parameters import FbwaParams
+from testbed.core.errors import InputError
+from testbed.core.frames import GRAVITY
+from testbed.core.records import Array, Origin
+from testbed.guidance import analytic_paths as analytic
+from testbed.guidance import mission_follower as guidance
+from testbed.guidance import path_curves as curves
+from testbed.guidance.altitude_airspeed_hold import HoldGains
+from testbed.guidance.flight_plan import Level, LoiterLeg, Mission, WaypointLeg, make_plan, polyline
+from testbed.guidance.recorded_path import SampledTrajectory, read_recording, sample_recording
+from testbed.scenario import Scenario, find_data, load_guidance
+from testbed.scenario.aircraft import Leg, Virtual
+from testbed.scenario.aircraft import Mission as MissionSection
+from testbed.sim.build_air import density_ratio
+from testbed.sim.leader_control import LeaderController, MissionController, ScriptedController
+from testbed.sim.schedule import Clock
+from testbed.sim.vehicles import ScriptedVehicle
+from testbed.vehicle.initial_state import InitialState
+from testbed.vehicle.jsbsim_adapter import trim_aircraft
+from testbed.vehicle.trim import STILL, TrimPoint, Vector, course_through_air, error_prefix
+
+
+class SpeedLimits(NamedTuple):
+    """Limits of a leader's motion on a mission."""
+
+    speed_min: float  # m/s over the ground
+    speed_max: float  # m/s
+    turn_rate: float  # rad/s, the largest
+    climb_angle: float  # rad, the largest
+
+
+@dataclass(frozen=True, slots=True)
+class LeaderSetup:
+    """A leader before the flight."""
+
+    controller: LeaderController
+    vehicle: ScriptedVehicle | None  # the leader, where it follows a recording or a formula
+    start: InitialState
+    velocity_ned: tuple[float, float, float]  # m/s over the ground, at the start
+    path_ned: Array  # (k, 3) m, for drawing
+    track: SampledTrajectory | None  # its motion, where it is known
+    limits: SpeedLimits | None  # of its motion over the ground, where that is not known
+    limits_in_air: SpeedLimits | None  # the same through the air
+
+
+def build_leader(
+    scenario: Scenario,
+    clock: Clock,
+    params: FbwaParams,
+    folder: Path,
+    origin: Origin,
+    wind_ned: Vector,
+) -> LeaderSetup:
+    """Build the leader of a scenario.
+
+    Args:
+        scenario: as resolved.
+        clock: of the run.
+        params: of its autopilot.
+        folder: of its airframe.
+        origin: of the local frame.
+        wind_ned: at its start, m/s.
+
+    Raises:
+        InputError, TrimError: its path cannot be flown.
+    """
+    path = scenario.leader.path
+    if isinstance(path, MissionSection):
+        with error_prefix("leader"):
+            return _mission_leader(scenario, path, clock, params, folder, origin, wind_ned)
+    ticks = (tick for tick, *_ in clock.schedule(scenario.scenario.duration_s))
+    times = np.fromiter(ticks, dtype=np.float64) / clock.base_rate_hz
+    track = (
+        analytic.evaluate(_curve(scenario, path), times, wind_ned)
+        if isinstance(path, Virtual)
+        else sample_recording(read_recording(find_data(path.file)), times)
+    )
+    density = density_ratio(origin.elevation_m - track.position_ned[:, 2])
+    vehicle = ScriptedVehicle(track, track.airspeed * np.sqrt(density), np.array(wind_ned))
+    velocity = track.velocity_ned[0]
+    start = InitialState(
+        position_ned=tuple(track.position_ned[0].tolist()),
+        course=math.atan2(velocity[1], velocity[0]),
+        airspeed=float(track.airspeed[0]),
+    )
+    stride = max(1, len(times) // max(1, round(scenario.scenario.duration_s)))
+    return LeaderSetup(
+        controller=ScriptedController(vehicle),
+        vehicle=vehicle,
+        start=start,
+        velocity_ned=tuple(velocity.tolist()),
+        path_ned=track.position_ned[::stride],
+        track=track,
+        limits=None,
+        limits_in_air=None,
+    )
+
+
+def _mission_leader(
+    scenario: Scenario,
+    path: MissionSection,
+    clock: Clock,
+    params: FbwaParams,
+    folder: Path,
+    origin: Origin,
+    wind_ned: Vector,
+) -> LeaderSetup:
+    """Build a leader that flies a mission, as an aircraft or as an ideal vehicle."""
+    section, airspeed = scenario.leader.start, path.airspeed_mps
+    start = InitialState(
+        position_ned=(section.north_m, section.east_m, -section.altitude_m),
+        course=math.radians(section.course_deg),
+        airspeed=airspeed,
+    )
+    mission = Mission(
+        legs=tuple(_leg(leg) for leg in path.legs),
+        airspeed=airspeed,
+        bank_limit=math.radians(path.bank_limit_deg),
+        climb_limit=path.climb_limit_mps,
+        waypoint_radius=path.waypoint_radius_m,
+        period=params.navl1_period,
+        damping=params.navl1_damping,
+    )
+    try:
+        plan = make_plan(mission, (section.north_m, section.east_m, section.altitude_m))
+    except InputError as error:
+        raise InputError(f"leader.path: {error}") from error
+    altitude = origin.elevation_m + section.altitude_m
+    charge = scenario.leader.battery.state_of_charge
+    level = trim_aircraft(folder, TrimPoint(airspeed, 0.0, 0.0, altitude, charge), origin)
+    memory = guidance.initial_memory(
+        altitude=section.altitude_m, pitch=level.placement.pitch, throttle=level.controls.throttle
+    )
+    ideal = scenario.leader.vehicle == "unicycle"
+    controller = MissionController(
+        plan,
+        memory,
+        dt=clock.control / clock.base_rate_hz,
+        gains=HoldGains(**load_guidance(folder).model_dump()),
+        ideal=ideal,
+    )
+    # the speed of an ideal vehicle is over the ground, whatever the wind
+    wind = STILL if ideal else wind_ned
+    wind_speed = float(np.linalg.norm(wind))
+    climb_angle = math.asin(min(path.climb_limit_mps / airspeed, 1.0))
+
+    def limits(wind_speed: float) -> SpeedLimits:
+        slowest = max(airspeed - wind_speed, 1.0)
+        turn_rate = GRAVITY * math.tan(mission.bank_limit) / slowest
+        return SpeedLimits(slowest, airspeed + wind_speed, turn_rate, climb_angle)
+
+    through_air = course_through_air(airspeed, start.course, wind)
+    velocity = (
+        airspeed * math.cos(through_air) + wind[0],
+        airspeed * math.sin(through_air) + wind[1],
+        wind[2],
+    )
+    return LeaderSetup(
+        controller=controller,
+        vehicle=None,
+        start=start,
+        velocity_ned=velocity,
+        path_ned=polyline(plan),
+        track=None,
+        limits=limits(wind_speed),
+        limits_in_air=limits(0.0),
+    )
+
+
+def _leg(leg: Leg) -> WaypointLeg | LoiterLeg:
+    """Convert a leg of the scenario."""
+    if leg.kind == "waypoints":
+        return WaypointLeg(points=leg.points_m, laps=leg.laps)
+    return LoiterLeg(
+        centre=leg.centre_m,
+        radius=leg.radius_m,
+        levels=tuple(Level(each.altitude_m, each.turns) for each in leg.levels),
+        clockwise=leg.direction == "clockwise",
+    )
+
+
+def _curve(scenario: Scenario, path: Virtual) -> curves.Curve:
+    """Convert the curve of a virtual leader."""
+    section, curve = scenario.leader.start, path.curve
+    begin: Any = {
+        "position_ned": (section.north_m, section.east_m, -section.altitude_m),
+        "course": math.radians(section.course_deg),
+        "speed": path.speed_mps,
+    }
+    try:
+        if curve.kind == "straight":
+            return curves.Straight(**begin, climb=curve.climb_mps)
+        if curve.kind == "circle":
+            return curves.Circle(
+                **begin,
+                radius=curve.radius_m,
+                clockwise=curve.direction == "clockwise",
+                climb=curve.climb_mps,
+            )
+        if curve.kind == "figure-eight":
+            return curves.FigureEight(
+                **begin, radius=curve.radius_m, clockwise=curve.direction == "clockwise"
+            )
+        if curve.kind == "weave":
+            return curves.SinusoidalPath(
+                **begin, amplitude=curve.amplitude_m, period=curve.period_s
+            )
+        return curves.SpeedChange(**begin, amplitude=curve.amplitude_mps, period=curve.period_s)
+    except InputError as error:
+        raise InputError(f"leader.path.curve.{error}") from error

@@ -1,0 +1,141 @@
+"""Options of a run that concern external programs: MAVLink links, pace, ArduPlane."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from testbed.core.errors import InputError
+from testbed.core.records import Event
+from testbed.mavlink.addresses import Address
+from testbed.scenario import Scenario
+from testbed.scenario.control_source import ArduPlane, External
+from testbed.sim.build import World
+from testbed.sim.pacing import RealTimePacer
+
+if TYPE_CHECKING:
+    from testbed.mavlink.server import MavlinkServer
+
+
+@dataclass(frozen=True, slots=True)
+class ExternalOptions:
+    """Links to external programs, and the pace of a run.
+
+    Args:
+        mavlink: addresses at which every aircraft is a MAVLink vehicle.
+        pace: simulated seconds per second; None: as fast as possible.
+        tlog: write run.tlog to the run directory.
+        signing_key: 32 bytes; frames are signed with it, and others are rejected.
+        arduplane: the program, where the scenario asks for ArduPlane and names none.
+        announce: receives messages to the user during the run: open ports, long waits.
+    """
+
+    mavlink: tuple[Address, ...] = ()
+    pace: float | None = None
+    tlog: bool = False
+    signing_key: bytes | None = None
+    arduplane: Path | None = None
+    announce: Callable[[str], None] = lambda text: None
+
+    @property
+    def has_server(self) -> bool:
+        """Whether the run has a MAVLink server."""
+        return bool(self.mavlink) or self.tlog
+
+
+NO_EXTERNAL = ExternalOptions()
+
+
+def check_links(options: ExternalOptions, scenario: Scenario, world: World) -> World:
+    """Return the world with a warning for each external aircraft that has no link.
+
+    Raises:
+        InputError: lockstep waits for a program that has no link.
+    """
+    if options.mavlink:
+        return world
+    sources = {
+        e.name: e.commanded_by for e in scenario.aircraft if isinstance(e.commanded_by, External)
+    }
+    waiting = [name for name, external in sources.items() if external.lockstep]
+    if waiting:
+        raise InputError(
+            f"{', '.join(waiting)}: lockstep waits for an external program: write its address, as "
+            "in --mavlink udpout:127.0.0.1:14550"
+        )
+    text = (
+        "commanded_by: external, but there is no link: it circles (write the address of the "
+        "program, as in --mavlink udpout:127.0.0.1:14550)"
+    )
+    warnings = (Event(0.0, "warning", name, text) for name in sources)
+    return replace(world, initial_events=(*world.initial_events, *warnings))
+
+
+def make_server(options: ExternalOptions, world: World) -> MavlinkServer | None:
+    """Open the MAVLink links of a run; None: it has none.
+
+    Raises:
+        InputError: a port is not available.
+    """
+    if world.external_control is None or not options.has_server:
+        return None
+    # imported here, as few runs have a server
+    from testbed.mavlink.server import MavlinkServer
+    from testbed.mavlink.signing import Signing, signing_time
+
+    now, key = time.time(), options.signing_key
+    return MavlinkServer(
+        options.mavlink,
+        world.external_control.vehicles,
+        signing=Signing(key, time=signing_time(now)) if key else None,
+        epoch_us=round(now * 1e6),
+    )
+
+
+def external_summary(
+    world: World, server: MavlinkServer | None, pacer: RealTimePacer | None
+) -> Mapping[str, Any]:
+    """Summarise pace, links, ArduPlanes and external commands for the metrics."""
+    summary: dict[str, Any] = {"pace": pacer.summary()} if pacer else {}
+    if server:
+        summary["mavlink"] = server.summary()
+    if world.external_processes:
+        processes = world.external_processes
+        summary["arduplane"] = {k: v for each in processes for k, v in each.summary().items()}
+    if world.external_control:
+        summary["commanded"] = world.external_control.command_counts()
+    return summary
+
+
+def announcements(options: ExternalOptions, scenario: Scenario) -> Iterator[str]:
+    """Describe the open ports, with a warning for those that other machines reach."""
+    names = scenario.aircraft_names
+    systems = f"{names[0]} to {names[-1]} are systems 1 to {len(names)}"
+    pace = f"at {options.pace:g} × real time" if options.pace else "as fast as possible"
+    for address in options.mavlink:
+        ports = ", one port for each aircraft" if address.step else ""
+        signed = ", signed" if options.signing_key else ""
+        yield f"MAVLink: {systems}, {address}{ports}{signed}, {pace}"
+        if not address.loopback:
+            peers = "with the key " if options.signing_key else ""
+            yield (
+                f"warning: {address.host} is not only this machine: any program {peers}that "
+                "reaches it can command the aircraft"
+            )
+    for row, (name, autopilot) in enumerate((e.name, e.autopilot) for e in scenario.aircraft):
+        if isinstance(autopilot, ArduPlane):
+            # imported here, as few scenarios need them
+            from testbed.autopilot.ardupilot_sitl import HOST
+            from testbed.autopilot.ardupilot_sitl import ports as ports_of
+
+            physics, mavlink = ports_of(row if autopilot.instance is None else autopilot.instance)
+            yield f"ArduPlane: {name} by {physics}/udp and {mavlink}/tcp of {HOST}"
+            if autopilot.start:
+                yield (
+                    f"warning: ArduPlane itself listens on {mavlink}, {mavlink + 2} and "
+                    f"{mavlink + 3}/tcp of every address of this machine: any program that "
+                    f"reaches it can command {name}"
+                )

@@ -1,0 +1,111 @@
+"""Estimates of the memory and disk space of a run, and checks against what is free.
+
+The coefficients were measured by `benchmarks/memory.py`; a test compares them with flights.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+from testbed.core.errors import InputError
+from testbed.scenario import Scenario
+from testbed.scenario.sensors import TRUTH
+from testbed.sim.schedule import Clock
+
+# bytes
+_PROGRAM = 180e6  # libraries, tables and buffers
+_PER_AIRCRAFT = 1.5e6  # a flight model and its records
+_PER_PATH_TICK = 400.0  # of a leader path that is computed before the flight, during computing
+_PER_MESSAGE = 250.0  # between transmission and delivery
+_LOG_PER_SAMPLE = 430.0  # of an aircraft, compressed
+_LOG_TURBULENCE = 65.0  # more with turbulence
+_LOG_ESTIMATE = 205.0  # more where the estimate differs from the truth
+_CGROUP = Path("/sys/fs/cgroup")
+
+
+def memory_needed(scenario: Scenario, clock: Clock) -> float:
+    """Return the largest memory of a flight, bytes."""
+    n = 1 + len(scenario.fleet)
+    duration_s = scenario.scenario.duration_s
+    path_ticks = 0.0
+    if scenario.leader.path.kind != "mission":
+        path_ticks = sum(1 for _ in clock.schedule(1.0)) * duration_s
+    links = scenario.network.links.values()
+    per_link = (each.delay_s or 0.0 for receivers in links for each in receivers.values())
+    delay_s = min(max([scenario.network.delay_s, *per_link]), duration_s)
+    in_flight = n * (n - 1) * scenario.rates.broadcast_hz * delay_s
+    return _PROGRAM + _PER_AIRCRAFT * n + _PER_PATH_TICK * path_ticks + _PER_MESSAGE * in_flight
+
+
+def disk_needed(scenario: Scenario) -> float:
+    """Return the size of the log of a whole flight, bytes."""
+    samples = scenario.scenario.duration_s * scenario.rates.log_hz
+    turbulent = scenario.air.turbulence.model != "none"
+    with_errors = sum(each.sensors != TRUTH for each in scenario.aircraft)
+    per_aircraft = _LOG_PER_SAMPLE + _LOG_TURBULENCE * turbulent
+    return samples * (per_aircraft * len(scenario.aircraft) + _LOG_ESTIMATE * with_errors)
+
+
+def check_memory(scenario: Scenario, clock: Clock) -> None:
+    """Refuse a flight that needs more memory than is free.
+
+    Raises:
+        InputError: with the memory needed and free.
+    """
+    needed, free = memory_needed(scenario, clock), memory_free()
+    if free is not None and needed > free:
+        raise InputError(
+            f"scenario: {scenario.scenario.duration_s:g} s of {len(scenario.aircraft)} aircraft "
+            f"need about {_format_size(needed)} of memory, and {_format_size(free)} are free "
+            "(write a shorter duration_s, fewer aircraft, lower rates or less delay)"
+        )
+
+
+def check_disk(scenario: Scenario, folder: Path) -> None:
+    """Refuse a log that is larger than the free space of its folder's file system.
+
+    Args:
+        scenario: to be flown.
+        folder: of the log; it need not exist.
+
+    Raises:
+        InputError: with the space needed and free.
+    """
+    existing = next(each for each in (folder, *folder.absolute().parents) if each.exists())
+    needed, free = disk_needed(scenario), float(shutil.disk_usage(existing).free)
+    if needed > free:
+        raise InputError(
+            f"scenario: the log of {scenario.scenario.duration_s:g} s of "
+            f"{len(scenario.aircraft)} aircraft needs about {_format_size(needed)}, and {existing} "
+            f"has {_format_size(free)} (write a shorter duration_s, a lower rates.log_hz, "
+            "log.mcap: false, or choose another --out)"
+        )
+
+
+def memory_free() -> float | None:
+    """Return the memory this process may still allocate, bytes; None where it is unknown."""
+    return min(_free_memory(), default=None)
+
+
+def _free_memory() -> Iterator[float]:
+    """Yield the free memory of the machine, and what the limit of a container leaves."""
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        values = dict(line.split(":", 1) for line in lines)
+        yield 1024.0 * float(values["MemAvailable"].split()[0])
+    except (OSError, KeyError, ValueError):
+        return
+    try:
+        limit, used = (
+            float((_CGROUP / f"memory.{name}").read_text(encoding="ascii"))
+            for name in ("max", "current")
+        )
+        yield limit - used
+    except (OSError, ValueError):  # no limit: the file is missing, or contains "max"
+        return
+
+
+def _format_size(size: float) -> str:
+    return f"{size / 1e9:.1f} GB" if size >= 1e8 else f"{size / 1e6:.1f} MB"

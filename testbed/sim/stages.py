@@ -1,0 +1,83 @@
+"""What the loop has compiled besides the packages' own entries: small steps over all aircraft."""
+
+from __future__ import annotations
+
+from math import cos, sin
+
+from testbed.core.compile import entry
+from testbed.core.motion import copy_motion
+from testbed.core.records import Array, Records
+from testbed.formation.slots import write_formation_state
+
+LOWEST = 1.0  # m above the terrain: an aircraft below counts as on the ground
+
+
+@entry
+def copy_truth(aircraft: Records) -> None:
+    """Copy `truth` of all aircraft (N,) to `estimate`, where autopilots know it exactly."""
+    for i in range(len(aircraft)):
+        copy_motion(aircraft[i].truth, aircraft[i].estimate)
+
+
+@entry
+def copy_control(aircraft: Records) -> None:
+    """Copy `control` of all aircraft (N,) to `command`: no external program commands them."""
+    for i in range(len(aircraft)):
+        control, command = aircraft[i].control, aircraft[i].command
+        command.pitch, command.roll = control.pitch, control.roll
+        command.throttle = control.throttle
+
+
+@entry
+def write_messages(aircraft: Records, messages: Records, now: float) -> None:
+    """Write what all aircraft (N,) would broadcast now: their estimates, with Euler angle rates.
+
+    The rates are singular at a pitch of ±90°, where yaw is undefined.
+
+    Args:
+        aircraft: (N,) of AIRCRAFT.
+        messages: (N,) of MESSAGE; written.
+        now: s.
+    """
+    for i in range(len(aircraft)):
+        e, message = aircraft[i].estimate, messages[i]
+        p, q, r = e.rates_body
+        roll, pitch = e.euler[0], e.euler[1]
+        yaw_rate = (q * sin(roll) + r * cos(roll)) / cos(pitch)
+        message.euler_rates[2] = yaw_rate
+        message.euler_rates[1] = q * cos(roll) - r * sin(roll)
+        message.euler_rates[0] = p + yaw_rate * sin(pitch)
+        message.stamp_s = now
+        for axis in range(3):
+            message.position_ned[axis] = e.position_ned[axis]
+            message.velocity_ned[axis] = e.velocity_ned[axis]
+            message.acceleration_ned[axis] = e.acceleration_ned[axis]
+            message.euler[axis] = e.euler[axis]
+
+
+@entry
+def find_down(aircraft: Records, scripted: bool) -> bool:
+    """Write which aircraft (N,) are on the ground or have stopped; return whether any changed.
+
+    Args:
+        aircraft: (N,) of AIRCRAFT; `down` is written.
+        scripted: the leader follows a script, whatever happens.
+    """
+    changed = False
+    for i in range(len(aircraft)):
+        a = aircraft[i]
+        down = a.stopped or not -a.truth.position_ned[2] >= LOWEST
+        if i == 0 and scripted:
+            down = False
+        if down != a.down:
+            a.down = down
+            changed = True
+    return changed
+
+
+@entry
+def observe_formation(
+    aircraft: Records, followers: Records, offsets: Array, altitudes: Array
+) -> None:
+    """Write slots, errors and motions of all followers; see `slots.write_formation_state`."""
+    write_formation_state(aircraft, followers, offsets, altitudes)

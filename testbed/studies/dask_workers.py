@@ -1,0 +1,97 @@
+"""Workers of an existing Dask cluster; the only importer of Dask.
+
+Workers need the same version of the testbed and of its libraries, and the files that a scenario
+names, at the same paths. A worker flies one scenario at a time, whatever its number of threads.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from concurrent.futures import Future
+from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
+
+from testbed.core.errors import InputError
+from testbed.mavlink.addresses import is_loopback
+from testbed.studies.flight_task import FlightResult, FlightTask, run_task
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+CONNECT_S = 10.0
+FIRST_WORKER_S = 30.0
+_COUNT_INTERVAL_S = 5.0  # between two counts of the workers
+
+
+def cluster_notices(scheduler: str) -> Iterator[str]:
+    """Yield the lines to print before a cluster is used: its address, and a security warning."""
+    yield f"cluster: {scheduler}"
+    address = scheduler if "://" in scheduler else f"tcp://{scheduler}"
+    host = urlsplit(address).hostname or scheduler
+    if not is_loopback(host):
+        yield (
+            f"warning: {host} is another machine: scenarios are sent there, and a program that "
+            "controls the scheduler can run code here (Dask's TLS restricts access)"
+        )
+
+
+class DaskWorkers:
+    """The workers of a Dask scheduler."""
+
+    def __init__(self, scheduler: str) -> None:
+        """Connect.
+
+        Args:
+            scheduler: its address, as tcp://HOST:8786.
+
+        Raises:
+            InputError: Dask is not installed, the scheduler does not answer, or has no workers.
+        """
+        try:
+            import distributed
+        except ImportError as error:
+            raise InputError(
+                f"--backend dask: {error}; install it with: pip install distributed"
+            ) from None
+        self._dask = distributed
+        try:
+            self._client: Client = distributed.Client(
+                scheduler, timeout=CONNECT_S, set_as_default=False
+            )
+        except (OSError, ValueError, TypeError) as error:
+            raise InputError(
+                f"--scheduler {scheduler}: does not answer: {error or 'no connection'}"
+            ) from None
+        try:
+            self._client.wait_for_workers(1, timeout=FIRST_WORKER_S)
+        except (OSError, TimeoutError):
+            self._client.close()
+            raise InputError(
+                f"--scheduler {scheduler}: has no workers: start some with dask worker "
+                f"{scheduler} --nthreads 1"
+            ) from None
+        self._executor = self._client.get_executor(pure=False, retries=0)
+        self._counted_s = -_COUNT_INTERVAL_S
+        self._capacity = 1
+
+    def capacity(self) -> int:
+        """Return two tasks for each worker: one that runs and one that waits."""
+        if time.monotonic() - self._counted_s >= _COUNT_INTERVAL_S:
+            self._counted_s = time.monotonic()
+            self._capacity = 2 * max(1, len(self._client.nthreads()))
+        return self._capacity
+
+    def submit(self, task: FlightTask) -> Future[FlightResult]:
+        """Run a task in a worker."""
+        future: Future[FlightResult] = self._executor.submit(run_task, task)
+        return future
+
+    def lost_worker(self, error: BaseException) -> bool:
+        """Tell whether an error means that workers ended."""
+        return isinstance(error, self._dask.KilledWorker)
+
+    def shutdown(self) -> None:
+        """Cancel waiting tasks and disconnect; results of running flights are discarded."""
+        self._executor.shutdown(wait=False)
+        self._client.close(timeout=CONNECT_S)

@@ -1,0 +1,141 @@
+"""Run flights in worker processes: on this machine, or on a Dask cluster.
+
+The result of a flight depends on its scenario only: not on the number of workers, their place,
+the order, or earlier flights.
+"""
+
+from __future__ import annotations
+
+import queue
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator
+from concurrent.futures import CancelledError, Future
+from contextlib import contextmanager
+
+from testbed.core.errors import InputError
+from testbed.sim.stop_request import StopRequest, stop_on_signals
+from testbed.studies.flight_task import (
+    FAILED,
+    INTERRUPTED,
+    INVALID,
+    FlightResult,
+    FlightTask,
+    WorkerPool,
+)
+
+MAX_ATTEMPTS = 2  # of a flight whose worker process ends
+POLL_S = 0.1  # interval at which a pending signal is looked for
+
+
+class FlightPool:
+    """Distributes tasks over the workers of a pool, and collects their results."""
+
+    def __init__(self, workers: WorkerPool, stop: StopRequest) -> None:
+        """Use these workers until a stop is requested."""
+        self._workers = workers
+        self._stop = stop
+
+    def run(self, tasks: Iterable[FlightTask]) -> Iterator[FlightResult]:
+        """Fly tasks and yield their results in the order in which they end.
+
+        Tasks are taken from the iterable as workers become free. A task whose worker process is
+        killed is flown once more; after `MAX_ATTEMPTS` it has failed.
+
+        Raises:
+            KeyboardInterrupt: Ctrl-C or SIGTERM was received.
+            InputError: the connection to the cluster was lost.
+        """
+        pending = iter(tasks)
+        retries: deque[FlightTask] = deque()
+        attempts: Counter[int] = Counter()
+        running: dict[Future[FlightResult], FlightTask] = {}
+        done: queue.SimpleQueue[Future[FlightResult]] = queue.SimpleQueue()
+        more = True
+        while more or retries or running:
+            while (
+                (more or retries) and len(running) < self._workers.capacity() and not self._stop()
+            ):
+                task = retries.popleft() if retries else next(pending, None)
+                if task is None:
+                    more = False
+                elif task.scenario is None:
+                    yield FlightResult(task.number, INVALID, task.error, None)
+                else:
+                    future = self._workers.submit(task)
+                    running[future] = task
+                    future.add_done_callback(done.put)
+            if self._stop():
+                raise KeyboardInterrupt
+            try:
+                future = done.get(timeout=POLL_S)
+            except queue.Empty:
+                continue
+            task = running.pop(future)
+            result = self._result(future, task)
+            if result is None:
+                attempts[task.number] += 1
+                if attempts[task.number] < MAX_ATTEMPTS:
+                    retries.append(task)
+                    continue
+                error = f"failed: its process was killed {MAX_ATTEMPTS} times"
+                result = FlightResult(task.number, FAILED, error, None)
+            yield result
+
+    def _result(self, future: Future[FlightResult], task: FlightTask) -> FlightResult | None:
+        """Return the result of a finished future; None if its worker process ended."""
+        try:
+            error = future.exception()
+        except CancelledError:
+            raise InputError("the cluster is lost, with the flights that ran on it") from None
+        if error is None:
+            result = future.result()
+            return None if result.outcome == INTERRUPTED else result
+        if isinstance(error, KeyboardInterrupt) or self._workers.lost_worker(error):
+            return None
+        return FlightResult(task.number, FAILED, f"failed: {type(error).__name__}: {error}", None)
+
+
+@contextmanager
+def open_flight_pool(
+    *, jobs: int | None = None, backend: str = "joblib", scheduler: str | None = None
+) -> Iterator[FlightPool]:
+    """Open worker processes, and end them with the block, whatever happens in it.
+
+    In the block, the first Ctrl-C or SIGTERM makes `FlightPool.run` raise KeyboardInterrupt; the
+    second raises it anywhere.
+
+    Args:
+        jobs: processes on this machine; default one for each available processor.
+        backend: "joblib" for this machine, "dask" for a cluster.
+        scheduler: address of the cluster's scheduler.
+
+    Raises:
+        InputError: the backend is unknown, or the cluster cannot be reached.
+    """
+    with stop_on_signals() as stop:
+        workers = _open_workers(jobs, backend, scheduler)
+        try:
+            yield FlightPool(workers, stop)
+        finally:
+            stop.without_interruption(workers.shutdown)
+
+
+def _open_workers(jobs: int | None, backend: str, scheduler: str | None) -> WorkerPool:
+    if backend == "joblib":
+        from testbed.studies.local_workers import LocalWorkers
+
+        if scheduler is not None:
+            raise InputError(f"--scheduler {scheduler}: needs --backend dask")
+        return LocalWorkers(jobs)
+    if backend == "dask":
+        from testbed.studies.dask_workers import DaskWorkers
+
+        if scheduler is None:
+            raise InputError(
+                "--backend dask: needs the address of the scheduler (write --scheduler "
+                "tcp://HOST:8786)"
+            )
+        if jobs is not None:
+            raise InputError(f"--jobs {jobs}: the cluster has its own workers (leave --jobs out)")
+        return DaskWorkers(scheduler)
+    raise InputError(f"--backend {backend}: unknown backend (write joblib or dask)")

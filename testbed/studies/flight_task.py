@@ -1,0 +1,101 @@
+"""One flight of a study: the task, its result, and what every worker process runs."""
+
+from __future__ import annotations
+
+import threading
+import time
+import traceback
+from collections.abc import Mapping
+from concurrent.futures import Future
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from testbed.core.errors import InputError
+from testbed.metrics.document import EXCEEDED, exceedances, losses
+
+if TYPE_CHECKING:
+    from testbed.scenario import Scenario
+
+COMPLETED, LOST, FAILED, INVALID = "completed", "lost", "failed", "invalid"
+OUTCOMES = (COMPLETED, LOST, *EXCEEDED, FAILED, INVALID)
+INTERRUPTED = "interrupted"
+_ONE_FLIGHT = threading.Lock()  # a Dask worker may have several threads
+
+
+@dataclass(frozen=True, slots=True)
+class FlightTask:
+    """A scenario to fly.
+
+    Args:
+        number: identifies the task and its result.
+        scenario: None if it is invalid.
+        error: why it is invalid; empty where there is a scenario.
+    """
+
+    number: int
+    scenario: Scenario | None
+    error: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class FlightResult:
+    """Outcome and metrics of a task.
+
+    Args:
+        number: of the task.
+        outcome: one of `OUTCOMES`.
+        error: reason for any outcome but "completed", for which it is empty.
+        metrics: the document of metrics.json; None where there is none.
+        wall_s: duration on the wall clock.
+    """
+
+    number: int
+    outcome: str
+    error: str
+    metrics: Mapping[str, Any] | None
+    wall_s: float = 0.0
+
+
+class WorkerPool(Protocol):
+    """Processes that run tasks."""
+
+    def capacity(self) -> int:
+        """Return how many tasks should be submitted at once."""
+
+    def submit(self, task: FlightTask) -> Future[FlightResult]:
+        """Run `run_task` on a task in a worker."""
+
+    def lost_worker(self, error: BaseException) -> bool:
+        """Tell whether an error of a future means that its worker process ended."""
+
+    def shutdown(self) -> None:
+        """End the workers and their flights."""
+
+
+def with_seed(scenario: Scenario, seed: int) -> Scenario:
+    """Replace the seed of a scenario."""
+    header = scenario.scenario.model_copy(update={"seed": seed})
+    return scenario.model_copy(update={"scenario": header})
+
+
+def run_task(task: FlightTask) -> FlightResult:
+    """Fly a task in this process, without files; errors become part of the result."""
+    from testbed.sim.run import run  # in workers only: the parent process does not simulate
+
+    assert task.scenario is not None
+    metrics: Mapping[str, Any] | None = None
+    with _ONE_FLIGHT:
+        start = time.perf_counter()
+        try:
+            metrics = run(task.scenario, write=False).metrics
+            outcome = str(metrics["outcome"])
+            describe = {LOST: losses, **dict.fromkeys(EXCEEDED, exceedances)}.get(outcome)
+            error = f"{outcome}: {', '.join(describe(metrics))}" if describe else ""
+        except InputError as refused:
+            outcome, error = INVALID, f"invalid: {refused}"
+        except Exception as failure:
+            last = traceback.extract_tb(failure.__traceback__)[-1]
+            where = f"{Path(last.filename).name}:{last.lineno}"
+            outcome, error = FAILED, f"failed: {type(failure).__name__}: {failure} ({where})"
+    return FlightResult(task.number, outcome, error, metrics, time.perf_counter() - start)

@@ -1,0 +1,280 @@
+"""Golden tables: find them, fly their scenarios, compare, and write them on request."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from testbed.core.errors import InputError
+from testbed.scenario import Scenario, find_scenario, library, load
+from testbed.studies.flight_pool import open_flight_pool
+from testbed.studies.flight_task import FlightTask, with_seed
+from testbed.studies.golden_compare import (
+    Flight,
+    FlightProblem,
+    Verdict,
+    compare,
+    flight_problems,
+)
+from testbed.studies.golden_table import (
+    MIN_BAND_VALUES,
+    Table,
+    make_table,
+    read_table,
+    table_numbers,
+    write_table,
+)
+from testbed.studies.scenario_snapshot import file_digests, snapshot
+
+CHECKED_SEEDS = 4  # of a table's seeds, flown by a check
+RANDOM_SEEDS = 16  # in a table of a scenario whose numbers depend on the seed: enough for a band
+DETERMINISTIC_SEEDS = 2  # in a table of any other scenario: enough to detect random numbers
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class GoldenCase:
+    """A scenario and its table."""
+
+    name: str  # as the user wrote it, or as a command would name it
+    source: Path  # of the scenario
+    scenario: Scenario
+    path: Path  # of the table
+    table: Table | None  # None: missing, or unreadable
+    table_error: str = ""  # of an unreadable table
+
+
+@dataclass(frozen=True, slots=True)
+class UpdateResult:
+    """Result of updating a table.
+
+    Args:
+        case: with the table before the update.
+        verdict: comparison of the flights with that table; None if there was none.
+        problems: reasons why no table was written; empty if one was.
+        table: as written.
+    """
+
+    case: GoldenCase
+    verdict: Verdict | None
+    problems: tuple[FlightProblem, ...]
+    table: Table | None
+
+
+def find_cases(names: Sequence[str], *, folder: Path | None, new: bool) -> list[GoldenCase]:
+    """Find scenarios and their tables; without names, all that have a table.
+
+    The table of `<folder>/<scenario>.yaml` is `<folder>/golden/<scenario>.json`.
+
+    Args:
+        names: names or paths, as for `testbed run`.
+        folder: of the tables; default `golden` next to each scenario.
+        new: whether tables may be missing or unreadable.
+
+    Raises:
+        InputError: everything that cannot be read or is missing, one line each.
+    """
+    if folder and not folder.is_dir() and not (new and names):
+        raise InputError(f"--golden {folder}: there is no such folder")
+    if not names:
+        tables = folder or library() / "scenarios" / "golden"
+        names = [_scenario_of(path) for path in sorted(tables.glob("*.json"))]
+        if not names:
+            raise InputError(
+                f"{tables}: no golden tables (name a scenario; --update --reason TEXT writes one)"
+            )
+    cases, problems = [], []
+    for name in dict.fromkeys(names):
+        try:
+            cases.append(_find_case(name, folder, new))
+        except InputError as error:
+            problems.append(str(error))
+    if problems:
+        raise InputError("\n".join(problems))
+    return cases
+
+
+def _scenario_of(table: Path) -> str:
+    """Return the name of a table's scenario, in the library or in the folder above the table's."""
+    neighbour = table.absolute().parent.parent / f"{table.stem}.yaml"
+    in_library = library() / "scenarios" / neighbour.name
+    if in_library.is_file() or not neighbour.is_file():
+        return table.stem
+    return str(_relative(neighbour))
+
+
+def _relative(path: Path) -> Path:
+    """Shorten a path below the current folder."""
+    here = Path.cwd()
+    return path.relative_to(here) if path.is_relative_to(here) else path
+
+
+def _find_case(name: str, folder: Path | None, new: bool) -> GoldenCase:
+    source = find_scenario(name)
+    path = _relative((folder or source.parent / "golden") / f"{source.stem}.json")
+    scenario = load(source)
+    if not scenario.scenario.windows:
+        raise InputError(f"{name}: has no scenario.windows, so there is nothing to compare")
+    if not path.is_file() and not new:
+        raise InputError(
+            f"{name}: there is no golden table {path} (testbed check {name} --update --reason "
+            "TEXT writes it)"
+        )
+    if not path.is_file():
+        return GoldenCase(name, source, scenario, path, None)
+    try:
+        return GoldenCase(name, source, scenario, path, read_table(path))
+    except InputError as error:
+        if not new:
+            raise InputError(f"{error} (write a new one with --update --reason TEXT)") from None
+        return GoldenCase(name, source, scenario, path, None, table_error=str(error))
+
+
+def check(
+    cases: Sequence[GoldenCase], *, seeds: int | None, jobs: int, progress: Progress
+) -> list[Verdict]:
+    """Fly scenarios and compare each with its table; nothing is written.
+
+    Args:
+        cases: all with a table.
+        seeds: flights of each: the table's seeds in order, then the numbers that follow. Default:
+            `CHECKED_SEEDS` of the table's.
+        jobs: processes at once.
+        progress: called with the number of finished flights and of all.
+    """
+    tables = [case.table for case in cases if case.table]
+    chosen = [
+        _choose_seeds(table.seeds, seeds or min(CHECKED_SEEDS, len(table.seeds)))
+        for table in tables
+    ]
+    wanted = [(case.scenario, s) for case, own in zip(cases, chosen, strict=True) for s in own]
+    flown = iter(fly_all(wanted, jobs=jobs, progress=progress))
+    flights = [[next(flown) for _ in own] for own in chosen]
+    return [
+        _compare(case, table, own) for case, table, own in zip(cases, tables, flights, strict=True)
+    ]
+
+
+def _choose_seeds(available: Sequence[int], count: int) -> list[int]:
+    following = range(available[-1] + 1, available[-1] + 1 + max(0, count - len(available)))
+    return [*available[:count], *following]
+
+
+def _compare(case: GoldenCase, table: Table, flights: Sequence[Flight]) -> Verdict:
+    return compare(
+        case.name,
+        table,
+        flights,
+        resolved_scenario=snapshot(case.scenario, case.source.parent),
+        files=file_digests(case.scenario),
+    )
+
+
+def update_tables(
+    cases: Sequence[GoldenCase],
+    *,
+    seeds: int | None,
+    jobs: int,
+    reason: str,
+    progress: Progress,
+) -> list[UpdateResult]:
+    """Fly scenarios and write their tables; no other function writes one.
+
+    A scenario that gives the same numbers for two seeds needs no more; the others fly all seeds.
+    No table is written if a flight has a problem.
+
+    Args:
+        cases: with a table or without.
+        seeds: number of seeds where they change the numbers; default `RANDOM_SEEDS`.
+        jobs: processes at once.
+        reason: why the numbers are accepted; stored in the tables.
+        progress: called with the number of finished flights and of all.
+
+    Raises:
+        InputError: too few seeds, or a table cannot be written.
+    """
+    count = seeds or RANDOM_SEEDS
+    if count < MIN_BAND_VALUES:
+        raise InputError(f"--seeds {count}: a table needs {MIN_BAND_VALUES} or more")
+    first = [case.scenario.scenario.seed for case in cases]
+    wanted = [
+        (case.scenario, seed + k)
+        for case, seed in zip(cases, first, strict=True)
+        for k in range(DETERMINISTIC_SEEDS)
+    ]
+    flown = iter(fly_all(wanted, jobs=jobs, progress=progress))
+    flights = [[next(flown) for _ in range(DETERMINISTIC_SEEDS)] for _ in cases]
+    random = [_depends_on_seed(own) for own in flights]
+    wanted = [
+        (case.scenario, seed + k)
+        for case, seed, is_random in zip(cases, first, random, strict=True)
+        for k in range(DETERMINISTIC_SEEDS, count if is_random else DETERMINISTIC_SEEDS)
+    ]
+    flown = iter(fly_all(wanted, jobs=jobs, progress=progress))
+    for own, is_random in zip(flights, random, strict=True):
+        own += [next(flown) for _ in range(count - DETERMINISTIC_SEEDS)] if is_random else []
+    return [
+        _update_table(case, own, is_random, reason)
+        for case, own, is_random in zip(cases, flights, random, strict=True)
+    ]
+
+
+def _depends_on_seed(flights: Sequence[Flight]) -> bool:
+    """Tell whether the seed changes any number, to the last bit, in valid flights."""
+    valid = [
+        table_numbers(each.metrics)
+        for each in flights
+        if each.metrics and not flight_problems(each)
+    ]
+    return any(numbers != valid[0] for numbers in valid[1:])
+
+
+def _update_table(
+    case: GoldenCase, flights: Sequence[Flight], random: bool, reason: str
+) -> UpdateResult:
+    verdict = _compare(case, case.table, flights) if case.table else None
+    problems = tuple(problem for flight in flights for problem in flight_problems(flight))
+    if problems:
+        return UpdateResult(case, verdict, problems, None)
+    table = make_table(
+        {flight.seed: flight.metrics for flight in flights if flight.metrics},
+        scenario=case.scenario.name,
+        reason=reason,
+        random=random,
+        files=file_digests(case.scenario),
+        resolved_scenario=snapshot(case.scenario, case.source.parent),
+    )
+    write_table(case.path, table)
+    return UpdateResult(case, verdict, (), table)
+
+
+def fly_all(
+    wanted: Sequence[tuple[Scenario, int]],
+    *,
+    jobs: int,
+    progress: Progress = lambda done, total: None,
+) -> list[Flight]:
+    """Fly scenarios with seeds, without files, and return the flights in this order.
+
+    Args:
+        wanted: scenarios and seeds.
+        jobs: processes at once; the results do not depend on it.
+        progress: called with the number of finished flights and of all.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C or SIGTERM was received; all worker processes have ended.
+    """
+    if not wanted:
+        return []
+    progress(0, len(wanted))
+    tasks = (FlightTask(number, with_seed(*each)) for number, each in enumerate(wanted))
+    flights: dict[int, Flight] = {}
+    with open_flight_pool(jobs=min(jobs, len(wanted))) as pool:
+        for result in pool.run(tasks):
+            problem = result.error if result.metrics is None else ""
+            seed = wanted[result.number][1]
+            flights[result.number] = Flight(seed, result.metrics, problem, result.wall_s)
+            progress(len(flights), len(wanted))
+    return [flights[number] for number in range(len(wanted))]

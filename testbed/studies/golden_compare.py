@@ -1,0 +1,277 @@
+"""Compare flights of a scenario with its golden table: structure first, then numbers."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from testbed.metrics.document import errors
+from testbed.studies.flight_task import COMPLETED
+from testbed.studies.golden_table import (
+    Rule,
+    Table,
+    metric_names,
+    prediction_band,
+    table_numbers,
+)
+from testbed.studies.scenario_snapshot import differences, file_differences, with_new_defaults
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """Metrics of a flight with one seed, or the problem that prevented it."""
+
+    seed: int
+    metrics: Mapping[str, Any] | None
+    problem: str = ""
+    wall_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class FlightProblem:
+    """A reason why a flight, or with seed None all of them, cannot be compared."""
+
+    seed: int | None
+    text: str
+
+    def __str__(self) -> str:
+        """Format on one line."""
+        return self.text if self.seed is None else f"seed {self.seed}: {self.text}"
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """A number outside its bounds: of one seed, or the mean over several."""
+
+    key: str
+    seeds: tuple[int, ...]
+    measured: float
+    low: float
+    high: float
+    better: bool
+
+    @property
+    def deviation(self) -> float:
+        """Distance from the middle of the bounds in half-widths; above 1."""
+        middle, half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
+        return abs(self.measured - middle) / half
+
+
+@dataclass(frozen=True, slots=True)
+class RowComparison:
+    """A row of the table and the same number of the flights."""
+
+    key: str
+    rule: Rule
+    seeds: tuple[int, ...]  # that have the number
+    golden: float  # mean over the seeds that both have; else over all seeds of the table
+    measured: float | None  # mean over the seeds that both have; else over the others; None: none
+    band: tuple[float, float] | None
+    missing: bool
+    violations: tuple[Violation, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether the row passes; so does one without a valid flight, which is a problem."""
+        return not self.missing and not self.violations
+
+    @property
+    def inside_band(self) -> bool:
+        """Whether the mean of the flights is inside the band for one more seed."""
+        if self.band is None or self.measured is None:
+            return False
+        return self.band[0] <= self.measured <= self.band[1]
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Result of a comparison."""
+
+    name: str  # of the scenario, as the user wrote it
+    table: Table
+    seeds: tuple[int, ...]
+    wall_s: float
+    changes: tuple[str, ...]  # of the scenario and its files
+    versions: tuple[str, ...]  # that differ
+    problems: tuple[FlightProblem, ...]
+    notes: tuple[str, ...]
+    rows: tuple[RowComparison, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether the flights agree with the table."""
+        return not self.problems and all(row.passed for row in self.rows)
+
+    @property
+    def violations(self) -> list[Violation]:
+        """Violations of all rows, the largest deviation first."""
+        found = [violation for row in self.rows for violation in row.violations]
+        return sorted(found, key=lambda each: (-each.deviation, each.key, each.seeds))
+
+
+def flight_problems(flight: Flight) -> list[FlightProblem]:
+    """List why a flight cannot be compared: not completed, a follower never joined, a window cut.
+
+    Such flights have numbers too, which may even repeat.
+    """
+    if flight.metrics is None:
+        return [FlightProblem(flight.seed, flight.problem)]
+    metrics = flight.metrics
+    if metrics["outcome"] != COMPLETED:
+        why = "".join(f"; {what}" for _, what in errors(metrics)[:3])
+        text = f"{metrics['outcome']} at {metrics['simulated_s']:g} s{why}"
+        return [FlightProblem(flight.seed, text)]
+    never = [name for name, time_s in metrics["joined_at_s"].items() if time_s is None]
+    problems = []
+    if never:
+        text = f"never reached its slot: {', '.join(never)}"
+        problems.append(FlightProblem(flight.seed, text))
+    for name, window in metrics["windows"].items():
+        if not window["complete"]:
+            start, end = window["window_s"]
+            text = f"window {name} covers {window['covered_s']:g} s of {end - start:g} s"
+            problems.append(FlightProblem(flight.seed, text))
+    return problems
+
+
+def compare(
+    name: str,
+    table: Table,
+    flights: Sequence[Flight],
+    *,
+    resolved_scenario: Mapping[str, Any],
+    files: Mapping[str, str],
+) -> Verdict:
+    """Compare flights of a scenario with its table.
+
+    The number of a seed in the table is compared with the table's number of that seed. Where the
+    seed changes numbers, other seeds are compared with the band, one by one and in the mean.
+
+    Args:
+        name: of the scenario, as the user wrote it.
+        table: the reference.
+        flights: one per seed.
+        resolved_scenario: of `snapshot`, to describe changes.
+        files: of `file_digests`, likewise.
+    """
+    problems = [problem for flight in flights for problem in flight_problems(flight)]
+    invalid = {problem.seed for problem in problems}
+    valid = {
+        flight.seed: flight.metrics
+        for flight in flights
+        if flight.metrics is not None and flight.seed not in invalid
+    }
+    numbers = {seed: table_numbers(metrics) for seed, metrics in valid.items()}
+    notes: list[str] = []
+    if valid:
+        structure, notes = _compare_structure(table, list(valid.values()))
+        problems += [FlightProblem(None, text) for text in structure]
+    versions: Mapping[str, str] = next(
+        (flight.metrics["versions"] for flight in flights if flight.metrics), {}
+    )
+    changes = differences(with_new_defaults(table.resolved_scenario), resolved_scenario)
+    return Verdict(
+        name=name,
+        table=table,
+        seeds=tuple(flight.seed for flight in flights),
+        wall_s=sum(flight.wall_s for flight in flights),
+        changes=(*changes, *file_differences(table.files, files)),
+        versions=differences(table.versions, versions) if versions else (),
+        problems=tuple(problems),
+        notes=tuple(notes),
+        rows=tuple(_compare_row(table, key, numbers) for key in table.rows),
+    )
+
+
+def _compare_structure(
+    table: Table, flown: Sequence[Mapping[str, Any]]
+) -> tuple[list[str], list[str]]:
+    """List windows, followers and numbers that are missing or new; and notes on new metrics."""
+    problems: list[str] = []
+    explained: set[str] = set()
+    keys = list(dict.fromkeys(key for metrics in flown for key in table_numbers(metrics)))
+    for what, level in (("window", 1), ("follower", 2)):
+        old, new = _key_parts(table.rows, level), _key_parts(keys, level)
+        for name in (*(n for n in old if n not in new), *(n for n in new if n not in old)):
+            problems.append(f"{what} {name} is {'missing' if name in old else 'new'}")
+            explained.add(name)
+    for key in (*table.rows, *keys):
+        if (key in table.rows) != (key in keys) and not explained & set(key.split("/")):
+            problems.append(f"number {key} is {'missing' if key in table.rows else 'new'}")
+    if not table.random and any(table_numbers(each) != table_numbers(flown[0]) for each in flown):
+        problems.append("the seed changes the numbers, which it did not when the table was made")
+    names = metric_names(flown[0])
+    problems += [f"metric {name} is missing" for name in table.metrics if name not in names]
+    notes = [f"metric {name} is new" for name in names if name not in table.metrics]
+    return list(dict.fromkeys(problems)), notes
+
+
+def _key_parts(keys: Sequence[str] | Mapping[str, Any], level: int) -> list[str]:
+    """Return the windows (level 1) or followers (2) in the keys of RMS errors, in their order."""
+    split = [key.split("/") for key in keys if key.startswith("rms_m/")]
+    return list(dict.fromkeys(parts[level] for parts in split))
+
+
+def _compare_row(
+    table: Table, key: str, flown: Mapping[int, Mapping[str, float | None]]
+) -> RowComparison:
+    rule, row = table.rules[key.split("/")[0]], table.rows[key]
+    values = {seed: value for seed, rows in flown.items() if (value := rows.get(key)) is not None}
+    references = {seed: table.same_seed(key, seed) for seed in values}
+    golden = {seed: value for seed, value in references.items() if value is not None}
+    violations = []
+    for seeds in _seed_groups(table, values, golden):
+        value = golden[seeds[0]]
+        bounds = value - rule.allowed(value), value + rule.allowed(value)
+        violations += _violations(key, rule, seeds, values[seeds[0]], bounds)
+    new_seeds = tuple(seed for seed in values if seed not in golden)
+    if row.band:
+        for seed in new_seeds:
+            violations += _violations(key, rule, (seed,), values[seed], row.band)
+        if len(new_seeds) > 1:
+            bounds = prediction_band(
+                row.by_seed,
+                false_alarm=table.band.false_alarm,
+                min_half_width=rule.allowed(statistics.fmean(row.by_seed)),
+                new_values=len(new_seeds),
+            )
+            mean = statistics.fmean(values[seed] for seed in new_seeds)
+            violations += _violations(key, rule, new_seeds, mean, bounds)
+    # means over the seeds of both, unless only seeds that the table does not have violate it
+    violating = {seed for violation in violations for seed in violation.seeds}
+    common = tuple(golden) if golden and not (violating and violating.isdisjoint(golden)) else ()
+    shown = common or new_seeds
+    return RowComparison(
+        key=key,
+        rule=rule,
+        seeds=tuple(values),
+        golden=statistics.fmean([golden[seed] for seed in common] or row.by_seed),
+        measured=statistics.fmean([values[seed] for seed in shown]) if shown else None,
+        band=row.band,
+        missing=bool(flown) and not values,
+        violations=tuple(violations),
+    )
+
+
+def _seed_groups(
+    table: Table, values: Mapping[int, float], golden: Mapping[int, float]
+) -> list[tuple[int, ...]]:
+    """Group seeds for a comparison: one by one, or all where the seed changes no number."""
+    if not table.random and golden and len(set(values.values())) == 1:
+        return [tuple(golden)]
+    return [(seed,) for seed in golden]
+
+
+def _violations(
+    key: str, rule: Rule, seeds: tuple[int, ...], measured: float, bounds: tuple[float, float]
+) -> list[Violation]:
+    """Return one violation, or none. The bounds themselves are inside, despite rounding."""
+    low, high = bounds
+    slack = 1e-9 * max(abs(low), abs(high))
+    if low - slack <= measured <= high + slack and math.isfinite(measured):
+        return []
+    better = (measured < low) == (rule.better == "lower")
+    return [Violation(key, seeds, measured, low, high, better)]

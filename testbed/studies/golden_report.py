@@ -1,0 +1,340 @@
+"""Report comparisons with golden tables: on a terminal of 80 columns, as JSON and as JUnit XML."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as xml
+
+from rich.console import Console
+from rich.text import Text
+
+from testbed.core.errors import InputError
+from testbed.studies.golden import UpdateResult
+from testbed.studies.golden_compare import RowComparison, Verdict, Violation
+from testbed.studies.golden_table import row_label
+
+MAX_CHANGES = 12  # lines of each kind, on the terminal
+MAX_PROBLEMS = 12
+MAX_ROWS = 16
+MAX_VIOLATIONS = 8
+MAX_COMMANDS = 3
+
+# characters that XML 1.0 cannot contain, not even escaped
+_FORBIDDEN = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+# text of numbers and violations
+
+
+def format_number(value: float) -> str:
+    """Format with three decimals, or with three digits where the decimals would be zeros."""
+    return f"{value:.3f}" if value == 0.0 or abs(value) >= 0.01 else f"{value:.3g}"
+
+
+def format_seeds(seeds: Sequence[int]) -> str:
+    """Format as `seed 3`, `seeds 1, 2`, or `seeds 1 to 16`."""
+    if len(seeds) == 1:
+        return f"seed {seeds[0]}"
+    if len(seeds) > 2 and list(seeds) == list(range(seeds[0], seeds[-1] + 1)):
+        return f"seeds {seeds[0]} to {seeds[-1]}"
+    return f"seeds {', '.join(map(str, seeds))}"
+
+
+def run_command(verdict: Verdict, seed: int) -> str:
+    """Return the command that repeats a flight."""
+    return f"testbed run {shlex.quote(verdict.name)} --seed {seed}"
+
+
+def violation_line(violation: Violation, verdict: Verdict) -> str:
+    """Describe a violation on one line: row, seeds, number, bounds, direction, deviation."""
+    rule = verdict.table.rules[violation.key.split("/")[0]]
+    middle = 0.5 * (violation.low + violation.high)
+    half = 0.5 * (violation.high - violation.low)
+    if verdict.table.same_seed(violation.key, violation.seeds[0]) is not None:
+        bounds = f"golden {format_number(middle)} ± {half:.1g}"
+    else:
+        bounds = f"band {format_number(violation.low)} to {format_number(violation.high)}"
+    mean = "mean of " if verdict.table.random and len(violation.seeds) > 1 else ""
+    direction = "better" if violation.better else "worse"
+    return (
+        f"{row_label(violation.key)}, {mean}{format_seeds(violation.seeds)}: "
+        f"{format_number(violation.measured)} {rule.unit}, {bounds}, {direction} "
+        f"({violation.deviation:.1f} x)"
+    )
+
+
+def change_lines(verdict: Verdict) -> list[str]:
+    """Describe what changed since the table was written: scenario, files, versions."""
+    return [
+        *(f"the scenario changed: {change}" for change in verdict.changes),
+        *(f"version: {change}" for change in verdict.versions),
+    ]
+
+
+# terminal
+
+
+def print_check(verdicts: Sequence[Verdict], console: Console) -> None:
+    """Print all verdicts and a summary."""
+    for verdict in verdicts:
+        print_verdict(verdict, console)
+    failed = [verdict for verdict in verdicts if not verdict.passed]
+    # an update would not write a table for the others
+    updatable = [v for v in failed if all(problem.seed is None for problem in v.problems)]
+    console.print()
+    if not failed:
+        _line(console, f" {len(verdicts)} passed: all flights agree with their tables", "green")
+        return
+    _line(console, f" {len(failed)} failed, {len(verdicts) - len(failed)} passed", "bold red")
+    if updatable:
+        names = shlex.join(verdict.name for verdict in updatable)
+        text = f" If this change is intended: testbed check {names} --update --reason TEXT"
+        _line(console, text, "dim")
+
+
+def print_verdict(verdict: Verdict, console: Console, *, failed: str = "FAILED") -> None:
+    """Print a verdict: changes, problems, rows that differ, violations."""
+    differing = [row for row in verdict.rows if row.violations]
+    count = f"{len(verdict.rows)} numbers"
+    head = Text.assemble(" ", (verdict.name, "bold"), " · ")
+    if verdict.passed:
+        head.append("passed", "bold green")
+        head.append(f" · {format_seeds(verdict.seeds)} · {count}")
+    else:
+        head.append(failed, "bold red")
+        head.append(f" · {format_seeds(verdict.seeds)} · {len(differing)} of {count} differ")
+    console.print(head, soft_wrap=True)
+    if verdict.passed:
+        lines = [f"the scenario changed: {each}" for each in verdict.changes]
+        _lines(console, lines, MAX_CHANGES, "yellow")
+        _lines(console, verdict.notes, MAX_CHANGES, "dim")
+        return
+    _line(console, f"   golden: {verdict.table.reason}", "dim")
+    _lines(console, change_lines(verdict), MAX_CHANGES, "yellow")
+    _lines(console, [str(problem) for problem in verdict.problems], MAX_PROBLEMS, "red")
+    seeds = [problem.seed for problem in verdict.problems if problem.seed is not None]
+    if seeds:
+        _line(console, f"     {run_command(verdict, seeds[0])}", "cyan")
+    _lines(console, verdict.notes, MAX_CHANGES, "dim")
+    if differing:
+        _print_rows(differing, console)
+        _print_violations(verdict, console)
+
+
+def _print_rows(rows: Sequence[RowComparison], console: Console) -> None:
+    """Print means over the seeds: golden, measured, change, direction."""
+    heading = f"   {'mean over seeds':<38}{'golden':>9}{'measured':>9}{'change':>10}"
+    _line(console, heading, "bold")
+    for row in rows[:MAX_ROWS]:
+        assert row.measured is not None
+        change = row.measured - row.golden
+        relative = f"{100.0 * change / row.golden:+.1f} %" if row.golden else f"{change:+.3f}"
+        name = f"{row_label(row.key)}, {row.rule.unit}"
+        better = all(each.better for each in row.violations)
+        worse = not any(each.better for each in row.violations)
+        word = "better" if better else "worse" if worse else "both ways"
+        numbers = f"{format_number(row.golden):>9}{format_number(row.measured):>9}"
+        _line(console, f"   {name:<38}{numbers}{relative:>10} {word}", "" if better else "red")
+    _more(console, len(rows) - MAX_ROWS)
+
+
+def _print_violations(verdict: Verdict, console: Console) -> None:
+    violations = verdict.violations
+    largest = violations[:MAX_VIOLATIONS]
+    _line(console, "   violations, largest first, in tolerances", "bold")
+    for each in largest:
+        _line(console, f"   {violation_line(each, verdict)}")
+    _more(console, len(violations) - MAX_VIOLATIONS)
+    for seed in list(dict.fromkeys(each.seeds[0] for each in largest))[:MAX_COMMANDS]:
+        _line(console, f"     {run_command(verdict, seed)}", "cyan")
+    with_band = [row for row in verdict.rows if row.violations and row.band]
+    if with_band and all(row.inside_band for row in with_band):
+        text = "the RMS errors that differ are inside the band of other seeds: a small change,"
+        _line(console, f"   {text} or other random numbers", "dim")
+
+
+def print_updates(updates: Sequence[UpdateResult], console: Console) -> None:
+    """Print the differences from each old table, and whether a new one was written."""
+    for update in updates:
+        verdict, case = update.verdict, update.case
+        if case.table_error:
+            text = f" {case.name}: the old table is ignored: {case.table_error}"
+            _line(console, text, "yellow")
+        if verdict and not verdict.passed:
+            print_verdict(verdict, console, failed="differs")
+        if update.table is None:
+            head = Text.assemble(" ", (case.name, "bold"), " · ", ("NOT WRITTEN", "bold red"))
+            console.print(head, soft_wrap=True)
+            if not verdict:
+                lines = [str(problem) for problem in update.problems]
+                _lines(console, lines, MAX_PROBLEMS, "red")
+            continue
+        table = update.table
+        kind = "random" if table.random else "the same for every seed"
+        same = ", no difference" if verdict and verdict.passed else ""
+        head = Text.assemble(" ", (case.name, "bold"), " · ", ("written", "bold green"))
+        head.append(f" · {format_seeds(table.seeds)}, {kind} · {len(table.rows)} numbers{same}")
+        console.print(head, soft_wrap=True)
+        _line(console, f"   {case.path}")
+
+
+def _lines(console: Console, lines: Sequence[str], limit: int, style: str) -> None:
+    for line in lines[:limit]:
+        _line(console, f"   {line}", style)
+    _more(console, len(lines) - limit)
+
+
+def _more(console: Console, count: int) -> None:
+    if count > 0:
+        _line(console, f"   … and {count} more: --json FILE has all", "dim")
+
+
+def _line(console: Console, text: str, style: str = "") -> None:
+    console.print(Text(text, style=style), soft_wrap=True)
+
+
+# JSON
+
+
+def to_document(verdicts: Sequence[Verdict]) -> dict[str, Any]:
+    """Return all verdicts as plain data for JSON, independent of the wall clock."""
+    return {
+        "schema": 2,
+        "passed": all(verdict.passed for verdict in verdicts),
+        "scenarios": [_verdict_document(verdict) for verdict in verdicts],
+    }
+
+
+def _verdict_document(verdict: Verdict) -> dict[str, Any]:
+    return {
+        "scenario": verdict.name,
+        "passed": verdict.passed,
+        "seeds": list(verdict.seeds),
+        "changes": list(verdict.changes),
+        "versions": list(verdict.versions),
+        "problems": [{"seed": each.seed, "text": each.text} for each in verdict.problems],
+        "notes": list(verdict.notes),
+        "rows": {row.key: _row_document(row) for row in verdict.rows},
+        "violations": [
+            {
+                "row": each.key,
+                "seeds": list(each.seeds),
+                "measured": each.measured,
+                "low": each.low,
+                "high": each.high,
+                "deviation": each.deviation,
+                "better": each.better,
+                "command": run_command(verdict, each.seeds[0]),
+            }
+            for each in verdict.violations
+        ],
+    }
+
+
+def _row_document(row: RowComparison) -> dict[str, Any]:
+    return {
+        "passed": row.passed,
+        "unit": row.rule.unit,
+        "seeds": list(row.seeds),
+        "golden": row.golden,
+        "measured": row.measured,
+        "band": list(row.band) if row.band else None,
+        "tolerance": row.rule.allowed(row.golden),
+    }
+
+
+# JUnit
+
+
+def to_junit(verdicts: Sequence[Verdict], input_errors: Sequence[str] = ()) -> str:
+    """Return JUnit XML, in the subset that GitHub, GitLab and Jenkins read.
+
+    A suite per scenario; in it a case for its flights, and one for each row of the golden table.
+
+    Args:
+        verdicts: of the scenarios.
+        input_errors: reasons why nothing was flown; each is an errored case.
+    """
+    root = xml.Element("testsuites", name="testbed check")
+    suites = [_add_suite(root, verdict) for verdict in verdicts]
+    if input_errors:
+        suites.append(_add_input_errors(root, input_errors))
+    for count in ("tests", "failures", "errors", "skipped"):
+        root.set(count, str(sum(int(suite.get(count, "0")) for suite in suites)))
+    root.set("time", f"{sum(verdict.wall_s for verdict in verdicts):.3f}")
+    xml.indent(root)
+    return xml.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def write_junit(path: Path, text: str) -> None:
+    """Write the document.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"--junit {path}: {error.strerror}") from error
+
+
+def _add_suite(root: xml.Element, verdict: Verdict) -> xml.Element:
+    suite = xml.SubElement(root, "testsuite", name=_printable(verdict.name))
+    classname = _printable(f"golden.{verdict.name}")
+    cases = [xml.SubElement(suite, "testcase", classname=classname, name="flights")]
+    if verdict.problems:
+        _add_failure(cases[0], str(verdict.problems[0]), "\n".join(map(str, verdict.problems)))
+    for row in verdict.rows:
+        name = row_label(row.key)
+        cases.append(xml.SubElement(suite, "testcase", classname=classname, name=name))
+        _add_row_result(cases[-1], row, verdict)
+    seconds = verdict.wall_s / len(cases)
+    for case in cases:  # all cases share the flights
+        case.set("time", f"{seconds:.3f}")
+    changes = change_lines(verdict)
+    if changes:
+        xml.SubElement(suite, "system-out").text = _printable("\n".join(changes))
+    return _with_counts(suite, verdict.wall_s)
+
+
+def _add_row_result(case: xml.Element, row: RowComparison, verdict: Verdict) -> None:
+    if row.missing:
+        _add_failure(case, "missing: no flight has this number")
+    elif row.violations:
+        largest_first = sorted(row.violations, key=lambda each: -each.deviation)
+        lines = [violation_line(each, verdict) for each in largest_first]
+        _add_failure(case, lines[0], "\n".join(lines))
+    elif row.measured is None:
+        xml.SubElement(case, "skipped", message="no valid flight to compare: see flights")
+
+
+def _add_input_errors(root: xml.Element, errors: Sequence[str]) -> xml.Element:
+    suite = xml.SubElement(root, "testsuite", name="input")
+    for index, error in enumerate(errors, 1):
+        case = xml.SubElement(
+            suite, "testcase", classname="golden.input", name=f"input {index}", time="0.000"
+        )
+        xml.SubElement(case, "error", message=_printable(error), type="InputError")
+    return _with_counts(suite, 0.0)
+
+
+def _with_counts(suite: xml.Element, wall_s: float) -> xml.Element:
+    suite.set("tests", str(len(suite.findall("testcase"))))
+    for count, tag in (("failures", "failure"), ("errors", "error"), ("skipped", "skipped")):
+        suite.set(count, str(len(suite.findall(f"testcase/{tag}"))))
+    suite.set("time", f"{wall_s:.3f}")
+    return suite
+
+
+def _add_failure(case: xml.Element, message: str, text: str = "") -> None:
+    """Add a failure; the text repeats the message, as some readers show only one of them."""
+    failure = xml.SubElement(case, "failure", message=_printable(message), type="regression")
+    failure.text = _printable(text or message)
+
+
+def _printable(text: str) -> str:
+    return _FORBIDDEN.sub("�", text)

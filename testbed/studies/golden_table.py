@@ -1,0 +1,324 @@
+"""The golden table of a scenario: its numbers by seed, and the tolerances of each number."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import statistics
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from testbed.core.errors import InputError
+from testbed.core.stats import student_quantile
+
+DECIMALS = 8  # of the numbers in a table
+MIN_BAND_VALUES = 3  # with two, a band is wider than the numbers it bounds
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Rule(_Part):
+    """Tolerances of one quantity."""
+
+    label: str
+    unit: str
+    tolerance: float = Field(gt=0)  # for the same seed, in the unit
+    relative_tolerance: float | None  # used for small numbers, if it allows less than `tolerance`,
+    min_tolerance: float = Field(gt=0)  # but not less than this, in the unit
+    reason: str
+    uses_band: bool  # whether seeds that are not in the table are compared with a band
+    better: Literal["lower", "higher"]
+
+    def allowed(self, value: float) -> float:
+        """Return the allowed difference from a value, in the unit."""
+        if self.relative_tolerance is None:
+            return self.tolerance
+        return min(self.tolerance, max(self.relative_tolerance * abs(value), self.min_tolerance))
+
+
+class BandRule(_Part):
+    """Width of the prediction bands."""
+
+    false_alarm: float  # probability that a correct number is outside
+    reason: str
+
+
+class Row(_Part):
+    """One number of a flight: by seed, in the order of the table's seeds."""
+
+    band: tuple[float, float] | None
+    by_seed: tuple[float, ...]
+
+
+class Table(_Part):
+    """Reference numbers of a scenario, with the reason for which they were accepted.
+
+    `rows` have keys `quantity/window/follower`, without the parts that do not apply.
+    `resolved_scenario` and `files` decide nothing: a comparison uses them to describe changes.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+
+    schema_version: Literal[2] = Field(2, alias="schema")
+    scenario: str
+    reason: str
+    versions: dict[str, str]
+    random: bool  # whether the seed changes any number
+    seeds: tuple[int, ...]
+    rules: dict[str, Rule]
+    band: BandRule
+    rows: dict[str, Row]
+    metrics: tuple[str, ...]
+    files: dict[str, str]
+    resolved_scenario: dict[str, Any]
+
+    @model_validator(mode="after")
+    def _check_rows(self) -> Table:
+        for key, row in self.rows.items():
+            if key.split("/")[0] not in self.rules:
+                raise ValueError(f"no rule for {key}")
+            if not self.seeds or len(row.by_seed) != len(self.seeds):
+                raise ValueError(f"{key} has {len(row.by_seed)} numbers, not one for each seed")
+        return self
+
+    def same_seed(self, key: str, seed: int) -> float | None:
+        """Return a row's number for a seed: None if the table does not have it.
+
+        Where the seed changes nothing, every seed has the number of the first.
+        """
+        values = self.rows[key].by_seed
+        if not self.random:
+            return values[0]
+        return values[self.seeds.index(seed)] if seed in self.seeds else None
+
+
+_LENGTH_REASON = (
+    "The control loops damp rounding errors: numpy and numba agree to 1e-12 m, and moving a slot "
+    "by 1e-6 m changes RMS errors by less than 1e-7 m, while changing a gain by a few percent "
+    "changes them by several millimetres. For numbers below 0.1 m a millimetre would be too "
+    "coarse; their tolerance is 1 % of the number."
+)
+_TIME_REASON = (
+    "A crossing is detected at the next sample, 0.04 s apart at 25 Hz; rounding can move a few "
+    "crossings by one sample. No band: these times are not normally distributed over seeds."
+)
+
+
+def _length(
+    label: str, *, uses_band: bool, better: Literal["lower", "higher"], more: str = ""
+) -> Rule:
+    return Rule(
+        label=label,
+        unit="m",
+        tolerance=1e-3,
+        relative_tolerance=0.01,
+        min_tolerance=1e-6,
+        reason=_LENGTH_REASON + more,
+        uses_band=uses_band,
+        better=better,
+    )
+
+
+def _time(label: str) -> Rule:
+    return Rule(
+        label=label,
+        unit="s",
+        tolerance=0.2,
+        relative_tolerance=None,
+        min_tolerance=0.2,
+        reason=_TIME_REASON,
+        uses_band=False,
+        better="lower",
+    )
+
+
+RULES: Mapping[str, Rule] = {
+    "rms_m": _length("RMS error", uses_band=True, better="lower"),
+    "mean_rms_m": _length("mean RMS error", uses_band=True, better="lower"),
+    "estimated_mean_rms_m": _length("mean estimated RMS error", uses_band=True, better="lower"),
+    "relative_position_error_m": _length(
+        "error of the estimated position relative to the leader", uses_band=True, better="lower"
+    ),
+    "min_separation_m": _length(
+        "minimum separation",
+        uses_band=False,
+        better="higher",
+        more=" No band: the minimum of a flight is not normally distributed over seeds.",
+    ),
+    "joined_at_s": _time("joined at"),
+    "saturated_s": _time("time in saturation"),
+}
+BAND = BandRule(
+    false_alarm=1e-6,
+    reason="Student's prediction band for one more seed. Of two hundred numbers of new seeds, one "
+    "is outside by chance in one of 5000 checks.",
+)
+
+
+def row_label(key: str) -> str:
+    """Return a row's key as text: window and follower, then the quantity's label."""
+    quantity, *where = key.split("/")
+    label = RULES[quantity].label if quantity in RULES else quantity
+    return " ".join((*where, label)) if where else label
+
+
+def prediction_band(
+    values: Sequence[float], *, false_alarm: float, min_half_width: float, new_values: int = 1
+) -> tuple[float, float]:
+    """Return the band that holds the mean of more values of the same kind.
+
+    Mean ± t s √(1/m + 1/n) of n independent normal values, where s has n − 1 degrees of freedom and
+    m is `new_values`. An RMS error over many correlation times of its noise is nearly normal.
+
+    Args:
+        values: n numbers of 0 or more, one per seed; at least `MIN_BAND_VALUES`.
+        false_alarm: probability that a correct value is outside, both sides together.
+        min_half_width: for rounding.
+        new_values: m, the number of values whose mean is compared.
+
+    Raises:
+        ValueError: there are too few values.
+    """
+    n = len(values)
+    if n < MIN_BAND_VALUES:
+        raise ValueError(f"a band needs {MIN_BAND_VALUES} values, not {n}")
+    mean = statistics.fmean(values)
+    deviation = statistics.stdev(values) * math.sqrt(1.0 / new_values + 1.0 / n)
+    half = max(student_quantile(false_alarm, n - 1) * deviation, min_half_width)
+    return max(mean - half, 0.0), mean + half
+
+
+def table_numbers(metrics: Mapping[str, Any]) -> dict[str, float | None]:
+    """Return the numbers of a flight that a table has, by row key, from its metrics document."""
+    rows: dict[str, float | None] = {}
+    relative = metrics["relative_position_error_m"]
+    for window, numbers in metrics["windows"].items():
+        rows |= {
+            f"rms_m/{window}/{name}": rms
+            for name, rms in numbers["rms_m"].items()
+            if rms is not None or metrics["lost_at_s"][name] is None  # lost aircraft have none
+        }
+        rows[f"mean_rms_m/{window}"] = numbers["mean_rms_m"]
+        if any(relative.values()):  # otherwise estimates are exact, and the two means are equal
+            rows[f"estimated_mean_rms_m/{window}"] = numbers["estimated_mean_rms_m"]
+    rows |= {f"relative_position_error_m/{name}": rms for name, rms in relative.items() if rms}
+    rows["min_separation_m"] = metrics["min_separation_m"]
+    rows |= {f"joined_at_s/{name}": time_s for name, time_s in metrics["joined_at_s"].items()}
+    limits = metrics["saturations"]
+    rows |= {f"saturated_s/{name}": limit["seconds"] for name, limit in limits.items()}
+    return rows
+
+
+def metric_names(metrics: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the sorted keys of a metrics document and of its windows."""
+    windows = list(metrics["windows"].values())
+    return tuple(sorted([*metrics, *(f"windows.*.{key}" for key in (*windows, {})[0])]))
+
+
+def make_table(
+    flights: Mapping[int, Mapping[str, Any]],
+    *,
+    scenario: str,
+    reason: str,
+    random: bool,
+    files: Mapping[str, str],
+    resolved_scenario: Mapping[str, Any],
+) -> Table:
+    """Make a table from metrics documents by seed, all valid and of one structure.
+
+    Numbers are rounded to a hundredth of the smallest tolerance.
+    """
+    measured = [table_numbers(metrics) for metrics in flights.values()]
+    first = next(iter(flights.values()))
+    rows = {
+        key: _make_row(key, [_number(each[key]) for each in measured], random)
+        for key in measured[0]
+    }
+    return Table(
+        scenario=scenario,
+        reason=reason,
+        versions=dict(first["versions"]),
+        random=random,
+        seeds=tuple(flights),
+        rules=dict(RULES),
+        band=BAND,
+        rows=rows,
+        metrics=metric_names(first),
+        files=dict(files),
+        resolved_scenario=dict(resolved_scenario),
+    )
+
+
+def _make_row(key: str, values: Sequence[float], random: bool) -> Row:
+    rule = RULES[key.split("/")[0]]
+    band = None
+    if random and rule.uses_band:
+        allowed = rule.allowed(statistics.fmean(values))
+        low, high = prediction_band(values, false_alarm=BAND.false_alarm, min_half_width=allowed)
+        band = round(low, DECIMALS), round(high, DECIMALS)
+    return Row(band=band, by_seed=tuple(round(value, DECIMALS) for value in values))
+
+
+def _number(value: float | None) -> float:
+    if value is None:
+        raise ValueError("a valid flight has every number")
+    return value
+
+
+def read_table(path: Path) -> Table:
+    """Read a table.
+
+    Raises:
+        InputError: the file cannot be read, or is no table of this version.
+    """
+    try:
+        return Table.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the file"
+        raise InputError(f"{path}: not a golden table: {where}: {first['msg']}") from None
+
+
+def write_table(path: Path, table: Table) -> None:
+    """Write a table in one step: the file has the old content until it has the new.
+
+    Raises:
+        InputError: the folder cannot be made or written.
+    """
+    text = to_text(table.model_dump(mode="json", by_alias=True)) + "\n"
+    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.write_text(text, encoding="utf-8")
+        os.replace(partial, path)
+    except OSError as error:
+        with suppress(OSError):
+            partial.unlink()
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def to_text(value: object, indent: int = 0) -> str:
+    """Return JSON with one line for each value that contains no map, for readable diffs."""
+    inner = " " * (indent + 2)
+    if isinstance(value, Mapping) and any(map(_contains_map, value.values())):
+        items = [f"{inner}{json.dumps(k)}: {to_text(v, indent + 2)}" for k, v in value.items()]
+        return "{\n" + ",\n".join(items) + "\n" + " " * indent + "}"
+    if isinstance(value, list) and any(map(_contains_map, value)):
+        items = [inner + to_text(each, indent + 2) for each in value]
+        return "[\n" + ",\n".join(items) + "\n" + " " * indent + "]"
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+
+
+def _contains_map(value: object) -> bool:
+    return isinstance(value, Mapping) or (
+        isinstance(value, list) and any(map(_contains_map, value))
+    )

@@ -1,0 +1,327 @@
+"""Runs of a study: number, case, point and seed of each, and its scenario.
+
+A plan depends on the study file only. Runs are ordered by case, then point, then seed. In a
+factorial design the last key changes fastest; in the other designs each key draws from its own
+random stream, so that adding a key changes no other key's values. All cases have the same points.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from testbed.core.random import stream
+from testbed.scenario import (
+    Scenario,
+    ScenarioFile,
+    find_study,
+    library,
+    open_scenario,
+    set_duration,
+)
+from testbed.scenario.tree import Node, walk
+from testbed.scenario.violations import Place, Problem, ScenarioError
+from testbed.scenario.yaml_io import read, to_inline, validate
+from testbed.studies.flight_task import with_seed
+from testbed.studies.study_schema import CASE_SCENARIO, StudyConfig, Value
+
+MAX_CHECKED = 2_000  # scenarios read before a study is flown; each takes some milliseconds
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """A study file.
+
+    Args:
+        config: its validated content.
+        path: of the file.
+        text: of the file.
+        tree: its values with their lines and columns.
+    """
+
+    config: StudyConfig
+    path: Path
+    text: str
+    tree: Node = field(repr=False)
+
+    @property
+    def name(self) -> str:
+        """Name of the study."""
+        return self.config.study.name
+
+
+@dataclass(frozen=True, slots=True)
+class StudyRun:
+    """One run of a plan.
+
+    Args:
+        number: from 0.
+        case: name of its case; empty where the study has none.
+        point: values of the keys that vary, in the order of the file.
+        seed: of every random stream.
+        scenario: name or path, as for `testbed run`.
+        overrides: changed keys, as for `--set`, without the seed.
+        duration_s: as for `--duration`.
+    """
+
+    number: int
+    case: str
+    point: Mapping[str, Value]
+    seed: int
+    scenario: str
+    overrides: tuple[str, ...]
+    duration_s: float | None
+
+    @property
+    def command(self) -> str:
+        """Shell command that repeats the run, to the last bit on the same machine and versions."""
+        words = ["testbed", "run", self.scenario]
+        for each in self.overrides:
+            words += ["--set", each]
+        if self.duration_s is not None:
+            words += ["--duration", repr(self.duration_s).removesuffix(".0")]
+        return shlex.join([*words, "--seed", str(self.seed)])
+
+
+def load_study(name_or_path: str | Path) -> Study:
+    """Read and validate a study file; its scenarios are not read.
+
+    Raises:
+        ScenarioError: with every problem found, each with its place.
+    """
+    path = find_study(name_or_path)
+    tree = read(path)
+    config = validate(tree, StudyConfig)
+    return Study(config, path, path.read_text(encoding="utf-8-sig"), tree)
+
+
+class Plan(Sequence[StudyRun]):
+    """All runs of a study, computed on access."""
+
+    def __init__(self, study: Study) -> None:
+        """Draw the points, and read the scenarios.
+
+        Raises:
+            ScenarioError: a scenario does not exist, or cannot be read.
+        """
+        self.study = study
+        config = study.config
+        self.cases: tuple[str, ...] = tuple(config.cases) or ("",)
+        self.keys: tuple[str, ...] = tuple(config.vary)
+        self.seeds: tuple[int, ...] = config.study.seeds
+        self._values = tuple(config.vary.values())
+        self._counts = tuple(each.level_count for each in self._values)
+        self.point_count: int = config.study.samples or math.prod(self._counts)
+        self._drawn = _draw(config) if config.study.samples else None
+        self._drafts = {case: self._open(case) for case in self.cases}
+        # all seeds of a point share one scenario
+        self._load_cached = functools.lru_cache(maxsize=2)(self._load)
+
+    def __len__(self) -> int:
+        """Return the number of runs."""
+        return len(self.cases) * self.point_count * len(self.seeds)
+
+    def __getitem__(self, number: int) -> StudyRun:  # type: ignore[override]
+        """Return the run of a number."""
+        if not 0 <= number < len(self):
+            raise IndexError(number)
+        rest, seed = divmod(number, len(self.seeds))
+        case, point = divmod(rest, self.point_count)
+        return self.run(case, point, seed)
+
+    def __iter__(self) -> Iterator[StudyRun]:
+        """Iterate over all runs, in order."""
+        return map(self.__getitem__, range(len(self)))
+
+    def run(self, case: int, point: int, seed: int = 0) -> StudyRun:
+        """Return the run of a case, a point and a seed, by their indices."""
+        name = self.cases[case]
+        values = self.point(point)
+        config = self.study.config
+        own = {
+            key: each for key, each in config.cases.get(name, {}).items() if key != CASE_SCENARIO
+        }
+        changes = {**config.study.set, **own}  # no key of vary is among them
+        return StudyRun(
+            (case * self.point_count + point) * len(self.seeds) + seed,
+            name,
+            values,
+            self.seeds[seed],
+            _command_name(self._drafts[name]),
+            tuple(f"{key}={to_inline(value)}" for key, value in {**changes, **values}.items()),
+            config.study.duration_s,
+        )
+
+    def point(self, index: int) -> dict[str, Value]:
+        """Return the values of the keys that vary."""
+        if self._drawn is not None:
+            each = zip(self.keys, self._values, self._drawn, strict=True)
+            return {key: values.quantile(drawn[index]) for key, values, drawn in each}
+        point: dict[str, Value] = {}
+        for key, values, count in zip(
+            reversed(self.keys), reversed(self._values), reversed(self._counts), strict=True
+        ):
+            index, level = divmod(index, count)
+            point[key] = values.level(level)
+        return {key: point[key] for key in self.keys}
+
+    def scenario(self, run: StudyRun) -> Scenario:
+        """Return the scenario of a run: the one `testbed run` makes of its command.
+
+        Raises:
+            ScenarioError: it cannot be flown.
+        """
+        return with_seed(self._load_cached(run.case, run.overrides), run.seed)
+
+    def case_scenario(self, case: int) -> Scenario:
+        """Return the scenario of a case without the keys that vary.
+
+        Raises:
+            ScenarioError: it cannot be flown.
+        """
+        run = self.run(case, 0)
+        fixed = run.overrides[: len(run.overrides) - len(self.keys)]
+        return self._load(run.case, fixed)
+
+    def _load(self, case: str, overrides: tuple[str, ...]) -> Scenario:
+        scenario = self._drafts[case].resolve(overrides)
+        duration_s = self.study.config.study.duration_s
+        return scenario if duration_s is None else set_duration(scenario, duration_s)
+
+    def _open(self, case: str) -> ScenarioFile:
+        own = self.study.config.cases.get(case, {})
+        loc = ("cases", case, CASE_SCENARIO) if CASE_SCENARIO in own else ("study", "scenario")
+        node, path, _ = walk(self.study.tree, loc)
+        try:
+            return open_scenario(str(node.value), folder=self.study.path.resolve().parent)
+        except ScenarioError as error:
+            if error.problems[0].place == Place(str(node.value)):
+                raise ScenarioError([Problem(node.place, error.problems[0].text, path)]) from None
+            raise
+
+
+def _draw(config: StudyConfig) -> tuple[tuple[float, ...], ...]:
+    """Draw the probabilities of each key's values: for each key one for each point."""
+    settings = config.study
+    assert settings.samples is not None
+    drawn = []
+    for key in config.vary:
+        random = stream(settings.design_seed, f"study/{settings.design}/{key}")
+        values = random.random(settings.samples)
+        if settings.design == "latin-hypercube":  # one point in each of as many equal parts
+            values = (random.permutation(settings.samples) + values) / settings.samples
+        drawn.append(tuple(values.tolist()))
+    return tuple(drawn)
+
+
+def _command_name(draft: ScenarioFile) -> str:
+    """Return the name of a scenario for `testbed run`: its name, or a short path."""
+    if draft.path.parent == library() / "scenarios":
+        return draft.path.stem
+    here, path = Path.cwd().resolve(), draft.path.resolve()
+    return str(path.relative_to(here) if path.is_relative_to(here) else path)
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedPlan:
+    """Result of reading the scenarios of a plan.
+
+    Args:
+        scenarios: for each case its scenario without the keys that vary, or if that cannot be
+            flown the one of the first point that can.
+        checked: number of scenarios read.
+        invalid: number of them that cannot be flown.
+        example: why, for the first.
+    """
+
+    scenarios: Mapping[str, Scenario]
+    checked: int
+    invalid: int
+    example: str
+
+
+def check_plan(plan: Plan) -> CheckedPlan:
+    """Read the scenarios of a study before any is flown.
+
+    Of more than `MAX_CHECKED`, so many that every level of every key is read in every case. A level
+    or a case that cannot be flown is an error. So is a drawn value only if no point of its case can
+    be flown; otherwise the row of the run will say so.
+
+    Raises:
+        ScenarioError: with the place in the study file.
+    """
+    drawn = any(values.is_distribution for values in plan.study.config.vary.values())
+    scenarios: dict[str, Scenario] = {}
+    checked = invalid = 0
+    example = ""
+    for index, case in enumerate(plan.cases):
+        first: ScenarioError | None = None
+        for point in _points_to_check(plan):
+            run = plan.run(index, point)
+            checked += 1
+            try:
+                scenario = plan.scenario(run)
+            except ScenarioError as error:
+                if not drawn:
+                    raise _in_study_file(plan, run, error) from None
+                invalid += 1
+                first = first or _in_study_file(plan, run, error)
+                example = example or f"run {run.number}: {error.problems[0]}"
+            else:
+                scenarios.setdefault(case, scenario)
+        if case not in scenarios:
+            assert first is not None
+            raise first
+        with suppress(ScenarioError):
+            scenarios[case] = plan.case_scenario(index)
+    return CheckedPlan(scenarios, checked, invalid, example)
+
+
+def _points_to_check(plan: Plan) -> Iterator[int]:
+    """Yield the indices of all points, or of some that have every level of every key."""
+    limit = max(1, MAX_CHECKED // len(plan.cases))
+    if plan.point_count <= limit:
+        yield from range(plan.point_count)
+        return
+    if plan.study.config.study.samples:
+        yield from range(limit)
+        return
+    counts = [values.level_count for values in plan.study.config.vary.values()]
+    for row in range(max(counts)):  # the next level of each key
+        point = 0
+        for count in counts:
+            point = point * count + row % count
+        yield point
+
+
+def _in_study_file(plan: Plan, run: StudyRun, error: ScenarioError) -> ScenarioError:
+    """Return the error with the places of the changed keys in the study file."""
+    problems = []
+    for problem in error.problems:
+        source = problem.place.source if problem.place else ""
+        override = source.removeprefix("--set ") if source.startswith("--set ") else None
+        key = override.partition("=")[0] if override else ""
+        loc = _key_location(plan, run, key) if key else None
+        if loc is None:
+            problems.append(problem)
+            continue
+        node, path, _ = walk(plan.study.tree, loc)
+        in_scenario = ".".join(problem.path)
+        text = f"{in_scenario}: {problem.text}" if in_scenario else problem.text
+        problems.append(Problem(node.place, f"{override}: {text}", path))
+    return ScenarioError(problems)
+
+
+def _key_location(plan: Plan, run: StudyRun, key: str) -> tuple[str, ...] | None:
+    """Return where the study file sets a scenario key of this run."""
+    config = plan.study.config
+    if key in config.vary:
+        return ("vary", key)
+    if key in config.cases.get(run.case, {}):
+        return ("cases", run.case, key)
+    return ("study", "set", key) if key in config.study.set else None

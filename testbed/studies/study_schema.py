@@ -1,0 +1,281 @@
+"""Schema of a study file: a scenario, the keys that vary, and the seeds of the flights."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from fractions import Fraction
+from statistics import NormalDist
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BeforeValidator, ConfigDict, Field, WithJsonSchema, model_validator
+from pydantic_core import PydanticCustomError
+
+from testbed.scenario.fields import Name, Number, Seconds, Section, Whole, raise_findings
+
+MAX_RUNS = 1_000_000
+MAX_SEEDS = 100_000
+CASE_SCENARIO = "scenario"  # the key of a case that names a scenario, and changes no key of one
+
+Value = bool | int | float | str
+"""A value of a scenario key."""
+KeyProblem = tuple[tuple[str | int, ...], str]
+"""The path of a key in the file, and what is wrong with it."""
+
+_FORMS = "a list, {from, to, count}, {from, to, step}, {uniform: [a, b]}, {log_uniform: [a, b]}, "
+_FORMS += "{normal: [mean, sd]} or {choice: [...]}"
+_SEED = "scenario.seed"
+
+
+def _check_level(value: Any) -> Any:  # noqa: ANN401 - any YAML value
+    if isinstance(value, bool | int | float | str):
+        return value
+    raise PydanticCustomError(
+        "level", "must be a number, a word, true or false (maps and lists are for cases)"
+    )
+
+
+def _list_as_choice(value: Any) -> Any:  # noqa: ANN401
+    return {"choice": value} if isinstance(value, list | tuple) else value
+
+
+def _expand_seeds(value: Any) -> Any:  # noqa: ANN401
+    """Expand a number n to the seeds 1 to n."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        if not 1 <= value <= MAX_SEEDS:
+            raise PydanticCustomError("seeds", f"must be 1 to {MAX_SEEDS:,}, or a list of seeds")
+        return tuple(range(1, value + 1))
+    if isinstance(value, list | tuple):
+        return tuple(value)
+    raise PydanticCustomError("seeds", "must be the number of seeds (5 is 1 to 5), or their list")
+
+
+Level = Annotated[
+    Any, BeforeValidator(_check_level), WithJsonSchema({"type": ["number", "string", "boolean"]})
+]
+"""One value of a key: a number, a word, true or false."""
+Seed = Annotated[Whole, Field(ge=0, lt=2**63)]
+Pair = tuple[Number, Number]
+
+
+class Variation(Section):
+    """Values of one scenario key: a list of levels, or a distribution."""
+
+    model_config = ConfigDict(populate_by_name=True)
+
+    choice: tuple[Level, ...] | None = Field(
+        None, min_length=1, description="These values; a bare list means the same."
+    )
+    start: Number | None = Field(None, alias="from", description="First of evenly spaced numbers.")
+    to: Number | None = Field(None, description="Last of evenly spaced numbers.")
+    count: Whole | None = Field(None, ge=2, le=100_000, description="Number of evenly spaced ones.")
+    step: Number | None = Field(None, gt=0, description="Difference of neighbouring numbers.")
+    uniform: Pair | None = Field(None, description="Uniform distribution over [low, high].")
+    log_uniform: Pair | None = Field(
+        None, description="Distribution over [low, high] whose logarithm is uniform."
+    )
+    normal: Pair | None = Field(None, description="Normal distribution, [mean, sd].")
+
+    @property
+    def is_distribution(self) -> bool:
+        """Whether values are drawn from a distribution, so that there are no levels."""
+        return any(each is not None for each in (self.uniform, self.log_uniform, self.normal))
+
+    @property
+    def level_count(self) -> int:
+        """Number of levels; 1 for a distribution."""
+        if self.choice is not None:
+            return len(self.choice)
+        if self.start is None or self.to is None:
+            return 1
+        if self.count is not None:
+            return self.count
+        assert self.step is not None
+        return math.floor((_exact(self.to) - _exact(self.start)) / _exact(self.step)) + 1
+
+    def level(self, index: int) -> Value:
+        """Return the level at an index from 0.
+
+        Evenly spaced numbers are computed from the decimals in the file, so that 0 to 1 by 0.1 has
+        exactly 0.3; they are integers if start and step are.
+        """
+        if self.choice is not None:
+            return self.choice[index]  # type: ignore[no-any-return]
+        assert self.start is not None and self.to is not None
+        start, to = _exact(self.start), _exact(self.to)
+        if self.count is not None:
+            step = (to - start) / (self.count - 1)
+        else:
+            assert self.step is not None
+            step = _exact(self.step)
+        whole = start.denominator == 1 and step.denominator == 1
+        value = start + index * step
+        return int(value) if whole else float(value)
+
+    def quantile(self, probability: float) -> Value:
+        """Return the quantile of the distribution; levels have equal probabilities.
+
+        Args:
+            probability: from 0 to below 1.
+        """
+        if self.uniform is not None:
+            low, high = self.uniform
+            return low + probability * (high - low)
+        if self.log_uniform is not None:
+            low, high = self.log_uniform
+            return min(low * math.pow(high / low, probability), high)
+        if self.normal is not None:
+            # in place of 0, whose quantile is minus infinity: half the resolution of a draw
+            return NormalDist(*self.normal).inv_cdf(probability or 2.0**-54)
+        return self.level(min(int(probability * self.level_count), self.level_count - 1))
+
+
+def _exact(number: float) -> Fraction:
+    """Return the decimal number that is written in the file."""
+    return Fraction(repr(number))
+
+
+class StudySettings(Section):
+    """The section `study`: what is flown, and how often."""
+
+    model_config = ConfigDict(populate_by_name=True)
+
+    schema_version: Literal[1] = Field(alias="schema", description="Version of the file format: 1.")
+    name: Name = Field(description="Name of the study, and of the folder of its results.")
+    question: str = Field("", description="The question the study answers.")
+    scenario: str = Field(
+        min_length=1, description="Name of a scenario, or a path relative to the study file."
+    )
+    duration_s: Seconds | None = Field(
+        None, gt=0, le=86_400, description="End of the flights, instead of the scenario's, s."
+    )
+    set: Mapping[str, Any] = Field({}, description="Scenario keys to change, as with --set.")
+    design: Literal["factorial", "latin-hypercube", "monte-carlo"] | None = Field(
+        None, description="How points are made of vary."
+    )
+    samples: Whole | None = Field(
+        None, ge=1, le=MAX_RUNS, description="Points of latin-hypercube and monte-carlo."
+    )
+    design_seed: Whole = Field(1, ge=0, lt=2**63, description="Seed of the drawn points.")
+    seeds: Annotated[tuple[Seed, ...], BeforeValidator(_expand_seeds)] = Field(
+        (1,), min_length=1, description="Seeds of the flights: their number, or a list."
+    )
+    metrics: tuple[str, ...] = Field(
+        (), description="Numbers of metrics.json to show first, their keys joined by dots."
+    )
+
+
+class StudyConfig(Section):
+    """A study file: everything that decides the rows of a study."""
+
+    study: StudySettings = Field(description="What is flown, and how often.")
+    vary: Mapping[str, Annotated[Variation, BeforeValidator(_list_as_choice)]] = Field(
+        {}, description="Scenario keys and their values."
+    )
+    cases: Mapping[Name, Mapping[str, Any]] = Field(
+        {}, description="Named changes; each is flown with every point of vary."
+    )
+
+    @model_validator(mode="after")
+    def _check_study(self) -> Self:
+        raise_findings(_check(self))
+        return self
+
+
+def _check(config: StudyConfig) -> list[KeyProblem]:
+    """Find what is wrong between sections that are each valid."""
+    problems = [each for key, values in config.vary.items() for each in _check_values(key, values)]
+    if problems:
+        return problems
+    return [*_check_design(config), *_check_keys(config), *_check_lists(config)]
+
+
+def _check_values(key: str, values: Variation) -> Iterator[KeyProblem]:
+    here = ("vary", key)
+    names = ("choice", "uniform", "log_uniform", "normal")
+    forms = [name for name in names if getattr(values, name) is not None]
+    spaced = {"from": values.start, "to": values.to, "count": values.count, "step": values.step}
+    given = [name for name, value in spaced.items() if value is not None]
+    if len(forms) + bool(given) != 1:
+        yield here, f"must have one form (write {_FORMS})"
+    elif given and {"from", "to"} - set(given):
+        yield here, "evenly spaced numbers need from and to, and count or step"
+    elif given and (values.count is None) == (values.step is None):
+        yield here, "evenly spaced numbers need either count or step"
+    elif values.start is not None and values.to is not None and not values.start < values.to:
+        yield (*here, "to"), f"is {values.to:g} (write a number above from, {values.start:g})"
+    elif values.choice is not None:
+        # 1 and true are equal in Python, and different in YAML
+        seen = [(isinstance(value, str | bool), value) for value in values.choice]
+        twice = [value for k, (_, value) in enumerate(seen) if seen[k] in seen[:k]]
+        if twice:
+            yield here, f"has {twice[0]!r} twice (write it once)"
+    else:
+        yield from _check_distribution(here, values)
+
+
+def _check_distribution(here: tuple[str, ...], values: Variation) -> Iterator[KeyProblem]:
+    for name in ("uniform", "log_uniform"):
+        pair = getattr(values, name)
+        if pair is not None and not pair[0] < pair[1]:
+            yield (*here, name), f"is [{pair[0]:g}, {pair[1]:g}] (write [low, high])"
+        elif name == "log_uniform" and pair is not None and pair[0] <= 0.0:
+            yield (*here, name), f"is [{pair[0]:g}, {pair[1]:g}] (write numbers above 0)"
+    if values.normal is not None and not values.normal[1] > 0.0:
+        yield (*here, "normal"), "has no spread (write [mean, standard deviation above 0])"
+
+
+def _check_design(config: StudyConfig) -> Iterator[KeyProblem]:
+    settings = config.study
+    drawn = settings.design in ("latin-hypercube", "monte-carlo")
+    if config.vary and settings.design is None:
+        yield ("study",), "has no design (write design: factorial, latin-hypercube or monte-carlo)"
+    if settings.design is not None and not config.vary:
+        yield ("study", "design"), "has nothing to vary (write vary, or leave design out)"
+    if drawn and settings.samples is None:
+        yield ("study",), f"design {settings.design} needs a number of points (write samples: 40)"
+    for key in ("samples", "design_seed"):
+        if not drawn and key in settings.model_fields_set:
+            yield (
+                ("study", key),
+                "is for latin-hypercube and monte-carlo (leave it out, or change design)",
+            )
+    if settings.design == "factorial":
+        for key, values in config.vary.items():
+            if values.is_distribution:
+                yield (
+                    ("vary", key),
+                    "is a distribution, which a factorial design cannot have (write its levels, as "
+                    "{from: 0, to: 1, count: 5}, or design: latin-hypercube)",
+                )
+
+
+def _check_keys(config: StudyConfig) -> Iterator[KeyProblem]:
+    every: list[tuple[tuple[str, ...], Mapping[str, Any]]] = [
+        (("study", "set"), config.study.set),
+        (("vary",), config.vary),
+    ]
+    every += [(("cases", name), config.cases[name]) for name in config.cases]
+    for here, keys in every:
+        for key in keys:
+            if key == _SEED:
+                yield (*here, key), "the study sets the seeds (write study.seeds)"
+            elif not all(key.split(".")):
+                yield (*here, key), "is not a scenario key (write for example network.delay_s)"
+            elif here != ("vary",) and key in config.vary:
+                yield (*here, key), "is also in vary (write it in one place)"
+    for name, case in config.cases.items():
+        scenario = case.get(CASE_SCENARIO)
+        if CASE_SCENARIO in case and not (isinstance(scenario, str) and scenario):
+            yield ("cases", name, CASE_SCENARIO), "must be the name or the path of a scenario"
+
+
+def _check_lists(config: StudyConfig) -> Iterator[KeyProblem]:
+    settings = config.study
+    for key, values in (("seeds", settings.seeds), ("metrics", settings.metrics)):
+        if len(set(values)) < len(values):
+            yield ("study", key), "has an element twice (write it once)"
+    points = settings.samples or math.prod(each.level_count for each in config.vary.values())
+    runs = points * max(1, len(config.cases)) * len(settings.seeds)
+    if runs > MAX_RUNS:
+        yield ("study",), f"has {runs:,} runs (write fewer than {MAX_RUNS:,})"

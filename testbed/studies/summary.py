@@ -1,0 +1,154 @@
+"""Summary of a study: outcomes, and metrics by case and point."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from testbed.scenario.violations import did_you_mean
+from testbed.studies.flight_task import COMPLETED
+from testbed.studies.rows import METRICS, SET, default_metric
+from testbed.studies.study_schema import StudyConfig
+from testbed.studies.sweep import SweepResult
+from testbed.studies.table import StudyTable, metric_columns, read_table
+
+MAX_GROUPS = 24  # above which a case is one group
+MAX_FAILURES = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Runs of a case and a point; of a case, if there are many points.
+
+    Args:
+        case: empty where the study has none.
+        point: values of the keys that vary; empty if the group has several points.
+        runs: number of runs.
+        completed: number of completed ones.
+        metrics: for each metric its median, minimum and maximum over the runs that have it; None if
+            none has.
+    """
+
+    case: str
+    point: Mapping[str, Any]
+    runs: int
+    completed: int
+    metrics: Mapping[str, tuple[float, float, float] | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """Summary of a study.
+
+    Args:
+        metrics: names of the metrics in it.
+        unknown_metrics: names in the study file that no run has, each with a suggestion.
+        groups: in order of their first runs.
+        failures: the first runs that were not completed, as rows.
+    """
+
+    metrics: tuple[str, ...]
+    unknown_metrics: Mapping[str, str]
+    groups: tuple[Group, ...]
+    failures: tuple[Mapping[str, Any], ...]
+
+
+def summarise(result: SweepResult) -> Summary:
+    """Summarise the result file of a study.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    known = metric_columns(result.path)
+    config = result.study.config
+    wanted = config.study.metrics or default_metric(known)
+    unknown = {name: did_you_mean(name, known) for name in wanted if name not in known}
+    metrics = tuple(name for name in wanted if name in known)
+    sets = tuple(f"{SET}{key}" for key in config.vary)
+    columns = ("case", "seed", *sets, "outcome", *(f"{METRICS}{name}" for name in metrics))
+    table = read_table(result.path, columns)
+    groups = _group_runs(config, table, sets, metrics)
+    return Summary(metrics, unknown, groups, _find_failures(result, table))
+
+
+def _group_runs(
+    config: StudyConfig, table: StudyTable, sets: Sequence[str], metrics: Sequence[str]
+) -> tuple[Group, ...]:
+    cases = table.columns["case"].tolist()
+    points = list(zip(*(table.columns[name].tolist() for name in sets), strict=True))
+    points = points or [()] * len(cases)
+    if len(set(zip(cases, points, strict=True))) > MAX_GROUPS:
+        points = [()] * len(cases)
+    members: dict[tuple[str, tuple[Any, ...]], list[int]] = {}
+    for index, key in enumerate(zip(cases, points, strict=True)):
+        members.setdefault(key, []).append(index)
+    completed = table.columns["outcome"] == COMPLETED
+    return tuple(
+        Group(
+            case,
+            dict(zip(config.vary, point, strict=True)) if point else {},
+            len(rows),
+            int(completed[rows].sum()),
+            {name: _median_and_range(table.columns[f"{METRICS}{name}"][rows]) for name in metrics},
+        )
+        for (case, point), rows in members.items()
+    )
+
+
+def _median_and_range(values: Any) -> tuple[float, float, float] | None:  # noqa: ANN401 - (runs,)
+    known = values[~np.isnan(values)]
+    if not known.size:
+        return None
+    return float(np.median(known)), float(known.min()), float(known.max())
+
+
+def _find_failures(result: SweepResult, table: StudyTable) -> tuple[Mapping[str, Any], ...]:
+    failed = np.flatnonzero(table.columns["outcome"] != COMPLETED)[:MAX_FAILURES]
+    if not failed.size:
+        return ()
+    texts = read_table(result.path, ("outcome", "error", "command")).columns
+    return tuple(
+        {
+            "run": int(texts["run"][row]),
+            "outcome": texts["outcome"][row],
+            "error": texts["error"][row],
+            "command": texts["command"][row],
+        }
+        for row in failed
+    )
+
+
+def to_document(result: SweepResult, summary: Summary) -> dict[str, Any]:
+    """Return the summary as plain data for JSON."""
+    metadata = read_table(result.path, ()).metadata
+    return {
+        "schema": 2,
+        "study": result.study.name,
+        "file": str(result.path),
+        "complete": metadata["complete"] == "true",
+        "versions": json.loads(metadata["versions.json"]),
+        "runs": sum(result.outcomes.values()),
+        "new_runs": result.new_runs,
+        "outcomes": dict(result.outcomes),
+        "groups": [
+            {
+                "case": group.case,
+                "set": dict(group.point),
+                "runs": group.runs,
+                "completed": group.completed,
+                "metrics": {
+                    name: None
+                    if numbers is None
+                    else dict(zip(("median", "min", "max"), numbers, strict=True))
+                    for name, numbers in group.metrics.items()
+                },
+            }
+            for group in summary.groups
+        ],
+        "unknown_metrics": list(summary.unknown_metrics),
+        "failures": [dict(each) for each in summary.failures],
+    }

@@ -1,0 +1,274 @@
+"""Fly a study: its runs in worker processes, its rows on disk as they finish.
+
+The content of the result file depends on the study file only: not on the number of processes,
+their place, or how often the study was interrupted.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from testbed.core.errors import InputError
+from testbed.scenario import Scenario, dump
+from testbed.scenario.violations import ScenarioError
+from testbed.sim.build import versions
+from testbed.studies.dask_workers import cluster_notices
+from testbed.studies.flight_pool import FlightPool, open_flight_pool
+from testbed.studies.flight_task import COMPLETED, OUTCOMES, FlightResult, FlightTask
+from testbed.studies.journal import Journal
+from testbed.studies.plan import Plan, Study, check_plan, load_study
+from testbed.studies.rows import Row, flatten_metrics
+from testbed.studies.scenario_snapshot import differences, file_digests, snapshot
+from testbed.studies.table import (
+    StudyOutput,
+    find_output,
+    make_metadata,
+    read_table,
+    write_table,
+)
+
+REFRESH_S = 30.0  # between two writes of the result file while runs are flown, at least
+MAX_WRITE_SHARE = 0.02  # of the time, for these writes
+_LEFT_OUT = ("name", "question", "metrics")  # settings that change no row
+
+Progress = Callable[[int, int], None]
+Report = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class SweepResult:
+    """Result of a study.
+
+    Args:
+        study: its file.
+        path: of the result file.
+        new_runs: number of runs flown by this call; the others were in the file.
+        outcomes: number of runs by outcome.
+    """
+
+    study: Study
+    path: Path
+    new_runs: int
+    outcomes: Mapping[str, int]
+
+    @property
+    def completed(self) -> bool:
+        """Whether all runs were completed."""
+        return all(not count for outcome, count in self.outcomes.items() if outcome != COMPLETED)
+
+
+def sweep(
+    study: Study | str | Path,
+    out: Path | None = None,
+    *,
+    jobs: int | None = None,
+    resume: bool = False,
+    backend: str = "joblib",
+    scheduler: str | None = None,
+    refresh_s: float = REFRESH_S,
+    progress: Progress = lambda done, total: None,
+    report: Report = lambda text: None,
+) -> SweepResult:
+    """Fly a study into one Parquet file.
+
+    Args:
+        study: a study, or the name or path of its file.
+        out: the result file, ending in .parquet, or its directory; default
+            logs/studies/<name>/<UTC>-<id> below the current directory.
+        jobs: processes at once; default one for each processor.
+        resume: continue a study: fly only the missing runs.
+        backend: "joblib" for processes on this machine, "dask" for a cluster.
+        scheduler: address of the cluster's scheduler.
+        refresh_s: shortest time between two writes of the result file while runs are flown.
+        progress: called with the number of finished runs and of all.
+        report: called with each message, of one line.
+
+    Raises:
+        InputError: the study, a path or an option cannot be used; or the inputs changed since the
+            study was started.
+        KeyboardInterrupt: Ctrl-C or SIGTERM; the file has the finished runs.
+    """
+    study = study if isinstance(study, Study) else load_study(study)
+    plan = Plan(study)
+    start = time.monotonic()
+    checked = check_plan(plan)
+    if checked.invalid:
+        report(
+            f"warning: {checked.invalid} of {checked.checked} points are invalid, such as "
+            f"{checked.example}"
+        )
+    inputs = _make_inputs(plan, checked.scenarios)
+    factors = f"{_factor(len(plan.cases), 'case')}{_factor(plan.point_count, 'point')}"
+    report(
+        f"{len(plan):,} runs: {factors}{len(plan.seeds)} seeds; {checked.checked:,} scenarios read "
+        f"in {time.monotonic() - start:.1f} s"
+    )
+    if backend == "dask" and scheduler is not None:
+        for line in cluster_notices(scheduler):
+            report(line)
+    with open_flight_pool(jobs=jobs, backend=backend, scheduler=scheduler) as pool:
+        output = find_output(study.name, out, resume=resume)
+        report(f"file: {output.path}")
+        if output.path.exists() and not output.journal.exists():
+            return _completed(study, output, inputs)
+        new = not output.journal.exists()
+        journal = Journal(output.journal, inputs if new else None)
+        try:
+            if not new:
+                _refuse_changed_inputs(output, journal.inputs, inputs)
+            texts = {case: dump(scenario) for case, scenario in checked.scenarios.items()}
+            metadata = make_metadata(plan, texts, inputs["versions"])
+            metadata["inputs.json"] = json.dumps(inputs, ensure_ascii=False)
+            writer = _TableWriter(output, plan, journal, metadata, refresh_s)
+            new_runs = _fly(plan, pool, journal, writer, progress)
+            outcomes = Counter(row.outcome for row in journal.rows())
+            output.journal.unlink()  # while it is locked, so that nothing else resumes it
+        finally:
+            journal.close()
+    return SweepResult(study, output.path, new_runs, _all_outcomes(outcomes))
+
+
+class _TableWriter:
+    """Writes the result file from time to time, and at the end."""
+
+    def __init__(
+        self,
+        output: StudyOutput,
+        plan: Plan,
+        journal: Journal,
+        metadata: Mapping[str, str],
+        refresh_s: float,
+    ) -> None:
+        self._arguments = (output.path, plan, journal, metadata)
+        self._refresh_s = refresh_s
+        self._next_s = 0.0
+
+    def write(self) -> None:
+        """Write the file."""
+        start = time.monotonic()
+        write_table(*self._arguments)
+        end = time.monotonic()
+        self._next_s = end + max(self._refresh_s, (end - start) / MAX_WRITE_SHARE)
+
+    def write_if_due(self) -> None:
+        """Write the file if the last write was long enough ago."""
+        if time.monotonic() >= self._next_s:
+            self.write()
+
+
+def _fly(
+    plan: Plan, pool: FlightPool, journal: Journal, writer: _TableWriter, progress: Progress
+) -> int:
+    """Fly the missing runs, and return their number."""
+    flown = 0
+    try:
+        writer.write()
+        progress(len(journal), len(plan))
+        for result in pool.run(_missing_tasks(plan, journal)):
+            journal.add(_to_row(result, journal.inputs["versions"]))
+            flown += 1
+            progress(len(journal), len(plan))
+            writer.write_if_due()
+    finally:
+        writer.write()
+    return flown
+
+
+def _missing_tasks(plan: Plan, journal: Journal) -> Iterator[FlightTask]:
+    """Yield the tasks of the runs that the journal does not have."""
+    for number in range(len(plan)):
+        if number not in journal:
+            try:
+                yield FlightTask(number, plan.scenario(plan[number]))
+            except ScenarioError as error:
+                yield FlightTask(number, None, f"invalid: {error}")
+
+
+def _to_row(result: FlightResult, expected: Mapping[str, str]) -> Row:
+    """Return the row of a flight.
+
+    Raises:
+        InputError: its worker has other versions than the study was started with.
+    """
+    if result.metrics is None:
+        return Row(result.number, result.outcome, result.error, {})
+    different = differences(expected, result.metrics["versions"])
+    if different:
+        raise InputError(
+            f"run {result.number} was flown by a worker of other versions: {'; '.join(different)} "
+            "(install the same versions for all workers)"
+        )
+    return Row(result.number, result.outcome, result.error, flatten_metrics(result.metrics))
+
+
+def _make_inputs(plan: Plan, scenarios: Mapping[str, Scenario]) -> dict[str, Any]:
+    """Return everything that decides the rows of a study, which may not change before a resume."""
+    config = plan.study.config.model_dump(mode="json", by_alias=True, exclude_none=True)
+    config["study"] = {key: v for key, v in config["study"].items() if key not in _LEFT_OUT}
+    folder = plan.study.path.resolve().parent
+    files: dict[str, str] = {}
+    for scenario in scenarios.values():
+        files |= file_digests(scenario)
+    inputs = {
+        "study": config,
+        "scenarios": {case: snapshot(scenario, folder) for case, scenario in scenarios.items()},
+        "files": files,
+        "versions": versions(),
+    }
+    plain: dict[str, Any] = json.loads(json.dumps(inputs))
+    return plain
+
+
+def _refuse_changed_inputs(
+    output: StudyOutput, old: Mapping[str, Any], new: Mapping[str, Any]
+) -> None:
+    """Refuse to resume a study whose inputs changed.
+
+    Raises:
+        InputError: saying what changed.
+    """
+    titles = {
+        "study": "the study file",
+        "scenarios": "a scenario",
+        "files": "a file of a scenario",
+        "versions": "the versions",
+    }
+    for part, title in titles.items():
+        changed = differences(old.get(part, {}), new[part])
+        if changed:
+            more = f"; and {len(changed) - 3} more" if len(changed) > 3 else ""
+            raise InputError(
+                f"{output.path}: {title} changed since the study was started: "
+                f"{'; '.join(changed[:3])}{more} (undo the change, or start again without --resume)"
+            )
+
+
+def _completed(study: Study, output: StudyOutput, inputs: Mapping[str, Any]) -> SweepResult:
+    """Return the result of a study that was complete before.
+
+    Raises:
+        InputError: its inputs changed, or it is incomplete and its journal is missing.
+    """
+    table = read_table(output.path, ["outcome"])
+    _refuse_changed_inputs(output, json.loads(table.metadata["inputs.json"]), inputs)
+    if not table.complete:
+        raise InputError(
+            f"{output.path}: is incomplete, and its journal {output.journal} is missing (start "
+            "again without --resume)"
+        )
+    outcomes = Counter(table.columns["outcome"].tolist())
+    return SweepResult(study, output.path, 0, _all_outcomes(outcomes))
+
+
+def _all_outcomes(counts: Mapping[str, int]) -> dict[str, int]:
+    return {outcome: counts.get(outcome, 0) for outcome in OUTCOMES}
+
+
+def _factor(count: int, what: str) -> str:
+    return f"{count} {what}{'s' if count > 1 else ''} × " if count > 1 else ""

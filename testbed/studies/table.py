@@ -1,0 +1,263 @@
+"""Result file of a study: its place, and its Parquet table with one row for each run."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed import __version__
+from testbed.core.errors import InputError
+from testbed.logs.arrow_io import column_names, read_columns, write_columns
+from testbed.logs.run_directory import LOGS, create_run_directory
+from testbed.scenario.yaml_io import to_inline
+from testbed.studies.journal import Journal
+from testbed.studies.plan import Plan
+from testbed.studies.rows import METRICS, SET, Row
+from testbed.studies.study_schema import Value, Variation
+
+STUDIES = LOGS / "studies"
+FILE = "study.parquet"
+SUFFIX = ".parquet"
+
+SCHEMA = 2
+_ROWS_AT_ONCE = 2_000  # in memory
+_LARGEST = 2**63
+FIRST_COLUMNS = {"run": "int64", "case": "string", "seed": "int64"}
+NEXT_COLUMNS = {"outcome": "string", "error": "string", "command": "string"}
+
+
+@dataclass(frozen=True, slots=True)
+class StudyOutput:
+    """Path of a study's result file, and of its journal, which exists until it is complete."""
+
+    path: Path
+
+    @property
+    def journal(self) -> Path:
+        """Path of the journal."""
+        return self.path.with_suffix(".journal")
+
+    @property
+    def exists(self) -> bool:
+        """Whether there is a result file or a journal."""
+        return self.path.exists() or self.journal.exists()
+
+
+def find_output(name: str, out: Path | None, *, resume: bool) -> StudyOutput:
+    """Find the result file to resume, or the place of a new one.
+
+    Args:
+        name: of the study.
+        out: a file ending in .parquet, or a directory. Default: the latest of the study, or a new
+            one, in logs/studies/<name> below the current directory.
+        resume: use an existing one, if there is one.
+
+    Raises:
+        InputError: there is one and `resume` is false, or it cannot be created.
+    """
+    if out is None:
+        latest = _find_latest(name) if resume else None
+        return latest or StudyOutput(create_run_directory(name, logs=STUDIES) / FILE)
+    output = StudyOutput(out if out.suffix == SUFFIX else out / FILE)
+    if output.exists and not resume:
+        raise InputError(
+            f"--out {out}: exists already (write --resume to continue it, or another path)"
+        )
+    try:
+        output.path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--out {out}: cannot be created: {error.strerror}") from None
+    if not os.access(output.path.parent, os.W_OK):
+        raise InputError(f"--out {out}: is not writable (write another path)")
+    return output
+
+
+def _find_latest(name: str) -> StudyOutput | None:
+    folder = STUDIES / name
+    found = [StudyOutput(each / FILE) for each in folder.iterdir()] if folder.is_dir() else []
+    existing = [each for each in found if each.exists]
+    return max(existing, key=lambda each: each.path.parent.name, default=None)
+
+
+@dataclass(frozen=True, slots=True)
+class StudyTable:
+    """Content of a result file.
+
+    Args:
+        columns: by name, in the file's order, one element for each run; missing numbers are NaN.
+        metadata: texts of the file: study.yaml, scenario.yaml, versions.json and others.
+    """
+
+    columns: Mapping[str, NDArray[Any]]
+    metadata: Mapping[str, str]
+
+    @property
+    def complete(self) -> bool:
+        """Whether it has all runs of the plan."""
+        return self.metadata["complete"] == "true"
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Iterate over the rows as Python values by column; None for a missing number."""
+        names, count = tuple(self.columns), len(self.columns["run"])
+        for index in range(count):
+            values = (_python_value(self.columns[name][index]) for name in names)
+            yield dict(zip(names, values, strict=True))
+
+
+def read_table(path: Path | str, names: Iterable[str] | None = None) -> StudyTable:
+    """Read the result file of a study, complete or not.
+
+    Args:
+        path: the file.
+        names: columns to read, where they exist; None reads all. `run` is always read.
+
+    Raises:
+        InputError: the file does not exist, or is no result of a study.
+    """
+    try:
+        wanted = None if names is None else {"run", *names}
+        columns, metadata = read_columns(Path(path), wanted)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+    schema = metadata.get("study.schema")
+    if schema is None or "run" not in columns:
+        raise InputError(
+            f"{path}: is no result of a study (write a file that `testbed sweep` made)"
+        )
+    if schema != str(SCHEMA):
+        raise InputError(
+            f"{path}: is of version {schema}; this testbed reads version {SCHEMA} (fly the study "
+            "again)"
+        )
+    return StudyTable(columns, metadata)
+
+
+def read_rows(path: Path | str) -> list[dict[str, Any]]:
+    """Read the rows of a result file as Python values by column; None for a missing number.
+
+    Raises:
+        InputError: the file does not exist, or is no result of a study.
+    """
+    return list(read_table(path).rows())
+
+
+def metric_columns(path: Path | str) -> tuple[str, ...]:
+    """Return the names of the metrics of a result file, without the prefix of their columns."""
+    names = (name for name in column_names(Path(path)) if name.startswith(METRICS))
+    return tuple(name.removeprefix(METRICS) for name in names)
+
+
+def write_table(path: Path, plan: Plan, journal: Journal, metadata: Mapping[str, str]) -> None:
+    """Write the rows of a journal as a result file, which replaces the one before in one step.
+
+    Args:
+        path: the file.
+        plan: of the study.
+        journal: the finished runs.
+        metadata: texts to store in the file.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    metrics = journal.names()
+    varied = plan.study.config.vary
+    sets = {f"{SET}{key}": column_type(values) for key, values in varied.items()}
+    numbers = dict.fromkeys((f"{METRICS}{name}" for name in metrics), "double")
+    fields = FIRST_COLUMNS | sets | NEXT_COLUMNS | numbers
+    all_metadata = {
+        "study.schema": str(SCHEMA),
+        "complete": "true" if len(journal) == len(plan) else "false",
+        **metadata,
+    }
+    part = path.with_name(f".{path.name}.part")
+    try:
+        with part.open("wb") as file:
+            write_columns(file, fields, _column_blocks(plan, journal, sets, metrics), all_metadata)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(part, path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _column_blocks(
+    plan: Plan, journal: Journal, sets: Mapping[str, str], metrics: tuple[str, ...]
+) -> Iterator[list[list[Any]]]:
+    """Yield the columns of a limited number of rows at a time."""
+    rows = journal.rows()
+    are_texts = [kind == "string" for kind in sets.values()]
+    while block := list(islice(rows, _ROWS_AT_ONCE)):
+        cells = (_cells(plan, row, are_texts, metrics) for row in block)
+        yield list(map(list, zip(*cells, strict=True)))
+
+
+def _cells(plan: Plan, row: Row, are_texts: list[bool], metrics: tuple[str, ...]) -> list[Any]:
+    run = plan[row.run]
+    values = zip(run.point.values(), are_texts, strict=True)
+    return [
+        run.number,
+        run.case,
+        run.seed,
+        *(_text(value) if is_text else value for value, is_text in values),
+        row.outcome,
+        row.error,
+        run.command,
+        *(row.metrics.get(name) for name in metrics),
+    ]
+
+
+def column_type(values: Variation) -> str:
+    """Return the column type that the values of a key need."""
+    if values.is_distribution:
+        return "double"
+    levels = [values.level(index) for index in range(values.level_count)]
+    if all(isinstance(value, bool) for value in levels):
+        return "bool"
+    if any(isinstance(value, bool | str) for value in levels):
+        return "string"
+    whole = all(isinstance(value, int) and abs(value) < _LARGEST for value in levels)
+    return "int64" if whole else "double"
+
+
+def make_metadata(
+    plan: Plan, scenarios: Mapping[str, str], versions: Mapping[str, str]
+) -> dict[str, str]:
+    """Return the texts to store in a result file.
+
+    Args:
+        plan: of the study.
+        scenarios: resolved scenario files by case.
+        versions: of the testbed and its libraries.
+    """
+    named = {f"scenario.{case}.yaml": text for case, text in scenarios.items() if case}
+    return {
+        "study.name": plan.study.name,
+        "study.yaml": plan.study.text,
+        "scenario.yaml": scenarios[plan.cases[0]],
+        **named,
+        "versions.json": json.dumps(dict(versions)),
+        "testbed.version": __version__,
+        "runs": str(len(plan)),
+    }
+
+
+def _text(value: Value) -> str:
+    return value if isinstance(value, str) else to_inline(value)
+
+
+def _python_value(value: Any) -> Any:  # noqa: ANN401 - a cell
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and math.isnan(value) else value

@@ -1,0 +1,126 @@
+"""Show recorded runs: one, or two over one another, in a view or as a picture."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from testbed.core.errors import InputError
+from testbed.core.records import Event, RunInfo
+from testbed.views.batch import Batch, Source, batch_of, overlay, split
+from testbed.views.scene import Scene, overlay_scenes, scene_of
+from testbed.views.sinks import ViewSink, ViewTarget
+from testbed.views.viewer import headless_viewer
+
+BATCH_SAMPLES = 1000
+LABELS = ("A", "B")  # of two runs
+SIZE = (1600, 900)  # pixels
+LOADED_S = 60.0  # a long run on a slow machine
+LIMIT_S = 120.0  # of the whole picture
+DRAWN_S = 1.0  # the viewer draws several times and does not say when it is done
+GREETING_S = 6.0  # after its first drawing the viewer shows a notice of its address for so long
+
+
+class Recorded(Source, Protocol):
+    """A log read back, such as `testbed.logs.read.Log`."""
+
+    @property
+    def info(self) -> RunInfo: ...  # noqa: D102
+    @property
+    def events(self) -> tuple[Event, ...]: ...  # noqa: D102
+
+
+class ViewComplaintError(RuntimeError):
+    """A view of the viewer reports an error in what it was sent: a bug of the testbed."""
+
+
+def replay(target: ViewTarget, first: Recorded, second: Recorded | None = None) -> None:
+    """Show one run, or two over one another, as fast as the target takes them.
+
+    Raises:
+        InputError: Two runs have no time in common.
+        OSError: An .rrd file cannot be written.
+    """
+    scene, batch = scene_and_batch(first, second)
+    sink = target.open(scene)
+    if sink is not None:
+        _send(sink, batch)
+        sink.close()
+
+
+def screenshot(
+    path: Path,
+    at_s: float,
+    first: Recorded,
+    second: Recorded | None = None,
+    *,
+    size: tuple[int, int] = SIZE,
+) -> None:
+    """Save a picture of one run, or of two over one another, without a screen.
+
+    Args:
+        path: of the PNG.
+        at_s: a time that the runs have, s.
+        first: a log.
+        second: another one.
+        size: width and height of the viewer's window, pixels.
+
+    Raises:
+        InputError: Two runs have no time in common, or no viewer can draw without a screen.
+        ViewComplaintError: A view reports an error; the picture is saved all the same.
+    """
+    from testbed.views.rerun_backend import Recording, RemoteViewer
+
+    scene, batch = scene_and_batch(first, second)
+    with headless_viewer(size, limit_s=LIMIT_S) as port:
+        viewer = RemoteViewer(port, scene.recording_id)
+        viewer.wait_until_drawn()
+        greeting_ends = time.monotonic() + GREETING_S
+        recording = Recording(scene, live=False, at_s=at_s)
+        recording.open(port)
+        _send(recording, batch)
+        recording.flush(LOADED_S)
+        viewer.pause_at(at_s, LOADED_S)
+        viewer.hide_menu()
+        time.sleep(max(DRAWN_S, greeting_ends - time.monotonic()))
+        complaints = viewer.save_screenshot(path)
+        recording.close()
+    if complaints:
+        raise ViewComplaintError(f"{path}: the viewer reports: {'; '.join(complaints)}")
+
+
+def scene_and_batch(first: Recorded, second: Recorded | None = None) -> tuple[Scene, Batch]:
+    """Prepare one run, or two at the times that both have.
+
+    Raises:
+        InputError: Two runs have no time in common.
+    """
+    scene, batch = _prepare(first)
+    if second is None:
+        return scene, batch
+    second_scene, second_batch = _prepare(second)
+    batch = overlay(batch, second_batch, LABELS)
+    if len(batch) < 2:
+        raise InputError("the two runs have no samples at the same times: nothing to overlay")
+    begin, step = float(batch.time[0]), float(np.median(np.diff(batch.time)))
+    both = replace(overlay_scenes(scene, second_scene, LABELS), sample_rate_hz=1.0 / step)
+    titles = [
+        Event(begin, "info", label, f"is {each.title}")
+        for label, each in zip(LABELS, (scene, second_scene), strict=True)
+    ]
+    return both, replace(batch, events=(*titles, *batch.events))
+
+
+def _prepare(run: Recorded) -> tuple[Scene, Batch]:
+    batch = batch_of(run, run.events)
+    estimated = not np.array_equal(batch.estimated_position, batch.position, equal_nan=True)
+    return replace(scene_of(run.info), estimated=estimated), batch
+
+
+def _send(sink: ViewSink, batch: Batch) -> None:
+    for piece in split(batch, BATCH_SAMPLES):
+        sink.send(piece)

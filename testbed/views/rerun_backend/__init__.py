@@ -1,0 +1,6 @@
+"""Send views to Rerun and control its viewer; the only package that imports Rerun."""
+
+from testbed.views.rerun_backend.recording import Recording
+from testbed.views.rerun_backend.remote import RemoteViewer
+
+__all__ = ["Recording", "RemoteViewer"]

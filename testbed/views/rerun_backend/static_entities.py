@@ -1,0 +1,120 @@
+"""Entities that do not move, and the constant parts of those that do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import rerun as rr
+
+from testbed.core.records import Array
+from testbed.views import layout, plots
+from testbed.views.airframes import AirframeDrawing
+from testbed.views.meshes import DARK, LIGHT, MAIN, Mesh, vertex_normals
+from testbed.views.rerun_backend.blueprint import GRID
+from testbed.views.scene import BACKDROP, Colour, Ground, Scene, ground, mix, secondary_colour
+
+PATH = (165, 165, 170)
+WIND, ESTIMATE = (255, 150, 190), (255, 255, 255)  # not colours of aircraft
+GHOST_ALPHA, DISC_ALPHA = 60, 70  # of 255
+
+Entity = tuple[str, tuple[rr.AsComponents, ...]]  # path and components
+
+
+def static_entities(
+    scene: Scene,
+    drawings: Sequence[AirframeDrawing],
+    framing: layout.Framing,
+    tabs: Sequence[Sequence[plots.Plot]],
+) -> Iterator[Entity]:
+    """List the entities that are sent once.
+
+    Args:
+        scene: of N aircraft.
+        drawings: N
+        framing: how large they are drawn.
+        tabs: rows of plots.
+    """
+    yield "world", (rr.ViewCoordinates.FRD,)
+    for name, drawing, paint in zip(scene.names, drawings, scene.colours, strict=True):
+        yield from _aircraft(name, drawing, paint, framing.size)
+    for row in scene.followers:
+        faded = mix(scene.colours[row], BACKDROP, 0.5)
+        ghost = painted(drawings[row].body, faded, faded, GHOST_ALPHA)
+        drawn = f"world/slots/{scene.names[row]}/drawn"
+        yield drawn, (rr.Transform3D(scale=framing.size), ghost)
+    arrows = rr.Arrows3D.from_fields(colors=WIND, radii=rr.Radius.ui_points(1.2))
+    yield "world/chase/wind", (arrows,)
+    points = rr.Points3D.from_fields(colors=ESTIMATE, radii=rr.Radius.ui_points(3.0))
+    yield "world/chase/estimates", (points,)
+    if len(scene.names) > layout.MAX_NAMED:
+        above = rr.Points3D.from_fields(radii=rr.Radius.ui_points(0.1), show_labels=True)
+        yield "world/chase/largest_errors", (above,)
+    yield from _ground(ground(scene.paths))
+    for plot in (plot for row in tabs for plot in row):
+        yield from _axes(plot)
+
+
+def _aircraft(name: str, drawing: AirframeDrawing, paint: Colour, size: float) -> Iterator[Entity]:
+    at, trim = f"world/aircraft/{name}", secondary_colour(paint)
+    yield f"{at}/drawn", (rr.Transform3D(scale=size),)
+    yield f"{at}/drawn/body", (painted(drawing.body, paint, trim),)
+    if drawing.disc is not None:
+        yield f"{at}/drawn/disc", (painted(drawing.disc, paint, trim, DISC_ALPHA),)
+    for surface in drawing.control_surfaces:
+        hinge = rr.Transform3D(translation=surface.hinge)
+        yield f"{at}/drawn/{surface.name}", (painted(surface.mesh, paint, trim), hinge)
+    marker = rr.Points3D([0.0, 0.0, 0.0], radii=rr.Radius.ui_points(3.5), colors=paint)
+    yield f"{at}/marker", (marker,)
+    above = [0.0, 0.0, -0.3 * size * np.ptp(drawing.body.vertices[:, 1])]
+    small = rr.Radius.ui_points(0.1)
+    yield f"{at}/name", (rr.Points3D(above, radii=small, colors=paint, labels=name),)
+    # the points of a trail come later
+    line = rr.LineStrips3D.from_fields(colors=paint, radii=rr.Radius.ui_points(1.0))
+    yield f"world/trails/{name}", (line,)
+
+
+def _ground(area: Ground) -> Iterator[Entity]:
+    def lines(
+        strips: Sequence[Array], colour: Colour, points: float = 0.5
+    ) -> tuple[rr.LineStrips3D]:
+        return (rr.LineStrips3D(strips, radii=rr.Radius.ui_points(points), colors=colour),)
+
+    yield "world/ground/grid", lines(area.lines, GRID)
+    if area.paths:
+        shadows = [path * [1.0, 1.0, 0.0] for path in area.paths]
+        yield "world/paths/line", lines(area.paths, PATH, 0.8)
+        yield "world/paths/shadow", lines(shadows, GRID)
+        yield "world/paths/posts", lines(tuple(area.posts), GRID)
+    small = rr.Radius.ui_points(0.1)
+    scale = rr.Points3D(area.label_positions, labels=area.labels, radii=small, colors=GRID)
+    yield "world/ground/scale", (scale,)
+
+
+def _axes(plot: plots.Plot) -> Iterator[Entity]:
+    for series in plot.series:
+        lines = rr.SeriesLines(colors=series.colours, names=series.labels, widths=series.width)
+        yield f"plots/{plot.name}/{series.name}", (lines,)
+    if plot.constants:
+        # Transparent lines at the ends of the minimum range extend the axis. They have the name of
+        # a series, so that the legend, which merges equal names, does not list them.
+        unseen = len(plot.constants) - len(plot.limits)
+        names = [name for name, _ in plot.limits] + [plot.series[0].labels[0]] * unseen
+        colours = [(*plots.LIMIT, 255)] * len(plot.limits) + [(0, 0, 0, 0)] * unseen
+        yield (
+            f"plots/{plot.name}/limits",
+            (rr.SeriesLines(colors=colours, names=names, widths=1.0),),
+        )
+
+
+def painted(mesh: Mesh, paint: Colour, trim: Colour, alpha: int = 255) -> rr.Mesh3D:
+    """Colour a mesh for an aircraft."""
+    colours = np.empty((3, 3), np.uint8)
+    colours[MAIN], colours[LIGHT], colours[DARK] = paint, trim, (45, 50, 58)
+    return rr.Mesh3D(
+        vertex_positions=mesh.vertices,
+        triangle_indices=mesh.triangles,
+        vertex_normals=vertex_normals(mesh),
+        vertex_colors=colours[mesh.paint],
+        albedo_factor=(255, 255, 255, alpha),
+    )

@@ -1,0 +1,61 @@
+"""A small study of unicycle vehicles, and a worker pool that flies it in this process."""
+
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+
+from testbed.studies.flight_task import run_task
+
+STUDY = """
+study:
+  schema: 1
+  name: small
+  scenario: ideal-figure-eight
+  duration_s: 1
+  set: {rates: {physics_hz: 50, autopilot_hz: 50, control_hz: 25, broadcast_hz: 25, log_hz: 25}}
+  design: factorial
+  seeds: [3, 1]
+  metrics: [windows.approach.mean_rms_m]
+vary:
+  network.loss: [0, 0.4]
+cases:
+  near: {}
+  far: {"fleet.uav1.start_m": [-90, 30, 0]}
+"""
+RUNS = 8
+
+
+def write(folder, text=STUDY, name="small"):
+    path = folder / f"{name}.yaml"
+    path.write_text(text)
+    return path
+
+
+@dataclass
+class InThisProcess:
+    """Worker pool that flies in this process, and records the numbers of its tasks."""
+
+    flown: list[int] = field(default_factory=list)
+
+    def capacity(self):
+        return 1
+
+    def submit(self, task):
+        self.flown.append(task.number)
+        future = Future()
+        future.set_result(run_task(task))
+        return future
+
+    def lost_worker(self, error):
+        return False
+
+    def shutdown(self):
+        pass
+
+
+def content(table):
+    """Return the columns to the bit, and the metadata: what must not depend on the workers."""
+    columns = {
+        name: (values.dtype, [repr(value) for value in values.tolist()])
+        for name, values in table.columns.items()
+    }
+    return columns, dict(table.metadata)

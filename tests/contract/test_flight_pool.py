@@ -1,0 +1,131 @@
+"""Worker processes: killed ones lose no flight but their own, and none outlives its parent."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import worker_tasks
+from commands import environment
+from patience import PATIENCE_S, until
+
+from testbed.core.errors import InputError
+from testbed.studies.flight_pool import open_flight_pool
+from testbed.studies.flight_task import FlightTask
+
+HERE = Path(__file__).parent
+INTERRUPTED = 130
+# A script without `if __name__ == "__main__"`: workers must not run it again.
+SCRIPT = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import worker_tasks
+from testbed.studies import local_workers
+from testbed.studies.flight_pool import open_flight_pool
+from testbed.studies.flight_task import FlightTask
+local_workers.run_task = worker_tasks.run_task
+try:
+    with open_flight_pool(jobs=1) as pool:
+        for result in pool.run([FlightTask(0, ("run_for_ever", sys.argv[2]))]):
+            print("it ended")
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+
+
+@pytest.fixture
+def no_flights(monkeypatch):
+    """Processes that run the functions of `worker_tasks`."""
+    monkeypatch.setattr("testbed.studies.local_workers.run_task", worker_tasks.run_task)
+
+
+def has_ended(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    # a zombie counts: its parent has not waited for it
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+
+
+def test_pool_killed_worker_loses_only_its_task(no_flights, tmp_path):
+    """The task is repeated once; all others have their results."""
+    scenarios = [
+        ("echo", "before"),
+        ("die_once", str(tmp_path / "mark")),
+        ("die",),
+        None,
+        ("exit_worker",),
+        ("describe",),
+        ("echo", "after"),
+    ]
+    tasks = [FlightTask(k, each, "" if each else "an error") for k, each in enumerate(scenarios)]
+    with open_flight_pool(jobs=2) as pool:
+        results = {each.number: each for each in pool.run(tasks)}
+        more = list(pool.run([FlightTask(7, ("describe",)), FlightTask(8, ("describe",))]))
+    assert sorted(results) == list(range(len(scenarios)))
+    assert [results[k].metrics["value"] for k in (0, 1, 6)] == ["before", "again", "after"]
+    assert (results[2].outcome, results[2].metrics) == ("failed", None)
+    assert results[2].error == "failed: its process was killed 2 times"
+    assert (results[3].outcome, results[3].error) == ("invalid", "an error")
+    assert (results[4].outcome, results[4].error) == ("failed", "failed: SystemExit: 3")
+    worker = results[5].metrics["value"]
+    assert set(worker["threads"].values()) == {"1"}
+    assert worker["pid"] != os.getpid()
+    assert all(has_ended(each.metrics["value"]["pid"]) for each in more)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_pool_worker_ends_with_its_parent(tmp_path, number):
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT)
+    mark = tmp_path / "mark"
+    parent = subprocess.Popen(
+        [sys.executable, script, HERE, mark], env=environment(80), stderr=subprocess.PIPE
+    )
+    try:
+        worker = until(lambda: mark.exists() and int(mark.read_text()))
+        parent.send_signal(number)
+        _, errors = parent.communicate(timeout=PATIENCE_S)
+    finally:
+        parent.kill()
+    expected = -signal.SIGKILL if number == signal.SIGKILL else INTERRUPTED
+    assert parent.returncode == expected, errors
+    until(lambda: has_ended(worker))
+    if number != signal.SIGKILL:
+        assert errors == b""
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"backend": "ray"}, "write joblib or dask"),
+        ({"scheduler": "tcp://127.0.0.1:1"}, "needs --backend dask"),
+        ({"backend": "dask"}, "--scheduler tcp://HOST:8786"),
+        ({"backend": "dask", "scheduler": "tcp://127.0.0.1:1", "jobs": 2}, "leave --jobs out"),
+    ],
+)
+def test_pool_options_that_exclude_each_other(options, message):
+    with pytest.raises(InputError, match=message), open_flight_pool(**options):
+        pass
+
+
+def test_pool_without_dask_names_the_package(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with (
+        pytest.raises(InputError, match="pip install distributed"),
+        open_flight_pool(backend="dask", scheduler="tcp://127.0.0.1:1"),
+    ):
+        pass
+
+
+def test_pool_absent_scheduler_is_an_input_error(monkeypatch):
+    pytest.importorskip("distributed", reason="the extra dask of pyproject.toml")
+    monkeypatch.setattr("testbed.studies.dask_workers.CONNECT_S", 0.2)
+    with (
+        pytest.raises(InputError, match="127.0.0.1:1: does not answer"),
+        open_flight_pool(backend="dask", scheduler="tcp://127.0.0.1:1"),
+    ):
+        pass

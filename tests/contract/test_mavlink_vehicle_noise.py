@@ -1,0 +1,187 @@
+"""Broken datagrams and absurd messages neither raise nor move an aircraft.
+
+TESTBED_FRAMES sets the number of frames.
+"""
+
+import math
+import os
+import random
+import socket
+
+import pytest
+from mavlink_control import RecordingControl, info, sample
+
+from testbed.mavlink import codec as codec_module
+from testbed.mavlink.addresses import Address
+from testbed.mavlink.codec import Codec, Message
+from testbed.mavlink.server import MavlinkServer
+from testbed.mavlink.telemetry_snapshot import TelemetrySnapshot
+from testbed.mavlink.udp_endpoint import MAX_DATAGRAMS
+from testbed.mavlink.vehicle import MavlinkVehicle
+from testbed.mavlink.vehicle_control import MissionItem, Mode
+
+FRAMES = int(os.environ.get("TESTBED_FRAMES", "10000"))
+SEED = 20261122
+# A 16-bit checksum passes one broken frame in 65536: this many may be accepted.
+COINCIDENCES = 2 + FRAMES // 10000
+
+
+def commands(codec):
+    """Return frames that each command the aircraft if they arrive intact."""
+    to = {"target_system": 1, "target_component": 1}
+    numbers = {f"param{n}": 0.0 for n in range(3, 8)}
+    channels = {f"chan{n}_raw": 1700 for n in range(1, 9)}
+    order = {**to, **numbers, "confirmation": 0}
+    axes = {"x": 300, "y": -300, "z": 800, "r": 0, "buttons": 0}
+    target = {"time_boot_ms": 1, "type_mask": 7, "q": (1.0, 0.0, 0.0, 0.0), "thrust": 0.7}
+    target |= {f"body_{axis}_rate": 0.0 for axis in ("roll", "pitch", "yaw")}
+    return [
+        codec.pack("COMMAND_LONG", **order, command=400, param1=0.0, param2=21196.0),
+        codec.pack("COMMAND_LONG", **order, command=176, param1=1.0, param2=12.0),
+        codec.pack("COMMAND_LONG", **order, command=178, param1=0.0, param2=18.0),
+        codec.pack("SET_MODE", target_system=1, base_mode=1, custom_mode=15),
+        codec.pack("RC_CHANNELS_OVERRIDE", **to, **channels),
+        codec.pack("MANUAL_CONTROL", target=1, **axes),
+        codec.pack("SET_ATTITUDE_TARGET", **to, **target),
+        codec.pack("PARAM_SET", **to, param_id="ROLL_LIMIT_DEG", param_value=9.0, param_type=9),
+        codec.pack("MISSION_CLEAR_ALL", **to, mission_type=0),
+        codec.pack("MISSION_SET_CURRENT", **to, seq=0),
+    ]
+
+
+def broken(frame_, rng):
+    """Damage a frame at random; never returns the frame itself."""
+    way = rng.randrange(6)
+    if way == 0:
+        return rng.randbytes(rng.randrange(1, 400))
+    if way == 1:
+        return frame_[: rng.randrange(1, len(frame_))]
+    if way == 2:
+        return bytes(rng.choice(b"\xfd\xfe\x00\x01\xff") for _ in range(rng.randrange(1, 80)))
+    if way == 3:
+        at = rng.randrange(1, len(frame_))
+        return frame_[:at] + frame_[at + 1 :]
+    changed = bytearray(frame_)
+    # a bit in any byte; the checksum also covers the system id
+    for _ in range(1 if way == 4 else rng.randrange(2, 12)):
+        at = rng.randrange(len(changed))
+        changed[at] ^= 1 << rng.randrange(8)
+    return b"\xfd" if bytes(changed) == frame_ else bytes(changed)
+
+
+POLLS = 50  # a poll has a few ms, in which a busy machine may handle only one message
+
+
+def test_broken_datagrams_move_no_aircraft():
+    rng = random.Random(SEED)
+    control, codec = RecordingControl(), Codec(255, 190)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground:
+        ground.bind(("127.0.0.1", 0))
+        port = ground.getsockname()[1]
+        server = MavlinkServer([Address("udpout", "127.0.0.1", port)], [control], epoch_us=0)
+        server.begin(info())
+        server.observe(sample())
+        _, vehicle = ground.recvfrom(2048)
+        whole = commands(codec)
+        for number in range(FRAMES):
+            ground.sendto(broken(rng.choice(whole), rng), vehicle)
+            if number % (MAX_DATAGRAMS // 4) == 0:
+                server.poll(0.0)
+        for _ in range(POLLS):
+            server.poll(0.0)
+        assert len(control.calls) <= COINCIDENCES
+        assert server.summary()["skipped_bytes"] > FRAMES
+        # intact, each of these frames has an effect
+        control.calls.clear()
+        for each in whole:
+            ground.sendto(each, vehicle)
+        for _ in range(POLLS):
+            server.poll(0.0)
+        server.close()
+    assert len(control.calls) == len(whole)
+
+
+SPECIAL = {
+    "f": (math.nan, math.inf, -math.inf, 3e38, -3e38, 0.0, 1.0, 176.0, 21196.0, 1e-38),
+    "d": (math.nan, math.inf, 1e308),
+}
+
+
+def absurd(name, rng):
+    """Make a message with random bytes, extreme or common values in its fields."""
+    layout = codec_module._layout(codec_module._numbers_by_name()[name])
+    fields = dict(layout.unpack(rng.randbytes(layout.struct.size)))
+    for each in layout.fields:
+        if each.is_text or each.count or rng.random() < 0.3:
+            continue
+        if each.code in SPECIAL:
+            fields[each.name] = rng.choice(SPECIAL[each.code])
+        else:
+            bits = int(each.type_name.strip("uint_"))
+            low = 0 if each.type_name.startswith("u") else -(1 << (bits - 1))
+            high = (1 << bits) - 1 + low
+            fields[each.name] = min(max(rng.choice((low, high, 0, 1, 2, 3, 6)), low), high)
+    for target in ("target_system", "target_component", "target"):
+        if target in fields:
+            fields[target] = rng.choice((0, 1))
+    if "command" in fields and rng.random() < 0.8:
+        fields["command"] = rng.choice((16, 17, 176, 178, 192, 224, 300, 400, 410, 510, 511, 512))
+    if "mission_type" in fields and rng.random() < 0.8:
+        fields["mission_type"] = 0
+    if "frame" in fields:
+        fields["frame"] = rng.choice((0, 3, 5, 6))
+    if name == "PARAM_SET" and rng.random() < 0.8:
+        fields["param_id"] = rng.choice(("RC1_MIN", "ROLL_LIMIT_DEG", "SYSID_THISMAV"))
+    return Message(name, rng.choice((0, 1, 255)), rng.choice((0, 1, 190)), 0, fields)
+
+
+def numbers_in(given):
+    """Yield every number in the arguments of a command."""
+    if isinstance(given, MissionItem | tuple):
+        for each in given:
+            yield from numbers_in(each)
+    elif isinstance(given, float):
+        yield given
+
+
+@pytest.mark.parametrize("without_sample", [False, True], ids=["flying", "before the first sample"])
+def test_absurd_messages_give_finite_commands(without_sample):
+    rng = random.Random(SEED + without_sample)
+    control, codec = RecordingControl(), Codec(1, 1)
+    control.mission = (MissionItem(16, 3, (0.0,) * 4, 38.0, -3.5, 100.0),) * 3
+    vehicle = MavlinkVehicle(control, 1, 0, info(), 0)
+    wall_s = 0.0
+    known = list(vehicle._handlers)
+    every = sorted(codec_module._numbers_by_name())
+    for number in range(FRAMES // 2):
+        name = rng.choice(known if number % 4 else every)
+        wall_s += 0.3 * rng.random()
+        replies = vehicle.handle(absurd(name, rng), wall_s) + vehicle.poll(wall_s)
+        if not without_sample and number % 10 == 0:
+            replies += vehicle.update(TelemetrySnapshot(sample(number), info().origin), wall_s)
+        for reply in replies:
+            codec.pack(reply.name, **reply.fields)
+    assert {call[0] for call in control.calls} >= {
+        "set_manual_command",
+        "set_mode",
+        "set_armed",
+        "set_loiter_point",
+    }
+    assert all(map(math.isfinite, numbers_in(tuple(control.calls))))
+    for name, *given in control.calls:
+        if name == "set_mode":
+            assert given[0] in Mode
+        if name == "set_manual_command":
+            roll, pitch, throttle = given[:3]
+            assert abs(roll) < math.tau
+            assert abs(pitch) < math.tau
+            assert 0.0 <= throttle <= 1.0
+
+
+def test_unknown_messages_are_not_answered():
+    rng = random.Random(SEED + 2)
+    control = RecordingControl()
+    vehicle = MavlinkVehicle(control, 1, 0, info(), 0)
+    for name in sorted(codec_module._numbers_by_name().keys() - vehicle._handlers.keys()):
+        assert vehicle.handle(absurd(name, rng), 0.0) == []
+    assert control.calls == []

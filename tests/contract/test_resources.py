@@ -1,0 +1,111 @@
+"""Memory and disk space: estimates agree with flights, and too large runs are refused."""
+
+import subprocess
+import sys
+from collections import namedtuple
+
+import pytest
+from patience import PATIENCE_S
+from typer.testing import CliRunner
+
+import testbed
+from testbed.cli.main import app
+from testbed.core.errors import InputError
+from testbed.scenario import load, set_duration
+from testbed.sim import resources
+from testbed.sim.build import build, build_clock
+
+LONG = "scenario.duration_s=86400"
+FAST = ("rates.physics_hz=10000", "rates.log_hz=10000")
+# Prints the largest resident size, bytes, after a scenario was built and flown for some seconds.
+MEASURED = """
+import sys
+from pathlib import Path
+from testbed.scenario import load
+from testbed.sim.loop import fly
+from testbed.sim.build import build
+name, until, *changes = sys.argv[1:]
+fly(build(load(name, changes)), [], lambda now, due: now >= float(until))
+lines = Path("/proc/self/status").read_text().splitlines()
+print(next(1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM")))
+"""
+Usage = namedtuple("Usage", "total used free")
+
+
+def run_error(name, *changes, out):
+    """Return the error of a run that writes nothing."""
+    sets = [word for change in changes for word in ("--set", change)]
+    done = CliRunner().invoke(app, ["run", name, *sets, "--out", str(out)])
+    assert isinstance(done.exception, InputError)  # exit code 2
+    assert not out.exists()
+    return str(done.exception)
+
+
+@pytest.mark.parametrize(
+    "name", ["simulation-3", "simulation-3-pixhawk", "turbulence-moderate", "vee-30"]
+)
+def test_disk_needed_agrees_with_the_log(name, tmp_path):
+    scenario = set_duration(load(name), 12.0)
+    run = testbed.run(scenario, out=tmp_path / "run")
+    size = (run.directory / "run.mcap").stat().st_size
+    assert resources.disk_needed(scenario) == pytest.approx(size, rel=0.15)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.parametrize(
+    ("name", "until", "changes"),
+    [
+        ("ideal-figure-eight", 0.1, ("scenario.duration_s=3000",)),
+        ("simulation-3", 20.0, ("rates.physics_hz=1000", "rates.broadcast_hz=1000",
+                                "network.delay_s=20")),
+        ("vee-30", 5.0, ()),
+    ],
+    ids=["path", "messages in flight", "aircraft"],
+)  # fmt: skip
+def test_memory_needed_agrees_with_the_flight(name, until, changes):
+    scenario = load(name, changes)
+    done = subprocess.run(
+        [sys.executable, "-c", MEASURED, name, str(until), *changes],
+        check=True, capture_output=True, text=True, timeout=PATIENCE_S,
+    )  # fmt: skip
+    most = int(done.stdout)
+    assert 0.75 * resources.memory_needed(scenario, build_clock(scenario)) < most
+    assert most < 1.15 * resources.memory_needed(scenario, build_clock(scenario))
+
+
+def test_memory_more_than_free_is_refused(tmp_path, monkeypatch):
+    changes = (LONG, "rates.physics_hz=10000", "rates.autopilot_hz=10000")
+    error = run_error("ideal-figure-eight", *changes, out=tmp_path / "run")
+    assert "86400 s of 4 aircraft need about 345.8 GB of memory, and " in error
+    monkeypatch.setattr(resources, "memory_free", lambda: 1e8)
+    with pytest.raises(InputError, match=r"need about 0\.2 GB of memory, and 0\.1 GB are free"):
+        build(load("simulation-3"))
+
+
+def test_disk_log_larger_than_free_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(resources.shutil, "disk_usage", lambda place: Usage(9e9, 8e9, 1e9))
+    error = run_error("simulation-3", LONG, *FAST, out=tmp_path / "a" / "run")
+    assert "the log of 86400 s of 4 aircraft needs about 1486.1 GB" in error
+    assert f"{tmp_path} has 1.0 GB" in error
+    assert not (tmp_path / "a").exists()
+    resources.check_disk(load("simulation-3"), tmp_path)  # 46 MB
+
+
+def test_disk_run_without_log_needs_no_space(tmp_path, monkeypatch):
+    monkeypatch.setattr(resources.shutil, "disk_usage", lambda place: Usage(9e9, 9e9, 0.0))
+    scenario = set_duration(load("simulation-3", ["log.mcap=false"]), 0.2)
+    assert testbed.run(scenario, out=tmp_path / "run").outcome == "completed"
+    with pytest.raises(InputError, match=r"has 0\.0 MB"):
+        testbed.run(set_duration(load("simulation-3"), 0.2), out=tmp_path / "other")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_memory_free_has_the_limit_of_a_container(tmp_path, monkeypatch):
+    monkeypatch.setattr(resources, "_CGROUP", tmp_path)
+    unlimited = resources.memory_free()
+    assert unlimited > 1e8
+    (tmp_path / "memory.max").write_text("300000000\n")
+    (tmp_path / "memory.current").write_text("100000000\n")
+    assert resources.memory_free() == 2e8
+    (tmp_path / "memory.max").write_text("max\n")
+    assert resources.memory_free() == pytest.approx(unlimited, rel=0.2)

@@ -1,0 +1,193 @@
+"""Sensors, faults and limits: defaults, presets and settings."""
+
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from testbed.scenario import ScenarioError, dump, load, loads, set_duration
+from testbed.scenario.faults import AnyFault
+from testbed.scenario.sensors import SENSOR_NAMES, TRUTH, Estimator, Sensors
+
+FOLDER = Path(__file__).parents[1] / "data" / "scenarios"
+MINIMAL = (FOLDER / "minimal.yaml").read_text()
+KINDS = {
+    "engine-out": "",
+    "thrust-loss": ", remaining: 0.5",
+    "surface-stuck": ", surface: elevator",
+    "surface-floating": ", surface: rudder",
+    "airspeed-blocked": "",
+    "gps-lost": "",
+    "gps-jump": ", offset_m: [1, 2, 3]",
+    "autopilot-frozen": "",
+    "transmitter-off": "",
+    "battery-low": ", state_of_charge: 0.3",
+}
+FLIGHT_MODEL = ("engine-out", "thrust-loss", "surface-stuck", "surface-floating")
+FLIGHT_MODEL += ("autopilot-frozen", "battery-low")
+
+
+def read(text, *overrides):
+    """Read minimal.yaml with more keys of its follower, as YAML."""
+    assert MINIMAL.count("name: uav1,") == 1
+    return loads(MINIMAL.replace("name: uav1,", f"name: uav1, {text},"), overrides)
+
+
+def sensors(text, *overrides):
+    return read(f"sensors: {text}", *overrides).fleet[0].sensors
+
+
+def fault(text):
+    (one,) = read(f"faults: [{{{text}}}]").fleet[0].faults
+    return one
+
+
+def test_sensors_without_errors_are_exact():
+    assert TRUTH.exact and not TRUTH.measured
+    assert Sensors(estimator=Estimator(gate_sigma=3.0)).exact
+    for name in SENSOR_NAMES:
+        one = sensors(f"{{{name}: {{}}}}")
+        assert one.measured and not one.exact
+        assert [each for each in SENSOR_NAMES if getattr(one, each) is not None] == [name]
+    noisy = sensors("gps-ins")
+    assert not noisy.exact and not noisy.measured
+
+
+def test_sensor_without_keys_has_rates_and_no_errors():
+    empty = sensors("{gps: {}, barometer: {}, airspeed: {}, gyro: {}, accelerometer: {}}")
+    assert (empty.gps.rate_hz, empty.gps.latency_s) == (5, 0.12)
+    assert (empty.barometer.rate_hz, empty.airspeed.rate_hz) == (10, 10)
+    assert empty.airspeed.smoothing_s == 0.28
+    assert sensors("{magnetometer: {}}").magnetometer.rate_hz == 10
+    for name in SENSOR_NAMES:
+        for key, value in sensors(f"{{{name}: {{}}}}").model_dump()[name].items():
+            if not key.endswith(("_hz", "_s")):
+                assert value in (0.0, (0.0, 0.0)), (name, key)
+
+
+def test_estimator_defaults_are_those_of_ekf3():
+    settings = sensors("truth").estimator
+    assert settings.gps_position_noise_m == 0.5
+    assert settings.gps_velocity_noise_mps == (0.5, 0.7)
+    assert (settings.barometer_noise_m, settings.airspeed_noise_mps) == (3.0, 1.4)
+    # 0.5 rad, to the digits of the page
+    assert settings.heading_noise_deg == pytest.approx(0.5 * 180.0 / 3.14159265, abs=0.06)
+    assert (settings.gyro_noise_radps, settings.accelerometer_noise_mps2) == (0.015, 0.35)
+    assert (settings.gate_sigma, settings.airspeed_gate_sigma) == (5.0, 4.0)
+
+
+@pytest.mark.parametrize("name", ["gps-ins", "pixhawk", "degraded"])
+def test_preset_is_dumped_in_full(name):
+    whole = read(f"sensors: {name}")
+    text = dump(whole)
+    assert name not in text and "preset" not in text
+    assert loads(text) == whole
+    assert sensors(f"{{preset: {name}}}") == whole.fleet[0].sensors
+    assert "sensors: truth" in text  # the leader's
+
+
+def test_map_changes_preset_key_by_key():
+    changed, preset = (
+        sensors("{preset: pixhawk, gps: {rate_hz: 1}, gyro: null}"),
+        sensors("pixhawk"),
+    )
+    assert changed.gps == preset.gps.model_copy(update={"rate_hz": 1})
+    assert changed.gyro is None
+    assert changed.barometer == preset.barometer != sensors("degraded").barometer
+    late = sensors("{preset: degraded, estimator: {gps_delay_s: 0.22}}")
+    assert late.estimator == Estimator(gps_delay_s=0.22)
+    assert late.gps.latency_s == 0.22 != sensors("degraded").estimator.gps_delay_s
+    assert sensors("{gps: {rate_hz: 1}}").gps.noise_m == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("written", ["pixhawk", "{preset: pixhawk, gps: {rate_hz: 2}}"])
+def test_setting_changes_one_number_of_a_preset(written):
+    at = "fleet.*.sensors"
+    preset = sensors("pixhawk")
+    one = sensors(written, f"{at}.gps.rate_hz=1")
+    assert one == preset.model_copy(update={"gps": preset.gps.model_copy(update={"rate_hz": 1})})
+    assert sensors(written, f"{at}.gps=null") == preset.model_copy(update={"gps": None})
+    assert sensors(written, f"{at}.preset=degraded").barometer == sensors("degraded").barometer
+
+
+def test_null_setting_restores_number_of_preset():
+    text = "{preset: pixhawk, gps: {rate_hz: 2}}"
+    assert sensors(text, "fleet.0.sensors.gps.rate_hz=null") == sensors("pixhawk")
+
+
+def test_extending_file_changes_preset(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    base = MINIMAL.replace(
+        "leader:\n", "leader:\n  sensors: {preset: pixhawk, gps: {rate_hz: 1}}\n"
+    )
+    assert base != MINIMAL
+    (tmp_path / "base.yaml").write_text(base)
+    top = loads("extends: base.yaml\nleader: {sensors: {gps: null}}")
+    assert top.leader.sensors == sensors("{preset: pixhawk, gps: null}")
+    top = loads("extends: base.yaml\nleader: {sensors: {gps: {latency_s: 0.3}}}")
+    assert (top.leader.sensors.gps.rate_hz, top.leader.sensors.gps.latency_s) == (1, 0.3)
+    top = loads("extends: base.yaml\nleader: {sensors: {preset: null, gps: null}}")
+    assert top.leader.sensors == TRUTH
+
+
+def test_sensor_rate_is_at_most_the_autopilots():
+    assert sensors("{gps: {rate_hz: 50}}").gps.rate_hz == 50
+    with pytest.raises(ScenarioError) as caught:
+        read("sensors: pixhawk", "rates.autopilot_hz=8")
+    text = "fleet.0.sensors: the barometer measures at 10 Hz, above rates.autopilot_hz, 8"
+    assert text in str(caught.value)
+    assert "gps" not in str(caught.value)
+
+
+def test_fault_kinds_are_complete():
+    union = get_args(AnyFault)[0]
+    known = {get_args(kind.model_fields["kind"].annotation)[0] for kind in get_args(union)}
+    assert known == set(KINDS)
+
+
+@pytest.mark.parametrize(("kind", "own"), KINDS.items())
+def test_fault_has_documented_defaults(kind, own):
+    one = fault(f"kind: {kind}, at_s: 3{own}")
+    assert (one.kind, one.at_s, one.when, one.duration_s, one.declared) == (kind, 3.0, *[None] * 3)
+    undeclared = kind in ("airspeed-blocked", "gps-jump", "autopilot-frozen", "transmitter-off")
+    assert one.is_declared is not undeclared
+    assert fault(f"kind: {kind}, at_s: 3, declared: false{own}").is_declared is False
+    assert one.NEEDS_FLIGHT_MODEL is (kind in FLIGHT_MODEL)
+    assert next(iter(one.model_dump())) == "kind"
+
+
+def test_fault_keys_have_documented_defaults():
+    assert fault("kind: surface-stuck, at_s: 0, surface: left-elevon").position is None
+    assert fault("kind: surface-floating, at_s: 0, surface: aileron").ratio == 0.5
+    assert fault("kind: airspeed-blocked, at_s: 0").drain == "blocked"
+    assert fault("kind: gps-jump, at_s: 0, declared: true, offset_m: [1, 2, 3]").is_declared
+
+
+def test_condition_begins_fault_with_or_without_time():
+    low = fault("kind: gps-lost, when: {quantity: airspeed_mps, below: 15}")
+    assert (low.at_s, low.when.quantity, low.when.below, low.when.above) == (
+        None,
+        "airspeed_mps",
+        15.0,
+        None,
+    )
+    both = fault("kind: gps-lost, at_s: 10, when: {quantity: bank_deg, above: 0}")
+    assert (both.at_s, both.when.above) == (10.0, 0.0)  # at the end of the run
+
+
+def test_set_duration_drops_later_faults():
+    text = "faults: [{kind: gps-lost, at_s: 4}, {kind: gps-lost, at_s: 4.5}, {kind: engine-out, "
+    text += "when: {quantity: bank_deg, above: 50}}]"
+    (short,) = set_duration(read(text), 4.0).fleet
+    assert [one.at_s for one in short.faults] == [4.0, None]
+
+
+def test_limits_and_response_are_read():
+    settings = [
+        "limits={collision_m: 2, separation_m: 2}",
+        "formation.on_failure.response=reassign-slots",
+    ]
+    one = read("tune: autopilot", *settings)
+    assert (one.limits.collision_m, one.limits.separation_m) == (2.0, 2.0)
+    assert one.formation.on_failure.response == "reassign-slots"
+    assert load(FOLDER / "everything.yaml").limits.on_loss == "continue"

@@ -1,0 +1,313 @@
+"""Every key of the schema: defaults, full fixture, round trip, and the editor's schema."""
+
+from collections.abc import Mapping
+from functools import reduce
+from operator import getitem
+from pathlib import Path
+from typing import get_args
+
+import jsonschema
+import numpy as np
+import pytest
+import yaml
+
+from testbed.scenario import Scenario, dump, json_schema, list_scenarios, load, loads, set_duration
+from testbed.scenario.fields import Section
+from testbed.sim.build import build
+
+FOLDER = Path(__file__).parents[1] / "data" / "scenarios"
+FIXTURES = sorted(FOLDER.glob("*.yaml"))
+EVERY_SCENARIO = [*list_scenarios(), *map(str, FIXTURES)]
+
+
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
+def test_dump_loads_to_equal_scenario(name, monkeypatch, tmp_path):
+    scenario = load(name)
+    monkeypatch.chdir(tmp_path)  # a dump does not depend on the working directory
+    assert loads(dump(scenario)) == scenario
+
+
+@pytest.mark.parametrize("name", list_scenarios())
+def test_scenario_has_name_question_and_expectation(name):
+    header = load(name).scenario
+    assert header.name == name
+    assert header.question.endswith("?") and header.expectation
+
+
+def test_simulation_3_has_the_papers_parameters():
+    formation = load("simulation-3").formation
+    assert (formation.k, formation.a, formation.b) == (3.0, 1.0, 0.1)
+    assert (formation.c.constant, formation.c.per_speed_squared) == (0.1, 0.0)
+    assert formation.altitudes_m == formation.agents == {}
+    assert (formation.kappa_mps, formation.speed_mps) == (3.6, (16.0, 30.0))
+    assert formation.offsets_m == {
+        "uav1": (-5.0, 5.0, 0.0),
+        "uav2": (-5.0, -5.0, -4.0),
+        "uav3": (-5.0, -5.0, 4.0),
+    }
+    one = (1.0, 1.0, 1.0)
+    assert formation.leader_gains == {"uav1": one, "uav2": one, "uav3": one}
+    assert formation.neighbour_gains == {"uav2": {"uav1": one}, "uav3": {"uav2": one}}
+
+
+def test_defaults_are_as_documented():
+    scenario = load(FOLDER / "minimal.yaml")
+    rates = scenario.rates
+    assert (rates.physics_hz, rates.autopilot_hz, rates.control_hz) == (200, 50, 25)
+    assert (rates.broadcast_hz, rates.log_hz) == (25, 25)
+    assert scenario.leader.sensors.exact and scenario.fleet[0].sensors.exact
+    assert scenario.leader.path.bank_limit_deg == 30.0
+    assert scenario.leader.start.altitude_m == 100.0
+    assert scenario.formation.leader_gains == {}
+    assert scenario.scenario.origin.latitude_deg == 38.0
+    assert scenario.log.mcap is True
+    assert rates.synchronous is True
+    assert scenario.leader.vehicle == scenario.fleet[0].vehicle == "jsbsim"
+    controller = scenario.controller
+    assert (controller.law, controller.options) == ("hbh23", {})
+    assert set(controller.estimators.model_dump().values()) == {None}
+    assert (controller.pitch_feedforward, controller.bounded_speed) == ("none", "ground_speed")
+    assert (controller.leader_timeout_s, controller.on_leader_timeout) == (5.0, "straight")
+    assert scenario.network.transmitter_off_s == {}
+    assert scenario.air.wind.speed_mps == 0.0
+    assert scenario.leader.faults == scenario.fleet[0].faults == ()
+    on_failure = scenario.formation.on_failure
+    assert (on_failure.response, on_failure.declared_after_s) == ("ignore", 2.0)
+    assert scenario.limits.model_dump() == {
+        "collision_m": None,
+        "separation_m": None,
+        "overspeed_mps": None,
+        "stall_deg": None,
+        "formation_lost_m": 100.0,
+        "on_loss": "stop",
+        "on_limit_exceeded": "continue",
+    }
+
+
+# Kinds that exclude those of everything.yaml: paths, winds, and of the network traces and TDMA.
+VIRTUAL = "leader.path={{kind: virtual, speed_mps: 21, curve: {{{}}}}}"
+ARDUPLANE = (
+    "{kind: ardupilot, binary: /usr/bin/arduplane, start: false, instance: 7, timeout_s: 20.0}"
+)
+EXTERNAL = "{kind: external, failsafe_s: 3.0, lockstep: true, timeout_s: 5.0}"
+MISSION = (
+    "{kind: mission, airspeed_mps: 21.0, bank_limit_deg: 25.0, climb_limit_mps: 1.0, "
+    "waypoint_radius_m: 80.0, legs: [{kind: waypoints, laps: 1, points_m: [[600.0, 0.0, 90.0], "
+    "[0.0, 0.0, 90.0]]}]}"
+)
+OTHER_KINDS = [
+    VIRTUAL.format("kind: straight, climb_mps: 1"),
+    VIRTUAL.format("kind: circle, radius_m: 200, direction: anticlockwise, climb_mps: -0.5"),
+    VIRTUAL.format("kind: figure-eight, radius_m: 180, direction: anticlockwise"),
+    VIRTUAL.format("kind: weave, amplitude_m: 30, period_s: 25"),
+    VIRTUAL.format("kind: speed-change, amplitude_mps: 2, period_s: 30"),
+    "leader.path={kind: replay, file: arduplane-auto-leader-rascal.csv}",
+    "air.wind={file: gusty-wind.csv, max_gap_s: 2, profile: {kind: uniform}}",
+    "air.wind={speed_mps: 5, profile: {kind: power, height_m: 20, exponent: 0.2}}",
+    "network={trace: {file: gusty-wind.csv, random_start: true, begin_s: 2}, message_bytes: 120, "
+    "tdma: {frame_s: 0.1, order: [uav2, lead, uav1], packets: 2, queue_packets: 3}}",
+    f"leader={{name: lead, aircraft: rascal110, autopilot: {ARDUPLANE}, path: {MISSION}}}",
+    f"leader={{name: lead, aircraft: rascal110, commanded_by: {EXTERNAL}, path: {MISSION}}}",
+    f"fleet.1={{name: uav2, aircraft: rascal110, autopilot: {ARDUPLANE}, start_m: [-40, -10, 0]}}",
+]
+# Keys with a single value.
+BY_KIND = ("ByFormation", "VirtualAutopilot", "External", "ArduPlane")
+SINGLE_VALUE = {(kind, "kind") for kind in ("Bernoulli", *BY_KIND)}
+# A key of every fault that a check refuses for this kind.
+REFUSED = {("BatteryLow", "duration_s")}
+
+
+def _sections(value):
+    """Yield every section of a scenario, at any depth."""
+    if isinstance(value, Section):
+        yield value
+        value = dict(value)
+    if isinstance(value, Mapping):
+        value = tuple(value.values())
+    if isinstance(value, tuple):
+        for item in value:
+            yield from _sections(item)
+
+
+def _set_keys(data):
+    """Return (section, key) of all keys that are set, and of those that differ from the default."""
+    given, changed = set(), set()
+    for section in _sections(Scenario.model_validate(data)):
+        kind = type(section)
+        for key in section.model_fields_set:
+            field = kind.model_fields[key]
+            given.add((kind.__name__, key))
+            if field.is_required() or getattr(section, key) != field.get_default():
+                changed.add((kind.__name__, key))
+    return given, changed
+
+
+def _every_key():
+    """Return (section, key) of every key of the schema."""
+    waiting, found = [Scenario], set()
+    while waiting:
+        kind = waiting.pop()
+        if kind not in found:
+            found.add(kind)
+            waiting += [
+                each for field in kind.model_fields.values() for each in _kinds(field.annotation)
+            ]
+    return {(kind.__name__, key) for kind in found for key in kind.model_fields}
+
+
+def _kinds(annotation):
+    if isinstance(annotation, type) and issubclass(annotation, Section):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _kinds(part)
+
+
+def _other(text):
+    """Return keys and value of one of OTHER_KINDS."""
+    where, _, value = text.partition("=")
+    keys = [int(key) if key.isdigit() else key for key in where.split(".")]
+    return keys, yaml.safe_load(value)
+
+
+def test_full_fixture_sets_every_key():
+    text = (FOLDER / "everything.yaml").read_text()
+    given, changed = _set_keys(yaml.safe_load(text))
+    for other in OTHER_KINDS:
+        data = yaml.safe_load(text)
+        (*parts, key), value = _other(other)
+        reduce(getitem, parts, data)[key] = value
+        more, otherwise = _set_keys(data)
+        given, changed = given | more, changed | otherwise
+    assert len(given) > 370
+    assert _every_key() - given == REFUSED
+    assert given - changed == SINGLE_VALUE
+
+
+@pytest.mark.parametrize("other", OTHER_KINDS)
+def test_other_kinds_are_read_in_full(other):
+    full = load(FOLDER / "everything.yaml", [other])
+    assert loads(dump(full)) == full
+    keys, expected = _other(other)
+    found = reduce(getitem, keys, full.model_dump(mode="json"))
+    for name, value in expected.items():
+        assert found[name] == value
+
+
+def test_full_fixture_is_read_as_written():
+    full = load(FOLDER / "everything.yaml")
+    assert full.fleet[0].sensors.position.sigma_m == 0.3
+    assert full.fleet[1].sensors.velocity.sigma_mps == 0.0
+    assert full.formation.leader_gains["uav1"] == (1.0, 1.0, 0.5)
+    assert full.formation.neighbour_gains["uav2"]["uav1"] == (2.0, 3.0, 4.0)
+    assert full.formation.altitudes_m == {"uav2": 115.0}
+    assert full.formation.c.per_speed_squared == 0.0004
+    own = full.formation.agents["uav1"]
+    assert (own.c.constant, own.c.per_speed_squared) == (0.2, 0.0)
+    assert (own.control_function.example, own.barrier.example) == (2, 7)
+    assert own.speed_desired_mps == (19.0, 27.0)
+    controller = full.controller
+    assert controller.extrapolate_from == "timestamp"
+    assert controller.law == f"{FOLDER / 'slower.py'}:Slower"
+    options = {"by_mps": 0.5, "axes": (1.0, 2.5), "loud": False, "mark": "x"}
+    assert controller.options == options
+    assert controller.estimators.leader_acceleration_blend == (0.5, 0.6, 0.1)
+    assert full.network.transmitter_off_s == {"lead": ((5.0, 6.0), (8.0, 12.5))}
+    assert full.leader.path.legs[1].levels[0].turns == 1.5
+    assert full.leader.sensors.gps.own_drift_m == (0.5, 1.0)
+    assert full.leader.faults[2].offset_m == (20.0, -10.0, 5.0)
+    assert full.fleet[0].faults[5].when.below == 0.5
+
+
+def test_full_fixture_can_be_built():
+    # a Rascal has no battery
+    fuel = ["leader.battery=null", "fleet.uav1.battery=null"]
+    fuel += ["fleet.uav1.faults.5={kind: engine-out, at_s: 16}"]
+    world = build(load(FOLDER / "everything.yaml", fuel))
+    assert world.names == ("lead", "uav1", "uav2")
+    written = [(each.source, each.begin_s, each.end_s) for each in world.outages.windows]
+    assert written[:3] == [("lead", 5.0, 6.0), ("lead", 8.0, 12.5), ("run", 16.0, 18.0)]
+    assert sorted(written[3:]) == [("run", 3.0, 3.5), ("run", 9.0, 10.0), ("run", 15.0, 15.5)]
+    assert np.array_equal(world.altitudes, [np.nan, 115.0], equal_nan=True)
+    assert sum(len(group.rows) for group in world.control.groups) == 2
+
+
+@pytest.mark.parametrize("name", EVERY_SCENARIO)
+def test_json_schema_accepts_resolved_scenario(name):
+    data = load(name).model_dump(mode="json", by_alias=True)
+    jsonschema.Draft202012Validator(json_schema()).validate(data)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"rates": {"physic_hz": 200}},
+        {"rates": {"physics_hz": "fast"}},
+        {"fleet": [{"sensors": "gps-inz"}]},
+        {"fleet": [{"sensors": {"preset": "gps-inz"}}]},
+        {"fleet": [{"sensors": {"gps": {"rate_hz": 0}}}]},
+        {"leader": {"faults": [{"kind": "engine-off"}]}},
+        {"leader": {"faults": [{"kind": "surface-stuck", "surface": "flap"}]}},
+        {"leader": {"path": {"kind": "mission", "legs": [{"kind": "waypoint"}]}}},
+        {"formation": {"leader_gains": {"uav1": [1, 2]}}},
+    ],
+)
+def test_json_schema_refuses_wrong_values(wrong):
+    validator = jsonschema.Draft202012Validator(json_schema())
+    assert not validator.is_valid(wrong)
+    assert validator.is_valid({"extends": "simulation-3"})
+
+
+def test_every_key_has_description_and_unit():
+    schema = json_schema()
+    units = {"_m": "m", "_s": "s", "_hz": "Hz", "_deg": "degrees", "_mps": "m/s", "_per_s": "1/s"}
+    units |= {"bit_per_s": "bit/s", "_pa": "Pa", "_dps": "degrees/s", "_rthz": "per root hertz"}
+    units |= {"_radps": "rad/s", "_radps2": "rad/s²", "_mps2": "m/s²", "_mps3": "m/s³"}
+    sections = [schema, *schema["$defs"].values()]
+    # A section with alternatives keeps its fields one level further down.
+    sections += [choice for section in sections for choice in section.get("anyOf", ())]
+    fields = [item for section in sections for item in section.get("properties", {}).items()]
+    assert len(fields) > 60
+    for key, field in fields:
+        section = schema["$defs"][field["$ref"].rsplit("/", 1)[1]] if "$ref" in field else {}
+        assert field.get("description") or section.get("description"), key
+        suffix = max((s for s in units if key.endswith(s)), key=len, default=None)
+        if suffix and "$ref" not in field:
+            assert units[suffix] in field["description"], (key, field["description"])
+
+
+@pytest.mark.parametrize(
+    "sensors",
+    ["degraded", {"preset": "pixhawk", "gps": {"rate_hz": 1}, "gyro": None}, {"airspeed": {}}],
+)
+def test_json_schema_accepts_presets(sensors):
+    jsonschema.Draft202012Validator(json_schema()).validate({"leader": {"sensors": sensors}})
+
+
+def test_scenario_is_frozen():
+    scenario = load(FOLDER / "minimal.yaml")
+    with pytest.raises(ValueError, match="frozen"):
+        scenario.formation.k = 4.0
+
+
+def test_set_duration_keeps_what_fits():
+    short = set_duration(load(FOLDER / "everything.yaml"), 14.0)
+    assert short.scenario.duration_s == 14.0
+    assert short.scenario.windows == {"straight": (5.0, 10.0), "turn": (12.5, 14.0)}
+    assert set(short.scenario.published.rms_m) == {"straight"}
+    assert [fault.at_s for fault in short.leader.faults] == [2.0, 3.0, 8.0, 12.0]
+    assert [fault.at_s for fault in short.fleet[0].faults] == [4.0, 9.0, 10.0, 11.0]
+    shorter = set_duration(short, 5.0)
+    assert shorter.scenario.windows == {}
+    assert shorter.scenario.published.mean_rms_m == {}
+    assert loads(dump(shorter)) == shorter
+
+
+@pytest.mark.parametrize(
+    "text", ["no", "1e-2", "08", "1_000", "12:30", "null", "~", "", "- x", "é: #"]
+)
+def test_odd_text_survives_the_round_trip(text):
+    scenario = load(FOLDER / "minimal.yaml")
+    data = scenario.model_dump(by_alias=True)
+    data["scenario"]["question"] = text
+    scenario = Scenario.model_validate(data)
+    assert loads(dump(scenario)).scenario.question == text

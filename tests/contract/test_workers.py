@@ -1,0 +1,164 @@
+"""Flight models stepped by several processes: equal to the bit; no process remains."""
+
+import functools
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import children, environment
+from patience import PATIENCE_S, until
+
+import testbed
+from testbed.logs.read import read_log
+from testbed.scenario import load
+from testbed.vehicle import workers
+from testbed.vehicle.workers import default_processes
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux")
+
+SHORT = ["scenario.windows=null", "scenario.published=null"]
+FAULTS = (
+    "[{kind: surface-stuck, surface: elevator, position: -1, at_s: 1}, {kind: engine-out, at_s: 1}]"
+)
+PAGES = {
+    "vee": ("vee-30", ["fleet.count=6", "scenario.duration_s=4"]),
+    "turbulence and estimates": (
+        "turbulence-moderate",
+        ["scenario.duration_s=3", "leader.sensors=pixhawk", "fleet.*.sensors=pixhawk"],
+    ),
+    "one is lost": (
+        "engine-out-uav2",
+        ["scenario.duration_s=12", f"fleet.uav2.faults={FAULTS}"],
+    ),
+    "unsynchronised messages": (
+        "bursty-wifi",
+        [
+            "scenario.duration_s=4",
+            "rates.log_hz=40",
+            "network.broadcast={uav2: {period_s: 0.0173, phase_s: 0.004}}",
+        ],
+    ),
+    "one is lost, unsynchronised": (
+        "engine-out-uav2",
+        ["scenario.duration_s=12", "rates.synchronous=false", f"fleet.uav2.faults={FAULTS}"],
+    ),
+    "a battery": (
+        "experiment-3",
+        [
+            "scenario.duration_s=6",
+            "fleet.uav2.faults=[{kind: battery-low, state_of_charge: 0.3, at_s: 2}]",
+        ],
+    ),
+}
+
+
+class ArrayCollector:
+    """Collects all arrays of the samples."""
+
+    def begin(self, info):
+        """Start empty."""
+        self.seen, self.events, self.lost = [], [], 0
+
+    def observe(self, frame):
+        """Copy a sample."""
+        records = (frame.truth, frame.estimate, frame.air, frame.surfaces, frame.formation)
+        arrays = [array for record in records for array in record]
+        self.seen.append(np.concatenate([np.ravel(array) for array in (*arrays, frame.lost)]))
+        self.lost = int(frame.lost.sum())
+        self.events += [(event.time_s, event.text) for event in frame.events]
+
+    def end(self, summary, events):
+        """Do nothing."""
+
+
+@functools.cache
+def flown(case, processes):
+    name, changes = PAGES[case]
+    collector = ArrayCollector()
+    run = testbed.run(
+        load(name, [*SHORT, *changes]), write=False, observers=[collector], processes=processes
+    )
+    return np.array(collector.seen), collector.events, (run.outcome, collector.lost)
+
+
+@pytest.mark.parametrize("case", PAGES)
+def test_number_of_processes_changes_no_flight(case):
+    before = children(os.getpid())
+    seen, events, outcome = flown(case, 1)
+    assert outcome == ("completed", case.startswith("one is lost"))  # by a fault of the scenario
+    for processes in (2, 3):
+        found, *rest = flown(case, processes)
+        np.testing.assert_array_equal(found, seen)
+        assert rest == [events, outcome]
+    assert not set(children(os.getpid())) - set(before)
+
+
+def test_more_processes_than_aircraft():
+    seen, *_ = flown("vee", 50)
+    np.testing.assert_array_equal(seen, flown("vee", 1)[0])
+
+
+def test_default_number_of_processes(monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)))
+    assert [default_processes(n) for n in (1, 4, 19, 20, 30, 60, 100)] == [1, 1, 1, 2, 3, 6, 8]
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})
+    assert default_processes(100) == 1
+    monkeypatch.setattr(workers.sys, "platform", "darwin")
+    assert default_processes(100) == 1
+
+
+@pytest.fixture
+def flight(tmp_path):
+    """Yield a run of two processes in flight, the id of the other process, and the log."""
+    command = ["run", "vee-30", "--set", "fleet.count=6", "--processes", "2", "--out", "run"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "testbed", *command],
+        cwd=tmp_path,
+        env=environment(120),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as process:
+        try:
+            log = tmp_path / "run" / "run.mcap"
+            # more than the header: the check of the aircraft in a child process has ended
+            until(lambda: log.exists() and log.stat().st_size > 100_000)
+            (other,) = children(process.pid)
+            yield process, other, log
+        finally:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+
+
+def test_killed_process_ends_the_run_with_its_reason(flight):
+    process, other, path = flight
+    os.kill(other, signal.SIGKILL)
+    _, said = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 5
+    assert "a process that steps aircraft (4, 5, 6 of the flight models, from 0)" in said
+    assert "ended with -9" in said and "--processes 1" in said
+    assert "Traceback" not in said
+    log = read_log(path)
+    assert log.finished and "has ended with -9" in log.events[-1].text
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_to_all_processes_ends_the_run(flight, number):
+    process, other, path = flight
+    os.killpg(process.pid, number)
+    process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 130
+    assert read_log(path).finished
+    assert not Path(f"/proc/{other}").exists()
+
+
+def test_process_without_its_parent_ends(flight):
+    process, other, _ = flight
+    process.kill()
+    process.wait(timeout=PATIENCE_S)
+    until(lambda: not Path(f"/proc/{other}").exists())

@@ -1,0 +1,110 @@
+"""Begin, end, condition and declaration of faults."""
+
+import numpy as np
+import pytest
+from fault_samples import fault_manager, no_air, step, truth
+
+from testbed.scenario.faults import (
+    AutopilotFrozen,
+    BatteryLow,
+    Condition,
+    EngineOut,
+    GpsJump,
+    SurfaceStuck,
+    ThrustLoss,
+)
+
+
+def test_fault_begins_and_ends_at_its_times():
+    faults = fault_manager(EngineOut(kind="engine-out", at_s=10.0, duration_s=5.0))
+    assert step(faults, 9.98) == []
+    assert faults.state.power.tolist() == [1.0, 1.0, 1.0, 1.0]
+    assert step(faults, 10.0) == [(10.0, "warning", "uav2", "engine out")]
+    assert faults.state.power.tolist() == [1.0, 1.0, 0.0, 1.0]
+    assert faults.active.tolist() == [False, False, True, False]
+    assert step(faults, 14.98) == []
+    assert step(faults, 15.0) == [(15.0, "info", "uav2", "engine out: ended")]
+    assert faults.state.power.tolist() == [1.0, 1.0, 1.0, 1.0]
+    assert step(faults, 20.0) == []  # it does not begin again
+
+
+@pytest.mark.parametrize(
+    ("condition", "before", "then"),
+    [
+        ({"quantity": "altitude_m", "above": 120.0}, truth(120.0), truth(120.1)),
+        ({"quantity": "airspeed_mps", "below": 18.0}, truth(airspeed=18.0), truth(airspeed=17.9)),
+        ({"quantity": "bank_deg", "above": 20.0}, truth(bank=0.34), truth(bank=-0.36)),
+    ],
+)
+def test_condition_holds_from_its_time_on_and_once(condition, before, then):
+    faults = fault_manager(
+        AutopilotFrozen(
+            kind="autopilot-frozen", at_s=5.0, duration_s=1.0, when=Condition(**condition)
+        )
+    )
+    assert step(faults, 4.0, then) == []
+    assert step(faults, 5.0, before) == []
+    assert [each[3] for each in step(faults, 6.0, then)] == ["autopilot frozen"]
+    assert faults.state.frozen[2]
+    assert [each[3] for each in step(faults, 7.0, then)] == ["autopilot frozen: ended"]
+    assert step(faults, 8.0, then) == []
+
+
+def test_faults_of_one_aircraft_combine():
+    faults = fault_manager(
+        ThrustLoss(kind="thrust-loss", at_s=1.0, remaining=0.5),
+        ThrustLoss(kind="thrust-loss", at_s=2.0, remaining=0.5, duration_s=3.0),
+        GpsJump(kind="gps-jump", at_s=1.0, offset_m=(1.0, 2.0, 3.0)),
+        GpsJump(kind="gps-jump", at_s=1.0, offset_m=(10.0, 0.0, 0.0)),
+        SurfaceStuck(kind="surface-stuck", surface="rudder", at_s=1.0, position=0.25),
+    )
+    step(faults, 2.0)
+    assert faults.state.power[2] == 0.25
+    assert faults.state.gps_jump[2].tolist() == [11.0, 2.0, 3.0]
+    assert faults.state.stuck[2].tolist() == [False, False, True, False, False]
+    assert faults.state.stuck_at[2, 2] == 0.25
+    step(faults, 5.0)
+    assert faults.state.power[2] == 0.5
+
+
+def test_battery_is_emptied_once():
+    faults = fault_manager(BatteryLow(kind="battery-low", at_s=1.0, state_of_charge=0.2))
+    step(faults, 1.0)
+    assert faults.state.charge[2] == 0.2
+    step(faults, 1.02)
+    assert np.isnan(faults.state.charge).all()
+
+
+def test_messages_declare_a_failure_after_the_delay():
+    faults = fault_manager(EngineOut(kind="engine-out", at_s=10.0, duration_s=5.0))
+    step(faults, 10.0)
+    measured = np.array([[0.0, 0.0, 11.96, 0.0], [0.0, 0.0, 12.0, 0.0], [0.0, 0.0, np.nan, 0.0]])
+    assert faults.declared(measured)[:, 2].tolist() == [False, True, False]
+    step(faults, 15.0)
+    assert faults.declared(np.array([0.0, 0.0, 16.0, 0.0])).tolist() == [False, False, True, False]
+    # messages from before the declaration stay what they were
+    assert faults.declared(np.array([0.0, 0.0, 11.96, 0.0])).tolist() == [False] * 4
+
+
+def test_fault_that_ends_before_the_delay_is_undeclared():
+    faults = fault_manager(EngineOut(kind="engine-out", at_s=10.0, duration_s=1.0))
+    step(faults, 10.0)
+    step(faults, 11.0)
+    assert not faults.declared(np.full(4, 30.0)).any()
+
+
+def test_fault_of_a_lost_aircraft_does_not_begin():
+    faults = fault_manager(EngineOut(kind="engine-out", at_s=10.0))
+    lost = np.array([False, False, True, False])
+    assert list(faults.changes(10.0, truth(), no_air, lost)) == []
+    assert not faults.active.any()
+
+
+def test_later_of_two_stuck_positions_applies():
+    faults = fault_manager(
+        SurfaceStuck(kind="surface-stuck", surface="rudder", at_s=2.0, position=0.5),
+        SurfaceStuck(kind="surface-stuck", surface="rudder", at_s=1.0, position=0.25),
+    )
+    step(faults, 1.0)
+    step(faults, 2.0)
+    assert faults.state.stuck_at[2, 2] == 0.5

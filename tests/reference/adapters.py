@@ -1,0 +1,575 @@
+"""The kernels of the product behind the signatures of the reference: arrays in, arrays out.
+
+Each function packs its arrays into records, calls the kernel for each agent and unpacks what it
+wrote, so that one test can hold the reference and the kernel to the same assertions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from math import inf, nan
+
+import numpy as np
+
+from reference import fbwa_tables
+from reference import formation_laws as laws
+from reference.formation_hbh23 import Hbh23Law
+from reference.formation_laws import Desired
+from reference.formation_leader_filter import Memory
+from reference.formation_middle_loop import (
+    ControlDiagnostics,
+    MiddleLoop,
+    MiddleLoopGains,
+    MiddleLoopMemory,
+)
+from reference.unicycle import Unicycle
+from testbed.autopilot import fbwa as product_fbwa
+from testbed.core.compile import entry
+from testbed.core.records import (
+    AIRCRAFT,
+    COMMAND,
+    FOLLOWER,
+    LINK,
+    MOTION,
+    ActuatorCommand,
+    FbwaCommand,
+    Records,
+    UnicycleCommand,
+    VehicleState,
+    allocate,
+    fields_of,
+    write_fields,
+)
+from testbed.formation import control_function, hbh23, leader_filter, middle_loop, slots
+from testbed.formation import velocity_frame as frames
+from testbed.formation.barrier import BARRIER
+from testbed.formation.barrier import h as h_kernel
+from testbed.formation.control_step import Hbh23Law as KernelLaw
+from testbed.formation.control_step import Hbh23Memory, make_neighbours
+from testbed.formation.hbh23 import LAW, NEIGHBOUR
+from testbed.formation.message_extrapolation import extrapolate, message_ages
+from testbed.formation.middle_loop import LOOP
+from testbed.vehicle import unicycle as unicycles
+
+_RENAMED = {"row": "agents"}  # fields of LAW that the reference calls otherwise
+
+
+def _dense(array, *shape):
+    """Broadcast to a contiguous array of floats of its own."""
+    return np.broadcast_to(np.asarray(array, dtype=float), shape).copy()
+
+
+# whole steps
+
+
+def law_records(law: Hbh23Law) -> Records:
+    """Pack the gains and options of n agents into (n,) of LAW."""
+    records = allocate(LAW, len(law.k))
+    _write_tuples(records, law.control_function, law.barrier, law.speeds)
+    own = {each.name for each in fields(law)}
+    for name in LAW.names:
+        source = _RENAMED.get(name, name)
+        if source in own and name not in ("mu", "barrier"):
+            records[name] = getattr(law, source)
+    return records
+
+
+def _write_tuples(records, mu=None, barrier=None, speeds=None):
+    for name, value in mu._asdict().items() if mu is not None else ():
+        records["mu"][name] = value
+    for name, value in barrier._asdict().items() if barrier is not None else ():
+        records["barrier"][name] = value
+    for name, value in speeds._asdict().items() if speeds is not None else ():
+        records[_SPEEDS[name]] = value
+
+
+_SPEEDS = {
+    "min": "speed_min",
+    "max": "speed_max",
+    "desired_min": "speed_desired_min",
+    "desired_max": "speed_desired_max",
+}
+
+
+def memory_records(memory: Memory) -> Records:
+    """Pack what n agents keep of their leader into (n,) of leader_filter.MEMORY."""
+    records = allocate(leader_filter.MEMORY, len(memory.speed))
+    for name in leader_filter.MEMORY.names:
+        records[name] = getattr(memory, name)
+    return records
+
+
+def neighbour_records(law: Hbh23Law, memory: Memory) -> Records:
+    """Pack what n agents know of N aircraft into (n, N) of NEIGHBOUR."""
+    gains = law.gains
+    records = make_neighbours(
+        np.zeros(gains.shape[1:]), gains, law.leader_timeout_s, law.neighbour_timeout_s
+    )
+    records["offset"] = law.offsets
+    records["held_position"], records["held_time_s"] = memory.held_position, memory.held_time_s
+    return records
+
+
+def hbh23_step(law, now, own, inbox, memory):
+    """As `formation_hbh23.hbh23_step`."""
+    neighbours = neighbour_records(law, memory)
+    kernel_law = KernelLaw(law_records(law), neighbours)
+    last = Hbh23Memory(memory_records(memory), memory.held_position, memory.held_time_s)
+    told, after = kernel_law.step(now, own, inbox, last)
+    kept = {name: np.array(after.leader[name]) for name in leader_filter.MEMORY.names}
+    return (
+        UnicycleCommand(*(np.array(each) for each in told)),
+        Memory(
+            **kept,
+            held_position=after.held_position,
+            held_time_s=after.held_time_s,
+        ),
+    )
+
+
+def loop_records(loop: MiddleLoop) -> Records:
+    """Pack the gains and options of n middle loops into (n,) of LOOP."""
+    records = allocate(LOOP, len(loop.altitude))
+    for name in LOOP.names:
+        source = loop.gains if name in MiddleLoopGains._fields else loop
+        records[name] = getattr(source, name)
+    return records
+
+
+def middle_step(loop, own, told, memory):
+    """As `formation_middle_loop.middle_step`."""
+    n = len(loop.altitude)
+    estimate, followers = allocate(MOTION, n), allocate(FOLLOWER, n)
+    memories, commands = allocate(middle_loop.MEMORY, n), allocate(COMMAND, n)
+    write_fields(estimate, own)
+    write_fields(followers, told, speed="speed_command")
+    write_fields(memories, memory)
+    _middle_loops(loop_records(loop), estimate, memories, followers, commands)
+    return tuple(
+        type(each)(*(np.array(array) for array in each))
+        for each in (
+            fields_of(FbwaCommand, commands),
+            fields_of(MiddleLoopMemory, memories),
+            fields_of(ControlDiagnostics, followers),
+        )
+    )
+
+
+@entry
+def _middle_loops(loops, estimate, memories, followers, commands):
+    for i in range(len(loops)):
+        middle_loop.middle_loop(loops[i], estimate[i], memories[i], followers[i], commands[i])
+
+
+def ages(now, stamp_s, received_s, unheeded, limit, needs_leader):
+    """As `formation_message_extrapolation.ages`."""
+    links, neighbours = allocate(LINK, *stamp_s.shape), allocate(NEIGHBOUR, *stamp_s.shape)
+    links["measured_s"], links["received_s"] = stamp_s, received_s
+    neighbours["used"] = True
+    neighbours["excluded"] = unheeded
+    neighbours["timeout_s"] = limit
+    _ages(now, neighbours, needs_leader, links)
+    return np.array(links["age_s"])
+
+
+@entry
+def _ages(now, neighbours, needs_leader, links):
+    for i in range(len(links)):
+        message_ages(now, neighbours[i], needs_leader, links[i])
+
+
+# barrier and control function
+
+
+def h(barrier, s, s_min, s_max):
+    """As `formation_barrier.h`."""
+    s = np.asarray(s, dtype=float)
+    records, out = allocate(BARRIER, s.size), np.empty((2, s.size))
+    records["example"], records["nu"] = barrier
+    _h(records, s.ravel(), _dense(s_min, s.size), _dense(s_max, s.size), out)
+    return out[0].reshape(s.shape), out[1].reshape(s.shape)
+
+
+@entry
+def _h(barriers, s, s_min, s_max, out):
+    for i in range(len(s)):
+        out[0, i], out[1, i] = h_kernel(barriers[i], s[i], s_min[i], s_max[i])
+
+
+def mu(function, z):
+    """As `formation_control_function.mu`; z (..., n)."""
+    z = np.asarray(z, dtype=float)
+    records, out = allocate(control_function.MU, *z.shape), np.empty((2, z.size))
+    for name, value in function._asdict().items():
+        records[name] = value
+    _mu(records.ravel(), z.ravel(), out)
+    return out[0].reshape(z.shape), out[1].reshape(z.shape)
+
+
+@entry
+def _mu(functions, z, out):
+    for i in range(len(z)):
+        out[0, i], out[1, i] = control_function.mu(functions[i], z[i])
+
+
+def rho_and_rate(function, x, x_rate):
+    """As `formation_control_function.rho_and_rate`, with μ and μ' of the kernel."""
+    value, slope = mu(function, laws.dot(x, x))
+    along = 2.0 * slope * laws.dot(x, x_rate)
+    return laws.scale(value, x), laws.scale(value, x_rate) + laws.scale(along, x)
+
+
+# the velocity frame and the slots
+
+
+def velocity_frame(velocity):
+    """As `testbed.core.frames.velocity_frame`: R (n, 3, 3) of velocities (n, 3)."""
+    velocity = np.ascontiguousarray(velocity, dtype=float)
+    out = np.empty((len(velocity), 3, 3))
+    _frames(velocity, out)
+    return out
+
+
+@entry
+def _frames(velocity, out):
+    for i in range(len(velocity)):
+        frame = frames.frame_angles(velocity[i, 0], velocity[i, 1], velocity[i, 2])
+        for column in range(3):
+            a, b, c = frames.to_ned(
+                frame, 1.0 * (column == 0), 1.0 * (column == 1), 1.0 * (column == 2)
+            )
+            out[i, 0, column], out[i, 1, column], out[i, 2, column] = a, b, c
+
+
+def from_ned(velocity, vectors):
+    """Resolve vectors (n, 3) of NED in the velocity frames of velocities (n, 3)."""
+    out = np.empty(np.shape(vectors))
+    _from_ned(np.ascontiguousarray(velocity), np.ascontiguousarray(vectors), out)
+    return out
+
+
+@entry
+def _from_ned(velocity, vectors, out):
+    for i in range(len(velocity)):
+        frame = frames.frame_angles(velocity[i, 0], velocity[i, 1], velocity[i, 2])
+        a, b, c = frames.from_ned(frame, vectors[i, 0], vectors[i, 1], vectors[i, 2])
+        out[i, 0], out[i, 1], out[i, 2] = a, b, c
+
+
+def frame_rate(gamma, chi_dot, gamma_dot):
+    """As `formation_geometry.frame_rate`."""
+    n = len(chi_dot)
+    out = np.empty((n, 3))
+    _frame_rates(_dense(gamma, n), _dense(chi_dot, n), _dense(gamma_dot, n), out)
+    return out
+
+
+@entry
+def _frame_rates(gamma, chi_dot, gamma_dot, out):
+    for i in range(len(out)):
+        a, b, c = frames.frame_angular_velocity(gamma[i], chi_dot[i], gamma_dot[i])
+        out[i, 0], out[i, 1], out[i, 2] = a, b, c
+
+
+def frame_acceleration(gamma, chi_dot, gamma_dot, chi_ddot):
+    """As `formation_geometry.frame_acceleration`."""
+    n = len(chi_dot)
+    out = np.empty((n, 3))
+    _frame_accelerations(*(_dense(each, n) for each in (gamma, chi_dot, gamma_dot, chi_ddot)), out)
+    return out
+
+
+@entry
+def _frame_accelerations(gamma, chi_dot, gamma_dot, chi_ddot, out):
+    for i in range(len(out)):
+        a, b, c = frames.frame_angular_acceleration(gamma[i], chi_dot[i], gamma_dot[i], chi_ddot[i])
+        out[i, 0], out[i, 1], out[i, 2] = a, b, c
+
+
+def slot_motions(frame, rate, acceleration, offsets):
+    """As `formation_geometry.slots`."""
+    n = len(frame)
+    upsilon = _dense(offsets, n, *np.shape(offsets)[-2:])
+    out = np.empty((3, *upsilon.shape))
+    _slot_motions(
+        _angles(frame), np.ascontiguousarray(rate), np.ascontiguousarray(acceleration), upsilon, out
+    )
+    return tuple(out)
+
+
+def _angles(frame):
+    """Return cos σ, sin σ, cos γ, sin γ (n, 4) of matrices R (n, 3, 3), (24)."""
+    return np.stack([frame[:, 1, 1], -frame[:, 0, 1], frame[:, 2, 2], -frame[:, 2, 0]], axis=1)
+
+
+@entry
+def _slot_motions(angles, rate, acceleration, upsilon, out):
+    for i in range(upsilon.shape[0]):
+        frame = (angles[i, 0], angles[i, 1], angles[i, 2], angles[i, 3])
+        for m in range(upsilon.shape[1]):
+            u = (upsilon[i, m, 0], upsilon[i, m, 1], upsilon[i, m, 2])
+            chi = hbh23.slot_motion(frame, rate[i], acceleration[i], u)
+            for axis in range(3):
+                out[0, i, m, axis] = chi[0][axis]
+                out[1, i, m, axis] = chi[1][axis]
+                out[2, i, m, axis] = chi[2][axis]
+
+
+def velocity_rates(velocity, acceleration):
+    """As `formation_geometry.velocity_rates`."""
+    out = np.empty((2, len(velocity)))
+    _velocity_rates(np.ascontiguousarray(velocity), np.ascontiguousarray(acceleration), out)
+    return out[0], out[1]
+
+
+@entry
+def _velocity_rates(velocity, acceleration, out):
+    for i in range(len(velocity)):
+        out[0, i], out[1, i] = frames.velocity_rates(velocity[i], acceleration[i])
+
+
+def true_slots(position, velocity, offsets, altitudes):
+    """As `formation_geometry.true_slots`."""
+    aircraft, followers = allocate(AIRCRAFT, len(position)), allocate(FOLLOWER, len(altitudes))
+    for motion in ("truth", "estimate"):
+        aircraft[motion]["position_ned"], aircraft[motion]["velocity_ned"] = position, velocity
+    _slots(
+        aircraft, followers, _dense(offsets, *np.shape(offsets)), _dense(altitudes, len(altitudes))
+    )
+    np.testing.assert_array_equal(followers["estimated_error_ned"], followers["error_ned"])
+    motion = [followers[name] for name in ("speed", "course", "flight_path_angle")]
+    return np.array(followers["slot_ned"]), np.array(followers["error_ned"]), np.array(motion)
+
+
+@entry
+def _slots(aircraft, followers, offsets, altitudes):
+    slots.write_formation_state(aircraft, followers, offsets, altitudes)
+
+
+# messages and the leader's acceleration
+
+
+def corrected(inbox, now, from_timestamp, with_acceleration):
+    """As `formation_message_extrapolation.corrected`."""
+    links, law = allocate(LINK, *inbox.stamp_s.shape), allocate(LAW, len(inbox.stamp_s))
+    write_fields(links, inbox)
+    law["from_timestamp"], law["with_acceleration"] = from_timestamp, with_acceleration
+    out = np.empty((2, *links.shape, 3))
+    _extrapolate(law, links, now, out)
+    return out[0], out[1]
+
+
+@entry
+def _extrapolate(law, links, now, out):
+    for i in range(links.shape[0]):
+        for m in range(links.shape[1]):
+            motion = extrapolate(law[i], links[i, m], now)
+            for axis in range(3):
+                out[0, i, m, axis] = motion[0][axis]
+                out[1, i, m, axis] = motion[1][axis]
+
+
+def differentiate(memory, time_s, velocity, blend):
+    """As `formation_leader_filter.differentiate`."""
+    law, links = allocate(LAW, len(velocity)), allocate(LINK, len(velocity))
+    law["difference_blend"] = blend
+    links["velocity_ned"] = velocity
+    records = memory_records(memory)
+    _estimate(law, links, records, np.array(time_s), _angles(velocity_frame(velocity)))
+    return tuple(np.array(records[name]) for name in ("speed", "gamma", "speed_rate", "gamma_dot"))
+
+
+def turn_acceleration(frame, speed, gamma, speed_rate, gamma_dot, euler):
+    """As `formation_leader_filter.turn_acceleration`; γ is that of the frame."""
+    n = len(speed)
+    law, links = allocate(LAW, n), allocate(LINK, n)
+    law["acceleration_source"] = leader_filter.TURN
+    links["velocity_ned"], links["euler"] = laws.scale(speed, frame[:, :, 0]), euler
+    records = allocate(leader_filter.MEMORY, n)
+    records["time_s"], records["speed_rate"], records["gamma_dot"] = nan, speed_rate, gamma_dot
+    _estimate(law, links, records, np.zeros(n), _angles(frame))
+    np.testing.assert_allclose(records["gamma"], gamma, atol=1e-9)
+    return np.array(records["acceleration"])
+
+
+@entry
+def _estimate(law, links, memory, time_s, angles):
+    for i in range(len(law)):
+        frame = (angles[i, 0], angles[i, 1], angles[i, 2], angles[i, 3])
+        leader_filter.estimate_leader_acceleration(law[i], links[i], memory[i], time_s[i], frame)
+
+
+# the law's equations one by one
+
+
+def formation_error(own, own_slot, others, other_slots, gains):
+    """As `formation_laws.formation_error`: slots as offsets in a frame that points north."""
+    shape = gains.shape[:2]
+    neighbours, links, law = allocate(NEIGHBOUR, *shape), allocate(LINK, *shape), allocate(LAW, 1)
+    neighbours["gain"], neighbours["offset"] = gains, other_slots
+    links["position_ned"] = others
+    law["neighbour_timeout_s"] = inf
+    out = np.empty((len(own), 3))
+    _errors(law, _dense(own, *own.shape), _dense(own_slot, *own.shape), links, neighbours, out)
+    return out
+
+
+@entry
+def _errors(law, own, own_slot, links, neighbours, out):
+    zero, frame = (0.0, 0.0, 0.0), (1.0, 0.0, 1.0, 0.0)
+    for i in range(len(own)):
+        q = links[i, 0].position_ned
+        leader = ((q[0], q[1], q[2]), zero)
+        slot = ((own_slot[i, 0], own_slot[i, 1], own_slot[i, 2]), zero, zero)
+        xi, _ = hbh23.formation_error(
+            law[0], 0.0, own[i], zero, leader, slot, frame, zero, links[i], neighbours[i]
+        )
+        out[i, 0], out[i, 1], out[i, 2] = xi
+
+
+def desired_velocity(v_g, a_g, chi_rate, chi_acceleration, xi, xi_rate, k, function, speeds):
+    """As `formation_laws.desired_velocity`; S_d is applied here, as `hbh23` does."""
+    n = len(k)
+    law, out = allocate(LAW, n), np.empty((n, 8))
+    law["k"] = k
+    _write_tuples(law, function)
+    vectors = np.stack([v_g, a_g, chi_rate, chi_acceleration, xi, xi_rate], axis=1)
+    _desired(law, vectors, out)
+    limited = np.clip(out[:, 0], speeds.desired_min, speeds.desired_max)
+    clamped = limited != out[:, 0]
+    return Desired(
+        limited,
+        np.where(clamped, 0.0, out[:, 1]),
+        out[:, 2:5].copy(),
+        out[:, 5:].copy(),
+        clamped,
+    )
+
+
+@entry
+def _desired(law, vectors, out):
+    for i in range(len(law)):
+        v = vectors[i]
+        s_d, s_d_rate, y_d, y_d_rate = hbh23.desired_velocity(
+            law[i],
+            (v[0, 0], v[0, 1], v[0, 2]),
+            (v[1, 0], v[1, 1], v[1, 2]),
+            (v[2, 0], v[2, 1], v[2, 2]),
+            (v[3, 0], v[3, 1], v[3, 2]),
+            (v[4, 0], v[4, 1], v[4, 2]),
+            (v[5, 0], v[5, 1], v[5, 2]),
+        )
+        out[i, 0], out[i, 1] = s_d, s_d_rate
+        out[i, 2], out[i, 3], out[i, 4] = y_d
+        out[i, 5], out[i, 6], out[i, 7] = y_d_rate
+
+
+def speed_control(speed, desired, a, b, pole, barrier, speeds):
+    """As `formation_laws.speed_control`."""
+    law, out = allocate(LAW, len(speed)), np.empty(len(speed))
+    law["a"], law["b"], law["speed_pole"] = a, b, pole
+    _write_tuples(law, None, barrier, speeds)
+    n = len(speed)
+    _speed_controls(
+        law, _dense(speed, n), _dense(desired.speed, n), _dense(desired.speed_rate, n), out
+    )
+    return out, (speed > speeds.min) & (speed < speeds.max)
+
+
+@entry
+def _speed_controls(law, s, s_d, s_d_rate, out):
+    for i in range(len(law)):
+        one = law[i]
+        out[i] = hbh23.speed_control(one, s[i], s_d[i], s_d_rate[i], one.speed_min, one.speed_max)
+
+
+def turn_control(velocity, desired, c):
+    """As `formation_laws.turn_control`."""
+    n = len(velocity)
+    out = np.empty((2, n))
+    vectors = (_dense(each, n, 3) for each in (velocity, desired.direction, desired.direction_rate))
+    _turn_controls(*vectors, _dense(c, n), out)
+    return out[0], out[1]
+
+
+@entry
+def _turn_controls(velocity, direction, direction_rate, c, out):
+    for i in range(len(c)):
+        out[0, i], out[1, i] = hbh23.turn_control(
+            velocity[i], direction[i], direction_rate[i], c[i]
+        )
+
+
+# the ideal vehicle
+
+
+def unicycle_records(state, speed_command, omega, pole):
+    """Pack n unicycles under their commands into (n,) of UNICYCLE."""
+    records = allocate(unicycles.UNICYCLE, len(state.speed))
+    write_fields(records, state)
+    records["speed_command"], records["omega"], records["pole"] = speed_command, omega, pole
+    return records
+
+
+def advance_ticks(state, speed_command, omega, pole, dt, ticks):
+    """As `unicycle.advance_ticks`."""
+    records = unicycle_records(state, speed_command, omega, pole)
+    unicycles.advance(records, dt, ticks)
+    return Unicycle(*(np.array(records[name]) for name in Unicycle._fields))
+
+
+def advance(state, speed_command, omega, pole, dt):
+    """As `unicycle.advance`."""
+    return advance_ticks(state, speed_command, omega, pole, dt, 1)
+
+
+def report(state, speed_command, omega, pole, wind_ned):
+    """As `unicycle.report`."""
+    records, n = unicycle_records(state, speed_command, omega, pole), len(state.speed)
+    aircraft = allocate(AIRCRAFT, n)
+    aircraft["wind"]["wind_ned"] = wind_ned
+    unicycles.write_motion(records, np.arange(n), aircraft)
+    truth = fields_of(VehicleState, aircraft["truth"])
+    return VehicleState(*(each.copy() for each in truth))
+
+
+# fly-by-wire A
+
+
+def fbwa(estimate, command, memory, gains):
+    """As `fbwa.fbwa`, with gains (N,) of the product's GAINS."""
+    autopilots = product_fbwa.initial_autopilots(gains)
+    records = autopilots.memory
+    for name in fbwa_tables.MEMORY.names:
+        records[name] = memory.each[name]
+    records["started"] = memory.begun
+    if memory.begun:
+        autopilots.delay_line[:] = memory.commands.transpose(2, 0, 1)
+    surfaces = product_fbwa.step_autopilots(autopilots, estimate, command)
+    assert records["started"].all()
+    return (
+        ActuatorCommand(*(np.array(each) for each in surfaces)),
+        fbwa_tables.FbwaMemory(
+            True, autopilots.delay_line.transpose(1, 2, 0).copy(), _fbwa_table(records)
+        ),
+    )
+
+
+def settled(surfaces, gains):
+    """As `fbwa.settled`, with gains (N,) of the product's GAINS."""
+    autopilots = product_fbwa.settled_autopilots(gains, surfaces)
+    n = len(gains)
+    return fbwa_tables.FbwaMemory(False, np.zeros((0, 3, n)), _fbwa_table(autopilots.memory))
+
+
+def _fbwa_table(records):
+    each = np.zeros(len(records), dtype=fbwa_tables.MEMORY)
+    for name in fbwa_tables.MEMORY.names:
+        each[name] = records[name]
+    return each
+
+
+def reference_gains(gains):
+    """Present gains (N,) of the product's GAINS, all of one timing, as those of the reference."""
+    first = {name: gains[name][0].item() for name in fbwa_tables.FbwaGains._fields[:-1]}
+    return fbwa_tables.FbwaGains(**first, each=gains)

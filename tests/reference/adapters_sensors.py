@@ -1,0 +1,113 @@
+"""Kernels of the sensors with the arguments of the numpy reference, for many aircraft at once."""
+
+import numpy as np
+
+from testbed.core.compile import entry
+from testbed.core.records import (
+    AIRCRAFT,
+    VehicleState,
+    allocate,
+    fields_of,
+    write_fields,
+)
+from testbed.sensors import airspeed, ekf, jitter
+from testbed.sensors.errors import ERRORS
+
+
+def aircraft_of(truth, faults=None):
+    """Records (N,) of AIRCRAFT with this truth, and with these faults."""
+    aircraft = allocate(AIRCRAFT, len(truth.airspeed))
+    write_fields(aircraft["truth"], truth)
+    if faults is not None:
+        write_fields(aircraft["faults"], faults)
+    return aircraft
+
+
+def estimate_of(aircraft):
+    """A copy of the estimates of N aircraft."""
+    return VehicleState(*(each.copy() for each in fields_of(VehicleState, aircraft["estimate"])))
+
+
+@entry
+def _ekf_steps(settings, filters, past, errors, sensors, aircraft, step, rate_hz):
+    for m in range(len(settings)):
+        a = aircraft[m]
+        own = settings[m], filters[m], past[m]
+        ekf.ekf_step(*own, errors[m], sensors[m], a.truth, a.faults, step, rate_hz)
+
+
+def ekf_step(settings, filters, past, step, rate_hz, truth, sensed):
+    """Step M filters: errors (M, 9) of attitude, velocity and position as flown on."""
+    n = len(filters)
+    aircraft, sensors = aircraft_of(truth), allocate(airspeed.AIRSPEED_SENSOR, n)
+    aircraft["faults"]["gps_lost"] = sensed.gps_lost
+    aircraft["faults"]["gps_jump"] = sensed.gps_jump
+    sensors["airspeed"], sensors["equivalent_airspeed"] = (
+        sensed.airspeed,
+        sensed.equivalent_airspeed,
+    )
+    sensors["sampled"] = sensed.airspeed_sampled
+    errors = allocate(ERRORS, n)
+    errors[...] = sensed.errors
+    settings = settings.copy()
+    settings["heading_bias"] = sensed.heading_bias
+    _ekf_steps(settings, filters, past, errors, sensors, aircraft, step, rate_hz)
+    return np.array(filters["output"])
+
+
+@entry
+def _propagate(covariance, rotation, force, process, dt):
+    for m in range(len(covariance)):
+        r = rotation[m]
+        rows = (
+            (r[0, 0], r[0, 1], r[0, 2]),
+            (r[1, 0], r[1, 1], r[1, 2]),
+            (r[2, 0], r[2, 1], r[2, 2]),
+        )
+        f = force[m]
+        ekf.propagate_covariance(covariance[m], rows, (f[0], f[1], f[2]), process[m], dt[m])
+
+
+def propagate_covariance(covariance, rotation, force, process, dt):
+    """The covariance (M, 17, 17) after `dt` (M,) s without measurements."""
+    out = covariance.copy()
+    _propagate(out, rotation, force, process, dt)
+    return out
+
+
+@entry
+def _apply_errors(rows, filters, errors, aircraft):
+    for m in range(len(rows)):
+        ekf.apply_errors(filters[m], errors[rows[m]], aircraft[rows[m]].estimate)
+
+
+def apply_errors(truth, rows, output, states, errors):
+    """The estimates of N aircraft, of which those in `rows` (M,) have filters."""
+    aircraft, filters = aircraft_of(truth), allocate(ekf.FILTER, len(rows))
+    aircraft["estimate"] = aircraft["truth"]
+    filters["output"], filters["states"] = output, states
+    _apply_errors(rows, filters, errors, aircraft)
+    return estimate_of(aircraft)
+
+
+def add_jitter(errors, truth):
+    """The truth of N aircraft with errors (N, 9) of position, velocity and attitude."""
+    aircraft, none = aircraft_of(truth), np.zeros((2, *errors.shape))
+    jitter.add_jitter_to_all(none, errors.copy(), True, aircraft, errors, False)
+    return estimate_of(aircraft)
+
+
+@entry
+def _measure_airspeeds(sensors, aircraft, noise, step, rate_hz):
+    for i in range(len(sensors)):
+        a = aircraft[i]
+        airspeed.measure_airspeed(sensors[i], a.truth, a.faults, noise[i], step, rate_hz)
+        airspeed.write_airspeeds(sensors[i], a.truth, a.estimate)
+
+
+def airspeeds(sensors, truth, faults, noise, step, rate_hz):
+    """Equivalent and true airspeeds (2, N) after one more measurement."""
+    aircraft = aircraft_of(truth, faults)
+    _measure_airspeeds(sensors, aircraft, noise, step, rate_hz)
+    estimate = aircraft["estimate"]
+    return np.array([estimate["equivalent_airspeed"], estimate["airspeed"]])

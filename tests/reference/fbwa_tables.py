@@ -1,0 +1,61 @@
+"""What fly-by-wire A remembers and is told; apart from the law, for its twin needs it too.
+
+Both are tables with one record per aircraft, so that a compiled law is handed one array in the
+place of dozens. Fields of two numbers hold roll, then pitch.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from testbed.core.records import Array
+
+MEMORY = np.dtype(
+    [
+        ("gyro_first", "f8", (2,)),  # rad/s, states of the gyro's filter
+        ("gyro_second", "f8", (2,)),  # rad/s
+        ("target", "f8", (2,)),  # rad/s, filtered rate target, scaled
+        ("error", "f8", (2,)),  # rad/s, filtered rate error, scaled
+        ("derivative", "f8", (2,)),  # rad/s², filtered
+        ("integral", "f8", (2,)),  # part of full output
+        ("output", "f8", (2,)),  # sum before its limit, part of full output
+    ]
+)
+
+
+class FbwaMemory(NamedTuple):
+    """What the law remembers from one period to the next."""
+
+    begun: bool  # False before the first period: filters start settled on what they first see
+    commands: Array  # (periods, 3, N) roll, pitch, throttle under way, the newest first
+    each: Any  # (N,) of MEMORY
+
+
+class FbwaGains(NamedTuple):
+    """Parameters of N autopilots in radians, prepared for the law at one rate.
+
+    Surface gains are per full output, which ArduPlane calls 45 degrees.
+    """
+
+    dt: float
+    command_periods: int  # whole periods of the command's latency
+    command_fraction: float  # the rest, as a part of a period
+    gyro_b0: float  # of the gyro's filter; b1 = 2 b0, b2 = b0
+    gyro_a1: float
+    gyro_a2: float
+    each: Any  # (N,) of autopilot.fbwa.GAINS
+
+
+class Columns:
+    """The fields of a table (N,) as contiguous arrays: (N,), or (2, N) for roll and pitch."""
+
+    def __init__(self, table: Any) -> None:  # noqa: ANN401 - a structured array
+        """Look into this table."""
+        self._table = table
+
+    def __getattr__(self, name: str) -> Array:
+        """A field, copied."""
+        column: Array = np.ascontiguousarray(self._table[name].T)
+        return column
