@@ -57,8 +57,9 @@ clients: $(CLIENTS_STAMP)
 
 # Everything: the tests, 1,000 starts of the theorem, statistics of air and network on more samples,
 # broken MAVLink frames, flight logs and input files, real time with nothing else running, a study whose
-# processes are killed, 200 runs killed at random moments, the snippets of every docs page, laws of large
-# formations, every golden table, and a release built and flown from a new environment.
+# processes are killed, 200 runs killed at random moments and 200 stopped by two signals, the snippets of
+# every docs page, laws of large formations, every golden table, and a release built and flown from a
+# new environment.
 check-all: test release
 	@TESTBED_STARTS=1000 $(BIN)/pytest -q tests/theorems/test_theorem_many_starts.py
 	@TESTBED_AIR_SAMPLES=60 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_atmosphere_dryden.py \

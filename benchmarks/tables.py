@@ -35,6 +35,7 @@ def fly(case: Case) -> Metrics:
         "completed",
         "envelope_exceeded",
         "formation_lost",
+        "separation_lost",
     ):  # a table may be of what upsets a formation
         raise SystemExit(f"{case}: {flown.outcome}")
     return flown.metrics

@@ -27,3 +27,8 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - a class or a function
 
         return getattr(flight_data, name)
     raise AttributeError(f"module 'testbed' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """List the public names, also those that are not imported yet."""
+    return sorted({*globals(), *__all__})

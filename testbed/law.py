@@ -57,11 +57,20 @@ Commands; a number stands for all rows:
   `speed_desired` (n,) m/s: s_d, and `direction` (n, 3): y_d, a unit vector in NED; desired motion
   for the middle loop and the log.
   `limiter_flags` (n,): bit set of `LimiterFlag`, which limits acted; 0 for none.
+  `command_from_velocity(config, own, velocity_ned)` makes one from desired velocities.
 - `FbwaCommand`, what ArduPlane's mode FBWA takes from the sticks: `pitch` (n,) rad, nose up
   positive; `roll` (n,) rad, right wing down positive; `throttle` (n,), 0 to 1.
 """
 
-from testbed.core.records import FbwaCommand, Inbox, UnicycleCommand, VehicleState
+from __future__ import annotations
+
+import inspect
+import re
+
+import numpy as np
+
+from testbed.core.records import Array, FbwaCommand, Inbox, UnicycleCommand, VehicleState
+from testbed.formation.control_step import Hbh23Law
 from testbed.formation.flags import LimiterFlag
 from testbed.formation.law import FormationConfig, Law
 
@@ -73,4 +82,69 @@ __all__ = [
     "LimiterFlag",
     "UnicycleCommand",
     "VehicleState",
+    "command_from_velocity",
 ]
+
+_FIELD = re.compile(r"^    (\w+): .*?# (.*)$", re.MULTILINE)
+
+
+def command_from_velocity(
+    config: FormationConfig,
+    own: VehicleState,
+    velocity_ned: Array,
+    acceleration_ned: Array | float = 0.0,
+) -> UnicycleCommand:
+    """Compute the command that turns and accelerates followers to desired velocities.
+
+    This is the second half of the built-in law, [HBH23] (8)-(15), with the scenario's gains a, b
+    and c, barrier and speed bounds: s_d and y_d are length and direction of the desired velocity,
+    s_d is clamped to its bounds, and u and ω reach them. With `formation.altitudes_m` the vertical
+    components are not used.
+
+    Args:
+        config: the first argument of the law's class.
+        own: the followers' estimates, as `step` receives them.
+        velocity_ned: p_d (n, 3) m/s over the ground, north, east, down; finite, not zero.
+        acceleration_ned: its time derivative (n, 3) m/s²; without it followers lag behind a
+            desired velocity that turns.
+
+    Raises:
+        ValueError: a velocity is zero or not finite, or an array has another shape.
+    """
+    law = config.hbh23
+    if not isinstance(law, Hbh23Law):
+        raise ValueError("config.hbh23 is missing: pass the config that the law's class received")
+    shape = (len(config.names), 3)
+    arrays = []
+    for name, value in (("velocity_ned", velocity_ned), ("acceleration_ned", acceleration_ned)):
+        given = np.asarray(value, dtype=np.float64)
+        if given.shape not in (shape, ()):
+            raise ValueError(f"{name} has shape {given.shape}, not {shape}")
+        array = np.ascontiguousarray(np.broadcast_to(given, shape))
+        if not np.isfinite(array).all():
+            row = int(np.flatnonzero(~np.isfinite(array).all(axis=1))[0])
+            raise ValueError(f"{name} of {config.names[row]} is not finite")
+        arrays.append(array)
+    weights = np.where(law.law["horizontal"][:, np.newaxis], [1.0, 1.0, 0.0], 1.0)
+    still = np.flatnonzero(~(arrays[0] * weights).any(axis=1))
+    if len(still):
+        raise ValueError(f"velocity_ned of {config.names[still[0]]} is zero: it has no direction")
+    return law.command_from_velocity(own, *arrays)
+
+
+def _document_fields(kind: type) -> None:
+    """Add the comments on a record's fields to its help."""
+    try:
+        fields = _FIELD.findall(inspect.getsource(kind))
+    except OSError:  # no source files are installed
+        return
+    lines = "\n".join(f"    {name}: {comment}" for name, comment in fields)
+    kind.__doc__ = f"{inspect.cleandoc(kind.__doc__ or '')}\n\nFields:\n{lines}"
+    for name, comment in fields:
+        member = getattr(kind, name, None)
+        if hasattr(member, "__doc__") and issubclass(kind, tuple):
+            member.__doc__ = comment
+
+
+for _kind in (VehicleState, Inbox, UnicycleCommand, FbwaCommand, FormationConfig):
+    _document_fields(_kind)

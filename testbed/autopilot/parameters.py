@@ -13,6 +13,7 @@ import numpy as np
 from testbed.autopilot.fbwa import GAINS
 from testbed.core.errors import InputError
 from testbed.core.frames import GRAVITY
+from testbed.core.input_files import read_bounded_text
 from testbed.core.records import Array, Records, allocate
 
 
@@ -99,10 +100,7 @@ def read_params(path: Path) -> FbwaParams:
         ParamError: the file cannot be read, or a line or value is invalid.
     """
     path = Path(path)
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ParamError(f"{path}: cannot read this parameter file: {error}") from error
+    lines = read_bounded_text(path, error=ParamError).splitlines()
     values: dict[str, float] = {}
     where: dict[str, int] = {}
     unknown: set[str] = set()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from testbed.core.errors import InputError
+from testbed.core.input_files import read_bounded_text
 
 # Name, value and reason.
 _LINK_PARAMETERS = (
@@ -47,10 +47,7 @@ def defaults_text(tune: Path, *, physics_hz: int, autopilot_hz: int) -> str:
     Raises:
         InputError: the parameter file cannot be read.
     """
-    try:
-        text = tune.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{tune}: cannot read this parameter file: {error}") from error
+    text = read_bounded_text(tune)
     given = (line.split("#", 1)[0].replace(",", " ").split() for line in text.splitlines())
     own = {words[0].upper(): words[1] for words in given if len(words) == 2}
     link = (

@@ -23,12 +23,12 @@ from testbed.cli.options import (
 )
 from testbed.cli.output import (
     MISSING,
-    report_write_errors,
     result_console,
     ruled_table,
     write_json_output,
 )
 from testbed.core.errors import InputError
+from testbed.core.files import report_write_errors, write_file
 
 if TYPE_CHECKING:
     from testbed.core.records import Array
@@ -123,6 +123,7 @@ def air_command(
         _save(out, to_arrays(loaded, path, record))
     if plot:
         _plot(plot, loaded, path, record)
+    write_json_output(json, document)
     console = result_console(json)
     console.print(_headline(loaded, path))
     console.write_line()
@@ -130,7 +131,6 @@ def air_command(
     for name, file in (("arrays", out), ("figure", plot)):
         if file:
             console.write_line(f" {name}  {file}")
-    write_json_output(json, document)
 
 
 def _check_samples(samples: float, *, probes: int, plot: bool) -> None:
@@ -182,7 +182,7 @@ def _save(path: Path, arrays: Mapping[str, Any]) -> None:
     import numpy as np
 
     # np.savez adds .npz to a name, but not to an open file
-    with report_write_errors(f"--out {path}"), path.open("wb") as file:
+    with report_write_errors(f"--out {path}"), write_file(path) as file:
         np.savez(file, **arrays)
 
 

@@ -10,8 +10,9 @@ import typer
 
 from testbed.cli.exit_codes import ExitCode
 from testbed.cli.options import Jobs, JsonFile, output_option, require_positive
-from testbed.cli.output import result_console, write_json_output
+from testbed.cli.output import message_console, result_console, write_json_output
 from testbed.core.errors import InputError
+from testbed.core.files import check_folder_writable, check_writable, report_write_errors
 
 
 def check_command(
@@ -67,21 +68,32 @@ def check_command(
             write_junit(junit, to_junit([], str(error).splitlines()))
         raise
     jobs = jobs or os.cpu_count() or 1
+    report = message_console().write_line
     if update:
+        for case in cases:
+            with report_write_errors(case.path):
+                check_folder_writable(case.path.parent)
+                if case.path.parent.is_dir():
+                    check_writable(case.path)
         with progress_counter("flights") as progress:
             updates = update_tables(
-                cases, seeds=seeds, jobs=jobs, reason=(reason or "").strip(), progress=progress
+                cases,
+                seeds=seeds,
+                jobs=jobs,
+                reason=(reason or "").strip(),
+                progress=progress,
+                report=report,
             )
         print_updates(updates, result_console())
         passed = all(each.table for each in updates)
     else:
         with progress_counter("flights") as progress:
-            verdicts = check(cases, seeds=seeds, jobs=jobs, progress=progress)
+            verdicts = check(cases, seeds=seeds, jobs=jobs, progress=progress, report=report)
         if junit:
             write_junit(junit, to_junit(verdicts))
-        print_check(verdicts, result_console(json))
         document = to_document(verdicts)
         write_json_output(json, document)
+        print_check(verdicts, result_console(json))
         passed = document["passed"]
     raise typer.Exit(ExitCode.OK if passed else ExitCode.DIFFERENT)
 

@@ -55,8 +55,8 @@ def compare_command(
     paths = find_run(first), find_run(second)
     logs = _read(paths[0]), _read(paths[1])
     found = compare_runs(*logs, tolerance=within)
-    _print_comparison(found, logs, paths, result_console(json))
     write_json_output(json, _document(found, paths))
+    _print_comparison(found, logs, paths, result_console(json))
     raise typer.Exit(ExitCode.OK if found.same else ExitCode.DIFFERENT)
 
 

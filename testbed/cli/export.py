@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
 import os
-import sys
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
@@ -13,7 +11,7 @@ from typing import IO, TYPE_CHECKING, Annotated
 import typer
 
 from testbed.cli.options import RunName, output_option
-from testbed.cli.output import describe_file, is_stdout, message_console, report_write_errors
+from testbed.cli.output import describe_file, is_stdout, message_console, open_output
 from testbed.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -61,7 +59,6 @@ def export_command(
 
     Columns have the names of the log's topics and fields, with their units.
     """
-    from testbed.core.files import atomic_write
     from testbed.logs.flight_data import FlightData
     from testbed.logs.read import read_log
     from testbed.logs.run_directory import find_run
@@ -77,15 +74,9 @@ def export_command(
         content = f"layout for {log}"
     content += "" if flight.log.finished else " (the run was cut short)"
     messages = message_console()
-    if is_stdout(out):
-        buffer = io.BytesIO()
-        write(buffer)
-        sys.stdout.buffer.write(buffer.getvalue())
-        messages.write_line(f"{path}: {content}")
-    else:
-        with report_write_errors(f"--out {path}"), atomic_write(path) as file:
-            write(file.buffer)
-        messages.write_line(describe_file(path, content))
+    with open_output(path, "--out") as file:
+        write(file)
+    messages.write_line(describe_file(path, content))
 
 
 def _writer(

@@ -12,8 +12,9 @@ from rich.table import Table
 from rich.text import Text
 
 from testbed.cli.options import output_option, require_finite
-from testbed.cli.output import report_write_errors, result_console
+from testbed.cli.output import result_console
 from testbed.core.errors import InputError
+from testbed.core.files import report_write_errors, write_text_file
 
 if TYPE_CHECKING:
     from testbed.mavlink.flight_import import ImportedFlight
@@ -54,7 +55,6 @@ def import_command(
     Takes the longest continuous section in the mode, with a row per attitude message. Columns that
     the log does not have are left out.
     """
-    from testbed.core.files import atomic_write
     from testbed.mavlink.flight_import import read_flight, write_flight
 
     if begin is not None and end is not None and begin >= end:
@@ -66,7 +66,7 @@ def import_command(
         end=math.inf if end is None else end,
         mode=mode,
     )
-    with report_write_errors(f"--out {out}"), atomic_write(out) as file:
+    with report_write_errors(f"--out {out}"), write_text_file(out) as file:
         write_flight(found, file.write)
     console = result_console()
     _print_import(console, found)

@@ -15,12 +15,12 @@ from testbed.cli.options import AircraftName, JsonFile, ParamFile, require_finit
 from testbed.cli.output import (
     MISSING,
     check_output_path,
-    report_write_errors,
     result_console,
     ruled_table,
     write_json_output,
 )
 from testbed.core.errors import InputError
+from testbed.core.files import report_write_errors
 
 if TYPE_CHECKING:
     from testbed.core.records import Origin
@@ -82,11 +82,11 @@ def trim_command(
     folder = find_aircraft(aircraft)
     point, origin = _trim_point(airspeed, climb, bank, altitude)
     result = trim_aircraft(folder, point, origin)
+    write_json_output(json, {"aircraft": folder.name, **trim_document(result)})
     console = result_console(json)
     console.write_line(_headline(folder, point))
     console.write_line()
     console.print(_trim_table(result))
-    write_json_output(json, {"aircraft": folder.name, **trim_document(result)})
 
 
 def linearize_command(
@@ -107,10 +107,6 @@ def linearize_command(
     point, origin = _trim_point(airspeed, climb, bank, altitude)
     linear = linearize_aircraft(folder, point, origin)
     modes = find_modes(linear.a)
-    console = result_console(json)
-    console.write_line(_headline(folder, point))
-    console.write_line()
-    console.print(_modes_table(modes))
     document = {
         "aircraft": folder.name,
         "trim": trim_document(linear.trim),
@@ -121,6 +117,10 @@ def linearize_command(
         "modes": [_mode_document(mode) for mode in modes],
     }
     write_json_output(json, document)
+    console = result_console(json)
+    console.write_line(_headline(folder, point))
+    console.write_line()
+    console.print(_modes_table(modes))
 
 
 def step_command(
@@ -156,16 +156,6 @@ def step_command(
     params = read_params(find_tune(folder, param))
     before = gains.trim_airspeed_mps if airspeed is None else airspeed
     response = speed_step(folder, gains, params, airspeed=before, step=step)
-    console = result_console(json)
-    settings = f" · {before:g} {step:+g} m/s · profile {profile} · tune {Path(param).stem}"
-    console.write_line(Text.assemble(" ", (folder.name, "bold"), settings))
-    console.write_line()
-    console.print(_step_table(response))
-    console.write_line()
-    console.print(_step_facts(response))
-    if response.limited_s > LIMITED_SHARE * response.time[-1]:
-        line = " the throttle was at a limit: the pole is that of the motor, not of the loop"
-        console.write_line(line, "yellow")
     document = {
         "aircraft": folder.name,
         "profile": profile,
@@ -183,6 +173,16 @@ def step_command(
         "throttle": response.throttle.tolist(),
     }
     write_json_output(json, document)
+    console = result_console(json)
+    settings = f" · {before:g} {step:+g} m/s · profile {profile} · tune {Path(param).stem}"
+    console.write_line(Text.assemble(" ", (folder.name, "bold"), settings))
+    console.write_line()
+    console.print(_step_table(response))
+    console.write_line()
+    console.print(_step_facts(response))
+    if response.limited_s > LIMITED_SHARE * response.time[-1]:
+        line = " the throttle was at a limit: the pole is that of the motor, not of the loop"
+        console.write_line(line, "yellow")
 
 
 def respond_command(

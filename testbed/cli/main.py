@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import sys
 import traceback
 from typing import Annotated
@@ -19,6 +20,7 @@ from testbed.cli.export import export_command
 from testbed.cli.import_flight import import_command
 from testbed.cli.inspect import linearize_command, respond_command, step_command, trim_command
 from testbed.cli.network import network_command
+from testbed.cli.output import guard_standard_streams
 from testbed.cli.recover import recover_command
 from testbed.cli.report import report_command
 from testbed.cli.run import run_command
@@ -32,28 +34,42 @@ from testbed.core.interrupts import count_sigint
 
 
 class _Commands(CommandGroup):
-    functions = {
-        "run": run_command,
-        "view": view_command,
-        "shot": shot_command,
-        "validate": validate_command,
-        "check": check_command,
-        "list": list_command,
-        "schema": schema_command,
-        "respond": respond_command,
-        "compare": compare_command,
-        "sweep": sweep_command,
-        "tune": tune_command,
-        "study-report": study_report_command,
-        "import": import_command,
-        "report": report_command,
-        "recover": recover_command,
-        "export": export_command,
-        "trim": trim_command,
-        "linearize": linearize_command,
-        "step": step_command,
-        "air": air_command,
-        "network": network_command,
+    panels = {
+        "Fly": {
+            "run": run_command,
+            "sweep": sweep_command,
+            "check": check_command,
+            "tune": tune_command,
+        },
+        "Before a flight": {
+            "list": list_command,
+            "validate": validate_command,
+            "network": network_command,
+            "air": air_command,
+            "schema": schema_command,
+        },
+        "After a flight": {
+            "view": view_command,
+            "shot": shot_command,
+            "report": report_command,
+            "compare": compare_command,
+            "export": export_command,
+            "study-report": study_report_command,
+            "recover": recover_command,
+        },
+        "Aircraft": {
+            "trim": trim_command,
+            "linearize": linearize_command,
+            "step": step_command,
+            "respond": respond_command,
+            "import": import_command,
+        },
+    }
+    option_panels = {
+        "run": {
+            "Scenario": ("overrides", "seed", "duration"),
+            "Output": ("out", "json", "view", "quiet"),
+        }
     }
     epilogs = dict.fromkeys(
         ("run", "view", "shot", "check", "compare", "sweep", "tune", "respond"), EXIT_CODES_HELP
@@ -88,7 +104,12 @@ def _main(
         ),
     ] = False,
 ) -> None:
-    pass
+    try:
+        os.getcwd()
+    except OSError as error:
+        raise InputError(
+            f"the current directory cannot be used: {error.strerror}; change to another"
+        ) from None
 
 
 def main() -> None:
@@ -96,9 +117,13 @@ def main() -> None:
     thresholds = gc.get_threshold()
     # imported modules are never garbage: collecting less often saves a tenth of a run's start
     gc.set_threshold(100_000, 20, 50)
+    guard_standard_streams()
     try:
         with count_sigint():
-            app()
+            try:
+                app()
+            finally:
+                sys.stdout.flush()
     except InputError as error:
         for line in (f"error: {error}", *getattr(error, "__notes__", ())):
             typer.echo(line, err=True)

@@ -19,8 +19,9 @@ from testbed.cli.options import (
     load_scenario,
     output_option,
 )
-from testbed.cli.output import report_write_errors, result_console, write_json_output
+from testbed.cli.output import result_console, write_json_output
 from testbed.core.errors import InputError
+from testbed.core.files import report_write_errors, write_text_file
 
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
@@ -57,6 +58,13 @@ def network_command(
     ] = None,
     overrides: Overrides = None,
     seed: Seed = None,
+    plot: Annotated[
+        Path | None,
+        output_option(
+            help="Plot what arrived on each link and how late, as .png, .pdf or .svg.",
+            suffixes=(".png", ".pdf", ".svg"),
+        ),
+    ] = None,
     json: JsonFile = None,
 ) -> None:
     """Send messages over a scenario's network, without simulating aircraft.
@@ -73,13 +81,15 @@ def network_command(
     from testbed.sim.channel_probe import probe_channel
     from testbed.sim.stop_request import stop_on_signals
 
-    if out and json and out.absolute() == json.absolute():
-        raise InputError(f"--json {json}: --out names the same file; write another name")
+    files = {"--out": out, "--plot": plot, "--json": json}
+    _check_different({option: path for option, path in files.items() if path})
     loaded = load_scenario(scenario, overrides, seed)
     _check_rows(loaded, packets)
     total = packets * len(loaded.aircraft_names)
     with stop_on_signals() as stop, progress_counter("network", total=total, unit="sent") as update:
-        result = probe_channel(loaded, packets, record=out is not None, progress=update, stop=stop)
+        result = probe_channel(
+            loaded, packets, record=bool(out or plot), progress=update, stop=stop
+        )
         if stop():
             raise KeyboardInterrupt
     document = {
@@ -90,11 +100,71 @@ def network_command(
     }
     if out and result.messages:
         _save(out, loaded.aircraft_names, result.messages)
+    if plot and result.messages:
+        _plot(plot, loaded, document, result.messages)
+    write_json_output(json, document)
     console = result_console(json)
     _print_summary(console, document)
-    if out:
-        console.write_line(f" messages  {out}")
-    write_json_output(json, document)
+    for title, file in (("messages", out), ("figure", plot)):
+        if file:
+            console.write_line(f" {title:<10}{file}")
+
+
+def _check_different(files: Mapping[str, Path]) -> None:
+    """Check that no two options name the same file."""
+    seen: dict[Path, str] = {}
+    for option, path in files.items():
+        other = seen.setdefault(path.absolute(), option)
+        if other != option:
+            raise InputError(f"{option} {path}: {other} names the same file; write another name")
+
+
+def _plot(path: Path, scenario: Scenario, document: Document, messages: MessageRecord) -> None:
+    import numpy as np
+
+    from testbed.views.network_figure import NetworkFigureData, save_network_figure
+
+    names = scenario.aircraft_names
+    share = np.full((len(names) - 1, len(names)), np.nan)
+    delays = [[np.empty(0) for _ in names] for _ in names[1:]]
+    for m, source in enumerate(names):
+        for i, destination in enumerate(names[1:]):
+            link = document["links"].get(source, {}).get(destination)
+            if link and link["delivered_share"] is not None:
+                share[i, m] = link["delivered_share"]
+                late = messages.received_s[:, i, m] - messages.sent_s[:, m]
+                delays[i][m] = late[~np.isnan(late)]
+    data = NetworkFigureData(
+        title=f"{scenario.name} · {document['packets']:,} messages on each link",
+        subtitle=_worst(document) or f"seed {document['seed']}",
+        names=names,
+        share=share,
+        delays_s=delays,
+    )
+    with report_write_errors(f"--plot {path}"):
+        save_network_figure(data, path)
+
+
+def _worst(document: Document) -> str:
+    """Describe the link that delivered least, the latest of several; "" if all are alike."""
+    from testbed.metrics.facts import percent
+    from testbed.metrics.link_tables import quality
+
+    links = {
+        f"{source} > {destination}": link
+        for source, receivers in document["links"].items()
+        for destination, link in receivers.items()
+    }
+    if len({quality(link) for link in links.values()}) < 2:
+        return ""
+    name = min(links, key=lambda each: quality(links[each]))
+    delay, bursts = links[name]["delay_s"], links[name]["bursts"]
+    parts = [f"{percent(links[name]['delivered_share'])} arrived"]
+    if delay and delay["p95"] > 0.0:
+        parts.append(f"95 % of these within {1e3 * delay['p95']:.1f} ms")
+    if bursts["longest"] > 1:
+        parts.append(f"up to {bursts['longest']:,} lost in a row")
+    return f"worst link: {name}, {', '.join(parts)}"
 
 
 def _check_rows(scenario: Scenario, packets: int) -> None:
@@ -111,12 +181,11 @@ def _check_rows(scenario: Scenario, packets: int) -> None:
 
 def _save(path: Path, names: Sequence[str], messages: MessageRecord) -> None:
     from testbed.cli.progress import progress_counter
-    from testbed.core.files import atomic_write
 
     total, written = len(messages.outcome) * (len(names) - 1) ** 2, 0
     with (
         report_write_errors(f"--out {path}"),
-        atomic_write(path) as file,
+        write_text_file(path) as file,
         progress_counter("network", total=total, unit="written") as update,
     ):
         file.write(HEADER)
@@ -171,6 +240,9 @@ def _print_summary(console: Console, document: Document) -> None:
         console.print(_count_table(listed, together, outcomes[first : first + COLUMNS]))
     if len(listed) < links:
         console.print(Text(f" (the worst of {links} links)", style="dim"))
+    if worst := _worst(document):
+        console.print()
+        console.print(Text(f" {worst}"))
 
 
 def _link_count(document: Document) -> int:

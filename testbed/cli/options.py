@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from testbed.scenario import Scenario
 
 
+_MAX_COUNT = 1_000_000  # of flights, processes and other things that are counted
+
+
 def require_finite(parameter: typer.CallbackParam, value: float | None) -> float | None:
     """Refuse NaN and infinity; a typer callback.
 
@@ -28,15 +31,20 @@ def require_finite(parameter: typer.CallbackParam, value: float | None) -> float
 
 
 def require_positive(parameter: typer.CallbackParam, value: float | None) -> float | None:
-    """Refuse zero, negative and infinite numbers; a typer callback.
+    """Refuse zero, negative, infinite and very large whole numbers; a typer callback.
 
     Raises:
         InputError: the value is one of them.
     """
-    require_finite(parameter, value)
+    whole = isinstance(value, int)
+    if not whole:
+        require_finite(parameter, value)
     if value is not None and value <= 0:
-        kind = "whole number" if isinstance(value, int) else "number"
-        raise InputError(f"{parameter.opts[0]} {value:g}: write a {kind} above 0")
+        kind = "whole number" if whole else "number"
+        shown = f"{value}" if whole else f"{value:g}"
+        raise InputError(f"{parameter.opts[0]} {shown}: write a {kind} above 0")
+    if whole and value is not None and value > _MAX_COUNT:
+        raise InputError(f"{parameter.opts[0]} {value}: write a number of at most {_MAX_COUNT:,}")
     return value
 
 

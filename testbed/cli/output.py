@@ -2,32 +2,88 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, TextIO
 
 import typer
 from rich import box
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from testbed.core.errors import InputError
+from testbed.core.errors import InputError, escape_controls
+from testbed.core.files import (
+    check_folder_writable,
+    check_writable,
+    report_write_errors,
+    reserve_standard_descriptors,
+    write_file,
+)
 
 MISSING = "–"  # in a cell without a number
 
 
-class PipeSafeConsole(Console):
-    """Console that ignores a closed pipe, such as that of `head`."""
+_closed: set[int] = set()  # standard descriptors that were closed when the program started
 
-    def on_broken_pipe(self) -> None:
-        """Discard the rest; rich would exit with 1, the code of a lost aircraft."""
-        self.quiet = True
-        with open(os.devnull, "w") as null:
-            os.dup2(null.fileno(), self.file.fileno())
+
+class _StandardDescriptor(io.FileIO):
+    """Standard output or error; after an error its text is discarded.
+
+    Raises:
+        InputError: from `write`, of standard output whose reader has not just closed it.
+    """
+
+    def write(self, data: Any) -> int:  # noqa: ANN401 - any buffer
+        try:
+            return super().write(data)
+        except OSError as error:
+            # the buffers above are written again when the program ends
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, self.fileno())
+            os.close(null)
+            if isinstance(error, BrokenPipeError) or self.fileno() != 1:
+                return len(memoryview(data).cast("B"))
+            raise InputError(f"standard output: cannot be written: {error.strerror}") from error
+
+
+def guard_standard_streams() -> None:
+    """Make standard output and error safe to write where they are closed, full or not Unicode.
+
+    Errors of standard output become an InputError, those of standard error are ignored; a
+    character that the encoding lacks becomes a question mark.
+    """
+    _closed.update(reserve_standard_descriptors())
+    for descriptor, name in ((1, "stdout"), (2, "stderr")):
+        stream: TextIO | None = getattr(sys, name)
+        if stream is None or stream is getattr(sys, f"__{name}__"):
+            raw = _StandardDescriptor(descriptor, "w", closefd=False)
+            guarded = io.TextIOWrapper(
+                io.BufferedWriter(raw),
+                encoding=stream.encoding if stream else "utf-8",
+                errors="backslashreplace" if name == "stderr" else "replace",
+                line_buffering=name == "stderr" or raw.isatty(),
+            )
+            setattr(sys, name, guarded)
+
+
+class PipeSafeConsole(Console):
+    """Console of a command; `guard_standard_streams` handles a closed pipe, as that of `head`."""
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterable[Segment]:
+        """Render, with control characters of texts escaped: they may come from a file."""
+        for segment in super().render(renderable, options):
+            if segment.control or segment.text.isprintable():
+                yield segment
+            else:
+                yield Segment(escape_controls(segment.text), segment.style)
 
     def write_line(self, text: str | Text = "", style: str = "") -> None:
         """Print one line as it is, without markup and without wrapping."""
@@ -55,42 +111,41 @@ def is_stdout(path: Path | None) -> bool:
 
 
 def check_output_path(parameter: typer.CallbackParam, path: Path | None) -> Path | None:
-    """Check that an option names a file in an existing folder; a typer callback.
+    """Check that the file of an option can be written; a typer callback.
 
     Raises:
-        InputError: the folder does not exist, or the path is a folder.
+        InputError: it cannot, as its folder does not exist or the path is a folder.
     """
-    if path is None or is_stdout(path):
-        return path
-    name = parameter.opts[0]
-    option = f"{name} {path}" if name.startswith("-") else str(path)
-    folder = path.absolute().parent
-    if not folder.is_dir():
-        raise InputError(f"{option}: there is no folder {folder}")
-    if path.is_dir():
-        raise InputError(f"{option}: this is a folder; write the name of a file")
+    if path is not None and is_stdout(path):
+        if 1 in _closed:
+            raise InputError(f"{_with_option(parameter, path)}: standard output is closed")
+    elif path is not None:
+        with report_write_errors(_with_option(parameter, path)):
+            check_writable(path)
     return path
 
 
-@contextmanager
-def report_write_errors(target: str) -> Iterator[None]:
-    """Turn an OSError in the block into an InputError.
-
-    Args:
-        target: the option and its path, or the path, as the message begins.
+def check_output_folder(parameter: typer.CallbackParam, path: Path | None) -> Path | None:
+    """Check that files can be written to the folder of an option; a typer callback.
 
     Raises:
-        InputError: a file cannot be written.
+        InputError: they cannot, and the folder cannot be created.
     """
-    try:
-        yield
-    except OSError as error:
-        raise InputError(f"{target}: cannot be written: {error.strerror or error}") from error
+    if path is not None:
+        with report_write_errors(_with_option(parameter, path)):
+            check_folder_writable(path)
+    return path
+
+
+def _with_option(parameter: typer.CallbackParam, path: Path) -> str:
+    name = parameter.opts[0]
+    return f"{name} {path}" if name.startswith("-") else str(path)
 
 
 def describe_file(path: Path, content: str = "") -> str:
-    """Describe a written file: path, size and content."""
-    return f"{path}: {', '.join(filter(None, [format_size(path), content]))}"
+    """Describe a written file: path, size and content; a pipe or device has no size."""
+    size = format_size(path) if path.is_file() else ""
+    return ": ".join(filter(None, [str(path), ", ".join(filter(None, [size, content]))]))
 
 
 def format_size(*paths: Path) -> str:
@@ -103,15 +158,35 @@ def format_size(*paths: Path) -> str:
     return f"{size:.1f} {unit}" if size < 9.95 else f"{size:,.0f} {unit}"
 
 
+@contextmanager
+def open_output(path: Path, option: str) -> Iterator[BinaryIO]:
+    """Open the file of an option, or standard output for `-`; written when the block ends.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    with report_write_errors("standard output" if is_stdout(path) else f"{option} {path}"):
+        if not is_stdout(path):
+            with write_file(path) as file:
+                yield file
+            return
+        content = io.BytesIO()
+        yield content
+        sys.stdout.flush()
+        with suppress(BrokenPipeError):  # the reader, such as `head`, has enough
+            sys.stdout.buffer.write(content.getbuffer())
+            sys.stdout.buffer.flush()
+
+
 def write_json_output(path: Path | None, document: Mapping[str, Any]) -> None:
     """Write a document to the file of --json, or to standard output for `-`.
 
     Raises:
         InputError: the file cannot be written.
     """
-    from testbed.metrics.document import to_json, write_json
+    from testbed.metrics.document import to_json
 
-    if is_stdout(path):
-        sys.stdout.write(to_json(document))
-    elif path:
-        write_json(path, document)
+    if path is not None:
+        text = to_json(document)
+        with open_output(path, "--json") as file:
+            file.write(text.encode())

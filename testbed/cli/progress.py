@@ -11,6 +11,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from testbed.core.compile_lock import NOTICE
+
 if TYPE_CHECKING:
     from testbed.core.records import Event, RunInfo, Sample
 
@@ -73,7 +75,7 @@ class CompilingBar:
     def __call__(self, ready: int, total: int) -> None:
         """Announce it at the first call; draw the bar, and remove it when all are ready."""
         if self._bar is None:
-            self._console.print("compiling kernels, once; later runs load them")
+            self._console.print(NOTICE)
             self._bar = Progress(
                 TextColumn("[bold]compiling"),
                 BarColumn(bar_width=None),

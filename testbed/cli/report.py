@@ -11,11 +11,13 @@ import typer
 from testbed.cli.options import RunName, output_option
 from testbed.cli.output import (
     PipeSafeConsole,
+    check_output_folder,
+    describe_file,
     format_size,
-    report_write_errors,
     result_console,
 )
 from testbed.core.errors import InputError
+from testbed.core.files import report_write_errors
 
 if TYPE_CHECKING:
     from testbed.reports.figure_spec import Figure
@@ -34,7 +36,11 @@ ReportFile = Annotated[
 ]
 Figures = Annotated[
     Path | None,
-    typer.Option(metavar="DIR", help="Also write every figure as a file to this folder."),
+    typer.Option(
+        metavar="DIR",
+        help="Also write every figure as a file to this folder.",
+        callback=check_output_folder,
+    ),
 ]
 FigureFormat = Annotated[
     str | None,
@@ -73,7 +79,7 @@ def write_report(page: Page, path: Path, console: PipeSafeConsole) -> None:
 
     with report_write_errors(str(path)):
         write_page(page, path)
-    console.write_line(f" report   {path}, {format_size(path)}")
+    console.write_line(f" report   {describe_file(path)}")
 
 
 def write_figures(

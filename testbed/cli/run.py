@@ -114,13 +114,15 @@ def run_command(
     """
     from testbed.cli.progress import CompilingBar, ProgressBar
     from testbed.metrics.tables import render_table
-    from testbed.scenario import set_duration
+    from testbed.scenario import set_duration, unreached_windows
     from testbed.sim.run import run
 
     loaded = load_scenario(scenario, overrides, seed)
-    if duration is not None:
-        loaded = set_duration(loaded, duration)
     messages = message_console()
+    unreached: dict[str, str] = {}
+    if duration is not None:
+        unreached = unreached_windows(loaded, duration)
+        loaded = set_duration(loaded, duration)
     external = external_options(
         loaded,
         messages.write_line,
@@ -145,12 +147,15 @@ def run_command(
         processes=processes,
         compiling=None if quiet else CompilingBar(messages),
     )
+    write_json_output(json, flown.metrics)
     if not quiet:
         console = result_console(json)
         render_table(flown.metrics, console, log=flown.directory)
+        if unreached:
+            line = f" {'windows not reached':<20}{', '.join(unreached.values())}"
+            console.write_line(line, "yellow")
         for path in sorted(flown.directory.glob("*.py")) if flown.directory else ():
             console.write_line(f" {'control law':<20}{path}, a copy of its code")
-    write_json_output(json, flown.metrics)
     raise typer.Exit(flown.exit_code)
 
 
@@ -190,9 +195,12 @@ def external_options(
         announce(f"warning: --arduplane {arduplane}: no aircraft has autopilot: ardupilot")
     key = None
     if key_file:
-        from testbed.mavlink.signing import read_key
+        from testbed.mavlink.signing import is_shared, read_key
 
         key = read_key(key_file)
+        if is_shared(key_file):
+            text = f"other users may read it; write chmod 600 {key_file}"
+            announce(f"warning: --mavlink-key {key_file}: {text}")
     return ExternalOptions(
         announce=announce,
         mavlink=addresses,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Annotated
 
 import typer
@@ -9,6 +10,9 @@ from rich.table import Table
 
 from testbed.cli.options import Overrides, ScenarioName, load_scenario
 from testbed.cli.output import result_console
+from testbed.core.errors import escape_controls
+
+AIRCRAFT_WIDTH, TIME_WIDTH = 3, 7  # columns of `testbed list`
 
 
 def validate_command(
@@ -28,33 +32,130 @@ def validate_command(
 
     loaded = load_scenario(scenario, overrides)
     for event in build(loaded).initial_events:
-        typer.echo(f"{event.level}: {event.source}: {event.text}", err=True)
+        typer.echo(escape_controls(f"{event.level}: {event.source}: {event.text}"), err=True)
     typer.echo(dump(loaded) if resolved else f"{scenario}: valid")
 
 
-def list_command() -> None:
-    """List the scenarios, studies, tunes and aircraft that can be used by name."""
-    from testbed.scenario import list_aircraft, list_scenarios, list_studies, list_tunings, load
-    from testbed.studies.plan import load_study
-    from testbed.studies.tune_schema import load_tune
+def list_command(
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[NAME]",
+            help="A scenario, study or tune: print its question, expectation and file.",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
+    """List the scenarios, studies, tunes and aircraft that can be used by name.
 
-    questions = {
-        "scenario": {name: load(name).scenario.question for name in list_scenarios()},
-        "study": {name: load_study(name).config.study.question for name in list_studies()},
-        "tune": {name: load_tune(name).config.study.question for name in list_tunings()},
-    }
+    Scenarios are grouped by purpose, with the number of their aircraft and the simulated time.
+    """
+    from testbed.scenario import list_aircraft
+
+    if name is not None:
+        _describe(name)
+        return
     console = result_console()
-    for kind, by_name in questions.items():
-        table = Table(box=None, pad_edge=False, header_style="bold")
-        table.add_column(kind, no_wrap=True)
-        table.add_column("question")
-        for name, question in by_name.items():
-            table.add_row(name, question)
+    console.write_line("scenario, number of aircraft, simulated time, what it shows", "dim")
+    console.print()
+    for title, table in (*_scenario_groups(), *_study_groups()):
+        console.write_line(title, "bold")
         console.print(table)
         console.print()
     console.write_line("aircraft", "bold")
-    for name in list_aircraft():
-        console.write_line(name)
+    for each in list_aircraft():
+        console.write_line(each)
+    console.print()
+    console.write_line(
+        "testbed list NAME says more of one; testbed run NAME flies a scenario.", "dim"
+    )
+
+
+def _scenario_groups() -> Iterator[tuple[str, Table]]:
+    from testbed.cli.catalogue import GROUPS, OTHERS
+    from testbed.scenario import list_scenarios, load
+
+    names = list_scenarios()
+    grouped = {each for group in GROUPS.values() for each in group}
+    others = {each: "" for each in names if each not in grouped}
+    width = max(map(len, names), default=0)
+    for title, group in {**GROUPS, OTHERS: others}.items():
+        table = _plain_table(width, (AIRCRAFT_WIDTH, TIME_WIDTH))
+        for name, line in group.items():
+            if name in names:
+                loaded = load(name)
+                duration = f"{loaded.scenario.duration_s:,.0f} s"
+                line = line or loaded.scenario.question
+                table.add_row(name, str(len(loaded.aircraft_names)), duration, line)
+        if table.row_count:
+            yield title, table
+
+
+def _study_groups() -> Iterator[tuple[str, Table]]:
+    from testbed.cli.catalogue import STUDIES, TUNES
+    from testbed.scenario import list_scenarios, list_studies, list_tunings
+    from testbed.studies.plan import Plan, load_study
+    from testbed.studies.tune_schema import load_tune
+
+    width = max(map(len, list_scenarios()), default=0)
+    table = _plain_table(width, (AIRCRAFT_WIDTH + TIME_WIDTH + 1,))
+    for name in sorted(list_studies(), key=lambda each: (each not in STUDIES, each)):
+        study = load_study(name)
+        line = STUDIES.get(name) or study.config.study.question
+        table.add_row(name, f"{len(Plan(study)):,} runs", line)
+    yield "studies (testbed sweep)", table
+    table = _plain_table(width, ())
+    for name in list_tunings():
+        table.add_row(name, TUNES.get(name) or load_tune(name).config.study.question)
+    yield "tunes (testbed tune)", table
+
+
+def _plain_table(width: int, numbers: Sequence[int]) -> Table:
+    """Make a table without rules: a name, right-aligned numbers of these widths, and a text."""
+    table = Table(box=None, pad_edge=False, show_header=False)
+    table.add_column(no_wrap=True, min_width=width)
+    for each in numbers:
+        table.add_column(justify="right", no_wrap=True, min_width=each)
+    table.add_column()
+    return table
+
+
+def _describe(name: str) -> None:
+    """Print question, expectation and file of a scenario, study or tune."""
+    from testbed.scenario import (
+        find_scenario,
+        find_study,
+        find_tuning,
+        list_studies,
+        list_tunings,
+        load,
+    )
+    from testbed.studies.plan import load_study
+    from testbed.studies.tune_schema import load_tune
+
+    console = result_console()
+    if name in list_studies():
+        path, header = find_study(name), load_study(name).config.study
+        rows = {"question": header.question, "run": f"testbed sweep {name}"}
+    elif name in list_tunings():
+        path, header = find_tuning(name), load_tune(name).config.study
+        rows = {"question": header.question, "run": f"testbed tune {name}"}
+    else:
+        loaded = load(name)
+        path = find_scenario(name)
+        rows = {
+            "question": loaded.scenario.question,
+            "expectation": loaded.scenario.expectation,
+            "aircraft": ", ".join(loaded.aircraft_names),
+            "run": f"testbed run {name}",
+        }
+    table = Table.grid(padding=(0, 2))
+    for title, text in rows.items():
+        if text:
+            table.add_row(title, text)
+    console.write_line(name, "bold")
+    console.print(table)
+    console.write_line(f"file  {path}")
 
 
 def schema_command() -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json as jsonlib
 import math
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from testbed.cli.options import JsonFile
-from testbed.cli.output import report_write_errors, result_console, write_json_output
+from testbed.cli.output import check_output_folder, result_console, write_json_output
 from testbed.cli.report import (
     REPORT_NAME,
     FigureFormat,
@@ -22,6 +22,7 @@ from testbed.cli.report import (
     write_report,
 )
 from testbed.core.errors import InputError
+from testbed.core.files import report_write_errors
 
 if TYPE_CHECKING:
     from testbed.reports.study import StudyData, StudyFlights
@@ -55,7 +56,11 @@ def study_report_command(
     format: FigureFormat = None,
     tables: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Also write every table as CSV to this folder."),
+        typer.Option(
+            metavar="DIR",
+            help="Also write every table as CSV to this folder.",
+            callback=check_output_folder,
+        ),
     ] = None,
     json: JsonFile = None,
 ) -> None:
@@ -70,6 +75,7 @@ def study_report_command(
     path = find_study_file(study)
     data = read_study(path, metrics=metric or (), statistic=statistic)
     page = study_page(data)
+    write_json_output(json, _document(data))
     console = result_console(json)
     print_summary(data, console)
     write_report(page, out or path.with_name(REPORT_NAME), console)
@@ -79,7 +85,6 @@ def study_report_command(
         with report_write_errors(f"--tables {tables}"):
             files = write_tables(data, tables)
         console.write_line(f" tables   {len(files)} in {tables}")
-    write_json_output(json, _document(data))
 
 
 def find_study_file(name: str) -> Path:
@@ -91,12 +96,12 @@ def find_study_file(name: str) -> Path:
     from testbed.studies.table import FILE, STUDIES
 
     path = Path(name)
-    if path.is_file():
+    if os.path.isfile(path):
         return path
-    if (path / FILE).is_file():
+    if os.path.isfile(path / FILE):
         return path / FILE
     for folder in (path, STUDIES / path):
-        files = sorted(folder.glob(f"*/{FILE}"))
+        files = sorted(folder.glob(f"*/{FILE}")) if os.path.isdir(folder) else []
         if files:
             return files[-1]
     known = sorted({each.parent.parent.name for each in STUDIES.glob(f"*/*/{FILE}")})
@@ -134,12 +139,12 @@ def read_study(path: Path, *, metrics: Sequence[str], statistic: str) -> StudyDa
         file=path.name,
         question=head.question if head else "",
         scenario=_scenario_names(config),
-        design=(head.design or "") if head else "",
-        metrics=_select_metrics(flights, metrics, head.metrics if head else ()),
+        design=(head.design or "factorial") if head and config and config.vary else "",
+        metrics=_select_metrics(path, flights, metrics, head.metrics if head else ()),
         statistic=statistic,
         flights=flights,
-        planned=int(table.metadata.get("runs", flights.run.size)),
-        versions=jsonlib.loads(table.metadata.get("versions.json", "{}")),
+        planned=table.planned,
+        versions={key: str(value) for key, value in table.json("versions.json").items()},
         files={name: table.metadata.get(name, "") for name in ("study.yaml", "scenario.yaml")},
         command=lambda run: str(commands[run]),
         repeat="testbed sweep study.yaml",
@@ -196,7 +201,7 @@ def _flights(table: StudyTable) -> StudyFlights:
 
 
 def _select_metrics(
-    flights: StudyFlights, requested: Sequence[str], of_study: Sequence[str]
+    path: Path, flights: StudyFlights, requested: Sequence[str], of_study: Sequence[str]
 ) -> tuple[str, ...]:
     from testbed.scenario.violations import did_you_mean
     from testbed.studies.rows import default_metric
@@ -209,7 +214,7 @@ def _select_metrics(
             near = did_you_mean(name, flights.metrics)
             known = [each for each in flights.metrics if each.startswith("windows.")][:6]
             raise InputError(
-                f"{name}: this study has no such number{near} (write for example "
+                f"{path}: {name}: this study has no such number{near} (write for example "
                 f"{', '.join(known or list(flights.metrics)[:6])})"
             )
     return names

@@ -105,15 +105,18 @@ def sweep_command(
             report(f"interrupted; {done:,} of {total:,} runs are stored: continue with --resume")
         raise
     summary = summarise(result)
+    write_json_output(json, to_document(result, summary))
     if not quiet:
         _print_summary(result, summary, result_console(json))
-    write_json_output(json, to_document(result, summary))
     raise typer.Exit(ExitCode.OK if result.completed else ExitCode.AIRCRAFT_LOST)
 
 
 def _print_summary(result: SweepResult, summary: Summary, console: PipeSafeConsole) -> None:
     console.write_line()
     console.print(_headline(result))
+    if summary.out_of_slot:
+        line = f" {summary.out_of_slot:,} completed with a follower out of its slot at the end"
+        console.write_line(line, "yellow")
     if summary.groups and summary.metrics:
         console.write_line()
         console.print(_table(summary))

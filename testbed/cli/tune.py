@@ -65,8 +65,8 @@ def tune_command(
         messages.write_line(f" interrupted: results so far are in {directory}{best}")
         raise
     found = to_document(result, problem)
-    _print_result(result, problem, found, result_console(json))
     write_json_output(json, found)
+    _print_result(result, problem, found, result_console(json))
 
 
 def _announcement(problem: TuneProblem) -> str:

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from testbed.cli.options import RrdFile, RunName, output_option
-from testbed.cli.output import describe_file, is_stdout, message_console, report_write_errors
+from testbed.cli.output import describe_file, is_stdout, message_console
 from testbed.core.errors import InputError
+from testbed.core.files import replacement, report_write_errors
 
 if TYPE_CHECKING:
     from testbed.logs.read import Log
@@ -67,7 +68,9 @@ def shot_command(
         raise InputError(f"--size {size}: write WIDTHxHEIGHT in pixels, such as 1600x900")
     logs = [_read_log(name) for name in (run, other) if name is not None]
     with sigterm_interrupts():
-        screenshot(out, _check_time(at, *logs), *logs, size=(int(match[1]), int(match[2])))
+        at_s = _check_time(at, *logs)
+        with report_write_errors(f"--out {out}"):
+            screenshot(out, at_s, *logs, size=(int(match[1]), int(match[2])))
     message_console().write_line(describe_file(out))
 
 
@@ -133,8 +136,8 @@ def _show(
         return
     if is_stdout(rrd):
         raise InputError("--rrd -: a recording goes to a file; write its name")
-    with report_write_errors(f"--rrd {rrd}"):
-        replay(RrdFile(rrd), *logs)
+    with report_write_errors(f"--rrd {rrd}"), replacement(rrd) as new:
+        replay(RrdFile(new), *logs)
     messages.write_line(describe_file(rrd, f"a recording for `rerun {rrd}`"))
 
 

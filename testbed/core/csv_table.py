@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from testbed.core.errors import InputError
+from testbed.core.input_files import MAX_TABLE_BYTES, read_bounded_text
 from testbed.core.records import Array
+
+MAX_ROWS = 2_000_000
+MAX_CELLS = 10_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,16 +96,31 @@ def read_table(path: Path) -> Table:
         InputError: it cannot be read.
     """
     rows, lines = [], []
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file)
-            for row in reader:
-                if row and not row[0].lstrip().startswith("#"):
-                    rows.append(tuple(cell.strip() for cell in row))
-                    lines.append(reader.line_num)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: not a CSV text file ({error})") from error
+    for line, row in read_rows(path):
+        if row and not row[0].lstrip().startswith("#"):
+            rows.append(tuple(cell.strip() for cell in row))
+            lines.append(line)
     header = rows[0] if rows else ()
     return Table(path, header, tuple(rows[1:]), tuple(lines) or (1,))
+
+
+def read_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Iterate over the rows of a CSV file, each with the number of its last line.
+
+    Raises:
+        InputError: it cannot be read, is no text, or has too many bytes, rows or cells.
+    """
+    text = read_bounded_text(path, MAX_TABLE_BYTES)
+    rows = cells = 0
+    reader = csv.reader(io.StringIO(text, newline=""))
+    try:
+        for row in reader:
+            rows, cells = rows + 1, cells + len(row)
+            if rows > MAX_ROWS or cells > MAX_CELLS:
+                raise InputError(
+                    f"{path}:{reader.line_num}: more than {MAX_ROWS:,} rows or {MAX_CELLS:,} "
+                    "values; write a shorter file"
+                )
+            yield reader.line_num, row
+    except csv.Error as error:
+        raise InputError(f"{path}:{reader.line_num}: not a CSV text file ({error})") from error

@@ -15,8 +15,12 @@ class InputError(ValueError):
 
     def __str__(self) -> str:
         """Return the text with invisible characters escaped."""
-        text = super().__str__()
-        return text if text.isprintable() else "".join(map(_visible, text))
+        return escape_controls(super().__str__())
+
+
+def escape_controls(text: str) -> str:
+    """Escape the invisible characters of a text, except line ends."""
+    return text if text.isprintable() else "".join(map(_visible, text))
 
 
 def _visible(character: str) -> str:

@@ -220,11 +220,11 @@ def short_repr(kind: type[_RecordT]) -> type[_RecordT]:
 class VehicleState(NamedTuple):
     """The motion of N aircraft: the truth, or an autopilot's estimate of it."""
 
-    position_ned: Array  # (N, 3) m from the origin
-    velocity_ned: Array  # (N, 3) m/s over the ground
+    position_ned: Array  # (N, 3) m, north, east, down from the origin
+    velocity_ned: Array  # (N, 3) m/s over the ground, north, east, down
     acceleration_ned: Array  # (N, 3) m/s², derivative of velocity_ned
     euler: Array  # (N, 3) roll, pitch, yaw, rad
-    rates_body: Array  # (N, 3) p, q, r, rad/s
+    rates_body: Array  # (N, 3) p, q, r, rad/s, about body axes forward, right, down
     airspeed: Array  # (N,) true airspeed, m/s
     equivalent_airspeed: Array  # (N,) m/s, what a pitot tube measures
 
@@ -271,10 +271,10 @@ class UnicycleCommand(NamedTuple):
     """Inputs of the extended unicycle, computed by a formation law; [HBH23] eqs. (2), (3)."""
 
     speed: Array  # (n,) u, commanded ground speed, m/s: ṡ = p (u − s)
-    omega: Array  # (n, 3) ω, rad/s, in the zero-roll velocity frame; the first component is zero
-    speed_desired: Array  # (n,) s_d, m/s
-    direction: Array  # (n, 3) y_d, unit vector
-    limiter_flags: ByteArray  # (n,) bit set of formation.flags.LimiterFlag
+    omega: Array  # (n, 3) ω, rad/s: (0, pitch rate, yaw rate) of the zero-roll velocity frame
+    speed_desired: Array  # (n,) s_d, desired ground speed, m/s
+    direction: Array  # (n, 3) y_d, desired direction, unit vector, north, east, down
+    limiter_flags: ByteArray  # (n,) bit set of LimiterFlag; 0: no limit acted
 
 
 @short_repr
@@ -301,13 +301,13 @@ class Broadcast(NamedTuple):
 class Inbox(NamedTuple):
     """The newest message of each of N aircraft that each of n followers has received."""
 
-    stamp_s: Array  # (n, N) sender's time of the measurement; NaN: no message yet
-    received_s: Array  # (n, N) receiver's time of the arrival; NaN: no message yet
-    position_ned: Array  # (n, N, 3)
-    velocity_ned: Array  # (n, N, 3)
-    acceleration_ned: Array  # (n, N, 3)
-    euler: Array  # (n, N, 3)
-    euler_rates: Array  # (n, N, 3)
+    stamp_s: Array  # (n, N) s, sender's time of the measurement; NaN: no message yet
+    received_s: Array  # (n, N) s, receiver's time of the arrival; NaN: no message yet
+    position_ned: Array  # (n, N, 3) m, north, east, down from the origin
+    velocity_ned: Array  # (n, N, 3) m/s over the ground, north, east, down
+    acceleration_ned: Array  # (n, N, 3) m/s², north, east, down
+    euler: Array  # (n, N, 3) roll, pitch, yaw, rad
+    euler_rates: Array  # (n, N, 3) derivatives of roll, pitch, yaw, rad/s
 
 
 @short_repr

@@ -206,7 +206,15 @@ def largest_kappa(slowest: Array, fastest: Array, low: Array, high: Array) -> Ar
 
 
 def check_slot_speed(
-    slowest: Array, fastest: Array, kappa: Array, low: Array, high: Array, *, possible: bool
+    slowest: Array,
+    fastest: Array,
+    kappa: Array,
+    low: Array,
+    high: Array,
+    *,
+    possible: bool,
+    medium: str = "over the ground",
+    in_air: tuple[Array, Array] | None = None,
 ) -> list[Finding]:
     """Check Assumption 1, ‖q̇_g + χ̇_i‖ in (s_lo + κ, s_hi − κ); the number is `largest_kappa`.
 
@@ -218,21 +226,32 @@ def check_slot_speed(
         high: s_hi (n,) m/s.
         possible: the speeds are those that the leader's limits allow (`slot_speed_range`), not
             those of its known path (`slot_speed`).
+        medium: of the speeds: "over the ground" or "through the air".
+        in_air: slowest and fastest through the air, where these are over the ground and a wind
+            adds to them; None: no wind, or it does not matter.
     """
     limit = largest_kappa(slowest, fastest, low, high)
-    return [
-        Finding(
-            i,
-            "formation.kappa_mps",
-            float(limit[i]),
-            f"the slot {'may move' if possible else 'moves'} at {slowest[i]:.2f} to "
-            f"{fastest[i]:.2f} m/s over the ground, but Assumption 1 with kappa = {kappa[i]:g} "
-            f"requires {low[i] + kappa[i]:g} to {high[i] - kappa[i]:g} "
-            f"(write {_remedy(float(limit[i]))}a wider formation.speed_mps, or a leader that turns "
-            "wider)",
-        )
-        for i in np.flatnonzero(~(limit > kappa)).tolist()
-    ]
+    without_wind = limit if in_air is None else largest_kappa(*in_air, low, high)
+    moves, found = "may move" if possible else "moves", []
+    for i in np.flatnonzero(~(limit > kappa)).tolist():
+        text = f"the slot {moves} at {slowest[i]:.2f} to {fastest[i]:.2f} m/s {medium}"
+        windy = without_wind[i] > limit[i]
+        if windy and limit[i] <= 0.0:
+            text += (
+                f" in this wind, beyond the speed bounds of {low[i]:g} to {high[i]:g} m/s, "
+                "where no follower can hold it (write controller.bounded_speed: airspeed)"
+            )
+        else:
+            text += " in this wind" if windy else ""
+            text += (
+                f", but Assumption 1 with kappa = {kappa[i]:g} requires {low[i] + kappa[i]:g} to "
+                f"{high[i] - kappa[i]:g} (write "
+                f"{'controller.bounded_speed: airspeed, ' if windy else ''}"
+                f"{_remedy(float(limit[i]))}a wider formation.speed_mps, or a leader that turns "
+                "wider)"
+            )
+        found.append(Finding(i, "formation.kappa_mps", float(limit[i]), text))
+    return found
 
 
 def _remedy(limit: float) -> str:

@@ -16,6 +16,7 @@ from testbed.core.records import (
     FOLLOWER,
     LINK,
     MOTION,
+    Array,
     Inbox,
     Record,
     Records,
@@ -26,7 +27,14 @@ from testbed.core.records import (
     write_fields,
 )
 from testbed.formation import leader_filter, middle_loop
-from testbed.formation.hbh23 import LAW, NEIGHBOUR, OUTSIDE, hbh23
+from testbed.formation.hbh23 import (
+    LAW,
+    NEIGHBOUR,
+    OUTSIDE,
+    hbh23,
+    speed_and_direction,
+    velocity_control,
+)
 from testbed.formation.message_extrapolation import message_ages
 from testbed.formation.middle_loop import CLIPPED, LOOP
 from testbed.formation.middle_loop import middle_loop as run_middle_loop
@@ -189,6 +197,21 @@ class Hbh23Law:
         _step_laws(now, self.law, estimate, links, neighbours, leader, out)
         return unicycle_command(out), Hbh23Memory(leader, *_held(neighbours))
 
+    def command_from_velocity(
+        self, own: VehicleState, velocity_ned: Array, acceleration_ned: Array
+    ) -> UnicycleCommand:
+        """Compute the inputs of the extended unicycle that reach desired velocities.
+
+        Args:
+            own: the followers' estimates (n).
+            velocity_ned: p_d (n, 3) m/s, over the ground.
+            acceleration_ned: ṗ_d (n, 3) m/s².
+        """
+        estimate, out = allocate(MOTION, len(self.law)), allocate(FOLLOWER, len(self.law))
+        write_fields(estimate, own)
+        _reach_velocities(self.law, estimate, velocity_ned, acceleration_ned, out)
+        return unicycle_command(out)
+
 
 def _held(neighbours: Records) -> tuple[np.ndarray, np.ndarray]:
     return neighbours["held_position"].copy(), neighbours["held_time_s"].copy()
@@ -206,6 +229,22 @@ def _step_laws(
 ) -> None:
     for i in range(len(law)):
         hbh23(law[i], now, estimate[i], links[i], neighbours[i], memory[i], out[i])
+
+
+@entry
+def _reach_velocities(
+    law: Records, estimate: Records, velocity_ned: Array, acceleration_ned: Array, out: Records
+) -> None:
+    for i in range(len(law)):
+        vertical_weight = 0.0 if law[i].horizontal else 1.0
+        own = estimate[i].velocity_ned
+        v = (own[0], own[1], vertical_weight * own[2])
+        s = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+        p, a = velocity_ned[i], acceleration_ned[i]
+        desired = speed_and_direction(
+            (p[0], p[1], vertical_weight * p[2]), (a[0], a[1], vertical_weight * a[2])
+        )
+        velocity_control(law[i], v, s, estimate[i].airspeed, desired, out[i])
 
 
 def unicycle_command(followers: Records) -> UnicycleCommand:

@@ -144,10 +144,27 @@ def hbh23(
     desired = desired_velocity(
         law, v_g, (w[0], w[1], vertical_weight * w[2]), slot[1], slot[2], xi, xi_rate
     )
-    s_d, s_d_rate, y_d, y_d_rate = desired
+    velocity_control(law, v, s, own.airspeed, desired, out)
 
+
+@kernel
+def velocity_control(
+    law: Record, v: Vector, s: float, airspeed: float, desired: Values, out: Record
+) -> None:
+    """Compute u, (14), and ω, (15), that turn the velocity to a desired one.
+
+    Args:
+        law: record of LAW.
+        v: q̇_i, m/s.
+        s: its length, m/s.
+        airspeed: m/s.
+        desired: s_d, m/s, ṡ_d, m/s², y_d and ẏ_d, 1/s.
+        out: record of FOLLOWER: speed_command (u), omega, speed_desired, direction and
+            limiter_flags are written.
+    """
+    s_d, s_d_rate, y_d, y_d_rate = desired
     # bounds of the airspeed are shifted by ground speed minus airspeed
-    shift = s - own.airspeed if law.bounds_of_airspeed else 0.0
+    shift = s - airspeed if law.bounds_of_airspeed else 0.0
     s_min, s_max = law.speed_min + shift, law.speed_max + shift
     limited = min(max(s_d, law.speed_desired_min + shift), law.speed_desired_max + shift)
     flags = 0
@@ -279,6 +296,17 @@ def desired_velocity(
         a_g[1] + chi_acceleration[1] + k * (value * yr + along * y),
         a_g[2] + chi_acceleration[2] + k * (value * zr + along * z),
     )
+    return speed_and_direction(p, p_rate)
+
+
+@kernel
+def speed_and_direction(p: Vector, p_rate: Vector) -> Values:
+    """Return s_d, ṡ_d, y_d and ẏ_d of a desired velocity and its derivative, (8)-(12).
+
+    Args:
+        p: p_d, m/s; not zero.
+        p_rate: ṗ_d, m/s².
+    """
     s_d = sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
     y_d = (p[0] / s_d, p[1] / s_d, p[2] / s_d)
     s_d_rate = y_d[0] * p_rate[0] + y_d[1] * p_rate[1] + y_d[2] * p_rate[2]

@@ -30,8 +30,8 @@ class FormationConfig:
     agents: NDArray[np.intp]  # (n,) their rows among the N aircraft; the leader's is 0
     offsets: Array  # υ (N, 3) m: forward, right, down in the leader's velocity frame; leader zero
     gains: Array  # (n, N, 3) β_i in column 0, β_ij behind it, per axis of NED
-    speed_min: Array  # (n,) m/s, bounds of the ground speed
-    speed_max: Array  # (n,) m/s
+    speed_min: Array  # (n,) m/s, lower bound of the ground speed
+    speed_max: Array  # (n,) m/s, upper bound
     speed_pole: Array  # (n,) 1/s, p of the speed model ṡ = p (u − s)
     pitch_limit: Array  # (n,) rad, of the fly-by-wire-A command
     roll_limit: Array  # (n,) rad
@@ -39,9 +39,8 @@ class FormationConfig:
     trim_airspeed: Array  # (n,) m/s
     dt: float  # s, between two steps of the same follower
     leader_timeout_s: float  # s since the last message, after which the leader is not used
-    neighbour_timeout_s: float  # the same for a neighbour
-    # The law of [HBH23] with the scenario's gains, for a law that modifies it.
-    hbh23: Law | None = None
+    neighbour_timeout_s: float  # s, the same for a neighbour
+    hbh23: Law | None = None  # the built-in law with the scenario's gains, to extend or wrap
 
 
 class Law(Protocol):

@@ -16,6 +16,7 @@ from testbed.core.records import Array
 from testbed.guidance import l1
 
 LEVEL_OFF = 0.6  # m/s², approximate vertical deceleration at the end of a climb
+MAX_SEGMENTS = 10_000  # of a mission with all its laps
 MAX_GRADIENT = 0.25  # climb per distance along a leg
 
 Point = tuple[float, float, float]  # north m, east m, altitude m above the origin (up)
@@ -117,6 +118,9 @@ def expand_laps(mission: Mission, start: Point) -> FlightPlan:
         InputError: the mission is invalid; the message names the leg and what to write.
     """
     _check_limits(mission)
+    count = sum(len(leg.points) * leg.laps for leg in mission.legs if isinstance(leg, WaypointLeg))
+    if count > MAX_SEGMENTS:
+        raise InputError(f"legs: {count:,} with all laps; write {MAX_SEGMENTS:,} or fewer")
     segments: list[Segment] = []
     here = start
     repeat_from = 0

@@ -7,7 +7,9 @@ names. Quantities about each aircraft have one column per aircraft, named before
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
@@ -15,9 +17,15 @@ import numpy as np
 import pyarrow as arrow
 from pyarrow import csv, parquet
 
+from testbed.core.errors import InputError
+from testbed.core.input_files import MAX_PARQUET_BYTES, open_regular
 from testbed.logs.flight_data import QUANTITIES, FlightData, Numbers
 
 _ROWS = 65_536  # in memory at once, and in a row group of Parquet
+# of a file that is read: 100,000 runs with 1,000 numbers each
+_MAX_VALUES = 100_000_000
+_MAX_UNCOMPRESSED_BYTES = 4_000_000_000
+_MAX_REASON = 200  # characters of a library's error
 
 COLUMN_TYPES: Mapping[str, Any] = {
     "int64": arrow.int64(),
@@ -29,9 +37,14 @@ COLUMN_TYPES: Mapping[str, Any] = {
 
 def write_parquet(flight: FlightData, file: IO[bytes]) -> None:
     """Write a run as Parquet: units with the columns, `FlightData.documents` with the file."""
-    with parquet.ParquetWriter(file, _schema(flight), compression="zstd") as writer:
+    with _writer(file, _schema(flight)) as writer:
         for table in _tables(flight):
             writer.write_table(table)
+
+
+def _writer(file: IO[bytes], schema: Any) -> Any:  # noqa: ANN401
+    """Open a Parquet writer whose pages have checksums."""
+    return parquet.ParquetWriter(file, schema, compression="zstd", write_page_checksum=True)
 
 
 def write_csv(flight: FlightData, file: IO[bytes]) -> None:
@@ -106,7 +119,7 @@ def write_columns(
         [arrow.field(name, COLUMN_TYPES[kind]) for name, kind in fields.items()],
         metadata=dict(metadata),
     )
-    with parquet.ParquetWriter(file, schema, compression="zstd") as writer:
+    with _writer(file, schema) as writer:
         for group in groups:
             columns = [arrow.array(c, field.type) for c, field in zip(group, schema, strict=True)]
             writer.write_table(arrow.Table.from_arrays(columns, schema=schema))
@@ -126,28 +139,54 @@ def read_columns(
         texts stored with the table.
 
     Raises:
-        ValueError: It is not a Parquet file.
-        OSError: It cannot be read.
+        InputError: It cannot be read, is not a Parquet file, or has too many values.
     """
-    try:
-        with parquet.ParquetFile(path) as file:
-            schema = file.schema_arrow
-            wanted = schema.names if names is None else [n for n in schema.names if n in set(names)]
-            table = file.read(columns=wanted)
-    except arrow.ArrowInvalid as error:
-        raise ValueError(f"is not a Parquet file: {error}") from None
-    metadata = {key.decode(): text.decode() for key, text in (schema.metadata or {}).items()}
-    return {name: table[name].to_numpy(zero_copy_only=False) for name in wanted}, metadata
+    with _reading(path) as file:
+        schema = file.schema_arrow
+        repeated = [name for name, count in Counter(schema.names).items() if count > 1]
+        if repeated:
+            raise ValueError(f"has several columns {repeated[0]}")
+        metadata = {key.decode(): text.decode() for key, text in (schema.metadata or {}).items()}
+        wanted = schema.names if names is None else [n for n in schema.names if n in set(names)]
+        _refuse_size(file, len(wanted))
+        table = file.read(columns=wanted)
+        columns = {name: table[name].to_numpy(zero_copy_only=False) for name in wanted}
+    return columns, metadata
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[Any]:
+    """Open a Parquet file; report everything that is wrong with it as an error of the input."""
+    with open_regular(path, MAX_PARQUET_BYTES) as stream:
+        try:
+            with parquet.ParquetFile(stream, page_checksum_verification=True) as file:
+                yield file
+        except (arrow.ArrowException, OSError, ValueError, MemoryError, OverflowError) as error:
+            reason = " ".join(str(error).split())[:_MAX_REASON]
+            raise InputError(f"{path}: is not a Parquet file: {reason}") from error
+
+
+def _refuse_size(file: Any, columns: int) -> None:  # noqa: ANN401
+    """Refuse more values, or larger texts, than any study has.
+
+    Raises:
+        ValueError: With the numbers.
+    """
+    facts = file.metadata
+    groups = (facts.row_group(index) for index in range(facts.num_row_groups))
+    uncompressed = sum(max(group.total_byte_size, 0) for group in groups)
+    if facts.num_rows * max(columns, 1) > _MAX_VALUES or uncompressed > _MAX_UNCOMPRESSED_BYTES:
+        raise ValueError(
+            f"{facts.num_rows:,} rows of {columns} columns in {uncompressed:,} bytes; at most "
+            f"{_MAX_VALUES:,} values and {_MAX_UNCOMPRESSED_BYTES:,} bytes are read"
+        )
 
 
 def column_names(path: Path) -> tuple[str, ...]:
     """Read the column names of a Parquet file.
 
     Raises:
-        ValueError: It is not a Parquet file.
-        OSError: It cannot be read.
+        InputError: It cannot be read, or is not a Parquet file.
     """
-    try:
-        return tuple(parquet.read_schema(path).names)
-    except arrow.ArrowInvalid as error:
-        raise ValueError(f"is not a Parquet file: {error}") from None
+    with _reading(path) as file:
+        return tuple(file.schema_arrow.names)

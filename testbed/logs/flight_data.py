@@ -97,7 +97,7 @@ class FlightData:
     def __repr__(self) -> str:
         """Name the run, its size and its outcome."""
         kinds = ", ".join(dict.fromkeys(self.info.aircraft))
-        outcome = str(self.metrics["outcome"]) if self.metrics else "cut short"
+        outcome = str((self.metrics or {}).get("outcome") or "cut short")
         return f"<FlightData of {self.info.scenario_name}: {self.log.size} ({kinds}); {outcome}>"
 
     @property

@@ -10,12 +10,36 @@ from typing import Any
 
 import numpy as np
 
+from testbed.core.input_files import parse_json_map
 from testbed.core.records import Origin, RunInfo
+from testbed.core.shape import Each, ListOf, Number, check_shape
 from testbed.logs.messages import LOG_SCHEMA
 
 METADATA_NAME = "testbed"
 INFO_NAME = "run.json"  # attached: the RunInfo
 CODE_SUFFIX = ".py"  # of attached user code
+_NUMBER, _ANY_NUMBER = Number(), Number(finite=False)
+_RATE = Number(whole=True, least=1, most=100_000)
+_SHAPE: Mapping[str, Any] = {
+    "scenario_name": str,
+    "names": ListOf(str),
+    "aircraft": ListOf(str),
+    "wingspan_m": ListOf(_NUMBER),
+    "origin": {each.name: _NUMBER for each in dataclasses.fields(Origin)},
+    "base_rate_hz": _RATE,
+    "frame_rate_hz": _RATE,
+    "duration_s": Number(least=0.0),
+    "seed": Number(whole=True, least=0),
+    "speed_bounds_mps": ListOf(ListOf(_ANY_NUMBER, 2)),
+    "kappa_mps": ListOf(_ANY_NUMBER),
+    "roll_limit_rad": ListOf(_ANY_NUMBER),
+    "leader_path_ned": ListOf(ListOf(_ANY_NUMBER, 3)),
+    "windows": Each(ListOf(_NUMBER, 2)),
+    "versions": Each(str),
+    "bounded_in_ned": ListOf(_NUMBER, 3),
+    "barriers": ListOf(ListOf(_NUMBER, 2)),
+    "estimated": bool,
+}
 _TUPLES = ("names", "aircraft", "wingspan_m", "kappa_mps", "roll_limit_rad", "bounded_in_ned")
 
 
@@ -48,21 +72,40 @@ def from_json(text: str, *, scenario_yaml: str, code: Mapping[str, bytes]) -> Ru
     """Decode what `to_json` encodes.
 
     Raises:
-        ValueError: The text is not JSON, or a field is missing, unknown or of another type.
+        ValueError: The text is not JSON, or a field is missing, unknown or of another type or size.
     """
     try:
-        values = json.loads(text)
-        values["origin"] = Origin(**values["origin"])
-        path = np.array(values["leader_path_ned"], dtype=np.float64)
-        values["leader_path_ned"] = path.reshape(-1, 3)
-        bounds = values["speed_bounds_mps"]
-        values["speed_bounds_mps"] = tuple((float(low), float(high)) for low, high in bounds)
-        values["windows"] = {
-            str(name): (float(start), float(end))
-            for name, (start, end) in values["windows"].items()
-        }
-        values["barriers"] = tuple((int(number), float(nu)) for number, nu in values["barriers"])
-        values |= {name: tuple(values[name]) for name in _TUPLES}
-        return RunInfo(scenario_yaml=scenario_yaml, code=dict(code), **values)
-    except (KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"{INFO_NAME}: a field is missing or unknown: {error}") from error
+        values = parse_json_map(text)
+        _check(values)
+    except ValueError as error:
+        raise ValueError(f"{INFO_NAME}: {error}") from None
+    values["origin"] = Origin(**values["origin"])
+    path = np.array(values["leader_path_ned"], dtype=np.float64)
+    values["leader_path_ned"] = path.reshape(-1, 3)
+    for name in ("speed_bounds_mps", "barriers"):
+        values[name] = tuple(map(tuple, values[name]))
+    values["windows"] = {name: tuple(span) for name, span in values["windows"].items()}
+    values |= {name: tuple(values[name]) for name in _TUPLES}
+    return RunInfo(scenario_yaml=scenario_yaml, code=dict(code), **values)
+
+
+def _check(values: Mapping[str, Any]) -> None:
+    """Check the fields of a RunInfo.
+
+    Raises:
+        ValueError: naming the first wrong one.
+    """
+    check_shape(values, _SHAPE)
+    unknown = values.keys() - _SHAPE.keys() | values["origin"].keys() - _SHAPE["origin"].keys()
+    if unknown:
+        raise ValueError(f"{min(unknown)[:60]}: is an unknown field")
+    names = values["names"]
+    if not names or len(set(names)) < len(names):
+        raise ValueError("names: is empty or has repeated names")
+    n = len(names) - 1
+    sizes = {"aircraft": n + 1, "wingspan_m": n + 1, "speed_bounds_mps": n, "kappa_mps": n}
+    for name, size in (sizes | {"roll_limit_rad": n}).items():
+        if len(values[name]) != size:
+            raise ValueError(f"{name}: has {len(values[name])} elements, not {size}")
+    if len(values["barriers"]) not in (0, n):
+        raise ValueError(f"barriers: has {len(values['barriers'])} elements, not {n}")

@@ -7,16 +7,15 @@ Foxglove's messages: https://docs.foxglove.dev/docs/visualization/message-schema
 from __future__ import annotations
 
 import functools
-import io
 import os
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import accumulate
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import zstandard
 from foxglove import messages
@@ -28,9 +27,11 @@ from mcap.data_stream import RecordBuilder
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import McapRecord
-from mcap.stream_reader import StreamReader
+from mcap.stream_reader import StreamReader, get_chunk_data_stream
 
 from testbed.core.errors import InputError
+from testbed.core.files import lock_file
+from testbed.core.input_files import MAX_LOG_BYTES, open_regular
 from testbed.core.records import Event
 from testbed.logs.message_batch import Channel, Chunk, MessageBatch, Schema, chunk
 from testbed.logs.messages import Topic
@@ -42,7 +43,12 @@ _RECORD_HEAD = struct.Struct("<BQ")  # opcode, and length of the rest
 # of the compression, compressed size.
 _CHUNK_HEAD = struct.Struct("<BQQQQII4sQ")
 _ZSTD = "zstd"
-_MAX_CHUNK_BYTES = 1 << 28  # uncompressed; a chunk holds a fraction of a second of wall time
+_ZSTD_HEAD_BYTES = 18  # magic, descriptor, window, dictionary and content size
+_MAX_RECORD_BYTES = 1 << 28  # uncompressed; a chunk holds a fraction of a second of wall time
+# Of all chunks uncompressed: this, and so much more per byte of the file. Logs have 2 at most.
+_MIN_TOTAL_BYTES, _MAX_EXPANSION = 1 << 28, 20
+# Messages: this number, and one more per so many bytes of the file. Logs have one per 100 bytes.
+_MIN_MESSAGES, _MIN_MESSAGE_BYTES = 200_000, 8
 _MAX_REASON = 200  # characters of a library's error, which may quote the whole file
 _LIBRARY = "testbed"  # named in the header of our files
 # The fastest level: most bytes of a log are the last bits of numbers, which no level compresses.
@@ -77,7 +83,8 @@ class McapWriter:
 
     A thread compresses and writes chunks, mostly without the interpreter's lock, so that the
     simulation goes on meanwhile. A record is in the file completely or not at all. Before each
-    record the file's name is checked: writing stops if the file was removed or moved.
+    record the file's name is checked: writing stops if the file was removed or moved. The open file
+    is locked, so that nothing else rewrites it.
 
     Args:
         path: A file that does not exist.
@@ -97,6 +104,7 @@ class McapWriter:
             raise LogError(f"{path}: there is a log already; name another directory") from None
         except OSError as error:
             raise LogError(f"{path}: cannot create the log: {error.strerror}") from error
+        lock_file(self._file)
         self._size = 0
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="log")
         self._pending: Future[None] | None = None
@@ -283,67 +291,125 @@ def read(path: Path) -> McapContents:
     """Read a file from its start, without its summary: of a cut file all complete records.
 
     Raises:
-        LogError: Not an MCAP file, cut before its first record, or damaged before its end.
+        LogError: Not an MCAP file, cut before its first record, damaged before its end, or larger
+            than any log, also when it is decompressed.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise LogError(f"{path}: cannot read the log: {error.strerror}") from error
-    if _FILE_HEAD.startswith(data):
-        raise LogError(f"{path}: {NO_SAMPLES}")
-    if not data.startswith(_MAGIC):
-        raise LogError(f"{path}: not an MCAP file")
-    complete, offset = _complete_bytes(path, data), len(_MAGIC)
-    out = McapContents(own_header=data.startswith(_FILE_HEAD), lost_bytes=len(data) - complete)
-    topics: dict[int, TopicMessages] = {}
-    source = io.BytesIO(data[:complete])
-    try:
-        for record in StreamReader(source, validate_crcs=True).records:
-            offset = source.tell()
-            if isinstance(record, records.Message):
-                messages = topics[record.channel_id]
-                messages.time_ns.append(record.log_time)
-                messages.data.append(record.data)
-            elif isinstance(record, records.Channel):
-                topics[record.id] = out.messages.setdefault(record.topic, TopicMessages())
-            elif isinstance(record, records.Metadata):
-                out.metadata[record.name] = record.metadata
-            elif isinstance(record, records.Attachment):
-                out.attachments[record.name] = record.data
-        out.finished = True
-    except Exception as error:
-        # a damaged byte can raise anything in the library; the end of a cut file is no damage
-        if not (isinstance(error, EndOfFile) and offset == complete):
-            reason = repr(error)[:_MAX_REASON]
-            raise LogError(f"{path}: damaged after byte {offset}: {reason}") from error
+    with open_regular(path, MAX_LOG_BYTES, error=LogError) as file:
+        size = os.fstat(file.fileno()).st_size
+        head = file.read(len(_FILE_HEAD))
+        if size <= len(_FILE_HEAD) and _FILE_HEAD.startswith(head):
+            raise LogError(f"{path}: {NO_SAMPLES}")
+        if not head.startswith(_MAGIC):
+            raise LogError(f"{path}: not an MCAP file")
+        complete = _complete_bytes(path, file, size)
+        out = McapContents(own_header=head == _FILE_HEAD, lost_bytes=size - complete)
+        messages_left = _MIN_MESSAGES + size // _MIN_MESSAGE_BYTES
+        topics: dict[int, TopicMessages] = {}
+        source = _Start(file, complete)
+        offset = len(_MAGIC)
+        try:
+            for record in _records(source):
+                offset = source.tell()
+                if isinstance(record, records.Message):
+                    messages_left -= 1
+                    if messages_left < 0:
+                        break
+                    messages = topics[record.channel_id]
+                    messages.time_ns.append(record.log_time)
+                    messages.data.append(record.data)
+                elif isinstance(record, records.Channel):
+                    topics[record.id] = out.messages.setdefault(record.topic, TopicMessages())
+                elif isinstance(record, records.Metadata):
+                    out.metadata[record.name] = record.metadata
+                elif isinstance(record, records.Attachment):
+                    out.attachments[record.name] = record.data
+            else:
+                out.finished = True
+        except Exception as error:
+            # a damaged byte can raise anything in the library; the end of a cut file is no damage
+            if not (isinstance(error, EndOfFile) and offset == complete):
+                reason = repr(error)[:_MAX_REASON]
+                raise LogError(f"{path}: damaged after byte {offset}: {reason}") from error
+    if messages_left < 0:
+        raise LogError(f"{path}: more messages than any log of {size:,} bytes has")
     return out
 
 
-def _complete_bytes(path: Path, data: bytes) -> int:
+class _Start:
+    """The first bytes of a file, as a stream for the library."""
+
+    def __init__(self, file: BinaryIO, size: int) -> None:
+        file.seek(0)
+        self._file, self._size = file, size
+
+    def read(self, size: int) -> bytes:
+        return self._file.read(min(size, self._size - self._file.tell()))
+
+    def tell(self) -> int:
+        return self._file.tell()
+
+
+def _records(source: Any) -> Iterator[McapRecord]:  # noqa: ANN401 - what the library reads from
+    """Read the records of a file, those of a chunk one by one: it may hold millions."""
+    for record in StreamReader(source, emit_chunks=True, validate_crcs=True).records:
+        if not isinstance(record, records.Chunk):
+            yield record
+            continue
+        stream, size = get_chunk_data_stream(record, validate_crc=True)
+        while stream.count < size:
+            opcode, length = stream.read1(), stream.read8()
+            if opcode == Opcode.MESSAGE:
+                yield records.Message.read(stream, length)
+            elif opcode == Opcode.CHANNEL:
+                yield records.Channel.read(stream)
+            else:
+                stream.read(length)
+
+
+def _complete_bytes(path: Path, file: BinaryIO, file_size: int) -> int:
     """Find the end of the last complete record.
 
     Raises:
-        LogError: The uncompressed size of a chunk is larger than that of any log.
+        LogError: A record, or the uncompressed size of a chunk or of all, is larger than that of
+            any log.
     """
-    offset, view = len(_MAGIC), memoryview(data)
-    while len(data) - offset >= _RECORD_HEAD.size:
-        opcode, length = _RECORD_HEAD.unpack_from(data, offset)
+    offset = len(_MAGIC)
+    total, limit = 0, _MIN_TOTAL_BYTES + _MAX_EXPANSION * file_size
+    while file_size - offset >= _RECORD_HEAD.size:
+        file.seek(offset)
+        opcode, length = _RECORD_HEAD.unpack(file.read(_RECORD_HEAD.size))
         end = offset + _RECORD_HEAD.size + length
-        if end > len(data):
+        if opcode == 0:
+            raise LogError(f"{path}: damaged after byte {offset}: no record begins with 0")
+        if end > file_size:
             break
+        size = length
         if opcode == Opcode.CHUNK:
-            size = _uncompressed_size(view[offset:end])
-            if size > _MAX_CHUNK_BYTES:
-                raise LogError(
-                    f"{path}: the chunk at byte {offset} would be {size:,} bytes uncompressed; at"
-                    f" most {_MAX_CHUNK_BYTES:,} are allowed"
-                )
+            file.seek(offset)
+            size = max(size, _uncompressed_size(file.read(_CHUNK_HEAD.size + _ZSTD_HEAD_BYTES)))
+        if size > _MAX_RECORD_BYTES:
+            kind = "chunk" if opcode == Opcode.CHUNK else "record"
+            raise LogError(
+                f"{path}: the {kind} at byte {offset} would be {size:,} bytes uncompressed; at most"
+                f" {_MAX_RECORD_BYTES:,} are allowed"
+            )
+        total += size
+        if total > limit:
+            raise LogError(
+                f"{path}: the chunks up to byte {end} would be {total:,} bytes uncompressed; at"
+                f" most {limit:,} are allowed in a file of {file_size:,} bytes"
+            )
         offset = end
-    return len(data) if data[offset:] == _MAGIC else offset
+    file.seek(offset)
+    return file_size if file.read(len(_MAGIC) + 1) == _MAGIC else offset
 
 
-def _uncompressed_size(chunk: memoryview) -> int:
-    """Read the uncompressed size, from the chunk and from its zstd data, which zstd trusts."""
+def _uncompressed_size(chunk: bytes) -> int:
+    """Read the uncompressed size, from the chunk and from its zstd data, which zstd trusts.
+
+    Args:
+        chunk: its first bytes.
+    """
     if len(chunk) < _CHUNK_HEAD.size:
         return 0  # damaged: the library's error says how
     size = int(_CHUNK_HEAD.unpack_from(chunk)[4])

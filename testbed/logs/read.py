@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from testbed.core.errors import InputError
+from testbed.core.input_files import parse_json_map
 from testbed.core.records import (
     ActuatorCommand,
     AirData,
@@ -35,6 +35,8 @@ from testbed.logs.run_directory import METRICS_NAME, SCENARIO_NAME
 from testbed.scenario import Scenario, loads
 
 _NS = 10**9
+# Values of all samples: this number, and more for each byte of messages. Logs have 1 per byte.
+_MIN_VALUES, _MAX_VALUES_PER_BYTE = 10_000_000, 8
 _INTEGERS = {  # what is not a float64 in a sample
     "formation.limiter_flags": "u1",
     "formation.saturations": "u1",
@@ -63,7 +65,7 @@ class Log:
     links: LinkCounters  # (K, n, N) zero in samples before the log counts messages
     lost: BoolArray  # (K, N)
     events: tuple[Event, ...]
-    metrics: Mapping[str, Any] | None  # None: the run was cut short
+    metrics: Mapping[str, Any] | None  # None: missing or empty, the run was cut short
     finished: bool  # False: the writer did not close the file
     lost_bytes: int  # of an incomplete record at the end
 
@@ -92,6 +94,9 @@ def read_log(path: Path) -> Log:
     info = _run_info(path, contents)
     state = contents.messages.get(f"/{info.names[0]}/{STATE.name}")
     tick = _ticks(state.time_ns if state else [], info)
+    if np.any(np.diff(tick) <= 0):
+        raise LogError(f"{path}: /{info.names[0]}/{STATE.name}: times do not increase")
+    _refuse_size(path, contents, tick.size, len(info.names))
     columns: dict[str, Any] = {}
     for topic in TOPICS:
         columns |= _read_columns(path, contents, topic, info, tick, columns)
@@ -116,7 +121,7 @@ def read_log(path: Path) -> Log:
         links=_record(LinkCounters, "links", columns),
         lost=columns["lost"],
         events=_events(path, contents),
-        metrics=None if metrics is None else _json(path, METRICS_NAME, metrics),
+        metrics=(metrics and _json(path, METRICS_NAME, metrics)) or None,
         finished=contents.finished,
         lost_bytes=contents.lost_bytes,
     )
@@ -202,6 +207,26 @@ def _run_info(path: Path, contents: McapContents) -> RunInfo:
         raise LogError(f"{path}: {error}") from error
 
 
+def _refuse_size(path: Path, contents: McapContents, count: int, aircraft: int) -> None:
+    """Refuse samples whose arrays are much larger than the messages they come from.
+
+    Raises:
+        LogError: With both numbers.
+    """
+    per_aircraft = sum(
+        aircraft if column.per_aircraft else len(column.names)
+        for topic in TOPICS
+        for column in topic.columns
+    )
+    values = count * aircraft * per_aircraft
+    messages = sum(len(data) for each in contents.messages.values() for data in each.data)
+    if values > _MIN_VALUES + _MAX_VALUES_PER_BYTE * messages:
+        raise LogError(
+            f"{path}: {count:,} samples of {aircraft:,} aircraft have {values:,} values, too many"
+            f" for {messages:,} bytes of messages"
+        )
+
+
 def _ticks(time_ns: list[int], info: RunInfo) -> IntArray:
     """Ticks of the base rate; the times are these, rounded down to whole nanoseconds."""
     return np.rint(np.array(time_ns, dtype=np.float64) * info.base_rate_hz / _NS).astype(np.int64)
@@ -270,6 +295,6 @@ def _events(path: Path, contents: McapContents) -> tuple[Event, ...]:
 
 def _json(path: Path, name: str, data: bytes) -> dict[str, Any]:
     try:
-        return dict(json.loads(data))
+        return parse_json_map(data)
     except ValueError as error:
         raise LogError(f"{path}: {name}: {error}") from error

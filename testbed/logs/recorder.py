@@ -97,7 +97,8 @@ class McapRecorder:
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
         """Write the last samples, the events after them and the metrics; finish the file.
 
-        The metrics are attached without wall-clock times, which differ from run to run.
+        The metrics are attached without wall-clock times, which differ from run to run. Without
+        metrics, after an error before the flight, nothing is attached: the run counts as cut.
         """
         with self._lock:
             self._raise_writer_error()
@@ -106,9 +107,10 @@ class McapRecorder:
                 return
             self._events.extend((len(self._samples.tick) - 1, event) for event in events)
             self._flush()
-            timeless = {**summary, **{key: None for key in _WALL_CLOCK_KEYS if key in summary}}
-            text = json.dumps(timeless, indent=2, ensure_ascii=False, allow_nan=False)
-            file.attachment(METRICS_NAME, "application/json", text.encode())
+            if summary:
+                timeless = {**summary, **{key: None for key in _WALL_CLOCK_KEYS if key in summary}}
+                text = json.dumps(timeless, indent=2, ensure_ascii=False, allow_nan=False)
+                file.attachment(METRICS_NAME, "application/json", text.encode())
             self.close()
 
     def close(self) -> None:

@@ -8,6 +8,7 @@ import secrets
 from datetime import UTC, datetime
 from pathlib import Path
 
+from testbed.core.files import create_file
 from testbed.logs.mcap_file import LogError
 
 LOGS = Path("logs")
@@ -57,8 +58,7 @@ def write_run_file(directory: Path, name: str, data: bytes) -> None:
         LogError: The file exists, or cannot be written.
     """
     try:
-        with open(directory / name, "xb") as file:
-            file.write(data)
+        create_file(directory / name, data)
     except FileExistsError:
         raise LogError(
             f"--out {directory}: another run has just begun in it; name a new or an empty directory"
@@ -76,17 +76,18 @@ def find_run(run: str | Path, *, logs: Path = LOGS) -> Path:
         LogError: There is no such run; says what was looked for.
     """
     path = Path(run)
-    if path.is_file():
+    # os.path, not Path: a name that is too long or in a closed folder is no run, and no error
+    if os.path.isfile(path):
         return path
     for directory in (path, logs / path):
-        if (directory / LOG_NAME).is_file():
+        if os.path.isfile(directory / LOG_NAME):
             return directory / LOG_NAME
         runs = _runs(directory)
         if runs:
             return runs[-1] / LOG_NAME
-    if (path / SCENARIO_NAME).is_file():
+    if os.path.isfile(path / SCENARIO_NAME):
         raise LogError(f"{run}: no {LOG_NAME} in there: nothing was recorded")
-    if path.is_dir():
+    if os.path.isdir(path):
         raise LogError(f"{run}: no {LOG_NAME} in there, and no runs below")
     known = sorted(p.name for p in logs.iterdir() if _runs(p)) if logs.is_dir() else []
     hint = f"runs of: {', '.join(known)}" if known else "no runs yet"
@@ -111,7 +112,7 @@ def _create_or_use(out: Path) -> Path:
 
 def _runs(directory: Path) -> list[Path]:
     """List the runs in a folder, the latest last."""
-    if not directory.is_dir():
+    if not os.path.isdir(directory):
         return []
 
     def age(run: Path) -> tuple[str, int]:

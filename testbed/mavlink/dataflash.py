@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from testbed.core.input_files import MAX_FLIGHT_LOG_BYTES, read_bounded
 from testbed.mavlink.codec import MavlinkError
 from testbed.mavlink.dataflash_format import FMT, HEAD, Contents, Table, read_messages
 from testbed.mavlink.flight_log import (
@@ -118,10 +119,7 @@ def read_log(path: Path) -> FlightLog:
     Raises:
         MavlinkError: it cannot be read, or is not a log of ArduPlane.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise MavlinkError(f"{path}: cannot be read: {error.strerror}") from error
+    data = read_bounded(path, MAX_FLIGHT_LOG_BYTES, error=MavlinkError)
     requested = {
         name: ("TimeUS", *fields, *([sensor] if sensor else []))
         for name, (fields, sensor) in _FIELDS_BY_MESSAGE.items()

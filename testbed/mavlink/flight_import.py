@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from testbed.core.input_files import MAX_FLIGHT_LOG_BYTES, open_regular
 from testbed.core.records import Array
 from testbed.mavlink import dataflash, tlog_flight
 from testbed.mavlink.codec import MavlinkError, decode, frame_length
@@ -100,11 +101,8 @@ def read_flight(
 
 def _read_log(path: Path, system: int | None) -> FlightLog:
     """Read a log of either kind."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(_HEAD_BYTES)
-    except OSError as error:
-        raise MavlinkError(f"{path}: cannot be read: {error.strerror}") from error
+    with open_regular(path, MAX_FLIGHT_LOG_BYTES, error=MavlinkError) as file:
+        head = file.read(_HEAD_BYTES)
     if head.startswith(dataflash.SIGNATURE):
         if system is not None:
             raise MavlinkError(f"--system {system}: {path} is of one vehicle; leave it out")

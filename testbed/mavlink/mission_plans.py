@@ -16,6 +16,7 @@ from testbed.core.errors import InputError
 from testbed.core.frames import GRAVITY, geodetic_from_ned, ned_from_geodetic
 from testbed.core.records import Origin
 from testbed.guidance.flight_plan import (
+    MAX_SEGMENTS,
     FlightPlan,
     Level,
     LoiterLeg,
@@ -37,7 +38,6 @@ MIN_ALTITUDE_M, MAX_ALTITUDE_M, MAX_DISTANCE_M = 5.0, 20e3, 100e3
 _LOITERS = (LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME, LOITER_TO_ALTITUDE, RETURN_TO_LAUNCH)
 _RELATIVE_FRAMES, _SEA_LEVEL_FRAMES = (3, 6, 10, 11), (0, 5)  # terrain is flat, at home's height
 _MAX_LAPS = 1000
-_MAX_SEGMENTS = 10_000
 _RADIUS_MARGIN = 1.25  # of a circle over the smallest, so that bank is left to steer with
 _SETTLING_TURNS = 0.5  # after a change of altitude
 
@@ -175,8 +175,8 @@ def plan_from_items(
     except _ItemError as error:
         return error.rejection
     count = sum(len(each.items) * (_laps(each) + 1) for each in legs)
-    if count > _MAX_SEGMENTS:
-        return Rejection(f"mission: {count} legs with all its laps: write {_MAX_SEGMENTS} or fewer")
+    if count > MAX_SEGMENTS:
+        return Rejection(f"mission: {count} legs with all its laps: write {MAX_SEGMENTS} or fewer")
     # the lowest airspeed, as circles are checked against it and have the radii of their own
     slowest = min(each.airspeed for each in legs)
     mission = replace(params, legs=tuple(each.leg for each in legs), airspeed=slowest)

@@ -8,12 +8,14 @@ from __future__ import annotations
 import hashlib
 import hmac
 import re
+import stat
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 from testbed.core.errors import InputError
+from testbed.core.input_files import MAX_KEY_BYTES, read_bounded_text
 
 SIGNATURE_BYTES = 13  # link id, time and the truncated hash
 _HASH_BYTES = 6
@@ -36,10 +38,7 @@ def read_key(path: Path) -> bytes:
     Raises:
         InputError: the file cannot be read, or contains no key.
     """
-    try:
-        text = path.read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot read this key: {error}") from error
+    text = read_bounded_text(path, MAX_KEY_BYTES).strip()
     if not text:
         raise InputError(f"{path}: empty; write a passphrase or 64 hexadecimal digits")
     if re.fullmatch(r"[0-9a-fA-F]{64}", text):
@@ -47,6 +46,11 @@ def read_key(path: Path) -> bytes:
     if re.fullmatch(r"[0-9a-fA-F]{32,}", text):
         raise InputError(f"{path}: {len(text)} hexadecimal digits; write 64, or a passphrase")
     return hashlib.sha256(text.encode()).digest()
+
+
+def is_shared(path: Path) -> bool:
+    """Whether others than the owner of a key file may read or write it."""
+    return bool(path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO))
 
 
 @dataclass(frozen=True, slots=True)

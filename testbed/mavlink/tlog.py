@@ -13,6 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from testbed.core.input_files import MAX_FLIGHT_LOG_BYTES, read_bounded
 from testbed.mavlink.codec import MavlinkError, Message, decode, frame_length
 
 _TIME = struct.Struct(">Q")
@@ -98,10 +99,7 @@ class Tlog:
 
     def __init__(self, path: Path) -> None:
         """Read the file."""
-        try:
-            self._data = path.read_bytes()
-        except OSError as error:
-            raise MavlinkError(f"{path}: cannot be read: {error.strerror}") from error
+        self._data = read_bounded(path, MAX_FLIGHT_LOG_BYTES, error=MavlinkError)
         self.unread = self.damaged = self.cut = 0
 
     def __iter__(self) -> Iterator[tuple[int, Message]]:

@@ -7,13 +7,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from testbed.core.errors import InputError
-from testbed.core.files import atomic_write
+from testbed.core.files import report_write_errors, write_text_file
 
 Document = Mapping[str, Any]
 
-LIMIT_EVENTS = ("overspeed", "stalled", "lost its formation")  # first words of these events
-EXCEEDED = ("envelope_exceeded", "formation_lost")
+SEPARATION_LOST = "loss of separation"
+# first words of the events of exceeded limits
+LIMIT_EVENTS = ("overspeed", "stalled", "lost its formation", SEPARATION_LOST)
+EXCEEDED = ("envelope_exceeded", "formation_lost", "separation_lost")
 OUTCOMES = ("completed", "lost", *EXCEEDED, "interrupted", "failed")
 
 
@@ -87,6 +88,15 @@ def exceedances(document: Document) -> list[str]:
     ]
 
 
+def initial_warnings(document: Document) -> list[str]:
+    """Return source and text of the warnings from before the flight."""
+    return [
+        f"{event['source']}: {event['text']}"
+        for event in document.get("events", ())
+        if event["level"] == "warning" and not event["time_s"]
+    ]
+
+
 def errors(document: Document) -> list[tuple[float, str]]:
     """Return time, s, and text of the events that are errors, in the order of time."""
     found = [each for each in document["events"] if each["level"] == "error"]
@@ -103,14 +113,11 @@ def to_json(document: Document) -> str:
 
 
 def write_json(path: Path, document: Document) -> None:
-    """Write the document; the file is replaced whole or not at all.
+    """Write the document; a file is replaced whole or not at all.
 
     Raises:
-        InputError: the folder is missing, full or not writable.
+        InputError: it cannot be written.
     """
     text = to_json(document)
-    try:
-        with atomic_write(path) as file:
-            file.write(text)
-    except OSError as error:
-        raise InputError(f"{path}: cannot write the metrics: {error.strerror}") from error
+    with report_write_errors(path), write_text_file(path) as file:
+        file.write(text)

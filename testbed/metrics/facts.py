@@ -10,7 +10,7 @@ import numpy as np
 from rich.text import Text
 
 from testbed.core.frames import wind_from_deg
-from testbed.metrics.document import Document, exceedances, losses
+from testbed.metrics.document import SEPARATION_LOST, Document, exceedances, losses
 from testbed.metrics.summary import CALM_MPS
 
 ABSENT = "–"
@@ -216,14 +216,19 @@ def _listed(texts: Sequence[str], note: str = "") -> Text:
     return Text(", ".join([*texts[:MAX_LISTED], *more]) + note, style="red")
 
 
-def _separation(metrics: Document) -> str:
+def _separation(metrics: Document) -> Text:
+    """Describe the smallest separation; red where it was below the minimum without a fault."""
     text, between = (
         shown(metrics["min_separation_m"], "{:.2f} m"),
         metrics["min_separation_between"],
     )
     if between:
         text += f", {between[0]} and {between[1]} at {metrics['min_separation_at_s']:.1f} s"
-    return text
+    lost = any(
+        each["level"] == "error" and each["text"].startswith(SEPARATION_LOST)
+        for each in metrics["events"]
+    )
+    return Text(text, style="red" if lost else "")
 
 
 def _kappa(metrics: Document) -> Text:

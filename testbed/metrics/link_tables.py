@@ -28,12 +28,14 @@ def worst_links(links: Mapping[str, Mapping[str, Document]]) -> dict[str, Docume
     if len(named) <= MAX_LINKS:
         return named
 
-    def quality(name: str) -> tuple[float, float]:
-        share, delay = named[name]["delivered_share"], named[name]["delay_s"]
-        return (1.0 if share is None else share), -(delay["p99"] if delay else 0.0)
-
-    worst = set(sorted(named, key=quality)[:MAX_LINKS])
+    worst = set(sorted(named, key=lambda name: quality(named[name]))[:MAX_LINKS])
     return {name: link for name, link in named.items() if name in worst}
+
+
+def quality(link: Document) -> tuple[float, float]:
+    """Return what links are compared by, the worst first: delivered share, then delay."""
+    share, delay = link["delivered_share"], link["delay_s"]
+    return (1.0 if share is None else share), -(delay["p99"] if delay else 0.0)
 
 
 def link_table(

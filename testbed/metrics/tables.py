@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from statistics import median
@@ -12,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from testbed.core.records import join_names
 from testbed.formation.flags import Saturation
 from testbed.metrics.document import EXCEEDED, Document
 from testbed.metrics.facts import ABSENT, facts, shown
@@ -21,6 +24,12 @@ Columns = dict[str, list[Text | str]]  # cells by heading
 MAX_FOLLOWERS = 12  # listed one by one; of more, those with the largest errors
 MAX_WINDOWS = 3  # side by side in 80 columns
 MAX_EVENTS = 6
+FACT_INDENT = 21  # columns of the name of a line below the tables
+EVENT_INDENT = 22  # columns of an event's level and time
+NARROW = 70  # columns; below, a wrapped event is indented by `NARROW_INDENT` only
+NARROW_INDENT = 4
+# A number and its unit, which stay on one line.
+_QUANTITY = re.compile(r"(?<=\d) (?=(?:m|m/s|km|s|ms|Hz|%|°|rad|rad/s|V)\b|%|°)")
 OUTCOME_STYLES = {"completed": "bold green"} | dict.fromkeys(
     ("lost", *EXCEEDED, "failed"), "bold red"
 )
@@ -38,11 +47,11 @@ def render_table(metrics: Document, console: Console, *, log: Path | None = None
     if source := published_note(metrics):
         console.print(Text(f" {source}", style="dim"))
     if names:
-        for table in follower_tables(metrics, names, fits=_fits(console)):
+        for table in follower_tables(metrics, names):
             console.print()
             console.print(table)
     console.print()
-    console.print(_grid(facts(metrics)))
+    _print_facts(facts(metrics), console)
     _print_events(metrics["events"], console)
     if log is not None:
         # not wrapped: a path broken over two lines cannot be copied
@@ -144,13 +153,8 @@ def _error_table(metrics: Document, windows: Sequence[str], names: Sequence[str]
     return table
 
 
-def follower_tables(
-    metrics: Document,
-    names: Sequence[str],
-    *,
-    fits: Callable[[Table], bool] = lambda table: True,
-) -> list[Table]:
-    """Make a table of joining, limiters, saturation and message age, or two if one is too wide."""
+def follower_tables(metrics: Document, names: Sequence[str]) -> list[Table]:
+    """Make tables of joining, limiters and message age, and of saturated commands."""
     joined, ages = metrics["joined_at_s"], metrics["age_of_information_s"]
     limits, saturations = metrics["limiter_flags"], metrics["saturations"]
     recovery = metrics["recovery"]
@@ -160,24 +164,24 @@ def follower_tables(
         "message\nage, ms": [_milliseconds(ages[name]["mean"]) for name in names],
     }
     saturation: Columns = {
-        "saturated\nfor, s": [_seconds(saturations[name]["seconds"]) for name in names],
+        "any\ns": [_seconds(saturations[name]["seconds"]) for name in names],
         **{
-            f"{kind}\n%": [_saturated_share(metrics, name, kind) for name in names]
+            f"{kind}\n% of time": [_saturated_share(metrics, name, kind) for name in names]
             for kind in (str(flag.name).lower() for flag in Saturation)
         },
         "last\nat, s": [shown(recovery[name]["last_saturated_s"], "{:.1f}") for name in names],
     }
-    table = _follower_table(names, columns | saturation)
-    if fits(table):
-        return [table]
-    return [_follower_table(names, columns), _follower_table(names, saturation)]
+    return [
+        _follower_table("\nfollower", names, columns),
+        _follower_table("command\nsaturated", names, saturation),
+    ]
 
 
-def _follower_table(names: Sequence[str], columns: Columns) -> Table:
+def _follower_table(title: str, names: Sequence[str], columns: Columns) -> Table:
     table = _new_table()
-    table.add_column(Text("\nfollower", style="bold"), no_wrap=True)
+    table.add_column(Text(title, style="bold"), no_wrap=True)
     for heading in columns:
-        style = "dim" if heading.endswith("%") else ""
+        style = "dim" if "%" in heading else ""
         table.add_column(heading, justify="right", style=style, no_wrap=True)
     for name, *cells in zip(names, *columns.values(), strict=True):
         table.add_row(name, *cells)
@@ -185,7 +189,9 @@ def _follower_table(names: Sequence[str], columns: Columns) -> Table:
 
 
 def compared_windows(metrics: Document) -> list[str]:
-    """Return the complete windows that have published numbers."""
+    """Return the complete windows that have published numbers of this set-up."""
+    if (metrics.get("published") or {}).get("differs"):
+        return []
     found = metrics["windows"]
     return [name for name in _published_windows(metrics) if found[name]["complete"]]
 
@@ -203,6 +209,9 @@ def published_mean(metrics: Document, window: str) -> float | None:
 def published_note(metrics: Document) -> str:
     """Name the source of published numbers and the windows not compared; "" if there are none."""
     known = _published_windows(metrics)
+    if known and (differs := metrics["published"].get("differs")):
+        source = metrics["published"]["source"]
+        return f"not compared with {source}: another set-up, {join_names(differs)}"
     cut = [name for name in known if not metrics["windows"][name]["complete"]]
     notes = [f"published: {metrics['published']['source']}"] if len(cut) < len(known) else []
     if cut:
@@ -230,13 +239,24 @@ def _new_table() -> Table:
     return Table(box=box.SIMPLE_HEAD, show_edge=False, collapse_padding=True, header_style="")
 
 
-def _grid(rows: Sequence[tuple[str, str | Text]]) -> Table:
-    table = Table.grid(padding=(0, 1))
-    table.add_column(width=20)
-    table.add_column()
+def _wrap(text: str, width: int) -> list[str]:
+    """Break a text into lines; a number and its unit are not parted."""
+    joined = _QUANTITY.sub("\N{NO-BREAK SPACE}", text)
+    lines = textwrap.wrap(joined, max(width, 10), break_long_words=False, break_on_hyphens=False)
+    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines] or [""]
+
+
+def _print_facts(rows: Sequence[tuple[str, str | Text]], console: Console) -> None:
     for name, text in rows:
-        table.add_row(f" {name}", text)
-    return table
+        style = text.style if isinstance(text, Text) else ""
+        lines = [
+            line
+            for each in str(text).splitlines()
+            for line in _wrap(each, console.width - FACT_INDENT)
+        ]
+        for number, line in enumerate(lines):
+            start = f" {name if number == 0 else '':<{FACT_INDENT - 1}}"
+            console.print(Text.assemble(start, (line, style)), soft_wrap=True)
 
 
 def _headline(metrics: Document, width: int) -> list[Text]:
@@ -266,16 +286,18 @@ def _print_events(events: Sequence[Mapping[str, Any]], console: Console) -> None
     ]
     # errors before warnings, because they decide whether the run is valid
     first = sorted(range(len(loud)), key=lambda i: loud[i]["level"] != "error")[:MAX_EVENTS]
-    table = Table.grid(padding=(0, 1))
-    table.add_column(width=8)
-    table.add_column(justify="right", width=11, no_wrap=True)
-    table.add_column()
     for event in (loud[i] for i in sorted(first)):
-        text = f" {event['source']}: {event['text']}"
+        time = f"{event['time_s']:.2f} s"
+        start = f" {event['level']:<8}{time:>11}  "
+        indent = EVENT_INDENT if console.width >= NARROW else NARROW_INDENT
+        text = f"{event['source']}: {event['text']}"
+        head, *_ = _wrap(text, console.width - EVENT_INDENT)
+        rest = text[len(head) :].lstrip()
+        lines = [start + head]
+        if rest:
+            lines += [" " * indent + line for line in _wrap(rest, console.width - indent)]
         style = EVENT_STYLES.get(event["level"], "")
-        table.add_row(f" {event['level']}", f"{event['time_s']:.2f} s", text, style=style)
-    if first:
-        console.print(table)
+        console.print(Text("\n".join(lines), style=style), soft_wrap=True)
     if len(loud) > MAX_EVENTS:
         more = f" … and {len(loud) - MAX_EVENTS} more in the log"
         console.print(Text(more, style="dim"))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from testbed.core.files import atomic_write
+from testbed.core.files import write_text_file
 from testbed.reports.figure_spec import Figure
 from testbed.reports.style import STYLE
 from testbed.reports.svg import embed_svg
@@ -59,17 +59,8 @@ def write_page(page: Page, path: Path) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    write_text(render_page(page), path)
-
-
-def write_text(text: str, path: Path) -> None:
-    """Write a file atomically.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    with atomic_write(path) as file:
-        file.write(text)
+    with write_text_file(path) as file:
+        file.write(render_page(page))
 
 
 def save_figures(figures: Iterable[Figure], folder: Path, ending: str) -> list[Path]:

@@ -14,6 +14,7 @@ from testbed.core.records import Array, BoolArray
 from testbed.logs.read import Log, read_log, replay, scenario_of
 from testbed.logs.run_directory import find_run
 from testbed.metrics import MetricsObserver
+from testbed.metrics.check import check_metrics
 from testbed.scenario import Scenario
 
 Metrics = Mapping[str, Any]
@@ -59,17 +60,19 @@ def read_run(run: str | Path) -> RunData:
 
     Raises:
         LogError: there is no such run, or its log is damaged.
-        InputError: the run ended before its first sample.
+        InputError: the run ended before its first sample, or its metrics are of another shape.
     """
     path = find_run(run)
     log = read_log(path)
     if not log.tick.size:
         raise InputError(f"{path}: the log has no samples, so there is nothing to report")
     scenario = scenario_of(log)
+    if log.metrics:
+        check_metrics(log.metrics, log.info, str(path))
     return RunData(path, log, log.metrics or _compute_metrics(log, scenario), scenario)
 
 
 def _compute_metrics(log: Log, scenario: Scenario | None) -> Metrics:
     published = scenario.scenario.published if scenario else None
-    observer = MetricsObserver(published=published.model_dump() if published else None)
+    observer = MetricsObserver(published=published.model_dump(mode="json") if published else None)
     return observer.summary(replay(log, [observer]))

@@ -27,7 +27,14 @@ from testbed.scenario.resolve import (
     list_studies,
     list_tunings,
 )
-from testbed.scenario.schema import SCHEMA_VERSION, Scenario, json_schema, set_duration
+from testbed.scenario.schema import (
+    SCHEMA_VERSION,
+    Scenario,
+    describe_unreached,
+    json_schema,
+    set_duration,
+    unreached_windows,
+)
 from testbed.scenario.violations import Place, Problem, ScenarioError
 
 __all__ = [
@@ -38,6 +45,7 @@ __all__ = [
     "Scenario",
     "ScenarioError",
     "ScenarioFile",
+    "describe_unreached",
     "dump",
     "dump_middle_loop",
     "find_aircraft",
@@ -61,4 +69,5 @@ __all__ = [
     "middle_loop_gains",
     "open_scenario",
     "set_duration",
+    "unreached_windows",
 ]

@@ -20,6 +20,7 @@ from testbed.scenario.fields import (
 from testbed.scenario.sensors import TRUTH, Sensors
 
 Point = tuple[Metres, Metres, Metres]
+MAX_LEGS = 10_000  # of a mission with all its laps
 
 
 class Waypoints(Section):
@@ -29,7 +30,7 @@ class Waypoints(Section):
     points_m: tuple[Point, ...] = Field(
         min_length=1, description="Waypoints [north, east, altitude], m from the origin."
     )
-    laps: Whole = Field(1, ge=1, description="Number of times the points are flown.")
+    laps: Whole = Field(1, ge=1, le=MAX_LEGS, description="Number of times the points are flown.")
 
 
 class Level(Section):

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
-from testbed.scenario.aircraft import Follower, Leader
-from testbed.scenario.control_source import ArduPlane, External
+from testbed.scenario.aircraft import MAX_LEGS, Follower, Leader
+from testbed.scenario.control_source import ArduPlane, External, VirtualAutopilot
 from testbed.scenario.faults import AnyFault
 from testbed.scenario.fields import Finding, KeyPath
 from testbed.scenario.network_checks import check_network
@@ -16,7 +16,12 @@ from testbed.scenario.violations import did_you_mean
 if TYPE_CHECKING:
     from testbed.scenario.schema import Scenario
 
+# name of an aircraft, its position, m, the kind of position, and its path in the scenario
+_Place = tuple[str, tuple[float, float, float], str, KeyPath]
+
+LOWEST_START_M = 5.0  # above the origin; an aircraft starts in trimmed flight
 _ARDUPLANE_MIN_HZ = 50  # smallest SCHED_LOOP_RATE
+_FBWA_MIN_HZ = 10  # above twice the cut-off of its gyro filter, 4 Hz
 _NOT_DECLARABLE = {
     "autopilot-frozen": "a frozen autopilot cannot declare it",
     "transmitter-off": "an aircraft that sends nothing cannot declare it",
@@ -28,10 +33,15 @@ def cross_check(scenario: Scenario) -> list[Finding]:
     return [
         *_rates(scenario),
         *_names(scenario),
+        *_starts(scenario),
+        *_start_altitudes(scenario),
+        *_laps(scenario),
         *_formation(scenario),
+        *_slots(scenario),
         *_agents(scenario),
         *_law(scenario),
         *_sensors(scenario),
+        *_fly_by_wire(scenario),
         *_ardupilot(scenario),
         *_external(scenario),
         *_faults(scenario),
@@ -50,6 +60,19 @@ def _aircraft(scenario: Scenario) -> Iterator[tuple[KeyPath, Leader | Follower]]
     yield ("leader",), scenario.leader
     for index, follower in enumerate(scenario.fleet):
         yield ("fleet", index), follower
+
+
+def _laps(scenario: Scenario) -> Iterator[Finding]:
+    path = scenario.leader.path
+    if path.kind != "mission":
+        return
+    counts = [len(leg.points_m) * leg.laps if leg.kind == "waypoints" else 1 for leg in path.legs]
+    if sum(counts) > MAX_LEGS:
+        most = counts.index(max(counts))
+        yield (
+            ("leader", "path", "legs", most, "laps"),
+            f"the mission has {sum(counts):,} legs with all laps (write {MAX_LEGS:,} or fewer)",
+        )
 
 
 def _unknown_followers(
@@ -132,6 +155,89 @@ def _names(scenario: Scenario) -> Iterator[Finding]:
             seen[follower.name] = f"fleet.{index}"
 
 
+def _starts(scenario: Scenario) -> Iterator[Finding]:
+    """Find aircraft that start in one place."""
+    places: list[_Place] = []
+    if scenario.leader.path.kind != "virtual":  # a point, not an aircraft
+        places.append((scenario.leader.name, (0.0, 0.0, 0.0), "own", ("leader", "start")))
+    for index, follower in enumerate(scenario.fleet):
+        at: KeyPath = ("fleet", index, "start_m")
+        places.append((follower.name, follower.start_m, "own", at))
+    for (name, place, _, at), (other, _, _, other_at) in _coincident(places):
+        yield (
+            at,
+            f"{_position(place)} puts {name} in the same place as {other} ({_dotted(other_at)}) at "
+            "the start (write another start)",
+        )
+
+
+def _start_altitudes(scenario: Scenario) -> Iterator[Finding]:
+    """Find aircraft that start on or below the ground, behind a leader that flies a mission."""
+    leader = scenario.leader
+    if leader.path.kind != "mission":  # it starts on its path
+        return
+    altitudes: list[tuple[KeyPath, float]] = [
+        (("leader", "start", "altitude_m"), leader.start.altitude_m),
+        *(
+            (("fleet", index, "start_m"), leader.start.altitude_m - follower.start_m[2])
+            for index, follower in enumerate(scenario.fleet)
+        ),
+    ]
+    for at, altitude in altitudes:
+        if altitude < LOWEST_START_M:
+            side = f"{-altitude:g} m below" if altitude < 0.0 else f"{altitude:g} m above"
+            yield (
+                at,
+                f"is a start {side} the ground (write one at least {LOWEST_START_M:g} m above it)",
+            )
+            if at[0] == "leader":
+                return
+
+
+def _slots(scenario: Scenario) -> Iterator[Finding]:
+    """Find followers whose slots are in one place, or in that of the leader."""
+    offsets, altitudes = scenario.formation.offsets_m, scenario.formation.altitudes_m
+    places: list[_Place] = []
+    if scenario.leader.path.kind != "virtual":
+        places.append((scenario.leader.name, (0.0, 0.0, 0.0), "offset", ("leader",)))
+    for name in (follower.name for follower in scenario.fleet):
+        if name in offsets:
+            forward, right, down = offsets[name]
+            at: KeyPath = ("formation", "offsets_m", name)
+            # its altitude and that of a slot below the leader cannot be compared before the flight
+            kind = "altitude" if name in altitudes else "offset"
+            height = altitudes.get(name, down)
+            places.append((name, (forward, right, height), kind, at))
+    for (name, _, _, at), (other, _, _, other_at) in _coincident(places):
+        yield (
+            at,
+            f"{_position(offsets[name])} puts the slot of {name} in the same place as "
+            f"{_slot_of(other, other_at)} (write another offset)",
+        )
+
+
+def _slot_of(name: str, at: KeyPath) -> str:
+    return f"that of {name} ({_dotted(at)})" if len(at) > 1 else name
+
+
+def _coincident(places: Iterable[_Place]) -> Iterator[tuple[_Place, _Place]]:
+    """Yield each place that is that of an earlier one, to the centimetre, with the earlier one."""
+    seen: dict[tuple[object, ...], _Place] = {}
+    for each in places:
+        _, position, kind, _ = each
+        first = seen.setdefault((kind, *(round(value, 2) + 0.0 for value in position)), each)
+        if first is not each:
+            yield each, first
+
+
+def _position(values: Iterable[float]) -> str:
+    return f"[{', '.join(f'{value + 0.0:g}' for value in values)}]"
+
+
+def _dotted(path: KeyPath) -> str:
+    return ".".join(map(str, path))
+
+
 def _sensors(scenario: Scenario) -> Iterator[Finding]:
     max_rate = scenario.rates.autopilot_hz
     for at, aircraft in _aircraft(scenario):
@@ -144,6 +250,23 @@ def _sensors(scenario: Scenario) -> Iterator[Finding]:
                     f"the {name} measures at {rate} Hz, above rates.autopilot_hz, {max_rate} Hz, "
                     f"at which sensors are read (write a rate_hz of at most {max_rate})",
                 )
+
+
+def _fly_by_wire(scenario: Scenario) -> Iterator[Finding]:
+    rate = scenario.rates.autopilot_hz
+    names = [
+        aircraft.name
+        for _, aircraft in _aircraft(scenario)
+        if aircraft.vehicle != "unicycle"
+        and isinstance(aircraft.autopilot, VirtualAutopilot)
+        and not (isinstance(aircraft, Leader) and aircraft.path.kind != "mission")
+    ]
+    if names and rate < _FBWA_MIN_HZ:
+        yield (
+            ("rates", "autopilot_hz"),
+            f"is {rate}, and fly-by-wire A, the autopilot of {', '.join(names)}, needs at least "
+            f"{_FBWA_MIN_HZ} Hz for its gyro filter (write {_FBWA_MIN_HZ} or more; 50 is usual)",
+        )
 
 
 def _ardupilot(scenario: Scenario) -> Iterator[Finding]:

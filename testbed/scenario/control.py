@@ -246,10 +246,11 @@ class Controller(Section):
         "none",
         description="Addition to (19): none, or the angle of attack θ − γ as in the authors' code.",
     )
-    bounded_speed: Literal["ground_speed", "airspeed"] = Field(
-        "ground_speed",
+    bounded_speed: Literal["ground_speed", "airspeed"] | None = Field(
+        None,
         description="Speed to which the speed bounds apply: ground_speed as in the paper, or "
-        "airspeed (bounds shifted by the wind) as in the authors' code.",
+        "airspeed (bounds shifted by the wind) as in the authors' code; by default airspeed where "
+        "air.wind blows, else ground_speed.",
     )
     leader_timeout_s: Seconds = Field(
         5.0,

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Mapping
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from testbed.scenario.tree import Node, Plain, plain, walk
+from testbed.scenario.tree import Node, walk
 from testbed.scenario.violations import Place, Problem, did_you_mean
 
 _TYPES = {
@@ -29,6 +30,7 @@ _BOUNDS = {
     "less_than": ("lt", "below"),
     "less_than_equal": ("le", "at most"),
 }
+_PERCENT = re.compile(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*")
 # Keys of the header that a file inherits and that may not fit its own duration.
 _INHERITED = (("scenario", "windows"), ("scenario", "published"))
 
@@ -93,16 +95,20 @@ def _one(detail: Mapping[str, Any], tree: Node, schema: dict[str, Any]) -> Probl
     kind, loc, context = detail["type"], detail["loc"], detail.get("ctx", {})
     node, path, left = walk(tree, loc)
     place = node.place
-    if kind == "missing" and not left:  # of a fixed-length list
+    if kind == "missing" and not left:
         parent, path, _ = walk(tree, loc[:-1])
+        if not isinstance(parent.value, tuple):  # a key with the name of a kind
+            remedy = _write(f"{loc[-1]}: ...", _about(schema, tree, path[:-1]))
+            return Problem(parent.key, f"is not a key of this section{remedy}", path)
+        # of a fixed-length list
         return Problem(parent.place, _length(parent, path, tree, schema), path)
-    known = _known_keys(schema, tree, path[:-1] if kind == "extra_forbidden" else path)
     if kind == "missing":
         path += left[:1]
         place = node.key
         text = f"is missing{_write(f'{path[-1]}: ...', _about(schema, tree, path))}"
     elif kind == "extra_forbidden":
         place = node.key
+        known = list(_at(schema, tree, path[:-1]).get("properties", {}))
         hint = did_you_mean(path[-1], known)
         text = f"is not a key of this section{hint} (write one of {', '.join(known)})"
     elif kind in ("union_tag_not_found", "union_tag_invalid"):
@@ -118,11 +124,17 @@ def _one(detail: Mapping[str, Any], tree: Node, schema: dict[str, Any]) -> Probl
         near = did_you_mean(str(value.value), tags.split(", ")) if value else ""
         text = f"{text}{near} (write one of {tags})"
     elif kind in _TYPES:
-        advice = _advice(node, kind) or _write(_TYPES[kind], _about(schema, tree, path))
-        text = f"is {_shown(node)}{advice}"
+        about = _about(schema, tree, path)
+        advice = _advice(node, kind, about) or _write(_TYPES[kind], about)
+        # of a whole file, which may be no scenario at all, nothing is quoted
+        text = f"is {_shown(node) if path else _kind(node)}{advice}"
     elif kind in _BOUNDS:
         limit, word = _BOUNDS[kind]
-        text = f"is {_shown(node)} (write a number {word} {context[limit]:g})"
+        remedy = f"write a number {word} {context[limit]:g}"
+        given = node.value
+        if word == "at most" and context[limit] == 1 and isinstance(given, int | float):
+            remedy += f"; {given:g} % is {given / 100:g}" if 5 <= given <= 100 else ""
+        text = f"is {_shown(node)} ({remedy})"
     elif kind == "literal_error":
         expected = context["expected"].replace("'", "")
         near = did_you_mean(str(node.value), expected.replace(" or ", ", ").split(", "))
@@ -144,13 +156,25 @@ def _one(detail: Mapping[str, Any], tree: Node, schema: dict[str, Any]) -> Probl
 def _length(node: Node, path: tuple[str, ...], tree: Node, schema: dict[str, Any]) -> str:
     here = _at(schema, tree, path)
     count = len(node.value) if isinstance(node.value, tuple | dict) else 0
-    low, high = here.get("minItems"), here.get("maxItems")
-    wanted = f"at least {low}" if high is None else str(high)
+    low = here.get("minItems", here.get("minProperties"))
+    high = here.get("maxItems", here.get("maxProperties"))
+    if low is None and high is None:
+        return f"has {count} elements"
+    wanted = f"at least {low}" if count < (low or 0) or high is None else f"at most {high}"
+    if low == high:
+        wanted = str(high)
     return f"has {count} elements{_write(wanted, _about(schema, tree, path))}"
 
 
-def _advice(node: Node, kind: str) -> str:
-    """Return the remedy for YAML 1.1 booleans and quoted numbers."""
+def _advice(node: Node, kind: str, about: str) -> str:
+    """Return the remedy for YAML 1.1 booleans, quoted numbers, percentages and map or number."""
+    number_or_map = " or a map" in about
+    if isinstance(node.value, str) and (percent := _PERCENT.fullmatch(node.value)):
+        if number_or_map or "0 to 1" in about:
+            return f" (write {float(percent[1]) / 100:g})"
+    if number_or_map:
+        what = about.partition(": ")[2] or about
+        return f" (write {what.rstrip('.')})"
     if not isinstance(node.value, str):
         return ""
     word = node.value.strip()
@@ -168,13 +192,17 @@ def _advice(node: Node, kind: str) -> str:
     return ""
 
 
-def _shown(node: Node) -> str:
-    if isinstance(node.value, dict):
-        return "a map"
-    if isinstance(node.value, tuple):
-        return "a list"
+def _kind(node: Node) -> str:
+    """Name the kind of a value, without the value."""
+    kinds = (("a map", dict), ("a list", tuple), ("text", str), ("true or false", bool))
     if node.value is None:
         return "empty"
+    return next((name for name, kind in kinds if isinstance(node.value, kind)), "a number")
+
+
+def _shown(node: Node) -> str:
+    if isinstance(node.value, dict | tuple) or node.value is None:
+        return _kind(node)
     if isinstance(node.value, bool):
         return str(node.value).lower()
     if isinstance(node.value, str):
@@ -197,46 +225,45 @@ def _about(schema: dict[str, Any], tree: Node, path: tuple[str, ...]) -> str:
     return ""
 
 
-def _known_keys(schema: dict[str, Any], tree: Node, path: tuple[str, ...]) -> list[str]:
-    return list(_at(schema, tree, path).get("properties", {}))
-
-
 def _at(
     schema: dict[str, Any], tree: Node, path: tuple[str, ...], *, follow: bool = True
 ) -> dict[str, Any]:
     """Return the JSON schema at a path of the file, or {} where there is none."""
     here = schema
-    value: Plain = plain(tree)
+    node: Node | None = tree
     for part in path:
-        here = _follow(schema, here, value)
-        if isinstance(value, list):
+        here = _follow(schema, here, node)
+        value = node.value if node else None
+        if isinstance(value, tuple):
             items = here.get("items") or {}
             here = items or (here.get("prefixItems") or [{}])[0]
-            value = value[int(part)] if int(part) < len(value) else None
+            node = value[int(part)] if int(part) < len(value) else None
         else:
             named = here.get("patternProperties") or {"": here.get("additionalProperties")}
             rest = next(iter(named.values()))
             here = here.get("properties", {}).get(part) or (rest if isinstance(rest, dict) else {})
-            value = value.get(part) if isinstance(value, dict) else None
-    return _follow(schema, here, value) if follow else here
+            node = value.get(part) if isinstance(value, dict) else None
+    return _follow(schema, here, node) if follow else here
 
 
-def _follow(schema: dict[str, Any], here: dict[str, Any], value: Plain) -> dict[str, Any]:
+def _follow(schema: dict[str, Any], here: dict[str, Any], node: Node | None) -> dict[str, Any]:
     """Resolve references, and unions by the tag in the value."""
+    value = node.value if node else None
     while True:
         if "$ref" in here:
             here = schema["$defs"][here["$ref"].rsplit("/", 1)[1]]
         elif "discriminator" in here:
             rule = here["discriminator"]
-            tag = value.get(rule["propertyName"]) if isinstance(value, dict) else None
-            tag = _default_tag(schema, rule) if tag is None else str(tag)
+            named = value.get(rule["propertyName"]) if isinstance(value, dict) else None
+            given = named.value if named else None
+            tag = _default_tag(schema, rule) if given is None else str(given)
             if tag not in rule["mapping"]:
                 return {"properties": dict.fromkeys(rule["mapping"], {})}
             here = {"$ref": rule["mapping"][tag]}
         elif "anyOf" in here and "properties" not in here:
             maps = [choice for choice in here["anyOf"] if _MAP_KEYS & choice.keys()]
             lists = [choice for choice in here["anyOf"] if choice.get("type") == "array"]
-            if isinstance(value, list) and len(lists) == 1:
+            if isinstance(value, tuple) and len(lists) == 1:
                 here = lists[0]
             elif maps:
                 here = maps[0]

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from testbed.scenario import resolve
 from testbed.scenario.middle_loop import GainChanges, Guidance, MiddleLoopFile, MiddleLoopGains
-from testbed.scenario.overrides import override, parse_setting
+from testbed.scenario.overrides import Setting, override, parse_setting
 from testbed.scenario.pattern import drop_follower_keys, expand_pattern, is_pattern_key
 from testbed.scenario.references import resolve_references
 from testbed.scenario.schema import Scenario
@@ -19,6 +20,12 @@ from testbed.scenario.yaml_io import error_at, parse, read, validate, write
 
 _MAX_CHAIN = 20  # files that extend each other
 _NO_CHANGES: GainChanges = {}
+# settings with which published numbers remain those of this scenario
+_NEUTRAL = ("limits", "log")
+_NEUTRAL_PATHS = tuple(
+    ("scenario", key)
+    for key in ("name", "question", "expectation", "seed", "duration_s", "published")
+)
 CHANGES = Place("controller.gains")  # place of problems in changes to a profile
 
 
@@ -175,7 +182,7 @@ def _resolve(tree: Node, overrides: Sequence[str]) -> Scenario:
     for setting in settings:
         if is_pattern_key(setting.keys):
             tree = override(drop_follower_keys(tree, override(tree, setting)), setting)
-    tree = expand_pattern(tree)
+    unchanged, tree = tree, expand_pattern(tree)
     for setting in settings:
         if not is_pattern_key(setting.keys):
             tree = override(tree, setting)
@@ -184,7 +191,38 @@ def _resolve(tree: Node, overrides: Sequence[str]) -> Scenario:
         _check_gains(scenario, tree)
     except ScenarioError as error:
         raise ScenarioError(merge_repeated(error.problems)) from None
-    return scenario
+    return _with_differences(scenario, unchanged, settings)
+
+
+def _with_differences(scenario: Scenario, tree: Node, settings: Sequence[Setting]) -> Scenario:
+    """Note in the published numbers which settings make this another set-up.
+
+    Args:
+        scenario: with the settings.
+        tree: without them.
+        settings: those that change no number, as the seed's, do not count.
+    """
+    published = scenario.scenario.published
+    paths = [setting.keys for setting in settings]
+    keys = [keys for keys in paths if keys[0] not in _NEUTRAL and keys[:2] not in _NEUTRAL_PATHS]
+    if published is None or not keys or ("scenario", "published") in [each[:2] for each in paths]:
+        return scenario
+    with suppress(ScenarioError):
+        before = validate(expand_pattern(tree), Scenario)
+        if _set_up(resolve_references(before, expand_pattern(tree))) == _set_up(scenario):
+            return scenario
+    differs = dict.fromkeys((*published.differs, *(".".join(each) for each in keys)))
+    published = published.model_copy(update={"differs": tuple(differs)})
+    header = scenario.scenario.model_copy(update={"published": published})
+    return scenario.model_copy(update={"scenario": header})
+
+
+def _set_up(scenario: Scenario) -> dict[str, object]:
+    """Return what decides the numbers of a scenario, but its seed and duration."""
+    data = scenario.model_dump(exclude=set(_NEUTRAL))
+    for _, key in _NEUTRAL_PATHS:
+        data["scenario"].pop(key, None)
+    return data
 
 
 def _check_gains(scenario: Scenario, tree: Node) -> None:

@@ -49,6 +49,8 @@ def parse_setting(text: str) -> Setting:
     key, equals, value = text.partition("=")
     keys = tuple(key.strip().split("."))
     source = f"--set {text}"
+    if not text.isprintable() and any("\ud800" <= each <= "\udfff" for each in text):
+        raise _error(source, (), "is not UTF-8 text (write it in UTF-8)")
     if not equals or not all(keys):
         raise _error(source, (), "is not key.path=value (write for example rates.log_hz=50)")
     try:

@@ -98,7 +98,7 @@ def find_aircraft(name_or_path: str | Path, *, folder: Path | None = None) -> Pa
     if _exists(path, Path.is_dir):
         text = f"{path} has no {path.name}.xml (write a folder with a model of its name)"
         raise ScenarioError([Problem(Place(str(path)), text)])
-    raise _not_found("aircraft", text, list_aircraft(), "a folder with a JSBSim model")
+    raise _not_found("aircraft", text, list_aircraft(), "a folder with a JSBSim model", path)
 
 
 def find_tune(aircraft: str | Path, tune: str | Path, *, folder: Path | None = None) -> Path:
@@ -174,7 +174,7 @@ def _find(
     path = absolute(text, folder)
     if is_file(path):
         return path
-    raise _not_found(what, text, known(), path_of)
+    raise _not_found(what, text, known(), path_of, path)
 
 
 def _stems(folder: Path, ending: str) -> tuple[str, ...]:
@@ -206,10 +206,20 @@ def absolute(text: str, folder: Path | None) -> Path:
         return (folder or Path.cwd()) / path
 
 
-def _not_found(what: str, text: str, known: tuple[str, ...], path: str) -> ScenarioError:
-    names = ", ".join(known) or "none"
-    message = (
-        f"there is no {what} {text!r}{did_you_mean(text, known)} (write one of: {names}; or the "
-        f"path of {path})"
-    )
+def _not_found(
+    what: str, text: str, known: tuple[str, ...], path_of: str, looked_at: Path
+) -> ScenarioError:
+    """Make the error of a name or path that does not exist; a path is told by its form."""
+    if not _is_name(text) or Path(text).suffix in (_YAML, _PARAM):
+        message = f"there is no file {looked_at}"
+        if path_of.startswith("a folder"):
+            message = f"there is no folder {looked_at}"
+        hint, article = did_you_mean(Path(text).stem, known), "an" if what[0] == "a" else "a"
+        message += f" (write the path of {path_of}, or the name of {article} {what}{hint})"
+    else:
+        names = ", ".join(known) or "none"
+        message = (
+            f"there is no {what} {text!r}{did_you_mean(text, known)} (write one of: {names}; or "
+            f"the path of {path_of}, relative to {looked_at.parent})"
+        )
     return ScenarioError([Problem(Place(text), message)])

@@ -3,8 +3,9 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, ValidationError, model_validator
 
+from testbed.core.errors import InputError
 from testbed.scenario.air import Air
 from testbed.scenario.aircraft import Follower, Leader
 from testbed.scenario.checks import cross_check
@@ -48,6 +49,11 @@ class Published(Section):
     mean_rms_m: Mapping[Name, Metres] = Field({}, description="Mean RMS error by window, m.")
     percent_error: Mapping[Name, Percent] = Field(
         {}, description="RMS error in percent of the length of the offset, by window, %."
+    )
+    differs: tuple[Annotated[str, Field(min_length=1)], ...] = Field(
+        (),
+        description="Keys in which this scenario differs from the published set-up; with any, the "
+        "numbers are not compared. --set adds the keys that it changes.",
     )
 
 
@@ -99,6 +105,11 @@ class Limits(Section):
         description="Distance of the centres of two aircraft below which the log has a warning, m; "
         "not checked by default.",
     )
+    min_separation_m: Annotated[Metres, Field(ge=0)] | None = Field(
+        None,
+        description="Distance of the centres of two aircraft below which separation is lost: an "
+        "error, and exit code 1, m; by default a wingspan, the larger of the two; 0: not checked.",
+    )
     overspeed_mps: Annotated[MetresPerSecond, Field(gt=0)] | None = Field(
         None,
         description="Equivalent airspeed above which, for 0.5 s, a flight model exceeds its "
@@ -121,8 +132,8 @@ class Limits(Section):
     )
     on_limit_exceeded: Literal["stop", "continue"] = Field(
         "continue",
-        description="When overspeed_mps, stall_deg or formation_lost_m is exceeded: stop the run, "
-        "or continue.",
+        description="Beyond min_separation_m, overspeed_mps, stall_deg or formation_lost_m: stop "
+        "the run, or continue.",
     )
 
 
@@ -163,6 +174,20 @@ class Scenario(Section):
         """Return all aircraft, the leader first, then the fleet in order."""
         return (self.leader, *self.fleet)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _resolve_bounded_speed(cls, data: Any) -> Any:  # noqa: ANN401 - any YAML value
+        """Write what the speed bounds apply to, where the controller leaves it open."""
+        if not isinstance(data, Mapping):
+            return data
+        controller, air = data.get("controller", {}), data.get("air")
+        if not isinstance(controller, Mapping) or controller.get("bounded_speed") is not None:
+            return data
+        wind = air.get("wind") if isinstance(air, Mapping) else None
+        blows = isinstance(wind, Mapping) and (wind.get("speed_mps") or wind.get("file"))
+        chosen = "airspeed" if blows else "ground_speed"
+        return {**data, "controller": {**controller, "bounded_speed": chosen}}
+
     @model_validator(mode="after")
     def _cross_check(self) -> Self:
         raise_findings(cross_check(self))
@@ -176,7 +201,7 @@ def set_duration(scenario: Scenario, duration_s: float) -> Scenario:
     dropped. Published numbers remain for complete windows only.
 
     Raises:
-        ValueError: (pydantic's) the duration is not above 0.
+        InputError: the duration is not above 0, is above a day, or does not fit the scenario.
     """
     data = scenario.model_dump(by_alias=True)
     header = data["scenario"]
@@ -196,7 +221,28 @@ def set_duration(scenario: Scenario, duration_s: float) -> Scenario:
         aircraft["faults"] = [
             fault for fault in aircraft["faults"] if (fault["at_s"] or 0) <= duration_s
         ]
-    return Scenario.model_validate(data)
+    try:
+        return Scenario.model_validate(data)
+    except ValidationError as error:
+        reason = error.errors()[0]["msg"].removeprefix("Value error, ")
+        raise InputError(f"duration {duration_s:g} s: {reason}") from None
+
+
+def unreached_windows(scenario: Scenario, duration_s: float) -> dict[str, str]:
+    """Return windows that begin after a duration, s, with their times as text, by name."""
+    return {
+        name: f"{name} ({begin:g} to {end:g} s)"
+        for name, (begin, end) in scenario.scenario.windows.items()
+        if begin >= duration_s
+    }
+
+
+def describe_unreached(windows: Mapping[str, str], duration_s: float) -> str:
+    """Describe windows of `unreached_windows` in one line."""
+    return (
+        f"the run ends at {duration_s:g} s, before these windows begin, which have no RMS errors: "
+        f"{', '.join(windows.values())}"
+    )
 
 
 def json_schema() -> dict[str, Any]:

@@ -8,7 +8,10 @@ from dataclasses import dataclass, replace
 
 from testbed.core.errors import InputError
 
-MAX_LISTED = 50  # problems in the text of an error
+MAX_LISTED = 20  # problems in the text of an error
+MAX_LINE = 1000  # characters of a problem
+_MAX_KEY = 80  # characters of a key
+_MAX_WORD = 200  # characters of a word that is compared with known ones
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +37,9 @@ class Problem:
 
     def __str__(self) -> str:
         """Render on one line."""
-        parts = (str(self.place) if self.place else "", ".".join(self.path), self.text)
-        return ": ".join(part for part in parts if part)
+        path = ".".join(_shortened(key, _MAX_KEY) for key in self.path)
+        parts = (str(self.place) if self.place else "", path, self.text)
+        return _shortened(": ".join(part for part in parts if part), MAX_LINE)
 
 
 class ScenarioError(InputError):
@@ -46,7 +50,7 @@ class ScenarioError(InputError):
         self.problems = tuple(problems)
         lines = [str(problem) for problem in self.problems[:MAX_LISTED]]
         if more := len(self.problems) - len(lines):
-            lines.append(f"and {more:,} more")
+            lines.append(f"… and {more:,} more")
         super().__init__("\n".join(lines))
 
 
@@ -62,7 +66,13 @@ def merge_repeated(problems: Iterable[Problem]) -> list[Problem]:
     return list(merged.values())
 
 
+def _shortened(text: str, length: int) -> str:
+    return text if len(text) <= length else f"{text[: length - 1]}…"
+
+
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """Return ": did you mean 'x'?" for the nearest known word, or nothing."""
+    if len(word) > _MAX_WORD:
+        return ""
     close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
     return f": did you mean {close[0]!r}?" if close else ""

@@ -16,11 +16,11 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
+from testbed.core.input_files import ReadError, read_bounded
 from testbed.scenario.error_messages import explain
 from testbed.scenario.tree import Node, Scalar, plain
 from testbed.scenario.violations import Place, Problem, ScenarioError
 
-_MAX_BYTES = 1_000_000
 _MAX_NODES = 100_000
 _MAX_DEPTH = 40
 
@@ -67,15 +67,13 @@ def read(path: Path) -> Node:
     """
     source = _short(path)
     try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise error_at(Place(source), f"cannot be read: {error.strerror}") from None
-    if len(data) > _MAX_BYTES:
-        raise error_at(Place(source), f"is larger than {_MAX_BYTES:,} bytes (write a smaller file)")
+        data = read_bounded(path)
+    except ReadError as error:
+        raise error_at(Place(source), error.reason) from None
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
+        line = error.object.count(b"\n", 0, error.start) + 1
         raise error_at(
             Place(source, line, 1), "is not UTF-8 text (save the file as UTF-8)"
         ) from None
@@ -137,13 +135,25 @@ def parse(text: str, source: str, folder: Path) -> Node:
         _refuse_depth(text, source)
         root = yaml.compose(text, Loader=_Reader)
     except yaml.MarkedYAMLError as error:
-        place = _place_of(source, error.problem_mark or error.context_mark)
-        raise error_at(place, f"is not YAML: {error.problem or error.context}") from None
+        mark = error.problem_mark or error.context_mark
+        problem = f"is not YAML: {error.problem or error.context}"
+        if mark is not None and _begins_with_tab(text, mark.line):
+            problem = "begins with a tab (indent with spaces; YAML allows no tabs there)"
+        raise error_at(_place_of(source, mark), problem) from None
     except yaml.YAMLError as error:
         raise error_at(Place(source), f"is not YAML: {str(error).splitlines()[0]}") from None
     if root is None:
         return Node(None, Place(source, 1, 1), Place(source, 1, 1), folder)
     return _Builder(source, folder).node(root, None, 0)
+
+
+def _begins_with_tab(text: str, line: int) -> bool:
+    """Tell whether the indent of a line, counted from 0, has a tab."""
+    lines = text.splitlines()
+    indent = (
+        lines[line][: len(lines[line]) - len(lines[line].lstrip())] if line < len(lines) else ""
+    )
+    return "\t" in indent
 
 
 def _place_of(source: str, mark: Any) -> Place:  # noqa: ANN401 - one of PyYAML's two classes

@@ -100,10 +100,20 @@ def _findings(
         barriers = [Barrier(*each) for each in built.barriers]
         speeds = SpeedSet(*(law[f"speed_{name}"] for name in SpeedSet._fields))
         yield from check_barrier(barriers, speeds)
-    medium = wind_ned if scenario.controller.bounded_speed == "airspeed" else None
-    slowest, fastest, possible = _slot_speeds(config, leader, medium)
+    of_airspeed = scenario.controller.bounded_speed == "airspeed"
+    slowest, fastest, possible = _slot_speeds(config, leader, wind_ned if of_airspeed else None)
+    in_air = None
+    if not of_airspeed and leader.limits != leader.limits_in_air:
+        in_air = _slot_speeds(config, leader, wind_ned)[:2]
     yield from check_slot_speed(
-        slowest, fastest, kappa, config.speed_min, config.speed_max, possible=possible
+        slowest,
+        fastest,
+        kappa,
+        config.speed_min,
+        config.speed_max,
+        possible=possible,
+        medium="through the air" if of_airspeed else "over the ground",
+        in_air=in_air,
     )
 
 

@@ -28,7 +28,13 @@ from testbed.scenario import SCHEMA_VERSION, Scenario, dump
 from testbed.sensors.estimators import Estimators
 from testbed.sim.arduplane_vehicles import ArduPlaneVehicles
 from testbed.sim.assumption_warnings import assumption_warnings
-from testbed.sim.build_air import build_air, build_mean_wind, initial_wind, still_field_warnings
+from testbed.sim.build_air import (
+    build_air,
+    build_mean_wind,
+    initial_wind,
+    still_field_warnings,
+    strongest_wind,
+)
 from testbed.sim.build_control import BuiltControl, build_control
 from testbed.sim.build_faults import build_faults, build_membership, fault_warnings
 from testbed.sim.build_formation import agent_value, build_altitudes, build_offsets
@@ -49,9 +55,15 @@ from testbed.sim.external_control import ExternalControl, build_external_control
 from testbed.sim.external_process import ExternalProcess
 from testbed.sim.faults import FaultManager, no_faults
 from testbed.sim.leader_control import LeaderController
-from testbed.sim.proximity import ProximityMonitor, build_proximity
+from testbed.sim.limit_warnings import limit_warnings
+from testbed.sim.proximity import (
+    ProximityMonitor,
+    build_proximity,
+    separation_warnings,
+)
 from testbed.sim.resources import check_memory
 from testbed.sim.schedule import Clock, make_clock
+from testbed.sim.sensor_warnings import sensor_warnings
 from testbed.sim.user_law import with_stored_law
 from testbed.sim.vehicles import Vehicles
 from testbed.vehicle.fleet import JsbsimFleet
@@ -120,9 +132,13 @@ def build(
     check_memory(scenario, clock)
     models = read_models(scenario)
     mean_wind = build_mean_wind(scenario)
-    wind = initial_wind(mean_wind, scenario.leader.start.altitude_m)
+    height = scenario.leader.start.altitude_m
+    wind = initial_wind(mean_wind, height)
+    wind_speed = strongest_wind(scenario, mean_wind, height)
     origin = build_origin(scenario)
-    leader = build_leader(scenario, clock, models.params[0], models.folders[0], origin, wind)
+    leader = build_leader(
+        scenario, clock, models.params[0], models.folders[0], origin, wind, wind_speed
+    )
     kinds = vehicle_kinds(scenario, leader)
     starts = build_starts(scenario, leader, mean_wind, kinds)
     aircraft, followers = allocate(AIRCRAFT, len(names)), allocate(FOLLOWER, len(names) - 1)
@@ -176,7 +192,7 @@ def build(
         fleet=vehicles.fleet,
         estimators=estimators,
         faults=faults,
-        proximity=build_proximity(scenario),
+        proximity=build_proximity(scenario, models.airframes),
         envelope=build_envelope_monitor(
             scenario, models.params, models.airframes, jsbsim_rows, faults
         ),
@@ -199,6 +215,9 @@ def build(
             *gust_input_warnings(scenario, vehicles, steady_air=air.steady),
             *still_field_warnings(scenario),
             *fault_warnings(scenario),
+            *limit_warnings(scenario, models.params, kinds),
+            *sensor_warnings(scenario),
+            *separation_warnings(scenario, models.airframes),
             *assumption_warnings(scenario, control, leader, wind),
         ),
         info=_run_info(scenario, clock, models, leader, control, wind, exact=estimators.exact),

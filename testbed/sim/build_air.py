@@ -68,6 +68,18 @@ def initial_wind(mean: MeanWind, height: float) -> tuple[float, float, float]:
     return north, east, down
 
 
+def strongest_wind(scenario: Scenario, mean: MeanWind, height: float) -> float:
+    """Return the largest speed of the wind in a run, m/s, at a height, m; without turbulence.
+
+    Gusts that last (`shape: ramp`) are added; those that pass are not.
+    """
+    times = mean.rows["time"]
+    known = times[times <= scenario.scenario.duration_s].tolist()
+    speeds = [float(np.linalg.norm(mean.velocity_ned(time, height))) for time in known]
+    ramps = [gust.velocity_mps[:2] for gust in scenario.air.gusts if gust.shape == "ramp"]
+    return max(speeds) + sum(math.hypot(*each) for each in ramps)
+
+
 def turbulence_scales(scenario: Scenario) -> Scales | None:
     """Return intensities and lengths of the turbulence by height; None without turbulence."""
     turbulence = scenario.air.turbulence

@@ -43,7 +43,13 @@ def build_faults(
     if fleet is not None:
         for model, row in enumerate(rows):
             fleet.check_faults(model, names[row], faults[row])
-    return FaultManager(names, faults, scenario.formation.on_failure.declared_after_s)
+    aircraft = scenario.aircraft
+    return FaultManager(
+        names,
+        faults,
+        scenario.formation.on_failure.declared_after_s,
+        lambda row, fault: _has_effect(fault, aircraft[row]),
+    )
 
 
 def build_membership(scenario: Scenario, faults: FaultManager | None) -> FormationMembership | None:

@@ -61,6 +61,7 @@ def build_leader(
     folder: Path,
     origin: Origin,
     wind_ned: Vector,
+    wind_speed: float,
 ) -> LeaderSetup:
     """Build the leader of a scenario.
 
@@ -71,6 +72,7 @@ def build_leader(
         folder: of its airframe.
         origin: of the local frame.
         wind_ned: at its start, m/s.
+        wind_speed: the largest of the run, m/s.
 
     Raises:
         InputError, TrimError: its path cannot be flown.
@@ -78,7 +80,8 @@ def build_leader(
     path = scenario.leader.path
     if isinstance(path, MissionSection):
         with error_prefix("leader"):
-            return _mission_leader(scenario, path, clock, params, folder, origin, wind_ned)
+            wind = wind_ned, wind_speed
+            return _mission_leader(scenario, path, clock, params, folder, origin, *wind)
     ticks = (tick for tick, *_ in clock.schedule(scenario.scenario.duration_s))
     times = np.fromiter(ticks, dtype=np.float64) / clock.base_rate_hz
     track = (
@@ -115,6 +118,7 @@ def _mission_leader(
     folder: Path,
     origin: Origin,
     wind_ned: Vector,
+    wind_speed: float,
 ) -> LeaderSetup:
     """Build a leader that flies a mission, as an aircraft or as an ideal vehicle."""
     section, airspeed = scenario.leader.start, path.airspeed_mps
@@ -152,7 +156,6 @@ def _mission_leader(
     )
     # the speed of an ideal vehicle is over the ground, whatever the wind
     wind = STILL if ideal else wind_ned
-    wind_speed = float(np.linalg.norm(wind))
     climb_angle = math.asin(min(path.climb_limit_mps / airspeed, 1.0))
 
     def limits(wind_speed: float) -> SpeedLimits:
@@ -173,7 +176,7 @@ def _mission_leader(
         velocity_ned=velocity,
         path_ned=polyline(plan),
         track=None,
-        limits=limits(wind_speed),
+        limits=limits(0.0 if ideal else wind_speed),
         limits_in_air=limits(0.0),
     )
 

@@ -15,6 +15,7 @@ from testbed.autopilot.parameters import FbwaParams, make_gains, read_params
 from testbed.core.errors import InputError
 from testbed.core.records import Airframe, Event, Origin, Records
 from testbed.scenario import Scenario, find_aircraft, find_tune
+from testbed.scenario.checks import LOWEST_START_M
 from testbed.sim.arduplane_vehicles import build_jsbsim_vehicles
 from testbed.sim.build_air import initial_wind
 from testbed.sim.build_formation import agent_value
@@ -27,8 +28,6 @@ from testbed.vehicle.jsbsim_adapter import airframe, probe_airframes
 from testbed.vehicle.trim import error_prefix
 from testbed.vehicle.unicycle import make_unicycles
 from testbed.vehicle.workers import make_fleet
-
-LOWEST_START_M = 5.0  # above the ground; an aircraft starts in trimmed flight
 
 
 class AircraftModels(NamedTuple):
@@ -98,9 +97,10 @@ def build_starts(
     ]
     for name, kind, start in zip(scenario.aircraft_names, kinds, starts, strict=True):
         if kind != "scripted" and start.position_ned[2] > -LOWEST_START_M:
+            side = "above" if start.position_ned[2] <= 0.0 else "below"
             raise InputError(
-                f"{name} starts {-start.position_ned[2]:g} m above the ground: write a start at "
-                f"least {LOWEST_START_M:g} m above it"
+                f"{name} starts {abs(start.position_ned[2]):g} m {side} the ground: write a start "
+                f"at least {LOWEST_START_M:g} m above it"
             )
     return starts
 

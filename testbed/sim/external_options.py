@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,7 +38,7 @@ class ExternalOptions:
     tlog: bool = False
     signing_key: bytes | None = None
     arduplane: Path | None = None
-    announce: Callable[[str], None] = lambda text: None
+    announce: Callable[[str], None] = field(default=lambda text: None, repr=False)
 
     @property
     def has_server(self) -> bool:

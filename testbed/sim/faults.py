@@ -33,6 +33,7 @@ class _FaultRecord:
 
     row: int
     fault: AnyFault
+    has_effect: bool = True  # if not, its event says so
     begin_s: float = math.inf  # infinite: not yet
     end_s: float = math.inf
 
@@ -49,7 +50,11 @@ class FaultManager:
     """
 
     def __init__(
-        self, names: Sequence[str], faults: Sequence[Sequence[AnyFault]], declared_after_s: float
+        self,
+        names: Sequence[str],
+        faults: Sequence[Sequence[AnyFault]],
+        declared_after_s: float,
+        has_effect: Callable[[int, AnyFault], bool] = lambda row, fault: True,
     ) -> None:
         """Start without active faults.
 
@@ -57,17 +62,22 @@ class FaultManager:
             names: N aircraft.
             faults: of each.
             declared_after_s: from the beginning of a fault until the aircraft declares it.
+            has_effect: whether a fault affects the aircraft of a row.
         """
         self._names, self._declared_after_s = names, declared_after_s
-        self._faults = [_FaultRecord(row, one) for row, each in enumerate(faults) for one in each]
+        self._faults = [
+            _FaultRecord(row, one, has_effect(row, one))
+            for row, each in enumerate(faults)
+            for one in each
+        ]
         self.state = no_faults(len(names))
         self._discharging = False  # the state empties a battery, which it does at one tick only
 
     @property
     def active(self) -> BoolArray:
-        """(N,) aircraft with an active fault."""
+        """(N,) aircraft with an active fault that has an effect."""
         out: BoolArray = np.zeros(len(self._names), dtype=bool)
-        out[[each.row for each in self._faults if each.active]] = True
+        out[[each.row for each in self._faults if each.active and each.has_effect]] = True
         return out
 
     @property
@@ -101,7 +111,9 @@ class FaultManager:
         begun = [f for f in begun if at >= (f.fault.at_s or 0.0) and _condition_met(f, truth, air)]
         for each in begun:
             each.begin_s = now
-            yield Event(now, "warning", self._names[each.row], describe_fault(each.fault))
+            text = describe_fault(each.fault)
+            text += "" if each.has_effect else ": no effect, because the estimate uses no GPS"
+            yield Event(now, "warning", self._names[each.row], text)
         if begun or ended:
             self._update_state(begun)
 

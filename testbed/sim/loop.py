@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from testbed.core.compile import Kernel
+from testbed.core.compile import Kernel, prepare
 from testbed.core.records import (
     MESSAGE,
     AirData,
@@ -33,7 +33,7 @@ from testbed.sim.schedule import TickActions
 from testbed.sim.stages import (
     copy_control,
     copy_truth,
-    find_down,
+    find_losses,
     observe_formation,
     write_messages,
 )
@@ -43,7 +43,9 @@ def fly(
     world: World, observers: Sequence[Observer], ended: Callable[[float, TickActions], bool]
 ) -> str:
     """Fly a world to its end; see `Flight.fly`."""
-    return Flight(world, observers).fly(ended)
+    flight = Flight(world, observers)
+    flight.prepare()
+    return flight.fly(ended)
 
 
 class Flight:
@@ -61,7 +63,10 @@ class Flight:
         self._copy_control = partial(copy_control, aircraft)
         self._messages, self._tick_s = allocate(MESSAGE, len(aircraft)), np.empty(len(aircraft))
         self._write_messages = partial(write_messages, aircraft, self._messages)
-        self._find_down = partial(find_down, aircraft, world.scripted_leader)
+        proximity = world.proximity
+        self._find_losses = partial(
+            find_losses, aircraft, world.scripted_leader, proximity.limit_m, proximity.own_m
+        )
         self._link_monitor = LinkMonitor(
             world.names,
             world.neighbours,
@@ -86,19 +91,32 @@ class Flight:
         self._muted: BoolArray | None = None
         self._leader_input = NO_INPUT
 
+    def prepare(
+        self,
+        compiling: Callable[[int, int], None] | None = None,
+        check: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Compile the kernels, and let the filters settle; once, before the flight.
+
+        Args:
+            compiling: see `core.compile.prepare`.
+            check: the same.
+        """
+        prepare(self.kernels(), compiling, check)
+        self._world.estimators.warm_up(self._world.aircraft)
+
     def fly(self, ended: Callable[[float, TickActions], bool]) -> str:
-        """Fly to the end; observers get a sample at the log rate.
+        """Fly to the end, after `prepare`; observers get a sample at the log rate.
 
         Args:
             ended: called before each tick with its time, s, and what is due; it may wait, and
                 true ends the run.
 
         Returns:
-            The outcome: "completed", "lost", "envelope_exceeded", "formation_lost" or
-            "interrupted".
+            The outcome: "completed", "lost", "envelope_exceeded", "formation_lost",
+            "separation_lost" or "interrupted".
         """
         world = self._world
-        world.estimators.warm_up(world.aircraft)
         for tick, due, ticks, needed in world.clock.schedule(
             world.duration_s, all_motions=world.radio.needs_all_positions
         ):
@@ -119,7 +137,7 @@ class Flight:
         world = self._world
         calls: list[Kernel] = [
             partial(self._write_messages, 0.0),
-            self._find_down,
+            self._find_losses,
             self._copy_control,
             partial(
                 observe_formation,
@@ -144,8 +162,11 @@ class Flight:
     @property
     def outcome(self) -> str:
         """How a run has ended that came to its end."""
-        losses = self._losses.outcome
-        return "lost" if losses == "lost" else self._world.envelope.outcome
+        world, losses = self._world, self._losses.outcome
+        if losses == "lost":
+            return losses
+        exceeded = world.envelope.outcome
+        return exceeded if exceeded != "completed" else world.proximity.outcome
 
     def sense(self, now: float, due: TickActions) -> None:
         """Stage 1: wind, faults that begin, sensor errors and estimates."""
@@ -211,7 +232,7 @@ class Flight:
         if world.faults is not None:
             for vehicles in world.vehicles:
                 vehicles.apply_faults()
-        if self._find_down() or world.proximity.enabled:
+        if self._find_losses() or world.proximity.watching:
             self._lose(now)
 
     def observe(self, tick: int, now: float) -> str | None:
@@ -240,7 +261,9 @@ class Flight:
         self._events = []
         if losses.terminate:
             return "lost"
-        return world.envelope.outcome if world.envelope.terminate else None
+        if world.envelope.terminate or world.proximity.terminate:
+            return self.outcome
+        return None
 
     def _lose(self, now: float) -> None:
         """Remove the aircraft that are lost from now on."""

@@ -68,7 +68,8 @@ class LossMonitor:
             Event(now, "error", self._names[row], f"lost: {_cause(position_ned[row])}")
             for row in np.flatnonzero(down & ~self.lost).tolist()
         ]
-        close, collided = self._proximity.changes(now, position_ned, self.lost | down)
+        faulty = self._faults.active if self._faults else None
+        close, collided = self._proximity.changes(now, position_ned, self.lost | down, faulty)
         lost = self.lost | down | collided
         new = lost & ~self.lost
         if new.any():

@@ -9,6 +9,7 @@ import numpy as np
 
 from testbed.core.errors import InputError
 
+_MIN_RATE, _MAX_RATE = 1e-3, 1e6  # simulated s per s: a slower run looks as if it hung
 _BIN_S = 1e-4  # of the histogram of delays
 _WARM_UP_S = 0.2  # simulated; the first ticks of a first flight compile
 _MAX_DELAY_S = 0.25  # after a longer one the schedule restarts, without catching up
@@ -25,10 +26,13 @@ class RealTimePacer:
         """Keep this many simulated seconds per second.
 
         Raises:
-            InputError: the rate is not above 0.
+            InputError: the rate is out of range.
         """
-        if not 0.0 < rate < 1e6:
-            raise InputError(f"--pace {rate:g}: write a number above 0, as 1 for real time")
+        if not _MIN_RATE <= rate <= _MAX_RATE:
+            raise InputError(
+                f"--pace {rate:g}: write a number from {_MIN_RATE:g} to {_MAX_RATE:g}, as 1 for "
+                "real time"
+            )
         self.rate, self._clock = rate, clock
         self._first: tuple[float, float] | None = None  # simulated and wall-clock s
         self._schedule = (0.0, 0.0)

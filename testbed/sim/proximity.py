@@ -7,12 +7,15 @@ the calls.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from testbed.core.records import Array, BoolArray, Event, Indices
+from testbed.core.records import Airframe, Array, BoolArray, Event, Indices
+from testbed.metrics.document import SEPARATION_LOST
 from testbed.scenario import Scenario
+from testbed.sim.build_formation import build_altitudes, build_offsets
 
 HYSTERESIS = (
     1.1  # separations at which an encounter ends, so that events do not repeat at the limit
@@ -21,7 +24,13 @@ MAX_EVENTS = 5  # about pairs at one time; more are summarised in one
 
 
 class ProximityMonitor:
-    """Report pairs of aircraft below a separation, and which aircraft have collided."""
+    """Report pairs of aircraft below a separation, and which aircraft have collided.
+
+    Attributes:
+        limit_m: distance below which any two aircraft are reported, m.
+        own_m: (N,) the same by aircraft, m; the larger of two counts, NaN: none with this aircraft.
+        outcome: "completed", or "separation_lost" once a pair without a fault was below it.
+    """
 
     def __init__(
         self,
@@ -29,23 +38,55 @@ class ProximityMonitor:
         *,
         collision_m: float | None = None,
         separation_m: float | None = None,
+        minimum_m: Array | None = None,
+        source: str = "a wingspan",
+        stops: bool = False,
     ) -> None:
-        """Start without encounters, for N names; None: no such limit."""
-        self._names = names
+        """Start without encounters; None: no such limit.
+
+        Args:
+            names: N aircraft.
+            collision_m: distance below which two aircraft have collided.
+            separation_m: distance below which there is a warning.
+            minimum_m: (N,) distance below which separation is lost; see `own_m`.
+            source: what `minimum_m` is, for texts.
+            stops: the run ends when separation is lost.
+        """
+        self._names, self._source, self._stops = names, source, stops
         self._collision, self._separation = collision_m or 0.0, separation_m or 0.0
-        self._limit = max(self._collision, self._separation)
         self._first, self._second = np.triu_indices(len(names), 1)  # of each pair (P,)
+        self.limit_m = max(self._collision, self._separation)
+        self.own_m: Array = np.full(len(names), np.nan) if minimum_m is None else minimum_m
+        minimum = np.maximum(self.own_m[self._first], self.own_m[self._second])
+        self._minimum: Array = np.nan_to_num(minimum, nan=0.0)  # (P,)
+        self._limit: Array = np.maximum(self._minimum, self.limit_m)
         self._close: BoolArray = np.zeros(len(self._first), dtype=bool)
+        self._below: BoolArray = self._close  # below the minimum, in one encounter
         self._closest: Array = np.full(len(self._first), np.inf)  # m, during the encounter
         self._collided: BoolArray = np.zeros(len(names), dtype=bool)
+        self.outcome = "completed"
 
     @property
     def enabled(self) -> bool:
         """Whether there is a limit."""
-        return self._limit > 0.0
+        return bool((self._limit > 0.0).any())
+
+    @property
+    def watching(self) -> bool:
+        """Whether two aircraft are in an encounter."""
+        return bool(self._close.any() or self._below.any())
+
+    @property
+    def terminate(self) -> bool:
+        """Whether the run ends here."""
+        return self._stops and self.outcome != "completed"
 
     def changes(
-        self, now: float, position_ned: Array, lost: BoolArray
+        self,
+        now: float,
+        position_ned: Array,
+        lost: BoolArray,
+        faulty: BoolArray | None = None,
     ) -> tuple[tuple[Event, ...], BoolArray]:
         """Compare distances with the limits; return events and which aircraft have collided.
 
@@ -53,31 +94,35 @@ class ProximityMonitor:
             now: s.
             position_ned: (N, 3) m.
             lost: (N,) aircraft that are ignored, as are those that collided earlier.
+            faulty: (N,) aircraft with an active fault, which explains a lost separation; None:
+                none.
 
         Returns:
-            A warning for each pair that came below the separation, an information for each that
-            has separated again, an error for each that collided; and the aircraft that have
-            collided, now or earlier (N,). Encounters with a lost aircraft end without an event.
+            A warning for each pair that came below the separation, an error, or with a fault a
+            warning, for each below the minimum, an information for each that has separated again,
+            an error for each that collided; and the aircraft that have collided, now or earlier
+            (N,). Encounters with a lost aircraft end without an event.
         """
         if not self.enabled:
             return (), self._collided
         distance = self._distances(position_ned)
-        if not (distance < self._limit).any() and not self._close.any():
+        if not (distance < self._limit).any() and not self.watching:
             return (), self._collided
 
         ignored = lost | self._collided
         distance[ignored[self._first] | ignored[self._second]] = np.nan
         collided = distance < self._collision
-        end = HYSTERESIS * self._separation
-        close = ~collided & (distance < np.where(self._close, end, self._separation))
-        begun, separated = close & ~self._close, self._close & (distance >= end)
+        close = ~collided & (distance < _held(self._close, self._separation))
+        below = ~collided & (distance < _held(self._below, self._minimum))
+        apart = ~(close | below) & ~collided & (self._close | self._below)
         events = (
             *self._collision_events(now, distance, collided),
-            *self._encounter_events(now, distance, begun),
-            *self._separation_events(now, separated),
+            *self._minimum_events(now, distance, below & ~self._below, faulty),
+            *self._encounter_events(now, distance, close & ~self._close),
+            *self._separation_events(now, apart & ~np.isnan(distance)),
         )
-        self._closest = np.where(close, np.fmin(distance, self._closest), np.inf)
-        self._close = close
+        self._closest = np.where(close | below, np.fmin(distance, self._closest), np.inf)
+        self._close, self._below = close, below
         if collided.any():
             self._collided = self._collided.copy()  # callers keep the array returned before
             self._collided[self._first[collided]] = self._collided[self._second[collided]] = True
@@ -95,6 +140,30 @@ class ProximityMonitor:
             first, second = self._pair_names(pair)
             text = f"collided with {second}: {distance[pair]:.1f} m between centres"
             yield Event(now, "error", first, text)
+
+    def _minimum_events(
+        self, now: float, distance: Array, pairs: BoolArray, faulty: BoolArray | None
+    ) -> Iterator[Event]:
+        """Report lost separations, and take those that no fault explains as the outcome."""
+        if not pairs.any():
+            return
+        explained = np.zeros_like(pairs)
+        if faulty is not None:
+            explained = faulty[self._first] | faulty[self._second]
+        if (pairs & ~explained).any():
+            self.outcome = "separation_lost"
+        for level, some in (("error", pairs & ~explained), ("warning", pairs & explained)):
+            found = np.flatnonzero(some)
+            if len(found) > MAX_EVENTS:
+                closest = self._closest_pair(found, distance)
+                text = f"{SEPARATION_LOST}: {len(found)} pairs, {closest}"
+                yield Event(now, level, "run", text)
+                continue
+            for pair in found:
+                first, second = self._pair_names(pair)
+                limit = f"limit {self._minimum[pair]:.3g} m, {self._source}"
+                text = f"{SEPARATION_LOST}: {distance[pair]:.1f} m from {second} ({limit})"
+                yield Event(now, level, first, text)
 
     def _encounter_events(self, now: float, distance: Array, pairs: BoolArray) -> Iterator[Event]:
         found, limit = np.flatnonzero(pairs), f"within {self._separation:g} m of"
@@ -127,9 +196,81 @@ class ProximityMonitor:
         return self._names[self._first[pair]], self._names[self._second[pair]]
 
 
-def build_proximity(scenario: Scenario) -> ProximityMonitor:
-    """Build the monitor with the limits of a scenario."""
+def _held(active: BoolArray, limit: Array | float) -> Array:
+    """Return the distance (P,) below which an encounter begins, or one that is active continues."""
+    held: Array = np.where(active, HYSTERESIS, 1.0) * limit
+    return held
+
+
+def build_proximity(scenario: Scenario, airframes: Sequence[Airframe]) -> ProximityMonitor:
+    """Build the monitor with the limits of a scenario, for aircraft with these N airframes."""
     limits = scenario.limits
     return ProximityMonitor(
-        scenario.aircraft_names, collision_m=limits.collision_m, separation_m=limits.separation_m
+        scenario.aircraft_names,
+        collision_m=limits.collision_m,
+        separation_m=limits.separation_m,
+        minimum_m=minimum_separations(scenario, airframes),
+        source=_source(scenario),
+        stops=limits.on_limit_exceeded == "stop",
     )
+
+
+def minimum_separations(scenario: Scenario, airframes: Sequence[Airframe]) -> Array:
+    """Return the minimum separation by aircraft (N,), m; NaN for a virtual leader, a point."""
+    given = scenario.limits.min_separation_m
+    own = np.array([each.span if given is None else given for each in airframes])
+    if scenario.leader.path.kind == "virtual":
+        own[0] = np.nan
+    return own
+
+
+def separation_warnings(scenario: Scenario, airframes: Sequence[Airframe]) -> Iterator[Event]:
+    """Warn of starts and of slots that are closer together than the minimum separation."""
+    minimum, names = minimum_separations(scenario, airframes), scenario.aircraft_names
+    starts = [(0.0, 0.0, 0.0), *(each.start_m for each in scenario.fleet)]
+    keys = ["leader.start", *(f"fleet.{i}.start_m" for i in range(len(scenario.fleet)))]
+    yield from _closer(scenario, "start", np.array(starts), minimum, names, keys)
+    # a slot at an altitude of its own is compared with others of that kind only
+    offsets, altitudes = build_offsets(scenario), build_altitudes(scenario)
+    keys = ["leader", *(f"formation.offsets_m.{name}" for name in names[1:])]
+    holds = np.array([False, *~np.isnan(altitudes)])
+    offsets[1:, 2] = np.where(holds[1:], -altitudes, offsets[1:, 2])
+    for some in (~holds, holds):
+        own = np.where(some, minimum, np.nan)
+        yield from _closer(scenario, "have slots", offsets, own, names, keys)
+
+
+def _closer(
+    scenario: Scenario,
+    what: str,
+    places: Array,
+    minimum: Array,
+    names: Sequence[str],
+    keys: Sequence[str],
+) -> Iterator[Event]:
+    """Warn of pairs of places (N, 3) that are closer than the minimum; of many, of the closest."""
+    first, second = np.triu_indices(len(places), 1)
+    distance = np.linalg.norm(places[second] - places[first], axis=1)
+    limit = np.maximum(minimum[first], minimum[second])
+    found = np.flatnonzero(distance < limit)
+    if len(found) > MAX_EVENTS:
+        others = len(found) - 1
+        found = found[[distance[found].argmin()]]
+    else:
+        others = 0
+    for pair in found.tolist():
+        one, two = first[pair], second[pair]
+        allowed = math.floor(100.0 * distance[pair]) / 100.0
+        text = (
+            f"{names[one]} and {names[two]} {what} {distance[pair]:.2f} m apart, closer than "
+            f"{limit[pair]:.3g} m, {_source(scenario)} (write {keys[one]} and {keys[two]} farther "
+            f"apart, or limits.min_separation_m: {allowed:g} if that is intended)"
+        )
+        more = f"; {others} other pairs are closer than that, too" if others else ""
+        yield Event(0.0, "warning", "run", text + more)
+
+
+def _source(scenario: Scenario) -> str:
+    """Name what the minimum separation is."""
+    given = scenario.limits.min_separation_m
+    return "a wingspan" if given is None else "limits.min_separation_m"

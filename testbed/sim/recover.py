@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from testbed.core.files import lock_file, replacement
 from testbed.core.records import Event
 from testbed.logs.mcap_file import NO_SAMPLES, LogError
 from testbed.logs.read import Log, read_log, replay, scenario_of
 from testbed.logs.recorder import McapRecorder
 from testbed.logs.run_directory import LOG_NAME, METRICS_NAME, find_run
 from testbed.metrics import MetricsObserver
+from testbed.metrics.check import check_metrics
 from testbed.metrics.document import write_json
 
 
@@ -38,29 +40,49 @@ def recover(run: str | Path) -> Recovered:
         run: its directory, its `.mcap` file, or its scenario's name for the latest run.
 
     Raises:
-        LogError: There is no such run, its log is damaged before its end, or cannot be written.
+        LogError: There is no such run, it is still flying, its log is damaged before its end, or
+            cannot be written.
     """
     path = find_run(run)
+    with _locked(path):
+        return _recover(path)
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Lock a log, which its writer does too until it ends or is killed."""
+    try:
+        file = open(path, "rb")  # noqa: SIM115 - closed below
+    except OSError as error:
+        raise LogError(f"{path}: cannot read the log: {error.strerror}") from error
+    with file:
+        if not lock_file(file):
+            raise LogError(
+                f"{path}: this run is still flying, or is being recovered by another process; wait "
+                "for its end"
+            )
+        yield
+
+
+def _recover(path: Path) -> Recovered:
     log = read_log(path)
     metrics_path = path.with_name(METRICS_NAME)
     if log.finished and log.metrics is not None:
+        check_metrics(log.metrics, log.info, str(path))
         if path.name == LOG_NAME and not metrics_path.exists():  # killed after the log was finished
             write_json(metrics_path, log.metrics)
         return Recovered(path, log.metrics, was_cut=False, lost_bytes=0)
     if not log.tick.size:
         raise LogError(f"{path}: {NO_SAMPLES}")
-    new_path = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        metrics = _rewrite(log, new_path)
-        if not _is_complete(read_log(new_path), log):
-            raise LogError(
-                f"{path}: the new log lacks samples or events of this one, which is kept"
-            )
-        os.replace(new_path, path)
+        with replacement(path) as new_path:
+            metrics = _rewrite(log, new_path)
+            if not _is_complete(read_log(new_path), log):
+                raise LogError(
+                    f"{path}: the new log lacks samples or events of this one, which is kept"
+                )
     except OSError as error:
         raise LogError(f"{path}: cannot be replaced: {error.strerror}") from error
-    finally:
-        new_path.unlink(missing_ok=True)
     write_json(metrics_path, metrics)
     return Recovered(path, metrics, was_cut=True, lost_bytes=log.lost_bytes)
 
@@ -69,7 +91,7 @@ def _rewrite(log: Log, path: Path) -> dict[str, Any]:
     """Write the samples of a log to a new one; return their metrics."""
     scenario = scenario_of(log)
     published = scenario.scenario.published if scenario else None
-    meter = MetricsObserver(published=published.model_dump() if published else None)
+    meter = MetricsObserver(published=published.model_dump(mode="json") if published else None)
     recorder = McapRecorder(path)
     rest = replay(log, [meter, recorder])
     last_s = float(log.time_s[-1])

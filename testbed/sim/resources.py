@@ -5,6 +5,8 @@ The coefficients were measured by `benchmarks/memory.py`; a test compares them w
 
 from __future__ import annotations
 
+import os
+import resource
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,6 +25,10 @@ _LOG_PER_SAMPLE = 430.0  # of an aircraft, compressed
 _LOG_TURBULENCE = 65.0  # more with turbulence
 _LOG_ESTIMATE = 205.0  # more where the estimate differs from the truth
 _CGROUP = Path("/sys/fs/cgroup")
+_CGROUP_2 = ("memory.max", "memory.current")
+_CGROUP_1 = ("memory.limit_in_bytes", "memory.usage_in_bytes")
+_OWN_CGROUP = Path("/proc/self/cgroup")
+_STATM = Path("/proc/self/statm")
 
 
 def memory_needed(scenario: Scenario, clock: Clock) -> float:
@@ -73,7 +79,7 @@ def check_disk(scenario: Scenario, folder: Path) -> None:
     Raises:
         InputError: with the space needed and free.
     """
-    existing = next(each for each in (folder, *folder.absolute().parents) if each.exists())
+    existing = next(each for each in (folder, *folder.absolute().parents) if os.path.exists(each))
     needed, free = disk_needed(scenario), float(shutil.disk_usage(existing).free)
     if needed > free:
         raise InputError(
@@ -90,21 +96,49 @@ def memory_free() -> float | None:
 
 
 def _free_memory() -> Iterator[float]:
-    """Yield the free memory of the machine, and what the limit of a container leaves."""
+    """Yield the free memory of the machine, and what limits of the process and its groups leave."""
+    yield from _within_process_limits()
+    yield from _within_control_groups()
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
         values = dict(line.split(":", 1) for line in lines)
         yield 1024.0 * float(values["MemAvailable"].split()[0])
     except (OSError, KeyError, ValueError):
         return
+
+
+def _within_process_limits() -> Iterator[float]:
+    """Yield what `ulimit -v` and `ulimit -d` leave of the address space and of its data."""
     try:
-        limit, used = (
-            float((_CGROUP / f"memory.{name}").read_text(encoding="ascii"))
-            for name in ("max", "current")
-        )
-        yield limit - used
-    except (OSError, ValueError):  # no limit: the file is missing, or contains "max"
+        pages = _STATM.read_text(encoding="ascii").split()
+        used = {resource.RLIMIT_AS: int(pages[0]), resource.RLIMIT_DATA: int(pages[5])}
+    except (OSError, ValueError, IndexError):
         return
+    for kind, count in used.items():
+        limit = resource.getrlimit(kind)[0]
+        if limit != resource.RLIM_INFINITY:
+            yield float(limit - count * resource.getpagesize())
+
+
+def _within_control_groups() -> Iterator[float]:
+    """Yield what the limits of this process's control groups leave, from its own to the root."""
+    try:
+        lines = _OWN_CGROUP.read_text(encoding="ascii").splitlines()
+    except (OSError, ValueError):
+        lines = []
+    groups = {_CGROUP: _CGROUP_2}
+    for line in lines:
+        _, controllers, path = (*line.split(":", 2), "", "")[:3]
+        if controllers in ("", "memory"):
+            top, files = _CGROUP / controllers, _CGROUP_1 if controllers else _CGROUP_2
+            own = top / path.strip("/")
+            groups |= {each: files for each in (own, *own.parents) if each.is_relative_to(top)}
+    for folder, names in groups.items():
+        try:
+            limit, used = (float((folder / name).read_text(encoding="ascii")) for name in names)
+        except (OSError, ValueError):  # no limit: the file is missing, or contains "max"
+            continue
+        yield limit - used
 
 
 def _format_size(size: float) -> str:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from testbed.core.compile import prepare
 from testbed.core.errors import InputError
+from testbed.core.files import reserve_standard_descriptors
 from testbed.core.records import Event, Observer
 from testbed.logs.recorder import McapRecorder
 from testbed.logs.run_directory import (
@@ -45,12 +46,13 @@ EXIT_CODES: Mapping[str, int] = {
     "lost": 1,
     "envelope_exceeded": 1,
     "formation_lost": 1,
+    "separation_lost": 1,
     "failed": 4,
     "interrupted": 130,
 }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Run:
     """A flown scenario.
 
@@ -63,6 +65,21 @@ class Run:
     scenario: Scenario
     metrics: Mapping[str, Any]
     directory: Path | None
+
+    def __repr__(self) -> str:
+        """Describe the run in one line."""
+        errors = {
+            name: f"{each['mean_rms_m']:.2f} m"
+            for name, each in self.metrics["windows"].items()
+            if each["mean_rms_m"] is not None
+        }
+        parts = [self.scenario.name, self.outcome, f"{self.metrics['simulated_s']:g} s"]
+        if errors:
+            shown = ", ".join(f"{name} {error}" for name, error in list(errors.items())[:3])
+            parts.append(f"mean RMS error {shown}{', …' * (len(errors) > 3)}")
+        if self.directory:
+            parts.append(str(self.directory))
+        return f"<Run: {'; '.join(parts)}>"
 
     @property
     def outcome(self) -> str:
@@ -89,7 +106,8 @@ def run(
     """Fly a scenario to its end.
 
     Ctrl-C and SIGTERM end it after the current tick, or during a wait for ArduPlane, and all files
-    are written; a second one raises KeyboardInterrupt.
+    are written. Another one within a second has no effect; a later one ends it within the tick and
+    raises KeyboardInterrupt after all files are written.
 
     Args:
         scenario: a scenario, or the name or path of one.
@@ -110,6 +128,7 @@ def run(
         ExternalProgramLost: an external program that the scenario needs has ended or does not
             respond.
     """
+    reserve_standard_descriptors()  # or the log gets one of them, on which JSBSim prints
     loaded = scenario if isinstance(scenario, Scenario) else load(scenario, overrides)
     if write and loaded.log.mcap:
         check_disk(loaded, out or LOGS)
@@ -141,11 +160,12 @@ def run(
         if server and directory and external.tlog:
             server.log_to(directory / "run.tlog")
         published = loaded.scenario.published
-        meter = MetricsObserver(published=published.model_dump() if published else None)
+        meter = MetricsObserver(published=published.model_dump(mode="json") if published else None)
         log = [McapRecorder(directory / LOG_NAME)] if directory and loaded.log.mcap else []
         all_observers: list[Observer] = [meter, *log, *observers, *([server] if server else [])]
         flight = Flight(world, all_observers)
-        prepare(flight.kernels(), compiling)
+        with suppress(RunStopped):  # the flight then ends before its first tick
+            flight.prepare(compiling, stop.check)
         start = time.perf_counter()
 
         def finish_metrics() -> None:
@@ -172,20 +192,25 @@ def run(
         closing.push(write_metrics)
         for observer in all_observers:
             observer.begin(world.info)
-            closing.callback(observer.end, metrics, errors)
+            end = partial(observer.end, metrics, errors)
+            closing.callback(partial(stop.interruptible, end) if observer in observers else end)
         closing.callback(finish_metrics)
         try:
-            for process in world.external_processes:
-                closing.callback(stop.without_interruption, process.close)
-                process.start(stop.check)
-            gate = TickGate(world.external_control, server, pacer, stop, external.announce)
-            outcome = flight.fly(gate)
-        except RunStopped:
-            outcome = "interrupted"
+            try:
+                for process in world.external_processes:
+                    closing.callback(stop.without_interruption, process.close)
+                    process.start(stop.check)
+                gate = TickGate(world.external_control, server, pacer, stop, external.announce)
+                outcome = flight.fly(gate)
+            except RunStopped:
+                outcome = "interrupted"
+            stop.begin_ending()
         except KeyboardInterrupt:
+            stop.begin_ending()
             outcome = "interrupted"
             raise
         except BaseException as error:
+            stop.begin_ending()
             now = meter.summary()["simulated_s"]
             errors.append(Event(now, "error", "run", f"failed: {error!r}"))
             if directory and (directory / LOG_NAME).exists():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import cos, sin
 
-from testbed.core.compile import entry
+from testbed.core.compile import entry, kernel
 from testbed.core.motion import copy_motion
 from testbed.core.records import Array, Records
 from testbed.formation.slots import write_formation_state
@@ -63,6 +63,46 @@ def find_down(aircraft: Records, scripted: bool) -> bool:
         aircraft: (N,) of AIRCRAFT; `down` is written.
         scripted: the leader follows a script, whatever happens.
     """
+    return _write_down(aircraft, scripted)
+
+
+@entry
+def find_losses(aircraft: Records, scripted: bool, limit_m: float, own_m: Array) -> bool:
+    """Do the same as `find_down`; return also whether two aircraft are within a distance.
+
+    Args:
+        aircraft: (N,) of AIRCRAFT; `down` is written.
+        scripted: the leader follows a script, whatever happens.
+        limit_m: the distance, for all pairs.
+        own_m: (N,) the same by aircraft, of which the larger one counts for a pair; NaN: none for
+            pairs with this aircraft.
+    """
+    return _write_down(aircraft, scripted) | _any_within(aircraft, limit_m, own_m)
+
+
+@kernel
+def _any_within(aircraft: Records, limit_m: float, own_m: Array) -> bool:
+    """Return whether two aircraft that are not lost are within their distance."""
+    for i in range(1, len(aircraft)):
+        if aircraft[i].lost:
+            continue
+        q = aircraft[i].truth.position_ned
+        for j in range(i):
+            limit, one, other = limit_m, own_m[i], own_m[j]
+            if one >= other:  # false with NaN
+                limit = max(limit, one)
+            elif other > one:
+                limit = max(limit, other)
+            p = aircraft[j].truth.position_ned
+            x, y, z = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+            if x * x + y * y + z * z < limit * limit and not aircraft[j].lost:
+                return True
+    return False
+
+
+@kernel
+def _write_down(aircraft: Records, scripted: bool) -> bool:
+    """Write `down`; see `find_down`."""
     changed = False
     for i in range(len(aircraft)):
         a = aircraft[i]

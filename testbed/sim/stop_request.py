@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import FrameType
 
 from testbed.core.interrupts import sigint_count
+
+GRACE_S = 1.0  # after a signal that took effect; signals within it have no effect
+# Interrupted halfway, these would write a sample twice, or measure a part of one.
+_UNINTERRUPTED_PACKAGES = ("testbed.logs.", "testbed.metrics.")
 
 
 class RunStopped(Exception):
@@ -15,17 +21,25 @@ class RunStopped(Exception):
 
 
 class StopRequest:
-    """Count Ctrl-C and SIGTERM: the first requests a stop, later ones raise KeyboardInterrupt."""
+    """Turn the first Ctrl-C or SIGTERM into a request, and later ones into KeyboardInterrupt.
+
+    A signal within `GRACE_S` of one that took effect is dropped: it belongs to the same stop, as
+    when a key repeats or a supervisor and a terminal both send one. A later one interrupts the
+    simulation at once, but not the writing of files: there it is kept until they are complete.
+    """
 
     def __init__(self) -> None:
         """Start with the signals that came while libraries were loaded."""
         # not a threading.Event: a handler interrupted by itself would wait for its own lock
-        self._signals = sigint_count()
+        self._requested = sigint_count() > 0
+        self._effective_s = time.monotonic()  # of the last signal that took effect
+        self._ending = False
         self._uninterrupted = False
+        self.postponed = False  # a KeyboardInterrupt, to be raised after the ending
 
     def __call__(self) -> bool:
         """Return whether a stop was requested."""
-        return self._signals > 0
+        return self._requested
 
     def check(self) -> None:
         """Raise if a stop was requested.
@@ -36,22 +50,52 @@ class StopRequest:
         if self():
             raise RunStopped
 
-    def handle(self, number: int, frame: object) -> None:
+    def handle(self, number: int, frame: FrameType | None) -> None:
         """Handle a signal."""
-        self._signals += 1
-        if self._signals > 1 and not self._uninterrupted:
-            raise KeyboardInterrupt
+        now = time.monotonic()
+        if self._requested and now - self._effective_s < GRACE_S:
+            return
+        first, self._requested, self._effective_s = not self._requested, True, now
+        if first:
+            return
+        if self._uninterrupted or _in_uninterrupted_package(frame):
+            self.postponed = True
+            return
+        # at once, because the code that is interrupted here may not come to do it
+        self._uninterrupted = self._ending
+        raise KeyboardInterrupt
+
+    def begin_ending(self) -> None:
+        """Postpone further signals from now on: files are completed and programs ended."""
+        self._ending = self._uninterrupted = True
+
+    def interruptible(self, act: Callable[[], None]) -> None:
+        """Run an action of the ending that may hang, and that a signal may interrupt."""
+        try:
+            self._uninterrupted = False
+            act()
+        finally:
+            self._uninterrupted = self._ending
 
     def without_interruption(self, act: Callable[[], None]) -> None:
         """Run a short action that repeated signals, as a supervisor sends them, do not interrupt.
 
         So a process that is being stopped still ends what it has started.
         """
-        self._uninterrupted = True
+        before, self._uninterrupted = self._uninterrupted, True
         try:
             act()
         finally:
-            self._uninterrupted = False
+            self._uninterrupted = before
+
+
+def _in_uninterrupted_package(frame: FrameType | None) -> bool:
+    """Return whether a frame or one of its callers is of a package that must not be interrupted."""
+    while frame is not None:
+        if str(frame.f_globals.get("__name__", "")).startswith(_UNINTERRUPTED_PACKAGES):
+            return True
+        frame = frame.f_back
+    return False
 
 
 @contextmanager
@@ -59,6 +103,9 @@ def stop_on_signals() -> Iterator[StopRequest]:
     """Turn Ctrl-C and SIGTERM into a stop request.
 
     Outside the main thread Python allows no signal handlers: there a stop is never requested.
+
+    Raises:
+        KeyboardInterrupt: at the end of the block, if a later signal was postponed.
     """
     stop = StopRequest()
     if threading.current_thread() is not threading.main_thread():
@@ -72,3 +119,5 @@ def stop_on_signals() -> Iterator[StopRequest]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+    if stop.postponed:
+        raise KeyboardInterrupt

@@ -22,6 +22,7 @@ from typing import Any, cast
 from urllib.parse import unquote, urlsplit
 
 from testbed.core.errors import InputError
+from testbed.core.input_files import read_bounded
 from testbed.formation.law import FormationConfig, Law
 from testbed.scenario import Scenario, find_law, library
 from testbed.sim.control import user_code_errors
@@ -126,10 +127,7 @@ def _describe(module_name: str, origin: str) -> str:
 
 
 def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"controller.law: {path} cannot be read: {error.strerror}") from error
+    return read_bounded(path, error=lambda text: InputError(f"controller.law: {text}"))
 
 
 def _import(name: str) -> tuple[ModuleType, str]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from testbed.core.errors import InputError
 from testbed.core.records import Array
 from testbed.logs.read import Log
+from testbed.metrics.check import check_metrics
 from testbed.scenario import loads
 from testbed.studies.golden_table import RULES, row_label, table_numbers
 from testbed.studies.scenario_snapshot import differences
@@ -109,6 +110,7 @@ def _metrics(log: Log) -> Mapping[str, Any]:
         raise InputError(
             f"{log.info.scenario_name}: this run has no metrics, because it was killed"
         )
+    check_metrics(log.metrics, log.info, log.info.scenario_name)
     return log.metrics
 
 
@@ -143,6 +145,8 @@ def _scenario_differences(first: Log, second: Log) -> tuple[str, ...]:
         scenarios = [loads(text, check_files=False).model_dump(mode="json") for text in yaml]
     except InputError:
         return ("differs, but this version cannot read both scenarios", *code)
+    for scenario in scenarios:  # published numbers say nothing of the flight
+        scenario["scenario"].pop("published")
     return (*differences(*scenarios), *code)
 
 

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import queue
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager
 
+from testbed.core.compile import cache_folder
+from testbed.core.compile_lock import NOTICE, is_compiling
 from testbed.core.errors import InputError
 from testbed.sim.stop_request import StopRequest, stop_on_signals
 from testbed.studies.flight_task import (
@@ -30,10 +32,16 @@ POLL_S = 0.1  # interval at which a pending signal is looked for
 class FlightPool:
     """Distributes tasks over the workers of a pool, and collects their results."""
 
-    def __init__(self, workers: WorkerPool, stop: StopRequest) -> None:
-        """Use these workers until a stop is requested."""
+    def __init__(
+        self,
+        workers: WorkerPool,
+        stop: StopRequest,
+        report: Callable[[str], None] = lambda line: None,
+    ) -> None:
+        """Use these workers until a stop is requested; `report` is called once if they compile."""
         self._workers = workers
         self._stop = stop
+        self._report: Callable[[str], None] | None = report
 
     def run(self, tasks: Iterable[FlightTask]) -> Iterator[FlightResult]:
         """Fly tasks and yield their results in the order in which they end.
@@ -69,6 +77,7 @@ class FlightPool:
             try:
                 future = done.get(timeout=POLL_S)
             except queue.Empty:
+                self._report_compiling()
                 continue
             task = running.pop(future)
             result = self._result(future, task)
@@ -80,6 +89,12 @@ class FlightPool:
                 error = f"failed: its process was killed {MAX_ATTEMPTS} times"
                 result = FlightResult(task.number, FAILED, error, None)
             yield result
+
+    def _report_compiling(self) -> None:
+        """Report that a worker compiles kernels, the first time that one does."""
+        if self._report and is_compiling(cache_folder()):
+            self._report(NOTICE)
+            self._report = None
 
     def _result(self, future: Future[FlightResult], task: FlightTask) -> FlightResult | None:
         """Return the result of a finished future; None if its worker process ended."""
@@ -97,17 +112,22 @@ class FlightPool:
 
 @contextmanager
 def open_flight_pool(
-    *, jobs: int | None = None, backend: str = "joblib", scheduler: str | None = None
+    *,
+    jobs: int | None = None,
+    backend: str = "joblib",
+    scheduler: str | None = None,
+    report: Callable[[str], None] = lambda line: None,
 ) -> Iterator[FlightPool]:
     """Open worker processes, and end them with the block, whatever happens in it.
 
-    In the block, the first Ctrl-C or SIGTERM makes `FlightPool.run` raise KeyboardInterrupt; the
-    second raises it anywhere.
+    In the block, the first Ctrl-C or SIGTERM makes `FlightPool.run` raise KeyboardInterrupt;
+    another one more than a second later raises it anywhere.
 
     Args:
         jobs: processes on this machine; default one for each available processor.
         backend: "joblib" for this machine, "dask" for a cluster.
         scheduler: address of the cluster's scheduler.
+        report: called with a line when workers compile kernels, once.
 
     Raises:
         InputError: the backend is unknown, or the cluster cannot be reached.
@@ -115,7 +135,7 @@ def open_flight_pool(
     with stop_on_signals() as stop:
         workers = _open_workers(jobs, backend, scheduler)
         try:
-            yield FlightPool(workers, stop)
+            yield FlightPool(workers, stop, report)
         finally:
             stop.without_interruption(workers.shutdown)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +33,7 @@ RANDOM_SEEDS = 16  # in a table of a scenario whose numbers depend on the seed: 
 DETERMINISTIC_SEEDS = 2  # in a table of any other scenario: enough to detect random numbers
 
 Progress = Callable[[int, int], None]
+Report = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +78,7 @@ def find_cases(names: Sequence[str], *, folder: Path | None, new: bool) -> list[
     Raises:
         InputError: everything that cannot be read or is missing, one line each.
     """
-    if folder and not folder.is_dir() and not (new and names):
+    if folder and not os.path.isdir(folder) and not (new and names):
         raise InputError(f"--golden {folder}: there is no such folder")
     if not names:
         tables = folder or library() / "scenarios" / "golden"
@@ -117,12 +119,12 @@ def _find_case(name: str, folder: Path | None, new: bool) -> GoldenCase:
     scenario = load(source)
     if not scenario.scenario.windows:
         raise InputError(f"{name}: has no scenario.windows, so there is nothing to compare")
-    if not path.is_file() and not new:
+    if not os.path.isfile(path) and not new:
         raise InputError(
             f"{name}: there is no golden table {path} (testbed check {name} --update --reason "
             "TEXT writes it)"
         )
-    if not path.is_file():
+    if not os.path.isfile(path):
         return GoldenCase(name, source, scenario, path, None)
     try:
         return GoldenCase(name, source, scenario, path, read_table(path))
@@ -133,7 +135,12 @@ def _find_case(name: str, folder: Path | None, new: bool) -> GoldenCase:
 
 
 def check(
-    cases: Sequence[GoldenCase], *, seeds: int | None, jobs: int, progress: Progress
+    cases: Sequence[GoldenCase],
+    *,
+    seeds: int | None,
+    jobs: int,
+    progress: Progress,
+    report: Report = lambda line: None,
 ) -> list[Verdict]:
     """Fly scenarios and compare each with its table; nothing is written.
 
@@ -143,6 +150,7 @@ def check(
             `CHECKED_SEEDS` of the table's.
         jobs: processes at once.
         progress: called with the number of finished flights and of all.
+        report: called with a line when kernels are compiled.
     """
     tables = [case.table for case in cases if case.table]
     chosen = [
@@ -150,7 +158,7 @@ def check(
         for table in tables
     ]
     wanted = [(case.scenario, s) for case, own in zip(cases, chosen, strict=True) for s in own]
-    flown = iter(fly_all(wanted, jobs=jobs, progress=progress))
+    flown = iter(fly_all(wanted, jobs=jobs, progress=progress, report=report))
     flights = [[next(flown) for _ in own] for own in chosen]
     return [
         _compare(case, table, own) for case, table, own in zip(cases, tables, flights, strict=True)
@@ -179,6 +187,7 @@ def update_tables(
     jobs: int,
     reason: str,
     progress: Progress,
+    report: Report = lambda line: None,
 ) -> list[UpdateResult]:
     """Fly scenarios and write their tables; no other function writes one.
 
@@ -191,6 +200,7 @@ def update_tables(
         jobs: processes at once.
         reason: why the numbers are accepted; stored in the tables.
         progress: called with the number of finished flights and of all.
+        report: called with a line when kernels are compiled.
 
     Raises:
         InputError: too few seeds, or a table cannot be written.
@@ -204,7 +214,7 @@ def update_tables(
         for case, seed in zip(cases, first, strict=True)
         for k in range(DETERMINISTIC_SEEDS)
     ]
-    flown = iter(fly_all(wanted, jobs=jobs, progress=progress))
+    flown = iter(fly_all(wanted, jobs=jobs, progress=progress, report=report))
     flights = [[next(flown) for _ in range(DETERMINISTIC_SEEDS)] for _ in cases]
     random = [_depends_on_seed(own) for own in flights]
     wanted = [
@@ -212,7 +222,7 @@ def update_tables(
         for case, seed, is_random in zip(cases, first, random, strict=True)
         for k in range(DETERMINISTIC_SEEDS, count if is_random else DETERMINISTIC_SEEDS)
     ]
-    flown = iter(fly_all(wanted, jobs=jobs, progress=progress))
+    flown = iter(fly_all(wanted, jobs=jobs, progress=progress, report=report))
     for own, is_random in zip(flights, random, strict=True):
         own += [next(flown) for _ in range(count - DETERMINISTIC_SEEDS)] if is_random else []
     return [
@@ -255,6 +265,7 @@ def fly_all(
     *,
     jobs: int,
     progress: Progress = lambda done, total: None,
+    report: Report = lambda line: None,
 ) -> list[Flight]:
     """Fly scenarios with seeds, without files, and return the flights in this order.
 
@@ -262,6 +273,7 @@ def fly_all(
         wanted: scenarios and seeds.
         jobs: processes at once; the results do not depend on it.
         progress: called with the number of finished flights and of all.
+        report: called with a line when kernels are compiled.
 
     Raises:
         KeyboardInterrupt: Ctrl-C or SIGTERM was received; all worker processes have ended.
@@ -271,7 +283,7 @@ def fly_all(
     progress(0, len(wanted))
     tasks = (FlightTask(number, with_seed(*each)) for number, each in enumerate(wanted))
     flights: dict[int, Flight] = {}
-    with open_flight_pool(jobs=min(jobs, len(wanted))) as pool:
+    with open_flight_pool(jobs=min(jobs, len(wanted)), report=report) as pool:
         for result in pool.run(tasks):
             problem = result.error if result.metrics is None else ""
             seed = wanted[result.number][1]

@@ -12,7 +12,7 @@ from xml.etree import ElementTree as xml
 from rich.console import Console
 from rich.text import Text
 
-from testbed.core.errors import InputError
+from testbed.core.files import report_write_errors, write_text_file
 from testbed.studies.golden import UpdateResult
 from testbed.studies.golden_compare import RowComparison, Verdict, Violation
 from testbed.studies.golden_table import row_label
@@ -276,10 +276,8 @@ def write_junit(path: Path, text: str) -> None:
     Raises:
         InputError: the file cannot be written.
     """
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"--junit {path}: {error.strerror}") from error
+    with report_write_errors(f"--junit {path}"), write_text_file(path) as file:
+        file.write(text)
 
 
 def _add_suite(root: xml.Element, verdict: Verdict) -> xml.Element:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import statistics
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from testbed.core.errors import InputError
+from testbed.core.files import report_write_errors, write_text_file
+from testbed.core.input_files import read_bounded
 from testbed.core.stats import student_quantile
 
+MAX_GOLDEN_BYTES = 10_000_000
 DECIMALS = 8  # of the numbers in a table
 MIN_BAND_VALUES = 3  # with two, a band is wider than the numbers it bounds
 
@@ -279,9 +280,7 @@ def read_table(path: Path) -> Table:
         InputError: the file cannot be read, or is no table of this version.
     """
     try:
-        return Table.model_validate_json(path.read_bytes())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+        return Table.model_validate_json(read_bounded(path, MAX_GOLDEN_BYTES))
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"])) or "the file"
@@ -295,15 +294,10 @@ def write_table(path: Path, table: Table) -> None:
         InputError: the folder cannot be made or written.
     """
     text = to_text(table.model_dump(mode="json", by_alias=True)) + "\n"
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
+    with report_write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_text(text, encoding="utf-8")
-        os.replace(partial, path)
-    except OSError as error:
-        with suppress(OSError):
-            partial.unlink()
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+        with write_text_file(path) as file:
+            file.write(text)
 
 
 def to_text(value: object, indent: int = 0) -> str:

@@ -10,14 +10,21 @@ from __future__ import annotations
 import fcntl
 import json
 import os
-from collections.abc import Iterator, Mapping
+import stat
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from testbed.core.errors import InputError
+from testbed.core.files import report_write_errors
+from testbed.core.input_files import parse_json_map
+from testbed.studies.flight_task import OUTCOMES
 from testbed.studies.rows import Row
 
 SCHEMA = 2
+_MAX_LINE_BYTES = 64_000_000
+_MAX_NAMES = 1_000_000  # in all lines
+_MAX_RUNS = 2**53
 
 
 class Journal:
@@ -38,6 +45,7 @@ class Journal:
         self._offsets: dict[int, int] = {}  # of the lines, by run
         self._names: list[tuple[str, ...]] = []
         self._name_index: dict[tuple[str, ...], int] = {}
+        self._count = 0  # of all names read
         try:
             self._file: BinaryIO = path.open("xb+" if inputs is not None else "rb+")
         except FileExistsError:
@@ -47,9 +55,15 @@ class Journal:
         except OSError as error:
             raise InputError(f"{path}: cannot be opened: {error.strerror}") from None
         try:
+            if not stat.S_ISREG(os.fstat(self._file.fileno()).st_mode):
+                raise InputError(f"{path}: is no regular file (name another file with --out)")
             self._lock()
             if inputs is not None:
-                self._append({"journal": SCHEMA, "inputs": inputs})
+                try:
+                    self._append({"journal": SCHEMA, "inputs": inputs})
+                except InputError:
+                    path.unlink(missing_ok=True)  # without inputs it is no journal
+                    raise
             else:
                 self._read()
         except BaseException:
@@ -88,7 +102,7 @@ class Journal:
         """Iterate over the rows, in order of their runs."""
         for run in sorted(self._offsets):
             self._file.seek(self._offsets[run])
-            line = json.loads(self._file.readline())
+            line = parse_json_map(self._file.readline())
             numbers = dict(zip(self._names[line["names"]], line["values"], strict=True))
             yield Row(run, line["outcome"], line["error"], numbers)
 
@@ -106,8 +120,23 @@ class Journal:
                 names |= dict.fromkeys(self._names[index])
             if len(seen) == len(self._names):
                 break
-        parents = {name[:k] for name in names for k, sign in enumerate(name) if sign == "."}
-        return tuple(name for name in names if name not in parents)
+        # names of aircraft may have dots: `uav` beside `uav.1` in one run is no missing part
+        whole = {name for index in seen for name in _with_names_below(self._names[index])}
+        missing = _with_names_below(names) - whole
+        return tuple(name for name in names if name not in missing)
+
+    def refuse_other_runs(self, runs: int) -> None:
+        """Refuse rows of runs that a study of this many runs does not have.
+
+        Raises:
+            InputError: naming one.
+        """
+        last = max(self._offsets, default=-1)
+        if last >= runs:
+            raise InputError(
+                f"{self.path}: has run {last}, and the study has runs 0 to {runs - 1} (start the "
+                "study again with another --out)"
+            )
 
     def close(self) -> None:
         """Close and unlock the file."""
@@ -124,14 +153,19 @@ class Journal:
 
     def _append(self, line: Mapping[str, Any]) -> int:
         """Write a line to disk, and return its offset."""
-        try:
-            offset = self._file.seek(0, os.SEEK_END)
-            text = json.dumps(line, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-            self._file.write(text.encode() + b"\n")
-            self._file.flush()
-            os.fsync(self._file.fileno())
-        except OSError as error:
-            raise InputError(f"{self.path}: cannot be written: {error.strerror}") from error
+        text = json.dumps(line, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+        rest = memoryview(text.encode() + b"\n")
+        descriptor = self._file.fileno()  # unbuffered, so that nothing is written again by close()
+        with report_write_errors(self.path):
+            offset = end = self._file.seek(0, os.SEEK_END)
+            try:
+                while rest:
+                    written = os.pwrite(descriptor, rest, end)
+                    rest, end = rest[written:], end + written
+                os.fsync(descriptor)
+            except OSError:
+                os.ftruncate(descriptor, offset)  # no part of a line stays
+                raise
         return offset
 
     def _add_names(self, names: tuple[str, ...]) -> None:
@@ -140,11 +174,12 @@ class Journal:
 
     def _read(self) -> None:
         offset = number = 0
-        for number, text in enumerate(self._file, start=1):
+        lines = iter(lambda: self._file.readline(_MAX_LINE_BYTES), b"")
+        for number, text in enumerate(lines, start=1):
             try:
                 if not text.endswith(b"\n"):
-                    raise ValueError("it is incomplete")
-                self._read_line(json.loads(text), offset, number)
+                    raise ValueError("it is incomplete or too long")
+                self._read_line(parse_json_map(text), offset, number)
             except (ValueError, KeyError, TypeError) as error:
                 if self._file.read(1):
                     raise InputError(
@@ -161,10 +196,48 @@ class Journal:
         if number == 1:
             if line["journal"] != SCHEMA:
                 raise ValueError(f"its version is {line['journal']}, not {SCHEMA}")
-            self.inputs = line["inputs"]
+            inputs = line["inputs"]
+            if not (isinstance(inputs, dict) and all(isinstance(v, dict) for v in inputs.values())):
+                raise ValueError("its inputs are not maps")
+            self.inputs = inputs
         elif "run" in line:
-            if len(line["values"]) != len(self._names[line["names"]]):
-                raise ValueError("the numbers of values and names differ")
-            self._offsets[int(line["run"])] = offset
+            self._offsets[self._check_row(line)] = offset
         else:
-            self._add_names(tuple(line["names"]))
+            names = line["names"]
+            if not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
+                raise ValueError("its names are no list of texts")
+            self._count += len(names)
+            if len(set(names)) < len(names) or self._count > _MAX_NAMES:
+                raise ValueError("it has repeated or too many names")
+            self._add_names(tuple(names))
+
+    def _check_row(self, line: Mapping[str, Any]) -> int:
+        """Return the run of a row.
+
+        Raises:
+            ValueError, KeyError, TypeError: a field is missing or of another type.
+        """
+        run, index, values = line["run"], line["names"], line["values"]
+        if not (_is_index(run, _MAX_RUNS) and _is_index(index, len(self._names))):
+            raise ValueError("its run or names are no numbers of one")
+        if not isinstance(values, list) or len(values) != len(self._names[index]):
+            raise ValueError("the numbers of values and names differ")
+        if not all(value is None or _is_number(value) for value in values):
+            raise ValueError("a value is no number")
+        if line["outcome"] not in OUTCOMES or not isinstance(line["error"], str):
+            raise ValueError("its outcome is unknown, or its error is no text")
+        return int(run)
+
+
+def _with_names_below(names: Iterable[str]) -> set[str]:
+    """Return the names that are the beginning of others, before a dot."""
+    found = set(names)
+    return {name[:k] for name in found for k, sign in enumerate(name) if sign == "."} & found
+
+
+def _is_index(value: Any, count: int) -> bool:  # noqa: ANN401 - any JSON value
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < count
+
+
+def _is_number(value: Any) -> bool:  # noqa: ANN401 - any JSON value
+    return isinstance(value, float) or _is_index(value, _MAX_RUNS)

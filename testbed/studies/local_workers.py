@@ -3,6 +3,9 @@
 Each worker is an executor of one process, so that killing one affects only its own task, and that
 task is known. The processes are those of loky rather than of `multiprocessing`, which would import
 the user's script again, and run it if it has no `if __name__ == "__main__"`.
+
+Workers start as `python -m joblib...`, and the processes that clean up after them as `python -c`:
+without PYTHONSAFEPATH both would import a joblib.py or a numpy.py of the current directory.
 """
 
 from __future__ import annotations
@@ -11,7 +14,9 @@ import os
 import signal
 import threading
 import time
+from collections.abc import Iterator
 from concurrent.futures import Future
+from contextlib import contextmanager
 
 import joblib
 from joblib.externals.loky import BrokenProcessPool, ProcessPoolExecutor
@@ -19,10 +24,12 @@ from joblib.externals.loky.process_executor import ShutdownExecutorError
 
 from testbed.studies.flight_task import FlightResult, FlightTask, run_task
 
+_SAFE_PATH = "PYTHONSAFEPATH"
 # One thread per flight: flights run in parallel, so more threads would compete for processors.
-_ONE_THREAD = {
+_ENVIRONMENT = {
     name: "1"
     for name in (
+        _SAFE_PATH,
         "OMP_NUM_THREADS",
         "OPENBLAS_NUM_THREADS",
         "MKL_NUM_THREADS",
@@ -51,8 +58,9 @@ class LocalWorkers:
 
     def submit(self, task: FlightTask) -> Future[FlightResult]:
         """Run a task in a free process, which is started if necessary."""
-        process = self._free.pop() or self._start()
-        future: Future[FlightResult] = process.submit(run_task, task)
+        with _safe_path():
+            process = self._free.pop() or self._start()
+            future: Future[FlightResult] = process.submit(run_task, task)
         future.add_done_callback(lambda done: self._release(process, done))
         return future
 
@@ -68,7 +76,7 @@ class LocalWorkers:
 
     def _start(self) -> ProcessPoolExecutor:
         process = ProcessPoolExecutor(
-            max_workers=1, initializer=_initialise, initargs=(os.getpid(),), env=_ONE_THREAD
+            max_workers=1, initializer=_initialise, initargs=(os.getpid(),), env=_ENVIRONMENT
         )
         self._started.add(process)
         return process
@@ -81,6 +89,23 @@ class LocalWorkers:
             self._free.append(None)
         else:
             self._free.append(process)
+
+
+@contextmanager
+def _safe_path() -> Iterator[None]:
+    """Let Python processes that start in the block import nothing from the current directory.
+
+    Also those that inherit the environment, to which `env` of an executor does not apply.
+    """
+    before = os.environ.get(_SAFE_PATH)
+    os.environ[_SAFE_PATH] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[_SAFE_PATH]
+        else:
+            os.environ[_SAFE_PATH] = before
 
 
 def _initialise(parent: int) -> None:

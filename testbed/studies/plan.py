@@ -15,14 +15,17 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from testbed.core.input_files import read_bounded_text
 from testbed.core.random import stream
 from testbed.scenario import (
     Scenario,
     ScenarioFile,
+    describe_unreached,
     find_study,
     library,
     open_scenario,
     set_duration,
+    unreached_windows,
 )
 from testbed.scenario.tree import Node, walk
 from testbed.scenario.violations import Place, Problem, ScenarioError
@@ -97,7 +100,7 @@ def load_study(name_or_path: str | Path) -> Study:
     path = find_study(name_or_path)
     tree = read(path)
     config = validate(tree, StudyConfig)
-    return Study(config, path, path.read_text(encoding="utf-8-sig"), tree)
+    return Study(config, path, read_bounded_text(path), tree)
 
 
 class Plan(Sequence[StudyRun]):
@@ -187,6 +190,24 @@ class Plan(Sequence[StudyRun]):
         run = self.run(case, 0)
         fixed = run.overrides[: len(run.overrides) - len(self.keys)]
         return self._load(run.case, fixed)
+
+    def unreached_metrics(self) -> str:
+        """Describe windows of the study's metrics that begin after its duration; "" if none do."""
+        settings, windows = self.study.config.study, dict[str, str]()
+        if settings.duration_s is None:
+            return ""
+        for index in range(len(self.cases)):
+            run = self.run(index, 0)
+            with suppress(ScenarioError):
+                scenario = self._drafts[run.case].resolve(run.overrides)
+                missing = unreached_windows(scenario, settings.duration_s)
+                if settings.metrics:
+                    read = [name.split(".")[1:2] for name in settings.metrics]
+                    missing = {name: text for name, text in missing.items() if [name] in read}
+                elif len(missing) < len(scenario.scenario.windows):
+                    missing = {}
+                windows |= missing
+        return describe_unreached(windows, settings.duration_s) if windows else ""
 
     def _load(self, case: str, overrides: tuple[str, ...]) -> Scenario:
         scenario = self._drafts[case].resolve(overrides)

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from testbed.core.input_files import MAX_TABLE_BYTES, read_bounded
 from testbed.scenario import Scenario, find_aircraft, find_data, find_law
 
 # keys of `scenario` that change no number, and the seed, which is stored separately
@@ -61,7 +62,7 @@ def file_digests(scenario: Scenario) -> dict[str, str]:
         others += [Path(module)] if module.endswith(".py") else []
     files |= {f"{file.parent.name}/{file.name}": file for file in others}
     return {
-        name: hashlib.sha256(file.read_bytes()).hexdigest()[:12]
+        name: hashlib.sha256(read_bounded(file, MAX_TABLE_BYTES)).hexdigest()[:12]
         for name, file in files.items()
         if file.suffix in _SUFFIXES
     }

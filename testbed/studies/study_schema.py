@@ -151,7 +151,8 @@ class StudySettings(Section):
     )
     set: Mapping[str, Any] = Field({}, description="Scenario keys to change, as with --set.")
     design: Literal["factorial", "latin-hypercube", "monte-carlo"] | None = Field(
-        None, description="How points are made of vary."
+        None,
+        description="How points are made of vary: factorial, all combinations, is the default.",
     )
     samples: Whole | None = Field(
         None, ge=1, le=MAX_RUNS, description="Points of latin-hypercube and monte-carlo."
@@ -228,8 +229,6 @@ def _check_distribution(here: tuple[str, ...], values: Variation) -> Iterator[Ke
 def _check_design(config: StudyConfig) -> Iterator[KeyProblem]:
     settings = config.study
     drawn = settings.design in ("latin-hypercube", "monte-carlo")
-    if config.vary and settings.design is None:
-        yield ("study",), "has no design (write design: factorial, latin-hypercube or monte-carlo)"
     if settings.design is not None and not config.vary:
         yield ("study", "design"), "has nothing to vary (write vary, or leave design out)"
     if drawn and settings.samples is None:
@@ -240,7 +239,7 @@ def _check_design(config: StudyConfig) -> Iterator[KeyProblem]:
                 ("study", key),
                 "is for latin-hypercube and monte-carlo (leave it out, or change design)",
             )
-    if settings.design == "factorial":
+    if not drawn:
         for key, values in config.vary.items():
             if values.is_distribution:
                 yield (

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from testbed.metrics.out_of_slot import METRICS as SLOT_METRICS
+from testbed.metrics.out_of_slot import count_out_of_slot
 from testbed.scenario.violations import did_you_mean
 from testbed.studies.flight_task import COMPLETED
 from testbed.studies.rows import METRICS, SET, default_metric
@@ -49,12 +50,14 @@ class Summary:
         unknown_metrics: names in the study file that no run has, each with a suggestion.
         groups: in order of their first runs.
         failures: the first runs that were not completed, as rows.
+        out_of_slot: number of completed runs that end with a follower out of its slot.
     """
 
     metrics: tuple[str, ...]
     unknown_metrics: Mapping[str, str]
     groups: tuple[Group, ...]
     failures: tuple[Mapping[str, Any], ...]
+    out_of_slot: int
 
 
 def summarise(result: SweepResult) -> Summary:
@@ -72,7 +75,15 @@ def summarise(result: SweepResult) -> Summary:
     columns = ("case", "seed", *sets, "outcome", *(f"{METRICS}{name}" for name in metrics))
     table = read_table(result.path, columns)
     groups = _group_runs(config, table, sets, metrics)
-    return Summary(metrics, unknown, groups, _find_failures(result, table))
+    out_of_slot = _count_out_of_slot(result, known)
+    return Summary(metrics, unknown, groups, _find_failures(result, table), out_of_slot)
+
+
+def _count_out_of_slot(result: SweepResult, known: Sequence[str]) -> int:
+    names = [name for name in known if name.startswith(SLOT_METRICS)]
+    columns = read_table(result.path, ("outcome", *(f"{METRICS}{name}" for name in names))).columns
+    metrics = {name: columns[f"{METRICS}{name}"].astype(np.float64) for name in names}
+    return count_out_of_slot(metrics, columns["outcome"] == COMPLETED)
 
 
 def _group_runs(
@@ -124,16 +135,17 @@ def _find_failures(result: SweepResult, table: StudyTable) -> tuple[Mapping[str,
 
 def to_document(result: SweepResult, summary: Summary) -> dict[str, Any]:
     """Return the summary as plain data for JSON."""
-    metadata = read_table(result.path, ()).metadata
+    table = read_table(result.path, ())
     return {
         "schema": 2,
         "study": result.study.name,
         "file": str(result.path),
-        "complete": metadata["complete"] == "true",
-        "versions": json.loads(metadata["versions.json"]),
+        "complete": table.complete,
+        "versions": table.json("versions.json"),
         "runs": sum(result.outcomes.values()),
         "new_runs": result.new_runs,
         "outcomes": dict(result.outcomes),
+        "out_of_slot": summary.out_of_slot,
         "groups": [
             {
                 "case": group.case,

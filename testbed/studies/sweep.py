@@ -7,6 +7,7 @@ their place, or how often the study was interrupted.
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from testbed.core.errors import InputError
+from testbed.metrics.document import initial_warnings
 from testbed.scenario import Scenario, dump
 from testbed.scenario.violations import ScenarioError
 from testbed.sim.build import versions
@@ -35,6 +37,7 @@ from testbed.studies.table import (
 
 REFRESH_S = 30.0  # between two writes of the result file while runs are flown, at least
 MAX_WRITE_SHARE = 0.02  # of the time, for these writes
+MAX_WARNINGS = 6  # kinds of warnings from before a flight that are reported
 _LEFT_OUT = ("name", "question", "metrics")  # settings that change no row
 
 Progress = Callable[[int, int], None]
@@ -103,6 +106,8 @@ def sweep(
             f"warning: {checked.invalid} of {checked.checked} points are invalid, such as "
             f"{checked.example}"
         )
+    if unreached := plan.unreached_metrics():
+        report(f"warning: {unreached}")
     inputs = _make_inputs(plan, checked.scenarios)
     factors = f"{_factor(len(plan.cases), 'case')}{_factor(plan.point_count, 'point')}"
     report(
@@ -112,7 +117,7 @@ def sweep(
     if backend == "dask" and scheduler is not None:
         for line in cluster_notices(scheduler):
             report(line)
-    with open_flight_pool(jobs=jobs, backend=backend, scheduler=scheduler) as pool:
+    with open_flight_pool(jobs=jobs, backend=backend, scheduler=scheduler, report=report) as pool:
         output = find_output(study.name, out, resume=resume)
         report(f"file: {output.path}")
         if output.path.exists() and not output.journal.exists():
@@ -122,11 +127,12 @@ def sweep(
         try:
             if not new:
                 _refuse_changed_inputs(output, journal.inputs, inputs)
+                journal.refuse_other_runs(len(plan))
             texts = {case: dump(scenario) for case, scenario in checked.scenarios.items()}
             metadata = make_metadata(plan, texts, inputs["versions"])
             metadata["inputs.json"] = json.dumps(inputs, ensure_ascii=False)
             writer = _TableWriter(output, plan, journal, metadata, refresh_s)
-            new_runs = _fly(plan, pool, journal, writer, progress)
+            new_runs = _fly(plan, pool, journal, writer, progress, report)
             outcomes = Counter(row.outcome for row in journal.rows())
             output.journal.unlink()  # while it is locked, so that nothing else resumes it
         finally:
@@ -163,16 +169,27 @@ class _TableWriter:
 
 
 def _fly(
-    plan: Plan, pool: FlightPool, journal: Journal, writer: _TableWriter, progress: Progress
+    plan: Plan,
+    pool: FlightPool,
+    journal: Journal,
+    writer: _TableWriter,
+    progress: Progress,
+    report: Report,
 ) -> int:
-    """Fly the missing runs, and return their number."""
+    """Fly the missing runs, and return their number; report each kind of warning once."""
     flown = 0
+    kinds: set[str] = set()
     try:
         writer.write()
         progress(len(journal), len(plan))
         for result in pool.run(_missing_tasks(plan, journal)):
             journal.add(_to_row(result, journal.inputs["versions"]))
             flown += 1
+            for text in initial_warnings(result.metrics or {}):
+                kind = re.sub(r"[\d.]+", "#", text)
+                if kind not in kinds and len(kinds) < MAX_WARNINGS:
+                    report(f"warning: run {result.number}: {text}")
+                kinds.add(kind)
             progress(len(journal), len(plan))
             writer.write_if_due()
     finally:
@@ -256,7 +273,7 @@ def _completed(study: Study, output: StudyOutput, inputs: Mapping[str, Any]) -> 
         InputError: its inputs changed, or it is incomplete and its journal is missing.
     """
     table = read_table(output.path, ["outcome"])
-    _refuse_changed_inputs(output, json.loads(table.metadata["inputs.json"]), inputs)
+    _refuse_changed_inputs(output, table.json("inputs.json"), inputs)
     if not table.complete:
         raise InputError(
             f"{output.path}: is incomplete, and its journal {output.journal} is missing (start "

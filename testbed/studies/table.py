@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
@@ -16,6 +15,13 @@ from numpy.typing import NDArray
 
 from testbed import __version__
 from testbed.core.errors import InputError
+from testbed.core.files import (
+    check_folder_writable,
+    check_writable,
+    report_write_errors,
+    write_file,
+)
+from testbed.core.input_files import parse_json_map
 from testbed.logs.arrow_io import column_names, read_columns, write_columns
 from testbed.logs.run_directory import LOGS, create_run_directory
 from testbed.scenario.yaml_io import to_inline
@@ -31,6 +37,7 @@ SUFFIX = ".parquet"
 SCHEMA = 2
 _ROWS_AT_ONCE = 2_000  # in memory
 _LARGEST = 2**63
+_MAX_DIGITS = 15
 FIRST_COLUMNS = {"run": "int64", "case": "string", "seed": "int64"}
 NEXT_COLUMNS = {"outcome": "string", "error": "string", "command": "string"}
 
@@ -68,16 +75,16 @@ def find_output(name: str, out: Path | None, *, resume: bool) -> StudyOutput:
         latest = _find_latest(name) if resume else None
         return latest or StudyOutput(create_run_directory(name, logs=STUDIES) / FILE)
     output = StudyOutput(out if out.suffix == SUFFIX else out / FILE)
+    with report_write_errors(f"--out {out}"):
+        check_folder_writable(output.path.parent)
+        if output.path.parent.is_dir():
+            check_writable(output.path)
     if output.exists and not resume:
         raise InputError(
             f"--out {out}: exists already (write --resume to continue it, or another path)"
         )
-    try:
+    with report_write_errors(f"--out {out}"):
         output.path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--out {out}: cannot be created: {error.strerror}") from None
-    if not os.access(output.path.parent, os.W_OK):
-        raise InputError(f"--out {out}: is not writable (write another path)")
     return output
 
 
@@ -93,17 +100,42 @@ class StudyTable:
     """Content of a result file.
 
     Args:
+        path: of the file.
         columns: by name, in the file's order, one element for each run; missing numbers are NaN.
         metadata: texts of the file: study.yaml, scenario.yaml, versions.json and others.
     """
 
+    path: Path
     columns: Mapping[str, NDArray[Any]]
     metadata: Mapping[str, str]
 
     @property
     def complete(self) -> bool:
         """Whether it has all runs of the plan."""
-        return self.metadata["complete"] == "true"
+        return self.metadata.get("complete") == "true"
+
+    @property
+    def planned(self) -> int:
+        """Number of runs of the plan.
+
+        Raises:
+            InputError: the file has none.
+        """
+        text = self.metadata.get("runs", "")
+        if not (text.isdecimal() and len(text) <= _MAX_DIGITS):
+            raise InputError(f"{self.path}: metadata runs: {text[:40]!r} is no number of runs")
+        return int(text)
+
+    def json(self, name: str) -> dict[str, Any]:
+        """Return a JSON object of the metadata.
+
+        Raises:
+            InputError: there is none, or it is another value.
+        """
+        try:
+            return parse_json_map(self.metadata.get(name, ""))
+        except ValueError as error:
+            raise InputError(f"{self.path}: metadata {name}: {error}") from None
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """Iterate over the rows as Python values by column; None for a missing number."""
@@ -123,13 +155,8 @@ def read_table(path: Path | str, names: Iterable[str] | None = None) -> StudyTab
     Raises:
         InputError: the file does not exist, or is no result of a study.
     """
-    try:
-        wanted = None if names is None else {"run", *names}
-        columns, metadata = read_columns(Path(path), wanted)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
+    wanted = None if names is None else {"run", *names}
+    columns, metadata = read_columns(Path(path), wanted)
     schema = metadata.get("study.schema")
     if schema is None or "run" not in columns:
         raise InputError(
@@ -140,7 +167,32 @@ def read_table(path: Path | str, names: Iterable[str] | None = None) -> StudyTab
             f"{path}: is of version {schema}; this testbed reads version {SCHEMA} (fly the study "
             "again)"
         )
-    return StudyTable(columns, metadata)
+    _check_columns(Path(path), columns, wanted)
+    return StudyTable(Path(path), columns, metadata)
+
+
+def _check_columns(
+    path: Path, columns: Mapping[str, NDArray[Any]], wanted: Iterable[str] | None
+) -> None:
+    """Check that the fixed columns exist, and the types of all.
+
+    Raises:
+        InputError: naming the first wrong column.
+    """
+    fixed = FIRST_COLUMNS | NEXT_COLUMNS
+    for name in fixed if wanted is None else fixed.keys() & set(wanted):
+        if name not in columns:
+            raise InputError(f"{path}: has no column {name} (fly the study again)")
+    for name, values in columns.items():
+        kind = "double" if name.startswith(METRICS) else fixed.get(name)
+        if kind is None:  # of a key that varies
+            good = all(isinstance(each, bool | int | float | str) for each in values.tolist())
+        elif kind == "string":
+            good = all(isinstance(each, str) for each in values.tolist())
+        else:
+            good = values.dtype == (np.float64 if kind == "double" else np.int64)
+        if not good:
+            raise InputError(f"{path}: column {name}: is not of type {kind or 'number or text'}")
 
 
 def read_rows(path: Path | str) -> list[dict[str, Any]]:
@@ -180,16 +232,9 @@ def write_table(path: Path, plan: Plan, journal: Journal, metadata: Mapping[str,
         "complete": "true" if len(journal) == len(plan) else "false",
         **metadata,
     }
-    part = path.with_name(f".{path.name}.part")
-    try:
-        with part.open("wb") as file:
-            write_columns(file, fields, _column_blocks(plan, journal, sets, metrics), all_metadata)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(part, path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+    # durable: the journal is removed after the last write
+    with report_write_errors(path), write_file(path, durable=True) as file:
+        write_columns(file, fields, _column_blocks(plan, journal, sets, metrics), all_metadata)
 
 
 def _column_blocks(

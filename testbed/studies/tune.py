@@ -51,13 +51,13 @@ def tune_gains(
         out: an empty directory.
         jobs: processes at once; default one for each processor.
         progress: called with the number of finished flights and the largest possible number.
-        report: called with a line for each generation.
+        report: called with a line for each generation, and when kernels are compiled.
 
     Raises:
         InputError: the metric is no number of these flights, or `max_flights` is too small.
         KeyboardInterrupt: Ctrl-C or SIGTERM was received.
     """
-    with open_flight_pool(jobs=jobs) as pool:
+    with open_flight_pool(jobs=jobs, report=report) as pool:
         return _Tuning(problem, pool, SearchLog(problem, out), progress, report).run()
 
 

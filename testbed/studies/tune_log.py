@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from testbed import __version__
-from testbed.core.errors import InputError
-from testbed.core.files import atomic_write
+from testbed.core.files import report_write_errors, write_text_file
 from testbed.logs.run_directory import write_run_file
 from testbed.metrics.document import write_json
 from testbed.scenario import dump_middle_loop, find_scenario, library, load, middle_loop_gains
@@ -75,13 +74,10 @@ class SearchLog:
     def add(self, candidates: Sequence[Candidate], best: Candidate) -> None:
         """Append a generation, and write the best gains if they are in it."""
         path = self.directory / CANDIDATES
-        try:
-            with path.open("a", encoding="utf-8", newline="") as file:
-                file.writelines(_csv_line(_cells(each)) for each in candidates)
-                file.flush()
-                os.fsync(file.fileno())
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+        with report_write_errors(path), path.open("a", encoding="utf-8", newline="") as file:
+            file.writelines(_csv_line(_cells(each)) for each in candidates)
+            file.flush()
+            os.fsync(file.fileno())
         if any(each is best for each in candidates):
             self._write_gains(best, NOT_COMPARED)
 
@@ -133,11 +129,8 @@ class SearchLog:
 
     def _write(self, name: str, text: str) -> None:
         path = self.directory / name
-        try:
-            with atomic_write(path) as file:
-                file.write(text)
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+        with report_write_errors(path), write_text_file(path) as file:
+            file.write(text)
 
 
 def to_document(result: TuneResult, problem: TuneProblem) -> dict[str, Any]:

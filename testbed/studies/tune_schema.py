@@ -9,6 +9,7 @@ from typing import Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
+from testbed.core.input_files import read_bounded_text
 from testbed.scenario import find_tuning
 from testbed.scenario.fields import NotNegative, Number, Section, Whole, raise_findings
 from testbed.scenario.tree import Node, walk
@@ -138,7 +139,7 @@ def load_tune(name_or_path: str | Path) -> Tune:
     if renamed := list(_renamed_keys(tree)):
         raise ScenarioError(renamed)
     config = validate(tree, TuneConfig)
-    return Tune(config, Study(config, path, path.read_text(encoding="utf-8-sig"), tree))
+    return Tune(config, Study(config, path, read_bounded_text(path), tree))
 
 
 def _renamed_keys(tree: Node) -> Iterator[Problem]:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 from xml.parsers import expat
 
+from testbed.core.input_files import read_bounded
 from testbed.vehicle.forked_trial import ForkedResult, Work, run_forked
 from testbed.vehicle.jsbsim_model import AircraftError
 
@@ -158,14 +159,7 @@ class _FileCheck:
 
 
 def _content(file: Path) -> bytes:
-    try:
-        with file.open("rb") as stream:
-            data = stream.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise AircraftError(f"{file}: cannot be read: {error.strerror}") from error
-    if len(data) > MAX_BYTES:
-        raise AircraftError(f"{file}: is larger than {MAX_BYTES:,} bytes")
-    return data
+    return read_bounded(file, MAX_BYTES, error=AircraftError)
 
 
 def _check_cycles(named: Mapping[Path, set[Path]], main: Path) -> None:

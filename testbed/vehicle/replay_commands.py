@@ -15,7 +15,9 @@ import numpy as np
 
 from testbed.autopilot.fbwa import settled_autopilots, step_autopilots
 from testbed.autopilot.parameters import AutopilotTiming, make_gains, read_params
+from testbed.core.csv_table import read_rows
 from testbed.core.errors import InputError
+from testbed.core.files import check_writable, write_text_file
 from testbed.core.records import ActuatorCommand, Array, FbwaCommand, Origin, Records
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.initial_state import InitialState
@@ -102,6 +104,7 @@ def respond(
         AircraftLost: the aircraft was lost.
         OSError: the response cannot be written.
     """
+    check_writable(Path(out_csv))
     commands = read_commands(commands_csv)
     params = read_params(param or Path(aircraft_folder) / "recorded.param")
     period = BASE_RATE_HZ / params.sched_loop_rate
@@ -119,7 +122,7 @@ def respond(
     gains = make_gains([params], int(period) / BASE_RATE_HZ, timing)
     ticks = np.rint(commands.values[:, 0] * BASE_RATE_HZ).astype(int)
     rows, lost_at = _fly(fleet, commands.values, ticks, int(period), gains)
-    with Path(out_csv).open("w", encoding="utf-8", newline="") as file:
+    with write_text_file(Path(out_csv)) as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COMMANDS + RESPONSES)
         for text, row in zip(commands.text, rows, strict=False):
@@ -136,10 +139,9 @@ def read_commands(path: Path) -> Commands:
         CommandsError: the file is invalid; the message names file, line and column.
     """
     try:
-        with Path(path).open(encoding="utf-8-sig", newline="") as file:
-            lines = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise CommandsError(f"{path}: cannot read this file of commands: {error}") from error
+        lines = [row for _, row in read_rows(Path(path))]
+    except InputError as error:
+        raise CommandsError(str(error)) from error
     header = [name.strip() for name in lines[0]] if lines else []
     for name in COMMANDS:
         if header.count(name) != 1:

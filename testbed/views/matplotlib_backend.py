@@ -17,6 +17,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import NullLocator
 from mpl_toolkits.mplot3d import Axes3D
 
+from testbed.core.files import write_file
 from testbed.views.panels import GREY, GRID, Heatmap, Line, Panel, Panel3D, PanelGrid
 
 DOTS_PER_INCH = 100  # of the layout
@@ -60,9 +61,10 @@ def save_figure(grid: PanelGrid, path: Path) -> None:
     ending = path.suffix.lower()
     with matplotlib.rc_context(STYLE):
         figure = _figure(grid, titled=True)
-        figure.savefig(
-            path, format=ending[1:], dpi=PNG_DOTS_PER_INCH, metadata=UNDATED[ending]
-        )  # fmt: skip
+        with write_file(path) as file:
+            figure.savefig(
+                file, format=ending[1:], dpi=PNG_DOTS_PER_INCH, metadata=UNDATED[ending]
+            )  # fmt: skip
 
 
 def figure_svg(grid: PanelGrid) -> str:

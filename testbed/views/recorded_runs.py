@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from testbed.core.errors import InputError
+from testbed.core.files import replacement
 from testbed.core.records import Event, RunInfo
 from testbed.views.batch import Batch, Source, batch_of, overlay, split
 from testbed.views.scene import Scene, overlay_scenes, scene_of
@@ -71,6 +72,7 @@ def screenshot(
 
     Raises:
         InputError: Two runs have no time in common, or no viewer can draw without a screen.
+        OSError: The picture cannot be written.
         ViewComplaintError: A view reports an error; the picture is saved all the same.
     """
     from testbed.views.rerun_backend import Recording, RemoteViewer
@@ -87,7 +89,8 @@ def screenshot(
         viewer.pause_at(at_s, LOADED_S)
         viewer.hide_menu()
         time.sleep(max(DRAWN_S, greeting_ends - time.monotonic()))
-        complaints = viewer.save_screenshot(path)
+        with replacement(path) as new:
+            complaints = viewer.save_screenshot(new)
         recording.close()
     if complaints:
         raise ViewComplaintError(f"{path}: the viewer reports: {'; '.join(complaints)}")

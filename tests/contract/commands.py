@@ -58,7 +58,7 @@ def call_command(*arguments, cwd, code, columns):
         for file in (out, err):
             file.seek(0)
         done = Done(out.read(), err.read())
-    assert exit_code == code, done.stderr + done.stdout
+    assert exit_code == code, (exit_code, done.stderr + done.stdout)
     assert "Traceback" not in done.stderr
     return done
 

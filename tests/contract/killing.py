@@ -99,7 +99,7 @@ class Killed:
 class Moment:
     """When to kill a run: a time after an event."""
 
-    after: str  # start, log, end
+    after: str  # start, scenario, log, flight, end
     wait_s: float
     pace: float = 0.0
     seconds: float = SECONDS
@@ -120,14 +120,20 @@ def moments(count, seed):
             yield Moment("end", rng.uniform(0.0, 0.15), seconds=2.0)
 
 
+def start_run(starter, folder, moment):
+    """Start a run; return the id of its process."""
+    command = ["run", SCENARIO, "--quiet", "--out", str(folder / "run")]
+    command += [f"--duration={moment.seconds:g}", f"--pace={moment.pace:g}"]
+    files = [str(folder / "notes"), str(folder / "clock")]
+    starter.stdin.write(json.dumps([*files, *command]) + "\n")
+    starter.stdin.flush()
+    return int(starter.stdout.readline())
+
+
 def kill(starter, folder, moment):
     """Start a run and kill it."""
     out, notes_file, clock = folder / "run", folder / "notes", folder / "clock"
-    command = ["run", SCENARIO, "--quiet", "--out", str(out)]
-    command += [f"--duration={moment.seconds:g}", f"--pace={moment.pace:g}"]
-    starter.stdin.write(json.dumps([str(notes_file), str(clock), *command]) + "\n")
-    starter.stdin.flush()
-    process = int(starter.stdout.readline())
+    process = start_run(starter, folder, moment)
     until(lambda: _reached(moment, out, notes_file))
     time.sleep(moment.wait_s)
     sockets = _sockets(process)
@@ -141,9 +147,48 @@ def kill(starter, folder, moment):
     return Killed(out, killed, code == 0, sockets, [*_NOTE.iter_unpack(whole)])
 
 
+@dataclass(frozen=True)
+class SignalPair:
+    """Two signals, the second soon after the first."""
+
+    first: Moment
+    gap_s: float
+    numbers: tuple[int, int] = (signal.SIGINT, signal.SIGINT)
+
+
+def signal_pairs(count, seed):
+    """Pairs 0.2 to 50 ms apart, while a run starts, flies and ends."""
+    rng = np.random.default_rng(seed)
+    kinds = ("scenario", "log", "flight", "end")
+    longest_s = {"scenario": 0.3, "log": 0.3, "flight": 0.5, "end": 0.1}
+    for k in range(count):
+        kind = kinds[k % len(kinds)]
+        pace = [0.0, 0.0, 1.0, 20.0][k // len(kinds) % 4] if kind != "end" else 0.0
+        seconds = 2.0 if kind == "end" else SECONDS
+        first = Moment(kind, rng.uniform(0.0, longest_s[kind]), pace, seconds)
+        numbers = [(signal.SIGINT, signal.SIGINT), (signal.SIGTERM, signal.SIGINT)][k % 5 == 4]
+        yield SignalPair(first, 2e-4 * 250.0 ** rng.uniform(), numbers)
+
+
+def interrupt(starter, folder, pair):
+    """Start a run and send it a pair of signals; return its exit code."""
+    process = start_run(starter, folder, pair.first)
+    until(lambda: _reached(pair.first, folder / "run", folder / "notes"))
+    time.sleep(pair.first.wait_s)
+    with suppress(ProcessLookupError):  # it has ended
+        os.kill(process, pair.numbers[0])
+        time.sleep(pair.gap_s)
+        os.kill(process, pair.numbers[1])
+    return int(starter.stdout.readline())
+
+
 def _reached(moment, out, notes_file):
     if moment.after == "start":
         return True
+    if moment.after == "scenario":
+        return (out / "scenario.resolved.yaml").exists()
+    if moment.after == "flight":
+        return notes_file.exists() and notes_file.stat().st_size > 0
     if moment.after == "log":
         return (out / "run.mcap").exists()
     return notes_file.exists() and notes_file.stat().st_size >= _NOTE.size * round(

@@ -1,9 +1,13 @@
 """Kinds of input files that are mutated, and how the testbed reads each."""
 
+import json
 import shutil
+from contextlib import suppress
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
+import small_study
 
 from testbed.core.records import ActuatorCommand
 from testbed.scenario import dump, load, load_guidance, load_middle_loop, set_duration
@@ -163,24 +167,86 @@ def feed_aircraft(path):
 
 
 def feed_log(path):
-    """Read, print and recover a log."""
+    """Read, print, report, compare and recover a log."""
+    from testbed.logs.flight_data import FlightData
     from testbed.logs.read import read_log, samples
+    from testbed.reports import read_run, run_page
+    from testbed.reports.html import render_page
     from testbed.sim.recover import recover
+    from testbed.studies.compare_runs import compare_runs
 
     log = read_log(path)
     repr(log)
     for _ in samples(log):
         pass
+    if log.tick.size:
+        render_page(run_page(read_run(path)))
+        compare_runs(log, log) if log.metrics else None
+    flight = FlightData(log)
+    repr(flight)
+    flight.documents()
     recover(path)
 
 
 def make_log(home):
     """Simulate a second with a log."""
+    import matplotlib.font_manager  # noqa: F401 - looks for fonts once, with a program
+
     import testbed
 
     scenario = set_duration(load("simulation-3"), 1.0)
     testbed.run(scenario, out=home / "run")
     return [home / "run" / "run.mcap"]
+
+
+def make_study(home):
+    """Fly a small study, and interrupt it once; return the result file and the journal."""
+    import matplotlib.font_manager  # noqa: F401 - looks for fonts once, with a program
+
+    from testbed.studies.sweep import sweep
+
+    workers = small_study.InThisProcess()
+    file, whole, half = (home / name for name in ("run/small.yaml", "run/whole", "run/half"))
+    home.joinpath("run").mkdir()
+    small_study.write(file.parent)
+
+    def stop(done, total):
+        if done == 4:
+            raise KeyboardInterrupt
+
+    with patch("testbed.studies.flight_pool._open_workers", lambda *_: workers):
+        sweep(file, whole)
+        with suppress(KeyboardInterrupt):
+            sweep(file, half, progress=stop)
+    return [whole / "study.parquet", half / "study.journal"]
+
+
+def feed_result(path):
+    """Report the result file of a study, or read its journal as a sweep that goes on does."""
+    from testbed.cli.study_report import _document, read_study
+    from testbed.reports.html import render_page
+    from testbed.reports.study import study_page
+    from testbed.studies.journal import Journal
+    from testbed.studies.plan import Plan, load_study
+    from testbed.studies.sweep import _refuse_changed_inputs
+    from testbed.studies.table import StudyOutput, make_metadata, read_rows, write_table
+
+    if path.suffix == ".parquet":
+        read_rows(path)
+        data = read_study(path, metrics=(), statistic="median")
+        render_page(study_page(data))
+        json.dumps(_document(data), allow_nan=False)
+        return
+    plan = Plan(load_study(path.parents[1] / "small.yaml"))
+    journal = Journal(path)
+    try:
+        first = json.loads(path.read_bytes().splitlines()[0])["inputs"]
+        _refuse_changed_inputs(StudyOutput(path.with_suffix(".parquet")), journal.inputs, first)
+        journal.refuse_other_runs(len(plan))
+        metadata = make_metadata(plan, dict.fromkeys(plan.cases, ""), {})
+        write_table(path.with_name("again.parquet"), plan, journal, metadata)
+    finally:
+        journal.close()
 
 
 AIRCRAFT = ROOT / "aircraft"
@@ -213,4 +279,5 @@ KINDS = {
     ),
     "aircraft": Kind(8, copied(AIRCRAFT, only=by_suffix(".xml")), feed_aircraft),
     "logs": Kind(12, make_log, feed_log),
+    "results": Kind(12, make_study, feed_result),
 }

@@ -1,10 +1,19 @@
 """Mutations of files: hostile or careless edits, bad disks and bad links."""
 
+import io
+import json
+import math
 import re
 import struct
+import zlib
 from copy import deepcopy
 
+import mcap.records
+import pyarrow as arrow
 import yaml
+import zstandard
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from pyarrow import parquet
 
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?")
 TOKEN = re.compile(r"[\w./+-]+")
@@ -109,6 +118,13 @@ def token(data, rng):
 def structure(data, rng):
     """Remove, move or rename keys, or change the type of values."""
     tree = yaml.safe_load(data)
+    restructure(tree, rng)
+    return yaml.safe_dump(tree, sort_keys=False).encode()
+
+
+def restructure(tree, rng, values=()):
+    """Change a tree of maps and lists in place; `values` are more values to put into it."""
+    values = (None, True, 1, -1.5, 10**40, "x", [], {}, [[]], {"a": {}}, *values)
     for _ in range(rng.choice((1, 1, 2, 3))):
         places = list(_places(tree))
         if not places:
@@ -123,12 +139,11 @@ def structure(data, rng):
         elif way == 2 and isinstance(home, dict):
             home[rng.choice(("x", "", "null", "1", str(key) + "s"))] = home.pop(key)
         elif way == 3:
-            home[key] = rng.choice((None, True, 1, -1.5, 10**40, "x", [], {}, [[]], {"a": {}}))
+            home[key] = rng.choice(values)
         elif way == 4:
             home[key] = [home[key]] * rng.choice((1, 2, 300))
         else:
             home[key] = {str(key): home[key]}
-    return yaml.safe_dump(tree, sort_keys=False).encode()
 
 
 def _places(tree):
@@ -248,13 +263,163 @@ def records(data, rng):
     return bytes(out)
 
 
+MAGIC = b"\x89MCAP0\r\n"
+CHUNK, CHANNEL, MESSAGE, ATTACHMENT, METADATA = 6, 4, 5, 9, 12
+NUMBERS = (math.nan, math.inf, -math.inf, 1e308, -1, 0, 0.5, 2**63, 10**300, "\x1b[2J", "\ud800")
+
+
+def texts_of_json(value, rng):
+    """Return JSON text of a changed value, or other text."""
+    if rng.random() < 0.15:
+        odd = ("[" * 200_000, '{"a":' * 200_000, "[]", "{}", "null", "5", '"x"', "", "{", "NaN")
+        return rng.choice(odd).encode()
+    tree = [deepcopy(value)]
+    restructure(tree, rng, NUMBERS)
+    return json.dumps(tree[0] if tree else None).encode("utf-8", "surrogatepass")
+
+
+def split_records(data, at=0):
+    """Return kind and content of the records of an MCAP file or a chunk."""
+    found = []
+    while at + _RECORD.size <= len(data):
+        kind, length = _RECORD.unpack_from(data, at)
+        at += _RECORD.size
+        found.append([kind, data[at : at + length]])
+        at += length
+    return found
+
+
+def joined(records):
+    return b"".join(_RECORD.pack(kind, len(content)) + content for kind, content in records)
+
+
+def meaning(data, rng):
+    """Change what a log says: its attachments, metadata, topics and messages; all checksums fit."""
+    found = split_records(data[: -len(MAGIC)], len(MAGIC))
+    wanted = rng.choice((ATTACHMENT, ATTACHMENT, ATTACHMENT, METADATA, CHUNK, CHUNK))
+    record = rng.choice([each for each in found if each[0] == wanted])
+    change = {ATTACHMENT: attachment, METADATA: metadata, CHUNK: chunk}[wanted]
+    record[1] = change(record[1], rng)
+    return MAGIC + joined(found) + MAGIC
+
+
+def attachment(content, rng):
+    stream = ReadDataStream(io.BytesIO(content))
+    made = mcap.records.Attachment.read(stream)
+    if made.name.endswith(".json"):
+        made.data = texts_of_json(json.loads(made.data), rng)
+    elif made.name.endswith(".yaml"):
+        made.data = rng.choice((structure, number, token, spelled))(made.data, rng)
+    else:
+        made.data = flip(made.data, rng)
+    if rng.random() < 0.1:
+        made.name = rng.choice(("run.json", "metrics.json", "x", "../x.py", "scenario.yaml"))
+    return content_of(made)
+
+
+def metadata(content, rng):
+    made = mcap.records.Metadata.read(ReadDataStream(io.BytesIO(content)))
+    key = rng.choice(list(made.metadata))
+    made.metadata[key] = rng.choice(("", "x", "4", "99", "\x1b[2J", "9" * 5000))
+    if rng.random() < 0.3:
+        del made.metadata[key]
+    return content_of(made)
+
+
+def content_of(record):
+    out = RecordBuilder()
+    record.write(out)
+    return bytes(out.end())[_RECORD.size :]
+
+
+def chunk(content, rng):
+    """Change messages or channels of a chunk, and compress it again."""
+    made = mcap.records.Chunk.read(ReadDataStream(io.BytesIO(content)))
+    inner = split_records(zstandard.decompress(made.data, made.uncompressed_size))
+    for _ in range(rng.choice((1, 1, 5, 50))):
+        record = rng.choice(inner)
+        if record[0] == MESSAGE:
+            way, message = rng.randrange(5), bytearray(record[1])
+            if way == 0:
+                message[:2] = struct.pack("<H", rng.randrange(60))
+            elif way == 1:
+                time = rng.choice((0, 1, 10**9, 2**63, 2**64 - 1, rng.randrange(10**10)))
+                message[6:14] = struct.pack("<Q", time)
+            elif way == 2:
+                message = message[: rng.randrange(22, len(message) + 1)]
+            elif way == 3 and len(message) > 22:
+                at = rng.randrange(22, len(message))
+                message[at] = rng.randrange(256)
+            elif way == 4 and len(message) > 40:
+                at = rng.randrange(22, len(message) - 8)
+                message[at : at + 8] = struct.pack("<d", rng.choice((math.nan, math.inf, 1e308)))
+            record[1] = bytes(message)
+        elif record[0] == CHANNEL:
+            names = (b"state", b"uav1", b"events", b"lead", b"formation", b"estimate", b"\xc3\xa9")
+            one, two = rng.choice(names), rng.choice(names)
+            if len(one) == len(two):
+                record[1] = record[1].replace(one, two)
+    if rng.random() < 0.2:
+        del inner[rng.randrange(len(inner))]
+    data = joined(inner)
+    made.data, made.compression = zstandard.compress(data), "zstd"
+    made.uncompressed_size, made.uncompressed_crc = len(data), zlib.crc32(data)
+    return content_of(made)
+
+
+def entries(data, rng):
+    """Change the JSON of some lines."""
+    rows = data.splitlines(keepends=True)
+    for _ in range(rng.choice((1, 1, 2))):
+        at = rng.randrange(len(rows))
+        rows[at] = texts_of_json(json.loads(rows[at]), rng) + b"\n"
+    if rng.random() < 0.3:
+        rows.insert(rng.randrange(len(rows) + 1), rng.choice(rows))
+    return b"".join(rows)
+
+
+def table(data, rng):
+    """Change columns or metadata of a Parquet file; all checksums fit."""
+    whole = parquet.read_table(io.BytesIO(data))
+    facts = dict(whole.schema.metadata)
+    rows, names = whole.num_rows, whole.column_names
+    index = rng.randrange(len(names))
+    way = rng.randrange(7)
+    if way < 2:
+        key = rng.choice([key for key in facts if key != b"ARROW:schema"])
+        odd = rng.choice((b"", b"x", b"-1", b"9" * 5000, b"\x1b[2J", b"99", b"[" * 200_000))
+        facts[key] = odd
+        if key.endswith(b".json") and rng.random() < 0.7:
+            facts[key] = texts_of_json(json.loads(whole.schema.metadata[key]), rng)
+        elif key.endswith(b".yaml") and rng.random() < 0.7:
+            facts[key] = structure(whole.schema.metadata[key], rng)
+        if rng.random() < 0.2:
+            del facts[key]
+    elif way == 2:
+        whole = whole.remove_column(index)
+    elif way == 3:
+        whole = whole.append_column(rng.choice(names), whole.column(index))
+    elif way == 4:
+        whole = whole.rename_columns([*names[:index], rng.choice(ODD[-9:]), *names[index + 1 :]])
+    elif way == 5:
+        odd = rng.choice((None, "x", True, [1], {"a": 1}, b"\xff", 1.5, -1, 2**62, math.nan))
+        whole = whole.set_column(index, names[index], arrow.array([odd] * rows))
+    else:
+        whole = rng.choice((whole.slice(0, 0), whole.slice(1), arrow.concat_tables([whole] * 3)))
+    out = io.BytesIO()
+    parquet.write_table(whole.replace_schema_metadata(facts), out)
+    return out.getvalue()
+
+
 ANY = (flip, cut, splice, lines, token, number, number)
 MUTATIONS = {
     ".yaml": (*ANY, structure, structure, structure, structure, spelled, spelled),
     ".param": ANY,
     ".csv": ANY,
     ".xml": (*ANY, number, elements, elements, elements, planted, planted, attribute, attribute),
-    ".mcap": (flip, cut, splice, records, records, records),
+    ".mcap": (flip, cut, splice, *3 * (records,), *6 * (meaning,)),
+    ".journal": (*ANY, *6 * (entries,)),
+    ".parquet": (flip, cut, splice, *6 * (table,)),
 }
 
 

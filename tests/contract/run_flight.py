@@ -58,8 +58,10 @@ def flown(*changes, seconds=SECONDS):
 
 RECORDER = """
     class Recorder:
+        received = []  # of the class: an attribute of its own may not change
+
         def __init__(self, config):
-            self.hbh23, self.received = config.hbh23, []
+            self.hbh23 = config.hbh23
 
         def start(self, own):
             return self.hbh23.start(own)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -17,9 +18,11 @@ from snapshot import check_snapshot
 from typer.testing import CliRunner
 
 import testbed
+from testbed.cli.catalogue import GROUPS, STUDIES, TUNES
 from testbed.cli.exit_codes import ExitCode
 from testbed.cli.main import app
 from testbed.logs.read import read_log
+from testbed.scenario import list_scenarios, list_studies, list_tunings
 
 ROOT = Path(__file__).parents[2]
 ENV = environment(120)
@@ -28,8 +31,8 @@ FLY = ("run", "simulation-3", "--duration", "2")
 NO_LOG = ("--set", "log.mcap=false")
 
 
-def cli(*arguments, cwd, code=0):
-    return call_command(*arguments, cwd=cwd, code=code, columns=120)
+def cli(*arguments, cwd, code=0, columns=120):
+    return call_command(*arguments, cwd=cwd, code=code, columns=columns)
 
 
 def cli_process(*arguments, cwd, code=0):
@@ -111,6 +114,40 @@ def test_list_names_scenarios_studies_and_aircraft(tmp_path):
     text = cli("list", cwd=tmp_path).stdout
     for name in ("simulation-3", "simulation-3-hard", "radio-and-wind", "rascal110"):
         assert f"\n{name}" in text
+
+
+def test_list_begins_with_start_here(tmp_path):
+    """One line for each name in 80 columns, the first scenario to fly at the top."""
+    lines = cli("list", cwd=tmp_path, columns=80).stdout.splitlines()
+    first = lines.index("start here")
+    assert lines[first + 1].startswith("simulation-3 ")
+    assert all(line.strip() for line in lines[first + 1 : lines.index("", first)])
+    assert max(map(len, lines)) <= 80
+    listed = [line.split()[0] for line in lines if line[:1].islower() and "  " in line]
+    assert sorted(listed) == sorted([*list_scenarios(), *list_studies(), *list_tunings()])
+
+
+def test_each_scenario_is_in_one_group_of_list():
+    grouped = [name for group in GROUPS.values() for name in group]
+    assert sorted(grouped) == sorted(list_scenarios())
+    assert set(STUDIES) == set(list_studies()) and set(TUNES) == set(list_tunings())
+
+
+def test_list_of_a_name_prints_question_and_file(tmp_path):
+    text = cli("list", "packet-loss-30", cwd=tmp_path).stdout
+    assert "How much error" in text and "packet-loss-30.yaml" in text
+    assert "testbed sweep radio-and-wind" in cli("list", "radio-and-wind", cwd=tmp_path).stdout
+
+
+def test_help_is_in_groups():
+    """Commands by purpose, options of run by what they change; flags without a type."""
+    text = help_text(columns=80)
+    titles = re.findall(r"╭─ ([\w ]+) ─", text)
+    assert titles == ["Options", "Fly", "Before a flight", "After a flight", "Aircraft"]
+    run_text = help_text("run", columns=80)
+    titles = re.findall(r"╭─ ([\w ]+) ─", run_text)
+    assert titles == ["Arguments", "Options", "Scenario", "Output", "External programs"]
+    assert "<bool>" not in text + run_text
 
 
 def test_schema_is_json(tmp_path):

@@ -1,6 +1,7 @@
 """Machine code is cached per text of the kernel packages, and never used for another text."""
 
 import functools
+import json
 import os
 import shutil
 import subprocess
@@ -12,6 +13,7 @@ from patience import PATIENCE_S
 
 from testbed.core import compile as compiling
 from testbed.core.compile import KERNEL_PACKAGES, cache_folder, source_digest
+from testbed.scenario import library
 
 ENTRY = """
 import numpy as np
@@ -58,18 +60,35 @@ def package(tmp_path):
     return package
 
 
-def printed(package, **environment):
-    inherited = {key: value for key, value in os.environ.items() if not key.startswith("NUMBA_")}
+def printed(package, *, script=CALL, mount="", **environment):
+    return run_python(["-c", script], package.parent, package.parent, mount, **environment)
+
+
+def run_python(arguments, folder, cwd, mount="", **environment):
+    """Output of Python with modules of a folder, after a mount that other processes do not see."""
+    without = ("NUMBA_", "XDG_CACHE_HOME")
+    inherited = {key: value for key, value in os.environ.items() if not key.startswith(without)}
+    command = [sys.executable, *arguments]
+    if mount:
+        unshare = ["unshare", "--mount", *(["--user", "--map-root-user"] if os.geteuid() else [])]
+        command = [*unshare, "sh", "-ec", f'{mount} || exit 9; exec "$@"', "sh", *command]
     done = subprocess.run(
-        [sys.executable, "-c", CALL],
-        cwd=package.parent,
-        env={**inherited, "PYTHONPATH": str(package.parent), **environment},
+        command,
+        cwd=cwd,
+        env={**inherited, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1", **environment},
         capture_output=True,
         text=True,
         timeout=PATIENCE_S,
-        check=True,
     )
+    if mount and (done.returncode == 9 or "unshare" in done.stderr):
+        pytest.skip("nothing can be mounted here, neither as root nor in a user namespace")
+    assert done.returncode == 0, done.stderr
     return done.stdout.strip()
+
+
+def read_only(folder):
+    """Command that makes a folder read-only, also for root."""
+    return f"mount --bind {folder} {folder} && mount -o remount,ro,bind {folder}"
 
 
 def folders(parent):
@@ -91,7 +110,7 @@ def test_a_constant_of_another_file_is_compiled_anew(package):
     assert {path.parts[0] for path in found} == set(folders(cache))
 
 
-def test_numba_cache_dir_takes_the_place_of_the_package(package, tmp_path):
+def test_numba_cache_dir_replaces_the_package_folder(package, tmp_path):
     wanted = tmp_path / "elsewhere"
     assert printed(package, NUMBA_CACHE_DIR=str(wanted)) == "[1.0, 1.0] 0"
     assert printed(package, NUMBA_CACHE_DIR=str(wanted)) == "[1.0, 1.0] 1"
@@ -99,12 +118,12 @@ def test_numba_cache_dir_takes_the_place_of_the_package(package, tmp_path):
     assert folders(package / "__pycache__") == []
 
 
-def test_without_a_compiler_a_kernel_is_python_on_records(package):
+def test_debug_mode_runs_kernels_as_python(package):
     assert printed(package, NUMBA_DISABLE_JIT="1") == "[1.0, 1.0] plain"
     assert folders(package / "__pycache__") == []
 
 
-def test_the_digest_is_that_of_names_and_texts_of_kernel_packages(tmp_path):
+def test_digest_covers_names_and_texts_of_packages(tmp_path):
     for each in KERNEL_PACKAGES:
         (tmp_path / each).mkdir()
         (tmp_path / each / "module.py").write_text("A = 1\n")
@@ -122,7 +141,7 @@ def test_the_digest_is_that_of_names_and_texts_of_kernel_packages(tmp_path):
     assert len(seen) == len(KERNEL_PACKAGES) + 2
 
 
-def test_the_kernel_packages_are_those_that_hold_kernels():
+def test_kernel_packages_are_all_with_kernels():
     """What an entry compiles may come from any module that an entry's module imports."""
     root = Path(compiling.__file__).parents[1]
     marks = ("@entry", "@kernel", "@jitable", "register_jitable", "njit")
@@ -148,35 +167,107 @@ def parents(monkeypatch):
 def test_the_first_folder_that_can_be_written_is_taken(parents, tmp_path):
     (tmp_path / "file").touch()
     unwritable, good = tmp_path / "file" / "cache", tmp_path / "good"
-    (good / "kernels-of-another-installation").mkdir(parents=True)
-    (good / "kernels-unused").mkdir()
-    os.utime(good / "kernels-unused", (0.0, 0.0))
+    recent, unused = "kernels-0123456789abcdef", "kernels-fedcba9876543210"
+    users = "kernels-of-the-user"  # not the testbed's: never removed
+    for name in (recent, unused, users):
+        (good / name).mkdir(parents=True)
+    for name in (unused, users):
+        os.utime(good / name, (0.0, 0.0))
     found = parents(unwritable, good, tmp_path / "never")
     assert found.parent == good
     # a folder unused for long is removed, and no folder is made that is not needed
-    assert folders(good) == sorted(["kernels-of-another-installation", found.name])
+    assert folders(good) == sorted([recent, users, found.name])
     assert not (tmp_path / "never").exists()
 
 
-def test_without_a_folder_that_can_be_written_there_is_none(parents, tmp_path):
+def test_no_writable_folder_gives_none(parents, tmp_path):
     (tmp_path / "file").touch()
     assert parents() is None
     assert parents(tmp_path / "file", tmp_path / "file" / "cache") is None
 
 
 def test_a_folder_that_only_can_be_read_is_not_taken(parents, tmp_path, monkeypatch):
-    monkeypatch.setattr(compiling.os, "access", lambda *_: False)
+    def refuse(**options):
+        raise PermissionError
+
+    monkeypatch.setattr(compiling.tempfile, "TemporaryFile", refuse)
     assert parents(tmp_path) is None
 
 
-def test_an_entry_without_a_cache_is_compiled_all_the_same(package, tmp_path):
+def test_code_is_cached_in_no_folder_of_numba(package, tmp_path):
+    """A folder that cannot be written any more is no reason to use one keyed by one file."""
+    lost = CALL.replace("from testbed.sim", "shutil.rmtree(cache); cache.touch()\nfrom testbed.sim")
+    begin = "import shutil\nfrom testbed.core.compile import cache_folder\ncache = cache_folder()\n"
+    home = tmp_path / "home"
+    home.mkdir()
+    assert printed(package, script=begin + lost, HOME=str(home)) == "[1.0, 1.0] 0"
+    assert [*package.rglob("*.nb[ic]"), *home.iterdir()] == []
+
+
+def test_full_disk_is_no_error(package, tmp_path):
+    cache = tmp_path / "cache"
+    cache.mkdir()
+    mount = f"mount -t tmpfs -o size=4k tmpfs {cache}"
+    assert printed(package, mount=mount, NUMBA_CACHE_DIR=str(cache)) == "[1.0, 1.0] 0"
+
+
+GRAVITY_ENTRY = """
+from testbed.core.compile import entry
+from testbed.core.frames import GRAVITY
+
+@entry
+def step(records):
+    records[0].x = GRAVITY
+"""
+
+
+@pytest.mark.parametrize("place", ["package", "home", "nowhere", "wanted"])
+def test_constant_of_core_is_never_stale(package, tmp_path, place):
+    """Wherever machine code is kept, and where it is not, a change compiles anew."""
+    frames = Path(compiling.__file__).parent / "frames.py"
+    (package / "sim" / "stepping.py").write_text(GRAVITY_ENTRY)
+    home, wanted = tmp_path / "home", tmp_path / "wanted"
+    home.mkdir()
+    options, kept = {"HOME": str(home)}, {package / "__pycache__"}
+    if place != "package":
+        options["mount"], kept = read_only(package), {home / ".cache" / "testbed"}
+    if place == "nowhere":
+        options["HOME"], kept = str(package / "nonexistent"), set()
+    if place == "wanted":
+        options["NUMBA_CACHE_DIR"], kept = str(wanted), {wanted}
+    for value in (9.80665, 1.62):
+        text = frames.read_text().replace("GRAVITY = 9.80665", f"GRAVITY = {value}")
+        (package / "core" / "frames.py").write_text(text)
+        assert printed(package, **options) == f"[{value}, 0.0] 0"
+    assert {path.parents[2] for path in tmp_path.rglob("*.nbi")} == kept
+
+
+def test_command_flies_from_a_read_only_installation(tmp_path):
+    """As in a container with another user, whose home does not exist."""
+    installed = tmp_path / "installed"
+    for name in ("testbed", "aircraft", "scenarios"):
+        ignored = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(library() / name, installed / name, ignore=ignored)
+    command = "testbed run ideal-figure-eight --duration 0.1 --set log.mcap=false --quiet --json -"
+    done = run_python(
+        ["-P", "-m", *command.split()],
+        installed,
+        cwd=tmp_path,
+        mount=read_only(installed),
+        HOME=str(installed / "nonexistent"),
+        NUMBA_OPT="0",  # compiles in a third of the time
+    )
+    assert json.loads(done)["outcome"] == "completed"
+
+
+def test_entry_without_cache_is_compiled(package, tmp_path):
     (tmp_path / "file").touch()
     nowhere = str(tmp_path / "file" / "cache")
     assert printed(package, NUMBA_CACHE_DIR=nowhere) == "[1.0, 1.0] 0"
     assert printed(package, NUMBA_CACHE_DIR=nowhere) == "[1.0, 1.0] 0"
 
 
-def test_compiling_is_announced_once_and_loading_not_at_all():
+def test_only_compiling_is_announced_and_once():
     numba = pytest.importorskip("numba")
     said = []
 
@@ -199,6 +290,19 @@ def test_prepared_entries_compile_no_more():
     assert len(step.signatures) == 1
     assert step(3.0, 4) == 7.0
     assert len(step.signatures) == 1
+
+
+def test_prepare_stops_between_entries():
+    numba = pytest.importorskip("numba")
+    first, second = numba.njit(lambda x: x + 1.0), numba.njit(lambda x: x - 1.0)
+
+    def check():
+        if first.signatures:
+            raise TimeoutError
+
+    with pytest.raises(TimeoutError):
+        compiling.prepare([functools.partial(each, 1.0) for each in (first, second)], check=check)
+    assert len(first.signatures) == 1 and not second.signatures
 
 
 FLIGHT = """

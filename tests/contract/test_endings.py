@@ -1,11 +1,13 @@
 """Logs and errors of runs that are killed, that cannot write, or that share a directory.
 
-TESTBED_KILLS: number of runs that are killed, each in its own process.
+TESTBED_KILLS: number of runs that are killed, and of runs that get two signals, each in its own
+process.
 """
 
 import json
 import os
 import shutil
+import signal
 
 import pytest
 from commands import call_command
@@ -13,11 +15,16 @@ from killing import (
     MAX_MISSING_S,
     SCENARIO,
     SECONDS,
+    Moment,
     assert_same_beginning,
+    interrupt,
     kill,
     moments,
     process_starter,
+    signal_pairs,
+    start_run,
 )
+from patience import until
 from together import together
 
 import testbed
@@ -44,6 +51,62 @@ def whole(tmp_path_factory):
 def starter():
     with process_starter() as process:
         yield process
+
+
+@pytest.mark.parametrize("first", range(0, KILLS, PER_TEST))
+def test_two_signals_leave_complete_metrics(first, whole, starter, tmp_path):
+    """The second one comes 0.2 to 50 ms after the first."""
+    without = []
+    for number, pair in enumerate([*signal_pairs(KILLS, SEED)][first : first + PER_TEST], first):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        code = interrupt(starter, folder, pair)
+        # a signal after the files are written, while Python ends, may kill the process
+        ended = code in (0, 130, -signal.SIGINT, -signal.SIGTERM)
+        if not ended or not has_complete_metrics(folder / "run", whole):
+            without.append((pair, code))
+        shutil.rmtree(folder)
+    print(f"{len(without)} without metrics")  # pytest -rP shows it
+    assert not without
+
+
+def has_complete_metrics(run, whole):
+    """Return whether a run has a finished log, and metrics in it and beside it."""
+    if not (run / METRICS).exists():
+        return False
+    log, metrics = read_log(run / LOG), json.loads((run / METRICS).read_text())
+    if log.tick.size:
+        assert_same_beginning(log, whole)
+    wall_clock = dict.fromkeys(("wall_s", "real_time_factor"))
+    assert log.finished and log.metrics == metrics | wall_clock
+    assert metrics["outcome"] in ("interrupted", "completed")
+    return True
+
+
+def test_run_in_flight_is_not_recovered(whole, starter, tmp_path):
+    """Its log is locked until it ends, or is killed."""
+    process = start_run(starter, tmp_path, Moment("log", 0.0, pace=1.0))
+    try:
+        until(lambda: samples_of(tmp_path / "run") > 10)
+        error = errors(command("recover", tmp_path / "run", cwd=tmp_path, code=2))
+        assert f"run/{LOG}: this run is still flying" in error
+        with pytest.raises(LogError, match="still flying"):
+            recover(tmp_path / "run")
+        assert not read_log(tmp_path / "run" / LOG).finished
+        assert [*tmp_path.joinpath("run").glob(".*")] == []
+    finally:
+        os.kill(process, signal.SIGKILL)
+        assert int(starter.stdout.readline()) == -signal.SIGKILL
+    assert recover(tmp_path / "run").was_cut
+    assert_same_beginning(read_log(tmp_path / "run" / LOG), whole)
+
+
+def samples_of(run):
+    """Return the number of samples that can be read from a log."""
+    try:
+        return read_log(run / LOG).tick.size
+    except LogError:
+        return 0
 
 
 def errors(done):

@@ -152,6 +152,8 @@ def test_fault_without_effect_is_a_warning():
     assert [(time, source) for time, _, source, text in events if "has no effect" in text] == [
         (0.0, "uav1")
     ]
+    said = [text for time, _, _, text in events if time > 0.0 and "GPS" in text]
+    assert said == ["GPS lost: no effect, because the estimate uses no GPS"]
 
 
 # transmissions and servos
@@ -426,7 +428,7 @@ def test_collided_aircraft_are_lost_others_continue():
         "fleet.1.start_m=[-5, -5, 0]",
         "fleet.2.start_m=[-5, -5, 20]",
     )
-    limits = "limits={collision_m: 2, separation_m: 4, on_loss: continue}"
+    limits = "limits={collision_m: 2, separation_m: 4, min_separation_m: 0, on_loss: continue}"
     frames, events, run = flown(*across, limits)
     assert [(level, source) for _, level, source, _ in events] == [
         ("warning", "uav1"),
@@ -446,7 +448,7 @@ def test_collided_aircraft_are_lost_others_continue():
     assert (run.outcome, run.exit_code) == ("lost", 1)
     assert run.metrics["simulated_s"] == 8.0
     # without limits they pass
-    _, _, unlimited = flown(*across)
+    _, _, unlimited = flown(*across, "limits.min_separation_m=0")
     assert unlimited.outcome == "completed"
     assert unlimited.metrics["min_separation_m"] < 2.0
 

@@ -1,17 +1,21 @@
 """Worker processes: killed ones lose no flight but their own, and none outlives its parent."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
 from pathlib import Path
 
+import golden_scenarios
 import pytest
+import small_study
 import worker_tasks
 from commands import environment
 from patience import PATIENCE_S, until
 
 from testbed.core.errors import InputError
+from testbed.scenario import library
 from testbed.studies.flight_pool import open_flight_pool
 from testbed.studies.flight_task import FlightTask
 
@@ -23,6 +27,7 @@ import sys
 sys.path.insert(0, sys.argv[1])
 import worker_tasks
 from testbed.studies import local_workers
+from testbed.scenario import library
 from testbed.studies.flight_pool import open_flight_pool
 from testbed.studies.flight_task import FlightTask
 local_workers.run_task = worker_tasks.run_task
@@ -96,6 +101,93 @@ def test_pool_worker_ends_with_its_parent(tmp_path, number):
     until(lambda: has_ended(worker))
     if number != signal.SIGKILL:
         assert errors == b""
+
+
+SAFE = """
+import os, sys
+import worker_tasks
+from testbed.studies import local_workers
+from testbed.scenario import library
+from testbed.studies.flight_pool import open_flight_pool
+from testbed.studies.flight_task import FlightTask
+local_workers.run_task = worker_tasks.run_task
+with open_flight_pool(jobs=1) as pool:
+    (result,) = pool.run([FlightTask(0, ("module_folders",))])
+assert os.getcwd() not in result.metrics["value"] and "" not in result.metrics["value"]
+assert "PYTHONSAFEPATH" not in os.environ
+print("done")
+"""
+# Of the standard library and of packages that workers and the processes beside them import.
+HIDDEN = ("joblib", "multiprocessing", "signal", "random", "numpy", "cloudpickle", "testbed")
+
+
+def hide(folder):
+    """Write modules into a folder that leave a file there when they are imported."""
+    for name in HIDDEN:
+        (folder / f"{name}.py").write_text(f"open({str(folder / 'ran')!r}, 'a').write('{name} ')")
+
+
+def test_pool_imports_nothing_from_the_folder(tmp_path):
+    hide(tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", SAFE],
+        cwd=tmp_path, env=environment(80, HERE), capture_output=True, text=True,
+    )  # fmt: skip
+    assert not (tmp_path / "ran").exists(), (tmp_path / "ran").read_text()
+    assert done.stdout == "done\n", done.stderr
+
+
+OWN = """
+extends: own-law-integral
+scenario: {name: own}
+controller: {law: own:IntegralAction}
+"""
+STUDY = """
+study:
+  schema: 1
+  name: small
+  scenario: own.yaml
+  duration_s: 1
+  design: factorial
+  seeds: [1]
+  metrics: [min_separation_m]
+vary:
+  network.loss: [0, 0.4]
+"""
+TUNE = """
+study: {schema: 1, name: small, scenario: ideal-figure-eight, duration_s: 1, seeds: [1]}
+cases: {calm: {}}
+gains:
+  formation.k: {from: 1, to: 5}
+  formation.c: {from: 1, to: 5}
+objective: {metric: windows.approach.mean_rms_m, aggregate: mean}
+search: {max_flights: 8, population: 4, held_out_seeds: [7, 8, 9]}
+"""
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("sweep", "small.yaml"),
+        ("tune", "tune.yaml"),
+        ("check", "exact.yaml", "--update", "--reason=first", "--seeds=3"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_commands_import_nothing_from_the_folder(tmp_path, command):
+    """Only the law of a scenario, which lies beside it."""
+    hide(tmp_path)
+    shutil.copy(library() / "scenarios" / "integral_action.py", tmp_path / "own.py")
+    (tmp_path / "own.yaml").write_text(OWN)
+    small_study.write(tmp_path, STUDY)
+    golden_scenarios.write(tmp_path, "exact")
+    (tmp_path / "tune.yaml").write_text(TUNE)
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "testbed", *command, "--jobs=1"],
+        cwd=tmp_path, env=environment(80), capture_output=True, text=True,
+    )  # fmt: skip
+    assert not (tmp_path / "ran").exists(), (tmp_path / "ran").read_text()
+    assert done.returncode == 0, done.stderr + done.stdout
 
 
 @pytest.mark.parametrize(

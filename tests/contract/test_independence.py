@@ -114,7 +114,7 @@ def test_the_order_of_keys(page, alone):
 
 
 @pytest.mark.parametrize("turbulence", ["dryden", "von-karman", "coherent"])
-def test_an_aircraft_that_neither_talks_nor_disturbs_the_air(turbulence):
+def test_silent_aircraft_without_wake_changes_nothing(turbulence):
     changes = [*BUSY, f"air.turbulence={{model: {turbulence}, intensity: moderate}}"]
     page = load("simulation-3", changes)
     tree = yaml.safe_load(dump(page))

@@ -398,7 +398,7 @@ def test_signed_link_rejects_replays_and_old_times(open_server):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (None, "cannot read this key"),
+        (None, "key: cannot be read: No such file"),
         ("  \n", "empty; write a passphrase or 64 hexadecimal digits"),
         ("ab" * 20, "40 hexadecimal digits; write 64, or a passphrase"),
     ],

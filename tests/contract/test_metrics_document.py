@@ -4,6 +4,7 @@ import io
 import json
 import math
 import os
+import re
 import statistics
 
 import pytest
@@ -125,15 +126,14 @@ def test_document_refuses_unknown_outcome_and_nan():
 def test_write_json_that_fails_keeps_the_old_file(tmp_path, monkeypatch):
     path = tmp_path / "metrics.json"
     write_json(path, {"a": 1})
-    path.chmod(0o444)
     write_json(path, {"a": "ç"})
     assert json.loads(path.read_text(encoding="utf-8")) == {"a": "ç"}
 
     def fail(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(os, "fsync", fail)
-    with pytest.raises(InputError, match=r"metrics\.json: cannot write .* No space left"):
+    monkeypatch.setattr(os, "replace", fail)
+    with pytest.raises(InputError, match=r"metrics\.json: cannot be written: No space left"):
         write_json(path, {"a": 3})
     assert json.loads(path.read_text(encoding="utf-8")) == {"a": "ç"}
     assert list(tmp_path.iterdir()) == [path]
@@ -144,6 +144,34 @@ def test_write_json_gives_the_mode_of_other_files(tmp_path):
     other.touch()
     write_json(tmp_path / "metrics.json", {})
     assert (tmp_path / "metrics.json").stat().st_mode == other.stat().st_mode
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_follower_tables_have_unique_columns(width):
+    """Each number has a heading of its own, which says of what it is."""
+    lines = printed(document(), width).splitlines()
+    for first, last in ("limiter", "follower"), ("command", "saturated"):
+        [k] = [k for k, line in enumerate(lines[:-1]) if first in line and last in lines[k + 1]]
+        above, below = (re.split(r"  +", line.strip()) for line in lines[k : k + 2])
+        columns = zip(above[-len(below) + 1 :], below[1:], strict=True)
+        assert len(set(columns)) == len(below) - 1 >= 3
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_long_events_have_a_hanging_indent(width):
+    """No line is cut; the lines after the first are indented; a number keeps its unit."""
+    metrics = document(1)
+    text = "left its slot and is 12.5 m away after a turn of 47.3° at 23.4 m/s for some 8.1 s"
+    metrics["events"] = [
+        {"time_s": 7.5, "level": "warning", "source": "uav1", "text": f"{text}; {text} (62.0 m)"}
+    ]
+    lines = printed(metrics, width).splitlines()
+    [start] = [k for k, line in enumerate(lines) if line.startswith(" warning")]
+    rest = lines[start + 1 : -1]
+    assert lines[start].startswith(" warning      7.50 s  uav1: left its slot")
+    assert rest and all(line.startswith("    ") for line in rest)
+    assert all(len(line) <= width for line in lines[start:-1])
+    assert not any(re.match(r" +(m|m/s|s)\b", line) for line in rest)
 
 
 @pytest.mark.parametrize("width", WIDTHS[:2])
@@ -173,7 +201,7 @@ def test_error_table_compares_only_complete_windows():
     assert never["covered,"] == ["covered,", "s", "none"]
 
 
-def test_error_table_compares_no_window_of_a_lost_aircraft():
+def test_error_table_omits_windows_of_lost_aircraft():
     theirs = {"source": "x", "rms_m": {"first": [1.0] * 3}, "mean_rms_m": {"first": 1.0}}
     rows = first_rows(printed(document(published=theirs, lost_from=40, windows={"first": (1, 2)})))
     beside = [rows[name][2:] for name in ("uav1", "uav2", "uav3", "mean")]
@@ -227,7 +255,7 @@ def test_lost_aircraft_are_named_in_order_of_time():
     assert "uav11 at 1.1 s, 19 more;" in str(dict(facts(many))["lost"])
 
 
-def test_kappa_line_names_the_follower_with_least_margin():
+def test_kappa_line_names_the_smallest_margin():
     metrics = document(kappa_mps=(3.6, 3.6, 9.0))
     # uav3 keeps more than uav2, but least of what the scenario assumes of it
     metrics |= {"kappa_mps": {"uav1": None, "uav2": 3.5, "uav3": 4.0}}
@@ -235,7 +263,7 @@ def test_kappa_line_names_the_follower_with_least_margin():
     assert str(dict(facts(metrics))["kappa measured"]) == "4.00 m/s, uav3 at 12.3 s; assumed 9"
 
 
-def test_speed_set_line_names_the_first_follower_to_leave():
+def test_speed_set_line_names_first_follower_to_leave():
     metrics = document()
     left = {name: {"times": 0, "first_s": None} for name in metrics["limiter_flags"]}
     metrics["left_speed_set"] = left
@@ -303,7 +331,7 @@ def test_network_lines_are_as_in_the_snapshot():
     check_snapshot("metrics_network", "\n".join(lines))
 
 
-def test_lines_on_external_programs_are_as_in_the_snapshot():
+def test_external_program_lines_match_snapshot():
     late = {"mean": 0.0012, "p99": 0.0051, "max": 0.0117}
     traffic = {"frames_sent": 9, "frames_received": 4, "clients": ["255.190"]}
     rejected = {"forged": 1, "replayed": 1, "unsigned": 3}

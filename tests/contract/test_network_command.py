@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import re
 import signal
 import subprocess
 import sys
@@ -265,8 +266,11 @@ def test_perfect_network_has_one_table(tmp_path):
 
 def test_many_links_show_the_worst():
     names = [f"uav{k}" for k in range(1, 6)]
-    fleet = [f"{{name: {each}, aircraft: rascal110, start_m: [-20, 9, 0]}}" for each in names]
-    offsets = [f"{each}: [-20, 0, 0]" for each in names]
+    fleet = [
+        f"{{name: {each}, aircraft: rascal110, start_m: [-20, {9 * k}, 0]}}"
+        for k, each in enumerate(names)
+    ]
+    offsets = [f"{each}: [-20, {9 * k}, 0]" for k, each in enumerate(names)]
     sets = (
         f"fleet=[{', '.join(fleet)}]",
         f"formation.offsets_m={{{', '.join(offsets)}}}",
@@ -278,7 +282,7 @@ def test_many_links_show_the_worst():
     assert done.exit_code == 0, done.exception
     assert "uav4 > uav2" in done.stdout
     assert "(the worst of 25 links)" in done.stdout
-    assert sum(" > " in line for line in done.stdout.splitlines()) == 24  # in two tables
+    assert sum(" > " in line for line in done.stdout.splitlines()) == 25  # in two tables, and below
 
 
 @pytest.mark.parametrize(
@@ -322,7 +326,7 @@ def test_failed_write_keeps_the_old_file(tmp_path, monkeypatch):
     def fail(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("os.fsync", fail)
+    monkeypatch.setattr("os.replace", fail)
     done = network("--packets", 10, "--out", path)
     assert "cannot be written: No space left" in str(done.exception)
     assert [each.read_text() for each in tmp_path.iterdir()] == ["old"]
@@ -366,3 +370,78 @@ def test_ctrl_c_exits_130_and_keeps_the_old_file(tmp_path):
         command.kill()
         command.wait()
     assert [each.read_text() for each in tmp_path.iterdir()] == ["old"]
+
+
+LINKED = (
+    "network.links.leader.uav2.loss=0.6",
+    "network.delay_s=0.06",
+    "network.jitter={spread_s: 0.05}",
+)
+
+
+def test_summary_names_the_worst_link():
+    """One bad link of nine, which a median over links hides."""
+    done = network("--packets", 400, sets=LINKED)
+    text = " ".join(done.stdout.split())
+    found = re.search(r"worst link: leader > uav2, (\S+) % arrived, 95 % of these within", text)
+    assert found and 30.0 < float(found[1]) < 50.0
+    assert "lost in a row" in text
+    assert "worst link" not in network("--packets", 40).stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "start"), [("a.png", b"\x89PNG"), ("a.pdf", b"%PDF"), ("a.SVG", b"<?xml")]
+)
+def test_plot_is_reproducible_in_each_format(name, start, tmp_path):
+    drawn = []
+    for _ in range(2):
+        done = network("--packets", 50, "--plot", tmp_path / name, sets=LINKED)
+        assert done.exit_code == 0, done.output
+        drawn.append((tmp_path / name).read_bytes())
+    assert drawn[0].startswith(start) and drawn[0] == drawn[1]
+
+
+def test_plot_has_what_the_table_has(tmp_path, monkeypatch):
+    """Each link's share in its cell; curves that end at the share that arrived."""
+    grids = []
+    monkeypatch.setattr(
+        "testbed.views.matplotlib_backend.save_figure", lambda grid, path: grids.append(grid)
+    )
+    words = ("--packets", 500, "--plot", tmp_path / "a.png", "--json", tmp_path / "a.json")
+    assert network(*words, sets=LINKED).exit_code == 0
+    links = json.loads((tmp_path / "a.json").read_text())["links"]
+    [[shares, delays, curves]] = grids[0].rows
+    names = ["leader", "uav1", "uav2", "uav3"]
+    for k, receiver in enumerate(reversed(names[1:])):
+        for m, sender in enumerate(names):
+            cell, late = shares.heat.values[k, m], delays.heat.values[k, m]
+            if sender == receiver:
+                assert np.isnan(cell) and np.isnan(late)
+                assert shares.heat.texts[k][m] == "–"
+            else:
+                link = links[sender][receiver]
+                assert cell == 100.0 * link["delivered_share"]
+                assert late == pytest.approx(1e3 * link["delay_s"]["p95"], rel=0.1)
+    by_name = {line.label.partition(": ")[0]: line for line in curves.lines if line.label}
+    assert by_name["worst"].label == "worst: leader > uav2"
+    assert by_name["worst"].y[-1] == 100.0 * links["leader"]["uav2"]["delivered_share"]
+    assert by_name["best"].y[-1] == 100.0 and len(curves.lines) == 9
+
+
+def test_plot_of_equal_links_and_of_a_large_fleet(tmp_path, monkeypatch):
+    grids = []
+    monkeypatch.setattr(
+        "testbed.views.matplotlib_backend.save_figure", lambda grid, path: grids.append(grid)
+    )
+    words = ("--packets", 5, "--plot", tmp_path / "a.png")
+    assert network(*words, scenario="vee-30").exit_code == 0
+    [[shares, _, curves]] = grids[0].rows
+    assert [line.label for line in curves.lines] == ["all links"]
+    assert shares.heat.texts == () and len(shares.x_ticks) <= 8
+
+
+def test_plot_and_other_files_must_differ(tmp_path):
+    same = tmp_path / "a.png"
+    done = network("--plot", same, "--json", same)
+    assert isinstance(done.exception, InputError)
+    assert "--plot names the same file" in str(done.exception) and not same.exists()

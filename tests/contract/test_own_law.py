@@ -27,6 +27,8 @@ GOOD = """
     import numpy as np
     from testbed.law import FbwaCommand, UnicycleCommand
 
+    STATE = {}
+
     class Straight:
         def __init__(self, config, *, roll=0.0, memory=0.0):
             self.config, self.roll, self.count = config, roll, 0
@@ -35,9 +37,9 @@ GOOD = """
             return np.zeros(len(own.airspeed))
 
         def step(self, now, own, inbox, memory):
-            n = len(own.airspeed)
+            n, roll = len(own.airspeed), self.roll
             BODY
-            return FbwaCommand(np.zeros(n), np.full(n, self.roll), np.full(n, 0.3)), memory
+            return FbwaCommand(np.zeros(n), np.full(n, roll), np.full(n, 0.3)), memory
 """
 
 
@@ -73,7 +75,7 @@ def test_run_stores_its_law_and_is_repeated_to_the_bit(tmp_path, monkeypatch):
     monkeypatch.setattr(figures, "MAKERS", ())  # drawing takes seconds
     mine = tmp_path / "mine"
     mine.mkdir()
-    path = write(mine, "self.roll = 0.01 * float(np.round(now))")
+    path = write(mine, "roll = 0.01 * float(np.round(now))")
     source = (mine / "mine.py").read_bytes()
     changes = ("fleet.*.vehicle=jsbsim", "scenario.question=What is it?", *SHORT)
     testbed.run(path, changes, out=tmp_path / "first")
@@ -100,7 +102,7 @@ def test_compare_different_code_of_one_name_is_listed(tmp_path):
     logs = []
     for roll in ("0.0", "0.1"):
         (tmp_path / roll).mkdir()
-        path = write(tmp_path / roll, f"self.roll = {roll}")
+        path = write(tmp_path / roll, f"roll = {roll}")
         testbed.run(path, SHORT, out=tmp_path / roll / "run")
         logs.append(read_log(tmp_path / roll / "run" / "run.mcap"))
     assert compare_runs(*logs).scenario == ("code mine.py differs",)
@@ -159,7 +161,7 @@ def test_law_of_an_installed_package(tmp_path, monkeypatch):
 def test_law_files_of_one_name_in_two_folders(tmp_path):
     for name, roll in (("one", 0.1), ("two", 0.2)):
         (tmp_path / name).mkdir()
-        write(tmp_path / name, f"self.roll = {roll}")
+        write(tmp_path / name, f"roll = {roll}")
     rolls = [
         testbed.run(set_duration(load(tmp_path / name / "mine.yaml"), 1.0), write=False)
         for name in ("one", "two")
@@ -212,19 +214,43 @@ def test_law_missing_method_is_named(tmp_path):
         ),
         ("own.position_ned[0] = 0.0", "writes into its inputs"),
         ("inbox.stamp_s[0] = 0.0", "writes into its inputs"),
-        ("self.count += 1; self.roll = 0.001 * self.count", "does not carry its memory as a value"),
+        ("self.count += 1; roll = 0.001 * self.count", "does not carry its memory as a value"),
         ("memory += 1.0", "does not carry its memory as a value"),
         (
-            "self.roll = float(own.position_ned[:, 0].mean()) * 1e-3",
+            "roll = float(own.position_ned[:, 0].mean()) * 1e-3",
             "only inputs of uav2, uav3 change",
         ),
         (
-            "self.roll = float(np.nan_to_num(inbox.velocity_ned[2, 0, 1])) * 1e-3",
+            "roll = float(np.nan_to_num(inbox.velocity_ned[2, 0, 1])) * 1e-3",
             "only inputs of uav2, uav3 change",
         ),
         (
             "return UnicycleCommand(20.0, 0.0, 20.0, 0.5, 0), memory",
             "returns a direction of length",
+        ),
+        (
+            "return UnicycleCommand(22.0, [0.1, 0.0, 0.2], 22.0, [1.0, 0.0, 0.0], 0), memory",
+            "returns omega with a first component of 0.1 rad/s",
+        ),
+        (
+            "return UnicycleCommand(3.6 * own.airspeed, 0.0, 22.0, [1.0, 0.0, 0.0], 0), memory",
+            "returns a speed of ",
+        ),
+        (
+            "return UnicycleCommand(22.0, 0.0, own.airspeed / 3.6, [1.0, 0.0, 0.0], 0), memory",
+            "returns a speed_desired of ",
+        ),
+        (
+            "return FbwaCommand(np.zeros(n), np.full(n, 12.0), np.full(n, 0.3)), memory",
+            "returns a roll of 12 (angles are in rad)",
+        ),
+        # state on self that two calls at one time do not show
+        ("self.last = own.velocity_ned.copy()", "changes its attribute 'last' while it steps"),
+        (
+            "if now > STATE.get('now', -1) or now == 0: STATE['x'] = own.airspeed * 1e-3\n"
+            "        STATE['now'] = now\n"
+            "        return FbwaCommand(np.zeros(n), STATE['x'], np.full(n, 0.3)), memory",
+            "where it also steps another flight",
         ),
         ("1 / 0", "the law raised ZeroDivisionError: division by zero"),
     ],
@@ -240,7 +266,7 @@ def test_law_exception_has_its_line(tmp_path):
 
 
 def test_law_nan_in_flight_ends_the_run_with_its_time(tmp_path):
-    path = write(tmp_path, "self.roll = np.nan if now > 2.0 else 0.0")
+    path = write(tmp_path, "roll = np.nan if now > 2.0 else 0.0")
     with pytest.raises(InputError, match=r"roll for uav1 is not a finite number at 2\.04 s"):
         testbed.run(set_duration(load(path), 4.0), write=False)
 
@@ -290,7 +316,7 @@ def test_contract_use_of_the_previous_row_is_found(tmp_path):
 
 
 def test_contract_old_messages_are_tested(tmp_path):
-    body = "self.roll = np.nan if (now - np.nan_to_num(inbox.stamp_s, nan=now) > 1).any() else 0.0"
+    body = "roll = np.nan if (now - np.nan_to_num(inbox.stamp_s, nan=now) > 1).any() else 0.0"
     assert "is not a finite number" in build_error(write(tmp_path, body))
 
 

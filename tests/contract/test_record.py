@@ -13,6 +13,7 @@ import time
 import zlib
 from pathlib import Path
 
+import mcap.data_stream
 import mcap.reader
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from commands import environment
 from given_time import last_s
 from mcap import records
 from mcap.stream_reader import StreamReader
-from patience import until
+from patience import PATIENCE_S, until
 from record_flight import RECORDS, assert_same_sample, decoded, event, record, run_info, run_samples
 
 from testbed.core.frames import geodetic_from_ned, rotation_ned_body
@@ -610,4 +611,48 @@ def test_chunk_too_large_for_memory_raises(tmp_path, where):
         struct.pack_into("<Q", data, packed + 5, 1 << 40)
     path.write_bytes(data)
     with pytest.raises(LogError, match=rf"chunk at byte {at} would be {1 << 40:,} bytes"):
+        read_log(path)
+
+
+def mcap_of_chunks(path, content, count):
+    """Write a file of equal chunks, each with this content uncompressed."""
+    packed = zstandard.ZstdCompressor().compress(content)
+    head = struct.pack(
+        "<QQQII4sQ", 0, 0, len(content), zlib.crc32(content), 4, b"zstd", len(packed)
+    )
+    channel = records.Channel(1, "/uav1/state", "protobuf", {}, 0)
+    builder = mcap.data_stream.RecordBuilder()
+    channel.write(builder)
+    with path.open("wb") as file:
+        file.write(b"\x89MCAP0\r\n" + bytes(builder.end()))
+        for _ in range(count):
+            file.write(struct.pack("<BQ", 6, len(head) + len(packed)) + head + packed)
+
+
+def test_many_chunks_too_large_together_raise(tmp_path):
+    """Each of 10 kB and allowed; together they are 512 MB, of no 80 kB log."""
+    path = tmp_path / "bomb.mcap"
+    mcap_of_chunks(path, bytes(1 << 26), 8)
+    assert path.stat().st_size < 100_000
+    with pytest.raises(LogError, match=r"bomb.mcap: the chunks up to byte .* bytes uncompressed"):
+        read_log(path)
+
+
+def test_millions_of_empty_messages_raise(tmp_path):
+    """In less than 1 MB: more than any log of that size has."""
+    message = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0)
+    path = tmp_path / "bomb.mcap"
+    mcap_of_chunks(path, message * 300_000, 8)
+    began = time.monotonic()
+    with pytest.raises(LogError, match=r"bomb.mcap: more messages than any log of [\d,]+ bytes"):
+        read_log(path)
+    assert time.monotonic() - began < PATIENCE_S
+
+
+def test_sparse_log_is_damaged_not_endless(tmp_path):
+    path = record(tmp_path / "run.mcap", run_samples(160))
+    with path.open("r+b") as file:
+        file.truncate(path.stat().st_size // 2)
+        file.truncate(1 << 30)
+    with pytest.raises(LogError, match=r"run.mcap: damaged after byte \d+"):
         read_log(path)

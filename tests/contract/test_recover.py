@@ -12,7 +12,8 @@ from commands import call_command
 import testbed
 from testbed.core.records import VehicleState
 from testbed.logs.mcap_file import LogError
-from testbed.logs.read import read_log, samples
+from testbed.logs.read import read_log, replay, samples
+from testbed.logs.recorder import McapRecorder
 from testbed.metrics import MetricsObserver
 from testbed.reports import figures
 from testbed.scenario import load
@@ -105,6 +106,25 @@ def test_recover_writes_missing_metrics_of_log(whole, cut):
     wall_clock = {"wall_s": None, "real_time_factor": None}
     assert metrics == json.loads((whole / "metrics.json").read_text()) | wall_clock
     assert (run / "run.mcap").read_bytes() == kept
+
+
+@pytest.mark.parametrize("metrics", [{}, None])
+def test_finished_log_without_metrics_is_cut(metrics, whole, tmp_path):
+    """Empty metrics, as of an interrupted ending, count as none."""
+    log, run = read_log(whole / "run.mcap"), tmp_path / "run"
+    run.mkdir()
+    recorder = McapRecorder(run / "run.mcap")
+    rest = replay(log, [recorder])
+    if metrics is not None:
+        recorder._file.attachment("metrics.json", "application/json", json.dumps(metrics).encode())
+    recorder.end({}, rest)
+    assert read_log(run / "run.mcap").finished
+    error = call_command("compare", run, whole, "--numbers", cwd=run, code=2, columns=500).stderr
+    assert error.count("\n") == 1 and "finish it with `testbed recover" in error
+    assert recover(run).was_cut
+    after = read_log(run / "run.mcap")
+    assert after.metrics["recovered"] and after.tick.size == log.tick.size
+    assert json.loads((run / "metrics.json").read_text())["outcome"] == "interrupted"
 
 
 def test_recover_log_without_samples_unchanged(cut):

@@ -109,3 +109,45 @@ def test_memory_free_has_the_limit_of_a_container(tmp_path, monkeypatch):
     assert resources.memory_free() == 2e8
     (tmp_path / "memory.max").write_text("max\n")
     assert resources.memory_free() == pytest.approx(unlimited, rel=0.2)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.parametrize(
+    ("line", "folder", "limit", "used"),
+    [
+        ("0::/user/one", "user", "memory.max", "memory.current"),
+        ("7:memory:/one", "memory/one", "memory.limit_in_bytes", "memory.usage_in_bytes"),
+    ],
+    ids=["a group above, version 2", "version 1"],
+)
+def test_memory_free_has_limits_of_all_groups(tmp_path, monkeypatch, line, folder, limit, used):
+    (tmp_path / "own").write_text(f"1:cpu:/\n{line}\n")
+    monkeypatch.setattr(resources, "_CGROUP", tmp_path / "groups")
+    monkeypatch.setattr(resources, "_OWN_CGROUP", tmp_path / "own")
+    group = tmp_path / "groups" / folder
+    group.mkdir(parents=True)
+    (group / limit).write_text("300000000\n")
+    (group / used).write_text("100000000\n")
+    assert resources.memory_free() == 2e8
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_memory_free_has_the_limit_of_the_process(monkeypatch, tmp_path):
+    """`ulimit -v` counts addresses, of which this process has some already."""
+    (tmp_path / "statm").write_text("1000 900 0 0 0 500 0\n")
+    monkeypatch.setattr(resources, "_STATM", tmp_path / "statm")
+    page, limits = resources.resource.getpagesize(), {resources.resource.RLIMIT_AS: 10**7}
+    none = resources.resource.RLIM_INFINITY
+    monkeypatch.setattr(
+        resources.resource, "getrlimit", lambda kind: (limits.get(kind, none), none)
+    )
+    assert resources.memory_free() == 10**7 - 1000 * page
+
+
+def test_day_of_a_virtual_leader_is_refused_unbuilt(monkeypatch):
+    """Its path would be 6.9 GB."""
+    monkeypatch.setattr(resources, "memory_free", lambda: 4e9)
+    monkeypatch.setattr("testbed.sim.build.build_leader", None)
+    scenario = load("ideal-figure-eight", ["scenario.duration_s=86400", "scenario.windows=null"])
+    with pytest.raises(InputError, match=r"86400 s of \d aircraft need about .* GB of memory"):
+        build(scenario)

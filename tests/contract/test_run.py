@@ -1,7 +1,10 @@
 """Runs in one process: repeated to the bit, inputs of the law, endings with complete files."""
 
+import functools
+import inspect
 import json
 import os
+import pkgutil
 import signal
 import subprocess
 import sys
@@ -25,7 +28,11 @@ from run_flight import (
 
 import testbed
 from testbed.formation.flags import LimiterFlag
+from testbed.logs import mcap_file
 from testbed.logs.read import read_log, samples
+from testbed.scenario import load
+from testbed.sensors.estimators import Estimators
+from testbed.sim import loop
 from testbed.sim.build import build
 
 HERE = Path(__file__).parent
@@ -193,10 +200,11 @@ def test_run_directory_has_scenario_log_and_metrics(tmp_path):
 
 
 class Stopper:
-    """Sends this process a signal after some samples, once or more."""
+    """Sends this process a signal after some samples, once or more, and again at the end."""
 
-    def __init__(self, *, after, number=signal.SIGINT, times=1):
-        self._after, self._number, self._times = after, number, times
+    def __init__(self, *, after, number=signal.SIGINT, times=1, at_end=False):
+        self._after, self._number, self._times, self._at_end = after, number, times, at_end
+        self.sent = False
 
     def begin(self, info):
         if self._after == 0:
@@ -205,11 +213,13 @@ class Stopper:
     def observe(self, frame):
         self._after -= 1
         if self._after == 0:
+            self.sent = True
             for _ in range(self._times):
                 signal.raise_signal(self._number)
 
     def end(self, summary, events):
-        pass
+        if self._at_end:
+            signal.raise_signal(self._number)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -228,6 +238,18 @@ def test_signal_ends_the_run_with_complete_files(tmp_path, number, after):
     assert log.metrics["outcome"] == "interrupted"
     assert result.metrics["simulated_s"] == pytest.approx(max(0, after - 1) / 25.0)
     assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == before
+
+
+def test_signal_while_kernels_compile_ends_the_run(tmp_path, monkeypatch):
+    """The kernels that are left are not compiled, and all files are complete."""
+    monkeypatch.setattr(loop, "prepare", lambda calls, progress, check: [interrupt(), check()])
+    interrupt = functools.partial(signal.raise_signal, signal.SIGINT)
+    settled = []
+    monkeypatch.setattr(Estimators, "warm_up", lambda *_: settled.append(True))
+    result = testbed.run(short("log.mcap=true"), out=tmp_path / "run")
+    assert (result.outcome, settled) == ("interrupted", [])
+    assert read_log(tmp_path / "run" / "run.mcap").metrics["outcome"] == "interrupted"
+    assert (tmp_path / "run" / "metrics.json").exists()
 
 
 SWALLOWED = """
@@ -261,16 +283,82 @@ def test_ctrl_c_swallowed_by_a_library_ends_the_run(tmp_path):
     assert json.loads((tmp_path / "run" / "metrics.json").read_text())["simulated_s"] == 0.0
 
 
+def assert_interrupted(out, samples):
+    """All files of a run are complete, and it was interrupted after so many samples."""
+    metrics = json.loads((out / "metrics.json").read_text())
+    log = read_log(out / "run.mcap")
+    assert log.finished and len(log.tick) == samples
+    assert metrics["outcome"] == log.metrics["outcome"] == "interrupted"
+    assert metrics["simulated_s"] == pytest.approx((samples - 1) / 25.0)
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_second_signal_ends_at_once_with_all_files(tmp_path, number):
-    out = tmp_path / "run"
+def test_signals_within_a_second_are_one(tmp_path, number):
+    stopper = Stopper(after=9, times=3, number=number, at_end=True)
+    result = testbed.run(short("log.mcap=true"), out=tmp_path / "run", observers=[stopper])
+    assert result.outcome == "interrupted"
+    assert_interrupted(tmp_path / "run", 9)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_later_signal_ends_at_once_with_all_files(tmp_path, number, monkeypatch):
+    monkeypatch.setattr("testbed.sim.stop_request.GRACE_S", 0.0)
     stopper = Stopper(after=9, times=2, number=number)
     with pytest.raises(KeyboardInterrupt):
-        testbed.run(short("log.mcap=true"), out=out, observers=[stopper])
-    assert json.loads((out / "metrics.json").read_text())["outcome"] == "interrupted"
-    log = read_log(out / "run.mcap")
-    assert log.finished
-    assert len(log.tick) == 9
+        testbed.run(short("log.mcap=true"), out=tmp_path / "run", observers=[stopper])
+    assert_interrupted(tmp_path / "run", 9)
+
+
+@pytest.mark.parametrize(
+    "interrupted",
+    [
+        "metrics.observer.summarise",
+        "logs.mcap_file.McapWriter.attachment",
+        "logs.mcap_file.McapWriter.close",
+        "sim.run.finalise",
+        "sim.run.write_json",
+    ],
+)
+def test_later_signal_does_not_interrupt_ending(tmp_path, monkeypatch, interrupted):
+    """It raises KeyboardInterrupt after all files are written."""
+    monkeypatch.setattr("testbed.sim.stop_request.GRACE_S", 0.0)
+    stopper = Stopper(after=9)
+    original = pkgutil.resolve_name(f"testbed.{interrupted}")
+    sent = []
+
+    def signalled(*arguments, **options):
+        if stopper.sent:
+            sent.append(signal.raise_signal(signal.SIGINT))
+        return original(*arguments, **options)
+
+    monkeypatch.setattr(f"testbed.{interrupted}", signalled)
+    with pytest.raises(KeyboardInterrupt):
+        testbed.run(short("log.mcap=true"), out=tmp_path / "run", observers=[stopper])
+    assert sent
+    assert_interrupted(tmp_path / "run", 9)
+
+
+def test_later_signal_interrupts_end_of_an_observer(tmp_path, monkeypatch):
+    """Only this one: it may hang."""
+    monkeypatch.setattr("testbed.sim.stop_request.GRACE_S", 0.0)
+    stopper, after = Stopper(after=9, at_end=True), Collector()
+    with pytest.raises(KeyboardInterrupt):
+        testbed.run(short("log.mcap=true"), out=tmp_path / "run", observers=[after, stopper])
+    assert after.summary["outcome"] == "interrupted"
+    assert_interrupted(tmp_path / "run", 9)
+
+
+def test_log_without_metrics_counts_as_cut(tmp_path):
+    """An observer that cannot begin leaves a finished log, but never one with empty metrics."""
+
+    class CannotBegin(Collector):
+        def begin(self, info):
+            raise RuntimeError("no viewer")
+
+    with pytest.raises(RuntimeError, match="no viewer"):
+        testbed.run(short("log.mcap=true"), out=tmp_path / "run", observers=[CannotBegin()])
+    assert not (tmp_path / "run" / "metrics.json").exists()
+    assert "metrics.json" not in mcap_file.read(tmp_path / "run" / "run.mcap").attachments
 
 
 class Broken(Collector):
@@ -314,3 +402,22 @@ def test_aircraft_on_the_ground_is_lost_and_named(tmp_path):
     # within a metre or two of the ground: the lowest point an aircraft can be, and 0.04 s of sink
     assert abs(last.truth.position_ned[1, 2]) < 2.0
     assert all(frame.events == () for frame in watcher.frames[:-1])
+
+
+def test_package_shows_its_public_names():
+    assert set(testbed.__all__) <= set(dir(testbed))
+    assert " at 0x" not in str(inspect.signature(testbed.run))
+
+
+def test_run_is_printed_in_one_line(tmp_path):
+    """Scenario, outcome, time, errors and directory; not the content of the metrics."""
+    windows = {f"w{k}": {"mean_rms_m": 0.1 * k or None} for k in range(6)}
+    metrics = {"windows": windows, "outcome": "completed", "simulated_s": 90.0}
+    run = testbed.Run(load("own-law-repulsion"), metrics, tmp_path)
+    assert repr(run) == (
+        "<Run: own-law-repulsion; completed; 90 s; mean RMS error w1 0.10 m, w2 0.20 m, w3 0.30 m, "
+        f"…; {tmp_path}>"
+    )
+    assert repr(testbed.Run(run.scenario, metrics | {"windows": {}}, None)) == (
+        "<Run: own-law-repulsion; completed; 90 s>"
+    )

@@ -4,12 +4,16 @@ tests/data/wrong_scenarios has texts that are wrong on top of minimal.yaml, one 
 files.txt whole texts, settings.txt settings of everything.yaml.
 """
 
+import time
 from pathlib import Path
 
 import pytest
 from snapshot import check_snapshot
 
+from testbed.core.errors import InputError
+from testbed.guidance.flight_plan import Mission, WaypointLeg, expand_laps
 from testbed.scenario import ScenarioError, load, loads
+from testbed.scenario.violations import MAX_LINE
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "tests" / "data" / "scenarios"
@@ -84,11 +88,67 @@ def test_problems_have_place_and_path():
     assert second.path == ("scenario", "seed")
 
 
-def test_error_text_lists_the_first_fifty_problems():
+def test_error_text_lists_the_first_problems():
     text = f"scenario: {{schema: 2, name: many, windows: {dict.fromkeys(range(1000), 0)}}}"
     with pytest.raises(ScenarioError) as caught:
         loads(text)
     lines = str(caught.value).splitlines()
     assert len(caught.value.problems) >= 1000
-    assert len(lines) == 51
-    assert lines[-1] == f"and {len(caught.value.problems) - 50:,} more"
+    assert len(lines) == 21
+    assert lines[-1] == f"… and {len(caught.value.problems) - 20:,} more"
+
+
+@pytest.mark.parametrize("row", ["window_s: [0], groups: x", "window_s: [9, 8], groups: [[x]]"])
+def test_thousands_of_errors_take_seconds(row):
+    """The time per error does not grow with the file."""
+    rows = f"    - {{{row}}}\n" * 2000
+    text = f"extends: simulation-3\nnetwork:\n  partitions:\n{rows}"
+    began = time.process_time()
+    with pytest.raises(ScenarioError) as caught:
+        loads(text)
+    assert time.process_time() - began < 2.0
+    assert len(caught.value.problems) == 4000
+    assert len(str(caught.value)) < 21 * MAX_LINE
+
+
+def test_long_keys_and_words_are_shortened():
+    text = error_of(loads, f"extends: simulation-3\n{'k' * 500_000}: 1\nair: {'w' * 500_000}\n")
+    assert len(text) < 2 * MAX_LINE
+
+
+@pytest.mark.parametrize(
+    ("laps", "message"),
+    [
+        ("laps: 10000000", "laps: is 10000000 (write a number at most 10000)"),
+        ("laps: 9000", "laps: the mission has 18,002 legs with all laps (write 10,000 or fewer)"),
+    ],
+)
+def test_laps_without_end_are_refused(laps, message):
+    """Each lap of each point is a segment in memory."""
+    text = (
+        "extends: simulation-3\nleader:\n  path:\n    legs:\n"
+        f"      - {{kind: waypoints, points_m: [[900, 0, 100], [900, 900, 100]], {laps}}}\n"
+        "      - {kind: waypoints, points_m: [[0, 0, 100], [900, 900, 100]]}\n"
+    )
+    found = error_of(loads, text, source="x.yaml")
+    assert found.startswith("x.yaml:5:") and f"legs.0.{message}" in found
+
+
+def test_mission_of_a_program_has_bounded_laps():
+    leg = WaypointLeg(points=((900.0, 0.0, 100.0), (0.0, 900.0, 100.0)), laps=10**9)
+    mission = Mission(legs=(leg,), airspeed=20.0)
+    with pytest.raises(InputError, match=r"legs: 2,000,000,000 with all laps; write 10,000 or"):
+        expand_laps(mission, (0.0, 0.0, 100.0))
+
+
+def test_file_that_is_no_scenario_is_not_quoted(tmp_path):
+    """`study.scenario` may name any file; what it holds may be a secret."""
+    (tmp_path / "passphrase").write_text("correct:horse:battery\n")
+    text = error_of(load, tmp_path / "passphrase")
+    assert text == f"{tmp_path}/passphrase:1:1: is text (write a map of keys and values)"
+
+
+def test_wrong_lengths_have_a_number():
+    """Neither bound of a length is written where there is none."""
+    for case in ("fleet: []", "network: {partitions: [{window_s: [1, 2], groups: []}]}"):
+        assert "None" not in error_of(loads, f"extends: simulation-3\n{case}\n")

@@ -76,6 +76,7 @@ def test_defaults_are_as_documented():
     assert scenario.limits.model_dump() == {
         "collision_m": None,
         "separation_m": None,
+        "min_separation_m": None,
         "overspeed_mps": None,
         "stall_deg": None,
         "formation_lost_m": 100.0,

@@ -95,7 +95,7 @@ def reference(site, name):
     return (site[0] / "reference" / f"{name}.html").read_text(encoding="utf-8")
 
 
-def test_the_site_is_built_from_the_source_without_importing_what_it_describes(site):
+def test_site_is_built_without_importing_the_product(site):
     _, modules = site
     assert "griffe" in modules and "testbed.cli.main" in modules
     assert not HEAVY & modules
@@ -161,7 +161,7 @@ def keys(schema):
                 waiting += part
 
 
-def test_the_reference_has_every_key_of_the_schema_with_what_is_said_of_it(site):
+def test_reference_has_every_schema_key(site):
     text = reference(site, "scenario")
     rows = {
         row[1]: html.unescape(re.sub(r"<[^>]+>", "", row[0]))
@@ -192,12 +192,12 @@ def test_a_row_has_type_default_and_unit(site):
 def test_the_reference_has_every_command_and_option(site):
     text = html.unescape(reference(site, "commands"))
     listed = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "200"}).output
-    names = re.findall(r"^│ ([a-z-]+) ", listed[listed.index("Commands") :], re.M)
+    names = re.findall(r"^│ ([a-z][a-z-]*) ", listed, re.M)
     assert {"run", "view", "check", "import"} <= set(names)
     parts = dict(
         re.findall(r"<h2 [^>]*>testbed ([a-z-]+)<.*?</h2>(.*?)(?=<h2 |</article>)", text, re.S)
     )
-    assert list(parts) == names
+    assert sorted(parts) == sorted(names)
     for name in names:
         helped = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "200"}).output
         options = set(re.findall(r"^│ \*? *(--[a-z-]+)", helped, re.M)) - {"--help"}
@@ -205,14 +205,14 @@ def test_the_reference_has_every_command_and_option(site):
         assert options == shown, name
 
 
-def test_the_reference_has_the_public_names_and_what_fields_say(site):
+def test_reference_has_the_public_names(site):
     text = reference(site, "python")
     for name in set(testbed.__all__) - {"__version__"}:
         assert f'id="testbed.{name}"' in text, name
     assert "m/s over the ground" in text  # behind VehicleState.velocity_ned
 
 
-def test_a_name_is_in_the_reference_once_the_package_offers_it(tmp_path, monkeypatch):
+def test_reference_follows_the_package(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "website")
     import python_names
 

@@ -4,7 +4,9 @@ import csv
 import json
 import math
 import re
+from dataclasses import replace
 from html import unescape
+from itertools import product
 
 import numpy as np
 import pytest
@@ -79,9 +81,10 @@ def test_report_has_the_statistics_of_the_rows(made):
     page = stands_alone(text)
     ((metric, case, count, middle, least, *_), *_) = page.tables[0][1:]
     flights = study.flights
-    mine = flights.completed & (flights.case_index == 0)
+    law = next(each for each in flights.parameters if each.key == "controller.law")
+    mine = flights.completed & (flights.case_index == 0) & (law.index == 0)
     by_seed = [flights.metrics[METRIC][mine & (flights.seed == seed)].mean() for seed in range(6)]
-    assert (metric, case, int(count)) == (METRIC, "calm", mine.sum())
+    assert (metric, case, int(count)) == (METRIC, "calm, paper", mine.sum())
     assert middle.split()[0] == format_number(float(np.median(by_seed)))
     assert least == format_number(float(flights.metrics[METRIC][mine].min()))
 
@@ -100,8 +103,8 @@ def test_cases_are_compared_in_pairs_of_flights(made):
 
 def test_effects_are_those_of_the_samples(made):
     study, _ = made
-    found = {row[1]: row[2:] for row in tables.effects(study).rows}
-    loss, law = found["network.loss"], found["controller.law"]
+    found = {row[1:3]: row[3:] for row in tables.effects(study).rows}
+    loss, law = found["calm, paper", "network.loss"], found["calm", "controller.law"]
     assert loss[1] - loss[0] == pytest.approx(1.2, abs=0.1)
     assert law[1] - law[0] == pytest.approx(0.3, abs=0.1)
     assert loss[2] > 5.0 * law[2] and loss[3] > 0.5 and math.isnan(law[3])
@@ -127,8 +130,9 @@ def test_parameter_plot_has_curves_bands_crosses(made):
     panel = drawing.rows[0][0]
     assert panel.x_label == "network.loss" and panel.y_label == "mean_rms_m, m"
     calm = panel.lines[0]
-    here = (study.flights.case_index == 0) & (study.flights.parameters[0].index == 1)
-    found = study.estimate(METRIC, here, "network.loss/0.1/calm")
+    loss, _, law = study.flights.parameters
+    here = (study.flights.case_index == 0) & (loss.index == 1) & (law.index == 0)
+    found = study.estimate(METRIC, here, "network.loss/0.1/calm, paper")
     assert (calm.x[1], calm.y[1]) == (0.1, found.value)
     assert (panel.bands[0].low[1], panel.bands[0].high[1]) == (found.low, found.high)
     (crosses,) = [line for line in panel.lines if line.marker == "x"]
@@ -137,12 +141,46 @@ def test_parameter_plot_has_curves_bands_crosses(made):
 
 def test_heat_maps_have_every_pair(made):
     study, _ = made
-    first, second = figures.heat_maps(study, METRIC).rows[0]
+    maps = [panel for row in figures.heat_maps(study, METRIC).rows for panel in row]
+    first, other = maps[0], maps[6]
     assert (first.x_label, first.y_label) == ("network.loss", "air.wind.speed_mps")
-    assert second.y_label == "controller.law" and first.heat.values.shape == (3, 3)
+    assert other.y_label == "controller.law" and first.heat.values.shape == (3, 3)
+    assert len(maps) == 6 + 3 + 3  # a pair without the law for each case and law
     grown = np.diff(first.heat.values, axis=0)
     assert grown == pytest.approx(0.5, abs=0.12)
     assert sum("lost" in text for row in first.heat.texts for text in row) == 2
+
+
+def two_laws(kind):
+    """The metric rises with the wind for one law and falls for the other; by key or by case."""
+    table = []
+    for law, wind, seed in product(("chase", "steady"), (0.0, 4.0, 8.0), range(4)):
+        value = 2.0 + (0.1 if law == "chase" else -0.1) * wind + 0.001 * seed
+        point = {"air.wind.speed_mps": wind, "network.loss": 0.1 * (seed % 2)}
+        point |= {"controller.law": law} if kind == "key" else {}
+        table.append((law if kind == "case" else "", seed, point, value))
+    return study_of(flights_of(table))
+
+
+@pytest.mark.parametrize("kind", ["key", "case"])
+def test_laws_are_kept_apart(kind):
+    """Pooled, the rank correlation would be 0 and every cell of the map 2."""
+    study = two_laws(kind)
+    effects = {row[1:3]: row[3:] for row in tables.effects(study).rows}
+    ranks = [effects[law, "air.wind.speed_mps"][3] for law in ("chase", "steady")]
+    assert ranks == pytest.approx([1.0, -1.0], abs=0.1)
+    maps = [panel for row in figures.heat_maps(study, METRIC).rows for panel in row][:2]
+    assert [panel.title for panel in maps] == ["chase", "steady"]
+    for panel, sign in zip(maps, (1.0, -1.0), strict=True):
+        assert panel.heat.values[0] == pytest.approx(
+            2.0 + sign * np.array([0.0, 0.4, 0.8]), abs=0.01
+        )
+    assert maps[0].heat.limits == maps[1].heat.limits
+    assert [row[1] for row in tables.overview(study).rows] == ["chase", "steady"]
+    curves = parameters(study, METRIC).rows[0][0].lines
+    assert [line.label for line in curves] == ["chase", "steady"]
+    cards = re.findall(r"<li><b>(.*?)</b><span>(.*?)</span>", study_page(study).head)
+    assert [text.rpartition("; ")[2] for _, text in cards[:2]] == ["chase", "steady"]
 
 
 def test_random_design_has_scatter_and_quantiles():
@@ -205,6 +243,27 @@ def test_command_writes_report_tables_and_json(tmp_path, monkeypatch):
     assert (found["runs"], found["planned"]) == (6, 6)
     assert found["tables"]["overview"][0]["largest"] == 6.0
     assert found["tables"]["losses"][0]["lost"] == 1
+
+
+def test_flights_that_left_the_formation_are_counted():
+    study = drawn(count=8, lost=(1, 2, 3, 4, 5))
+    ends = ["formation_lost", "separation_lost", "separation_lost", "failed", "envelope_exceeded"]
+    since = np.array([math.nan] * 7 + [3.0])
+    lost_at = np.array([math.nan] * 6 + [2.0, math.nan])  # by a fault, in a completed flight
+    more = {"recovery.uav1.in_slot_since_s": since, "max_error_m.uav1": np.ones(8)}
+    more |= {"recovery.uav2.in_slot_since_s": since, "max_error_m.uav2": np.full(8, math.nan)}
+    flights = replace(
+        study.flights,
+        outcome=["completed", *ends, "completed", "completed"],
+        metrics=study.flights.metrics | more | {"lost_at_s.uav1": lost_at},
+    )
+    text = unescape(render_page(study_page(replace(study, flights=flights))))
+    counts = (
+        "1 lost or failed, 1 left the formation, 2 lost separation, 1 in overspeed or stall, 1 "
+        "completed with a follower out of its slot at the end"
+    )
+    assert f"not completed: {counts}" in text
+    assert counts.replace(", ", " · ") in text
 
 
 def test_unfinished_study_is_reported_as_such(tmp_path):

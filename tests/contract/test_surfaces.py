@@ -24,7 +24,7 @@ def said(*addresses, page="simulation-3", changes=(), **more):
 
 
 @pytest.mark.parametrize("text", [str(PORT), f"udpout::{PORT}", f"udpin::{PORT}", f"udp::{PORT}"])
-def test_a_link_without_a_host_is_for_this_machine_alone_and_is_said(text):
+def test_link_without_host_is_loopback_and_announced(text):
     address = parse_address(text)
     endpoint = Endpoint(address, lambda: 0.0)
     try:
@@ -52,7 +52,7 @@ def test_any_other_address_is_warned_of_by_name(host, key, who):
     assert [line.startswith("warning") for line in lines] == [False, False, True]
 
 
-def test_where_arduplane_listens_is_said_for_it_chooses_itself():
+def test_arduplane_ports_are_announced():
     changes = ["fleet.1.autopilot={kind: ardupilot, instance: 7}"]
     line, warning = said(changes=changes)
     assert line == "ArduPlane: uav2 by 9072/udp and 5830/tcp of 127.0.0.1"
@@ -78,7 +78,7 @@ def test_who_flies_alone_opens_nothing():
         ("tcp://cluster.example.org:8786", True),
     ],
 )
-def test_a_cluster_is_said_and_warned_of_where_it_is_elsewhere(scheduler, warned):
+def test_remote_cluster_is_announced_with_a_warning(scheduler, warned):
     first, *more = cluster_notices(scheduler)
     assert first == f"cluster: {scheduler}"
     assert len(more) == warned
@@ -105,7 +105,7 @@ def listening(process):
 
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="Linux's tables of sockets")
-def test_a_viewer_listens_on_this_machine_alone_and_is_said(tmp_path):
+def test_viewer_is_loopback_and_announced(tmp_path):
     program = viewer.rerun_program()
     with viewer.guarded_viewer(program, "--save", str(tmp_path / "it.rrd")) as (process, port):
         assert process.poll() is None

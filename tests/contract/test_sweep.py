@@ -2,6 +2,7 @@
 
 import json
 import os
+import resource
 import shlex
 import signal
 import subprocess
@@ -279,6 +280,7 @@ def test_sweep_failed_runs_are_rows_and_exit_1(workers, tmp_path):
         "lost": 1,
         "envelope_exceeded": 0,
         "formation_lost": 0,
+        "separation_lost": 0,
         "failed": 0,
         "invalid": 2,
     }
@@ -310,7 +312,8 @@ def test_sweep_summary_and_default_place(workers, tmp_path):
         (("small.yaml", "--json", "missing/f.json"), "there is no folder"),
         (("small.yaml", "--scheduler", "tcp://127.0.0.1:1"), "needs --backend dask"),
         (("small.yaml", "--backend", "ray"), "'ray' is not one of"),
-        (("small.yaml", "--out", "small.yaml"), "--out small.yaml: cannot be created"),
+        (("small.yaml", "--out", "small.yaml"), "--out small.yaml: this is a file"),
+        (("small.yaml", "--out", "n" * 300), "cannot be written: File name too long"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
 )
@@ -319,6 +322,26 @@ def test_sweep_bad_input_exits_2_and_writes_nothing(tmp_path, arguments, message
     done = call_command("sweep", *arguments, cwd=tmp_path, code=BAD_INPUT, columns=200)
     assert message in done.stderr
     assert [path.name for path in tmp_path.rglob("*")] == ["small.yaml"]
+
+
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.98])
+def test_sweep_on_a_full_disk_is_one_error_line(folder, workers, tmp_path, share):
+    """The disk is full when the journal is created, while it grows, or at the last write."""
+    small_study.write(tmp_path)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    free = int(share * (folder / "whole.parquet").stat().st_size)
+    arguments = ("sweep", "small.yaml", "--out", "full")
+    resource.setrlimit(resource.RLIMIT_FSIZE, (free, limits[1]))
+    try:
+        done = call_command(*arguments, "--quiet", cwd=tmp_path, code=BAD_INPUT, columns=200)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert done.stderr.startswith("error: full/study.") and done.stderr.count("\n") == 1
+    assert "cannot be written: File too large" in done.stderr
+    left = {each.name for each in (tmp_path / "full").iterdir()}
+    assert left <= {"study.parquet", "study.journal"}
+    call_command(*arguments, "--resume", cwd=tmp_path, code=0, columns=200)
+    assert same(folder, tmp_path / "full" / "study.parquet")
 
 
 @pytest.mark.skipif(not WHOLE, reason="TESTBED_STUDIES=1: many processes, killed and restarted")

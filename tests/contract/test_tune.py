@@ -70,7 +70,7 @@ def fly_with(monkeypatch):
                     yield function(task)
 
         @contextmanager
-        def open_flight_pool(*, jobs=None):
+        def open_flight_pool(*, jobs=None, report=None):
             yield Pool()
 
         monkeypatch.setattr(tune, "open_flight_pool", open_flight_pool)

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 import threading
 import time
 from pathlib import Path
@@ -39,6 +40,11 @@ def describe():
     """Return the id, the thread limits and the threads of this process."""
     threads = {name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS")}
     return {"pid": os.getpid(), "threads": threads, "here": threading.active_count() > 0}
+
+
+def module_folders():
+    """Return the folders that this process imports from."""
+    return sys.path
 
 
 def run_for_ever(mark):

@@ -220,7 +220,7 @@ def test_read_wind_invalid_file_error_names_line(tmp_path, text, words):
 def test_read_wind_binary_or_missing_is_rejected(tmp_path):
     path = tmp_path / "wind.csv"
     path.write_bytes(b"t_s,\xff\n")
-    with pytest.raises(InputError, match=r"wind.csv: not a CSV text file"):
+    with pytest.raises(InputError, match=r"wind.csv: line 1 is not UTF-8 text"):
         read_wind(path, 5.0, 5.0)
     with pytest.raises(InputError, match=r"gone.csv: cannot be read: No such file"):
         read_wind(tmp_path / "gone.csv", 5.0, 5.0)

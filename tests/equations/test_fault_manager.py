@@ -86,7 +86,7 @@ def test_messages_declare_a_failure_after_the_delay():
     assert faults.declared(np.array([0.0, 0.0, 11.96, 0.0])).tolist() == [False] * 4
 
 
-def test_fault_that_ends_before_the_delay_is_undeclared():
+def test_fault_ending_before_the_delay_is_undeclared():
     faults = fault_manager(EngineOut(kind="engine-out", at_s=10.0, duration_s=1.0))
     step(faults, 10.0)
     step(faults, 11.0)

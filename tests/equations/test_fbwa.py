@@ -117,7 +117,7 @@ def test_feed_forward_by_hand(engine: Engine) -> None:
     assert surfaces.rudder[0] == pytest.approx(0.5 * surfaces.aileron[0])
 
 
-def test_feed_forward_scales_with_one_over_speed_and_p_with_its_square(engine: Engine) -> None:
+def test_gains_scale_with_airspeed(engine: Engine) -> None:
     slow, fast = _state(p=-10.0, eas=16.0), _state(p=-10.0, eas=25.0)
     hold = _command()
     p_only = replace(PLAIN, rll_rate_ff=0.0, rll_rate_p=0.2)
@@ -226,7 +226,7 @@ def test_integral_grows_is_limited_and_freezes(engine: Engine) -> None:
     assert np.array_equal(memory.each["integral"], before)
 
 
-def test_integral_does_not_grow_at_full_deflection_but_shrinks(engine: Engine) -> None:
+def test_integral_shrinks_only_at_full_deflection(engine: Engine) -> None:
     params = replace(PLAIN, rll_rate_ff=0.0, rll_rate_p=2.0, rll_rate_i=0.5)
     gains = make_gains([params], DT, PROMPT)
     memory = fresh(1)
@@ -284,7 +284,7 @@ def test_commands_act_after_their_latency(engine: Engine) -> None:
     assert ailerons[2] == pytest.approx(10.0 / 0.5 * 0.3 / 1.02 / 45.0)
 
 
-def test_gyro_filter_is_settled_passes_constants_and_halves_power_at_its_frequency(
+def test_gyro_filter_gain_at_zero_and_at_its_frequency(
     engine: Engine,
 ) -> None:
     p_only = replace(PLAIN, rll_rate_ff=0.0, rll_rate_p=0.1)

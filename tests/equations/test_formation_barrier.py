@@ -61,7 +61,7 @@ def test_b5_on_a_grid(barrier):
 
 
 @every
-def test_b5_fails_where_the_desired_speed_leaves_its_set(barrier):
+def test_b5_fails_for_desired_speed_outside_its_set(barrier):
     # the hypothesis that the clamp on s_d protects: at s = s_lo the divisor is (s_d − s_lo) h'
     assert divisor(barrier, np.array([LOW]), np.array([LOW - 0.1])) < 0.0
 

@@ -94,7 +94,7 @@ def test_the_slope_is_the_derivative(function):
 
 
 @every
-def test_the_rate_of_rho_is_the_gradient_13_times_the_rate(function):
+def test_rate_of_rho_is_gradient_13_times_rate(function):
     rng = np.random.default_rng(3)
     x = rng.normal(0.0, 1.0, (200, 3)) * rng.choice([0.1, 0.5, 1.0, 30.0], (200, 1))
     x_rate = rng.normal(0.0, 1.0, (200, 3))

@@ -64,7 +64,7 @@ def test_it_is_the_printed_matrix_24(velocity_frame):
     assert velocity_frame(v) == pytest.approx(printed.transpose(2, 0, 1), abs=1e-7)
 
 
-def test_vectors_are_resolved_in_the_frame_by_its_transpose():
+def test_transpose_resolves_vectors_in_the_frame():
     rng = np.random.default_rng(15)
     v, vectors = random_velocities(), rng.normal(0.0, 20.0, (200, 3))
     expected = (velocity_frame(v).transpose(0, 2, 1) @ vectors[:, :, None])[:, :, 0]
@@ -117,9 +117,7 @@ def differences(*motion, **options):
     [(0.0, 0.3, 0.0), (0.2, 0.3, 0.0), (-0.2, -0.5, 0.0), (0.1, 0.0, 0.25)],
     ids=["level turn", "climbing turn", "descending turn", "pull-up"],
 )
-def test_28_and_29_are_the_derivatives_of_27_where_the_rate_is_steady(
-    gamma, sigma_rate, gamma_rate
-):
+def test_28_and_29_are_derivatives_of_27(gamma, sigma_rate, gamma_rate):
     (_, chi_rate, chi_acceleration), first, second = differences(gamma, sigma_rate, gamma_rate)
     # offsets of 8 m, rates of 0.5: STEP²/6 · 1 m/s³; rounding of 1e-15 m over STEP and STEP²
     assert first == pytest.approx(chi_rate, abs=1e-8)
@@ -127,7 +125,7 @@ def test_28_and_29_are_the_derivatives_of_27_where_the_rate_is_steady(
     assert abs(chi_acceleration[1:]).max() > 0.1
 
 
-def test_29_leaves_out_the_rate_of_the_rate_and_nothing_else():
+def test_29_omits_only_the_angular_acceleration():
     gamma, sigma_rate, gamma_rate = 0.2, 0.4, 0.3
     (_, chi_rate, chi_acceleration), first, second = differences(gamma, sigma_rate, gamma_rate)
     assert first == pytest.approx(chi_rate, abs=1e-8)
@@ -144,9 +142,7 @@ def test_29_leaves_out_the_rate_of_the_rate_and_nothing_else():
     [(0.0, 0.0, 0.0, 0.5), (0.2, 0.4, 0.3, 0.0), (-0.3, -0.4, 0.2, 0.6), (0.0, 0.3, -0.3, -0.4)],
     ids=["rolling in", "climbing turn pulled up", "all of it", "pushed over, rolling out"],
 )
-def test_with_the_rate_of_the_rate_29_is_the_second_derivative_of_27(
-    gamma, sigma_rate, gamma_rate, bending
-):
+def test_full_29_is_the_second_derivative_of_27(gamma, sigma_rate, gamma_rate, bending):
     motion = (gamma, sigma_rate, gamma_rate, bending)
     (_, chi_rate, chi_acceleration), first, second = differences(*motion, neglect=False)
     # third derivatives of 8 (σ̇³ + 3 σ̇ σ̈), some 6 m/s³: STEP²/6 of them
@@ -203,7 +199,7 @@ def test_true_slots_by_hand():
     assert angles[2] == pytest.approx([0.0, np.arctan2(4.0, 3.0)], rel=1e-15)
 
 
-def test_rates_of_a_velocity_are_the_derivatives_of_its_angles():
+def test_velocity_rates_are_derivatives_of_its_angles():
     rng = np.random.default_rng(8)
     v = rng.normal(0.0, 10.0, (200, 3))
     v[:, 0] += np.where(v[:, 0] < 0.0, -5.0, 5.0)  # away from the vertical

@@ -77,7 +77,7 @@ def test_vertical_motion_of_anybody_changes_nothing(step, source):
 
 
 @each_engine
-def test_the_same_motion_matters_to_who_flies_all_three(step):
+def test_vertical_motion_matters_in_three_axes(step):
     rng = np.random.default_rng(51)
     law = make_law(6, rng)
     known = states(6, rng)
@@ -112,7 +112,7 @@ def test_in_a_level_world_both_variants_are_one(step):
 @pytest.mark.parametrize("middle", LOOP_ENGINES.values(), ids=LOOP_ENGINES)
 @pytest.mark.parametrize("source", [leading.BROADCAST, leading.TURN], ids=["broadcast", "turn"])
 @pytest.mark.parametrize("gamma", [0.0, 0.3])
-def test_in_its_slot_beside_a_helix_an_agent_flies_a_level_circle(step, middle, source, gamma):
+def test_slot_beside_a_helix_is_a_level_circle(step, middle, source, gamma):
     """By hand: the leader's shadow on the map turns at σ̇, and so does the slot beside it.
 
     The law asks for that circle, whatever the leader climbs; pitch is the altitude's PID alone.

@@ -70,7 +70,7 @@ def test_6_against_the_sum_as_printed():
         assert xi == pytest.approx(expected, abs=1e-13 * 30)
 
 
-def test_the_error_is_zero_exactly_where_everyone_is_in_its_slot():
+def test_error_is_zero_only_with_all_in_their_slots():
     chi = np.array([[0.0, 0.0, 0.0], [-8.0, 4.0, 0.0], [-8.0, -4.0, 2.0]])
     everyone = chi + np.array([64.0, -32.0, -128.0])
     xi = formation_error(
@@ -178,7 +178,7 @@ def test_10_as_printed():
         assert ours == pytest.approx(p_rate, abs=1e-13)
 
 
-def test_the_desired_speed_is_clamped_with_its_rate_and_its_direction_is_not():
+def test_clamp_changes_desired_speed_and_rate_only():
     v = np.array([[20.0, 0.0, 0.0], [16.5, 0.0, 0.0], [29.5, 0.0, 0.0]])
     push = np.array([[1.0, 2.0, 0.0]] * 3)
     zero = np.zeros((3, 3))
@@ -201,7 +201,7 @@ def test_every_agent_is_clamped_into_its_own_set():
     assert desired.speed_rate.tolist() == [20.0, 0.0, 0.0]
 
 
-def test_fact_1_without_a_clamp_where_assumption_1_holds():
+def test_fact_1_holds_without_clamp_by_assumption_1():
     # ‖q̇_g + χ̇‖ at least κ inside S and k < κ/ρ̄ leave s_d at least ε = κ − k ρ̄ inside S
     rng = np.random.default_rng(9)
     n, kappa, k = 2000, 3.6, 3.0
@@ -269,7 +269,7 @@ def test_14_by_hand_with_example_4():
 
 
 @every_barrier
-def test_a3_the_lyapunov_function_of_the_speed_falls_as_proved(barrier):
+def test_a3_speed_lyapunov_function_decreases(barrier):
     """Ż = −a s̃²/h² − b s̃⁴/h³ of Z = ½ (s̃/h)² for a desired speed that moves."""
     rng = np.random.default_rng(10)
     n = 3000
@@ -389,7 +389,7 @@ def test_15_against_the_product_as_printed():
         assert omega == pytest.approx([0.0, pitching[i], yawing[i]], abs=1e-14)
 
 
-def test_a9_the_lyapunov_function_of_the_direction_falls_as_proved():
+def test_a9_direction_lyapunov_function_decreases():
     """Ẏ = −c (1 − (y_dᵀy)²) of Y = 1 − y_dᵀy for a desired direction that moves."""
     velocity, desired, c = pointing_cases()
     pitching, yawing = turn_control(velocity, desired, c)

@@ -39,7 +39,7 @@ def one_message():
     )
 
 
-def test_measurements_are_brought_to_now_along_the_velocity_by_hand():
+def test_extrapolation_along_the_velocity_by_hand():
     velocity_as_sent = pytest.approx([20.0, -10.0, 1.0], abs=0)
     receipt, velocity = corrected(one_message(), NOW, False, flags(False, 1))
     assert receipt[0, 0] == pytest.approx([7.0, 0.0, -99.9], abs=1e-11)
@@ -49,7 +49,7 @@ def test_measurements_are_brought_to_now_along_the_velocity_by_hand():
     assert velocity[0, 0] == velocity_as_sent
 
 
-def test_measurements_are_brought_to_now_along_a_parabola_by_hand():
+def test_extrapolation_along_a_parabola_by_hand():
     # ½·0.1²·(2, 0, −4) = (0.01, 0, −0.02) more, ½·0.3² nine times that; v + lag a
     receipt, velocity = corrected(one_message(), NOW, False, flags(True, 1))
     assert receipt[0, 0] == pytest.approx([7.01, 0.0, -99.92], abs=1e-11)
@@ -59,7 +59,7 @@ def test_measurements_are_brought_to_now_along_a_parabola_by_hand():
     assert velocity[0, 0] == pytest.approx([20.6, -10.0, -0.2], abs=1e-11)
 
 
-def test_a_parabola_is_followed_exactly_and_by_whom_it_is_chosen():
+def test_parabola_is_followed_exactly_where_chosen():
     """A neighbour at constant acceleration, however old its message; the other agent goes on."""
     rng = np.random.default_rng(60)
     start, velocity, acceleration = rng.normal(0.0, 5.0, (3, 3))
@@ -153,7 +153,7 @@ def test_differences_of_a_smooth_flight_are_its_rates():
             assert rates[3][0] == pytest.approx(0.1 * np.cos(t - 0.02), abs=0.1 * 0.04**2 / 24)
 
 
-def test_the_acceleration_of_a_turn_is_that_of_the_velocity():
+def test_turn_acceleration_is_that_of_the_velocity():
     """Any ṡ_g, γ̇_g and bank: its parts are ṡ along, s γ̇ up and s σ̇ cos γ across, by (22)-(24)."""
     rng = np.random.default_rng(62)
     n = 200
@@ -175,7 +175,7 @@ def test_the_acceleration_of_a_turn_is_that_of_the_velocity():
 
 @each_engine
 @pytest.mark.parametrize("gamma", [0.0, 0.3, -0.25])
-def test_the_turn_of_a_coordinated_helix_is_its_acceleration(step, gamma):
+def test_turn_of_a_helix_is_its_acceleration(step, gamma):
     """Message after message along a helix: q̈_g as it is, with no share of the average in it."""
     rng = np.random.default_rng(63)
     speed, turn = 22.0, 0.25
@@ -259,7 +259,7 @@ def test_a_course_is_bent_by_the_roll_rate_by_hand():
     assert bent == pytest.approx([0.981, 0.0], abs=1e-14)
 
 
-def test_it_is_the_derivative_of_the_coordinated_turns_rate():
+def test_it_is_the_derivative_of_the_turn_rate():
     bank, attitude, speed, roll_rate, step = 0.5, 0.2, 23.0, 0.7, 1e-6
 
     def chi_dot(t):

@@ -193,7 +193,7 @@ def test_commands_saturate_and_their_integrals_wait(middle, channel, sign):
 @each_loop
 @every_channel
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_an_integral_that_holds_a_command_at_its_limit_unwinds(middle, channel, sign):
+def test_integral_at_a_command_limit_unwinds(middle, channel, sign):
     channel, loop, integral, flag, low, high, error = saturating(channel)
     wound = integrals(**{integral: -sign * 1000.0})
     command, memory, flags = run(middle, wound, loop, **{error: CALM[error] + sign * 0.01})
@@ -282,7 +282,7 @@ def test_the_altitude_hold_by_hand(middle):
 
 
 @each_loop
-def test_who_holds_an_altitude_asks_nobody_for_its_pitch(middle):
+def test_altitude_hold_ignores_the_laws_pitch(middle):
     """What the law says of climbing changes no pitch, and its integral of (19) stays at rest."""
     calm, memory, _ = run(middle, integrals(gamma=0.7), HELD, altitude=103.0)
     asked, _, _ = run(

@@ -42,7 +42,7 @@ def unhear(inbox, links, way):
 
 @each_engine
 @each_way
-def test_who_does_not_hear_the_leader_flies_level_straight_on(step, way):
+def test_leader_timeout_flies_level_and_straight(step, way):
     rng = np.random.default_rng(21)
     law = make_law(3, rng, lost_leader_airspeed=np.array([20.0, 21.0, 22.0]))
     own, inbox, memory = states(3, rng, low=20.0, high=24.0)
@@ -105,7 +105,7 @@ def test_or_round_in_a_circle(step, middle, way):
 @each_engine
 @each_way
 @pytest.mark.parametrize("rate", [0.0, 0.15])
-def test_the_course_of_the_silence_is_that_at_its_beginning(step, way, rate):
+def test_course_in_a_timeout_is_that_at_its_start(step, way, rate):
     """Blown off it, or left with a bank, a follower turns back; in a circle it keeps its phase."""
     rng = np.random.default_rng(73)
     law = make_law(2, rng, lost_leader_turn_rate=same(rate, 2))
@@ -137,7 +137,7 @@ def test_the_course_of_the_silence_is_that_at_its_beginning(step, way, rate):
 
 @each_engine
 @each_way
-def test_the_turn_back_to_level_is_by_the_gain_of_that_speed(step, way):
+def test_return_to_level_uses_gain_of_trim_speed(step, way):
     """c_i(t) = c + c_s s_d², with the s_d that is flown in silence."""
     rng = np.random.default_rng(68)
     law = make_law(2, rng, c=same(0.02, 2), c_speed=np.array([0.0, 4e-4]))
@@ -150,7 +150,7 @@ def test_the_turn_back_to_level_is_by_the_gain_of_that_speed(step, way):
 
 
 @each_engine
-def test_news_count_as_old_when_they_are_older_than_that(step):
+def test_messages_older_than_the_timeout_are_old(step):
     """By the time of receipt, whatever their stamps; exactly `leader_timeout_s` is not too old."""
     rng = np.random.default_rng(69)
     law = make_law(3, rng, leader_timeout_s=2.0)
@@ -177,7 +177,7 @@ def test_a_neighbour_not_heard_is_left_out_of_the_sum(step, way):
 
 
 @each_engine
-def test_in_silence_what_was_known_of_the_leader_waits_or_is_dropped(step):
+def test_leader_memory_in_a_leader_timeout(step):
     """Averages stay as they are, differences begin anew: what comes back is the first news."""
     rng = np.random.default_rng(70)
     sources = [leading.BROADCAST, leading.TURN]
@@ -193,7 +193,7 @@ def test_in_silence_what_was_known_of_the_leader_waits_or_is_dropped(step):
 
 
 @each_engine
-def test_once_it_hears_again_it_flies_as_if_it_had_always_heard(step):
+def test_after_a_timeout_the_law_is_the_same_again(step):
     """But for the average of q̈_g, which lacks what was not heard: with none, to the bit."""
     rng = np.random.default_rng(71)
     options = {**mixed_options(3, rng), "acceleration_blend": np.ones((3, 3))}
@@ -262,7 +262,7 @@ def all_heard_now(n, rng, **changes):
 
 
 @each_engine
-def test_the_place_of_a_neighbour_is_remembered_when_it_says_something_new(step):
+def test_new_message_updates_the_held_position(step):
     rng = np.random.default_rng(80)
     law, own, inbox, memory = all_heard_now(4, rng, horizontal=np.arange(4) % 2 == 0)
     law.gains[1, 3] = 0.0
@@ -283,7 +283,7 @@ def test_the_place_of_a_neighbour_is_remembered_when_it_says_something_new(step)
 
 @each_engine
 @pytest.mark.parametrize("from_timestamp", [False, True])
-def test_a_message_gives_a_place_once_and_an_older_one_none(from_timestamp, step):
+def test_message_gives_a_held_position_once(from_timestamp, step):
     """An extrapolation of the same message has left the turn; only its time tells what is new."""
     rng = np.random.default_rng(85)
     law, own, inbox, memory = all_heard_now(3, rng, horizontal=flags(False, 3))
@@ -305,7 +305,7 @@ def test_a_message_gives_a_place_once_and_an_older_one_none(from_timestamp, step
 
 
 @each_engine
-def test_a_new_message_gives_the_place_at_the_step_not_at_its_stamp(step):
+def test_held_position_is_that_at_the_step(step):
     """As reckoned then: both are brought to now along their velocities, from their receipt."""
     rng = np.random.default_rng(86)
     straight = {"with_acceleration": flags(False, 3), "horizontal": flags(False, 3)}
@@ -320,7 +320,7 @@ def test_a_new_message_gives_the_place_at_the_step_not_at_its_stamp(step):
 
 
 @each_engine
-def test_news_of_a_neighbour_is_extrapolated_for_so_long_and_then_its_place_is_held(step):
+def test_neighbour_is_extrapolated_then_held(step):
     """Exactly `neighbour_timeout_s` is not too old; the leader's news has a limit of its own."""
     rng = np.random.default_rng(81)
     limits = {"neighbour_timeout_s": 2.0, "leader_timeout_s": 1.0}
@@ -367,7 +367,7 @@ def test_while_the_leader_is_silent_places_wait(step):
 
 @each_engine
 @each_way
-def test_a_neighbour_held_in_its_slot_pulls_as_the_leader_does(step, way):
+def test_neighbour_held_in_slot_acts_as_the_leader(step, way):
     """Of (6) q_j − χ_j = q_g is left, and of its rate q̇_g: β_ij is added to β_i."""
     rng = np.random.default_rng(82)
     law, own, inbox, memory = all_heard_now(3, rng)
@@ -382,7 +382,7 @@ def test_a_neighbour_held_in_its_slot_pulls_as_the_leader_does(step, way):
 
 @each_engine
 @each_way
-def test_a_neighbour_that_is_held_is_a_slot_of_the_formation(step, way):
+def test_held_neighbour_moves_as_a_slot(step, way):
     """Anywhere, it is where a message would have it that says R_g p and its rate by differences."""
     rng = np.random.default_rng(83)
     law, own, inbox, memory = all_heard_now(3, rng)
@@ -412,7 +412,7 @@ def test_a_neighbour_that_is_held_is_a_slot_of_the_formation(step, way):
 
 @each_engine
 @each_way
-def test_a_neighbour_that_was_never_anywhere_is_left_out(step, way):
+def test_neighbour_without_position_is_left_out(step, way):
     rng = np.random.default_rng(84)
     law, own, inbox, memory = all_heard_now(3, rng)
     memory.held_position[:, 2], memory.held_time_s[:, 2] = np.nan, np.nan

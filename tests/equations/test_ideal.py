@@ -64,7 +64,7 @@ def turning_flight(start, command, pole, turn_rate, course, duration):
 
 @pytest.mark.parametrize("duration", [300.0, 3600.0])
 @each_engine
-def test_a_constant_turn_lands_on_the_closed_form_circle_and_helix(ideal, duration):
+def test_constant_turn_is_the_closed_form_helix(ideal, duration):
     """Four turns, two of them climbing: with the first component of (26) γ stays as it is."""
     speed = np.array([22.0, 16.0, 22.0, 30.0])
     course = np.array([0.3, -2.0, 3.0, 1.0])
@@ -96,7 +96,7 @@ def test_a_constant_turn_lands_on_the_closed_form_circle_and_helix(ideal, durati
 
 
 @each_engine
-def test_speed_is_the_exact_exponential_and_a_turn_meanwhile_is_of_fourth_order(ideal):
+def test_speed_is_exact_and_turns_of_fourth_order(ideal):
     speed, command, pole, rate, course, duration = 16.0, 28.0, 0.64, 0.35, 0.7, 8.0
     exact = turning_flight(speed, command, pole, rate, course, duration)
     errors = []
@@ -114,7 +114,7 @@ def test_speed_is_the_exact_exponential_and_a_turn_meanwhile_is_of_fourth_order(
 
 
 @each_engine
-def test_the_motion_satisfies_the_differential_equations(ideal):
+def test_motion_satisfies_the_differential_equations(ideal):
     """Small steps either way: central differences of one flight give (1)-(3)."""
     rng = np.random.default_rng(3)
     n, small = 200, 1e-4
@@ -136,7 +136,7 @@ def test_the_motion_satisfies_the_differential_equations(ideal):
 
 
 @each_engine
-def test_turns_right_and_up_are_what_the_components_say(ideal):
+def test_signs_of_turns_right_and_up(ideal):
     state = unicycle(np.zeros((3, 3)), np.array([[20.0, 0.0, 0.0]] * 3))
     turn = np.array([[0.2, 0.0, 0.0], [0.0, 0.2, 0.0], [0.0, 0.0, 0.2]])
     after = ideal.advance(state, np.full(3, 20.0), turn, np.ones(3), 0.5)
@@ -145,7 +145,7 @@ def test_turns_right_and_up_are_what_the_components_say(ideal):
 
 
 @each_engine
-def test_a_turn_means_the_same_whatever_the_roll_of_the_frame(ideal):
+def test_turn_does_not_depend_on_roll_of_the_frame(ideal):
     """ω comes in the zero-roll frame of y, and R may have rolled: y must not notice."""
     rng = np.random.default_rng(4)
     state, (command, turn) = random_unicycles(rng, 50), random_commands(rng, 50)
@@ -171,7 +171,7 @@ def test_rotations_stay_rotations_for_an_hour(ideal):
 
 
 @each_engine
-def test_a_fast_spin_and_a_spoilt_frame_come_back_to_rotations(ideal):
+def test_spoilt_frame_returns_to_a_rotation(ideal):
     """The Newton step, where the rounding it is there for is made a million times larger."""
     rng = np.random.default_rng(6)
     state = random_unicycles(rng, 20)
@@ -195,7 +195,7 @@ def test_ticks_are_steps(ideal):
 
 
 @each_engine
-def test_what_is_reported_is_the_derivative_of_the_flight(ideal):
+def test_reported_motion_is_derivative_of_the_flight(ideal):
     rng = np.random.default_rng(8)
     n, small = 100, 1e-4
     wind = np.array([[3.0, -2.0, 0.5]])
@@ -244,7 +244,7 @@ def truth_of(aircraft):
     return VehicleState(*(each[1:].copy() for each in fields_of(VehicleState, aircraft["truth"])))
 
 
-def test_fleet_holds_its_command_and_flies_straight_before_the_first():
+def test_fleet_flies_straight_before_first_command():
     fleet, aircraft, followers = make_fleet(2, wind=np.array([5.0, 0.0, 0.0]))
     fleet.step(RATE, None)
     state = truth_of(aircraft)
@@ -291,7 +291,7 @@ def test_the_leader_is_steered_by_its_own_inputs():
     assert records["omega"].tolist() == [[0.0, 0.1, 0.2]]
 
 
-def test_who_is_lost_keeps_its_motion_and_finite_numbers():
+def test_lost_unicycle_keeps_finite_motion():
     fleet, aircraft, followers = make_fleet(3)
     steer(fleet, followers, [25.0, math.nan, 25.0], np.zeros(3))
     start = truth_of(aircraft)
@@ -319,7 +319,7 @@ def test_who_is_lost_keeps_its_motion_and_finite_numbers():
         assert ours[2] == pytest.approx(theirs[2], rel=1e-14)
 
 
-def test_finite_unicycles_are_found_and_a_stop_is_for_good():
+def test_stopped_unicycles_stay_stopped():
     records = make_unicycles(np.zeros((4, 3)), np.tile([22.0, 0.0, 0.0], (4, 1)), np.ones(4))
     first = records.copy()
     records["position"][1, 2] = np.inf
@@ -343,7 +343,7 @@ def test_what_cannot_be_flown_is_refused():
         make_unicycles(position[:1], velocity[:1], np.array([0.0]))
 
 
-def test_unicycles_begin_without_roll_as_the_reference_says():
+def test_unicycles_begin_without_roll():
     rng = np.random.default_rng(11)
     velocity = rng.normal(0.0, 15.0, (20, 3))
     position = rng.normal(0.0, 300.0, (20, 3))

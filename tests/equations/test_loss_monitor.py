@@ -21,7 +21,7 @@ def uav2_failed():
     return faults
 
 
-def test_each_lost_aircraft_is_an_error_and_ends_the_run():
+def test_lost_aircraft_is_an_error_and_ends_the_run():
     losses = monitor(fly_on=False)
     assert list(losses.changes(3.0, FAR, NONE_LOST)) == []
     assert (losses.terminate, losses.outcome) == (False, "completed")

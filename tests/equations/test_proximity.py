@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from testbed.core.random import stream
+from testbed.core.records import AIRCRAFT, allocate
 from testbed.sim.proximity import ProximityMonitor
+from testbed.sim.stages import find_losses
 
 DT = 0.04
 NONE_LOST = np.zeros(2, dtype=bool)
@@ -72,6 +74,90 @@ def test_limits_are_independent():
     events, collided = run(ProximityMonitor(["uav1", "uav2"], collision_m=5.0), passing(4.0))
     assert [event.level for event in events] == ["error"]
     assert collided.all()
+
+
+def minimum(names, metres, **options):
+    return ProximityMonitor(names, minimum_m=np.array(metres), **options)
+
+
+def test_lost_separation_is_one_error_per_approach():
+    monitor = minimum(["uav1", "uav2"], [2.1, 2.79])  # the larger wingspan counts
+    events, collided = run(monitor, np.concatenate([passing(1.2), passing(2.5), passing(2.8)]))
+    assert lines(events) == [
+        # 2.79² = 1.2² + 2.52²; 0.24 s before the closest 1.2² + 2.4² = 2.68²
+        ("error", "uav1", "loss of separation: 2.7 m from uav2 (limit 2.79 m, a wingspan)"),
+        ("info", "uav1", "separated from uav2 again, closest 1.2 m"),
+        ("error", "uav1", "loss of separation: 2.8 m from uav2 (limit 2.79 m, a wingspan)"),
+        ("info", "uav1", "separated from uav2 again, closest 2.5 m"),
+    ]
+    assert not collided.any()
+    assert (monitor.outcome, monitor.terminate, monitor.watching) == (
+        "separation_lost",
+        False,
+        False,
+    )
+
+
+def test_fault_explains_a_lost_separation():
+    monitor = minimum(["uav1", "uav2"], [3.0, 3.0], stops=True)
+    close = passing(1.0)[50]
+    events, _ = monitor.changes(0.0, close, NONE_LOST, np.array([False, True]))
+    assert [event.level for event in events] == ["warning"]
+    assert (monitor.outcome, monitor.terminate) == ("completed", False)
+    monitor.changes(1.0, passing(1.0)[0], NONE_LOST)
+    events, _ = monitor.changes(2.0, close, NONE_LOST, np.array([False, False]))
+    assert [event.level for event in events] == ["error"]
+    assert monitor.terminate
+
+
+def test_warning_before_a_lost_separation():
+    monitor = minimum(["uav1", "uav2"], [3.0, 3.0], separation_m=5.0)
+    events, _ = run(monitor, passing(1.0))
+    assert [(event.level, event.text.partition(":")[0]) for event in events] == [
+        ("warning", "within 5 m of uav2"),
+        ("error", "loss of separation"),
+        ("info", "separated from uav2 again, closest 1.0 m"),
+    ]
+
+
+def test_pairs_without_a_minimum():
+    """A virtual leader has none, and zero switches the check off."""
+    monitor = minimum(["leader", "uav1"], [np.nan, 3.0])
+    assert run(monitor, passing(0.0))[0] == []
+    assert run(minimum(["uav1", "uav2"], [0.0, 0.0]), passing(0.0))[0] == []
+
+
+def test_many_lost_separations_have_one_event():
+    monitor = minimum([f"uav{i}" for i in range(1, 8)], [5.0] * 7)
+    (event,) = monitor.changes(0.0, row(7, 4.0), np.zeros(7, dtype=bool))[0]
+    text = "loss of separation: 6 pairs, closest uav1 and uav2 at 4.0 m"
+    assert lines([event]) == [("error", "run", text)]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_compiled_check_finds_every_close_pair(seed):
+    """It decides whether the monitor is called at all."""
+    rng = stream(seed, "test/close")
+    aircraft = allocate(AIRCRAFT, 6)
+    found = []
+    for _ in range(200):
+        own = rng.choice([np.nan, 1.0, 3.0, 5.0], 6)
+        limit = float(rng.choice([0.0, 2.0, 4.0]))
+        positions = rng.uniform(-6.0, 6.0, (6, 3)) - [0.0, 0.0, 50.0]
+        positions[rng.integers(6)] = rng.choice([0.0, np.nan])
+        aircraft["truth"]["position_ned"] = positions
+        lost = rng.random(6) < 0.3
+        aircraft["lost"] = lost
+        find_losses(aircraft, False, limit, own)  # writes `down`
+        expected = any(
+            math.dist(positions[i], positions[j]) < max(limit, max(own[i], own[j]))
+            if not np.isnan(own[[i, j]]).any()
+            else math.dist(positions[i], positions[j]) < limit
+            for i, j in itertools.combinations(np.flatnonzero(~lost), 2)
+        )
+        assert find_losses(aircraft, False, limit, own) is expected
+        found.append(expected)
+    assert 20 < sum(found) < 180
 
 
 def test_one_aircraft():

@@ -99,7 +99,7 @@ def test_samples_of_other_sizes_are_refused(change):
         block.append(change(sample_of(new_run(N + 1))))
 
 
-def test_a_sample_views_the_records_and_its_copy_does_not():
+def test_sample_views_records_and_copies_do_not():
     run = new_run()
     sample = sample_of(run, faults=True)
     assert isinstance(sample.truth, VehicleState)
@@ -132,7 +132,7 @@ class Watcher:
         self.seen.append(arrays(frame))
 
 
-def test_observers_get_the_runs_arrays_or_copies_that_last():
+def test_observers_get_arrays_or_copies():
     run = new_run()
     keeper, other, borrower = Watcher(), Watcher(zero_copy=False), Watcher(zero_copy=True)
     observers, sample = Observers([keeper, borrower, other]), sample_of(run)

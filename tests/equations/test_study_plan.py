@@ -98,6 +98,20 @@ def test_plan_factorial_runs_in_order(tmp_path):
         plan[24]
 
 
+def test_design_is_factorial_by_default(tmp_path):
+    text = HEAD + "}\nvary: {network.loss: [0, 0.5], network.delay_s: [0, 0.1, 0.2]}"
+    plan = Plan(study(tmp_path, text))
+    assert [plan.point(k) for k in range(plan.point_count)] == [
+        {"network.loss": loss, "network.delay_s": delay}
+        for loss in (0, 0.5)
+        for delay in (0, 0.1, 0.2)
+    ]
+    with pytest.raises(
+        ScenarioError, match=r"a distribution, which a factorial design cannot have"
+    ):
+        study(tmp_path, HEAD + "}\nvary: {network.loss: {uniform: [0, 1]}}")
+
+
 def test_plan_scenario_is_that_of_the_command(tmp_path):
     from testbed.scenario import set_duration
 
@@ -158,7 +172,6 @@ def test_design_new_key_changes_no_other_values(tmp_path, design):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (HEAD + "}\nvary: {network.loss: [0, 1]}", "s.yaml:1:8: study: has no design"),
         (HEAD + "design: factorial}", "study.design: has nothing to vary"),
         (HEAD + "desing: factorial}", "did you mean 'design'?"),
         (HEAD + "design: latin}\nvary: {a.b: [1]}", "write factorial, latin-hypercube or monte"),
@@ -271,7 +284,7 @@ def test_flatten_metrics_only_numbers_of_the_flight():
 
 def test_journal_is_read_back_in_order_of_runs(tmp_path):
     path = tmp_path / "j"
-    journal = Journal(path, {"study": 1})
+    journal = Journal(path, {"study": {"n": 1}})
     rows = [
         Row(2, "completed", "", {"a.b": 0.1 + 0.2, "c": None}),
         Row(0, "lost", "lost: é", {"d": 1e-300}),
@@ -283,7 +296,7 @@ def test_journal_is_read_back_in_order_of_runs(tmp_path):
     journal.close()
     path.write_bytes(path.read_bytes() + b'{"run":7,"outco')
     again = Journal(path)
-    assert again.inputs == {"study": 1}
+    assert again.inputs == {"study": {"n": 1}}
     assert list(again.rows()) == sorted(rows, key=lambda row: row.run)
     assert again.names() == ("d", "c", "a.b")  # what is below a stands for a
     assert 7 not in again and 5 in again
@@ -296,7 +309,7 @@ def test_journal_is_read_back_in_order_of_runs(tmp_path):
 
 def test_journal_damaged_line_is_refused(tmp_path):
     path = tmp_path / "j"
-    journal = Journal(path, {"study": 1})
+    journal = Journal(path, {"study": {"n": 1}})
     for run in range(3):
         journal.add(Row(run, "completed", "", {"a": 1.0}))
     journal.close()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -20,12 +21,12 @@ from testbed.reports.study.parameter_plots import (
     parameters,
 )
 from testbed.reports.study.report_table import format_number
-from testbed.reports.study.study_data import Parameter, StudyData
+from testbed.reports.study.study_data import FlightGroup, Parameter, StudyData
 from testbed.reports.study.tables import level_groups
 from testbed.views.panels import BLACK, Heatmap, Line, Panel
 
 MAX_METRICS = 4  # drawn; the tables have all
-MAX_PAIRS = 6
+MAX_MAPS = 12  # panels of a figure; the maps of one pair are drawn in any case
 MIN_CELL_FLIGHTS = 5  # average number of flights in a cell of a heat map of drawn points
 MIN_CASE_FLIGHTS = 10  # of a case whose distribution is drawn
 
@@ -51,10 +52,17 @@ def study_figures(study: StudyData) -> Iterator[Figure]:
 
 def heat_maps(study: StudyData, metric: str) -> FigureSpec | None:
     """Draw the metric over pairs of parameters."""
-    parameters = study.flights.parameters
+    flights = study.flights
+    parameters = flights.parameters
     pairs = list(combinations(parameters, 2))
-    found = [_heat_map(study, metric, *pair) for pair in pairs[:MAX_PAIRS]]
-    panels = [panel for panel in found if panel is not None]
+    panels: list[Panel] = []
+    drawn_pairs = 0
+    for pair in pairs:
+        groups = flights.by_case if flights.law in pair else flights.kept_apart
+        if panels and len(panels) + len(groups) > MAX_MAPS:
+            break
+        panels += _heat_map_row(study, metric, pair, groups)
+        drawn_pairs += 1
     if not panels:
         return None
     caption = (
@@ -64,24 +72,53 @@ def heat_maps(study: StudyData, metric: str) -> FigureSpec | None:
     )
     if any(each.continuous for each in parameters):
         caption += " Parameters with many numbers are divided into groups of equal size."
-    if len(pairs) > MAX_PAIRS:
-        caption += f" These are the first {MAX_PAIRS} of {len(pairs)} pairs."
+    if flights.apart_title:
+        caption += (
+            f" Each {flights.apart_title.replace(', ', ' and ')} has a map of its own; the maps of"
+            " a pair have one colour scale."
+        )
+    if len(pairs) > drawn_pairs:
+        caption += f" These are the first {drawn_pairs} of {len(pairs)} pairs."
     rows, widths = in_pairs(panels)
     tallest = max(len(panel.y_ticks) for panel in panels)
     height_in = (1.3 + 0.5 * max(tallest, 4)) * len(rows)
     return FigureSpec(f"{metric} over pairs", caption, rows, height_in, widths)
 
 
-def _heat_map(study: StudyData, metric: str, x: Parameter, y: Parameter) -> Panel | None:
+def _heat_map_row(
+    study: StudyData,
+    metric: str,
+    pair: tuple[Parameter, Parameter],
+    groups: Sequence[FlightGroup],
+) -> list[Panel]:
+    """Draw the maps of a pair of parameters, one for each group, with one colour scale."""
+    found = [_heat_map(study, metric, *pair, group) for group in groups]
+    panels = [panel for panel in found if panel is not None]
+    heats = [panel.heat for panel in panels if panel.heat is not None]
+    if not heats:
+        return []
+    low = min(heat.limits[0] for heat in heats)
+    high = max(heat.limits[1] for heat in heats)
+    limits = low, high if high > low else low + 1.0
+    return [
+        replace(panel, heat=replace(heat, limits=limits))
+        for panel, heat in zip(panels, heats, strict=True)
+    ]
+
+
+def _heat_map(
+    study: StudyData, metric: str, x: Parameter, y: Parameter, group: FlightGroup
+) -> Panel | None:
     columns, rows = list(level_groups(x)), list(level_groups(y))
     flights = study.flights
-    if study.random and flights.run.size < MIN_CELL_FLIGHTS * len(columns) * len(rows):
+    count = int(group.flights.sum())
+    if study.random and count < MIN_CELL_FLIGHTS * len(columns) * len(rows):
         return None
     values = np.full((len(rows), len(columns)), np.nan)
     texts = [[""] * len(columns) for _ in rows]
     for i, (_, of_row) in enumerate(rows):
         for k, (_, of_column) in enumerate(columns):
-            here = of_row & of_column
+            here = of_row & of_column & group.flights
             values[i, k] = study.centre(metric, here)
             incomplete = int((here & ~flights.completed).sum())
             lost = f"\n{incomplete} lost" if incomplete else ""
@@ -89,10 +126,9 @@ def _heat_map(study: StudyData, metric: str, x: Parameter, y: Parameter) -> Pane
     known = values[np.isfinite(values)]
     if not known.size:
         return None
-    low, high = float(known.min()), float(known.max())
-    limits = low, high if high > low else low + 1.0
+    limits = float(known.min()), float(known.max())
     return Panel(
-        "",
+        group.name,
         x.key,
         y.key,
         heat=Heatmap(values, limits, axis_label(metric), texts),
@@ -149,11 +185,13 @@ def _interval_lines(estimates: Sequence[Estimate], first: int) -> list[Line]:
 
 
 def distributions(study: StudyData, metric: str) -> FigureSpec | None:
-    """Draw the cumulative distribution of the metric, case by case."""
+    """Draw the cumulative distribution of the metric, by case and law."""
     flights, values = study.flights, study.flights.metrics[metric]
     lines: list[Line] = []
-    for k, name in enumerate(flights.cases[: len(STYLES)]):
-        of_case = flights.case_index == k
+    apart = flights.kept_apart
+    for k, group in enumerate(apart[: len(STYLES)]):
+        of_case = group.flights
+        name = group.name or flights.cases[0]
         known = np.sort(values[of_case & flights.completed & np.isfinite(values)])
         if known.size < MIN_CASE_FLIGHTS:
             continue

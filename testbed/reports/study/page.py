@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.padding import Padding
 
 from testbed import __version__
+from testbed.metrics.out_of_slot import count_out_of_slot
 from testbed.reports.html import Page, Section, cards_html, figure_html, file_html
 from testbed.reports.study import tables
 from testbed.reports.study.figures import study_figures
@@ -16,6 +17,7 @@ from testbed.reports.study.study_data import StudyData
 from testbed.reports.tables import rows_to_html, text_table_to_html, to_html
 
 MAX_CARDS = 3  # metrics in the head
+MAX_APART_CARDS = 6  # cases and laws in the head
 
 
 def study_page(study: StudyData) -> Page:
@@ -38,6 +40,13 @@ def study_page(study: StudyData) -> Page:
         ),
         footer=f"Made by testbed {__version__} from {study.file}.",
     )
+
+
+_ENDS = {
+    "left the formation": ("formation_lost",),
+    "lost separation": ("separation_lost",),
+    "in overspeed or stall": ("envelope_exceeded",),
+}  # outcomes of flights that went on, by text
 
 
 def print_summary(study: StudyData, console: Console) -> None:
@@ -69,8 +78,19 @@ def _facts(study: StudyData) -> list[str]:
         out.append(f"{len(flights.cases)} cases")
     count = len(set(flights.seed.tolist()))
     out.append(f"{count} seed{'s' * (count != 1)}")
-    incomplete = int((~flights.completed).sum())
-    return [*out, f"{incomplete} lost or failed"]
+    return [*out, *_ends(study)]
+
+
+def _ends(study: StudyData) -> list[str]:
+    """Count the flights that were not completed, by how they ended, and those out of slot."""
+    flights = study.flights
+    counts = {
+        text: sum(outcome in kinds for outcome in flights.outcome) for text, kinds in _ENDS.items()
+    }
+    lost = int((~flights.completed).sum()) - sum(counts.values())
+    left = count_out_of_slot(flights.metrics, flights.completed)
+    counts["completed with a follower out of its slot at the end"] = left
+    return [f"{lost:,} lost or failed", *(f"{n:,} {text}" for text, n in counts.items() if n)]
 
 
 def _head(study: StudyData) -> str:
@@ -85,18 +105,22 @@ def _head(study: StudyData) -> str:
     if keys:
         out.append(f"<p>Varied, {escape(study.design)}: {escape(', '.join(keys))}.</p>")
     cards = []
-    for metric in study.metrics[:MAX_CARDS]:
-        estimate = study.estimate(metric, flights.case_index == 0, f"all/{flights.cases[0]}")
+    apart = flights.kept_apart
+    # several cases or laws: all of them with the first metric, rather than one with several
+    shown = [(m, g) for m in study.metrics[: MAX_CARDS if len(apart) == 1 else 1] for g in apart]
+    for metric, group in shown[:MAX_APART_CARDS]:
+        estimate = study.estimate(metric, group.flights, f"all/{group.name or flights.cases[0]}")
         value = format_number(estimate.value)
         interval = format_cell(estimate).removeprefix(value)
-        case = f", {flights.cases[0]}" if len(flights.cases) > 1 else ""
+        case = f"; {group.name}" if group.name else ""
         meaning = f"{metric}, {study.statistic}{interval}{case}"
         cards.append((value, escape(meaning), ""))
     completed = int(flights.completed.sum())
     cards.append((f"{completed:,}", "flights completed without losing an aircraft", ""))
     incomplete = flights.run.size - completed
     problem = "excluded from all other numbers: see How flights ended" if incomplete else ""
-    cards.append((f"{incomplete:,}", "lost or failed", problem))
+    meaning = "lost or failed" if not incomplete else f"not completed: {', '.join(_ends(study))}"
+    cards.append((f"{incomplete:,}", escape(meaning), problem))
     out.append(cards_html(cards))
     return "".join(out)
 

@@ -72,9 +72,10 @@ def parameters(study: StudyData, metric: str) -> FigureSpec | None:
     if not flights.parameters:
         return None
     panels: list[Panel] = []
-    _, grouped_by = _groups(study, flights.parameters[0])
+    grouped_by = ""
     for each in flights.parameters:
-        groups, _ = _groups(study, each)
+        groups, by = _groups(study, each)
+        grouped_by = grouped_by or by
         draw = _scatter if each.continuous and study.random else _curves
         panels.append(draw(study, metric, each, groups))
     caption = [f"{metric} against each parameter"]
@@ -107,6 +108,14 @@ def _groups(study: StudyData, parameter: Parameter) -> tuple[list[Group], str]:
     """
     flights = study.flights
     others = [each for each in flights.parameters if each is not parameter]
+    apart = flights.kept_apart
+    if parameter is not flights.law and len(flights.by_case) < len(apart) <= len(STYLES):
+        spacing = 0.5 / len(apart)
+        middle = 0.5 * (len(apart) - 1)
+        return [
+            Group(each.name, each.flights, *STYLES[k], shift=spacing * (k - middle))
+            for k, each in enumerate(apart)
+        ], "cases and laws" if len(flights.by_case) > 1 else "laws"
     names: Sequence[str] = flights.cases
     index, by = flights.case_index, "cases"
     if len(flights.cases) == 1:

@@ -16,6 +16,8 @@ from testbed.reports.study.numbers import STATISTICS, Estimate, bootstrap
 
 Value = float | int | bool | str
 RANDOM_DESIGNS = ("latin-hypercube", "monte-carlo")
+LAW = "controller.law"  # flights of different laws are not pooled
+MAX_APART = 12  # cases and laws that are kept apart; more are pooled
 MAX_LEVELS = 12  # numbers of a parameter that are drawn one by one; of more, as a scatter
 
 
@@ -70,6 +72,47 @@ class StudyFlights:
         """Parameters with more than one value."""
         parameters = [make_parameter(key, values) for key, values in self.settings.items()]
         return tuple(each for each in parameters if len(each.levels) > 1)
+
+    @cached_property
+    def law(self) -> Parameter | None:
+        """The formation law, if it is a parameter."""
+        return next((each for each in self.parameters if each.key == LAW), None)
+
+    @cached_property
+    def by_case(self) -> tuple[FlightGroup, ...]:
+        """Flights of each case; all in one group without a name if there is one case, or many."""
+        if not 1 < len(self.cases) <= MAX_APART:
+            return (FlightGroup("", np.ones(len(self.run), dtype=np.bool_)),)
+        return tuple(FlightGroup(c, self.case_index == k) for k, c in enumerate(self.cases))
+
+    @cached_property
+    def kept_apart(self) -> tuple[FlightGroup, ...]:
+        """Flights of each case and formation law, whose numbers are not pooled."""
+        law = self.law
+        if law is None or len(law.levels) * len(self.by_case) > MAX_APART:
+            return self.by_case
+        return tuple(
+            FlightGroup(
+                ", ".join(filter(None, (case.name, format_level(level)))),
+                case.flights & (law.index == k),
+            )
+            for case in self.by_case
+            for k, level in enumerate(law.levels)
+        )
+
+    @property
+    def apart_title(self) -> str:
+        """What `kept_apart` are: "case", "law", "case, law", or "" if there is one group."""
+        cases, law = len(self.by_case) > 1, len(self.kept_apart) > len(self.by_case)
+        return ", ".join(name for name, kept in (("case", cases), ("law", law)) if kept)
+
+
+@dataclass(frozen=True)
+class FlightGroup:
+    """Flights (R,) whose numbers are pooled, and their name; "" for all."""
+
+    name: str
+    flights: BoolArray
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from testbed.core.files import write_text_file
 from testbed.core.records import BoolArray
-from testbed.reports.html import write_text
 from testbed.reports.study.numbers import (
     PERCENT,
     Estimate,
@@ -49,26 +49,28 @@ def write_tables(study: StudyData, folder: Path) -> list[Path]:
     for table in study_tables(study):
         name = re.sub(r"[^\w.-]+", "-", table.name)
         paths.append(folder / f"{name}.csv")
-        write_text(table.to_csv(), paths[-1])
+        with write_text_file(paths[-1]) as file:
+            file.write(table.to_csv())
     return paths
 
 
 def overview(study: StudyData) -> ReportTable:
-    """Tabulate each metric by case, over all completed flights."""
-    flights, out = study.flights, []
-    case_column = len(flights.cases) > 1
+    """Tabulate each metric by case and law, over all completed flights."""
+    flights = study.flights
+    out: list[tuple[Cell, ...]] = []
+    titles = [flights.apart_title] if flights.apart_title else []
     for metric in study.metrics:
         values = flights.metrics[metric]
-        for k, case in enumerate(flights.cases):
-            of_case = flights.case_index == k
-            known = values[of_case & flights.completed & np.isfinite(values)]
+        for group in flights.kept_apart:
+            known = values[group.flights & flights.completed & np.isfinite(values)]
             spread = np.quantile(known, [0.05, 0.95]) if known.size else [math.nan, math.nan]
+            name = group.name or flights.cases[0]
             out.append(
                 (
                     metric,
-                    *([case] if case_column else []),
+                    *([group.name] if titles else []),
                     known.size,
-                    study.estimate(metric, of_case, f"all/{case}"),
+                    study.estimate(metric, group.flights, f"all/{name}"),
                     float(known.min()) if known.size else math.nan,
                     float(spread[0]),
                     float(spread[1]),
@@ -76,7 +78,7 @@ def overview(study: StudyData) -> ReportTable:
                 )
             )
     centre = f"{study.statistic} [{PERCENT} %]"
-    columns = ("metric", *(["case"] if case_column else []), "flights", centre)
+    columns = ("metric", *titles, "flights", centre)
     note = (
         f"The {study.statistic} over {study.unit_name}, of the mean over the flights of each, with"
         f" its {PERCENT} % interval (bootstrap). Lost and failed flights are excluded."
@@ -152,18 +154,13 @@ def effects(study: StudyData) -> ReportTable | None:
     if not flights.parameters:
         return None
     out: list[tuple[Cell, ...]] = []
+    titles = [flights.apart_title] if flights.apart_title else []
     for metric in study.metrics:
-        values = flights.metrics[metric]
-        known = flights.completed & np.isfinite(values)
         for each in flights.parameters:
-            x = each.numbers[each.index]
-            share = rank = math.nan
-            if not each.continuous:
-                share = 100.0 * variance_share(values[known], each.index[known])
-            if each.numeric and known.any():
-                rank = rank_correlation(x[known], values[known])
-            low, high = _range(study, metric, each)
-            out.append((metric, each.key, low, high, share, rank))
+            # the law's own effect is among all flights of a case
+            for group in flights.by_case if each is flights.law else flights.kept_apart:
+                name = [group.name or "all"] if titles else []
+                out.append((metric, *name, each.key, *_effect(study, metric, each, group.flights)))
     note = (
         f"Smallest and largest {study.statistic} among the levels of the parameter, over all other"
         f" parameters; of a parameter with more than {MAX_LEVELS} numbers, among {GROUPS} groups of"
@@ -171,12 +168,31 @@ def effects(study: StudyData) -> ReportTable | None:
         " effect of the parameter alone, without interactions. The rank correlation is Spearman's:"
         " 1 or -1 where the metric always rises or falls with the parameter."
     )
-    columns = ("metric", "parameter", "smallest", "largest", "variance, %", "rank correlation")
+    if titles:
+        note += f" Each {flights.apart_title.replace(', ', ' and ')} has numbers of its own."
+    numbers = ("smallest", "largest", "variance, %", "rank correlation")
+    columns = ("metric", *titles, "parameter", *numbers)
     return ReportTable("effects", "What matters", columns, out, note)
 
 
-def _range(study: StudyData, metric: str, parameter: Parameter) -> tuple[float, float]:
-    centres = [study.centre(metric, here) for _, here in level_groups(parameter)]
+def _effect(
+    study: StudyData, metric: str, parameter: Parameter, where: BoolArray
+) -> tuple[float, float, float, float]:
+    """Return smallest and largest centre, share of the variance, %, and rank correlation."""
+    values = study.flights.metrics[metric]
+    known = where & study.flights.completed & np.isfinite(values)
+    share = rank = math.nan
+    if not parameter.continuous:
+        share = 100.0 * variance_share(values[known], parameter.index[known])
+    if parameter.numeric and known.any():
+        rank = rank_correlation(parameter.numbers[parameter.index][known], values[known])
+    return (*_range(study, metric, parameter, where), share, rank)
+
+
+def _range(
+    study: StudyData, metric: str, parameter: Parameter, where: BoolArray
+) -> tuple[float, float]:
+    centres = [study.centre(metric, here & where) for _, here in level_groups(parameter)]
     known = [each for each in centres if math.isfinite(each)]
     return (min(known), max(known)) if known else (math.nan, math.nan)
 

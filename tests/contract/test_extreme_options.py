@@ -1,0 +1,107 @@
+"""Option values far outside their range: one error line, exit code 2, no traceback."""
+
+import subprocess
+import sys
+
+import pytest
+from commands import call_command, environment
+from patience import PATIENCE_S
+
+from testbed.core.errors import InputError
+from testbed.scenario import load, set_duration
+
+RUN = ("run", "simulation-3", "--quiet")
+HUGE = "9" * 20
+# Arguments and a part of the error.
+EXTREME = {
+    "duration": ([*RUN, "--duration=86401"], "duration 86401 s: "),
+    "long duration": ([*RUN, "--duration=1e300"], "duration 1e+300 s: "),
+    "seeds": (["check", f"--seeds={HUGE}"], f"--seeds {HUGE}: write a number of at most"),
+    "many seeds": (["check", f"--seeds={'9' * 400}"], ": write a number of at most 1,000,000"),
+    "negative seeds": (["check", f"--seeds=-{HUGE}"], "write a whole number above 0"),
+    "jobs": (["check", f"--jobs={HUGE}"], f"--jobs {HUGE}: write a number of at most"),
+    "processes": ([*RUN, f"--processes={HUGE}"], f"--processes {HUGE}: write a number"),
+    "slow pace": ([*RUN, "--pace=1e-300"], "--pace 1e-300: write a number from 0.001"),
+    "fast pace": ([*RUN, "--pace=1e300"], "--pace 1e+300: write a number from 0.001"),
+    "bytes": ([*RUN, "--set=scenario.name=\udcff\udcfe"], "is not UTF-8 text"),
+    "key bytes": ([*RUN, "--set=\udcff=1"], "is not UTF-8 text"),
+    "name bytes": (["run", "\udcff"], "udcff"),
+    "device": ([*RUN, "--mavlink=14550", "--mavlink-key=/dev/zero"], ": it is a device"),
+}
+
+
+@pytest.mark.parametrize("case", EXTREME)
+def test_extreme_option_is_one_error_line(case, tmp_path):
+    arguments, error = EXTREME[case]
+    done = call_command(*arguments, cwd=tmp_path, code=2, columns=500)
+    assert error in done.stderr
+    assert done.stderr.count("\n") == 1 and done.stdout == ""
+    assert [*tmp_path.iterdir()] == []
+
+
+@pytest.mark.parametrize("rate", [1, 2, 4, 5, 8])
+def test_autopilot_rate_too_low_for_its_filter(rate, tmp_path):
+    setting = f"--set=rates.autopilot_hz={rate}"
+    for command in ("validate", "run"):
+        done = call_command(command, "simulation-3", setting, cwd=tmp_path, code=2, columns=500)
+        assert f"rates.autopilot_hz: is {rate}, and fly-by-wire A" in done.stderr
+        assert done.stderr.count("\n") == 1
+    load("ideal-figure-eight", ["rates={autopilot_hz: 5, control_hz: 5, broadcast_hz: 5}"])
+
+
+@pytest.mark.parametrize("duration_s", [0.0, -1.0, 86401.0, float("nan"), float("inf")])
+def test_set_duration_out_of_range_is_refused(duration_s):
+    with pytest.raises(InputError, match="duration .* s: "):
+        set_duration(load("simulation-3"), duration_s)
+
+
+COMMANDS = [
+    ["run", "simulation-3"],
+    ["validate", "simulation-3"],
+    ["list"],
+    ["check"],
+    ["sweep", "study.yaml"],
+    ["tune", "tune.yaml"],
+    ["network", "simulation-3"],
+    ["air", "simulation-3"],
+    ["trim", "rascal110"],
+    ["recover", "run"],
+    ["compare", "one", "two"],
+]
+
+
+def in_removed_directory(arguments, folder):
+    """Exit code and standard error of a command in a directory that has been removed."""
+    folder.mkdir()
+    done = subprocess.run(
+        [
+            "sh",
+            "-c",
+            'rmdir "$PWD" && exec "$@"',
+            "sh",
+            sys.executable,
+            "-m",
+            "testbed",
+            *arguments,
+        ],
+        cwd=folder,
+        env=environment(80),
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+    )
+    return done.returncode, done.stderr
+
+
+def test_removed_directory_is_one_error_line(tmp_path):
+    for arguments in COMMANDS:
+        assert in_removed_directory(arguments, tmp_path / "removed") == (
+            2,
+            "error: the current directory cannot be used: No such file or directory; change to "
+            "another\n",
+        ), arguments
+
+
+@pytest.mark.parametrize("option", ["--help", "--version"])
+def test_removed_directory_still_prints_help(tmp_path, option):
+    assert in_removed_directory([option], tmp_path / "removed") == (0, "")

@@ -1,0 +1,330 @@
+"""What is said before a flight: aircraft in one place, wind, windows, limits, published numbers."""
+
+import json
+from pathlib import Path
+
+import pytest
+import small_study
+from typer.testing import CliRunner
+
+from testbed.cli.main import app
+from testbed.scenario import ScenarioError, dump, find_aircraft, load, loads, set_duration
+from testbed.sim.build import build
+from testbed.studies.sweep import sweep
+
+MINIMAL = (Path(__file__).parents[1] / "data" / "scenarios" / "minimal.yaml").read_text()
+
+
+def problems(text, *changes):
+    with pytest.raises(ScenarioError) as caught:
+        loads(text, changes, source="case.yaml")
+    return [(".".join(each.path), each.text) for each in caught.value.problems]
+
+
+# aircraft in one place
+
+
+def test_two_starts_in_one_place_are_refused():
+    with pytest.raises(ScenarioError) as caught:
+        load("simulation-3", ["fleet.1.start_m=[-25, 15, 0]"])
+    (problem,) = caught.value.problems
+    assert problem.path == ("fleet", "1", "start_m")
+    assert problem.text == (
+        "[-25, 15, 0] puts uav2 in the same place as uav1 (fleet.0.start_m) at the start (write "
+        "another start)"
+    )
+
+
+def test_two_slots_in_one_place_are_refused():
+    with pytest.raises(ScenarioError) as caught:
+        load("simulation-3", ["formation.offsets_m.uav3=[-5, 5.001, 0]"])
+    (problem,) = caught.value.problems
+    assert problem.path == ("formation", "offsets_m", "uav3")
+    assert "puts the slot of uav3 in the same place as that of uav1" in problem.text
+
+
+def test_start_and_slot_of_the_leader_are_refused():
+    changes = ("fleet.0.start_m=[0, 0, -0.0]", "formation.offsets_m.uav1=[0, 0, 0]")
+    assert [(path, text.partition(" (")[0]) for path, text in problems(MINIMAL, *changes)] == [
+        ("fleet.0.start_m", "[0, 0, 0] puts uav1 in the same place as leader"),
+        ("formation.offsets_m.uav1", "[0, 0, 0] puts the slot of uav1 in the same place as leader"),
+    ]
+
+
+def test_virtual_leader_is_not_an_aircraft():
+    path = "leader.path={kind: virtual, speed_mps: 22, curve: {kind: straight}}"
+    changes = [path, "fleet.0.start_m=[0, 0, 0]", "formation.offsets_m.uav1=[0, 0, 0]"]
+    assert loads(MINIMAL, changes).formation.offsets_m["uav1"] == (0.0, 0.0, 0.0)
+
+
+def test_held_altitudes_separate_slots():
+    same = ("formation.offsets_m.uav2=[-5, 5, 0]", "formation.offsets_m.uav3=[-5, -5, 4]")
+    held = "formation.altitudes_m={uav1: 100, uav2: 110}"
+    assert load("simulation-3", [*same, held]).formation.altitudes_m["uav2"] == 110.0
+    with pytest.raises(ScenarioError, match="slot of uav2 in the same place as that of uav1"):
+        load("simulation-3", [*same, "formation.altitudes_m={uav1: 100, uav2: 100}"])
+
+
+# aircraft closer than a wingspan
+
+CLOSE = ("fleet.1.start_m=[-25, 16.2, 0]", "formation.offsets_m.uav2=[-5, 7.5, 0]")
+
+
+def warnings(name, *changes):
+    return [(e.source, e.text) for e in build(load(name, changes)).initial_events]
+
+
+def test_starts_and_slots_below_a_wingspan_have_warnings():
+    assert warnings("simulation-3", *CLOSE) == [
+        (
+            "run",
+            "uav1 and uav2 start 1.20 m apart, closer than 2.8 m, a wingspan (write "
+            "fleet.0.start_m and fleet.1.start_m farther apart, or limits.min_separation_m: 1.19 "
+            "if that is intended)",
+        ),
+        (
+            "run",
+            "uav1 and uav2 have slots 2.50 m apart, closer than 2.8 m, a wingspan (write "
+            "formation.offsets_m.uav1 and formation.offsets_m.uav2 farther apart, or "
+            "limits.min_separation_m: 2.5 if that is intended)",
+        ),
+    ]
+    assert warnings("simulation-3", *CLOSE, "limits.min_separation_m=1.19") == []
+    (start, slot) = warnings("simulation-3", "limits.min_separation_m=9")[-2:]
+    assert "limits.min_separation_m (write" in start[1] + slot[1]
+
+
+def test_larger_wingspan_of_a_pair_counts():
+    changes = ("fleet.1.start_m=[-25, 17.5, 0]",)  # 2.5 m: less than a Rascal's, not than an X8's
+    assert "start 2.50 m apart, closer than 2.8 m" in str(warnings("simulation-3", *changes))
+    smaller = (*changes, "fleet.0.aircraft=skywalker_x8", "fleet.1.aircraft=skywalker_x8")
+    assert "start 2.50 m" not in str(warnings("simulation-3", *smaller))
+    mixed = (*changes, "fleet.0.aircraft=skywalker_x8")
+    assert "start 2.50 m apart, closer than 2.8 m" in str(warnings("simulation-3", *mixed))
+
+
+def test_many_close_starts_have_one_warning():
+    (start, slot) = warnings("vee-30", "limits.min_separation_m=20", "fleet.count=12")[-2:]
+    assert "have slots 14.14 m apart" in slot[1] or "have slots 10.00 m apart" in slot[1]
+    assert "other pairs are closer than that, too" in slot[1]
+    assert "start" in start[1]
+
+
+def flown(tmp_path, *changes):
+    """Exit code, output and metrics of five seconds of Simulation 3."""
+    words = [
+        "run",
+        "simulation-3",
+        "--duration",
+        "5",
+        "--json",
+        "-",
+        "--out",
+        str(tmp_path / "out"),
+    ]
+    for change in ("log.mcap=false", "scenario.windows=null", "scenario.published=null", *changes):
+        words += ["--set", change]
+    done = CliRunner().invoke(app, words)
+    return done.exit_code, done.stderr, json.loads(done.stdout)
+
+
+def test_lost_separation_is_red_and_exit_code_1(tmp_path):
+    code, text, metrics = flown(tmp_path / "a", *CLOSE)
+    assert (code, metrics["outcome"], metrics["simulated_s"]) == (1, "separation_lost", 5.0)
+    assert "simulation-3 · separation lost ·" in text
+    errors = [e for e in metrics["events"] if e["level"] == "error"]
+    assert [(e["time_s"], e["source"]) for e in errors] == [(0.0, "uav1")]
+    assert errors[0]["text"] == "loss of separation: 1.2 m from uav2 (limit 2.8 m, a wingspan)"
+    code, _, metrics = flown(tmp_path / "b", *CLOSE, "limits.min_separation_m=0.5")
+    assert (code, metrics["outcome"]) == (0, "completed")
+    code, _, metrics = flown(tmp_path / "c", *CLOSE, "limits.on_limit_exceeded=stop")
+    assert (code, metrics["simulated_s"]) == (1, 0.0)
+
+
+# wind and the speed bounds
+
+
+def test_wind_bounds_the_airspeed_by_default():
+    wind = "air.wind.speed_mps=8"
+    assert load("simulation-3").controller.bounded_speed == "ground_speed"
+    assert load("simulation-3", [wind]).controller.bounded_speed == "airspeed"
+    assert load("simulation-3", ["air.wind.file=gusty-wind.csv"]).controller.bounded_speed == (
+        "airspeed"
+    )
+    paper = "controller.bounded_speed=ground_speed"
+    assert load("simulation-3", [wind, paper]).controller.bounded_speed == "ground_speed"
+    for name in ("experiment-1", "experiment-2", "experiment-3"):  # as the paper has it
+        assert load(name).air.wind.speed_mps > 0.0
+        assert load(name).controller.bounded_speed == "ground_speed"
+    assert warnings("simulation-3", wind) == []
+
+
+def test_wind_beyond_the_bounds_names_the_key():
+    paper = "controller.bounded_speed=ground_speed"
+    (strong,) = warnings("simulation-3", "air.wind.speed_mps=8", paper, "fleet.0.name=uav1")[:1]
+    assert strong[1] == (
+        "the slot may move at 12.15 to 32.09 m/s over the ground in this wind, beyond the speed "
+        "bounds of 16 to 30 m/s, where no follower can hold it (write controller.bounded_speed: "
+        "airspeed)"
+    )
+    (slight,) = warnings("simulation-3", "air.wind.speed_mps=1.5", paper)[:1]
+    assert "but Assumption 1 with kappa = 3.6 requires 19.6 to 26.4" in slight[1]
+    assert "(write controller.bounded_speed: airspeed, formation.kappa_mps: " in slight[1]
+
+
+def test_strongest_wind_of_the_run_counts():
+    paper = "controller.bounded_speed=ground_speed"
+    short = ("scenario.duration_s=60", "scenario.windows=null", "scenario.published=null")
+    recorded = warnings("simulation-3", "air.wind.file=gusty-wind.csv", paper, *short)
+    assert "in this wind" in recorded[0][1]
+    # a gust that lasts is a wind, and without a mean wind the paper's bounds apply
+    front = [text for _, text in warnings("gust-front")]
+    assert front and all(" m/s over the ground in this wind" in text for text in front)
+    assert warnings("gust-front", "controller.bounded_speed=airspeed") == []
+
+
+def test_airspeed_beyond_the_bounds_is_through_the_air():
+    straight = "leader.path={kind: virtual, speed_mps: 25, curve: {kind: straight}}"
+    found = warnings("simulation-3", straight, "air.wind={speed_mps: 8, from_deg: 90}")
+    assert "the slot moves at 33.00 to 33.00 m/s through the air, but" in found[0][1]
+
+
+# windows and studies
+
+
+def test_windows_after_the_duration_are_named(tmp_path):
+    words = ["run", "simulation-3", "--duration", "1", "--set", "log.mcap=false"]
+    done = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "out")])
+    assert done.exit_code == 0
+    assert " windows not reached rectangles (95 to 550 s), circles (650 to 1080 s)" in done.stdout
+    with pytest.raises(ScenarioError, match=r"rectangles: ends at 550 s, after the run, which"):
+        load("simulation-3", ["scenario.duration_s=60"])
+
+
+STUDY = """
+study:
+  schema: 1
+  name: calm-and-wind
+  scenario: simulation-3
+  duration_s: 1
+  set: {scenario.published: null, controller.bounded_speed: ground_speed}
+  design: factorial
+  seeds: [1]
+vary: {air.wind.speed_mps: [0, 6, 8]}
+"""
+
+
+def swept(tmp_path, monkeypatch, text):
+    path = tmp_path / "study.yaml"
+    path.write_text(text)
+    workers, said = small_study.InThisProcess(), []
+    monkeypatch.setattr("testbed.studies.flight_pool._open_workers", lambda *_: workers)
+    result = sweep(path, tmp_path / "out.parquet", report=said.append)
+    return result, [line for line in said if line.startswith("warning")]
+
+
+def test_study_reports_each_kind_of_warning_once(tmp_path, monkeypatch):
+    _, said = swept(tmp_path, monkeypatch, STUDY)
+    assert said[0].startswith("warning: the run ends at 1 s, before these windows begin")
+    assert [line.partition(" m/s over")[0] for line in said[1:]] == [
+        "warning: run 1: uav1: the slot may move at 14.34 to 29.82",
+        "warning: run 1: run: uav2, uav3: the slot may move at 14.33 to 29.82",
+    ]
+    metrics = STUDY.replace("seeds: [1]", "seeds: [1]\n  metrics: [min_separation_m]")
+    (tmp_path / "b").mkdir()
+    _, said = swept(tmp_path / "b", monkeypatch, metrics.replace("[0, 6, 8]", "[0]"))
+    assert said == []
+
+
+# published numbers
+
+
+def differs(*changes):
+    return load("simulation-3", changes).scenario.published.differs
+
+
+def test_settings_make_another_set_up():
+    assert differs() == ()
+    assert differs("network.delay_s=0.1", "fleet.*.sensors=gps-ins", "scenario.seed=7") == (
+        "network.delay_s",
+        "fleet.*.sensors",
+    )
+    assert differs("scenario.windows.circles=[650, 900]") == ("scenario.windows.circles",)
+    # no other set-up: values that it has, and what decides no number of the paper
+    assert differs("network.delay_s=0", "formation.k=3") == ()
+    assert differs("scenario.seed=7", "log.mcap=false", "limits.min_separation_m=0") == ()
+    assert differs("formation.k=2", "scenario.published.differs=[]") == ()
+    again = loads(dump(load("simulation-3", ["formation.k=2"])), ["fleet.*.sensors=pixhawk"])
+    assert again.scenario.published.differs == ("formation.k", "fleet.*.sensors")
+    assert set_duration(again, 600.0).scenario.published.differs == again.scenario.published.differs
+
+
+def test_another_set_up_is_not_compared(tmp_path):
+    words = ["run", "simulation-3", "--set", "rates.broadcast_hz=50", "--set", "log.mcap=false"]
+    windows = "scenario.windows={rectangles: [0, 1], circles: [1, 2]}"
+    words += ["--set", windows, "--duration", "2", "--out"]
+    done = CliRunner().invoke(app, [*words, str(tmp_path / "a")])
+    text = "another set-up, rates.broadcast_hz, scenario.windows"
+    line = f"not compared with [HBH23] Table 1, Simulation 3: {text}"
+    assert line in " ".join(done.stdout.split())
+    assert "  ratio" not in done.stdout and "paper" not in done.stdout
+    same = [*words, str(tmp_path / "b"), "--set", "scenario.published.differs=[]"]
+    assert "  ratio" in CliRunner().invoke(app, same).stdout
+
+
+# limits of the autopilot and of its commands
+
+
+def test_limits_that_undercut_each_other_have_warnings(tmp_path):
+    tune = (find_aircraft("rascal110") / "autopilot.param").read_text()
+    narrow = tmp_path / "narrow.param"
+    narrow.write_text(tune.replace("ROLL_LIMIT_DEG 50", "ROLL_LIMIT_DEG 25"))
+    assert warnings("simulation-3") == []
+    found = warnings("simulation-3", f"fleet.*.tune={narrow}", f"leader.tune={narrow}")
+    cut = "and the autopilot stops at 25°, ROLL_LIMIT_DEG of its tune: what is cut off is not"
+    assert [(source, text.partition(" counted")[0]) for source, text in found] == [
+        ("run", f"uav1, uav2, uav3: the middle loop commands up to 50° of roll, {cut}"),
+        ("leader", f"its guidance commands up to 30° of roll, {cut}"),
+    ]
+    assert "(write controller.gains.limits.roll_deg: 25, or a ROLL_LIMIT_DEG of 50)" in found[0][1]
+    lower = ("controller.gains.limits={roll_deg: 25}", "leader.path.bank_limit_deg=25")
+    both = (f"fleet.*.tune={narrow}", f"leader.tune={narrow}", *lower)
+    assert not [text for _, text in warnings("simulation-3", *both) if "ROLL_LIMIT_DEG" in text]
+
+
+def test_limit_of_a_tune_that_is_never_reached_has_a_warning(tmp_path):
+    tune = (find_aircraft("rascal110") / "autopilot.param").read_text()
+    wide = tmp_path / "wide.param"
+    wide.write_text(tune.replace("ROLL_LIMIT_DEG 50", "ROLL_LIMIT_DEG 60").replace("-20", "-30"))
+    (found,) = warnings("simulation-3", f"fleet.uav2.tune={wide}")
+    assert found == (
+        "uav2",
+        "the middle loop commands at most 50° of roll, and ROLL_LIMIT_DEG of its tune, 60°, is "
+        "never reached (write controller.gains.limits.roll_deg: 60 to fly it, or a ROLL_LIMIT_DEG "
+        "of 50)",
+    )
+    assert warnings("simulation-3", f"fleet.uav2.tune={wide}", "fleet.uav2.vehicle=unicycle") == []
+
+
+# sensors and faults
+
+
+def test_latency_that_is_rounded_has_a_warning():
+    gps = "fleet.*.sensors={gps: {latency_s: 0.129}, estimator: {gps_delay_s: 0.12}}"
+    (found,) = warnings("simulation-3", gps)
+    assert found == (
+        "run",
+        "uav1, uav2, uav3: sensors.gps.latency_s: 0.129 s flies as 0.12 s, a whole number of "
+        "periods of rates.autopilot_hz, 50 Hz (write 0.12 or 0.14, or another rate)",
+    )
+    assert warnings("simulation-3", gps, "fleet.*.sensors.gps.latency_s=0.14") == []
+    (other,) = warnings("simulation-3-pixhawk", "rates.autopilot_hz=40", "rates.control_hz=20")[:1]
+    assert "sensors.gps.latency_s: 0.12 s flies as 0.125 s" in other[1]
+
+
+def test_fault_without_effect_explains_nothing(tmp_path):
+    fault = "fleet.uav1.faults=[{kind: gps-lost, at_s: 0}]"
+    code, _, metrics = flown(tmp_path / "a", *CLOSE, fault)
+    assert (code, metrics["outcome"]) == (1, "separation_lost")
+    code, _, metrics = flown(tmp_path / "b", *CLOSE, fault, "fleet.uav1.sensors=pixhawk")
+    assert (code, metrics["outcome"]) == (0, "completed")
