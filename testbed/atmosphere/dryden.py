@@ -135,7 +135,7 @@ class DrydenTurbulence:
 
     def bind(self, aircraft: Records, local: Records) -> None:
         """Bind to aircraft (N,) of AIRCRAFT and their LOCAL_WIND (N,)."""
-        self._aircraft, self._local = aircraft, local
+        self._aircraft = aircraft
         self.add = functools.partial(
             add_dryden_turbulence,
             *(self._mixture, self._sigma, self._length, self._spans, self._dt),

@@ -171,9 +171,7 @@ def _table(summary: Summary) -> Table:
         table.add_row(
             *([group.case] if has_cases else []),
             *(_format(group.point[key]) for key in keys),
-            str(group.runs)
-            if group.completed == group.runs
-            else f"{group.completed} of {group.runs}",
+            _format_runs(group),
             *(_format_range(group, name) for name in summary.metrics),
         )
     table.caption = " median (smallest to largest)"

@@ -76,14 +76,14 @@ def _open(path: Path) -> IO[str]:
 def _wait_for_turn(
     file: IO[str], folder: Path, waiting: Callable[[], None], check: Callable[[], None]
 ) -> None:
-    said = False
+    reported = False
     while True:
         check()
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return
         except BlockingIOError:
-            if not said and is_compiling(folder):
-                said = True
+            if not reported and is_compiling(folder):
+                reported = True
                 waiting()
             time.sleep(_POLL_S)

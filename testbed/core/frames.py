@@ -62,11 +62,6 @@ def euler_rates(euler: Array, rates_body: Array) -> Array:
     return out
 
 
-def write_euler_rates(euler: Array, rates_body: Array, out: Array) -> None:
-    """As `euler_rates`, into an array (..., 3) that is there."""
-    out[:] = euler_rates(euler, rates_body)
-
-
 def body_rates(euler: Array, angle_rates: Array) -> Array:
     """Body rates p, q, r (..., 3) rad/s from the derivatives of roll, pitch, yaw (..., 3)."""
     sine, cosine = np.sin(euler), np.cos(euler)

@@ -26,8 +26,8 @@ def write_slot(
         leader: record of MOTION.
         own: record of MOTION.
         offset: υ_i (3,) m in the leader's velocity frame.
-        altitude: m above the origin, of the slot of the horizontal variant, whose offset is
-            rotated by the leader's course only; NaN: the law controls all three axes.
+        altitude: of the slot above the origin, m. The law is then the horizontal variant: the
+            offset is rotated by the leader's course only. NaN: the law controls all three axes.
         slot: (3,) m NED; written.
         error: (3,) m NED, position − slot; written.
     """

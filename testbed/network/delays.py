@@ -106,8 +106,8 @@ def quantiles(samples: Array) -> Array:
 def normal_correlation(value_of: Callable[[Array], Array], wanted: float) -> float:
     """Return the correlation of two normals z whose values g(z) have the wanted correlation.
 
-    By Mehler's formula the correlation of g(z) is a power series in that of z, whose coefficients
-    are the squares of those of g in normalised Hermite polynomials.
+    Mehler's formula: normals of correlation ρ have values of correlation Σ s_k ρ^k, where s_k is
+    the share of the variance of g in its k-th Hermite polynomial.
 
     Args:
         value_of: g.

@@ -29,6 +29,7 @@ class ProximityMonitor:
     Attributes:
         limit_m: distance below which any two aircraft are reported, m.
         own_m: (N,) the same by aircraft, m; the larger of two counts, NaN: none with this aircraft.
+        watching: two aircraft are in an encounter.
         outcome: "completed", or "separation_lost" once a pair without a fault was below it.
     """
 
@@ -64,17 +65,13 @@ class ProximityMonitor:
         self._below: BoolArray = self._close  # below the minimum, in one encounter
         self._closest: Array = np.full(len(self._first), np.inf)  # m, during the encounter
         self._collided: BoolArray = np.zeros(len(names), dtype=bool)
+        self.watching = False
         self.outcome = "completed"
 
     @property
     def enabled(self) -> bool:
         """Whether there is a limit."""
         return bool((self._limit > 0.0).any())
-
-    @property
-    def watching(self) -> bool:
-        """Whether two aircraft are in an encounter."""
-        return bool(self._close.any() or self._below.any())
 
     @property
     def terminate(self) -> bool:
@@ -123,6 +120,7 @@ class ProximityMonitor:
         )
         self._closest = np.where(close | below, np.fmin(distance, self._closest), np.inf)
         self._close, self._below = close, below
+        self.watching = bool(close.any() or below.any())
         if collided.any():
             self._collided = self._collided.copy()  # callers keep the array returned before
             self._collided[self._first[collided]] = self._collided[self._second[collided]] = True

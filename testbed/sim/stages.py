@@ -1,4 +1,4 @@
-"""What the loop has compiled besides the packages' own entries: small steps over all aircraft."""
+"""Compiled steps of the loop over all aircraft: copies, messages, losses, slots."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from testbed.core.compile import entry, kernel
 from testbed.core.motion import copy_motion
 from testbed.core.records import Array, Records
 from testbed.formation.slots import write_formation_state
-
-LOWEST = 1.0  # m above the terrain: an aircraft below counts as on the ground
+from testbed.vehicle.fleet import LOWEST
 
 
 @entry

@@ -140,7 +140,7 @@ def cases(study: StudyData) -> ReportTable | None:
 
 
 def verdict(difference: Estimate) -> str:
-    """Name the sign of a difference whose interval does not contain 0."""
+    """Name the sign of a difference if its confidence interval excludes 0."""
     if math.isnan(difference.low):
         return "too few"
     if difference.low > 0.0:
