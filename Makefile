@@ -19,7 +19,7 @@ TOOLS_STAMP := $(TOOLS)/.installed
 MAKEFLAGS += --no-print-directory
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test checks warm-sensors warm-flights lint types tests clients check-all bench rates results gap netem docs release audit lock clean
+.PHONY: help setup run test checks warm-sensors warm-flights lint types tests clients check-all bench rates results gap arduplane netem docs release audit lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,4p'
@@ -80,7 +80,8 @@ check-all: test release
 		tests/contract/test_recover.py tests/contract/test_record.py
 	@TESTBED_DOCS=1 TESTBED_LAWS=1 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_readme.py \
 		tests/contract/test_own_law.py
-	@TESTBED_ARDUPLANE_WHOLE=1 $(BIN)/pytest -q tests/contract/test_arduplane.py
+	@TESTBED_ARDUPLANE_WHOLE=1 $(BIN)/pytest -q tests/contract/test_arduplane.py \
+		tests/truth/test_four_arduplanes.py
 	@$(BIN)/testbed check --jobs $(JOBS)
 
 # Cost of a flight relative to bare JSBSim, by part and by size of the fleet (ARGS="--json FILE --into
@@ -94,17 +95,19 @@ bench: $(STAMP)
 	@$(BIN)/python benchmarks/view_cost.py
 	@$(BIN)/python benchmarks/startup.py
 
-# Flies every row of the tables in docs/simulations.md, experiments.md, air.md, network.md and
-# sensors.md, and writes them there.
+# Flies every row of the tables in docs/simulations.md, leader-acceleration.md, experiments.md, air.md,
+# network.md and sensors.md, and writes them there.
 results: $(STAMP)
 	@$(BIN)/python benchmarks/results.py --into docs/simulations.md $(ARGS)
+	@$(BIN)/python benchmarks/freedoms.py --into docs/simulations.md $(ARGS)
+	@$(BIN)/python benchmarks/leader_acceleration.py --into docs/leader-acceleration.md $(ARGS)
 	@$(BIN)/python benchmarks/experiments.py --into docs/experiments.md $(ARGS)
 	@$(BIN)/python benchmarks/air.py --into docs/air.md $(ARGS)
 	@$(BIN)/python benchmarks/network.py --into docs/network.md $(ARGS)
 	@$(BIN)/python benchmarks/sensors.py --into docs/sensors.md $(ARGS)
 
 # Flies the studies of docs/gap.md into logs/studies/gap, resuming interrupted ones, and writes its tables
-# and its figure: 224 flights, about an hour on two cores.
+# and its figure: 234 flights, about an hour on two cores.
 gap: $(STAMP)
 	@$(BIN)/python benchmarks/gap_budget.py --jobs $(JOBS) --into docs/gap.md $(ARGS)
 
@@ -112,6 +115,11 @@ gap: $(STAMP)
 # 33 flights of 1080 s.
 rates: $(STAMP)
 	@$(BIN)/python benchmarks/convergence.py --jobs $(JOBS) --into docs/speed.md $(ARGS)
+
+# Flies Simulation 3 with virtual autopilots and compares it with the recording of four real ArduPlanes:
+# the table of docs/arduplane.md and docs/autopilot.md, and their figure.
+arduplane: $(STAMP)
+	@$(BIN)/python benchmarks/real_arduplane.py --into docs/arduplane.md docs/autopilot.md $(ARGS)
 
 # Compares arithmetic: netem with this kernel's tc netem, as root, without leaving files of root.
 netem: SUDO = $(if $(filter 0,$(shell id -u)),,sudo)

@@ -2,8 +2,8 @@
 
 usage: make gap  (ARGS="--jobs N")
 
-Flies the studies `as-flown` and `gap-budget-0` to `-3`, each into a Parquet file, and resumes an
-interrupted call.
+Flies the studies `as-flown`, `turn-direction` and `gap-budget-0` to `-3`, each into a Parquet file,
+and resumes an interrupted call.
 """
 
 from __future__ import annotations
@@ -18,16 +18,17 @@ from study_rows import Rows, fly
 from tables import insert, row
 
 from testbed.core.records import Array
-from testbed.scenario import library, load
+from testbed.scenario import Scenario, library, load
 from testbed.views.matplotlib_backend import save_figure
 from testbed.views.panels import BLUE, GREY, ORANGE, Line, Panel, PanelGrid
 
 HERE = Path(__file__).parent
 FIGURE = HERE.parent / "docs" / "images" / "gap-budget.png"
 RESULTS = Path("logs") / "studies" / "gap"
-TABLE_2, REFERENCE = "as-flown", "gap-budget-0"
+TABLE_2, REFERENCE, MIRRORED = "as-flown", "gap-budget-0", "turn-direction"
 BUDGETS = {1: "circles", 2: "rectangles", 3: "rectangles"}
 TOLERANCE = 0.25  # of the paper's number
+FEW = 5  # seeds of the tables of percent errors and limits
 FACTORS = {
     "offsets": "larger offsets",
     "attitude": "slower attitude",
@@ -45,7 +46,7 @@ Studies = Mapping[str, Rows]
 
 def flown_studies(folder: Path, jobs: int) -> tuple[Studies, str]:
     """Return the rows of all studies, and the versions they were flown with."""
-    names = (TABLE_2, REFERENCE, *(f"gap-budget-{number}" for number in BUDGETS))
+    names = (TABLE_2, REFERENCE, MIRRORED, *(f"gap-budget-{number}" for number in BUDGETS))
     each = {name: fly(name, folder / f"{name}.parquet", jobs) for name in names}
     return {name: rows for name, (rows, _) in each.items()}, each[REFERENCE][1]
 
@@ -57,9 +58,19 @@ def seeds(rows: Rows) -> tuple[int, ...]:
     return tuple(seed for seed in drawn if all((case, seed) in rows for case in cases))
 
 
-def of_seeds(rows: Rows, case: str, key: str) -> list[float]:
-    """Return one number of a case, by seed."""
-    return [rows[case, seed][key] for seed in seeds(rows)]
+def of_seeds(rows: Rows, case: str, key: str, most: int | None = None) -> list[float]:
+    """Return one number of a case, by seed; of the first `most` seeds."""
+    return [rows[case, seed][key] for seed in seeds(rows)[:most]]
+
+
+def load_flown(name: str) -> Scenario:
+    """Return an experiment with the conditions of its flight."""
+    return load(library() / "scenarios/studies/gap-budget" / f"{name}-as-flown.yaml")
+
+
+def title(name: str) -> str:
+    """Return the experiment of a case as text."""
+    return name.replace("experiment-", "Experiment ")
 
 
 def paper_table(rows: Rows) -> Iterator[str]:
@@ -67,7 +78,7 @@ def paper_table(rows: Rows) -> Iterator[str]:
     yield "| | window | follower | [HBH23], m | testbed, m | ratio | estimated, m |"
     yield "|---|---|---|--:|--:|--:|--:|"
     for name in dict.fromkeys(case for case, _ in rows):
-        scenario = load(library() / "scenarios/studies/gap-budget" / f"{name}-as-flown.yaml")
+        scenario = load_flown(name)
         published = scenario.scenario.published
         assert published is not None
         for window, printed in published.rms_m.items():
@@ -80,7 +91,7 @@ def paper_table(rows: Rows) -> Iterator[str]:
                 if abs(middle / paper - 1.0) > TOLERANCE:
                     ratio += " (outside)"
                 yield row(
-                    name.replace("experiment-", "Experiment "),
+                    title(name),
                     window,
                     follower.name,
                     f"{paper:g}",
@@ -88,6 +99,79 @@ def paper_table(rows: Rows) -> Iterator[str]:
                     ratio,
                     f"{statistics.median(estimated):.1f}",
                 )
+
+
+def percent_table(rows: Rows) -> Iterator[str]:
+    """Return the rows of the percent errors of the paper's Table 2 beside ours."""
+    yield "| error, % | window | [HBH23] | testbed |"
+    yield "|---|---|--:|--:|"
+    for name in dict.fromkeys(case for case, _ in rows):
+        published = load_flown(name).scenario.published
+        assert published is not None
+        for window, printed in published.percent_error.items():
+            flown = of_seeds(rows, name, f"windows.{window}.percent_error", FEW)
+            middle = f"{statistics.median(flown):.0f} ({min(flown):.0f}–{max(flown):.0f})"
+            yield row(title(name), window, f"{printed:g}", middle)
+
+
+def limits_table(rows: Rows) -> Iterator[str]:
+    """Return the rows of the time at limits of the commands, and of the slots' speeds."""
+    yield (
+        "| | follower | at a limit, % of the time | pitch | roll | throttle | slot moves at, m/s "
+        "| bounds S, m/s |"
+    )
+    yield "|---|---|--:|--:|--:|--:|---|---|"
+    for name in dict.fromkeys(case for case, _ in rows):
+        scenario = load_flown(name)
+        samples = scenario.rates.log_hz * scenario.scenario.duration_s
+        for follower in scenario.fleet:
+            head = f"saturations.{follower.name}"
+            seconds = of_seeds(rows, name, f"{head}.seconds", FEW)
+            shares = [100.0 * value / scenario.scenario.duration_s for value in seconds]
+            counts = [
+                statistics.median(of_seeds(rows, name, f"{head}.by_kind.{kind}", FEW))
+                for kind in ("pitch", "roll", "throttle")
+            ]
+            speed = f"slot_speed_mps.{follower.name}"
+            low, high = (of_seeds(rows, name, f"{speed}.{end}", FEW) for end in (0, 1))
+            bounds = "–".join(f"{value:g}" for value in scenario.formation.speed_mps)
+            yield row(
+                title(name),
+                follower.name,
+                f"{statistics.median(shares):.0f} ({min(shares):.0f}–{max(shares):.0f})",
+                *(f"{100.0 * count / samples:.0f}" for count in counts),
+                f"{min(low):.1f}–{max(high):.1f}",
+                bounds,
+            )
+
+
+def directions_table(studies: Studies) -> Iterator[str]:
+    """Return the rows of the followers' errors by the direction of the leader's turns."""
+    yield "| RMS error, m | follower | [HBH23] | clockwise | anticlockwise |"
+    yield "|---|---|--:|--:|--:|"
+    for name in dict.fromkeys(case for case, _ in studies[MIRRORED]):
+        scenario = load_flown(name)
+        published = scenario.scenario.published
+        assert published is not None
+        for follower, paper in zip(scenario.fleet, published.rms_m["rectangles"], strict=True):
+            key = f"windows.rectangles.rms_m.{follower.name}"
+            cells = []
+            for study in (TABLE_2, MIRRORED):
+                flown = of_seeds(studies[study], name, key, FEW)
+                cells.append(f"{statistics.median(flown):.1f} ({min(flown):.1f}–{max(flown):.1f})")
+            yield row(title(name), follower.name, f"{paper:g}", *cells)
+
+
+def order_sentence(rows: Rows) -> str:
+    """Return a sentence on the order of the followers of Experiment 3."""
+    first, second = (
+        np.array(of_seeds(rows, "experiment-3", f"windows.rectangles.rms_m.uav{n}")) for n in (1, 2)
+    )
+    return (
+        "In the paper's Experiment 3 uav2 has the larger error (8.1 m, uav1 6.7 m); here uav1 has "
+        f"it (medians {np.median(first):.1f} and {np.median(second):.1f} m): the order is not the "
+        "paper's."
+    )
 
 
 def comparison_sentence(rows: Rows) -> str:
@@ -219,7 +303,15 @@ def text(studies: Studies, versions: str) -> str:
             *paper_table(studies[TABLE_2]),
             "",
             f"Testbed: median of seeds {drawn[0]} to {drawn[-1]}, and their range. "
-            f"{comparison_sentence(studies[TABLE_2])}",
+            f"{comparison_sentence(studies[TABLE_2])} {order_sentence(studies[TABLE_2])}",
+            "",
+            *percent_table(studies[TABLE_2]),
+            "",
+            *limits_table(studies[TABLE_2]),
+            "",
+            *directions_table(studies),
+            "",
+            f"Medians and ranges of the first {FEW} seeds; extremes of the slots' speeds.",
             "",
             *steps_table(studies),
             "",

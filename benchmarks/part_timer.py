@@ -51,7 +51,7 @@ TIMED_METHODS: Mapping[str, Sequence[tuple[type, str]]] = {
     "air": [(Air, "sample_wind"), (Air, "active_gusts")],
     "sensing": [(Estimators, "warm_up"), (Estimators, "estimate")],
     "autopilot": [(JsbsimVehicles, "autopilot_step"), (JsbsimVehicles, "apply_faults")],
-    "network": [(Radio, name) for name in ("send", "deliver", "counts")],
+    "network": [(Radio, name) for name in ("send", "deliver")],
     "leader": [(MissionController, "step")],
     "control": [(Control, "update_membership"), (Control, "step")],
     "events": [

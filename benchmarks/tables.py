@@ -63,7 +63,10 @@ def insert(page: str, text: str, command: str = COMMAND) -> str:
 
 
 def write_tables(
-    about: str, cases: Sequence[Case], text: Callable[[Mapping[Case, Metrics]], list[str]]
+    about: str,
+    cases: Sequence[Case],
+    text: Callable[[Mapping[Case, Metrics]], list[str]],
+    command: str = COMMAND,
 ) -> None:
     """Fly every case once, print the text, and insert it into a page if requested."""
     parser = argparse.ArgumentParser(description=about.split("\n")[0])
@@ -79,5 +82,5 @@ def write_tables(
     lines = "\n".join(text(flown))
     print(lines)
     if options.into:
-        markdown = insert(options.into.read_text(encoding="utf-8"), lines)
+        markdown = insert(options.into.read_text(encoding="utf-8"), lines, command)
         options.into.write_text(markdown, encoding="utf-8")

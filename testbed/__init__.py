@@ -1,31 +1,40 @@
 """Flight-dynamics co-simulation of fixed-wing formations.
 
 `testbed.run("simulation-3")` flies a scenario and returns its metrics, `testbed.load(run)` reads
-the log of a run as arrays; `testbed --help` lists the commands for a shell.
+the log of a run as arrays. `testbed.Simulation` steps a scenario, `testbed.Aircraft` one aircraft.
+`testbed --help` lists the commands for a shell.
 """
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from testbed.logs.flight_data import FlightData, load
     from testbed.sim.run import Run, run
+    from testbed.sim.simulation import Simulation
+    from testbed.sim.single_aircraft import Aircraft
 
 __version__ = "0.1.0"
-__all__ = ["FlightData", "Run", "__version__", "load", "run"]
+__all__ = ["Aircraft", "FlightData", "Run", "Simulation", "__version__", "load", "run"]
+
+_MODULES = {
+    "Aircraft": "testbed.sim.single_aircraft",
+    "FlightData": "testbed.logs.flight_data",
+    "Run": "testbed.sim.run",
+    "Simulation": "testbed.sim.simulation",
+    "load": "testbed.logs.flight_data",
+    "run": "testbed.sim.run",
+}
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - a class or a function
     """Import a public name when it is first used, so that `testbed --help` imports none of them."""
-    if name in ("Run", "run"):
-        from testbed.sim import run as module
-
-        return getattr(module, name)
-    if name in ("FlightData", "load"):
-        from testbed.logs import flight_data
-
-        return getattr(flight_data, name)
+    if name in _MODULES:
+        return getattr(import_module(_MODULES[name]), name)
+    if name == "law":
+        return import_module("testbed.law")
     raise AttributeError(f"module 'testbed' has no attribute {name!r}")
 
 

@@ -6,7 +6,6 @@ states; wall-clock time serves only for timeouts.
 
 from __future__ import annotations
 
-import select
 import socket
 import time
 from collections.abc import Callable, Sequence
@@ -14,7 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
-from testbed.autopilot.json_physics import PacketError, ServoPacket, read_servos, state_line
+from testbed.autopilot.json_physics import (
+    PacketError,
+    ServoPacket,
+    inputs_text,
+    motion_text,
+    read_servos,
+)
 from testbed.autopilot.pwm import RcChannels, ServoOutputs
 from testbed.autopilot.sitl_mavlink import FBWA, SitlMavlinkClient
 from testbed.autopilot.sitl_parameters import defaults_text
@@ -24,8 +29,11 @@ from testbed.core.errors import ExternalProgramLost, InputError
 from testbed.core.records import Origin
 
 HOST = "127.0.0.1"
-_PHYSICS_PORT, _MAVLINK_PORT, _PORT_STEP = 9002, 5760, 10  # of instance 0, and per instance
+_PHYSICS_PORT, _MAVLINK_PORT, _RC_PORT = 9002, 5760, 5501  # of instance 0
+_PORT_STEP = 10  # per instance
+INSTANCES = range(251)
 _POLL_S = 0.1  # between two checks of the process
+_REPEAT_S = 0.5  # without a state it repeats its pulses, after 1 or 10 s depending on the version
 _MAX_BYTES = 2048
 _IDLE = (1500, 1500, 1000, 1500)  # µs, before its parameters are known
 
@@ -38,12 +46,18 @@ def ports(instance: int) -> tuple[int, int]:
     return _PHYSICS_PORT + _PORT_STEP * instance, _MAVLINK_PORT + _PORT_STEP * instance
 
 
+def open_ports(instance: int) -> tuple[int, tuple[int, int, int]]:
+    """Return the ports that ArduPlane opens on every address: RC input (UDP), MAVLink (TCP)."""
+    mavlink = ports(instance)[1]
+    return _RC_PORT + _PORT_STEP * instance, (mavlink, mavlink + 2, mavlink + 3)
+
+
 @dataclass(frozen=True, slots=True)
 class SitlConfig:
     """Configuration of an aircraft that ArduPlane flies."""
 
     name: str
-    instance: int
+    instances: Sequence[int]  # that it may have; the first one with free ports is used
     start: bool  # start the process; false: wait for one that is started elsewhere
     binary: str | None  # of the scenario
     tune: Path  # parameter file
@@ -55,8 +69,8 @@ class SitlConfig:
 class SitlVehicle:
     """The ArduPlane of one aircraft.
 
-    Call `start` and `start_up` once; then `set_command` when the command changes, and `send_state`
-    and `receive_pwm` at each tick.
+    Call `start` and `start_up` once; then `set_command` when the command changes, `set_inputs` at
+    the autopilot rate, and `send_state` and `receive_pwm` at each tick.
     """
 
     def __init__(
@@ -72,12 +86,12 @@ class SitlVehicle:
         """
         self.name, self._config, self._origin = config.name, config, origin
         self._rates = physics_hz, autopilot_hz
-        self._physics_port, self._mavlink_port = ports(config.instance)
+        self.instance = config.instances[0]
         self._udp: socket.socket | None = None
         self._peer: tuple[str, int] | None = None
         self._count: int | None = None  # frame_count of the latest packet
-        self._states_sent = 0
-        self._line = b""
+        self._states_sent, self._sent_s = 0, 0.0
+        self._line, self._inputs = b"", ""
         self._pulses: tuple[int, ...] = _IDLE
         self._rc_channels: RcChannels | None = None
         self._servo_outputs: ServoOutputs | None = None
@@ -106,35 +120,30 @@ class SitlVehicle:
             check_stop: called at least every `_POLL_S` in every wait; may raise.
 
         Raises:
-            InputError: there is no binary, or a port is in use.
+            InputError: there is no binary, or no instance has free ports.
         """
         self._check_stop = check_stop
         config, binary = self._config, self.find(arduplane)
-        if binary and _is_listening(self._mavlink_port):
-            raise InputError(self._port_error("TCP", self._mavlink_port))
-        udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            udp.bind((HOST, self._physics_port))
-        except OSError:
-            udp.close()
-            raise InputError(self._port_error("UDP", self._physics_port)) from None
-        udp.setblocking(False)
-        self._udp = udp
+        self._udp = self._claim_ports(starts=binary is not None)
+        self._udp.settimeout(_POLL_S)
         if binary:
             physics_hz, autopilot_hz = self._rates
             text = defaults_text(config.tune, physics_hz=physics_hz, autopilot_hz=autopilot_hz)
             self.process = SitlProcess(
-                binary, config.instance, self._origin, config.heading_deg, text
+                binary, self.instance, self._origin, config.heading_deg, text
             )
 
     def start_up(
-        self, columns: Sequence[float], voltage: float, command: tuple[float, float, float]
+        self,
+        motion: Sequence[float],
+        inputs: tuple[Sequence[float], float, float],
+        command: tuple[float, float, float],
     ) -> str | None:
         """Boot it in a constant state until it is in fly-by-wire A and receives RC.
 
         Args:
-            columns: of `state_columns`, at the start.
-            voltage: see `state_line`.
+            motion: a row of `pack_motion`, at the start.
+            inputs: of `set_inputs`, at the start.
             command: roll, pitch in rad and throttle during startup.
 
         Returns:
@@ -144,11 +153,9 @@ class SitlVehicle:
             ExternalProgramLost: it does not appear, ends, or does not become ready.
             InputError: it cannot be flown with its parameters.
         """
-        start = time.monotonic()
-        while not self.client.connect(self._mavlink_port):
-            self._check_wait(
-                time.monotonic() - start, f"does not listen on {self._mavlink_port}/tcp"
-            )
+        start, port = time.monotonic(), ports(self.instance)[1]
+        while not self.client.connect(port):
+            self._check_wait(time.monotonic() - start, f"does not listen on {port}/tcp")
             time.sleep(_POLL_S / 2)
         self.receive_pwm()
         startup = StartupSequence(self.client, self._rates[0], self._config.elevon_mixing, command)
@@ -160,7 +167,8 @@ class SitlVehicle:
             self._pulses = startup.pulses or _IDLE
             if startup.overrides:
                 self.client.override_rc(self._pulses)
-            self.send_state(columns, voltage)
+            self.set_inputs(*inputs)
+            self.send_state(motion)
             self.receive_pwm()
         self._rc_channels, self._servo_outputs = startup.rc_channels, startup.servo_outputs
         self._overrides = startup.overrides
@@ -175,14 +183,19 @@ class SitlVehicle:
         if self._overrides:
             self.client.override_rc(self._pulses)
 
-    def send_state(self, columns: Sequence[float], voltage: float) -> None:
-        """Send the current state, upon which it computes one tick; see `state_line`."""
-        packet = self._latest_packet(0.0)  # a repetition, which this state answers
-        if packet is not None:
-            self._accept(packet)
+    def set_inputs(self, wind_ned: Sequence[float], pitot: float, voltage: float) -> None:
+        """Set what is sent with the next states besides motion; see `inputs_text`."""
+        self._inputs = inputs_text(wind_ned, pitot, voltage, self._pulses)
+
+    def send_state(self, motion: Sequence[float]) -> None:
+        """Send the current motion, upon which it computes one tick; see `motion_text`."""
+        now = time.monotonic()
+        if now - self._sent_s > _REPEAT_S:
+            self._drop_repetitions()
+        self._sent_s = now
         self._states_sent += 1
         time_s = self._states_sent / self._rates[0]
-        self._line = state_line(time_s, columns, voltage, self._pulses)
+        self._line = (motion_text(time_s, motion) + self._inputs).encode()
         self._send_line()
 
     def receive_pwm(self) -> tuple[int, ...]:
@@ -192,16 +205,15 @@ class SitlVehicle:
             ExternalProgramLost: it has ended, does not answer, has restarted, or sends other
                 packets.
         """
-        start = time.monotonic()
-        while True:
-            packet = self._latest_packet(_POLL_S)
-            if packet is not None and packet.frame_count != self._count:
-                self._accept(packet)
-                return packet.pulses
-            if packet is not None:
-                self._send_line()  # a repetition: the state was lost
-            self.client.receive()
-            self._check_wait(time.monotonic() - start, "does not answer")
+        packet = self._receive()
+        if packet is None or packet.frame_count == self._count:
+            packet = self._wait_for_pwm(packet)
+        if self._count is not None and packet.frame_count < self._count:
+            self._raise_lost(
+                f"has restarted: packet {packet.frame_count} came after packet {self._count}"
+            )
+        self._count = packet.frame_count
+        return packet.pulses
 
     def surfaces(self, pulses: Sequence[int]) -> tuple[float, float, float, float]:
         """Convert servo pulses to aileron, elevator, rudder and throttle."""
@@ -235,34 +247,38 @@ class SitlVehicle:
             self._udp.close()
             self._udp = None
 
-    def _latest_packet(self, wait_s: float) -> ServoPacket | None:
-        """Return the latest received packet; without any, wait at most this time, s."""
-        udp = self._udp
-        if udp is None:
+    def _receive(self) -> ServoPacket | None:
+        """Return the next packet, or None after `_POLL_S` without one."""
+        if self._udp is None:
             return None
-        data: bytes | None = None
-        while True:
-            try:
-                data, self._peer = udp.recvfrom(_MAX_BYTES)
-            except BlockingIOError:
-                if data is None and wait_s > 0.0 and select.select([udp], [], [], wait_s)[0]:
-                    continue
-                break
-            except OSError:  # it has ended, so that our last line was not delivered
-                break
-        if data is None:
+        try:
+            data, self._peer = self._udp.recvfrom(_MAX_BYTES)
+        except OSError:  # none yet, or it has ended, so that our last line was not delivered
             return None
         try:
             return read_servos(data)
         except PacketError as error:
-            self._raise_lost(f"or another program that sends to {self._physics_port}/udp: {error}")
+            port = ports(self.instance)[0]
+            self._raise_lost(f"or another program that sends to {port}/udp: {error}")
 
-    def _accept(self, packet: ServoPacket) -> None:
-        if self._count is not None and packet.frame_count < self._count:
-            self._raise_lost(
-                f"has restarted: packet {packet.frame_count} came after packet {self._count}"
-            )
-        self._count = packet.frame_count
+    def _wait_for_pwm(self, packet: ServoPacket | None) -> ServoPacket:
+        """Wait for the next servo pulses, after a repetition or none."""
+        start = time.monotonic()
+        while packet is None or packet.frame_count == self._count:
+            if packet is not None:
+                self._send_line()  # a repetition: the state was lost
+            self.client.receive()
+            self._check_wait(time.monotonic() - start, "does not answer")
+            packet = self._receive()
+        return packet
+
+    def _drop_repetitions(self) -> None:
+        """Drop the packets that it repeated while the run was paused: the next state answers."""
+        if self._udp is not None:
+            self._udp.setblocking(False)
+            while self._receive():
+                pass
+            self._udp.settimeout(_POLL_S)
 
     def _send_line(self) -> None:
         if self._udp is not None and self._peer is not None and self._line:
@@ -281,13 +297,13 @@ class SitlVehicle:
             self._raise_lost(f"{failure}: {timeout}")
 
     def _raise_lost(self, reason: str) -> NoReturn:
-        text = f"{self.name}: ArduPlane (instance {self._config.instance}) {reason}"
+        text = f"{self.name}: ArduPlane (instance {self.instance}) {reason}"
         if self.process is not None:
             raise ExternalProgramLost(f"{text}; {self.process.output_tail()}")
         if self._count is None:
             line = command_line(
                 "arduplane",
-                self._config.instance,
+                self.instance,
                 self._origin,
                 self._config.heading_deg,
                 "FILE.parm",
@@ -295,17 +311,54 @@ class SitlVehicle:
             text += f"; start it with: {' '.join(line)}"
         raise ExternalProgramLost(text)
 
-    def _port_error(self, protocol: str, port: int) -> str:
-        return (
-            f"{self.name}: {protocol} port {port} of ArduPlane's instance {self._config.instance} "
-            "is in use, perhaps by another run (end that, or write another instance under "
-            "autopilot)"
+    def _claim_ports(self, *, starts: bool) -> socket.socket:
+        """Bind the physics port of the first instance with free ports.
+
+        Args:
+            starts: ArduPlane is started next, so that its own ports must be free too.
+
+        Raises:
+            InputError: no instance has free ports.
+        """
+        reasons = []
+        for instance in self._config.instances:
+            udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            port = ports(instance)[0]
+            # of two runs that try the same instance one can bind its port
+            used = None if _binds(udp, HOST, port) else f"UDP port {port}"
+            if starts and not used:
+                used = _used_port(instance)
+            if not used:
+                self.instance = instance
+                return udp
+            udp.close()
+            reasons.append(f"{used} of ArduPlane's instance {instance}")
+        others = f", and so are ports of the {len(reasons) - 1} others" if len(reasons) > 1 else ""
+        raise InputError(
+            f"{self.name}: {reasons[0]} is in use{others}, by another run or by an arduplane that "
+            "runs without one (end it, or write another instance under autopilot)"
         )
 
 
-def _is_listening(port: int) -> bool:
-    """Check whether a program listens on a TCP port of this machine."""
-    client = SitlMavlinkClient()
-    found = client.connect(port)
-    client.close()
-    return found
+def _binds(udp: socket.socket, host: str, port: int) -> bool:
+    """Bind a socket; False if the port is in use."""
+    try:
+        udp.bind((host, port))
+    except OSError:
+        return False
+    return True
+
+
+def _used_port(instance: int) -> str | None:
+    """Name a port of an instance that another program has opened; None: all are free."""
+    rc, tcp = open_ports(instance)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        if not _binds(udp, "", rc):
+            return f"UDP port {rc}"
+    for port in tcp:
+        client = SitlMavlinkClient()
+        listening = client.connect(port)
+        client.close()
+        if listening:
+            return f"TCP port {port}"
+    return None

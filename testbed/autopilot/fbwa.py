@@ -193,20 +193,27 @@ def fbwa(g: Record, m: Record, delay_line: Array, estimate: Record, command: Rec
     eas, tas = estimate.equivalent_airspeed, estimate.airspeed
     roll, pitch = estimate.euler[0], estimate.euler[1]
 
+    # A stick commands a share of its limit. ArduPlane turns two limits from the horizon to the
+    # body: that of roll by the pitch, the lowest pitch by the roll.
+    cos_roll, cos_pitch = cos(roll), cos(pitch)
+    roll_demand = _clip(roll_command, -g.roll_limit, g.roll_limit) * cos_pitch
+    pitch_demand = _clip(pitch_command, g.pitch_low, g.pitch_high)
+    if pitch_demand < 0.0:
+        pitch_demand *= abs(cos_roll)
     # the bank that the wing can bear at this speed
     load = g.stall_speed / eas
-    limit = min(max(acos(min(load * load, 1.0)), LEAST_BANK_LIMIT), g.roll_limit)
+    limit = max(acos(min(load * load, 1.0)), LEAST_BANK_LIMIT)
     # below the trim throttle the nose is lowered in proportion
     lowered = g.pitch_down * max(g.throttle_trim - throttle, 0.0)
-    pitch_demand = _clip(pitch_command, g.pitch_low, g.pitch_high) - lowered
+    pitch_demand = max(pitch_demand - lowered, g.pitch_low * abs(cos_roll))
     # the pitch rate of a level turn, g/V tan φ sin φ cos θ; tan φ sin φ is 1/cos φ − cos φ
-    cos_bank = max(cos(roll), COS_STEEPEST)
-    curve = (1.0 / cos_bank - cos_bank) * cos(pitch)
+    cos_bank = max(cos_roll, COS_STEEPEST)
+    curve = (1.0 / cos_bank - cos_bank) * cos_pitch
     turning = g.turn * curve / max(tas, g.airspeed_min)
     upright = _clip((0.5 * pi - abs(roll)) * g.fade_slope, 0.0, 1.0)
     rates = (
-        (_clip(roll_command, -limit, limit) - roll) * g.per_tconst[0],
-        (max(pitch_demand, g.pitch_low) + g.pitch_trim - pitch) * g.per_tconst[1] + turning,
+        (_clip(roll_demand, -limit, limit) - roll) * g.per_tconst[0],
+        (pitch_demand + g.pitch_trim - pitch) * g.per_tconst[1] + turning,
     )
 
     # the rate loop works on target and measurement times the square of the speed scaler

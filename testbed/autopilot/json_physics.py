@@ -8,25 +8,26 @@ https://github.com/ArduPilot/ardupilot/tree/master/libraries/SITL/examples/JSON
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Sequence
+from math import cos, isnan, sin
 from typing import NamedTuple
 
-import numpy as np
-
+from testbed.core.compile import entry
 from testbed.core.errors import InputError
-from testbed.core.frames import GRAVITY, rotation_ned_body
-from testbed.core.records import Array, VehicleState
+from testbed.core.frames import GRAVITY
+from testbed.core.records import Array, Indices, Records
 
 MAGIC: dict[int, int] = {18458: 16, 29569: 32}  # magic: outputs; 32 with SERVO_32_ENABLE
 MAX_CHANNELS = 12  # RC channels in the line of JSON
 _HEAD = struct.Struct("<HHI")
-_GRAVITY_NED = np.array([0.0, 0.0, GRAVITY])
-_STATE = (
-    '\n{"timestamp":%r,"imu":{"gyro":[%r,%r,%r],"accel_body":[%r,%r,%r]},"position":[%r,%r,%r],'
-    '"attitude":[%r,%r,%r],"velocity":[%r,%r,%r],"velocity_wind":[%r,%r,%r],"airspeed":%r'
+# Nanometres and nanoradians: finer than ArduPlane's single precision, and a third of the time of
+# the shortest exact text.
+_MOTION = (
+    '\n{"timestamp":%.9f,"imu":{"gyro":[%.9f,%.9f,%.9f],"accel_body":[%.9f,%.9f,%.9f]},'
+    '"position":[%.9f,%.9f,%.9f],"attitude":[%.9f,%.9f,%.9f],"velocity":[%.9f,%.9f,%.9f]'
 )
+MOTION_NUMBERS = 15  # of `pack_motion`
 # Added to pulses, because ArduPlane's drivers may truncate them, and single precision may be just
 # below a whole number.
 _RC_OFFSET_US = 0.25
@@ -51,7 +52,7 @@ def read_servos(data: bytes) -> ServoPacket:
         PacketError: it is not from ArduPlane's JSON link.
     """
     if len(data) < _HEAD.size:
-        raise PacketError(f"{len(data)} bytes are no packet of ArduPlane's JSON link")
+        raise PacketError(f"{len(data)} bytes are not a packet of ArduPlane's JSON link")
     magic, rate, count = _HEAD.unpack_from(data)
     outputs = MAGIC.get(magic)
     if outputs is None:
@@ -65,48 +66,56 @@ def read_servos(data: bytes) -> ServoPacket:
     return ServoPacket(rate, count, struct.unpack_from(f"<{outputs}H", data, _HEAD.size))
 
 
-def specific_force(state: VehicleState) -> Array:
-    """Compute the specific force of accelerometers, (N, 3) m/s², body axes: R_NB^T (a − g)."""
-    specific = state.acceleration_ned - _GRAVITY_NED
-    force: Array = np.einsum("nij,ni->nj", rotation_ned_body(state.euler), specific)
-    return force
+@entry
+def pack_motion(which: Indices, rows: Indices, aircraft: Records, numbers: Array) -> None:
+    """Write the motion of some aircraft in the order of a line of JSON.
 
-
-def state_columns(state: VehicleState, wind_ned: Array, pitot: Array) -> Array:
-    """Collect the state of N aircraft in the order of a line, (N, 19).
+    The specific force of accelerometers is R_NB^T (a − g), by three plane rotations.
 
     Args:
-        state: the truth.
-        wind_ned: (N, 3) m/s, velocity of the air.
-        pitot: (N,) m/s, measured equivalent airspeed, for ArduPlane's simulated pitot tube.
+        which: (K,) rows of `numbers`.
+        rows: (M,) of these among the aircraft.
+        aircraft: (N,) of AIRCRAFT.
+        numbers: (M, 15) rates rad/s, specific force m/s², position m, attitude rad, velocity m/s.
     """
-    return np.concatenate(
-        (
-            state.rates_body,
-            specific_force(state),
-            state.position_ned,
-            state.euler,
-            state.velocity_ned,
-            wind_ned,
-            pitot[:, np.newaxis],
-        ),
-        axis=1,
-    )
+    for k in which:
+        t, x = aircraft[rows[k]].truth, numbers[k]
+        phi, theta, psi = t.euler[0], t.euler[1], t.euler[2]
+        north, east = t.acceleration_ned[0], t.acceleration_ned[1]
+        down = t.acceleration_ned[2] - GRAVITY
+        ahead, y = cos(psi) * north + sin(psi) * east, cos(psi) * east - sin(psi) * north
+        below = sin(theta) * ahead + cos(theta) * down
+        x[3] = cos(theta) * ahead - sin(theta) * down
+        x[4] = cos(phi) * y + sin(phi) * below
+        x[5] = cos(phi) * below - sin(phi) * y
+        for axis in range(3):
+            x[axis], x[6 + axis] = t.rates_body[axis], t.position_ned[axis]
+            x[9 + axis], x[12 + axis] = t.euler[axis], t.velocity_ned[axis]
 
 
-def state_line(
-    time_s: float, columns: Sequence[float], voltage: float, pulses: Sequence[int]
-) -> bytes:
-    """Format the line of JSON for one aircraft.
+def motion_text(time_s: float, numbers: Sequence[float]) -> str:
+    """Format the first part of the line of JSON for one aircraft, which changes at every tick.
 
     Args:
         time_s: of the physics; must increase from line to line.
-        columns: a row of `state_columns`.
+        numbers: a row of `pack_motion`.
+    """
+    return _MOTION % (time_s, *numbers)
+
+
+def inputs_text(
+    wind_ned: Sequence[float], pitot: float, voltage: float, pulses: Sequence[int]
+) -> str:
+    """Format the rest of the line of JSON for one aircraft.
+
+    Args:
+        wind_ned: (3,) m/s, velocity of the air.
+        pitot: m/s, measured equivalent airspeed, for ArduPlane's simulated pitot tube.
         voltage: of the battery, V; NaN where there is none. Its current is not modelled: 0 A.
         pulses: of the RC channels, µs, channel 1 first, at most MAX_CHANNELS.
     """
-    text = _STATE % (time_s, *columns)
-    if not math.isnan(voltage):
-        text += f',"battery":{{"voltage":{voltage!r},"current":0.0}}'
+    text = ',"velocity_wind":[%.9f,%.9f,%.9f],"airspeed":%.9f' % (*wind_ned, pitot)
+    if not isnan(voltage):
+        text += f',"battery":{{"voltage":{voltage:.9f},"current":0.0}}'
     rc = (f'"rc_{number}":{pulse + _RC_OFFSET_US}' for number, pulse in enumerate(pulses, start=1))
-    return f'{text},"rc":{{{",".join(rc)}}}}}\n'.encode()
+    return f'{text},"rc":{{{",".join(rc)}}}}}\n'

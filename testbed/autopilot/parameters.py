@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -86,42 +87,55 @@ _POSITIVE = (
     "navl1_period",
     "navl1_damping",
 )
+# Names before version 4.5: the present name, and the factor of the value (centidegrees, cm/s).
+OLD_NAMES = {
+    "LIM_ROLL_CD": ("ROLL_LIMIT_DEG", 0.01),
+    "LIM_PITCH_MAX": ("PTCH_LIM_MAX_DEG", 0.01),
+    "LIM_PITCH_MIN": ("PTCH_LIM_MIN_DEG", 0.01),
+    "TRIM_PITCH_CD": ("PTCH_TRIM_DEG", 0.01),
+    "TRIM_ARSPD_CM": ("AIRSPEED_CRUISE", 0.01),
+    "ARSPD_FBW_MIN": ("AIRSPEED_MIN", 1.0),
+    "ARSPD_FBW_MAX": ("AIRSPEED_MAX", 1.0),
+}
+_OLDER_GAINS = ("RLL2SRV_P", "PTCH2SRV_P")  # before version 4.1, of another control law
+# Channel of the surface in the parameters here, and the output functions that move it: aileron,
+# elevator, rudder, left elevon, left V-tail. ArduPlane's default outputs are these channels.
+_OUTPUTS = ((1, (4, 77)), (2, (19, 77, 79)), (4, (21, 79)))
+_DEFAULT_FUNCTIONS = {1: 4, 2: 19, 3: 70, 4: 21}
+_LEFT_ELEVON = 77
+_RANGE, _MIXING_GAIN = (1100.0, 1900.0), 0.5  # ArduPlane's defaults
 _MIN_SIZE, _MAX_SIZE = 1e-9, 1e9  # of values other than 0, so that quotients do not overflow
 _MIN_TCONST = 0.05  # s, as in ArduPlane
 
 
 def read_params(path: Path) -> FbwaParams:
-    """Read a `.param` file: lines of name and value, separated by comma or blanks.
+    """Read the parameters of fly-by-wire A from a `.param` file; see `read_values`.
 
-    `#` starts a comment. The last value of a name counts. Names that fly-by-wire A does not use
-    are ignored, with one warning that has their number.
+    The travel of a surface is that of the output that SERVOn_FUNCTION assigns to it, times
+    MIXING_GAIN for elevons. Names that fly-by-wire A does not use are ignored, with one warning
+    that has their number.
 
     Raises:
         ParamError: the file cannot be read, or a line or value is invalid.
     """
     path = Path(path)
-    lines = read_bounded_text(path, error=ParamError).splitlines()
-    values: dict[str, float] = {}
-    where: dict[str, int] = {}
-    unknown: set[str] = set()
-    for number, line in enumerate(lines, start=1):
-        words = line.split("#", 1)[0].replace(",", " ").split()
-        if not words:
-            continue
-        value = _number(words[1]) if len(words) == 2 else None
-        if value is None or not words[0].replace("_", "").isalnum() or words[0][0].isdigit():
+    given = read_values(path)
+    for name in _OLDER_GAINS:
+        if name in given and name.replace("2SRV", "_RATE") not in given:
             raise ParamError(
-                f"{path}:{number}: expected a name and a number, as in 'RLL_RATE_P 0.3' or "
-                f"'RLL_RATE_P,0.3', found {line.strip()[:60]!r}"
+                f"{path}:{given[name].line}: {name} is a gain of versions before 4.1 (write "
+                "RLL_RATE_ and PTCH_RATE_ gains, as a newer version has them)"
             )
-        name = words[0].lower()
-        if name in _NAMES:
-            values[name], where[name] = value, number
-        else:
-            unknown.add(words[0])
-    params = FbwaParams(**values)
+    named = {name.lower(): each for name, each in _surface_outputs(given).items()}
+    used = {name: each for name, each in named.items() if name in _NAMES}
+    params = FbwaParams(**{name: each.value for name, each in used.items()})
     for name, problem in _errors(params):
-        raise ParamError(f"{path}:{where.get(name, 1)}: {problem}")
+        line = used[name].line if name in used else 1
+        raise ParamError(f"{path}:{line}: {problem}")
+    taken = {each.name for each in used.values()}
+    unknown = {
+        each.name for name, each in given.items() if not is_virtual(name) and each.name not in taken
+    }
     if unknown:
         some = ", ".join(sorted(unknown)[:3]) + (", …" if len(unknown) > 3 else "")
         warnings.warn(
@@ -129,6 +143,79 @@ def read_params(path: Path) -> FbwaParams:
             stacklevel=2,
         )
     return params
+
+
+def is_virtual(name: str) -> bool:
+    """Whether the virtual autopilot uses a parameter, by its present name."""
+    is_output = name.startswith("SERVO") and name.endswith("_FUNCTION")
+    return name.lower() in _NAMES or is_output or name == "MIXING_GAIN"
+
+
+class GivenValue(NamedTuple):
+    """A value of a `.param` file."""
+
+    value: float
+    line: int
+    name: str  # as the file has it
+
+
+def read_values(path: Path) -> dict[str, GivenValue]:
+    """Read a `.param` file of a ground station, by ArduPlane's present names.
+
+    Lines are of name and value, separated by comma or blanks, or of system, component, name, value
+    and type, as QGroundControl writes them. `#` starts a comment. The last value of a name counts.
+    Names before version 4.5 are converted, with their units (`OLD_NAMES`).
+
+    Raises:
+        ParamError: the file cannot be read, or a line is invalid.
+    """
+    found: dict[str, GivenValue] = {}
+    lines = read_bounded_text(path, error=ParamError).splitlines()
+    for number, line in enumerate(lines, start=1):
+        words = line.split("#", 1)[0].replace(",", " ").split()
+        if not words:
+            continue
+        if len(words) == 5 and words[0].isdigit() and words[1].isdigit():
+            words = words[2:4]
+        value = _number(words[1]) if len(words) == 2 else None
+        if value is None or not words[0].replace("_", "").isalnum() or words[0][0].isdigit():
+            raise ParamError(
+                f"{path}:{number}: expected a name and a number, as in 'RLL_RATE_P 0.3' or "
+                f"'RLL_RATE_P,0.3', found {line.strip()[:60]!r}"
+            )
+        name, factor = OLD_NAMES.get(words[0].upper(), (words[0].upper(), 1.0))
+        found[name] = GivenValue(factor * value, number, words[0])
+    return found
+
+
+def _surface_outputs(given: Mapping[str, GivenValue]) -> dict[str, GivenValue]:
+    """Move the ranges of the outputs that move the surfaces to channels 1, 2 and 4.
+
+    Elevons of an airframe mix aileron and elevator with a gain of 1; those of ArduPlane with
+    MIXING_GAIN, which their range here is scaled by, about its centre.
+    """
+    functions = dict(_DEFAULT_FUNCTIONS)
+    for number in range(1, 17):
+        if each := given.get(f"SERVO{number}_FUNCTION"):
+            functions[number] = int(each.value)
+    gain = given.get("MIXING_GAIN", GivenValue(_MIXING_GAIN, 1, "MIXING_GAIN")).value
+    moved = dict(given)
+    for channel, wanted in _OUTPUTS:
+        output = next((n for n in sorted(functions) if functions[n] in wanted), channel)
+        names = [f"SERVO{output}_{end}" for end in ("MIN", "MAX")]
+        ends = [
+            given.get(name, GivenValue(default, 1, name))
+            for name, default in zip(names, _RANGE, strict=True)
+        ]
+        if functions.get(output) == _LEFT_ELEVON:
+            centre, half = (ends[0].value + ends[1].value) / 2, (ends[1].value - ends[0].value) / 2
+            ends = [
+                each._replace(value=centre + side * gain * half)
+                for each, side in zip(ends, (-1, 1), strict=True)
+            ]
+        for end, each in zip(("MIN", "MAX"), ends, strict=True):
+            moved[f"SERVO{channel}_{end}"] = each
+    return moved
 
 
 def with_param(params: FbwaParams, name: str, value: float) -> FbwaParams:

@@ -145,7 +145,8 @@ class SitlMavlinkClient:
                 int(message.number(f"chan{n}_raw")) for n in range(1, min(count, 18) + 1)
             )
         elif message.name == "STATUSTEXT":
-            self.texts.append((int(message.number("severity")), str(fields["text"])))
+            text = " ".join(str(fields["text"]).split())  # some have tabs
+            self.texts.append((int(message.number("severity")), text))
 
 
 def _version(message: Message) -> str:

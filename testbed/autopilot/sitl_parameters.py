@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
-from testbed.core.input_files import read_bounded_text
+from testbed.autopilot.parameters import is_virtual, read_values
 
 # Name, value and reason.
 _LINK_PARAMETERS = (
     ("AHRS_EKF_TYPE", 10, "attitude and velocity are the simulated truth, without an estimator"),
+    ("EK3_ENABLE", 0, "no estimator runs beside the truth"),
+    ("GPS1_TYPE", 0, "no GPS, which only the estimator would use"),
+    ("GPS_TYPE", 0, "the same before version 4.6"),
     ("ARMING_SKIPCHK", -1, "no pre-arm checks, as the aircraft starts in the air"),
     ("ARMING_CHECK", 0, "the same before version 4.7"),
     ("BRD_SAFETY_DEFLT", 0, "no safety switch"),
@@ -19,6 +24,7 @@ _LINK_PARAMETERS = (
     ("FS_SHORT_ACTN", 3, "no failsafe changes the mode"),
     ("FS_LONG_ACTN", 0, "no failsafe changes the mode"),
     ("FS_GCS_ENABL", 0, "no ground station sends heartbeats"),
+    ("ARSPD_ENABLE", 1, "airspeed sensors are supported"),
     ("ARSPD_TYPE", 2, "an analog airspeed sensor, fed by the simulator"),
     ("ARSPD_PIN", 1, "the pin that the simulator feeds"),
     ("ARSPD_USE", 1, "gains are scaled by the measured airspeed"),
@@ -34,9 +40,101 @@ _LINK_PARAMETERS = (
 )
 
 
+# Beginnings of names that belong to the hardware of an aircraft, its failsafes and its missions:
+# calibrations would be errors of the simulated sensors.
+_HARDWARE = (
+    *("AHRS_CUSTOM", "AHRS_ORIENT", "AHRS_TRIM", "BARO", "COMPASS", "GPS", "GND_", "INS_ACC"),
+    *("INS_GYR", "INS_POS", "INS_TCAL", "INS_USE", "EK2_", "EK3_", "ARSPD", "RNGFND", "FLOW"),
+    *("BATT", "BRD_", "CAN_", "NTF_", "RPM", "EFI", "ADSB", "AVD_", "OSD", "VTX", "FRSKY"),
+    *("SERIAL", "SR0_", "SR1_", "SR2_", "SR3_", "SR4_", "SR5_", "SR6_", "MAV", "SYSID", "TELEM"),
+    *("RC_OPTIONS", "RC_PROTOCOLS", "FLTMODE", "AFS_", "FENCE", "RALLY", "MIS_", "CHUTE"),
+    *("ARMING", "FS_", "LOG_", "SCR_", "STAT_", "FORMAT_VERSION", "SYS_NUM", "Q_ENABLE"),
+    *("CAM", "MNT", "RELAY", "TERRAIN", "ICE_", "FOLL", "NET_", "DDS_"),
+)
+# Name, value of the virtual autopilot, and what it leaves out.
+_NOT_MODELLED = (
+    ("RLL_RATE_SMAX", 0.0, "slew limiter, which acts on sustained oscillation"),
+    ("PTCH_RATE_SMAX", 0.0, "slew limiter, which acts on sustained oscillation"),
+    ("MIXING_OFFSET", 0.0, "different travel of aileron and elevator on elevons and V-tails"),
+    ("YAW2SRV_DAMP", 0.0, "yaw damper"),
+    ("YAW2SRV_SLIP", 0.0, "control of sideslip"),
+    ("YAW_RATE_ENABLE", 0.0, "control of the yaw rate"),
+    ("STALL_PREVENTION", 1.0, "the virtual autopilot always limits the load factor"),
+    ("THR_MIN", 0.0, "least throttle; 0 in the virtual autopilot"),
+    ("THR_PASS_STAB", 0.0, "throttle without THR_MIN and THR_MAX"),
+    ("FWD_BAT_VOLT_MAX", 0.0, "compensation of throttle for the battery's voltage"),
+    ("RUDDER_ONLY", 0.0, "control by the rudder"),
+    ("INS_GYRO_FILTER", 20.0, "gyro filter; 20 Hz in the virtual autopilot"),
+    ("INS_HNTCH_ENABLE", 0.0, "notch filter"),
+)
+_KEPT = ("INS_ACCEL_FILTER", "INS_GYRO_FILTER")  # of the control law
+
+
+class TuneUse(NamedTuple):
+    """How the names of a parameter file are used, by names as in the file."""
+
+    renamed: dict[str, str]  # older names, and the present name with the converted value
+    both: tuple[str, ...]  # used by the virtual autopilot and by ArduPlane
+    arduplane: tuple[str, ...]  # used by ArduPlane only
+    link: tuple[str, ...]  # replaced by values that the link needs
+    hardware: tuple[str, ...]  # left out: of the aircraft's hardware, failsafes and missions
+
+
+def tune_use(tune: Path) -> TuneUse:
+    """Classify the parameters of a file.
+
+    Raises:
+        ParamError: the file cannot be read, or a line is invalid.
+    """
+    link = {name for name, _, _ in _link_parameters(0, 0)}
+    renamed: dict[str, str] = {}
+    kinds: dict[str, list[str]] = {kind: [] for kind in TuneUse._fields[1:]}
+    for name, (value, _, given) in read_values(tune).items():
+        if given.upper() != name:
+            renamed[given] = f"{name} {value:.9g}"
+        if name in link:
+            kind = "link"
+        elif _is_hardware(name):
+            kind = "hardware"
+        else:
+            kind = "both" if is_virtual(name) else "arduplane"
+        kinds[kind].append(given)
+    return TuneUse(renamed, **{kind: tuple(names) for kind, names in kinds.items()})
+
+
+def tune_differences(tune: Path) -> Iterator[str]:
+    """Name the values of a file that make ArduPlane differ from the virtual autopilot.
+
+    Raises:
+        ParamError: the file cannot be read, or a line is invalid.
+    """
+    values = {name: each.value for name, each in read_values(tune).items()}
+    for name, default, text in _NOT_MODELLED:
+        if values.get(name, default) != default:
+            yield f"{name} {values[name]:.9g}: {text}"
+    options = int(values.get("FLIGHT_OPTIONS", 0.0))
+    if options & 1:
+        yield "FLIGHT_OPTIONS bit 0: ArduPlane mixes no rudder in fly-by-wire A (KFF_RDDRMIX)"
+    if options & 1 << 10:
+        yield "FLIGHT_OPTIONS bit 10: ArduPlane takes half throttle as TRIM_THROTTLE"
+
+
+def _is_hardware(name: str) -> bool:
+    return name.startswith(_HARDWARE) and name not in _KEPT
+
+
+def _link_parameters(physics_hz: int, autopilot_hz: int) -> tuple[tuple[str, float, str], ...]:
+    return (
+        *_LINK_PARAMETERS,
+        ("SIM_RATE_HZ", physics_hz, "rates.physics_hz"),
+        ("SCHED_LOOP_RATE", autopilot_hz, "rates.autopilot_hz, also if the tune has another"),
+    )
+
+
 def defaults_text(tune: Path, *, physics_hz: int, autopilot_hz: int) -> str:
     """Write ArduPlane's --defaults file: each parameter once, those of the link first.
 
+    Of the tune, parameters of the aircraft's hardware are left out; older names are converted.
     ArduPlane reads at most 99 bytes of a line, so that comments have lines of their own.
 
     Args:
@@ -45,20 +143,15 @@ def defaults_text(tune: Path, *, physics_hz: int, autopilot_hz: int) -> str:
         autopilot_hz: rate of the autopilot.
 
     Raises:
-        InputError: the parameter file cannot be read.
+        ParamError: the parameter file cannot be read, or a line is invalid.
     """
-    text = read_bounded_text(tune)
-    given = (line.split("#", 1)[0].replace(",", " ").split() for line in text.splitlines())
-    own = {words[0].upper(): words[1] for words in given if len(words) == 2}
-    link = (
-        *_LINK_PARAMETERS,
-        ("SIM_RATE_HZ", physics_hz, "rates.physics_hz"),
-        ("SCHED_LOOP_RATE", autopilot_hz, "rates.autopilot_hz, also if the tune has another"),
-    )
-    lines = []
-    for name, value, reason in link:
-        own.pop(name, None)
+    lines, link = [], set()
+    for name, value, reason in _link_parameters(physics_hz, autopilot_hz):
+        link.add(name)
         lines += [f"# {reason}", f"{name} {value}"]
-    return "\n".join(
-        [*lines, "# the tune", *(f"{name} {value}" for name, value in own.items()), ""]
-    )
+    own = [
+        f"{name} {each.value:.9g}"
+        for name, each in read_values(tune).items()
+        if name not in link and not _is_hardware(name)
+    ]
+    return "\n".join([*lines, "# the tune", *own, ""])

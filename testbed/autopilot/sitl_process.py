@@ -11,12 +11,14 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
+from testbed.core.child_guard import CANNOT_START, guard_command
 from testbed.core.errors import InputError
 from testbed.core.records import Origin
 
 VARIABLE = "ARDUPLANE"
 _SPEEDUP = 100  # limit of its speed, times real time; high, so that it never delays the run
 _GRACE_S = 1.0  # from SIGTERM to SIGKILL; it ignores SIGTERM while it waits for its physics
+_POLL_S = 0.002
 _TAIL_LINES, _TAIL_BYTES = 12, 4000
 
 
@@ -92,10 +94,11 @@ class SitlProcess:
         defaults_file.write_text(defaults, encoding="utf-8")
         try:
             with self._log.open("wb") as log:
+                line = command_line(binary, instance, origin, heading_deg, defaults_file)
                 self._child = subprocess.Popen(
-                    command_line(binary, instance, origin, heading_deg, defaults_file),
+                    guard_command(self._folder, line),  # it ends if this process is killed
                     cwd=self._folder,
-                    stdin=subprocess.DEVNULL,
+                    stdin=subprocess.PIPE,
                     stdout=log,
                     stderr=subprocess.STDOUT,
                     start_new_session=True,  # Ctrl-C goes to the run only, which then stops it
@@ -106,25 +109,45 @@ class SitlProcess:
 
     @property
     def pid(self) -> int:
-        """Number of the process and of its process group."""
+        """Number of its process group."""
         return self._child.pid
 
     def exit_text(self) -> str | None:
-        """Describe how it ended; None: it runs."""
+        """Describe how it ended; None: it runs.
+
+        Raises:
+            InputError: it could not be started.
+        """
         code = self._child.poll()
         if code is None:
             return None
+        if code == CANNOT_START:
+            raise InputError(self._output_lines()[-1])
         return f"was ended by signal {-code}" if code < 0 else f"ended with exit code {code}"
 
     def output_tail(self) -> str:
-        """Return the last lines of its output, indented."""
+        """Return the last lines of its output, indented.
+
+        Each line once, without the keys that it lists after its first state (JSON received).
+        """
+        tail: dict[str, None] = {}
+        keys = False
+        for line in self._output_lines():
+            keys = line.startswith("JSON received") or (keys and line.startswith("\t"))
+            if not keys:
+                tail.pop(line, None)
+                tail[line] = None
+        shown = [f"    {' '.join(line.split())[:200]}" for line in [*tail][-_TAIL_LINES:]]
+        return "\n".join(["it last printed:", *shown]) if shown else "it printed nothing"
+
+    def _output_lines(self) -> list[str]:
+        """Return the last lines of its output that are not empty."""
         try:
             data = self._log.read_bytes()[-_TAIL_BYTES:]
         except OSError:
             data = b""
-        lines = [line.rstrip() for line in data.decode("utf-8", "replace").splitlines()]
-        tail = [f"    {line[:200]}" for line in lines if line][-_TAIL_LINES:]
-        return "\n".join(["it last printed:", *tail]) if tail else "it printed nothing"
+        lines = (line.rstrip() for line in data.decode("utf-8", "replace").splitlines())
+        return [line for line in lines if line]
 
     def signal(self, number: signal.Signals) -> None:
         """Send a signal to its process group."""
@@ -135,14 +158,19 @@ class SitlProcess:
                 pass
 
     def wait(self, until: float) -> None:
-        """Wait for its end until this time of the monotonic clock, s."""
+        """Wait for the end of its process group until this time of the monotonic clock, s."""
         try:
             self._child.wait(max(0.0, until - time.monotonic()))
-        except subprocess.TimeoutExpired:
+            while time.monotonic() < until:  # after SIGKILL the guard may end before the program
+                os.killpg(self.pid, 0)
+                time.sleep(_POLL_S)
+        except (subprocess.TimeoutExpired, ProcessLookupError):
             pass
 
     def remove_folder(self) -> None:
         """Remove its folder."""
+        if self._child.stdin is not None:
+            self._child.stdin.close()
         shutil.rmtree(self._folder, ignore_errors=True)
 
 

@@ -127,7 +127,7 @@ def air_command(
     console = result_console(json)
     console.print(_headline(loaded, path))
     console.write_line()
-    console.print(_table(document))
+    console.print_table(_table(document))
     for name, file in (("arrays", out), ("figure", plot)):
         if file:
             console.write_line(f" {name}  {file}")

@@ -15,6 +15,7 @@ from testbed.cli.options import AircraftName, JsonFile, ParamFile, require_finit
 from testbed.cli.output import (
     MISSING,
     check_output_path,
+    message_console,
     result_console,
     ruled_table,
     write_json_output,
@@ -86,7 +87,7 @@ def trim_command(
     console = result_console(json)
     console.write_line(_headline(folder, point))
     console.write_line()
-    console.print(_trim_table(result))
+    console.print_table(_trim_table(result))
 
 
 def linearize_command(
@@ -120,7 +121,7 @@ def linearize_command(
     console = result_console(json)
     console.write_line(_headline(folder, point))
     console.write_line()
-    console.print(_modes_table(modes))
+    console.print_table(_modes_table(modes))
 
 
 def step_command(
@@ -177,9 +178,9 @@ def step_command(
     settings = f" · {before:g} {step:+g} m/s · profile {profile} · tune {Path(param).stem}"
     console.write_line(Text.assemble(" ", (folder.name, "bold"), settings))
     console.write_line()
-    console.print(_step_table(response))
+    console.print_table(_step_table(response))
     console.write_line()
-    console.print(_step_facts(response))
+    console.print_table(_step_facts(response))
     if response.limited_s > LIMITED_SHARE * response.time[-1]:
         line = " the throttle was at a limit: the pole is that of the motor, not of the loop"
         console.write_line(line, "yellow")
@@ -237,6 +238,7 @@ def respond_command(
                 airspeed=airspeed,
                 altitude=altitude,
                 origin_elevation=origin_elevation,
+                warn=lambda text: message_console().write_line(f"warning: {text}"),
             )
     except AircraftLost as loss:
         typer.echo(f"lost: {loss}", err=True)

@@ -12,6 +12,7 @@ import typer
 
 from testbed import __version__
 from testbed.cli.air import air_command
+from testbed.cli.arduplane import arduplane_command
 from testbed.cli.check import check_command
 from testbed.cli.command_group import MARKUP, CommandGroup
 from testbed.cli.compare import compare_command
@@ -19,6 +20,7 @@ from testbed.cli.exit_codes import EXIT_CODES_HELP, ExitCode
 from testbed.cli.export import export_command
 from testbed.cli.import_flight import import_command
 from testbed.cli.inspect import linearize_command, respond_command, step_command, trim_command
+from testbed.cli.law import law_command
 from testbed.cli.network import network_command
 from testbed.cli.output import guard_standard_streams
 from testbed.cli.recover import recover_command
@@ -44,6 +46,7 @@ class _Commands(CommandGroup):
         "Before a flight": {
             "list": list_command,
             "validate": validate_command,
+            "law": law_command,
             "network": network_command,
             "air": air_command,
             "schema": schema_command,
@@ -63,6 +66,7 @@ class _Commands(CommandGroup):
             "step": step_command,
             "respond": respond_command,
             "import": import_command,
+            "arduplane": arduplane_command,
         },
     }
     option_panels = {
@@ -72,7 +76,8 @@ class _Commands(CommandGroup):
         }
     }
     epilogs = dict.fromkeys(
-        ("run", "view", "shot", "check", "compare", "sweep", "tune", "respond"), EXIT_CODES_HELP
+        ("run", "view", "shot", "check", "compare", "sweep", "tune", "respond", "arduplane"),
+        EXIT_CODES_HELP,
     )
 
 

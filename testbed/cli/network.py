@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -19,7 +18,7 @@ from testbed.cli.options import (
     load_scenario,
     output_option,
 )
-from testbed.cli.output import result_console, write_json_output
+from testbed.cli.output import PipeSafeConsole, result_console, write_json_output
 from testbed.core.errors import InputError
 from testbed.core.files import report_write_errors, write_text_file
 
@@ -29,7 +28,8 @@ if TYPE_CHECKING:
 
 MAX_PACKETS = 10_000_000
 MAX_ROWS = 50_000_000  # of all links: half a gigabyte of memory, several gigabytes of CSV
-COLUMNS = 5  # of counts, which fit side by side in 80 columns
+COLUMNS = 5  # of counts, which fit side by side in 80 columns; fewer of them in 60
+NARROW_COLUMNS = 3
 NOT_LOSSES = ("muted", "overtaken", "duplicated")
 HEADER = "source,destination,sequence,sent_s,received_s,outcome,copies\n"
 
@@ -218,8 +218,9 @@ def _rows(link: str, sent: Sequence[str], messages: MessageRecord, i: int, m: in
         yield f"{link},{start},{received},{ends[outcome][copies]}"
 
 
-def _print_summary(console: Console, document: Document) -> None:
-    from testbed.metrics.link_tables import arrival_table, worst_links
+def _print_summary(console: PipeSafeConsole, document: Document) -> None:
+    from testbed.metrics.link_tables import arrival_tables, worst_links
+    from testbed.metrics.tables import fits_width, wrap_lines
     from testbed.network.report import LOSSES, outcome_name
 
     together, links = document["all"], _link_count(document)
@@ -232,17 +233,20 @@ def _print_summary(console: Console, document: Document) -> None:
         )
     )
     listed = worst_links(document["links"])
-    console.print()
-    console.print(arrival_table(listed, together))
-    outcomes = [key for key in (*map(outcome_name, LOSSES), *NOT_LOSSES) if _count(together, key)]
-    for first in range(0, len(outcomes), COLUMNS):
+    for table in arrival_tables(listed, together, fits_width(console)):
         console.print()
-        console.print(_count_table(listed, together, outcomes[first : first + COLUMNS]))
+        console.print(table)
+    outcomes = [key for key in (*map(outcome_name, LOSSES), *NOT_LOSSES) if _count(together, key)]
+    count = COLUMNS if console.width >= 80 else NARROW_COLUMNS
+    for first in range(0, len(outcomes), count):
+        console.print()
+        console.print(_count_table(listed, together, outcomes[first : first + count]))
     if len(listed) < links:
         console.print(Text(f" (the worst of {links} links)", style="dim"))
     if worst := _worst(document):
         console.print()
-        console.print(Text(f" {worst}"))
+        for line in wrap_lines(worst, console.width - 1):
+            console.write_line(f" {line}")
 
 
 def _link_count(document: Document) -> int:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from testbed.cli.output import check_output_path
-from testbed.core.errors import InputError
+from testbed.core.errors import ExternalProgramLost, InputError
 
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
@@ -117,6 +118,22 @@ ParamFile = Annotated[
         metavar="FILE", help="Autopilot parameters: a tune of the aircraft, or a .param file."
     ),
 ]
+
+
+@contextmanager
+def error_places(scenario: str, overrides: Sequence[str] | None) -> Iterator[None]:
+    """Add file, line and column to an error that begins with a key of a loaded scenario."""
+    from testbed.scenario import ScenarioError, place_of_key
+
+    try:
+        yield
+    except (ScenarioError, ExternalProgramLost):  # the first has places, the second none
+        raise
+    except InputError as error:
+        with suppress(ScenarioError):  # the file has changed since
+            if place := place_of_key(str(error), scenario, overrides or ()):
+                error.args = (f"{place}: {error}",)
+        raise
 
 
 def load_scenario(name: str, overrides: Sequence[str] | None, seed: int | None = None) -> Scenario:

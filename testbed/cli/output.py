@@ -89,6 +89,12 @@ class PipeSafeConsole(Console):
         """Print one line as it is, without markup and without wrapping."""
         self.print(Text(text, style) if isinstance(text, str) else text, soft_wrap=True)
 
+    def print_table(self, table: Table) -> None:
+        """Print a table at its own width: a narrower terminal breaks its lines, cutting nothing."""
+        unlimited = self.options.update_width(10_000)
+        table.width = self.measure(table, options=unlimited).maximum
+        self.print(table, crop=False)
+
 
 def result_console(json: Path | None = None) -> PipeSafeConsole:
     """Console for results: standard error where standard output gets JSON."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import RunName, output_option
+from testbed.cli.options import RunName, output_option, require_finite
 from testbed.cli.output import (
     PipeSafeConsole,
     check_output_folder,
@@ -51,6 +51,18 @@ FigureFormat = Annotated[
 def report_command(
     run: RunName,
     out: ReportFile = None,
+    begin: Annotated[
+        float | None,
+        typer.Option(
+            "--from", metavar="S", help="Draw nothing earlier in figures.", callback=require_finite
+        ),
+    ] = None,
+    end: Annotated[
+        float | None,
+        typer.Option(
+            "--to", metavar="S", help="Draw nothing later in figures.", callback=require_finite
+        ),
+    ] = None,
     figures: Figures = None,
     format: FigureFormat = None,
 ) -> None:
@@ -61,7 +73,9 @@ def report_command(
     from testbed.reports import read_run, run_figures, run_page
 
     ending = figure_format(format, figures)
-    data = read_run(run)
+    if begin is not None and end is not None and begin >= end:
+        raise InputError(f"--from {begin:g}: not before --to {end:g}; write an earlier time")
+    data = read_run(run, begin_s=begin, end_s=end)
     report = out or data.path.with_name(REPORT_NAME)
     console = result_console()
     write_report(run_page(data), report, console)

@@ -15,13 +15,16 @@ from testbed.cli.options import (
     Quiet,
     ScenarioName,
     Seed,
+    error_places,
     load_scenario,
     require_positive,
 )
-from testbed.cli.output import message_console, result_console, write_json_output
+from testbed.cli.output import format_size, message_console, result_console, write_json_output
 from testbed.core.errors import InputError
 
 if TYPE_CHECKING:
+    from rich.text import Text
+
     from testbed.core.records import Observer
     from testbed.scenario import Scenario
     from testbed.sim.external_options import ExternalOptions
@@ -114,14 +117,14 @@ def run_command(
     """
     from testbed.cli.progress import CompilingBar, ProgressBar
     from testbed.metrics.tables import render_table
-    from testbed.scenario import set_duration, unreached_windows
+    from testbed.scenario import set_duration
     from testbed.sim.run import run
 
     loaded = load_scenario(scenario, overrides, seed)
     messages = message_console()
-    unreached: dict[str, str] = {}
+    notes: list[tuple[str, Text]] = []
     if duration is not None:
-        unreached = unreached_windows(loaded, duration)
+        notes = _window_notes(loaded, duration)
         loaded = set_duration(loaded, duration)
     external = external_options(
         loaded,
@@ -131,6 +134,7 @@ def run_command(
         tlog=tlog,
         key_file=mavlink_key,
         arduplane=arduplane,
+        quiet=quiet,
     )
     observers: list[Observer] = [] if quiet else [ProgressBar(messages)]
     if view:
@@ -139,24 +143,41 @@ def run_command(
         viewer = LiveViewer()
         messages.write_line(f"view: {viewer.address}")
         observers.append(RerunView(viewer, max_hz=None if external.pace else FAST_HZ))
-    flown = run(
-        loaded,
-        out=out,
-        observers=observers,
-        external=external,
-        processes=processes,
-        compiling=None if quiet else CompilingBar(messages),
-    )
+    with error_places(scenario, overrides):
+        flown = run(
+            loaded,
+            out=out,
+            observers=observers,
+            external=external,
+            processes=processes,
+            compiling=None if quiet else CompilingBar(messages),
+        )
     write_json_output(json, flown.metrics)
     if not quiet:
         console = result_console(json)
-        render_table(flown.metrics, console, log=flown.directory)
-        if unreached:
-            line = f" {'windows not reached':<20}{', '.join(unreached.values())}"
-            console.write_line(line, "yellow")
+        size = format_size(*flown.directory.iterdir()) if flown.directory else ""
+        render_table(flown.metrics, console, log=flown.directory, log_size=size, notes=notes)
         for path in sorted(flown.directory.glob("*.py")) if flown.directory else ():
             console.write_line(f" {'control law':<20}{path}, a copy of its code")
     raise typer.Exit(flown.exit_code)
+
+
+def _window_notes(scenario: Scenario, duration_s: float) -> list[tuple[str, Text]]:
+    """Describe the windows that a duration, s, cuts short or does not reach, for the table."""
+    from rich.text import Text
+
+    from testbed.scenario import cut_windows, unreached_windows
+
+    notes = []
+    if cut := cut_windows(scenario, duration_s):
+        text = ", ".join(cut)
+        if scenario.scenario.published is not None:
+            text += ", not compared with published numbers"
+        notes.append(("windows cut short", Text(text, style="yellow")))
+    if unreached := unreached_windows(scenario, duration_s):
+        text = ", ".join(unreached.values())
+        notes.append(("windows not reached", Text(text, style="yellow")))
+    return notes
 
 
 def external_options(
@@ -168,6 +189,7 @@ def external_options(
     tlog: bool,
     key_file: Path | None,
     arduplane: Path | None,
+    quiet: bool = False,
 ) -> ExternalOptions:
     """Read the options for external programs.
 
@@ -208,4 +230,5 @@ def external_options(
         tlog=tlog,
         signing_key=key,
         arduplane=arduplane,
+        quiet=quiet,
     )

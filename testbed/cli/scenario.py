@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from testbed.cli.options import Overrides, ScenarioName, load_scenario
+from testbed.cli.options import Overrides, ScenarioName, error_places, load_scenario
 from testbed.cli.output import result_console
 from testbed.core.errors import escape_controls
 
@@ -31,7 +31,9 @@ def validate_command(
     from testbed.sim.build import build
 
     loaded = load_scenario(scenario, overrides)
-    for event in build(loaded).initial_events:
+    with error_places(scenario, overrides):
+        world = build(loaded)
+    for event in world.initial_events:
         typer.echo(escape_controls(f"{event.level}: {event.source}: {event.text}"), err=True)
     typer.echo(dump(loaded) if resolved else f"{scenario}: valid")
 
@@ -67,7 +69,8 @@ def list_command(
         console.write_line(each)
     console.print()
     console.write_line(
-        "testbed list NAME says more of one; testbed run NAME flies a scenario.", "dim"
+        "testbed list NAME prints its question; testbed run NAME flies a scenario.",
+        "dim",
     )
 
 
@@ -149,13 +152,14 @@ def _describe(name: str) -> None:
             "aircraft": ", ".join(loaded.aircraft_names),
             "run": f"testbed run {name}",
         }
+    rows = {title: text for title, text in rows.items() if text}
+    width = max(map(len, rows))
     table = Table.grid(padding=(0, 2))
     for title, text in rows.items():
-        if text:
-            table.add_row(title, text)
+        table.add_row(title, text)
     console.write_line(name, "bold")
     console.print(table)
-    console.write_line(f"file  {path}")
+    console.write_line(f"{'file':<{width}}  {path}")
 
 
 def schema_command() -> None:

@@ -4,24 +4,23 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.table import Table
 from rich.text import Text
 
 from testbed.cli.exit_codes import ExitCode
 from testbed.cli.options import Jobs, JsonFile, Quiet
 from testbed.cli.output import (
-    MISSING,
     PipeSafeConsole,
     message_console,
     result_console,
     write_json_output,
 )
+from testbed.cli.sweep_table import CAPTION, summary_tables
 
 if TYPE_CHECKING:
-    from testbed.studies.summary import Group, Summary
+    from testbed.studies.summary import Summary
     from testbed.studies.sweep import SweepResult
 
 
@@ -113,13 +112,16 @@ def sweep_command(
 
 def _print_summary(result: SweepResult, summary: Summary, console: PipeSafeConsole) -> None:
     console.write_line()
-    console.print(_headline(result))
+    for part in _headline(result, console.width):
+        console.write_line(part)
     if summary.out_of_slot:
         line = f" {summary.out_of_slot:,} completed with a follower out of its slot at the end"
         console.write_line(line, "yellow")
     if summary.groups and summary.metrics:
-        console.write_line()
-        console.print(_table(summary))
+        for table in summary_tables(summary, console.width):
+            console.write_line()
+            console.print(table)
+        console.write_line(CAPTION, "dim italic")
     for name, hint in summary.unknown_metrics.items():
         console.write_line(f" no run has a number {name!r}{hint}", "yellow")
     for each in summary.failures:
@@ -140,63 +142,16 @@ def _completed(result: SweepResult) -> int:
     return result.outcomes.get(COMPLETED, 0)
 
 
-def _headline(result: SweepResult) -> Text:
+def _headline(result: SweepResult, width: int) -> list[Text]:
+    """Name, number of runs and their outcomes, broken between these where a line is full."""
+    from testbed.metrics.tables import join_parts
     from testbed.studies.flight_task import COMPLETED
 
     runs = sum(result.outcomes.values())
-    line = Text.assemble(" ", (result.study.name, "bold"), f" · {runs:,} runs")
-    if result.new_runs < runs:
-        line.append(f", {result.new_runs:,} of them in this session")
+    new = f", {result.new_runs:,} of them in this session" if result.new_runs < runs else ""
+    parts = [Text(f"{runs:,} runs{new}")]
     for outcome, count in result.outcomes.items():
         if count:
             style = "bold green" if outcome == COMPLETED else "bold red"
-            line.append(" · ")
-            line.append(f"{count:,} {outcome.replace('_', ' ')}", style=style)
-    return line
-
-
-def _table(summary: Summary) -> Table:
-    """One row per group of runs: its settings, and median and range of each metric."""
-    has_cases = any(group.case for group in summary.groups)
-    keys = list(summary.groups[0].point)
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 1), header_style="bold")
-    if has_cases:
-        table.add_column("case", no_wrap=True)
-    for key in keys:
-        table.add_column(_break_at_dots(key), justify="right")
-    table.add_column("runs", justify="right", style="dim")
-    for name in summary.metrics:
-        table.add_column(_break_at_dots(name), justify="right", no_wrap=False)
-    for group in summary.groups:
-        table.add_row(
-            *([group.case] if has_cases else []),
-            *(_format(group.point[key]) for key in keys),
-            _format_runs(group),
-            *(_format_range(group, name) for name in summary.metrics),
-        )
-    table.caption = " median (smallest to largest)"
-    table.caption_justify = "left"
-    return table
-
-
-def _break_at_dots(name: str) -> str:
-    return name.replace(".", ".\n")
-
-
-def _format(value: Any) -> str:  # noqa: ANN401 - a value of a scenario's key
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _format_runs(group: Group) -> str:
-    done = group.completed == group.runs
-    return str(group.runs) if done else f"{group.completed} of {group.runs}"
-
-
-def _format_range(group: Group, name: str) -> str:
-    values = group.metrics[name]
-    if values is None:
-        return MISSING
-    median, low, high = values
-    pattern = "{:.3g}" if max(abs(low), abs(high)) < 1000.0 else "{:.0f}"
-    texts = [pattern.format(each) for each in (median, low, high)]
-    return f"{texts[0]} ({texts[1]} to {texts[2]})" if low < high else texts[0]
+            parts.append(Text(f"{count:,} {outcome.replace('_', ' ')}", style=style))
+    return join_parts(Text(result.study.name, "bold"), parts, width)

@@ -95,7 +95,7 @@ def _print_result(
         numbers = (gain[name] for name in ("from", "to", "before", "after"))
         table.add_row(key.removeprefix(GAINS), *(f"{each:.4g}" for each in numbers), note)
     console.write_line()
-    console.print(table)
+    console.print_table(table)
     cost, comparison = found["cost"], found["comparison"]
     console.write_line()
     console.write_line(

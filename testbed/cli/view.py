@@ -15,7 +15,7 @@ import typer
 from testbed.cli.options import RrdFile, RunName, output_option
 from testbed.cli.output import describe_file, is_stdout, message_console
 from testbed.core.errors import InputError
-from testbed.core.files import replacement, report_write_errors
+from testbed.core.files import report_write_errors
 
 if TYPE_CHECKING:
     from testbed.logs.read import Log
@@ -136,8 +136,8 @@ def _show(
         return
     if is_stdout(rrd):
         raise InputError("--rrd -: a recording goes to a file; write its name")
-    with report_write_errors(f"--rrd {rrd}"), replacement(rrd) as new:
-        replay(RrdFile(new), *logs)
+    with report_write_errors(f"--rrd {rrd}"):
+        replay(RrdFile(rrd), *logs)
     messages.write_line(describe_file(rrd, f"a recording for `rerun {rrd}`"))
 
 

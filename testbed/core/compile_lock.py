@@ -15,7 +15,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
-NOTICE = "compiling kernels, once; later runs load them"
+NOTICE = "compiling kernels that no run has needed before; later runs load them"
 _TURN, _COMPILING = "turn", "compiling"
 _POLL_S = 0.05
 

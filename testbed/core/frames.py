@@ -46,22 +46,6 @@ def rotation_ned_body(euler: Array) -> Array:
     return out
 
 
-def euler_rates(euler: Array, rates_body: Array) -> Array:
-    """Time derivatives of roll, pitch, yaw (..., 3) rad/s from body rates p, q, r (..., 3).
-
-    Singular at a pitch of ±90°, where yaw is undefined.
-    """
-    sine, cosine = np.sin(euler), np.cos(euler)
-    sf, cf, ct = sine[..., 0], cosine[..., 0], cosine[..., 1]
-    q, r = rates_body[..., 1], rates_body[..., 2]
-    out = np.empty(np.broadcast_shapes(euler.shape, rates_body.shape))
-    yaw_rate = (q * sf + r * cf) / ct
-    out[..., 0] = rates_body[..., 0] + yaw_rate * sine[..., 1]
-    out[..., 1] = q * cf - r * sf
-    out[..., 2] = yaw_rate
-    return out
-
-
 def body_rates(euler: Array, angle_rates: Array) -> Array:
     """Body rates p, q, r (..., 3) rad/s from the derivatives of roll, pitch, yaw (..., 3)."""
     sine, cosine = np.sin(euler), np.cos(euler)
@@ -161,7 +145,8 @@ def geodetic_from_ned(position_ned: Array, origin: Origin) -> Array:
 
     The curvilinear local frame ArduPlane uses: north and east are arcs along the ellipsoid's
     meridian and parallel at the origin, down is against height, so that level flight keeps down
-    constant. Within 0.1 m of the tangent plane's north and east up to 1 km away.
+    constant. Up to 1 km away it differs horizontally from the tangent plane by at most 0.07 m at a
+    latitude of 38°, 0.16 m at 60° and 0.25 m at 70°.
     """
     north, east = metres_per_radian(origin)
     position = np.asarray(position_ned, dtype=np.float64)

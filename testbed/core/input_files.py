@@ -142,7 +142,7 @@ def parse_json_map(text: str | bytes) -> dict[str, Any]:
     """
     value = parse_json(text)
     if not isinstance(value, dict):
-        raise ValueError("is no map")  # noqa: TRY004 - wrong input, not a wrong call
+        raise ValueError("is not a map")  # noqa: TRY004 - wrong input, not a wrong call
     return value
 
 

@@ -1,11 +1,16 @@
-"""Kernels on the motion of one aircraft: rotation matrices and copies."""
+"""Kinematics of one aircraft: rotation matrix, attitude rates, copies."""
 
 from __future__ import annotations
 
 from math import cos, sin
+from typing import TypeAlias
 
-from testbed.core.compile import kernel
-from testbed.core.records import Record, Values, Vector
+import numpy as np
+
+from testbed.core.compile import jitable, kernel
+from testbed.core.records import Array, Record, Values, Vector
+
+Scalars: TypeAlias = "float | Array"
 
 
 @kernel
@@ -30,3 +35,21 @@ def copy_motion(source: Record, out: Record) -> None:
         out.euler[axis] = source.euler[axis]
         out.rates_body[axis] = source.rates_body[axis]
     out.airspeed, out.equivalent_airspeed = source.airspeed, source.equivalent_airspeed
+
+
+@jitable
+def attitude_rates(
+    roll: Scalars, pitch: Scalars, p: Scalars, q: Scalars, r: Scalars
+) -> tuple[Scalars, Scalars, Scalars]:
+    """Time derivatives of roll, pitch, yaw, rad/s, from body rates; numbers or arrays alike.
+
+    Singular at a pitch of ±90°, where yaw is undefined.
+    """
+    yaw_rate = (q * np.sin(roll) + r * np.cos(roll)) / np.cos(pitch)
+    return p + yaw_rate * np.sin(pitch), q * np.cos(roll) - r * np.sin(roll), yaw_rate
+
+
+def euler_rates(euler: Array, rates_body: Array) -> Array:
+    """Time derivatives of roll, pitch, yaw (..., 3) rad/s from body rates p, q, r (..., 3)."""
+    p, q, r = np.moveaxis(rates_body, -1, 0)
+    return np.stack(attitude_rates(euler[..., 0], euler[..., 1], p, q, r), axis=-1)

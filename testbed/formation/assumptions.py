@@ -1,6 +1,6 @@
 """Checks of the hypotheses of [HBH23] before a flight.
 
-`control_function.example_1` checks (C1) and (C2).
+`control_function.example_1` and `control_function.make_own` check (C1) and (C2).
 """
 
 from __future__ import annotations
@@ -12,11 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.core.records import Array
-from testbed.formation.barrier import NO_BARRIER, Barrier, barrier_curve
+from testbed.formation.barrier import NO_BARRIER, OUTSIDE, Barrier, OwnBarrier, barrier_curve
 from testbed.formation.hbh23 import SLOPE_FLOOR
 
 GRID = 2001  # speeds at which a barrier is checked, on S and on either side
-OUTSIDE = 5.0  # m/s, how far beyond the bounds a barrier is checked
 
 
 class SpeedSet(NamedTuple):
@@ -95,7 +94,7 @@ def check_kappa(kappa: Array, low: Array, high: Array) -> list[Finding]:
     ]
 
 
-def check_barrier(barriers: Sequence[Barrier], speeds: SpeedSet) -> list[Finding]:
+def check_barrier(barriers: Sequence[Barrier | OwnBarrier], speeds: SpeedSet) -> list[Finding]:
     """Check (B1)-(B5) for every agent, on S x S_d and up to 5 m/s outside S.
 
     If S_d is in S, all five hold in examples 4 and 5 for every ν > 0, and in example 6 for every ν
@@ -115,27 +114,19 @@ def check_barrier(barriers: Sequence[Barrier], speeds: SpeedSet) -> list[Finding
 
 
 def _broken(
-    barrier: Barrier, low: float, high: float, desired_low: float, desired_high: float
+    barrier: Barrier | OwnBarrier, low: float, high: float, desired_low: float, desired_high: float
 ) -> Iterator[tuple[float, str]]:
     """Yield the conditions that one agent's barrier violates: a number and a text each."""
-    if barrier.example == NO_BARRIER:
-        # h outside S, where (B2) requires h < 0
-        yield (
-            1.0,
-            "no barrier: speeds are limited by saturation, without a proof that they stay within "
-            "the speed bounds (write formation.barrier: {example: 5, nu: 0.05} for a "
-            "barrier)",
-        )
-        return
-    if barrier.example == 6 and 2.0 * float(barrier.nu) > high - low:
-        yield (
-            float(barrier.nu),
-            f"nu = {barrier.nu:g} m/s is more than half the width of the speed set: the two ends "
-            f"of barrier 6 overlap, and its slope is wrong between {high - barrier.nu:g} and "
-            f"{low + barrier.nu:g} m/s (write a nu of formation.barrier up to "
-            f"{(high - low) / 2.0:g})",
-        )
-        return
+    if isinstance(barrier, OwnBarrier):
+        shown, smallest, remedy = "h", SLOPE_FLOOR, "change the function"
+    else:
+        unusable = list(_unusable(barrier, low, high))
+        if unusable:
+            yield from unusable
+            return
+        # an underflow of the slope is a finding of its own
+        shown, smallest = f"h of barrier {barrier.example}", -SLOPE_FLOOR
+        remedy = "write a positive nu of formation.barrier"
 
     def at(s: Array) -> tuple[Array, Array]:
         return barrier_curve(barrier, s, low, high)
@@ -147,23 +138,22 @@ def _broken(
     value_below, slope_below = at(below)
     value_above, slope_above = at(above)
     signs = [  # positive where the condition holds
-        ("(B1)", "h", 1.0, inside, value),
-        ("(B2)", "h", -1.0, below[1:], -value_below[1:]),
-        ("(B2)", "h", -1.0, above[1:], -value_above[1:]),
-        ("(B3)", "h'", -1.0, above, -slope_above),
-        ("(B4)", "h'", 1.0, below, slope_below),
+        ("(B1)", "", 1.0, inside, value),
+        ("(B2)", "", -1.0, below[1:], -value_below[1:]),
+        ("(B2)", "", -1.0, above[1:], -value_above[1:]),
+        ("(B3)", "'", -1.0, above, -slope_above),
+        ("(B4)", "'", 1.0, below, slope_below),
     ]
-    for name, what, sign, s, good in signs:
-        floor = -SLOPE_FLOOR if what == "h'" else 0.0
-        if (good <= floor).any():
+    for name, prime, sign, s, good in signs:
+        if (good <= (smallest if prime else 0.0)).any():
             worst = int(good.argmin())
             number = sign * float(good[worst])
             yield (
                 number,
-                f"{name} fails: {what} of barrier {barrier.example} is {number:.3g} at "
-                f"{s[worst]:.4g} m/s (write a positive nu of formation.barrier)",
+                f"{name} fails: {shown.replace('h', f'h{prime}', 1)} is {number:.3g} at "
+                f"{s[worst]:.4g} m/s ({remedy})",
             )
-    if float(barrier.nu) > 0.0:
+    if isinstance(barrier, Barrier) and float(barrier.nu) > 0.0:
         yield from _flat(barrier, above - high, slope_above)
     # the divisor is affine in s_d: it is smallest at an end of S_d
     for s_d in (desired_low, desired_high):
@@ -178,6 +168,26 @@ def _broken(
                 f"{inside[bad[-1]]:.4g} m/s (write a smaller formation.k, a larger "
                 "formation.kappa_mps, or formation.speed_desired_mps within the speed bounds)",
             )
+
+
+def _unusable(barrier: Barrier, low: float, high: float) -> Iterator[tuple[float, str]]:
+    """Yield why a barrier of the paper is none on the speeds from `low` to `high`, m/s."""
+    if barrier.example == NO_BARRIER:
+        # h outside S, where (B2) requires h < 0
+        yield (
+            1.0,
+            "no barrier: speeds are limited by saturation, without a proof that they stay within "
+            "the speed bounds (write formation.barrier: {example: 5, nu: 0.05} for a "
+            "barrier)",
+        )
+    if barrier.example == 6 and 2.0 * float(barrier.nu) > high - low:
+        yield (
+            float(barrier.nu),
+            f"nu = {barrier.nu:g} m/s is more than half the width of the speed set: the two ends "
+            f"of barrier 6 overlap, and its slope is wrong between {high - barrier.nu:g} and "
+            f"{low + barrier.nu:g} m/s (write a nu of formation.barrier up to "
+            f"{(high - low) / 2.0:g})",
+        )
 
 
 def _flat(barrier: Barrier, past: Array, slope: Array) -> Iterator[tuple[float, str]]:

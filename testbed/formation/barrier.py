@@ -9,10 +9,20 @@ import numpy as np
 
 from testbed.core.compile import entry, kernel
 from testbed.core.records import Array, Record, Records, Values, allocate
+from testbed.formation.tabulated import TABLE, Function, Rough, interpolate, make_table
 
 NO_BARRIER = 7  # h = 1, as in the paper's experiments: the speeds are saturated instead
+OWN_BARRIER = 0  # a user's own h
+OUTSIDE = 5.0  # m/s, how far beyond the bounds a barrier is checked and an own one is tabulated
 
-BARRIER = np.dtype([("example", "i8"), ("nu", "f8")], align=True)
+BARRIER = np.dtype(
+    [
+        ("example", "i8"),
+        ("nu", "f8"),
+        ("table", TABLE),  # of an own barrier: h over s − s_lo
+    ],
+    align=True,
+)
 
 
 class Barrier(NamedTuple):
@@ -24,6 +34,34 @@ class Barrier(NamedTuple):
 
     example: int
     nu: float
+
+
+class OwnBarrier(NamedTuple):
+    """A user's own h."""
+
+    table: Records  # (1,) of TABLE
+
+
+def make_own(function: Function, s_min: float, s_max: float) -> OwnBarrier:
+    """Tabulate a user's own h(s) on S and up to 5 m/s outside; beyond, it is a straight line.
+
+    Args:
+        function: h of ground speeds (K,), m/s.
+        s_min: s_lo, m/s.
+        s_max: s_hi, m/s.
+
+    Raises:
+        ValueError: its derivative is not continuous.
+    """
+    start = max(-OUTSIDE, -s_min)
+    try:
+        table = make_table(lambda x: function(s_min + x), start, s_max - s_min + OUTSIDE)
+    except Rough as place:
+        raise ValueError(
+            f"h has no continuous derivative, or changes too fast, near {s_min + place.x:.4g} m/s "
+            "(write a smoother h)"
+        ) from None
+    return OwnBarrier(table)
 
 
 @kernel
@@ -39,6 +77,10 @@ def h(barrier: Record, s: float, s_min: float, s_max: float) -> Values:
     nu = barrier.nu
     if barrier.example == NO_BARRIER:
         return 1.0, 0.0
+    if barrier.example == OWN_BARRIER:
+        # with bounds of the airspeed, h moves with them
+        own: Values = interpolate(barrier.table, s - s_min)
+        return own
     if barrier.example == 6:
         # how far s has left the flat part, in parts of ν: negative below it
         past = (max(s + nu - s_max, 0.0) - max(s_min + nu - s, 0.0)) / nu
@@ -50,19 +92,32 @@ def h(barrier: Record, s: float, s_min: float, s_max: float) -> Values:
     return value, slope
 
 
-def barrier_curve(barrier: Barrier, s: Array, s_min: float, s_max: float) -> tuple[Array, Array]:
+def barrier_curve(
+    barrier: Barrier | OwnBarrier, s: Array, s_min: float, s_max: float
+) -> tuple[Array, Array]:
     """Sample h and h' at ground speeds s (K,), m/s, for figures and checks."""
     out = np.empty((2, len(s)))
     _write_curve(barrier_records(barrier), np.ascontiguousarray(s, dtype=float), s_min, s_max, out)
     return out[0], out[1]
 
 
-def barrier_records(*barriers: Barrier) -> Records:
+def barrier_records(*barriers: Barrier | OwnBarrier) -> Records:
     """Pack barriers into records (n,) of BARRIER."""
     records = allocate(BARRIER, len(barriers))
-    for record, barrier in zip(records, barriers, strict=True):
-        record["example"], record["nu"] = barrier
+    for k, barrier in enumerate(barriers):
+        for name, value in barrier._asdict().items():
+            records[name][k] = value[0] if name == "table" else value
     return records
+
+
+def barriers_of(records: Records) -> list[Barrier | OwnBarrier]:
+    """Unpack the barriers of records (n,) of BARRIER."""
+    return [
+        OwnBarrier(records["table"][k : k + 1])
+        if example == OWN_BARRIER
+        else Barrier(int(example), float(records["nu"][k]))
+        for k, example in enumerate(records["example"])
+    ]
 
 
 @entry

@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
+from math import exp, log
 from typing import NamedTuple
 
 import numpy as np
 
-from testbed.core.compile import kernel
-from testbed.core.records import Record, Values
+from testbed.core.compile import entry, kernel
+from testbed.core.records import Array, Record, Records, Values, allocate
+from testbed.formation.tabulated import (
+    TABLE,
+    Function,
+    Rough,
+    interpolate,
+    make_table,
+    sample_table,
+)
 
 MU = np.dtype(
     [
         ("spline", "?"),
         *((name, "f8") for name in ("nu1", "nu2", "m", "flat", "far", "bound")),
+        ("own", "?"),
+        ("table", TABLE),  # of an own function: ln μ over ln(1 + z/Z0)
     ],
     align=True,
 )
+Z0 = 0.01  # m²: a table resolves errors from a decimetre on
+Z_MAX = 1e10  # m², end of a table, beyond which μ is a power of z
+EXPONENT_TOLERANCE = 0.01  # of the power of z at the end of a table, which (C1) and (C2) bound
 
 
 class ControlFunction(NamedTuple):
@@ -31,6 +45,83 @@ class ControlFunction(NamedTuple):
     flat: float  # spline, m²
     far: float  # spline, m²
     bound: float  # ρ̄ = sup √z μ(z), (C2)
+
+
+class OwnControlFunction(NamedTuple):
+    """A user's own μ."""
+
+    bound: float  # ρ̄
+    table: Records  # (1,) of TABLE
+
+
+def control_function_records(*functions: ControlFunction | OwnControlFunction) -> Records:
+    """Pack control functions into records (n,) of MU."""
+    records = allocate(MU, len(functions))
+    for k, function in enumerate(functions):
+        own = isinstance(function, OwnControlFunction)
+        records["own"][k] = own
+        for name, value in function._asdict().items():
+            records[name][k] = value[0] if name == "table" else value
+    return records
+
+
+def control_function_curve(
+    function: ControlFunction | OwnControlFunction, z: Array
+) -> tuple[Array, Array]:
+    """Sample μ and μ' at z (K,), m², for figures and checks."""
+    out = np.empty((2, len(z)))
+    records = control_function_records(function)
+    _write_curve(records, np.ascontiguousarray(z, dtype=np.float64), out)
+    return out[0], out[1]
+
+
+@entry
+def _write_curve(function: Records, z: Array, out: Array) -> None:
+    for k in range(len(z)):
+        out[0, k], out[1, k] = mu(function[0], z[k])
+
+
+def make_own(function: Function) -> OwnControlFunction:
+    """Tabulate a user's own μ(z), z in m², and check (C1) and (C2) numerically.
+
+    No finite number of values can prove either. At the end of the table μ must fall as a power of z
+    between z^(−1/2), (C2), and z^(−1), (C1), as it continues from there.
+
+    Raises:
+        ValueError: μ is not positive, its derivative not continuous, or (C1) or (C2) fails.
+    """
+
+    def log_mu(w: Array) -> Array:
+        value = function(Z0 * np.expm1(w))
+        bad = np.flatnonzero(~(value > 0.0))
+        if bad.size:
+            z = Z0 * np.expm1(w[bad[0]])
+            raise ValueError(f"mu({z:.4g}) is {value[bad[0]]:g} (write a mu above 0 everywhere)")
+        return np.log(value)
+
+    try:
+        table = make_table(log_mu, 0.0, log(1.0 + Z_MAX / Z0))
+    except Rough as place:
+        raise ValueError(
+            f"mu has no continuous derivative, or changes too fast, near z = "
+            f"{Z0 * np.expm1(place.x):.4g} m² (write a smoother mu)"
+        ) from None
+    exponent = float(table["slopes"][0, -1])
+    falls = f"for large z, mu falls as z^({exponent:.3g})"
+    if exponent < -1.0 - EXPONENT_TOLERANCE:
+        raise ValueError(
+            f"(C1) fails: {falls}, and its integral is bounded: large errors are not closed (write "
+            "a mu that falls no faster than 1/z)"
+        )
+    if exponent > -0.5 + EXPONENT_TOLERANCE:
+        raise ValueError(
+            f"(C2) fails: {falls}, and the closing speed k ‖rho‖ has no bound (write a mu that "
+            "falls at least as fast as 1/sqrt(z))"
+        )
+    table["slopes"][0, -1] = min(max(exponent, -1.0), -0.5)
+    w = np.linspace(0.0, log(1.0 + Z_MAX / Z0), 100_001)
+    bound = np.sqrt(Z0 * np.expm1(w)) * np.exp(sample_table(table, w)[0])
+    return OwnControlFunction(float(bound.max()), table)
 
 
 def example_1(nu1: float, nu2: float, m: float) -> ControlFunction:
@@ -74,6 +165,10 @@ EXAMPLE_3 = _spline(flat=0.1, far=0.4)
 @kernel
 def mu(function: Record, z: float) -> Values:
     """Return μ(z) and μ'(z) for z = ‖x‖² >= 0, m²; `function` is a record of MU."""
+    if function.own:
+        value, slope = interpolate(function.table, log(1.0 + z / Z0))
+        value = exp(value)
+        return value, value * slope / (Z0 + z)
     if not function.spline:
         base = function.nu1 + function.nu2 * z
         value = base**-function.m

@@ -64,7 +64,8 @@ def initial_controllers(law: Records, loop: Records, unicycle: list[bool]) -> Re
 def reset_leader_memory(memory: Records) -> None:
     """Set memories (n,) of the leader to those before the first message."""
     for name in leader_filter.MEMORY.names or ():
-        memory[name] = 0.0 if name in ("acceleration", "speed_rate", "gamma_dot") else nan
+        averages = ("acceleration", "speed_rate", "gamma_dot", "omega_dot")
+        memory[name] = 0.0 if name in averages else nan
 
 
 def make_neighbours(

@@ -11,7 +11,12 @@ from testbed.core.records import Record, Values, Vector
 from testbed.formation.barrier import BARRIER, NO_BARRIER, h
 from testbed.formation.control_function import MU, mu
 from testbed.formation.flags import LimiterFlag
-from testbed.formation.leader_filter import estimate_leader_acceleration
+from testbed.formation.leader_filter import (
+    DIFFERENCE,
+    ROLL_RATE,
+    difference_angular_velocity,
+    estimate_leader_acceleration,
+)
 from testbed.formation.message_extrapolation import (
     extrapolate,
     hold_relative_position,
@@ -58,7 +63,11 @@ LAW = np.dtype(
         ("acceleration_source", "i8"),  # of q̈_g: leader_filter.NOTHING, BROADCAST or TURN
         ("acceleration_blend", "f8", 3),  # NED, share of a new message in the average of BROADCAST
         ("difference_blend", "f8", 2),  # share of a new difference in the averages of ṡ_g and γ̇_g
-        ("turn_acceleration", "?"),  # ω̇_g from the leader's roll rate; the paper neglects it
+        (
+            "angular_acceleration_source",
+            "i8",
+        ),  # of ω̇_g: NOTHING, as the paper, ROLL_RATE, DIFFERENCE
+        ("turn_rate_blend", "f8"),  # share of a new difference in the average of ω̇_g
         ("leader_timeout_s", "f8"),  # since the last message of the leader was received
         ("neighbour_timeout_s", "f8"),
         # a timed-out neighbour keeps its relative position, instead of being left out of (6)
@@ -131,13 +140,16 @@ def hbh23(
     gamma_dot, chi_dot = vertical_weight * rates[1], rates[2]
     omega_g = frame_angular_velocity(gamma_g, chi_dot, gamma_dot)
     omega_dot_g = (0.0, 0.0, 0.0)
-    if law.turn_acceleration:
+    time_s = message_time(law, inbox[0])
+    if law.angular_acceleration_source == ROLL_RATE:
         euler = inbox[0].euler
         # the derivative of σ̇_g ≈ g tan φ_g / (s_g cos θ_g) by the bank alone
         chi_ddot = GRAVITY * rates[0] / (s_g * cos(euler[1]) * cos(euler[0]) ** 2)
         omega_dot_g = frame_angular_acceleration(gamma_g, chi_dot, gamma_dot, chi_ddot)
+    elif law.angular_acceleration_source == DIFFERENCE:
+        omega_dot_g = difference_angular_velocity(law, memory, time_s, omega_g)
     slot = slot_motion(frame, omega_g, omega_dot_g, neighbours[law.row].offset)
-    estimate_leader_acceleration(law, inbox[0], memory, message_time(law, inbox[0]), frame)
+    estimate_leader_acceleration(law, inbox[0], memory, time_s, frame)
 
     xi, xi_rate = formation_error(law, now, q, v, leader, slot, frame, omega_g, inbox, neighbours)
     w = memory.acceleration
@@ -377,6 +389,7 @@ def _fly_without_leader(
     course = atan2(v[1], v[0]) if starts else memory.timeout_course
     memory.time_s = memory.speed = memory.gamma = nan
     memory.speed_rate = memory.gamma_dot = 0.0
+    memory.omega_dot[0] = memory.omega_dot[1] = memory.omega_dot[2] = 0.0
     memory.timeout_since, memory.timeout_course = since, course
     turn_rate = law.lost_leader_turn_rate
     now_course = course + turn_rate * (now - since)

@@ -1,4 +1,4 @@
-"""The leader's acceleration q̈_g as a follower estimates it, [HBH23] sections 8 and 10."""
+"""The leader's q̈_g and ω̇_g as a follower estimates them, [HBH23] sections 8 and 10."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from math import atan2, cos, hypot, sqrt, tan
 import numpy as np
 
 from testbed.core.compile import kernel
-from testbed.core.records import Record, Vector
+from testbed.core.records import Record, Values, Vector
 from testbed.formation.velocity_frame import GRAVITY, to_ned
 
 # Source of q̈_g: zero, the broadcast, or bank and differences of the velocity.
 NOTHING, BROADCAST, TURN = 0, 1, 2
+# Source of ω̇_g: NOTHING, the leader's roll rate, or differences of ω_g.
+ROLL_RATE, DIFFERENCE = 1, 2
 
 # A follower's state for its leader between two control steps.
 MEMORY = np.dtype(
@@ -22,11 +24,37 @@ MEMORY = np.dtype(
         ("gamma", "f8"),  # rad, in that message
         ("speed_rate", "f8"),  # m/s², averaged
         ("gamma_dot", "f8"),  # rad/s, averaged
+        ("omega", "f8", 3),  # ω_g, rad/s, in that message
+        ("omega_dot", "f8", 3),  # rad/s², averaged
         ("timeout_since", "f8"),  # s, since when the leader has timed out; nan: it has not
         ("timeout_course", "f8"),  # rad, own course at that time
     ],
     align=True,
 )
+
+
+@kernel
+def difference_angular_velocity(
+    law: Record, memory: Record, time_s: float, omega: Vector
+) -> Values:
+    """Return ω̇_g, rad/s², as averaged differences of ω_g, sec. 8.2.
+
+    Args:
+        law: record of LAW.
+        memory: record of MEMORY; omega and omega_dot are written, the time is left.
+        time_s: of the leader's newest message.
+        omega: ω_g, rad/s, in its velocity frame, (26).
+    """
+    since = time_s - memory.time_s
+    known = since <= 0.0  # an average takes every message once; false for the first: nan
+    before, average = memory.omega, memory.omega_dot
+    for axis in range(3):
+        if since > 0.0:
+            slope = (omega[axis] - before[axis]) / since
+            average[axis] += law.turn_rate_blend * (slope - average[axis])
+        if not known:
+            before[axis] = omega[axis]
+    return average[0], average[1], average[2]
 
 
 @kernel

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -157,6 +157,31 @@ def samples(log: Log) -> Iterator[Sample]:
         )
 
 
+def select_window(log: Log, begin_s: float, end_s: float) -> Log:
+    """Select the samples and events of a log from `begin_s` to `end_s`, both included.
+
+    Raises:
+        LogError: the window has no samples.
+    """
+    first, last = np.searchsorted(log.time_s, (begin_s, np.nextafter(end_s, np.inf))).tolist()
+    if first >= last:
+        raise LogError(
+            "there are no samples between the chosen times (write times between "
+            f"{log.time_s[0]:g} and {log.time_s[-1]:g} s)"
+        )
+    rows = slice(first, last)
+    truth = _at(log.truth, rows)
+    others = ("air", "command", "surfaces", "formation", "links")
+    return replace(
+        log,
+        **{name: getattr(log, name)[rows] for name in ("tick", "time_s", "lost")},
+        **{name: _at(getattr(log, name), rows) for name in others},
+        truth=truth,
+        estimate=truth if log.estimate is log.truth else _at(log.estimate, rows),
+        events=tuple(event for event in log.events if begin_s <= event.time_s <= end_s),
+    )
+
+
 def replay(log: Log, observers: Sequence[Observer]) -> list[Event]:
     """Show a log to observers, without `end`; return the events after its last sample."""
     for observer in observers:
@@ -177,8 +202,8 @@ def scenario_of(log: Log) -> Scenario | None:
         return None
 
 
-def _at(record: _RecordT, k: int) -> _RecordT:
-    """Take sample k of a record of stacked arrays."""
+def _at(record: _RecordT, k: int | slice) -> _RecordT:
+    """Take sample k, or the samples of a slice, of a record of stacked arrays."""
     kind = type(record)
     return kind(**{name: getattr(record, name)[k] for name in kind.__annotations__})
 

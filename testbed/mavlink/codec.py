@@ -147,8 +147,9 @@ class Codec:
     Args:
         system: id of the sending system, 1 to 255.
         component: id of its component, 1 to 255; 1 is an autopilot.
-        signing: sign packed frames, and reject frames that are unsigned, signed with another key
-            or received before; None: pack without signatures and accept every frame.
+        signing: sign packed frames, and reject frames that are unsigned, signed with another key,
+            received before or too old; a signer may be that of several codecs. None: pack without
+            signatures and accept every frame.
 
     Attributes:
         skipped: bytes that belonged to no frame.
@@ -158,7 +159,9 @@ class Codec:
         InputError: a system or component is out of range.
     """
 
-    def __init__(self, system: int, component: int, signing: Signing | None = None) -> None:
+    def __init__(
+        self, system: int, component: int, signing: Signing | MessageSigner | None = None
+    ) -> None:
         """Start with sequence number 0 and an empty receive buffer."""
         for name, number in (("system", system), ("component", component)):
             if not 1 <= number <= 255:
@@ -166,7 +169,7 @@ class Codec:
         self.skipped = 0
         self.rejected: Counter[Verdict] = Counter()
         self._system, self._component = system, component
-        self._signer = MessageSigner(signing) if signing else None
+        self._signer = MessageSigner(signing) if isinstance(signing, Signing) else signing
         self._sequence = 0
         self._buffer = b""
 
@@ -238,11 +241,6 @@ class Codec:
             at = len(data)
         self._buffer = data[at:]
         return found
-
-    def advance(self, time: int) -> None:
-        """Advance the clock of the signatures to this `signing_time`."""
-        if self._signer:
-            self._signer.advance(time)
 
 
 def decode(frame: bytes) -> Message | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +29,7 @@ from testbed.mavlink.tlog import has_records
 COMMANDS = ("theta_cmd_rad", "phi_cmd_rad", "throttle_cmd")
 ANY = "any"
 _MAX_GAP = 1.0  # s without attitude, at which an interval ends
+_MIN_COSINE = 0.1  # of 84°, in the restoration of commands
 _HEAD_BYTES = 65536  # in which a tlog is recognised
 _OTHER_FORMATS = {
     b"ULog": "a PX4 ULog",
@@ -87,15 +88,12 @@ def read_flight(
     series, missing = _read_columns(log)
     commands_start = max(series[name].time[0] for name in COMMANDS)
     time, other = _longest_interval(log, attitude, max(begin, commands_start), end, mode)
-    columns = {"t_s": time} | {name: resample(one, time) for name, one in series.items()}
+    restored, pitch_down_known = _restore_commands(log, series)
+    columns = {"t_s": time} | {name: resample(one, time) for name, one in restored.items()}
     columns["throttle_cmd"] = np.clip(columns["throttle_cmd"], 0.0, 1.0)
     columns["psi_rad"] = np.mod(columns["psi_rad"], 2.0 * math.pi)
-    sources = {name: one.source for name, one in series.items()}
-    pitch_down = _pitch_down(log, columns["throttle_cmd"])
-    if pitch_down is not None:
-        columns["theta_cmd_rad"] = columns["theta_cmd_rad"] + pitch_down
-        sources["theta_cmd_rad"] += " + STAB_PITCH_DOWN"
-    notes = (*log.notes, *other, *_notes(log, series, time, pitch_down is not None))
+    sources = {name: one.source for name, one in restored.items()}
+    notes = (*log.notes, *other, *_notes(log, series, time, pitch_down_known))
     return ImportedFlight(columns, sources, missing, notes, _modes(log, time))
 
 
@@ -186,10 +184,46 @@ def _modes(log: FlightLog, time: Array) -> tuple[str, ...]:
     return tuple(mode_name(mode) for mode in dict.fromkeys(modes))
 
 
+def _restore_commands(
+    log: FlightLog, series: Mapping[str, Series]
+) -> tuple[dict[str, Series], bool]:
+    """Restore commands from logged demands, which ArduPlane reduced and a replay reduces again.
+
+    Roll was multiplied by the cosine of the pitch. A pitch below zero was multiplied by the cosine
+    of the roll; then STAB_PITCH_DOWN was subtracted.
+
+    Returns:
+        The series, and whether the parameters of STAB_PITCH_DOWN are in the log.
+    """
+    roll, pitch = series["phi_cmd_rad"], series["theta_cmd_rad"]
+    commands = pitch.values
+    source = pitch.source
+    throttle = np.clip(resample(series["throttle_cmd"], pitch.time), 0.0, 1.0)
+    pitch_down = _pitch_down(log, throttle)
+    if pitch_down is not None:
+        commands = commands + pitch_down
+        source += " + STAB_PITCH_DOWN"
+    nose_down = commands / _cosine(resample(series["phi_rad"], pitch.time))
+    return {
+        **series,
+        "phi_cmd_rad": replace(
+            roll, values=roll.values / _cosine(resample(series["theta_rad"], roll.time))
+        ),
+        "theta_cmd_rad": replace(
+            pitch, source=source, values=np.where(commands < 0.0, nose_down, commands)
+        ),
+    }, pitch_down is not None
+
+
+def _cosine(angle: Array) -> Array:
+    """Compute the magnitude of a cosine; a lower bound keeps quotients finite."""
+    return np.maximum(np.abs(np.cos(angle)), _MIN_COSINE)
+
+
 def _pitch_down(log: FlightLog, throttle: Array) -> Array | None:
     """Compute what STAB_PITCH_DOWN subtracted from the logged pitch demand, rad.
 
-    The replay subtracts it again. None: its parameters are not in the log.
+    None: its parameters are not in the log.
     """
     down = log.params.get("STAB_PITCH_DOWN")
     trim = log.params.get("TRIM_THROTTLE")

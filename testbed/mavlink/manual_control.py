@@ -80,7 +80,7 @@ class ManualControl:
         if mask & _NO_ATTITUDE and mask & _NO_RATES != _NO_RATES:
             return self._warn("Attitude target: give an attitude, not just rates", wall_s)
         if not mask & _NO_THROTTLE and not math.isfinite(thrust):
-            return self._warn("Attitude target: thrust is no number: give 0 to 1", wall_s)
+            return self._warn("Attitude target: write a thrust of 0 to 1, not NaN", wall_s)
         angles = None
         if not mask & _NO_ATTITUDE:
             assert isinstance(q, tuple)

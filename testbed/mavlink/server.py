@@ -14,7 +14,7 @@ from testbed.mavlink.addresses import Address, link_addresses
 from testbed.mavlink.codec import Codec, Message
 from testbed.mavlink.link import MavlinkLink, authenticated_frames
 from testbed.mavlink.outgoing import OutgoingMessage
-from testbed.mavlink.signing import Signing, signing_time
+from testbed.mavlink.signing import MessageSigner, Signing, signing_time
 from testbed.mavlink.telemetry_messages import ATTITUDE
 from testbed.mavlink.telemetry_snapshot import TelemetrySnapshot
 from testbed.mavlink.tlog import TlogWriter
@@ -24,7 +24,7 @@ from testbed.mavlink.vehicle_control import VehicleControl
 
 MAX_VEHICLES = 250  # higher system ids are those of ground stations
 MAX_CLIENTS = 32
-RECEIVE_BUDGET_S = 0.005  # wall-clock s per link and poll, so that a flood cannot stop a flight
+RECEIVE_BUDGET_S = 0.005  # wall-clock s per poll, so that a flood cannot stop a flight
 POLL_S = 0.02  # wall-clock s between two polls while waiting
 
 
@@ -70,8 +70,8 @@ class MavlinkServer:
                 f"{len(controls)} aircraft: MAVLink numbers {MAX_VEHICLES}; fly fewer with it"
             )
         self._controls, self._clock, self._epoch_us = controls, clock, epoch_us
-        self._signed, self._opened_s = signing is not None, clock()
-        self._codecs = [Codec(row + 1, COMPONENT, signing) for row in range(len(controls))]
+        self._signer, self._opened_s = MessageSigner(signing) if signing else None, clock()
+        self._codecs = [Codec(row + 1, COMPONENT, self._signer) for row in range(len(controls))]
         self._vehicles: list[MavlinkVehicle] = []
         self._names: Mapping[str, int] = {}
         self._origin = Origin()
@@ -84,7 +84,7 @@ class MavlinkServer:
         self._log: TlogWriter | None = None
         try:
             for address, rows in link_addresses(addresses, [each.name for each in controls]):
-                codec = Codec(MAX_VEHICLES, COMPONENT, signing)
+                codec = Codec(MAX_VEHICLES, COMPONENT, self._signer)
                 self._links.append(MavlinkLink(Endpoint(address, clock), rows, codec))
         except BaseException:
             self.close()
@@ -181,7 +181,10 @@ class MavlinkServer:
         if self._warned or not self._rejected():
             return []
         self._warned = True
-        text = "MAVLink messages without this run's key were ignored"
+        text = (
+            "MAVLink messages were ignored: not signed with this run's key, received before, or "
+            "signed before the run began"
+        )
         return [Event(self._now_s, "warning", "run", text)]
 
     def summary(self) -> dict[str, Any]:
@@ -209,8 +212,11 @@ class MavlinkServer:
             return False
         self._set_time(now_s)
         wall_s, received = self._clock(), False
-        for link in self._links:
-            received |= self._serve_link(link, wall_s)
+        stop = wall_s + RECEIVE_BUDGET_S
+        for k, link in enumerate(self._links):
+            # what a quiet link does not use of its share is for those after it
+            share = (stop - self._clock()) / (len(self._links) - k)
+            received |= self._serve_link(link, wall_s, share)
         for row, vehicle in self._responsive_vehicles():
             self._send(row, vehicle.poll(wall_s))
         self._flush()
@@ -222,27 +228,31 @@ class MavlinkServer:
             if self._snapshot is None or not self._snapshot.autopilot_frozen(row):
                 yield row, vehicle
 
-    def _serve_link(self, link: MavlinkLink, wall_s: float) -> bool:
-        """Handle the messages of a link for `RECEIVE_BUDGET_S`; true: there were some.
+    def _serve_link(self, link: MavlinkLink, wall_s: float, budget_s: float) -> bool:
+        """Handle the messages of a link for this time; true: there were some.
 
-        The others are handled, in order, at the next polls. The budget is checked per message
-        and per datagram, because a datagram may contain a hundred messages or only noise.
+        The others are handled, in order, at the next polls. The budget is checked after each
+        message and datagram, because a datagram may contain a hundred messages or only noise.
         """
-        stop, received = self._clock() + RECEIVE_BUDGET_S, False
+        stop, received = self._clock() + budget_s, False
         datagrams = link.endpoint.receive()
-        while self._clock() <= stop:
+        while True:
             if link.unhandled:
                 self._handle(link, link.unhandled.popleft(), wall_s)
                 received = True
             elif (datagram := next(datagrams, None)) is not None:
                 self._parse_datagram(link, *datagram)
             else:
-                break
-        return received
+                return received
+            if self._clock() > stop:  # also of a link without a budget one is handled
+                return received
 
     def _parse_datagram(self, link: MavlinkLink, peer: Peer, data: bytes) -> None:
         """Store the messages of a datagram, and log their frames."""
+        outdated = link.codec.rejected["outdated"]
         messages = link.codec.feed(data, datagram=True)
+        if link.codec.rejected["outdated"] > outdated:
+            link.endpoint.reply(peer, self._time_frame(min(link.rows)))
         if messages:
             link.endpoint.add_peer(peer)
             self._frames_received += len(messages)
@@ -250,6 +260,15 @@ class MavlinkServer:
             if self._log is not None:
                 for frame in authenticated_frames(data, messages):
                     self._log.write(self._timestamp_us(), frame)
+
+    def _time_frame(self, row: int) -> bytes:
+        """Pack the time, whose signature sets the signature clock of a client that is behind.
+
+        Without it a client that waits for telemetry before it sends a newer time would get none.
+        """
+        time_us, now_ms = self._timestamp_us(), round(1e3 * self._now_s)
+        self._frames_sent += 1
+        return self._codecs[row].pack("SYSTEM_TIME", time_unix_usec=time_us, time_boot_ms=now_ms)
 
     def _handle(self, link: MavlinkLink, message: Message, wall_s: float) -> None:
         self._register_client(message)
@@ -288,12 +307,11 @@ class MavlinkServer:
             link.flush()
 
     def _set_time(self, now_s: float) -> None:
-        """Set simulation time and signature clocks; signatures use wall-clock time."""
+        """Set simulation time and signature clock; signatures use wall-clock time."""
         self._now_s = now_s
-        if self._signed:
-            time_now = signing_time(1e-6 * self._epoch_us + self._clock() - self._opened_s)
-            for codec in (*self._codecs, *(link.codec for link in self._links)):
-                codec.advance(time_now)
+        if self._signer is not None:
+            elapsed_s = self._clock() - self._opened_s
+            self._signer.advance(signing_time(1e-6 * self._epoch_us + elapsed_s))
 
     def _timestamp_us(self) -> int:
         return self._epoch_us + round(self._now_s * 1e6)

@@ -24,7 +24,7 @@ _PER_SECOND = 100_000
 _MAX_TIME = (1 << 48) - 1
 _MAX_AGE = 60 * _PER_SECOND  # of the first signature of a stream
 
-Verdict = Literal["good", "unsigned", "forged", "replayed"]
+Verdict = Literal["good", "unsigned", "forged", "replayed", "outdated"]
 
 
 def signing_time(unix_s: float) -> int:
@@ -62,11 +62,14 @@ class Signing:
         link: link id that this end signs with, 0 to 255.
         time: of the first signature, see `signing_time`; a receiver rejects times that are not
             later than the last one of the same sender and link.
+        strict: accept no signature from before `time`, which may be one of an earlier run; the
+            specification accepts the first one of a sender and link if it is a minute old.
     """
 
     key: bytes = field(repr=False)
     link: int = 0
     time: int = 0
+    strict: bool = False
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -85,7 +88,8 @@ class Signing:
 class MessageSigner:
     """Sign outgoing frames and verify incoming ones.
 
-    A stream is a link id, system and component. Its latest time is stored to reject replays.
+    A stream is a link id, system and component. Its latest time is stored to reject replays; ends
+    that share a key share a signer, so that a frame sent to one of them is no news to the others.
     """
 
     def __init__(self, signing: Signing) -> None:
@@ -112,12 +116,19 @@ class MessageSigner:
             return "forged"
         time = int.from_bytes(frame[-_HASH_BYTES - 6 : -_HASH_BYTES], "little")
         stream = (frame[-SIGNATURE_BYTES], frame[5], frame[6])
-        latest = self._latest.get(stream, self._time - _MAX_AGE - 1)
-        if time <= latest:
+        latest = self._latest.get(stream)
+        if latest is None and time < self._first_time():
+            return "outdated"
+        if latest is not None and time <= latest:
             return "replayed"
         self._latest[stream] = time
         self.advance(time)
         return "good"
+
+    def _first_time(self) -> int:
+        """Return the earliest time of the first signature of a stream."""
+        oldest = self._time - _MAX_AGE
+        return max(oldest, self._signing.time) if self._signing.strict else oldest
 
     def _hash(self, signed: bytes) -> bytes:
         return hashlib.sha256(self._signing.key + signed).digest()[:_HASH_BYTES]

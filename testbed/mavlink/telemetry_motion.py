@@ -171,16 +171,20 @@ def aoa_ssa(context: VehicleContext, snapshot: TelemetrySnapshot) -> Fields:
 
 
 def nav_controller_output(context: VehicleContext, snapshot: TelemetrySnapshot) -> Fields:
-    """NAV_CONTROLLER_OUTPUT: commanded attitude, and distance and course to the target.
+    """NAV_CONTROLLER_OUTPUT: demanded attitude, and distance and course to the target.
 
-    The target is that of guidance or, of a follower in FBWA, its slot by its own estimate; without
-    a target all of these are zero. Errors are desired minus actual; the cross-track error is
-    positive to the left, as in ArduPlane.
+    The demand is what fly-by-wire A makes of the command, without its limits. The target is that of
+    guidance or, of a follower in FBWA, its slot by its own estimate; without a target all of these
+    are zero. Errors are desired minus actual; the cross-track error is positive to the left, as in
+    ArduPlane.
     """
-    roll, pitch, _ = snapshot.command[context.row]
+    roll_command, pitch_command, _ = snapshot.command[context.row]
+    roll, pitch, _ = snapshot.euler[context.row]
+    nose_down_share = abs(math.cos(roll)) if pitch_command < 0.0 else 1.0
+    nav_pitch = math.degrees(pitch_command) * nose_down_share
     return {
-        "nav_roll": math.degrees(roll),
-        "nav_pitch": math.degrees(pitch) - _pitch_down_deg(context, snapshot),
+        "nav_roll": math.degrees(roll_command) * math.cos(pitch),
+        "nav_pitch": nav_pitch - _pitch_down_deg(context, snapshot),
         **_target_fields(context, snapshot),
     }
 

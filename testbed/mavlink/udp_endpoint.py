@@ -96,6 +96,11 @@ class Endpoint:
             if now - latest <= PEER_TIMEOUT_S:
                 self._send(lambda peer=peer: self._socket.sendto(data, peer))  # type: ignore[misc]
 
+    def reply(self, peer: Peer, data: bytes) -> None:
+        """Send one datagram to a peer, active or not; a fixed peer gets all datagrams anyway."""
+        if not self._fixed:
+            self._send(lambda: self._socket.sendto(data, peer))
+
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()

@@ -12,7 +12,7 @@ from testbed.formation.flags import LimiterFlag, Saturation
 from testbed.metrics.accumulator import ESTIMATE_KEYS
 from testbed.metrics.document import OUTCOMES, Document
 from testbed.metrics.facts import facts
-from testbed.metrics.link_tables import arrival_table, worst_links
+from testbed.metrics.link_tables import arrival_tables, worst_links
 from testbed.metrics.summary import SCHEMA
 from testbed.metrics.tables import (
     error_tables,
@@ -107,7 +107,7 @@ def _render(document: Document, info: RunInfo) -> None:
     for window in document["windows"]:
         published_mean(document, window)
     if document["network"]:
-        arrival_table(worst_links(document["network"]["links"]), document["network"]["all"])
+        arrival_tables(worst_links(document["network"]["links"]), document["network"]["all"])
     if document["min_separation_between"]:
         float(document["min_separation_m"])
 

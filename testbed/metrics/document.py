@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from testbed.core.files import report_write_errors, write_text_file
 Document = Mapping[str, Any]
 
 SEPARATION_LOST = "loss of separation"
+_OTHER = re.compile(rf"{SEPARATION_LOST}: \S+ m from (\S+) ")  # the second aircraft of a pair
 # first words of the events of exceeded limits
 LIMIT_EVENTS = ("overspeed", "stalled", "lost its formation", SEPARATION_LOST)
 EXCEEDED = ("envelope_exceeded", "formation_lost", "separation_lost")
@@ -29,7 +31,8 @@ def finalise(
     """Complete the summary of the samples: network, external programs, and how the run ended.
 
     `wall_s`, `real_time_factor`, `pace` and `mavlink` are the only numbers that differ between two
-    runs of the same scenario and seed.
+    runs of the same scenario and seed; `commanded` is there, empty or not, only in a run that
+    external programs may command.
 
     Args:
         summary: of the samples.
@@ -81,7 +84,9 @@ def exceedances(document: Document) -> list[str]:
     for event in document["events"]:
         what = event["text"].partition(":")[0]
         if event["level"] == "error" and what in LIMIT_EVENTS:
-            found.setdefault((event["source"], what), []).append(event["time_s"])
+            other = _OTHER.search(event["text"])
+            names = f"{event['source']} and {other[1]}" if other else event["source"]
+            found.setdefault((names, what), []).append(event["time_s"])
     return [
         f"{name} {what} at {times[0]:.1f} s" + (f", {len(times)} times" if times[1:] else "")
         for (name, what), times in found.items()

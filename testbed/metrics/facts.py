@@ -38,6 +38,7 @@ _REJECTED = {
     "unsigned": "not signed",
     "forged": "signed with another key",
     "replayed": "received before",
+    "outdated": "signed too long ago",
 }
 
 

@@ -58,19 +58,40 @@ def link_table(
     return table
 
 
-def arrival_table(links: Mapping[str, Document], total: Document) -> Table:
-    """Make a table of what arrived on each link, how late, and of bursts of losses."""
+def arrival_tables(
+    links: Mapping[str, Document],
+    total: Document,
+    fits: Callable[[Table], bool] = lambda table: True,
+) -> list[Table]:
+    """Make a table of what arrived on each link, how late, and of bursts of losses.
 
-    def cells(link: Document) -> list[str]:
-        delay, bursts = link["delay_s"], link["bursts"]
+    Args:
+        links: statistics by name.
+        total: statistics of all links.
+        fits: whether a table is narrow enough; if not, bursts get a table of their own.
+    """
+
+    def arrivals(link: Document) -> list[str]:
+        delay = link["delay_s"]
         return [
             f"{link['sent']:,}",
             percent(link["delivered_share"]).removesuffix(" %"),
             *(ABSENT if delay is None else f"{1e3 * delay[p]:.1f}" for p in ("p50", "p95", "p99")),
-            ABSENT if bursts["mean"] is None else f"{bursts['mean']:.2f}",
-            f"{bursts['longest']:,}",
         ]
 
-    delays = ("delay\np50, ms", "\np95", "\np99")
-    columns = ("\nsent", "arrived\n%", *delays, "loss burst\nmean", "\nmax")
-    return link_table("\nlink", columns, links, total, cells)
+    def bursts(link: Document) -> list[str]:
+        found = link["bursts"]
+        mean = ABSENT if found["mean"] is None else f"{found['mean']:.2f}"
+        return [mean, f"{found['longest']:,}"]
+
+    early = ("\nsent", "arrived\n%", "delay\np50, ms", "\np95", "\np99")
+    late = ("loss burst\nmean", "\nmax")
+    whole = link_table(
+        "\nlink", early + late, links, total, lambda link: arrivals(link) + bursts(link)
+    )
+    if fits(whole):
+        return [whole]
+    return [
+        link_table("\nlink", early, links, total, arrivals),
+        link_table("\nlink", late, links, total, bursts),
+    ]

@@ -36,26 +36,35 @@ OUTCOME_STYLES = {"completed": "bold green"} | dict.fromkeys(
 EVENT_STYLES = {"error": "red", "warning": "yellow"}
 
 
-def render_table(metrics: Document, console: Console, *, log: Path | None = None) -> None:
-    """Print a metrics document; `log` is the recording to name at the end."""
+def render_table(
+    metrics: Document,
+    console: Console,
+    *,
+    log: Path | None = None,
+    log_size: str = "",
+    notes: Sequence[tuple[str, Text]] = (),
+) -> None:
+    """Print a metrics document; `log` is the run directory to name, `notes` are more facts."""
     for line in _headline(metrics, console.width):
         console.print(line)
     names = worst_followers(metrics)
-    for table in error_tables(metrics, names, fits=_fits(console)):
+    for table in error_tables(metrics, names, fits=fits_width(console)):
         console.print()
         console.print(table)
     if source := published_note(metrics):
-        console.print(Text(f" {source}", style="dim"))
+        for part in wrap_lines(source, console.width - 1):
+            console.print(Text(f" {part}", style="dim"))
     if names:
         for table in follower_tables(metrics, names):
             console.print()
             console.print(table)
     console.print()
-    _print_facts(facts(metrics), console)
+    _print_facts([*facts(metrics), *notes], console)
     _print_events(metrics["events"], console)
     if log is not None:
         # not wrapped: a path broken over two lines cannot be copied
-        console.print(Text(f" {'log':<20}{log}"), soft_wrap=True)
+        size = f" ({log_size})" if log_size else ""
+        console.print(Text(f" {'log':<20}{log}{size}"), soft_wrap=True)
 
 
 def worst_followers(metrics: Document) -> list[str]:
@@ -229,7 +238,8 @@ def covered_part(metrics: Document, window: str) -> str:
     return f"{start:g}–{until:g}" if found["covered_s"] else "none"
 
 
-def _fits(console: Console) -> Callable[[Table], bool]:
+def fits_width(console: Console) -> Callable[[Table], bool]:
+    """Return a function that checks whether a table is narrow enough for a console."""
     unlimited = console.options.update_width(10_000)
     return lambda table: console.measure(table, options=unlimited).maximum <= console.width
 
@@ -239,7 +249,7 @@ def _new_table() -> Table:
     return Table(box=box.SIMPLE_HEAD, show_edge=False, collapse_padding=True, header_style="")
 
 
-def _wrap(text: str, width: int) -> list[str]:
+def wrap_lines(text: str, width: int) -> list[str]:
     """Break a text into lines; a number and its unit are not parted."""
     joined = _QUANTITY.sub("\N{NO-BREAK SPACE}", text)
     lines = textwrap.wrap(joined, max(width, 10), break_long_words=False, break_on_hyphens=False)
@@ -252,7 +262,7 @@ def _print_facts(rows: Sequence[tuple[str, str | Text]], console: Console) -> No
         lines = [
             line
             for each in str(text).splitlines()
-            for line in _wrap(each, console.width - FACT_INDENT)
+            for line in wrap_lines(each, console.width - FACT_INDENT)
         ]
         for number, line in enumerate(lines):
             start = f" {name if number == 0 else '':<{FACT_INDENT - 1}}"
@@ -268,8 +278,14 @@ def _headline(metrics: Document, width: int) -> list[Text]:
     if (factor := metrics["real_time_factor"]) is not None:
         time += f" ({factor:.0f} × real time)" if factor >= 10.0 else f" ({factor:.1f} × real time)"
     style = OUTCOME_STYLES.get(metrics["outcome"], "bold yellow")
-    lines = [Text.assemble(" ", (str(metrics["scenario"]), "bold"))]
-    for part in (Text(outcome, style=style), Text(time), Text(f"seed {metrics['seed']}")):
+    parts = (Text(outcome, style=style), Text(time), Text(f"seed {metrics['seed']}"))
+    return join_parts(Text(str(metrics["scenario"]), "bold"), parts, width)
+
+
+def join_parts(first: Text, parts: Sequence[Text], width: int) -> list[Text]:
+    """Join parts by dots, in lines of at most this width where each part fits one."""
+    lines = [Text.assemble(" ", first)]
+    for part in parts:
         if lines[-1].cell_len + 3 + part.cell_len > width:
             lines.append(Text("  ").append_text(part))
         else:
@@ -291,11 +307,11 @@ def _print_events(events: Sequence[Mapping[str, Any]], console: Console) -> None
         start = f" {event['level']:<8}{time:>11}  "
         indent = EVENT_INDENT if console.width >= NARROW else NARROW_INDENT
         text = f"{event['source']}: {event['text']}"
-        head, *_ = _wrap(text, console.width - EVENT_INDENT)
+        head, *_ = wrap_lines(text, console.width - EVENT_INDENT)
         rest = text[len(head) :].lstrip()
         lines = [start + head]
         if rest:
-            lines += [" " * indent + line for line in _wrap(rest, console.width - indent)]
+            lines += [" " * indent + line for line in wrap_lines(rest, console.width - indent)]
         style = EVENT_STYLES.get(event["level"], "")
         console.print(Text("\n".join(lines), style=style), soft_wrap=True)
     if len(loud) > MAX_EVENTS:

@@ -29,6 +29,7 @@ from testbed.network.links import (
     REORDER,
     UNIFORM,
 )
+from testbed.network.packet_random import jitter_values
 from testbed.network.philox import key_of
 from testbed.scenario.network import (
     Bernoulli,
@@ -181,11 +182,14 @@ def _set_jitter(record: Records, jitter: Jitter, tables: list[Array]) -> None:
     quantiles = None
     if kind == EMPIRICAL and jitter.file:
         quantiles = _read_quantiles(jitter.file, delay, netem=bool(record["netem"]))
-    one = record.copy()  # as it is now; netem uses other fields
+    parameters, table = allocate(LINK_PARAMETERS, 1), allocate(DELAY_TABLE, 1)
+    parameters[0] = record  # as it is now; netem uses other fields
+    if quantiles is not None:
+        table["values"][0, : len(quantiles)] = quantiles
 
     def value_of(z: Array) -> Array:
         """Return the delay, minus the scenario's mean, before it is limited to 0."""
-        return delays.jitter_of(one, z, quantiles)
+        return jitter_values(parameters, z, table)
 
     record["rho"] = delays.normal_correlation(value_of, jitter.correlation)
     if record["netem"] and kind != UNIFORM:
@@ -196,9 +200,9 @@ def _set_jitter(record: Records, jitter: Jitter, tables: list[Array]) -> None:
         def standard(z: Array) -> Array:
             return (value_of(z) - mean) / max(deviation, 1e-12)
 
-        table: Array = delays.netem_table(kind, None if kind == NORMAL else standard).astype(float)
+        entries = delays.netem_table(kind, None if kind == NORMAL else standard)
         record["table"] = len(tables)
-        tables.append(table)
+        tables.append(entries.astype(float))
     elif quantiles is not None:
         record["table"] = len(tables)
         tables.append(quantiles)

@@ -16,6 +16,10 @@ from testbed.scenario.network import StampClock
 
 MILLION = 1e6
 
+# Part of the resolution by which a reading counts as having reached its next multiple. It covers
+# the rounding of quotients such as 0.58 / 0.01, which is just below 58.
+ROUNDING = 1e-6
+
 # The clock of one aircraft.
 CLOCK = np.dtype(
     [
@@ -43,7 +47,7 @@ def clock_reading(clock: Record, time_s: float) -> float:
     """Return the stamp, s, that a clock gives at a true time, s."""
     reading = float(time_s + clock.offset + clock.drift * time_s)
     if clock.resolution > 0.0:
-        reading = floor(reading / clock.resolution) * float(clock.resolution)
+        reading = floor(reading / clock.resolution + ROUNDING) * float(clock.resolution)
     return reading
 
 

@@ -2,8 +2,8 @@
 
 A delay is g(z), where z is a first-order autoregressive normal process: its distribution is exact
 whatever its correlation. The coefficient of the process is computed such that the delays, not z,
-have the correlation of the scenario. These functions work on arrays and make the tables before a
-run; `packet_random.jitter` is g for one packet.
+have the correlation of the scenario. g is `packet_random.jitter`; the functions here make tables
+before a run.
 """
 
 from __future__ import annotations
@@ -15,17 +15,13 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.records import Array, Records
+from testbed.core.records import Array
 from testbed.network.links import (
-    EMPIRICAL,
-    LOGNORMAL,
     NETEM_TABLE,
-    NORMAL,
     PARETO,
     PARETONORMAL,
-    UNIFORM,
 )
-from testbed.network.normal import probability, quantile
+from testbed.network.normal import quantile
 
 # Pareto with this shape and scale 1; mean 3/2, variance 3/4.
 PARETO_SHAPE = 3.0
@@ -47,49 +43,10 @@ def table_z() -> Array:
     return quantile((np.arange(NETEM_TABLE) + 0.5) / NETEM_TABLE)
 
 
-def pareto(z: Array) -> Array:
-    """Return a Pareto number of mean 0 and standard deviation 1, as a function of z (…)."""
-    heavy: Array = probability(-z) ** (-1.0 / PARETO_SHAPE)
-    return (heavy - PARETO_MEAN) / PARETO_DEVIATION
-
-
 def mixed_deviation() -> float:
     """Return the standard deviation of a quarter normal and three quarters of iproute2's Pareto."""
     scale = (1.0 - NORMAL_SHARE) * NETEM_PARETO * PARETO_DEVIATION
     return math.sqrt(NORMAL_SHARE**2 + scale**2 + 2.0 * NORMAL_SHARE * scale * PARETO_WITH_Z)
-
-
-def paretonormal(z: Array) -> Array:
-    """Return a quarter normal, three quarters Pareto number of mean 0 and standard deviation 1."""
-    scale = (1.0 - NORMAL_SHARE) * NETEM_PARETO * PARETO_DEVIATION
-    return (NORMAL_SHARE * z + scale * pareto(z)) / mixed_deviation()
-
-
-def interpolate_quantiles(table: Array, z: Array) -> Array:
-    """Return the quantile of a table (TABLE_STEPS + 1,) at Φ(z), for z (…)."""
-    out: Array = np.interp(probability(z) * TABLE_STEPS, np.arange(TABLE_STEPS + 1.0), table)
-    return out
-
-
-def jitter_of(parameters: Records, z: Array, quantiles: Array | None) -> Array:
-    """Return what the jitter of one link adds to its delay, s.
-
-    Args:
-        parameters: () of LINK_PARAMETERS.
-        z: (K,) of a standard normal distribution.
-        quantiles: (TABLE_STEPS + 1,) s, of an empirical distribution.
-    """
-    kind, spread = parameters["jitter"], parameters["spread"]
-    if kind == LOGNORMAL:
-        mean, deviation = parameters["lognormal"]
-        return np.asarray(np.exp(mean + deviation * z) - parameters["delay"])
-    if kind == EMPIRICAL and quantiles is not None:
-        return interpolate_quantiles(quantiles, z)
-    if kind == UNIFORM:
-        return np.asarray(spread * (2.0 * probability(z) - 1.0))
-    if kind == NORMAL:
-        return np.asarray(spread * z)
-    return np.asarray(spread * (pareto(z) if kind == PARETO else paretonormal(z)))
 
 
 def log_moments(mean: float, deviation: float) -> tuple[float, float]:

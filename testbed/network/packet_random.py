@@ -10,8 +10,8 @@ from math import cos, erfc, exp, isnan, log, pi, sqrt
 
 import numpy as np
 
-from testbed.core.compile import kernel
-from testbed.core.records import Record
+from testbed.core.compile import entry, kernel
+from testbed.core.records import Array, Record, Records
 from testbed.network.delays import (
     NANOSECONDS,
     NETEM_PARETO,
@@ -121,8 +121,6 @@ def loss_occurs(p: Record, state: Record, word: Word, second: Word) -> bool:
 def jitter(p: Record, z: float, table: Record) -> float:
     """Return what jitter adds to the delay, s, as a function of a standard normal z.
 
-    `delays.jitter_of` has the same functions for arrays, from which tables are made.
-
     Args:
         p: record of LINK_PARAMETERS.
         z: of a standard normal distribution.
@@ -146,6 +144,21 @@ def jitter(p: Record, z: float, table: Record) -> float:
         return float(p.spread * pareto)
     mixed = NORMAL_SHARE * z + PARETO_PART * pareto
     return float(p.spread * mixed / MIXED_DEVIATION)
+
+
+@entry
+def jitter_values(parameters: Records, z: Array, tables: Records) -> Array:
+    """Return `jitter` of one link for many z, s, for tables and correlations.
+
+    Args:
+        parameters: (1,) of LINK_PARAMETERS.
+        z: (K,) of a standard normal distribution.
+        tables: (1,) of DELAY_TABLE.
+    """
+    values = np.empty(len(z))
+    for k in range(len(z)):
+        values[k] = jitter(parameters[0], z[k], tables[0])
+    return values
 
 
 @kernel

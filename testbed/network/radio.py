@@ -17,7 +17,6 @@ from testbed.core.records import (
     BoolArray,
     Broadcast,
     Inbox,
-    LinkCounters,
     Records,
     VehicleState,
     allocate,
@@ -93,8 +92,6 @@ class Radio:
             self.links[name] = np.nan
         self.links["number"] = NO_MESSAGE
         self._inbox = fields_of(Inbox, self.links)
-        self._counts = fields_of(LinkCounters, self.links)
-        self._sent, self._delivered = self.statistics["sent"], self.statistics["delivered"]
         self._messages = allocate(MESSAGE, aircraft)
         self._all, self._none = np.ones(aircraft, dtype=bool), np.zeros(aircraft, dtype=bool)
         self._departures_s = initial_departures(channel)
@@ -180,16 +177,6 @@ class Radio:
         if self._count:
             self._count = self._deliver(self._count, now)
         return self._inbox
-
-    def counts(self) -> LinkCounters:
-        """Write the numbers of messages sent and delivered up to now into `links`.
-
-        Returns:
-            Views of `links`.
-        """
-        np.copyto(self._counts.sent, self._sent)
-        np.copyto(self._counts.delivered, self._delivered)
-        return self._counts
 
     def summary(self) -> Mapping[str, Any]:
         """Return the statistics of every link, ready for JSON."""

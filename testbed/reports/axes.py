@@ -36,9 +36,9 @@ class TimeAxis:
         self._limits = (float(time[0]), float(time[-1])) if time[-1] > time[0] else None
         self._spans = stack_names(
             [
-                Span(start, end, name)
+                Span(max(start, float(time[0])), end, name)
                 for name, (start, end) in run.log.info.windows.items()
-                if start < time[-1]
+                if start < time[-1] and end > time[0]
             ],
             float(time[-1] - time[0]),
         )
@@ -115,7 +115,9 @@ def samples_on_axis(run: RunData) -> tuple[BoolArray, str]:
     selected = np.ones(run.without_slot.shape, dtype=np.bool_)
     left_out = []
     joined = list(run.metrics["joined_at_s"].values())
-    if joined and None not in joined and max(joined) <= MAX_JOINING_SHARE * log.time_s[-1]:
+    begin, end = log.time_s[[0, -1]]
+    latest = begin + MAX_JOINING_SHARE * (end - begin)
+    if joined and None not in joined and begin < max(joined) <= latest:
         selected[log.time_s < max(joined)] = False
         left_out.append(f"the approach, until all had joined at {max(joined):.1f} s")
     lost = log.lost[:, 1:].any(axis=0)

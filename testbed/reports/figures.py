@@ -15,6 +15,7 @@ from testbed.reports.run_data import RunData
 Maker = Callable[[RunData, PlotSelection], FigureSpec | None]
 MAKERS: Sequence[tuple[str, Maker]] = (
     ("trajectory", motion.trajectory),
+    ("first-lap", motion.first_lap),
     ("corner", motion.corner),
     ("altitude", motion.altitude),
     ("relative", motion.relative),
@@ -33,7 +34,8 @@ def run_figures(run: RunData) -> Iterator[Figure]:
     """Yield the figures for which the run has data."""
     selection = select_followers(run)
     info = run.log.info
-    subtitle = f"{info.scenario_name} · {run.outcome} · seed {info.seed}"
+    part = f" · {run.part}" if run.part else ""
+    subtitle = f"{info.scenario_name} · {run.outcome} · seed {info.seed}{part}"
     for name, make in MAKERS:
         # numbers of an aircraft beyond the range of its model can be infinite
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):

@@ -79,7 +79,7 @@ def network(run: RunData, selection: PlotSelection) -> FigureSpec | None:
     rows = [[axis.panel(title, "age, ms", lines, bands, last=not missing.any())]]
     caption = (
         "Age of the oldest message that a follower used: mean (solid) and maximum (dashed) over"
-        f" each of {AGE_INTERVALS} equal intervals of the run."
+        f" each of {AGE_INTERVALS} equal intervals."
     )
     if missing.any():
         lines, bands = _delivered_shares(run, sent, missing)

@@ -6,7 +6,7 @@ import numpy as np
 
 from testbed.core.frames import velocity_frame, wrap_pi
 from testbed.core.records import Array
-from testbed.formation.barrier import NO_BARRIER, Barrier, barrier_curve
+from testbed.formation.barrier import NO_BARRIER, OWN_BARRIER, Barrier, barrier_curve
 from testbed.reports.axes import (
     TimeAxis,
     bound_lines,
@@ -30,6 +30,7 @@ FLOOR_M = 1e-3  # lower end of the logarithmic axis of the error
 PATH_BUCKETS = 900  # more than of other curves: corners are short
 PATH_COLOUR = "#c4c4c4"  # of the commanded path
 CORNER_S = 24.0
+LAP_MARKS = 12  # markers on each path of the first lap
 
 
 def trajectory(run: RunData, selection: PlotSelection) -> FigureSpec:
@@ -45,19 +46,54 @@ def trajectory(run: RunData, selection: PlotSelection) -> FigureSpec:
         paths.append(Curve3D(y[at], x[at], log.time_s[at], colour))
         phase = k / len(aircraft)
         above.append(Line(y[at], x[at], colour, name, marker=marker, marker_phase=phase))
-    commanded = log.info.leader_path_ned
-    if commanded.size:
+    commanded, grey = log.info.leader_path_ned, ""
+    if commanded.size and not run.part:
         # broad and light: dashes would fill each other's gaps where laps repeat
         path = Line(commanded[:, 1], commanded[:, 0], PATH_COLOUR, "leader, path", width=3.5)
         above.insert(0, path)
+        grey = "; grey: the leader's commanded path"
     space = Panel3D("over time", "east, m", "north, m", "time, s", paths)
     plan = Panel("from above", "east, m", "north, m", above, equal=True)
     return FigureSpec(
         "Trajectories",
         "Left: paths in the horizontal plane with time as the vertical axis. Right: the same from"
-        " above, with equal scales; grey: the leader's commanded path." + selection.worst_note,
+        f" above, with equal scales{grey}." + selection.worst_note,
         [[space, plan]],
         5.6,
+        (1.1, 1.0),
+        needs_selection_note=False,
+    )
+
+
+def first_lap(run: RunData, selection: PlotSelection) -> FigureSpec | None:
+    """Draw the convergence while the leader turns its first full circle, from above."""
+    log = run.log
+    with np.errstate(invalid="ignore"):
+        velocity = log.truth.velocity_ned[:, 0]
+        course = np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]))
+        turned = np.abs(course - course[0]) >= 2.0 * np.pi
+    if not run.followers or not turned.any():
+        return None
+    lap = slice(0, int(turned.argmax()) + 1)
+    time, lost = log.time_s[lap], log.lost[lap]
+    north, east = (np.where(lost, np.nan, log.truth.position_ned[lap, :, k]) for k in (0, 1))
+    lines = [Line(east[:, 0], north[:, 0], LEADER_COLOUR, log.info.names[0], 1.4, dashes=DASHED)]
+    errors: list[Line] = []
+    for each in selection.drawn:
+        x, y, error = east[:, each.row + 1], north[:, each.row + 1], run.error[lap, each.row]
+        # markers at the same times in both panels: each at a multiple of the same step
+        marks = slice(0, None, max(time.size // LAP_MARKS, 1))
+        for to, (a, b) in ((lines, (x, y)), (errors, (time, error))):
+            to.append(Line(a, b, each.colour, each.name, 1.2))
+            to.append(Line(a[marks], b[marks], each.colour, width=0.0, marker=each.marker, marks=0))
+    above = Panel("from above", "east, m", "north, m", lines, equal=True)
+    distance = Panel("distance from the slot", "time, s", "‖q̃‖, m", errors)
+    return FigureSpec(
+        "The first lap",
+        f"Until the leader, dashed, has turned a full circle at {time[-1]:.1f} s. Markers are at"
+        " the same times in both panels." + selection.worst_note,
+        [[above, distance]],
+        5.0,
         (1.1, 1.0),
         needs_selection_note=False,
     )
@@ -233,10 +269,11 @@ def barrier(run: RunData, selection: PlotSelection) -> FigureSpec | None:
     quantities = [("margin to the nearer speed bound", "m/s", np.minimum(s - low, high - s))]
     caption = "Distance of the speed from the nearer bound; negative outside."
     barriers = [Barrier(*each) for each in log.info.barriers]
-    if any(each.example != NO_BARRIER for each in barriers):
+    unknown = (NO_BARRIER, OWN_BARRIER)
+    if any(each.example not in unknown for each in barriers):
         value = np.full(s.shape, np.nan)
         for i, each in enumerate(barriers):
-            if each.example != NO_BARRIER:
+            if each.example not in unknown:
                 bounds = (
                     float(np.broadcast_to(low, s.shape[1:])[i]),
                     float(np.broadcast_to(high, s.shape[1:])[i]),

@@ -10,7 +10,7 @@ from rich.table import Table
 from testbed.core.records import join_names
 from testbed.metrics.document import losses
 from testbed.metrics.facts import describe_network, facts, shown
-from testbed.metrics.link_tables import MAX_LINKS, arrival_table, worst_links
+from testbed.metrics.link_tables import MAX_LINKS, arrival_tables, worst_links
 from testbed.metrics.tables import (
     MAX_WINDOWS,
     compared_windows,
@@ -43,7 +43,7 @@ def run_page(run: RunData) -> Page:
         sections=(
             Section("errors", "Formation error", _errors(run)),
             Section("followers", "Followers", _followers(run)),
-            Section("figures", "Figures", "".join(map(figure_html, run_figures(run)))),
+            Section("figures", "Figures", _figures(run)),
             Section("events", "Events", _events(run)),
             Section("repeat", "To repeat this run", _repeat(run)),
         ),
@@ -125,8 +125,8 @@ def _errors(run: RunData) -> str:
     else:
         out.append(
             "<p>Root mean square of the distance ‖q̃‖ between a follower and its slot over each"
-            " window, [HBH23] eq. (30); the error in percent is that of eq. (31), relative to the"
-            " distance between the leader and the slot.</p>"
+            " window, [HBH23] eqs. (30) and (31); the error in percent, relative to the distance"
+            " between the leader and the slot, is that of its Table 1.</p>"
         )
     if note := published_note(metrics):
         below = " A ratio below 1 is a smaller error." if compared_windows(metrics) else ""
@@ -158,11 +158,16 @@ def _followers(run: RunData) -> str:
         out.append(f"<p>All {network['all']['sent']:,} messages arrived, without delay.</p>")
     elif network and network["links"]:
         links = worst_links(network["links"])
-        out.append("<h3>Links</h3>" + to_html(arrival_table(links, network["all"])))
+        out.append("<h3>Links</h3>" + "".join(map(to_html, arrival_tables(links, network["all"]))))
         count = sum(len(each) for each in network["links"].values())
         if count > MAX_LINKS:
             out.append(f"<p>The table has the worst {MAX_LINKS} of {count} links.</p>")
     return "".join(out)
+
+
+def _figures(run: RunData) -> str:
+    part = f"<p>The figures show {run.part}; all numbers are of the whole run.</p>"
+    return (part if run.part else "") + "".join(map(figure_html, run_figures(run)))
 
 
 def _events(run: RunData) -> str:

@@ -66,7 +66,7 @@ class PlotSelection:
         return (
             f" Of {self.in_band} followers, the band shows 5 to 95 % at each time and the grey line"
             f" the median; separate curves: the {len(self.drawn)} with the largest RMS error over"
-            f" the whole run, {names}."
+            f" the time drawn, {names}."
         )
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 
 from testbed.core.errors import InputError
 from testbed.core.records import Array, BoolArray
-from testbed.logs.read import Log, read_log, replay, scenario_of
+from testbed.logs.read import Log, read_log, replay, scenario_of, select_window
 from testbed.logs.run_directory import find_run
 from testbed.metrics import MetricsObserver
 from testbed.metrics.check import check_metrics
@@ -25,9 +26,10 @@ class RunData:
     """A run of N aircraft and K samples; n = N − 1 of the aircraft are followers."""
 
     path: Path  # of the log
-    log: Log
-    metrics: Metrics
+    log: Log  # the samples and events that figures draw
+    metrics: Metrics  # of the whole run
     scenario: Scenario | None  # None: this version cannot read it
+    part: str = ""  # of the run that figures draw, as "40 to 75 s"; "": all of it
 
     @property
     def followers(self) -> tuple[str, ...]:
@@ -52,14 +54,21 @@ class RunData:
         return str(self.metrics["outcome"] or "cut short")
 
 
-def read_run(run: str | Path) -> RunData:
+def read_run(
+    run: str | Path, *, begin_s: float | None = None, end_s: float | None = None
+) -> RunData:
     """Read the log of a run, named as for `find_run`.
 
     The metrics are those in the log, equal to metrics.json. A run that was killed left none; they
     are computed from the samples in its log.
 
+    Args:
+        run: as for `find_run`.
+        begin_s: of the part that figures draw; None: the start.
+        end_s: of the part that figures draw; None: the end.
+
     Raises:
-        LogError: there is no such run, or its log is damaged.
+        LogError: there is no such run, its log is damaged, or that part has no samples.
         InputError: the run ended before its first sample, or its metrics are of another shape.
     """
     path = find_run(run)
@@ -69,7 +78,14 @@ def read_run(run: str | Path) -> RunData:
     scenario = scenario_of(log)
     if log.metrics:
         check_metrics(log.metrics, log.info, str(path))
-    return RunData(path, log, log.metrics or _compute_metrics(log, scenario), scenario)
+    metrics = log.metrics or _compute_metrics(log, scenario)
+    if begin_s is None and end_s is None:
+        return RunData(path, log, metrics, scenario)
+    log = select_window(
+        log, -math.inf if begin_s is None else begin_s, math.inf if end_s is None else end_s
+    )
+    part = f"{log.time_s[0]:g} to {log.time_s[-1]:g} s"
+    return RunData(path, log, metrics, scenario, part)
 
 
 def _compute_metrics(log: Log, scenario: Scenario | None) -> Metrics:

@@ -10,12 +10,14 @@ from testbed.scenario.load import (
     loads,
     middle_loop_gains,
     open_scenario,
+    place_of_key,
 )
 from testbed.scenario.middle_loop import MiddleLoopGains
+from testbed.scenario.references import code_references, with_values
 from testbed.scenario.resolve import (
     find_aircraft,
+    find_code,
     find_data,
-    find_law,
     find_scenario,
     find_study,
     find_tune,
@@ -30,9 +32,11 @@ from testbed.scenario.resolve import (
 from testbed.scenario.schema import (
     SCHEMA_VERSION,
     Scenario,
+    cut_windows,
     describe_unreached,
     json_schema,
     set_duration,
+    set_seed,
     unreached_windows,
 )
 from testbed.scenario.violations import Place, Problem, ScenarioError
@@ -45,12 +49,14 @@ __all__ = [
     "Scenario",
     "ScenarioError",
     "ScenarioFile",
+    "code_references",
+    "cut_windows",
     "describe_unreached",
     "dump",
     "dump_middle_loop",
     "find_aircraft",
+    "find_code",
     "find_data",
-    "find_law",
     "find_scenario",
     "find_study",
     "find_tune",
@@ -68,6 +74,9 @@ __all__ = [
     "loads",
     "middle_loop_gains",
     "open_scenario",
+    "place_of_key",
     "set_duration",
+    "set_seed",
     "unreached_windows",
+    "with_values",
 ]

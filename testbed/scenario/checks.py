@@ -288,13 +288,14 @@ def _ardupilot(scenario: Scenario) -> Iterator[Finding]:
                 "is ardupilot, and a unicycle has no control surfaces (write vehicle: jsbsim, or "
                 "leave this out)",
             )
-        instance = row if autopilot.instance is None else autopilot.instance
+        instance = autopilot.fixed_instance(row)
         if instance in used:
             yield (
                 (*where, "instance"),
                 f"{instance} is also that of {used[instance]} (write another: it sets the ports)",
             )
-        used.setdefault(instance, aircraft.name)
+        if instance is not None:
+            used.setdefault(instance, aircraft.name)
         if scenario.rates.autopilot_hz < _ARDUPLANE_MIN_HZ:
             yield (
                 ("rates", "autopilot_hz"),

@@ -37,6 +37,14 @@ def _law_name(value: str) -> str:
     return value
 
 
+def _function_name(value: str) -> str:
+    """Accept module:function."""
+    if not re.fullmatch(r"[^:]+:[A-Za-z_]\w*", value):
+        raise PydanticCustomError("function", "must be module:function, with module.py beside it")
+    return value
+
+
+FunctionName = Annotated[str, Field(max_length=500), AfterValidator(_function_name)]
 LawName = Annotated[str, Field(max_length=500), AfterValidator(_law_name)]
 LawOption = str | int | float | bool | tuple[float, ...]
 
@@ -56,6 +64,16 @@ class SplineControlFunction(Section):
     example: Literal[2, 3] = Field(description="Number of the example in [HBH23].")
 
 
+class OwnControlFunction(Section):
+    """A μ(z) of your own."""
+
+    example: Literal["own"] = Field(description="own: a function of your own.")
+    function: FunctionName = Field(
+        description="module:function, from module.py in the folder of this file or from an "
+        "installed package; μ of an array z, m²."
+    )
+
+
 class Barrier(Section):
     """Function h that keeps the speed within its bounds; [HBH23] Examples 4 to 6."""
 
@@ -69,6 +87,16 @@ class NoBarrier(Section):
     """h = 1, with a saturated speed command; [HBH23] Section 10."""
 
     example: Literal[7] = Field(description="7: no barrier, as in the experiments.")
+
+
+class OwnBarrier(Section):
+    """An h(s) of your own."""
+
+    example: Literal["own"] = Field(description="own: a function of your own.")
+    function: FunctionName = Field(
+        description="module:function, as in control_function; h of an array s and the bounds "
+        "s_min and s_max, m/s."
+    )
 
 
 class PointingGain(Section):
@@ -104,9 +132,10 @@ class PointingGain(Section):
 
 
 ControlFunction = Annotated[
-    PowerControlFunction | SplineControlFunction, Field(discriminator="example")
+    PowerControlFunction | SplineControlFunction | OwnControlFunction,
+    Field(discriminator="example"),
 ]
-BarrierFunction = Annotated[Barrier | NoBarrier, Field(discriminator="example")]
+BarrierFunction = Annotated[Barrier | NoBarrier | OwnBarrier, Field(discriminator="example")]
 SpeedRange = tuple[MetresPerSecond, MetresPerSecond]
 
 

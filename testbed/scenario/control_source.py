@@ -75,12 +75,19 @@ class ArduPlane(Section):
     )
     instance: Annotated[Whole, Field(ge=0, le=250)] | None = Field(
         None,
-        description="Its option -I, a number: ports are 9002 and 5760 plus ten times this; by "
-        "default the index of the aircraft, the leader's is 0.",
+        description="Its option -I, a number: ports are 9002, 5501 and 5760 plus ten times this; "
+        "by default one with free ports, or with start: false the index of the aircraft, the "
+        "leader's is 0.",
     )
     timeout_s: Timeout = Field(
         60.0, description="The run fails after this time without an answer, s of wall-clock time."
     )
+
+    def fixed_instance(self, row: int) -> int | None:
+        """Return the instance of the aircraft of this row; None: any with free ports."""
+        if self.instance is None and not self.start:  # the user needs to know which one to start
+            return row
+        return self.instance
 
 
 @dataclass(frozen=True)

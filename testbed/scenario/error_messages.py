@@ -142,7 +142,7 @@ def _one(detail: Mapping[str, Any], tree: Node, schema: dict[str, Any]) -> Probl
     elif kind in ("too_short", "too_long"):
         text = _length(node, path, tree, schema)
     elif kind == "string_pattern_mismatch":
-        text = "is no name" if "[key]" in loc else f"is {_shown(node)}"
+        text = "is not a name" if "[key]" in loc else f"is {_shown(node)}"
         text = f"{text} (write letters, digits, '-', '_' and '.', no spaces)"
     elif kind == "finite_number":
         text = f"is {_shown(node)} (write a finite number)"

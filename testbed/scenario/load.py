@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -26,6 +27,7 @@ _NEUTRAL_PATHS = tuple(
     ("scenario", key)
     for key in ("name", "question", "expectation", "seed", "duration_s", "published")
 )
+_FOREIGN = "has no key of a scenario (write the name or the path of a scenario)"
 CHANGES = Place("controller.gains")  # place of problems in changes to a profile
 
 
@@ -56,13 +58,16 @@ def open_scenario(name_or_path: str | Path, *, folder: Path | None = None) -> Sc
 
     Args:
         name_or_path: a name of `list_scenarios()`, or the path of a file.
-        folder: base of a relative path; None: the working directory.
+        folder: base of a relative path that a file has; None: the working directory.
 
     Raises:
         ScenarioError: a file does not exist, is not YAML, or is of schema 1.
     """
     path = resolve.find_scenario(name_or_path, folder=folder)
-    return ScenarioFile(path, _merged(_files(read(path), (path,))))
+    tree = read(path)
+    if folder is not None and not _has_scenario_key(tree):
+        raise error_at(Place(str(name_or_path)), f"{path} {_FOREIGN}")
+    return ScenarioFile(path, _merged(_files(tree, (path,))))
 
 
 def load(name_or_path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
@@ -173,11 +178,31 @@ def dump(scenario: Scenario) -> str:
     return write(scenario.model_dump(mode="json", by_alias=True))
 
 
-def _resolve(tree: Node, overrides: Sequence[str]) -> Scenario:
+def place_of_key(error: str, name_or_path: str | Path, overrides: Sequence[str] = ()) -> str:
+    """Return the place of the key that an error of a build begins with, as `file:line:column`.
+
+    Args:
+        error: its text, as `leader.path.legs[3].radius_m: ...`.
+        name_or_path: of the scenario, which has been loaded with these settings.
+        overrides: as `load` has them.
+
+    Returns:
+        The place of the key, or of the deepest map that would have it; empty if the error does not
+        begin with a key of the scenario.
+    """
+    key, colon, _ = error.partition(": ")
+    parts = re.split(r"[.\[]", key.replace("]", ""))
+    if not colon or parts[0] not in Scenario.model_fields:
+        return ""
     settings = [parse_setting(text) for text in overrides]
-    renamed = [problem for each in settings for problem in renamed_keys(each.tree)]
-    if renamed:
-        raise ScenarioError(renamed)
+    _, tree = _set(open_scenario(name_or_path).tree, settings)
+    loc = tuple(int(part) if part.isdigit() else part for part in parts)
+    node, path, _ = walk(tree, loc)
+    return str(node.place) if path else ""
+
+
+def _set(tree: Node, settings: Sequence[Setting]) -> tuple[Node, Node]:
+    """Return a tree with the settings of its pattern alone, and with all, expanded."""
     # settings of a pattern precede those of one aircraft in it
     for setting in settings:
         if is_pattern_key(setting.keys):
@@ -186,6 +211,15 @@ def _resolve(tree: Node, overrides: Sequence[str]) -> Scenario:
     for setting in settings:
         if not is_pattern_key(setting.keys):
             tree = override(tree, setting)
+    return unchanged, tree
+
+
+def _resolve(tree: Node, overrides: Sequence[str]) -> Scenario:
+    settings = [parse_setting(text) for text in overrides]
+    renamed = [problem for each in settings for problem in renamed_keys(each.tree)]
+    if renamed:
+        raise ScenarioError(renamed)
+    unchanged, tree = _set(tree, settings)
     try:
         scenario = resolve_references(validate(tree, Scenario), tree)
         _check_gains(scenario, tree)
@@ -269,7 +303,17 @@ def _files(tree: Node, chain: tuple[Path, ...]) -> list[Node]:
     if len(chain) >= _MAX_CHAIN:
         text = f"is a chain of more than {_MAX_CHAIN} files (write a shorter one)"
         raise error_at(extends.place, text, ("extends",))
-    return [top, *_files(read(base), (*chain, base))]
+    below = read(base)
+    if not _has_scenario_key(below):
+        raise error_at(extends.place, f"{base} {_FOREIGN}", ("extends",))
+    return [top, *_files(below, (*chain, base))]
+
+
+def _has_scenario_key(tree: Node) -> bool:
+    """Whether a file can be a scenario; the content of others is not quoted in errors."""
+    if not isinstance(tree.value, dict):
+        return True  # `validate` refuses it without its content
+    return not tree.value or not tree.value.keys().isdisjoint({"extends", *Scenario.model_fields})
 
 
 def _merged(files: list[Node]) -> Node:

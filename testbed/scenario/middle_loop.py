@@ -66,9 +66,15 @@ class Estimators(Section):
         description="For coordinated_turn: weight of a new difference in the exponential averages "
         "of the rates of the leader's speed and flight-path angle; 1: no averaging.",
     )
-    leader_angular_acceleration: Literal["none", "roll_rate"] = Field(
+    leader_angular_acceleration: Literal["none", "roll_rate", "difference"] = Field(
         "none",
-        description="ω̇_g of (29): neglected as in the paper, or from the leader's roll rate.",
+        description="ω̇_g of (29): neglected as in the paper; from the leader's roll rate; or from "
+        "differences of its turn rates, which the authors also tried.",
+    )
+    leader_turn_rate_blend: Share = Field(
+        1.0,
+        description="For difference: weight of a new difference in the exponential average of "
+        "ω̇_g; 1: no averaging.",
     )
     extrapolation: Literal["velocity", "acceleration"] = Field(
         "velocity",
@@ -89,8 +95,11 @@ class EstimatorChanges(Section):
     leader_difference_blend: tuple[Share, Share] | None = Field(
         None, description="For coordinated_turn: weights of speed and flight-path angle."
     )
-    leader_angular_acceleration: Literal["none", "roll_rate"] | None = Field(
+    leader_angular_acceleration: Literal["none", "roll_rate", "difference"] | None = Field(
         None, description="ω̇_g of (29), as in the profile."
+    )
+    leader_turn_rate_blend: Share | None = Field(
+        None, description="For difference: weight of a new one."
     )
     extrapolation: Literal["velocity", "acceleration"] | None = Field(
         None, description="Extrapolation of messages, as in the profile."

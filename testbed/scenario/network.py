@@ -65,7 +65,7 @@ class Reorder(PacketEvent):
 
     probability: Probability = Field(description="Share of the packets that may overtake, 0 to 1.")
     gap: Annotated[Whole, Field(ge=1, le=10_000)] = Field(
-        1, description="At most every gap-th packet may overtake, a number."
+        1, description="After gap - 1 delayed packets each further one may overtake, a number."
     )
 
 

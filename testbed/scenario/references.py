@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from testbed.scenario import resolve
 from testbed.scenario.aircraft import Follower, Leader
+from testbed.scenario.control import Agent, Formation
 from testbed.scenario.fields import KeyPath
 from testbed.scenario.network_checks import link_entries
 from testbed.scenario.schema import Scenario
@@ -25,7 +27,7 @@ class _Resolver:
         self.problems: list[Problem] = []
 
     def aircraft(self, loc: KeyPath, aircraft: Leader | Follower) -> None:
-        """Resolve the airframe and, unless it is replayed, the autopilot parameters."""
+        """Resolve the airframe and the autopilot parameters."""
         folder = self.folder(*loc, "aircraft")
         try:
             home = resolve.find_aircraft(aircraft.aircraft, folder=folder)
@@ -34,8 +36,6 @@ class _Resolver:
             return
         own = resolve.library() / "aircraft" / home.name
         self.changes.append(((*loc, "aircraft"), home.name if home == own else str(home)))
-        if isinstance(aircraft, Leader) and aircraft.path.kind == "replay":
-            return
         folder = self.folder(*loc, "tune")
         try:
             tune = resolve.find_tune(home, aircraft.tune, folder=folder)
@@ -70,18 +70,18 @@ class _Resolver:
         text = f"there is no file {found} (write the path of a file like an airframe's {_GAINS})"
         self.problems.append(Problem(node.place, text, path + left))
 
-    def law(self, loc: KeyPath, name: str) -> None:
-        """Resolve a user's own law."""
+    def code(self, loc: KeyPath, name: str) -> None:
+        """Resolve a user's own law or function."""
         try:
             # in a text or a setting, unlike in a file, the caller chooses the code
             by_caller = not resolve.is_file(Path(walk(self.tree, loc)[0].place.source))
-            found = resolve.find_law(name, folder=self.folder(*loc), anywhere=by_caller)
+            found = resolve.find_code(name, folder=self.folder(*loc), anywhere=by_caller)
         except ScenarioError as error:
             self.add(error, *loc)
             return
-        file, _, class_name = found.rpartition(":")
+        file, _, object_name = found.rpartition(":")
         if Path(file).parent == resolve.library() / "scenarios":
-            found = f"{Path(file).stem}:{class_name}"
+            found = f"{Path(file).stem}:{object_name}"
         self.changes.append((loc, found))
 
     def folder(self, *loc: str | int) -> Path:
@@ -119,12 +119,32 @@ def resolve_references(scenario: Scenario, tree: Node) -> Scenario:
             resolver.recording((*loc, "trace", "file"), link.trace.file)
     if scenario.controller.middle_loop is not None:
         resolver.gains(("controller", "middle_loop"), scenario.controller.middle_loop)
-    if scenario.controller.law != "hbh23":
-        resolver.law(("controller", "law"), scenario.controller.law)
+    for loc, name in code_references(scenario):
+        resolver.code(loc, name)
     if resolver.problems:
         raise ScenarioError(resolver.problems)
+    return with_values(scenario, resolver.changes)
+
+
+def code_references(scenario: Scenario) -> Iterator[tuple[KeyPath, str]]:
+    """Yield where a scenario names code of its own, a law or functions, and the names."""
+    if scenario.controller.law != "hbh23":
+        yield ("controller", "law"), scenario.controller.law
+    places: list[tuple[KeyPath, Formation | Agent]] = [(("formation",), scenario.formation)]
+    places += [
+        (("formation", "agents", name), agent) for name, agent in scenario.formation.agents.items()
+    ]
+    for loc, section in places:
+        for key in ("control_function", "barrier"):
+            own = getattr(section, key)
+            if own is not None and own.example == "own":
+                yield (*loc, key, "function"), own.function
+
+
+def with_values(scenario: Scenario, changes: Iterable[tuple[KeyPath, str]]) -> Scenario:
+    """Return a scenario with other texts at these keys."""
     data = scenario.model_dump(by_alias=True)
-    for loc, value in resolver.changes:
+    for loc, value in changes:
         _put(data, loc, value)
     return Scenario.model_validate(data)
 

@@ -122,34 +122,34 @@ def find_data(name_or_path: str | Path, *, folder: Path | None = None) -> Path:
     return _find("data file", name_or_path, own, list_data, "a CSV file", folder)
 
 
-def find_law(name: str, *, folder: Path | None = None, anywhere: bool = False) -> str:
-    """Return the source of a law `module:Class`: "file.py:Class", or itself if installed.
+def find_code(name: str, *, folder: Path | None = None, anywhere: bool = False) -> str:
+    """Return the source of code `module:name`: "file.py:name", or itself if installed.
 
     A module.py in `folder` (of the scenario file) or in scenarios/ precedes an installed module.
 
     Args:
-        name: `module:Class` or `file.py:Class`.
+        name: `module:name` or `file.py:name` of a law's class or of a function.
         folder: None: find a resolved name again.
         anywhere: allow files outside of the folder; a scenario file runs no code from elsewhere.
 
     Raises:
         ScenarioError: the file does not exist, or is outside of the folder.
     """
-    module, _, class_name = name.rpartition(":")
+    module, _, object_name = name.rpartition(":")
     if module.endswith(".py"):
         path = absolute(module, folder)
         if not is_file(path):
-            text = f"there is no file {path} (write module:Class, with module.py in this folder)"
+            text = f"there is no file {path} (write module:name, with module.py in this folder)"
             raise ScenarioError([Problem(Place(str(path)), text)])
         if not anywhere:
             _refuse_outside(path, folder)
-        return f"{path}:{class_name}"
+        return f"{path}:{object_name}"
     file = f"{module.replace('.', '/')}.py"
     for home in (folder, library() / "scenarios"):
         if home is not None and is_file(home / file):
             path = (home / file).resolve()
             _refuse_outside(path, home)
-            return f"{path}:{class_name}"
+            return f"{path}:{object_name}"
     return name
 
 

@@ -228,13 +228,32 @@ def set_duration(scenario: Scenario, duration_s: float) -> Scenario:
         raise InputError(f"duration {duration_s:g} s: {reason}") from None
 
 
+def set_seed(scenario: Scenario, seed: int) -> Scenario:
+    """Return the scenario with another seed, from 0 on."""
+    header = scenario.scenario.model_copy(update={"seed": seed})
+    return scenario.model_copy(update={"scenario": header})
+
+
 def unreached_windows(scenario: Scenario, duration_s: float) -> dict[str, str]:
     """Return windows that begin after a duration, s, with their times as text, by name."""
     return {
-        name: f"{name} ({begin:g} to {end:g} s)"
-        for name, (begin, end) in scenario.scenario.windows.items()
-        if begin >= duration_s
+        name: _window_text(name, window)
+        for name, window in scenario.scenario.windows.items()
+        if window[0] >= duration_s
     }
+
+
+def cut_windows(scenario: Scenario, duration_s: float) -> list[str]:
+    """Return windows that begin before a duration, s, and end after it, as text."""
+    return [
+        _window_text(name, window)
+        for name, window in scenario.scenario.windows.items()
+        if window[0] < duration_s < window[1]
+    ]
+
+
+def _window_text(name: str, window: Window) -> str:
+    return f"{name} ({window[0]:g} to {window[1]:g} s)"
 
 
 def describe_unreached(windows: Mapping[str, str], duration_s: float) -> str:

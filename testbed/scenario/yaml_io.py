@@ -140,8 +140,10 @@ def parse(text: str, source: str, folder: Path) -> Node:
         if mark is not None and _begins_with_tab(text, mark.line):
             problem = "begins with a tab (indent with spaces; YAML allows no tabs there)"
         raise error_at(_place_of(source, mark), problem) from None
-    except yaml.YAMLError as error:
-        raise error_at(Place(source), f"is not YAML: {str(error).splitlines()[0]}") from None
+    except yaml.reader.ReaderError as error:
+        before = text.encode()[: error.position].decode(errors="ignore")
+        place = Place(source, before.count("\n") + 1, len(before) - before.rfind("\n"))
+        raise error_at(place, f"is not YAML: {str(error).splitlines()[0]}") from None
     if root is None:
         return Node(None, Place(source, 1, 1), Place(source, 1, 1), folder)
     return _Builder(source, folder).node(root, None, 0)

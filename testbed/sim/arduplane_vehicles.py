@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from testbed.autopilot.json_physics import state_columns
+from testbed.autopilot.json_physics import MOTION_NUMBERS, pack_motion
 from testbed.autopilot.sitl_process import stop_processes
+from testbed.core.compile import Kernel
 from testbed.core.records import (
     BoolArray,
     Event,
     Indices,
     Origin,
     Records,
-    VehicleState,
     fault_state,
+    join_names,
 )
 from testbed.scenario import Scenario
 from testbed.scenario.control_source import ArduPlane
@@ -63,27 +65,59 @@ class ArduPlaneVehicles(JsbsimVehicles):
         self._raw = aircraft["surfaces"][rows]  # outputs of the virtual autopilots
         self._pitot = fleet.read().equivalent_airspeed
         self._outputs = {k: self._raw[k].item() for k in planes}
+        self._motion = np.empty((len(rows), MOTION_NUMBERS))  # of `pack_motion`
+        self._sent = False  # the state of this tick, to the ArduPlanes
+        self._one = {k: np.array([k]) for k in planes}
+        self._virtual = np.setdiff1d(fleet.all_rows, list(planes))
 
     def check(self) -> None:
         """See `ExternalProcess`."""
         for plane in self._all:
             plane.find(self._arduplane)
 
-    def start(self, check_stop: Callable[[], None]) -> None:
+    def start(
+        self, check_stop: Callable[[], None], announce: Callable[[str], None] = lambda text: None
+    ) -> None:
         """Start all processes, then run their startup one by one in the initial state."""
         for plane in self._all:
             plane.start(self._arduplane, check_stop)
+        for line in self._describe_ports():
+            announce(line)
         state, air = self.fleet.read(), self.fleet.air()
-        columns = state_columns(state, air.wind_ned, state.equivalent_airspeed)
+        pack_motion(self.fleet.all_rows, self.rows, self._aircraft, self._motion)
         for row, plane in self._planes.items():
             roll, pitch, _ = state.euler[row].tolist()
             trim = roll, pitch, float(self._raw["throttle"][row])
-            text = plane.start_up(columns[row].tolist(), float(air.battery_voltage[row]), trim)
+            pitot, voltage = state.equivalent_airspeed[row], air.battery_voltage[row]
+            inputs = air.wind_ned[row].tolist(), float(pitot), float(voltage)
+            text = plane.start_up(self._motion[row].tolist(), inputs, trim)
             # of the boot only warnings become events
             warnings = [each for each in plane.pop_messages() if each[0] != "info"]
             self._messages += [(plane, *each) for each in warnings]
             if text:
                 self._messages.append((plane, "info", text))
+
+    def _describe_ports(self) -> Iterator[str]:
+        """Describe the ports of all ArduPlanes, with one warning for those on every address."""
+        # imported here, as few scenarios need them
+        from testbed.autopilot.ardupilot_sitl import HOST, open_ports, ports
+
+        for plane in self._all:
+            physics, mavlink = ports(plane.instance)
+            yield (
+                f"ArduPlane: {plane.name} by instance {plane.instance}, {physics}/udp and "
+                f"{mavlink}/tcp of {HOST}"
+            )
+        started = [plane for plane in self._all if plane.process is not None]
+        if started:
+            rc, tcp = open_ports(0)
+            of = str(started[0].instance) if len(started) == 1 else "its instance"
+            numbers = join_names([str(each) for each in tcp])
+            yield (
+                f"warning: ArduPlane itself listens on {rc}/udp and {numbers}/tcp, plus ten times "
+                f"{of}, of every address of this machine: any program that reaches it can command "
+                f"{join_names([plane.name for plane in started])}"
+            )
 
     def pop_events(self, now: float) -> list[Event]:
         """See `ExternalProcess`."""
@@ -98,17 +132,23 @@ class ArduPlaneVehicles(JsbsimVehicles):
         """See `ExternalProcess`."""
         self._stop(self._all)
 
+    def kernels(self, followers: Records) -> list[Kernel]:
+        """See `Vehicles`."""
+        pack = partial(pack_motion, self.fleet.all_rows, self.rows, self._aircraft, self._motion)
+        return [*super().kernels(followers), pack]
+
     def autopilot_step(self) -> None:
-        """Step the virtual autopilots, and set the commands of the ArduPlanes."""
+        """Send command and state to the ArduPlanes, and step the virtual autopilots.
+
+        The ArduPlanes then compute during the rest of the tick, the sample and the log.
+        """
+        self._pitot = self._aircraft["estimate"]["equivalent_airspeed"][self.rows]
+        command = self._aircraft["command"][self.rows]
+        self._send_states([command[name].tolist() for name in ("roll", "pitch", "throttle")])
         super().autopilot_step()
-        for k, plane in self._planes.items():
-            command = self._aircraft["command"][self.rows[k]]
-            plane.set_command(
-                float(command["roll"]), float(command["pitch"]), float(command["throttle"])
-            )
+        for plane in self._planes.values():
             self._messages += [(plane, *each) for each in plane.pop_messages()]
         self._raw = self._aircraft["surfaces"][self.rows]
-        self._pitot = self._aircraft["estimate"]["equivalent_airspeed"][self.rows]
         self._write_outputs()
 
     def apply_faults(self) -> None:
@@ -123,26 +163,57 @@ class ArduPlaneVehicles(JsbsimVehicles):
         self._stop([self._planes.pop(k) for k in removed])
 
     def step(self, ticks: int, needed: tuple[int, ...] | None) -> None:
-        """Step tick by tick: send states, receive pulses, step the flight models."""
-        planes, fleet = self._planes, self.fleet
-        which = np.array(list(planes), dtype=np.intp)
-        air = fleet.air()
-        wind_ned, voltage = air.wind_ned[which], air.battery_voltage[which].tolist()
-        pitot = self._pitot[which]
-        for _ in range(ticks):
-            if planes:
-                motion = VehicleState(*(each[which] for each in fleet.read()))
-                columns = state_columns(motion, wind_ned, pitot)
-                each = zip(planes.values(), columns.tolist(), voltage, strict=True)
-                for plane, own, volts in each:
-                    plane.send_state(own, volts)
-                for k, plane in planes.items():
-                    self._outputs[k] = plane.surfaces(plane.receive_pwm())
-            self._write_outputs()
+        """Step each flight model as soon as its ArduPlane has computed the tick.
+
+        Flight models do not depend on one another within a call. While one is stepped, the
+        ArduPlanes of the others compute.
+        """
+        fleet, outputs = self.fleet, self._outputs
+        planes = tuple(self._planes.items())
+        if not self._sent:
+            self._send_states(None)
+        self._sent = False
+        fleet.write_surfaces()
+        fleet.run_some(self._virtual, ticks)
+        for left in reversed(range(ticks)):
+            for k, plane in planes:
+                outputs[k] = plane.surfaces(plane.receive_pwm())
+                if self._faults is None:
+                    self._aircraft["surfaces"][self.rows[k]] = outputs[k]
+                    self._step_one(k, plane, left)
             if self._faults is not None:
+                self._write_outputs()
                 self._apply_actuator_faults(self._faults, self._flow)
-            fleet.write_surfaces()
-            fleet.run(1, fleet.all_rows)
+                for k, plane in planes:
+                    self._step_one(k, plane, left)
+
+    def _step_one(self, k: int, plane: SitlVehicle, left: int) -> None:
+        """Step a flight model by a tick, and send its state if ticks are left."""
+        self.fleet.write_surfaces()
+        self.fleet.run_some(self._one[k], 1)
+        if left:
+            self._send_state(k, plane)
+
+    def _send_states(self, command: Sequence[Sequence[float]] | None) -> None:
+        """Send the current state to all ArduPlanes, once before a step.
+
+        Args:
+            command: roll, pitch and throttle, (3, M); None: those sent before.
+        """
+        self.fleet.read_air()
+        air = self._aircraft["air"][self.rows]
+        winds, voltage = air["wind_ned"].tolist(), air["battery_voltage"].tolist()
+        pitot = self._pitot.tolist()
+        for k, plane in self._planes.items():
+            if command is not None:
+                plane.set_command(*(each[k] for each in command))
+            plane.set_inputs(winds[k], pitot[k], voltage[k])
+            self._send_state(k, plane)
+        self._sent = True
+
+    def _send_state(self, k: int, plane: SitlVehicle) -> None:
+        pack_motion(self._one[k], self.rows, self._aircraft, self._motion)
+        plane.send_state(self._motion[k].tolist())
 
     def _write_outputs(self) -> None:
         """Write the servo outputs of all autopilots, ArduPlane's and virtual, as surfaces."""
@@ -152,9 +223,20 @@ class ArduPlaneVehicles(JsbsimVehicles):
         self._aircraft["surfaces"][self.rows] = outputs
 
     def _stop(self, planes: Sequence[SitlVehicle]) -> None:
-        for plane in planes:
-            plane.close()
         stop_processes([plane.process for plane in planes if plane.process is not None])
+        for plane in planes:  # last: other runs take no instance whose physics port is bound
+            plane.close()
+
+
+def _instances(row: int, fixed: Mapping[int, int | None]) -> Sequence[int]:
+    """Return the instances that an aircraft may have, the preferred one first."""
+    from testbed.autopilot.ardupilot_sitl import INSTANCES
+
+    own = fixed[row]
+    if own is not None:
+        return (own,)
+    others = set(fixed.values())
+    return [each for each in (*INSTANCES[row:], *INSTANCES[:row]) if each not in others]
 
 
 def build_jsbsim_vehicles(
@@ -184,14 +266,20 @@ def build_jsbsim_vehicles(
 
     origin = Origin(**scenario.scenario.origin.model_dump())
     yaw = fleet.read().euler[:, 2]
+    autopilots = {row: scenario.aircraft[row].autopilot for row in rows}
+    fixed = {
+        row: each.fixed_instance(row)
+        for row, each in autopilots.items()
+        if isinstance(each, ArduPlane)
+    }
     planes = {}
     for k, row in enumerate(rows):
-        autopilot = scenario.aircraft[row].autopilot
+        autopilot = autopilots[row]
         if not isinstance(autopilot, ArduPlane):
             continue
         config = SitlConfig(
             name=scenario.aircraft[row].name,
-            instance=row if autopilot.instance is None else autopilot.instance,
+            instances=_instances(row, fixed),
             start=autopilot.start,
             binary=autopilot.binary,
             tune=tunes[row],

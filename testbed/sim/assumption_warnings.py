@@ -16,7 +16,7 @@ from testbed.formation.assumptions import (
     check_kappa,
     check_slot_speed,
 )
-from testbed.formation.barrier import Barrier
+from testbed.formation.barrier import barriers_of
 from testbed.formation.law import FormationConfig
 from testbed.formation.slots import frame_rates, slot_speed, slot_speed_range
 from testbed.scenario import Scenario
@@ -27,6 +27,7 @@ from testbed.vehicle.trim import STILL, Vector
 
 MAX_SLOT_WARNINGS = 6  # above which only the worst is given, with the number of the others
 _KAPPA = "formation.kappa_mps"
+_BLOCK = 2048  # times of a known motion, to bound the memory of many slots
 
 
 def assumption_warnings(
@@ -97,9 +98,8 @@ def _findings(
             agent_value(scenario, name, "speed_desired_mps") is not None for name in config.names
         ]
         yield from (each for each in check_gain(law["k"], kappa, bound) if not fixed[each.agent])
-        barriers = [Barrier(*each) for each in built.barriers]
         speeds = SpeedSet(*(law[f"speed_{name}"] for name in SpeedSet._fields))
-        yield from check_barrier(barriers, speeds)
+        yield from check_barrier(barriers_of(law["barrier"]), speeds)
     of_airspeed = scenario.controller.bounded_speed == "airspeed"
     slowest, fastest, possible = _slot_speeds(config, leader, wind_ned if of_airspeed else None)
     in_air = None
@@ -131,8 +131,12 @@ def _slot_speeds(
         limits = leader.limits if wind_ned is None else leader.limits_in_air
         assert limits is not None, "a leader on a mission has both"
         return (*slot_speed_range(offsets, **limits._asdict()), True)
-    assert leader.track is not None, "a leader has limits or a known track"
-    velocity = leader.track.velocity_ned - np.array(wind_ned or STILL)
-    rate = frame_rates(velocity, leader.track.acceleration_ned)
-    speeds = slot_speed(velocity, rate, offsets)
-    return speeds.min(axis=0), speeds.max(axis=0), False
+    assert leader.motion is not None, "a leader has limits or a known motion"
+    slowest, fastest = np.full(len(offsets), np.inf), np.zeros(len(offsets))
+    parts = -(-len(leader.motion.velocity_ned) // _BLOCK)
+    for part in zip(*(np.array_split(each, parts) for each in leader.motion), strict=True):
+        velocity = part[0] - np.array(wind_ned or STILL)
+        speeds = slot_speed(velocity, frame_rates(velocity, part[1]), offsets)
+        np.minimum(slowest, speeds.min(axis=0), out=slowest)
+        np.maximum(fastest, speeds.max(axis=0), out=fastest)
+    return slowest, fastest, False

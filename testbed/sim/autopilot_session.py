@@ -43,6 +43,7 @@ class AutopilotSession(VehicleControl):
     session. A command takes effect at the next tick.
 
     Attributes:
+        trim: pitch, roll (rad) and throttle of the level flight at the start.
         lost: whether the aircraft crashed or broke.
         frozen: whether its autopilot is frozen.
         command_counts: executed requests by kind.
@@ -69,18 +70,19 @@ class AutopilotSession(VehicleControl):
             mission: of a leader, its mission in the scenario and its controller.
         """
         super().__init__(name, Mode.AUTO if mission and not external else Mode.FBWA, "")
+        self.trim = config.trim
         self._external, self._leads = external or External(), mission is not None
         self.external = external is not None
         self.lockstep = external is not None and external.lockstep
-        self._trim, self._origin = config.trim, config.origin
+        self._origin = config.origin
         self._navigator = Navigator(config, _LOITER_RADIUS)
         self._parameters = ParameterServer(params, apply_params, self._navigator)
         if mission:
             self._navigator.take_over(*mission)
         self.lost = self.frozen = False
-        self._manual: FbwaInput = self._trim  # the latest sticks or attitude target
+        self._manual: FbwaInput = self.trim  # the latest sticks or attitude target
         self._manual_s: float | None = 0.0  # its time; None: GUIDED circles a point
-        self._guided: FbwaInput = self._trim  # command of the navigator
+        self._guided: FbwaInput = self.trim  # command of the navigator
         self._now = 0.0
         self._sample_s: float | None = None  # of the sample that lockstep waits for an answer to
         self._events: list[Event] = []
@@ -122,7 +124,7 @@ class AutopilotSession(VehicleControl):
         if self._is_manual and not self.failsafe:
             command = self._manual
         elif self.mode is Mode.FBWA and not self._takes_manual:
-            return None if self.armed else (*self._trim[:2], 0.0)
+            return None if self.armed else (*self.trim[:2], 0.0)
         else:
             command = self._guided
         return command if self.armed else (*command[:2], 0.0)
@@ -164,7 +166,7 @@ class AutopilotSession(VehicleControl):
             self._navigator.resume_mission()
         elif mode is not Mode.FBWA:
             self._navigator.circle(self._navigator.position)
-        self._manual = self._guided = self._trim
+        self._manual = self._guided = self.trim
         self._manual_s = None if mode is Mode.GUIDED else self._now
         self.mode, self.failsafe, self._sample_s = mode, False, None
         self._report(f"mode {mode.name}", "modes")

@@ -64,7 +64,7 @@ from testbed.sim.proximity import (
 from testbed.sim.resources import check_memory
 from testbed.sim.schedule import Clock, make_clock
 from testbed.sim.sensor_warnings import sensor_warnings
-from testbed.sim.user_law import with_stored_law
+from testbed.sim.user_code import with_stored_code
 from testbed.sim.vehicles import Vehicles
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.jsbsim_adapter import VERSION as JSBSIM_VERSION
@@ -129,7 +129,7 @@ def build(
     """
     names = scenario.aircraft_names
     clock = build_clock(scenario)
-    check_memory(scenario, clock)
+    check_memory(scenario)
     models = read_models(scenario)
     mean_wind = build_mean_wind(scenario)
     height = scenario.leader.start.altitude_m
@@ -268,7 +268,7 @@ def _run_info(
     exact: bool,
 ) -> RunInfo:
     """Describe the run for its observers; `exact`: estimates are the truth."""
-    stored, code = with_stored_law(scenario)
+    stored, code = with_stored_code(scenario)
     followers = scenario.aircraft_names[1:]
     return RunInfo(
         scenario_name=scenario.name,

@@ -57,7 +57,10 @@ def build_mean_wind(scenario: Scenario, duration_s: float | None = None) -> Mean
     else:
         path = find_data(wind.file)
         duration = scenario.scenario.duration_s if duration_s is None else duration_s
-        time, velocity = read_wind(path, wind.max_gap_s, duration)
+        try:
+            time, velocity = read_wind(path, wind.max_gap_s, duration)
+        except InputError as error:
+            raise InputError(f"air.wind.file: {error}") from error
     height = scenario.leader.start.altitude_m
     return make_mean_wind(time, velocity, profile=_profile(scenario), advection_height=height)
 

@@ -12,11 +12,11 @@ import numpy as np
 
 from testbed.core.errors import InputError
 from testbed.core.records import Array, FbwaCommand, Records, allocate
-from testbed.formation import control_function
+from testbed.formation import barrier, control_function
 from testbed.formation import leader_filter as leader
-from testbed.formation.assumptions import SpeedSet
-from testbed.formation.barrier import Barrier
-from testbed.formation.control_function import ControlFunction
+from testbed.formation.assumptions import SpeedSet, check_barrier
+from testbed.formation.barrier import Barrier, OwnBarrier
+from testbed.formation.control_function import ControlFunction, OwnControlFunction
 from testbed.formation.control_step import Hbh23Law, initial_controllers, make_neighbours
 from testbed.formation.hbh23 import LAW
 from testbed.formation.law import FormationConfig, Law
@@ -28,12 +28,17 @@ from testbed.sim.build_middle_loop import build_loops
 from testbed.sim.control import Group
 from testbed.sim.law_contract import check_law
 from testbed.sim.schedule import Clock
-from testbed.sim.user_law import build_law
+from testbed.sim.user_code import build_function, build_law
 
 _ACCELERATION_SOURCES = {
     "none": leader.NOTHING,
     "broadcast": leader.BROADCAST,
     "coordinated_turn": leader.TURN,
+}
+_ANGULAR_ACCELERATION_SOURCES = {
+    "none": leader.NOTHING,
+    "roll_rate": leader.ROLL_RATE,
+    "difference": leader.DIFFERENCE,
 }
 
 
@@ -47,13 +52,13 @@ class BuiltControl:
     neighbours: Records  # (n, N) of NEIGHBOUR
     builtin: bool  # the law is that of [HBH23]
     hold_stale_neighbours: bool
-    messages: tuple[str, ...]  # about a user's law
+    messages: tuple[str, ...]  # about a user's code
 
     @property
     def barriers(self) -> tuple[tuple[int, float], ...]:
-        """Example and ν of each follower's barrier; empty for a user's law."""
-        barrier = self.controllers["law"]["barrier"]
-        pairs = zip(barrier["example"].tolist(), barrier["nu"].tolist(), strict=True)
+        """Example and ν of each follower's barrier, 0 for a user's; empty for a user's law."""
+        records = self.controllers["law"]["barrier"]
+        pairs = zip(records["example"].tolist(), records["nu"].tolist(), strict=True)
         return tuple(pairs) if self.builtin else ()
 
 
@@ -61,14 +66,14 @@ def build_control(scenario: Scenario, folders: Sequence[Path], clock: Clock) -> 
     """Build the control of followers with airframes of these folders."""
     profiles = [middle_loop_gains(scenario, folder) for folder in folders]
     config = build_config(scenario, profiles, dt=clock.control / clock.base_rate_hz)
-    law = build_law_records(scenario, config, profiles)
+    law, messages = build_law_records(scenario, config, profiles)
     loops = build_loops(scenario, config, profiles)
     builtin = scenario.controller.law == "hbh23"
     hold = builtin and scenario.controller.on_neighbour_timeout == "hold-relative-position"
     timeout_s = math.inf if hold else config.neighbour_timeout_s
     neighbours = make_neighbours(config.offsets, config.gains, config.leader_timeout_s, timeout_s)
     controllers = initial_controllers(law, loops, [e.vehicle == "unicycle" for e in scenario.fleet])
-    groups, messages = [], []
+    groups = []
     for rows in clock.groups:
         members, user_law = select_followers(config, rows), None
         if not builtin:
@@ -106,8 +111,12 @@ def _check_user_law(scenario: Scenario, config: FormationConfig, law: Law) -> No
 
 def build_law_records(
     scenario: Scenario, config: FormationConfig, profiles: Sequence[Profile]
-) -> Records:
-    """Return the laws (n,) of LAW of followers with these middle-loop profiles."""
+) -> tuple[Records, list[str]]:
+    """Return the laws (n,) of LAW of followers, and messages about functions of the user's.
+
+    Raises:
+        InputError: a function of the user's violates (C1), (C2) or (B1) to (B5).
+    """
     controller, names = scenario.controller, config.names
     law = allocate(LAW, len(names))
     chosen = [controller.estimators.over(profile.estimators) for profile in profiles]
@@ -119,16 +128,23 @@ def build_law_records(
     turns = [agent_value(scenario, name, "c") for name in names]
     law["c"] = [each.constant for each in turns]
     law["c_speed"] = [each.per_speed_squared for each in turns]
+    messages: list[str] = []
     functions = [
-        make_control_function(agent_value(scenario, name, "control_function")) for name in names
+        make_control_function(agent_value(scenario, name, "control_function"), messages)
+        for name in names
     ]
-    for field in ControlFunction._fields:
-        law["mu"][field] = [getattr(each, field) for each in functions]
-    for i, name in enumerate(names):
-        barrier = make_barrier(agent_value(scenario, name, "barrier"))
-        law["barrier"]["example"][i], law["barrier"]["nu"][i] = barrier
-    for field, speeds in _speed_set(scenario, config, law["k"], functions)._asdict().items():
+    law["mu"] = control_function.control_function_records(*functions)
+    speed_set = _speed_set(scenario, config, law["k"], functions)
+    for field, speeds in speed_set._asdict().items():
         law[f"speed_{field}"] = speeds
+    barriers = [
+        make_barrier(agent_value(scenario, name, "barrier"), low, high, messages)
+        for name, low, high in zip(names, config.speed_min, config.speed_max, strict=True)
+    ]
+    law["barrier"] = barrier.barrier_records(*barriers)
+    for found in check_barrier(barriers, speed_set):
+        if isinstance(barriers[found.agent], OwnBarrier):
+            raise InputError(f"formation.barrier: of {names[found.agent]}, {found.text}")
     law["horizontal"] = [name in scenario.formation.altitudes_m for name in names]
     law["bounds_of_airspeed"] = controller.bounded_speed == "airspeed"
     law["from_timestamp"] = controller.extrapolate_from == "timestamp"
@@ -138,24 +154,61 @@ def build_law_records(
     ]
     law["acceleration_blend"] = [each.leader_acceleration_blend for each in chosen]
     law["difference_blend"] = [each.leader_difference_blend for each in chosen]
-    law["turn_acceleration"] = [each.leader_angular_acceleration == "roll_rate" for each in chosen]
+    law["angular_acceleration_source"] = [
+        _ANGULAR_ACCELERATION_SOURCES[each.leader_angular_acceleration] for each in chosen
+    ]
+    law["turn_rate_blend"] = [each.leader_turn_rate_blend for each in chosen]
     law["leader_timeout_s"] = config.leader_timeout_s
     law["neighbour_timeout_s"] = config.neighbour_timeout_s
     law["hold_stale_neighbours"] = controller.on_neighbour_timeout == "hold-relative-position"
     law["lost_leader_airspeed"] = config.trim_airspeed
     law["lost_leader_turn_rate"] = GRAVITY * tangent / config.trim_airspeed
-    return law
+    return law, messages
 
 
-def make_control_function(chosen: Any) -> ControlFunction:  # noqa: ANN401 - a union
-    """Return μ of a `control_function` section."""
+def make_control_function(
+    chosen: Any,  # noqa: ANN401 - a union
+    messages: list[str],
+) -> ControlFunction | OwnControlFunction:
+    """Return μ of a `control_function` section, and add a message about a function of the user's.
+
+    Raises:
+        InputError: (C1) or (C2) fails.
+    """
+    if chosen.example == "own":
+        key = "formation.control_function"
+        function, origin = build_function(chosen.function, key)
+        messages.append(f"the control function runs {origin}")
+        try:
+            return control_function.make_own(function)
+        except ValueError as error:
+            raise InputError(f"{key}: {error}") from error
     if chosen.example == 1:
         return control_function.example_1(chosen.nu1, chosen.nu2, chosen.m)
     return control_function.EXAMPLE_2 if chosen.example == 2 else control_function.EXAMPLE_3
 
 
-def make_barrier(chosen: Any) -> Barrier:  # noqa: ANN401 - a union
-    """Return h of a `barrier` section."""
+def make_barrier(
+    chosen: Any,  # noqa: ANN401 - a union
+    speed_min: float,
+    speed_max: float,
+    messages: list[str],
+) -> Barrier | OwnBarrier:
+    """Return h of a `barrier` section for speed bounds, m/s; see `make_control_function`.
+
+    Raises:
+        InputError: the function has no continuous derivative.
+    """
+    if chosen.example == "own":
+        key = "formation.barrier"
+        function, origin = build_function(chosen.function, key)
+        messages.append(f"the barrier runs {origin}")
+        try:
+            return barrier.make_own(
+                lambda s: function(s, speed_min, speed_max), speed_min, speed_max
+            )
+        except ValueError as error:
+            raise InputError(f"{key}: {error}") from error
     return Barrier(chosen.example, 0.0 if chosen.example == 7 else chosen.nu)
 
 
@@ -163,7 +216,7 @@ def _speed_set(
     scenario: Scenario,
     config: FormationConfig,
     k: Array,
-    functions: Sequence[ControlFunction],
+    functions: Sequence[ControlFunction | OwnControlFunction],
 ) -> SpeedSet:
     """Return S and S_d, by fact 1 where the scenario does not give S_d."""
     low, high = config.speed_min, config.speed_max

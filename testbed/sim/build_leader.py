@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
+from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -20,7 +23,7 @@ from testbed.guidance.altitude_airspeed_hold import HoldGains
 from testbed.guidance.flight_plan import Level, LoiterLeg, Mission, WaypointLeg, make_plan, polyline
 from testbed.guidance.recorded_path import SampledTrajectory, read_recording, sample_recording
 from testbed.scenario import Scenario, find_data, load_guidance
-from testbed.scenario.aircraft import Leg, Virtual
+from testbed.scenario.aircraft import Leg, Replay, Virtual
 from testbed.scenario.aircraft import Mission as MissionSection
 from testbed.sim.build_air import density_ratio
 from testbed.sim.leader_control import LeaderController, MissionController, ScriptedController
@@ -29,6 +32,11 @@ from testbed.sim.vehicles import ScriptedVehicle
 from testbed.vehicle.initial_state import InitialState
 from testbed.vehicle.jsbsim_adapter import trim_aircraft
 from testbed.vehicle.trim import STILL, TrimPoint, Vector, course_through_air, error_prefix
+
+Motion: TypeAlias = Callable[[Array], SampledTrajectory]  # of times (T,), s
+MAX_CHECKED = 60_000  # times at which the motion of a scripted leader is checked
+MAX_DRAWN = 10_000  # points of its path in a view
+_BLOCK = 2048  # ticks whose motion is computed at once
 
 
 class SpeedLimits(NamedTuple):
@@ -40,6 +48,13 @@ class SpeedLimits(NamedTuple):
     climb_angle: float  # rad, the largest
 
 
+class KnownMotion(NamedTuple):
+    """Motion of a scripted leader at T times of the run."""
+
+    velocity_ned: Array  # (T, 3) m/s
+    acceleration_ned: Array  # (T, 3) m/s²
+
+
 @dataclass(frozen=True, slots=True)
 class LeaderSetup:
     """A leader before the flight."""
@@ -49,7 +64,7 @@ class LeaderSetup:
     start: InitialState
     velocity_ned: tuple[float, float, float]  # m/s over the ground, at the start
     path_ned: Array  # (k, 3) m, for drawing
-    track: SampledTrajectory | None  # its motion, where it is known
+    motion: KnownMotion | None  # where it is known
     limits: SpeedLimits | None  # of its motion over the ground, where that is not known
     limits_in_air: SpeedLimits | None  # the same through the air
 
@@ -79,32 +94,30 @@ def build_leader(
     """
     path = scenario.leader.path
     if isinstance(path, MissionSection):
-        with error_prefix("leader"):
-            wind = wind_ned, wind_speed
-            return _mission_leader(scenario, path, clock, params, folder, origin, *wind)
-    ticks = (tick for tick, *_ in clock.schedule(scenario.scenario.duration_s))
-    times = np.fromiter(ticks, dtype=np.float64) / clock.base_rate_hz
-    track = (
-        analytic.evaluate(_curve(scenario, path), times, wind_ned)
-        if isinstance(path, Virtual)
-        else sample_recording(read_recording(find_data(path.file)), times)
-    )
-    density = density_ratio(origin.elevation_m - track.position_ned[:, 2])
-    vehicle = ScriptedVehicle(track, track.airspeed * np.sqrt(density), np.array(wind_ned))
-    velocity = track.velocity_ned[0]
+        wind = wind_ned, wind_speed
+        return _mission_leader(scenario, path, clock, params, folder, origin, *wind)
+    duration_s = scenario.scenario.duration_s
+    if isinstance(path, Virtual):
+        motion: Motion = partial(analytic.evaluate, _curve(scenario, path), wind_ned=wind_ned)
+    else:
+        motion = _recorded_motion(path)
+    blocks = _blocks(motion, clock, duration_s, origin)
+    vehicle = ScriptedVehicle(blocks, np.array(wind_ned))
+    first = motion(np.zeros(1))
+    velocity = first.velocity_ned[0]
     start = InitialState(
-        position_ned=tuple(track.position_ned[0].tolist()),
+        position_ned=tuple(first.position_ned[0].tolist()),
         course=math.atan2(velocity[1], velocity[0]),
-        airspeed=float(track.airspeed[0]),
+        airspeed=float(first.airspeed[0]),
     )
-    stride = max(1, len(times) // max(1, round(scenario.scenario.duration_s)))
+    drawn = motion(np.arange(0.0, duration_s + 1e-9, max(1.0, duration_s / MAX_DRAWN)))
     return LeaderSetup(
         controller=ScriptedController(vehicle),
         vehicle=vehicle,
         start=start,
         velocity_ned=tuple(velocity.tolist()),
-        path_ned=track.position_ned[::stride],
-        track=track,
+        path_ned=drawn.position_ned,
+        motion=_sample_motion(motion, clock, duration_s),
         limits=None,
         limits_in_air=None,
     )
@@ -139,10 +152,13 @@ def _mission_leader(
     try:
         plan = make_plan(mission, (section.north_m, section.east_m, section.altitude_m))
     except InputError as error:
-        raise InputError(f"leader.path: {error}") from error
+        # the key of a leg, or what is wrong with the path
+        joined = "." if str(error).startswith("legs") else ": "
+        raise InputError(f"leader.path{joined}{error}") from error
     altitude = origin.elevation_m + section.altitude_m
     charge = scenario.leader.battery.state_of_charge
-    level = trim_aircraft(folder, TrimPoint(airspeed, 0.0, 0.0, altitude, charge), origin)
+    with error_prefix("leader.path.airspeed_mps"):
+        level = trim_aircraft(folder, TrimPoint(airspeed, 0.0, 0.0, altitude, charge), origin)
     memory = guidance.initial_memory(
         altitude=section.altitude_m, pitch=level.placement.pitch, throttle=level.controls.throttle
     )
@@ -163,7 +179,8 @@ def _mission_leader(
         turn_rate = GRAVITY * math.tan(mission.bank_limit) / slowest
         return SpeedLimits(slowest, airspeed + wind_speed, turn_rate, climb_angle)
 
-    through_air = course_through_air(airspeed, start.course, wind)
+    with error_prefix("air.wind"):
+        through_air = course_through_air(airspeed, start.course, wind)
     velocity = (
         airspeed * math.cos(through_air) + wind[0],
         airspeed * math.sin(through_air) + wind[1],
@@ -175,10 +192,46 @@ def _mission_leader(
         start=start,
         velocity_ned=velocity,
         path_ned=polyline(plan),
-        track=None,
+        motion=None,
         limits=limits(0.0 if ideal else wind_speed),
         limits_in_air=limits(0.0),
     )
+
+
+def _recorded_motion(path: Replay) -> Motion:
+    """Read the recording of a leader, and return its motion; both refuse with the key."""
+    try:
+        recording = read_recording(find_data(path.file))
+    except InputError as error:
+        raise InputError(f"leader.path.file: {error}") from error
+
+    def motion(times: Array) -> SampledTrajectory:
+        try:
+            return sample_recording(recording, times)
+        except InputError as error:
+            raise InputError(f"leader.path.file: {error}") from error
+
+    return motion
+
+
+def _sample_motion(motion: Motion, clock: Clock, duration_s: float) -> KnownMotion:
+    """Sample a motion at the autopilot ticks of a run, or at `MAX_CHECKED` times in between."""
+    count = min(clock.ticks(duration_s) // clock.autopilot, MAX_CHECKED)
+    times = np.linspace(0.0, duration_s, count + 1)
+    blocks = (motion(times[i : i + _BLOCK]) for i in range(0, len(times), _BLOCK))
+    parts = [(block.velocity_ned, block.acceleration_ned) for block in blocks]
+    return KnownMotion(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+def _blocks(
+    motion: Motion, clock: Clock, duration_s: float, origin: Origin
+) -> Iterator[tuple[SampledTrajectory, Array]]:
+    """Yield motion and equivalent airspeed at the ticks of a run, block by block."""
+    ticks = (tick for tick, *_ in clock.schedule(duration_s))
+    while block := list(islice(ticks, _BLOCK)):
+        track = motion(np.array(block) / clock.base_rate_hz)
+        density = density_ratio(origin.elevation_m - track.position_ned[:, 2])
+        yield track, track.airspeed * np.sqrt(density)
 
 
 def _leg(leg: Leg) -> WaypointLeg | LoiterLeg:

@@ -236,8 +236,12 @@ def _finish(
 
 
 @contextmanager
-def user_code_errors(file: str) -> Iterator[None]:
+def user_code_errors(file: str, what: str = "the law") -> Iterator[None]:
     """Turn exceptions of a user's code into errors with file and line.
+
+    Args:
+        file: of the code.
+        what: the code is.
 
     Raises:
         InputError: for every exception.
@@ -250,7 +254,7 @@ def user_code_errors(file: str) -> Iterator[None]:
         frames = traceback.extract_tb(error.__traceback__)
         lines = [frame.lineno for frame in frames if frame.filename == file]
         location = f"{file}:{lines[-1]}" if lines else file
-        raise InputError(f"{location}: the law raised {type(error).__name__}: {error}") from error
+        raise InputError(f"{location}: {what} raised {type(error).__name__}: {error}") from error
 
 
 def law_file(law: object) -> str:

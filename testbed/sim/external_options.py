@@ -12,7 +12,7 @@ from testbed.core.errors import InputError
 from testbed.core.records import Event
 from testbed.mavlink.addresses import Address
 from testbed.scenario import Scenario
-from testbed.scenario.control_source import ArduPlane, External
+from testbed.scenario.control_source import External
 from testbed.sim.build import World
 from testbed.sim.pacing import RealTimePacer
 
@@ -30,6 +30,7 @@ class ExternalOptions:
         tlog: write run.tlog to the run directory.
         signing_key: 32 bytes; frames are signed with it, and others are rejected.
         arduplane: the program, where the scenario asks for ArduPlane and names none.
+        quiet: leave out messages about the ports of ArduPlanes.
         announce: receives messages to the user during the run: open ports, long waits.
     """
 
@@ -38,6 +39,7 @@ class ExternalOptions:
     tlog: bool = False
     signing_key: bytes | None = None
     arduplane: Path | None = None
+    quiet: bool = False
     announce: Callable[[str], None] = field(default=lambda text: None, repr=False)
 
     @property
@@ -90,7 +92,7 @@ def make_server(options: ExternalOptions, world: World) -> MavlinkServer | None:
     return MavlinkServer(
         options.mavlink,
         world.external_control.vehicles,
-        signing=Signing(key, time=signing_time(now)) if key else None,
+        signing=Signing(key, time=signing_time(now), strict=True) if key else None,
         epoch_us=round(now * 1e6),
     )
 
@@ -111,7 +113,7 @@ def external_summary(
 
 
 def announcements(options: ExternalOptions, scenario: Scenario) -> Iterator[str]:
-    """Describe the open ports, with a warning for those that other machines reach."""
+    """Describe the MAVLink links, with a warning for those that other machines reach."""
     names = scenario.aircraft_names
     systems = f"{names[0]} to {names[-1]} are systems 1 to {len(names)}"
     pace = f"at {options.pace:g} × real time" if options.pace else "as fast as possible"
@@ -125,17 +127,3 @@ def announcements(options: ExternalOptions, scenario: Scenario) -> Iterator[str]
                 f"warning: {address.host} is not only this machine: any program {peers}that "
                 "reaches it can command the aircraft"
             )
-    for row, (name, autopilot) in enumerate((e.name, e.autopilot) for e in scenario.aircraft):
-        if isinstance(autopilot, ArduPlane):
-            # imported here, as few scenarios need them
-            from testbed.autopilot.ardupilot_sitl import HOST
-            from testbed.autopilot.ardupilot_sitl import ports as ports_of
-
-            physics, mavlink = ports_of(row if autopilot.instance is None else autopilot.instance)
-            yield f"ArduPlane: {name} by {physics}/udp and {mavlink}/tcp of {HOST}"
-            if autopilot.start:
-                yield (
-                    f"warning: ArduPlane itself listens on {mavlink}, {mavlink + 2} and "
-                    f"{mavlink + 3}/tcp of every address of this machine: any program that "
-                    f"reaches it can command {name}"
-                )

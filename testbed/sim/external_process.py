@@ -18,12 +18,15 @@ class ExternalProcess(Protocol):
             InputError: it does not.
         """
 
-    def start(self, check_stop: Callable[[], None]) -> None:
+    def start(
+        self, check_stop: Callable[[], None], announce: Callable[[str], None] = lambda text: None
+    ) -> None:
         """Start it and wait until it is ready, before the first tick.
 
         Args:
             check_stop: called repeatedly in every wait for the process, also in flight; raises
                 `RunStopped` when the run is to end.
+            announce: receives messages to the user: ports, and a warning about open ones.
 
         Raises:
             InputError: it cannot be started.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
@@ -15,6 +15,7 @@ from testbed.core.records import (
     Event,
     FormationState,
     Observer,
+    Sample,
     VehicleState,
     allocate,
     fields_of,
@@ -84,12 +85,18 @@ class Flight:
         self._outages = OutageEvents(world.outages)
         self._observers = Observers(observers)
         self._sample = make_sample(
-            aircraft, followers, links, exact=self._exact, faults=world.faults is not None
+            aircraft,
+            followers,
+            links,
+            world.radio.statistics,
+            exact=self._exact,
+            faults=world.faults is not None,
         )
         self._events: list[Event] = list(world.initial_events)
         self._left = self._control.left
         self._muted: BoolArray | None = None
         self._leader_input = NO_INPUT
+        self.ending: str | None = None  # the outcome, when the flight has ended
 
     def prepare(
         self,
@@ -116,27 +123,60 @@ class Flight:
             The outcome: "completed", "lost", "envelope_exceeded", "formation_lost",
             "separation_lost" or "interrupted".
         """
+        for _ in self.ticks(ended):
+            pass
+        assert self.ending is not None
+        return self.ending
+
+    def ticks(self, ended: Callable[[float, TickActions], bool]) -> Iterator[float]:
+        """Fly tick by tick, after `prepare`; `ending` is the outcome when the iterator has ended.
+
+        Args:
+            ended: see `fly`.
+
+        Yields:
+            The time of a tick, s, when its estimates are written, before its control.
+        """
         world = self._world
+        last = world.clock.ticks(world.duration_s)
         for tick, due, ticks, needed in world.clock.schedule(
             world.duration_s, all_motions=world.radio.needs_all_positions
         ):
             now = world.clock.time_s(tick)
             if ended(now, due):
-                return "interrupted"
+                self.ending = "interrupted"
+                return
             self.sense(now, due)
+            yield now
             self.control(now, due)
             self.actuate(now, due)
-            if due.log and (outcome := self.observe(tick, now)):
-                return outcome
+            if due.log:
+                self.ending = self.observe(tick, now)
+                if self.ending:
+                    return
+            if tick + ticks > last:
+                break
             for vehicles in world.vehicles:
                 vehicles.step(ticks, needed)
-        return self.outcome
+        self.ending = self.outcome
+
+    def sample(self, now: float) -> Sample:
+        """Return the state at a tick that `ticks` has yielded, as views of the records.
+
+        Args:
+            now: its time, s.
+        """
+        world = self._world
+        for vehicles in world.vehicles:
+            vehicles.read_air()
+        observe_formation(world.aircraft, world.followers, self._control.offsets, world.altitudes)
+        return self._sample._replace(tick=world.clock.ticks(now), time_s=now)
 
     def kernels(self) -> list[Kernel]:
         """Return the compiled calls of the run, for `core.compile.prepare`."""
         world = self._world
         calls: list[Kernel] = [
-            partial(self._write_messages, 0.0),
+            partial(self._write_messages, 0.0, self._tick_s),
             self._find_losses,
             self._copy_control,
             partial(
@@ -192,9 +232,9 @@ class Flight:
         """Stage 2: messages, the formation law with its middle loop, the leader's guidance."""
         world, aircraft, radio = self._world, self._world.aircraft, self._radio
         if due.broadcast is not None:
-            self._write_messages(now)
             self._tick_s.fill(now)
             sent_s = self._tick_s if due.sent_s is None else due.sent_s
+            self._write_messages(now, sent_s)
             radio.send(sent_s, self._messages, self._truth, due.broadcast, self._muted)
         if not (due.control or due.guidance):
             return
@@ -251,12 +291,11 @@ class Flight:
             left = external.left_formation(left)
             masked = external.mask_diagnostics(followers)
             if masked is not followers:
-                records = aircraft, masked, world.links
+                records = aircraft, masked, world.links, self._radio.statistics
                 formation = fields_of(FormationState, masked, age_s=world.links["age_s"])
                 sample = sample._replace(formation=formation, records=records)
         events += self._join_monitor.changes(tick)
         events += world.envelope.changes(now, aircraft, followers, left)
-        self._radio.counts()
         self._observers.observe(sample._replace(tick=tick, time_s=now, events=tuple(events)))
         self._events = []
         if losses.terminate:

@@ -97,7 +97,7 @@ class ProximityMonitor:
         Returns:
             A warning for each pair that came below the separation, an error, or with a fault a
             warning, for each below the minimum, an information for each that has separated again,
-            an error for each that collided; and the aircraft that have collided, now or earlier
+            an error for both that collided; and the aircraft that have collided, now or earlier
             (N,). Encounters with a lost aircraft end without an event.
         """
         if not self.enabled:
@@ -136,8 +136,9 @@ class ProximityMonitor:
     def _collision_events(self, now: float, distance: Array, pairs: BoolArray) -> Iterator[Event]:
         for pair in np.flatnonzero(pairs):
             first, second = self._pair_names(pair)
-            text = f"collided with {second}: {distance[pair]:.1f} m between centres"
-            yield Event(now, "error", first, text)
+            for name, other in ((first, second), (second, first)):
+                text = f"collided with {other}: {distance[pair]:.1f} m between centres"
+                yield Event(now, "error", name, text)
 
     def _minimum_events(
         self, now: float, distance: Array, pairs: BoolArray, faulty: BoolArray | None

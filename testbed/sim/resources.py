@@ -14,12 +14,10 @@ from pathlib import Path
 from testbed.core.errors import InputError
 from testbed.scenario import Scenario
 from testbed.scenario.sensors import TRUTH
-from testbed.sim.schedule import Clock
 
 # bytes
 _PROGRAM = 180e6  # libraries, tables and buffers
 _PER_AIRCRAFT = 1.5e6  # a flight model and its records
-_PER_PATH_TICK = 400.0  # of a leader path that is computed before the flight, during computing
 _PER_MESSAGE = 250.0  # between transmission and delivery
 _LOG_PER_SAMPLE = 430.0  # of an aircraft, compressed
 _LOG_TURBULENCE = 65.0  # more with turbulence
@@ -31,18 +29,15 @@ _OWN_CGROUP = Path("/proc/self/cgroup")
 _STATM = Path("/proc/self/statm")
 
 
-def memory_needed(scenario: Scenario, clock: Clock) -> float:
+def memory_needed(scenario: Scenario) -> float:
     """Return the largest memory of a flight, bytes."""
     n = 1 + len(scenario.fleet)
     duration_s = scenario.scenario.duration_s
-    path_ticks = 0.0
-    if scenario.leader.path.kind != "mission":
-        path_ticks = sum(1 for _ in clock.schedule(1.0)) * duration_s
     links = scenario.network.links.values()
     per_link = (each.delay_s or 0.0 for receivers in links for each in receivers.values())
     delay_s = min(max([scenario.network.delay_s, *per_link]), duration_s)
     in_flight = n * (n - 1) * scenario.rates.broadcast_hz * delay_s
-    return _PROGRAM + _PER_AIRCRAFT * n + _PER_PATH_TICK * path_ticks + _PER_MESSAGE * in_flight
+    return _PROGRAM + _PER_AIRCRAFT * n + _PER_MESSAGE * in_flight
 
 
 def disk_needed(scenario: Scenario) -> float:
@@ -54,13 +49,13 @@ def disk_needed(scenario: Scenario) -> float:
     return samples * (per_aircraft * len(scenario.aircraft) + _LOG_ESTIMATE * with_errors)
 
 
-def check_memory(scenario: Scenario, clock: Clock) -> None:
+def check_memory(scenario: Scenario) -> None:
     """Refuse a flight that needs more memory than is free.
 
     Raises:
         InputError: with the memory needed and free.
     """
-    needed, free = memory_needed(scenario, clock), memory_free()
+    needed, free = memory_needed(scenario), memory_free()
     if free is not None and needed > free:
         raise InputError(
             f"scenario: {scenario.scenario.duration_s:g} s of {len(scenario.aircraft)} aircraft "

@@ -25,7 +25,7 @@ from testbed.logs.run_directory import (
 from testbed.metrics import MetricsObserver
 from testbed.metrics.document import finalise, write_json
 from testbed.scenario import Scenario, load
-from testbed.sim.build import build
+from testbed.sim.build import World, build
 from testbed.sim.external_options import (
     NO_EXTERNAL,
     ExternalOptions,
@@ -152,15 +152,10 @@ def run(
             closing.callback(server.close)
         for line in announcements(external, loaded):
             external.announce(line)
-        directory = create_run_directory(loaded.name, out=out) if write else None
-        if directory:
-            write_run_file(directory, SCENARIO_NAME, world.info.scenario_yaml.encode())
-            for name, code in world.info.code.items():
-                write_run_file(directory, name, code)
+        directory = open_run_directory(loaded, world, out) if write else None
         if server and directory and external.tlog:
             server.log_to(directory / "run.tlog")
-        published = loaded.scenario.published
-        meter = MetricsObserver(published=published.model_dump(mode="json") if published else None)
+        meter = make_meter(loaded)
         log = [McapRecorder(directory / LOG_NAME)] if directory and loaded.log.mcap else []
         all_observers: list[Observer] = [meter, *log, *observers, *([server] if server else [])]
         flight = Flight(world, all_observers)
@@ -199,7 +194,7 @@ def run(
             try:
                 for process in world.external_processes:
                     closing.callback(stop.without_interruption, process.close)
-                    process.start(stop.check)
+                    process.start(stop.check, *([] if external.quiet else [external.announce]))
                 gate = TickGate(world.external_control, server, pacer, stop, external.announce)
                 outcome = flight.fly(gate)
             except RunStopped:
@@ -217,3 +212,24 @@ def run(
                 error.add_note(f"log: {directory}")
             raise
     return Run(loaded, metrics, directory)
+
+
+def open_run_directory(scenario: Scenario, world: World, out: Path | None) -> Path:
+    """Create a run directory, with the resolved scenario and the code of its laws.
+
+    Args:
+        scenario: that is flown.
+        world: built from it.
+        out: the directory; None: a new one below `logs`.
+    """
+    directory = create_run_directory(scenario.name, out=out)
+    write_run_file(directory, SCENARIO_NAME, world.info.scenario_yaml.encode())
+    for name, code in world.info.code.items():
+        write_run_file(directory, name, code)
+    return directory
+
+
+def make_meter(scenario: Scenario) -> MetricsObserver:
+    """Make the observer that computes the metrics, beside the published numbers."""
+    published = scenario.scenario.published
+    return MetricsObserver(published=published.model_dump(mode="json") if published else None)

@@ -32,7 +32,7 @@ class TickActions:
 class TransmitSchedule:
     """Times at which an aircraft transmits, independent of the ticks: phase + k period.
 
-    A message contains the estimate of the last tick before.
+    A message contains the estimate of the last tick before, extrapolated to the transmission.
     """
 
     row: int  # of the aircraft

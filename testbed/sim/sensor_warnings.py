@@ -12,7 +12,7 @@ TOLERANCE = 1e-6  # of a period
 
 
 def sensor_warnings(scenario: Scenario) -> Iterator[Event]:
-    """Return a warning for each latency of a GPS that is no whole number of autopilot periods."""
+    """Warn of each GPS latency that is not a whole number of autopilot periods."""
     rate_hz = scenario.rates.autopilot_hz
     found: dict[str, list[str]] = {}
     for each in scenario.aircraft:

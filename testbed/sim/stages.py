@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from math import cos, sin
-
 from testbed.core.compile import entry, kernel
-from testbed.core.motion import copy_motion
+from testbed.core.motion import attitude_rates, copy_motion
 from testbed.core.records import Array, Records
 from testbed.formation.slots import write_formation_state
 from testbed.vehicle.fleet import LOWEST
@@ -28,27 +26,30 @@ def copy_control(aircraft: Records) -> None:
 
 
 @entry
-def write_messages(aircraft: Records, messages: Records, now: float) -> None:
-    """Write what all aircraft (N,) would broadcast now: their estimates, with Euler angle rates.
+def write_messages(aircraft: Records, messages: Records, now: float, sent_s: Array) -> None:
+    """Write what all aircraft (N,) would broadcast: their estimates, with Euler angle rates.
 
-    The rates are singular at a pitch of ±90°, where yaw is undefined.
+    Positions are extrapolated to the time of transmission along the velocity, as senders do in
+    [HBH23] sec. 8.3.
 
     Args:
         aircraft: (N,) of AIRCRAFT.
         messages: (N,) of MESSAGE; written.
-        now: s.
+        now: of the estimates, s.
+        sent_s: (N,) s, transmission times.
     """
     for i in range(len(aircraft)):
         e, message = aircraft[i].estimate, messages[i]
         p, q, r = e.rates_body
-        roll, pitch = e.euler[0], e.euler[1]
-        yaw_rate = (q * sin(roll) + r * cos(roll)) / cos(pitch)
+        roll_rate, pitch_rate, yaw_rate = attitude_rates(e.euler[0], e.euler[1], p, q, r)
+        message.euler_rates[0] = roll_rate
+        message.euler_rates[1] = pitch_rate
         message.euler_rates[2] = yaw_rate
-        message.euler_rates[1] = q * cos(roll) - r * sin(roll)
-        message.euler_rates[0] = p + yaw_rate * sin(pitch)
-        message.stamp_s = now
+        message.stamp_s, ahead_s = sent_s[i], sent_s[i] - now
         for axis in range(3):
             message.position_ned[axis] = e.position_ned[axis]
+            if ahead_s != 0.0:  # infinite velocities of lost aircraft are not multiplied by zero
+                message.position_ned[axis] += ahead_s * e.velocity_ned[axis]
             message.velocity_ned[axis] = e.velocity_ned[axis]
             message.acceleration_ned[axis] = e.acceleration_ned[axis]
             message.euler[axis] = e.euler[axis]

@@ -5,6 +5,7 @@ Each object reads and writes its rows of the run's AIRCRAFT records in place.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 from typing import Protocol
 
@@ -237,13 +238,16 @@ def _steer(
 class ScriptedVehicle:
     """A leader whose motion is given: a recorded flight, or a formula."""
 
-    def __init__(
-        self, track: SampledTrajectory, equivalent_airspeed: Array, wind_ned: Array
-    ) -> None:
-        """Start at the first row of a track, which has one row for each tick of the schedule."""
+    def __init__(self, blocks: Iterator[tuple[SampledTrajectory, Array]], wind_ned: Array) -> None:
+        """Start at the first row of the first block.
+
+        Args:
+            blocks: motion and equivalent airspeed, one row for each tick of the schedule.
+            wind_ned: (3,) m/s.
+        """
         self.rows = np.zeros(1, dtype=np.intp)
-        self._track, self._row, self._wind = track, 0, wind_ned
-        self._equivalent_airspeed = equivalent_airspeed
+        self._blocks, self._row, self._wind = blocks, 0, wind_ned
+        self._track, self._equivalent_airspeed = next(blocks)
 
     def bind(self, aircraft: Records) -> None:
         """Write row 0 of AIRCRAFT from now on."""
@@ -256,8 +260,6 @@ class ScriptedVehicle:
     def _write(self) -> None:
         """Write motion and throttle; the command is the motion itself."""
         track, row, truth = self._track, self._row, self._aircraft["truth"]
-        if row == len(track.position_ned):
-            return  # the run has ended
         for name in (
             *("position_ned", "velocity_ned", "acceleration_ned", "euler", "rates_body"),
             "airspeed",
@@ -297,4 +299,7 @@ class ScriptedVehicle:
     def step(self, ticks: int, needed: tuple[int, ...] | None) -> None:
         """Move to the next row of the track."""
         self._row += 1
+        if self._row == len(self._track.position_ned):
+            self._row = 0
+            self._track, self._equivalent_airspeed = next(self._blocks)
         self._write()

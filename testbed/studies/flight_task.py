@@ -73,12 +73,6 @@ class WorkerPool(Protocol):
         """End the workers and their flights."""
 
 
-def with_seed(scenario: Scenario, seed: int) -> Scenario:
-    """Replace the seed of a scenario."""
-    header = scenario.scenario.model_copy(update={"seed": seed})
-    return scenario.model_copy(update={"scenario": header})
-
-
 def run_task(task: FlightTask) -> FlightResult:
     """Fly a task in this process, without files; errors become part of the result."""
     from testbed.sim.run import run  # in workers only: the parent process does not simulate

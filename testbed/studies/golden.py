@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from testbed.core.errors import InputError
-from testbed.scenario import Scenario, find_scenario, library, load
+from testbed.scenario import Scenario, find_scenario, library, load, set_seed
 from testbed.studies.flight_pool import open_flight_pool
-from testbed.studies.flight_task import FlightTask, with_seed
+from testbed.studies.flight_task import FlightTask
 from testbed.studies.golden_compare import (
     Flight,
     FlightProblem,
@@ -281,7 +281,7 @@ def fly_all(
     if not wanted:
         return []
     progress(0, len(wanted))
-    tasks = (FlightTask(number, with_seed(*each)) for number, each in enumerate(wanted))
+    tasks = (FlightTask(number, set_seed(*each)) for number, each in enumerate(wanted))
     flights: dict[int, Flight] = {}
     with open_flight_pool(jobs=min(jobs, len(wanted)), report=report) as pool:
         for result in pool.run(tasks):

@@ -56,7 +56,7 @@ class Journal:
             raise InputError(f"{path}: cannot be opened: {error.strerror}") from None
         try:
             if not stat.S_ISREG(os.fstat(self._file.fileno()).st_mode):
-                raise InputError(f"{path}: is no regular file (name another file with --out)")
+                raise InputError(f"{path}: is not a regular file (name another file with --out)")
             self._lock()
             if inputs is not None:
                 try:
@@ -183,8 +183,8 @@ class Journal:
             except (ValueError, KeyError, TypeError) as error:
                 if self._file.read(1):
                     raise InputError(
-                        f"{self.path}:{number}: is no line of a journal: {error} (start the study "
-                        "again with another --out)"
+                        f"{self.path}:{number}: is not a line of a journal: {error} (start the "
+                        "study again with another --out)"
                     ) from None
                 self._file.truncate(offset)
                 break
@@ -205,7 +205,7 @@ class Journal:
         else:
             names = line["names"]
             if not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
-                raise ValueError("its names are no list of texts")
+                raise ValueError("its names are not a list of texts")
             self._count += len(names)
             if len(set(names)) < len(names) or self._count > _MAX_NAMES:
                 raise ValueError("it has repeated or too many names")
@@ -219,13 +219,13 @@ class Journal:
         """
         run, index, values = line["run"], line["names"], line["values"]
         if not (_is_index(run, _MAX_RUNS) and _is_index(index, len(self._names))):
-            raise ValueError("its run or names are no numbers of one")
+            raise ValueError("its run or its names are out of range")
         if not isinstance(values, list) or len(values) != len(self._names[index]):
             raise ValueError("the numbers of values and names differ")
         if not all(value is None or _is_number(value) for value in values):
-            raise ValueError("a value is no number")
+            raise ValueError("a value is not a number")
         if line["outcome"] not in OUTCOMES or not isinstance(line["error"], str):
-            raise ValueError("its outcome is unknown, or its error is no text")
+            raise ValueError("its outcome is unknown, or its error is not a text")
         return int(run)
 
 

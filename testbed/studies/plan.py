@@ -25,12 +25,12 @@ from testbed.scenario import (
     library,
     open_scenario,
     set_duration,
+    set_seed,
     unreached_windows,
 )
 from testbed.scenario.tree import Node, walk
 from testbed.scenario.violations import Place, Problem, ScenarioError
 from testbed.scenario.yaml_io import read, to_inline, validate
-from testbed.studies.flight_task import with_seed
 from testbed.studies.study_schema import CASE_SCENARIO, StudyConfig, Value
 
 MAX_CHECKED = 2_000  # scenarios read before a study is flown; each takes some milliseconds
@@ -179,7 +179,7 @@ class Plan(Sequence[StudyRun]):
         Raises:
             ScenarioError: it cannot be flown.
         """
-        return with_seed(self._load_cached(run.case, run.overrides), run.seed)
+        return set_seed(self._load_cached(run.case, run.overrides), run.seed)
 
     def case_scenario(self, case: int) -> Scenario:
         """Return the scenario of a case without the keys that vary.

@@ -10,7 +10,7 @@ from typing import Any
 METRICS = "metrics."  # prefix of columns with numbers of metrics.json
 SET = "set."  # prefix of columns with the keys that vary
 
-# Metrics that are no column: settings, texts and lists of varying length, and numbers that depend
+# Metrics without a column: settings, texts and lists of varying length, and numbers that depend
 # on the machine, on the wall clock or on external programs.
 _LEFT_OUT = (
     ("schema",),

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from testbed.core.input_files import MAX_TABLE_BYTES, read_bounded
-from testbed.scenario import Scenario, find_aircraft, find_data, find_law
+from testbed.scenario import Scenario, code_references, find_aircraft, find_code, find_data
 
 # keys of `scenario` that change no number, and the seed, which is stored separately
 _LEFT_OUT = ("question", "expectation", "published", "name", "seed")
@@ -41,7 +41,7 @@ def _with_relative_paths(value: Any, folder: Path) -> Any:  # noqa: ANN401 - nes
 
 
 def file_digests(scenario: Scenario) -> dict[str, str]:
-    """Return short SHA-256 digests of the files a scenario uses: airframes, data, gains, law.
+    """Return short SHA-256 digests of the files a scenario uses: airframes, data, gains, code.
 
     They explain a comparison that fails, and decide nothing. A file of an airframe is named from
     the airframe's folder on: `skywalker_x8/Systems/battery.xml`.
@@ -57,8 +57,8 @@ def file_digests(scenario: Scenario) -> dict[str, str]:
         others.append(find_data(scenario.air.wind.file))
     if scenario.controller.middle_loop is not None:
         others.append(Path(scenario.controller.middle_loop))
-    if scenario.controller.law != "hbh23":
-        module, _, _ = find_law(scenario.controller.law).rpartition(":")
+    for _, name in code_references(scenario):
+        module, _, _ = find_code(name).rpartition(":")
         others += [Path(module)] if module.endswith(".py") else []
     files |= {f"{file.parent.name}/{file.name}": file for file in others}
     return {
@@ -85,7 +85,7 @@ def _is_cache(part: str) -> bool:
 def with_new_defaults(stored: Mapping[str, Any]) -> Mapping[str, Any]:
     """Add the keys that scenarios have gained since a snapshot was stored, at their defaults.
 
-    A snapshot that is no valid scenario in this version is returned unchanged.
+    A snapshot that is not a valid scenario in this version is returned unchanged.
     """
     header = {**stored.get("scenario", {}), "name": "stored"}
     try:
@@ -141,4 +141,4 @@ def _text(value: Any) -> str:  # noqa: ANN401 - a scalar or a list
         return f"[{', '.join(map(_text, value))}]"
     if isinstance(value, bool) or value is None:
         return {None: "null", True: "true", False: "false"}[value]
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    return f"{value:g}" if isinstance(value, float) else str(value) or '""'

@@ -109,10 +109,11 @@ def sweep(
     if unreached := plan.unreached_metrics():
         report(f"warning: {unreached}")
     inputs = _make_inputs(plan, checked.scenarios)
-    factors = f"{_factor(len(plan.cases), 'case')}{_factor(plan.point_count, 'point')}"
+    factors = [(len(plan.cases), "case"), (plan.point_count, "point"), (len(plan.seeds), "seed")]
+    product = " × ".join(_count(*each) for each in factors if each[0] > 1 or each[1] == "seed")
     report(
-        f"{len(plan):,} runs: {factors}{len(plan.seeds)} seeds; {checked.checked:,} scenarios read "
-        f"in {time.monotonic() - start:.1f} s"
+        f"{_count(len(plan), 'run')}: {product}; {_count(checked.checked, 'scenario')} read in "
+        f"{time.monotonic() - start:.1f} s"
     )
     if backend == "dask" and scheduler is not None:
         for line in cluster_notices(scheduler):
@@ -287,5 +288,5 @@ def _all_outcomes(counts: Mapping[str, int]) -> dict[str, int]:
     return {outcome: counts.get(outcome, 0) for outcome in OUTCOMES}
 
 
-def _factor(count: int, what: str) -> str:
-    return f"{count} {what}{'s' if count > 1 else ''} × " if count > 1 else ""
+def _count(number: int, what: str) -> str:
+    return f"{number:,} {what}{'' if number == 1 else 's'}"

@@ -123,7 +123,7 @@ class StudyTable:
         """
         text = self.metadata.get("runs", "")
         if not (text.isdecimal() and len(text) <= _MAX_DIGITS):
-            raise InputError(f"{self.path}: metadata runs: {text[:40]!r} is no number of runs")
+            raise InputError(f"{self.path}: metadata runs: {text[:40]!r} is not a number of runs")
         return int(text)
 
     def json(self, name: str) -> dict[str, Any]:
@@ -153,14 +153,14 @@ def read_table(path: Path | str, names: Iterable[str] | None = None) -> StudyTab
         names: columns to read, where they exist; None reads all. `run` is always read.
 
     Raises:
-        InputError: the file does not exist, or is no result of a study.
+        InputError: the file does not exist, or is not the result of a study.
     """
     wanted = None if names is None else {"run", *names}
     columns, metadata = read_columns(Path(path), wanted)
     schema = metadata.get("study.schema")
     if schema is None or "run" not in columns:
         raise InputError(
-            f"{path}: is no result of a study (write a file that `testbed sweep` made)"
+            f"{path}: is not the result of a study (write a file that `testbed sweep` made)"
         )
     if schema != str(SCHEMA):
         raise InputError(
@@ -199,7 +199,7 @@ def read_rows(path: Path | str) -> list[dict[str, Any]]:
     """Read the rows of a result file as Python values by column; None for a missing number.
 
     Raises:
-        InputError: the file does not exist, or is no result of a study.
+        InputError: the file does not exist, or is not the result of a study.
     """
     return list(read_table(path).rows())
 

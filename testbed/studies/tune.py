@@ -54,7 +54,7 @@ def tune_gains(
         report: called with a line for each generation, and when kernels are compiled.
 
     Raises:
-        InputError: the metric is no number of these flights, or `max_flights` is too small.
+        InputError: the metric is not a number of these flights, or `max_flights` is too small.
         KeyboardInterrupt: Ctrl-C or SIGTERM was received.
     """
     with open_flight_pool(jobs=jobs, report=report) as pool:
@@ -209,7 +209,7 @@ class _Tuning:
         if documents and objective.metric not in numbers:
             known = [name for name in numbers if name.startswith("windows.")]
             raise InputError(
-                f"objective.metric: {objective.metric} is no number of these flights"
+                f"objective.metric: {objective.metric} is not a number of these flights"
                 f"{did_you_mean(objective.metric, numbers)} (write one of {', '.join(known[:8])}, "
                 "...)"
             )

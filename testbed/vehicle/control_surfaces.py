@@ -9,7 +9,7 @@ with clip to −1..1 and m the share of their travel that full elevator alone co
 fails, the other serves both axes; the deflections are converted back to the equivalent aileron and
 elevator.
 
-A motor without power is a throttle of zero: the propeller windmills and brakes, with 1.0 N on the
+A motor without power is a throttle of zero: the propeller windmills and brakes, with 1.1 N on the
 Rascal at 19 m/s, whose shaft power is proportional to the throttle, and with 1.4 N on the X8 at
 18 m/s, whose ESC freewheels. In level flight at 20 m/s their thrust is 7.5 and 3.8 N.
 """

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property, partial
 from pathlib import Path
+from struct import Struct
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,7 @@ from testbed.vehicle.trim import TrimPoint, TrimResult, course_through_air
 LOWEST = 1.0  # m above the terrain: an aircraft below counts as on the ground
 _IMPLAUSIBLE = 1e9  # ft, ft/s², rad, rpm: no aircraft in flight reads this
 _WIND = 7  # numbers of `pack_wind`
+_PACK_MOTION = Struct(f"{len(MOTION_PROPERTIES)}d").pack_into  # numpy converts a list slower
 
 Setter = Callable[[float], None]
 Getter = Callable[[], float]
@@ -217,6 +219,13 @@ class JsbsimFleet:
         self._run_models(range(len(self._models)), ticks, read)
         write_truth(read, self.rows, self._numbers, self._zero, self._scale, self.aircraft)
 
+    def run_some(self, which: Indices, ticks: int) -> None:
+        """Run some aircraft (K,) in this process, and write their motion into the records."""
+        wind_changed = self._wind_changed
+        JsbsimFleet._run_models(self, which.tolist(), ticks, self.all_rows)
+        self._wind_changed = wind_changed  # of those that have not run yet
+        write_truth(which, self.rows, self._numbers, self._zero, self._scale, self.aircraft)
+
     def discharge(self, charge: Array) -> None:
         """Empty batteries to a state of charge (N,) 0..1 at once; NaN leaves one as it is.
 
@@ -236,7 +245,7 @@ class JsbsimFleet:
 
         One model after the other, each from end to end: its memory is then in the cache.
         """
-        numbers, getters = self._numbers, self._getters
+        numbers, getters, pack = self._numbers, self._getters, _PACK_MOTION
         needed = None if len(read) == len(numbers) else set(read.tolist())
         winds = self._wind_numbers.tolist() if self._wind_changed else None
         controls = self._controls.tolist() if self._controls_changed else None
@@ -249,8 +258,12 @@ class JsbsimFleet:
                 for set_value, value in zip(self._wind_setters[i], winds[i], strict=False):
                     set_value(value)
             if controls is not None:
-                for set_value, value in zip(self._setters[i], controls[i], strict=False):
-                    set_value(value)
+                aileron, elevator, rudder, throttle = self._setters[i]
+                values = controls[i]
+                aileron(values[0])
+                elevator(values[1])
+                rudder(values[2])
+                throttle(values[3])
             try:
                 for _ in range(ticks):
                     if not run():
@@ -259,7 +272,7 @@ class JsbsimFleet:
             except Exception:  # JSBSim's own, of many types: beyond its models
                 self._stop(i)
             if (needed is None or i in needed) and (of_model := getters[i]):
-                numbers[i] = [get() for get in of_model]
+                pack(numbers[i], 0, *[get() for get in of_model])
 
     def _read_numbers(self, which: Iterable[int]) -> None:
         numbers = self._numbers

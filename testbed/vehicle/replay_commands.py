@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -48,6 +49,7 @@ _ALLOWED = {
 }
 _STARTS = {"airspeed_mps": 22.0, "altitude_m": 100.0, "psi_rad": 0.0}
 _MAX_DURATION_S = 86400.0
+_STEADY_S, _STEADY_MPS = 2.0, 2.0  # a larger change of airspeed in this time is no steady start
 
 
 class CommandsError(InputError):
@@ -65,6 +67,7 @@ class Commands:
     text: tuple[tuple[str, ...], ...]  # (rows) of COMMANDS as in the file
     values: Array  # (rows, 4)
     start: dict[str, float]  # state of the aircraft in the first row: keys of _STARTS
+    later_airspeed: tuple[float, float] | None  # s and m/s of a row that shows an unsteady start
 
 
 def respond(
@@ -77,6 +80,7 @@ def respond(
     altitude: float | None = None,
     origin_elevation: float = 300.0,
     timing: AutopilotTiming | None = None,
+    warn: Callable[[str], None] = lambda text: None,
 ) -> int:
     """Fly the commands of a CSV from a trimmed start in still air and write the response.
 
@@ -94,6 +98,8 @@ def respond(
         altitude: m above the origin at the start; default the first row's `altitude_m`, or 100.
         origin_elevation: m above sea level of the origin and the terrain.
         timing: latencies of the autopilot.
+        warn: receives a line if the airspeed of the recording changes quickly after its first row,
+            and the flight starts with that of this row.
 
     Returns:
         The number of rows written.
@@ -106,6 +112,13 @@ def respond(
     """
     check_writable(Path(out_csv))
     commands = read_commands(commands_csv)
+    if airspeed is None and commands.later_airspeed is not None:
+        later, speed = commands.later_airspeed
+        warn(
+            f"{commands_csv}: airspeed_mps is {commands.start['airspeed_mps']:.1f} in the first "
+            f"row, where the replay starts in trim, and {speed:.1f} after {later:.1f} s: they "
+            "differ at first (cut the file where it is steady, or write --airspeed)"
+        )
     params = read_params(param or Path(aircraft_folder) / "recorded.param")
     period = BASE_RATE_HZ / params.sched_loop_rate
     if period != int(period):
@@ -153,6 +166,8 @@ def read_commands(path: Path) -> Commands:
     text: list[tuple[str, ...]] = []
     values: list[list[float]] = []
     start = dict(_STARTS)
+    speed_column = header.index("airspeed_mps") if "airspeed_mps" in header else None
+    later: tuple[float, float] | None = None
     for number, line in enumerate(lines[1:], start=2):
         if not line:
             continue
@@ -171,7 +186,12 @@ def read_commands(path: Path) -> Commands:
         if not values:
             for name in start.keys() & set(header):
                 start[name] = _cell(path, number, name, line[header.index(name)])
-        if row[0] - (values or [row])[0][0] > _MAX_DURATION_S:
+        since = row[0] - (values or [row])[0][0]
+        if speed_column is not None and later is None and since <= _STEADY_S:
+            speed = _number(line[speed_column])
+            if abs(speed - start["airspeed_mps"]) > _STEADY_MPS:
+                later = since, speed
+        if since > _MAX_DURATION_S:
             raise CommandsError(
                 f"{path}:{number}: column t_s: {row[0]:g} is more than a day after the first row"
             )
@@ -179,20 +199,24 @@ def read_commands(path: Path) -> Commands:
         text.append(tuple(line[i].strip() for i in columns))
     if not values:
         raise CommandsError(f"{path}:2: column t_s: no rows; at least one command is needed")
-    return Commands(text=tuple(text), values=np.array(values), start=start)
+    return Commands(tuple(text), np.array(values), start, later)
 
 
 def _cell(path: Path, number: int, name: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
+    value = _number(text)
     if not math.isfinite(value):
         raise CommandsError(f"{path}:{number}: column {name}: {text!r} is not a finite number")
     low, high, words = _ALLOWED.get(name, (-math.inf, math.inf, ""))
     if not low <= value <= high:
         raise CommandsError(f"{path}:{number}: column {name}: {value:g} should be {words}")
     return value
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def _fly(

@@ -174,7 +174,7 @@ def course_through_air(airspeed: float, course: float, wind_ned: Vector) -> floa
 
 @contextmanager
 def error_prefix(name: str) -> Iterator[None]:
-    """Begin each `TrimError` of the block with the name of an aircraft."""
+    """Begin each `TrimError` of the block with the name of an aircraft, or a key."""
     try:
         yield
     except TrimError as error:

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from testbed.core.errors import InputError
-from testbed.core.files import replacement
+from testbed.core.files import write_file
 from testbed.core.records import Event, RunInfo
 from testbed.views.batch import Batch, Source, batch_of, overlay, split
 from testbed.views.scene import Scene, overlay_scenes, scene_of
@@ -89,9 +89,10 @@ def screenshot(
         viewer.pause_at(at_s, LOADED_S)
         viewer.hide_menu()
         time.sleep(max(DRAWN_S, greeting_ends - time.monotonic()))
-        with replacement(path) as new:
-            complaints = viewer.save_screenshot(new)
+        picture, complaints = viewer.screenshot()
         recording.close()
+    with write_file(path) as file:
+        file.write(picture)
     if complaints:
         raise ViewComplaintError(f"{path}: the viewer reports: {'; '.join(complaints)}")
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from testbed.core.records import Array, RunInfo
-from testbed.formation.barrier import NO_BARRIER
+from testbed.formation.barrier import NO_BARRIER, OWN_BARRIER
 
 Colour = tuple[int, int, int]  # red, green, blue, 0..255
 
@@ -75,7 +75,9 @@ def scene_of(info: RunInfo) -> Scene:
         paths=tuple(p for p in [np.asarray(info.leader_path_ned, dtype=np.float64)] if p.size),
         speed_bounds=np.asarray(info.speed_bounds_mps, dtype=np.float64).reshape(-1, 2),
         bounds_wind=np.tile(np.asarray(info.bounded_in_ned, dtype=np.float64), (n + 1, 1)),
-        barriers=tuple(None if each[0] == NO_BARRIER else each for each in info.barriers)
+        barriers=tuple(
+            None if each[0] in (NO_BARRIER, OWN_BARRIER) else each for each in info.barriers
+        )
         or (None,) * n,
         estimated=info.estimated,
         roll_limit=np.asarray(info.roll_limit_rad, dtype=np.float64),

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
+from testbed.core.files import check_writable, write_file
 from testbed.views.batch import Batch
 from testbed.views.scene import Scene
 from testbed.views.viewer import HOST, unavailable_reason
@@ -95,16 +96,32 @@ class RrdFile:
     path: Path
 
     def open(self, scene: Scene) -> ViewSink:
-        """Create the file.
+        """Collect the view in memory; `close` writes the file.
 
         Raises:
-            OSError: It cannot be written.
+            OSError: It cannot be written; also from `close`.
         """
+        check_writable(self.path)
+        return _RrdSink(scene, self.path)
+
+
+class _RrdSink:
+    """A recording in memory that becomes a file: Rerun only logs that it cannot write one."""
+
+    def __init__(self, scene: Scene, path: Path) -> None:
         from testbed.views.rerun_backend import Recording
 
-        recording = Recording(scene, live=False)
-        recording.open(self.path)
-        return recording
+        self._path = path
+        self._recording = Recording(scene, live=False)
+        self._recording.open(None)
+
+    def send(self, batch: Batch) -> None:
+        self._recording.send(batch)
+
+    def close(self) -> None:
+        with write_file(self._path) as file:
+            file.write(self._recording.drain())
+        self._recording.close()
 
 
 @dataclass(slots=True)

@@ -79,7 +79,10 @@ class RerunView:
         self._collector.add_events(events)
         self._send()
         if self._sink is not None:
-            self._sink.close()
+            try:
+                self._sink.close()
+            except OSError as error:  # no failure of a view may stop a run
+                log.warning("The view cannot be saved: %s", error.strerror or error)
             self._sink = None
 
     def _send(self) -> None:

@@ -16,14 +16,17 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from testbed.core.child_guard import guard_command
 from testbed.core.errors import InputError
 
 HOST = "127.0.0.1"
 PROBE_S = 0.3
 START_S = 20.0  # a first start on a slow machine
 PORT_ATTEMPTS = 3  # when another program takes the free port first
-CHILD_GUARD = Path(__file__).with_name("child_guard.py")
 TCP_LISTEN = "0A"  # the state of a socket in /proc/net/tcp
+# Each viewer asks api.github.com for a newer version, which no option switches off: its requests go
+# to a proxy that does not exist.
+PROXY = f"http://{HOST}:9"
 
 
 def is_listening(port: int) -> bool:
@@ -168,9 +171,10 @@ def launch(
     """
     command = [executable, "--bind", HOST, "--port", str(port), "--hide-welcome-screen", *arguments]
     if guarded:
-        command = [sys.executable, "-I", "-S", str(CHILD_GUARD), folder, *command]
+        command = guard_command(folder, command)
     # no questions on the terminal, no notices in pictures and, because CI is set, no analytics
     quiet = {"RERUN_APP_ONLY": "true", "RUST_LOG": "off", "CI": "true"}
+    quiet |= {"ALL_PROXY": PROXY, "NO_PROXY": HOST, "no_proxy": HOST}
     return subprocess.Popen(
         command,
         stdin=subprocess.PIPE if guarded else subprocess.DEVNULL,

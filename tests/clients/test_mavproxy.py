@@ -140,5 +140,6 @@ def test_mavproxy_needs_the_key(tmp_path):
     assert event_texts(metrics, "leader") == ["mode LOITER"]
     warnings = [each for each in metrics["events"] if each["level"] == "warning"]
     assert [each["text"] for each in warnings] == [
-        "MAVLink messages without this run's key were ignored"
+        "MAVLink messages were ignored: not signed with this run's key, received before, or "
+        "signed before the run began"
     ]

@@ -233,6 +233,9 @@ class StandIn:
         if self.arming and not self.armed and self.count % ARMING_PERIOD == 0:
             self.armed, self.autopilot = True, initial_autopilots(self.gains)
             self.send_text("Throttle armed")
+        in_flight = self.count - 400  # packets since about the end of the boot
+        if in_flight in (20, 40, 60) and self.parameters.get("EK3_ENABLE", 1):
+            self.send_text("EKF3 IMU0 is using GPS")
         if self.count % self.period == 0:
             self.control(line)
         if self.count % round(self.parameters["SIM_RATE_HZ"]) == 0:
@@ -251,7 +254,7 @@ class StandIn:
             self.count = 0
         if self.now("disarm"):
             self.arming = self.armed = False
-            self.send_text("Crash: Disarming", 1)
+            self.send_text("Crash:\tDisarming", 1)
             self.send_heartbeat()
         if self.now("mode"):
             self.mode = RTL
@@ -264,8 +267,11 @@ class StandIn:
             time.sleep(600)
         listener = socket.socket()
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind(("127.0.0.1", 5760 + 10 * self.instance))
+        listener.bind(("", 5760 + 10 * self.instance))
         listener.listen(1)
+        self.rc_in = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)  # as stock builds open it
+        self.rc_in.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self.rc_in.bind(("", 5501 + 10 * self.instance))
         print("Waiting for connection ....", flush=True)
         self.link, _ = listener.accept()
         self.link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -280,7 +286,9 @@ class StandIn:
             line = self.receive_line()
             if self.count == 0:
                 signal.signal(signal.SIGTERM, signal.SIG_DFL)
-                print("JSON received:", *line, flush=True)
+                for _ in range(12):
+                    print(f"Loaded defaults from {arguments()['--defaults']}", flush=True)
+                print("\nJSON received:", *line, sep="\n\t", flush=True)
             assert line["timestamp"] > stamp, "time does not increase"
             stamp = line["timestamp"]
             self.count += 1

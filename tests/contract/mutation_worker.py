@@ -11,6 +11,7 @@ import os
 import random
 import re
 import sys
+import time
 import traceback
 import warnings
 from pathlib import Path
@@ -23,6 +24,7 @@ from testbed.core.errors import InputError
 
 SEED = 20261122
 MAX_ERROR = 20_000  # characters
+MAX_MEMORY = 10**9  # bytes
 LINE = re.compile(r"\S+\.(yaml|py):\d+:")
 # Errors of building name a key or an aircraft of the scenario.
 KEY = re.compile(r"(scenario|leader|fleet|formation|controller|air|network|rates|limits|uav\d)\b")
@@ -104,6 +106,13 @@ def try_file(kind, path):
     return "good", ""
 
 
+def largest_memory():
+    """Largest resident size of this process up to now, bytes; 0 where it is not known."""
+    status = Path("/proc/self/status")
+    lines = status.read_text().splitlines() if status.exists() else []
+    return next((1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM")), 0)
+
+
 def listing(folder):
     return {str(p): p.stat().st_size for p in folder.rglob("*") if p.is_file()}
 
@@ -140,9 +149,10 @@ def main(name, folder):
         path.write_bytes(data)
         at = os.lseek(output, 0, os.SEEK_END)
         guard.seen.clear()
-        guard.armed = True
+        guard.armed, began = True, time.monotonic()
         outcome, text = try_file(kind, path)
-        guard.armed = False
+        guard.armed, took_s = False, time.monotonic() - began
+        memory = largest_memory()
         if guard.seen:
             outcome, text = "fault", f"unexpected: {guard.seen}; {text}"
         elif listing(here) != before:
@@ -150,8 +160,11 @@ def main(name, folder):
         elif os.lseek(output, 0, os.SEEK_END) > at:
             printed = os.pread(output, 500, at).decode(errors="replace")
             outcome, text = "fault", f"printed: {printed}; {text}"
+        elif memory > MAX_MEMORY:
+            outcome, text = "fault", f"took {memory / 1e9:.2f} GB of memory; {text}"
         path.write_bytes(whole)
-        answers.write(json.dumps([outcome, text, way, str(path.relative_to(home))]) + "\n")
+        file = str(path.relative_to(home))
+        answers.write(json.dumps([outcome, text, way, file, took_s, memory]) + "\n")
 
 
 if __name__ == "__main__":

@@ -245,6 +245,8 @@ def test_table_fits_80_columns(model, tmp_path):
     check_snapshot(f"air_{model}", done.stdout)
     assert max(map(len, done.stdout.splitlines())) <= 80
     assert json.loads((tmp_path / "table.json").read_text())["separation_m"] == 5.0
+    narrow = call_command(*words, f"{MODEL}={model}", cwd=tmp_path, code=0, columns=60)
+    assert "…" not in narrow.stdout
 
 
 @pytest.mark.parametrize(

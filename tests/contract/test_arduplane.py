@@ -3,9 +3,11 @@
 import hashlib
 import io
 import os
+import select
 import signal
+import socket
 import subprocess
-import sys
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from arduplanes import (
     fly,
     fly_level,
     make_scenario,
+    run_in_child,
     running,
 )
 from patience import PATIENCE_S, until
@@ -31,7 +34,10 @@ from testbed.core.records import Origin
 from testbed.metrics.tables import render_table
 from testbed.scenario import find_tune, load, loads, set_duration
 from testbed.sim.build import build
+from testbed.sim.external_options import ExternalOptions
 from testbed.sim.run import run
+from testbed.studies.sweep import sweep
+from testbed.studies.table import read_table
 
 assert binary  # a fixture
 WHOLE = os.environ.get("TESTBED_ARDUPLANE_WHOLE")
@@ -137,6 +143,22 @@ def test_frozen_arduplane_holds_its_servos(binary):
     assert len(held) == 1
 
 
+def test_arduplane_computes_before_the_models_step(binary):
+    world = build(make_scenario(1.0))
+    (process,), (vehicles,), aircraft = world.external_processes, world.vehicles, world.aircraft
+    aircraft["command"] = LEVEL
+    try:
+        process.start(lambda: None)
+        (plane,) = process._all
+        for _ in range(2):
+            aircraft["estimate"] = aircraft["truth"]
+            vehicles.autopilot_step()
+            until(lambda: select.select([plane._udp], [], [], 0.0)[0])  # it has answered
+            vehicles.step(4, None)
+    finally:
+        process.close()
+
+
 def test_arduplane_of_lost_aircraft_is_stopped(binary):
     world = build(make_scenario(1.0, f"fleet.uav1.autopilot={ardupilot(1)}"))
     (process,), (vehicles,), aircraft = world.external_processes, world.vehicles, world.aircraft
@@ -160,11 +182,7 @@ def test_arduplane_of_lost_aircraft_is_stopped(binary):
 
 
 def test_stopped_run_leaves_no_process_or_folder(binary, tmp_path):
-    code = "import sys, testbed; sys.exit(testbed.run(sys.argv[1], sys.argv[2:]).exit_code)"
-    override = f"leader.autopilot={ardupilot()}"
-    (tmp_path / "two.yaml").write_text(SCENARIO)
-    command = [sys.executable, "-c", code, "two.yaml", override]
-    child = subprocess.Popen(command, cwd=tmp_path, start_new_session=True)
+    child = run_in_child(tmp_path)
     try:
         until(lambda: list((tmp_path / "logs").glob("*/*/run.mcap")))
         until(running)
@@ -173,6 +191,66 @@ def test_stopped_run_leaves_no_process_or_folder(binary, tmp_path):
     finally:
         child.kill()
         child.wait()
+
+
+def test_killed_run_leaves_no_process_or_folder(binary, tmp_path):
+    child = run_in_child(tmp_path)
+    try:
+        until(running)
+    finally:
+        child.kill()
+        child.wait()
+    until(lambda: not running() and not list((tmp_path / "folders").iterdir()))
+
+
+STUDY = """
+study: {schema: 1, name: planes, scenario: two.yaml, duration_s: 0.5, seeds: %s}
+"""
+
+
+def test_parallel_runs_take_free_instances(binary, tmp_path):
+    """Fly 4 runs of a study on 2 jobs; 8 runs if TESTBED_ARDUPLANE_WHOLE is set."""
+    runs = 8 if WHOLE else 4
+    (tmp_path / "two.yaml").write_text(SCENARIO.replace("path:", "autopilot: ardupilot\n  path:"))
+    (tmp_path / "planes.yaml").write_text(STUDY % list(range(1, runs + 1)))
+    sweep(tmp_path / "planes.yaml", tmp_path / "planes.parquet", jobs=2)
+    outcomes = read_table(tmp_path / "planes.parquet").columns["outcome"]
+    assert outcomes.tolist() == ["completed"] * runs
+
+
+def test_announced_instance_is_a_free_one(binary, tmp_path):
+    lines = []
+    two = set_duration(loads(SCENARIO, ["leader.autopilot=ardupilot"]), 0.1)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        with suppress(OSError):  # another test has it
+            other.bind(("127.0.0.1", 9002))
+        run(two, write=False, external=ExternalOptions(announce=lines.append))
+    line, warning = lines
+    instance = int(line.split("instance ")[1].split(",")[0])
+    assert instance > 0
+    ports = f"{9002 + 10 * instance}/udp and {5760 + 10 * instance}/tcp of 127.0.0.1"
+    assert line == f"ArduPlane: leader by instance {instance}, {ports}"
+    assert warning == (
+        "warning: ArduPlane itself listens on 5501/udp and 5760, 5762, 5763/tcp, plus ten times "
+        f"{instance}, of every address of this machine: any program that reaches it can command "
+        "leader"
+    )
+
+
+def test_several_arduplanes_cause_one_warning(binary):
+    lines = []
+    both = [f"leader.autopilot={ardupilot()}", f"fleet.uav1.autopilot={ardupilot(1)}"]
+    two = set_duration(loads(SCENARIO, both), 0.1)
+    run(two, write=False, external=ExternalOptions(announce=lines.append))
+    assert [line.startswith("warning") for line in lines] == [False, False, True]
+    assert lines[-1].endswith("can command leader, uav1")
+    run(two, write=False, external=ExternalOptions(announce=lines.append, quiet=True))
+    assert len(lines) == 3
+
+
+def test_estimator_and_gps_are_off(binary):
+    events, _ = fly_level(make_scenario(2.0))
+    assert not [event.text for event in events if "EKF3" in event.text]
 
 
 def test_separately_started_arduplane_is_awaited(binary, tmp_path):

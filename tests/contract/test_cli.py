@@ -136,6 +136,8 @@ def test_each_scenario_is_in_one_group_of_list():
 def test_list_of_a_name_prints_question_and_file(tmp_path):
     text = cli("list", "packet-loss-30", cwd=tmp_path).stdout
     assert "How much error" in text and "packet-loss-30.yaml" in text
+    rows = [line for line in text.splitlines() if line.startswith(("question ", "run ", "file "))]
+    assert len({len(row) - len(row.partition(" ")[2].lstrip()) for row in rows}) == 1, rows
     assert "testbed sweep radio-and-wind" in cli("list", "radio-and-wind", cwd=tmp_path).stdout
 
 
@@ -235,7 +237,8 @@ def test_run_writes_one_directory(tmp_path):
     assert directory.parent.as_posix() == "logs/simulation-3"
     # the table, and where the log is; no escape codes in a pipe
     assert "smallest separation" in done.stdout
-    assert directory.as_posix() in done.stdout
+    size = sum((tmp_path / name).stat().st_size for name in found)
+    assert f" {directory.as_posix()} ({size / 1e3:.0f} kB)" in done.stdout
     assert "\x1b" not in done.stdout + done.stderr
     assert done.stderr == ""
 

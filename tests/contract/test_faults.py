@@ -433,9 +433,11 @@ def test_collided_aircraft_are_lost_others_continue():
     assert [(level, source) for _, level, source, _ in events] == [
         ("warning", "uav1"),
         ("error", "uav1"),
+        ("error", "uav2"),
     ]
     assert events[0][3].startswith("within 4 m of uav2: ")
     assert events[1][3].startswith("collided with uav2: ")
+    assert events[2][3].startswith("collided with uav1: ")
     lost = np.array([frame.lost for frame in frames])
     at = int(np.argmax(lost.any(axis=1)))
     assert 0.0 <= frames[at].time_s - events[1][0] < PERIOD  # checked twice per sample
@@ -457,4 +459,4 @@ def test_collision_ends_the_run_by_default():
     _, events, run = flown("limits.collision_m=7.5", "scenario.duration_s=2")
     assert (run.outcome, run.metrics["simulated_s"]) == ("lost", 0.0)
     # the leader is 7.07 m from UAV 1 and 8.12 m from the others, which are 8 m apart
-    assert [event[:3] for event in events] == [(0.0, "error", "leader")]
+    assert [event[:3] for event in events] == [(0.0, "error", "leader"), (0.0, "error", "uav1")]

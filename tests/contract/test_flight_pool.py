@@ -16,6 +16,7 @@ from patience import PATIENCE_S, until
 
 from testbed.core.errors import InputError
 from testbed.scenario import library
+from testbed.studies import local_workers
 from testbed.studies.flight_pool import open_flight_pool
 from testbed.studies.flight_task import FlightTask
 
@@ -99,6 +100,8 @@ def test_pool_worker_ends_with_its_parent(tmp_path, number):
     expected = -signal.SIGKILL if number == signal.SIGKILL else INTERRUPTED
     assert parent.returncode == expected, errors
     until(lambda: has_ended(worker))
+    assert local_workers._PARENT_POLL_S <= 1.0  # docs/studies.md promises these
+    assert local_workers._PARENT_POLL_S + local_workers._GRACE_S <= 6.0
     if number != signal.SIGKILL:
         assert errors == b""
 

@@ -224,6 +224,7 @@ def test_compare_changed_scenario_lists_keys(exact, tmp_path):
         "c 2 is removed",
         "d 0.5 is new",
     )
+    assert differences({"question": "why"}, {"question": ""}) == ('question from why to ""',)
 
 
 def test_compare_changed_file_is_listed(exact):

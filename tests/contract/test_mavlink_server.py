@@ -3,6 +3,7 @@
 import socket
 import time
 from collections import Counter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from testbed.mavlink.signing import Signing, signing_time
 from testbed.mavlink.tlog import Tlog
 from testbed.mavlink.udp_endpoint import MAX_DATAGRAM_BYTES, MAX_DATAGRAMS, MAX_PEERS, Endpoint
 from testbed.metrics.facts import describe_mavlink
+from testbed.sim.external_options import ExternalOptions, make_server
 
 EPOCH_US = 1_795_000_000_000_000
 KEY = bytes(range(32))
@@ -280,6 +282,28 @@ def test_flood_of_commands_is_served_within_budget(open_server, ground):
     assert len(polls) == 17
 
 
+def test_flood_of_all_ports_has_one_budget(open_server):
+    now, grounds = [0.0], [GroundStation() for _ in range(5)]
+    control = RecordingControl()
+    server = open_server(*map(out, grounds), controls=[control], clock=lambda: now[0])
+    server.observe(sample())
+    control._record = lambda *_: now.__setitem__(0, now[0] + 0.001)  # each takes 1 ms
+    for k, ground in enumerate(grounds):
+        ground.receive()
+        ground.codec = Codec(250 + k, 190)
+        for _ in range(20):
+            ground.send("COMMAND_LONG", **ARM, param1=1.0)
+    polls = []
+    for _ in range(10):
+        before = now[0]
+        server.poll(0.0)
+        polls.append(now[0] - before)
+        assert len(server.clients) == 5  # each port has its share
+    for ground in grounds:
+        ground.socket.close()
+    assert max(polls) < 0.008  # 5 ms and the rest of a message
+
+
 def test_long_datagram_is_served_in_order(open_server, ground):
     now = [0.0]
     control = RecordingControl()
@@ -387,12 +411,48 @@ def test_signed_link_rejects_replays_and_old_times(open_server):
     ground.socket.sendto(old.pack("COMMAND_LONG", **ARM, param1=1.0), ground.peer)
     server.poll(0.1)
     assert len(control.calls) == 1
-    assert server.summary()["rejected"] == {"replayed": 3}
+    assert server.summary()["rejected"] == {"outdated": 1, "replayed": 2}
     assert [event.level for event in server.pop_events()] == ["warning"]
     ground.send("COMMAND_LONG", **ARM, param1=1.0)
     server.poll(0.2)
     assert len(control.calls) == 2
     ground.socket.close()
+
+
+def test_signed_frame_is_rejected_on_another_port(open_server, ground):
+    key, second = Signing(KEY, time=signing_time(EPOCH_US * 1e-6)), GroundStation()
+    control = RecordingControl()
+    server = open_server(out(ground), out(second), controls=[control], signing=key)
+    server.observe(sample())
+    frame = Codec(255, 190, key).pack("COMMAND_LONG", **ARM, param1=1.0)
+    for each in (ground, second):
+        _, peer = each.socket.recvfrom(65536)
+        each.socket.sendto(frame, peer)
+    server.poll(0.0)
+    second.socket.close()
+    assert len(control.calls) == 1 and server.summary()["rejected"] == {"replayed": 1}
+
+
+def test_frame_from_before_the_run_is_rejected(monkeypatch, ground):
+    """The run answers it with its time, from which the client learns to sign later ones."""
+    port, world = free_port(), SimpleNamespace(external_control=SimpleNamespace())
+    control = RecordingControl()
+    world.external_control.vehicles = [control]
+    options = ExternalOptions(mavlink=(Address("udpin", "127.0.0.1", port),), signing_key=KEY)
+    monkeypatch.setattr(time, "time", lambda: EPOCH_US * 1e-6)
+    server = make_server(options, world)
+    server.begin(info(1))
+    start = signing_time(EPOCH_US * 1e-6)
+    ground.codec = Codec(255, 190, Signing(KEY, time=start - 1))  # of a run just before
+    ground.peer = ("127.0.0.1", port)
+    ground.send("COMMAND_LONG", **ARM, param1=1.0)
+    server.poll(0.0)
+    assert control.calls == [] and server.summary()["rejected"] == {"outdated": 1}
+    assert [message.name for message in ground.receive()] == ["SYSTEM_TIME"]
+    ground.send("COMMAND_LONG", **ARM, param1=1.0)
+    server.poll(0.0)
+    server.close()
+    assert len(control.calls) == 1
 
 
 @pytest.mark.parametrize(

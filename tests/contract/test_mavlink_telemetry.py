@@ -152,7 +152,8 @@ def test_rc_channels_correspond_to_the_command(messages):
 
 def test_nav_output_of_follower_is_way_to_slot(messages):
     nav = messages["NAV_CONTROLLER_OUTPUT"]
-    assert nav["nav_roll"] == pytest.approx(math.degrees(-0.5), abs=1e-4)
+    # the limit of roll, and with it the demand, shrinks with the pitch
+    assert nav["nav_roll"] == pytest.approx(math.degrees(-0.5) * math.cos(0.05), abs=1e-4)
     assert nav["nav_pitch"] == pytest.approx(math.degrees(0.1), abs=1e-4)
     # it is 3 m north, 4 m east and 12 m below its slot
     assert (nav["wp_dist"], nav["alt_error"]) == (5, 12.0)
@@ -203,6 +204,15 @@ def test_nav_pitch_excludes_stab_pitch_down():
     assert way_of(control)["nav_pitch"] == pytest.approx(math.degrees(0.1), abs=1e-5)
     control.parameters["TRIM_THROTTLE"] = 0.0
     assert way_of(control)["nav_pitch"] == pytest.approx(math.degrees(0.1), abs=1e-5)
+
+
+def test_nav_pitch_down_shrinks_with_bank():
+    client = VehicleClient()
+    current = sample(0)
+    command = current.command._replace(pitch=np.array([-0.1]))
+    client.vehicle.update(TelemetrySnapshot(current._replace(command=command), ORIGIN), 0.0)
+    (nav,) = fields_of(client.command(512, 62.0), "NAV_CONTROLLER_OUTPUT")
+    assert nav["nav_pitch"] == pytest.approx(math.degrees(-0.1) * math.cos(0.4), abs=1e-5)
 
 
 def test_crosstrack_error_is_positive_to_the_left():

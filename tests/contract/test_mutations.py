@@ -57,14 +57,14 @@ class Worker:
             self.process = None
 
     def ask(self, number):
-        """Return outcome, text, mutation and file."""
+        """Return outcome, text, mutation, file, time in s and peak memory in bytes."""
         if self.process is None:
             self.begin()
         self.process.stdin.write(f"{number}\n")
         self.process.stdin.flush()
         if not self.answers.select(PATIENCE_S):
             self.end()
-            return "fault", f"no answer after {PATIENCE_S:g} s", "", ""
+            return "fault", f"no answer after {PATIENCE_S:g} s", "", "", PATIENCE_S, 0
         line = self.process.stdout.readline()
         if line:
             return json.loads(line)
@@ -72,7 +72,7 @@ class Worker:
         errors = (self.folder / str(self.count) / "errors").read_text(errors="replace")[-2000:]
         output = (self.folder / str(self.count) / "output").read_text(errors="replace")[-2000:]
         self.end()
-        return "fault", f"ended the process with {code}: {errors}{output}", "", ""
+        return "fault", f"ended the process with {code}: {errors}{output}", "", "", 0.0, 0
 
 
 @pytest.fixture(scope="module", params=KINDS)
@@ -89,13 +89,14 @@ def test_unchanged_files_are_accepted(worker):
 
 
 def test_mutated_file_gives_result_or_clear_error(worker):
-    kind, seen, faults = worker.kind, Counter(), []
+    kind, seen, faults, longest_s, most = worker.kind, Counter(), [], 0.0, 0
     for number in range(max(1, MUTATIONS * KINDS[kind].share // 100)):
-        outcome, text, way, file = worker.ask(number)
+        outcome, text, way, file, took_s, memory = worker.ask(number)
         seen[outcome] += 1
+        longest_s, most = max(longest_s, took_s), max(most, memory)
         if outcome == "fault":
             faults.append(f"{kind} {number} ({way} of {file}): {text}")
-    print(kind, dict(seen))
+    print(f"{kind} {dict(seen)}, longest {longest_s:.1f} s, at most {most / 1e9:.2f} GB")
     assert not faults, f"{len(faults)} of {seen.total()}:\n" + "\n".join(faults[:MAX_LISTED])
     # some of both, or the mutations test nothing
     assert seen["good"] and seen["refused"]

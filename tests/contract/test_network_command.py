@@ -379,6 +379,14 @@ LINKED = (
 )
 
 
+def test_summary_fits_60_columns(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "60")
+    lines = network("--packets", 300, scenario="bursty-wifi").stdout.splitlines()
+    assert max(map(len, lines)) <= 60 and not any("…" in line for line in lines)
+    # what arrived, bursts, and outcomes by three and the rest
+    assert sum(line.startswith(" leader > uav1 ") for line in lines) == 4
+
+
 def test_summary_names_the_worst_link():
     """One bad link of nine, which a median over links hides."""
     done = network("--packets", 400, sets=LINKED)
@@ -386,6 +394,7 @@ def test_summary_names_the_worst_link():
     found = re.search(r"worst link: leader > uav2, (\S+) % arrived, 95 % of these within", text)
     assert found and 30.0 < float(found[1]) < 50.0
     assert "lost in a row" in text
+    assert all(line.startswith((" ", "─")) for line in done.stdout.splitlines() if line)
     assert "worst link" not in network("--packets", 40).stdout
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import views_flight
 from commands import call_command, environment
 from patience import PATIENCE_S
 
@@ -34,6 +35,7 @@ from testbed.studies.golden_report import write_junit
 from testbed.studies.journal import Journal
 from testbed.studies.rows import Row
 from testbed.studies.table import find_output
+from testbed.views import RrdFile, replay
 
 BAD_INPUT = 2
 TRIM = ("trim", "rascal110", "--airspeed", "22")
@@ -232,11 +234,16 @@ def _figure(path):
     save_figure(PanelGrid("title", "", rows=((panel,),), widths=(1.0,)), path)
 
 
+def _recording(path):
+    replay(RrdFile(path), views_flight.log(2, 1.0))
+
+
 KINDS = {
     "metrics.json": lambda path: write_json(path, {"numbers": [0.1] * 5_000}),
     "junit.xml": lambda path: write_junit(path, "<testsuites/>\n" * 5_000),
     "arrays.npz": _arrays,
     "figure.png": _figure,
+    "view.rrd": _recording,
 }
 
 

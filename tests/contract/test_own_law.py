@@ -419,3 +419,81 @@ def test_repulsion_prevents_a_collision_of_hbh23():
     theirs = testbed.run(set_duration(through, 12.0), write=False)
     assert theirs.metrics["min_separation_between"] == ["uav1", "uav2"]
     assert theirs.metrics["min_separation_m"] < page.limits.collision_m
+
+
+# functions μ and h
+
+FUNCTIONS = """
+    import numpy as np
+
+    def mu(z):
+        return (50.0 + z) ** -0.5
+
+    def h(s, s_min, s_max):
+        return np.tanh(0.05 * (s_max - s) * (s - s_min))
+
+    def growing(z):
+        return (1.0 + z) ** -0.3
+
+    def flat(s, s_min, s_max):
+        return np.tanh(0.5 * (s_max - s) * (s - s_min))
+
+    def single(z):
+        return 1.0
+
+    def nan(z):
+        return z / 0.0
+
+    def failing(z):
+        return z.shape[7]
+"""
+MU = "formation.control_function={{example: own, function: {}:{}}}"
+H = "formation.barrier={{example: own, function: {}:{}}}"
+
+
+def with_functions(folder, *overrides):
+    """Load Simulation 3 with functions of a file; return the scenario."""
+    folder.mkdir(exist_ok=True)
+    (folder / "mine.py").write_text(textwrap.dedent(FUNCTIONS))
+    path = folder / "mine.yaml"
+    path.write_text("extends: simulation-3\n")
+    return load(path, [*SHORT, *(each.replace("FILE", f"{folder}/mine.py") for each in overrides)])
+
+
+def test_own_functions_fly_as_the_examples(tmp_path):
+    """Examples 1 and 5 written as own functions: the run is the same to 1 mm, and repeats."""
+    own = (MU.format("FILE", "mu"), H.format("FILE", "h"), "scenario.duration_s=8")
+    moves = []
+    for changes in ((), own):
+        scenario = with_functions(tmp_path / "mine", *changes, "scenario.duration_s=8")
+        testbed.run(scenario, out=tmp_path / f"run{len(moves)}")
+        log = read_log(tmp_path / f"run{len(moves)}" / "run.mcap")
+        moves.append(log.truth.position_ned)
+    np.testing.assert_allclose(moves[1], moves[0], atol=1e-3)
+    assert not np.array_equal(*moves), "tables are not exact"
+    notes = [event.text for event in log.events if event.source == "run"]
+    assert [note[: note.index("(")] for note in notes] == [
+        "the control function runs mine.py ",
+        "the barrier runs mine.py ",
+    ]
+    assert list(log.info.code) == ["mine.py"] and log.info.barriers == ((0, 0.0),) * 3
+    shutil.rmtree(tmp_path / "mine")  # only the run remains
+    testbed.run(tmp_path / "run1" / "scenario.resolved.yaml", out=tmp_path / "again")
+    assert compare_runs(read_log(tmp_path / "again" / "run.mcap"), log).same
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (MU.format("FILE", "growing"), r"formation.control_function: \(C2\) fails: for large"),
+        (H.format("FILE", "flat"), r"formation.barrier: of uav1, \(B3\) fails: h' is"),
+        (MU.format("FILE", "single"), r"single of an array of shape \(\d+,\) has shape \(\)"),
+        (MU.format("FILE", "nan"), r"nan\(0\) is nan \(write a function that is finite"),
+        (MU.format("FILE", "failing"), r"mine.py:\d+: the function raised IndexError"),
+        (MU.format("FILE", "nu"), r"control_function: .*mine.py has no function 'nu' \(it"),
+        (MU.format("nowhere", "mu"), r"formation.control_function: no module 'nowhere'"),
+    ],
+)  # fmt: skip
+def test_own_function_error_has_key_and_remedy(tmp_path, change, message):
+    with pytest.raises(InputError, match=message):
+        build(with_functions(tmp_path, change))

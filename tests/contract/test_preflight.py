@@ -132,6 +132,7 @@ def test_lost_separation_is_red_and_exit_code_1(tmp_path):
     code, text, metrics = flown(tmp_path / "a", *CLOSE)
     assert (code, metrics["outcome"], metrics["simulated_s"]) == (1, "separation_lost", 5.0)
     assert "simulation-3 · separation lost ·" in text
+    assert "limit exceeded uav1 and uav2 loss of separation at 0.0 s" in " ".join(text.split())
     errors = [e for e in metrics["events"] if e["level"] == "error"]
     assert [(e["time_s"], e["source"]) for e in errors] == [(0.0, "uav1")]
     assert errors[0]["text"] == "loss of separation: 1.2 m from uav2 (limit 2.8 m, a wingspan)"
@@ -197,6 +198,11 @@ def test_windows_after_the_duration_are_named(tmp_path):
     done = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "out")])
     assert done.exit_code == 0
     assert " windows not reached rectangles (95 to 550 s), circles (650 to 1080 s)" in done.stdout
+    windows = "scenario.windows={rectangles: [0.5, 3], circles: [2, 3]}"
+    done = CliRunner().invoke(app, [*words, "--set", windows, "--out", str(tmp_path / "cut")])
+    text = " ".join(done.stdout.split())
+    assert "windows cut short rectangles (0.5 to 3 s), not compared with published numbers" in text
+    assert "windows not reached circles (2 to 3 s)" in text
     with pytest.raises(ScenarioError, match=r"rectangles: ends at 550 s, after the run, which"):
         load("simulation-3", ["scenario.duration_s=60"])
 
@@ -220,6 +226,7 @@ def swept(tmp_path, monkeypatch, text):
     workers, said = small_study.InThisProcess(), []
     monkeypatch.setattr("testbed.studies.flight_pool._open_workers", lambda *_: workers)
     result = sweep(path, tmp_path / "out.parquet", report=said.append)
+    assert any(" 1 seed; " in line for line in said)
     return result, [line for line in said if line.startswith("warning")]
 
 
@@ -268,6 +275,7 @@ def test_another_set_up_is_not_compared(tmp_path):
     line = f"not compared with [HBH23] Table 1, Simulation 3: {text}"
     assert line in " ".join(done.stdout.split())
     assert "  ratio" not in done.stdout and "paper" not in done.stdout
+    assert all(line.startswith((" ", "─")) for line in done.stdout.splitlines() if line)
     same = [*words, str(tmp_path / "b"), "--set", "scenario.published.differs=[]"]
     assert "  ratio" in CliRunner().invoke(app, same).stdout
 
@@ -303,6 +311,8 @@ def test_limit_of_a_tune_that_is_never_reached_has_a_warning(tmp_path):
         "never reached (write controller.gains.limits.roll_deg: 60 to fly it, or a ROLL_LIMIT_DEG "
         "of 50)",
     )
+    real = f"fleet.uav2.tune={wide}", "fleet.uav2.autopilot=ardupilot"
+    assert warnings("simulation-3", *real) == [found]
     assert warnings("simulation-3", f"fleet.uav2.tune={wide}", "fleet.uav2.vehicle=unicycle") == []
 
 

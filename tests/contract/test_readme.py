@@ -234,6 +234,15 @@ def test_pages_have_snippets_with_output():
     assert sum(s.output is not None for s in SHELL + PYTHON) >= 4
 
 
+@pytest.mark.parametrize("page", PAGES)
+def test_no_sentence_is_twice_in_a_page(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    prose = re.sub(r"```.*?```", "", text, flags=re.S)
+    parts = [" ".join(each.split()) for each in re.split(r"(?<=[.!?:])\s|\n\n|\|", prose)]
+    long = [each for each in parts if len(each) > 60]
+    assert sorted(set(long)) == sorted(long)
+
+
 def test_make_commands_in_docs_exist():
     targets = set(re.findall(r"^(\w[\w-]*):", (ROOT / "Makefile").read_text(), re.M))
     for page in PAGES:

@@ -3,11 +3,14 @@
 import json
 import os
 import shutil
+import signal
 import struct
+import subprocess
+import sys
 
 import numpy as np
 import pytest
-from commands import call_command
+from commands import call_command, environment
 
 import testbed
 from testbed.core.records import VehicleState
@@ -125,6 +128,22 @@ def test_finished_log_without_metrics_is_cut(metrics, whole, tmp_path):
     after = read_log(run / "run.mcap")
     assert after.metrics["recovered"] and after.tick.size == log.tick.size
     assert json.loads((run / "metrics.json").read_text())["outcome"] == "interrupted"
+
+
+def test_killed_recover_leaves_nothing_to_clean_up(cut):
+    """What it leaves is removed by the next one."""
+    run = cut(0.6)
+    names, log = {each.name for each in run.iterdir()}, (run / "run.mcap").read_bytes()
+    code = (
+        "import os, sys; from testbed.sim import recover as module;"
+        "module._is_complete = lambda *logs: os.kill(os.getpid(), 9); module.recover(sys.argv[1])"
+    )
+    done = subprocess.run([sys.executable, "-c", code, run], env=environment(80), check=False)
+    assert done.returncode == -signal.SIGKILL and (run / "run.mcap").read_bytes() == log
+    (left,) = {each.name for each in run.iterdir()} - names
+    assert left.startswith(".testbed-")
+    assert recover(run).was_cut
+    assert {each.name for each in run.iterdir()} == names | {"metrics.json"}
 
 
 def test_recover_log_without_samples_unchanged(cut):

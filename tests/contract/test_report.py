@@ -5,6 +5,7 @@ import itertools
 import json
 import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -84,6 +85,7 @@ def test_report_stands_alone_with_every_figure(flown):
     text = (flown / "report.html").read_text(encoding="utf-8")
     page = stands_alone(text)
     assert set(page.figures) == FOLLOWED | {"network", "wind"}
+    assert "eqs. (30) and (31); the error in percent" in text
 
 
 def test_report_has_the_numbers_of_the_run(flown):
@@ -143,6 +145,46 @@ def test_curves_have_the_values_of_the_log(flown):
     assert forward[0].y[-1] == pytest.approx(apart @ velocity, abs=1e-9)  # of coordinates of 1 km
 
 
+def test_part_of_a_run_is_drawn(flown, only):
+    """From 5 s to 9 s: curves, windows and events of that time, numbers of the whole run."""
+    only("trajectory", "altitude", "error")
+    whole, run = read_run(flown), read_run(flown, begin_s=5.0, end_s=9.0)
+    trajectory, altitude, error = (figure.grid for figure in run_figures(run))
+    inside = (whole.log.time_s >= 5.0) & (whole.log.time_s <= 9.0)
+    panel = error.rows[0][0]
+    np.testing.assert_array_equal(panel.lines[0].x, whole.log.time_s[inside])
+    np.testing.assert_array_equal(panel.lines[0].y, whole.error[inside, 0])
+    assert panel.x_limits == (5.0, 9.0)
+    assert [(span.start, span.name) for span in panel.spans] == [
+        (5.0, "rectangles"),
+        (8.0, "circles"),
+    ]
+    assert all(5.0 <= time_s <= 9.0 for time_s, _ in panel.marks)
+    assert altitude.subtitle.endswith("seed 1 · 5 to 9 s")
+    assert "leader, path" not in [line.label for line in trajectory.rows[0][1].lines]
+    assert run.metrics == whole.metrics
+    assert "The figures show 5 to 9 s" in render_page(run_page(run))
+
+
+def test_first_lap_ends_after_a_full_circle(flown, only):
+    """A leader that turns at 1 rad/s has turned a full circle at 6.28 s."""
+    only("first-lap")
+    run = read_run(flown)
+    assert not list(run_figures(run)), "12 s are no lap"
+    time, truth = run.log.time_s, run.log.truth
+    velocity = truth.velocity_ned.copy()
+    velocity[:, 0, :2] = 20.0 * np.stack((np.cos(time), -np.sin(time)), axis=1)
+    log = replace(run.log, truth=truth._replace(velocity_ned=velocity))
+    (figure,) = run_figures(replace(run, log=log))
+    above, distance = figure.grid.rows[0]
+    end = time[time >= 2.0 * np.pi][0]
+    assert f"a full circle at {end:.1f} s" in figure.caption
+    curves = {line.label: line for line in distance.lines if line.label}
+    assert set(curves) == set(run.followers) and curves["uav1"].x[-1] == end
+    leader = {line.label: line for line in above.lines}["leader"]
+    np.testing.assert_array_equal(leader.x, truth.position_ned[time <= end, 0, 1])
+
+
 @pytest.mark.parametrize(("ending", "start"), [("pdf", b"%PDF-"), ("png", b"\x89PNG")])
 def test_command_writes_report_and_figures(flown, tmp_path, only, ending, start):
     only("altitude")
@@ -165,6 +207,8 @@ def test_command_writes_report_and_figures(flown, tmp_path, only, ending, start)
     [
         (["nowhere"], "neither a run directory"),
         (["{run}", "--out", "page.txt"], "write a name that ends in .html"),
+        (["{run}", "--from", "5", "--to", "5"], "--from 5: not before --to 5"),
+        (["{run}", "--from", "99"], "write times between 0 and 12 s"),
         (["{run}", "--format", "pdf"], "is the format of --figures DIR"),
         (["{run}", "--figures", "f", "--format", "gif"], "write one of png, pdf, svg"),
         (["{run}", "--out", "gone/page.html"], "there is no folder"),
@@ -205,8 +249,9 @@ def test_log_without_samples_is_an_error(tmp_path):
 )
 def test_edge_cases_have_a_report(tmp_path, only, how, named):
     run = read_run(synthetic(tmp_path / "run", **how))
-    # wind and message ages of a synthetic run are arbitrary
-    assert {figure.name for figure in run_figures(run)} - {"wind", "network"} == named
+    # wind, message ages and turns of a synthetic run are arbitrary
+    arbitrary = {"wind", "network", "first-lap"}
+    assert {figure.name for figure in run_figures(run)} - arbitrary == named
     only("error", "altitude")
     text = render_page(run_page(run))
     page = Reader(text)

@@ -13,9 +13,10 @@ from testbed.cli.main import app
 from testbed.core.errors import InputError
 from testbed.scenario import load, set_duration
 from testbed.sim import resources
-from testbed.sim.build import build, build_clock
+from testbed.sim.build import build
 
 LONG = "scenario.duration_s=86400"
+VIRTUAL = "leader.path={kind: virtual, speed_mps: 22, curve: {kind: circle, radius_m: 500}}"
 FAST = ("rates.physics_hz=10000", "rates.log_hz=10000")
 # Prints the largest resident size, bytes, after a scenario was built and flown for some seconds.
 MEASURED = """
@@ -55,12 +56,12 @@ def test_disk_needed_agrees_with_the_log(name, tmp_path):
 @pytest.mark.parametrize(
     ("name", "until", "changes"),
     [
-        ("ideal-figure-eight", 0.1, ("scenario.duration_s=3000",)),
+        ("simulation-3", 0.1, ("scenario.duration_s=86400", VIRTUAL)),
         ("simulation-3", 20.0, ("rates.physics_hz=1000", "rates.broadcast_hz=1000",
                                 "network.delay_s=20")),
         ("vee-30", 5.0, ()),
     ],
-    ids=["path", "messages in flight", "aircraft"],
+    ids=["a day of a virtual leader", "messages in flight", "aircraft"],
 )  # fmt: skip
 def test_memory_needed_agrees_with_the_flight(name, until, changes):
     scenario = load(name, changes)
@@ -69,14 +70,14 @@ def test_memory_needed_agrees_with_the_flight(name, until, changes):
         check=True, capture_output=True, text=True, timeout=PATIENCE_S,
     )  # fmt: skip
     most = int(done.stdout)
-    assert 0.75 * resources.memory_needed(scenario, build_clock(scenario)) < most
-    assert most < 1.15 * resources.memory_needed(scenario, build_clock(scenario))
+    assert 0.75 * resources.memory_needed(scenario) < most
+    assert most < 1.15 * resources.memory_needed(scenario)
 
 
 def test_memory_more_than_free_is_refused(tmp_path, monkeypatch):
-    changes = (LONG, "rates.physics_hz=10000", "rates.autopilot_hz=10000")
-    error = run_error("ideal-figure-eight", *changes, out=tmp_path / "run")
-    assert "86400 s of 4 aircraft need about 345.8 GB of memory, and " in error
+    changes = ("rates.physics_hz=1000", "rates.broadcast_hz=1000", "network.delay_s=60")
+    error = run_error("vee-100", *changes, out=tmp_path / "run")
+    assert "300 s of 101 aircraft need about 151.8 GB of memory, and " in error
     monkeypatch.setattr(resources, "memory_free", lambda: 1e8)
     with pytest.raises(InputError, match=r"need about 0\.2 GB of memory, and 0\.1 GB are free"):
         build(load("simulation-3"))
@@ -142,12 +143,3 @@ def test_memory_free_has_the_limit_of_the_process(monkeypatch, tmp_path):
         resources.resource, "getrlimit", lambda kind: (limits.get(kind, none), none)
     )
     assert resources.memory_free() == 10**7 - 1000 * page
-
-
-def test_day_of_a_virtual_leader_is_refused_unbuilt(monkeypatch):
-    """Its path would be 6.9 GB."""
-    monkeypatch.setattr(resources, "memory_free", lambda: 4e9)
-    monkeypatch.setattr("testbed.sim.build.build_leader", None)
-    scenario = load("ideal-figure-eight", ["scenario.duration_s=86400", "scenario.windows=null"])
-    with pytest.raises(InputError, match=r"86400 s of \d aircraft need about .* GB of memory"):
-        build(scenario)

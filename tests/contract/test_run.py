@@ -406,6 +406,8 @@ def test_aircraft_on_the_ground_is_lost_and_named(tmp_path):
 
 def test_package_shows_its_public_names():
     assert set(testbed.__all__) <= set(dir(testbed))
+    fields = "import testbed; print(testbed.law.Inbox._fields[0])"
+    assert subprocess.check_output([sys.executable, "-c", fields], text=True) == "stamp_s\n"
     assert " at 0x" not in str(inspect.signature(testbed.run))
 
 

@@ -8,11 +8,12 @@ import time
 from pathlib import Path
 
 import pytest
+from commands import call_command
 from snapshot import check_snapshot
 
 from testbed.core.errors import InputError
 from testbed.guidance.flight_plan import Mission, WaypointLeg, expand_laps
-from testbed.scenario import ScenarioError, load, loads
+from testbed.scenario import ScenarioError, library, load, loads
 from testbed.scenario.violations import MAX_LINE
 
 ROOT = Path(__file__).parents[2]
@@ -146,6 +147,51 @@ def test_file_that_is_no_scenario_is_not_quoted(tmp_path):
     (tmp_path / "passphrase").write_text("correct:horse:battery\n")
     text = error_of(load, tmp_path / "passphrase")
     assert text == f"{tmp_path}/passphrase:1:1: is text (write a map of keys and values)"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("air:\n  wind: {speed_mps: 40, from_deg: 0}", "2:9: air.wind: wind of 40 m/s"),
+        ("leader:\n  tune: nope\n  path: *replay", "2:9: leader.tune: there is no tune"),
+        ("leader:\n  path: *replay", "2:30: leader.path.file: {}/short.csv: 1 rows of numbers"),
+        ("leader:\n  path: {airspeed_mps: 60}", ":44:19: leader.path.legs[3].radius_m: 120 m is"),
+        (
+            "leader:\n  path:\n    airspeed_mps: 45\n    legs: [{kind: waypoints, points_m: "
+            "[[9000, 0, 100], [9000, 9000, 100]]}]\n    bank_limit_deg: 60",
+            "3:19: leader.path.airspeed_mps: rascal110: trim at 45 m/s",
+        ),
+    ],
+    ids=["wind", "tune", "recording", "leg", "trim"],
+)
+def test_errors_of_a_build_have_their_place(tmp_path, text, message):
+    """What is found while a scenario is built is at the key to change, also in a base file."""
+    recording = library() / "scenarios" / "data" / "arduplane-auto-leader-rascal.csv"
+    (tmp_path / "short.csv").write_text("\n".join(recording.read_text().splitlines()[:2]))
+    text = text.replace("*replay", "{kind: replay, file: short.csv}")
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"{text}\nextends: simulation-3\nscenario: {{name: x}}\n")
+    done = call_command("validate", path, cwd=tmp_path, code=2, columns=80)
+    (line,) = done.stderr.splitlines()
+    place = message if message.startswith(":") else f"error: {path.name}:{message}"
+    assert place.format(tmp_path) in line
+
+
+def test_control_character_has_its_place():
+    error = error_of(loads, "extends: simulation-3\nlog: ü\0\n")
+    assert error.startswith("<scenario>:2:7: is not YAML: unacceptable character #x0000")
+
+
+def test_file_that_is_no_scenario_is_not_extended(tmp_path):
+    """Neither its keys nor its values are in the error, also where a study names it."""
+    (tmp_path / "secret").write_text("password: hunter2\n")
+    (tmp_path / "mine.yaml").write_text("extends: secret\n")
+    (tmp_path / "study.yaml").write_text("study: {schema: 1, name: s, scenario: secret}\n")
+    for name, place in (("mine.yaml", "1:10: extends"), ("study.yaml", "1:39: study.scenario")):
+        command = "validate" if name == "mine.yaml" else "sweep"
+        error = call_command(command, name, cwd=tmp_path, code=2, columns=80).stderr
+        expected = f"error: {name}:{place}: {tmp_path}/secret has no key of a scenario (write the "
+        assert error.startswith(expected) and "password" not in error and "hunter" not in error
 
 
 def test_wrong_lengths_have_a_number():

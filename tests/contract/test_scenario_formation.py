@@ -76,7 +76,9 @@ def test_controller_options_reach_the_law():
     assert law["acceleration_source"].tolist() == [leader.TURN] * 2
     assert np.array_equal(law["acceleration_blend"], [[0.5, 0.6, 0.1]] * 2)
     assert np.array_equal(law["difference_blend"], [[0.3, 0.2]] * 2)
-    assert law["turn_acceleration"].all() and law["with_acceleration"].all()
+    assert law["angular_acceleration_source"].tolist() == [leader.DIFFERENCE] * 2
+    assert law["turn_rate_blend"].tolist() == [0.35] * 2
+    assert law["with_acceleration"].all()
     # 25° to the left at the trim airspeed: g tan 25°/22
     assert law["lost_leader_airspeed"].tolist() == [22.0, 22.0]
     assert law["lost_leader_turn_rate"] == pytest.approx([-0.207931] * 2, abs=1e-6)
@@ -138,7 +140,8 @@ def test_estimators_default_to_the_profile():
     authors = load_middle_loop("rascal110", "authors").estimators
     assert np.array_equal(law["acceleration_blend"], [authors.leader_acceleration_blend] * 2)
     assert law["acceleration_source"].tolist() == [leader.BROADCAST] * 2
-    assert not law["turn_acceleration"].any() and not law["with_acceleration"].any()
+    assert law["angular_acceleration_source"].tolist() == [leader.NOTHING] * 2
+    assert not law["with_acceleration"].any()
 
 
 def test_one_estimator_change_keeps_the_others():
@@ -146,7 +149,7 @@ def test_one_estimator_change_keeps_the_others():
     law = control_of(load("simulation-3", changes)).controllers["law"]
     improved = load_middle_loop("rascal110", "improved").estimators
     assert not law["with_acceleration"].any()
-    assert law["turn_acceleration"].all()
+    assert law["angular_acceleration_source"].tolist() == [leader.ROLL_RATE] * 3
     assert law["acceleration_source"].tolist() == [leader.TURN] * 3
     assert np.array_equal(law["difference_blend"], [improved.leader_difference_blend] * 3)
 

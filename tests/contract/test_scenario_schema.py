@@ -107,6 +107,8 @@ OTHER_KINDS = [
     "air.wind={speed_mps: 5, profile: {kind: power, height_m: 20, exponent: 0.2}}",
     "network={trace: {file: gusty-wind.csv, random_start: true, begin_s: 2}, message_bytes: 120, "
     "tdma: {frame_s: 0.1, order: [uav2, lead, uav1], packets: 2, queue_packets: 3}}",
+    "formation.control_function={example: own, function: 'gentle_functions:mu'}",
+    "formation.barrier={example: own, function: 'gentle_functions:h'}",
     f"leader={{name: lead, aircraft: rascal110, autopilot: {ARDUPLANE}, path: {MISSION}}}",
     f"leader={{name: lead, aircraft: rascal110, commanded_by: {EXTERNAL}, path: {MISSION}}}",
     f"fleet.1={{name: uav2, aircraft: rascal110, autopilot: {ARDUPLANE}, start_m: [-40, -10, 0]}}",

@@ -76,7 +76,7 @@ def test_good_journal_is_read(tmp_path):
 )
 def test_wrong_line_of_a_journal_is_named(tmp_path, wrong):
     path = write_journal(tmp_path / "study.journal", HEAD, NAMES, ROW, wrong, LAST)
-    with pytest.raises(InputError, match=r"study\.journal:4: is no line of a journal") as error:
+    with pytest.raises(InputError, match=r"study\.journal:4: is not a line of a journal") as error:
         read_journal(path)
     assert len(str(error.value)) < 1000 and "\n" not in str(error.value)
 
@@ -84,7 +84,7 @@ def test_wrong_line_of_a_journal_is_named(tmp_path, wrong):
 @pytest.mark.parametrize("inputs", [5, [1], "x", None, {"study": []}, {"versions": "x"}])
 def test_wrong_inputs_of_a_journal_are_named(tmp_path, inputs):
     path = write_journal(tmp_path / "study.journal", {"journal": 2, "inputs": inputs}, NAMES)
-    with pytest.raises(InputError, match=r"study\.journal:1: is no line of a journal"):
+    with pytest.raises(InputError, match=r"study\.journal:1: is not a line of a journal"):
         read_journal(path)
 
 
@@ -139,9 +139,9 @@ def test_good_result_file_is_read(tmp_path):
     ("metadata", "message"),
     [
         ({"versions.json": DEEP}, "metadata versions.json: is nested deeper than 40 levels"),
-        ({"versions.json": "[1]"}, "metadata versions.json: is no map"),
+        ({"versions.json": "[1]"}, "metadata versions.json: is not a map"),
         ({"versions.json": "{"}, "metadata versions.json: Expecting"),
-        ({"runs": "x"}, "metadata runs: 'x' is no number of runs"),
+        ({"runs": "x"}, "metadata runs: 'x' is not a number of runs"),
         ({"runs": "-1"}, "metadata runs: '-1'"),
         ({"runs": "9" * 5000}, "metadata runs: '999"),
         ({"study.schema": "x"}, "is of version x"),
@@ -171,7 +171,7 @@ def test_wrong_column_of_a_result_is_named(tmp_path, name, kind):
     if kind == "missing" and "." in name:
         read_table(path)
         return
-    with pytest.raises(InputError, match=rf"study\.parquet: .*({name}|no result of a study)"):
+    with pytest.raises(InputError, match=rf"study\.parquet: .*({name}|not the result of a study)"):
         read_study(path, metrics=(), statistic="median")
 
 

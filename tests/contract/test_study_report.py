@@ -1,6 +1,7 @@
 """Reports of studies: known results, a page without external resources, losses."""
 
 import csv
+import io
 import json
 import math
 import re
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from commands import call_command
 from report_pages import CHROMIUM, NEEDS_CHROMIUM, browse, stands_alone
+from rich.console import Console
 from study_samples import METRIC, drawn, factorial, flights_of, study_of
 
 from testbed.cli.study_report import find_study_file, read_study
@@ -19,6 +21,7 @@ from testbed.logs.arrow_io import write_columns
 from testbed.reports.html import render_page
 from testbed.reports.study import figures, study_page, tables
 from testbed.reports.study.numbers import Estimate
+from testbed.reports.study.page import print_summary
 from testbed.reports.study.parameter_plots import parameters
 from testbed.reports.study.report_table import format_cell, format_number
 
@@ -181,6 +184,13 @@ def test_laws_are_kept_apart(kind):
     assert [line.label for line in curves] == ["chase", "steady"]
     cards = re.findall(r"<li><b>(.*?)</b><span>(.*?)</span>", study_page(study).head)
     assert [text.rpartition("; ")[2] for _, text in cards[:2]] == ["chase", "steady"]
+
+
+def test_terminal_tables_break_no_cell():
+    console = Console(width=60, file=io.StringIO(), record=True)
+    print_summary(two_laws("key"), console)
+    text = console.export_text()
+    assert " air.wind.speed_mps " in text and "…" not in text
 
 
 def test_random_design_has_scatter_and_quantiles():

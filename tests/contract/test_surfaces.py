@@ -52,18 +52,6 @@ def test_any_other_address_is_warned_of_by_name(host, key, who):
     assert [line.startswith("warning") for line in lines] == [False, False, True]
 
 
-def test_arduplane_ports_are_announced():
-    changes = ["fleet.1.autopilot={kind: ardupilot, instance: 7}"]
-    line, warning = said(changes=changes)
-    assert line == "ArduPlane: uav2 by 9072/udp and 5830/tcp of 127.0.0.1"
-    assert warning.startswith(
-        "warning: ArduPlane itself listens on 5830, 5832 and 5833/tcp of every"
-    )
-    assert warning.endswith("can command uav2")
-    (line,) = said(changes=["fleet.1.autopilot={kind: ardupilot, start: false}"])
-    assert line == "ArduPlane: uav2 by 9022/udp and 5780/tcp of 127.0.0.1"
-
-
 def test_who_flies_alone_opens_nothing():
     assert said() == []
 

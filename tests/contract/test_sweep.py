@@ -1,7 +1,9 @@
 """`testbed sweep`: one result file, the same to the bit for any workers and interruptions."""
 
+import io
 import json
 import os
+import re
 import resource
 import shlex
 import signal
@@ -12,11 +14,14 @@ import pytest
 import small_study
 from commands import call_command, environment
 from patience import PATIENCE_S, until
+from rich.console import Console
 from snapshot import check_snapshot
 
+from testbed.cli.sweep_table import summary_tables
 from testbed.core.errors import InputError
 from testbed.studies.journal import Journal
 from testbed.studies.rows import flatten_metrics
+from testbed.studies.summary import Group, Summary
 from testbed.studies.sweep import sweep
 from testbed.studies.table import find_output, read_rows, read_table
 
@@ -302,6 +307,40 @@ def test_sweep_summary_and_default_place(workers, tmp_path):
     assert set(first["metrics"][ERROR]) == {"median", "min", "max"}
     call_command("sweep", "small.yaml", "--resume", cwd=tmp_path, code=0, columns=80)
     assert len(list(tmp_path.rglob("*.parquet"))) == 1
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+@pytest.mark.parametrize("keys", [0, 1, 4])
+@pytest.mark.parametrize("metrics", [1, 4])
+def test_sweep_table_fits_the_terminal(width, keys, metrics):
+    """No line is wider than the terminal, and no part of a key or a metric is broken."""
+    values = {
+        "network.loss": 0.25,
+        "air.wind.speed_mps": 12,
+        "air.turbulence": {"kind": "dryden", "intensity": "severe"},
+        "controller.estimators.leader_angular_acceleration": True,
+    }
+    names = (
+        "windows.rectangles.mean_rms_m",
+        "windows.circles.mean_rms_m",
+        "followers.uav1.relative_position_error_m",
+        "min_separation_m",
+    )[:metrics]
+    point = dict(list(values.items())[:keys])
+    numbers = dict.fromkeys(names, (12.345, 3.21, 123.4))
+    groups = (
+        Group("simulation-1-autopilot-100", point, 20, 19, numbers),
+        Group("far", point, 20, 20, dict.fromkeys(names)),
+    )
+    console = Console(width=width, file=io.StringIO())
+    for table in summary_tables(Summary(names, {}, groups, (), 0), width):
+        console.print(table)
+    text = console.file.getvalue()
+    assert max(map(len, text.splitlines())) <= width and "…" not in text
+    for name in (*point, *names):
+        for part in re.findall("[^._]+[._]?", name):
+            assert re.search(rf"(?<![a-z]){re.escape(part)}", text), part
+    assert text.count("3.21 to 123") == metrics and "19 of 20" in text
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,9 @@ import dataclasses
 import functools
 import logging
 import os
+import resource
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -368,6 +370,43 @@ def test_picture_shows_every_aircraft(aircraft, tmp_path, monkeypatch):
         # trails and wings keep the hue; the viewer's light only darkens it
         near = np.abs(chase - scene.aircraft_colour(k)).max(axis=-1) < 30
         assert near.sum() > 20, f"aircraft {k} is not in the picture"
+
+
+@needs_vulkan
+def test_screenshot_on_a_full_disk_keeps_old_file(tmp_path, monkeypatch):
+    started = recorded_runs.headless_viewer
+
+    @contextlib.contextmanager
+    def then_full(*arguments, **options):
+        with started(*arguments, **options) as port:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))  # of this process only
+            yield port
+
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    monkeypatch.setattr(recorded_runs, "headless_viewer", then_full)
+    monkeypatch.setattr(recorded_runs, "GREETING_S", 0.0)
+    path = tmp_path / "flight.png"
+    path.write_text("old")
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            screenshot(path, 1.0, views_flight.log(2, 2.0), size=(320, 200))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
+
+
+@needs_vulkan
+def test_viewer_asks_no_other_machine(monkeypatch):
+    """The viewer's only request, for a newer version, goes to the proxy, which does not exist."""
+    assert not viewer.is_listening(int(viewer.PROXY.rpartition(":")[2]))
+    with socket.create_server((viewer.HOST, 0)) as proxy:
+        proxy.settimeout(PATIENCE_S)
+        monkeypatch.setattr(viewer, "PROXY", f"http://127.0.0.1:{proxy.getsockname()[1]}")
+        with viewer.headless_viewer((320, 200)):
+            connection, _ = proxy.accept()
+            with connection:
+                request = b"CONNECT api.github.com:443 "  # may come in pieces
+                assert connection.recv(len(request), socket.MSG_WAITALL) == request
 
 
 @needs_vulkan

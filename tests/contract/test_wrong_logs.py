@@ -62,7 +62,7 @@ def test_good_log_is_reported_and_compared(tmp_path):
     ("change", "message"),
     [
         (DEEP, "is nested deeper than 40 levels"),
-        ("[]", "is no map"),
+        ("[]", "is not a map"),
         ("{", "Expecting"),
         ({"names": []}, "names: is empty or has repeated names"),
         ({"names": ["a", "a", "b", "c"]}, "names: is empty or has repeated names"),

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from testbed.autopilot.json_physics import (
+    MOTION_NUMBERS,
     PacketError,
+    inputs_text,
+    motion_text,
+    pack_motion,
     read_servos,
-    specific_force,
-    state_columns,
-    state_line,
 )
 from testbed.autopilot.parameters import read_params
 from testbed.autopilot.pwm import (
@@ -25,10 +26,10 @@ from testbed.autopilot.pwm import (
     make_servo_outputs,
     range_names,
 )
-from testbed.autopilot.sitl_parameters import defaults_text
-from testbed.core.frames import GRAVITY
+from testbed.autopilot.sitl_parameters import TuneUse, defaults_text, tune_differences, tune_use
+from testbed.core.frames import GRAVITY, rotation_ned_body
 from testbed.core.random import stream
-from testbed.core.records import VehicleState
+from testbed.core.records import AIRCRAFT, allocate
 
 RASCAL = Path(__file__).parents[2] / "aircraft" / "rascal110" / "autopilot.param"
 
@@ -47,16 +48,19 @@ def known(**changes):
     return values | changes
 
 
-def state(euler=(0.0, 0.0, 0.0), acceleration=(0.0, 0.0, 0.0)):
-    return VehicleState(
-        position_ned=np.array([[1.0, 2.0, -3.0]]),
-        velocity_ned=np.array([[20.0, 0.5, -0.25]]),
-        acceleration_ned=np.array([acceleration]),
-        euler=np.array([euler]),
-        rates_body=np.array([[0.1, 0.2, 0.3]]),
-        airspeed=np.array([22.0]),
-        equivalent_airspeed=np.array([21.5]),
-    )
+def motion(euler=(0.0, 0.0, 0.0), acceleration=(0.0, 0.0, 0.0)):
+    aircraft, numbers = allocate(AIRCRAFT, 3), np.full((2, MOTION_NUMBERS), np.nan)
+    truth = aircraft["truth"][2]
+    truth["position_ned"], truth["velocity_ned"] = (1.0, 2.0, -3.0), (20.0, 0.5, -0.25)
+    truth["acceleration_ned"], truth["euler"] = acceleration, euler
+    truth["rates_body"] = 0.1, 0.2, 0.3
+    pack_motion(np.array([1]), np.array([0, 2]), aircraft, numbers)
+    assert np.isnan(numbers[0]).all()
+    return numbers[1]
+
+
+def specific_force(*args):
+    return motion(*args)[3:6]
 
 
 # servo packets
@@ -93,28 +97,34 @@ def test_invalid_servo_packet_is_an_error(data, text):
 
 
 def test_specific_force_in_level_flight():
-    np.testing.assert_allclose(specific_force(state()), [[0.0, 0.0, -GRAVITY]], atol=1e-15)
+    np.testing.assert_allclose(specific_force(), [0.0, 0.0, -GRAVITY], atol=1e-15)
 
 
 def test_specific_force_in_level_turn():
     # heading north in a turn to the right at a bank of 60°: a = g tan φ to the east, n = 2
-    turn = state((math.radians(60), 0.0, 0.0), (0.0, GRAVITY * math.sqrt(3.0), 0.0))
-    np.testing.assert_allclose(specific_force(turn), [[0.0, 0.0, -2.0 * GRAVITY]], atol=1e-12)
+    turn = (math.radians(60), 0.0, 0.0), (0.0, GRAVITY * math.sqrt(3.0), 0.0)
+    np.testing.assert_allclose(specific_force(*turn), [0.0, 0.0, -2.0 * GRAVITY], atol=1e-12)
 
 
 def test_specific_force_nose_up():
-    climb = state((0.0, math.radians(30), math.radians(90)), (0.0, 2.0, 0.0))
+    climb = (0.0, math.radians(30), math.radians(90)), (0.0, 2.0, 0.0)
     # 2 m/s² to the east is 2 cos 30° along the nose; gravity adds g sin 30°
     expected = 2.0 * math.cos(math.radians(30)) + 0.5 * GRAVITY
-    assert specific_force(climb)[0, 0] == pytest.approx(expected, abs=1e-12)
+    assert specific_force(*climb)[0] == pytest.approx(expected, abs=1e-12)
+
+
+def test_specific_force_is_body_axes_of_any_attitude():
+    euler, acceleration = np.array([0.4, -0.3, 2.1]), np.array([1.0, -2.0, 3.0])
+    expected = rotation_ned_body(euler).T @ (acceleration - [0.0, 0.0, GRAVITY])
+    np.testing.assert_allclose(specific_force(euler, acceleration), expected, atol=1e-12)
 
 
 def line(voltage=math.nan, pulses=(1500, 1600, 1000, 1500), wind=(1.0, -2.0, 0.5)):
-    columns = state_columns(state(), np.array([wind]), np.array([21.25]))
-    return state_line(12.005, columns[0].tolist(), voltage, pulses)
+    text = motion_text(12.005, motion().tolist()) + inputs_text(wind, 21.25, voltage, pulses)
+    return text.encode()
 
 
-def test_state_line_has_every_value_exactly():
+def test_state_line_has_every_value():
     data = line(voltage=14.5)
     assert data.startswith(b"\n") and data.endswith(b"\n") and data.count(b"\n") == 2
     state_ = json.loads(data)
@@ -321,6 +331,51 @@ def test_defaults_remove_simulated_sensor_errors(tmp_path):
     values = {name: float(value) for name, value in pairs}
     assert (values["SIM_ARSPD_RND"], values["SIM_DRIFT_SPEED"]) == (0.0, 0.0)
     assert values["ARSPD_RATIO"] == values["SIM_ARSPD_RATIO"]
+
+
+REAL_AIRCRAFT = """#NOTE: 12.05.2024 plane
+LIM_ROLL_CD,5500
+ARSPD_FBW_MIN,13
+INS_GYROFFS_X,0.012
+INS_GYRO_FILTER,20
+COMPASS_OFS_X,31
+FS_LONG_ACTN,1
+RLL_RATE_P,0.21
+TECS_CLMB_MAX,4
+"""
+
+
+def test_defaults_of_a_real_aircraft(tmp_path):
+    """Older names are converted; calibrations would be errors of the simulated sensors."""
+    tune = tmp_path / "plane.param"
+    tune.write_text(REAL_AIRCRAFT)
+    text = defaults_text(tune, physics_hz=200, autopilot_hz=50)
+    own = text.split("# the tune\n")[1].splitlines()
+    assert own == [
+        *("ROLL_LIMIT_DEG 55", "AIRSPEED_MIN 13", "INS_GYRO_FILTER 20", "RLL_RATE_P 0.21"),
+        "TECS_CLMB_MAX 4",
+    ]
+    assert tune_use(tune) == TuneUse(
+        renamed={"LIM_ROLL_CD": "ROLL_LIMIT_DEG 55", "ARSPD_FBW_MIN": "AIRSPEED_MIN 13"},
+        both=("LIM_ROLL_CD", "ARSPD_FBW_MIN", "RLL_RATE_P"),
+        arduplane=("INS_GYRO_FILTER", "TECS_CLMB_MAX"),
+        link=("FS_LONG_ACTN",),
+        hardware=("INS_GYROFFS_X", "COMPASS_OFS_X"),
+    )
+
+
+def test_differences_from_the_virtual_autopilot(tmp_path):
+    tune = tmp_path / "wing.param"
+    tune.write_text(
+        "SERVO1_FUNCTION 77\nSERVO2_FUNCTION 78\nYAW2SRV_DAMP 0\nINS_GYRO_FILTER 40\n"
+        "FLIGHT_OPTIONS 1029\nMIXING_OFFSET 100\n"
+    )
+    assert [each.partition(":")[0] for each in tune_differences(tune)] == [
+        *("MIXING_OFFSET 100", "INS_GYRO_FILTER 40"),
+        *("FLIGHT_OPTIONS bit 0", "FLIGHT_OPTIONS bit 10"),
+    ]
+    tune.write_text("SERVO1_FUNCTION 77\nSERVO2_FUNCTION 78\nMIXING_GAIN 0.5\n")
+    assert list(tune_differences(tune)) == []
 
 
 def test_defaults_lines_fit_arduplane_buffer(tmp_path):

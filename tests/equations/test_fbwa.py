@@ -163,6 +163,30 @@ def test_sticks_are_limited(engine: Engine) -> None:
     assert _once(engine, limited, _state(), _command(throttle=-1.0)).throttle[0] == 0.0
 
 
+def test_roll_demand_shrinks_with_pitch(engine: Engine) -> None:
+    """The stick commands a share of ROLL_LIMIT_DEG cos θ; at 60° of pitch that is half."""
+    level = _once(engine, PLAIN, _state(), _command(roll=20.0))
+    steep = _once(engine, PLAIN, _state(pitch=60.0), _command(roll=20.0))
+    assert steep.aileron[0] == pytest.approx(0.5 * level.aileron[0])
+    limit = _once(engine, PLAIN, _state(roll=25.0, pitch=60.0), _command(roll=80.0))
+    assert limit.aileron[0] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_nose_down_demand_shrinks_with_bank(engine: Engine) -> None:
+    """The stick commands a share of PTCH_LIM_MIN_DEG cos φ; up, of PTCH_LIM_MAX_DEG."""
+    flat = replace(PLAIN, ptch2srv_rll=0.0, roll_limit_deg=70.0)
+
+    def elevator(pitch: float, command: float, throttle: float = 0.5) -> float:
+        state, wanted = _state(roll=-60.0, pitch=pitch), _command(-60.0, command, throttle)
+        return float(_once(engine, flat, state, wanted).elevator[0])
+
+    assert elevator(-5.0, -10.0) == pytest.approx(0.0, abs=1e-12)
+    assert elevator(10.0, 10.0) == pytest.approx(0.0, abs=1e-12)
+    # STAB_PITCH_DOWN comes after it: −10° cos 60° − 1°; and the limit after that: −20° cos 60°
+    assert elevator(-6.0, -10.0, throttle=0.25) == pytest.approx(0.0, abs=1e-12)
+    assert elevator(-10.0, -20.0, throttle=0.0) == pytest.approx(0.0, abs=1e-12)
+
+
 @pytest.mark.parametrize(
     ("eas", "limit"),
     [
@@ -404,6 +428,58 @@ def test_param_formats_and_defaults(tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert read_params(path) == FbwaParams(rll_rate_p=0.3, rll_rate_i=0.2, ptch_rate_ff=1.5)
+
+
+def test_names_before_4_5_are_converted(tmp_path: Path) -> None:
+    path = tmp_path / "old.param"
+    path.write_text(
+        "LIM_ROLL_CD 5500\nLIM_PITCH_MAX 2200\nLIM_PITCH_MIN -1800\nTRIM_PITCH_CD 150\n"
+        "TRIM_ARSPD_CM 1900\nARSPD_FBW_MIN 13\nARSPD_FBW_MAX 28\n"
+    )
+    assert read_params(path) == FbwaParams(
+        roll_limit_deg=55.0,
+        ptch_lim_max_deg=22.0,
+        ptch_lim_min_deg=-18.0,
+        ptch_trim_deg=1.5,
+        airspeed_cruise=19.0,
+        airspeed_min=13.0,
+        airspeed_max=28.0,
+    )
+
+
+def test_qgroundcontrol_file_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "plane.params"
+    path.write_text("# Vehicle-Id Component-Id Name Value Type\n1\t1\tRLL_RATE_P\t0.3\t9\n")
+    assert read_params(path) == FbwaParams(rll_rate_p=0.3)
+
+
+def test_travel_is_that_of_the_assigned_output(tmp_path: Path) -> None:
+    path = tmp_path / "a.param"
+    path.write_text(
+        "SERVO1_FUNCTION 0\nSERVO5_FUNCTION 4\nSERVO5_MIN 1000\nSERVO5_MAX 2000\n"
+        "SERVO1_MIN 1200\nSERVO2_MAX 1800\n"
+    )
+    assert read_params(path) == FbwaParams(servo1_min=1000.0, servo1_max=2000.0, servo2_max=1800.0)
+
+
+def test_travel_of_elevons_is_that_of_their_mixing(tmp_path: Path) -> None:
+    path = tmp_path / "wing.param"
+    elevons = "SERVO1_FUNCTION 78\nSERVO2_FUNCTION 77\nSERVO1_MIN 900\n"
+    for text, half in (("", 200.0), ("MIXING_GAIN 1\n", 400.0)):
+        path.write_text(elevons + text)
+        low, high = 1500.0 - half, 1500.0 + half
+        assert read_params(path) == FbwaParams(
+            servo1_min=low, servo1_max=high, servo2_min=low, servo2_max=high
+        )
+    path.write_text("MIXING_GAIN 0.7\n")  # no elevons
+    assert read_params(path) == FbwaParams()
+
+
+def test_gains_of_older_laws_are_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "old.param"
+    path.write_text("NAVL1_PERIOD 17\nRLL2SRV_P 2.5\n")
+    with pytest.raises(ParamError, match="old.param:2: RLL2SRV_P is a gain of versions before 4.1"):
+        read_params(path)
 
 
 def test_unknown_names_are_counted_once(tmp_path: Path) -> None:

@@ -65,6 +65,7 @@ def test_vertical_motion_of_anybody_changes_nothing(step, source):
         }
         law = make_law(n, rng, bounds_of_airspeed=of_airspeed, **options)
         own, inbox, memory = states(n, rng, silence=0.1, old=0.1)
+        memory.omega[:, :2] = memory.omega_dot[:, :2] = 0.0  # ω_g in the plane
         calm, first = step(law, NOW, own, inbox, memory)
         other, second = step(law, NOW, *shaken(own, inbox, memory, rng))
         for name in calm._fields:
@@ -127,7 +128,7 @@ def test_slot_beside_a_helix_is_a_level_circle(step, middle, source, gamma):
         horizontal=flags(True, 2),
         acceleration_blend=np.ones((2, 3)),
         acceleration_source=np.full(2, source),
-        turn_acceleration=flags(True, 2),
+        angular_acceleration_source=np.full(2, leading.ROLL_RATE),
     )
     shadow = level * np.array([np.cos(sigma), np.sin(sigma), 0.0])
     frame = velocity_frame(shadow[None])[0]

@@ -111,7 +111,7 @@ def remembered(*numbers):
     never = np.array([np.nan])
     nowhere, unsaid = np.full((1, 2, 3), np.nan), np.full((1, 2), np.nan)
     numbers = (np.array([v]) for v in numbers)
-    return Memory(np.zeros((1, 3)), *numbers, never, never, nowhere, unsaid)
+    return Memory(np.zeros((1, 3)), *numbers, *np.zeros((2, 1, 3)), never, never, nowhere, unsaid)
 
 
 def test_differences_by_hand():
@@ -286,7 +286,11 @@ def test_a_leader_that_rolls_in_is_anticipated(step):
     offsets = np.zeros((3, 3))
     offsets[1:, 0], offsets[1:, 1] = forward, right
     law = make_law(
-        2, rng, offsets=offsets, barrier=Barrier(7, 0.0), turn_acceleration=flags(True, 2)
+        2,
+        rng,
+        offsets=offsets,
+        barrier=Barrier(7, 0.0),
+        angular_acceleration_source=np.full(2, leading.ROLL_RATE),
     )
     own, inbox, memory = states(2, rng)
     north = np.tile([22.0, 0.0, 0.0], (3, 1))
@@ -308,6 +312,61 @@ def test_a_leader_that_rolls_in_is_anticipated(step):
     assert told.omega[:, 2] == pytest.approx(bending * forward / 22.0, abs=1e-14)
     assert told.omega[:, 1] == pytest.approx([0.0, 0.0], abs=1e-15)
     # the paper neglects it
-    neglected, _ = step(replace(law, turn_acceleration=flags(False, 2)), NOW, own, inbox, memory)
+    neglected, _ = step(
+        replace(law, angular_acceleration_source=np.zeros(2, dtype=int)), NOW, own, inbox, memory
+    )
     assert neglected.speed == pytest.approx([22.0, 22.0], abs=1e-12)
     assert neglected.omega == pytest.approx(np.zeros((2, 3)), abs=1e-15)
+
+
+@each_engine
+def test_differences_of_turn_rates_by_hand(step):
+    """By hand: level north at 22 m/s, 0.10 → 0.12 rad/s in 0.05 s is 0.4 rad/s²; share 0.25.
+
+    With an average of 0.2 rad/s² before, σ̈_g = 0.25 rad/s², and χ̈ = ω_g × (ω_g × υ) + ω̇_g × υ;
+    the error (the slot's velocity is not the follower's) is cut by k = 0. A step later the same
+    message changes nothing; after a timeout differences begin anew.
+    """
+    rng = np.random.default_rng(67)
+    forward, right = np.array([-5.0, 8.0]), np.array([6.0, -3.0])
+    offsets = np.zeros((3, 3))
+    offsets[1:, 0], offsets[1:, 1] = forward, right
+    law = make_law(
+        2,
+        rng,
+        offsets=offsets,
+        barrier=Barrier(7, 0.0),
+        k=np.zeros(2),
+        acceleration_source=np.full(2, leading.NOTHING),
+        angular_acceleration_source=np.full(2, leading.DIFFERENCE),
+        turn_rate_blend=np.full(2, 0.25),
+    )
+    turn, bend = 0.12, 0.25
+    own, inbox, _ = states(2, rng)
+    velocity = np.stack([22.0 - turn * right, turn * forward, np.zeros(2)], axis=1)
+    own = own._replace(position_ned=offsets[1:].copy(), velocity_ned=velocity)
+    inbox.stamp_s[:] = inbox.received_s[:] = NOW
+    inbox.velocity_ned[:] = [22.0, 0.0, 0.0]
+    inbox.euler[:], inbox.euler_rates[:] = 0.0, [0.0, 0.0, turn]
+    memory = law.start(own)._replace(
+        time_s=np.full(2, NOW - 0.05),
+        speed=np.full(2, 22.0),
+        gamma=np.zeros(2),
+        omega=np.tile([0.0, 0.0, 0.10], (2, 1)),
+        omega_dot=np.tile([0.0, 0.0, 0.2], (2, 1)),
+    )
+    told, after = step(law, NOW, own, inbox, memory)
+    assert after.omega == pytest.approx(np.tile([0.0, 0.0, turn], (2, 1)), abs=1e-15)
+    assert after.omega_dot == pytest.approx(np.tile([0.0, 0.0, bend], (2, 1)), abs=1e-11)
+    # ṗ_d is χ̈ alone, and ṡ_d its part along the velocity
+    chi_ddot = np.stack(
+        [-(turn**2) * forward - bend * right, bend * forward - turn**2 * right], axis=1
+    )
+    along = (chi_ddot * velocity[:, :2]).sum(axis=1) / np.linalg.norm(velocity, axis=1)
+    speed = np.linalg.norm(velocity, axis=1)
+    assert told.speed == pytest.approx(speed + along / law.speed_pole, abs=1e-10)
+    _, again = step(law, NOW + 0.04, own, inbox, after)
+    assert np.array_equal(again.omega_dot, after.omega_dot)
+    inbox.received_s[:] = NOW - 100.0
+    _, lost = step(law, NOW, own, inbox, after)
+    assert (lost.omega_dot == 0.0).all()

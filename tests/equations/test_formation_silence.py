@@ -194,10 +194,11 @@ def test_leader_memory_in_a_leader_timeout(step):
 
 @each_engine
 def test_after_a_timeout_the_law_is_the_same_again(step):
-    """But for the average of q̈_g, which lacks what was not heard: with none, to the bit."""
+    """But for averages of q̈_g and ω̇_g, which lack what was not heard: without, to the bit."""
     rng = np.random.default_rng(71)
     options = {**mixed_options(3, rng), "acceleration_blend": np.ones((3, 3))}
     options["acceleration_source"] = np.full(3, leading.BROADCAST)
+    options["angular_acceleration_source"] = rng.integers(leading.NOTHING, leading.DIFFERENCE, 3)
     law = make_law(3, rng, **options)
     own, inbox, memory = states(3, rng)
     memory = memory._replace(time_s=times(inbox, law.from_timestamp)[:, 0] - 0.04)

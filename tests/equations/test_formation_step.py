@@ -13,7 +13,6 @@ from formation_cases import (
     assert_same,
     choose,
     each_engine,
-    flags,
     leaves,
     make_law,
     make_middle,
@@ -156,7 +155,8 @@ def test_followers_with_different_options(step):
                         "with_acceleration",
                         "acceleration_source",
                         "acceleration_blend",
-                        "turn_acceleration",
+                        "angular_acceleration_source",
+                        "turn_rate_blend",
                         "lost_leader_turn_rate",
                     )
                 },
@@ -203,7 +203,7 @@ def test_follower_in_its_slot_commands_a_steady_helix(step, middle, source, gamm
         offsets=SLOTS,
         acceleration_blend=np.ones((n, 3)),
         acceleration_source=np.full(n, source),
-        turn_acceleration=flags(True, n),  # ω̇_g is zero here
+        angular_acceleration_source=np.full(n, leading.ROLL_RATE),  # ω̇_g is zero here
     )
     position, velocity, acceleration, omega = helix(n, gamma, turn, sigma, law.offsets)
     speed = np.linalg.norm(velocity[1:], axis=1)
@@ -365,7 +365,7 @@ def test_initial_memory_has_no_message():
     law = make_law(3, np.random.default_rng(33))
     kernel_law = Hbh23Law(law_records(law), neighbour_records(law, law.start(None)))
     records = kernel_law.start(None)
-    known = ("acceleration", "speed_rate", "gamma_dot")
+    known = ("acceleration", "speed_rate", "gamma_dot", "omega_dot")
     for name in Memory._fields:
         ours = getattr(law.start(None), name)
         theirs = getattr(records, name) if name.startswith("held") else records.leader[name]

@@ -54,7 +54,7 @@ def test_collided_aircraft_are_lost():
     near[3] = near[2] + [0.0, 2.0, 0.0]
     before = losses.lost
     events = list(losses.changes(3.0, near, NONE_LOST))
-    assert [(e.level, e.source) for e in events] == [("error", "uav2")]
+    assert [(e.level, e.source) for e in events] == [("error", "uav2"), ("error", "uav3")]
     assert losses.lost.tolist() == [False, False, True, True]
     assert not before.any()  # observers keep the array
     assert losses.outcome == "lost"  # uav3 has no fault

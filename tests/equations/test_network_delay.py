@@ -16,13 +16,13 @@ from network_samples import (
     make,
     send,
 )
+from reference.network_outcomes import pareto as pareto_of
 from scipy import stats
 from scipy.integrate import quad
 
 from testbed.core.errors import InputError
 from testbed.network.channel_simulation import transmit
 from testbed.network.delays import PARETO_WITH_Z
-from testbed.network.delays import pareto as pareto_of
 from testbed.network.links import PacketOutcome
 
 DELAY, SPREAD = 0.1, 0.02

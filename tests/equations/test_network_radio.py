@@ -200,6 +200,19 @@ def test_clock_errors_change_stamps_only():
     assert np.array_equal(wrong.content_time_s, right.content_time_s)
 
 
+@pytest.mark.parametrize("resolution_s", [0.01, 0.02, 0.001])
+def test_clock_shows_a_multiple_that_is_reached(resolution_s):
+    """Also where the quotient rounds to just below it, as that of 0.58 s and 0.01 s."""
+    coarse = {"leader": StampClock(resolution_s=resolution_s)}
+    link, stamps = radio(0.0, clocks=make_clocks(NAMES, coarse)), []
+    for k in range(1, 2000):
+        for early, expected in ((1e-4, 0.02 * k - resolution_s), (0.0, 0.02 * k)):
+            now = 0.02 * k - early * resolution_s
+            link.send(np.full(N, now), broadcast(now), None)
+            stamps.append(link.deliver(now).stamp_s[0, 0] - expected)
+    assert stamps == pytest.approx(np.zeros(len(stamps)), abs=1e-9)
+
+
 def test_equal_clock_errors_cancel():
     clocks = {name: StampClock(offset_s=7.0, drift_ppm=-30.0) for name in NAMES}
     link = radio(clocks=make_clocks(NAMES, clocks))
@@ -255,7 +268,7 @@ def test_unsubscribed_links_are_not_counted():
         for of_all, of_some in zip(full, inbox, strict=True):
             np.testing.assert_array_equal(of_some[used], of_all[used])
             assert np.isnan(of_some[~used]).all()
-    assert (some.counts().sent == 61 * subscribed).all()
+    assert (some.statistics["sent"] == 61 * subscribed).all()
     assert some.summary()["links"].keys() == {"leader", "uav1"}
     assert some.summary()["links"]["uav1"].keys() == {"uav2"}
     assert some.summary()["all"]["sent"] == 3 * 61

@@ -72,7 +72,7 @@ def test_limits_are_independent():
     assert [event.level for event in events] == ["warning", "info"]
     assert not collided.any()
     events, collided = run(ProximityMonitor(["uav1", "uav2"], collision_m=5.0), passing(4.0))
-    assert [event.level for event in events] == ["error"]
+    assert [event.level for event in events] == ["error"] * 2  # one for each
     assert collided.all()
 
 
@@ -174,6 +174,7 @@ def test_collision_is_reported_once():
         ("warning", "uav1", "within 5 m of uav2: 4.6 m"),
         # 1.5² + 1.2² = 1.92², seen 0.12 s before the closest; at 0.16 s it was 2.19 m
         ("error", "uav1", "collided with uav2: 1.9 m between centres"),
+        ("error", "uav2", "collided with uav1: 1.9 m between centres"),
     ]
     assert events[1].time_s == pytest.approx(1.88, abs=1e-9)
     assert collided.all()
@@ -182,7 +183,10 @@ def test_collision_is_reported_once():
 def test_collision_at_the_start():
     monitor = ProximityMonitor(["uav1", "uav2"], collision_m=2.0, separation_m=5.0)
     events, collided = monitor.changes(0.0, np.zeros((2, 3)), NONE_LOST)
-    assert lines(events) == [("error", "uav1", "collided with uav2: 0.0 m between centres")]
+    assert lines(events) == [
+        ("error", "uav1", "collided with uav2: 0.0 m between centres"),
+        ("error", "uav2", "collided with uav1: 0.0 m between centres"),
+    ]
     assert collided.all()
 
 
@@ -232,6 +236,7 @@ def test_collided_aircraft_are_ignored():
     events, collided = monitor.changes(0.0, positions, alive)
     assert lines(events) == [
         ("error", "uav1", "collided with uav2: 0.5 m between centres"),
+        ("error", "uav2", "collided with uav1: 0.5 m between centres"),
         ("warning", "uav1", "within 5 m of uav3: 4.0 m"),
         ("warning", "uav2", "within 5 m of uav3: 3.5 m"),
     ]
@@ -247,8 +252,11 @@ def test_three_aircraft_collide_at_once():
     events, collided = monitor.changes(0.0, np.zeros((3, 3)), np.zeros(3, dtype=bool))
     assert [(event.source, event.text[:18]) for event in events] == [
         ("uav1", "collided with uav2"),
+        ("uav2", "collided with uav1"),
         ("uav1", "collided with uav3"),
+        ("uav3", "collided with uav1"),
         ("uav2", "collided with uav3"),
+        ("uav3", "collided with uav2"),
     ]
     assert collided.all()
 
@@ -295,6 +303,7 @@ def one_by_one(names, positions, *, collision, separation):
             distance = math.dist(each[i], each[j])
             if distance < collision:
                 events.append((k, "error", names[i], names[j], distance))
+                events.append((k, "error", names[j], names[i], distance))
                 near.pop((i, j), None)
                 hit |= {i, j}
             elif (i, j) in near and distance >= 1.1 * separation:

@@ -315,5 +315,5 @@ def test_journal_damaged_line_is_refused(tmp_path):
     journal.close()
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(b"".join([*lines[:2], b"{\n", *lines[3:]]))
-    with pytest.raises(ValueError, match=r"j:3: is no line of a journal"):
+    with pytest.raises(ValueError, match=r"j:3: is not a line of a journal"):
         Journal(path)

@@ -27,17 +27,18 @@ def test_improved_on_the_papers_path() -> None:
 
 @IN_FULL
 def test_improved_behind_a_recorded_leader() -> None:
-    """Within the paper's numbers, on corners known in advance."""
+    """Corners at 45 to 50 degrees, with errors below those of the profile `tuned`."""
     metrics = fly("simulation-3-recorded-leader", IMPROVED, until="rectangles")
-    assert (cells(metrics, "rectangles") <= 1.3).all()
+    assert (cells(metrics, "rectangles") <= (0.5, 0.85, 1.05)).all()
 
 
 @IN_FULL
 def test_improved_on_a_path_that_saturates() -> None:
     metrics = fly("simulation-3-hard", IMPROVED)
     assert metrics["min_separation_m"] > 3.0
+    bounds = {"rectangles": (0.5, 0.75, 0.82), "circles": 0.15}
     for window in WINDOWS:
-        assert (cells(metrics, window) <= 1.5).all()
+        assert (cells(metrics, window) <= bounds[window]).all(), window
 
 
 @IN_FULL

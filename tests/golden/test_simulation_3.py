@@ -1,7 +1,8 @@
 """Bounds of whole flights of Simulation 3 with disturbances.
 
 Bounds are the paper's Table 1; without disturbances test_paper_runs.py requires half of it. They
-are not fitted to the present version; the tables of `testbed check` are.
+are not fitted to the present version; the tables of `testbed check` are. Where the present version
+flies far below the paper's numbers, the bounds are 10 to 20 % above what it flies.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ import pytest
 from whole_flights import FLOWN, IN_FULL, SAMPLE, UAVS, WHOLE, cells, fly
 
 TABLE_1 = {"rectangles": (1.3, 1.4, 1.5), "circles": (1.3, 1.5, 1.5)}
+GAINS = ("controller.gain_scale=1.5",)
+HIGHER_GAINS = {"rectangles": 0.5, "circles": 0.2}  # smaller than with the profile's gains
 NOISE = ("leader.sensors=gps-ins", "fleet.*.sensors=gps-ins")
 DELAY = ("network.delay_s=0.1",)
 # to the end of the first window, as its corners differ from lap to lap
@@ -19,7 +22,7 @@ UNTIL = None if WHOLE else "rectangles"
 @pytest.mark.parametrize(
     "overrides",
     [
-        pytest.param(("controller.gain_scale=1.5",), id="gains-x1.5"),
+        pytest.param(GAINS, id="gains-x1.5"),
         pytest.param(("controller.gain_scale=0.67",), id="gains-x0.67", marks=IN_FULL),
         pytest.param(NOISE, id="gps-ins-noise"),
         pytest.param((*DELAY, "controller.extrapolate_from=timestamp"), id="latency-compensated"),
@@ -28,8 +31,9 @@ UNTIL = None if WHOLE else "rectangles"
 def test_table_1_holds_with_disturbances(overrides: tuple[str, ...]) -> None:
     """With gains changed by half, with noise, and with compensated latency."""
     metrics = fly("simulation-3", *overrides, until=SAMPLE)
+    bounds = HIGHER_GAINS if overrides == GAINS else TABLE_1
     for window in FLOWN:
-        assert (cells(metrics, window) <= TABLE_1[window]).all(), window
+        assert (cells(metrics, window) <= bounds[window]).all(), window
 
 
 def test_uncompensated_latency_lags_as_predicted() -> None:
@@ -49,7 +53,7 @@ def test_uncompensated_latency_lags_as_predicted() -> None:
 def test_errors_behind_a_recorded_leader() -> None:
     """Corners at 45 to 50 degrees, flown by the real ArduPlane; no aircraft is lost."""
     metrics = fly("simulation-3-recorded-leader", until=UNTIL)
-    bounds = {"rectangles": (0.9, 3.6, 3.6), "circles": 0.5}
+    bounds = {"rectangles": (0.8, 1.2, 1.3), "circles": 0.35}
     for window in FLOWN:
         assert (cells(metrics, window) <= bounds[window]).all(), window
     assert metrics["leader_bank_deg"] > 45.0

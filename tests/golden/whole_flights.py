@@ -19,6 +19,15 @@ IN_FULL = pytest.mark.skipif(not WHOLE, reason="flown by make check-all, with TE
 SAMPLE = None if WHOLE else 322.5  # s, when two of the four laps of the first window are flown
 FLOWN = ("rectangles", "circles") if WHOLE else ("rectangles",)
 
+# The path of the paper's simulations with one level lap, one that climbs, and a circle that climbs.
+SHORT_PATH = (
+    "leader.path.legs.1.laps=1",
+    "leader.path.legs.2.laps=1",
+    "leader.path.legs.3.levels=[{altitude_m: 100, turns: 1}, {altitude_m: 130, turns: 3}]",
+    "scenario.duration_s=440",
+    "scenario.windows={rectangles: [95, 322.5], circles: [370, 440]}",
+)
+
 
 def fly(scenario: str, *overrides: str, until: str | float | None = None) -> Mapping[str, Any]:
     """Return the metrics of a whole flight, or up to the end of a window or a time, s.

@@ -199,17 +199,18 @@ def _h(barriers, s, s_min, s_max, out):
 def mu(function, z):
     """As `formation_control_function.mu`; z (..., n)."""
     z = np.asarray(z, dtype=float)
-    records, out = allocate(control_function.MU, *z.shape), np.empty((2, z.size))
+    count = np.broadcast(*function).size  # records of a table each are large
+    records, out = allocate(control_function.MU, count), np.empty((2, z.size))
     for name, value in function._asdict().items():
         records[name] = value
-    _mu(records.ravel(), z.ravel(), out)
+    _mu(records, z.ravel(), out)
     return out[0].reshape(z.shape), out[1].reshape(z.shape)
 
 
 @entry
 def _mu(functions, z, out):
     for i in range(len(z)):
-        out[0, i], out[1, i] = control_function.mu(functions[i], z[i])
+        out[0, i], out[1, i] = control_function.mu(functions[i % len(functions)], z[i])
 
 
 def rho_and_rate(function, x, x_rate):

@@ -53,10 +53,10 @@ def fbwa(
     told, commands = _late(command, memory, gains)
     throttle = np.minimum(np.maximum(told[2], 0.0), g.throttle_max)
 
-    rate = _demanded_angles(told, throttle, eas, g)
+    cosines = np.cos(angles)
+    rate = _demanded_angles(told, throttle, eas, cosines, g)
     rate -= angles
     rate *= g.per_tconst
-    cosines = np.cos(angles)
     rate[1] += _turning(cosines, tas, g)
     rate = np.minimum(np.maximum(rate, g.rate_low), g.rate_high)
     upright = (_QUARTER_TURN - np.abs(angles[0])) * g.fade_slope
@@ -115,19 +115,23 @@ def _late(command: FbwaCommand, memory: FbwaMemory, gains: FbwaGains) -> tuple[A
     return line[whole] + fraction * (line[whole + 1] - line[whole]), line[:-1].copy()
 
 
-def _demanded_angles(told: Array, throttle: Array, eas: Array, g: Columns) -> Array:
+def _demanded_angles(told: Array, throttle: Array, eas: Array, cosines: Array, g: Columns) -> Array:
     """Roll and pitch (2, N) inside the sticks' limits and the load factor the wing can bear.
 
-    Below the trim throttle the nose is lowered in proportion.
+    The limit of roll shrinks with the cosine of the pitch, the lowest pitch with that of the roll,
+    and shares of them with them. Below the trim throttle the nose is lowered in proportion.
     """
     one_over_load = g.stall_speed / eas
     limit = np.arccos(np.minimum(one_over_load * one_over_load, 1.0))
-    limit = np.minimum(np.maximum(limit, _LEAST_BANK_LIMIT), g.roll_limit)
+    limit = np.maximum(limit, _LEAST_BANK_LIMIT)
+    roll = np.minimum(np.maximum(told[0], -g.roll_limit), g.roll_limit) * cosines[1]
+    flat = np.abs(cosines[0])
     pitch = np.minimum(np.maximum(told[1], g.pitch_low), g.pitch_high)
+    pitch = np.where(pitch < 0.0, pitch * flat, pitch)
     pitch -= g.pitch_down * np.maximum(g.throttle_trim - throttle, 0.0)
     demand = np.empty((2, eas.shape[0]))
-    demand[0] = np.minimum(np.maximum(told[0], -limit), limit)
-    demand[1] = np.maximum(pitch, g.pitch_low) + g.pitch_trim
+    demand[0] = np.minimum(np.maximum(roll, -limit), limit)
+    demand[1] = np.maximum(pitch, g.pitch_low * flat) + g.pitch_trim
     return demand
 
 

@@ -58,8 +58,9 @@ class Hbh23Law:
     acceleration_source: NDArray[np.int64]  # (n,) of q̈_g: leader.NOTHING, BROADCAST or TURN
     acceleration_blend: Array  # (n, 3) NED, share of a new message in the average of BROADCAST
     difference_blend: Array  # (n, 2) share of a new difference in the averages of TURN: ṡ_g, γ̇_g
-    # Reckon with ω̇_g, by the leader's roll rate; the paper neglects it.
-    turn_acceleration: BoolArray  # (n,)
+    # (n,) of ω̇_g: leader.NOTHING as in the paper, ROLL_RATE or DIFFERENCE
+    angular_acceleration_source: NDArray[np.int64]
+    turn_rate_blend: Array  # (n,) share of a new difference in the average of ω̇_g
     # s since the last news arrived, of the leader and of a neighbour, after which they are too old
     leader_timeout_s: float
     neighbour_timeout_s: float
@@ -120,11 +121,14 @@ def hbh23_step(
     rate = geometry.frame_rate(gamma, rates[:, 2], gamma_dot)
     bending = leading.course_acceleration(leader_speed, euler, rates[:, 0])
     turning = geometry.frame_acceleration(gamma, rates[:, 2], gamma_dot, bending)
-    turning = np.where(np.expand_dims(law.turn_acceleration, 1), turning, 0.0)
+    said_s = times(inbox, law.from_timestamp)
+    omega, omega_dot = leading.differentiate_rate(memory, said_s[:, 0], rate, law.turn_rate_blend)
+    source = np.expand_dims(law.angular_acceleration_source, 1)
+    differenced = source == leading.DIFFERENCE
+    turning = np.select([source == leading.ROLL_RATE, differenced], [turning, omega_dot], 0.0)
     chi, chi_rate, chi_acceleration = geometry.slots(frame, rate, turning, law.offsets)
     place, held_time_s = memory.held_position, memory.held_time_s
     if law.hold_stale_neighbours:
-        said_s = times(inbox, law.from_timestamp)
         new = weights.any(axis=2) & ~silent & ~np.expand_dims(deaf, 1)
         new &= ~(said_s <= held_time_s)
         new[:, 0] = False  # the leader is in no place of its own formation
@@ -179,6 +183,10 @@ def hbh23_step(
             timeout_course=np.where(deaf, begun, np.nan),
             held_position=place,
             held_time_s=held_time_s,
+            omega=np.where(differenced & ~quiet[:, 0], omega, memory.omega),
+            omega_dot=np.where(
+                quiet[:, 0], 0.0, np.where(differenced, omega_dot, memory.omega_dot)
+            ),
         ),
     )
 

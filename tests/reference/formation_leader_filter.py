@@ -13,6 +13,8 @@ from testbed.core.records import Array
 
 # Where q̈_g comes from.
 NOTHING, BROADCAST, TURN = 0, 1, 2
+# Where ω̇_g comes from, beside NOTHING.
+ROLL_RATE, DIFFERENCE = 1, 2
 
 
 class Memory(NamedTuple):
@@ -24,6 +26,8 @@ class Memory(NamedTuple):
     gamma: Array  # (n,) rad, then
     speed_rate: Array  # (n,) m/s², averaged
     gamma_dot: Array  # (n,) rad/s, averaged
+    omega: Array  # (n, 3) rad/s, then
+    omega_dot: Array  # (n, 3) rad/s², averaged
     # Of those that do not hear it: since when, and which course they had then; nan: it is heard.
     timeout_since: Array  # (n,) s
     timeout_course: Array  # (n,) rad
@@ -38,7 +42,10 @@ def unheard(n: int, aircraft: int) -> Memory:
     never = np.full(n, np.nan)
     zero = np.zeros(n)
     nowhere, unsaid = np.full((n, aircraft, 3), np.nan), np.full((n, aircraft), np.nan)
-    return Memory(np.zeros((n, 3)), never, never, never, zero, zero, never, never, nowhere, unsaid)
+    still, unknown = np.zeros((n, 3)), np.full((n, 3), np.nan)
+    return Memory(
+        still, never, never, never, zero, zero, unknown, still, never, never, nowhere, unsaid
+    )
 
 
 def differentiate(
@@ -68,6 +75,26 @@ def differentiate(
         gamma,
         np.where(fresh, speed_rate, memory.speed_rate),
         np.where(fresh, gamma_dot, memory.gamma_dot),
+    )
+
+
+def differentiate_rate(
+    memory: Memory, time_s: Array, omega: Array, blend: Array
+) -> tuple[Array, Array]:
+    """ω_g (n, 3) rad/s to remember and its averaged differences, ω̇_g (n, 3) rad/s².
+
+    Args:
+        memory: of the step before.
+        time_s: (n,) s, of the newest message.
+        omega: ω_g (n, 3) by that message.
+        blend: (n,) share of a new difference in the average.
+    """
+    since = np.expand_dims(time_s - memory.time_s, 1)
+    slope = (omega - memory.omega) / np.where(since > 0.0, since, 1.0)
+    moved = memory.omega_dot + np.expand_dims(blend, 1) * (slope - memory.omega_dot)
+    return (
+        np.where(since <= 0.0, memory.omega, omega),
+        np.where(since > 0.0, moved, memory.omega_dot),
     )
 
 

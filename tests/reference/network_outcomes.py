@@ -11,10 +11,14 @@ from testbed.core.records import Array, BoolArray, Records
 from testbed.network.channel import Channel
 from testbed.network.delays import (
     NANOSECONDS,
+    NETEM_PARETO,
     NETEM_SCALE,
+    NORMAL_SHARE,
+    PARETO_DEVIATION,
+    PARETO_MEAN,
+    PARETO_SHAPE,
     TABLE_STEPS,
-    interpolate_quantiles,
-    jitter_of,
+    mixed_deviation,
 )
 from testbed.network.link_state import initial_departures, initial_links
 from testbed.network.links import (
@@ -25,11 +29,14 @@ from testbed.network.links import (
     EMPIRICAL,
     FOUR_STATE,
     GILBERT_ELLIOTT,
+    LOGNORMAL,
     LOSS,
     NETEM_ONE,
     NETEM_TABLE,
     NO_JITTER,
+    NORMAL,
     OUTCOME,
+    PARETO,
     PATH,
     REORDER,
     SLOT,
@@ -38,6 +45,7 @@ from testbed.network.links import (
     Outcomes,
     PacketOutcome,
 )
+from testbed.network.normal import probability
 from testbed.network.philox import Words, philox, unit
 from testbed.network.slots import SIMULTANEOUS_S
 
@@ -339,3 +347,42 @@ def _next_slot(link: Records, state: Records, ready_s: float) -> float:
         state["slot_left"] = link["per_slot"]
     state["slot_left"] -= 1
     return float(state["slot_at"])
+
+
+def pareto(z: Array) -> Array:
+    """Return a Pareto number of mean 0 and standard deviation 1, as a function of z (…)."""
+    heavy: Array = probability(-z) ** (-1.0 / PARETO_SHAPE)
+    return (heavy - PARETO_MEAN) / PARETO_DEVIATION
+
+
+def paretonormal(z: Array) -> Array:
+    """Return a quarter normal, three quarters Pareto number of mean 0 and standard deviation 1."""
+    scale = (1.0 - NORMAL_SHARE) * NETEM_PARETO * PARETO_DEVIATION
+    return (NORMAL_SHARE * z + scale * pareto(z)) / mixed_deviation()
+
+
+def interpolate_quantiles(table: Array, z: Array) -> Array:
+    """Return the quantile of a table (TABLE_STEPS + 1,) at Φ(z), for z (…)."""
+    out: Array = np.interp(probability(z) * TABLE_STEPS, np.arange(TABLE_STEPS + 1.0), table)
+    return out
+
+
+def jitter_of(parameters: Records, z: Array, quantiles: Array | None) -> Array:
+    """Return what the jitter of one link adds to its delay, s.
+
+    Args:
+        parameters: () of LINK_PARAMETERS.
+        z: (K,) of a standard normal distribution.
+        quantiles: (TABLE_STEPS + 1,) s, of an empirical distribution.
+    """
+    kind, spread = parameters["jitter"], parameters["spread"]
+    if kind == LOGNORMAL:
+        mean, deviation = parameters["lognormal"]
+        return np.asarray(np.exp(mean + deviation * z) - parameters["delay"])
+    if kind == EMPIRICAL and quantiles is not None:
+        return interpolate_quantiles(quantiles, z)
+    if kind == UNIFORM:
+        return np.asarray(spread * (2.0 * probability(z) - 1.0))
+    if kind == NORMAL:
+        return np.asarray(spread * z)
+    return np.asarray(spread * (pareto(z) if kind == PARETO else paretonormal(z)))

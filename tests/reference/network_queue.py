@@ -24,7 +24,7 @@ def stamps(clocks: Array, content_s: Array, rows: Numbers) -> Array:
     true_s = content_s[rows]
     shown = true_s + offset + drift * true_s
     coarse = resolution > 0.0
-    shown[coarse] = np.floor(shown[coarse] / resolution[coarse]) * resolution[coarse]
+    shown[coarse] = np.floor(shown[coarse] / resolution[coarse] + 1e-6) * resolution[coarse]
     receivers = np.asarray(clocks)[1:]
     return shown - (receivers[:, :1] + receivers[:, 1:2] * true_s)
 

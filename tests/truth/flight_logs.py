@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[2]
 RECORDING = ROOT / "tests" / "data" / "arduplane_fbwa_rascal_steps.csv"
 HOME = 300.0  # m above sea level
 FBWA, AUTO = 5, 10
+ATTITUDE = ("phi_rad", "theta_rad", "psi_rad")
 PARAMS = {
     "STAB_PITCH_DOWN": 2.0,
     "TRIM_THROTTLE": 50.0,
@@ -38,10 +39,15 @@ def true_over_equivalent(altitude):
     return np.sqrt(1.225 / (pressure / (287.052874 * temperature)))
 
 
-def demanded_pitch_deg(row):
-    """Return the pitch demand that ArduPlane logs, reduced below the trim throttle."""
+def demands_deg(row):
+    """Return the demands of roll and pitch that ArduPlane logs.
+
+    Roll is reduced by the pitch, a pitch below zero by the roll and below the trim throttle.
+    """
     down = PARAMS["STAB_PITCH_DOWN"] * max(1.0 - row["throttle_cmd"] / 0.5, 0.0)
-    return np.degrees(row["theta_cmd_rad"]) - down
+    roll = np.degrees(row["phi_cmd_rad"]) * np.cos(row["theta_rad"])
+    pitch = np.degrees(row["theta_cmd_rad"])
+    return roll, (pitch * np.cos(row["phi_rad"]) if pitch < 0.0 else pitch) - down
 
 
 CODES = {"c": "h", "C": "H", "e": "i", "L": "i", "M": "B", "n": "4s", "N": "16s", "Z": "64s"}
@@ -97,9 +103,9 @@ def write_dataflash(path, rows, *, params=PARAMS, modes=((0.0, FBWA),), text="",
         while modes and modes[0][0] <= row["t_s"]:
             mode = modes.pop(0)[1]
             log.add("MODE", us, mode, mode, 0)
-        att = np.degrees([row["phi_cmd_rad"], row["phi_rad"], row["theta_rad"], row["psi_rad"]])
+        demand, att = demands_deg(row), np.degrees([row[n] for n in ATTITUDE])
         # the older layout has one field less
-        att = (us, att[0], att[1], demanded_pitch_deg(row), att[2], 0.0, att[3], 0)
+        att = (us, demand[0], att[0], demand[1], att[1], 0.0, att[2], 0)
         layout = log.formats.get("ATT", FORMATS["ATT"])
         log.add("ATT", *att[: len(layout[1])])
         log.add("IMU", us, 1, 9.0, 9.0, 9.0, 0.0, 0.0, 0.0)  # another sensor, with wrong values
@@ -152,12 +158,12 @@ def tlog_records(rows, *, system=1, params=PARAMS, mode=FBWA, boot_ms=0, late=No
                 add(us, dialect.MAVLink_param_value_message(*param))
         if k % 25 == 0 and mode is not None:
             add(us, heartbeat(mode(row["t_s"]) if callable(mode) else mode))
-        attitude = [row[n] for n in ("phi_rad", "theta_rad", "psi_rad")]
+        attitude = [row[n] for n in ATTITUDE]
         attitude[2] = (attitude[2] + np.pi) % (2 * np.pi) - np.pi
         rates = [row[n] for n in ("p_radps", "q_radps", "r_radps")]
         add(us, dialect.MAVLink_attitude_message(ms, *attitude, *rates))
-        roll, pitch = np.degrees(row["phi_cmd_rad"]), demanded_pitch_deg(row)
-        add(us, dialect.MAVLink_nav_controller_output_message(roll, pitch, 0, 0, 0, 0, 0, 0))
+        demand = demands_deg(row)
+        add(us, dialect.MAVLink_nav_controller_output_message(*demand, 0, 0, 0, 0, 0, 0))
         altitude, percent = row["altitude_m"], round(100 * row["throttle_cmd"])
         eas = row["airspeed_mps"] / true_over_equivalent(altitude)
         climb = -row["v_down_mps"]

@@ -360,6 +360,13 @@ class TestCommands:
         assert document["residual"] < 1e-6
         check_snapshot("trim", done.stderr)
 
+    def test_narrow_terminal_cuts_no_number(self, monkeypatch):
+        monkeypatch.setenv("COLUMNS", "60")
+        for command in ("trim", "linearize"):
+            done = self.run(command, "rascal110", "--airspeed", "22")
+            assert done.exit_code == 0 and "…" not in done.stdout
+        assert "-0.090 ± 0.351i  0.362  0.248    11.154" in done.stdout
+
     def test_linearize_prints_modes_and_json(self, tmp_path):
         path = tmp_path / "modes.json"
         done = self.run("linearize", "skywalker_x8", "--airspeed", "18", "--json", str(path))

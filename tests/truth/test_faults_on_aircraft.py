@@ -29,6 +29,7 @@ from testbed.core.records import (
 )
 from testbed.sim.faults import no_faults
 from testbed.sim.vehicles import JsbsimVehicles, UnicycleVehicles
+from testbed.vehicle import control_surfaces
 from testbed.vehicle.control_surfaces import SURFACES
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.initial_state import InitialState
@@ -198,6 +199,19 @@ def thrust(kind, airspeed, rho, throttle, charge):
 
     rps = brentq(left, airspeed / (1.4 * kind.DIAMETER), 200.0)
     return coefficient(kind.THRUST, rps) * rho * rps**2 * kind.DIAMETER**4
+
+
+def test_windmilling_drag_is_that_of_the_docs() -> None:
+    """1.1 N for the Rascal at 19 m/s and 1.4 N for the X8 at 18 m/s."""
+    drag = [
+        -thrust(kind, airspeed, density(100.0), 0.0, 1.0)
+        for kind, airspeed in ((Rascal, 19.0), (Skywalker, 18.0))
+    ]
+    rascal, x8 = (f"{each:.1f} N" for each in drag)
+    assert f"{rascal} on the\nRascal at 19 m/s" in control_surfaces.__doc__
+    assert f"{x8} on the X8 at\n18 m/s" in control_surfaces.__doc__
+    faults = (FOLDERS.parent / "docs" / "faults.md").read_text()
+    assert f"{rascal} on the Rascal at 19 m/s" in faults
 
 
 def climb(kind, airspeed, rho, beta, down, pull):

@@ -120,6 +120,22 @@ def test_import_adds_stab_pitch_down(folder):
     assert not any("STAB_PITCH_DOWN" in note for note in found.notes)
 
 
+@pytest.mark.parametrize("kind", ["bin", "tlog"])
+def test_import_restores_commands_in_a_bank(folder, kind):
+    """Nose down at 50° of bank: ArduPlane logs 64 % of it, and a roll less by the pitch."""
+    rows = SHORT[100:200].copy()
+    rows["phi_rad"] = rows["phi_cmd_rad"] = math.radians(50.0)
+    rows["theta_rad"] = rows["theta_cmd_rad"] = math.radians(-12.0)
+    path = folder / f"bank.{kind}"
+    if kind == "bin":
+        write_dataflash(path, rows)
+    else:
+        write_tlog(path, tlog_records(rows))
+    columns = read_flight(path).columns
+    for name in ("phi_cmd_rad", "theta_cmd_rad"):
+        assert columns[name] == pytest.approx(rows[name], abs=1e-6)
+
+
 def test_import_true_airspeed_from_either_ratio(folder):
     path = write_dataflash(folder / "e.bin", SHORT, left_out=("CTUN",))
     flight = read_flight(path)

@@ -62,7 +62,14 @@ def print_summary(study: StudyData, console: Console) -> None:
         for metric, part in table.by_metric():
             if metric:
                 console.print(f" {metric}", style="dim", soft_wrap=True)
-            console.print(Padding(part.to_rich(), (0, 0, 0, 1)))
+            rich = part.to_rich()
+            # a narrow terminal breaks its lines, because broken cells cannot be read
+            whole = console.measure(rich, options=console.options.update_width(10_000)).maximum
+            if whole < console.width:
+                console.print(Padding(rich, (0, 0, 0, 1)))
+            else:
+                rich.width = whole
+                console.print(rich, crop=False)
     console.print("\n[bold]worst runs[/]")
     for number, outcome, value, command in tables.worst(study).rows:
         line = f" {number}  {outcome}  {format_cell(value)}"

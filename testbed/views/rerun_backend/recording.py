@@ -20,8 +20,6 @@ A batch costs a fixed number of calls plus a few per aircraft, for any number of
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import rerun as rr
 
@@ -51,7 +49,7 @@ def address(port: int) -> str:
 
 
 class Recording:
-    """Send one run to a viewer, a file or memory."""
+    """Send one run to a viewer or to memory."""
 
     def __init__(self, scene: Scene, *, live: bool, at_s: float | None = None) -> None:
         """Prepare the recording; call `open` before `send`.
@@ -76,23 +74,21 @@ class Recording:
         self._last_plotted: Batch | None = None  # one sample
         self._framing: layout.Framing | None = None
         self.calls = 0
+        self._memory: rr.MemoryRecording | None = None
         self._stream = rr.RecordingStream("testbed", recording_id=scene.recording_id)
         self._stream.send_recording_name(scene.title)
 
-    def open(self, to: Path | int | None) -> None:
-        """Send to an .rrd file, to the viewer on a port of this machine, or to memory.
-
-        Raises:
-            OSError: The file cannot be written.
-        """
-        if isinstance(to, Path):
-            with to.open("wb"):  # Rerun would only log the failure
-                pass
-            self._stream.save(to)
-        elif to is None:
-            self._stream.memory_recording()
+    def open(self, port: int | None) -> None:
+        """Send to the viewer on a port of this machine, or to memory."""
+        if port is None:
+            self._memory = self._stream.memory_recording()
         else:
-            self._stream.connect_grpc(address(to))
+            self._stream.connect_grpc(address(port))
+
+    def drain(self) -> bytes:
+        """Return what is in memory as the content of an .rrd file; memory is empty then."""
+        assert self._memory is not None
+        return self._memory.drain_as_bytes()
 
     def flush(self, timeout_s: float) -> None:
         """Wait until everything sent was received.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from pathlib import Path
 
 from rerun.experimental import ViewerClient
 
@@ -41,11 +40,13 @@ class RemoteViewer:
         """Wait until the viewer has drawn once."""
         self._client.take_screenshot(max_size=16)
 
-    def save_screenshot(self, path: Path) -> list[str]:
-        """Save what the viewer shows as PNG; return the errors that its views report."""
-        self._client.save_screenshot(str(path.absolute()))
+    def screenshot(self) -> tuple[bytes, list[str]]:
+        """Return what the viewer shows as PNG, and the errors that its views report."""
+        picture = self._client.take_screenshot()
         views = self._client.get_state().views
-        return [f"{view.name}: {report.summary}" for view in views for report in view.reports]
+        return picture, [
+            f"{view.name}: {report.summary}" for view in views for report in view.reports
+        ]
 
     def _reached(self) -> float:
         try:

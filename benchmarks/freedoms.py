@@ -1,0 +1,126 @@
+"""Write the table of freedoms of docs/simulations.md: one changed choice per row.
+
+usage: make results  (ARGS="--jobs N")
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from tables import COMMAND, Case, Metrics, row, versions, write_tables
+
+MARK = f"{COMMAND}, freedoms"
+SIMULATIONS = (1, 2, 3)
+ESTIMATORS = "controller.estimators"
+HARD_LEGS = (
+    "{kind: waypoints, points_m: [[800, 450, 100], [0, 450, 100], [0, 0, 100]]}",
+    "{kind: waypoints, laps: 2, points_m: [[800, 0, 100], [800, 450, 100], [0, 450, 100], "
+    "[0, 0, 100]]}",
+    "{kind: waypoints, laps: 2, points_m: [[800, 0, 100], [800, 450, 145], [0, 450, 100], "
+    "[0, 0, 145]]}",
+    "{kind: loiter, centre_m: [400, 225], radius_m: 120, direction: clockwise, levels: "
+    "[{altitude_m: 100, turns: 3}, {altitude_m: 145, turns: 3}, {altitude_m: 100, turns: 3}, "
+    "{altitude_m: 145, turns: 3}, {altitude_m: 100, turns: 1}]}",
+)
+X8 = ("leader.aircraft=skywalker_x8", "fleet.*.aircraft=skywalker_x8")
+# What the paper leaves open, our choice, and another one with its overrides.
+FREEDOMS: Sequence[tuple[str, str, str, tuple[str, ...]]] = (
+    ("", "all as in the scenarios", "", ()),
+    (
+        "rectangle",
+        "640 × 640 m, climbs of 2 m/s",
+        "800 × 450 m, 3 m/s",
+        (
+            "leader.start={north_m: 800, east_m: -400, altitude_m: 100, course_deg: 90}",
+            "leader.path.climb_limit_mps=3",
+            f"leader.path.legs=[{', '.join(HARD_LEGS)}]",
+            "scenario.windows={rectangles: [95, 530], circles: [650, 1080]}",
+        ),
+    ),
+    ("leader's airspeed", "22 m/s", "20 m/s", ("leader.path.airspeed_mps=20",)),
+    ("", "", "24 m/s", ("leader.path.airspeed_mps=24",)),
+    ("leader's bank", "30°", "45°", ("leader.path.bank_limit_deg=45",)),
+    (
+        "source of q̈_g",
+        "leader's accelerometers",
+        "zero",
+        (f"{ESTIMATORS}.leader_acceleration=none",),
+    ),
+    (
+        "",
+        "",
+        "bank and differences",
+        (
+            f"{ESTIMATORS}.leader_acceleration=coordinated_turn",
+            f"{ESTIMATORS}.leader_difference_blend=[0.4, 0.4]",
+        ),
+    ),
+    ("gains of (19)-(21)", "ours, `tuned`", "`authors`", ("controller.profile=authors",)),
+    (
+        "rate of messages",
+        "25 Hz",
+        "10 Hz",
+        ("rates.broadcast_hz=10",),
+    ),
+    ("rate of control", "25 Hz (printed)", "10 Hz", ("rates.control_hz=10",)),
+    ("synchrony", "all act at once", "own phases", ("rates.synchronous=false",)),
+    (
+        "",
+        "",
+        "own phases, 10 Hz",
+        ("rates.synchronous=false", "rates.control_hz=10", "rates.broadcast_hz=10"),
+    ),
+    (
+        "age of the states in messages",
+        "none",
+        "0.12 s, positions extrapolated",
+        ("network.delay_s=0.12", "controller.extrapolate_from=timestamp"),
+    ),
+    (
+        "clocks",
+        "equal",
+        "of UAV 1 and 2, ±0.02 s; messages extrapolated from their stamps",
+        (
+            "network.clocks={uav1: {offset_s: 0.02}, uav2: {offset_s: -0.02}}",
+            "controller.extrapolate_from=timestamp",
+        ),
+    ),
+    (
+        "state estimates",
+        "exact",
+        "GPS/INS noise",
+        ("leader.sensors=gps-ins", "fleet.*.sensors=gps-ins"),
+    ),
+    ("airframe", "our Rascal 110", "Skywalker X8", (*X8, "formation.speed_pole_per_s=0.4")),
+    ("wind", "none (printed)", "4 m/s", ("air.wind.speed_mps=4", "air.wind.from_deg=45")),
+)
+
+
+def case(number: int, overrides: tuple[str, ...]) -> Case:
+    """Return a simulation with one choice changed."""
+    return Case(f"simulation-{number}", overrides)
+
+
+def text(flown: Mapping[Case, Metrics]) -> list[str]:
+    """Return the table as Markdown lines."""
+
+    def lines() -> Iterator[str]:
+        heads = [f"{number}: {window}" for number in SIMULATIONS for window in ("laps", "circle")]
+        yield row("left open", "here", "instead", *heads, "lowest κ, m/s")
+        yield "|---|---|---|" + "--:|" * (len(heads) + 1)
+        for freedom, here, other, overrides in FREEDOMS:
+            flights = [flown[case(number, overrides)] for number in SIMULATIONS]
+            means = [
+                f"{window['mean_rms_m']:.2f}"
+                for flight in flights
+                for window in flight["windows"].values()
+            ]
+            kappa = min(flights[-1]["kappa_mps"].values())
+            yield row(freedom, here, other, *means, f"{kappa:.2f}")
+
+    return [*lines(), "", f"Seed 1; {versions(flown)}."]
+
+
+if __name__ == "__main__":
+    cases = [case(number, overrides) for *_, overrides in FREEDOMS for number in SIMULATIONS]
+    write_tables(__doc__ or "", cases, text, MARK)

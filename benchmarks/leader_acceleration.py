@@ -1,0 +1,269 @@
+"""Write the tables of docs/leader-acceleration.md: set-ups of the simulations beside Table 1.
+
+usage: make results  (ARGS="--jobs N")
+
+Flies the studies `leader-acceleration`, `leader-turn-acceleration`, `table-1`, `table-1-laps` and
+`table-1-authors`, each into a Parquet file, and resumes an interrupted call.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from study_rows import fly_rows, numbers
+from tables import insert, row
+
+from testbed.core.records import Array
+from testbed.scenario import load
+
+RESULTS = Path("logs") / "studies" / "leader-acceleration"
+SOURCES, TURNS = "leader-acceleration", "leader-turn-acceleration"
+LAPS, FIT, AUTHORS = "table-1-laps", "table-1", "table-1-authors"
+SIMULATIONS = (1, 2, 3)
+WINDOWS = ("rectangles", "circles")
+FOLLOWERS = ("uav1", "uav2", "uav3")
+ESTIMATORS = "set.controller.estimators."
+NAMES = {
+    "none": "zero",
+    "coordinated_turn": "bank, differences",
+    "broadcast": "broadcast",
+    "difference": "broadcast, and ω̇_g",
+}
+CORNERS = {"30": "30°", "45": "45°", "recorded": "recorded"}
+NEAR = 0.2  # a cell is near the paper's within this part of it
+BEST = 5  # points of the fit that are shown
+FITTED = {
+    "network.delay_s": ("age, s", "{:.2f}"),
+    "controller.gain_scale": ("gains ×", "{:.2f}"),
+    "leader.path.bank_limit_deg": ("bank, °", "{:.0f}"),
+    "controller.estimators.leader_acceleration": ("q̈_g", "{}"),
+}
+
+
+class Cells(NamedTuple):
+    """RMS errors, m, (2, 3) by window and follower, and percent errors (2,)."""
+
+    rms: Array
+    percent: Array
+
+
+class SetUp(NamedTuple):
+    """Middle-loop gains, corners and source of q̈_g."""
+
+    gains: str
+    corner: str
+    source: str
+
+
+Flights = Mapping[SetUp, Mapping[int, Cells]]  # by simulation
+
+
+def published_cells() -> dict[int, Cells]:
+    """Return the paper's Table 1 by simulation."""
+    out = {}
+    for number in SIMULATIONS:
+        printed = load(f"simulation-{number}").scenario.published
+        assert printed is not None
+        rms = np.array([printed.rms_m[window] for window in WINDOWS], dtype=float)
+        percent = np.array([printed.percent_error[window] for window in WINDOWS], dtype=float)
+        out[number] = Cells(rms, percent)
+    return out
+
+
+def cells_of(each: Mapping[str, Any]) -> Cells:
+    """Return the cells of a run of a study."""
+    value = numbers(each)
+    rms = [[value[f"windows.{w}.rms_m.{name}"] for name in FOLLOWERS] for w in WINDOWS]
+    percent = [value[f"windows.{w}.percent_error"] for w in WINDOWS]
+    return Cells(np.array(rms), np.array(percent))
+
+
+def by_set_up(rows: Sequence[Mapping[str, Any]]) -> dict[SetUp, dict[int, Cells]]:
+    """Return the cells of the two studies of q̈_g and ω̇_g."""
+    out: dict[SetUp, dict[int, Cells]] = {}
+    for each in rows:
+        _, number, corner = each["case"].split("-")
+        source = each.get(f"{ESTIMATORS}leader_acceleration", "difference")
+        key = SetUp(each["set.controller.profile"], corner, source)
+        out.setdefault(key, {})[int(number)] = cells_of(each)
+    return out
+
+
+def ratios(flown: Mapping[int, Cells], printed: Mapping[int, Cells]) -> Array:
+    """Return testbed / paper, (simulations, 2, 3), of the simulations that were flown."""
+    return np.array([each.rms / printed[number].rms for number, each in sorted(flown.items())])
+
+
+def factor(ratio: Array) -> float:
+    """Return the typical factor between two sets of cells: exp of the RMS of the logarithms."""
+    return float(np.exp(np.sqrt(np.mean(np.log(ratio) ** 2))))
+
+
+def near(ratio: Array) -> str:
+    """Return how many cells are near the paper's, of how many, as text."""
+    return f"{int((abs(ratio - 1.0) <= NEAR).sum())} of {ratio.size}"
+
+
+def summary_table(flown: Flights, printed: Mapping[int, Cells]) -> Iterator[str]:
+    """Return the rows of all set-ups: cells near the paper's and typical factors."""
+    yield (
+        "| q̈_g | gains | corners | laps: near | testbed / paper | circle: near | testbed / paper "
+        "| factor, laps | circle | all |"
+    )
+    yield "|---|---|---|--:|---|--:|---|--:|--:|--:|"
+    for source, name in NAMES.items():
+        for gains in ("tuned", "authors"):
+            for corner, label in CORNERS.items():
+                ratio = ratios(flown[SetUp(gains, corner, source)], printed)
+                parts = [ratio[:, window] for window in range(2)]
+                counted = []
+                for part in parts:
+                    counted += [near(part), f"{part.min():.2f}–{part.max():.2f}"]
+                factors = [f"{factor(part):.2f}" for part in (*parts, ratio)]
+                yield row(name, f"`{gains}`", label, *counted, *factors)
+
+
+def cell_texts(cells: Cells, digits: int = 2) -> list[str]:
+    """Return RMS errors and percent errors, laps first, as text."""
+    out = []
+    for rms, percent in zip(cells.rms, cells.percent, strict=True):
+        out += [f"{value:.{digits}f}" for value in rms] + [f"{percent:.{max(digits - 1, 0)}f}"]
+    return out
+
+
+def cells_table(flown: Flights, printed: Mapping[int, Cells]) -> Iterator[str]:
+    """Return the rows of all cells of all set-ups."""
+    yield (
+        "| RMS error, m | q̈_g | gains | corners | laps: UAV 1 | 2 | 3 | error, % | circle: 1 | 2 "
+        "| 3 | error, % |"
+    )
+    yield "|---|---|---|---|" + "--:|" * 8
+    for number in SIMULATIONS:
+        texts = [text.removesuffix(".0") for text in cell_texts(printed[number], 1)]
+        yield row(f"Simulation {number}", "[HBH23] Table 1", "", "", *texts)
+        for source, name in NAMES.items():
+            for gains in ("tuned", "authors"):
+                for corner, label in CORNERS.items():
+                    each = flown[SetUp(gains, corner, source)].get(number)
+                    if each is not None:
+                        yield row("", name, f"`{gains}`", label, *cell_texts(each))
+
+
+def percent_table(printed: Mapping[int, Cells]) -> Iterator[str]:
+    """Return the paper's percent errors beside those that follow from its RMS errors."""
+    yield "| error, % | laps: printed | from its cells | circle: printed | from its cells |"
+    yield "|---|--:|--:|--:|--:|"
+    for number, cells in printed.items():
+        offsets = load(f"simulation-{number}").formation.offsets_m
+        lengths = np.array([np.linalg.norm(offsets[name]) for name in FOLLOWERS])
+        parts = []
+        for rms, percent in zip(cells.rms, cells.percent, strict=True):
+            parts += [f"{percent:g}", f"{100.0 * (rms / lengths).mean():.0f}"]
+        yield row(f"Simulation {number}", *parts)
+
+
+def laps_table(rows: Sequence[Mapping[str, Any]], printed: Mapping[int, Cells]) -> Iterator[str]:
+    """Return the rows of corners and gains of Simulation 3 without q̈_g."""
+    yield (
+        "| Simulation 3, q̈_g = 0, RMS error, m | laps: UAV 1 | 2 | 3 | circle: 1 | 2 | 3 "
+        "| laps / circle |"
+    )
+    yield "|---|" + "--:|" * 7
+    cases = {each["case"]: cells_of(each).rms for each in rows}
+    for name, rms in {"[HBH23] Table 1": printed[3].rms, **cases}.items():
+        digits = 1 if name not in cases else 2
+        means = rms.mean(axis=1)
+        cells = (f"{value:.{digits}f}" for value in rms.ravel())
+        yield row(name.replace("-", " "), *cells, f"{means[0] / means[1]:.1f}")
+
+
+def ages_table(rows: Sequence[Mapping[str, Any]], printed: Mapping[int, Cells]) -> Iterator[str]:
+    """Return the rows of the public code's gains by age of the messages."""
+    yield "| `authors`, age, s | laps: testbed / paper | circle | factor, laps | circle | all |"
+    yield "|--:|---|---|--:|--:|--:|"
+    ages: dict[float, dict[int, Cells]] = {}
+    for each in rows:
+        flown = ages.setdefault(each["set.network.delay_s"], {})
+        flown[int(each["case"].split("-")[1])] = cells_of(each)
+    for age, flown in ages.items():
+        ratio = ratios(flown, printed)
+        parts = (ratio[:, 0], ratio[:, 1])
+        spans = [f"{part.min():.2f}–{part.max():.2f}" for part in parts]
+        yield row(f"{age:.2f}", *spans, *(f"{factor(part):.2f}" for part in (*parts, ratio)))
+
+
+def fit_table(rows: Sequence[Mapping[str, Any]], printed: Mapping[int, Cells]) -> Iterator[str]:
+    """Return the best points of the fit with their parameters, and the cells of the best."""
+    points: dict[tuple[Any, ...], dict[int, Cells]] = {}
+    for each in rows:
+        point = tuple(each[f"set.{key}"] for key in FITTED)
+        points.setdefault(point, {})[int(each["case"].split("-")[1])] = cells_of(each)
+    ranked = sorted(points.items(), key=lambda item: factor(ratios(item[1], printed)))
+    heads = [head for head, _ in FITTED.values()]
+    yield row(*heads, "factor, laps", "circle", "all", "cells near")
+    yield "|" + "--:|" * (len(heads) - 1) + "---|" + "--:|" * 4
+    shown = [*ranked[:BEST], ranked[-1]]
+    for point, flown in shown:
+        ratio = ratios(flown, printed)
+        values = [
+            form.format(NAMES.get(value, value))
+            for value, (_, form) in zip(point, FITTED.values(), strict=True)
+        ]
+        factors = [f"{factor(part):.2f}" for part in (ratio[:, 0], ratio[:, 1], ratio)]
+        yield row(*values, *factors, near(ratio))
+    yield ""
+    yield f"The {BEST} best of {len(points)} points, and the worst. The best, cell by cell:"
+    yield ""
+    yield "| RMS error, m | | laps: UAV 1 | 2 | 3 | error, % | circle: 1 | 2 | 3 | error, % |"
+    yield "|---|---|" + "--:|" * 8
+    for number, each in sorted(ranked[0][1].items()):
+        texts = [text.removesuffix(".0") for text in cell_texts(printed[number], 1)]
+        yield row(f"Simulation {number}", "[HBH23] Table 1", *texts)
+        yield row("", "best point", *cell_texts(each))
+
+
+def text(folder: Path, jobs: int) -> str:
+    """Fly missing runs and return all tables as text."""
+    names = (SOURCES, TURNS, LAPS, FIT, AUTHORS)
+    studies = {name: fly_rows(name, folder / f"{name}.parquet", jobs) for name in names}
+    rows = {name: each for name, (each, _) in studies.items()}
+    flown, printed = by_set_up([*rows[SOURCES], *rows[TURNS]]), published_cells()
+    return "\n".join(
+        [
+            *summary_table(flown, printed),
+            "",
+            *laps_table(rows[LAPS], printed),
+            "",
+            *fit_table(rows[FIT], printed),
+            "",
+            *ages_table(rows[AUTHORS], printed),
+            "",
+            *percent_table(printed),
+            "",
+            *cells_table(flown, printed),
+            "",
+            f"Seed 1; {sum(map(len, rows.values()))} flights with {studies[FIT][1]}.",
+        ]
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Fly missing runs, and print or insert the tables."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the Parquet files")
+    parser.add_argument("--into", type=Path, help="a Markdown file with the two markers")
+    options = parser.parse_args(arguments)
+    lines = text(options.out, options.jobs)
+    print(lines)
+    if options.into:
+        markdown = insert(options.into.read_text(encoding="utf-8"), lines)
+        options.into.write_text(markdown, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

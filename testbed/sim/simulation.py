@@ -1,0 +1,258 @@
+"""Step a scenario from Python, in one process and without sockets."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Self, TypeAlias
+
+from testbed.core.errors import InputError
+from testbed.core.records import Event, FbwaCommand, Observer, RunInfo, Sample
+from testbed.logs.recorder import McapRecorder
+from testbed.logs.run_directory import LOG_NAME, METRICS_NAME
+from testbed.metrics.document import finalise, write_json
+from testbed.scenario import Scenario, load, set_seed
+from testbed.scenario.control_source import ArduPlane
+from testbed.sim.autopilot_session import AutopilotSession
+from testbed.sim.build import World, build
+from testbed.sim.external_options import external_summary
+from testbed.sim.leader_control import FbwaInput
+from testbed.sim.loop import Flight
+from testbed.sim.run import make_meter, open_run_directory
+
+Commands: TypeAlias = "Mapping[str, FbwaCommand | tuple[float, float, float]]"
+
+
+class Simulation:
+    """A scenario that is flown step by step.
+
+    Aircraft with `commanded_by: external` fly the fly-by-wire-A commands of `step`; all others fly
+    as with `testbed run`, to the bit. In a `with` statement the log is closed at its end.
+
+    Args:
+        scenario: a scenario, or the name or path of one.
+        overrides: `key=value` as for `--set`; only with a name or path.
+        seed: of all random streams; None: that of the scenario.
+        out: run directory to create, with log, resolved scenario and, after `close`, metrics; None:
+            nothing is written.
+        observers: as of `testbed.run`.
+        compiling: as of `testbed.run`.
+
+    Attributes:
+        scenario: as resolved, with the seed that is flown.
+        names: of all N aircraft, the leader first.
+        time_s: s, of the present tick.
+        events: all events up to now.
+        outcome: how the flight ended; None: it has not.
+        directory: of the files; None: nothing is written.
+
+    Raises:
+        InputError: the scenario cannot be flown, or has ArduPlanes, which `testbed.run` starts.
+        LogError: the run directory cannot be created.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario | str | Path,
+        overrides: Sequence[str] = (),
+        *,
+        seed: int | None = None,
+        out: Path | str | None = None,
+        observers: Sequence[Observer] = (),
+        compiling: Callable[[int, int], None] | None = None,
+    ) -> None:
+        """See the class."""
+        self.scenario = scenario if isinstance(scenario, Scenario) else load(scenario, overrides)
+        for each in self.scenario.aircraft:
+            if isinstance(each.autopilot, ArduPlane):
+                raise InputError(
+                    f"{each.name} has autopilot: ardupilot, a program of its own (fly it with "
+                    "testbed.run, or write autopilot: virtual)"
+                )
+        self._out = None if out is None else Path(out)
+        self._further, self._compiling = tuple(observers), compiling
+        self._flown = False
+        self._open: list[Observer] = []  # observers that have begun
+        self.reset(seed)
+
+    def reset(self, seed: int | None = None) -> Sample:
+        """Return to the start, and return the state there.
+
+        Args:
+            seed: of the new flight; None: the same as before.
+
+        Raises:
+            InputError: `out` has the log of a flight, and holds one only.
+        """
+        if self._flown and self._out is not None:
+            raise InputError(f"{self._out} holds one flight (make another Simulation for the next)")
+        self._end_observers()
+        if seed is not None:
+            self.scenario = set_seed(self.scenario, seed)
+        world = build(self.scenario)
+        meter, events = make_meter(self.scenario), _Events()
+        self._world, self._meter, self.events = world, meter, events.all
+        self.directory = open_run_directory(self.scenario, world, self._out) if self._out else None
+        log = [McapRecorder(self.directory / LOG_NAME)] if self.directory else []
+        if not self.scenario.log.mcap:
+            log = []
+        observers: list[Observer] = [meter, events, *log, *self._further]
+        self._flight = Flight(world, observers)
+        self._flight.prepare(self._compiling)
+        for each in observers:
+            each.begin(world.info)
+            self._open.append(each)
+        self.names = world.names
+        self.outcome: str | None = None
+        self._commands = _trimmed_commands(world)
+        self._period = world.clock.autopilot
+        self._begun_s = time.perf_counter()
+        self._ticks = self._flight.ticks(lambda now, due: False)
+        self.time_s = next(self._ticks)
+        return self.state
+
+    def step(self, commands: Commands | None = None, until: float | None = None) -> Sample:
+        """Fly to the next tick of the autopilots, or up to a time, and return the state there.
+
+        Args:
+            commands: by name, (pitch, roll, throttle) in rad, rad and 0..1, for aircraft with
+                `commanded_by: external`. An aircraft without a new one keeps the last; the first
+                is its trim.
+            until: s; the first tick at or after it.
+
+        Raises:
+            InputError: an aircraft takes no commands, a command is not finite, or the flight has
+                ended.
+        """
+        if self.outcome is not None:
+            raise InputError(f"the flight has ended: {self.outcome} at {self.time_s:g} s; reset()")
+        for name, command in (commands or {}).items():
+            self._commands[self._commandable(name)] = _checked(name, command)
+        clock = self._world.clock
+        due: float = (clock.ticks(self.time_s) // self._period + 1) * self._period
+        if until is not None:
+            due = max(due, clock.ticks(until))
+        if due + self._period > clock.ticks(self._world.duration_s):
+            due = math.inf  # the flight ends within the step
+        try:
+            self._advance(due)
+        except BaseException:
+            self.outcome = "failed"
+            raise
+        return self.state
+
+    def _advance(self, due: float) -> None:
+        """Fly to a tick of the base rate, or to the end."""
+        while self._world.clock.ticks(self.time_s) < due:
+            for session, (pitch, roll, throttle) in self._commands.items():
+                session.set_manual_command(roll, pitch, throttle)  # a lost one rejects it
+            try:
+                self.time_s = next(self._ticks)
+            except StopIteration:
+                self.outcome = self._flight.ending
+                return
+
+    @property
+    def state(self) -> Sample:
+        """The present state: arrays of all aircraft, which the next step overwrites."""
+        return self._flight.sample(self.time_s)
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        """The metrics up to now, as in metrics.json; of a flight that goes on, "interrupted"."""
+        return finalise(
+            self._meter.summary(),
+            network=self._world.radio.summary(),
+            external=external_summary(self._world, None, None),
+            outcome=self.outcome or "interrupted",
+            wall_s=time.perf_counter() - self._begun_s,
+        )
+
+    def close(self) -> None:
+        """End the flight, and write log and metrics where there is a directory; repeatable."""
+        self._end_observers()
+
+    def _end_observers(self) -> None:
+        if not self._open:
+            return
+        self._flown = True
+        if self.outcome is None:
+            self.outcome = "interrupted"
+        metrics = self.metrics
+        while self._open:
+            self._open.pop().end(metrics, ())
+        if self.directory:
+            write_json(self.directory / METRICS_NAME, metrics)
+
+    def _commandable(self, name: str) -> AutopilotSession:
+        for session in self._commands:
+            if session.name == name:
+                return session
+        if name not in self.names:
+            raise InputError(f"{name}: no such aircraft (there are {', '.join(self.names)})")
+        key = "leader" if name == self.names[0] else f"fleet.{name}"
+        raise InputError(
+            f"{name} takes no commands: write {key}.commanded_by=external into the overrides"
+        )
+
+    def __enter__(self) -> Self:
+        """Return the simulation."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close it."""
+        self.close()
+
+    def __repr__(self) -> str:
+        """Describe the flight in one line."""
+        duration = self.scenario.scenario.duration_s
+        return (
+            f"<Simulation: {self.scenario.name}; {self.time_s:g} of {duration:g} s; "
+            f"{self.outcome or 'flying'}>"
+        )
+
+
+class _Events:
+    """Collect the events of a flight."""
+
+    zero_copy = True
+
+    def __init__(self) -> None:
+        self.all: list[Event] = []
+
+    def begin(self, info: RunInfo) -> None:
+        pass
+
+    def observe(self, frame: Sample) -> None:
+        self.all.extend(frame.events)
+
+    def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
+        self.all.extend(events)
+
+
+def _trimmed_commands(world: World) -> dict[AutopilotSession, FbwaInput]:
+    """Return the first command of each aircraft that takes commands."""
+    if world.external_control is None:
+        return {}
+    return {
+        each: each.trim
+        for each in world.external_control.vehicles
+        if isinstance(each, AutopilotSession) and each.external
+    }
+
+
+def _checked(name: str, command: FbwaCommand | tuple[float, float, float]) -> FbwaInput:
+    """Return a command as numbers.
+
+    Raises:
+        InputError: it does not have three finite numbers.
+    """
+    try:
+        pitch, roll, throttle = map(float, command)
+    except (TypeError, ValueError):
+        pitch = roll = throttle = math.nan
+    if not all(map(math.isfinite, (pitch, roll, throttle))):
+        raise InputError(f"{name}: {command} (write three finite numbers: pitch, roll, throttle)")
+    return pitch, roll, throttle

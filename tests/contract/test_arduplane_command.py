@@ -1,0 +1,58 @@
+"""`testbed arduplane`: tries an ArduPlane, played by a stand-in, and explains a parameter file."""
+
+import json
+
+import pytest
+from arduplanes import binary
+from commands import call_command
+
+assert binary  # a fixture
+LOST, BAD_INPUT, EXTERNAL_PROGRAM_LOST = 1, 2, 5
+
+
+def check(folder, code, *arguments):
+    return call_command("arduplane", "check", *arguments, cwd=folder, code=code, columns=100)
+
+
+def test_check_flies_and_says_what_it_found(binary, tmp_path):
+    done = check(tmp_path, 0, "--json", "check.json")
+    document = json.loads((tmp_path / "check.json").read_text())
+    assert (document["ok"], document["version"]) == (True, "4.7.1 (stand-in)")
+    assert document["flown_s"] == 20.0 and document["real_time_factor"] > 0.5
+    assert document["difference"]["track_m"] < 2.0
+    for words in ("4.7.1 (stand-in)", str(binary), "44 of the file", "× real time: completed"):
+        assert words in done.stdout
+    assert "flies like the virtual autopilot" in done.stdout
+    assert "/udp and" in done.stderr and "warning: ArduPlane itself listens on" in done.stderr
+
+
+def test_check_fails_if_it_disarms(binary, tmp_path, monkeypatch):
+    monkeypatch.setenv("STAND_IN", "disarm@1500")
+    done = check(tmp_path, LOST)
+    assert "ArduPlane has disarmed: motor off" in done.stdout
+    assert "does not fly like the virtual autopilot" in done.stdout
+
+
+def test_check_names_an_unusable_program(binary, tmp_path, monkeypatch):
+    monkeypatch.setenv("STAND_IN", "exit@450")
+    assert "stand-in: PANIC" in check(tmp_path, EXTERNAL_PROGRAM_LOST).stderr
+    assert "no such program" in check(tmp_path, BAD_INPUT, "--arduplane", "nothing").stderr
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_params_lists_uses_and_differences(tmp_path, as_json):
+    (tmp_path / "plane.param").write_text(
+        "LIM_ROLL_CD,5500\nCOMPASS_OFS_X,31\nTECS_CLMB_MAX,4\nYAW2SRV_DAMP,0.2\nAHRS_EKF_TYPE,3\n"
+    )
+    arguments = ("--json", "-") if as_json else ()
+    done = call_command(
+        *("arduplane", "params", "plane.param", *arguments), cwd=tmp_path, code=0, columns=100
+    )
+    if as_json:
+        document = json.loads(done.stdout)
+        assert document["hardware"] == ["COMPASS_OFS_X"]
+        assert document["renamed"] == {"LIM_ROLL_CD": "ROLL_LIMIT_DEG 55"}
+    lines = (done.stderr if as_json else done.stdout).splitlines()[1:]
+    assert [line.split(maxsplit=1)[0] for line in lines] == [
+        *("older", "both", "ArduPlane", "set", "left", "difference")
+    ]

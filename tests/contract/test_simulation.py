@@ -1,0 +1,162 @@
+"""Stepping from Python: the flight of the command line to the bit, and commands that are flown."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+import testbed
+from testbed.core.errors import InputError
+from testbed.logs.run_directory import LOG_NAME, SCENARIO_NAME
+from testbed.scenario import find_aircraft, load, set_duration
+from testbed.vehicle.replay_commands import respond
+
+NOISY = ["fleet.*.sensors=gps-ins", "network.loss=0.1"]
+
+
+def short(*overrides, seconds=4.0):
+    return set_duration(load("simulation-3", overrides), seconds)
+
+
+def steps(simulation, **options):
+    while simulation.outcome is None:
+        yield simulation.step(**options)
+
+
+def positions(simulation):
+    return np.array([sample.truth.position_ned.copy() for sample in steps(simulation)])
+
+
+@pytest.mark.parametrize(
+    "overrides", [NOISY, ["rates.synchronous=false"]], ids=["noisy", "unsynchronised"]
+)
+def test_log_and_metrics_are_those_of_a_run(tmp_path, overrides):
+    scenario = short(*overrides)
+    run = testbed.run(scenario, out=tmp_path / "run")
+    with testbed.Simulation(scenario, out=tmp_path / "stepped") as simulation:
+        times = [sample.time_s for sample in steps(simulation)]
+    np.testing.assert_allclose(np.diff(times), 0.02, atol=1e-12)
+    assert (simulation.outcome, times[-1]) == ("completed", 4.0)
+    for name in (LOG_NAME, SCENARIO_NAME):
+        ours, flown = ((tmp_path / each / name).read_bytes() for each in ("stepped", "run"))
+        assert ours == flown, name
+    stepped = json.loads((tmp_path / "stepped" / "metrics.json").read_text())
+    wall = {"wall_s": None, "real_time_factor": None}
+    assert stepped | wall == dict(run.metrics) | wall
+
+
+def test_state_between_samples_is_present():
+    """Slots and errors belong to the positions beside them, also at ticks that are not logged."""
+    simulation = testbed.Simulation(short(seconds=1.0))
+    for sample in steps(simulation):
+        errors = sample.truth.position_ned[1:] - sample.formation.slot_ned
+        np.testing.assert_allclose(sample.formation.error_ned, errors, atol=1e-9)
+    assert repr(simulation) == "<Simulation: simulation-3; 1 of 1 s; completed>"
+
+
+def test_commands_fly_external_aircraft_only():
+    simulation = testbed.Simulation(short("fleet.uav2.commanded_by=external"))
+    assert simulation.names == ("leader", "uav1", "uav2", "uav3")
+    sample = simulation.step({"uav2": (0.1, 0.4, 0.5)}, until=2.5)
+    command = [each[2] for each in sample.command]
+    assert command == [0.1, 0.4, 0.5]
+    assert sample.truth.euler[2, 0] == pytest.approx(0.4, abs=0.05)
+    assert abs(sample.truth.euler[1, 0]) < 0.2
+    held = simulation.step()
+    assert [each[2] for each in held.command] == command
+    assert simulation.metrics["outcome"] == "interrupted"
+
+
+def test_first_command_is_the_trim_without_failsafe():
+    simulation = testbed.Simulation(short("fleet.uav2.commanded_by=external"))
+    sample = simulation.step(until=3.5)  # longer than failsafe_s
+    assert abs(sample.truth.euler[2, 0]) < 0.01
+    assert not simulation.events
+
+
+def test_reset_repeats_the_flight_and_takes_a_seed():
+    simulation = testbed.Simulation(short(*NOISY, seconds=1.0))
+    first = positions(simulation)
+    assert simulation.reset().time_s == 0.0
+    assert np.array_equal(positions(simulation), first)
+    simulation.reset(seed=7)
+    assert simulation.scenario.scenario.seed == 7
+    assert not np.array_equal(positions(simulation), first)
+
+
+def test_closed_flight_has_log_and_metrics(tmp_path):
+    with testbed.Simulation(short(), out=tmp_path / "run") as simulation:
+        simulation.step(until=1.0)
+        with pytest.raises(RuntimeError, match="radar"):
+            raise RuntimeError("radar")
+    assert json.loads((tmp_path / "run" / "metrics.json").read_text())["outcome"] == "interrupted"
+    assert testbed.load(tmp_path / "run").time_s[-1] == pytest.approx(0.96)
+    with pytest.raises(InputError, match="holds one flight"):
+        simulation.reset()
+
+
+@pytest.mark.parametrize(
+    ("commands", "message"),
+    [
+        ({"uav1": (0, 0, 0)}, r"write fleet\.uav1\.commanded_by=external"),
+        ({"leader": (0, 0, 0)}, r"write leader\.commanded_by=external"),
+        ({"uav9": (0, 0, 0)}, "no such aircraft"),
+        ({"uav2": (0, 0)}, "three finite numbers"),
+        ({"uav2": (math.nan, 0, 0)}, "three finite numbers"),
+    ],
+)
+def test_wrong_commands_are_refused(commands, message):
+    simulation = testbed.Simulation(short("fleet.uav2.commanded_by=external", seconds=1.0))
+    with pytest.raises(InputError, match=message):
+        simulation.step(commands)
+
+
+def test_ended_flight_takes_no_step():
+    simulation = testbed.Simulation(short(seconds=0.1))
+    for _ in steps(simulation):
+        pass
+    with pytest.raises(InputError, match="has ended: completed at 0.1 s"):
+        simulation.step()
+
+
+def test_arduplanes_are_refused():
+    with pytest.raises(InputError, match="uav1 has autopilot: ardupilot"):
+        testbed.Simulation(short("fleet.uav1.autopilot=ardupilot"))
+
+
+def test_aircraft_flies_as_replayed_commands(tmp_path):
+    """Against `testbed respond`, which has a loop of its own."""
+    airframe = find_aircraft("skywalker_x8")
+    rows = [(0.0, 0.05, 0.0, 0.5), (1.0, 0.1, 0.5, 0.6), (2.5, -0.05, -0.3, 0.4)]
+    text = "t_s,theta_cmd_rad,phi_cmd_rad,throttle_cmd\n"
+    times = np.arange(201) * 0.02
+    commands = [max(row for row in rows if row[0] <= t) for t in times]
+    text += "".join(
+        f"{t:.2f},{p},{r},{h}\n" for t, (_, p, r, h) in zip(times, commands, strict=True)
+    )
+    (tmp_path / "commands.csv").write_text(text)
+    param, out = airframe / "autopilot.param", tmp_path / "out.csv"
+    respond(airframe, tmp_path / "commands.csv", out, param=param, airspeed=18.0)
+    expected = np.genfromtxt(out, delimiter=",", names=True)
+
+    aircraft = testbed.Aircraft("skywalker_x8", airspeed_mps=18)
+    roll, airspeed = [], []
+    for _, *command in commands[:-1]:
+        motion = aircraft.step(*command)
+        roll.append(motion.euler[0])
+        airspeed.append(float(motion.airspeed))
+    np.testing.assert_allclose(roll, expected["phi_rad"][1:], atol=1e-4)
+    np.testing.assert_allclose(airspeed, expected["airspeed_mps"][1:], atol=1e-2)
+    assert repr(aircraft) == "<Aircraft: skywalker_x8; 4 s; flying>"
+
+
+def test_aircraft_has_wind_and_sensors():
+    wind = {"wind": {"speed_mps": 5, "from_deg": 270}}
+    aircraft = testbed.Aircraft("rascal110", airspeed_mps=20, air=wind, sensors="pixhawk", seed=3)
+    start = aircraft.truth.position_ned
+    aircraft.step(0.02, 0.0, 0.3, until=1.0)
+    assert aircraft.air.wind_ned[1] == pytest.approx(5.0, abs=1e-6)
+    assert not np.array_equal(aircraft.estimate.position_ned, aircraft.truth.position_ned)
+    assert np.array_equal(aircraft.reset().position_ned, start)
+    np.testing.assert_allclose(start, [0.0, 0.0, -100.0], atol=1e-6)
