@@ -32,7 +32,7 @@ from testbed.views.panels import (
 FIGURE = Path(__file__).parent.parent / "docs" / "images" / "speed.png"
 MARK = "make bench"
 SIMULATION, ALL_EFFECTS = "simulation-3", "all effects"
-TARGETS = {SIMULATION: 1.6, ALL_EFFECTS: 2.0}
+TARGETS = {SIMULATION: 1.35, ALL_EFFECTS: 1.75}
 BROWN = "#6b4423"
 # Parts that are drawn together, from the bottom up, by the name in the legend.
 STACK: Mapping[str, tuple[str, tuple[str, ...]]] = {

@@ -14,7 +14,7 @@ from testbed.core.records import Array, BoolArray
 from testbed.formation.flags import LimiterFlag, Saturation
 from testbed.metrics.sample_block import NEVER, EstimateErrors, SampleBlock, Ticks
 
-BLOCK = 1024  # samples
+BLOCK = 1024  # samples of up to four aircraft
 JOIN_RADIUS_M = 5.0  # a follower this close to its slot is in it,
 JOIN_HOLD_S = 5.0  # and has joined after so long
 ESTIMATE_KEYS = (
@@ -27,10 +27,15 @@ ESTIMATE_KEYS = (
 )
 
 
+def block_samples(aircraft: int) -> int:
+    """Return the samples of a block: fewer of many aircraft, so that it stays in the caches."""
+    return min(BLOCK, max(4 * BLOCK // aircraft, 32))
+
+
 class Accumulator:
     """Sums, extremes and counts over the samples of a run of N aircraft, n of them followers.
 
-    Blocks of `BLOCK` samples are added in the order of time, so that sums run in one order and a
+    Blocks of `block_samples` are added in the order of time, so that sums run in one order and a
     run gives the same bits however it is observed. A lost aircraft counts until it was lost.
 
     The velocity of a slot, q̇_g + χ̇_i, is the central difference of its position over the samples

@@ -10,7 +10,7 @@ import numpy as np
 
 from testbed.core.records import Event, RunInfo, Sample
 from testbed.core.samples import SampleBuffer
-from testbed.metrics.accumulator import BLOCK, Accumulator
+from testbed.metrics.accumulator import Accumulator, block_samples
 from testbed.metrics.sample_block import make_block
 from testbed.metrics.summary import summarise
 
@@ -49,7 +49,8 @@ class MetricsObserver:
             medium_ned=np.array(info.bounded_in_ned),
         )
         self._events = []
-        self._buffer = SampleBuffer(BLOCK)
+        self._block = block_samples(len(info.names))
+        self._buffer = SampleBuffer(self._block)
 
     def observe(self, frame: Sample) -> None:
         """Copy what is measured; accumulate the block when it is full."""
@@ -57,7 +58,7 @@ class MetricsObserver:
         buffer.append(frame)
         if frame.events:
             self._events.extend(frame.events)
-        if len(buffer.tick) == BLOCK:
+        if len(buffer.tick) == self._block:
             self._accumulator.accumulate(make_block(buffer.tick, buffer.columns(), buffer.erring))
             buffer.clear()
 

@@ -164,8 +164,8 @@ def read_table(path: Path | str, names: Iterable[str] | None = None) -> StudyTab
         )
     if schema != str(SCHEMA):
         raise InputError(
-            f"{path}: is of version {schema}; this testbed reads version {SCHEMA} (fly the study "
-            "again)"
+            f"{path}: is of version {schema[:20]}; this testbed reads version {SCHEMA} "
+            "(fly the study again)"
         )
     _check_columns(Path(path), columns, wanted)
     return StudyTable(Path(path), columns, metadata)

@@ -145,6 +145,7 @@ def test_good_result_file_is_read(tmp_path):
         ({"runs": "-1"}, "metadata runs: '-1'"),
         ({"runs": "9" * 5000}, "metadata runs: '999"),
         ({"study.schema": "x"}, "is of version x"),
+        ({"study.schema": "[" * 200_000}, r"is of version \[{20}; this"),
     ],
 )
 def test_wrong_metadata_of_a_result_is_named(tmp_path, metadata, message):
