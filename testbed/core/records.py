@@ -128,7 +128,7 @@ MESSAGE = _dtype(
     ("euler", "f8", 3),
     ("euler_rates", "f8", 3),
 )
-# What a follower has received of one aircraft (see `Inbox`), and what it used of that.
+# What a follower has received of one aircraft (see `Inbox`), what it used of that, and counters.
 LINK = _dtype(
     ("stamp_s", "f8"),
     ("received_s", "f8"),
@@ -140,6 +140,8 @@ LINK = _dtype(
     ("number", "i8"),  # of the newest message; -1: none
     ("measured_s", "f8"),  # s, true time of its content; nan: none
     ("age_s", "f8"),  # s, age of what the last control step used; nan: not used
+    ("sent", "u4"),  # messages, without those of a transmitter that was off
+    ("delivered", "u4"),  # of these, those that arrived or will arrive
 )
 
 
@@ -388,9 +390,9 @@ class Sample(NamedTuple):
     lost: BoolArray  # (N,) lost now or before: on the ground, stopped or collided
     events: tuple[Event, ...] = ()
     failing: FaultState | None = None  # (N) active faults; None: the scenario has none
-    # AIRCRAFT (N,), FOLLOWER (n,), LINK (n, N) and LINK_STATISTICS (n, N) that the fields above
-    # are views of; None: the fields are separate arrays
-    records: tuple[Records, Records, Records, Records] | None = None
+    # AIRCRAFT (N,), FOLLOWER (n,) and LINK (n, N) that the fields above are views of; None: the
+    # fields are separate arrays
+    records: tuple[Records, Records, Records] | None = None
 
 
 @dataclass(frozen=True, slots=True)

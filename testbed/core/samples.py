@@ -147,7 +147,6 @@ def _append(
     aircraft: Records,
     followers: Records,
     links: Records,
-    statistics: Records,
     all_aircraft: Records,
     all_followers: Records,
     age_s: Array,
@@ -160,18 +159,13 @@ def _append(
     for i in range(len(followers)):
         all_followers[row, i] = followers[i]
         for m in range(len(aircraft)):
-            age_s[row, i, m], counted = links[i, m].age_s, statistics[i, m]
-            sent[row, i, m], delivered[row, i, m] = counted.sent, counted.delivered
+            link = links[i, m]
+            age_s[row, i, m] = link.age_s
+            sent[row, i, m], delivered[row, i, m] = link.sent, link.delivered
 
 
 def make_sample(
-    aircraft: Records,
-    followers: Records,
-    links: Records,
-    statistics: Records,
-    *,
-    exact: bool,
-    faults: bool,
+    aircraft: Records, followers: Records, links: Records, *, exact: bool, faults: bool
 ) -> Sample:
     """View records as a sample of tick 0.
 
@@ -179,7 +173,6 @@ def make_sample(
         aircraft: (N,) of AIRCRAFT.
         followers: (n,) of FOLLOWER.
         links: (n, N) of LINK.
-        statistics: (n, N) of LINK_STATISTICS.
         exact: the estimate is the truth.
         faults: the scenario has faults.
     """
@@ -193,10 +186,10 @@ def make_sample(
         command=fields_of(FbwaCommand, aircraft["command"]),
         surfaces=fields_of(ActuatorCommand, aircraft["surfaces"]),
         formation=fields_of(FormationState, followers, age_s=links["age_s"]),
-        links=fields_of(LinkCounters, statistics),
+        links=fields_of(LinkCounters, links),
         lost=aircraft["lost"],
         failing=fault_state(aircraft["faults"]) if faults else None,
-        records=(aircraft, followers, links, statistics),
+        records=(aircraft, followers, links),
     )
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,6 @@ from testbed.network.links import (
     PARETO,
     PARETONORMAL,
 )
-from testbed.network.normal import quantile
 
 # Pareto with this shape and scale 1; mean 3/2, variance 3/4.
 PARETO_SHAPE = 3.0
@@ -35,6 +35,14 @@ TABLE_STEPS = 1024  # of a table of quantiles
 NANOSECONDS = 1e9  # in which netem counts, in a second
 NETEM_SCALE = 8192  # table entry of one standard deviation
 LARGEST_ENTRY = 32767
+
+
+def quantile(share: NDArray[np.floating[Any]]) -> Array:
+    """Return the z (…) that has this share 0..1 of a standard normal below it."""
+    from scipy.special import ndtri  # slow to import, and few scenarios need it
+
+    z: Array = ndtri(share)
+    return z
 
 
 @cache

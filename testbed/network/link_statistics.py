@@ -22,8 +22,6 @@ LONGEST_BURST = 64  # bursts of loss of this length or longer share the last bin
 LINK_STATISTICS = np.dtype(
     [
         ("outcomes", "i8", len(PacketOutcome)),  # packets by PacketOutcome
-        ("sent", "u4"),  # packets, without those of outcome MUTED
-        ("delivered", "u4"),
         ("duplicated", "i8"),  # packets of which two copies were received
         ("overtaken", "i8"),  # packets received after a newer one
         ("burst", "i8"),  # packets lost in a row up to now
@@ -65,11 +63,14 @@ def bin_ends() -> Array:
 
 
 @kernel
-def record_packet(statistics: Record, outcome: int, delay_s: float, both: bool) -> None:
+def record_packet(
+    statistics: Record, link: Record, outcome: int, delay_s: float, both: bool
+) -> None:
     """Count a packet.
 
     Args:
         statistics: record of LINK_STATISTICS; written.
+        link: record of LINK; `sent` and `delivered` are written.
         outcome: PacketOutcome.
         delay_s: s, if it is delivered.
         both: two copies are delivered.
@@ -77,9 +78,9 @@ def record_packet(statistics: Record, outcome: int, delay_s: float, both: bool) 
     statistics.outcomes[outcome] += 1
     if outcome == MUTED:
         return
-    statistics.sent += 1
+    link.sent += 1
     if outcome == DELIVERED:
-        statistics.delivered += 1
+        link.delivered += 1
         statistics.duplicated += both
         statistics.delay_sum += delay_s
         statistics.delay_min = min(statistics.delay_min, delay_s)

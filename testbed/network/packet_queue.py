@@ -42,6 +42,7 @@ def send_broadcast(
     tables: Records,
     transmitters: Records,
     queue: Records,
+    received: Records,
     statistics: Records,
     senders: BoolArray,
     muted: BoolArray,
@@ -57,7 +58,7 @@ def send_broadcast(
         links, departures_s, tables, transmitters, senders, muted, sent_s, messages
     )
     return enqueue_broadcast(
-        links, transmitters, queue, statistics, sending, sent_s, messages, count
+        links, transmitters, queue, received, statistics, sending, sent_s, messages, count
     )
 
 
@@ -66,6 +67,7 @@ def enqueue_broadcast(
     links: Records,
     transmitters: Records,
     queue: Records,
+    received: Records,
     statistics: Records,
     sending: int,
     sent_s: Array,
@@ -78,6 +80,7 @@ def enqueue_broadcast(
         links: (n, N) of CHANNEL_LINK; `packet` is read.
         transmitters: (N,) of TRANSMITTER.
         queue: (C,) of QUEUED_MESSAGE, with space for two copies on each link; written.
+        received: (n, N) of LINK; `sent` and `delivered` are written.
         statistics: (n, N) of LINK_STATISTICS; written.
         sending: S, number of senders; their rows are in `transmitters`.
         sent_s: (N,) s, transmission times.
@@ -106,7 +109,7 @@ def enqueue_broadcast(
             if m != i + 1 and outcome != UNSUBSCRIBED:
                 first_s = min(packet.arrival_s[0], packet.arrival_s[1])
                 both = max(packet.arrival_s[0], packet.arrival_s[1]) < inf
-                record_packet(statistics[i, m], outcome, first_s - sent_s[m], both)
+                record_packet(statistics[i, m], received[i, m], outcome, first_s - sent_s[m], both)
     return count
 
 

@@ -107,7 +107,7 @@ class Radio:
             transmit_broadcast, links, self._departures_s, self._channel.tables, transmitters
         )
         self._enqueue = functools.partial(
-            enqueue_broadcast, links, transmitters, queue, self.statistics
+            enqueue_broadcast, links, transmitters, queue, self.links, self.statistics
         )
         self._send = functools.partial(
             send_broadcast,
@@ -116,6 +116,7 @@ class Radio:
             self._channel.tables,
             transmitters,
             queue,
+            self.links,
             self.statistics,
         )
         self._deliver = functools.partial(deliver_due, queue, self.links, self.statistics)

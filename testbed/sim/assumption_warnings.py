@@ -27,7 +27,6 @@ from testbed.vehicle.trim import STILL, Vector
 
 MAX_SLOT_WARNINGS = 6  # above which only the worst is given, with the number of the others
 _KAPPA = "formation.kappa_mps"
-_BLOCK = 2048  # times of a known motion, to bound the memory of many slots
 
 
 def assumption_warnings(
@@ -133,10 +132,9 @@ def _slot_speeds(
         return (*slot_speed_range(offsets, **limits._asdict()), True)
     assert leader.motion is not None, "a leader has limits or a known motion"
     slowest, fastest = np.full(len(offsets), np.inf), np.zeros(len(offsets))
-    parts = -(-len(leader.motion.velocity_ned) // _BLOCK)
-    for part in zip(*(np.array_split(each, parts) for each in leader.motion), strict=True):
-        velocity = part[0] - np.array(wind_ned or STILL)
-        speeds = slot_speed(velocity, frame_rates(velocity, part[1]), offsets)
+    for over_ground, acceleration in leader.motion:
+        velocity = over_ground - np.array(wind_ned or STILL)
+        speeds = slot_speed(velocity, frame_rates(velocity, acceleration), offsets)
         np.minimum(slowest, speeds.min(axis=0), out=slowest)
         np.maximum(fastest, speeds.max(axis=0), out=fastest)
     return slowest, fastest, False

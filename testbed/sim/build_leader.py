@@ -48,13 +48,6 @@ class SpeedLimits(NamedTuple):
     climb_angle: float  # rad, the largest
 
 
-class KnownMotion(NamedTuple):
-    """Motion of a scripted leader at T times of the run."""
-
-    velocity_ned: Array  # (T, 3) m/s
-    acceleration_ned: Array  # (T, 3) m/s²
-
-
 @dataclass(frozen=True, slots=True)
 class LeaderSetup:
     """A leader before the flight."""
@@ -64,7 +57,8 @@ class LeaderSetup:
     start: InitialState
     velocity_ned: tuple[float, float, float]  # m/s over the ground, at the start
     path_ned: Array  # (k, 3) m, for drawing
-    motion: KnownMotion | None  # where it is known
+    # velocity (m/s) and acceleration (m/s²), (T, 3) each, in blocks; None: not known in advance
+    motion: tuple[tuple[Array, Array], ...] | None
     limits: SpeedLimits | None  # of its motion over the ground, where that is not known
     limits_in_air: SpeedLimits | None  # the same through the air
 
@@ -214,13 +208,14 @@ def _recorded_motion(path: Replay) -> Motion:
     return motion
 
 
-def _sample_motion(motion: Motion, clock: Clock, duration_s: float) -> KnownMotion:
-    """Sample a motion at the autopilot ticks of a run, or at `MAX_CHECKED` times in between."""
+def _sample_motion(
+    motion: Motion, clock: Clock, duration_s: float
+) -> tuple[tuple[Array, Array], ...]:
+    """Sample velocity and acceleration at the autopilot ticks, or at `MAX_CHECKED` times."""
     count = min(clock.ticks(duration_s) // clock.autopilot, MAX_CHECKED)
     times = np.linspace(0.0, duration_s, count + 1)
     blocks = (motion(times[i : i + _BLOCK]) for i in range(0, len(times), _BLOCK))
-    parts = [(block.velocity_ned, block.acceleration_ned) for block in blocks]
-    return KnownMotion(*map(np.concatenate, zip(*parts, strict=True)))
+    return tuple((block.velocity_ned, block.acceleration_ned) for block in blocks)
 
 
 def _blocks(

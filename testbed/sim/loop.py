@@ -85,12 +85,7 @@ class Flight:
         self._outages = OutageEvents(world.outages)
         self._observers = Observers(observers)
         self._sample = make_sample(
-            aircraft,
-            followers,
-            links,
-            world.radio.statistics,
-            exact=self._exact,
-            faults=world.faults is not None,
+            aircraft, followers, links, exact=self._exact, faults=world.faults is not None
         )
         self._events: list[Event] = list(world.initial_events)
         self._left = self._control.left
@@ -291,7 +286,7 @@ class Flight:
             left = external.left_formation(left)
             masked = external.mask_diagnostics(followers)
             if masked is not followers:
-                records = aircraft, masked, world.links, self._radio.statistics
+                records = aircraft, masked, world.links
                 formation = fields_of(FormationState, masked, age_s=world.links["age_s"])
                 sample = sample._replace(formation=formation, records=records)
         events += self._join_monitor.changes(tick)

@@ -95,10 +95,10 @@ class Simulation:
         meter, events = make_meter(self.scenario), _Events()
         self._world, self._meter, self.events = world, meter, events.all
         self.directory = open_run_directory(self.scenario, world, self._out) if self._out else None
-        log = [McapRecorder(self.directory / LOG_NAME)] if self.directory else []
-        if not self.scenario.log.mcap:
-            log = []
-        observers: list[Observer] = [meter, events, *log, *self._further]
+        observers: list[Observer] = [meter, events]
+        if self.directory and self.scenario.log.mcap:
+            observers.append(McapRecorder(self.directory / LOG_NAME))
+        observers += self._further
         self._flight = Flight(world, observers)
         self._flight.prepare(self._compiling)
         for each in observers:

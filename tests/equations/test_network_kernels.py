@@ -249,6 +249,8 @@ def test_radio_matches_reference():
             assert inbox.stamp_s[link] == stamp_s
             assert np.array_equal([each[link] for each in inbox[2:]], vectors)
     assert_same_statistics(radio.statistics, queue.statistics)
+    assert np.array_equal(radio.links["sent"], queue.sent)
+    assert np.array_equal(radio.links["delivered"], queue.delivered)
     assert queue.statistics["overtaken"].any()
     assert queue.statistics["duplicated"].any()
 

@@ -21,8 +21,6 @@ BIN = bin_ends()[1] / bin_ends()[0]  # a bin ends at this many times its beginni
 def delivered(statistics, link, delays):
     """Write these delays (s) of delivered messages into statistics."""
     statistics["outcomes"][(*link, PacketOutcome.DELIVERED)] += len(delays)
-    statistics["sent"][link] += len(delays)
-    statistics["delivered"][link] += len(delays)
     statistics["delay_sum"][link] += np.sum(delays)
     statistics["delay_min"][link] = min(statistics["delay_min"][link], *delays)
     statistics["delay_max"][link] = max(statistics["delay_max"][link], *delays)

@@ -5,15 +5,13 @@ import pytest
 
 from testbed.core.records import AIRCRAFT, FOLLOWER, LINK, FaultState, VehicleState, allocate
 from testbed.core.samples import SampleBuffer, copy_sample, make_sample
-from testbed.network.link_statistics import LINK_STATISTICS
 from testbed.sim.observers import Observers
 
 N = 3
 
 
 def new_run(n=N):
-    links = allocate(LINK, n - 1, n), allocate(LINK_STATISTICS, n - 1, n)
-    return allocate(AIRCRAFT, n), allocate(FOLLOWER, n - 1), *links
+    return allocate(AIRCRAFT, n), allocate(FOLLOWER, n - 1), allocate(LINK, n - 1, n)
 
 
 def sample_of(run, *, exact=False, faults=False):

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr as probability
 
 from testbed.core.records import Array, BoolArray, Records
 from testbed.network.channel import Channel
@@ -45,7 +46,6 @@ from testbed.network.links import (
     Outcomes,
     PacketOutcome,
 )
-from testbed.network.normal import probability
 from testbed.network.philox import Words, philox, unit
 from testbed.network.slots import SIMULTANEOUS_S
 

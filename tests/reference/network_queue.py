@@ -39,12 +39,14 @@ class Queue:
 
     Attributes:
         statistics: (n, N) of LINK_STATISTICS.
+        sent, delivered: (n, N) numbers of messages.
         newest: (number, received_s, content_s, stamp_s, vectors (5, 3)) by (follower, aircraft).
     """
 
     def __init__(self, n: int, aircraft: int) -> None:
         """Start before the first message."""
         self.statistics = initial_statistics(n, aircraft)
+        self.sent, self.delivered = np.zeros((2, n, aircraft), dtype=int)
         self.newest: dict[tuple[int, int], tuple] = {}
         self._waiting: list[tuple] = []
 
@@ -78,6 +80,8 @@ class Queue:
             if rows[s] != i + 1 and outcomes[i, s] != PacketOutcome.UNSUBSCRIBED:
                 first, both = arrival_s[i, s].min(), np.isfinite(arrival_s[i, s]).all()
                 _count(self.statistics[i, rows[s]], outcomes[i, s], first - sent_s[s], both)
+                self.sent[i, rows[s]] += outcomes[i, s] != MUTED
+                self.delivered[i, rows[s]] += outcomes[i, s] == DELIVERED
 
     def deliver(self, now: float) -> None:
         """Deliver what has arrived by `now`, s, in order of arrival."""
@@ -93,9 +97,7 @@ class Queue:
 
 def _count(statistics: Records, outcome: int, delay_s: float, both: bool) -> None:
     statistics["outcomes"][outcome] += 1
-    statistics["sent"] += outcome != MUTED
     if outcome == DELIVERED:
-        statistics["delivered"] += 1
         statistics["duplicated"] += both
         statistics["delay_sum"] += delay_s
         statistics["delay_min"] = min(statistics["delay_min"], delay_s)
