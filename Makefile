@@ -14,12 +14,14 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 CLIENTS := .venv-clients
 CLIENTS_STAMP := $(CLIENTS)/.installed
+TRAINING := .venv-training
+TRAINING_STAMP := $(TRAINING)/.installed
 TOOLS := .venv-release
 TOOLS_STAMP := $(TOOLS)/.installed
 MAKEFLAGS += --no-print-directory
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test checks warm-sensors warm-flights lint types tests clients check-all bench rates results gap arduplane netem docs release audit lock clean
+.PHONY: help setup run test checks warm-sensors warm-flights lint types tests clients check-all train bench rates results gap arduplane netem fly docs release audit lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,4p'
@@ -55,10 +57,17 @@ tests: $(STAMP) $(CLIENTS_STAMP)
 clients: $(CLIENTS_STAMP)
 	@:
 
+# Trains a policy that holds a slot, and compares it with the trim and with the paper's law: docs/rl.md.
+train: $(STAMP) $(TRAINING_STAMP)
+	@added=$$($(TRAINING)/bin/python -c "import sysconfig; print(sysconfig.get_path('purelib'))"); \
+		PYTHONPATH="$$added$${PYTHONPATH:+:$$PYTHONPATH}" \
+		$(BIN)/python examples/hold_slot_training.py $(ARGS)
+
 # Everything: the tests, 1,000 starts of the theorem, statistics of air and network on more samples,
 # broken MAVLink frames, flight logs and input files, real time with nothing else running, a study whose
 # processes are killed, 200 runs killed at random moments and 200 stopped by two signals, the snippets of
-# every docs page, laws of large formations, every golden table, and a release built and flown from a
+# every docs page, laws of large formations, every golden table, a policy trained to hold a slot, and a
+# release built and flown from a
 # new environment.
 check-all: test release
 	@TESTBED_STARTS=1000 $(BIN)/pytest -q tests/theorems/test_theorem_many_starts.py
@@ -83,16 +92,19 @@ check-all: test release
 	@TESTBED_ARDUPLANE_WHOLE=1 $(BIN)/pytest -q tests/contract/test_arduplane.py \
 		tests/truth/test_four_arduplanes.py
 	@$(BIN)/testbed check --jobs $(JOBS)
+	@$(MAKE) train ARGS=
 
 # Cost of a flight relative to bare JSBSim, by part and by size of the fleet (ARGS="--json FILE --into
 # docs/speed.md" writes it); of coherent turbulence and of sensor errors; of the network of 100 aircraft;
-# of a live view; and the time to start.
+# of a live view; of four ArduPlanes; of stepping from Python; and the time to start.
 bench: $(STAMP)
 	@$(BIN)/python benchmarks/speed.py $(ARGS)
 	@$(BIN)/python benchmarks/scenario_cost.py --set air.turbulence.model=coherent
 	@$(BIN)/python benchmarks/scenario_cost.py --set leader.sensors=pixhawk --set 'fleet.*.sensors=pixhawk'
 	@$(BIN)/python benchmarks/network_cost.py
 	@$(BIN)/python benchmarks/view_cost.py
+	@$(BIN)/python benchmarks/arduplane.py
+	@$(BIN)/python benchmarks/stepping.py
 	@$(BIN)/python benchmarks/startup.py
 
 # Flies every row of the tables in docs/simulations.md, leader-acceleration.md, experiments.md, air.md,
@@ -107,7 +119,7 @@ results: $(STAMP)
 	@$(BIN)/python benchmarks/sensors.py --into docs/sensors.md $(ARGS)
 
 # Flies the studies of docs/gap.md into logs/studies/gap, resuming interrupted ones, and writes its tables
-# and its figure: 234 flights, about an hour on two cores.
+# and figures: 216 flights, a quarter of an hour on two quiet cores (ARGS="--only joint-fit" for a part).
 gap: $(STAMP)
 	@$(BIN)/python benchmarks/gap_budget.py --jobs $(JOBS) --into docs/gap.md $(ARGS)
 
@@ -129,6 +141,10 @@ netem: $(STAMP)
 		TESTBED_PACKETS=$${TESTBED_PACKETS:-20000} \
 		$(BIN)/pytest -q -p no:cacheprovider tests/truth/test_netem.py
 
+# Flies from an empty folder as a user does: an own scenario, aircraft and law, and check.
+fly: $(STAMP)
+	@rm -rf build/flight && $(BIN)/python release/flight.py $(BIN)/formation-testbed build/flight
+
 # The site in build/site. Open its files, or serve them for the search: python -m http.server -d build/site
 docs: $(STAMP)
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
@@ -142,8 +158,9 @@ release: $(STAMP) $(TOOLS_STAMP)
 # Known vulnerabilities of all pinned packages, from PyPI's database; a package that cannot be looked up
 # is a failure. And unsafe constructs in the workflows.
 audit: $(TOOLS_STAMP)
-	@$(TOOLS)/bin/zizmor --offline --quiet .github
-	@for lock in requirements.lock release/requirements.lock tests/clients/requirements.lock; do \
+	@$(TOOLS)/bin/zizmor --offline --quiet .github action.yml
+	@for lock in requirements.lock release/requirements.lock tests/clients/requirements.lock \
+		examples/training.lock; do \
 		echo "$$lock:"; \
 		$(TOOLS)/bin/pip-audit --strict --require-hashes --disable-pip --progress-spinner off \
 			-r $$lock || exit 1; \
@@ -157,12 +174,15 @@ lock:
 	@uv pip compile tests/clients/requirements.in --no-deps --universal --python-version 3.11 \
 		--generate-hashes --no-annotate --no-config --upgrade --quiet \
 		--custom-compile-command "make lock" -o tests/clients/requirements.lock
+	@uv pip compile examples/training.in --no-deps --universal --python-version 3.11 \
+		--generate-hashes --no-annotate --no-config --upgrade --quiet \
+		--custom-compile-command "make lock" -o examples/training.lock
 	@uv pip compile release/requirements.in --universal --python-version 3.11 \
 		--generate-hashes --no-annotate --no-config --upgrade --quiet \
 		--custom-compile-command "make lock" -o release/requirements.lock
 
 clean:
-	@rm -rf $(VENV) $(CLIENTS) $(TOOLS) build dist .mypy_cache .pytest_cache .ruff_cache
+	@rm -rf $(VENV) $(CLIENTS) $(TRAINING) $(TOOLS) build dist .mypy_cache .pytest_cache .ruff_cache
 
 $(STAMP): requirements.lock pyproject.toml
 	@set -e; \
@@ -192,6 +212,14 @@ $(CLIENTS_STAMP): tests/clients/requirements.lock | $(STAMP)
 	@$(CLIENTS)/bin/python -m pip install --quiet --disable-pip-version-check \
 		--no-deps --require-hashes -r tests/clients/requirements.lock
 	@touch $(CLIENTS_STAMP)
+
+# Beside .venv, which has the rest; PyPI's PyTorch for Linux would bring gigabytes of CUDA.
+$(TRAINING_STAMP): examples/training.lock examples/torch.lock | $(STAMP)
+	@echo "Installing Stable-Baselines3 and PyTorch into $(TRAINING); once, a minute"
+	@$(BIN)/python -m venv --clear $(TRAINING)
+	@$(TRAINING)/bin/python -m pip install --quiet --disable-pip-version-check \
+		--no-deps --require-hashes -r examples/training.lock -r examples/torch.lock
+	@touch $(TRAINING_STAMP)
 
 $(TOOLS_STAMP): release/requirements.lock | $(STAMP)
 	@echo "Installing the tools of releases into $(TOOLS); once, a minute"

@@ -51,7 +51,7 @@ ENDS = {"MIN": 1000, "TRIM": 1500, "MAX": 2000}
 class StandIn:
     """The program: ArduPlane's links, and a simple fly-by-wire A for a Rascal.
 
-    It knows no misbehaviour: the tests have another stand-in for that.
+    It has no misbehaviour: the tests have another stand-in for that.
     """
 
     def __init__(self, words: Sequence[str]) -> None:
@@ -204,7 +204,7 @@ def processor_s(process: str = "self") -> float:
 def flight(program: Path, seconds: float) -> dict[str, float]:
     """Fly, and return the factor and the processor times from the first to the last sample."""
     from testbed.core.records import Observer
-    from testbed.scenario import load, set_duration
+    from testbed.scenario import load_scenario, set_duration
     from testbed.sim.external_options import ExternalOptions
     from testbed.sim.run import run
 
@@ -237,7 +237,7 @@ def flight(program: Path, seconds: float) -> dict[str, float]:
     overrides = [
         f"{name}.autopilot={autopilot.format(FIRST_INSTANCE + n)}" for n, name in enumerate(names)
     ]
-    scenario = set_duration(load("simulation-3", overrides), seconds)
+    scenario = set_duration(load_scenario("simulation-3", overrides), seconds)
     watch = Stopwatch()
     with tempfile.TemporaryDirectory() as folder:
         external = ExternalOptions(arduplane=program)

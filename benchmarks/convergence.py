@@ -7,21 +7,25 @@ Flies the study `convergence` into a Parquet file, and resumes an interrupted ca
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
-from study_rows import Rows, fly
-from tables import insert, row
+from study_rows import Rows, fly, write_tables
+from tables import row
 
+from testbed.core.records import Array
 from testbed.views.matplotlib_backend import save_figure
-from testbed.views.panels import BLUE, GREEN, ORANGE, Band, Line, Panel, PanelGrid
+from testbed.views.panels import BLACK, BLUE, DASHED, GREEN, ORANGE, Line, Panel, PanelGrid
 
 FIGURE = Path(__file__).parent.parent / "docs" / "images" / "convergence.png"
-RESULTS = Path("logs") / "studies" / "rates" / "convergence.parquet"
+RESULTS = Path("logs") / "studies" / "rates"
 STUDY, MARK = "convergence", "make rates"
-SIMULATIONS = {"simulation-3": BLUE, "simulation-2": GREEN, "simulation-1": ORANGE}
+SIMULATIONS = {  # and their colours and markers
+    "simulation-3": (BLUE, "o"),
+    "simulation-2": (GREEN, "^"),
+    "simulation-1": (ORANGE, "s"),
+}
 CELLS = [(of, f"uav{k}") for of in ("rectangles", "circles") for k in (1, 2, 3)]
 # Case by rate, Hz; the one without a name has the rates of the scenarios.
 LADDERS: Mapping[str, Mapping[int, str]] = {
@@ -80,39 +84,48 @@ def distance_from_limit(rows: Rows) -> float:
     return max(parts)
 
 
+def distances(rows: Rows, name: str, ladder: Mapping[int, str]) -> Array:
+    """Return the largest distance of any error from that at the highest rate, by lower rate, %."""
+    *lower, highest = ladder.values()
+    moved = (changes(rows, name + highest, name + case) for case in lower)
+    return np.array([100.0 * max(map(abs, each.values())) for each in moved])
+
+
 def figure(rows: Rows) -> PanelGrid:
-    """Return the figure: every error against each rate, relative to the scenarios' rates."""
+    """Return the figure: the largest distance of an error from that at the highest rate."""
     panels = []
     for what, ladder in LADDERS.items():
         if len(ladder) < 3:
             continue
-        x = np.array(list(ladder), dtype=float)
-        lines = []
-        for name, colour in SIMULATIONS.items():
-            moved = [changes(rows, name, name + case) for case in ladder.values()]
-            for number, cell in enumerate(moved[0]):
-                y = 100.0 * np.array([each[cell] for each in moved])
-                circle = cell.endswith("circles")
-                label = f"{name}, {cell.split(', ')[1]}" if number in (0, 3) else ""
-                marker = "s" if circle else "o"
-                lines.append(Line(x, y, colour, label, 1.0, marker=marker, marks=0))
-        within = np.full(len(x), 100.0 * LIMIT)
-        bands = [Band(x, -within, within, "#8c8c8c", "2 %")]
-        ticks = [(float(rate), str(rate)) for rate in ladder]
+        *lower, highest = ladder
+        x = np.array(lower, dtype=float)
+        lines = [
+            Line(x, distances(rows, name, ladder), colour, name, 1.6, marker=marker, marks=0)
+            for name, (colour, marker) in SIMULATIONS.items()
+        ]
+        limit = np.full(2, 100.0 * LIMIT)
+        lines.append(Line(x[[0, -1]], limit, BLACK, "limit, 2 %", 1.2, dashes=DASHED))
+        (own,) = (float(rate) for rate, case in ladder.items() if not case)
         panels.append(
-            Panel(what, "Hz", "change of the RMS error, %", lines, bands, x_log=True, x_ticks=ticks)
-        )
+            Panel(
+                what, "Hz", f"distance from {highest} Hz, %", lines, x_log=True, y_log=True,
+                y_limits=(0.01, 5.0), x_ticks=[(float(rate), str(rate)) for rate in lower],
+                marks=[(own, BLACK)],
+            )
+        )  # fmt: skip
     return PanelGrid(
         "Errors against rates",
-        "Each RMS error of Table 1 relative to its value at 200, 50 and 25 Hz; one rate at a time",
+        "The largest distance of the six RMS errors of a simulation from their values at the "
+        "highest rate; dotted: the rates of the scenarios",
         [panels],
         [1.0] * len(panels),
-        (15.0, 6.5),
+        (15.0, 5.0),
     )
 
 
-def text(rows: Rows, versions: str) -> str:
-    """Return the table as text, and draw the figure."""
+def text(folder: Path, jobs: int) -> str:
+    """Fly missing runs, return the table as text, and draw the figure."""
+    rows, versions = fly(STUDY, folder / f"{STUDY}.parquet", jobs)
     save_figure(figure(rows), FIGURE)
     return "\n".join(
         [
@@ -129,19 +142,5 @@ def text(rows: Rows, versions: str) -> str:
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Fly missing runs, and print or insert the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=RESULTS, help="the Parquet file")
-    parser.add_argument("--into", type=Path, help="a Markdown file with the two markers")
-    options = parser.parse_args(arguments)
-    lines = text(*fly(STUDY, options.out, options.jobs))
-    print(lines)
-    if options.into:
-        markdown = insert(options.into.read_text(encoding="utf-8"), lines, MARK)
-        options.into.write_text(markdown, encoding="utf-8")
-
-
 if __name__ == "__main__":
-    main()
+    write_tables(__doc__ or "", RESULTS, {MARK: text})

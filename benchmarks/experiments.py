@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from tables import NOISE, SEEDS, Case, Metrics, row, versions, write_tables
 
-from testbed.scenario import load
+from testbed.scenario import load_scenario
 
 EXPERIMENTS = ("experiment-1", "experiment-2", "experiment-3")
 GAINS = (1, 2, 3, 4, 6)  # k, m/s
@@ -43,7 +43,7 @@ def paper_table(flown: Mapping[Case, Metrics]) -> Iterator[str]:
     )
     yield "|---|---|---|--:|--:|--:|--:|--:|"
     for name in EXPERIMENTS:
-        scenario = load(name)
+        scenario = load_scenario(name)
         flights = [flown[PAPER[name, seed]] for seed in SEEDS]
         published = scenario.scenario.published
         assert published is not None
@@ -66,7 +66,9 @@ def paper_table(flown: Mapping[Case, Metrics]) -> Iterator[str]:
 
 def scan_table(flown: Mapping[Case, Metrics]) -> Iterator[str]:
     """Return the rows of mean RMS errors by k."""
-    heads = [(name, window) for name in EXPERIMENTS for window in load(name).scenario.windows]
+    heads = [
+        (name, window) for name in EXPERIMENTS for window in load_scenario(name).scenario.windows
+    ]
     titles = [f"{name[-1]}: {window}" for name, window in heads]
     yield row("RMS error, m", "k, m/s", *titles, "mean")
     yield "|---|--:|" + "--:|" * (len(heads) + 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from testbed.scenario import Scenario, load, set_duration
+from testbed.scenario import Scenario, load_scenario, set_duration
 
 COUNTS = (1, 4, 10, 30, 100)
 SPACING_M = 5.0  # between neighbours of an arm, back and aside
@@ -52,12 +52,12 @@ def vee(count: int, duration_s: float) -> Scenario:
             "neighbours_from": "ahead",
         },
     }
-    return set_duration(load("simulation-3", _texts(changes)), duration_s)
+    return set_duration(load_scenario("simulation-3", _texts(changes)), duration_s)
 
 
 def all_effects() -> Scenario:
     """Return Simulation 3 in moderate turbulence, with sensor errors and a bursty network."""
-    air = load(AIR)
+    air = load_scenario(AIR)
     changes = {
         "scenario.published": None,
         "air": air.model_dump(mode="json", by_alias=True)["air"],
@@ -65,7 +65,7 @@ def all_effects() -> Scenario:
         "leader.sensors": "pixhawk",
         "fleet.*.sensors": "pixhawk",
     }
-    return load(RADIO, _texts(changes))
+    return load_scenario(RADIO, _texts(changes))
 
 
 def _texts(changes: dict[str, Any]) -> list[str]:

@@ -39,7 +39,7 @@ FREEDOMS: Sequence[tuple[str, str, str, tuple[str, ...]]] = (
     ),
     ("leader's airspeed", "22 m/s", "20 m/s", ("leader.path.airspeed_mps=20",)),
     ("", "", "24 m/s", ("leader.path.airspeed_mps=24",)),
-    ("leader's bank", "30°", "45°", ("leader.path.bank_limit_deg=45",)),
+    ("leader's bank", "45°", "30°", ("leader.path.bank_limit_deg=30",)),
     (
         "source of q̈_g",
         "leader's accelerometers",

@@ -1,24 +1,24 @@
-"""Write tables and figure of docs/gap.md: errors of the experiments, and the share of each factor.
+"""Write tables and figures of docs/gap.md: errors of the experiments, and the share of each factor.
 
-usage: make gap  (ARGS="--jobs N")
+usage: make gap  (ARGS="--only table-2 --jobs N")
 
-Flies the studies `as-flown`, `turn-direction` and `gap-budget-0` to `-3`, each into a Parquet file,
-and resumes an interrupted call.
+Flies the studies `joint-fit`, `as-flown`, `turn-direction` and `gap-budget-0` to `-3`, each into a
+Parquet file, and resumes an interrupted call.
 """
 
 from __future__ import annotations
 
-import argparse
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+import joint_fit
 import numpy as np
-from study_rows import Rows, fly
-from tables import insert, row
+from study_rows import Rows, fly, fly_rows, write_tables
+from tables import row
 
 from testbed.core.records import Array
-from testbed.scenario import Scenario, library, load
+from testbed.scenario import Scenario, library, load_scenario
 from testbed.views.matplotlib_backend import save_figure
 from testbed.views.panels import BLUE, GREY, ORANGE, Line, Panel, PanelGrid
 
@@ -38,17 +38,24 @@ FACTORS = {
     "rates": "10 Hz",
     "radio": "loss, delay",
     "estimator": "estimator",
+    "power": "power ceiling",
+    "temperature": "temperature",
+    "companion": "companion",
 }
 IDEAL, FLOWN = "ideal", "as-flown"
+# ways to measure a factor, in the order of `shares`: legend, colour, marker, row above or below
+ENDS = (
+    ("added to the ideal flight, alone", BLUE, "o", 0.14),
+    ("removed from the flight as flown, alone", ORANGE, "s", -0.14),
+)
 
 Studies = Mapping[str, Rows]
 
 
-def flown_studies(folder: Path, jobs: int) -> tuple[Studies, str]:
-    """Return the rows of all studies, and the versions they were flown with."""
-    names = (TABLE_2, REFERENCE, MIRRORED, *(f"gap-budget-{number}" for number in BUDGETS))
+def flown_studies(folder: Path, jobs: int, names: Sequence[str]) -> tuple[Studies, str]:
+    """Return the rows of studies, and the versions they were flown with."""
     each = {name: fly(name, folder / f"{name}.parquet", jobs) for name in names}
-    return {name: rows for name, (rows, _) in each.items()}, each[REFERENCE][1]
+    return {name: rows for name, (rows, _) in each.items()}, each[names[0]][1]
 
 
 def seeds(rows: Rows) -> tuple[int, ...]:
@@ -65,7 +72,7 @@ def of_seeds(rows: Rows, case: str, key: str, most: int | None = None) -> list[f
 
 def load_flown(name: str) -> Scenario:
     """Return an experiment with the conditions of its flight."""
-    return load(library() / "scenarios/studies/gap-budget" / f"{name}-as-flown.yaml")
+    return load_scenario(library() / "scenarios/studies/gap-budget" / f"{name}-as-flown.yaml")
 
 
 def title(name: str) -> str:
@@ -260,87 +267,129 @@ def shares_table(studies: Studies) -> Iterator[str]:
 
 
 def figure(studies: Studies) -> PanelGrid:
-    """Return the figure: shares of the gap by experiment, alone and last, a dot per seed."""
+    """Return the figure: the share of each factor by experiment, added alone and removed alone."""
+    found = {
+        number: shares(mean_squares(studies[f"gap-budget-{number}"], window))
+        for number, window in BUDGETS.items()
+    }
+    # the largest at the top
+    order = sorted(FACTORS, key=lambda each: -np.mean([one[each] for one in found.values()]))
+    rows = {factor: -float(k) for k, factor in enumerate(order)}
+    drawn = 100.0 * np.concatenate(
+        [end for one in found.values() for e in one.values() for end in e]
+    )
+    limits = (float(drawn.min()) - 4.0, float(drawn.max()) + 4.0)
     panels = []
-    for number, window in BUDGETS.items():
-        lines = []
-        each = shares(mean_squares(studies[f"gap-budget-{number}"], window))
-        for at, (alone, last) in enumerate(each.values()):
-            x, label = np.full(len(alone), float(at)), not at and number == 1
-            ends = 100.0 * np.array([alone.mean(), last.mean()])
+    for number, each in found.items():
+        lines = [Line(np.zeros(2), np.array([0.5, 0.5 - len(rows)]), GREY)]
+        for end, (label, colour, marker, shift) in enumerate(ENDS):
+            values = [100.0 * each[factor][end] for factor in rows]
+            at = np.array([*rows.values()]) + shift
+            ranges = zip(values, at, strict=True)
             lines += [
-                Line(np.full(2, float(at)), ends, GREY, "between the means" if label else "", 9.0),
-                Line(
-                    x - 0.12, 100.0 * alone, BLUE, "switched on alone" if label else "", dots=True
-                ),
-                Line(
-                    x + 0.12, 100.0 * last, ORANGE, "switched off alone" if label else "", dots=True
-                ),
+                Line(np.array([np.min(v), np.max(v)]), np.full(2, y), colour, width=2.2)
+                for v, y in ranges
             ]
-        names = [(float(at), name) for at, name in enumerate(FACTORS.values())]
-        title = f"Experiment {number}, {window}"
-        lines.append(Line(np.array([-0.5, len(FACTORS) - 0.5]), np.zeros(2), GREY))
-        limits = (-0.5, len(FACTORS) - 0.5)
-        panels.append([Panel(title, "", "share, %", lines, x_limits=limits, x_ticks=names)])
+            means = np.array([np.mean(v) for v in values])
+            lines.append(Line(means, at, colour, label, dots=True, marker=marker))
+        names = [(at, FACTORS[factor]) for factor, at in rows.items()]
+        panels.append(
+            Panel(
+                f"Experiment {number}, {BUDGETS[number]}", "share of the gap, %", "", lines,
+                y_ticks=names, x_limits=limits, y_limits=(0.5 - len(rows), 0.5),
+            )
+        )  # fmt: skip
     return PanelGrid(
         "Why flight is worse than simulation",
-        "Shares of the mean square error between the ideal flight and the flight as flown; a dot "
-        "for each seed",
-        panels,
-        [1.0],
-        (14.0, 12.0),
+        "Share of the mean square error that is in the flight as flown and not in the ideal one; "
+        "marker: mean of the seeds, line: their range",
+        [panels],
+        [1.0] * len(panels),
+        (15.0, 5.0),
     )
 
 
-def text(studies: Studies, versions: str) -> str:
-    """Return all tables as text, and draw the figure."""
-    save_figure(figure(studies), FIGURE)
-    drawn = seeds(studies[TABLE_2])
-    few = {len(seeds(studies[f"gap-budget-{n}"])) for n in BUDGETS}
-    counts = " or ".join(map(str, sorted(few)))
+def joint_fit_text(folder: Path, jobs: int) -> str:
+    """Return the tables of the joint fit as text, and draw its figure."""
+    rows, versions = fly_rows(joint_fit.STUDY, folder / f"{joint_fit.STUDY}.parquet", jobs)
+    flown = {f"experiment-{number}": load_flown(f"experiment-{number}") for number in BUDGETS}
+    first = flown["experiment-1"]
+    chosen = np.array(
+        [
+            first.network.delay_s,
+            first.controller.companion.state_latency_s,
+            first.air.turbulence.w20_mps,
+            first.fleet[0].battery.state_of_charge,
+        ]
+    )
+    found = joint_fit.fit(joint_fit.table_2(flown), rows)
+    text = joint_fit.text(found, chosen, 100.0 * TOLERANCE)
+    return f"{text}\n\nJoint fit flown with {versions}."
+
+
+def table_2_text(folder: Path, jobs: int) -> str:
+    """Return the tables of the experiments as flown as text."""
+    studies, versions = flown_studies(folder, jobs, [TABLE_2])
+    rows = studies[TABLE_2]
+    drawn = seeds(rows)
     return "\n".join(
         [
-            *paper_table(studies[TABLE_2]),
+            *paper_table(rows),
             "",
             f"Testbed: median of seeds {drawn[0]} to {drawn[-1]}, and their range. "
-            f"{comparison_sentence(studies[TABLE_2])} {order_sentence(studies[TABLE_2])}",
+            f"{comparison_sentence(rows)} {order_sentence(rows)}",
             "",
-            *percent_table(studies[TABLE_2]),
+            *percent_table(rows),
             "",
-            *limits_table(studies[TABLE_2]),
-            "",
-            *directions_table(studies),
+            *limits_table(rows),
             "",
             f"Medians and ranges of the first {FEW} seeds; extremes of the slots' speeds.",
             "",
-            *steps_table(studies),
-            "",
-            f"Roots of mean squares over the followers and {counts} seeds.",
-            "",
-            *shares_table(studies),
-            "",
-            "Mean and standard deviation over the seeds.",
-            "",
-            "![Shares of the gap by factor](images/gap-budget.png)",
-            "",
-            f"Flown with {versions}.",
+            f"Table 2 flown with {versions}.",
         ]
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Fly missing runs, and print or insert the tables."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the Parquet files")
-    parser.add_argument("--into", type=Path, help="a Markdown file with the two markers")
-    options = parser.parse_args(arguments)
-    lines = text(*flown_studies(options.out, options.jobs))
-    print(lines)
-    if options.into:
-        markdown = insert(options.into.read_text(encoding="utf-8"), lines)
-        options.into.write_text(markdown, encoding="utf-8")
+def directions_text(folder: Path, jobs: int) -> str:
+    """Return the table of the direction of turns as text."""
+    studies, versions = flown_studies(folder, jobs, [TABLE_2, MIRRORED])
+    notes = (
+        f"Medians and ranges of the first {FEW} seeds. Direction of turns flown with {versions}."
+    )
+    return "\n".join([*directions_table(studies), "", notes])
 
+
+def budget_text(folder: Path, jobs: int) -> str:
+    """Return the tables of the budget as text, and draw its figure."""
+    flown = [REFERENCE, *(f"gap-budget-{number}" for number in BUDGETS)]
+    studies, versions = flown_studies(folder, jobs, flown)
+    save_figure(figure(studies), FIGURE)
+    drawn = sorted({seed for n in BUDGETS for seed in seeds(studies[f"gap-budget-{n}"])})
+    names = f"seeds {drawn[0]} to {drawn[-1]}" if len(drawn) > 1 else f"seed {drawn[0]}"
+    spread = "Mean and standard deviation over the seeds." if len(drawn) > 1 else f"S{names[1:]}."
+    return "\n".join(
+        [
+            *steps_table(studies),
+            "",
+            f"Roots of mean squares over the followers; {names}.",
+            "",
+            *shares_table(studies),
+            "",
+            spread,
+            "",
+            "![Shares of the gap by factor](images/gap-budget.png)",
+            "",
+            f"Budget flown with {versions}.",
+        ]
+    )
+
+
+PARTS = {
+    "make gap, joint-fit": joint_fit_text,
+    "make gap, table-2": table_2_text,
+    "make gap, turn-direction": directions_text,
+    "make gap, budget": budget_text,
+}
 
 if __name__ == "__main__":
-    main()
+    write_tables(__doc__ or "", RESULTS, PARTS)

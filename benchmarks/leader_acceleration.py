@@ -8,17 +8,16 @@ Flies the studies `leader-acceleration`, `leader-turn-acceleration`, `table-1`, 
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from study_rows import fly_rows, numbers
-from tables import insert, row
+from study_rows import fly_rows, numbers, write_tables
+from tables import COMMAND, row
 
 from testbed.core.records import Array
-from testbed.scenario import load
+from testbed.scenario import load_scenario
 
 RESULTS = Path("logs") / "studies" / "leader-acceleration"
 SOURCES, TURNS = "leader-acceleration", "leader-turn-acceleration"
@@ -66,7 +65,7 @@ def published_cells() -> dict[int, Cells]:
     """Return the paper's Table 1 by simulation."""
     out = {}
     for number in SIMULATIONS:
-        printed = load(f"simulation-{number}").scenario.published
+        printed = load_scenario(f"simulation-{number}").scenario.published
         assert printed is not None
         rms = np.array([printed.rms_m[window] for window in WINDOWS], dtype=float)
         percent = np.array([printed.percent_error[window] for window in WINDOWS], dtype=float)
@@ -158,7 +157,7 @@ def percent_table(printed: Mapping[int, Cells]) -> Iterator[str]:
     yield "| error, % | laps: printed | from its cells | circle: printed | from its cells |"
     yield "|---|--:|--:|--:|--:|"
     for number, cells in printed.items():
-        offsets = load(f"simulation-{number}").formation.offsets_m
+        offsets = load_scenario(f"simulation-{number}").formation.offsets_m
         lengths = np.array([np.linalg.norm(offsets[name]) for name in FOLLOWERS])
         parts = []
         for rms, percent in zip(cells.rms, cells.percent, strict=True):
@@ -251,19 +250,5 @@ def text(folder: Path, jobs: int) -> str:
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Fly missing runs, and print or insert the tables."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the Parquet files")
-    parser.add_argument("--into", type=Path, help="a Markdown file with the two markers")
-    options = parser.parse_args(arguments)
-    lines = text(options.out, options.jobs)
-    print(lines)
-    if options.into:
-        markdown = insert(options.into.read_text(encoding="utf-8"), lines)
-        options.into.write_text(markdown, encoding="utf-8")
-
-
 if __name__ == "__main__":
-    main()
+    write_tables(__doc__ or "", RESULTS, {COMMAND: text})

@@ -13,10 +13,10 @@ from typing import Any
 
 from tables import NOISE, SEEDS, Case, Metrics, row, versions, write_tables
 
-from testbed.scenario import Scenario, load
+from testbed.scenario import Scenario, load_scenario
 
-LATENCY, RECORDED, HARD = (
-    f"simulation-3-{what}" for what in ("latency", "recorded-leader", "hard")
+LATENCY, RECORDED, HARD, GENTLE = (
+    f"simulation-3-{what}" for what in ("latency", "recorded-leader", "hard", "30deg")
 )
 PROFILES = ("tuned", "improved")
 LAWS = {
@@ -25,6 +25,9 @@ LAWS = {
     "leader-follower": "own-law-leader-follower",
 }
 WIND = ("air.wind.speed_mps=8", "air.wind.from_deg=45", "controller.bounded_speed=airspeed")
+COMPENSATED = "controller.extrapolate_from=timestamp"
+GROUND = "controller.bounded_speed=ground_speed"
+OWN_PHASES = ("rates.synchronous=false", "rates.control_hz=10", "rates.broadcast_hz=10")
 HEADER = "laps: UAV 1 | 2 | 3 | mean | circle: 1 | 2 | 3 | mean |"
 RULE = "--:|" * 8
 
@@ -34,11 +37,18 @@ def profile(name: str) -> tuple[str, ...]:
     return (f"controller.profile={name}",)
 
 
-# Section 9 of the paper, and the same scenarios with its authors' gains and with ours.
+# Section 9 of the paper: the same scenarios with its authors' gains and with ours, and ours with
+# aircraft that act at 10 Hz, each at its own moments.
+ROWS = {
+    "profile `authors`": profile("authors"),
+    "profile `tuned`": profile("tuned"),
+    "`tuned`, own phases at 10 Hz": (*profile("tuned"), *OWN_PHASES),
+    "profile `improved`": profile("improved"),
+}
 PAPER = {
-    (f"simulation-{number}", name): Case(f"simulation-{number}", profile(name))
+    (f"simulation-{number}", label): Case(f"simulation-{number}", keys)
     for number in (1, 2, 3)
-    for name in ("authors", *PROFILES)
+    for label, keys in ROWS.items()
 }
 CONDITIONS = {
     "unchanged": Case("simulation-3"),
@@ -61,13 +71,33 @@ CHANGED["ideal vehicles", "tuned"] = Case("simulation-3", (IDEAL,))
 CHANGED["ideal vehicles, with ω̇_g", "tuned"] = Case("simulation-3", (IDEAL, WITH_OMEGA_DOT))
 HARD_PATHS = {
     (scenario, name): Case(scenario, profile(name))
-    for scenario in (RECORDED, HARD)
+    for scenario in (GENTLE, RECORDED, HARD)
     for name in PROFILES
 } | {(RECORDED, "authors"): Case(RECORDED, profile("authors"))}
 NOISY = {
     (law, seed): Case(scenario, (*NOISE, f"scenario.seed={seed}"))
     for law, scenario in LAWS.items()
     for seed in SEEDS
+}
+ESTIMATORS = "controller.estimators"
+# How far the profile `improved` may be changed.
+MARGINS = {
+    (label, name): Case("simulation-3", (*profile(name), *keys))
+    for label, name, *keys in (
+        ("every PID gain × 0.5", "improved", "controller.gain_scale=0.5"),
+        ("every PID gain × 2", "improved", "controller.gain_scale=2"),
+        ("every PID gain × 2.5", "improved", "controller.gain_scale=2.5"),
+        ("every PID gain × 2", "tuned", "controller.gain_scale=2"),
+        ("latency 0.3 s, compensated", "improved", COMPENSATED, "network.delay_s=0.3"),
+        ("latency 0.7 s, compensated", "improved", COMPENSATED, "network.delay_s=0.7"),
+        ("latency 0.2 s, compensated", "tuned", COMPENSATED, "network.delay_s=0.2"),
+        ("control and messages at 10 Hz", "improved", *OWN_PHASES[1:]),
+        ("own phases at 10 Hz", "improved", *OWN_PHASES),
+        ("q̈_g from accelerometers", "improved", f"{ESTIMATORS}.leader_acceleration=broadcast"),
+        ("no ω̇_g", "improved", f"{ESTIMATORS}.leader_angular_acceleration=none"),
+        ("no `eta_climb`", "improved", "controller.gains.feed_forwards.eta_climb=0"),
+        ("wind of 8 m/s, bounds of the ground speed", "tuned", *WIND[:2], GROUND),
+    )
 }
 CALM = {(law, None): Case(scenario) for law, scenario in LAWS.items()}
 
@@ -116,15 +146,14 @@ def paper_table(flown: Mapping[Any, Metrics]) -> Iterator[str]:
     yield f"|---|---|{RULE}---|---|"
     for number in (1, 2, 3):
         scenario = f"simulation-{number}"
-        published = load(scenario).scenario.published
+        published = load_scenario(scenario).scenario.published
         assert published is not None
         cells = []
         for window, values in published.rms_m.items():
             cells += [f"{value:g}" for value in (*values, published.mean_rms_m[window])]
         yield row(f"Simulation {number}", "[HBH23] Table 1", *cells, "not printed", "not printed")
-        for name in ("authors", *PROFILES):
-            metrics = flown[scenario, name]
-            label = f"profile `{name}`"
+        for label in ROWS:
+            metrics = flown[scenario, label]
             yield row("", label, *errors(metrics), bank(metrics), separation(metrics))
 
 
@@ -135,7 +164,7 @@ def conditions_table(flown: Mapping[Any, Metrics]) -> Iterator[str]:
     for (label, name), metrics in flown.items():
         first = label if name == PROFILES[0] else ""
         yield row(first, f"`{name}`", *errors(metrics), separation(metrics))
-    lag = predicted_lag_m(load(LATENCY))
+    lag = predicted_lag_m(load_scenario(LATENCY))
     cells = [f"{value:.2f}" for value in (*lag, sum(lag) / len(lag))]
     yield row("predicted lag at that latency", "", *cells, *cells, "")
 
@@ -160,6 +189,16 @@ def hard_paths_table(flown: Mapping[Any, Metrics]) -> Iterator[str]:
         )
 
 
+def margins_table(flown: Mapping[Any, Metrics]) -> Iterator[str]:
+    """Return the rows of Simulation 3 with changes that the profile `improved` may not stand."""
+    yield "| changed | profile | laps: mean, m | circle: mean, m | largest, m | closest |"
+    yield "|---|---|--:|--:|--:|---|"
+    for (label, name), metrics in flown.items():
+        means = [f"{window['mean_rms_m']:.2f}" for window in metrics["windows"].values()]
+        largest = max(max(w["max_error_m"].values()) for w in metrics["windows"].values())
+        yield row(label, f"`{name}`", *means, f"{largest:.1f}", separation(metrics))
+
+
 def laws_table(calm: Mapping[Any, Metrics], noisy: Mapping[Any, Metrics]) -> Iterator[str]:
     """Return the rows of the paper's law and two other laws, on the same seeds."""
     yield "| law | scenario | calm: laps | circle | noise: laps | circle | closest, noise |"
@@ -177,7 +216,7 @@ def laws_table(calm: Mapping[Any, Metrics], noisy: Mapping[Any, Metrics]) -> Ite
 
 def text(flown: Mapping[Case, Metrics]) -> list[str]:
     """Return all tables as Markdown lines."""
-    paper, changed, hard_paths, calm, noisy = (
+    paper, changed, hard_paths, margins, calm, noisy = (
         {key: flown[case] for key, case in kind.items()} for kind in KINDS
     )
     return [
@@ -187,13 +226,15 @@ def text(flown: Mapping[Case, Metrics]) -> list[str]:
         "",
         *hard_paths_table(hard_paths),
         "",
+        *margins_table(margins),
+        "",
         *laws_table(calm, noisy),
         "",
         f"Seed 1, in the last table {SEEDS[0]} to {SEEDS[-1]} for the noise; {versions(flown)}.",
     ]
 
 
-KINDS: Sequence[Mapping[Any, Case]] = (PAPER, CHANGED, HARD_PATHS, CALM, NOISY)
+KINDS: Sequence[Mapping[Any, Case]] = (PAPER, CHANGED, HARD_PATHS, MARGINS, CALM, NOISY)
 
 if __name__ == "__main__":
     write_tables(__doc__ or "", [case for kind in KINDS for case in kind.values()], text)

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from full_over_bare import full
 
-from testbed.scenario import Scenario, load, set_duration
+from testbed.scenario import Scenario, load_scenario, set_duration
 
 
 def seconds(scenario: Scenario) -> tuple[float, float]:
@@ -34,7 +34,10 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    without, with_keys = load(options.scenario), load(options.scenario, options.set)
+    without, with_keys = (
+        load_scenario(options.scenario),
+        load_scenario(options.scenario, options.set),
+    )
     if options.duration:
         without, with_keys = (
             set_duration(scenario, options.duration) for scenario in (without, with_keys)

@@ -14,11 +14,12 @@ from tables import Case, Metrics, row, versions, write_tables
 
 import testbed
 from testbed.core.records import Array, Event, RunInfo, Sample
+from testbed.reports.plot_selection import LEADER_COLOUR, STYLES
 from testbed.views.matplotlib_backend import save_figure
-from testbed.views.panels import BLACK, BLUE, GREEN, GREY, ORANGE, Line, Panel, PanelGrid
+from testbed.views.panels import GREY, Line, Panel, PanelGrid
 
 FIGURE = Path(__file__).parents[1] / "docs" / "images" / "sensors-pixhawk.png"
-COLOURS = (BLACK, BLUE, GREEN, ORANGE)  # of the leader and its followers
+COLOURS = (LEADER_COLOUR, *(colour for colour, _ in STYLES))  # of the leader and its followers
 SEEDS = (1, 2, 3)
 WINDOWS = ("rectangles", "circles")
 GPS_DRIFT = "sensors.gps.own_drift_m=[0.4, 0.8]"
@@ -147,28 +148,28 @@ def figure(trace: Trace) -> PanelGrid:
             for i in range(values.shape[1])
         ]
 
-    def panel(title: str, unit: str, curves: list[Line], low: float, high: float) -> Panel:
-        return Panel(title, "time, s", unit, curves, x_limits=limits, y_limits=(low, high))
+    def panel(title: str, curves: list[Line], low: float, high: float, x_label: str = "") -> Panel:
+        return Panel(title, x_label, "m", curves, x_limits=limits, y_limits=(low, high))
 
     top = [
-        panel("estimate − truth, north", "m", lines(offset[..., 0], 0), -4.0, 4.0),
-        panel("estimate − truth, height", "m", lines(-offset[..., 2], 0), -4.0, 4.0),
+        panel("error of the position estimate, north", lines(offset[..., 0], 0), -4.0, 4.0),
+        panel("error of the height estimate", lines(-offset[..., 2], 0), -4.0, 4.0),
     ]
     relative = offset[:, 1:] - offset[:, :1]
     middle = [
-        panel("the same, minus the leader's", "m", lines(relative[..., 0], 1), -4.0, 4.0),
-        panel("the same, minus the leader's", "m", lines(-relative[..., 2], 1), -4.0, 4.0),
+        panel("error minus the leader's, north", lines(relative[..., 0], 1), -4.0, 4.0),
+        panel("error minus the leader's, height", lines(-relative[..., 2], 1), -4.0, 4.0),
     ]
     bottom = [
         panel(
             f"distance of {trace.names[1 + i]} from its slot",
-            "m",
             [
                 Line(time_s, error[:, i], COLOURS[1 + i], "", 1.2),
-                Line(time_s, estimated[:, i], GREY, "by its own and the leader's estimate", 1.2),
+                Line(time_s, estimated[:, i], GREY, "distance from the slot by estimates", 1.2),
             ],
             0.0,
             4.0,
+            "time, s",
         )
         for i in (0, 2)
     ]
@@ -177,6 +178,7 @@ def figure(trace: Trace) -> PanelGrid:
         "Sensors of the preset pixhawk on every aircraft, seed 1",
         [top, middle, bottom],
         (1.0, 1.0),
+        (15.0, 8.5),
     )
 
 

@@ -24,7 +24,7 @@ from part_timer import PartTimer
 from speed_tables import ALL_EFFECTS, FIGURE, MARK, SIMULATION, TARGETS, machine, picture, text
 from tables import insert
 
-from testbed.scenario import Scenario, load, set_duration
+from testbed.scenario import Scenario, load_scenario, set_duration
 from testbed.vehicle.workers import default_processes
 from testbed.views.matplotlib_backend import save_figure
 
@@ -117,7 +117,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--json", type=Path)
     parser.add_argument("--into", type=Path, help="a Markdown file with the two markers")
     options = parser.parse_args(arguments)
-    scenarios = {SIMULATION: load(SIMULATION), ALL_EFFECTS: all_effects()}
+    if options.json:
+        options.json.parent.mkdir(parents=True, exist_ok=True)
+    scenarios = {SIMULATION: load_scenario(SIMULATION), ALL_EFFECTS: all_effects()}
     scenarios = {
         name: set_duration(each, flight_s(options.work / TURNS_WITH_TARGET, 4))
         for name, each in scenarios.items()

@@ -13,7 +13,7 @@ import statistics
 import time
 
 import testbed
-from testbed.scenario import Scenario, load, set_duration
+from testbed.scenario import Scenario, load_scenario, set_duration
 
 
 def fly(scenario: Scenario) -> float:
@@ -39,7 +39,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=120.0, help="of flight")
     parser.add_argument("--turns", type=int, default=9)
     options = parser.parse_args()
-    scenario = set_duration(load(options.scenario), options.seconds)
+    scenario = set_duration(load_scenario(options.scenario), options.seconds)
     fly(scenario), step(scenario)  # compile the kernels
     ratios = [step(scenario) / fly(scenario) for _ in range(options.turns)]
     print(

@@ -1,12 +1,15 @@
-"""Fly the missing runs of a study, and read its rows."""
+"""Fly the missing runs of studies, read their rows, and write the tables made of them."""
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+from tables import insert
 
 from testbed.studies.sweep import sweep
 from testbed.studies.table import read_table
@@ -32,6 +35,37 @@ def fly_rows(name: str, path: Path, jobs: int) -> tuple[list[Mapping[str, Any]],
     table = read_table(path)
     versions = json.loads(table.metadata["versions.json"])
     return list(table.rows()), ", ".join(f"{k} {v}" for k, v in versions.items())
+
+
+def write_tables(
+    about: str,
+    results: Path,
+    texts: Mapping[str, Callable[[Path, int], str]],
+    arguments: Sequence[str] | None = None,
+) -> None:
+    """Fly missing runs, and print or insert tables.
+
+    Args:
+        about: docstring of the program.
+        results: default folder of the Parquet files.
+        texts: functions of that folder and of the flights at a time, by the command in the markers
+            of their text; `--only` takes what follows its comma.
+        arguments: of the command line; None: those of the process.
+    """
+    parser = argparse.ArgumentParser(description=about.split("\n")[0])
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=results, help="folder of the Parquet files")
+    parser.add_argument("--into", type=Path, help="a Markdown file with the markers")
+    parts = {mark.partition(", ")[2]: mark for mark in texts}
+    if len(texts) > 1:
+        parser.add_argument("--only", nargs="+", choices=tuple(parts), help="parts to write")
+    options = parser.parse_args(arguments)
+    for mark in [parts[part] for part in getattr(options, "only", None) or parts]:
+        lines = texts[mark](options.out, options.jobs)
+        print(lines)
+        if options.into:
+            markdown = insert(options.into.read_text(encoding="utf-8"), lines, mark)
+            options.into.write_text(markdown, encoding="utf-8")
 
 
 def _report(text: str) -> None:

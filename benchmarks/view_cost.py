@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from testbed import run
-from testbed.scenario import Scenario, load, set_duration
+from testbed.scenario import Scenario, load_scenario, set_duration
 from testbed.views import FAST_HZ, LiveViewer, RerunView
 from testbed.views.viewer import guarded_viewer, headless_viewer, rerun_program
 
@@ -41,7 +41,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    scenario = load(options.scenario)
+    scenario = load_scenario(options.scenario)
     if options.duration:
         scenario = set_duration(scenario, options.duration)
     fly(set_duration(scenario, 1.0))  # compiles the kernels

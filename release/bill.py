@@ -11,7 +11,7 @@ from importlib.metadata import Distribution
 from typing import Any
 
 from licences import licence
-from locked import Pin, project
+from locked import Pin, distribution_name, project
 from packaging.utils import canonicalize_name
 
 # Packages that every Python environment has.
@@ -48,14 +48,16 @@ def make_bill(
     """
     ours = {canonicalize_name(each.metadata["Name"]): each for each in installed}
     found = {
-        name: each.version for name, each in ours.items() if name not in OF_PYTHON | {"testbed"}
+        name: each.version
+        for name, each in ours.items()
+        if name not in OF_PYTHON | {distribution_name()}
     }
     expected = {name: pin.version for name, pin in pinned.items()}
     if found != expected:
         differ = sorted(f"{name} {version}" for name, version in found.items() ^ expected.items())
         raise ValueError(f"installed and pinned differ: {', '.join(differ)}")
-    # PyPI has another project `testbed`: `pkg:pypi` would mean that one.
-    root = f"pkg:generic/testbed@{wheel.version}"
+    # not pkg:pypi, which would be what PyPI has under this name, whoever published it
+    root = f"pkg:generic/{distribution_name()}@{wheel.version}"
     references = {name: f"pkg:pypi/{name}@{pin.version}" for name, pin in pinned.items()}
     requirements = {root: first} | {references[name]: graph[name] for name in sorted(pinned)}
     return {
@@ -69,7 +71,7 @@ def make_bill(
             "component": {
                 "type": "application",
                 "bom-ref": root,
-                "name": "testbed",
+                "name": distribution_name(),
                 "version": wheel.version,
                 "description": project()["description"],
                 "licenses": licence_entry(str(project()["license"])),

@@ -25,14 +25,15 @@ WORDINGS = {
     "ISC license": "ISC",
     "LGPLv3": "LGPL-3.0",
     "MIT License": "MIT",
+    "any-OSI": "MIT",  # any licence that the Open Source Initiative approves
     "Mozilla Public License 2.0 (MPL 2.0)": "MPL-2.0",
     "Python Software Foundation License": "PSF-2.0",
 }
 HEAD = """# Licences
 
-The testbed is under the MIT licence. This page lists the packages that `pip install` installs with
-it, with the licence in each package's metadata. `python release/licences.py > docs/licences.md`
-writes it.
+The testbed is under the MIT licence. This page lists the packages that pip installs with it
+and its extra `all`, with the licence in each package's metadata.
+`python release/licences.py > docs/licences.md` writes it.
 
 | package | licence |
 |---|---|

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires
 from pathlib import Path
+from typing import Any
 
 from packaging.markers import Marker, default_environment
 from packaging.requirements import Requirement
@@ -17,6 +18,7 @@ ROOT = Path(__file__).parents[1]
 LOCK = ROOT / "requirements.lock"
 PROJECT = ROOT / "pyproject.toml"
 PYTHON = "Programming Language :: Python :: 3."
+EXTRAS = ("all",)  # of a release that is flown, listed and licensed
 HASH = re.compile(r"--hash=sha256:([0-9a-f]{64})\b")
 Environment = Mapping[str, str]
 
@@ -55,12 +57,29 @@ def pins(text: str) -> list[Pin]:
     return found
 
 
+def distribution_name() -> str:
+    """Return the name that pip installs."""
+    return str(project()["name"])
+
+
 def project() -> dict[str, object]:
     """Return the project table of pyproject.toml."""
     with PROJECT.open("rb") as file:
         table = tomllib.load(file)["project"]
     assert isinstance(table, dict)
     return table
+
+
+def requirements_with(*extras: str) -> list[str]:
+    """Return the requirements of the testbed with some extras, which may name others."""
+    table: Any = project()
+    name, found = str(table["name"]), list(table["dependencies"])
+    for extra in extras:
+        for text in table["optional-dependencies"][extra]:
+            wanted = Requirement(text)
+            ours = wanted.name == name
+            found += requirements_with(*wanted.extras) if ours else [text]
+    return list(dict.fromkeys(found))
 
 
 def here() -> Environment:
@@ -96,13 +115,11 @@ def needed(
 
     Args:
         environment: values of markers.
-        first: requirements of the testbed; default those of pyproject.toml.
+        first: requirements of the testbed; default those of pyproject.toml with `EXTRAS`.
         requirements: returns the requirements of a package; default of the installed one.
     """
     if first is None:
-        dependencies = project()["dependencies"]
-        assert isinstance(dependencies, list)
-        first = dependencies
+        first = requirements_with(*EXTRAS)
     graph: dict[str, set[str]] = {}
     done: set[tuple[str, str]] = set()
     waiting = [Requirement(text) for text in first]
@@ -121,13 +138,17 @@ def needed(
     return graph
 
 
-def running_pins(environment: Environment) -> dict[str, Pin]:
+def running_pins(environment: Environment, extras: Iterable[str] = EXTRAS) -> dict[str, Pin]:
     """Return the pins of all runtime packages in an environment, by name.
+
+    Args:
+        environment: values of markers.
+        extras: of the testbed.
 
     Raises:
         ValueError: the lock file does not have exactly one version of a package.
     """
-    names = needed(environment)
+    names = needed(environment, requirements_with(*extras))
     found: dict[str, Pin] = {}
     for pin in pins(LOCK.read_text(encoding="utf-8")):
         if pin.name in names and pin.wanted(environment):
@@ -139,7 +160,7 @@ def running_pins(environment: Environment) -> dict[str, Pin]:
     return found
 
 
-def running_lock() -> list[Pin]:
+def running_lock(extras: Iterable[str] = EXTRAS) -> list[Pin]:
     """Return the pins of all runtime packages on any supported Python."""
-    wanted = {pin for each in supported() for pin in running_pins(each).values()}
+    wanted = {pin for each in supported() for pin in running_pins(each, extras).values()}
     return sorted(wanted, key=lambda pin: pin.text)

@@ -3,9 +3,10 @@
 usage: python release/make_release.py [--tag vX.Y.Z] [--no-flight]
 
 Wheel and sdist are built twice from the last commit, in different environments, and must be the
-same to the bit. The wheel is installed by pip into a new environment, with the hashes of the lock
-file, and flies Simulation 3 by name from an empty directory. dist/ also gets the pins of the
-runtime packages (.lock), the bill of materials of that environment (.cdx.json), and SHA256SUMS.
+same to the bit. The wheel is installed by pip into two new environments, with the hashes of the
+lock files: without extras, where `flight.py` flies it from an empty directory, and with all. dist/
+also gets the pins of both (NAME-VERSION.lock and NAME-VERSION-all.lock), the bill of materials of
+the second (.cdx.json), and SHA256SUMS.
 """
 
 from __future__ import annotations
@@ -18,11 +19,22 @@ import subprocess
 import sys
 import tempfile
 import venv
+from collections.abc import Iterable
 from importlib.metadata import distributions
 from pathlib import Path
 
 from bill import Wheel, make_bill
-from locked import ROOT, here, needed, project, running_lock, running_pins
+from flight import FlightError, check_extras, check_missing, fly
+from locked import (
+    EXTRAS,
+    ROOT,
+    distribution_name,
+    here,
+    needed,
+    requirements_with,
+    running_lock,
+    running_pins,
+)
 from packages import (
     UnfitError,
     build_twice,
@@ -38,8 +50,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 DIST = ROOT / "dist"
-FLOWN_S = 30
-HEAD = """# Runtime packages of testbed {version}, pinned with hashes; from its requirements.lock.
+HEAD = """# Packages of {distribution} {version}, pinned with hashes; from its requirements.lock.
 # In the folder of the wheel:
 #    pip install --only-binary :all: --require-hashes -r {name}
 """
@@ -58,7 +69,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         with tempfile.TemporaryDirectory() as place:
             make(Path(place), options.tag or None, flight=not options.no_flight)
-    except (UnfitError, ValueError) as error:
+    except (UnfitError, FlightError, ValueError) as error:
         print(f"no release: {error}", file=sys.stderr)
         return 1
     return 0
@@ -83,20 +94,31 @@ def make(place: Path, tag: str | None, *, flight: bool) -> None:
     check_wheel(wheel, files, version)
     check_sdist(sdist, files, version)
     check_version(version, tag)
-    lock = DIST / f"testbed-{version}.lock"
-    pinned = "\n".join(pin.text for pin in running_lock())
-    ours = f"./{wheel.name} \\\n    --hash=sha256:{sha256(wheel)}\n"
-    lock.write_text(
-        f"{HEAD.format(version=version, name=lock.name)}{pinned}\n{ours}", encoding="utf-8"
-    )
+    stem = f"{distribution_name()}-{version}"
+    plain = write_lock(DIST / f"{stem}.lock", wheel, ())
+    full = write_lock(DIST / f"{stem}-all.lock", wheel, EXTRAS)
     if flight:
-        packages = installed(place / "fresh", lock)
-        fly(place)
-        write_bill(DIST / f"testbed-{version}.cdx.json", wheel, epoch_s, packages)
+        work = place / "work"
+        work.mkdir()
+        program = installed(place / "plain", plain)
+        for line in (*fly(program, work), check_missing(program, work)):
+            print(line, flush=True)
+        program = installed(place / "full", full)
+        print(check_extras(program, work), flush=True)
+        write_bill(DIST / f"{stem}.cdx.json", wheel, epoch_s, place / "full")
     made = sorted(path for path in DIST.iterdir() if path.name != "SHA256SUMS")
     sums = "".join(f"{sha256(path)}  {path.name}\n" for path in made)
     (DIST / "SHA256SUMS").write_text(sums, encoding="utf-8")
     print(sums, end="")
+
+
+def write_lock(path: Path, wheel: Path, extras: Iterable[str]) -> Path:
+    """Write the pins of the wheel and of its requirements with some extras; return the file."""
+    pinned = "\n".join(pin.text for pin in running_lock(extras))
+    ours = f"./{wheel.name} \\\n    --hash=sha256:{sha256(wheel)}\n"
+    names = {"distribution": distribution_name(), "version": version_of(wheel), "name": path.name}
+    path.write_text(f"{HEAD.format(**names)}{pinned}\n{ours}", encoding="utf-8")
+    return path
 
 
 def built(place: Path, epoch_s: int) -> tuple[Path, Path]:
@@ -113,30 +135,16 @@ def built(place: Path, epoch_s: int) -> tuple[Path, Path]:
 
 
 def installed(fresh: Path, lock: Path) -> Path:
-    """Install the lock file into a new environment; return its site-packages."""
+    """Install the lock file into a new environment; return the installed program."""
     venv.create(fresh, with_pip=True)
     pip = (str(fresh / "bin" / "python"), "-m", "pip", "--disable-pip-version-check")
     # Wheels only: installing an sdist runs its build code.
     args = ("install", "--quiet", "--only-binary", ":all:", "--require-hashes", "-r", lock.name)
     run((*pip, *args), lock.parent)
     run((*pip, "check"), lock.parent)
-    print("installed from its lock file, with hashes, into a new environment", flush=True)
-    (packages,) = fresh.glob("lib/python3*/site-packages")
-    return packages
-
-
-def fly(place: Path) -> None:
-    """Fly Simulation 3 by name with the new environment, from an empty directory."""
-    empty = place / "empty"
-    empty.mkdir()
-    words = ("run", "simulation-3", "--duration", str(FLOWN_S), "--out", "run", "--quiet")
-    run((str(place / "fresh" / "bin" / "testbed"), *words), empty)
-    numbers = json.loads((empty / "run" / "metrics.json").read_text(encoding="utf-8"))
-    if numbers["outcome"] != "completed":
-        raise UnfitError(f"outcome of Simulation 3: {numbers['outcome']}")
-    if [each.name for each in empty.iterdir()] != ["run"]:
-        raise UnfitError("the flight wrote more than its run")
-    print(f"{FLOWN_S} s of Simulation 3 flown by name from an empty directory", flush=True)
+    size = sum(each.stat().st_size for each in fresh.rglob("*") if each.is_file())
+    print(f"installed from {lock.name}, with hashes: {size / 1e6:.0f} MB", flush=True)
+    return fresh / "bin" / distribution_name()
 
 
 def run(command: tuple[str, ...], cwd: Path) -> None:
@@ -147,11 +155,10 @@ def run(command: tuple[str, ...], cwd: Path) -> None:
         raise UnfitError(f"{' '.join(command)}:\n{done.stdout}{done.stderr}")
 
 
-def write_bill(path: Path, wheel: Path, epoch_s: int, packages: Path) -> None:
-    """Write the bill of materials of the packages in a folder."""
-    dependencies = project()["dependencies"]
-    assert isinstance(dependencies, list)
-    first = [canonicalize_name(Requirement(each).name) for each in dependencies]
+def write_bill(path: Path, wheel: Path, epoch_s: int, environment: Path) -> None:
+    """Write the bill of materials of an environment with the wheel."""
+    (packages,) = environment.glob("lib/python3*/site-packages")
+    first = [canonicalize_name(Requirement(each).name) for each in requirements_with(*EXTRAS)]
     bill = make_bill(
         Wheel(version_of(wheel), sha256(wheel), epoch_s),
         distributions(path=[str(packages)]),

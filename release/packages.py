@@ -15,13 +15,14 @@ from email.message import Message
 from email.parser import BytesParser
 from pathlib import Path, PurePosixPath
 
-from locked import ROOT
+from locked import ROOT, distribution_name
 from packaging.metadata import Metadata
 
 DATA = ("aircraft", "scenarios")
 # Files in the packages that are not in the repository.
 MADE_WHEEL = ("METADATA", "RECORD", "WHEEL", "entry_points.txt", "licenses/LICENSE")
 MADE_SDIST = ("PKG-INFO",)
+FILES = distribution_name().replace("-", "_")  # how the names of the packages begin
 ALWAYS_SDIST = (".gitignore", "LICENSE", "README.md", "pyproject.toml")
 
 
@@ -99,7 +100,7 @@ def expected_in_wheel(files: list[str], version: str) -> set[str]:
     """Return the files that a wheel must contain."""
     package = {each for each in files if each.startswith("testbed/")}
     data = {f"testbed/_data/{each}" for each in files if each.split("/")[0] in DATA}
-    return package | data | {f"testbed-{version}.dist-info/{each}" for each in MADE_WHEEL}
+    return package | data | {f"{FILES}-{version}.dist-info/{each}" for each in MADE_WHEEL}
 
 
 def expected_in_sdist(files: list[str], version: str) -> set[str]:
@@ -113,7 +114,7 @@ def expected_in_sdist(files: list[str], version: str) -> set[str]:
         if each in ALWAYS_SDIST
         or any(each == part or each.startswith(f"{part}/") for part in listed)
     }
-    return {f"testbed-{version}/{each}" for each in inside | set(MADE_SDIST)}
+    return {f"{FILES}-{version}/{each}" for each in inside | set(MADE_SDIST)}
 
 
 def check_contents(found: set[str], expected: set[str], name: str) -> None:
@@ -138,9 +139,9 @@ def check_wheel(path: Path, files: list[str], version: str) -> None:
         files: the committed files.
         version: of the release.
     """
-    info = f"testbed-{version}.dist-info"
-    if path.name != f"testbed-{version}-py3-none-any.whl":
-        raise UnfitError(f"{path.name}: is not the wheel of testbed {version} for every system")
+    info = f"{FILES}-{version}.dist-info"
+    if path.name != f"{FILES}-{version}-py3-none-any.whl":
+        raise UnfitError(f"{path.name}: is not the wheel of {FILES} {version} for every system")
     with zipfile.ZipFile(path) as archive:
         if bad := archive.testzip():
             raise UnfitError(f"{path.name}: {bad} is broken")
@@ -159,12 +160,12 @@ def check_sdist(path: Path, files: list[str], version: str) -> None:
         files: the committed files.
         version: of the release.
     """
-    if path.name != f"testbed-{version}.tar.gz":
-        raise UnfitError(f"{path.name}: is not the sdist of testbed {version}")
+    if path.name != f"{FILES}-{version}.tar.gz":
+        raise UnfitError(f"{path.name}: is not the sdist of {FILES} {version}")
     with tarfile.open(path) as archive:
         found = {each.name for each in archive if each.isfile()}
         check_contents(found, expected_in_sdist(files, version), path.name)
-        raw = archive.extractfile(f"testbed-{version}/PKG-INFO")
+        raw = archive.extractfile(f"{FILES}-{version}/PKG-INFO")
         assert raw is not None
         check_metadata(raw.read(), version)
 
@@ -177,6 +178,8 @@ def check_metadata(raw: bytes, version: str) -> None:
         version: of the release.
     """
     metadata = Metadata.from_email(raw, validate=True)
+    if metadata.name != distribution_name():
+        raise UnfitError(f"metadata name {metadata.name}, not {distribution_name()}")
     if str(metadata.version) != version or metadata.license_expression != "MIT":
         raise UnfitError(f"metadata say {metadata.version}, {metadata.license_expression}")
     message: Message = BytesParser().parsebytes(raw)

@@ -1,8 +1,9 @@
 """Flight-dynamics co-simulation of fixed-wing formations.
 
-`testbed.run("simulation-3")` flies a scenario and returns its metrics, `testbed.load(run)` reads
-the log of a run as arrays. `testbed.Simulation` steps a scenario, `testbed.Aircraft` one aircraft.
-`testbed --help` lists the commands for a shell.
+`testbed.run("simulation-3")` flies a scenario and returns metrics; `testbed.load_scenario` reads
+one, `testbed.load_run` reads the log of a run as arrays. `testbed.Simulation` steps a scenario,
+`testbed.Aircraft` one aircraft; `testbed.law` has the types of a law of your own. `testbed --help`
+lists the commands for a shell.
 """
 
 from __future__ import annotations
@@ -11,20 +12,31 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from testbed.logs.flight_data import FlightData, load
+    from testbed.logs.flight_data import FlightData, load_run
+    from testbed.scenario.load import load_scenario
     from testbed.sim.run import Run, run
     from testbed.sim.simulation import Simulation
     from testbed.sim.single_aircraft import Aircraft
 
 __version__ = "0.1.0"
-__all__ = ["Aircraft", "FlightData", "Run", "Simulation", "__version__", "load", "run"]
+__all__ = [
+    "Aircraft",
+    "FlightData",
+    "Run",
+    "Simulation",
+    "__version__",
+    "load_run",
+    "load_scenario",
+    "run",
+]
 
 _MODULES = {
     "Aircraft": "testbed.sim.single_aircraft",
     "FlightData": "testbed.logs.flight_data",
     "Run": "testbed.sim.run",
     "Simulation": "testbed.sim.simulation",
-    "load": "testbed.logs.flight_data",
+    "load_run": "testbed.logs.flight_data",
+    "load_scenario": "testbed.scenario",
     "run": "testbed.sim.run",
 }
 
@@ -39,5 +51,5 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - a class or a function
 
 
 def __dir__() -> list[str]:
-    """List the public names, also those that are not imported yet."""
-    return sorted({*globals(), *__all__})
+    """List the public names, also those that are not imported yet, without those of this module."""
+    return sorted({*__all__, "law"})

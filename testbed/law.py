@@ -11,9 +11,9 @@ step; `step` is called every control period, at time `now` (s), and returns the 
 memory.
 
 A law steps n followers at once, of N aircraft. Each array has one row per follower, and row i of
-the command may depend on row i of `own` and `inbox` only: on what follower i knows. A law must not
-modify its inputs, and carries its state in the memory only. `testbed validate` checks these rules
-(`testbed.sim.law_contract`).
+the command may depend on row i of `own` and `inbox` only: on what follower i has received. A law
+must not modify its inputs, and carries its state in the memory only. `testbed validate` checks
+these rules (`testbed.sim.law_contract`).
 
 Vectors are north, east, down (NED) from the scenario's origin; angles in rad, rates in rad/s.
 
@@ -64,9 +64,6 @@ Commands; a number stands for all rows:
 
 from __future__ import annotations
 
-import inspect
-import re
-
 import numpy as np
 
 from testbed.core.records import Array, FbwaCommand, Inbox, UnicycleCommand, VehicleState
@@ -84,8 +81,6 @@ __all__ = [
     "VehicleState",
     "command_from_velocity",
 ]
-
-_FIELD = re.compile(r"^    (\w+): .*?# (.*)$", re.MULTILINE)
 
 
 def command_from_velocity(
@@ -130,21 +125,3 @@ def command_from_velocity(
     if len(still):
         raise ValueError(f"velocity_ned of {config.names[still[0]]} is zero: it has no direction")
     return law.command_from_velocity(own, *arrays)
-
-
-def _document_fields(kind: type) -> None:
-    """Add the comments on a record's fields to its help."""
-    try:
-        fields = _FIELD.findall(inspect.getsource(kind))
-    except OSError:  # no source files are installed
-        return
-    lines = "\n".join(f"    {name}: {comment}" for name, comment in fields)
-    kind.__doc__ = f"{inspect.cleandoc(kind.__doc__ or '')}\n\nFields:\n{lines}"
-    for name, comment in fields:
-        member = getattr(kind, name, None)
-        if hasattr(member, "__doc__") and issubclass(kind, tuple):
-            member.__doc__ = comment
-
-
-for _kind in (VehicleState, Inbox, UnicycleCommand, FbwaCommand, FormationConfig):
-    _document_fields(_kind)

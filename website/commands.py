@@ -1,4 +1,4 @@
-"""The reference of the command line, from what `--help` says."""
+"""The reference of the command line, from the text of `--help`."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def names(parameter: Any) -> str:  # noqa: ANN401
 
 
 def default(parameter: Any) -> str:  # noqa: ANN401
-    """What holds without it: said in the help, or a value."""
+    """What holds without it: the help's words, or a value."""
     if said := re.search(r"\[default: (.*?)\]", parameter.help or ""):
         return said[1]
     value = parameter.default

@@ -52,7 +52,7 @@ def found(root: Path, docs: Path, pages: Iterable[str]) -> list[Beyond]:
         for target in targets(text, source):
             path = root / target
             if target.startswith(f"{DOCS}/") or target in wanted or not path.exists():
-                continue  # MkDocs says so where nothing is there
+                continue  # MkDocs reports links that lead nowhere
             wanted.add(target)
             if path.is_file() and path.suffix == ".md":
                 texts[target] = waiting[target] = path.read_text(encoding="utf-8")

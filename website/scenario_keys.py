@@ -143,7 +143,7 @@ def placed(part: Schema, path: tuple[str, ...]) -> Iterator[tuple[str, tuple[str
 
 
 def named(part: Schema) -> Any:  # noqa: ANN401
-    """What a map from names holds, if the schema says."""
+    """What a map from names holds, if the schema has it."""
     held = part.get("additionalProperties")
     return held or next(iter(part.get("patternProperties", {}).values()), None)
 
@@ -177,7 +177,7 @@ def number(part: Schema) -> str:
 
 
 def array(part: Schema) -> str:
-    """A list, of as many as are said."""
+    """A list, with the number of elements if it is fixed."""
     if "prefixItems" in part:
         kinds = list(dict.fromkeys(map(takes, part["prefixItems"])))
         return f"{len(part['prefixItems'])} × {' or '.join(kinds)}"
@@ -204,7 +204,7 @@ KINDS = {
 
 
 def default(part: Schema) -> str:
-    """What holds where the key is not written; a map's own keys say what they hold."""
+    """What holds where the key is not written; a map's own keys have their defaults."""
     if "default" not in part:
         return ""
     value = part["default"]
@@ -222,7 +222,7 @@ def unit(key: str, part: Any) -> str:  # noqa: ANN401
 
 
 def said(part: Any) -> str:  # noqa: ANN401
-    """The unit that the schema says."""
+    """The unit that the schema has."""
     if isinstance(part, list):
         return next(filter(None, map(said, part)), "")
     if not isinstance(part, Mapping):

@@ -124,7 +124,7 @@ def step_autopilots(
 
     Args:
         autopilots: N, changed in place.
-        estimate: (N) what the autopilots believe of their motion.
+        estimate: (N) the autopilots' estimates of their motion.
         command: (N), acted on after the command's latency.
 
     Returns:

@@ -187,7 +187,13 @@ def _save(path: Path, arrays: Mapping[str, Any]) -> None:
 
 
 def _plot(file: Path, scenario: Scenario, path: ProbePath, record: ProbeRecord) -> None:
-    from testbed.sim.probe_spectra import closed_form, coherence_band, estimate, psd_band
+    from testbed.sim.probe_spectra import (
+        closed_form,
+        coherence_band,
+        estimate,
+        psd_band,
+        unresolved_waves,
+    )
     from testbed.views.air_figure import WindFigureData, save_wind_figure
 
     velocity = record.about_mean(path.course)
@@ -206,6 +212,7 @@ def _plot(file: Path, scenario: Scenario, path: ProbePath, record: ProbeRecord) 
         coherence=found.coherence,
         coherence_expected=closed
         and (closed.coherence, *coherence_band(closed.coherence, found.freedom)),
+        unresolved=unresolved_waves(scenario, path),
     )
     with report_write_errors(f"--plot {file}"):
         save_wind_figure(picture, file)

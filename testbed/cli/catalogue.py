@@ -1,4 +1,4 @@
-"""What `testbed list` says of the scenarios: groups by purpose, and a line for each."""
+"""Describe the scenarios for `testbed list`: groups by purpose, and a line for each."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ GROUPS: Final[Mapping[str, Mapping[str, str]]] = {
     },
     "variants of simulation-3": {
         "simulation-3-improved": "improved middle loop and estimates",
+        "simulation-3-30deg": "corners at 30 degrees of bank",
         "simulation-3-hard": "a path beyond the aircraft's limits",
         "simulation-3-noise": "noise of a GPS/INS estimate",
         "simulation-3-recorded-leader": "behind a recorded flight",
@@ -53,8 +54,10 @@ GROUPS: Final[Mapping[str, Mapping[str, str]]] = {
         "own-law-integral": "integral action around the paper's law",
         "own-law-repulsion": "repulsion between two aircraft",
         "own-functions": "a control function and a barrier",
+        "ideal-own-speed-model": "ideal vehicles with drag and a propeller",
     },
     "other fleets": {
+        "hold-slot": "one follower, for training policies",
         "mixed-fleet": "different aircraft in one formation",
         "vee-30": "a vee of thirty",
         "vee-100": "a vee of a hundred",
@@ -71,6 +74,7 @@ STUDIES: Final[Mapping[str, str]] = {
     "table-1": "the set-up that gives Table 1",
     "table-1-laps": "leader's acceleration left out",
     "table-1-authors": "the authors' gains with old states",
+    "joint-fit": "sets of numbers that give Table 2",
     "as-flown": "the experiments, one set of parameters",
     "turn-direction": "the leader turns the other way",
     "gap-budget-0": "the aircraft alone, without troubles",

@@ -3,16 +3,36 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping, Sequence
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from testbed.cli import completion
 from testbed.cli.exit_codes import ExitCode
-from testbed.cli.options import Jobs, JsonFile, output_option, require_positive
-from testbed.cli.output import message_console, result_console, write_json_output
+from testbed.cli.options import Jobs, JsonFile, Overrides, output_option, require_positive
+from testbed.cli.output import (
+    PipeSafeConsole,
+    check_output_folder,
+    message_console,
+    open_output,
+    result_console,
+    write_json_output,
+)
 from testbed.core.errors import InputError
 from testbed.core.files import check_folder_writable, check_writable, report_write_errors
+
+if TYPE_CHECKING:
+    from testbed.studies.golden import GoldenCase
+    from testbed.studies.golden_compare import Verdict
+
+
+class Annotations(StrEnum):
+    """CI servers that annotate files from the output of a command."""
+
+    GITHUB = "github"
 
 
 def check_command(
@@ -20,6 +40,7 @@ def check_command(
         list[str] | None,
         typer.Argument(
             metavar="[SCENARIO]...",
+            autocompletion=completion.scenario_names,
             help="Names or paths of scenarios.  \\[default: all that have a golden table]",
             show_default=False,
         ),
@@ -32,9 +53,29 @@ def check_command(
             callback=require_positive,
         ),
     ] = None,
+    overrides: Overrides = None,
     jobs: Jobs = None,
     junit: Annotated[Path | None, output_option(help="Write JUnit XML for a CI server.")] = None,
     json: JsonFile = None,
+    summary: Annotated[
+        Path | None, output_option(help="Write a summary in Markdown, as for a job of a CI.")
+    ] = None,
+    reports: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Fly a failing seed of each failed scenario again, with log and report.html in "
+            "DIR/SCENARIO.",
+            callback=check_output_folder,
+        ),
+    ] = None,
+    annotations: Annotated[
+        Annotations | None,
+        typer.Option(
+            metavar="github",
+            help="Also print each error as an annotation of a file and line, for GitHub.",
+        ),
+    ] = None,
     golden: Annotated[
         Path | None,
         typer.Option(
@@ -52,20 +93,29 @@ def check_command(
     """Fly scenarios and compare their metrics with golden tables."""
     from testbed.cli.progress import progress_counter
     from testbed.studies.golden import check, find_cases, update_tables
-    from testbed.studies.golden_report import (
-        print_check,
-        print_updates,
-        to_document,
-        to_junit,
-        write_junit,
+    from testbed.studies.golden_annotations import (
+        error_annotations,
+        input_annotations,
+        to_github,
     )
+    from testbed.studies.golden_junit import to_junit, write_junit
+    from testbed.studies.golden_markdown import to_markdown
+    from testbed.studies.golden_report import print_check, print_updates, to_document
 
-    _check_options(junit=junit, json=json, update=update, reason=reason)
+    outputs = {"--junit": junit, "--json": json, "--summary": summary, "--reports": reports}
+    _check_options(outputs, update=update, reason=reason, overrides=overrides)
+    console = result_console(json)
+    if reports:
+        import testbed.views.matplotlib_backend  # noqa: F401 - its extra is needed, before flights
     try:
-        cases = find_cases(scenarios or (), folder=golden, new=update)
+        cases = find_cases(scenarios or (), folder=golden, new=update, overrides=overrides or ())
     except InputError as error:
         if junit:
             write_junit(junit, to_junit([], str(error).splitlines()))
+        _write_summary(summary, to_markdown([], str(error).splitlines()))
+        if annotations:
+            for each in input_annotations(error):
+                console.write_line(to_github(each))
         raise
     jobs = jobs or os.cpu_count() or 1
     report = message_console().write_line
@@ -84,7 +134,7 @@ def check_command(
                 progress=progress,
                 report=report,
             )
-        print_updates(updates, result_console())
+        print_updates(updates, console)
         passed = all(each.table for each in updates)
     else:
         with progress_counter("flights") as progress:
@@ -93,18 +143,70 @@ def check_command(
             write_junit(junit, to_junit(verdicts))
         document = to_document(verdicts)
         write_json_output(json, document)
-        print_check(verdicts, result_console(json))
+        _write_summary(summary, to_markdown(verdicts))
+        print_check(verdicts, console)
+        if annotations:
+            for each in error_annotations(cases, verdicts):
+                console.write_line(to_github(each))
+        if reports:
+            _write_reports(cases, verdicts, reports, console)
         passed = document["passed"]
     raise typer.Exit(ExitCode.OK if passed else ExitCode.DIFFERENT)
 
 
-def _check_options(
-    *, junit: Path | None, json: Path | None, update: bool, reason: str | None
+def _write_summary(path: Path | None, text: str) -> None:
+    if path:
+        with open_output(path, "--summary") as file:
+            file.write(text.encode())
+
+
+def _write_reports(
+    cases: Sequence[GoldenCase], verdicts: Sequence[Verdict], folder: Path, console: PipeSafeConsole
 ) -> None:
+    """Fly a failing seed of each failed scenario again, and write its log and report."""
+    from testbed.cli.report import write_report
+    from testbed.reports import read_run, run_page
+    from testbed.scenario import set_seed
+    from testbed.sim.run import run
+    from testbed.studies.golden_report import failing_seeds
+
+    names: set[str] = set()
+    for case, verdict in zip(cases, verdicts, strict=True):
+        if verdict.passed:
+            continue
+        name = case.source.stem
+        while name in names:
+            name += "-2"
+        names.add(name)
+        scenario = set_seed(case.scenario, failing_seeds(verdict)[0])
+        try:
+            flown = run(scenario, out=folder / name)
+            assert flown.directory
+            page = run_page(read_run(flown.directory))
+        except Exception as error:  # the verdict has been printed; a failed flight may fail again
+            console.write_line(f" {verdict.name}: no report: {error}", "yellow")
+            continue
+        write_report(page, folder / name / "report.html", console)
+
+
+def _check_options(
+    outputs: Mapping[str, Path | None],
+    *,
+    update: bool,
+    reason: str | None,
+    overrides: Sequence[str] | None,
+) -> None:
+    if overrides and update:
+        raise InputError(
+            "--set: a table is of a scenario as its file is; leave --set out, or change the file"
+        )
+    for each in overrides or ():
+        if each.partition("=")[0].strip() == "scenario.seed":
+            raise InputError(f"--set {each}: the table sets the seeds; write --seeds N")
     if update and not (reason or "").strip():
         raise InputError("--update: write why the new numbers are right, with --reason TEXT")
     if reason is not None and not update:
         raise InputError("--reason: is stored by --update; write --update too")
-    for option, path in (("--junit", junit), ("--json", json)):
+    for option, path in outputs.items():
         if path and update:
             raise InputError(f"{option}: --update compares nothing; leave {option} out")

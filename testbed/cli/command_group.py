@@ -28,6 +28,19 @@ def _without_flag_types(parameters: _Parameters) -> _Parameters:
 
 
 class _Command(TyperCommand):
+    # Options that may stand without a value: their values, the first of which is meant then.
+    optional_values: Mapping[str, tuple[str, ...]] = {}  # noqa: RUF012
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401
+        """Write the values of options that stand without one; see typer."""
+        written: list[str] = []
+        for k, each in enumerate(args):
+            following = args[k + 1] if k + 1 < len(args) else ""
+            values = () if "--" in args[:k] else self.optional_values.get(each, ())
+            implied = values[:1] if values and following not in values else ()
+            written += [each, *implied]
+        return super().parse_args(ctx, written)
+
     def get_params(self, ctx: Any) -> Any:  # noqa: ANN401 - typer's own copy of click
         """Return the parameters, with that of --help."""
         return _without_flag_types(super().get_params(ctx))
@@ -40,6 +53,8 @@ class CommandGroup(TyperGroup):
     epilogs: ClassVar[Mapping[str, str]]  # by command; optional
     # Names of a command's parameters, by command and panel of its help; optional.
     option_panels: ClassVar[Mapping[str, Mapping[str, tuple[str, ...]]]]
+    # Options of a command that may stand without a value, and their values; optional.
+    optional_values: ClassVar[Mapping[str, Mapping[str, tuple[str, ...]]]]
     functions: ClassVar[Mapping[str, Callable[..., None]]]  # all commands
 
     def __init_subclass__(cls) -> None:
@@ -73,6 +88,7 @@ class CommandGroup(TyperGroup):
         function, epilog = self.functions[name], self.epilogs.get(name)
         app.command(name, cls=_Command, help=help_text(function), epilog=epilog)(function)
         command: Any = typer.main.get_command(app)
+        command.optional_values = self.optional_values.get(name, {})
         panels = self.option_panels.get(name, {})
         by_parameter = {each: panel for panel, names in panels.items() for each in names}
         for parameter in command.params:

@@ -19,6 +19,6 @@ class ExitCode(IntEnum):
 
 EXIT_CODES_HELP = (
     "Exit codes: 0 success; 1 aircraft, formation or separation lost, or envelope exceeded; 2 bad "
-    "input; 3 regression, or runs that differ; 4 internal error; 5 external program lost; "
-    "130 interrupted."
+    "input; 3 regression, a number outside the bounds of the scenario, or runs that differ; 4 "
+    "internal error; 5 external program lost; 130 interrupted."
 )

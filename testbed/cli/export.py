@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import RunName, output_option
+from testbed.cli.options import RunName, StartTime, output_option
 from testbed.cli.output import describe_file, is_stdout, message_console, open_output
 from testbed.core.errors import InputError
 
@@ -25,16 +26,22 @@ class Format(StrEnum):
     PARQUET = "parquet"
     NPZ = "npz"
     FOXGLOVE = "foxglove"
+    FOXGLOVE_LAYOUT = "foxglove-layout"
     PLOTJUGGLER = "plotjuggler"
+    ROS2 = "ros2"
 
 
 SUFFIXES = {
     Format.CSV: ".csv",
     Format.PARQUET: ".parquet",
     Format.NPZ: ".npz",
-    Format.FOXGLOVE: ".foxglove.json",
+    Format.FOXGLOVE: ".foxglove.mcap",
+    Format.FOXGLOVE_LAYOUT: ".foxglove.json",
     Format.PLOTJUGGLER: ".plotjuggler.xml",
+    Format.ROS2: ".ros2",
 }
+LAYOUTS = (Format.FOXGLOVE_LAYOUT, Format.PLOTJUGGLER)
+TIMED = (Format.FOXGLOVE, Format.ROS2)  # formats whose times can begin at another time
 
 
 def export_command(
@@ -45,20 +52,24 @@ def export_command(
             "--format",
             metavar="FORMAT",
             help="csv, parquet: a table with a row per sample and aircraft. npz: NumPy arrays. "
-            "foxglove, plotjuggler: a layout for this program, which opens the log itself.",
+            "foxglove: the log with a 3D scene. foxglove-layout, plotjuggler: a layout for this "
+            "program, which opens the log itself. ros2: a folder that `ros2 bag` reads.",
         ),
     ],
     out: Annotated[
         Path | None,
         output_option(
-            help="File to write; - is stdout.  \\[default: run.FORMAT beside the log]",
+            help="File to write, with ros2 a new folder; - is stdout.  \\[default: run.FORMAT "
+            "beside the log]",
         ),
     ] = None,
+    start_time: StartTime = None,
 ) -> None:
-    """Write a run as a table or arrays, or write a layout for its log.
+    """Write a run in another format, or write a layout for its log.
 
     Columns have the names of the log's topics and fields, with their units.
     """
+    from testbed.core.start_time import start_unix_ns
     from testbed.logs.flight_data import FlightData
     from testbed.logs.read import read_log
     from testbed.logs.run_directory import find_run
@@ -67,31 +78,74 @@ def export_command(
     path = out or log.with_suffix(SUFFIXES[form])
     if path.resolve() == log.resolve():
         raise InputError(f"--out {path}: this is the log itself; write another name")
-    flight = FlightData(read_log(log))
-    write = _writer(form, flight, log, path)
+    read = read_log(log)
+    if start_time is not None:
+        if form not in TIMED:
+            raise InputError(
+                f"--start-time {start_time}: a file of format {form} has no times of day; leave "
+                f"it out, or choose {', '.join(TIMED)}"
+            )
+        read = replace(read, info=replace(read.info, start_unix_ns=start_unix_ns(start_time)))
+    flight = FlightData(read)
     content = f"{flight.time_s.size} samples of {len(flight.names)} aircraft"
-    if form in (Format.FOXGLOVE, Format.PLOTJUGGLER):
+    if form in LAYOUTS:
         content = f"layout for {log}"
     content += "" if flight.log.finished else " (the run was cut short)"
     messages = message_console()
-    with open_output(path, "--out") as file:
-        write(file)
+    if form is Format.FOXGLOVE:
+        _write_scene_log(flight, path)
+    elif form is Format.ROS2:
+        _write_bag(flight, path)
+    else:
+        write = _writer(form, flight, log, path)
+        with open_output(path, "--out") as file:
+            write(file)
     messages.write_line(describe_file(path, content))
+
+
+def _write_scene_log(flight: FlightData, path: Path) -> None:
+    from testbed.cli.progress import ProgressBar
+    from testbed.core.files import replacement, report_write_errors
+    from testbed.views.foxglove_scene import write_scene_log
+
+    target = Path("/dev/stdout") if is_stdout(path) else path
+    bar = ProgressBar(message_console())
+    with report_write_errors(f"--out {path}"), replacement(target) as new:
+        try:
+            write_scene_log(flight.log, new, [bar])
+        finally:
+            bar.end({}, ())
+
+
+def _write_bag(flight: FlightData, path: Path) -> None:
+    from testbed.cli.progress import progress_counter
+    from testbed.core.files import new_folder, report_write_errors
+    from testbed.views.ros2_export import write_bag
+
+    if is_stdout(path):
+        raise InputError("--out -: a bag is a folder; write the name of a new one")
+    with report_write_errors(f"--out {path}"), new_folder(path) as folder:
+        with progress_counter("ros2", unit="samples") as advance:
+            write_bag(flight.log, folder, advance)
 
 
 def _writer(
     form: Format, flight: FlightData, log: Path, path: Path
 ) -> Callable[[IO[bytes]], object]:
     """Choose the function that writes a flight in this format."""
-    from testbed.logs.arrow_io import write_csv, write_parquet
-    from testbed.logs.flight_data import write_npz
     from testbed.views.foxglove_layout import foxglove_layout
     from testbed.views.plotjuggler_layout import plotjuggler_layout
 
-    tables = {Format.CSV: write_csv, Format.PARQUET: write_parquet, Format.NPZ: write_npz}
-    if form in tables:
-        return lambda file: tables[form](flight, file)
-    if form is Format.FOXGLOVE:
+    if form is Format.NPZ:
+        from testbed.logs.flight_data import write_npz
+
+        return lambda file: write_npz(flight, file)
+    if form in (Format.CSV, Format.PARQUET):
+        from testbed.logs import arrow_io
+
+        write_table = arrow_io.write_csv if form is Format.CSV else arrow_io.write_parquet
+        return lambda file: write_table(flight, file)
+    if form is Format.FOXGLOVE_LAYOUT:
         text = foxglove_layout(flight.info)
     else:
         folder = Path() if is_stdout(path) else path.parent

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from testbed.cli import completion
 from testbed.cli.options import Overrides
 from testbed.cli.output import result_console
 from testbed.cli.report import FigureFormat, Figures, figure_format, write_figures
@@ -20,6 +21,7 @@ def law_command(
         str | None,
         typer.Argument(
             metavar="[SCENARIO]",
+            autocompletion=completion.scenario_names,
             help="Name or path of a scenario.  \\[default: the examples as the paper draws them]",
             show_default=False,
         ),
@@ -88,11 +90,11 @@ def _of_scenario(name: str, overrides: Sequence[str] = ()) -> tuple[Functions, B
         InputError: the scenario cannot be read, or a function of its own violates a condition.
     """
     from testbed.core.records import join_names
-    from testbed.scenario import load
+    from testbed.scenario import load_scenario
     from testbed.sim.build_control import make_barrier, make_control_function
     from testbed.sim.build_formation import agent_value, follower_names
 
-    scenario, notes = load(name, overrides), list[str]()
+    scenario, notes = load_scenario(name, overrides), list[str]()
     functions: dict[Any, list[str]] = {}
     barriers: dict[Any, list[str]] = {}
     for follower in follower_names(scenario):

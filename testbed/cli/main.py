@@ -25,11 +25,13 @@ from testbed.cli.network import network_command
 from testbed.cli.output import guard_standard_streams
 from testbed.cli.recover import recover_command
 from testbed.cli.report import report_command
-from testbed.cli.run import run_command
+from testbed.cli.run import View, run_command
+from testbed.cli.runs import prune_command
 from testbed.cli.scenario import list_command, schema_command, validate_command
 from testbed.cli.study_report import study_report_command
 from testbed.cli.sweep import sweep_command
 from testbed.cli.tune import tune_command
+from testbed.cli.video import video_command
 from testbed.cli.view import shot_command, view_command
 from testbed.core.errors import ExternalProgramLost, InputError
 from testbed.core.interrupts import count_sigint
@@ -39,26 +41,27 @@ class _Commands(CommandGroup):
     panels = {
         "Fly": {
             "run": run_command,
-            "sweep": sweep_command,
-            "check": check_command,
-            "tune": tune_command,
-        },
-        "Before a flight": {
-            "list": list_command,
             "validate": validate_command,
+            "list": list_command,
             "law": law_command,
             "network": network_command,
             "air": air_command,
             "schema": schema_command,
         },
-        "After a flight": {
+        "Look": {
             "view": view_command,
             "shot": shot_command,
+            "video": video_command,
             "report": report_command,
             "compare": compare_command,
             "export": export_command,
-            "study-report": study_report_command,
             "recover": recover_command,
+            "prune": prune_command,
+        },
+        "Study": {
+            "sweep": sweep_command,
+            "study-report": study_report_command,
+            "tune": tune_command,
         },
         "Aircraft": {
             "trim": trim_command,
@@ -68,13 +71,18 @@ class _Commands(CommandGroup):
             "import": import_command,
             "arduplane": arduplane_command,
         },
+        "CI": {
+            "check": check_command,
+        },
     }
     option_panels = {
         "run": {
             "Scenario": ("overrides", "seed", "duration"),
-            "Output": ("out", "json", "view", "quiet"),
+            "Output": ("out", "json", "quiet"),
+            "View": ("view", "host", "follow", "rrd"),
         }
     }
+    optional_values = {"run": {"--view": tuple(View)}}
     epilogs = dict.fromkeys(
         ("run", "view", "shot", "check", "compare", "sweep", "tune", "respond", "arduplane"),
         EXIT_CODES_HELP,
@@ -88,7 +96,6 @@ app = typer.Typer(
     "autopilots, communication and wind.",
     epilog=EXIT_CODES_HELP,
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=MARKUP,
 )

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from testbed.cli import completion
 from testbed.cli.output import check_output_path
 from testbed.core.errors import ExternalProgramLost, InputError
 
@@ -73,18 +74,28 @@ def output_option(
 
 
 ScenarioName = Annotated[
-    str, typer.Argument(metavar="SCENARIO", help="Name of a scenario (`testbed list`) or a path.")
+    str,
+    typer.Argument(
+        metavar="SCENARIO",
+        help="Name of a scenario (`testbed list`) or a path.",
+        autocompletion=completion.scenario_names,
+    ),
 ]
 RunName = Annotated[
     str,
     typer.Argument(
         metavar="RUN",
         help="A run directory, a .mcap file, or a scenario's name for its latest run.",
+        autocompletion=completion.run_names,
     ),
 ]
 AircraftName = Annotated[
     str,
-    typer.Argument(metavar="AIRCRAFT", help="Name of an aircraft (`testbed list`) or its folder."),
+    typer.Argument(
+        metavar="AIRCRAFT",
+        help="Name of an aircraft (`testbed list`) or its folder.",
+        autocompletion=completion.aircraft_names,
+    ),
 ]
 Overrides = Annotated[
     list[str] | None,
@@ -93,6 +104,7 @@ Overrides = Annotated[
         metavar="KEY=VALUE",
         help="Change a key of the scenario, e.g. network.delay_s=0.1 or "
         "'fleet.*.sensors=gps-ins'; may be repeated.",
+        autocompletion=completion.scenario_keys,
     ),
 ]
 Seed = Annotated[int | None, typer.Option(metavar="N", help="Seed of every random stream.")]
@@ -112,10 +124,54 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar and 
 RrdFile = Annotated[
     Path | None, output_option(help="Save a Rerun recording instead of opening a viewer.")
 ]
+Follow = Annotated[
+    str | None,
+    typer.Option(
+        metavar="AIRCRAFT",
+        help="Keep the first camera near this aircraft; arrows point at those out of sight.  "
+        "\\[default: all aircraft in sight]",
+    ),
+]
+Host = Annotated[
+    str,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Address on which a web viewer listens: 127.0.0.1, or 0.0.0.0 for other machines.",
+    ),
+]
 ParamFile = Annotated[
     str,
     typer.Option(
         metavar="FILE", help="Autopilot parameters: a tune of the aircraft, or a .param file."
+    ),
+]
+
+
+def _read_start_time(parameter: typer.CallbackParam, text: str | None) -> str | None:
+    """Replace `now` by the present time; a typer callback.
+
+    Raises:
+        InputError: the text is no time that a log may begin at.
+    """
+    from testbed.core.start_time import now, start_unix_ns
+
+    if text == "now":
+        return now()
+    if text is not None:
+        try:
+            start_unix_ns(text)
+        except ValueError as error:
+            raise InputError(f"{parameter.opts[0]} {text}: {error}, or now") from None
+    return text
+
+
+StartTime = Annotated[
+    str | None,
+    typer.Option(
+        metavar="TIME",
+        help="Time of the log's first sample: now, or ISO 8601 such as 2026-05-01T09:30:00Z.  "
+        "\\[default: 1970-01-01T00:00:00Z]",
+        callback=_read_start_time,
     ),
 ]
 
@@ -136,13 +192,23 @@ def error_places(scenario: str, overrides: Sequence[str] | None) -> Iterator[Non
         raise
 
 
+def check_follow(follow: str | None, names: Sequence[str]) -> None:
+    """Check that the aircraft of --follow exists.
+
+    Raises:
+        InputError: it does not.
+    """
+    if follow is not None and follow not in names:
+        raise InputError(f"--follow {follow}: write one of {', '.join(names)}")
+
+
 def load_scenario(name: str, overrides: Sequence[str] | None, seed: int | None = None) -> Scenario:
     """Load a scenario with the changes of --set and --seed.
 
     Raises:
         InputError: there is no such scenario, or it cannot be used.
     """
-    from testbed.scenario import load
+    import testbed.scenario
 
     seeds = [] if seed is None else [f"scenario.seed={seed}"]
-    return load(name, (*(overrides or ()), *seeds))
+    return testbed.scenario.load_scenario(name, (*(overrides or ()), *seeds))

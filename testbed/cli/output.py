@@ -156,7 +156,12 @@ def describe_file(path: Path, content: str = "") -> str:
 
 def format_size(*paths: Path) -> str:
     """Format the total size of files."""
-    size = float(sum(path.stat().st_size for path in paths))
+    return format_bytes(sum(path.stat().st_size for path in paths))
+
+
+def format_bytes(count: int) -> str:
+    """Format a size."""
+    size = float(count)
     if size < 999.5:
         return f"{size:.0f} bytes"
     unit = "kB" if size < 999_500.0 else "MB"

@@ -4,22 +4,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from testbed.cli.options import (
+    Follow,
+    Host,
     JsonFile,
     Overrides,
     Quiet,
     ScenarioName,
     Seed,
+    StartTime,
+    check_follow,
     error_places,
     load_scenario,
+    output_option,
     require_positive,
 )
 from testbed.cli.output import format_size, message_console, result_console, write_json_output
+from testbed.cli.view import open_viewer, read_shown_log, refuse_stdout, save_rrd
 from testbed.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -30,6 +38,13 @@ if TYPE_CHECKING:
     from testbed.sim.external_options import ExternalOptions
 
 _EXTERNAL = "External programs"
+
+
+class View(StrEnum):
+    """Where a flight is shown while it is flown."""
+
+    WINDOW = "window"
+    WEB = "web"
 
 
 def run_command(
@@ -52,10 +67,20 @@ def run_command(
     ] = None,
     json: JsonFile = None,
     view: Annotated[
-        bool,
-        typer.Option("--view", help="Show the flight live in a Rerun viewer, opened if needed."),
-    ] = False,
+        View | None,
+        typer.Option(
+            help="Show the flight live: in a Rerun viewer, opened if needed (window, which --view "
+            "alone means), or in a browser (web), also from another machine through ssh."
+        ),
+    ] = None,
+    host: Host = "127.0.0.1",
+    follow: Follow = None,
+    rrd: Annotated[
+        Path | None,
+        output_option(help="Also save a Rerun recording, written when the flight is over."),
+    ] = None,
     quiet: Quiet = False,
+    start_time: StartTime = None,
     processes: Annotated[
         int | None,
         typer.Option(
@@ -113,18 +138,25 @@ def run_command(
 ) -> None:
     """Fly a scenario and print a table of results.
 
-    Writes run.mcap, scenario.resolved.yaml and metrics.json to the run directory.
+    Writes run.mcap, scenario.resolved.yaml and metrics.json to the run directory. A number outside
+    the bounds of the scenario's `expect` gives exit code 3.
     """
     from testbed.cli.progress import CompilingBar, ProgressBar
+    from testbed.metrics.expectations import violations
     from testbed.metrics.tables import render_table
     from testbed.scenario import set_duration
+    from testbed.sim.bounds import unchecked_bounds, violation_lines
     from testbed.sim.run import run
 
+    if start_time is not None:
+        overrides = [*(overrides or ()), f"log.start_time={start_time}"]
     loaded = load_scenario(scenario, overrides, seed)
     messages = message_console()
     notes: list[tuple[str, Text]] = []
     if duration is not None:
         notes = _window_notes(loaded, duration)
+        for text in unchecked_bounds(loaded, duration):
+            messages.write_line(f"warning: {text}", "yellow")
         loaded = set_duration(loaded, duration)
     external = external_options(
         loaded,
@@ -136,22 +168,28 @@ def run_command(
         arduplane=arduplane,
         quiet=quiet,
     )
+    check_follow(follow, loaded.aircraft_names)
+    if rrd is not None:
+        refuse_stdout(rrd)
     observers: list[Observer] = [] if quiet else [ProgressBar(messages)]
-    if view:
-        from testbed.views import FAST_HZ, LiveViewer, RerunView
+    with ExitStack() as stack:
+        if view is not None:
+            from testbed.views import FAST_HZ, RerunView
 
-        viewer = LiveViewer()
-        messages.write_line(f"view: {viewer.address}")
-        observers.append(RerunView(viewer, max_hz=None if external.pace else FAST_HZ))
-    with error_places(scenario, overrides):
-        flown = run(
-            loaded,
-            out=out,
-            observers=observers,
-            external=external,
-            processes=processes,
-            compiling=None if quiet else CompilingBar(messages),
-        )
+            viewer = stack.enter_context(open_viewer(host, web=view is View.WEB))
+            max_hz = None if external.pace else FAST_HZ
+            observers.append(RerunView(viewer, max_hz=max_hz, follow=follow))
+        with error_places(scenario, overrides):
+            flown = run(
+                loaded,
+                out=out,
+                observers=observers,
+                external=external,
+                processes=processes,
+                compiling=None if quiet else CompilingBar(messages),
+            )
+    if rrd is not None and flown.directory:
+        save_rrd(rrd, [read_shown_log(str(flown.directory))], follow)
     write_json_output(json, flown.metrics)
     if not quiet:
         console = result_console(json)
@@ -159,6 +197,8 @@ def run_command(
         render_table(flown.metrics, console, log=flown.directory, log_size=size, notes=notes)
         for path in sorted(flown.directory.glob("*.py")) if flown.directory else ():
             console.write_line(f" {'control law':<20}{path}, a copy of its code")
+    for line in violation_lines(violations(flown.metrics), scenario, overrides or ()):
+        (messages if quiet else console).write_line(line, "red")
     raise typer.Exit(flown.exit_code)
 
 

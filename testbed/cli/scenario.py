@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 from rich.table import Table
 
-from testbed.cli.options import Overrides, ScenarioName, error_places, load_scenario
-from testbed.cli.output import result_console
-from testbed.core.errors import escape_controls
+from testbed.cli.options import (
+    JsonFile,
+    Overrides,
+    ScenarioName,
+    error_places,
+    load_scenario,
+)
+from testbed.cli.output import format_bytes, result_console, write_json_output
+from testbed.core.errors import InputError, escape_controls
 
 AIRCRAFT_WIDTH, TIME_WIDTH = 3, 7  # columns of `testbed list`
 
@@ -47,17 +54,28 @@ def list_command(
             show_default=False,
         ),
     ] = None,
+    runs: Annotated[
+        bool,
+        typer.Option("--runs", help="List the runs in logs/, or in the folder NAME, with sizes."),
+    ] = False,
+    json: JsonFile = None,
 ) -> None:
-    """List the scenarios, studies, tunes and aircraft that can be used by name.
+    """List the scenarios, studies, tunes and aircraft that can be used by name, or the runs.
 
     Scenarios are grouped by purpose, with the number of their aircraft and the simulated time.
     """
     from testbed.scenario import list_aircraft
 
+    if runs:
+        _list_runs(Path(name or "logs"), json)
+        return
     if name is not None:
+        if json:
+            raise InputError(f"--json: lists all names; leave out {name}, or write --runs")
         _describe(name)
         return
-    console = result_console()
+    write_json_output(json, _names_document() if json else {})
+    console = result_console(json)
     console.write_line("scenario, number of aircraft, simulated time, what it shows", "dim")
     console.print()
     for title, table in (*_scenario_groups(), *_study_groups()):
@@ -74,9 +92,61 @@ def list_command(
     )
 
 
+def _list_runs(folder: Path, json: Path | None) -> None:
+    """List the runs in a folder.
+
+    Raises:
+        InputError: there is no such folder, or the file of --json cannot be written.
+    """
+    from testbed.cli.runs import print_runs, runs_document
+    from testbed.logs.run_list import list_runs
+
+    if not folder.is_dir():
+        raise InputError(f"{folder}: there is no such folder; run this where the runs are")
+    runs = list_runs(folder)
+    write_json_output(json, {"runs": runs_document(runs)})
+    console = result_console(json)
+    print_runs(runs, console)
+    total = format_bytes(sum(each.size for each in runs))
+    count = "1 run" if len(runs) == 1 else f"{len(runs)} runs"
+    console.write_line(f"{count}, {total}; testbed prune deletes old ones", "dim")
+
+
+def _names_document() -> dict[str, Any]:
+    """Return all names with their main properties, for --json."""
+    from testbed.scenario import (
+        list_aircraft,
+        list_scenarios,
+        list_studies,
+        list_tunings,
+        load_scenario,
+    )
+    from testbed.studies.plan import Plan, load_study
+
+    scenarios = {name: load_scenario(name) for name in list_scenarios()}
+    studies = {name: load_study(name) for name in list_studies()}
+    return {
+        "scenarios": [
+            {
+                "name": name,
+                "aircraft": len(each.aircraft_names),
+                "duration_s": each.scenario.duration_s,
+                "question": each.scenario.question,
+            }
+            for name, each in scenarios.items()
+        ],
+        "studies": [
+            {"name": name, "runs": len(Plan(each)), "question": each.config.study.question}
+            for name, each in studies.items()
+        ],
+        "tunes": [{"name": name} for name in list_tunings()],
+        "aircraft": [{"name": name} for name in list_aircraft()],
+    }
+
+
 def _scenario_groups() -> Iterator[tuple[str, Table]]:
     from testbed.cli.catalogue import GROUPS, OTHERS
-    from testbed.scenario import list_scenarios, load
+    from testbed.scenario import list_scenarios, load_scenario
 
     names = list_scenarios()
     grouped = {each for group in GROUPS.values() for each in group}
@@ -86,7 +156,7 @@ def _scenario_groups() -> Iterator[tuple[str, Table]]:
         table = _plain_table(width, (AIRCRAFT_WIDTH, TIME_WIDTH))
         for name, line in group.items():
             if name in names:
-                loaded = load(name)
+                loaded = load_scenario(name)
                 duration = f"{loaded.scenario.duration_s:,.0f} s"
                 line = line or loaded.scenario.question
                 table.add_row(name, str(len(loaded.aircraft_names)), duration, line)
@@ -131,7 +201,7 @@ def _describe(name: str) -> None:
         find_tuning,
         list_studies,
         list_tunings,
-        load,
+        load_scenario,
     )
     from testbed.studies.plan import load_study
     from testbed.studies.tune_schema import load_tune
@@ -144,7 +214,7 @@ def _describe(name: str) -> None:
         path, header = find_tuning(name), load_tune(name).config.study
         rows = {"question": header.question, "run": f"testbed tune {name}"}
     else:
-        loaded = load(name)
+        loaded = load_scenario(name)
         path = find_scenario(name)
         rows = {
             "question": loaded.scenario.question,

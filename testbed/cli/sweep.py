@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.text import Text
 
+from testbed.cli import completion
 from testbed.cli.exit_codes import ExitCode
 from testbed.cli.options import Jobs, JsonFile, Quiet
 from testbed.cli.output import (
@@ -34,7 +35,11 @@ class Backend(StrEnum):
 def sweep_command(
     study: Annotated[
         str,
-        typer.Argument(metavar="STUDY", help="Name of a study (`testbed list`) or a path."),
+        typer.Argument(
+            metavar="STUDY",
+            help="Name of a study (`testbed list`) or a path.",
+            autocompletion=completion.study_names,
+        ),
     ],
     out: Annotated[
         Path | None,
@@ -67,8 +72,8 @@ def sweep_command(
 ) -> None:
     """Fly a study: many variants of a scenario, with the results in one Parquet file.
 
-    The study's file says what varies. A run that is lost or fails is a row of the results, and the
-    exit code is 1.
+    The study's file lists what varies. A run that is lost or fails is a row of the results, and the
+    exit code is 1. With a number outside the bounds of a scenario's `expect` it is 3.
     """
     from testbed.cli.progress import progress_counter
     from testbed.studies.summary import summarise, to_document
@@ -107,7 +112,8 @@ def sweep_command(
     write_json_output(json, to_document(result, summary))
     if not quiet:
         _print_summary(result, summary, result_console(json))
-    raise typer.Exit(ExitCode.OK if result.completed else ExitCode.AIRCRAFT_LOST)
+    passed = ExitCode.DIFFERENT if result.unexpected else ExitCode.OK
+    raise typer.Exit(passed if result.completed else ExitCode.AIRCRAFT_LOST)
 
 
 def _print_summary(result: SweepResult, summary: Summary, console: PipeSafeConsole) -> None:
@@ -117,6 +123,9 @@ def _print_summary(result: SweepResult, summary: Summary, console: PipeSafeConso
     if summary.out_of_slot:
         line = f" {summary.out_of_slot:,} completed with a follower out of its slot at the end"
         console.write_line(line, "yellow")
+    if result.unexpected:
+        line = f" {result.unexpected:,} completed with numbers outside the bounds of the scenario"
+        console.write_line(line, "red")
     if summary.groups and summary.metrics:
         for table in summary_tables(summary, console.width):
             console.write_line()
@@ -128,7 +137,7 @@ def _print_summary(result: SweepResult, summary: Summary, console: PipeSafeConso
         console.write_line()
         console.write_line(f" run {each['run']}: {each['error']}", "red")
         console.write_line(f" {each['command']}", "dim")
-    bad = sum(result.outcomes.values()) - _completed(result)
+    bad = sum(result.outcomes.values()) - _completed(result) + result.unexpected
     if bad > len(summary.failures):
         console.write_line()
         console.write_line(f" … and {bad - len(summary.failures)} more", "dim")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
+from testbed.cli import completion
 from testbed.cli.options import Jobs, JsonFile
 from testbed.cli.output import PipeSafeConsole, message_console, result_console, write_json_output
 
@@ -22,7 +23,12 @@ AT_BOUND = 0.02  # of the range between the bounds
 
 def tune_command(
     tune: Annotated[
-        str, typer.Argument(metavar="TUNE", help="Name of a tune (`testbed list`) or a path.")
+        str,
+        typer.Argument(
+            metavar="TUNE",
+            help="Name of a tune (`testbed list`) or a path.",
+            autocompletion=completion.tune_names,
+        ),
     ],
     out: Annotated[
         Path | None,

@@ -5,20 +5,23 @@ from __future__ import annotations
 import re
 import shlex
 import signal
+import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import RrdFile, RunName, output_option
+from testbed.cli.options import Follow, Host, RrdFile, RunName, check_follow, output_option
 from testbed.cli.output import describe_file, is_stdout, message_console
 from testbed.core.errors import InputError
 from testbed.core.files import report_write_errors
 
 if TYPE_CHECKING:
     from testbed.logs.read import Log
+    from testbed.views import LiveViewer
 
 
 def view_command(
@@ -28,6 +31,14 @@ def view_command(
         typer.Option(metavar="SECONDS", help="Stop the viewer's cursor at this time of the run."),
     ] = None,
     rrd: RrdFile = None,
+    follow: Follow = None,
+    web: Annotated[
+        bool,
+        typer.Option(
+            "--web", help="Serve a web viewer until Ctrl-C, also for another machine through ssh."
+        ),
+    ] = False,
+    host: Host = "127.0.0.1",
 ) -> None:
     """Replay a run in a Rerun viewer."""
     if rrd and at is not None:
@@ -35,8 +46,16 @@ def view_command(
             f"--at {at:g}: a recording has no cursor. Leave out --at and move the cursor in the "
             f"viewer, or save a picture: testbed shot {run} --at {at:g} --out FILE.png"
         )
-    log = _read_log(run)
-    _show("view", [run], [log], rrd, None if at is None else _check_time(at, log))
+    if web and (rrd or at is not None):
+        other = "--rrd" if rrd else "--at"
+        raise InputError(f"--web {other}: write one of them")
+    log = read_shown_log(run)
+    check_follow(follow, log.info.names)
+    at_s = None if at is None else _check_time(at, log)
+    if web:
+        _serve(log, host, follow)
+    else:
+        _show("view", [run], [log], rrd, at_s, follow)
 
 
 def shot_command(
@@ -54,7 +73,8 @@ def shot_command(
     ] = None,
     size: Annotated[
         str, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the viewer's window, pixels.")
-    ] = "1600x900",
+    ] = "1920x1080",
+    follow: Follow = None,
 ) -> None:
     """Save a picture of one run, or of two runs overlaid; needs no screen.
 
@@ -65,12 +85,13 @@ def shot_command(
 
     match = re.fullmatch(r"([1-9]\d{2,3})x([1-9]\d{2,3})", size)
     if match is None:
-        raise InputError(f"--size {size}: write WIDTHxHEIGHT in pixels, such as 1600x900")
-    logs = [_read_log(name) for name in (run, other) if name is not None]
+        raise InputError(f"--size {size}: write WIDTHxHEIGHT in pixels, such as 1920x1080")
+    logs = [read_shown_log(name) for name in (run, other) if name is not None]
+    check_follow(follow, logs[0].info.names)
     with sigterm_interrupts():
         at_s = _check_time(at, *logs)
         with report_write_errors(f"--out {out}"):
-            screenshot(out, at_s, *logs, size=(int(match[1]), int(match[2])))
+            screenshot(out, at_s, *logs, size=(int(match[1]), int(match[2])), follow=follow)
     message_console().write_line(describe_file(out))
 
 
@@ -81,7 +102,7 @@ def overlay_runs(first: str, second: str, *, rrd: Path | None) -> None:
         InputError: there is no such run, no viewer can open, or the file cannot be written.
     """
     names = [first, second]
-    _show("compare", names, [_read_log(name) for name in names], rrd, None)
+    _show("compare", names, [read_shown_log(name) for name in names], rrd, None, None)
 
 
 @contextmanager
@@ -94,8 +115,12 @@ def sigterm_interrupts() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _read_log(name: str) -> Log:
-    """Read a log that has samples."""
+def read_shown_log(name: str) -> Log:
+    """Read the log of a run, which must have samples.
+
+    Raises:
+        InputError: there is no such run, or no sample in its log.
+    """
     from testbed.logs.read import read_log
     from testbed.logs.run_directory import find_run
 
@@ -122,8 +147,9 @@ def _show(
     logs: Sequence[Log],
     rrd: Path | None,
     at_s: float | None,
+    follow: str | None,
 ) -> None:
-    from testbed.views import LiveViewer, RrdFile, replay
+    from testbed.views import LiveViewer, replay
     from testbed.views.viewer import unavailable_reason
 
     messages = message_console()
@@ -132,13 +158,68 @@ def _show(
         if reason := unavailable_reason(viewer.port):
             raise InputError(f"{reason}. {_alternatives(command, names)}")
         messages.write_line(f"view: {viewer.address}")
-        replay(viewer, *logs)
+        replay(viewer, *logs, follow=follow)
         return
+    refuse_stdout(rrd)
+    save_rrd(rrd, logs, follow)
+
+
+def refuse_stdout(rrd: Path) -> None:
+    """Check that a recording does not go to standard output.
+
+    Raises:
+        InputError: it does.
+    """
     if is_stdout(rrd):
         raise InputError("--rrd -: a recording goes to a file; write its name")
+
+
+def save_rrd(rrd: Path, logs: Sequence[Log], follow: str | None) -> None:
+    """Save a Rerun recording of one run, or of two overlaid, and print its size.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    from testbed.views import RrdFile, replay
+
     with report_write_errors(f"--rrd {rrd}"):
-        replay(RrdFile(rrd), *logs)
-    messages.write_line(describe_file(rrd, f"a recording for `rerun {rrd}`"))
+        replay(RrdFile(rrd), *logs, follow=follow)
+    message_console().write_line(describe_file(rrd, f"a recording for `rerun {rrd}`"))
+
+
+@contextmanager
+def open_viewer(host: str, *, web: bool) -> Iterator[LiveViewer]:
+    """Announce a viewer for the block: one on this machine, or a web viewer that is served.
+
+    Raises:
+        InputError: a web viewer cannot be served on this address.
+    """
+    from testbed.views import LiveViewer
+
+    messages = message_console()
+    if not web:
+        viewer = LiveViewer()
+        messages.write_line(f"view: {viewer.address}")
+        yield viewer
+        return
+    from testbed.views.web_viewer import serve_web_viewer
+
+    with serve_web_viewer(host) as served:
+        for line in served.directions:
+            messages.write_line(line)
+        yield LiveViewer(port=served.port)
+
+
+def _serve(log: Log, host: str, follow: str | None) -> None:
+    """Serve a run in a web viewer until Ctrl-C."""
+    from testbed.views import replay
+
+    with sigterm_interrupts(), open_viewer(host, web=True) as viewer:
+        replay(replace(viewer, lossless=True), log, follow=follow)
+        message_console().write_line("      Ctrl-C ends it")
+        with suppress(KeyboardInterrupt):
+            while True:
+                time.sleep(3600.0)
 
 
 def _alternatives(command: str, names: Sequence[str]) -> str:

@@ -76,6 +76,8 @@ def _cached(function: Callable[..., Any], folder: Path) -> Any:  # noqa: ANN401 
         for name, value in before.items():
             setattr(config, name, value)
     cache = compiled._cache
+    # the folder is of these texts: another time of the same file, as after an installation, is none
+    cache._cache_file._source_stamp = folder.name
     cache.load_overload = functools.partial(_load, cache)
     cache.save_overload = functools.partial(_save, cache.save_overload)
     return compiled

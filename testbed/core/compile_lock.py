@@ -1,4 +1,4 @@
-"""Let one process at a time compile the same kernels, and tell others that it does.
+"""Let one process at a time compile the same kernels, with a sign for the others.
 
 The files are in the folder of the machine code: `turn` is locked by the process that prepares
 kernels for the first time, `compiling` while one of them is compiled rather than loaded, and
@@ -58,7 +58,7 @@ def compile_turn(
 
 
 def is_compiling(folder: Path | None) -> bool:
-    """Tell whether a process compiles kernels into a folder now."""
+    """Return whether a process compiles kernels into a folder now."""
     if folder is None:
         return False
     with suppress(OSError), (folder / _COMPILING).open() as file:

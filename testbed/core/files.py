@@ -14,6 +14,7 @@ import fcntl
 import io
 import os
 import re
+import shutil
 import stat
 import tempfile
 from collections.abc import Iterator
@@ -102,7 +103,7 @@ def replacement(path: Path) -> Iterator[Path]:
     with _part_folder(target.parent if replaceable else Path(tempfile.gettempdir())) as folder:
         new = folder / path.name
         yield new
-        if not new.exists():  # the program that should have made it did not say why
+        if not new.exists():  # the program that should have made it gave no reason
             raise OutputPathError(errno.EIO, "cannot be written")
         if replaceable:
             _copy_owner_and_mode(target, new)
@@ -110,6 +111,22 @@ def replacement(path: Path) -> Iterator[Path]:
         else:
             with new.open("rb") as file:
                 _send(file, path)
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """Give the path of a new folder that becomes `path` when the block ends without an error.
+
+    Raises:
+        OSError: `path` exists, or it cannot be created.
+    """
+    if os.path.lexists(path):
+        raise OutputPathError(errno.EEXIST, "it exists; remove it or write another name")
+    check_writable(path)
+    with _part_folder(Path(os.path.realpath(path)).parent) as folder:
+        new = folder / path.name
+        yield new
+        os.rename(new, path)
 
 
 def create_file(path: Path, data: bytes) -> None:
@@ -305,8 +322,5 @@ def _remove_abandoned(parent: Path) -> None:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder and its files; it has no folders."""
-    with suppress(OSError):
-        for each in folder.iterdir():
-            each.unlink()
-        folder.rmdir()
+    """Remove a folder with its content."""
+    shutil.rmtree(folder, ignore_errors=True)

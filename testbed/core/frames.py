@@ -74,6 +74,28 @@ def quaternion_xyzw(euler: Array) -> Array:
     )
 
 
+def enu_from_ned(vectors: Array) -> Array:
+    """Resolve NED vectors (..., 3) east, north and up."""
+    out: Array = np.asarray(vectors)[..., [1, 0, 2]] * [1.0, 1.0, -1.0]
+    return out
+
+
+def flu_from_frd(vectors: Array) -> Array:
+    """Resolve body vectors (..., 3), forward, right, down, along forward, left and up."""
+    out: Array = np.asarray(vectors) * [1.0, -1.0, -1.0]
+    return out
+
+
+def euler_enu_flu(euler: Array) -> Array:
+    """Roll, pitch, yaw (..., 3) rad of axes forward, left, up in east, north, up.
+
+    Args:
+        euler: the same of axes forward, right, down in north, east, down.
+    """
+    out: Array = np.asarray(euler) * [1.0, -1.0, -1.0] + [0.0, 0.0, 0.5 * np.pi]
+    return out
+
+
 def euler_from_quaternion(xyzw: Array) -> Array:
     """Roll, pitch, yaw (..., 3) rad of R_NB from a quaternion (..., 4) ordered x, y, z, w.
 

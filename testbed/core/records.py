@@ -7,7 +7,7 @@ tuples of arrays (`VehicleState`, `FbwaCommand`, ...), which are views made by `
 
 The leading axis of every array counts aircraft: row 0 is the leader, rows 1 to n are the followers
 in the order of the scenario's fleet. Units are SI and radians; vectors are resolved in the local
-north-east-down frame (NED) of the scenario's origin unless a name says otherwise.
+north-east-down frame (NED) of the scenario's origin unless a name has another one.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from testbed.core.field_docs import document_fields
 
 Array = NDArray[np.float64]
 ByteArray = NDArray[np.uint8]
@@ -175,15 +177,17 @@ def write_fields(records: Records, values: Any, **others: Any) -> None:  # noqa:
         records[others.get(name, name)] = array
 
 
+@document_fields
 @dataclass(frozen=True, slots=True)
 class Origin:
     """Where the local NED frame touches the earth (WGS 84)."""
 
-    latitude_deg: float = 38.0
-    longitude_deg: float = 0.0
-    elevation_m: float = 300.0
+    latitude_deg: float = 38.0  # degrees, geodetic
+    longitude_deg: float = 0.0  # degrees, east positive
+    elevation_m: float = 300.0  # m, of the ground above sea level
 
 
+@document_fields
 @dataclass(frozen=True, slots=True)
 class Airframe:
     """Properties of an airframe that determine the effect of wind and wakes."""
@@ -216,6 +220,7 @@ def short_repr(kind: type[_RecordT]) -> type[_RecordT]:
     return kind
 
 
+@document_fields
 @short_repr
 class VehicleState(NamedTuple):
     """The motion of N aircraft: the truth, or an autopilot's estimate of it."""
@@ -234,6 +239,7 @@ def followers(state: VehicleState) -> VehicleState:
     return VehicleState(*(each[1:] for each in state))
 
 
+@document_fields
 @short_repr
 class AirData(NamedTuple):
     """True state besides the motion; logged and drawn, never an input of a controller."""
@@ -248,16 +254,17 @@ class AirData(NamedTuple):
     battery_voltage: Array  # (N,) V at its terminals; NaN without a battery
 
 
+@document_fields
 class WindInput(NamedTuple):
     """Wind on N airframes: its mean and gradients over each airframe."""
 
     wind_ned: Array  # (N, 3) m/s, velocity of the air, averaged over the wing
-    wind_gradient_rates: (
-        Array  # (N, 3) rad/s, rotation of the air about body axes: ∂w/∂y, −∂w/∂x, ∂v/∂x
-    )
+    # (N, 3) rad/s, rotation of the air about body axes: ∂w/∂y, −∂w/∂x, ∂v/∂x
+    wind_gradient_rates: Array
     wake_delta_cl: Array  # (N,) rolling-moment coefficient of wakes, right wing down
 
 
+@document_fields
 @short_repr
 class FbwaCommand(NamedTuple):
     """A fly-by-wire-A command: the stick inputs of ArduPlane's mode FBWA."""
@@ -267,6 +274,7 @@ class FbwaCommand(NamedTuple):
     throttle: Array  # (N,) 0..1
 
 
+@document_fields
 class UnicycleCommand(NamedTuple):
     """Inputs of the extended unicycle, computed by a formation law; [HBH23] eqs. (2), (3)."""
 
@@ -277,6 +285,7 @@ class UnicycleCommand(NamedTuple):
     limiter_flags: ByteArray  # (n,) bit set of LimiterFlag; 0: no limit acted
 
 
+@document_fields
 @short_repr
 class ActuatorCommand(NamedTuple):
     """Normalised servo commands of an autopilot."""
@@ -287,17 +296,19 @@ class ActuatorCommand(NamedTuple):
     throttle: Array  # (N,) 0..1
 
 
+@document_fields
 class Broadcast(NamedTuple):
     """Messages of N aircraft: their own estimates with time stamps of their own clocks."""
 
     stamp_s: Array  # (N,) sender's time of the measurement
-    position_ned: Array  # (N, 3)
-    velocity_ned: Array  # (N, 3)
-    acceleration_ned: Array  # (N, 3)
+    position_ned: Array  # (N, 3) m, north, east, down from the origin
+    velocity_ned: Array  # (N, 3) m/s over the ground
+    acceleration_ned: Array  # (N, 3) m/s²
     euler: Array  # (N, 3) roll, pitch, yaw, rad
     euler_rates: Array  # (N, 3) their rates, rad/s
 
 
+@document_fields
 class Inbox(NamedTuple):
     """The newest message of each of N aircraft that each of n followers has received."""
 
@@ -310,6 +321,7 @@ class Inbox(NamedTuple):
     euler_rates: Array  # (n, N, 3) derivatives of roll, pitch, yaw, rad/s
 
 
+@document_fields
 @short_repr
 class FormationState(NamedTuple):
     """Outputs of the controllers of n followers, and their formation errors.
@@ -334,6 +346,7 @@ class FormationState(NamedTuple):
     estimated_error_ned: Array
 
 
+@document_fields
 class FaultState(NamedTuple):
     """Active faults of N aircraft; surfaces in the order of `control_surfaces.SURFACES`."""
 
@@ -357,6 +370,7 @@ def fault_state(faults: Records) -> FaultState:
     return fields_of(FaultState, faults, **flags)
 
 
+@document_fields
 @short_repr
 class LinkCounters(NamedTuple):
     """Messages on the links from N aircraft to their n followers since the start."""
@@ -365,21 +379,23 @@ class LinkCounters(NamedTuple):
     delivered: UIntArray  # (n, N) of these, those that arrived or will arrive
 
 
+@document_fields
 @dataclass(frozen=True, slots=True)
 class Event:
     """An event of the log, the view and the table."""
 
-    time_s: float
+    time_s: float  # s since the start
     level: str  # "info", "warning" or "error"
     source: str  # name of an aircraft, or "run"
-    text: str
+    text: str  # a sentence without its time and source
 
 
+@document_fields
 class Sample(NamedTuple):
     """All data of one logged tick."""
 
     tick: int  # of the base rate
-    time_s: float
+    time_s: float  # s since the start
     truth: VehicleState  # (N)
     estimate: VehicleState  # (N)
     air: AirData  # (N)
@@ -388,27 +404,28 @@ class Sample(NamedTuple):
     formation: FormationState  # (n)
     links: LinkCounters  # (n, N)
     lost: BoolArray  # (N,) lost now or before: on the ground, stopped or collided
-    events: tuple[Event, ...] = ()
+    events: tuple[Event, ...] = ()  # since the sample before
     failing: FaultState | None = None  # (N) active faults; None: the scenario has none
     # AIRCRAFT (N,), FOLLOWER (n,) and LINK (n, N) that the fields above are views of; None: the
     # fields are separate arrays
     records: tuple[Records, Records, Records] | None = None
 
 
+@document_fields
 @dataclass(frozen=True, slots=True)
 class RunInfo:
     """Description of a run, for observers before the first sample."""
 
-    scenario_name: str
+    scenario_name: str  # scenario.name
     scenario_yaml: str  # resolved scenario
     names: tuple[str, ...]  # N aircraft, the leader first
     aircraft: tuple[str, ...]  # N airframe names, "rascal110"
     wingspan_m: tuple[float, ...]  # N
-    origin: Origin
-    base_rate_hz: int
-    frame_rate_hz: int
-    duration_s: float
-    seed: int
+    origin: Origin  # of the NED frame
+    base_rate_hz: int  # Hz, of the ticks
+    frame_rate_hz: int  # Hz, of the samples
+    duration_s: float  # s, planned
+    seed: int  # of all random streams
     speed_bounds_mps: tuple[tuple[float, float], ...]  # n
     kappa_mps: tuple[float, ...]  # n, margin of the slots' speeds to those bounds
     roll_limit_rad: tuple[float, ...]  # n, of the FBWA command
@@ -421,7 +438,11 @@ class RunInfo:
     # n speed barriers h: number of the example in [HBH23], and ν; 0 and 0 for an own function;
     # empty for an own law
     barriers: tuple[tuple[int, float], ...] = ()
+    # of n barriers the samples of an own function, as `formation.logged_barrier` has them; empty
+    # rows for the paper's, and empty without an own function
+    barrier_samples: tuple[tuple[float, ...], ...] = ()
     estimated: bool = False  # whether any estimate differs from the truth
+    start_unix_ns: int = 0  # ns since 1970 (UTC) at time 0, as the log's times begin
     # files of code that the scenario uses, by name
     code: Mapping[str, bytes] = field(default_factory=dict)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.core.compile import entry, kernel
 from testbed.core.records import Array, Record, Records, Values, allocate
-from testbed.formation.tabulated import TABLE, Function, Rough, interpolate, make_table
+from testbed.core.tabulated import TABLE, Function, Rough, interpolate, make_table
 
 NO_BARRIER = 7  # h = 1, as in the paper's experiments: the speeds are saturated instead
 OWN_BARRIER = 0  # a user's own h

@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.core.compile import entry, kernel
 from testbed.core.records import Array, Record, Records, Values, allocate
-from testbed.formation.tabulated import (
+from testbed.core.tabulated import (
     TABLE,
     Function,
     Rough,

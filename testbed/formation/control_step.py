@@ -105,7 +105,7 @@ def control_step(
     out: Record,
     command: Record,
 ) -> None:
-    """Compute one follower's (u, ω) and fly-by-wire-A command from what it knows.
+    """Compute one follower's (u, ω) and fly-by-wire-A command from its messages.
 
     Args:
         controller: record of CONTROLLER; its memories are written.
@@ -134,12 +134,12 @@ def finish_step(
     """Run the middle loop behind a law's (u, ω), and write the ages of the messages used."""
     run_middle_loop(controller.loop, own, controller.integrals, out, command)
     if controller.unicycle:
-        _without_middle_loop(own, out)
+        _without_middle_loop(own, out, controller.law.speed_model.own)
     message_ages(now, neighbours, needs_leader, inbox)
 
 
 @kernel
-def _without_middle_loop(own: Record, out: Record) -> None:
+def _without_middle_loop(own: Record, out: Record, own_speed_model: bool) -> None:
     """Correct the outputs of a follower with an ideal vehicle, which has no middle loop.
 
     Outside the speed set, where (14) divides by a slope of h near zero, the limit on the commanded
@@ -147,6 +147,11 @@ def _without_middle_loop(own: Record, out: Record) -> None:
     """
     v = own.velocity_ned
     speed = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    if own_speed_model:  # u is no speed
+        out.limiter_flags &= 0xFF ^ CLIPPED
+        out.airspeed_command = nan
+        out.saturations = 0
+        return
     if out.limiter_flags & OUTSIDE:
         out.speed_command = out.airspeed_command - own.airspeed + speed
     else:

@@ -8,6 +8,7 @@ import numpy as np
 
 from testbed.core.compile import kernel
 from testbed.core.records import Record, Values, Vector
+from testbed.core.speed_model import SPEED_MODEL, speed_terms
 from testbed.formation.barrier import BARRIER, NO_BARRIER, h
 from testbed.formation.control_function import MU, mu
 from testbed.formation.flags import LimiterFlag
@@ -50,6 +51,7 @@ LAW = np.dtype(
         ("c", "f8"),  # 1/s, constant part of c_i(t), (15)
         ("c_speed", "f8"),  # s/m², part of c_i(t) that grows with s_d²
         ("speed_pole", "f8"),  # p, 1/s, of the speed model f = −p s, g = p
+        ("speed_model", SPEED_MODEL),  # f and g of a user in its place
         ("mu", MU),
         ("barrier", BARRIER),
         ("speed_min", "f8"),  # s_lo, m/s
@@ -334,7 +336,7 @@ def speed_and_direction(p: Vector, p_rate: Vector) -> Values:
 def speed_control(
     law: Record, s: float, s_d: float, s_d_rate: float, s_min: float, s_max: float
 ) -> float:
-    """Return the control u, m/s, (14), for f = −p s and g = p.
+    """Return the control u, (14): m/s for f = −p s and g = p, else in the unit of g.
 
     Args:
         law: record of LAW.
@@ -352,6 +354,10 @@ def speed_control(
         )
     else:
         u = law.b * error**2 / copysign(max(abs(slope), SLOPE_FLOOR), slope)
+    if law.speed_model.own:
+        f, g = speed_terms(law.speed_model, s)
+        own: float = (u - f) / g
+        return own
     speed: float = u / law.speed_pole + s
     return speed
 

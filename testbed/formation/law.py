@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.core.field_docs import document_fields
 from testbed.core.records import (
     Array,
     FbwaCommand,
@@ -22,6 +23,7 @@ from testbed.core.records import (
 )
 
 
+@document_fields
 @dataclass(frozen=True, slots=True)
 class FormationConfig:
     """The followers that a law steps, with slots, gains and limits."""

@@ -14,12 +14,15 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-import pyarrow as arrow
-from pyarrow import csv, parquet
 
 from testbed.core.errors import InputError
+from testbed.core.extras import needs_extra
 from testbed.core.input_files import MAX_PARQUET_BYTES, open_regular
 from testbed.logs.flight_data import QUANTITIES, FlightData, Numbers
+
+with needs_extra("study", "CSV and Parquet"):
+    import pyarrow as arrow
+    from pyarrow import csv, parquet
 
 _ROWS = 65_536  # in memory at once, and in a row group of Parquet
 # of a file that is read: 100,000 runs with 1,000 numbers each

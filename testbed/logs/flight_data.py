@@ -13,6 +13,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.core.extras import needs_extra
 from testbed.core.records import Array, Event, RunInfo
 from testbed.logs.messages import FIXED32, TOPICS
 from testbed.logs.read import Log, read_log
@@ -95,10 +96,25 @@ class FlightData:
     log: Log
 
     def __repr__(self) -> str:
-        """Name the run, its size and its outcome."""
+        """Name the run and its size, with its RMS errors unless it was cut short."""
         kinds = ", ".join(dict.fromkeys(self.info.aircraft))
-        outcome = str((self.metrics or {}).get("outcome") or "cut short")
-        return f"<FlightData of {self.info.scenario_name}: {self.log.size} ({kinds}); {outcome}>"
+        line = f"FlightData of {self.info.scenario_name}: {self.log.size} ({kinds})"
+        metrics = self.metrics or {}
+        if "windows" not in metrics:
+            return f"<{line}; {metrics.get('outcome', 'cut short')}>"
+        from testbed.metrics.short_table import table_text
+
+        return f"{line}\n{table_text(metrics)}"
+
+    def _repr_html_(self) -> str:
+        """Show the same in a notebook."""
+        from html import escape
+
+        from testbed.metrics.short_table import table_html
+
+        line, *rest = repr(self).splitlines()
+        table = table_html(self.metrics) if self.metrics and rest else ""
+        return f"<p>{escape(line)}</p>{table}"
 
     @property
     def info(self) -> RunInfo:
@@ -174,7 +190,8 @@ class FlightData:
 
         The index is time_s and aircraft, the columns are those of `testbed export`.
         """
-        import pandas
+        with needs_extra("notebook", "to_pandas"):
+            import pandas
 
         index = [self.time_s, list(self.names)]
         columns = {}
@@ -192,7 +209,8 @@ class FlightData:
 
     def to_xarray(self) -> xarray.Dataset:
         """Return a dataset over time_s and aircraft, with units; needs xarray."""
-        import xarray
+        with needs_extra("notebook", "to_xarray"):
+            import xarray
 
         names = list(self.names)
         variables = {
@@ -207,7 +225,7 @@ class FlightData:
         return xarray.Dataset(variables, coords=coordinates, attrs=self.documents())
 
 
-def load(run: str | Path) -> FlightData:
+def load_run(run: str | Path) -> FlightData:
     """Load a run by its directory, its .mcap file, or a scenario's name for its latest run.
 
     A run that was killed is read up to its last complete chunk.

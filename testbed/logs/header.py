@@ -13,6 +13,7 @@ import numpy as np
 from testbed.core.input_files import parse_json_map
 from testbed.core.records import Origin, RunInfo
 from testbed.core.shape import Each, ListOf, Number, check_shape
+from testbed.core.start_time import MAX_START_NS
 from testbed.logs.messages import LOG_SCHEMA
 
 METADATA_NAME = "testbed"
@@ -38,7 +39,9 @@ _SHAPE: Mapping[str, Any] = {
     "versions": Each(str),
     "bounded_in_ned": ListOf(_NUMBER, 3),
     "barriers": ListOf(ListOf(_NUMBER, 2)),
+    "barrier_samples": ListOf(ListOf(_NUMBER)),
     "estimated": bool,
+    "start_unix_ns": Number(whole=True, least=0, most=MAX_START_NS),
 }
 _TUPLES = ("names", "aircraft", "wingspan_m", "kappa_mps", "roll_limit_rad", "bounded_in_ned")
 
@@ -75,14 +78,14 @@ def from_json(text: str, *, scenario_yaml: str, code: Mapping[str, bytes]) -> Ru
         ValueError: The text is not JSON, or a field is missing, unknown or of another type or size.
     """
     try:
-        values = parse_json_map(text)
+        values = {"barrier_samples": []} | parse_json_map(text)  # early logs have none
         _check(values)
     except ValueError as error:
         raise ValueError(f"{INFO_NAME}: {error}") from None
     values["origin"] = Origin(**values["origin"])
     path = np.array(values["leader_path_ned"], dtype=np.float64)
     values["leader_path_ned"] = path.reshape(-1, 3)
-    for name in ("speed_bounds_mps", "barriers"):
+    for name in ("speed_bounds_mps", "barriers", "barrier_samples"):
         values[name] = tuple(map(tuple, values[name]))
     values["windows"] = {name: tuple(span) for name, span in values["windows"].items()}
     values |= {name: tuple(values[name]) for name in _TUPLES}
@@ -107,5 +110,6 @@ def _check(values: Mapping[str, Any]) -> None:
     for name, size in (sizes | {"roll_limit_rad": n}).items():
         if len(values[name]) != size:
             raise ValueError(f"{name}: has {len(values[name])} elements, not {size}")
-    if len(values["barriers"]) not in (0, n):
-        raise ValueError(f"barriers: has {len(values['barriers'])} elements, not {n}")
+    for name in ("barriers", "barrier_samples"):
+        if len(values[name]) not in (0, n):
+            raise ValueError(f"{name}: has {len(values[name])} elements, not {n}")

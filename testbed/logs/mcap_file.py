@@ -1,7 +1,6 @@
 """MCAP files: writing chunks, reading files back, also files that were cut short.
 
-The only module that imports foxglove, mcap, protobuf and zstandard. Format: https://mcap.dev/spec.
-Foxglove's messages: https://docs.foxglove.dev/docs/visualization/message-schemas.
+The only module that imports mcap, protobuf and zstandard. Format: https://mcap.dev/spec.
 """
 
 from __future__ import annotations
@@ -18,9 +17,8 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import zstandard
-from foxglove import messages
 from google.protobuf import descriptor_pool, message_factory
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 from google.protobuf.message import DecodeError
 from mcap import records
 from mcap.data_stream import RecordBuilder
@@ -33,8 +31,9 @@ from testbed.core.errors import InputError
 from testbed.core.files import lock_file
 from testbed.core.input_files import MAX_LOG_BYTES, open_regular
 from testbed.core.records import Event
+from testbed.logs.foxglove_messages import LOG
 from testbed.logs.message_batch import Channel, Chunk, MessageBatch, Schema, chunk
-from testbed.logs.messages import Topic
+from testbed.logs.messages import Topic, aircraft_fields
 
 _NS = 10**9
 _MAGIC = b"\x89MCAP0\r\n"
@@ -62,16 +61,6 @@ _SUMMARY_GROUPS = (
     Opcode.METADATA_INDEX,
 )
 NO_SAMPLES = "was cut before its first sample: nothing was recorded"
-
-
-def _foxglove_schema(message_type: Any) -> Schema:  # noqa: ANN401 - a class of foxglove.messages
-    schema = message_type.get_schema()
-    return Schema(schema.name, schema.data)
-
-
-TRANSFORMS = _foxglove_schema(messages.FrameTransforms)
-FIX = _foxglove_schema(messages.LocationFix)
-LOG = _foxglove_schema(messages.Log)
 
 
 class LogError(InputError):
@@ -411,24 +400,12 @@ def _uncompressed_size(chunk: bytes) -> int:
         chunk: its first bytes.
     """
     if len(chunk) < _CHUNK_HEAD.size:
-        return 0  # damaged: the library's error says how
+        return 0  # damaged: the library's error has the details
     size = int(_CHUNK_HEAD.unpack_from(chunk)[4])
     try:
         return max(size, zstandard.frame_content_size(chunk[_CHUNK_HEAD.size :]))
     except zstandard.ZstdError:  # another compression, or none
         return size
-
-
-def encode_event(event: Event) -> bytes:
-    """Encode an event as foxglove.Log."""
-    time_ns = round(event.time_s * _NS)
-    line = messages.Log(
-        timestamp=messages.Timestamp(sec=time_ns // _NS, nsec=time_ns % _NS),
-        level=getattr(messages.LogLevel, event.level.title(), messages.LogLevel.Unknown),
-        message=event.text,
-        name=event.source,
-    )
-    return line.encode()
 
 
 def decode_event(payload: bytes, time_s: float) -> Event:
@@ -455,17 +432,23 @@ def _log_class() -> Any:  # noqa: ANN401 - made at run time
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(LOG.name))
 
 
-def topic_schema(topic: Topic) -> Schema:
-    """Describe the messages of a topic: a FileDescriptorSet of one file."""
+def topic_schema(topic: Topic, names: Sequence[str]) -> Schema:
+    """Describe the messages of a topic in a run of these aircraft, by a FileDescriptorSet."""
     package, _, name = topic.message_type.rpartition(".")
     out = FileDescriptorSet()
     file = out.file.add(name=f"{topic.message_type}.proto", package=package, syntax="proto3")
     message = file.message_type.add(name=name)
     for number, (field_name, column) in enumerate(topic.fields, start=1):
-        message.field.add(
-            name=field_name,
-            number=number,
-            type=f"TYPE_{column.type.upper()}",
-            label="LABEL_REPEATED" if column.per_aircraft else "LABEL_OPTIONAL",
-        )
+        kind = f"TYPE_{column.type.upper()}"
+        field = message.field.add(name=field_name, number=number, label="LABEL_OPTIONAL")
+        if not column.per_aircraft:
+            field.type = FieldDescriptorProto.Type.Value(kind)
+            continue
+        by_aircraft = message.nested_type.add(name=field_name.title().replace("_", ""))
+        for aircraft, own_number in aircraft_fields(names).items():
+            by_aircraft.field.add(
+                name=aircraft, number=own_number, type=kind, label="LABEL_OPTIONAL"
+            )
+        field.type = FieldDescriptorProto.TYPE_MESSAGE
+        field.type_name = f".{topic.message_type}.{by_aircraft.name}"
     return Schema(topic.message_type, bytes(out.SerializeToString(deterministic=True)))

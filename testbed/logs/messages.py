@@ -7,9 +7,12 @@ messages: `/tf`, `/tf_static`, `/<aircraft>/fix` and `/events`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-LOG_SCHEMA = 4  # raised when a topic or field is renamed, removed or changes its meaning
+from testbed.core.identifiers import identifiers
+
+LOG_SCHEMA = 5  # raised when a topic or field is renamed, removed or changes its meaning
 
 DOUBLE, FIXED32, BOOL = "double", "fixed32", "bool"  # protobuf types
 
@@ -19,9 +22,9 @@ class Column:
     """One array of a sample, aircraft or followers on its leading axis, as message fields."""
 
     source: str  # path from Sample: "truth.position_ned"
-    names: tuple[str, ...]  # one field for each component, or one repeated field
+    names: tuple[str, ...]  # one field for each component
     type: str = DOUBLE
-    per_aircraft: bool = False  # a repeated field with one value for every aircraft
+    per_aircraft: bool = False  # one field, a message with a value by the name of each aircraft
     default_source: str | None = None  # the column whose values hold where nothing was written
 
 
@@ -42,6 +45,15 @@ class Topic:
     def fields(self) -> tuple[tuple[str, Column], ...]:
         """Field names with their columns, in the order of the field numbers from 1 on."""
         return tuple((name, column) for column in self.columns for name in column.names)
+
+
+def aircraft_fields(names: Sequence[str]) -> dict[str, int]:
+    """Number the fields of a message with a value for each aircraft: numbers by field name.
+
+    The numbers are those whose tags have the same length: 2 bytes up to 2032 aircraft.
+    """
+    first = 16 if len(names) <= 2032 else 2048
+    return {name: first + k for k, name in enumerate(identifiers(names))}
 
 
 def _ned(quantity: str, unit: str) -> tuple[str, ...]:
@@ -116,7 +128,7 @@ FORMATION = Topic(
         Column("formation.saturations", ("saturation_bits",), FIXED32),
         # the slot that it flies in, as a row of the run's names; 0 is the leader's
         Column("formation.slot_index", ("slot_index",), FIXED32),
-        # age of the data used of each aircraft, in the order of the run's names; NaN: unused
+        # age of the data used of each aircraft; NaN: unused
         Column("formation.age_s", ("age_s",), per_aircraft=True),
     ),
 )
@@ -133,8 +145,8 @@ ESTIMATED_ERROR = Topic(
         ),
     ),
 )
-# Message counts since the start on the links to a follower, by sender in the order of the run's
-# names. Written from the chunk with the first lost message on.
+# Message counts since the start on the links to a follower, by sender. Written from the chunk with
+# the first lost message on.
 NETWORK = Topic(
     "network",
     followers_only=True,

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.records import Array
-from testbed.logs.messages import BOOL, DOUBLE, FIXED32, Column, Topic
+from testbed.logs.messages import BOOL, DOUBLE, FIXED32, Column, Topic, aircraft_fields
 
 Octets: TypeAlias = NDArray[np.uint8]
 IntArray: TypeAlias = NDArray[np.int64]
@@ -30,6 +30,7 @@ _NS = 10**9
 _STAMP_BYTES = 5  # of a varint, enough for any uint32
 # google.protobuf.Timestamp of constant length: seconds and nanos with five bytes each
 _STAMP = bytes([0x08, *bytes(_STAMP_BYTES), 0x10, *bytes(_STAMP_BYTES)])
+_APPROXIMATED = 1  # LocationFix.PositionCovarianceType
 _DOUBLE = np.dtype([("tag", "u1"), ("value", "<f8")])
 
 
@@ -71,35 +72,34 @@ class ProtoTemplate:
         return {source: values.astype(np.float64) for source, values in columns.items()}
 
 
-def topic_template(topic: Topic, aircraft: int) -> ProtoTemplate:
-    """Lay out the messages of a topic in a run of this many aircraft."""
+def topic_template(topic: Topic, names: Sequence[str]) -> ProtoTemplate:
+    """Lay out the messages of a topic in a run of these aircraft."""
     data = b""
     offsets: list[int] = []
     formats: list[Any] = []
     number = 1
     for column in topic.columns:
         code, wire_type = _TYPES[column.type]
+        numbers = [*range(number, number + len(column.names))]
         if column.per_aircraft:
-            size = aircraft * np.dtype(code).itemsize
-            data += varint(number << 3 | _LENGTH) + varint(size)
-            offsets.append(len(data))
-            formats.append((code, (aircraft,)))
-            data += bytes(size)
-        else:
-            tags = [varint(n << 3 | wire_type) for n in range(number, number + len(column.names))]
-            assert len({*map(len, tags)}) == 1, f"{column.source}: tags of two lengths"
-            field = np.dtype([("tag", f"V{len(tags[0])}"), ("value", code)])
-            offsets.append(len(data))
-            formats.append((field, (len(tags),)))
-            data += b"".join(tag + bytes(np.dtype(code).itemsize) for tag in tags)
+            numbers = [*aircraft_fields(names).values()]
+        tags = [varint(each << 3 | wire_type) for each in numbers]
+        assert len({*map(len, tags)}) == 1, f"{column.source}: tags of two lengths"
+        fields = b"".join(tag + bytes(np.dtype(code).itemsize) for tag in tags)
+        if column.per_aircraft:
+            data += varint(number << 3 | _LENGTH) + varint(len(fields))
+        offsets.append(len(data))
+        field = np.dtype([("tag", f"V{len(tags[0])}"), ("value", code)])
+        formats.append((field, (len(tags),)))
+        data += fields
         number += len(column.names)
     sources = [column.source for column in topic.columns]
     return ProtoTemplate(topic, data, _dtype(sources, formats, offsets, len(data)))
 
 
 def _values(records: Records, column: Column) -> NDArray[Any]:
-    values = records[column.source]
-    return values if column.per_aircraft else values["value"]
+    values: NDArray[Any] = records[column.source]["value"]
+    return values
 
 
 class TransformsTemplate:
@@ -167,21 +167,34 @@ class GnssFixes:
         """Encode the aircraft's names as frame ids."""
         self._frame_ids = [_field(7, name.encode()) for name in names]
 
-    def encode(self, positions: Array, time_ns: IntArray) -> list[list[bytes]]:
+    def encode(self, positions: Array, covariances: Array, time_ns: IntArray) -> list[list[bytes]]:
         """Encode R samples of N aircraft, as R lists of N messages.
 
         Args:
             positions: (R, N, 3) latitude and longitude in deg, altitude in m.
+            covariances: (R, N, 3, 3) m², of east, north and up; zero: unknown.
             time_ns: (R,)
         """
         records = np.empty(positions.shape, dtype=_DOUBLE)
         records["tag"] = [number << 3 | _FIXED64 for number in (1, 2, 3)]
         records["value"] = positions
         rows: list[list[bytes]] = records.view(f"V{3 * _DOUBLE.itemsize}")[..., 0].tolist()
+        known = np.any(covariances != 0.0, axis=(2, 3))
         return [
-            [position + stamp + frame for position, frame in zip(row, self._frame_ids, strict=True)]
-            for row, stamp in zip(rows, map(_fix_stamp, time_ns.tolist()), strict=True)
+            [
+                position + (_covariance(matrix) if is_known else b"") + stamp + frame
+                for position, matrix, is_known, frame in zip(*of_row, self._frame_ids, strict=True)
+            ]
+            for *of_row, stamp in zip(
+                rows, covariances, known, map(_fix_stamp, time_ns.tolist()), strict=True
+            )
         ]
+
+
+def _covariance(matrix: Array) -> bytes:
+    """Encode the covariance (3, 3) of a fix, with its type."""
+    data = np.ascontiguousarray(matrix, dtype="<f8").tobytes()
+    return _field(4, data) + _integer(5, _APPROXIMATED)
 
 
 def _fix_stamp(time_ns: int) -> bytes:

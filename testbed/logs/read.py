@@ -120,7 +120,7 @@ def read_log(path: Path) -> Log:
         formation=_record(FormationState, "formation", columns),
         links=_record(LinkCounters, "links", columns),
         lost=columns["lost"],
-        events=_events(path, contents),
+        events=_events(path, contents, info.start_unix_ns),
         metrics=(metrics and _json(path, METRICS_NAME, metrics)) or None,
         finished=contents.finished,
         lost_bytes=contents.lost_bytes,
@@ -254,7 +254,10 @@ def _refuse_size(path: Path, contents: McapContents, count: int, aircraft: int) 
 
 def _ticks(time_ns: list[int], info: RunInfo) -> IntArray:
     """Ticks of the base rate; the times are these, rounded down to whole nanoseconds."""
-    return np.rint(np.array(time_ns, dtype=np.float64) * info.base_rate_hz / _NS).astype(np.int64)
+    since_start = [stamp - info.start_unix_ns for stamp in time_ns]
+    return np.rint(np.array(since_start, dtype=np.float64) * info.base_rate_hz / _NS).astype(
+        np.int64
+    )
 
 
 def _read_columns(
@@ -274,7 +277,7 @@ def _read_columns(
     defaults = {c.source: others[c.default_source] for c in topic.columns if c.default_source}
     if defaults and not any(each and each.time_ns for each in found):
         return defaults
-    template = topic_template(topic, len(info.names))
+    template = topic_template(topic, info.names)
     out: dict[str, Array] = {}
     for column in topic.columns:
         components = len(info.names) if column.per_aircraft else len(column.names)
@@ -305,13 +308,13 @@ def _record(kind: type[_RecordT], name: str, columns: Mapping[str, Array]) -> _R
     return kind(**{field: columns[f"{name}.{field}"] for field in kind.__annotations__})
 
 
-def _events(path: Path, contents: McapContents) -> tuple[Event, ...]:
+def _events(path: Path, contents: McapContents, start_ns: int) -> tuple[Event, ...]:
     found = contents.messages.get("/events")
     if found is None:
         return ()
     try:
         return tuple(
-            mcap_file.decode_event(payload, stamp / _NS)
+            mcap_file.decode_event(payload, (stamp - start_ns) / _NS)
             for stamp, payload in zip(found.time_ns, found.data, strict=True)
         )
     except ValueError as error:

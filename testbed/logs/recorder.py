@@ -5,28 +5,34 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from testbed.core.frames import geodetic_from_ned, quaternion_xyzw
 from testbed.core.records import Event, RunInfo, Sample
 from testbed.core.samples import Columns, SampleBuffer
+from testbed.logs.fix_covariance import FixCovariance
+from testbed.logs.foxglove_messages import FIX, LOG, TRANSFORMS, encode_event
 from testbed.logs.header import INFO_NAME, METADATA_NAME, metadata, to_json
-from testbed.logs.mcap_file import (
-    FIX,
-    LOG,
-    TRANSFORMS,
-    LogError,
-    McapWriter,
-    encode_event,
-    topic_schema,
+from testbed.logs.mcap_file import LogError, McapWriter, topic_schema
+from testbed.logs.message_batch import (
+    Channel,
+    MessageBatch,
+    MessageRows,
+    Schema,
+    message_batch,
 )
-from testbed.logs.message_batch import MessageBatch, MessageRows, message_batch
 from testbed.logs.messages import ESTIMATE, ESTIMATED_ERROR, NETWORK, TOPICS, Topic
-from testbed.logs.proto_template import GnssFixes, IntArray, TransformsTemplate, topic_template
+from testbed.logs.proto_template import (
+    GnssFixes,
+    IntArray,
+    ProtoTemplate,
+    TransformsTemplate,
+    topic_template,
+)
 from testbed.logs.run_directory import METRICS_NAME, SCENARIO_NAME
 
 FIX_HZ = 5
@@ -40,6 +46,15 @@ _NS = 10**9
 _ENU_FROM_NED = np.zeros((1, 1, 3)), np.array([[[0.5**0.5, 0.5**0.5, 0.0, 0.0]]])
 
 
+class Addition(NamedTuple):
+    """A message of another topic than those of a log."""
+
+    tick: int  # of the base rate
+    topic: str
+    schema: Schema
+    data: bytes
+
+
 class McapRecorder:
     """Write a run as MCAP: https://mcap.dev, protobuf, zstd, indexed.
 
@@ -50,6 +65,7 @@ class McapRecorder:
 
     Args:
         path: The file, which must not exist.
+        additions: Further messages in order of time, written with the samples of these ticks.
 
     Raises:
         LogError: From all methods: the file cannot be written, or was removed or moved.
@@ -57,9 +73,12 @@ class McapRecorder:
 
     zero_copy = True  # copies what it needs
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, additions: Iterable[Addition] = ()) -> None:
         """See the class."""
         self._path = path
+        self._additions = iter(additions)
+        self._next_addition = next(self._additions, None)
+        self._added: dict[str, Channel] = {}  # by topic
         self._file: McapWriter | None = None
         self._lock = threading.RLock()  # of everything below
         self._closed = threading.Event()
@@ -155,10 +174,12 @@ class McapRecorder:
                 topics = _changed_topics(columns, estimates_differ=bool(self._samples.erring))
                 ticks = np.array(self._samples.tick, dtype=np.int64)
                 batches += self._encoder.encode(ticks, columns, topics)
+                batches += self._additional(file, ticks)
             if self._events:
                 order, events = zip(*self._events, strict=True)
-                time_ns = [round(event.time_s * _NS) for event in events]
-                lines = [[encode_event(event)] for event in events]
+                start_ns = self._info.start_unix_ns
+                time_ns = [start_ns + round(event.time_s * _NS) for event in events]
+                lines = [[encode_event(*each)] for each in zip(events, time_ns, strict=True)]
                 batches.append(
                     message_batch([self._event_channel], lines, np.array(time_ns), np.array(order))
                 )
@@ -170,6 +191,21 @@ class McapRecorder:
             self._samples.clear()
             self._events = []
         self._flushed = time.monotonic()
+
+    def _additional(self, file: McapWriter, ticks: IntArray) -> Iterator[MessageBatch]:
+        """Take the additions up to the last of these ticks, as a batch of each topic."""
+        found: dict[str, list[Addition]] = {}
+        while self._next_addition is not None and self._next_addition.tick <= ticks[-1]:
+            found.setdefault(self._next_addition.topic, []).append(self._next_addition)
+            self._next_addition = next(self._additions, None)
+        for topic, each in found.items():
+            if topic not in self._added:
+                self._added[topic] = file.channel(topic, each[0].schema)
+            own = np.array([addition.tick for addition in each], dtype=np.int64)
+            time_ns = self._info.start_unix_ns + own * _NS // self._info.base_rate_hz
+            data = [[addition.data] for addition in each]
+            order = np.searchsorted(ticks, own)
+            yield message_batch([self._added[topic]], data, time_ns, order)
 
 
 class _SampleEncoder:
@@ -186,14 +222,14 @@ class _SampleEncoder:
         self._fix_channels = [file.channel(f"/{name}/fix", FIX) for name in names]
         self._fixes = GnssFixes(names)
         self._fix_stride = max(1, round(info.frame_rate_hz / FIX_HZ))
-        self._topics = {
-            topic: (
-                topic_template(topic, len(names)),
-                [file.channel(f"/{name}/{topic.name}", topic_schema(topic)) for name in agents],
-            )
-            for topic in TOPICS
-            if (agents := names[1:] if topic.followers_only else names)
-        }
+        self._topics: dict[Topic, tuple[ProtoTemplate, list[Channel]]] = {}
+        for topic in TOPICS:
+            agents = names[1:] if topic.followers_only else names
+            if agents:
+                schema = topic_schema(topic, names)
+                channels = [file.channel(f"/{name}/{topic.name}", schema) for name in agents]
+                self._topics[topic] = topic_template(topic, names), channels
+        self._covariance = FixCovariance(len(names))
         self._rows: dict[tuple[Topic, ...], MessageRows] = {}
         self._encoded = 0  # samples
 
@@ -208,7 +244,7 @@ class _SampleEncoder:
             topics: those to write.
         """
         info = self._info
-        time_ns = ticks * _NS // info.base_rate_hz
+        time_ns = info.start_unix_ns + ticks * _NS // info.base_rate_hz
         if not self._encoded:
             static = [self._file.channel("/tf_static", TRANSFORMS)]
             yield message_batch(
@@ -225,9 +261,11 @@ class _SampleEncoder:
         yield layout.batch(rows, time_ns)
         with_fix = slice(-self._encoded % self._fix_stride, None, self._fix_stride)
         order = np.arange(len(ticks))[with_fix]
+        estimates = columns["estimate.position_ned"]
+        covariances = self._covariance.add(estimates - positions)[with_fix]
         if order.size:
-            geodetic = geodetic_from_ned(positions[with_fix], info.origin)
-            fixes = self._fixes.encode(geodetic, time_ns[with_fix])
+            geodetic = geodetic_from_ned(estimates[with_fix], info.origin)
+            fixes = self._fixes.encode(geodetic, covariances, time_ns[with_fix])
             yield message_batch(self._fix_channels, fixes, time_ns[with_fix], order)
         self._encoded += len(ticks)
 

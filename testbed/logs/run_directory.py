@@ -32,7 +32,7 @@ def create_run_directory(scenario: str, *, out: Path | None = None, logs: Path =
     """
     if out is not None:
         return _create_or_use(out)
-    parent = logs / _folder_name(scenario)
+    parent = logs / folder_name(scenario)
     try:
         parent.mkdir(parents=True, exist_ok=True)
         for _ in range(_ATTEMPTS):
@@ -73,7 +73,7 @@ def find_run(run: str | Path, *, logs: Path = LOGS) -> Path:
     A scenario's name stands for its latest run below `logs`.
 
     Raises:
-        LogError: There is no such run; says what was looked for.
+        LogError: There is no such run; with what was looked for.
     """
     path = Path(run)
     # os.path, not Path: a name that is too long or in a closed folder is no run, and no error
@@ -89,12 +89,19 @@ def find_run(run: str | Path, *, logs: Path = LOGS) -> Path:
         raise LogError(f"{run}: no {LOG_NAME} in there: nothing was recorded")
     if os.path.isdir(path):
         raise LogError(f"{run}: no {LOG_NAME} in there, and no runs below")
-    known = sorted(p.name for p in logs.iterdir() if _runs(p)) if logs.is_dir() else []
+    known = list_run_names(logs)
     hint = f"runs of: {', '.join(known)}" if known else "no runs yet"
     raise LogError(
         f"{run}: neither a run directory, nor a .mcap file, nor a scenario flown from here"
         f" ({logs}{os.sep} has {hint})"
     )
+
+
+def list_run_names(logs: Path = LOGS, scenario: str = "") -> list[str]:
+    """Return the scenarios that have runs, or the runs of one as `scenario/run`."""
+    if scenario:
+        return [f"{scenario}/{each.name}" for each in _runs(logs / scenario)]
+    return sorted(each.name for each in logs.iterdir() if _runs(each)) if logs.is_dir() else []
 
 
 def _create_or_use(out: Path) -> Path:
@@ -122,7 +129,7 @@ def _runs(directory: Path) -> list[Path]:
     return sorted((p for p in directory.iterdir() if (p / LOG_NAME).is_file()), key=age)
 
 
-def _folder_name(scenario: str) -> str:
+def folder_name(scenario: str) -> str:
     """Turn a scenario's name into the name of one folder."""
     return re.sub(r"[^\w.-]+", "-", scenario).strip(".-") or "run"
 

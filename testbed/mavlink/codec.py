@@ -21,6 +21,7 @@ from types import ModuleType
 from typing import Any, SupportsFloat, SupportsIndex
 
 from testbed.core.errors import InputError
+from testbed.core.extras import needs_extra
 from testbed.mavlink.signing import SIGNATURE_BYTES, MessageSigner, Signing, Verdict
 
 V1, V2 = 0xFE, 0xFD  # first byte of a frame
@@ -287,15 +288,21 @@ def constant(name: str) -> int:
     Raises:
         MavlinkError: the dialect has no such constant.
     """
-    value = getattr(_dialect(), name, None)
+    value = getattr(load_dialect(), name, None)
     if not isinstance(value, int):
         raise MavlinkError(f"{name}: no constant of ArduPilot's dialect of MAVLink")
     return value
 
 
 @functools.cache
-def _dialect() -> ModuleType:
-    from pymavlink.dialects.v20 import ardupilotmega
+def load_dialect() -> ModuleType:
+    """Import the generated tables.
+
+    Raises:
+        MissingExtraError: pymavlink is not installed.
+    """
+    with needs_extra("mavlink", "MAVLink"):
+        from pymavlink.dialects.v20 import ardupilotmega
 
     dialect: ModuleType = ardupilotmega
     return dialect
@@ -308,14 +315,14 @@ def _checksum(data: bytes) -> int:
 
 @functools.cache
 def _crc() -> Callable[[bytes], int]:
-    crc_class = _dialect().x25crc
+    crc_class = load_dialect().x25crc
     return lambda data: crc_class(data).crc
 
 
 @functools.cache
 def _message_classes() -> dict[int, Any]:
     """Return pymavlink's class of every message, by number."""
-    return dict(_dialect().mavlink_map)
+    return dict(load_dialect().mavlink_map)
 
 
 @functools.cache

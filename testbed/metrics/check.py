@@ -60,6 +60,18 @@ _EXTERNAL: Mapping[str, Any] = {
     "arduplane": Each(str),
     "commanded": Each(Each(_COUNT)),
 }
+_BOUND = {
+    "key": ListOf(str),
+    "quantity": str,
+    "window": Optional(str),
+    "follower": Optional(str),
+    "side": str,
+    "bound": _NUMBER,
+    "value": _KNOWN,
+    "met": bool,
+}
+# Only runs of scenarios with `expect` have this key.
+_EXPECT = {"expect": {"checked": _COUNT, "violated": _COUNT, "bounds": ListOf(_BOUND)}}
 
 
 def check_metrics(document: Document, info: RunInfo, where: str) -> None:
@@ -77,7 +89,8 @@ def check_metrics(document: Document, info: RunInfo, where: str) -> None:
         check_shape(document.get("schema"), Number(whole=True), "schema")
         if document["schema"] != SCHEMA:
             raise ValueError(f"schema: is {document['schema']}; this version reads {SCHEMA}")
-        external = {key: shape for key, shape in _EXTERNAL.items() if document.get(key)}
+        optional = {**_EXTERNAL, **_EXPECT}
+        external = {key: shape for key, shape in optional.items() if document.get(key)}
         shape = _shape(info)
         check_shape(document, shape | external)
         for key, by_name in shape.items():

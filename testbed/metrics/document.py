@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from testbed.core.files import report_write_errors, write_text_file
+from testbed.metrics.expectations import check_expectations
 
 Document = Mapping[str, Any]
 
@@ -27,6 +28,7 @@ def finalise(
     external: Document,
     outcome: str,
     wall_s: float,
+    expect: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Complete the summary of the samples: network, external programs, and how the run ended.
 
@@ -41,6 +43,7 @@ def finalise(
             `commanded`.
         outcome: one of `OUTCOMES`.
         wall_s: duration of the run.
+        expect: bounds of the scenario, whose comparison is then in `expect`.
 
     Raises:
         ValueError: the outcome is none of `OUTCOMES`.
@@ -48,7 +51,7 @@ def finalise(
     if outcome not in OUTCOMES:
         raise ValueError(f"outcome {outcome!r} is none of {', '.join(OUTCOMES)}")
     factor = summary["simulated_s"] / wall_s if wall_s > 0 else None
-    return {
+    document = {
         **summary,
         "age_of_information_s": {
             name: _age(network, name) for name in summary["age_of_information_s"]
@@ -59,6 +62,7 @@ def finalise(
         "wall_s": wall_s,
         "real_time_factor": factor,
     }
+    return {**document, "expect": check_expectations(document, expect)} if expect else document
 
 
 def _age(network: Document, follower: str) -> dict[str, float | None]:

@@ -49,6 +49,8 @@ def facts(metrics: Document) -> list[tuple[str, str | Text]]:
         rows.append(("lost", _listed(lost, "; counted until then")))
     if exceeded := exceedances(metrics):
         rows.append(("limit exceeded", _listed(exceeded)))
+    if bounds := metrics.get("expect"):
+        rows.append(("expected", _expected(bounds)))
     rows.append(("smallest separation", _separation(metrics)))
     rows.append(("leader bank", shown(metrics["leader_bank_deg"], "max {:.1f}°")))
     if metrics["joined_at_s"]:
@@ -215,6 +217,14 @@ def describe_commands(commanded: Mapping[str, Mapping[str, int]]) -> Text:
 def _listed(texts: Sequence[str], note: str = "") -> Text:
     more = [f"{len(texts) - MAX_LISTED} more"] if len(texts) > MAX_LISTED else []
     return Text(", ".join([*texts[:MAX_LISTED], *more]) + note, style="red")
+
+
+def _expected(bounds: Document) -> Text:
+    """Count the bounds of the scenario that are met or violated."""
+    checked, violated = bounds["checked"], bounds["violated"]
+    if violated:
+        return Text(f"{violated} of {checked} numbers outside their bounds", style="red")
+    return Text(f"{checked} numbers within their bounds", style="green" if checked else "yellow")
 
 
 def _separation(metrics: Document) -> Text:

@@ -30,7 +30,7 @@ def summarise(
     events: Sequence[Event],
     published: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
-    """Compute the metrics document; `document.finalise` adds what only the runner knows.
+    """Compute the metrics document; `document.finalise` adds the numbers of the runner.
 
     RMS errors are [HBH23] eqs. (30), (31) with the integral as the sum over samples. The percent
     error is that of its Table 1: the RMS of ‖q̃_i‖/‖χ_i‖, averaged over the followers. The

@@ -62,7 +62,7 @@ class Encoder:
 
         Args:
             messages: (N,) of MESSAGE, stamped with the true times of their content.
-            stamp_s: (N,) s, by the senders' clocks; what the frames say is written.
+            stamp_s: (N,) s, by the senders' clocks; the content of the frames is written.
             rows: (S,) of the senders.
             numbers: (S,) sequence numbers.
 

@@ -19,7 +19,7 @@ class FigureSpec:
     rows: Sequence[Sequence[Panel | Panel3D]]
     height_in: float
     widths: Sequence[float] = (1.0,)  # of the columns, relative
-    # whether the caption must say which of many followers are drawn
+    # whether the caption must name the followers that are drawn of many
     needs_selection_note: bool = True
 
 

@@ -8,15 +8,16 @@ import numpy as np
 
 from testbed.reports import figures_control_network_wind as other
 from testbed.reports import figures_motion as motion
+from testbed.reports import figures_paths as paths
 from testbed.reports.figure_spec import Figure, FigureSpec, make_figure
 from testbed.reports.plot_selection import PlotSelection, select_followers
 from testbed.reports.run_data import RunData
 
 Maker = Callable[[RunData, PlotSelection], FigureSpec | None]
 MAKERS: Sequence[tuple[str, Maker]] = (
-    ("trajectory", motion.trajectory),
-    ("first-lap", motion.first_lap),
-    ("corner", motion.corner),
+    ("trajectory", paths.trajectory),
+    ("first-lap", paths.first_lap),
+    ("corner", paths.corner),
     ("altitude", motion.altitude),
     ("relative", motion.relative),
     ("relative-ned", motion.relative_ned),

@@ -17,6 +17,7 @@ from testbed.reports.decimate import decimate
 from testbed.reports.figure_spec import FigureSpec
 from testbed.reports.plot_selection import (
     LEADER_COLOUR,
+    MAX_SINGLE,
     STYLES,
     DrawnFollower,
     PlotSelection,
@@ -54,7 +55,8 @@ def commands(run: RunData, selection: PlotSelection) -> FigureSpec:
             limits = np.degrees(log.info.roll_limit_rad)
             lines += bound_lines(time, np.stack((-limits, limits)), "bank limits")
         bands = percentile_bands(time, actual[:, 1:], selection)
-        rows.append([axis.panel(title, unit, lines, bands, last=commanded is None)])
+        last = commanded is None
+        rows.append([axis.panel(title, unit, lines, bands, last=last, y_degrees=not last)])
     return FigureSpec(
         "Bank, pitch and throttle",
         "Solid: actual bank and pitch, and the commanded throttle; dashed: the fly-by-wire-A"
@@ -220,7 +222,8 @@ def _delivered_shares(
     lines: list[Line] = []
     worst = sorted(links, key=lambda link: -link[0])[: MAX_LINKS if len(links) > 1 else 0]
     for k, (_, i, j) in enumerate(sorted(worst, key=lambda link: link[1:])):
-        curve = DrawnFollower(0, f"{names[j]} > {names[i + 1]}", *STYLES[k], phase=k / MAX_LINKS)
+        style = STYLES[MAX_SINGLE + k]  # of no follower
+        curve = DrawnFollower(0, f"{names[j]} > {names[i + 1]}", *style, phase=k / MAX_LINKS)
         values = by_link[:, i * sent.shape[2] + j][:, None]
         lines += follower_curves(log.time_s, values, PlotSelection((curve,), 0))
     at = decimate(all_links)

@@ -91,7 +91,7 @@ def figure_html(figure: Figure) -> str:
     label = escape(f"{figure.title}. {figure.caption}", quote=True)
     return (
         f'<figure id="figure-{figure.name}"><h3>{escape(figure.title)}</h3>'
-        f"{embed_svg(figure_svg(figure.grid), figure.name, label)}"
+        f'<div class="wide">{embed_svg(figure_svg(figure.grid), figure.name, label)}</div>'
         f"<figcaption>{escape(figure.caption)}</figcaption></figure>"
     )
 

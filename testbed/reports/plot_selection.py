@@ -10,30 +10,13 @@ import numpy as np
 from testbed.core.records import Array
 from testbed.reports.decimate import decimate, percentiles
 from testbed.reports.run_data import RunData
-from testbed.views.panels import (
-    BLACK,
-    BLUE,
-    DASHED,
-    GOLD,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    SKY,
-    Band,
-    Line,
-)
+from testbed.views.palette import ON_WHITE
+from testbed.views.panels import BLACK, DASHED, GREY, Band, Line
 
 MAX_SINGLE = 6  # followers drawn one by one; of more, a band and the worst
 WORST = 3
-STYLES = (
-    (BLUE, "o"),
-    (ORANGE, "s"),
-    (GREEN, "^"),
-    (PURPLE, "D"),
-    (GOLD, "v"),
-    (SKY, "P"),
-)  # colours and markers
+# colours and markers; those from `MAX_SINGLE` on are of no follower
+STYLES = tuple(zip(ON_WHITE.values(), "os^DvP<>X*", strict=True))
 LEADER_COLOUR = BLACK
 BAND = (0.05, 0.95)
 BAND_LABEL = "5 to 95 % of all"

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import re
 
-from testbed.views.panels import BLACK, BLUE, GOLD, GREEN, GREY, GRID, ORANGE, PURPLE, SKY
+from testbed.views.palette import ON_WHITE
+from testbed.views.panels import BLACK, GREY, GRID, PATH
 
 # Colours of the figures, and the CSS variables of the page that replace them.
 COLOURS = {
     BLACK: "ink",
     GRID: "grid",
     GREY: "grey",
-    BLUE: "blue",
-    ORANGE: "orange",
-    GREEN: "green",
-    PURPLE: "purple",
-    GOLD: "gold",
-    SKY: "sky",
+    PATH: "path",
+    **{colour: name for name, colour in ON_WHITE.items()},
 }
 _DECIMALS = re.compile(r"(\.\d)\d+")  # tenths of a point are precise enough to draw
 _CURVE = re.compile(r' d="[^"]{300,}"')  # long paths only: outlines of markers need their digits

@@ -1,12 +1,14 @@
 """Scenario files: read, check and resolve them to an immutable `Scenario`."""
 
+from testbed.scenario.expect import unchecked
 from testbed.scenario.load import (
     ScenarioFile,
     dump,
     dump_middle_loop,
-    load,
+    find_places,
     load_guidance,
     load_middle_loop,
+    load_scenario,
     loads,
     middle_loop_gains,
     open_scenario,
@@ -57,6 +59,7 @@ __all__ = [
     "find_aircraft",
     "find_code",
     "find_data",
+    "find_places",
     "find_scenario",
     "find_study",
     "find_tune",
@@ -68,7 +71,7 @@ __all__ = [
     "list_scenarios",
     "list_studies",
     "list_tunings",
-    "load",
+    "load_scenario",
     "load_guidance",
     "load_middle_loop",
     "loads",
@@ -77,6 +80,7 @@ __all__ = [
     "place_of_key",
     "set_duration",
     "set_seed",
+    "unchecked",
     "unreached_windows",
     "with_values",
 ]

@@ -1,10 +1,11 @@
-"""The `air` section: mean wind, turbulence, gusts and wakes."""
+"""The `air` section: temperature, mean wind, turbulence, gusts and wakes."""
 
 from typing import Annotated, Literal
 
 from pydantic import Field
 
 from testbed.scenario.fields import (
+    Celsius,
     Degrees,
     Metres,
     MetresPerSecond,
@@ -180,8 +181,15 @@ class Wake(Section):
 
 
 class Air(Section):
-    """Wind, turbulence, gusts and wakes."""
+    """Temperature, wind, turbulence, gusts and wakes."""
 
+    temperature_c: Celsius | None = Field(
+        None,
+        ge=-40,
+        le=50,
+        description="Temperature at the ground at the origin, °C; by default that of the standard "
+        "atmosphere there. The air is warmer or colder by the same amount at all heights.",
+    )
     wind: Wind = Field(Wind(), description="Mean wind.")
     turbulence: Turbulence = Field(Turbulence(), description="Continuous turbulence.")
     gusts: tuple[Gust, ...] = Field((), description="Discrete gusts; they add up.")

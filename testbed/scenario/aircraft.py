@@ -171,6 +171,13 @@ class Battery(Section):
     state_of_charge: Number = Field(
         1.0, gt=0, le=1, description="Charge at the start, 0 to 1 of a full battery."
     )
+    cells: Whole | None = Field(
+        None,
+        ge=1,
+        le=24,
+        description="Cells in series, a number; by default those of the airframe. Each adds "
+        "voltage, and so thrust.",
+    )
 
 
 class Aircraft(Section):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from testbed.scenario.aircraft import MAX_LEGS, Follower, Leader
 from testbed.scenario.control_source import ArduPlane, External, VirtualAutopilot
+from testbed.scenario.expect import check_expect
 from testbed.scenario.faults import AnyFault
 from testbed.scenario.fields import Finding, KeyPath
 from testbed.scenario.network_checks import check_network
@@ -52,6 +53,7 @@ def cross_check(scenario: Scenario) -> list[Finding]:
         *_gusts(scenario),
         *_windows(scenario),
         *_published(scenario),
+        *check_expect(scenario),
     ]
 
 

@@ -99,6 +99,17 @@ class OwnBarrier(Section):
     )
 
 
+class SpeedModel(Section):
+    """f and g of your own in the speed model ṡ = f + g u, (2), of ideal vehicles and their law."""
+
+    f: FunctionName = Field(
+        description="module:function, as in control_function; f in m/s² of an array s, m/s."
+    )
+    g: FunctionName = Field(
+        description="module:function, the same for g; u has the unit that makes g u m/s²."
+    )
+
+
 class PointingGain(Section):
     """c_i(t) = constant + per_speed_squared s_d²; a number stands for the constant."""
 
@@ -153,6 +164,9 @@ class Agent(Section):
     )
     speed_pole_per_s: PerSecond | None = Field(
         None, gt=0, description="Pole p of the speed model, 1/s."
+    )
+    speed_model: SpeedModel | None = Field(
+        None, description="f_i and g_i of (2), for an ideal vehicle."
     )
     control_function: ControlFunction | None = Field(None, description="The function μ_i of (5).")
     barrier: BarrierFunction | None = Field(None, description="The function h_i of (14).")
@@ -217,6 +231,11 @@ class Formation(Section):
     speed_pole_per_s: PerSecond = Field(
         0.64, gt=0, description="Pole p of the speed model f = −p s, g = p, 1/s."
     )
+    speed_model: SpeedModel | None = Field(
+        None,
+        description="f_i and g_i of (2) in place of −p s and p, for followers that are ideal "
+        "vehicles (vehicle: unicycle).",
+    )
     control_function: ControlFunction = Field(
         PowerControlFunction(example=1), description="The function μ_i of (5)."
     )
@@ -226,6 +245,23 @@ class Formation(Section):
     )
     on_failure: OnFailure = Field(
         OnFailure(), description="Response to an aircraft that declares a fault."
+    )
+
+
+Latency = Annotated[Seconds, Field(ge=0, le=2)]
+
+
+class Companion(Section):
+    """Link between each follower's autopilot and the computer that runs its controller."""
+
+    state_latency_s: Latency = Field(
+        0.0,
+        description="Age of the own state at its arrival at the controller, s; delays of messages "
+        "are those of the network.",
+    )
+    command_latency_s: Latency = Field(
+        0.0,
+        description="Time from a control step to the arrival of its command at the autopilot, s.",
     )
 
 
@@ -280,6 +316,9 @@ class Controller(Section):
         description="Speed to which the speed bounds apply: ground_speed as in the paper, or "
         "airspeed (bounds shifted by the wind) as in the authors' code; by default airspeed where "
         "air.wind blows, else ground_speed.",
+    )
+    companion: Companion = Field(
+        Companion(), description="Latencies of a controller beside the autopilot."
     )
     leader_timeout_s: Seconds = Field(
         5.0,

@@ -61,7 +61,7 @@ def _reading_order(place: Place | None) -> tuple[str, int, int]:
 
 
 def _has_enough(detail: Mapping[str, Any], tree: Node) -> bool:
-    """Tell whether a list is "too short" only because some of its elements are wrong."""
+    """Return whether a list is "too short" only because some of its elements are wrong."""
     node, _, _ = walk(tree, detail["loc"])
     return isinstance(node.value, tuple | dict) and len(node.value) >= detail["ctx"]["min_length"]
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from testbed.scenario import resolve
+from testbed.scenario.fields import KeyPath
 from testbed.scenario.middle_loop import GainChanges, Guidance, MiddleLoopFile, MiddleLoopGains
 from testbed.scenario.overrides import Setting, override, parse_setting
 from testbed.scenario.pattern import drop_follower_keys, expand_pattern, is_pattern_key
@@ -22,7 +23,7 @@ from testbed.scenario.yaml_io import error_at, parse, read, validate, write
 _MAX_CHAIN = 20  # files that extend each other
 _NO_CHANGES: GainChanges = {}
 # settings with which published numbers remain those of this scenario
-_NEUTRAL = ("limits", "log")
+_NEUTRAL = ("limits", "expect", "log")
 _NEUTRAL_PATHS = tuple(
     ("scenario", key)
     for key in ("name", "question", "expectation", "seed", "duration_s", "published")
@@ -70,7 +71,7 @@ def open_scenario(name_or_path: str | Path, *, folder: Path | None = None) -> Sc
     return ScenarioFile(path, _merged(_files(tree, (path,))))
 
 
-def load(name_or_path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
+def load_scenario(name_or_path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
     """Read a scenario by name or path and return it, checked.
 
     Args:
@@ -94,7 +95,7 @@ def loads(
 
     Args:
         text: of the file.
-        overrides: as `load` has them.
+        overrides: as `load_scenario` has them.
         source: name of the file in errors.
         check_files: look for the files that the scenario names; False for that of a log, whose
             files may be elsewhere.
@@ -184,7 +185,7 @@ def place_of_key(error: str, name_or_path: str | Path, overrides: Sequence[str] 
     Args:
         error: its text, as `leader.path.legs[3].radius_m: ...`.
         name_or_path: of the scenario, which has been loaded with these settings.
-        overrides: as `load` has them.
+        overrides: as `load_scenario` has them.
 
     Returns:
         The place of the key, or of the deepest map that would have it; empty if the error does not
@@ -194,11 +195,28 @@ def place_of_key(error: str, name_or_path: str | Path, overrides: Sequence[str] 
     parts = re.split(r"[.\[]", key.replace("]", ""))
     if not colon or parts[0] not in Scenario.model_fields:
         return ""
+    loc = tuple(int(part) if part.isdigit() else part for part in parts)
+    (place,) = find_places([loc], name_or_path, overrides)
+    return str(place) if place else ""
+
+
+def find_places(
+    paths: Sequence[KeyPath], name_or_path: str | Path, overrides: Sequence[str] = ()
+) -> list[Place | None]:
+    """Return the place of each key path of a scenario, or of the deepest map that would have it.
+
+    Args:
+        paths: keys and list indices from the top of the file.
+        name_or_path: of the scenario, which has been loaded with these settings.
+        overrides: as `load` has them.
+
+    Returns:
+        None for a path whose first key the scenario does not have.
+    """
     settings = [parse_setting(text) for text in overrides]
     _, tree = _set(open_scenario(name_or_path).tree, settings)
-    loc = tuple(int(part) if part.isdigit() else part for part in parts)
-    node, path, _ = walk(tree, loc)
-    return str(node.place) if path else ""
+    nodes = [walk(tree, path) for path in paths]
+    return [node.place if found else None for node, found, _ in nodes]
 
 
 def _set(tree: Node, settings: Sequence[Setting]) -> tuple[Node, Node]:

@@ -143,7 +143,7 @@ def _check_agents(fleet: Pattern) -> Iterator[Finding]:
 
 
 def is_pattern_key(keys: tuple[str, ...]) -> bool:
-    """Tell whether keys lead to the fleet or a key of its pattern, not to one aircraft."""
+    """Return whether keys lead to the fleet or a key of its pattern, not to one aircraft."""
     first, *rest = keys
     return first == FLEET and (not rest or rest[0] in Pattern.model_fields)
 

@@ -139,6 +139,9 @@ def code_references(scenario: Scenario) -> Iterator[tuple[KeyPath, str]]:
             own = getattr(section, key)
             if own is not None and own.example == "own":
                 yield (*loc, key, "function"), own.function
+        if section.speed_model is not None:
+            for key in ("f", "g"):
+                yield (*loc, "speed_model", key), getattr(section.speed_model, key)
 
 
 def with_values(scenario: Scenario, changes: Iterable[tuple[KeyPath, str]]) -> Scenario:

@@ -186,7 +186,7 @@ def _is_name(text: str) -> bool:
 
 
 def is_file(path: Path) -> bool:
-    """Tell whether a file exists; a name that no file can have is no error."""
+    """Return whether a file exists; a name that no file can have is no error."""
     return _exists(path, Path.is_file)
 
 
@@ -209,7 +209,7 @@ def absolute(text: str, folder: Path | None) -> Path:
 def _not_found(
     what: str, text: str, known: tuple[str, ...], path_of: str, looked_at: Path
 ) -> ScenarioError:
-    """Make the error of a name or path that does not exist; a path is told by its form."""
+    """Make the error of a name or path that does not exist; paths are recognised by their form."""
     if not _is_name(text) or Path(text).suffix in (_YAML, _PARAM):
         message = f"there is no file {looked_at}"
         if path_of.startswith("a folder"):

@@ -6,10 +6,12 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import ConfigDict, Field, ValidationError, model_validator
 
 from testbed.core.errors import InputError
+from testbed.core.start_time import EXAMPLE
 from testbed.scenario.air import Air
 from testbed.scenario.aircraft import Follower, Leader
 from testbed.scenario.checks import cross_check
 from testbed.scenario.control import Controller, Formation
+from testbed.scenario.expect import Expect, without_windows
 from testbed.scenario.fields import (
     Degrees,
     Flag,
@@ -20,6 +22,7 @@ from testbed.scenario.fields import (
     Percent,
     Seconds,
     Section,
+    StartTime,
     Whole,
     raise_findings,
 )
@@ -141,6 +144,11 @@ class Log(Section):
     """Files that a run writes."""
 
     mcap: Flag = Field(True, description="Write run.mcap: true or false.")
+    start_time: StartTime | None = Field(
+        None,
+        description="Time of the log's first sample, ISO 8601 with a time zone, such as "
+        f"{EXAMPLE}; null: 1970-01-01T00:00:00Z.",
+    )
 
 
 class Scenario(Section):
@@ -157,6 +165,9 @@ class Scenario(Section):
     network: Network = Field(Network(), description="Radio between the aircraft.")
     air: Air = Field(Air(), description="Wind, turbulence, gusts and wakes.")
     limits: Limits = Field(Limits(), description="Limits, and what happens beyond them.")
+    expect: Expect = Field(
+        Expect(), description="Bounds of the numbers of the run; outside them the exit code is 3."
+    )
     log: Log = Field(Log(), description="Files that the run writes.")
 
     @property
@@ -198,7 +209,11 @@ def set_duration(scenario: Scenario, duration_s: float) -> Scenario:
     """Return the scenario with another duration, in s, without what does not fit into it.
 
     A window that has begun by then ends with the run; windows and faults that begin later are
-    dropped. Published numbers remain for complete windows only.
+    dropped, and bounds of these windows. Published numbers remain for complete windows only.
+
+    Args:
+        scenario: which stays as it is.
+        duration_s: s.
 
     Raises:
         InputError: the duration is not above 0, is above a day, or does not fit the scenario.
@@ -217,6 +232,9 @@ def set_duration(scenario: Scenario, duration_s: float) -> Scenario:
         for key in ("rms_m", "mean_rms_m", "percent_error"):
             table = header["published"][key]
             header["published"][key] = {name: table[name] for name in table if name in complete}
+    data["expect"] = without_windows(
+        data["expect"], windows.keys() - header["windows"].keys(), any_left=bool(header["windows"])
+    )
     for aircraft in (data["leader"], *data["fleet"]):
         aircraft["faults"] = [
             fault for fault in aircraft["faults"] if (fault["at_s"] or 0) <= duration_s
@@ -267,7 +285,7 @@ def describe_unreached(windows: Mapping[str, str], duration_s: float) -> str:
 def json_schema() -> dict[str, Any]:
     """Return the JSON schema of a scenario file, for completion and hints in an editor.
 
-    Only the keys that tell kinds apart are required: a file that extends another may leave out
+    Only the keys that distinguish kinds are required: a file that extends another may leave out
     the rest. `testbed validate` decides.
     """
     schema: dict[str, Any] = _without_required(Scenario.model_json_schema(by_alias=True))

@@ -79,7 +79,7 @@ def _header(tree: Node) -> dict[str, Node]:
 
 
 def null_removes(named: Mapping[str, Node], key: str, name: str) -> bool:
-    """Tell whether null removes a key from the map under `name`, or is its new value."""
+    """Return whether null removes a key from the map under `name`, or is its new value."""
     return key in named and not (name == _WITH_PRESET and _PRESET in named and key != _PRESET)
 
 

@@ -150,7 +150,7 @@ def parse(text: str, source: str, folder: Path) -> Node:
 
 
 def _begins_with_tab(text: str, line: int) -> bool:
-    """Tell whether the indent of a line, counted from 0, has a tab."""
+    """Return whether the indent of a line, counted from 0, has a tab."""
     lines = text.splitlines()
     indent = (
         lines[line][: len(lines[line]) - len(lines[line].lstrip())] if line < len(lines) else ""

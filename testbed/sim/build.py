@@ -21,6 +21,7 @@ from testbed.core.records import (
     allocate,
     write_fields,
 )
+from testbed.core.start_time import start_unix_ns
 from testbed.formation.law import FormationConfig
 from testbed.network.outages import Outages
 from testbed.network.radio import Radio
@@ -34,6 +35,7 @@ from testbed.sim.build_air import (
     initial_wind,
     still_field_warnings,
     strongest_wind,
+    temperature_warnings,
 )
 from testbed.sim.build_control import BuiltControl, build_control
 from testbed.sim.build_faults import build_faults, build_membership, fault_warnings
@@ -49,6 +51,7 @@ from testbed.sim.build_vehicles import (
     read_models,
     vehicle_kinds,
 )
+from testbed.sim.companion import Companions, build_companions
 from testbed.sim.control import Control
 from testbed.sim.envelope_monitor import EnvelopeMonitor, build_envelope_monitor
 from testbed.sim.external_control import ExternalControl, build_external_control
@@ -99,6 +102,7 @@ class World:
     leader_controller: LeaderController
     external_control: ExternalControl | None  # None: no external commands
     control: Control
+    companions: Companions | None  # None: controllers have no latency
     radio: Radio
     outages: Outages
     altitudes: Array  # (n,) m, of followers that hold an altitude; NaN for the others
@@ -117,7 +121,7 @@ def build(
 
     Args:
         scenario: as resolved.
-        commanded: external programs may command the aircraft, also where the scenario does not say
+        commanded: external programs may command the aircraft, also where the scenario does not set
             so.
         arduplane: the program for `autopilot: ardupilot` where the scenario names none; None: that
             of the environment.
@@ -125,7 +129,7 @@ def build(
 
     Raises:
         ScenarioError, ParamError, AircraftError, TrimError, ValueError: something cannot be built;
-            the message says what to write instead.
+            the message has what to write instead.
     """
     names = scenario.aircraft_names
     clock = build_clock(scenario)
@@ -173,6 +177,7 @@ def build(
             scenario, clock, leader, starts, models.params, models.folders, jsbsim, jsbsim_rows
         )
     estimators = _build_estimators(scenario, faults)
+    companions = build_companions(scenario, clock, aircraft)
     return World(
         clock=clock,
         duration_s=scenario.scenario.duration_s,
@@ -206,7 +211,9 @@ def build(
             build_offsets(scenario),
             build_membership(scenario, faults),
             (aircraft, followers, radio.links),
+            companions,
         ),
+        companions=companions,
         radio=radio,
         outages=outages,
         altitudes=build_altitudes(scenario),
@@ -214,6 +221,7 @@ def build(
             *(Event(0.0, "info", "run", text) for text in control.messages),
             *gust_input_warnings(scenario, vehicles, steady_air=air.steady),
             *still_field_warnings(scenario),
+            *temperature_warnings(scenario, kinds),
             *fault_warnings(scenario),
             *limit_warnings(scenario, models.params, kinds),
             *sensor_warnings(scenario),
@@ -287,7 +295,9 @@ def _run_info(
         kappa_mps=tuple(agent_value(scenario, name, "kappa_mps") for name in followers),
         roll_limit_rad=tuple(control.config.roll_limit.tolist()),
         barriers=control.barriers,
+        barrier_samples=control.barrier_samples,
         estimated=not exact,
+        start_unix_ns=start_unix_ns(scenario.log.start_time) if scenario.log.start_time else 0,
         leader_path_ned=leader.path_ned,
         windows=dict(scenario.scenario.windows),
         versions=versions(),

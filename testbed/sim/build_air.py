@@ -31,13 +31,55 @@ from testbed.atmosphere.wake import WakeModel
 from testbed.core.errors import InputError
 from testbed.core.records import Airframe, Array, Event, Records
 from testbed.scenario import Scenario, find_data
+from testbed.scenario.control_source import ArduPlane
 
 SEA_LEVEL_DENSITY = 1.225  # kg/m³
+SEA_LEVEL_K = 288.15  # temperature of the standard atmosphere
+LAPSE_RATE = 0.0065  # K/m
 
 
-def density_ratio(altitude: Array) -> Array:
-    """Return the ratio of air density to that at sea level, by altitude (m), ISA."""
-    return (1.0 - 2.25577e-5 * altitude) ** 4.25588
+def density_ratio(altitude: Array, temperature_offset: float = 0.0) -> Array:
+    """Return the ratio of air density to the standard one at sea level, in the troposphere.
+
+    Args:
+        altitude: m above sea level.
+        temperature_offset: K, of the air, to the standard atmosphere; the pressure at sea level is
+            the standard one.
+    """
+    colder = SEA_LEVEL_K / (SEA_LEVEL_K + temperature_offset)
+    return colder * (1.0 - 2.25577e-5 * colder * altitude) ** 4.25588
+
+
+def temperature_offset(scenario: Scenario) -> float:
+    """Return how much warmer the air is than the standard atmosphere, K; at all heights."""
+    at_ground = scenario.air.temperature_c
+    if at_ground is None:
+        return 0.0
+    return at_ground - (SEA_LEVEL_K - 273.15 - LAPSE_RATE * scenario.scenario.origin.elevation_m)
+
+
+def temperature_warnings(scenario: Scenario, kinds: Sequence[str]) -> Iterator[Event]:
+    """Warn of aircraft that a temperature does not act on as on the others.
+
+    Args:
+        scenario: as resolved.
+        kinds: of the N vehicles.
+    """
+    offset = temperature_offset(scenario)
+    if not offset:
+        return
+    if "jsbsim" not in kinds:
+        text = "air.temperature_c has no effect: only flight models have an air density"
+        yield Event(0.0, "warning", "run", text)
+    altitude = scenario.scenario.origin.elevation_m + scenario.leader.start.altitude_m
+    density = density_ratio(np.array([altitude]), offset) / density_ratio(np.array([altitude]))
+    for each in scenario.aircraft:
+        if isinstance(each.autopilot, ArduPlane):
+            text = (
+                "ArduPlane takes its air density from a barometer in the standard atmosphere: the "
+                f"true airspeed that it computes is wrong by {100 * (density[0] ** 0.5 - 1):+.1f} %"
+            )
+            yield Event(0.0, "warning", each.name, text)
 
 
 def build_mean_wind(scenario: Scenario, duration_s: float | None = None) -> MeanWind:
@@ -228,5 +270,6 @@ def _wakes(
         decay_s=wake.decay_s,
         memory_s=wake.memory_s,
         dt=dt,
-        density=SEA_LEVEL_DENSITY * float(density_ratio(np.array(altitude))),
+        density=SEA_LEVEL_DENSITY
+        * float(density_ratio(np.array(altitude), temperature_offset(scenario))),
     )

@@ -12,6 +12,8 @@ import numpy as np
 
 from testbed.core.errors import InputError
 from testbed.core.records import Array, FbwaCommand, Records, allocate
+from testbed.core.speed_model import OwnSpeedModel, speed_model_records
+from testbed.core.speed_model import make_own as make_speed_model
 from testbed.formation import barrier, control_function
 from testbed.formation import leader_filter as leader
 from testbed.formation.assumptions import SpeedSet, check_barrier
@@ -20,6 +22,7 @@ from testbed.formation.control_function import ControlFunction, OwnControlFuncti
 from testbed.formation.control_step import Hbh23Law, initial_controllers, make_neighbours
 from testbed.formation.hbh23 import LAW
 from testbed.formation.law import FormationConfig, Law
+from testbed.formation.logged_barrier import sample_barrier
 from testbed.formation.velocity_frame import GRAVITY
 from testbed.scenario import MiddleLoopGains as Profile
 from testbed.scenario import Scenario, middle_loop_gains
@@ -60,6 +63,16 @@ class BuiltControl:
         records = self.controllers["law"]["barrier"]
         pairs = zip(records["example"].tolist(), records["nu"].tolist(), strict=True)
         return tuple(pairs) if self.builtin else ()
+
+    @property
+    def barrier_samples(self) -> tuple[tuple[float, ...], ...]:
+        """Samples of each follower's barrier if it is a user's; empty if none is."""
+        if not self.builtin:
+            return ()
+        bounds = (self.config.speed_min.tolist(), self.config.speed_max.tolist())
+        each = barrier.barriers_of(self.controllers["law"]["barrier"])
+        samples = tuple(sample_barrier(*one) for one in zip(each, *bounds, strict=True))
+        return samples if any(samples) else ()
 
 
 def build_control(scenario: Scenario, folders: Sequence[Path], clock: Clock) -> BuiltControl:
@@ -145,6 +158,9 @@ def build_law_records(
     for found in check_barrier(barriers, speed_set):
         if isinstance(barriers[found.agent], OwnBarrier):
             raise InputError(f"formation.barrier: of {names[found.agent]}, {found.text}")
+    law["speed_model"] = speed_model_records(
+        *(own_speed_model(scenario, name, messages) for name in names)
+    )
     law["horizontal"] = [name in scenario.formation.altitudes_m for name in names]
     law["bounds_of_airspeed"] = controller.bounded_speed == "airspeed"
     law["from_timestamp"] = controller.extrapolate_from == "timestamp"
@@ -164,6 +180,43 @@ def build_law_records(
     law["lost_leader_airspeed"] = config.trim_airspeed
     law["lost_leader_turn_rate"] = GRAVITY * tangent / config.trim_airspeed
     return law, messages
+
+
+def own_speed_model(
+    scenario: Scenario, name: str, messages: list[str] | None = None
+) -> OwnSpeedModel | None:
+    """Return f and g of (2) for one follower, and add messages about them; None: −p s and p.
+
+    Raises:
+        InputError: g is zero somewhere, or a derivative is not continuous; or the follower has a
+            flight model, whose middle loop takes u as a speed, or a user's law.
+    """
+    chosen = agent_value(scenario, name, "speed_model")
+    if chosen is None:
+        return None
+    own = scenario.formation.agents.get(name)
+    key = f"formation.agents.{name}" if own and own.speed_model else "formation"
+    key = f"{key}.speed_model"
+    vehicle = next(each.vehicle for each in scenario.fleet if each.name == name)
+    if vehicle != "unicycle":
+        raise InputError(
+            f"{key}: {name} has a flight model, and the throttle loop (21) takes u as a speed "
+            f"(write vehicle: unicycle for {name}, or speed_pole_per_s)"
+        )
+    if scenario.controller.law != "hbh23":
+        raise InputError(
+            f"{key}: a law of your own commands speeds, which vehicles with other f and g do not "
+            "take (write law: hbh23, or speed_pole_per_s)"
+        )
+    (f, of_f), (g, of_g) = (
+        build_function(getattr(chosen, each), f"{key}.{each}") for each in ("f", "g")
+    )
+    if messages is not None:
+        messages += [f"f of the speed model runs {of_f}", f"g of the speed model runs {of_g}"]
+    try:
+        return make_speed_model(f, g, *agent_value(scenario, name, "speed_mps"))
+    except ValueError as error:
+        raise InputError(f"{key}: {error}") from error
 
 
 def make_control_function(

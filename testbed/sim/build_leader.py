@@ -25,7 +25,7 @@ from testbed.guidance.recorded_path import SampledTrajectory, read_recording, sa
 from testbed.scenario import Scenario, find_data, load_guidance
 from testbed.scenario.aircraft import Leg, Replay, Virtual
 from testbed.scenario.aircraft import Mission as MissionSection
-from testbed.sim.build_air import density_ratio
+from testbed.sim.build_air import density_ratio, temperature_offset
 from testbed.sim.leader_control import LeaderController, MissionController, ScriptedController
 from testbed.sim.schedule import Clock
 from testbed.sim.vehicles import ScriptedVehicle
@@ -95,7 +95,7 @@ def build_leader(
         motion: Motion = partial(analytic.evaluate, _curve(scenario, path), wind_ned=wind_ned)
     else:
         motion = _recorded_motion(path)
-    blocks = _blocks(motion, clock, duration_s, origin)
+    blocks = _blocks(motion, clock, duration_s, origin, temperature_offset(scenario))
     vehicle = ScriptedVehicle(blocks, np.array(wind_ned))
     first = motion(np.zeros(1))
     velocity = first.velocity_ned[0]
@@ -150,9 +150,11 @@ def _mission_leader(
         joined = "." if str(error).startswith("legs") else ": "
         raise InputError(f"leader.path{joined}{error}") from error
     altitude = origin.elevation_m + section.altitude_m
-    charge = scenario.leader.battery.state_of_charge
+    battery, warmer = scenario.leader.battery, temperature_offset(scenario)
+    charge, cells = battery.state_of_charge, battery.cells or 0
     with error_prefix("leader.path.airspeed_mps"):
-        level = trim_aircraft(folder, TrimPoint(airspeed, 0.0, 0.0, altitude, charge), origin)
+        point = TrimPoint(airspeed, 0.0, 0.0, altitude, charge, cells, warmer)
+        level = trim_aircraft(folder, point, origin)
     memory = guidance.initial_memory(
         altitude=section.altitude_m, pitch=level.placement.pitch, throttle=level.controls.throttle
     )
@@ -219,13 +221,16 @@ def _sample_motion(
 
 
 def _blocks(
-    motion: Motion, clock: Clock, duration_s: float, origin: Origin
+    motion: Motion, clock: Clock, duration_s: float, origin: Origin, warmer: float
 ) -> Iterator[tuple[SampledTrajectory, Array]]:
-    """Yield motion and equivalent airspeed at the ticks of a run, block by block."""
+    """Yield motion and equivalent airspeed at the ticks of a run, block by block.
+
+    Air is warmer than the standard atmosphere by `warmer`, K.
+    """
     ticks = (tick for tick, *_ in clock.schedule(duration_s))
     while block := list(islice(ticks, _BLOCK)):
         track = motion(np.array(block) / clock.base_rate_hz)
-        density = density_ratio(origin.elevation_m - track.position_ned[:, 2])
+        density = density_ratio(origin.elevation_m - track.position_ned[:, 2], warmer)
         yield track, track.airspeed * np.sqrt(density)
 
 

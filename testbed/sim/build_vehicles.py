@@ -14,10 +14,12 @@ from testbed.atmosphere.mean_wind import MeanWind
 from testbed.autopilot.parameters import FbwaParams, make_gains, read_params
 from testbed.core.errors import InputError
 from testbed.core.records import Airframe, Event, Origin, Records
+from testbed.core.speed_model import speed_model_records
 from testbed.scenario import Scenario, find_aircraft, find_tune
 from testbed.scenario.checks import LOWEST_START_M
 from testbed.sim.arduplane_vehicles import build_jsbsim_vehicles
-from testbed.sim.build_air import initial_wind
+from testbed.sim.build_air import initial_wind, temperature_offset
+from testbed.sim.build_control import own_speed_model
 from testbed.sim.build_formation import agent_value
 from testbed.sim.build_leader import LeaderSetup
 from testbed.sim.schedule import Clock
@@ -180,13 +182,19 @@ def _build_fleet(
     processes: int | None,
 ) -> JsbsimFleet:
     """Build the JSBSim models of the aircraft in these rows, in trim."""
-    batteries = [scenario.aircraft[row].battery.state_of_charge for row in rows]
+    batteries = [scenario.aircraft[row].battery for row in rows]
+    warmer = temperature_offset(scenario)
     with error_prefix("fleet"):
         return make_fleet(
             [models.folders[row] for row in rows],
             [
-                replace(starts[row], state_of_charge=charge)
-                for row, charge in zip(rows, batteries, strict=True)
+                replace(
+                    starts[row],
+                    state_of_charge=battery.state_of_charge,
+                    cells=battery.cells or 0,
+                    temperature_offset=warmer,
+                )
+                for row, battery in zip(rows, batteries, strict=True)
             ],
             build_origin(scenario),
             clock.base_rate_hz,
@@ -214,6 +222,9 @@ def _build_unicycles(
         np.array([starts[row].position_ned for row in rows]),
         np.array([leader.velocity_ned for _ in rows]),
         np.array(poles, dtype=np.float64),
+        speed_model_records(
+            *(own_speed_model(scenario, names[row]) if row else None for row in rows)
+        ),
     )
     indices = np.array(rows, dtype=np.intp)
     aircraft["wind"]["wind_ned"][indices] = [starts[row].wind_ned for row in rows]

@@ -33,6 +33,7 @@ from testbed.formation.law import FormationConfig, Law
 from testbed.formation.message_extrapolation import message_ages
 
 if TYPE_CHECKING:
+    from testbed.sim.companion import Companions
     from testbed.sim.membership import FormationMembership
 
 LEADER_TIMEOUT = int(LimiterFlag.LEADER_TIMEOUT)
@@ -64,6 +65,7 @@ class Control:
         offsets: Array,
         membership: FormationMembership | None,
         run: tuple[Records, Records, Records],
+        companions: Companions | None = None,
     ) -> None:
         """Start before the first step; outputs are NaN.
 
@@ -74,9 +76,13 @@ class Control:
             offsets: υ (N, 3) m of the followers' slots, the leader's zero first.
             membership: responses to declared failures; None: none.
             run: AIRCRAFT (N,), FOLLOWER (n,) and LINK (n, N).
+            companions: that run the control; None: the autopilots' estimates are at hand.
         """
         self.groups, self.offsets, self._membership = groups, offsets, membership
         self._aircraft, self._followers, self._links = run
+        self._companions = companions
+        # whose estimates the laws have
+        self._own = companions.aircraft if companions else self._aircraft
         self._neighbours = neighbours
         for name in _UNKNOWN:
             self._followers[name] = np.nan
@@ -85,19 +91,20 @@ class Control:
         self.left: BoolArray = np.zeros(len(self._followers), dtype=bool)
         self._memory: list[Any] = [None] * len(groups)
         self._use_all_messages()
-        parts = controllers, neighbours, *run
+        parts = controllers, neighbours, self._own, *run
         self._steps = [partial(_control, group.rows, *parts) for group in groups]
         self._finish = [partial(_finish, group.rows, *parts) for group in groups]
 
     def kernels(self) -> list[Kernel]:
         """Return the compiled calls of `step`, for `core.compile.prepare`."""
         groups = enumerate(self.groups)
-        return [
+        calls: list[Kernel] = [
             partial(self._steps[i], 0.0)
             if group.law is None
             else partial(self._finish[i], True, 0.0)
             for i, group in groups
         ]
+        return calls + (self._companions.kernels(self.groups[0].rows) if self._companions else [])
 
     def _use_all_messages(self) -> None:
         """Mark all messages as used by users' laws, because their use is not known."""
@@ -133,16 +140,20 @@ class Control:
             The followers that stepped (m,).
         """
         group = self.groups[number]
+        if self._companions is not None:
+            self._companions.receive_states(now)
         if group.law is None:
             self._steps[number](now)
         else:
             self._step_user_law(number, group, group.law, now)
+        if self._companions is not None:
+            self._companions.send_commands(group.rows, now)
         return group.rows
 
     def _step_user_law(self, number: int, group: Group, law: Law, now: float) -> None:
         """Step a group by a user's law, which receives copies of its inputs."""
         rows, followers = group.rows, self._followers
-        estimate = fields_of(VehicleState, self._aircraft["estimate"])
+        estimate = fields_of(VehicleState, self._own["estimate"])
         own = VehicleState(*(each[1:][rows] for each in estimate))
         inbox = Inbox(*(each[rows] for each in fields_of(Inbox, self._links)))
         excluded = self._neighbours["excluded"][rows]
@@ -193,17 +204,16 @@ def _control(
     rows: Indices,
     controllers: Records,
     neighbours: Records,
+    own: Records,
     aircraft: Records,
     followers: Records,
     links: Records,
     now: float,
 ) -> None:
-    """Step the followers in these rows (m,) by the law of [HBH23]."""
+    """Step the followers in these rows (m,) by the law of [HBH23], with the estimates of `own`."""
     for i in rows:
-        a = aircraft[i + 1]
-        control_step(
-            controllers[i], now, a.estimate, links[i], neighbours[i], followers[i], a.control
-        )
+        estimate, control = own[i + 1].estimate, aircraft[i + 1].control
+        control_step(controllers[i], now, estimate, links[i], neighbours[i], followers[i], control)
 
 
 @entry
@@ -211,6 +221,7 @@ def _finish(
     rows: Indices,
     controllers: Records,
     neighbours: Records,
+    own: Records,
     aircraft: Records,
     followers: Records,
     links: Records,
@@ -219,17 +230,16 @@ def _finish(
 ) -> None:
     """Run the middle loops of a user's law, and write the message ages."""
     for i in rows:
-        a = aircraft[i + 1]
         if with_middle_loop:
             finish_step(
                 controllers[i],
                 now,
-                a.estimate,
+                own[i + 1].estimate,
                 links[i],
                 neighbours[i],
                 False,
                 followers[i],
-                a.control,
+                aircraft[i + 1].control,
             )
         else:
             message_ages(now, neighbours[i], False, links[i])

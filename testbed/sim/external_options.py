@@ -80,13 +80,16 @@ def make_server(options: ExternalOptions, world: World) -> MavlinkServer | None:
     """Open the MAVLink links of a run; None: it has none.
 
     Raises:
-        InputError: a port is not available.
+        InputError: a port is not available, or pymavlink is not installed.
     """
     if world.external_control is None or not options.has_server:
         return None
     # imported here, as few runs have a server
+    from testbed.mavlink.codec import load_dialect
     from testbed.mavlink.server import MavlinkServer
     from testbed.mavlink.signing import Signing, signing_time
+
+    load_dialect()
 
     now, key = time.time(), options.signing_key
     return MavlinkServer(

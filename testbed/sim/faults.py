@@ -33,7 +33,7 @@ class _FaultRecord:
 
     row: int
     fault: AnyFault
-    has_effect: bool = True  # if not, its event says so
+    has_effect: bool = True  # if not, its event has a note
     begin_s: float = math.inf  # infinite: not yet
     end_s: float = math.inf
 

@@ -3,7 +3,7 @@
 The law steps through generated flights, with a fixed seed, in which some messages are missing or
 old. It must return commands of the right shape with finite numbers, return the same for the same
 input, leave its inputs unchanged, carry its memory as a value, and use in row i only what
-follower i knows.
+follower i has received.
 """
 
 from __future__ import annotations

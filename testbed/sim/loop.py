@@ -222,6 +222,8 @@ class Flight:
             self._copy_truth()
         else:
             world.estimators.estimate(aircraft, advance=due.autopilot)
+        if due.autopilot and world.companions is not None:
+            world.companions.store_states(now)
 
     def control(self, now: float, due: TickActions) -> None:
         """Stage 2: messages, the formation law with its middle loop, the leader's guidance."""
@@ -248,7 +250,7 @@ class Flight:
             self._leader_input = world.leader_controller.step(aircraft)
         for vehicles in world.vehicles:
             vehicles.set_unicycle(world.followers, *self._leader_input)
-        self._copy_control()
+        self._write_commands(now)
         self._events += self._link_monitor.leader_changes(now)
 
     def actuate(self, now: float, due: TickActions) -> None:
@@ -256,9 +258,10 @@ class Flight:
         if not due.autopilot:
             return
         world, aircraft = self._world, self._world.aircraft
+        if world.companions is not None or world.external_control is not None:
+            self._write_commands(now)
         if world.external_control is not None:
             self._events += world.external_control.pop_events()
-            self._copy_control()
             world.external_control.override_commands(aircraft)
         for vehicles in world.vehicles:
             vehicles.autopilot_step()
@@ -269,6 +272,13 @@ class Flight:
                 vehicles.apply_faults()
         if self._find_losses() or world.proximity.watching:
             self._lose(now)
+
+    def _write_commands(self, now: float) -> None:
+        """Write the commands of law and guidance that the autopilots have at the time `now`, s."""
+        if self._world.companions is None:
+            self._copy_control()
+        else:
+            self._world.companions.deliver_commands(now)
 
     def observe(self, tick: int, now: float) -> str | None:
         """Hand a sample and the events to the observers; return the outcome if the run ends."""

@@ -18,7 +18,7 @@ from testbed.sim.faults import FaultManager
 
 
 class FormationMembership:
-    """Failures, slots and graph as each of n followers knows them.
+    """Failures, slots and graph by the messages of each of n followers.
 
     A follower excludes a failed neighbour from its graph. With slot reassignment, a failed follower
     leaves the formation: it flies as after a leader timeout. Once it is clear of its slot, the
@@ -26,7 +26,7 @@ class FormationMembership:
     gains. Without slot reassignment, a failed follower flies on as before.
 
     Attributes:
-        known: (n, N) failures that each follower knows of.
+        known: (n, N) failures that each follower has received.
         left: (n,) followers that have failed and left the formation.
     """
 
@@ -122,7 +122,7 @@ class FormationMembership:
         return distance > (self._clearance_m or 0.0)
 
     def _reassign(self, row: int) -> None:
-        """Assign the first free slots to the remaining aircraft, as one follower knows them."""
+        """Assign the first free slots to the remaining aircraft, by one follower's messages."""
         slots = self._slots[row]
         occupied = set(slots[self.known[row] & ~self._clear[row]].tolist())
         free = [slot for slot in range(1, len(slots)) if slot not in occupied]
@@ -130,7 +130,7 @@ class FormationMembership:
         slots[remaining] = free[: len(remaining)]
 
     def write_neighbours(self, neighbours: Records) -> None:
-        """Write offsets, gains and exclusions (n, N) as each follower knows them."""
+        """Write offsets, gains and exclusions (n, N) by the messages of each follower."""
         gains = np.empty((len(self.known), *self._gains.shape[1:]))
         for row, slots in enumerate(self._slots):
             neighbours["offset"][row] = self._offsets[slots]

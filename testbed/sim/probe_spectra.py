@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from testbed.atmosphere.airframe_wind import MEAN, WING
 from testbed.atmosphere.spectra import cross_spectra
 from testbed.atmosphere.spectra import psd as model_psd
+from testbed.atmosphere.turbulence_field import BAND_END, BAND_WHOLE, FINEST
 from testbed.core.records import Array, BoolArray
 from testbed.scenario import Scenario
 from testbed.sim.probes import ProbePath, ProbeRecord
@@ -120,8 +121,21 @@ def coherence_band(coherence: Array, freedom: Array) -> tuple[Array, Array]:
 
 
 def _enough_freedom(freedom: Array) -> BoolArray:
-    """Tell for each band (B,) whether it and all higher ones have enough degrees of freedom."""
+    """Return for each band (B,) whether it and all higher ones have enough degrees of freedom."""
     return np.logical_and.accumulate((freedom > MIN_FREEDOM)[::-1])[::-1]
+
+
+def unresolved_waves(scenario: Scenario, path: ProbePath) -> tuple[float, float] | None:
+    """Return from which frequency a field lacks waves, Hz, and the length of its shortest one, m.
+
+    Waves of all directions contribute at a frequency f, from the length V/f down. At twice the
+    lengths over which the field's finest band fades, a quarter of the closed form is missing on
+    average of the components, and ever more above. None for turbulence that is no field.
+    """
+    if scenario.air.turbulence.model != "coherent":
+        return None
+    whole, shortest = 2.0 * FINEST / BAND_WHOLE, 2.0 * FINEST / BAND_END
+    return path.airspeed / (whole + shortest), shortest
 
 
 # closed forms

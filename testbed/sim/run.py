@@ -24,7 +24,9 @@ from testbed.logs.run_directory import (
 )
 from testbed.metrics import MetricsObserver
 from testbed.metrics.document import finalise, write_json
-from testbed.scenario import Scenario, load
+from testbed.metrics.expectations import violations
+from testbed.metrics.short_table import table_html, table_text
+from testbed.scenario import Scenario, load_scenario
 from testbed.sim.build import World, build
 from testbed.sim.external_options import (
     NO_EXTERNAL,
@@ -50,6 +52,7 @@ EXIT_CODES: Mapping[str, int] = {
     "failed": 4,
     "interrupted": 130,
 }
+UNEXPECTED = 3  # exit code of a number outside the bounds of `expect`
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -67,19 +70,12 @@ class Run:
     directory: Path | None
 
     def __repr__(self) -> str:
-        """Describe the run in one line."""
-        errors = {
-            name: f"{each['mean_rms_m']:.2f} m"
-            for name, each in self.metrics["windows"].items()
-            if each["mean_rms_m"] is not None
-        }
-        parts = [self.scenario.name, self.outcome, f"{self.metrics['simulated_s']:g} s"]
-        if errors:
-            shown = ", ".join(f"{name} {error}" for name, error in list(errors.items())[:3])
-            parts.append(f"mean RMS error {shown}{', …' * (len(errors) > 3)}")
-        if self.directory:
-            parts.append(str(self.directory))
-        return f"<Run: {'; '.join(parts)}>"
+        """Show outcome, RMS errors by follower and window, and the directory."""
+        return table_text(self.metrics, str(self.directory or ""))
+
+    def _repr_html_(self) -> str:
+        """Show the same in a notebook."""
+        return table_html(self.metrics, str(self.directory or ""))
 
     @property
     def outcome(self) -> str:
@@ -88,8 +84,8 @@ class Run:
 
     @property
     def exit_code(self) -> int:
-        """The exit code of the command line for this outcome."""
-        return EXIT_CODES[self.outcome]
+        """The exit code of the command line: of the outcome, or that of an unexpected number."""
+        return EXIT_CODES[self.outcome] or (UNEXPECTED if violations(self.metrics) else 0)
 
 
 def run(
@@ -122,14 +118,14 @@ def run(
             kernels are compiled before the flight: once, after which they are on disk.
 
     Raises:
-        ScenarioError: and other ValueErrors: the scenario cannot be flown; the message says what
+        ScenarioError: and other ValueErrors: the scenario cannot be flown; the message has what
             to write instead.
         LogError: the run directory or the log cannot be written.
         ExternalProgramLost: an external program that the scenario needs has ended or does not
             respond.
     """
     reserve_standard_descriptors()  # or the log gets one of them, on which JSBSim prints
-    loaded = scenario if isinstance(scenario, Scenario) else load(scenario, overrides)
+    loaded = scenario if isinstance(scenario, Scenario) else load_scenario(scenario, overrides)
     if write and loaded.log.mcap:
         check_disk(loaded, out or LOGS)
     world = build(
@@ -172,6 +168,7 @@ def run(
                     external=external_summary(world, server, pacer),
                     outcome=outcome,
                     wall_s=wall,
+                    expect=loaded.expect.model_dump(),
                 )
             )
 

@@ -13,7 +13,7 @@ from testbed.core.records import Event, FbwaCommand, Observer, RunInfo, Sample
 from testbed.logs.recorder import McapRecorder
 from testbed.logs.run_directory import LOG_NAME, METRICS_NAME
 from testbed.metrics.document import finalise, write_json
-from testbed.scenario import Scenario, load, set_seed
+from testbed.scenario import Scenario, load_scenario, set_seed
 from testbed.scenario.control_source import ArduPlane
 from testbed.sim.autopilot_session import AutopilotSession
 from testbed.sim.build import World, build
@@ -64,7 +64,9 @@ class Simulation:
         compiling: Callable[[int, int], None] | None = None,
     ) -> None:
         """See the class."""
-        self.scenario = scenario if isinstance(scenario, Scenario) else load(scenario, overrides)
+        self.scenario = (
+            scenario if isinstance(scenario, Scenario) else load_scenario(scenario, overrides)
+        )
         for each in self.scenario.aircraft:
             if isinstance(each.autopilot, ArduPlane):
                 raise InputError(
@@ -160,6 +162,11 @@ class Simulation:
         return self._flight.sample(self.time_s)
 
     @property
+    def commands(self) -> dict[str, FbwaInput]:
+        """Pitch, roll, throttle of each aircraft that takes commands, by name; first its trim."""
+        return {session.name: command for session, command in self._commands.items()}
+
+    @property
     def metrics(self) -> dict[str, Any]:
         """The metrics up to now, as in metrics.json; of a flight that goes on, "interrupted"."""
         return finalise(
@@ -168,6 +175,7 @@ class Simulation:
             external=external_summary(self._world, None, None),
             outcome=self.outcome or "interrupted",
             wall_s=time.perf_counter() - self._begun_s,
+            expect=self.scenario.expect.model_dump(),
         )
 
     def close(self) -> None:

@@ -143,7 +143,7 @@ def with_stored_code(scenario: Scenario) -> tuple[Scenario, Mapping[str, bytes]]
 
 
 def is_installed(name: str) -> bool:
-    """Tell whether the package of a module is installed, also in editable mode.
+    """Return whether the package of a module is installed, also in editable mode.
 
     Nothing is imported. Modules of the standard library do not count: none of them is a law.
     """
@@ -169,7 +169,7 @@ def _package_folders() -> Iterator[Path]:
 
 
 def _in_library(path: Path) -> bool:
-    """Tell whether a file belongs to the testbed's own scenarios."""
+    """Return whether a file belongs to the testbed's own scenarios."""
     return path.parent == library() / "scenarios"
 
 

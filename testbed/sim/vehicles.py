@@ -274,7 +274,7 @@ class ScriptedVehicle:
         return pitch, roll, float(self._track.throttle[self._row])
 
     def read_air(self) -> None:
-        """See `Vehicles`: a script knows only the wind."""
+        """See `Vehicles`: of the air, a script has only the wind."""
         self._aircraft["air"]["wind_ned"][0] = self._aircraft["wind"]["wind_ned"][0]
 
     def set_wind(self) -> None:

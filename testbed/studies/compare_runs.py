@@ -31,7 +31,7 @@ class MetricPair:
     second: Any
 
     def agrees(self, tolerance: float) -> bool:
-        """Tell whether the values are equal, or numbers within a relative tolerance."""
+        """Return whether the values are equal, or numbers within a relative tolerance."""
         if isinstance(self.first, bool) or isinstance(self.second, bool):
             return self.first is self.second
         if isinstance(self.first, int | float) and isinstance(self.second, int | float):
@@ -145,7 +145,7 @@ def _scenario_differences(first: Log, second: Log) -> tuple[str, ...]:
         scenarios = [loads(text, check_files=False).model_dump(mode="json") for text in yaml]
     except InputError:
         return ("differs, but this version cannot read both scenarios", *code)
-    for scenario in scenarios:  # published numbers say nothing of the flight
+    for scenario in scenarios:  # published numbers do not affect the flight
         scenario["scenario"].pop("published")
     return (*differences(*scenarios), *code)
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from testbed.core.errors import InputError
+from testbed.core.extras import needs_extra
 from testbed.mavlink.addresses import is_loopback
 from testbed.studies.flight_task import FlightResult, FlightTask, run_task
 
@@ -48,12 +49,8 @@ class DaskWorkers:
         Raises:
             InputError: Dask is not installed, the scheduler does not answer, or has no workers.
         """
-        try:
+        with needs_extra("dask", "--backend dask"):
             import distributed
-        except ImportError as error:
-            raise InputError(
-                f"--backend dask: {error}; install it with: pip install distributed"
-            ) from None
         self._dask = distributed
         try:
             self._client: Client = distributed.Client(
@@ -88,7 +85,7 @@ class DaskWorkers:
         return future
 
     def lost_worker(self, error: BaseException) -> bool:
-        """Tell whether an error means that workers ended."""
+        """Return whether an error means that workers ended."""
         return isinstance(error, self._dask.KilledWorker)
 
     def shutdown(self) -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from testbed.core.errors import InputError
 from testbed.metrics.document import EXCEEDED, exceedances, losses
+from testbed.metrics.expectations import bound_key, describe_violation, violations
 
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
@@ -45,7 +46,8 @@ class FlightResult:
     Args:
         number: of the task.
         outcome: one of `OUTCOMES`.
-        error: reason for any outcome but "completed", for which it is empty.
+        error: reason for any outcome but "completed"; of a completed flight the violated bounds of
+            the scenario's `expect`, else empty.
         metrics: the document of metrics.json; None where there is none.
         wall_s: duration on the wall clock.
     """
@@ -67,7 +69,7 @@ class WorkerPool(Protocol):
         """Run `run_task` on a task in a worker."""
 
     def lost_worker(self, error: BaseException) -> bool:
-        """Tell whether an error of a future means that its worker process ended."""
+        """Return whether an error of a future means that its worker process ended."""
 
     def shutdown(self) -> None:
         """End the workers and their flights."""
@@ -86,6 +88,10 @@ def run_task(task: FlightTask) -> FlightResult:
             outcome = str(metrics["outcome"])
             describe = {LOST: losses, **dict.fromkeys(EXCEEDED, exceedances)}.get(outcome)
             error = f"{outcome}: {', '.join(describe(metrics))}" if describe else ""
+            if outcome == COMPLETED and (found := violations(metrics)):
+                error = "; ".join(
+                    f"{bound_key(each)}: {describe_violation(each)}" for each in found
+                )
         except InputError as refused:
             outcome, error = INVALID, f"invalid: {refused}"
         except Exception as failure:

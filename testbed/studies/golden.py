@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from testbed.core.errors import InputError
-from testbed.scenario import Scenario, find_scenario, library, load, set_seed
+from testbed.scenario import Scenario, find_scenario, library, load_scenario, set_seed
+from testbed.sim.bounds import bound_results
 from testbed.studies.flight_pool import open_flight_pool
 from testbed.studies.flight_task import FlightTask
 from testbed.studies.golden_compare import (
@@ -26,7 +27,7 @@ from testbed.studies.golden_table import (
     table_numbers,
     write_table,
 )
-from testbed.studies.scenario_snapshot import file_digests, snapshot
+from testbed.studies.scenario_snapshot import file_digests, file_values, snapshot
 
 CHECKED_SEEDS = 4  # of a table's seeds, flown by a check
 RANDOM_SEEDS = 16  # in a table of a scenario whose numbers depend on the seed: enough for a band
@@ -46,6 +47,7 @@ class GoldenCase:
     path: Path  # of the table
     table: Table | None  # None: missing, or unreadable
     table_error: str = ""  # of an unreadable table
+    overrides: tuple[str, ...] = ()  # settings of `--set`
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +67,9 @@ class UpdateResult:
     table: Table | None
 
 
-def find_cases(names: Sequence[str], *, folder: Path | None, new: bool) -> list[GoldenCase]:
+def find_cases(
+    names: Sequence[str], *, folder: Path | None, new: bool, overrides: Sequence[str] = ()
+) -> list[GoldenCase]:
     """Find scenarios and their tables; without names, all that have a table.
 
     The table of `<folder>/<scenario>.yaml` is `<folder>/golden/<scenario>.json`.
@@ -74,6 +78,7 @@ def find_cases(names: Sequence[str], *, folder: Path | None, new: bool) -> list[
         names: names or paths, as for `testbed run`.
         folder: of the tables; default `golden` next to each scenario.
         new: whether tables may be missing or unreadable.
+        overrides: settings of every scenario, as for `testbed run --set`.
 
     Raises:
         InputError: everything that cannot be read or is missing, one line each.
@@ -90,7 +95,7 @@ def find_cases(names: Sequence[str], *, folder: Path | None, new: bool) -> list[
     cases, problems = [], []
     for name in dict.fromkeys(names):
         try:
-            cases.append(_find_case(name, folder, new))
+            cases.append(_find_case(name, folder, new, tuple(overrides)))
         except InputError as error:
             problems.append(str(error))
     if problems:
@@ -113,10 +118,10 @@ def _relative(path: Path) -> Path:
     return path.relative_to(here) if path.is_relative_to(here) else path
 
 
-def _find_case(name: str, folder: Path | None, new: bool) -> GoldenCase:
+def _find_case(name: str, folder: Path | None, new: bool, overrides: tuple[str, ...]) -> GoldenCase:
     source = find_scenario(name)
     path = _relative((folder or source.parent / "golden") / f"{source.stem}.json")
-    scenario = load(source)
+    scenario = load_scenario(source, overrides)
     if not scenario.scenario.windows:
         raise InputError(f"{name}: has no scenario.windows, so there is nothing to compare")
     if not os.path.isfile(path) and not new:
@@ -127,7 +132,7 @@ def _find_case(name: str, folder: Path | None, new: bool) -> GoldenCase:
     if not os.path.isfile(path):
         return GoldenCase(name, source, scenario, path, None)
     try:
-        return GoldenCase(name, source, scenario, path, read_table(path))
+        return GoldenCase(name, source, scenario, path, read_table(path), overrides=overrides)
     except InputError as error:
         if not new:
             raise InputError(f"{error} (write a new one with --update --reason TEXT)") from None
@@ -171,12 +176,16 @@ def _choose_seeds(available: Sequence[int], count: int) -> list[int]:
 
 
 def _compare(case: GoldenCase, table: Table, flights: Sequence[Flight]) -> Verdict:
+    documents = {flight.seed: flight.metrics for flight in flights if flight.metrics}
     return compare(
         case.name,
         table,
         flights,
         resolved_scenario=snapshot(case.scenario, case.source.parent),
         files=file_digests(case.scenario),
+        values=file_values(case.scenario),
+        bounds=bound_results(documents, case.source, case.overrides),
+        overrides=case.overrides,
     )
 
 
@@ -232,7 +241,7 @@ def update_tables(
 
 
 def _depends_on_seed(flights: Sequence[Flight]) -> bool:
-    """Tell whether the seed changes any number, to the last bit, in valid flights."""
+    """Return whether the seed changes any number, to the last bit, in valid flights."""
     valid = [
         table_numbers(each.metrics)
         for each in flights
@@ -254,6 +263,7 @@ def _update_table(
         reason=reason,
         random=random,
         files=file_digests(case.scenario),
+        values=file_values(case.scenario),
         resolved_scenario=snapshot(case.scenario, case.source.parent),
     )
     write_table(case.path, table)

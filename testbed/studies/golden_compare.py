@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from testbed.metrics.document import errors
+from testbed.sim.bounds import BoundResult
 from testbed.studies.flight_task import COMPLETED
 from testbed.studies.golden_table import (
     Rule,
@@ -91,6 +92,7 @@ class Verdict:
     """Result of a comparison."""
 
     name: str  # of the scenario, as the user wrote it
+    overrides: tuple[str, ...]  # settings of `--set`
     table: Table
     seeds: tuple[int, ...]
     wall_s: float
@@ -99,11 +101,13 @@ class Verdict:
     problems: tuple[FlightProblem, ...]
     notes: tuple[str, ...]
     rows: tuple[RowComparison, ...]
+    bounds: tuple[BoundResult, ...]
 
     @property
     def passed(self) -> bool:
-        """Whether the flights agree with the table."""
-        return not self.problems and all(row.passed for row in self.rows)
+        """Whether the flights agree with the table, and are within the scenario's bounds."""
+        within = not any(each.violations for each in self.bounds)
+        return within and not self.problems and all(row.passed for row in self.rows)
 
     @property
     def violations(self) -> list[Violation]:
@@ -144,6 +148,9 @@ def compare(
     *,
     resolved_scenario: Mapping[str, Any],
     files: Mapping[str, str],
+    values: Mapping[str, Any],
+    bounds: Sequence[BoundResult] = (),
+    overrides: Sequence[str] = (),
 ) -> Verdict:
     """Compare flights of a scenario with its table.
 
@@ -156,6 +163,9 @@ def compare(
         flights: one per seed.
         resolved_scenario: of `snapshot`, to describe changes.
         files: of `file_digests`, likewise.
+        values: of `file_values`, likewise.
+        bounds: comparisons with the bounds of the scenario.
+        overrides: settings of the scenario.
     """
     problems = [problem for flight in flights for problem in flight_problems(flight)]
     invalid = {problem.seed for problem in problems}
@@ -175,14 +185,16 @@ def compare(
     changes = differences(with_new_defaults(table.resolved_scenario), resolved_scenario)
     return Verdict(
         name=name,
+        overrides=tuple(overrides),
         table=table,
         seeds=tuple(flight.seed for flight in flights),
         wall_s=sum(flight.wall_s for flight in flights),
-        changes=(*changes, *file_differences(table.files, files)),
+        changes=(*changes, *file_differences(table.files, files, table.values, values)),
         versions=differences(table.versions, versions) if versions else (),
         problems=tuple(problems),
         notes=tuple(notes),
         rows=tuple(_compare_row(table, key, numbers) for key in table.rows),
+        bounds=tuple(bounds),
     )
 
 

@@ -1,18 +1,15 @@
-"""Report comparisons with golden tables: on a terminal of 80 columns, as JSON and as JUnit XML."""
+"""Report comparisons with golden tables: on a terminal of 80 columns, and as JSON."""
 
 from __future__ import annotations
 
-import re
 import shlex
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree as xml
 
 from rich.console import Console
 from rich.text import Text
 
-from testbed.core.files import report_write_errors, write_text_file
+from testbed.sim.bounds import BoundResult
 from testbed.studies.golden import UpdateResult
 from testbed.studies.golden_compare import RowComparison, Verdict, Violation
 from testbed.studies.golden_table import row_label
@@ -22,9 +19,6 @@ MAX_PROBLEMS = 12
 MAX_ROWS = 16
 MAX_VIOLATIONS = 8
 MAX_COMMANDS = 3
-
-# characters that XML 1.0 cannot contain, not even escaped
-_FORBIDDEN = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 # text of numbers and violations
@@ -46,7 +40,16 @@ def format_seeds(seeds: Sequence[int]) -> str:
 
 def run_command(verdict: Verdict, seed: int) -> str:
     """Return the command that repeats a flight."""
-    return f"testbed run {shlex.quote(verdict.name)} --seed {seed}"
+    settings = [word for each in verdict.overrides for word in ("--set", each)]
+    return shlex.join(["testbed", "run", verdict.name, *settings, "--seed", str(seed)])
+
+
+def failing_seeds(verdict: Verdict) -> list[int]:
+    """Return the seeds whose flights fail: problems, then bounds, then the largest violations."""
+    seeds = [each.seed for each in verdict.problems if each.seed is not None]
+    seeds += [seed for bound in verdict.bounds for seed, _ in bound.violations]
+    seeds += [each.seeds[0] for each in verdict.violations]
+    return list(dict.fromkeys(seeds or verdict.seeds[:1]))
 
 
 def violation_line(violation: Violation, verdict: Verdict) -> str:
@@ -84,16 +87,24 @@ def print_check(verdicts: Sequence[Verdict], console: Console) -> None:
         print_verdict(verdict, console)
     failed = [verdict for verdict in verdicts if not verdict.passed]
     # an update would not write a table for the others
-    updatable = [v for v in failed if all(problem.seed is None for problem in v.problems)]
+    updatable = [v for v in failed if not v.overrides and _needs_update(v)]
     console.print()
     if not failed:
-        _line(console, f" {len(verdicts)} passed: all flights agree with their tables", "green")
+        text = f" {len(verdicts)} passed: all flights agree with their tables"
+        within = " and are within their bounds" if any(v.bounds for v in verdicts) else ""
+        _line(console, text + within, "green")
         return
     _line(console, f" {len(failed)} failed, {len(verdicts) - len(failed)} passed", "bold red")
     if updatable:
         names = shlex.join(verdict.name for verdict in updatable)
         text = f" If this change is intended: testbed check {names} --update --reason TEXT"
         _line(console, text, "dim")
+
+
+def _needs_update(verdict: Verdict) -> bool:
+    """Whether an update would write another table: numbers differ, and all flights are valid."""
+    differs = bool(verdict.problems) or not all(row.passed for row in verdict.rows)
+    return differs and all(problem.seed is None for problem in verdict.problems)
 
 
 def print_verdict(verdict: Verdict, console: Console, *, failed: str = "FAILED") -> None:
@@ -107,6 +118,10 @@ def print_verdict(verdict: Verdict, console: Console, *, failed: str = "FAILED")
     else:
         head.append(failed, "bold red")
         head.append(f" · {format_seeds(verdict.seeds)} · {len(differing)} of {count} differ")
+    outside = sum(bool(each.violations) for each in verdict.bounds)
+    if verdict.bounds:
+        total = f"{len(verdict.bounds)} bound{'s' * (len(verdict.bounds) != 1)}"
+        head.append(f" · {outside} of {total} violated" if outside else f" · {total} met")
     console.print(head, soft_wrap=True)
     if verdict.passed:
         lines = [f"the scenario changed: {each}" for each in verdict.changes]
@@ -120,6 +135,11 @@ def print_verdict(verdict: Verdict, console: Console, *, failed: str = "FAILED")
     if seeds:
         _line(console, f"     {run_command(verdict, seeds[0])}", "cyan")
     _lines(console, verdict.notes, MAX_CHANGES, "dim")
+    lines = [line for bound in verdict.bounds for line in bound.lines]
+    _lines(console, lines, MAX_VIOLATIONS, "red")
+    if lines and not differing:
+        seed = next(each.violations[0][0] for each in verdict.bounds if each.violations)
+        _line(console, f"     {run_command(verdict, seed)}", "cyan")
     if differing:
         _print_rows(differing, console)
         _print_violations(verdict, console)
@@ -218,6 +238,7 @@ def _verdict_document(verdict: Verdict) -> dict[str, Any]:
         "versions": list(verdict.versions),
         "problems": [{"seed": each.seed, "text": each.text} for each in verdict.problems],
         "notes": list(verdict.notes),
+        "bounds": [_bound_document(each, verdict) for each in verdict.bounds],
         "rows": {row.key: _row_document(row) for row in verdict.rows},
         "violations": [
             {
@@ -235,6 +256,18 @@ def _verdict_document(verdict: Verdict) -> dict[str, Any]:
     }
 
 
+def _bound_document(bound: BoundResult, verdict: Verdict) -> dict[str, Any]:
+    return {
+        "key": bound.key,
+        "place": str(bound.place) if bound.place else None,
+        "checked": bound.checked,
+        "violations": [
+            {"seed": seed, "text": text, "command": run_command(verdict, seed)}
+            for seed, text in bound.violations
+        ],
+    }
+
+
 def _row_document(row: RowComparison) -> dict[str, Any]:
     return {
         "passed": row.passed,
@@ -245,94 +278,3 @@ def _row_document(row: RowComparison) -> dict[str, Any]:
         "band": list(row.band) if row.band else None,
         "tolerance": row.rule.allowed(row.golden),
     }
-
-
-# JUnit
-
-
-def to_junit(verdicts: Sequence[Verdict], input_errors: Sequence[str] = ()) -> str:
-    """Return JUnit XML, in the subset that GitHub, GitLab and Jenkins read.
-
-    A suite per scenario; in it a case for its flights, and one for each row of the golden table.
-
-    Args:
-        verdicts: of the scenarios.
-        input_errors: reasons why nothing was flown; each is an errored case.
-    """
-    root = xml.Element("testsuites", name="testbed check")
-    suites = [_add_suite(root, verdict) for verdict in verdicts]
-    if input_errors:
-        suites.append(_add_input_errors(root, input_errors))
-    for count in ("tests", "failures", "errors", "skipped"):
-        root.set(count, str(sum(int(suite.get(count, "0")) for suite in suites)))
-    root.set("time", f"{sum(verdict.wall_s for verdict in verdicts):.3f}")
-    xml.indent(root)
-    return xml.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
-
-
-def write_junit(path: Path, text: str) -> None:
-    """Write the document.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    with report_write_errors(f"--junit {path}"), write_text_file(path) as file:
-        file.write(text)
-
-
-def _add_suite(root: xml.Element, verdict: Verdict) -> xml.Element:
-    suite = xml.SubElement(root, "testsuite", name=_printable(verdict.name))
-    classname = _printable(f"golden.{verdict.name}")
-    cases = [xml.SubElement(suite, "testcase", classname=classname, name="flights")]
-    if verdict.problems:
-        _add_failure(cases[0], str(verdict.problems[0]), "\n".join(map(str, verdict.problems)))
-    for row in verdict.rows:
-        name = row_label(row.key)
-        cases.append(xml.SubElement(suite, "testcase", classname=classname, name=name))
-        _add_row_result(cases[-1], row, verdict)
-    seconds = verdict.wall_s / len(cases)
-    for case in cases:  # all cases share the flights
-        case.set("time", f"{seconds:.3f}")
-    changes = change_lines(verdict)
-    if changes:
-        xml.SubElement(suite, "system-out").text = _printable("\n".join(changes))
-    return _with_counts(suite, verdict.wall_s)
-
-
-def _add_row_result(case: xml.Element, row: RowComparison, verdict: Verdict) -> None:
-    if row.missing:
-        _add_failure(case, "missing: no flight has this number")
-    elif row.violations:
-        largest_first = sorted(row.violations, key=lambda each: -each.deviation)
-        lines = [violation_line(each, verdict) for each in largest_first]
-        _add_failure(case, lines[0], "\n".join(lines))
-    elif row.measured is None:
-        xml.SubElement(case, "skipped", message="no valid flight to compare: see flights")
-
-
-def _add_input_errors(root: xml.Element, errors: Sequence[str]) -> xml.Element:
-    suite = xml.SubElement(root, "testsuite", name="input")
-    for index, error in enumerate(errors, 1):
-        case = xml.SubElement(
-            suite, "testcase", classname="golden.input", name=f"input {index}", time="0.000"
-        )
-        xml.SubElement(case, "error", message=_printable(error), type="InputError")
-    return _with_counts(suite, 0.0)
-
-
-def _with_counts(suite: xml.Element, wall_s: float) -> xml.Element:
-    suite.set("tests", str(len(suite.findall("testcase"))))
-    for count, tag in (("failures", "failure"), ("errors", "error"), ("skipped", "skipped")):
-        suite.set(count, str(len(suite.findall(f"testcase/{tag}"))))
-    suite.set("time", f"{wall_s:.3f}")
-    return suite
-
-
-def _add_failure(case: xml.Element, message: str, text: str = "") -> None:
-    """Add a failure; the text repeats the message, as some readers show only one of them."""
-    failure = xml.SubElement(case, "failure", message=_printable(message), type="regression")
-    failure.text = _printable(text or message)
-
-
-def _printable(text: str) -> str:
-    return _FORBIDDEN.sub("�", text)

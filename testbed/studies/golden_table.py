@@ -62,7 +62,8 @@ class Table(_Part):
     """Reference numbers of a scenario, with the reason for which they were accepted.
 
     `rows` have keys `quantity/window/follower`, without the parts that do not apply.
-    `resolved_scenario` and `files` decide nothing: a comparison uses them to describe changes.
+    `resolved_scenario`, `files` and `values` decide nothing: a comparison uses them to describe
+    changes.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
@@ -77,7 +78,8 @@ class Table(_Part):
     band: BandRule
     rows: dict[str, Row]
     metrics: tuple[str, ...]
-    files: dict[str, str]
+    files: dict[str, str]  # digests by name
+    values: dict[str, Any] = {}  # in the YAML and .param files, by name
     resolved_scenario: dict[str, Any]
 
     @model_validator(mode="after")
@@ -101,14 +103,13 @@ class Table(_Part):
 
 
 _LENGTH_REASON = (
-    "The control loops damp rounding errors: numpy and numba agree to 1e-12 m, and moving a slot "
-    "by 1e-6 m changes RMS errors by less than 1e-7 m, while changing a gain by a few percent "
-    "changes them by several millimetres. For numbers below 0.1 m a millimetre would be too "
-    "coarse; their tolerance is 1 % of the number."
+    "Rounding is far smaller, and changes of the product are larger: moving a slot by 0.001 mm "
+    "changes an RMS error by less than 0.0001 mm, and changing a gain by 3 % changes it by several "
+    "millimetres. A number below 0.1 m may differ by 1 % of itself."
 )
 _TIME_REASON = (
-    "A crossing is detected at the next sample, 0.04 s apart at 25 Hz; rounding can move a few "
-    "crossings by one sample. No band: these times are not normally distributed over seeds."
+    "Times are counted in samples, 0.04 s apart, and rounding can move an event by a few of them. "
+    "Other seeds have no band, because times are not normally distributed over seeds."
 )
 
 
@@ -151,7 +152,7 @@ RULES: Mapping[str, Rule] = {
         "minimum separation",
         uses_band=False,
         better="higher",
-        more=" No band: the minimum of a flight is not normally distributed over seeds.",
+        more=" Other seeds have no band, because a minimum is not normally distributed over seeds.",
     ),
     "joined_at_s": _time("joined at"),
     "saturated_s": _time("time in saturation"),
@@ -220,7 +221,8 @@ def table_numbers(metrics: Mapping[str, Any]) -> dict[str, float | None]:
 def metric_names(metrics: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the sorted keys of a metrics document and of its windows."""
     windows = list(metrics["windows"].values())
-    return tuple(sorted([*metrics, *(f"windows.*.{key}" for key in (*windows, {})[0])]))
+    own = [key for key in metrics if key != "expect"]  # of the scenario, and no number of a flight
+    return tuple(sorted([*own, *(f"windows.*.{key}" for key in (*windows, {})[0])]))
 
 
 def make_table(
@@ -230,6 +232,7 @@ def make_table(
     reason: str,
     random: bool,
     files: Mapping[str, str],
+    values: Mapping[str, Any],
     resolved_scenario: Mapping[str, Any],
 ) -> Table:
     """Make a table from metrics documents by seed, all valid and of one structure.
@@ -253,6 +256,7 @@ def make_table(
         rows=rows,
         metrics=metric_names(first),
         files=dict(files),
+        values=dict(values),
         resolved_scenario=dict(resolved_scenario),
     )
 

@@ -71,7 +71,7 @@ class Journal:
             raise
 
     def __contains__(self, run: int) -> bool:
-        """Tell whether the journal has a run."""
+        """Return whether the journal has a run."""
         return run in self._offsets
 
     def __len__(self) -> int:

@@ -65,7 +65,7 @@ class LocalWorkers:
         return future
 
     def lost_worker(self, error: BaseException) -> bool:
-        """Tell whether an error means that a process ended."""
+        """Return whether an error means that a process ended."""
         return isinstance(error, BrokenProcessPool | ShutdownExecutorError)
 
     def shutdown(self) -> None:

@@ -31,6 +31,7 @@ from testbed.scenario import (
 from testbed.scenario.tree import Node, walk
 from testbed.scenario.violations import Place, Problem, ScenarioError
 from testbed.scenario.yaml_io import read, to_inline, validate
+from testbed.sim.bounds import unchecked_bounds
 from testbed.studies.study_schema import CASE_SCENARIO, StudyConfig, Value
 
 MAX_CHECKED = 2_000  # scenarios read before a study is flown; each takes some milliseconds
@@ -209,6 +210,18 @@ class Plan(Sequence[StudyRun]):
                 windows |= missing
         return describe_unreached(windows, settings.duration_s) if windows else ""
 
+    def unchecked_bounds(self) -> list[str]:
+        """Describe bounds of the scenarios that runs of the study's duration do not check."""
+        duration_s = self.study.config.study.duration_s
+        if duration_s is None:
+            return []
+        lines: list[str] = []
+        for index, case in enumerate(self.cases):
+            with suppress(ScenarioError):
+                scenario = self._drafts[case].resolve(self.run(index, 0).overrides)
+                lines += unchecked_bounds(scenario, duration_s)
+        return list(dict.fromkeys(lines))
+
     def _load(self, case: str, overrides: tuple[str, ...]) -> Scenario:
         scenario = self._drafts[case].resolve(overrides)
         duration_s = self.study.config.study.duration_s
@@ -271,7 +284,7 @@ def check_plan(plan: Plan) -> CheckedPlan:
 
     Of more than `MAX_CHECKED`, so many that every level of every key is read in every case. A level
     or a case that cannot be flown is an error. So is a drawn value only if no point of its case can
-    be flown; otherwise the row of the run will say so.
+    be flown; otherwise the row of the run has the error.
 
     Raises:
         ScenarioError: with the place in the study file.

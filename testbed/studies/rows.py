@@ -22,6 +22,7 @@ _LEFT_OUT = (
     ("real_time_factor",),
     ("published",),
     ("events",),
+    ("expect", "bounds"),
     ("pace",),
     ("mavlink",),
     ("arduplane",),
@@ -41,7 +42,7 @@ class Row:
     Args:
         run: its number in the plan.
         outcome: one of `flight_task.OUTCOMES`.
-        error: reason for any outcome but "completed", for which it is empty.
+        error: reason for any outcome but "completed", or the violated bounds of a completed run.
         metrics: numbers by name, as `windows.circles.mean_rms_m`; None for null.
     """
 

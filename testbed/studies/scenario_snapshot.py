@@ -5,14 +5,20 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from testbed.autopilot.parameters import read_values
+from testbed.core.errors import InputError
 from testbed.core.input_files import MAX_TABLE_BYTES, read_bounded
 from testbed.scenario import Scenario, code_references, find_aircraft, find_code, find_data
+from testbed.scenario.tree import plain
+from testbed.scenario.yaml_io import read
 
 # keys of `scenario` that change no number, and the seed, which is stored separately
 _LEFT_OUT = ("question", "expectation", "published", "name", "seed")
+_NO_NUMBERS = ("log", "expect")  # sections that change no number
 _SUFFIXES = (".xml", ".yaml", ".param", ".csv", ".py")
 
 
@@ -24,7 +30,8 @@ def snapshot(scenario: Scenario, folder: Path) -> dict[str, Any]:
         folder: of its file; paths in the snapshot are relative to it.
     """
     data: dict[str, Any] = scenario.model_dump(mode="json", by_alias=True)
-    data.pop("log", None)
+    for key in _NO_NUMBERS:
+        data.pop(key, None)
     data["scenario"] = {k: v for k, v in data["scenario"].items() if k not in _LEFT_OUT}
     result: dict[str, Any] = _with_relative_paths(data, folder.resolve())
     return result
@@ -46,6 +53,29 @@ def file_digests(scenario: Scenario) -> dict[str, str]:
     They explain a comparison that fails, and decide nothing. A file of an airframe is named from
     the airframe's folder on: `skywalker_x8/Systems/battery.xml`.
     """
+    return {
+        name: hashlib.sha256(read_bounded(file, MAX_TABLE_BYTES)).hexdigest()[:12]
+        for name, file in _files(scenario).items()
+    }
+
+
+def file_values(scenario: Scenario) -> dict[str, Any]:
+    """Return the values in the YAML and .param files a scenario uses, by the name of the file.
+
+    They name the gain that changed. A file that cannot be read is left out.
+    """
+    values: dict[str, Any] = {}
+    for name, file in _files(scenario).items():
+        with suppress(InputError):
+            if file.suffix == ".yaml":
+                values[name] = plain(read(file))
+            elif file.suffix == ".param":
+                values[name] = {key: each.value for key, each in read_values(file).items()}
+    return values
+
+
+def _files(scenario: Scenario) -> dict[str, Path]:
+    """Return the files whose content can change the numbers of a scenario, by name."""
     names = [scenario.leader.aircraft, *(follower.aircraft for follower in scenario.fleet)]
     files: dict[str, Path] = {}
     for folder in dict.fromkeys(find_aircraft(name) for name in names):
@@ -61,11 +91,7 @@ def file_digests(scenario: Scenario) -> dict[str, str]:
         module, _, _ = find_code(name).rpartition(":")
         others += [Path(module)] if module.endswith(".py") else []
     files |= {f"{file.parent.name}/{file.name}": file for file in others}
-    return {
-        name: hashlib.sha256(read_bounded(file, MAX_TABLE_BYTES)).hexdigest()[:12]
-        for name, file in files.items()
-        if file.suffix in _SUFFIXES
-    }
+    return {name: file for name, file in files.items() if file.suffix in _SUFFIXES}
 
 
 def _files_below(folder: Path) -> dict[str, Path]:
@@ -109,8 +135,21 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> tuple[str, ..
     return tuple(lines)
 
 
-def file_differences(old: Mapping[str, str], new: Mapping[str, str]) -> tuple[str, ...]:
-    """Describe every file that was removed, added or changed, from digests by name."""
+def file_differences(
+    old: Mapping[str, str],
+    new: Mapping[str, str],
+    old_values: Mapping[str, Any],
+    new_values: Mapping[str, Any],
+) -> tuple[str, ...]:
+    """Describe every file that was removed, added or changed.
+
+    Args:
+        old: digests by name, of `file_digests`.
+        new: likewise.
+        old_values: of `file_values`; where both have a file, its keys are named:
+            `rascal110/middle_loop.yaml: tuned.course.p from 4 to 3.5`.
+        new_values: likewise.
+    """
     lines = []
     for name in dict.fromkeys((*old, *new)):
         if name not in new:
@@ -118,7 +157,11 @@ def file_differences(old: Mapping[str, str], new: Mapping[str, str]) -> tuple[st
         elif name not in old:
             lines.append(f"file {name} is new")
         elif old[name] != new[name]:
-            lines.append(f"file {name} changed")
+            known = name in old_values and name in new_values
+            keys = differences(old_values[name], new_values[name]) if known else ()
+            lines += [f"{name}: {key}" for key in keys]
+            if not keys:
+                lines.append(f"file {name} changed" + (", but no value in it" if known else ""))
     return tuple(lines)
 
 

@@ -49,7 +49,7 @@ class Summary:
         metrics: names of the metrics in it.
         unknown_metrics: names in the study file that no run has, each with a suggestion.
         groups: in order of their first runs.
-        failures: the first runs that were not completed, as rows.
+        failures: the first runs that were not completed, or violate a bound, as rows.
         out_of_slot: number of completed runs that end with a follower out of its slot.
     """
 
@@ -72,7 +72,7 @@ def summarise(result: SweepResult) -> Summary:
     unknown = {name: did_you_mean(name, known) for name in wanted if name not in known}
     metrics = tuple(name for name in wanted if name in known)
     sets = tuple(f"{SET}{key}" for key in config.vary)
-    columns = ("case", "seed", *sets, "outcome", *(f"{METRICS}{name}" for name in metrics))
+    columns = ("case", "seed", *sets, "outcome", "error", *(f"{METRICS}{name}" for name in metrics))
     table = read_table(result.path, columns)
     groups = _group_runs(config, table, sets, metrics)
     out_of_slot = _count_out_of_slot(result, known)
@@ -118,7 +118,8 @@ def _median_and_range(values: Any) -> tuple[float, float, float] | None:  # noqa
 
 
 def _find_failures(result: SweepResult, table: StudyTable) -> tuple[Mapping[str, Any], ...]:
-    failed = np.flatnonzero(table.columns["outcome"] != COMPLETED)[:MAX_FAILURES]
+    outcomes, errors = table.columns["outcome"], table.columns["error"]
+    failed = np.flatnonzero((outcomes != COMPLETED) | (errors != ""))[:MAX_FAILURES]
     if not failed.size:
         return ()
     texts = read_table(result.path, ("outcome", "error", "command")).columns
@@ -145,6 +146,7 @@ def to_document(result: SweepResult, summary: Summary) -> dict[str, Any]:
         "runs": sum(result.outcomes.values()),
         "new_runs": result.new_runs,
         "outcomes": dict(result.outcomes),
+        "unexpected": result.unexpected,
         "out_of_slot": summary.out_of_slot,
         "groups": [
             {

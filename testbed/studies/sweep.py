@@ -10,15 +10,17 @@ import json
 import re
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from testbed.core.errors import InputError
 from testbed.metrics.document import initial_warnings
+from testbed.metrics.expectations import bound_key, violations
 from testbed.scenario import Scenario, dump
 from testbed.scenario.violations import ScenarioError
+from testbed.sim.bounds import violation_lines
 from testbed.sim.build import versions
 from testbed.studies.dask_workers import cluster_notices
 from testbed.studies.flight_pool import FlightPool, open_flight_pool
@@ -53,12 +55,14 @@ class SweepResult:
         path: of the result file.
         new_runs: number of runs flown by this call; the others were in the file.
         outcomes: number of runs by outcome.
+        unexpected: number of completed runs with a number outside the scenario's bounds.
     """
 
     study: Study
     path: Path
     new_runs: int
     outcomes: Mapping[str, int]
+    unexpected: int = 0
 
     @property
     def completed(self) -> bool:
@@ -108,6 +112,8 @@ def sweep(
         )
     if unreached := plan.unreached_metrics():
         report(f"warning: {unreached}")
+    for line in plan.unchecked_bounds():
+        report(f"warning: {line}")
     inputs = _make_inputs(plan, checked.scenarios)
     factors = [(len(plan.cases), "case"), (plan.point_count, "point"), (len(plan.seeds), "seed")]
     product = " × ".join(_count(*each) for each in factors if each[0] > 1 or each[1] == "seed")
@@ -134,11 +140,13 @@ def sweep(
             metadata["inputs.json"] = json.dumps(inputs, ensure_ascii=False)
             writer = _TableWriter(output, plan, journal, metadata, refresh_s)
             new_runs = _fly(plan, pool, journal, writer, progress, report)
-            outcomes = Counter(row.outcome for row in journal.rows())
+            outcomes, unexpected = _count_outcomes(
+                (row.outcome, row.error) for row in journal.rows()
+            )
             output.journal.unlink()  # while it is locked, so that nothing else resumes it
         finally:
             journal.close()
-    return SweepResult(study, output.path, new_runs, _all_outcomes(outcomes))
+    return SweepResult(study, output.path, new_runs, outcomes, unexpected)
 
 
 class _TableWriter:
@@ -177,9 +185,10 @@ def _fly(
     progress: Progress,
     report: Report,
 ) -> int:
-    """Fly the missing runs, and return their number; report each kind of warning once."""
+    """Fly the missing runs, return their number; report each kind of warning and bound once."""
     flown = 0
     kinds: set[str] = set()
+    bounds: set[str] = set()
     try:
         writer.write()
         progress(len(journal), len(plan))
@@ -191,11 +200,25 @@ def _fly(
                 if kind not in kinds and len(kinds) < MAX_WARNINGS:
                     report(f"warning: run {result.number}: {text}")
                 kinds.add(kind)
+            bounds |= _report_bounds(plan, result, bounds, report)
             progress(len(journal), len(plan))
             writer.write_if_due()
     finally:
         writer.write()
     return flown
+
+
+def _report_bounds(
+    plan: Plan, result: FlightResult, reported: set[str], report: Report
+) -> set[str]:
+    """Report the bounds that a run violates, but for those reported before; return their keys."""
+    violated = violations(result.metrics or {})
+    first = {bound_key(each): each for each in reversed(violated)}
+    new = {key: each for key, each in first.items() if key not in reported}
+    run = plan[result.number]
+    for line in violation_lines(list(new.values()), run.scenario, run.overrides):
+        report(f"warning: run {result.number}: {line}")
+    return set(new)
 
 
 def _missing_tasks(plan: Plan, journal: Journal) -> Iterator[FlightTask]:
@@ -236,6 +259,7 @@ def _make_inputs(plan: Plan, scenarios: Mapping[str, Scenario]) -> dict[str, Any
     inputs = {
         "study": config,
         "scenarios": {case: snapshot(scenario, folder) for case, scenario in scenarios.items()},
+        "expect": {case: scenario.expect.model_dump() for case, scenario in scenarios.items()},
         "files": files,
         "versions": versions(),
     }
@@ -254,6 +278,7 @@ def _refuse_changed_inputs(
     titles = {
         "study": "the study file",
         "scenarios": "a scenario",
+        "expect": "a bound of a scenario",
         "files": "a file of a scenario",
         "versions": "the versions",
     }
@@ -273,19 +298,25 @@ def _completed(study: Study, output: StudyOutput, inputs: Mapping[str, Any]) -> 
     Raises:
         InputError: its inputs changed, or it is incomplete and its journal is missing.
     """
-    table = read_table(output.path, ["outcome"])
+    table = read_table(output.path, ["outcome", "error"])
     _refuse_changed_inputs(output, table.json("inputs.json"), inputs)
     if not table.complete:
         raise InputError(
             f"{output.path}: is incomplete, and its journal {output.journal} is missing (start "
             "again without --resume)"
         )
-    outcomes = Counter(table.columns["outcome"].tolist())
-    return SweepResult(study, output.path, 0, _all_outcomes(outcomes))
+    rows = zip(table.columns["outcome"].tolist(), table.columns["error"].tolist(), strict=True)
+    return SweepResult(study, output.path, 0, *_count_outcomes(rows))
 
 
-def _all_outcomes(counts: Mapping[str, int]) -> dict[str, int]:
-    return {outcome: counts.get(outcome, 0) for outcome in OUTCOMES}
+def _count_outcomes(rows: Iterable[tuple[str, str]]) -> tuple[dict[str, int], int]:
+    """Count rows of outcome and error: all by outcome, and the completed ones with an error."""
+    counts: Counter[str] = Counter()
+    unexpected = 0
+    for outcome, error in rows:
+        counts[outcome] += 1
+        unexpected += outcome == COMPLETED and bool(error)
+    return {outcome: counts.get(outcome, 0) for outcome in OUTCOMES}, unexpected
 
 
 def _count(number: int, what: str) -> str:

@@ -15,7 +15,13 @@ from testbed import __version__
 from testbed.core.files import report_write_errors, write_text_file
 from testbed.logs.run_directory import write_run_file
 from testbed.metrics.document import write_json
-from testbed.scenario import dump_middle_loop, find_scenario, library, load, middle_loop_gains
+from testbed.scenario import (
+    dump_middle_loop,
+    find_scenario,
+    library,
+    load_scenario,
+    middle_loop_gains,
+)
 from testbed.scenario.yaml_io import write
 from testbed.studies.tune_objective import HeldOutComparison, describe_aggregate
 from testbed.studies.tune_problem import TuneProblem
@@ -103,7 +109,7 @@ class SearchLog:
             gains = dump_middle_loop({profile: middle_loop_gains(scenario, airframe)})
             self._write(GAINS_FILE, f"{comment}\n{gains}")
             changes["controller"] = {"middle_loop": GAINS_FILE, "profile": profile}
-            if load(self._scenario_path).controller.gains:  # the gains file has them too
+            if load_scenario(self._scenario_path).controller.gains:  # the gains file has them too
                 changes["controller"]["gains"] = None
         for key, value in problem.changed_keys(best.gains).items():
             if not key.startswith(GAINS):

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from testbed.core.extras import needs_extra
 from testbed.core.random import stream
 from testbed.core.records import Array
 from testbed.studies.tune_objective import aggregate_costs
@@ -95,7 +96,8 @@ class CmaEs:
             population: candidates of a generation; None for the default.
             seed: of the stream "tune/search".
         """
-        import cma
+        with needs_extra("study", "tune"):
+            import cma
 
         random = stream(seed, "tune/search")
 

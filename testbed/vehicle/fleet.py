@@ -88,10 +88,14 @@ class JsbsimFleet:
                 start.bank,
                 altitude,
                 start.state_of_charge,
+                start.cells,
+                start.temperature_offset,
             )
             trimmed = trim_aircraft(folder, point, origin)
             model = load(folder, base_rate_hz)
             model.locate(start.position_ned, origin)
+            model.warm(start.temperature_offset)
+            model.set_cells(start.cells)
             model.charge(start.state_of_charge)
             level = start.airspeed * math.cos(start.flight_path_angle)
             model.place(

@@ -21,3 +21,5 @@ class InitialState:
     bank: float = 0.0  # rad
     wind_ned: Vector = STILL  # m/s, initial velocity of the air
     state_of_charge: float = 1.0  # 0..1 of its battery, where it has one
+    cells: int = 0  # of its battery, in series; 0: those of the airframe
+    temperature_offset: float = 0.0  # K, of the air, to the standard atmosphere

@@ -84,6 +84,8 @@ def _trim_aircraft(folder: Path, point: TrimPoint, origin: Origin) -> TrimResult
 def _located(folder: Path, point: TrimPoint, origin: Origin) -> JsbsimModel:
     model = load(folder, _TRIM_RATE_HZ)
     model.locate((0.0, 0.0, origin.elevation_m - point.altitude), origin)
+    model.warm(point.temperature_offset)
+    model.set_cells(point.cells)
     model.charge(point.state_of_charge)
     return model
 

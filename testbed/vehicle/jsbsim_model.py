@@ -24,6 +24,7 @@ _MAX_SPIN_STEPS = 2000  # until the propeller and the surfaces have settled
 _INTEGRATOR_STEPS = 6  # one more than JSBSim's integrators use
 POUND = 4.4482216152605  # N, of force
 _SLUG_FOOT2 = POUND * FOOT  # kg m²; a slug is a pound-force per foot/s²
+_RANKINE = 1.8  # degrees Rankine per kelvin
 _NO_EFFECT = 1e-6  # m/s² and rad/s², above rounding
 _SHORT_STEP = 1e-5  # s, for the acceleration of the propeller
 
@@ -105,6 +106,30 @@ class JsbsimModel:
     def find(self, name: str) -> Any:  # noqa: ANN401
         """Return the node of a property; None if the aircraft does not have it."""
         return self._manager.get_node(name)
+
+    def warm(self, temperature_offset: float) -> None:
+        """Make the air warmer than the standard atmosphere, at all heights, by an offset, K.
+
+        The pressure at sea level stays the standard one.
+        """
+        if temperature_offset:
+            self.node("atmosphere/delta-T").set_double_value(temperature_offset * _RANKINE)
+
+    def set_cells(self, cells: int) -> None:
+        """Set the number of cells of the battery in series; 0: that of the airframe.
+
+        Raises:
+            AircraftError: the aircraft has no battery with a number of cells.
+        """
+        if not cells:
+            return
+        node = self.find("battery/cells")
+        if node is None:
+            raise AircraftError(
+                f"{self.fdm.get_model_name()}: has no battery/cells, so there cannot be {cells:g} "
+                "cells (remove the key)"
+            )
+        node.set_double_value(cells)
 
     def charge(self, state_of_charge: float) -> None:
         """Set the state of charge of the battery, from the next placement on.

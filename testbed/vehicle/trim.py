@@ -48,6 +48,8 @@ class TrimPoint:
     bank: float = 0.0  # rad, right wing down positive
     altitude: float = 400.0  # m above sea level
     state_of_charge: float = 1.0  # 0..1 of its battery, where it has one
+    cells: int = 0  # of its battery, in series; 0: those of the airframe
+    temperature_offset: float = 0.0  # K, of the air, to the standard atmosphere
 
 
 @dataclass(frozen=True, slots=True)

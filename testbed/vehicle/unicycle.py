@@ -2,11 +2,11 @@
 
     q̇ = s R e1        ṡ = p (u − s)        Ṙ = R [ω]×        y = R e1        [HBH23] eqs. (1)-(4)
 
-with f = −p s and g = p in (2): the ground speed s follows its command u with one pole p. The
-angular velocity ω is resolved in the zero-roll velocity frame of y, as the formation law gives it:
-its second and third components turn y upwards and to the right, its first only rolls R. Held over
-a step it does matter: (26) in full keeps a climbing turn's γ exactly, without the first component
-γ is off by ½ σ̇² sin γ cos γ dt per second.
+with f = −p s and g = p in (2): the ground speed s follows its command u with one pole p; or with f
+and g of a user. The angular velocity ω is resolved in the zero-roll velocity frame of y, as the
+formation law gives it: its second and third components turn y upwards and to the right, its first
+only rolls R. Held over a step it does matter: (26) in full keeps a climbing turn's γ exactly,
+without the first component γ is off by ½ σ̇² sin γ cos γ dt per second.
 
 There is no attitude in the model. What is reported as attitude is that of a coordinated turn along
 the path, so that an ideal vehicle can be drawn and can lead.
@@ -31,6 +31,7 @@ from testbed.core.records import (
     Vector,
     allocate,
 )
+from testbed.core.speed_model import SPEED_MODEL, later_speed, speed_terms
 
 # One extended unicycle.
 UNICYCLE = np.dtype(
@@ -41,19 +42,23 @@ UNICYCLE = np.dtype(
         ("speed_command", "f8"),  # u, m/s
         ("omega", "f8", 3),  # ω, rad/s, in the zero-roll velocity frame
         ("pole", "f8"),  # p, 1/s
+        ("speed_model", SPEED_MODEL),  # f and g of a user in place of −p s and p
         ("stopped", "?"),  # it is lost and keeps its motion
     ],
     align=True,
 )
 
 
-def make_unicycles(position: Array, velocity: Array, pole: Array) -> Records:
+def make_unicycles(
+    position: Array, velocity: Array, pole: Array, speed_models: Records | None = None
+) -> Records:
     """Return n unicycles (n,) of UNICYCLE in straight flight, without roll.
 
     Args:
         position: (n, 3) m.
         velocity: (n, 3) m/s over the ground.
         pole: p (n,) 1/s.
+        speed_models: (n,) of SPEED_MODEL; None: f = −p s and g = p for all.
 
     Raises:
         InputError: a vehicle does not move, so it has no direction; or a pole is not positive.
@@ -73,6 +78,8 @@ def make_unicycles(position: Array, velocity: Array, pole: Array) -> Records:
     unicycles["position"], unicycles["rotation"] = position, velocity_frame(velocity)
     unicycles["speed"] = unicycles["speed_command"] = speed
     unicycles["pole"] = pole
+    if speed_models is not None:
+        unicycles["speed_model"] = speed_models
     return unicycles
 
 
@@ -81,7 +88,8 @@ def advance(unicycles: Records, dt: float, ticks: int) -> None:
     """Advance unicycles by `ticks` steps of dt (s) under held commands, [HBH23] eqs. (1)-(4).
 
     Each step resolves ω in NED at its beginning and holds it there: R and the speed are then
-    exact, and the position is Simpson's rule over s y, of fourth order in dt.
+    exact, and the position is Simpson's rule over s y, of fourth order in dt. With a user's f and g
+    the speed is of fourth order, too.
 
     Args:
         unicycles: (n,) of UNICYCLE; written.
@@ -108,7 +116,11 @@ def _advance(v: Record, dt: float, ticks: int) -> None:
                 x, y, z, angle, r[0, axis], r[1, axis], r[2, axis]
             )
         _orthonormalise(r)
-        s_midway, s_after = u + (s - u) * decay_midway, u + (s - u) * decay
+        if v.speed_model.own:
+            s_midway = later_speed(v.speed_model, u, s, 0.5 * dt)
+            s_after = later_speed(v.speed_model, u, s_midway, 0.5 * dt)
+        else:
+            s_midway, s_after = u + (s - u) * decay_midway, u + (s - u) * decay
         for axis in range(3):
             mean = s * before[axis] + 4.0 * s_midway * midway[axis] + s_after * r[axis, 0]
             position[axis] += dt * mean / 6.0
@@ -141,7 +153,11 @@ def write_motion(unicycles: Records, rows: Indices, aircraft: Records) -> None:
             t.velocity_ned[axis] = s * y[axis]
             square += (t.velocity_ned[axis] - wind[axis]) ** 2
         t.airspeed = t.equivalent_airspeed = sqrt(square)
-        ax, ay, az = _to_ned(y, v.pole * (v.speed_command - s), s * w3, -s * w2)
+        forward = v.pole * (v.speed_command - s)
+        if v.speed_model.own:
+            f, g = speed_terms(v.speed_model, s)
+            forward = f + g * v.speed_command
+        ax, ay, az = _to_ned(y, forward, s * w3, -s * w2)
         t.acceleration_ned[0], t.acceleration_ned[1], t.acceleration_ned[2] = ax, ay, az
         phi, theta = atan(w3 * s / GRAVITY), atan2(-y[2], level)
         t.euler[0], t.euler[1], t.euler[2] = phi, theta, atan2(y[1], y[0])

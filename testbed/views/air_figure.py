@@ -8,7 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from testbed.core.records import Array, BoolArray
-from testbed.views.panels import BLACK, BLUE, GREEN, GREY, ORANGE, Band, Line, Panel, PanelGrid
+from testbed.views.panels import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    Band,
+    Line,
+    Panel,
+    PanelGrid,
+    Span,
+)
 
 SHOWN_S = 60.0  # of the records: more would be unreadable
 COMPONENTS = (
@@ -34,6 +45,8 @@ class WindFigureData:
     separation: float | None  # m between two probes; None: one probe
     coherence: Array  # (3, B)
     coherence_expected: tuple[Array, Array, Array] | None  # (3, B), as above
+    # Hz from which a field falls below the closed form; m, its shortest wave
+    unresolved: tuple[float, float] | None = None
 
 
 def wind_figure(data: WindFigureData) -> PanelGrid:
@@ -110,8 +123,17 @@ def _spectrum(data: WindFigureData, k: int) -> Panel:
         x_log=True,
         y_log=True,
         y_limits=limits,
+        spans=_unresolved(data),
         note=f"{symbol} does not vary",
     )
+
+
+def _unresolved(data: WindFigureData) -> list[Span]:
+    """Shade the frequencies at which the closed form has shorter waves than the field."""
+    if data.unresolved is None or data.unresolved[0] >= data.frequency_hz[-1]:
+        return []
+    begin, shortest = data.unresolved
+    return [Span(begin, float(data.frequency_hz[-1]), f"no waves below {shortest:.2g} m")]
 
 
 def _coherence(data: WindFigureData, k: int) -> Panel:

@@ -22,6 +22,7 @@ from testbed.views.meshes import (
     fuselage,
     join,
     mirror,
+    move,
     rod,
     surface,
     wheel,
@@ -273,6 +274,11 @@ def generic_aeroplane(wingspan_m: float) -> AirframeDrawing:
         surface(fin, MAIN),
     )
     return AirframeDrawing(body, None)
+
+
+def whole(drawing: AirframeDrawing) -> Mesh:
+    """Join the body and its control surfaces in their neutral positions."""
+    return join(drawing.body, *(move(each.mesh, each.hinge) for each in drawing.control_surfaces))
 
 
 DRAWINGS: dict[str, Callable[[float], AirframeDrawing]] = {

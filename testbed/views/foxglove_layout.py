@@ -1,4 +1,4 @@
-"""Foxglove layout for the log of a run.
+"""Foxglove layout for the log of a run, with or without its scene.
 
 Foxglove and Lichtblick import this JSON: panels by `<type>!<id>`, and the tree by which they share
 the window. Panel settings are those of Foxglove's SDK (https://docs.foxglove.dev/docs/sdk,
@@ -17,8 +17,10 @@ from typing import Any
 import numpy as np
 
 from testbed.core.records import RunInfo
+from testbed.views.foxglove_scene import FORMATION_FRAME, FRAMES, TOPICS, slot_frame
 from testbed.views.log_plots import Curve, Tab, tabs
 
+_AXIS_SPANS = 0.5  # length of the axes of an aircraft, in wingspans
 _SQUARE = 100.0  # m, of the ground grid
 _CAMERA_WINGSPANS = 30.0  # distance of the camera
 _UNQUOTED = re.compile(r"[\w/-]+", re.ASCII)
@@ -45,16 +47,23 @@ def foxglove_layout(info: RunInfo) -> str:
                 "near": 0.5,
                 "far": 50_000,
             },
-            # axes as long as the wingspan; older versions know the second name
+            # older versions know the last name
             "scene": {
                 "transforms": {
                     "showLabel": True,
-                    "axisSize": max(info.wingspan_m),
-                    "axisScale": max(info.wingspan_m),
+                    "axisSize": _AXIS_SPANS * max(info.wingspan_m),
+                    "axisScale": _AXIS_SPANS * max(info.wingspan_m),
                 }
             },
-            "transforms": {},
-            "topics": {},
+            "transforms": {
+                f"frame:{frame}": {"visible": False}
+                for frame in (FORMATION_FRAME, *map(slot_frame, info.names[1:]))
+            },
+            "topics": {
+                topic: {"visible": True, "showOutlines": False, "computeVertexNormals": True}
+                for topic in TOPICS
+                if topic != FRAMES
+            },
             "layers": {"ground": _ground(info)},
         },
         "RosOut!events": {"topicToRender": "/events", "searchTerms": [], "minLogLevel": 1},
@@ -87,10 +96,9 @@ def foxglove_layout(info: RunInfo) -> str:
 
 
 def message_path(curve: Curve) -> str:
-    """Return the message path of a curve: /uav1/formation.age_s[0]."""
+    """Return the message path of a curve: /uav1/formation.age_s.leader."""
     topic = curve.topic if _UNQUOTED.fullmatch(curve.topic) else f'"{curve.topic}"'
-    index = "" if curve.index is None else f"[{curve.index}]"
-    return f"{topic}.{curve.field}{index}"
+    return ".".join(filter(None, [topic, curve.field, curve.about]))
 
 
 def _plots(tab: Tab) -> list[dict[str, Any]]:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbed.views.annotations import MAX_ERROR_LABELS
 from testbed.views.batch import Batch
+from testbed.views.cameras import ABOVE, BEHIND, MIN_SPANS, Lens
+from testbed.views.labels import round_down
 from testbed.views.scene import Scene, ground
 
 CHASE_TRAIL_S = 4.0
@@ -21,8 +22,9 @@ TRAIL_ROWS_PER_S = 100.0
 POSE_ROWS_PER_S = 500.0
 PLOT_ROWS_PER_S = 200.0
 MAX_MOVING_SURFACES = 8  # aircraft: of more, control surfaces do not move
-MAX_NAMED = 12  # aircraft: of more, only the largest errors are labelled
-MIN_SIZE = 0.13  # of a drawn wingspan, relative to the distance of the chase camera
+LABEL_ROWS_PER_S = 5.0
+MIN_SIZE = 0.13  # of a drawn wingspan, relative to the distance of the camera
+UNITS = 100.0  # of a camera's frame, from the camera to the middle of the formation
 
 TimeSpan = tuple[float, float]  # s
 
@@ -45,83 +47,70 @@ class View3D:
     excluded: tuple[str, ...]
     camera: Camera
     trail_s: float
-    grid: float | None = None  # m, between the lines of a grid through the origin
 
 
 @dataclass(frozen=True, slots=True)
 class Framing:
-    """The cameras and scales that fit a formation into its views."""
+    """The camera of the whole flight, and scales that suit a formation."""
 
-    chase: Camera
-    above: Camera
     overview: Camera
     size: float  # aircraft and slots are drawn larger by this factor
-    grid: float  # m, between the lines of the view from above
     wind: float  # m, length of the arrow of 1 m/s
 
 
 def fit_formation(scene: Scene, first: Batch) -> Framing:
-    """Place the cameras for the slots of the first sample; unknown positions are left out."""
+    """Choose scales for the slots of the first sample; unknown positions are left out."""
     slots = first.slot[0, : scene.camera_followers]
     points = np.concatenate([first.position[0, :1], slots])
     points = points[np.isfinite(points).all(axis=-1)]
     offsets = points - points.mean(axis=0) if len(points) else np.zeros((1, 3))
-    radius = float(np.linalg.norm(offsets, axis=-1).max())
-    height = float(np.abs(offsets[:, 2]).max())
     span = max(scene.wingspan)
-    # views are wider than high, so that a tall formation needs more distance
-    distance = max(1.5 * radius + 1.2 * span, 3.6 * height, 4.0 * span)
-    size = max(1.0, math.floor(2.0 * MIN_SIZE * distance / span + 0.5) / 2.0)
-    above = 1.15 * radius + 2.2 * size * span
+    needed = float(BEHIND.distance(offsets[None], span)[0])
+    distance = max(needed, MIN_SPANS * span)
     return Framing(
-        chase=Camera(
-            (-0.86 * distance, 0.36 * distance, -0.40 * distance),
-            # below the formation, which is then in the upper half, above the ground
-            (0.0, 0.0, 0.10 * distance),
-        ),
-        above=Camera((-0.001 * above, 0.0, -1.7 * above), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)),
         overview=overview_camera(scene),
-        size=size,
-        grid=_round_down(0.25 * above),
-        wind=_round_down(0.05 * distance),
+        size=max(1.0, math.floor(2.0 * MIN_SIZE * distance / span + 0.5) / 2.0),
+        wind=round_down(0.05 * distance),
     )
 
 
 def views_3d(scene: Scene, framing: Framing) -> tuple[View3D, View3D, View3D]:
     """Define the views of the formation from behind, from above, and of the whole flight."""
-    names = tuple(f"world/aircraft/{name}/name" for name in scene.names)
-    markers = tuple(f"world/aircraft/{name}/marker" for name in scene.names)
     drawn = tuple(f"world/aircraft/{name}/drawn/**" for name in scene.names)
     posts = ("world/paths/posts", "world/paths/shadow")
     legend = [f"arrows: wind, {framing.wind:g} m per m/s"]
     legend += ["dots: own estimates"] if scene.estimated else []
     legend += [f"aircraft {framing.size:g} x as large"] if framing.size > 1.0 else []
-    crowded = len(names) > MAX_NAMED
-    named = f"; named: the {MAX_ERROR_LABELS} largest errors" if crowded else ""
+    first = "Formation" if scene.follow is None else f"Following {scene.names[scene.follow]}"
     return (
         View3D(
-            f"{' · '.join(['Formation', *scene.runs])} ({'; '.join(legend)})",
-            "world/chase",
-            ("world/ground/scale", "world/chase/largest_errors", *posts, *markers, *names),
-            framing.chase,
+            f"{' · '.join([first, *scene.runs])} ({'; '.join(legend)})",
+            "world/behind",
+            ("world/ground/scale", "world/above/**", *posts),
+            eye(BEHIND),
             CHASE_TRAIL_S,
         ),
         View3D(
-            f"From above (grid {framing.grid:g} m{named})",
-            "world/chase",
-            ("world/ground/**", *posts, *markers, *(names if crowded else ())),
-            framing.above,
+            "From above",
+            "world/above",
+            ("world/ground/**", "world/behind/**", *posts),
+            eye(ABOVE),
             CHASE_TRAIL_S,
-            framing.grid,
         ),
         View3D(
             "Flight",
             "world",
-            ("world/slots/**", "world/chase/**", *drawn, *names),
+            ("world/slots/**", "world/chase/**", "world/behind/**", "world/above/**", *drawn),
             framing.overview,
             OVERVIEW_TRAIL_S,
         ),
     )
+
+
+def eye(lens: Lens) -> Camera:
+    """Place a camera in its frame, whose unit is a share of the distance."""
+    position, target = (UNITS * np.array(each) for each in (lens.eye, lens.target))
+    return Camera(tuple(position.tolist()), tuple(target.tolist()), lens.up)
 
 
 def plot_span(at_s: float, begin_s: float) -> TimeSpan:
@@ -146,9 +135,3 @@ def stride(scene: Scene, rows_per_s: float, max_hz: float = math.inf) -> int:
     """Compute the step between drawn samples, for so many rows per second over all aircraft."""
     wanted_hz = min(rows_per_s / len(scene.names), max_hz)
     return max(1, round(scene.sample_rate_hz / wanted_hz))
-
-
-def _round_down(length: float) -> float:
-    """Round down to 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** math.floor(math.log10(length))
-    return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= length)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from testbed.core.identifiers import identifiers
 from testbed.logs.messages import COMMAND, ESTIMATE, FORMATION, STATE, Topic
 from testbed.views.scene import aircraft_colour
 
@@ -17,7 +18,7 @@ class Curve:
 
     topic: str  # /uav1/formation
     field: str  # error_north_m
-    index: int | None  # in a repeated field
+    about: str | None  # of a field by aircraft, the one of this aircraft: leader
     label: str
     colour: str
     dashed: bool = False  # a desired or commanded value
@@ -118,12 +119,12 @@ def _curves(names: Sequence[str], actual: _Field, desired: _Field) -> tuple[Curv
             if field is None or (number == 0 and field[0].followers_only):
                 continue
             topic, key = field
-            repeated = dict(topic.fields)[key].per_aircraft
+            by_aircraft = dict(topic.fields)[key].per_aircraft
             curves.append(
                 Curve(
                     topic=f"/{name}/{topic.name}",
                     field=key,
-                    index=0 if repeated else None,
+                    about=identifiers(names)[0] if by_aircraft else None,
                     label=f"{name}, desired" if dashed else name,
                     colour=_hex_colour(number),
                     dashed=dashed,

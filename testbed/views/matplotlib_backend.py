@@ -9,23 +9,38 @@ import io
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.ticker import NullLocator
-from mpl_toolkits.mplot3d import Axes3D
 
+from testbed.core.extras import needs_extra
 from testbed.core.files import write_file
 from testbed.views.panels import GREY, GRID, Heatmap, Line, Panel, Panel3D, PanelGrid
+
+with needs_extra("report", "figures"):
+    import matplotlib
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+    from matplotlib.ticker import (
+        FixedLocator,
+        FuncFormatter,
+        LogLocator,
+        MaxNLocator,
+        NullFormatter,
+        NullLocator,
+    )
+    from mpl_toolkits.mplot3d import Axes3D
 
 DOTS_PER_INCH = 100  # of the layout
 PNG_DOTS_PER_INCH = 200
 TITLES_IN, LEGEND_IN = 0.8, 0.35  # height of the titles and of a legend row, inches
 KEY_IN, LETTER_IN = 0.8, 0.095  # width of a legend key and of a letter, inches
+TITLE_PT, NAME_PT = 6.0, 12.5  # distance of a title, and height of a line of names of spans
+MAX_DECADES = 4.0  # of a logarithmic axis with ticks within decades, as plain numbers
 HEAT_COLOURS = "cividis"  # the same order for colour-blind readers, and in grey
 HEAT_STEPS = 32
+DEGREE_STEPS = (1, 1.5, 3, 4.5, 9, 10)  # of ticks: 15, 30, 45, 90 degrees
+MIN_DEGREES = 45.0  # of an axis with them
 # Text on a cell, by its lightness; not exactly black and white, which a dark page inverts.
 ON_LIGHT, ON_DARK = "#010101", "#fefefe"
 CLEAR = (1.0, 1.0, 1.0, 0.0)
@@ -81,10 +96,6 @@ def _figure(content: PanelGrid, *, titled: bool) -> Figure:
     width, height = content.inches
     layout = ConstrainedLayoutEngine(wspace=0.04, hspace=0.06)
     figure = Figure(figsize=content.inches, dpi=DOTS_PER_INCH, layout=layout)
-    if titled:
-        figure.text(0.012, 1.0 - 0.32 / height, content.title, size=17, weight="bold", va="center")
-        below = 1.0 - 0.63 / height
-        figure.text(0.012, below, content.subtitle, size=12.5, va="center", color="#404040")
     # one legend for all panels: a label means the same in each
     named: dict[str, Any] = {}
     grid = figure.add_gridspec(len(content.rows), len(content.widths), width_ratios=content.widths)
@@ -101,6 +112,12 @@ def _figure(content: PanelGrid, *, titled: bool) -> Figure:
     longest = max(map(len, named), default=0)
     abreast = max(int(width / (KEY_IN + LETTER_IN * longest)), 1)
     rows = -(-len(named) // abreast)
+    height += max(rows - 1, 0) * LEGEND_IN  # a long legend makes no panel flatter
+    figure.set_size_inches(width, height)
+    if titled:
+        figure.text(0.012, 1.0 - 0.32 / height, content.title, size=17, weight="bold", va="center")
+        below = 1.0 - 0.63 / height
+        figure.text(0.012, below, content.subtitle, size=12.5, va="center", color="#404040")
     top = TITLES_IN / height if titled else 0.0
     bottom = rows * LEGEND_IN / height
     layout.set(rect=(0.0, bottom, 1.0, 1.0 - bottom - top))
@@ -113,7 +130,9 @@ def _figure(content: PanelGrid, *, titled: bool) -> Figure:
 
 
 def _fill(ax: Axes, panel: Panel) -> None:
-    ax.set_title(panel.title)
+    named = [span for span in panel.spans if span.name]
+    name_lines = max((span.level + 1 for span in named), default=0)
+    ax.set_title(panel.title, pad=TITLE_PT + NAME_PT * name_lines)
     ax.set_xlabel(panel.x_label)
     ax.set_ylabel(panel.y_label)
     if not panel.drawn:
@@ -129,9 +148,9 @@ def _fill(ax: Axes, panel: Panel) -> None:
         ax.axvspan(span.start, span.end, color=GREY, alpha=0.13, lw=0)
         ax.axvline(span.start, color=GREY, lw=0.5)  # the end of the span before
         ax.annotate(
-            span.name, (span.start, 1.0), (3.0, -2.0 - 12.5 * span.level),
+            span.name, (span.start, 1.0), (1.0, 3.0 + NAME_PT * span.level),
             xycoords=ax.get_xaxis_transform(), textcoords="offset points",
-            va="top", size=10.5, annotation_clip=False,
+            va="bottom", size=10.5, annotation_clip=False,
         )  # fmt: skip
     for at, colour in panel.marks:
         ax.axvline(at, color=colour, lw=0.9, ls=(0, (1, 2)))
@@ -154,6 +173,24 @@ def _fill(ax: Axes, panel: Panel) -> None:
             axis.set_ticks([at for at, _ in ticks], [text for _, text in ticks])
             axis.set_minor_locator(NullLocator())
     ax.set(xlim=panel.x_limits, ylim=panel.y_limits)
+    low, high = ax.get_ylim()
+    if panel.y_degrees and abs(high - low) >= MIN_DEGREES:
+        ax.yaxis.set_major_locator(MaxNLocator(5, steps=DEGREE_STEPS))
+    for axis, logarithmic in ((ax.xaxis, panel.x_log), (ax.yaxis, panel.y_log)):
+        if logarithmic and not isinstance(axis.get_major_locator(), FixedLocator):
+            _set_plain_log_ticks(axis)
+
+
+def _set_plain_log_ticks(axis: Axis) -> None:
+    """Write the numbers of a logarithmic axis as 0.5, 1 and 20 if it has few decades."""
+    low, high = sorted(axis.get_view_interval())
+    decades = np.log10(high / low)
+    if decades > MAX_DECADES:
+        return
+    parts = (1.0, 2.0, 5.0) if decades <= 2.0 else (1.0, 3.0) if decades <= 3.0 else (1.0,)
+    axis.set_major_locator(LogLocator(subs=parts))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _fill_heat(ax: Axes, heat: Heatmap) -> None:

@@ -38,6 +38,11 @@ def join(*parts: Mesh) -> Mesh:
     )
 
 
+def move(mesh: Mesh, by: Array) -> Mesh:
+    """Move a mesh by a vector (3,), m."""
+    return Mesh(mesh.vertices + by, mesh.triangles, mesh.paint)
+
+
 def loft(rings: Array, paint: int) -> Mesh:
     """Loft a closed skin through rings (m, k, 3) of points, with flat caps at both ends.
 

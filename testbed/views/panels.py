@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.core.records import Array
+from testbed.views.palette import ON_WHITE
 
-# Okabe and Ito's palette on white: distinct for colour-blind readers, and in grey by lightness.
-BLUE, ORANGE, GREEN = "#0072b2", "#d55e00", "#009e73"
-# Three more, darkened: all six have a contrast of more than 3 to 1 on white.
-PURPLE, GOLD, SKY = "#a14a76", "#a87000", "#2f8fc4"
+BLUE, ORANGE, GREEN, PINK, VIOLET, BROWN = list(ON_WHITE.values())[:6]
 BLACK, GREY = "#000000", "#8c8c8c"
 GRID = "#e3e3e3"
+PATH = "#c4c4c4"  # of the commanded path, below all other curves
 DASHED = "--"
 
 
@@ -111,6 +110,7 @@ class Panel:
     equal: bool = False  # the same scale on both axes, which fit the lines
     x_ticks: Sequence[tuple[float, str]] = ()  # positions and texts in place of numbers
     y_ticks: Sequence[tuple[float, str]] = ()
+    y_degrees: bool = False  # ticks at parts of a right angle
     heat: Heatmap | None = None  # below the lines
 
     @property

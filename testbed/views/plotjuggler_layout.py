@@ -1,8 +1,9 @@
 """PlotJuggler layout for the log of a run: `plotjuggler --layout run.plotjuggler.xml`.
 
-PlotJuggler names a protobuf field `<topic>/<field>`, of a repeated field `<topic>/<field>[k]`. The
-layout names its data file and topics, so that PlotJuggler loads it without a dialogue. Only topics
-of numbers are selected: older releases fail on fields called `timestamp`.
+PlotJuggler names a protobuf field `<topic>/<field>`, that of a nested message
+`<topic>/<field>/<field>`. The layout names its data file and topics, so that PlotJuggler loads it
+without a dialogue. Only topics of numbers are selected: older releases fail on fields called
+`timestamp`.
 """
 
 from __future__ import annotations
@@ -12,9 +13,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from testbed.core.identifiers import identifiers
 from testbed.logs.flight_data import FlightData
 from testbed.views.log_plots import Curve, Plot, Tab, numeric_topics, tabs
 
+_NS = 10**9
 _MARGIN = 0.05  # of the range, above and below
 
 
@@ -42,9 +45,8 @@ def plotjuggler_layout(flight: FlightData, log: str) -> str:
 
 
 def series_name(curve: Curve) -> str:
-    """Return PlotJuggler's name of a curve: /uav1/formation/age_s[0]."""
-    index = "" if curve.index is None else f"[{curve.index}]"
-    return f"{curve.topic}/{curve.field}{index}"
+    """Return PlotJuggler's name of a curve: /uav1/formation/age_s/leader."""
+    return "/".join(filter(None, [curve.topic, curve.field, curve.about]))
 
 
 def _add_tab(main: xml.Element, tab: Tab, flight: FlightData) -> None:
@@ -74,14 +76,16 @@ def _range(plot: Plot, flight: FlightData) -> dict[str, str]:
     for curve in plot.curves:
         name, topic = curve.topic.strip("/").split("/")
         values = flight[f"{topic}_{curve.field}"][:, flight.names.index(name)]
-        values = values if curve.index is None else values[:, curve.index]
+        if curve.about is not None:
+            values = values[:, identifiers(flight.names).index(curve.about)]
         finite = values[np.isfinite(values)]
         low, high = min(low, finite.min(initial=low)), max(high, finite.max(initial=high))
     if low > high:
         low, high = 0.0, 1.0
     margin = _MARGIN * (high - low) or 1.0
-    end = flight.time_s[-1] if flight.time_s.size else 1.0
-    sides = {"left": 0.0, "right": end, "bottom": low - margin, "top": high + margin}
+    start = flight.info.start_unix_ns / _NS
+    end = start + (flight.time_s[-1] if flight.time_s.size else 1.0)
+    sides = {"left": start, "right": end, "bottom": low - margin, "top": high + margin}
     return {side: f"{value:.6f}" for side, value in sides.items()}
 
 

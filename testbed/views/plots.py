@@ -9,11 +9,12 @@ import numpy as np
 
 from testbed.core.frames import course, flight_path_angle, wrap_pi
 from testbed.core.records import Array
-from testbed.formation.barrier import Barrier, barrier_curve
+from testbed.formation.logged_barrier import logged_curve
 from testbed.views.annotations import STALE_S
 from testbed.views.batch import Batch
+from testbed.views.palette import Colour
 from testbed.views.panels import break_at_wrap, unique_values
-from testbed.views.scene import BACKDROP, Colour, Scene, mix
+from testbed.views.scene import BACKDROP, Scene, mix
 
 LIMIT: Colour = (150, 150, 150)
 MAX_DESIRED = 8  # aircraft: of more, desired values are not drawn
@@ -65,14 +66,17 @@ def tabs(scene: Scene) -> tuple[tuple[Plot, ...], ...]:
     motion = (*_speeds(scene), *_directions(scene))
     commands, air = (_bank(scene), _throttle(scene)), _air(scene)
     if not scene.followers:
-        return (motion[:1], motion[1:], (_altitude(scene), *commands), air)
-    errors = (_error(scene), *([_estimate_error(scene)] if scene.estimated else []))
+        return (motion[:1], motion[1:], (_altitude(scene), *commands, *air))
+    errors = (
+        _error(scene),
+        *([_estimate_error(scene)] if scene.estimated else []),
+        _data_age(scene),
+    )
     barrier = (_barrier(scene),) if any(scene.barriers) else ()
     return (
         errors,
         (motion[0], *barrier, *motion[1:]),
-        (*commands, _altitude(scene)),
-        (_data_age(scene), *air),
+        (*commands, _altitude(scene), *air),
     )
 
 
@@ -119,7 +123,7 @@ def _directions(scene: Scene) -> tuple[Plot, Plot]:
 
 def _bank(scene: Scene) -> Plot:
     limits_deg = unique_values(np.degrees(scene.roll_limit))
-    largest = 1.1 * limits_deg[-1] if limits_deg else 60.0
+    largest = 1.02 * limits_deg[-1] if limits_deg else 60.0
     actual = _all_aircraft(scene, "actual", lambda batch: np.degrees(batch.euler[..., 0]))
     lines = tuple(
         (f"limit {sign * each:g}", sign * each) for each in limits_deg for sign in (-1, 1)
@@ -174,10 +178,7 @@ def _barrier(scene: Scene) -> Plot:
     def value(batch: Batch) -> Array:
         through = batch.velocity[:, rows] - scene.bounds_wind[rows]
         speed = np.linalg.norm(through, axis=-1)
-        curves = [
-            barrier_curve(Barrier(*each), speed[:, i], low[i], high[i])[0]
-            for i, each in enumerate(chosen)
-        ]
+        curves = [logged_curve(each, speed[:, i], low[i], high[i]) for i, each in enumerate(chosen)]
         return np.stack(curves, axis=1)
 
     series = (_series(scene, "h", rows.tolist(), value),)

@@ -19,10 +19,10 @@ from testbed.views.viewer import headless_viewer
 
 BATCH_SAMPLES = 1000
 LABELS = ("A", "B")  # of two runs
-SIZE = (1600, 900)  # pixels
+SIZE = (1920, 1080)  # pixels
 LOADED_S = 60.0  # a long run on a slow machine
 LIMIT_S = 120.0  # of the whole picture
-DRAWN_S = 1.0  # the viewer draws several times and does not say when it is done
+DRAWN_S = 1.0  # the viewer draws several times, without a signal when it is done
 GREETING_S = 6.0  # after its first drawing the viewer shows a notice of its address for so long
 
 
@@ -39,14 +39,26 @@ class ViewComplaintError(RuntimeError):
     """A view of the viewer reports an error in what it was sent: a bug of the testbed."""
 
 
-def replay(target: ViewTarget, first: Recorded, second: Recorded | None = None) -> None:
+def replay(
+    target: ViewTarget,
+    first: Recorded,
+    second: Recorded | None = None,
+    *,
+    follow: str | None = None,
+) -> None:
     """Show one run, or two over one another, as fast as the target takes them.
+
+    Args:
+        target: where they are shown.
+        first: a log.
+        second: another one.
+        follow: name of an aircraft of the first run that the first camera stays near.
 
     Raises:
         InputError: Two runs have no time in common.
         OSError: An .rrd file cannot be written.
     """
-    scene, batch = scene_and_batch(first, second)
+    scene, batch = scene_and_batch(first, second, follow=follow)
     sink = target.open(scene)
     if sink is not None:
         _send(sink, batch)
@@ -60,6 +72,7 @@ def screenshot(
     second: Recorded | None = None,
     *,
     size: tuple[int, int] = SIZE,
+    follow: str | None = None,
 ) -> None:
     """Save a picture of one run, or of two over one another, without a screen.
 
@@ -69,6 +82,7 @@ def screenshot(
         first: a log.
         second: another one.
         size: width and height of the viewer's window, pixels.
+        follow: name of an aircraft of the first run that the first camera stays near.
 
     Raises:
         InputError: Two runs have no time in common, or no viewer can draw without a screen.
@@ -77,7 +91,7 @@ def screenshot(
     """
     from testbed.views.rerun_backend import Recording, RemoteViewer
 
-    scene, batch = scene_and_batch(first, second)
+    scene, batch = scene_and_batch(first, second, follow=follow)
     with headless_viewer(size, limit_s=LIMIT_S) as port:
         viewer = RemoteViewer(port, scene.recording_id)
         viewer.wait_until_drawn()
@@ -97,13 +111,15 @@ def screenshot(
         raise ViewComplaintError(f"{path}: the viewer reports: {'; '.join(complaints)}")
 
 
-def scene_and_batch(first: Recorded, second: Recorded | None = None) -> tuple[Scene, Batch]:
+def scene_and_batch(
+    first: Recorded, second: Recorded | None = None, *, follow: str | None = None
+) -> tuple[Scene, Batch]:
     """Prepare one run, or two at the times that both have.
 
     Raises:
         InputError: Two runs have no time in common.
     """
-    scene, batch = _prepare(first)
+    scene, batch = _prepare(first, follow)
     if second is None:
         return scene, batch
     second_scene, second_batch = _prepare(second)
@@ -119,10 +135,10 @@ def scene_and_batch(first: Recorded, second: Recorded | None = None) -> tuple[Sc
     return both, replace(batch, events=(*titles, *batch.events))
 
 
-def _prepare(run: Recorded) -> tuple[Scene, Batch]:
+def _prepare(run: Recorded, follow: str | None = None) -> tuple[Scene, Batch]:
     batch = batch_of(run, run.events)
     estimated = not np.array_equal(batch.estimated_position, batch.position, equal_nan=True)
-    return replace(scene_of(run.info), estimated=estimated), batch
+    return replace(scene_of(run.info, follow), estimated=estimated), batch
 
 
 def _send(sink: ViewSink, batch: Batch) -> None:

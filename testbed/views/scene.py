@@ -13,23 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from testbed.core.records import Array, RunInfo
-from testbed.formation.barrier import NO_BARRIER, OWN_BARRIER
-
-Colour = tuple[int, int, int]  # red, green, blue, 0..255
+from testbed.formation.logged_barrier import LoggedBarrier, logged_barriers
+from testbed.views.palette import ON_DARK, Colour, rgb
 
 BACKDROP: Colour = (22, 26, 33)
 LEADER: Colour = (240, 240, 240)
-# Okabe and Ito's palette for colour-blind readers, without black, which is the background here.
-FOLLOWERS: tuple[Colour, ...] = (
-    (86, 180, 233),
-    (230, 159, 0),
-    (0, 158, 115),
-    (204, 121, 167),
-    (240, 228, 66),
-    (213, 94, 0),
-    (0, 114, 178),
-)
+FOLLOWERS: tuple[Colour, ...] = tuple(rgb(each) for each in ON_DARK)
 GRID_STEP = 100.0  # m
+MAX_LABELS = 6  # on an edge of the grid
 MAX_POSTS = 40  # vertical lines along the path that show its height
 GRID_MARGIN = 150.0  # m of grid beyond the path
 
@@ -46,19 +37,20 @@ class Scene:
     wingspan: tuple[float, ...]  # N, m
     colours: tuple[Colour, ...]  # N
     followers: tuple[int, ...]  # n, rows of the N that have a slot
-    camera_followers: int  # how many of the n the cameras follow, from the first on
+    camera_followers: int  # how many of the n the cameras keep in sight, from the first on
     paths: tuple[Array, ...]  # (k, 3) m each, may be empty
     speed_bounds: Array  # (n, 2) m/s
     bounds_wind: Array  # (N, 3) m/s, of the air that bounded speeds are relative to; zero: ground
-    barriers: tuple[tuple[int, float] | None, ...]  # n, example and nu; None: unknown
+    barriers: tuple[LoggedBarrier | None, ...]  # n; None: unknown, or none
     estimated: bool  # whether any aircraft flies by estimates that differ from the truth
     roll_limit: Array  # (n,) rad
     sample_rate_hz: float  # of the samples that are shown
+    follow: int | None = None  # row of the aircraft that the first camera stays near
     runs: tuple[str, ...] = ()  # of two runs in one view: label, colour and name of each
 
 
-def scene_of(info: RunInfo) -> Scene:
-    """Make the scene of a run."""
+def scene_of(info: RunInfo, follow: str | None = None) -> Scene:
+    """Make the scene of a run, with the name of an aircraft that a camera stays near."""
     run = f" {info.directory.name}" if info.directory else ""
     n = len(info.names) - 1
     return Scene(
@@ -75,18 +67,16 @@ def scene_of(info: RunInfo) -> Scene:
         paths=tuple(p for p in [np.asarray(info.leader_path_ned, dtype=np.float64)] if p.size),
         speed_bounds=np.asarray(info.speed_bounds_mps, dtype=np.float64).reshape(-1, 2),
         bounds_wind=np.tile(np.asarray(info.bounded_in_ned, dtype=np.float64), (n + 1, 1)),
-        barriers=tuple(
-            None if each[0] in (NO_BARRIER, OWN_BARRIER) else each for each in info.barriers
-        )
-        or (None,) * n,
+        barriers=tuple(logged_barriers(info)),
         estimated=info.estimated,
         roll_limit=np.asarray(info.roll_limit_rad, dtype=np.float64),
         sample_rate_hz=info.frame_rate_hz,
+        follow=None if follow is None else info.names.index(follow),
     )
 
 
 def overlay_scenes(first: Scene, second: Scene, labels: tuple[str, str]) -> Scene:
-    """Combine the scenes of two runs, told apart by colour; the cameras follow the first.
+    """Combine the scenes of two runs, distinct by colour; the cameras follow the first.
 
     Args:
         first: of the run whose formation the cameras follow.
@@ -132,7 +122,7 @@ def overlay_scenes(first: Scene, second: Scene, labels: tuple[str, str]) -> Scen
 
 
 def aircraft_colour(index: int) -> Colour:
-    """Choose the colour of an aircraft; index 0 is the leader. Repeats after seven followers."""
+    """Choose the colour of an aircraft; index 0 is the leader. Repeats after twenty followers."""
     return LEADER if index == 0 else FOLLOWERS[(index - 1) % len(FOLLOWERS)]
 
 
@@ -176,9 +166,11 @@ def ground(paths: Sequence[Array]) -> Ground:
     east = np.arange(low[1], high[1] + 1.0, GRID_STEP)
     across = [np.array([[n, low[1], 0.0], [n, high[1], 0.0]]) for n in north]
     along = [np.array([[low[0], e, 0.0], [high[0], e, 0.0]]) for e in east]
-    # every second line has a label, on the two edges nearest to the overview camera
-    marks = [(n, low[1] - 40.0, f"{n:.0f} m N") for n in north[::2]]
-    marks += [(low[0] - 40.0, e, f"{e:.0f} m E") for e in east[::2]]
+    # labels on the two edges nearest to the overview camera, of every second line or fewer
+    step = max(2, -(-max(len(north), len(east)) // MAX_LABELS))
+    aside = 0.03 * float(np.max(high - low))
+    marks = [(n, low[1] - aside, f"{n:.0f} m N") for n in north[::step]]
+    marks += [(low[0] - aside, e, f"{e:.0f} m E") for e in east[::step]]
     posts = np.unique(np.linspace(0, len(path) - 1, MAX_POSTS).astype(int))
     tops = path[posts] if len(path) else path
     return Ground(

@@ -208,7 +208,7 @@ class Feeder:
                 while (message := self._queue.get()) is not None:
                     pickle.dump(message, pipe, pickle.HIGHEST_PROTOCOL)
                     pipe.flush()
-        except OSError:  # the process has ended; its exit code says why
+        except OSError:  # the process has ended; its exit code has the reason
             pass
         code = self.process.wait()
         if code != 0:

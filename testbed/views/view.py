@@ -30,14 +30,23 @@ class RerunView:
 
     zero_copy = True  # copies what it needs
 
-    def __init__(self, target: ViewTarget | None = None, *, max_hz: float | None = None) -> None:
+    def __init__(
+        self,
+        target: ViewTarget | None = None,
+        *,
+        max_hz: float | None = None,
+        follow: str | None = None,
+    ) -> None:
         """Choose where and how often to show a run.
 
         Args:
             target: by default a viewer on this machine, found or started.
             max_hz: shown samples per simulated second, at most; `FAST_HZ` suits runs faster than
                 real time. None: every sample of the log. Every event is shown.
+            follow: name of the aircraft that the first camera stays near; None: it keeps all
+                aircraft in sight.
         """
+        self._follow = follow
         self._target: ViewTarget = target or LiveViewer()
         self._max_hz = max_hz
         self._period_s = PERIOD_S if max_hz is None else FAST_PERIOD_S
@@ -53,7 +62,9 @@ class RerunView:
         self._stride = max(1, round(info.frame_rate_hz / wanted_hz))
         self._skip = 0  # samples until the next shown one
         shown_hz = info.frame_rate_hz / self._stride
-        self._sink = self._target.open(replace(scene_of(info), sample_rate_hz=shown_hz))
+        self._sink = self._target.open(
+            replace(scene_of(info, self._follow), sample_rate_hz=shown_hz)
+        )
         self._collector = Collector(BATCH_SAMPLES)
         self._next_send = time.perf_counter() + self._period_s
 

@@ -18,6 +18,7 @@ from pathlib import Path
 
 from testbed.core.child_guard import guard_command
 from testbed.core.errors import InputError
+from testbed.core.extras import install_command
 
 HOST = "127.0.0.1"
 PROBE_S = 0.3
@@ -50,7 +51,7 @@ def unavailable_reason(port: int) -> str | None:
     if rerun_program() is None:
         return (
             f"there is no `rerun` program beside {sys.executable} and no viewer on "
-            f"{HOST}:{port}: install rerun-sdk"
+            f"{HOST}:{port}: write {install_command('view')}"
         )
     if sys.platform == "linux" and not (
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
@@ -98,7 +99,9 @@ def headless_viewer(size: tuple[int, int], *, limit_s: float = math.inf) -> Iter
     """
     executable = rerun_program()
     if executable is None:
-        raise InputError(f"there is no `rerun` program beside {sys.executable}: install rerun-sdk")
+        raise InputError(
+            f"there is no `rerun` program beside {sys.executable}: write {install_command('view')}"
+        )
     window = ("--headless", "--window-size", "{}x{}".format(*size))
     scratch = tempfile.TemporaryDirectory(prefix="testbed-view-", ignore_cleanup_errors=True)
     timed_out = threading.Event()
@@ -158,9 +161,14 @@ def guarded_viewer(
 
 
 def launch(
-    executable: str, port: int, *arguments: str, guarded: bool = False, folder: str = ""
+    executable: str,
+    port: int,
+    *arguments: str,
+    guarded: bool = False,
+    folder: str = "",
+    host: str = HOST,
 ) -> subprocess.Popen[bytes]:
-    """Start a viewer that only this machine can reach, in its own process group.
+    """Start a viewer in its own process group; by default only this machine can reach it.
 
     Args:
         executable: the program.
@@ -168,8 +176,9 @@ def launch(
         arguments: for it.
         guarded: whether it ends with this process, or outlives it.
         folder: for its scratch files; empty: the system's default.
+        host: address of this machine on which it listens.
     """
-    command = [executable, "--bind", HOST, "--port", str(port), "--hide-welcome-screen", *arguments]
+    command = [executable, "--bind", host, "--port", str(port), "--hide-welcome-screen", *arguments]
     if guarded:
         command = guard_command(folder, command)
     # no questions on the terminal, no notices in pictures and, because CI is set, no analytics

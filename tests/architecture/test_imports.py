@@ -81,14 +81,15 @@ LAYERS = {
     "network": {"scenario"},
     "sensors": {"scenario"},
     "metrics": {"formation"},
-    "logs": {"scenario", "formation"},
+    "logs": {"scenario", "formation", "metrics"},
     "views": {"formation", "logs"},
     "reports": {"formation", "logs", "metrics", "scenario", "views"},
     "sim": {
         *MODELS,
         *("mavlink", "autopilot", "vehicle", "scenario", "network", "sensors", "metrics", "logs"),
     },
-    "studies": {"mavlink", "logs", "metrics", "scenario", "sim"},
+    "studies": {"autopilot", "mavlink", "logs", "metrics", "scenario", "sim"},
+    "rl": {"scenario", "sim"},
     "cli": None,  # the command line uses all of them, and nothing uses it
 }
 
@@ -122,9 +123,13 @@ ONE_MODULE = {
     ("rerun",): "views.rerun_backend",
     ("yaml",): "scenario.yaml_io",
     ("pymavlink",): "mavlink.codec",
-    ("mcap", "mcap_protobuf", "foxglove", "google.protobuf", "zstandard"): "logs.mcap_file",
+    ("mcap", "mcap_protobuf", "google.protobuf", "zstandard"): "logs.mcap_file",
+    ("foxglove",): "logs.foxglove_messages",
+    ("rosbags",): "logs.ros2_bag",
     ("pyarrow",): "logs.arrow_io",
     ("cma",): "studies.tune_search",
+    ("gymnasium",): "rl",
+    ("pettingzoo",): "rl",
     ("joblib",): "studies.local_workers",
     ("dask", "distributed"): "studies.dask_workers",
 }

@@ -5,7 +5,7 @@ import copy
 import testbed
 from testbed.scenario import loads
 from testbed.studies.golden_compare import Flight
-from testbed.studies.scenario_snapshot import file_digests, snapshot
+from testbed.studies.scenario_snapshot import file_digests, file_values, snapshot
 
 FOLLOWERS = ("uav1", "uav2", "uav3")
 # Aircraft start in their slots, so they have joined in the first sample.
@@ -52,7 +52,11 @@ def fly(seed, *changes, noisy=False):
 def inputs(*changes, noisy=False, folder):
     """Keyword arguments of `compare` and `make_table` that describe the scenario."""
     chosen = scenario(*changes, noisy=noisy)
-    return {"resolved_scenario": snapshot(chosen, folder), "files": file_digests(chosen)}
+    return {
+        "resolved_scenario": snapshot(chosen, folder),
+        "files": file_digests(chosen),
+        "values": file_values(chosen),
+    }
 
 
 def edited(flight, edit, *, seed=None):

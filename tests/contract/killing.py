@@ -29,10 +29,10 @@ import json, os, struct, sys
 import testbed.sim.run
 from given_time import GivenTime
 from testbed.cli.main import main
-from testbed.scenario import load, set_duration
+from testbed.scenario import load_scenario, set_duration
 from testbed.sim.run import run
 
-run(set_duration(load("simulation-3"), 0.1), write=False)  # loads what flights need
+run(set_duration(load_scenario("simulation-3"), 0.1), write=False)  # loads what flights need
 
 class Notes:
     zero_copy = True

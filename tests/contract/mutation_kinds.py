@@ -10,7 +10,7 @@ import numpy as np
 import small_study
 
 from testbed.core.records import ActuatorCommand
-from testbed.scenario import dump, load, load_guidance, load_middle_loop, set_duration
+from testbed.scenario import dump, load_guidance, load_middle_loop, load_scenario, set_duration
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "tests" / "data"
@@ -59,7 +59,7 @@ def feed_scenario(path):
     from testbed.sim.build import build
     from testbed.sim.loop import fly
 
-    scenario = load(path)
+    scenario = load_scenario(path)
     dump(scenario)
     if "tests" in path.parts:
         return  # not flyable
@@ -100,7 +100,7 @@ def feed_study_file(path):
     elif path.parent.name == "studies":
         feed_study(path)
     else:
-        load(path)
+        load_scenario(path)
 
 
 def feed_param(path):
@@ -135,7 +135,7 @@ def feed_table(path):
     elif "trace" in path.name:
         read_trace(path, "lead", "uav1")
     elif "delays" in path.name:
-        scenario = load(
+        scenario = load_scenario(
             ROOT / "scenarios" / "simulation-3.yaml",
             [f"network.jitter={{distribution: empirical, file: {path}}}"],
         )
@@ -194,7 +194,7 @@ def make_log(home):
 
     import testbed
 
-    scenario = set_duration(load("simulation-3"), 1.0)
+    scenario = set_duration(load_scenario("simulation-3"), 1.0)
     testbed.run(scenario, out=home / "run")
     return [home / "run" / "run.mcap"]
 

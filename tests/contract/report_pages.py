@@ -97,9 +97,26 @@ addEventListener("load", () => {
 </script>"""
 
 
-def browse(text, folder):
-    """Measure the figures of a page in a browser, by name; assert no console messages."""
-    (folder / "page.html").write_text(text.replace("</body>", MEASURE + "</body>"), "utf-8")
+# of a page as wide as a telephone
+NARROW = """<script>
+document.body.style.width = "400px";
+addEventListener("load", () => {
+  const found = {scrolled: 0, shaded: 0, over: document.body.scrollWidth - 400, heights: []};
+  for (const text of document.querySelectorAll("svg text"))
+    found.heights.push(text.getBoundingClientRect().height);
+  for (const box of document.querySelectorAll(".wide"))
+    if (box.scrollWidth > box.clientWidth) {
+      found.scrolled += 1;
+      found.shaded += getComputedStyle(box).backgroundAttachment.includes("scroll");
+    }
+  document.body.dataset.found = JSON.stringify(found);
+});
+</script>"""
+
+
+def measure(text, folder, script):
+    """Run a script in a page that a browser shows; return what it found, without messages."""
+    (folder / "page.html").write_text(text.replace("</body>", script + "</body>"), "utf-8")
     done = subprocess.run(
         [
             CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--window-size=1200,900",
@@ -109,7 +126,12 @@ def browse(text, folder):
         capture_output=True, text=True, timeout=PATIENCE_S, check=True,
     )  # fmt: skip
     assert "CONSOLE" not in done.stderr
-    found = json.loads(unescape(re.search(r'data-found="([^"]*)"', done.stdout)[1]))
+    return json.loads(unescape(re.search(r'data-found="([^"]*)"', done.stdout)[1]))
+
+
+def browse(text, folder):
+    """Measure the figures of a page in a browser, by name; assert no console messages."""
+    found = measure(text, folder, MEASURE)
     names = {name.removeprefix("figure-"): size for name, size in found["sizes"].items()}
     for width, height, drawn_width, drawn_height, words in names.values():
         assert width > 900 and height > 150 and words > 10

@@ -5,7 +5,7 @@ import textwrap
 
 import numpy as np
 
-from testbed.scenario import load, set_duration
+from testbed.scenario import load_scenario, set_duration
 from testbed.sim.build import build
 from testbed.sim.loop import fly
 
@@ -46,7 +46,7 @@ class Collector:
 
 
 def short(*changes, seconds=SECONDS):
-    return set_duration(load("simulation-3", ["log.mcap=false", *changes]), seconds)
+    return set_duration(load_scenario("simulation-3", ["log.mcap=false", *changes]), seconds)
 
 
 def flown(*changes, seconds=SECONDS):

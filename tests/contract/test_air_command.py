@@ -15,8 +15,15 @@ from typer.testing import CliRunner
 
 from testbed.cli.main import app
 from testbed.core.errors import InputError
-from testbed.scenario import json_schema, load, loads
-from testbed.sim.probe_spectra import aliased, closed_form, coherence_band, estimate, psd_band
+from testbed.scenario import json_schema, load_scenario, loads
+from testbed.sim.probe_spectra import (
+    aliased,
+    closed_form,
+    coherence_band,
+    estimate,
+    psd_band,
+    unresolved_waves,
+)
 from testbed.sim.probes import ProbePath, fly_probes
 
 WIND = ("air.wind.speed_mps=8", "air.wind.from_deg=240")
@@ -41,7 +48,7 @@ def probed(tmp_path, *arguments, sets=()):
 
 def flown(*sets, duration=400.0, course=0.0, separation=None, height=100.0, airspeed=22.0, rate=50):
     course = ProbePath(rate, duration, airspeed, math.radians(course), height, separation)
-    scenario = load("simulation-3", sets)
+    scenario = load_scenario("simulation-3", sets)
     return scenario, course, fly_probes(scenario, course)
 
 
@@ -209,7 +216,7 @@ def test_closed_form_of_small_wing_is_that_of_point():
     found = estimate(record.about_mean(0.0), course.rate_hz)
     closed = closed_form(scenario, course, record._replace(span=1e-6), found).psd
     independent = scenario.model_copy(
-        update={"air": load("simulation-3", (f"{MODEL}=von-karman",)).air}
+        update={"air": load_scenario("simulation-3", (f"{MODEL}=von-karman",)).air}
     )
     assert np.allclose(closed, closed_form(independent, course, record, found).psd, rtol=5e-3)
 
@@ -263,6 +270,18 @@ def test_plot_is_reproducible_in_each_format(name, start, tmp_path):
         assert struct.unpack(">II", drawn[0][16:24]) == (3200, 2000)
 
 
+def test_shaded_frequencies_lack_short_waves():
+    scenario, course, record = flown(f"{MODEL}=coherent", duration=200.0)
+    found = estimate(record.about_mean(course.course), course.rate_hz)
+    share = found.psd[0] / closed_form(scenario, course, record, found).psd
+    begin, shortest = unresolved_waves(scenario, course)
+    assert shortest == pytest.approx(2.0)
+    shaded = found.frequency_hz > begin
+    near = (found.frequency_hz > 0.3 * begin) & (found.frequency_hz < 0.5 * begin)
+    assert share[:, near].mean() > 0.75
+    assert share[:, shaded].mean() < 0.35 and share[:, shaded][:, -1].max() < 1e-3
+
+
 @pytest.mark.parametrize("model", ["none", "coherent"])
 def test_plot_of_two_probes_has_coherence(model, tmp_path, monkeypatch):
     sheets = []
@@ -278,6 +297,10 @@ def test_plot_of_two_probes_has_coherence(model, tmp_path, monkeypatch):
         assert spectrum.drawn == coherence.drawn == (model != "none")
         assert len(spectrum.bands) == len(coherence.bands) == (model != "none")
         assert "50 m apart" in coherence.title
+        # V / (2 m + 2.9 m)
+        assert [span.start for span in spectrum.spans] == pytest.approx(
+            [22.0 / 4.909] if model == "coherent" else [], rel=1e-3
+        )
 
 
 @pytest.mark.parametrize(
@@ -329,7 +352,7 @@ BLOCKS = re.findall(r"^```yaml\n(.*?)^```$", (ROOT / "docs/air.md").read_text(),
 @pytest.mark.parametrize("block", BLOCKS, ids=range(len(BLOCKS)))
 def test_examples_of_the_docs_are_valid(block):
     scenario = loads(f"extends: simulation-3\n{block}")
-    assert scenario.air != load("simulation-3").air
+    assert scenario.air != load_scenario("simulation-3").air
 
 
 def test_docs_name_every_key_of_air():

@@ -7,7 +7,7 @@ import pytest
 
 from testbed.core.errors import InputError
 from testbed.core.records import AIRCRAFT, allocate
-from testbed.scenario import find_aircraft, load, set_duration
+from testbed.scenario import find_aircraft, load_scenario, set_duration
 from testbed.scenario.schema import Scenario
 from testbed.sim.build import build
 from testbed.sim.build_air import build_air, build_mean_wind
@@ -51,14 +51,14 @@ class Watcher:
 
 def fly(*overrides, scenario="simulation-3", seconds=SECONDS):
     watcher = Watcher()
-    page = set_duration(load(scenario, list(overrides)), seconds)
+    page = set_duration(load_scenario(scenario, list(overrides)), seconds)
     assert run(page, write=False, observers=[watcher]).outcome == "completed"
     return watcher
 
 
 def test_air_still_or_steady_is_not_simulated():
     for overrides in ([], ["air.wind.speed_mps=5"], ["air.turbulence.model=none"]):
-        assert build(load("simulation-3", overrides)).air is None
+        assert build(load_scenario("simulation-3", overrides)).air is None
 
 
 @pytest.mark.parametrize("air", AIRS.values(), ids=AIRS)
@@ -87,7 +87,9 @@ def test_air_is_independent_of_the_elevation(model):
     """By probes, whose record does not depend on the density."""
 
     def probed(elevation):
-        page = load("simulation-3", [*AIRS[model], f"scenario.origin.elevation_m={elevation}"])
+        page = load_scenario(
+            "simulation-3", [*AIRS[model], f"scenario.origin.elevation_m={elevation}"]
+        )
         course = ProbePath(
             rate_hz=50.0, duration_s=5.0, airspeed=22.0, course=0.3, height=150.0, separation=None
         )
@@ -110,7 +112,7 @@ def test_field_is_shared_and_own_turbulence_is_not():
 
 def test_own_turbulence_is_independent_of_the_fleet():
     three = fly(*AIRS["dryden"])
-    page = load("simulation-3", [*AIRS["dryden"]]).model_dump(by_alias=True)
+    page = load_scenario("simulation-3", [*AIRS["dryden"]]).model_dump(by_alias=True)
     page["scenario"]["published"] = None
     page["fleet"] = page["fleet"][:1]
     page["formation"] |= {
@@ -153,7 +155,9 @@ def test_model_without_gust_inputs_gives_a_warning(tmp_path):
     text = (folder / "rascal110.xml").read_text().replace("air/q-rad_sec", "other/q-rad_sec")
     (folder / "deaf.xml").write_text(text)
     (folder / "rascal110.xml").unlink()
-    page = load("simulation-3", [f"fleet.0.aircraft={folder}", "air.turbulence.model=dryden"])
+    page = load_scenario(
+        "simulation-3", [f"fleet.0.aircraft={folder}", "air.turbulence.model=dryden"]
+    )
     events = [
         (note.source, note.text)
         for note in build(page).initial_events
@@ -163,14 +167,14 @@ def test_model_without_gust_inputs_gives_a_warning(tmp_path):
 
 
 def test_field_without_wind_gives_a_warning():
-    texts = [note.text for note in build(load("turbulence-moderate")).initial_events]
+    texts = [note.text for note in build(load_scenario("turbulence-moderate")).initial_events]
     assert not any("stands still" in text for text in texts)
-    calm = load("simulation-3", ["air.turbulence.model=coherent"])
+    calm = load_scenario("simulation-3", ["air.turbulence.model=coherent"])
     assert any("stands still" in note.text for note in build(calm).initial_events)
 
 
 def test_wakes_act_beside_and_behind():
-    flown = run(set_duration(load("close-formation-wake"), 60.0), write=False)
+    flown = run(set_duration(load_scenario("close-formation-wake"), 60.0), write=False)
     wind_down = {name: each["mean_ned_mps"][2] for name, each in flown.metrics["wind"].items()}
     assert wind_down["uav1"] < -0.02  # beside: upwash
     assert wind_down["uav2"] < -0.02
@@ -180,7 +184,7 @@ def test_wakes_act_beside_and_behind():
 
 def behind_in(*overrides):
     """Wind of a Rascal 9 m behind and 1 m right of another after 3 s, both in a wind of 5 m/s."""
-    page = load("simulation-3", ["air.wake.core_spans=0.05", *overrides])
+    page = load_scenario("simulation-3", ["air.wake.core_spans=0.05", *overrides])
     rascal = airframe(find_aircraft("rascal110"))
     names = ["one", "two"]
     air = build_air(page, build_mean_wind(page), names, [rascal] * 2, dt=0.02, sheds=[True] * 2)
@@ -214,6 +218,6 @@ def test_lasting_gust_moves_trails_as_the_mean_wind():
     ],
 )
 def test_field_too_coarse_error_names_the_keys(overrides, message):
-    page = load("simulation-3", ["air.turbulence.model=coherent", *overrides])
+    page = load_scenario("simulation-3", ["air.turbulence.model=coherent", *overrides])
     with pytest.raises(InputError, match=message):
         build(page)

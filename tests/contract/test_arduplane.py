@@ -32,7 +32,7 @@ from testbed.autopilot.sitl_parameters import defaults_text
 from testbed.autopilot.sitl_process import command_line
 from testbed.core.records import Origin
 from testbed.metrics.tables import render_table
-from testbed.scenario import find_tune, load, loads, set_duration
+from testbed.scenario import find_tune, load_scenario, loads, set_duration
 from testbed.sim.build import build
 from testbed.sim.external_options import ExternalOptions
 from testbed.sim.run import run
@@ -52,7 +52,7 @@ def fingerprint(frames):
 
 
 def test_mixed_flight_repeats_to_the_bit(binary):
-    mixed = set_duration(load("simulation-3", [f"leader.autopilot={ardupilot()}"]), 8.0)
+    mixed = set_duration(load_scenario("simulation-3", [f"leader.autopilot={ardupilot()}"]), 8.0)
     first, second = fly(mixed), fly(mixed)
     assert fingerprint(first) == fingerprint(second)
     # its servo pulses are whole µs: 500 are full deflection
@@ -84,14 +84,14 @@ def test_four_arduplanes_hold_slots_like_virtual(binary):
     four = [f"leader.autopilot={ardupilot()}"]
     four += [f"fleet.uav{n}.autopilot={ardupilot(n)}" for n in (1, 2, 3)]
     if WHOLE:
-        windows = load("simulation-3").scenario.windows
-        scenario, virtual = load("simulation-3", four), load("simulation-3")
+        windows = load_scenario("simulation-3").scenario.windows
+        scenario, virtual = load_scenario("simulation-3", four), load_scenario("simulation-3")
     else:
-        slots = load("simulation-3").formation.offsets_m.items()
+        slots = load_scenario("simulation-3").formation.offsets_m.items()
         there = [f"fleet.{name}.start_m={list(slot)}" for name, slot in slots]
         windows = {"on the way": (2.0, 12.0)}
         scenario, virtual = (
-            set_duration(load("simulation-3", [*there, *o]), 12.0) for o in (four, ())
+            set_duration(load_scenario("simulation-3", [*there, *o]), 12.0) for o in (four, ())
         )
     real, ours = fly(scenario), fly(virtual)
     for begin, end in windows.values():

@@ -15,7 +15,7 @@ from testbed.autopilot.ardupilot_sitl import SitlConfig, SitlVehicle
 from testbed.autopilot.sitl_process import find_binary
 from testbed.core.errors import ExternalProgramLost, InputError
 from testbed.core.records import Origin
-from testbed.scenario import load
+from testbed.scenario import load_scenario
 from testbed.sim.build import build
 
 assert binary  # a fixture
@@ -201,4 +201,6 @@ def test_binary_path_is_relative_to_the_scenario(tmp_path, monkeypatch):
     )
     (tmp_path / "own.yaml").write_text(text)
     monkeypatch.chdir("/")
-    assert load(tmp_path / "own.yaml").leader.autopilot.binary == str(tmp_path / "bin" / "ap")
+    assert load_scenario(tmp_path / "own.yaml").leader.autopilot.binary == str(
+        tmp_path / "bin" / "ap"
+    )

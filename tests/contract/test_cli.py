@@ -145,10 +145,10 @@ def test_help_is_in_groups():
     """Commands by purpose, options of run by what they change; flags without a type."""
     text = help_text(columns=80)
     titles = re.findall(r"╭─ ([\w ]+) ─", text)
-    assert titles == ["Options", "Fly", "Before a flight", "After a flight", "Aircraft"]
+    assert titles == ["Options", "Fly", "Look", "Study", "Aircraft", "CI"]
     run_text = help_text("run", columns=80)
     titles = re.findall(r"╭─ ([\w ]+) ─", run_text)
-    assert titles == ["Arguments", "Options", "Scenario", "Output", "External programs"]
+    assert titles == ["Arguments", "Options", "Scenario", "Output", "View", "External programs"]
     assert "<bool>" not in text + run_text
 
 

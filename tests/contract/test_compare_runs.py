@@ -11,7 +11,7 @@ from snapshot import check_snapshot
 
 from testbed.logs.read import read_log
 from testbed.metrics import MetricsObserver
-from testbed.scenario import dump, load
+from testbed.scenario import dump, load_scenario
 from testbed.studies.compare_runs import MetricPair, compare_runs
 from testbed.views.viewer import rerun_program
 
@@ -139,7 +139,9 @@ def test_compare_events_samples_and_followers(flown, tmp_path):
 
 def test_compare_scenario_keys_are_listed(tmp_path):
     """They decide nothing."""
-    texts = [dump(load("simulation-3", changes)) for changes in ((), ("network.delay_s=0.25",))]
+    texts = [
+        dump(load_scenario("simulation-3", changes)) for changes in ((), ("network.delay_s=0.25",))
+    ]
     logs = [
         run(tmp_path / f"{k}", frames(), run_info(scenario_yaml=text))
         for k, text in enumerate(texts)

@@ -53,7 +53,7 @@ def package(tmp_path):
         (package / name / "__init__.py").touch()
     (package / "__init__.py").touch()
     core = Path(compiling.__file__).parent
-    for module in ("compile.py", "records.py"):
+    for module in ("compile.py", "field_docs.py", "records.py"):
         shutil.copy(core / module, package / "core")
     (package / "sim" / "stepping.py").write_text(ENTRY)
     (package / "formation" / "numbers.py").write_text("STEP = 1.0\n")
@@ -307,7 +307,7 @@ def test_prepare_stops_between_entries():
 
 FLIGHT = """
 import testbed
-from testbed.scenario import load, set_duration
+from testbed.scenario import load_scenario, set_duration
 
 class Last:
     def begin(self, info):
@@ -320,7 +320,7 @@ class Last:
         pass
 
 last = Last()
-scenario = set_duration(load("telemetry-radio"), 0.4)
+scenario = set_duration(load_scenario("telemetry-radio"), 0.4)
 testbed.run(scenario, write=False, observers=[last])
 print([array.tobytes().hex() for array in (*last.sample.truth, *last.sample.estimate)])
 """

@@ -30,7 +30,7 @@ from together import together
 import testbed
 from testbed.logs.mcap_file import LogError
 from testbed.logs.read import read_log
-from testbed.scenario import load, set_duration
+from testbed.scenario import load_scenario, set_duration
 from testbed.sim.recover import recover
 
 KILLS = int(os.environ.get("TESTBED_KILLS", "4"))
@@ -43,7 +43,7 @@ LOG, SCENARIO_FILE, METRICS = "run.mcap", "scenario.resolved.yaml", "metrics.jso
 def whole(tmp_path_factory):
     """Log of a run without interruption."""
     out = tmp_path_factory.mktemp("whole") / "run"
-    testbed.run(set_duration(load(SCENARIO), SECONDS), out=out)
+    testbed.run(set_duration(load_scenario(SCENARIO), SECONDS), out=out)
     return read_log(out / LOG)
 
 
@@ -155,7 +155,7 @@ def assert_recovered(moment, run, whole):
         outcome == after.metrics["outcome"] == ("completed" if before.finished else "interrupted")
     )
     assert (run.out / SCENARIO_FILE).read_text() == after.info.scenario_yaml
-    assert load(run.out / SCENARIO_FILE).scenario.duration_s == moment.seconds
+    assert load_scenario(run.out / SCENARIO_FILE).scenario.duration_s == moment.seconds
 
 
 FLY = ("testbed", "run", SCENARIO, "--quiet")
@@ -250,7 +250,7 @@ def test_simultaneous_runs_use_separate_directories(tmp_path):
     for run in found:
         log, metrics = read_log(run / LOG), json.loads((run / METRICS).read_text())
         assert log.finished and log.info.seed == metrics["seed"]
-        assert load(run / SCENARIO_FILE).scenario.seed == metrics["seed"]
+        assert load_scenario(run / SCENARIO_FILE).scenario.seed == metrics["seed"]
         seeds.append(metrics["seed"])
     assert sorted(seeds) == [1] * rounds + [2] * rounds
     for number, pair in enumerate(ended[rounds:]):
@@ -263,7 +263,7 @@ def test_simultaneous_runs_use_separate_directories(tmp_path):
         assert {each.name for each in run.iterdir()} == {LOG, SCENARIO_FILE, METRICS}
         log = read_log(run / LOG)
         assert log.finished and log.info.seed == winner
-        assert load(run / SCENARIO_FILE).scenario.seed == winner
+        assert load_scenario(run / SCENARIO_FILE).scenario.seed == winner
         assert json.loads((run / METRICS).read_text())["seed"] == winner
 
 
@@ -274,6 +274,6 @@ def test_run_keeps_the_scenario_of_another_run(tmp_path, monkeypatch):
     (run / SCENARIO_FILE).write_text("of another run")
     monkeypatch.setattr("testbed.sim.run.create_run_directory", lambda *_, **__: run)
     with pytest.raises(LogError, match="another run has just begun in it; name a new"):
-        testbed.run(set_duration(load(SCENARIO), 1.0), out=run)
+        testbed.run(set_duration(load_scenario(SCENARIO), 1.0), out=run)
     assert [each.name for each in run.iterdir()] == [SCENARIO_FILE]
     assert (run / SCENARIO_FILE).read_text() == "of another run"

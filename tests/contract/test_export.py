@@ -40,7 +40,7 @@ def path(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def flight(path):
-    return testbed.load(path)
+    return testbed.load_run(path)
 
 
 @pytest.fixture(scope="module")
@@ -65,8 +65,8 @@ def decoded_numbers(path):
                     found[stamp, parts[0], column] = value
                 else:
                     stem, _, unit = column.rpartition("_")
-                    for name, one in zip(names, value, strict=True):
-                        found[stamp, parts[0], f"{stem}_{name}_{unit}"] = one
+                    for name in names:
+                        found[stamp, parts[0], f"{stem}_{name}_{unit}"] = getattr(value, name)
     return found
 
 
@@ -168,7 +168,7 @@ def test_arrays_have_row_for_every_aircraft(flight):
 def test_message_counts_before_first_loss_are_nan(tmp_path):
     # a chunk has 200 samples of four aircraft; the first loss is in the second chunk
     path = record(tmp_path / "run.mcap", run_samples(450, lossy_from=250))
-    sent = testbed.load(path)["network_sent_count"]
+    sent = testbed.load_run(path)["network_sent_count"]
     counted = ~np.isnan(sent[:, 1, 0])
     assert 0 < counted.argmax() <= 250
     assert counted[counted.argmax() :].all()
@@ -190,7 +190,7 @@ def test_repr_is_short(flight, path, tmp_path):
     for part in (flight, flight.log, flight.info, *records_of(flight.log)):
         assert len(repr(part)) < 500
     (tmp_path / "cut.mcap").write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    assert repr(testbed.load(tmp_path / "cut.mcap")).endswith("; cut short>")
+    assert repr(testbed.load_run(tmp_path / "cut.mcap")).endswith("; cut short>")
     many = ", ".join(f"uav{i}" for i in range(1, 5))
     assert join_names(run_info(30).names) == f"leader, {many}, … 31 in all"
 
@@ -242,7 +242,7 @@ def test_export_of_cut_run_has_complete_samples(tmp_path, path):
 
 
 def test_run_without_samples_is_table_without_rows(tmp_path):
-    empty = testbed.load(record(tmp_path / "run.mcap", ()))
+    empty = testbed.load_run(record(tmp_path / "run.mcap", ()))
     file = io.BytesIO()
     arrow_io.write_csv(empty, file)
     assert file.getvalue().decode().count("\n") == 1
@@ -257,17 +257,19 @@ def test_export_command_writes_every_format(tmp_path, path):
     def export(*more, code=0):
         return call_command("export", folder, *more, cwd=tmp_path, code=code, columns=120)
 
-    suffixes = ("csv", "parquet", "npz", "foxglove", "plotjuggler")
-    for form in suffixes:
+    written = {
+        "csv": "run.csv",
+        "parquet": "run.parquet",
+        "npz": "run.npz",
+        "foxglove": "run.foxglove.mcap",
+        "foxglove-layout": "run.foxglove.json",
+        "plotjuggler": "run.plotjuggler.xml",
+    }
+    for form, name in written.items():
         done = export("--format", form)
         assert done.stdout == ""
-        assert f"run.{form}" in done.stderr
-    made = {file.name for file in folder.iterdir()} - {"run.mcap"}
-    assert made == {
-        *(f"run.{form}" for form in suffixes[:3]),
-        "run.foxglove.json",
-        "run.plotjuggler.xml",
-    }
+        assert name in done.stderr
+    assert {file.name for file in folder.iterdir()} - {"run.mcap"} == {*written.values()}
     printed = export("--format", "csv", "--out", "-").stdout
     assert printed == (folder / "run.csv").read_text()
     refused = {
@@ -282,13 +284,13 @@ def test_export_command_writes_every_format(tmp_path, path):
 
 def test_load_missing_run_raises():
     with pytest.raises(LogError, match="no-such-run"):
-        testbed.load("no-such-run")
+        testbed.load_run("no-such-run")
 
 
 def test_load_imports_no_simulation_or_pandas():
     code = (
         "import sys, testbed\n"
-        "try: testbed.load('no-such-run')\n"
+        "try: testbed.load_run('no-such-run')\n"
         "except ValueError: print(*sorted(sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

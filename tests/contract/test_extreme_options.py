@@ -8,7 +8,7 @@ from commands import call_command, environment
 from patience import PATIENCE_S
 
 from testbed.core.errors import InputError
-from testbed.scenario import load, set_duration
+from testbed.scenario import load_scenario, set_duration
 
 RUN = ("run", "simulation-3", "--quiet")
 HUGE = "9" * 20
@@ -46,13 +46,13 @@ def test_autopilot_rate_too_low_for_its_filter(rate, tmp_path):
         done = call_command(command, "simulation-3", setting, cwd=tmp_path, code=2, columns=500)
         assert f"rates.autopilot_hz: is {rate}, and fly-by-wire A" in done.stderr
         assert done.stderr.count("\n") == 1
-    load("ideal-figure-eight", ["rates={autopilot_hz: 5, control_hz: 5, broadcast_hz: 5}"])
+    load_scenario("ideal-figure-eight", ["rates={autopilot_hz: 5, control_hz: 5, broadcast_hz: 5}"])
 
 
 @pytest.mark.parametrize("duration_s", [0.0, -1.0, 86401.0, float("nan"), float("inf")])
 def test_set_duration_out_of_range_is_refused(duration_s):
     with pytest.raises(InputError, match="duration .* s: "):
-        set_duration(load("simulation-3"), duration_s)
+        set_duration(load_scenario("simulation-3"), duration_s)
 
 
 COMMANDS = [

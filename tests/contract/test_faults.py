@@ -12,7 +12,7 @@ from testbed.cli.main import app
 from testbed.core.errors import InputError
 from testbed.core.frames import velocity_frame
 from testbed.core.records import AirData, VehicleState, fields_of
-from testbed.scenario import load, loads
+from testbed.scenario import load_scenario, loads
 from testbed.sim.build import build
 
 # Simulation 3 before the first lap, with all followers in their slots from the start.
@@ -334,7 +334,7 @@ def test_own_law_receives_no_message_of_excluded(tmp_path):
 def test_own_law_cannot_reassign_slots():
     changes = (faults(0, OUT), "formation.on_failure.response=reassign-slots")
     with pytest.raises(InputError, match=r"on_failure\.response.*write drop, or law: hbh23"):
-        build(load("own-law-integral", changes))
+        build(load_scenario("own-law-integral", changes))
 
 
 def test_follower_without_reference_is_a_warning():

@@ -210,7 +210,7 @@ def test_pool_options_that_exclude_each_other(options, message):
 def test_pool_without_dask_names_the_package(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with (
-        pytest.raises(InputError, match="pip install distributed"),
+        pytest.raises(InputError, match=r"pip install \"formation-testbed\[dask\]\""),
         open_flight_pool(backend="dask", scheduler="tcp://127.0.0.1:1"),
     ):
         pass

@@ -1,13 +1,14 @@
 """Scenarios of the experiments as flown, and the studies of their differences from simulation."""
 
 import csv
+import importlib
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from testbed.scenario import dump, library, load, set_duration
+from testbed.scenario import dump, library, load_scenario, set_duration
 from testbed.sim.run import run
 from testbed.studies.plan import Plan, load_study
 from testbed.vehicle.replay_commands import respond
@@ -35,7 +36,7 @@ def parameters_of(aircraft):
 
 
 def test_experiments_have_one_set_of_parameters():
-    scenarios = [load(AS_FLOWN.format(number)) for number in EXPERIMENTS]
+    scenarios = [load_scenario(AS_FLOWN.format(number)) for number in EXPERIMENTS]
     used = {repr(parameters_of(each)) for scenario in scenarios for each in scenario.aircraft}
     assert len(used) == 1
     for part in ("rates", "controller", "network"):
@@ -54,7 +55,7 @@ def test_experiment_files_share_one_block():
 @pytest.mark.parametrize("number", EXPERIMENTS)
 def test_experiment_as_flown_changes_nothing_else(number):
     """Path, wind, offsets, graph, law and windows are those of experiment-N."""
-    flown, bare = load(AS_FLOWN.format(number)), load(f"experiment-{number}")
+    flown, bare = load_scenario(AS_FLOWN.format(number)), load_scenario(f"experiment-{number}")
     assert (flown.formation, flown.limits, flown.rates) == (bare.formation, bare.limits, bare.rates)
     assert flown.air.wind == bare.air.wind
     assert (flown.leader.path, flown.leader.start) == (bare.leader.path, bare.leader.start)
@@ -75,7 +76,7 @@ def test_budget_factors_add_up_to_the_whole_change(number):
     ideal, flown = (plain(plan.scenario(runs[case])) for case in (IDEAL, FLOWN))
     assert ideal != flown
     factors = [case.removeprefix("with-") for case in runs if case.startswith("with-")]
-    assert len(factors) == 8
+    assert len(factors) == 11
     for way, start, end in (("with", IDEAL, flown), ("without", FLOWN, ideal)):
         changes = [
             change
@@ -83,7 +84,7 @@ def test_budget_factors_add_up_to_the_whole_change(number):
             for change in runs[f"{way}-{factor}"].overrides
             if change not in runs[start].overrides
         ]
-        scenario = load(runs[start].scenario, [*runs[start].overrides, *changes])
+        scenario = load_scenario(runs[start].scenario, [*runs[start].overrides, *changes])
         assert plain(scenario) == end
         for factor in factors:
             one = plain(plan.scenario(runs[f"{way}-{factor}"]))
@@ -96,18 +97,56 @@ def test_as_flown_study_has_20_seeds_of_each():
     assert len(plan) == 60
     flown = {run.case: dump(plan.scenario(run)) for run in plan if run.seed == 20}
     for number in EXPERIMENTS:
-        scenario = load(AS_FLOWN.format(number), ["scenario.seed=20"])
+        scenario = load_scenario(AS_FLOWN.format(number), ["scenario.seed=20"])
         assert flown[f"experiment-{number}"] == dump(scenario)
 
 
 def test_ideal_flights_have_a_third_of_the_offsets():
     for number in EXPERIMENTS:
-        ideal = load(STUDIES / "gap-budget" / f"experiment-{number}-ideal.yaml").formation
-        flown = load(AS_FLOWN.format(number)).formation
+        ideal = load_scenario(STUDIES / "gap-budget" / f"experiment-{number}-ideal.yaml").formation
+        flown = load_scenario(AS_FLOWN.format(number)).formation
         for name, offset in flown.offsets_m.items():
             np.testing.assert_allclose(ideal.offsets_m[name], np.array(offset) / 3, atol=1e-3)
         for name, altitude in flown.altitudes_m.items():
             assert ideal.altitudes_m[name] - 100 == pytest.approx((altitude - 100) / 3, abs=1e-3)
+
+
+# the joint fit
+
+
+def test_joint_fit_finds_the_numbers_that_made_its_data(monkeypatch):
+    """Errors made by the formula itself, which are the paper's at one set and along its ridge."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+    joint_fit = importlib.import_module("joint_fit")
+    flown = {f"experiment-{n}": load_scenario(AS_FLOWN.format(n)) for n in EXPERIMENTS}
+    cells = joint_fit.table_2(flown)
+    assert [cell.printed for cell in cells] == [7.7, 8.2, 8.6, 8.8, 6.7, 8.1]
+    study = Plan(load_study("joint-fit"))
+    assert (study.keys, len(study)) == (joint_fit.KEYS, 72)
+    points = np.array([list(study.point(k).values()) for k in range(study.point_count)])
+    known, made_at = np.array([2.0, 2.5, 0.4, 0.07, -0.9]), points[3]
+    terms = joint_fit.features(points)
+    rows = [
+        {
+            "case": cell.experiment,
+            **{f"set.{key}": value for key, value in zip(joint_fit.KEYS, point, strict=True)},
+            **{
+                f"metrics.windows.{each.window}.rms_m.{each.follower}": each.printed
+                * np.exp((term - terms[3]) @ known)
+                for each in cells
+                if each.experiment == cell.experiment
+            },
+        }
+        for point, term in zip(points, terms, strict=True)
+        for cell in cells
+    ]
+    found = joint_fit.fit(cells, rows)
+    np.testing.assert_allclose(found.coefficients[1:], np.tile(known[1:, None], 6), rtol=1e-8)
+    assert found.left_out.max() < 1e-9
+    assert found.worst(made_at[None])[0] < 1e-6
+    # along the ridge: a later own state, and messages later by b1 / (b1 + b2) of it
+    along = made_at + [0.01 * known[1] / (known[1] + known[2]), 0.01, 0.0, 0.0]
+    assert found.worst(along[None])[0] < 1e-6
 
 
 # flights
@@ -115,7 +154,7 @@ def test_ideal_flights_have_a_third_of_the_offsets():
 
 @pytest.mark.parametrize("number", EXPERIMENTS)
 def test_as_flown_flight_has_errors_and_a_bad_radio(number):
-    scenario = set_duration(load(AS_FLOWN.format(number), ["log.mcap=false"]), 10.0)
+    scenario = set_duration(load_scenario(AS_FLOWN.format(number), ["log.mcap=false"]), 10.0)
     metrics = run(scenario, write=False).metrics
     assert metrics["outcome"] == "completed"
     radio = metrics["network"]["all"]

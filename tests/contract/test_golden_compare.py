@@ -1,5 +1,6 @@
 """Golden tables: what a comparison finds, and what a table stores."""
 
+import copy
 import io
 import json
 import shutil
@@ -12,10 +13,11 @@ import pytest
 from rich.console import Console
 
 from testbed.core.errors import InputError
-from testbed.scenario import find_aircraft, load
+from testbed.scenario import find_aircraft, load_scenario
 from testbed.studies import golden
 from testbed.studies.golden_compare import Flight, compare
-from testbed.studies.golden_report import print_check, print_updates, to_junit, violation_line
+from testbed.studies.golden_junit import to_junit
+from testbed.studies.golden_report import print_check, print_updates, violation_line
 from testbed.studies.golden_table import (
     BAND,
     RULES,
@@ -228,11 +230,27 @@ def test_compare_changed_scenario_lists_keys(exact, tmp_path):
 
 
 def test_compare_changed_file_is_listed(exact):
+    """Of a file with values every changed key; of a table without values only the file."""
     flight, table, inputs = exact
-    files = {**inputs["files"], "rascal110/middle_loop.yaml": "0123456789ab"}
-    resolved = inputs["resolved_scenario"]
-    verdict = compare("short", table, [flight], resolved_scenario=resolved, files=files)
-    assert verdict.changes == ("file rascal110/middle_loop.yaml changed",)
+    gains, model = "rascal110/middle_loop.yaml", "rascal110/rascal110.xml"
+    changed = {**inputs["files"], gains: "0123456789ab", model: "0123456789ab"}
+    assert inputs["values"][gains]["tuned"]["course"]["p"] == 4.0
+    assert inputs["values"]["rascal110/autopilot.param"]["TRIM_THROTTLE"] > 0
+
+    def changes(table, edit):
+        values = copy.deepcopy(inputs["values"])
+        edit(values[gains])
+        given = {**inputs, "files": changed, "values": values}
+        return set(compare("short", table, [flight], **given).changes)
+
+    def lower(profiles):
+        profiles["tuned"]["course"]["p"] = 3.5
+
+    whole = f"file {model} changed"
+    assert changes(table, lower) == {whole, f"{gains}: tuned.course.p from 4 to 3.5"}
+    assert changes(table, dict) == {whole, f"file {gains} changed, but no value in it"}
+    older = table.model_copy(update={"values": {}})
+    assert changes(older, lower) == {whole, f"file {gains} changed"}
 
 
 def test_file_digests_airframe_without_caches(tmp_path):
@@ -394,12 +412,12 @@ def test_junit_counts_agree_for_any_text(exact):
 
 def test_snapshot_new_keys_at_defaults_are_no_change():
     """A stored scenario without keys that later versions have is completed with defaults."""
-    current = snapshot(load("simulation-3"), Path())
+    current = snapshot(load_scenario("simulation-3"), Path())
     older = json.loads(json.dumps(current))
     del older["network"]["encoding"], older["leader"]["autopilot"], older["limits"]
     assert differences(older, current)
     assert differences(with_new_defaults(older), current) == ()
-    changed = load("simulation-3", ["network.delay_s=0.5"])
+    changed = load_scenario("simulation-3", ["network.delay_s=0.5"])
     found = differences(with_new_defaults(older), snapshot(changed, Path()))
     assert found == ("network.delay_s from 0 to 0.5",)
     unknown = {**older, "unknown": 1}

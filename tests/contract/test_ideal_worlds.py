@@ -5,7 +5,7 @@ import pytest
 from run_flight import Collector
 
 import testbed
-from testbed.scenario import load, loads, set_duration
+from testbed.scenario import load_scenario, loads, set_duration
 from testbed.sim.build import build
 
 IDEAL = "fleet.*.vehicle=unicycle"
@@ -14,7 +14,9 @@ WIND = ("air.wind.speed_mps=8", "air.wind.from_deg=90")  # on the nose of simula
 
 def fly(name, *overrides, seconds=3.0):
     seen = Collector()
-    flown = testbed.run(set_duration(load(name, overrides), seconds), write=False, observers=[seen])
+    flown = testbed.run(
+        set_duration(load_scenario(name, overrides), seconds), write=False, observers=[seen]
+    )
     return flown, seen
 
 
@@ -87,5 +89,5 @@ def test_altitude_hold_neighbour_has_no_vertical_gain():
 
 def leader_and_uav1_gains(name, *overrides):
     """Return the gains (2, 3) that uav2 has for the leader and for uav1."""
-    world = build(load(name, overrides))
+    world = build(load_scenario(name, overrides))
     return world.neighbours["gain"][world.config.names.index("uav2"), :2]

@@ -15,7 +15,7 @@ from patience import PATIENCE_S
 import testbed
 from testbed.logs.mcap_file import read
 from testbed.mavlink.addresses import parse_address
-from testbed.scenario import dump, load, loads
+from testbed.scenario import dump, load_scenario, loads
 from testbed.sim.external_options import NO_EXTERNAL
 
 # Everything that draws from a seed: turbulence, sensors, a radio that loses, delays and repeats.
@@ -72,7 +72,7 @@ def assert_same(ours, theirs, aircraft=None):
 
 @pytest.fixture(scope="module")
 def page():
-    return load("simulation-3", BUSY)
+    return load_scenario("simulation-3", BUSY)
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +116,7 @@ def test_the_order_of_keys(page, alone):
 @pytest.mark.parametrize("turbulence", ["dryden", "von-karman", "coherent"])
 def test_silent_aircraft_without_wake_changes_nothing(turbulence):
     changes = [*BUSY, f"air.turbulence={{model: {turbulence}, intensity: moderate}}"]
-    page = load("simulation-3", changes)
+    page = load_scenario("simulation-3", changes)
     tree = yaml.safe_load(dump(page))
     tree["fleet"].append(tree["fleet"][-1] | {"name": "shadow", "start_m": [-90, 40, 5]})
     tree["formation"]["offsets_m"]["shadow"] = [-60, 30, 5]

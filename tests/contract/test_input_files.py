@@ -20,7 +20,7 @@ from testbed.logs.mcap_file import LogError
 from testbed.logs.read import read_log
 from testbed.mavlink.flight_import import read_flight
 from testbed.mavlink.signing import is_shared, read_key
-from testbed.scenario import ScenarioError, load, load_middle_loop
+from testbed.scenario import ScenarioError, load_middle_loop, load_scenario
 from testbed.studies.golden_table import read_table as read_golden
 from testbed.studies.plan import load_study
 from testbed.studies.tune_schema import load_tune
@@ -28,7 +28,7 @@ from testbed.vehicle.replay_commands import CommandsError, read_commands
 
 SPARSE_BYTES = 8 << 30
 READERS = {
-    "scenario.yaml": load,
+    "scenario.yaml": load_scenario,
     "study.yaml": load_study,
     "tune.yaml": load_tune,
     "gains.yaml": lambda path: load_middle_loop("rascal", "tuned", file=path),

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from testbed.cli.main import app
 from testbed.core.errors import InputError
-from testbed.scenario import load, set_duration
+from testbed.scenario import load_scenario, set_duration
 from testbed.sim.run import run
 
 COLUMNS = ["source", "destination", "sequence", "sent_s", "received_s", "outcome", "copies"]
@@ -158,7 +158,7 @@ def test_written_file_replays_as_a_trace(tmp_path):
 
 def test_range_loss_uses_distances_of_the_start(tmp_path):
     # messages are lost with probability 1/2 at the distance between uav1 and uav2
-    scenario = load("simulation-3")
+    scenario = load_scenario("simulation-3")
     one, two = (np.array(scenario.fleet[k].start_m) for k in (0, 1))
     far = float(np.linalg.norm(one - two))
     curve = [[0, 0], [0.999 * far, 0], [1.001 * far, 1]]
@@ -187,7 +187,7 @@ def test_flight_has_the_same_messages(tmp_path):
         "network.broadcast={uav2: {period_s: 0.05}}",
         "rates.synchronous=false",
     )
-    scenario = set_duration(load("simulation-3", sets), 6.0)
+    scenario = set_duration(load_scenario("simulation-3", sets), 6.0)
     flown = run(scenario, write=False).metrics["network"]["links"]
     links = sent(tmp_path, "--packets", 160, sets=sets)
     for (source, destination), rows in links.items():

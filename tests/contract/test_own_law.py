@@ -13,11 +13,13 @@ import pytest
 import testbed
 from testbed.core.errors import InputError
 from testbed.core.records import Inbox, VehicleState
+from testbed.formation.barrier import Barrier, barrier_curve
 from testbed.formation.control_step import Hbh23Law
+from testbed.formation.logged_barrier import logged_barriers, logged_curve
 from testbed.logs.read import read_log
 from testbed.reports import figures, read_run, run_page
 from testbed.reports.html import render_page
-from testbed.scenario import find_aircraft, list_scenarios, load, set_duration
+from testbed.scenario import find_aircraft, list_scenarios, load_scenario, set_duration
 from testbed.sim.build import build, build_clock
 from testbed.sim.build_control import build_control
 from testbed.sim.law_contract import check_law
@@ -56,13 +58,13 @@ def write(folder, body="pass", *, text=GOOD, law="mine:Straight", more=""):
 
 def build_error(path, *overrides):
     with pytest.raises(InputError) as caught:
-        build(load(path, overrides))
+        build(load_scenario(path, overrides))
     return str(caught.value)
 
 
 def test_law_file_beside_scenario_flies_with_a_note(tmp_path):
     path = write(tmp_path, more=", options: {roll: 0.1}")
-    flown = testbed.run(set_duration(load(path), 4.0), write=False)
+    flown = testbed.run(set_duration(load_scenario(path), 4.0), write=False)
     assert flown.outcome == "completed"
     (note,) = (event for event in flown.metrics["events"] if event["level"] == "info")
     digest = hashlib.sha256((tmp_path / "mine.py").read_bytes()).hexdigest()[:12]
@@ -112,7 +114,7 @@ def test_law_import_writes_no_files(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "dont_write_bytecode", False)
     path = write(tmp_path)
     before = sorted(tmp_path.iterdir())
-    build(load(path))
+    build(load_scenario(path))
     assert sorted(tmp_path.iterdir()) == before
     assert sys.dont_write_bytecode is False
 
@@ -142,7 +144,7 @@ def test_law_only_scenario_folder_and_packages_run(tmp_path, monkeypatch):
     (home / "linked.py").symlink_to(tmp_path / "in_the_way.py")
     assert "is not in the folder of the scenario file" in build_error(write(home, law="linked:Law"))
     (tmp_path / "mine.py").write_text((home / "mine.py").read_text())
-    asked = load(write(home), [f"controller.law={tmp_path}/mine.py:Straight"])
+    asked = load_scenario(write(home), [f"controller.law={tmp_path}/mine.py:Straight"])
     assert asked.controller.law == f"{tmp_path}/mine.py:Straight"
     assert "in_the_way" not in sys.modules and "antigravity" not in sys.modules
 
@@ -152,7 +154,7 @@ def test_law_of_an_installed_package(tmp_path, monkeypatch):
     (tmp_path / "mine.py").rename(tmp_path / "a_package_of_laws.py")
     monkeypatch.syspath_prepend(tmp_path)
     install_editable(tmp_path)
-    world = build(load("simulation-3", ["controller.law=a_package_of_laws:Straight"]))
+    world = build(load_scenario("simulation-3", ["controller.law=a_package_of_laws:Straight"]))
     assert type(world.control.groups[0].law).__name__ == "Straight"
     assert not world.builtin_law
     del sys.modules["a_package_of_laws"]
@@ -163,13 +165,13 @@ def test_law_files_of_one_name_in_two_folders(tmp_path):
         (tmp_path / name).mkdir()
         write(tmp_path / name, f"roll = {roll}")
     rolls = [
-        testbed.run(set_duration(load(tmp_path / name / "mine.yaml"), 1.0), write=False)
+        testbed.run(set_duration(load_scenario(tmp_path / name / "mine.yaml"), 1.0), write=False)
         for name in ("one", "two")
     ]
     assert all(flown.outcome == "completed" for flown in rolls)
     assert rolls[0].metrics["leader_bank_deg"] == rolls[1].metrics["leader_bank_deg"]
     names = (tmp_path / name / "mine.yaml" for name in ("one", "two"))
-    one, two = (build(load(path)).control.groups[0].law for path in names)
+    one, two = (build(load_scenario(path)).control.groups[0].law for path in names)
     assert type(one) is not type(two)
 
 
@@ -179,9 +181,9 @@ def test_law_missing_module_or_class_has_a_remedy(tmp_path):
     )
     assert "has no class 'Curved' (it has" in build_error(write(tmp_path, law="mine:Curved"))
     with pytest.raises(InputError, match=r"there is no file .*gone\.py"):
-        load(write(tmp_path, law="gone.py:Straight"))
+        load_scenario(write(tmp_path, law="gone.py:Straight"))
     with pytest.raises(InputError, match="must be hbh23, or module:Class"):
-        load(write(tmp_path, law="mine"))
+        load_scenario(write(tmp_path, law="mine"))
 
 
 def test_law_syntax_error_names_the_file(tmp_path):
@@ -268,7 +270,7 @@ def test_law_exception_has_its_line(tmp_path):
 def test_law_nan_in_flight_ends_the_run_with_its_time(tmp_path):
     path = write(tmp_path, "roll = np.nan if now > 2.0 else 0.0")
     with pytest.raises(InputError, match=r"roll for uav1 is not a finite number at 2\.04 s"):
-        testbed.run(set_duration(load(path), 4.0), write=False)
+        testbed.run(set_duration(load_scenario(path), 4.0), write=False)
 
 
 def test_law_fbwa_command_with_unicycle_is_refused(tmp_path):
@@ -281,18 +283,20 @@ def test_law_fbwa_command_with_unicycle_is_refused(tmp_path):
     "name", ["own-law-leader-follower", "own-law-integral", "own-law-repulsion"]
 )
 def test_example_laws_hold_the_formation(name):
-    flown = testbed.run(set_duration(load(name), 25.0), write=False)
+    flown = testbed.run(set_duration(load_scenario(name), 25.0), write=False)
     assert flown.outcome == "completed"
     assert all(flown.metrics["joined_at_s"].values())
 
 
 # of a hundred aircraft; vee-30 has the same law for thirty
 LARGE = () if os.environ.get("TESTBED_LAWS") else ("vee-100",)
+# with f and g of its own the law's u is no speed, which the contract asks of commands
+NO_CONTRACT = (*LARGE, "ideal-own-speed-model")
 
 
-@pytest.mark.parametrize("name", [name for name in list_scenarios() if name not in LARGE])
+@pytest.mark.parametrize("name", [name for name in list_scenarios() if name not in NO_CONTRACT])
 def test_contract_holds_for_every_scenario(name):
-    page = load(name)
+    page = load_scenario(name)
     folders = [find_aircraft(each.aircraft) for each in page.fleet]
     built = build_control(page, folders, build_clock(page))
     for group in built.groups:
@@ -303,7 +307,7 @@ def test_contract_holds_for_every_scenario(name):
 
 
 def test_law_with_unsynchronised_aircraft():
-    page = load("own-law-integral", ["rates.synchronous=false"])
+    page = load_scenario("own-law-integral", ["rates.synchronous=false"])
     world = build(page)
     assert len(world.control.groups) > 1
     assert testbed.run(set_duration(page, 5.0), write=False).outcome == "completed"
@@ -323,7 +327,7 @@ def test_contract_old_messages_are_tested(tmp_path):
 def test_law_leader_timeout_is_a_warning_and_a_flag(tmp_path):
     path = write(tmp_path, "assert self.config.leader_timeout_s == 1.5")
     changes = ["network.transmitter_off_s.leader=[[1, 4]]", "controller.leader_timeout_s=1.5"]
-    flown = testbed.run(set_duration(load(path, changes), 5.0), write=False)
+    flown = testbed.run(set_duration(load_scenario(path, changes), 5.0), write=False)
     said = [(e["time_s"], e["source"]) for e in flown.metrics["events"] if e["level"] == "warning"]
     assert said == [(pytest.approx(2.48), name) for name in ("uav1", "uav2", "uav3")]
     assert flown.metrics["limiter_flags"]["uav1"]["by_kind"]["leader_timeout"] > 0
@@ -355,7 +359,7 @@ def encounter(positions, now=10.0):
 
 
 def repulsion():
-    (group,) = build(load("own-law-repulsion")).control.groups
+    (group,) = build(load_scenario("own-law-repulsion")).control.groups
     return group.law
 
 
@@ -409,13 +413,16 @@ def test_repulsion_ignores_missing_and_old_messages():
 
 
 def test_repulsion_prevents_a_collision_of_hbh23():
-    page = load("own-law-repulsion")
+    page = load_scenario("own-law-repulsion")
     ours = testbed.run(set_duration(page, 12.0), write=False)
     assert ours.outcome == "completed"
     assert ours.metrics["min_separation_m"] > 6.0
     papers = ["controller.law=hbh23", "controller.options={}"]
-    assert testbed.run(set_duration(load(page.name, papers), 12.0), write=False).outcome == "lost"
-    through = load(page.name, [*papers, "limits.collision_m=null"])  # each other
+    assert (
+        testbed.run(set_duration(load_scenario(page.name, papers), 12.0), write=False).outcome
+        == "lost"
+    )
+    through = load_scenario(page.name, [*papers, "limits.collision_m=null"])  # each other
     theirs = testbed.run(set_duration(through, 12.0), write=False)
     assert theirs.metrics["min_separation_between"] == ["uav1", "uav2"]
     assert theirs.metrics["min_separation_m"] < page.limits.collision_m
@@ -457,7 +464,9 @@ def with_functions(folder, *overrides):
     (folder / "mine.py").write_text(textwrap.dedent(FUNCTIONS))
     path = folder / "mine.yaml"
     path.write_text("extends: simulation-3\n")
-    return load(path, [*SHORT, *(each.replace("FILE", f"{folder}/mine.py") for each in overrides)])
+    return load_scenario(
+        path, [*SHORT, *(each.replace("FILE", f"{folder}/mine.py") for each in overrides)]
+    )
 
 
 def test_own_functions_fly_as_the_examples(tmp_path):
@@ -477,6 +486,10 @@ def test_own_functions_fly_as_the_examples(tmp_path):
         "the barrier runs mine.py ",
     ]
     assert list(log.info.code) == ["mine.py"] and log.info.barriers == ((0, 0.0),) * 3
+    speeds = np.linspace(16.0, 30.0, 29)
+    for own in logged_barriers(log.info):
+        example = barrier_curve(Barrier(5, 0.05), speeds, 16.0, 30.0)[0]
+        np.testing.assert_allclose(logged_curve(own, speeds, 16.0, 30.0), example, atol=2e-3)
     shutil.rmtree(tmp_path / "mine")  # only the run remains
     testbed.run(tmp_path / "run1" / "scenario.resolved.yaml", out=tmp_path / "again")
     assert compare_runs(read_log(tmp_path / "again" / "run.mcap"), log).same

@@ -8,7 +8,7 @@ import small_study
 from typer.testing import CliRunner
 
 from testbed.cli.main import app
-from testbed.scenario import ScenarioError, dump, find_aircraft, load, loads, set_duration
+from testbed.scenario import ScenarioError, dump, find_aircraft, load_scenario, loads, set_duration
 from testbed.sim.build import build
 from testbed.studies.sweep import sweep
 
@@ -26,7 +26,7 @@ def problems(text, *changes):
 
 def test_two_starts_in_one_place_are_refused():
     with pytest.raises(ScenarioError) as caught:
-        load("simulation-3", ["fleet.1.start_m=[-25, 15, 0]"])
+        load_scenario("simulation-3", ["fleet.1.start_m=[-25, 15, 0]"])
     (problem,) = caught.value.problems
     assert problem.path == ("fleet", "1", "start_m")
     assert problem.text == (
@@ -37,7 +37,7 @@ def test_two_starts_in_one_place_are_refused():
 
 def test_two_slots_in_one_place_are_refused():
     with pytest.raises(ScenarioError) as caught:
-        load("simulation-3", ["formation.offsets_m.uav3=[-5, 5.001, 0]"])
+        load_scenario("simulation-3", ["formation.offsets_m.uav3=[-5, 5.001, 0]"])
     (problem,) = caught.value.problems
     assert problem.path == ("formation", "offsets_m", "uav3")
     assert "puts the slot of uav3 in the same place as that of uav1" in problem.text
@@ -60,9 +60,9 @@ def test_virtual_leader_is_not_an_aircraft():
 def test_held_altitudes_separate_slots():
     same = ("formation.offsets_m.uav2=[-5, 5, 0]", "formation.offsets_m.uav3=[-5, -5, 4]")
     held = "formation.altitudes_m={uav1: 100, uav2: 110}"
-    assert load("simulation-3", [*same, held]).formation.altitudes_m["uav2"] == 110.0
+    assert load_scenario("simulation-3", [*same, held]).formation.altitudes_m["uav2"] == 110.0
     with pytest.raises(ScenarioError, match="slot of uav2 in the same place as that of uav1"):
-        load("simulation-3", [*same, "formation.altitudes_m={uav1: 100, uav2: 100}"])
+        load_scenario("simulation-3", [*same, "formation.altitudes_m={uav1: 100, uav2: 100}"])
 
 
 # aircraft closer than a wingspan
@@ -71,11 +71,11 @@ CLOSE = ("fleet.1.start_m=[-25, 16.2, 0]", "formation.offsets_m.uav2=[-5, 7.5, 0
 
 
 def warnings(name, *changes):
-    return [(e.source, e.text) for e in build(load(name, changes)).initial_events]
+    return [(e.source, e.text) for e in build(load_scenario(name, changes)).initial_events]
 
 
 def test_starts_and_slots_below_a_wingspan_have_warnings():
-    assert warnings("simulation-3", *CLOSE) == [
+    assert warnings("simulation-3-30deg", *CLOSE) == [
         (
             "run",
             "uav1 and uav2 start 1.20 m apart, closer than 2.8 m, a wingspan (write "
@@ -89,7 +89,7 @@ def test_starts_and_slots_below_a_wingspan_have_warnings():
             "limits.min_separation_m: 2.5 if that is intended)",
         ),
     ]
-    assert warnings("simulation-3", *CLOSE, "limits.min_separation_m=1.19") == []
+    assert warnings("simulation-3-30deg", *CLOSE, "limits.min_separation_m=1.19") == []
     (start, slot) = warnings("simulation-3", "limits.min_separation_m=9")[-2:]
     assert "limits.min_separation_m (write" in start[1] + slot[1]
 
@@ -147,16 +147,16 @@ def test_lost_separation_is_red_and_exit_code_1(tmp_path):
 
 def test_wind_bounds_the_airspeed_by_default():
     wind = "air.wind.speed_mps=8"
-    assert load("simulation-3").controller.bounded_speed == "ground_speed"
-    assert load("simulation-3", [wind]).controller.bounded_speed == "airspeed"
-    assert load("simulation-3", ["air.wind.file=gusty-wind.csv"]).controller.bounded_speed == (
-        "airspeed"
-    )
+    assert load_scenario("simulation-3").controller.bounded_speed == "ground_speed"
+    assert load_scenario("simulation-3", [wind]).controller.bounded_speed == "airspeed"
+    assert load_scenario(
+        "simulation-3", ["air.wind.file=gusty-wind.csv"]
+    ).controller.bounded_speed == ("airspeed")
     paper = "controller.bounded_speed=ground_speed"
-    assert load("simulation-3", [wind, paper]).controller.bounded_speed == "ground_speed"
+    assert load_scenario("simulation-3", [wind, paper]).controller.bounded_speed == "ground_speed"
     for name in ("experiment-1", "experiment-2", "experiment-3"):  # as the paper has it
-        assert load(name).air.wind.speed_mps > 0.0
-        assert load(name).controller.bounded_speed == "ground_speed"
+        assert load_scenario(name).air.wind.speed_mps > 0.0
+        assert load_scenario(name).controller.bounded_speed == "ground_speed"
     assert warnings("simulation-3", wind) == []
 
 
@@ -164,7 +164,7 @@ def test_wind_beyond_the_bounds_names_the_key():
     paper = "controller.bounded_speed=ground_speed"
     (strong,) = warnings("simulation-3", "air.wind.speed_mps=8", paper, "fleet.0.name=uav1")[:1]
     assert strong[1] == (
-        "the slot may move at 12.15 to 32.09 m/s over the ground in this wind, beyond the speed "
+        "the slot may move at 11.07 to 33.68 m/s over the ground in this wind, beyond the speed "
         "bounds of 16 to 30 m/s, where no follower can hold it (write controller.bounded_speed: "
         "airspeed)"
     )
@@ -204,7 +204,7 @@ def test_windows_after_the_duration_are_named(tmp_path):
     assert "windows cut short rectangles (0.5 to 3 s), not compared with published numbers" in text
     assert "windows not reached circles (2 to 3 s)" in text
     with pytest.raises(ScenarioError, match=r"rectangles: ends at 550 s, after the run, which"):
-        load("simulation-3", ["scenario.duration_s=60"])
+        load_scenario("simulation-3", ["scenario.duration_s=60"])
 
 
 STUDY = """
@@ -234,8 +234,8 @@ def test_study_reports_each_kind_of_warning_once(tmp_path, monkeypatch):
     _, said = swept(tmp_path, monkeypatch, STUDY)
     assert said[0].startswith("warning: the run ends at 1 s, before these windows begin")
     assert [line.partition(" m/s over")[0] for line in said[1:]] == [
-        "warning: run 1: uav1: the slot may move at 14.34 to 29.82",
-        "warning: run 1: run: uav2, uav3: the slot may move at 14.33 to 29.82",
+        "warning: run 1: uav1: the slot may move at 13.29 to 31.22",
+        "warning: run 1: run: uav2, uav3: the slot may move at 13.26 to 31.23",
     ]
     metrics = STUDY.replace("seeds: [1]", "seeds: [1]\n  metrics: [min_separation_m]")
     (tmp_path / "b").mkdir()
@@ -247,7 +247,7 @@ def test_study_reports_each_kind_of_warning_once(tmp_path, monkeypatch):
 
 
 def differs(*changes):
-    return load("simulation-3", changes).scenario.published.differs
+    return load_scenario("simulation-3", changes).scenario.published.differs
 
 
 def test_settings_make_another_set_up():
@@ -261,7 +261,9 @@ def test_settings_make_another_set_up():
     assert differs("network.delay_s=0", "formation.k=3") == ()
     assert differs("scenario.seed=7", "log.mcap=false", "limits.min_separation_m=0") == ()
     assert differs("formation.k=2", "scenario.published.differs=[]") == ()
-    again = loads(dump(load("simulation-3", ["formation.k=2"])), ["fleet.*.sensors=pixhawk"])
+    again = loads(
+        dump(load_scenario("simulation-3", ["formation.k=2"])), ["fleet.*.sensors=pixhawk"]
+    )
     assert again.scenario.published.differs == ("formation.k", "fleet.*.sensors")
     assert set_duration(again, 600.0).scenario.published.differs == again.scenario.published.differs
 
@@ -292,7 +294,7 @@ def test_limits_that_undercut_each_other_have_warnings(tmp_path):
     cut = "and the autopilot stops at 25°, ROLL_LIMIT_DEG of its tune: what is cut off is not"
     assert [(source, text.partition(" counted")[0]) for source, text in found] == [
         ("run", f"uav1, uav2, uav3: the middle loop commands up to 50° of roll, {cut}"),
-        ("leader", f"its guidance commands up to 30° of roll, {cut}"),
+        ("leader", f"its guidance commands up to 45° of roll, {cut}"),
     ]
     assert "(write controller.gains.limits.roll_deg: 25, or a ROLL_LIMIT_DEG of 50)" in found[0][1]
     lower = ("controller.gains.limits={roll_deg: 25}", "leader.path.bank_limit_deg=25")

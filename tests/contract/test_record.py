@@ -25,13 +25,17 @@ from mcap.stream_reader import StreamReader
 from patience import PATIENCE_S, until
 from record_flight import RECORDS, assert_same_sample, decoded, event, record, run_info, run_samples
 
+import testbed
+from testbed.core.errors import InputError
 from testbed.core.frames import geodetic_from_ned, rotation_ned_body
 from testbed.core.records import Event
+from testbed.core.start_time import start_unix_ns
 from testbed.logs import header, recorder
 from testbed.logs.mcap_file import LogError
 from testbed.logs.read import read_log, samples
 from testbed.logs.recorder import McapRecorder
 from testbed.metrics import MetricsObserver
+from testbed.scenario import load_scenario
 
 CHUNK = recorder.chunk_samples(4)
 # Killed runs: pause between samples, seed of the moment; all of them with TESTBED_KILLS set.
@@ -135,22 +139,84 @@ def test_log_decodes_with_its_own_schemas(tmp_path):
     assert formation.flight_path_angle_desired_rad == sample.formation.flight_path_angle_desired[1]
     assert formation.limiter_bits == sample.formation.limiter_flags[1]
     assert formation.saturation_bits == sample.formation.saturations[1]
-    np.testing.assert_array_equal(list(formation.age_s), sample.formation.age_s[1])
+    ages = [getattr(formation.age_s, name) for name in info.names]
+    np.testing.assert_array_equal(ages, sample.formation.age_s[1])
 
     network = messages["/uav3/network"][k][1]
-    assert list(network.sent_count) == sample.links.sent[2].tolist()
-    assert list(network.delivered_count) == sample.links.delivered[2].tolist()
-    assert list(network.delivered_count) != list(network.sent_count)
+    sent, delivered = (
+        [getattr(field, name) for name in info.names]
+        for field in (network.sent_count, network.delivered_count)
+    )
+    assert sent == sample.links.sent[2].tolist()
+    assert delivered == sample.links.delivered[2].tolist()
+    assert delivered != sent
 
     stamp, fix = messages["/uav1/fix"][2]
     sample = seen[10]
     assert (fix.timestamp.seconds, fix.timestamp.nanos) == (0, 400_000_000)
-    expected = geodetic_from_ned(sample.truth.position_ned[1], info.origin)
+    expected = geodetic_from_ned(sample.estimate.position_ned[1], info.origin)
     np.testing.assert_array_equal([fix.latitude, fix.longitude, fix.altitude], expected)
     assert fix.frame_id == "uav1"
+    errors = [each.estimate.position_ned[1] - each.truth.position_ned[1] for each in seen[:11]]
+    enu = np.array(errors) @ np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]]).T
+    covariance = np.array(fix.position_covariance).reshape(3, 3)
+    np.testing.assert_allclose(covariance, enu.T @ enu / 11, rtol=1e-12)
+    assert fix.position_covariance_type == 1  # approximated
     [(stamp, line)] = messages["/events"]
     assert (stamp, line.timestamp.seconds) == (2_000_000_000, 2)
     assert (line.level, line.message, line.name) == (3, "a gust", "uav1")
+
+
+def test_covariance_of_exact_estimates_is_unknown(tmp_path):
+    path = record(tmp_path / "run.mcap", run_samples(60, noisy_from=40))
+    fixes = [each for topic, _, each in decoded(path) if topic == "/uav1/fix"]
+    kinds = [fix.position_covariance_type for fix in fixes]
+    assert kinds == [0] * 8 + [1] * 4
+    assert [len(fix.position_covariance) for fix in fixes] == [0] * 8 + [9] * 4
+
+
+def test_start_time_moves_all_times_and_no_number(tmp_path):
+    seen = list(run_samples(60, noisy_from=0, lossy_from=0, events=[event(50, "a gust")]))
+    start_ns = start_unix_ns("2026-05-01T11:30:00.25+02:00")
+    assert start_ns == 1_777_627_800_250_000_000
+    path = record(tmp_path / "run.mcap", seen, run_info(start_unix_ns=start_ns))
+    late = {}
+    for topic, stamp, message in decoded(path):
+        late.setdefault(topic, []).append(stamp)
+        stamps = [message] if hasattr(message, "timestamp") else getattr(message, "transforms", ())
+        for each in stamps:
+            assert each.timestamp.seconds * 10**9 + each.timestamp.nanos == stamp
+    assert late["/tf"] == [start_ns + k * 40_000_000 for k in range(60)]
+    assert late["/events"] == [start_ns + 2 * 10**9]
+    log = testbed.load_run(path).log
+    assert (log.time_s[-1], log.events[0].time_s) == (59 / 25, 2.0)
+    for one, other in zip(seen, samples(log), strict=True):
+        assert_same_sample(one, other)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("yesterday", "ISO 8601"),
+        ("2026-05-01T09:30:00", "time zone"),
+        ("1969-12-31T23:59:59Z", "1970 to 2037"),
+        ("2038-01-01T00:00:00Z", "1970 to 2037"),
+    ],
+)
+def test_other_start_times_are_refused(text, reason):
+    with pytest.raises(ValueError, match=reason):
+        start_unix_ns(text)
+    with pytest.raises(InputError, match=f"log.start_time.*{reason}"):
+        load_scenario("simulation-3", [f"log.start_time={text}"])
+
+
+def test_fields_have_names_of_aircraft(tmp_path):
+    names = ("lead-1", "a.b", "a_b", "7_x")
+    seen = list(run_samples(3))
+    path = record(tmp_path / "run.mcap", seen, run_info(names=names))
+    formation = [each for topic, _, each in decoded(path) if topic == "/a_b/formation"][2].age_s
+    ages = [getattr(formation, name) for name in ("lead_1", "a_b", "a_b_2", "aircraft_7_x")]
+    np.testing.assert_array_equal(ages, seen[2].formation.age_s[1])
 
 
 def test_transforms_rotate_body_to_ned_and_ned_to_enu(tmp_path):
@@ -538,7 +604,7 @@ def test_foreign_file_raises(tmp_path, data, message):
 def test_log_of_another_schema_raises(tmp_path, monkeypatch):
     monkeypatch.setattr(header, "LOG_SCHEMA", 99)
     path = record(tmp_path / "run.mcap", run_samples(3))
-    with pytest.raises(LogError, match=r"log schema 99 of testbed 0\.0; .* schema 4 only"):
+    with pytest.raises(LogError, match=r"log schema 99 of testbed 0\.0; .* schema 5 only"):
         read_log(path)
 
 

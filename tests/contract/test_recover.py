@@ -19,7 +19,7 @@ from testbed.logs.read import read_log, replay, samples
 from testbed.logs.recorder import McapRecorder
 from testbed.metrics import MetricsObserver
 from testbed.reports import figures
-from testbed.scenario import load
+from testbed.scenario import load_scenario
 from testbed.sim.recover import recover
 
 MAGIC, CHUNK = 8, 6  # bytes of MCAP's magic, and the opcode of a chunk
@@ -37,7 +37,7 @@ CHANGES = [
 def whole(tmp_path_factory):
     """The directory of a completed run."""
     out = tmp_path_factory.mktemp("whole") / "run"
-    page = load("simulation-3", [*CHANGES, "network.transmitter_off_s={leader: [[6, 9]]}"])
+    page = load_scenario("simulation-3", [*CHANGES, "network.transmitter_off_s={leader: [[6, 9]]}"])
     testbed.run(page, out=out)
     return out
 

@@ -11,7 +11,16 @@ import numpy as np
 import pytest
 from commands import call_command
 from record_flight import event, run_info, run_samples
-from report_pages import CHROMIUM, MAX_BYTES, NEEDS_CHROMIUM, Reader, browse, stands_alone
+from report_pages import (
+    CHROMIUM,
+    MAX_BYTES,
+    NARROW,
+    NEEDS_CHROMIUM,
+    Reader,
+    browse,
+    measure,
+    stands_alone,
+)
 from run_flight import short
 
 import testbed
@@ -320,7 +329,8 @@ def test_many_followers_are_a_band_and_the_worst(tmp_path, only):
     worst = sorted(np.argsort(-square)[:WORST])
     assert [part.row for part in selection.drawn] == worst
     assert len(run.followers) > MAX_SINGLE and selection.in_band == 20
-    rows = sum(len(figure.grid.rows) for figure in run_figures(run))
+    # the figure `corner` has only 24 s of the run
+    rows = sum(len(each.grid.rows) for each in run_figures(run) if each.name != "corner")
     only("speed")  # with most curves in a row
     text = render_page(run_page(run))
     plot = re.search(r"<svg .*</svg>", text, re.S)[0]
@@ -390,3 +400,50 @@ def test_percentiles_ignore_nan():
 def test_browser_shows_every_figure_without_errors(flown, tmp_path):
     measured = browse((flown / "report.html").read_text("utf-8"), tmp_path)
     assert set(measured) == FOLLOWED | {"network", "wind"}
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason=NEEDS_CHROMIUM)
+def test_narrow_page_has_readable_text_and_shadows(flown, tmp_path):
+    """On a telephone text of figures has 10 px or more; what scrolls has a shadow."""
+    found = measure((flown / "report.html").read_text("utf-8"), tmp_path, NARROW)
+    assert np.quantile(found["heights"], 0.1) > 10.0  # exponents are smaller
+    assert found["scrolled"] == found["shaded"] > len(FOLLOWED)
+    assert found["over"] <= 0
+
+
+def test_close_followers_are_not_drawn_over_time(flown, only):
+    """Their paths would cover the leader's; far ones are drawn."""
+    only("trajectory")
+    run = read_run(flown)
+    position = run.log.truth.position_ned.copy()
+    position[:, 0, 1] = np.linspace(0.0, 1000.0, len(position))
+    for distance, curves in ((10.0, 1), (100.0, 4)):
+        position[:, 1:] = position[:, :1] + [distance, 0.0, 0.0]
+        log = replace(run.log, truth=run.log.truth._replace(position_ned=position))
+        (figure,) = run_figures(replace(run, log=log))
+        assert len(figure.grid.rows[0][0].curves) == curves
+        assert len(figure.grid.rows[0][1].lines) >= 4
+        assert ("would cover" in figure.caption) is (curves == 1)
+
+
+def test_links_have_colours_and_markers_of_no_follower(flown, only):
+    only("network")
+    (figure,) = run_figures(read_run(flown))
+    lines = [line for (panel,) in figure.grid.rows for line in panel.lines if line.marker]
+    looks = {line.label: (line.colour, line.marker) for line in lines}
+    assert any(">" in name for name in looks) and "uav1" in looks
+    for part in zip(*looks.values(), strict=True):
+        assert len(set(part)) == len(looks)
+
+
+def test_barrier_near_one_is_a_sentence(flown, only):
+    """An own h is drawn from the samples in the log; without samples it is not."""
+    only("barrier")
+    run = read_run(flown)
+    own = {"barriers": ((0, 0.0),) * 3}
+    samples = (tuple(np.linspace(-1.0, 1.0, 201)),) * 3
+    cases = (({}, 1, "0.9"), (own | {"barrier_samples": samples}, 2, "Below: the barrier"))
+    for fields, rows, words in (*cases, (own, 1, "negative outside.")):
+        log = replace(run.log, info=replace(run.log.info, **fields))
+        (figure,) = run_figures(replace(run, log=log))
+        assert len(figure.grid.rows) == rows and words in figure.caption

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 import testbed
 from testbed.cli.main import app
 from testbed.core.errors import InputError
-from testbed.scenario import load, set_duration
+from testbed.scenario import load_scenario, set_duration
 from testbed.sim import resources
 from testbed.sim.build import build
 
@@ -22,11 +22,11 @@ FAST = ("rates.physics_hz=10000", "rates.log_hz=10000")
 MEASURED = """
 import sys
 from pathlib import Path
-from testbed.scenario import load
+from testbed.scenario import load_scenario
 from testbed.sim.loop import fly
 from testbed.sim.build import build
 name, until, *changes = sys.argv[1:]
-fly(build(load(name, changes)), [], lambda now, due: now >= float(until))
+fly(build(load_scenario(name, changes)), [], lambda now, due: now >= float(until))
 lines = Path("/proc/self/status").read_text().splitlines()
 print(next(1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM")))
 """
@@ -46,7 +46,7 @@ def run_error(name, *changes, out):
     "name", ["simulation-3", "simulation-3-pixhawk", "turbulence-moderate", "vee-30"]
 )
 def test_disk_needed_agrees_with_the_log(name, tmp_path):
-    scenario = set_duration(load(name), 12.0)
+    scenario = set_duration(load_scenario(name), 12.0)
     run = testbed.run(scenario, out=tmp_path / "run")
     size = (run.directory / "run.mcap").stat().st_size
     assert resources.disk_needed(scenario) == pytest.approx(size, rel=0.15)
@@ -64,7 +64,7 @@ def test_disk_needed_agrees_with_the_log(name, tmp_path):
     ids=["a day of a virtual leader", "messages in flight", "aircraft"],
 )  # fmt: skip
 def test_memory_needed_agrees_with_the_flight(name, until, changes):
-    scenario = load(name, changes)
+    scenario = load_scenario(name, changes)
     done = subprocess.run(
         [sys.executable, "-c", MEASURED, name, str(until), *changes],
         check=True, capture_output=True, text=True, timeout=PATIENCE_S,
@@ -80,7 +80,7 @@ def test_memory_more_than_free_is_refused(tmp_path, monkeypatch):
     assert "300 s of 101 aircraft need about 151.8 GB of memory, and " in error
     monkeypatch.setattr(resources, "memory_free", lambda: 1e8)
     with pytest.raises(InputError, match=r"need about 0\.2 GB of memory, and 0\.1 GB are free"):
-        build(load("simulation-3"))
+        build(load_scenario("simulation-3"))
 
 
 def test_disk_log_larger_than_free_is_refused(tmp_path, monkeypatch):
@@ -89,15 +89,15 @@ def test_disk_log_larger_than_free_is_refused(tmp_path, monkeypatch):
     assert "the log of 86400 s of 4 aircraft needs about 1486.1 GB" in error
     assert f"{tmp_path} has 1.0 GB" in error
     assert not (tmp_path / "a").exists()
-    resources.check_disk(load("simulation-3"), tmp_path)  # 46 MB
+    resources.check_disk(load_scenario("simulation-3"), tmp_path)  # 46 MB
 
 
 def test_disk_run_without_log_needs_no_space(tmp_path, monkeypatch):
     monkeypatch.setattr(resources.shutil, "disk_usage", lambda place: Usage(9e9, 9e9, 0.0))
-    scenario = set_duration(load("simulation-3", ["log.mcap=false"]), 0.2)
+    scenario = set_duration(load_scenario("simulation-3", ["log.mcap=false"]), 0.2)
     assert testbed.run(scenario, out=tmp_path / "run").outcome == "completed"
     with pytest.raises(InputError, match=r"has 0\.0 MB"):
-        testbed.run(set_duration(load("simulation-3"), 0.2), out=tmp_path / "other")
+        testbed.run(set_duration(load_scenario("simulation-3"), 0.2), out=tmp_path / "other")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")

@@ -30,7 +30,7 @@ import testbed
 from testbed.formation.flags import LimiterFlag
 from testbed.logs import mcap_file
 from testbed.logs.read import read_log, samples
-from testbed.scenario import load
+from testbed.scenario import load_scenario
 from testbed.sensors.estimators import Estimators
 from testbed.sim import loop
 from testbed.sim.build import build
@@ -405,21 +405,36 @@ def test_aircraft_on_the_ground_is_lost_and_named(tmp_path):
 
 
 def test_package_shows_its_public_names():
-    assert set(testbed.__all__) <= set(dir(testbed))
+    assert dir(testbed) == sorted({*testbed.__all__, "law"})
     fields = "import testbed; print(testbed.law.Inbox._fields[0])"
     assert subprocess.check_output([sys.executable, "-c", fields], text=True) == "stamp_s\n"
     assert " at 0x" not in str(inspect.signature(testbed.run))
 
 
-def test_run_is_printed_in_one_line(tmp_path):
-    """Scenario, outcome, time, errors and directory; not the content of the metrics."""
-    windows = {f"w{k}": {"mean_rms_m": 0.1 * k or None} for k in range(6)}
-    metrics = {"windows": windows, "outcome": "completed", "simulated_s": 90.0}
-    run = testbed.Run(load("own-law-repulsion"), metrics, tmp_path)
-    assert repr(run) == (
-        "<Run: own-law-repulsion; completed; 90 s; mean RMS error w1 0.10 m, w2 0.20 m, w3 0.30 m, "
-        f"…; {tmp_path}>"
-    )
-    assert repr(testbed.Run(run.scenario, metrics | {"windows": {}}, None)) == (
-        "<Run: own-law-repulsion; completed; 90 s>"
-    )
+def test_run_is_printed_as_a_short_table(tmp_path):
+    """Outcome, RMS errors by follower and window, separation, directory: ten lines at most."""
+    names = [f"uav{k}" for k in range(1, 9)]
+    windows = {
+        f"w{k}": {"rms_m": {name: k + 0.1 * i for i, name in enumerate(names)}, "mean_rms_m": None}
+        for k in range(6)
+    }
+    head = {"scenario": "here <b>", "seed": 1, "outcome": "lost", "simulated_s": 90.0}
+    facts = {"max_error_m": dict.fromkeys(names, 12.0), "min_separation_m": 5.0}
+    metrics = {**head, **facts, "windows": windows}
+    run = testbed.Run(load_scenario("own-law-repulsion"), metrics, tmp_path)
+    lines = repr(run).splitlines()
+    assert lines[0] == "here <b> · lost · 90 s · seed 1"
+    assert lines[1].split() == [
+        *("RMS", "error,", "4", "worst,", "m", "w0", "w1", "w2", "w3", "and", "2", "more")
+    ]
+    assert [line.split()[0] for line in lines[2:6]] == names[4:]  # those with the largest errors
+    assert lines[5].split() == ["uav8", "0.70", "1.70", "2.70", "3.70"]
+    assert lines[6:] == [
+        "mean of 8                 –     –     –     –",
+        "smallest separation 5.00 m",
+        str(tmp_path),
+    ]
+    html = run._repr_html_()
+    assert "<td>uav8</td><td>0.70</td>" in html and "here &lt;b&gt;" in html
+    short = testbed.Run(run.scenario, metrics | {"windows": {}}, None)
+    assert len(repr(short).splitlines()) == 7 and "12.00" in repr(short)

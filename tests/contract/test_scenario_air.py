@@ -5,7 +5,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from testbed.scenario import dump, find_data, json_schema, load, loads
+from testbed.scenario import dump, find_data, json_schema, load_scenario, loads
 
 FOLDER = Path(__file__).parents[1] / "data" / "scenarios"
 MINIMAL = (FOLDER / "minimal.yaml").read_text()
@@ -50,24 +50,24 @@ def test_turbulence_strength_is_for_every_model(model, keys):
 
 
 def test_profile_of_other_kind_replaces_the_old():
-    full = load(FOLDER / "everything.yaml", ["air.wind.profile={kind: power}"])
+    full = load_scenario(FOLDER / "everything.yaml", ["air.wind.profile={kind: power}"])
     assert full.air.wind.profile.height_m == 10.0
     assert full.air.wind.from_deg == 250.0
 
 
 def test_gust_is_set_by_its_name():
     changes = ["air.gusts.front.length_m=55", "air.gusts.shear.shape=pulse"]
-    shear, front = load(FOLDER / "everything.yaml", changes).air.gusts
+    shear, front = load_scenario(FOLDER / "everything.yaml", changes).air.gusts
     assert (front.length_m, front.speed_mps, shear.shape) == (55.0, 4.0, "pulse")
-    assert load(FOLDER / "everything.yaml", ["air.gusts=null"]).air.gusts == ()
-    assert load(FOLDER / "everything.yaml", ["air.wake=null"]).air.wake is None
+    assert load_scenario(FOLDER / "everything.yaml", ["air.gusts=null"]).air.gusts == ()
+    assert load_scenario(FOLDER / "everything.yaml", ["air.wake=null"]).air.wake is None
 
 
 def test_recorded_wind_is_found_by_path_and_name(tmp_path, monkeypatch):
     (tmp_path / "below").mkdir()
     (tmp_path / "below" / "mine.csv").write_text("t_s,north_mps,east_mps\n")
     (tmp_path / "below" / "mine.yaml").write_text(f"{MINIMAL}air: {{wind: {{file: mine.csv}}}}\n")
-    mine = load(tmp_path / "below" / "mine.yaml")
+    mine = load_scenario(tmp_path / "below" / "mine.yaml")
     assert mine.air.wind.file == str(tmp_path / "below" / "mine.csv")
     monkeypatch.chdir(tmp_path)
     assert loads(dump(mine)) == mine

@@ -5,7 +5,7 @@ from typing import get_args
 
 import pytest
 
-from testbed.scenario import ScenarioError, dump, load, loads, set_duration
+from testbed.scenario import ScenarioError, dump, load_scenario, loads, set_duration
 from testbed.scenario.faults import AnyFault
 from testbed.scenario.sensors import SENSOR_NAMES, TRUTH, Estimator, Sensors
 
@@ -190,4 +190,4 @@ def test_limits_and_response_are_read():
     one = read("tune: autopilot", *settings)
     assert (one.limits.collision_m, one.limits.separation_m) == (2.0, 2.0)
     assert one.formation.on_failure.response == "reassign-slots"
-    assert load(FOLDER / "everything.yaml").limits.on_loss == "continue"
+    assert load_scenario(FOLDER / "everything.yaml").limits.on_loss == "continue"

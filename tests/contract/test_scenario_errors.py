@@ -13,7 +13,7 @@ from snapshot import check_snapshot
 
 from testbed.core.errors import InputError
 from testbed.guidance.flight_plan import Mission, WaypointLeg, expand_laps
-from testbed.scenario import ScenarioError, library, load, loads
+from testbed.scenario import ScenarioError, library, load_scenario, loads
 from testbed.scenario.violations import MAX_LINE
 
 ROOT = Path(__file__).parents[2]
@@ -33,7 +33,7 @@ def test_wrong_scenario_matches_snapshot(section, monkeypatch):
     blocks = []
     for case in (CASES / f"{section}.txt").read_text().rstrip().split("\n\n"):
         if section == "settings":
-            text = error_of(load, "everything.yaml", [case])
+            text = error_of(load_scenario, "everything.yaml", [case])
         else:
             base = "" if section == "files" else "extends: minimal.yaml\n"
             text = error_of(loads, base + case, source="case.yaml")
@@ -59,7 +59,9 @@ def test_aliases_for_millions_of_nodes_are_refused():
 
 
 def test_numbers_are_read_by_yaml_1_2():
-    scenario = load(FOLDER / "minimal.yaml", ["scenario.duration_s=1e1", "scenario.seed=010"])
+    scenario = load_scenario(
+        FOLDER / "minimal.yaml", ["scenario.duration_s=1e1", "scenario.seed=010"]
+    )
     assert (scenario.scenario.duration_s, scenario.scenario.seed) == (10.0, 10)
 
 
@@ -68,14 +70,16 @@ def test_file_is_named_relative_to_working_directory(tmp_path, monkeypatch):
     file = tmp_path / "below" / "mine.yaml"
     file.write_text("extends: simulation-3\nscenario: {duration_s: 0}\n")
     monkeypatch.chdir(tmp_path)
-    assert error_of(load, file).startswith("below/mine.yaml:2:24: scenario.duration_s: is 0")
+    assert error_of(load_scenario, file).startswith(
+        "below/mine.yaml:2:24: scenario.duration_s: is 0"
+    )
     monkeypatch.chdir(tmp_path / "below")
     file.write_bytes(b"scenario:\n  name: \xff\n")
-    assert error_of(load, "mine.yaml").startswith("mine.yaml:2:1: is not UTF-8 text")
+    assert error_of(load_scenario, "mine.yaml").startswith("mine.yaml:2:1: is not UTF-8 text")
 
 
 def test_unknown_scenario_lists_the_known_ones():
-    text = error_of(load, "simulation-33")
+    text = error_of(load_scenario, "simulation-33")
     assert "did you mean 'simulation-3'" in text and "vee-100" in text
 
 
@@ -145,7 +149,7 @@ def test_mission_of_a_program_has_bounded_laps():
 def test_file_that_is_no_scenario_is_not_quoted(tmp_path):
     """`study.scenario` may name any file; what it holds may be a secret."""
     (tmp_path / "passphrase").write_text("correct:horse:battery\n")
-    text = error_of(load, tmp_path / "passphrase")
+    text = error_of(load_scenario, tmp_path / "passphrase")
     assert text == f"{tmp_path}/passphrase:1:1: is text (write a map of keys and values)"
 
 
@@ -155,7 +159,7 @@ def test_file_that_is_no_scenario_is_not_quoted(tmp_path):
         ("air:\n  wind: {speed_mps: 40, from_deg: 0}", "2:9: air.wind: wind of 40 m/s"),
         ("leader:\n  tune: nope\n  path: *replay", "2:9: leader.tune: there is no tune"),
         ("leader:\n  path: *replay", "2:30: leader.path.file: {}/short.csv: 1 rows of numbers"),
-        ("leader:\n  path: {airspeed_mps: 60}", ":44:19: leader.path.legs[3].radius_m: 120 m is"),
+        ("leader:\n  path: {airspeed_mps: 60}", ":46:19: leader.path.legs[3].radius_m: 120 m is"),
         (
             "leader:\n  path:\n    airspeed_mps: 45\n    legs: [{kind: waypoints, points_m: "
             "[[9000, 0, 100], [9000, 9000, 100]]}]\n    bank_limit_deg: 60",

@@ -13,8 +13,8 @@ from testbed.scenario import (
     find_tune,
     list_aircraft,
     list_data,
-    load,
     load_middle_loop,
+    load_scenario,
     loads,
 )
 
@@ -37,8 +37,8 @@ def error_of(call, *arguments, **options):
 
 
 def test_extends_merges_maps_and_replaces_the_rest(tmp_path):
-    base = load(FULL)
-    changed = load(
+    base = load_scenario(FULL)
+    changed = load_scenario(
         write(
             tmp_path,
             "top.yaml",
@@ -60,31 +60,33 @@ def test_extends_merges_maps_and_replaces_the_rest(tmp_path):
 
 def test_renamed_scenario_does_not_inherit_question(tmp_path):
     said = ("question", "expectation", "published")
-    base = load("simulation-3").scenario
-    same = load(write(tmp_path, "same.yaml", "extends: simulation-3\nrates: {log_hz: 50}\n"))
+    base = load_scenario("simulation-3").scenario
+    same = load_scenario(
+        write(tmp_path, "same.yaml", "extends: simulation-3\nrates: {log_hz: 50}\n")
+    )
     again = "extends: simulation-3\nscenario: {name: simulation-3}\n"
-    for kept in (same, load(write(tmp_path, "again.yaml", again))):
+    for kept in (same, load_scenario(write(tmp_path, "again.yaml", again))):
         assert [getattr(kept.scenario, key) for key in said] == [getattr(base, key) for key in said]
     other = "extends: simulation-3\nscenario: {name: other, published: null}\n"
-    header = load(write(tmp_path, "other.yaml", other)).scenario
+    header = load_scenario(write(tmp_path, "other.yaml", other)).scenario
     assert [getattr(header, key) for key in said] == ["", "", None]
     assert header.windows == base.windows
     below = "extends: other.yaml\nscenario: {name: below, question: Why?, published: {source: x}}\n"
-    header = load(write(tmp_path, "below.yaml", below)).scenario
+    header = load_scenario(write(tmp_path, "below.yaml", below)).scenario
     assert (header.question, header.expectation) == ("Why?", "")
     assert header.published.source == "x" and not header.published.rms_m  # no part of another's
 
 
 def test_inherited_window_beyond_the_end_is_an_error(tmp_path):
     short = "extends: simulation-3\nscenario:\n  name: short\n  duration_s: 600\n"
-    said = error_of(load, write(tmp_path, "short.yaml", short))
+    said = error_of(load_scenario, write(tmp_path, "short.yaml", short))
     assert "short.yaml:4:15: scenario.windows.circles: ends at 1080 s, after the run" in said
     assert "inherited from" in said and "write circles: null under windows" in said
     named = short.replace("short", "simulation-3") + "  windows: {circles: null}\n"
-    said = error_of(load, write(tmp_path, "named.yaml", named))
+    said = error_of(load_scenario, write(tmp_path, "named.yaml", named))
     assert "published.rms_m.circles: no window has this name" in said
     assert "write published: null under scenario" in said
-    said = error_of(load, "simulation-3", ["scenario.duration_s=600"])
+    said = error_of(load_scenario, "simulation-3", ["scenario.duration_s=600"])
     assert "write --set scenario.windows.circles=null" in said
 
 
@@ -97,8 +99,8 @@ def test_null_removes_a_key(tmp_path):
         "controller: {estimators: null}\n",
     )
     for changed in (
-        load(top),
-        load(
+        load_scenario(top),
+        load_scenario(
             FULL,
             [
                 "formation.altitudes_m=null",
@@ -112,8 +114,10 @@ def test_null_removes_a_key(tmp_path):
         assert formation.altitudes_m == formation.leader_gains == {}
         assert (formation.agents["uav1"].k, formation.agents["uav1"].a) == (None, 0.8)
         assert set(changed.controller.estimators.model_dump().values()) == {None}
-    assert "scenario.duration_s: is missing" in error_of(load, FULL, ["scenario.duration_s=null"])
-    assert load(FULL, ["formation.leader_gains.*=null"]).formation.leader_gains == {}
+    assert "scenario.duration_s: is missing" in error_of(
+        load_scenario, FULL, ["scenario.duration_s=null"]
+    )
+    assert load_scenario(FULL, ["formation.leader_gains.*=null"]).formation.leader_gains == {}
 
 
 def test_map_of_other_kind_replaces_the_old(tmp_path):
@@ -125,7 +129,7 @@ def test_map_of_other_kind_replaces_the_old(tmp_path):
         "leader: {path: {kind: replay, file: flight.csv}}\n"
         "formation: {barrier: {example: 7}}\n",
     )
-    changed = load(top)
+    changed = load_scenario(top)
     assert changed.leader.path.file == str(record)
     assert changed.formation.barrier.example == 7
 
@@ -135,7 +139,7 @@ def test_error_names_the_file_of_the_value(tmp_path, monkeypatch):
     base = MINIMAL.read_text().replace("duration_s: 10", "duration_s: x")
     write(tmp_path, "below/base.yaml", base)
     write(tmp_path, "top.yaml", "extends: below/base.yaml\nscenario:\n  seed: y\n")
-    lines = error_of(load, "top.yaml").splitlines()
+    lines = error_of(load_scenario, "top.yaml").splitlines()
     assert lines[0].startswith("below/base.yaml:2:50: scenario.duration_s: is 'x'")
     assert lines[1].startswith("top.yaml:3:9: scenario.seed: is 'y'")
 
@@ -145,7 +149,7 @@ def test_circular_extends_is_refused(tmp_path, monkeypatch):
     write(tmp_path, "a.yaml", "extends: b.yaml")
     write(tmp_path, "b.yaml", "extends: a.yaml")
     assert (
-        error_of(load, "a.yaml")
+        error_of(load_scenario, "a.yaml")
         == "b.yaml:1:10: extends: 'a.yaml' extends this file in turn (write another scenario)"
     )
 
@@ -163,7 +167,7 @@ def test_relative_paths_start_at_their_file(tmp_path, monkeypatch):
     write(tmp_path, "below/base.yaml", text)
     top = write(tmp_path, "top.yaml", "extends: below/base.yaml\n")
     monkeypatch.chdir("/")
-    loaded = load(top)
+    loaded = load_scenario(top)
     assert loaded.fleet[0].tune == str(tune)
     assert loads(dump(loaded)) == loaded
 
@@ -184,19 +188,21 @@ SETTINGS = [
 
 @pytest.mark.parametrize(("text", "holds"), SETTINGS)
 def test_setting_changes_the_scenario(text, holds):
-    assert not holds(load(FULL))
-    assert holds(load(FULL, [text]))
+    assert not holds(load_scenario(FULL))
+    assert holds(load_scenario(FULL, [text]))
 
 
 def test_settings_are_applied_in_order():
-    changed = load(MINIMAL, ["rates.log_hz=50", "rates.log_hz=10", "controller.gain_scale=0.67"])
+    changed = load_scenario(
+        MINIMAL, ["rates.log_hz=50", "rates.log_hz=10", "controller.gain_scale=0.67"]
+    )
     assert changed.rates.log_hz == 10
     assert changed.controller.gain_scale == 0.67
 
 
 def test_wildcard_over_nothing_is_refused():
     message = "--set formation.leader_gains.*=1: formation.leader_gains: is empty: * stands"
-    assert error_of(load, MINIMAL, ["formation.leader_gains.*=1"]).startswith(message)
+    assert error_of(load_scenario, MINIMAL, ["formation.leader_gains.*=1"]).startswith(message)
 
 
 def test_names_are_found_from_anywhere(tmp_path, monkeypatch):
@@ -215,20 +221,20 @@ def test_path_to_own_aircraft_is_resolved(tmp_path):
     write(home, "calm.param", "TRIM_THROTTLE,45\n")
     write(home, "middle_loop.yaml", (find_aircraft("rascal110") / "middle_loop.yaml").read_text())
     settings = [f"fleet.0.aircraft={home}", "fleet.0.tune=calm"]
-    loaded = load(MINIMAL, settings)
+    loaded = load_scenario(MINIMAL, settings)
     assert (loaded.fleet[0].aircraft, loaded.fleet[0].tune) == (str(home), "calm")
     assert loads(dump(loaded)) == loaded
-    text = error_of(load, MINIMAL, [settings[0], "fleet.0.tune=clam"])
+    text = error_of(load_scenario, MINIMAL, [settings[0], "fleet.0.tune=clam"])
     assert "there is no tune of glider 'clam': did you mean 'calm'?" in text
 
 
 def test_folder_without_model_is_no_aircraft(tmp_path):
-    text = error_of(load, MINIMAL, [f"fleet.0.aircraft={tmp_path}"])
+    text = error_of(load_scenario, MINIMAL, [f"fleet.0.aircraft={tmp_path}"])
     assert f"{tmp_path} has no {tmp_path.name}.xml" in text
 
 
 def test_missing_recording_lists_the_known_ones():
-    text = error_of(load, MINIMAL, ["leader.path={kind: replay, file: lost.csv}"])
+    text = error_of(load_scenario, MINIMAL, ["leader.path={kind: replay, file: lost.csv}"])
     assert "leader.path.file: there is no data file 'lost.csv' (write one of: " in text
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from testbed.formation import leader_filter as leader
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
-from testbed.scenario import ScenarioError, find_aircraft, load, load_middle_loop
+from testbed.scenario import ScenarioError, find_aircraft, load_middle_loop, load_scenario
 from testbed.sim.build_control import build_control
 from testbed.sim.schedule import make_clock
 
@@ -23,7 +23,7 @@ def control_of(scenario, phases=None):
 
 
 def changed(*changes):
-    return control_of(load(FULL, [*HBH23, *changes]))
+    return control_of(load_scenario(FULL, [*HBH23, *changes]))
 
 
 def law_of(*changes):
@@ -110,7 +110,7 @@ def test_timeouts_reach_law_and_configuration():
             True,
         ),
     ):
-        control = control_of(load("simulation-3", changes))
+        control = control_of(load_scenario("simulation-3", changes))
         law, config, neighbours = control.controllers["law"], control.config, control.neighbours
         assert (config.leader_timeout_s, config.neighbour_timeout_s) == (silent, stale)
         assert law["leader_timeout_s"].tolist() == [silent] * 3
@@ -132,7 +132,7 @@ def test_timeouts_reach_law_and_configuration():
 )
 def test_wrong_neighbour_timeout_is_refused(change, key):
     with pytest.raises(ScenarioError, match=key):
-        load("simulation-3", [f"controller.{change}"])
+        load_scenario("simulation-3", [f"controller.{change}"])
 
 
 def test_estimators_default_to_the_profile():
@@ -146,7 +146,7 @@ def test_estimators_default_to_the_profile():
 
 def test_one_estimator_change_keeps_the_others():
     changes = ["controller.profile=improved", "controller.estimators.extrapolation=velocity"]
-    law = control_of(load("simulation-3", changes)).controllers["law"]
+    law = control_of(load_scenario("simulation-3", changes)).controllers["law"]
     improved = load_middle_loop("rascal110", "improved").estimators
     assert not law["with_acceleration"].any()
     assert law["angular_acceleration_source"].tolist() == [leader.ROLL_RATE] * 3
@@ -180,7 +180,7 @@ def test_controller_options_reach_the_middle_loop():
 
 
 def test_unsynchronised_followers_form_groups():
-    scenario = load(FULL, HBH23)
+    scenario = load_scenario(FULL, HBH23)
     together = control_of(scenario)
     apart = control_of(scenario, phases=(0.0, 0.6, 0.1))
     assert [group.rows.tolist() for group in together.groups] == [[0, 1]]
@@ -216,7 +216,7 @@ def test_number_for_c_is_its_constant_part():
 
 
 def test_own_law_is_built_with_its_options():
-    control = control_of(load(FULL))
+    control = control_of(load_scenario(FULL))
     assert not control.builtin
     (group,) = control.groups
     assert group.law.by_mps == 0.5

@@ -5,7 +5,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from testbed.scenario import ScenarioError, dump, find_data, json_schema, load, loads
+from testbed.scenario import ScenarioError, dump, find_data, json_schema, load_scenario, loads
 from testbed.scenario.network import Bernoulli, FourState, GilbertElliott, Link, Network
 
 FOLDER = Path(__file__).parents[1] / "data" / "scenarios"
@@ -120,7 +120,7 @@ SETTINGS = [
 
 @pytest.mark.parametrize(("text", "holds"), SETTINGS, ids=[text for text, _ in SETTINGS])
 def test_setting_changes_the_network(text, holds):
-    changed = load(FULL, [text])
+    changed = load_scenario(FULL, [text])
     assert holds(changed.network)
     assert loads(dump(changed)) == changed
 
@@ -138,17 +138,17 @@ def test_setting_adds_to_an_empty_network():
 
 def test_asterisk_in_setting_is_every_link():
     trace = "network.links.lead.uav2=null"  # it has no delay_s
-    assert set(delays(load(FULL, [trace, "network.links.*.*.delay_s=0.4"]).network).values()) == {
-        0.4
-    }
-    some = delays(load(FULL, [trace, "network.links.*.uav1.delay_s=0.4"]).network)
+    assert set(
+        delays(load_scenario(FULL, [trace, "network.links.*.*.delay_s=0.4"]).network).values()
+    ) == {0.4}
+    some = delays(load_scenario(FULL, [trace, "network.links.*.uav1.delay_s=0.4"]).network)
     assert some == {
         ("lead", "uav1"): 0.4,
         ("lead", "uav2"): 0.1,
         ("uav1", "uav2"): 0.1,
         ("uav2", "uav1"): 0.4,
     }
-    from_lead = delays(load(FULL, [trace, "network.links.lead.*.delay_s=0.4"]).network)
+    from_lead = delays(load_scenario(FULL, [trace, "network.links.lead.*.delay_s=0.4"]).network)
     assert [end for end, delay in from_lead.items() if delay == 0.4] == [
         ("lead", "uav1"),
         ("lead", "uav2"),
@@ -158,7 +158,7 @@ def test_asterisk_in_setting_is_every_link():
 def extended(tmp_path, base, top):
     (tmp_path / "base.yaml").write_text(f"{MINIMAL}network: {{{base}}}\n")
     (tmp_path / "top.yaml").write_text(f"extends: base.yaml\nnetwork: {{{top}}}\n")
-    return load(tmp_path / "top.yaml").network
+    return load_scenario(tmp_path / "top.yaml").network
 
 
 @pytest.mark.parametrize(
@@ -209,14 +209,14 @@ def test_dump_has_only_set_keys_of_a_link():
 
 
 def test_files_of_links_are_found_by_path_and_name(tmp_path, monkeypatch):
-    full = load(FULL).network
+    full = load_scenario(FULL).network
     assert full.links["lead"]["uav1"].jitter.file == str(FOLDER / "delays.csv")
     assert full.links["lead"]["uav2"].trace.file == str(FOLDER / "trace.csv")
     (tmp_path / "mine.csv").write_text("delay_s\n1\n")
     (tmp_path / "mine.yaml").write_text(
         f"{MINIMAL}network: {{jitter: {{distribution: empirical, file: mine.csv}}}}\n"
     )
-    mine = load(tmp_path / "mine.yaml")
+    mine = load_scenario(tmp_path / "mine.yaml")
     assert mine.network.jitter.file == str(tmp_path / "mine.csv")
     monkeypatch.chdir("/")
     assert loads(dump(mine)) == mine

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 import testbed
-from testbed.scenario import ScenarioError, dump, json_schema, load, loads
+from testbed.scenario import ScenarioError, dump, json_schema, load_scenario, loads
 from testbed.scenario.aircraft import Aircraft
 from testbed.scenario.pattern import Pattern
 from testbed.sim.build import build
@@ -146,7 +146,7 @@ def test_zero_gains_are_left_out():
 
 
 def test_agents_override_common_keys():
-    scenario = load(PATTERN)
+    scenario = load_scenario(PATTERN)
     x1, x2, x3, x4, _ = scenario.fleet
     assert [each.name for each in scenario.fleet] == ["x1", "x2", "x3", "x4", "x5"]
     assert (x1.vehicle, x1.tune, x1.sensors.position.sigma_m) == ("unicycle", "recorded", 0.3)
@@ -157,14 +157,14 @@ def test_agents_override_common_keys():
 
 
 def test_formation_keys_precede_the_pattern():
-    formation = load(PATTERN).formation
+    formation = load_scenario(PATTERN).formation
     assert formation.offsets_m["x5"] == (-70.0, -30.0, 5.0)
     assert set(formation.leader_gains) == {"x1", "x2", "x4", "x5"}
     assert formation.neighbour_gains["x5"] == {"x4": (0.5,) * 3, "x1": (2.0,) * 3}
 
 
 def test_dump_has_the_list_of_followers(tmp_path):
-    scenario = load(PATTERN)
+    scenario = load_scenario(PATTERN)
     text = dump(scenario)
     assert "pattern:" not in text
     assert loads(text) == loads(text, check_files=False) == scenario
@@ -190,7 +190,7 @@ def test_extending_file_changes_pattern(tmp_path):
         HEAD + "fleet: {pattern: vee, count: 3, aircraft: rascal110}\nformation: {k: 2}\n"
     )
     (tmp_path / "top.yaml").write_text("extends: base.yaml\nfleet: {count: 5, neighbours: 1}\n")
-    scenario = load(tmp_path / "top.yaml", ["fleet.count=6"])
+    scenario = load_scenario(tmp_path / "top.yaml", ["fleet.count=6"])
     assert len(scenario.fleet) == 6 and scenario.formation.k == 2.0
     assert neighbours(scenario)["uav5"] == ["uav3"]
 
@@ -201,8 +201,8 @@ def test_pattern_replaces_list_and_its_gains(tmp_path):
         f"extends: simulation-3\nscenario: {{name: top}}\nfleet: {fleet}\n"
         "formation: {leader_gains: {uav2: 2}}\n"
     )
-    base, top = load("simulation-3"), load(tmp_path / "top.yaml")
-    again = load("simulation-3", ["scenario.published=null", f"fleet={fleet}"])
+    base, top = load_scenario("simulation-3"), load_scenario(tmp_path / "top.yaml")
+    again = load_scenario("simulation-3", ["scenario.published=null", f"fleet={fleet}"])
     assert again.fleet == top.fleet
     for scenario in (top, again):
         assert slots(scenario)[:2] == [(-10.0, 10.0, 0.0), (-10.0, -10.0, 0.0)]
@@ -222,12 +222,12 @@ def test_json_schema_allows_pattern_and_list():
 def test_slot_warning_names_the_worst(synchronous):
     changes = ["fleet.*.vehicle=unicycle", "leader.path.bank_limit_deg=20"]
     changes.append(f"rates.synchronous={synchronous}")
-    assert not build(load("vee-30", changes[:1])).initial_events
-    (note,) = build(load("vee-30", changes)).initial_events
+    assert not build(load_scenario("vee-30", changes[:1])).initial_events
+    (note,) = build(load_scenario("vee-30", changes)).initial_events
     assert note.text.startswith("uav29, uav30: the slot may move at 19.68 to 41.95 m/s")
     assert note.text.endswith("; 20 other slots have the same problem to a lesser degree")
     # a pair of slots each: as many as the table has lines for
-    assert len(build(load("vee-30", [*changes, "fleet.count=20"])).initial_events) == 6
+    assert len(build(load_scenario("vee-30", [*changes, "fleet.count=20"])).initial_events) == 6
 
 
 def test_receive_neighbours_changes_no_flight():
@@ -237,7 +237,7 @@ def test_receive_neighbours_changes_no_flight():
     for receive in ("all", "neighbours"):
         positions = Positions()
         run = testbed.run(
-            load("vee-30", [*changes, f"network.receive={receive}"]),
+            load_scenario("vee-30", [*changes, f"network.receive={receive}"]),
             write=False,
             observers=[positions],
         )

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from testbed.scenario import ScenarioError, load, load_middle_loop, loads
+from testbed.scenario import ScenarioError, load_middle_loop, load_scenario, loads
 from testbed.scenario.schema_1 import SCENARIO
 
 FULL = Path(__file__).parents[1] / "data" / "scenarios" / "everything.yaml"
@@ -55,18 +55,18 @@ def test_schema_1_lists_every_key_of_every_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("base.yaml").write_text(BASE)
     Path("top.yaml").write_text(TOP)
-    assert refusal(load, "top.yaml") == LISTED
+    assert refusal(load_scenario, "top.yaml") == LISTED
 
 
 @pytest.mark.parametrize("setting", ["network.hears=all", "fleet.*.faults.0.lasts_s=3"])
 def test_setting_of_schema_1_names_new_key(setting):
     key = setting.partition("=")[0]
-    text = refusal(load, "simulation-3", [setting])
+    text = refusal(load_scenario, "simulation-3", [setting])
     assert text.startswith(f"--set {setting}: {key}: has another name in schema 2 (write ")
 
 
 def test_section_of_schema_1_without_keys_is_named():
-    text = refusal(load, "simulation-3", ["controller.silence=null"])
+    text = refusal(load_scenario, "simulation-3", ["controller.silence=null"])
     assert "(write controller.leader_timeout_s, on_leader_timeout and loiter_bank_deg)" in text
 
 
@@ -74,7 +74,7 @@ def test_profile_paper_of_ones_own_file_is_no_schema_1(tmp_path):
     own = tmp_path / "gains.yaml"
     own.write_text("paper: {course: {p: 1}}\n")
     settings = ["controller.profile=paper", f"controller.middle_loop={own}"]
-    text = refusal(load, "simulation-3", settings)
+    text = refusal(load_scenario, "simulation-3", settings)
     assert "schema" not in text and "paper.speed: is missing" in text
 
 
@@ -88,7 +88,7 @@ def test_middle_loop_of_schema_1_names_new_key(tmp_path):
 
 
 def test_schema_2_has_no_key_of_schema_1():
-    load(FULL, ["leader.battery=null"])
+    load_scenario(FULL, ["leader.battery=null"])
     names = {row.old.rpartition(".")[2] for row in SCENARIO if row.new}
     assert not names & {line.strip().partition(":")[0] for line in FULL.read_text().splitlines()}
 

@@ -18,7 +18,7 @@ def installed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("wheel")
     build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
     subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
-    (wheel,) = folder.glob("testbed-*.whl")
+    (wheel,) = folder.glob("formation_testbed-*.whl")
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(folder / "site")
     return folder / "site"
@@ -29,7 +29,7 @@ def test_wheel_finds_all_files_of_checkout(installed, tmp_path):
         "import testbed.scenario as s\n"
         "print(s.library())\n"
         "print(*s.list_aircraft(), *s.list_scenarios(), *s.list_data())\n"
-        "scenario = s.load('simulation-3')\n"
+        "scenario = s.load_scenario('simulation-3')\n"
         "print(s.find_tune(scenario.leader.aircraft, scenario.leader.tune).suffix)\n"
     )
     done = subprocess.run(

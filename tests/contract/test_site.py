@@ -42,13 +42,14 @@ print(json.dumps(sorted(sys.modules)))
 """
 
 
-def built(**changes):
-    """What a process says that builds the site with other settings."""
+def built(repository="", **changes):
+    """Build the site in a process with other settings; return the process."""
     pytest.importorskip("mkdocs", reason="make setup installs it: the extra docs of pyproject.toml")
     return subprocess.run(
         [sys.executable, "-c", BUILD, json.dumps(changes)],
         cwd=ROOT,
-        env={**os.environ, "NO_MKDOCS_2_WARNING": "1", "PYTHONDONTWRITEBYTECODE": "1"},
+        env={**os.environ, "NO_MKDOCS_2_WARNING": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+        | ({"REPOSITORY_URL": repository} if repository else {}),
         capture_output=True,
         text=True,
         timeout=PATIENCE_S,
@@ -218,9 +219,11 @@ def test_reference_follows_the_package(tmp_path, monkeypatch):
 
     package = tmp_path / "testbed"
     package.mkdir()
-    (package / "__init__.py").write_text('__all__ = ["run", "__version__", "load"]\nfly = 1 / 0\n')
+    (package / "__init__.py").write_text(
+        '__all__ = ["run", "__version__", "load_run"]\nfly = 1 / 0\n'
+    )
     made = python_names.markdown(package / "__init__.py")
-    assert made.split() == [":::", "testbed.load", ":::", "testbed.run"]
+    assert made.split() == [":::", "testbed.load_run", ":::", "testbed.run"]
 
 
 @pytest.mark.parametrize(
@@ -241,3 +244,24 @@ def test_a_page_that_leads_nowhere_is_an_error(tmp_path, text, said):
     assert done.returncode != 0
     for each in said:
         assert each in done.stderr
+
+
+@pytest.mark.parametrize("repository", ["", "https://git.example/group/testbed"])
+def test_pages_link_to_the_repository_if_it_is_known(tmp_path, repository):
+    docs, made = tmp_path / "docs", tmp_path / "site"
+    docs.mkdir()
+    (docs / "index.md").write_text("# Page\n")
+    nav = [{"Page": "index.md"}]
+    done = built(repository, docs_dir=str(docs), site_dir=str(made), nav=nav, plugins=[])
+    assert done.returncode == 0, done.stderr
+    text = (made / "index.html").read_text(encoding="utf-8")
+    assert ("md-source__repository" in text) is bool(repository)
+    assert not repository or repository in Page(text).links
+
+
+def test_long_commands_are_broken(site):
+    """The style breaks lines of the fences that the docs use for commands."""
+    style = (site[0] / "assets" / "site.css").read_text(encoding="utf-8")
+    for kind, name in (("language-console", "ci"), ("language-sh", "air")):
+        assert kind in (site[0] / f"{name}.html").read_text(encoding="utf-8")
+        assert re.search(rf"\.{kind} pre > code[^}}]*pre-wrap", style)

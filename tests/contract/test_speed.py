@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from testbed.scenario import load, set_duration
+from testbed.scenario import load_scenario, set_duration
 from testbed.sim.build import build
 from testbed.studies.plan import load_study
 
@@ -26,7 +26,7 @@ def test_timed_methods_cover_every_part(benchmark):
 
 def test_part_timer_counts_calls_of_each_part(benchmark):
     timer, ratio = benchmark("part_timer"), benchmark("full_over_bare")
-    page = set_duration(load("simulation-3"), 4.0)
+    page = set_duration(load_scenario("simulation-3"), 4.0)
     # a clock that advances by one at each reading
     watch = timer.PartTimer(itertools.count().__next__)
     with watch.timing():
@@ -48,7 +48,7 @@ def test_part_timer_counts_calls_of_each_part(benchmark):
 def test_numbers_are_medians_of_turns(benchmark):
     ratio, speed = benchmark("full_over_bare"), benchmark("speed")
     cost = ratio.Cost
-    page = set_duration(load("simulation-3"), 10.0)  # 40 aircraft-seconds
+    page = set_duration(load_scenario("simulation-3"), 10.0)  # 40 aircraft-seconds
     turns = [
         ratio.Turn(
             cost(1.0, 0.8), cost(2.0, 2.0), cost(2.1, 2.1), 0.1, cost(1.1, 1.0), cost(1.5, 1.0)
@@ -89,12 +89,12 @@ def test_vee_has_the_requested_flight_models(benchmark, count):
 def test_all_effects_come_from_their_scenarios(benchmark):
     page, radio, air = (
         benchmark("fleets").all_effects(),
-        load("bursty-wifi"),
-        load("turbulence-moderate"),
+        load_scenario("bursty-wifi"),
+        load_scenario("turbulence-moderate"),
     )
     assert (page.network, page.rates) == (radio.network, radio.rates)
     assert page.air == air.air and page.controller.bounded_speed == air.controller.bounded_speed
-    pixhawk = load("simulation-3-pixhawk").leader.sensors
+    pixhawk = load_scenario("simulation-3-pixhawk").leader.sensors
     assert {each.sensors for each in page.aircraft} == {pixhawk}
 
 
@@ -106,10 +106,32 @@ def test_convergence_study_has_every_case_of_table(benchmark):
         *(c for each in convergence.LADDERS.values() for c in each.values()),
     }
     assert set(config.cases) == {name + step for name in convergence.SIMULATIONS for step in steps}
-    base = load("simulation-3").rates
+    base = load_scenario("simulation-3").rates
     own = {"physics": base.physics_hz, "autopilot": base.autopilot_hz, "samples": base.log_hz}
     own["control and messages"] = base.control_hz
     for what, ladder in convergence.LADDERS.items():
         assert [rate for rate, case in ladder.items() if not case] == [own[what]]
         for rate, case in ladder.items():
             assert not case or case.endswith(f"-{rate}")
+
+
+def test_convergence_figure_has_a_line_for_each_simulation(benchmark):
+    """An error that is 1 + 1/rate is 7/8 of a percent farther off at 100 Hz than at 800 Hz."""
+    convergence = benchmark("convergence")
+    rows = {
+        (name + case, 1): {
+            f"windows.{of}.rms_m.{who}": 1.0 + 1.0 / rate for of, who in convergence.CELLS
+        }
+        for name in convergence.SIMULATIONS
+        for ladder in convergence.LADDERS.values()
+        for rate, case in ladder.items()
+        if case
+    }
+    own = {f"windows.{of}.rms_m.{who}": 1.0 + 1.0 / 200.0 for of, who in convergence.CELLS}
+    rows |= {(name, 1): own for name in convergence.SIMULATIONS}
+    (panels,) = convergence.figure(rows).rows
+    assert all(len(panel.lines) == len(convergence.SIMULATIONS) + 1 for panel in panels)
+    physics = panels[0].lines[0]
+    assert physics.x.tolist() == [100.0, 200.0, 400.0]
+    expected = 100.0 * ((1.0 + 1.0 / physics.x) / (1.0 + 1.0 / 800.0) - 1.0)
+    assert physics.y == pytest.approx(expected)

@@ -10,7 +10,7 @@ from commands import environment
 import testbed
 from testbed.cli.command_group import help_text
 from testbed.cli.main import app
-from testbed.scenario import load, set_duration
+from testbed.scenario import load_scenario, set_duration
 from testbed.scenario.fields import Section
 
 ENV = environment(120)
@@ -36,7 +36,7 @@ def test_run_loads_only_what_it_uses(tmp_path):
         "app(['run', 'simulation-3', '--duration', '0.2', '-q'], standalone_mode=False)"
     )
     # fill the cache of compiled code
-    testbed.run(set_duration(load("simulation-3"), 0.2), out=tmp_path / "run")
+    testbed.run(set_duration(load_scenario("simulation-3"), 0.2), out=tmp_path / "run")
     loaded = loaded_by(code, tmp_path)
     assert {"testbed.sim.loop", "numba", "jsbsim", "foxglove"} <= loaded
     unused = {

@@ -20,6 +20,7 @@ from testbed.cli.study_report import find_study_file, read_study
 from testbed.logs.arrow_io import write_columns
 from testbed.reports.html import render_page
 from testbed.reports.study import figures, study_page, tables
+from testbed.reports.study.metric_names import axis_label, wrap_key
 from testbed.reports.study.numbers import Estimate
 from testbed.reports.study.page import print_summary
 from testbed.reports.study.parameter_plots import parameters
@@ -131,7 +132,7 @@ def test_parameter_plot_has_curves_bands_crosses(made):
     study, _ = made
     drawing = parameters(study, METRIC)
     panel = drawing.rows[0][0]
-    assert panel.x_label == "network.loss" and panel.y_label == "mean_rms_m, m"
+    assert panel.x_label == "network.loss" and panel.y_label == "mean RMS error, laps, m"
     calm = panel.lines[0]
     loss, _, law = study.flights.parameters
     here = (study.flights.case_index == 0) & (loss.index == 1) & (law.index == 0)
@@ -152,6 +153,42 @@ def test_heat_maps_have_every_pair(made):
     grown = np.diff(first.heat.values, axis=0)
     assert grown == pytest.approx(0.5, abs=0.12)
     assert sum("lost" in text for row in first.heat.texts for text in row) == 2
+
+
+@pytest.mark.parametrize(
+    ("metric", "label"),
+    [
+        ("windows.circles.mean_rms_m", "mean RMS error, circles, m"),
+        ("windows.laps.rms_m.uav1", "RMS error, uav1, laps, m"),
+        ("min_separation_m", "smallest separation, m"),
+        ("wind.uav1.rms_mps", "rms, wind, uav1, m/s"),
+        ("saturations.uav1.seconds", "saturations, uav1, seconds"),
+    ],
+)
+def test_labels_of_metrics_are_words_with_a_unit(metric, label):
+    assert axis_label(metric) == label
+
+
+def test_long_keys_break_behind_dots():
+    key = "controller.estimators.leader_angular_acceleration"
+    assert wrap_key(key, 24).split("\n") == [
+        "controller.estimators.",
+        "leader_angular_acceleration",
+    ]
+    assert wrap_key("network.delay_s", 24) == "network.delay_s"
+
+
+def test_panels_of_a_metric_share_a_vertical_axis():
+    """One parameter moves the metric by a factor of 100, the other by 3 %."""
+    table = []
+    for strong, weak, seed in product((0.0, 1.0), (0.0, 1.0), range(4)):
+        point = {"network.delay_s": strong, "air.wind.speed_mps": weak}
+        table.append(("", seed, point, 0.5 * 100.0**strong * (1.0 + 0.03 * weak)))
+    rows = parameters(study_of(flights_of(table)), METRIC).rows
+    panels = [panel for row in rows for panel in row]
+    assert len(panels) == 2 and all(panel.y_log for panel in panels)
+    low, high = panels[0].y_limits
+    assert panels[1].y_limits == (low, high) and low < 0.5 < 51.5 < high
 
 
 def two_laws(kind):

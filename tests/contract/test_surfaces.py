@@ -8,7 +8,7 @@ import pytest
 
 from testbed.mavlink.addresses import parse_address
 from testbed.mavlink.udp_endpoint import Endpoint
-from testbed.scenario import load
+from testbed.scenario import load_scenario
 from testbed.sim.external_options import ExternalOptions, announcements
 from testbed.studies.dask_workers import cluster_notices
 from testbed.views import LiveViewer, viewer
@@ -20,7 +20,7 @@ PORT = 14650
 
 def said(*addresses, page="simulation-3", changes=(), **more):
     options = ExternalOptions(mavlink=tuple(map(parse_address, addresses)), **more)
-    return list(announcements(options, load(page, changes)))
+    return list(announcements(options, load_scenario(page, changes)))
 
 
 @pytest.mark.parametrize("text", [str(PORT), f"udpout::{PORT}", f"udpin::{PORT}", f"udp::{PORT}"])

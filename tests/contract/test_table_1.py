@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from testbed.scenario import load
+from testbed.scenario import load_scenario
 from testbed.studies.plan import Plan, load_study
 
 ROOT = Path(__file__).parents[2]
@@ -36,7 +36,7 @@ def test_acceleration_studies_fly_every_set_up(name, sources, turns):
         assert controller.estimators.leader_angular_acceleration == turns
         flown.add((run.case, controller.profile, controller.estimators.leader_acceleration))
         _, number, corner = run.case.split("-")
-        graph = load(f"simulation-{number}").formation
+        graph = load_scenario(f"simulation-{number}").formation
         assert scenario.formation == graph, run.case
         if corner != "recorded":
             assert scenario.leader.path.bank_limit_deg == int(corner)
@@ -68,8 +68,11 @@ def test_factor_between_cells_by_hand(tables):
 
 def test_freedoms_change_one_choice_each(tables):
     freedoms = importlib.import_module("freedoms")
-    plain = load("simulation-2").model_dump(exclude={"scenario"})
+    plain = load_scenario("simulation-2").model_dump(exclude={"scenario"})
     for *names, overrides in freedoms.FREEDOMS:
-        changed = load("simulation-2", overrides)
-        assert changed.formation.neighbour_gains == load("simulation-2").formation.neighbour_gains
+        changed = load_scenario("simulation-2", overrides)
+        assert (
+            changed.formation.neighbour_gains
+            == load_scenario("simulation-2").formation.neighbour_gains
+        )
         assert (changed.model_dump(exclude={"scenario"}) != plain) == bool(overrides), names

@@ -11,8 +11,8 @@ from testbed.scenario import (
     ScenarioError,
     find_tuning,
     list_tunings,
-    load,
     load_middle_loop,
+    load_scenario,
     middle_loop_gains,
 )
 from testbed.studies import tune
@@ -103,7 +103,7 @@ def test_tune_writes_a_scenario_with_the_gains(file, tmp_path, fly_with):
     assert found["comparison"]["better"] and found["seeds"] == [1, 2]
     assert found["gains"]["controller.gains.course.p"]["before"] == 4.0  # of the profile
     assert found["gains"]["formation.k"]["before"] == 3.0
-    tuned = load(tmp_path / "out" / "tuned.yaml")
+    tuned = load_scenario(tmp_path / "out" / "tuned.yaml")
     course = middle_loop_gains(tuned, "rascal110").course.p
     assert course == found["gains"]["controller.gains.course.p"]["after"] != 4.0
     assert tuned.formation.k == found["gains"]["formation.k"]["after"]
@@ -121,7 +121,7 @@ def test_tune_interrupted_has_the_best_so_far(file, tmp_path, fly_with):
     assert "interrupted" in done.stderr and "tuned.yaml" in done.stderr
     assert len((tmp_path / "out/candidates.csv").read_text().splitlines()) == 2 + 4
     assert "not compared on held-out seeds" in (tmp_path / "out/middle_loop.yaml").read_text()
-    load(tmp_path / "out/tuned.yaml")
+    load_scenario(tmp_path / "out/tuned.yaml")
 
 
 def test_tune_gains_of_the_scenario_move_to_the_file(file, tmp_path, fly_with):
@@ -137,7 +137,7 @@ def test_tune_gains_of_the_scenario_move_to_the_file(file, tmp_path, fly_with):
     out.mkdir()
     result = tune_gains(TuneProblem(load_tune(file)), out)
     assert result.candidates[0].gains[0] == 5.0
-    tuned = load(out / "tuned.yaml")
+    tuned = load_scenario(out / "tuned.yaml")
     gains = middle_loop_gains(tuned, "rascal110")
     assert tuned.controller.gains == {}
     assert (gains.course.p, gains.eta_bank, gains.speed.i) == (result.best.gains[0], 0.2, 0.03)
@@ -216,7 +216,7 @@ def test_tune_library_files_can_be_flown():
 
 def test_gains_of_a_scenario_override_the_profile():
     changes = ["controller.gains.course.p=3.3", "controller.gains.eta_bank=0.05"]
-    gains = middle_loop_gains(load("simulation-3", changes), "rascal110")
+    gains = middle_loop_gains(load_scenario("simulation-3", changes), "rascal110")
     profile = load_middle_loop("rascal110", "tuned")
     assert (gains.course.p, gains.eta_bank) == (3.3, 0.05)
     assert (gains.course.i, gains.speed) == (profile.course.i, profile.speed)
@@ -236,14 +236,14 @@ def test_gains_of_a_scenario_override_the_profile():
 )
 def test_gains_invalid_keys_and_values_are_named(changes, message):
     with pytest.raises(ScenarioError, match=r"controller\.") as error:
-        load("simulation-3", changes)
+        load_scenario("simulation-3", changes)
     assert message in str(error.value)
 
 
 def test_gains_file_is_for_one_airframe():
     file = find_tuning(list_tunings()[0]).parents[3] / "aircraft/rascal110/middle_loop.yaml"
     changes = [f"controller.middle_loop={file}", "controller.profile=authors"]
-    gains = middle_loop_gains(load("simulation-3", changes), "rascal110")
+    gains = middle_loop_gains(load_scenario("simulation-3", changes), "rascal110")
     assert gains == load_middle_loop("rascal110", "authors")
     with pytest.raises(ScenarioError, match="is for one airframe, and the fleet has"):
-        load("mixed-fleet", [f"controller.middle_loop={file}"])
+        load_scenario("mixed-fleet", [f"controller.middle_loop={file}"])

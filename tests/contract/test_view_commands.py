@@ -44,7 +44,7 @@ def command(flown, tmp_path):
         (("compare", "run.mcap", "short.mcap", "--rrd", "no/it.rrd"), "no folder"),
         (("shot", "run.mcap", "--out", "it.jpg"), "ends in .png"),
         (("shot", "run.mcap", "--out", "no/it.png"), "no folder"),
-        (("shot", "run.mcap", "--out", "it.png", "--size", "10x10"), "1600x900"),
+        (("shot", "run.mcap", "--out", "it.png", "--size", "10x10"), "1920x1080"),
         (("shot", "run.mcap", "--out", "it.png", "--at", "-1"), "from 0 to 2.36 s"),
         (("shot", "run.mcap", "short.mcap", "--out", "it.png", "--at", "2"), "from 0 to 0.76 s"),
     ],
@@ -84,7 +84,9 @@ def test_shot_without_driver_says_what_to_install(command, monkeypatch, tmp_path
     monkeypatch.setattr(viewer, "rerun_program", lambda: str(broken))
     assert "mesa-vulkan-drivers" in command("shot", "run.mcap", "--out", str(tmp_path / "it.png"))
     monkeypatch.setattr(viewer, "rerun_program", lambda: None)
-    assert "install rerun-sdk" in command("shot", "run.mcap", "--out", str(tmp_path / "it.png"))
+    assert 'pip install "formation-testbed[view]"' in command(
+        "shot", "run.mcap", "--out", str(tmp_path / "it.png")
+    )
 
 
 def test_view_at_time_sets_cursor(command, monkeypatch):

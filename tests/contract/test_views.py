@@ -22,7 +22,7 @@ from patience import PATIENCE_S, until
 from testbed import run
 from testbed.core.records import Event
 from testbed.logs.read import read_log
-from testbed.scenario import load, set_duration
+from testbed.scenario import load_scenario, set_duration
 from testbed.studies.compare_runs import compare_runs
 from testbed.views import (
     FAST_HZ,
@@ -104,8 +104,9 @@ def test_calls_per_batch_independent_of_samples():
         before = recording.calls
         recording.send(run.rows(slice(50, None)))
         calls.append(recording.calls - before)
-    # poses, trails, control surfaces, slots; the camera, wind and links; plots with their limits
-    assert calls[0] == calls[1] == 4 + 4 + 4 * 5 + 3 + 3 + 13 + 9
+    # poses, trails, control surfaces, slots; three frames, wind and links; names and scales of two
+    # cameras, and a grid; plots with their limits
+    assert calls[0] == calls[1] == 4 + 4 + 4 * 5 + 3 + 5 + 5 + 13 + 9
 
 
 def test_view_sends_batch_when_full_or_period_over():
@@ -286,7 +287,7 @@ def test_failing_viewers_do_not_change_or_delay_run(monkeypatch, tmp_path, caplo
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    page = set_duration(load("simulation-3"), 20.0)
+    page = set_duration(load_scenario("simulation-3"), 20.0)
 
     def flight(name, *watching):
         run(page, out=tmp_path / name, observers=watching)
@@ -347,7 +348,7 @@ def flight_of(aircraft, folder):
     """Fly a formation; of one aircraft, use the artificial flight."""
     if aircraft == 1:
         return views_flight.log(1, 20.0)
-    page = load("bursty-wifi") if aircraft == 4 else views_flight.vee_page(aircraft - 1)
+    page = load_scenario("bursty-wifi") if aircraft == 4 else views_flight.vee_page(aircraft - 1)
     return flown(set_duration(page, 20.0), folder)
 
 

@@ -11,15 +11,16 @@ from reference.formation_barrier import h
 from testbed.core.errors import InputError
 from testbed.core.records import Event
 from testbed.formation.barrier import Barrier
-from testbed.views import annotations, layout, plots
+from testbed.views import annotations, labels, layout, plots
 from testbed.views.airframes import draw_airframe
 from testbed.views.batch import COLUMNS, Collector, batch_of, overlay, split
+from testbed.views.cameras import ABOVE, BEHIND, FormationCameras, flying_aircraft
 from testbed.views.meshes import cut_control_surface
 from testbed.views.panels import break_at_wrap
 from testbed.views.recorded_runs import scene_and_batch
 from testbed.views.rerun_backend import Recording
 from testbed.views.rerun_backend.blueprint import plot_view
-from testbed.views.scene import overlay_scenes, scene_of
+from testbed.views.scene import FOLLOWERS, overlay_scenes, scene_of
 
 
 def scene(aircraft, **changes):
@@ -116,9 +117,9 @@ def test_link_lines_independent_of_batch_size():
     batch = connected(3, 60)
     batch.age[:30, 1, 2] = np.nan  # used from here on
     batch.sent[5:, 1, 2] = 1.0  # lost before the link was used
-    whole = annotations.Links(scene(3)).lines(batch)
+    whole = lines_of(annotations.Links(scene(3)), batch)
     links = annotations.Links(scene(3))
-    pieces = [links.lines(each) for each in split(batch, 7)]
+    pieces = [lines_of(links, each) for each in split(batch, 7)]
     np.testing.assert_array_equal(np.concatenate([p.counts for p in pieces]), whole.counts)
     np.testing.assert_array_equal(np.concatenate([p.colours for p in pieces]), whole.colours)
 
@@ -131,6 +132,16 @@ def connected(aircraft, samples):
     return dataclasses.replace(batch, age=age, sent=np.zeros_like(age))
 
 
+def above(still, batch):
+    """Compute the track of the camera above."""
+    return FormationCameras(still, (BEHIND, ABOVE), 1.0).track(batch)[1]
+
+
+def lines_of(links, batch):
+    track = above(scene(batch.position.shape[1]), batch)
+    return links.lines(batch, track.to_frame(batch.position))
+
+
 def colours_of(lines, sample):
     start = int(lines.counts[:sample].sum())
     return lines.colours[start : start + int(lines.counts[sample])]
@@ -141,7 +152,7 @@ def test_lost_message_flashes_on_its_link():
     batch.sent[20:, 1, 0] = 1.0  # one message from the leader to the second follower
     links = annotations.Links(scene(3))
     pieces = list(split(batch, 25))  # the flash continues in the second batch
-    lines = [links.lines(each) for each in pieces]
+    lines = [lines_of(links, each) for each in pieces]
     assert all((each.counts == 4).all() for each in lines)
     flashes = [
         (colours_of(each, k) == annotations.LOST).all(axis=1).sum()
@@ -152,7 +163,7 @@ def test_lost_message_flashes_on_its_link():
     assert flashes == [int(first <= k <= last) for k in range(50)]
     red = (lines[0].colours == annotations.LOST).all(axis=1)
     sender, receiver = lines[0].strips[red][0]
-    position = annotations.to_chase_frame(scene(3), pieces[0], pieces[0].position)[20]
+    position = above(scene(3), pieces[0]).to_frame(pieces[0].position)[20]
     np.testing.assert_allclose(sender, position[0])
     np.testing.assert_allclose(receiver, position[2])
 
@@ -163,7 +174,7 @@ def test_link_drawn_only_if_ever_used():
     batch.age[:25, 0, 0] = 0.1  # used, and then no more
     batch.sent[25:, 0, 0] = np.arange(1, 26)
     batch.sent[25:, 0, 2] = np.arange(1, 26)  # never used: its losses do not count
-    lines = annotations.Links(scene(3)).lines(batch)
+    lines = lines_of(annotations.Links(scene(3)), batch)
     np.testing.assert_array_equal(lines.counts, 1)
     assert (colours_of(lines, 10) == annotations.NORMAL).all()
     assert (colours_of(lines, 40) == annotations.LOST).all()
@@ -172,7 +183,7 @@ def test_link_drawn_only_if_ever_used():
 def test_link_with_old_data_is_drawn_stale():
     batch = connected(2, 25)
     batch.age[12:] = annotations.STALE_S + 0.01
-    lines = annotations.Links(scene(2)).lines(batch)
+    lines = lines_of(annotations.Links(scene(2)), batch)
     assert (colours_of(lines, 11) == annotations.NORMAL).all()
     assert (colours_of(lines, 12) == annotations.STALE).all()
 
@@ -180,14 +191,14 @@ def test_link_with_old_data_is_drawn_stale():
 def test_of_many_links_only_failing_ones_drawn():
     batch = connected(20, 25)
     batch.sent[10:, 4, 7] = 1.0
-    lines = annotations.Links(scene(20)).lines(batch)
+    lines = lines_of(annotations.Links(scene(20)), batch)
     assert 19 * 19 > annotations.MAX_LINKS
     assert lines.counts[9] == 0 and lines.counts[10] == 1
 
 
 def test_chase_frame_keeps_distances_leader_ahead():
     batch = flight(4, 60.0)
-    position = annotations.to_chase_frame(scene(4), batch, batch.position)
+    position = above(scene(4), batch).to_frame(batch.position)
     np.testing.assert_allclose(
         np.linalg.norm(position[:, 1] - position[:, 3], axis=-1),
         np.linalg.norm(batch.position[:, 1] - batch.position[:, 3], axis=-1),
@@ -297,18 +308,68 @@ def test_plot_span_is_last_minute():
     assert "240000000000" in str(seen) and "302000000000" in str(seen)
 
 
-def test_largest_errors_labelled_in_large_formation():
+CANVAS = labels.Canvas(900.0, 400.0)
+
+
+def names_of(still, batch, k, camera=0):
+    """Place the names of one sample."""
+    track = FormationCameras(still, (BEHIND, ABOVE), 1.0).track(batch)[camera]
+    one, at = batch.rows(slice(k, k + 1)), track.rows(slice(k, k + 1))
+    return labels.name_aircraft(still, one, at, CANVAS, 1.0)
+
+
+def test_largest_errors_named_first_in_large_formation():
     still, batch = scene(20), lost_from(flight(20, 1.0), 5, 10)
     error = np.full_like(batch.error, 0.1)
     error[:, [4, 7, 9], 0] = [30.0, 2.0, 8.0]  # uav5, uav8 and uav10
-    labels = annotations.largest_errors(still, dataclasses.replace(batch, error=error))
-    np.testing.assert_array_equal(labels.counts, 3)
-    assert labels.texts[:3] == ["uav5 30.0 m", "uav10 8.0 m", "uav8 2.0 m"]
-    assert labels.texts[-3:-1] == ["uav10 8.0 m", "uav8 2.0 m"], "uav5 is lost"
-    position = annotations.to_chase_frame(still, batch, batch.position)
-    np.testing.assert_array_equal(labels.positions[:3], position[0, [5, 10, 8]])
-    assert "world/chase/largest_errors" in sent(still, batch)
-    assert "world/chase/largest_errors" not in sent(scene(4), flight(4, 1.0))
+    batch = dataclasses.replace(batch, error=error)
+    first, last = (names_of(still, batch, k)[0].texts for k in (0, -1 + len(batch)))
+    assert first[:4] == ["leader", "uav5 30.0 m", "uav10 8.0 m", "uav8 2.0 m"]
+    assert last[:3] == ["leader", "uav10 8.0 m", "uav8 2.0 m"], "uav5 is lost"
+    assert not any(text.startswith("uav5") for text in last)
+
+
+@pytest.mark.parametrize("camera", [0, 1], ids=["behind", "above"])
+@pytest.mark.parametrize("aircraft", [4, 20, 100])
+def test_names_do_not_cover_each_other(aircraft, camera):
+    still, batch = scene(aircraft), flight(aircraft, 1.0)
+    names, arrows = names_of(still, batch, 0, camera)
+    assert not len(arrows.rows), "everyone is in sight"
+    assert len(names.texts) >= min(aircraft, 15)
+    size = CANVAS.text_size(names.texts)
+    low, high = names.middle - 0.5 * size, names.middle + 0.5 * size
+    assert (low >= 0.0).all() and (high <= [CANVAS.width, CANVAS.height]).all()
+    apart = (low[:, None] >= high[None]) | (high[:, None] <= low[None])
+    covered = ~apart.any(axis=-1)
+    assert covered.sum() == len(names.texts), "only with itself"
+
+
+def test_followed_camera_points_at_the_others():
+    still = dataclasses.replace(scene(4), follow=2)
+    batch = flight(4, 2.0)
+    batch.position[:, 3] += [0.0, 300.0, 0.0]  # uav3 is far to the east; the course is north
+    names, arrows = names_of(still, batch, -1 + len(batch))
+    assert "uav2" in names.texts and arrows.texts[-1].startswith("uav3 ")
+    distance = np.linalg.norm(batch.position[-1, 3] - batch.position[-1, 2])
+    assert arrows.texts[-1] == f"uav3 {distance:.0f} m"
+    assert arrows.direction[-1, 0] > 0.8, "to the right"
+    assert (arrows.tip > 0.0).all() and (arrows.tip < [CANVAS.width, CANVAS.height]).all()
+
+
+def test_scale_bar_is_true_at_the_middle():
+    track = above(scene(4), flight(4, 1.0)).rows(slice(0, 1))
+    bar = labels.scale_bar(track, CANVAS)
+    east = track.centre[:, None] + np.array([[[0.0, 0.0, 0.0], [0.0, bar.length, 0.0]]])
+    ends = CANVAS.to_pixels(track.project(east)[0])[0]
+    assert ends[1, 0] - ends[0, 0] == pytest.approx(bar.pixels, rel=1e-3)
+    assert 0.05 * CANVAS.width < bar.pixels <= labels.BAR_SHARE * CANVAS.width
+
+
+def test_colours_differ_up_to_twenty_followers():
+    palette = np.array([scene(21).colours], float)[0]
+    apart = np.linalg.norm(palette[:, None] - palette[None], axis=-1) + 1e9 * np.eye(21)
+    assert len(FOLLOWERS) == 20 and apart.min() > 40.0
+    assert scene(22).colours[21] == scene(22).colours[1]
 
 
 @pytest.mark.parametrize("aircraft", [1, 2, 4, 8, 9, 20, 50])
@@ -325,38 +386,71 @@ def test_plots_have_label_and_colour_for_each_line(aircraft):
     assert names == wanted | ({"error", "estimate_error", "age"} if aircraft > 1 else set())
 
 
-def seen_from(camera, points):
-    """Compute angles off the camera's axis (k,), rad."""
+def out_of_sight(still, batch, *, pieces=100):
+    """Count aircraft in flight that one of the cameras does not show, over all samples."""
+    cameras, missing = FormationCameras(still, (BEHIND, ABOVE), 1.0), 0
+    for piece in split(batch, pieces):
+        for track in cameras.track(piece):
+            screen, depth = track.project(piece.position)
+            shown = (np.abs(screen) <= [track.lens.aspect, 1.0]).all(axis=-1) & (depth > 0.0)
+            missing += int((flying_aircraft(piece) & ~shown).sum())
+    return missing
+
+
+@pytest.mark.parametrize("aircraft", [1, 2, 4, 20, 100])
+def test_cameras_show_every_flying_aircraft(aircraft):
+    still, batch = scene(aircraft), flight(aircraft, 20.0)
+    assert out_of_sight(still, batch) == 0
+    if aircraft > 3:
+        batch.position[:, 2, 0] -= 15.0 * batch.time  # falls back by 300 m
+        batch.position[:, 2, 2] += 3.0 * batch.time
+        batch.position[250:, 3] = batch.position[250, 3]  # is lost, and lies on the ground
+        assert out_of_sight(still, lost_from(batch, 3, 250)) == 0
+        assert out_of_sight(still, lost_from(batch, 0, 250)) == 0, "the leader is lost"
+
+
+def test_camera_track_independent_of_batches():
+    still, batch = scene(4), flight(4, 20.0)
+    batch.position[:250, 2, 1] += 100.0  # comes near at once: the camera follows slowly
+    whole = FormationCameras(still, (BEHIND, ABOVE), 1.0).track(batch)[0]
+    cameras = FormationCameras(still, (BEHIND, ABOVE), 1.0)
+    pieces = [cameras.track(each)[0] for each in split(batch, 60)]
+    for name in ("centre", "heading", "distance"):
+        joined = np.concatenate([getattr(piece, name) for piece in pieces])
+        np.testing.assert_allclose(joined, getattr(whole, name), rtol=1e-9)
+    assert whole.distance[-1] < 0.5 * whole.distance[249]
+    assert np.abs(np.diff(whole.distance)).max() < 0.01 * whole.distance.max()
+
+
+def test_unproject_inverts_project():
+    batch = flight(4, 1.0)
+    for track in FormationCameras(scene(4), (BEHIND, ABOVE), 1.0).track(batch):
+        np.testing.assert_allclose(
+            track.unproject(*track.project(batch.position)),
+            track.to_frame(batch.position),
+            atol=1e-9,
+        )
+
+
+def test_overview_camera_sees_path():
+    still = scene(4)
+    camera = layout.fit_formation(still, flight(4, 1.0)).overview
     axis = np.subtract(camera.target, camera.position)
-    toward = points - np.array(camera.position)
+    toward = still.paths[0] - np.array(camera.position)
     cosine = toward @ axis / (np.linalg.norm(toward, axis=-1) * np.linalg.norm(axis))
-    return np.arccos(np.clip(cosine, -1.0, 1.0))
-
-
-@pytest.mark.parametrize("aircraft", [1, 2, 4, 20, 50])
-def test_cameras_see_formation_and_path(aircraft):
-    still, batch = scene(aircraft), flight(aircraft, 1.0)
-    framing = layout.fit_formation(still, batch)
-    slots = np.concatenate([batch.position[:1, 0], batch.slot[0]])
-    offsets = slots - slots.mean(axis=0)  # course north: also the chase camera's frame
-    for camera in (framing.chase, framing.above):
-        assert seen_from(camera, offsets).max() < np.radians(45.0)
-    assert seen_from(framing.overview, still.paths[0]).max() < np.radians(30.0)
-    drawn = framing.size * max(still.wingspan)
-    assert drawn >= 0.1 * np.linalg.norm(framing.chase.position)
+    assert np.arccos(cosine).max() < np.radians(30.0)
 
 
 @pytest.mark.parametrize("known", [0, 2, 4])
-def test_cameras_finite_with_nan_in_first_sample(known):
+def test_cameras_finite_with_nan_in_samples(known):
     still, batch = scene(4), flight(4, 1.0)
     batch.position[:, known:] = np.nan
     batch.slot[:, max(known - 1, 0) :] = np.nan
     framing = layout.fit_formation(still, batch)
-    numbers = [framing.size, framing.grid, framing.wind]
-    for camera in (framing.chase, framing.above, framing.overview):
-        numbers += [*camera.position, *camera.target]
+    numbers = [framing.size, framing.wind, *framing.overview.position]
     assert np.isfinite(numbers).all()
-    assert np.isfinite(annotations.formation_centre(still, batch)).all()
+    for track in FormationCameras(still, (BEHIND, ABOVE), 1.0).track(batch):
+        assert np.isfinite(track.centre).all() and np.isfinite(track.distance).all()
 
 
 @pytest.mark.parametrize(("aircraft", "rows"), [(1, 25), (4, 100), (20, 500), (50, 625)])

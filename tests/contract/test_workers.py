@@ -14,7 +14,7 @@ from patience import PATIENCE_S, until
 
 import testbed
 from testbed.logs.read import read_log
-from testbed.scenario import load
+from testbed.scenario import load_scenario
 from testbed.vehicle import workers
 from testbed.vehicle.workers import default_processes
 
@@ -80,7 +80,10 @@ def flown(case, processes):
     name, changes = PAGES[case]
     collector = ArrayCollector()
     run = testbed.run(
-        load(name, [*SHORT, *changes]), write=False, observers=[collector], processes=processes
+        load_scenario(name, [*SHORT, *changes]),
+        write=False,
+        observers=[collector],
+        processes=processes,
     )
     return np.array(collector.seen), collector.events, (run.outcome, collector.lost)
 

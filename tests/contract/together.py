@@ -17,9 +17,9 @@ _FORKING = """
 import json, os, sys
 import testbed
 from testbed.cli.main import main
-from testbed.scenario import load, set_duration
+from testbed.scenario import load_scenario, set_duration
 
-testbed.run(set_duration(load("simulation-3"), 0.1), write=False)  # loads what flights need
+testbed.run(set_duration(load_scenario("simulation-3"), 0.1), write=False)  # loads libraries
 codes = []
 for number, group in enumerate(json.loads(sys.argv[1])):
     ready, begin = os.pipe()

@@ -21,7 +21,7 @@ from testbed.core.records import (
     Sample,
     VehicleState,
 )
-from testbed.scenario import Scenario, load
+from testbed.scenario import Scenario, load_scenario
 
 SPEED = 22.0  # m/s
 SIDE, CORNER = 660.0, 110.0  # m, of the rectangle and of its corners' arcs
@@ -38,7 +38,7 @@ def vee_page(followers: int) -> Scenario:
     """Make a vee behind Simulation 3's leader; each follower listens to the one before it."""
     names = [f"uav{k + 1}" for k in range(followers)]
     offsets = dict(zip(names, vee(followers).tolist(), strict=True))
-    page = load("simulation-3").model_dump(mode="json", exclude_unset=True)
+    page = load_scenario("simulation-3").model_dump(mode="json", exclude_unset=True)
     page["scenario"] = {"schema": 2, "name": "vee", "duration_s": 1080.0}
     page["fleet"] = [
         {"name": name, "aircraft": "rascal110", "start_m": [ahead - 3.0, right, down]}

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from testbed.scenario import ScenarioError, load
+from testbed.scenario import ScenarioError, load_scenario
 from testbed.sim.build_formation import build_altitudes, build_gains, unreachable_agents
 
 
@@ -98,15 +98,15 @@ def test_altitudes_of_a_scenario():
         "formation.neighbour_gains={}",
     ]
     with pytest.raises(ScenarioError, match="no position reference for uav1"):
-        build_gains(load("simulation-3", flat))
-    held = load("simulation-3", [*flat, "formation.altitudes_m={uav1: 100}"])
+        build_gains(load_scenario("simulation-3", flat))
+    held = load_scenario("simulation-3", [*flat, "formation.altitudes_m={uav1: 100}"])
     assert build_gains(held).shape == (3, 4, 3)
     assert np.array_equal(build_altitudes(held), [100.0, np.nan, np.nan], equal_nan=True)
 
 
 def test_unreachable_agent_is_an_error():
     def build(*changes):
-        return build_gains(load("simulation-3", list(changes)))
+        return build_gains(load_scenario("simulation-3", list(changes)))
 
     assert build().shape == (3, 4, 3)
     assert build("formation.leader_gains={uav1: 1}").shape == (3, 4, 3)
@@ -115,7 +115,7 @@ def test_unreachable_agent_is_an_error():
 
 
 def test_gains_of_a_scenario():
-    scenario = load(
+    scenario = load_scenario(
         "simulation-3",
         [
             "formation.leader_gains={uav1: [1, 2, 3], uav3: 4}",

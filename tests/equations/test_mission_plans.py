@@ -16,7 +16,7 @@ from testbed.mavlink.mission_plans import (
     plan_from_items,
 )
 from testbed.mavlink.vehicle_control import MissionItem, Rejection
-from testbed.scenario import list_scenarios, load
+from testbed.scenario import list_scenarios, load_scenario
 from testbed.sim.build import build
 from testbed.sim.leader_control import MissionController
 
@@ -218,13 +218,13 @@ def test_total_number_of_legs_is_limited(monkeypatch):
     assert "10000 or fewer" in rejection(*items, jump(1, 1000)).text
 
 
-MISSIONS = [name for name in list_scenarios() if load(name).leader.path.kind == "mission"]
+MISSIONS = [name for name in list_scenarios() if load_scenario(name).leader.path.kind == "mission"]
 
 
 @pytest.mark.parametrize("name", ["simulation-3", "experiment-2", "close-formation-wake"])
 def test_scenario_mission_as_items_gives_same_plan(name):
     assert name in MISSIONS
-    page = load(name)
+    page = load_scenario(name)
     pilot = build(page).leader_controller
     assert isinstance(pilot, MissionController)
     plan_of_page, mission = pilot.plan, pilot.plan.mission

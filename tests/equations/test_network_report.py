@@ -10,7 +10,7 @@ from reference.network_queue import bin_of
 from testbed.network.link_statistics import BINS, LONGEST_BURST, bin_ends, initial_statistics
 from testbed.network.links import PacketOutcome
 from testbed.network.report import outcome_name, quantile, summarise
-from testbed.scenario import load
+from testbed.scenario import load_scenario
 from testbed.sim.channel_probe import probe_channel
 
 NAMES = ("leader", "uav1", "uav2")
@@ -158,7 +158,7 @@ SCENARIOS = {
 
 
 def test_overtaken_counts_older_after_newer():
-    scenario = load(
+    scenario = load_scenario(
         "simulation-3",
         (
             "network.delay_s=0.2",
@@ -181,7 +181,7 @@ def test_overtaken_counts_older_after_newer():
 
 @pytest.mark.parametrize("overrides", SCENARIOS.values(), ids=SCENARIOS)
 def test_summary_matches_the_messages_one_by_one(overrides):
-    scenario = load("simulation-3", overrides)
+    scenario = load_scenario("simulation-3", overrides)
     probe = probe_channel(scenario, PACKETS, record=True)
     names, messages = scenario.aircraft_names, probe.messages
     assert json.dumps(probe.summary, allow_nan=False)

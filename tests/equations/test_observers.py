@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import testbed
-from testbed.scenario import load, set_duration
+from testbed.scenario import load_scenario, set_duration
 
 
 class Watcher:
@@ -36,7 +36,7 @@ def numbers(frame):
 )
 def test_who_keeps_frames_keeps_them_as_they_were(name):
     keeper, borrower = Watcher(zero_copy=False), Watcher(zero_copy=True)
-    scenario = set_duration(load(name, ["log.mcap=false"]), 1.0)
+    scenario = set_duration(load_scenario(name, ["log.mcap=false"]), 1.0)
     testbed.run(scenario, write=False, observers=[borrower, keeper])
     assert len(keeper.frames) == 26
     for frame, seen, lent in zip(keeper.frames, keeper.seen, borrower.seen, strict=True):

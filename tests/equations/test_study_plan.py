@@ -5,7 +5,7 @@ import statistics
 
 import pytest
 
-from testbed.scenario import ScenarioError, list_studies, load
+from testbed.scenario import ScenarioError, list_studies, load_scenario
 from testbed.studies.journal import Journal
 from testbed.studies.plan import Plan, check_plan, load_study
 from testbed.studies.rows import Row, flatten_metrics
@@ -118,7 +118,9 @@ def test_plan_scenario_is_that_of_the_command(tmp_path):
     plan = Plan(study(tmp_path, FACTORIAL))
     run = plan[23]
     ours = plan.scenario(run)
-    assert ours == set_duration(load("simulation-3", [*run.overrides, "scenario.seed=3"]), 90)
+    assert ours == set_duration(
+        load_scenario("simulation-3", [*run.overrides, "scenario.seed=3"]), 90
+    )
     assert (ours.network.loss.probability, ours.scenario.seed) == (0.3, 3)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from whole_flights import IN_FULL, cells, fly
 
-HEALED_S, BACK_S = 330.0, 240.0
+HEALED_S, BACK_S = 324.0, 240.0
 
 
 @IN_FULL

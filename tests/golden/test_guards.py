@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import testbed
-from testbed.scenario import library, load, set_duration
+from testbed.scenario import library, load_scenario, set_duration
 
 NUMBERS = Path(__file__).with_name("guards.json")
 TOLERANCE_M = 1e-3  # that of golden tables
@@ -48,7 +48,7 @@ def measure(name: str) -> dict[str, list[float]]:
     source, overrides, until = FLIGHTS[name]
     scenario = library() / source if source.endswith(".yaml") else source
     window = f"scenario.windows={{all: [20, {until}]}}"
-    page = load(scenario, ("scenario.published=null", window, *overrides))
+    page = load_scenario(scenario, ("scenario.published=null", window, *overrides))
     metrics: Any = testbed.run(set_duration(page, until), write=False).metrics
     return {
         "rms_m": list(metrics["windows"]["all"]["rms_m"].values()),

@@ -11,10 +11,12 @@ import pytest
 from whole_flights import FLOWN, IN_FULL, SAMPLE, UAVS, WHOLE, cells, fly
 
 TABLE_1 = {"rectangles": (1.3, 1.4, 1.5), "circles": (1.3, 1.5, 1.5)}
-GAINS = ("controller.gain_scale=1.5",)
+# the bound of the gains is of corners at 30 degrees of bank
+GAINS = ("controller.gain_scale=1.5", "leader.path.bank_limit_deg=30")
 HIGHER_GAINS = {"rectangles": 0.5, "circles": 0.2}  # smaller than with the profile's gains
 NOISE = ("leader.sensors=gps-ins", "fleet.*.sensors=gps-ins")
 DELAY = ("network.delay_s=0.1",)
+OWN_PHASES = ("rates.synchronous=false", "rates.control_hz=10", "rates.broadcast_hz=10")
 # to the end of the first window, as its corners differ from lap to lap
 UNTIL = None if WHOLE else "rectangles"
 
@@ -25,11 +27,12 @@ UNTIL = None if WHOLE else "rectangles"
         pytest.param(GAINS, id="gains-x1.5"),
         pytest.param(("controller.gain_scale=0.67",), id="gains-x0.67", marks=IN_FULL),
         pytest.param(NOISE, id="gps-ins-noise"),
+        pytest.param(OWN_PHASES, id="own-phases-10-hz"),
         pytest.param((*DELAY, "controller.extrapolate_from=timestamp"), id="latency-compensated"),
     ],
 )
 def test_table_1_holds_with_disturbances(overrides: tuple[str, ...]) -> None:
-    """With gains changed by half, with noise, and with compensated latency."""
+    """With gains changed by half, noise, compensated latency, and unsynchronised 10 Hz."""
     metrics = fly("simulation-3", *overrides, until=SAMPLE)
     bounds = HIGHER_GAINS if overrides == GAINS else TABLE_1
     for window in FLOWN:

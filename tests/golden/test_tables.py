@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from testbed.scenario import library, list_scenarios, load
+from testbed.scenario import library, list_scenarios, load_scenario
 from testbed.studies.golden import DETERMINISTIC_SEEDS, RANDOM_SEEDS
 from testbed.studies.golden_table import RULES, read_table
 
@@ -17,7 +17,7 @@ NEEDS_EXTERNAL_PROGRAM = {"simulation-3-ardupilot"}
 def test_table_belongs_to_its_scenario(name):
     """It has a reason, the current rules, and a number for each seed, window and follower."""
     assert name in list_scenarios(), "a table without a scenario"
-    table, scenario = read_table(FOLDER / f"{name}.json"), load(name)
+    table, scenario = read_table(FOLDER / f"{name}.json"), load_scenario(name)
     assert table.scenario == scenario.name
     for window in scenario.scenario.windows:
         for follower in scenario.fleet:
@@ -33,5 +33,5 @@ def test_table_belongs_to_its_scenario(name):
 def test_every_scenario_with_windows_has_a_table():
     if not NAMES:
         pytest.skip("there are no golden tables")
-    with_windows = {name for name in list_scenarios() if load(name).scenario.windows}
+    with_windows = {name for name in list_scenarios() if load_scenario(name).scenario.windows}
     assert with_windows - NEEDS_EXTERNAL_PROGRAM == set(NAMES)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import testbed
-from testbed.scenario import load, set_duration
+from testbed.scenario import load_scenario, set_duration
 
 UAVS = ("uav1", "uav2", "uav3")
 # Of many flights with the same bound, `make test` flies the beginning of each, or some of them.
@@ -34,7 +34,7 @@ def fly(scenario: str, *overrides: str, until: str | float | None = None) -> Map
 
     A window that contains that time ends with it.
     """
-    page = load(scenario, overrides)
+    page = load_scenario(scenario, overrides)
     if until is not None:
         end = page.scenario.windows[until][1] if isinstance(until, str) else until
         page = set_duration(page, end)

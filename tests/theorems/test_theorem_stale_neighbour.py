@@ -18,7 +18,7 @@ from testbed.core.frames import velocity_frame
 from testbed.core.records import Inbox, VehicleState
 from testbed.formation import leader_filter as leading
 from testbed.formation.control_step import Hbh23Law
-from testbed.scenario import find_aircraft, load
+from testbed.scenario import find_aircraft, load_scenario
 from testbed.sim.build_control import build_control
 
 HZ, TICKS = 25, 8
@@ -40,7 +40,7 @@ def helix(t, offsets):
 def make_law(then, limit=LIMIT):
     """Simulation 3's, with q̈_g as it is: how it is averaged is not the question."""
     timeout = [f"controller.neighbour_timeout_s={limit}", f"controller.on_neighbour_timeout={then}"]
-    scenario = load("simulation-3", timeout)
+    scenario = load_scenario("simulation-3", timeout)
     folders = [find_aircraft(each.aircraft) for each in scenario.fleet]
     clock = SimpleNamespace(control=TICKS, base_rate_hz=HZ * TICKS, groups=((0, 1, 2),))
     control = build_control(scenario, folders, clock)

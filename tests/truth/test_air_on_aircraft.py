@@ -6,10 +6,18 @@ import numpy as np
 import pytest
 
 from testbed.core.records import Origin, WindInput
-from testbed.scenario import find_aircraft
+from testbed.scenario import find_aircraft, load_scenario, set_duration
+from testbed.sim.build import build
+from testbed.sim.build_air import (
+    density_ratio,
+    temperature_offset,
+    temperature_warnings,
+)
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.initial_state import InitialState
-from testbed.vehicle.jsbsim_adapter import airframe
+from testbed.vehicle.jsbsim_adapter import airframe, trim_aircraft
+from testbed.vehicle.jsbsim_model import AircraftError
+from testbed.vehicle.trim import TrimError, TrimPoint
 
 AIRCRAFT = {"rascal110": 22.0, "skywalker_x8": 18.0}
 RATE = 200
@@ -107,3 +115,98 @@ def test_airframe_values_are_those_of_the_sources():
     assert x8.mass == pytest.approx(3.364, rel=1e-6)
     assert x8.arm == pytest.approx(0.5 * 0.3571)
     assert math.isfinite(x8.area)
+
+
+def standard_density(altitude, warmer=0.0):
+    """Hydrostatic equilibrium from 1013.25 hPa at sea level, 6.5 K per km: kg/m³."""
+    at_sea_level = 288.15 + warmer
+    temperature = at_sea_level - 0.0065 * altitude
+    pressure_pa = 101325.0 * (temperature / at_sea_level) ** 5.2558797
+    return pressure_pa / (287.052874 * temperature)
+
+
+@pytest.mark.parametrize("warmer", [-30.0, 0.0, 19.0, 35.0])
+def test_density_ratio_is_hydrostatic(warmer):
+    altitudes = np.array([0.0, 400.0, 3000.0])
+    expected = standard_density(altitudes, warmer) / 1.225
+    np.testing.assert_allclose(density_ratio(altitudes, warmer), expected, rtol=1e-5)
+
+
+def test_warm_air_lowers_equivalent_airspeed():
+    """What a pitot tube measures at 22 m/s, 400 m above sea level."""
+    for warmer in (0.0, 19.0):
+        start = InitialState((0.0, 0.0, -100.0), airspeed=22.0, temperature_offset=warmer)
+        fleet = JsbsimFleet([find_aircraft("rascal110")], [start], Origin(elevation_m=300.0), RATE)
+        expected = 22.0 * math.sqrt(standard_density(400.0, warmer) / 1.225)
+        assert fleet.read().equivalent_airspeed[0] == pytest.approx(expected, rel=2e-5)
+
+
+def test_warm_air_takes_power_by_true_airspeed():
+    """At one dynamic pressure incidence and thrust are the same, and all speeds are as 1/√ρ.
+
+    The Rascal's throttle is the power of its shaft.
+    """
+    rascal, warmer = find_aircraft("rascal110"), 19.0
+    faster = math.sqrt(standard_density(400.0) / standard_density(400.0, warmer))
+    cold, warm = (
+        trim_aircraft(rascal, TrimPoint(22.0 * factor, temperature_offset=offset))
+        for factor, offset in ((1.0, 0.0), (faster, warmer))
+    )
+    assert faster == pytest.approx(1.0312, abs=1e-4)
+    assert warm.alpha == pytest.approx(cold.alpha, abs=1e-6)
+    assert warm.controls.throttle / cold.controls.throttle == pytest.approx(faster, rel=1e-4)
+    assert warm.propeller_rps / cold.propeller_rps == pytest.approx(faster, rel=1e-4)
+
+
+def test_temperature_at_the_ground_acts_on_every_user_of_density():
+    """32 °C at 300 m is 18.95 K above the standard atmosphere: flight model, wakes, leader."""
+    hot = "air.temperature_c=32"
+    straight = "leader.path={kind: virtual, speed_mps: 22, curve: {kind: straight}}"
+    scenario = set_duration(load_scenario("close-formation-wake", [hot, straight]), 1.0)
+    assert temperature_offset(scenario) == pytest.approx(32.0 - 15.0 + 0.0065 * 300.0)
+    world = build(scenario)
+    truth = world.aircraft["truth"]
+    density = standard_density(300.0 - truth["position_ned"][:, 2], temperature_offset(scenario))
+    expected = truth["airspeed"] * np.sqrt(density / 1.225)
+    np.testing.assert_allclose(truth["equivalent_airspeed"], expected, rtol=2e-5)
+    altitude = 300.0 + scenario.leader.start.altitude_m
+    known = standard_density(altitude, temperature_offset(scenario))
+    assert world.air._wakes.wake["density"][0] == pytest.approx(known, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("override", "text"),
+    [
+        ("fleet.*.vehicle=unicycle", "air.temperature_c has no effect"),
+        ("fleet.uav1.autopilot=ardupilot", "the true airspeed that it computes is wrong by -3.0 %"),
+    ],
+)
+def test_temperature_that_misses_aircraft_is_warned_of(override, text):
+    scenario = load_scenario("simulation-3", ["air.temperature_c=32", override])
+    kinds = ["scripted", *(each.vehicle for each in scenario.fleet)]
+    (event,) = temperature_warnings(scenario, kinds)
+    assert text in event.text and event.level == "warning"
+    assert not list(temperature_warnings(load_scenario("simulation-3", [override]), kinds))
+
+
+def test_top_speed_of_an_x8_hardly_depends_on_temperature():
+    """25.59 m/s in standard air, 25.66 m/s in air that is 19 K warmer."""
+    x8 = find_aircraft("skywalker_x8")
+    for warmer, flown, too_fast in ((0.0, 25.57, 25.62), (19.0, 25.64, 25.69)):
+        trim_aircraft(x8, TrimPoint(flown, temperature_offset=warmer))
+        with pytest.raises(TrimError, match="no steady flight"):
+            trim_aircraft(x8, TrimPoint(too_fast, temperature_offset=warmer))
+
+
+def test_more_battery_cells_raise_the_top_speed():
+    x8 = find_aircraft("skywalker_x8")
+    with pytest.raises(TrimError, match="no steady flight"):
+        trim_aircraft(x8, TrimPoint(27.0))
+    four, five = (trim_aircraft(x8, TrimPoint(22.0, cells=cells)) for cells in (4, 5))
+    # the motor's voltage for one thrust and speed is the same: throttle times that of the cells
+    assert five.controls.throttle == pytest.approx(0.8 * four.controls.throttle, rel=0.01)
+    assert trim_aircraft(x8, TrimPoint(31.5, cells=5)).controls.throttle < 1.0
+    with pytest.raises(TrimError, match="no steady flight"):
+        trim_aircraft(x8, TrimPoint(31.7, cells=5))
+    with pytest.raises(AircraftError, match="has no battery/cells"):
+        trim_aircraft(find_aircraft("rascal110"), TrimPoint(22.0, cells=5))

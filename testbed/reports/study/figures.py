@@ -12,9 +12,10 @@ import numpy as np
 from testbed.core.records import Array
 from testbed.reports.figure_spec import Figure, FigureSpec, make_figure
 from testbed.reports.plot_selection import STYLES
+from testbed.reports.study.metric_names import axis_label, metric_title, metric_words, wrap_key
 from testbed.reports.study.numbers import PERCENT, Estimate, mean_estimate
 from testbed.reports.study.parameter_plots import (
-    axis_label,
+    MAX_ACROSS,
     decimate_evenly,
     in_pairs,
     needs_log_axis,
@@ -28,6 +29,7 @@ from testbed.views.panels import BLACK, Heatmap, Line, Panel
 MAX_METRICS = 4  # drawn; the tables have all
 MAX_MAPS = 12  # panels of a figure; the maps of one pair are drawn in any case
 MIN_CELL_FLIGHTS = 5  # average number of flights in a cell of a heat map of drawn points
+MAX_UP = 24  # letters of a line of a label beside a map
 MIN_CASE_FLIGHTS = 10  # of a case whose distribution is drawn
 
 Maker = Callable[[StudyData, str], FigureSpec | None]
@@ -82,7 +84,9 @@ def heat_maps(study: StudyData, metric: str) -> FigureSpec | None:
     rows, widths = in_pairs(panels)
     tallest = max(len(panel.y_ticks) for panel in panels)
     height_in = (1.3 + 0.5 * max(tallest, 4)) * len(rows)
-    return FigureSpec(f"{metric} over pairs", caption, rows, height_in, widths)
+    return FigureSpec(
+        f"{metric_title(metric)}, over pairs of parameters", caption, rows, height_in, widths
+    )
 
 
 def _heat_map_row(
@@ -129,8 +133,8 @@ def _heat_map(
     limits = float(known.min()), float(known.max())
     return Panel(
         group.name,
-        x.key,
-        y.key,
+        wrap_key(x.key, MAX_ACROSS),
+        wrap_key(y.key, MAX_UP),
         heat=Heatmap(values, limits, axis_label(metric), texts),
         x_ticks=[(k + 0.5, name.replace(" to ", "\nto ")) for k, (name, _) in enumerate(columns)],
         y_ticks=[(i + 0.5, name) for i, (name, _) in enumerate(rows)],
@@ -150,14 +154,14 @@ def cases(study: StudyData, metric: str) -> FigureSpec | None:
     differences = [mean_estimate(study.differences(metric, k)) for k in range(1, count)]
     ticks = [(float(-k), name) for k, name in enumerate(flights.cases)]
     limits = (-count + 0.4, 0.6)
-    label = axis_label(metric)
+    label, (_, unit) = axis_label(metric), metric_words(metric)
     panels = [
         Panel(
             f"{study.statistic} of a case", label, "", _interval_lines(estimates, 0),
             y_ticks=ticks, y_limits=limits,
         ),
         Panel(
-            f"mean difference from {first}", f"minus {first}: {label}", "",
+            f"mean difference from {first}", f"difference, {unit}" if unit else "difference", "",
             _interval_lines(differences, 1), y_ticks=ticks, y_limits=limits, marks=[(0.0, BLACK)],
         ),
     ]  # fmt: skip
@@ -168,7 +172,7 @@ def cases(study: StudyData, metric: str) -> FigureSpec | None:
         " difference whose interval contains 0 (dotted line) is not significant."
     )
     height_in = 1.5 + 0.36 * count
-    return FigureSpec(f"{metric} by case", caption, [panels], height_in, (1.0, 1.0))
+    return FigureSpec(f"{metric_title(metric)}, by case", caption, [panels], height_in, (1.0, 1.0))
 
 
 def _interval_lines(estimates: Sequence[Estimate], first: int) -> list[Line]:
@@ -208,7 +212,8 @@ def distributions(study: StudyData, metric: str) -> FigureSpec | None:
         f"Share of all flights of a case whose {metric} is at most the value on the horizontal"
         " axis. A curve that ends below 1 lacks flights that were lost or failed."
     )
-    return FigureSpec(f"Distribution of {metric}", caption, [[panel]], 3.6)
+    title = f"{metric_title(metric)}, distribution"
+    return FigureSpec(title, caption, [[panel]], 3.6)
 
 
 def _steps(x: Array, y: Array, colour: str, marker: str, *, label: str) -> Line:

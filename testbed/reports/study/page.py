@@ -12,6 +12,7 @@ from testbed.metrics.out_of_slot import count_out_of_slot
 from testbed.reports.html import Page, Section, cards_html, figure_html, file_html
 from testbed.reports.study import tables
 from testbed.reports.study.figures import study_figures
+from testbed.reports.study.metric_names import metric_words
 from testbed.reports.study.report_table import ReportTable, format_cell, format_number
 from testbed.reports.study.study_data import StudyData
 from testbed.reports.tables import rows_to_html, text_table_to_html, to_html
@@ -120,8 +121,9 @@ def _head(study: StudyData) -> str:
         value = format_number(estimate.value)
         interval = format_cell(estimate).removeprefix(value)
         case = f"; {group.name}" if group.name else ""
-        meaning = f"{metric}, {study.statistic}{interval}{case}"
-        cards.append((value, escape(meaning), ""))
+        words, unit = metric_words(metric)
+        meaning = f"{words}: {study.statistic}{interval}{case}"
+        cards.append((f"{value} {unit}".rstrip(), escape(meaning), ""))
     completed = int(flights.completed.sum())
     cards.append((f"{completed:,}", "flights completed without losing an aircraft", ""))
     incomplete = flights.run.size - completed

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from testbed.core.records import Array, BoolArray
 from testbed.reports.figure_spec import FigureSpec
 from testbed.reports.plot_selection import STYLES
+from testbed.reports.study.metric_names import axis_label, metric_title, wrap_key
 from testbed.reports.study.numbers import PERCENT, running_quantiles
 from testbed.reports.study.study_data import Parameter, StudyData, format_level
 from testbed.views.panels import BLACK, DASHED, Band, Line, Panel, Panel3D
@@ -19,10 +20,10 @@ MAX_DOTS = 1500  # of a scatter
 MIN_RUNNING = 30  # flights of a scatter with running quantiles
 WINDOW = 0.15  # share of the flights in the window of a running quantile
 QUANTILES = (0.1, 0.5, 0.9)
+MAX_STRONG_BANDS = 3  # of more in a panel, bands are paler, because they cross
+MAX_ACROSS = 44  # letters of a line of a label below a panel
+MARGIN, LOG_MARGIN = 0.06, 1.2  # of a vertical axis: part of the range, factor
 LOG_RATIO = 50.0  # of the largest to the smallest number, above which an axis is logarithmic
-UNITS = {
-    "m": "m", "mps": "m/s", "s": "s", "deg": "°", "percent": "%", "hz": "Hz", "radps": "rad/s",
-}  # fmt: skip
 EMPTY_NOTE = "no completed flights"
 
 
@@ -35,16 +36,6 @@ class Group:
     colour: str
     marker: str
     shift: float  # sideways, where levels are not numbers
-
-
-def axis_label(metric: str) -> str:
-    """Return the end of a metric's path from its last name with a unit, and the unit."""
-    names = metric.split(".")
-    for k in range(len(names) - 1, -1, -1):
-        unit = UNITS.get(names[k].rsplit("_", 1)[-1]) if "_" in names[k] else None
-        if unit:
-            return f"{'.'.join(names[k:])}, {unit}"
-    return names[-1]
 
 
 def needs_log_axis(values: Array) -> bool:
@@ -66,6 +57,22 @@ def in_pairs(panels: Sequence[Panel]) -> tuple[list[list[Panel | Panel3D]], tupl
     return rows, (1.0,) if len(panels) == 1 else (1.0, 1.0)
 
 
+def share_vertical_axis(panels: Sequence[Panel]) -> list[Panel]:
+    """Give panels of one metric the same vertical axis, so that they can be compared."""
+    curves = [line.y for panel in panels for line in panel.lines]
+    curves += [end for panel in panels for band in panel.bands for end in (band.low, band.high)]
+    drawn = np.concatenate([np.ravel(each) for each in curves]) if curves else np.empty(0)
+    drawn = drawn[np.isfinite(drawn)]
+    if not drawn.size:
+        return list(panels)
+    low, high = float(drawn.min()), float(drawn.max())
+    if low > 0.0 and any(panel.y_log for panel in panels):
+        limits = low / LOG_MARGIN, high * LOG_MARGIN
+        return [replace(panel, y_log=True, y_limits=limits) for panel in panels]
+    margin = MARGIN * ((high - low) or abs(high) or 1.0)
+    return [replace(panel, y_log=False, y_limits=(low - margin, high + margin)) for panel in panels]
+
+
 def parameters(study: StudyData, metric: str) -> FigureSpec | None:
     """Draw a panel for each parameter."""
     flights = study.flights
@@ -78,6 +85,7 @@ def parameters(study: StudyData, metric: str) -> FigureSpec | None:
         grouped_by = grouped_by or by
         draw = _scatter if each.continuous and study.random else _curves
         panels.append(draw(study, metric, each, groups))
+    panels = share_vertical_axis(panels)
     caption = [f"{metric} against each parameter"]
     caption.append(f"; one curve for each of the {grouped_by}." if grouped_by else ".")
     if any(not (each.continuous and study.random) for each in flights.parameters):
@@ -97,7 +105,8 @@ def parameters(study: StudyData, metric: str) -> FigureSpec | None:
         caption.append(f" The first {len(STYLES)} of {len(flights.cases)} cases are drawn.")
     rows, widths = in_pairs(panels)
     height_in = 3.4 * len(rows) + 0.3
-    return FigureSpec(f"{metric} against parameters", "".join(caption), rows, height_in, widths)
+    title = f"{metric_title(metric)}, against parameters"
+    return FigureSpec(title, "".join(caption), rows, height_in, widths)
 
 
 def _groups(study: StudyData, parameter: Parameter) -> tuple[list[Group], str]:
@@ -127,8 +136,11 @@ def _groups(study: StudyData, parameter: Parameter) -> tuple[list[Group], str]:
         index, by = other.index, "levels of the other parameter"
     count = min(len(names), len(STYLES))
     spacing = 0.5 / max(count, 2)
+    # beside curves of cases and laws, cases alone have other colours
+    first = len(apart) if len(apart) > len(flights.by_case) else 0
+    styles = STYLES[first:] if first + count <= len(STYLES) else STYLES
     return [
-        Group(names[k], index == k, *STYLES[k], shift=spacing * (k - 0.5 * (count - 1)))
+        Group(names[k], index == k, *styles[k], shift=spacing * (k - 0.5 * (count - 1)))
         for k in range(count)
     ], by
 
@@ -156,7 +168,8 @@ def _curves(study: StudyData, metric: str, parameter: Parameter, groups: Sequenc
         if parameter.numeric:
             lines.append(Line(x, y, group.colour, group.name, 1.6, marker=group.marker, marks=0))
             if np.isfinite(low).any():
-                bands.append(Band(x, low, high, group.colour))
+                opacity = 0.25 if len(groups) <= MAX_STRONG_BANDS else 0.12
+                bands.append(Band(x, low, high, group.colour, opacity=opacity))
         else:
             lines.append(Line(x, y, group.colour, group.name, dots=True, marker=group.marker))
             lines += [
@@ -175,7 +188,7 @@ def _curves(study: StudyData, metric: str, parameter: Parameter, groups: Sequenc
     limits = (-0.5, len(parameter.levels) - 0.5)
     return Panel(
         "",
-        parameter.key,
+        wrap_key(parameter.key, MAX_ACROSS),
         axis_label(metric),
         lines,
         bands,
@@ -209,6 +222,6 @@ def _scatter(study: StudyData, metric: str, parameter: Parameter, groups: Sequen
                 label = f"{share:.0%}" if single else ""
                 lines.append(Line(middle[at], values[at], colour, label, 1.8, dashes=dashes))
     return Panel(
-        "", parameter.key, axis_label(metric), lines,
+        "", wrap_key(parameter.key, MAX_ACROSS), axis_label(metric), lines,
         x_log=parameter.logarithmic, y_log=needs_log_axis(y[known]), note=EMPTY_NOTE,
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""A study for its report: columns of its flights, and what its YAML says."""
+"""A study for its report: columns of its flights, and the content of its YAML."""
 
 from __future__ import annotations
 

@@ -133,7 +133,7 @@ def cases(study: StudyData) -> ReportTable | None:
         " for the number of cases."
     )
     centre_heading = f"{study.statistic} [{PERCENT} %]"
-    difference_heading = f"minus {first} [{PERCENT} %]"
+    difference_heading = f"difference from {first} [{PERCENT} %]"
     columns = ("metric", "case", centre_heading, difference_heading, "verdict", unit)
     ends = frozenset(range(len(flights.cases) - 1, len(out), len(flights.cases)))
     return ReportTable("cases", "Cases", columns, out, note, ends)

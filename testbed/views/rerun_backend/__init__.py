@@ -1,6 +1,9 @@
 """Send views to Rerun and control its viewer; the only package that imports Rerun."""
 
-from testbed.views.rerun_backend.recording import Recording
-from testbed.views.rerun_backend.remote import RemoteViewer
+from testbed.core.extras import needs_extra
+
+with needs_extra("view", "views"):
+    from testbed.views.rerun_backend.recording import Recording
+    from testbed.views.rerun_backend.remote import RemoteViewer
 
 __all__ = ["Recording", "RemoteViewer"]

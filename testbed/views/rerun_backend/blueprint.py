@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import rerun as rr
@@ -9,9 +10,11 @@ import rerun.blueprint as rrb
 
 from testbed.views import layout, plots
 from testbed.views.annotations import ANNOTATIONS
+from testbed.views.labels import MAX_NAMED
 from testbed.views.scene import BACKDROP, Scene
 
 TIMELINE = "sim_time"
+OVERLAYS = ("names", "out_of_view", "scale", "grid")  # in the frames of the cameras
 GRID = (84, 94, 110)
 
 
@@ -32,10 +35,11 @@ def blueprint(
         live: whether the viewer follows a running flight.
         span: time that the plots show, s; None: the last minute before the cursor.
     """
-    named = len(scene.names) <= layout.MAX_NAMED
+    named = len(scene.names) <= MAX_NAMED
     period_s = layout.stride(scene, layout.PLOT_ROWS_PER_S) / scene.sample_rate_hz
     shown = layout.views_3d(scene, framing)
-    behind, above, flight = (spatial_view(each, scene.names, period_s) for each in shown)
+    label_s = layout.stride(scene, math.inf, layout.LABEL_ROWS_PER_S) / scene.sample_rate_hz
+    behind, above, flight = (spatial_view(each, scene.names, period_s, label_s) for each in shown)
     events = rrb.TextLogView(
         origin="/events",
         name="Events",
@@ -55,6 +59,8 @@ def blueprint(
                     for row in tabs
                 ),
                 events,
+                # the viewer labels powers of ten that are 20 points apart: few, high plots
+                row_shares=[*(3.0 for _ in tabs), 1.7],
             ),
             column_shares=[5, 3],
         ),
@@ -69,17 +75,25 @@ def blueprint(
     )
 
 
-def spatial_view(view: layout.View3D, names: Sequence[str], period_s: float) -> rrb.Spatial3DView:
+def spatial_view(
+    view: layout.View3D, names: Sequence[str], period_s: float, label_s: float
+) -> rrb.Spatial3DView:
     """Define a view of the world.
 
     Args:
         view: its entities and camera.
         names: of the aircraft.
         period_s: between two rows of an annotation.
+        label_s: between two rows of an overlay.
     """
     # slightly less than the period, so that exactly one row is visible
     visible: dict[rr.encodings.EntityPathLike, rrb.VisibleTimeRanges] = {
         f"world/chase/{name}": trailing(0.99 * period_s) for name in ANNOTATIONS
+    }
+    visible |= {
+        f"{origin}/{name}": trailing(0.99 * label_s)
+        for origin in ("world/behind", "world/above")
+        for name in OVERLAYS
     }
     # the positions of lost aircraft stay marked
     visible |= {f"world/losses/{name}": trailing(None) for name in names}
@@ -88,9 +102,7 @@ def spatial_view(view: layout.View3D, names: Sequence[str], period_s: float) -> 
         name=view.name,
         contents=["+ /world/**", *(f"- /{entity}" for entity in view.excluded)],
         background=rrb.Background(color=BACKDROP, kind=rrb.BackgroundKind.SolidColor),
-        line_grid=rrb.LineGrid3D(spacing=view.grid, color=(*GRID, 90), stroke_width=0.5)
-        if view.grid
-        else False,
+        line_grid=False,
         eye_controls=rrb.EyeControls3D(
             position=view.camera.position, look_target=view.camera.target, eye_up=view.camera.up
         ),

@@ -9,8 +9,9 @@ Entities of a run, in the north-east-down world:
     world/losses/<name>           position where an aircraft was lost
     world/paths, world/ground     static
     world/chase                   a frame that moves with the formation and turns with its course;
-                                  in it `links`, `wind`, `estimates` and, of large formations,
-                                  labels of the `largest_errors`
+                                  in it `links`, `wind` and `estimates`
+    world/behind, world/above     frames of the cameras; in them `names`, arrows to aircraft
+                                  `out_of_view`, the `scale` bar and the `grid`
     plots/<quantity>/<series>     one line per aircraft; in plots/<quantity>/limits the bounds and,
                                   transparent, the ends of the axis's minimum range
     events                        text
@@ -20,23 +21,31 @@ A batch costs a fixed number of calls plus a few per aircraft, for any number of
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import rerun as rr
 
-from testbed.core.frames import course, quaternion_xyzw
+from testbed.core.frames import quaternion_xyzw
 from testbed.core.records import Array, Event
 from testbed.views import layout, plots
 from testbed.views.airframes import AirframeDrawing, draw_airframe
-from testbed.views.annotations import (
-    LOST,
-    Links,
-    formation_centre,
-    largest_errors,
-    rotate_to_heading,
-    to_chase_frame,
-)
+from testbed.views.annotations import LOST, Links
 from testbed.views.batch import Batch, concat
+from testbed.views.cameras import (
+    ABOVE,
+    BEHIND,
+    CameraTrack,
+    FormationCameras,
+    rotate_to_heading,
+)
 from testbed.views.rerun_backend.blueprint import TIMELINE, blueprint
+from testbed.views.rerun_backend.overlays import (
+    ABOVE_CANVAS,
+    BEHIND_CANVAS,
+    camera_frame,
+    overlay,
+)
 from testbed.views.rerun_backend.static_entities import static_entities
 from testbed.views.scene import Scene
 
@@ -107,17 +116,19 @@ class Recording:
         if len(batch):
             if self._framing is None:
                 self._begin(batch)
-            self._send_motion(batch)
-            self._send_annotations(batch)
+            behind, above = self._cameras.track(batch)
+            self._send_motion(batch, behind, above)
+            self._send_overlays(batch, behind, above)
+            self._send_annotations(batch, above)
             self._send_plots(batch)
             self._sent += len(batch)
         for event in batch.events:
             self._send_event(event)
 
-    def _decimate(self, batch: Batch, rows_per_s: float) -> Batch:
+    def _every(self, rows_per_s: float, max_hz: float = math.inf) -> slice:
         """Select the samples drawn at a rate, counted from the first of the run."""
-        step = layout.stride(self._scene, rows_per_s)
-        return batch if step == 1 else batch.rows(slice(-self._sent % step, None, step))
+        step = layout.stride(self._scene, rows_per_s, max_hz)
+        return slice(-self._sent % step, None, step)
 
     def _columns(self, entity: str, time: Array, columns: rr.ComponentColumnList) -> None:
         self.calls += 1
@@ -128,6 +139,7 @@ class Recording:
     def _begin(self, first: Batch) -> None:
         scene = self._scene
         self._framing = layout.fit_formation(scene, first)
+        self._cameras = FormationCameras(scene, (BEHIND, ABOVE), self._framing.size)
         self._tabs = plots.tabs(scene)
         entities = static_entities(scene, self._drawings, self._framing, self._tabs)
         for entity, components in entities:
@@ -139,11 +151,12 @@ class Recording:
             blueprint(scene, self._framing, self._tabs, live=self._live, span=span)
         )
 
-    def _send_motion(self, batch: Batch) -> None:
-        shown = self._decimate(batch, layout.POSE_ROWS_PER_S)
+    def _send_motion(self, batch: Batch, behind: CameraTrack, above: CameraTrack) -> None:
+        rows = self._every(layout.POSE_ROWS_PER_S)
+        shown = batch.rows(rows)
         attitude = quaternion_xyzw(shown.euler)
         level_euler = np.zeros((len(shown), 3))
-        level_euler[:, 2] = course(shown.velocity[:, 0])
+        level_euler[:, 2] = above.heading[rows]
         heading = quaternion_xyzw(level_euler)
         deflection = np.stack([shown.aileron, shown.elevator, shown.rudder], axis=-1)
         for k, name in enumerate(self._scene.names):
@@ -154,7 +167,9 @@ class Recording:
             entity, flying = f"world/slots/{self._scene.names[k]}", shown.lost[:, k] == 0.0
             if flying.any():
                 self._poses(entity, shown.time[flying], shown.slot[flying, i], heading[flying])
-        self._poses("world/chase", shown.time, formation_centre(self._scene, shown), heading)
+        self._poses("world/chase", shown.time, above.centre[rows], heading)
+        for entity, track in (("world/behind", behind), ("world/above", above)):
+            self._columns(entity, shown.time, camera_frame(track.rows(rows)))
         self._send_trails(batch)
         for row in np.flatnonzero(batch.lost.any(axis=0) & ~self._lost):
             self._send_loss(batch, int(row))
@@ -206,33 +221,47 @@ class Recording:
                 rr.LineStrips3D.columns(strips=np.ascontiguousarray(strips[:, :, k])),
             )
 
-    def _send_annotations(self, batch: Batch) -> None:
+    def _send_overlays(self, batch: Batch, behind: CameraTrack, above: CameraTrack) -> None:
         assert self._framing is not None
-        shown = self._decimate(batch, layout.PLOT_ROWS_PER_S)
+        rows = self._every(math.inf, layout.LABEL_ROWS_PER_S)
+        shown = batch.rows(rows)
         if not len(shown):
             return
-        scene, flying = self._scene, shown.lost == 0.0
+        for camera, track, canvas in (
+            ("behind", behind, BEHIND_CANVAS),
+            ("above", above, ABOVE_CANVAS),
+        ):
+            parts = overlay(
+                self._scene,
+                shown,
+                track.rows(rows),
+                canvas,
+                self._framing.size,
+                grid=camera == "above",
+            )
+            for name, columns in parts:
+                self._columns(f"world/{camera}/{name}", shown.time, columns)
+
+    def _send_annotations(self, batch: Batch, above: CameraTrack) -> None:
+        assert self._framing is not None
+        rows = self._every(layout.PLOT_ROWS_PER_S)
+        shown, track = batch.rows(rows), above.rows(rows)
+        if not len(shown):
+            return
+        flying = shown.lost == 0.0
         count = flying.sum(axis=1)
-        position = to_chase_frame(scene, shown, shown.position)
-        wind = rotate_to_heading(shown.wind, course(shown.velocity[:, 0]))
+        wind = rotate_to_heading(shown.wind, track.heading)
         arrows = rr.Arrows3D.columns(
-            origins=position[flying], vectors=self._framing.wind * wind[flying]
+            origins=track.to_frame(shown.position)[flying],
+            vectors=self._framing.wind * wind[flying],
         )
         self._columns("world/chase/wind", shown.time, arrows.partition(count))
-        if scene.estimated:
-            position = to_chase_frame(scene, shown, shown.estimated_position)
+        if self._scene.estimated:
+            position = track.to_frame(shown.estimated_position)
             points = rr.Points3D.columns(positions=position[flying])
             self._columns("world/chase/estimates", shown.time, points.partition(count))
-        if len(scene.names) > layout.MAX_NAMED:
-            labels = largest_errors(scene, shown)
-            points = rr.Points3D.columns(
-                positions=labels.positions,
-                labels=labels.texts,
-                colors=np.array(scene.colours, np.uint8)[labels.rows],
-            )
-            self._columns("world/chase/largest_errors", shown.time, points.partition(labels.counts))
-        if scene.followers:
-            lines = self._links.lines(shown)
+        if self._scene.followers:
+            lines = self._links.lines(shown, track.to_frame(shown.position))
             strips = rr.LineStrips3D.columns(
                 strips=lines.strips.astype(np.float32),
                 colors=lines.colours,
@@ -241,7 +270,7 @@ class Recording:
             self._columns("world/chase/links", lines.time, strips.partition(lines.counts))
 
     def _send_plots(self, batch: Batch) -> None:
-        shown = self._decimate(batch, layout.PLOT_ROWS_PER_S)
+        shown = batch.rows(self._every(layout.PLOT_ROWS_PER_S))
         if not len(shown):
             return
         # with the sample before, on which some series depend; it is not sent again

@@ -11,11 +11,13 @@ from testbed.core.records import Array
 from testbed.views import layout, plots
 from testbed.views.airframes import AirframeDrawing
 from testbed.views.meshes import DARK, LIGHT, MAIN, Mesh, vertex_normals
+from testbed.views.palette import Colour
 from testbed.views.rerun_backend.blueprint import GRID
-from testbed.views.scene import BACKDROP, Colour, Ground, Scene, ground, mix, secondary_colour
+from testbed.views.scene import BACKDROP, Ground, Scene, ground, mix, secondary_colour
 
 PATH = (165, 165, 170)
 WIND, ESTIMATE = (255, 150, 190), (255, 255, 255)  # not colours of aircraft
+SCALE = (200, 205, 212)
 GHOST_ALPHA, DISC_ALPHA = 60, 70  # of 255
 
 Entity = tuple[str, tuple[rr.AsComponents, ...]]  # path and components
@@ -47,9 +49,16 @@ def static_entities(
     yield "world/chase/wind", (arrows,)
     points = rr.Points3D.from_fields(colors=ESTIMATE, radii=rr.Radius.ui_points(3.0))
     yield "world/chase/estimates", (points,)
-    if len(scene.names) > layout.MAX_NAMED:
-        above = rr.Points3D.from_fields(radii=rr.Radius.ui_points(0.1), show_labels=True)
-        yield "world/chase/largest_errors", (above,)
+    for camera in ("world/behind", "world/above"):
+        small, thin = rr.Radius.ui_points(0.1), rr.Radius.ui_points(0.5)
+        yield f"{camera}/names", (rr.Points3D.from_fields(radii=small, show_labels=True),)
+        yield f"{camera}/grid", (rr.LineStrips3D.from_fields(radii=thin, colors=GRID),)
+        bar = rr.LineStrips3D.from_fields(
+            radii=rr.Radius.ui_points(1.5), colors=SCALE, show_labels=True
+        )
+        yield f"{camera}/scale", (bar,)
+        arrows = rr.Arrows3D.from_fields(radii=rr.Radius.ui_points(2.0))
+        yield f"{camera}/out_of_view", (arrows,)
     yield from _ground(ground(scene.paths))
     for plot in (plot for row in tabs for plot in row):
         yield from _axes(plot)
@@ -66,9 +75,6 @@ def _aircraft(name: str, drawing: AirframeDrawing, paint: Colour, size: float) -
         yield f"{at}/drawn/{surface.name}", (painted(surface.mesh, paint, trim), hinge)
     marker = rr.Points3D([0.0, 0.0, 0.0], radii=rr.Radius.ui_points(3.5), colors=paint)
     yield f"{at}/marker", (marker,)
-    above = [0.0, 0.0, -0.3 * size * np.ptp(drawing.body.vertices[:, 1])]
-    small = rr.Radius.ui_points(0.1)
-    yield f"{at}/name", (rr.Points3D(above, radii=small, colors=paint, labels=name),)
     # the points of a trail come later
     line = rr.LineStrips3D.from_fields(colors=paint, radii=rr.Radius.ui_points(1.0))
     yield f"world/trails/{name}", (line,)

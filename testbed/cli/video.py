@@ -1,0 +1,145 @@
+"""The command that makes a video of a run: video."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from testbed.cli.options import (
+    Follow,
+    RunName,
+    check_follow,
+    output_option,
+    require_finite,
+    require_positive,
+)
+from testbed.cli.output import describe_file, is_stdout, message_console
+from testbed.cli.progress import progress_counter
+from testbed.cli.view import read_shown_log, sigterm_interrupts
+from testbed.core.errors import InputError
+from testbed.core.files import report_write_errors, write_file
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from testbed.core.records import Array
+    from testbed.views.pillow_backend import Drawing
+
+SUFFIXES = (".mp4", ".gif", ".png", ".apng")
+RATES = (50, 25, 20, 10, 5)  # frames per second whose duration every format can hold
+LENGTH_S = 30.0  # of a video without --speed, at most
+MAX_FRAMES = 100_000
+
+
+def video_command(
+    run: RunName,
+    *,
+    out: Annotated[
+        Path,
+        output_option(
+            metavar="FILE",
+            help="The video: .mp4 (AV1), .gif, or .png (animated).",
+            suffixes=SUFFIXES,
+        ),
+    ],
+    begin: Annotated[
+        float | None,
+        typer.Option(
+            "--from",
+            metavar="SECONDS",
+            help="Time of the run at which it begins.  \\[default: the start]",
+            callback=require_finite,
+        ),
+    ] = None,
+    end: Annotated[
+        float | None,
+        typer.Option(
+            "--to",
+            metavar="SECONDS",
+            help="Time of the run at which it ends.  \\[default: the end]",
+            callback=require_finite,
+        ),
+    ] = None,
+    speed: Annotated[
+        float | None,
+        typer.Option(
+            metavar="X",
+            help="Seconds of the run per second.  \\[default: 1, or more for a video of 30 s]",
+            callback=require_positive,
+        ),
+    ] = None,
+    follow: Follow = None,
+    size: Annotated[
+        str, typer.Option(metavar="WIDTHxHEIGHT", help="Size of the pictures, pixels.")
+    ] = "1280x720",
+    fps: Annotated[
+        int, typer.Option(metavar="N", help="Pictures per second: 50, 25, 20, 10 or 5.")
+    ] = 25,
+) -> None:
+    """Make a video of a run; needs no screen and no graphics card.
+
+    The cameras are those of the viewer: all flying aircraft are in sight, or one is followed.
+    """
+    from testbed.views.pillow_backend import save_video
+    from testbed.views.recorded_runs import scene_and_batch
+    from testbed.views.video import FlightVideo
+
+    match = re.fullmatch(r"([1-9]\d{2,3})x([1-9]\d{2,3})", size)
+    if match is None or int(match[1]) % 2 or int(match[2]) % 2:
+        raise InputError(f"--size {size}: write WIDTHxHEIGHT in even pixels, such as 1280x720")
+    if fps not in RATES:
+        raise InputError(f"--fps {fps}: write one of {', '.join(map(str, RATES))}")
+    if is_stdout(out):
+        raise InputError("--out -: a video goes to a file; write its name")
+    log = read_shown_log(run)
+    check_follow(follow, log.info.names)
+    scene, batch = scene_and_batch(log, follow=follow)
+    frames = _frames(batch.time, begin, end, speed, fps)
+    video = FlightVideo(scene, batch, frames, (int(match[1]), int(match[2])))
+    total = len(frames)
+    with (
+        sigterm_interrupts(),
+        report_write_errors(f"--out {out}"),
+        write_file(out) as file,
+        progress_counter("drawing", total=total, unit="pictures") as progress,
+    ):
+
+        def render(number: int) -> Drawing:
+            progress(number, total)
+            return video.frame(number)
+
+        save_video(file, out.suffix.lower(), render, total, 1000 // fps, video.colours)
+    length = f"{total / fps:.1f} s of {scene.scenario}"
+    message_console().write_line(describe_file(out, length))
+
+
+def _frames(
+    time: Array, begin: float | None, end: float | None, speed: float | None, fps: int
+) -> NDArray[np.intp]:
+    """Choose the samples that are drawn.
+
+    Raises:
+        InputError: there are fewer than two or too many, or the run does not have these times.
+    """
+    import numpy as np
+
+    first, last = float(time[0]), float(time[-1])
+    begin, end = first if begin is None else begin, last if end is None else end
+    for name, value in (("--from", begin), ("--to", end)):
+        if not first <= value <= last:
+            raise InputError(f"{name} {value:g}: write a time of the run, {first:g} to {last:g} s")
+    speed = max(1.0, (end - begin) / LENGTH_S) if speed is None else speed
+    count = int((end - begin) / speed * fps + 1e-6) + 1
+    if not 2 <= count <= MAX_FRAMES:
+        raise InputError(
+            f"--from {begin:g} --to {end:g} --speed {speed:g}: {max(count, 0)} pictures; write "
+            f"times and a speed for 2 to {MAX_FRAMES:,}"
+        )
+    at = begin + speed / fps * np.arange(count)
+    after = np.searchsorted(time, at).clip(1, len(time) - 1)
+    nearer: NDArray[np.intp] = np.where(time[after] - at < at - time[after - 1], after, after - 1)
+    return nearer

@@ -1,0 +1,168 @@
+"""Figures of paths from above: the whole run, the first lap, a corner close up."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from testbed.core.records import Array
+from testbed.reports.axes import TIME_LABEL, samples_on_axis
+from testbed.reports.decimate import decimate
+from testbed.reports.figure_spec import FigureSpec
+from testbed.reports.plot_selection import (
+    LEADER_COLOUR,
+    PlotSelection,
+    desired_curves,
+    follower_curves,
+)
+from testbed.reports.run_data import RunData
+from testbed.views.panels import DASHED, PATH, Curve3D, Line, Panel, Panel3D
+
+PATH_BUCKETS = 900  # more than of other curves: corners are short
+CORNER_S = 24.0
+LAP_MARKS = 12  # markers on each path of the first lap
+MIN_SPREAD = 0.03  # of the extent of the leader's path: closer curves cover each other
+
+
+def trajectory(run: RunData, selection: PlotSelection) -> FigureSpec:
+    """Draw paths with time as the vertical axis, and from above."""
+    log = run.log
+    north, east = (np.where(log.lost, np.nan, log.truth.position_ned[..., k]) for k in (0, 1))
+    aircraft = [(log.info.names[0], 0, LEADER_COLOUR, "")]
+    aircraft += [(each.name, each.row + 1, each.colour, each.marker) for each in selection.drawn]
+    apart = _followers_apart(north, east)
+    paths, above = [], []
+    for k, (name, row, colour, marker) in enumerate(aircraft):
+        x, y = north[:, row], east[:, row]
+        at = decimate(x, y, buckets=PATH_BUCKETS)
+        if apart or not k:
+            paths.append(Curve3D(y[at], x[at], log.time_s[at], colour))
+        phase = k / len(aircraft)
+        above.append(Line(y[at], x[at], colour, name, marker=marker, marker_phase=phase))
+    commanded, grey = log.info.leader_path_ned, ""
+    if commanded.size and not run.part:
+        # broad and light: dashes would fill each other's gaps where laps repeat
+        path = Line(commanded[:, 1], commanded[:, 0], PATH, "leader, path", width=3.5)
+        above.insert(0, path)
+        grey = "; grey: the leader's commanded path"
+    left = "paths" if apart else "the leader's path, which those of the followers would cover,"
+    space = Panel3D("over time", "east, m", "north, m", "time, s", paths)
+    plan = Panel("from above", "east, m", "north, m", above, equal=True)
+    return FigureSpec(
+        "Trajectories",
+        f"Left: {left} in the horizontal plane with time as the vertical axis. Right: paths from"
+        f" above, with equal scales{grey}." + selection.worst_note,
+        [[space, plan]],
+        5.6,
+        (1.1, 1.0),
+        needs_selection_note=False,
+    )
+
+
+def _followers_apart(north: Array, east: Array) -> bool:
+    """Return whether followers can be distinguished from the leader at the scale of its path.
+
+    Args:
+        north: (K, N) m, NaN where an aircraft is lost.
+        east: (K, N) m.
+    """
+    distance = np.hypot(north[:, 1:] - north[:, :1], east[:, 1:] - east[:, :1])
+    known = distance[np.isfinite(distance)]
+    if not known.size:
+        return True
+    extent = max(float(np.nanmax(each) - np.nanmin(each)) for each in (north[:, 0], east[:, 0]))
+    return float(np.median(known)) > MIN_SPREAD * extent
+
+
+def first_lap(run: RunData, selection: PlotSelection) -> FigureSpec | None:
+    """Draw the convergence while the leader turns its first full circle, from above."""
+    log = run.log
+    with np.errstate(invalid="ignore"):
+        velocity = log.truth.velocity_ned[:, 0]
+        course = np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]))
+        turned = np.abs(course - course[0]) >= 2.0 * np.pi
+    if not run.followers or not turned.any():
+        return None
+    lap = slice(0, int(turned.argmax()) + 1)
+    time, lost = log.time_s[lap], log.lost[lap]
+    north, east = (np.where(lost, np.nan, log.truth.position_ned[lap, :, k]) for k in (0, 1))
+    lines = [Line(east[:, 0], north[:, 0], LEADER_COLOUR, log.info.names[0], 1.4, dashes=DASHED)]
+    errors: list[Line] = []
+    for each in selection.drawn:
+        x, y, error = east[:, each.row + 1], north[:, each.row + 1], run.error[lap, each.row]
+        # markers at the same times in both panels: each at a multiple of the same step
+        marks = slice(0, None, max(time.size // LAP_MARKS, 1))
+        for to, (a, b) in ((lines, (x, y)), (errors, (time, error))):
+            to.append(Line(a, b, each.colour, each.name, 1.2))
+            to.append(Line(a[marks], b[marks], each.colour, width=0.0, marker=each.marker, marks=0))
+    above = Panel("from above", "east, m", "north, m", lines, equal=True)
+    distance = Panel("distance from the slot", "time, s", "‖q̃‖, m", errors)
+    return FigureSpec(
+        "The first lap",
+        f"Until the leader, dashed, has turned a full circle at {time[-1]:.1f} s. Markers are at"
+        " the same times in both panels." + selection.worst_note,
+        [[above, distance]],
+        5.0,
+        (1.1, 1.0),
+        needs_selection_note=False,
+    )
+
+
+def corner(run: RunData, selection: PlotSelection) -> FigureSpec | None:
+    """Draw the formation from above in the leader's steepest turn, at the scale of the slots."""
+    log, time = run.log, run.log.time_s
+    if not run.followers:
+        return None
+    on_axis, _ = samples_on_axis(run)
+    bank = np.where(log.lost[:, 0] | ~on_axis.any(axis=1), np.nan, np.abs(log.truth.euler[:, 0, 0]))
+    if not np.isfinite(bank).any():
+        return None
+    centre = time[np.nanargmax(bank)]
+    near = np.abs(time - centre) <= 0.5 * CORNER_S
+    truth, lost = log.truth, np.any(log.lost, axis=0).tolist()
+    # aircraft that were lost in the run are left out
+    drawn = tuple(each for each in selection.drawn if not lost[each.row + 1])
+    selection = PlotSelection(drawn, 0)
+    without_slot = run.without_slot[near][..., None]
+    position = np.where(without_slot, np.nan, truth.position_ned[near, 1:])
+    slot = np.where(without_slot, np.nan, log.formation.slot_ned[near])
+    name, leader = log.info.names[0], truth.position_ned[near, 0]
+    lines = [Line(leader[:, 1], leader[:, 0], LEADER_COLOUR, name, 1.4)]
+    for each in drawn:
+        own, desired = position[:, each.row], slot[:, each.row]
+        lines.append(
+            Line(own[:, 1], own[:, 0], each.colour, each.name, 1.4,
+                 marker=each.marker, marker_phase=0.5)
+        )  # fmt: skip
+        lines.append(Line(desired[:, 1], desired[:, 0], each.colour, width=1.0, dashes=DASHED))
+    time = time[near]
+    formation, error = log.formation, run.error[near]
+    speed, desired_speed = (
+        np.where(run.without_slot[near], np.nan, each[near])
+        for each in (formation.speed, formation.speed_desired)
+    )
+    banks = np.degrees(truth.euler[near, :, 0])
+    panels = (
+        Panel("from above", "east, m", "north, m", lines, equal=True),
+        Panel("distance from the slot", "", "‖q̃‖, m", [*follower_curves(time, error, selection)]),
+        Panel(
+            "ground speed", TIME_LABEL, "m/s",
+            [*follower_curves(time, speed, selection),
+             *desired_curves(time, desired_speed, selection)],
+        ),
+        Panel(
+            "bank", TIME_LABEL, "°",
+            [Line(time, banks[:, 0], LEADER_COLOUR, name, 1.2),
+             *follower_curves(time, banks[:, 1:], selection)],
+            y_degrees=True,
+        ),
+    )  # fmt: skip
+    return FigureSpec(
+        "A corner, close up",
+        f"{CORNER_S:g} s around the leader's steepest bank, at {centre:.1f} s. Dashed: the paths of"
+        " the slots, and desired speeds. Markers are at the same times on all paths. Aircraft that"
+        " were lost in the run are left out." + selection.worst_note,
+        [panels[:2], panels[2:]],
+        7.6,
+        (1.0, 1.0),
+        needs_selection_note=False,
+    )

@@ -1,0 +1,119 @@
+"""PettingZoo environment: all followers hold their slots."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box
+from pettingzoo import ParallelEnv
+
+from testbed.rl.episodes import Episodes, Task
+from testbed.rl.spaces import NEAREST, OWN, Vector, action_space, observation_space
+from testbed.sim.simulation import Simulation
+
+_SEEDS = 2**31
+
+
+class FormationEnv(ParallelEnv):  # type: ignore[misc] # a library without types
+    """All followers of a scenario hold their slots by pitch, roll and throttle.
+
+    A follower that is lost or has left the formation is an agent no more; it flies its trim.
+
+    Args:
+        scenario: name or path.
+        render_mode: there is none: write a log with `out`, and look at it with `testbed view`.
+        task: further arguments of `testbed.rl.episodes.Task`.
+
+    Raises:
+        InputError: the scenario or an argument is wrong.
+    """
+
+    metadata = {"name": "formation_v0", "render_modes": []}
+
+    def __init__(
+        self,
+        scenario: str = "simulation-3",
+        render_mode: None = None,
+        **task: Any,  # noqa: ANN401 - those of a dataclass
+    ) -> None:
+        """See the class."""
+        self.render_mode = render_mode
+        self._episodes = Episodes(Task(scenario=scenario, **task), None, nearest=True)
+        self.possible_agents = list(self._episodes.agents)
+        self.agents: list[str] = []
+        self.observation_spaces = {
+            each: observation_space((*OWN, *NEAREST)) for each in self.possible_agents
+        }
+        self.action_spaces = {each: action_space() for each in self.possible_agents}
+        self._generator = np.random.default_rng()
+
+    def observation_space(self, agent: str) -> Box:
+        """Return the space of an agent's observations."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Box:
+        """Return the space of an agent's actions."""
+        return self.action_spaces[agent]
+
+    @property
+    def simulation(self) -> Simulation | None:
+        """The flight of the present episode."""
+        return self._episodes.simulation
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Vector], dict[str, dict[str, Any]]]:
+        """Begin an episode.
+
+        Args:
+            seed: of the simulation and of the values that are drawn; None: the next ones.
+            options: none.
+
+        Returns:
+            Observations and infos by agent.
+        """
+        if seed is not None:
+            self._generator = np.random.default_rng(seed)
+        simulated = int(self._generator.integers(_SEEDS)) if seed is None else seed
+        self._episodes.begin(simulated, self._generator)
+        self.agents = list(self.possible_agents)
+        return self._observations(), {each: self._episodes.info(each) for each in self.agents}
+
+    def step(
+        self, actions: dict[str, Vector]
+    ) -> tuple[
+        dict[str, Vector],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
+        """Fly one control period.
+
+        Args:
+            actions: of every agent.
+
+        Returns:
+            Observations, rewards, terminations, truncations and infos, by agent.
+        """
+        episodes, agents = self._episodes, self.agents
+        episodes.step({each: actions[each] for each in agents})
+        observations = self._observations()
+        rewards = {each: episodes.reward(each) for each in agents}
+        terminations = {each: episodes.terminated(each) for each in agents}
+        over = episodes.truncated
+        truncations = {each: over and not terminations[each] for each in agents}
+        infos = {each: episodes.info(each) for each in agents}
+        self.agents = [each for each in agents if not (terminations[each] or truncations[each])]
+        if not self.agents:
+            for each in agents:
+                infos[each]["metrics"] = episodes.metrics
+        return observations, rewards, terminations, truncations, infos
+
+    def close(self) -> None:
+        """End the flight, and write its files where there are any."""
+        self._episodes.close()
+
+    def _observations(self) -> dict[str, Vector]:
+        return {each: self._episodes.observation(each) for each in self.agents}

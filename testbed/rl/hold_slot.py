@@ -1,0 +1,80 @@
+"""Gymnasium environment: one follower holds its slot."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+
+from testbed.rl.episodes import Episodes, Task
+from testbed.rl.spaces import OWN, Vector, action_space, observation_space
+from testbed.sim.simulation import Simulation
+
+_SEEDS = 2**31  # simulations of episodes without a seed of their own
+
+
+class HoldSlotEnv(gymnasium.Env[Any, Any]):
+    """One follower of a scenario holds its slot by pitch, roll and throttle.
+
+    All other aircraft fly as in the scenario.
+
+    Args:
+        follower: its name.
+        render_mode: there is none: write a log with `out`, and look at it with `testbed view`.
+        task: arguments of `testbed.rl.episodes.Task`.
+
+    Raises:
+        InputError: the scenario or an argument is wrong.
+    """
+
+    metadata = {"render_modes": []}
+
+    def __init__(
+        self,
+        follower: str = "uav1",
+        render_mode: None = None,
+        **task: Any,  # noqa: ANN401 - those of a dataclass
+    ) -> None:
+        """See the class."""
+        self.render_mode = render_mode
+        self._episodes = Episodes(Task(**task), [follower], nearest=False)
+        self._name = follower
+        self.observation_space = observation_space(OWN)
+        self.action_space = action_space()
+
+    @property
+    def simulation(self) -> Simulation | None:
+        """The flight of the present episode."""
+        return self._episodes.simulation
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Vector, dict[str, Any]]:
+        """Begin an episode.
+
+        Args:
+            seed: of the simulation and of the values that are drawn; None: the next ones.
+            options: none.
+
+        Returns:
+            The observation; info, with `seed` that of the simulation.
+        """
+        super().reset(seed=seed)
+        simulated = int(self.np_random.integers(_SEEDS)) if seed is None else seed
+        self._episodes.begin(simulated, self.np_random)
+        return self._episodes.observation(self._name), self._episodes.info(self._name)
+
+    def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
+        """Fly one control period; return observation, reward, terminated, truncated and info."""
+        episodes, name = self._episodes, self._name
+        episodes.step({name: action})
+        terminated = episodes.terminated(name)
+        truncated = episodes.truncated and not terminated
+        info = episodes.info(name)
+        if terminated or truncated:
+            info["metrics"] = episodes.metrics
+        return episodes.observation(name), episodes.reward(name), terminated, truncated, info
+
+    def close(self) -> None:
+        """End the flight, and write its files where there are any."""
+        self._episodes.close()

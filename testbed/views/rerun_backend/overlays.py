@@ -1,0 +1,135 @@
+"""The frame of a camera, and the texts and marks over its picture, as columns.
+
+The unit of the frame is a share of the camera's distance, so that the viewer's camera, which stands
+still in it, moves away as the formation spreads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import rerun as rr
+
+from testbed.core.frames import quaternion_xyzw
+from testbed.core.records import Array
+from testbed.views.batch import Batch
+from testbed.views.cameras import CameraTrack
+from testbed.views.labels import Canvas, name_aircraft, scale_bar
+from testbed.views.layout import UNITS
+from testbed.views.rerun_backend.static_entities import SCALE
+from testbed.views.scene import Scene
+
+Columns = Iterator[tuple[str, rr.ComponentColumnList]]  # entity below the camera's, and its columns
+
+ARROW_PX = 22.0
+GRID_LINES = 12  # on each side of the middle
+BAR_PX = (18.0, 24.0)  # of the scale bar from the left and the lower edge
+TEXT_PX = 14.0  # from a point up to the middle of its text in the viewer
+LETTER_PX, LINE_PX = 7.6, 22.0  # of the viewer's texts
+# The views in a window of 1600 x 900; in a larger one texts have more room.
+BEHIND_CANVAS = Canvas(990.0, 430.0, LETTER_PX, LINE_PX)
+ABOVE_CANVAS = Canvas(495.0, 340.0, LETTER_PX, LINE_PX)
+
+
+def camera_frame(track: CameraTrack) -> rr.ComponentColumnList:
+    """Make the poses and scales of a camera's frame."""
+    euler = np.zeros((len(track.heading), 3))
+    euler[:, 2] = track.heading
+    return rr.Transform3D.columns(
+        translation=track.centre,
+        quaternion=quaternion_xyzw(euler),
+        scale=np.repeat(track.distance[:, None] / UNITS, 3, axis=1),
+    )
+
+
+def overlay(
+    scene: Scene, batch: Batch, track: CameraTrack, canvas: Canvas, size: float, *, grid: bool
+) -> Columns:
+    """Make names, arrows towards aircraft out of view, and the scale, for each sample.
+
+    Args:
+        scene: of N aircraft.
+        batch: m samples.
+        track: of the camera, m rows.
+        canvas: the size of the view.
+        size: factor by which aircraft are drawn larger.
+        grid: whether to draw a grid through the middle, with the scale bar's length as step.
+    """
+    colours = np.array(scene.colours, np.uint8)
+    names, arrows, bars, lines = [], [], [], []
+    for k in range(len(batch)):
+        one, at = batch.rows(slice(k, k + 1)), track.rows(slice(k, k + 1))
+        label, edge = name_aircraft(scene, one, at, canvas, size)
+        # arrows carry their texts themselves
+        points = _in_frame(at, canvas, label.middle - [0.0, TEXT_PX], label.depth)
+        texts = _in_frame(at, canvas, edge.middle - [0.0, TEXT_PX])
+        names.append(
+            (
+                np.concatenate([points, texts]),
+                label.texts + edge.texts,
+                colours[np.concatenate([label.rows, edge.rows])],
+            )
+        )
+        tail = _in_frame(at, canvas, edge.tip - ARROW_PX * edge.direction)
+        arrows.append((tail, _in_frame(at, canvas, edge.tip) - tail, colours[edge.rows]))
+        bar = scale_bar(at, canvas)
+        left = np.array([BAR_PX[0], canvas.height - BAR_PX[1]])
+        ends = _in_frame(at, canvas, np.stack([left, left + [bar.pixels, 0.0]]))
+        bars.append((ends, f"{bar.length:g} m"))
+        lines.append(_grid(bar.length * UNITS / float(at.distance[0])))
+    yield (
+        "names",
+        rr.Points3D.columns(
+            positions=np.concatenate([each[0] for each in names]),
+            labels=[text for each in names for text in each[1]],
+            colors=np.concatenate([each[2] for each in names]),
+        ).partition([len(each[0]) for each in names]),
+    )
+    if any(len(each[0]) for each in arrows):
+        yield (
+            "out_of_view",
+            rr.Arrows3D.columns(
+                origins=np.concatenate([each[0] for each in arrows]),
+                vectors=np.concatenate([each[1] for each in arrows]),
+                colors=np.concatenate([each[2] for each in arrows]),
+            ).partition([len(each[0]) for each in arrows]),
+        )
+    yield (
+        "scale",
+        rr.LineStrips3D.columns(
+            strips=np.array([ends for ends, _ in bars], np.float32),
+            labels=[text for _, text in bars],
+            colors=[SCALE] * len(bars),
+        ),
+    )
+    if grid:
+        yield (
+            "grid",
+            rr.LineStrips3D.columns(strips=np.concatenate(lines).astype(np.float32)).partition(
+                [len(each) for each in lines]
+            ),
+        )
+
+
+def _in_frame(
+    track: CameraTrack, canvas: Canvas, pixels: Array, depth: Array | None = None
+) -> Array:
+    """Convert pixels (k, 2) into positions (k, 3) in a camera's frame; `track` has one row.
+
+    Without depths (k,), m, the positions are in the plane through the middle of the formation.
+    """
+    if depth is None:
+        middle = -float(track.distance[0]) * float(np.dot(track.lens.axes[2], track.lens.eye))
+        depth = np.full(len(pixels), middle)
+    position = track.unproject(canvas.to_screen(pixels)[None], depth[None])[0]
+    in_units: Array = position * UNITS / track.distance[0]
+    return in_units
+
+
+def _grid(step: float) -> Array:
+    """Lay out the lines (l, 2, 3) of a horizontal grid through the origin."""
+    at = step * np.arange(-GRID_LINES, GRID_LINES + 1.0)
+    end, zero = np.full_like(at, at[-1]), np.zeros_like(at)
+    across = np.stack([np.stack([at, -end, zero], -1), np.stack([at, end, zero], -1)], axis=1)
+    return np.concatenate([across, across[..., [1, 0, 2]]])

@@ -1,0 +1,318 @@
+"""Draw frames of a flight for a video: the formation from behind, with a view from above.
+
+The cameras, names and colours are those of the viewer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.core.frames import rotation_ned_body
+from testbed.core.records import Array
+from testbed.views import layout
+from testbed.views.airframes import draw_airframe
+from testbed.views.annotations import LOST, Links
+from testbed.views.batch import Batch
+from testbed.views.cameras import (
+    ABOVE,
+    BEHIND,
+    HALF_HEIGHT,
+    CameraTrack,
+    FormationCameras,
+    flying_aircraft,
+)
+from testbed.views.labels import Canvas, name_aircraft, scale_bar
+from testbed.views.meshes import DARK, LIGHT, MAIN, join
+from testbed.views.palette import Colour
+from testbed.views.pillow_backend import Drawing
+from testbed.views.scene import BACKDROP, Scene, ground, mix, secondary_colour
+
+TRAIL_S = 6.0
+TRAIL_POINTS = 40
+NEAR = 1.0  # m, from the camera to the nearest point that is drawn
+BESIDE = 0.32  # share of the width that the view from above has
+MARGIN = 12  # pixels around texts
+DETAILED_PX = 16.0  # wingspan from which an aircraft is drawn as a mesh, otherwise as a dot
+LIGHT_FROM = np.array([-0.35, -0.25, -0.90])  # forward, right, down of north
+SHADE = 0.45  # of a colour, turned away from the light
+GREY: Colour = (200, 205, 212)
+LINE: Colour = (84, 94, 110)
+PATH: Colour = (165, 165, 170)
+HEAD = 30  # pixels, height of the line above the pictures
+TITLE, ENTRY = 250, 96  # pixels, widths of the title and of a follower's error in that line
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """One of the pictures of a frame."""
+
+    track: CameraTrack  # one row for each frame
+    canvas: Canvas
+    ground: bool  # draws the ground and its grid, or a grid through the middle
+
+    def pixels(self, frame: int, position: Array) -> tuple[Array, Array]:
+        """Project positions (k, 3): pixels (k, 2), and depths (k,), m."""
+        at = self.track.rows(slice(frame, frame + 1))
+        screen, depth = at.project(position[None])
+        return self.canvas.to_pixels(screen[0]), depth[0]
+
+
+@dataclass(frozen=True, slots=True)
+class Painted:
+    """The mesh of an aircraft of v vertices and t triangles, at its drawn size."""
+
+    vertices: Array  # (v, 3) m, body axes
+    triangles: NDArray[np.uint32]  # (t, 3)
+    normals: Array  # (t, 3) unit, outward
+    colours: Array  # (t, 3) 0..255
+    raised: Array  # (t,) m, towards the camera where triangles are sorted by depth
+
+
+class FlightVideo:
+    """Frames of one flight at some of its samples."""
+
+    def __init__(
+        self, scene: Scene, batch: Batch, frames: NDArray[np.intp], size: tuple[int, int]
+    ) -> None:
+        """Prepare the cameras.
+
+        Args:
+            scene: of N aircraft.
+            batch: all samples, so that the cameras are where the viewer has them.
+            frames: rows of the samples that are drawn, ascending.
+            size: width and height, pixels.
+        """
+        self._scene, self._batch, self._frames = scene, batch, frames
+        self._shown = batch.rows(frames)
+        self._flying = flying_aircraft(self._shown)
+        framing = layout.fit_formation(scene, batch)
+        self._size = framing.size
+        width, height = size
+        small, height = round(BESIDE * width), height - HEAD
+        widths = width - small, small
+        lenses = (
+            replace(BEHIND, aspect=widths[0] / height),
+            replace(ABOVE, aspect=widths[1] / height),
+        )
+        tracks = FormationCameras(scene, lenses, self._size).track(batch)
+        self._views = tuple(
+            View(track.rows(frames), Canvas(each, height, letter=7.4, line=19.0), ground=not k)
+            for k, (track, each) in enumerate(zip(tracks, widths, strict=True))
+        )
+        self._lines = Links(scene).lines(self._shown, self._shown.position)
+        self._first_line = np.concatenate([[0], np.cumsum(self._lines.counts)])
+        self._rotation = rotation_ned_body(self._shown.euler)
+        level = np.zeros_like(self._shown.euler)
+        level[..., 2] = self._views[0].track.heading[:, None]
+        self._level = rotation_ned_body(level)
+        self._prepare_meshes()
+        area = ground(scene.paths)
+        self._ground = [(each, LINE) for each in area.lines]
+        self._ground += [(path * [1.0, 1.0, 0.0], LINE) for path in area.paths]
+        self._ground += [(path, PATH) for path in area.paths]
+
+    @property
+    def colours(self) -> list[Colour]:
+        """Colours that a picture with few colours needs, at most 256."""
+        greys = [mix(BACKDROP, (255, 255, 255), share) for share in np.linspace(0.0, 1.0, 24)]
+        used = list(dict.fromkeys(self._scene.colours))[:21]
+        tones = [mix(BACKDROP, each, s) for each in used for s in (0.25, 0.4, 0.55, 0.7, 0.85, 1)]
+        pale = [mix(each, (255, 255, 255), 0.4) for each in used]
+        return [*greys, (30, 34, 42), (45, 50, 58), LOST, LINE, PATH, *tones, *pale]
+
+    def frame(self, number: int) -> Drawing:
+        """Draw a frame by its number."""
+        behind, above = self._views
+        left, right = self._view(behind, number), self._view(above, number)
+        self._texts(left, behind, number)
+        self._texts(right, above, number)
+        both = left.beside(right, HEAD)
+        edge, height = behind.canvas.width, behind.canvas.height
+        both.line(np.array([[edge, HEAD], [edge, HEAD + height]]), LINE)
+        self._head(both, edge + above.canvas.width, number)
+        return both
+
+    def _prepare_meshes(self) -> None:
+        """Join the parts of each drawn airframe, with a colour and a normal per triangle."""
+        scene = self._scene
+        self._meshes: list[Painted] = []
+        for name, span, paint in zip(scene.airframes, scene.wingspan, scene.colours, strict=True):
+            drawn = draw_airframe(name, span)
+            moved = [
+                replace(each.mesh, vertices=each.mesh.vertices + each.hinge)
+                for each in drawn.control_surfaces
+            ]
+            mesh = join(drawn.body, *moved)
+            vertices = self._size * mesh.vertices
+            corners = vertices[mesh.triangles]
+            normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            area = np.linalg.norm(normal, axis=-1, keepdims=True)
+            keep = area[:, 0] > 0.0
+            colours = np.zeros((3, 3))
+            colours[MAIN], colours[LIGHT] = paint, secondary_colour(paint)
+            colours[DARK] = (45, 50, 58)
+            paint_of = mesh.paint[mesh.triangles[:, 0]]
+            self._meshes.append(
+                Painted(
+                    vertices,
+                    mesh.triangles[keep],
+                    (normal / np.maximum(area, 1e-12))[keep],
+                    colours[paint_of[keep]],
+                    # light stripes lie on surfaces of the main colour
+                    np.where(paint_of[keep] == LIGHT, 0.012 * self._size * span, 0.0),
+                )
+            )
+
+    def _view(self, view: View, number: int) -> Drawing:
+        """Draw everything but the texts."""
+        canvas, shown = view.canvas, self._shown
+        drawing = Drawing(int(canvas.width), int(canvas.height), BACKDROP)
+        for points, colour in self._ground if view.ground else self._grid(view, number):
+            self._polyline(drawing, view, number, points, colour)
+        row = int(self._frames[number])
+        first = int(np.searchsorted(self._batch.time, self._batch.time[row] - TRAIL_S))
+        step = max(1, (row - first) // TRAIL_POINTS)
+        rows = np.union1d(np.arange(row - (row - first) // step * step, row + 1, step), [row])
+        for k in range(len(self._scene.names)):
+            if self._flying[number, k]:
+                trail = self._batch.position[rows, k]
+                self._polyline(drawing, view, number, trail, self._scene.colours[k], 1.6)
+        lines, begin = self._lines, self._first_line
+        for s in range(begin[number], begin[number + 1]):
+            colour = tuple(lines.colours[s].tolist())
+            width = 0.5 + float(lines.radii[s])
+            self._polyline(drawing, view, number, lines.strips[s], colour, width)
+        for lost in np.flatnonzero(shown.lost[number]).tolist():
+            at, depth = view.pixels(number, shown.position[number, lost : lost + 1])
+            if depth[0] > NEAR:
+                drawing.dot(at[0], LOST, 4.0)
+        self._aircraft(drawing, view, number)
+        return drawing
+
+    def _aircraft(self, drawing: Drawing, view: View, number: int) -> None:
+        """Draw aircraft and slots, the farthest first."""
+        shown, scene = self._shown, self._scene
+        things = [
+            (k, shown.position[number, k], self._rotation[number, k], False)
+            for k in np.flatnonzero(self._flying[number]).tolist()
+        ]
+        things += [
+            (k, shown.slot[number, i], self._level[number, k], True)
+            for i, k in enumerate(scene.followers)
+            if self._flying[number, k] and np.isfinite(shown.slot[number, i]).all()
+        ]
+        if not things:
+            return
+        middle, depth = view.pixels(number, np.array([each[1] for each in things]))
+        axes = view.track.lens.axes
+        course = view.track.heading[number]
+        c, s = np.cos(course), np.sin(course)
+        to_view = axes @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        for each in np.argsort(-depth):
+            k, position, rotation, ghost = things[each]
+            if depth[each] <= NEAR:
+                continue
+            metre = 0.5 * view.canvas.height / (HALF_HEIGHT * depth[each])
+            colour = scene.colours[k]
+            if self._size * scene.wingspan[k] * metre < DETAILED_PX:
+                if not ghost:
+                    drawing.dot(middle[each], colour, 3.0)
+                continue
+            mesh = self._meshes[k]
+            pixels, deep = view.pixels(number, position + mesh.vertices @ rotation.T)
+            pixels, deep = pixels[mesh.triangles], deep[mesh.triangles]
+            normals = mesh.normals @ rotation.T
+            a, b = pixels[:, 1] - pixels[:, 0], pixels[:, 2] - pixels[:, 0]
+            turning = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]  # by the side that is seen
+            outward = turning * -(normals @ to_view[2])
+            front = turning * np.sign(outward.sum()) > 0.0
+            front &= deep.min(axis=1) > NEAR
+            if ghost:
+                faded = np.array(mix(colour, BACKDROP, 0.72), np.uint8)
+                drawing.polygons(pixels[front], np.broadcast_to(faded, (int(front.sum()), 3)))
+                continue
+            light = np.clip(normals @ LIGHT_FROM, 0.0, 1.0)
+            tone = (SHADE + (1.0 - SHADE) * light)[:, None] * mesh.colours
+            far = deep.mean(axis=1) - mesh.raised
+            order = np.flatnonzero(front)[np.argsort(-far[front])]
+            drawing.polygons(pixels[order], tone[order].astype(np.uint8))
+
+    def _polyline(
+        self,
+        drawing: Drawing,
+        view: View,
+        number: int,
+        points: Array,
+        colour: Colour,
+        width: float = 1.0,
+    ) -> None:
+        """Draw the parts of a line that are before the camera and near the picture."""
+        pixels, depth = view.pixels(number, points)
+        reach = 4.0 * max(view.canvas.width, view.canvas.height)
+        with np.errstate(invalid="ignore"):
+            good = (depth > NEAR) & (np.abs(pixels) < reach).all(axis=-1)
+        ends = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]])))
+        for begin, end in zip(ends[::2], ends[1::2], strict=True):
+            if end - begin > 1:
+                drawing.line(pixels[begin:end], colour, width)
+
+    def _grid(self, view: View, number: int) -> list[tuple[Array, Colour]]:
+        """Lay out a grid through the middle, whose step is the length of the scale bar."""
+        at = view.track.rows(slice(number, number + 1))
+        step = scale_bar(at, view.canvas).length
+        along = step * np.arange(-12.0, 13.0)
+        c, s = np.cos(at.heading[0]), np.sin(at.heading[0])
+        ahead, right = np.array([c, s, 0.0]), np.array([-s, c, 0.0])
+        end = along[-1]
+        faint = mix(LINE, BACKDROP, 0.5)
+        return [
+            (at.centre[0] + x * one + np.outer([-end, end], other), faint)
+            for one, other in ((ahead, right), (right, ahead))
+            for x in along
+        ]
+
+    def _texts(self, drawing: Drawing, view: View, number: int, taken: Array | None = None) -> None:
+        """Write names, arrows towards aircraft out of view, and the scale bar."""
+        one = self._shown.rows(slice(number, number + 1))
+        at = view.track.rows(slice(number, number + 1))
+        names, arrows = name_aircraft(self._scene, one, at, view.canvas, self._size)
+        bar = scale_bar(at, view.canvas)
+        left, low = MARGIN, view.canvas.height - MARGIN
+        drawing.line(np.array([[left, low], [left + bar.pixels, low]]), GREY, 2.0)
+        for tip, direction, row in zip(arrows.tip, arrows.direction, arrows.rows, strict=True):
+            aside = np.array([-direction[1], direction[0]])
+            head = np.stack([tip, tip - 12.0 * direction + 6.0 * aside,
+                             tip - 12.0 * direction - 6.0 * aside])  # fmt: skip
+            drawing.polygons(head[None], np.array([self._scene.colours[row]], np.uint8))
+        for each in (names, arrows):
+            for middle, text, row in zip(each.middle, each.texts, each.rows, strict=True):
+                drawing.text(middle, text, self._scene.colours[row])
+        drawing.text(np.array([left + 2, low - 4]), f"{bar.length:g} m", GREY, anchor="ls")
+
+    def _head(self, drawing: Drawing, width: float, number: int) -> None:
+        """Write the scenario, the time, and as many of the largest errors as fit, in a line."""
+        scene, time = self._scene, float(self._shown.time[number])
+        at = np.array([MARGIN, 0.5 * HEAD])
+        text = f"{scene.scenario}   {time:.1f} s"
+        drawing.text(at, text, (240, 240, 240), anchor="lm", size=17.0, boxed=False)
+        error = np.linalg.norm(self._shown.error[number], axis=-1)
+        known = [
+            i
+            for i, k in enumerate(scene.followers)
+            if self._flying[number, k] and np.isfinite(error[i])
+        ]
+        room = int((width - TITLE) // ENTRY) - 1
+        largest = sorted(sorted(known, key=lambda i: -error[i])[:room])
+        if not largest:
+            return
+        label = "from slots" if len(largest) == len(known) else "largest from slots"
+        at = np.array([width - MARGIN - ENTRY * len(largest), at[1]])
+        drawing.text(at - [8, 0], f"{label}:", GREY, anchor="rm", boxed=False)
+        for i in largest:
+            k = scene.followers[i]
+            text = f"{scene.names[k]} {error[i]:.2f} m"
+            drawing.text(at, text, scene.colours[k], anchor="lm", boxed=False)
+            at = at + [ENTRY, 0]

@@ -1,0 +1,129 @@
+"""A video shows every aircraft, in a file that other programs play."""
+
+import io
+import shutil
+import struct
+import subprocess
+
+import numpy as np
+import pytest
+import views_flight
+from commands import call_command
+from PIL import Image, ImageSequence
+from record_flight import record, run_info, run_samples
+
+from testbed.cli.video import _frames
+from testbed.core.errors import InputError
+from testbed.views.pillow_backend import mp4_from_avif, save_video
+from testbed.views.recorded_runs import scene_and_batch
+from testbed.views.video import FlightVideo
+
+
+def boxes(data, start=0, end=None):
+    """Read the boxes of an MP4 file as pairs of path and content."""
+    end = len(data) if end is None else end
+    while start < end:
+        size, kind = struct.unpack_from(">I4s", data, start)
+        yield kind.decode(), data[start + 8 : start + size]
+        if kind in (b"moov", b"trak", b"mdia"):
+            for path, content in boxes(data, start + 8, start + size):
+                yield f"{kind.decode()}/{path}", content
+        start += size
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("flown")
+    record(folder / "run.mcap", run_samples(60), run_info())  # 0 to 2.36 s
+    return folder
+
+
+def test_mp4_has_the_frames_of_the_avif_as_video():
+    content = io.BytesIO()
+    shades = [Image.new("RGB", (64, 48), (40 * k, 90, 200 - 40 * k)) for k in range(5)]
+    shades[0].save(content, "AVIF", save_all=True, append_images=shades[1:], duration=40)
+    avif = content.getvalue()
+    mp4 = mp4_from_avif(avif)
+    assert len(mp4) == len(avif)
+    before, after = dict(boxes(avif)), dict(boxes(mp4))
+    assert after["mdat"] == before["mdat"], "the pictures are the same bytes"
+    assert after["ftyp"].startswith(b"isom") and b"av01" in after["ftyp"]
+    assert "meta" not in after and "moov/trak/edts" not in after
+    assert after["moov/trak/mdia/hdlr"][8:12] == b"vide"
+    timescale, duration = struct.unpack_from(">IQ", after["moov/trak/mdia/mdhd"], 20)
+    assert duration / timescale == pytest.approx(0.2)
+    assert struct.unpack_from(">Q", after["moov/mvhd"], 24) == (duration,)
+    assert struct.unpack_from(">Q", after["moov/trak/tkhd"], 28) == (duration,)
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".gif", ".png"])
+def test_video_command_writes_frames(flown, tmp_path, suffix):
+    path = tmp_path / f"it{suffix}"
+    options = ("--from", "1", "--to", "2", "--speed", "0.5", "--fps", "5", "--size", "240x160")
+    done = call_command("video", "run.mcap", "--out", path, *options, cwd=flown, code=0, columns=99)
+    assert f"{path}: " in done.stderr and "2.2 s of" in done.stderr
+    assert list(tmp_path.iterdir()) == [path]
+    if suffix != ".mp4":
+        with Image.open(path) as video:
+            frames = [frame.copy() for frame in ImageSequence.Iterator(video)]
+            assert video.size == (240, 160)
+        assert sum(frame.info["duration"] for frame in frames) == pytest.approx(11 * 200)
+        assert len(frames) > 5, "it moves"
+        return
+    assert dict(boxes(path.read_bytes()))["ftyp"].startswith(b"isom")
+    if probe := shutil.which("ffprobe"):
+        entries = "stream=codec_name,width,height,nb_frames:format=duration"
+        command = [probe, "-v", "error", "-show_entries", entries, "-of", "csv=p=0", str(path)]
+        shown = subprocess.run(command, capture_output=True, text=True, check=True)
+        assert shown.stderr == "" and shown.stdout.split() == ["av1,240,160,11", "2.200000"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--out", "it.avi"), "ends in .mp4, .gif, .png, .apng"),
+        (("--out", "no/it.mp4"), "no folder"),
+        (("--out", "it.mp4", "--from", "9"), "--from 9: write a time of the run, 0 to 2.36 s"),
+        (("--out", "it.mp4", "--from", "1", "--to", "1"), "1 pictures"),
+        (("--out", "it.mp4", "--speed", "0"), "above 0"),
+        (("--out", "it.mp4", "--fps", "24"), "one of 50, 25, 20, 10, 5"),
+        (("--out", "it.mp4", "--size", "641x360"), "even pixels"),
+        (("--out", "it.mp4", "--follow", "uav9"), "one of leader, uav1"),
+    ],
+)
+def test_video_command_refuses_bad_input(flown, options, message):
+    done = call_command("video", "run.mcap", *options, cwd=flown, code=2, columns=200)
+    assert message in done.stderr
+    assert [each.name for each in flown.iterdir()] == ["run.mcap"]
+
+
+def test_too_long_gif_is_refused():
+    class Picture:
+        def finish(self):
+            return Image.new("RGB", (1920, 1080))
+
+    with pytest.raises(InputError, match="write a .mp4"):
+        save_video(io.BytesIO(), ".gif", lambda number: Picture(), 1000, 40, [])
+
+
+@pytest.mark.parametrize("aircraft", [4, 20])
+def test_frame_shows_every_aircraft_twice(aircraft):
+    scene, batch = scene_and_batch(views_flight.log(aircraft, 8.0))
+    video = FlightVideo(scene, batch, np.array([150]), (960, 540))
+    picture = np.asarray(video.frame(0).finish()).astype(int)
+    assert picture.shape == (540, 960, 3)
+    left = round(0.68 * 960)
+    for k, colour in enumerate(scene.colours):
+        for part in (picture[:, :left], picture[:, left:]):
+            shades = [
+                np.abs(part - np.multiply(colour, tone)).max(axis=-1) for tone in (1, 0.9, 0.8)
+            ]
+            assert (np.min(shades, axis=0) < 14).sum() > 5, f"aircraft {k} is not in the picture"
+    assert len(video.colours) <= 256
+
+
+def test_default_speed_makes_video_of_thirty_seconds():
+    time = np.arange(0.0, 1080.0, 0.04)
+    rows = _frames(time, None, None, None, 25)
+    assert len(rows) == 751 and rows[0] == 0 and time[rows[-1]] == pytest.approx(1079.96, abs=0.04)
+    assert np.array_equal(_frames(time, 10.0, 12.0, None, 25), np.arange(250, 301))

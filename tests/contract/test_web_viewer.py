@@ -1,0 +1,79 @@
+"""A web viewer answers on this machine only, for as long as its command runs."""
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+from commands import call_command
+from patience import PATIENCE_S, until
+from record_flight import record, run_info, run_samples
+
+from testbed.core.errors import InputError
+from testbed.views import viewer, web_viewer
+
+
+def listening(port):
+    """List the addresses on which programs listen on a port (Linux)."""
+    rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    ends = [row[1].split(":") for row in rows if row[3] == viewer.TCP_LISTEN]
+    return {address for address, each in ends if int(each, 16) == port}
+
+
+def test_web_view_answers_on_loopback_until_ctrl_c(tmp_path):
+    record(tmp_path / "run.mcap", run_samples(60), run_info())
+    command = [sys.executable, "-m", "testbed", "view", "run.mcap", "--web", "--follow", "uav1"]
+    with subprocess.Popen(
+        command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, env=os.environ | {"COLUMNS": "99"}
+    ) as process:
+        try:
+            url, access, end = (process.stderr.readline() for _ in range(3))
+            page = re.fullmatch(r"view: (http://127\.0\.0\.1:(\d+)/\?url=rerun.*)\n", url)
+            ports = [int(each) for each in re.findall(r"-L (\d+):127\.0\.0\.1:\1", access)]
+            assert ports[0] == int(page[2]) and f"%3A{ports[1]}%2Fproxy" in url
+            with urllib.request.urlopen(page[1], timeout=PATIENCE_S) as answer:
+                assert answer.status == 200 and b"Rerun" in answer.read()
+            assert [listening(port) for port in ports] == [{"0100007F"}] * 2
+            assert "Ctrl-C" in end, "the run has been sent"
+        finally:
+            process.send_signal(signal.SIGINT)
+        try:
+            assert process.wait(PATIENCE_S) == 0
+        finally:
+            process.kill()
+    until(lambda: not any(listening(port) for port in ports))
+
+
+def test_web_viewer_takes_free_ports_and_refuses_hosts(monkeypatch):
+    with pytest.raises(InputError, match="write 127.0.0.1, or 0.0.0.0"):
+        web_viewer.serve_web_viewer("192.0.2.1").__enter__()
+    with socket.create_server((viewer.HOST, 0)) as taken:
+        port = taken.getsockname()[1]
+        assert web_viewer._port(viewer.HOST, port) not in (0, port)
+    served = web_viewer.WebViewer(web_viewer.ANY_HOST, 9090, 9876)
+    assert "ssh" not in served.directions[1] and "127.0.0.1" not in served.url
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("view", "run.mcap", "--web", "--at", "1"), "--web --at"),
+        (("view", "run.mcap", "--web", "--rrd", "it.rrd"), "--web --rrd"),
+        (("view", "run.mcap", "--web", "--host", "10.0.0.1"), "--host 10.0.0.1"),
+        (("view", "run.mcap", "--rrd", "it.rrd", "--follow", "uav9"), "one of leader, uav1"),
+        (("run", "simulation-3", "--rrd", "-"), "goes to a file"),
+        (("run", "simulation-3", "--follow", "uav9"), "one of leader, uav1"),
+        (("run", "--view", "no-such-scenario"), "no-such-scenario"),
+        (("run", "simulation-3", "--view", "web", "--host", "10.0.0.1"), "--host 10.0.0.1"),
+    ],
+)
+def test_view_options_refuse_bad_input(arguments, message, tmp_path):
+    record(tmp_path / "run.mcap", run_samples(60), run_info())
+    done = call_command(*arguments, cwd=tmp_path, code=2, columns=200)
+    assert message in done.stderr
+    assert [each.name for each in tmp_path.iterdir()] == ["run.mcap"]
