@@ -23,7 +23,7 @@ from testbed.network.channel import make_channel
 from testbed.network.radio import Radio
 from testbed.scenario import find_aircraft
 from testbed.scenario.network import Network
-from testbed.sim.link_monitor import LINK_WATCH, check_links
+from testbed.sim.monitors import LINK_WATCH, check_links
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.initial_state import InitialState
 

@@ -91,8 +91,12 @@ def _of_scenario(name: str, overrides: Sequence[str] = ()) -> tuple[Functions, B
     """
     from testbed.core.records import join_names
     from testbed.scenario import load_scenario
-    from testbed.sim.build_control import make_barrier, make_control_function
-    from testbed.sim.build_formation import agent_value, follower_names
+    from testbed.sim.build_control import (
+        agent_value,
+        follower_names,
+        make_barrier,
+        make_control_function,
+    )
 
     scenario, notes = load_scenario(name, overrides), list[str]()
     functions: dict[Any, list[str]] = {}

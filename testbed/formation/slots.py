@@ -43,7 +43,7 @@ def write_slot(
         error[axis] = own.position_ned[axis] - slot[axis]
 
 
-@kernel
+@entry
 def write_formation_state(
     aircraft: Records, followers: Records, offsets: Array, altitudes: Array
 ) -> None:

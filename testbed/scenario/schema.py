@@ -176,6 +176,12 @@ class Scenario(Section):
         return self.scenario.name
 
     @property
+    def published(self) -> dict[str, Any] | None:
+        """Return the published numbers to compare with, ready for JSON; None: there are none."""
+        published = self.scenario.published
+        return published.model_dump(mode="json") if published else None
+
+    @property
     def aircraft_names(self) -> tuple[str, ...]:
         """Return the names of all aircraft, the leader first, then the fleet in order."""
         return tuple(each.name for each in self.aircraft)

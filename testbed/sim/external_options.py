@@ -14,7 +14,7 @@ from testbed.mavlink.addresses import Address
 from testbed.scenario import Scenario
 from testbed.scenario.control_source import External
 from testbed.sim.build import World
-from testbed.sim.pacing import RealTimePacer
+from testbed.sim.tick_gate import RealTimePacer
 
 if TYPE_CHECKING:
     from testbed.mavlink.server import MavlinkServer

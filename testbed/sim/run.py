@@ -37,10 +37,9 @@ from testbed.sim.external_options import (
     make_server,
 )
 from testbed.sim.loop import Flight
-from testbed.sim.pacing import RealTimePacer
 from testbed.sim.resources import check_disk
 from testbed.sim.stop_request import RunStopped, stop_on_signals
-from testbed.sim.tick_gate import TickGate
+from testbed.sim.tick_gate import RealTimePacer, TickGate
 from testbed.vehicle.workers import ParallelFleet
 
 EXIT_CODES: Mapping[str, int] = {
@@ -151,7 +150,7 @@ def run(
         directory = open_run_directory(loaded, world, out) if write else None
         if server and directory and external.tlog:
             server.log_to(directory / "run.tlog")
-        meter = make_meter(loaded)
+        meter = MetricsObserver(published=loaded.published)
         log = [McapRecorder(directory / LOG_NAME)] if directory and loaded.log.mcap else []
         all_observers: list[Observer] = [meter, *log, *observers, *([server] if server else [])]
         flight = Flight(world, all_observers)
@@ -224,9 +223,3 @@ def open_run_directory(scenario: Scenario, world: World, out: Path | None) -> Pa
     for name, code in world.info.code.items():
         write_run_file(directory, name, code)
     return directory
-
-
-def make_meter(scenario: Scenario) -> MetricsObserver:
-    """Make the observer that computes the metrics, beside the published numbers."""
-    published = scenario.scenario.published
-    return MetricsObserver(published=published.model_dump(mode="json") if published else None)

@@ -16,15 +16,16 @@ from typer.testing import CliRunner
 from testbed.cli.main import app
 from testbed.core.errors import InputError
 from testbed.scenario import json_schema, load_scenario, loads
-from testbed.sim.probe_spectra import (
+from testbed.sim.probes import (
+    ProbePath,
     aliased,
     closed_form,
     coherence_band,
     estimate,
+    fly_probes,
     psd_band,
     unresolved_waves,
 )
-from testbed.sim.probes import ProbePath, fly_probes
 
 WIND = ("air.wind.speed_mps=8", "air.wind.from_deg=240")
 WIND_NED = 8.0 * np.array([math.cos(math.radians(60.0)), math.sin(math.radians(60.0)), 0.0])

@@ -8,7 +8,7 @@ import pytest
 
 from testbed.core.random import stream
 from testbed.core.records import AIRCRAFT, allocate
-from testbed.sim.proximity import ProximityMonitor
+from testbed.sim.limits import ProximityMonitor
 from testbed.sim.stages import find_losses
 
 DT = 0.04

@@ -1,12 +1,15 @@
-"""Warn before the flight of assumptions of [HBH23] that a scenario does not meet."""
+"""Warn before the flight: assumptions of [HBH23], limits and sensor settings that do not hold."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from testbed.core.records import Array, Event
+from testbed.autopilot.parameters import FbwaParams
+from testbed.core.records import Array, Event, join_names
 from testbed.formation.assumptions import (
     Finding,
     SpeedSet,
@@ -19,9 +22,8 @@ from testbed.formation.assumptions import (
 from testbed.formation.barrier import barriers_of
 from testbed.formation.law import FormationConfig
 from testbed.formation.slots import frame_rates, slot_speed, slot_speed_range
-from testbed.scenario import Scenario
-from testbed.sim.build_control import BuiltControl
-from testbed.sim.build_formation import agent_value, follower_names
+from testbed.scenario import Scenario, middle_loop_gains
+from testbed.sim.build_control import BuiltControl, agent_value, follower_names
 from testbed.sim.build_leader import LeaderSetup
 from testbed.vehicle.trim import STILL, Vector
 
@@ -138,3 +140,104 @@ def _slot_speeds(
         np.minimum(slowest, speeds.min(axis=0), out=slowest)
         np.maximum(fastest, speeds.max(axis=0), out=fastest)
     return slowest, fastest, False
+
+
+TOLERANCE = 1e-6  # degrees
+
+
+class _Limit(NamedTuple):
+    """A limit of commands and that of the autopilot which receives them, degrees."""
+
+    what: str
+    commanded: float
+    reached: float
+    parameter: str
+    write: str  # the key of the scenario, to be formatted with a number
+
+
+def limit_warnings(
+    scenario: Scenario, tunes: Sequence[FbwaParams], kinds: Sequence[str]
+) -> Iterator[Event]:
+    """Return a warning for each limit that undercuts another one, with the aircraft.
+
+    Args:
+        scenario: as resolved.
+        tunes: of N aircraft.
+        kinds: of their N vehicles; those without an autopilot have no limits.
+    """
+    found: dict[tuple[str, str], list[str]] = {}
+    for row, follower in enumerate(scenario.fleet, start=1):
+        if kinds[row] != "jsbsim":
+            continue
+        gains = middle_loop_gains(scenario, follower.aircraft)
+        tune, limits = tunes[row], gains.limits
+        roll, pitch = "controller.gains.limits.roll_deg", "controller.gains.limits.pitch_deg"
+        pitch_deg = limits.pitch_deg
+        pairs = [
+            _Limit("roll", limits.roll_deg, tune.roll_limit_deg, "ROLL_LIMIT_DEG", roll),
+            _Limit("pitch up", pitch_deg, tune.ptch_lim_max_deg, "PTCH_LIM_MAX_DEG", pitch),
+            _Limit("pitch down", pitch_deg, -tune.ptch_lim_min_deg, "PTCH_LIM_MIN_DEG", pitch),
+        ]
+        for each in pairs:
+            if text := _text(each):
+                found.setdefault(("the middle loop commands", text), []).append(follower.name)
+    path = scenario.leader.path
+    if kinds[0] == "jsbsim" and path.kind == "mission":
+        reached = tunes[0].roll_limit_deg
+        bank = path.bank_limit_deg
+        limit = _Limit("roll", bank, reached, "ROLL_LIMIT_DEG", "leader.path.bank_limit_deg")
+        if bank > reached + TOLERANCE:
+            found["its guidance commands", _text(limit)] = [scenario.leader.name]
+    for (subject, text), names in found.items():
+        about = "run" if len(names) > 1 else names[0]
+        prefix = f"{join_names(names)}: " if len(names) > 1 else ""
+        yield Event(0.0, "warning", about, f"{prefix}{subject} {text}")
+
+
+def _text(limit: _Limit) -> str:
+    """Describe a limit of an autopilot that differs from that of the commands; "" if none does."""
+    what, commanded, reached, parameter, key = limit
+    if commanded > reached + TOLERANCE:
+        return (
+            f"up to {commanded:g}° of {what}, and the autopilot stops at {reached:g}°, {parameter} "
+            f"of its tune: what is cut off is not counted as saturation (write {key}: {reached:g}, "
+            f"or a {parameter} of {commanded:g})"
+        )
+    # the autopilot's limits of pitch need not be symmetrical
+    if reached > commanded + TOLERANCE and parameter != "PTCH_LIM_MIN_DEG":
+        return (
+            f"at most {commanded:g}° of {what}, and {parameter} of its tune, {reached:g}°, is "
+            f"never reached (write {key}: {reached:g} to fly it, or a {parameter} of {commanded:g})"
+        )
+    return ""
+
+
+PERIOD_TOLERANCE = 1e-6  # of a period
+
+
+def sensor_warnings(scenario: Scenario) -> Iterator[Event]:
+    """Warn of each GPS latency that is not a whole number of autopilot periods."""
+    rate_hz = scenario.rates.autopilot_hz
+    found: dict[str, list[str]] = {}
+    for each in scenario.aircraft:
+        sensors = each.sensors
+        if sensors.gps is None:
+            continue
+        for key, value in (
+            ("gps.latency_s", sensors.gps.latency_s),
+            ("estimator.gps_delay_s", sensors.estimator.gps_delay_s),
+        ):
+            periods = value * rate_hz
+            if abs(periods - round(periods)) > PERIOD_TOLERANCE:
+                low, high = math.floor(periods) / rate_hz, math.ceil(periods) / rate_hz
+                text = (
+                    f"sensors.{key}: {value:g} s flies as {round(periods) / rate_hz:g} s, a whole "
+                    f"number of periods of rates.autopilot_hz, {rate_hz} Hz (write {low:g} or "
+                    f"{high:g}, or another rate)"
+                )
+                found.setdefault(text, []).append(each.name)
+    for text, names in found.items():
+        if len(names) == 1:
+            yield Event(0.0, "warning", names[0], text)
+        else:
+            yield Event(0.0, "warning", "run", f"{join_names(names)}: {text}")
