@@ -148,16 +148,12 @@ def _plot(path: Path, scenario: Scenario, document: Document, messages: MessageR
 def _worst(document: Document) -> str:
     """Describe the link that delivered least, the latest of several; "" if all are alike."""
     from testbed.metrics.facts import percent
-    from testbed.metrics.link_tables import quality
+    from testbed.metrics.link_tables import impairment, name_links
 
-    links = {
-        f"{source} > {destination}": link
-        for source, receivers in document["links"].items()
-        for destination, link in receivers.items()
-    }
-    if len({quality(link) for link in links.values()}) < 2:
+    links = name_links(document["links"])
+    if len({impairment(link) for link in links.values()}) < 2:
         return ""
-    name = min(links, key=lambda each: quality(links[each]))
+    name = max(links, key=lambda each: impairment(links[each]))
     delay, bursts = links[name]["delay_s"], links[name]["bursts"]
     parts = [f"{percent(links[name]['delivered_share'])} arrived"]
     if delay and delay["p95"] > 0.0:

@@ -21,6 +21,7 @@ from testbed.core.errors import InputError, escape_controls
 from testbed.core.files import (
     check_folder_writable,
     check_writable,
+    format_bytes,
     report_write_errors,
     reserve_standard_descriptors,
     write_file,
@@ -157,16 +158,6 @@ def describe_file(path: Path, content: str = "") -> str:
 def format_size(*paths: Path) -> str:
     """Format the total size of files."""
     return format_bytes(sum(path.stat().st_size for path in paths))
-
-
-def format_bytes(count: int) -> str:
-    """Format a size."""
-    size = float(count)
-    if size < 999.5:
-        return f"{size:.0f} bytes"
-    unit = "kB" if size < 999_500.0 else "MB"
-    size /= 1e3 if unit == "kB" else 1e6
-    return f"{size:.1f} {unit}" if size < 9.95 else f"{size:,.0f} {unit}"
 
 
 @contextmanager

@@ -16,8 +16,9 @@ from testbed.cli.options import (
     error_places,
     load_scenario,
 )
-from testbed.cli.output import format_bytes, result_console, write_json_output
-from testbed.core.errors import InputError, escape_controls
+from testbed.cli.output import result_console, write_json_output
+from testbed.core.errors import InputError
+from testbed.core.files import escape_controls, format_bytes
 
 AIRCRAFT_WIDTH, TIME_WIDTH = 3, 7  # columns of `testbed list`
 

@@ -153,7 +153,7 @@ def read_study(path: Path, *, metrics: Sequence[str], statistic: str) -> StudyDa
 
 def _study_config(table: StudyTable) -> StudyConfig | None:
     """Read the study's YAML; None if this version cannot read it."""
-    from testbed.scenario.violations import ScenarioError
+    from testbed.scenario.problems import ScenarioError
     from testbed.scenario.yaml_io import parse, validate
     from testbed.studies.study_schema import StudyConfig
 
@@ -203,7 +203,7 @@ def _flights(table: StudyTable) -> StudyFlights:
 def _select_metrics(
     path: Path, flights: StudyFlights, requested: Sequence[str], of_study: Sequence[str]
 ) -> tuple[str, ...]:
-    from testbed.scenario.violations import did_you_mean
+    from testbed.scenario.problems import did_you_mean
     from testbed.studies.rows import default_metric
 
     names = tuple(dict.fromkeys(requested or of_study))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -71,6 +71,15 @@ def facts(metrics: Document) -> list[tuple[str, str | Text]]:
     rows.append(("ArduPlane", describe_arduplanes(metrics.get("arduplane") or {})))
     rows.append(("external commands", describe_commands(metrics.get("commanded") or {})))
     return [row for row in rows if str(row[1])]
+
+
+def select_largest(
+    names: Iterable[str], size: Callable[[str], float | tuple[float, ...]], count: int
+) -> list[str]:
+    """Return the `count` names of largest size, in their order; all if there are no more."""
+    names = list(names)
+    largest = set(sorted(names, key=size, reverse=True)[:count])
+    return [name for name in names if name in largest]
 
 
 def shown(value: float | None, form: str) -> str:

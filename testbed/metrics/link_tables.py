@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from testbed.metrics.document import Document
-from testbed.metrics.facts import ABSENT, percent
+from testbed.metrics.facts import ABSENT, percent, select_largest
 
 MAX_LINKS = 12  # listed one by one; of more, those that delivered least
 
@@ -20,22 +20,24 @@ def worst_links(links: Mapping[str, Mapping[str, Document]]) -> dict[str, Docume
     Args:
         links: statistics by sender and receiver.
     """
-    named = {
+    named = name_links(links)
+    worst = select_largest(named, lambda name: impairment(named[name]), MAX_LINKS)
+    return {name: named[name] for name in worst}
+
+
+def name_links(links: Mapping[str, Mapping[str, Document]]) -> dict[str, Document]:
+    """Return statistics by link, "a > b", of those by sender and receiver."""
+    return {
         f"{source} > {destination}": link
         for source, receivers in links.items()
         for destination, link in receivers.items()
     }
-    if len(named) <= MAX_LINKS:
-        return named
-
-    worst = set(sorted(named, key=lambda name: quality(named[name]))[:MAX_LINKS])
-    return {name: link for name, link in named.items() if name in worst}
 
 
-def quality(link: Document) -> tuple[float, float]:
-    """Return what links are compared by, the worst first: delivered share, then delay."""
+def impairment(link: Document) -> tuple[float, float]:
+    """Return by what links are ordered: the share delivered, negated, then the delay, s."""
     share, delay = link["delivered_share"], link["delay_s"]
-    return (1.0 if share is None else share), -(delay["p99"] if delay else 0.0)
+    return -(1.0 if share is None else share), (delay["p99"] if delay else 0.0)
 
 
 def link_table(

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from html import escape
 
 from testbed.metrics.document import Document
-from testbed.metrics.facts import shown
+from testbed.metrics.facts import select_largest, shown
 
 MAX_FOLLOWERS = 4  # of more, those with the largest errors
 MAX_WINDOWS = 4
@@ -61,16 +61,16 @@ def _rows(metrics: Document) -> Iterator[Row]:
         values = [each["rms_m"][name] for each in windows.values()] or [errors[name]]
         return max((each for each in values if each is not None), default=float("inf"))
 
-    listed = set(sorted(errors, key=largest, reverse=True)[:MAX_FOLLOWERS])
+    listed = select_largest(errors, largest, MAX_FOLLOWERS)
     kind = "" if len(listed) == len(errors) else f", {len(listed)} worst"
     if not windows:
         yield (f"largest error{kind}, m", "whole flight")
-        for name in (each for each in errors if each in listed):
+        for name in listed:
             yield (name, shown(errors[name], "{:.2f}"))
     else:
         yield (f"RMS error{kind}, m", *windows, *[f"and {more} more"] * bool(more))
         rest = [""] * bool(more)
-        for name in (each for each in errors if each in listed):
+        for name in listed:
             cells = (shown(each["rms_m"][name], "{:.2f}") for each in windows.values())
             yield (name, *cells, *rest)
         means = (shown(each["mean_rms_m"], "{:.2f}") for each in windows.values())

@@ -17,7 +17,7 @@ from rich.text import Text
 from testbed.core.records import join_names
 from testbed.formation.flags import Saturation
 from testbed.metrics.document import EXCEEDED, Document
-from testbed.metrics.facts import ABSENT, facts, shown
+from testbed.metrics.facts import ABSENT, facts, select_largest, shown
 
 Columns = dict[str, list[Text | str]]  # cells by heading
 
@@ -69,17 +69,13 @@ def render_table(
 
 def worst_followers(metrics: Document) -> list[str]:
     """Return the followers to list: all, or of many those with the largest RMS error, in order."""
-    followers = list(metrics["joined_at_s"])
-    if len(followers) <= MAX_FOLLOWERS:
-        return followers
 
-    def badness(name: str) -> float:
+    def largest_error(name: str) -> float:
         errors = [window["rms_m"][name] for window in metrics["windows"].values()]
         errors.append(None if errors else metrics["max_error_m"][name])
         return max((error for error in errors if error is not None), default=float("inf"))
 
-    worst = set(sorted(followers, key=badness, reverse=True)[:MAX_FOLLOWERS])
-    return [name for name in followers if name in worst]
+    return select_largest(metrics["joined_at_s"], largest_error, MAX_FOLLOWERS)
 
 
 def error_tables(

@@ -15,6 +15,7 @@ from testbed.scenario.load import (
     place_of_key,
 )
 from testbed.scenario.middle_loop import MiddleLoopGains
+from testbed.scenario.problems import Place, Problem, ScenarioError
 from testbed.scenario.references import code_references, with_values
 from testbed.scenario.resolve import (
     find_aircraft,
@@ -41,7 +42,6 @@ from testbed.scenario.schema import (
     set_seed,
     unreached_windows,
 )
-from testbed.scenario.violations import Place, Problem, ScenarioError
 
 __all__ = [
     "SCHEMA_VERSION",

@@ -9,8 +9,8 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from testbed.scenario.problems import Place, Problem, did_you_mean
 from testbed.scenario.tree import Node, walk
-from testbed.scenario.violations import Place, Problem, did_you_mean
 
 _TYPES = {
     "float_type": "a number",

@@ -13,11 +13,11 @@ from testbed.scenario.fields import KeyPath
 from testbed.scenario.middle_loop import GainChanges, Guidance, MiddleLoopFile, MiddleLoopGains
 from testbed.scenario.overrides import Setting, override, parse_setting
 from testbed.scenario.pattern import drop_follower_keys, expand_pattern, is_pattern_key
+from testbed.scenario.problems import Place, Problem, ScenarioError, did_you_mean, merge_repeated
 from testbed.scenario.references import resolve_references
 from testbed.scenario.schema import Scenario
 from testbed.scenario.schema_1 import MIDDLE_LOOP, renamed_keys
 from testbed.scenario.tree import Node, inherit, plant, walk
-from testbed.scenario.violations import Place, Problem, ScenarioError, did_you_mean, merge_repeated
 from testbed.scenario.yaml_io import error_at, parse, read, validate, write
 
 _MAX_CHAIN = 20  # files that extend each other

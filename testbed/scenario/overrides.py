@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from testbed.scenario.problems import Place, Problem, ScenarioError, did_you_mean
 from testbed.scenario.tree import Node, expand_preset, null_removes
-from testbed.scenario.violations import Place, Problem, ScenarioError, did_you_mean
 from testbed.scenario.yaml_io import parse
 
 _LINKS = ("network", "links")  # its maps, by sender and by receiver, have a key '*' for the rest

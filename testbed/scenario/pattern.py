@@ -10,8 +10,8 @@ from pydantic import Field, model_validator
 
 from testbed.scenario.aircraft import Aircraft
 from testbed.scenario.fields import Finding, Gain, Metres, Name, Whole, raise_findings
+from testbed.scenario.problems import did_you_mean
 from testbed.scenario.tree import Node, Plain, merge, plant
-from testbed.scenario.violations import did_you_mean
 from testbed.scenario.yaml_io import validate
 
 FLEET, FORMATION = "fleet", "formation"

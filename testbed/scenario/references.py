@@ -11,9 +11,9 @@ from testbed.scenario.aircraft import Follower, Leader
 from testbed.scenario.control import Agent, Formation
 from testbed.scenario.fields import KeyPath
 from testbed.scenario.network_checks import link_entries
+from testbed.scenario.problems import Problem, ScenarioError
 from testbed.scenario.schema import Scenario
 from testbed.scenario.tree import Node, walk
-from testbed.scenario.violations import Problem, ScenarioError
 
 _GAINS = "middle_loop.yaml"
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from testbed.scenario.violations import Place, Problem, ScenarioError, did_you_mean
+from testbed.scenario.problems import Place, Problem, ScenarioError, did_you_mean
 
 _SCENARIOS = Path("scenarios")
 _STUDIES = _SCENARIOS / "studies"

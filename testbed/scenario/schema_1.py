@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from testbed.scenario.problems import Problem
 from testbed.scenario.tree import Node
-from testbed.scenario.violations import Problem
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ from testbed.scenario.fields import (
     Seconds,
     Section,
 )
-from testbed.scenario.violations import did_you_mean
+from testbed.scenario.problems import did_you_mean
 
 _CORRELATION = "Correlation time of the first-order Gauss-Markov process, s."
 _SHARED = "Correlation time of the drift common to all aircraft, s."

@@ -18,8 +18,8 @@ from pydantic import BaseModel, ValidationError
 
 from testbed.core.input_files import ReadError, read_bounded
 from testbed.scenario.error_messages import explain
+from testbed.scenario.problems import Place, Problem, ScenarioError
 from testbed.scenario.tree import Node, Scalar, plain
-from testbed.scenario.violations import Place, Problem, ScenarioError
 
 _MAX_NODES = 100_000
 _MAX_DEPTH = 40

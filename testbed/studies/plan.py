@@ -28,8 +28,8 @@ from testbed.scenario import (
     set_seed,
     unreached_windows,
 )
+from testbed.scenario.problems import Place, Problem, ScenarioError
 from testbed.scenario.tree import Node, walk
-from testbed.scenario.violations import Place, Problem, ScenarioError
 from testbed.scenario.yaml_io import read, to_inline, validate
 from testbed.sim.bounds import unchecked_bounds
 from testbed.studies.study_schema import CASE_SCENARIO, StudyConfig, Value

@@ -19,7 +19,7 @@ from testbed.core.errors import InputError
 from testbed.metrics.document import initial_warnings
 from testbed.metrics.expectations import bound_key, violations
 from testbed.scenario import Scenario, dump
-from testbed.scenario.violations import ScenarioError
+from testbed.scenario.problems import ScenarioError
 from testbed.sim.bounds import violation_lines
 from testbed.sim.build import versions
 from testbed.studies.dask_workers import cluster_notices

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from testbed.core.errors import InputError
-from testbed.scenario.violations import did_you_mean
+from testbed.scenario.problems import did_you_mean
 from testbed.studies.flight_pool import FlightPool, open_flight_pool
 from testbed.studies.flight_task import FlightResult
 from testbed.studies.golden import Progress

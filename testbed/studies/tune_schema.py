@@ -12,8 +12,8 @@ from pydantic import ConfigDict, Field, model_validator
 from testbed.core.input_files import read_bounded_text
 from testbed.scenario import find_tuning
 from testbed.scenario.fields import NotNegative, Number, Section, Whole, raise_findings
+from testbed.scenario.problems import Problem, ScenarioError
 from testbed.scenario.tree import Node, walk
-from testbed.scenario.violations import Problem, ScenarioError
 from testbed.scenario.yaml_io import read, validate
 from testbed.studies.plan import Study
 from testbed.studies.study_schema import KeyProblem, Seed, StudyConfig
