@@ -17,8 +17,8 @@ from testbed.cli.options import (
     load_scenario,
 )
 from testbed.cli.output import result_console, write_json_output
-from testbed.core.errors import InputError
-from testbed.core.files import escape_controls, format_bytes
+from testbed.core.errors import InputError, escape_controls
+from testbed.core.files import format_bytes
 
 AIRCRAFT_WIDTH, TIME_WIDTH = 3, 7  # columns of `testbed list`
 
