@@ -237,7 +237,7 @@ def external_options(
         InputError: an address, the key or the pace cannot be used.
     """
     from testbed.mavlink.addresses import parse_address
-    from testbed.scenario.control_source import ArduPlane, External
+    from testbed.scenario.aircraft import ArduPlane, External
     from testbed.sim.external_options import ExternalOptions
 
     addresses = tuple(parse_address(each) for each in mavlink)

@@ -154,7 +154,8 @@ def read_study(path: Path, *, metrics: Sequence[str], statistic: str) -> StudyDa
 def _study_config(table: StudyTable) -> StudyConfig | None:
     """Read the study's YAML; None if this version cannot read it."""
     from testbed.scenario.problems import ScenarioError
-    from testbed.scenario.yaml_io import parse, validate
+    from testbed.scenario.validate import validate
+    from testbed.scenario.yaml_io import parse
     from testbed.studies.study_schema import StudyConfig
 
     try:

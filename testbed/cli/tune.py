@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
-from testbed.cli import completion
-from testbed.cli.options import Jobs, JsonFile
+from testbed.cli.options import Jobs, JsonFile, tune_names
 from testbed.cli.output import PipeSafeConsole, message_console, result_console, write_json_output
 
 if TYPE_CHECKING:
@@ -27,7 +26,7 @@ def tune_command(
         typer.Argument(
             metavar="TUNE",
             help="Name of a tune (`testbed list`) or a path.",
-            autocompletion=completion.tune_names,
+            autocompletion=tune_names,
         ),
     ],
     out: Annotated[

@@ -102,7 +102,7 @@ class FlightData:
         metrics = self.metrics or {}
         if "windows" not in metrics:
             return f"<{line}; {metrics.get('outcome', 'cut short')}>"
-        from testbed.metrics.short_table import table_text
+        from testbed.metrics.tables import table_text
 
         return f"{line}\n{table_text(metrics)}"
 
@@ -110,7 +110,7 @@ class FlightData:
         """Show the same in a notebook."""
         from html import escape
 
-        from testbed.metrics.short_table import table_html
+        from testbed.metrics.tables import table_html
 
         line, *rest = repr(self).splitlines()
         table = table_html(self.metrics) if self.metrics and rest else ""

@@ -10,8 +10,7 @@ import numpy as np
 
 from testbed.core.records import Event, RunInfo, Sample
 from testbed.core.samples import SampleBuffer
-from testbed.metrics.accumulator import Accumulator, block_samples
-from testbed.metrics.sample_block import make_block
+from testbed.metrics.accumulator import Accumulator, block_samples, make_block
 from testbed.metrics.summary import summarise
 
 

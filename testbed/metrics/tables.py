@@ -1,10 +1,15 @@
-"""The metrics document on a terminal: tables readable without colours at 60 columns and more."""
+"""Tables of a metrics document: for a terminal of 60 columns and more, and short ones.
+
+The terminal's are readable without colours; the short ones, as text and HTML, are for notebooks and
+the interpreter.
+"""
 
 from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from html import escape
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -17,7 +22,7 @@ from rich.text import Text
 from testbed.core.records import join_names
 from testbed.formation.flags import Saturation
 from testbed.metrics.document import EXCEEDED, Document
-from testbed.metrics.facts import ABSENT, facts, select_largest, shown
+from testbed.metrics.facts import ABSENT, facts, percent, select_largest, shown
 
 Columns = dict[str, list[Text | str]]  # cells by heading
 
@@ -369,3 +374,173 @@ def _saturated_share(metrics: Document, name: str, kind: str) -> str:
     samples = float(metrics["simulated_s"]) / period + 1.0 if period else 1.0
     share = 100.0 * found["by_kind"][kind] / samples
     return f"{share:.1f}" if share else "0"
+
+
+MAX_LINKS = 12  # listed one by one; of more, those that delivered least
+
+
+def worst_links(links: Mapping[str, Mapping[str, Document]]) -> dict[str, Document]:
+    """Return the links to list: all, or of many those that delivered least, in order.
+
+    Args:
+        links: statistics by sender and receiver.
+    """
+    named = name_links(links)
+    worst = select_largest(named, lambda name: impairment(named[name]), MAX_LINKS)
+    return {name: named[name] for name in worst}
+
+
+def name_links(links: Mapping[str, Mapping[str, Document]]) -> dict[str, Document]:
+    """Return statistics by link, "a > b", of those by sender and receiver."""
+    return {
+        f"{source} > {destination}": link
+        for source, receivers in links.items()
+        for destination, link in receivers.items()
+    }
+
+
+def impairment(link: Document) -> tuple[float, float]:
+    """Return by what links are ordered: the share delivered, negated, then the delay, s."""
+    share, delay = link["delivered_share"], link["delay_s"]
+    return -(1.0 if share is None else share), (delay["p99"] if delay else 0.0)
+
+
+def link_table(
+    title: str,
+    columns: Sequence[str],
+    links: Mapping[str, Document],
+    total: Document,
+    cells: Callable[[Document], Sequence[str]],
+) -> Table:
+    """Make a table with a row for each link and one for all together."""
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, collapse_padding=True, header_style="")
+    # the only column that may be broken over lines, because names can be long
+    table.add_column(Text(title, style="bold"))
+    for name in columns:
+        table.add_column(name, justify="right", no_wrap=True)
+    for name, link in links.items():
+        table.add_row(name, *cells(link))
+    table.add_section()
+    table.add_row("all", *cells(total))
+    return table
+
+
+def arrival_tables(
+    links: Mapping[str, Document],
+    total: Document,
+    fits: Callable[[Table], bool] = lambda table: True,
+) -> list[Table]:
+    """Make a table of what arrived on each link, how late, and of bursts of losses.
+
+    Args:
+        links: statistics by name.
+        total: statistics of all links.
+        fits: whether a table is narrow enough; if not, bursts get a table of their own.
+    """
+
+    def arrivals(link: Document) -> list[str]:
+        delay = link["delay_s"]
+        return [
+            f"{link['sent']:,}",
+            percent(link["delivered_share"]).removesuffix(" %"),
+            *(ABSENT if delay is None else f"{1e3 * delay[p]:.1f}" for p in ("p50", "p95", "p99")),
+        ]
+
+    def bursts(link: Document) -> list[str]:
+        found = link["bursts"]
+        mean = ABSENT if found["mean"] is None else f"{found['mean']:.2f}"
+        return [mean, f"{found['longest']:,}"]
+
+    early = ("\nsent", "arrived\n%", "delay\np50, ms", "\np95", "\np99")
+    late = ("loss burst\nmean", "\nmax")
+    whole = link_table(
+        "\nlink", early + late, links, total, lambda link: arrivals(link) + bursts(link)
+    )
+    if fits(whole):
+        return [whole]
+    return [
+        link_table("\nlink", early, links, total, arrivals),
+        link_table("\nlink", late, links, total, bursts),
+    ]
+
+
+SHORT_FOLLOWERS = 4  # of more, those with the largest errors
+SHORT_WINDOWS = 4
+
+Row = Sequence[str]
+
+
+def table_text(metrics: Document, place: str = "") -> str:
+    """Return at most ten lines: outcome, RMS error by follower and window, separation.
+
+    Args:
+        metrics: of a run.
+        place: of its files; "": none.
+    """
+    rows = list(_rows(metrics))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    table = ("  ".join(_aligned(row, widths)).rstrip() for row in rows)
+    return "\n".join([_title(metrics), *table, *_ending(metrics, place)])
+
+
+def table_html(metrics: Document, place: str = "") -> str:
+    """Return the same as HTML, for `_repr_html_`."""
+    head, *body = (
+        "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in row)
+        for tag, row in zip(("th", *["td"] * 99), _rows(metrics), strict=False)
+    )
+    lines = "".join(f"<tr>{row}</tr>" for row in body)
+    ending = "<br>".join(map(escape, _ending(metrics, place)))
+    return (
+        f"<p>{escape(_title(metrics))}</p><table><thead><tr>{head}</tr></thead>"
+        f"<tbody>{lines}</tbody></table><p>{ending}</p>"
+    )
+
+
+def _title(metrics: Document) -> str:
+    parts = (
+        metrics["scenario"],
+        metrics["outcome"].replace("_", " "),
+        f"{metrics['simulated_s']:g} s",
+        f"seed {metrics['seed']}",
+    )
+    return " · ".join(parts)
+
+
+def _rows(metrics: Document) -> Iterator[Row]:
+    """Yield the cells of the table, its heading first."""
+    errors = metrics["max_error_m"]
+    windows = {name: window for name, window in list(metrics["windows"].items())[:SHORT_WINDOWS]}
+    more = len(metrics["windows"]) - len(windows)
+
+    def largest(name: str) -> float:
+        values = [each["rms_m"][name] for each in windows.values()] or [errors[name]]
+        return max((each for each in values if each is not None), default=float("inf"))
+
+    listed = select_largest(errors, largest, SHORT_FOLLOWERS)
+    kind = "" if len(listed) == len(errors) else f", {len(listed)} worst"
+    if not windows:
+        yield (f"largest error{kind}, m", "whole flight")
+        for name in listed:
+            yield (name, shown(errors[name], "{:.2f}"))
+    else:
+        yield (f"RMS error{kind}, m", *windows, *[f"and {more} more"] * bool(more))
+        rest = [""] * bool(more)
+        for name in listed:
+            cells = (shown(each["rms_m"][name], "{:.2f}") for each in windows.values())
+            yield (name, *cells, *rest)
+        means = (shown(each["mean_rms_m"], "{:.2f}") for each in windows.values())
+        yield (f"mean of {len(errors)}", *means, *rest)
+
+
+def _ending(metrics: Document, place: str) -> list[str]:
+    lines = []
+    if (separation := metrics["min_separation_m"]) is not None:
+        lines.append(f"smallest separation {separation:.2f} m")
+    return [*lines, *[place] * bool(place)]
+
+
+def _aligned(row: Row, widths: Sequence[int]) -> Iterator[str]:
+    """Pad a name to the left and numbers to the right."""
+    for k, (cell, width) in enumerate(zip(row, widths, strict=True)):
+        yield cell.rjust(width) if k else cell.ljust(width)

@@ -16,8 +16,8 @@ from testbed.scenario.load import (
 )
 from testbed.scenario.middle_loop import MiddleLoopGains
 from testbed.scenario.problems import Place, Problem, ScenarioError
-from testbed.scenario.references import code_references, with_values
-from testbed.scenario.resolve import (
+from testbed.scenario.references import (
+    code_references,
     find_aircraft,
     find_code,
     find_data,
@@ -31,6 +31,7 @@ from testbed.scenario.resolve import (
     list_scenarios,
     list_studies,
     list_tunings,
+    with_values,
 )
 from testbed.scenario.schema import (
     SCHEMA_VERSION,

@@ -5,8 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from testbed.scenario.aircraft import MAX_LEGS, Follower, Leader
-from testbed.scenario.control_source import ArduPlane, External, VirtualAutopilot
+from testbed.scenario.aircraft import (
+    MAX_LEGS,
+    ArduPlane,
+    External,
+    Follower,
+    Leader,
+    VirtualAutopilot,
+)
 from testbed.scenario.expect import check_expect
 from testbed.scenario.faults import AnyFault
 from testbed.scenario.fields import Finding, KeyPath

@@ -11,8 +11,8 @@ from pydantic import Field, model_validator
 from testbed.scenario.aircraft import Aircraft
 from testbed.scenario.fields import Finding, Gain, Metres, Name, Whole, raise_findings
 from testbed.scenario.problems import did_you_mean
-from testbed.scenario.tree import Node, Plain, merge, plant
-from testbed.scenario.yaml_io import validate
+from testbed.scenario.validate import validate
+from testbed.scenario.yaml_io import Node, Plain, merge, plant
 
 FLEET, FORMATION = "fleet", "formation"
 # keys of the formation that name followers

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from testbed.scenario.problems import Problem
-from testbed.scenario.tree import Node
+from testbed.scenario.yaml_io import Node
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,8 +29,8 @@ from testbed.scenario import (
     unreached_windows,
 )
 from testbed.scenario.problems import Place, Problem, ScenarioError
-from testbed.scenario.tree import Node, walk
-from testbed.scenario.yaml_io import read, to_inline, validate
+from testbed.scenario.validate import validate
+from testbed.scenario.yaml_io import Node, read, to_inline, walk
 from testbed.sim.bounds import unchecked_bounds
 from testbed.studies.study_schema import CASE_SCENARIO, StudyConfig, Value
 

@@ -13,8 +13,7 @@ from testbed.autopilot.parameters import read_values
 from testbed.core.errors import InputError
 from testbed.core.input_files import MAX_TABLE_BYTES, read_bounded
 from testbed.scenario import Scenario, code_references, find_aircraft, find_code, find_data
-from testbed.scenario.tree import plain
-from testbed.scenario.yaml_io import read
+from testbed.scenario.yaml_io import plain, read
 
 # keys of `scenario` that change no number, and the seed, which is stored separately
 _LEFT_OUT = ("question", "expectation", "published", "name", "seed")

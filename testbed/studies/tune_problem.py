@@ -8,8 +8,7 @@ from typing import Any
 
 from testbed.scenario import Scenario, middle_loop_gains
 from testbed.scenario.problems import Problem, ScenarioError, did_you_mean
-from testbed.scenario.tree import walk
-from testbed.scenario.yaml_io import to_inline
+from testbed.scenario.yaml_io import to_inline, walk
 from testbed.studies.flight_pool import FlightPool
 from testbed.studies.flight_task import FlightResult, FlightTask
 from testbed.studies.golden import Progress

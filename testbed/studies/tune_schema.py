@@ -13,8 +13,8 @@ from testbed.core.input_files import read_bounded_text
 from testbed.scenario import find_tuning
 from testbed.scenario.fields import NotNegative, Number, Section, Whole, raise_findings
 from testbed.scenario.problems import Problem, ScenarioError
-from testbed.scenario.tree import Node, walk
-from testbed.scenario.yaml_io import read, validate
+from testbed.scenario.validate import validate
+from testbed.scenario.yaml_io import Node, read, walk
 from testbed.studies.plan import Study
 from testbed.studies.study_schema import KeyProblem, Seed, StudyConfig
 

@@ -18,9 +18,9 @@ from snapshot import check_snapshot
 from typer.testing import CliRunner
 
 import testbed
-from testbed.cli.catalogue import GROUPS, STUDIES, TUNES
 from testbed.cli.exit_codes import ExitCode
 from testbed.cli.main import app
+from testbed.cli.scenario import GROUPS, STUDIES, TUNES
 from testbed.logs.read import read_log
 from testbed.scenario import list_scenarios, list_studies, list_tunings
 

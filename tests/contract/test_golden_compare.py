@@ -15,8 +15,8 @@ from rich.console import Console
 from testbed.core.errors import InputError
 from testbed.scenario import find_aircraft, load_scenario
 from testbed.studies import golden
+from testbed.studies.golden_ci import to_junit
 from testbed.studies.golden_compare import Flight, compare
-from testbed.studies.golden_junit import to_junit
 from testbed.studies.golden_report import print_check, print_updates, violation_line
 from testbed.studies.golden_table import (
     BAND,

@@ -17,7 +17,7 @@ from patience import PATIENCE_S, until
 from rich.console import Console
 from snapshot import check_snapshot
 
-from testbed.cli.sweep_table import summary_tables
+from testbed.cli.sweep import summary_tables
 from testbed.core.errors import InputError
 from testbed.studies.journal import Journal
 from testbed.studies.rows import flatten_metrics

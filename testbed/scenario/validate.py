@@ -1,16 +1,17 @@
-"""Errors of pydantic as problems: place, wrong value, allowed values, what to write."""
+"""Validate a tree as a pydantic model; errors have place, value, allowed values, what to write."""
 
 from __future__ import annotations
 
 import functools
 import re
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import replace
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from testbed.scenario.problems import Place, Problem, did_you_mean
-from testbed.scenario.tree import Node, walk
+from testbed.scenario.problems import Place, Problem, ScenarioError, did_you_mean
+from testbed.scenario.yaml_io import Node, plain, walk
 
 _TYPES = {
     "float_type": "a number",
@@ -33,6 +34,27 @@ _BOUNDS = {
 _PERCENT = re.compile(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*")
 # Keys of the header that a file inherits and that may not fit its own duration.
 _INHERITED = (("scenario", "windows"), ("scenario", "published"))
+
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
+
+
+def validate(tree: Node, model: type[ModelT], under: tuple[str, ...] = ()) -> ModelT:
+    """Validate a tree as a pydantic model.
+
+    Args:
+        tree: of a file or a part of one.
+        model: class of the result.
+        under: keys of that part, for errors.
+
+    Raises:
+        ScenarioError: with every problem found, each with its place.
+    """
+    try:
+        return model.model_validate(plain(tree))
+    except ValidationError as error:
+        problems = explain(error, tree, model)
+        raise ScenarioError([replace(one, path=under + one.path) for one in problems]) from None
 
 
 def explain(error: ValidationError, tree: Node, model: type[BaseModel]) -> list[Problem]:
