@@ -187,9 +187,9 @@ def _write_reports(
         names.add(name)
         scenario = set_seed(case.scenario, failing_seeds(verdict)[0])
         try:
-            flown = run(scenario, out=folder / name)
-            assert flown.directory
-            page = run_page(read_run(flown.directory))
+            result = run(scenario, out=folder / name)
+            assert result.directory
+            page = run_page(read_run(result.directory))
         except Exception as error:  # the verdict has been printed; a failed flight may fail again
             console.write_line(f" {verdict.name}: no report: {error}", "yellow")
             continue

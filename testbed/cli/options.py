@@ -76,7 +76,7 @@ def _beginning(incomplete: str, names: Any) -> list[str]:  # noqa: ANN401 - any 
 def _keys(
     schema: Mapping[str, Any], definitions: Mapping[str, Any], prefix: str = ""
 ) -> Iterator[str]:
-    """Yield the dotted keys of a schema that hold values; a list or map of names has `*`."""
+    """Yield the dotted keys of a schema that hold values; `*` is any element."""
     if "$ref" in schema:
         schema = definitions[schema["$ref"].rpartition("/")[2]]
     parts = [each for word in ("anyOf", "oneOf", "allOf") for each in schema.get(word, ())]
@@ -132,7 +132,7 @@ def require_positive(parameter: typer.CallbackParam, value: float | None) -> flo
 def output_option(
     *names: str, metavar: str = "FILE", help: str, suffixes: tuple[str, ...] = ()
 ) -> Any:  # noqa: ANN401 - typer's own
-    """Declare an option for a file to write, whose path is checked before any work is done.
+    """Declare an option for an output file; its path is checked before any work.
 
     Args:
         names: of the option; default: the name of the parameter.
@@ -257,7 +257,7 @@ StartTime = Annotated[
 
 @contextmanager
 def error_places(scenario: str, overrides: Sequence[str] | None) -> Iterator[None]:
-    """Add file, line and column to an error that begins with a key of a loaded scenario."""
+    """Add file, line and column to an error that begins with a scenario's key."""
     from testbed.scenario import ScenarioError, place_of_key
 
     try:

@@ -54,7 +54,7 @@ class _StandardDescriptor(io.FileIO):
 
 
 def guard_standard_streams() -> None:
-    """Make standard output and error safe to write where they are closed, full or not Unicode.
+    """Make standard output and error writable: also closed, full or not Unicode.
 
     Errors of standard output become an InputError, those of standard error are ignored; a
     character that the encoding lacks becomes a question mark.
@@ -113,7 +113,7 @@ def ruled_table() -> Table:
 
 
 def is_stdout(path: Path | None) -> bool:
-    """Whether an option asks for standard output."""
+    """Return whether an option asks for standard output."""
     return str(path) == "-"
 
 
@@ -162,7 +162,7 @@ def format_size(*paths: Path) -> str:
 
 @contextmanager
 def open_output(path: Path, option: str) -> Iterator[BinaryIO]:
-    """Open the file of an option, or standard output for `-`; written when the block ends.
+    """Open an option's file, or standard output for `-`; written when the block ends.
 
     Raises:
         InputError: it cannot be written.

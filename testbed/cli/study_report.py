@@ -88,7 +88,7 @@ def study_report_command(
 
 
 def find_study_file(name: str) -> Path:
-    """Find a study's file by its path, its directory, or the study's name for the latest.
+    """Find a study's file by path, directory, or name (the latest).
 
     Raises:
         InputError: there is no such study.

@@ -191,7 +191,7 @@ class _Column:
 
 
 def summary_tables(summary: Summary, width: int) -> Iterator[Table]:
-    """Yield tables of at most this width: settings of each group, median and range of metrics.
+    """Yield tables of at most this width: settings, median and range of metrics.
 
     Where all metrics do not fit beside the settings there are several tables. Where not even one
     does, its range goes below its median, then all settings into one column.
@@ -203,16 +203,16 @@ def summary_tables(summary: Summary, width: int) -> Iterator[Table]:
         _Column(_break_name(name), [_format_range(group, name) for group in groups])
         for name in summary.metrics
     ]
-    room = width - max(metric.width for metric in metrics) - GAP
-    if _width([*settings, runs]) > room:
+    free_width = width - max(metric.width for metric in metrics) - GAP
+    if _width([*settings, runs]) > free_width:
         metrics = [
             replace(each, cells=[cell.replace(" (", "\n(") for cell in each.cells])
             for each in metrics
         ]
-        room = width - max(metric.width for metric in metrics) - GAP
-    if settings and _width([*settings, runs]) > room:
+        free_width = width - max(metric.width for metric in metrics) - GAP
+    if settings and _width([*settings, runs]) > free_width:
         least, most = STACK_WIDTHS
-        settings = [_stack(groups, min(max(room - runs.width - GAP, least), most))]
+        settings = [_stack(groups, min(max(free_width - runs.width - GAP, least), most))]
     lead = [*settings, runs]
     part: list[_Column] = []
     for metric in metrics:
@@ -224,7 +224,7 @@ def summary_tables(summary: Summary, width: int) -> Iterator[Table]:
 
 
 def _settings(groups: Sequence[Group]) -> list[_Column]:
-    """One column for the cases, if there are any, and one for each key that varies."""
+    """Make a column of the cases, if any, and one for each varying key."""
     cases = [group.case for group in groups]
     columns = [_Column("case", cases, justify="left")] if any(cases) else []
     for key in groups[0].point:
@@ -256,7 +256,7 @@ def _fold(text: str, width: int) -> Iterator[str]:
 
 
 def _break_name(name: str) -> str:
-    """Break the name of a key or metric after dots, and its long parts after underscores."""
+    """Break a name after dots, and its long parts after underscores."""
     lines = []
     for part in _words(name, "."):
         line = ""

@@ -63,7 +63,7 @@ NO_SAMPLES = "was cut before its first sample: nothing was recorded"
 
 
 class LogError(InputError):
-    """A log cannot be read or written; the message names the file, the place and the reason."""
+    """A log cannot be read or written; names file, place and reason."""
 
 
 class McapWriter:
@@ -263,7 +263,7 @@ class McapContents:
 
 
 def read(path: Path) -> McapContents:
-    """Read a file from its start, without its summary: of a cut file all complete records.
+    """Read a file without its summary: of a cut file, all complete records.
 
     Raises:
         LogError: Not an MCAP file, cut before its first record, damaged before its end, or larger
@@ -325,7 +325,7 @@ class _Start:
 
 
 def _records(source: Any) -> Iterator[McapRecord]:  # noqa: ANN401 - what the library reads from
-    """Read the records of a file, those of a chunk one by one: it may hold millions."""
+    """Read records of a file one by one: a chunk may hold millions."""
     for record in StreamReader(source, emit_chunks=True, validate_crcs=True).records:
         if not isinstance(record, records.Chunk):
             yield record

@@ -192,7 +192,7 @@ class McapRecorder:
         self._flushed = time.monotonic()
 
     def _additional(self, file: McapWriter, ticks: IntArray) -> Iterator[MessageBatch]:
-        """Take the additions up to the last of these ticks, as a batch of each topic."""
+        """Take the additions up to the last tick, one batch per topic."""
         found: dict[str, list[Addition]] = {}
         while self._next_addition is not None and self._next_addition.tick <= ticks[-1]:
             found.setdefault(self._next_addition.topic, []).append(self._next_addition)

@@ -96,20 +96,20 @@ class SampleBlock:
         )
 
 
-def make_block(tick: Sequence[int], columns: Columns, erring: Sequence[int]) -> SampleBlock:
+def make_block(tick: Sequence[int], columns: Columns, inexact: Sequence[int]) -> SampleBlock:
     """Make a block of the arrays of some samples.
 
     Args:
         tick: (K,) of the base rate.
         columns: the arrays (K, ...), by their paths in `Sample`.
-        erring: the rows whose estimates differ from the truth.
+        inexact: the rows whose estimates differ from the truth.
     """
     measured = {source: np.ascontiguousarray(columns[source]) for source in _MEASURED}
     error_ned = measured["formation.error_ned"]
     estimated_error_ned, estimate_errors = error_ned, None
-    if erring:
+    if inexact:
         exact = np.ones(len(tick), dtype=bool)
-        exact[erring] = False
+        exact[inexact] = False
         estimated_error_ned = columns[_ESTIMATED_ERROR].copy()
         estimated_error_ned[exact] = error_ned[exact]
         with np.errstate(invalid="ignore"):  # an aircraft beyond its model's range may be inf
@@ -150,12 +150,12 @@ ESTIMATE_KEYS = (
 
 
 def block_samples(aircraft: int) -> int:
-    """Return the samples of a block: fewer of many aircraft, so that it stays in the caches."""
+    """Return the samples of a block; fewer of many aircraft, to fit the caches."""
     return min(BLOCK, max(4 * BLOCK // aircraft, 32))
 
 
 class Accumulator:
-    """Sums, extremes and counts over the samples of a run of N aircraft, n of them followers.
+    """Sums, extremes and counts over samples of N aircraft, n of them followers.
 
     Blocks of `block_samples` are added in the order of time, so that sums run in one order and a
     run gives the same bits however it is observed. A lost aircraft counts until it was lost.

@@ -135,7 +135,7 @@ def _shape(info: RunInfo) -> dict[str, Any]:
 
     def flags(kind: type[LimiterFlag] | type[Saturation]) -> dict[str, Any]:
         kinds = {str(flag.name).lower(): _COUNT for flag in kind}
-        return by(followers, {"frames": _COUNT, "seconds": _NUMBER, "by_kind": kinds})
+        return by(followers, {"samples": _COUNT, "seconds": _NUMBER, "by_kind": kinds})
 
     slot_speed = {
         "kappa_mps": by(followers, _KNOWN),

@@ -160,7 +160,7 @@ def _flags(
     """By follower: samples and seconds with any of these flags, and samples with each."""
     return {
         name: {
-            "frames": int(any_of_them[i]),
+            "samples": int(any_of_them[i]),
             "seconds": int(any_of_them[i]) / info.frame_rate_hz,
             "by_kind": {str(flag.name).lower(): int(each[i, k]) for k, flag in enumerate(kind)},
         }
@@ -169,7 +169,7 @@ def _flags(
 
 
 def _wind(total: Accumulator, names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """By aircraft: mean wind, RMS of the gusts about it, largest speed, and effect of wakes."""
+    """Mean wind, RMS of gusts, largest speed and effect of wakes by aircraft."""
     samples = np.maximum(total.samples, 1)[:, None]
     mean = total.wind_sum / samples
     gusts = np.sqrt(np.maximum(total.wind_square / samples - mean**2, 0.0))

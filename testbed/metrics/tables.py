@@ -1,4 +1,4 @@
-"""Tables of a metrics document: for a terminal of 60 columns and more, and short ones.
+"""Tables of a metrics document: for terminals, for notebooks, and of links.
 
 The terminal's are readable without colours; the short ones, as text and HTML, are for notebooks and
 the interpreter.
@@ -25,10 +25,14 @@ from testbed.metrics.document import EXCEEDED, Document
 from testbed.metrics.facts import ABSENT, facts, percent, select_largest, shown
 
 Columns = dict[str, list[Text | str]]  # cells by heading
+Row = Sequence[str]
 
 MAX_FOLLOWERS = 12  # listed one by one; of more, those with the largest errors
 MAX_WINDOWS = 3  # side by side in 80 columns
 MAX_EVENTS = 6
+MAX_LINKS = 12  # listed one by one; of more, those that delivered least
+SHORT_FOLLOWERS = 4  # in a short table; of more, those with the largest errors
+SHORT_WINDOWS = 4
 FACT_INDENT = 21  # columns of the name of a line below the tables
 EVENT_INDENT = 22  # columns of an event's level and time
 NARROW = 70  # columns; below, a wrapped event is indented by `NARROW_INDENT` only
@@ -73,7 +77,7 @@ def render_table(
 
 
 def worst_followers(metrics: Document) -> list[str]:
-    """Return the followers to list: all, or of many those with the largest RMS error, in order."""
+    """Return the followers to list: of many, those with the largest RMS error."""
 
     def largest_error(name: str) -> float:
         errors = [window["rms_m"][name] for window in metrics["windows"].values()]
@@ -89,7 +93,7 @@ def error_tables(
     *,
     fits: Callable[[Table], bool] = lambda table: True,
 ) -> list[Table]:
-    """Make tables of the RMS errors, with up to `MAX_WINDOWS` windows side by side if it fits.
+    """Make tables of the RMS errors, with up to `MAX_WINDOWS` windows each.
 
     Args:
         metrics: the document.
@@ -109,7 +113,7 @@ def error_tables(
 
 def _error_table(metrics: Document, windows: Sequence[str], names: Sequence[str]) -> Table:
     published = metrics.get("published") or {}
-    beside = [name for name in windows if name in compared_windows(metrics)]
+    compared = [name for name in windows if name in compared_windows(metrics)]
     followers = list(metrics["joined_at_s"])
     table = _new_table()
     table.add_column(Text("\nRMS error, m", style="bold"), no_wrap=True)
@@ -117,24 +121,31 @@ def _error_table(metrics: Document, windows: Sequence[str], names: Sequence[str]
         start, end = metrics["windows"][window]["window_s"]
         title = Text.assemble((window, "bold cyan"), f"\n{start:g}–{end:g} s", justify="right")
         table.add_column(title, justify="right", no_wrap=True)
-        if window in beside:
+        if window in compared:
             table.add_column(Text("\npaper"), justify="right", style="dim", no_wrap=True)
             table.add_column(Text("\nratio"), justify="right", no_wrap=True)
 
     def add(label: Text | str, by_window: Sequence[list[Text | str]]) -> None:
         cells: list[Text | str] = [label]
         for window, own in zip(windows, by_window, strict=True):
-            cells += own + [""] * (3 - len(own) if window in beside else 0)
+            cells += own + [""] * (3 - len(own) if window in compared else 0)
         table.add_row(*cells)
 
     def compare(key: str, form: str, window: str, name: str | None = None) -> list[Text | str]:
         """Our number, and the published one with the ratio if the window has one."""
-        ours, theirs = metrics["windows"][window][key], published.get(key, {}).get(window)
+        measured, paper = (
+            metrics["windows"][window][key],
+            published.get(key, {}).get(window),
+        )
         if name is not None:
-            ours, theirs = ours[name], _nth(theirs, followers.index(name))
+            measured, paper = measured[name], _nth(paper, followers.index(name))
         if _lost_within(metrics, window, *(followers if name is None else [name])):
-            theirs = None
-        return _compared_cells(ours, theirs, form) if window in beside else [shown(ours, form)]
+            paper = None
+        return (
+            _compared_cells(measured, paper, form)
+            if window in compared
+            else [shown(measured, form)]
+        )
 
     for name in names:
         add(name, [compare("rms_m", "{:.2f}", window, name) for window in windows])
@@ -207,7 +218,7 @@ def compared_windows(metrics: Document) -> list[str]:
 
 
 def published_mean(metrics: Document, window: str) -> float | None:
-    """Return the published mean RMS error of a window, m, if ours can be compared with it."""
+    """Return the published mean RMS error of a window, m, if comparable."""
     if window not in compared_windows(metrics):
         return None
     if _lost_within(metrics, window, *metrics["max_error_m"]):
@@ -217,7 +228,7 @@ def published_mean(metrics: Document, window: str) -> float | None:
 
 
 def published_note(metrics: Document) -> str:
-    """Name the source of published numbers and the windows not compared; "" if there are none."""
+    """Name the source of published numbers and windows not compared; "" if none."""
     known = _published_windows(metrics)
     if known and (differs := metrics["published"].get("differs")):
         source = metrics["published"]["source"]
@@ -230,7 +241,7 @@ def published_note(metrics: Document) -> str:
 
 
 def covered_part(metrics: Document, window: str) -> str:
-    """Name the part of a window that the run covers, s: "all", "none", or its start and end."""
+    """Name the covered part of a window, s: "all", "none", or start and end."""
     found = metrics["windows"][window]
     if found["complete"]:
         return "all"
@@ -284,7 +295,7 @@ def _headline(metrics: Document, width: int) -> list[Text]:
 
 
 def join_parts(first: Text, parts: Sequence[Text], width: int) -> list[Text]:
-    """Join parts by dots, in lines of at most this width where each part fits one."""
+    """Join parts by dots, in lines of at most this width."""
     lines = [Text.assemble(" ", first)]
     for part in parts:
         if lines[-1].cell_len + 3 + part.cell_len > width:
@@ -296,14 +307,14 @@ def join_parts(first: Text, parts: Sequence[Text], width: int) -> list[Text]:
 
 def _print_events(events: Sequence[Mapping[str, Any]], console: Console) -> None:
     """Print the first warnings and errors, and the run's own notes from before the flight."""
-    loud = [
+    printed = [
         e
         for e in events
         if e["level"] in EVENT_STYLES or (e["source"] == "run" and not e["time_s"])
     ]
     # errors before warnings, because they decide whether the run is valid
-    first = sorted(range(len(loud)), key=lambda i: loud[i]["level"] != "error")[:MAX_EVENTS]
-    for event in (loud[i] for i in sorted(first)):
+    first = sorted(range(len(printed)), key=lambda i: printed[i]["level"] != "error")[:MAX_EVENTS]
+    for event in (printed[i] for i in sorted(first)):
         time = f"{event['time_s']:.2f} s"
         start = f" {event['level']:<8}{time:>11}  "
         indent = EVENT_INDENT if console.width >= NARROW else NARROW_INDENT
@@ -315,8 +326,8 @@ def _print_events(events: Sequence[Mapping[str, Any]], console: Console) -> None
             lines += [" " * indent + line for line in wrap_lines(rest, console.width - indent)]
         style = EVENT_STYLES.get(event["level"], "")
         console.print(Text("\n".join(lines), style=style), soft_wrap=True)
-    if len(loud) > MAX_EVENTS:
-        more = f" … and {len(loud) - MAX_EVENTS} more in the log"
+    if len(printed) > MAX_EVENTS:
+        more = f" … and {len(printed) - MAX_EVENTS} more in the log"
         console.print(Text(more, style="dim"))
 
 
@@ -327,20 +338,20 @@ def _published_windows(metrics: Document) -> list[str]:
 
 
 def _lost_within(metrics: Document, window: str, *names: str) -> bool:
-    """Whether one of these, or the leader, was lost before a window ended."""
+    """Return whether one of these, or the leader, was lost before a window ended."""
     lost, end = metrics["lost_at_s"], metrics["windows"][window]["window_s"][1]
     times = [lost.get(name) for name in (next(iter(lost), ""), *names)]
     return any(at is not None and at < end for at in times)
 
 
-def _compared_cells(ours: float | None, theirs: float | None, form: str) -> list[Text | str]:
-    value = Text(shown(ours, form))
-    if ours is None or not theirs:
-        return [value, shown(theirs, "{:g}"), ABSENT]
-    ratio = ours / theirs
+def _compared_cells(measured: float | None, paper: float | None, form: str) -> list[Text | str]:
+    value = Text(shown(measured, form))
+    if measured is None or not paper:
+        return [value, shown(paper, "{:g}"), ABSENT]
+    ratio = measured / paper
     style = "green" if ratio <= 1.0 else "red"
     value.stylize(style)
-    return [value, f"{theirs:g}", Text(f"{ratio:.2f}", style=style)]
+    return [value, f"{paper:g}", Text(f"{ratio:.2f}", style=style)]
 
 
 def _nth(values: Sequence[float] | None, index: int) -> float | None:
@@ -369,14 +380,11 @@ def _milliseconds(seconds: float | None) -> str:
 def _saturated_share(metrics: Document, name: str, kind: str) -> str:
     """Format the share of the samples in which a command was saturated, %."""
     found = metrics["saturations"][name]
-    period = found["seconds"] / found["frames"] if found["frames"] else 0.0
+    period = found["seconds"] / found["samples"] if found["samples"] else 0.0
     # the first and the last sample count, too
     samples = float(metrics["simulated_s"]) / period + 1.0 if period else 1.0
     share = 100.0 * found["by_kind"][kind] / samples
     return f"{share:.1f}" if share else "0"
-
-
-MAX_LINKS = 12  # listed one by one; of more, those that delivered least
 
 
 def worst_links(links: Mapping[str, Mapping[str, Document]]) -> dict[str, Document]:
@@ -430,7 +438,7 @@ def arrival_tables(
     total: Document,
     fits: Callable[[Table], bool] = lambda table: True,
 ) -> list[Table]:
-    """Make a table of what arrived on each link, how late, and of bursts of losses.
+    """Make tables of deliveries, delays and bursts of losses by link.
 
     Args:
         links: statistics by name.
@@ -462,12 +470,6 @@ def arrival_tables(
         link_table("\nlink", early, links, total, arrivals),
         link_table("\nlink", late, links, total, bursts),
     ]
-
-
-SHORT_FOLLOWERS = 4  # of more, those with the largest errors
-SHORT_WINDOWS = 4
-
-Row = Sequence[str]
 
 
 def table_text(metrics: Document, place: str = "") -> str:

@@ -179,7 +179,7 @@ def _starts(scenario: Sections) -> Iterator[Finding]:
 
 
 def _start_altitudes(scenario: Sections) -> Iterator[Finding]:
-    """Find aircraft that start on or below the ground, behind a leader that flies a mission."""
+    """Find aircraft that start near or below the ground, with a mission's leader."""
     leader = scenario.leader
     if leader.path.kind != "mission":  # it starts on its path
         return
@@ -228,7 +228,7 @@ def _slot_of(name: str, at: KeyPath) -> str:
 
 
 def _coincident(places: Iterable[_Place]) -> Iterator[tuple[_Place, _Place]]:
-    """Yield each place that is that of an earlier one, to the centimetre, with the earlier one."""
+    """Yield pairs of positions that coincide to the centimetre, the later one first."""
     seen: dict[tuple[object, ...], _Place] = {}
     for each in places:
         _, position, kind, _ = each
@@ -380,12 +380,12 @@ def _fault_beginning(at: KeyPath, fault: AnyFault, duration: float) -> Iterator[
             "longer duration_s)",
         )
     if when is not None and (when.above is None) == (when.below is None):
-        given = "neither above nor below" if when.above is None else "above and below"
-        yield (*at, "when"), f"has {given} (write one of the two, as in below: 15)"
+        limits = "neither above nor below" if when.above is None else "above and below"
+        yield (*at, "when"), f"has {limits} (write one of the two, as in below: 15)"
 
 
 def _no_flight_model(aircraft: Leader | Follower) -> tuple[str, str]:
-    """Return why this aircraft has no flight model that can fail, and the cure; or ""."""
+    """Return why an aircraft has no flight model, and the cure; or ""."""
     if isinstance(aircraft, Leader) and aircraft.path.kind != "mission":
         reason = f"a leader on a path of kind {aircraft.path.kind} has no flight model"
         return reason, "a path of kind: mission"

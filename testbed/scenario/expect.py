@@ -17,7 +17,7 @@ from testbed.scenario.problems import did_you_mean
 
 
 def _refuse_number(value: Any) -> Any:  # noqa: ANN401 - any YAML value
-    """Refuse a number in place of bounds: whether it is the smallest or the largest is open."""
+    """Refuse a number in place of bounds: it could be either one."""
     if isinstance(value, bool | int | float | str):
         raise PydanticCustomError(
             "bounds",
@@ -163,7 +163,7 @@ def _contradictions(at: KeyPath, bounds: Bounds) -> Iterator[Finding]:
 
 
 def without_windows(expect: Mapping[str, Any], lost: Iterable[str], *, any_left: bool) -> Any:  # noqa: ANN401
-    """Return bounds, as plain data, without those of windows that a shorter run does not reach."""
+    """Return bounds, as plain data, without those of lost windows."""
     removed = set(lost)
     remaining = {
         quantity: {name: own for name, own in bounds.items() if name not in removed}
@@ -179,7 +179,7 @@ def without_windows(expect: Mapping[str, Any], lost: Iterable[str], *, any_left:
 
 
 def unchecked(expect: Expect, windows: Iterable[str], lost: Collection[str]) -> list[str]:
-    """Return the keys of bounds that are not checked when a run does not reach some windows.
+    """Return the keys of bounds that are not checked without some windows.
 
     Args:
         expect: the bounds.

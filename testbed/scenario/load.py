@@ -1,4 +1,4 @@
-"""Read a scenario: its file, the files it extends, and settings, resolved to one frozen object."""
+"""Read a scenario: its file, the files it extends, and settings."""
 
 from __future__ import annotations
 
@@ -190,7 +190,7 @@ def dump(scenario: Scenario) -> str:
 
 
 def place_of_key(error: str, name_or_path: str | Path, overrides: Sequence[str] = ()) -> str:
-    """Return the place of the key that an error of a build begins with, as `file:line:column`.
+    """Return the place, `file:line:column`, of the key that an error begins with.
 
     Args:
         error: its text, as `leader.path.legs[3].radius_m: ...`.
@@ -213,7 +213,7 @@ def place_of_key(error: str, name_or_path: str | Path, overrides: Sequence[str] 
 def find_places(
     paths: Sequence[KeyPath], name_or_path: str | Path, overrides: Sequence[str] = ()
 ) -> list[Place | None]:
-    """Return the place of each key path of a scenario, or of the deepest map that would have it.
+    """Return the places of key paths, or of the deepest maps that exist.
 
     Args:
         paths: keys and list indices from the top of the file.
@@ -338,7 +338,7 @@ def _files(tree: Node, chain: tuple[Path, ...]) -> list[Node]:
 
 
 def _has_scenario_key(tree: Node) -> bool:
-    """Whether a file can be a scenario; the content of others is not quoted in errors."""
+    """Return whether a file can be a scenario; errors do not quote others."""
     if not isinstance(tree.value, dict):
         return True  # `validate` refuses it without its content
     return not tree.value or not tree.value.keys().isdisjoint({"extends", *Scenario.model_fields})

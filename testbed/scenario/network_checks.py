@@ -1,4 +1,4 @@
-"""Checks of the `network` section: names, windows, and keys of a link that exclude each other."""
+"""Checks of the `network` section: names, windows, and contradictory keys of links."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ def _links(network: Network, names: Sequence[str]) -> Iterator[Finding]:
 
 
 def link_entries(network: Network) -> Iterator[tuple[KeyPath, Link]]:
-    """Yield every entry that describes a link and its path: the common one, then the others."""
+    """Yield entries that describe links with their paths, the common one first."""
     yield _AT, network
     for sender, receivers in network.links.items():
         for receiver, link in receivers.items():
@@ -322,7 +322,7 @@ def _resolved(network: Network, source: str, destination: str) -> Iterator[Findi
 def _deciding_entries(
     network: Network, source: str, destination: str
 ) -> dict[str, tuple[int, KeyPath]]:
-    """Return by key the rank and path of the most specific entry that sets it for a link."""
+    """Return rank and path of the most specific entry by key of a link."""
     last = dict.fromkeys(Link.model_fields, (0, _AT))
     ends = ((ANY, ANY), (ANY, destination), (source, ANY), (source, destination))
     for rank, (sender, receiver) in enumerate(ends, start=1):

@@ -174,7 +174,7 @@ def _find(
     path_of: str,
     folder: Path | None = None,
 ) -> Path:
-    """Return the testbed's own file of a name, or the file at a path from `folder` or here."""
+    """Return the testbed's own file of a name, or the file at a path."""
     text = str(name_or_path)
     if _is_name(text) and is_file(own):
         return own
@@ -216,7 +216,7 @@ def absolute(text: str, folder: Path | None) -> Path:
 def _not_found(
     what: str, text: str, known: tuple[str, ...], path_of: str, looked_at: Path
 ) -> ScenarioError:
-    """Make the error of a name or path that does not exist; paths are recognised by their form."""
+    """Make the error of a name or path that does not exist."""
     if not _is_name(text) or Path(text).suffix in (_YAML, _PARAM):
         message = f"there is no file {looked_at}"
         if path_of.startswith("a folder"):
@@ -344,7 +344,7 @@ def resolve_references(scenario: Scenario, tree: Node) -> Scenario:
 
 
 def code_references(scenario: Scenario) -> Iterator[tuple[KeyPath, str]]:
-    """Yield where a scenario names code of its own, a law or functions, and the names."""
+    """Yield the key paths and names of a scenario's own laws and functions."""
     if scenario.controller.law != "hbh23":
         yield ("controller", "law"), scenario.controller.law
     places: list[tuple[KeyPath, Formation | Agent]] = [(("formation",), scenario.formation)]

@@ -1,4 +1,4 @@
-"""The schema of a scenario: one frozen object, its JSON schema, and the change of its duration."""
+"""The schema of a scenario as a frozen object and as JSON schema."""
 
 from collections.abc import Mapping
 from typing import Any, Self

@@ -84,7 +84,7 @@ def write(data: object) -> str:
 
 
 def to_inline(value: object) -> str:
-    """Return plain data as YAML on one line that reads back as the same, to the last bit."""
+    """Return plain data as YAML on one line, exact to the last bit."""
     if isinstance(value, str) and _BARE.fullmatch(value) and isinstance(_scalar(value), str):
         return value
     if isinstance(value, float) and not math.isfinite(value):
@@ -274,9 +274,9 @@ def merge(base: Node, top: Node, name: str = "") -> Node:
 
 
 def inherit(base: Node, top: Node) -> Node:
-    """Merge a file with the one it extends; a renamed scenario does not inherit its question.
+    """Merge a file with the one it extends.
 
-    Nor the expectation and the published numbers.
+    A renamed scenario does not inherit the question, the expectation and the published numbers.
     """
     old_header, new_header = _header(base), _header(top)
     old, new = old_header.get("name"), new_header.get("name")
@@ -297,12 +297,12 @@ def _header(tree: Node) -> dict[str, Node]:
 
 
 def null_removes(named: Mapping[str, Node], key: str, name: str) -> bool:
-    """Return whether null removes a key from the map under `name`, or is its new value."""
+    """Return whether null removes a key of the map under `name`."""
     return key in named and not (name == _WITH_PRESET and _PRESET in named and key != _PRESET)
 
 
 def expand_preset(node: Node, name: str) -> Node:
-    """Return the value under `name` as a map, if it is the name of a preset."""
+    """Return the value under `name` as a map, if it names a preset."""
     if name != _WITH_PRESET or not isinstance(node.value, str):
         return node
     return replace(node, value={_PRESET: node})

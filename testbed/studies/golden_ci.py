@@ -137,7 +137,7 @@ def _bar(share: float) -> str:
 
 
 def _table(rows: Sequence[RowComparison]) -> Iterator[str]:
-    """Table of means over the seeds, with a bar as long as the largest deviation of the row."""
+    """Make a table of means over seeds, with bars of the largest deviations."""
     largest = max(_deviation(row.violations) for row in rows)
     yield "| number, mean over seeds | golden | measured | change | in tolerances | |"
     yield "|---|--:|--:|--:|--:|---|"
@@ -282,7 +282,7 @@ def _with_counts(suite: xml.Element, wall_s: float) -> xml.Element:
 def _add_failure(
     case: xml.Element, lines: Sequence[str], verdict: Verdict, seeds: Sequence[int]
 ) -> None:
-    """Add a failure; the text repeats the message, as some readers show only one of them."""
+    """Add a failure; text and message are alike, as readers may show one."""
     failure = xml.SubElement(case, "failure", message=_printable(lines[0]), type="regression")
     commands = [run_command(verdict, seed) for seed in dict.fromkeys(seeds)][:MAX_COMMANDS]
     failure.text = _printable("\n".join((*lines, "", "To repeat it:", *commands)))
@@ -319,7 +319,7 @@ def error_annotations(cases: Sequence[GoldenCase], verdicts: Sequence[Verdict]) 
 
 
 def input_annotations(error: Exception) -> list[Annotation]:
-    """Return the errors of input that cannot be read, with their places where they have them."""
+    """Return the errors of unreadable input, with places where known."""
     title = "testbed check: bad input"
     if isinstance(error, ScenarioError):
         problems = [(each.place, str(each)) for each in error.problems]

@@ -1,4 +1,4 @@
-"""Journal of a study: a line per finished run, on disk before the next one is written.
+"""Journal of a study: a line per finished run, each written durably.
 
 The first line has the inputs of the study. The numbers of a row are in the order of a list of
 names in an earlier line; each new set of names has such a line. An incomplete last line, as after a

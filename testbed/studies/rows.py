@@ -53,7 +53,7 @@ class Row:
 
 
 def flatten_metrics(metrics: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return the numbers of a metrics document that are the same on every machine, by name.
+    """Return the reproducible numbers of a metrics document, by name.
 
     A name is the keys joined by dots; elements of a list are counted from 0.
     """
@@ -61,7 +61,7 @@ def flatten_metrics(metrics: Mapping[str, Any]) -> dict[str, float | None]:
 
 
 def default_metric(names: Iterable[str]) -> tuple[str, ...]:
-    """Return the mean RMS error of the last window, if there is one, as the only element."""
+    """Return the name of the last window's mean RMS error, if any."""
     errors = [name for name in names if name.startswith("windows.") and name.endswith(_ERROR)]
     return tuple(errors[-1:])
 

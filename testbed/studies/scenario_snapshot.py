@@ -59,7 +59,7 @@ def file_digests(scenario: Scenario) -> dict[str, str]:
 
 
 def file_values(scenario: Scenario) -> dict[str, Any]:
-    """Return the values in the YAML and .param files a scenario uses, by the name of the file.
+    """Return the values in a scenario's YAML and .param files, by file.
 
     They name the gain that changed. A file that cannot be read is left out.
     """
@@ -121,7 +121,7 @@ def with_new_defaults(stored: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> tuple[str, ...]:
-    """Describe every key that differs: `key from x to y`, `key x is new`, `key x is removed`."""
+    """Describe keys that differ: `key from x to y`, `key x is new`."""
     old_values, new_values = _leaves(old), _leaves(new)
     lines = []
     for key in dict.fromkeys((*old_values, *new_values)):
@@ -165,7 +165,7 @@ def file_differences(
 
 
 def _leaves(value: Any, path: str = "") -> dict[str, str]:  # noqa: ANN401 - nested plain data
-    """Return the value at each key as text; a list without maps counts as one value."""
+    """Return the value at each key as text; plain lists are values."""
     if isinstance(value, Mapping):
         items = [(str(key), each) for key, each in value.items()]
     elif isinstance(value, list) and any(isinstance(each, Mapping) for each in value):

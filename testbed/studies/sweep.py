@@ -66,7 +66,7 @@ class SweepResult:
 
     @property
     def completed(self) -> bool:
-        """Whether all runs were completed."""
+        """Return whether all runs were completed."""
         return all(not count for outcome, count in self.outcomes.items() if outcome != COMPLETED)
 
 
@@ -186,7 +186,7 @@ def _fly(
     report: Report,
 ) -> int:
     """Fly the missing runs, return their number; report each kind of warning and bound once."""
-    flown = 0
+    count = 0
     kinds: set[str] = set()
     bounds: set[str] = set()
     try:
@@ -194,7 +194,7 @@ def _fly(
         progress(len(journal), len(plan))
         for result in pool.run(_missing_tasks(plan, journal)):
             journal.add(_to_row(result, journal.inputs["versions"]))
-            flown += 1
+            count += 1
             for text in initial_warnings(result.metrics or {}):
                 kind = re.sub(r"[\d.]+", "#", text)
                 if kind not in kinds and len(kinds) < MAX_WARNINGS:
@@ -205,7 +205,7 @@ def _fly(
             writer.write_if_due()
     finally:
         writer.write()
-    return flown
+    return count
 
 
 def _report_bounds(
@@ -249,7 +249,7 @@ def _to_row(result: FlightResult, expected: Mapping[str, str]) -> Row:
 
 
 def _make_inputs(plan: Plan, scenarios: Mapping[str, Scenario]) -> dict[str, Any]:
-    """Return everything that decides the rows of a study, which may not change before a resume."""
+    """Return the inputs of a study, which may not change before a resume."""
     config = plan.study.config.model_dump(mode="json", by_alias=True, exclude_none=True)
     config["study"] = {key: v for key, v in config["study"].items() if key not in _LEFT_OUT}
     folder = plan.study.path.resolve().parent
@@ -310,7 +310,7 @@ def _completed(study: Study, output: StudyOutput, inputs: Mapping[str, Any]) -> 
 
 
 def _count_outcomes(rows: Iterable[tuple[str, str]]) -> tuple[dict[str, int], int]:
-    """Count rows of outcome and error: all by outcome, and the completed ones with an error."""
+    """Count rows by outcome, and the completed ones with an error."""
     counts: Counter[str] = Counter()
     unexpected = 0
     for outcome, error in rows:

@@ -1,4 +1,4 @@
-"""Files of a tune: all candidates, the best gains, a scenario with them, and the result."""
+"""Files of a tune: candidates, best gains, tuned scenario, result."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class TuneResult:
 
 
 class SearchLog:
-    """Writes the files of a search while it runs; each file is complete at any time."""
+    """Write the files of a running search, each complete at any time."""
 
     def __init__(self, problem: TuneProblem, directory: Path) -> None:
         """Write into this directory."""
@@ -94,7 +94,7 @@ class SearchLog:
         write_json(self.directory / RESULT, to_document(result, self._problem))
 
     def _write_gains(self, best: Candidate, verdict: str) -> None:
-        """Write the gains file of the middle loop, and a scenario that extends the tuned one."""
+        """Write the middle loop's gains, and a scenario that extends the tuned one."""
         problem = self._problem
         settings, scenario = problem.tune.config.study, problem.scenario_with(best.gains)
         objective = problem.tune.config.objective

@@ -1,4 +1,4 @@
-"""Cost of a flight, of all flights of a candidate, and the comparison on held-out seeds.
+"""Costs of flights and candidates, and the comparison on held-out seeds.
 
 A metric counts as its value up to a limit B, and above as B (2 - B / value), which has the same
 slope at B and stays below 2 B. A flight that loses an aircraft, or exceeds a limit, costs 2 B to
@@ -26,7 +26,7 @@ SATURATION_FACTOR = 10.0  # B over the worst flight with the gains of the scenar
 
 
 def metric_at(metrics: Metrics, path: str) -> float | None:
-    """Return the number of a metrics document at a dotted path; None if there is none."""
+    """Return the number at a dotted path of a metrics document, or None."""
     node: Any = metrics
     for part in path.split("."):
         if not isinstance(node, Mapping) or part not in node:
@@ -62,8 +62,8 @@ def flight_cost(
     times_s = [time_s for time_s in metrics["lost_at_s"].values() if time_s is not None]
     if metrics["outcome"] in EXCEEDED:
         times_s += [time_s for time_s, _ in errors(metrics)]
-    flown = min(times_s) / duration_s if times_s else 0.0
-    return saturation * (3.0 - min(max(flown, 0.0), 1.0))
+    share = min(times_s) / duration_s if times_s else 0.0
+    return saturation * (3.0 - min(max(share, 0.0), 1.0))
 
 
 def aggregate_costs(costs: Sequence[float], aggregate: Aggregate) -> float:
@@ -111,7 +111,7 @@ class HeldOutComparison:
 
     @property
     def better(self) -> bool:
-        """Whether the whole interval is below 0, and no more flights failed than before."""
+        """Return whether the interval is below 0 and no more flights failed."""
         return self.difference[2] < 0.0 and self.failed_after <= self.failed_before
 
     @property

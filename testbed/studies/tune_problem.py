@@ -1,4 +1,4 @@
-"""The flights of a tune: runs of its study, with gains in place of the scenario's."""
+"""Flights of a tune: runs of its study with other gains."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class TuneProblem:
     """
 
     def __init__(self, tune: Tune) -> None:
-        """Read the scenarios, and check that they can be flown with each gain at its bounds.
+        """Read the scenarios; check that each gain's bounds are valid in them.
 
         Raises:
             ScenarioError: they cannot; with the place in the tune file.
@@ -105,7 +105,7 @@ class TuneProblem:
         return {} if gains == self.before else dict(zip(self.keys, gains, strict=True))
 
     def run_with(self, index: int, gains: Gains, seed: int | None = None) -> StudyRun:
-        """Return a run of the study with gains, and with another seed if one is given."""
+        """Return a run of the study with gains, and optionally another seed."""
         run = self._with(self.runs[index], self.changed_keys(gains))
         return run if seed is None else replace(run, seed=seed)
 

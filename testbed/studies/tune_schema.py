@@ -1,4 +1,4 @@
-"""Schema of a tune file: a study, the gains that may change, and the metric to minimise."""
+"""Schema of a tune file: study, gains, and the metric to minimise."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ class GainSpace:
 
 
 def default_population(n: int) -> int:
-    """Return the candidates of a generation for n gains, 4 + ⌊3 ln n⌋, as in the tutorial."""
+    """Return the tutorial's candidates per generation for n gains, 4 + ⌊3 ln n⌋."""
     return 4 + int(3.0 * math.log(n))
 
 
@@ -122,7 +122,7 @@ class CmaEs:
 
     @property
     def stopped(self) -> bool:
-        """Whether the search has converged or cannot continue."""
+        """Return whether the search has converged or cannot continue."""
         return bool(self._strategy.stop())
 
     def ask(self) -> list[Array]:
