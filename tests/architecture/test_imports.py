@@ -163,7 +163,7 @@ def modules_after(statement):
 
 
 @pytest.mark.parametrize("statement", ["import testbed", "import testbed.scenario"])
-def test_importing_the_page_loads_nothing_heavy(statement):
+def test_importing_schema_is_light(statement):
     heavy = {
         "numpy",
         "numba",

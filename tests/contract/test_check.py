@@ -126,12 +126,12 @@ UNREADABLE = {
 
 
 @pytest.mark.parametrize("kind", UNREADABLE)
-def test_update_unreadable_table_is_replaced(folder, tmp_path, monkeypatch, flown, kind):
+def test_update_unreadable_table_is_replaced(folder, tmp_path, monkeypatch, fly_two, kind):
     samples.write(tmp_path, "exact")
     path = tmp_path / "golden" / "exact.json"
     path.parent.mkdir()
     path.write_text(UNREADABLE[kind](folder / "golden/exact.json"))
-    monkeypatch.setattr("testbed.studies.golden.fly_all", flown)
+    monkeypatch.setattr("testbed.studies.golden.fly_all", fly_two)
     done = check_here("exact.yaml", "--update", "--reason", "again", "--jobs", 1, cwd=tmp_path)
     printed = done.stdout.splitlines()
     (line,) = [line for line in printed if "the old table is ignored" in line]
@@ -142,7 +142,7 @@ def test_update_unreadable_table_is_replaced(folder, tmp_path, monkeypatch, flow
 
 
 @pytest.fixture(scope="module")
-def flown():
+def fly_two():
     """In place of `fly_all`: one flight of the deterministic scenario for every seed."""
     flight = samples.fly(1)
 

@@ -159,9 +159,9 @@ def test_experiment_1_wind_is_4_mps_from_north_west():
 def test_horizontal_variant_slots_are_at_80_and_120_m():
     slots = stacked("experiment-3", "formation", "slot_ned", since=0.0)
     assert (slots[..., 2] == [-80.0, -120.0]).all()
-    flown = stacked("experiment-3", "truth", "position_ned", since=30.0)
-    np.testing.assert_allclose(flown[:, 0, 2], -100.0, atol=1.0)
-    np.testing.assert_allclose(flown[:, 1:, 2], [[-80.0, -120.0]] * len(flown), atol=3.0)
+    positions = stacked("experiment-3", "truth", "position_ned", since=30.0)
+    np.testing.assert_allclose(positions[:, 0, 2], -100.0, atol=1.0)
+    np.testing.assert_allclose(positions[:, 1:, 2], [[-80.0, -120.0]] * len(positions), atol=3.0)
     # in the plane the slot keeps its distance to the leader
     beside = np.linalg.norm(slots[:, :, :2] - _leader_plane("experiment-3"), axis=-1)
     np.testing.assert_allclose(beside, np.sqrt(200.0), rtol=1e-9)

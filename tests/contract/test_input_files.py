@@ -103,8 +103,8 @@ def test_what_is_no_file_says_what_it_is(tmp_path):
         read_bounded(tmp_path)
     with pytest.raises(ReadError, match="zero: cannot be read: it is a device"):
         read_bounded("/dev/zero")
-    with pytest.raises(ReadError, match="gone: cannot be read: No such file or directory"):
-        read_bounded(tmp_path / "gone")
+    with pytest.raises(ReadError, match="missing: cannot be read: No such file or directory"):
+        read_bounded(tmp_path / "missing")
     with pytest.raises(ReadError, match="cannot be read: embedded null"):
         read_bounded(tmp_path / "a\0b")
 

@@ -26,13 +26,13 @@ def test_timed_methods_cover_every_part(benchmark):
 
 def test_part_timer_counts_calls_of_each_part(benchmark):
     timer, ratio = benchmark("part_timer"), benchmark("full_over_bare")
-    page = set_duration(load_scenario("simulation-3"), 4.0)
+    scenario = set_duration(load_scenario("simulation-3"), 4.0)
     # a clock that advances by one at each reading
     watch = timer.PartTimer(itertools.count().__next__)
     with watch.timing():
-        ratio.full(page, watch)
+        ratio.full(scenario, watch)
     assert sum(watch.shares.values()) == pytest.approx(1.0)
-    ticks, frames = 4 * page.rates.autopilot_hz + 1, 4 * page.rates.log_hz + 1
+    ticks, frames = 4 * scenario.rates.autopilot_hz + 1, 4 * scenario.rates.log_hz + 1
     # the log is called once per sample
     calls = {part: frames * share / watch.shares["log"] for part, share in watch.shares.items()}
     assert calls["physics"] == pytest.approx(ticks - 1)  # none after the last
@@ -48,7 +48,7 @@ def test_part_timer_counts_calls_of_each_part(benchmark):
 def test_numbers_are_medians_of_turns(benchmark):
     ratio, speed = benchmark("full_over_bare"), benchmark("speed")
     cost = ratio.Cost
-    page = set_duration(load_scenario("simulation-3"), 10.0)  # 40 aircraft-seconds
+    scenario = set_duration(load_scenario("simulation-3"), 10.0)  # 40 aircraft-seconds
     turns = [
         ratio.Turn(
             cost(1.0, 0.8), cost(2.0, 2.0), cost(2.1, 2.1), 0.1, cost(1.1, 1.0), cost(1.5, 1.0)
@@ -60,7 +60,7 @@ def test_numbers_are_medians_of_turns(benchmark):
             cost(2.0, 1.6), cost(5.0, 4.0), cost(5.0, 4.0), 0.3, cost(2.0, 2.0), cost(3.2, 1.0)
         ),
     ]
-    result = speed.numbers(page, turns, {"physics": 0.5, "log": 0.5})
+    result = speed.numbers(scenario, turns, {"physics": 0.5, "log": 0.5})
     assert result["full_over_bare"] == 2.5
     assert result["full_over_bare_spread"] == pytest.approx([2.0, 3.0])
     assert result["full_over_bare_processor_spread"] == pytest.approx([2.5, 3.0])
@@ -81,21 +81,24 @@ def test_numbers_are_medians_of_turns(benchmark):
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_vee_has_the_requested_flight_models(benchmark, count):
     fleets = benchmark("fleets")
-    page = fleets.vee(count, 1.0)
-    fleet = build(page).fleet
-    assert benchmark("full_over_bare").flight_models(page) == len(fleet.bare_runs()) == count
+    scenario = fleets.vee(count, 1.0)
+    fleet = build(scenario).fleet
+    assert benchmark("full_over_bare").flight_models(scenario) == len(fleet.bare_runs()) == count
 
 
 def test_all_effects_come_from_their_scenarios(benchmark):
-    page, radio, air = (
+    scenario, radio, air = (
         benchmark("fleets").all_effects(),
         load_scenario("bursty-wifi"),
         load_scenario("turbulence-moderate"),
     )
-    assert (page.network, page.rates) == (radio.network, radio.rates)
-    assert page.air == air.air and page.controller.bounded_speed == air.controller.bounded_speed
+    assert (scenario.network, scenario.rates) == (radio.network, radio.rates)
+    assert (
+        scenario.air == air.air
+        and scenario.controller.bounded_speed == air.controller.bounded_speed
+    )
     pixhawk = load_scenario("simulation-3-pixhawk").leader.sensors
-    assert {each.sensors for each in page.aircraft} == {pixhawk}
+    assert {each.sensors for each in scenario.aircraft} == {pixhawk}
 
 
 def test_convergence_study_has_every_case_of_table(benchmark):
@@ -115,19 +118,21 @@ def test_convergence_study_has_every_case_of_table(benchmark):
             assert not case or case.endswith(f"-{rate}")
 
 
-def test_convergence_figure_has_a_line_for_each_simulation(benchmark):
+def test_convergence_figure_has_all_simulations(benchmark):
     """An error that is 1 + 1/rate is 7/8 of a percent farther off at 100 Hz than at 800 Hz."""
     convergence = benchmark("convergence")
     rows = {
         (name + case, 1): {
-            f"windows.{of}.rms_m.{who}": 1.0 + 1.0 / rate for of, who in convergence.CELLS
+            f"windows.{of}.rms_m.{follower}": 1.0 + 1.0 / rate for of, follower in convergence.CELLS
         }
         for name in convergence.SIMULATIONS
         for ladder in convergence.LADDERS.values()
         for rate, case in ladder.items()
         if case
     }
-    own = {f"windows.{of}.rms_m.{who}": 1.0 + 1.0 / 200.0 for of, who in convergence.CELLS}
+    own = {
+        f"windows.{of}.rms_m.{follower}": 1.0 + 1.0 / 200.0 for of, follower in convergence.CELLS
+    }
     rows |= {(name, 1): own for name in convergence.SIMULATIONS}
     (panels,) = convergence.figure(rows).rows
     assert all(len(panel.lines) == len(convergence.SIMULATIONS) + 1 for panel in panels)
