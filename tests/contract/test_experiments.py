@@ -37,26 +37,6 @@ def stacked(name, record, field, *, since):
 # parameters
 
 
-@pytest.mark.parametrize("name", EXPERIMENTS)
-def test_experiment_has_the_papers_parameters(name):
-    scenario = load_scenario(name)
-    assert {scenario.leader.aircraft, *(each.aircraft for each in scenario.fleet)} == {
-        "skywalker_x8"
-    }
-    assert (scenario.rates.control_hz, scenario.rates.broadcast_hz) == (10, 10)
-    law = scenario.formation
-    assert (law.a, law.b, law.speed_pole_per_s) == (1.0, 0.0, 0.4)
-    assert (law.c.constant, law.c.per_speed_squared) == (0.0, 0.0003)
-    assert law.speed_mps == law.speed_desired_mps == (18.0, 30.0)
-    assert (law.control_function.nu1, law.control_function.nu2) == (2.5e5, 1.0)
-    assert law.control_function.m == 0.5 and law.barrier.example == 7
-    assert scenario.controller.estimators.leader_acceleration == "coordinated_turn"
-
-
-def test_experiments_have_one_k():
-    assert {load_scenario(name).formation.k for name in EXPERIMENTS} == {3.0}
-
-
 def test_offsets_and_graphs_are_the_papers():
     one, two, three = (load_scenario(name).formation for name in EXPERIMENTS)
     assert one.offsets_m == {"uav1": (-10.0, -10.0, 20.0)}

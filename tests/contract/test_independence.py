@@ -127,12 +127,10 @@ def test_silent_aircraft_without_wake_changes_nothing(turbulence):
 
 PLACES = {
     "here": {},
-    "another locale and other hashes": {
+    "elsewhere": {
         "LC_ALL": "C",
         "LANG": "de_DE.UTF-8",
         "PYTHONHASHSEED": "7",
-    },
-    "another zone without a home": {
         "TZ": "Asia/Kathmandu",
         "COLUMNS": "40",
         "HOME": "/nonexistent",

@@ -4,14 +4,10 @@ import csv
 import json
 import math
 import re
-import signal
-import subprocess
-import sys
 
 import numpy as np
 import pytest
-from commands import call_command, environment, run_command
-from patience import PATIENCE_S
+from commands import call_command, run_command
 from snapshot import check_snapshot
 from typer.testing import CliRunner
 
@@ -329,46 +325,6 @@ def test_failed_write_keeps_the_old_file(tmp_path, monkeypatch):
     monkeypatch.setattr("os.replace", fail)
     done = network("--packets", 10, "--out", path)
     assert "cannot be written: No space left" in str(done.exception)
-    assert [each.read_text() for each in tmp_path.iterdir()] == ["old"]
-
-
-# `testbed` that prints a line whenever it has sent messages.
-PRINTING = """
-import sys
-from testbed.cli.main import main
-from testbed.sim import channel_probe
-
-def probe_channel(*args, progress, really=channel_probe.probe_channel, **named):
-    def show(count, of):
-        progress(count, of)
-        print("sending", flush=True)
-    return really(*args, progress=show, **named)
-
-channel_probe.probe_channel = probe_channel
-sys.argv[0] = "testbed"
-main()
-"""
-
-
-def test_ctrl_c_exits_130_and_keeps_the_old_file(tmp_path):
-    path = tmp_path / "messages.csv"
-    path.write_text("old")
-    words = ("network", "bursty-wifi", "--packets", "3000000", "--out", path.name)
-    command = subprocess.Popen(
-        [sys.executable, "-c", PRINTING, *words],
-        cwd=tmp_path,
-        env=environment(80),
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert command.stdout.readline() == "sending\n"
-        command.send_signal(signal.SIGINT)
-        command.communicate(timeout=PATIENCE_S)
-        assert command.returncode == 130
-    finally:
-        command.kill()
-        command.wait()
     assert [each.read_text() for each in tmp_path.iterdir()] == ["old"]
 
 

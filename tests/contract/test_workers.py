@@ -165,3 +165,4 @@ def test_process_without_its_parent_ends(flight):
     process.kill()
     process.wait(timeout=PATIENCE_S)
     until(lambda: not Path(f"/proc/{other}").exists())
+    assert process.returncode == -signal.SIGKILL
