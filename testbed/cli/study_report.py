@@ -177,7 +177,7 @@ def _flights(table: StudyTable) -> StudyFlights:
 
     from testbed.reports.study import StudyFlights
     from testbed.studies.flight_task import COMPLETED
-    from testbed.studies.rows import METRICS, SET
+    from testbed.studies.journal import METRICS, SET
 
     columns = table.columns
     outcome = [str(each) for each in columns["outcome"].tolist()]
@@ -205,7 +205,7 @@ def _select_metrics(
     path: Path, flights: StudyFlights, requested: Sequence[str], of_study: Sequence[str]
 ) -> tuple[str, ...]:
     from testbed.scenario.problems import did_you_mean
-    from testbed.studies.rows import default_metric
+    from testbed.studies.journal import default_metric
 
     names = tuple(dict.fromkeys(requested or of_study))
     if not names:

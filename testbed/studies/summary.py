@@ -12,7 +12,7 @@ from testbed.metrics.summary import METRICS as SLOT_METRICS
 from testbed.metrics.summary import count_out_of_slot
 from testbed.scenario.problems import did_you_mean
 from testbed.studies.flight_task import COMPLETED
-from testbed.studies.rows import METRICS, SET, default_metric
+from testbed.studies.journal import METRICS, SET, default_metric
 from testbed.studies.study_schema import StudyConfig
 from testbed.studies.sweep import SweepResult
 from testbed.studies.table import StudyTable, metric_columns, read_table

@@ -25,9 +25,8 @@ from testbed.sim.build import versions
 from testbed.studies.dask_workers import cluster_notices
 from testbed.studies.flight_pool import FlightPool, open_flight_pool
 from testbed.studies.flight_task import COMPLETED, OUTCOMES, FlightResult, FlightTask
-from testbed.studies.journal import Journal
+from testbed.studies.journal import Journal, Row, flatten_metrics
 from testbed.studies.plan import Plan, Study, check_plan, load_study
-from testbed.studies.rows import Row, flatten_metrics
 from testbed.studies.scenario_snapshot import differences, file_digests, snapshot
 from testbed.studies.table import (
     StudyOutput,

@@ -25,9 +25,8 @@ from testbed.core.input_files import parse_json_map
 from testbed.logs.arrow_io import column_names, read_columns, write_columns
 from testbed.logs.run_directory import LOGS, create_run_directory
 from testbed.scenario.yaml_io import to_inline
-from testbed.studies.journal import Journal
+from testbed.studies.journal import METRICS, SET, Journal, Row
 from testbed.studies.plan import Plan
-from testbed.studies.rows import METRICS, SET, Row
 from testbed.studies.study_schema import Value, Variation
 
 STUDIES = LOGS / "studies"

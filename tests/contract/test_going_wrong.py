@@ -13,7 +13,7 @@ from testbed.scenario import find_aircraft, loads, set_duration
 from testbed.sim.build import build
 from testbed.sim.loop import fly
 from testbed.studies.flight_task import FlightTask, run_task
-from testbed.studies.tune_objective import flight_cost
+from testbed.studies.tune_search import flight_cost
 from testbed.vehicle.jsbsim_adapter import airframe
 
 # uav1 is limited to 7 m/s, below the stall speed; uav2 flies beside the leader.

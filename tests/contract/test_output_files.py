@@ -32,8 +32,7 @@ from testbed.core.files import (
 from testbed.logs.arrow_io import read_columns, write_columns
 from testbed.metrics.document import write_json
 from testbed.studies.golden_ci import write_junit
-from testbed.studies.journal import Journal
-from testbed.studies.rows import Row
+from testbed.studies.journal import Journal, Row
 from testbed.studies.table import find_output
 from testbed.views import RrdFile, replay
 

@@ -10,8 +10,7 @@ from pyarrow import parquet
 from testbed.cli.study_report import read_study
 from testbed.core.errors import InputError
 from testbed.logs import arrow_io
-from testbed.studies.journal import Journal
-from testbed.studies.rows import Row
+from testbed.studies.journal import Journal, Row
 from testbed.studies.table import metric_columns, read_table
 
 DEEP = "[" * 200_000

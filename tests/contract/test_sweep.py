@@ -19,8 +19,7 @@ from snapshot import check_snapshot
 
 from testbed.cli.sweep import summary_tables
 from testbed.core.errors import InputError
-from testbed.studies.journal import Journal
-from testbed.studies.rows import flatten_metrics
+from testbed.studies.journal import Journal, flatten_metrics
 from testbed.studies.summary import Group, Summary
 from testbed.studies.sweep import sweep
 from testbed.studies.table import find_output, read_rows, read_table

@@ -17,8 +17,7 @@ from testbed.scenario import (
 )
 from testbed.studies import tune
 from testbed.studies.flight_task import FlightResult, run_task
-from testbed.studies.tune import tune_gains
-from testbed.studies.tune_problem import TuneProblem
+from testbed.studies.tune import TuneProblem, tune_gains
 from testbed.studies.tune_schema import load_tune
 
 METRIC = "windows.rectangles.mean_rms_m"

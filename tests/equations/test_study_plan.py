@@ -6,9 +6,8 @@ import statistics
 import pytest
 
 from testbed.scenario import ScenarioError, list_studies, load_scenario
-from testbed.studies.journal import Journal
+from testbed.studies.journal import Journal, Row, flatten_metrics
 from testbed.studies.plan import Plan, check_plan, load_study
-from testbed.studies.rows import Row, flatten_metrics
 from testbed.studies.study_schema import Variation
 from testbed.studies.table import column_type
 

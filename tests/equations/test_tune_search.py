@@ -6,20 +6,18 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from testbed.studies.tune_objective import (
-    aggregate_costs,
-    compare_held_out,
-    completed_metric,
-    describe_aggregate,
-    flight_cost,
-    metric_at,
-)
 from testbed.studies.tune_schema import GainBounds, MeanPlusSd, Quantile, Search
 from testbed.studies.tune_search import (
     CmaEs,
     GainSpace,
+    aggregate_costs,
+    compare_held_out,
+    completed_metric,
     default_population,
+    describe_aggregate,
+    flight_cost,
     generation_count,
+    metric_at,
     search,
 )
 
