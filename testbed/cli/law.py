@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from testbed.cli import completion
-from testbed.cli.options import Overrides
+from testbed.cli.options import Overrides, scenario_names
 from testbed.cli.output import result_console
 from testbed.cli.report import FigureFormat, Figures, figure_format, write_figures
 
@@ -21,7 +20,7 @@ def law_command(
         str | None,
         typer.Argument(
             metavar="[SCENARIO]",
-            autocompletion=completion.scenario_names,
+            autocompletion=scenario_names,
             help="Name or path of a scenario.  \\[default: the examples as the paper draws them]",
             show_default=False,
         ),

@@ -29,7 +29,7 @@ class _RealTimeFactor(ProgressColumn):
 
 
 class ProgressBar:
-    """Observer that shows how far a run is; hidden where the console is not a terminal."""
+    """Show the progress of a run; hidden where the console is no terminal."""
 
     zero_copy = True
 
@@ -73,7 +73,7 @@ class CompilingBar:
         self._bar: Progress | None = None
 
     def __call__(self, ready: int, total: int) -> None:
-        """Announce it at the first call; draw the bar, and remove it when all are ready."""
+        """Announce the work, then draw the bar; remove it when all are ready."""
         if self._bar is None:
             self._console.print(NOTICE)
             self._bar = Progress(

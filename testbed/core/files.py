@@ -189,6 +189,16 @@ def check_folder_writable(path: Path) -> None:
         return
 
 
+def format_bytes(count: float) -> str:
+    """Format a size, in bytes, kB, MB or GB."""
+    size, unit = float(count), "bytes"
+    for larger in ("kB", "MB", "GB"):
+        if size < 999.5:
+            break
+        size, unit = size / 1e3, larger
+    return f"{size:.1f} {unit}" if size < 9.95 and unit != "bytes" else f"{size:,.0f} {unit}"
+
+
 def lock_file(file: IO[Any] | int) -> bool:
     """Lock an open file until it is closed or its process ends; return whether it is locked.
 

@@ -51,7 +51,7 @@ def _writer(file: IO[bytes], schema: Any) -> Any:  # noqa: ANN401
 
 
 def write_csv(flight: FlightData, file: IO[bytes]) -> None:
-    """Write a run as CSV: a header line, then numbers that read back to the same bits."""
+    """Write a run as CSV: a header, then numbers exact to the last bit."""
     file.write((",".join(_schema(flight).names) + "\n").encode())
     # names need no quotes: neither fields nor aircraft may contain a comma
     options = csv.WriteOptions(include_header=False, quoting_style="none")
@@ -75,7 +75,7 @@ def _schema(flight: FlightData) -> Any:  # noqa: ANN401 - pyarrow has no types
 
 
 def _tables(flight: FlightData) -> Iterator[Any]:
-    """Make the table in parts that fit into memory; at least one part, which may be empty."""
+    """Make the table in parts that fit into memory; at least one."""
     schema, names = _schema(flight), flight.names
     step = max(1, _ROWS // len(names))
     for start in range(0, max(1, flight.time_s.size), step):
@@ -159,7 +159,7 @@ def read_columns(
 
 @contextmanager
 def _reading(path: Path) -> Iterator[Any]:
-    """Open a Parquet file; report everything that is wrong with it as an error of the input."""
+    """Open a Parquet file; all errors in it are errors of the input."""
     with open_regular(path, MAX_PARQUET_BYTES) as stream:
         try:
             with parquet.ParquetFile(stream, page_checksum_verification=True) as file:

@@ -186,7 +186,7 @@ class Chunk:
 
 
 def chunk(batches: Sequence[MessageBatch]) -> Chunk:
-    """Join batches, no two of the same channel; rows of equal order follow the batches' order."""
+    """Join batches of different channels; rows of equal order follow the batches' order."""
     rows = [row for batch in batches for row in batch.rows]
     order = np.argsort(np.concatenate([batch.order for batch in batches]), kind="stable")
     sizes = np.array(list(map(len, rows)))

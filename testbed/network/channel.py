@@ -42,7 +42,7 @@ from testbed.scenario.network import (
     Reorder,
     Tdma,
 )
-from testbed.scenario.resolve import find_data
+from testbed.scenario.references import find_data
 
 JITTERS = {
     "uniform": UNIFORM,

@@ -20,7 +20,7 @@ from testbed.core.csv_table import Table, read_table
 from testbed.core.random import stream
 from testbed.core.records import Array
 from testbed.scenario.network import Network
-from testbed.scenario.resolve import find_data
+from testbed.scenario.references import find_data
 
 ENDS = ("source", "destination")
 

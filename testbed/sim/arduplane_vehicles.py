@@ -23,7 +23,7 @@ from testbed.core.records import (
     join_names,
 )
 from testbed.scenario import Scenario
-from testbed.scenario.control_source import ArduPlane
+from testbed.scenario.aircraft import ArduPlane
 from testbed.sim.vehicles import JsbsimVehicles
 from testbed.vehicle.fleet import JsbsimFleet
 

@@ -25,7 +25,7 @@ from testbed.mavlink.vehicle_control import (
     Rejection,
     VehicleControl,
 )
-from testbed.scenario.control_source import External
+from testbed.scenario.aircraft import External
 from testbed.sim.leader_control import FbwaInput, MissionController
 from testbed.sim.navigator import Navigator, NavigatorConfig
 

@@ -31,7 +31,7 @@ from testbed.atmosphere.wake import WakeModel
 from testbed.core.errors import InputError
 from testbed.core.records import Airframe, Array, Event, Records
 from testbed.scenario import Scenario, find_data
-from testbed.scenario.control_source import ArduPlane
+from testbed.scenario.aircraft import ArduPlane
 
 SEA_LEVEL_DENSITY = 1.225  # kg/m³
 SEA_LEVEL_K = 288.15  # temperature of the standard atmosphere

@@ -15,8 +15,7 @@ from testbed.guidance.flight_plan import Mission
 from testbed.mavlink.mission_plans import ItemFlightPlan, items_from_mission, items_of_segments
 from testbed.mavlink.vehicle_control import Mode, VehicleControl
 from testbed.scenario import Scenario, load_guidance
-from testbed.scenario.aircraft import Follower, Leader
-from testbed.scenario.control_source import ArduPlane, External
+from testbed.scenario.aircraft import ArduPlane, External, Follower, Leader
 from testbed.sim.autopilot_session import AutopilotSession
 from testbed.sim.build_leader import LeaderSetup
 from testbed.sim.leader_control import (

@@ -12,7 +12,7 @@ from testbed.core.errors import InputError
 from testbed.core.records import Event
 from testbed.mavlink.addresses import Address
 from testbed.scenario import Scenario
-from testbed.scenario.control_source import External
+from testbed.scenario.aircraft import External
 from testbed.sim.build import World
 from testbed.sim.tick_gate import RealTimePacer
 

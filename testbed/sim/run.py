@@ -25,7 +25,7 @@ from testbed.logs.run_directory import (
 from testbed.metrics import MetricsObserver
 from testbed.metrics.document import finalise, write_json
 from testbed.metrics.expectations import violations
-from testbed.metrics.short_table import table_html, table_text
+from testbed.metrics.tables import table_html, table_text
 from testbed.scenario import Scenario, load_scenario
 from testbed.sim.build import World, build
 from testbed.sim.external_options import (

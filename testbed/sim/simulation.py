@@ -15,7 +15,7 @@ from testbed.logs.run_directory import LOG_NAME, METRICS_NAME
 from testbed.metrics import MetricsObserver
 from testbed.metrics.document import finalise, write_json
 from testbed.scenario import Scenario, load_scenario, set_seed
-from testbed.scenario.control_source import ArduPlane
+from testbed.scenario.aircraft import ArduPlane
 from testbed.sim.autopilot_session import AutopilotSession
 from testbed.sim.build import World, build
 from testbed.sim.external_options import external_summary

@@ -26,7 +26,7 @@ _COUNT_INTERVAL_S = 5.0  # between two counts of the workers
 
 
 def cluster_notices(scheduler: str) -> Iterator[str]:
-    """Yield the lines to print before a cluster is used: its address, and a security warning."""
+    """Yield the notices on a cluster: its address, and a security warning."""
     yield f"cluster: {scheduler}"
     address = scheduler if "://" in scheduler else f"tcp://{scheduler}"
     host = urlsplit(address).hostname or scheduler

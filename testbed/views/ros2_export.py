@@ -24,8 +24,8 @@ from testbed.core.frames import (
 from testbed.core.identifiers import identifiers
 from testbed.core.records import Array, Event, Indices, VehicleState
 from testbed.logs import ros2_bag as ros
-from testbed.logs.fix_covariance import FixCovariance
 from testbed.logs.read import Log
+from testbed.logs.recorder import FixCovariance
 from testbed.views.airframes import draw_airframe, whole
 from testbed.views.annotations import Links
 from testbed.views.batch import batch_of

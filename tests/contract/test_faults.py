@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from run_flight import Collector, arrays, flown_with_recorder, recorder
+from run_flight import Collector, arrays, fly_with_recorder, recorder
 from typer.testing import CliRunner
 
 import testbed
@@ -320,7 +320,7 @@ def test_response_drop_excludes_and_keeps_the_slots():
 
 def test_own_law_receives_no_message_of_excluded(tmp_path):
     changes = faults(0, OUT), "formation.on_failure={response: drop, declared_after_s: 2}"
-    _, received = flown_with_recorder(scenario(recorder(tmp_path), *changes))
+    _, received = fly_with_recorder(scenario(recorder(tmp_path), *changes))
     assert received
     for now, _, inbox in received:
         received_from = np.isfinite(inbox.stamp_s)

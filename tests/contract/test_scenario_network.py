@@ -132,8 +132,8 @@ def test_setting_adds_to_an_empty_network():
     assert network("network.loss=0.3") == network("network.loss.probability=0.3")
     link = network("network.links.leader.uav1.loss=0.5").link("leader", "uav1")
     assert link.loss == Bernoulli(probability=0.5)
-    everyone = network("network.links.*.uav1.delay_s=1")
-    assert everyone.links == {"*": {"uav1": Link(delay_s=1.0)}}
+    from_all = network("network.links.*.uav1.delay_s=1")
+    assert from_all.links == {"*": {"uav1": Link(delay_s=1.0)}}
 
 
 def test_asterisk_in_setting_is_every_link():

@@ -8,8 +8,7 @@ import typer
 from commands import environment
 
 import testbed
-from testbed.cli.command_group import help_text
-from testbed.cli.main import app
+from testbed.cli.main import app, help_text
 from testbed.scenario import load_scenario, set_duration
 from testbed.scenario.fields import Section
 

@@ -17,10 +17,9 @@ from patience import PATIENCE_S, until
 from rich.console import Console
 from snapshot import check_snapshot
 
-from testbed.cli.sweep_table import summary_tables
+from testbed.cli.sweep import summary_tables
 from testbed.core.errors import InputError
-from testbed.studies.journal import Journal
-from testbed.studies.rows import flatten_metrics
+from testbed.studies.journal import Journal, flatten_metrics
 from testbed.studies.summary import Group, Summary
 from testbed.studies.sweep import sweep
 from testbed.studies.table import find_output, read_rows, read_table
@@ -135,10 +134,10 @@ def test_sweep_interrupted_is_resumed_to_the_bit(folder, workers, tmp_path):
         journal.write(b'{"run":3,"outcome":"flo')  # as after a power failure
     with pytest.raises(InputError, match="write --resume to continue it"):
         sweep("small.yaml", out)
-    workers.flown.clear()
+    workers.finished.clear()
     result = sweep("small.yaml", out, resume=True)
     assert result.new_runs == small_study.RUNS - 3
-    assert workers.flown == list(range(3, small_study.RUNS))
+    assert workers.finished == list(range(3, small_study.RUNS))
     assert same(folder, out)
     assert [path.name for path in tmp_path.iterdir()] == ["study.parquet"]
     assert sweep("small.yaml", out, resume=True).new_runs == 0

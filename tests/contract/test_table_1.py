@@ -29,18 +29,18 @@ def tables(monkeypatch):
 def test_acceleration_studies_fly_every_set_up(name, sources, turns):
     plan = Plan(load_study(name))
     assert len(plan) == SET_UPS * 2 * len(sources)
-    flown = set()
+    set_ups = set()
     for run in plan:
         scenario = plan.scenario(run)
         controller = scenario.controller
         assert controller.estimators.leader_angular_acceleration == turns
-        flown.add((run.case, controller.profile, controller.estimators.leader_acceleration))
+        set_ups.add((run.case, controller.profile, controller.estimators.leader_acceleration))
         _, number, corner = run.case.split("-")
         graph = load_scenario(f"simulation-{number}").formation
         assert scenario.formation == graph, run.case
         if corner != "recorded":
             assert scenario.leader.path.bank_limit_deg == int(corner)
-    assert flown == {
+    assert set_ups == {
         (case, profile, source)
         for case in plan.cases
         for profile in ("tuned", "authors")

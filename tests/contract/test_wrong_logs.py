@@ -24,12 +24,12 @@ DEEP = "[" * 200_000
 
 def write_log(path, info=None, metrics=None):
     """Write a good log, then change fields of its run.json and metrics.json."""
-    flown = list(run_samples(12))
+    samples = list(run_samples(12))
     meter = MetricsObserver()
     meter.begin(run_info())
-    for sample in flown:
+    for sample in samples:
         meter.observe(sample)
-    record(path, flown, summary=meter.summary([event(0.1)[1]]) | {"outcome": "completed"})
+    record(path, samples, summary=meter.summary([event(0.1)[1]]) | {"outcome": "completed"})
     data = path.read_bytes()
     found = split_records(data[: -len(MAGIC)], len(MAGIC))
     for each in found:

@@ -108,7 +108,7 @@ def test_late_own_state_puts_the_follower_ahead(overrides, ahead_s):
     assert last.formation.error_ned[0] == pytest.approx([SPEED * ahead_s, 0.0, 0.0], abs=1e-6)
 
 
-def test_flight_with_late_commands_flies_those_of_before():
+def test_late_commands_leave_the_earlier_ones():
     """0.08 s are two periods of 25 Hz; what the autopilots have is logged as their command."""
     scenario = load_scenario("simulation-3", ["controller.companion.command_latency_s=0.08"])
     frames = flown(set_duration(scenario, 2.0))

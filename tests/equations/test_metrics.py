@@ -250,8 +250,8 @@ def test_flags_of_a_lost_follower_do_not_count():
     samples = [make_sample(0, np.zeros((2, 3)))]
     samples += [make_sample(k, np.zeros((2, 3)), lost=(2,), **flags) for k in range(1, 11)]
     summary = measure(samples, run_info())
-    assert [summary["limiter_flags"][name]["frames"] for name in ("uav1", "uav2")] == [10, 0]
-    assert [summary["saturations"][name]["frames"] for name in ("uav1", "uav2")] == [10, 0]
+    assert [summary["limiter_flags"][name]["samples"] for name in ("uav1", "uav2")] == [10, 0]
+    assert [summary["saturations"][name]["samples"] for name in ("uav1", "uav2")] == [10, 0]
     assert summary["left_speed_set"]["uav2"] == {"times": 0, "first_s": None}
     assert summary["recovery"]["uav2"]["last_saturated_s"] is None
 
@@ -331,16 +331,16 @@ def test_limiter_flags_and_saturations_by_kind():
     ]
     summary = measure(samples, run_info())
     one = summary["limiter_flags"]["uav1"]
-    assert (one["frames"], one["seconds"]) == (2, 0.08)
+    assert (one["samples"], one["seconds"]) == (2, 0.08)
     assert one["by_kind"] == {
         "speed_desired_clamped": 1,
         "outside_speed_set": 2,
         "speed_command_clipped": 0,
         "leader_timeout": 0,
     }
-    assert summary["limiter_flags"]["uav2"]["frames"] == 0
+    assert summary["limiter_flags"]["uav2"]["samples"] == 0
     assert summary["saturations"]["uav1"]["by_kind"] == {"pitch": 2, "roll": 0, "throttle": 1}
-    assert summary["saturations"]["uav2"]["frames"] == 1
+    assert summary["saturations"]["uav2"]["samples"] == 1
     assert summary["recovery"]["uav1"]["last_saturated_s"] == 0.04
     assert measure(samples[2:], run_info())["recovery"]["uav1"]["last_saturated_s"] is None
 

@@ -48,8 +48,8 @@ def measure(name: str) -> dict[str, list[float]]:
     source, overrides, until = FLIGHTS[name]
     scenario = library() / source if source.endswith(".yaml") else source
     window = f"scenario.windows={{all: [20, {until}]}}"
-    page = load_scenario(scenario, ("scenario.published=null", window, *overrides))
-    metrics: Any = testbed.run(set_duration(page, until), write=False).metrics
+    loaded = load_scenario(scenario, ("scenario.published=null", window, *overrides))
+    metrics: Any = testbed.run(set_duration(loaded, until), write=False).metrics
     return {
         "rms_m": list(metrics["windows"]["all"]["rms_m"].values()),
         "max_m": list(metrics["max_error_m"].values()),

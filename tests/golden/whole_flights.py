@@ -34,15 +34,15 @@ def fly(scenario: str, *overrides: str, until: str | float | None = None) -> Map
 
     A window that contains that time ends with it.
     """
-    page = load_scenario(scenario, overrides)
+    loaded = load_scenario(scenario, overrides)
     if until is not None:
-        end = page.scenario.windows[until][1] if isinstance(until, str) else until
-        page = set_duration(page, end)
-    flown = testbed.run(page, write=False)
-    assert flown.outcome == "completed"
-    joined = flown.metrics["joined_at_s"].values()
+        end = loaded.scenario.windows[until][1] if isinstance(until, str) else until
+        loaded = set_duration(loaded, end)
+    result = testbed.run(loaded, write=False)
+    assert result.outcome == "completed"
+    joined = result.metrics["joined_at_s"].values()
     assert None not in joined, "a follower never joined the formation"
-    return flown.metrics
+    return result.metrics
 
 
 def cells(metrics: Mapping[str, Any], window: str) -> np.ndarray:

@@ -1,16 +1,17 @@
-"""Errors of pydantic as problems: place, wrong value, allowed values, what to write."""
+"""Validate a tree as a pydantic model; explain its errors with places."""
 
 from __future__ import annotations
 
 import functools
 import re
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import replace
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from testbed.scenario.tree import Node, walk
-from testbed.scenario.violations import Place, Problem, did_you_mean
+from testbed.scenario.problems import Place, Problem, ScenarioError, did_you_mean
+from testbed.scenario.yaml_io import Node, plain, walk
 
 _TYPES = {
     "float_type": "a number",
@@ -33,6 +34,27 @@ _BOUNDS = {
 _PERCENT = re.compile(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*")
 # Keys of the header that a file inherits and that may not fit its own duration.
 _INHERITED = (("scenario", "windows"), ("scenario", "published"))
+
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
+
+
+def validate(tree: Node, model: type[ModelT], under: tuple[str, ...] = ()) -> ModelT:
+    """Validate a tree as a pydantic model.
+
+    Args:
+        tree: of a file or a part of one.
+        model: class of the result.
+        under: keys of that part, for errors.
+
+    Raises:
+        ScenarioError: with every problem found, each with its place.
+    """
+    try:
+        return model.model_validate(plain(tree))
+    except ValidationError as error:
+        problems = explain(error, tree, model)
+        raise ScenarioError([replace(one, path=under + one.path) for one in problems]) from None
 
 
 def explain(error: ValidationError, tree: Node, model: type[BaseModel]) -> list[Problem]:
@@ -74,7 +96,7 @@ def _problem(tree: Node, loc: tuple[str | int, ...], text: str) -> Problem:
 
 
 def _inherited(tree: Node, path: tuple[str, ...], place: Place) -> tuple[str, Place | None]:
-    """Return the remedy for a key of the header that is inherited or too late, and its place.
+    """Return remedy and place for a key of the header that is inherited.
 
     A window or a published number that does not fit is reported where `duration_s` or the windows
     are set, not where the inherited value is.
@@ -131,9 +153,9 @@ def _one(detail: Mapping[str, Any], tree: Node, schema: dict[str, Any]) -> Probl
     elif kind in _BOUNDS:
         limit, word = _BOUNDS[kind]
         remedy = f"write a number {word} {context[limit]:g}"
-        given = node.value
-        if word == "at most" and context[limit] == 1 and isinstance(given, int | float):
-            remedy += f"; {given:g} % is {given / 100:g}" if 5 <= given <= 100 else ""
+        number = node.value
+        if word == "at most" and context[limit] == 1 and isinstance(number, int | float):
+            remedy += f"; {number:g} % is {number / 100:g}" if 5 <= number <= 100 else ""
         text = f"is {_shown(node)} ({remedy})"
     elif kind == "literal_error":
         expected = context["expected"].replace("'", "")
@@ -228,7 +250,7 @@ def _about(schema: dict[str, Any], tree: Node, path: tuple[str, ...]) -> str:
 def _at(
     schema: dict[str, Any], tree: Node, path: tuple[str, ...], *, follow: bool = True
 ) -> dict[str, Any]:
-    """Return the JSON schema at a path of the file, or {} where there is none."""
+    """Return the JSON schema at a path of the file, or {}."""
     here = schema
     node: Node | None = tree
     for part in path:
@@ -255,8 +277,8 @@ def _follow(schema: dict[str, Any], here: dict[str, Any], node: Node | None) -> 
         elif "discriminator" in here:
             rule = here["discriminator"]
             named = value.get(rule["propertyName"]) if isinstance(value, dict) else None
-            given = named.value if named else None
-            tag = _default_tag(schema, rule) if given is None else str(given)
+            tag_value = named.value if named else None
+            tag = _default_tag(schema, rule) if tag_value is None else str(tag_value)
             if tag not in rule["mapping"]:
                 return {"properties": dict.fromkeys(rule["mapping"], {})}
             here = {"$ref": rule["mapping"][tag]}

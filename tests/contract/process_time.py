@@ -15,7 +15,7 @@ LATE_S = 0.005  # tolerated delay of waking
 _NOTE = struct.Struct("d")
 
 
-class GivenTime:
+class ProcessTime:
     """Running time of this process since the block was entered.
 
     Args:
@@ -26,7 +26,7 @@ class GivenTime:
         self.now_s = 0.0
         self._file = None if path is None else os.open(path, os.O_WRONLY | os.O_CREAT)
         self._over = threading.Event()
-        self._thread = threading.Thread(target=self._count, name="given time", daemon=True)
+        self._thread = threading.Thread(target=self._count, name="process time", daemon=True)
 
     def __enter__(self):
         self._thread.start()

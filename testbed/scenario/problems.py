@@ -16,7 +16,7 @@ _MAX_WORD = 200  # characters of a word that is compared with known ones
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A position in a file: line and column from 1; line 0 is the whole file."""
+    """A position in a file: line (0: the whole file) and column, from 1."""
 
     source: str
     line: int = 0
@@ -55,7 +55,7 @@ class ScenarioError(InputError):
 
 
 def merge_repeated(problems: Iterable[Problem]) -> list[Problem]:
-    """Return the problems, those of one place and text once; paths that differ get a `*`."""
+    """Merge problems of one place and text; paths that differ get a `*`."""
     merged: dict[tuple[Place | None, str, int], Problem] = {}
     for problem in problems:
         key = (problem.place, problem.text, len(problem.path))
