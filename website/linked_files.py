@@ -1,7 +1,7 @@
-"""Pages for what lies outside docs/: links of the docs lead there, and the site stands alone.
+"""Make pages of the files outside docs/ that the docs link to.
 
-A file outside docs/ is put up below `repository/` under its own path, Markdown as a page and
-other text as code. A folder is a list of its names.
+A file outside docs/ is below `repository/` under its own path, Markdown as a page and other text as
+code. A folder is a list of its names.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, InclusionLevel
 
-HERE = "repository"
+PREFIX = "repository"
 DOCS = "docs"
 LINK = re.compile(r"(\]\()([^)\s#]+)(#[^)\s]*)?(\))")
 FENCE = re.compile(r"^ *(`{3,})[^\n]*\n.*?^ *\1 *$", re.M | re.S)
@@ -23,7 +23,7 @@ LANGUAGES = {".py": "python", ".yaml": "yaml", ".yml": "yaml", ".xml": "xml", ".
 
 
 @dataclass(frozen=True, slots=True)
-class Beyond:
+class LinkedFile:
     """A file or folder outside docs/: its path in the repository, and its page."""
 
     path: str
@@ -36,8 +36,8 @@ class Beyond:
         )
 
 
-def found(root: Path, docs: Path, pages: Iterable[str]) -> list[Beyond]:
-    """Every file and folder outside docs/ that these pages link to, directly or through others.
+def find_linked(root: Path, docs: Path, pages: Iterable[str]) -> list[LinkedFile]:
+    """Return every file and folder outside docs/ that these pages link to, directly or not.
 
     Args:
         root: the repository.
@@ -52,18 +52,18 @@ def found(root: Path, docs: Path, pages: Iterable[str]) -> list[Beyond]:
         for target in targets(text, source):
             path = root / target
             if target.startswith(f"{DOCS}/") or target in wanted or not path.exists():
-                continue  # MkDocs reports links that lead nowhere
+                continue  # MkDocs reports broken links
             wanted.add(target)
             if path.is_file() and path.suffix == ".md":
                 texts[target] = waiting[target] = path.read_text(encoding="utf-8")
     return [
-        Beyond(path, texts[path] if path in texts else shown(root, path, wanted))
+        LinkedFile(path, texts[path] if path in texts else folder_or_code(root, path, wanted))
         for path in sorted(wanted)
     ]
 
 
 def targets(text: str, source: str) -> set[str]:
-    """Paths in the repository that a page's links lead to."""
+    """Return the paths in the repository that a page links to."""
     return {
         resolved(link[2], source)
         for link in LINK.finditer(FENCE.sub("", text))
@@ -72,12 +72,12 @@ def targets(text: str, source: str) -> set[str]:
 
 
 def resolved(link: str, source: str) -> str:
-    """The path in the repository that a link leads to."""
+    """Return the path in the repository of a link's target."""
     return posixpath.normpath(posixpath.join(posixpath.dirname(source), link))
 
 
-def shown(root: Path, path: str, wanted: set[str]) -> str:
-    """The page of a folder, or of a file that is not Markdown."""
+def folder_or_code(root: Path, path: str, wanted: set[str]) -> str:
+    """Return the page of a folder, or of a file that is not Markdown."""
     place = root / path
     if place.is_file():
         language = LANGUAGES.get(place.suffix, "text")
@@ -98,22 +98,22 @@ def shown(root: Path, path: str, wanted: set[str]) -> str:
 
 
 def address(path: str) -> str:
-    """Where the site has a path of the repository, as a source of MkDocs."""
+    """Return the path on the site, as a source of MkDocs, of a path in the repository."""
     if path.startswith(f"{DOCS}/"):
         return path.removeprefix(f"{DOCS}/")
-    return f"{HERE}/{path}" if path.endswith(".md") else f"{HERE}/{path}.md"
+    return f"{PREFIX}/{path}" if path.endswith(".md") else f"{PREFIX}/{path}.md"
 
 
-def led(markdown: str, uri: str) -> str:
-    """A page whose links lead to where the files of the repository are on the site.
+def adapt_links(markdown: str, uri: str) -> str:
+    """Return a page with links to the repository replaced by their paths on the site.
 
     Args:
         markdown: the page.
         uri: its path on the site.
     """
-    source = uri.removeprefix(f"{HERE}/") if uri.startswith(f"{HERE}/") else f"{DOCS}/{uri}"
+    source = uri.removeprefix(f"{PREFIX}/") if uri.startswith(f"{PREFIX}/") else f"{DOCS}/{uri}"
 
-    def lead(link: re.Match[str]) -> str:
+    def adapt(link: re.Match[str]) -> str:
         if "://" in link[2]:
             return link[0]
         there = posixpath.relpath(address(resolved(link[2], source)), posixpath.dirname(uri))
@@ -121,6 +121,6 @@ def led(markdown: str, uri: str) -> str:
 
     parts, end = [], 0
     for fence in FENCE.finditer(markdown):
-        parts += [LINK.sub(lead, markdown[end : fence.start()]), fence[0]]
+        parts += [LINK.sub(adapt, markdown[end : fence.start()]), fence[0]]
         end = fence.end()
-    return "".join((*parts, LINK.sub(lead, markdown[end:])))
+    return "".join((*parts, LINK.sub(adapt, markdown[end:])))
