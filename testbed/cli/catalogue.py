@@ -72,6 +72,7 @@ STUDIES: Final[Mapping[str, str]] = {
     "leader-acceleration": "the leader's acceleration, estimated",
     "leader-turn-acceleration": "differences of the turn rates",
     "table-1": "the set-up that gives Table 1",
+    "table-1-causes": "single causes of the errors of Table 1",
     "table-1-laps": "leader's acceleration left out",
     "table-1-authors": "the authors' gains with old states",
     "joint-fit": "sets of numbers that give Table 2",
