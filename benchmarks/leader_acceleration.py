@@ -2,8 +2,9 @@
 
 usage: make results  (ARGS="--jobs N")
 
-Flies the studies `leader-acceleration`, `leader-turn-acceleration`, `table-1`, `table-1-causes`,
-`table-1-laps` and `table-1-authors`, each into a Parquet file, and resumes an interrupted call.
+Flies the studies `leader-acceleration`, `leader-turn-acceleration`, `table-1`, `table-1-ages`,
+`table-1-causes`, `table-1-laps` and `table-1-authors`, each into a Parquet file, and resumes an
+interrupted call.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from testbed.scenario import load_scenario
 
 RESULTS = Path("logs") / "studies" / "leader-acceleration"
 SOURCES, TURNS = "leader-acceleration", "leader-turn-acceleration"
-LAPS, FIT, AUTHORS, CAUSES = "table-1-laps", "table-1", "table-1-authors", "table-1-causes"
+LAPS, FIT, AUTHORS = "table-1-laps", "table-1", "table-1-authors"
+CAUSES, AGES = "table-1-causes", "table-1-ages"
 SIMULATIONS = (1, 2, 3)
 WINDOWS = ("rectangles", "circles")
 FOLLOWERS = ("uav1", "uav2", "uav3")
@@ -282,26 +284,25 @@ def _plain(value: float | str) -> str:
 
 
 def ridge_table(rows: Sequence[Mapping[str, Any]], printed: Mapping[int, Cells]) -> Iterator[str]:
-    """Return the rows of the smallest factors by the ages of messages and own state."""
-    ranked = [item for item in by_point(rows, printed) if item[0][SOURCE] != "none"]
-    ages, own_ages = (sorted({keys[key] for keys, _ in ranked}) for key in (AGE, OWN_AGE))
-    heads = (f"own state {own:.2f} s old" for own in own_ages)
-    yield row("smallest factor, all cells (gains ×)", *heads)
-    yield "|---|" + "--:|" * len(own_ages)
+    """Return the rows of factors over all cells by age of the messages, gains and own age."""
+    flown: dict[tuple[float, ...], dict[int, Cells]] = {}
+    for each in rows:
+        point = tuple(each[key] for key in (AGE, GAINS, OWN_AGE))
+        flown.setdefault(point, {})[int(each["case"].split("-")[1])] = cells_of(each)
+    ages, gains, own_ages = (sorted(set(values)) for values in zip(*flown, strict=True))
+    columns = [(gain, own) for gain in gains for own in own_ages]
+    heads = (f"gains × {gain:g}, own state {own:.2f} s" for gain, own in columns)
+    yield row("factor, all cells (cells near)", *heads)
+    yield "|---|" + "--:|" * len(columns)
     for age in ages:
-        cells = []
-        for own in own_ages:
-            here = [item for item in ranked if (item[0][AGE], item[0][OWN_AGE]) == (age, own)]
-            texts = (
-                f"{factor(ratios(flown, printed)):.2f} ({keys[GAINS]:.2f})" for keys, flown in here
-            )
-            cells.append(next(texts, "not flown"))
-        yield row(f"messages {age:.2f} s old", *cells)
+        each_ratio = [ratios(flown[age, gain, own], printed) for gain, own in columns]
+        cells = (f"{factor(ratio):.2f} ({near(ratio).split()[0]})" for ratio in each_ratio)
+        yield row(f"messages {age:.2f} s", *cells)
 
 
 def text(folder: Path, jobs: int) -> str:
     """Fly missing runs and return all tables as text."""
-    names = (SOURCES, TURNS, LAPS, FIT, CAUSES, AUTHORS)
+    names = (SOURCES, TURNS, LAPS, FIT, CAUSES, AGES, AUTHORS)
     studies = {name: fly_rows(name, folder / f"{name}.parquet", jobs) for name in names}
     rows = {name: each for name, (each, _) in studies.items()}
     flown, printed = by_set_up([*rows[SOURCES], *rows[TURNS]]), published_cells()
@@ -315,7 +316,7 @@ def text(folder: Path, jobs: int) -> str:
             "",
             *fit_table(rows[FIT], printed),
             "",
-            *ridge_table(rows[FIT], printed),
+            *ridge_table(rows[AGES], printed),
             "",
             *ages_table(rows[AUTHORS], printed),
             "",
