@@ -46,7 +46,7 @@ SET_UPS = {
 NEAR = 0.2  # a cell is near the paper's within this part of it
 BEST = 8  # points of the fit that are shown
 AGE, OWN_AGE = "set.network.delay_s", "set.controller.companion.state_latency_s"
-GAINS, SOURCE = "set.controller.gain_scale", f"{ESTIMATORS}leader_acceleration"
+SOURCE = f"{ESTIMATORS}leader_acceleration"
 FITTED = {
     "network.delay_s": ("messages, s", "{:.2f}"),
     "controller.companion.state_latency_s": ("own state, s", "{:.2f}"),
@@ -284,20 +284,19 @@ def _plain(value: float | str) -> str:
 
 
 def ridge_table(rows: Sequence[Mapping[str, Any]], printed: Mapping[int, Cells]) -> Iterator[str]:
-    """Return the rows of factors over all cells by age of the messages, gains and own age."""
-    flown: dict[tuple[float, ...], dict[int, Cells]] = {}
+    """Return the rows of factors over all cells by the ages of messages and own state."""
+    flown: dict[tuple[float, float], dict[int, Cells]] = {}
     for each in rows:
-        point = tuple(each[key] for key in (AGE, GAINS, OWN_AGE))
-        flown.setdefault(point, {})[int(each["case"].split("-")[1])] = cells_of(each)
-    ages, gains, own_ages = (sorted(set(values)) for values in zip(*flown, strict=True))
-    columns = [(gain, own) for gain in gains for own in own_ages]
-    heads = (f"gains × {gain:g}, own state {own:.2f} s" for gain, own in columns)
-    yield row("factor, all cells (cells near)", *heads)
-    yield "|---|" + "--:|" * len(columns)
+        point = flown.setdefault((each[AGE], each[OWN_AGE]), {})
+        point[int(each["case"].split("-")[1])] = cells_of(each)
+    ages, own_ages = (sorted(set(values)) for values in zip(*flown, strict=True))
+    heads = (f"own state {own:.2f} s old" for own in own_ages)
+    yield row("gains × 0.5: factor, all cells (cells near)", *heads)
+    yield "|---|" + "--:|" * len(own_ages)
     for age in ages:
-        each_ratio = [ratios(flown[age, gain, own], printed) for gain, own in columns]
+        each_ratio = [ratios(flown[age, own], printed) for own in own_ages]
         cells = (f"{factor(ratio):.2f} ({near(ratio).split()[0]})" for ratio in each_ratio)
-        yield row(f"messages {age:.2f} s", *cells)
+        yield row(f"messages {age:.2f} s old", *cells)
 
 
 def text(folder: Path, jobs: int) -> str:

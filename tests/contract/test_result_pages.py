@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from run_flight import Collector
 
 from testbed.scenario import library, load_scenario, set_duration
@@ -283,6 +284,47 @@ def simulation_claims() -> Iterator[str]:
     yield f"two aircraft come within {distance} m of each other** at {at} s"
 
 
+def experiment_claims() -> Iterator[str]:
+    """Yield texts of docs/experiments.md."""
+    each = [load_scenario(f"experiment-{n}") for n in (1, 2, 3)]
+    one, two, three = each
+    (k,) = {scenario.formation.k for scenario in each}
+    (kappa,) = {scenario.formation.kappa_mps for scenario in each}
+    (speed,) = {scenario.leader.path.airspeed_mps for scenario in each}
+    banks = [scenario.leader.path.bank_limit_deg for scenario in each]
+    low = one.formation.speed_mps[0]
+    wind = one.air.wind.speed_mps
+    yield f"| leader's airspeed | {speed:g} m/s | Experiment 1 upwind: {speed - wind:g} m/s"
+    assert speed - wind == low
+    yield f"| {wind:g} m/s from north-west | circle of {circle_radius(one):g} m, then rectangles |"
+    yield f"| {two.air.wind.speed_mps:g} m/s from south-west | rectangles |"
+    yield f"| {banks[0]:g}° in Experiment 1, otherwise {banks[1]:g}° |"
+    assert banks[1] == banks[2]
+    yield f"| altitude | {one.leader.start.altitude_m:g} m | the altitudes of Experiment 3 are " + (
+        "{:g} and {:g} m |".format(*three.formation.altitudes_m.values())
+    )
+    sizes = ["{:g} × {:g} m".format(*rectangle(scenario)) for scenario in each]
+    assert sizes[1] == sizes[2]
+    yield f"| rectangle | {sizes[0]}; with {banks[1]:g}° of bank {sizes[1]} |"
+    yield f"| k | {k:g} m/s | below |"
+    yield f"| κ | {kappa:g} m/s |"
+    text = (library() / "aircraft/skywalker_x8/middle_loop.yaml").read_text(encoding="utf-8")
+    tuned = yaml.safe_load(text)["tuned"]
+    yield f"| P gain of the flight path | {tuned['flight_path']['p']:g} |"
+    yield f"| I gain of the course | {tuned['course']['i']:g} |"
+
+
+def circle_radius(scenario: Any) -> float:
+    return next(leg.radius_m for leg in scenario.leader.path.legs if leg.kind == "loiter")
+
+
+def rectangle(scenario: Any) -> tuple[float, float]:
+    """Return the long and the short side of the rectangles, m."""
+    legs = [leg for leg in scenario.leader.path.legs if leg.kind == "waypoints"]
+    long, short = sorted(np.ptp(np.array(legs[-1].points_m)[:, :2], axis=0), reverse=True)
+    return long, short
+
+
 def gap_claims() -> Iterator[str]:
     """Yield texts of docs/gap.md."""
     laps = [np.mean(of_paper(f"experiment-{n}").rms_m["rectangles"]) for n in (1, 2, 3)]
@@ -330,13 +372,81 @@ def gap_claims() -> Iterator[str]:
     )
 
 
+def leader_claims() -> Iterator[str]:
+    """Yield texts of docs/leader-acceleration.md."""
+    causes = {row[0]: row[1:] for row in table(LEADER, "30° of bank, broadcast")}
+    fit = table(LEADER, "messages, s | own state, s")
+    old, best = causes["messages 0.12 s old, gains × 0.5"], fit[0]
+    yield f"half of our gains have {old[3].split()[0]} of the 18 cells within 20 %"
+    yield (
+        f"messages {best[0]} s old with an own state of {best[1]} s and nearly all of our gains "
+        f"{best[-1].split()[0]}"
+    )
+    yield f"{best[0]} s, {best[1]} s and × {best[2]}, the best point of the hypercube"
+    full, lower = causes["own state 0.04 s old"], causes["own state 0.04 s old, gains × 0.6"]
+    yield (
+        f"has a factor of {full[2]} with our gains and {lower[2]} with × 0.6, and "
+        f"{full[3].split()[0]} and {lower[3].split()[0]} cells near"
+    )
+    (zero,) = (row for row in fit[:-1] if row[4] == "zero")
+    assert zero[-1].startswith("0 of")
+    yield f"the best point with q̈_g = 0 has a factor of {zero[-2]}, and no cell near"
+    summary = table(LEADER, "q̈_g | gains | corners")
+    fresh = min((float(row[-1]), row[2]) for row in summary)
+    assert fresh[1] == "recorded"
+    yield f"fresh states the smallest factor is {fresh[0]:.1f}, behind the recorded leader"
+    broadcast = the_row(summary, "broadcast", "`tuned`", "30°")
+    phases = causes["own phases at 10 Hz, positions extrapolated from receipt"]
+    assert phases[3].startswith("0 of")
+    yield f"they bring the factor from {broadcast[-1]} to {phases[2]}, with no cell near"
+    percents = [row[1:] for row in table(LEADER, "error, % | laps: printed")[:2]]
+    more = [
+        100.0 * (float(printed) / float(own) - 1.0)
+        for row in percents
+        for printed, own in (row[:2], row[2:])
+    ]
+    yield f"Table 1's percentages are {min(more):.0f}–{max(more):.0f} % larger than its own cells"
+    banks = [float(row[3]) for row in fit[:8]]
+    yield f"bank of the best points is between {min(banks):.0f}° and {max(banks):.0f}°"
+    laps = table(LEADER, LAPS)
+    circle, without = (
+        np.array(the_row(laps, name)[3:6], dtype=float).mean()
+        for name in ("bank 30", "no integrals")
+    )
+    assert 1.0 - circle / without == pytest.approx(0.8, abs=0.02)
+    yield "the integral terms remove four fifths of the error"
+
+
 @pytest.mark.parametrize(
-    ("name", "claims"), [(SIMULATIONS, simulation_claims), ("docs/gap.md", gap_claims)]
+    ("name", "claims"),
+    [
+        (SIMULATIONS, simulation_claims),
+        ("docs/experiments.md", experiment_claims),
+        ("docs/gap.md", gap_claims),
+        (LEADER, leader_claims),
+    ],
 )
 def test_prose_has_the_computed_numbers(name, claims):
     prose = " ".join(page(name).split())
     missing = [claim for claim in claims() if " ".join(claim.split()) not in prose]
     assert missing == []
+
+
+def test_equal_ages_cancel_if_extrapolated_from_receipt():
+    """As docs/leader-acceleration.md says; extrapolated from the stamps they do not."""
+    causes = {row[0]: np.array(row[5:11], float) for row in table(LEADER, "30° of bank, broad")}
+    fresh = np.array(pages_cells("broadcast", "tuned", "30°", 3), dtype=float)
+    receipt = causes["both 0.08 s old, positions extrapolated from receipt"]
+    assert receipt == pytest.approx(fresh, abs=0.05)
+    stamps = causes["both 0.08 s old, positions extrapolated from the stamps"]
+    assert (stamps > causes["own state 0.04 s old"]).all()
+
+
+def test_laps_stay_larger_than_the_circle_at_all_corners():
+    rows = table(LEADER, LAPS)
+    corners = [row for row in rows[1:] if not re.search("gains|integrals", row[0])]
+    assert len(corners) == 6
+    assert all(float(row[-1]) >= 1.95 for row in corners)
 
 
 def test_every_error_is_at_most_055_of_table_1():
