@@ -87,6 +87,8 @@ STUDIES: Final[Mapping[str, str]] = {
     "leader-acceleration": "the leader's acceleration, estimated",
     "leader-turn-acceleration": "differences of the turn rates",
     "table-1": "the set-up that gives Table 1",
+    "table-1-ages": "old messages and own states",
+    "table-1-causes": "single causes of such errors",
     "table-1-laps": "leader's acceleration left out",
     "table-1-authors": "the authors' gains with old states",
     "joint-fit": "sets of numbers that give Table 2",

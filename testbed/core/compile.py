@@ -221,12 +221,13 @@ def _remove_unused(parent: Path, oldest: float, *, keep: Path) -> None:
                     shutil.rmtree(other)
 
 
-def source_digest(package: Path) -> str:
-    """Return the SHA-256 of names and texts of all kernel packages below a folder."""
+def source_digest(package: Path, folders: Iterable[str] = KERNEL_PACKAGES) -> str:
+    """Return the SHA-256 of names and texts of all Python files in folders of a package."""
     digest = hashlib.sha256()
-    for each in KERNEL_PACKAGES:
-        for path in sorted((package / each).glob("*.py")):
-            digest.update(f"{each}/{path.name}\0".encode() + path.read_bytes() + b"\0")
+    for each in folders:
+        for path in sorted((package / each).rglob("*.py")):
+            name = path.relative_to(package).as_posix()
+            digest.update(f"{name}\0".encode() + path.read_bytes() + b"\0")
     return digest.hexdigest()
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from testbed.core.compile import KERNEL_PACKAGES, source_digest
 from testbed.core.errors import InputError
 from testbed.metrics.document import initial_warnings
 from testbed.metrics.expectations import bound_key, violations
@@ -39,6 +40,9 @@ from testbed.studies.table import (
 REFRESH_S = 30.0  # between two writes of the result file while runs are flown, at least
 MAX_WRITE_SHARE = 0.02  # of the time, for these writes
 MAX_WARNINGS = 6  # kinds of warnings from before a flight that are reported
+# packages that a flight of a study imports: a change in any of their files can change its rows
+FLIGHT_PACKAGES = (*KERNEL_PACKAGES, "logs", "mavlink", "metrics", "scenario", "studies")
+_PACKAGE = Path(__file__).parents[1]
 _LEFT_OUT = ("name", "question", "metrics")  # settings that change no row
 
 Progress = Callable[[int, int], None]
@@ -261,6 +265,7 @@ def _make_inputs(plan: Plan, scenarios: Mapping[str, Scenario]) -> dict[str, Any
         "expect": {case: scenario.expect.model_dump() for case, scenario in scenarios.items()},
         "files": files,
         "versions": versions(),
+        "code": {"testbed": source_digest(_PACKAGE, FLIGHT_PACKAGES)[:12]},
     }
     plain: dict[str, Any] = json.loads(json.dumps(inputs))
     return plain
@@ -280,6 +285,7 @@ def _refuse_changed_inputs(
         "expect": "a bound of a scenario",
         "files": "a file of a scenario",
         "versions": "the versions",
+        "code": "the code",
     }
     for part, title in titles.items():
         changed = differences(old.get(part, {}), new[part])

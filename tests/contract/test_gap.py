@@ -136,6 +136,35 @@ def test_joint_fit_recovers_its_own_numbers(monkeypatch):
     assert found.worst(along[None])[0] < 1e-6
 
 
+# sentences beside the tables
+
+
+def test_sentences_of_table_2_follow_the_rows(monkeypatch):
+    """Order of the followers and comparison of Experiments 2 and 3, from made rows."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+    gap = importlib.import_module("gap_budget")
+
+    def rows(first, second, mean):
+        head = "windows.rectangles"
+        three = {f"{head}.rms_m.uav1": first, f"{head}.rms_m.uav2": second}
+        return {
+            ("experiment-2", 1): {f"{head}.mean_rms_m": 8.0},
+            ("experiment-3", 1): {**three, f"{head}.mean_rms_m": mean},
+        }
+
+    papers, other = rows(6.0, 7.0, 6.5), rows(8.0, 7.0, 8.5)
+    assert gap.order_sentence(papers) == (
+        "Experiment 3's followers come out in the paper's order: uav1 6.0, uav2 7.0 m here "
+        "(medians), uav1 6.7, uav2 8.1 m there."
+    )
+    assert "in another order than the paper's: uav1 8.0" in gap.order_sentence(other)
+    assert gap.comparison_sentence(papers) == (
+        "Mean over the followers, median of 1 seeds: Experiment 2 8.0 m, Experiment 3 6.5 m "
+        "(the paper: 8.7 and 7.4 m); with 1 of the 1 seeds Experiment 3 has the smaller error."
+    )
+    assert "with 0 of the 1 seeds" in gap.comparison_sentence(other)
+
+
 # flights
 
 

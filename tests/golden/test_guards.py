@@ -23,6 +23,15 @@ AS_FLOWN = "scenarios/studies/gap-budget/experiment-{}-as-flown.yaml"
 WIND = "air.wind={speed_mps: 5, from_deg: 240}"
 FLIGHTS: dict[str, tuple[str, tuple[str, ...], float]] = {
     **{f"experiment {n} as flown": (AS_FLOWN.format(n), (), 60.0) for n in (1, 2, 3)},
+    **{
+        f"experiment {n} as flown, seed {seed}": (
+            AS_FLOWN.format(n),
+            (f"scenario.seed={seed}",),
+            60.0,
+        )
+        for n in (1, 2, 3)
+        for seed in (2, 3)
+    },
     "no leader acceleration": (
         "simulation-3",
         ("controller.estimators.leader_acceleration=none",),

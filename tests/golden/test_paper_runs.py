@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from whole_flights import SHORT_PATH, WHOLE, cells, fly
+from whole_flights import SHORT_PATH, WHOLE, WINDOWS, cells, fly
 
 from testbed.scenario import load_scenario
 
 # In calm air with exact measurements a middle loop with sound gains reaches about half the paper's
 # error. A bound, not the value reached.
 SHARE = 0.55
-WINDOWS = ("rectangles", "circles")
 
 
 Flights = Mapping[str, Mapping[str, Any]]  # metrics by scenario

@@ -13,11 +13,12 @@ import testbed
 from testbed.scenario import load_scenario, set_duration
 
 UAVS = ("uav1", "uav2", "uav3")
+WINDOWS = ("rectangles", "circles")
 # Of many flights with the same bound, `make test` flies the beginning of each, or some of them.
 WHOLE = bool(os.environ.get("TESTBED_WHOLE"))
 IN_FULL = pytest.mark.skipif(not WHOLE, reason="flown by make check-all, with TESTBED_WHOLE=1")
 SAMPLE = None if WHOLE else 322.5  # s, when two of the four laps of the first window are flown
-FLOWN = ("rectangles", "circles") if WHOLE else ("rectangles",)
+FLOWN = WINDOWS if WHOLE else ("rectangles",)
 
 # The path of the paper's simulations with one level lap, one that climbs, and a circle that climbs.
 SHORT_PATH = (
