@@ -28,8 +28,7 @@ import numpy as np
 from testbed.atmosphere.mil_f_8785c import HIGH, LOW
 from testbed.core.compile import Kernel, entry, kernel
 from testbed.core.errors import InputError
-from testbed.core.frames import COURSE_FLOOR
-from testbed.core.motion import rotation_ned_body
+from testbed.core.frames import COURSE_FLOOR, rotation_rows
 from testbed.core.random import stream
 from testbed.core.records import Array, Record, Records, Values, allocate
 
@@ -424,7 +423,7 @@ def turbulence_axes(height: float, north: float, east: float, euler: Array) -> V
         cosine, sine = north / horizontal, east / horizontal
     above = min(max((height - LOW) / (HIGH - LOW), 0.0), 1.0)
     below = 1.0 - above
-    x, y, z = rotation_ned_body(euler)
+    x, y, z = rotation_rows(euler)
     return (
         (above * x[0] + below * cosine, above * x[1] - below * sine, above * x[2]),
         (above * y[0] + below * sine, above * y[1] + below * cosine, above * y[2]),

@@ -31,8 +31,7 @@ import numpy as np
 
 from testbed.core.compile import entry, kernel
 from testbed.core.errors import InputError
-from testbed.core.frames import GRAVITY
-from testbed.core.motion import rotation_ned_body
+from testbed.core.frames import GRAVITY, rotation_rows
 from testbed.core.records import (
     Airframe,
     Array,
@@ -521,7 +520,7 @@ def _add_induced(
 @kernel
 def _wing_axis(euler: Vector) -> Vector:
     """Return the body's y axis, NED."""
-    x, y, z = rotation_ned_body(euler)
+    x, y, z = rotation_rows(euler)
     return x[1], y[1], z[1]
 
 

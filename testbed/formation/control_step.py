@@ -6,12 +6,13 @@ newest messages it has received.
 
 from __future__ import annotations
 
-from math import nan, sqrt
+from math import nan
 from typing import NamedTuple
 
 import numpy as np
 
 from testbed.core.compile import entry, kernel
+from testbed.core.frames import norm
 from testbed.core.records import (
     FOLLOWER,
     LINK,
@@ -146,7 +147,7 @@ def _without_middle_loop(own: Record, out: Record, own_speed_model: bool) -> Non
     airspeed applies to it as well.
     """
     v = own.velocity_ned
-    speed = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    speed = norm(v)
     if own_speed_model:  # u is no speed
         out.limiter_flags &= 0xFF ^ CLIPPED
         out.airspeed_command = nan
@@ -245,7 +246,7 @@ def _reach_velocities(
         vertical_weight = 0.0 if law[i].horizontal else 1.0
         own = estimate[i].velocity_ned
         v = (own[0], own[1], vertical_weight * own[2])
-        s = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+        s = norm(v)
         p, a = velocity_ned[i], acceleration_ned[i]
         desired = speed_and_direction(
             (p[0], p[1], vertical_weight * p[2]), (a[0], a[1], vertical_weight * a[2])

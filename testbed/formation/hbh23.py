@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from math import atan2, copysign, cos, hypot, isnan, nan, sin, sqrt
+from math import atan2, copysign, cos, isnan, nan, sin
 
 import numpy as np
 
 from testbed.core.compile import kernel
+from testbed.core.frames import PAPER_GRAVITY, gamma_of, norm
 from testbed.core.records import Record, Values, Vector
 from testbed.core.speed_model import SPEED_MODEL, speed_terms
+from testbed.core.velocity_frame import (
+    cross,
+    frame_angles,
+    frame_angular_acceleration,
+    frame_angular_velocity,
+    to_ned,
+)
 from testbed.formation.barrier import BARRIER, NO_BARRIER, h
 from testbed.formation.control_function import MU, mu
 from testbed.formation.flags import LimiterFlag
@@ -24,14 +32,6 @@ from testbed.formation.message_extrapolation import (
     message_time,
     relative_position,
     timed_out,
-)
-from testbed.formation.velocity_frame import (
-    GRAVITY,
-    cross,
-    frame_angles,
-    frame_angular_acceleration,
-    frame_angular_velocity,
-    to_ned,
 )
 
 CLAMPED = int(LimiterFlag.SPEED_DESIRED_CLAMPED)
@@ -125,7 +125,7 @@ def hbh23(
     vertical_weight = 0.0 if law.horizontal else 1.0
     q, own_velocity = own.position_ned, own.velocity_ned
     v = (own_velocity[0], own_velocity[1], vertical_weight * own_velocity[2])
-    s = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    s = norm(v)
     out.omega[0] = 0.0
     if neighbours[0].excluded or timed_out(inbox[0], now, law.leader_timeout_s):
         _fly_without_leader(law, now, v, s, own.airspeed, memory, out)
@@ -135,8 +135,8 @@ def hbh23(
     # the leader's frame and the own slot in it, (22)-(29)
     leader = extrapolate(law, inbox[0], now)
     v_g = leader[1]
-    s_g = sqrt(v_g[0] ** 2 + v_g[1] ** 2 + v_g[2] ** 2)
-    gamma_g = atan2(-v_g[2], hypot(v_g[0], v_g[1]))
+    s_g = norm(v_g)
+    gamma_g = gamma_of(v_g[0], v_g[1], v_g[2])
     frame = frame_angles(v_g[0], v_g[1], v_g[2])
     rates = inbox[0].euler_rates
     gamma_dot, chi_dot = vertical_weight * rates[1], rates[2]
@@ -146,7 +146,7 @@ def hbh23(
     if law.angular_acceleration_source == ROLL_RATE:
         euler = inbox[0].euler
         # the derivative of σ̇_g ≈ g tan φ_g / (s_g cos θ_g) by the bank alone
-        chi_ddot = GRAVITY * rates[0] / (s_g * cos(euler[1]) * cos(euler[0]) ** 2)
+        chi_ddot = PAPER_GRAVITY * rates[0] / (s_g * cos(euler[1]) * cos(euler[0]) ** 2)
         omega_dot_g = frame_angular_acceleration(gamma_g, chi_dot, gamma_dot, chi_ddot)
     elif law.angular_acceleration_source == DIFFERENCE:
         omega_dot_g = difference_angular_velocity(law, memory, time_s, omega_g)
@@ -321,7 +321,7 @@ def speed_and_direction(p: Vector, p_rate: Vector) -> Values:
         p: p_d, m/s; not zero.
         p_rate: ṗ_d, m/s².
     """
-    s_d = sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
+    s_d = norm(p)
     y_d = (p[0] / s_d, p[1] / s_d, p[2] / s_d)
     s_d_rate = y_d[0] * p_rate[0] + y_d[1] * p_rate[1] + y_d[2] * p_rate[2]
     y_d_rate = (

@@ -6,7 +6,7 @@ from math import isnan, nan
 
 from testbed.core.compile import kernel
 from testbed.core.records import Record, Values, Vector
-from testbed.formation.velocity_frame import cross, from_ned, to_ned
+from testbed.core.velocity_frame import cross, from_ned, to_ned
 
 
 @kernel

@@ -7,8 +7,9 @@ from math import atan2, hypot, isnan
 import numpy as np
 
 from testbed.core.compile import entry, kernel
+from testbed.core.frames import gamma_of
 from testbed.core.records import Array, Record, Records, Vector
-from testbed.formation.velocity_frame import (
+from testbed.core.velocity_frame import (
     frame_angles,
     frame_angular_velocity,
     to_ned,
@@ -69,10 +70,8 @@ def write_formation_state(
         )
         write_slot(leader.truth, own.truth, offsets[i + 1], altitudes[i], f.slot_ned, f.error_ned)
         north, east, down = own.truth.velocity_ned
-        horizontal = hypot(north, east)
-        f.speed = hypot(horizontal, down)
-        f.course = atan2(east, north)
-        f.flight_path_angle = atan2(-down, horizontal)
+        f.speed = hypot(hypot(north, east), down)
+        f.course, f.flight_path_angle = atan2(east, north), gamma_of(north, east, down)
 
 
 ANGLES = 61  # flight-path angles tried, level among them
@@ -84,7 +83,7 @@ def _write_frame_rates(velocity: Array, acceleration: Array, out: Array) -> None
     for i in range(len(out)):
         v, a = velocity[i], acceleration[i]
         chi_dot, gamma_dot = velocity_rates(v, a)
-        gamma = atan2(-v[2], hypot(v[0], v[1]))
+        gamma = gamma_of(v[0], v[1], v[2])
         out[i, 0], out[i, 1], out[i, 2] = frame_angular_velocity(gamma, chi_dot, gamma_dot)
 
 

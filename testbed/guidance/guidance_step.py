@@ -7,11 +7,11 @@ of `mission_follower`.
 from __future__ import annotations
 
 from dataclasses import astuple, fields
-from math import atan2, hypot
 
 import numpy as np
 
 from testbed.core.compile import entry, kernel
+from testbed.core.frames import gamma_of
 from testbed.core.records import Record, Records, Values, allocate
 from testbed.guidance.altitude_airspeed_hold import HoldGains, HoldMemory
 from testbed.guidance.flight_plan import FlightPlan, Mission
@@ -123,7 +123,7 @@ def guide_unicycle(row: int, aircraft: Records, segments: Record, state: Record)
     _write_memory(o.memory, memory)
     north, east, down = own.velocity_ned
     command = aircraft[row].control
-    command.pitch = atan2(-down, hypot(north, east))
+    command.pitch = gamma_of(north, east, down)
     command.roll, command.throttle = own.euler[0], 0.0
     return speed, omega
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from testbed.core.csv_table import read_table
 from testbed.core.errors import InputError
-from testbed.core.frames import wrap_pi
-from testbed.core.motion import euler_rates
+from testbed.core.frames import euler_rates, wrap_pi
 from testbed.core.records import Array
 
 COLUMNS = tuple(

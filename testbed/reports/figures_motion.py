@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from testbed.core.frames import velocity_frame, wrap_pi
+from testbed.core.frames import wrap_pi
 from testbed.core.records import Array
+from testbed.core.velocity_frame import velocity_frame
 from testbed.formation.logged_barrier import logged_barriers, logged_curve
 from testbed.reports.axes import (
     TimeAxis,

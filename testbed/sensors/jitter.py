@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from testbed.core.compile import entry, kernel
-from testbed.core.frames import GRAVITY
-from testbed.core.motion import copy_motion, rotation_ned_body
+from testbed.core.copies import copy_motion
+from testbed.core.frames import GRAVITY, rotation_rows
 from testbed.core.random import stream
 from testbed.core.records import Array, Record, Records
 from testbed.scenario.sensors import Sensors
@@ -88,7 +88,7 @@ def add_jitter(errors: Array, estimate: Record) -> None:
         estimate: record of MOTION; written.
     """
     euler, acceleration = estimate.euler, estimate.acceleration_ned
-    x, y, z = rotation_ned_body(euler)
+    x, y, z = rotation_rows(euler)
     north, east, down = acceleration[0], acceleration[1], acceleration[2] - GRAVITY
     a = north * x[0] + east * y[0] + down * z[0]
     b = north * x[1] + east * y[1] + down * z[1]
@@ -97,7 +97,7 @@ def add_jitter(errors: Array, estimate: Record) -> None:
         estimate.position_ned[axis] += errors[POSITION + axis]
         estimate.velocity_ned[axis] += errors[VELOCITY + axis]
         euler[axis] += errors[ATTITUDE + axis]
-    x, y, z = rotation_ned_body(euler)
+    x, y, z = rotation_rows(euler)
     acceleration[0] = x[0] * a + x[1] * b + x[2] * c
     acceleration[1] = y[0] * a + y[1] * b + y[2] * c
     acceleration[2] = z[0] * a + z[1] * b + z[2] * c + GRAVITY

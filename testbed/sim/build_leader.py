@@ -16,6 +16,7 @@ from testbed.autopilot.parameters import FbwaParams
 from testbed.core.errors import InputError
 from testbed.core.frames import GRAVITY
 from testbed.core.records import Array, Origin
+from testbed.core.standard_atmosphere import density_ratio
 from testbed.guidance import analytic_paths as analytic
 from testbed.guidance import mission_follower as guidance
 from testbed.guidance import path_curves as curves
@@ -25,7 +26,7 @@ from testbed.guidance.recorded_path import SampledTrajectory, read_recording, sa
 from testbed.scenario import Scenario, find_data, load_guidance
 from testbed.scenario.aircraft import Leg, Replay, Virtual
 from testbed.scenario.aircraft import Mission as MissionSection
-from testbed.sim.build_air import density_ratio, temperature_offset
+from testbed.sim.build_air import temperature_offset
 from testbed.sim.leader_control import LeaderController, MissionController, ScriptedController
 from testbed.sim.schedule import Clock
 from testbed.sim.vehicles import ScriptedVehicle

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from testbed.core.errors import InputError
-from testbed.core.frames import GRAVITY, wrap_pi
-from testbed.core.motion import euler_rates
+from testbed.core.frames import GRAVITY, euler_rates, wrap_pi
 from testbed.core.records import AIRCRAFT, allocate
 from testbed.guidance import analytic_paths as analytic
 from testbed.guidance.altitude_airspeed_hold import HoldGains

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from reference.frames import rotation_ned_body
 
 from testbed.autopilot.json_physics import (
     MOTION_NUMBERS,
@@ -27,7 +28,7 @@ from testbed.autopilot.pwm import (
     range_names,
 )
 from testbed.autopilot.sitl_parameters import TuneUse, defaults_text, tune_differences, tune_use
-from testbed.core.frames import GRAVITY, rotation_ned_body
+from testbed.core.frames import GRAVITY
 from testbed.core.random import stream
 from testbed.core.records import AIRCRAFT, allocate
 

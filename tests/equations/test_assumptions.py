@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from reference.adapters import frame_rate, h, rho_and_rate
 from reference.formation_arrays import norm
+from reference.frames import velocity_frame
 
-from testbed.core.frames import velocity_frame
 from testbed.formation.assumptions import (
     SpeedSet,
     by_text,

@@ -21,6 +21,7 @@ from atmosphere_samples import (
     steps_of,
 )
 from reference.adapters_atmosphere import make_filters, turbulence_axes
+from reference.frames import rotation_ned_body
 from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.stats import chi2
 
@@ -29,7 +30,6 @@ from testbed.atmosphere.dryden import DrydenTurbulence
 from testbed.atmosphere.mil_f_8785c import HIGH, INTENSITIES, LOW, Scales
 from testbed.atmosphere.spectra import psd
 from testbed.core.errors import InputError
-from testbed.core.frames import rotation_ned_body
 
 MODERATE = INTENSITIES["moderate"]
 NOMINAL = Case("dryden", 22.0, 120.0, 0.02, 100)

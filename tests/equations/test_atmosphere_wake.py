@@ -8,6 +8,7 @@ from reference.adapters_atmosphere import (
     trail_crossing,
     wake_delta_cl,
 )
+from reference.frames import rotation_ned_body
 
 from testbed.atmosphere.wake import (
     PAIRS,
@@ -18,7 +19,7 @@ from testbed.atmosphere.wake import (
     wing_stations,
 )
 from testbed.core.errors import InputError
-from testbed.core.frames import GRAVITY, rotation_ned_body
+from testbed.core.frames import GRAVITY
 from testbed.core.records import Airframe
 
 DT = 0.005

@@ -7,17 +7,17 @@ from reference.adapters import (
     frame_rate,
     from_ned,
     true_slots,
-    velocity_frame,
     velocity_rates,
 )
 from reference.adapters import slot_motions as slots
+from reference.frames import velocity_frame as reference_frame
 
-from testbed.core import frames as core_frames
 from testbed.core.frames import course, flight_path_angle
+from testbed.core.velocity_frame import velocity_frame
 
 STEP = 1e-4
 each_frame = pytest.mark.parametrize(
-    "velocity_frame", [core_frames.velocity_frame, velocity_frame], ids=["core", "kernel"]
+    "velocity_frame", [reference_frame, velocity_frame], ids=["reference", "product"]
 )
 OFFSETS = np.array([[0.0, 0.0, 0.0], [-5.0, 5.0, 0.0], [-5.0, -5.0, -4.0]])
 

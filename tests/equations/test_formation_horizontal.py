@@ -15,8 +15,8 @@ from formation_cases import (
     results,
     states,
 )
+from reference.frames import velocity_frame
 
-from testbed.core.frames import velocity_frame
 from testbed.core.records import Inbox
 from testbed.formation import leader_filter as leading
 

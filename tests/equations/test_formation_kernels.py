@@ -33,9 +33,9 @@ from reference.formation_geometry import true_slots
 from reference.formation_hbh23 import hbh23_step
 from reference.formation_message_extrapolation import ages
 from reference.formation_middle_loop import middle_step
+from reference.frames import velocity_frame
 
 from testbed.core.compile import entry
-from testbed.core.frames import velocity_frame
 from testbed.core.records import COMMAND, FOLLOWER, LINK, MOTION, allocate, write_fields
 from testbed.formation.barrier import Barrier
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1

@@ -15,10 +15,10 @@ from reference.adapters import (
 from reference.formation_leader_filter import Memory, course_acceleration, unheard
 from reference.formation_message_extrapolation import times
 
+from testbed.core.frames import PAPER_GRAVITY
 from testbed.core.records import Inbox
 from testbed.formation import leader_filter as leading
 from testbed.formation.barrier import Barrier
-from testbed.formation.leader_filter import GRAVITY
 
 EACH_SOURCE = [leading.NOTHING, leading.BROADCAST, leading.TURN]
 
@@ -169,7 +169,7 @@ def test_turn_acceleration_is_that_of_the_velocity():
     assert along == pytest.approx(speed_rate, abs=1e-13)
     assert climbing == pytest.approx(gamma_dot, abs=1e-13)
     # σ̇ = g tan φ / (s cos γ), for the attitude's pitch is γ here
-    coordinated = GRAVITY * np.tan(euler[:, 0]) / (speed * np.cos(gamma))
+    coordinated = PAPER_GRAVITY * np.tan(euler[:, 0]) / (speed * np.cos(gamma))
     assert turning == pytest.approx(coordinated, abs=1e-13)
 
 
@@ -181,7 +181,7 @@ def test_turn_of_a_helix_is_its_acceleration(step, gamma):
     speed, turn = 22.0, 0.25
     law = make_law(2, rng, acceleration_source=np.full(2, leading.TURN))
     own, inbox, _ = states(2, rng)
-    bank = np.arctan(turn * speed * np.cos(gamma) / GRAVITY)
+    bank = np.arctan(turn * speed * np.cos(gamma) / PAPER_GRAVITY)
     memory = law.start(own)
     for k in range(30):
         now = NOW + 0.04 * k
@@ -263,7 +263,7 @@ def test_it_is_the_derivative_of_the_turn_rate():
     bank, attitude, speed, roll_rate, step = 0.5, 0.2, 23.0, 0.7, 1e-6
 
     def chi_dot(t):
-        return GRAVITY * np.tan(bank + roll_rate * t) / (speed * np.cos(attitude))
+        return PAPER_GRAVITY * np.tan(bank + roll_rate * t) / (speed * np.cos(attitude))
 
     ours = course_acceleration(
         np.array([speed]), np.array([[bank, attitude, 1.0]]), np.array([roll_rate])

@@ -14,8 +14,8 @@ from formation_cases import (
     results,
 )
 from reference.formation_middle_loop import MiddleLoopMemory
+from reference.frames import velocity_frame
 
-from testbed.core.frames import velocity_frame
 from testbed.core.records import UnicycleCommand, VehicleState
 from testbed.formation.flags import LimiterFlag, Saturation
 from testbed.formation.middle_loop import initial_memory

@@ -18,8 +18,8 @@ from formation_cases import (
     states,
 )
 from reference.formation_message_extrapolation import times
+from reference.frames import velocity_frame
 
-from testbed.core.frames import velocity_frame
 from testbed.core.records import Inbox
 from testbed.formation import leader_filter as leading
 from testbed.formation.flags import LimiterFlag

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from reference.frames import velocity_frame
 
-from testbed.core.frames import velocity_frame
 from testbed.core.records import (
     ActuatorCommand,
     AirData,

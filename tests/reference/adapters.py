@@ -24,6 +24,7 @@ from reference.formation_middle_loop import (
 )
 from reference.unicycle import Unicycle
 from testbed.autopilot import fbwa as product_fbwa
+from testbed.core import velocity_frame as frames
 from testbed.core.compile import entry
 from testbed.core.records import (
     AIRCRAFT,
@@ -40,8 +41,8 @@ from testbed.core.records import (
     fields_of,
     write_fields,
 )
+from testbed.core.velocity_frame import velocity_frame
 from testbed.formation import control_function, hbh23, leader_filter, middle_loop, slots
-from testbed.formation import velocity_frame as frames
 from testbed.formation.barrier import BARRIER
 from testbed.formation.barrier import h as h_kernel
 from testbed.formation.control_step import Hbh23Law as KernelLaw
@@ -221,25 +222,6 @@ def rho_and_rate(function, x, x_rate):
 
 
 # the velocity frame and the slots
-
-
-def velocity_frame(velocity):
-    """As `testbed.core.frames.velocity_frame`: R (n, 3, 3) of velocities (n, 3)."""
-    velocity = np.ascontiguousarray(velocity, dtype=float)
-    out = np.empty((len(velocity), 3, 3))
-    _frames(velocity, out)
-    return out
-
-
-@entry
-def _frames(velocity, out):
-    for i in range(len(velocity)):
-        frame = frames.frame_angles(velocity[i, 0], velocity[i, 1], velocity[i, 2])
-        for column in range(3):
-            a, b, c = frames.to_ned(
-                frame, 1.0 * (column == 0), 1.0 * (column == 1), 1.0 * (column == 2)
-            )
-            out[i, 0, column], out[i, 1, column], out[i, 2, column] = a, b, c
 
 
 def from_ned(velocity, vectors):

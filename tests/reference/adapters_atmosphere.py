@@ -10,7 +10,7 @@ from testbed.atmosphere.gusts import gust_factor, write_active_gusts
 from testbed.atmosphere.mean_wind import make_mean_wind
 from testbed.atmosphere.turbulence_field import sample_field as _sample_field
 from testbed.core.compile import entry
-from testbed.core.motion import rotation_ned_body
+from testbed.core.frames import rotation_rows
 from testbed.core.records import AIRCRAFT, allocate
 
 # ------------------------------------------------------------------------------ mean wind, gusts
@@ -60,7 +60,7 @@ def active_gusts(gusts, wind, time, position):
 @entry
 def _sample_points(position, euler, body, out):
     for i in range(len(position)):
-        write_sample_points(position[i], rotation_ned_body(euler[i]), body[i], out[i])
+        write_sample_points(position[i], rotation_rows(euler[i]), body[i], out[i])
 
 
 def sample_points(position, euler, body):
@@ -73,7 +73,7 @@ def sample_points(position, euler, body):
 @entry
 def _gradients(air, euler, body, average, rates):
     for i in range(len(air)):
-        rotation = rotation_ned_body(euler[i])
+        rotation = rotation_rows(euler[i])
         _mean_and_gradient(air[i], rotation, body[i], average[i], rates[i])
 
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from reference.frames import rotation_ned_body
 from testbed.atmosphere.wake import (
     FADE,
     NEAREST,
@@ -20,7 +21,7 @@ from testbed.atmosphere.wake import (
     sheet_pairs,
     wing_stations,
 )
-from testbed.core.frames import GRAVITY, rotation_ned_body
+from testbed.core.frames import GRAVITY
 from testbed.core.records import Array, BoolArray
 
 

@@ -22,7 +22,8 @@ from reference.formation_laws import (
 )
 from reference.formation_leader_filter import Memory, unheard
 from reference.formation_message_extrapolation import corrected, kept, places, times
-from testbed.core.frames import course, flight_path_angle, velocity_frame
+from reference.frames import velocity_frame
+from testbed.core.frames import course, flight_path_angle
 from testbed.core.records import Array, BoolArray, Inbox, UnicycleCommand, VehicleState
 from testbed.formation.flags import LimiterFlag
 

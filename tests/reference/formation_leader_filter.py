@@ -7,8 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from reference.formation_arrays import norm, scale
-from reference.formation_geometry import GRAVITY
-from testbed.core.frames import flight_path_angle
+from testbed.core.frames import PAPER_GRAVITY, flight_path_angle
 from testbed.core.records import Array
 
 # Where q̈_g comes from.
@@ -113,7 +112,7 @@ def turn_acceleration(
         gamma_dot: γ̇_g (n,).
         euler: the leader's roll, pitch, yaw (n, 3).
     """
-    chi_dot = GRAVITY * np.tan(euler[:, 0]) / (speed * np.cos(euler[:, 1]))
+    chi_dot = PAPER_GRAVITY * np.tan(euler[:, 0]) / (speed * np.cos(euler[:, 1]))
     return (
         scale(speed_rate, frame[:, :, 0])
         + scale(speed * chi_dot * np.cos(gamma), frame[:, :, 1])
@@ -127,5 +126,5 @@ def course_acceleration(speed: Array, euler: Array, roll_rate: Array) -> Array:
     The derivative of σ̇_g ≈ g tan φ_g / (s_g cos θ_g) by the bank alone.
     """
     cosine = np.cos(euler[:, 0])
-    rate: Array = GRAVITY * roll_rate / (speed * np.cos(euler[:, 1]) * cosine * cosine)
+    rate: Array = PAPER_GRAVITY * roll_rate / (speed * np.cos(euler[:, 1]) * cosine * cosine)
     return rate

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from reference.formation_arrays import norm
-from reference.formation_geometry import GRAVITY, velocity_rates
-from testbed.core.frames import course, flight_path_angle, wrap_pi
+from reference.formation_geometry import velocity_rates
+from testbed.core.frames import PAPER_GRAVITY, course, flight_path_angle, wrap_pi
 from testbed.core.records import (
     Array,
     BoolArray,
@@ -149,7 +149,7 @@ def middle_step(
     )
 
     chi_dot_desired = told.omega[:, 2] / np.cos(gamma)
-    turn_bank = np.arctan(chi_dot_desired * speed * np.cos(gamma) / GRAVITY)
+    turn_bank = np.arctan(chi_dot_desired * speed * np.cos(gamma) / PAPER_GRAVITY)
     last = np.where(np.isnan(memory.turn_bank), turn_bank, memory.turn_bank)
     turn_bank_rate = memory.turn_bank_rate + dt / (dt + gains.lead_filter) * (
         (turn_bank - last) / dt - memory.turn_bank_rate

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from testbed.core.frames import rotation_ned_body
+from reference.frames import rotation_ned_body
 from testbed.core.records import Array, BoolArray, VehicleState
 
 

@@ -12,9 +12,9 @@ import pytest
 from closed_loop import Leader
 from reference.adapters import advance_ticks, frame_rate, report
 from reference.adapters import slot_motions as slots
+from reference.frames import velocity_frame
 from reference.unicycle import unicycle
 
-from testbed.core.frames import velocity_frame
 from testbed.core.records import Inbox, VehicleState
 from testbed.formation import leader_filter as leading
 from testbed.formation.control_step import Hbh23Law
