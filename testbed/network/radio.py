@@ -127,11 +127,6 @@ class Radio:
         queue[: self._count] = self._queue[: self._count]
         self._bind(queue)
 
-    @property
-    def content_time_s(self) -> Array:
-        """True time of the content of the newest messages (n, N), s; nan: none received."""
-        return np.asarray(self.links["measured_s"])
-
     def send(
         self,
         sent_s: Array,

@@ -57,7 +57,7 @@ def make_replays(names: Sequence[str], network: Network, seed: int) -> Replays |
     """
     index = np.full((len(names) - 1, len(names)), -1)
     begin = np.zeros(index.shape)
-    files: dict[str, _File] = {}
+    files: dict[str, TraceFile] = {}
     traces: dict[tuple[str, ...], Trace] = {}  # by file and link
     for i, destination in enumerate(names[1:]):
         for m, source in enumerate(names):
@@ -65,7 +65,7 @@ def make_replays(names: Sequence[str], network: Network, seed: int) -> Replays |
             if chosen is None:
                 continue
             if chosen.file not in files:
-                files[chosen.file] = _File(find_data(chosen.file))
+                files[chosen.file] = TraceFile(find_data(chosen.file))
             file = files[chosen.file]
             key = chosen.file, *file.link(source, destination)
             trace = traces.setdefault(key, file.trace(source, destination))
@@ -75,18 +75,6 @@ def make_replays(names: Sequence[str], network: Network, seed: int) -> Replays |
                 draw = stream(seed, f"network/{source}>{destination}/trace").random()
                 begin[i, m] += draw * trace.span_s
     return Replays(tuple(traces.values()), index, begin) if traces else None
-
-
-def read_trace(path: Path, source: str, destination: str) -> Trace:
-    """Read the trace of messages from one aircraft to another.
-
-    The file has columns sent_s and received_s, whose empty cells are losses; with several links
-    also source and destination. Other columns are ignored.
-
-    Raises:
-        InputError: with file, line and remedy, if it is not a trace of this link.
-    """
-    return _File(path).trace(source, destination)
 
 
 def trace_delay(trace: Trace, time_s: Array) -> Array:
@@ -112,10 +100,18 @@ def replayed_delays(replays: Replays, sent_s: Array, rows: NDArray[np.int64]) ->
     return out
 
 
-class _File:
-    """A file of traces, read once for all of its links."""
+class TraceFile:
+    """A file of traces, read once for all of its links.
+
+    It has columns sent_s and received_s, whose empty cells are losses; with several links also
+    source and destination. Other columns are ignored.
+
+    Raises:
+        InputError: with file, line and remedy, if it is not a trace.
+    """
 
     def __init__(self, path: Path) -> None:
+        """See the class."""
         table = read_table(path)
         table.numbers(())  # every row is as long as the header
         if "sent_s" not in table.header or "received_s" not in table.header:
@@ -139,7 +135,11 @@ class _File:
         return () if self._one_link else (source, destination)
 
     def trace(self, source: str, destination: str) -> Trace:
-        """Return the trace from one aircraft to another."""
+        """Return the trace from one aircraft to another.
+
+        Raises:
+            InputError: the file has none.
+        """
         pair = self.link(source, destination)
         if pair in self._links:
             return self._traces[pair]

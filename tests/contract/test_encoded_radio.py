@@ -113,7 +113,7 @@ def test_stamps_are_read_to_the_millisecond_below():
     assert inbox.stamp_s[0] == pytest.approx([-3500.0, 100.0, 100.001, 100.0], abs=1e-9)
     expected = np.array([-3500.0, 100.0, 100.001, 100.0]) - 0.00123
     assert inbox.stamp_s[1] == pytest.approx(expected, abs=1e-9)
-    assert np.array_equal(link.content_time_s, np.full((FOLLOWERS, N), 100.0))
+    assert np.array_equal(link.links["measured_s"], np.full((FOLLOWERS, N), 100.0))
 
 
 def test_time_on_air_is_that_of_the_frame():
@@ -144,7 +144,7 @@ def test_undetected_errors_are_delivered():
         known = ~np.isnan(inbox.stamp_s)
         assert np.isfinite(inbox.position_ned[known]).all()
         wrong_stamps += int(
-            (known & (np.abs(inbox.stamp_s - encoded.content_time_s) > 0.5e-3)).sum()
+            (known & (np.abs(inbox.stamp_s - encoded.links["measured_s"]) > 0.5e-3)).sum()
         )
     damaged = encoded.summary()["damaged"]
     assert damaged["refused"] == 0

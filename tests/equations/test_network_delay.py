@@ -21,7 +21,7 @@ from scipy import stats
 from scipy.integrate import quad
 
 from testbed.core.errors import InputError
-from testbed.network.channel_simulation import transmit
+from reference.channel_simulation import transmit
 from testbed.network.delays import PARETO_WITH_Z
 from testbed.network.links import PacketOutcome
 

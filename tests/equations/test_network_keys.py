@@ -5,7 +5,7 @@ import pytest
 from network_samples import PACKETS, assert_chance, make, send
 from scipy.stats import chi2_contingency
 
-from testbed.network.channel_simulation import transmit
+from reference.channel_simulation import transmit
 from testbed.network.links import PacketOutcome
 
 NAMES = ("leader", "uav1", "uav2", "uav3")

@@ -16,7 +16,7 @@ from network_samples import (
 )
 from scipy.stats import chi2_contingency
 
-from testbed.network.channel_simulation import transmit
+from reference.channel_simulation import transmit
 from testbed.network.links import PacketOutcome
 
 FORGOTTEN = 1e-3  # a correlation that no sample of this size can tell from none

@@ -18,7 +18,7 @@ from network_samples import (
 )
 from scipy import stats
 
-from testbed.network.channel_simulation import transmit, transmit_at
+from reference.channel_simulation import transmit, transmit_at
 from testbed.network.links import PacketOutcome
 
 BITS = 800  # of the 100 bytes of a message

@@ -15,7 +15,7 @@ from netem_namespaces import HEADERS, netem, why_not
 from scipy import stats
 
 from testbed.network.channel import make_channel
-from testbed.network.channel_simulation import transmit
+from reference.channel_simulation import transmit
 from testbed.network.delays import netem_table
 from testbed.network.links import NETEM_TABLE, NORMAL, PARETO, PARETONORMAL
 from testbed.scenario.network import Network

@@ -1,4 +1,4 @@
-"""A channel without aircraft: messages without content, one broadcast after another."""
+"""Send messages over a channel without aircraft, one broadcast after another."""
 
 from __future__ import annotations
 
