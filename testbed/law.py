@@ -68,8 +68,7 @@ import numpy as np
 
 from testbed.core.records import Array, FbwaCommand, Inbox, UnicycleCommand, VehicleState
 from testbed.formation.control_step import Hbh23Law
-from testbed.formation.flags import LimiterFlag
-from testbed.formation.law import FormationConfig, Law
+from testbed.formation.law import FormationConfig, Law, LimiterFlag
 
 __all__ = [
     "FbwaCommand",

@@ -338,8 +338,8 @@ class FormationState(NamedTuple):
     course_desired: Array  # (n,) rad
     flight_path_angle: Array  # (n,) rad
     flight_path_angle_desired: Array  # (n,) rad
-    limiter_flags: ByteArray  # (n,) bit set of formation.flags.LimiterFlag
-    saturations: ByteArray  # (n,) bit set of formation.flags.Saturation
+    limiter_flags: ByteArray  # (n,) bit set of formation.law.LimiterFlag
+    saturations: ByteArray  # (n,) bit set of formation.law.Saturation
     slot_index: UIntArray  # (n,) slot of the follower, a row of the N
     age_s: Array  # (n, n + 1) age of the message of aircraft j that follower i used, s; NaN: none
     # (n, 3) m, formation error computed from the estimates; equals error_ned where they are exact
@@ -438,7 +438,7 @@ class RunInfo:
     # n speed barriers h: number of the example in [HBH23], and ν; 0 and 0 for an own function;
     # empty for an own law
     barriers: tuple[tuple[int, float], ...] = ()
-    # of n barriers the samples of an own function, as `formation.logged_barrier` has them; empty
+    # of n barriers the samples of an own function, by `formation.barrier.sample_barrier`; empty
     # rows for the paper's, and empty without an own function
     barrier_samples: tuple[tuple[float, ...], ...] = ()
     estimated: bool = False  # whether any estimate differs from the truth

@@ -19,7 +19,7 @@ from testbed.core.velocity_frame import (
 )
 from testbed.formation.barrier import BARRIER, NO_BARRIER, h
 from testbed.formation.control_function import MU, mu
-from testbed.formation.flags import LimiterFlag
+from testbed.formation.law import LimiterFlag
 from testbed.formation.leader_filter import (
     DIFFERENCE,
     ROLL_RATE,

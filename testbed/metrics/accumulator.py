@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from testbed.core.frames import wrap_pi
 from testbed.core.records import Array, BoolArray
-from testbed.formation.flags import LimiterFlag, Saturation
+from testbed.formation.law import LimiterFlag, Saturation
 from testbed.metrics.sample_block import NEVER, EstimateErrors, SampleBlock, Ticks
 
 BLOCK = 1024  # samples of up to four aircraft

@@ -12,7 +12,7 @@ import numpy as np
 from testbed.core.frames import wind_from_deg
 from testbed.core.records import Array, Event, RunInfo
 from testbed.formation.assumptions import largest_kappa
-from testbed.formation.flags import LimiterFlag, Saturation
+from testbed.formation.law import LimiterFlag, Saturation
 from testbed.metrics.accumulator import ESTIMATE_KEYS, Accumulator
 from testbed.metrics.sample_block import NEVER, Ticks
 

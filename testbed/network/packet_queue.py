@@ -12,8 +12,7 @@ from testbed.core.records import MESSAGE, Array, BoolArray, Record, Records, all
 from testbed.network.clocks import clock_error
 from testbed.network.link_statistics import record_packet
 from testbed.network.links import Numbers
-from testbed.network.packet_outcomes import UNSUBSCRIBED, transmit_broadcast
-from testbed.network.slots import SIMULTANEOUS_S
+from testbed.network.packet_outcomes import SIMULTANEOUS_S, UNSUBSCRIBED, transmit_broadcast
 
 NO_MESSAGE = -1  # number of the newest message where none has been received
 

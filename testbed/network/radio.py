@@ -23,11 +23,10 @@ from testbed.core.records import (
     fields_of,
     write_fields,
 )
-from testbed.network.channel import Channel
+from testbed.network.channel import Channel, initial_departures, initial_links, initial_transmitters
 from testbed.network.clocks import clock_error
 from testbed.network.encoding import Encoder, Encoding, UndetectedErrors
-from testbed.network.link_state import initial_departures, initial_links, initial_transmitters
-from testbed.network.link_statistics import initial_statistics
+from testbed.network.link_statistics import initial_statistics, summarise
 from testbed.network.links import Numbers, Outcomes
 from testbed.network.packet_outcomes import transmit_broadcast
 from testbed.network.packet_queue import (
@@ -37,7 +36,6 @@ from testbed.network.packet_queue import (
     enqueue_broadcast,
     send_broadcast,
 )
-from testbed.network.report import summarise
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ import numpy as np
 from testbed.core.frames import wrap_pi
 from testbed.core.records import Array
 from testbed.core.velocity_frame import velocity_frame
-from testbed.formation.logged_barrier import logged_barriers, logged_curve
+from testbed.formation.barrier import logged_barriers, logged_curve
 from testbed.reports.axes import (
     TimeAxis,
     bound_lines,

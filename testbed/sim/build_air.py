@@ -16,10 +16,10 @@ from testbed.atmosphere.mean_wind import (
     MeanWind,
     Profile,
     make_mean_wind,
+    read_wind,
     wind_from_direction,
 )
 from testbed.atmosphere.mil_f_8785c import INTENSITIES, Scales
-from testbed.atmosphere.recorded_wind import read_wind
 from testbed.atmosphere.turbulence_field import (
     FINEST,
     MAX_UNRESOLVED,

@@ -18,12 +18,11 @@ from testbed.core.speed_model import make_own as make_speed_model
 from testbed.formation import barrier, control_function
 from testbed.formation import leader_filter as leader
 from testbed.formation.assumptions import SpeedSet, check_barrier
-from testbed.formation.barrier import Barrier, OwnBarrier
+from testbed.formation.barrier import Barrier, OwnBarrier, sample_barrier
 from testbed.formation.control_function import ControlFunction, OwnControlFunction
 from testbed.formation.control_step import Hbh23Law, initial_controllers, make_neighbours
 from testbed.formation.hbh23 import LAW
 from testbed.formation.law import FormationConfig, Law
-from testbed.formation.logged_barrier import sample_barrier
 from testbed.scenario import MiddleLoopGains as Profile
 from testbed.scenario import Scenario, middle_loop_gains
 from testbed.sim.build_formation import agent_value, build_config, select_followers

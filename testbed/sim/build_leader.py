@@ -17,9 +17,8 @@ from testbed.core.errors import InputError
 from testbed.core.frames import GRAVITY
 from testbed.core.records import Array, Origin
 from testbed.core.standard_atmosphere import density_ratio
-from testbed.guidance import analytic_paths as analytic
+from testbed.guidance import analytic_paths as paths
 from testbed.guidance import mission_follower as guidance
-from testbed.guidance import path_curves as curves
 from testbed.guidance.altitude_airspeed_hold import HoldGains
 from testbed.guidance.flight_plan import Level, LoiterLeg, Mission, WaypointLeg, make_plan, polyline
 from testbed.guidance.recorded_path import SampledTrajectory, read_recording, sample_recording
@@ -93,7 +92,7 @@ def build_leader(
         return _mission_leader(scenario, path, clock, params, folder, origin, *wind)
     duration_s = scenario.scenario.duration_s
     if isinstance(path, Virtual):
-        motion: Motion = partial(analytic.evaluate, _curve(scenario, path), wind_ned=wind_ned)
+        motion: Motion = partial(paths.evaluate, _curve(scenario, path), wind_ned=wind_ned)
     else:
         motion = _recorded_motion(path)
     blocks = _blocks(motion, clock, duration_s, origin, temperature_offset(scenario))
@@ -247,7 +246,7 @@ def _leg(leg: Leg) -> WaypointLeg | LoiterLeg:
     )
 
 
-def _curve(scenario: Scenario, path: Virtual) -> curves.Curve:
+def _curve(scenario: Scenario, path: Virtual) -> paths.Curve:
     """Convert the curve of a virtual leader."""
     section, curve = scenario.leader.start, path.curve
     begin: Any = {
@@ -257,22 +256,20 @@ def _curve(scenario: Scenario, path: Virtual) -> curves.Curve:
     }
     try:
         if curve.kind == "straight":
-            return curves.Straight(**begin, climb=curve.climb_mps)
+            return paths.Straight(**begin, climb=curve.climb_mps)
         if curve.kind == "circle":
-            return curves.Circle(
+            return paths.Circle(
                 **begin,
                 radius=curve.radius_m,
                 clockwise=curve.direction == "clockwise",
                 climb=curve.climb_mps,
             )
         if curve.kind == "figure-eight":
-            return curves.FigureEight(
+            return paths.FigureEight(
                 **begin, radius=curve.radius_m, clockwise=curve.direction == "clockwise"
             )
         if curve.kind == "weave":
-            return curves.SinusoidalPath(
-                **begin, amplitude=curve.amplitude_m, period=curve.period_s
-            )
-        return curves.SpeedChange(**begin, amplitude=curve.amplitude_mps, period=curve.period_s)
+            return paths.SinusoidalPath(**begin, amplitude=curve.amplitude_m, period=curve.period_s)
+        return paths.SpeedChange(**begin, amplitude=curve.amplitude_mps, period=curve.period_s)
     except InputError as error:
         raise InputError(f"leader.path.curve.{error}") from error

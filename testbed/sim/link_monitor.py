@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.core.compile import Kernel, entry
 from testbed.core.records import BoolArray, Event, Indices, Records, allocate
-from testbed.formation.flags import LimiterFlag
+from testbed.formation.law import LimiterFlag
 from testbed.network.link_statistics import record_ages
 
 LEADER_TIMEOUT = int(LimiterFlag.LEADER_TIMEOUT)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbed.core.extras import needs_extra
+from testbed.core.errors import needs_extra
 from testbed.core.random import stream
 from testbed.core.records import Array
 from testbed.studies.tune_objective import aggregate_costs

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from testbed.core.records import Array, RunInfo
-from testbed.formation.logged_barrier import LoggedBarrier, logged_barriers
+from testbed.formation.barrier import LoggedBarrier, logged_barriers
 from testbed.views.palette import ON_DARK, Colour, rgb
 
 BACKDROP: Colour = (22, 26, 33)

@@ -122,7 +122,7 @@ def feed_gains(path):
 
 def feed_table(path):
     """Read a recording by its name: leader, wind, trace, delays or commands."""
-    from testbed.atmosphere.recorded_wind import read_wind
+    from testbed.atmosphere.mean_wind import read_wind
     from testbed.guidance.recorded_path import read_recording, sample_recording
     from testbed.network.channel import make_channel
     from testbed.network.trace import TraceFile

@@ -29,8 +29,7 @@ from testbed.logs.read import read_log
 from testbed.logs.recorder import McapRecorder
 from testbed.metrics import MetricsObserver
 from testbed.metrics.document import finalise
-from testbed.network.link_statistics import initial_statistics
-from testbed.network.report import summarise
+from testbed.network.link_statistics import initial_statistics, summarise
 from testbed.reports import figures, read_run, run_figures, run_page, save_figures, write_page
 from testbed.reports.axes import AXIS_IN, LETTER_IN, NAME_LINES, stack_names
 from testbed.reports.decimate import BUCKETS, decimate, percentiles

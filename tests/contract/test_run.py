@@ -27,7 +27,7 @@ from run_flight import (
 )
 
 import testbed
-from testbed.formation.flags import LimiterFlag
+from testbed.formation.law import LimiterFlag
 from testbed.logs import mcap_file
 from testbed.logs.read import read_log, samples
 from testbed.scenario import load_scenario

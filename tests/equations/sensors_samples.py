@@ -12,8 +12,8 @@ from testbed.core.frames import GRAVITY, wrap_pi
 from testbed.core.records import FaultState, VehicleState, allocate
 from testbed.scenario.sensors import Sensors
 from testbed.sensors.ekf import WIND, make_filters, start_filters
-from testbed.sensors.ekf_settings import make_settings
 from testbed.sensors.errors import ERRORS
+from testbed.sensors.estimators import make_settings
 
 SEED = 1
 # The tests of the sensors ask some 400 times whether chance explains a deviation. Bonferroni: at

@@ -13,9 +13,7 @@ from testbed.core.frames import GRAVITY, euler_rates, wrap_pi
 from testbed.core.records import AIRCRAFT, allocate
 from testbed.guidance import analytic_paths as analytic
 from testbed.guidance.altitude_airspeed_hold import HoldGains
-from testbed.guidance.flight_plan import Level, LoiterLeg, Mission, WaypointLeg, make_plan
-from testbed.guidance.mission_follower import initial_memory, unicycle_step
-from testbed.guidance.path_curves import (
+from testbed.guidance.analytic_paths import (
     SWING,
     Circle,
     FigureEight,
@@ -23,6 +21,8 @@ from testbed.guidance.path_curves import (
     SpeedChange,
     Straight,
 )
+from testbed.guidance.flight_plan import Level, LoiterLeg, Mission, WaypointLeg, make_plan
+from testbed.guidance.mission_follower import initial_memory, unicycle_step
 from testbed.guidance.recorded_path import SampledTrajectory
 from testbed.vehicle.unicycle import advance, make_unicycles, write_motion
 

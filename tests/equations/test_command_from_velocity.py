@@ -12,8 +12,7 @@ from reference.formation_laws import Desired
 
 from testbed import law as public
 from testbed.formation.control_step import Hbh23Law
-from testbed.formation.flags import LimiterFlag
-from testbed.formation.law import FormationConfig
+from testbed.formation.law import FormationConfig, LimiterFlag
 from testbed.law import command_from_velocity
 
 N = 200

@@ -18,8 +18,7 @@ from testbed.core.records import (
     write_fields,
 )
 from testbed.formation.control_step import initial_controllers, make_neighbours
-from testbed.formation.flags import Saturation
-from testbed.formation.law import FormationConfig
+from testbed.formation.law import FormationConfig, Saturation
 from testbed.sim.control import Control, Group, validate_command
 
 NAMES = ("uav1", "uav2", "uav3", "uav4", "uav5")

@@ -40,7 +40,7 @@ from testbed.core.records import COMMAND, FOLLOWER, LINK, MOTION, allocate, writ
 from testbed.formation.barrier import Barrier
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
 from testbed.formation.control_step import control_step, initial_controllers
-from testbed.formation.flags import LimiterFlag, Saturation
+from testbed.formation.law import LimiterFlag, Saturation
 
 FUNCTIONS = [PAPERS_MU, example_1(2.5e5, 1.0, 0.8), EXAMPLE_2, EXAMPLE_3]
 BARRIERS = [Barrier(4, 0.02), Barrier(5, 0.05), Barrier(6, 1.0), Barrier(7, 0.0)]

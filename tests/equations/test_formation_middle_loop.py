@@ -17,7 +17,7 @@ from reference.formation_middle_loop import MiddleLoopMemory
 from reference.frames import velocity_frame
 
 from testbed.core.records import UnicycleCommand, VehicleState
-from testbed.formation.flags import LimiterFlag, Saturation
+from testbed.formation.law import LimiterFlag, Saturation
 from testbed.formation.middle_loop import initial_memory
 
 # Straight and level at trim: every error is zero.

@@ -22,7 +22,7 @@ from reference.frames import velocity_frame
 
 from testbed.core.records import Inbox
 from testbed.formation import leader_filter as leading
-from testbed.formation.flags import LimiterFlag
+from testbed.formation.law import LimiterFlag
 
 NEVER, LONG_AGO = "never", "long ago"
 each_way = pytest.mark.parametrize("way", [NEVER, LONG_AGO])

@@ -34,7 +34,7 @@ from testbed.formation import leader_filter as leading
 from testbed.formation.barrier import Barrier
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
 from testbed.formation.control_step import Hbh23Law
-from testbed.formation.flags import LimiterFlag
+from testbed.formation.law import LimiterFlag
 
 NORTH = np.array([1.0, 0.0, 0.0])
 

@@ -18,7 +18,7 @@ from testbed.core.records import (
     Sample,
     VehicleState,
 )
-from testbed.formation.flags import LimiterFlag, Saturation
+from testbed.formation.law import LimiterFlag, Saturation
 from testbed.metrics import MetricsObserver
 from testbed.metrics.accumulator import BLOCK
 from testbed.metrics.facts import describe_wind

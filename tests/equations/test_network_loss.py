@@ -14,9 +14,9 @@ from network_samples import (
     runs,
     send,
 )
+from reference.channel_simulation import transmit
 from scipy.stats import chi2_contingency
 
-from reference.channel_simulation import transmit
 from testbed.network.links import PacketOutcome
 
 FORGOTTEN = 1e-3  # a correlation that no sample of this size can tell from none

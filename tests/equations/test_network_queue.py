@@ -16,9 +16,9 @@ from network_samples import (
     make,
     send,
 )
+from reference.channel_simulation import transmit, transmit_at
 from scipy import stats
 
-from reference.channel_simulation import transmit, transmit_at
 from testbed.network.links import PacketOutcome
 
 BITS = 800  # of the 100 bytes of a message

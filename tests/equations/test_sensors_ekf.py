@@ -25,8 +25,8 @@ from sensors_samples import (
 from testbed.core.frames import GRAVITY
 from testbed.core.records import allocate
 from testbed.sensors.ekf import INITIAL_SIGMA, OUTPUT_TIME_CONSTANT_S, STATES
-from testbed.sensors.ekf_settings import make_settings
 from testbed.sensors.errors import ERRORS, advance_errors, make_sensor_errors, view_errors
+from testbed.sensors.estimators import make_settings
 
 HZ = 50
 DOWN = np.array([0.0, 0.0, GRAVITY])

@@ -17,8 +17,8 @@ from sensors_samples import (
 from testbed.core.compile import prepare
 from testbed.core.frames import GRAVITY, wrap_pi
 from testbed.core.records import VehicleState, allocate, write_fields
-from testbed.sensors import ekf, estimators, jitter, sensor_step
-from testbed.sensors.errors import ERRORS, make_sensor_errors, view_errors
+from testbed.sensors import ekf, estimators, sensor_step
+from testbed.sensors.errors import ERRORS, add_jitter_to_all, make_sensor_errors, view_errors
 from testbed.sensors.estimators import Estimators
 
 HZ = 20
@@ -103,10 +103,13 @@ def test_with_a_sensor_estimates_are_not_exact(sensors, short_warm_up):
     ("pages", "entries"),
     [
         ([TRUTH, TRUTH], []),
-        ([TRUTH, page("gps-ins")], [jitter.add_jitter_to_all]),
+        ([TRUTH, page("gps-ins")], [add_jitter_to_all]),
         ([TRUTH, PITOT], [sensor_step.estimate_airspeeds]),
         ([PITOT, PIXHAWK], [sensor_step.estimate_motions]),
-        ([page("gps-ins"), PITOT], [sensor_step.estimate_airspeeds, jitter.add_jitter_to_all]),
+        (
+            [page("gps-ins"), PITOT],
+            [sensor_step.estimate_airspeeds, add_jitter_to_all],
+        ),
     ],
 )
 def test_prepare_compiles_the_needed_entries(pages, entries, short_warm_up):

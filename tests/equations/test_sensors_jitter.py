@@ -9,7 +9,7 @@ from testbed.core.frames import GRAVITY
 from testbed.core.random import stream
 from testbed.core.records import VehicleState
 from testbed.sensors import errors as sensor_errors
-from testbed.sensors.jitter import add_jitter_to_all, make_jitter
+from testbed.sensors.errors import add_jitter_to_all, make_jitter
 
 DT = 0.02
 # standard deviation and time constant of position, velocity and attitude (degrees)

@@ -25,7 +25,7 @@ from reference.formation_message_extrapolation import corrected, kept, places, t
 from reference.frames import velocity_frame
 from testbed.core.frames import course, flight_path_angle
 from testbed.core.records import Array, BoolArray, Inbox, UnicycleCommand, VehicleState
-from testbed.formation.flags import LimiterFlag
+from testbed.formation.law import LimiterFlag
 
 CLAMPED = int(LimiterFlag.SPEED_DESIRED_CLAMPED)
 OUTSIDE = int(LimiterFlag.OUTSIDE_SPEED_SET)

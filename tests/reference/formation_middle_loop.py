@@ -18,7 +18,7 @@ from testbed.core.records import (
     UnicycleCommand,
     VehicleState,
 )
-from testbed.formation.flags import LimiterFlag, Saturation
+from testbed.formation.law import LimiterFlag, Saturation
 
 PITCH, ROLL, THROTTLE = map(int, (Saturation.PITCH, Saturation.ROLL, Saturation.THROTTLE))
 CLIPPED = int(LimiterFlag.SPEED_COMMAND_CLIPPED)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr as probability
 
 from testbed.core.records import Array, BoolArray, Records
-from testbed.network.channel import Channel
+from testbed.network.channel import Channel, initial_departures, initial_links
 from testbed.network.delays import (
     NANOSECONDS,
     NETEM_PARETO,
@@ -21,7 +21,6 @@ from testbed.network.delays import (
     TABLE_STEPS,
     mixed_deviation,
 )
-from testbed.network.link_state import initial_departures, initial_links
 from testbed.network.links import (
     BERNOULLI,
     CORRUPT,
@@ -46,8 +45,8 @@ from testbed.network.links import (
     Outcomes,
     PacketOutcome,
 )
+from testbed.network.packet_outcomes import SIMULTANEOUS_S
 from testbed.network.philox import Words, philox, unit
-from testbed.network.slots import SIMULTANEOUS_S
 
 
 class LinkStates(NamedTuple):

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from netem_namespaces import HEADERS, netem, why_not
+from reference.channel_simulation import transmit
 from scipy import stats
 
 from testbed.network.channel import make_channel
-from reference.channel_simulation import transmit
 from testbed.network.delays import netem_table
 from testbed.network.links import NETEM_TABLE, NORMAL, PARETO, PARETONORMAL
 from testbed.scenario.network import Network
