@@ -1,4 +1,4 @@
-"""The mean wind: steady or recorded, its profile over height, and how far it has moved the air.
+"""The mean wind: steady or recorded, its profile, and the path of the air.
 
 It is uniform in the horizontal. Heights are above the ground, in m.
 """
@@ -65,7 +65,10 @@ def wind_from_direction(speed: Array | float, direction: Array | float) -> Array
 
 @dataclass(frozen=True, slots=True)
 class MeanWind:
-    """A wind that is linear in time between M rows; its profile scales the horizontal part."""
+    """A wind that is linear in time between M rows.
+
+    Its profile scales the horizontal part.
+    """
 
     rows: Records  # (M,) of WIND_ROW, from time 0; one row is a steady wind
     profile: Records  # (1,) of PROFILE
@@ -93,7 +96,10 @@ class MeanWind:
         return np.array([north * factor, east * factor, down])
 
     def displacement_ned(self, time: float) -> Array:
-        """Return the path (3,) m of the air at the advection height from time 0 to a time, s."""
+        """Return the path (3,) m of the air since time 0.
+
+        It is that at the advection height.
+        """
         rows, profile = self.rows.view(np.recarray), self.profile.view(np.recarray)[0]
         displacement = np.empty(3)
         write_displacement(rows, profile, time, displacement)
@@ -157,7 +163,10 @@ def reference_wind(rows: Records, time: float) -> Vector:
 
 @jitable
 def write_displacement(rows: Records, profile: Record, time: float, displacement: Array) -> None:
-    """Write the path (3,) m of the air at the advection height from time 0 to a time, s."""
+    """Write the path (3,) m of the air since time 0.
+
+    It is that at the advection height.
+    """
     row = rows[_interval(rows, time)]
     since = time - row.time
     for axis in range(3):
@@ -209,7 +218,7 @@ def read_wind(path: Path, max_gap: float, duration: float) -> RecordedWind:
     if len(data) < 2:
         raise InputError(f"{path}: {len(data)} rows of numbers; a recording needs at least two")
     remedy = "fill in the missing rows, or raise air.wind.max_gap_s"
-    table.refuse_steps(data[:, 0], max_gap, remedy)
+    table.check_time_steps(data[:, 0], max_gap, remedy)
     time = data[:, 0] - data[0, 0]
     tolerance = 2.0 * np.spacing(np.abs(data[:, 0]).max())  # rounding of the stamps
     if time[-1] + tolerance < duration:
@@ -224,7 +233,7 @@ def read_wind(path: Path, max_gap: float, duration: float) -> RecordedWind:
     else:
         for row in np.flatnonzero(data[:, 1] < 0.0):
             text = f"speed_mps is {data[row, 1]:g}; write it without its sign, or turn from_deg"
-            raise table.refusal(int(row) + 1, text)
+            raise table.error_at(int(row) + 1, text)
         velocity[:] = wind_from_direction(data[:, 1], np.radians(data[:, 2]))
     if vertical:
         velocity[:, 2] = data[:, 3]
@@ -237,13 +246,13 @@ def _horizontal_columns(table: Table) -> tuple[str, str]:
         [name for name in names if name in table.header] for names in (BY_AXES, BY_DIRECTION)
     )
     if axes and direction:
-        raise table.refusal(
+        raise table.error_at(
             0,
             f"has both {', '.join(axes)} and {', '.join(direction)}; keep north_mps, east_mps or "
             "speed_mps, from_deg",
         )
     if not axes and not direction:
-        raise table.refusal(
+        raise table.error_at(
             0, "has no wind; add the columns north_mps, east_mps or speed_mps, from_deg"
         )
     return BY_AXES if axes else BY_DIRECTION

@@ -63,10 +63,10 @@ def entry(function: F) -> F:
 
 
 def _cached(function: Callable[..., Any], folder: Path) -> Any:  # noqa: ANN401 - numba's dispatcher
-    """Compile with a cache in this folder only; return None if nothing can be written there.
+    """Compile with a cache in this folder; return None where it cannot be written.
 
-    numba's other places know the text of an entry's own file, not of the kernels and constants in
-    it, which would go stale.
+    numba's own cache locations detect changes of the entry's file only, not of the kernels it
+    calls.
     """
     import numba
 
@@ -190,7 +190,9 @@ def compiling(begin: Callable[[], None]) -> Iterator[None]:
 
 @functools.cache
 def cache_folder() -> Path | None:
-    """Return the folder of the machine code of these sources, or None where none can be written.
+    """Return the folder of the machine code of these sources.
+
+    It is None where none can be written.
 
     numba itself looks for changes only in the file of an entry; an entry holds kernels and
     constants of other files too. So the folder is named after the text of all kernel packages. It
@@ -217,7 +219,7 @@ def cache_folder() -> Path | None:
 
 
 def _remove_unused(parent: Path, oldest: float, *, keep: Path) -> None:
-    """Remove folders of machine code that were last used before a time, but no other folders."""
+    """Remove folders of machine code that were last used before a time."""
     for other in parent.glob("kernels-*"):
         if other != keep and _FOLDER_NAME.fullmatch(other.name):
             with suppress(OSError):

@@ -40,7 +40,7 @@ DISTRIBUTION = "formation-testbed"  # the name that pip installs, as in pyprojec
 
 
 class MissingExtraError(InputError, ImportError):
-    """A library of an extra is not installed; the text has the command that installs it."""
+    """A library of an extra is not installed; the text names the command."""
 
 
 def install_command(extra: str) -> str:

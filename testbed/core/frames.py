@@ -79,7 +79,7 @@ def euler_rates(euler: Array, rates_body: Array) -> Array:
 
 
 def body_rates(euler: Array, angle_rates: Array) -> Array:
-    """Body rates p, q, r (..., 3) rad/s from the derivatives of roll, pitch, yaw (..., 3)."""
+    """Return p, q, r (..., 3) rad/s from Euler angles and their derivatives (..., 3)."""
     sine, cosine = np.sin(euler), np.cos(euler)
     sf, cf, ct = sine[..., 0], cosine[..., 0], cosine[..., 1]
     pitch_rate, yaw_rate = angle_rates[..., 1], angle_rates[..., 2]
@@ -91,7 +91,10 @@ def body_rates(euler: Array, angle_rates: Array) -> Array:
 
 
 def quaternion_xyzw(euler: Array) -> Array:
-    """Quaternion (..., 4) ordered x, y, z, w of R_NB from roll, pitch, yaw (..., 3) in rad."""
+    """Return the quaternion (..., 4) of R_NB from roll, pitch, yaw (..., 3) in rad.
+
+    Its order is x, y, z, w.
+    """
     half = 0.5 * np.asarray(euler)
     cf, ct, cp = np.moveaxis(np.cos(half), -1, 0)
     sf, st, sp = np.moveaxis(np.sin(half), -1, 0)
@@ -129,7 +132,9 @@ def euler_enu_flu(euler: Array) -> Array:
 
 
 def euler_from_quaternion(xyzw: Array) -> Array:
-    """Roll, pitch, yaw (..., 3) rad of R_NB from a quaternion (..., 4) ordered x, y, z, w.
+    """Return roll, pitch, yaw (..., 3) rad of R_NB from a quaternion (..., 4).
+
+    Its order is x, y, z, w.
 
     Of any length but zero, for which the angles are not numbers.
     """
@@ -167,7 +172,7 @@ def flight_path_angle(velocity_ned: Array) -> Array:
 
 
 def metres_per_radian(origin: Origin) -> tuple[float, float]:
-    """Metres of north per radian of latitude and of east per radian of longitude at the origin."""
+    """Return metres per radian of latitude and of longitude at the origin."""
     lat = math.radians(origin.latitude_deg)
     w2 = 1.0 - WGS84_E2 * math.sin(lat) ** 2
     meridian = WGS84_A * (1.0 - WGS84_E2) / w2**1.5 + origin.elevation_m
@@ -196,17 +201,19 @@ def geodetic_from_ned(position_ned: Array, origin: Origin) -> Array:
 
 
 def ned_from_geodetic(geodetic: Array, origin: Origin) -> Array:
-    """NED (..., 3) m from latitude deg, longitude deg, height m above sea level (..., 3).
+    """Return NED (..., 3) m from latitude, longitude (deg) and height (m).
+
+    Heights are above sea level.
 
     The inverse of `geodetic_from_ned`. East is by the shorter way round the earth.
     """
     north, east = metres_per_radian(origin)
-    place = np.asarray(geodetic, dtype=np.float64)
+    values = np.asarray(geodetic, dtype=np.float64)
     return np.stack(
         [
-            north * np.radians(place[..., 0] - origin.latitude_deg),
-            east * wrap_pi(np.radians(place[..., 1] - origin.longitude_deg)),
-            origin.elevation_m - place[..., 2],
+            north * np.radians(values[..., 0] - origin.latitude_deg),
+            east * wrap_pi(np.radians(values[..., 1] - origin.longitude_deg)),
+            origin.elevation_m - values[..., 2],
         ],
         axis=-1,
     )

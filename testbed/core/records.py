@@ -206,7 +206,7 @@ def join_names(names: Sequence[str]) -> str:
 
 
 def short_repr(kind: type[_RecordT]) -> type[_RecordT]:
-    """Make the repr of a record of arrays short: numbers if they are few, else shapes."""
+    """Shorten the repr of a record of arrays to a few numbers, or shapes."""
 
     def text(record: Any) -> str:  # noqa: ANN401 - a named tuple
         few = sum(each.size for each in record) <= FEW
@@ -365,7 +365,10 @@ class FaultState(NamedTuple):
 
 
 def fault_state(faults: Records) -> FaultState:
-    """View records of FAULTS; flags are bytes in them, because kernels read no array of bool."""
+    """View records of FAULTS.
+
+    Flags are bytes in them, because kernels read no array of bool.
+    """
     flags = {name: np.asarray(faults[name]).view(np.bool_) for name in ("stuck", "floating")}
     return fields_of(FaultState, faults, **flags)
 
@@ -405,7 +408,7 @@ class Sample(NamedTuple):
     links: LinkCounters  # (n, N)
     lost: BoolArray  # (N,) lost now or before: on the ground, stopped or collided
     events: tuple[Event, ...] = ()  # since the sample before
-    failing: FaultState | None = None  # (N) active faults; None: the scenario has none
+    faults: FaultState | None = None  # (N) active faults; None: the scenario has none
     # AIRCRAFT (N,), FOLLOWER (n,) and LINK (n, N) that the fields above are views of; None: the
     # fields are separate arrays
     records: tuple[Records, Records, Records] | None = None
@@ -423,7 +426,7 @@ class RunInfo:
     wingspan_m: tuple[float, ...]  # N
     origin: Origin  # of the NED frame
     base_rate_hz: int  # Hz, of the ticks
-    frame_rate_hz: int  # Hz, of the samples
+    sample_rate_hz: int  # Hz, of the samples
     duration_s: float  # s, planned
     seed: int  # of all random streams
     speed_bounds_mps: tuple[tuple[float, float], ...]  # n
@@ -450,7 +453,7 @@ class RunInfo:
         """Name scenario, aircraft, seed and duration."""
         return (
             f"<RunInfo of {self.scenario_name}: {join_names(self.names)}; seed {self.seed},"
-            f" {self.duration_s:g} s planned, samples at {self.frame_rate_hz} Hz>"
+            f" {self.duration_s:g} s planned, samples at {self.sample_rate_hz} Hz>"
         )
 
 
@@ -464,8 +467,8 @@ class Observer(Protocol):
     def begin(self, info: RunInfo) -> None:
         """Prepare; called once before the first sample."""
 
-    def observe(self, frame: Sample) -> None:
+    def observe(self, sample: Sample) -> None:
         """Take one sample; called at the log rate in order of time."""
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
-        """Finish with the metrics of the run and the events after the last sample; called once."""
+        """Finish with the metrics and the events after the last sample; called once."""

@@ -44,7 +44,9 @@ class OwnBarrier(NamedTuple):
 
 
 def make_own(function: Function, s_min: float, s_max: float) -> OwnBarrier:
-    """Tabulate a user's own h(s) on S and up to 5 m/s outside; beyond, it is a straight line.
+    """Tabulate a user's own h(s) on S and up to 5 m/s outside.
+
+    Beyond, it is a straight line.
 
     Args:
         function: h of ground speeds (K,), m/s.
@@ -57,9 +59,9 @@ def make_own(function: Function, s_min: float, s_max: float) -> OwnBarrier:
     start = max(-OUTSIDE, -s_min)
     try:
         table = make_table(lambda x: function(s_min + x), start, s_max - s_min + OUTSIDE)
-    except Rough as place:
+    except Rough as error:
         raise ValueError(
-            f"h has no continuous derivative, or changes too fast, near {s_min + place.x:.4g} m/s "
+            f"h has no continuous derivative, or changes too fast, near {s_min + error.x:.4g} m/s "
             "(write a smoother h)"
         ) from None
     return OwnBarrier(table)
@@ -139,7 +141,10 @@ class LoggedBarrier(NamedTuple):
 
 
 def sample_barrier(barrier: Barrier | OwnBarrier, s_min: float, s_max: float) -> tuple[float, ...]:
-    """Sample an own h on S and up to 5 m/s outside; empty for an example of the paper."""
+    """Sample an own h on S and up to 5 m/s outside.
+
+    Empty for an example of the paper.
+    """
     if isinstance(barrier, Barrier):
         return ()
     value, _ = barrier_curve(barrier, _speeds(s_min, s_max, SAMPLES), s_min, s_max)

@@ -90,7 +90,10 @@ def make_neighbours(
 
 
 def set_gains(neighbours: Records, gains: np.ndarray) -> None:
-    """Set β (n, N, 3); the messages used are those with a gain, and always the leader's."""
+    """Set β (n, N, 3).
+
+    Used are the messages with a gain, and always the leader's.
+    """
     neighbours["gain"] = gains
     neighbours["used"] = gains.any(axis=2)
     neighbours["used"][:, 0] = True
@@ -132,7 +135,7 @@ def finish_step(
     out: Record,
     command: Record,
 ) -> None:
-    """Run the middle loop behind a law's (u, ω), and write the ages of the messages used."""
+    """Run the middle loop behind a law's (u, ω), and write message ages."""
     run_middle_loop(controller.loop, own, controller.integrals, out, command)
     if controller.unicycle:
         _without_middle_loop(own, out, controller.law.speed_model.own)

@@ -199,7 +199,10 @@ def velocity_control(
 
 @kernel
 def slot_motion(frame: Vector, omega: Vector, omega_dot: Vector, offset: Vector) -> Values:
-    """Return χ, χ̇ and χ̈ of an offset υ held in the leader's frame, (27)-(29); m, m/s, m/s²."""
+    """Return χ, χ̇ and χ̈ of an offset υ, (27)-(29); m, m/s, m/s².
+
+    The offset is held in the leader's frame.
+    """
     x, y, z = offset
     chi = to_ned(frame, x, y, z)
     a, b, c = cross(omega[0], omega[1], omega[2], x, y, z)
@@ -284,7 +287,9 @@ def desired_velocity(
     xi: Vector,
     xi_rate: Vector,
 ) -> Values:
-    """Return s_d, ṡ_d, y_d and ẏ_d of the desired velocity p_d, (7)-(12), with ρ of (5) and (13).
+    """Return s_d, ṡ_d, y_d and ẏ_d of the desired velocity p_d, (7)-(12).
+
+    ρ is that of (5) and (13).
 
     Args:
         law: record of LAW.
@@ -336,7 +341,9 @@ def speed_and_direction(p: Vector, p_rate: Vector) -> Values:
 def speed_control(
     law: Record, s: float, s_d: float, s_d_rate: float, s_min: float, s_max: float
 ) -> float:
-    """Return the control u, (14): m/s for f = −p s and g = p, else in the unit of g.
+    """Return the control u, (14).
+
+    It is in m/s for f = −p s and g = p, else in the unit of g.
 
     Args:
         law: record of LAW.
@@ -389,7 +396,7 @@ def turn_control(v: Vector, y_d: Vector, y_d_rate: Vector, c: float) -> Values:
 def _fly_without_leader(
     law: Record, now: float, v: Vector, s: float, airspeed: float, memory: Record, out: Record
 ) -> None:
-    """Fly level on the course at the timeout, or on a course that turns at a constant rate."""
+    """Fly level on the course at the timeout, or turn at a constant rate."""
     starts = isnan(memory.timeout_since)
     since = now if starts else memory.timeout_since
     course = atan2(v[1], v[0]) if starts else memory.timeout_course

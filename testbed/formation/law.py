@@ -1,4 +1,4 @@
-"""Interface of a formation law, and the flags of the limits that acted on its command.
+"""Interface of a formation law, and flags of the limits that acted.
 
 A law steps n followers at once, each from its own estimate and the messages that it has received.
 It returns the inputs of the extended unicycle, which the middle loop turns into a fly-by-wire-A

@@ -149,7 +149,9 @@ def hold_path(
     dt: float,
     gains: HoldGains,
 ) -> tuple[float, HoldMemory]:
-    """Compute γ̇ (rad/s) of an ideal vehicle and the memory; altitudes up in m, speeds in m/s.
+    """Compute γ̇ (rad/s) of an ideal vehicle, and the memory.
+
+    Altitudes are up in m, speeds in m/s.
 
     The targets and `climb_limit` are those of `climb_reference`; the speed is over the ground.
     """

@@ -61,7 +61,9 @@ class Circle:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FigureEight:
-    """A level figure-eight at constant speed from its crossing; its course is a cosine of time.
+    """A level figure-eight at constant speed, whose course is a cosine of time.
+
+    It begins at its crossing.
 
         σ = σ_0 ± z (1 − cos ω t),   z = 2.4048,   ω = speed / (z radius)
 
@@ -88,7 +90,9 @@ class FigureEight:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SinusoidalPath:
-    """A level sinusoidal path: constant speed ahead, amplitude (1 − cos 2π t/period) to the right.
+    """A level sinusoidal path at constant speed ahead.
+
+    To the right it is amplitude (1 − cos 2π t/period).
 
     The ground speed is between `speed`, at the turns, and hypot(speed, 2π amplitude/period).
     """
@@ -189,7 +193,7 @@ class Derivatives(NamedTuple):
 
 
 class VelocityFrameRates(NamedTuple):
-    """Rates of the velocity frame R(σ, γ) of a path at T times, and their derivatives."""
+    """Rates of the velocity frame R(σ, γ) at T times, and their derivatives."""
 
     chi_dot: Array  # σ̇ (T,) rad/s
     gamma_dot: Array  # γ̇ (T,) rad/s

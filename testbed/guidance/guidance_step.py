@@ -73,7 +73,10 @@ def begin_flight(plan: FlightPlan, memory: LeaderMemory, *, dt: float, gains: Ho
 
 
 def set_flight_params(own: Records, mission: Mission) -> None:
-    """Set airspeed, limits and L1 parameters to those of a mission; its legs are not read."""
+    """Set airspeed, limits and L1 parameters to those of a mission.
+
+    Its legs are not read.
+    """
     own["flight_params"] = tuple(getattr(mission, name) for name in FLIGHT_PARAMS)
 
 
@@ -111,7 +114,7 @@ def guide(row: int, aircraft: Records, segments: Record, state: Record) -> None:
 
 @entry
 def guide_unicycle(row: int, aircraft: Records, segments: Record, state: Record) -> Values:
-    """Guide the ideal vehicle in a row; return its speed command u (m/s) and ω (rad/s).
+    """Guide the ideal vehicle in a row; return u (m/s) and ω (rad/s).
 
     See `guide`. For the log, the command is its flight-path angle, its bank and zero throttle.
     """

@@ -1,4 +1,4 @@
-"""Guidance of an aircraft along a flight plan: one step from its estimate to its commands.
+"""Guide an aircraft along a flight plan, from its estimate to its commands.
 
 `step` is for aircraft with an autopilot, `unicycle_step` for ideal vehicles; both follow the same
 path. `guidance_step` compiles them, with records in place of the plan's segments and mission and of
@@ -222,7 +222,7 @@ def _leg_altitude(
 def _count_turns(
     memory: LeaderMemory, position: Sequence[float], circle: Segment, captured: bool
 ) -> LeaderMemory:
-    """Add the angle around the centre since the last step; start the next level when due."""
+    """Add the angle since the last step; start the next level when due."""
     bearing = math.atan2(position[1] - circle.end[1], position[0] - circle.end[0])
     number, turned = memory.segment, memory.turned
     if memory.captured:

@@ -221,10 +221,10 @@ def _read_quantiles(file: str, delay: float, *, netem: bool) -> Array:
     table = read_table(find_data(file))
     samples = table.numbers(["delay_s"])[:, 0]
     if not samples.size:
-        raise table.refusal(0, "no rows; write at least one delay_s below the header")
+        raise table.error_at(0, "no rows; write at least one delay_s below the header")
     least = int(samples.argmin())
     if delay + samples[least] < 0.0 and not netem:
-        raise table.refusal(
+        raise table.error_at(
             least + 1,
             f"delay_s {samples[least]:g} s plus the scenario's {delay:g} s is negative: "
             "messages would arrive before they are sent (write a longer delay_s in the scenario)",
@@ -286,7 +286,7 @@ def initial_links(channel: Channel) -> Records:
 
 
 def initial_departures(channel: Channel) -> Array:
-    """Return the rings (n, N, Q) of the times, s, at which the last Q packets left their queue."""
+    """Return the rings (n, N, Q) of the times of the last departures, s."""
     longest = int(channel.links["queue"].max(initial=0))
     return np.full((*channel.links.shape, longest), -np.inf)
 
@@ -313,7 +313,10 @@ def _initial_events(parameters: Records, words: Words) -> Array:
 
 
 def _initial_chains(parameters: Records, words: Words) -> Array:
-    """Return the initial states (...) of the loss models; good if they would never be again."""
+    """Return the initial states (...) of the loss models.
+
+    They are good where the good state would not recur.
+    """
     u, p = unit(words), np.moveaxis(parameters["p"], -1, 0)
     gilbert = u * (p[0] + p[1]) < p[0]
     p13, p31, p32, p23, p14 = p

@@ -216,7 +216,10 @@ def _ages(statistics: Records, links: Links, uses: int) -> dict[str, float | int
 
 
 def _bursts(statistics: Records, links: Links, lost: int) -> dict[str, Any]:
-    """Summarise bursts of loss; each lost message is in one, and one that is not sent in none."""
+    """Summarise bursts of loss.
+
+    Each lost message is in one burst; one that is not sent is in none.
+    """
     lengths = statistics["bursts"][links].sum(axis=0)
     current = statistics["burst"][links]
     np.add.at(lengths, np.minimum(current[current > 0], LONGEST_BURST) - 1, 1)
@@ -234,7 +237,7 @@ def _bursts(statistics: Records, links: Links, lost: int) -> dict[str, Any]:
 
 
 def quantile(bins: Numbers, part: float, least: float, most: float) -> float:
-    """Return the duration, s, that this part of all does not exceed, linear within its bin.
+    """Return a quantile of durations in bins, s, linear within its bin.
 
     In bin 0 it is the shortest: most durations there are equal, 0 s.
 

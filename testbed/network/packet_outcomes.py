@@ -225,7 +225,7 @@ def _arrival(link: Record, table: Record, path: Values, sent_s: float, departure
 
 @kernel
 def _enter_queue(p: Record, packet: Record, departure_s: float) -> None:
-    """Keep the time, s, at which a copy leaves the queue, if the queue is limited."""
+    """Store the departure time of a copy, s, if the queue is limited."""
     if p.queue > 0:
         packet.departures_s[packet.queued] = departure_s
         packet.queued += 1
@@ -236,7 +236,7 @@ SIMULTANEOUS_S = 1e-9  # times closer than this are equal: 0.04 + 0.1 is not 0.1
 
 @kernel
 def next_slot(p: Record, state: Record, ready_s: float) -> float:
-    """Take the first slot with capacity left after a packet is ready; return its time, s.
+    """Take the first slot with capacity after a packet is ready; return its time, s.
 
     Args:
         p: record of LINK_PARAMETERS.

@@ -170,7 +170,10 @@ def deliver_due(
 
 @kernel
 def _deliver(queued: Record, link: Record) -> bool:
-    """Put a message into its LINK if it is newer than the one there; return whether it is older."""
+    """Deliver a message to its LINK unless a newer one is there.
+
+    Return whether it is older.
+    """
     if queued.number > link.number:
         link.number = queued.number
         link.measured_s, link.received_s = queued.measured_s, queued.arrival_s

@@ -1,4 +1,4 @@
-"""The radio of a run: broadcasts go in, the newest messages received by each follower come out."""
+"""The radio of a run: send broadcasts, and deliver the newest messages."""
 
 from __future__ import annotations
 

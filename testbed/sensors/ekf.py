@@ -163,7 +163,7 @@ def ekf_step(
     step: int,
     steps_per_s: int,
 ) -> None:
-    """Step one filter: propagate its errors, and update them with what is measured at this step.
+    """Step one filter: propagate its errors, and update them with new measurements.
 
     Args:
         g: record of SETTINGS.
@@ -324,7 +324,9 @@ def propagate_covariance(
 
 @kernel
 def write_flow(rotation: Values, force: Vector, dt: float, flow: Array) -> None:
-    """Write Φ − 1 for tilt, velocity and position, to second order of `dt`; other rows are zero.
+    """Write Φ − 1 for tilt, velocity and position, to second order.
+
+    Other rows are zero.
 
     Args:
         rotation: R_NB.
@@ -434,7 +436,9 @@ def gated_update(
 def predict_fix(
     g: Record, x: Array, past: Records, errors: Record, faults: Record, step: int, innovation: Array
 ) -> None:
-    """Write the innovations of a fix's velocity and position, less the states as they are now.
+    """Write the innovations of a fix's velocity and position.
+
+    They are the fix minus the present states.
 
     A fix is as old as its latency, and compared with the estimate of the assumed latency ago.
 
@@ -519,7 +523,9 @@ def reset_state(f: Record, state: int, innovation: float, variance: float) -> No
 
 @kernel
 def fuse_heading(g: Record, x: Array, p: Array, euler: Vector, error: float, work: Values) -> None:
-    """Update with the compass's yaw, to which errors of tilt add where the nose is up.
+    """Update with the compass's yaw.
+
+    Errors of tilt add to it where the nose is up.
 
     Args:
         g: record of SETTINGS.

@@ -17,7 +17,7 @@ import numpy as np
 from testbed.core.compile import entry, jitable, kernel
 from testbed.core.copies import copy_motion
 from testbed.core.frames import GRAVITY, rotation_rows
-from testbed.core.random import stream
+from testbed.core.random import named_stream
 from testbed.core.records import Array, Record, Records, allocate
 from testbed.scenario.sensors import Sensors
 
@@ -153,7 +153,7 @@ def is_sampled(rate_hz: int, step: int, steps_per_s: int) -> bool:
 def make_sensor_errors(
     names: Sequence[str], sensors: Sequence[Sensors], *, seed: int, dt: float
 ) -> GaussMarkovErrors:
-    """Return the random errors of the sensors of N aircraft, whose values are those of ERRORS.
+    """Return the random errors of the sensors of N aircraft, of ERRORS.
 
     Every sensor has a stream of its own, "sensors/<aircraft>/<sensor>"; errors common to all
     aircraft come from "sky/gps" and "sky/barometer".
@@ -165,10 +165,15 @@ def make_sensor_errors(
         dt: s, step.
     """
     own = [
-        [(stream(seed, f"sensors/{name}/{sensor}"), width) for sensor, width in OWN_STREAMS.items()]
+        [
+            (named_stream(seed, f"sensors/{name}/{sensor}"), width)
+            for sensor, width in OWN_STREAMS.items()
+        ]
         for name in names
     ]
-    shared = [(stream(seed, f"sky/{sensor}"), width) for sensor, width in SHARED_STREAMS.items()]
+    shared = [
+        (named_stream(seed, f"sky/{sensor}"), width) for sensor, width in SHARED_STREAMS.items()
+    ]
     return GaussMarkovErrors(make_noise_parameters(sensors, dt), dt, own, shared)
 
 
@@ -179,7 +184,10 @@ def view_errors(errors: GaussMarkovErrors) -> Records:
 
 
 def make_noise_parameters(sensors: Sequence[Sensors], dt: float) -> NoiseParameters:
-    """Return the statistics (N, K) of ERRORS, drawn every `dt` s; a missing sensor has no error."""
+    """Return the statistics (N, K) of ERRORS, drawn every `dt` s.
+
+    A missing sensor has no error.
+    """
     sigma, tau = np.zeros((2, len(sensors)), dtype=ERRORS)
     for row, each in enumerate(sensors):
         s, t = sigma[row], tau[row]
@@ -216,7 +224,7 @@ def make_constant_biases(
     """Return given and drawn constant errors of N aircraft, streams "sensors/<name>/offsets"."""
     out = ConstantBiases(*np.zeros((3, len(names))))
     for row, (name, each) in enumerate(zip(names, sensors, strict=True)):
-        pressure, scale, heading = stream(seed, f"sensors/{name}/offsets").standard_normal(3)
+        pressure, scale, heading = named_stream(seed, f"sensors/{name}/offsets").standard_normal(3)
         if (airspeed := each.airspeed) is not None:
             out.pressure[row] = airspeed.offset_pa + airspeed.offset_sigma_pa * pressure
             out.scale[row] = max(airspeed.scale + airspeed.scale_sigma * scale, -1.0)
@@ -260,7 +268,7 @@ def make_jitter(
     if not sigma.any():
         return None
     tau = np.array([[each.time_constant_s for each in row] for row in parts])
-    own = [[(stream(seed, f"sensors/{name}"), JITTER_COUNT)] for name in names]
+    own = [[(named_stream(seed, f"sensors/{name}"), JITTER_COUNT)] for name in names]
     parameters = NoiseParameters(*(np.repeat(each, 3, axis=1) for each in (sigma, tau)))
     return GaussMarkovErrors(parameters, dt, own)
 

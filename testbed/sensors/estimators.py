@@ -1,4 +1,4 @@
-"""The state estimators of all aircraft: the truth plus the errors of their sensors and filters.
+"""State estimators: the truth plus the errors of sensors and filters.
 
 A sensor that the scenario does not describe has no error. An aircraft with a GPS, barometer, gyro,
 accelerometer or magnetometer in the scenario flies on a navigation filter; others fly on the truth.
@@ -73,15 +73,15 @@ class Estimators:
             self._sensors = errors, self._make_sensor_step(names, sensors, errors, seed)
         jitter = make_jitter(names, sensors, seed=seed, dt=dt)
         if jitter is not None:
-            given = jitter.coefficients, jitter.values, not modelled
-            self._jitter = jitter, functools.partial(add_jitter_to_all, *given)
+            args = jitter.coefficients, jitter.values, not modelled
+            self._jitter = jitter, functools.partial(add_jitter_to_all, *args)
         self.exact = not modelled and jitter is None
 
     def warm_up(self, aircraft: Records) -> None:
         """Fly straight up to the present truth until the filters have settled, without faults.
 
-        The sensors of all aircraft run as long, so that a filter more or less leaves the errors of
-        the other aircraft as they are.
+        All sensors run for the same time, so adding a filter does not change other aircraft's
+        errors.
 
         Args:
             aircraft: (N,) of AIRCRAFT; truth is read.
@@ -150,7 +150,7 @@ class Estimators:
         )
 
     def _start_filters(self, errors: Records, step: int, truth: Records) -> None:
-        """Switch on the filters at a step before the warm-up, in a wind that they know."""
+        """Start the filters at a step before the warm-up, in a known wind."""
         if self._filters is None:
             return
         settings, filters, past = self._filters
@@ -174,7 +174,7 @@ EXACT_SENSOR_HZ = 10  # rate of a sensor that the scenario does not describe
 
 
 def make_settings(sensors: Sequence[Sensors], rate_hz: int) -> Records:
-    """Return the settings (M,) of SETTINGS of M filters that step at a rate, for M aircraft."""
+    """Return the settings (M,) of SETTINGS of M filters."""
     estimators = [each.estimator for each in sensors]
 
     def column(name: str) -> Array:

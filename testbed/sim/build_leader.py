@@ -45,7 +45,7 @@ class SpeedLimits(NamedTuple):
     speed_min: float  # m/s over the ground
     speed_max: float  # m/s
     turn_rate: float  # rad/s, the largest
-    climb_angle: float  # rad, the largest
+    gamma: float  # rad, the largest
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,12 +168,12 @@ def _mission_leader(
     )
     # the speed of an ideal vehicle is over the ground, whatever the wind
     wind = STILL if ideal else wind_ned
-    climb_angle = math.asin(min(path.climb_limit_mps / airspeed, 1.0))
+    gamma = math.asin(min(path.climb_limit_mps / airspeed, 1.0))
 
     def limits(wind_speed: float) -> SpeedLimits:
         slowest = max(airspeed - wind_speed, 1.0)
         turn_rate = GRAVITY * math.tan(mission.bank_limit) / slowest
-        return SpeedLimits(slowest, airspeed + wind_speed, turn_rate, climb_angle)
+        return SpeedLimits(slowest, airspeed + wind_speed, turn_rate, gamma)
 
     with error_prefix("air.wind"):
         through_air = course_through_air(airspeed, start.course, wind)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.core.errors import needs_extra
-from testbed.core.random import stream
+from testbed.core.random import named_stream
 from testbed.core.records import Array
 from testbed.studies.tune_objective import aggregate_costs
 from testbed.studies.tune_schema import Aggregate, GainBounds, Search
@@ -99,7 +99,7 @@ class CmaEs:
         with needs_extra("study", "tune"):
             import cma
 
-        random = stream(seed, "tune/search")
+        random = named_stream(seed, "tune/search")
 
         def normal(*shape: int) -> Array:
             return random.standard_normal(shape)

@@ -283,7 +283,7 @@ def test_killed_run_has_computed_metrics(flown, tmp_path, only):
     assert "The run was killed" in render_page(run_page(run))
     assert run.metrics["simulated_s"] == run.log.time_s[-1]
     # incomplete windows are not compared with published numbers
-    ends = run.log.time_s[-1] + 1.5 / run.log.info.frame_rate_hz  # one sample later
+    ends = run.log.time_s[-1] + 1.5 / run.log.info.sample_rate_hz  # one sample later
     flown_to_the_end = [end <= ends for _, end in run.log.info.windows.values()]
     assert not all(flown_to_the_end)
     text = render_page(run_page(run))

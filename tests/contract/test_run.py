@@ -210,7 +210,7 @@ class Stopper:
         if self._after == 0:
             signal.raise_signal(self._number)
 
-    def observe(self, frame):
+    def observe(self, sample):
         self._after -= 1
         if self._after == 0:
             self.sent = True
@@ -364,8 +364,8 @@ def test_log_without_metrics_counts_as_cut(tmp_path):
 class Broken(Collector):
     """Raises at its third sample."""
 
-    def observe(self, frame):
-        super().observe(frame)
+    def observe(self, sample):
+        super().observe(sample)
         if len(self.frames) == 3:
             raise RuntimeError("disk full")
 

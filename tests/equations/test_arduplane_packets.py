@@ -29,7 +29,7 @@ from testbed.autopilot.pwm import (
 )
 from testbed.autopilot.sitl_parameters import TuneUse, defaults_text, tune_differences, tune_use
 from testbed.core.frames import GRAVITY
-from testbed.core.random import stream
+from testbed.core.random import named_stream
 from testbed.core.records import AIRCRAFT, allocate
 
 RASCAL = Path(__file__).parents[2] / "aircraft" / "rascal110" / "autopilot.param"
@@ -190,7 +190,7 @@ def test_rc_pulses_are_clamped():
 
 
 def test_rc_pulses_round_to_half_a_microsecond():
-    rng = stream(1, "test/sticks")
+    rng = named_stream(1, "test/sticks")
     for _ in range(500):
         low, trim, high = (
             int(rng.integers(*ends)) for ends in ((900, 1200), (1400, 1600), (1800, 2100))

@@ -27,8 +27,8 @@ class Watcher:
     def begin(self, info):
         self.frames = []
 
-    def observe(self, frame):
-        self.frames.append(frame)
+    def observe(self, sample):
+        self.frames.append(sample)
 
     def end(self, summary, events):
         """Nothing is left to do."""

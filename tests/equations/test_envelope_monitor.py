@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from testbed.core.random import stream
+from testbed.core.random import named_stream
 from testbed.core.records import AIRCRAFT, FOLLOWER, allocate
 from testbed.sim.envelope_monitor import RECOVERED, EnvelopeMonitor, find_exceeded
 
@@ -121,7 +121,7 @@ def test_without_a_leader_no_slot_is_watched():
 
 
 def test_flight_at_a_limit_is_one_excess():
-    jitter = stream(1, "test/envelope").uniform(RECOVERED * OVERSPEED, 1.05 * OVERSPEED, 1000)
+    jitter = named_stream(1, "test/envelope").uniform(RECOVERED * OVERSPEED, 1.05 * OVERSPEED, 1000)
     events = flown(make(), [(45.0, 3.0, 1.0)] * 20 + [(each, 3.0, 1.0) for each in jitter])
     assert [event.level for event in events] == ["error"]
     assert (jitter < OVERSPEED).sum() > 100
@@ -174,7 +174,7 @@ def test_two_excesses_at_once_are_two_events():
 
 
 def test_find_exceeded_matches_reference():
-    rng = stream(2, "test/exceeded")
+    rng = named_stream(2, "test/exceeded")
     seen = 0
     for _ in range(500):
         airspeed, alpha = rng.uniform(10.0, 41.0, 5), rng.uniform(-0.2, 0.25, 5)

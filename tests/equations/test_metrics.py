@@ -36,7 +36,7 @@ def run_info(followers=2, windows=None):
         wingspan_m=(2.8,) * len(names),
         origin=Origin(),
         base_rate_hz=BASE_RATE_HZ,
-        frame_rate_hz=FRAME_RATE_HZ,
+        sample_rate_hz=FRAME_RATE_HZ,
         duration_s=100.0,
         seed=1,
         speed_bounds_mps=((16.0, 30.0),) * followers,

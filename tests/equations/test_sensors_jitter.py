@@ -6,7 +6,7 @@ from reference import adapters_sensors as kernels
 from sensors_samples import page
 
 from testbed.core.frames import GRAVITY
-from testbed.core.random import stream
+from testbed.core.random import named_stream
 from testbed.core.records import VehicleState
 from testbed.sensors import errors as sensor_errors
 from testbed.sensors.errors import add_jitter_to_all, make_jitter
@@ -130,12 +130,12 @@ def test_block_size_does_not_change_jitter(monkeypatch):
 
 def test_a_stream_is_its_seed_and_its_name():
     draws = {
-        (seed, name): tuple(stream(seed, name).standard_normal(4))
+        (seed, name): tuple(named_stream(seed, name).standard_normal(4))
         for seed in (1, 2, 12)
         for name in ("sensors/a", "sensors/b", "2/sensors/a")
     }
     assert len(set(draws.values())) == len(draws)
-    assert tuple(stream(1, "sensors/a").standard_normal(4)) == draws[1, "sensors/a"]
+    assert tuple(named_stream(1, "sensors/a").standard_normal(4)) == draws[1, "sensors/a"]
 
 
 def test_without_sigmas_there_is_no_jitter():
