@@ -232,7 +232,7 @@ CIRCLE = LoiterLeg(
 
 
 @pytest.fixture(scope="module")
-def flown():
+def flight():
     """Rows of time, north, east, altitude, speed, bank and part at 25 Hz for 1080 s."""
     legs = (WaypointLeg(LEVEL[1:]), WaypointLeg(LEVEL, 2), WaypointLeg(RAISED, 2), CIRCLE)
     plan = make_plan(Mission(legs=legs, airspeed=22.0), (640.0, -80.0, 100.0))
@@ -256,8 +256,8 @@ def flown():
     return np.array(rows).T
 
 
-def test_ideal_leader_passes_corners_at_altitude(flown):
-    time, north, east, altitude, speed, _, part = flown
+def test_ideal_leader_passes_corners_at_altitude(flight):
+    time, north, east, altitude, speed, _, part = flight
     begun = np.flatnonzero(np.diff(part)) + 1
     assert part[-1] == 23 and len(begun) == 23
     begun = begun[:19]  # the rest are levels of the circle
@@ -277,8 +277,8 @@ def test_ideal_leader_passes_corners_at_altitude(flown):
     assert np.all(laps > shortest) and np.all(laps < shortest + 2.0)
 
 
-def test_ideal_leader_keeps_to_legs_and_bank_limit(flown):
-    _, north, east, _, _, bank, part = flown
+def test_ideal_leader_keeps_to_legs_and_bank_limit(flight):
+    _, north, east, _, _, bank, part = flight
     laps = (part > 0) & (part < 19)
     corner = np.array(CORNERS)
     near = np.hypot(north[:, np.newaxis] - corner[:, 0], east[:, np.newaxis] - corner[:, 1])
@@ -288,8 +288,8 @@ def test_ideal_leader_keeps_to_legs_and_bank_limit(flown):
     assert np.degrees(np.abs(bank).max()) == pytest.approx(30.0, abs=1e-9)
 
 
-def test_ideal_leader_counts_turns(flown):
-    time, north, east, altitude, _, bank, part = flown
+def test_ideal_leader_counts_turns(flight):
+    time, north, east, altitude, _, bank, part = flight
     change = np.flatnonzero(np.diff(part))[19:] + 1
     assert altitude[change] == pytest.approx([100.0, 130.0, 100.0, 150.0], abs=0.1)
     # three turns of 2π · 120 m at 22 m/s, 102.8 s; a climb at 1.5 m/s is 0.2 % slower over ground

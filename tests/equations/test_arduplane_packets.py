@@ -319,9 +319,9 @@ def test_defaults_have_each_parameter_once(tmp_path):
         50,
         200,
     )
-    flown = read_params(RASCAL)
+    params = read_params(RASCAL)
     for name in ("rll_rate_p", "ptch_rate_ff", "trim_throttle", "servo4_max"):
-        assert values[name.upper()] == getattr(flown, name)
+        assert values[name.upper()] == getattr(params, name)
 
 
 def test_defaults_remove_simulated_sensor_errors(tmp_path):

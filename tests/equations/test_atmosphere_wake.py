@@ -36,7 +36,7 @@ def airframe(span=SPAN, area=0.98198, mass=MASS):
 
 
 def make(count=2, airframes=None, **changes):
-    given = {
+    args = {
         "sheds": np.ones(count, dtype=bool),
         "affected": np.ones(count, dtype=bool),
         "core_spans": CORE_SPANS,
@@ -45,7 +45,7 @@ def make(count=2, airframes=None, **changes):
         "dt": DT,
         "density": DENSITY,
     }
-    return WakeModel(airframes or [airframe()] * count, **given | changes)
+    return WakeModel(airframes or [airframe()] * count, **args | changes)
 
 
 def level(wakes, *positions, heading=0.0):
@@ -325,8 +325,8 @@ def test_wake_in_a_turn_is_that_of_straight_flight():
 # ------------------------------------------------------------------------------- at followers
 
 
-def test_wake_masks_choose_who_sheds_and_feels():
-    """No aircraft feels its own trail."""
+def test_wake_masks_choose_sources_and_receivers():
+    """No aircraft is a receiver of its own trail."""
     assert not np.any(level(make(1), (0.0, 0.0, 0.0))[0])
     positions = (0.0, 0.0, 0.0), (-10.0, 1.0, 0.2), (-20.0, -1.0, 0.0)
     some = np.array([True, False, True])

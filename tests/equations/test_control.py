@@ -102,7 +102,7 @@ def test_groups_in_turn_equal_one_group_to_the_bit():
     one, three = Run(*laws, range(5)), Run(*laws, [3], [0, 4], [1, 2])
     for k in range(20):
         now = 100.0 + DT * k
-        own, inbox, _ = states(5, rng, silence=0.1, old=0.1, now=now)
+        own, inbox, _ = states(5, rng, never=0.1, old=0.1, now=now)
         one.step(0, now, own, inbox)
         for number in (2, 0, 1):
             three.step(number, now, own, inbox)

@@ -173,9 +173,9 @@ def test_plan_counts_laps_and_turns() -> None:
 def test_last_waypoints_repeat() -> None:
     plan = make_plan(Mission(legs=(WaypointLeg(SQUARE, 1),), airspeed=22.0), (-200.0, 0.0, 100.0))
     assert plan.segments[plan.repeat_from].start == SQUARE[3]
-    flown = fly(plan, (-200.0, 0.0, 100.0), 300.0)  # 200 m + two laps of 2,493 m take 236 s
-    assert {int(part) for part in flown["part"]} == set(range(8))
-    assert flown["part"][-1] < 8 and flown["part"].max() == 7
+    result = fly(plan, (-200.0, 0.0, 100.0), 300.0)  # 200 m + two laps of 2,493 m take 236 s
+    assert {int(part) for part in result["part"]} == set(range(8))
+    assert result["part"][-1] < 8 and result["part"].max() == 7
 
 
 def test_polyline_is_the_commanded_path() -> None:
@@ -186,34 +186,34 @@ def test_polyline_is_the_commanded_path() -> None:
     assert set(points[5:, 2]) == {-100.0, -120.0}
 
 
-def test_mission_is_flown_as_written() -> None:
+def test_mission_is_followed_in_order() -> None:
     """A point-mass aircraft flies a lap with climbs, then counts the turns of the circle."""
     points = tuple(point[:2] + (150.0 if i in (1, 3) else 100.0,) for i, point in enumerate(SQUARE))
     mission = Mission(legs=(WaypointLeg(points), CIRCLE), airspeed=22.0)
     plan = make_plan(mission, (-200.0, 0.0, 100.0))
-    flown = fly(plan, (-200.0, 0.0, 100.0), 330.0)
-    switch = np.flatnonzero(np.diff(flown["part"])) + 1
+    result = fly(plan, (-200.0, 0.0, 100.0), 330.0)
+    switch = np.flatnonzero(np.diff(result["part"])) + 1
     assert len(switch) == 5
     *switch, level = switch
     # each corner is passed at its own altitude, to the lag of the climb
-    assert flown["altitude"][switch] == pytest.approx([100, 150, 100, 150], abs=1.0)
+    assert result["altitude"][switch] == pytest.approx([100, 150, 100, 150], abs=1.0)
     # and no farther than the turn distance, but with all the bank allowed: no rounded corners
     corner = np.array(SQUARE)[:, :2]
-    distance = np.hypot(*(flown["position"][switch, :2] - corner).T)
+    distance = np.hypot(*(result["position"][switch, :2] - corner).T)
     assert np.all(distance < 79.0) and np.all(distance > 77.0)
-    lap = flown["time"] < flown["time"][switch[-1]]
-    assert np.degrees(flown["roll"][lap].max()) == pytest.approx(30.0, abs=0.1)
+    lap = result["time"] < result["time"][switch[-1]]
+    assert np.degrees(result["roll"][lap].max()) == pytest.approx(30.0, abs=0.1)
     # 50 m over the 581 m between the turns, less what the levelling-off adds (6 %)
-    steady = np.abs(flown["position"][:, 1] - 250.0) < 50.0
-    assert np.abs(flown["climb"][lap & steady]).max() == pytest.approx(2.01, abs=0.1)
+    steady = np.abs(result["position"][:, 1] - 250.0) < 50.0
+    assert np.abs(result["climb"][lap & steady]).max() == pytest.approx(2.01, abs=0.1)
 
-    circle = flown["time"] > flown["time"][switch[-1]] + 60.0
-    radius = np.hypot(*(flown["position"][circle, :2] - 330.0).T)
+    circle = result["time"] > result["time"][switch[-1]] + 60.0
+    radius = np.hypot(*(result["position"][circle, :2] - 330.0).T)
     assert np.abs(radius - 120.0).max() < 2.0
-    bearing = np.unwrap(np.arctan2(*(flown["position"][:, 1::-1] - 330.0).T))
-    first = np.flatnonzero(flown["captured"])[0]
+    bearing = np.unwrap(np.arctan2(*(result["position"][:, 1::-1] - 330.0).T))
+    first = np.flatnonzero(result["captured"])[0]
     assert bearing[level] - bearing[first] == pytest.approx(2.0 * math.pi, abs=0.01)
-    assert flown["altitude"][-1] == pytest.approx(120.0, abs=0.2)
+    assert result["altitude"][-1] == pytest.approx(120.0, abs=0.2)
 
 
 @pytest.mark.parametrize("clockwise", [True, False])
@@ -221,9 +221,9 @@ def test_mission_is_flown_as_written() -> None:
 def test_circle_is_captured_from_anywhere(clockwise: bool, start: tuple[float, float]) -> None:
     leg = replace(CIRCLE, clockwise=clockwise)
     plan = make_plan(Mission(legs=(leg,), airspeed=22.0), (*start, 100.0))
-    flown = fly(plan, (*start, 100.0), 180.0)
-    late = flown["time"] > 150.0
-    relative = flown["position"][late, :2] - 330.0
+    result = fly(plan, (*start, 100.0), 180.0)
+    late = result["time"] > 150.0
+    relative = result["position"][late, :2] - 330.0
     assert np.abs(np.hypot(*relative.T) - 120.0).max() < 2.0
     turning = np.diff(np.unwrap(np.arctan2(relative[:, 1], relative[:, 0])))
     assert np.all(turning > 0.0) if clockwise else np.all(turning < 0.0)
@@ -283,7 +283,7 @@ def fly(
         east += velocity[1] * dt
         up -= velocity[2] * dt
     names = ("time", "position", "climb", "roll", "part", "captured")
-    flown = {
+    result = {
         name: np.array(values) for name, values in zip(names, zip(*rows, strict=True), strict=True)
     }
-    return flown | {"altitude": flown["position"][:, 2]}
+    return result | {"altitude": result["position"][:, 2]}

@@ -34,7 +34,7 @@ def numbers(frame):
 @pytest.mark.parametrize(
     "name", ["simulation-3", "simulation-3-pixhawk", "engine-out-uav2", "ideal-figure-eight"]
 )
-def test_who_keeps_frames_keeps_them_as_they_were(name):
+def test_kept_samples_do_not_change(name):
     keeper, borrower = Watcher(zero_copy=False), Watcher(zero_copy=True)
     scenario = set_duration(load_scenario(name, ["log.mcap=false"]), 1.0)
     testbed.run(scenario, write=False, observers=[borrower, keeper])

@@ -93,6 +93,6 @@ def test_scaling_from_parameters_or_defaults():
         PwmRange(1000, 1500, 2000),
         AngleLimits(*np.radians([45.0, 20.0, -25.0])),
     )
-    given = {"RC2_MIN": 1050.0, "RC2_TRIM": 1530.0, "RC2_MAX": 1900.0, "ROLL_LIMIT_DEG": 50.0}
-    given |= {"PTCH_LIM_MAX_DEG": 20.0, "PTCH_LIM_MIN_DEG": -15.0}
-    assert rc_scaling(given) == EVEN._replace(pitch=WORN.pitch)
+    args = {"RC2_MIN": 1050.0, "RC2_TRIM": 1530.0, "RC2_MAX": 1900.0, "ROLL_LIMIT_DEG": 50.0}
+    args |= {"PTCH_LIM_MAX_DEG": 20.0, "PTCH_LIM_MIN_DEG": -15.0}
+    assert rc_scaling(args) == EVEN._replace(pitch=WORN.pitch)

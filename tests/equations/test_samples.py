@@ -1,4 +1,4 @@
-"""Samples in blocks and copies: what comes out is what went in, whoever owns the arrays."""
+"""Blocks and copies of samples equal the samples, also of arrays of the loop."""
 
 import numpy as np
 import pytest
@@ -81,7 +81,7 @@ def test_columns_of_a_block_are_the_samples_one_by_one(change):
     assert block.tick == []
 
 
-def test_a_block_knows_whose_estimates_are_not_exact():
+def test_block_marks_inexact_estimates():
     run, block = new_run(), SampleBuffer(4)
     for tick, exact in ((0, True), (8, False), (16, False), (24, True)):
         block.append(sample_of(run, exact=exact)._replace(tick=tick))

@@ -59,8 +59,10 @@ def figure_eight(*overrides, seconds=40.0):
             pass
 
         def observe(self, sample):
-            flown = sample.truth.velocity_ned[1:]
-            frames.append((np.linalg.norm(flown, axis=1), sample.formation.error_ned.copy()))
+            ground_velocity = sample.truth.velocity_ned[1:]
+            frames.append(
+                (np.linalg.norm(ground_velocity, axis=1), sample.formation.error_ned.copy())
+            )
 
         def end(self, summary, events):
             pass

@@ -137,11 +137,11 @@ cases:
     scenario.expectation: "07"
 """
     )
-    page = Plan(study(tmp_path, text)).case_scenario(0)
-    assert page.scenario.question == "yes, # it: is"
-    assert page.scenario.expectation == "07"
-    assert page.air.turbulence.model == "coherent"
-    assert page.formation.offsets_m["uav1"] == (-1e-7, 5, 0)
+    loaded = Plan(study(tmp_path, text)).case_scenario(0)
+    assert loaded.scenario.question == "yes, # it: is"
+    assert loaded.scenario.expectation == "07"
+    assert loaded.air.turbulence.model == "coherent"
+    assert loaded.formation.offsets_m["uav1"] == (-1e-7, 5, 0)
 
 
 def drawn(tmp_path, design, *more):

@@ -133,9 +133,9 @@ def test_default_population_is_that_of_the_tutorial():
 
 
 def test_compare_held_out_is_a_paired_interval():
-    dice = np.random.default_rng(1)
-    old = dice.normal(2.0, 0.5, (8, 3))
-    new = old - 0.3 + dice.normal(0.0, 0.1, (8, 3))
+    rng = np.random.default_rng(1)
+    old = rng.normal(2.0, 0.5, (8, 3))
+    new = old - 0.3 + rng.normal(0.0, 0.1, (8, 3))
     found = compare_held_out(
         *({k: row.tolist() for k, row in enumerate(each)} for each in (old, new))
     )

@@ -116,10 +116,10 @@ def hbh23_step(law, now, own, inbox, memory):
     neighbours = neighbour_records(law, memory)
     kernel_law = KernelLaw(law_records(law), neighbours)
     last = Hbh23Memory(memory_records(memory), memory.held_position, memory.held_time_s)
-    told, after = kernel_law.step(now, own, inbox, last)
+    inputs, after = kernel_law.step(now, own, inbox, last)
     kept = {name: np.array(after.leader[name]) for name in leader_filter.MEMORY.names}
     return (
-        UnicycleCommand(*(np.array(each) for each in told)),
+        UnicycleCommand(*(np.array(each) for each in inputs)),
         Memory(
             **kept,
             held_position=after.held_position,
@@ -137,13 +137,13 @@ def loop_records(loop: MiddleLoop) -> Records:
     return records
 
 
-def middle_step(loop, own, told, memory):
+def middle_step(loop, own, inputs, memory):
     """As `formation_middle_loop.middle_step`."""
     n = len(loop.altitude)
     estimate, followers = allocate(MOTION, n), allocate(FOLLOWER, n)
     memories, commands = allocate(middle_loop.MEMORY, n), allocate(COMMAND, n)
     write_fields(estimate, own)
-    write_fields(followers, told, speed="speed_command")
+    write_fields(followers, inputs, speed="speed_command")
     write_fields(memories, memory)
     _middle_loops(loop_records(loop), estimate, memories, followers, commands)
     return tuple(
@@ -162,12 +162,12 @@ def _middle_loops(loops, estimate, memories, followers, commands):
         middle_loop.middle_loop(loops[i], estimate[i], memories[i], followers[i], commands[i])
 
 
-def ages(now, stamp_s, received_s, unheeded, limit, needs_leader):
+def ages(now, stamp_s, received_s, excluded, limit, needs_leader):
     """As `formation_message_extrapolation.ages`."""
     links, neighbours = allocate(LINK, *stamp_s.shape), allocate(NEIGHBOUR, *stamp_s.shape)
     links["measured_s"], links["received_s"] = stamp_s, received_s
     neighbours["used"] = True
-    neighbours["excluded"] = unheeded
+    neighbours["excluded"] = excluded
     neighbours["timeout_s"] = limit
     _ages(now, neighbours, needs_leader, links)
     return np.array(links["age_s"])

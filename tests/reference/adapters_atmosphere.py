@@ -114,8 +114,8 @@ def filter_records(spectrum, distance, sigma, length, span):
     n, parts = len(distance), mixture.shape[1]
     first_order = allocate(dryden.FIRST_ORDER, n, parts + 1)
     third_order = allocate(dryden.THIRD_ORDER, n, 2, parts)
-    given = (np.array(each, dtype=float) for each in (distance, sigma, length, span))
-    _write_filters(mixture, *given, first_order, third_order)
+    args = (np.array(each, dtype=float) for each in (distance, sigma, length, span))
+    _write_filters(mixture, *args, first_order, third_order)
     return first_order, third_order
 
 
@@ -164,11 +164,11 @@ def turbulence_axes(height, velocity_through_air_ned, euler):
 
 def horseshoe(at, half_span, core):
     """Velocity (..., 3) m/s of a horseshoe vortex of unit circulation, forward, right and down."""
-    given = np.broadcast_arrays(half_span, core, *np.moveaxis(np.asarray(at, dtype=float), -1, 0))
+    args = np.broadcast_arrays(half_span, core, *np.moveaxis(np.asarray(at, dtype=float), -1, 0))
     strength = 1.0 / (4.0 * np.pi)
-    columns = zip(*(each.ravel().tolist() for each in given), strict=True)
+    columns = zip(*(each.ravel().tolist() for each in args), strict=True)
     found = [wake.horseshoe(strength, *each) for each in columns]
-    return np.array(found).reshape(*given[0].shape, 3)
+    return np.array(found).reshape(*args[0].shape, 3)
 
 
 def wake_delta_cl(downwash, airspeed, roll_gain):

@@ -129,8 +129,8 @@ def remember(
     trails.forward[:, row] = forward
     trails.right[:, row] = right
     trails.circulation[:, row] = circulation
-    flown = np.linalg.norm(position - trails.position[:, row - 1], axis=-1)
-    trails.path[:, row] = trails.path[:, row - 1] + flown
+    step_length = np.linalg.norm(position - trails.position[:, row - 1], axis=-1)
+    trails.path[:, row] = trails.path[:, row - 1] + step_length
     trails.tick[row] = tick
 
 
@@ -329,8 +329,8 @@ def add_wakes(
         roll: (N,) rolling-moment coefficient; written.
         tick: of this call.
     """
-    given = position - drift, velocity - ambient, acceleration, euler
-    washed, roll[:] = induced_velocity(tables, trails, tick, *given)
+    args = position - drift, velocity - ambient, acceleration, euler
+    washed, roll[:] = induced_velocity(tables, trails, tick, *args)
     wind += washed
     # one drift for all trails: affected aircraft fly near those that shed them
     if tables.sheds.any():
@@ -376,6 +376,6 @@ class Wakes:
                 dt=tables.dt,
                 memory_s=tables.memory_s,
             )
-        given = position, velocity, acceleration, euler, ambient, wind, roll
-        add_wakes(tables, self.trails, self.drift, *given, self.tick)
+        args = position, velocity, acceleration, euler, ambient, wind, roll
+        add_wakes(tables, self.trails, self.drift, *args, self.tick)
         self.tick += 1

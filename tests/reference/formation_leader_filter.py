@@ -17,7 +17,7 @@ ROLL_RATE, DIFFERENCE = 1, 2
 
 
 class Memory(NamedTuple):
-    """What n followers remember of their leader, and of its formation; nan: nothing heard yet."""
+    """Memory of n followers for their leader and neighbours; nan: no message yet."""
 
     acceleration: Array  # (n, 3) m/s², averaged estimate of q̈_g
     time_s: Array  # (n,) of the newest message used, as the law takes it: of its stamp or receipt
@@ -27,7 +27,7 @@ class Memory(NamedTuple):
     gamma_dot: Array  # (n,) rad/s, averaged
     omega: Array  # (n, 3) rad/s, then
     omega_dot: Array  # (n, 3) rad/s², averaged
-    # Of those that do not hear it: since when, and which course they had then; nan: it is heard.
+    # Start and own course of a leader timeout; nan: the leader has not timed out.
     timeout_since: Array  # (n,) s
     timeout_course: Array  # (n,) rad
     # Where each was in the leader's velocity frame when its last message was new, if the law holds
@@ -36,7 +36,7 @@ class Memory(NamedTuple):
     held_time_s: Array  # (n, N)
 
 
-def unheard(n: int, aircraft: int) -> Memory:
+def no_messages(n: int, aircraft: int) -> Memory:
     """The memory of n followers among so many aircraft before the first message."""
     never = np.full(n, np.nan)
     zero = np.zeros(n)
@@ -50,7 +50,7 @@ def unheard(n: int, aircraft: int) -> Memory:
 def differentiate(
     memory: Memory, time_s: Array, velocity: Array, blend: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Speed and flight-path angle of the leader as heard, and their averaged differences.
+    """Speed and flight-path angle in the leader's message, and their averaged differences.
 
     Args:
         memory: of the step before.
@@ -80,7 +80,7 @@ def differentiate(
 def differentiate_rate(
     memory: Memory, time_s: Array, omega: Array, blend: Array
 ) -> tuple[Array, Array]:
-    """ω_g (n, 3) rad/s to remember and its averaged differences, ω̇_g (n, 3) rad/s².
+    """ω_g (n, 3) rad/s to store and its averaged differences, ω̇_g (n, 3) rad/s².
 
     Args:
         memory: of the step before.
@@ -102,7 +102,7 @@ def turn_acceleration(
 ) -> Array:
     """q̈_g (n, 3) m/s² of a coordinated turn: s_g Ṙ_g e1 + ṡ_g R_g e1, [HBH23] section 10.
 
-    With σ̇_g ≈ g tan φ_g / (s_g cos θ_g), for there the leader's rates are not heard.
+    With σ̇_g ≈ g tan φ_g / (s_g cos θ_g), because the leader's rates are not broadcast there.
 
     Args:
         frame: R_g (n, 3, 3).
