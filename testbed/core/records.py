@@ -57,15 +57,14 @@ MOTION = _dtype(
     ("equivalent_airspeed", "f8"),
 )
 # The wind that acts on an airframe. See `WindInput`.
-WIND = _dtype(("wind_ned", "f8", 3), ("wind_gradient_rates", "f8", 3), ("wake_delta_cl", "f8"))
+_WIND = (("wind_ned", "f8", 3), ("wind_gradient_rates", "f8", 3), ("wake_delta_cl", "f8"))
+WIND = _dtype(*_WIND)
 # Air data, propeller speed and battery state of the flight model. See `AirData`.
 AIR = _dtype(
     ("alpha", "f8"),
     ("beta", "f8"),
     ("propeller_rps", "f8"),
-    ("wind_ned", "f8", 3),
-    ("wind_gradient_rates", "f8", 3),
-    ("wake_delta_cl", "f8"),
+    *_WIND,
     ("state_of_charge", "f8"),
     ("battery_voltage", "f8"),
 )
@@ -122,23 +121,19 @@ FOLLOWER = _dtype(
     ("direction", "f8", 3),  # y_d, unit vector
 )
 # What an aircraft broadcasts. See `Broadcast`.
-MESSAGE = _dtype(
-    ("stamp_s", "f8"),
+_CONTENT = (
     ("position_ned", "f8", 3),
     ("velocity_ned", "f8", 3),
     ("acceleration_ned", "f8", 3),
     ("euler", "f8", 3),
     ("euler_rates", "f8", 3),
 )
+MESSAGE = _dtype(("stamp_s", "f8"), *_CONTENT)
 # What a follower has received of one aircraft (see `Inbox`), what it used of that, and counters.
 LINK = _dtype(
     ("stamp_s", "f8"),
     ("received_s", "f8"),
-    ("position_ned", "f8", 3),
-    ("velocity_ned", "f8", 3),
-    ("acceleration_ned", "f8", 3),
-    ("euler", "f8", 3),
-    ("euler_rates", "f8", 3),
+    *_CONTENT,
     ("number", "i8"),  # of the newest message; -1: none
     ("measured_s", "f8"),  # s, true time of its content; nan: none
     ("age_s", "f8"),  # s, age of what the last control step used; nan: not used

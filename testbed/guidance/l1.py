@@ -12,7 +12,7 @@ period T and damping ζ.
 
 Everything is horizontal and relative to the ground: (north, east) in m and m/s; further components
 are ignored. Lateral acceleration and angles are positive to the right. The functions are for one
-aircraft; `guidance_step` compiles them.
+aircraft; the kernels of `mission_follower` call them.
 """
 
 from __future__ import annotations

@@ -18,8 +18,6 @@ from testbed.core.frames import GRAVITY
 from testbed.core.records import Array, Origin
 from testbed.core.standard_atmosphere import density_ratio
 from testbed.guidance import analytic_paths as paths
-from testbed.guidance import mission_follower as guidance
-from testbed.guidance.altitude_airspeed_hold import HoldGains
 from testbed.guidance.flight_plan import Level, LoiterLeg, Mission, WaypointLeg, make_plan, polyline
 from testbed.guidance.recorded_path import SampledTrajectory, read_recording, sample_recording
 from testbed.scenario import Scenario, find_data, load_guidance
@@ -155,15 +153,13 @@ def _mission_leader(
     with error_prefix("leader.path.airspeed_mps"):
         point = TrimPoint(airspeed, 0.0, 0.0, altitude, charge, cells, warmer)
         level = trim_aircraft(folder, point, origin)
-    memory = guidance.initial_memory(
-        altitude=section.altitude_m, pitch=level.placement.pitch, throttle=level.controls.throttle
-    )
+    held = section.altitude_m, 0.0, level.placement.pitch, level.controls.throttle
     ideal = scenario.leader.vehicle == "unicycle"
     controller = MissionController(
         plan,
-        memory,
+        held,
         dt=clock.control / clock.base_rate_hz,
-        gains=HoldGains(**load_guidance(folder).model_dump()),
+        gains=load_guidance(folder).model_dump(),
         ideal=ideal,
     )
     # the speed of an ideal vehicle is over the ground, whatever the wind

@@ -210,7 +210,7 @@ def test_scenario_has_encoding_and_wrong_bits():
 
 
 @pytest.fixture(scope="module")
-def flown():
+def run_metrics():
     def fly(*overrides):
         changes = (
             "scenario.duration_s=12",
@@ -225,15 +225,15 @@ def flown():
     return fly
 
 
-def test_encoding_changes_a_flight_by_millimetres(flown):
-    encoded = [flown("network.encoding=follow-target") for _ in range(2)]
+def test_encoding_changes_a_flight_by_millimetres(run_metrics):
+    encoded = [run_metrics("network.encoding=follow-target") for _ in range(2)]
     assert encoded[0]["windows"] == encoded[1]["windows"]
-    exact, with_frames = (m["windows"]["all"]["rms_m"] for m in (flown(), encoded[0]))
+    exact, with_frames = (m["windows"]["all"]["rms_m"] for m in (run_metrics(), encoded[0]))
     off = [abs(with_frames[name] - exact[name]) for name in exact]
     assert 0.0 < max(off) < 5e-3  # half of what the last digit of a position is
 
 
-def test_undetected_errors_do_not_stop_a_flight(flown, monkeypatch):
+def test_undetected_errors_do_not_stop_a_flight(run_metrics, monkeypatch):
     """They may hold any number; at worst the flight ends as lost."""
     from testbed.sim import build_radio as radios
 

@@ -188,11 +188,11 @@ def test_flight_has_the_same_messages(tmp_path):
         "rates.synchronous=false",
     )
     scenario = set_duration(load_scenario("simulation-3", sets), 6.0)
-    flown = run(scenario, write=False).metrics["network"]["links"]
+    flight_links = run(scenario, write=False).metrics["network"]["links"]
     links = sent(tmp_path, "--packets", 160, sets=sets)
     for (source, destination), rows in links.items():
         before = column(rows, "sent_s") <= 6.0 + 1e-9
-        link = flown[source][destination]
+        link = flight_links[source][destination]
         assert link["sent"] == before.sum() > 100
         found = [outcome for outcome, there in zip(outcomes(rows), before, strict=True) if there]
         assert link["delivered"] == found.count("delivered")
@@ -218,9 +218,9 @@ def test_summary_has_the_counts_of_the_rows(tmp_path):
     links = sent(tmp_path, "--packets", 500, "--json", path, sets=sets)
     table = json.loads(path.read_text())
     assert (table["scenario"], table["seed"], table["packets"]) == ("simulation-3", 1, 500)
-    everyone = [row for rows in links.values() for row in rows]
-    assert table["all"]["sent"] == len(everyone) == 4500
-    assert table["all"]["lost"] == {"lost": outcomes(everyone).count("lost")}
+    all_rows = [row for rows in links.values() for row in rows]
+    assert table["all"]["sent"] == len(all_rows) == 4500
+    assert table["all"]["lost"] == {"lost": outcomes(all_rows).count("lost")}
     for (source, destination), rows in links.items():
         link = table["links"][source][destination]
         assert link["delivered"] == outcomes(rows).count("delivered")
@@ -338,11 +338,11 @@ import sys
 from testbed.cli.main import main
 from testbed.sim import channel_probe
 
-def probe_channel(*given, progress, really=channel_probe.probe_channel, **named):
+def probe_channel(*args, progress, really=channel_probe.probe_channel, **named):
     def show(count, of):
         progress(count, of)
         print("sending", flush=True)
-    return really(*given, progress=show, **named)
+    return really(*args, progress=show, **named)
 
 channel_probe.probe_channel = probe_channel
 sys.argv[0] = "testbed"

@@ -12,7 +12,6 @@ from testbed.core.errors import InputError
 from testbed.core.frames import GRAVITY, euler_rates, wrap_pi
 from testbed.core.records import AIRCRAFT, allocate
 from testbed.guidance import analytic_paths as analytic
-from testbed.guidance.altitude_airspeed_hold import HoldGains
 from testbed.guidance.analytic_paths import (
     SWING,
     Circle,
@@ -22,8 +21,9 @@ from testbed.guidance.analytic_paths import (
     Straight,
 )
 from testbed.guidance.flight_plan import Level, LoiterLeg, Mission, WaypointLeg, make_plan
-from testbed.guidance.mission_follower import initial_memory, unicycle_step
+from testbed.guidance.mission_follower import begin_flight, guide_unicycle, segment_records
 from testbed.guidance.recorded_path import SampledTrajectory
+from testbed.scenario.middle_loop import Guidance
 from testbed.vehicle.unicycle import advance, make_unicycles, write_motion
 
 START = {"position_ned": (100.0, -50.0, -120.0), "course": 0.7, "speed": 22.0}
@@ -216,8 +216,8 @@ def test_impossible_path_is_an_error(name, change, words):
 
 
 def test_value_from_an_error_is_accepted():
-    replace(CURVES["circle"], radius=28.5)
-    replace(CURVES["weave"], period=9.7)
+    assert replace(CURVES["circle"], radius=28.5).radius == 28.5
+    assert replace(CURVES["weave"], period=9.7).period == 9.7
 
 
 # The mission of Simulation 3: level laps, laps with two raised corners, a circle at five levels.
@@ -236,22 +236,24 @@ def flight():
     """Rows of time, north, east, altitude, speed, bank and part at 25 Hz for 1080 s."""
     legs = (WaypointLeg(LEVEL[1:]), WaypointLeg(LEVEL, 2), WaypointLeg(RAISED, 2), CIRCLE)
     plan = make_plan(Mission(legs=legs, airspeed=22.0), (640.0, -80.0, 100.0))
-    memory = initial_memory(altitude=100.0)
+    held, gains = (100.0, 0.0, 0.0, 0.0), Guidance().model_dump()
+    state, segments = begin_flight(plan, held, dt=0.04, gains=gains), segment_records(plan)
     position, velocity = np.array([[640.0, -80.0, -100.0]]), np.array([[0.0, 22.0, 0.0]])
     leader, aircraft = make_unicycles(position, velocity, np.array([0.64])), allocate(AIRCRAFT, 1)
     row, truth = np.zeros(1, dtype=np.intp), aircraft["truth"]
     rows = []
     for k in range(1080 * 25):
         write_motion(leader, row, aircraft)
-        where, moving = truth["position_ned"][0].tolist(), truth["velocity_ned"][0].tolist()
-        speed, turn, memory = unicycle_step(
-            memory, where, moving, plan=plan, dt=0.04, gains=HoldGains()
-        )
+        where = truth["position_ned"][0].tolist()
+        aircraft["estimate"] = truth
+        speed, turn = guide_unicycle(0, aircraft, segments, state)
         assert speed == 22.0 and turn[0] == 0.0
         leader["speed_command"], leader["omega"] = speed, turn
         write_motion(leader, row, aircraft)
         airspeed, bank = truth["airspeed"][0], truth["euler"][0, 0]
-        rows.append([k / 25.0, where[0], where[1], -where[2], airspeed, bank, memory.segment])
+        rows.append(
+            [k / 25.0, where[0], where[1], -where[2], airspeed, bank, state["memory"]["segment"][0]]
+        )
         advance(leader, 1.0 / 200.0, 8)
     return np.array(rows).T
 

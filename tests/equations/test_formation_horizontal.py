@@ -148,7 +148,7 @@ def test_slot_beside_a_helix_is_a_level_circle(step, middle, source, gamma):
     heard_velocity = np.vstack([shadow + sinking, velocity[1:]])
     now = np.full((2, 3), NOW)
     # a bank at which the coordinated turn by its bank is this turn
-    bank = np.arctan(turn * level / leading.GRAVITY)
+    bank = np.arctan(turn * level / leading.PAPER_GRAVITY)
     inbox = Inbox(
         now,
         now,

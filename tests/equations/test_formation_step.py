@@ -215,7 +215,7 @@ def test_follower_in_its_slot_commands_a_steady_helix(step, middle, source, gamm
         airspeed=speed + 2.0,
     )
     now = np.full((n, n + 1), NOW)
-    bank = np.arctan(turn * 22.0 * np.cos(gamma) / leading.GRAVITY)
+    bank = np.arctan(turn * 22.0 * np.cos(gamma) / leading.PAPER_GRAVITY)
     attitude = np.tile([bank, gamma, sigma], (n, n + 1, 1))
     rates = np.tile(omega, (n, n + 1, 1))
     received = (np.stack([each] * n) for each in (position, velocity, acceleration))

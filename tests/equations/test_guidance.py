@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
+from testbed.core.compile import entry
 from testbed.core.frames import GRAVITY
+from testbed.core.records import AIRCRAFT, allocate
 from testbed.guidance import l1
-from testbed.guidance.altitude_airspeed_hold import HoldGains, HoldMemory, hold
+from testbed.guidance.altitude_airspeed_hold import (
+    CLIMB_ACCELERATION,
+    GAINS,
+    HOLD,
+    climb_demand,
+    hold,
+)
 from testbed.guidance.flight_plan import (
     FlightPlan,
     Level,
@@ -21,9 +30,21 @@ from testbed.guidance.flight_plan import (
     make_plan,
     polyline,
 )
-from testbed.guidance.mission_follower import initial_memory, step
+from testbed.guidance.mission_follower import begin_flight, guide, segment_records
+from testbed.scenario.middle_loop import Guidance
 
 L1 = {"period": 15.0, "damping": 0.75}
+
+
+class HoldMemory(NamedTuple):
+    """The fields of HOLD."""
+
+    altitude: float
+    climb: float
+    pitch: float
+    throttle: float
+
+
 SQUARE = ((660.0, 0.0, 100.0), (660.0, 660.0, 100.0), (0.0, 660.0, 100.0), (0.0, 0.0, 100.0))
 CIRCLE = LoiterLeg((330.0, 330.0), 120.0, (Level(100.0, 1.0), Level(120.0, 1.0)))
 
@@ -133,7 +154,6 @@ def test_hold_signs_and_anti_windup() -> None:
 
 
 def test_climb_reference_limits_rate_and_change() -> None:
-    gains = HoldGains()
     memory = HoldMemory(altitude=100.0, climb=0.0, pitch=0.0, throttle=0.24)
     climbs = [0.0]
     for _ in range(2000):
@@ -141,7 +161,7 @@ def test_climb_reference_limits_rate_and_change() -> None:
         climbs.append(memory.climb)
     change = np.diff(climbs)
     assert max(climbs) == pytest.approx(1.5)
-    assert np.abs(change).max() <= gains.climb_acceleration * 0.02 + 1e-12
+    assert np.abs(change).max() <= CLIMB_ACCELERATION * 0.02 + 1e-12
     assert memory.altitude == pytest.approx(130.0, abs=0.01)  # e^(−0.3·(40−20)) of 5 m is 0.012 m
 
 
@@ -153,8 +173,16 @@ def _hold(memory: HoldMemory, **different: float) -> tuple[float, float, HoldMem
         "roll": 0.0,
         "altitude_target": 100.0,
     }
-    fixed = {"climb_target": 0.0, "airspeed_target": 22.0, "climb_limit": 1.5, "dt": 0.02}
-    return hold(memory, **(state | different), **fixed, gains=HoldGains())
+    records, gains = allocate(HOLD, 1), allocate(GAINS, 1)
+    records[0], gains[0] = memory, tuple(Guidance().model_dump()[name] for name in GAINS.names)
+    pitch, throttle = _step_hold(records, gains, *(state | different).values())
+    return pitch, throttle, HoldMemory(*records[0].item())
+
+
+@entry
+def _step_hold(memory, gains, altitude, climb, airspeed, roll, target):  # noqa: ANN001, ANN202
+    demand = climb_demand(memory[0], altitude, target, 0.0, 1.5, 0.02)
+    return hold(memory[0], gains[0], demand, climb, airspeed, roll, 22.0, 0.02)
 
 
 def test_plan_counts_laps_and_turns() -> None:
@@ -257,7 +285,9 @@ def fly(
     dt = 0.04
     north, east, up = start
     speed, course, gamma, roll, pitch = plan.mission.airspeed, 0.0, 0.0, 0.0, 0.02
-    memory = initial_memory(altitude=up, pitch=0.02, throttle=0.24)
+    state = begin_flight(plan, (up, 0.0, 0.02, 0.24), dt=dt, gains=Guidance().model_dump())
+    segments, aircraft = segment_records(plan), allocate(AIRCRAFT, 1)
+    own, memory, command = aircraft["estimate"], state["memory"], aircraft["control"]
     rows = []
     for tick in range(round(duration / dt)):
         velocity = (
@@ -265,11 +295,13 @@ def fly(
             speed * math.cos(gamma) * math.sin(course),
             -speed * math.sin(gamma),
         )
-        theta, phi, throttle, memory = step(
-            memory, (north, east, -up), velocity, roll, speed, plan=plan, dt=dt, gains=HoldGains()
-        )
+        own["position_ned"], own["velocity_ned"] = (north, east, -up), velocity
+        own["euler"][0, 0], own["airspeed"] = roll, speed
+        guide(0, aircraft, segments, state)
+        theta, phi, throttle = command[0].item()
         rows.append(
-            (tick * dt, (north, east, up), -velocity[2], roll) + (memory.segment, memory.captured)
+            (tick * dt, (north, east, up), -velocity[2], roll)
+            + (memory["segment"].item(), memory["captured"].item())
         )
         course += GRAVITY * math.tan(roll) / speed * dt
         roll += (phi - roll) / 0.3 * dt
