@@ -63,7 +63,7 @@ def radio_s(radio: Radio, aircraft: int, start_s: float, seconds: float, togethe
             radio.send(sent_s, messages, None, senders)
         if tick % control == 0:
             radio.deliver(now)
-            np.subtract(now, radio.content_time_s, out=radio.links["age_s"])
+            np.subtract(now, radio.links["measured_s"], out=radio.links["age_s"])
             check_links(radio.statistics, radio.links, followers, watches, np.inf, rows, now)
     return time.perf_counter() - began
 

@@ -100,7 +100,7 @@ class PartTimer(Observer):
         """Start timing."""
         self._since, self._flying = self._clock(), True
 
-    def observe(self, frame: Sample) -> None:
+    def observe(self, sample: Sample) -> None:
         """Do nothing."""
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:

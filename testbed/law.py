@@ -68,8 +68,7 @@ import numpy as np
 
 from testbed.core.records import Array, FbwaCommand, Inbox, UnicycleCommand, VehicleState
 from testbed.formation.control_step import Hbh23Law
-from testbed.formation.flags import LimiterFlag
-from testbed.formation.law import FormationConfig, Law
+from testbed.formation.law import FormationConfig, Law, LimiterFlag
 
 __all__ = [
     "FbwaCommand",
@@ -112,10 +111,10 @@ def command_from_velocity(
     shape = (len(config.names), 3)
     arrays = []
     for name, value in (("velocity_ned", velocity_ned), ("acceleration_ned", acceleration_ned)):
-        given = np.asarray(value, dtype=np.float64)
-        if given.shape not in (shape, ()):
-            raise ValueError(f"{name} has shape {given.shape}, not {shape}")
-        array = np.ascontiguousarray(np.broadcast_to(given, shape))
+        array = np.asarray(value, dtype=np.float64)
+        if array.shape not in (shape, ()):
+            raise ValueError(f"{name} has shape {array.shape}, not {shape}")
+        array = np.ascontiguousarray(np.broadcast_to(array, shape))
         if not np.isfinite(array).all():
             row = int(np.flatnonzero(~np.isfinite(array).all(axis=1))[0])
             raise ValueError(f"{name} of {config.names[row]} is not finite")

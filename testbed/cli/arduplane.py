@@ -108,13 +108,13 @@ class _Track:
     def begin(self, info: RunInfo) -> None:
         """Need nothing of the run."""
 
-    def observe(self, frame: Sample) -> None:
+    def observe(self, sample: Sample) -> None:
         """Keep a sample."""
         self.ended_s = time.monotonic()
         self.began_s = self.began_s or self.ended_s
-        self.events += frame.events
-        truth = frame.truth
-        self.rows.append((frame.time_s, truth.position_ned[0], truth.euler[0]))
+        self.events += sample.events
+        truth = sample.truth
+        self.rows.append((sample.time_s, truth.position_ned[0], truth.euler[0]))
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
         """Keep the last events."""

@@ -196,8 +196,8 @@ def _save(path: Path, names: Sequence[str], messages: MessageRecord) -> None:
 
 def _rows(link: str, sent: Sequence[str], messages: MessageRecord, i: int, m: int) -> Iterator[str]:
     """Rows of one link; floats are written with as many digits as restore them exactly."""
+    from testbed.network.link_statistics import outcome_name
     from testbed.network.links import PacketOutcome
-    from testbed.network.report import outcome_name
 
     ends = [
         [f"{outcome_name(outcome)},{copies}\n" for copies in range(3)] for outcome in PacketOutcome
@@ -216,7 +216,7 @@ def _rows(link: str, sent: Sequence[str], messages: MessageRecord, i: int, m: in
 
 def _print_summary(console: PipeSafeConsole, document: Document) -> None:
     from testbed.metrics.tables import arrival_tables, fits_width, worst_links, wrap_lines
-    from testbed.network.report import LOSSES, outcome_name
+    from testbed.network.link_statistics import LOSSES, outcome_name
 
     together, links = document["all"], _link_count(document)
     console.print(

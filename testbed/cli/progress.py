@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from testbed.core.compile_lock import NOTICE
+from testbed.core.compile import NOTICE
 
 if TYPE_CHECKING:
     from testbed.core.records import Event, RunInfo, Sample

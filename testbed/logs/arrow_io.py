@@ -15,8 +15,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from testbed.core.errors import InputError
-from testbed.core.extras import needs_extra
+from testbed.core.errors import InputError, needs_extra
 from testbed.core.input_files import MAX_PARQUET_BYTES, open_regular
 from testbed.logs.flight_data import QUANTITIES, FlightData, Numbers
 

@@ -13,7 +13,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.extras import needs_extra
+from testbed.core.errors import needs_extra
 from testbed.core.records import Array, Event, RunInfo
 from testbed.logs.messages import FIXED32, TOPICS
 from testbed.logs.read import Log, read_log

@@ -170,7 +170,7 @@ class McapRecorder:
             batches: list[MessageBatch] = []
             if self._samples.tick:
                 columns = self._samples.columns()
-                topics = _changed_topics(columns, estimates_differ=bool(self._samples.erring))
+                topics = _changed_topics(columns, estimates_differ=bool(self._samples.inexact))
                 ticks = np.array(self._samples.tick, dtype=np.int64)
                 batches += self._encoder.encode(ticks, columns, topics)
                 batches += self._additional(file, ticks)
@@ -220,7 +220,7 @@ class _SampleEncoder:
         )
         self._fix_channels = [file.channel(f"/{name}/fix", FIX) for name in names]
         self._fixes = GnssFixes(names)
-        self._fix_stride = max(1, round(info.frame_rate_hz / FIX_HZ))
+        self._fix_stride = max(1, round(info.sample_rate_hz / FIX_HZ))
         self._topics: dict[Topic, tuple[ProtoTemplate, list[Channel]]] = {}
         for topic in TOPICS:
             agents = names[1:] if topic.followers_only else names

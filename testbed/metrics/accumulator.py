@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from testbed.core.frames import wrap_pi
 from testbed.core.records import Array, BoolArray
 from testbed.core.samples import Columns
-from testbed.formation.flags import LimiterFlag, Saturation
+from testbed.formation.law import LimiterFlag, Saturation
 
 Ticks = NDArray[np.int64]
 NEVER = -1  # the tick of what has not happened

@@ -8,7 +8,7 @@ from typing import Any
 from testbed.core.errors import InputError
 from testbed.core.records import RunInfo
 from testbed.core.shape import Each, ListOf, Number, Optional, check_shape
-from testbed.formation.flags import LimiterFlag, Saturation
+from testbed.formation.law import LimiterFlag, Saturation
 from testbed.metrics.accumulator import ESTIMATE_KEYS
 from testbed.metrics.document import OUTCOMES, Document
 from testbed.metrics.facts import facts

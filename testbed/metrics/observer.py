@@ -58,7 +58,7 @@ class MetricsObserver:
         if sample.events:
             self._events.extend(sample.events)
         if len(buffer.tick) == self._block:
-            self._accumulator.accumulate(make_block(buffer.tick, buffer.columns(), buffer.erring))
+            self._accumulator.accumulate(make_block(buffer.tick, buffer.columns(), buffer.inexact))
             buffer.clear()
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
@@ -78,7 +78,7 @@ class MetricsObserver:
         total, buffer = self._accumulator, self._buffer
         if buffer.tick:
             total = copy.deepcopy(total)
-            total.accumulate(make_block(buffer.tick, buffer.columns(), buffer.erring))
+            total.accumulate(make_block(buffer.tick, buffer.columns(), buffer.inexact))
         return summarise(
             total,
             windows=self._windows,

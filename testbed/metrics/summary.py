@@ -12,7 +12,7 @@ import numpy as np
 from testbed.core.frames import wind_from_deg
 from testbed.core.records import Array, BoolArray, Event, RunInfo
 from testbed.formation.assumptions import largest_kappa
-from testbed.formation.flags import LimiterFlag, Saturation
+from testbed.formation.law import LimiterFlag, Saturation
 from testbed.metrics.accumulator import ESTIMATE_KEYS, NEVER, Accumulator, Ticks
 
 SCHEMA = 2  # of metrics.json; raised when a key is renamed, removed or changes its meaning
@@ -96,13 +96,13 @@ def _window(total: Accumulator, p: int, span: tuple[float, float], info: RunInfo
     """Numbers of window p."""
     followers = info.names[1:]
     count = int(total.window_samples[p])
-    covered = count / info.frame_rate_hz
+    covered = count / info.sample_rate_hz
     start, end = float(span[0]), float(span[1])
     nothing = dict.fromkeys(followers)
     out: dict[str, Any] = {
         "window_s": [start, end],
         "covered_s": covered,
-        "complete": covered >= end - start - 1.0 / info.frame_rate_hz,
+        "complete": covered >= end - start - 1.0 / info.sample_rate_hz,
         "rms_m": nothing,
         "mean_rms_m": None,
         "estimated_rms_m": nothing,
@@ -161,7 +161,7 @@ def _flags(
     return {
         name: {
             "samples": int(any_of_them[i]),
-            "seconds": int(any_of_them[i]) / info.frame_rate_hz,
+            "seconds": int(any_of_them[i]) / info.sample_rate_hz,
             "by_kind": {str(flag.name).lower(): int(each[i, k]) for k, flag in enumerate(kind)},
         }
         for i, name in enumerate(info.names[1:])

@@ -20,7 +20,7 @@ from rich.table import Table
 from rich.text import Text
 
 from testbed.core.records import join_names
-from testbed.formation.flags import Saturation
+from testbed.formation.law import Saturation
 from testbed.metrics.document import EXCEEDED, Document
 from testbed.metrics.facts import ABSENT, facts, percent, select_largest, shown
 

@@ -197,7 +197,7 @@ def _repeat(run: RunData) -> str:
                 ("seed", str(info.seed)),
                 *versions,
                 ("base rate", f"{info.base_rate_hz} Hz"),
-                ("log rate", f"{info.frame_rate_hz} Hz"),
+                ("log rate", f"{info.sample_rate_hz} Hz"),
                 ("aircraft", aircraft),
             ]
         )

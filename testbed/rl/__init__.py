@@ -3,7 +3,7 @@
 `import testbed.rl` registers `testbed/HoldSlot-v0` for `gymnasium.make`. It needs the extra `rl`.
 """
 
-from testbed.core.extras import needs_extra
+from testbed.core.errors import needs_extra
 
 with needs_extra("rl", "environments"):
     import gymnasium

@@ -10,7 +10,7 @@ import numpy as np
 
 from testbed import __version__
 from testbed.atmosphere.air import Air
-from testbed.core.random import stream
+from testbed.core.random import named_stream
 from testbed.core.records import (
     AIRCRAFT,
     FOLLOWER,
@@ -235,7 +235,7 @@ def build_clock(scenario: Scenario) -> Clock:
     names, seed = scenario.aircraft_names, scenario.scenario.seed
     phases = None
     if not synchronous:
-        phases = [float(stream(seed, f"phase/{name}").random()) for name in names]
+        phases = [float(named_stream(seed, f"phase/{name}").random()) for name in names]
     times = transmit_times(scenario)
     return make_clock(**rates, aircraft=len(names), phases=phases, transmit_times=times)
 
@@ -283,7 +283,7 @@ def _run_info(
         wingspan_m=tuple(each.span for each in models.airframes),
         origin=build_origin(scenario),
         base_rate_hz=clock.base_rate_hz,
-        frame_rate_hz=scenario.rates.log_hz,
+        sample_rate_hz=scenario.rates.log_hz,
         duration_s=scenario.scenario.duration_s,
         seed=scenario.scenario.seed,
         speed_bounds_mps=tuple(agent_value(scenario, name, "speed_mps") for name in followers),

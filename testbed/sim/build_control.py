@@ -12,20 +12,19 @@ from typing import Any
 import numpy as np
 
 from testbed.core.errors import InputError
+from testbed.core.frames import PAPER_GRAVITY
 from testbed.core.records import Array, FbwaCommand, Records, allocate
 from testbed.core.speed_model import OwnSpeedModel, speed_model_records
 from testbed.core.speed_model import make_own as make_speed_model
 from testbed.formation import barrier, control_function
 from testbed.formation import leader_filter as leader
 from testbed.formation.assumptions import SpeedSet, check_barrier, margin
-from testbed.formation.barrier import Barrier, OwnBarrier
+from testbed.formation.barrier import Barrier, OwnBarrier, sample_barrier
 from testbed.formation.control_function import ControlFunction, OwnControlFunction
 from testbed.formation.control_step import Hbh23Law, initial_controllers, make_neighbours
 from testbed.formation.hbh23 import LAW
 from testbed.formation.law import FormationConfig, Law
-from testbed.formation.logged_barrier import sample_barrier
 from testbed.formation.middle_loop import LOOP
-from testbed.formation.velocity_frame import GRAVITY
 from testbed.scenario import MiddleLoopGains as Profile
 from testbed.scenario import Problem, Scenario, ScenarioError, middle_loop_gains
 from testbed.sim.control import Group
@@ -177,7 +176,7 @@ def build_law_records(
     law["neighbour_timeout_s"] = config.neighbour_timeout_s
     law["hold_stale_neighbours"] = controller.on_neighbour_timeout == "hold-relative-position"
     law["lost_leader_airspeed"] = config.trim_airspeed
-    law["lost_leader_turn_rate"] = GRAVITY * tangent / config.trim_airspeed
+    law["lost_leader_turn_rate"] = PAPER_GRAVITY * tangent / config.trim_airspeed
     return law, messages
 
 

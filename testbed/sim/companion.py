@@ -12,7 +12,7 @@ from math import ceil, floor
 import numpy as np
 
 from testbed.core.compile import Kernel, entry
-from testbed.core.motion import copy_motion
+from testbed.core.copies import copy_motion
 from testbed.core.records import AIRCRAFT, MOTION, Array, Indices, Records, allocate
 from testbed.scenario import Scenario
 from testbed.sim.schedule import Clock

@@ -10,7 +10,6 @@ from pathlib import Path
 from testbed.autopilot.parameters import FbwaParams
 from testbed.core.compile import Kernel
 from testbed.core.records import BoolArray, Event, Origin, Records, VehicleState
-from testbed.guidance.altitude_airspeed_hold import HoldGains
 from testbed.guidance.flight_plan import Mission
 from testbed.mavlink.mission_plans import ItemFlightPlan, items_from_mission, items_of_segments
 from testbed.mavlink.vehicle_control import Mode, VehicleControl
@@ -191,7 +190,7 @@ def build_external_control(
             row=row,
             start=(north, east, -down),
             trim=(trim.placement.pitch, trim.placement.roll, trim.controls.throttle),
-            hold=HoldGains(**load_guidance(folders[row]).model_dump()),
+            hold=load_guidance(folders[row]).model_dump(),
             flight_params=flight_params,
             origin=Origin(**scenario.scenario.origin.model_dump()),
             dt=clock.control / clock.base_rate_hz,

@@ -10,7 +10,7 @@ import numpy as np
 
 from testbed.core.compile import Kernel, entry
 from testbed.core.records import Array, BoolArray, Event, Indices, Records, allocate
-from testbed.formation.flags import LimiterFlag
+from testbed.formation.law import LimiterFlag
 from testbed.metrics.accumulator import JOIN_HOLD_S, JOIN_RADIUS_M
 from testbed.network.link_statistics import record_ages
 from testbed.sim.faults import FaultManager

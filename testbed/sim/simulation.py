@@ -234,8 +234,8 @@ class _Events:
     def begin(self, info: RunInfo) -> None:
         pass
 
-    def observe(self, frame: Sample) -> None:
-        self.all.extend(frame.events)
+    def observe(self, sample: Sample) -> None:
+        self.all.extend(sample.events)
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
         self.all.extend(events)

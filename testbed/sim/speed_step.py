@@ -18,7 +18,7 @@ from testbed.autopilot.parameters import FbwaParams, make_gains
 from testbed.core.compile import entry
 from testbed.core.errors import InputError
 from testbed.core.records import AIRCRAFT, FOLLOWER, Array, Origin, Records, allocate
-from testbed.formation.flags import Saturation
+from testbed.formation.law import Saturation
 from testbed.formation.middle_loop import initial_memory, middle_loop
 from testbed.scenario import MiddleLoopGains
 from testbed.sim.build_control import make_loops

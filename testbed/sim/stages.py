@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from testbed.core.compile import entry, kernel
-from testbed.core.motion import attitude_rates, copy_motion
+from testbed.core.copies import copy_motion
+from testbed.core.frames import attitude_rates
 from testbed.core.records import Array, Records
 from testbed.vehicle.fleet import LOWEST
 

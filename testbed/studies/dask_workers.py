@@ -12,8 +12,7 @@ from concurrent.futures import Future
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-from testbed.core.errors import InputError
-from testbed.core.extras import needs_extra
+from testbed.core.errors import InputError, needs_extra
 from testbed.mavlink.addresses import is_loopback
 from testbed.studies.flight_task import FlightResult, FlightTask, run_task
 

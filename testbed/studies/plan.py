@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from testbed.core.input_files import read_bounded_text
-from testbed.core.random import stream
+from testbed.core.random import named_stream
 from testbed.scenario import (
     Scenario,
     ScenarioFile,
@@ -245,7 +245,7 @@ def _draw(config: StudyConfig) -> tuple[tuple[float, ...], ...]:
     assert settings.samples is not None
     drawn = []
     for key in config.vary:
-        random = stream(settings.design_seed, f"study/{settings.design}/{key}")
+        random = named_stream(settings.design_seed, f"study/{settings.design}/{key}")
         values = random.random(settings.samples)
         if settings.design == "latin-hypercube":  # one point in each of as many equal parts
             values = (random.permutation(settings.samples) + values) / settings.samples

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from testbed.core.extras import needs_extra
-from testbed.core.random import stream
+from testbed.core.errors import needs_extra
+from testbed.core.random import named_stream
 from testbed.core.records import Array
 from testbed.core.stats import student_interval
 from testbed.metrics.document import EXCEEDED, errors
@@ -262,7 +262,7 @@ class CmaEs:
         with needs_extra("study", "tune"):
             import cma
 
-        random = stream(seed, "tune/search")
+        random = named_stream(seed, "tune/search")
 
         def normal(*shape: int) -> Array:
             return random.standard_normal(shape)

@@ -98,7 +98,7 @@ class _Content:
         """Write all messages in order of time."""
         log, times = self._log, self._time_ns.tolist()
         fix_step, link_step = (
-            max(1, round(log.info.frame_rate_hz / hz)) for hz in (FIX_HZ, LINKS_HZ)
+            max(1, round(log.info.sample_rate_hz / hz)) for hz in (FIX_HZ, LINKS_HZ)
         )
         links = self._links(np.arange(0, len(times), link_step))
         events = sorted(log.events, key=lambda event: event.time_s)

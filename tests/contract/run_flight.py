@@ -38,8 +38,8 @@ class Collector:
     def begin(self, info):
         self.info = info
 
-    def observe(self, frame):
-        self.frames.append(frame)
+    def observe(self, sample):
+        self.frames.append(sample)
 
     def end(self, summary, events):
         self.summary, self.events = summary, events

@@ -11,7 +11,7 @@ from commands import ROOT, call_command
 from patience import PATIENCE_S, until
 from worker_tasks import run_task
 
-from testbed.core.compile_lock import NOTICE, compile_turn, is_compiling
+from testbed.core.compile import NOTICE, compile_turn, is_compiling
 from testbed.sim.stop_request import RunStopped
 from testbed.studies.flight_pool import FlightPool
 from testbed.studies.flight_task import FlightTask

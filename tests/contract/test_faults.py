@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 import testbed
 from testbed.cli.main import app
 from testbed.core.errors import InputError
-from testbed.core.frames import velocity_frame
 from testbed.core.records import AirData, VehicleState, fields_of
+from testbed.core.velocity_frame import velocity_frame
 from testbed.scenario import load_scenario, loads
 from testbed.sim.build import build
 

@@ -42,9 +42,9 @@ class Keeper:
         """Nothing was seen."""
         self.frames = []
 
-    def observe(self, frame):
+    def observe(self, sample):
         """Keep it."""
-        self.frames.append(frame)
+        self.frames.append(sample)
 
     def end(self, summary, events):
         """Nothing."""

@@ -13,9 +13,8 @@ import pytest
 import testbed
 from testbed.core.errors import InputError
 from testbed.core.records import Inbox, VehicleState
-from testbed.formation.barrier import Barrier, barrier_curve
+from testbed.formation.barrier import Barrier, barrier_curve, logged_barriers, logged_curve
 from testbed.formation.control_step import Hbh23Law
-from testbed.formation.logged_barrier import logged_barriers, logged_curve
 from testbed.logs.read import read_log
 from testbed.reports import figures, read_run, run_page
 from testbed.reports.html import render_page

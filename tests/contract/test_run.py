@@ -27,7 +27,7 @@ from run_flight import (
 )
 
 import testbed
-from testbed.formation.flags import LimiterFlag
+from testbed.formation.law import LimiterFlag
 from testbed.logs import mcap_file
 from testbed.logs.read import read_log, samples
 from testbed.scenario import load_scenario
@@ -214,7 +214,7 @@ class Stopper:
         if self._after == 0:
             signal.raise_signal(self._number)
 
-    def observe(self, frame):
+    def observe(self, sample):
         self._after -= 1
         if self._after == 0:
             self.sent = True
@@ -368,8 +368,8 @@ def test_log_without_metrics_counts_as_cut(tmp_path):
 class Broken(Collector):
     """Raises at its third sample."""
 
-    def observe(self, frame):
-        super().observe(frame)
+    def observe(self, sample):
+        super().observe(sample)
         if len(self.frames) == 3:
             raise RuntimeError("disk full")
 

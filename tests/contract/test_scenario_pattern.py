@@ -258,9 +258,9 @@ class Positions:
         """Start with no positions."""
         self.seen = []
 
-    def observe(self, frame):
+    def observe(self, sample):
         """Store them."""
-        self.seen.append(frame.truth.position_ned)
+        self.seen.append(sample.truth.position_ned)
 
     def end(self, summary, events):
         """Do nothing."""

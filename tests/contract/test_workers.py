@@ -63,13 +63,13 @@ class ArrayCollector:
         """Start empty."""
         self.seen, self.events, self.lost = [], [], 0
 
-    def observe(self, frame):
+    def observe(self, sample):
         """Copy a sample."""
-        records = (frame.truth, frame.estimate, frame.air, frame.surfaces, frame.formation)
+        records = (sample.truth, sample.estimate, sample.air, sample.surfaces, sample.formation)
         arrays = [array for record in records for array in record]
-        self.seen.append(np.concatenate([np.ravel(array) for array in (*arrays, frame.lost)]))
-        self.lost = int(frame.lost.sum())
-        self.events += [(event.time_s, event.text) for event in frame.events]
+        self.seen.append(np.concatenate([np.ravel(array) for array in (*arrays, sample.lost)]))
+        self.lost = int(sample.lost.sum())
+        self.events += [(event.time_s, event.text) for event in sample.events]
 
     def end(self, summary, events):
         """Do nothing."""

@@ -72,7 +72,7 @@ def test_good_log_is_reported_and_compared(tmp_path):
         ({"scenario_name": None}, "scenario_name: is null, not text"),
         ({"base_rate_hz": "x"}, "base_rate_hz: is text, not a whole number"),
         ({"base_rate_hz": 0}, "base_rate_hz: is not from 1 to 100000"),
-        ({"frame_rate_hz": True}, "frame_rate_hz: is true or false, not a whole number"),
+        ({"sample_rate_hz": True}, "sample_rate_hz: is true or false, not a whole number"),
         ({"duration_s": float("nan")}, "duration_s: is nan, not a finite number"),
         ({"seed": 10**40}, "seed: is not from 0"),
         ({"origin": [1, 2, 3]}, "origin: is a list, not a map"),

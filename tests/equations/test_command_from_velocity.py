@@ -12,8 +12,7 @@ from reference.formation_laws import Desired
 
 from testbed import law as public
 from testbed.formation.control_step import Hbh23Law
-from testbed.formation.flags import LimiterFlag
-from testbed.formation.law import FormationConfig
+from testbed.formation.law import FormationConfig, LimiterFlag
 from testbed.law import command_from_velocity
 
 N = 200
@@ -53,8 +52,8 @@ def case(**changes):
 @pytest.mark.parametrize("bounds_of_airspeed", [False, True])
 def test_command_is_that_of_8_to_15(with_rate, bounds_of_airspeed):
     law, own, _, memory, velocity, acceleration = case(bounds_of_airspeed=bounds_of_airspeed)
-    given = (velocity, acceleration) if with_rate else (velocity,)
-    command = command_from_velocity(config_of(law, memory), own, *given)
+    args = (velocity, acceleration) if with_rate else (velocity,)
+    command = command_from_velocity(config_of(law, memory), own, *args)
     rate = acceleration if with_rate else np.zeros((N, 3))
 
     s_d = np.linalg.norm(velocity, axis=1)  # (8)

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from reference.frames import velocity_frame
 
-from testbed.core.frames import velocity_frame
 from testbed.core.records import (
     ActuatorCommand,
     AirData,
@@ -18,7 +18,7 @@ from testbed.core.records import (
     Sample,
     VehicleState,
 )
-from testbed.formation.flags import LimiterFlag, Saturation
+from testbed.formation.law import LimiterFlag, Saturation
 from testbed.metrics import MetricsObserver
 from testbed.metrics.accumulator import BLOCK
 from testbed.metrics.facts import describe_wind
@@ -36,7 +36,7 @@ def run_info(followers=2, windows=None):
         wingspan_m=(2.8,) * len(names),
         origin=Origin(),
         base_rate_hz=BASE_RATE_HZ,
-        frame_rate_hz=FRAME_RATE_HZ,
+        sample_rate_hz=FRAME_RATE_HZ,
         duration_s=100.0,
         seed=1,
         speed_bounds_mps=((16.0, 30.0),) * followers,

@@ -7,9 +7,16 @@ import numpy as np
 import pytest
 from reference.network_queue import bin_of
 
-from testbed.network.link_statistics import BINS, LONGEST_BURST, bin_ends, initial_statistics
+from testbed.network.link_statistics import (
+    BINS,
+    LONGEST_BURST,
+    bin_ends,
+    initial_statistics,
+    outcome_name,
+    quantile,
+    summarise,
+)
 from testbed.network.links import PacketOutcome
-from testbed.network.report import outcome_name, quantile, summarise
 from testbed.scenario import load_scenario
 from testbed.sim.channel_probe import probe_channel
 

@@ -128,11 +128,11 @@ def test_drop_list_loses_exactly_its_packets():
         "links": {"leader": {"uav2": {"drop": [0, 5]}}, "uav3": {"*": {"drop": []}}},
     }
     outages = outages_of(network)
-    own, silent = links(("leader", "uav2")), links(("uav3", "uav1"), ("uav3", "uav2"))
+    own, blocked = links(("leader", "uav2")), links(("uav3", "uav1"), ("uav3", "uav2"))
     for number, hit in {
         0: own,
         1: own & ~own,
-        2: OTHERS & ~own & ~silent,
+        2: OTHERS & ~own & ~blocked,
         5: own,
         6: own & ~own,
     }.items():

@@ -14,9 +14,9 @@ class Watcher:
     def begin(self, info):
         pass
 
-    def observe(self, frame):
-        self.frames.append(frame)
-        self.seen.append(numbers(frame))
+    def observe(self, sample):
+        self.frames.append(sample)
+        self.seen.append(numbers(sample))
 
     def end(self, summary, events):
         pass
@@ -26,8 +26,8 @@ def numbers(frame):
     """Everything in a frame, copied."""
     records = (frame.truth, frame.estimate, frame.air, frame.command, frame.surfaces)
     every = [array for record in (*records, frame.formation, frame.links) for array in record]
-    if frame.failing is not None:
-        every += frame.failing
+    if frame.faults is not None:
+        every += frame.faults
     return np.concatenate([array.ravel().astype(float) for array in (*every, frame.lost)])
 
 

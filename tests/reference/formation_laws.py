@@ -9,7 +9,7 @@ import numpy as np
 from reference.formation_arrays import dot, norm, scale
 from reference.formation_barrier import NO_BARRIER, Barrier, h
 from reference.formation_control_function import ControlFunction, rho_and_rate
-from testbed.core.frames import velocity_frame
+from reference.frames import velocity_frame
 from testbed.core.records import Array, BoolArray
 
 # (14) divides by the slope of h outside the speed set. Where tanh has saturated that slope

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from testbed.core.records import Origin, WindInput
+from testbed.core.standard_atmosphere import density_ratio
 from testbed.scenario import find_aircraft, load_scenario, set_duration
 from testbed.sim.build import build
 from testbed.sim.build_air import (
-    density_ratio,
     temperature_offset,
     temperature_warnings,
 )

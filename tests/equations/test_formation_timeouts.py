@@ -1,4 +1,4 @@
-"""What a follower does that does not hear: its leader, a neighbour, or anybody."""
+"""A follower whose leader or neighbours have timed out."""
 
 from dataclasses import replace
 
@@ -18,26 +18,26 @@ from formation_cases import (
     states,
 )
 from reference.formation_message_extrapolation import times
+from reference.frames import velocity_frame
 
-from testbed.core.frames import velocity_frame
 from testbed.core.records import Inbox
 from testbed.formation import leader_filter as leading
-from testbed.formation.flags import LimiterFlag
+from testbed.formation.law import LimiterFlag
 
 NEVER, LONG_AGO = "never", "long ago"
 each_way = pytest.mark.parametrize("way", [NEVER, LONG_AGO])
 
 
-def unhear(inbox, links, way):
-    """The inbox in which these links are silent."""
-    quiet = Inbox(*(each.copy() for each in inbox))
+def drop_messages(inbox, links, way):
+    """Return an inbox without messages on these links: none ever, or none for 30 s."""
+    dropped_inbox = Inbox(*(each.copy() for each in inbox))
     if way == NEVER:
-        for each in quiet:
+        for each in dropped_inbox:
             each[links] = np.nan
     else:
-        quiet.received_s[links] -= 30.0
-        quiet.stamp_s[links] -= 30.0
-    return quiet
+        dropped_inbox.received_s[links] -= 30.0
+        dropped_inbox.stamp_s[links] -= 30.0
+    return dropped_inbox
 
 
 @each_engine
@@ -46,35 +46,35 @@ def test_leader_timeout_flies_level_and_straight(step, way):
     rng = np.random.default_rng(21)
     law = make_law(3, rng, lost_leader_airspeed=np.array([20.0, 21.0, 22.0]))
     own, inbox, memory = states(3, rng, low=20.0, high=24.0)
-    quiet = unhear(inbox, np.s_[1, 0], way)
-    told, after = step(law, NOW, own, quiet, memory)
+    dropped_inbox = drop_messages(inbox, np.s_[1, 0], way)
+    inputs, after = step(law, NOW, own, dropped_inbox, memory)
     speed = np.linalg.norm(own.velocity_ned[1])
     level = own.velocity_ned[1] * [1.0, 1.0, 0.0]
     # u over the ground that is 21 m/s in the air
-    assert told.speed[1] == pytest.approx(21.0 + speed - own.airspeed[1], abs=1e-13)
-    assert told.speed_desired[1] == told.speed[1]
-    assert told.direction[1] == pytest.approx(level / np.linalg.norm(level), abs=1e-15)
+    assert inputs.speed[1] == pytest.approx(21.0 + speed - own.airspeed[1], abs=1e-13)
+    assert inputs.speed_desired[1] == inputs.speed[1]
+    assert inputs.direction[1] == pytest.approx(level / np.linalg.norm(level), abs=1e-15)
     # (15) where ẏ_d = 0: c sin(γ_d − γ) upwards, nothing to the side
     gamma = np.arcsin(-own.velocity_ned[1, 2] / speed)
-    assert told.omega[1] == pytest.approx([0.0, -law.c[1] * np.sin(gamma), 0.0], abs=1e-15)
-    assert told.limiter_flags[1] == LimiterFlag.LEADER_TIMEOUT
-    for name, array in results((told, after)).items():
+    assert inputs.omega[1] == pytest.approx([0.0, -law.c[1] * np.sin(gamma), 0.0], abs=1e-15)
+    assert inputs.limiter_flags[1] == LimiterFlag.LEADER_TIMEOUT
+    for name, array in results((inputs, after)).items():
         forgotten = name in ("memory.time_s", "memory.speed", "memory.gamma")
         if name in ("memory.timeout_since", "memory.timeout_course"):
             assert np.isnan(array[[0, 2]]).all(), name
         if name not in ("memory.held_position", "memory.held_time_s"):
             assert np.isnan(array[1]) if forgotten else np.isfinite(array[1]).all(), name
     # nothing of that leaks to the others
-    heard = results(step(law, NOW, own, inbox, memory))
-    for name, array in results((told, after)).items():
-        np.testing.assert_array_equal(array[[0, 2]], heard[name][[0, 2]], err_msg=name)
-    assert not (told.limiter_flags[[0, 2]] & LimiterFlag.LEADER_TIMEOUT).any()
+    received = results(step(law, NOW, own, inbox, memory))
+    for name, array in results((inputs, after)).items():
+        np.testing.assert_array_equal(array[[0, 2]], received[name][[0, 2]], err_msg=name)
+    assert not (inputs.limiter_flags[[0, 2]] & LimiterFlag.LEADER_TIMEOUT).any()
 
 
 @each_engine
 @each_way
 @pytest.mark.parametrize("middle", LOOP_ENGINES.values(), ids=LOOP_ENGINES)
-def test_or_round_in_a_circle(step, middle, way):
+def test_leader_timeout_turns_at_the_set_rate(step, middle, way):
     """Level flight at 22 m/s, 20° of bank: σ̇ = g tan 20°/22; (20) banks for that rate."""
     rng = np.random.default_rng(67)
     rate = 9.81 * np.tan(np.radians(20.0)) / 22.0
@@ -91,11 +91,11 @@ def test_or_round_in_a_circle(step, middle, way):
         airspeed=same(22.0, 2),
         euler=np.zeros((2, 3)),
     )
-    told, _ = step(law, NOW, own, unhear(inbox, np.s_[:, 0], way), memory)
-    assert told.speed == pytest.approx([22.0, 22.0], abs=1e-13)
-    assert told.omega == pytest.approx(np.array([[0, 0, rate], [0, 0, -rate]]), abs=1e-15)
+    inputs, _ = step(law, NOW, own, drop_messages(inbox, np.s_[:, 0], way), memory)
+    assert inputs.speed == pytest.approx([22.0, 22.0], abs=1e-13)
+    assert inputs.omega == pytest.approx(np.array([[0, 0, rate], [0, 0, -rate]]), abs=1e-15)
     loop = make_middle(2)
-    command, _, diagnosis = middle(loop, own, told, loop.start())
+    command, _, diagnosis = middle(loop, own, inputs, loop.start())
     assert np.degrees(command.roll) == pytest.approx([20.0, -20.0], abs=1e-11)
     assert command.pitch == pytest.approx([0.0, 0.0], abs=1e-15)
     assert command.throttle == pytest.approx([0.22, 0.22], abs=1e-14)
@@ -111,42 +111,42 @@ def test_course_in_a_timeout_is_that_at_its_start(step, way, rate):
     law = make_law(2, rng, lost_leader_turn_rate=same(rate, 2))
     own, inbox, memory = states(2, rng)
     own.velocity_ned[:] = [[20.0, 0.0, 0.0], [0.0, 20.0, 0.0]]
-    quiet = unhear(inbox, np.s_[:, 0], way)
-    _, memory = step(law, NOW, own, quiet, memory)
+    dropped_inbox = drop_messages(inbox, np.s_[:, 0], way)
+    _, memory = step(law, NOW, own, dropped_inbox, memory)
     assert memory.timeout_since.tolist() == [NOW, NOW]
     assert memory.timeout_course == pytest.approx([0.0, np.pi / 2.0], abs=1e-15)
     off = 0.1
     own.velocity_ned[:] = 20.0 * np.array(
         [[np.cos(off), np.sin(off), 0.0], [-np.sin(off), np.cos(off), 0.0]]
     )
-    told, after = step(law, NOW + 2.0, own, quiet, memory)
+    inputs, after = step(law, NOW + 2.0, own, dropped_inbox, memory)
     wanted = np.array([0.0, np.pi / 2.0]) + 2.0 * rate
-    assert np.arctan2(told.direction[:, 1], told.direction[:, 0]) == pytest.approx(
+    assert np.arctan2(inputs.direction[:, 1], inputs.direction[:, 0]) == pytest.approx(
         wanted, abs=1e-13
     )
     # (15): c sin(σ_d − σ) + σ̇_d cos²(σ_d − σ) less what the rate takes of c, by hand
     gap = 2.0 * rate - off
     pull = (law.c + rate * np.sin(gap)) * np.sin(gap) + rate * np.cos(gap) ** 2
-    assert told.omega[:, 2] == pytest.approx(pull, abs=1e-13)
+    assert inputs.omega[:, 2] == pytest.approx(pull, abs=1e-13)
     assert np.array_equal(after.timeout_since, memory.timeout_since)
     assert np.array_equal(after.timeout_course, memory.timeout_course)
-    _, heard = step(law, NOW + 2.04, own, inbox, after)
-    assert np.isnan(heard.timeout_since).all()
-    assert np.isnan(heard.timeout_course).all()
+    _, received = step(law, NOW + 2.04, own, inbox, after)
+    assert np.isnan(received.timeout_since).all()
+    assert np.isnan(received.timeout_course).all()
 
 
 @each_engine
 @each_way
 def test_return_to_level_uses_gain_of_trim_speed(step, way):
-    """c_i(t) = c + c_s s_d², with the s_d that is flown in silence."""
+    """c_i(t) = c + c_s s_d², with the s_d of a leader timeout."""
     rng = np.random.default_rng(68)
     law = make_law(2, rng, c=same(0.02, 2), c_speed=np.array([0.0, 4e-4]))
     own, inbox, memory = states(2, rng)
     own.velocity_ned[:] = [22.0 * np.cos(0.2), 0.0, -22.0 * np.sin(0.2)]
-    told, _ = step(law, NOW, own, unhear(inbox, np.s_[:, 0], way), memory)
-    flown = law.lost_leader_airspeed + 22.0 - own.airspeed
-    gain = 0.02 + np.array([0.0, 4e-4]) * flown**2
-    assert told.omega[:, 1] == pytest.approx(-gain * np.sin(0.2), rel=1e-12)
+    inputs, _ = step(law, NOW, own, drop_messages(inbox, np.s_[:, 0], way), memory)
+    s_d = law.lost_leader_airspeed + 22.0 - own.airspeed
+    gain = 0.02 + np.array([0.0, 4e-4]) * s_d**2
+    assert inputs.omega[:, 1] == pytest.approx(-gain * np.sin(0.2), rel=1e-12)
 
 
 @each_engine
@@ -157,34 +157,34 @@ def test_messages_older_than_the_timeout_are_old(step):
     own, inbox, memory = states(3, rng)
     inbox.received_s[:, 0] = NOW - np.array([2.0, 2.0 + 1e-9, 0.0])
     inbox.stamp_s[:, 0] = NOW - np.array([2.1, 2.1, 60.0])
-    told, _ = step(law, NOW, own, inbox, memory)
-    assert (told.limiter_flags & LimiterFlag.LEADER_TIMEOUT != 0).tolist() == [False, True, False]
+    inputs, _ = step(law, NOW, own, inbox, memory)
+    assert (inputs.limiter_flags & LimiterFlag.LEADER_TIMEOUT != 0).tolist() == [False, True, False]
 
 
 @each_engine
 @each_way
-def test_a_neighbour_not_heard_is_left_out_of_the_sum(step, way):
+def test_stale_neighbour_is_left_out_of_sum(step, way):
     rng = np.random.default_rng(22)
     law = make_law(3, rng, gains=rng.uniform(0.5, 1.0, (3, 4, 3)), neighbour_timeout_s=4.0)
     own, inbox, memory = states(3, rng)
     without = replace(law, gains=law.gains.copy())
     without.gains[0, 2] = 0.0
-    ours = results(step(law, NOW, own, unhear(inbox, np.s_[0, 2], way), memory))
+    ours = results(step(law, NOW, own, drop_messages(inbox, np.s_[0, 2], way), memory))
     theirs = results(step(without, NOW, own, inbox, memory))
     assert_same(ours, theirs, rtol=1e-12)
-    heard = step(law, NOW, own, inbox, memory)[0]
-    assert abs(ours["told.direction"][0] - heard.direction[0]).max() > 1e-3
+    received = step(law, NOW, own, inbox, memory)[0]
+    assert abs(ours["inputs.direction"][0] - received.direction[0]).max() > 1e-3
 
 
 @each_engine
 def test_leader_memory_in_a_leader_timeout(step):
-    """Averages stay as they are, differences begin anew: what comes back is the first news."""
+    """Averages are kept, differences begin with the first message after the timeout."""
     rng = np.random.default_rng(70)
     sources = [leading.BROADCAST, leading.TURN]
     blend = np.tile([0.4, 0.3, 0.2], (2, 1))
     law = make_law(2, rng, acceleration_source=np.array(sources), acceleration_blend=blend)
     own, inbox, memory = states(2, rng)
-    _, after = step(law, NOW, own, unhear(inbox, np.s_[:, 0], LONG_AGO), memory)
+    _, after = step(law, NOW, own, drop_messages(inbox, np.s_[:, 0], LONG_AGO), memory)
     assert np.array_equal(after.acceleration, memory.acceleration)
     assert after.speed_rate.tolist() == after.gamma_dot.tolist() == [0.0, 0.0]
     _, again = step(law, NOW + 0.04, own, inbox, after)
@@ -194,7 +194,7 @@ def test_leader_memory_in_a_leader_timeout(step):
 
 @each_engine
 def test_after_a_timeout_the_law_is_the_same_again(step):
-    """But for averages of q̈_g and ω̇_g, which lack what was not heard: without, to the bit."""
+    """To the bit, without averages of q̈_g and ω̇_g, which lack the lost messages."""
     rng = np.random.default_rng(71)
     options = {**mixed_options(3, rng), "acceleration_blend": np.ones((3, 3))}
     options["acceleration_source"] = np.full(3, leading.BROADCAST)
@@ -202,8 +202,8 @@ def test_after_a_timeout_the_law_is_the_same_again(step):
     law = make_law(3, rng, **options)
     own, inbox, memory = states(3, rng)
     memory = memory._replace(time_s=times(inbox, law.from_timestamp)[:, 0] - 0.04)
-    deaf, after = step(law, NOW, own, unhear(inbox, np.s_[:, 0], LONG_AGO), memory)
-    assert (deaf.limiter_flags & LimiterFlag.LEADER_TIMEOUT).all()
+    timed_out, after = step(law, NOW, own, drop_messages(inbox, np.s_[:, 0], LONG_AGO), memory)
+    assert (timed_out.limiter_flags & LimiterFlag.LEADER_TIMEOUT).all()
     again, _ = step(law, NOW, own, inbox, after)
     always, _ = step(law, NOW, own, inbox, memory)
     for name in again._fields:
@@ -213,7 +213,7 @@ def test_after_a_timeout_the_law_is_the_same_again(step):
 
 @each_engine
 def test_a_leader_that_is_mute_for_two_seconds(step):
-    """Muted in [1, 3) s, forgotten 0.5 s after its last word at 0.96 s, heard again at 3 s."""
+    """Muted in [1, 3) s: timed out 0.5 s after the message of 0.96 s, received again at 3 s."""
     rng = np.random.default_rng(72)
     n = 2
     law = make_law(n, rng, leader_timeout_s=0.5, horizontal=flags(False, n))
@@ -223,14 +223,14 @@ def test_a_leader_that_is_mute_for_two_seconds(step):
     velocity = np.tile([22.0, 0.0, 0.0], (n, n + 1, 1))
     for k in range(101):
         now = 0.04 * k
-        said = np.full((n, n + 1), now)
-        said[:, 0] = 0.04 * (24 if 25 <= k < 75 else k)
+        stamps = np.full((n, n + 1), now)
+        stamps[:, 0] = 0.04 * (24 if 25 <= k < 75 else k)
         inbox = Inbox(
-            said, said, said[:, :, None] * velocity, velocity, *np.zeros((3, n, n + 1, 3))
+            stamps, stamps, stamps[:, :, None] * velocity, velocity, *np.zeros((3, n, n + 1, 3))
         )
-        told, memory = step(law, now, own, inbox, memory)
-        if (told.limiter_flags & LimiterFlag.LEADER_TIMEOUT).any():
-            assert (told.limiter_flags & LimiterFlag.LEADER_TIMEOUT).all()
+        inputs, memory = step(law, now, own, inbox, memory)
+        if (inputs.limiter_flags & LimiterFlag.LEADER_TIMEOUT).any():
+            assert (inputs.limiter_flags & LimiterFlag.LEADER_TIMEOUT).all()
             flagged.append(now)
     # 0.96 + 0.5 = 1.46 s: the next control tick after it is 1.48 s
     assert (flagged[0], flagged[-1]) == pytest.approx((1.48, 2.96), abs=1e-12)
@@ -250,7 +250,7 @@ def places_of(inbox, horizontal):
 
 
 def all_heard_now(n, rng, **changes):
-    """A law that holds whoever it does not hear, and what n agents know if all news is of now."""
+    """A law that holds timed-out neighbours, and states of n agents with present messages."""
     gains = rng.uniform(0.3, 1.0, (n, n + 1, 3))
     law = make_law(
         n,
@@ -267,7 +267,7 @@ def test_new_message_updates_the_held_position(step):
     rng = np.random.default_rng(80)
     law, own, inbox, memory = all_heard_now(4, rng, horizontal=np.arange(4) % 2 == 0)
     law.gains[1, 3] = 0.0
-    law.gains[2, 4, :2] = 0.0  # who sees the plane alone does not heed that
+    law.gains[2, 4, :2] = 0.0  # the horizontal variant does not use that
     _, after = step(law, NOW, own, inbox, memory)
     expected = places_of(inbox, law.horizontal)
     said_s = times(inbox, law.from_timestamp).copy()
@@ -276,7 +276,7 @@ def test_new_message_updates_the_held_position(step):
         expected[link], said_s[link] = memory.held_position[link], memory.held_time_s[link]
     np.testing.assert_allclose(after.held_position, expected, rtol=1e-13, atol=1e-13)
     np.testing.assert_array_equal(after.held_time_s, said_s)
-    # a law that leaves out who is silent remembers nothing new
+    # a law that leaves out timed-out neighbours stores no position
     _, dropped = step(replace(law, hold_stale_neighbours=False), NOW, own, inbox, memory)
     np.testing.assert_array_equal(dropped.held_position, memory.held_position)
     np.testing.assert_array_equal(dropped.held_time_s, memory.held_time_s)
@@ -322,7 +322,7 @@ def test_held_position_is_that_at_the_step(step):
 
 @each_engine
 def test_neighbour_is_extrapolated_then_held(step):
-    """Exactly `neighbour_timeout_s` is not too old; the leader's news has a limit of its own."""
+    """Exactly `neighbour_timeout_s` is not too old; the leader's message has its own limit."""
     rng = np.random.default_rng(81)
     limits = {"neighbour_timeout_s": 2.0, "leader_timeout_s": 1.0}
     law, own, inbox, memory = all_heard_now(2, rng, horizontal=flags(False, 2), **limits)
@@ -331,7 +331,7 @@ def test_neighbour_is_extrapolated_then_held(step):
     inbox.velocity_ned[:, 0] += 1.0
     extrapolated, last = step(law, NOW + 2.0, own, inbox, first)
     left_out, _ = step(replace(law, hold_stale_neighbours=False), NOW + 2.0, own, inbox, first)
-    # until then it is used as by a law that does not hold, and its place is that of its news
+    # until then it is used as by a law that does not hold, and its position is that of its message
     assert_same(results((extrapolated, last)), results((left_out, last)), rtol=0, atol=0)
     np.testing.assert_array_equal(last.held_position[:, 1], first.held_position[:, 1])
     assert (last.held_position[:, 2] != first.held_position[:, 2]).all()
@@ -339,7 +339,7 @@ def test_neighbour_is_extrapolated_then_held(step):
     held, after = step(law, late, own, inbox, last)
     np.testing.assert_array_equal(after.held_position, last.held_position)
     assert np.abs(held.direction - extrapolated.direction).max() > 1e-3
-    # whatever else it said: it is not listened to
+    # the rest of its message has no effect
     inbox.position_ned[:, 1] += 50.0
     inbox.velocity_ned[:, 1] *= -1.0
     again, _ = step(law, late, own, inbox, last)
@@ -347,14 +347,14 @@ def test_neighbour_is_extrapolated_then_held(step):
 
 
 @each_engine
-def test_while_the_leader_is_silent_places_wait(step):
-    """Whoever was heard then alone has none, and is left out when the leader is back."""
+def test_held_positions_wait_in_leader_timeout(step):
+    """A neighbour first received then has none, and is left out when the leader is back."""
     rng = np.random.default_rng(87)
     limits = {"neighbour_timeout_s": 2.0, "leader_timeout_s": 1.0}
     law, own, inbox, memory = all_heard_now(3, rng, **limits)
     memory.held_position[:, 1], memory.held_time_s[:, 1] = np.nan, np.nan
-    told, after = step(law, NOW, own, unhear(inbox, np.s_[:, 0], LONG_AGO), memory)
-    assert (told.limiter_flags == LimiterFlag.LEADER_TIMEOUT).all()
+    inputs, after = step(law, NOW, own, drop_messages(inbox, np.s_[:, 0], LONG_AGO), memory)
+    assert (inputs.limiter_flags == LimiterFlag.LEADER_TIMEOUT).all()
     np.testing.assert_array_equal(after.held_position, memory.held_position)
     np.testing.assert_array_equal(after.held_time_s, memory.held_time_s)
     inbox.received_s[:, 0] = inbox.stamp_s[:, 0] = NOW + 3.0
@@ -376,7 +376,7 @@ def test_neighbour_held_in_slot_acts_as_the_leader(step, way):
     joined = replace(law, gains=law.gains.copy())
     joined.gains[:, 0] += joined.gains[:, 2]
     joined.gains[:, 2] = 0.0
-    held, _ = step(law, NOW, own, unhear(inbox, np.s_[:, 2], way), memory)
+    held, _ = step(law, NOW, own, drop_messages(inbox, np.s_[:, 2], way), memory)
     pulled, _ = step(joined, NOW, own, inbox, memory)
     assert_same(held._asdict(), pulled._asdict(), rtol=1e-10, atol=1e-10)
 
@@ -401,14 +401,14 @@ def test_held_neighbour_moves_as_a_slot(step, way):
         frame = velocity_frame(np.column_stack([ahead, -np.sin(up)]))
         return (frame @ memory.held_position[:, 2, :, None])[:, :, 0]
 
-    told_so = Inbox(*(each.copy() for each in inbox))
-    told_so.position_ned[:, 2] = inbox.position_ned[:, 0] + chi(0.0)
-    told_so.velocity_ned[:, 2] = velocity + (chi(1e-4) - chi(-1e-4)) / 2e-4
-    held, _ = step(law, NOW, own, unhear(inbox, np.s_[:, 2], way), memory)
-    heard, _ = step(law, NOW, own, told_so, memory)
+    in_place = Inbox(*(each.copy() for each in inbox))
+    in_place.position_ned[:, 2] = inbox.position_ned[:, 0] + chi(0.0)
+    in_place.velocity_ned[:, 2] = velocity + (chi(1e-4) - chi(-1e-4)) / 2e-4
+    held, _ = step(law, NOW, own, drop_messages(inbox, np.s_[:, 2], way), memory)
+    received, _ = step(law, NOW, own, in_place, memory)
     assert np.abs(held.omega).max() > 0.01
     # differences of 1e-4 s err by 1e-8 of a rate of some 10 m/s
-    assert_same(held._asdict(), heard._asdict(), rtol=1e-6, atol=1e-6)
+    assert_same(held._asdict(), received._asdict(), rtol=1e-6, atol=1e-6)
 
 
 @each_engine
@@ -417,8 +417,8 @@ def test_neighbour_without_position_is_left_out(step, way):
     rng = np.random.default_rng(84)
     law, own, inbox, memory = all_heard_now(3, rng)
     memory.held_position[:, 2], memory.held_time_s[:, 2] = np.nan, np.nan
-    quiet = unhear(inbox, np.s_[:, 2], way)
-    held, after = step(law, NOW, own, quiet, memory)
-    dropped, _ = step(replace(law, hold_stale_neighbours=False), NOW, own, quiet, memory)
+    dropped_inbox = drop_messages(inbox, np.s_[:, 2], way)
+    held, after = step(law, NOW, own, dropped_inbox, memory)
+    dropped, _ = step(replace(law, hold_stale_neighbours=False), NOW, own, dropped_inbox, memory)
     assert_same(results((held, after)), results((dropped, after)), rtol=0, atol=0)
     assert np.isnan(after.held_position[:, 2]).all()

@@ -1,14 +1,14 @@
-"""The zero-roll velocity frame of [HBH23] eqs. (22)-(26), one vector at a time."""
+"""Resolve vectors in the zero-roll velocity frame, [HBH23] eqs. (22)-(26)."""
 
 from __future__ import annotations
 
 from math import cos, hypot, sin, sqrt
 
-from testbed.core.compile import kernel
-from testbed.core.frames import COURSE_FLOOR
-from testbed.core.records import Record, Values, Vector
+import numpy as np
 
-GRAVITY = 9.81  # m/s², as printed beside (20)
+from testbed.core.compile import entry, kernel
+from testbed.core.frames import COURSE_FLOOR
+from testbed.core.records import Array, Record, Values, Vector
 
 
 @kernel
@@ -32,6 +32,26 @@ def from_ned(frame: Vector, x: float, y: float, z: float) -> Values:
     """Resolve a vector of NED in the velocity frame: R(σ, γ)ᵀ (x, y, z)."""
     cs, ss, cg, sg = frame
     return cg * cs * x + cg * ss * y - sg * z, cs * y - ss * x, sg * cs * x + sg * ss * y + cg * z
+
+
+def velocity_frame(velocity: Array) -> Array:
+    """Return R(σ, γ) (n, 3, 3), (24), of velocities (n, 3), m/s.
+
+    Its columns are forward along the velocity, right in the horizontal, and down.
+    """
+    out = np.empty((len(velocity), 3, 3))
+    _write_frames(np.ascontiguousarray(velocity, dtype=np.float64), out)
+    return out
+
+
+@entry
+def _write_frames(velocity: Array, out: Array) -> None:
+    for i in range(len(out)):
+        frame = frame_angles(velocity[i, 0], velocity[i, 1], velocity[i, 2])
+        for k in range(3):
+            out[i, 0, k], out[i, 1, k], out[i, 2, k] = to_ned(
+                frame, 1.0 * (k == 0), 1.0 * (k == 1), 1.0 * (k == 2)
+            )
 
 
 @kernel

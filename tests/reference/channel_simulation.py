@@ -1,4 +1,4 @@
-"""A channel without aircraft: messages without content, one broadcast after another."""
+"""Send messages over a channel without aircraft, one broadcast after another."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ import numpy as np
 
 from testbed.core.compile import entry
 from testbed.core.records import MESSAGE, Array, BoolArray, Records, allocate
-from testbed.network.channel import Channel
-from testbed.network.link_state import initial_departures, initial_links, initial_transmitters
+from testbed.network.channel import Channel, initial_departures, initial_links, initial_transmitters
 from testbed.network.links import Outcomes
 from testbed.network.packet_outcomes import transmit_broadcast
 
