@@ -40,7 +40,7 @@ def transmit_broadcast(
 
     Args:
         links: (n, N) of CHANNEL_LINK; `packet` and `state` of the senders are written.
-        departures_s: (n, N, Q) s, see `links.initial_departures`; written.
+        departures_s: (n, N, Q) s, see `channel.initial_departures`; written.
         tables: (T,) of DELAY_TABLE.
         transmitters: (N,) of TRANSMITTER; `number` and `stamp_s` of the senders are written, and
             the rows of the senders.
