@@ -49,11 +49,11 @@ def names(parameter: Any) -> str:  # noqa: ANN401
 
 def default(parameter: Any) -> str:  # noqa: ANN401
     """What holds without it: the help's words, or a value."""
-    if said := re.search(r"\[default: (.*?)\]", parameter.help or ""):
-        return said[1]
+    if match := re.search(r"\[default: (.*?)\]", parameter.help or ""):
+        return match[1]
     value = parameter.default
-    silent = value is None or value is ... or callable(value) or isinstance(value, bool)
-    return "" if silent or parameter.required else f"`{value}`"
+    hidden = value is None or value is ... or callable(value) or isinstance(value, bool)
+    return "" if hidden or parameter.required else f"`{value}`"
 
 
 def plain(text: str) -> str:

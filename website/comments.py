@@ -25,8 +25,8 @@ class Comments(griffe.Extension):
         """Add a section to the docstring of a class that has no such section of its own."""
         if cls.docstring is None or SECTION.search(cls.docstring.value):
             return
-        said = [(name, behind(field)) for name, field in cls.attributes.items()]
-        lines = [f"    {name}: {comment}" for name, comment in said if comment]
+        comments = [(name, behind(field)) for name, field in cls.attributes.items()]
+        lines = [f"    {name}: {comment}" for name, comment in comments if comment]
         if lines:
             cls.docstring.value += "\n\nAttributes:\n" + "\n".join(lines)
 

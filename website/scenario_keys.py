@@ -218,17 +218,17 @@ def written(value: Any) -> str:  # noqa: ANN401
 
 def unit(key: str, part: Any) -> str:  # noqa: ANN401
     """The unit of a number, or of the numbers in a list."""
-    return said(part) or (SUFFIXES.get(key.rpartition("_")[2], "") if "_" in key else "")
+    return unit_of_schema(part) or (SUFFIXES.get(key.rpartition("_")[2], "") if "_" in key else "")
 
 
-def said(part: Any) -> str:  # noqa: ANN401
+def unit_of_schema(part: Any) -> str:  # noqa: ANN401
     """The unit that the schema has."""
     if isinstance(part, list):
-        return next(filter(None, map(said, part)), "")
+        return next(filter(None, map(unit_of_schema, part)), "")
     if not isinstance(part, Mapping):
         return ""
     inner = (*(part.get(key) for key in ("anyOf", "oneOf", "items", "prefixItems")), named(part))
-    return part.get("unit") or next(filter(None, map(said, inner)), "")
+    return part.get("unit") or next(filter(None, map(unit_of_schema, inner)), "")
 
 
 def cell(text: str) -> str:
