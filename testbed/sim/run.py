@@ -25,7 +25,6 @@ from testbed.logs.run_directory import (
 from testbed.metrics import MetricsObserver
 from testbed.metrics.document import finalise, write_json
 from testbed.metrics.expectations import violations
-from testbed.metrics.tables import table_html, table_text
 from testbed.scenario import Scenario, load_scenario
 from testbed.sim.build import World, build
 from testbed.sim.external_options import (
@@ -70,10 +69,14 @@ class Run:
 
     def __repr__(self) -> str:
         """Show outcome, RMS errors by follower and window, and the directory."""
+        from testbed.metrics.tables import table_text
+
         return table_text(self.metrics, str(self.directory or ""))
 
     def _repr_html_(self) -> str:
         """Show the same in a notebook."""
+        from testbed.metrics.tables import table_html
+
         return table_html(self.metrics, str(self.directory or ""))
 
     @property

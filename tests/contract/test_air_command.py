@@ -326,7 +326,7 @@ def test_plot_of_two_probes_has_coherence(model, tmp_path, monkeypatch):
         (("--set", "air.turbulence.model=tornado"), "air.turbulence.model"),
     ],
 )
-def test_bad_input_says_what_to_write(words, message, tmp_path, monkeypatch):
+def test_bad_input_error_has_the_remedy(words, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done = air(*words)
     assert isinstance(done.exception, InputError)

@@ -259,7 +259,7 @@ def test_run_quiet_writes_json_and_prints_nothing(tmp_path):
     }
 
 
-def test_run_json_on_stdout_is_json_alone(tmp_path):
+def test_run_json_on_stdout_is_only_json(tmp_path):
     (tmp_path / "empty").mkdir()
     done = cli(*FLY, *NO_LOG, "--json", "-", "--out", "empty", cwd=tmp_path)
     metrics = json.loads(done.stdout)

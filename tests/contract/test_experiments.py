@@ -82,7 +82,6 @@ def test_unknown_profile_lists_the_known_ones():
     ("name", "largest", "rms"),
     [
         ("experiment-1", 2.0, 1.3),
-        ("experiment-2", 6.0, 1.8),
         ("experiment-3", 6.0, 1.8),
         ("mixed-fleet", 1.4, 0.5),
     ],

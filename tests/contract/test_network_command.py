@@ -300,7 +300,7 @@ def test_many_links_show_the_worst():
         (("--set", "network.trace={file: nowhere.csv}"), "nowhere.csv"),
     ],
 )
-def test_bad_input_says_what_to_write(words, message, tmp_path, monkeypatch):
+def test_bad_input_error_has_the_remedy(words, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done = network(*words)
     assert isinstance(done.exception, InputError), done.exception
@@ -366,7 +366,7 @@ def test_plot_is_reproducible_in_each_format(name, start, tmp_path):
     assert drawn[0].startswith(start) and drawn[0] == drawn[1]
 
 
-def test_plot_has_what_the_table_has(tmp_path, monkeypatch):
+def test_plot_has_the_numbers_of_the_table(tmp_path, monkeypatch):
     """Each link's share in its cell; curves that end at the share that arrived."""
     grids = []
     monkeypatch.setattr(

@@ -192,7 +192,7 @@ def trimmed(text: str) -> str:
 
 
 @pytest.mark.parametrize("page", PAGES_TO_RUN)
-def test_snippets_in_order_print_what_is_pasted(page, new_folder):
+def test_snippets_in_order_print_their_output(page, new_folder):
     folder = new_folder()
     on_page = [snippet for snippet in SHELL + PYTHON + FILES if snippet.page == page]
     run_s = LONG_S if page in PAGES_WITH_FLIGHT_OUTPUT else SHORT_S

@@ -303,7 +303,7 @@ def test_scenario_is_frozen():
         scenario.formation.k = 4.0
 
 
-def test_set_duration_keeps_what_fits():
+def test_set_duration_drops_what_begins_later():
     short = set_duration(load_scenario(FOLDER / "everything.yaml"), 14.0)
     assert short.scenario.duration_s == 14.0
     assert short.scenario.windows == {"straight": (5.0, 10.0), "turn": (12.5, 14.0)}

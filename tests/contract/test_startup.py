@@ -29,7 +29,7 @@ def loaded_by(code, folder):
     return set(json.loads(done.stderr.splitlines()[-1]))
 
 
-def test_run_loads_only_what_it_uses(tmp_path):
+def test_run_loads_only_the_libraries_it_uses(tmp_path):
     code = (
         "from testbed.cli.main import app;"
         "app(['run', 'simulation-3', '--duration', '0.2', '-q'], standalone_mode=False)"

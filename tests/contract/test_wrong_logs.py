@@ -148,7 +148,7 @@ def test_many_aircraft_of_few_messages_are_refused(tmp_path):
         read_log(path)
 
 
-def test_shapes_accept_what_they_describe():
+def test_shapes_accept_valid_documents():
     shape = {"a": Number(), "b": Optional(str), "c": Each(ListOf(bool)), "d": Number(finite=False)}
     check_shape({"a": 1, "b": None, "c": {"x": [True]}, "d": float("inf"), "more": 5}, shape)
     with pytest.raises(ValueError, match=r"c\.x\[1\]: is a number, not true or false"):
