@@ -95,7 +95,7 @@ def test_growing_file_is_read_to_the_limit(tmp_path, monkeypatch):
         read_bounded(path, 50)
 
 
-def test_what_is_no_file_says_what_it_is(tmp_path):
+def test_error_names_the_kind_of_no_file(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(ReadError, match="pipe: cannot be read: it is a pipe, not a regular file"):
         read_bounded(tmp_path / "pipe")
