@@ -47,11 +47,10 @@ def velocity_frame(velocity: Array) -> Array:
 @entry
 def _write_frames(velocity: Array, out: Array) -> None:
     for i in range(len(out)):
-        frame = frame_angles(velocity[i, 0], velocity[i, 1], velocity[i, 2])
-        for k in range(3):
-            out[i, 0, k], out[i, 1, k], out[i, 2, k] = to_ned(
-                frame, 1.0 * (k == 0), 1.0 * (k == 1), 1.0 * (k == 2)
-            )
+        cs, ss, cg, sg = frame_angles(velocity[i, 0], velocity[i, 1], velocity[i, 2])
+        out[i, 0, 0], out[i, 0, 1], out[i, 0, 2] = cg * cs, -ss, sg * cs
+        out[i, 1, 0], out[i, 1, 1], out[i, 1, 2] = cg * ss, cs, sg * ss
+        out[i, 2, 0], out[i, 2, 1], out[i, 2, 2] = -sg, 0.0, cg
 
 
 @kernel

@@ -10,7 +10,7 @@ from testbed.core.velocity_frame import cross, from_ned, to_ned
 
 
 @kernel
-def timed_out(link: Record, now: float, timeout_s: float) -> float:
+def timed_out(link: Record, now: float, timeout_s: float) -> bool:
     """Return whether a link has no message, or none for longer than a timeout, s.
 
     Args:

@@ -129,7 +129,7 @@ def hold(
 
 @kernel
 def path_angle(climb: float, speed: float) -> float:
-    """Return the flight-path angle, rad, of a climb rate at a speed, m/s; at most 30°."""
+    """Return the flight-path angle of a climb rate at a speed, m/s; at most 30°."""
     return math.asin(_clip(climb / max(speed, 1.0), 0.5))
 
 

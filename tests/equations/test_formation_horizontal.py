@@ -145,14 +145,17 @@ def test_slot_beside_a_helix_is_a_level_circle(step, middle, source, gamma):
         airspeed=np.linalg.norm(velocity[1:], axis=1),
     )
     sinking = np.array([0.0, 0.0, -speed * np.sin(gamma)])
-    heard_velocity = np.vstack([shadow + sinking, velocity[1:]])
+    broadcast_velocity = np.vstack([shadow + sinking, velocity[1:]])
     now = np.full((2, 3), NOW)
     # a bank at which the coordinated turn by its bank is this turn
     bank = np.arctan(turn * level / leading.PAPER_GRAVITY)
     inbox = Inbox(
         now,
         now,
-        *(np.stack([each] * 2) for each in (position, heard_velocity, np.cross(omega, velocity))),
+        *(
+            np.stack([each] * 2)
+            for each in (position, broadcast_velocity, np.cross(omega, velocity))
+        ),
         np.tile([bank, 0.0, sigma], (2, 3, 1)),
         np.tile(omega, (2, 3, 1)),
     )

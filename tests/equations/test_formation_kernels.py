@@ -90,7 +90,7 @@ def test_the_formation_law():
                 neighbour_timeout_s=rng.choice([0.2, 5.0]),
                 **mixed_options(AGENTS, rng),
             )
-            gaps = {"silence": 0.1, "old": 0.1} if k % 3 == 0 else {}
+            gaps = {"never": 0.1, "old": 0.1} if k % 3 == 0 else {}
             own, inbox, memory = states(AGENTS, rng, **gaps)
             begun = np.where(rng.random(AGENTS) < 0.5, 1.0, np.nan)
             memory = memory._replace(

@@ -101,7 +101,7 @@ def test_a_step_reckons_with_the_present(step):
 # q̈_g
 
 
-def heard_at(stamp, speed, gamma):
+def message_at(stamp, speed, gamma):
     velocity = speed * np.array([[np.cos(gamma), 0.0, -np.sin(gamma)]])
     return np.array([stamp]), velocity
 
@@ -118,7 +118,9 @@ def test_differences_by_hand():
     # 22 → 22.1 m/s and 0.10 → 0.12 rad in 0.05 s: 2 m/s² and 0.4 rad/s; shares 0.5 and 0.25
     blend = np.array([[0.5, 0.25]])
     memory = remembered(99.90, 22.0, 0.10, 1.0, -0.2)
-    speed, gamma, speed_rate, gamma_dot = differentiate(memory, *heard_at(99.95, 22.1, 0.12), blend)
+    speed, gamma, speed_rate, gamma_dot = differentiate(
+        memory, *message_at(99.95, 22.1, 0.12), blend
+    )
     assert (speed[0], gamma[0]) == pytest.approx((22.1, 0.12), rel=1e-14)
     assert speed_rate[0] == pytest.approx(0.5 * 1.0 + 0.5 * 2.0, abs=1e-9)
     assert gamma_dot[0] == pytest.approx(0.75 * -0.2 + 0.25 * 0.4, abs=1e-9)
@@ -128,13 +130,13 @@ def test_the_same_message_is_differentiated_once():
     blend = np.ones((1, 2))
     memory = remembered(99.95, 22.1, 0.12, 1.5, 0.3)
     for late in (99.95, 99.90):  # used before, or older than that
-        _, _, speed_rate, gamma_dot = differentiate(memory, *heard_at(late, 25.0, 0.2), blend)
+        _, _, speed_rate, gamma_dot = differentiate(memory, *message_at(late, 25.0, 0.2), blend)
         assert (speed_rate[0], gamma_dot[0]) == (1.5, 0.3)
 
 
 def test_one_message_has_no_differences():
     _, _, speed_rate, gamma_dot = differentiate(
-        no_messages(1, 2), *heard_at(99.95, 22.0, 0.1), np.ones((1, 2))
+        no_messages(1, 2), *message_at(99.95, 22.0, 0.1), np.ones((1, 2))
     )
     assert (speed_rate[0], gamma_dot[0]) == (0.0, 0.0)
 
@@ -144,7 +146,7 @@ def test_differences_of_a_smooth_flight_are_its_rates():
     memory = no_messages(1, 2)
     for k in range(51):
         t = k * 0.04
-        velocity = heard_at(t, 22.0 + 0.5 * np.sin(t), 0.1 * np.sin(t))
+        velocity = message_at(t, 22.0 + 0.5 * np.sin(t), 0.1 * np.sin(t))
         rates = differentiate(memory, *velocity, np.ones((1, 2)))
         memory = remembered(velocity[0][0], *(float(rate[0]) for rate in rates))
         if k:

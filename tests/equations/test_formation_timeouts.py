@@ -249,7 +249,7 @@ def places_of(inbox, horizontal):
     return place
 
 
-def all_heard_now(n, rng, **changes):
+def all_present(n, rng, **changes):
     """A law that holds timed-out neighbours, and states of n agents with present messages."""
     gains = rng.uniform(0.3, 1.0, (n, n + 1, 3))
     law = make_law(
@@ -265,7 +265,7 @@ def all_heard_now(n, rng, **changes):
 @each_engine
 def test_new_message_updates_the_held_position(step):
     rng = np.random.default_rng(80)
-    law, own, inbox, memory = all_heard_now(4, rng, horizontal=np.arange(4) % 2 == 0)
+    law, own, inbox, memory = all_present(4, rng, horizontal=np.arange(4) % 2 == 0)
     law.gains[1, 3] = 0.0
     law.gains[2, 4, :2] = 0.0  # the horizontal variant does not use that
     _, after = step(law, NOW, own, inbox, memory)
@@ -287,7 +287,7 @@ def test_new_message_updates_the_held_position(step):
 def test_message_gives_a_held_position_once(from_timestamp, step):
     """An extrapolation of the same message has left the turn; only its time tells what is new."""
     rng = np.random.default_rng(85)
-    law, own, inbox, memory = all_heard_now(3, rng, horizontal=flags(False, 3))
+    law, own, inbox, memory = all_present(3, rng, horizontal=flags(False, 3))
     law = replace(law, from_timestamp=from_timestamp)
     _, first = step(law, NOW, own, inbox, memory)
     inbox.position_ned[:, 1:] += 3.0
@@ -310,7 +310,7 @@ def test_held_position_is_that_at_the_step(step):
     """As reckoned then: both are brought to now along their velocities, from their receipt."""
     rng = np.random.default_rng(86)
     straight = {"with_acceleration": flags(False, 3), "horizontal": flags(False, 3)}
-    law, own, inbox, memory = all_heard_now(3, rng, **straight)
+    law, own, inbox, memory = all_present(3, rng, **straight)
     inbox.received_s[:] -= rng.uniform(0.0, 0.3, (3, 4))
     memory.held_time_s[:] -= 1.0
     _, after = step(law, NOW, own, inbox, memory)
@@ -325,7 +325,7 @@ def test_neighbour_is_extrapolated_then_held(step):
     """Exactly `neighbour_timeout_s` is not too old; the leader's message has its own limit."""
     rng = np.random.default_rng(81)
     limits = {"neighbour_timeout_s": 2.0, "leader_timeout_s": 1.0}
-    law, own, inbox, memory = all_heard_now(2, rng, horizontal=flags(False, 2), **limits)
+    law, own, inbox, memory = all_present(2, rng, horizontal=flags(False, 2), **limits)
     _, first = step(law, NOW, own, inbox, memory)
     inbox.received_s[:, [0, 2]] = inbox.stamp_s[:, [0, 2]] = NOW + 2.0
     inbox.velocity_ned[:, 0] += 1.0
@@ -351,7 +351,7 @@ def test_held_positions_wait_in_leader_timeout(step):
     """A neighbour first received then has none, and is left out when the leader is back."""
     rng = np.random.default_rng(87)
     limits = {"neighbour_timeout_s": 2.0, "leader_timeout_s": 1.0}
-    law, own, inbox, memory = all_heard_now(3, rng, **limits)
+    law, own, inbox, memory = all_present(3, rng, **limits)
     memory.held_position[:, 1], memory.held_time_s[:, 1] = np.nan, np.nan
     inputs, after = step(law, NOW, own, drop_messages(inbox, np.s_[:, 0], LONG_AGO), memory)
     assert (inputs.limiter_flags == LimiterFlag.LEADER_TIMEOUT).all()
@@ -371,7 +371,7 @@ def test_held_positions_wait_in_leader_timeout(step):
 def test_neighbour_held_in_slot_acts_as_the_leader(step, way):
     """Of (6) q_j − χ_j = q_g is left, and of its rate q̇_g: β_ij is added to β_i."""
     rng = np.random.default_rng(82)
-    law, own, inbox, memory = all_heard_now(3, rng)
+    law, own, inbox, memory = all_present(3, rng)
     memory.held_position[:, 2] = law.offsets[2]
     joined = replace(law, gains=law.gains.copy())
     joined.gains[:, 0] += joined.gains[:, 2]
@@ -386,7 +386,7 @@ def test_neighbour_held_in_slot_acts_as_the_leader(step, way):
 def test_held_neighbour_moves_as_a_slot(step, way):
     """Anywhere, it is where a message would have it that says R_g p and its rate by differences."""
     rng = np.random.default_rng(83)
-    law, own, inbox, memory = all_heard_now(3, rng)
+    law, own, inbox, memory = all_present(3, rng)
     memory.held_position[:, 2] = rng.normal(0.0, 10.0, (3, 3))
     level = np.where(law.horizontal[:, None], [1.0, 1.0, 0.0], 1.0)
     velocity = inbox.velocity_ned[:, 0] * level
@@ -415,7 +415,7 @@ def test_held_neighbour_moves_as_a_slot(step, way):
 @each_way
 def test_neighbour_without_position_is_left_out(step, way):
     rng = np.random.default_rng(84)
-    law, own, inbox, memory = all_heard_now(3, rng)
+    law, own, inbox, memory = all_present(3, rng)
     memory.held_position[:, 2], memory.held_time_s[:, 2] = np.nan, np.nan
     dropped_inbox = drop_messages(inbox, np.s_[:, 2], way)
     held, after = step(law, NOW, own, dropped_inbox, memory)

@@ -218,7 +218,7 @@ def test_lost_aircraft_are_ignored():
 
 
 @pytest.mark.parametrize("place", [0.0, np.nan, np.inf, 1e200])
-def test_encounter_with_a_lost_aircraft_ends_silently(place):
+def test_lost_aircraft_end_an_encounter_without_event(place):
     monitor = ProximityMonitor(["uav1", "uav2", "uav3"], separation_m=5.0)
     positions = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [40.0, 0.0, 0.0]])
     assert len(monitor.changes(0.0, positions, np.zeros(3, dtype=bool))[0]) == 1

@@ -39,8 +39,8 @@ def fbwa(
     """One period of the law for N autopilots.
 
     Args:
-        estimate: what the autopilots believe of their motion.
-        command: what they are told; acted on after the command's latency.
+        estimate: estimates of the autopilots.
+        command: fly-by-wire-A commands, which act after their latency.
         memory: returned by the period before, or `fresh(n)`, or `settled(surfaces, gains)`.
         gains: `params.stack` of the N parameter sets.
 

@@ -98,14 +98,14 @@ def hbh23_step(
     limit[0] = law.leader_timeout_s
     timed_out = np.isnan(inbox.stamp_s) | (now - inbox.received_s > limit)
     no_leader = timed_out[:, 0]
-    quiet = np.expand_dims(timed_out, 2)
-    held = quiet & ~np.isnan(memory.held_position) & law.hold_stale_neighbours
+    columns = np.expand_dims(timed_out, 2)
+    held = columns & ~np.isnan(memory.held_position) & law.hold_stale_neighbours
     weights = law.gains * np.expand_dims(level, 1)
-    gains = np.where(quiet & ~held, 0.0, weights)
+    gains = np.where(columns & ~held, 0.0, weights)
     own_velocity = own.velocity_ned * level
     positions, velocities = corrected(inbox, now, law.from_timestamp, law.with_acceleration)
-    positions = np.where(quiet, np.expand_dims(own.position_ned, 1), positions)
-    velocities = np.where(quiet, np.expand_dims(own_velocity, 1), velocities) * np.expand_dims(
+    positions = np.where(columns, np.expand_dims(own.position_ned, 1), positions)
+    velocities = np.where(columns, np.expand_dims(own_velocity, 1), velocities) * np.expand_dims(
         level, 1
     )
 
@@ -113,8 +113,8 @@ def hbh23_step(
     leader_velocity = np.ascontiguousarray(velocities[:, 0])
     leader_speed = norm(leader_velocity)
     gamma = flight_path_angle(leader_velocity)
-    euler = np.where(quiet[:, 0], 0.0, inbox.euler[:, 0])
-    rates = np.where(quiet[:, 0], 0.0, inbox.euler_rates[:, 0])
+    euler = np.where(columns[:, 0], 0.0, inbox.euler[:, 0])
+    rates = np.where(columns[:, 0], 0.0, inbox.euler_rates[:, 0])
     frame = velocity_frame(leader_velocity)
     gamma_dot = rates[:, 1] * level[:, 2]
     rate = geometry.frame_rate(gamma, rates[:, 2], gamma_dot)
@@ -185,9 +185,9 @@ def hbh23_step(
             timeout_course=np.where(no_leader, begun, np.nan),
             held_position=place,
             held_time_s=held_time_s,
-            omega=np.where(differenced & ~quiet[:, 0], omega, memory.omega),
+            omega=np.where(differenced & ~columns[:, 0], omega, memory.omega),
             omega_dot=np.where(
-                quiet[:, 0], 0.0, np.where(differenced, omega_dot, memory.omega_dot)
+                columns[:, 0], 0.0, np.where(differenced, omega_dot, memory.omega_dot)
             ),
         ),
     )

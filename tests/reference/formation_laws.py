@@ -44,7 +44,7 @@ def formation_error(
     Args:
         own: q_i (n, 3).
         own_slot: χ_i (n, 3).
-        others: (n, N, 3) what agent i believes of aircraft m; aircraft 0 is the leader.
+        others: (n, N, 3) estimates by agent i of aircraft m; aircraft 0 is the leader.
         other_slots: (n, N, 3) χ_m as agent i computes it; zero for the leader.
         gains: (n, N, 3) β_i for m = 0, β_ij for the others, diagonal per axis of NED.
     """

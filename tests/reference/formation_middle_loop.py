@@ -112,8 +112,8 @@ def middle_step(
 
     Args:
         loop: gains and options.
-        own: what the agents believe of their motion.
-        told: u, ω and y_d; γ̇_d ≈ e2ᵀω and σ̇_d ≈ e3ᵀω / cos γ.
+        own: estimates of the agents.
+        inputs: u, ω and y_d; γ̇_d ≈ e2ᵀω and σ̇_d ≈ e3ᵀω / cos γ.
         memory: of the step before.
     """
     gains, dt = loop.gains, loop.dt

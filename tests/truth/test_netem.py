@@ -236,7 +236,7 @@ def test_delay_distributions_equal_the_kernels(options):
     agrees(chance)
 
 
-def test_what_netem_makes_of_correlated_jitter_is_none():
+def test_netem_removes_correlation_of_jitter():
     jitter = {"distribution": "normal", "spread_s": 0.02, "correlation": 0.25}
     for arithmetic, wanted in (("netem", 0.0), ("exact", 0.25)):
         knobs = {"delay_s": 0.2, "jitter": jitter, "arithmetic": arithmetic}
