@@ -128,7 +128,7 @@ def smaller(flown: Mapping[Case, Metrics]) -> Iterator[str]:
         laps, circle = np.array(means(flown[case(3, overrides)])) / plain
         if PRINTED not in choice and max(laps, circle) >= SMALLER:
             lost = LOST if flown[case(3, overrides)]["outcome"] == "formation_lost" else ""
-            line = f"- {freedom}, {choice} against {other}: {laps:.1f}{lost}, {circle:.1f}{lost}"
+            line = f"- {freedom} ({choice}) against {other}: {laps:.1f}{lost}, {circle:.1f}{lost}"
             found.append((laps * circle, line))
     yield (
         "Simulation 3's errors with the other choice, divided by those here, on laps and on the "
@@ -139,8 +139,8 @@ def smaller(flown: Mapping[Case, Metrics]) -> Iterator[str]:
 
 
 def means(metrics: Metrics) -> list[float]:
-    """Return the mean RMS errors on laps and circle, m."""
-    return [window["mean_rms_m"] for window in metrics["windows"].values()]
+    """Return the mean RMS errors on laps and circle as printed, m."""
+    return [round(window["mean_rms_m"], 2) for window in metrics["windows"].values()]
 
 
 def text(flown: Mapping[Case, Metrics]) -> list[str]:

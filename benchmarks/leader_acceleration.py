@@ -44,7 +44,7 @@ SET_UPS = {
     "both-late-receipt": "both 0.08 s old, positions extrapolated from receipt",
 }
 NEAR = 0.2  # a cell is near the paper's within this part of it
-BEST = 8  # points of the fit that are shown
+GOOD = 1.4  # factor below which points of the fit are shown
 AGE, OWN_AGE = "set.network.delay_s", "set.controller.companion.state_latency_s"
 SOURCE = f"{ESTIMATORS}leader_acceleration"
 FITTED = {
@@ -247,7 +247,8 @@ def fit_table(rows: Sequence[Mapping[str, Any]], printed: Mapping[int, Cells]) -
     yield row(*heads, "factor, laps", "circle", "all", "cells near")
     yield "|" + "--:|" * (len(heads) - 1) + "---|" + "--:|" * 4
     zero = next(item for item in ranked if item[0][SOURCE] == "none")
-    for keys, flown in (*ranked[:BEST], zero, ranked[-1]):
+    good = [item for item in ranked if factor(ratios(item[1], printed)) < GOOD]
+    for keys, flown in (*good, zero, ranked[-1]):
         ratio = ratios(flown, printed)
         values = [
             form.format(NAMES.get(keys[f"set.{key}"], keys[f"set.{key}"]))
@@ -257,8 +258,8 @@ def fit_table(rows: Sequence[Mapping[str, Any]], printed: Mapping[int, Cells]) -
         yield row(*values, *factors, near(ratio))
     yield ""
     yield (
-        f"The {BEST} best of {len(ranked)} points, the best with q̈_g = 0, and the worst. The best "
-        "is flown by:"
+        f"The {len(good)} of {len(ranked)} points with a factor below {GOOD:g}, the best with "
+        "q̈_g = 0, and the worst. The best is flown by:"
     )
     yield ""
     yield "```console"

@@ -406,8 +406,19 @@ def leader_claims() -> Iterator[str]:
         for printed, own in (row[:2], row[2:])
     ]
     yield f"Table 1's percentages are {min(more):.0f}–{max(more):.0f} % larger than its own cells"
-    banks = [float(row[3]) for row in fit[:8]]
+    good = fit[:-2]
+    assert {row[4] for row in good} == {"broadcast", "bank, differences"}
+    banks = [float(row[3]) for row in good]
     yield f"bank of the best points is between {min(banks):.0f}° and {max(banks):.0f}°"
+    late = [row for row in good if row[1] == "0.04"]
+    assert {row[0] for row in late} == {"0.00", "0.04", "0.08", "0.12", "0.16"}
+    assert all(float(row[0]) >= 0.12 for row in good if row not in late)
+    gains = sorted(float(row[2]) for row in late)
+    factors = sorted(float(row[-2]) for row in late)
+    yield (
+        f"messages of 0 to 0.16 s and gains from × {gains[0]:.2f} to × {gains[-1]:.2f} have "
+        f"factors of {factors[0]:.2f} to {factors[-1]:.2f}"
+    )
     laps = table(LEADER, LAPS)
     circle, without = (
         np.array(the_row(laps, name)[3:6], dtype=float).mean()
