@@ -388,6 +388,15 @@ def leader_claims() -> Iterator[str]:
         f"has a factor of {full[2]} with our gains and {lower[2]} with × 0.6, and "
         f"{full[3].split()[0]} and {lower[3].split()[0]} cells near"
     )
+    grid = table(LEADER, "gains × 0.5: factor")
+    fresh_own, little = (cell.split()[0] for cell in the_row(grid, "messages 0.12 s old")[:2])
+    assert fresh_own == old[2]
+    yield f"the smallest factors of all, {fresh_own} and {little}, laps and circle alike"
+    others = [cell for row in grid for cell in row[1:] if row[0] != "messages 0.12 s old"]
+    assert min(float(cell.split()[0]) for cell in others) > float(fresh_own)
+    good_ages = {row[0] for row in grid for cell in row[1:3] if float(cell.split()[0]) < 1.4}
+    assert good_ages == {f"messages {age} s old" for age in ("0.08", "0.12", "0.16")}
+    yield f"a late own state alone has {full[3].split()[0]}"
     (zero,) = (row for row in fit[:-1] if row[4] == "zero")
     assert zero[-1].startswith("0 of")
     yield f"the best point with q̈_g = 0 has a factor of {zero[-2]}, and no cell near"
