@@ -184,6 +184,29 @@ def test_freedoms_are_the_means_of_the_set_ups(instead, source, gains, corner):
         assert means == pytest.approx(cells.reshape(2, 3).mean(axis=1), abs=0.0101)
 
 
+@pytest.mark.parametrize(
+    ("instead", "label"),
+    [
+        ("", "profile `tuned`"),
+        ("own phases, 10 Hz", "`tuned`, own phases at 10 Hz"),
+        ("`authors`", "profile `authors`"),
+    ],
+)
+def test_freedoms_have_the_means_of_the_results(instead, label):
+    (row,) = (each for each in table(SIMULATIONS, FREEDOMS) if each[2] == instead)
+    for simulation in (1, 2, 3):
+        cells = the_row(table(SIMULATIONS, PAPER), f"Simulation {simulation}", label)
+        assert row[1 + 2 * simulation : 3 + 2 * simulation] == [cells[3], cells[7]]
+
+
+def test_freedoms_have_the_noise_of_the_results():
+    (row,) = (each for each in table(SIMULATIONS, FREEDOMS) if each[2] == "GPS/INS noise")
+    cells = the_row(
+        table(SIMULATIONS, CONDITIONS), "GPS/INS noise: `simulation-3-noise`", "`tuned`"
+    )
+    assert row[7:9] == [cells[3], cells[7]]
+
+
 def test_experiments_page_has_the_rascals_of_simulation_3():
     (row,) = (r for r in table("docs/experiments.md", "RMS error, m | laps") if "Rascals" in r[0])
     expected = six(the_row(table(SIMULATIONS, PAPER), "Simulation 3", "profile `tuned`"))
