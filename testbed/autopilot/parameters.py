@@ -146,9 +146,10 @@ def read_params(path: Path) -> FbwaParams:
 
 
 def is_virtual(name: str) -> bool:
-    """Whether the virtual autopilot uses a parameter, by its present name."""
+    """Return whether the virtual autopilot uses a parameter, by its present name."""
     is_output = name.startswith("SERVO") and name.endswith("_FUNCTION")
-    return name.lower() in _NAMES or is_output or name == "MIXING_GAIN"
+    is_used = name.lower() in _NAMES and not name.endswith("_SMAX")
+    return is_used or is_output or name == "MIXING_GAIN"
 
 
 class GivenValue(NamedTuple):

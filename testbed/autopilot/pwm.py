@@ -1,7 +1,7 @@
 """Pulses of an ArduPlane: to its RC channels, and from its servo outputs.
 
-Control surfaces have a total travel of 1000 µs, as in the virtual autopilot; SERVOn_TRIM is the
-neutral position of a linkage.
+Control surfaces have a total travel of 1000 µs, as in the virtual autopilot. ArduPlane scales each
+side of SERVOn_TRIM by itself; full output on either side is half of SERVOn_MIN to SERVOn_MAX.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _RANGE = ("MIN", "TRIM", "MAX", "REVERSED")
 AILERON, ELEVATOR, RUDDER, THROTTLE = 4, 19, 21, 70
 ELEVON_LEFT, ELEVON_RIGHT, VTAIL_LEFT, VTAIL_RIGHT = 77, 78, 79, 80
 _USED = {AILERON, ELEVATOR, RUDDER, THROTTLE, ELEVON_LEFT, ELEVON_RIGHT, VTAIL_LEFT, VTAIL_RIGHT}
-_HALF_TRAVEL = 500.0  # µs from neutral to full deflection
+_TRAVEL_US = 1000.0  # of a surface
 _NEUTRAL_US = 1500
 
 Parameters = Mapping[str, float]
@@ -93,8 +93,9 @@ class ServoOutputs(NamedTuple):
 
 def _deflection(pulse: int, pwm_range: PwmRange) -> float:
     """Convert a pulse to a share of a surface's travel; 0 without pulses."""
-    share = (pulse - pwm_range.trim) / _HALF_TRAVEL if pulse else 0.0
-    return -share if pwm_range.reversed else share
+    if not pulse:
+        return 0.0
+    return pwm_range.signed_from_pwm(pulse) * (pwm_range.max - pwm_range.min) / _TRAVEL_US
 
 
 def range_names(parameters: Parameters) -> tuple[str, ...]:
