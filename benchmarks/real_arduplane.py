@@ -56,7 +56,7 @@ _OTHERS = (
     (
         "`turbulence-moderate`, two real followers, one seed",
         "turbulence-moderate",
-        ("leader.path.bank_limit_deg=30",),
+        (),
         {"30 to 160 s": "3.2 4.4 4.6"},
     ),
 )

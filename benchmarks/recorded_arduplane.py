@@ -27,7 +27,7 @@ RASCAL = ROOT / "aircraft" / "rascal110"
 RECORDING = ROOT / "tests" / "data" / "arduplane_fbwa_rascal_steps.csv"
 MARK, DRAG_MARK = "make arduplane, recording", "make arduplane, drag"
 BEGIN_S, END_S = 2.0, 150.0  # in its first second the propeller had no torque on the airframe
-# Of the control law before sticks commanded shares of turned limits, and commands were delayed.
+# Of the control law without limits that turn with the attitude (commit 428ace9).
 EARLIER_DEG = ("0.34", "0.40")
 TURNS = (
     ("right, 45° commanded; 30 % throttle", 40.0, 50.0),
