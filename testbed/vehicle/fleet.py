@@ -220,13 +220,13 @@ class JsbsimFleet:
             ticks: how many.
             read: (K,) aircraft whose motion is then written into the records.
         """
-        self._run_models(range(len(self._models)), ticks, read)
+        self._run_all(ticks, read)
         write_truth(read, self.rows, self._numbers, self._zero, self._scale, self.aircraft)
 
     def run_some(self, which: Indices, ticks: int) -> None:
         """Run some aircraft (K,) in this process, and write their motion into the records."""
         wind_changed = self._wind_changed
-        JsbsimFleet._run_models(self, which.tolist(), ticks, self.all_rows)
+        self._run_models(which.tolist(), ticks, self.all_rows)
         self._wind_changed = wind_changed  # of those that have not run yet
         write_truth(which, self.rows, self._numbers, self._zero, self._scale, self.aircraft)
 
@@ -243,6 +243,9 @@ class JsbsimFleet:
         """Stop stepping lost aircraft (N,); they keep their last motion."""
         for i in np.flatnonzero(rows & ~self._stopped).tolist():
             self._stop(i)
+
+    def _run_all(self, ticks: int, read: Indices) -> None:
+        self._run_models(range(len(self._models)), ticks, read)
 
     def _run_models(self, which: Iterable[int], ticks: int, read: Indices) -> None:
         """Set the inputs of models that have changed, run them, and read their motion.
