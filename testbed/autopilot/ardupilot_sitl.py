@@ -16,12 +16,13 @@ from typing import NoReturn
 
 from testbed.autopilot.json_physics import (
     PacketError,
+    RcChannels,
+    ServoOutputs,
     ServoPacket,
     inputs_text,
     motion_text,
     read_servos,
 )
-from testbed.autopilot.pwm import RcChannels, ServoOutputs
 from testbed.autopilot.sitl_mavlink import FBWA, SitlMavlinkClient
 from testbed.autopilot.sitl_parameters import defaults_text
 from testbed.autopilot.sitl_process import SitlProcess, command_line, find_binary

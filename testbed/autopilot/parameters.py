@@ -190,7 +190,7 @@ def read_values(path: Path) -> dict[str, GivenValue]:
 
 
 def _surface_outputs(given: Mapping[str, GivenValue]) -> dict[str, GivenValue]:
-    """Move the ranges of the outputs that move the surfaces to channels 1, 2 and 4.
+    """Move the ranges of the surfaces' outputs to channels 1, 2 and 4.
 
     Elevons of an airframe mix aileron and elevator with a gain of 1; those of ArduPlane with
     MIXING_GAIN, which their range here is scaled by, about its centre.

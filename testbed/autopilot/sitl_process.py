@@ -160,7 +160,7 @@ class SitlProcess:
                 pass
 
     def wait(self, until: float) -> None:
-        """Wait for the end of its process group until this time of the monotonic clock, s."""
+        """Wait for the end of its process group until a monotonic time, s."""
         try:
             self._child.wait(max(0.0, until - time.monotonic()))
             while time.monotonic() < until:  # after SIGKILL the guard may end before the program

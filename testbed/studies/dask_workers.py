@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 
 from testbed.core.errors import InputError
 from testbed.core.extras import needs_extra
-from testbed.mavlink.addresses import is_loopback
+from testbed.mavlink.udp_endpoint import is_loopback
 from testbed.studies.flight_task import FlightResult, FlightTask, run_task
 
 if TYPE_CHECKING:

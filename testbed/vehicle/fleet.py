@@ -32,7 +32,6 @@ from testbed.core.records import (
     fields_of,
 )
 from testbed.vehicle.control_surfaces import ControlGeometry, check_faults, stack_geometry
-from testbed.vehicle.initial_state import InitialState
 from testbed.vehicle.jsbsim_adapter import control_geometry, load, trim_aircraft
 from testbed.vehicle.jsbsim_io import (
     AIR_PROPERTIES,
@@ -43,7 +42,7 @@ from testbed.vehicle.jsbsim_io import (
     write_air,
     write_truth,
 )
-from testbed.vehicle.trim import TrimPoint, TrimResult, course_through_air
+from testbed.vehicle.trim import InitialState, TrimPoint, TrimResult, course_through_air
 
 LOWEST = 1.0  # m above the terrain: an aircraft below counts as on the ground
 _IMPLAUSIBLE = 1e9  # ft, ft/s², rad, rpm: no aircraft in flight reads this
@@ -231,7 +230,7 @@ class JsbsimFleet:
         write_truth(which, self.rows, self._numbers, self._zero, self._scale, self.aircraft)
 
     def discharge(self, charge: Array) -> None:
-        """Empty batteries to a state of charge (N,) 0..1 at once; NaN leaves one as it is.
+        """Empty batteries to a state of charge (N,) 0..1; NaN: no change.
 
         Raises:
             AircraftError: an aircraft to be discharged has no battery.

@@ -26,7 +26,7 @@ import numpy as np
 from testbed.core.errors import ExternalProgramLost
 from testbed.core.records import Array, Indices, Origin, Records
 from testbed.vehicle.fleet import JsbsimFleet
-from testbed.vehicle.initial_state import InitialState
+from testbed.vehicle.trim import InitialState
 
 MIN_AIRCRAFT = 20  # from which on two processes were measured to be faster than one
 SPINS = 400  # tries of a waiting process before it yields the processor, some 0.1 ms
@@ -115,7 +115,7 @@ class ParallelFleet(JsbsimFleet):
             self._workers.end()
 
     def discharge(self, charge: Array) -> None:
-        """Empty batteries to a state of charge (N,) 0..1 at once; NaN leaves one as it is."""
+        """Empty batteries to a state of charge (N,) 0..1; NaN: no change."""
         if self._workers is None:
             super().discharge(charge)
             return

@@ -9,23 +9,21 @@ import numpy as np
 import pytest
 
 from testbed.autopilot.json_physics import (
-    MOTION_NUMBERS,
-    PacketError,
-    inputs_text,
-    motion_text,
-    pack_motion,
-    read_servos,
-)
-from testbed.autopilot.parameters import read_params
-from testbed.autopilot.pwm import (
     LIMITS,
+    MOTION_NUMBERS,
     RC_MAPS,
     SERVO_FUNCTIONS,
     ChannelError,
+    PacketError,
+    inputs_text,
     make_rc_channels,
     make_servo_outputs,
+    motion_text,
+    pack_motion,
     range_names,
+    read_servos,
 )
+from testbed.autopilot.parameters import read_params
 from testbed.autopilot.sitl_parameters import TuneUse, defaults_text, tune_differences, tune_use
 from testbed.core.frames import GRAVITY, rotation_ned_body
 from testbed.core.random import stream
