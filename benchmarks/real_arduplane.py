@@ -249,7 +249,8 @@ def others_text() -> str:
         for window, errors in _fly_other(scenario, overrides, list(real)).items():
             decimals = len(real[window].split()[0]) - 2
             ours = " ".join(f"{each:.{decimals}f}" for each in errors)
-            rows.append(row(name, window, ours, real[window]))
+            title = name if window == next(iter(real)) else ""
+            rows.append(row(title, window, ours, real[window]))
     return "\n".join(rows)
 
 
