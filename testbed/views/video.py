@@ -334,9 +334,8 @@ class FlightVideo:
             k = scene.followers[i]
             if self._flying[number, k] and np.isfinite(error[i]):
                 entries[k] = f"{scene.names[k]} {short_length(error[i])} m", scene.colours[k]
-        lost = {
-            k: (f"{scene.names[k]} lost", RED) for k in np.flatnonzero(self._shown.lost[number])
-        }
+        lost_rows = np.flatnonzero(self._shown.lost[number]).tolist()
+        lost = {k: (f"{scene.names[k]} lost", RED) for k in lost_rows}
         entries = lost | entries
         # of the longest text, so that the line stands still
         widths = {k: text_width(f"{scene.names[k]} 88.88 m") + GAP for k in entries}
