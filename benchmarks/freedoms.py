@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
+import numpy as np
 from tables import COMMAND, Case, Metrics, row, versions, write_tables
 
 MARK = f"{COMMAND}, freedoms"
@@ -22,6 +23,10 @@ HARD_LEGS = (
     "[{altitude_m: 100, turns: 3}, {altitude_m: 145, turns: 3}, {altitude_m: 100, turns: 3}, "
     "{altitude_m: 145, turns: 3}, {altitude_m: 100, turns: 1}]}",
 )
+RECORDED_TUNE = ("leader.tune=recorded", "fleet.*.tune=recorded")
+SMALLER = 1.2  # factor from which on a choice is listed
+PRINTED = "(printed)"  # mark of what the paper does not leave open
+LOST = "†"  # mark of a flight that lost its formation
 X8 = ("leader.aircraft=skywalker_x8", "fleet.*.aircraft=skywalker_x8")
 # What the paper leaves open, our choice, and another one with its overrides.
 FREEDOMS: Sequence[tuple[str, str, str, tuple[str, ...]]] = (
@@ -57,6 +62,13 @@ FREEDOMS: Sequence[tuple[str, str, str, tuple[str, ...]]] = (
     ),
     ("gains of (19)-(21)", "ours, `tuned`", "`authors`", ("controller.profile=authors",)),
     (
+        "autopilot's tune",
+        "ours, `autopilot`",
+        "`recorded`: that of a recorded ArduPlane",
+        RECORDED_TUNE,
+    ),
+    ("", "", "`recorded`, gains `authors`", (*RECORDED_TUNE, "controller.profile=authors")),
+    (
         "rate of messages",
         "25 Hz",
         "10 Hz",
@@ -75,6 +87,12 @@ FREEDOMS: Sequence[tuple[str, str, str, tuple[str, ...]]] = (
         "none",
         "0.12 s, positions extrapolated",
         ("network.delay_s=0.12", "controller.extrapolate_from=timestamp"),
+    ),
+    (
+        "age of the own state",
+        "none",
+        "0.04 s, a control period",
+        ("controller.companion.state_latency_s=0.04",),
     ),
     (
         "clocks",
@@ -101,8 +119,32 @@ def case(number: int, overrides: tuple[str, ...]) -> Case:
     return Case(f"simulation-{number}", overrides)
 
 
+def smaller(flown: Mapping[Case, Metrics]) -> Iterator[str]:
+    """Return a list of the choices that make the errors of Simulation 3 smaller, largest first."""
+    plain = np.array(means(flown[case(3, ())]))
+    freedom, choice, found = "", "", []
+    for name, here, other, overrides in FREEDOMS:
+        freedom, choice = (name, here) if name else (freedom, choice)
+        laps, circle = np.array(means(flown[case(3, overrides)])) / plain
+        if PRINTED not in choice and max(laps, circle) >= SMALLER:
+            lost = LOST if flown[case(3, overrides)]["outcome"] == "formation_lost" else ""
+            line = f"- {freedom} ({choice}) against {other}: {laps:.1f}{lost}, {circle:.1f}{lost}"
+            found.append((laps * circle, line))
+    yield (
+        "Simulation 3's errors with the other choice, divided by those here, on laps and on the "
+        f"circle, where one of them is at least {SMALLER:g}:"
+    )
+    yield ""
+    yield from (line for _, line in sorted(found, reverse=True))
+
+
+def means(metrics: Metrics) -> list[float]:
+    """Return the mean RMS errors on laps and circle as printed, m."""
+    return [round(window["mean_rms_m"], 2) for window in metrics["windows"].values()]
+
+
 def text(flown: Mapping[Case, Metrics]) -> list[str]:
-    """Return the table as Markdown lines."""
+    """Return the table and the list as Markdown lines."""
 
     def lines() -> Iterator[str]:
         heads = [f"{number}: {window}" for number in SIMULATIONS for window in ("laps", "circle")]
@@ -110,15 +152,18 @@ def text(flown: Mapping[Case, Metrics]) -> list[str]:
         yield "|---|---|---|" + "--:|" * (len(heads) + 1)
         for freedom, here, other, overrides in FREEDOMS:
             flights = [flown[case(number, overrides)] for number in SIMULATIONS]
-            means = [
-                f"{window['mean_rms_m']:.2f}"
+            cells = [
+                f"{mean:.2f}{LOST * (flight['outcome'] == 'formation_lost')}"
                 for flight in flights
-                for window in flight["windows"].values()
+                for mean in means(flight)
             ]
             kappa = min(flights[-1]["kappa_mps"].values())
-            yield row(freedom, here, other, *means, f"{kappa:.2f}")
+            yield row(freedom, here, other, *cells, f"{kappa:.2f}")
 
-    return [*lines(), "", f"Seed 1; {versions(flown)}."]
+    lost = f"{LOST} `formation_lost`: a follower was far from its slot."
+    heading = "### Which of these make our errors smaller"
+    notes = f"Seed 1; {versions(flown)}."
+    return [*lines(), "", lost, "", heading, "", *smaller(flown), "", notes]
 
 
 if __name__ == "__main__":

@@ -66,7 +66,7 @@ class Stopwatch(Observer):
         self.cost = Cost(0.0, 0.0)
         self._began = now()
 
-    def observe(self, frame: Sample) -> None:
+    def observe(self, sample: Sample) -> None:
         """Do nothing."""
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:

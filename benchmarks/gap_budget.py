@@ -28,7 +28,7 @@ RESULTS = Path("logs") / "studies" / "gap"
 TABLE_2, REFERENCE, MIRRORED = "as-flown", "gap-budget-0", "turn-direction"
 BUDGETS = {1: "circles", 2: "rectangles", 3: "rectangles"}
 TOLERANCE = 0.25  # of the paper's number
-FEW = 5  # seeds of the tables of percent errors and limits
+FEW = 5  # seeds of the tables beside the errors, and of the other direction of turns
 FACTORS = {
     "offsets": "larger offsets",
     "attitude": "slower attitude",
@@ -42,6 +42,7 @@ FACTORS = {
     "temperature": "temperature",
     "companion": "companion",
 }
+AIRFRAMES = {"rascal110": "four Rascals", "skywalker_x8": "four X8s"}
 IDEAL, FLOWN = "ideal", "as-flown"
 # ways to measure a factor, in the order of `shares`: legend, colour, marker, row above or below
 ENDS = (
@@ -171,25 +172,40 @@ def directions_table(studies: Studies) -> Iterator[str]:
 
 def order_sentence(rows: Rows) -> str:
     """Return a sentence on the order of the followers of Experiment 3."""
-    first, second = (
-        np.array(of_seeds(rows, "experiment-3", f"windows.rectangles.rms_m.uav{n}")) for n in (1, 2)
-    )
+    scenario = load_flown("experiment-3")
+    published = scenario.scenario.published
+    assert published is not None
+    names = [follower.name for follower in scenario.fleet]
+    printed = dict(zip(names, published.rms_m["rectangles"], strict=True))
+    flown = {
+        name: statistics.median(of_seeds(rows, "experiment-3", f"windows.rectangles.rms_m.{name}"))
+        for name in names
+    }
+    paper, here = (sorted(each, key=each.__getitem__) for each in (printed, flown))
+    order = "the paper's order" if paper == here else "another order than the paper's"
+    of_paper = ", ".join(f"{name} {printed[name]:g}" for name in names)
+    of_flown = ", ".join(f"{name} {flown[name]:.1f}" for name in names)
     return (
-        "In the paper's Experiment 3 uav2 has the larger error (8.1 m, uav1 6.7 m); here uav1 has "
-        f"it (medians {np.median(first):.1f} and {np.median(second):.1f} m): the order is not the "
-        "paper's."
+        f"Experiment 3's followers come out in {order}: {of_flown} m here (medians), {of_paper} m "
+        "there."
     )
 
 
 def comparison_sentence(rows: Rows) -> str:
     """Return a sentence that compares Experiments 2 and 3."""
-    key = "windows.rectangles.mean_rms_m"
-    two, three = (np.array(of_seeds(rows, f"experiment-{n}", key)) for n in (2, 3))
+    names = ("experiment-2", "experiment-3")
+    two, three = (np.array(of_seeds(rows, name, "windows.rectangles.mean_rms_m")) for name in names)
+    printed = []
+    for name in names:
+        published = load_flown(name).scenario.published
+        assert published is not None
+        printed.append(statistics.mean(published.rms_m["rectangles"]))
+    smaller = int((three < two).sum())
     return (
         f"Mean over the followers, median of {len(two)} seeds: Experiment 2 "
         f"{np.median(two):.1f} m, Experiment 3 {np.median(three):.1f} m "
-        "(the paper: 8.7 and 7.4 m); Experiment 3 has the smaller error with "
-        f"{int((three < two).sum())} of the {len(two)} seeds."
+        f"(the paper: {printed[0]:.1f} and {printed[1]:.1f} m); with {smaller} of the {len(two)} "
+        "seeds Experiment 3 has the smaller error."
     )
 
 
@@ -230,15 +246,19 @@ def percent(share: Array) -> str:
     return f"{100.0 * share.mean():z.0f}{spread}"
 
 
+def airframe_table(rows: Rows) -> Iterator[str]:
+    """Return the rows of Simulation 3 by its airframe, roots of mean squares over the followers."""
+    yield "| RMS error of the followers, m | rectangles | circle |"
+    yield "|---|--:|--:|"
+    each = [mean_squares(rows, window) for window in ("rectangles", "circles")]
+    for case, name in AIRFRAMES.items():
+        yield row(f"Simulation 3 with {name}", *(rms(squares[case]) for squares in each))
+
+
 def steps_table(studies: Studies) -> Iterator[str]:
     """Return the rows of errors from the ideal flight to the flown one, m."""
-    yield "| mean RMS error, m | Experiment 1, circle | Experiment 2 | Experiment 3 |"
+    yield "| RMS error, m | Experiment 1, circle | Experiment 2 | Experiment 3 |"
     yield "|---|--:|--:|--:|"
-    for name, case in (("Rascals", "rascal110"), ("X8s", "skywalker_x8")):
-        part = studies[REFERENCE][case, 1]
-        laps, circle = (part[f"windows.{p}.mean_rms_m"] for p in ("rectangles", "circles"))
-        cells = (f"{circle:.2f}", f"{laps:.2f}", f"{laps:.2f}")
-        yield row(f"Simulation 3 with {name}: its circle, its rectangles", *cells)
     squares = [mean_squares(studies[f"gap-budget-{n}"], window) for n, window in BUDGETS.items()]
     yield row("ideal", *(rms(each[IDEAL]) for each in squares))
     for factor, name in FACTORS.items():
@@ -359,9 +379,16 @@ def directions_text(folder: Path, jobs: int) -> str:
     return "\n".join([*directions_table(studies), "", notes])
 
 
+def airframe_text(folder: Path, jobs: int) -> str:
+    """Return the table of Simulation 3 with two airframes as text."""
+    studies, versions = flown_studies(folder, jobs, [REFERENCE])
+    notes = f"Roots of mean squares over the followers. Airframes flown with {versions}."
+    return "\n".join([*airframe_table(studies[REFERENCE]), "", notes])
+
+
 def budget_text(folder: Path, jobs: int) -> str:
     """Return the tables of the budget as text, and draw its figure."""
-    flown = [REFERENCE, *(f"gap-budget-{number}" for number in BUDGETS)]
+    flown = [f"gap-budget-{number}" for number in BUDGETS]
     studies, versions = flown_studies(folder, jobs, flown)
     save_figure(figure(studies), FIGURE)
     drawn = sorted({seed for n in BUDGETS for seed in seeds(studies[f"gap-budget-{n}"])})
@@ -388,6 +415,7 @@ PARTS = {
     "make gap, joint-fit": joint_fit_text,
     "make gap, table-2": table_2_text,
     "make gap, turn-direction": directions_text,
+    "make gap, airframe": airframe_text,
     "make gap, budget": budget_text,
 }
 

@@ -2,8 +2,9 @@
 
 usage: make results  (ARGS="--jobs N")
 
-Flies the studies `leader-acceleration`, `leader-turn-acceleration`, `table-1`, `table-1-laps` and
-`table-1-authors`, each into a Parquet file, and resumes an interrupted call.
+Flies the studies `leader-acceleration`, `leader-turn-acceleration`, `table-1`, `table-1-ages`,
+`table-1-causes`, `table-1-laps` and `table-1-authors`, each into a Parquet file, and resumes an
+interrupted call.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from testbed.scenario import load_scenario
 RESULTS = Path("logs") / "studies" / "leader-acceleration"
 SOURCES, TURNS = "leader-acceleration", "leader-turn-acceleration"
 LAPS, FIT, AUTHORS = "table-1-laps", "table-1", "table-1-authors"
+CAUSES, AGES = "table-1-causes", "table-1-ages"
 SIMULATIONS = (1, 2, 3)
 WINDOWS = ("rectangles", "circles")
 FOLLOWERS = ("uav1", "uav2", "uav3")
@@ -33,10 +35,21 @@ NAMES = {
     "difference": "broadcast, and ω̇_g",
 }
 CORNERS = {"30": "30°", "45": "45°", "recorded": "recorded"}
+SET_UPS = {
+    "old-messages": "messages 0.12 s old, gains × 0.5",
+    "own-state-late": "own state 0.04 s old",
+    "own-state-late-gains-0.6": "own state 0.04 s old, gains × 0.6",
+    "own-phases": "own phases at 10 Hz, positions extrapolated from receipt",
+    "both-late": "both 0.08 s old, positions extrapolated from the stamps",
+    "both-late-receipt": "both 0.08 s old, positions extrapolated from receipt",
+}
 NEAR = 0.2  # a cell is near the paper's within this part of it
-BEST = 5  # points of the fit that are shown
+GOOD = 1.4  # factor below which points of the fit are shown
+AGE, OWN_AGE = "set.network.delay_s", "set.controller.companion.state_latency_s"
+SOURCE = f"{ESTIMATORS}leader_acceleration"
 FITTED = {
-    "network.delay_s": ("age, s", "{:.2f}"),
+    "network.delay_s": ("messages, s", "{:.2f}"),
+    "controller.companion.state_latency_s": ("own state, s", "{:.2f}"),
     "controller.gain_scale": ("gains ×", "{:.2f}"),
     "leader.path.bank_limit_deg": ("bank, °", "{:.0f}"),
     "controller.estimators.leader_acceleration": ("q̈_g", "{}"),
@@ -195,39 +208,101 @@ def ages_table(rows: Sequence[Mapping[str, Any]], printed: Mapping[int, Cells]) 
         yield row(f"{age:.2f}", *spans, *(f"{factor(part):.2f}" for part in (*parts, ratio)))
 
 
-def fit_table(rows: Sequence[Mapping[str, Any]], printed: Mapping[int, Cells]) -> Iterator[str]:
-    """Return the best points of the fit with their parameters, and the cells of the best."""
-    points: dict[tuple[Any, ...], dict[int, Cells]] = {}
+def causes_table(rows: Sequence[Mapping[str, Any]], printed: Mapping[int, Cells]) -> Iterator[str]:
+    """Return the rows of single causes: factors over all cells, and the cells of Simulation 3."""
+    yield (
+        "| 30° of bank, broadcast q̈_g, gains `tuned` | factor, laps | circle | all | cells near "
+        "| Simulation 3, laps: UAV 1 | 2 | 3 | circle: 1 | 2 | 3 |"
+    )
+    yield "|---|" + "--:|" * 10
+    flown: dict[str, dict[int, Cells]] = {}
+    for each in rows:
+        name, _, number = each["case"].rpartition("-")
+        flown.setdefault(name, {})[int(number)] = cells_of(each)
+    for name, label in SET_UPS.items():
+        ratio = ratios(flown[name], printed)
+        factors = (f"{factor(part):.2f}" for part in (ratio[:, 0], ratio[:, 1], ratio))
+        cells = (f"{value:.2f}" for value in flown[name][3].rms.ravel())
+        yield row(label, *factors, near(ratio), *cells)
+
+
+def by_point(
+    rows: Sequence[Mapping[str, Any]], printed: Mapping[int, Cells]
+) -> list[tuple[Mapping[str, Any], dict[int, Cells]]]:
+    """Return the keys of each point of the fit and its cells by simulation, best first."""
+    keys: dict[tuple[Any, ...], Mapping[str, Any]] = {}
+    flown: dict[tuple[Any, ...], dict[int, Cells]] = {}
     for each in rows:
         point = tuple(each[f"set.{key}"] for key in FITTED)
-        points.setdefault(point, {})[int(each["case"].split("-")[1])] = cells_of(each)
-    ranked = sorted(points.items(), key=lambda item: factor(ratios(item[1], printed)))
+        keys[point] = each
+        flown.setdefault(point, {})[int(each["case"].split("-")[1])] = cells_of(each)
+    ranked = sorted(flown, key=lambda point: factor(ratios(flown[point], printed)))
+    return [(keys[point], flown[point]) for point in ranked]
+
+
+def fit_table(rows: Sequence[Mapping[str, Any]], printed: Mapping[int, Cells]) -> Iterator[str]:
+    """Return the best points of the fit with their parameters, and the cells of the best."""
+    ranked = by_point(rows, printed)
     heads = [head for head, _ in FITTED.values()]
     yield row(*heads, "factor, laps", "circle", "all", "cells near")
     yield "|" + "--:|" * (len(heads) - 1) + "---|" + "--:|" * 4
-    shown = [*ranked[:BEST], ranked[-1]]
-    for point, flown in shown:
+    zero = next(item for item in ranked if item[0][SOURCE] == "none")
+    good = [item for item in ranked if factor(ratios(item[1], printed)) < GOOD]
+    for keys, flown in (*good, zero, ranked[-1]):
         ratio = ratios(flown, printed)
         values = [
-            form.format(NAMES.get(value, value))
-            for value, (_, form) in zip(point, FITTED.values(), strict=True)
+            form.format(NAMES.get(keys[f"set.{key}"], keys[f"set.{key}"]))
+            for key, (_, form) in FITTED.items()
         ]
         factors = [f"{factor(part):.2f}" for part in (ratio[:, 0], ratio[:, 1], ratio)]
         yield row(*values, *factors, near(ratio))
     yield ""
-    yield f"The {BEST} best of {len(points)} points, and the worst. The best, cell by cell:"
+    yield (
+        f"The {len(good)} of {len(ranked)} points with a factor below {GOOD:g}, the best with "
+        "q̈_g = 0, and the worst. The best is flown by:"
+    )
+    yield ""
+    yield "```console"
+    best, cells = ranked[0]
+    yield "$ testbed run simulation-3 --set controller.extrapolate_from=timestamp \\"
+    parts = [f"--set {key}={_plain(best[f'set.{key}'])}" for key in FITTED]
+    yield f"    {' '.join(parts[:2])} \\"
+    yield f"    {' '.join(parts[2:4])} \\"
+    yield f"    {parts[4]}"
+    yield "```"
     yield ""
     yield "| RMS error, m | | laps: UAV 1 | 2 | 3 | error, % | circle: 1 | 2 | 3 | error, % |"
     yield "|---|---|" + "--:|" * 8
-    for number, each in sorted(ranked[0][1].items()):
+    for number, each in sorted(cells.items()):
         texts = [text.removesuffix(".0") for text in cell_texts(printed[number], 1)]
         yield row(f"Simulation {number}", "[HBH23] Table 1", *texts)
         yield row("", "best point", *cell_texts(each))
 
 
+def _plain(value: float | str) -> str:
+    """Return the value of a key as it was flown."""
+    return value if isinstance(value, str) else f"{value:.17g}"
+
+
+def ridge_table(rows: Sequence[Mapping[str, Any]], printed: Mapping[int, Cells]) -> Iterator[str]:
+    """Return the rows of factors over all cells by the ages of messages and own state."""
+    flown: dict[tuple[float, float], dict[int, Cells]] = {}
+    for each in rows:
+        point = flown.setdefault((each[AGE], each[OWN_AGE]), {})
+        point[int(each["case"].split("-")[1])] = cells_of(each)
+    ages, own_ages = (sorted(set(values)) for values in zip(*flown, strict=True))
+    heads = (f"own state {own:.2f} s old" for own in own_ages)
+    yield row("gains × 0.5: factor, all cells (cells near)", *heads)
+    yield "|---|" + "--:|" * len(own_ages)
+    for age in ages:
+        each_ratio = [ratios(flown[age, own], printed) for own in own_ages]
+        cells = (f"{factor(ratio):.2f} ({near(ratio).split()[0]})" for ratio in each_ratio)
+        yield row(f"messages {age:.2f} s old", *cells)
+
+
 def text(folder: Path, jobs: int) -> str:
     """Fly missing runs and return all tables as text."""
-    names = (SOURCES, TURNS, LAPS, FIT, AUTHORS)
+    names = (SOURCES, TURNS, LAPS, FIT, CAUSES, AGES, AUTHORS)
     studies = {name: fly_rows(name, folder / f"{name}.parquet", jobs) for name in names}
     rows = {name: each for name, (each, _) in studies.items()}
     flown, printed = by_set_up([*rows[SOURCES], *rows[TURNS]]), published_cells()
@@ -237,7 +312,11 @@ def text(folder: Path, jobs: int) -> str:
             "",
             *laps_table(rows[LAPS], printed),
             "",
+            *causes_table(rows[CAUSES], printed),
+            "",
             *fit_table(rows[FIT], printed),
+            "",
+            *ridge_table(rows[AGES], printed),
             "",
             *ages_table(rows[AUTHORS], printed),
             "",

@@ -44,10 +44,10 @@ class MemoryObserver(Observer):
         self.times: list[float] = []
         self.bytes: list[float] = []
 
-    def observe(self, frame: Sample) -> None:
+    def observe(self, sample: Sample) -> None:
         """Record once a second."""
-        if frame.time_s >= len(self.times):
-            self.times.append(frame.time_s)
+        if sample.time_s >= len(self.times):
+            self.times.append(sample.time_s)
             self.bytes.append(memory_now()["VmRSS"])
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:

@@ -23,7 +23,7 @@ from testbed.network.channel import make_channel
 from testbed.network.radio import Radio
 from testbed.scenario import find_aircraft
 from testbed.scenario.network import Network
-from testbed.sim.link_monitor import LINK_WATCH, check_links
+from testbed.sim.monitors import LINK_WATCH, check_links
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.initial_state import InitialState
 
@@ -63,7 +63,7 @@ def radio_s(radio: Radio, aircraft: int, start_s: float, seconds: float, togethe
             radio.send(sent_s, messages, None, senders)
         if tick % control == 0:
             radio.deliver(now)
-            np.subtract(now, radio.content_time_s, out=radio.links["age_s"])
+            np.subtract(now, radio.links["measured_s"], out=radio.links["age_s"])
             check_links(radio.statistics, radio.links, followers, watches, np.inf, rows, now)
     return time.perf_counter() - began
 

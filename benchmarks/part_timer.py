@@ -18,13 +18,10 @@ from testbed.metrics import MetricsObserver
 from testbed.network.radio import Radio
 from testbed.sensors.estimators import Estimators
 from testbed.sim.control import Control
-from testbed.sim.envelope_monitor import EnvelopeMonitor
 from testbed.sim.faults import FaultManager
-from testbed.sim.gust_monitor import GustMonitor
-from testbed.sim.join_monitor import JoinMonitor
 from testbed.sim.leader_control import MissionController
-from testbed.sim.link_monitor import LinkMonitor
-from testbed.sim.loss_monitor import LossMonitor
+from testbed.sim.limits import EnvelopeMonitor
+from testbed.sim.monitors import GustMonitor, JoinMonitor, LinkMonitor, LossMonitor
 from testbed.sim.vehicles import JsbsimVehicles
 from testbed.vehicle.fleet import JsbsimFleet
 
@@ -103,7 +100,7 @@ class PartTimer(Observer):
         """Start timing."""
         self._since, self._flying = self._clock(), True
 
-    def observe(self, frame: Sample) -> None:
+    def observe(self, sample: Sample) -> None:
         """Do nothing."""
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:

@@ -60,11 +60,11 @@ class _Sampler:
     def begin(self, info: RunInfo) -> None:
         """Need nothing of the run."""
 
-    def observe(self, frame: Sample) -> None:
+    def observe(self, sample: Sample) -> None:
         """Keep a sample whose time has come."""
-        if frame.time_s > self._next - 1e-3:
-            truth = frame.truth
-            self.samples.append((truth.position_ned[0], truth.euler, frame.formation.error_ned))
+        if sample.time_s > self._next - 1e-3:
+            truth = sample.truth
+            self.samples.append((truth.position_ned[0], truth.euler, sample.formation.error_ned))
             self._next = next(self._times, np.inf)
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:

@@ -77,12 +77,12 @@ class Trace:
         self.error: list[Array] = []  # (n,) distance from the slot, m
         self.estimated: list[Array] = []
 
-    def observe(self, frame: Sample) -> None:
+    def observe(self, sample: Sample) -> None:
         """Record one sample."""
-        self.time_s.append(frame.time_s)
-        self.estimate_error.append(frame.estimate.position_ned - frame.truth.position_ned)
-        self.error.append(np.linalg.norm(frame.formation.error_ned, axis=1))
-        self.estimated.append(np.linalg.norm(frame.formation.estimated_error_ned, axis=1))
+        self.time_s.append(sample.time_s)
+        self.estimate_error.append(sample.estimate.position_ned - sample.truth.position_ned)
+        self.error.append(np.linalg.norm(sample.formation.error_ned, axis=1))
+        self.estimated.append(np.linalg.norm(sample.formation.estimated_error_ned, axis=1))
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
         """Do nothing."""

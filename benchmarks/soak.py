@@ -35,10 +35,10 @@ class ResourceObserver(Observer):
         """Start with an empty list."""
         self.seen: list[tuple[float, float, float]] = []
 
-    def observe(self, frame: Sample) -> None:
+    def observe(self, sample: Sample) -> None:
         """Record every EVERY_S seconds."""
-        if frame.time_s >= EVERY_S * len(self.seen):
-            self.seen.append((frame.time_s, memory_now()["VmRSS"], time.process_time()))
+        if sample.time_s >= EVERY_S * len(self.seen):
+            self.seen.append((sample.time_s, memory_now()["VmRSS"], time.process_time()))
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
         """Do nothing."""

@@ -31,7 +31,7 @@ class FirstTick:
     zero_copy = True
     def __init__(self, *args): pass
     def begin(self, info): pass
-    def observe(self, frame): os._exit(0)
+    def observe(self, sample): os._exit(0)
     def end(self, *args): pass
 
 testbed.cli.progress.ProgressBar = FirstTick

@@ -11,6 +11,7 @@ from typing import Any
 
 from tables import insert
 
+from testbed.core.errors import InputError
 from testbed.studies.sweep import sweep
 from testbed.studies.table import read_table
 
@@ -29,7 +30,10 @@ def fly(name: str, path: Path, jobs: int) -> tuple[Rows, str]:
 def fly_rows(name: str, path: Path, jobs: int) -> tuple[list[Mapping[str, Any]], str]:
     """Fly the missing runs; return the table's rows, and the versions they were flown with."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    result = sweep(name, path, jobs=jobs, resume=True, report=_report, progress=_count)
+    try:
+        result = sweep(name, path, jobs=jobs, resume=True, report=_report, progress=_count)
+    except InputError as error:  # such as runs of other code
+        raise SystemExit(f"{error}; without {path} all runs are flown again") from None
     if any(result.outcomes[outcome] for outcome in WITHOUT_NUMBERS):
         raise SystemExit(f"{path}: {dict(result.outcomes)}")
     table = read_table(path)

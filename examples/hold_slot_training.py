@@ -23,7 +23,7 @@ from stable_baselines3.common.env_checker import check_env
 import testbed
 import testbed.rl  # registers the environment
 from testbed.scenario import Scenario
-from testbed.scenario.control_source import ByFormation
+from testbed.scenario.aircraft import ByFormation
 
 HELD_OUT = 1_000_000  # first seed of the comparison
 DURATION_S, PERIOD_S, LIMIT_M = 30.0, 0.2, 50.0  # of the environment

@@ -56,7 +56,7 @@ def make_bill(
     if found != expected:
         differ = sorted(f"{name} {version}" for name, version in found.items() ^ expected.items())
         raise ValueError(f"installed and pinned differ: {', '.join(differ)}")
-    # not pkg:pypi, which would be what PyPI has under this name, whoever published it
+    # not pkg:pypi, which would name the package of any publisher on PyPI
     root = f"pkg:generic/{distribution_name()}@{wheel.version}"
     references = {name: f"pkg:pypi/{name}@{pin.version}" for name, pin in pinned.items()}
     requirements = {root: first} | {references[name]: graph[name] for name in sorted(pinned)}

@@ -62,11 +62,11 @@ class Pursuit:
 
 
 class FlightError(Exception):
-    """A command that did not do what it should."""
+    """Command with another result than expected."""
 
 
 def main(arguments: list[str]) -> int:
-    """Fly; return 1 if something is not as it should be."""
+    """Fly; return 1 if a command has another result than expected."""
     program, folder = Path(arguments[0]).absolute(), Path(arguments[1])
     folder.mkdir(parents=True)
     try:
@@ -79,19 +79,19 @@ def main(arguments: list[str]) -> int:
 
 
 def fly(program: Path, folder: Path) -> Iterator[str]:
-    """Fly from an empty folder; yield a line for each thing done.
+    """Fly from an empty folder; yield a line for each step.
 
     Args:
         program: `formation-testbed` of an environment without extras.
         folder: an empty folder.
 
     Raises:
-        FlightError: a command did not do what it should.
+        FlightError: a command has another result than expected.
     """
     words = ("run", "simulation-3", "--duration", str(DURATION_S), "--out", "run")
     table = call(program, folder, *words)
     if "RMS error" in table or "smallest separation" not in table:
-        raise FlightError(f"the table of {DURATION_S} s is not as it should be:\n{table}")
+        raise FlightError(f"unexpected table of {DURATION_S} s:\n{table}")
     check_outcome(folder / "run")
     if [each.name for each in folder.iterdir()] != ["run"]:
         raise FlightError("the flight wrote more than its run")
@@ -141,7 +141,7 @@ def check_extras(program: Path, folder: Path) -> str:
 
 
 def write_own(program: Path, folder: Path) -> None:
-    """Write an aircraft, a law and a scenario of one's own."""
+    """Write an own aircraft, law and scenario."""
     python = next(program.parent.glob("python*"))
     code = "from testbed.scenario import find_aircraft; print(find_aircraft('rascal110'))"
     found = call(python, folder, "-c", code).strip()

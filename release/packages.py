@@ -27,7 +27,7 @@ ALWAYS_SDIST = (".gitignore", "LICENSE", "README.md", "pyproject.toml")
 
 
 class UnfitError(Exception):
-    """A release that must not be made, with the reason."""
+    """Reason why a release must not be made."""
 
 
 def git(*words: str) -> str:
@@ -181,7 +181,7 @@ def check_metadata(raw: bytes, version: str) -> None:
     if metadata.name != distribution_name():
         raise UnfitError(f"metadata name {metadata.name}, not {distribution_name()}")
     if str(metadata.version) != version or metadata.license_expression != "MIT":
-        raise UnfitError(f"metadata say {metadata.version}, {metadata.license_expression}")
+        raise UnfitError(f"metadata: version {metadata.version}, {metadata.license_expression}")
     message: Message = BytesParser().parsebytes(raw)
     if not str(message["Description-Content-Type"]).startswith("text/markdown"):
         raise UnfitError("metadata have no description in Markdown")
@@ -198,17 +198,19 @@ def check_version(version: str, tag: str | None) -> None:
         r"^version: (\S+)$", (ROOT / "CITATION.cff").read_text(encoding="utf-8"), re.M
     )
     if not cited or cited[1] != version:
-        raise UnfitError(f"CITATION.cff does not say version {version}")
+        raise UnfitError(f"CITATION.cff: the version is not {version}")
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     heading = re.search(rf"^## {re.escape(version)} - (\S+)$", changes, re.M)
     if not heading:
-        raise UnfitError(f"CHANGELOG.md has no part '## {version} - DATE'")
+        raise UnfitError(f"CHANGELOG.md: no section '## {version} - DATE'")
     if tag is None:
         return
     if tag != f"v{version}":
-        raise UnfitError(f"the tag is {tag}, the packages are of version {version}")
+        raise UnfitError(f"the tag is {tag}, the version of the packages {version}")
     if not re.fullmatch(r"\d{4}-\d\d-\d\d", heading[1]):
-        raise UnfitError(f"CHANGELOG.md calls {version} {heading[1]}: write the day of the release")
+        raise UnfitError(
+            f"CHANGELOG.md: {version} is dated {heading[1]}: write the day of the release"
+        )
 
 
 def version_of(wheel: Path) -> str:

@@ -13,7 +13,7 @@ memory.
 A law steps n followers at once, of N aircraft. Each array has one row per follower, and row i of
 the command may depend on row i of `own` and `inbox` only: on what follower i has received. A law
 must not modify its inputs, and carries its state in the memory only. `testbed validate` checks
-these rules (`testbed.sim.law_contract`).
+these rules (`testbed.sim.user_code`).
 
 Vectors are north, east, down (NED) from the scenario's origin; angles in rad, rates in rad/s.
 
@@ -68,8 +68,7 @@ import numpy as np
 
 from testbed.core.records import Array, FbwaCommand, Inbox, UnicycleCommand, VehicleState
 from testbed.formation.control_step import Hbh23Law
-from testbed.formation.flags import LimiterFlag
-from testbed.formation.law import FormationConfig, Law
+from testbed.formation.law import FormationConfig, Law, LimiterFlag
 
 __all__ = [
     "FbwaCommand",
@@ -112,10 +111,10 @@ def command_from_velocity(
     shape = (len(config.names), 3)
     arrays = []
     for name, value in (("velocity_ned", velocity_ned), ("acceleration_ned", acceleration_ned)):
-        given = np.asarray(value, dtype=np.float64)
-        if given.shape not in (shape, ()):
-            raise ValueError(f"{name} has shape {given.shape}, not {shape}")
-        array = np.ascontiguousarray(np.broadcast_to(given, shape))
+        array = np.asarray(value, dtype=np.float64)
+        if array.shape not in (shape, ()):
+            raise ValueError(f"{name} has shape {array.shape}, not {shape}")
+        array = np.ascontiguousarray(np.broadcast_to(array, shape))
         if not np.isfinite(array).all():
             row = int(np.flatnonzero(~np.isfinite(array).all(axis=1))[0])
             raise ValueError(f"{name} of {config.names[row]} is not finite")

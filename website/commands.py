@@ -1,4 +1,4 @@
-"""The reference of the command line, from the text of `--help`."""
+"""Write the reference of the command line from the text of `--help`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from testbed.cli.main import app
 
 
 def markdown() -> str:
-    """One part for each command, in the order of `testbed --help`."""
+    """Return a section for each command, in the order of `testbed --help`."""
     group: Any = typer.main.get_command(app)
     parts = [f"{EXIT_CODES_HELP}\n"]
     for name in group.commands:
@@ -23,13 +23,13 @@ def markdown() -> str:
 
 
 def usage(name: str, command: Any) -> str:  # noqa: ANN401 - typer's own copy of click
-    """Its line of usage."""
+    """Return the usage line of a command."""
     context = typer.Context(command, info_name=f"testbed {name}")
     return " ".join((f"testbed {name}", *command.collect_usage_pieces(context)))
 
 
 def table(command: Any) -> str:  # noqa: ANN401
-    """Arguments and options with what they take, stand at by default, and do."""
+    """Return a table of arguments and options with default and description."""
     rows = [
         f"| {names(each)} | {cell(default(each))} | {cell(plain(each.help or ''))} |"
         for each in command.params
@@ -39,7 +39,7 @@ def table(command: Any) -> str:  # noqa: ANN401
 
 
 def names(parameter: Any) -> str:  # noqa: ANN401
-    """How a parameter is written."""
+    """Return how a parameter is written."""
     if parameter.param_type_name == "argument":
         return f"`{parameter.metavar or parameter.name.upper()}`"
     written = "/".join((*parameter.opts, *parameter.secondary_opts))
@@ -48,20 +48,20 @@ def names(parameter: Any) -> str:  # noqa: ANN401
 
 
 def default(parameter: Any) -> str:  # noqa: ANN401
-    """What holds without it: the help's words, or a value."""
-    if said := re.search(r"\[default: (.*?)\]", parameter.help or ""):
-        return said[1]
+    """Return the default of a parameter: as in its help, or its value."""
+    if stated := re.search(r"\[default: (.*?)\]", parameter.help or ""):
+        return stated[1]
     value = parameter.default
-    silent = value is None or value is ... or callable(value) or isinstance(value, bool)
-    return "" if silent or parameter.required else f"`{value}`"
+    unset = value is None or value is ... or callable(value) or isinstance(value, bool)
+    return "" if unset or parameter.required else f"`{value}`"
 
 
 def plain(text: str) -> str:
-    """Help without what is for the terminal, and without the default, which has a column."""
+    """Return help without terminal escapes and without the default, which has a column."""
     unescaped = text.replace("\\[", "[")
     return re.sub(r"\s*\[default: .*?\]", "", unescaped).strip()
 
 
 def cell(text: str) -> str:
-    """Text that may stand in a table."""
+    """Return text escaped for a table cell."""
     return " ".join(text.split()).replace("|", "\\|")

@@ -1,4 +1,4 @@
-"""What MkDocs does beyond its plugins: parts of the reference are made while the site is built."""
+"""Hooks of MkDocs that write parts of the reference while the site is built."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import commands
-import pages_beyond
+import linked_files
 import python_names
 import scenario_keys
 from mkdocs.config.defaults import MkDocsConfig
@@ -18,8 +18,8 @@ from mkdocs.structure.pages import Page
 ROOT = Path(__file__).parents[1]
 STYLE = "assets/site.css"
 MARK = re.compile(r"^<!-- made: (.+) -->$", re.M)
-MADE: Mapping[str, Callable[[], str]] = {
-    "every key of a page": scenario_keys.markdown,
+GENERATED: Mapping[str, Callable[[], str]] = {
+    "every key of a scenario": scenario_keys.markdown,
     "every command": commands.markdown,
     "the public names of testbed": lambda: python_names.markdown(ROOT / "testbed/__init__.py"),
 }
@@ -30,19 +30,20 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     style = (Path(__file__).parent / "site.css").read_text(encoding="utf-8")
     files.append(File.generated(config, STYLE, content=style))
     pages = [file.src_uri for file in files.documentation_pages()]
-    for beyond in pages_beyond.found(ROOT, Path(config.docs_dir), pages):
-        files.append(beyond.file(config))
+    for linked in linked_files.find_linked(ROOT, Path(config.docs_dir), pages):
+        files.append(linked.file(config))
     return files
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Put what is made where a page asks for it, and lead links to where the files are here."""
+    """Replace the marks of generated parts, and adapt links to the paths of the site."""
 
-    def made(mark: re.Match[str]) -> str:
-        if mark[1] not in MADE:
+    def generated(mark: re.Match[str]) -> str:
+        if mark[1] not in GENERATED:
             raise PluginError(
-                f"{page.file.src_uri}: nothing makes {mark[1]!r} (write one of {', '.join(MADE)})"
+                f"{page.file.src_uri}: no generator for {mark[1]!r} "
+                f"(write one of {', '.join(GENERATED)})"
             )
-        return MADE[mark[1]]()
+        return GENERATED[mark[1]]()
 
-    return MARK.sub(made, pages_beyond.led(markdown, page.file.src_uri))
+    return MARK.sub(generated, linked_files.adapt_links(markdown, page.file.src_uri))

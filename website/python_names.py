@@ -1,4 +1,4 @@
-"""Which Python names the reference shows, read from the source: nothing is imported."""
+"""List the public Python names for the reference from the source, without importing it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def markdown(module: Path) -> str:
-    """Directives of mkdocstrings for everything in a package's `__all__` but its dunders."""
+    """Return directives of mkdocstrings for the names in a package's `__all__`."""
     tree = ast.parse(module.read_text(encoding="utf-8"))
     (names,) = (
         ast.literal_eval(node.value)

@@ -1,4 +1,4 @@
-"""The reference of a scenario page, from the schema that editors are given."""
+"""Write the reference of the scenario file from its JSON schema."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from testbed.scenario import json_schema
 
 Schema = Mapping[str, Any]
 HEADING = ("| key | type | default | unit | what it is |", "|---|---|---|---|---|")
-# Units of keys for which the schema has none: what the suffix stands for.
+# Units of keys for which the schema has none, by suffix of the key.
 SUFFIXES = {
     "m": "m",
     "s": "s",
@@ -30,10 +30,10 @@ SUFFIXES = {
 
 
 def markdown() -> str:
-    """A part for each key at the top of a page, and in it one for each map that it can hold."""
+    """Return a section for each top-level key, with one for each map in it."""
     schema = json_schema()
     places = paths(schema)
-    text = ["## At the top of a page\n", table("", schema)]
+    text = ["## At the top of a scenario\n", table("", schema)]
     seen: set[str] = set()
     for key, part in schema["properties"].items():
         held = [name for name in reached(part, schema["$defs"]) if name not in seen]
@@ -44,34 +44,34 @@ def markdown() -> str:
             definition = schema["$defs"][name]
             if index or name not in references(part):
                 text.append(f"### {title(name, definition)} {{#{anchor(name)}}}\n")
-            else:  # the room itself: its name is its heading
+            else:  # the top-level map itself, whose name is the heading
                 text.append(f'<a id="{anchor(name)}"></a>\n')
             text.append(f"{definition.get('description', '')}\n")
             text.append("Written at " + ", ".join(f"`{place}`" for place in places[name]) + ".\n")
-            if "properties" not in definition:  # a name for what may be written in several ways
+            if "properties" not in definition:  # a value with several forms
                 text.append(f"Takes {cell(takes(definition))}.\n")
             text += [table(name, each) for each in maps(definition)]
     return "\n".join(text)
 
 
 def title(name: str, definition: Schema) -> str:
-    """What a map is called: its kind, where there are several, or its name in words."""
+    """Return the heading of a map: its kind, where there are several, or its name in words."""
     kind = definition.get("properties", {}).get("kind", {}).get("const")
     return f"kind: {kind}" if kind else words(name).capitalize()
 
 
 def words(name: str) -> str:
-    """The name of a map in words."""
+    """Return the name of a map in words."""
     return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower()
 
 
 def anchor(name: str) -> str:
-    """Where on this page a map is described."""
+    """Return the anchor of the section of a map."""
     return words(name).replace(" ", "-")
 
 
 def table(name: str, definition: Schema) -> str:
-    """The keys of one map."""
+    """Return a table of the keys of one map."""
     rows = []
     for key, part in definition["properties"].items():
         mark = f"{anchor(name)}.{key}" if name else key
@@ -81,13 +81,13 @@ def table(name: str, definition: Schema) -> str:
 
 
 def maps(definition: Schema) -> list[Schema]:
-    """A definition that has keys, or those of the ways of writing it that have."""
-    ways = (definition, *definition.get("anyOf", ()), *definition.get("oneOf", ()))
-    return [way for way in ways if "properties" in way]
+    """Return the definition if it has keys, or its alternatives that have."""
+    forms = (definition, *definition.get("anyOf", ()), *definition.get("oneOf", ()))
+    return [form for form in forms if "properties" in form]
 
 
 def references(part: Any) -> Iterator[str]:  # noqa: ANN401 - nested plain data
-    """Every map that a part of the schema names, not those inside them."""
+    """Yield every map that a part of the schema names, not those inside them."""
     if isinstance(part, Mapping):
         if "$ref" in part:
             yield part["$ref"].rpartition("/")[2]
@@ -100,7 +100,7 @@ def references(part: Any) -> Iterator[str]:  # noqa: ANN401 - nested plain data
 
 
 def reached(part: Any, definitions: Schema) -> list[str]:  # noqa: ANN401
-    """Every map that can stand below a key, in reading order."""
+    """Return every map that may occur below a key, in reading order."""
     found: list[str] = []
 
     def visit(below: Any) -> None:  # noqa: ANN401
@@ -114,7 +114,7 @@ def reached(part: Any, definitions: Schema) -> list[str]:  # noqa: ANN401
 
 
 def paths(schema: Schema) -> Mapping[str, list[str]]:
-    """Where on a page each map may stand; `*` is any element of a list or any name."""
+    """Return where in a scenario each map may occur; `*` is any list element or any name."""
     found: dict[str, list[str]] = defaultdict(list)
 
     def visit(definition: Schema, path: tuple[str, ...]) -> None:
@@ -129,7 +129,7 @@ def paths(schema: Schema) -> Mapping[str, list[str]]:
 
 
 def placed(part: Schema, path: tuple[str, ...]) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """The maps that a key takes, and the way to each."""
+    """Yield the maps that a key takes, each with its path."""
     if "$ref" in part:
         yield part["$ref"].rpartition("/")[2], path
     for key in ("anyOf", "oneOf", "allOf"):
@@ -143,13 +143,13 @@ def placed(part: Schema, path: tuple[str, ...]) -> Iterator[tuple[str, tuple[str
 
 
 def named(part: Schema) -> Any:  # noqa: ANN401
-    """What a map from names holds, if the schema has it."""
+    """Return the schema of the values of a map from names, if there is one."""
     held = part.get("additionalProperties")
     return held or next(iter(part.get("patternProperties", {}).values()), None)
 
 
 def takes(part: Schema) -> str:
-    """What may be written."""
+    """Return the allowed values in words."""
     if "$ref" in part:
         name = part["$ref"].rpartition("/")[2]
         return f"[{words(name)}](#{anchor(name)})"
@@ -164,7 +164,7 @@ def takes(part: Schema) -> str:
 
 
 def number(part: Schema) -> str:
-    """A number with its bounds."""
+    """Return a number type with its bounds."""
     kind = "whole number" if part["type"] == "integer" else "number"
     low, high = part.get("minimum"), part.get("maximum")
     above, below = part.get("exclusiveMinimum"), part.get("exclusiveMaximum")
@@ -177,7 +177,7 @@ def number(part: Schema) -> str:
 
 
 def array(part: Schema) -> str:
-    """A list, with the number of elements if it is fixed."""
+    """Return a list type, with the number of elements if it is fixed."""
     if "prefixItems" in part:
         kinds = list(dict.fromkeys(map(takes, part["prefixItems"])))
         return f"{len(part['prefixItems'])} × {' or '.join(kinds)}"
@@ -187,7 +187,7 @@ def array(part: Schema) -> str:
 
 
 def mapping(part: Schema) -> str:
-    """A map from names."""
+    """Return the type of a map from names."""
     inner = named(part)
     return f"by name: {takes(inner)}" if isinstance(inner, Mapping) else "map"
 
@@ -204,7 +204,7 @@ KINDS = {
 
 
 def default(part: Schema) -> str:
-    """What holds where the key is not written; a map's own keys have their defaults."""
+    """Return the default; the keys of a map have their own defaults."""
     if "default" not in part:
         return ""
     value = part["default"]
@@ -212,25 +212,25 @@ def default(part: Schema) -> str:
 
 
 def written(value: Any) -> str:  # noqa: ANN401
-    """A value as a page has it."""
+    """Return a value as it is written in a scenario."""
     return value if value and isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 
 def unit(key: str, part: Any) -> str:  # noqa: ANN401
-    """The unit of a number, or of the numbers in a list."""
-    return said(part) or (SUFFIXES.get(key.rpartition("_")[2], "") if "_" in key else "")
+    """Return the unit of a number, or of the numbers in a list."""
+    return stated_unit(part) or (SUFFIXES.get(key.rpartition("_")[2], "") if "_" in key else "")
 
 
-def said(part: Any) -> str:  # noqa: ANN401
-    """The unit that the schema has."""
+def stated_unit(part: Any) -> str:  # noqa: ANN401
+    """Return the unit that the schema states, or an empty text."""
     if isinstance(part, list):
-        return next(filter(None, map(said, part)), "")
+        return next(filter(None, map(stated_unit, part)), "")
     if not isinstance(part, Mapping):
         return ""
     inner = (*(part.get(key) for key in ("anyOf", "oneOf", "items", "prefixItems")), named(part))
-    return part.get("unit") or next(filter(None, map(said, inner)), "")
+    return part.get("unit") or next(filter(None, map(stated_unit, inner)), "")
 
 
 def cell(text: str) -> str:
-    """Text that may stand in a table."""
+    """Return text escaped for a table cell."""
     return " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;")

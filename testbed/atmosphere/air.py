@@ -1,4 +1,4 @@
-"""The air of a run: mean wind, turbulence, gusts and wakes, and the wind at each aircraft."""
+"""The air of a run: mean wind, turbulence, gusts and wakes."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from testbed.atmosphere.mean_wind import (
 )
 from testbed.atmosphere.turbulence_field import Coefficients, sample_field
 from testbed.core.compile import entry, kernel
-from testbed.core.motion import rotation_ned_body
+from testbed.core.frames import rotation_rows
 from testbed.core.records import Airframe, Array, Records, Values, Vector, allocate
 
 _ANGLES = np.pi * np.array([3.0, 2.0, 1.0]) / 4.0
@@ -91,7 +91,7 @@ def sample_ambient_wind(
             wind.wind_gradient_rates[axis] = 0.0
         if not (varies or len(levels)):
             continue
-        rotation = rotation_ned_body(motion.euler)
+        rotation = rotation_rows(motion.euler)
         if len(levels):
             for axis in range(3):
                 position[axis] = motion.position_ned[axis] - displacement[axis]

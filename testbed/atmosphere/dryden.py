@@ -28,9 +28,8 @@ import numpy as np
 from testbed.atmosphere.mil_f_8785c import HIGH, LOW
 from testbed.core.compile import Kernel, entry, kernel
 from testbed.core.errors import InputError
-from testbed.core.frames import COURSE_FLOOR
-from testbed.core.motion import rotation_ned_body
-from testbed.core.random import stream
+from testbed.core.frames import COURSE_FLOOR, rotation_rows
+from testbed.core.random import named_stream
 from testbed.core.records import Array, Record, Records, Values, allocate
 
 BLOCK = 256  # steps whose random numbers are drawn at a time; the numbers do not depend on it
@@ -127,7 +126,7 @@ class DrydenTurbulence:
         self._hold_steps = max(1, round(hold_s / dt))
         self._steps_left = 0  # that the filters are still used
         self._states_each = 7 * parts + 1
-        self._streams = [stream(seed, f"air/{name}") for name in names]
+        self._streams = [named_stream(seed, f"air/{name}") for name in names]
         self._numbers: Sequence[Array] = ()
         self._next = 0
         # of unit variance and uncorrelated: stationary from the start
@@ -323,7 +322,10 @@ def _root(phi: Values, step: float, corner: float) -> Values:
 
 @kernel
 def _rates(corner: float) -> Values:
-    """Return a part's a s (1 + √3 s)/((1 + s)² (s + a)) in its three states: d/ds, lagged."""
+    """Return the output of a filter part from its three states.
+
+    Its transfer function is a s (1 + √3 s)/((1 + s)² (s + a)); the states are d/ds and lagged.
+    """
     a, root3 = corner, sqrt(3.0)
     third = a**2 * (root3 * a - 1.0) / (sqrt(2.0 * a) * (1.0 + a) ** 2)
     first = a * (1.0 + root3) / (2.0 * sqrt(2.0) * (1.0 + a))
@@ -424,7 +426,7 @@ def turbulence_axes(height: float, north: float, east: float, euler: Array) -> V
         cosine, sine = north / horizontal, east / horizontal
     above = min(max((height - LOW) / (HIGH - LOW), 0.0), 1.0)
     below = 1.0 - above
-    x, y, z = rotation_ned_body(euler)
+    x, y, z = rotation_rows(euler)
     return (
         (above * x[0] + below * cosine, above * x[1] - below * sine, above * x[2]),
         (above * y[0] + below * sine, above * y[1] + below * cosine, above * y[2]),

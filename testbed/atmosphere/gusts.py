@@ -1,4 +1,4 @@
-"""Discrete gusts: everywhere at a time, or behind a front at a place; several add up.
+"""Discrete gusts, everywhere at a time or behind a moving front.
 
 Each is the 1 - cos of MIL-F-8785C 3.7.1.3 in a depth x that is a time or a distance,
 
@@ -56,7 +56,10 @@ class GustFront(NamedTuple):
 
 
 def make_gusts(gusts: Sequence[TimedGust | GustFront], wind: MeanWind) -> Records:
-    """Return the gusts (G,) of GUST, with the mean wind that moves fronts without a speed."""
+    """Return the gusts (G,) of GUST.
+
+    The mean wind moves fronts without a speed of their own.
+    """
     records = allocate(GUST, len(gusts))
     for g, gust in enumerate(gusts):
         records["velocity"][g] = gust.velocity_ned
@@ -100,7 +103,10 @@ def gust_depth(gust: Record, time: float, displacement: Array, point: Vector) ->
 
 @kernel
 def gust_factor(gust: Record, time: float, displacement: Array, point: Vector) -> float:
-    """Return the part of a gust's velocity at a time and a point; arguments as of `gust_depth`."""
+    """Return the part of a gust's velocity at a time and a point.
+
+    Arguments are those of `gust_depth`.
+    """
     depth = min(max(gust_depth(gust, time, displacement, point), 0.0), gust.end)
     return 0.5 - 0.5 * cos(pi * depth)
 

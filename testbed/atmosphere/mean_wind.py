@@ -1,17 +1,21 @@
-"""The mean wind: steady or recorded, its profile over height, and how far it has moved the air.
+"""The mean wind: steady or recorded, its profile, and the path of the air.
 
 It is uniform in the horizontal. Heights are above the ground, in m.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from math import log
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from testbed.core.compile import jitable
+from testbed.core.csv_table import Table, read_table
+from testbed.core.errors import InputError
 from testbed.core.records import Array, Record, Records, Vector, allocate
 
 UNIFORM, LOGARITHMIC, POWER = range(3)  # kinds of profile
@@ -61,7 +65,10 @@ def wind_from_direction(speed: Array | float, direction: Array | float) -> Array
 
 @dataclass(frozen=True, slots=True)
 class MeanWind:
-    """A wind that is linear in time between M rows; its profile scales the horizontal part."""
+    """A wind that is linear in time between M rows.
+
+    Its profile scales the horizontal part.
+    """
 
     rows: Records  # (M,) of WIND_ROW, from time 0; one row is a steady wind
     profile: Records  # (1,) of PROFILE
@@ -89,7 +96,10 @@ class MeanWind:
         return np.array([north * factor, east * factor, down])
 
     def displacement_ned(self, time: float) -> Array:
-        """Return the path (3,) m of the air at the advection height from time 0 to a time, s."""
+        """Return the path (3,) m of the air since time 0.
+
+        It is that at the advection height.
+        """
         rows, profile = self.rows.view(np.recarray), self.profile.view(np.recarray)[0]
         displacement = np.empty(3)
         write_displacement(rows, profile, time, displacement)
@@ -153,7 +163,10 @@ def reference_wind(rows: Records, time: float) -> Vector:
 
 @jitable
 def write_displacement(rows: Records, profile: Record, time: float, displacement: Array) -> None:
-    """Write the path (3,) m of the air at the advection height from time 0 to a time, s."""
+    """Write the path (3,) m of the air since time 0.
+
+    It is that at the advection height.
+    """
     row = rows[_interval(rows, time)]
     since = time - row.time
     for axis in range(3):
@@ -169,3 +182,77 @@ def write_displacement(rows: Records, profile: Record, time: float, displacement
 def _interval(rows: Records, time: float) -> int:
     """Return the row at the beginning of the interval that holds a time, s."""
     return 0 if len(rows) == 1 else int(np.searchsorted(rows["time"][1:-1], time))
+
+
+BY_AXES = ("north_mps", "east_mps")
+BY_DIRECTION = ("speed_mps", "from_deg")
+DOWN = "down_mps"
+
+
+class RecordedWind(NamedTuple):
+    """A recorded wind: M rows, the first at time 0."""
+
+    time: Array  # (M,) s, increasing
+    velocity_ned: Array  # (M, 3) m/s
+
+
+def read_wind(path: Path, max_gap: float, duration: float) -> RecordedWind:
+    """Read a recording with the columns t_s, two for the horizontal wind, and optionally down_mps.
+
+    The two are north_mps, east_mps, or speed_mps, from_deg (degrees clockwise from north). Each row
+    is a vector: between rows the vector is interpolated, not the direction. Other columns are
+    ignored; t_s counts from any zero.
+
+    Args:
+        path: of the file.
+        max_gap: s between rows at most.
+        duration: s, of the run.
+
+    Raises:
+        InputError: with file, line and remedy, if the file is not such a recording.
+    """
+    table = read_table(path)
+    horizontal = _horizontal_columns(table)
+    vertical = (DOWN,) if DOWN in table.header else ()
+    data = table.numbers(("t_s", *horizontal, *vertical))
+    if len(data) < 2:
+        raise InputError(f"{path}: {len(data)} rows of numbers; a recording needs at least two")
+    remedy = "fill in the missing rows, or raise air.wind.max_gap_s"
+    table.check_time_steps(data[:, 0], max_gap, remedy)
+    time = data[:, 0] - data[0, 0]
+    tolerance = 2.0 * np.spacing(np.abs(data[:, 0]).max())  # rounding of the stamps
+    if time[-1] + tolerance < duration:
+        raise InputError(
+            f"{path}: the recorded wind lasts {time[-1]:.2f} s, the scenario {duration:.2f} s; "
+            f"set scenario.duration_s to {math.floor(time[-1] + tolerance)} or less, or record "
+            "longer"
+        )
+    velocity = np.zeros((len(data), 3))
+    if horizontal == BY_AXES:
+        velocity[:, :2] = data[:, 1:3]
+    else:
+        for row in np.flatnonzero(data[:, 1] < 0.0):
+            text = f"speed_mps is {data[row, 1]:g}; write it without its sign, or turn from_deg"
+            raise table.error_at(int(row) + 1, text)
+        velocity[:] = wind_from_direction(data[:, 1], np.radians(data[:, 2]))
+    if vertical:
+        velocity[:, 2] = data[:, 3]
+    return RecordedWind(time, velocity)
+
+
+def _horizontal_columns(table: Table) -> tuple[str, str]:
+    """Return the columns of the horizontal wind; one of two is enough to choose them."""
+    axes, direction = (
+        [name for name in names if name in table.header] for names in (BY_AXES, BY_DIRECTION)
+    )
+    if axes and direction:
+        raise table.error_at(
+            0,
+            f"has both {', '.join(axes)} and {', '.join(direction)}; keep north_mps, east_mps or "
+            "speed_mps, from_deg",
+        )
+    if not axes and not direction:
+        raise table.error_at(
+            0, "has no wind; add the columns north_mps, east_mps or speed_mps, from_deg"
+        )
+    return BY_AXES if axes else BY_DIRECTION

@@ -54,13 +54,19 @@ CHART = FOOT * np.array(
 
 
 def high_altitude_weight(height: Array) -> Array:
-    """Return the weight of the medium and high-altitude model (...): 0 up to LOW, 1 from HIGH."""
+    """Return the weight of the medium and high-altitude model (...).
+
+    It is 0 up to LOW and 1 from HIGH.
+    """
     weight: Array = np.clip((height - LOW) / (HIGH - LOW), 0.0, 1.0)
     return weight
 
 
 def _anisotropy(height: Array) -> Array:
-    """Return 0.177 + 0.000823 h (...), h in ft between 10 and 1000: 1 at the upper end."""
+    """Return 0.177 + 0.000823 h (...), with h in ft between 10 and 1000.
+
+    It is 1 at the upper end.
+    """
     return 0.177 + 0.000823 * np.clip(height, LOWEST, LOW) / FOOT
 
 
@@ -106,7 +112,9 @@ def exceedance_sigma(height: Array, probability: float) -> Array:
 
 
 def intensities(height: Array, w20: float, probability: float) -> Array:
-    """Return σ_u, σ_v, σ_w (..., 3) m/s at heights (...); figure 11, section 3.7.3 and figure 7.
+    """Return σ_u, σ_v, σ_w (..., 3) m/s at heights (...).
+
+    From figure 11, section 3.7.3 and figure 7.
 
     Args:
         height: above the ground, m.
@@ -152,7 +160,10 @@ class Scales:
             raise InputError(f"length_m {list(self.length)}: write three lengths above 0 m")
 
     def __call__(self, height: Array) -> tuple[Array, Array]:
-        """Return σ (..., 3) m/s and L (..., 3) m at heights (...) m above the ground."""
+        """Return σ (..., 3) m/s and L (..., 3) m at heights (...).
+
+        Heights are m above the ground.
+        """
         shape = (*np.shape(height), 3)
         sigma = (
             intensities(height, self.w20, self.probability)

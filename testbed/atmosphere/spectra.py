@@ -76,7 +76,9 @@ def roll_variance(sigma: Array, length: Array, span: Array) -> Array:
 def psd(
     spectrum: str, frequency_hz: Array, airspeed: float, sigma: Array, length: Array, span: float
 ) -> Array:
-    """Return the densities (6, F) of u, v, w, m²/s² per Hz, and p, q, r, rad²/s² per Hz.
+    """Return the densities (6, F) of u, v, w, p, q, r.
+
+    Units: m²/s² per Hz, and rad²/s² per Hz for the rates.
 
     The rates are of the air as an airframe of this span takes it up; both spectra share the roll
     rate's.
@@ -104,7 +106,10 @@ def psd(
 
 
 def energy(wavenumber: Array, sigma: float, length: float) -> Array:
-    """Return E(k) in m³/s² at wavenumbers k in rad/m; 2/3 of its integral over k is σ²."""
+    """Return the energy spectrum E(k), m³/s², at wavenumbers k, rad/m.
+
+    2/3 of its integral over k is σ².
+    """
     square = (KNEE * length * wavenumber) ** 2
     out: Array = ENERGY * sigma**2 * length * square**2 / (1.0 + square) ** (17.0 / 6.0)
     return out

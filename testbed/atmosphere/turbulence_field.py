@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from testbed.atmosphere.spectra import energy
 from testbed.core.compile import kernel
 from testbed.core.errors import InputError
-from testbed.core.random import stream
+from testbed.core.random import named_stream
 from testbed.core.records import Array, Record, Records, Values, Vector, allocate
 
 IntArray = NDArray[np.int64]
@@ -154,7 +154,7 @@ def make_field(
         count = int(counts[level])
         part = values[first[level] : first[level] + rows[level]]
         part = part.reshape(count, count, count + OVERLAP, 3)
-        rng = stream(seed, f"air/field/{level}")
+        rng = named_stream(seed, f"air/field/{level}")
         return _draw_level(part, rng, cells, counts, level, sigma, length)
 
     with ThreadPoolExecutor() as pool:  # each level has a random stream and an array of its own
@@ -166,7 +166,7 @@ def make_field(
 
 
 def _check(sigma: Array, length: Array, finest: float, reach: float) -> None:
-    """Check that such a field exists, and that the cells are fine enough for its waves."""
+    """Check that the field exists and its cells resolve its waves."""
     if not (sigma.shape == length.shape == (3,) and (sigma >= 0.0).all() and (length > 0.0).all()):
         raise InputError("field: write three sigma of 0 or more and three lengths above 0")
     if sigma[0] != sigma[1] or length[0] != length[1]:
@@ -199,7 +199,7 @@ def _least_edge(length: float, path: float, requested: float | None) -> float:
 
 
 def grid_levels(finest: float, widest: float) -> tuple[Array, IntArray]:
-    """Return cells, m, and numbers of cells along an edge (L,) of the grids up to a width, m."""
+    """Return cell sizes, m, and cells per edge (L,) of the grids."""
     cells, counts = [finest], [COUNTS[0]]
     while cells[-1] * counts[-1] < widest:
         counts.append(COUNTS[1])
@@ -220,7 +220,10 @@ def grid_axes(level: int) -> Array:
 
 
 def level_energy(wavenumber: Array, cells: Array, level: int) -> Array:
-    """Return the part of the energy at wavenumbers, rad/m, in a level; all levels' sum to one."""
+    """Return the part of the energy at wavenumbers, rad/m, in a level.
+
+    The parts of all levels add up to one.
+    """
     part = _fade(wavenumber * cells[level] / pi)
     if level + 1 < len(cells):
         part = part - _fade(wavenumber * cells[level + 1] / pi)
@@ -236,7 +239,7 @@ def _fade(part: Array) -> Array:
 
 
 def unresolved_variance(finest: float, length: float) -> float:
-    """Return the part of the variance in waves too short for cells of a size, m."""
+    """Return the variance share of waves too short for a cell size, m."""
     wavenumber = np.geomspace(1e-3 / length, 1e5 * max(1.0 / length, 1.0 / finest), 4000)
     density = wavenumber * energy(wavenumber, 1.0, length) / 1.5
     lost = np.trapezoid(density * (1.0 - _fade(wavenumber * finest / pi)), np.log(wavenumber))
@@ -244,7 +247,9 @@ def unresolved_variance(finest: float, length: float) -> float:
 
 
 def wavenumbers(cells: Array, counts: IntArray, level: int) -> tuple[IntArray, IntArray]:
-    """Return the waves of a level by their numbers along the edges (3, W), and their squares (W,).
+    """Return the waves (3, W) of a level and their squares (W,).
+
+    Waves are counted along the edges.
 
     The third number is not negative: a wave stands for its opposite too, except where it is zero.
     """
@@ -259,7 +264,9 @@ def wavenumbers(cells: Array, counts: IntArray, level: int) -> tuple[IntArray, I
 
 
 def mode_power(cells: Array, counts: IntArray, level: int, sigma: Array, length: Array) -> Array:
-    """Return A_i² (3, M) m²/s² by the square of a wave's number: times k² − k_i² its part of σ_i².
+    """Return A_i² (3, M), m²/s², by the square of a wave's number.
+
+    Times k² − k_i² it is the wave's part of σ_i².
 
     k is in waves along the edge too. It is zero for the wavenumber zero.
     """
@@ -402,7 +409,10 @@ def _velocity_and_gradient(values: Coefficients, level: Record, cells: Vector) -
 
 @kernel
 def _weights(t: float) -> Values:
-    """Return the weights of the four nodes about a point at 0..1 between the middle two."""
+    """Return the weights of the four nodes about a point.
+
+    The point is at 0..1 between the middle two.
+    """
     u = 1.0 - t
     return (
         u * u * u / 6.0,
@@ -426,7 +436,7 @@ def _slopes(t: float) -> Values:
 
 @kernel
 def _rows(cell: int, count: int, stride: int) -> Values:
-    """Return the rows of the four nodes about a point along one axis, from the grid's first."""
+    """Return the rows of the four nodes about a point along an axis."""
     a = (cell - 1) % count
     b = a + 1 if a + 1 < count else 0
     c = b + 1 if b + 1 < count else 0
@@ -438,7 +448,7 @@ def _rows(cell: int, count: int, stride: int) -> Values:
 
 @kernel
 def _sum_line(values: Coefficients, row: int, weights: Values) -> Vector:
-    """Return Σ weights × values over the four nodes of a line along the third axis."""
+    """Return Σ weights × values over four nodes along the third axis."""
     u = weights[0] * float(values[row, 0])
     v = weights[0] * float(values[row, 1])
     w = weights[0] * float(values[row, 2])

@@ -31,8 +31,7 @@ import numpy as np
 
 from testbed.core.compile import entry, kernel
 from testbed.core.errors import InputError
-from testbed.core.frames import GRAVITY
-from testbed.core.motion import rotation_ned_body
+from testbed.core.frames import GRAVITY, rotation_rows
 from testbed.core.records import (
     Airframe,
     Array,
@@ -95,7 +94,7 @@ TRAIL_POINT = np.dtype(
 
 
 def wing_stations(count: int) -> tuple[Array, Array]:
-    """Return where to sample a wing, and the weights of the average weighted by its chord.
+    """Return sample points of a wing, and their chord-weighted weights.
 
     Gauss's quadrature for the weight √(1 − x²), Chebyshev's polynomials of the second kind: exact
     for polynomials up to the order 2 count − 1.
@@ -123,7 +122,9 @@ def sheet_pairs(count: int) -> tuple[Array, Array]:
 
 
 def roll_gain(aspect_ratio: Array, lift_slope: Array) -> Array:
-    """Return the response of a wing to the first moment of its downwash: (π A/2) μ/(1 + 2 μ).
+    """Return the response of a wing to the first moment of its downwash.
+
+    It is (π A/2) μ/(1 + 2 μ).
 
     With μ = a₀/(π A) and the section's lift slope a₀ from C_Lα = a₀/(1 + μ).
 
@@ -212,7 +213,7 @@ class WakeModel:
 def add_wake_wind(
     wake: Records, wings: Records, trails: Records, local: Records, aircraft: Records
 ) -> None:
-    """Extend all trails by one step and add the wind that they induce on the others.
+    """Extend all trails by one step and add the wind they induce.
 
     Args:
         wake: (1,) of WAKE; written.
@@ -253,7 +254,9 @@ def add_wake_wind(
 
 @kernel
 def circulation(w: Record, wing: Record, motion: Record, ambient: Vector) -> Values:
-    """Return the circulation Γ = L/(ρ V b₀), m²/s, and flight direction and right, unit vectors.
+    """Return the circulation Γ = L/(ρ V b₀), m²/s, and directions.
+
+    The directions are those of flight and right, unit vectors.
 
     The lift L is what the wing must give, mass times specific force, on the axis across the
     flight direction in the aircraft's plane of symmetry.
@@ -277,7 +280,7 @@ def circulation(w: Record, wing: Record, motion: Record, ambient: Vector) -> Val
 
 @kernel
 def start_trail(w: Record, wing: Record, trail: Records, motion: Record, ambient: Vector) -> None:
-    """Write the trail of an aircraft that has flown straight on to where it is at tick 0.
+    """Write the initial trail of an aircraft that has flown straight on.
 
     Args:
         w: record of WAKE.
@@ -521,7 +524,7 @@ def _add_induced(
 @kernel
 def _wing_axis(euler: Vector) -> Vector:
     """Return the body's y axis, NED."""
-    x, y, z = rotation_ned_body(euler)
+    x, y, z = rotation_rows(euler)
     return x[1], y[1], z[1]
 
 

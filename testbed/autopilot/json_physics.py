@@ -40,7 +40,7 @@ class PacketError(InputError):
 class ServoPacket(NamedTuple):
     """A packet from ArduPlane to the physics."""
 
-    frame_rate_hz: int  # expected time steps per second
+    sample_rate_hz: int  # expected time steps per second
     frame_count: int  # packets since its start
     pulses: tuple[int, ...]  # (16 or 32) µs, output 1 first; 0: none
 

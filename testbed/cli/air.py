@@ -187,7 +187,7 @@ def _save(path: Path, arrays: Mapping[str, Any]) -> None:
 
 
 def _plot(file: Path, scenario: Scenario, path: ProbePath, record: ProbeRecord) -> None:
-    from testbed.sim.probe_spectra import (
+    from testbed.sim.probes import (
         closed_form,
         coherence_band,
         estimate,

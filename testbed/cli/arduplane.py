@@ -108,13 +108,13 @@ class _Track:
     def begin(self, info: RunInfo) -> None:
         """Need nothing of the run."""
 
-    def observe(self, frame: Sample) -> None:
+    def observe(self, sample: Sample) -> None:
         """Keep a sample."""
         self.ended_s = time.monotonic()
         self.began_s = self.began_s or self.ended_s
-        self.events += frame.events
-        truth = frame.truth
-        self.rows.append((frame.time_s, truth.position_ned[0], truth.euler[0]))
+        self.events += sample.events
+        truth = sample.truth
+        self.rows.append((sample.time_s, truth.position_ned[0], truth.euler[0]))
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
         """Keep the last events."""
@@ -147,13 +147,13 @@ def check_arduplane(
     real, virtual = _Track(), _Track()
     _fly(folder, tune, airspeed, "autopilot: virtual", virtual, external)
     started_s = time.monotonic()
-    flown = _fly(folder, tune, airspeed, "autopilot: ardupilot", real, external)
+    result = _fly(folder, tune, airspeed, "autopilot: ardupilot", real, external)
     use = tune_use(tune)
     document = {
         "binary": str(binary),
-        "version": flown.metrics["arduplane"]["leader"],
+        "version": result.metrics["arduplane"]["leader"],
         "parameters": {kind: len(names) for kind, names in use._asdict().items()},
-        "outcome": flown.outcome,
+        "outcome": result.outcome,
         "startup_s": real.began_s - started_s,
         "flown_s": real.rows[-1][0],
         "real_time_factor": real.rows[-1][0] / max(real.ended_s - real.began_s, 1e-9),
@@ -162,7 +162,7 @@ def check_arduplane(
     }
     difference = document["difference"]
     document["ok"] = (
-        flown.outcome == "completed"
+        result.outcome == "completed"
         and not document["warnings"]
         and difference["track_m"] <= MOST_M
         and max(difference["roll_deg"], difference["pitch_deg"]) <= MOST_DEG

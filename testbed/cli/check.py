@@ -10,9 +10,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli import completion
 from testbed.cli.exit_codes import ExitCode
-from testbed.cli.options import Jobs, JsonFile, Overrides, output_option, require_positive
+from testbed.cli.options import (
+    Jobs,
+    JsonFile,
+    Overrides,
+    output_option,
+    require_positive,
+    scenario_names,
+)
 from testbed.cli.output import (
     PipeSafeConsole,
     check_output_folder,
@@ -40,7 +46,7 @@ def check_command(
         list[str] | None,
         typer.Argument(
             metavar="[SCENARIO]...",
-            autocompletion=completion.scenario_names,
+            autocompletion=scenario_names,
             help="Names or paths of scenarios.  \\[default: all that have a golden table]",
             show_default=False,
         ),
@@ -93,13 +99,14 @@ def check_command(
     """Fly scenarios and compare their metrics with golden tables."""
     from testbed.cli.progress import progress_counter
     from testbed.studies.golden import check, find_cases, update_tables
-    from testbed.studies.golden_annotations import (
+    from testbed.studies.golden_ci import (
         error_annotations,
         input_annotations,
         to_github,
+        to_junit,
+        to_markdown,
+        write_junit,
     )
-    from testbed.studies.golden_junit import to_junit, write_junit
-    from testbed.studies.golden_markdown import to_markdown
     from testbed.studies.golden_report import print_check, print_updates, to_document
 
     outputs = {"--junit": junit, "--json": json, "--summary": summary, "--reports": reports}
@@ -180,9 +187,9 @@ def _write_reports(
         names.add(name)
         scenario = set_seed(case.scenario, failing_seeds(verdict)[0])
         try:
-            flown = run(scenario, out=folder / name)
-            assert flown.directory
-            page = run_page(read_run(flown.directory))
+            result = run(scenario, out=folder / name)
+            assert result.directory
+            page = run_page(read_run(result.directory))
         except Exception as error:  # the verdict has been printed; a failed flight may fail again
             console.write_line(f" {verdict.name}: no report: {error}", "yellow")
             continue

@@ -1,7 +1,8 @@
-"""The command that writes runs in other formats: export."""
+"""The commands that convert and finish logs: export, import, recover."""
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,19 +11,25 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
-from testbed.cli.options import RunName, StartTime
+from testbed.cli.options import RunName, StartTime, output_option, require_finite
 from testbed.cli.output import (
     check_output_path,
     describe_file,
     is_stdout,
     message_console,
     open_output,
+    result_console,
 )
 from testbed.core.errors import InputError
+from testbed.core.files import report_write_errors, write_text_file
 
 if TYPE_CHECKING:
     from testbed.logs.flight_data import FlightData
+    from testbed.mavlink.flight_import import ImportedFlight
 
 
 class Format(StrEnum):
@@ -164,3 +171,99 @@ def _writer(
         folder = Path() if is_stdout(path) else path.parent
         text = plotjuggler_layout(flight, os.path.relpath(log, folder))
     return lambda file: file.write(text.encode())
+
+
+def import_command(
+    flight: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FLIGHT", help="ArduPlane's log: a .bin of the autopilot, or a .tlog."
+        ),
+    ],
+    out: Annotated[Path, output_option(metavar="CSV", help="The recording to write.")],
+    system: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="System of a .tlog to import.  \\[default: the only one]"),
+    ] = None,
+    begin: Annotated[
+        float | None,
+        typer.Option(
+            "--from",
+            metavar="S",
+            help="Import nothing earlier: seconds since boot for a .bin, since the first record "
+            "for a .tlog.",
+            callback=require_finite,
+        ),
+    ] = None,
+    end: Annotated[
+        float | None,
+        typer.Option("--to", metavar="S", help="Import nothing later.", callback=require_finite),
+    ] = None,
+    mode: Annotated[
+        str, typer.Option(metavar="MODE", help="Import flight in this mode only; any: in all.")
+    ] = "FBWA",
+) -> None:
+    """Convert a log of a real flight to a recording that `testbed respond` replays.
+
+    Takes the longest continuous section in the mode, with a row per attitude message. Columns that
+    the log does not have are left out.
+    """
+    from testbed.mavlink.flight_import import read_flight, write_flight
+
+    if begin is not None and end is not None and begin >= end:
+        raise InputError(f"--from {begin:g}: not before --to {end:g}; write an earlier time")
+    found = read_flight(
+        flight,
+        system=system,
+        begin=-math.inf if begin is None else begin,
+        end=math.inf if end is None else end,
+        mode=mode,
+    )
+    with report_write_errors(f"--out {out}"), write_text_file(out) as file:
+        write_flight(found, file.write)
+    console = result_console()
+    _print_import(console, found)
+    console.write_line(f" recording  {out}")
+
+
+def _print_import(console: Console, flight: ImportedFlight) -> None:
+    time = flight.columns["t_s"]
+    rate = (len(time) - 1) / (time[-1] - time[0])
+    console.print(
+        Text.assemble(
+            " ",
+            (", ".join(flight.modes) or "mode unknown", "bold"),
+            f" · {time[0]:.2f} to {time[-1]:.2f} s · {len(time):,} rows, {rate:.1f} per second",
+        )
+    )
+    table = Table(box=None, pad_edge=True, show_header=False)
+    table.add_column(no_wrap=True)
+    table.add_column()
+    for name, source in flight.sources.items():
+        table.add_row(name, source)
+    for name, reason in flight.missing.items():
+        table.add_row(Text(name, style="dim"), Text(f"left out: {reason}", style="dim"))
+    console.print()
+    console.print(table)
+    console.print()
+    for note in flight.notes:
+        console.print(Text(f" note: {note}"))
+
+
+def recover_command(run: RunName) -> None:
+    """Finish the log of a run that was killed, and write its metrics.json.
+
+    Every readable sample and event is kept. Numbers of the network and the duration of the run are
+    not in the log, and are null.
+    """
+    from testbed.metrics.tables import render_table
+    from testbed.sim.recover import recover
+
+    found = recover(run)
+    console = result_console()
+    if not found.was_cut:
+        console.write_line(f"{found.log}: complete, nothing to recover")
+        return
+    render_table(found.metrics, console, log=found.log.parent)
+    lost = f"; its last {found.lost_bytes} bytes were half a record" if found.lost_bytes else ""
+    console.write_line(f"{found.log}: finished{lost}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -83,11 +84,8 @@ def trim_command(
     folder = find_aircraft(aircraft)
     point, origin = _trim_point(airspeed, climb, bank, altitude)
     result = trim_aircraft(folder, point, origin)
-    write_json_output(json, {"aircraft": folder.name, **trim_document(result)})
-    console = result_console(json)
-    console.write_line(_headline(folder, point))
-    console.write_line()
-    console.print_table(_trim_table(result))
+    document = {"aircraft": folder.name, **trim_document(result)}
+    _write_result(json, document, _headline(folder, point), _trim_table(result))
 
 
 def linearize_command(
@@ -117,11 +115,17 @@ def linearize_command(
         "b": linear.b.tolist(),
         "modes": [_mode_document(mode) for mode in modes],
     }
+    _write_result(json, document, _headline(folder, point), _modes_table(modes))
+
+
+def _write_result(
+    json: Path | None, document: Mapping[str, Any], headline: Text, table: Table
+) -> None:
     write_json_output(json, document)
     console = result_console(json)
-    console.write_line(_headline(folder, point))
+    console.write_line(headline)
     console.write_line()
-    console.print_table(_modes_table(modes))
+    console.print_table(table)
 
 
 def step_command(

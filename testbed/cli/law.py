@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from testbed.cli import completion
-from testbed.cli.options import Overrides
+from testbed.cli.options import Overrides, scenario_names
 from testbed.cli.output import result_console
 from testbed.cli.report import FigureFormat, Figures, figure_format, write_figures
 
@@ -21,7 +20,7 @@ def law_command(
         str | None,
         typer.Argument(
             metavar="[SCENARIO]",
-            autocompletion=completion.scenario_names,
+            autocompletion=scenario_names,
             help="Name or path of a scenario.  \\[default: the examples as the paper draws them]",
             show_default=False,
         ),
@@ -91,8 +90,12 @@ def _of_scenario(name: str, overrides: Sequence[str] = ()) -> tuple[Functions, B
     """
     from testbed.core.records import join_names
     from testbed.scenario import load_scenario
-    from testbed.sim.build_control import make_barrier, make_control_function
-    from testbed.sim.build_formation import agent_value, follower_names
+    from testbed.sim.build_control import (
+        agent_value,
+        follower_names,
+        make_barrier,
+        make_control_function,
+    )
 
     scenario, notes = load_scenario(name, overrides), list[str]()
     functions: dict[Any, list[str]] = {}

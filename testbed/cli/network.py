@@ -148,16 +148,12 @@ def _plot(path: Path, scenario: Scenario, document: Document, messages: MessageR
 def _worst(document: Document) -> str:
     """Describe the link that delivered least, the latest of several; "" if all are alike."""
     from testbed.metrics.facts import percent
-    from testbed.metrics.link_tables import quality
+    from testbed.metrics.tables import impairment, name_links
 
-    links = {
-        f"{source} > {destination}": link
-        for source, receivers in document["links"].items()
-        for destination, link in receivers.items()
-    }
-    if len({quality(link) for link in links.values()}) < 2:
+    links = name_links(document["links"])
+    if len({impairment(link) for link in links.values()}) < 2:
         return ""
-    name = min(links, key=lambda each: quality(links[each]))
+    name = max(links, key=lambda each: impairment(links[each]))
     delay, bursts = links[name]["delay_s"], links[name]["bursts"]
     parts = [f"{percent(links[name]['delivered_share'])} arrived"]
     if delay and delay["p95"] > 0.0:
@@ -200,8 +196,8 @@ def _save(path: Path, names: Sequence[str], messages: MessageRecord) -> None:
 
 def _rows(link: str, sent: Sequence[str], messages: MessageRecord, i: int, m: int) -> Iterator[str]:
     """Rows of one link; floats are written with as many digits as restore them exactly."""
+    from testbed.network.link_statistics import outcome_name
     from testbed.network.links import PacketOutcome
-    from testbed.network.report import outcome_name
 
     ends = [
         [f"{outcome_name(outcome)},{copies}\n" for copies in range(3)] for outcome in PacketOutcome
@@ -219,9 +215,8 @@ def _rows(link: str, sent: Sequence[str], messages: MessageRecord, i: int, m: in
 
 
 def _print_summary(console: PipeSafeConsole, document: Document) -> None:
-    from testbed.metrics.link_tables import arrival_tables, worst_links
-    from testbed.metrics.tables import fits_width, wrap_lines
-    from testbed.network.report import LOSSES, outcome_name
+    from testbed.metrics.tables import arrival_tables, fits_width, worst_links, wrap_lines
+    from testbed.network.link_statistics import LOSSES, outcome_name
 
     together, links = document["all"], _link_count(document)
     console.print(
@@ -255,7 +250,7 @@ def _link_count(document: Document) -> int:
 
 def _count_table(links: Mapping[str, Document], together: Document, keys: Sequence[str]) -> Table:
     """Messages of each link by outcome."""
-    from testbed.metrics.link_tables import link_table
+    from testbed.metrics.tables import link_table
 
     def cells(link: Document) -> list[str]:
         return [f"{_count(link, key):,}" for key in keys]

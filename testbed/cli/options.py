@@ -1,21 +1,100 @@
-"""Arguments and options that several commands share: name, help text and validation."""
+"""Arguments and options that several commands share: name, help, validation, completion.
+
+Libraries that complete names are imported when a shell asks. A name without a match is left to the
+shell, which completes files.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from testbed.cli import completion
 from testbed.cli.output import check_output_path
 from testbed.core.errors import ExternalProgramLost, InputError
 
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
+
+
+_MAX_DEPTH = 6  # sections in each other
+
+
+def scenario_names(incomplete: str) -> list[str]:
+    """Return the names of scenarios that begin like this."""
+    from testbed.scenario import list_scenarios
+
+    return _beginning(incomplete, list_scenarios())
+
+
+def study_names(incomplete: str) -> list[str]:
+    """Return the names of studies that begin like this."""
+    from testbed.scenario import list_studies
+
+    return _beginning(incomplete, list_studies())
+
+
+def tune_names(incomplete: str) -> list[str]:
+    """Return the names of tunes that begin like this."""
+    from testbed.scenario import list_tunings
+
+    return _beginning(incomplete, list_tunings())
+
+
+def aircraft_names(incomplete: str) -> list[str]:
+    """Return the names of airframes that begin like this."""
+    from testbed.scenario import list_aircraft
+
+    return _beginning(incomplete, list_aircraft())
+
+
+def run_names(incomplete: str) -> list[str]:
+    """Return scenarios that were flown from here, or the runs of one: simulation-3/2026…."""
+    from testbed.logs.run_directory import LOGS, list_run_names
+
+    with suppress(OSError):
+        return _beginning(incomplete, list_run_names(LOGS, incomplete.rpartition("/")[0]))
+    return []
+
+
+def scenario_keys(incomplete: str) -> list[str]:
+    """Return the keys of scenarios that begin like this: network.delay_s, fleet.*.sensors."""
+    from testbed.scenario import json_schema
+
+    schema = json_schema()
+    return _beginning(incomplete, dict.fromkeys(_keys(schema, schema["$defs"])))
+
+
+def _beginning(incomplete: str, names: Any) -> list[str]:  # noqa: ANN401 - any names
+    return [name for name in names if name.startswith(incomplete)]
+
+
+def _keys(
+    schema: Mapping[str, Any], definitions: Mapping[str, Any], prefix: str = ""
+) -> Iterator[str]:
+    """Yield the dotted keys of a schema that hold values; `*` is any element."""
+    if "$ref" in schema:
+        schema = definitions[schema["$ref"].rpartition("/")[2]]
+    parts = [each for word in ("anyOf", "oneOf", "allOf") for each in schema.get(word, ())]
+    if not any(word in schema for word in ("properties", "items")) and not parts and prefix:
+        yield prefix[:-1]
+    if prefix.count(".") >= _MAX_DEPTH:
+        return
+    for part in parts:
+        yield from _keys(part, definitions, prefix)
+    for name, part in schema.get("properties", {}).items():
+        yield from _keys(part, definitions, f"{prefix}{name}.")
+    for word in ("items", "additionalProperties"):
+        if isinstance(schema.get(word), dict) and _has_keys(schema[word]):
+            yield from _keys(schema[word], definitions, f"{prefix}*.")
+
+
+def _has_keys(schema: Mapping[str, Any]) -> bool:
+    return any(word in schema for word in ("$ref", "properties", "anyOf", "oneOf", "allOf"))
 
 
 _MAX_COUNT = 1_000_000  # of flights, processes and other things that are counted
@@ -53,7 +132,7 @@ def require_positive(parameter: typer.CallbackParam, value: float | None) -> flo
 def output_option(
     *names: str, metavar: str = "FILE", help: str, suffixes: tuple[str, ...] = ()
 ) -> Any:  # noqa: ANN401 - typer's own
-    """Declare an option for a file to write, whose path is checked before any work is done.
+    """Declare an option for an output file; its path is checked before any work.
 
     Args:
         names: of the option; default: the name of the parameter.
@@ -78,7 +157,7 @@ ScenarioName = Annotated[
     typer.Argument(
         metavar="SCENARIO",
         help="Name of a scenario (`testbed list`) or a path.",
-        autocompletion=completion.scenario_names,
+        autocompletion=scenario_names,
     ),
 ]
 RunName = Annotated[
@@ -86,7 +165,7 @@ RunName = Annotated[
     typer.Argument(
         metavar="RUN",
         help="A run directory, a .mcap file, or a scenario's name for its latest run.",
-        autocompletion=completion.run_names,
+        autocompletion=run_names,
     ),
 ]
 AircraftName = Annotated[
@@ -94,7 +173,7 @@ AircraftName = Annotated[
     typer.Argument(
         metavar="AIRCRAFT",
         help="Name of an aircraft (`testbed list`) or its folder.",
-        autocompletion=completion.aircraft_names,
+        autocompletion=aircraft_names,
     ),
 ]
 Overrides = Annotated[
@@ -104,7 +183,7 @@ Overrides = Annotated[
         metavar="KEY=VALUE",
         help="Change a key of the scenario, e.g. network.delay_s=0.1 or "
         "'fleet.*.sensors=gps-ins'; may be repeated.",
-        autocompletion=completion.scenario_keys,
+        autocompletion=scenario_keys,
     ),
 ]
 Seed = Annotated[int | None, typer.Option(metavar="N", help="Seed of every random stream.")]
@@ -138,7 +217,7 @@ def _followed_names(ctx: typer.Context, incomplete: str) -> list[str]:
             names = load(find_run(first).with_name(SCENARIO_NAME)).aircraft_names
         elif first:
             names = load(first).aircraft_names
-    return [each for each in names if each.startswith(incomplete)]
+    return _beginning(incomplete, names)
 
 
 Follow = Annotated[
@@ -196,7 +275,7 @@ StartTime = Annotated[
 
 @contextmanager
 def error_places(scenario: str, overrides: Sequence[str] | None) -> Iterator[None]:
-    """Add file, line and column to an error that begins with a key of a loaded scenario."""
+    """Add file, line and column to an error that begins with a scenario's key."""
     from testbed.scenario import ScenarioError, place_of_key
 
     try:

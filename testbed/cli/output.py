@@ -21,6 +21,7 @@ from testbed.core.errors import InputError, escape_controls
 from testbed.core.files import (
     check_folder_writable,
     check_writable,
+    format_bytes,
     report_write_errors,
     reserve_standard_descriptors,
     write_file,
@@ -53,7 +54,7 @@ class _StandardDescriptor(io.FileIO):
 
 
 def guard_standard_streams() -> None:
-    """Make standard output and error safe to write where they are closed, full or not Unicode.
+    """Make standard output and error writable: also closed, full or not Unicode.
 
     Errors of standard output become an InputError, those of standard error are ignored; a
     character that the encoding lacks becomes a question mark.
@@ -112,7 +113,7 @@ def ruled_table() -> Table:
 
 
 def is_stdout(path: Path | None) -> bool:
-    """Whether an option asks for standard output."""
+    """Return whether an option asks for standard output."""
     return str(path) == "-"
 
 
@@ -159,19 +160,9 @@ def format_size(*paths: Path) -> str:
     return format_bytes(sum(path.stat().st_size for path in paths))
 
 
-def format_bytes(count: int) -> str:
-    """Format a size."""
-    size = float(count)
-    if size < 999.5:
-        return f"{size:.0f} bytes"
-    unit = "kB" if size < 999_500.0 else "MB"
-    size /= 1e3 if unit == "kB" else 1e6
-    return f"{size:.1f} {unit}" if size < 9.95 else f"{size:,.0f} {unit}"
-
-
 @contextmanager
 def open_output(path: Path, option: str) -> Iterator[BinaryIO]:
-    """Open the file of an option, or standard output for `-`; written when the block ends.
+    """Open an option's file, or standard output for `-`; written when the block ends.
 
     Raises:
         InputError: it cannot be written.

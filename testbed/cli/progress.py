@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from testbed.core.compile_lock import NOTICE
+from testbed.core.compile import NOTICE
 
 if TYPE_CHECKING:
     from testbed.core.records import Event, RunInfo, Sample
@@ -29,7 +29,7 @@ class _RealTimeFactor(ProgressColumn):
 
 
 class ProgressBar:
-    """Observer that shows how far a run is; hidden where the console is not a terminal."""
+    """Show the progress of a run; hidden where the console is no terminal."""
 
     zero_copy = True
 
@@ -73,7 +73,7 @@ class CompilingBar:
         self._bar: Progress | None = None
 
     def __call__(self, ready: int, total: int) -> None:
-        """Announce it at the first call; draw the bar, and remove it when all are ready."""
+        """Announce the work, then draw the bar; remove it when all are ready."""
         if self._bar is None:
             self._console.print(NOTICE)
             self._bar = Progress(

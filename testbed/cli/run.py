@@ -49,7 +49,7 @@ _EXTERNAL = "External programs"
 
 
 class View(StrEnum):
-    """Where a flight is shown while it is flown."""
+    """Where a flight is shown while it is result."""
 
     WINDOW = "window"
     WEB = "web"
@@ -195,7 +195,7 @@ def run_command(
             max_hz = None if external.pace else FAST_HZ
             observers.append(RerunView(viewer, max_hz=max_hz, follow=follow))
         with error_places(scenario, overrides):
-            flown = run(
+            result = run(
                 loaded,
                 out=out,
                 observers=observers,
@@ -203,24 +203,24 @@ def run_command(
                 processes=processes,
                 compiling=None if quiet else CompilingBar(messages),
             )
-        if rrd is not None and flown.directory:
-            save_rrd(rrd, [read_shown_log(str(flown.directory))], follow)
-        write_json_output(json, flown.metrics)
+        if rrd is not None and result.directory:
+            save_rrd(rrd, [read_shown_log(str(result.directory))], follow)
+        write_json_output(json, result.metrics)
         if not quiet:
             console = result_console(json)
-            size = format_size(*flown.directory.iterdir()) if flown.directory else ""
-            render_table(flown.metrics, console, log=flown.directory, log_size=size, notes=notes)
-            for path in sorted(flown.directory.glob("*.py")) if flown.directory else ():
+            size = format_size(*result.directory.iterdir()) if result.directory else ""
+            render_table(result.metrics, console, log=result.directory, log_size=size, notes=notes)
+            for path in sorted(result.directory.glob("*.py")) if result.directory else ():
                 console.write_line(f" {'control law':<20}{path}, a copy of its code")
-        for line in violation_lines(violations(flown.metrics), scenario, overrides or ()):
+        for line in violation_lines(violations(result.metrics), scenario, overrides or ()):
             (messages if quiet else console).write_line(line, "red")
-        if view is View.WEB and flown.exit_code != ExitCode.INTERRUPTED:
+        if view is View.WEB and result.exit_code != ExitCode.INTERRUPTED:
             wait_for_interrupt()
-    raise typer.Exit(flown.exit_code)
+    raise typer.Exit(result.exit_code)
 
 
 def _window_notes(scenario: Scenario, duration_s: float) -> list[tuple[str, Text]]:
-    """Describe the windows that a duration, s, cuts short or does not reach, for the table."""
+    """Describe the windows that a duration, s, cuts short or does not reach."""
     from rich.text import Text
 
     from testbed.scenario import cut_windows, unreached_windows
@@ -254,7 +254,7 @@ def external_options(
         InputError: an address, the key or the pace cannot be used.
     """
     from testbed.mavlink.addresses import parse_address
-    from testbed.scenario.control_source import ArduPlane, External
+    from testbed.scenario.aircraft import ArduPlane, External
     from testbed.sim.external_options import ExternalOptions
 
     addresses = tuple(parse_address(each) for each in mavlink)

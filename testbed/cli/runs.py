@@ -12,8 +12,9 @@ import typer
 from rich.table import Table
 
 from testbed.cli.options import require_positive
-from testbed.cli.output import MISSING, PipeSafeConsole, format_bytes, result_console
+from testbed.cli.output import MISSING, PipeSafeConsole, result_console
 from testbed.core.errors import InputError
+from testbed.core.files import format_bytes
 
 if TYPE_CHECKING:
     from testbed.logs.run_list import RunEntry

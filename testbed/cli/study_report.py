@@ -88,7 +88,7 @@ def study_report_command(
 
 
 def find_study_file(name: str) -> Path:
-    """Find a study's file by its path, its directory, or the study's name for the latest.
+    """Find a study's file by path, directory, or name (the latest).
 
     Raises:
         InputError: there is no such study.
@@ -153,8 +153,9 @@ def read_study(path: Path, *, metrics: Sequence[str], statistic: str) -> StudyDa
 
 def _study_config(table: StudyTable) -> StudyConfig | None:
     """Read the study's YAML; None if this version cannot read it."""
-    from testbed.scenario.violations import ScenarioError
-    from testbed.scenario.yaml_io import parse, validate
+    from testbed.scenario.problems import ScenarioError
+    from testbed.scenario.validate import validate
+    from testbed.scenario.yaml_io import parse
     from testbed.studies.study_schema import StudyConfig
 
     try:
@@ -176,7 +177,7 @@ def _flights(table: StudyTable) -> StudyFlights:
 
     from testbed.reports.study import StudyFlights
     from testbed.studies.flight_task import COMPLETED
-    from testbed.studies.rows import METRICS, SET
+    from testbed.studies.journal import METRICS, SET
 
     columns = table.columns
     outcome = [str(each) for each in columns["outcome"].tolist()]
@@ -203,8 +204,8 @@ def _flights(table: StudyTable) -> StudyFlights:
 def _select_metrics(
     path: Path, flights: StudyFlights, requested: Sequence[str], of_study: Sequence[str]
 ) -> tuple[str, ...]:
-    from testbed.scenario.violations import did_you_mean
-    from testbed.studies.rows import default_metric
+    from testbed.scenario.problems import did_you_mean
+    from testbed.studies.journal import default_metric
 
     names = tuple(dict.fromkeys(requested or of_study))
     if not names:

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from rich.cells import cell_len
+from rich.table import Table
 from rich.text import Text
 
-from testbed.cli import completion
 from testbed.cli.exit_codes import ExitCode
-from testbed.cli.options import Jobs, JsonFile, Quiet
+from testbed.cli.options import Jobs, JsonFile, Quiet, study_names
 from testbed.cli.output import (
+    MISSING,
     PipeSafeConsole,
     message_console,
     result_console,
     write_json_output,
 )
-from testbed.cli.sweep_table import CAPTION, summary_tables
 
 if TYPE_CHECKING:
-    from testbed.studies.summary import Summary
+    from testbed.studies.summary import Group, Summary
     from testbed.studies.sweep import SweepResult
 
 
@@ -38,7 +41,7 @@ def sweep_command(
         typer.Argument(
             metavar="STUDY",
             help="Name of a study (`testbed list`) or a path.",
-            autocompletion=completion.study_names,
+            autocompletion=study_names,
         ),
     ],
     out: Annotated[
@@ -164,3 +167,151 @@ def _headline(result: SweepResult, width: int) -> list[Text]:
             style = "bold green" if outcome == COMPLETED else "bold red"
             parts.append(Text(f"{count:,} {outcome.replace('_', ' ')}", style=style))
     return join_parts(Text(result.study.name, "bold"), parts, width)
+
+
+CAPTION = " median (smallest to largest)"
+GAP = 3  # between two columns
+WORD = 14  # a longer part of a header is broken at its underscores
+STACK_WIDTHS = 16, 32  # of a column of all settings, least and most
+
+
+@dataclass(frozen=True, slots=True)
+class _Column:
+    """A column; cells may have several lines."""
+
+    header: str
+    cells: Sequence[str]
+    style: str = ""
+    justify: Literal["left", "right"] = "right"
+
+    @property
+    def width(self) -> int:
+        lines = "\n".join((self.header, *self.cells)).splitlines()
+        return max(cell_len(line) for line in lines)
+
+
+def summary_tables(summary: Summary, width: int) -> Iterator[Table]:
+    """Yield tables of at most this width: settings, median and range of metrics.
+
+    Where all metrics do not fit beside the settings there are several tables. Where not even one
+    does, its range goes below its median, then all settings into one column.
+    """
+    groups = summary.groups
+    settings = _settings(groups)
+    runs = _Column("runs", [_format_runs(group) for group in groups], "dim")
+    metrics = [
+        _Column(_break_name(name), [_format_range(group, name) for group in groups])
+        for name in summary.metrics
+    ]
+    free_width = width - max(metric.width for metric in metrics) - GAP
+    if _width([*settings, runs]) > free_width:
+        metrics = [
+            replace(each, cells=[cell.replace(" (", "\n(") for cell in each.cells])
+            for each in metrics
+        ]
+        free_width = width - max(metric.width for metric in metrics) - GAP
+    if settings and _width([*settings, runs]) > free_width:
+        least, most = STACK_WIDTHS
+        settings = [_stack(groups, min(max(free_width - runs.width - GAP, least), most))]
+    lead = [*settings, runs]
+    part: list[_Column] = []
+    for metric in metrics:
+        if part and _width([*lead, *part, metric]) > width:
+            yield _table([*lead, *part])
+            part = []
+        part.append(metric)
+    yield _table([*lead, *part])
+
+
+def _settings(groups: Sequence[Group]) -> list[_Column]:
+    """Make a column of the cases, if any, and one for each varying key."""
+    cases = [group.case for group in groups]
+    columns = [_Column("case", cases, justify="left")] if any(cases) else []
+    for key in groups[0].point:
+        columns.append(_Column(_break_name(key), [_format(group.point[key]) for group in groups]))
+    return columns
+
+
+def _stack(groups: Sequence[Group], width: int) -> _Column:
+    """One column with a line for the case and lines for each key."""
+    cells = []
+    for group in groups:
+        settings = [f"{key} = {_format(value)}" for key, value in group.point.items()]
+        lines = [line for text in (group.case, *settings) if text for line in _fold(text, width)]
+        cells.append("\n".join(lines))
+    return _Column("setting", cells, justify="left")
+
+
+def _fold(text: str, width: int) -> Iterator[str]:
+    """Break a text after spaces, dots, underscores and hyphens; further lines are indented."""
+    line = ""
+    for word in _words(text, " ._-"):
+        while cell_len(line) + cell_len(word) > width:
+            if not line.strip():  # the word alone is too long
+                line, word = line + word[: width - len(line)], word[width - len(line) :]
+            yield line.rstrip()
+            line = "  "
+        line += word
+    yield line.rstrip()
+
+
+def _break_name(name: str) -> str:
+    """Break a name after dots, and its long parts after underscores."""
+    lines = []
+    for part in _words(name, "."):
+        line = ""
+        for word in _words(part, "_") if len(part) > WORD else [part]:
+            if line and len(line) + len(word) > WORD:
+                lines.append(line)
+                line = ""
+            line += word
+        lines.append(line)
+    return "\n".join(lines)
+
+
+def _words(text: str, ends: str) -> Iterator[str]:
+    """Split a text after each of these characters."""
+    start = 0
+    for at, letter in enumerate(text, start=1):
+        if letter in ends:
+            yield text[start:at]
+            start = at
+    if start < len(text):
+        yield text[start:]
+
+
+def _width(columns: Sequence[_Column]) -> int:
+    return sum(column.width + GAP for column in columns) - GAP
+
+
+def _table(columns: Sequence[_Column]) -> Table:
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 1), header_style="bold")
+    for column in columns:
+        table.add_column(
+            Text(column.header),
+            justify=column.justify,
+            style=column.style,
+            min_width=column.width,
+        )
+    for cells in zip(*(column.cells for column in columns), strict=True):
+        table.add_row(*map(Text, cells))
+    return table
+
+
+def _format(value: Any) -> str:  # noqa: ANN401 - a value of a scenario's key
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _format_runs(group: Group) -> str:
+    done = group.completed == group.runs
+    return str(group.runs) if done else f"{group.completed} of {group.runs}"
+
+
+def _format_range(group: Group, name: str) -> str:
+    values = group.metrics[name]
+    if values is None:
+        return MISSING
+    median, low, high = values
+    pattern = "{:.3g}" if max(abs(low), abs(high)) < 1000.0 else "{:.0f}"
+    texts = [pattern.format(each) for each in (median, low, high)]
+    return f"{texts[0]} ({texts[1]} to {texts[2]})" if low < high else texts[0]

@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
-from testbed.cli import completion
-from testbed.cli.options import Jobs, JsonFile
+from testbed.cli.options import Jobs, JsonFile, tune_names
 from testbed.cli.output import PipeSafeConsole, message_console, result_console, write_json_output
 
 if TYPE_CHECKING:
-    from testbed.studies.tune_log import TuneResult
-    from testbed.studies.tune_problem import TuneProblem
+    from testbed.studies.tune import TuneProblem, TuneResult
 
 AT_BOUND = 0.02  # of the range between the bounds
 
@@ -27,7 +25,7 @@ def tune_command(
         typer.Argument(
             metavar="TUNE",
             help="Name of a tune (`testbed list`) or a path.",
-            autocompletion=completion.tune_names,
+            autocompletion=tune_names,
         ),
     ],
     out: Annotated[
@@ -47,9 +45,7 @@ def tune_command(
     from testbed.cli.progress import progress_counter
     from testbed.logs.run_directory import create_run_directory
     from testbed.studies.table import STUDIES
-    from testbed.studies.tune import tune_gains
-    from testbed.studies.tune_log import GAINS_FILE, SCENARIO, to_document
-    from testbed.studies.tune_problem import TuneProblem
+    from testbed.studies.tune import GAINS_FILE, SCENARIO, TuneProblem, to_document, tune_gains
     from testbed.studies.tune_schema import load_tune
 
     problem = TuneProblem(load_tune(tune))
@@ -87,7 +83,7 @@ def _announcement(problem: TuneProblem) -> str:
 def _print_result(
     result: TuneResult, problem: TuneProblem, found: Mapping[str, Any], console: PipeSafeConsole
 ) -> None:
-    from testbed.studies.tune_log import GAINS_FILE, RESULT, SCENARIO
+    from testbed.studies.tune import GAINS_FILE, RESULT, SCENARIO
     from testbed.studies.tune_schema import GAINS
 
     table = Table(box=None, pad_edge=False, header_style="bold")

@@ -132,7 +132,7 @@ def read_shown_log(name: str) -> Log:
 
 
 def _check_time(at_s: float | None, *logs: Log) -> float:
-    """Check that all runs have this time; without one, take the last that they have, s."""
+    """Check that all runs have this time, s; None: take their last."""
     first = max(float(log.time_s[0]) for log in logs)
     last = min(float(log.time_s[-1]) for log in logs)
     at_s = last if at_s is None else at_s
@@ -189,7 +189,7 @@ def save_rrd(rrd: Path, logs: Sequence[Log], follow: str | None) -> None:
 
 @contextmanager
 def open_viewer(host: str, *, web: bool) -> Iterator[LiveViewer]:
-    """Announce a viewer for the block: one on this machine, or a web viewer that is served.
+    """Open a viewer for the block: on this machine, or a web viewer.
 
     Raises:
         InputError: a web viewer cannot be served on this address.

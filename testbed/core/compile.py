@@ -5,11 +5,17 @@ A kernel is a function in plain scalar Python, for one aircraft or for a few arr
 entry, with all kernels in it, is kept on disk. `@jitable` marks a function that kernels may call
 and that Python calls uncompiled.
 
+One process at a time compiles the same kernels. The files for that are in the folder of the machine
+code: `turn` is locked by the process that prepares kernels for the first time, `compiling` while
+one of them is compiled rather than loaded, and `ready-…` marks sets of kernels that need not be
+waited for. A lock ends with its process.
+
 With NUMBA_DISABLE_JIT=1 in the environment all of them run as Python, for a debugger.
 """
 
 from __future__ import annotations
 
+import fcntl
 import functools
 import hashlib
 import os
@@ -17,10 +23,10 @@ import re
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import IO, Any, TypeAlias, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
 Kernel: TypeAlias = "functools.partial[Any]"  # an entry bound to all of its arguments
@@ -57,10 +63,10 @@ def entry(function: F) -> F:
 
 
 def _cached(function: Callable[..., Any], folder: Path) -> Any:  # noqa: ANN401 - numba's dispatcher
-    """Compile with a cache in this folder only; return None if nothing can be written there.
+    """Compile with a cache in this folder; return None where it cannot be written.
 
-    numba's other places know the text of an entry's own file, not of the kernels and constants in
-    it, which would go stale.
+    numba's own cache locations detect changes of the entry's file only, not of the kernels it
+    calls.
     """
     import numba
 
@@ -127,8 +133,6 @@ def prepare(
     """
     from numba import typeof
 
-    from testbed.core.compile_lock import compile_turn
-
     entries: list[tuple[Any, tuple[Any, ...]]] = [
         (each.func, tuple(map(typeof, each.args)))
         for each in calls
@@ -186,7 +190,9 @@ def compiling(begin: Callable[[], None]) -> Iterator[None]:
 
 @functools.cache
 def cache_folder() -> Path | None:
-    """Return the folder of the machine code of these sources, or None where none can be written.
+    """Return the folder of the machine code of these sources.
+
+    It is None where none can be written.
 
     numba itself looks for changes only in the file of an entry; an entry holds kernels and
     constants of other files too. So the folder is named after the text of all kernel packages. It
@@ -213,7 +219,7 @@ def cache_folder() -> Path | None:
 
 
 def _remove_unused(parent: Path, oldest: float, *, keep: Path) -> None:
-    """Remove folders of machine code that were last used before a time, but no other folders."""
+    """Remove folders of machine code that were last used before a time."""
     for other in parent.glob("kernels-*"):
         if other != keep and _FOLDER_NAME.fullmatch(other.name):
             with suppress(OSError):
@@ -221,12 +227,13 @@ def _remove_unused(parent: Path, oldest: float, *, keep: Path) -> None:
                     shutil.rmtree(other)
 
 
-def source_digest(package: Path) -> str:
-    """Return the SHA-256 of names and texts of all kernel packages below a folder."""
+def source_digest(package: Path, folders: Iterable[str] = KERNEL_PACKAGES) -> str:
+    """Return the SHA-256 of names and texts of all Python files in folders of a package."""
     digest = hashlib.sha256()
-    for each in KERNEL_PACKAGES:
-        for path in sorted((package / each).glob("*.py")):
-            digest.update(f"{each}/{path.name}\0".encode() + path.read_bytes() + b"\0")
+    for each in folders:
+        for path in sorted((package / each).rglob("*.py")):
+            name = path.relative_to(package).as_posix()
+            digest.update(f"{name}\0".encode() + path.read_bytes() + b"\0")
     return digest.hexdigest()
 
 
@@ -239,3 +246,77 @@ def _parents(package: Path) -> Iterator[Path]:
     cache = os.environ.get("XDG_CACHE_HOME")
     if cache or os.environ.get("HOME"):
         yield (Path(cache) if cache else Path.home() / ".cache") / "testbed"
+
+
+NOTICE = "compiling kernels that no run has needed before; later runs load them"
+_TURN, _COMPILING = "turn", "compiling"
+_POLL_S = 0.05
+
+
+@contextmanager
+def compile_turn(
+    folder: Path | None,
+    signatures: Sequence[str],
+    waiting: Callable[[], None] = lambda: None,
+    check: Callable[[], None] = lambda: None,
+) -> Iterator[Callable[[], None]]:
+    """Hold the turn to compile in the block, unless these kernels have been prepared before.
+
+    Args:
+        folder: of the machine code; None, or one that cannot be written: nothing is locked.
+        signatures: of the kernels and their arguments.
+        waiting: called once if another process has the turn and compiles.
+        check: called again and again while it has; an error that it raises ends the wait.
+
+    Yields:
+        A function to call when something is compiled rather than loaded.
+    """
+    digest = hashlib.sha256("\n".join(signatures).encode()).hexdigest()[:16]
+    with ExitStack() as closing:
+
+        def announce() -> None:
+            if folder is not None:
+                with suppress(OSError):
+                    fcntl.flock(closing.enter_context(_open(folder / _COMPILING)), fcntl.LOCK_EX)
+
+        ready = None if folder is None else folder / f"ready-{digest}"
+        if folder is None or ready is None or ready.exists():
+            yield announce
+            return
+        with suppress(OSError):
+            _wait_for_turn(closing.enter_context(_open(folder / _TURN)), folder, waiting, check)
+        yield announce
+        with suppress(OSError):
+            ready.touch()
+
+
+def is_compiling(folder: Path | None) -> bool:
+    """Return whether a process compiles kernels into a folder now."""
+    if folder is None:
+        return False
+    with suppress(OSError), (folder / _COMPILING).open() as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
+
+
+def _open(path: Path) -> IO[str]:
+    return path.open("a")
+
+
+def _wait_for_turn(
+    file: IO[str], folder: Path, waiting: Callable[[], None], check: Callable[[], None]
+) -> None:
+    reported = False
+    while True:
+        check()
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        except BlockingIOError:
+            if not reported and is_compiling(folder):
+                reported = True
+                waiting()
+            time.sleep(_POLL_S)

@@ -1,4 +1,4 @@
-"""Recordings in CSV: columns of finite numbers by name, refused with the line and a remedy."""
+"""Read recordings in CSV: columns of finite numbers by name."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ MAX_CELLS = 10_000_000
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """The text of a file: a header and M rows; blank lines and those that begin with # are left."""
+    """A header and M rows of a text file.
+
+    Blank lines and `#` lines are skipped.
+    """
 
     path: Path
     header: tuple[str, ...]
@@ -37,10 +40,10 @@ class Table:
         """
         missing = [name for name in columns if name not in self.header]
         if missing:
-            raise self.refusal(0, f"missing column {', '.join(missing)}; add it to the header")
+            raise self.error_at(0, f"missing column {', '.join(missing)}; add it to the header")
         for k, row in enumerate(self.rows, start=1):
             if len(row) != len(self.header):
-                raise self.refusal(
+                raise self.error_at(
                     k,
                     f"{len(row)} values under {len(self.header)} columns; write one value per "
                     "column",
@@ -57,8 +60,8 @@ class Table:
         at = self.header.index(name)
         return [row[at] for row in self.rows]
 
-    def refuse_steps(self, time: Array, longest: float, remedy: str) -> None:
-        """Refuse times (M,) s that do not increase, or by more than `longest`, with this remedy.
+    def check_time_steps(self, time: Array, longest: float, remedy: str) -> None:
+        """Check that times (M,) s increase, by at most `longest`.
 
         Raises:
             InputError: naming the two rows.
@@ -71,21 +74,21 @@ class Table:
             if wrong.any():
                 k = int(np.argmax(wrong))
                 went = f"t_s goes from {time[k]:.12g} to {time[k + 1]:.12g}"
-                raise self.refusal(k + 2, f"{went} after line {self.lines[k + 1]}: {text}")
+                raise self.error_at(k + 2, f"{went} after line {self.lines[k + 1]}: {text}")
 
-    def refusal(self, row: int, text: str) -> InputError:
+    def error_at(self, row: int, text: str) -> InputError:
         """What is wrong with a row counted from 1, or with the header: 0."""
         return InputError(f"{self.path}:{self.lines[row]}: {text}")
 
     def _number(self, row: int, text: str, name: str) -> float:
         if not text:
-            raise self.refusal(row, f"{name} is empty; write a number or remove the row")
+            raise self.error_at(row, f"{name} is empty; write a number or remove the row")
         try:
             value = float(text)
         except ValueError as error:
-            raise self.refusal(row, f"{error}; write numbers only") from error
+            raise self.error_at(row, f"{error}; write numbers only") from error
         if not math.isfinite(value):
-            raise self.refusal(row, f"{name} is {value}; remove the row or write a finite number")
+            raise self.error_at(row, f"{name} is {value}; remove the row or write a finite number")
         return value
 
 
@@ -105,7 +108,7 @@ def read_table(path: Path) -> Table:
 
 
 def read_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Iterate over the rows of a CSV file, each with the number of its last line.
+    """Iterate over the rows of a CSV file, with the numbers of their last lines.
 
     Raises:
         InputError: it cannot be read, is no text, or has too many bytes, rows or cells.

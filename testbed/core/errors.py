@@ -1,6 +1,10 @@
-"""Errors that the user can correct."""
+"""Errors that the user can correct, among them libraries that are not installed."""
+
+from __future__ import annotations
 
 import unicodedata
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 # Control and format characters, surrogates, line and paragraph separators: quoted from a file, they
 # could move the cursor of a terminal or reverse the text.
@@ -30,3 +34,35 @@ def _visible(character: str) -> str:
 
 class ExternalProgramLost(InputError):
     """An external program that the run needs is not reachable, or has ended."""
+
+
+DISTRIBUTION = "formation-testbed"  # the name that pip installs, as in pyproject.toml
+
+
+class MissingExtraError(InputError, ImportError):
+    """A library of an extra is not installed; the text names the command."""
+
+
+def install_command(extra: str) -> str:
+    """Return the command that installs an extra."""
+    return f'pip install "{DISTRIBUTION}[{extra}]"'
+
+
+@contextmanager
+def needs_extra(extra: str, purpose: str) -> Iterator[None]:
+    """Import libraries of an extra in the block.
+
+    Args:
+        extra: of pyproject.toml.
+        purpose: what needs the library, as the message begins.
+
+    Raises:
+        MissingExtraError: a library is not installed.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        raise MissingExtraError(
+            f"{purpose}: {package} is not installed; write {install_command(extra)}"
+        ) from None

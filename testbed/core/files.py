@@ -1,4 +1,6 @@
-"""Output files: a regular file is replaced whole or not at all, anything else is written straight.
+"""Write output files: a regular file is replaced whole or not at all.
+
+Anything else is written straight.
 
 Symbolic links are followed. The new content of a regular file is written in a folder beside it,
 `.testbed-XXXXXXXX.part`, and moved into place in one step: readers see the old file or the new one,
@@ -90,7 +92,7 @@ def write_text_file(path: Path) -> Iterator[TextIO]:
 
 @contextmanager
 def replacement(path: Path) -> Iterator[Path]:
-    """Give the path of a new file that replaces `path` when the block ends without an error.
+    """Give the path of a new file that replaces `path` without an error.
 
     For programs and libraries that open files by their names. The new file does not exist yet.
 
@@ -115,7 +117,7 @@ def replacement(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
-    """Give the path of a new folder that becomes `path` when the block ends without an error.
+    """Give the path of a new folder that becomes `path` without an error.
 
     Raises:
         OSError: `path` exists, or it cannot be created.
@@ -171,7 +173,7 @@ def check_writable(path: Path) -> None:
 
 
 def check_folder_writable(path: Path) -> None:
-    """Check that files can be written to a folder, or the folder can be created with its parents.
+    """Check that files can be written to a folder, or it can be created.
 
     Raises:
         OSError: they cannot; `strerror` is the reason.
@@ -189,8 +191,18 @@ def check_folder_writable(path: Path) -> None:
         return
 
 
+def format_bytes(count: float) -> str:
+    """Format a size, in bytes, kB, MB or GB."""
+    size, unit = float(count), "bytes"
+    for larger in ("kB", "MB", "GB"):
+        if size < 999.5:
+            break
+        size, unit = size / 1e3, larger
+    return f"{size:.1f} {unit}" if size < 9.95 and unit != "bytes" else f"{size:,.0f} {unit}"
+
+
 def lock_file(file: IO[Any] | int) -> bool:
-    """Lock an open file until it is closed or its process ends; return whether it is locked.
+    """Lock an open file until it is closed; return whether it is locked.
 
     False: it is locked by another opener, in any process of this machine. A file system without
     locks counts as locked.
@@ -230,7 +242,7 @@ def reserve_standard_descriptors() -> tuple[int, ...]:
 
 
 def _is_replaceable(path: Path) -> bool:
-    """Whether a path is a regular file or does not exist."""
+    """Return whether a path is a regular file or does not exist."""
     try:
         status = os.stat(path)
     except FileNotFoundError:
@@ -274,7 +286,7 @@ def _access_error(path: Path) -> OutputPathError:
 
 
 def _copy_owner_and_mode(old: Path, new: Path) -> None:
-    """Give a new file the owner and the mode of the one that it will replace, if there is one."""
+    """Give a new file the owner and the mode of an existing one."""
     try:
         status = old.stat()
     except FileNotFoundError:

@@ -8,12 +8,18 @@ resolved in B to N. Functions broadcast over leading axes.
 from __future__ import annotations
 
 import math
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 
-from testbed.core.records import Array, Origin
+from testbed.core.compile import jitable, kernel
+from testbed.core.records import Array, Origin, Values, Vector
+
+Scalars: TypeAlias = "float | Array"
+_ScalarsT = TypeVar("_ScalarsT", float, Array)
 
 GRAVITY = 9.80665  # m/s², standard
+PAPER_GRAVITY = 9.81  # m/s², as printed beside [HBH23] eq. (20)
 FOOT = 0.3048  # m
 # Below this horizontal speed (m/s) a course is undefined; (22) is then taken as north.
 COURSE_FLOOR = 1e-9
@@ -22,32 +28,58 @@ WGS84_A = 6378137.0  # m
 WGS84_E2 = 6.69437999014e-3
 
 
-def wrap_pi(angle: Array) -> Array:
+@jitable
+def wrap_pi(angle: _ScalarsT) -> _ScalarsT:
     """Wrap angles (..., rad) into (−π, π]."""
-    return np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
+    return np.pi - (np.pi - angle) % (2.0 * np.pi)
+
+
+@kernel
+def norm(v: Vector) -> float:
+    """Return the length of a vector."""
+    length: float = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    return length
+
+
+@jitable
+def rotation_rows(euler: Vector) -> Values:
+    """Return the rows of R_NB from roll, pitch and yaw, rad; numbers or arrays alike."""
+    phi, theta, psi = euler[0], euler[1], euler[2]
+    cf, sf, ct, st = np.cos(phi), np.sin(phi), np.cos(theta), np.sin(theta)
+    cp, sp = np.cos(psi), np.sin(psi)
+    return (
+        (ct * cp, sf * st * cp - cf * sp, cf * st * cp + sf * sp),
+        (ct * sp, sf * st * sp + cf * cp, cf * st * sp - sf * cp),
+        (-st, sf * ct, cf * ct),
+    )
 
 
 def rotation_ned_body(euler: Array) -> Array:
-    """R_NB (..., 3, 3) from roll, pitch, yaw (..., 3) in rad."""
-    phi, theta, psi = np.moveaxis(np.asarray(euler), -1, 0)
-    cf, sf = np.cos(phi), np.sin(phi)
-    ct, st = np.cos(theta), np.sin(theta)
-    cp, sp = np.cos(psi), np.sin(psi)
-    out = np.empty((*np.shape(phi), 3, 3))
-    out[..., 0, 0] = ct * cp
-    out[..., 0, 1] = sf * st * cp - cf * sp
-    out[..., 0, 2] = cf * st * cp + sf * sp
-    out[..., 1, 0] = ct * sp
-    out[..., 1, 1] = sf * st * sp + cf * cp
-    out[..., 1, 2] = cf * st * sp - sf * cp
-    out[..., 2, 0] = -st
-    out[..., 2, 1] = sf * ct
-    out[..., 2, 2] = cf * ct
-    return out
+    """Return R_NB (..., 3, 3) from roll, pitch, yaw (..., 3) in rad."""
+    rows = rotation_rows(np.moveaxis(np.asarray(euler), -1, 0))
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+@jitable
+def attitude_rates(
+    roll: Scalars, pitch: Scalars, p: Scalars, q: Scalars, r: Scalars
+) -> tuple[Scalars, Scalars, Scalars]:
+    """Return the derivatives of roll, pitch and yaw, rad/s, from body rates.
+
+    For numbers or arrays. Singular at a pitch of ±90°, where yaw is undefined.
+    """
+    yaw_rate = (q * np.sin(roll) + r * np.cos(roll)) / np.cos(pitch)
+    return p + yaw_rate * np.sin(pitch), q * np.cos(roll) - r * np.sin(roll), yaw_rate
+
+
+def euler_rates(euler: Array, rates_body: Array) -> Array:
+    """Return the derivatives of roll, pitch, yaw (..., 3) rad/s from body rates (..., 3)."""
+    p, q, r = np.moveaxis(rates_body, -1, 0)
+    return np.stack(attitude_rates(euler[..., 0], euler[..., 1], p, q, r), axis=-1)
 
 
 def body_rates(euler: Array, angle_rates: Array) -> Array:
-    """Body rates p, q, r (..., 3) rad/s from the derivatives of roll, pitch, yaw (..., 3)."""
+    """Return p, q, r (..., 3) rad/s from Euler angles and their derivatives (..., 3)."""
     sine, cosine = np.sin(euler), np.cos(euler)
     sf, cf, ct = sine[..., 0], cosine[..., 0], cosine[..., 1]
     pitch_rate, yaw_rate = angle_rates[..., 1], angle_rates[..., 2]
@@ -59,7 +91,10 @@ def body_rates(euler: Array, angle_rates: Array) -> Array:
 
 
 def quaternion_xyzw(euler: Array) -> Array:
-    """Quaternion (..., 4) ordered x, y, z, w of R_NB from roll, pitch, yaw (..., 3) in rad."""
+    """Return the quaternion (..., 4) of R_NB from roll, pitch, yaw (..., 3) in rad.
+
+    Its order is x, y, z, w.
+    """
     half = 0.5 * np.asarray(euler)
     cf, ct, cp = np.moveaxis(np.cos(half), -1, 0)
     sf, st, sp = np.moveaxis(np.sin(half), -1, 0)
@@ -97,7 +132,9 @@ def euler_enu_flu(euler: Array) -> Array:
 
 
 def euler_from_quaternion(xyzw: Array) -> Array:
-    """Roll, pitch, yaw (..., 3) rad of R_NB from a quaternion (..., 4) ordered x, y, z, w.
+    """Return roll, pitch, yaw (..., 3) rad of R_NB from a quaternion (..., 4).
+
+    Its order is x, y, z, w.
 
     Of any length but zero, for which the angles are not numbers.
     """
@@ -122,39 +159,20 @@ def wind_from_deg(wind_ned: Array) -> Array:
     return np.degrees(np.arctan2(-wind_ned[..., 1], -wind_ned[..., 0])) % 360.0
 
 
+@jitable
+def gamma_of(north: _ScalarsT, east: _ScalarsT, down: _ScalarsT) -> _ScalarsT:
+    """Return the flight-path angle γ, rad, climbing positive, of a velocity or direction."""
+    gamma: _ScalarsT = np.arctan2(-down, np.hypot(north, east))
+    return gamma
+
+
 def flight_path_angle(velocity_ned: Array) -> Array:
-    """Flight-path angle γ (...,) rad, climbing positive, from velocity (..., 3)."""
-    horizontal = np.hypot(velocity_ned[..., 0], velocity_ned[..., 1])
-    return np.arctan2(-velocity_ned[..., 2], horizontal)
-
-
-def velocity_frame(velocity: Array) -> Array:
-    """R(σ, γ) (n, 3, 3): the zero-roll velocity frame of velocities (n, 3), m/s.
-
-    Its columns are forward along the velocity, right in the horizontal, and down.
-    [HBH23] eqs. (22)-(24), with the angles' sines and cosines taken from the velocity itself.
-    """
-    north, east, down = velocity[:, 0], velocity[:, 1], velocity[:, 2]
-    horizontal = np.hypot(north, east)
-    speed = np.hypot(horizontal, down)
-    upright = np.maximum(horizontal, COURSE_FLOOR)
-    cs = np.where(horizontal > COURSE_FLOOR, north / upright, 1.0)
-    ss = np.where(horizontal > COURSE_FLOOR, east / upright, 0.0)
-    cg, sg = horizontal / speed, -down / speed
-    out = np.zeros((len(velocity), 3, 3))
-    out[:, 0, 0] = cg * cs
-    out[:, 0, 1] = -ss
-    out[:, 0, 2] = sg * cs
-    out[:, 1, 0] = cg * ss
-    out[:, 1, 1] = cs
-    out[:, 1, 2] = sg * ss
-    out[:, 2, 0] = -sg
-    out[:, 2, 2] = cg
-    return out
+    """Return the flight-path angle γ (...,) rad, climbing positive, of velocities (..., 3)."""
+    return gamma_of(velocity_ned[..., 0], velocity_ned[..., 1], velocity_ned[..., 2])
 
 
 def metres_per_radian(origin: Origin) -> tuple[float, float]:
-    """Metres of north per radian of latitude and of east per radian of longitude at the origin."""
+    """Return metres per radian of latitude and of longitude at the origin."""
     lat = math.radians(origin.latitude_deg)
     w2 = 1.0 - WGS84_E2 * math.sin(lat) ** 2
     meridian = WGS84_A * (1.0 - WGS84_E2) / w2**1.5 + origin.elevation_m
@@ -183,17 +201,19 @@ def geodetic_from_ned(position_ned: Array, origin: Origin) -> Array:
 
 
 def ned_from_geodetic(geodetic: Array, origin: Origin) -> Array:
-    """NED (..., 3) m from latitude deg, longitude deg, height m above sea level (..., 3).
+    """Return NED (..., 3) m from latitude, longitude (deg) and height (m).
+
+    Heights are above sea level.
 
     The inverse of `geodetic_from_ned`. East is by the shorter way round the earth.
     """
     north, east = metres_per_radian(origin)
-    place = np.asarray(geodetic, dtype=np.float64)
+    values = np.asarray(geodetic, dtype=np.float64)
     return np.stack(
         [
-            north * np.radians(place[..., 0] - origin.latitude_deg),
-            east * wrap_pi(np.radians(place[..., 1] - origin.longitude_deg)),
-            origin.elevation_m - place[..., 2],
+            north * np.radians(values[..., 0] - origin.latitude_deg),
+            east * wrap_pi(np.radians(values[..., 1] - origin.longitude_deg)),
+            origin.elevation_m - values[..., 2],
         ],
         axis=-1,
     )

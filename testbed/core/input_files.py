@@ -98,7 +98,7 @@ def read_bounded(
 def read_bounded_text(
     path: Path, limit: int = MAX_TEXT_BYTES, *, error: ErrorKind | None = None
 ) -> str:
-    """Read a text file of at most `limit` bytes as UTF-8, without the byte order mark.
+    """Read a UTF-8 text file of limited size, without the byte order mark.
 
     Raises:
         ReadError: as `open_regular` does; also where it is not UTF-8, with the line.

@@ -57,15 +57,14 @@ MOTION = _dtype(
     ("equivalent_airspeed", "f8"),
 )
 # The wind that acts on an airframe. See `WindInput`.
-WIND = _dtype(("wind_ned", "f8", 3), ("wind_gradient_rates", "f8", 3), ("wake_delta_cl", "f8"))
+_WIND = (("wind_ned", "f8", 3), ("wind_gradient_rates", "f8", 3), ("wake_delta_cl", "f8"))
+WIND = _dtype(*_WIND)
 # Air data, propeller speed and battery state of the flight model. See `AirData`.
 AIR = _dtype(
     ("alpha", "f8"),
     ("beta", "f8"),
     ("propeller_rps", "f8"),
-    ("wind_ned", "f8", 3),
-    ("wind_gradient_rates", "f8", 3),
-    ("wake_delta_cl", "f8"),
+    *_WIND,
     ("state_of_charge", "f8"),
     ("battery_voltage", "f8"),
 )
@@ -122,23 +121,19 @@ FOLLOWER = _dtype(
     ("direction", "f8", 3),  # y_d, unit vector
 )
 # What an aircraft broadcasts. See `Broadcast`.
-MESSAGE = _dtype(
-    ("stamp_s", "f8"),
+_CONTENT = (
     ("position_ned", "f8", 3),
     ("velocity_ned", "f8", 3),
     ("acceleration_ned", "f8", 3),
     ("euler", "f8", 3),
     ("euler_rates", "f8", 3),
 )
+MESSAGE = _dtype(("stamp_s", "f8"), *_CONTENT)
 # What a follower has received of one aircraft (see `Inbox`), what it used of that, and counters.
 LINK = _dtype(
     ("stamp_s", "f8"),
     ("received_s", "f8"),
-    ("position_ned", "f8", 3),
-    ("velocity_ned", "f8", 3),
-    ("acceleration_ned", "f8", 3),
-    ("euler", "f8", 3),
-    ("euler_rates", "f8", 3),
+    *_CONTENT,
     ("number", "i8"),  # of the newest message; -1: none
     ("measured_s", "f8"),  # s, true time of its content; nan: none
     ("age_s", "f8"),  # s, age of what the last control step used; nan: not used
@@ -206,7 +201,7 @@ def join_names(names: Sequence[str]) -> str:
 
 
 def short_repr(kind: type[_RecordT]) -> type[_RecordT]:
-    """Make the repr of a record of arrays short: numbers if they are few, else shapes."""
+    """Shorten the repr of a record of arrays to a few numbers, or shapes."""
 
     def text(record: Any) -> str:  # noqa: ANN401 - a named tuple
         few = sum(each.size for each in record) <= FEW
@@ -338,8 +333,8 @@ class FormationState(NamedTuple):
     course_desired: Array  # (n,) rad
     flight_path_angle: Array  # (n,) rad
     flight_path_angle_desired: Array  # (n,) rad
-    limiter_flags: ByteArray  # (n,) bit set of formation.flags.LimiterFlag
-    saturations: ByteArray  # (n,) bit set of formation.flags.Saturation
+    limiter_flags: ByteArray  # (n,) bit set of formation.law.LimiterFlag
+    saturations: ByteArray  # (n,) bit set of formation.law.Saturation
     slot_index: UIntArray  # (n,) slot of the follower, a row of the N
     age_s: Array  # (n, n + 1) age of the message of aircraft j that follower i used, s; NaN: none
     # (n, 3) m, formation error computed from the estimates; equals error_ned where they are exact
@@ -365,7 +360,10 @@ class FaultState(NamedTuple):
 
 
 def fault_state(faults: Records) -> FaultState:
-    """View records of FAULTS; flags are bytes in them, because kernels read no array of bool."""
+    """View records of FAULTS.
+
+    Flags are bytes in them, because kernels read no array of bool.
+    """
     flags = {name: np.asarray(faults[name]).view(np.bool_) for name in ("stuck", "floating")}
     return fields_of(FaultState, faults, **flags)
 
@@ -405,7 +403,7 @@ class Sample(NamedTuple):
     links: LinkCounters  # (n, N)
     lost: BoolArray  # (N,) lost now or before: on the ground, stopped or collided
     events: tuple[Event, ...] = ()  # since the sample before
-    failing: FaultState | None = None  # (N) active faults; None: the scenario has none
+    faults: FaultState | None = None  # (N) active faults; None: the scenario has none
     # AIRCRAFT (N,), FOLLOWER (n,) and LINK (n, N) that the fields above are views of; None: the
     # fields are separate arrays
     records: tuple[Records, Records, Records] | None = None
@@ -428,7 +426,7 @@ class RunInfo:
     wingspan_m: tuple[float, ...]  # N
     origin: Origin  # of the NED frame
     base_rate_hz: int  # Hz, of the ticks
-    frame_rate_hz: int  # Hz, of the samples
+    sample_rate_hz: int  # Hz, of the samples
     duration_s: float  # s, planned
     seed: int  # of all random streams
     speed_bounds_mps: tuple[tuple[float, float], ...]  # n
@@ -443,7 +441,7 @@ class RunInfo:
     # n speed barriers h: number of the example in [HBH23], and ν; 0 and 0 for an own function;
     # empty for an own law
     barriers: tuple[tuple[int, float], ...] = ()
-    # of n barriers the samples of an own function, as `formation.logged_barrier` has them; empty
+    # of n barriers the samples of an own function, by `formation.barrier.sample_barrier`; empty
     # rows for the paper's, and empty without an own function
     barrier_samples: tuple[tuple[float, ...], ...] = ()
     estimated: bool = False  # whether any estimate differs from the truth
@@ -455,7 +453,7 @@ class RunInfo:
         """Name scenario, aircraft, seed and duration."""
         return (
             f"<RunInfo of {self.scenario_name}: {join_names(self.names)}; seed {self.seed},"
-            f" {self.duration_s:g} s planned, samples at {self.frame_rate_hz} Hz>"
+            f" {self.duration_s:g} s planned, samples at {self.sample_rate_hz} Hz>"
         )
 
 
@@ -469,8 +467,8 @@ class Observer(Protocol):
     def begin(self, info: RunInfo) -> None:
         """Prepare; called once before the first sample."""
 
-    def observe(self, frame: Sample) -> None:
+    def observe(self, sample: Sample) -> None:
         """Take one sample; called at the log rate in order of time."""
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
-        """Finish with the metrics of the run and the events after the last sample; called once."""
+        """Finish with the metrics and the events after the last sample; called once."""

@@ -1,4 +1,4 @@
-"""Samples of a run in blocks: copied as they come, read as columns of many samples."""
+"""Copy samples of a run into blocks, and view them as columns of many samples."""
 
 from __future__ import annotations
 
@@ -42,18 +42,18 @@ _AIRCRAFT_FIELDS = {
 
 
 class SampleBuffer:
-    """Room for K samples of N aircraft, filled one by one.
+    """A buffer for K samples of N aircraft.
 
     Attributes:
         tick: of the samples that are there.
-        erring: numbers of those whose estimates are not exact.
+        inexact: numbers of those whose estimates are not exact.
     """
 
-    def __init__(self, room: int) -> None:
-        """Make room for so many samples, of as many aircraft as the first has."""
+    def __init__(self, capacity: int) -> None:
+        """Start empty; the first sample sets the number of aircraft."""
         self.tick: list[int] = []
-        self.erring: list[int] = []
-        self._room = room
+        self.inexact: list[int] = []
+        self._capacity = capacity
         self._links: dict[str, NDArray[Any]] = {}
 
     def append(self, sample: Sample) -> None:
@@ -76,17 +76,17 @@ class SampleBuffer:
         else:
             self._copy(sample, count)
         if sample.estimate is not sample.truth:
-            self.erring.append(count)
+            self.inexact.append(count)
         self.tick.append(sample.tick)
 
     def _allocate(self, n: int) -> None:
-        room = self._room
-        self._aircraft = allocate(AIRCRAFT, room, n)
-        self._followers = allocate(FOLLOWER, room, n - 1)
+        capacity = self._capacity
+        self._aircraft = allocate(AIRCRAFT, capacity, n)
+        self._followers = allocate(FOLLOWER, capacity, n - 1)
         self._links = {
-            "age_s": np.empty((room, n - 1, n)),
-            "sent": np.empty((room, n - 1, n), np.uint32),
-            "delivered": np.empty((room, n - 1, n), np.uint32),
+            "age_s": np.empty((capacity, n - 1, n)),
+            "sent": np.empty((capacity, n - 1, n), np.uint32),
+            "delivered": np.empty((capacity, n - 1, n), np.uint32),
         }
 
     def _copy(self, sample: Sample, count: int) -> None:
@@ -124,7 +124,7 @@ class SampleBuffer:
     def clear(self) -> None:
         """Forget the samples."""
         self.tick.clear()
-        self.erring.clear()
+        self.inexact.clear()
 
 
 def _write(array: NDArray[Any], target: NDArray[Any], name: str) -> None:
@@ -188,7 +188,7 @@ def make_sample(
         formation=fields_of(FormationState, followers, age_s=links["age_s"]),
         links=fields_of(LinkCounters, links),
         lost=aircraft["lost"],
-        failing=fault_state(aircraft["faults"]) if faults else None,
+        faults=fault_state(aircraft["faults"]) if faults else None,
         records=(aircraft, followers, links),
     )
 
@@ -200,6 +200,6 @@ def copy_sample(sample: Sample) -> Sample:
     copied = make_sample(
         *(each.copy() for each in sample.records),
         exact=sample.estimate is sample.truth,
-        faults=sample.failing is not None,
+        faults=sample.faults is not None,
     )
     return copied._replace(tick=sample.tick, time_s=sample.time_s, events=sample.events)

@@ -24,7 +24,9 @@ class OwnSpeedModel(NamedTuple):
 
 
 def make_own(f: Function, g: Function, s_min: float, s_max: float) -> OwnSpeedModel:
-    """Tabulate a user's own f(s) and g(s) from half the lowest to twice the highest speed.
+    """Tabulate a user's own f(s) and g(s).
+
+    The table is from half the lowest to twice the highest speed.
 
     Beyond, both continue along straight lines.
 
@@ -42,9 +44,9 @@ def make_own(f: Function, g: Function, s_min: float, s_max: float) -> OwnSpeedMo
     for name, function in (("f", f), ("g", g)):
         try:
             tables.append(make_table(function, start, end))
-        except Rough as place:
+        except Rough as error:
             raise ValueError(
-                f"{name} has no continuous derivative, or changes too fast, near {place.x:.4g} m/s "
+                f"{name} has no continuous derivative, or changes too fast, near {error.x:.4g} m/s "
                 f"(write a smoother {name})"
             ) from None
     speeds: Array = np.linspace(start, end, GRID)
@@ -61,7 +63,10 @@ def make_own(f: Function, g: Function, s_min: float, s_max: float) -> OwnSpeedMo
 
 
 def speed_model_records(*models: OwnSpeedModel | None) -> Records:
-    """Pack speed models into records (n,) of SPEED_MODEL; None: f = −p s and g = p."""
+    """Pack speed models into records (n,) of SPEED_MODEL.
+
+    None stands for f = −p s and g = p.
+    """
     records = allocate(SPEED_MODEL, len(models))
     for k, model in enumerate(models):
         if model is not None:

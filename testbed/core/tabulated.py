@@ -37,15 +37,15 @@ class Rough(Exception):
 def interpolate(table: Record, x: float) -> Values:
     """Return value and slope at x; `table` is a record of TABLE."""
     values, slopes = table.values, table.slopes
-    place = (x - table.start) / table.step
+    position = (x - table.start) / table.step
     last = len(values) - 1
-    if place <= 0.0:
+    if position <= 0.0:
         return values[0] + slopes[0] * (x - table.start), slopes[0]
-    if place >= last:
+    if position >= last:
         end = table.start + last * table.step
         return values[last] + slopes[last] * (x - end), slopes[last]
-    k = int(place)
-    t = place - k
+    k = int(position)
+    t = position - k
     a, b = values[k], values[k + 1]
     m, n = table.step * slopes[k], table.step * slopes[k + 1]
     # a + t (m + t (c + t d)), with value b and slope n at t = 1

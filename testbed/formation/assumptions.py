@@ -19,7 +19,7 @@ GRID = 2001  # speeds at which a barrier is checked, on S and on either side
 
 
 class SpeedSet(NamedTuple):
-    """Bounds of S and S_d, the sets of speeds and desired speeds of n agents; m/s, (n,) each."""
+    """Bounds of S and S_d of n agents, m/s, (n,) each."""
 
     min: Array  # s_lo
     max: Array  # s_hi
@@ -45,7 +45,10 @@ def by_text(findings: Iterable[Finding]) -> dict[str, list[int]]:
 
 
 def margin(k: Array, kappa: Array, bound: float | Array) -> Array:
-    """Return ε = κ − k ρ̄ (n,), m/s, the distance of the desired speed from the bounds, fact 1."""
+    """Return ε = κ − k ρ̄ (n,), m/s, the margin of fact 1.
+
+    It is the distance of the desired speed from the bounds.
+    """
     return kappa - k * bound
 
 
@@ -72,7 +75,9 @@ def check_gain(k: Array, kappa: Array, bound: float | Array) -> list[Finding]:
 
 
 def check_kappa(kappa: Array, low: Array, high: Array) -> list[Finding]:
-    """Check that (s_lo + κ, s_hi − κ) is not empty; the number is its width, m/s.
+    """Check that (s_lo + κ, s_hi − κ) is not empty.
+
+    The number is its width, m/s.
 
     Args:
         kappa: κ (n,) m/s.
@@ -95,7 +100,7 @@ def check_kappa(kappa: Array, low: Array, high: Array) -> list[Finding]:
 
 
 def check_barrier(barriers: Sequence[Barrier | OwnBarrier], speeds: SpeedSet) -> list[Finding]:
-    """Check (B1)-(B5) for every agent, on S x S_d and up to 5 m/s outside S.
+    """Check (B1)-(B5) on S x S_d and up to 5 m/s outside S.
 
     If S_d is in S, all five hold in examples 4 and 5 for every ν > 0, and in example 6 for every ν
     up to half the width of S. Example 4: the divisor h(s) + (s_d − s) h'(s) of (14) is
@@ -171,7 +176,7 @@ def _broken(
 
 
 def _unusable(barrier: Barrier, low: float, high: float) -> Iterator[tuple[float, str]]:
-    """Yield why a barrier of the paper is none on the speeds from `low` to `high`, m/s."""
+    """Yield why a barrier of the paper cannot be used on a speed range, m/s."""
     if barrier.example == NO_BARRIER:
         # h outside S, where (B2) requires h < 0
         yield (
@@ -191,7 +196,7 @@ def _unusable(barrier: Barrier, low: float, high: float) -> Iterator[tuple[float
 
 
 def _flat(barrier: Barrier, past: Array, slope: Array) -> Iterator[tuple[float, str]]:
-    """Yield the distance `past` (m/s) the bounds at which the slope is too small to divide by."""
+    """Yield the distance past the bounds at which the slope underflows, m/s."""
     flat = np.abs(slope) < SLOPE_FLOOR
     if flat.any():
         distance = float(past[flat.argmax()])
@@ -226,7 +231,9 @@ def check_slot_speed(
     medium: str = "over the ground",
     in_air: tuple[Array, Array] | None = None,
 ) -> list[Finding]:
-    """Check Assumption 1, ‖q̇_g + χ̇_i‖ in (s_lo + κ, s_hi − κ); the number is `largest_kappa`.
+    """Check Assumption 1, ‖q̇_g + χ̇_i‖ in (s_lo + κ, s_hi − κ).
+
+    The number is `largest_kappa`.
 
     Args:
         slowest: smallest ‖q̇_g + χ̇_i‖ (n,) m/s.

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import tanh
 from typing import NamedTuple
 
 import numpy as np
 
 from testbed.core.compile import entry, kernel
-from testbed.core.records import Array, Record, Records, Values, allocate
+from testbed.core.records import Array, Record, Records, RunInfo, Values, allocate
 from testbed.core.tabulated import TABLE, Function, Rough, interpolate, make_table
 
 NO_BARRIER = 7  # h = 1, as in the paper's experiments: the speeds are saturated instead
@@ -43,7 +44,9 @@ class OwnBarrier(NamedTuple):
 
 
 def make_own(function: Function, s_min: float, s_max: float) -> OwnBarrier:
-    """Tabulate a user's own h(s) on S and up to 5 m/s outside; beyond, it is a straight line.
+    """Tabulate a user's own h(s) on S and up to 5 m/s outside.
+
+    Beyond, it is a straight line.
 
     Args:
         function: h of ground speeds (K,), m/s.
@@ -56,9 +59,9 @@ def make_own(function: Function, s_min: float, s_max: float) -> OwnBarrier:
     start = max(-OUTSIDE, -s_min)
     try:
         table = make_table(lambda x: function(s_min + x), start, s_max - s_min + OUTSIDE)
-    except Rough as place:
+    except Rough as error:
         raise ValueError(
-            f"h has no continuous derivative, or changes too fast, near {s_min + place.x:.4g} m/s "
+            f"h has no continuous derivative, or changes too fast, near {s_min + error.x:.4g} m/s "
             "(write a smoother h)"
         ) from None
     return OwnBarrier(table)
@@ -124,3 +127,51 @@ def barriers_of(records: Records) -> list[Barrier | OwnBarrier]:
 def _write_curve(barrier: Records, s: Array, s_min: float, s_max: float, out: Array) -> None:
     for k in range(len(s)):
         out[0, k], out[1, k] = h(barrier[0], s[k], s_min, s_max)
+
+
+SAMPLES = 201  # of an own function
+
+
+class LoggedBarrier(NamedTuple):
+    """h of one follower."""
+
+    example: int  # of [HBH23]; 0: an own function
+    nu: float
+    samples: tuple[float, ...]  # of an own function, at equal steps: see `_speeds`
+
+
+def sample_barrier(barrier: Barrier | OwnBarrier, s_min: float, s_max: float) -> tuple[float, ...]:
+    """Sample an own h on S and up to 5 m/s outside.
+
+    Empty for an example of the paper.
+    """
+    if isinstance(barrier, Barrier):
+        return ()
+    value, _ = barrier_curve(barrier, _speeds(s_min, s_max, SAMPLES), s_min, s_max)
+    return tuple(np.round(value, 6).tolist())
+
+
+def logged_barriers(info: RunInfo) -> Sequence[LoggedBarrier | None]:
+    """List the barriers of the followers (n,); None where h is 1 or unknown."""
+    own = info.barrier_samples or ((),) * len(info.barriers)
+    known = [
+        None
+        if example == NO_BARRIER or (example == OWN_BARRIER and not samples)
+        else LoggedBarrier(int(example), nu, tuple(samples))
+        for (example, nu), samples in zip(info.barriers, own, strict=True)
+    ]
+    return known or [None] * (len(info.names) - 1)
+
+
+def logged_curve(barrier: LoggedBarrier, s: Array, s_min: float, s_max: float) -> Array:
+    """Compute h at speeds s (K,), m/s; an own function is linear between its samples."""
+    if barrier.samples:
+        at = _speeds(s_min, s_max, len(barrier.samples))
+        value: Array = np.interp(s, at, barrier.samples)
+        return value
+    return barrier_curve(Barrier(barrier.example, barrier.nu), s, s_min, s_max)[0]
+
+
+def _speeds(s_min: float, s_max: float, count: int) -> Array:
+    """Return the speeds of so many samples, m/s."""
+    return np.linspace(max(s_min - OUTSIDE, 0.0), s_max + OUTSIDE, count)

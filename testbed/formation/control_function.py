@@ -101,10 +101,10 @@ def make_own(function: Function) -> OwnControlFunction:
 
     try:
         table = make_table(log_mu, 0.0, log(1.0 + Z_MAX / Z0))
-    except Rough as place:
+    except Rough as error:
         raise ValueError(
             f"mu has no continuous derivative, or changes too fast, near z = "
-            f"{Z0 * np.expm1(place.x):.4g} m² (write a smoother mu)"
+            f"{Z0 * np.expm1(error.x):.4g} m² (write a smoother mu)"
         ) from None
     exponent = float(table["slopes"][0, -1])
     falls = f"for large z, mu falls as z^({exponent:.3g})"
@@ -164,7 +164,10 @@ EXAMPLE_3 = _spline(flat=0.1, far=0.4)
 
 @kernel
 def mu(function: Record, z: float) -> Values:
-    """Return μ(z) and μ'(z) for z = ‖x‖² >= 0, m²; `function` is a record of MU."""
+    """Return μ(z) and μ'(z) for z = ‖x‖² >= 0, m².
+
+    `function` is a record of MU.
+    """
     if function.own:
         value, slope = interpolate(function.table, log(1.0 + z / Z0))
         value = exp(value)

@@ -6,12 +6,13 @@ newest messages it has received.
 
 from __future__ import annotations
 
-from math import nan, sqrt
+from math import nan
 from typing import NamedTuple
 
 import numpy as np
 
 from testbed.core.compile import entry, kernel
+from testbed.core.frames import norm
 from testbed.core.records import (
     FOLLOWER,
     LINK,
@@ -89,7 +90,10 @@ def make_neighbours(
 
 
 def set_gains(neighbours: Records, gains: np.ndarray) -> None:
-    """Set β (n, N, 3); the messages used are those with a gain, and always the leader's."""
+    """Set β (n, N, 3).
+
+    Used are the messages with a gain, and always the leader's.
+    """
     neighbours["gain"] = gains
     neighbours["used"] = gains.any(axis=2)
     neighbours["used"][:, 0] = True
@@ -131,7 +135,7 @@ def finish_step(
     out: Record,
     command: Record,
 ) -> None:
-    """Run the middle loop behind a law's (u, ω), and write the ages of the messages used."""
+    """Run the middle loop behind a law's (u, ω), and write message ages."""
     run_middle_loop(controller.loop, own, controller.integrals, out, command)
     if controller.unicycle:
         _without_middle_loop(own, out, controller.law.speed_model.own)
@@ -146,7 +150,7 @@ def _without_middle_loop(own: Record, out: Record, own_speed_model: bool) -> Non
     airspeed applies to it as well.
     """
     v = own.velocity_ned
-    speed = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    speed = norm(v)
     if own_speed_model:  # u is no speed
         out.limiter_flags &= 0xFF ^ CLIPPED
         out.airspeed_command = nan
@@ -245,7 +249,7 @@ def _reach_velocities(
         vertical_weight = 0.0 if law[i].horizontal else 1.0
         own = estimate[i].velocity_ned
         v = (own[0], own[1], vertical_weight * own[2])
-        s = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+        s = norm(v)
         p, a = velocity_ned[i], acceleration_ned[i]
         desired = speed_and_direction(
             (p[0], p[1], vertical_weight * p[2]), (a[0], a[1], vertical_weight * a[2])

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-from math import atan2, copysign, cos, hypot, isnan, nan, sin, sqrt
+from math import atan2, copysign, cos, isnan, nan, sin
 
 import numpy as np
 
 from testbed.core.compile import kernel
+from testbed.core.frames import PAPER_GRAVITY, gamma_of, norm
 from testbed.core.records import Record, Values, Vector
 from testbed.core.speed_model import SPEED_MODEL, speed_terms
+from testbed.core.velocity_frame import (
+    cross,
+    frame_angles,
+    frame_angular_acceleration,
+    frame_angular_velocity,
+    to_ned,
+)
 from testbed.formation.barrier import BARRIER, NO_BARRIER, h
 from testbed.formation.control_function import MU, mu
-from testbed.formation.flags import LimiterFlag
+from testbed.formation.law import LimiterFlag
 from testbed.formation.leader_filter import (
     DIFFERENCE,
     ROLL_RATE,
@@ -24,14 +32,6 @@ from testbed.formation.message_extrapolation import (
     message_time,
     relative_position,
     timed_out,
-)
-from testbed.formation.velocity_frame import (
-    GRAVITY,
-    cross,
-    frame_angles,
-    frame_angular_acceleration,
-    frame_angular_velocity,
-    to_ned,
 )
 
 CLAMPED = int(LimiterFlag.SPEED_DESIRED_CLAMPED)
@@ -125,7 +125,7 @@ def hbh23(
     vertical_weight = 0.0 if law.horizontal else 1.0
     q, own_velocity = own.position_ned, own.velocity_ned
     v = (own_velocity[0], own_velocity[1], vertical_weight * own_velocity[2])
-    s = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    s = norm(v)
     out.omega[0] = 0.0
     if neighbours[0].excluded or timed_out(inbox[0], now, law.leader_timeout_s):
         _fly_without_leader(law, now, v, s, own.airspeed, memory, out)
@@ -135,8 +135,8 @@ def hbh23(
     # the leader's frame and the own slot in it, (22)-(29)
     leader = extrapolate(law, inbox[0], now)
     v_g = leader[1]
-    s_g = sqrt(v_g[0] ** 2 + v_g[1] ** 2 + v_g[2] ** 2)
-    gamma_g = atan2(-v_g[2], hypot(v_g[0], v_g[1]))
+    s_g = norm(v_g)
+    gamma_g = gamma_of(v_g[0], v_g[1], v_g[2])
     frame = frame_angles(v_g[0], v_g[1], v_g[2])
     rates = inbox[0].euler_rates
     gamma_dot, chi_dot = vertical_weight * rates[1], rates[2]
@@ -146,7 +146,7 @@ def hbh23(
     if law.angular_acceleration_source == ROLL_RATE:
         euler = inbox[0].euler
         # the derivative of σ̇_g ≈ g tan φ_g / (s_g cos θ_g) by the bank alone
-        chi_ddot = GRAVITY * rates[0] / (s_g * cos(euler[1]) * cos(euler[0]) ** 2)
+        chi_ddot = PAPER_GRAVITY * rates[0] / (s_g * cos(euler[1]) * cos(euler[0]) ** 2)
         omega_dot_g = frame_angular_acceleration(gamma_g, chi_dot, gamma_dot, chi_ddot)
     elif law.angular_acceleration_source == DIFFERENCE:
         omega_dot_g = difference_angular_velocity(law, memory, time_s, omega_g)
@@ -199,7 +199,10 @@ def velocity_control(
 
 @kernel
 def slot_motion(frame: Vector, omega: Vector, omega_dot: Vector, offset: Vector) -> Values:
-    """Return χ, χ̇ and χ̈ of an offset υ held in the leader's frame, (27)-(29); m, m/s, m/s²."""
+    """Return χ, χ̇ and χ̈ of an offset υ, (27)-(29); m, m/s, m/s².
+
+    The offset is held in the leader's frame.
+    """
     x, y, z = offset
     chi = to_ned(frame, x, y, z)
     a, b, c = cross(omega[0], omega[1], omega[2], x, y, z)
@@ -284,7 +287,9 @@ def desired_velocity(
     xi: Vector,
     xi_rate: Vector,
 ) -> Values:
-    """Return s_d, ṡ_d, y_d and ẏ_d of the desired velocity p_d, (7)-(12), with ρ of (5) and (13).
+    """Return s_d, ṡ_d, y_d and ẏ_d of the desired velocity p_d, (7)-(12).
+
+    ρ is that of (5) and (13).
 
     Args:
         law: record of LAW.
@@ -321,7 +326,7 @@ def speed_and_direction(p: Vector, p_rate: Vector) -> Values:
         p: p_d, m/s; not zero.
         p_rate: ṗ_d, m/s².
     """
-    s_d = sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
+    s_d = norm(p)
     y_d = (p[0] / s_d, p[1] / s_d, p[2] / s_d)
     s_d_rate = y_d[0] * p_rate[0] + y_d[1] * p_rate[1] + y_d[2] * p_rate[2]
     y_d_rate = (
@@ -336,7 +341,9 @@ def speed_and_direction(p: Vector, p_rate: Vector) -> Values:
 def speed_control(
     law: Record, s: float, s_d: float, s_d_rate: float, s_min: float, s_max: float
 ) -> float:
-    """Return the control u, (14): m/s for f = −p s and g = p, else in the unit of g.
+    """Return the control u, (14).
+
+    It is in m/s for f = −p s and g = p, else in the unit of g.
 
     Args:
         law: record of LAW.
@@ -389,7 +396,7 @@ def turn_control(v: Vector, y_d: Vector, y_d_rate: Vector, c: float) -> Values:
 def _fly_without_leader(
     law: Record, now: float, v: Vector, s: float, airspeed: float, memory: Record, out: Record
 ) -> None:
-    """Fly level on the course at the timeout, or on a course that turns at a constant rate."""
+    """Fly level on the course at the timeout, or turn at a constant rate."""
     starts = isnan(memory.timeout_since)
     since = now if starts else memory.timeout_since
     course = atan2(v[1], v[0]) if starts else memory.timeout_course

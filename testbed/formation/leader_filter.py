@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from math import atan2, cos, hypot, sqrt, tan
+from math import cos, tan
 
 import numpy as np
 
 from testbed.core.compile import kernel
+from testbed.core.frames import PAPER_GRAVITY, gamma_of, norm
 from testbed.core.records import Record, Values, Vector
-from testbed.formation.velocity_frame import GRAVITY, to_ned
+from testbed.core.velocity_frame import to_ned
 
 # Source of q̈_g: zero, the broadcast, or bank and differences of the velocity.
 NOTHING, BROADCAST, TURN = 0, 1, 2
@@ -74,8 +75,8 @@ def estimate_leader_acceleration(
     """
     velocity = link.velocity_ned
     v = (velocity[0], velocity[1], 0.0 if law.horizontal else velocity[2])
-    speed = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-    gamma = atan2(-v[2], hypot(v[0], v[1]))
+    speed = norm(v)
+    gamma = gamma_of(v[0], v[1], v[2])
     speed_rate, gamma_dot = memory.speed_rate, memory.gamma_dot
     since = time_s - memory.time_s
     if since > 0.0:
@@ -88,7 +89,7 @@ def estimate_leader_acceleration(
     memory.speed_rate, memory.gamma_dot = speed_rate, gamma_dot
     if law.acceleration_source == TURN:
         euler = link.euler
-        chi_dot = GRAVITY * tan(euler[0]) / (speed * cos(euler[1]))
+        chi_dot = PAPER_GRAVITY * tan(euler[0]) / (speed * cos(euler[1]))
         along, across = speed_rate, speed * chi_dot * cos(gamma)
         a, b, c = to_ned(frame, along, across, -speed * gamma_dot)
         memory.acceleration[0], memory.acceleration[1], memory.acceleration[2] = a, b, c

@@ -6,14 +6,20 @@ from math import isnan, nan
 
 from testbed.core.compile import kernel
 from testbed.core.records import Record, Values, Vector
-from testbed.formation.velocity_frame import cross, from_ned, to_ned
+from testbed.core.velocity_frame import cross, from_ned, to_ned
 
 
 @kernel
-def timed_out(link: Record, now: float, timeout_s: float) -> float:
-    """Whether nothing was ever received on a link (record of LINK), or not for `timeout_s`."""
-    silent: bool = isnan(link.stamp_s) or now - link.received_s > timeout_s
-    return silent
+def timed_out(link: Record, now: float, timeout_s: float) -> bool:
+    """Return whether a link has no message, or none for longer than a timeout, s.
+
+    Args:
+        link: record of LINK.
+        now: s.
+        timeout_s: since the receipt of the newest message.
+    """
+    expired: bool = isnan(link.stamp_s) or now - link.received_s > timeout_s
+    return expired
 
 
 @kernel

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from math import atan, atan2, cos, floor, hypot, isnan, nan, pi, sin, sqrt
+from math import atan, atan2, cos, isnan, nan, sin
 
 import numpy as np
 
 from testbed.core.compile import kernel
+from testbed.core.frames import PAPER_GRAVITY, gamma_of, norm, wrap_pi
 from testbed.core.records import Record, Records, Values, allocate
-from testbed.formation.flags import LimiterFlag, Saturation
-from testbed.formation.velocity_frame import GRAVITY, velocity_rates
+from testbed.core.velocity_frame import velocity_rates
+from testbed.formation.law import LimiterFlag, Saturation
 
 PITCH, ROLL, THROTTLE = map(int, (Saturation.PITCH, Saturation.ROLL, Saturation.THROTTLE))
 CLIPPED = int(LimiterFlag.SPEED_COMMAND_CLIPPED)
@@ -93,7 +94,7 @@ def middle_loop(loop: Record, own: Record, memory: Record, out: Record, command:
     holds_altitude = not isnan(loop.altitude)
     # in the horizontal variant u and ω are motions in the plane, and so is what they act on
     v = (velocity[0], velocity[1], 0.0 if holds_altitude else velocity[2])
-    s = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    s = norm(v)
     airspeed, phi, dt = own.airspeed, own.euler[0], loop.dt
     unlimited = out.speed_command + airspeed - s
     airspeed_command = min(max(unlimited, loop.speed_min), loop.speed_max)
@@ -101,8 +102,8 @@ def middle_loop(loop: Record, own: Record, memory: Record, out: Record, command:
     share = dt / (dt + loop.rate_filter)
     chi_dot = _average(memory.chi_dot, chi_dot, share)
     gamma_dot = _average(memory.gamma_dot, gamma_dot, share)
-    gamma = atan2(-v[2], hypot(v[0], v[1]))
-    gamma_d, course_d = atan2(-y_d[2], hypot(y_d[0], y_d[1])), atan2(y_d[1], y_d[0])
+    gamma = gamma_of(v[0], v[1], v[2])
+    gamma_d, course_d = gamma_of(y_d[0], y_d[1], y_d[2]), atan2(y_d[1], y_d[0])
 
     # (19), or altitude hold in the horizontal variant
     gamma_error = gamma - gamma_d
@@ -123,13 +124,12 @@ def middle_loop(loop: Record, own: Record, memory: Record, out: Record, command:
 
     # (20)
     chi_dot_d = omega[2] / cos(gamma)
-    turn_bank = atan(chi_dot_d * s * cos(gamma) / GRAVITY)
+    turn_bank = atan(chi_dot_d * s * cos(gamma) / PAPER_GRAVITY)
     last = memory.turn_bank
     slope = 0.0 if isnan(last) else (turn_bank - last) / dt
     slope_before = memory.turn_bank_rate
     slope = slope_before + dt / (dt + loop.lead_filter) * (slope - slope_before)
-    ahead = pi - (atan2(v[1], v[0]) - course_d)
-    course_error = pi - (ahead - 2.0 * pi * floor(ahead / (2.0 * pi)))
+    course_error = wrap_pi(atan2(v[1], v[0]) - course_d)
     roll = (
         turn_bank
         + loop.roll_lead * slope

@@ -7,8 +7,9 @@ from math import atan2, hypot, isnan
 import numpy as np
 
 from testbed.core.compile import entry, kernel
+from testbed.core.frames import gamma_of
 from testbed.core.records import Array, Record, Records, Vector
-from testbed.formation.velocity_frame import (
+from testbed.core.velocity_frame import (
     frame_angles,
     frame_angular_velocity,
     to_ned,
@@ -43,7 +44,7 @@ def write_slot(
         error[axis] = own.position_ned[axis] - slot[axis]
 
 
-@kernel
+@entry
 def write_formation_state(
     aircraft: Records, followers: Records, offsets: Array, altitudes: Array
 ) -> None:
@@ -69,10 +70,8 @@ def write_formation_state(
         )
         write_slot(leader.truth, own.truth, offsets[i + 1], altitudes[i], f.slot_ned, f.error_ned)
         north, east, down = own.truth.velocity_ned
-        horizontal = hypot(north, east)
-        f.speed = hypot(horizontal, down)
-        f.course = atan2(east, north)
-        f.flight_path_angle = atan2(-down, horizontal)
+        f.speed = hypot(hypot(north, east), down)
+        f.course, f.flight_path_angle = atan2(east, north), gamma_of(north, east, down)
 
 
 ANGLES = 61  # flight-path angles tried, level among them
@@ -84,7 +83,7 @@ def _write_frame_rates(velocity: Array, acceleration: Array, out: Array) -> None
     for i in range(len(out)):
         v, a = velocity[i], acceleration[i]
         chi_dot, gamma_dot = velocity_rates(v, a)
-        gamma = atan2(-v[2], hypot(v[0], v[1]))
+        gamma = gamma_of(v[0], v[1], v[2])
         out[i, 0], out[i, 1], out[i, 2] = frame_angular_velocity(gamma, chi_dot, gamma_dot)
 
 
@@ -113,32 +112,31 @@ def slot_speed_range(
     speed_min: float,
     speed_max: float,
     turn_rate: float,
-    climb_angle: float = 0.0,
-    climb_rate: float = 0.0,
+    gamma: float = 0.0,
+    gamma_dot: float = 0.0,
 ) -> tuple[Array, Array]:
     """Return the smallest and largest ‖q̇_g + χ̇_i‖ (n,), m/s, of a leader within limits.
 
     In the leader's frame the slot moves at w = v e1 + ω_g × υ with
-    ω_g = (−σ̇ sin γ, γ̇, σ̇ cos γ), (26). For one γ the second part runs over a parallelogram
-    around zero as σ̇ and γ̇ run over their ranges, so both the least and the largest ‖w‖ grow with
-    v. ‖w‖ is convex: it is largest in a corner, and smallest in a corner, on an edge or where its
-    gradient vanishes. γ is tried on a grid. In a level turn this is
-    v ± |σ̇ υ_2| forward and |σ̇ υ_1| across.
+    ω_g = (−σ̇ sin γ, γ̇, σ̇ cos γ), (26). For fixed γ the terms in σ̇ and γ̇ form a parallelogram, so
+    extremes of ‖w‖ grow with v. The maximum is at a corner; the minimum at a corner, on an edge or
+    where the gradient is zero. γ is tried on a grid. In a level turn this is v ± |σ̇ υ_2| forward
+    and |σ̇ υ_1| across.
 
     Args:
         offsets: υ (n, 3) m: forward, right, down in the leader's velocity frame.
         speed_min: smallest ‖q̇_g‖, m/s over the ground.
         speed_max: largest ‖q̇_g‖, m/s over the ground.
         turn_rate: largest |σ̇_g|, rad/s.
-        climb_angle: largest |γ_g|, rad.
-        climb_rate: largest |γ̇_g|, rad/s.
+        gamma: largest |γ_g|, rad.
+        gamma_dot: largest |γ̇_g|, rad/s.
     """
-    gamma = np.linspace(-climb_angle, climb_angle, ANGLES)
+    gammas = np.linspace(-gamma, gamma, ANGLES)
     ones, zeros = np.ones(ANGLES), np.zeros(ANGLES)
-    by_course = np.stack([-np.sin(gamma), zeros, np.cos(gamma)], axis=1)  # (26) per σ̇ and per γ̇
-    by_climb = np.stack([zeros, ones, zeros], axis=1)
+    by_course = np.stack([-np.sin(gammas), zeros, np.cos(gammas)], axis=1)  # (26) per σ̇ and per γ̇
+    by_gamma = np.stack([zeros, ones, zeros], axis=1)
     a = turn_rate * np.cross(by_course[:, None, :], offsets)
-    b = climb_rate * np.cross(by_climb[:, None, :], offsets)
+    b = gamma_dot * np.cross(by_gamma[:, None, :], offsets)
     fastest = np.maximum(_norm(speed_max * FORWARD + a + b), _norm(speed_max * FORWARD + a - b))
     fastest = np.maximum(fastest, _norm(speed_max * FORWARD - a + b))
     fastest = np.maximum(fastest, _norm(speed_max * FORWARD - a - b))
@@ -146,7 +144,10 @@ def slot_speed_range(
 
 
 def _shortest(base: Array, a: Array, b: Array) -> Array:
-    """Return the smallest ‖base + x a + y b‖ (...) over x, y in [−1, 1], of vectors (..., 3)."""
+    """Return the smallest ‖base + x a + y b‖ (...).
+
+    x and y are in [−1, 1]; vectors are (..., 3).
+    """
     edges = [
         _norm(start + _along(start, side)[..., None] * side)
         for start, side in ((base + b, a), (base - b, a), (base + a, b), (base - a, b))
@@ -165,7 +166,10 @@ def _shortest(base: Array, a: Array, b: Array) -> Array:
 
 
 def _along(start: Array, side: Array) -> Array:
-    """Return the t (...) in [−1, 1] that minimises ‖start + t side‖, of vectors (..., 3)."""
+    """Return the t (...) in [−1, 1] that minimises ‖start + t side‖.
+
+    Vectors are (..., 3).
+    """
     square = _dot(side, side)
     t = -_dot(start, side) / np.where(square > 0.0, square, 1.0)
     return np.clip(t, -1.0, 1.0)

@@ -16,100 +16,95 @@ repeat. An ideal vehicle has no incidence and no throttle; it follows the refere
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple
 
-from testbed.core.compile import jitable
+import numpy as np
 
+from testbed.core.compile import kernel
+from testbed.core.records import Record, Values
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HoldGains:
-    """Gains of the hold; the defaults are tuned on the Rascal 110 at 22 m/s."""
+REFERENCE_GAIN = 0.3  # k_r, 1/s
+ALTITUDE_GAIN = 0.25  # k_h, 1/s
+CLIMB_ACCELERATION = 0.8  # m/s², largest rate of change of ḣ_r
+CATCH_UP = 0.5  # m/s, limit of the correction k_h (h_r − h)
+PITCH_LIMIT = math.radians(20.0)  # rad
+IDEAL_PATH_GAIN = 2.0  # k_p, 1/s; the path lags the reference by 1/k_p
 
-    reference: float = 0.3  # k_r, 1/s
-    altitude: float = 0.25  # k_h, 1/s
-    climb_acceleration: float = 0.8  # m/s², largest rate of change of ḣ_r
-    catch_up: float = 0.5  # m/s, limit of the correction k_h (h_r − h)
-    path: float = 0.5  # k_γ
-    path_integral: float = 0.3  # k_γi, 1/s
-    incidence_per_load: float = 0.05  # k_n, rad per g
-    speed: float = 0.15  # k_V, per m/s
-    speed_integral: float = 0.035  # k_Vi, per m/s per s
-    throttle_per_climb: float = 0.08  # k_c, per m/s
-    throttle_per_bank: float = 0.12  # k_φ
-    pitch_limit: float = math.radians(20.0)  # rad
-    ideal_path: float = 2.0  # k_p, 1/s; the path lags the reference by 1/k_p
-
-
-class HoldMemory(NamedTuple):
-    """State of the hold between two steps."""
-
-    altitude: float  # h_r, m
-    climb: float  # ḣ_r, m/s
-    pitch: float  # the pitch integral, rad
-    throttle: float  # the throttle integral, 0..1
-
-
-class Reference(NamedTuple):
-    """Reference altitude with its rate, and the commanded rate."""
-
-    altitude: float  # h_r, m
-    climb: float  # ḣ_r, m/s
-    demand: float  # ḣ_d, m/s
+# Gains of an airframe; units and defaults are in `scenario.middle_loop.Guidance`.
+GAINS = np.dtype(
+    [
+        ("path", "f8"),  # k_γ
+        ("path_integral", "f8"),  # k_γi
+        ("incidence_per_load", "f8"),  # k_n
+        ("speed", "f8"),  # k_V
+        ("speed_integral", "f8"),  # k_Vi
+        ("throttle_per_climb", "f8"),  # k_c
+        ("throttle_per_bank", "f8"),  # k_φ
+    ]
+)
+# State of the hold between two steps.
+HOLD = np.dtype(
+    [
+        ("altitude", "f8"),  # h_r, m
+        ("climb", "f8"),  # ḣ_r, m/s
+        ("pitch", "f8"),  # the pitch integral, rad
+        ("throttle", "f8"),  # the throttle integral, 0..1
+    ]
+)
 
 
-@jitable
-def climb_reference(
-    memory: HoldMemory,
+@kernel
+def climb_demand(
+    memory: Record,
     altitude: float,
-    altitude_target: float,
-    climb_target: float,
+    target: float,
+    target_rate: float,
     climb_limit: float,
     dt: float,
-    gains: HoldGains,
-) -> Reference:
-    """Advance the reference by one step; altitudes up in m, speeds in m/s.
+) -> float:
+    """Advance the reference by one step; return ḣ_d, m/s.
 
-    The targets are the desired altitude and its rate; an altitude error is corrected with at most
-    `climb_limit`.
+    Args:
+        memory: record of HOLD; altitude and climb are written.
+        altitude: m above the origin.
+        target: h_t, m.
+        target_rate: ḣ_t, m/s.
+        climb_limit: m/s, with which an altitude error is corrected at most.
+        dt: s.
     """
-    behind = gains.reference * (altitude_target - memory.altitude)
-    change = climb_target + _clip(behind, climb_limit) - memory.climb
-    climb_r = memory.climb + _clip(change, gains.climb_acceleration * dt)
-    altitude_r = memory.altitude + climb_r * dt
-    demand = climb_r + _clip(gains.altitude * (altitude_r - altitude), gains.catch_up)
-    return Reference(altitude_r, climb_r, demand)
+    behind = REFERENCE_GAIN * (target - memory.altitude)
+    change = target_rate + _clip(behind, climb_limit) - memory.climb
+    memory.climb += _clip(change, CLIMB_ACCELERATION * dt)
+    memory.altitude += memory.climb * dt
+    correction = _clip(ALTITUDE_GAIN * (memory.altitude - altitude), CATCH_UP)
+    demand: float = memory.climb + correction
+    return demand
 
 
-@jitable
+@kernel
 def hold(
-    memory: HoldMemory,
-    altitude: float,
+    memory: Record,
+    gains: Record,
+    demand: float,
     climb: float,
     airspeed: float,
     roll: float,
-    altitude_target: float,
-    climb_target: float,
     airspeed_target: float,
-    climb_limit: float,
     dt: float,
-    gains: HoldGains,
-) -> tuple[float, float, HoldMemory]:
-    """Compute pitch (rad), throttle (0..1) and memory; altitudes up in m, speeds in m/s.
+) -> Values:
+    """Compute pitch, rad, and throttle, 0..1.
 
-    The targets and `climb_limit` are those of `climb_reference`.
+    Args:
+        memory: record of HOLD, after `climb_demand`; the integrals are written.
+        gains: record of GAINS.
+        demand: ḣ_d, m/s.
+        climb: ḣ, m/s.
+        airspeed: V, m/s.
+        roll: φ, rad.
+        airspeed_target: V_d, m/s.
+        dt: s.
     """
-    reference = climb_reference(
-        memory,
-        altitude=altitude,
-        altitude_target=altitude_target,
-        climb_target=climb_target,
-        climb_limit=climb_limit,
-        dt=dt,
-        gains=gains,
-    )
-    gamma_d = _path_angle(reference.demand, airspeed)
-    gamma_error = gamma_d - _path_angle(climb, airspeed)
+    gamma_d = path_angle(demand, airspeed)
+    gamma_error = gamma_d - path_angle(climb, airspeed)
     cos_roll = max(math.cos(roll), 0.2)
     pitch = (
         gamma_d
@@ -120,58 +115,24 @@ def hold(
     speed_error = airspeed_target - airspeed
     throttle = (
         memory.throttle
-        + gains.throttle_per_climb * reference.climb
+        + gains.throttle_per_climb * memory.climb
         + gains.throttle_per_bank * (1.0 / cos_roll**2 - 1.0)
         + gains.speed * speed_error
     )
     # anti-windup: an integral stops while its command is beyond the limit in its direction
-    pitch_integral, throttle_integral = memory.pitch, memory.throttle
-    if abs(pitch) < gains.pitch_limit or pitch * gamma_error < 0.0:
-        pitch_integral += gains.path_integral * gamma_error * dt
+    if abs(pitch) < PITCH_LIMIT or pitch * gamma_error < 0.0:
+        memory.pitch += gains.path_integral * gamma_error * dt
     if 0.0 < throttle < 1.0 or (throttle - 0.5) * speed_error < 0.0:
-        throttle_integral += gains.speed_integral * speed_error * dt
-    return (
-        _clip(pitch, gains.pitch_limit),
-        min(max(throttle, 0.0), 1.0),
-        HoldMemory(reference.altitude, reference.climb, pitch_integral, throttle_integral),
-    )
+        memory.throttle += gains.speed_integral * speed_error * dt
+    return _clip(pitch, PITCH_LIMIT), min(max(throttle, 0.0), 1.0)
 
 
-@jitable
-def hold_path(
-    memory: HoldMemory,
-    altitude: float,
-    climb: float,
-    speed: float,
-    altitude_target: float,
-    climb_target: float,
-    climb_limit: float,
-    dt: float,
-    gains: HoldGains,
-) -> tuple[float, HoldMemory]:
-    """Compute γ̇ (rad/s) of an ideal vehicle and the memory; altitudes up in m, speeds in m/s.
-
-    The targets and `climb_limit` are those of `climb_reference`; the speed is over the ground.
-    """
-    reference = climb_reference(
-        memory,
-        altitude=altitude,
-        altitude_target=altitude_target,
-        climb_target=climb_target,
-        climb_limit=climb_limit,
-        dt=dt,
-        gains=gains,
-    )
-    error = _path_angle(reference.demand, speed) - _path_angle(climb, speed)
-    held = HoldMemory(reference.altitude, reference.climb, memory.pitch, memory.throttle)
-    return gains.ideal_path * error, held
-
-
-@jitable
-def _path_angle(climb: float, speed: float) -> float:
+@kernel
+def path_angle(climb: float, speed: float) -> float:
+    """Return the flight-path angle of a climb rate at a speed, m/s; at most 30°."""
     return math.asin(_clip(climb / max(speed, 1.0), 0.5))
 
 
-@jitable
+@kernel
 def _clip(value: float, limit: float) -> float:
     return min(max(value, -limit), limit)

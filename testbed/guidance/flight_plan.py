@@ -32,7 +32,10 @@ class WaypointLeg:
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """Altitude of a circle, m above the origin, and number of turns from the start of its climb."""
+    """Altitude of a circle, m above the origin, and number of turns.
+
+    Turns count from the start of its climb.
+    """
 
     altitude: float
     turns: float
@@ -40,7 +43,10 @@ class Level:
 
 @dataclass(frozen=True, slots=True)
 class LoiterLeg:
-    """A circle at one level after the other; as the last leg, the last level without end."""
+    """A circle at one level after the other.
+
+    As the last leg, the last level without end.
+    """
 
     centre: tuple[float, float]  # north, east, m
     radius: float  # m
@@ -62,7 +68,10 @@ class Mission:
 
 
 class Segment(NamedTuple):
-    """A straight line to a waypoint, or one level of a circle; fields of the other kind are 0."""
+    """A straight line to a waypoint, or one level of a circle.
+
+    Fields of the other kind are 0.
+    """
 
     circle: bool
     start: Point
@@ -148,7 +157,9 @@ def expand_laps(mission: Mission, start: Point) -> FlightPlan:
 
 @jitable
 def climb_profile(share: float, level_off: float) -> tuple[float, float]:
-    """Return the share of a leg's climb completed after a share (0..1) of the leg, and its slope.
+    """Return the completed share of a leg's climb, and its slope.
+
+    The argument is the share (0..1) of the leg.
 
     A straight line that levels off over the last `level_off` (0..1) of the leg.
     """

@@ -12,7 +12,7 @@ period T and damping ζ.
 
 Everything is horizontal and relative to the ground: (north, east) in m and m/s; further components
 are ignored. Lateral acceleration and angles are positive to the right. The functions are for one
-aircraft; `guidance_step` compiles them.
+aircraft; the kernels of `mission_follower` call them.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ MIN_SPEED = 0.1  # m/s, below which the ground course is undefined
 
 @jitable
 def look_ahead(speed: float, period: float, damping: float) -> float:
-    """Return the look-ahead distance L1 = ζ T V / π (m) at a ground speed (m/s)."""
+    """Return the look-ahead distance L1 = ζ T V / π, m."""
     return damping * period * max(speed, MIN_SPEED) / math.pi
 
 
@@ -37,7 +37,7 @@ def look_ahead(speed: float, period: float, damping: float) -> float:
 def track_coordinates(
     position: Sequence[float], start: Sequence[float], end: Sequence[float]
 ) -> tuple[float, float, float]:
-    """Return the distance along the track start → end, the distance right of it, its length; m.
+    """Return distances along and right of the track start → end, and its length; m.
 
     A track of length zero points north.
     """
@@ -116,7 +116,7 @@ def circle_acceleration(
 def turn_distance(
     speed: float, turn: float, waypoint_radius: float, period: float, damping: float
 ) -> float:
-    """Return the distance before a waypoint (m) at which the turn by an angle (rad) begins.
+    """Return the distance before a waypoint at which its turn begins, m.
 
     It is the look-ahead distance, at most `waypoint_radius`, scaled down for turns below 90°.
     """

@@ -9,8 +9,7 @@ import numpy as np
 
 from testbed.core.csv_table import read_table
 from testbed.core.errors import InputError
-from testbed.core.frames import wrap_pi
-from testbed.core.motion import euler_rates
+from testbed.core.frames import euler_rates, wrap_pi
 from testbed.core.records import Array
 
 COLUMNS = tuple(
@@ -60,7 +59,7 @@ def read_recording(path: Path) -> Recording:
     data = table.numbers(COLUMNS)
     if len(data) < 2:
         raise InputError(f"{path}: {len(data)} rows of numbers; a flight needs at least two")
-    table.refuse_steps(data[:, 0], MAX_GAP_S, "cut here")
+    table.check_time_steps(data[:, 0], MAX_GAP_S, "cut here")
     return Recording(
         time=_even_times(data[:, 0], table.column("t_s")),
         position_ned=data[:, 1:4].copy(),
@@ -113,7 +112,7 @@ def sample_recording(recording: Recording, time: Array) -> SampledTrajectory:
 
 
 def _even_times(time: Array, stamps: list[str]) -> Array:
-    """Return the even grid (M,) s that `time` was rounded from, or `time` if there is none.
+    """Return the even grid (M,) s that `time` was rounded from, if any.
 
     A stamp may have been rounded at its last nonzero digit.
     """

@@ -13,8 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-from testbed.core.errors import InputError
-from testbed.core.extras import needs_extra
+from testbed.core.errors import InputError, needs_extra
 from testbed.core.input_files import MAX_PARQUET_BYTES, open_regular
 from testbed.logs.flight_data import QUANTITIES, FlightData, Numbers, table_parts
 
@@ -127,7 +126,7 @@ def read_columns(
 
 @contextmanager
 def _reading(path: Path) -> Iterator[Any]:
-    """Open a Parquet file; report everything that is wrong with it as an error of the input."""
+    """Open a Parquet file; all errors in it are errors of the input."""
     with open_regular(path, MAX_PARQUET_BYTES) as stream:
         try:
             with parquet.ParquetFile(stream, page_checksum_verification=True) as file:

@@ -13,7 +13,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.extras import needs_extra
+from testbed.core.errors import needs_extra
 from testbed.core.records import Array, BoolArray, Event, RunInfo
 from testbed.logs.messages import FIXED32, TOPICS
 from testbed.logs.read import Log, read_log
@@ -41,7 +41,7 @@ MAX_SUGGESTIONS = 5  # in place of an unknown name
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One field of the log: a number of each aircraft, or of each pair, at every sample."""
+    """A field of the log: a number per sample and aircraft, or pair."""
 
     name: str  # topic and field of the log: formation_error_north_m
     unit: str  # "" if dimensionless
@@ -103,7 +103,7 @@ class FlightData:
         metrics = self.metrics or {}
         if "windows" not in metrics:
             return f"<{line}; {metrics.get('outcome', 'cut short')}>"
-        from testbed.metrics.short_table import table_text
+        from testbed.metrics.tables import table_text
 
         return f"{line}\n{table_text(metrics)}"
 
@@ -111,7 +111,7 @@ class FlightData:
         """Show the same in a notebook."""
         from html import escape
 
-        from testbed.metrics.short_table import table_html
+        from testbed.metrics.tables import table_html
 
         line, *rest = repr(self).splitlines()
         table = table_html(self.metrics) if self.metrics and rest else ""
@@ -227,7 +227,7 @@ class FlightData:
 
 
 def load_run(run: str | Path) -> FlightData:
-    """Load a run by its directory, its .mcap file, or a scenario's name for its latest run.
+    """Load a run by directory, .mcap file, or scenario (its latest run).
 
     A run that was killed is read up to its last complete chunk.
 

@@ -150,7 +150,7 @@ def text(words: str, position: Array, colour: Colour, height_m: float) -> messag
 def arrow(
     position: Array, quaternion: Array, length: float, colour: Colour
 ) -> messages.ArrowPrimitive:
-    """Make an arrow along the x axis of a rotation (4,) x, y, z, w; its length in m."""
+    """Make an arrow along the x axis of a rotation."""
     return messages.ArrowPrimitive(
         pose=_pose(position, quaternion),
         shaft_length=0.75 * length,

@@ -28,7 +28,7 @@ _SHAPE: Mapping[str, Any] = {
     "wingspan_m": ListOf(_NUMBER),
     "origin": {each.name: _NUMBER for each in dataclasses.fields(Origin)},
     "base_rate_hz": _RATE,
-    "frame_rate_hz": _RATE,
+    "sample_rate_hz": _RATE,
     "duration_s": Number(least=0.0),
     "seed": Number(whole=True, least=0),
     "speed_bounds_mps": ListOf(ListOf(_ANY_NUMBER, 2)),

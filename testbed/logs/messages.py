@@ -1,4 +1,4 @@
-"""Topics and fields of a log: the table from which writer, reader and schemas are made.
+"""Topics and fields of a log, from which writer, reader and schemas are made.
 
 A topic consists of columns. A column names the array of a `Sample` it comes from and the message
 fields its components become; field names end in their unit. A log also has Foxglove's own
@@ -48,7 +48,7 @@ class Topic:
 
 
 def aircraft_fields(names: Sequence[str]) -> dict[str, int]:
-    """Number the fields of a message with a value for each aircraft: numbers by field name.
+    """Number the fields of a message with a value for each aircraft.
 
     The numbers are those whose tags have the same length: 2 bytes up to 2032 aircraft.
     """

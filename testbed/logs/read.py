@@ -50,7 +50,7 @@ _RecordT = TypeVar("_RecordT")
 
 @dataclass(frozen=True, slots=True)
 class Log:
-    """A run read back: the records of a `Sample` with K samples on the leading axis."""
+    """A log that was read: records of a `Sample` with K leading samples."""
 
     info: RunInfo
     metadata: Mapping[str, str]

@@ -11,10 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from testbed.core.frames import geodetic_from_ned, quaternion_xyzw
-from testbed.core.records import Event, RunInfo, Sample
+from testbed.core.frames import enu_from_ned, geodetic_from_ned, quaternion_xyzw
+from testbed.core.records import Array, Event, RunInfo, Sample
 from testbed.core.samples import Columns, SampleBuffer
-from testbed.logs.fix_covariance import FixCovariance
 from testbed.logs.foxglove_messages import FIX, LOG, TRANSFORMS, encode_event
 from testbed.logs.header import INFO_NAME, METADATA_NAME, metadata, to_json
 from testbed.logs.mcap_file import LogError, McapWriter, topic_schema
@@ -171,7 +170,7 @@ class McapRecorder:
             batches: list[MessageBatch] = []
             if self._samples.tick:
                 columns = self._samples.columns()
-                topics = _changed_topics(columns, estimates_differ=bool(self._samples.erring))
+                topics = _changed_topics(columns, estimates_differ=bool(self._samples.inexact))
                 ticks = np.array(self._samples.tick, dtype=np.int64)
                 batches += self._encoder.encode(ticks, columns, topics)
                 batches += self._additional(file, ticks)
@@ -193,7 +192,7 @@ class McapRecorder:
         self._flushed = time.monotonic()
 
     def _additional(self, file: McapWriter, ticks: IntArray) -> Iterator[MessageBatch]:
-        """Take the additions up to the last of these ticks, as a batch of each topic."""
+        """Take the additions up to the last tick, one batch per topic."""
         found: dict[str, list[Addition]] = {}
         while self._next_addition is not None and self._next_addition.tick <= ticks[-1]:
             found.setdefault(self._next_addition.topic, []).append(self._next_addition)
@@ -221,7 +220,7 @@ class _SampleEncoder:
         )
         self._fix_channels = [file.channel(f"/{name}/fix", FIX) for name in names]
         self._fixes = GnssFixes(names)
-        self._fix_stride = max(1, round(info.frame_rate_hz / FIX_HZ))
+        self._fix_stride = max(1, round(info.sample_rate_hz / FIX_HZ))
         self._topics: dict[Topic, tuple[ProtoTemplate, list[Channel]]] = {}
         for topic in TOPICS:
             agents = names[1:] if topic.followers_only else names
@@ -313,3 +312,30 @@ def _static_transform(time_ns: IntArray) -> bytes:
 def chunk_samples(aircraft: int) -> int:
     """Samples in a full chunk."""
     return min(max(_CHUNK_AIRCRAFT_SAMPLES // aircraft, 10), 200)
+
+
+class FixCovariance:
+    """Average the squared errors of N estimated positions, from the first sample on."""
+
+    def __init__(self, aircraft: int) -> None:
+        """Start without samples."""
+        self._sums = np.zeros((aircraft, 3, 3))  # m²
+        self._count = 0
+
+    def add(self, error_ned: Array) -> Array:
+        """Add the next K samples.
+
+        Args:
+            error_ned: (K, N, 3) m, of the estimates; not finite in aircraft that have failed.
+
+        Returns:
+            (K, N, 3, 3) m², of east, north and up, after each sample.
+        """
+        enu = np.nan_to_num(enu_from_ned(error_ned), posinf=0.0, neginf=0.0)
+        squares = np.concatenate([self._sums[None], enu[..., :, None] * enu[..., None, :]])
+        # summed one by one, so that chunks of other lengths give the same bits
+        sums = np.cumsum(squares, axis=0)[1:]
+        counts = np.arange(self._count + 1, self._count + 1 + len(sums))
+        self._sums, self._count = sums[-1], self._count + len(sums)
+        out: Array = sums / counts[:, None, None, None]
+        return out

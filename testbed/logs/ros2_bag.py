@@ -13,7 +13,7 @@ from typing import Any, Literal, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.extras import needs_extra
+from testbed.core.errors import needs_extra
 from testbed.core.records import Array
 
 with needs_extra("ros2", "bags of ROS 2"):

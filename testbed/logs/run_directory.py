@@ -1,4 +1,4 @@
-"""Run directories: one for each run, with fixed file names, found again by the scenario's name."""
+"""Run directories: one per run, with fixed file names, found by the scenario's name."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def write_run_file(directory: Path, name: str, data: bytes) -> None:
 
 
 def find_run(run: str | Path, *, logs: Path = LOGS) -> Path:
-    """Find the log of a run by its directory, its `.mcap` file, or its scenario's name.
+    """Find the log of a run by directory, `.mcap` file, or scenario.
 
     A scenario's name stands for its latest run below `logs`.
 

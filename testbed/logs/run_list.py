@@ -1,4 +1,4 @@
-"""List the runs in a folder with their sizes and dates, choose old ones, and delete them.
+"""List the runs in a folder; choose and delete old ones.
 
 A run is a directory with `scenario.resolved.yaml` and a log or metrics. Nothing else is ever
 deleted: not other directories, nor a run with files that the testbed does not write, nor one that

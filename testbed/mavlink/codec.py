@@ -20,8 +20,7 @@ from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, SupportsFloat, SupportsIndex
 
-from testbed.core.errors import InputError
-from testbed.core.extras import needs_extra
+from testbed.core.errors import InputError, needs_extra
 from testbed.mavlink.signing import SIGNATURE_BYTES, MessageSigner, Signing, Verdict
 
 V1, V2 = 0xFE, 0xFD  # first byte of a frame

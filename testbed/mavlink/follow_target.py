@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from testbed.core.frames import (
     body_rates,
     euler_from_quaternion,
+    euler_rates,
     geodetic_from_ned,
     ned_from_geodetic,
     quaternion_xyzw,
 )
-from testbed.core.motion import euler_rates
 from testbed.core.records import Array, BoolArray, Broadcast, Origin
 
 Frames = NDArray[np.uint8]

@@ -118,10 +118,10 @@ class MavlinkServer:
                         self._timestamp_us(), codec.pack(message.name, **message.fields)
                     )
 
-    def observe(self, frame: Sample) -> None:
+    def observe(self, sample: Sample) -> None:
         """Send the messages that are due with a sample, and its events."""
-        self._set_time(frame.time_s)
-        snapshot, wall_s = TelemetrySnapshot(frame, self._origin), self._clock()
+        self._set_time(sample.time_s)
+        snapshot, wall_s = TelemetrySnapshot(sample, self._origin), self._clock()
         self._snapshot = snapshot
         last = []  # lockstep programs answer these, and have then received all other messages
         for row, vehicle in self._responsive_vehicles():
@@ -130,7 +130,7 @@ class MavlinkServer:
                 last += [(row, message) for message in messages if message.name == ATTITUDE]
                 messages = [message for message in messages if message.name != ATTITUDE]
             self._send(row, messages)
-        self._send_events(frame.events)
+        self._send_events(sample.events)
         for row, message in last:
             self._send(row, [message])
         self._flush()

@@ -111,12 +111,12 @@ class TelemetrySnapshot:
 
     def has_fix(self, row: int) -> bool:
         """Check whether the GPS receiver of an aircraft has a fix."""
-        faults = self.sample.failing
+        faults = self.sample.faults
         return faults is None or not faults.gps_lost[row]
 
     def autopilot_frozen(self, row: int) -> bool:
         """Check whether the autopilot of an aircraft is frozen."""
-        faults = self.sample.failing
+        faults = self.sample.faults
         return faults is not None and bool(faults.frozen[row])
 
     def battery(self, row: int) -> tuple[float, float] | None:

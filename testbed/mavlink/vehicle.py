@@ -51,7 +51,7 @@ class MavlinkVehicle:
         self.system, self.lockstep = system, control.lockstep
         version = info.versions.get("testbed", "0")
         self._context = VehicleContext(control, system, row, info.origin, version, epoch_us)
-        self._schedule = MessageSchedule(info.frame_rate_hz, lockstep=self.lockstep)
+        self._schedule = MessageSchedule(info.sample_rate_hz, lockstep=self.lockstep)
         self._parameters = ParameterProtocol(self._context)
         self._missions = MissionProtocol(self._context)
         commands = CommandProtocol(self._context, self._schedule)

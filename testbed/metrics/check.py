@@ -8,18 +8,19 @@ from typing import Any
 from testbed.core.errors import InputError
 from testbed.core.records import RunInfo
 from testbed.core.shape import Each, ListOf, Number, Optional, check_shape
-from testbed.formation.flags import LimiterFlag, Saturation
+from testbed.formation.law import LimiterFlag, Saturation
 from testbed.metrics.accumulator import ESTIMATE_KEYS
 from testbed.metrics.document import OUTCOMES, Document
 from testbed.metrics.facts import facts
-from testbed.metrics.link_tables import arrival_tables, worst_links
 from testbed.metrics.summary import SCHEMA
 from testbed.metrics.tables import (
+    arrival_tables,
     error_tables,
     follower_tables,
     published_mean,
     published_note,
     worst_followers,
+    worst_links,
 )
 
 _NUMBER = Number()
@@ -134,7 +135,7 @@ def _shape(info: RunInfo) -> dict[str, Any]:
 
     def flags(kind: type[LimiterFlag] | type[Saturation]) -> dict[str, Any]:
         kinds = {str(flag.name).lower(): _COUNT for flag in kind}
-        return by(followers, {"frames": _COUNT, "seconds": _NUMBER, "by_kind": kinds})
+        return by(followers, {"samples": _COUNT, "seconds": _NUMBER, "by_kind": kinds})
 
     slot_speed = {
         "kappa_mps": by(followers, _KNOWN),

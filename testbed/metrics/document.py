@@ -107,7 +107,7 @@ def initial_warnings(document: Document) -> list[str]:
 
 
 def errors(document: Document) -> list[tuple[float, str]]:
-    """Return time, s, and text of the events that are errors, in the order of time."""
+    """Return time, s, and text of the errors, in order of time."""
     found = [each for each in document["events"] if each["level"] == "error"]
     return [(each["time_s"], f"{each['source']}: {each['text']}") for each in found]
 

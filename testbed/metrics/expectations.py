@@ -58,7 +58,7 @@ def _compare(document: Document, quantity: str, bounds: Mapping[str, Any]) -> It
 def _numbers(
     document: Document, quantity: str
 ) -> Iterator[tuple[str | None, str | None, float | None]]:
-    """Yield window, follower and value of a quantity's numbers; the names are None for one of all.
+    """Yield window, follower and value of a quantity's numbers; None: of all.
 
     A quantity that windows have is read from them only.
     """
@@ -81,7 +81,7 @@ def _numbers(
 def _applying(
     bounds: Mapping[str, Any], window: str | None, follower: str | None
 ) -> Iterator[tuple[str, ...]]:
-    """Yield the keys of the bounds that apply to a number: the most specific ones of each side."""
+    """Yield the keys of the most specific bounds of a number, per side."""
     one_name = [(name,) for name in (window, follower) if name is not None]
     both = [(window, follower)] if window is not None and follower is not None else []
     for side in _SIDES:
@@ -113,10 +113,10 @@ def bound_key(bound: Document) -> str:
 
 def describe_violation(bound: Document) -> str:
     """Describe a violated bound: `uav1 in circles: 0.226 m, above 0.2 m`."""
-    who = [bound["follower"]] if bound["follower"] else []
+    followers = [bound["follower"]] if bound["follower"] else []
     where = [f"in {bound['window']}"] if bound["window"] else []
     unit = next((unit for end, unit in _UNITS.items() if bound["quantity"].endswith(end)), "")
     value = "no value" if bound["value"] is None else f"{bound['value']:.4g}{unit}"
-    start = f"{' '.join([*who, *where])}: " if who or where else ""
+    start = f"{' '.join([*followers, *where])}: " if followers or where else ""
     side = "not within" if bound["value"] is None else _SIDES[bound["side"]]
     return f"{start}{value}, {side} {bound['bound']:g}{unit}"

@@ -1,9 +1,9 @@
-"""Lines of text on a run, from its metrics document: shared by the terminal and the report."""
+"""Lines of text on a metrics document, for the terminal and the report."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from testbed.metrics.summary import CALM_MPS
 ABSENT = "–"
 MAX_LISTED = 12  # aircraft that are named in a line
 DELAY_RESOLUTION_S = 1e-6  # smaller differences of delays are rounding
-PACE_TOLERANCE = 0.01  # a pace this close to the requested one has been kept
+PACE_TOLERANCE = 0.01  # a pace this close to the requested one counts as achieved
 
 Numbers = Mapping[str, float | None]
 
@@ -73,13 +73,22 @@ def facts(metrics: Document) -> list[tuple[str, str | Text]]:
     return [row for row in rows if str(row[1])]
 
 
+def select_largest(
+    names: Iterable[str], size: Callable[[str], float | tuple[float, ...]], count: int
+) -> list[str]:
+    """Return the `count` names of largest size, or fewer, in their order."""
+    names = list(names)
+    largest = set(sorted(names, key=size, reverse=True)[:count])
+    return [name for name in names if name in largest]
+
+
 def shown(value: float | None, form: str) -> str:
     """Format a number; a dash stands for None."""
     return ABSENT if value is None else form.format(value)
 
 
 def percent(share: float | None) -> str:
-    """Format a share of 0..1; only all of it is 100 %, and only none of it 0 %."""
+    """Format a share; 100 % and 0 % are printed only if exact."""
     if share is None:
         return ABSENT
     text = f"{100.0 * share:.1f}"
@@ -105,26 +114,26 @@ def describe_estimates(errors: Mapping[str, Numbers], relative: Numbers) -> list
     if exact(errors):
         return []
     known = {name: each for name, each in errors.items() if None not in each.values()}
-    erring = [each for each in known.values() if any(each.values())]
+    inexact = [each for each in known.values() if any(each.values())]
     lines = []
-    if erring:
+    if inexact:
         for forms in _ESTIMATE_LINES:
-            rms = {key: _rms([each[key] for each in erring]) for key, _ in forms}
+            rms = {key: _rms([each[key] for each in inexact]) for key, _ in forms}
             lines.append(", ".join(form.format(rms[key]) for key, form in forms if rms[key]))
         between = {name: each for name, each in relative.items() if each is not None}
         if any(between.values()):
             worst = max(between, key=lambda name: between[name])
             most = f", max {between[worst]:.2f} m ({worst})" if len(between) > 1 else ""
             lines.append(f"relative to leader {_rms(between.values()):.2f} m{most}")
-        if len(erring) < len(errors):
-            lines.append(f"over the {len(erring)} of {len(errors)} aircraft with errors")
+        if len(inexact) < len(errors):
+            lines.append(f"over the {len(inexact)} of {len(errors)} aircraft with errors")
     if len(known) < len(errors):
         lines.append(f"NaN: {', '.join(name for name in errors if name not in known)}")
     return [line for line in lines if line]
 
 
 def describe_wind(wind: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Describe the mean wind and the gusts of all aircraft together; no lines in still air.
+    """Describe mean wind and gusts of all aircraft; no lines in still air.
 
     Gusts are the RMS over the aircraft of the difference from each one's own mean wind.
     """
@@ -157,7 +166,9 @@ def describe_network(network: Document | None) -> list[str]:
     if total["lost"] or total["muted"]:
         share = percent(total["delivered_share"])
         lines.append(f"{share} of {total['sent']:,} delivered{_worst(network['links'])}")
-    lost = ", ".join(f"{_LOST[fate]} {count:,}" for fate, count in total["lost"].items() if count)
+    lost = ", ".join(
+        f"{_LOST[reason]} {count:,}" for reason, count in total["lost"].items() if count
+    )
     others = [f"{total[key]:,} {key}" for key in ("overtaken", "duplicated") if total[key]]
     lines.append("; ".join(filter(None, (f"lost: {lost}" if lost else "", ", ".join(others)))))
     if total["muted"]:
@@ -179,10 +190,10 @@ def describe_pace(pace: Document) -> Text:
     """Describe requested and achieved pace, and the lateness of ticks."""
     if pace["achieved"] is None:
         return Text("no ticks")
-    kept = pace["achieved"] >= (1.0 - PACE_TOLERANCE) * pace["requested"]
+    achieved = pace["achieved"] >= (1.0 - PACE_TOLERANCE) * pace["requested"]
     late = (f"{name} {1e3 * pace['late_s'][name]:.1f} ms" for name in ("mean", "p99", "max"))
     rate = f"{pace['achieved']:.3f} of {pace['requested']:g} × real time"
-    return Text(f"{rate}\nticks late: {', '.join(late)}", style="" if kept else "yellow")
+    return Text(f"{rate}\nticks late: {', '.join(late)}", style="" if achieved else "yellow")
 
 
 def describe_mavlink(links: Document) -> Text:
@@ -245,11 +256,11 @@ def _separation(metrics: Document) -> Text:
 def _kappa(metrics: Document) -> Text:
     """Describe the follower with the smallest margin to the κ that the scenario assumes."""
     measured, assumed = metrics["kappa_mps"], metrics["kappa_assumed_mps"]
-    spare = {name: kappa - assumed[name] for name, kappa in measured.items() if kappa is not None}
-    if not spare:
+    margins = {name: kappa - assumed[name] for name, kappa in measured.items() if kappa is not None}
+    if not margins:
         return Text(ABSENT)
-    name = min(spare, key=lambda each: spare[each])
-    style = "red" if measured[name] <= 0.0 else "yellow" if spare[name] <= 0.0 else ""
+    name = min(margins, key=lambda each: margins[each])
+    style = "red" if measured[name] <= 0.0 else "yellow" if margins[name] <= 0.0 else ""
     return Text(
         f"{measured[name]:.2f} m/s, {name} at {metrics['kappa_at_s'][name]:.1f} s; "
         f"assumed {assumed[name]:g}",

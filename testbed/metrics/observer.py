@@ -10,8 +10,7 @@ import numpy as np
 
 from testbed.core.records import Event, RunInfo, Sample
 from testbed.core.samples import SampleBuffer
-from testbed.metrics.accumulator import Accumulator, block_samples
-from testbed.metrics.sample_block import make_block
+from testbed.metrics.accumulator import Accumulator, block_samples, make_block
 from testbed.metrics.summary import summarise
 
 
@@ -52,14 +51,14 @@ class MetricsObserver:
         self._block = block_samples(len(info.names))
         self._buffer = SampleBuffer(self._block)
 
-    def observe(self, frame: Sample) -> None:
+    def observe(self, sample: Sample) -> None:
         """Copy what is measured; accumulate the block when it is full."""
         buffer = self._buffer
-        buffer.append(frame)
-        if frame.events:
-            self._events.extend(frame.events)
+        buffer.append(sample)
+        if sample.events:
+            self._events.extend(sample.events)
         if len(buffer.tick) == self._block:
-            self._accumulator.accumulate(make_block(buffer.tick, buffer.columns(), buffer.erring))
+            self._accumulator.accumulate(make_block(buffer.tick, buffer.columns(), buffer.inexact))
             buffer.clear()
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
@@ -79,7 +78,7 @@ class MetricsObserver:
         total, buffer = self._accumulator, self._buffer
         if buffer.tick:
             total = copy.deepcopy(total)
-            total.accumulate(make_block(buffer.tick, buffer.columns(), buffer.erring))
+            total.accumulate(make_block(buffer.tick, buffer.columns(), buffer.inexact))
         return summarise(
             total,
             windows=self._windows,

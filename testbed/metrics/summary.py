@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from testbed.core.frames import wind_from_deg
-from testbed.core.records import Array, Event, RunInfo
+from testbed.core.records import Array, BoolArray, Event, RunInfo
 from testbed.formation.assumptions import largest_kappa
-from testbed.formation.flags import LimiterFlag, Saturation
-from testbed.metrics.accumulator import ESTIMATE_KEYS, Accumulator
-from testbed.metrics.sample_block import NEVER, Ticks
+from testbed.formation.law import LimiterFlag, Saturation
+from testbed.metrics.accumulator import ESTIMATE_KEYS, NEVER, Accumulator, Ticks
 
 SCHEMA = 2  # of metrics.json; raised when a key is renamed, removed or changes its meaning
 CALM_MPS = 1e-6  # a slower wind is rounding
@@ -97,13 +96,13 @@ def _window(total: Accumulator, p: int, span: tuple[float, float], info: RunInfo
     """Numbers of window p."""
     followers = info.names[1:]
     count = int(total.window_samples[p])
-    covered = count / info.frame_rate_hz
+    covered = count / info.sample_rate_hz
     start, end = float(span[0]), float(span[1])
     nothing = dict.fromkeys(followers)
     out: dict[str, Any] = {
         "window_s": [start, end],
         "covered_s": covered,
-        "complete": covered >= end - start - 1.0 / info.frame_rate_hz,
+        "complete": covered >= end - start - 1.0 / info.sample_rate_hz,
         "rms_m": nothing,
         "mean_rms_m": None,
         "estimated_rms_m": nothing,
@@ -161,8 +160,8 @@ def _flags(
     """By follower: samples and seconds with any of these flags, and samples with each."""
     return {
         name: {
-            "frames": int(any_of_them[i]),
-            "seconds": int(any_of_them[i]) / info.frame_rate_hz,
+            "samples": int(any_of_them[i]),
+            "seconds": int(any_of_them[i]) / info.sample_rate_hz,
             "by_kind": {str(flag.name).lower(): int(each[i, k]) for k, flag in enumerate(kind)},
         }
         for i, name in enumerate(info.names[1:])
@@ -170,7 +169,7 @@ def _flags(
 
 
 def _wind(total: Accumulator, names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """By aircraft: mean wind, RMS of the gusts about it, largest speed, and effect of wakes."""
+    """Mean wind, RMS of gusts, largest speed and effect of wakes by aircraft."""
     samples = np.maximum(total.samples, 1)[:, None]
     mean = total.wind_sum / samples
     gusts = np.sqrt(np.maximum(total.wind_square / samples - mean**2, 0.0))
@@ -220,3 +219,25 @@ def _time(tick: int, info: RunInfo) -> float | None:
 
 def _times(ticks: Ticks, names: Sequence[str], info: RunInfo) -> dict[str, float | None]:
     return {name: _time(int(tick), info) for name, tick in zip(names, ticks, strict=True)}
+
+
+METRICS = ("recovery.", "max_error_m.", "lost_at_s.")  # beginnings of the names that are read
+_RECOVERY, _SLOT = "recovery.", ".in_slot_since_s"
+
+
+def count_out_of_slot(metrics: Mapping[str, Array], where: BoolArray) -> int:
+    """Count flights that end with a follower that is not lost out of its slot.
+
+    Args:
+        metrics: values (R,) by name, NaN for null.
+        where: (R,) the flights to count.
+    """
+    out = np.zeros(where.shape, dtype=np.bool_)
+    for name, since in metrics.items():
+        if name.startswith(_RECOVERY) and name.endswith(_SLOT):
+            follower = name[len(_RECOVERY) : -len(_SLOT)]
+            known = metrics.get(f"max_error_m.{follower}")
+            lost = metrics.get(f"lost_at_s.{follower}")
+            flew = np.zeros_like(out) if known is None else ~np.isnan(known)
+            out |= flew & np.isnan(since) & (True if lost is None else np.isnan(lost))
+    return int((out & where).sum())

@@ -1,10 +1,15 @@
-"""The metrics document on a terminal: tables readable without colours at 60 columns and more."""
+"""Tables of a metrics document: for terminals, for notebooks, and of links.
+
+The terminal's are readable without colours; the short ones, as text and HTML, are for notebooks and
+the interpreter.
+"""
 
 from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from html import escape
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -15,15 +20,19 @@ from rich.table import Table
 from rich.text import Text
 
 from testbed.core.records import join_names
-from testbed.formation.flags import Saturation
+from testbed.formation.law import Saturation
 from testbed.metrics.document import EXCEEDED, Document
-from testbed.metrics.facts import ABSENT, facts, shown
+from testbed.metrics.facts import ABSENT, facts, percent, select_largest, shown
 
 Columns = dict[str, list[Text | str]]  # cells by heading
+Row = Sequence[str]
 
 MAX_FOLLOWERS = 12  # listed one by one; of more, those with the largest errors
 MAX_WINDOWS = 3  # side by side in 80 columns
 MAX_EVENTS = 6
+MAX_LINKS = 12  # listed one by one; of more, those that delivered least
+SHORT_FOLLOWERS = 4  # in a short table; of more, those with the largest errors
+SHORT_WINDOWS = 4
 FACT_INDENT = 21  # columns of the name of a line below the tables
 EVENT_INDENT = 22  # columns of an event's level and time
 NARROW = 70  # columns; below, a wrapped event is indented by `NARROW_INDENT` only
@@ -68,18 +77,14 @@ def render_table(
 
 
 def worst_followers(metrics: Document) -> list[str]:
-    """Return the followers to list: all, or of many those with the largest RMS error, in order."""
-    followers = list(metrics["joined_at_s"])
-    if len(followers) <= MAX_FOLLOWERS:
-        return followers
+    """Return the followers to list: of many, those with the largest RMS error."""
 
-    def badness(name: str) -> float:
+    def largest_error(name: str) -> float:
         errors = [window["rms_m"][name] for window in metrics["windows"].values()]
         errors.append(None if errors else metrics["max_error_m"][name])
         return max((error for error in errors if error is not None), default=float("inf"))
 
-    worst = set(sorted(followers, key=badness, reverse=True)[:MAX_FOLLOWERS])
-    return [name for name in followers if name in worst]
+    return select_largest(metrics["joined_at_s"], largest_error, MAX_FOLLOWERS)
 
 
 def error_tables(
@@ -88,7 +93,7 @@ def error_tables(
     *,
     fits: Callable[[Table], bool] = lambda table: True,
 ) -> list[Table]:
-    """Make tables of the RMS errors, with up to `MAX_WINDOWS` windows side by side if it fits.
+    """Make tables of the RMS errors, with up to `MAX_WINDOWS` windows each.
 
     Args:
         metrics: the document.
@@ -108,7 +113,7 @@ def error_tables(
 
 def _error_table(metrics: Document, windows: Sequence[str], names: Sequence[str]) -> Table:
     published = metrics.get("published") or {}
-    beside = [name for name in windows if name in compared_windows(metrics)]
+    compared = [name for name in windows if name in compared_windows(metrics)]
     followers = list(metrics["joined_at_s"])
     table = _new_table()
     table.add_column(Text("\nRMS error, m", style="bold"), no_wrap=True)
@@ -116,24 +121,31 @@ def _error_table(metrics: Document, windows: Sequence[str], names: Sequence[str]
         start, end = metrics["windows"][window]["window_s"]
         title = Text.assemble((window, "bold cyan"), f"\n{start:g}–{end:g} s", justify="right")
         table.add_column(title, justify="right", no_wrap=True)
-        if window in beside:
+        if window in compared:
             table.add_column(Text("\npaper"), justify="right", style="dim", no_wrap=True)
             table.add_column(Text("\nratio"), justify="right", no_wrap=True)
 
     def add(label: Text | str, by_window: Sequence[list[Text | str]]) -> None:
         cells: list[Text | str] = [label]
         for window, own in zip(windows, by_window, strict=True):
-            cells += own + [""] * (3 - len(own) if window in beside else 0)
+            cells += own + [""] * (3 - len(own) if window in compared else 0)
         table.add_row(*cells)
 
     def compare(key: str, form: str, window: str, name: str | None = None) -> list[Text | str]:
         """Our number, and the published one with the ratio if the window has one."""
-        ours, theirs = metrics["windows"][window][key], published.get(key, {}).get(window)
+        measured, paper = (
+            metrics["windows"][window][key],
+            published.get(key, {}).get(window),
+        )
         if name is not None:
-            ours, theirs = ours[name], _nth(theirs, followers.index(name))
+            measured, paper = measured[name], _nth(paper, followers.index(name))
         if _lost_within(metrics, window, *(followers if name is None else [name])):
-            theirs = None
-        return _compared_cells(ours, theirs, form) if window in beside else [shown(ours, form)]
+            paper = None
+        return (
+            _compared_cells(measured, paper, form)
+            if window in compared
+            else [shown(measured, form)]
+        )
 
     for name in names:
         add(name, [compare("rms_m", "{:.2f}", window, name) for window in windows])
@@ -206,7 +218,7 @@ def compared_windows(metrics: Document) -> list[str]:
 
 
 def published_mean(metrics: Document, window: str) -> float | None:
-    """Return the published mean RMS error of a window, m, if ours can be compared with it."""
+    """Return the published mean RMS error of a window, m, if comparable."""
     if window not in compared_windows(metrics):
         return None
     if _lost_within(metrics, window, *metrics["max_error_m"]):
@@ -216,7 +228,7 @@ def published_mean(metrics: Document, window: str) -> float | None:
 
 
 def published_note(metrics: Document) -> str:
-    """Name the source of published numbers and the windows not compared; "" if there are none."""
+    """Name the source of published numbers and windows not compared; "" if none."""
     known = _published_windows(metrics)
     if known and (differs := metrics["published"].get("differs")):
         source = metrics["published"]["source"]
@@ -229,7 +241,7 @@ def published_note(metrics: Document) -> str:
 
 
 def covered_part(metrics: Document, window: str) -> str:
-    """Name the part of a window that the run covers, s: "all", "none", or its start and end."""
+    """Name the covered part of a window, s: "all", "none", or start and end."""
     found = metrics["windows"][window]
     if found["complete"]:
         return "all"
@@ -283,7 +295,7 @@ def _headline(metrics: Document, width: int) -> list[Text]:
 
 
 def join_parts(first: Text, parts: Sequence[Text], width: int) -> list[Text]:
-    """Join parts by dots, in lines of at most this width where each part fits one."""
+    """Join parts by dots, in lines of at most this width."""
     lines = [Text.assemble(" ", first)]
     for part in parts:
         if lines[-1].cell_len + 3 + part.cell_len > width:
@@ -295,14 +307,14 @@ def join_parts(first: Text, parts: Sequence[Text], width: int) -> list[Text]:
 
 def _print_events(events: Sequence[Mapping[str, Any]], console: Console) -> None:
     """Print the first warnings and errors, and the run's own notes from before the flight."""
-    loud = [
+    printed = [
         e
         for e in events
         if e["level"] in EVENT_STYLES or (e["source"] == "run" and not e["time_s"])
     ]
     # errors before warnings, because they decide whether the run is valid
-    first = sorted(range(len(loud)), key=lambda i: loud[i]["level"] != "error")[:MAX_EVENTS]
-    for event in (loud[i] for i in sorted(first)):
+    first = sorted(range(len(printed)), key=lambda i: printed[i]["level"] != "error")[:MAX_EVENTS]
+    for event in (printed[i] for i in sorted(first)):
         time = f"{event['time_s']:.2f} s"
         start = f" {event['level']:<8}{time:>11}  "
         indent = EVENT_INDENT if console.width >= NARROW else NARROW_INDENT
@@ -314,8 +326,8 @@ def _print_events(events: Sequence[Mapping[str, Any]], console: Console) -> None
             lines += [" " * indent + line for line in wrap_lines(rest, console.width - indent)]
         style = EVENT_STYLES.get(event["level"], "")
         console.print(Text("\n".join(lines), style=style), soft_wrap=True)
-    if len(loud) > MAX_EVENTS:
-        more = f" … and {len(loud) - MAX_EVENTS} more in the log"
+    if len(printed) > MAX_EVENTS:
+        more = f" … and {len(printed) - MAX_EVENTS} more in the log"
         console.print(Text(more, style="dim"))
 
 
@@ -326,20 +338,20 @@ def _published_windows(metrics: Document) -> list[str]:
 
 
 def _lost_within(metrics: Document, window: str, *names: str) -> bool:
-    """Whether one of these, or the leader, was lost before a window ended."""
+    """Return whether one of these, or the leader, was lost before a window ended."""
     lost, end = metrics["lost_at_s"], metrics["windows"][window]["window_s"][1]
     times = [lost.get(name) for name in (next(iter(lost), ""), *names)]
     return any(at is not None and at < end for at in times)
 
 
-def _compared_cells(ours: float | None, theirs: float | None, form: str) -> list[Text | str]:
-    value = Text(shown(ours, form))
-    if ours is None or not theirs:
-        return [value, shown(theirs, "{:g}"), ABSENT]
-    ratio = ours / theirs
+def _compared_cells(measured: float | None, paper: float | None, form: str) -> list[Text | str]:
+    value = Text(shown(measured, form))
+    if measured is None or not paper:
+        return [value, shown(paper, "{:g}"), ABSENT]
+    ratio = measured / paper
     style = "green" if ratio <= 1.0 else "red"
     value.stylize(style)
-    return [value, f"{theirs:g}", Text(f"{ratio:.2f}", style=style)]
+    return [value, f"{paper:g}", Text(f"{ratio:.2f}", style=style)]
 
 
 def _nth(values: Sequence[float] | None, index: int) -> float | None:
@@ -368,8 +380,169 @@ def _milliseconds(seconds: float | None) -> str:
 def _saturated_share(metrics: Document, name: str, kind: str) -> str:
     """Format the share of the samples in which a command was saturated, %."""
     found = metrics["saturations"][name]
-    period = found["seconds"] / found["frames"] if found["frames"] else 0.0
+    period = found["seconds"] / found["samples"] if found["samples"] else 0.0
     # the first and the last sample count, too
     samples = float(metrics["simulated_s"]) / period + 1.0 if period else 1.0
     share = 100.0 * found["by_kind"][kind] / samples
     return f"{share:.1f}" if share else "0"
+
+
+def worst_links(links: Mapping[str, Mapping[str, Document]]) -> dict[str, Document]:
+    """Return the links to list: all, or of many those that delivered least, in order.
+
+    Args:
+        links: statistics by sender and receiver.
+    """
+    named = name_links(links)
+    worst = select_largest(named, lambda name: impairment(named[name]), MAX_LINKS)
+    return {name: named[name] for name in worst}
+
+
+def name_links(links: Mapping[str, Mapping[str, Document]]) -> dict[str, Document]:
+    """Return statistics by link, "a > b", of those by sender and receiver."""
+    return {
+        f"{source} > {destination}": link
+        for source, receivers in links.items()
+        for destination, link in receivers.items()
+    }
+
+
+def impairment(link: Document) -> tuple[float, float]:
+    """Return by what links are ordered: the share delivered, negated, then the delay, s."""
+    share, delay = link["delivered_share"], link["delay_s"]
+    return -(1.0 if share is None else share), (delay["p99"] if delay else 0.0)
+
+
+def link_table(
+    title: str,
+    columns: Sequence[str],
+    links: Mapping[str, Document],
+    total: Document,
+    cells: Callable[[Document], Sequence[str]],
+) -> Table:
+    """Make a table with a row for each link and one for all together."""
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, collapse_padding=True, header_style="")
+    # the only column that may be broken over lines, because names can be long
+    table.add_column(Text(title, style="bold"))
+    for name in columns:
+        table.add_column(name, justify="right", no_wrap=True)
+    for name, link in links.items():
+        table.add_row(name, *cells(link))
+    table.add_section()
+    table.add_row("all", *cells(total))
+    return table
+
+
+def arrival_tables(
+    links: Mapping[str, Document],
+    total: Document,
+    fits: Callable[[Table], bool] = lambda table: True,
+) -> list[Table]:
+    """Make tables of deliveries, delays and bursts of losses by link.
+
+    Args:
+        links: statistics by name.
+        total: statistics of all links.
+        fits: whether a table is narrow enough; if not, bursts get a table of their own.
+    """
+
+    def arrivals(link: Document) -> list[str]:
+        delay = link["delay_s"]
+        return [
+            f"{link['sent']:,}",
+            percent(link["delivered_share"]).removesuffix(" %"),
+            *(ABSENT if delay is None else f"{1e3 * delay[p]:.1f}" for p in ("p50", "p95", "p99")),
+        ]
+
+    def bursts(link: Document) -> list[str]:
+        found = link["bursts"]
+        mean = ABSENT if found["mean"] is None else f"{found['mean']:.2f}"
+        return [mean, f"{found['longest']:,}"]
+
+    early = ("\nsent", "arrived\n%", "delay\np50, ms", "\np95", "\np99")
+    late = ("loss burst\nmean", "\nmax")
+    whole = link_table(
+        "\nlink", early + late, links, total, lambda link: arrivals(link) + bursts(link)
+    )
+    if fits(whole):
+        return [whole]
+    return [
+        link_table("\nlink", early, links, total, arrivals),
+        link_table("\nlink", late, links, total, bursts),
+    ]
+
+
+def table_text(metrics: Document, place: str = "") -> str:
+    """Return at most ten lines: outcome, RMS error by follower and window, separation.
+
+    Args:
+        metrics: of a run.
+        place: of its files; "": none.
+    """
+    rows = list(_rows(metrics))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    table = ("  ".join(_aligned(row, widths)).rstrip() for row in rows)
+    return "\n".join([_title(metrics), *table, *_ending(metrics, place)])
+
+
+def table_html(metrics: Document, place: str = "") -> str:
+    """Return the same as HTML, for `_repr_html_`."""
+    head, *body = (
+        "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in row)
+        for tag, row in zip(("th", *["td"] * 99), _rows(metrics), strict=False)
+    )
+    lines = "".join(f"<tr>{row}</tr>" for row in body)
+    ending = "<br>".join(map(escape, _ending(metrics, place)))
+    return (
+        f"<p>{escape(_title(metrics))}</p><table><thead><tr>{head}</tr></thead>"
+        f"<tbody>{lines}</tbody></table><p>{ending}</p>"
+    )
+
+
+def _title(metrics: Document) -> str:
+    parts = (
+        metrics["scenario"],
+        metrics["outcome"].replace("_", " "),
+        f"{metrics['simulated_s']:g} s",
+        f"seed {metrics['seed']}",
+    )
+    return " · ".join(parts)
+
+
+def _rows(metrics: Document) -> Iterator[Row]:
+    """Yield the cells of the table, its heading first."""
+    errors = metrics["max_error_m"]
+    windows = {name: window for name, window in list(metrics["windows"].items())[:SHORT_WINDOWS]}
+    more = len(metrics["windows"]) - len(windows)
+
+    def largest(name: str) -> float:
+        values = [each["rms_m"][name] for each in windows.values()] or [errors[name]]
+        return max((each for each in values if each is not None), default=float("inf"))
+
+    listed = select_largest(errors, largest, SHORT_FOLLOWERS)
+    kind = "" if len(listed) == len(errors) else f", {len(listed)} worst"
+    if not windows:
+        yield (f"largest error{kind}, m", "whole flight")
+        for name in listed:
+            yield (name, shown(errors[name], "{:.2f}"))
+    else:
+        yield (f"RMS error{kind}, m", *windows, *[f"and {more} more"] * bool(more))
+        rest = [""] * bool(more)
+        for name in listed:
+            cells = (shown(each["rms_m"][name], "{:.2f}") for each in windows.values())
+            yield (name, *cells, *rest)
+        means = (shown(each["mean_rms_m"], "{:.2f}") for each in windows.values())
+        yield (f"mean of {len(errors)}", *means, *rest)
+
+
+def _ending(metrics: Document, place: str) -> list[str]:
+    lines = []
+    if (separation := metrics["min_separation_m"]) is not None:
+        lines.append(f"smallest separation {separation:.2f} m")
+    return [*lines, *[place] * bool(place)]
+
+
+def _aligned(row: Row, widths: Sequence[int]) -> Iterator[str]:
+    """Pad a name to the left and numbers to the right."""
+    for k, (cell, width) in enumerate(zip(row, widths, strict=True)):
+        yield cell.rjust(width) if k else cell.ljust(width)

@@ -1,4 +1,4 @@
-"""The channel of a scenario: the parameters of every link, and the tables that they refer to."""
+"""The channel of a scenario: parameters, tables and initial state of every link."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from testbed.core.csv_table import read_table
 from testbed.core.records import Array, BoolArray, Records, allocate
 from testbed.network import delays
+from testbed.network.clocks import CLOCK
 from testbed.network.links import (
     BERNOULLI,
     CORRUPT,
@@ -20,17 +21,20 @@ from testbed.network.links import (
     FOUR_STATE,
     GILBERT_ELLIOTT,
     LINK_PARAMETERS,
+    LINK_STATE,
     LOGNORMAL,
     LOSS,
     NETEM_ONE,
     NORMAL,
+    PACKET,
     PARETO,
     PARETONORMAL,
     REORDER,
+    START,
     UNIFORM,
 )
 from testbed.network.packet_random import jitter_values
-from testbed.network.philox import key_of
+from testbed.network.philox import Words, key_of, philox, unit
 from testbed.scenario.network import (
     Bernoulli,
     FourState,
@@ -42,7 +46,7 @@ from testbed.scenario.network import (
     Reorder,
     Tdma,
 )
-from testbed.scenario.resolve import find_data
+from testbed.scenario.references import find_data
 
 JITTERS = {
     "uniform": UNIFORM,
@@ -217,10 +221,10 @@ def _read_quantiles(file: str, delay: float, *, netem: bool) -> Array:
     table = read_table(find_data(file))
     samples = table.numbers(["delay_s"])[:, 0]
     if not samples.size:
-        raise table.refusal(0, "no rows; write at least one delay_s below the header")
+        raise table.error_at(0, "no rows; write at least one delay_s below the header")
     least = int(samples.argmin())
     if delay + samples[least] < 0.0 and not netem:
-        raise table.refusal(
+        raise table.error_at(
             least + 1,
             f"delay_s {samples[least]:g} s plus the scenario's {delay:g} s is negative: "
             "messages would arrive before they are sent (write a longer delay_s in the scenario)",
@@ -240,3 +244,91 @@ def _set_tdma_slot(record: Records, tdma: Tdma, names: Sequence[str], sender: st
     record["slot"] = tdma.frame_s
     record["first_slot"] = order.index(sender) * tdma.frame_s / len(order)
     record["per_slot"] = tdma.packets
+
+
+# One directed link.
+CHANNEL_LINK = np.dtype(
+    [("parameters", LINK_PARAMETERS), ("state", LINK_STATE), ("packet", PACKET)], align=True
+)
+# One aircraft's transmitter.
+TRANSMITTER = np.dtype(
+    [
+        ("clock", CLOCK),
+        ("number", "i8"),  # sequence number of the last message; -1: none
+        ("stamp_s", "f8"),  # its time stamp, by the clock
+        ("sender", "i8"),  # in element k: row of the k-th aircraft that sends now
+    ],
+    align=True,
+)
+
+
+def initial_links(channel: Channel) -> Records:
+    """Return the links (n, N) of CHANNEL_LINK before the first packet.
+
+    Exact Markov chains start in their stationary distribution, so that the first packets are lost
+    as often as all others; those of netem start in the good state.
+    """
+    links = allocate(CHANNEL_LINK, *channel.links.shape)
+    parameters = channel.links
+    links["parameters"] = parameters
+    state, packet = links["state"], links["packet"]
+    state["z"] = packet["trace_delay_s"] = np.nan
+    state["free"] = state["latest"] = -np.inf
+    state["slot_at"], state["slot_left"] = parameters["first_slot"], parameters["per_slot"]
+    key0, key1 = parameters["key"][..., 0], parameters["key"][..., 1]
+    first, last = philox(key0, key1, 0, 0, START), philox(key0, key1, 0, 1, START)
+    state["blended"] = np.stack([*first, last[0]], axis=-1)
+    exact = ~parameters["netem"]
+    state["had"] = _initial_events(parameters, np.stack(first, axis=-1)) & exact[..., None]
+    state["chain"] = np.where(exact, _initial_chains(parameters, last[1]), 0)
+    packet["arrival_s"] = packet["corrupted_s"] = np.inf
+    return links
+
+
+def initial_departures(channel: Channel) -> Array:
+    """Return the rings (n, N, Q) of the times of the last departures, s."""
+    longest = int(channel.links["queue"].max(initial=0))
+    return np.full((*channel.links.shape, longest), -np.inf)
+
+
+def initial_transmitters(aircraft: int, clocks: Records | None = None) -> Records:
+    """Return the transmitters (N,) of aircraft before the first message.
+
+    Args:
+        aircraft: N.
+        clocks: (N,) of CLOCK; None: all are exact.
+    """
+    transmitters = allocate(TRANSMITTER, aircraft)
+    transmitters["number"] = -1
+    if clocks is not None:
+        transmitters["clock"] = clocks
+    return transmitters
+
+
+def _initial_events(parameters: Records, words: Words) -> Array:
+    """Return whether the packet before the first had each event (..., 4)."""
+    after_none, after_one = parameters["after_none"], parameters["after_one"]
+    had: Array = unit(words) < after_none / (1.0 - (after_one - after_none))
+    return had
+
+
+def _initial_chains(parameters: Records, words: Words) -> Array:
+    """Return the initial states (...) of the loss models.
+
+    They are good where the good state would not recur.
+    """
+    u, p = unit(words), np.moveaxis(parameters["p"], -1, 0)
+    gilbert = u * (p[0] + p[1]) < p[0]
+    p13, p31, p32, p23, p14 = p
+    # the stationary distribution of the four states; see Salsano et al. (2012)
+    weights = np.stack([p31 * p23, p13 * p32, p13 * p23, p14 * p31 * p23])
+    four = np.sum(u * weights.sum(axis=0) >= np.cumsum(weights, axis=0)[:-1], axis=0)
+    chains: Array = np.select(
+        [
+            (parameters["loss"] == GILBERT_ELLIOTT) & (p[1] > 0.0),
+            (parameters["loss"] == FOUR_STATE) & (weights[0] > 0.0),
+        ],
+        [gilbert, four],
+        0,
+    )
+    return chains

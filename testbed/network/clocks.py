@@ -53,7 +53,9 @@ def clock_reading(clock: Record, time_s: float) -> float:
 
 @jitable
 def clock_error(clock: Record, time_s: Values) -> Values:
-    """Return by how much a clock is ahead at a true time, s; in Python also of many clocks.
+    """Return how far a clock is ahead at a true time, s.
+
+    In Python also of many clocks.
 
     A receiver compares a stamp with its own clock. A stamp minus the receiver's error is therefore
     on a time scale on which the receiver's clock is exact.

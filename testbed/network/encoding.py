@@ -1,4 +1,4 @@
-"""Messages as frames of bytes: what is transmitted, and what a receiver reads in damaged frames."""
+"""Messages as frames of bytes, as sent and as received with bit errors."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class Encoder:
         return self._read
 
     def corrupt(self, packets: Records, rows: Numbers, numbers: Numbers) -> UndetectedErrors | None:
-        """Flip bits of the corrupted copies of a broadcast; some pass all checks all the same.
+        """Flip bits of corrupted copies; some still pass all checks.
 
         Args:
             packets: (n, N) of PACKET; copies that pass are written as delivered.
@@ -132,7 +132,7 @@ def flip_bits(
         each = np.flatnonzero(bits > k)
         last = size - bits[each] + k
         word = philox(keys[each, 0], keys[each, 1], numbers[each], copies[each], BITS + k)[0]
-        place = (unit(word) * (last + 1)).astype(np.int64)
-        flipped[each, np.where(flipped[each, place], last, place)] = True
+        position = (unit(word) * (last + 1)).astype(np.int64)
+        flipped[each, np.where(flipped[each, position], last, position)] = True
     damaged: Frames = frames ^ np.packbits(flipped, axis=1)
     return damaged

@@ -82,7 +82,7 @@ def fading(position_ned: Array, euler: Array, curves: Curves) -> Array:
 
 
 def _interpolate(curves: tuple[Array, ...], index: NDArray[np.int64], abscissa: Array) -> Array:
-    """Return the probability (n, N) by the curve of each link; 0 where it has none."""
+    """Return the probability (n, N) by each link's curve; 0: no curve."""
     out = np.zeros(index.shape)
     for number, (x, probability) in enumerate(curves):
         chosen = index == number

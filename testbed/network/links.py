@@ -30,7 +30,7 @@ class PacketOutcome(IntEnum):
     UNSUBSCRIBED = 9  # the receiver does not use this sender's messages
 
 
-NO_LOSS, BERNOULLI, GILBERT_ELLIOTT, FOUR_STATE = range(4)  # kinds of loss
+BERNOULLI, GILBERT_ELLIOTT, FOUR_STATE = range(1, 4)  # kinds of loss; 0: none
 NO_JITTER, UNIFORM, NORMAL, LOGNORMAL, PARETO, PARETONORMAL, EMPIRICAL = range(7)
 # Random events with a probability and a correlation; netem correlates delays in the same way.
 LOSS, DUPLICATE, CORRUPT, REORDER, DELAY = range(5)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from testbed.core.records import Array, BoolArray, Event
 from testbed.network.links import Outcomes, PacketOutcome
-from testbed.network.slots import SIMULTANEOUS_S
+from testbed.network.packet_outcomes import SIMULTANEOUS_S
 from testbed.scenario.network import Network, Window
 
 LINK_STRIDE = 1 << 40  # in a number of link and packet; more packets than any run sends

@@ -8,17 +8,16 @@ the loss is decided, and the loss takes one of the two; delays come before the t
 
 from __future__ import annotations
 
-from math import inf, isinf, isnan
+from math import ceil, inf, isinf, isnan
 
 import numpy as np
 
 from testbed.core.compile import entry, kernel
 from testbed.core.records import Array, BoolArray, Record, Records, Values
 from testbed.network.clocks import clock_reading
-from testbed.network.links import CORRUPT, DUPLICATE, OUTCOME, PATH, REORDER, PacketOutcome
+from testbed.network.links import CORRUPT, DUPLICATE, OUTCOME, PATH, REORDER, SLOT, PacketOutcome
 from testbed.network.packet_random import event_occurs, exact_delay, loss_occurs, netem_delay
 from testbed.network.philox import philox, unit
-from testbed.network.slots import SIMULTANEOUS_S, next_slot
 
 DELIVERED, LOST, FADED = map(int, list(PacketOutcome)[:3])
 CORRUPTED, QUEUE = int(PacketOutcome.CORRUPTED), int(PacketOutcome.QUEUE)
@@ -41,7 +40,7 @@ def transmit_broadcast(
 
     Args:
         links: (n, N) of CHANNEL_LINK; `packet` and `state` of the senders are written.
-        departures_s: (n, N, Q) s, see `link_state.initial_departures`; written.
+        departures_s: (n, N, Q) s, see `channel.initial_departures`; written.
         tables: (T,) of DELAY_TABLE.
         transmitters: (N,) of TRANSMITTER; `number` and `stamp_s` of the senders are written, and
             the rows of the senders.
@@ -226,7 +225,39 @@ def _arrival(link: Record, table: Record, path: Values, sent_s: float, departure
 
 @kernel
 def _enter_queue(p: Record, packet: Record, departure_s: float) -> None:
-    """Keep the time, s, at which a copy leaves the queue, if the queue is limited."""
+    """Store the departure time of a copy, s, if the queue is limited."""
     if p.queue > 0:
         packet.departures_s[packet.queued] = departure_s
         packet.queued += 1
+
+
+SIMULTANEOUS_S = 1e-9  # times closer than this are equal: 0.04 + 0.1 is not 0.14 in binary
+
+
+@kernel
+def next_slot(p: Record, state: Record, ready_s: float) -> float:
+    """Take the first slot with capacity after a packet is ready; return its time, s.
+
+    Args:
+        p: record of LINK_PARAMETERS.
+        state: record of LINK_STATE; written.
+        ready_s: s.
+    """
+    shortest, longest = p.slot[0], p.slot[1]
+    if shortest == longest:
+        number = int(ceil((ready_s - p.first_slot) / longest - SIMULTANEOUS_S))
+        number = max(number, state.slot_number)
+        if number > state.slot_number:
+            state.slot_left = p.per_slot
+        elif state.slot_left == 0:
+            number += 1
+            state.slot_left = p.per_slot
+        state.slot_number = number
+        state.slot_at = p.first_slot + number * longest
+    while state.slot_at < ready_s - SIMULTANEOUS_S or state.slot_left == 0:
+        drawn = unit(philox(p.key[0], p.key[1], state.slot_number, 0, SLOT)[0])
+        state.slot_at += shortest + (longest - shortest) * drawn
+        state.slot_number += 1
+        state.slot_left = p.per_slot
+    state.slot_left -= 1
+    return float(state.slot_at)

@@ -7,12 +7,12 @@ from math import inf
 import numpy as np
 
 from testbed.core.compile import entry, kernel
+from testbed.core.copies import copy_content
 from testbed.core.records import MESSAGE, Array, BoolArray, Record, Records, allocate
 from testbed.network.clocks import clock_error
 from testbed.network.link_statistics import record_packet
 from testbed.network.links import Numbers
-from testbed.network.packet_outcomes import UNSUBSCRIBED, transmit_broadcast
-from testbed.network.slots import SIMULTANEOUS_S
+from testbed.network.packet_outcomes import SIMULTANEOUS_S, UNSUBSCRIBED, transmit_broadcast
 
 NO_MESSAGE = -1  # number of the newest message where none has been received
 
@@ -102,7 +102,7 @@ def enqueue_broadcast(
                 queued.arrival_s = packet.arrival_s[copy]
                 queued.follower, queued.sender, queued.number = i, m, transmitters[m].number
                 queued.measured_s = content_s
-                _copy_content(messages[m], queued.message)
+                copy_content(messages[m], queued.message)
                 queued.message.stamp_s = stamp_s
                 count += 1
             outcome = packet.outcome
@@ -170,24 +170,16 @@ def deliver_due(
 
 @kernel
 def _deliver(queued: Record, link: Record) -> bool:
-    """Put a message into its LINK if it is newer than the one there; return whether it is older."""
+    """Deliver a message to its LINK unless a newer one is there.
+
+    Return whether it is older.
+    """
     if queued.number > link.number:
         link.number = queued.number
         link.measured_s, link.received_s = queued.measured_s, queued.arrival_s
         link.stamp_s = queued.message.stamp_s
-        _copy_content(queued.message, link)
+        copy_content(queued.message, link)
     return bool(queued.number < link.number)
-
-
-@kernel
-def _copy_content(message: Record, copy: Record) -> None:
-    """Copy the content of a message, without its stamp."""
-    for axis in range(3):
-        copy.position_ned[axis] = message.position_ned[axis]
-        copy.velocity_ned[axis] = message.velocity_ned[axis]
-        copy.acceleration_ned[axis] = message.acceleration_ned[axis]
-        copy.euler[axis] = message.euler[axis]
-        copy.euler_rates[axis] = message.euler_rates[axis]
 
 
 @kernel

@@ -119,7 +119,7 @@ def loss_occurs(p: Record, state: Record, word: Word, second: Word) -> bool:
 
 @kernel
 def jitter(p: Record, z: float, table: Record) -> float:
-    """Return what jitter adds to the delay, s, as a function of a standard normal z.
+    """Return the jitter of the delay, s, of a standard normal z.
 
     Args:
         p: record of LINK_PARAMETERS.

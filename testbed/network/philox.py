@@ -26,14 +26,16 @@ WEYL_0, WEYL_1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)  # added to the ke
 
 
 def key_of(seed: int, name: str) -> tuple[int, int]:
-    """Return the two words of a key that depends on the seed and a name only."""
+    """Return the two words of the key of a seed and a name."""
     digest = hashlib.sha256(f"{seed}/{name}".encode()).digest()
     return int.from_bytes(digest[:4], "little"), int.from_bytes(digest[4:8], "little")
 
 
 @jitable
 def philox(key0: Any, key1: Any, counter: Any, copy: Any, block: Any) -> Any:  # noqa: ANN401
-    """Return four random words for a key and a counter; in Python also for arrays of them.
+    """Return four random words for a key and a counter.
+
+    In Python also for arrays of them.
 
     No product or sum exceeds 64 bits.
 
@@ -55,5 +57,8 @@ def philox(key0: Any, key1: Any, counter: Any, copy: Any, block: Any) -> Any:  #
 
 @jitable
 def unit(word: Any) -> Any:  # noqa: ANN401
-    """Return a word as a number in (0, 1), never 0 or 1; in Python also arrays of words."""
+    """Return a word as a number in (0, 1), never 0 or 1.
+
+    In Python also arrays of words.
+    """
     return (word + 0.5) * UNIT

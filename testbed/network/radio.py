@@ -1,4 +1,4 @@
-"""The radio of a run: broadcasts go in, the newest messages received by each follower come out."""
+"""The radio of a run: send broadcasts, and deliver the newest messages."""
 
 from __future__ import annotations
 
@@ -23,11 +23,10 @@ from testbed.core.records import (
     fields_of,
     write_fields,
 )
-from testbed.network.channel import Channel
+from testbed.network.channel import Channel, initial_departures, initial_links, initial_transmitters
 from testbed.network.clocks import clock_error
 from testbed.network.encoding import Encoder, Encoding, UndetectedErrors
-from testbed.network.link_state import initial_departures, initial_links, initial_transmitters
-from testbed.network.link_statistics import initial_statistics
+from testbed.network.link_statistics import initial_statistics, summarise
 from testbed.network.links import Numbers, Outcomes
 from testbed.network.packet_outcomes import transmit_broadcast
 from testbed.network.packet_queue import (
@@ -37,7 +36,6 @@ from testbed.network.packet_queue import (
     enqueue_broadcast,
     send_broadcast,
 )
-from testbed.network.report import summarise
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,11 +124,6 @@ class Radio:
         queue = allocate_queue(2 * len(self._queue))
         queue[: self._count] = self._queue[: self._count]
         self._bind(queue)
-
-    @property
-    def content_time_s(self) -> Array:
-        """True time of the content of the newest messages (n, N), s; nan: none received."""
-        return np.asarray(self.links["measured_s"])
 
     def send(
         self,

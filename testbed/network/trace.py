@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.csv_table import Table, read_table
-from testbed.core.random import stream
+from testbed.core.random import named_stream
 from testbed.core.records import Array
 from testbed.scenario.network import Network
-from testbed.scenario.resolve import find_data
+from testbed.scenario.references import find_data
 
 ENDS = ("source", "destination")
 
@@ -57,7 +57,7 @@ def make_replays(names: Sequence[str], network: Network, seed: int) -> Replays |
     """
     index = np.full((len(names) - 1, len(names)), -1)
     begin = np.zeros(index.shape)
-    files: dict[str, _File] = {}
+    files: dict[str, TraceFile] = {}
     traces: dict[tuple[str, ...], Trace] = {}  # by file and link
     for i, destination in enumerate(names[1:]):
         for m, source in enumerate(names):
@@ -65,39 +65,32 @@ def make_replays(names: Sequence[str], network: Network, seed: int) -> Replays |
             if chosen is None:
                 continue
             if chosen.file not in files:
-                files[chosen.file] = _File(find_data(chosen.file))
+                files[chosen.file] = TraceFile(find_data(chosen.file))
             file = files[chosen.file]
             key = chosen.file, *file.link(source, destination)
             trace = traces.setdefault(key, file.trace(source, destination))
             index[i, m] = list(traces).index(key)
             begin[i, m] = trace.earliest_s if chosen.begin_s is None else chosen.begin_s
             if chosen.random_start:
-                draw = stream(seed, f"network/{source}>{destination}/trace").random()
+                draw = named_stream(seed, f"network/{source}>{destination}/trace").random()
                 begin[i, m] += draw * trace.span_s
     return Replays(tuple(traces.values()), index, begin) if traces else None
 
 
-def read_trace(path: Path, source: str, destination: str) -> Trace:
-    """Read the trace of messages from one aircraft to another.
-
-    The file has columns sent_s and received_s, whose empty cells are losses; with several links
-    also source and destination. Other columns are ignored.
-
-    Raises:
-        InputError: with file, line and remedy, if it is not a trace of this link.
-    """
-    return _File(path).trace(source, destination)
-
-
 def trace_delay(trace: Trace, time_s: Array) -> Array:
-    """Return the delay of messages sent at these times (…) of the file, s; infinite: lost."""
+    """Return the delay of messages by their times (…) of the file, s.
+
+    Infinite: lost.
+    """
     moment = trace.from_s + np.mod(time_s - trace.from_s, trace.span_s)
     near = np.searchsorted(trace.until_s, moment, side="right")
     return trace.delay_s[np.minimum(near, len(trace.delay_s) - 1)]
 
 
 def replayed_delays(replays: Replays, sent_s: Array, rows: NDArray[np.int64]) -> Array:
-    """Return the delays (n, S) s of messages to n followers; infinite: lost, nan: no trace.
+    """Return the delays (n, S) s of messages to n followers.
+
+    Infinite: lost; NaN: no trace.
 
     Args:
         replays: of all links.
@@ -112,20 +105,28 @@ def replayed_delays(replays: Replays, sent_s: Array, rows: NDArray[np.int64]) ->
     return out
 
 
-class _File:
-    """A file of traces, read once for all of its links."""
+class TraceFile:
+    """A file of traces, read once for all of its links.
+
+    It has columns sent_s and received_s, whose empty cells are losses; with several links also
+    source and destination. Other columns are ignored.
+
+    Raises:
+        InputError: with file, line and remedy, if it is not a trace.
+    """
 
     def __init__(self, path: Path) -> None:
+        """See the class."""
         table = read_table(path)
         table.numbers(())  # every row is as long as the header
         if "sent_s" not in table.header or "received_s" not in table.header:
             missing = [name for name in ("sent_s", "received_s") if name not in table.header]
-            raise table.refusal(
+            raise table.error_at(
                 0, f"missing column {', '.join(missing)}; write sent_s and received_s in the header"
             )
         ends = [name for name in ENDS if name in table.header]
         if len(ends) == 1:
-            raise table.refusal(
+            raise table.error_at(
                 0, f"{ends[0]} without the other end; write both {' and '.join(ENDS)}, or neither"
             )
         links: dict[tuple[str, ...], list[int]] = {}
@@ -135,18 +136,22 @@ class _File:
         self._table, self._links, self._one_link = table, links, not ends
 
     def link(self, source: str, destination: str) -> tuple[str, ...]:
-        """Return the ends of a link as the file has them: none if it has one link for all."""
+        """Return the ends of a link in the file; none if it has one link."""
         return () if self._one_link else (source, destination)
 
     def trace(self, source: str, destination: str) -> Trace:
-        """Return the trace from one aircraft to another."""
+        """Return the trace from one aircraft to another.
+
+        Raises:
+            InputError: the file has none.
+        """
         pair = self.link(source, destination)
         if pair in self._links:
             return self._traces[pair]
         if self._one_link:
-            raise self._table.refusal(0, "no rows; a trace needs two, to have a rate")
+            raise self._table.error_at(0, "no rows; a trace needs two, to have a rate")
         known = ", ".join(f"{a} to {b}" for a, b in self._links)
-        raise self._table.refusal(
+        raise self._table.error_at(
             0,
             f"no row is from {source} to {destination}; it has {known or 'no rows'} (rename "
             "these, or give this link another trace)",
@@ -175,14 +180,14 @@ def _messages(table: Table) -> tuple[Array, Array]:
     """Return transmission times (K,) and delays (K,) of a table of one link, s."""
     sent = table.numbers(["sent_s"])[:, 0]
     if len(sent) < 2:
-        raise table.refusal(0, "fewer than two rows; a trace needs two, to have a rate")
+        raise table.error_at(0, "fewer than two rows; a trace needs two, to have a rate")
     arrived = [k for k, text in enumerate(table.column("received_s")) if text]
     delay = np.full(len(sent), np.inf)
     delay[arrived] = _select(table, arrived).numbers(["received_s"])[:, 0] - sent[arrived]
     steps = np.diff(sent)
     if (steps <= 0.0).any():
         k = int(np.argmax(steps <= 0.0))
-        raise table.refusal(
+        raise table.error_at(
             k + 2,
             f"sent_s goes from {sent[k]:.12g} to {sent[k + 1]:.12g} after line "
             f"{table.lines[k + 1]}; sort the rows by sent_s, or name source and destination if "
@@ -190,7 +195,7 @@ def _messages(table: Table) -> tuple[Array, Array]:
         )
     if (delay < 0.0).any():
         k = int(np.argmax(delay < 0.0))
-        raise table.refusal(
+        raise table.error_at(
             k + 1,
             f"received {-delay[k]:.6g} s before it was sent; correct received_s by the difference "
             "of the clocks",

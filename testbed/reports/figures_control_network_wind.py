@@ -193,7 +193,7 @@ def _delivered_shares(
         missing: (K, n, N) of these, the ones that do not arrive.
     """
     log, names = run.log, run.log.info.names
-    samples = max(round(DELIVERY_WINDOW_S * log.info.frame_rate_hz), 1)
+    samples = max(round(DELIVERY_WINDOW_S * log.info.sample_rate_hz), 1)
     window_start = np.maximum(np.arange(log.tick.size) - samples, 0)
     counted = sent.sum(axis=(1, 2)) > 0.0
     # the first windows hold too few messages for a share

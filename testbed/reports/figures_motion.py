@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from testbed.core.frames import velocity_frame, wrap_pi
+from testbed.core.frames import wrap_pi
 from testbed.core.records import Array
-from testbed.formation.logged_barrier import logged_barriers, logged_curve
+from testbed.core.velocity_frame import velocity_frame
+from testbed.formation.barrier import logged_barriers, logged_curve
 from testbed.reports.axes import (
     TimeAxis,
     bound_lines,

@@ -10,9 +10,10 @@ from rich.table import Table
 from testbed.core.records import join_names
 from testbed.metrics.document import losses
 from testbed.metrics.facts import describe_network, facts, shown
-from testbed.metrics.link_tables import MAX_LINKS, arrival_tables, worst_links
 from testbed.metrics.tables import (
+    MAX_LINKS,
     MAX_WINDOWS,
+    arrival_tables,
     compared_windows,
     covered_part,
     error_tables,
@@ -20,6 +21,7 @@ from testbed.metrics.tables import (
     published_mean,
     published_note,
     worst_followers,
+    worst_links,
 )
 from testbed.reports.figures import run_figures
 from testbed.reports.html import Page, Section, cards_html, figure_html, file_html
@@ -195,7 +197,7 @@ def _repeat(run: RunData) -> str:
                 ("seed", str(info.seed)),
                 *versions,
                 ("base rate", f"{info.base_rate_hz} Hz"),
-                ("log rate", f"{info.frame_rate_hz} Hz"),
+                ("log rate", f"{info.sample_rate_hz} Hz"),
                 ("aircraft", aircraft),
             ]
         )

@@ -89,6 +89,5 @@ def read_run(
 
 
 def _compute_metrics(log: Log, scenario: Scenario | None) -> Metrics:
-    published = scenario.scenario.published if scenario else None
-    observer = MetricsObserver(published=published.model_dump(mode="json") if published else None)
+    observer = MetricsObserver(published=scenario.published if scenario else None)
     return observer.summary(replay(log, [observer]))

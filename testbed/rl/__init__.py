@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from testbed.core.extras import needs_extra
+from testbed.core.errors import needs_extra
 
 with needs_extra("rl", "environments"):
     import gymnasium

@@ -13,8 +13,8 @@ import numpy as np
 from testbed.core.errors import InputError
 from testbed.rl.spaces import ACTIONS, CommandRange, Slot, Vector, observe
 from testbed.scenario import Scenario, middle_loop_gains, open_scenario, set_duration
-from testbed.scenario.control_source import External
-from testbed.sim.build_formation import build_altitudes, build_offsets
+from testbed.scenario.aircraft import External
+from testbed.sim.build_control import build_altitudes, build_offsets
 from testbed.sim.simulation import Simulation
 
 Ranges = Mapping[str, "tuple[float, float] | list[Any]"]

@@ -11,8 +11,8 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from testbed.core.frames import velocity_frame
 from testbed.core.records import Array, Sample
+from testbed.core.velocity_frame import velocity_frame
 
 Vector = NDArray[np.float32]
 

@@ -15,8 +15,9 @@ from testbed.scenario.load import (
     place_of_key,
 )
 from testbed.scenario.middle_loop import MiddleLoopGains
-from testbed.scenario.references import code_references, with_values
-from testbed.scenario.resolve import (
+from testbed.scenario.problems import Place, Problem, ScenarioError
+from testbed.scenario.references import (
+    code_references,
     find_aircraft,
     find_code,
     find_data,
@@ -30,6 +31,7 @@ from testbed.scenario.resolve import (
     list_scenarios,
     list_studies,
     list_tunings,
+    with_values,
 )
 from testbed.scenario.schema import (
     SCHEMA_VERSION,
@@ -41,7 +43,6 @@ from testbed.scenario.schema import (
     set_seed,
     unreached_windows,
 )
-from testbed.scenario.violations import Place, Problem, ScenarioError
 
 __all__ = [
     "SCHEMA_VERSION",

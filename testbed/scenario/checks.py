@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from testbed.scenario.aircraft import MAX_LEGS, Follower, Leader
-from testbed.scenario.control_source import ArduPlane, External, VirtualAutopilot
+from testbed.scenario.aircraft import (
+    MAX_LEGS,
+    ArduPlane,
+    External,
+    Follower,
+    Leader,
+    VirtualAutopilot,
+)
 from testbed.scenario.expect import check_expect
 from testbed.scenario.faults import AnyFault
 from testbed.scenario.fields import Finding, KeyPath
 from testbed.scenario.network_checks import check_network
+from testbed.scenario.problems import did_you_mean
+from testbed.scenario.sections import Sections
 from testbed.scenario.sensors import SENSOR_NAMES
-from testbed.scenario.violations import did_you_mean
-
-if TYPE_CHECKING:
-    from testbed.scenario.schema import Scenario
 
 # name of an aircraft, its position, m, the kind of position, and its path in the scenario
 _Place = tuple[str, tuple[float, float, float], str, KeyPath]
@@ -29,8 +33,9 @@ _NOT_DECLARABLE = {
 }
 
 
-def cross_check(scenario: Scenario) -> list[Finding]:
+def cross_check(scenario: Sections) -> list[Finding]:
     """Return every contradiction between sections."""
+    followers = [follower.name for follower in scenario.fleet]
     return [
         *_rates(scenario),
         *_names(scenario),
@@ -53,18 +58,18 @@ def cross_check(scenario: Scenario) -> list[Finding]:
         *_gusts(scenario),
         *_windows(scenario),
         *_published(scenario),
-        *check_expect(scenario),
+        *check_expect(scenario.expect, list(scenario.scenario.windows), followers),
     ]
 
 
-def _aircraft(scenario: Scenario) -> Iterator[tuple[KeyPath, Leader | Follower]]:
+def _aircraft(scenario: Sections) -> Iterator[tuple[KeyPath, Leader | Follower]]:
     """Yield every aircraft with its path, the leader first."""
     yield ("leader",), scenario.leader
     for index, follower in enumerate(scenario.fleet):
         yield ("fleet", index), follower
 
 
-def _laps(scenario: Scenario) -> Iterator[Finding]:
+def _laps(scenario: Sections) -> Iterator[Finding]:
     path = scenario.leader.path
     if path.kind != "mission":
         return
@@ -92,7 +97,7 @@ def _unknown_followers(
 # header and rates
 
 
-def _rates(scenario: Scenario) -> Iterator[Finding]:
+def _rates(scenario: Sections) -> Iterator[Finding]:
     base = scenario.rates.physics_hz
     for key, rate in scenario.rates:
         if key != "synchronous" and base % rate:
@@ -106,7 +111,7 @@ def _rates(scenario: Scenario) -> Iterator[Finding]:
             )
 
 
-def _windows(scenario: Scenario) -> Iterator[Finding]:
+def _windows(scenario: Sections) -> Iterator[Finding]:
     duration = scenario.scenario.duration_s
     for name, (begin, end) in scenario.scenario.windows.items():
         at = ("scenario", "windows", name)
@@ -120,7 +125,7 @@ def _windows(scenario: Scenario) -> Iterator[Finding]:
             )
 
 
-def _published(scenario: Scenario) -> Iterator[Finding]:
+def _published(scenario: Sections) -> Iterator[Finding]:
     published = scenario.scenario.published
     if published is None:
         return
@@ -145,7 +150,7 @@ def _published(scenario: Scenario) -> Iterator[Finding]:
 # aircraft
 
 
-def _names(scenario: Scenario) -> Iterator[Finding]:
+def _names(scenario: Sections) -> Iterator[Finding]:
     seen = {scenario.leader.name: "the leader"}
     for index, follower in enumerate(scenario.fleet):
         if follower.name in seen:
@@ -157,7 +162,7 @@ def _names(scenario: Scenario) -> Iterator[Finding]:
             seen[follower.name] = f"fleet.{index}"
 
 
-def _starts(scenario: Scenario) -> Iterator[Finding]:
+def _starts(scenario: Sections) -> Iterator[Finding]:
     """Find aircraft that start in one place."""
     places: list[_Place] = []
     if scenario.leader.path.kind != "virtual":  # a point, not an aircraft
@@ -173,8 +178,8 @@ def _starts(scenario: Scenario) -> Iterator[Finding]:
         )
 
 
-def _start_altitudes(scenario: Scenario) -> Iterator[Finding]:
-    """Find aircraft that start on or below the ground, behind a leader that flies a mission."""
+def _start_altitudes(scenario: Sections) -> Iterator[Finding]:
+    """Find aircraft that start near or below the ground, with a mission's leader."""
     leader = scenario.leader
     if leader.path.kind != "mission":  # it starts on its path
         return
@@ -196,7 +201,7 @@ def _start_altitudes(scenario: Scenario) -> Iterator[Finding]:
                 return
 
 
-def _slots(scenario: Scenario) -> Iterator[Finding]:
+def _slots(scenario: Sections) -> Iterator[Finding]:
     """Find followers whose slots are in one place, or in that of the leader."""
     offsets, altitudes = scenario.formation.offsets_m, scenario.formation.altitudes_m
     places: list[_Place] = []
@@ -223,7 +228,7 @@ def _slot_of(name: str, at: KeyPath) -> str:
 
 
 def _coincident(places: Iterable[_Place]) -> Iterator[tuple[_Place, _Place]]:
-    """Yield each place that is that of an earlier one, to the centimetre, with the earlier one."""
+    """Yield pairs of positions that coincide to the centimetre, the later one first."""
     seen: dict[tuple[object, ...], _Place] = {}
     for each in places:
         _, position, kind, _ = each
@@ -240,7 +245,7 @@ def _dotted(path: KeyPath) -> str:
     return ".".join(map(str, path))
 
 
-def _sensors(scenario: Scenario) -> Iterator[Finding]:
+def _sensors(scenario: Sections) -> Iterator[Finding]:
     max_rate = scenario.rates.autopilot_hz
     for at, aircraft in _aircraft(scenario):
         for name in SENSOR_NAMES:
@@ -254,7 +259,7 @@ def _sensors(scenario: Scenario) -> Iterator[Finding]:
                 )
 
 
-def _fly_by_wire(scenario: Scenario) -> Iterator[Finding]:
+def _fly_by_wire(scenario: Sections) -> Iterator[Finding]:
     rate = scenario.rates.autopilot_hz
     names = [
         aircraft.name
@@ -271,25 +276,16 @@ def _fly_by_wire(scenario: Scenario) -> Iterator[Finding]:
         )
 
 
-def _ardupilot(scenario: Scenario) -> Iterator[Finding]:
+def _ardupilot(scenario: Sections) -> Iterator[Finding]:
     used: dict[int, str] = {}
     for row, (at, aircraft) in enumerate(_aircraft(scenario)):
         autopilot = aircraft.autopilot
         if not isinstance(autopilot, ArduPlane):
             continue
         where = (*at, "autopilot")
-        if isinstance(aircraft, Leader) and aircraft.path.kind != "mission":
-            yield (
-                where,
-                f"is ardupilot, and a leader with a path of kind {aircraft.path.kind} has no "
-                "autopilot (write a path of kind: mission, or leave this out)",
-            )
-        elif aircraft.vehicle == "unicycle":
-            yield (
-                where,
-                "is ardupilot, and a unicycle has no control surfaces (write vehicle: jsbsim, or "
-                "leave this out)",
-            )
+        yield from _without_autopilot(
+            where, aircraft, "ardupilot", "has no autopilot", "has no control surfaces"
+        )
         instance = autopilot.fixed_instance(row)
         if instance in used:
             yield (
@@ -307,25 +303,19 @@ def _ardupilot(scenario: Scenario) -> Iterator[Finding]:
             )
 
 
-def _external(scenario: Scenario) -> Iterator[Finding]:
+def _external(scenario: Sections) -> Iterator[Finding]:
     for at, aircraft in _aircraft(scenario):
         source = aircraft.commanded_by
         if not isinstance(source, External):
             continue
         where = (*at, "commanded_by")
-        if isinstance(aircraft, Leader) and aircraft.path.kind != "mission":
-            yield (
-                where,
-                f"is external, and a leader with a path of kind {aircraft.path.kind} takes no "
-                "commands (write a path of kind: mission, or leave this out)",
+        found = list(
+            _without_autopilot(
+                where, aircraft, "external", "takes no commands", "has no autopilot to command"
             )
-        elif aircraft.vehicle == "unicycle":
-            yield (
-                where,
-                "is external, and a unicycle has no autopilot to command (write vehicle: jsbsim, "
-                "or leave this out)",
-            )
-        elif isinstance(aircraft.autopilot, ArduPlane):
+        )
+        yield from found
+        if not found and isinstance(aircraft.autopilot, ArduPlane):
             yield (
                 where,
                 "is external, and ArduPlane takes commands over its own link (write autopilot: "
@@ -339,10 +329,28 @@ def _external(scenario: Scenario) -> Iterator[Finding]:
             )
 
 
+def _without_autopilot(
+    at: KeyPath, aircraft: Leader | Follower, value: str, leader_reason: str, unicycle_reason: str
+) -> Iterator[Finding]:
+    """Refuse a value for an aircraft without a flight model, whose autopilot would control it."""
+    if isinstance(aircraft, Leader) and aircraft.path.kind != "mission":
+        yield (
+            at,
+            f"is {value}, and a leader with a path of kind {aircraft.path.kind} {leader_reason} "
+            "(write a path of kind: mission, or leave this out)",
+        )
+    elif aircraft.vehicle == "unicycle":
+        yield (
+            at,
+            f"is {value}, and a unicycle {unicycle_reason} (write vehicle: jsbsim, or leave this "
+            "out)",
+        )
+
+
 # faults
 
 
-def _faults(scenario: Scenario) -> Iterator[Finding]:
+def _faults(scenario: Sections) -> Iterator[Finding]:
     for at, aircraft in _aircraft(scenario):
         reason, cure = _no_flight_model(aircraft)
         for index, fault in enumerate(aircraft.faults):
@@ -372,12 +380,12 @@ def _fault_beginning(at: KeyPath, fault: AnyFault, duration: float) -> Iterator[
             "longer duration_s)",
         )
     if when is not None and (when.above is None) == (when.below is None):
-        given = "neither above nor below" if when.above is None else "above and below"
-        yield (*at, "when"), f"has {given} (write one of the two, as in below: 15)"
+        limits = "neither above nor below" if when.above is None else "above and below"
+        yield (*at, "when"), f"has {limits} (write one of the two, as in below: 15)"
 
 
 def _no_flight_model(aircraft: Leader | Follower) -> tuple[str, str]:
-    """Return why this aircraft has no flight model that can fail, and the cure; or ""."""
+    """Return why an aircraft has no flight model, and the cure; or ""."""
     if isinstance(aircraft, Leader) and aircraft.path.kind != "mission":
         reason = f"a leader on a path of kind {aircraft.path.kind} has no flight model"
         return reason, "a path of kind: mission"
@@ -401,7 +409,7 @@ def _fault_without_flight_model(
 # formation and controller
 
 
-def _formation(scenario: Scenario) -> Iterator[Finding]:
+def _formation(scenario: Sections) -> Iterator[Finding]:
     followers = [follower.name for follower in scenario.fleet]
     formation = scenario.formation
     for name in followers:
@@ -425,7 +433,7 @@ def _formation(scenario: Scenario) -> Iterator[Finding]:
         )
 
 
-def _agents(scenario: Scenario) -> Iterator[Finding]:
+def _agents(scenario: Sections) -> Iterator[Finding]:
     """Check ranges of speeds, and that the desired ones lie within the bounds."""
     formation = scenario.formation
     parts: list[tuple[KeyPath, Any]] = [(("formation",), formation)]
@@ -454,7 +462,7 @@ def _agents(scenario: Scenario) -> Iterator[Finding]:
             )
 
 
-def _law(scenario: Scenario) -> Iterator[Finding]:
+def _law(scenario: Sections) -> Iterator[Finding]:
     if scenario.controller.law == "hbh23" and scenario.controller.options:
         yield (
             ("controller", "options"),
@@ -465,7 +473,7 @@ def _law(scenario: Scenario) -> Iterator[Finding]:
 # air and limits
 
 
-def _limits(scenario: Scenario) -> Iterator[Finding]:
+def _limits(scenario: Sections) -> Iterator[Finding]:
     collision, separation = scenario.limits.collision_m, scenario.limits.separation_m
     if collision is not None and separation is not None and collision > separation:
         yield (
@@ -475,7 +483,7 @@ def _limits(scenario: Scenario) -> Iterator[Finding]:
         )
 
 
-def _wind(scenario: Scenario) -> Iterator[Finding]:
+def _wind(scenario: Sections) -> Iterator[Finding]:
     wind = scenario.air.wind
     if wind.file is not None:
         for key, value in (("speed_mps", wind.speed_mps), ("from_deg", wind.from_deg)):
@@ -494,7 +502,7 @@ def _wind(scenario: Scenario) -> Iterator[Finding]:
         )
 
 
-def _turbulence(scenario: Scenario) -> Iterator[Finding]:
+def _turbulence(scenario: Sections) -> Iterator[Finding]:
     turbulence = scenario.air.turbulence
     at = ("air", "turbulence")
     if turbulence.model == "none":
@@ -522,7 +530,7 @@ def _turbulence(scenario: Scenario) -> Iterator[Finding]:
                 )
 
 
-def _gusts(scenario: Scenario) -> Iterator[Finding]:
+def _gusts(scenario: Sections) -> Iterator[Finding]:
     seen: dict[str, int] = {}
     for index, gust in enumerate(scenario.air.gusts):
         first = seen.setdefault(gust.name, index)

@@ -1,7 +1,7 @@
 """Bounds of the numbers of a run: what a scenario expects of its metrics.json."""
 
-from collections.abc import Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Annotated, Any
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from typing import Annotated, Any
 
 from pydantic import (
     BeforeValidator,
@@ -13,14 +13,11 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from testbed.scenario.fields import Finding, KeyPath, Number, Section
-from testbed.scenario.violations import did_you_mean
-
-if TYPE_CHECKING:
-    from testbed.scenario.schema import Scenario
+from testbed.scenario.problems import did_you_mean
 
 
 def _refuse_number(value: Any) -> Any:  # noqa: ANN401 - any YAML value
-    """Refuse a number in place of bounds: whether it is the smallest or the largest is open."""
+    """Refuse a number in place of bounds: it could be either one."""
     if isinstance(value, bool | int | float | str):
         raise PydanticCustomError(
             "bounds",
@@ -30,15 +27,19 @@ def _refuse_number(value: Any) -> Any:  # noqa: ANN401 - any YAML value
     return value
 
 
-class Bounds(Section):
-    """Smallest and largest accepted value of a number, in the unit of the quantity."""
-
-    min: Number | None = Field(None, description="Smallest accepted value.")
-    max: Number | None = Field(None, description="Largest accepted value.")
+class _WithoutMissing(Section):
+    """A section that is written without the keys that it does not have."""
 
     @model_serializer(mode="wrap")
     def _without_missing(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         return {key: value for key, value in handler(self).items() if value is not None}
+
+
+class Bounds(_WithoutMissing):
+    """Smallest and largest accepted value of a number, in the unit of the quantity."""
+
+    min: Number | None = Field(None, description="Smallest accepted value.")
+    max: Number | None = Field(None, description="Largest accepted value.")
 
 
 OfOne = Annotated[Bounds, BeforeValidator(_refuse_number)]
@@ -59,22 +60,16 @@ class NamedBounds(Bounds):
 OfNamed = Annotated[NamedBounds, BeforeValidator(_refuse_number)]
 
 
-class WindowBounds(Bounds):
+class WindowBounds(NamedBounds):
     """Bounds of a number for each window and follower; windows and followers may have their own."""
 
-    model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, OfNamed]
-
-    @property
-    def named(self) -> Mapping[str, NamedBounds]:
-        """Bounds by name."""
-        return self.__pydantic_extra__
+    __pydantic_extra__: dict[str, OfNamed]  # type: ignore[assignment]  # narrower
 
 
 OfWindows = Annotated[WindowBounds, BeforeValidator(_refuse_number)]
 
 
-class Expect(Section):
+class Expect(_WithoutMissing):
     """Bounds by quantity, named as in metrics.json."""
 
     rms_m: OfWindows | None = Field(
@@ -106,13 +101,9 @@ class Expect(Section):
         description="RMS error of each follower's estimated position relative to the leader, m.",
     )
 
-    @model_serializer(mode="wrap")
-    def _without_missing(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return {key: value for key, value in handler(self).items() if value is not None}
-
     @property
-    def given(self) -> Mapping[str, Bounds]:
-        """Quantities that have bounds."""
+    def bounds(self) -> Mapping[str, Bounds]:
+        """Bounds by quantity, of those that have any."""
         values = {name: getattr(self, name) for name in type(self).model_fields}
         return {name: bounds for name, bounds in values.items() if bounds is not None}
 
@@ -123,11 +114,11 @@ WINDOW_QUANTITIES = (
 )
 
 
-def check_expect(scenario: "Scenario") -> Iterator[Finding]:
+def check_expect(
+    expect: Expect, windows: Sequence[str], followers: Sequence[str]
+) -> Iterator[Finding]:
     """Find bounds of windows and followers that do not exist, and bounds that contradict."""
-    windows = list(scenario.scenario.windows)
-    followers = [follower.name for follower in scenario.fleet]
-    for quantity, bounds in scenario.expect.given.items():
+    for quantity, bounds in expect.bounds.items():
         at: KeyPath = ("expect", quantity)
         of_windows = quantity in WINDOW_QUANTITIES
         if of_windows and not windows:
@@ -139,15 +130,15 @@ def check_expect(scenario: "Scenario") -> Iterator[Finding]:
 
 
 def _is_mean(bounds: Bounds, at: KeyPath) -> bool:
-    """Whether a quantity is one number per window, not one per follower."""
+    """Return whether a quantity is one number per window, not one per follower."""
     return at[-1] in WINDOW_QUANTITIES and not isinstance(bounds, WindowBounds)
 
 
 def _named(
-    at: KeyPath, bounds: Bounds, names: Iterable[str], followers: list[str]
+    at: KeyPath, bounds: Bounds, names: Iterable[str], followers: Sequence[str]
 ) -> Iterator[Finding]:
     """Check bounds by name, and below a window those by follower."""
-    if not isinstance(bounds, NamedBounds | WindowBounds):
+    if not isinstance(bounds, NamedBounds):
         return
     known = list(names)
     for name, own in bounds.named.items():
@@ -164,7 +155,7 @@ def _named(
 
 
 def _contradictions(at: KeyPath, bounds: Bounds) -> Iterator[Finding]:
-    named = bounds.named if isinstance(bounds, NamedBounds | WindowBounds) else {}
+    named = bounds.named if isinstance(bounds, NamedBounds) else {}
     if bounds.min is None and bounds.max is None and not named:
         yield at, "has no bounds (write {max: 1}, for example)"
     elif bounds.min is not None and bounds.max is not None and bounds.min > bounds.max:
@@ -172,28 +163,33 @@ def _contradictions(at: KeyPath, bounds: Bounds) -> Iterator[Finding]:
 
 
 def without_windows(expect: Mapping[str, Any], lost: Iterable[str], *, any_left: bool) -> Any:  # noqa: ANN401
-    """Return bounds, as plain data, without those of windows that a shorter run does not reach."""
-    gone = set(lost)
-    kept = {
-        quantity: {name: own for name, own in bounds.items() if name not in gone}
+    """Return bounds, as plain data, without those of lost windows."""
+    removed = set(lost)
+    remaining = {
+        quantity: {name: own for name, own in bounds.items() if name not in removed}
         if quantity in WINDOW_QUANTITIES
         else bounds
         for quantity, bounds in expect.items()
     }
     return {
         quantity: bounds
-        for quantity, bounds in kept.items()
+        for quantity, bounds in remaining.items()
         if bounds and (any_left or quantity not in WINDOW_QUANTITIES)
     }
 
 
-def unchecked(scenario: "Scenario", windows: Iterable[str]) -> list[str]:
-    """Return the keys of bounds that are not checked when these windows are not reached."""
-    lost = set(windows)
+def unchecked(expect: Expect, windows: Iterable[str], lost: Collection[str]) -> list[str]:
+    """Return the keys of bounds that are not checked without some windows.
+
+    Args:
+        expect: the bounds.
+        windows: names of all windows.
+        lost: names of those that are not reached.
+    """
     keys = []
-    for quantity, bounds in scenario.expect.given.items():
-        if quantity in WINDOW_QUANTITIES and lost >= set(scenario.scenario.windows):
+    for quantity, bounds in expect.bounds.items():
+        if quantity in WINDOW_QUANTITIES and set(lost) >= set(windows):
             keys.append(f"expect.{quantity}")
-        elif quantity in WINDOW_QUANTITIES and isinstance(bounds, NamedBounds | WindowBounds):
+        elif quantity in WINDOW_QUANTITIES and isinstance(bounds, NamedBounds):
             keys += [f"expect.{quantity}.{name}" for name in bounds.named if name in lost]
     return keys

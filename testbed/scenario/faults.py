@@ -50,7 +50,7 @@ class Fault(Section):
 
     @property
     def is_declared(self) -> bool:
-        """Whether the aircraft reports the fault to the others."""
+        """Return whether the aircraft reports the fault to the others."""
         return self.DECLARED if self.declared is None else self.declared
 
 

@@ -1,4 +1,4 @@
-"""Read a scenario: its file, the files it extends, and settings, resolved to one frozen object."""
+"""Read a scenario: its file, the files it extends, and settings."""
 
 from __future__ import annotations
 
@@ -8,17 +8,27 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from testbed.scenario import resolve
+from testbed.scenario import references
 from testbed.scenario.fields import KeyPath
 from testbed.scenario.middle_loop import GainChanges, Guidance, MiddleLoopFile, MiddleLoopGains
-from testbed.scenario.overrides import Setting, override, parse_setting
 from testbed.scenario.pattern import drop_follower_keys, expand_pattern, is_pattern_key
+from testbed.scenario.problems import Place, Problem, ScenarioError, did_you_mean, merge_repeated
 from testbed.scenario.references import resolve_references
 from testbed.scenario.schema import Scenario
 from testbed.scenario.schema_1 import MIDDLE_LOOP, renamed_keys
-from testbed.scenario.tree import Node, inherit, plant, walk
-from testbed.scenario.violations import Place, Problem, ScenarioError, did_you_mean, merge_repeated
-from testbed.scenario.yaml_io import error_at, parse, read, validate, write
+from testbed.scenario.validate import validate
+from testbed.scenario.yaml_io import (
+    Node,
+    error_at,
+    expand_preset,
+    inherit,
+    null_removes,
+    parse,
+    plant,
+    read,
+    walk,
+    write,
+)
 
 _MAX_CHAIN = 20  # files that extend each other
 _NO_CHANGES: GainChanges = {}
@@ -64,7 +74,7 @@ def open_scenario(name_or_path: str | Path, *, folder: Path | None = None) -> Sc
     Raises:
         ScenarioError: a file does not exist, is not YAML, or is of schema 1.
     """
-    path = resolve.find_scenario(name_or_path, folder=folder)
+    path = references.find_scenario(name_or_path, folder=folder)
     tree = read(path)
     if folder is not None and not _has_scenario_key(tree):
         raise error_at(Place(str(name_or_path)), f"{path} {_FOREIGN}")
@@ -126,7 +136,7 @@ def load_middle_loop(
         ScenarioError: the airframe, the file or the profile does not exist, or a gain is wrong; a
             wrong change has the place `CHANGES`, and its path begins there.
     """
-    tree = read(Path(file) if file else resolve.find_aircraft(aircraft) / "middle_loop.yaml")
+    tree = read(Path(file) if file else references.find_aircraft(aircraft) / "middle_loop.yaml")
     if renamed := renamed_keys(tree, MIDDLE_LOOP):
         raise ScenarioError(renamed)
     profiles = validate(tree, MiddleLoopFile).root
@@ -170,7 +180,7 @@ def load_guidance(aircraft: str | Path) -> Guidance:
     Raises:
         ScenarioError: the airframe does not exist, or a gain is wrong.
     """
-    path = resolve.find_aircraft(aircraft) / "guidance.yaml"
+    path = references.find_aircraft(aircraft) / "guidance.yaml"
     return validate(read(path), Guidance) if path.is_file() else Guidance()
 
 
@@ -180,7 +190,7 @@ def dump(scenario: Scenario) -> str:
 
 
 def place_of_key(error: str, name_or_path: str | Path, overrides: Sequence[str] = ()) -> str:
-    """Return the place of the key that an error of a build begins with, as `file:line:column`.
+    """Return the place, `file:line:column`, of the key that an error begins with.
 
     Args:
         error: its text, as `leader.path.legs[3].radius_m: ...`.
@@ -203,7 +213,7 @@ def place_of_key(error: str, name_or_path: str | Path, overrides: Sequence[str] 
 def find_places(
     paths: Sequence[KeyPath], name_or_path: str | Path, overrides: Sequence[str] = ()
 ) -> list[Place | None]:
-    """Return the place of each key path of a scenario, or of the deepest map that would have it.
+    """Return the places of key paths, or of the deepest maps that exist.
 
     Args:
         paths: keys and list indices from the top of the file.
@@ -312,7 +322,7 @@ def _files(tree: Node, chain: tuple[Path, ...]) -> list[Node]:
         text = "must be the name or the path of a scenario"
         raise error_at(extends.place, text, ("extends",))
     try:
-        base = resolve.find_scenario(extends.value, folder=extends.folder)
+        base = references.find_scenario(extends.value, folder=extends.folder)
     except ScenarioError as error:
         raise error_at(extends.place, error.problems[0].text, ("extends",)) from None
     if base in chain:
@@ -328,7 +338,7 @@ def _files(tree: Node, chain: tuple[Path, ...]) -> list[Node]:
 
 
 def _has_scenario_key(tree: Node) -> bool:
-    """Whether a file can be a scenario; the content of others is not quoted in errors."""
+    """Return whether a file can be a scenario; errors do not quote others."""
     if not isinstance(tree.value, dict):
         return True  # `validate` refuses it without its content
     return not tree.value or not tree.value.keys().isdisjoint({"extends", *Scenario.model_fields})
@@ -347,3 +357,140 @@ def _merged(files: list[Node]) -> Node:
     for top in reversed(tops):
         tree = inherit(drop_follower_keys(tree, top), top)
     return tree
+
+
+_LINKS = ("network", "links")  # its maps, by sender and by receiver, have a key '*' for the rest
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One change of a scenario.
+
+    Args:
+        text: as written, `key.path=value`.
+        keys: of the path.
+        value: every node of it has the setting as its place.
+    """
+
+    text: str
+    keys: tuple[str, ...]
+    value: Node
+
+    @property
+    def source(self) -> str:
+        """Return what stands for the name of a file in errors."""
+        return f"--set {self.text}"
+
+    @property
+    def tree(self) -> Node:
+        """Return the value under its keys, as a scenario with nothing else."""
+        node = self.value
+        for key in reversed(self.keys):
+            node = replace(node, value={key: node})
+        return node
+
+
+def parse_setting(text: str) -> Setting:
+    """Read `key.path=value`, the value in YAML.
+
+    Raises:
+        ScenarioError: the text is not of that form.
+    """
+    key, equals, value = text.partition("=")
+    keys = tuple(key.strip().split("."))
+    source = f"--set {text}"
+    if not text.isprintable() and any("\ud800" <= each <= "\udfff" for each in text):
+        raise _error(source, (), "is not UTF-8 text (write it in UTF-8)")
+    if not equals or not all(keys):
+        raise _error(source, (), "is not key.path=value (write for example rates.log_hz=50)")
+    try:
+        node = parse(value, source, Path.cwd())
+    except ScenarioError as error:
+        raise _error(source, keys, error.problems[0].text) from None
+    return Setting(text, keys, _placed(node, Place(source)))
+
+
+def override(tree: Node, setting: Setting) -> Node:
+    """Return the scenario with one value changed.
+
+    In a list a key is an index from 0 or the `name` of an element, and `*` is every element of a
+    list or map; below network.links it is every link. A key that the file leaves out is added.
+    Null removes a key. A key inside sensors that are the name of a preset changes that preset.
+
+    Raises:
+        ScenarioError: the keys lead nowhere.
+    """
+    return _set_value(tree, setting.keys, (), setting)
+
+
+def _placed(node: Node, place: Place) -> Node:
+    """Give every node of a value one place: a setting has no lines."""
+    value = node.value
+    if isinstance(value, dict):
+        value = {name: _placed(child, place) for name, child in value.items()}
+    elif isinstance(value, tuple):
+        value = tuple(_placed(child, place) for child in value)
+    return Node(value, place, place, node.folder)
+
+
+def _set_value(node: Node, keys: tuple[str, ...], done: tuple[str, ...], setting: Setting) -> Node:
+    if not keys:
+        return setting.value
+    key, rest = keys[0], keys[1:]
+    parent = done[-1] if done else ""
+    node = expand_preset(node, parent)
+    if isinstance(node.value, tuple):
+        children = list(node.value)
+        for index in _indices(node.value, key, done, setting):
+            children[index] = _set_value(children[index], rest, (*done, str(index)), setting)
+        return replace(node, value=tuple(children))
+    if isinstance(node.value, dict) or node.value is None:
+        named = dict(node.value or {})
+        new = setting.value
+        for name in _names(named, key, done, setting):
+            child = named.get(name, Node(None, new.place, new.place, new.folder))
+            if not rest and new.value is None and null_removes(named, name, parent):
+                del named[name]
+            else:
+                named[name] = _set_value(child, rest, (*done, name), setting)
+        return replace(node, value=named)
+    raise _error(setting.source, done, f"is {node.value!r}, which has no {key!r} inside")
+
+
+def _names(
+    named: dict[str, Node], key: str, done: tuple[str, ...], setting: Setting
+) -> tuple[str, ...]:
+    if key != "*":
+        return (key,)
+    if done[:2] == _LINKS and len(done) < len(_LINKS) + 2:
+        return tuple(dict.fromkeys((*named, "*")))
+    if not named:
+        raise _error(setting.source, done, "is empty: * stands for nothing")
+    return tuple(named)
+
+
+def _indices(
+    items: tuple[Node, ...], key: str, done: tuple[str, ...], setting: Setting
+) -> tuple[int, ...]:
+    if key == "*":
+        return tuple(range(len(items)))
+    if key.isdecimal() and int(key) < len(items):
+        return (int(key),)
+    names = [
+        item.value["name"].value if isinstance(item.value, dict) and "name" in item.value else None
+        for item in items
+    ]
+    if key in names:
+        return (names.index(key),)
+    known = [name for name in names if isinstance(name, str)]
+    indices = f"0 to {len(items) - 1}" if items else "nothing: it is empty"
+    raise _error(
+        setting.source,
+        done,
+        f"has no element {key!r}{did_you_mean(key, known)} (it has "
+        f"{', '.join([indices, *known])}; * is all of them)",
+    )
+
+
+def _error(source: str, path: tuple[str, ...], text: str) -> ScenarioError:
+    return ScenarioError([Problem(Place(source), text, path)])

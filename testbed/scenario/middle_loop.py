@@ -1,4 +1,4 @@
-"""Files of an airframe: gains of the middle loop, [HBH23] (19) to (21), and of its guidance."""
+"""Gains of an airframe: middle loop, [HBH23] (19) to (21), and guidance."""
 
 from collections.abc import Mapping
 from typing import Annotated, Literal

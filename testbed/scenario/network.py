@@ -110,7 +110,7 @@ class FourState(Section):
 
 
 def _with_kind(value: Any) -> Any:  # noqa: ANN401 - any YAML value
-    """Make a number, and a map without kind or keys of another kind, a Bernoulli loss."""
+    """Make a number, and a map of no kind, a Bernoulli loss."""
     if is_number(value):
         return {"kind": "bernoulli", "probability": value}
     if isinstance(value, dict) and not value.keys() & {"kind", "p", "r", "p13", "p31"}:
@@ -393,7 +393,7 @@ class Network(Link):
         }
 
     def link(self, source: str, destination: str) -> Link:
-        """Return the resolved link from one aircraft to another; keys that are not set are None."""
+        """Return the resolved link between two aircraft; keys not set are None."""
         keys: dict[str, Any] = {name: getattr(self, name) for name in Link.model_fields}
         for sender, receiver in ((ANY, ANY), (ANY, destination), (source, ANY)):
             keys |= self._keys(sender, receiver)

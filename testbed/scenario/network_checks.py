@@ -1,9 +1,8 @@
-"""Checks of the `network` section: names, windows, and keys of a link that exclude each other."""
+"""Checks of the `network` section: names, windows, and contradictory keys of links."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING
 
 from testbed.scenario.fields import Finding, KeyPath
 from testbed.scenario.network import (
@@ -18,10 +17,8 @@ from testbed.scenario.network import (
     Network,
     TransmitSlots,
 )
-from testbed.scenario.violations import did_you_mean
-
-if TYPE_CHECKING:
-    from testbed.scenario.schema import Scenario
+from testbed.scenario.problems import did_you_mean
+from testbed.scenario.sections import Sections
 
 MAX_SYSTEMS = 255  # MAVLink system ids, from 1
 _AT: KeyPath = ("network",)
@@ -32,7 +29,7 @@ _REACH_BELOW = {"uniform": 1.0, "pareto": 3.0**-0.5}  # pareto: shape 3
 _MIN_LOGNORMAL_MEAN = 1e-3  # in spread_s
 
 
-def check_network(scenario: Scenario) -> Iterator[Finding]:
+def check_network(scenario: Sections) -> Iterator[Finding]:
     """Yield the contradictions of the network section."""
     yield from _encoding(scenario)
     yield from _senders(scenario)
@@ -42,7 +39,7 @@ def check_network(scenario: Scenario) -> Iterator[Finding]:
     yield from _links(scenario.network, scenario.aircraft_names)
 
 
-def _encoding(scenario: Scenario) -> Iterator[Finding]:
+def _encoding(scenario: Sections) -> Iterator[Finding]:
     network = scenario.network
     if network.encoding == "exact":
         for at, link in link_entries(network):
@@ -76,7 +73,7 @@ def _unknown(at: KeyPath, name: str, names: Sequence[str]) -> Iterator[Finding]:
         )
 
 
-def _senders(scenario: Scenario) -> Iterator[Finding]:
+def _senders(scenario: Sections) -> Iterator[Finding]:
     network, names = scenario.network, scenario.aircraft_names
     for key in ("transmitter_off_s", "broadcast", "clocks"):
         for name in getattr(network, key):
@@ -94,7 +91,7 @@ def _senders(scenario: Scenario) -> Iterator[Finding]:
             )
 
 
-def _partitions(scenario: Scenario) -> Iterator[Finding]:
+def _partitions(scenario: Sections) -> Iterator[Finding]:
     for index, partition in enumerate(scenario.network.partitions):
         at = (*_AT, "partitions", index)
         yield from _check_window((*at, "window_s"), partition.window_s)
@@ -122,7 +119,7 @@ def _twice(places: Iterable[tuple[KeyPath, str]], text: str) -> Iterator[Finding
         seen.add(name)
 
 
-def _tdma(scenario: Scenario) -> Iterator[Finding]:
+def _tdma(scenario: Sections) -> Iterator[Finding]:
     network, names = scenario.network, scenario.aircraft_names
     if network.tdma is None:
         return
@@ -145,7 +142,7 @@ def _tdma(scenario: Scenario) -> Iterator[Finding]:
         yield at, f"has no slot for {', '.join(missing)} (write every aircraft, or leave order out)"
 
 
-def _ends(scenario: Scenario) -> Iterator[Finding]:
+def _ends(scenario: Sections) -> Iterator[Finding]:
     """Check that the keys below links are a sender and a receiver."""
     names = scenario.aircraft_names
     leader, *followers = names
@@ -185,7 +182,7 @@ def _links(network: Network, names: Sequence[str]) -> Iterator[Finding]:
 
 
 def link_entries(network: Network) -> Iterator[tuple[KeyPath, Link]]:
-    """Yield every entry that describes a link and its path: the common one, then the others."""
+    """Yield entries that describe links with their paths, the common one first."""
     yield _AT, network
     for sender, receivers in network.links.items():
         for receiver, link in receivers.items():
@@ -325,7 +322,7 @@ def _resolved(network: Network, source: str, destination: str) -> Iterator[Findi
 def _deciding_entries(
     network: Network, source: str, destination: str
 ) -> dict[str, tuple[int, KeyPath]]:
-    """Return by key the rank and path of the most specific entry that sets it for a link."""
+    """Return rank and path of the most specific entry by key of a link."""
     last = dict.fromkeys(Link.model_fields, (0, _AT))
     ends = ((ANY, ANY), (ANY, destination), (source, ANY), (source, destination))
     for rank, (sender, receiver) in enumerate(ends, start=1):

@@ -10,9 +10,9 @@ from pydantic import Field, model_validator
 
 from testbed.scenario.aircraft import Aircraft
 from testbed.scenario.fields import Finding, Gain, Metres, Name, Whole, raise_findings
-from testbed.scenario.tree import Node, Plain, merge, plant
-from testbed.scenario.violations import did_you_mean
-from testbed.scenario.yaml_io import validate
+from testbed.scenario.problems import did_you_mean
+from testbed.scenario.validate import validate
+from testbed.scenario.yaml_io import Node, Plain, merge, plant
 
 FLEET, FORMATION = "fleet", "formation"
 # keys of the formation that name followers
@@ -65,7 +65,7 @@ class Pattern(Aircraft):
 
     @cached_property
     def slots(self) -> tuple[Slot, ...]:
-        """Return the slots [forward, right, down] of the leader, m, in the order of the names."""
+        """Return the slots [forward, right, down] of the leader, m, in order."""
         behind, beside, below = self.spacing_m or _SPACING_M.get(self.pattern, (10.0, 10.0, 0.0))
         steps = (_steps(self.pattern, index, self.count) for index in range(self.count))
         return tuple(
@@ -143,7 +143,7 @@ def _check_agents(fleet: Pattern) -> Iterator[Finding]:
 
 
 def is_pattern_key(keys: tuple[str, ...]) -> bool:
-    """Return whether keys lead to the fleet or a key of its pattern, not to one aircraft."""
+    """Return whether keys lead to the fleet or its pattern, not one aircraft."""
     first, *rest = keys
     return first == FLEET and (not rest or rest[0] in Pattern.model_fields)
 
@@ -175,7 +175,7 @@ def expand_pattern(scenario: Node) -> Node:
 
 
 def drop_follower_keys(base: Node, top: Node) -> Node:
-    """Return `base` without keys by follower, if a pattern in `top` replaces its list of followers.
+    """Return `base` without keys by follower, if `top` replaces them by a pattern.
 
     The same names may be in other slots.
     """

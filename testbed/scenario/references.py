@@ -1,19 +1,236 @@
-"""References of a scenario to airframes, parameter files, recordings, gains and laws."""
+"""Files that scenarios name: airframes, scenarios, studies, data, gains, laws; by name or path.
+
+A checkout has `aircraft/` and `scenarios/` beside the package, an installed wheel inside it. A name
+is that of a file there; no other folder is searched.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from testbed.scenario import resolve
 from testbed.scenario.aircraft import Follower, Leader
 from testbed.scenario.control import Agent, Formation
 from testbed.scenario.fields import KeyPath
 from testbed.scenario.network_checks import link_entries
+from testbed.scenario.problems import Place, Problem, ScenarioError, did_you_mean
 from testbed.scenario.schema import Scenario
-from testbed.scenario.tree import Node, walk
-from testbed.scenario.violations import Problem, ScenarioError
+from testbed.scenario.yaml_io import Node, walk
+
+_SCENARIOS = Path("scenarios")
+_STUDIES = _SCENARIOS / "studies"
+_TUNINGS = _STUDIES / "tunes"
+_DATA = _SCENARIOS / "data"
+_YAML, _PARAM = ".yaml", ".param"
+_YAML_FILE = "a .yaml file"
+_PACKAGE = Path(__file__).resolve().parent.parent
+
+
+def library() -> Path:
+    """Return the folder that holds `aircraft/` and `scenarios/`."""
+    checkout = _PACKAGE.parent
+    if (checkout / "aircraft").is_dir() and (checkout / "scenarios").is_dir():
+        return checkout
+    return _PACKAGE / "_data"
+
+
+def list_aircraft() -> tuple[str, ...]:
+    """Return the names of the airframes that come with the testbed, sorted."""
+    folder = library() / "aircraft"
+    return tuple(sorted(f.name for f in folder.glob("*") if (f / f"{f.name}.xml").is_file()))
+
+
+def list_scenarios() -> tuple[str, ...]:
+    """Return the names of the scenarios that come with the testbed, sorted."""
+    return _stems(library() / _SCENARIOS, _YAML)
+
+
+def list_studies() -> tuple[str, ...]:
+    """Return the names of the studies that come with the testbed, sorted."""
+    return _stems(library() / _STUDIES, _YAML)
+
+
+def list_tunings() -> tuple[str, ...]:
+    """Return the names of the tunes that come with the testbed, sorted."""
+    return _stems(library() / _TUNINGS, _YAML)
+
+
+def list_data() -> tuple[str, ...]:
+    """Return the names of the data files that scenarios use, sorted."""
+    return tuple(sorted(f.name for f in (library() / _DATA).glob("*.csv")))
+
+
+def find_scenario(name_or_path: str | Path, *, folder: Path | None = None) -> Path:
+    """Return the file of a scenario, by name or path (from `folder`, or here).
+
+    Raises:
+        ScenarioError: there is no such file.
+    """
+    own = library() / _SCENARIOS / f"{name_or_path}{_YAML}"
+    return _find("scenario", name_or_path, own, list_scenarios, _YAML_FILE, folder)
+
+
+def find_study(name_or_path: str | Path) -> Path:
+    """Return the file of a study, by name or path.
+
+    Raises:
+        ScenarioError: there is no such file.
+    """
+    own = library() / _STUDIES / f"{name_or_path}{_YAML}"
+    return _find("study", name_or_path, own, list_studies, _YAML_FILE)
+
+
+def find_tuning(name_or_path: str | Path) -> Path:
+    """Return the file of a tune, by name or path.
+
+    Raises:
+        ScenarioError: there is no such file.
+    """
+    own = library() / _TUNINGS / f"{name_or_path}{_YAML}"
+    return _find("tune", name_or_path, own, list_tunings, _YAML_FILE)
+
+
+def find_aircraft(name_or_path: str | Path, *, folder: Path | None = None) -> Path:
+    """Return the folder of an airframe, by name or path (from `folder`, or here).
+
+    Raises:
+        ScenarioError: there is no such folder, or it has no <folder's name>.xml.
+    """
+    text = str(name_or_path)
+    own = library() / "aircraft" / text
+    path = own if _is_name(text) and _exists(own, Path.is_dir) else absolute(text, folder)
+    if is_file(path / f"{path.name}.xml"):
+        return path
+    if _exists(path, Path.is_dir):
+        text = f"{path} has no {path.name}.xml (write a folder with a model of its name)"
+        raise ScenarioError([Problem(Place(str(path)), text)])
+    raise _not_found("aircraft", text, list_aircraft(), "a folder with a JSBSim model", path)
+
+
+def find_tune(aircraft: str | Path, tune: str | Path, *, folder: Path | None = None) -> Path:
+    """Return the .param file of an airframe: `<tune>.param` in its folder, or a path.
+
+    Raises:
+        ScenarioError: there is no such airframe or file.
+    """
+    home = find_aircraft(aircraft, folder=folder)
+    what, own = f"tune of {home.name}", home / f"{tune}{_PARAM}"
+    return _find(what, tune, own, lambda: _stems(home, _PARAM), "a .param file", folder)
+
+
+def find_data(name_or_path: str | Path, *, folder: Path | None = None) -> Path:
+    """Return a data file, by name in scenarios/data or path (from `folder`, or here).
+
+    Raises:
+        ScenarioError: there is no such file.
+    """
+    own = library() / _DATA / name_or_path
+    return _find("data file", name_or_path, own, list_data, "a CSV file", folder)
+
+
+def find_code(name: str, *, folder: Path | None = None, anywhere: bool = False) -> str:
+    """Return the source of code `module:name`: "file.py:name", or itself if installed.
+
+    A module.py in `folder` (of the scenario file) or in scenarios/ precedes an installed module.
+
+    Args:
+        name: `module:name` or `file.py:name` of a law's class or of a function.
+        folder: None: find a resolved name again.
+        anywhere: allow files outside of the folder; a scenario file runs no code from elsewhere.
+
+    Raises:
+        ScenarioError: the file does not exist, or is outside of the folder.
+    """
+    module, _, object_name = name.rpartition(":")
+    if module.endswith(".py"):
+        path = absolute(module, folder)
+        if not is_file(path):
+            text = f"there is no file {path} (write module:name, with module.py in this folder)"
+            raise ScenarioError([Problem(Place(str(path)), text)])
+        if not anywhere:
+            _refuse_outside(path, folder)
+        return f"{path}:{object_name}"
+    file = f"{module.replace('.', '/')}.py"
+    for home in (folder, library() / "scenarios"):
+        if home is not None and is_file(home / file):
+            path = (home / file).resolve()
+            _refuse_outside(path, home)
+            return f"{path}:{object_name}"
+    return name
+
+
+def _refuse_outside(path: Path, folder: Path | None) -> None:
+    if folder is not None and not path.is_relative_to(folder.resolve()):
+        text = f"{path} is not in the folder of the scenario file, {folder} (put a copy there)"
+        raise ScenarioError([Problem(Place(str(path)), text)])
+
+
+def _find(
+    what: str,
+    name_or_path: str | Path,
+    own: Path,
+    known: Callable[[], tuple[str, ...]],
+    path_of: str,
+    folder: Path | None = None,
+) -> Path:
+    """Return the testbed's own file of a name, or the file at a path."""
+    text = str(name_or_path)
+    if _is_name(text) and is_file(own):
+        return own
+    path = absolute(text, folder)
+    if is_file(path):
+        return path
+    raise _not_found(what, text, known(), path_of, path)
+
+
+def _stems(folder: Path, ending: str) -> tuple[str, ...]:
+    return tuple(sorted(f.stem for f in folder.glob(f"*{ending}")))
+
+
+def _is_name(text: str) -> bool:
+    return Path(text).name == text and text not in ("", ".", "..")
+
+
+def is_file(path: Path) -> bool:
+    """Return whether a file exists; a name that no file can have is no error."""
+    return _exists(path, Path.is_file)
+
+
+def _exists(path: Path, kind: Callable[[Path], bool]) -> bool:
+    try:
+        return kind(path)
+    except OSError:  # name too long, or no permission
+        return False
+
+
+def absolute(text: str, folder: Path | None) -> Path:
+    """Return the absolute path from `folder` or from here; the file need not exist."""
+    path = Path(text)
+    try:
+        return ((folder or Path.cwd()) / path.expanduser()).resolve()
+    except (OSError, RuntimeError, ValueError):  # unknown user, loop of links, invalid byte
+        return (folder or Path.cwd()) / path
+
+
+def _not_found(
+    what: str, text: str, known: tuple[str, ...], path_of: str, looked_at: Path
+) -> ScenarioError:
+    """Make the error of a name or path that does not exist."""
+    if not _is_name(text) or Path(text).suffix in (_YAML, _PARAM):
+        message = f"there is no file {looked_at}"
+        if path_of.startswith("a folder"):
+            message = f"there is no folder {looked_at}"
+        hint, article = did_you_mean(Path(text).stem, known), "an" if what[0] == "a" else "a"
+        message += f" (write the path of {path_of}, or the name of {article} {what}{hint})"
+    else:
+        names = ", ".join(known) or "none"
+        message = (
+            f"there is no {what} {text!r}{did_you_mean(text, known)} (write one of: {names}; or "
+            f"the path of {path_of}, relative to {looked_at.parent})"
+        )
+    return ScenarioError([Problem(Place(text), message)])
+
 
 _GAINS = "middle_loop.yaml"
 
@@ -30,15 +247,15 @@ class _Resolver:
         """Resolve the airframe and the autopilot parameters."""
         folder = self.folder(*loc, "aircraft")
         try:
-            home = resolve.find_aircraft(aircraft.aircraft, folder=folder)
+            home = find_aircraft(aircraft.aircraft, folder=folder)
         except ScenarioError as error:
             self.add(error, *loc, "aircraft")
             return
-        own = resolve.library() / "aircraft" / home.name
+        own = library() / "aircraft" / home.name
         self.changes.append(((*loc, "aircraft"), home.name if home == own else str(home)))
         folder = self.folder(*loc, "tune")
         try:
-            tune = resolve.find_tune(home, aircraft.tune, folder=folder)
+            tune = find_tune(home, aircraft.tune, folder=folder)
         except ScenarioError as error:
             self.add(error, *loc, "tune")
             return
@@ -47,23 +264,23 @@ class _Resolver:
         binary = getattr(aircraft.autopilot, "binary", None)
         if binary is not None:  # only a run needs it to exist
             folder = self.folder(*loc, "autopilot", "binary")
-            found = resolve.absolute(binary, folder)
+            found = absolute(binary, folder)
             self.changes.append(((*loc, "autopilot", "binary"), str(found)))
 
     def recording(self, loc: KeyPath, file: str) -> None:
         """Resolve a data file."""
         try:
-            found = resolve.find_data(file, folder=self.folder(*loc))
+            found = find_data(file, folder=self.folder(*loc))
         except ScenarioError as error:
             self.add(error, *loc)
             return
-        own = resolve.library() / "scenarios" / "data" / found.name
+        own = library() / "scenarios" / "data" / found.name
         self.changes.append((loc, found.name if found == own else str(found)))
 
     def gains(self, loc: KeyPath, file: str) -> None:
         """Resolve a file of gains."""
-        found = resolve.absolute(file, self.folder(*loc))
-        if resolve.is_file(found):
+        found = absolute(file, self.folder(*loc))
+        if is_file(found):
             self.changes.append((loc, str(found)))
             return
         node, path, left = walk(self.tree, loc)
@@ -74,13 +291,13 @@ class _Resolver:
         """Resolve a user's own law or function."""
         try:
             # in a text or a setting, unlike in a file, the caller chooses the code
-            by_caller = not resolve.is_file(Path(walk(self.tree, loc)[0].place.source))
-            found = resolve.find_code(name, folder=self.folder(*loc), anywhere=by_caller)
+            by_caller = not is_file(Path(walk(self.tree, loc)[0].place.source))
+            found = find_code(name, folder=self.folder(*loc), anywhere=by_caller)
         except ScenarioError as error:
             self.add(error, *loc)
             return
         file, _, object_name = found.rpartition(":")
-        if Path(file).parent == resolve.library() / "scenarios":
+        if Path(file).parent == library() / "scenarios":
             found = f"{Path(file).stem}:{object_name}"
         self.changes.append((loc, found))
 
@@ -127,7 +344,7 @@ def resolve_references(scenario: Scenario, tree: Node) -> Scenario:
 
 
 def code_references(scenario: Scenario) -> Iterator[tuple[KeyPath, str]]:
-    """Yield where a scenario names code of its own, a law or functions, and the names."""
+    """Yield the key paths and names of a scenario's own laws and functions."""
     if scenario.controller.law != "hbh23":
         yield ("controller", "law"), scenario.controller.law
     places: list[tuple[KeyPath, Formation | Agent]] = [(("formation",), scenario.formation)]

@@ -1,12 +1,12 @@
-"""Name what schema 2 calls each key and value of schema 1; files of schema 1 are not read."""
+"""Names in schema 2 of the keys and values of schema 1."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from testbed.scenario.tree import Node
-from testbed.scenario.violations import Problem
+from testbed.scenario.problems import Problem
+from testbed.scenario.yaml_io import Node
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,7 @@ MIDDLE_LOOP: tuple[Renamed, ...] = (
 
 
 def renamed_keys(tree: Node, table: Sequence[Renamed] = SCENARIO) -> list[Problem]:
-    """List the keys and values of schema 1 in one file or setting, in the order of the text.
+    """List the keys and values of schema 1 in one file or setting.
 
     Args:
         tree: the file, before it is merged with the one that it extends.

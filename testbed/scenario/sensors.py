@@ -26,7 +26,7 @@ from testbed.scenario.fields import (
     Seconds,
     Section,
 )
-from testbed.scenario.violations import did_you_mean
+from testbed.scenario.problems import did_you_mean
 
 _CORRELATION = "Correlation time of the first-order Gauss-Markov process, s."
 _SHARED = "Correlation time of the drift common to all aircraft, s."
@@ -308,12 +308,12 @@ class Sensors(Section):
 
     @property
     def measured(self) -> bool:
-        """Whether a sensor is simulated, so that the estimate is that of a navigation filter."""
+        """Return whether a sensor is simulated, so that a navigation filter estimates."""
         return not all(getattr(self, name) is None for name in SENSOR_NAMES)
 
     @property
     def exact(self) -> bool:
-        """Whether the estimate is the truth."""
+        """Return whether the estimate is the truth."""
         added = self.position.sigma_m or self.velocity.sigma_mps or self.attitude.sigma_deg
         return not (added or self.measured)
 

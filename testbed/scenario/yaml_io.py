@@ -1,7 +1,8 @@
-"""Read YAML to a tree with places, and write it; the only module that imports yaml.
+"""Trees of YAML files, with the place of each value: read, merge and write them.
 
-Plain scalars follow YAML 1.2, in which `no` is text and `1e-2` a number; in PyYAML's YAML 1.1 it
-is the other way round. Tags, merge keys and repeated keys are errors.
+The only module that imports yaml. Plain scalars follow YAML 1.2, in which `no` is text and `1e-2` a
+number; in PyYAML's YAML 1.1 it is the other way round. Tags, merge keys and repeated keys are
+errors.
 """
 
 from __future__ import annotations
@@ -9,17 +10,15 @@ from __future__ import annotations
 import json
 import math
 import re
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import yaml
-from pydantic import BaseModel, ValidationError
 
 from testbed.core.input_files import ReadError, read_bounded
-from testbed.scenario.error_messages import explain
-from testbed.scenario.tree import Node, Scalar, plain
-from testbed.scenario.violations import Place, Problem, ScenarioError
+from testbed.scenario.problems import Place, Problem, ScenarioError
 
 _MAX_NODES = 100_000
 _MAX_DEPTH = 40
@@ -29,8 +28,6 @@ _NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _BARE = re.compile(r"[A-Za-z0-9_./][\w./+-]*")  # text that needs no quotes
 _NOT_FINITE = {".inf": "inf", "+.inf": "inf", "-.inf": "-inf", ".nan": "nan"}
 _WORDS: dict[str, Scalar] = {"": None, "~": None, "null": None, "true": True, "false": False}
-
-ModelT = TypeVar("ModelT", bound=BaseModel)
 
 
 class _Reader(yaml.CSafeLoader):
@@ -80,24 +77,6 @@ def read(path: Path) -> Node:
     return parse(text, source, path.resolve().parent)
 
 
-def validate(tree: Node, model: type[ModelT], under: tuple[str, ...] = ()) -> ModelT:
-    """Validate a tree as a pydantic model.
-
-    Args:
-        tree: of a file or a part of one.
-        model: class of the result.
-        under: keys of that part, for errors.
-
-    Raises:
-        ScenarioError: with every problem found, each with its place.
-    """
-    try:
-        return model.model_validate(plain(tree))
-    except ValidationError as error:
-        problems = explain(error, tree, model)
-        raise ScenarioError([replace(one, path=under + one.path) for one in problems]) from None
-
-
 def write(data: object) -> str:
     """Return plain data as YAML text that reads back as the same."""
     text: str = yaml.dump(data, Dumper=_Writer, sort_keys=False, allow_unicode=True, width=100)
@@ -105,7 +84,7 @@ def write(data: object) -> str:
 
 
 def to_inline(value: object) -> str:
-    """Return plain data as YAML on one line that reads back as the same, to the last bit."""
+    """Return plain data as YAML on one line, exact to the last bit."""
     if isinstance(value, str) and _BARE.fullmatch(value) and isinstance(_scalar(value), str):
         return value
     if isinstance(value, float) and not math.isfinite(value):
@@ -245,3 +224,134 @@ def _scalar(text: str) -> Scalar:
 def error_at(place: Place, text: str, path: tuple[str, ...] = ()) -> ScenarioError:
     """Return an error with one problem."""
     return ScenarioError([Problem(place, text, path)])
+
+
+Scalar = str | int | float | bool | None
+Plain = Scalar | list["Plain"] | dict[str, "Plain"]
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """A value and its place. Maps and lists hold nodes."""
+
+    value: Scalar | tuple[Node, ...] | dict[str, Node]
+    place: Place  # of the value
+    key: Place  # of the key that names it; in a list, of the value
+    folder: Path  # base of relative paths in the value
+
+
+# Maps that differ in one of these keys do not merge.
+_KIND_KEYS = ("kind", "example")
+# Kind of a map without the key `kind`, by the key that holds the map.
+_DEFAULT_KINDS = {"loss": "bernoulli"}
+# A map under this key may change a preset: null in it is a value, and a name stands for the preset.
+_WITH_PRESET = "sensors"
+_PRESET = "preset"
+# Keys of `scenario` that a file with another name does not inherit.
+_BY_NAME = ("question", "expectation", "published")
+
+
+def merge(base: Node, top: Node, name: str = "") -> Node:
+    """Return `base` changed by `top`: maps merge deeply, lists and scalars are replaced.
+
+    `name` is the key of both. A map of another `kind` (or `example`) replaces the old one. Null
+    removes a key, so that its default holds.
+    """
+    if not (isinstance(base.value, dict) and isinstance(top.value, dict)):
+        return top
+    for kind in _KIND_KEYS:
+        old, new = base.value.get(kind), top.value.get(kind)
+        old_kind = old.value if old else _DEFAULT_KINDS.get(name)
+        if old_kind and new and old_kind != new.value:
+            return top
+    merged = dict(base.value)
+    for key, node in top.value.items():
+        if node.value is None and null_removes(merged, key, name):
+            del merged[key]
+        else:
+            merged[key] = merge(merged[key], node, key) if key in merged else node
+    return replace(top, value=merged)
+
+
+def inherit(base: Node, top: Node) -> Node:
+    """Merge a file with the one it extends.
+
+    A renamed scenario does not inherit the question, the expectation and the published numbers.
+    """
+    old_header, new_header = _header(base), _header(top)
+    old, new = old_header.get("name"), new_header.get("name")
+    if new is None or (old is not None and old.value == new.value):
+        return merge(base, top)
+    # a key that the top file removes by null stays for the merge
+    dropped = {k for k in _BY_NAME if k not in new_header or new_header[k].value is not None}
+    rest = {key: node for key, node in old_header.items() if key not in dropped}
+    assert isinstance(base.value, dict)
+    below = {**base.value, "scenario": replace(base.value["scenario"], value=rest)}
+    return merge(replace(base, value=below), top)
+
+
+def _header(tree: Node) -> dict[str, Node]:
+    """Return the map under `scenario`, or an empty one."""
+    header = tree.value.get("scenario") if isinstance(tree.value, dict) else None
+    return header.value if header and isinstance(header.value, dict) else {}
+
+
+def null_removes(named: Mapping[str, Node], key: str, name: str) -> bool:
+    """Return whether null removes a key of the map under `name`."""
+    return key in named and not (name == _WITH_PRESET and _PRESET in named and key != _PRESET)
+
+
+def expand_preset(node: Node, name: str) -> Node:
+    """Return the value under `name` as a map, if it names a preset."""
+    if name != _WITH_PRESET or not isinstance(node.value, str):
+        return node
+    return replace(node, value={_PRESET: node})
+
+
+def plant(value: Plain, place: Place) -> Node:
+    """Return plain values as a tree whose nodes all have one place."""
+    nodes: Scalar | tuple[Node, ...] | dict[str, Node]
+    if isinstance(value, dict):
+        nodes = {name: plant(child, place) for name, child in value.items()}
+    elif isinstance(value, list):
+        nodes = tuple(plant(child, place) for child in value)
+    else:
+        nodes = value
+    return Node(nodes, place, place, Path())
+
+
+def plain(node: Node) -> Plain:
+    """Return the value without places: dicts, lists and scalars."""
+    if isinstance(node.value, dict):
+        return {name: plain(child) for name, child in node.value.items()}
+    if isinstance(node.value, tuple):
+        return [plain(child) for child in node.value]
+    return node.value
+
+
+def walk(node: Node, loc: tuple[str | int, ...]) -> tuple[Node, tuple[str, ...], tuple[str, ...]]:
+    """Follow a location of pydantic through the tree; tags of unions in it are skipped.
+
+    Returns:
+        the deepest node that exists, the path to it, and the rest of the location: empty, or
+        beginning with the key that is missing.
+    """
+    path: list[str] = []
+    for index, part in enumerate(loc):
+        name = str(part)
+        if isinstance(node.value, dict):
+            if name in node.value:
+                node = node.value[name]
+                path.append(name)
+                continue
+            if any(kind in node.value and node.value[kind].value == part for kind in _KIND_KEYS):
+                continue
+            if path and _DEFAULT_KINDS.get(path[-1]) == part:
+                continue
+            return node, tuple(path), tuple(str(rest) for rest in loc[index:])
+        if isinstance(node.value, tuple) and isinstance(part, int) and part < len(node.value):
+            node = node.value[part]
+            path.append(name)
+            continue
+        break
+    return node, tuple(path), ()

@@ -15,10 +15,10 @@ import numpy as np
 from testbed.core.compile import kernel
 from testbed.core.frames import GRAVITY
 from testbed.core.records import Record, Records, allocate
+from testbed.core.standard_atmosphere import SEA_LEVEL_DENSITY
 from testbed.scenario.sensors import Sensors
 from testbed.sensors.errors import ConstantBiases, is_sampled
 
-SEA_LEVEL_DENSITY = 1.225  # kg/m³, ISA
 MIN_PRESSURE = 1e-4  # Pa: the autopilot divides by the airspeed, which must not be 0
 
 # The airspeed sensor of one aircraft; one that the scenario does not describe is exact, and never

@@ -21,8 +21,7 @@ from math import cos, exp, pi, sin, sqrt, tan
 import numpy as np
 
 from testbed.core.compile import kernel
-from testbed.core.frames import GRAVITY
-from testbed.core.motion import rotation_ned_body
+from testbed.core.frames import GRAVITY, rotation_rows
 from testbed.core.records import Array, Record, Records, Values, Vector, allocate
 from testbed.sensors.errors import is_sampled
 
@@ -164,7 +163,7 @@ def ekf_step(
     step: int,
     steps_per_s: int,
 ) -> None:
-    """Step one filter: propagate its errors, and update them with what is measured at this step.
+    """Step one filter: propagate its errors, and update them with new measurements.
 
     Args:
         g: record of SETTINGS.
@@ -179,7 +178,7 @@ def ekf_step(
     """
     dt = 1.0 / steps_per_s
     x, residual = f.states, f.residual
-    rotation = rotation_ned_body(truth.euler)
+    rotation = rotation_rows(truth.euler)
     acceleration = truth.acceleration_ned
     force = acceleration[0], acceleration[1], acceleration[2] - GRAVITY
     propagate_state(x, errors, rotation, force, dt)
@@ -325,7 +324,9 @@ def propagate_covariance(
 
 @kernel
 def write_flow(rotation: Values, force: Vector, dt: float, flow: Array) -> None:
-    """Write Φ − 1 for tilt, velocity and position, to second order of `dt`; other rows are zero.
+    """Write Φ − 1 for tilt, velocity and position, to second order.
+
+    Other rows are zero.
 
     Args:
         rotation: R_NB.
@@ -435,7 +436,9 @@ def gated_update(
 def predict_fix(
     g: Record, x: Array, past: Records, errors: Record, faults: Record, step: int, innovation: Array
 ) -> None:
-    """Write the innovations of a fix's velocity and position, less the states as they are now.
+    """Write the innovations of a fix's velocity and position.
+
+    They are the fix minus the present states.
 
     A fix is as old as its latency, and compared with the estimate of the assumed latency ago.
 
@@ -520,7 +523,9 @@ def reset_state(f: Record, state: int, innovation: float, variance: float) -> No
 
 @kernel
 def fuse_heading(g: Record, x: Array, p: Array, euler: Vector, error: float, work: Values) -> None:
-    """Update with the compass's yaw, to which errors of tilt add where the nose is up.
+    """Update with the compass's yaw.
+
+    Errors of tilt add to it where the nose is up.
 
     Args:
         g: record of SETTINGS.
@@ -630,7 +635,7 @@ def apply_errors(f: Record, errors: Record, estimate: Record) -> None:
     x, output = f.states, f.output
     euler, acceleration = estimate.euler, estimate.acceleration_ned
     phi, theta, psi = euler[0], euler[1], euler[2]
-    r0, r1, r2 = rotation_ned_body(euler)
+    r0, r1, r2 = rotation_rows(euler)
     north, east, down = acceleration[0], acceleration[1], acceleration[2] - GRAVITY
     bias, noise = errors.accelerometer_bias, errors.accelerometer_noise
     a = bias[0] + noise[0] - x[ACCELEROMETER_BIAS]
@@ -648,7 +653,7 @@ def apply_errors(f: Record, errors: Record, estimate: Record) -> None:
     euler[0] = phi + along / cos(theta)
     euler[1] = theta + (cosine * output[TILT + 1] - sine * output[TILT])
     euler[2] = pi - (pi - psi - (output[TILT + 2] + along * tan(theta))) % (2.0 * pi)
-    r0, r1, r2 = rotation_ned_body(euler)
+    r0, r1, r2 = rotation_rows(euler)
     acceleration[0] = r0[0] * a + r0[1] * b + r0[2] * c
     acceleration[1] = r1[0] * a + r1[1] * b + r1[2] * c
     acceleration[2] = r2[0] * a + r2[1] * b + r2[2] * c + GRAVITY

@@ -14,9 +14,11 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from testbed.core.compile import jitable, kernel
-from testbed.core.random import stream
-from testbed.core.records import Array, Records, allocate
+from testbed.core.compile import entry, jitable, kernel
+from testbed.core.copies import copy_motion
+from testbed.core.frames import GRAVITY, rotation_rows
+from testbed.core.random import named_stream
+from testbed.core.records import Array, Record, Records, allocate
 from testbed.scenario.sensors import Sensors
 
 BLOCK = 256  # steps whose random numbers are drawn at a time; the numbers do not depend on it
@@ -151,7 +153,7 @@ def is_sampled(rate_hz: int, step: int, steps_per_s: int) -> bool:
 def make_sensor_errors(
     names: Sequence[str], sensors: Sequence[Sensors], *, seed: int, dt: float
 ) -> GaussMarkovErrors:
-    """Return the random errors of the sensors of N aircraft, whose values are those of ERRORS.
+    """Return the random errors of the sensors of N aircraft, of ERRORS.
 
     Every sensor has a stream of its own, "sensors/<aircraft>/<sensor>"; errors common to all
     aircraft come from "sky/gps" and "sky/barometer".
@@ -163,10 +165,15 @@ def make_sensor_errors(
         dt: s, step.
     """
     own = [
-        [(stream(seed, f"sensors/{name}/{sensor}"), width) for sensor, width in OWN_STREAMS.items()]
+        [
+            (named_stream(seed, f"sensors/{name}/{sensor}"), width)
+            for sensor, width in OWN_STREAMS.items()
+        ]
         for name in names
     ]
-    shared = [(stream(seed, f"sky/{sensor}"), width) for sensor, width in SHARED_STREAMS.items()]
+    shared = [
+        (named_stream(seed, f"sky/{sensor}"), width) for sensor, width in SHARED_STREAMS.items()
+    ]
     return GaussMarkovErrors(make_noise_parameters(sensors, dt), dt, own, shared)
 
 
@@ -177,7 +184,10 @@ def view_errors(errors: GaussMarkovErrors) -> Records:
 
 
 def make_noise_parameters(sensors: Sequence[Sensors], dt: float) -> NoiseParameters:
-    """Return the statistics (N, K) of ERRORS, drawn every `dt` s; a missing sensor has no error."""
+    """Return the statistics (N, K) of ERRORS, drawn every `dt` s.
+
+    A missing sensor has no error.
+    """
     sigma, tau = np.zeros((2, len(sensors)), dtype=ERRORS)
     for row, each in enumerate(sensors):
         s, t = sigma[row], tau[row]
@@ -214,7 +224,7 @@ def make_constant_biases(
     """Return given and drawn constant errors of N aircraft, streams "sensors/<name>/offsets"."""
     out = ConstantBiases(*np.zeros((3, len(names))))
     for row, (name, each) in enumerate(zip(names, sensors, strict=True)):
-        pressure, scale, heading = stream(seed, f"sensors/{name}/offsets").standard_normal(3)
+        pressure, scale, heading = named_stream(seed, f"sensors/{name}/offsets").standard_normal(3)
         if (airspeed := each.airspeed) is not None:
             out.pressure[row] = airspeed.offset_pa + airspeed.offset_sigma_pa * pressure
             out.scale[row] = max(airspeed.scale + airspeed.scale_sigma * scale, -1.0)
@@ -227,3 +237,92 @@ def make_constant_biases(
 def _axes(pair: tuple[float, float]) -> tuple[float, float, float]:
     """Return north, east and down from horizontal and vertical."""
     return pair[0], pair[0], pair[1]
+
+
+# Columns of the jitter of one aircraft: errors added to an estimate, whatever its source; each is
+# the first of three.
+POSITION, VELOCITY, ATTITUDE = 0, 3, 6  # m NED, m/s NED, rad
+JITTER_COUNT = 9
+
+
+def make_jitter(
+    names: Sequence[str], sensors: Sequence[Sensors], *, seed: int, dt: float
+) -> GaussMarkovErrors | None:
+    """Return the jitter (N, 9) of N aircraft; None: no aircraft has any.
+
+    Axes are independent; every aircraft has a random stream, "sensors/<aircraft>".
+
+    Args:
+        names: N names of aircraft.
+        sensors: N sections of the scenario.
+        seed: of the run.
+        dt: s, step.
+    """
+    parts = [(each.position, each.velocity, each.attitude) for each in sensors]
+    sigma = np.array(
+        [
+            (position.sigma_m, velocity.sigma_mps, math.radians(attitude.sigma_deg))
+            for position, velocity, attitude in parts
+        ]
+    )
+    if not sigma.any():
+        return None
+    tau = np.array([[each.time_constant_s for each in row] for row in parts])
+    own = [[(named_stream(seed, f"sensors/{name}"), JITTER_COUNT)] for name in names]
+    parameters = NoiseParameters(*(np.repeat(each, 3, axis=1) for each in (sigma, tau)))
+    return GaussMarkovErrors(parameters, dt, own)
+
+
+@entry
+def add_jitter_to_all(
+    coefficients: Array,
+    values: Array,
+    on_truth: bool,
+    aircraft: Records,
+    numbers: Array,
+    advance: bool,
+) -> None:
+    """Advance the jitter of all aircraft and add it to their estimates.
+
+    Args:
+        coefficients: (2, N, 9) of `GaussMarkovErrors`.
+        values: (N, 9) of `GaussMarkovErrors`; written.
+        on_truth: the estimate is the truth with jitter; else it is there already.
+        aircraft: (N,) of AIRCRAFT; `estimate` is written.
+        numbers: (N, 9), standard normal.
+        advance: False: the errors stay as they are.
+    """
+    if advance:
+        advance_errors(coefficients, values, numbers)
+    for i in range(len(aircraft)):
+        estimate = aircraft[i].estimate
+        if on_truth:
+            copy_motion(aircraft[i].truth, estimate)
+        add_jitter(values[i], estimate)
+
+
+@kernel
+def add_jitter(errors: Array, estimate: Record) -> None:
+    """Add jitter to the estimate of one aircraft.
+
+    Accelerations are resolved with the attitude in error: they are those of accelerometers. Rates
+    and airspeeds stay as they are.
+
+    Args:
+        errors: (9,) of position, m, velocity, m/s, attitude, rad.
+        estimate: record of MOTION; written.
+    """
+    euler, acceleration = estimate.euler, estimate.acceleration_ned
+    x, y, z = rotation_rows(euler)
+    north, east, down = acceleration[0], acceleration[1], acceleration[2] - GRAVITY
+    a = north * x[0] + east * y[0] + down * z[0]
+    b = north * x[1] + east * y[1] + down * z[1]
+    c = north * x[2] + east * y[2] + down * z[2]
+    for axis in range(3):
+        estimate.position_ned[axis] += errors[POSITION + axis]
+        estimate.velocity_ned[axis] += errors[VELOCITY + axis]
+        euler[axis] += errors[ATTITUDE + axis]
+    x, y, z = rotation_rows(euler)
+    acceleration[0] = x[0] * a + x[1] * b + x[2] * c
+    acceleration[1] = y[0] * a + y[1] * b + y[2] * c
+    acceleration[2] = z[0] * a + z[1] * b + z[2] * c + GRAVITY

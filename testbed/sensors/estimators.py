@@ -1,4 +1,4 @@
-"""The state estimators of all aircraft: the truth plus the errors of their sensors and filters.
+"""State estimators: the truth plus the errors of sensors and filters.
 
 A sensor that the scenario does not describe has no error. An aircraft with a GPS, barometer, gyro,
 accelerometer or magnetometer in the scenario flies on a navigation filter; others fly on the truth.
@@ -8,23 +8,30 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from testbed.core.compile import Kernel
 from testbed.core.frames import rotation_ned_body
-from testbed.core.records import AIRCRAFT, Records, allocate
+from testbed.core.records import AIRCRAFT, Array, Records, allocate
 from testbed.scenario.sensors import Sensors
 from testbed.sensors.airspeed import make_airspeed_sensors
-from testbed.sensors.ekf import aligned_states, make_filters, start_filters
-from testbed.sensors.ekf_settings import make_settings
+from testbed.sensors.ekf import (
+    SETTINGS,
+    SIDESLIP_VARIANCE,
+    aligned_states,
+    make_filters,
+    start_filters,
+)
 from testbed.sensors.errors import (
     GaussMarkovErrors,
+    add_jitter_to_all,
     make_constant_biases,
+    make_jitter,
     make_sensor_errors,
     view_errors,
 )
-from testbed.sensors.jitter import add_jitter_to_all, make_jitter
 from testbed.sensors.sensor_step import estimate_airspeeds, estimate_motions
 
 WARM_UP_S = 60.0  # straight flight of the filters before the run
@@ -66,15 +73,15 @@ class Estimators:
             self._sensors = errors, self._make_sensor_step(names, sensors, errors, seed)
         jitter = make_jitter(names, sensors, seed=seed, dt=dt)
         if jitter is not None:
-            given = jitter.coefficients, jitter.values, not modelled
-            self._jitter = jitter, functools.partial(add_jitter_to_all, *given)
+            args = jitter.coefficients, jitter.values, not modelled
+            self._jitter = jitter, functools.partial(add_jitter_to_all, *args)
         self.exact = not modelled and jitter is None
 
     def warm_up(self, aircraft: Records) -> None:
         """Fly straight up to the present truth until the filters have settled, without faults.
 
-        The sensors of all aircraft run as long, so that a filter more or less leaves the errors of
-        the other aircraft as they are.
+        All sensors run for the same time, so adding a filter does not change other aircraft's
+        errors.
 
         Args:
             aircraft: (N,) of AIRCRAFT; truth is read.
@@ -143,7 +150,7 @@ class Estimators:
         )
 
     def _start_filters(self, errors: Records, step: int, truth: Records) -> None:
-        """Switch on the filters at a step before the warm-up, in a wind that they know."""
+        """Start the filters at a step before the warm-up, in a known wind."""
         if self._filters is None:
             return
         settings, filters, past = self._filters
@@ -159,3 +166,53 @@ class Estimators:
 def has_filter(sensors: Sensors) -> bool:
     """Return whether a navigation filter makes the estimate."""
     return any(getattr(sensors, name) is not None for name in _NAVIGATION)
+
+
+EKF3_STEP_S = 0.012  # EKF3's own step: its process noises are per square root of that
+GPS_HEIGHT_NOISE = 1.5  # EKF3's noise of a GPS height over that of a horizontal position
+EXACT_SENSOR_HZ = 10  # rate of a sensor that the scenario does not describe
+
+
+def make_settings(sensors: Sequence[Sensors], rate_hz: int) -> Records:
+    """Return the settings (M,) of SETTINGS of M filters."""
+    estimators = [each.estimator for each in sensors]
+
+    def column(name: str) -> Array:
+        return np.array([getattr(one, name) for one in estimators], dtype=np.float64)
+
+    noises = (
+        column("gyro_noise_radps"),
+        column("accelerometer_noise_mps2"),
+        np.zeros(len(sensors)),
+        column("gyro_bias_noise_radps2"),
+        column("accelerometer_bias_noise_mps3"),
+        column("wind_noise_mps2"),
+    )
+    horizontal, velocity = column("gps_position_noise_m"), column("gps_velocity_noise_mps")
+    gps_height = np.array([one.height_source == "gps" for one in estimators], dtype=bool)
+    height = np.where(gps_height, GPS_HEIGHT_NOISE * horizontal, column("barometer_noise_m"))
+    settings = allocate(SETTINGS, len(sensors))
+    settings["row"] = np.arange(len(sensors))
+    process = EKF3_STEP_S * np.stack(noises, axis=1) ** 2
+    settings["process"] = np.repeat(process, [3, 3, 3, 3, 3, 2], axis=1)
+    settings["fix_noise"][:, :3] = velocity.reshape(-1, 2)[:, [0, 0, 1]]
+    settings["fix_noise"][:, 3:] = np.stack([horizontal, horizontal, height], axis=1)
+    settings["airspeed_noise"] = column("airspeed_noise_mps")
+    settings["heading_noise"] = np.radians(column("heading_noise_deg"))
+    settings["sideslip_variance"] = SIDESLIP_VARIANCE
+    settings["gate"] = column("gate_sigma")
+    settings["airspeed_gate"] = column("airspeed_gate_sigma")
+    settings["reset_after_s"] = column("reset_after_s")
+    settings["gps_hz"] = _rates([one.gps for one in sensors])
+    settings["barometer_hz"] = _rates([one.barometer for one in sensors])
+    settings["compass_hz"] = _rates([one.magnetometer for one in sensors])
+    latency = [one.gps.latency_s if one.gps else 0.0 for one in sensors]
+    assumed = [one.estimator.gps_delay_s if one.gps else 0.0 for one in sensors]
+    settings["latency"] = [round(each * rate_hz) for each in latency]
+    settings["assumed_latency"] = [round(each * rate_hz) for each in assumed]
+    settings["gps_height"] = gps_height
+    return settings
+
+
+def _rates(sensors: Sequence[Any]) -> list[int]:
+    return [EXACT_SENSOR_HZ if each is None else each.rate_hz for each in sensors]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from testbed.core.compile import entry, kernel
-from testbed.core.motion import copy_motion
+from testbed.core.copies import copy_motion
 from testbed.core.records import Array, Records
 from testbed.sensors.airspeed import measure_airspeed, write_airspeeds
 from testbed.sensors.ekf import apply_errors, ekf_step

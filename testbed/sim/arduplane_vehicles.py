@@ -23,7 +23,7 @@ from testbed.core.records import (
     join_names,
 )
 from testbed.scenario import Scenario
-from testbed.scenario.control_source import ArduPlane
+from testbed.scenario.aircraft import ArduPlane
 from testbed.sim.vehicles import JsbsimVehicles
 from testbed.vehicle.fleet import JsbsimFleet
 
@@ -71,14 +71,28 @@ class ArduPlaneVehicles(JsbsimVehicles):
         self._virtual = np.setdiff1d(fleet.all_rows, list(planes))
 
     def check(self) -> None:
-        """See `ExternalProcess`."""
+        """Check that the program exists, before anything is started or written.
+
+        Raises:
+            InputError: it does not.
+        """
         for plane in self._all:
             plane.find(self._arduplane)
 
     def start(
         self, check_stop: Callable[[], None], announce: Callable[[str], None] = lambda text: None
     ) -> None:
-        """Start all processes, then run their startup one by one in the initial state."""
+        """Start all processes, then run their startup one by one in the initial state.
+
+        Args:
+            check_stop: called repeatedly in every wait for a process, also in flight; raises
+                `RunStopped` when the run is to end.
+            announce: receives messages to the user: ports, and a warning about open ones.
+
+        Raises:
+            InputError: one cannot be started.
+            RunStopped: the run is to end.
+        """
         for plane in self._all:
             plane.start(self._arduplane, check_stop)
         for line in self._describe_ports():
@@ -120,16 +134,16 @@ class ArduPlaneVehicles(JsbsimVehicles):
             )
 
     def pop_events(self, now: float) -> list[Event]:
-        """See `ExternalProcess`."""
+        """Return messages and state changes of the ArduPlanes since the last call."""
         messages, self._messages = self._messages, []
         return [Event(now, level, plane.name, text) for plane, level, text in messages]
 
     def summary(self) -> dict[str, str]:
-        """See `ExternalProcess`: the version of each ArduPlane."""
+        """Return the version of each ArduPlane, by name of the aircraft."""
         return {plane.name: plane.client.version or "unknown version" for plane in self._all}
 
     def close(self) -> None:
-        """See `ExternalProcess`."""
+        """Stop what was started, however far that came; called once, however the run ends."""
         self._stop(self._all)
 
     def kernels(self, followers: Records) -> list[Kernel]:

@@ -112,5 +112,5 @@ def unchecked_bounds(scenario: Scenario, duration_s: float) -> list[str]:
     return [
         f"{key} is not checked: the run ends at {duration_s:g} s, before "
         f"{', '.join(unreached.values())}"
-        for key in unchecked(scenario, unreached)
+        for key in unchecked(scenario.expect, scenario.scenario.windows, unreached)
     ]

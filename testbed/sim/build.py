@@ -10,7 +10,7 @@ import numpy as np
 
 from testbed import __version__
 from testbed.atmosphere.air import Air
-from testbed.core.random import stream
+from testbed.core.random import named_stream
 from testbed.core.records import (
     AIRCRAFT,
     FOLLOWER,
@@ -22,13 +22,11 @@ from testbed.core.records import (
     write_fields,
 )
 from testbed.core.start_time import start_unix_ns
-from testbed.formation.law import FormationConfig
 from testbed.network.outages import Outages
 from testbed.network.radio import Radio
 from testbed.scenario import SCHEMA_VERSION, Scenario, dump
 from testbed.sensors.estimators import Estimators
 from testbed.sim.arduplane_vehicles import ArduPlaneVehicles
-from testbed.sim.assumption_warnings import assumption_warnings
 from testbed.sim.build_air import (
     build_air,
     build_mean_wind,
@@ -37,9 +35,14 @@ from testbed.sim.build_air import (
     strongest_wind,
     temperature_warnings,
 )
-from testbed.sim.build_control import BuiltControl, build_control
+from testbed.sim.build_control import (
+    BuiltControl,
+    agent_value,
+    build_altitudes,
+    build_control,
+    build_offsets,
+)
 from testbed.sim.build_faults import build_faults, build_membership, fault_warnings
-from testbed.sim.build_formation import agent_value, build_altitudes, build_offsets
 from testbed.sim.build_leader import LeaderSetup, build_leader
 from testbed.sim.build_radio import build_radio, transmit_times
 from testbed.sim.build_vehicles import (
@@ -53,20 +56,19 @@ from testbed.sim.build_vehicles import (
 )
 from testbed.sim.companion import Companions, build_companions
 from testbed.sim.control import Control
-from testbed.sim.envelope_monitor import EnvelopeMonitor, build_envelope_monitor
 from testbed.sim.external_control import ExternalControl, build_external_control
-from testbed.sim.external_process import ExternalProcess
 from testbed.sim.faults import FaultManager, no_faults
 from testbed.sim.leader_control import LeaderController
-from testbed.sim.limit_warnings import limit_warnings
-from testbed.sim.proximity import (
+from testbed.sim.limits import (
+    EnvelopeMonitor,
     ProximityMonitor,
+    build_envelope_monitor,
     build_proximity,
     separation_warnings,
 )
+from testbed.sim.preflight import assumption_warnings, limit_warnings, sensor_warnings
 from testbed.sim.resources import check_memory
 from testbed.sim.schedule import Clock, make_clock
-from testbed.sim.sensor_warnings import sensor_warnings
 from testbed.sim.user_code import with_stored_code
 from testbed.sim.vehicles import Vehicles
 from testbed.vehicle.fleet import JsbsimFleet
@@ -84,15 +86,11 @@ class World:
     aircraft: Records  # (N,) of AIRCRAFT
     followers: Records  # (n,) of FOLLOWER
     links: Records  # (n, N) of LINK
-    neighbours: Records  # (n, N) of NEIGHBOUR
-    config: FormationConfig
-    builtin_law: bool  # the law is that of [HBH23]
-    hold_stale_neighbours: bool
     air: Air | None  # None: it is steady
     gusts: tuple[str, ...]  # names of its discrete gusts
     vehicles: tuple[Vehicles, ...]
     scripted_leader: bool  # it follows a recording or a formula
-    external_processes: tuple[ExternalProcess, ...]
+    external_processes: tuple[ArduPlaneVehicles, ...]
     fleet: JsbsimFleet | None  # the JSBSim models, if there are any
     estimators: Estimators
     faults: FaultManager | None  # None: the scenario has none
@@ -101,6 +99,7 @@ class World:
     fly_on: bool  # the run continues without lost aircraft
     leader_controller: LeaderController
     external_control: ExternalControl | None  # None: no external commands
+    built_control: BuiltControl  # what `control` steps
     control: Control
     companions: Companions | None  # None: controllers have no latency
     radio: Radio
@@ -185,10 +184,6 @@ def build(
         aircraft=aircraft,
         followers=followers,
         links=radio.links,
-        neighbours=control.neighbours,
-        config=control.config,
-        builtin_law=control.builtin,
-        hold_stale_neighbours=control.hold_stale_neighbours,
         air=None if air.steady else air,
         gusts=tuple(gust.name for gust in scenario.air.gusts),
         vehicles=vehicles.vehicles,
@@ -204,6 +199,7 @@ def build(
         fly_on=scenario.limits.on_loss == "continue",
         leader_controller=external if external and external.commands_leader else leader.controller,
         external_control=external,
+        built_control=control,
         control=Control(
             control.groups,
             control.controllers,
@@ -239,7 +235,7 @@ def build_clock(scenario: Scenario) -> Clock:
     names, seed = scenario.aircraft_names, scenario.scenario.seed
     phases = None
     if not synchronous:
-        phases = [float(stream(seed, f"phase/{name}").random()) for name in names]
+        phases = [float(named_stream(seed, f"phase/{name}").random()) for name in names]
     times = transmit_times(scenario)
     return make_clock(**rates, aircraft=len(names), phases=phases, transmit_times=times)
 
@@ -287,7 +283,7 @@ def _run_info(
         wingspan_m=tuple(each.span for each in models.airframes),
         origin=build_origin(scenario),
         base_rate_hz=clock.base_rate_hz,
-        frame_rate_hz=scenario.rates.log_hz,
+        sample_rate_hz=scenario.rates.log_hz,
         duration_s=scenario.scenario.duration_s,
         seed=scenario.scenario.seed,
         speed_bounds_mps=tuple(agent_value(scenario, name, "speed_mps") for name in followers),

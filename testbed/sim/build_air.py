@@ -16,10 +16,10 @@ from testbed.atmosphere.mean_wind import (
     MeanWind,
     Profile,
     make_mean_wind,
+    read_wind,
     wind_from_direction,
 )
 from testbed.atmosphere.mil_f_8785c import INTENSITIES, Scales
-from testbed.atmosphere.recorded_wind import read_wind
 from testbed.atmosphere.turbulence_field import (
     FINEST,
     MAX_UNRESOLVED,
@@ -29,25 +29,15 @@ from testbed.atmosphere.turbulence_field import (
 )
 from testbed.atmosphere.wake import WakeModel
 from testbed.core.errors import InputError
-from testbed.core.records import Airframe, Array, Event, Records
+from testbed.core.records import Airframe, Event, Records
+from testbed.core.standard_atmosphere import (
+    LAPSE_RATE,
+    SEA_LEVEL_DENSITY,
+    SEA_LEVEL_K,
+    density_ratio,
+)
 from testbed.scenario import Scenario, find_data
-from testbed.scenario.control_source import ArduPlane
-
-SEA_LEVEL_DENSITY = 1.225  # kg/m³
-SEA_LEVEL_K = 288.15  # temperature of the standard atmosphere
-LAPSE_RATE = 0.0065  # K/m
-
-
-def density_ratio(altitude: Array, temperature_offset: float = 0.0) -> Array:
-    """Return the ratio of air density to the standard one at sea level, in the troposphere.
-
-    Args:
-        altitude: m above sea level.
-        temperature_offset: K, of the air, to the standard atmosphere; the pressure at sea level is
-            the standard one.
-    """
-    colder = SEA_LEVEL_K / (SEA_LEVEL_K + temperature_offset)
-    return colder * (1.0 - 2.25577e-5 * colder * altitude) ** 4.25588
+from testbed.scenario.aircraft import ArduPlane
 
 
 def temperature_offset(scenario: Scenario) -> float:

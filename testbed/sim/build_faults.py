@@ -12,7 +12,7 @@ from testbed.scenario import Scenario
 from testbed.scenario.aircraft import Follower, Leader
 from testbed.scenario.faults import AnyFault, GpsJump, GpsLost
 from testbed.sensors.estimators import has_filter
-from testbed.sim.build_formation import (
+from testbed.sim.build_control import (
     build_altitudes,
     build_gains,
     build_offsets,

@@ -16,16 +16,14 @@ from testbed.autopilot.parameters import FbwaParams
 from testbed.core.errors import InputError
 from testbed.core.frames import GRAVITY
 from testbed.core.records import Array, Origin
-from testbed.guidance import analytic_paths as analytic
-from testbed.guidance import mission_follower as guidance
-from testbed.guidance import path_curves as curves
-from testbed.guidance.altitude_airspeed_hold import HoldGains
+from testbed.core.standard_atmosphere import density_ratio
+from testbed.guidance import analytic_paths as paths
 from testbed.guidance.flight_plan import Level, LoiterLeg, Mission, WaypointLeg, make_plan, polyline
 from testbed.guidance.recorded_path import SampledTrajectory, read_recording, sample_recording
 from testbed.scenario import Scenario, find_data, load_guidance
 from testbed.scenario.aircraft import Leg, Replay, Virtual
 from testbed.scenario.aircraft import Mission as MissionSection
-from testbed.sim.build_air import density_ratio, temperature_offset
+from testbed.sim.build_air import temperature_offset
 from testbed.sim.leader_control import LeaderController, MissionController, ScriptedController
 from testbed.sim.schedule import Clock
 from testbed.sim.vehicles import ScriptedVehicle
@@ -45,7 +43,7 @@ class SpeedLimits(NamedTuple):
     speed_min: float  # m/s over the ground
     speed_max: float  # m/s
     turn_rate: float  # rad/s, the largest
-    climb_angle: float  # rad, the largest
+    gamma: float  # rad, the largest
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +90,7 @@ def build_leader(
         return _mission_leader(scenario, path, clock, params, folder, origin, *wind)
     duration_s = scenario.scenario.duration_s
     if isinstance(path, Virtual):
-        motion: Motion = partial(analytic.evaluate, _curve(scenario, path), wind_ned=wind_ned)
+        motion: Motion = partial(paths.evaluate, _curve(scenario, path), wind_ned=wind_ned)
     else:
         motion = _recorded_motion(path)
     blocks = _blocks(motion, clock, duration_s, origin, temperature_offset(scenario))
@@ -155,25 +153,23 @@ def _mission_leader(
     with error_prefix("leader.path.airspeed_mps"):
         point = TrimPoint(airspeed, 0.0, 0.0, altitude, charge, cells, warmer)
         level = trim_aircraft(folder, point, origin)
-    memory = guidance.initial_memory(
-        altitude=section.altitude_m, pitch=level.placement.pitch, throttle=level.controls.throttle
-    )
+    held = section.altitude_m, 0.0, level.placement.pitch, level.controls.throttle
     ideal = scenario.leader.vehicle == "unicycle"
     controller = MissionController(
         plan,
-        memory,
+        held,
         dt=clock.control / clock.base_rate_hz,
-        gains=HoldGains(**load_guidance(folder).model_dump()),
+        gains=load_guidance(folder).model_dump(),
         ideal=ideal,
     )
     # the speed of an ideal vehicle is over the ground, whatever the wind
     wind = STILL if ideal else wind_ned
-    climb_angle = math.asin(min(path.climb_limit_mps / airspeed, 1.0))
+    gamma = math.asin(min(path.climb_limit_mps / airspeed, 1.0))
 
     def limits(wind_speed: float) -> SpeedLimits:
         slowest = max(airspeed - wind_speed, 1.0)
         turn_rate = GRAVITY * math.tan(mission.bank_limit) / slowest
-        return SpeedLimits(slowest, airspeed + wind_speed, turn_rate, climb_angle)
+        return SpeedLimits(slowest, airspeed + wind_speed, turn_rate, gamma)
 
     with error_prefix("air.wind"):
         through_air = course_through_air(airspeed, start.course, wind)
@@ -246,7 +242,7 @@ def _leg(leg: Leg) -> WaypointLeg | LoiterLeg:
     )
 
 
-def _curve(scenario: Scenario, path: Virtual) -> curves.Curve:
+def _curve(scenario: Scenario, path: Virtual) -> paths.Curve:
     """Convert the curve of a virtual leader."""
     section, curve = scenario.leader.start, path.curve
     begin: Any = {
@@ -256,22 +252,20 @@ def _curve(scenario: Scenario, path: Virtual) -> curves.Curve:
     }
     try:
         if curve.kind == "straight":
-            return curves.Straight(**begin, climb=curve.climb_mps)
+            return paths.Straight(**begin, climb=curve.climb_mps)
         if curve.kind == "circle":
-            return curves.Circle(
+            return paths.Circle(
                 **begin,
                 radius=curve.radius_m,
                 clockwise=curve.direction == "clockwise",
                 climb=curve.climb_mps,
             )
         if curve.kind == "figure-eight":
-            return curves.FigureEight(
+            return paths.FigureEight(
                 **begin, radius=curve.radius_m, clockwise=curve.direction == "clockwise"
             )
         if curve.kind == "weave":
-            return curves.SinusoidalPath(
-                **begin, amplitude=curve.amplitude_m, period=curve.period_s
-            )
-        return curves.SpeedChange(**begin, amplitude=curve.amplitude_mps, period=curve.period_s)
+            return paths.SinusoidalPath(**begin, amplitude=curve.amplitude_m, period=curve.period_s)
+        return paths.SpeedChange(**begin, amplitude=curve.amplitude_mps, period=curve.period_s)
     except InputError as error:
         raise InputError(f"leader.path.curve.{error}") from error

@@ -17,7 +17,7 @@ from testbed.network.outages import Outages, make_outages, scripted_outcomes
 from testbed.network.radio import ExtraLosses, Radio
 from testbed.network.trace import make_replays, replayed_delays
 from testbed.scenario import Scenario
-from testbed.sim.build_formation import build_gains
+from testbed.sim.build_control import build_gains
 
 
 def build_radio(scenario: Scenario) -> tuple[Radio, Outages]:

@@ -19,8 +19,7 @@ from testbed.scenario import Scenario, find_aircraft, find_tune
 from testbed.scenario.checks import LOWEST_START_M
 from testbed.sim.arduplane_vehicles import build_jsbsim_vehicles
 from testbed.sim.build_air import initial_wind, temperature_offset
-from testbed.sim.build_control import own_speed_model
-from testbed.sim.build_formation import agent_value
+from testbed.sim.build_control import agent_value, own_speed_model
 from testbed.sim.build_leader import LeaderSetup
 from testbed.sim.schedule import Clock
 from testbed.sim.vehicles import JsbsimVehicles, UnicycleVehicles, Vehicles

@@ -12,7 +12,7 @@ from math import ceil, floor
 import numpy as np
 
 from testbed.core.compile import Kernel, entry
-from testbed.core.motion import copy_motion
+from testbed.core.copies import copy_motion
 from testbed.core.records import AIRCRAFT, MOTION, Array, Indices, Records, allocate
 from testbed.scenario import Scenario
 from testbed.sim.schedule import Clock
@@ -25,6 +25,10 @@ class Companions:
 
     Attributes:
         aircraft: (N,) of AIRCRAFT, of which `estimate` is what the companions have.
+        store_states: take the estimates of all autopilots at one of their ticks (s).
+        receive_states: write the states that the companions have at a time (s).
+        send_commands: take the commands of control steps of followers (m,) at a time (s).
+        deliver_commands: write the commands that the autopilots have at a time (s).
     """
 
     def __init__(
@@ -45,39 +49,23 @@ class Companions:
         control_hz = clock.base_rate_hz / clock.control
         commands = np.zeros((n, ceil(command_latency_s * control_hz) + 2, 3))
         times_s, newest = np.full(commands.shape[:2], -np.inf), np.full(n, -1)
-        self._store = partial(_store_states, aircraft, states, rate_hz)
-        self._receive = partial(
+        self.store_states = partial(_store_states, aircraft, states, rate_hz)
+        self.receive_states = partial(
             _receive_states, aircraft, states, rate_hz, state_latency_s, self.aircraft
         )
-        self._send = partial(_send_commands, aircraft, commands, times_s, newest)
-        self._deliver = partial(
+        self.send_commands = partial(_send_commands, aircraft, commands, times_s, newest)
+        self.deliver_commands = partial(
             _deliver_commands, aircraft, commands, times_s, newest, command_latency_s
         )
 
     def kernels(self, rows: Indices) -> list[Kernel]:
         """Return the compiled calls, for `core.compile.prepare`; `rows` are of a group."""
         return [
-            partial(self._store, 0.0),
-            partial(self._receive, 0.0),
-            partial(self._send, rows[:0], 0.0),
-            partial(self._deliver, 0.0),
+            partial(self.store_states, 0.0),
+            partial(self.receive_states, 0.0),
+            partial(self.send_commands, rows[:0], 0.0),
+            partial(self.deliver_commands, 0.0),
         ]
-
-    def store_states(self, now: float) -> None:
-        """Take the estimates of all autopilots at one of their ticks, s."""
-        self._store(now)
-
-    def receive_states(self, now: float) -> None:
-        """Write the states that the companions have at the time `now`, s."""
-        self._receive(now)
-
-    def send_commands(self, rows: Indices, now: float) -> None:
-        """Take the commands of control steps of these followers (m,), at the time `now`, s."""
-        self._send(rows, now)
-
-    def deliver_commands(self, now: float) -> None:
-        """Write the commands that the autopilots have at the time `now`, s."""
-        self._deliver(now)
 
 
 def build_companions(scenario: Scenario, clock: Clock, aircraft: Records) -> Companions | None:

@@ -28,8 +28,7 @@ from testbed.core.records import (
     fields_of,
 )
 from testbed.formation.control_step import control_step, finish_step
-from testbed.formation.flags import LimiterFlag, Saturation
-from testbed.formation.law import FormationConfig, Law
+from testbed.formation.law import FormationConfig, Law, LimiterFlag, Saturation
 from testbed.formation.message_extrapolation import message_ages
 
 if TYPE_CHECKING:

@@ -10,13 +10,11 @@ from pathlib import Path
 from testbed.autopilot.parameters import FbwaParams
 from testbed.core.compile import Kernel
 from testbed.core.records import BoolArray, Event, Origin, Records, VehicleState
-from testbed.guidance.altitude_airspeed_hold import HoldGains
 from testbed.guidance.flight_plan import Mission
 from testbed.mavlink.mission_plans import ItemFlightPlan, items_from_mission, items_of_segments
 from testbed.mavlink.vehicle_control import Mode, VehicleControl
 from testbed.scenario import Scenario, load_guidance
-from testbed.scenario.aircraft import Follower, Leader
-from testbed.scenario.control_source import ArduPlane, External
+from testbed.scenario.aircraft import ArduPlane, External, Follower, Leader
 from testbed.sim.autopilot_session import AutopilotSession
 from testbed.sim.build_leader import LeaderSetup
 from testbed.sim.leader_control import (
@@ -156,34 +154,34 @@ class ExternalControl:
 
 
 def build_external_control(
-    page: Scenario,
+    scenario: Scenario,
     clock: Clock,
     leader: LeaderSetup,
     starts: Sequence[InitialState],
     tunes: Sequence[FbwaParams],
     folders: Sequence[Path],
-    flown: JsbsimVehicles | None,
+    jsbsim: JsbsimVehicles | None,
     rows: Sequence[int],
 ) -> ExternalControl:
     """Build the sessions of a scenario's aircraft.
 
     Args:
-        page: the scenario.
+        scenario: the scenario.
         clock: its clock.
         leader: its leader.
         starts: of all N aircraft.
         tunes: N autopilot parameter sets.
         folders: N airframe folders.
-        flown: the vehicles with a virtual autopilot,
+        jsbsim: the vehicles with a virtual autopilot,
         rows: and their rows among the N aircraft.
     """
     vehicles: list[VehicleControl] = []
-    for row, one in enumerate(page.aircraft):
-        if flown is None or row not in rows or isinstance(one.autopilot, ArduPlane):
+    for row, one in enumerate(scenario.aircraft):
+        if jsbsim is None or row not in rows or isinstance(one.autopilot, ArduPlane):
             vehicles.append(_uncommandable(row, one, leader))
             continue
         tune, fleet_row = tunes[row], rows.index(row)
-        trim = flown.fleet.trims[fleet_row]
+        trim = jsbsim.fleet.trims[fleet_row]
         north, east, down = starts[row].position_ned
         controller = leader.controller
         own = controller if row == 0 and isinstance(controller, MissionController) else None
@@ -192,9 +190,9 @@ def build_external_control(
             row=row,
             start=(north, east, -down),
             trim=(trim.placement.pitch, trim.placement.roll, trim.controls.throttle),
-            hold=HoldGains(**load_guidance(folders[row]).model_dump()),
+            hold=load_guidance(folders[row]).model_dump(),
             flight_params=flight_params,
-            origin=Origin(**page.scenario.origin.model_dump()),
+            origin=Origin(**scenario.scenario.origin.model_dump()),
             dt=clock.control / clock.base_rate_hz,
         )
         mission = None
@@ -207,7 +205,7 @@ def build_external_control(
                 one.name,
                 config,
                 tune,
-                partial(flown.retune, fleet_row),
+                partial(jsbsim.retune, fleet_row),
                 external=one.commanded_by if isinstance(one.commanded_by, External) else None,
                 mission=mission,
             )

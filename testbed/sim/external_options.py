@@ -12,9 +12,9 @@ from testbed.core.errors import InputError
 from testbed.core.records import Event
 from testbed.mavlink.addresses import Address
 from testbed.scenario import Scenario
-from testbed.scenario.control_source import External
+from testbed.scenario.aircraft import External
 from testbed.sim.build import World
-from testbed.sim.pacing import RealTimePacer
+from testbed.sim.tick_gate import RealTimePacer
 
 if TYPE_CHECKING:
     from testbed.mavlink.server import MavlinkServer

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from typing import Protocol
 
@@ -9,17 +10,15 @@ import numpy as np
 
 from testbed.core.compile import Kernel
 from testbed.core.records import AIRCRAFT, Array, Records, VehicleState, allocate
-from testbed.guidance.altitude_airspeed_hold import HoldGains
 from testbed.guidance.flight_plan import FlightPlan, Mission
-from testbed.guidance.guidance_step import (
+from testbed.guidance.mission_follower import (
+    Hold,
     begin_flight,
     guide,
     guide_unicycle,
-    memory_of,
     segment_records,
     set_flight_params,
 )
-from testbed.guidance.mission_follower import LeaderMemory
 from testbed.sim.vehicles import ScriptedVehicle
 
 FbwaInput = tuple[float, float, float]  # pitch (rad), roll (rad), throttle (0..1)
@@ -47,17 +46,17 @@ class MissionController:
     def __init__(
         self,
         plan: FlightPlan,
-        memory: LeaderMemory,
+        held: Hold,
         *,
         dt: float,
-        gains: HoldGains,
+        gains: Mapping[str, float],
         ideal: bool = False,
         row: int = 0,
     ) -> None:
-        """Start a plan with this memory; steps come every `dt` s."""
+        """Start a plan with this memory of the hold; steps come every `dt` s."""
         self._ideal, self._row = ideal, row
         self._plan, self._segments = plan, segment_records(plan)
-        self._state = begin_flight(plan, memory, dt=dt, gains=gains)
+        self._state = begin_flight(plan, held, dt=dt, gains=gains)
         self._scratch = allocate(AIRCRAFT, 1)
 
     @property
@@ -66,13 +65,19 @@ class MissionController:
         return self._plan
 
     @property
-    def memory(self) -> LeaderMemory:
-        """The progress along the plan, and the memory of the hold."""
-        return memory_of(self._state)
+    def segment(self) -> int:
+        """The segment of the plan that is flown."""
+        return int(self._state["memory"]["segment"][0])
 
-    @memory.setter
-    def memory(self, memory: LeaderMemory) -> None:
-        self._state["memory"] = memory
+    @property
+    def held(self) -> Hold:
+        """Altitude, climb, pitch and throttle of the hold."""
+        held: Hold = self._state["memory"]["hold"][0].item()
+        return held
+
+    @held.setter
+    def held(self, held: Hold) -> None:
+        self._state["memory"]["hold"] = held
 
     def set_flight_params(self, mission: Mission) -> None:
         """Set airspeed, limits and L1 parameters to those of a mission."""

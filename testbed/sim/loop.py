@@ -21,21 +21,17 @@ from testbed.core.records import (
     fields_of,
     write_fields,
 )
-from testbed.core.samples import make_sample
+from testbed.core.samples import copy_sample, make_sample
+from testbed.formation.slots import write_formation_state
 from testbed.network.outages import OutageEvents
 from testbed.sim.build import World
-from testbed.sim.gust_monitor import GustMonitor
-from testbed.sim.join_monitor import JoinMonitor
 from testbed.sim.leader_control import NO_INPUT
-from testbed.sim.link_monitor import LinkMonitor
-from testbed.sim.loss_monitor import LossMonitor
-from testbed.sim.observers import Observers
+from testbed.sim.monitors import GustMonitor, JoinMonitor, LinkMonitor, LossMonitor
 from testbed.sim.schedule import TickActions
 from testbed.sim.stages import (
     copy_control,
     copy_truth,
     find_losses,
-    observe_formation,
     write_messages,
 )
 
@@ -66,16 +62,21 @@ class Flight:
         self._write_messages = partial(write_messages, aircraft, self._messages)
         proximity = world.proximity
         self._find_losses = partial(
-            find_losses, aircraft, world.scripted_leader, proximity.limit_m, proximity.own_m
+            find_losses,
+            aircraft,
+            world.scripted_leader,
+            proximity.limit_m,
+            proximity.minimum_m,
         )
+        built = world.built_control
         self._link_monitor = LinkMonitor(
             world.names,
-            world.neighbours,
+            built.neighbours,
             (followers, links),
             world.radio.statistics,
-            (world.config.leader_timeout_s, world.config.neighbour_timeout_s),
-            builtin=world.builtin_law,
-            hold=world.hold_stale_neighbours,
+            (built.config.leader_timeout_s, built.config.neighbour_timeout_s),
+            builtin=built.builtin,
+            hold=built.hold_stale_neighbours,
         )
         self._losses = LossMonitor(world.names, world.proximity, world.faults, fly_on=world.fly_on)
         self._gust_monitor = GustMonitor(world.gusts, world.names)
@@ -89,7 +90,7 @@ class Flight:
         )
         self._events: list[Event] = list(world.initial_events)
         self._left = self._control.left
-        self._muted: BoolArray | None = None
+        self._transmitter_off: BoolArray | None = None
         self._leader_input = NO_INPUT
         self.ending: str | None = None  # the outcome, when the flight has ended
 
@@ -164,7 +165,9 @@ class Flight:
         world = self._world
         for vehicles in world.vehicles:
             vehicles.read_air()
-        observe_formation(world.aircraft, world.followers, self._control.offsets, world.altitudes)
+        write_formation_state(
+            world.aircraft, world.followers, self._control.offsets, world.altitudes
+        )
         return self._sample._replace(tick=world.clock.ticks(now), time_s=now)
 
     def kernels(self) -> list[Kernel]:
@@ -175,7 +178,7 @@ class Flight:
             self._find_losses,
             self._copy_control,
             partial(
-                observe_formation,
+                write_formation_state,
                 world.aircraft,
                 world.followers,
                 world.control.offsets,
@@ -217,7 +220,9 @@ class Flight:
         if due.autopilot and faults is not None:
             self._events += faults.changes(now, self._truth, self._read_air, self._losses.lost)
             write_fields(aircraft["faults"], faults.state)
-            self._muted = faults.state.transmitter_off | faults.state.frozen | self._losses.lost
+            self._transmitter_off = (
+                faults.state.transmitter_off | faults.state.frozen | self._losses.lost
+            )
         if self._exact:
             self._copy_truth()
         else:
@@ -232,13 +237,13 @@ class Flight:
             self._tick_s.fill(now)
             sent_s = self._tick_s if due.sent_s is None else due.sent_s
             self._write_messages(now, sent_s)
-            radio.send(sent_s, self._messages, self._truth, due.broadcast, self._muted)
+            radio.send(sent_s, self._messages, self._truth, due.broadcast, self._transmitter_off)
         if not (due.control or due.guidance):
             return
         radio.deliver(now)
         for number in due.control:
-            if learnt := self._control.update_membership(number, now):
-                self._events += learnt
+            if changes := self._control.update_membership(number, now):
+                self._events += changes
                 self._update_left()
             rows = self._control.step(number, now)
             self._events += self._link_monitor.neighbour_changes(now, rows)
@@ -290,7 +295,7 @@ class Flight:
                 self._events += self._gust_monitor.changes(now, reached)
         # what is scripted comes before what follows from it
         events = [*self._outages.changes(now), *self._events]
-        observe_formation(aircraft, followers, self._control.offsets, world.altitudes)
+        write_formation_state(aircraft, followers, self._control.offsets, world.altitudes)
         sample, external, left = self._sample, world.external_control, self._left
         if external is not None:
             left = external.left_formation(left)
@@ -316,13 +321,15 @@ class Flight:
         if not events:
             return
         self._events += events
-        gone = self._losses.lost
-        aircraft["lost"] = gone
+        lost = self._losses.lost
+        aircraft["lost"] = lost
         for vehicles in world.vehicles:
-            vehicles.remove(gone)
+            vehicles.remove(lost)
         if world.air is not None:
-            world.air.remove(gone)
-        self._muted = gone if self._muted is None else self._muted | gone
+            world.air.remove(lost)
+        self._transmitter_off = (
+            lost if self._transmitter_off is None else self._transmitter_off | lost
+        )
         self._update_left()
 
     def _update_left(self) -> None:
@@ -334,3 +341,26 @@ class Flight:
         for vehicles in self._world.vehicles:
             vehicles.read_air()
         return self._sample.air
+
+
+class Observers:
+    """The observers of a run.
+
+    A sample of the loop has views of the run's records, which the next ticks change. An observer
+    that copies what it needs at once has an attribute `zero_copy` that is true; all others share
+    one copy.
+    """
+
+    def __init__(self, observers: Sequence[Observer]) -> None:
+        """Sort observers by whether they need a copy."""
+        self._direct = [each for each in observers if getattr(each, "zero_copy", False)]
+        self._others = [each for each in observers if each not in self._direct]
+
+    def observe(self, sample: Sample) -> None:
+        """Pass a sample to all observers."""
+        for each in self._direct:
+            each.observe(sample)
+        if self._others:
+            copied = copy_sample(sample)
+            for each in self._others:
+                each.observe(copied)

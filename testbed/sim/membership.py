@@ -11,8 +11,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.frames import velocity_frame
 from testbed.core.records import Array, BoolArray, Event, Inbox, Records
+from testbed.core.velocity_frame import velocity_frame
 from testbed.formation.control_step import set_gains
 from testbed.sim.faults import FaultManager
 

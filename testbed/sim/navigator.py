@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from testbed.core.records import Origin, VehicleState
-from testbed.guidance import mission_follower as guidance
-from testbed.guidance.altitude_airspeed_hold import HoldGains, HoldMemory
 from testbed.guidance.flight_plan import FlightPlan, Mission, Point, expand_laps
 from testbed.guidance.l1 import track_coordinates
+from testbed.guidance.mission_follower import Hold
 from testbed.mavlink.mission_plans import ItemFlightPlan, loiter, loiter_radius, plan_from_items
 from testbed.mavlink.vehicle_control import MissionItem, NavigationTarget, Rejection
 from testbed.sim.leader_control import FbwaInput, MissionController
@@ -23,7 +22,7 @@ class NavigatorConfig:
     row: int  # among the N aircraft
     start: Point  # north, east, altitude above the origin, m
     trim: FbwaInput  # of the level flight at the start
-    hold: HoldGains
+    hold: Mapping[str, float]
     flight_params: Mission  # limits and the first airspeed; its legs are not used
     origin: Origin  # home
     dt: float  # s, period of the guidance
@@ -63,7 +62,7 @@ class Navigator:
         """The mission item that is flown, or is resumed with."""
         if self._rest is None or self._mission is None:
             return 0
-        return self._rest.items[self._mission.memory.segment]
+        return self._rest.items[self._mission.segment]
 
     @property
     def target(self) -> NavigationTarget | None:
@@ -83,9 +82,9 @@ class Navigator:
         controller, rest = self._mission, self._rest
         assert controller is not None and rest is not None
         self._active = controller
-        before = rest.airspeeds[controller.memory.segment]
+        before = rest.airspeeds[controller.segment]
         command = controller.command(estimate)
-        after = rest.airspeeds[controller.memory.segment]
+        after = rest.airspeeds[controller.segment]
         if after != before:
             self._airspeed = None
             _set_airspeed(controller, after)
@@ -143,11 +142,11 @@ class Navigator:
         """Resume the mission from the current position, after another mode."""
         if self._rest is None or self._mission is None:
             return
-        memory = self._mission.memory
-        if self._rest.plan.segments[memory.segment].circle:
-            self._mission.memory = memory._replace(hold=self._hold())  # its turns still count
+        segment = self._mission.segment
+        if self._rest.plan.segments[segment].circle:
+            self._mission.held = self._hold()  # its turns still count
         else:
-            self._start(self._rest.resume(memory.segment, self.position))
+            self._start(self._rest.resume(segment, self.position))
 
     def circle(self, centre: Point, radius: float | None = None) -> None:
         """Circle a point at this radius, m; None: `loiter_radius`."""
@@ -184,9 +183,9 @@ class Navigator:
     def _update_circle(self) -> None:
         """Circle the same point with the current parameters."""
         if self._circle:
-            hold = self._circle.memory.hold
+            held = self._circle.held
             self.circle(*self._centre)
-            self._circle.memory = self._circle.memory._replace(hold=hold)
+            self._circle.held = held
 
     def _start(self, rest: ItemFlightPlan) -> None:
         self._rest = rest
@@ -195,12 +194,13 @@ class Navigator:
 
     def _controller(self, plan: FlightPlan) -> MissionController:
         config = self._config
-        memory = guidance.initial_memory(altitude=self.position[2])._replace(hold=self._hold())
-        return MissionController(plan, memory, dt=config.dt, gains=config.hold, row=config.row)
+        return MissionController(
+            plan, self._hold(), dt=config.dt, gains=config.hold, row=config.row
+        )
 
-    def _hold(self) -> HoldMemory:
+    def _hold(self) -> Hold:
         pitch, _, throttle = self._config.trim
-        return HoldMemory(self.position[2], self._climb_rate, pitch, throttle)
+        return self.position[2], self._climb_rate, pitch, throttle
 
 
 def _set_airspeed(controller: MissionController, airspeed: float) -> None:
@@ -208,8 +208,8 @@ def _set_airspeed(controller: MissionController, airspeed: float) -> None:
 
 
 def _target(controller: MissionController, here: Point) -> NavigationTarget:
-    memory, airspeed = controller.memory, controller.plan.mission.airspeed
-    segment = controller.plan.segments[memory.segment]
+    airspeed = controller.plan.mission.airspeed
+    segment = controller.plan.segments[controller.segment]
     north, east, altitude = segment.end
     if segment.circle:
         distance = math.hypot(here[0] - north, here[1] - east)

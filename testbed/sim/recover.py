@@ -90,8 +90,7 @@ def _recover(path: Path) -> Recovered:
 def _rewrite(log: Log, path: Path) -> dict[str, Any]:
     """Write the samples of a log to a new one; return their metrics."""
     scenario = scenario_of(log)
-    published = scenario.scenario.published if scenario else None
-    meter = MetricsObserver(published=published.model_dump(mode="json") if published else None)
+    meter = MetricsObserver(published=scenario.published if scenario else None)
     recorder = McapRecorder(path)
     rest = replay(log, [meter, recorder])
     last_s = float(log.time_s[-1])

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from testbed.core.errors import InputError
+from testbed.core.files import format_bytes
 from testbed.scenario import Scenario
 from testbed.scenario.sensors import TRUTH
 
@@ -59,7 +60,7 @@ def check_memory(scenario: Scenario) -> None:
     if free is not None and needed > free:
         raise InputError(
             f"scenario: {scenario.scenario.duration_s:g} s of {len(scenario.aircraft)} aircraft "
-            f"need about {_format_size(needed)} of memory, and {_format_size(free)} are free "
+            f"need about {format_bytes(needed)} of memory, and {format_bytes(free)} are free "
             "(write a shorter duration_s, fewer aircraft, lower rates or less delay)"
         )
 
@@ -79,8 +80,8 @@ def check_disk(scenario: Scenario, folder: Path) -> None:
     if needed > free:
         raise InputError(
             f"scenario: the log of {scenario.scenario.duration_s:g} s of "
-            f"{len(scenario.aircraft)} aircraft needs about {_format_size(needed)}, and {existing} "
-            f"has {_format_size(free)} (write a shorter duration_s, a lower rates.log_hz, "
+            f"{len(scenario.aircraft)} aircraft needs about {format_bytes(needed)}, and {existing} "
+            f"has {format_bytes(free)} (write a shorter duration_s, a lower rates.log_hz, "
             "log.mcap: false, or choose another --out)"
         )
 
@@ -134,7 +135,3 @@ def _within_control_groups() -> Iterator[float]:
         except (OSError, ValueError):  # no limit: the file is missing, or contains "max"
             continue
         yield limit - used
-
-
-def _format_size(size: float) -> str:
-    return f"{size / 1e9:.1f} GB" if size >= 1e8 else f"{size / 1e6:.1f} MB"

@@ -25,7 +25,6 @@ from testbed.logs.run_directory import (
 from testbed.metrics import MetricsObserver
 from testbed.metrics.document import finalise, write_json
 from testbed.metrics.expectations import violations
-from testbed.metrics.short_table import table_html, table_text
 from testbed.scenario import Scenario, load_scenario
 from testbed.sim.build import World, build
 from testbed.sim.external_options import (
@@ -37,10 +36,9 @@ from testbed.sim.external_options import (
     make_server,
 )
 from testbed.sim.loop import Flight
-from testbed.sim.pacing import RealTimePacer
 from testbed.sim.resources import check_disk
 from testbed.sim.stop_request import RunStopped, stop_on_signals
-from testbed.sim.tick_gate import TickGate
+from testbed.sim.tick_gate import RealTimePacer, TickGate
 from testbed.vehicle.workers import ParallelFleet
 
 EXIT_CODES: Mapping[str, int] = {
@@ -71,10 +69,14 @@ class Run:
 
     def __repr__(self) -> str:
         """Show outcome, RMS errors by follower and window, and the directory."""
+        from testbed.metrics.tables import table_text
+
         return table_text(self.metrics, str(self.directory or ""))
 
     def _repr_html_(self) -> str:
         """Show the same in a notebook."""
+        from testbed.metrics.tables import table_html
+
         return table_html(self.metrics, str(self.directory or ""))
 
     @property
@@ -151,7 +153,7 @@ def run(
         directory = open_run_directory(loaded, world, out) if write else None
         if server and directory and external.tlog:
             server.log_to(directory / "run.tlog")
-        meter = make_meter(loaded)
+        meter = MetricsObserver(published=loaded.published)
         log = [McapRecorder(directory / LOG_NAME)] if directory and loaded.log.mcap else []
         all_observers: list[Observer] = [meter, *log, *observers, *([server] if server else [])]
         flight = Flight(world, all_observers)
@@ -224,9 +226,3 @@ def open_run_directory(scenario: Scenario, world: World, out: Path | None) -> Pa
     for name, code in world.info.code.items():
         write_run_file(directory, name, code)
     return directory
-
-
-def make_meter(scenario: Scenario) -> MetricsObserver:
-    """Make the observer that computes the metrics, beside the published numbers."""
-    published = scenario.scenario.published
-    return MetricsObserver(published=published.model_dump(mode="json") if published else None)

@@ -12,15 +12,16 @@ from testbed.core.errors import InputError
 from testbed.core.records import Event, FbwaCommand, Observer, RunInfo, Sample
 from testbed.logs.recorder import McapRecorder
 from testbed.logs.run_directory import LOG_NAME, METRICS_NAME
+from testbed.metrics import MetricsObserver
 from testbed.metrics.document import finalise, write_json
 from testbed.scenario import Scenario, load_scenario, set_seed
-from testbed.scenario.control_source import ArduPlane
+from testbed.scenario.aircraft import ArduPlane
 from testbed.sim.autopilot_session import AutopilotSession
 from testbed.sim.build import World, build
 from testbed.sim.external_options import external_summary
 from testbed.sim.leader_control import FbwaInput
 from testbed.sim.loop import Flight
-from testbed.sim.run import make_meter, open_run_directory
+from testbed.sim.run import open_run_directory
 
 Commands: TypeAlias = "Mapping[str, FbwaCommand | tuple[float, float, float]]"
 
@@ -94,7 +95,7 @@ class Simulation:
         if seed is not None:
             self.scenario = set_seed(self.scenario, seed)
         world = build(self.scenario)
-        meter, events = make_meter(self.scenario), _Events()
+        meter, events = MetricsObserver(published=self.scenario.published), _Events()
         self._world, self._meter, self.events = world, meter, events.all
         self.directory = open_run_directory(self.scenario, world, self._out) if self._out else None
         observers: list[Observer] = [meter, events]
@@ -249,8 +250,8 @@ class _Events:
     def begin(self, info: RunInfo) -> None:
         pass
 
-    def observe(self, frame: Sample) -> None:
-        self.all.extend(frame.events)
+    def observe(self, sample: Sample) -> None:
+        self.all.extend(sample.events)
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
         self.all.extend(events)

@@ -18,11 +18,11 @@ from testbed.autopilot.parameters import FbwaParams, make_gains
 from testbed.core.compile import entry
 from testbed.core.errors import InputError
 from testbed.core.records import AIRCRAFT, FOLLOWER, Array, Origin, Records, allocate
-from testbed.formation.flags import Saturation
+from testbed.formation.law import Saturation
 from testbed.formation.middle_loop import initial_memory, middle_loop
 from testbed.scenario import MiddleLoopGains
-from testbed.sim.build_middle_loop import make_loops
-from testbed.sim.stages import copy_truth, find_down
+from testbed.sim.build_control import make_loops
+from testbed.sim.stages import copy_truth
 from testbed.sim.vehicles import JsbsimVehicles
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.identify import FirstOrder, fit_first_order
@@ -95,7 +95,7 @@ def speed_step(
     rows: list[tuple[float, ...]] = []
     for tick in range(0, first + round(RECORD_S * BASE_RATE_HZ) + 1, AUTOPILOT_TICKS):
         copy_truth(aircraft)
-        if find_down(aircraft, False) or aircraft["down"][0]:
+        if fleet.lost(fleet.read())[0]:
             raise InputError(
                 f"{folder.name}: crashed {tick / BASE_RATE_HZ:g} s after its start at "
                 f"{airspeed:g} m/s (write another --airspeed, --step or --profile)"

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from testbed.core.compile import entry, kernel
-from testbed.core.motion import attitude_rates, copy_motion
+from testbed.core.copies import copy_motion
+from testbed.core.frames import attitude_rates
 from testbed.core.records import Array, Records
-from testbed.formation.slots import write_formation_state
 from testbed.vehicle.fleet import LOWEST
 
 
@@ -56,39 +56,31 @@ def write_messages(aircraft: Records, messages: Records, now: float, sent_s: Arr
 
 
 @entry
-def find_down(aircraft: Records, scripted: bool) -> bool:
-    """Write which aircraft (N,) are on the ground or have stopped; return whether any changed.
-
-    Args:
-        aircraft: (N,) of AIRCRAFT; `down` is written.
-        scripted: the leader follows a script, whatever happens.
-    """
-    return _write_down(aircraft, scripted)
-
-
-@entry
-def find_losses(aircraft: Records, scripted: bool, limit_m: float, own_m: Array) -> bool:
-    """Do the same as `find_down`; return also whether two aircraft are within a distance.
+def find_losses(aircraft: Records, scripted: bool, limit_m: float, minimum_m: Array) -> bool:
+    """Write which aircraft (N,) are on the ground or have stopped.
 
     Args:
         aircraft: (N,) of AIRCRAFT; `down` is written.
         scripted: the leader follows a script, whatever happens.
         limit_m: the distance, for all pairs.
-        own_m: (N,) the same by aircraft, of which the larger one counts for a pair; NaN: none for
-            pairs with this aircraft.
+        minimum_m: (N,) the same by aircraft, of which the larger one counts for a pair; NaN: none
+            for pairs with this aircraft.
+
+    Returns:
+        Whether `down` changed, or two aircraft are within their distance.
     """
-    return _write_down(aircraft, scripted) | _any_within(aircraft, limit_m, own_m)
+    return _write_down(aircraft, scripted) | _any_within(aircraft, limit_m, minimum_m)
 
 
 @kernel
-def _any_within(aircraft: Records, limit_m: float, own_m: Array) -> bool:
+def _any_within(aircraft: Records, limit_m: float, minimum_m: Array) -> bool:
     """Return whether two aircraft that are not lost are within their distance."""
     for i in range(1, len(aircraft)):
         if aircraft[i].lost:
             continue
         q = aircraft[i].truth.position_ned
         for j in range(i):
-            limit, one, other = limit_m, own_m[i], own_m[j]
+            limit, one, other = limit_m, minimum_m[i], minimum_m[j]
             if one >= other:  # false with NaN
                 limit = max(limit, one)
             elif other > one:
@@ -102,7 +94,7 @@ def _any_within(aircraft: Records, limit_m: float, own_m: Array) -> bool:
 
 @kernel
 def _write_down(aircraft: Records, scripted: bool) -> bool:
-    """Write `down`; see `find_down`."""
+    """Write `down`; see `find_losses`. Return whether it changed."""
     changed = False
     for i in range(len(aircraft)):
         a = aircraft[i]
@@ -113,11 +105,3 @@ def _write_down(aircraft: Records, scripted: bool) -> bool:
             a.down = down
             changed = True
     return changed
-
-
-@entry
-def observe_formation(
-    aircraft: Records, followers: Records, offsets: Array, altitudes: Array
-) -> None:
-    """Write slots, errors and motions of all followers; see `slots.write_formation_state`."""
-    write_formation_state(aircraft, followers, offsets, altitudes)

@@ -67,7 +67,7 @@ class RunDifference:
 
     @property
     def same(self) -> bool:
-        """Whether the runs agree: the exit code of `testbed compare --numbers`."""
+        """Return whether the runs agree: the exit code of `testbed compare --numbers`."""
         exact = self.same_samples and self.same_events
         return not self.differing and (exact or self.tolerance is not None)
 
@@ -163,9 +163,9 @@ def _same_samples(first: Log, second: Log) -> bool:
         and np.array_equal(first.time_s, second.time_s)
         and np.array_equal(first.lost, second.lost)
         and all(
-            np.array_equal(ours, theirs, equal_nan=True)
+            np.array_equal(own, other, equal_nan=True)
             for name in records
-            for ours, theirs in zip(getattr(first, name), getattr(second, name), strict=True)
+            for own, other in zip(getattr(first, name), getattr(second, name), strict=True)
         )
     )
 
@@ -173,7 +173,7 @@ def _same_samples(first: Log, second: Log) -> bool:
 def _position_differences(
     first: Log, second: Log, i: NDArray[np.intp], j: NDArray[np.intp]
 ) -> tuple[PositionDifference, ...]:
-    """Compare positions in samples i (K,) of the first run and j (K,) of the second."""
+    """Compare positions in samples i (K,) of one run, j (K,) of another."""
     time_s = first.time_s[i]
     if not time_s.size:
         return ()
@@ -183,8 +183,8 @@ def _position_differences(
             continue
         b = second.info.names.index(name)
         differs = np.zeros(time_s.size, dtype=bool)
-        for ours, theirs in zip(first.truth, second.truth, strict=True):
-            one, two = ours[i, a].reshape(time_s.size, -1), theirs[j, b].reshape(time_s.size, -1)
+        for own, other in zip(first.truth, second.truth, strict=True):
+            one, two = own[i, a].reshape(time_s.size, -1), other[j, b].reshape(time_s.size, -1)
             differs |= ((one != two) & ~(np.isnan(one) & np.isnan(two))).any(axis=1)
         offset = first.truth.position_ned[i, a] - second.truth.position_ned[j, b]
         distance = np.linalg.norm(offset, axis=-1)

@@ -12,8 +12,7 @@ from concurrent.futures import Future
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-from testbed.core.errors import InputError
-from testbed.core.extras import needs_extra
+from testbed.core.errors import InputError, needs_extra
 from testbed.mavlink.addresses import is_loopback
 from testbed.studies.flight_task import FlightResult, FlightTask, run_task
 
@@ -26,7 +25,7 @@ _COUNT_INTERVAL_S = 5.0  # between two counts of the workers
 
 
 def cluster_notices(scheduler: str) -> Iterator[str]:
-    """Yield the lines to print before a cluster is used: its address, and a security warning."""
+    """Yield the notices on a cluster: its address, and a security warning."""
     yield f"cluster: {scheduler}"
     address = scheduler if "://" in scheduler else f"tcp://{scheduler}"
     host = urlsplit(address).hostname or scheduler

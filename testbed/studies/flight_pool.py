@@ -12,8 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager
 
-from testbed.core.compile import cache_folder
-from testbed.core.compile_lock import NOTICE, is_compiling
+from testbed.core.compile import NOTICE, cache_folder, is_compiling
 from testbed.core.errors import InputError
 from testbed.sim.stop_request import StopRequest, stop_on_signals
 from testbed.studies.flight_task import (

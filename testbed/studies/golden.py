@@ -104,7 +104,7 @@ def find_cases(
 
 
 def _scenario_of(table: Path) -> str:
-    """Return the name of a table's scenario, in the library or in the folder above the table's."""
+    """Return the scenario of a table, in the library or the folder above."""
     neighbour = table.absolute().parent.parent / f"{table.stem}.yaml"
     in_library = library() / "scenarios" / neighbour.name
     if in_library.is_file() or not neighbour.is_file():
@@ -165,8 +165,8 @@ def check(
         for table in tables
     ]
     wanted = [(case.scenario, s) for case, own in zip(cases, chosen, strict=True) for s in own]
-    flown = iter(fly_all(wanted, jobs=jobs, progress=progress, report=report))
-    flights = [[next(flown) for _ in own] for own in chosen]
+    results = iter(fly_all(wanted, jobs=jobs, progress=progress, report=report))
+    flights = [[next(results) for _ in own] for own in chosen]
     return [
         _compare(case, table, own) for case, table, own in zip(cases, tables, flights, strict=True)
     ]
@@ -225,17 +225,17 @@ def update_tables(
         for case, seed in zip(cases, first, strict=True)
         for k in range(DETERMINISTIC_SEEDS)
     ]
-    flown = iter(fly_all(wanted, jobs=jobs, progress=progress, report=report))
-    flights = [[next(flown) for _ in range(DETERMINISTIC_SEEDS)] for _ in cases]
+    results = iter(fly_all(wanted, jobs=jobs, progress=progress, report=report))
+    flights = [[next(results) for _ in range(DETERMINISTIC_SEEDS)] for _ in cases]
     random = [_depends_on_seed(own) for own in flights]
     wanted = [
         (case.scenario, seed + k)
         for case, seed, is_random in zip(cases, first, random, strict=True)
         for k in range(DETERMINISTIC_SEEDS, count if is_random else DETERMINISTIC_SEEDS)
     ]
-    flown = iter(fly_all(wanted, jobs=jobs, progress=progress, report=report))
+    results = iter(fly_all(wanted, jobs=jobs, progress=progress, report=report))
     for own, is_random in zip(flights, random, strict=True):
-        own += [next(flown) for _ in range(count - DETERMINISTIC_SEEDS)] if is_random else []
+        own += [next(results) for _ in range(count - DETERMINISTIC_SEEDS)] if is_random else []
     return [
         _update_table(case, own, is_random, reason)
         for case, own, is_random in zip(cases, flights, random, strict=True)

@@ -76,12 +76,12 @@ class RowComparison:
 
     @property
     def passed(self) -> bool:
-        """Whether the row passes; so does one without a valid flight, which is a problem."""
+        """Return whether the row passes; one without valid flights is a problem."""
         return not self.missing and not self.violations
 
     @property
     def inside_band(self) -> bool:
-        """Whether the mean of the flights is inside the band for one more seed."""
+        """Return whether the mean is inside the band for one more seed."""
         if self.band is None or self.measured is None:
             return False
         return self.band[0] <= self.measured <= self.band[1]
@@ -105,7 +105,7 @@ class Verdict:
 
     @property
     def passed(self) -> bool:
-        """Whether the flights agree with the table, and are within the scenario's bounds."""
+        """Return whether flights agree with the table and the scenario's bounds."""
         within = not any(each.violations for each in self.bounds)
         return within and not self.problems and all(row.passed for row in self.rows)
 
@@ -117,7 +117,7 @@ class Verdict:
 
 
 def flight_problems(flight: Flight) -> list[FlightProblem]:
-    """List why a flight cannot be compared: not completed, a follower never joined, a window cut.
+    """List why a flight cannot be compared: incomplete, a follower not joined.
 
     Such flights have numbers too, which may even repeat.
     """
@@ -199,12 +199,12 @@ def compare(
 
 
 def _compare_structure(
-    table: Table, flown: Sequence[Mapping[str, Any]]
+    table: Table, flights: Sequence[Mapping[str, Any]]
 ) -> tuple[list[str], list[str]]:
     """List windows, followers and numbers that are missing or new; and notes on new metrics."""
     problems: list[str] = []
     explained: set[str] = set()
-    keys = list(dict.fromkeys(key for metrics in flown for key in table_numbers(metrics)))
+    keys = list(dict.fromkeys(key for metrics in flights for key in table_numbers(metrics)))
     for what, level in (("window", 1), ("follower", 2)):
         old, new = _key_parts(table.rows, level), _key_parts(keys, level)
         for name in (*(n for n in old if n not in new), *(n for n in new if n not in old)):
@@ -213,25 +213,27 @@ def _compare_structure(
     for key in (*table.rows, *keys):
         if (key in table.rows) != (key in keys) and not explained & set(key.split("/")):
             problems.append(f"number {key} is {'missing' if key in table.rows else 'new'}")
-    if not table.random and any(table_numbers(each) != table_numbers(flown[0]) for each in flown):
+    if not table.random and any(
+        table_numbers(each) != table_numbers(flights[0]) for each in flights
+    ):
         problems.append("the seed changes the numbers, which it did not when the table was made")
-    names = metric_names(flown[0])
+    names = metric_names(flights[0])
     problems += [f"metric {name} is missing" for name in table.metrics if name not in names]
     notes = [f"metric {name} is new" for name in names if name not in table.metrics]
     return list(dict.fromkeys(problems)), notes
 
 
 def _key_parts(keys: Sequence[str] | Mapping[str, Any], level: int) -> list[str]:
-    """Return the windows (level 1) or followers (2) in the keys of RMS errors, in their order."""
+    """Return the windows (level 1) or followers (2) in keys of RMS errors."""
     split = [key.split("/") for key in keys if key.startswith("rms_m/")]
     return list(dict.fromkeys(parts[level] for parts in split))
 
 
 def _compare_row(
-    table: Table, key: str, flown: Mapping[int, Mapping[str, float | None]]
+    table: Table, key: str, flights: Mapping[int, Mapping[str, float | None]]
 ) -> RowComparison:
     rule, row = table.rules[key.split("/")[0]], table.rows[key]
-    values = {seed: value for seed, rows in flown.items() if (value := rows.get(key)) is not None}
+    values = {seed: value for seed, rows in flights.items() if (value := rows.get(key)) is not None}
     references = {seed: table.same_seed(key, seed) for seed in values}
     golden = {seed: value for seed, value in references.items() if value is not None}
     violations = []
@@ -263,7 +265,7 @@ def _compare_row(
         golden=statistics.fmean([golden[seed] for seed in common] or row.by_seed),
         measured=statistics.fmean([values[seed] for seed in shown]) if shown else None,
         band=row.band,
-        missing=bool(flown) and not values,
+        missing=bool(flights) and not values,
         violations=tuple(violations),
     )
 
@@ -271,7 +273,7 @@ def _compare_row(
 def _seed_groups(
     table: Table, values: Mapping[int, float], golden: Mapping[int, float]
 ) -> list[tuple[int, ...]]:
-    """Group seeds for a comparison: one by one, or all where the seed changes no number."""
+    """Group seeds: one by one, or all if seeds change no number."""
     if not table.random and golden and len(set(values.values())) == 1:
         return [tuple(golden)]
     return [(seed,) for seed in golden]

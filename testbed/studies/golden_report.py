@@ -102,7 +102,7 @@ def print_check(verdicts: Sequence[Verdict], console: Console) -> None:
 
 
 def _needs_update(verdict: Verdict) -> bool:
-    """Whether an update would write another table: numbers differ, and all flights are valid."""
+    """Return whether an update would write another table."""
     differs = bool(verdict.problems) or not all(row.passed for row in verdict.rows)
     return differs and all(problem.seed is None for problem in verdict.problems)
 

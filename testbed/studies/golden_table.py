@@ -1,4 +1,4 @@
-"""The golden table of a scenario: its numbers by seed, and the tolerances of each number."""
+"""The golden table of a scenario: numbers by seed, and their tolerances."""
 
 from __future__ import annotations
 
@@ -198,7 +198,7 @@ def prediction_band(
 
 
 def table_numbers(metrics: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return the numbers of a flight that a table has, by row key, from its metrics document."""
+    """Return the numbers of a flight for a table, by row key."""
     rows: dict[str, float | None] = {}
     relative = metrics["relative_position_error_m"]
     for window, numbers in metrics["windows"].items():
@@ -292,7 +292,7 @@ def read_table(path: Path) -> Table:
 
 
 def write_table(path: Path, table: Table) -> None:
-    """Write a table in one step: the file has the old content until it has the new.
+    """Write a table in one step.
 
     Raises:
         InputError: the folder cannot be made or written.

@@ -1,4 +1,4 @@
-"""Journal of a study: a line per finished run, on disk before the next one is written.
+"""Rows of a study, and their journal: a line per finished run, each written durably.
 
 The first line has the inputs of the study. The numbers of a row are in the order of a list of
 names in an earlier line; each new set of names has such a line. An incomplete last line, as after a
@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import fcntl
 import json
+import math
 import os
 import stat
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -19,7 +21,78 @@ from testbed.core.errors import InputError
 from testbed.core.files import report_write_errors
 from testbed.core.input_files import parse_json_map
 from testbed.studies.flight_task import OUTCOMES
-from testbed.studies.rows import Row
+
+METRICS = "metrics."  # prefix of columns with numbers of metrics.json
+SET = "set."  # prefix of columns with the keys that vary
+
+# Metrics without a column: settings, texts and lists of varying length, and numbers that depend
+# on the machine, on the wall clock or on external programs.
+_LEFT_OUT = (
+    ("schema",),
+    ("scenario",),
+    ("seed",),
+    ("versions",),
+    ("outcome",),
+    ("wall_s",),
+    ("real_time_factor",),
+    ("published",),
+    ("events",),
+    ("expect", "bounds"),
+    ("pace",),
+    ("mavlink",),
+    ("arduplane",),
+    ("commanded",),
+    ("min_separation_between",),
+    ("network", "links"),
+    ("network", "all", "bursts", "lengths"),
+)
+_ERROR = ".mean_rms_m"
+Numbers = Mapping[str, float | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """Result of one run.
+
+    Args:
+        run: its number in the plan.
+        outcome: one of `flight_task.OUTCOMES`.
+        error: reason for any outcome but "completed", or the violated bounds of a completed run.
+        metrics: numbers by name, as `windows.circles.mean_rms_m`; None for null.
+    """
+
+    run: int
+    outcome: str
+    error: str
+    metrics: Numbers
+
+
+def flatten_metrics(metrics: Mapping[str, Any]) -> dict[str, float | None]:
+    """Return the reproducible numbers of a metrics document, by name.
+
+    A name is the keys joined by dots; elements of a list are counted from 0.
+    """
+    return dict(_leaves(metrics, ()))
+
+
+def default_metric(names: Iterable[str]) -> tuple[str, ...]:
+    """Return the name of the last window's mean RMS error, if any."""
+    errors = [name for name in names if name.startswith("windows.") and name.endswith(_ERROR)]
+    return tuple(errors[-1:])
+
+
+def _leaves(value: Any, path: tuple[str, ...]) -> Iterator[tuple[str, float | None]]:  # noqa: ANN401
+    if path in _LEFT_OUT:
+        return
+    if isinstance(value, Mapping):
+        for key, child in value.items():
+            yield from _leaves(child, (*path, str(key)))
+    elif isinstance(value, list | tuple):
+        for index, child in enumerate(value):
+            yield from _leaves(child, (*path, str(index)))
+    elif value is None or (isinstance(value, int | float) and not isinstance(value, bool)):
+        yield ".".join(path), None if value is None or not math.isfinite(value) else float(value)
+
 
 SCHEMA = 2
 _MAX_LINE_BYTES = 64_000_000

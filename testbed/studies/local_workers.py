@@ -1,4 +1,4 @@
-"""Worker processes on this machine, one flight in each at a time; the only importer of joblib.
+"""Worker processes on this machine; the only importer of joblib.
 
 Each worker is an executor of one process, so that killing one affects only its own task, and that
 task is known. The processes are those of loky rather than of `multiprocessing`, which would import

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from testbed.core.input_files import read_bounded_text
-from testbed.core.random import stream
+from testbed.core.random import named_stream
 from testbed.scenario import (
     Scenario,
     ScenarioFile,
@@ -28,9 +28,9 @@ from testbed.scenario import (
     set_seed,
     unreached_windows,
 )
-from testbed.scenario.tree import Node, walk
-from testbed.scenario.violations import Place, Problem, ScenarioError
-from testbed.scenario.yaml_io import read, to_inline, validate
+from testbed.scenario.problems import Place, Problem, ScenarioError
+from testbed.scenario.validate import validate
+from testbed.scenario.yaml_io import Node, read, to_inline, walk
 from testbed.sim.bounds import unchecked_bounds
 from testbed.studies.study_schema import CASE_SCENARIO, StudyConfig, Value
 
@@ -83,7 +83,7 @@ class StudyRun:
 
     @property
     def command(self) -> str:
-        """Shell command that repeats the run, to the last bit on the same machine and versions."""
+        """Shell command that repeats the run, exactly on the same machine and versions."""
         words = ["testbed", "run", self.scenario]
         for each in self.overrides:
             words += ["--set", each]
@@ -245,7 +245,7 @@ def _draw(config: StudyConfig) -> tuple[tuple[float, ...], ...]:
     assert settings.samples is not None
     drawn = []
     for key in config.vary:
-        random = stream(settings.design_seed, f"study/{settings.design}/{key}")
+        random = named_stream(settings.design_seed, f"study/{settings.design}/{key}")
         values = random.random(settings.samples)
         if settings.design == "latin-hypercube":  # one point in each of as many equal parts
             values = (random.permutation(settings.samples) + values) / settings.samples
@@ -317,7 +317,7 @@ def check_plan(plan: Plan) -> CheckedPlan:
 
 
 def _points_to_check(plan: Plan) -> Iterator[int]:
-    """Yield the indices of all points, or of some that have every level of every key."""
+    """Yield the indices of all points, or of some with every level."""
     limit = max(1, MAX_CHECKED // len(plan.cases))
     if plan.point_count <= limit:
         yield from range(plan.point_count)

@@ -13,8 +13,7 @@ from testbed.autopilot.parameters import read_values
 from testbed.core.errors import InputError
 from testbed.core.input_files import MAX_TABLE_BYTES, read_bounded
 from testbed.scenario import Scenario, code_references, find_aircraft, find_code, find_data
-from testbed.scenario.tree import plain
-from testbed.scenario.yaml_io import read
+from testbed.scenario.yaml_io import plain, read
 
 # keys of `scenario` that change no number, and the seed, which is stored separately
 _LEFT_OUT = ("question", "expectation", "published", "name", "seed")
@@ -60,7 +59,7 @@ def file_digests(scenario: Scenario) -> dict[str, str]:
 
 
 def file_values(scenario: Scenario) -> dict[str, Any]:
-    """Return the values in the YAML and .param files a scenario uses, by the name of the file.
+    """Return the values in a scenario's YAML and .param files, by file.
 
     They name the gain that changed. A file that cannot be read is left out.
     """
@@ -122,7 +121,7 @@ def with_new_defaults(stored: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> tuple[str, ...]:
-    """Describe every key that differs: `key from x to y`, `key x is new`, `key x is removed`."""
+    """Describe keys that differ: `key from x to y`, `key x is new`."""
     old_values, new_values = _leaves(old), _leaves(new)
     lines = []
     for key in dict.fromkeys((*old_values, *new_values)):
@@ -166,7 +165,7 @@ def file_differences(
 
 
 def _leaves(value: Any, path: str = "") -> dict[str, str]:  # noqa: ANN401 - nested plain data
-    """Return the value at each key as text; a list without maps counts as one value."""
+    """Return the value at each key as text; plain lists are values."""
     if isinstance(value, Mapping):
         items = [(str(key), each) for key, each in value.items()]
     elif isinstance(value, list) and any(isinstance(each, Mapping) for each in value):

@@ -1,4 +1,4 @@
-"""Schema of a study file: a scenario, the keys that vary, and the seeds of the flights."""
+"""Schema of a study file: scenario, varying keys, and seeds."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Variation(Section):
 
     @property
     def is_distribution(self) -> bool:
-        """Whether values are drawn from a distribution, so that there are no levels."""
+        """Return whether values are drawn from a distribution, without levels."""
         return any(each is not None for each in (self.uniform, self.log_uniform, self.normal))
 
     @property
@@ -196,12 +196,12 @@ def _check_values(key: str, values: Variation) -> Iterator[KeyProblem]:
     names = ("choice", "uniform", "log_uniform", "normal")
     forms = [name for name in names if getattr(values, name) is not None]
     spaced = {"from": values.start, "to": values.to, "count": values.count, "step": values.step}
-    given = [name for name, value in spaced.items() if value is not None]
-    if len(forms) + bool(given) != 1:
+    present = [name for name, value in spaced.items() if value is not None]
+    if len(forms) + bool(present) != 1:
         yield here, f"must have one form (write {_FORMS})"
-    elif given and {"from", "to"} - set(given):
+    elif present and {"from", "to"} - set(present):
         yield here, "evenly spaced numbers need from and to, and count or step"
-    elif given and (values.count is None) == (values.step is None):
+    elif present and (values.count is None) == (values.step is None):
         yield here, "evenly spaced numbers need either count or step"
     elif values.start is not None and values.to is not None and not values.start < values.to:
         yield (*here, "to"), f"is {values.to:g} (write a number above from, {values.start:g})"

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from testbed.metrics.out_of_slot import METRICS as SLOT_METRICS
-from testbed.metrics.out_of_slot import count_out_of_slot
-from testbed.scenario.violations import did_you_mean
+from testbed.metrics.summary import METRICS as SLOT_METRICS
+from testbed.metrics.summary import count_out_of_slot
+from testbed.scenario.problems import did_you_mean
 from testbed.studies.flight_task import COMPLETED
-from testbed.studies.rows import METRICS, SET, default_metric
+from testbed.studies.journal import METRICS, SET, default_metric
 from testbed.studies.study_schema import StudyConfig
 from testbed.studies.sweep import SweepResult
 from testbed.studies.table import StudyTable, metric_columns, read_table

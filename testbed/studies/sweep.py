@@ -15,19 +15,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from testbed.core.compile import KERNEL_PACKAGES, source_digest
 from testbed.core.errors import InputError
 from testbed.metrics.document import initial_warnings
 from testbed.metrics.expectations import bound_key, violations
 from testbed.scenario import Scenario, dump
-from testbed.scenario.violations import ScenarioError
+from testbed.scenario.problems import ScenarioError
 from testbed.sim.bounds import violation_lines
 from testbed.sim.build import versions
 from testbed.studies.dask_workers import cluster_notices
 from testbed.studies.flight_pool import FlightPool, open_flight_pool
 from testbed.studies.flight_task import COMPLETED, OUTCOMES, FlightResult, FlightTask
-from testbed.studies.journal import Journal
+from testbed.studies.journal import Journal, Row, flatten_metrics
 from testbed.studies.plan import Plan, Study, check_plan, load_study
-from testbed.studies.rows import Row, flatten_metrics
 from testbed.studies.scenario_snapshot import differences, file_digests, snapshot
 from testbed.studies.table import (
     StudyOutput,
@@ -40,6 +40,9 @@ from testbed.studies.table import (
 REFRESH_S = 30.0  # between two writes of the result file while runs are flown, at least
 MAX_WRITE_SHARE = 0.02  # of the time, for these writes
 MAX_WARNINGS = 6  # kinds of warnings from before a flight that are reported
+# packages that a flight of a study imports: a change in any of their files can change its rows
+FLIGHT_PACKAGES = (*KERNEL_PACKAGES, "logs", "mavlink", "metrics", "scenario", "studies")
+_PACKAGE = Path(__file__).parents[1]
 _LEFT_OUT = ("name", "question", "metrics")  # settings that change no row
 
 Progress = Callable[[int, int], None]
@@ -66,7 +69,7 @@ class SweepResult:
 
     @property
     def completed(self) -> bool:
-        """Whether all runs were completed."""
+        """Return whether all runs were completed."""
         return all(not count for outcome, count in self.outcomes.items() if outcome != COMPLETED)
 
 
@@ -186,7 +189,7 @@ def _fly(
     report: Report,
 ) -> int:
     """Fly the missing runs, return their number; report each kind of warning and bound once."""
-    flown = 0
+    count = 0
     kinds: set[str] = set()
     bounds: set[str] = set()
     try:
@@ -194,7 +197,7 @@ def _fly(
         progress(len(journal), len(plan))
         for result in pool.run(_missing_tasks(plan, journal)):
             journal.add(_to_row(result, journal.inputs["versions"]))
-            flown += 1
+            count += 1
             for text in initial_warnings(result.metrics or {}):
                 kind = re.sub(r"[\d.]+", "#", text)
                 if kind not in kinds and len(kinds) < MAX_WARNINGS:
@@ -205,7 +208,7 @@ def _fly(
             writer.write_if_due()
     finally:
         writer.write()
-    return flown
+    return count
 
 
 def _report_bounds(
@@ -249,7 +252,7 @@ def _to_row(result: FlightResult, expected: Mapping[str, str]) -> Row:
 
 
 def _make_inputs(plan: Plan, scenarios: Mapping[str, Scenario]) -> dict[str, Any]:
-    """Return everything that decides the rows of a study, which may not change before a resume."""
+    """Return the inputs of a study, which may not change before a resume."""
     config = plan.study.config.model_dump(mode="json", by_alias=True, exclude_none=True)
     config["study"] = {key: v for key, v in config["study"].items() if key not in _LEFT_OUT}
     folder = plan.study.path.resolve().parent
@@ -262,6 +265,7 @@ def _make_inputs(plan: Plan, scenarios: Mapping[str, Scenario]) -> dict[str, Any
         "expect": {case: scenario.expect.model_dump() for case, scenario in scenarios.items()},
         "files": files,
         "versions": versions(),
+        "code": {"testbed": source_digest(_PACKAGE, FLIGHT_PACKAGES)[:12]},
     }
     plain: dict[str, Any] = json.loads(json.dumps(inputs))
     return plain
@@ -281,6 +285,7 @@ def _refuse_changed_inputs(
         "expect": "a bound of a scenario",
         "files": "a file of a scenario",
         "versions": "the versions",
+        "code": "the code",
     }
     for part, title in titles.items():
         changed = differences(old.get(part, {}), new[part])
@@ -310,7 +315,7 @@ def _completed(study: Study, output: StudyOutput, inputs: Mapping[str, Any]) -> 
 
 
 def _count_outcomes(rows: Iterable[tuple[str, str]]) -> tuple[dict[str, int], int]:
-    """Count rows of outcome and error: all by outcome, and the completed ones with an error."""
+    """Count rows by outcome, and the completed ones with an error."""
     counts: Counter[str] = Counter()
     unexpected = 0
     for outcome, error in rows:

@@ -1,4 +1,4 @@
-"""Result file of a study: its place, and its Parquet table with one row for each run."""
+"""Result file of a study: a Parquet table with a row per run."""
 
 from __future__ import annotations
 
@@ -25,9 +25,8 @@ from testbed.core.input_files import parse_json_map
 from testbed.logs.arrow_io import column_names, read_columns, write_columns
 from testbed.logs.run_directory import LOGS, create_run_directory
 from testbed.scenario.yaml_io import to_inline
-from testbed.studies.journal import Journal
+from testbed.studies.journal import METRICS, SET, Journal, Row
 from testbed.studies.plan import Plan
-from testbed.studies.rows import METRICS, SET, Row
 from testbed.studies.study_schema import Value, Variation
 
 STUDIES = LOGS / "studies"
@@ -44,7 +43,7 @@ NEXT_COLUMNS = {"outcome": "string", "error": "string", "command": "string"}
 
 @dataclass(frozen=True, slots=True)
 class StudyOutput:
-    """Path of a study's result file, and of its journal, which exists until it is complete."""
+    """Paths of a study's result file and of its journal."""
 
     path: Path
 
@@ -55,7 +54,7 @@ class StudyOutput:
 
     @property
     def exists(self) -> bool:
-        """Whether there is a result file or a journal."""
+        """Return whether there is a result file or a journal."""
         return self.path.exists() or self.journal.exists()
 
 
@@ -111,7 +110,7 @@ class StudyTable:
 
     @property
     def complete(self) -> bool:
-        """Whether it has all runs of the plan."""
+        """Return whether it has all runs of the plan."""
         return self.metadata.get("complete") == "true"
 
     @property
@@ -196,7 +195,7 @@ def _check_columns(
 
 
 def read_rows(path: Path | str) -> list[dict[str, Any]]:
-    """Read the rows of a result file as Python values by column; None for a missing number.
+    """Read the rows of a result file, values by column; None: missing.
 
     Raises:
         InputError: the file does not exist, or is not the result of a study.
@@ -205,13 +204,13 @@ def read_rows(path: Path | str) -> list[dict[str, Any]]:
 
 
 def metric_columns(path: Path | str) -> tuple[str, ...]:
-    """Return the names of the metrics of a result file, without the prefix of their columns."""
+    """Return the names of the metrics of a result file, without prefix."""
     names = (name for name in column_names(Path(path)) if name.startswith(METRICS))
     return tuple(name.removeprefix(METRICS) for name in names)
 
 
 def write_table(path: Path, plan: Plan, journal: Journal, metadata: Mapping[str, str]) -> None:
-    """Write the rows of a journal as a result file, which replaces the one before in one step.
+    """Write the rows of a journal as a result file, in one step.
 
     Args:
         path: the file.

@@ -1,34 +1,335 @@
-"""Tune gains: search, then compare the best gains with the scenario's on held-out seeds."""
+"""Tune gains: search, then compare the best gains with the scenario's on held-out seeds.
+
+The flights are runs of the tune's study with other gains. The files are all candidates, the best
+gains, a scenario with them, and the result; each is complete at any time of the search.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import csv
+import io
+import math
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
+from testbed import __version__
 from testbed.core.errors import InputError
-from testbed.scenario.violations import did_you_mean
+from testbed.core.files import report_write_errors, write_text_file
+from testbed.logs.run_directory import write_run_file
+from testbed.metrics.document import write_json
+from testbed.scenario import (
+    Scenario,
+    dump_middle_loop,
+    find_scenario,
+    library,
+    load_scenario,
+    middle_loop_gains,
+)
+from testbed.scenario.problems import Problem, ScenarioError, did_you_mean
+from testbed.scenario.yaml_io import to_inline, walk, write
 from testbed.studies.flight_pool import FlightPool, open_flight_pool
-from testbed.studies.flight_task import FlightResult
+from testbed.studies.flight_task import FlightResult, FlightTask
 from testbed.studies.golden import Progress
-from testbed.studies.plan import StudyRun
-from testbed.studies.rows import flatten_metrics
-from testbed.studies.tune_log import SearchLog, TuneResult
-from testbed.studies.tune_objective import (
+from testbed.studies.journal import flatten_metrics
+from testbed.studies.plan import Plan, StudyRun
+from testbed.studies.tune_schema import GAINS, Tune
+from testbed.studies.tune_search import (
     SATURATION_FACTOR,
+    Candidate,
+    Gains,
+    GainSpace,
     HeldOutComparison,
     aggregate_costs,
     compare_held_out,
     completed_metric,
-    flight_cost,
-)
-from testbed.studies.tune_problem import TuneProblem
-from testbed.studies.tune_search import (
-    Candidate,
-    Gains,
     default_population,
+    describe_aggregate,
+    flight_cost,
     generation_count,
     search,
 )
+
+
+class TuneProblem:
+    """Scenarios, runs and bounds of a tune.
+
+    Attributes:
+        tune: its file.
+        runs: of its study.
+        keys: scenario keys of the gains.
+        space: of the gains.
+        before: gains of the scenario.
+        start: gains at which the search starts.
+        durations_s: planned duration of each run.
+    """
+
+    def __init__(self, tune: Tune) -> None:
+        """Read the scenarios; check that each gain's bounds are valid in them.
+
+        Raises:
+            ScenarioError: they cannot; with the place in the tune file.
+        """
+        self.tune = tune
+        self._plan = Plan(tune.study)
+        self.runs = list(self._plan)
+        self.keys = tuple(tune.config.gains)
+        self.space = GainSpace(tune.config.gains)
+        self._first = self._plan.scenario(self.runs[0])
+        self.before: Gains = tuple(self._current(key) for key in self.keys)
+        starts = [bounds.start for bounds in tune.config.gains.values()]
+        self.start: Gains = tuple(
+            before if start is None else start
+            for before, start in zip(self.before, starts, strict=True)
+        )
+        for run in {run.case: run for run in reversed(self.runs)}.values():
+            self._check_bounds(run)
+        scenarios = (self._plan.scenario(run) for run in self.runs)
+        self.durations_s = [each.scenario.duration_s for each in scenarios]
+        self._check_airframe()
+
+    def _check_airframe(self) -> None:
+        airframes = {follower.aircraft for follower in self._first.fleet}
+        if len(airframes) > 1 and any(key.startswith(GAINS) for key in self.keys):
+            raise self._error(
+                ("study", "scenario"),
+                f"has {', '.join(sorted(airframes))}, and gains of a middle loop are for one "
+                "airframe (write a scenario whose followers have the same)",
+            )
+
+    def _check_bounds(self, run: StudyRun) -> None:
+        """Check a run without changes, and with each gain at either bound."""
+        self._plan.scenario(run)
+        for key, bounds in self.tune.config.gains.items():
+            for name, value in (("from", bounds.low), ("to", bounds.high)):
+                try:
+                    self._plan.scenario(self._with(run, {key: value}))
+                except ScenarioError as error:
+                    text = f"{run.scenario} cannot be flown with this value: {error}"
+                    raise self._error(("gains", key, name), text) from None
+
+    def _current(self, key: str) -> float:
+        """Return the scenario's value of a gain."""
+        if key.startswith(GAINS):
+            airframe = self._first.fleet[0].aircraft
+            node: Any = middle_loop_gains(self._first, airframe).model_dump(mode="json")
+            parts = key.removeprefix(GAINS).split(".")
+        else:
+            node, parts = self._first.model_dump(mode="json", by_alias=True), key.split(".")
+        for part in parts:
+            known = list(node) if isinstance(node, dict) else []
+            if part not in known:
+                hint = did_you_mean(part, known) if known else ""
+                raise self._error(("gains", key), f"there is no key {part!r}{hint}")
+            node = node[part]
+        if isinstance(node, bool) or not isinstance(node, int | float):
+            raise self._error(("gains", key), "is not one number of the scenario")
+        return float(node)
+
+    def _error(self, loc: tuple[str, ...], text: str) -> ScenarioError:
+        node, path, missing = walk(self.tune.study.tree, loc)
+        return ScenarioError([Problem(node.place, text, path + missing)])
+
+    def _with(self, run: StudyRun, gains: Mapping[str, float]) -> StudyRun:
+        more = tuple(f"{key}={to_inline(value)}" for key, value in gains.items())
+        return replace(run, overrides=(*run.overrides, *more))
+
+    def changed_keys(self, gains: Gains) -> dict[str, float]:
+        """Return gains by key; empty for the gains of the scenario."""
+        return {} if gains == self.before else dict(zip(self.keys, gains, strict=True))
+
+    def run_with(self, index: int, gains: Gains, seed: int | None = None) -> StudyRun:
+        """Return a run of the study with gains, and optionally another seed."""
+        run = self._with(self.runs[index], self.changed_keys(gains))
+        return run if seed is None else replace(run, seed=seed)
+
+    def scenario_with(self, gains: Gains) -> Scenario:
+        """Return the scenario of the first run with gains."""
+        return self._plan.scenario(self.run_with(0, gains))
+
+    def fly(
+        self, pool: FlightPool, runs: Sequence[StudyRun], progress: Progress
+    ) -> list[FlightResult]:
+        """Fly runs, and return their results in this order."""
+
+        def tasks() -> Iterator[FlightTask]:
+            for number, run in enumerate(runs):
+                yield FlightTask(number, self._plan.scenario(run))
+
+        results: list[FlightResult | None] = [None] * len(runs)
+        for count, result in enumerate(pool.run(tasks()), 1):
+            results[result.number] = result
+            progress(count, len(runs))
+        return [each for each in results if each is not None]
+
+
+CANDIDATES, GAINS_FILE, SCENARIO, RESULT, TUNE_FILE = (
+    "candidates.csv", "middle_loop.yaml", "tuned.yaml", "result.json", "tune.yaml",
+)  # fmt: skip
+NOT_COMPARED = "not compared on held-out seeds"
+
+
+@dataclass(frozen=True, slots=True)
+class TuneResult:
+    """Result of a tune.
+
+    Args:
+        tune: its file.
+        directory: of its output files.
+        candidates: all evaluated ones, in order; the first has the gains of the scenario.
+        best: the cheapest, of equals the first.
+        saturation: metric above which costs saturate.
+        flights: number of flights of the search.
+        stop_reason: why the search ended.
+        comparison: on held-out seeds; None if nothing better was found.
+        held_out_costs: combined costs on these seeds, before and after.
+    """
+
+    tune: Tune
+    directory: Path
+    candidates: Sequence[Candidate]
+    best: Candidate
+    saturation: float
+    flights: int
+    stop_reason: str
+    comparison: HeldOutComparison | None
+    held_out_costs: tuple[float, float] | None
+
+
+class SearchLog:
+    """Write the files of a running search, each complete at any time."""
+
+    def __init__(self, problem: TuneProblem, directory: Path) -> None:
+        """Write into this directory."""
+        self._problem = problem
+        self.directory = directory
+
+    def start(self, first: Candidate) -> None:
+        """Write the tune file, and the gains of the scenario as the first candidate."""
+        tune = self._problem.tune
+        write_run_file(self.directory, TUNE_FILE, tune.study.text.encode())
+        runs = [f"cost of run {run.number}" for run in self._problem.runs]
+        head = ["candidate", "generation", "cost", *tune.config.gains, *runs]
+        self._write(CANDIDATES, _csv_line(head) + _csv_line(_cells(first)))
+
+    def add(self, candidates: Sequence[Candidate], best: Candidate) -> None:
+        """Append a generation, and write the best gains if they are in it."""
+        path = self.directory / CANDIDATES
+        with report_write_errors(path), path.open("a", encoding="utf-8", newline="") as file:
+            file.writelines(_csv_line(_cells(each)) for each in candidates)
+            file.flush()
+            os.fsync(file.fileno())
+        if any(each is best for each in candidates):
+            self._write_gains(best, NOT_COMPARED)
+
+    def finish(self, result: TuneResult) -> None:
+        """Write the result, and the verdict into the files of the gains."""
+        if result.comparison is not None:
+            self._write_gains(result.best, result.comparison.verdict)
+        write_json(self.directory / RESULT, to_document(result, self._problem))
+
+    def _write_gains(self, best: Candidate, verdict: str) -> None:
+        """Write the middle loop's gains, and a scenario that extends the tuned one."""
+        problem = self._problem
+        settings, scenario = problem.tune.config.study, problem.scenario_with(best.gains)
+        objective = problem.tune.config.objective
+        comment = (
+            f"# Tuned by testbed {__version__} for {objective.metric} of {settings.scenario}, "
+            f"study {settings.name}:\n# {describe_aggregate(objective.aggregate)} over its flights "
+            f"is {best.cost:.4g} ({verdict}).\n"
+        )
+        changes: dict[str, Any] = {}
+        if any(key.startswith(GAINS) for key in problem.keys):
+            profile, airframe = scenario.controller.profile, scenario.fleet[0].aircraft
+            gains = dump_middle_loop({profile: middle_loop_gains(scenario, airframe)})
+            self._write(GAINS_FILE, f"{comment}\n{gains}")
+            changes["controller"] = {"middle_loop": GAINS_FILE, "profile": profile}
+            if load_scenario(self._scenario_path).controller.gains:  # the gains file has them too
+                changes["controller"]["gains"] = None
+        for key, value in problem.changed_keys(best.gains).items():
+            if not key.startswith(GAINS):
+                node = changes
+                *parts, last = key.split(".")
+                for part in parts:
+                    node = node.setdefault(part, {})
+                node[last] = value
+        header = {"extends": self._extends(), "scenario": {"name": f"{settings.name}-tuned"}}
+        command = f"# testbed run {self.directory / SCENARIO}\n"
+        self._write(SCENARIO, f"{comment}{command}\n{write({**header, **changes})}")
+
+    @property
+    def _scenario_path(self) -> Path:
+        """Path of the first case's scenario."""
+        return find_scenario(self._problem.runs[0].scenario)
+
+    def _extends(self) -> str:
+        path = self._scenario_path
+        if path.parent == library() / "scenarios":
+            return path.stem
+        return os.path.relpath(path, self.directory)
+
+    def _write(self, name: str, text: str) -> None:
+        path = self.directory / name
+        with report_write_errors(path), write_text_file(path) as file:
+            file.write(text)
+
+
+def to_document(result: TuneResult, problem: TuneProblem) -> dict[str, Any]:
+    """Return the result as plain data for JSON."""
+    config, comparison = result.tune.config, result.comparison
+    document: dict[str, Any] = {
+        "schema": 2,
+        "study": config.study.name,
+        "scenario": config.study.scenario,
+        "metric": config.objective.metric,
+        "aggregate": describe_aggregate(config.objective.aggregate),
+        "seeds": list(config.study.seeds),
+        "held_out_seeds": list(config.held_out_seeds),
+        "saturate_above": result.saturation,
+        "flights": result.flights,
+        "stop_reason": result.stop_reason,
+        "gains": {
+            key: {"before": before, "after": after, "from": bounds.low, "to": bounds.high}
+            for (key, bounds), before, after in zip(
+                config.gains.items(), problem.before, result.best.gains, strict=True
+            )
+        },
+        "cost": {"before": result.candidates[0].cost, "after": result.best.cost},
+        "comparison": None,
+    }
+    if comparison is not None and result.held_out_costs is not None:
+        mean, low, high = comparison.difference
+        document["comparison"] = {
+            "verdict": comparison.verdict,
+            "better": comparison.better,
+            "pairs": comparison.pairs,
+            "seeds": comparison.seeds,
+            "before": _finite(comparison.before),
+            "after": _finite(comparison.after),
+            "difference": {"mean": _finite(mean), "low": _finite(low), "high": _finite(high)},
+            "failed_before": comparison.failed_before,
+            "failed_after": comparison.failed_after,
+            "cost": {"before": result.held_out_costs[0], "after": result.held_out_costs[1]},
+        }
+    return document
+
+
+def _finite(value: float) -> float | None:
+    return None if math.isnan(value) else value
+
+
+def _cells(candidate: Candidate) -> list[str]:
+    numbers = (candidate.cost, *candidate.gains, *candidate.costs)
+    return [str(candidate.number), str(candidate.generation), *map(repr, numbers)]
+
+
+def _csv_line(cells: Sequence[str]) -> str:
+    file = io.StringIO()
+    csv.writer(file, lineterminator="\n").writerow(cells)
+    return file.getvalue()
+
 
 Report = Callable[[str], None]
 

@@ -1,4 +1,4 @@
-"""Schema of a tune file: a study, the gains that may change, and the metric to minimise."""
+"""Schema of a tune file: study, gains, and the metric to minimise."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from pydantic import ConfigDict, Field, model_validator
 from testbed.core.input_files import read_bounded_text
 from testbed.scenario import find_tuning
 from testbed.scenario.fields import NotNegative, Number, Section, Whole, raise_findings
-from testbed.scenario.tree import Node, walk
-from testbed.scenario.violations import Problem, ScenarioError
-from testbed.scenario.yaml_io import read, validate
+from testbed.scenario.problems import Problem, ScenarioError
+from testbed.scenario.validate import validate
+from testbed.scenario.yaml_io import Node, read, walk
 from testbed.studies.plan import Study
 from testbed.studies.study_schema import KeyProblem, Seed, StudyConfig
 

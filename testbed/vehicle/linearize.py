@@ -16,7 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
-from testbed.core.motion import euler_rates
+from testbed.core.frames import euler_rates
 from testbed.core.records import Array
 from testbed.vehicle.trim import Controls, Placement, TrimModel, TrimResult, Vector
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from testbed.core.compile import entry, kernel
 from testbed.core.errors import InputError
-from testbed.core.frames import COURSE_FLOOR, GRAVITY, velocity_frame
+from testbed.core.frames import COURSE_FLOOR, GRAVITY
 from testbed.core.records import (
     Array,
     BoolArray,
@@ -32,6 +32,7 @@ from testbed.core.records import (
     allocate,
 )
 from testbed.core.speed_model import SPEED_MODEL, later_speed, speed_terms
+from testbed.core.velocity_frame import velocity_frame
 
 # One extended unicycle.
 UNICYCLE = np.dtype(

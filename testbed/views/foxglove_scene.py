@@ -103,7 +103,7 @@ class _SceneMessages:
         heading = hold_finite(course(self._batch.velocity[:, 0]))
         # the frame of the formation: where the leader is, turned with its course
         self._track = CameraTrack(BEHIND, centre, heading, np.zeros(len(centre)))
-        stride = max(1, round(log.info.frame_rate_hz / LINES_HZ))
+        stride = max(1, round(log.info.sample_rate_hz / LINES_HZ))
         self._rows = np.arange(0, log.tick.size, stride)
         self._drawings = [
             draw_airframe(*each)

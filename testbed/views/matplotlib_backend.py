@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from testbed.core.extras import needs_extra
+from testbed.core.errors import needs_extra
 from testbed.core.files import write_file
 from testbed.views.panels import GREY, GRID, Heatmap, Line, Panel, Panel3D, PanelGrid
 

@@ -13,8 +13,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.errors import InputError
-from testbed.core.extras import needs_extra
+from testbed.core.errors import InputError, needs_extra
 from testbed.core.records import Array
 from testbed.views.palette import Colour
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.core.frames import course, flight_path_angle, wrap_pi
 from testbed.core.records import Array
-from testbed.formation.logged_barrier import logged_curve
+from testbed.formation.barrier import logged_curve
 from testbed.views.annotations import STALE_S
 from testbed.views.batch import Batch
 from testbed.views.palette import Colour

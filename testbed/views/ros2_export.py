@@ -24,8 +24,8 @@ from testbed.core.frames import (
 from testbed.core.identifiers import identifiers
 from testbed.core.records import Array, Event, Indices, VehicleState
 from testbed.logs import ros2_bag as ros
-from testbed.logs.fix_covariance import FixCovariance
 from testbed.logs.read import Log
+from testbed.logs.recorder import FixCovariance
 from testbed.views.airframes import draw_airframe, whole
 from testbed.views.annotations import Links
 from testbed.views.batch import batch_of
@@ -98,7 +98,7 @@ class _Content:
         """Write all messages in order of time."""
         log, times = self._log, self._time_ns.tolist()
         fix_step, link_step = (
-            max(1, round(log.info.frame_rate_hz / hz)) for hz in (FIX_HZ, LINKS_HZ)
+            max(1, round(log.info.sample_rate_hz / hz)) for hz in (FIX_HZ, LINKS_HZ)
         )
         links = self._links(np.arange(0, len(times), link_step))
         events = sorted(log.events, key=lambda event: event.time_s)

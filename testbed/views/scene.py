@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from testbed.core.records import Array, RunInfo
-from testbed.formation.logged_barrier import LoggedBarrier, logged_barriers
+from testbed.formation.barrier import LoggedBarrier, logged_barriers
 from testbed.views.palette import ON_DARK, Colour, rgb
 
 BACKDROP: Colour = (22, 26, 33)
@@ -70,7 +70,7 @@ def scene_of(info: RunInfo, follow: str | None = None) -> Scene:
         barriers=tuple(logged_barriers(info)),
         estimated=info.estimated,
         roll_limit=np.asarray(info.roll_limit_rad, dtype=np.float64),
-        sample_rate_hz=info.frame_rate_hz,
+        sample_rate_hz=info.sample_rate_hz,
         follow=None if follow is None else info.names.index(follow),
     )
 

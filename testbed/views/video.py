@@ -215,7 +215,7 @@ class FlightVideo:
         course = view.track.heading[number]
         c, s = np.cos(course), np.sin(course)
         to_view = axes @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        slots_first = [not ghost for *_, ghost in things]
+        slots_first = np.array([not ghost for *_, ghost in things])
         for each in np.lexsort((-depth, slots_first)):
             k, position, rotation, ghost = things[each]
             if depth[each] <= NEAR:

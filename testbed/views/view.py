@@ -58,10 +58,10 @@ class RerunView:
         Raises:
             OSError: An .rrd file cannot be written. A missing viewer is a warning.
         """
-        wanted_hz = self._max_hz or info.frame_rate_hz
-        self._stride = max(1, round(info.frame_rate_hz / wanted_hz))
+        wanted_hz = self._max_hz or info.sample_rate_hz
+        self._stride = max(1, round(info.sample_rate_hz / wanted_hz))
         self._skip = 0  # samples until the next shown one
-        shown_hz = info.frame_rate_hz / self._stride
+        shown_hz = info.sample_rate_hz / self._stride
         self._sink = self._target.open(
             replace(scene_of(info, self._follow), sample_rate_hz=shown_hz)
         )

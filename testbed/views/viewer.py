@@ -17,8 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from testbed.core.child_guard import guard_command
-from testbed.core.errors import InputError
-from testbed.core.extras import install_command
+from testbed.core.errors import InputError, install_command
 
 HOST = "127.0.0.1"
 PROBE_S = 0.3

@@ -9,8 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from urllib.parse import quote
 
-from testbed.core.errors import InputError
-from testbed.core.extras import install_command
+from testbed.core.errors import InputError, install_command
 from testbed.views import viewer
 from testbed.views.sinks import PORT as DATA_PORT
 

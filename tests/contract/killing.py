@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 from commands import environment
-from given_time import last_s
 from patience import until
+from process_time import last_s
 from record_flight import RECORDS
 
 MAX_MISSING_S = 0.5  # of the process's running time, whose samples are not in the log
@@ -27,7 +27,7 @@ _NOTE = struct.Struct("dd")
 _FORKING = """
 import json, os, struct, sys
 import testbed.sim.run
-from given_time import GivenTime
+from process_time import ProcessTime
 from testbed.cli.main import main
 from testbed.scenario import load_scenario, set_duration
 from testbed.sim.run import run
@@ -36,12 +36,12 @@ run(set_duration(load_scenario("simulation-3"), 0.1), write=False)  # loads what
 
 class Notes:
     zero_copy = True
-    def __init__(self, path, given):
+    def __init__(self, path, running):
         self.file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-        self.given = given
+        self.running = running
     def begin(self, info): pass
     def observe(self, frame):
-        os.write(self.file, struct.pack("dd", self.given.now_s, frame.time_s))
+        os.write(self.file, struct.pack("dd", self.running.now_s, frame.time_s))
     def end(self, summary, events): pass
 
 print("ready", flush=True)
@@ -49,7 +49,7 @@ for line in sys.stdin:
     path, clock, *arguments = json.loads(line)
     child = os.fork()
     if not child:
-        notes = Notes(path, GivenTime(clock).__enter__())
+        notes = Notes(path, ProcessTime(clock).__enter__())
         testbed.sim.run.run = lambda *a, observers=(), **k: run(
             *a, observers=[*observers, notes], **k
         )

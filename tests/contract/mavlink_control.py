@@ -111,7 +111,7 @@ def info(count=1, *, rate_hz=25):
         wingspan_m=(2.8,) * count,
         origin=ORIGIN,
         base_rate_hz=200,
-        frame_rate_hz=rate_hz,
+        sample_rate_hz=rate_hz,
         duration_s=60.0,
         seed=1,
         speed_bounds_mps=((15.0, 30.0),) * (count - 1),

@@ -122,10 +122,10 @@ def feed_gains(path):
 
 def feed_table(path):
     """Read a recording by its name: leader, wind, trace, delays or commands."""
-    from testbed.atmosphere.recorded_wind import read_wind
+    from testbed.atmosphere.mean_wind import read_wind
     from testbed.guidance.recorded_path import read_recording, sample_recording
     from testbed.network.channel import make_channel
-    from testbed.network.trace import read_trace
+    from testbed.network.trace import TraceFile
     from testbed.vehicle.replay_commands import read_commands
 
     if "leader" in path.name:
@@ -133,7 +133,7 @@ def feed_table(path):
     elif "wind" in path.name:
         read_wind(path, 10.0, 0.5)
     elif "trace" in path.name:
-        read_trace(path, "lead", "uav1")
+        TraceFile(path).trace("lead", "uav1")
     elif "delays" in path.name:
         scenario = load_scenario(
             ROOT / "scenarios" / "simulation-3.yaml",

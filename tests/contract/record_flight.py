@@ -33,7 +33,7 @@ def run_info(followers=3, **changes):
         "wingspan_m": (2.8,) * len(names),
         "origin": Origin(38.0, -84.5, 290.0),
         "base_rate_hz": BASE_RATE_HZ,
-        "frame_rate_hz": SAMPLE_RATE_HZ,
+        "sample_rate_hz": SAMPLE_RATE_HZ,
         "duration_s": 60.0,
         "seed": 7,
         "speed_bounds_mps": ((16.0, 30.0),) * followers,

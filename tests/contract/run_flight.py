@@ -38,8 +38,8 @@ class Collector:
     def begin(self, info):
         self.info = info
 
-    def observe(self, frame):
-        self.frames.append(frame)
+    def observe(self, sample):
+        self.frames.append(sample)
 
     def end(self, summary, events):
         self.summary, self.events = summary, events
@@ -49,7 +49,7 @@ def short(*changes, seconds=SECONDS):
     return set_duration(load_scenario("simulation-3", ["log.mcap=false", *changes]), seconds)
 
 
-def flown(*changes, seconds=SECONDS):
+def fly_samples(*changes, seconds=SECONDS):
     collector = Collector()
     world = build(short(*changes, seconds=seconds))
     assert fly(world, [collector], lambda now, due: False) == "completed"
@@ -80,16 +80,16 @@ def recorder(folder):
     return f"controller.law={path}:Recorder"
 
 
-def flown_with_recorder(page):
+def fly_with_recorder(scenario):
     """Fly a scenario whose law is a `recorder`.
 
     Returns:
         The samples, and for each control step its time, own estimates and inbox.
     """
-    world, collector = build(page), Collector()
+    world, collector = build(scenario), Collector()
     (group,) = world.control.groups
     received = group.law.received
-    received.clear()  # what the check of the law before the flight gave it
+    received.clear()  # inputs of the check of the law before the flight
     assert fly(world, [collector], lambda now, due: False) == "completed"
     return collector.frames, received
 

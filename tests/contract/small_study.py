@@ -34,13 +34,13 @@ def write(folder, text=STUDY, name="small"):
 class InThisProcess:
     """Worker pool that flies in this process, and records the numbers of its tasks."""
 
-    flown: list[int] = field(default_factory=list)
+    finished: list[int] = field(default_factory=list)
 
     def capacity(self):
         return 1
 
     def submit(self, task):
-        self.flown.append(task.number)
+        self.finished.append(task.number)
         future = Future()
         future.set_result(run_task(task))
         return future

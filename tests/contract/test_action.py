@@ -69,7 +69,7 @@ class Runner:
         """Run the script of a step, and return its exit code and what it printed."""
         (step,) = [each for each in ACTION["runs"]["steps"] if each.get("name") == name]
         assert "${{" not in step["run"]  # values come by the environment, never into the script
-        given = {key: self.expand(value) for key, value in step["env"].items()}
+        variables = {key: self.expand(value) for key, value in step["env"].items()}
         files = {
             f"GITHUB_{key}": str(self.temporary / key.lower()) for key in ("STEP_SUMMARY", "OUTPUT")
         }
@@ -84,7 +84,7 @@ class Runner:
                 "RUNNER_TEMP": str(self.temporary),
                 "GITHUB_WORKSPACE": str(self.repository),
                 **files,
-                **given,
+                **variables,
             },
             capture_output=True,
             text=True,

@@ -16,15 +16,16 @@ from typer.testing import CliRunner
 from testbed.cli.main import app
 from testbed.core.errors import InputError
 from testbed.scenario import json_schema, load_scenario, loads
-from testbed.sim.probe_spectra import (
+from testbed.sim.probes import (
+    ProbePath,
     aliased,
     closed_form,
     coherence_band,
     estimate,
+    fly_probes,
     psd_band,
     unresolved_waves,
 )
-from testbed.sim.probes import ProbePath, fly_probes
 
 WIND = ("air.wind.speed_mps=8", "air.wind.from_deg=240")
 WIND_NED = 8.0 * np.array([math.cos(math.radians(60.0)), math.sin(math.radians(60.0)), 0.0])
@@ -46,7 +47,9 @@ def probed(tmp_path, *arguments, sets=()):
         return dict(file)
 
 
-def flown(*sets, duration=400.0, course=0.0, separation=None, height=100.0, airspeed=22.0, rate=50):
+def record_probe(
+    *sets, duration=400.0, course=0.0, separation=None, height=100.0, airspeed=22.0, rate=50
+):
     course = ProbePath(rate, duration, airspeed, math.radians(course), height, separation)
     scenario = load_scenario("simulation-3", sets)
     return scenario, course, fly_probes(scenario, course)
@@ -99,8 +102,8 @@ def test_file_depends_only_on_the_seed(tmp_path):
 
 @pytest.mark.parametrize("course", [90.0, 210.0])
 def test_turbulence_turns_with_the_course(course):
-    _, straight, independent = flown(f"{MODEL}=von-karman", *WIND, duration=20.0)
-    _, turned, pair = flown(
+    _, straight, independent = record_probe(f"{MODEL}=von-karman", *WIND, duration=20.0)
+    _, turned, pair = record_probe(
         f"{MODEL}=von-karman", *WIND, duration=20.0, course=course, separation=500.0
     )
     along, turned_along = independent.about_mean(straight.course), pair.about_mean(turned.course)
@@ -130,8 +133,8 @@ def test_gust_in_time_has_its_written_shape(tmp_path):
 
 def test_wakes_do_not_change_probes():
     words = (f"{MODEL}=dryden", *WIND)
-    _, _, with_wakes = flown(*words, "air.wake={}", duration=4.0, separation=2.0)
-    _, _, without = flown(*words, duration=4.0, separation=2.0)
+    _, _, with_wakes = record_probe(*words, "air.wake={}", duration=4.0, separation=2.0)
+    _, _, without = record_probe(*words, duration=4.0, separation=2.0)
     assert np.array_equal(with_wakes.wind_ned, without.wind_ned)
 
 
@@ -196,7 +199,7 @@ def test_folded_spectrum_is_that_of_samples():
 
 @pytest.mark.parametrize("model", ["dryden", "von-karman", "coherent"])
 def test_spectra_and_coherence_match_closed_forms(model):
-    scenario, course, record = flown(f"{MODEL}={model}", *WIND, course=40.0, separation=10.0)
+    scenario, course, record = record_probe(f"{MODEL}={model}", *WIND, course=40.0, separation=10.0)
     found = estimate(record.about_mean(course.course), course.rate_hz)
     closed = closed_form(scenario, course, record, found)
     # the field has no waves shorter than some cells of its finest grid, which pass at 8 Hz
@@ -212,7 +215,7 @@ def test_spectra_and_coherence_match_closed_forms(model):
 
 
 def test_closed_form_of_small_wing_is_that_of_point():
-    scenario, course, record = flown(f"{MODEL}=coherent", duration=20.0)
+    scenario, course, record = record_probe(f"{MODEL}=coherent", duration=20.0)
     found = estimate(record.about_mean(0.0), course.rate_hz)
     closed = closed_form(scenario, course, record._replace(span=1e-6), found).psd
     independent = scenario.model_copy(
@@ -271,7 +274,7 @@ def test_plot_is_reproducible_in_each_format(name, start, tmp_path):
 
 
 def test_shaded_frequencies_lack_short_waves():
-    scenario, course, record = flown(f"{MODEL}=coherent", duration=200.0)
+    scenario, course, record = record_probe(f"{MODEL}=coherent", duration=200.0)
     found = estimate(record.about_mean(course.course), course.rate_hz)
     share = found.psd[0] / closed_form(scenario, course, record, found).psd
     begin, shortest = unresolved_waves(scenario, course)
@@ -323,7 +326,7 @@ def test_plot_of_two_probes_has_coherence(model, tmp_path, monkeypatch):
         (("--set", "air.turbulence.model=tornado"), "air.turbulence.model"),
     ],
 )
-def test_bad_input_says_what_to_write(words, message, tmp_path, monkeypatch):
+def test_bad_input_error_has_the_remedy(words, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done = air(*words)
     assert isinstance(done.exception, InputError)
@@ -343,7 +346,8 @@ def test_only_plot_loads_matplotlib(tmp_path):
         "sys.exit('matplotlib' in sys.modules)"
     )
     words = [sys.executable, "-c", code]
-    subprocess.run(words, cwd=tmp_path, env=environment(80), check=True, capture_output=True)
+    done = subprocess.run(words, cwd=tmp_path, env=environment(80), capture_output=True)
+    assert done.returncode == 0, done.stderr
 
 
 BLOCKS = re.findall(r"^```yaml\n(.*?)^```$", (ROOT / "docs/air.md").read_text(), re.M | re.S)

@@ -33,9 +33,9 @@ class Watcher:
     def begin(self, info):
         self.frames, self.events, self.names = [], [], info.names
 
-    def observe(self, frame):
-        self.frames.append(frame)
-        self.events += frame.events
+    def observe(self, sample):
+        self.frames.append(sample)
+        self.events += sample.events
 
     def end(self, summary, events):
         """Nothing is left to do."""

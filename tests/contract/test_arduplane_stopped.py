@@ -8,8 +8,8 @@ from contextlib import contextmanager, suppress
 
 import pytest
 from arduplanes import SOON, binary, make_scenario, running
-from given_time import GivenTime
 from patience import PATIENCE_S, until
+from process_time import ProcessTime
 
 import testbed
 from testbed.autopilot.sitl_process import SitlProcess
@@ -48,7 +48,7 @@ def signalled(*after_s, number=signal.SIGTERM, started):
             os.kill(os.getpid(), number)
 
     thread = threading.Thread(target=send, daemon=True)
-    with GivenTime() as given:
+    with ProcessTime() as given:
         thread.start()
         try:
             yield sent, given

@@ -1,19 +1,14 @@
 """`testbed check`: output, files and exit codes."""
 
 import json
-import os
 import re
-import signal
-import subprocess
-import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
 import golden_scenarios as samples
 import pytest
 import yaml
-from commands import call_command, children, environment, run_command
-from patience import PATIENCE_S, until
+from commands import call_command, run_command
 from snapshot import check_snapshot
 
 from testbed.studies.golden import fly_all
@@ -22,7 +17,6 @@ from testbed.studies.golden_table import read_table
 
 ROOT = Path(__file__).parents[2]
 PYPROJECT = (ROOT / "pyproject.toml").read_text()
-ENV = environment(100)
 BAD_INPUT, REGRESSION, INTERRUPTED = 2, 3, 130
 
 
@@ -126,12 +120,12 @@ UNREADABLE = {
 
 
 @pytest.mark.parametrize("kind", UNREADABLE)
-def test_update_unreadable_table_is_replaced(folder, tmp_path, monkeypatch, flown, kind):
+def test_update_unreadable_table_is_replaced(folder, tmp_path, monkeypatch, fly_two, kind):
     samples.write(tmp_path, "exact")
     path = tmp_path / "golden" / "exact.json"
     path.parent.mkdir()
     path.write_text(UNREADABLE[kind](folder / "golden/exact.json"))
-    monkeypatch.setattr("testbed.studies.golden.fly_all", flown)
+    monkeypatch.setattr("testbed.studies.golden.fly_all", fly_two)
     done = check_here("exact.yaml", "--update", "--reason", "again", "--jobs", 1, cwd=tmp_path)
     printed = done.stdout.splitlines()
     (line,) = [line for line in printed if "the old table is ignored" in line]
@@ -142,7 +136,7 @@ def test_update_unreadable_table_is_replaced(folder, tmp_path, monkeypatch, flow
 
 
 @pytest.fixture(scope="module")
-def flown():
+def fly_two():
     """In place of `fly_all`: one flight of the deterministic scenario for every seed."""
     flight = samples.fly(1)
 
@@ -202,40 +196,6 @@ def test_check_missing_table_is_an_error_in_junit(tmp_path):
     assert "there is no golden table golden/exact.json" in done.stderr
     root = ElementTree.parse(tmp_path / "j.xml").getroot()
     assert (root.get("tests"), root.get("errors"), root.get("failures")) == ("1", "1", "0")
-
-
-def test_check_ctrl_c_exits_130_and_writes_nothing(tmp_path):
-    samples.write(tmp_path, "long", "leader: {sensors: truth}")
-    text = (tmp_path / "long.yaml").read_text().replace("duration_s: 14", "duration_s: 20000")
-    (tmp_path / "long.yaml").write_text(text)
-    process = subprocess.Popen(
-        [sys.executable, "-m", "testbed", "check", "long.yaml", "--update", "--reason", "why"],
-        cwd=tmp_path,
-        env=ENV,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    try:
-        until(lambda: process.poll() is not None or children(process.pid))
-        process.send_signal(signal.SIGINT)
-        printed, errors = process.communicate(timeout=PATIENCE_S)
-    finally:
-        process.kill()
-    assert process.returncode == INTERRUPTED, errors
-    assert (printed, errors) == ("", "")
-    assert samples.files(tmp_path).keys() == {"long.yaml"}
-    # Python's resource tracker ends a little later
-    until(lambda: not group_exists(process.pid))
-
-
-def group_exists(group):
-    try:
-        os.killpg(group, 0)
-    except ProcessLookupError:
-        return False
-    return True
 
 
 def test_fly_all_exception_becomes_a_problem(tmp_path):

@@ -9,6 +9,7 @@ import sys
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
+import golden_scenarios
 import pytest
 import typer
 from commands import call_command, environment, run_command
@@ -18,9 +19,9 @@ from snapshot import check_snapshot
 from typer.testing import CliRunner
 
 import testbed
-from testbed.cli.catalogue import GROUPS, STUDIES, TUNES
 from testbed.cli.exit_codes import ExitCode
 from testbed.cli.main import app
+from testbed.cli.scenario import GROUPS, STUDIES, TUNES
 from testbed.logs.read import read_log
 from testbed.scenario import list_scenarios, list_studies, list_tunings
 
@@ -258,7 +259,7 @@ def test_run_quiet_writes_json_and_prints_nothing(tmp_path):
     }
 
 
-def test_run_json_on_stdout_is_json_alone(tmp_path):
+def test_run_json_on_stdout_is_only_json(tmp_path):
     (tmp_path / "empty").mkdir()
     done = cli(*FLY, *NO_LOG, "--json", "-", "--out", "empty", cwd=tmp_path)
     metrics = json.loads(done.stdout)
@@ -337,3 +338,24 @@ def test_run_ctrl_c_exits_130_and_keeps_the_log(tmp_path):
     assert contents.finished
     assert contents.lost_bytes == 0
     assert contents.time_s[-1] == metrics["simulated_s"]
+
+
+@pytest.mark.parametrize(
+    ("words", "work"),
+    [
+        (("check", "exact.yaml", "--update", "--reason", "why"), "studies.golden.fly_all"),
+        (("network", "bursty-wifi", "--out", "old.csv"), "sim.channel_probe.probe_channel"),
+        (("air", "simulation-3", "--out", "old.csv"), "sim.probes.fly_probes"),
+    ],
+    ids=["check", "network", "air"],
+)
+def test_ctrl_c_exits_130_and_keeps_files(tmp_path, monkeypatch, words, work):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    golden_scenarios.write(tmp_path, "exact")
+    (tmp_path / "old.csv").write_text("old")
+    before = golden_scenarios.files(tmp_path)
+    monkeypatch.setattr(f"testbed.{work}", interrupt)
+    call_command(*words, cwd=tmp_path, code=ExitCode.INTERRUPTED, columns=80)
+    assert golden_scenarios.files(tmp_path) == before

@@ -49,7 +49,7 @@ def run(folder, seen, info=None, *, change=(), events=()):
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory):
+def log(tmp_path_factory):
     return run(tmp_path_factory.mktemp("first") / "run", frames())
 
 
@@ -57,41 +57,41 @@ def compared(one, other, **options):
     return compare_runs(read_log(one), read_log(other), **options)
 
 
-def test_compare_same_flight_is_the_same(flown, tmp_path):
+def test_compare_same_flight_is_the_same(log, tmp_path):
     """Versions and numbers of the wall clock decide nothing."""
     info = run_info(versions={"testbed": "0.1", "jsbsim": "1.3.3"})
     again = run(tmp_path / "run", frames(), info, change=[("wall_s", 9.0), ("commanded", {})])
-    found = compared(flown, again)
+    found = compared(log, again)
     assert found.same
     assert found.compared > 100
     assert found.versions == ("testbed from 0.0 to 0.1",)
     assert [each.first_s for each in found.positions] == [None] * 4
 
 
-def test_compare_last_bit_of_a_sample_is_found(flown, tmp_path):
-    east = read_log(flown).truth.position_ned[AT, 2, 1]
+def test_compare_last_bit_of_a_sample_is_found(log, tmp_path):
+    east = read_log(log).truth.position_ned[AT, 2, 1]
     moved = run(tmp_path / "run", frames(moved_m=np.spacing(east)))
-    found = compared(flown, moved)
+    found = compared(log, moved)
     assert not found.same_samples
     assert not found.same
     assert {each.name: each.first_s for each in found.positions}["uav2"] == TIME_S
     assert [each.first_s for each in found.positions].count(None) == 3
 
 
-def test_compare_largest_distance_and_its_time(flown, tmp_path):
-    found = compared(flown, run(tmp_path / "run", frames(moved_m=3.0)))
+def test_compare_largest_distance_and_its_time(log, tmp_path):
+    found = compared(log, run(tmp_path / "run", frames(moved_m=3.0)))
     [uav2] = [each for each in found.positions if each.largest_m > 0.0]
     assert (uav2.name, uav2.at_s, uav2.first_s) == ("uav2", TIME_S, TIME_S)
     assert uav2.largest_m == pytest.approx(3.0, rel=1e-12)  # two roundings of some 100 m
 
 
-def test_compare_tolerance_ignores_samples(flown, tmp_path):
+def test_compare_tolerance_ignores_samples(log, tmp_path):
     """With a tolerance, only metrics decide."""
-    rms = read_log(flown).metrics["windows"]["first"]["rms_m"]["uav1"]
+    rms = read_log(log).metrics["windows"]["first"]["rms_m"]["uav1"]
     key = "windows/first/rms_m/uav1"
     moved = run(tmp_path / "run", frames(moved_m=1e-9), change=[(key, rms * 1.01)])
-    assert compared(flown, moved, tolerance=0.011).same
-    tight = compared(flown, moved, tolerance=0.009)
+    assert compared(log, moved, tolerance=0.011).same
+    tight = compared(log, moved, tolerance=0.009)
     assert not tight.same
     assert tight.differing == (MetricPair(key, rms, rms * 1.01),)
 
@@ -116,22 +116,22 @@ def test_metric_pair_agrees_within_tolerance(first, second, tolerance, agree):
     assert MetricPair("key", second, first).agrees(tolerance) is agree
 
 
-def test_compare_numbers_inside_lists(flown, tmp_path):
+def test_compare_numbers_inside_lists(log, tmp_path):
     moved = run(tmp_path / "run", frames(), change=[("windows/first/window_s", [1.0, 2.0002])])
-    found = compared(flown, moved)
+    found = compared(log, moved)
     assert found.differing == (MetricPair("windows/first/window_s/1", 2.0, 2.0002),)
-    assert compared(flown, moved, tolerance=0.001).same
+    assert compared(log, moved, tolerance=0.001).same
 
 
-def test_compare_events_samples_and_followers(flown, tmp_path):
+def test_compare_events_samples_and_followers(log, tmp_path):
     """Each of them alone makes two runs differ."""
     _, gust = event(AT, "a gust")
-    events = compared(flown, run(tmp_path / "gust", frames(), events=(gust,)))
+    events = compared(log, run(tmp_path / "gust", frames(), events=(gust,)))
     assert (events.same, events.same_samples, events.same_events) == (False, True, False)
-    shorter = compared(flown, run(tmp_path / "short", list(frames())[:-1]))
+    shorter = compared(log, run(tmp_path / "short", list(frames())[:-1]))
     assert (shorter.same, shorter.sample_counts) == (False, (FRAMES, FRAMES - 1))
     assert [each.first_s for each in shorter.positions] == [None] * 4
-    fewer = compared(flown, run(tmp_path / "fewer", run_samples(FRAMES, 2), run_info(2)))
+    fewer = compared(log, run(tmp_path / "fewer", run_samples(FRAMES, 2), run_info(2)))
     assert not fewer.same
     assert [each.name for each in fewer.positions] == ["leader", "uav1", "uav2"]
     assert any(pair.key.endswith("/uav3") and pair.second is None for pair in fewer.differing)
@@ -155,13 +155,13 @@ def test_compare_scenario_keys_are_listed(tmp_path):
 
 
 @pytest.fixture
-def compare(flown, tmp_path):
+def compare(log, tmp_path):
     """Run `testbed compare` in a folder with runs of several names."""
     run(tmp_path / "moved", frames(moved_m=3.0), change=[("min_separation_m", 1.25)])
     (tmp_path / "same").mkdir()
-    (tmp_path / "same" / "run.mcap").write_bytes(flown.read_bytes())
+    (tmp_path / "same" / "run.mcap").write_bytes(log.read_bytes())
     (tmp_path / "first").mkdir()
-    (tmp_path / "first" / "run.mcap").write_bytes(flown.read_bytes())
+    (tmp_path / "first" / "run.mcap").write_bytes(log.read_bytes())
 
     def command(*arguments, code):
         return call_command("compare", "first", *arguments, cwd=tmp_path, code=code, columns=100)
@@ -185,8 +185,8 @@ def test_compare_command_different_lengths(compare, tmp_path):
     check_snapshot("compare_short", compare("short", "--numbers", code=3).stdout)
 
 
-def test_compare_command_cut_run_has_no_metrics(compare, flown, tmp_path):
-    data = flown.read_bytes()
+def test_compare_command_cut_run_has_no_metrics(compare, log, tmp_path):
+    data = log.read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
     errors = compare("cut.mcap", "--numbers", code=2).stderr
     assert "error: cut.mcap: this run has no metrics" in errors and "leave out --numbers" in errors

@@ -141,6 +141,15 @@ def test_digest_covers_names_and_texts_of_packages(tmp_path):
     assert len(seen) == len(KERNEL_PACKAGES) + 2
 
 
+def test_digest_of_other_folders_covers_all_below(tmp_path):
+    (tmp_path / "studies" / "parts").mkdir(parents=True)
+    seen = {source_digest(tmp_path, ["studies"])}
+    for name in ("studies/plan.py", "studies/parts/rows.py", "views.py"):
+        (tmp_path / name).write_text("A = 1\n")
+        seen.add(source_digest(tmp_path, ["studies"]))
+    assert len(seen) == 3
+
+
 def test_kernel_packages_are_all_with_kernels():
     """What an entry compiles may come from any module that an entry's module imports."""
     root = Path(compiling.__file__).parents[1]

@@ -1,4 +1,4 @@
-"""Of several processes one compiles the kernels, the others wait, and it is said once."""
+"""Of several processes one compiles the kernels; the others wait, and print that once."""
 
 import os
 import subprocess
@@ -11,7 +11,7 @@ from commands import ROOT, call_command
 from patience import PATIENCE_S, until
 from worker_tasks import run_task
 
-from testbed.core.compile_lock import NOTICE, compile_turn, is_compiling
+from testbed.core.compile import NOTICE, compile_turn, is_compiling
 from testbed.sim.stop_request import RunStopped
 from testbed.studies.flight_pool import FlightPool
 from testbed.studies.flight_task import FlightTask
@@ -137,7 +137,7 @@ def test_a_pool_reports_compiling_once(tmp_path, monkeypatch):
     assert lines == [NOTICE]
 
 
-def test_run_says_that_it_compiles(tmp_path, monkeypatch):
+def test_run_prints_that_it_compiles(tmp_path, monkeypatch):
     """Without a terminal it is one line of standard error; --quiet leaves it out."""
 
     def prepare(kernels, progress, check):

@@ -5,8 +5,8 @@ from commands import run_command
 from test_run_list import make_run
 from typer.testing import CliRunner
 
-from testbed.cli import completion
 from testbed.cli.main import app
+from testbed.cli.options import scenario_keys
 
 
 @pytest.mark.parametrize(
@@ -40,9 +40,9 @@ def test_shell_completes_names(tmp_path, monkeypatch, words, expected):
 
 
 def test_keys_of_lists_have_an_asterisk():
-    keys = completion.scenario_keys("")
+    keys = scenario_keys("")
     assert {"fleet.*.sensors", "scenario.seed", "air.wind.speed_mps", "network.loss"} <= set(keys)
-    assert completion.scenario_keys("fleet.*.sen")[0] == "fleet.*.sensors"
+    assert scenario_keys("fleet.*.sen")[0] == "fleet.*.sensors"
 
 
 def test_completion_script_can_be_shown(tmp_path, monkeypatch):

@@ -113,7 +113,7 @@ def test_stamps_are_read_to_the_millisecond_below():
     assert inbox.stamp_s[0] == pytest.approx([-3500.0, 100.0, 100.001, 100.0], abs=1e-9)
     expected = np.array([-3500.0, 100.0, 100.001, 100.0]) - 0.00123
     assert inbox.stamp_s[1] == pytest.approx(expected, abs=1e-9)
-    assert np.array_equal(link.content_time_s, np.full((FOLLOWERS, N), 100.0))
+    assert np.array_equal(link.links["measured_s"], np.full((FOLLOWERS, N), 100.0))
 
 
 def test_time_on_air_is_that_of_the_frame():
@@ -144,7 +144,7 @@ def test_undetected_errors_are_delivered():
         known = ~np.isnan(inbox.stamp_s)
         assert np.isfinite(inbox.position_ned[known]).all()
         wrong_stamps += int(
-            (known & (np.abs(inbox.stamp_s - encoded.content_time_s) > 0.5e-3)).sum()
+            (known & (np.abs(inbox.stamp_s - encoded.links["measured_s"]) > 0.5e-3)).sum()
         )
     damaged = encoded.summary()["damaged"]
     assert damaged["refused"] == 0
@@ -210,7 +210,7 @@ def test_scenario_has_encoding_and_wrong_bits():
 
 
 @pytest.fixture(scope="module")
-def flown():
+def run_metrics():
     def fly(*overrides):
         changes = (
             "scenario.duration_s=12",
@@ -225,15 +225,15 @@ def flown():
     return fly
 
 
-def test_encoding_changes_a_flight_by_millimetres(flown):
-    encoded = [flown("network.encoding=follow-target") for _ in range(2)]
+def test_encoding_changes_a_flight_by_millimetres(run_metrics):
+    encoded = [run_metrics("network.encoding=follow-target") for _ in range(2)]
     assert encoded[0]["windows"] == encoded[1]["windows"]
-    exact, with_frames = (m["windows"]["all"]["rms_m"] for m in (flown(), encoded[0]))
+    exact, with_frames = (m["windows"]["all"]["rms_m"] for m in (run_metrics(), encoded[0]))
     off = [abs(with_frames[name] - exact[name]) for name in exact]
     assert 0.0 < max(off) < 5e-3  # half of what the last digit of a position is
 
 
-def test_undetected_errors_do_not_stop_a_flight(flown, monkeypatch):
+def test_undetected_errors_do_not_stop_a_flight(run_metrics, monkeypatch):
     """They may hold any number; at worst the flight ends as lost."""
     from testbed.sim import build_radio as radios
 

@@ -122,7 +122,7 @@ def command(*arguments, cwd, code):
 
 @pytest.mark.parametrize("first", range(0, KILLS, PER_TEST))
 def test_run_killed_at_any_moment_is_recovered(first, whole, starter, tmp_path):
-    """At most half a second of the running time (`GivenTime`) is missing from the log."""
+    """At most half a second of the running time (`ProcessTime`) is missing from the log."""
     for number, moment in enumerate([*moments(KILLS, SEED)][first : first + PER_TEST], first):
         folder = tmp_path / str(number)
         folder.mkdir()
@@ -221,13 +221,13 @@ def test_removed_run_directory_ends_the_run(tmp_path):
     commands = [f"until {large}; do sleep 0.02; done; {c}" for c in ("rm -r run", "mv run away")]
     flight = (*FLY, "--out", "run", "--pace=20")
     pairs = together(tmp_path, *([flight, ("sh", "-c", each)] for each in commands))
-    for flown, _ in pairs:
-        assert flown.code == 2
-        assert flown.error == (
+    for result, _ in pairs:
+        assert result.code == 2
+        assert result.error == (
             f"error: run/{LOG}: the log is not there any more: run was removed or moved during the "
             "run"
         )
-        assert flown.stderr.count("\n") == 1
+        assert result.stderr.count("\n") == 1
     assert not (tmp_path / "run").exists()
     log = read_log(tmp_path / "away" / LOG)
     assert log.tick.size > 100 and log.time_s[-1] < 500.0  # of 1080

@@ -42,9 +42,9 @@ def bounds(found, side="max"):
 
 
 def test_most_specific_bound_applies():
-    flown = document(turn={"uav1": 1.0, "uav2": 1.0}, straight={"uav1": 1.0, "uav2": 1.0})
+    result = document(turn={"uav1": 1.0, "uav2": 1.0}, straight={"uav1": 1.0, "uav2": 1.0})
     expect = {"max": 3.0, "min": 0.5, "turn": {"max": 4.0, "uav2": {"max": 5.0}}}
-    found = check_expectations(flown, {"rms_m": expect})
+    found = check_expectations(result, {"rms_m": expect})
     assert bounds(found) == {
         ("turn", "uav1"): 4.0,
         ("turn", "uav2"): 5.0,
@@ -54,7 +54,7 @@ def test_most_specific_bound_applies():
     assert set(bounds(found, "min").values()) == {0.5}
     assert (found["checked"], found["violated"]) == (8, 0)
     both = {"max": 9.0, "turn": {"max": 2.0}, "uav1": {"max": 0.9}}
-    found = check_expectations(flown, {"rms_m": both})
+    found = check_expectations(result, {"rms_m": both})
     violated = [each["key"] for each in found["bounds"] if not each["met"]]
     assert violated == [["rms_m", "uav1", "max"]] * 2  # in the turn the window's holds as well
     assert found["checked"] == 5
@@ -79,15 +79,15 @@ def test_most_specific_bound_applies():
     ],
 )
 def test_violations_name_follower_window_and_value(change, expect, texts):
-    flown = document(turn={"uav1": 1.0, "uav2": 1.0}) | change
-    found = {"expect": check_expectations(flown, expect)}
+    result = document(turn={"uav1": 1.0, "uav2": 1.0}) | change
+    found = {"expect": check_expectations(result, expect)}
     assert [describe_violation(each) for each in violations(found)] == texts
 
 
 def test_window_that_was_not_reached_is_not_compared():
-    flown = document(turn={"uav1": None}, straight={"uav1": 1.0})
-    flown["windows"]["turn"]["covered_s"] = 0.0
-    found = check_expectations(flown, {"rms_m": {"max": 2.0}})
+    result = document(turn={"uav1": None}, straight={"uav1": 1.0})
+    result["windows"]["turn"]["covered_s"] = 0.0
+    found = check_expectations(result, {"rms_m": {"max": 2.0}})
     assert bounds(found) == {("straight", "uav1"): 2.0}
 
 
@@ -99,7 +99,7 @@ def folder(tmp_path_factory):
 
 
 def test_run_violated_bound_exits_3_with_its_line(folder):
-    options = ("--set", "log.mcap=false", "--out", "flown")
+    options = ("--set", "log.mcap=false", "--out", "run")
     done = call_command("run", "mine.yaml", *options, cwd=folder, code=DIFFERENT, columns=100)
     line = 1 + (folder / "mine.yaml").read_text().splitlines().index(RMS)
     (last,) = [each for each in done.stdout.splitlines() if each.startswith("mine.yaml:")]
@@ -107,7 +107,7 @@ def test_run_violated_bound_exits_3_with_its_line(folder):
     assert ": expect.rms_m.circles.uav2.max: uav2 in circles: 0." in last
     assert last.endswith(" m, above 0.01 m")
     assert "expected            1 of 8 numbers outside their bounds" in done.stdout
-    metrics = json.loads((folder / "flown" / "metrics.json").read_text())
+    metrics = json.loads((folder / "run" / "metrics.json").read_text())
     assert (metrics["expect"]["checked"], metrics["expect"]["violated"]) == (8, 1)
 
 

@@ -12,7 +12,7 @@ from commands import environment
 from patience import PATIENCE_S
 
 import testbed
-from testbed.core.extras import DISTRIBUTION, MissingExtraError, needs_extra
+from testbed.core.errors import DISTRIBUTION, MissingExtraError, needs_extra
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]

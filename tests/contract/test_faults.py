@@ -4,14 +4,14 @@ import json
 
 import numpy as np
 import pytest
-from run_flight import Collector, arrays, flown_with_recorder, recorder
+from run_flight import Collector, arrays, fly_with_recorder, recorder
 from typer.testing import CliRunner
 
 import testbed
 from testbed.cli.main import app
 from testbed.core.errors import InputError
-from testbed.core.frames import velocity_frame
 from testbed.core.records import AirData, VehicleState, fields_of
+from testbed.core.velocity_frame import velocity_frame
 from testbed.scenario import load_scenario, loads
 from testbed.sim.build import build
 
@@ -287,9 +287,9 @@ def neighbours_after_failure(*changes):
         world.links[name] = world.aircraft["truth"][name]
     world.links["position_ned"][:, UAV1, 2] += 50.0
     world.links["measured_s"] = 4.0
-    before = world.neighbours.copy()
+    before = world.built_control.neighbours.copy()
     assert world.control.update_membership(0, 4.0)
-    return before, world.neighbours
+    return before, world.built_control.neighbours
 
 
 def no_air() -> AirData:
@@ -320,7 +320,7 @@ def test_response_drop_excludes_and_keeps_the_slots():
 
 def test_own_law_receives_no_message_of_excluded(tmp_path):
     changes = faults(0, OUT), "formation.on_failure={response: drop, declared_after_s: 2}"
-    _, received = flown_with_recorder(scenario(recorder(tmp_path), *changes))
+    _, received = fly_with_recorder(scenario(recorder(tmp_path), *changes))
     assert received
     for now, _, inbox in received:
         received_from = np.isfinite(inbox.stamp_s)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from testbed.scenario import dump, library, load_scenario, set_duration
+from testbed.scenario import library, load_scenario, set_duration
 from testbed.sim.run import run
 from testbed.studies.plan import Plan, load_study
 from testbed.vehicle.replay_commands import respond
@@ -45,24 +45,21 @@ def test_experiments_have_one_set_of_parameters():
     assert {scenario.formation.k for scenario in scenarios} == {3.0}
 
 
-def test_experiment_files_share_one_block():
-    line = "# from here on identical in the three files\n"
-    texts = [Path(AS_FLOWN.format(n)).read_text() for n in EXPERIMENTS]
-    assert len({text.partition(line)[2] for text in texts}) == 1
-    assert all(text.count(line) == 1 for text in texts)
-
-
 @pytest.mark.parametrize("number", EXPERIMENTS)
 def test_experiment_as_flown_changes_nothing_else(number):
     """Path, wind, offsets, graph, law and windows are those of experiment-N."""
-    flown, bare = load_scenario(AS_FLOWN.format(number)), load_scenario(f"experiment-{number}")
-    assert (flown.formation, flown.limits, flown.rates) == (bare.formation, bare.limits, bare.rates)
-    assert flown.air.wind == bare.air.wind
-    assert (flown.leader.path, flown.leader.start) == (bare.leader.path, bare.leader.start)
-    assert [each.start_m for each in flown.fleet] == [each.start_m for each in bare.fleet]
+    as_flown, bare = load_scenario(AS_FLOWN.format(number)), load_scenario(f"experiment-{number}")
+    assert (as_flown.formation, as_flown.limits, as_flown.rates) == (
+        bare.formation,
+        bare.limits,
+        bare.rates,
+    )
+    assert as_flown.air.wind == bare.air.wind
+    assert (as_flown.leader.path, as_flown.leader.start) == (bare.leader.path, bare.leader.start)
+    assert [each.start_m for each in as_flown.fleet] == [each.start_m for each in bare.fleet]
     header = ("duration_s", "seed", "windows", "published", "origin")
     for key in header:
-        assert getattr(flown.scenario, key) == getattr(bare.scenario, key)
+        assert getattr(as_flown.scenario, key) == getattr(bare.scenario, key)
 
 
 # the budget
@@ -73,11 +70,11 @@ def test_budget_factors_add_up_to_the_whole_change(number):
     study = load_study(f"gap-budget-{number}")
     plan = Plan(study)
     runs = {run.case: run for run in plan if run.seed == 1}
-    ideal, flown = (plain(plan.scenario(runs[case])) for case in (IDEAL, FLOWN))
-    assert ideal != flown
+    ideal, as_flown = (plain(plan.scenario(runs[case])) for case in (IDEAL, FLOWN))
+    assert ideal != as_flown
     factors = [case.removeprefix("with-") for case in runs if case.startswith("with-")]
     assert len(factors) == 11
-    for way, start, end in (("with", IDEAL, flown), ("without", FLOWN, ideal)):
+    for way, start, end in (("with", IDEAL, as_flown), ("without", FLOWN, ideal)):
         changes = [
             change
             for factor in factors
@@ -88,38 +85,28 @@ def test_budget_factors_add_up_to_the_whole_change(number):
         assert plain(scenario) == end
         for factor in factors:
             one = plain(plan.scenario(runs[f"{way}-{factor}"]))
-            assert one not in (ideal, flown), f"{way}-{factor} changes nothing, or all"
-
-
-def test_as_flown_study_has_20_seeds_of_each():
-    study = load_study("as-flown")
-    plan = Plan(study)
-    assert len(plan) == 60
-    flown = {run.case: dump(plan.scenario(run)) for run in plan if run.seed == 20}
-    for number in EXPERIMENTS:
-        scenario = load_scenario(AS_FLOWN.format(number), ["scenario.seed=20"])
-        assert flown[f"experiment-{number}"] == dump(scenario)
+            assert one not in (ideal, as_flown), f"{way}-{factor} changes nothing, or all"
 
 
 def test_ideal_flights_have_a_third_of_the_offsets():
     for number in EXPERIMENTS:
         ideal = load_scenario(STUDIES / "gap-budget" / f"experiment-{number}-ideal.yaml").formation
-        flown = load_scenario(AS_FLOWN.format(number)).formation
-        for name, offset in flown.offsets_m.items():
+        as_flown = load_scenario(AS_FLOWN.format(number)).formation
+        for name, offset in as_flown.offsets_m.items():
             np.testing.assert_allclose(ideal.offsets_m[name], np.array(offset) / 3, atol=1e-3)
-        for name, altitude in flown.altitudes_m.items():
+        for name, altitude in as_flown.altitudes_m.items():
             assert ideal.altitudes_m[name] - 100 == pytest.approx((altitude - 100) / 3, abs=1e-3)
 
 
 # the joint fit
 
 
-def test_joint_fit_finds_the_numbers_that_made_its_data(monkeypatch):
+def test_joint_fit_recovers_its_own_numbers(monkeypatch):
     """Errors made by the formula itself, which are the paper's at one set and along its ridge."""
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
     joint_fit = importlib.import_module("joint_fit")
-    flown = {f"experiment-{n}": load_scenario(AS_FLOWN.format(n)) for n in EXPERIMENTS}
-    cells = joint_fit.table_2(flown)
+    as_flown = {f"experiment-{n}": load_scenario(AS_FLOWN.format(n)) for n in EXPERIMENTS}
+    cells = joint_fit.table_2(as_flown)
     assert [cell.printed for cell in cells] == [7.7, 8.2, 8.6, 8.8, 6.7, 8.1]
     study = Plan(load_study("joint-fit"))
     assert (study.keys, len(study)) == (joint_fit.KEYS, 72)
@@ -147,6 +134,35 @@ def test_joint_fit_finds_the_numbers_that_made_its_data(monkeypatch):
     # along the ridge: a later own state, and messages later by b1 / (b1 + b2) of it
     along = made_at + [0.01 * known[1] / (known[1] + known[2]), 0.01, 0.0, 0.0]
     assert found.worst(along[None])[0] < 1e-6
+
+
+# sentences beside the tables
+
+
+def test_sentences_of_table_2_follow_the_rows(monkeypatch):
+    """Order of the followers and comparison of Experiments 2 and 3, from made rows."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+    gap = importlib.import_module("gap_budget")
+
+    def rows(first, second, mean):
+        head = "windows.rectangles"
+        three = {f"{head}.rms_m.uav1": first, f"{head}.rms_m.uav2": second}
+        return {
+            ("experiment-2", 1): {f"{head}.mean_rms_m": 8.0},
+            ("experiment-3", 1): {**three, f"{head}.mean_rms_m": mean},
+        }
+
+    papers, other = rows(6.0, 7.0, 6.5), rows(8.0, 7.0, 8.5)
+    assert gap.order_sentence(papers) == (
+        "Experiment 3's followers come out in the paper's order: uav1 6.0, uav2 7.0 m here "
+        "(medians), uav1 6.7, uav2 8.1 m there."
+    )
+    assert "in another order than the paper's: uav1 8.0" in gap.order_sentence(other)
+    assert gap.comparison_sentence(papers) == (
+        "Mean over the followers, median of 1 seeds: Experiment 2 8.0 m, Experiment 3 6.5 m "
+        "(the paper: 8.7 and 7.4 m); with 1 of the 1 seeds Experiment 3 has the smaller error."
+    )
+    assert "with 0 of the 1 seeds" in gap.comparison_sentence(other)
 
 
 # flights

@@ -13,7 +13,7 @@ from testbed.scenario import find_aircraft, loads, set_duration
 from testbed.sim.build import build
 from testbed.sim.loop import fly
 from testbed.studies.flight_task import FlightTask, run_task
-from testbed.studies.tune_objective import flight_cost
+from testbed.studies.tune_search import flight_cost
 from testbed.vehicle.jsbsim_adapter import airframe
 
 # uav1 is limited to 7 m/s, below the stall speed; uav2 flies beside the leader.
@@ -48,7 +48,7 @@ DIVE = (
 )
 
 
-def flown(tmp_path, *changes):
+def run_dive(tmp_path, *changes):
     """Exit code, output and metrics of a run."""
     path = tmp_path / "scenario.yaml"
     path.write_text(SLOW)
@@ -66,7 +66,7 @@ def errors(metrics):
 
 
 def test_stall_is_an_error_and_others_fly_on(tmp_path):
-    code, output, metrics = flown(tmp_path)
+    code, output, metrics = run_dive(tmp_path)
     assert (code, metrics["outcome"], metrics["simulated_s"]) == (1, "envelope_exceeded", 12.0)
     assert set(errors(metrics)) == {("uav1", "stalled")}
     assert "slow · envelope exceeded ·" in output
@@ -75,7 +75,7 @@ def test_stall_is_an_error_and_others_fly_on(tmp_path):
 
 
 def test_stall_with_stop_ends_the_run(tmp_path):
-    code, output, metrics = flown(tmp_path, "limits.on_limit_exceeded=stop")
+    code, output, metrics = run_dive(tmp_path, "limits.on_limit_exceeded=stop")
     assert (code, metrics["outcome"]) == (1, "envelope_exceeded")
     (stall,) = (each for each in metrics["events"] if each["level"] == "error")
     assert metrics["simulated_s"] == stall["time_s"] < 9.0
@@ -83,22 +83,22 @@ def test_stall_with_stop_ends_the_run(tmp_path):
 
 
 def test_limit_not_reached_has_no_event(tmp_path):
-    code, _, metrics = flown(tmp_path, "limits.stall_deg=30")
+    code, _, metrics = run_dive(tmp_path, "limits.stall_deg=30")
     assert (code, metrics["outcome"], errors(metrics)) == (0, "completed", [])
 
 
 def test_dive_above_overspeed_is_an_error(tmp_path):
-    code, _, metrics = flown(tmp_path, *DIVE, "limits.overspeed_mps=26")
+    code, _, metrics = run_dive(tmp_path, *DIVE, "limits.overspeed_mps=26")
     assert (code, metrics["outcome"]) == (1, "envelope_exceeded")
     assert {what for _, what in errors(metrics)} == {"overspeed"}
     assert [e for e in metrics["events"] if e["text"].startswith("no longer overspeed")]
-    code, _, metrics = flown(tmp_path / "..", *DIVE)  # up to 1.5 times AIRSPEED_MAX
+    code, _, metrics = run_dive(tmp_path / "..", *DIVE)  # up to 1.5 times AIRSPEED_MAX
     assert (code, metrics["outcome"]) == (0, "completed")
 
 
 def test_follower_far_from_slot_is_an_error(tmp_path):
     changes = ("limits.stall_deg=30", "limits.formation_lost_m=20", "scenario.duration_s=30")
-    code, output, metrics = flown(tmp_path, *changes)
+    code, output, metrics = run_dive(tmp_path, *changes)
     assert (code, metrics["outcome"]) == (1, "formation_lost")
     assert errors(metrics) == [("uav1", "lost its formation")]
     assert "uav1: lost its formation" in output
@@ -106,7 +106,7 @@ def test_follower_far_from_slot_is_an_error(tmp_path):
 
 def test_stall_after_a_fault_is_a_warning(tmp_path):
     fault = "fleet.uav1.faults=[{kind: transmitter-off, at_s: 0}]"
-    code, _, metrics = flown(tmp_path, fault)
+    code, _, metrics = run_dive(tmp_path, fault)
     assert (code, metrics["outcome"], errors(metrics)) == (0, "completed", [])
     stalls = [e for e in metrics["events"] if e["text"].startswith("stalled")]
     assert {(e["level"], e["source"]) for e in stalls} == {("warning", "uav1")}
@@ -163,7 +163,7 @@ def test_stall_angle_is_that_of_largest_lift():
 
 
 def test_table_counts_stalls_of_an_aircraft(tmp_path):
-    _, output, metrics = flown(tmp_path, "scenario.duration_s=24")
+    _, output, metrics = run_dive(tmp_path, "scenario.duration_s=24")
     times = [e["time_s"] for e in metrics["events"] if e["text"].startswith("stalled")]
     assert len(times) > 2
     assert f"limit exceeded      uav1 stalled at {times[0]:.1f} s, {len(times)} times" in output

@@ -15,8 +15,8 @@ from rich.console import Console
 from testbed.core.errors import InputError
 from testbed.scenario import find_aircraft, load_scenario
 from testbed.studies import golden
+from testbed.studies.golden_ci import to_junit
 from testbed.studies.golden_compare import Flight, compare
-from testbed.studies.golden_junit import to_junit
 from testbed.studies.golden_report import print_check, print_updates, violation_line
 from testbed.studies.golden_table import (
     BAND,
@@ -240,8 +240,8 @@ def test_compare_changed_file_is_listed(exact):
     def changes(table, edit):
         values = copy.deepcopy(inputs["values"])
         edit(values[gains])
-        given = {**inputs, "files": changed, "values": values}
-        return set(compare("short", table, [flight], **given).changes)
+        changed_inputs = {**inputs, "files": changed, "values": values}
+        return set(compare("short", table, [flight], **changed_inputs).changes)
 
     def lower(profiles):
         profiles["tuned"]["course"]["p"] = 3.5
@@ -294,8 +294,8 @@ def test_print_check_suggests_possible_updates(exact):
 def test_update_invalid_flight_writes_no_table(exact, tmp_path, monkeypatch, edit):
     samples.write(tmp_path, "exact")
     monkeypatch.chdir(tmp_path)
-    flown = [samples.edited(exact[0], unchanged), samples.edited(exact[0], edit, seed=2)]
-    monkeypatch.setattr(golden, "fly_all", lambda wanted, **_: flown if wanted else [])
+    results = [samples.edited(exact[0], unchanged), samples.edited(exact[0], edit, seed=2)]
+    monkeypatch.setattr(golden, "fly_all", lambda wanted, **_: results if wanted else [])
     cases = golden.find_cases(["exact.yaml"], folder=None, new=True)
     options = {"seeds": None, "jobs": 1, "progress": lambda done, total: None}
     (update,) = golden.update_tables(cases, reason="because", **options)
@@ -349,11 +349,11 @@ def test_compare_new_seeds_are_held_to_the_band(noisy):
 
             return edit
 
-        flown = [
+        results = [
             samples.edited(flights[1], edit_to(number), seed=100 + k)
             for k, number in enumerate(numbers)
         ]
-        return compare("short", table, flown, **inputs)
+        return compare("short", table, results, **inputs)
 
     assert verdict([statistics.fmean(values)]).passed
     (violation,) = verdict([1.01 * high]).violations

@@ -11,7 +11,6 @@ import pytest
 
 import testbed
 from testbed.core import records
-from testbed.core.records import VehicleState
 
 REFERENCE = Path(__file__).parents[2] / "docs" / "reference" / "python.md"
 ARRAYS = re.compile(r"Array|Indices|NDArray")
@@ -75,12 +74,6 @@ def test_help_describes_each_field(name):
         assert line, f"{name}.{each} is not described"
         if ARRAYS.search(str(types[each])) and "Mapping" not in str(types[each]):
             assert re.search(r"\([nNkK0-9]", line[1]), f"{name}.{each} has no shape"
-
-
-def test_help_of_a_field_is_its_comment():
-    assert VehicleState.__doc__.endswith("m/s, what a pitot tube measures")
-    assert VehicleState.airspeed.__doc__ == "(N,) true airspeed, m/s"
-    assert "airspeed: (N,)" in pydoc.plain(pydoc.render_doc(VehicleState))
 
 
 @pytest.mark.parametrize("kind", [testbed.Simulation, testbed.Aircraft, testbed.FlightData])

@@ -1,4 +1,4 @@
-"""What numbers do not depend on: who looks, where and beside what it is flown. All to the bit."""
+"""Numbers do not depend on observers, folder, locale, load or processes, to the bit."""
 
 import os
 import socket
@@ -42,24 +42,24 @@ class Keeper:
         """Nothing was seen."""
         self.frames = []
 
-    def observe(self, frame):
+    def observe(self, sample):
         """Keep it."""
-        self.frames.append(frame)
+        self.frames.append(sample)
 
     def end(self, summary, events):
         """Nothing."""
 
 
-def fly(page, **how):
+def fly(scenario, **how):
     keeper = Keeper()
-    testbed.run(page, observers=[keeper], **({"write": False} | how))
+    testbed.run(scenario, observers=[keeper], **({"write": False} | how))
     return keeper.frames
 
 
-def assert_same(ours, theirs, aircraft=None):
+def assert_same(own, others, aircraft=None):
     """To the bit; of so many aircraft, or of all."""
-    assert len(ours) == len(theirs) > 50
-    for one, other in zip(ours, theirs, strict=True):
+    assert len(own) == len(others) > 50
+    for one, other in zip(own, others, strict=True):
         for name in SEEN if aircraft is None else SEEN[:3]:
             for field, array in zip(getattr(one, name)._fields, getattr(one, name), strict=True):
                 their = getattr(getattr(other, name), field)
@@ -71,43 +71,43 @@ def assert_same(ours, theirs, aircraft=None):
 
 
 @pytest.fixture(scope="module")
-def page():
+def scenario():
     return load_scenario("simulation-3", BUSY)
 
 
 @pytest.fixture(scope="module")
-def alone(page):
-    """Frames of a flight that nobody else looks at."""
-    return fly(page)
+def alone(scenario):
+    """Samples of a flight without other observers."""
+    return fly(scenario)
 
 
-def test_logging(page, alone, tmp_path):
-    assert_same(alone, fly(page, write=True, out=tmp_path / "run"))
+def test_logging(scenario, alone, tmp_path):
+    assert_same(alone, fly(scenario, write=True, out=tmp_path / "run"))
 
 
-def test_telemetry(page, alone):
+def test_telemetry(scenario, alone):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground:
         ground.bind(("127.0.0.1", 0))
         ground.settimeout(PATIENCE_S)
         address = parse_address(f"udpout:127.0.0.1:{ground.getsockname()[1]}")
-        assert_same(alone, fly(page, external=replace(NO_EXTERNAL, mavlink=(address,))))
-        assert ground.recv(300)[0] == 0xFD  # something was told
+        assert_same(alone, fly(scenario, external=replace(NO_EXTERNAL, mavlink=(address,))))
+        assert ground.recv(300)[0] == 0xFD  # a message was sent
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux")
-def test_processes(page, alone):
-    assert_same(alone, fly(page, processes=2))
+def test_processes(scenario, alone):
+    assert_same(alone, fly(scenario, processes=2))
 
 
 def backwards(value):
-    """The same page, its keys in the opposite order; lists stay as they are."""
+    """The same scenario, its keys in the opposite order; lists stay as they are."""
     if isinstance(value, dict):
         return {key: backwards(value[key]) for key in reversed(value)}
     return [backwards(each) for each in value] if isinstance(value, list) else value
 
 
-def test_the_order_of_keys(page, alone):
-    tree = yaml.safe_load(dump(page))
+def test_the_order_of_keys(scenario, alone):
+    tree = yaml.safe_load(dump(scenario))
     turned = yaml.safe_dump(backwards(tree), sort_keys=False)
     assert next(iter(yaml.safe_load(turned))) == list(tree)[-1]
     assert_same(alone, fly(loads(turned)))
@@ -116,23 +116,21 @@ def test_the_order_of_keys(page, alone):
 @pytest.mark.parametrize("turbulence", ["dryden", "von-karman", "coherent"])
 def test_silent_aircraft_without_wake_changes_nothing(turbulence):
     changes = [*BUSY, f"air.turbulence={{model: {turbulence}, intensity: moderate}}"]
-    page = load_scenario("simulation-3", changes)
-    tree = yaml.safe_load(dump(page))
+    scenario = load_scenario("simulation-3", changes)
+    tree = yaml.safe_load(dump(scenario))
     tree["fleet"].append(tree["fleet"][-1] | {"name": "shadow", "start_m": [-90, 40, 5]})
     tree["formation"]["offsets_m"]["shadow"] = [-60, 30, 5]
     tree["formation"]["leader_gains"]["shadow"] = 1
     tree["network"]["transmitter_off_s"] = {"shadow": [[0, 10]]}
-    assert_same(fly(page), fly(loads(yaml.safe_dump(tree))), aircraft=4)
+    assert_same(fly(scenario), fly(loads(yaml.safe_dump(tree))), aircraft=4)
 
 
 PLACES = {
     "here": {},
-    "another locale and other hashes": {
+    "elsewhere": {
         "LC_ALL": "C",
         "LANG": "de_DE.UTF-8",
         "PYTHONHASHSEED": "7",
-    },
-    "another zone without a home": {
         "TZ": "Asia/Kathmandu",
         "COLUMNS": "40",
         "HOME": "/nonexistent",
@@ -142,7 +140,7 @@ PLACES = {
 
 
 def test_directory_locale_hashes_and_other_runs_beside(tmp_path):
-    """All at once, so that each has others beside it; their logs say the same.
+    """All at once, so that each runs beside others; their logs are the same.
 
     A slow run cuts its log into shorter chunks, so that not all bytes are the same: all messages
     are, their times, and what is attached.
@@ -164,8 +162,8 @@ def test_directory_locale_hashes_and_other_runs_beside(tmp_path):
     logs = {}
     try:
         for place, process in running.items():
-            _, said = process.communicate(timeout=PATIENCE_S)
-            assert process.returncode == 0, f"{place}: {said}"
+            _, output = process.communicate(timeout=PATIENCE_S)
+            assert process.returncode == 0, f"{place}: {output}"
             logs[place] = read(tmp_path / place / "run" / "run.mcap")
             assert os.listdir(tmp_path / place) == ["run"]
     finally:

@@ -95,7 +95,7 @@ def test_growing_file_is_read_to_the_limit(tmp_path, monkeypatch):
         read_bounded(path, 50)
 
 
-def test_what_is_no_file_says_what_it_is(tmp_path):
+def test_error_names_the_kind_of_a_non_file(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(ReadError, match="pipe: cannot be read: it is a pipe, not a regular file"):
         read_bounded(tmp_path / "pipe")
@@ -103,8 +103,8 @@ def test_what_is_no_file_says_what_it_is(tmp_path):
         read_bounded(tmp_path)
     with pytest.raises(ReadError, match="zero: cannot be read: it is a device"):
         read_bounded("/dev/zero")
-    with pytest.raises(ReadError, match="gone: cannot be read: No such file or directory"):
-        read_bounded(tmp_path / "gone")
+    with pytest.raises(ReadError, match="missing: cannot be read: No such file or directory"):
+        read_bounded(tmp_path / "missing")
     with pytest.raises(ReadError, match="cannot be read: embedded null"):
         read_bounded(tmp_path / "a\0b")
 

@@ -19,8 +19,8 @@ TABLE = """\
 
 
 def test_command_writes_figures_1_and_2(tmp_path):
-    given = ("law", "--figures", "drawn", "--format", "svg")
-    done = call_command(*given, cwd=tmp_path, code=0, columns=100)
+    arguments = ("law", "--figures", "drawn", "--format", "svg")
+    done = call_command(*arguments, cwd=tmp_path, code=0, columns=100)
     lines = [line.rstrip() for line in done.stdout.splitlines()]
     assert lines[:-1] == TABLE.splitlines() and "2 in drawn" in lines[-1]
     drawn = {path.name for path in (tmp_path / "drawn").iterdir()}

@@ -33,8 +33,8 @@ class Program:
     def begin(self, info):
         pass
 
-    def observe(self, frame):
-        self.samples_s.append(frame.time_s)
+    def observe(self, sample):
+        self.samples_s.append(sample.time_s)
 
     def end(self, summary, events):
         pass

@@ -27,13 +27,13 @@ class Targets:
     def begin(self, info):
         pass
 
-    def observe(self, frame):
-        places = frame.estimate.position_ned.tolist()
+    def observe(self, sample):
+        places = sample.estimate.position_ned.tolist()
         pairs = [
             (c.target, place)
             for c, place in zip(self.world.external_control.vehicles, places, strict=True)
         ]
-        self.samples.append((frame.time_s, pairs))
+        self.samples.append((sample.time_s, pairs))
 
     def end(self, summary, events):
         pass

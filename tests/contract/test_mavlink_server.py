@@ -640,8 +640,8 @@ def broken(count, **what):
 
 def test_lost_gps_fix_is_reported(open_server, ground):
     server = open_server(out(ground), count=2)
-    failing = broken(2, gps_lost=np.array([False, True]))
-    server.observe(sample(0, count=2)._replace(failing=failing))
+    faults = broken(2, gps_lost=np.array([False, True]))
+    server.observe(sample(0, count=2)._replace(faults=faults))
     received = ground.receive()
     fixes = {m.system: m.fields["fix_type"] for m in received if m.name == "GPS_RAW_INT"}
     assert fixes == {1: 3, 2: 1}
@@ -657,8 +657,8 @@ def test_lost_gps_fix_is_reported(open_server, ground):
 def test_frozen_autopilot_sends_and_receives_nothing(open_server, ground):
     controls = [RecordingControl("one"), RecordingControl("two")]
     server = open_server(out(ground), controls=controls)
-    failing = broken(2, frozen=np.array([False, True]))
-    server.observe(sample(0, count=2)._replace(failing=failing))
+    faults = broken(2, frozen=np.array([False, True]))
+    server.observe(sample(0, count=2)._replace(faults=faults))
     assert {m.system for m in ground.receive()} == {1}
     for system in (1, 2):
         asked = {**ARM, "target_system": system, "param1": 0.0, "param2": 21196.0}
@@ -672,9 +672,9 @@ def test_frozen_autopilot_sends_and_receives_nothing(open_server, ground):
 def test_frozen_autopilot_sends_events_when_it_resumes(open_server, ground):
     controls = [RecordingControl("one"), RecordingControl("two", lockstep=True)]
     server = open_server(out(ground), controls=controls)
-    failing = broken(2, frozen=np.array([False, True]))
+    faults = broken(2, frozen=np.array([False, True]))
     events = [Event(0.0, "warning", name, f"of {name}") for name in ("run", "leader", "uav1")]
-    server.observe(sample(0, count=2, events=events)._replace(failing=failing))
+    server.observe(sample(0, count=2, events=events)._replace(faults=faults))
     server.repeat(0.0)
     received = ground.receive()
     assert {m.system for m in received} == {1}

@@ -148,7 +148,7 @@ def test_write_json_gives_the_mode_of_other_files(tmp_path):
 
 @pytest.mark.parametrize("width", WIDTHS)
 def test_follower_tables_have_unique_columns(width):
-    """Each number has a heading of its own, which says of what it is."""
+    """Each number has a heading of its own, which names it."""
     lines = printed(document(), width).splitlines()
     for first, last in ("limiter", "follower"), ("command", "saturated"):
         [k] = [k for k, line in enumerate(lines[:-1]) if first in line and last in lines[k + 1]]

@@ -31,9 +31,8 @@ from testbed.core.files import (
 )
 from testbed.logs.arrow_io import read_columns, write_columns
 from testbed.metrics.document import write_json
-from testbed.studies.golden_junit import write_junit
-from testbed.studies.journal import Journal
-from testbed.studies.rows import Row
+from testbed.studies.golden_ci import write_junit
+from testbed.studies.journal import Journal, Row
 from testbed.studies.table import find_output
 from testbed.views import RrdFile, replay
 
@@ -302,9 +301,9 @@ def test_parquet_bit_flip_in_pages_is_detected(tmp_path):
         write_columns(file, fields, [columns], {"key": "text"})
     data, (whole, _) = path.read_bytes(), read_columns(path)
     footer = len(data) - 8 - int.from_bytes(data[-8:-4], "little")
-    dice, detected = random.Random(1), 0
+    random_words, detected = random.Random(1), 0
     for _ in range(300):
-        position, bit = dice.randrange(4, footer), dice.randrange(8)
+        position, bit = random_words.randrange(4, footer), random_words.randrange(8)
         flipped = bytearray(data)
         flipped[position] ^= 1 << bit
         path.write_bytes(flipped)

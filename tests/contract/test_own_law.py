@@ -13,16 +13,15 @@ import pytest
 import testbed
 from testbed.core.errors import InputError
 from testbed.core.records import Inbox, VehicleState
-from testbed.formation.barrier import Barrier, barrier_curve
+from testbed.formation.barrier import Barrier, barrier_curve, logged_barriers, logged_curve
 from testbed.formation.control_step import Hbh23Law
-from testbed.formation.logged_barrier import logged_barriers, logged_curve
 from testbed.logs.read import read_log
 from testbed.reports import figures, read_run, run_page
 from testbed.reports.html import render_page
 from testbed.scenario import find_aircraft, list_scenarios, load_scenario, set_duration
 from testbed.sim.build import build, build_clock
 from testbed.sim.build_control import build_control
-from testbed.sim.law_contract import check_law
+from testbed.sim.user_code import check_law
 from testbed.studies.compare_runs import compare_runs
 
 GOOD = """
@@ -156,7 +155,7 @@ def test_law_of_an_installed_package(tmp_path, monkeypatch):
     install_editable(tmp_path)
     world = build(load_scenario("simulation-3", ["controller.law=a_package_of_laws:Straight"]))
     assert type(world.control.groups[0].law).__name__ == "Straight"
-    assert not world.builtin_law
+    assert not world.built_control.builtin
     del sys.modules["a_package_of_laws"]
 
 

@@ -5,9 +5,8 @@ from types import SimpleNamespace
 import pytest
 
 from testbed.core.errors import InputError
-from testbed.sim.pacing import RealTimePacer
 from testbed.sim.schedule import TickActions
-from testbed.sim.tick_gate import TickGate
+from testbed.sim.tick_gate import RealTimePacer, TickGate
 
 
 class Clock:

@@ -1,4 +1,4 @@
-"""What is said before a flight: aircraft in one place, wind, windows, limits, published numbers."""
+"""Warnings before a flight: aircraft in one place, wind, windows, limits, published numbers."""
 
 import json
 from pathlib import Path
@@ -74,7 +74,7 @@ def warnings(name, *changes):
     return [(e.source, e.text) for e in build(load_scenario(name, changes)).initial_events]
 
 
-def test_starts_and_slots_below_a_wingspan_have_warnings():
+def test_starts_below_a_wingspan_have_warnings():
     assert warnings("simulation-3-30deg", *CLOSE) == [
         (
             "run",
@@ -110,7 +110,7 @@ def test_many_close_starts_have_one_warning():
     assert "start" in start[1]
 
 
-def flown(tmp_path, *changes):
+def run_command(tmp_path, *changes):
     """Exit code, output and metrics of five seconds of Simulation 3."""
     words = [
         "run",
@@ -129,16 +129,16 @@ def flown(tmp_path, *changes):
 
 
 def test_lost_separation_is_red_and_exit_code_1(tmp_path):
-    code, text, metrics = flown(tmp_path / "a", *CLOSE)
+    code, text, metrics = run_command(tmp_path / "a", *CLOSE)
     assert (code, metrics["outcome"], metrics["simulated_s"]) == (1, "separation_lost", 5.0)
     assert "simulation-3 · separation lost ·" in text
     assert "limit exceeded uav1 and uav2 loss of separation at 0.0 s" in " ".join(text.split())
     errors = [e for e in metrics["events"] if e["level"] == "error"]
     assert [(e["time_s"], e["source"]) for e in errors] == [(0.0, "uav1")]
     assert errors[0]["text"] == "loss of separation: 1.2 m from uav2 (limit 2.8 m, a wingspan)"
-    code, _, metrics = flown(tmp_path / "b", *CLOSE, "limits.min_separation_m=0.5")
+    code, _, metrics = run_command(tmp_path / "b", *CLOSE, "limits.min_separation_m=0.5")
     assert (code, metrics["outcome"]) == (0, "completed")
-    code, _, metrics = flown(tmp_path / "c", *CLOSE, "limits.on_limit_exceeded=stop")
+    code, _, metrics = run_command(tmp_path / "c", *CLOSE, "limits.on_limit_exceeded=stop")
     assert (code, metrics["simulated_s"]) == (1, 0.0)
 
 
@@ -223,24 +223,24 @@ vary: {air.wind.speed_mps: [0, 6, 8]}
 def swept(tmp_path, monkeypatch, text):
     path = tmp_path / "study.yaml"
     path.write_text(text)
-    workers, said = small_study.InThisProcess(), []
+    workers, output = small_study.InThisProcess(), []
     monkeypatch.setattr("testbed.studies.flight_pool._open_workers", lambda *_: workers)
-    result = sweep(path, tmp_path / "out.parquet", report=said.append)
-    assert any(" 1 seed; " in line for line in said)
-    return result, [line for line in said if line.startswith("warning")]
+    result = sweep(path, tmp_path / "out.parquet", report=output.append)
+    assert any(" 1 seed; " in line for line in output)
+    return result, [line for line in output if line.startswith("warning")]
 
 
 def test_study_reports_each_kind_of_warning_once(tmp_path, monkeypatch):
-    _, said = swept(tmp_path, monkeypatch, STUDY)
-    assert said[0].startswith("warning: the run ends at 1 s, before these windows begin")
-    assert [line.partition(" m/s over")[0] for line in said[1:]] == [
+    _, output = swept(tmp_path, monkeypatch, STUDY)
+    assert output[0].startswith("warning: the run ends at 1 s, before these windows begin")
+    assert [line.partition(" m/s over")[0] for line in output[1:]] == [
         "warning: run 1: uav1: the slot may move at 13.29 to 31.22",
         "warning: run 1: run: uav2, uav3: the slot may move at 13.26 to 31.23",
     ]
     metrics = STUDY.replace("seeds: [1]", "seeds: [1]\n  metrics: [min_separation_m]")
     (tmp_path / "b").mkdir()
-    _, said = swept(tmp_path / "b", monkeypatch, metrics.replace("[0, 6, 8]", "[0]"))
-    assert said == []
+    _, output = swept(tmp_path / "b", monkeypatch, metrics.replace("[0, 6, 8]", "[0]"))
+    assert output == []
 
 
 # published numbers
@@ -302,7 +302,7 @@ def test_limits_that_undercut_each_other_have_warnings(tmp_path):
     assert not [text for _, text in warnings("simulation-3", *both) if "ROLL_LIMIT_DEG" in text]
 
 
-def test_limit_of_a_tune_that_is_never_reached_has_a_warning(tmp_path):
+def test_tune_limit_out_of_reach_has_a_warning(tmp_path):
     tune = (find_aircraft("rascal110") / "autopilot.param").read_text()
     wide = tmp_path / "wide.param"
     wide.write_text(tune.replace("ROLL_LIMIT_DEG 50", "ROLL_LIMIT_DEG 60").replace("-20", "-30"))
@@ -336,7 +336,7 @@ def test_latency_that_is_rounded_has_a_warning():
 
 def test_fault_without_effect_explains_nothing(tmp_path):
     fault = "fleet.uav1.faults=[{kind: gps-lost, at_s: 0}]"
-    code, _, metrics = flown(tmp_path / "a", *CLOSE, fault)
+    code, _, metrics = run_command(tmp_path / "a", *CLOSE, fault)
     assert (code, metrics["outcome"]) == (1, "separation_lost")
-    code, _, metrics = flown(tmp_path / "b", *CLOSE, fault, "fleet.uav1.sensors=pixhawk")
+    code, _, metrics = run_command(tmp_path / "b", *CLOSE, fault, "fleet.uav1.sensors=pixhawk")
     assert (code, metrics["outcome"]) == (0, "completed")

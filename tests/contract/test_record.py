@@ -19,10 +19,10 @@ import numpy as np
 import pytest
 import zstandard
 from commands import environment
-from given_time import last_s
 from mcap import records
 from mcap.stream_reader import StreamReader
 from patience import PATIENCE_S, until
+from process_time import last_s
 from record_flight import RECORDS, assert_same_sample, decoded, event, record, run_info, run_samples
 
 import testbed
@@ -382,11 +382,11 @@ def test_slow_run_writes_same_messages_in_more_chunks(tmp_path, monkeypatch):
 WRITER = """
 import sys, time
 from pathlib import Path
-from given_time import GivenTime
+from process_time import ProcessTime
 from record_flight import run_samples, run_info
 from testbed.logs.recorder import McapRecorder
 
-given = GivenTime(sys.argv[3]).__enter__()
+running = ProcessTime(sys.argv[3]).__enter__()
 log = McapRecorder(Path(sys.argv[1]))
 log.begin(run_info())
 pause = float(sys.argv[2])
@@ -395,7 +395,7 @@ k = 0
 while True:
     sample = seen[k % 50]._replace(tick=8 * k, time_s=k / 25)
     log.observe(sample)
-    sys.stdout.write(f"{k} {given.now_s}\\n")
+    sys.stdout.write(f"{k} {running.now_s}\\n")
     sys.stdout.flush()
     k += 1
     if pause:
@@ -409,7 +409,7 @@ def at_s(line):
 
 @pytest.mark.parametrize(("pause_s", "seed"), KILLED)
 def test_killed_run_loses_less_than_half_a_second(tmp_path, pause_s, seed):
-    """Measured in the time that the machine gives the process; see `GivenTime`."""
+    """Measured in the time that the machine gives the process; see `ProcessTime`."""
     path, clock = tmp_path / "run.mcap", tmp_path / "clock"
     with subprocess.Popen(
         [sys.executable, "-c", WRITER, str(path), str(pause_s), str(clock)],
@@ -545,7 +545,7 @@ def test_samples_written_within_half_a_second(tmp_path, monkeypatch, last_s):
         log.observe(sample)
     clock.now = 0.0  # the thread has waited since the beginning
     log._flush_loop()
-    until(lambda: samples_in(tmp_path / "run.mcap") == 10)  # as soon as it is compressed
+    assert samples_in(tmp_path / "run.mcap") == 10
     log.end({}, ())
 
 
@@ -672,7 +672,7 @@ def test_chunk_too_large_for_memory_raises(tmp_path, where):
         struct.pack_into("<Q", data, at + head.size + 16, 1 << 40)
     else:
         packed = at + head.size + 8 + 8 + 8 + 4 + 4 + 4 + 8
-        # zstd: magic, a descriptor that says 8 bytes of content size and no window follow
+        # zstd: magic, a descriptor of 8 bytes of content size and no window follow
         data[packed + 4] = 0b11100000
         struct.pack_into("<Q", data, packed + 5, 1 << 40)
     path.write_bytes(data)

@@ -37,8 +37,10 @@ CHANGES = [
 def whole(tmp_path_factory):
     """The directory of a completed run."""
     out = tmp_path_factory.mktemp("whole") / "run"
-    page = load_scenario("simulation-3", [*CHANGES, "network.transmitter_off_s={leader: [[6, 9]]}"])
-    testbed.run(page, out=out)
+    scenario = load_scenario(
+        "simulation-3", [*CHANGES, "network.transmitter_off_s={leader: [[6, 9]]}"]
+    )
+    testbed.run(scenario, out=out)
     return out
 
 

@@ -29,8 +29,7 @@ from testbed.logs.read import read_log
 from testbed.logs.recorder import McapRecorder
 from testbed.metrics import MetricsObserver
 from testbed.metrics.document import finalise
-from testbed.network.link_statistics import initial_statistics
-from testbed.network.report import summarise
+from testbed.network.link_statistics import initial_statistics, summarise
 from testbed.reports import figures, read_run, run_figures, run_page, save_figures, write_page
 from testbed.reports.axes import AXIS_IN, LETTER_IN, NAME_LINES, stack_names
 from testbed.reports.decimate import BUCKETS, decimate, percentiles
@@ -284,7 +283,7 @@ def test_killed_run_has_computed_metrics(flown, tmp_path, only):
     assert "The run was killed" in render_page(run_page(run))
     assert run.metrics["simulated_s"] == run.log.time_s[-1]
     # incomplete windows are not compared with published numbers
-    ends = run.log.time_s[-1] + 1.5 / run.log.info.frame_rate_hz  # one sample later
+    ends = run.log.time_s[-1] + 1.5 / run.log.info.sample_rate_hz  # one sample later
     flown_to_the_end = [end <= ends for _, end in run.log.info.windows.values()]
     assert not all(flown_to_the_end)
     text = render_page(run_page(run))

@@ -82,7 +82,7 @@ def test_actions_span_limits_around_the_trim():
         assert env.simulation.commands["uav1"] == pytest.approx(expected)
 
 
-def test_observation_resolves_the_slot_along_the_course():
+def test_observation_has_slot_in_course_axes():
     env = make(randomize={}, overrides=["leader.start.course_deg=90", "fleet.0.start_m=[-15,0,1]"])
     observation, info = env.reset(seed=1)
     values = dict(zip((each.name for each in OWN), observation, strict=True))

@@ -20,14 +20,14 @@ from run_flight import (
     Collector,
     arrays,
     fingerprint,
-    flown,
-    flown_with_recorder,
+    fly_samples,
+    fly_with_recorder,
     recorder,
     short,
 )
 
 import testbed
-from testbed.formation.flags import LimiterFlag
+from testbed.formation.law import LimiterFlag
 from testbed.logs import mcap_file
 from testbed.logs.read import read_log, samples
 from testbed.scenario import load_scenario
@@ -44,9 +44,9 @@ ROOT = HERE.parents[1]
 
 @pytest.mark.parametrize("noise", [(), NOISY], ids=["exact", "noisy"])
 def test_run_is_repeated_to_the_bit(noise):
-    ours = fingerprint(flown(*noise, seconds=10.0))
-    assert fingerprint(flown(*noise, seconds=10.0)) == ours
-    code = f"from run_flight import *; print(fingerprint(flown(*{noise!r}, seconds=10.0)))"
+    expected_bits = fingerprint(fly_samples(*noise, seconds=10.0))
+    assert fingerprint(fly_samples(*noise, seconds=10.0)) == expected_bits
+    code = f"from run_flight import *; print(fingerprint(fly_samples(*{noise!r}, seconds=10.0)))"
     path = os.pathsep.join([str(HERE), str(ROOT)])
     fresh = subprocess.run(
         [sys.executable, "-c", code],
@@ -55,34 +55,38 @@ def test_run_is_repeated_to_the_bit(noise):
         text=True,
         check=True,
     )
-    assert fresh.stdout.strip() == ours
+    assert fresh.stdout.strip() == expected_bits
 
 
 def test_seed_changes_only_sensor_errors():
-    one, two = flown(*NOISY, seconds=2), flown(*NOISY, "scenario.seed=2", seconds=2)
+    one, two = fly_samples(*NOISY, seconds=2), fly_samples(*NOISY, "scenario.seed=2", seconds=2)
     assert (one[0].estimate.position_ned != two[0].estimate.position_ned).all()
     assert np.array_equal(one[0].truth.position_ned, two[0].truth.position_ned)
     assert (one[-1].truth.position_ned != two[-1].truth.position_ned).all()
-    exact = [fingerprint(flown(f"scenario.seed={seed}", seconds=2)) for seed in (1, 2)]
+    exact = [fingerprint(fly_samples(f"scenario.seed={seed}", seconds=2)) for seed in (1, 2)]
     assert exact[0] == exact[1]
 
 
 def test_observers_and_log_change_no_flight(tmp_path):
-    page = short(seconds=3)
+    scenario = short(seconds=3)
     seen = Collector()
-    testbed.run(page, out=tmp_path / "a", observers=[seen, Collector()])
-    logged = page.model_copy(update={"log": page.log.model_copy(update={"mcap": True})})
+    testbed.run(scenario, out=tmp_path / "a", observers=[seen, Collector()])
+    logged = scenario.model_copy(update={"log": scenario.log.model_copy(update={"mcap": True})})
     again = Collector()
     testbed.run(logged, out=tmp_path / "b", observers=[again])
-    assert fingerprint(seen.frames) == fingerprint(again.frames) == fingerprint(flown(seconds=3))
+    assert (
+        fingerprint(seen.frames) == fingerprint(again.frames) == fingerprint(fly_samples(seconds=3))
+    )
 
 
 @pytest.mark.parametrize("log_hz", [10, 200])
 def test_log_rate_changes_no_flight(log_hz):
     """Also of unsynchronised aircraft, with sensor errors and packet loss."""
     knobs = (*NOISY, "rates.synchronous=false", "network.loss=0.3")
-    usual = {frame.tick: frame for frame in flown(*knobs, seconds=3)}
-    other = {frame.tick: frame for frame in flown(*knobs, f"rates.log_hz={log_hz}", seconds=3)}
+    usual = {frame.tick: frame for frame in fly_samples(*knobs, seconds=3)}
+    other = {
+        frame.tick: frame for frame in fly_samples(*knobs, f"rates.log_hz={log_hz}", seconds=3)
+    }
     shared = sorted(usual.keys() & other.keys())
     assert len(shared) >= 16
     for tick in shared:
@@ -92,7 +96,7 @@ def test_log_rate_changes_no_flight(log_hz):
 
 
 def test_samples_come_at_the_log_rate_and_are_finite():
-    seen = flown("rates.log_hz=10", seconds=2)
+    seen = fly_samples("rates.log_hz=10", seconds=2)
     assert [frame.tick for frame in seen] == list(range(0, 401, 20))
     assert [frame.time_s for frame in seen] == [tick / 200 for tick in range(0, 401, 20)]
     for frame in seen:
@@ -100,7 +104,7 @@ def test_samples_come_at_the_log_rate_and_are_finite():
             if name.removeprefix("air.") in ("state_of_charge", "battery_voltage"):
                 assert np.isnan(array).all(), "a Rascal has no battery"
             elif name == "formation.age_s":
-                # everyone uses the leader's messages, and of the others those it has a gain for
+                # all followers use the leader's messages, and of the others those it has a gain for
                 used = [[1, 0, 0, 0], [1, 1, 0, 0], [1, 0, 1, 0]]
                 assert np.array_equal(np.isfinite(array), np.array(used, dtype=bool))
             else:
@@ -114,13 +118,13 @@ def test_samples_come_at_the_log_rate_and_are_finite():
 def test_law_receives_own_estimate_and_messages(late, tmp_path):
     """UAV 1 has sensor errors: it and the others use its estimate of `late` periods ago."""
     changes = "fleet.0.sensors=gps-ins", f"network.delay_s={late * 0.04}"
-    frames, received = flown_with_recorder(short(recorder(tmp_path), *changes, seconds=3))
+    frames, received = fly_with_recorder(short(recorder(tmp_path), *changes, seconds=3))
     assert len(received) == len(frames) == 76
     for k, (now, own, inbox) in enumerate(received):
-        believed, truth = frames[k].estimate, frames[k].truth
+        estimated, truth = frames[k].estimate, frames[k].truth
         assert now == frames[k].time_s
         for name in type(own)._fields:
-            assert np.array_equal(getattr(own, name), getattr(believed, name)[1:]), name
+            assert np.array_equal(getattr(own, name), getattr(estimated, name)[1:]), name
         assert (own.position_ned[0] != truth.position_ned[1]).all()
         assert np.array_equal(own.position_ned[1:], truth.position_ned[2:])
         others = ~np.eye(4, dtype=bool)[1:]  # a follower's own row is written without a radio
@@ -140,7 +144,7 @@ def test_law_receives_own_estimate_and_messages(late, tmp_path):
 
 def test_messages_come_at_the_broadcast_rate(tmp_path):
     changes = "rates.broadcast_hz=10", "rates.control_hz=50"
-    _, received = flown_with_recorder(short(recorder(tmp_path), *changes, seconds=2))
+    _, received = fly_with_recorder(short(recorder(tmp_path), *changes, seconds=2))
     ages = {round(float((now - inbox.stamp_s).max()), 6) for now, _, inbox in received}
     assert ages == {0.0, 0.02, 0.04, 0.06, 0.08}
 
@@ -148,18 +152,18 @@ def test_messages_come_at_the_broadcast_rate(tmp_path):
 def test_without_messages_followers_fly_level_at_trim():
     """All commands derive from the inbox."""
     late = "network.delay_s=60"
-    last = flown(late, seconds=20)[-1]
-    told = last.formation
-    assert (told.limiter_flags == LimiterFlag.LEADER_TIMEOUT).all()
-    assert told.course_desired == pytest.approx(np.full(3, np.pi / 2.0), abs=1e-9)
-    assert told.course == pytest.approx(told.course_desired, abs=0.01)
-    assert (told.flight_path_angle_desired == 0.0).all()
+    last = fly_samples(late, seconds=20)[-1]
+    commanded = last.formation
+    assert (commanded.limiter_flags == LimiterFlag.LEADER_TIMEOUT).all()
+    assert commanded.course_desired == pytest.approx(np.full(3, np.pi / 2.0), abs=1e-9)
+    assert commanded.course == pytest.approx(commanded.course_desired, abs=0.01)
+    assert (commanded.flight_path_angle_desired == 0.0).all()
     trim_airspeed = build(short(late)).config.trim_airspeed
-    assert told.airspeed_command == pytest.approx(trim_airspeed, rel=1e-12)
+    assert commanded.airspeed_command == pytest.approx(trim_airspeed, rel=1e-12)
     assert last.truth.airspeed[1:] == pytest.approx(trim_airspeed, abs=0.1)
     # a degree or two of bank, with which they steer the last third of a degree of course away
     assert last.truth.euler[1:, 0] == pytest.approx(np.zeros(3), abs=0.04)
-    assert np.isnan(told.age_s).all()
+    assert np.isnan(commanded.age_s).all()
 
 
 # from Python
@@ -179,9 +183,9 @@ def test_run_by_name_with_overrides_writes_nothing(tmp_path, monkeypatch):
 
 
 def test_run_directory_has_scenario_log_and_metrics(tmp_path):
-    page = short("log.mcap=true", seconds=2)
+    scenario = short("log.mcap=true", seconds=2)
     watcher = Collector()
-    result = testbed.run(page, out=tmp_path / "run", observers=[watcher])
+    result = testbed.run(scenario, out=tmp_path / "run", observers=[watcher])
     names = {path.name for path in result.directory.iterdir()}
     assert names == {"run.mcap", "scenario.resolved.yaml", "metrics.json"}
     assert result.exit_code == 0
@@ -210,7 +214,7 @@ class Stopper:
         if self._after == 0:
             signal.raise_signal(self._number)
 
-    def observe(self, frame):
+    def observe(self, sample):
         self._after -= 1
         if self._after == 0:
             self.sent = True
@@ -364,8 +368,8 @@ def test_log_without_metrics_counts_as_cut(tmp_path):
 class Broken(Collector):
     """Raises at its third sample."""
 
-    def observe(self, frame):
-        super().observe(frame)
+    def observe(self, sample):
+        super().observe(sample)
         if len(self.frames) == 3:
             raise RuntimeError("disk full")
 

@@ -50,12 +50,12 @@ def test_out_directory_not_empty_raises(tmp_path):
 
 def test_second_run_in_one_directory_raises(tmp_path):
     mine, other = (create_run_directory("s", out=tmp_path / "run") for _ in range(2))
-    write_run_file(mine, "page", b"mine")
+    write_run_file(mine, "notes", b"mine")
     with pytest.raises(LogError, match=r"run: another run has just begun in it; name a new"):
-        write_run_file(other, "page", b"its")
-    assert (tmp_path / "run" / "page").read_bytes() == b"mine"
-    with pytest.raises(LogError, match=r"gone/page: cannot be written: No such file"):
-        write_run_file(tmp_path / "gone", "page", b"")
+        write_run_file(other, "notes", b"its")
+    assert (tmp_path / "run" / "notes").read_bytes() == b"mine"
+    with pytest.raises(LogError, match=r"missing/notes: cannot be written: No such file"):
+        write_run_file(tmp_path / "missing", "notes", b"")
 
 
 def test_file_instead_of_folder_raises(tmp_path):

@@ -100,8 +100,8 @@ def test_only_run_directories_are_deleted(logs, tmp_path):
     done = call_command("prune", "--size", "0kB", "--yes", cwd=tmp_path, code=0, columns=120)
     assert f"kept: logs/near/{noted.name} has notes.txt" in done.stdout
     assert "5 runs" in done.stdout and "deleted; 1 left" in done.stdout
-    gone = before - files(logs)
-    assert len(gone) == 15 and not [each for each in gone if noted.name in each]
+    deleted = before - files(logs)
+    assert len(deleted) == 15 and not [each for each in deleted if noted.name in each]
     assert (outside / LOG_NAME).is_file()
     assert sorted(os.listdir(logs)) == ["linked", "near", "notes", "studies"]
 

@@ -70,7 +70,7 @@ def test_estimator_defaults_are_those_of_ekf3():
     assert settings.gps_position_noise_m == 0.5
     assert settings.gps_velocity_noise_mps == (0.5, 0.7)
     assert (settings.barometer_noise_m, settings.airspeed_noise_mps) == (3.0, 1.4)
-    # 0.5 rad, to the digits of the page
+    # 0.5 rad, to the digits of the scenario
     assert settings.heading_noise_deg == pytest.approx(0.5 * 180.0 / 3.14159265, abs=0.06)
     assert (settings.gyro_noise_radps, settings.accelerometer_noise_mps2) == (0.015, 0.35)
     assert (settings.gate_sigma, settings.airspeed_gate_sigma) == (5.0, 4.0)

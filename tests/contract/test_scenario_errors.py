@@ -14,7 +14,7 @@ from snapshot import check_snapshot
 from testbed.core.errors import InputError
 from testbed.guidance.flight_plan import Mission, WaypointLeg, expand_laps
 from testbed.scenario import ScenarioError, library, load_scenario, loads
-from testbed.scenario.violations import MAX_LINE
+from testbed.scenario.problems import MAX_LINE
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "tests" / "data" / "scenarios"

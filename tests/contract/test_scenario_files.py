@@ -59,17 +59,17 @@ def test_extends_merges_maps_and_replaces_the_rest(tmp_path):
 
 
 def test_renamed_scenario_does_not_inherit_question(tmp_path):
-    said = ("question", "expectation", "published")
+    keys = ("question", "expectation", "published")
     base = load_scenario("simulation-3").scenario
     same = load_scenario(
         write(tmp_path, "same.yaml", "extends: simulation-3\nrates: {log_hz: 50}\n")
     )
     again = "extends: simulation-3\nscenario: {name: simulation-3}\n"
     for kept in (same, load_scenario(write(tmp_path, "again.yaml", again))):
-        assert [getattr(kept.scenario, key) for key in said] == [getattr(base, key) for key in said]
+        assert [getattr(kept.scenario, key) for key in keys] == [getattr(base, key) for key in keys]
     other = "extends: simulation-3\nscenario: {name: other, published: null}\n"
     header = load_scenario(write(tmp_path, "other.yaml", other)).scenario
-    assert [getattr(header, key) for key in said] == ["", "", None]
+    assert [getattr(header, key) for key in keys] == ["", "", None]
     assert header.windows == base.windows
     below = "extends: other.yaml\nscenario: {name: below, question: Why?, published: {source: x}}\n"
     header = load_scenario(write(tmp_path, "below.yaml", below)).scenario
@@ -79,15 +79,15 @@ def test_renamed_scenario_does_not_inherit_question(tmp_path):
 
 def test_inherited_window_beyond_the_end_is_an_error(tmp_path):
     short = "extends: simulation-3\nscenario:\n  name: short\n  duration_s: 600\n"
-    said = error_of(load_scenario, write(tmp_path, "short.yaml", short))
-    assert "short.yaml:4:15: scenario.windows.circles: ends at 1080 s, after the run" in said
-    assert "inherited from" in said and "write circles: null under windows" in said
+    keys = error_of(load_scenario, write(tmp_path, "short.yaml", short))
+    assert "short.yaml:4:15: scenario.windows.circles: ends at 1080 s, after the run" in keys
+    assert "inherited from" in keys and "write circles: null under windows" in keys
     named = short.replace("short", "simulation-3") + "  windows: {circles: null}\n"
-    said = error_of(load_scenario, write(tmp_path, "named.yaml", named))
-    assert "published.rms_m.circles: no window has this name" in said
-    assert "write published: null under scenario" in said
-    said = error_of(load_scenario, "simulation-3", ["scenario.duration_s=600"])
-    assert "write --set scenario.windows.circles=null" in said
+    keys = error_of(load_scenario, write(tmp_path, "named.yaml", named))
+    assert "published.rms_m.circles: no window has this name" in keys
+    assert "write published: null under scenario" in keys
+    keys = error_of(load_scenario, "simulation-3", ["scenario.duration_s=600"])
+    assert "write --set scenario.windows.circles=null" in keys
 
 
 def test_null_removes_a_key(tmp_path):

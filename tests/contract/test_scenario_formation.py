@@ -87,7 +87,7 @@ def test_controller_options_reach_the_law():
 
 
 def test_timeouts_reach_law_and_configuration():
-    for changes, silent, stale, hold in (
+    for changes, leader_timeout, neighbour_timeout, hold in (
         ([], 5.0, 5.0, False),
         (["controller.leader_timeout_s=4"], 4.0, 4.0, False),
         (["controller.neighbour_timeout_s=2.5"], 5.0, 2.5, False),
@@ -112,12 +112,15 @@ def test_timeouts_reach_law_and_configuration():
     ):
         control = control_of(load_scenario("simulation-3", changes))
         law, config, neighbours = control.controllers["law"], control.config, control.neighbours
-        assert (config.leader_timeout_s, config.neighbour_timeout_s) == (silent, stale)
-        assert law["leader_timeout_s"].tolist() == [silent] * 3
-        assert law["neighbour_timeout_s"].tolist() == [stale] * 3
+        assert (config.leader_timeout_s, config.neighbour_timeout_s) == (
+            leader_timeout,
+            neighbour_timeout,
+        )
+        assert law["leader_timeout_s"].tolist() == [leader_timeout] * 3
+        assert law["neighbour_timeout_s"].tolist() == [neighbour_timeout] * 3
         assert law["hold_stale_neighbours"].tolist() == [hold] * 3
         # the age of a message that is held is that of its content, however old
-        limits = [silent, *[np.inf if hold else stale] * 3]
+        limits = [leader_timeout, *[np.inf if hold else neighbour_timeout] * 3]
         assert neighbours["timeout_s"].tolist() == [limits] * 3
         assert np.isnan(neighbours["held_position"]).all()
         assert np.isnan(neighbours["held_time_s"]).all()
@@ -156,7 +159,7 @@ def test_one_estimator_change_keeps_the_others():
 
 def test_controller_options_reach_the_middle_loop():
     loop, authors = changed().controllers["loop"], load_middle_loop("rascal110", "authors")
-    course = authors.course.model_copy(update={"i": 0.2})  # the page's own
+    course = authors.course.model_copy(update={"i": 0.2})  # the scenario's own
     # every gain of a PID by one and a half, and no other
     for ours, section, parts in (
         ("gamma", authors.flight_path, "pid"),

@@ -17,7 +17,7 @@ from testbed.sim.build import build
 FOLDER = Path(__file__).parents[1] / "data" / "scenarios"
 PATTERN = FOLDER / "pattern.yaml"
 HEAD = """\
-scenario: {schema: 2, name: page, duration_s: 10}
+scenario: {schema: 2, name: pattern, duration_s: 10}
 leader:
   aircraft: rascal110
   path: {kind: virtual, speed_mps: 22, curve: {kind: straight}}
@@ -233,7 +233,7 @@ def test_slot_warning_names_the_worst(synchronous):
 def test_receive_neighbours_changes_no_flight():
     """The law hbh23 uses no other messages; equal to the bit."""
     changes = ["fleet.count=6", "scenario.duration_s=4", "scenario.windows=null", "log.mcap=false"]
-    flown = {}
+    results = {}
     for receive in ("all", "neighbours"):
         positions = Positions()
         run = testbed.run(
@@ -241,14 +241,14 @@ def test_receive_neighbours_changes_no_flight():
             write=False,
             observers=[positions],
         )
-        flown[receive] = positions.seen, run.metrics["network"]["links"]
-    for of_all, of_some in zip(flown["all"][0], flown["neighbours"][0], strict=True):
+        results[receive] = positions.seen, run.metrics["network"]["links"]
+    for of_all, of_some in zip(results["all"][0], results["neighbours"][0], strict=True):
         assert np.array_equal(of_all, of_some)
-    assert {name: len(by) for name, by in flown["all"][1].items()} == {
+    assert {name: len(by) for name, by in results["all"][1].items()} == {
         "leader": 6,
         **{f"uav{k}": 5 for k in range(1, 7)},
     }
-    assert sum(len(by) for by in flown["neighbours"][1].values()) == 6 + 6 * 2
+    assert sum(len(by) for by in results["neighbours"][1].values()) == 6 + 6 * 2
 
 
 class Positions:
@@ -258,9 +258,9 @@ class Positions:
         """Start with no positions."""
         self.seen = []
 
-    def observe(self, frame):
+    def observe(self, sample):
         """Store them."""
-        self.seen.append(frame.truth.position_ned)
+        self.seen.append(sample.truth.position_ned)
 
     def end(self, summary, events):
         """Do nothing."""

@@ -233,7 +233,7 @@ def test_reference_follows_the_package(tmp_path, monkeypatch):
             "[a](nowhere.md), [b](../testbed/nowhere.py), [c](#nobody)",
             ("'nowhere.md'", "testbed/nowhere.py", "'#nobody'"),
         ),
-        ("<!-- made: everything -->", ("nothing makes 'everything'",)),
+        ("<!-- made: everything -->", ("no generator for 'everything'",)),
     ],
 )
 def test_a_page_that_leads_nowhere_is_an_error(tmp_path, text, said):

@@ -8,8 +8,7 @@ import typer
 from commands import environment
 
 import testbed
-from testbed.cli.command_group import help_text
-from testbed.cli.main import app
+from testbed.cli.main import app, help_text
 from testbed.scenario import load_scenario, set_duration
 from testbed.scenario.fields import Section
 
@@ -30,7 +29,7 @@ def loaded_by(code, folder):
     return set(json.loads(done.stderr.splitlines()[-1]))
 
 
-def test_run_loads_only_what_it_uses(tmp_path):
+def test_run_loads_only_the_libraries_it_uses(tmp_path):
     code = (
         "from testbed.cli.main import app;"
         "app(['run', 'simulation-3', '--duration', '0.2', '-q'], standalone_mode=False)"

@@ -10,8 +10,7 @@ from pyarrow import parquet
 from testbed.cli.study_report import read_study
 from testbed.core.errors import InputError
 from testbed.logs import arrow_io
-from testbed.studies.journal import Journal
-from testbed.studies.rows import Row
+from testbed.studies.journal import Journal, Row
 from testbed.studies.table import metric_columns, read_table
 
 DEEP = "[" * 200_000
@@ -100,9 +99,9 @@ def test_journal_with_a_run_of_another_study_raises(tmp_path):
 def test_names_of_aircraft_with_dots_keep_columns(tmp_path):
     """`uav` beside `uav.1` are two aircraft; `error` beside `error.uav` is a missing part."""
     journal = Journal(tmp_path / "study.journal", INPUTS)
-    flown = {"error.uav": 1.0, "error.uav.1": 2.0, "age": 3.0}
+    numbers = {"error.uav": 1.0, "error.uav.1": 2.0, "age": 3.0}
     journal.add(Row(0, "lost", "lost: uav", {"error": None, "age": None}))
-    journal.add(Row(1, "completed", "", flown))
+    journal.add(Row(1, "completed", "", numbers))
     assert journal.names() == ("age", "error.uav", "error.uav.1")
     journal.close()
 

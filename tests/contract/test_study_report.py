@@ -341,7 +341,7 @@ def test_without_metrics_last_window_is_reported(tmp_path):
         (["text.parquet"], "text.parquet"),
     ],
 )
-def test_bad_input_says_what_to_write(tmp_path, arguments, message):
+def test_bad_input_error_has_the_remedy(tmp_path, arguments, message):
     write_study(tmp_path / "study.parquet")
     write_study(tmp_path / "empty.parquet", runs=0)
     (tmp_path / "text.parquet").write_text("no table")

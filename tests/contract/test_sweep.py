@@ -17,10 +17,9 @@ from patience import PATIENCE_S, until
 from rich.console import Console
 from snapshot import check_snapshot
 
-from testbed.cli.sweep_table import summary_tables
+from testbed.cli.sweep import summary_tables
 from testbed.core.errors import InputError
-from testbed.studies.journal import Journal
-from testbed.studies.rows import flatten_metrics
+from testbed.studies.journal import Journal, flatten_metrics
 from testbed.studies.summary import Group, Summary
 from testbed.studies.sweep import sweep
 from testbed.studies.table import find_output, read_rows, read_table
@@ -135,10 +134,10 @@ def test_sweep_interrupted_is_resumed_to_the_bit(folder, workers, tmp_path):
         journal.write(b'{"run":3,"outcome":"flo')  # as after a power failure
     with pytest.raises(InputError, match="write --resume to continue it"):
         sweep("small.yaml", out)
-    workers.flown.clear()
+    workers.finished.clear()
     result = sweep("small.yaml", out, resume=True)
     assert result.new_runs == small_study.RUNS - 3
-    assert workers.flown == list(range(3, small_study.RUNS))
+    assert workers.finished == list(range(3, small_study.RUNS))
     assert same(folder, out)
     assert [path.name for path in tmp_path.iterdir()] == ["study.parquet"]
     assert sweep("small.yaml", out, resume=True).new_runs == 0
@@ -199,6 +198,30 @@ def test_resume_changed_versions_are_refused(workers, tmp_path, monkeypatch):
         sweep("small.yaml", out, resume=True)
     with pytest.raises(InputError, match="by a worker of other versions: .*jsbsim"):
         sweep("small.yaml", tmp_path / "new")
+
+
+def test_resume_changed_code_is_refused(workers, tmp_path, monkeypatch):
+    """Whether the study was interrupted or complete: its runs were flown by other code."""
+    part, whole = tmp_path / "part.parquet", tmp_path / "whole.parquet"
+    interrupt(part, 1)
+    sweep("small.yaml", whole)
+    monkeypatch.setattr("testbed.studies.sweep.source_digest", lambda *_: "0123456789abcdef")
+    for out in (part, whole):
+        with pytest.raises(InputError, match=r"the code changed.*testbed from \w+ to 0123456789ab"):
+            sweep("small.yaml", out, resume=True)
+
+
+def test_flight_packages_are_all_that_are_imported():
+    """A resumed study compares the code of every package that its flights import."""
+    program = (
+        "import sys, testbed, testbed.studies.sweep as sweep\n"
+        "scenario = testbed.scenario.load_scenario('ideal-figure-eight')\n"
+        "testbed.run(testbed.scenario.set_duration(scenario, 1.0), write=False)\n"
+        "names = {each.split('.')[1] for each in sys.modules if each.startswith('testbed.')}\n"
+        "print(sorted(names ^ set(sweep.FLIGHT_PACKAGES)))"
+    )
+    done = subprocess.run((sys.executable, "-c", program), capture_output=True, check=True)
+    assert done.stdout.decode().strip() == "[]", done.stdout
 
 
 def test_sweep_journal_in_use_is_refused(workers, tmp_path):

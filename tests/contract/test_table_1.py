@@ -29,18 +29,18 @@ def tables(monkeypatch):
 def test_acceleration_studies_fly_every_set_up(name, sources, turns):
     plan = Plan(load_study(name))
     assert len(plan) == SET_UPS * 2 * len(sources)
-    flown = set()
+    set_ups = set()
     for run in plan:
         scenario = plan.scenario(run)
         controller = scenario.controller
         assert controller.estimators.leader_angular_acceleration == turns
-        flown.add((run.case, controller.profile, controller.estimators.leader_acceleration))
+        set_ups.add((run.case, controller.profile, controller.estimators.leader_acceleration))
         _, number, corner = run.case.split("-")
         graph = load_scenario(f"simulation-{number}").formation
         assert scenario.formation == graph, run.case
         if corner != "recorded":
             assert scenario.leader.path.bank_limit_deg == int(corner)
-    assert flown == {
+    assert set_ups == {
         (case, profile, source)
         for case in plan.cases
         for profile in ("tuned", "authors")
@@ -51,8 +51,50 @@ def test_acceleration_studies_fly_every_set_up(name, sources, turns):
 def test_fit_flies_each_point_with_each_simulation():
     plan = Plan(load_study("table-1"))
     by_case = {case: [run.point for run in plan if run.case == case] for case in plan.cases}
-    assert {len(points) for points in by_case.values()} == {24}
+    assert {len(points) for points in by_case.values()} == {40}
     assert by_case["simulation-1"] == by_case["simulation-2"] == by_case["simulation-3"]
+
+
+def test_fit_varies_both_ages_gains_corners_and_source(tables):
+    plan = Plan(load_study("table-1"))
+    assert list(plan.keys) == list(tables.FITTED)
+    scenarios = [plan.scenario(run) for run in plan if run.case == "simulation-3"]
+    assert {each.controller.companion.state_latency_s for each in scenarios} == {0, 0.02, 0.04}
+    assert {each.network.delay_s for each in scenarios} == {0, 0.04, 0.08, 0.12, 0.16}
+    sources = {each.controller.estimators.leader_acceleration for each in scenarios}
+    assert sources == {"broadcast", "coordinated_turn", "none"}
+
+
+def test_causes_are_flown_by_each_simulation(tables):
+    """Two ages that are equal cancel with extrapolation from receipt only."""
+    plan = Plan(load_study("table-1-causes"))
+    assert {run.case.rpartition("-")[0] for run in plan} == set(tables.SET_UPS)
+    flown = {run.case: plan.scenario(run) for run in plan}
+    assert len(flown) == 3 * len(tables.SET_UPS)
+    for case, scenario in flown.items():
+        graph = load_scenario(f"simulation-{case[-1]}").formation
+        assert scenario.formation == graph, case
+        assert scenario.leader.path.bank_limit_deg == 30
+    late = flown["both-late-receipt-3"]
+    assert late.network.delay_s == late.controller.companion.state_latency_s == 0.08
+    assert late.controller.extrapolate_from == "receipt"
+
+
+def test_rectangle_of_the_laps_changes_nothing_else():
+    plan = Plan(load_study("table-1-laps"))
+    flown = {run.case: plan.scenario(run) for run in plan}
+    square, rectangle = (flown[case].model_dump() for case in ("bank-30", "rectangle-800-by-450"))
+    legs = [each["leader"]["path"].pop("legs") for each in (square, rectangle)]
+    for each in (square, rectangle):
+        del each["leader"]["start"]
+    assert square == rectangle
+    slopes = []
+    for each in legs:
+        corners = each[2]["points_m"]
+        side = abs(corners[1][1] - corners[0][1])
+        slopes.append((corners[1][2] - corners[0][2]) / side)
+    assert slopes[0] == pytest.approx(slopes[1], rel=0.01)
+    assert {**legs[0][3], "centre_m": None} == {**legs[1][3], "centre_m": None}
 
 
 def test_factor_between_cells_by_hand(tables):

@@ -17,8 +17,7 @@ from testbed.scenario import (
 )
 from testbed.studies import tune
 from testbed.studies.flight_task import FlightResult, run_task
-from testbed.studies.tune import tune_gains
-from testbed.studies.tune_problem import TuneProblem
+from testbed.studies.tune import TuneProblem, tune_gains
 from testbed.studies.tune_schema import load_tune
 
 METRIC = "windows.rectangles.mean_rms_m"
@@ -83,10 +82,10 @@ def test_tune_result_is_independent_of_the_order(file, tmp_path, fly_with):
     found = []
     for name, reverse in (("a", False), ("b", True)):
         (tmp_path / name).mkdir()
-        flown = fly_with(reverse=reverse)
+        results = fly_with(reverse=reverse)
         found.append(tune_gains(TuneProblem(load_tune(file)), tmp_path / name))
         # 4 with the scenario's gains, 3 generations of 4 x 4, and 3 seeds x 2 cases twice
-        assert len(flown) == 4 + 48 + 12 and found[-1].flights == 52
+        assert len(results) == 4 + 48 + 12 and found[-1].flights == 52
     assert found[0].candidates == found[1].candidates
     for name in ("candidates.csv", "middle_loop.yaml", "result.json"):
         assert (tmp_path / "a" / name).read_text() == (tmp_path / "b" / name).read_text()
@@ -206,7 +205,7 @@ def test_tune_bad_input_exits_2_with_its_place(file, tmp_path, fly_with, change,
     assert message in done.stderr
 
 
-def test_tune_library_files_can_be_flown():
+def test_tune_library_files_are_valid():
     assert list_tunings()
     for name in list_tunings():
         loaded = load_tune(name)

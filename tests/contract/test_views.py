@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import views_flight
-from given_time import GivenTime
 from patience import PATIENCE_S, until
+from process_time import ProcessTime
 
 from testbed import run
 from testbed.core.records import Event
@@ -237,7 +237,7 @@ def test_live_viewer_gets_every_sample_ends_quickly(caplog, tmp_path):
     info, samples = views_flight.info(4, 60.0), list(views_flight.samples(4, 60.0))
     replay(RrdFile(complete), views_flight.log(4, 60.0))
     rows = rows_of(complete)
-    with saving_viewer(seen) as (program, port), GivenTime() as given:
+    with saving_viewer(seen) as (program, port), ProcessTime() as given:
         view = RerunView(LiveViewer(port=port))
         fly(view, samples, info)
         process = view._sink.process
@@ -297,7 +297,7 @@ def test_failing_viewers_do_not_change_or_delay_run(monkeypatch, tmp_path, caplo
         return compare_runs(one, other, tolerance=None).same  # every number, event and sample
 
     alone = flight("alone")
-    with GivenTime() as given:
+    with ProcessTime() as given:
         missing = Watched(LiveViewer(port=viewer.free_port()), given)
         assert same(flight("missing", missing), alone)
     assert missing.waited < 1.0
@@ -305,7 +305,7 @@ def test_failing_viewers_do_not_change_or_delay_run(monkeypatch, tmp_path, caplo
     for name, number in (("killed", signal.SIGKILL), ("frozen", signal.SIGSTOP)):
         caplog.clear()
         seen = tmp_path / f"{name}.rrd"
-        with saving_viewer(seen) as (program, port), GivenTime() as given:
+        with saving_viewer(seen) as (program, port), ProcessTime() as given:
             view = Watched(
                 LiveViewer(port=port), given, 250, functools.partial(strike, program, number, seen)
             )

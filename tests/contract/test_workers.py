@@ -63,20 +63,20 @@ class ArrayCollector:
         """Start empty."""
         self.seen, self.events, self.lost = [], [], 0
 
-    def observe(self, frame):
+    def observe(self, sample):
         """Copy a sample."""
-        records = (frame.truth, frame.estimate, frame.air, frame.surfaces, frame.formation)
+        records = (sample.truth, sample.estimate, sample.air, sample.surfaces, sample.formation)
         arrays = [array for record in records for array in record]
-        self.seen.append(np.concatenate([np.ravel(array) for array in (*arrays, frame.lost)]))
-        self.lost = int(frame.lost.sum())
-        self.events += [(event.time_s, event.text) for event in frame.events]
+        self.seen.append(np.concatenate([np.ravel(array) for array in (*arrays, sample.lost)]))
+        self.lost = int(sample.lost.sum())
+        self.events += [(event.time_s, event.text) for event in sample.events]
 
     def end(self, summary, events):
         """Do nothing."""
 
 
 @functools.cache
-def flown(case, processes):
+def fly(case, processes):
     name, changes = PAGES[case]
     collector = ArrayCollector()
     run = testbed.run(
@@ -91,18 +91,18 @@ def flown(case, processes):
 @pytest.mark.parametrize("case", PAGES)
 def test_number_of_processes_changes_no_flight(case):
     before = children(os.getpid())
-    seen, events, outcome = flown(case, 1)
+    seen, events, outcome = fly(case, 1)
     assert outcome == ("completed", case.startswith("one is lost"))  # by a fault of the scenario
     for processes in (2, 3):
-        found, *rest = flown(case, processes)
+        found, *rest = fly(case, processes)
         np.testing.assert_array_equal(found, seen)
         assert rest == [events, outcome]
     assert not set(children(os.getpid())) - set(before)
 
 
 def test_more_processes_than_aircraft():
-    seen, *_ = flown("vee", 50)
-    np.testing.assert_array_equal(seen, flown("vee", 1)[0])
+    seen, *_ = fly("vee", 50)
+    np.testing.assert_array_equal(seen, fly("vee", 1)[0])
 
 
 def test_default_number_of_processes(monkeypatch):
@@ -141,11 +141,11 @@ def flight(tmp_path):
 def test_killed_process_ends_the_run_with_its_reason(flight):
     process, other, path = flight
     os.kill(other, signal.SIGKILL)
-    _, said = process.communicate(timeout=PATIENCE_S)
+    _, output = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 5
-    assert "a process that steps aircraft (4, 5, 6 of the flight models, from 0)" in said
-    assert "ended with -9" in said and "--processes 1" in said
-    assert "Traceback" not in said
+    assert "a process that steps aircraft (4, 5, 6 of the flight models, from 0)" in output
+    assert "ended with -9" in output and "--processes 1" in output
+    assert "Traceback" not in output
     log = read_log(path)
     assert log.finished and "has ended with -9" in log.events[-1].text
 
@@ -165,3 +165,4 @@ def test_process_without_its_parent_ends(flight):
     process.kill()
     process.wait(timeout=PATIENCE_S)
     until(lambda: not Path(f"/proc/{other}").exists())
+    assert process.returncode == -signal.SIGKILL

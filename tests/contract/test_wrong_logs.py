@@ -24,12 +24,12 @@ DEEP = "[" * 200_000
 
 def write_log(path, info=None, metrics=None):
     """Write a good log, then change fields of its run.json and metrics.json."""
-    flown = list(run_samples(12))
+    samples = list(run_samples(12))
     meter = MetricsObserver()
     meter.begin(run_info())
-    for sample in flown:
+    for sample in samples:
         meter.observe(sample)
-    record(path, flown, summary=meter.summary([event(0.1)[1]]) | {"outcome": "completed"})
+    record(path, samples, summary=meter.summary([event(0.1)[1]]) | {"outcome": "completed"})
     data = path.read_bytes()
     found = split_records(data[: -len(MAGIC)], len(MAGIC))
     for each in found:
@@ -72,7 +72,7 @@ def test_good_log_is_reported_and_compared(tmp_path):
         ({"scenario_name": None}, "scenario_name: is null, not text"),
         ({"base_rate_hz": "x"}, "base_rate_hz: is text, not a whole number"),
         ({"base_rate_hz": 0}, "base_rate_hz: is not from 1 to 100000"),
-        ({"frame_rate_hz": True}, "frame_rate_hz: is true or false, not a whole number"),
+        ({"sample_rate_hz": True}, "sample_rate_hz: is true or false, not a whole number"),
         ({"duration_s": float("nan")}, "duration_s: is nan, not a finite number"),
         ({"seed": 10**40}, "seed: is not from 0"),
         ({"origin": [1, 2, 3]}, "origin: is a list, not a map"),
@@ -148,7 +148,7 @@ def test_many_aircraft_of_few_messages_are_refused(tmp_path):
         read_log(path)
 
 
-def test_shapes_accept_what_they_describe():
+def test_shapes_accept_valid_documents():
     shape = {"a": Number(), "b": Optional(str), "c": Each(ListOf(bool)), "d": Number(finite=False)}
     check_shape({"a": 1, "b": None, "c": {"x": [True]}, "d": float("inf"), "more": 5}, shape)
     with pytest.raises(ValueError, match=r"c\.x\[1\]: is a number, not true or false"):

@@ -64,7 +64,7 @@ def info(aircraft: int, duration_s: float) -> RunInfo:
         wingspan_m=(2.795,) * aircraft,
         origin=Origin(),
         base_rate_hz=200,
-        frame_rate_hz=25,
+        sample_rate_hz=25,
         duration_s=duration_s,
         seed=1,
         speed_bounds_mps=((16.0, 30.0),) * n,

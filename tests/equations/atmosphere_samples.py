@@ -57,11 +57,11 @@ def cases(spectrum):
     heights = (100.0, 450.0, 900.0)
     assert heights[0] < LOW < heights[1] < HIGH < heights[2]
     every = [(v, h, dt) for v in (15.0, 30.0) for h in heights for dt in (0.02, 0.005)]
-    flown = [Case(spectrum, *each, seed) for seed, each in enumerate(every)]
-    return flown if IN_FULL else [one for one in flown if one.seed % 4 in (0, 3)]
+    simulate = [Case(spectrum, *each, seed) for seed, each in enumerate(every)]
+    return simulate if IN_FULL else [one for one in simulate if one.seed % 4 in (0, 3)]
 
 
-def flown(turbulence, height, airspeed, steps):
+def simulate(turbulence, height, airspeed, steps):
     """Turbulence and rates (steps, N, 6) of aircraft that fly north and level through still air."""
     aircraft = allocate(AIRCRAFT, len(height))
     motion, wind = aircraft["truth"], aircraft["wind"]
@@ -77,7 +77,7 @@ def flown(turbulence, height, airspeed, steps):
 
 def sample(turbulence, height, airspeed):
     """The next sample alone: turbulence and rates (N, 3)."""
-    (found,) = flown(turbulence, height, airspeed, 1)
+    (found,) = simulate(turbulence, height, airspeed, 1)
     return found[:, :3], found[:, 3:]
 
 
@@ -93,7 +93,7 @@ def fly(case, steps, aircraft):
         hold_s=1e9,  # heights and airspeeds stay
     )
     height, airspeed = np.full(aircraft, case.height), np.full(aircraft, case.airspeed)
-    return flown(turbulence, height, airspeed, steps)
+    return simulate(turbulence, height, airspeed, steps)
 
 
 def closed_variance(case):

@@ -142,10 +142,10 @@ def velocities(rng, shape, low, high):
     return speed[..., None] * np.stack(parts, axis=-1)
 
 
-def states(n, rng, *, low=LOW - 4.0, high=HIGH + 4.0, silence=0.0, old=0.0, now=NOW):
-    """What n agents know at the time `now`: own state, inbox, memory; own speeds low to high.
+def states(n, rng, *, low=LOW - 4.0, high=HIGH + 4.0, never=0.0, old=0.0, now=NOW):
+    """State, inbox and memory of n agents at the time `now`; own speeds low to high.
 
-    A part `silence` of the links was never heard, a part `old` last heard 30 s ago.
+    A share `never` of the links has no message, a share `old` none for 30 s.
     """
     own_velocity = velocities(rng, (n,), low, high)
     own = VehicleState(
@@ -160,7 +160,7 @@ def states(n, rng, *, low=LOW - 4.0, high=HIGH + 4.0, silence=0.0, old=0.0, now=
     shape = (n, n + 1)
     stamp = now - rng.uniform(0.0, 0.5, shape)
     stamp[rng.random(shape) < old] -= 30.0
-    stamp[rng.random(shape) < silence] = np.nan
+    stamp[rng.random(shape) < never] = np.nan
     quiet = np.isnan(stamp)
     vectors = (
         rng.normal(0.0, 8.0, (*shape, 3)),
@@ -178,7 +178,7 @@ def states(n, rng, *, low=LOW - 4.0, high=HIGH + 4.0, silence=0.0, old=0.0, now=
 
 
 def some_memory(rng, stamp):
-    """Memories of a leader heard just before, or of the same message, or of nothing.
+    """Memories of a message of the leader just before, of the same one, or of none.
 
     Half of the neighbours were never reckoned to be anywhere; of the others the newest message is
     new, or was known before.
@@ -210,7 +210,7 @@ def some_memory(rng, stamp):
 def middle_states(n, rng):
     """Own states, commands and memories of middle loops, some of which have not begun."""
     own, _, _ = states(n, rng)
-    told = UnicycleCommand(
+    inputs = UnicycleCommand(
         speed=rng.normal(23.0, 5.0, n),
         omega=np.column_stack([np.zeros(n), rng.normal(0.0, 0.3, (n, 2))]),
         speed_desired=rng.uniform(LOW, HIGH, n),
@@ -220,7 +220,7 @@ def middle_states(n, rng):
     begun = np.where(rng.random(n) < 0.8, 1.0, np.nan)
     integrals = rng.normal(0.0, 0.3, (4, n))
     filtered = rng.normal(0.0, 0.2, (3, n)) * begun
-    return own, told, MiddleLoopMemory(*integrals, *filtered, rng.normal(0.0, 0.2, n))
+    return own, inputs, MiddleLoopMemory(*integrals, *filtered, rng.normal(0.0, 0.2, n))
 
 
 def leaves(record):
@@ -236,7 +236,7 @@ def leaves(record):
 
 def results(stepped):
     """Every array of a step's result by name: of the law two records, of the middle loop three."""
-    kinds = ("told", "memory") if len(stepped) == 2 else ("command", "memory", "diagnosis")
+    kinds = ("inputs", "memory") if len(stepped) == 2 else ("command", "memory", "diagnosis")
     return {
         f"{kind}.{name}": array
         for kind, record in zip(kinds, stepped, strict=True)
@@ -264,20 +264,20 @@ def choose(record, rows, keep=()):
 
 
 def some_of(law, rows):
-    """The law of these of its agents alone, who know as many aircraft as before."""
+    """The law of some of its agents; the number of aircraft stays."""
     return choose(law, rows, keep=("offsets",))
 
 
 def reorder(law, own, inbox, memory, order):
     """The same agents listed in another order; the leader stays first."""
-    everyone = np.concatenate([[0], np.asarray(order) + 1])
+    all_rows = np.concatenate([[0], np.asarray(order) + 1])
     law = choose(law, order, keep=("offsets", "agents"))
-    law = replace(law, offsets=law.offsets[everyone], gains=_columns(law.gains, everyone))
-    inbox = Inbox(*(_columns(each, everyone) for each in choose(inbox, order)))
+    law = replace(law, offsets=law.offsets[all_rows], gains=_columns(law.gains, all_rows))
+    inbox = Inbox(*(_columns(each, all_rows) for each in choose(inbox, order)))
     memory = choose(memory, order)
     memory = memory._replace(
-        held_position=_columns(memory.held_position, everyone),
-        held_time_s=_columns(memory.held_time_s, everyone),
+        held_position=_columns(memory.held_position, all_rows),
+        held_time_s=_columns(memory.held_time_s, all_rows),
     )
     return law, choose(own, order), inbox, memory
 

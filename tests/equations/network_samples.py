@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from reference.channel_simulation import transmit
 from scipy.stats import binomtest, chisquare, norm, ttest_1samp
 
 from testbed.network.channel import make_channel
-from testbed.network.channel_simulation import transmit
 from testbed.network.links import PacketOutcome
 from testbed.scenario.network import Network
 

@@ -12,8 +12,8 @@ from testbed.core.frames import GRAVITY, wrap_pi
 from testbed.core.records import FaultState, VehicleState, allocate
 from testbed.scenario.sensors import Sensors
 from testbed.sensors.ekf import WIND, make_filters, start_filters
-from testbed.sensors.ekf_settings import make_settings
 from testbed.sensors.errors import ERRORS
+from testbed.sensors.estimators import make_settings
 
 SEED = 1
 # The tests of the sensors ask some 400 times whether chance explains a deviation. Bonferroni: at
@@ -26,8 +26,8 @@ RADIUS = 120.0  # m, of the turns
 SPEED = 20.0  # m/s through the air
 
 
-def page(*presets, **keys):
-    """The sensors that a page with these keys describes, or a preset with keys on top."""
+def suite(*presets, **keys):
+    """Sensors by keys of a scenario, or by presets with keys on top."""
     (like,) = presets or ("truth",)
     return Sensors.model_validate({"preset": like, **keys})
 
@@ -159,10 +159,10 @@ class Filters:
         flight: of all of them.
     """
 
-    def __init__(self, pages, flight):
+    def __init__(self, suites, flight):
         """Switched on before the first step."""
-        self.flight, self.n = flight, len(pages)
-        self.settings = make_settings(pages, flight.rate_hz)
+        self.flight, self.n = flight, len(suites)
+        self.settings = make_settings(suites, flight.rate_hz)
         states = np.zeros((self.n, 17))
         states[:, WIND:] = flight.wind[:2]
         before = flight.position[0] - flight.velocity[0] / flight.rate_hz
@@ -274,23 +274,23 @@ class Ins:
         """One step with measured rates and specific force (N, 3)."""
         x, dt = self.x, self.dt
         self.rotation = self.rotation @ Rotation.from_rotvec((gyro - x[:, 9:12]) * dt).as_matrix()
-        felt = np.einsum("nij,nj->ni", self.rotation, force - x[:, 12:15])
+        specific_force = np.einsum("nij,nj->ni", self.rotation, force - x[:, 12:15])
         x[:, 6:9] += dt * x[:, 3:6]
-        x[:, 3:6] += dt * (felt + [0.0, 0.0, GRAVITY])
+        x[:, 3:6] += dt * (specific_force + [0.0, 0.0, GRAVITY])
         flow = np.zeros_like(self.covariance)
         flow[:, :3, 9:12] = flow[:, 3:6, 12:15] = -self.rotation
-        flow[:, 3:6, :3] = -np.cross(felt[:, None, :], np.eye(3)).swapaxes(1, 2)
+        flow[:, 3:6, :3] = -np.cross(specific_force[:, None, :], np.eye(3)).swapaxes(1, 2)
         flow[:, 6:9, 3:6] = np.eye(3)
         step = np.eye(17) + dt * flow
         self.covariance = step @ self.covariance @ step.swapaxes(1, 2)
         self.covariance[:, range(17), range(17)] += self.settings["process"] * dt
         self.history = [*self.history[1:], x[:, 3:9].copy()]
 
-    def correct(self, slope, innovation, sigma, who=True):
+    def correct(self, slope, innovation, sigma, mask=True):
         """Take in one number: belief minus measurement (N,), by its slope (N, 17)."""
         along = np.einsum("nij,nj->ni", self.covariance, slope)
         gain = along / ((along * slope).sum(axis=1) + sigma**2)[:, None]
-        gain = np.where(np.broadcast_to(who, len(gain))[:, None], gain, 0.0)
+        gain = np.where(np.broadcast_to(mask, len(gain))[:, None], gain, 0.0)
         self.covariance = self.covariance - gain[:, :, None] * along[:, None, :]
         change = -gain * innovation[:, None]
         self.rotation = Rotation.from_rotvec(change[:, :3]).as_matrix() @ self.rotation
@@ -298,7 +298,7 @@ class Ins:
         for each in self.history:
             each += change[:, 3:9]
 
-    def fix(self, velocity, position, who):
+    def fix(self, velocity, position, mask):
         """A GPS's velocity and position (N, 3), of the moment that it is taken for."""
         rows, ago = np.arange(len(self.x)), -1 - self.settings["assumed_latency"]
         for measured, noise, first, axes in (
@@ -306,10 +306,10 @@ class Ins:
             (position, self.settings["fix_noise"][:, 3:], 3, 2),
         ):
             for axis in range(axes):
-                believed = np.array(self.history)[ago, rows, first + axis]
+                estimated = np.array(self.history)[ago, rows, first + axis]
                 slope = np.zeros_like(self.x)
                 slope[:, 3 + first + axis] = 1.0
-                self.correct(slope, believed - measured[:, axis], noise[:, axis], who)
+                self.correct(slope, estimated - measured[:, axis], noise[:, axis], mask)
 
     def height(self, down):
         """A barometer's height, as the third axis of a position (N,)."""

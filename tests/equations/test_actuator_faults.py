@@ -124,12 +124,12 @@ def test_stuck_elevon_leaves_both_axes_to_the_other(column, mixing):
     out, _ = apply_actuator_faults(
         surfaces, initial_servos(surfaces, geometry), faults, np.zeros((n, 2)), geometry
     )
-    asked, flown = mixed(surfaces, mixing), mixed(out, mixing)
+    asked, moved = mixed(surfaces, mixing), mixed(out, mixing)
     at_its_stop = np.abs(asked[RIGHT - column]) == 1.0
     assert 0.0 < at_its_stop.mean() < 0.7 or mixing == 0.5  # reaches its stops in a corner only
     # rounding of a sum and a difference of numbers up to 2
-    assert flown[column - LEFT] == pytest.approx(faults.stuck_at[:, column], abs=1e-15)
-    assert flown[RIGHT - column] == pytest.approx(asked[RIGHT - column], abs=1e-15)
+    assert moved[column - LEFT] == pytest.approx(faults.stuck_at[:, column], abs=1e-15)
+    assert moved[RIGHT - column] == pytest.approx(asked[RIGHT - column], abs=1e-15)
     if mixing == 1.0:
         assert all((np.abs(each) <= 1.0).all() for each in out[:2])
 

@@ -9,14 +9,10 @@ import numpy as np
 import pytest
 
 from testbed.core.errors import InputError
-from testbed.core.frames import GRAVITY, wrap_pi
-from testbed.core.motion import euler_rates
+from testbed.core.frames import GRAVITY, euler_rates, wrap_pi
 from testbed.core.records import AIRCRAFT, allocate
 from testbed.guidance import analytic_paths as analytic
-from testbed.guidance.altitude_airspeed_hold import HoldGains
-from testbed.guidance.flight_plan import Level, LoiterLeg, Mission, WaypointLeg, make_plan
-from testbed.guidance.mission_follower import initial_memory, unicycle_step
-from testbed.guidance.path_curves import (
+from testbed.guidance.analytic_paths import (
     SWING,
     Circle,
     FigureEight,
@@ -24,7 +20,10 @@ from testbed.guidance.path_curves import (
     SpeedChange,
     Straight,
 )
+from testbed.guidance.flight_plan import Level, LoiterLeg, Mission, WaypointLeg, make_plan
+from testbed.guidance.mission_follower import begin_flight, guide_unicycle, segment_records
 from testbed.guidance.recorded_path import SampledTrajectory
+from testbed.scenario.middle_loop import Guidance
 from testbed.vehicle.unicycle import advance, make_unicycles, write_motion
 
 START = {"position_ned": (100.0, -50.0, -120.0), "course": 0.7, "speed": 22.0}
@@ -217,8 +216,8 @@ def test_impossible_path_is_an_error(name, change, words):
 
 
 def test_value_from_an_error_is_accepted():
-    replace(CURVES["circle"], radius=28.5)
-    replace(CURVES["weave"], period=9.7)
+    assert replace(CURVES["circle"], radius=28.5).radius == 28.5
+    assert replace(CURVES["weave"], period=9.7).period == 9.7
 
 
 # The mission of Simulation 3: level laps, laps with two raised corners, a circle at five levels.
@@ -233,32 +232,34 @@ CIRCLE = LoiterLeg(
 
 
 @pytest.fixture(scope="module")
-def flown():
+def flight():
     """Rows of time, north, east, altitude, speed, bank and part at 25 Hz for 1080 s."""
     legs = (WaypointLeg(LEVEL[1:]), WaypointLeg(LEVEL, 2), WaypointLeg(RAISED, 2), CIRCLE)
     plan = make_plan(Mission(legs=legs, airspeed=22.0), (640.0, -80.0, 100.0))
-    memory = initial_memory(altitude=100.0)
+    held, gains = (100.0, 0.0, 0.0, 0.0), Guidance().model_dump()
+    state, segments = begin_flight(plan, held, dt=0.04, gains=gains), segment_records(plan)
     position, velocity = np.array([[640.0, -80.0, -100.0]]), np.array([[0.0, 22.0, 0.0]])
     leader, aircraft = make_unicycles(position, velocity, np.array([0.64])), allocate(AIRCRAFT, 1)
     row, truth = np.zeros(1, dtype=np.intp), aircraft["truth"]
     rows = []
     for k in range(1080 * 25):
         write_motion(leader, row, aircraft)
-        where, moving = truth["position_ned"][0].tolist(), truth["velocity_ned"][0].tolist()
-        speed, turn, memory = unicycle_step(
-            memory, where, moving, plan=plan, dt=0.04, gains=HoldGains()
-        )
+        where = truth["position_ned"][0].tolist()
+        aircraft["estimate"] = truth
+        speed, turn = guide_unicycle(0, aircraft, segments, state)
         assert speed == 22.0 and turn[0] == 0.0
         leader["speed_command"], leader["omega"] = speed, turn
         write_motion(leader, row, aircraft)
         airspeed, bank = truth["airspeed"][0], truth["euler"][0, 0]
-        rows.append([k / 25.0, where[0], where[1], -where[2], airspeed, bank, memory.segment])
+        rows.append(
+            [k / 25.0, where[0], where[1], -where[2], airspeed, bank, state["memory"]["segment"][0]]
+        )
         advance(leader, 1.0 / 200.0, 8)
     return np.array(rows).T
 
 
-def test_ideal_leader_passes_corners_at_altitude(flown):
-    time, north, east, altitude, speed, _, part = flown
+def test_ideal_leader_passes_corners_at_altitude(flight):
+    time, north, east, altitude, speed, _, part = flight
     begun = np.flatnonzero(np.diff(part)) + 1
     assert part[-1] == 23 and len(begun) == 23
     begun = begun[:19]  # the rest are levels of the circle
@@ -278,8 +279,8 @@ def test_ideal_leader_passes_corners_at_altitude(flown):
     assert np.all(laps > shortest) and np.all(laps < shortest + 2.0)
 
 
-def test_ideal_leader_keeps_to_legs_and_bank_limit(flown):
-    _, north, east, _, _, bank, part = flown
+def test_ideal_leader_keeps_to_legs_and_bank_limit(flight):
+    _, north, east, _, _, bank, part = flight
     laps = (part > 0) & (part < 19)
     corner = np.array(CORNERS)
     near = np.hypot(north[:, np.newaxis] - corner[:, 0], east[:, np.newaxis] - corner[:, 1])
@@ -289,8 +290,8 @@ def test_ideal_leader_keeps_to_legs_and_bank_limit(flown):
     assert np.degrees(np.abs(bank).max()) == pytest.approx(30.0, abs=1e-9)
 
 
-def test_ideal_leader_counts_turns(flown):
-    time, north, east, altitude, _, bank, part = flown
+def test_ideal_leader_counts_turns(flight):
+    time, north, east, altitude, _, bank, part = flight
     change = np.flatnonzero(np.diff(part))[19:] + 1
     assert altitude[change] == pytest.approx([100.0, 130.0, 100.0, 150.0], abs=0.1)
     # three turns of 2π · 120 m at 22 m/s, 102.8 s; a climb at 1.5 m/s is 0.2 % slower over ground

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from reference.frames import rotation_ned_body
 
 from testbed.autopilot.json_physics import (
     MOTION_NUMBERS,
@@ -27,8 +28,8 @@ from testbed.autopilot.pwm import (
     range_names,
 )
 from testbed.autopilot.sitl_parameters import TuneUse, defaults_text, tune_differences, tune_use
-from testbed.core.frames import GRAVITY, rotation_ned_body
-from testbed.core.random import stream
+from testbed.core.frames import GRAVITY
+from testbed.core.random import named_stream
 from testbed.core.records import AIRCRAFT, allocate
 
 RASCAL = Path(__file__).parents[2] / "aircraft" / "rascal110" / "autopilot.param"
@@ -189,7 +190,7 @@ def test_rc_pulses_are_clamped():
 
 
 def test_rc_pulses_round_to_half_a_microsecond():
-    rng = stream(1, "test/sticks")
+    rng = named_stream(1, "test/sticks")
     for _ in range(500):
         low, trim, high = (
             int(rng.integers(*ends)) for ends in ((900, 1200), (1400, 1600), (1800, 2100))
@@ -318,9 +319,9 @@ def test_defaults_have_each_parameter_once(tmp_path):
         50,
         200,
     )
-    flown = read_params(RASCAL)
+    params = read_params(RASCAL)
     for name in ("rll_rate_p", "ptch_rate_ff", "trim_throttle", "servo4_max"):
-        assert values[name.upper()] == getattr(flown, name)
+        assert values[name.upper()] == getattr(params, name)
 
 
 def test_defaults_remove_simulated_sensor_errors(tmp_path):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from reference.adapters import frame_rate, h, rho_and_rate
 from reference.formation_arrays import norm
+from reference.frames import velocity_frame
 
-from testbed.core.frames import velocity_frame
 from testbed.formation.assumptions import (
     SpeedSet,
     by_text,
@@ -251,14 +251,14 @@ def test_slot_speed_range_of_a_pull_up_by_hand():
         speed_min=20.0,
         speed_max=20.0,
         turn_rate=0.25,
-        climb_rate=0.2,
+        gamma_dot=0.2,
     )
     assert slowest == pytest.approx(np.sqrt(18.0**2 + 2.5**2 - 81.0 / 100.25), rel=1e-14)
 
 
 @pytest.mark.parametrize("climbing", [(0.0, 0.0), (0.2, 0.0), (0.0, 0.15), (0.3, 0.2)])
 def test_slot_speed_range_holds_within_the_limits(climbing):
-    climb_angle, climb_rate = climbing
+    gamma, gamma_dot = climbing
     rng = np.random.default_rng(11)
     offsets = rng.uniform(-1.0, 1.0, (40, 3)) * rng.choice([10.0, 80.0, 250.0], (40, 1))
     slowest, fastest = slot_speed_range(
@@ -266,13 +266,13 @@ def test_slot_speed_range_holds_within_the_limits(climbing):
         speed_min=20.0,
         speed_max=24.0,
         turn_rate=0.25,
-        climb_angle=climb_angle,
-        climb_rate=climb_rate,
+        gamma=gamma,
+        gamma_dot=gamma_dot,
     )
     # every corner of the limits, and a grid between them
     axes = [np.linspace(-1.0, 1.0, 41)] * 3
-    yaw, climb, gamma = (each.ravel() for each in np.meshgrid(*axes))
-    rate = frame_rate(climb_angle * gamma, 0.25 * yaw, climb_rate * climb)
+    yaw, climb, slope = (each.ravel() for each in np.meshgrid(*axes))
+    rate = frame_rate(gamma * slope, 0.25 * yaw, gamma_dot * climb)
     north = np.array([1.0, 0.0, 0.0])
     least = slot_speed(np.tile(20.0 * north, (len(rate), 1)), rate, offsets).min(axis=0)
     most = slot_speed(np.tile(24.0 * north, (len(rate), 1)), rate, offsets).max(axis=0)
@@ -283,7 +283,7 @@ def test_slot_speed_range_holds_within_the_limits(climbing):
     assert (slowest <= least + 0.01).all()
     assert (fastest >= most - 0.01).all()
     # and sharp: a flight on the grid comes within its steps, 5 % of the rates, of the bounds
-    steps = 0.05 * (0.25 + climb_rate) * norm(offsets)
+    steps = 0.05 * (0.25 + gamma_dot) * norm(offsets)
     assert (least - slowest <= steps + 1e-12).all()
     assert (most - fastest <= 1e-9 + 0.01).all()
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from reference.adapters_atmosphere import mean_and_gradient, sample_points
+from reference.frames import rotation_ned_body
 
 from testbed.atmosphere.airframe_wind import AHEAD, MEAN, RIGHT, SLOPE, WING, make_local_wind
-from testbed.core.frames import rotation_ned_body
 from testbed.core.records import Airframe
 
 RASCAL = Airframe(span=2.795, area=0.982, arm=0.826, mass=6.58, lift_slope=5.0)

@@ -12,15 +12,16 @@ from atmosphere_samples import (
     cases,
     closed_variance,
     discrete_variance,
-    flown,
     fly,
     freedom,
     inside,
     least,
     sample,
+    simulate,
     steps_of,
 )
 from reference.adapters_atmosphere import make_filters, turbulence_axes
+from reference.frames import rotation_ned_body
 from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.stats import chi2
 
@@ -29,7 +30,6 @@ from testbed.atmosphere.dryden import DrydenTurbulence
 from testbed.atmosphere.mil_f_8785c import HIGH, INTENSITIES, LOW, Scales
 from testbed.atmosphere.spectra import psd
 from testbed.core.errors import InputError
-from testbed.core.frames import rotation_ned_body
 
 MODERATE = INTENSITIES["moderate"]
 NOMINAL = Case("dryden", 22.0, 120.0, 0.02, 100)
@@ -82,10 +82,10 @@ def test_filters_continuous_have_the_closed_spectra(case):
         omega = 2.0 * np.pi * frequency * length / case.airspeed
         states = np.linalg.solve(1j * omega[:, None, None] * np.eye(3) - a, b[:, None])[..., 0]
         level = 2.0 * length / case.airspeed  # of the noise, in (L/V) s, and one-sided
-        given = level * np.abs(states[:, :2] @ filters.speed[0, axis, 0]) ** 2
-        assert given == pytest.approx(expected[speed], rel=1e-10)
-        given = level * np.abs(states @ filters.rate[0, axis, 0]) ** 2
-        assert given == pytest.approx(expected[rate], rel=1e-10)
+        args = level * np.abs(states[:, :2] @ filters.speed[0, axis, 0]) ** 2
+        assert args == pytest.approx(expected[speed], rel=1e-10)
+        args = level * np.abs(states @ filters.rate[0, axis, 0]) ** 2
+        assert args == pytest.approx(expected[rate], rel=1e-10)
 
 
 @pytest.mark.parametrize("case", cases("dryden"))
@@ -117,7 +117,7 @@ def test_rates_are_gradients_of_the_turbulence():
         spectrum="dryden",
         scales=Scales("dryden", *MODERATE, sigma=(1.0,) * 3, length=(50.0,) * 3),
     )
-    seen = flown(air, np.array([100.0]), np.array([1.0]), count)[:, 0]
+    seen = simulate(air, np.array([100.0]), np.array([1.0]), count)[:, 0]
     turbulence, rates = seen[:, :3], seen[:, 3:]
     for component, rate, sign, tau in ((2, 1, -1.0, 1.0), (1, 2, 1.0, 0.75)):
         slope = sign * np.diff(turbulence[:, component]) / step
@@ -239,7 +239,7 @@ def test_random_streams_are_keyed_by_name():
             scales=Scales("dryden", *MODERATE),
         )
         n = len(names)
-        steps = flown(air, np.full(n, 100.0), np.full(n, 20.0), 600)
+        steps = simulate(air, np.full(n, 100.0), np.full(n, 20.0), 600)
         return {name: steps[:, i] for i, name in enumerate(names)}
 
     single, four = seen(["uav2"]), seen(["leader", "uav1", "uav2", "uav3"])
@@ -312,7 +312,7 @@ def test_turbulence_axes_straight_down_point_north():
     ],
 )
 def test_dryden_invalid_span_or_step_is_rejected(changes, message):
-    given = {
+    args = {
         "seed": 1,
         "dt": 0.02,
         "spans": [SPAN],
@@ -320,7 +320,7 @@ def test_dryden_invalid_span_or_step_is_rejected(changes, message):
         "scales": Scales("dryden", *MODERATE),
     }
     with pytest.raises(InputError, match=message):
-        DrydenTurbulence(["uav"], **{**given, **changes})
+        DrydenTurbulence(["uav"], **{**args, **changes})
 
 
 def test_psd_integrates_to_the_variances():

@@ -325,8 +325,8 @@ def test_wind_difference_is_that_of_the_docs(field, distance):
     found = sum((power @ (1.0 - np.cos(k @ apart)) for k, power, _ in modes(field)))
     along, across = covariance(distance, LENGTH)
     closed = 1.0 - np.where(apart > 0.0, along, across)
-    said = "{:.2f}, {:.2f} and {:.2f}".format(*(found / (SIGMA**2 * closed)))
-    assert said in " ".join(AIR.split())
+    documented = "{:.2f}, {:.2f} and {:.2f}".format(*(found / (SIGMA**2 * closed)))
+    assert documented in " ".join(AIR.split())
 
 
 def test_field_same_seed_is_equal_to_the_bit(field):
@@ -365,9 +365,9 @@ def test_field_zero_sigma_is_still_air():
     ],
 )
 def test_field_invalid_parameters_are_rejected(changes, message):
-    given = {"sigma": SIGMA, "length": LENGTH, **changes}
+    args = {"sigma": SIGMA, "length": LENGTH, **changes}
     with pytest.raises(InputError, match=message):
-        make_field(1, **given)
+        make_field(1, **args)
 
 
 def test_unresolved_variance_falls_with_the_cell():

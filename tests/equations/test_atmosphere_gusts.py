@@ -56,8 +56,8 @@ def test_gust_ramp_and_pulse_shapes(depth, ramp, pulse):
         behind = np.array([100.0, -40.0, 0.0])
         behind[:2] -= 30.0 * depth * np.array([cos(FACING), sin(FACING)])
         for speed in (None, 7.0):
-            given = at(front(pulse=is_pulse, speed=speed), 4.0, behind, wandering())
-            assert given == pytest.approx(expected, abs=1e-12)
+            found = at(front(pulse=is_pulse, speed=speed), 4.0, behind, wandering())
+            assert found == pytest.approx(expected, abs=1e-12)
 
 
 def test_gust_pulse_integral_is_amplitude_times_rise():
@@ -132,8 +132,8 @@ def test_front_rotates_with_the_world():
     place = rotation @ [100.0, -40.0, 0.0]
     turned = front(direction=FACING + turn, point=(place[0], place[1]), speed=3.0)
     for point in rng.normal(0.0, 80.0, (40, 3)):
-        given = at(turned, 6.0, rotation @ point)
-        assert given == pytest.approx(at(front(speed=3.0), 6.0, point), abs=1e-12)
+        found = at(turned, 6.0, rotation @ point)
+        assert found == pytest.approx(at(front(speed=3.0), 6.0, point), abs=1e-12)
 
 
 def test_gusts_add_up():

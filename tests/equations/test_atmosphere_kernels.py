@@ -146,8 +146,8 @@ def test_field_in_wind_and_gusts_matches_reference(field):
     position, euler = rng.normal(0.0, 300.0, (n, 3)), rng.uniform(-1.0, 1.0, (n, 3))
 
     def sampled(grid, gusts):
-        given = rows, {"profile": LOG_LAW}, grid, gusts, position, euler, 4.0
-        reference, kernel, path = both_winds(*given)
+        args = rows, {"profile": LOG_LAW}, grid, gusts, position, euler, 4.0
+        reference, kernel, path = both_winds(*args)
         for one, two in zip(reference, kernel, strict=True):
             np.testing.assert_allclose(two, one, rtol=0.0, atol=1e-9)  # 1e-10 over half a metre
         return path, kernel
@@ -181,15 +181,15 @@ def test_dryden_kernels_match_reference(spectrum, n):
     distance, spans = rng.uniform(0.0, 5.0, n), rng.uniform(1.0, 5.0, n)
     distance[0] = 0.0
     length[-1, 1] = 3.0 * spans[-1] / np.pi  # a corner on a pole, of the first part
-    given = spectrum, distance, sigma, length, spans
-    filters, found = atmosphere_dryden.make_filters(*given), adapters.make_filters(*given)
+    args = spectrum, distance, sigma, length, spans
+    filters, found = atmosphere_dryden.make_filters(*args), adapters.make_filters(*args)
     for name, one, two in zip(filters._fields, filters, found, strict=True):
         if name == "root":  # the last pivot of a short step is the root of a rounding
             one, two = (each @ each.swapaxes(-1, -2) for each in (one, two))
         np.testing.assert_allclose(two, one, rtol=1e-9, atol=1e-12, err_msg=name)
     states, numbers = rng.normal(0.0, 1.0, (2, n, 7 * (filters.decay.shape[1] - 1) + 1))
     after, turbulence, rates = atmosphere_dryden.advance_filters(states, numbers, found)
-    six = adapters.advance_filters(adapters.filter_records(*given), states, numbers)
+    six = adapters.advance_filters(adapters.filter_records(*args), states, numbers)
     assert states == pytest.approx(after, abs=1e-12)
     assert six == pytest.approx(np.hstack([turbulence, rates]), abs=1e-12)
     velocity, euler = rng.normal(0.0, 15.0, (n, 3)), attitudes(rng, n)
@@ -269,7 +269,7 @@ def test_wake_kernel_matches_reference():
             Airframe(span=span, area=0.98198, arm=0.8, mass=mass, lift_slope=5.0)
             for span, mass in zip(spans.tolist(), masses.tolist(), strict=True)
         ]
-        given = {
+        args = {
             "sheds": rng.random(count) < 0.8,
             "affected": rng.random(count) < 0.8,
             "core_spans": rng.uniform(0.01, 0.1),
@@ -278,7 +278,7 @@ def test_wake_kernel_matches_reference():
             "dt": rng.choice([0.02, 0.1]),
             "density": 1.18,
         }
-        model, reference = WakeModel(airframes, **given), atmosphere_wake.Wakes(airframes, **given)
+        model, reference = WakeModel(airframes, **args), atmosphere_wake.Wakes(airframes, **args)
         for motion in flight(rng, count):
             ambient = rng.normal(0.0, 3.0, (count, 3))
             wind, roll = np.zeros((count, 3)), np.zeros(count)

@@ -12,9 +12,9 @@ from testbed.atmosphere.mean_wind import (
     POWER,
     Profile,
     make_mean_wind,
+    read_wind,
     wind_from_direction,
 )
-from testbed.atmosphere.recorded_wind import read_wind
 from testbed.core.csv_table import read_table
 from testbed.core.errors import InputError
 from testbed.core.frames import FOOT

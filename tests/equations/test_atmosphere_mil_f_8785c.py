@@ -87,39 +87,39 @@ def test_intensities_high_are_the_charts_alone():
 @pytest.mark.parametrize("share", [0.25, 0.5, 0.9])
 def test_scales_are_linear_from_1000_to_2000_ft(spectrum, share):
     height = np.array([LOW + share * (HIGH - LOW)])
-    given = Scales(spectrum, *MODERATE)
+    scales = Scales(spectrum, *MODERATE)
     for middle, low, high in zip(
-        given(height), given(np.array([LOW])), given(np.array([HIGH])), strict=True
+        scales(height), scales(np.array([LOW])), scales(np.array([HIGH])), strict=True
     ):
         assert middle == pytest.approx((1.0 - share) * low + share * high, rel=1e-12)
 
 
 @pytest.mark.parametrize("spectrum", SPECTRA)
 def test_scales_are_continuous_between_bands(spectrum):
-    given = Scales(spectrum, *MODERATE)
+    scales = Scales(spectrum, *MODERATE)
     for edge in (LOWEST, LOW, HIGH):
-        below, above = given(np.array([edge - 1e-7])), given(np.array([edge + 1e-7]))
+        below, above = scales(np.array([edge - 1e-7])), scales(np.array([edge + 1e-7]))
         for one, two in zip(below, above, strict=True):
             assert one == pytest.approx(two, rel=1e-6)
 
 
 def test_scales_at_1000_ft_are_isotropic():
-    given = Scales("dryden", *MODERATE)
-    sigma, length = given(np.array([LOW]))
+    scales = Scales("dryden", *MODERATE)
+    sigma, length = scales(np.array([LOW]))
     assert length == pytest.approx(np.full((1, 3), LOW))
     assert sigma == pytest.approx(np.full((1, 3), 0.1 * MODERATE.w20))
 
 
 def test_scales_below_10_ft_are_those_at_10_ft():
-    given = Scales("von-karman", *MODERATE)
-    for one, two in zip(given(feet(-30.0, 0.0, 9.0)), given(feet(10.0, 10.0, 10.0)), strict=True):
+    scales = Scales("von-karman", *MODERATE)
+    for one, two in zip(scales(feet(-30.0, 0.0, 9.0)), scales(feet(10.0, 10.0, 10.0)), strict=True):
         assert (one == two).all()
 
 
 def test_scales_constants_replace_the_standard():
     """At all heights."""
-    given = Scales("dryden", *MODERATE, sigma=(1.0, 2.0, 3.0), length=(10.0, 20.0, 30.0))
-    sigma, length = given(feet(50.0, 5000.0))
+    scales = Scales("dryden", *MODERATE, sigma=(1.0, 2.0, 3.0), length=(10.0, 20.0, 30.0))
+    sigma, length = scales(feet(50.0, 5000.0))
     assert (sigma == [1.0, 2.0, 3.0]).all()
     assert (length == [10.0, 20.0, 30.0]).all()
     sigma, length = Scales("dryden", *MODERATE, sigma=(1.0, 2.0, 3.0))(feet(50.0))
@@ -145,6 +145,6 @@ def test_intensities_low_without_wind_are_zero():
     ],
 )
 def test_scales_invalid_values_are_rejected(changes, message):
-    given = {"spectrum": "dryden", "w20": 15.0, "probability": 1e-3, **changes}
+    scales = {"spectrum": "dryden", "w20": 15.0, "probability": 1e-3, **changes}
     with pytest.raises(InputError, match=message):
-        Scales(**given)
+        Scales(**scales)

@@ -47,7 +47,7 @@ def test_mixture_has_the_closed_spectra(highest, error):
         assert np.abs(sums / exact - 1.0).max() < error
 
 
-def test_handbook_filters_are_as_far_off_as_said():
+def test_handbook_filters_have_documented_error():
     """MIL-HDBK-1797's for u and for v and w; the largest error up to, and at, an L ω/V."""
     wavenumber = np.geomspace(1e-3, 1e3, 6001)
     s = 1j * wavenumber

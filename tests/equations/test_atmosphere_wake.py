@@ -8,6 +8,7 @@ from reference.adapters_atmosphere import (
     trail_crossing,
     wake_delta_cl,
 )
+from reference.frames import rotation_ned_body
 
 from testbed.atmosphere.wake import (
     PAIRS,
@@ -18,7 +19,7 @@ from testbed.atmosphere.wake import (
     wing_stations,
 )
 from testbed.core.errors import InputError
-from testbed.core.frames import GRAVITY, rotation_ned_body
+from testbed.core.frames import GRAVITY
 from testbed.core.records import Airframe
 
 DT = 0.005
@@ -35,7 +36,7 @@ def airframe(span=SPAN, area=0.98198, mass=MASS):
 
 
 def make(count=2, airframes=None, **changes):
-    given = {
+    args = {
         "sheds": np.ones(count, dtype=bool),
         "affected": np.ones(count, dtype=bool),
         "core_spans": CORE_SPANS,
@@ -44,7 +45,7 @@ def make(count=2, airframes=None, **changes):
         "dt": DT,
         "density": DENSITY,
     }
-    return WakeModel(airframes or [airframe()] * count, **given | changes)
+    return WakeModel(airframes or [airframe()] * count, **args | changes)
 
 
 def level(wakes, *positions, heading=0.0):
@@ -324,8 +325,8 @@ def test_wake_in_a_turn_is_that_of_straight_flight():
 # ------------------------------------------------------------------------------- at followers
 
 
-def test_wake_masks_choose_who_sheds_and_feels():
-    """No aircraft feels its own trail."""
+def test_wake_masks_choose_sources_and_receivers():
+    """No aircraft is a receiver of its own trail."""
     assert not np.any(level(make(1), (0.0, 0.0, 0.0))[0])
     positions = (0.0, 0.0, 0.0), (-10.0, 1.0, 0.2), (-20.0, -1.0, 0.0)
     some = np.array([True, False, True])

@@ -12,8 +12,7 @@ from reference.formation_laws import Desired
 
 from testbed import law as public
 from testbed.formation.control_step import Hbh23Law
-from testbed.formation.flags import LimiterFlag
-from testbed.formation.law import FormationConfig
+from testbed.formation.law import FormationConfig, LimiterFlag
 from testbed.law import command_from_velocity
 
 N = 200
@@ -53,8 +52,8 @@ def case(**changes):
 @pytest.mark.parametrize("bounds_of_airspeed", [False, True])
 def test_command_is_that_of_8_to_15(with_rate, bounds_of_airspeed):
     law, own, _, memory, velocity, acceleration = case(bounds_of_airspeed=bounds_of_airspeed)
-    given = (velocity, acceleration) if with_rate else (velocity,)
-    command = command_from_velocity(config_of(law, memory), own, *given)
+    args = (velocity, acceleration) if with_rate else (velocity,)
+    command = command_from_velocity(config_of(law, memory), own, *args)
     rate = acceleration if with_rate else np.zeros((N, 3))
 
     s_d = np.linalg.norm(velocity, axis=1)  # (8)
@@ -85,7 +84,7 @@ def test_command_is_that_of_8_to_15(with_rate, bounds_of_airspeed):
     assert ((command.limiter_flags & LimiterFlag.OUTSIDE_SPEED_SET > 0) == ~within).all()
 
 
-def test_the_own_desired_velocity_gives_the_builtin_command():
+def test_desired_velocity_gives_the_builtin_command():
     """The built-in law's s_d y_d, where it is not clamped, leads back to its u and ω.
 
     At the moment at which ṡ_d and ẏ_d vanish: all fly straight, in their slots, without
@@ -113,7 +112,7 @@ def test_horizontal_law_uses_no_vertical_component():
     assert all(map(np.array_equal, command, same_command))
 
 
-def test_command_from_velocity_refuses_what_has_no_command():
+def test_velocity_without_a_command_is_an_error():
     law, own, _, memory, velocity, _ = case()
     config = config_of(law, memory)
     with pytest.raises(ValueError, match=r"velocity_ned has shape \(200,\), not \(200, 3\)"):
@@ -130,7 +129,7 @@ def test_command_from_velocity_refuses_what_has_no_command():
 
 
 @pytest.mark.parametrize("name", sorted(set(public.__all__) - {"Law", "LimiterFlag"}))
-def test_help_of_a_law_type_has_every_field_with_its_unit(name):
+def test_help_of_a_law_type_has_fields_and_units(name):
     text = pydoc.render_doc(getattr(public, name), renderer=pydoc.plaintext)
     assert "Alias for field" not in text
     fields = getattr(getattr(public, name), "__annotations__", {})

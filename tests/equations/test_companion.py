@@ -11,7 +11,7 @@ from testbed.sim.schedule import make_clock
 
 SPEED = 22.0
 ROWS = np.array([0, 1], dtype=np.intp)
-PAGE = """
+SCENARIO = """
 scenario: {schema: 2, name: late, duration_s: 60}
 leader:
   aircraft: rascal110
@@ -27,14 +27,14 @@ class Watcher:
     def begin(self, info):
         self.frames = []
 
-    def observe(self, frame):
-        self.frames.append(frame)
+    def observe(self, sample):
+        self.frames.append(sample)
 
     def end(self, summary, events):
         """Nothing is left to do."""
 
 
-def flown(scenario):
+def simulate(scenario):
     watcher = Watcher()
     assert testbed.run(scenario, write=False, observers=[watcher]).outcome == "completed"
     return watcher.frames
@@ -104,14 +104,14 @@ def test_autopilot_has_the_command_of_one_latency_ago(latency_s):
 )
 def test_late_own_state_puts_the_follower_ahead(overrides, ahead_s):
     """By V d; messages that are as late put it as far behind."""
-    last = flown(loads(PAGE, ["scenario.seed=3", *overrides]))[-1]
+    last = simulate(loads(SCENARIO, ["scenario.seed=3", *overrides]))[-1]
     assert last.formation.error_ned[0] == pytest.approx([SPEED * ahead_s, 0.0, 0.0], abs=1e-6)
 
 
-def test_flight_with_late_commands_flies_those_of_before():
+def test_late_commands_leave_the_earlier_ones():
     """0.08 s are two periods of 25 Hz; what the autopilots have is logged as their command."""
     scenario = load_scenario("simulation-3", ["controller.companion.command_latency_s=0.08"])
-    frames = flown(set_duration(scenario, 2.0))
+    frames = simulate(set_duration(scenario, 2.0))
     control, command = (
         np.array([frame.records[0][name]["pitch"].copy() for frame in frames])
         for name in ("control", "command")
@@ -122,5 +122,5 @@ def test_flight_with_late_commands_flies_those_of_before():
 
 
 def test_no_latency_builds_no_companion():
-    scenario = loads(PAGE)
+    scenario = loads(SCENARIO)
     assert build_companions(scenario, clock(), allocate(AIRCRAFT, 2)) is None

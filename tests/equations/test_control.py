@@ -18,8 +18,7 @@ from testbed.core.records import (
     write_fields,
 )
 from testbed.formation.control_step import initial_controllers, make_neighbours
-from testbed.formation.flags import Saturation
-from testbed.formation.law import FormationConfig
+from testbed.formation.law import FormationConfig, Saturation
 from testbed.sim.control import Control, Group, validate_command
 
 NAMES = ("uav1", "uav2", "uav3", "uav4", "uav5")
@@ -103,7 +102,7 @@ def test_groups_in_turn_equal_one_group_to_the_bit():
     one, three = Run(*laws, range(5)), Run(*laws, [3], [0, 4], [1, 2])
     for k in range(20):
         now = 100.0 + DT * k
-        own, inbox, _ = states(5, rng, silence=0.1, old=0.1, now=now)
+        own, inbox, _ = states(5, rng, never=0.1, old=0.1, now=now)
         one.step(0, now, own, inbox)
         for number in (2, 0, 1):
             three.step(number, now, own, inbox)

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from testbed.core.random import stream
+from testbed.core.random import named_stream
 from testbed.core.records import AIRCRAFT, FOLLOWER, allocate
-from testbed.sim.envelope_monitor import RECOVERED, EnvelopeMonitor, find_exceeded
+from testbed.sim.limits import RECOVERED, EnvelopeMonitor, find_exceeded
 
 DT = 0.04
 NAMES = ("leader", "uav1", "uav2")
@@ -21,7 +21,7 @@ def make(faults=None, *, stops=False):
     return EnvelopeMonitor(NAMES, limits, faults, stops=stops)
 
 
-def flown(monitor, histories, *, away=ALL_FLYING, first=0):
+def simulate(monitor, histories, *, away=ALL_FLYING, first=0):
     """The events of histories by step: uav1's airspeed, angle of attack in deg, and distance.
 
     `away` are the aircraft that are lost (3), and the followers that have left their slots (2).
@@ -48,7 +48,7 @@ CALM = (20.0, 3.0, 1.0)
 def test_within_the_limits_there_is_no_event():
     near = (OVERSPEED, math.degrees(STALL), FORMATION)
     monitor = make()
-    assert flown(monitor, [(*near[:2], 0.0)] + [near] * 400) == []
+    assert simulate(monitor, [(*near[:2], 0.0)] + [near] * 400) == []
     assert (monitor.outcome, monitor.terminate) == ("completed", False)
 
 
@@ -69,7 +69,7 @@ def test_within_the_limits_there_is_no_event():
 )
 def test_an_excess_is_reported_after_its_hold_time(history, begins, ends):
     monitor = make()
-    events = flown(monitor, [CALM] * 25 + [history] * 50 + [CALM] * 25)
+    events = simulate(monitor, [CALM] * 25 + [history] * 50 + [CALM] * 25)
     assert lines(events) == [
         (1.52, "error", "uav1", begins),  # 1 s, and the first look at least 0.5 s later
         (3.0, "info", "uav1", ends),
@@ -79,12 +79,12 @@ def test_an_excess_is_reported_after_its_hold_time(history, begins, ends):
 
 def test_short_excesses_are_not_reported():
     gusts = ([CALM] * 5 + [(44.0, 15.0, 1.0)] * 12) * 30
-    assert flown(make(), gusts) == []
+    assert simulate(make(), gusts) == []
 
 
 def test_formation_is_lost_after_five_seconds():
     monitor = make()
-    events = flown(
+    events = simulate(
         monitor,
         [CALM] * 25 + [(20.0, 3.0, 120.0)] * 200 + [CALM] * 5,
     )
@@ -97,32 +97,32 @@ def test_formation_is_lost_after_five_seconds():
 
 def test_distance_is_relative_to_the_closest():
     monitor = make()
-    assert flown(monitor, [(20.0, 3.0, 250.0)] + [(20.0, 3.0, 349.0)] * 400) == []
-    (event,) = flown(monitor, [(20.0, 3.0, 351.0)] * 400, first=401)
+    assert simulate(monitor, [(20.0, 3.0, 250.0)] + [(20.0, 3.0, 349.0)] * 400) == []
+    (event,) = simulate(monitor, [(20.0, 3.0, 351.0)] * 400, first=401)
     assert "lost its formation: 351 m from its slot (limit 350 m)" in event.text
     monitor = make()
-    flown(monitor, [(20.0, 3.0, 250.0), (20.0, 3.0, 0.0)])
-    (event,) = flown(monitor, [(20.0, 3.0, 101.0)] * 400, first=2)
+    simulate(monitor, [(20.0, 3.0, 250.0), (20.0, 3.0, 0.0)])
+    (event,) = simulate(monitor, [(20.0, 3.0, 101.0)] * 400, first=2)
     assert "lost its formation: 101 m from its slot (limit 100 m)" in event.text
 
 
 def test_closest_distance_restarts_on_return():
     monitor, apart = make(), (ALL_FLYING[0], (True, False))
-    assert flown(monitor, [CALM] * 25 + [(20.0, 3.0, 90.0)] * 25) == []
-    assert flown(monitor, [(20.0, 3.0, 700.0)] * 400, away=apart, first=50) == []
-    assert flown(monitor, [(20.0, 3.0, 790.0)] * 400, first=450) == []
-    (event,) = flown(monitor, [CALM] + [(20.0, 3.0, 790.0)] * 400, first=850)
+    assert simulate(monitor, [CALM] * 25 + [(20.0, 3.0, 90.0)] * 25) == []
+    assert simulate(monitor, [(20.0, 3.0, 700.0)] * 400, away=apart, first=50) == []
+    assert simulate(monitor, [(20.0, 3.0, 790.0)] * 400, first=450) == []
+    (event,) = simulate(monitor, [CALM] + [(20.0, 3.0, 790.0)] * 400, first=850)
     assert "lost its formation: 790 m from its slot (limit 101 m)" in event.text
 
 
 def test_without_a_leader_no_slot_is_watched():
-    gone = ((True, False, False), ALL_FLYING[1])
-    assert flown(make(), [CALM] + [(20.0, 3.0, 700.0)] * 400, away=gone) == []
+    missing = ((True, False, False), ALL_FLYING[1])
+    assert simulate(make(), [CALM] + [(20.0, 3.0, 700.0)] * 400, away=missing) == []
 
 
 def test_flight_at_a_limit_is_one_excess():
-    jitter = stream(1, "test/envelope").uniform(RECOVERED * OVERSPEED, 1.05 * OVERSPEED, 1000)
-    events = flown(make(), [(45.0, 3.0, 1.0)] * 20 + [(each, 3.0, 1.0) for each in jitter])
+    jitter = named_stream(1, "test/envelope").uniform(RECOVERED * OVERSPEED, 1.05 * OVERSPEED, 1000)
+    events = simulate(make(), [(45.0, 3.0, 1.0)] * 20 + [(each, 3.0, 1.0) for each in jitter])
     assert [event.level for event in events] == ["error"]
     assert (jitter < OVERSPEED).sum() > 100
 
@@ -131,16 +131,16 @@ def test_flight_at_a_limit_is_one_excess():
 def test_an_excess_that_ends_by_a_loss_has_no_event(away):
     far = [(20.0, 3.0, 150.0)] * 200
     monitor = make()
-    assert len(flown(monitor, [CALM, *far])) == 1
+    assert len(simulate(monitor, [CALM, *far])) == 1
     lost, left = (False, True, False), (True, False)
-    gone = (lost, ALL_FLYING[1]) if away else (ALL_FLYING[0], left)
-    assert flown(monitor, far, away=gone, first=200) == []
-    assert flown(monitor, [CALM] * 50, away=gone, first=400) == []
+    missing = (lost, ALL_FLYING[1]) if away else (ALL_FLYING[0], left)
+    assert simulate(monitor, far, away=missing, first=200) == []
+    assert simulate(monitor, [CALM] * 50, away=missing, first=400) == []
 
 
 def test_stall_is_reported_out_of_formation():
     away = (ALL_FLYING[0], (True, False))
-    (event,) = flown(make(), [(20.0, 15.0, 500.0)] * 200, away=away)
+    (event,) = simulate(make(), [(20.0, 15.0, 500.0)] * 200, away=away)
     assert event.text.startswith("stalled")
 
 
@@ -163,18 +163,18 @@ def faulty(row):
 )
 def test_an_excess_with_a_fault_is_a_warning(history, row, level):
     monitor = make(faulty(row), stops=True)
-    (event,) = flown(monitor, [CALM] + [history] * 200)
+    (event,) = simulate(monitor, [CALM] + [history] * 200)
     assert event.level == level
     assert monitor.terminate == (monitor.outcome != "completed") == (level == "error")
 
 
 def test_two_excesses_at_once_are_two_events():
-    events = flown(make(), [(44.0, 15.0, 1.0)] * 20)
+    events = simulate(make(), [(44.0, 15.0, 1.0)] * 20)
     assert [event.text.split(":")[0] for event in events] == ["overspeed", "stalled"]
 
 
 def test_find_exceeded_matches_reference():
-    rng = stream(2, "test/exceeded")
+    rng = named_stream(2, "test/exceeded")
     seen = 0
     for _ in range(500):
         airspeed, alpha = rng.uniform(10.0, 41.0, 5), rng.uniform(-0.2, 0.25, 5)

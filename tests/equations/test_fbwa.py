@@ -313,12 +313,12 @@ def test_gyro_filter_gain_at_zero_and_at_its_frequency(
 ) -> None:
     p_only = replace(PLAIN, rll_rate_ff=0.0, rll_rate_p=0.1)
     gains = make_gains([p_only], DT, AutopilotTiming(command_latency=0.0, gyro_filter_hz=4.0))
-    memory, heard = fresh(1), []
+    memory, deflections = fresh(1), []
     for k in range(400):
         state = _state(p=10.0 * math.cos(2.0 * math.pi * 4.0 * k * DT))
         surfaces, memory = engine.fbwa(state, _command(), memory, gains=gains)
-        heard.append(surfaces.aileron[0])
-    first, amplitude = heard[0], np.sqrt(2.0 * np.mean(np.square(heard[200:])))
+        deflections.append(surfaces.aileron[0])
+    first, amplitude = deflections[0], np.sqrt(2.0 * np.mean(np.square(deflections[200:])))
     assert first == pytest.approx(-0.1 * 10.0 / 45.0)
     # Sixteen whole periods of the wave, so the mean square is exact.
     assert amplitude == pytest.approx(0.1 * 10.0 / 45.0 / math.sqrt(2.0), rel=1e-3)

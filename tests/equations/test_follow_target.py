@@ -9,6 +9,7 @@ from math import comb
 
 import numpy as np
 import pytest
+from reference.frames import rotation_ned_body
 from scipy.stats import binomtest, chisquare
 
 from testbed.core.frames import (
@@ -17,7 +18,6 @@ from testbed.core.frames import (
     geodetic_from_ned,
     ned_from_geodetic,
     quaternion_xyzw,
-    rotation_ned_body,
 )
 from testbed.core.records import Broadcast, Origin
 from testbed.mavlink.codec import Codec, decode

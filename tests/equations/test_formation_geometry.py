@@ -7,17 +7,17 @@ from reference.adapters import (
     frame_rate,
     from_ned,
     true_slots,
-    velocity_frame,
     velocity_rates,
 )
 from reference.adapters import slot_motions as slots
+from reference.frames import velocity_frame as reference_frame
 
-from testbed.core import frames as core_frames
 from testbed.core.frames import course, flight_path_angle
+from testbed.core.velocity_frame import velocity_frame
 
 STEP = 1e-4
 each_frame = pytest.mark.parametrize(
-    "velocity_frame", [core_frames.velocity_frame, velocity_frame], ids=["core", "kernel"]
+    "velocity_frame", [reference_frame, velocity_frame], ids=["reference", "product"]
 )
 OFFSETS = np.array([[0.0, 0.0, 0.0], [-5.0, 5.0, 0.0], [-5.0, -5.0, -4.0]])
 
@@ -42,7 +42,7 @@ def test_the_frame_is_a_rotation(velocity_frame):
 
 
 @each_frame
-def test_its_columns_are_forward_right_and_down(velocity_frame):
+def test_frame_columns_are_forward_right_and_down(velocity_frame):
     v = random_velocities()
     frames = velocity_frame(v)
     assert frames[:, :, 0] == pytest.approx(v / np.linalg.norm(v, axis=1)[:, None], abs=1e-14)
@@ -53,7 +53,7 @@ def test_its_columns_are_forward_right_and_down(velocity_frame):
 
 
 @each_frame
-def test_it_is_the_printed_matrix_24(velocity_frame):
+def test_frame_is_the_printed_matrix_24(velocity_frame):
     v = random_velocities()
     sigma, gamma = np.arctan2(v[:, 1], v[:, 0]), -np.arcsin(v[:, 2] / np.linalg.norm(v, axis=1))
     assert course(v) == pytest.approx(sigma, abs=1e-14)
@@ -192,7 +192,7 @@ def test_true_slots_by_hand():
     motion = np.array([[0.0, 16.0, -12.0], [12.0, 16.0, 0.0], [0.0, 3.0, -4.0]])
     offsets = np.array([[0.0, 0.0, 0.0], [-5.0, 5.0, 0.0], [-5.0, 5.0, 9.0]])
     slot, error, angles = true_slots(position, motion, offsets, np.array([np.nan, 70.0]))
-    # who holds an altitude is 5 m behind on the map, at that altitude, whatever its offset's depth
+    # a follower that holds an altitude is 5 m behind on the map, whatever its offset's depth
     assert slot == pytest.approx(np.array([[95.0, 196.0, -47.0], [95.0, 195.0, -70.0]]), abs=1e-12)
     assert error == pytest.approx(np.array([[-5.0, -6.0, -13.0], [-5.0, -5.0, 10.0]]), abs=1e-12)
     assert angles[0] == pytest.approx([20.0, 5.0], rel=1e-15)

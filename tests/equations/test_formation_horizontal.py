@@ -15,8 +15,8 @@ from formation_cases import (
     results,
     states,
 )
+from reference.frames import velocity_frame
 
-from testbed.core.frames import velocity_frame
 from testbed.core.records import Inbox
 from testbed.formation import leader_filter as leading
 
@@ -24,7 +24,7 @@ SOURCES = {"nothing": leading.NOTHING, "broadcast": leading.BROADCAST, "turn": l
 
 
 def shaken(own, inbox, memory, rng):
-    """The same motion on the map; up and down, everybody moves otherwise."""
+    """The same motion on the map, with other vertical motions of all aircraft."""
     n = len(own.airspeed)
 
     def lifted(array):
@@ -54,7 +54,7 @@ def shaken(own, inbox, memory, rng):
 
 @each_engine
 @pytest.mark.parametrize("source", SOURCES.values(), ids=SOURCES)
-def test_vertical_motion_of_anybody_changes_nothing(step, source):
+def test_vertical_motion_has_no_effect(step, source):
     rng = np.random.default_rng(50)
     n = 6
     for of_airspeed in (False, True):
@@ -64,7 +64,7 @@ def test_vertical_motion_of_anybody_changes_nothing(step, source):
             "acceleration_source": np.full(n, source),
         }
         law = make_law(n, rng, bounds_of_airspeed=of_airspeed, **options)
-        own, inbox, memory = states(n, rng, silence=0.1, old=0.1)
+        own, inbox, memory = states(n, rng, never=0.1, old=0.1)
         memory.omega[:, :2] = memory.omega_dot[:, :2] = 0.0  # ω_g in the plane
         calm, first = step(law, NOW, own, inbox, memory)
         other, second = step(law, NOW, *shaken(own, inbox, memory, rng))
@@ -90,7 +90,7 @@ def test_vertical_motion_matters_in_three_axes(step):
 
 @each_engine
 def test_in_a_level_world_both_variants_are_one(step):
-    """Where nobody moves up or down and gains and offsets are level, no agent can tell."""
+    """Without vertical motion, gains and offsets both variants are equal."""
     rng = np.random.default_rng(52)
     n = 5
     law = make_law(n, rng, **{**mixed_options(n, rng), "horizontal": flags(False, n)})
@@ -145,30 +145,33 @@ def test_slot_beside_a_helix_is_a_level_circle(step, middle, source, gamma):
         airspeed=np.linalg.norm(velocity[1:], axis=1),
     )
     sinking = np.array([0.0, 0.0, -speed * np.sin(gamma)])
-    heard_velocity = np.vstack([shadow + sinking, velocity[1:]])
+    broadcast_velocity = np.vstack([shadow + sinking, velocity[1:]])
     now = np.full((2, 3), NOW)
     # a bank at which the coordinated turn by its bank is this turn
-    bank = np.arctan(turn * level / leading.GRAVITY)
+    bank = np.arctan(turn * level / leading.PAPER_GRAVITY)
     inbox = Inbox(
         now,
         now,
-        *(np.stack([each] * 2) for each in (position, heard_velocity, np.cross(omega, velocity))),
+        *(
+            np.stack([each] * 2)
+            for each in (position, broadcast_velocity, np.cross(omega, velocity))
+        ),
         np.tile([bank, 0.0, sigma], (2, 3, 1)),
         np.tile(omega, (2, 3, 1)),
     )
-    told, _ = step(law, NOW, own, inbox, law.start(own))
-    flown = np.linalg.norm(velocity[1:], axis=1)
-    assert told.speed_desired == pytest.approx(flown, rel=1e-13)
-    assert told.speed == pytest.approx(flown, rel=1e-12)
-    assert told.omega == pytest.approx(np.tile(omega, (2, 1)), abs=1e-13)
-    assert (told.limiter_flags == 0).all()
+    inputs, _ = step(law, NOW, own, inbox, law.start(own))
+    ground_speed = np.linalg.norm(velocity[1:], axis=1)
+    assert inputs.speed_desired == pytest.approx(ground_speed, rel=1e-13)
+    assert inputs.speed == pytest.approx(ground_speed, rel=1e-12)
+    assert inputs.omega == pytest.approx(np.tile(omega, (2, 1)), abs=1e-13)
+    assert (inputs.limiter_flags == 0).all()
 
     held = {"altitude_p": 0.026, "altitude_i": 0.0017, "altitude_d": 0.0105}
     loop = make_middle(2, altitude=np.array([100.0, 100.0]), **held)
     memory = loop.start()._replace(altitude=np.array([1.0, -2.0]))
-    command, after, _ = middle(loop, own, told, memory)
+    command, after, _ = middle(loop, own, inputs, memory)
     assert command.pitch == pytest.approx([-0.026 * 3.0 - 0.0017, 0.026 * 3.0 + 0.0034], abs=1e-14)
-    assert command.roll == pytest.approx(np.arctan(turn * flown / 9.81), abs=1e-12)
+    assert command.roll == pytest.approx(np.arctan(turn * ground_speed / 9.81), abs=1e-12)
     assert after.altitude == pytest.approx([1.0 + 0.04 * 3.0, -2.0 - 0.04 * 3.0], abs=1e-14)
 
 

@@ -33,14 +33,14 @@ from reference.formation_geometry import true_slots
 from reference.formation_hbh23 import hbh23_step
 from reference.formation_message_extrapolation import ages
 from reference.formation_middle_loop import middle_step
+from reference.frames import velocity_frame
 
 from testbed.core.compile import entry
-from testbed.core.frames import velocity_frame
 from testbed.core.records import COMMAND, FOLLOWER, LINK, MOTION, allocate, write_fields
 from testbed.formation.barrier import Barrier
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
 from testbed.formation.control_step import control_step, initial_controllers
-from testbed.formation.flags import LimiterFlag, Saturation
+from testbed.formation.law import LimiterFlag, Saturation
 
 FUNCTIONS = [PAPERS_MU, example_1(2.5e5, 1.0, 0.8), EXAMPLE_2, EXAMPLE_3]
 BARRIERS = [Barrier(4, 0.02), Barrier(5, 0.05), Barrier(6, 1.0), Barrier(7, 0.0)]
@@ -77,7 +77,7 @@ def any_of(choices, rng):
 def test_the_formation_law():
     """Every agent with options of its own; agents of one law differ in all of them."""
     rng = np.random.default_rng(40)
-    seen, deaf, held, dropped, known_news, news = 0, 0, 0, 0, 0, 0
+    seen, timed_out, held, dropped, known_messages, messages = 0, 0, 0, 0, 0, 0
     for from_timestamp, of_airspeed in itertools.product([False, True], repeat=2):
         for k in range(STATES):
             law = make_law(
@@ -90,7 +90,7 @@ def test_the_formation_law():
                 neighbour_timeout_s=rng.choice([0.2, 5.0]),
                 **mixed_options(AGENTS, rng),
             )
-            gaps = {"silence": 0.1, "old": 0.1} if k % 3 == 0 else {}
+            gaps = {"never": 0.1, "old": 0.1} if k % 3 == 0 else {}
             own, inbox, memory = states(AGENTS, rng, **gaps)
             begun = np.where(rng.random(AGENTS) < 0.5, 1.0, np.nan)
             memory = memory._replace(
@@ -101,21 +101,21 @@ def test_the_formation_law():
             own = own._replace(airspeed=np.clip(own.airspeed, LOW - 4.0, HIGH + 4.0))
             ours = results(hbh23_step(law, 100.0, own, inbox, memory))
             compare(ours, results(adapters.hbh23_step(law, 100.0, own, inbox, memory)))
-            seen |= int(np.bitwise_or.reduce(ours["told.limiter_flags"]))
-            lost = (ours["told.limiter_flags"] & LimiterFlag.LEADER_TIMEOUT) != 0
+            seen |= int(np.bitwise_or.reduce(ours["inputs.limiter_flags"]))
+            lost = (ours["inputs.limiter_flags"] & LimiterFlag.LEADER_TIMEOUT) != 0
             stale = ~(100.0 - inbox.received_s <= law.neighbour_timeout_s) & ~lost[:, None]
             known = law.hold_stale_neighbours & ~np.isnan(memory.held_position[:, :, 0])
             heeded = (law.gains != 0.0).any(axis=2)[:, 1:]
-            deaf += int(lost.sum())
+            timed_out += int(lost.sum())
             held += int((heeded & (stale & known)[:, 1:]).sum())
             dropped += int((heeded & (stale & ~known)[:, 1:]).sum())
             placed = ours["memory.held_time_s"] > memory.held_time_s
             fresh = heeded & (law.hold_stale_neighbours & known & ~stale & ~lost[:, None])[:, 1:]
-            news += int((fresh & placed[:, 1:]).sum())
-            known_news += int((fresh & ~placed[:, 1:]).sum())
+            messages += int((fresh & placed[:, 1:]).sum())
+            known_messages += int((fresh & ~placed[:, 1:]).sum())
     # the states reach every branch
     assert seen == sum(LimiterFlag) - LimiterFlag.SPEED_COMMAND_CLIPPED
-    assert min(deaf, held, dropped, news, known_news) > 100
+    assert min(timed_out, held, dropped, messages, known_messages) > 100
 
 
 def test_a_law_of_some_of_the_agents():
@@ -123,25 +123,25 @@ def test_a_law_of_some_of_the_agents():
     rng = np.random.default_rng(43)
     for _ in range(50):
         law = make_law(AGENTS, rng, **mixed_options(AGENTS, rng))
-        own, inbox, memory = states(AGENTS, rng, silence=0.1, old=0.1)
+        own, inbox, memory = states(AGENTS, rng, never=0.1, old=0.1)
         rows = rng.permutation(AGENTS)[:3]
         part = some_of(law, rows)
-        given = (part, 100.0, *(choose(each, rows) for each in (own, inbox, memory)))
-        compare(results(hbh23_step(*given)), results(adapters.hbh23_step(*given)))
+        args = (part, 100.0, *(choose(each, rows) for each in (own, inbox, memory)))
+        compare(results(hbh23_step(*args)), results(adapters.hbh23_step(*args)))
 
 
 def test_the_law_over_many_steps_of_its_own_memory():
-    """What one engine remembers is what the other remembers, message after message."""
+    """The memories of both engines are equal after each message."""
     rng = np.random.default_rng(44)
     law = make_law(AGENTS, rng, **{**mixed_options(AGENTS, rng), "hold_stale_neighbours": True})
     own, _, _ = states(AGENTS, rng)
     ours = theirs = law.start(own)
     for k in range(200):
         now = 100.0 + 0.04 * k
-        own, inbox, _ = states(AGENTS, rng, silence=0.02, old=0.05, now=now)
-        told, ours = hbh23_step(law, now, own, inbox, ours)
-        said, theirs = adapters.hbh23_step(law, now, own, inbox, theirs)
-        compare(results((told, ours)), results((said, theirs)))
+        own, inbox, _ = states(AGENTS, rng, never=0.02, old=0.05, now=now)
+        inputs, ours = hbh23_step(law, now, own, inbox, ours)
+        kernel_inputs, theirs = adapters.hbh23_step(law, now, own, inbox, theirs)
+        compare(results((inputs, ours)), results((kernel_inputs, theirs)))
 
 
 def test_the_middle_loop():
@@ -161,15 +161,15 @@ def test_the_middle_loop():
             )
             holds = np.where(rng.random(AGENTS) < 0.4, rng.normal(0.0, 10.0, AGENTS), np.nan)
             loop = replace(make_middle(AGENTS, altitude=holds, as_printed=as_printed), gains=gains)
-            given = (loop, *middle_states(AGENTS, rng))
-            ours = results(middle_step(*given))
-            compare(ours, results(adapters.middle_step(*given)))
+            args = (loop, *middle_states(AGENTS, rng))
+            ours = results(middle_step(*args))
+            compare(ours, results(adapters.middle_step(*args)))
             for kind in seen:
                 seen[kind] |= int(np.bitwise_or.reduce(ours[f"diagnosis.{kind}"]))
     assert seen == {"limiter_flags": sum(LimiterFlag), "saturations": sum(Saturation)}
 
 
-def test_a_whole_step_of_some_of_the_agents():
+def test_step_of_some_agents_equals_step_of_all():
     """Law, middle loop and ages in one kernel, in rows of records that more agents share."""
     rng = np.random.default_rng(47)
     law = make_law(AGENTS, rng, **{**mixed_options(AGENTS, rng), "hold_stale_neighbours": True})
@@ -191,25 +191,25 @@ def test_a_whole_step_of_some_of_the_agents():
         used = 0
         for k in range(100):
             now = 100.0 + 0.04 * k
-            own, inbox, _ = states(AGENTS, rng, silence=0.05, old=0.05, now=now)
+            own, inbox, _ = states(AGENTS, rng, never=0.05, old=0.05, now=now)
             write_fields(estimate, own)
             write_fields(links, inbox)
             links["measured_s"] = inbox.stamp_s
             control_steps(rows, controllers, now, estimate, links, neighbours, followers, commands)
 
             own, inbox = choose(own, rows), choose(inbox, rows)
-            # an excluded aircraft is as if it were silent
+            # an excluded aircraft is treated as timed out
             for each in inbox:
                 each[excluded] = np.nan
-            told, memory = hbh23_step(mine, now, own, inbox, memory)
-            command, integrals, diagnosis = middle_step(middle, own, told, integrals)
+            inputs, memory = hbh23_step(mine, now, own, inbox, memory)
+            command, integrals, diagnosis = middle_step(middle, own, inputs, integrals)
             age_s = ages(now, inbox.stamp_s, inbox.received_s, excluded, limit, True)
             ours = {
                 **{f"command.{name}": array for name, array in command._asdict().items()},
                 **{f"out.{name}": array for name, array in diagnosis._asdict().items()},
-                "out.speed_command": told.speed,
-                "out.omega": told.omega,
-                "out.direction": told.direction,
+                "out.speed_command": inputs.speed,
+                "out.omega": inputs.omega,
+                "out.direction": inputs.direction,
                 "link.age_s": age_s,
             }
             records = {"command": commands, "out": followers, "link": links}
@@ -230,14 +230,14 @@ def test_ages():
     stamp = 100.0 - rng.uniform(0.0, 8.0, (40, 5))
     received = stamp + rng.uniform(0.0, 1.0, stamp.shape)
     received[rng.random(stamp.shape) < 0.2] = np.nan
-    unheeded = rng.random(stamp.shape) < 0.3
+    unused = rng.random(stamp.shape) < 0.3
     for limit, led in ((4.0, True), (np.array([4.0, 2.0, 2.0, np.inf, np.inf]), False)):
-        given = (100.0, stamp, received, unheeded, limit, led)
-        ours = ages(*given)
+        args = (100.0, stamp, received, unused, limit, led)
+        ours = ages(*args)
         assert 0 < np.isnan(ours).sum() < ours.size
-        np.testing.assert_array_equal(adapters.ages(*given), ours)
-    # who is held is not too old, as long as something was heard of it
-    assert np.array_equal(np.isnan(ours)[:, 3:], (unheeded | np.isnan(received))[:, 3:])
+        np.testing.assert_array_equal(adapters.ages(*args), ours)
+    # a held neighbour does not time out, if any of its messages was received
+    assert np.array_equal(np.isnan(ours)[:, 3:], (unused | np.isnan(received))[:, 3:])
 
 
 def test_true_slots_and_errors():
@@ -293,8 +293,8 @@ def test_the_velocity_frame_and_the_motion_of_slots():
     )
     turning, bending = rng.normal(0.0, 0.4, (2, n, 3))
     for offsets in (rng.uniform(-50.0, 50.0, (4, 3)), rng.uniform(-50.0, 50.0, (n, 4, 3))):
-        given = frame, turning, bending, offsets
-        close(geometry.slots(*given), adapters.slot_motions(*given))
+        args = frame, turning, bending, offsets
+        close(geometry.slots(*args), adapters.slot_motions(*args))
     acceleration = rng.normal(0.0, 5.0, (n, 3))
     close(
         geometry.velocity_rates(velocity, acceleration),
@@ -312,23 +312,23 @@ def test_the_equations_of_the_law():
     others, other_slots, gains = rng.normal(0.0, 30.0, (3, n, 4, 3))
     gains *= rng.random((n, 4, 1)) < 0.8
     other_slots[:, 0] = 0.0
-    given = own, slot, others, other_slots, gains
-    close([laws.formation_error(*given)], [adapters.formation_error(*given)], atol=1e-9)
+    args = own, slot, others, other_slots, gains
+    close([laws.formation_error(*args)], [adapters.formation_error(*args)], atol=1e-9)
     function = functions.per_agent(many(FUNCTIONS, rng, n))
     vectors = [velocities(rng, (n,), 16.0, 30.0), *rng.normal(0.0, 3.0, (5, n, 3))]
-    given = *vectors, rng.uniform(2.0, 3.0, n), function, speeds
-    desired, theirs = laws.desired_velocity(*given), adapters.desired_velocity(*given)
+    args = *vectors, rng.uniform(2.0, 3.0, n), function, speeds
+    desired, theirs = laws.desired_velocity(*args), adapters.desired_velocity(*args)
     assert np.array_equal(desired.clamped, theirs.clamped)
     assert 0 < desired.clamped.sum() < n
     close(desired[:4], theirs[:4])
     barrier = barriers.per_agent(many(BARRIERS, rng, n))
     s = rng.uniform(LOW - 4.0, HIGH + 4.0, n)
-    given = s, desired, *rng.uniform(0.1, 1.5, (2, n)), rng.uniform(0.4, 0.7, n), barrier, speeds
-    (u, inside), (theirs, also) = laws.speed_control(*given), adapters.speed_control(*given)
+    args = s, desired, *rng.uniform(0.1, 1.5, (2, n)), rng.uniform(0.4, 0.7, n), barrier, speeds
+    (u, inside), (theirs, also) = laws.speed_control(*args), adapters.speed_control(*args)
     assert np.array_equal(inside, also)
     close([u], [theirs], rtol=1e-9)
-    given = velocities(rng, (n,), 15.0, 31.0), desired, rng.uniform(0.05, 1.0, n)
-    close(laws.turn_control(*given), adapters.turn_control(*given))
+    args = velocities(rng, (n,), 15.0, 31.0), desired, rng.uniform(0.05, 1.0, n)
+    close(laws.turn_control(*args), adapters.turn_control(*args))
 
 
 def test_messages_and_the_acceleration_of_the_leader():
@@ -336,12 +336,12 @@ def test_messages_and_the_acceleration_of_the_leader():
     n = 300
     own, inbox, memory = states(n, rng)
     for from_timestamp in (False, True):
-        given = inbox, 100.0, from_timestamp, rng.random(n) < 0.5
-        close(extrapolation.corrected(*given), adapters.corrected(*given))
+        args = inbox, 100.0, from_timestamp, rng.random(n) < 0.5
+        close(extrapolation.corrected(*args), adapters.corrected(*args))
     velocity, time_s = np.ascontiguousarray(inbox.velocity_ned[:, 0]), inbox.received_s[:, 0]
-    given = memory, time_s, velocity, rng.uniform(0.0, 1.0, (n, 2))
-    close(leading.differentiate(*given), adapters.differentiate(*given))
-    speed, gamma, *rates = leading.differentiate(*given)
+    args = memory, time_s, velocity, rng.uniform(0.0, 1.0, (n, 2))
+    close(leading.differentiate(*args), adapters.differentiate(*args))
+    speed, gamma, *rates = leading.differentiate(*args)
     euler = rng.uniform(-0.8, 0.8, (n, 3))
-    given = velocity_frame(velocity), speed, gamma, *rates, euler
-    close([leading.turn_acceleration(*given)], [adapters.turn_acceleration(*given)])
+    args = velocity_frame(velocity), speed, gamma, *rates, euler
+    close([leading.turn_acceleration(*args)], [adapters.turn_acceleration(*args)])

@@ -36,16 +36,16 @@ def speed_set(n, low=16.0, high=30.0, margin=0.6):
 
 def test_6_by_hand():
     # Two agents; the leader at (100, 0, 0). Agent 1 sits 3 m short of its slot (-5, 5, 0), agent 2
-    # 2 m right of and 1 m above its slot (-5, -5, 0). Agent 1 hears the leader with gain 2; agent 2
-    # hears the leader with gains (1, 1, 0.5) and agent 1 with gain 0.5.
+    # 2 m right of and 1 m above its slot (-5, -5, 0). Agent 1 uses the leader with gain 2; agent 2
+    # uses the leader with gains (1, 1, 0.5) and agent 1 with gain 0.5.
     own = np.array([[92.0, 5.0, 0.0], [95.0, -3.0, -1.0]])
     chi = np.array([[0.0, 0.0, 0.0], [-5.0, 5.0, 0.0], [-5.0, -5.0, 0.0]])
-    heard = np.array([[100.0, 0.0, 0.0], *own])
+    received = np.array([[100.0, 0.0, 0.0], *own])
     gains = np.zeros((2, 3, 3))
     gains[0, 0] = 2.0
     gains[1, 0] = [1.0, 1.0, 0.5]
     gains[1, 1] = 0.5
-    xi = formation_error(own, chi[1:], np.stack([heard] * 2), np.stack([chi] * 2), gains)
+    xi = formation_error(own, chi[1:], np.stack([received] * 2), np.stack([chi] * 2), gains)
     # agent 1: 2 (q_g − q_1 + χ_1) = 2 (100 − 92 − 5, −5 + 5, 0)
     # agent 2: (100 − 95 − 5, 3 − 5, 0.5·1) + 0.5 (92 − 95 − 5 + 5, 5 + 3 − 5 − 5, 1)
     assert xi == pytest.approx(np.array([[6.0, 0.0, 0.0], [-1.5, -3.0, 1.0]]), abs=1e-14)
@@ -72,9 +72,9 @@ def test_6_against_the_sum_as_printed():
 
 def test_error_is_zero_only_with_all_in_their_slots():
     chi = np.array([[0.0, 0.0, 0.0], [-8.0, 4.0, 0.0], [-8.0, -4.0, 2.0]])
-    everyone = chi + np.array([64.0, -32.0, -128.0])
+    all_rows = chi + np.array([64.0, -32.0, -128.0])
     xi = formation_error(
-        everyone[1:], chi[1:], np.stack([everyone] * 2), np.stack([chi] * 2), np.ones((2, 3, 3))
+        all_rows[1:], chi[1:], np.stack([all_rows] * 2), np.stack([chi] * 2), np.ones((2, 3, 3))
     )
     assert (xi == 0.0).all()
 
@@ -103,9 +103,9 @@ class Motion:
 
     def error(self, t, order):
         x = self.at(t, order)
-        heard, chi = np.vstack([x[0], x[4:]]), np.vstack([np.zeros(3), x[1:4]])
+        received, chi = np.vstack([x[0], x[4:]]), np.vstack([np.zeros(3), x[1:4]])
         return formation_error(
-            x[4:], x[1:4], np.stack([heard] * 3), np.stack([chi] * 3), self.gains
+            x[4:], x[1:4], np.stack([received] * 3), np.stack([chi] * 3), self.gains
         )
 
     def desired(self, t, function, speeds=None):

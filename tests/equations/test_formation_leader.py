@@ -12,13 +12,13 @@ from reference.adapters import (
     velocity_frame,
     velocity_rates,
 )
-from reference.formation_leader_filter import Memory, course_acceleration, unheard
+from reference.formation_leader_filter import Memory, course_acceleration, no_messages
 from reference.formation_message_extrapolation import times
 
+from testbed.core.frames import PAPER_GRAVITY
 from testbed.core.records import Inbox
 from testbed.formation import leader_filter as leading
 from testbed.formation.barrier import Barrier
-from testbed.formation.leader_filter import GRAVITY
 
 EACH_SOURCE = [leading.NOTHING, leading.BROADCAST, leading.TURN]
 
@@ -101,13 +101,13 @@ def test_a_step_reckons_with_the_present(step):
 # q̈_g
 
 
-def heard_at(stamp, speed, gamma):
+def message_at(stamp, speed, gamma):
     velocity = speed * np.array([[np.cos(gamma), 0.0, -np.sin(gamma)]])
     return np.array([stamp]), velocity
 
 
 def remembered(*numbers):
-    """Stamp, speed, γ and their rates of a leader that is heard, with no average of q̈_g."""
+    """Stamp, speed, γ and their rates in the last message used, with no average of q̈_g."""
     never = np.array([np.nan])
     nowhere, unsaid = np.full((1, 2, 3), np.nan), np.full((1, 2), np.nan)
     numbers = (np.array([v]) for v in numbers)
@@ -118,7 +118,9 @@ def test_differences_by_hand():
     # 22 → 22.1 m/s and 0.10 → 0.12 rad in 0.05 s: 2 m/s² and 0.4 rad/s; shares 0.5 and 0.25
     blend = np.array([[0.5, 0.25]])
     memory = remembered(99.90, 22.0, 0.10, 1.0, -0.2)
-    speed, gamma, speed_rate, gamma_dot = differentiate(memory, *heard_at(99.95, 22.1, 0.12), blend)
+    speed, gamma, speed_rate, gamma_dot = differentiate(
+        memory, *message_at(99.95, 22.1, 0.12), blend
+    )
     assert (speed[0], gamma[0]) == pytest.approx((22.1, 0.12), rel=1e-14)
     assert speed_rate[0] == pytest.approx(0.5 * 1.0 + 0.5 * 2.0, abs=1e-9)
     assert gamma_dot[0] == pytest.approx(0.75 * -0.2 + 0.25 * 0.4, abs=1e-9)
@@ -127,24 +129,24 @@ def test_differences_by_hand():
 def test_the_same_message_is_differentiated_once():
     blend = np.ones((1, 2))
     memory = remembered(99.95, 22.1, 0.12, 1.5, 0.3)
-    for late in (99.95, 99.90):  # heard before, or older than what was heard
-        _, _, speed_rate, gamma_dot = differentiate(memory, *heard_at(late, 25.0, 0.2), blend)
+    for late in (99.95, 99.90):  # used before, or older than that
+        _, _, speed_rate, gamma_dot = differentiate(memory, *message_at(late, 25.0, 0.2), blend)
         assert (speed_rate[0], gamma_dot[0]) == (1.5, 0.3)
 
 
 def test_one_message_has_no_differences():
     _, _, speed_rate, gamma_dot = differentiate(
-        unheard(1, 2), *heard_at(99.95, 22.0, 0.1), np.ones((1, 2))
+        no_messages(1, 2), *message_at(99.95, 22.0, 0.1), np.ones((1, 2))
     )
     assert (speed_rate[0], gamma_dot[0]) == (0.0, 0.0)
 
 
 def test_differences_of_a_smooth_flight_are_its_rates():
     """ṡ_g = 0.5 cos t and γ̇_g = 0.1 cos t by differences of 0.04 s, half of that behind."""
-    memory = unheard(1, 2)
+    memory = no_messages(1, 2)
     for k in range(51):
         t = k * 0.04
-        velocity = heard_at(t, 22.0 + 0.5 * np.sin(t), 0.1 * np.sin(t))
+        velocity = message_at(t, 22.0 + 0.5 * np.sin(t), 0.1 * np.sin(t))
         rates = differentiate(memory, *velocity, np.ones((1, 2)))
         memory = remembered(velocity[0][0], *(float(rate[0]) for rate in rates))
         if k:
@@ -169,7 +171,7 @@ def test_turn_acceleration_is_that_of_the_velocity():
     assert along == pytest.approx(speed_rate, abs=1e-13)
     assert climbing == pytest.approx(gamma_dot, abs=1e-13)
     # σ̇ = g tan φ / (s cos γ), for the attitude's pitch is γ here
-    coordinated = GRAVITY * np.tan(euler[:, 0]) / (speed * np.cos(gamma))
+    coordinated = PAPER_GRAVITY * np.tan(euler[:, 0]) / (speed * np.cos(gamma))
     assert turning == pytest.approx(coordinated, abs=1e-13)
 
 
@@ -181,7 +183,7 @@ def test_turn_of_a_helix_is_its_acceleration(step, gamma):
     speed, turn = 22.0, 0.25
     law = make_law(2, rng, acceleration_source=np.full(2, leading.TURN))
     own, inbox, _ = states(2, rng)
-    bank = np.arctan(turn * speed * np.cos(gamma) / GRAVITY)
+    bank = np.arctan(turn * speed * np.cos(gamma) / PAPER_GRAVITY)
     memory = law.start(own)
     for k in range(30):
         now = NOW + 0.04 * k
@@ -198,7 +200,7 @@ def test_turn_of_a_helix_is_its_acceleration(step, gamma):
 
 
 @each_engine
-def test_each_agent_takes_the_source_it_was_given(step):
+def test_each_agent_uses_its_own_source(step):
     rng = np.random.default_rng(64)
     blend = rng.uniform(0.1, 0.9, (3, 3))
     law = make_law(3, rng, acceleration_source=np.array(EACH_SOURCE), acceleration_blend=blend)
@@ -207,9 +209,9 @@ def test_each_agent_takes_the_source_it_was_given(step):
     said_s = times(inbox, law.from_timestamp)[:, 0]
     memory = memory._replace(time_s=said_s - np.array([0.04, 0.04, 0.0]))
     _, after = step(law, NOW, own, inbox, memory)
-    last, heard = memory.acceleration, inbox.acceleration_ned[:, 0]
+    last, received = memory.acceleration, inbox.acceleration_ned[:, 0]
     assert after.acceleration[0] == pytest.approx((1 - blend[0]) * last[0], abs=1e-14)
-    average = (1 - blend[1]) * last[1] + blend[1] * heard[1]
+    average = (1 - blend[1]) * last[1] + blend[1] * received[1]
     assert after.acceleration[1] == pytest.approx(average, abs=1e-14)
     speed = np.linalg.norm(inbox.velocity_ned[:, 0], axis=1)
     gamma = -np.arcsin(inbox.velocity_ned[:, 0, 2] / speed)
@@ -234,7 +236,7 @@ def test_an_average_takes_every_message_once(step):
 
 
 @each_engine
-def test_what_is_made_of_it_is_10(step):
+def test_leader_acceleration_enters_only_p_d_rate(step):
     """q̈_g enters ṗ_d and nothing else: s_d and y_d stay, u and ω move with it."""
     rng = np.random.default_rng(65)
     law = make_law(2, rng, acceleration_blend=np.ones((2, 3)))
@@ -259,11 +261,11 @@ def test_a_course_is_bent_by_the_roll_rate_by_hand():
     assert bent == pytest.approx([0.981, 0.0], abs=1e-14)
 
 
-def test_it_is_the_derivative_of_the_turn_rate():
+def test_course_acceleration_is_derivative_of_rate():
     bank, attitude, speed, roll_rate, step = 0.5, 0.2, 23.0, 0.7, 1e-6
 
     def chi_dot(t):
-        return GRAVITY * np.tan(bank + roll_rate * t) / (speed * np.cos(attitude))
+        return PAPER_GRAVITY * np.tan(bank + roll_rate * t) / (speed * np.cos(attitude))
 
     ours = course_acceleration(
         np.array([speed]), np.array([[bank, attitude, 1.0]]), np.array([roll_rate])
@@ -305,12 +307,12 @@ def test_a_leader_that_rolls_in_is_anticipated(step):
     )
     own = own._replace(position_ned=offsets[1:].copy(), velocity_ned=north[1:].copy())
     memory = memory._replace(acceleration=np.zeros((2, 3)))
-    told, _ = step(law, NOW, own, inbox, memory)
+    inputs, _ = step(law, NOW, own, inbox, memory)
     bending = 9.81 * 0.4 / 22.0
     assert bending == pytest.approx(0.178364, abs=1e-6)
-    assert told.speed == pytest.approx(22.0 - bending * right / law.speed_pole, abs=1e-12)
-    assert told.omega[:, 2] == pytest.approx(bending * forward / 22.0, abs=1e-14)
-    assert told.omega[:, 1] == pytest.approx([0.0, 0.0], abs=1e-15)
+    assert inputs.speed == pytest.approx(22.0 - bending * right / law.speed_pole, abs=1e-12)
+    assert inputs.omega[:, 2] == pytest.approx(bending * forward / 22.0, abs=1e-14)
+    assert inputs.omega[:, 1] == pytest.approx([0.0, 0.0], abs=1e-15)
     # the paper neglects it
     neglected, _ = step(
         replace(law, angular_acceleration_source=np.zeros(2, dtype=int)), NOW, own, inbox, memory
@@ -355,7 +357,7 @@ def test_differences_of_turn_rates_by_hand(step):
         omega=np.tile([0.0, 0.0, 0.10], (2, 1)),
         omega_dot=np.tile([0.0, 0.0, 0.2], (2, 1)),
     )
-    told, after = step(law, NOW, own, inbox, memory)
+    inputs, after = step(law, NOW, own, inbox, memory)
     assert after.omega == pytest.approx(np.tile([0.0, 0.0, turn], (2, 1)), abs=1e-15)
     assert after.omega_dot == pytest.approx(np.tile([0.0, 0.0, bend], (2, 1)), abs=1e-11)
     # ṗ_d is χ̈ alone, and ṡ_d its part along the velocity
@@ -364,7 +366,7 @@ def test_differences_of_turn_rates_by_hand(step):
     )
     along = (chi_ddot * velocity[:, :2]).sum(axis=1) / np.linalg.norm(velocity, axis=1)
     speed = np.linalg.norm(velocity, axis=1)
-    assert told.speed == pytest.approx(speed + along / law.speed_pole, abs=1e-10)
+    assert inputs.speed == pytest.approx(speed + along / law.speed_pole, abs=1e-10)
     _, again = step(law, NOW + 0.04, own, inbox, after)
     assert np.array_equal(again.omega_dot, after.omega_dot)
     inbox.received_s[:] = NOW - 100.0

@@ -14,10 +14,10 @@ from formation_cases import (
     results,
 )
 from reference.formation_middle_loop import MiddleLoopMemory
+from reference.frames import velocity_frame
 
-from testbed.core.frames import velocity_frame
 from testbed.core.records import UnicycleCommand, VehicleState
-from testbed.formation.flags import LimiterFlag, Saturation
+from testbed.formation.law import LimiterFlag, Saturation
 from testbed.formation.middle_loop import initial_memory
 
 # Straight and level at trim: every error is zero.
@@ -62,14 +62,14 @@ def flying(**changes):
         equivalent_airspeed=np.array([it["airspeed"]]),
     )
     yawing = it["chi_dot_desired"] * np.cos(it["gamma"])
-    told = UnicycleCommand(
+    inputs = UnicycleCommand(
         speed=np.array([it["airspeed_command"] - it["airspeed"] + it["speed"]]),
         omega=np.array([[0.0, it["gamma_dot_desired"], yawing]]),
         speed_desired=np.array([21.5]),
         direction=along(it["gamma_desired"], it["course_desired"]),
         limiter_flags=np.array([it["limiter_flags"]], dtype=np.uint8),
     )
-    return own, told
+    return own, inputs
 
 
 def run(middle, memory=None, loop=None, **changes):
@@ -80,9 +80,9 @@ def run(middle, memory=None, loop=None, **changes):
     return command, after, Saturation(int(diagnosis.saturations[0]))
 
 
-def integrals(**given):
+def integrals(**args):
     memory = make_middle(1).start()
-    return memory._replace(**{name: np.array([value]) for name, value in given.items()})
+    return memory._replace(**{name: np.array([value]) for name, value in args.items()})
 
 
 @each_loop
@@ -230,25 +230,25 @@ def test_the_derivative_acts_on_the_error_of_the_rate(middle):
 @each_loop
 def test_the_commanded_airspeed_stays_in_the_bounds(middle):
     rng = np.random.default_rng(25)
-    own, told, memory = middle_states(400, rng)
-    _, _, diagnosis = middle(make_middle(400), own, told, memory)
-    wanted = told.speed + own.airspeed - np.linalg.norm(own.velocity_ned, axis=1)
+    own, inputs, memory = middle_states(400, rng)
+    _, _, diagnosis = middle(make_middle(400), own, inputs, memory)
+    wanted = inputs.speed + own.airspeed - np.linalg.norm(own.velocity_ned, axis=1)
     assert diagnosis.airspeed_command == pytest.approx(np.clip(wanted, LOW, HIGH), abs=1e-12)
     assert diagnosis.airspeed_command.min() == LOW and diagnosis.airspeed_command.max() == HIGH
     clipped = (diagnosis.limiter_flags & LimiterFlag.SPEED_COMMAND_CLIPPED) != 0
     at_bound = (diagnosis.airspeed_command == LOW) | (diagnosis.airspeed_command == HIGH)
     assert (clipped == at_bound).all()
     assert 0 < clipped.sum() < 400
-    # what the law said of itself is kept
+    # the flags of the law are kept
     assert (
-        diagnosis.limiter_flags & ~LimiterFlag.SPEED_COMMAND_CLIPPED == told.limiter_flags
+        diagnosis.limiter_flags & ~LimiterFlag.SPEED_COMMAND_CLIPPED == inputs.limiter_flags
     ).all()
-    assert np.array_equal(diagnosis.speed_desired, told.speed_desired)
+    assert np.array_equal(diagnosis.speed_desired, inputs.speed_desired)
 
 
 @each_loop
 def test_the_command_is_what_throttle_flies(middle):
-    # told to fly 40 m/s: both parts of (21) see the bound of 30
+    # at a command of 40 m/s both parts of (21) see the bound of 30
     gentle = make_middle(1, speed_p=0.01, eta_speed=0.02)
     command, memory, _ = run(middle, loop=gentle, airspeed=29.0, airspeed_command=40.0)
     assert command.throttle[0] == pytest.approx(0.22 + 0.02 * 8.0 + 0.01 * 1.0, abs=1e-15)
@@ -295,7 +295,7 @@ def test_altitude_hold_ignores_the_laws_pitch(middle):
     )
     assert asked.pitch[0] == calm.pitch[0] == pytest.approx(-0.026 * 3.0, abs=1e-15)
     assert memory.gamma[0] == 0.0
-    # and who holds none keeps that integral at rest
+    # without altitude hold its integral stays zero
     _, memory, _ = run(middle, integrals(altitude=3.0))
     assert memory.altitude[0] == 3.0
 
@@ -359,7 +359,7 @@ def test_a_lead_is_the_turn_of_later(middle):
         turn = 9.81 / 20.0 * np.tan(roll_rate * k * DT)
         command, memory, _ = run(middle, memory, loop, chi_dot_desired=turn)
         if k == 30:
-            # the filter has forgotten its start but for (0.1/0.14)^30, some 4e-5
+            # the initial state of the filter has decayed to (0.1/0.14)^30, some 4e-5
             later = roll_rate * (k * DT + lead)
             assert command.roll[0] == pytest.approx(later, abs=1e-5)
 
@@ -387,7 +387,7 @@ def test_without_a_filter_rates_are_those_measured_now(middle):
 # agents
 
 
-def test_it_starts_at_rest():
+def test_middle_loop_starts_with_zero_integrals():
     begun = ("gamma", "course", "speed", "altitude", "turn_bank_rate")
     records = initial_memory(3)
     for name in MiddleLoopMemory._fields:
@@ -406,20 +406,20 @@ def mixed(n, rng):
 @each_loop
 def test_an_agent_alone_is_the_same_agent_in_a_crowd(middle):
     rng = np.random.default_rng(29)
-    loop, given = mixed(7, rng), middle_states(7, rng)
-    together = results(middle(loop, *given))
+    loop, args = mixed(7, rng), middle_states(7, rng)
+    together = results(middle(loop, *args))
     for i in range(7):
-        alone = results(middle(choose(loop, [i]), *(choose(each, [i]) for each in given)))
+        alone = results(middle(choose(loop, [i]), *(choose(each, [i]) for each in args)))
         for name, array in alone.items():
             np.testing.assert_array_equal(array[0], together[name][i], err_msg=name)
 
 
 @each_loop
-def test_a_step_writes_into_nothing_it_is_given(middle):
+def test_step_does_not_write_its_arguments(middle):
     rng = np.random.default_rng(31)
-    given = (mixed(4, rng), *middle_states(4, rng))
-    before = [{name: np.copy(a) for name, a in leaves(record)} for record in given]
-    middle(*given)
-    for record, copies in zip(given, before, strict=True):
+    args = (mixed(4, rng), *middle_states(4, rng))
+    before = [{name: np.copy(a) for name, a in leaves(record)} for record in args]
+    middle(*args)
+    for record, copies in zip(args, before, strict=True):
         for name, array in leaves(record):
             np.testing.assert_array_equal(array, copies[name], err_msg=name)

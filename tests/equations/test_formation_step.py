@@ -34,7 +34,7 @@ from testbed.formation import leader_filter as leading
 from testbed.formation.barrier import Barrier
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
 from testbed.formation.control_step import Hbh23Law
-from testbed.formation.flags import LimiterFlag
+from testbed.formation.law import LimiterFlag
 
 NORTH = np.array([1.0, 0.0, 0.0])
 
@@ -88,8 +88,8 @@ def test_limiter_flags_report_limits(step):
     rng = np.random.default_rng(24)
     law = followers_of_velocity(3, rng)
     # within all limits; leader too slow; own speed beyond the bound
-    given = level_flight(law, rng, leader=[22.0, 15.0, 22.0], own_speed=[22.0, 20.0, 31.0])
-    output, _ = step(law, NOW, *given)
+    args = level_flight(law, rng, leader=[22.0, 15.0, 22.0], own_speed=[22.0, 20.0, 31.0])
+    output, _ = step(law, NOW, *args)
     assert output.limiter_flags.tolist() == [
         0,
         LimiterFlag.SPEED_DESIRED_CLAMPED,
@@ -142,8 +142,8 @@ def test_followers_with_different_options(step):
     barriers = [Barrier(4, 0.02), Barrier(5, 0.05), Barrier(6, 1.0), Barrier(7, 0.0)]
     for _ in range(10):
         law = make_law(4, rng, mu=functions, barrier=barriers, **mixed_options(4, rng))
-        given = states(4, rng, silence=0.1, old=0.1)
-        together = results(step(law, NOW, *given))
+        args = states(4, rng, never=0.1, old=0.1)
+        together = results(step(law, NOW, *args))
         for i in range(4):
             alike = replace(
                 law,
@@ -163,7 +163,7 @@ def test_followers_with_different_options(step):
                 control_function=control_functions.per_agent([functions[i]] * 4),
                 barrier=barrier_functions.per_agent([barriers[i]] * 4),
             )
-            for name, array in results(step(alike, NOW, *given)).items():
+            for name, array in results(step(alike, NOW, *args)).items():
                 np.testing.assert_array_equal(array[i], together[name][i], err_msg=name)
 
 
@@ -215,11 +215,11 @@ def test_follower_in_its_slot_commands_a_steady_helix(step, middle, source, gamm
         airspeed=speed + 2.0,
     )
     now = np.full((n, n + 1), NOW)
-    bank = np.arctan(turn * 22.0 * np.cos(gamma) / leading.GRAVITY)
+    bank = np.arctan(turn * 22.0 * np.cos(gamma) / leading.PAPER_GRAVITY)
     attitude = np.tile([bank, gamma, sigma], (n, n + 1, 1))
     rates = np.tile(omega, (n, n + 1, 1))
-    heard = (np.stack([each] * n) for each in (position, velocity, acceleration))
-    inbox = Inbox(now, now, *heard, attitude, rates)
+    received = (np.stack([each] * n) for each in (position, velocity, acceleration))
+    inbox = Inbox(now, now, *received, attitude, rates)
     output, after = step(law, NOW, own, inbox, law.start(own))
 
     gamma = np.arcsin(-velocity[1:, 2] / speed)
@@ -254,13 +254,13 @@ def test_order_of_followers_has_no_effect(step):
     n, order = 5, np.array([3, 0, 4, 1, 2])
     for _ in range(20):
         law = make_law(n, rng, **mixed_options(n, rng))
-        own, inbox, memory = states(n, rng, silence=0.1, old=0.1)
+        own, inbox, memory = states(n, rng, never=0.1, old=0.1)
         ours = results(step(law, NOW, own, inbox, memory))
         theirs = results(step(*reorder_at(NOW, law, own, inbox, memory, order)))
         expected = {name: array[order] for name, array in ours.items()}
-        everyone = np.concatenate([[0], order + 1])
+        all_rows = np.concatenate([[0], order + 1])
         for name in ("memory.held_position", "memory.held_time_s"):
-            expected[name] = expected[name][:, everyone]
+            expected[name] = expected[name][:, all_rows]
         # sums over neighbours run in another order; (14) magnifies that where D is small
         assert_same(theirs, expected, rtol=1e-9, atol=1e-11)
 
@@ -277,7 +277,7 @@ def test_one_follower_steps_as_among_others(step):
     n = 7
     for _ in range(5):
         law = make_law(n, rng, **mixed_options(n, rng))
-        known = states(n, rng, silence=0.1, old=0.1)
+        known = states(n, rng, never=0.1, old=0.1)
         together = results(step(law, NOW, *known))
         for rows in (*([i] for i in range(n)), [5, 1], [0, 2, 3, 6]):
             part = (choose(each, rows) for each in known)
@@ -315,7 +315,7 @@ def test_rotation_about_the_vertical_and_translation(step):
         )
         memory = memory._replace(acceleration=memory.acceleration @ turn.T)
         turned = results(step(law, NOW, own, inbox, memory))
-        for name in ("told.direction", "memory.acceleration"):
+        for name in ("inputs.direction", "memory.acceleration"):
             straight[name] = straight[name] @ turn.T
         name = "memory.timeout_course"
         straight[name] = wrap_pi(straight[name] + angle)
@@ -330,10 +330,10 @@ def test_rotation_about_the_vertical_and_translation(step):
 def test_step_modifies_no_input(step):
     rng = np.random.default_rng(31)
     law = make_law(3, rng, **mixed_options(3, rng))
-    given = (law, *states(3, rng, silence=0.2))
-    before = [{name: np.copy(a) for name, a in leaves(record)} for record in given]
-    step(given[0], NOW, *given[1:])
-    for record, copies in zip(given, before, strict=True):
+    args = (law, *states(3, rng, never=0.2))
+    before = [{name: np.copy(a) for name, a in leaves(record)} for record in args]
+    step(args[0], NOW, *args[1:])
+    for record, copies in zip(args, before, strict=True):
         for name, array in leaves(record):
             np.testing.assert_array_equal(array, copies[name], err_msg=name)
 

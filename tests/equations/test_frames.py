@@ -24,11 +24,11 @@ def earth_fixed(geodetic):
 
 
 def test_tangent_plane_differs_as_documented():
-    said = re.findall(r"([\d.]+) m at (?:a latitude of )?(\d+)°", OWN_SCENARIO)
-    assert [float(latitude) for _, latitude in said] == [38.0, 60.0, 70.0]
+    documented = re.findall(r"([\d.]+) m at (?:a latitude of )?(\d+)°", OWN_SCENARIO)
+    assert [float(latitude) for _, latitude in documented] == [38.0, 60.0, 70.0]
     turn = np.linspace(0.0, 2.0 * np.pi, 361)
     ned = 1000.0 * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=-1)
-    for metres, degrees in said:
+    for metres, degrees in documented:
         origin, angle = Origin(float(degrees), 0.0, 0.0), math.radians(float(degrees))
         place = earth_fixed(geodetic_from_ned(ned, origin))
         place -= earth_fixed(np.array([float(degrees), 0.0, 0.0]))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from testbed.scenario import ScenarioError, load_scenario
-from testbed.sim.build_formation import build_altitudes, build_gains, unreachable_agents
+from testbed.sim.build_control import build_altitudes, build_gains, unreachable_agents
 
 
 def gains(n, leader=None, **edges):

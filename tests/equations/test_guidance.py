@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
+from testbed.core.compile import entry
 from testbed.core.frames import GRAVITY
+from testbed.core.records import AIRCRAFT, allocate
 from testbed.guidance import l1
-from testbed.guidance.altitude_airspeed_hold import HoldGains, HoldMemory, hold
+from testbed.guidance.altitude_airspeed_hold import (
+    CLIMB_ACCELERATION,
+    GAINS,
+    HOLD,
+    climb_demand,
+    hold,
+)
 from testbed.guidance.flight_plan import (
     FlightPlan,
     Level,
@@ -21,9 +30,21 @@ from testbed.guidance.flight_plan import (
     make_plan,
     polyline,
 )
-from testbed.guidance.mission_follower import initial_memory, step
+from testbed.guidance.mission_follower import begin_flight, guide, segment_records
+from testbed.scenario.middle_loop import Guidance
 
 L1 = {"period": 15.0, "damping": 0.75}
+
+
+class HoldMemory(NamedTuple):
+    """The fields of HOLD."""
+
+    altitude: float
+    climb: float
+    pitch: float
+    throttle: float
+
+
 SQUARE = ((660.0, 0.0, 100.0), (660.0, 660.0, 100.0), (0.0, 660.0, 100.0), (0.0, 0.0, 100.0))
 CIRCLE = LoiterLeg((330.0, 330.0), 120.0, (Level(100.0, 1.0), Level(120.0, 1.0)))
 
@@ -133,7 +154,6 @@ def test_hold_signs_and_anti_windup() -> None:
 
 
 def test_climb_reference_limits_rate_and_change() -> None:
-    gains = HoldGains()
     memory = HoldMemory(altitude=100.0, climb=0.0, pitch=0.0, throttle=0.24)
     climbs = [0.0]
     for _ in range(2000):
@@ -141,7 +161,7 @@ def test_climb_reference_limits_rate_and_change() -> None:
         climbs.append(memory.climb)
     change = np.diff(climbs)
     assert max(climbs) == pytest.approx(1.5)
-    assert np.abs(change).max() <= gains.climb_acceleration * 0.02 + 1e-12
+    assert np.abs(change).max() <= CLIMB_ACCELERATION * 0.02 + 1e-12
     assert memory.altitude == pytest.approx(130.0, abs=0.01)  # e^(−0.3·(40−20)) of 5 m is 0.012 m
 
 
@@ -153,8 +173,16 @@ def _hold(memory: HoldMemory, **different: float) -> tuple[float, float, HoldMem
         "roll": 0.0,
         "altitude_target": 100.0,
     }
-    fixed = {"climb_target": 0.0, "airspeed_target": 22.0, "climb_limit": 1.5, "dt": 0.02}
-    return hold(memory, **(state | different), **fixed, gains=HoldGains())
+    records, gains = allocate(HOLD, 1), allocate(GAINS, 1)
+    records[0], gains[0] = memory, tuple(Guidance().model_dump()[name] for name in GAINS.names)
+    pitch, throttle = _step_hold(records, gains, *(state | different).values())
+    return pitch, throttle, HoldMemory(*records[0].item())
+
+
+@entry
+def _step_hold(memory, gains, altitude, climb, airspeed, roll, target):  # noqa: ANN001, ANN202
+    demand = climb_demand(memory[0], altitude, target, 0.0, 1.5, 0.02)
+    return hold(memory[0], gains[0], demand, climb, airspeed, roll, 22.0, 0.02)
 
 
 def test_plan_counts_laps_and_turns() -> None:
@@ -173,9 +201,9 @@ def test_plan_counts_laps_and_turns() -> None:
 def test_last_waypoints_repeat() -> None:
     plan = make_plan(Mission(legs=(WaypointLeg(SQUARE, 1),), airspeed=22.0), (-200.0, 0.0, 100.0))
     assert plan.segments[plan.repeat_from].start == SQUARE[3]
-    flown = fly(plan, (-200.0, 0.0, 100.0), 300.0)  # 200 m + two laps of 2,493 m take 236 s
-    assert {int(part) for part in flown["part"]} == set(range(8))
-    assert flown["part"][-1] < 8 and flown["part"].max() == 7
+    result = fly(plan, (-200.0, 0.0, 100.0), 300.0)  # 200 m + two laps of 2,493 m take 236 s
+    assert {int(part) for part in result["part"]} == set(range(8))
+    assert result["part"][-1] < 8 and result["part"].max() == 7
 
 
 def test_polyline_is_the_commanded_path() -> None:
@@ -186,34 +214,34 @@ def test_polyline_is_the_commanded_path() -> None:
     assert set(points[5:, 2]) == {-100.0, -120.0}
 
 
-def test_mission_is_flown_as_written() -> None:
+def test_mission_is_followed_in_order() -> None:
     """A point-mass aircraft flies a lap with climbs, then counts the turns of the circle."""
     points = tuple(point[:2] + (150.0 if i in (1, 3) else 100.0,) for i, point in enumerate(SQUARE))
     mission = Mission(legs=(WaypointLeg(points), CIRCLE), airspeed=22.0)
     plan = make_plan(mission, (-200.0, 0.0, 100.0))
-    flown = fly(plan, (-200.0, 0.0, 100.0), 330.0)
-    switch = np.flatnonzero(np.diff(flown["part"])) + 1
+    result = fly(plan, (-200.0, 0.0, 100.0), 330.0)
+    switch = np.flatnonzero(np.diff(result["part"])) + 1
     assert len(switch) == 5
     *switch, level = switch
     # each corner is passed at its own altitude, to the lag of the climb
-    assert flown["altitude"][switch] == pytest.approx([100, 150, 100, 150], abs=1.0)
+    assert result["altitude"][switch] == pytest.approx([100, 150, 100, 150], abs=1.0)
     # and no farther than the turn distance, but with all the bank allowed: no rounded corners
     corner = np.array(SQUARE)[:, :2]
-    distance = np.hypot(*(flown["position"][switch, :2] - corner).T)
+    distance = np.hypot(*(result["position"][switch, :2] - corner).T)
     assert np.all(distance < 79.0) and np.all(distance > 77.0)
-    lap = flown["time"] < flown["time"][switch[-1]]
-    assert np.degrees(flown["roll"][lap].max()) == pytest.approx(30.0, abs=0.1)
+    lap = result["time"] < result["time"][switch[-1]]
+    assert np.degrees(result["roll"][lap].max()) == pytest.approx(30.0, abs=0.1)
     # 50 m over the 581 m between the turns, less what the levelling-off adds (6 %)
-    steady = np.abs(flown["position"][:, 1] - 250.0) < 50.0
-    assert np.abs(flown["climb"][lap & steady]).max() == pytest.approx(2.01, abs=0.1)
+    steady = np.abs(result["position"][:, 1] - 250.0) < 50.0
+    assert np.abs(result["climb"][lap & steady]).max() == pytest.approx(2.01, abs=0.1)
 
-    circle = flown["time"] > flown["time"][switch[-1]] + 60.0
-    radius = np.hypot(*(flown["position"][circle, :2] - 330.0).T)
+    circle = result["time"] > result["time"][switch[-1]] + 60.0
+    radius = np.hypot(*(result["position"][circle, :2] - 330.0).T)
     assert np.abs(radius - 120.0).max() < 2.0
-    bearing = np.unwrap(np.arctan2(*(flown["position"][:, 1::-1] - 330.0).T))
-    first = np.flatnonzero(flown["captured"])[0]
+    bearing = np.unwrap(np.arctan2(*(result["position"][:, 1::-1] - 330.0).T))
+    first = np.flatnonzero(result["captured"])[0]
     assert bearing[level] - bearing[first] == pytest.approx(2.0 * math.pi, abs=0.01)
-    assert flown["altitude"][-1] == pytest.approx(120.0, abs=0.2)
+    assert result["altitude"][-1] == pytest.approx(120.0, abs=0.2)
 
 
 @pytest.mark.parametrize("clockwise", [True, False])
@@ -221,9 +249,9 @@ def test_mission_is_flown_as_written() -> None:
 def test_circle_is_captured_from_anywhere(clockwise: bool, start: tuple[float, float]) -> None:
     leg = replace(CIRCLE, clockwise=clockwise)
     plan = make_plan(Mission(legs=(leg,), airspeed=22.0), (*start, 100.0))
-    flown = fly(plan, (*start, 100.0), 180.0)
-    late = flown["time"] > 150.0
-    relative = flown["position"][late, :2] - 330.0
+    result = fly(plan, (*start, 100.0), 180.0)
+    late = result["time"] > 150.0
+    relative = result["position"][late, :2] - 330.0
     assert np.abs(np.hypot(*relative.T) - 120.0).max() < 2.0
     turning = np.diff(np.unwrap(np.arctan2(relative[:, 1], relative[:, 0])))
     assert np.all(turning > 0.0) if clockwise else np.all(turning < 0.0)
@@ -257,7 +285,9 @@ def fly(
     dt = 0.04
     north, east, up = start
     speed, course, gamma, roll, pitch = plan.mission.airspeed, 0.0, 0.0, 0.0, 0.02
-    memory = initial_memory(altitude=up, pitch=0.02, throttle=0.24)
+    state = begin_flight(plan, (up, 0.0, 0.02, 0.24), dt=dt, gains=Guidance().model_dump())
+    segments, aircraft = segment_records(plan), allocate(AIRCRAFT, 1)
+    own, memory, command = aircraft["estimate"], state["memory"], aircraft["control"]
     rows = []
     for tick in range(round(duration / dt)):
         velocity = (
@@ -265,11 +295,13 @@ def fly(
             speed * math.cos(gamma) * math.sin(course),
             -speed * math.sin(gamma),
         )
-        theta, phi, throttle, memory = step(
-            memory, (north, east, -up), velocity, roll, speed, plan=plan, dt=dt, gains=HoldGains()
-        )
+        own["position_ned"], own["velocity_ned"] = (north, east, -up), velocity
+        own["euler"][0, 0], own["airspeed"] = roll, speed
+        guide(0, aircraft, segments, state)
+        theta, phi, throttle = command[0].item()
         rows.append(
-            (tick * dt, (north, east, up), -velocity[2], roll) + (memory.segment, memory.captured)
+            (tick * dt, (north, east, up), -velocity[2], roll)
+            + (memory["segment"].item(), memory["captured"].item())
         )
         course += GRAVITY * math.tan(roll) / speed * dt
         roll += (phi - roll) / 0.3 * dt
@@ -283,7 +315,7 @@ def fly(
         east += velocity[1] * dt
         up -= velocity[2] * dt
     names = ("time", "position", "climb", "roll", "part", "captured")
-    flown = {
+    result = {
         name: np.array(values) for name, values in zip(names, zip(*rows, strict=True), strict=True)
     }
-    return flown | {"altitude": flown["position"][:, 2]}
+    return result | {"altitude": result["position"][:, 2]}

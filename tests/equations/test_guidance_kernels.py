@@ -1,20 +1,20 @@
-"""The guidance kernels do what the mission follower says, on random plans and states."""
+"""The kernels of guidance on random plans and states, many just where a segment ends."""
 
 import math
 
 import numpy as np
 
 from testbed.core.records import AIRCRAFT, allocate
-from testbed.guidance import guidance_step as guidance
-from testbed.guidance.altitude_airspeed_hold import HoldGains, HoldMemory
+from testbed.guidance import mission_follower as guidance
 from testbed.guidance.flight_plan import Level, LoiterLeg, Mission, WaypointLeg, expand_laps
-from testbed.guidance.mission_follower import LeaderMemory, step, unicycle_step
+from testbed.scenario.middle_loop import Guidance
 
 DT, ROW, STATES = 0.04, 2, 2000
+GAINS = Guidance().model_dump()
 
 
 def flights(seed):
-    """Plans, memories and estimates; many just where a part ends."""
+    """Plans, guidance states of one aircraft and estimates of four."""
     rng = np.random.default_rng(seed)
     for _ in range(STATES // 20):
         points = rng.uniform(-800.0, 800.0, (4, 3)) * (1.0, 1.0, 0.05) + (0.0, 0.0, 100.0)
@@ -29,18 +29,18 @@ def flights(seed):
         legs = (around, circle) if rng.integers(2) else (circle, around)
         mission = Mission(legs=legs, airspeed=rng.uniform(18.0, 26.0), period=rng.uniform(10, 20))
         plan = expand_laps(mission, (0.0, 0.0, 100.0))
-        gains = HoldGains(reference=rng.uniform(0.1, 0.5), path=rng.uniform(0.2, 0.8))
         for _ in range(20):
             number = int(rng.integers(len(plan.segments)))
             part = plan.segments[number]
-            hold = HoldMemory(*rng.normal((100.0, 0.0, 0.02, 0.3), (10.0, 1.0, 0.02, 0.3)).tolist())
-            memory = LeaderMemory(
+            held = rng.normal((100.0, 0.0, 0.02, 0.3), (10.0, 1.0, 0.02, 0.3)).tolist()
+            state = guidance.begin_flight(plan, tuple(held), dt=DT, gains=GAINS)
+            state["memory"] = (
                 number,
                 rng.normal(100.0, 20.0),
                 bool(part.circle and rng.integers(2)),
                 2.0 * math.pi * part.turns * rng.choice([0.5, 1.0]),
                 rng.uniform(-math.pi, math.pi),
-                hold,
+                tuple(held),
             )
             near = rng.choice([50.0, 500.0])
             off = rng.normal(0.0, near, (4, 3)) * (1.0, 1.0, 0.1)
@@ -48,12 +48,7 @@ def flights(seed):
             velocity = rng.normal(0.0, (15.0, 15.0, 2.0), (4, 3))
             euler = rng.normal(0.0, 0.4, (4, 3))
             airspeed = rng.uniform(12.0, 30.0, 4)
-            yield plan, gains, memory, (position, velocity, euler, airspeed)
-
-
-def own_of(plan, gains, memory):
-    segments = guidance.segment_records(plan)
-    return segments, guidance.begin_flight(plan, memory, dt=DT, gains=gains)
+            yield plan, state, aircraft_at(position, velocity, euler, airspeed)
 
 
 def aircraft_at(position, velocity, euler, airspeed):
@@ -66,77 +61,68 @@ def aircraft_at(position, velocity, euler, airspeed):
     return aircraft
 
 
-def numbers(memory):
-    return [*memory[:-1], *memory.hold]
-
-
-def agree(ours, theirs):
-    pairs = zip(ours, theirs, strict=True)
-    return all(math.isclose(*pair, rel_tol=1e-12, abs_tol=1e-13) for pair in pairs)
-
-
-def test_kernels_equal_the_mission_follower():
-    """Its libraries round a hypotenuse in a hundred otherwise, and a square in a thousand."""
+def test_both_guides_make_the_same_progress():
+    """Only the memory and the command of the row are written."""
     lines, circles, levels = 0, 0, 0
-    for plan, gains, memory, (position, velocity, euler, airspeed) in flights(61):
-        segments, own = own_of(plan, gains, memory)
-        assert guidance.memory_of(own) == memory
-        before = own.copy()
-        aircraft = aircraft_at(position, velocity, euler, airspeed)
-        untouched = aircraft.copy()
-        row = position[ROW].tolist(), velocity[ROW].tolist()
-        guidance.guide(ROW, aircraft, segments, own)
-        *ours, after = step(
-            memory, *row, euler[ROW, 0].item(), airspeed[ROW].item(), plan, DT, gains
-        )
-        assert agree(ours, aircraft["control"][ROW].item())
-        assert agree(numbers(after), numbers(guidance.memory_of(own)))
-        left = guidance.memory_of(own)
-        # the memory is written in place, and the command of that row, and nothing else
-        own["memory"] = memory
-        assert own.tobytes() == before.tobytes()
+    for plan, state, aircraft in flights(61):
+        segments, before, untouched = guidance.segment_records(plan), state.copy(), aircraft.copy()
+        guidance.guide(ROW, aircraft, segments, state)
+        after = state["memory"].copy()
+        pitch, roll, throttle = aircraft["control"][ROW].item()
+        assert abs(pitch) <= math.radians(20.0) and 0.0 <= throttle <= 1.0
+        assert abs(roll) <= plan.mission.bank_limit
+        state["memory"] = before["memory"]
+        assert state.tobytes() == before.tobytes()
         aircraft["control"][ROW] = untouched["control"][ROW]
         assert (aircraft == untouched).all()
 
-        went = plan.segments[memory.segment]
-        lines += left.segment != memory.segment and not went.circle
-        circles += left.segment != memory.segment and went.circle and not went.continues
-        levels += left.segment != memory.segment and went.continues
+        went = plan.segments[before["memory"]["segment"][0]]
+        moved = after["segment"][0] != before["memory"]["segment"][0]
+        lines += moved and not went.circle
+        circles += moved and went.circle and not went.continues
+        levels += moved and went.continues
 
-        speed, omega = guidance.guide_unicycle(ROW, aircraft, segments, own)
-        wanted, turning, after = unicycle_step(memory, *row, plan, DT, gains)
-        assert agree((wanted, *turning), (speed, *omega))
-        assert agree(numbers(after), numbers(guidance.memory_of(own)))
-        north, east, down = row[1]
+        speed, omega = guidance.guide_unicycle(ROW, aircraft, segments, state)
+        for name in ("segment", "altitude_from", "captured", "turned", "bearing"):
+            assert state["memory"][name] == after[name], name
+        for name in ("altitude", "climb"):
+            assert state["memory"]["hold"][name] == after["hold"][name], name
+        for name in ("pitch", "throttle"):
+            assert state["memory"]["hold"][name] == before["memory"]["hold"][name], name
+        assert speed == plan.mission.airspeed and omega[0] == 0.0
+        north, east, down = untouched["estimate"]["velocity_ned"][ROW]
         gamma = math.atan2(-down, math.hypot(north, east))
-        assert agree(aircraft["control"][ROW].item(), (gamma, euler[ROW, 0], 0.0))
-    assert min(lines, circles, levels) > 15, "the states reach every end of a part"
+        expected = (gamma, untouched["estimate"]["euler"][ROW, 0], 0.0)
+        np.testing.assert_allclose(aircraft["control"][ROW].item(), expected, rtol=1e-12)
+    assert min(lines, circles, levels) > 15, "the states reach every end of a segment"
 
 
 def test_turns_are_counted_the_short_way():
     """The second route: the remainder of the change of bearing by whole turns."""
     counted = 0
-    for plan, gains, memory, (position, velocity, *_) in flights(62):
-        part = plan.segments[memory.segment]
-        row = position[ROW].tolist()
-        _, _, after = unicycle_step(memory, row, velocity[ROW].tolist(), plan, DT, gains)
-        if not memory.captured or after.segment != memory.segment:
+    for plan, state, aircraft in flights(62):
+        before = state["memory"][0].copy()
+        part = plan.segments[before["segment"]]
+        guidance.guide_unicycle(ROW, aircraft, guidance.segment_records(plan), state)
+        after = state["memory"][0]
+        if not before["captured"] or after["segment"] != before["segment"]:
             continue
-        bearing = math.atan2(row[1] - part.end[1], row[0] - part.end[0])
-        change = math.remainder(bearing - memory.bearing, 2.0 * math.pi)
-        assert after.turned == memory.turned + (change if part.clockwise else -change)
+        north, east, _ = aircraft["estimate"]["position_ned"][ROW]
+        bearing = math.atan2(east - part.end[1], north - part.end[0])
+        change = math.remainder(bearing - before["bearing"], 2.0 * math.pi)
+        turned = before["turned"] + (change if part.clockwise else -change)
+        assert math.isclose(after["turned"], turned, rel_tol=1e-12, abs_tol=1e-13)
         counted += 1
     assert counted > 150
 
 
 def test_flight_params_do_not_change_the_memory():
-    plan, gains, memory, state = next(flights(63))
-    segments, own = own_of(plan, gains, memory)
+    plan, state, aircraft = next(flights(63))
+    before = state["memory"].copy()
     faster = Mission(legs=(), airspeed=plan.mission.airspeed + 2.0, climb_limit=0.5)
-    guidance.set_flight_params(own, faster)
-    assert guidance.memory_of(own) == memory
-    _, other = own_of(plan._replace(mission=faster), gains, memory)
-    assert own.tobytes() == other.tobytes()
-    aircraft = aircraft_at(*state)
-    guidance.guide(ROW, aircraft, segments, own)
-    assert aircraft["control"]["throttle"][ROW] > 0.0
+    guidance.set_flight_params(state, faster)
+    assert state["memory"] == before
+    assert state["flight_params"]["airspeed"] == faster.airspeed
+    assert state["flight_params"]["climb_limit"] == 0.5
+    speed, _ = guidance.guide_unicycle(ROW, aircraft, guidance.segment_records(plan), state)
+    assert speed == faster.airspeed

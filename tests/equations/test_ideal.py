@@ -11,8 +11,7 @@ from reference import unicycle as reference
 from reference.unicycle import Unicycle, unicycle
 
 from testbed.core.errors import InputError
-from testbed.core.frames import GRAVITY, body_rates, flight_path_angle, wrap_pi
-from testbed.core.motion import euler_rates
+from testbed.core.frames import GRAVITY, body_rates, euler_rates, flight_path_angle, wrap_pi
 from testbed.core.records import AIRCRAFT, FOLLOWER, VehicleState, allocate, fields_of
 from testbed.sim.vehicles import UnicycleVehicles
 from testbed.vehicle.unicycle import are_finite, make_unicycles, stop_unicycles
@@ -92,8 +91,8 @@ def test_constant_turn_is_the_closed_form_helix(ideal, duration):
     # 720,000 steps of 1e-16 rad, should all agree, the direction is off by 8e-11 rad, on 108 km
     tolerance = 1e-9 if duration <= 300.0 else 4e-6
     assert state.position == pytest.approx(expected, abs=tolerance)
-    flown = state.rotation[:, :, 0]
-    assert flown == pytest.approx(velocity_of(1.0, angle, gamma), abs=1e-10)
+    result = state.rotation[:, :, 0]
+    assert result == pytest.approx(velocity_of(1.0, angle, gamma), abs=1e-10)
 
 
 @each_engine
@@ -308,7 +307,7 @@ def test_lost_unicycle_keeps_finite_motion():
         np.testing.assert_array_equal(ours[0], last[0], err_msg=name)
         np.testing.assert_array_equal(ours[1], first[1], err_msg=name)
     assert after.position_ned[2, 0] > at.position_ned[2, 0] + 20.0
-    # who is lost takes no commands
+    # a lost aircraft takes no commands
     steer(fleet, followers, 16.0, [0.0, 0.0, 1.0])
     fleet.step(RATE, None)
     np.testing.assert_array_equal(truth_of(aircraft).euler[:2], after.euler[:2])
@@ -335,7 +334,7 @@ def test_stopped_unicycles_stay_stopped():
     assert (records["position"][1] == 7.0).all()
 
 
-def test_what_cannot_be_flown_is_refused():
+def test_invalid_unicycle_is_an_error():
     position = np.zeros((2, 3))
     velocity = np.array([[22.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     with pytest.raises(InputError, match="ideal vehicle 1 .* write a positive speed"):
@@ -381,8 +380,8 @@ def test_the_kernels_do_what_the_reference_does():
             ours = reference.advance_ticks(state, command, turn, pole, DT, ticks)
             theirs = adapters.advance_ticks(state, command, turn, pole, DT, ticks)
             compare(Unicycle, ours, theirs)
-        said = reference.report(state, command, turn, pole, wind)
-        compare(VehicleState, said, adapters.report(state, command, turn, pole, wind))
+        expected_report = reference.report(state, command, turn, pole, wind)
+        compare(VehicleState, expected_report, adapters.report(state, command, turn, pole, wind))
 
 
 def compare(kind, ours, theirs):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from testbed.core.motion import euler_rates
+from testbed.core.frames import euler_rates
 from testbed.vehicle.identify import FirstOrder, fit_first_order
 from testbed.vehicle.inertia import impossible_inertia
 from testbed.vehicle.linearize import CONTROLS, STATES, linearize

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from testbed.core.records import FOLLOWER, LINK, allocate
-from testbed.formation.flags import LimiterFlag
 from testbed.formation.hbh23 import NEIGHBOUR as NEIGHBOUR_RECORD
+from testbed.formation.law import LimiterFlag
 from testbed.network.link_statistics import initial_statistics
-from testbed.sim.link_monitor import LEADER, LINK_WATCH, NEIGHBOUR, LinkMonitor, check_links
+from testbed.sim.monitors import LEADER, LINK_WATCH, NEIGHBOUR, LinkMonitor, check_links
 
 NAMES = ("leader", "uav1", "uav2", "uav3")
 LEADER_TIMEOUT = int(LimiterFlag.LEADER_TIMEOUT)

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from reference.frames import velocity_frame
 
-from testbed.core.frames import velocity_frame
 from testbed.core.records import (
     ActuatorCommand,
     AirData,
@@ -18,7 +18,7 @@ from testbed.core.records import (
     Sample,
     VehicleState,
 )
-from testbed.formation.flags import LimiterFlag, Saturation
+from testbed.formation.law import LimiterFlag, Saturation
 from testbed.metrics import MetricsObserver
 from testbed.metrics.accumulator import BLOCK
 from testbed.metrics.facts import describe_wind
@@ -36,7 +36,7 @@ def run_info(followers=2, windows=None):
         wingspan_m=(2.8,) * len(names),
         origin=Origin(),
         base_rate_hz=BASE_RATE_HZ,
-        frame_rate_hz=FRAME_RATE_HZ,
+        sample_rate_hz=FRAME_RATE_HZ,
         duration_s=100.0,
         seed=1,
         speed_bounds_mps=((16.0, 30.0),) * followers,
@@ -250,8 +250,8 @@ def test_flags_of_a_lost_follower_do_not_count():
     samples = [make_sample(0, np.zeros((2, 3)))]
     samples += [make_sample(k, np.zeros((2, 3)), lost=(2,), **flags) for k in range(1, 11)]
     summary = measure(samples, run_info())
-    assert [summary["limiter_flags"][name]["frames"] for name in ("uav1", "uav2")] == [10, 0]
-    assert [summary["saturations"][name]["frames"] for name in ("uav1", "uav2")] == [10, 0]
+    assert [summary["limiter_flags"][name]["samples"] for name in ("uav1", "uav2")] == [10, 0]
+    assert [summary["saturations"][name]["samples"] for name in ("uav1", "uav2")] == [10, 0]
     assert summary["left_speed_set"]["uav2"] == {"times": 0, "first_s": None}
     assert summary["recovery"]["uav2"]["last_saturated_s"] is None
 
@@ -331,16 +331,16 @@ def test_limiter_flags_and_saturations_by_kind():
     ]
     summary = measure(samples, run_info())
     one = summary["limiter_flags"]["uav1"]
-    assert (one["frames"], one["seconds"]) == (2, 0.08)
+    assert (one["samples"], one["seconds"]) == (2, 0.08)
     assert one["by_kind"] == {
         "speed_desired_clamped": 1,
         "outside_speed_set": 2,
         "speed_command_clipped": 0,
         "leader_timeout": 0,
     }
-    assert summary["limiter_flags"]["uav2"]["frames"] == 0
+    assert summary["limiter_flags"]["uav2"]["samples"] == 0
     assert summary["saturations"]["uav1"]["by_kind"] == {"pitch": 2, "roll": 0, "throttle": 1}
-    assert summary["saturations"]["uav2"]["frames"] == 1
+    assert summary["saturations"]["uav2"]["samples"] == 1
     assert summary["recovery"]["uav1"]["last_saturated_s"] == 0.04
     assert measure(samples[2:], run_info())["recovery"]["uav1"]["last_saturated_s"] is None
 

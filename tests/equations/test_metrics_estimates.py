@@ -64,7 +64,7 @@ def test_angle_errors_are_below_half_a_turn():
 
 
 def test_relative_error_ignores_a_common_offset():
-    # 30 m for everyone; uav1 is off by another 1 m north in turn with 1 m south
+    # 30 m for all; uav1 is off by another 1 m north in turn with 1 m south
     samples = []
     for k in range(40):
         own = np.zeros((3, 3))

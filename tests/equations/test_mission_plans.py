@@ -165,13 +165,13 @@ def test_resumed_lap_repeats_in_full(part):
         *waypoints((500.0, 0.0, 100.0), (500.0, 500.0, 100.0), (0.0, 500.0, 100.0)), jump(1, -1)
     )
     left = found.resume(part, HERE)
-    flown, at = [], 0
+    result, at = [], 0
     for _ in range(20):
-        flown.append((left.items[at], left.plan.segments[at].start))
+        result.append((left.items[at], left.plan.segments[at].start))
         at = at + 1 if at + 1 < len(left.plan.segments) else left.plan.repeat_from
-    items = [item for item, _ in flown]
+    items = [item for item, _ in result]
     assert items == [(part + k) % 3 + 1 for k in range(20)]
-    assert [start for _, start in flown].count(HERE) == 1
+    assert [start for _, start in result].count(HERE) == 1
 
 
 def test_resumed_last_circle_is_endless():
@@ -224,11 +224,11 @@ MISSIONS = [name for name in list_scenarios() if load_scenario(name).leader.path
 @pytest.mark.parametrize("name", ["simulation-3", "experiment-2", "close-formation-wake"])
 def test_scenario_mission_as_items_gives_same_plan(name):
     assert name in MISSIONS
-    page = load_scenario(name)
-    pilot = build(page).leader_controller
+    suite = load_scenario(name)
+    pilot = build(suite).leader_controller
     assert isinstance(pilot, MissionController)
     plan_of_page, mission = pilot.plan, pilot.plan.mission
-    origin = Origin(**page.scenario.origin.model_dump())
+    origin = Origin(**suite.scenario.origin.model_dump())
     again = plan_from_items(
         items_from_mission(mission, origin), plan_of_page.segments[0].start, mission, 60.0, origin
     )

@@ -3,8 +3,7 @@
 import numpy as np
 
 from testbed.core.records import AIRCRAFT, FOLLOWER, allocate
-from testbed.sim.gust_monitor import GustMonitor
-from testbed.sim.join_monitor import JOIN, JoinMonitor, find_joined
+from testbed.sim.monitors import JOIN, GustMonitor, JoinMonitor, find_joined
 
 RATE_HZ = 200
 

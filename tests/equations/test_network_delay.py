@@ -16,12 +16,12 @@ from network_samples import (
     make,
     send,
 )
+from reference.channel_simulation import transmit
 from reference.network_outcomes import pareto as pareto_of
 from scipy import stats
 from scipy.integrate import quad
 
 from testbed.core.errors import InputError
-from testbed.network.channel_simulation import transmit
 from testbed.network.delays import PARETO_WITH_Z
 from testbed.network.links import PacketOutcome
 

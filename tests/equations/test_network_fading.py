@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from reference.frames import rotation_ned_body
 
-from testbed.core.frames import rotation_ned_body
 from testbed.network.fading import fading, make_curves
 from testbed.scenario.network import Network
 

@@ -245,7 +245,10 @@ def test_radio_matches_reference():
         assert set(queue.newest) == {tuple(link) for link in np.argwhere(known).tolist()}
         for link, (number, arrival_s, content_s, stamp_s, vectors) in queue.newest.items():
             assert radio.links["number"][link] == number
-            assert (inbox.received_s[link], radio.content_time_s[link]) == (arrival_s, content_s)
+            assert (inbox.received_s[link], radio.links["measured_s"][link]) == (
+                arrival_s,
+                content_s,
+            )
             assert inbox.stamp_s[link] == stamp_s
             assert np.array_equal([each[link] for each in inbox[2:]], vectors)
     assert_same_statistics(radio.statistics, queue.statistics)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from network_samples import PACKETS, assert_chance, make, send
+from reference.channel_simulation import transmit
 from scipy.stats import chi2_contingency
 
-from testbed.network.channel_simulation import transmit
 from testbed.network.links import PacketOutcome
 
 NAMES = ("leader", "uav1", "uav2", "uav3")

@@ -14,9 +14,9 @@ from network_samples import (
     runs,
     send,
 )
+from reference.channel_simulation import transmit
 from scipy.stats import chi2_contingency
 
-from testbed.network.channel_simulation import transmit
 from testbed.network.links import PacketOutcome
 
 FORGOTTEN = 1e-3  # a correlation that no sample of this size can tell from none
@@ -257,10 +257,10 @@ def test_first_packets_are_lost_as_often_as_all():
 def test_link_that_fails_for_good_works_at_first(loss):
     lost = first_packets(loss, 2000)
     assert lost[-1].all()
-    gone = np.argmax(lost, axis=0)  # the first packet lost; all later ones are
-    assert all(lost[k:, link].all() for link, k in enumerate(gone))
+    first_lost = np.argmax(lost, axis=0)  # the first packet lost; all later ones are
+    assert all(lost[k:, link].all() for link, k in enumerate(first_lost))
     before = 1 if loss["kind"] == "gilbert-elliott" else 0  # which loses by the state it finds
-    lived = gone + 1 - before
+    lived = first_lost + 1 - before
     bounds = np.array([1, 30, 60, 100, 150, 250])
     cumulative = np.append(1.0 - 0.99 ** (bounds[1:] - 1.0), 1.0)
     counts = np.bincount(np.digitize(lived, bounds[1:]), minlength=len(bounds))

@@ -16,9 +16,9 @@ from network_samples import (
     make,
     send,
 )
+from reference.channel_simulation import transmit, transmit_at
 from scipy import stats
 
-from testbed.network.channel_simulation import transmit, transmit_at
 from testbed.network.links import PacketOutcome
 
 BITS = 800  # of the 100 bytes of a message
@@ -184,7 +184,7 @@ def test_random_slots_have_uniform_intervals():
 
 
 def test_random_slots_do_not_depend_on_use():
-    """A message after a long silence takes the slot that a busy link has there."""
+    """A message after a long pause takes the slot that a busy link has there."""
     slots = {"every_s": [0.05, 0.25], "queue_packets": 20}
     busy = send(4000, period_s=0.1, slots=slots).received_s
     busy = busy[~np.isnan(busy)]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from testbed.core.errors import InputError
-from testbed.network.trace import make_replays, read_trace, replayed_delays, trace_delay
+from testbed.network.trace import TraceFile, make_replays, replayed_delays, trace_delay
 from testbed.scenario.network import Network
 
 NAMES = ("leader", "uav1", "uav2")
@@ -49,7 +49,7 @@ def same(delay, expected, within=1e-9):
 @pytest.mark.parametrize("seed", range(3))
 def test_trace_at_its_own_pace_gives_its_outcomes(recorded, seed, tmp_path):
     delay = random_trace(tmp_path / "t.csv", seed, **recorded)
-    trace = read_trace(tmp_path / "t.csv", "leader", "uav1")
+    trace = TraceFile(tmp_path / "t.csv").trace("leader", "uav1")
     times = trace.earliest_s + np.arange(200) * recorded.get("period_s", 0.1)
     # the first row may have been sent off its beat, and begins the replay
     within = 1e-6 if "first_s" in recorded else 1e-9
@@ -89,7 +89,7 @@ def test_links_of_one_file_share_its_time(tmp_path):
 
 def test_message_takes_the_row_nearest_in_time(tmp_path):
     path = write(tmp_path / "t.csv", "sent_s,received_s\n10,10.1\n11,11.2\n14,\n15,15.4\n")
-    trace = read_trace(path, "leader", "uav1")
+    trace = TraceFile(path).trace("leader", "uav1")
     assert trace.span_s == 6.0  # the median of 1, 3 and 1 after the last
     times = 10.0 + np.array([0.0, 0.49, 0.51, 1.0, 2.49, 2.51, 4.49, 4.51, 5.49, 5.51, 6.0, 7.0])
     expected = np.array([0.1, 0.1, 0.2, 0.2, 0.2, np.inf, np.inf, 0.4, 0.4, 0.1, 0.1, 0.2])
@@ -114,7 +114,7 @@ def test_each_link_of_a_file_has_its_own_rows(tmp_path):
         ("leader", "uav2", [np.inf, 0.03]),
         ("uav1", "uav2", [0.04, np.inf]),
     ):
-        trace = read_trace(path, source, destination)
+        trace = TraceFile(path).trace(source, destination)
         begins = 0.5 if source == "uav1" else 0.0
         assert trace.sent_s.tolist() == [begins, begins + 1.0]
         assert (trace.earliest_s, trace.span_s) == (0.0, 2.0)
@@ -183,5 +183,5 @@ WRONG = [
 def test_wrong_trace_is_refused_with_line_and_remedy(text, message, tmp_path):
     path = write(tmp_path / "t.csv", text)
     with pytest.raises(InputError) as caught:
-        read_trace(path, "leader", "uav1")
+        TraceFile(path).trace("leader", "uav1")
     assert str(caught.value).startswith(f"{path}{message}")

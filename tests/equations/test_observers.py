@@ -14,9 +14,9 @@ class Watcher:
     def begin(self, info):
         pass
 
-    def observe(self, frame):
-        self.frames.append(frame)
-        self.seen.append(numbers(frame))
+    def observe(self, sample):
+        self.frames.append(sample)
+        self.seen.append(numbers(sample))
 
     def end(self, summary, events):
         pass
@@ -26,15 +26,15 @@ def numbers(frame):
     """Everything in a frame, copied."""
     records = (frame.truth, frame.estimate, frame.air, frame.command, frame.surfaces)
     every = [array for record in (*records, frame.formation, frame.links) for array in record]
-    if frame.failing is not None:
-        every += frame.failing
+    if frame.faults is not None:
+        every += frame.faults
     return np.concatenate([array.ravel().astype(float) for array in (*every, frame.lost)])
 
 
 @pytest.mark.parametrize(
     "name", ["simulation-3", "simulation-3-pixhawk", "engine-out-uav2", "ideal-figure-eight"]
 )
-def test_who_keeps_frames_keeps_them_as_they_were(name):
+def test_kept_samples_do_not_change(name):
     keeper, borrower = Watcher(zero_copy=False), Watcher(zero_copy=True)
     scenario = set_duration(load_scenario(name, ["log.mcap=false"]), 1.0)
     testbed.run(scenario, write=False, observers=[borrower, keeper])

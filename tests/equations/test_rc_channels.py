@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from testbed.core.random import stream
+from testbed.core.random import named_stream
 from testbed.mavlink.rc_channels import AngleLimits, PwmRange, RcScaling, rc_scaling
 
 LIMITS = AngleLimits(math.radians(50.0), math.radians(20.0), math.radians(-15.0))
@@ -58,7 +58,7 @@ def test_pwm_range_conversions_are_inverse(reversed_):
 
 @pytest.mark.parametrize("scale", [EVEN, WORN], ids=["even", "worn"])
 def test_pulses_and_commands_are_inverse(scale):
-    rng = stream(11, "links")
+    rng = named_stream(11, "links")
     for _ in range(200):
         roll = rng.uniform(-LIMITS.roll, LIMITS.roll)
         pitch = rng.uniform(LIMITS.pitch_min, LIMITS.pitch_max)
@@ -93,6 +93,6 @@ def test_scaling_from_parameters_or_defaults():
         PwmRange(1000, 1500, 2000),
         AngleLimits(*np.radians([45.0, 20.0, -25.0])),
     )
-    given = {"RC2_MIN": 1050.0, "RC2_TRIM": 1530.0, "RC2_MAX": 1900.0, "ROLL_LIMIT_DEG": 50.0}
-    given |= {"PTCH_LIM_MAX_DEG": 20.0, "PTCH_LIM_MIN_DEG": -15.0}
-    assert rc_scaling(given) == EVEN._replace(pitch=WORN.pitch)
+    args = {"RC2_MIN": 1050.0, "RC2_TRIM": 1530.0, "RC2_MAX": 1900.0, "ROLL_LIMIT_DEG": 50.0}
+    args |= {"PTCH_LIM_MAX_DEG": 20.0, "PTCH_LIM_MIN_DEG": -15.0}
+    assert rc_scaling(args) == EVEN._replace(pitch=WORN.pitch)

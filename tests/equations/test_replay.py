@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from testbed.core.frames import wrap_pi
-from testbed.core.motion import euler_rates
+from testbed.core.frames import euler_rates, wrap_pi
 from testbed.guidance.recorded_path import COLUMNS, read_recording, sample_recording
 
 DATA = Path(__file__).parents[2] / "scenarios" / "data" / "arduplane-auto-leader-rascal.csv"

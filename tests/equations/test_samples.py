@@ -1,11 +1,11 @@
-"""Samples in blocks and copies: what comes out is what went in, whoever owns the arrays."""
+"""Blocks and copies of samples equal the samples, also of arrays of the loop."""
 
 import numpy as np
 import pytest
 
 from testbed.core.records import AIRCRAFT, FOLLOWER, LINK, FaultState, VehicleState, allocate
 from testbed.core.samples import SampleBuffer, copy_sample, make_sample
-from testbed.sim.observers import Observers
+from testbed.sim.loop import Observers
 
 N = 3
 
@@ -41,7 +41,7 @@ def _fill(records, rng):
 def arrays(sample):
     """Every array of a sample by its path, copied."""
     found = {"lost": np.array(sample.lost)}
-    records = ("truth", "estimate", "air", "command", "surfaces", "formation", "links", "failing")
+    records = ("truth", "estimate", "air", "command", "surfaces", "formation", "links", "faults")
     for name in records:
         record = getattr(sample, name)
         if record is not None:
@@ -81,14 +81,14 @@ def test_columns_of_a_block_are_the_samples_one_by_one(change):
     assert block.tick == []
 
 
-def test_a_block_knows_whose_estimates_are_not_exact():
+def test_block_marks_inexact_estimates():
     run, block = new_run(), SampleBuffer(4)
     for tick, exact in ((0, True), (8, False), (16, False), (24, True)):
         block.append(sample_of(run, exact=exact)._replace(tick=tick))
-    assert (block.tick, block.erring) == ([0, 8, 16, 24], [1, 2])
+    assert (block.tick, block.inexact) == ([0, 8, 16, 24], [1, 2])
     block.clear()
     block.append(sample_of(run)._replace(tick=8))
-    assert (block.tick, block.erring) == ([8], [0])
+    assert (block.tick, block.inexact) == ([8], [0])
 
 
 @pytest.mark.parametrize("change", [lambda sample: sample, without_records], ids=["run", "own"])
@@ -103,7 +103,7 @@ def test_sample_views_records_and_copies_do_not():
     run = new_run()
     sample = sample_of(run, faults=True)
     assert isinstance(sample.truth, VehicleState)
-    assert isinstance(sample.failing, FaultState)
+    assert isinstance(sample.faults, FaultState)
     fill(run, 1)
     seen, copied = arrays(sample), copy_sample(sample._replace(tick=3, time_s=0.5))
     fill(run, 2)
@@ -127,9 +127,9 @@ class Watcher:
         self.frames, self.seen = [], []
         self.__dict__.update(attributes)
 
-    def observe(self, frame):
-        self.frames.append(frame)
-        self.seen.append(arrays(frame))
+    def observe(self, sample):
+        self.frames.append(sample)
+        self.seen.append(arrays(sample))
 
 
 def test_observers_get_arrays_or_copies():

@@ -19,14 +19,14 @@ from sensors_samples import (
     assert_chance,
     assert_variances,
     make_flight,
-    page,
+    suite,
 )
 
 from testbed.core.frames import GRAVITY
 from testbed.core.records import allocate
 from testbed.sensors.ekf import INITIAL_SIGMA, OUTPUT_TIME_CONSTANT_S, STATES
-from testbed.sensors.ekf_settings import make_settings
 from testbed.sensors.errors import ERRORS, advance_errors, make_sensor_errors, view_errors
+from testbed.sensors.estimators import make_settings
 
 HZ = 50
 DOWN = np.array([0.0, 0.0, GRAVITY])
@@ -43,12 +43,12 @@ GROUPS = {
 
 def test_settings_are_those_of_the_scenario():
     """By hand, in the filter's units: EKF3 adds (0.012 s noise)² at each step of 0.012 s."""
-    own = page(
+    own = suite(
         gps={"rate_hz": 4, "latency_s": 0.22},
         magnetometer={"rate_hz": 5},
         estimator={"gps_velocity_noise_mps": [0.3, 0.8], "gps_delay_s": 0.18, "reset_after_s": 7.0},
     )
-    settings = make_settings([own, page(gyro={})], HZ)
+    settings = make_settings([own, suite(gyro={})], HZ)
     variance = 0.012 * np.array([0.015**2, 0.35**2, 0.0, 0.001**2, 0.02**2, 0.1**2])
     for each in settings["process"]:
         assert each == pytest.approx(np.repeat(variance, [3, 3, 3, 3, 3, 2]), rel=1e-12)
@@ -58,7 +58,7 @@ def test_settings_are_those_of_the_scenario():
     assert settings["heading_noise"] == pytest.approx(np.array([0.5, 0.5]), rel=2e-3)  # rad, 28.6°
     assert (settings["gate"].tolist(), settings["airspeed_gate"].tolist()) == ([5.0] * 2, [4.0] * 2)
     assert settings["reset_after_s"].tolist() == [7.0, 10.0]
-    # a sensor that the page leaves out measures ten times in a second, and without delay
+    # a sensor that the scenario does not describe measures ten times in a second, and without delay
     assert settings["gps_hz"].tolist() == [4, 10]
     assert settings["barometer_hz"].tolist() == [10, 10]
     assert settings["compass_hz"].tolist() == [5, 10]
@@ -70,15 +70,15 @@ def test_settings_are_those_of_the_scenario():
 
 SCALES = np.array([0.1, 0.2, 0.4, 1.0])
 KINDS = (
-    page("pixhawk"),
+    suite("pixhawk"),
     # fixes that overtake one another: the next is sent before the last has come
-    page(
+    suite(
         "pixhawk",
         gps={"rate_hz": 25},
         estimator={"gps_position_noise_m": 0.4, "airspeed_noise_mps": 0.5},
     ),
-    page("pixhawk", gps={"latency_s": 0.22, "rate_hz": 2}),
-    page("degraded"),
+    suite("pixhawk", gps={"latency_s": 0.22, "rate_hz": 2}),
+    suite("degraded"),
 )
 AS_ASSUMED = (0, 1)  # of these, whose latency is what the filter takes it to be
 
@@ -86,8 +86,8 @@ AS_ASSUMED = (0, 1)  # of these, whose latency is what the filter takes it to be
 class Errors:
     """The random errors of sensors, step by step."""
 
-    def __init__(self, names, pages, rate_hz):
-        self._errors = make_sensor_errors(names, pages, seed=SEED, dt=1 / rate_hz)
+    def __init__(self, names, suites, rate_hz):
+        self._errors = make_sensor_errors(names, suites, seed=SEED, dt=1 / rate_hz)
 
     def advance(self):
         """Records (N,) of ERRORS, which the next step changes."""
@@ -289,7 +289,7 @@ def test_ekf_errors_have_the_covariance_of_the_filter():
     n, hz = 200, 20
     flight = make_flight(hz, (10, 0, 0), (20, 1, 0), (10, 0, 0.1), (10, -1, 0.0))
     filters = Filters(
-        [page(gps={"latency_s": 0.0}, estimator={**still, "gps_delay_s": 0.0})] * n, flight
+        [suite(gps={"latency_s": 0.0}, estimator={**still, "gps_delay_s": 0.0})] * n, flight
     )
     settings, states = filters.settings, filters.states
     settings["sideslip_variance"] = slip**2
@@ -334,52 +334,52 @@ def jumped(*offset):
 def test_exact_sensors_leave_a_filter_exact():
     flight = make_flight(HZ, (5, 0, 0), (10, 1, 0), (5, 0, 0.1))
     filters = Filters(
-        [page("pixhawk", gps={"latency_s": 0.0}, estimator={"gps_delay_s": 0.0})], flight
+        [suite("pixhawk", gps={"latency_s": 0.0}, estimator={"gps_delay_s": 0.0})], flight
     )
-    flown = filters.run(0, len(flight))
+    result = filters.run(0, len(flight))
     # velocities of 20 m/s and their differences carry roundings of 1e-15, 1e3 of them
-    assert abs(flown).max() < 1e-10
+    assert abs(result).max() < 1e-10
 
 
 def test_a_far_jump_is_rejected_until_the_reset():
-    filters = Filters([page("pixhawk")], STRAIGHT)
+    filters = Filters([suite("pixhawk")], STRAIGHT)
     assert abs(filters.run(0, 30 * HZ)).max() < 1e-9
-    flown = filters.run(30 * HZ, 60 * HZ, gps_jump=jumped(50.0, -20.0, 0.0))[:, 0]
+    result = filters.run(30 * HZ, 60 * HZ, gps_jump=jumped(50.0, -20.0, 0.0))[:, 0]
     # the fix before was that of 29.8 s; the first that comes more than 10 s later is that of 40 s
     reset = 10 * HZ
-    assert abs(flown[:reset]).max() < 1e-9
-    assert flown[reset:, NORTH] == pytest.approx(50.0, abs=1e-9)
-    assert flown[reset:, EAST] == pytest.approx(-20.0, abs=1e-9)
-    others = np.delete(flown[reset:], (NORTH, EAST), axis=1)
+    assert abs(result[:reset]).max() < 1e-9
+    assert result[reset:, NORTH] == pytest.approx(50.0, abs=1e-9)
+    assert result[reset:, EAST] == pytest.approx(-20.0, abs=1e-9)
+    others = np.delete(result[reset:], (NORTH, EAST), axis=1)
     assert abs(others).max() < 1e-9
     # and back, when the receiver has recovered
-    flown = filters.run(60 * HZ, 75 * HZ)[:, 0]
-    assert flown[: 10 * HZ, NORTH] == pytest.approx(50.0, abs=1e-9)
-    assert abs(flown[10 * HZ :]).max() < 1e-9
+    result = filters.run(60 * HZ, 75 * HZ)[:, 0]
+    assert result[: 10 * HZ, NORTH] == pytest.approx(50.0, abs=1e-9)
+    assert abs(result[10 * HZ :]).max() < 1e-9
 
 
 def test_a_near_jump_is_followed_gradually():
-    filters = Filters([page("pixhawk")], STRAIGHT)
+    filters = Filters([suite("pixhawk")], STRAIGHT)
     filters.run(0, 30 * HZ)
-    flown = filters.run(30 * HZ, 60 * HZ, gps_jump=jumped(3.0, 0.0, 0.0))[:, 0, NORTH]
+    result = filters.run(30 * HZ, 60 * HZ, gps_jump=jumped(3.0, 0.0, 0.0))[:, 0, NORTH]
     state = filters.states[0, NORTH]
-    assert flown[0] == pytest.approx(0.0, abs=1e-9)  # the output has no step,
+    assert result[0] == pytest.approx(0.0, abs=1e-9)  # the output has no step,
     # and changes at most by the part of the 3 m that a lag of 0.25 s corrects in a step; the first
     # correction without a lag is larger
-    assert abs(np.diff(flown)).max() < 3.0 / (HZ * OUTPUT_TIME_CONSTANT_S)
-    assert 2.9 < flown[-1] < 3.1
-    assert flown[-1] == pytest.approx(state, abs=0.01)
+    assert abs(np.diff(result)).max() < 3.0 / (HZ * OUTPUT_TIME_CONSTANT_S)
+    assert 2.9 < result[-1] < 3.1
+    assert result[-1] == pytest.approx(state, abs=0.01)
 
 
 def test_corrections_reach_the_output_with_a_lag():
     """A correction of a state at k is missing from the output by exp(−(t − t_k) / 0.25 s)."""
-    filters = Filters([page("pixhawk")], STRAIGHT)
+    filters = Filters([suite("pixhawk")], STRAIGHT)
     missing = np.zeros(9)
-    drawn = Errors(["a"], [page("pixhawk")], HZ)
+    drawn = Errors(["a"], [suite("pixhawk")], HZ)
     for k in range(5 * HZ):
         errors = drawn.advance()
         x = filters.states[0].copy()
-        flown = filters.step(k, errors=errors)[0]
+        result = filters.step(k, errors=errors)[0]
         (e,) = errors
         gyro = e["gyro_bias"] + e["gyro_noise"] - x[9:12]
         push = e["accelerometer_bias"] + e["accelerometer_noise"] - x[12:15]
@@ -391,7 +391,7 @@ def test_corrections_reach_the_output_with_a_lag():
         )
         missing *= np.exp(-1.0 / (HZ * OUTPUT_TIME_CONSTANT_S))
         missing += filters.states[0, :9] - propagated
-        assert flown == pytest.approx(filters.states[0, :9] - missing, abs=1e-12)
+        assert result == pytest.approx(filters.states[0, :9] - missing, abs=1e-12)
     assert abs(missing).max() > 1e-3
 
 
@@ -400,7 +400,7 @@ def only(rate_hz, **sensors):
     seldom = {"gps": 1, "barometer": 1, "magnetometer": 1}
     rates = {name: {"rate_hz": rate} for name, rate in {**seldom, **sensors}.items()}
     rates["gps"]["latency_s"] = 0.0
-    return page(**rates, estimator={"gps_delay_s": 0.0})
+    return suite(**rates, estimator={"gps_delay_s": 0.0})
 
 
 def before_it(name):
@@ -464,13 +464,13 @@ def test_a_measurement_beyond_its_gate_is_rejected(name):
 
 
 def test_a_lasting_velocity_error_causes_a_reset():
-    filters = Filters([page("pixhawk")], STRAIGHT)
+    filters = Filters([suite("pixhawk")], STRAIGHT)
     filters.run(0, 20 * HZ)
     errors = allocate(ERRORS, 1)
     errors["gps_velocity_noise"] = [0.0, 40.0, 0.0]
-    flown = filters.run(20 * HZ, 32 * HZ, errors=errors)[:, 0]
-    assert abs(flown[: 10 * HZ]).max() < 1e-9
-    assert flown[10 * HZ, 4] == pytest.approx(40.0, abs=1e-9)
+    result = filters.run(20 * HZ, 32 * HZ, errors=errors)[:, 0]
+    assert abs(result[: 10 * HZ]).max() < 1e-9
+    assert result[10 * HZ, 4] == pytest.approx(40.0, abs=1e-9)
 
 
 # Lost and late fixes
@@ -486,19 +486,19 @@ def test_airspeed_bounds_the_velocity_without_gps():
     n, hz = 10, 20
     flight = make_flight(hz, (30, 0, 0), (40, 1, 0), (20, 0, 0), (40, -1, 0), (10, 0, 0))
     filters = Filters(
-        [page("pixhawk", gps={"latency_s": 0.1}, estimator={"gps_delay_s": 0.1})] * (2 * n), flight
+        [suite("pixhawk", gps={"latency_s": 0.1}, estimator={"gps_delay_s": 0.1})] * (2 * n), flight
     )
-    drawn = Errors([f"uav{i}" for i in range(n)], [page("pixhawk")] * n, hz)
+    drawn = Errors([f"uav{i}" for i in range(n)], [suite("pixhawk")] * n, hz)
     measured = np.arange(2 * n) < n
     lost, back = 30 * hz, 130 * hz
-    flown, sigma = np.empty((len(flight), 2 * n, 9)), np.empty(len(flight))
+    result, sigma = np.empty((len(flight), 2 * n, 9)), np.empty(len(flight))
     for k in range(len(flight)):
         errors = np.tile(drawn.advance(), 2)
         new = filters.sensed(k).airspeed_sampled & measured
-        gone = np.full(2 * n, lost <= k < back)
-        flown[k] = filters.step(k, errors=errors, gps_lost=gone, airspeed_sampled=new)
+        outage = np.full(2 * n, lost <= k < back)
+        result[k] = filters.step(k, errors=errors, gps_lost=outage, airspeed_sampled=new)
         sigma[k] = np.sqrt(np.trace(filters.covariance[0, 3:5, 3:5]))
-    speed = np.linalg.norm(flown[:, :, 3:5], axis=2)
+    speed = np.linalg.norm(result[:, :, 3:5], axis=2)
     bounded, free = (
         np.sqrt((speed[:, which] ** 2).mean(axis=1)) for which in (measured, ~measured)
     )
@@ -517,12 +517,12 @@ LATE_S = np.array([0.1, -0.06, 0.3])
 def test_a_wrong_latency_is_an_error_along_the_track():
     """In straight flight by −V Δ over the ground, and nothing else, as settled as after 80 s."""
     filters = Filters(
-        [page("pixhawk", gps={"latency_s": 0.12 + late}) for late in LATE_S], STRAIGHT
+        [suite("pixhawk", gps={"latency_s": 0.12 + late}) for late in LATE_S], STRAIGHT
     )
-    flown = filters.run(0, len(STRAIGHT))[-1]
+    result = filters.run(0, len(STRAIGHT))[-1]
     along = -LATE_S[:, None] * STRAIGHT.velocity[-1, :2]
-    assert flown[:, 6:8] == pytest.approx(along, abs=1e-3)
-    assert abs(flown[:, [*range(6), 8]]).max() < 1e-3
+    assert result[:, 6:8] == pytest.approx(along, abs=1e-3)
+    assert abs(result[:, [*range(6), 8]]).max() < 1e-3
 
 
 def test_a_late_gps_in_a_turn_is_an_error_of_its_angle():
@@ -531,10 +531,10 @@ def test_a_late_gps_in_a_turn_is_an_error_of_its_angle():
     To a hundredth: the inertial sensors, which are not late, contradict a little.
     """
     flight = make_flight(HZ, (5, 0, 0), (60, 1, 0), wind=(0.0, 0.0, 0.0))
-    filters = Filters([page("pixhawk", gps={"latency_s": 0.22})], flight)
-    flown = filters.run(0, 60 * HZ)[-1, 0]
+    filters = Filters([suite("pixhawk", gps={"latency_s": 0.22})], flight)
+    result = filters.run(0, 60 * HZ)[-1, 0]
     ahead = flight.velocity[60 * HZ - 1, :2] / SPEED
     right = np.array([-ahead[1], ahead[0]])
     turn = SPEED / RADIUS
-    assert flown[6:8] @ ahead == pytest.approx(-SPEED * np.sin(0.1 * turn) / turn, rel=0.01)
-    assert flown[3:5] @ right == pytest.approx(-SPEED * np.sin(0.1 * turn), rel=0.01)
+    assert result[6:8] @ ahead == pytest.approx(-SPEED * np.sin(0.1 * turn) / turn, rel=0.01)
+    assert result[3:5] @ right == pytest.approx(-SPEED * np.sin(0.1 * turn), rel=0.01)

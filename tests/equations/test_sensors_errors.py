@@ -13,7 +13,7 @@ from sensors_samples import (
     assert_variances,
     make_flight,
     no_faults,
-    page,
+    suite,
 )
 
 from testbed.core.frames import GRAVITY
@@ -34,7 +34,7 @@ from testbed.sensors.errors import (
 DT = 0.02
 # Every kind of error, each with numbers of its own. Correlation times are so short that a sample
 # holds many, and so long that clusters of 20 steps and more are like continuous time.
-PAGE = page(
+SUITE = suite(
     gps={
         "noise_m": [0.4, 0.9],
         "velocity_noise_mps": [0.07, 0.15],
@@ -103,10 +103,10 @@ def names(count):
     return [f"uav{i}" for i in range(count)]
 
 
-def errors_over(steps, pages, *, aircraft=None, dt=DT, seed=SEED):
+def errors_over(steps, suites, *, aircraft=None, dt=DT, seed=SEED):
     """Errors (steps, N, 29) from the very first."""
-    aircraft = names(len(pages)) if aircraft is None else aircraft
-    errors = make_sensor_errors(aircraft, pages, seed=seed, dt=dt)
+    aircraft = names(len(suites)) if aircraft is None else aircraft
+    errors = make_sensor_errors(aircraft, suites, seed=seed, dt=dt)
     seen = [errors.values.copy()]
     for _ in range(steps - 1):
         advance_errors(errors.coefficients, errors.values, errors.draw())
@@ -131,7 +131,7 @@ def closed_form(root, sigma, time_constant, tau):
 
 def test_noise_parameters_are_those_of_the_scenario():
     """The tables above, against which the samples below are tested."""
-    (sigma,), (tau,) = make_noise_parameters([PAGE], DT)
+    (sigma,), (tau,) = make_noise_parameters([SUITE], DT)
     for key, (root, drift, time_constant) in {**SHARED, **OWN}.items():
         assert sigma[column(*key)] == pytest.approx(drift or root / np.sqrt(DT), rel=1e-12)
         assert tau[column(*key)] == (time_constant if drift else 0.0)
@@ -139,7 +139,7 @@ def test_noise_parameters_are_those_of_the_scenario():
         both = bias_and_noise(*key)
         assert sigma[both] == pytest.approx([drift, root / np.sqrt(DT)], rel=1e-12)
         assert tau[both].tolist() == [time_constant, 0.0]
-    assert not make_noise_parameters([page()], DT).sigma.any()
+    assert not make_noise_parameters([suite()], DT).sigma.any()
 
 
 def bias_and_noise(sensor, axis):
@@ -149,7 +149,7 @@ def bias_and_noise(sensor, axis):
 @pytest.fixture(scope="module")
 def many():
     """60 aircraft for 120 s."""
-    return errors_over(6000, [PAGE] * 60)
+    return errors_over(6000, [SUITE] * 60)
 
 
 @pytest.mark.parametrize("draws", [20, 60, 300])
@@ -165,7 +165,7 @@ def test_allan_variances_of_own_errors(many, draws):
 
 def test_allan_variances_of_shared_errors():
     """One series of 800 s, 400 correlation times and more."""
-    seen = errors_over(40_000, [PAGE])[:, 0]
+    seen = errors_over(40_000, [SUITE])[:, 0]
     for draws in (20, 60, 200):
         for key, numbers in SHARED.items():
             variance = allan_variance(seen[:, column(*key)], draws)
@@ -195,12 +195,12 @@ def test_spectra_of_noise_drifts_and_their_sums(many):
 
 
 def test_errors_are_stationary_from_the_first_step():
-    levels = make_noise_parameters([PAGE], DT).sigma[0]
+    levels = make_noise_parameters([SUITE], DT).sigma[0]
     assert (levels > 0.0).all()
-    seen = errors_over(31, [PAGE] * 400)
+    seen = errors_over(31, [SUITE] * 400)
     for step in (0, 1, 30):
         assert_variances(seen[step, :, GPS_OWN:], levels[GPS_OWN:] ** 2)
-    first = np.array([errors_over(1, [PAGE], seed=seed)[0, 0, :4] for seed in range(400)])
+    first = np.array([errors_over(1, [SUITE], seed=seed)[0, 0, :4] for seed in range(400)])
     assert_variances(first, levels[:4] ** 2)
 
 
@@ -208,7 +208,7 @@ def test_errors_are_stationary_from_the_first_step():
 def test_inertial_noise_density_is_independent_of_rate(hz):
     """The variance of an angle, and of a speed, after 1 s of white noise of density N² is N²."""
     steps = hz
-    seen = errors_over(10 * steps, [PAGE] * 40, dt=1.0 / hz)
+    seen = errors_over(10 * steps, [SUITE] * 40, dt=1.0 / hz)
     for name, root in (("gyro_noise", 0.03 * DEGREE), ("accelerometer_noise", 0.02)):
         sums = seen[:, :, columns(name)].reshape(10, steps, -1).sum(axis=1) / hz
         assert_variances(sums.ravel(), root**2)
@@ -219,18 +219,18 @@ def test_constant_biases_have_their_means_and_sigmas():
         "airspeed": {"offset_pa": 3.0, "offset_sigma_pa": 5.0, "scale": 0.1, "scale_sigma": 0.02},
         "magnetometer": {"offset_deg": -4.0, "offset_sigma_deg": 2.0},
     }
-    offsets = make_constant_biases(names(1000), [page(**keys)] * 1000, SEED)
+    offsets = make_constant_biases(names(1000), [suite(**keys)] * 1000, SEED)
     expected = ((3.0, 5.0), (0.1, 0.02), (-4.0 * DEGREE, 2.0 * DEGREE))
     for drawn, (mean, sigma) in zip(offsets, expected, strict=True):
         assert_variances(drawn - mean, sigma**2)
         assert_means(drawn, mean)
     assert abs(np.corrcoef(offsets) - np.eye(3)).max() < 4.5 / np.sqrt(1000.0)
-    for drawn in make_constant_biases(names(3), [page()] * 3, SEED):
+    for drawn in make_constant_biases(names(3), [suite()] * 3, SEED):
         assert not drawn.any()
 
 
 def test_a_scale_never_reverses_the_pressure():
-    wild = page(airspeed={"scale": -0.9, "scale_sigma": 5.0})
+    wild = suite(airspeed={"scale": -0.9, "scale_sigma": 5.0})
     drawn = make_constant_biases(names(200), [wild] * 200, SEED).scale
     assert drawn.min() == -1.0
     assert (drawn > -1.0).any()
@@ -240,19 +240,19 @@ def test_a_scale_never_reverses_the_pressure():
 
 
 def test_more_aircraft_leave_random_streams_unchanged():
-    alone = errors_over(600, [PAGE] * 2, aircraft=["uav1", "uav2"])
-    crowd = errors_over(600, [PAGE] * 4, aircraft=["leader", "uav2", "other", "uav1"])
+    alone = errors_over(600, [SUITE] * 2, aircraft=["uav1", "uav2"])
+    crowd = errors_over(600, [SUITE] * 4, aircraft=["leader", "uav2", "other", "uav1"])
     assert np.array_equal(crowd[:, [3, 1]], alone)
     both = [["uav1", "uav2"], ["leader", "uav2", "other", "uav1"]]
-    few, more = (make_constant_biases(each, [page("pixhawk")] * len(each), SEED) for each in both)
+    few, more = (make_constant_biases(each, [suite("pixhawk")] * len(each), SEED) for each in both)
     for ours, theirs in zip(few, more, strict=True):
         assert np.array_equal(theirs[[3, 1]], ours)
 
 
 def test_other_sensors_leave_random_streams_unchanged():
-    before = errors_over(300, [PAGE, PAGE])
-    louder = PAGE.model_copy(update={"gyro": page("degraded").gyro, "barometer": None})
-    after = errors_over(300, [louder, PAGE])
+    before = errors_over(300, [SUITE, SUITE])
+    louder = SUITE.model_copy(update={"gyro": suite("degraded").gyro, "barometer": None})
+    after = errors_over(300, [louder, SUITE])
     same = np.ones(ERROR_COUNT, dtype=bool)
     same[columns("barometer_shared", "barometer_own", "barometer_noise")] = False
     assert not after[:, 0, ~same].any()
@@ -264,28 +264,28 @@ def test_other_sensors_leave_random_streams_unchanged():
 
 
 def test_constant_biases_depend_on_their_sensor_alone():
-    whole = make_constant_biases(names(5), [page("pixhawk")] * 5, SEED)
-    bare = make_constant_biases(names(5), [page(magnetometer={"offset_sigma_deg": 4.0})] * 5, SEED)
+    whole = make_constant_biases(names(5), [suite("pixhawk")] * 5, SEED)
+    bare = make_constant_biases(names(5), [suite(magnetometer={"offset_sigma_deg": 4.0})] * 5, SEED)
     assert bare.heading == pytest.approx(2.0 * whole.heading, rel=1e-12)
     assert not bare.pressure.any()
 
 
 def test_block_size_does_not_change_errors(monkeypatch):
-    ours = errors_over(600, [PAGE] * 2)
+    ours = errors_over(600, [SUITE] * 2)
     monkeypatch.setattr(sensor_errors, "BLOCK", 7)
-    assert np.array_equal(errors_over(600, [PAGE] * 2), ours)
+    assert np.array_equal(errors_over(600, [SUITE] * 2), ours)
 
 
 def test_errors_depend_on_the_seed_alone():
-    ours = errors_over(300, [PAGE] * 2)
-    assert np.array_equal(errors_over(300, [PAGE] * 2), ours)
-    assert (errors_over(300, [PAGE] * 2, seed=SEED + 1) != ours).all()
+    ours = errors_over(300, [SUITE] * 2)
+    assert np.array_equal(errors_over(300, [SUITE] * 2), ours)
+    assert (errors_over(300, [SUITE] * 2, seed=SEED + 1) != ours).all()
 
 
 def test_own_errors_are_independent():
     """Correlations of 54 series over 4000 nearly independent samples: 5/√4000 by Bonferroni."""
-    short = page(
-        gps={**PAGE.gps.model_dump(), "shared_time_constant_s": 0.1, "own_time_constant_s": 0.1},
+    short = suite(
+        gps={**SUITE.gps.model_dump(), "shared_time_constant_s": 0.1, "own_time_constant_s": 0.1},
         barometer={"noise_m": 0.2, "shared_drift_m": 0.7, "shared_time_constant_s": 0.1}
         | {"own_drift_m": 0.3, "own_time_constant_s": 0.1},
         airspeed={"noise_pa": 4.0},
@@ -303,9 +303,9 @@ def test_own_errors_are_independent():
 # Shared drifts
 
 
-def products(pages, which, steps=30_000):
+def products(suites, which, steps=30_000):
     """Products of the two aircraft's errors and their squares, over time, from 10 s on."""
-    seen = errors_over(steps, pages)[500:, :, which].reshape(steps - 500, 2, -1).sum(axis=2)
+    seen = errors_over(steps, suites)[500:, :, which].reshape(steps - 500, 2, -1).sum(axis=2)
     return seen[:, 0] * seen[:, 1], seen**2
 
 
@@ -313,7 +313,7 @@ def test_shared_drifts_correlate_two_receivers():
     """σs² / (σs² + σo²), for the north of the GPS and for the barometer."""
     for sensor, shared, own in (("gps", 1.3, 0.5), ("barometer", 0.7, 0.3)):
         both = [column(f"{sensor}_shared"), column(f"{sensor}_own")]
-        product, squares = products([PAGE, PAGE], both)
+        product, squares = products([SUITE, SUITE], both)
         correlation = shared**2 / (shared**2 + own**2)
         variance = shared**2 + own**2
         assert_mean_in_time(product, correlation * variance)
@@ -322,14 +322,14 @@ def test_shared_drifts_correlate_two_receivers():
 
 def test_shared_drifts_of_other_speeds_correlate():
     """2 √(τ1 τ2) / (τ1 + τ2), of continuous time; of steps of 0.02 s within 1e-4 of that."""
-    slow = page(gps={"shared_drift_m": [1.0, 1.0], "shared_time_constant_s": 2.0})
-    fast = page(gps={"shared_drift_m": [3.0, 1.0], "shared_time_constant_s": 0.5})
+    slow = suite(gps={"shared_drift_m": [1.0, 1.0], "shared_time_constant_s": 2.0})
+    fast = suite(gps={"shared_drift_m": [3.0, 1.0], "shared_time_constant_s": 0.5})
     product, _ = products([slow, fast], [0], steps=60_000)
     assert_mean_in_time(product, 3.0 * 2.0 * np.sqrt(2.0 * 0.5) / (2.0 + 0.5))
 
 
 def test_shared_drifts_cancel_between_equal_receivers():
-    only = page(gps={"shared_drift_m": [1.3, 2.6]}, barometer={"shared_drift_m": 1.0})
+    only = suite(gps={"shared_drift_m": [1.3, 2.6]}, barometer={"shared_drift_m": 1.0})
     seen = errors_over(500, [only] * 3)
     assert np.array_equal(seen[:, 0], seen[:, 1])
     assert np.array_equal(seen[:, 0], seen[:, 2])
@@ -351,13 +351,13 @@ def still(tas, height=0.0, thinner=THINNER):
     return VehicleState(position, zero, zero, zero, zero, tas, tas / thinner)
 
 
-def read(pages, truths, failing=None, seed=SEED):
+def read(suites, truths, failing=None, seed=SEED):
     """Equivalent and true airspeeds (K, 2, N) at each of these motions."""
     n = len(truths[0].airspeed)
     aircraft = names(n)
-    errors = make_sensor_errors(aircraft, pages, seed=seed, dt=1 / RATE_HZ)
-    biases = make_constant_biases(aircraft, pages, seed)
-    sensors, out = make_airspeed_sensors(pages, biases, RATE_HZ), []
+    errors = make_sensor_errors(aircraft, suites, seed=seed, dt=1 / RATE_HZ)
+    biases = make_constant_biases(aircraft, suites, seed)
+    sensors, out = make_airspeed_sensors(suites, biases, RATE_HZ), []
     for step, truth in enumerate(truths):
         faults = no_faults(n) if failing is None else failing(step)
         advance_errors(errors.coefficients, errors.values, errors.draw())
@@ -374,9 +374,9 @@ def bernoulli(eas):
 def test_pressure_bias_and_scale_change_the_airspeed():
     """By hand: 20 m/s are 245 Pa; 49 Pa more are √1.2 times as fast, and −0.19 of it 0.9."""
     sensors = [
-        page(airspeed={"offset_pa": 49.0}),
-        page(airspeed={"scale": -0.19}),
-        page(airspeed={"offset_pa": -300.0}),
+        suite(airspeed={"offset_pa": 49.0}),
+        suite(airspeed={"scale": -0.19}),
+        suite(airspeed={"offset_pa": -300.0}),
     ]
     ((eas, tas),) = read(sensors, [still([20.0 * THINNER] * 3)])
     assert eas[:2] == pytest.approx([20.0 * np.sqrt(1.2), 18.0], rel=1e-12)
@@ -385,7 +385,7 @@ def test_pressure_bias_and_scale_change_the_airspeed():
 
 
 def test_pressure_noise_changes_the_airspeed():
-    sensor = page(airspeed={"noise_pa": 4.0, "smoothing_s": 0.0, "rate_hz": RATE_HZ})
+    sensor = suite(airspeed={"noise_pa": 4.0, "smoothing_s": 0.0, "rate_hz": RATE_HZ})
     seen = read([sensor] * 50, [still([20.0] * 50)] * 40)[:, 0]
     noise = bernoulli(seen) - bernoulli(20.0 / THINNER)
     assert_variances(noise.ravel(), 4.0**2)
@@ -393,7 +393,7 @@ def test_pressure_noise_changes_the_airspeed():
 
 
 def test_filtered_pressure_follows_a_step():
-    sensor = page(airspeed={"rate_hz": 10, "smoothing_s": 0.28})
+    sensor = suite(airspeed={"rate_hz": 10, "smoothing_s": 0.28})
     slow, fast = still([15.0]), still([25.0])
     pressure = bernoulli(read([sensor], [slow] * 10 + [fast] * 90)[:, 0, 0])
     before, after = bernoulli(15.0 / THINNER), bernoulli(25.0 / THINNER)
@@ -413,10 +413,10 @@ def test_samples_are_taken_at_their_rate(rate_hz):
 
 
 def test_an_airspeed_sensor_left_out_is_exact():
-    flown = [FLIGHT.at(k, 2) for k in range(100)]
-    flown = [each._replace(airspeed=each.airspeed + 0.01 * k) for k, each in enumerate(flown)]
-    seen = read([page(), page("pixhawk")], flown)
-    for (eas, tas), truth in zip(seen, flown, strict=True):
+    result = [FLIGHT.at(k, 2) for k in range(100)]
+    result = [each._replace(airspeed=each.airspeed + 0.01 * k) for k, each in enumerate(result)]
+    seen = read([suite(), suite("pixhawk")], result)
+    for (eas, tas), truth in zip(seen, result, strict=True):
         assert eas[0] == truth.equivalent_airspeed[0]
         assert tas[0] == truth.airspeed[0]
         assert eas[1] != truth.equivalent_airspeed[1]
@@ -455,8 +455,8 @@ def test_a_blocked_tube_reads_its_trapped_pressure(climbed):
         blocked = np.array([10 <= tick < 20, False])
         return no_faults(2)._replace(pitot_blocked=blocked)
 
-    flown = [here] * 15 + [there] * 15
-    seen = read([page()] * 2, flown, failing)[:, 0]
+    result = [here] * 15 + [there] * 15
+    seen = read([suite()] * 2, result, failing)[:, 0]
     pressure = bernoulli(here.equivalent_airspeed[0])
     trapped = pressure + isa_static_pressure(start) - isa_static_pressure(start + climbed)
     assert bernoulli(seen[10:15, 0]) == pytest.approx(pressure, rel=1e-12)
@@ -466,7 +466,7 @@ def test_a_blocked_tube_reads_its_trapped_pressure(climbed):
     else:  # below the static pressure there is no airspeed
         assert seen[15:20, 0].max() < 0.02
     assert np.array_equal(seen[20:, 0], [there.equivalent_airspeed[0]] * 10)
-    assert np.array_equal(seen[:, 1], [each.equivalent_airspeed[1] for each in flown])
+    assert np.array_equal(seen[:, 1], [each.equivalent_airspeed[1] for each in result])
 
 
 def test_a_blocked_tube_with_an_open_drain_reads_zero():
@@ -474,10 +474,10 @@ def test_a_blocked_tube_with_an_open_drain_reads_zero():
         blocked = np.array([tick >= 10])
         return no_faults(1)._replace(pitot_blocked=blocked, pitot_drained=np.array([True]))
 
-    seen = read([page()], [still([20.0])] * 20, failing)[:, 0, 0]
+    seen = read([suite()], [still([20.0])] * 20, failing)[:, 0, 0]
     assert np.array_equal(seen[:10], [20.0 / THINNER] * 10)
     assert (seen[10:] < 0.02).all()
-    smoothed = page(airspeed={"rate_hz": RATE_HZ, "smoothing_s": 0.28})
+    smoothed = suite(airspeed={"rate_hz": RATE_HZ, "smoothing_s": 0.28})
     pressure = bernoulli(read([smoothed], [still([20.0])] * 60, failing)[:, 0, 0])
     calls = np.arange(1, 51)
     expected = bernoulli(20.0 / THINNER) * np.exp(-calls / RATE_HZ / 0.28)
@@ -491,6 +491,6 @@ def test_a_tube_blocked_twice_traps_the_new_pressure():
     def failing(tick):
         return no_faults(1)._replace(pitot_blocked=np.array([tick in blocked_at]))
 
-    seen = read([page()], [low] * 15 + [high] * 25, failing)[:, 0, 0]
+    seen = read([suite()], [low] * 15 + [high] * 25, failing)[:, 0, 0]
     assert seen[15] > 21.0
     assert seen[30:] == pytest.approx(20.0 / THINNER, rel=1e-12)

@@ -11,21 +11,21 @@ from sensors_samples import (
     assert_chance,
     make_flight,
     no_faults,
-    page,
+    suite,
 )
 
 from testbed.core.compile import prepare
 from testbed.core.frames import GRAVITY, wrap_pi
 from testbed.core.records import VehicleState, allocate, write_fields
-from testbed.sensors import ekf, estimators, jitter, sensor_step
-from testbed.sensors.errors import ERRORS, make_sensor_errors, view_errors
+from testbed.sensors import ekf, estimators, sensor_step
+from testbed.sensors.errors import ERRORS, add_jitter_to_all, make_sensor_errors, view_errors
 from testbed.sensors.estimators import Estimators
 
 HZ = 20
 FLIGHT = make_flight(HZ, (4, 0, 0), (6, 1, 0), (2, 0, 0.1))
-PIXHAWK, TRUTH = page("pixhawk"), page()
-PITOT = page(airspeed={"noise_pa": 3.0, "offset_pa": 10.0})
-EXACT_FIX = page(gps={"latency_s": 0.0}, estimator={"gps_delay_s": 0.0})
+PIXHAWK, TRUTH = suite("pixhawk"), suite()
+PITOT = suite(airspeed={"noise_pa": 3.0, "offset_pa": 10.0})
+EXACT_FIX = suite(gps={"latency_s": 0.0}, estimator={"gps_delay_s": 0.0})
 # At first filters take the air to come from along the nose, so that the wind is off by V α² / 2,
 # 0.025 m/s. A minute later 1e-4 of that is left, in m and in m/s.
 SETTLED = 1e-5
@@ -41,10 +41,10 @@ def names(count):
     return [f"uav{i}" for i in range(count)]
 
 
-def make(pages, *, aircraft=None, flight=FLIGHT, seed=SEED, **keys):
-    aircraft = names(len(pages)) if aircraft is None else aircraft
-    each = Estimators(aircraft, pages, seed=seed, rate_hz=flight.rate_hz, **keys)
-    each.warm_up(kernels.aircraft_of(flight.at(0, len(pages))))
+def make(suites, *, aircraft=None, flight=FLIGHT, seed=SEED, **keys):
+    aircraft = names(len(suites)) if aircraft is None else aircraft
+    each = Estimators(aircraft, suites, seed=seed, rate_hz=flight.rate_hz, **keys)
+    each.warm_up(kernels.aircraft_of(flight.at(0, len(suites))))
     return each
 
 
@@ -94,23 +94,28 @@ def test_without_sensors_the_estimate_is_the_truth():
         assert_same_bits([estimate(each, truth, advance=advance)], [truth])
 
 
-@pytest.mark.parametrize("sensors", [PIXHAWK, PITOT, page("gps-ins"), page(gps={}), page(gyro={})])
+@pytest.mark.parametrize(
+    "sensors", [PIXHAWK, PITOT, suite("gps-ins"), suite(gps={}), suite(gyro={})]
+)
 def test_with_a_sensor_estimates_are_not_exact(sensors, short_warm_up):
     assert not make([TRUTH, sensors]).exact
 
 
 @pytest.mark.parametrize(
-    ("pages", "entries"),
+    ("suites", "entries"),
     [
         ([TRUTH, TRUTH], []),
-        ([TRUTH, page("gps-ins")], [jitter.add_jitter_to_all]),
+        ([TRUTH, suite("gps-ins")], [add_jitter_to_all]),
         ([TRUTH, PITOT], [sensor_step.estimate_airspeeds]),
         ([PITOT, PIXHAWK], [sensor_step.estimate_motions]),
-        ([page("gps-ins"), PITOT], [sensor_step.estimate_airspeeds, jitter.add_jitter_to_all]),
+        (
+            [suite("gps-ins"), PITOT],
+            [sensor_step.estimate_airspeeds, add_jitter_to_all],
+        ),
     ],
 )
-def test_prepare_compiles_the_needed_entries(pages, entries, short_warm_up):
-    each = Estimators(names(2), pages, seed=SEED, rate_hz=HZ)
+def test_prepare_compiles_the_needed_entries(suites, entries, short_warm_up):
+    each = Estimators(names(2), suites, seed=SEED, rate_hz=HZ)
     calls = each.kernels()
     assert [call.func for call in calls] == entries
     prepare(calls)
@@ -131,8 +136,8 @@ def test_an_airspeed_sensor_changes_the_airspeed_only():
 
 
 def test_errors_are_those_of_aircraft_with_sensors(short_warm_up):
-    pages = [TRUTH, PIXHAWK, PITOT, page(gyro={"noise_dps_rthz": 0.1}), TRUTH]
-    seen = wrong(fly(make(pages), 5))
+    suites = [TRUTH, PIXHAWK, PITOT, suite(gyro={"noise_dps_rthz": 0.1}), TRUTH]
+    seen = wrong(fly(make(suites), 5))
     moves = {
         name: (errors.reshape(len(FLIGHT), 5, -1) != 0.0).any(axis=(0, 2)).tolist()
         for name, errors in seen.items()
@@ -152,7 +157,7 @@ def test_exact_sensors_behind_a_filter_give_the_truth():
 def test_estimators_leave_the_truth_unchanged(short_warm_up):
     aircraft = kernels.aircraft_of(FLIGHT.at(5, 2))
     before = aircraft["truth"].copy()
-    make([PIXHAWK, page("gps-ins")]).estimate(aircraft, advance=True)
+    make([PIXHAWK, suite("gps-ins")]).estimate(aircraft, advance=True)
     assert aircraft["truth"].tobytes() == before.tobytes()
 
 
@@ -192,9 +197,9 @@ def test_estimates_depend_on_the_seed_alone(short_warm_up):
     assert (others[-1].position_ned[0] != ours[-1].position_ned[0]).all()
 
 
-@pytest.mark.parametrize("neighbour", [TRUTH, PITOT, page("degraded"), page("gps-ins")])
+@pytest.mark.parametrize("neighbour", [TRUTH, PITOT, suite("degraded"), suite("gps-ins")])
 @pytest.mark.parametrize(
-    "own", [PIXHAWK, PITOT, page("gps-ins")], ids=["pixhawk", "pitot", "jitter"]
+    "own", [PIXHAWK, PITOT, suite("gps-ins")], ids=["pixhawk", "pitot", "jitter"]
 )
 def test_more_aircraft_leave_estimates_unchanged(own, neighbour, short_warm_up):
     alone = fly(make([own] * 2, aircraft=["uav1", "uav2"]), 2, 40)
@@ -210,7 +215,7 @@ def test_more_aircraft_leave_estimates_unchanged(own, neighbour, short_warm_up):
 
 def test_shared_drifts_are_no_relative_error():
     """Two in the same motion, kilometres apart: each is off by metres, and both by the same."""
-    shared = page(
+    shared = suite(
         gps={"shared_drift_m": [4.0, 6.0], "shared_time_constant_s": 20.0},
         barometer={"shared_drift_m": 3.0, "shared_time_constant_s": 20.0},
     )
@@ -230,9 +235,9 @@ def test_relative_errors_are_those_of_own_drifts():
     """Two that differ in their own drifts only, by the filtered difference of these."""
     drift = {"shared_drift_m": [4.0, 6.0], "shared_time_constant_s": 20.0}
     own = {"own_drift_m": [0.2, 0.2], "own_time_constant_s": 20.0}
-    shared = wrong(fly(make([page(gps=drift | own)] * 2), 2))
+    shared = wrong(fly(make([suite(gps=drift | own)] * 2), 2))
     with_it = shared["position_ned"]
-    without = wrong(fly(make([page(gps=own)] * 2), 2))["position_ned"]
+    without = wrong(fly(make([suite(gps=own)] * 2), 2))["position_ned"]
     assert abs(with_it).max() > 10.0 * abs(without).max()
     difference, expected = (each[:, 0] - each[:, 1] for each in (with_it, without))
     # linear but for the direction of the air, which the shared part of the velocity turns, and that
@@ -244,10 +249,10 @@ def test_relative_errors_are_those_of_own_drifts():
 
 def test_a_barometer_drift_is_the_error_of_the_height():
     """However large: the filter starts from it, or is reset to it, and has no other height."""
-    pages = [page(barometer={"own_drift_m": 60.0, "own_time_constant_s": 1e6}) for _ in range(20)]
-    each = make(pages)
+    suites = [suite(barometer={"own_drift_m": 60.0, "own_time_constant_s": 1e6}) for _ in range(20)]
+    each = make(suites)
     seen = wrong(fly(each, 20, 20))["position_ned"][-1, :, 2]
-    first = view_errors(make_sensor_errors(names(20), pages, seed=SEED, dt=1 / HZ))
+    first = view_errors(make_sensor_errors(names(20), suites, seed=SEED, dt=1 / HZ))
     drifts = first["barometer_own"]  # which change by less than 1 m in a minute
     assert abs(drifts).max() > 60.0
     assert abs(seen - drifts).max() < 5.0
@@ -314,7 +319,7 @@ def test_faults_affect_their_aircraft_only():
 def test_without_gps_the_velocity_of_a_filter_is_worse():
     """Six filters have a GPS, six have lost it, and an aircraft without a filter has no error."""
     keys = {"noise_dps_rthz": 1.0}
-    noisy = page(gps={"latency_s": 0.0}, gyro=keys, estimator={"gps_delay_s": 0.0})
+    noisy = suite(gps={"latency_s": 0.0}, gyro=keys, estimator={"gps_delay_s": 0.0})
     each, lost = make([TRUTH, *[noisy] * 12], sensor_faults=True), np.arange(13) % 2 == 0
 
     def failing(k):
@@ -334,7 +339,7 @@ def test_filters_have_settled_at_the_start():
 
     Own errors only, so that aircraft are independent; Fisher's test of two variances.
     """
-    own = page(
+    own = suite(
         "pixhawk",
         gps={"shared_drift_m": [0.0, 0.0], "own_time_constant_s": 5.0},
         barometer={"shared_drift_m": 0.0, "own_time_constant_s": 5.0},

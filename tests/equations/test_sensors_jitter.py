@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 from reference import adapters_sensors as kernels
-from sensors_samples import page
+from sensors_samples import suite
 
 from testbed.core.frames import GRAVITY
-from testbed.core.random import stream
+from testbed.core.random import named_stream
 from testbed.core.records import VehicleState
 from testbed.sensors import errors as sensor_errors
-from testbed.sensors.jitter import add_jitter_to_all, make_jitter
+from testbed.sensors.errors import add_jitter_to_all, make_jitter
 
 DT = 0.02
 # standard deviation and time constant of position, velocity and attitude (degrees)
@@ -23,7 +23,7 @@ def truth(n):
 
 
 def sensors(position, velocity, attitude):
-    return page(
+    return suite(
         position=dict(zip(("sigma_m", "time_constant_s"), position, strict=True)),
         velocity=dict(zip(("sigma_mps", "time_constant_s"), velocity, strict=True)),
         attitude=dict(zip(("sigma_deg", "time_constant_s"), attitude, strict=True)),
@@ -33,8 +33,8 @@ def sensors(position, velocity, attitude):
 class Jitter:
     """The jitter of aircraft, on their truth."""
 
-    def __init__(self, names, pages, *, seed=1, dt=DT):
-        self.errors = make_jitter(names, pages, seed=seed, dt=dt)
+    def __init__(self, names, suites, *, seed=1, dt=DT):
+        self.errors = make_jitter(names, suites, seed=seed, dt=dt)
 
     def on(self, truth, *, advance=True):
         """The estimate of aircraft with this truth."""
@@ -72,8 +72,8 @@ def test_variance_and_correlation_have_a_closed_form():
     """
     n, steps, dt = 30, 3000, 0.05
     sigmas, time_constants = (0.3, 0.05, 0.02), (0.4, 0.2, 0.05)
-    given = zip((*sigmas[:2], np.degrees(sigmas[2])), time_constants, strict=True)
-    seen = errors_over(steps, jitters(names(n), tuple(given), dt=dt), n)
+    args = zip((*sigmas[:2], np.degrees(sigmas[2])), time_constants, strict=True)
+    seen = errors_over(steps, jitters(names(n), tuple(args), dt=dt), n)
     for at, (sigma, tau) in enumerate(zip(sigmas, time_constants, strict=True)):
         axes = seen[:, :, 3 * at : 3 * at + 3].reshape(steps, -1)
         for lag in (0, 1, 4, 10):
@@ -130,12 +130,12 @@ def test_block_size_does_not_change_jitter(monkeypatch):
 
 def test_a_stream_is_its_seed_and_its_name():
     draws = {
-        (seed, name): tuple(stream(seed, name).standard_normal(4))
+        (seed, name): tuple(named_stream(seed, name).standard_normal(4))
         for seed in (1, 2, 12)
         for name in ("sensors/a", "sensors/b", "2/sensors/a")
     }
     assert len(set(draws.values())) == len(draws)
-    assert tuple(stream(1, "sensors/a").standard_normal(4)) == draws[1, "sensors/a"]
+    assert tuple(named_stream(1, "sensors/a").standard_normal(4)) == draws[1, "sensors/a"]
 
 
 def test_without_sigmas_there_is_no_jitter():
@@ -145,7 +145,7 @@ def test_without_sigmas_there_is_no_jitter():
 
 def test_an_aircraft_without_jitter_is_exact():
     flying = truth(2)
-    estimate = Jitter(["a", "b"], [page(), sensors(*GPS_INS)]).on(flying)
+    estimate = Jitter(["a", "b"], [suite(), sensors(*GPS_INS)]).on(flying)
     for name in ("position_ned", "velocity_ned", "euler"):
         assert np.array_equal(getattr(estimate, name)[0], getattr(flying, name)[0])
         assert (getattr(estimate, name)[1] != getattr(flying, name)[1]).all()
@@ -181,8 +181,8 @@ def test_accelerations_turn_with_the_attitude():
             about(2, yaw) @ about(1, pitch) @ about(0, roll)
             for roll, pitch, yaw in (flying.euler[i], estimate.euler[i])
         ]
-        felt = rotations[0].T @ (flying.acceleration_ned[i] - gravity)
-        expected = rotations[1] @ felt + gravity
+        specific_force = rotations[0].T @ (flying.acceleration_ned[i] - gravity)
+        expected = rotations[1] @ specific_force + gravity
         assert estimate.acceleration_ned[i] == pytest.approx(expected, abs=1e-13)
         assert abs(expected - flying.acceleration_ned[i]).max() > 0.05
 

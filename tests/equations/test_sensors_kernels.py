@@ -10,7 +10,7 @@ from sensors_samples import (
     ReferenceFilters,
     make_flight,
     no_faults,
-    page,
+    suite,
 )
 
 from testbed.core.records import VehicleState, allocate
@@ -27,18 +27,18 @@ from testbed.sensors.errors import (
 # 1e3 m, that a filter gathers for some seconds: by 1e-11 along this flight.
 TOLERANCE = 1e-9
 HZ = 50
-PAGES = [
-    page("pixhawk"),
-    page("degraded"),
-    page(
+SUITES = [
+    suite("pixhawk"),
+    suite("degraded"),
+    suite(
         "degraded", estimator={"gate_sigma": 0.7, "airspeed_gate_sigma": 0.7, "reset_after_s": 2.0}
     ),
-    page("pixhawk", gps={"rate_hz": 7, "latency_s": 0.0}, barometer={"rate_hz": 3}),
-    page("pixhawk", magnetometer={"rate_hz": 1}, estimator={"gps_delay_s": 0.5}),
-    page("pixhawk", estimator={"height_source": "gps"}),
-    page(gps={"rate_hz": 50}),
+    suite("pixhawk", gps={"rate_hz": 7, "latency_s": 0.0}, barometer={"rate_hz": 3}),
+    suite("pixhawk", magnetometer={"rate_hz": 1}, estimator={"gps_delay_s": 0.5}),
+    suite("pixhawk", estimator={"height_source": "gps"}),
+    suite(gps={"rate_hz": 50}),
 ]
-EACH = 3  # aircraft with each of these pages
+EACH = 3  # aircraft with each of these suites
 
 
 def assert_same(found, expected):
@@ -66,14 +66,14 @@ def count_updates(monkeypatch):
 
 
 def test_ekf_step_matches_reference(monkeypatch):
-    """With lost fixes, jumps, airspeeds that are rejected, and pages that differ in all keys."""
+    """With lost fixes, jumps, airspeeds that are rejected, and suites that differ in all keys."""
     seen = count_updates(monkeypatch)
     flight = make_flight(HZ, (8, 0, 0), (12, 1, 0.1), (10, -1, -0.05))
-    pages = [each for each in PAGES for _ in range(EACH)]
-    n = len(pages)
-    ours, theirs = Filters(pages, flight), ReferenceFilters(pages, flight)
+    suites = [each for each in SUITES for _ in range(EACH)]
+    n = len(suites)
+    ours, theirs = Filters(suites, flight), ReferenceFilters(suites, flight)
     names = [f"uav{i}" for i in range(n)]
-    errors = make_sensor_errors(names, pages, seed=1, dt=1 / HZ)
+    errors = make_sensor_errors(names, suites, seed=1, dt=1 / HZ)
     rng = np.random.default_rng(70)
     heading_bias = rng.normal(0.0, 0.1, n)
     measured = quiet = 0
@@ -84,7 +84,7 @@ def test_ekf_step_matches_reference(monkeypatch):
         lost[1::EACH] = 400 < k < 900
         jump[2::EACH] = np.array([60.0, -10.0, 5.0]) * (600 < k < 1200)
         advance_errors(errors.coefficients, errors.values, errors.draw())
-        given = {
+        args = {
             "errors": view_errors(errors),
             "heading_bias": heading_bias,
             "airspeed": tas,
@@ -93,12 +93,12 @@ def test_ekf_step_matches_reference(monkeypatch):
             "gps_lost": lost,
             "gps_jump": jump,
         }
-        found, expected = ours.step(k, **given), theirs.step(k, **given)
+        found, expected = ours.step(k, **args), theirs.step(k, **args)
         np.testing.assert_allclose(found, expected, rtol=TOLERANCE, atol=TOLERANCE)
         if k % 25 == 0:
             assert_same(ours.numbers(), theirs.numbers())
         fixes, heights, headings, airspeeds = sensors_ekf.measured(
-            theirs.settings, k, HZ, theirs.sensed(k, **given)
+            theirs.settings, k, HZ, theirs.sensed(k, **args)
         )
         measured += 5 * fixes.sum() + (fixes & theirs.settings["gps_height"]).sum()
         measured += heights.sum() + headings.sum() + 2 * airspeeds.sum()
@@ -117,8 +117,8 @@ def test_ekf_step_at_low_airspeed_matches_reference():
     slow = {"airspeed": np.full(4, 0.5), "equivalent_airspeed": np.full(4, 0.5)}
     unchanged = 0
     for _ in range(40):
-        ours = Filters([page("pixhawk")] * 4, flight)
-        theirs = ReferenceFilters([page("pixhawk")] * 4, flight)
+        ours = Filters([suite("pixhawk")] * 4, flight)
+        theirs = ReferenceFilters([suite("pixhawk")] * 4, flight)
         wind = flight.velocity[0, :2] + rng.normal(0.0, 0.8, (4, 2))
         ours.states[:, 15:] = theirs.states[:, 15:] = wind
         np.testing.assert_allclose(ours.step(5, **slow), theirs.step(5, **slow), atol=TOLERANCE)
@@ -152,9 +152,9 @@ def test_airspeed_sensor_matches_reference():
     rng = np.random.default_rng(74)
     n = 8
     described = {"noise_pa": 3.0, "smoothing_s": 0.1, "rate_hz": 20}
-    pages = [page(airspeed=described) if i % 3 else page() for i in range(n)]
+    suites = [suite(airspeed=described) if i % 3 else suite() for i in range(n)]
     biases = ConstantBiases(*rng.normal(0.0, 0.1, (3, n)))
-    sensors = make_airspeed_sensors(pages, biases, HZ)
+    sensors = make_airspeed_sensors(suites, biases, HZ)
     reference = sensors_step.AirspeedSensors(sensors.copy(), HZ)
     for k in range(-20, 300):
         truth = random_motion(rng, n)

@@ -58,9 +58,11 @@ def figure_eight(*overrides, seconds=40.0):
         def begin(self, info):
             pass
 
-        def observe(self, frame):
-            flown = frame.truth.velocity_ned[1:]
-            frames.append((np.linalg.norm(flown, axis=1), frame.formation.error_ned.copy()))
+        def observe(self, sample):
+            ground_velocity = sample.truth.velocity_ned[1:]
+            frames.append(
+                (np.linalg.norm(ground_velocity, axis=1), sample.formation.error_ned.copy())
+            )
 
         def end(self, summary, events):
             pass

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from testbed.core.records import AIRCRAFT, FOLLOWER, MESSAGE, allocate
-from testbed.sim.stages import observe_formation, write_messages
+from testbed.formation.slots import write_formation_state
+from testbed.sim.stages import write_messages
 
 OFFSETS = np.array([[0.0, 0.0, 0.0], [-5.0, 5.0, 0.0], [-5.0, -5.0, 4.0]])
 NO_ALTITUDES = np.array([np.nan, np.nan])
@@ -25,7 +26,7 @@ def flying():
 
 def observed(aircraft, offsets=OFFSETS, altitudes=NO_ALTITUDES):
     followers = allocate(FOLLOWER, 2)
-    observe_formation(aircraft, followers, offsets, altitudes)
+    write_formation_state(aircraft, followers, offsets, altitudes)
     return followers
 
 

@@ -6,9 +6,8 @@ import statistics
 import pytest
 
 from testbed.scenario import ScenarioError, list_studies, load_scenario
-from testbed.studies.journal import Journal
+from testbed.studies.journal import Journal, Row, flatten_metrics
 from testbed.studies.plan import Plan, check_plan, load_study
-from testbed.studies.rows import Row, flatten_metrics
 from testbed.studies.study_schema import Variation
 from testbed.studies.table import column_type
 
@@ -137,11 +136,11 @@ cases:
     scenario.expectation: "07"
 """
     )
-    page = Plan(study(tmp_path, text)).case_scenario(0)
-    assert page.scenario.question == "yes, # it: is"
-    assert page.scenario.expectation == "07"
-    assert page.air.turbulence.model == "coherent"
-    assert page.formation.offsets_m["uav1"] == (-1e-7, 5, 0)
+    scenario = Plan(study(tmp_path, text)).case_scenario(0)
+    assert scenario.scenario.question == "yes, # it: is"
+    assert scenario.scenario.expectation == "07"
+    assert scenario.air.turbulence.model == "coherent"
+    assert scenario.formation.offsets_m["uav1"] == (-1e-7, 5, 0)
 
 
 def drawn(tmp_path, design, *more):

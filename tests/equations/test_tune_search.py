@@ -6,20 +6,18 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from testbed.studies.tune_objective import (
-    aggregate_costs,
-    compare_held_out,
-    completed_metric,
-    describe_aggregate,
-    flight_cost,
-    metric_at,
-)
 from testbed.studies.tune_schema import GainBounds, MeanPlusSd, Quantile, Search
 from testbed.studies.tune_search import (
     CmaEs,
     GainSpace,
+    aggregate_costs,
+    compare_held_out,
+    completed_metric,
     default_population,
+    describe_aggregate,
+    flight_cost,
     generation_count,
+    metric_at,
     search,
 )
 
@@ -133,9 +131,9 @@ def test_default_population_is_that_of_the_tutorial():
 
 
 def test_compare_held_out_is_a_paired_interval():
-    dice = np.random.default_rng(1)
-    old = dice.normal(2.0, 0.5, (8, 3))
-    new = old - 0.3 + dice.normal(0.0, 0.1, (8, 3))
+    generator = np.random.default_rng(1)
+    old = generator.normal(2.0, 0.5, (8, 3))
+    new = old - 0.3 + generator.normal(0.0, 0.1, (8, 3))
     found = compare_held_out(
         *({k: row.tolist() for k, row in enumerate(each)} for each in (old, new))
     )

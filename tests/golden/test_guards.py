@@ -23,6 +23,15 @@ AS_FLOWN = "scenarios/studies/gap-budget/experiment-{}-as-flown.yaml"
 WIND = "air.wind={speed_mps: 5, from_deg: 240}"
 FLIGHTS: dict[str, tuple[str, tuple[str, ...], float]] = {
     **{f"experiment {n} as flown": (AS_FLOWN.format(n), (), 60.0) for n in (1, 2, 3)},
+    **{
+        f"experiment {n} as flown, seed {seed}": (
+            AS_FLOWN.format(n),
+            (f"scenario.seed={seed}",),
+            60.0,
+        )
+        for n in (1, 2, 3)
+        for seed in (2, 3)
+    },
     "no leader acceleration": (
         "simulation-3",
         ("controller.estimators.leader_acceleration=none",),
@@ -48,8 +57,8 @@ def measure(name: str) -> dict[str, list[float]]:
     source, overrides, until = FLIGHTS[name]
     scenario = library() / source if source.endswith(".yaml") else source
     window = f"scenario.windows={{all: [20, {until}]}}"
-    page = load_scenario(scenario, ("scenario.published=null", window, *overrides))
-    metrics: Any = testbed.run(set_duration(page, until), write=False).metrics
+    loaded = load_scenario(scenario, ("scenario.published=null", window, *overrides))
+    metrics: Any = testbed.run(set_duration(loaded, until), write=False).metrics
     return {
         "rms_m": list(metrics["windows"]["all"]["rms_m"].values()),
         "max_m": list(metrics["max_error_m"].values()),

@@ -13,11 +13,12 @@ import testbed
 from testbed.scenario import load_scenario, set_duration
 
 UAVS = ("uav1", "uav2", "uav3")
+WINDOWS = ("rectangles", "circles")
 # Of many flights with the same bound, `make test` flies the beginning of each, or some of them.
 WHOLE = bool(os.environ.get("TESTBED_WHOLE"))
 IN_FULL = pytest.mark.skipif(not WHOLE, reason="flown by make check-all, with TESTBED_WHOLE=1")
 SAMPLE = None if WHOLE else 322.5  # s, when two of the four laps of the first window are flown
-FLOWN = ("rectangles", "circles") if WHOLE else ("rectangles",)
+FLOWN = WINDOWS if WHOLE else ("rectangles",)
 
 # The path of the paper's simulations with one level lap, one that climbs, and a circle that climbs.
 SHORT_PATH = (
@@ -34,15 +35,15 @@ def fly(scenario: str, *overrides: str, until: str | float | None = None) -> Map
 
     A window that contains that time ends with it.
     """
-    page = load_scenario(scenario, overrides)
+    loaded = load_scenario(scenario, overrides)
     if until is not None:
-        end = page.scenario.windows[until][1] if isinstance(until, str) else until
-        page = set_duration(page, end)
-    flown = testbed.run(page, write=False)
-    assert flown.outcome == "completed"
-    joined = flown.metrics["joined_at_s"].values()
+        end = loaded.scenario.windows[until][1] if isinstance(until, str) else until
+        loaded = set_duration(loaded, end)
+    result = testbed.run(loaded, write=False)
+    assert result.outcome == "completed"
+    joined = result.metrics["joined_at_s"].values()
     assert None not in joined, "a follower never joined the formation"
-    return flown.metrics
+    return result.metrics
 
 
 def cells(metrics: Mapping[str, Any], window: str) -> np.ndarray:

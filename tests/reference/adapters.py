@@ -24,6 +24,7 @@ from reference.formation_middle_loop import (
 )
 from reference.unicycle import Unicycle
 from testbed.autopilot import fbwa as product_fbwa
+from testbed.core import velocity_frame as frames
 from testbed.core.compile import entry
 from testbed.core.records import (
     AIRCRAFT,
@@ -40,8 +41,8 @@ from testbed.core.records import (
     fields_of,
     write_fields,
 )
+from testbed.core.velocity_frame import velocity_frame
 from testbed.formation import control_function, hbh23, leader_filter, middle_loop, slots
-from testbed.formation import velocity_frame as frames
 from testbed.formation.barrier import BARRIER
 from testbed.formation.barrier import h as h_kernel
 from testbed.formation.control_step import Hbh23Law as KernelLaw
@@ -115,10 +116,10 @@ def hbh23_step(law, now, own, inbox, memory):
     neighbours = neighbour_records(law, memory)
     kernel_law = KernelLaw(law_records(law), neighbours)
     last = Hbh23Memory(memory_records(memory), memory.held_position, memory.held_time_s)
-    told, after = kernel_law.step(now, own, inbox, last)
+    inputs, after = kernel_law.step(now, own, inbox, last)
     kept = {name: np.array(after.leader[name]) for name in leader_filter.MEMORY.names}
     return (
-        UnicycleCommand(*(np.array(each) for each in told)),
+        UnicycleCommand(*(np.array(each) for each in inputs)),
         Memory(
             **kept,
             held_position=after.held_position,
@@ -136,13 +137,13 @@ def loop_records(loop: MiddleLoop) -> Records:
     return records
 
 
-def middle_step(loop, own, told, memory):
+def middle_step(loop, own, inputs, memory):
     """As `formation_middle_loop.middle_step`."""
     n = len(loop.altitude)
     estimate, followers = allocate(MOTION, n), allocate(FOLLOWER, n)
     memories, commands = allocate(middle_loop.MEMORY, n), allocate(COMMAND, n)
     write_fields(estimate, own)
-    write_fields(followers, told, speed="speed_command")
+    write_fields(followers, inputs, speed="speed_command")
     write_fields(memories, memory)
     _middle_loops(loop_records(loop), estimate, memories, followers, commands)
     return tuple(
@@ -161,12 +162,12 @@ def _middle_loops(loops, estimate, memories, followers, commands):
         middle_loop.middle_loop(loops[i], estimate[i], memories[i], followers[i], commands[i])
 
 
-def ages(now, stamp_s, received_s, unheeded, limit, needs_leader):
+def ages(now, stamp_s, received_s, excluded, limit, needs_leader):
     """As `formation_message_extrapolation.ages`."""
     links, neighbours = allocate(LINK, *stamp_s.shape), allocate(NEIGHBOUR, *stamp_s.shape)
     links["measured_s"], links["received_s"] = stamp_s, received_s
     neighbours["used"] = True
-    neighbours["excluded"] = unheeded
+    neighbours["excluded"] = excluded
     neighbours["timeout_s"] = limit
     _ages(now, neighbours, needs_leader, links)
     return np.array(links["age_s"])
@@ -221,25 +222,6 @@ def rho_and_rate(function, x, x_rate):
 
 
 # the velocity frame and the slots
-
-
-def velocity_frame(velocity):
-    """As `testbed.core.frames.velocity_frame`: R (n, 3, 3) of velocities (n, 3)."""
-    velocity = np.ascontiguousarray(velocity, dtype=float)
-    out = np.empty((len(velocity), 3, 3))
-    _frames(velocity, out)
-    return out
-
-
-@entry
-def _frames(velocity, out):
-    for i in range(len(velocity)):
-        frame = frames.frame_angles(velocity[i, 0], velocity[i, 1], velocity[i, 2])
-        for column in range(3):
-            a, b, c = frames.to_ned(
-                frame, 1.0 * (column == 0), 1.0 * (column == 1), 1.0 * (column == 2)
-            )
-            out[i, 0, column], out[i, 1, column], out[i, 2, column] = a, b, c
 
 
 def from_ned(velocity, vectors):

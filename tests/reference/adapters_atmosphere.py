@@ -10,7 +10,7 @@ from testbed.atmosphere.gusts import gust_factor, write_active_gusts
 from testbed.atmosphere.mean_wind import make_mean_wind
 from testbed.atmosphere.turbulence_field import sample_field as _sample_field
 from testbed.core.compile import entry
-from testbed.core.motion import rotation_ned_body
+from testbed.core.frames import rotation_rows
 from testbed.core.records import AIRCRAFT, allocate
 
 # ------------------------------------------------------------------------------ mean wind, gusts
@@ -60,7 +60,7 @@ def active_gusts(gusts, wind, time, position):
 @entry
 def _sample_points(position, euler, body, out):
     for i in range(len(position)):
-        write_sample_points(position[i], rotation_ned_body(euler[i]), body[i], out[i])
+        write_sample_points(position[i], rotation_rows(euler[i]), body[i], out[i])
 
 
 def sample_points(position, euler, body):
@@ -73,7 +73,7 @@ def sample_points(position, euler, body):
 @entry
 def _gradients(air, euler, body, average, rates):
     for i in range(len(air)):
-        rotation = rotation_ned_body(euler[i])
+        rotation = rotation_rows(euler[i])
         _mean_and_gradient(air[i], rotation, body[i], average[i], rates[i])
 
 
@@ -114,8 +114,8 @@ def filter_records(spectrum, distance, sigma, length, span):
     n, parts = len(distance), mixture.shape[1]
     first_order = allocate(dryden.FIRST_ORDER, n, parts + 1)
     third_order = allocate(dryden.THIRD_ORDER, n, 2, parts)
-    given = (np.array(each, dtype=float) for each in (distance, sigma, length, span))
-    _write_filters(mixture, *given, first_order, third_order)
+    args = (np.array(each, dtype=float) for each in (distance, sigma, length, span))
+    _write_filters(mixture, *args, first_order, third_order)
     return first_order, third_order
 
 
@@ -164,11 +164,11 @@ def turbulence_axes(height, velocity_through_air_ned, euler):
 
 def horseshoe(at, half_span, core):
     """Velocity (..., 3) m/s of a horseshoe vortex of unit circulation, forward, right and down."""
-    given = np.broadcast_arrays(half_span, core, *np.moveaxis(np.asarray(at, dtype=float), -1, 0))
+    args = np.broadcast_arrays(half_span, core, *np.moveaxis(np.asarray(at, dtype=float), -1, 0))
     strength = 1.0 / (4.0 * np.pi)
-    columns = zip(*(each.ravel().tolist() for each in given), strict=True)
+    columns = zip(*(each.ravel().tolist() for each in args), strict=True)
     found = [wake.horseshoe(strength, *each) for each in columns]
-    return np.array(found).reshape(*given[0].shape, 3)
+    return np.array(found).reshape(*args[0].shape, 3)
 
 
 def wake_delta_cl(downwash, airspeed, roll_gain):

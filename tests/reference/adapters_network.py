@@ -3,7 +3,7 @@
 import numpy as np
 
 from testbed.core.records import MESSAGE, allocate
-from testbed.network.link_state import initial_departures, initial_links, initial_transmitters
+from testbed.network.channel import initial_departures, initial_links, initial_transmitters
 from testbed.network.packet_outcomes import transmit_broadcast
 
 

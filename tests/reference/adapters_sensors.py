@@ -10,7 +10,8 @@ from testbed.core.records import (
     fields_of,
     write_fields,
 )
-from testbed.sensors import airspeed, ekf, jitter
+from testbed.sensors import airspeed, ekf
+from testbed.sensors import errors as sensor_errors
 from testbed.sensors.errors import ERRORS
 
 
@@ -93,7 +94,7 @@ def apply_errors(truth, rows, output, states, errors):
 def add_jitter(errors, truth):
     """The truth of N aircraft with errors (N, 9) of position, velocity and attitude."""
     aircraft, none = aircraft_of(truth), np.zeros((2, *errors.shape))
-    jitter.add_jitter_to_all(none, errors.copy(), True, aircraft, errors, False)
+    sensor_errors.add_jitter_to_all(none, errors.copy(), True, aircraft, errors, False)
     return estimate_of(aircraft)
 
 

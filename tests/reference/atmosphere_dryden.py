@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from reference.frames import rotation_ned_body
 from testbed.atmosphere.dryden import MIXTURES, SEPARATION
 from testbed.atmosphere.mil_f_8785c import high_altitude_weight
 from testbed.atmosphere.spectra import roll_variance
-from testbed.core.frames import COURSE_FLOOR, rotation_ned_body
+from testbed.core.frames import COURSE_FLOOR
 from testbed.core.records import Array
 
 # (e^(−y) − 1 + y)/y² in rising powers of y, for y below 0.05 where the expression loses digits

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from reference.frames import rotation_ned_body
 from testbed.atmosphere.wake import (
     FADE,
     NEAREST,
@@ -20,7 +21,7 @@ from testbed.atmosphere.wake import (
     sheet_pairs,
     wing_stations,
 )
-from testbed.core.frames import GRAVITY, rotation_ned_body
+from testbed.core.frames import GRAVITY
 from testbed.core.records import Array, BoolArray
 
 
@@ -128,8 +129,8 @@ def remember(
     trails.forward[:, row] = forward
     trails.right[:, row] = right
     trails.circulation[:, row] = circulation
-    flown = np.linalg.norm(position - trails.position[:, row - 1], axis=-1)
-    trails.path[:, row] = trails.path[:, row - 1] + flown
+    step_length = np.linalg.norm(position - trails.position[:, row - 1], axis=-1)
+    trails.path[:, row] = trails.path[:, row - 1] + step_length
     trails.tick[row] = tick
 
 
@@ -328,8 +329,8 @@ def add_wakes(
         roll: (N,) rolling-moment coefficient; written.
         tick: of this call.
     """
-    given = position - drift, velocity - ambient, acceleration, euler
-    washed, roll[:] = induced_velocity(tables, trails, tick, *given)
+    args = position - drift, velocity - ambient, acceleration, euler
+    washed, roll[:] = induced_velocity(tables, trails, tick, *args)
     wind += washed
     # one drift for all trails: affected aircraft fly near those that shed them
     if tables.sheds.any():
@@ -375,6 +376,6 @@ class Wakes:
                 dt=tables.dt,
                 memory_s=tables.memory_s,
             )
-        given = position, velocity, acceleration, euler, ambient, wind, roll
-        add_wakes(tables, self.trails, self.drift, *given, self.tick)
+        args = position, velocity, acceleration, euler, ambient, wind, roll
+        add_wakes(tables, self.trails, self.drift, *args, self.tick)
         self.tick += 1

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from reference.frames import rotation_ned_body
 from testbed.atmosphere.airframe_wind import AHEAD, BEHIND, MEAN, RIGHT, SLOPE, WING
 from testbed.atmosphere.gusts import TimedGust
 from testbed.atmosphere.mean_wind import LOGARITHMIC
 from testbed.atmosphere.turbulence_field import NODES, OVERLAP, FieldGrid
-from testbed.core.frames import rotation_ned_body
 from testbed.core.records import Array, BoolArray
 
 

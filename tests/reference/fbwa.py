@@ -39,8 +39,8 @@ def fbwa(
     """One period of the law for N autopilots.
 
     Args:
-        estimate: what the autopilots believe of their motion.
-        command: what they are told; acted on after the command's latency.
+        estimate: estimates of the autopilots.
+        command: fly-by-wire-A commands, which act after their latency.
         memory: returned by the period before, or `fresh(n)`, or `settled(surfaces, gains)`.
         gains: `params.stack` of the N parameter sets.
 
@@ -50,11 +50,11 @@ def fbwa(
     g, m = Columns(gains.each), Columns(memory.each)
     eas, tas = estimate.equivalent_airspeed, estimate.airspeed
     angles = estimate.euler.T[:2]
-    told, commands = _late(command, memory, gains)
-    throttle = np.minimum(np.maximum(told[2], 0.0), g.throttle_max)
+    delayed, commands = _late(command, memory, gains)
+    throttle = np.minimum(np.maximum(delayed[2], 0.0), g.throttle_max)
 
     cosines = np.cos(angles)
-    rate = _demanded_angles(told, throttle, eas, cosines, g)
+    rate = _demanded_angles(delayed, throttle, eas, cosines, g)
     rate -= angles
     rate *= g.per_tconst
     rate[1] += _turning(cosines, tas, g)
@@ -115,7 +115,9 @@ def _late(command: FbwaCommand, memory: FbwaMemory, gains: FbwaGains) -> tuple[A
     return line[whole] + fraction * (line[whole + 1] - line[whole]), line[:-1].copy()
 
 
-def _demanded_angles(told: Array, throttle: Array, eas: Array, cosines: Array, g: Columns) -> Array:
+def _demanded_angles(
+    delayed: Array, throttle: Array, eas: Array, cosines: Array, g: Columns
+) -> Array:
     """Roll and pitch (2, N) inside the sticks' limits and the load factor the wing can bear.
 
     The limit of roll shrinks with the cosine of the pitch, the lowest pitch with that of the roll,
@@ -124,9 +126,9 @@ def _demanded_angles(told: Array, throttle: Array, eas: Array, cosines: Array, g
     one_over_load = g.stall_speed / eas
     limit = np.arccos(np.minimum(one_over_load * one_over_load, 1.0))
     limit = np.maximum(limit, _LEAST_BANK_LIMIT)
-    roll = np.minimum(np.maximum(told[0], -g.roll_limit), g.roll_limit) * cosines[1]
+    roll = np.minimum(np.maximum(delayed[0], -g.roll_limit), g.roll_limit) * cosines[1]
     flat = np.abs(cosines[0])
-    pitch = np.minimum(np.maximum(told[1], g.pitch_low), g.pitch_high)
+    pitch = np.minimum(np.maximum(delayed[1], g.pitch_low), g.pitch_high)
     pitch = np.where(pitch < 0.0, pitch * flat, pitch)
     pitch -= g.pitch_down * np.maximum(g.throttle_trim - throttle, 0.0)
     demand = np.empty((2, eas.shape[0]))

@@ -1,4 +1,4 @@
-"""What fly-by-wire A remembers and is told; apart from the law, for its twin needs it too.
+"""Memory and commands of fly-by-wire A, which the kernel's adapter packs too.
 
 Both are tables with one record per aircraft, so that a compiled law is handed one array in the
 place of dozens. Fields of two numbers hold roll, then pitch.
@@ -26,7 +26,7 @@ MEMORY = np.dtype(
 
 
 class FbwaMemory(NamedTuple):
-    """What the law remembers from one period to the next."""
+    """Memory of the law between two periods."""
 
     begun: bool  # False before the first period: filters start settled on what they first see
     commands: Array  # (periods, 3, N) roll, pitch, throttle under way, the newest first

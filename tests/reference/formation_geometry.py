@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from reference.formation_arrays import cross, rotate
-from testbed.core.frames import COURSE_FLOOR, velocity_frame
+from reference.frames import velocity_frame
+from testbed.core.frames import COURSE_FLOOR
 from testbed.core.records import Array
-
-GRAVITY = 9.81  # m/s², as printed beside (20)
 
 
 def frame_rate(flight_path_angle: Array, chi_dot: Array, gamma_dot: Array) -> Array:

@@ -20,15 +20,16 @@ from reference.formation_laws import (
     speed_control,
     turn_control,
 )
-from reference.formation_leader_filter import Memory, unheard
+from reference.formation_leader_filter import Memory, no_messages
 from reference.formation_message_extrapolation import corrected, kept, places, times
-from testbed.core.frames import course, flight_path_angle, velocity_frame
+from reference.frames import velocity_frame
+from testbed.core.frames import course, flight_path_angle
 from testbed.core.records import Array, BoolArray, Inbox, UnicycleCommand, VehicleState
-from testbed.formation.flags import LimiterFlag
+from testbed.formation.law import LimiterFlag
 
 CLAMPED = int(LimiterFlag.SPEED_DESIRED_CLAMPED)
 OUTSIDE = int(LimiterFlag.OUTSIDE_SPEED_SET)
-SILENT = int(LimiterFlag.LEADER_TIMEOUT)
+TIMED_OUT = int(LimiterFlag.LEADER_TIMEOUT)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -61,19 +62,18 @@ class Hbh23Law:
     # (n,) of ω̇_g: leader.NOTHING as in the paper, ROLL_RATE or DIFFERENCE
     angular_acceleration_source: NDArray[np.int64]
     turn_rate_blend: Array  # (n,) share of a new difference in the average of ω̇_g
-    # s since the last news arrived, of the leader and of a neighbour, after which they are too old
+    # s since the last message, after which the leader or a neighbour has timed out
     leader_timeout_s: float
     neighbour_timeout_s: float
-    hold_stale_neighbours: (
-        bool  # a neighbour of old news keeps its place in the formation; or is left out of (6)
-    )
-    # What to fly while the leader is silent: level, at this airspeed and course rate.
+    # a timed-out neighbour keeps its relative position, instead of being left out of (6)
+    hold_stale_neighbours: bool
+    # During a leader timeout: level flight at this airspeed and course rate.
     lost_leader_airspeed: Array  # (n,) m/s
     lost_leader_turn_rate: Array  # (n,) rad/s
 
     def start(self, own: VehicleState) -> Memory:
-        """Nothing heard yet."""
-        return unheard(*self.gains.shape[:2])
+        """Return the memory before the first message."""
+        return no_messages(*self.gains.shape[:2])
 
     def step(
         self, now: float, own: VehicleState, inbox: Inbox, memory: Memory
@@ -85,37 +85,36 @@ class Hbh23Law:
 def hbh23_step(
     law: Hbh23Law, now: float, own: VehicleState, inbox: Inbox, memory: Memory
 ) -> tuple[UnicycleCommand, Memory]:
-    """One control step of every follower from what it knows.
+    """Step all followers.
 
-    An agent that does not hear the leader flies level from the course it had when that began, at
-    the airspeed and course rate it was given for that. A neighbour not heard is left out of (6),
-    or is taken to keep the place in the leader's velocity frame where it was reckoned to be at the
-    step at which its last message was new: what an extrapolation adds to that later is its error.
+    A follower whose leader has timed out flies level from its course at the timeout, at a set
+    airspeed and course rate. A neighbour that has timed out is left out of (6), or keeps its
+    position in the leader's velocity frame: the one extrapolated when its last message was new.
     """
     n = len(law.k)
     level = np.ones((n, 3))
     level[:, 2] = np.where(law.horizontal, 0.0, 1.0)
     limit = np.full(law.gains.shape[1], law.neighbour_timeout_s)
     limit[0] = law.leader_timeout_s
-    silent = np.isnan(inbox.stamp_s) | (now - inbox.received_s > limit)
-    deaf = silent[:, 0]
-    quiet = np.expand_dims(silent, 2)
-    held = quiet & ~np.isnan(memory.held_position) & law.hold_stale_neighbours
+    timed_out = np.isnan(inbox.stamp_s) | (now - inbox.received_s > limit)
+    no_leader = timed_out[:, 0]
+    columns = np.expand_dims(timed_out, 2)
+    held = columns & ~np.isnan(memory.held_position) & law.hold_stale_neighbours
     weights = law.gains * np.expand_dims(level, 1)
-    gains = np.where(quiet & ~held, 0.0, weights)
+    gains = np.where(columns & ~held, 0.0, weights)
     own_velocity = own.velocity_ned * level
     positions, velocities = corrected(inbox, now, law.from_timestamp, law.with_acceleration)
-    positions = np.where(quiet, np.expand_dims(own.position_ned, 1), positions)
-    velocities = np.where(quiet, np.expand_dims(own_velocity, 1), velocities) * np.expand_dims(
+    positions = np.where(columns, np.expand_dims(own.position_ned, 1), positions)
+    velocities = np.where(columns, np.expand_dims(own_velocity, 1), velocities) * np.expand_dims(
         level, 1
     )
 
-    # The leader's frame, as each agent computes it from what it heard, (22)-(29).
+    # The leader's frame of each agent, from the leader's newest message, (22)-(29).
     leader_velocity = np.ascontiguousarray(velocities[:, 0])
     leader_speed = norm(leader_velocity)
     gamma = flight_path_angle(leader_velocity)
-    euler = np.where(quiet[:, 0], 0.0, inbox.euler[:, 0])
-    rates = np.where(quiet[:, 0], 0.0, inbox.euler_rates[:, 0])
+    euler = np.where(columns[:, 0], 0.0, inbox.euler[:, 0])
+    rates = np.where(columns[:, 0], 0.0, inbox.euler_rates[:, 0])
     frame = velocity_frame(leader_velocity)
     gamma_dot = rates[:, 1] * level[:, 2]
     rate = geometry.frame_rate(gamma, rates[:, 2], gamma_dot)
@@ -129,7 +128,7 @@ def hbh23_step(
     chi, chi_rate, chi_acceleration = geometry.slots(frame, rate, turning, law.offsets)
     place, held_time_s = memory.held_position, memory.held_time_s
     if law.hold_stale_neighbours:
-        new = weights.any(axis=2) & ~silent & ~np.expand_dims(deaf, 1)
+        new = weights.any(axis=2) & ~timed_out & ~np.expand_dims(no_leader, 1)
         new &= ~(said_s <= held_time_s)
         new[:, 0] = False  # the leader is in no place of its own formation
         place = np.where(np.expand_dims(new, 2), places(frame, positions), place)
@@ -138,7 +137,7 @@ def hbh23_step(
     each = np.arange(n)
     slot, slot_velocity = chi[each, law.agents], chi_rate[each, law.agents]
     slot_acceleration = chi_acceleration[each, law.agents]
-    acceleration, after = _leader_acceleration(law, inbox, deaf, frame, level, memory)
+    acceleration, after = _leader_acceleration(law, inbox, no_leader, frame, level, memory)
 
     # The desired velocity, (6)-(12), and the controls (14), (15).
     error = formation_error(own.position_ned, slot, positions, chi, gains)
@@ -160,16 +159,19 @@ def hbh23_step(
     since = np.where(np.isnan(memory.timeout_since), now, memory.timeout_since)
     begun = np.where(np.isnan(memory.timeout_course), course(own_velocity), memory.timeout_course)
     desired = _without_leader(
-        deaf, begun + law.lost_leader_turn_rate * (now - since), law.lost_leader_turn_rate, desired
+        no_leader,
+        begun + law.lost_leader_turn_rate * (now - since),
+        law.lost_leader_turn_rate,
+        desired,
     )
     u, inside = speed_control(speed, desired, law.a, law.b, law.speed_pole, law.barrier, speeds)
-    u = np.where(deaf, law.lost_leader_airspeed + speed - own.airspeed, u)
-    speed_desired = np.where(deaf, u, desired.speed)
+    u = np.where(no_leader, law.lost_leader_airspeed + speed - own.airspeed, u)
+    speed_desired = np.where(no_leader, u, desired.speed)
     c = law.c + law.c_speed * speed_desired * speed_desired
     pitching, yawing = turn_control(own_velocity, desired, c)
     turn = np.zeros((n, 3))
     turn[:, 1], turn[:, 2] = pitching, yawing
-    limiter_flags = np.where(deaf, SILENT, desired.clamped * CLAMPED + ~inside * OUTSIDE)
+    limiter_flags = np.where(no_leader, TIMED_OUT, desired.clamped * CLAMPED + ~inside * OUTSIDE)
     return (
         UnicycleCommand(
             u,
@@ -179,29 +181,29 @@ def hbh23_step(
             limiter_flags.astype(np.uint8),
         ),
         after._replace(
-            timeout_since=np.where(deaf, since, np.nan),
-            timeout_course=np.where(deaf, begun, np.nan),
+            timeout_since=np.where(no_leader, since, np.nan),
+            timeout_course=np.where(no_leader, begun, np.nan),
             held_position=place,
             held_time_s=held_time_s,
-            omega=np.where(differenced & ~quiet[:, 0], omega, memory.omega),
+            omega=np.where(differenced & ~columns[:, 0], omega, memory.omega),
             omega_dot=np.where(
-                quiet[:, 0], 0.0, np.where(differenced, omega_dot, memory.omega_dot)
+                columns[:, 0], 0.0, np.where(differenced, omega_dot, memory.omega_dot)
             ),
         ),
     )
 
 
 def _leader_acceleration(
-    law: Hbh23Law, inbox: Inbox, deaf: BoolArray, frame: Array, level: Array, memory: Memory
+    law: Hbh23Law, inbox: Inbox, no_leader: BoolArray, frame: Array, level: Array, memory: Memory
 ) -> tuple[Array, Memory]:
     """q̈_g (n, 3) m/s² by each agent's own choice, and the memory for the next step."""
-    heard = np.expand_dims(~deaf, 1)
-    velocity = np.where(heard, inbox.velocity_ned[:, 0] * level, 1.0)
+    received = np.expand_dims(~no_leader, 1)
+    velocity = np.where(received, inbox.velocity_ned[:, 0] * level, 1.0)
     time_s = times(inbox, law.from_timestamp)[:, 0]
     speed, gamma, speed_rate, gamma_dot = leading.differentiate(
         memory, time_s, velocity, law.difference_blend
     )
-    euler = np.where(heard, inbox.euler[:, 0], 0.0)
+    euler = np.where(received, inbox.euler[:, 0], 0.0)
     turn = leading.turn_acceleration(frame, speed, gamma, speed_rate, gamma_dot, euler)
     source = np.expand_dims(law.acceleration_source, 1)
     sample = np.select(
@@ -213,22 +215,22 @@ def _leader_acceleration(
     new = np.expand_dims(~(time_s <= memory.time_s), 1)
     blend = np.where(new, law.acceleration_blend, 0.0)
     blend = np.where(source == leading.TURN, 1.0, blend)
-    moved = memory.acceleration + blend * (np.where(heard, sample, 0.0) - memory.acceleration)
-    acceleration = np.where(heard, moved, memory.acceleration)
+    moved = memory.acceleration + blend * (np.where(received, sample, 0.0) - memory.acceleration)
+    acceleration = np.where(received, moved, memory.acceleration)
     return acceleration, memory._replace(
         acceleration=acceleration,
-        time_s=np.where(deaf, np.nan, time_s),
-        speed=np.where(deaf, np.nan, speed),
-        gamma=np.where(deaf, np.nan, gamma),
-        speed_rate=np.where(deaf, 0.0, speed_rate),
-        gamma_dot=np.where(deaf, 0.0, gamma_dot),
+        time_s=np.where(no_leader, np.nan, time_s),
+        speed=np.where(no_leader, np.nan, speed),
+        gamma=np.where(no_leader, np.nan, gamma),
+        speed_rate=np.where(no_leader, 0.0, speed_rate),
+        gamma_dot=np.where(no_leader, 0.0, gamma_dot),
     )
 
 
-def _without_leader(deaf: BoolArray, held: Array, turn: Array, desired: Desired) -> Desired:
-    """What is desired, and for the deaf: level flight on a course (n,) rad that turns steadily."""
+def _without_leader(no_leader: BoolArray, held: Array, turn: Array, desired: Desired) -> Desired:
+    """Replace the desired velocity in a leader timeout: level, on a turning course (n,) rad."""
     north, east, zero = np.cos(held), np.sin(held), np.zeros_like(held)
-    rows = np.expand_dims(deaf, 1)
+    rows = np.expand_dims(no_leader, 1)
     ahead = np.stack([north, east, zero], axis=1)
     aside = np.stack([-turn * east, turn * north, zero], axis=1)
     return Desired(

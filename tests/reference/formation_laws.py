@@ -9,7 +9,7 @@ import numpy as np
 from reference.formation_arrays import dot, norm, scale
 from reference.formation_barrier import NO_BARRIER, Barrier, h
 from reference.formation_control_function import ControlFunction, rho_and_rate
-from testbed.core.frames import velocity_frame
+from reference.frames import velocity_frame
 from testbed.core.records import Array, BoolArray
 
 # (14) divides by the slope of h outside the speed set. Where tanh has saturated that slope
@@ -44,7 +44,7 @@ def formation_error(
     Args:
         own: q_i (n, 3).
         own_slot: χ_i (n, 3).
-        others: (n, N, 3) what agent i believes of aircraft m; aircraft 0 is the leader.
+        others: (n, N, 3) estimates by agent i of aircraft m; aircraft 0 is the leader.
         other_slots: (n, N, 3) χ_m as agent i computes it; zero for the leader.
         gains: (n, N, 3) β_i for m = 0, β_ij for the others, diagonal per axis of NED.
     """

@@ -7,8 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from reference.formation_arrays import norm, scale
-from reference.formation_geometry import GRAVITY
-from testbed.core.frames import flight_path_angle
+from testbed.core.frames import PAPER_GRAVITY, flight_path_angle
 from testbed.core.records import Array
 
 # Where q̈_g comes from.
@@ -18,7 +17,7 @@ ROLL_RATE, DIFFERENCE = 1, 2
 
 
 class Memory(NamedTuple):
-    """What n followers remember of their leader, and of its formation; nan: nothing heard yet."""
+    """Memory of n followers for their leader and neighbours; nan: no message yet."""
 
     acceleration: Array  # (n, 3) m/s², averaged estimate of q̈_g
     time_s: Array  # (n,) of the newest message used, as the law takes it: of its stamp or receipt
@@ -28,7 +27,7 @@ class Memory(NamedTuple):
     gamma_dot: Array  # (n,) rad/s, averaged
     omega: Array  # (n, 3) rad/s, then
     omega_dot: Array  # (n, 3) rad/s², averaged
-    # Of those that do not hear it: since when, and which course they had then; nan: it is heard.
+    # Start and own course of a leader timeout; nan: the leader has not timed out.
     timeout_since: Array  # (n,) s
     timeout_course: Array  # (n,) rad
     # Where each was in the leader's velocity frame when its last message was new, if the law holds
@@ -37,7 +36,7 @@ class Memory(NamedTuple):
     held_time_s: Array  # (n, N)
 
 
-def unheard(n: int, aircraft: int) -> Memory:
+def no_messages(n: int, aircraft: int) -> Memory:
     """The memory of n followers among so many aircraft before the first message."""
     never = np.full(n, np.nan)
     zero = np.zeros(n)
@@ -51,7 +50,7 @@ def unheard(n: int, aircraft: int) -> Memory:
 def differentiate(
     memory: Memory, time_s: Array, velocity: Array, blend: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Speed and flight-path angle of the leader as heard, and their averaged differences.
+    """Speed and flight-path angle in the leader's message, and their averaged differences.
 
     Args:
         memory: of the step before.
@@ -81,7 +80,7 @@ def differentiate(
 def differentiate_rate(
     memory: Memory, time_s: Array, omega: Array, blend: Array
 ) -> tuple[Array, Array]:
-    """ω_g (n, 3) rad/s to remember and its averaged differences, ω̇_g (n, 3) rad/s².
+    """ω_g (n, 3) rad/s to store and its averaged differences, ω̇_g (n, 3) rad/s².
 
     Args:
         memory: of the step before.
@@ -103,7 +102,7 @@ def turn_acceleration(
 ) -> Array:
     """q̈_g (n, 3) m/s² of a coordinated turn: s_g Ṙ_g e1 + ṡ_g R_g e1, [HBH23] section 10.
 
-    With σ̇_g ≈ g tan φ_g / (s_g cos θ_g), for there the leader's rates are not heard.
+    With σ̇_g ≈ g tan φ_g / (s_g cos θ_g), because the leader's rates are not broadcast there.
 
     Args:
         frame: R_g (n, 3, 3).
@@ -113,7 +112,7 @@ def turn_acceleration(
         gamma_dot: γ̇_g (n,).
         euler: the leader's roll, pitch, yaw (n, 3).
     """
-    chi_dot = GRAVITY * np.tan(euler[:, 0]) / (speed * np.cos(euler[:, 1]))
+    chi_dot = PAPER_GRAVITY * np.tan(euler[:, 0]) / (speed * np.cos(euler[:, 1]))
     return (
         scale(speed_rate, frame[:, :, 0])
         + scale(speed * chi_dot * np.cos(gamma), frame[:, :, 1])
@@ -127,5 +126,5 @@ def course_acceleration(speed: Array, euler: Array, roll_rate: Array) -> Array:
     The derivative of σ̇_g ≈ g tan φ_g / (s_g cos θ_g) by the bank alone.
     """
     cosine = np.cos(euler[:, 0])
-    rate: Array = GRAVITY * roll_rate / (speed * np.cos(euler[:, 1]) * cosine * cosine)
+    rate: Array = PAPER_GRAVITY * roll_rate / (speed * np.cos(euler[:, 1]) * cosine * cosine)
     return rate

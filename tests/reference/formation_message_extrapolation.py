@@ -30,7 +30,7 @@ def corrected(
 
 
 def places(frame: Array, positions: Array) -> Array:
-    """Where everybody is in the leader's velocity frame: R_gᵀ (q_j − q_g), (n, N, 3) m.
+    """Positions in the leader's velocity frame: R_gᵀ (q_j − q_g), (n, N, 3) m.
 
     Args:
         frame: R_g (n, 3, 3), as each agent computes it.
@@ -51,7 +51,7 @@ def kept(
         frame: R_g (n, 3, 3).
         rate: ω_g (n, 3) rad/s in that frame.
         place: p (n, N, 3) m in that frame.
-        held: (n, N, 3) who is held there; the others are where they are.
+        held: (n, N, 3) aircraft that are held there; the others are unchanged.
         positions: (n, N, 3) m, the leader's first.
         velocities: (n, N, 3) m/s.
     """
@@ -65,7 +65,7 @@ def ages(
     now: float,
     stamp_s: Array,
     received_s: Array,
-    unheeded: BoolArray,
+    excluded: BoolArray,
     limit: Array | float,
     needs_leader: bool,
 ) -> Array:
@@ -74,12 +74,12 @@ def ages(
     Args:
         now: s.
         stamp_s: (n, N) of the newest message, by its sender.
-        received_s: (n, N) its arrival, by its receiver; nan: nothing heard yet.
-        unheeded: (n, N) whose messages are not used.
+        received_s: (n, N) its arrival, by its receiver; nan: no message yet.
+        excluded: (n, N) whose messages are not used.
         limit: (n, N) s since the arrival, after which a message is not used; or one for all.
-        needs_leader: who does not use the leader's message uses nobody's.
+        needs_leader: a follower that does not use the leader's message uses none.
     """
-    used = (now - received_s <= limit) & ~unheeded
+    used = (now - received_s <= limit) & ~excluded
     if needs_leader:
         used &= used[:, :1].copy()
     return np.where(used, now - stamp_s, np.nan)

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from reference.formation_arrays import norm
-from reference.formation_geometry import GRAVITY, velocity_rates
-from testbed.core.frames import course, flight_path_angle, wrap_pi
+from reference.formation_geometry import velocity_rates
+from testbed.core.frames import PAPER_GRAVITY, course, flight_path_angle, wrap_pi
 from testbed.core.records import (
     Array,
     BoolArray,
@@ -18,7 +18,7 @@ from testbed.core.records import (
     UnicycleCommand,
     VehicleState,
 )
-from testbed.formation.flags import LimiterFlag, Saturation
+from testbed.formation.law import LimiterFlag, Saturation
 
 PITCH, ROLL, THROTTLE = map(int, (Saturation.PITCH, Saturation.ROLL, Saturation.THROTTLE))
 CLIPPED = int(LimiterFlag.SPEED_COMMAND_CLIPPED)
@@ -99,21 +99,21 @@ class MiddleLoop:
         return MiddleLoopMemory(rest, rest, rest, rest, never, never, never, rest)
 
     def step(
-        self, own: VehicleState, told: UnicycleCommand, memory: MiddleLoopMemory
+        self, own: VehicleState, inputs: UnicycleCommand, memory: MiddleLoopMemory
     ) -> tuple[FbwaCommand, MiddleLoopMemory, ControlDiagnostics]:
         """One step: the command, the memory for the next, and what was after what."""
-        return middle_step(self, own, told, memory)
+        return middle_step(self, own, inputs, memory)
 
 
 def middle_step(
-    loop: MiddleLoop, own: VehicleState, told: UnicycleCommand, memory: MiddleLoopMemory
+    loop: MiddleLoop, own: VehicleState, inputs: UnicycleCommand, memory: MiddleLoopMemory
 ) -> tuple[FbwaCommand, MiddleLoopMemory, ControlDiagnostics]:
     """(19)-(21) for n agents; see `MiddleLoop.step`.
 
     Args:
         loop: gains and options.
-        own: what the agents believe of their motion.
-        told: u, ω and y_d; γ̇_d ≈ e2ᵀω and σ̇_d ≈ e3ᵀω / cos γ.
+        own: estimates of the agents.
+        inputs: u, ω and y_d; γ̇_d ≈ e2ᵀω and σ̇_d ≈ e3ᵀω / cos γ.
         memory: of the step before.
     """
     gains, dt = loop.gains, loop.dt
@@ -122,14 +122,14 @@ def middle_step(
     velocity = own.velocity_ned.copy()
     velocity[:, 2] = np.where(holding, 0.0, velocity[:, 2])
     speed = norm(velocity)
-    unguarded = told.speed + own.airspeed - speed
+    unguarded = inputs.speed + own.airspeed - speed
     airspeed_command = np.minimum(np.maximum(unguarded, loop.speed_min), loop.speed_max)
     measured = velocity_rates(velocity, own.acceleration_ned)
     share = dt / (dt + gains.rate_filter)
     chi_dot = _average(memory.chi_dot, measured[0], share)
     gamma_dot = _average(memory.gamma_dot, measured[1], share)
-    gamma, gamma_desired = flight_path_angle(velocity), flight_path_angle(told.direction)
-    course_desired = course(told.direction)
+    gamma, gamma_desired = flight_path_angle(velocity), flight_path_angle(inputs.direction)
+    course_desired = course(inputs.direction)
     bank, attitude = own.euler[:, 0], own.euler[:, 1]
 
     gamma_error = gamma - gamma_desired
@@ -137,7 +137,7 @@ def middle_step(
         gamma_desired
         - gains.gamma_p * gamma_error
         - gains.gamma_i * memory.gamma
-        - gains.gamma_d * (gamma_dot - told.omega[:, 1])
+        - gains.gamma_d * (gamma_dot - inputs.omega[:, 1])
         + gains.incidence * (attitude - gamma)
         + gains.turn_incidence * (1.0 / np.cos(bank) - 1.0)
     )
@@ -148,8 +148,8 @@ def middle_step(
         + gains.altitude_d * own.velocity_ned[:, 2]
     )
 
-    chi_dot_desired = told.omega[:, 2] / np.cos(gamma)
-    turn_bank = np.arctan(chi_dot_desired * speed * np.cos(gamma) / GRAVITY)
+    chi_dot_desired = inputs.omega[:, 2] / np.cos(gamma)
+    turn_bank = np.arctan(chi_dot_desired * speed * np.cos(gamma) / PAPER_GRAVITY)
     last = np.where(np.isnan(memory.turn_bank), turn_bank, memory.turn_bank)
     turn_bank_rate = memory.turn_bank_rate + dt / (dt + gains.lead_filter) * (
         (turn_bank - last) / dt - memory.turn_bank_rate
@@ -163,7 +163,7 @@ def middle_step(
         - gains.course_d * (chi_dot - chi_dot_desired)
     )
 
-    reference = told.speed if loop.airspeed_error_as_printed else airspeed_command
+    reference = inputs.speed if loop.airspeed_error_as_printed else airspeed_command
     airspeed_error = own.airspeed - reference
     throttle = (
         gains.trim_throttle
@@ -188,7 +188,7 @@ def middle_step(
         memory.speed, airspeed_error, dt, throttle, 0.0 * speed, 1.0 + 0.0 * speed
     )
     saturations = (pitch != wanted) * PITCH + roll_flag * ROLL + throttle_flag * THROTTLE
-    limiter_flags = told.limiter_flags | ((airspeed_command != unguarded) * CLIPPED).astype(
+    limiter_flags = inputs.limiter_flags | ((airspeed_command != unguarded) * CLIPPED).astype(
         np.uint8
     )
     return (
@@ -204,7 +204,7 @@ def middle_step(
             turn_bank_rate,
         ),
         ControlDiagnostics(
-            told.speed_desired,
+            inputs.speed_desired,
             airspeed_command,
             course_desired,
             gamma_desired,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from testbed.core.frames import rotation_ned_body
+from reference.frames import rotation_ned_body
 from testbed.core.records import Array, BoolArray, VehicleState
 
 
@@ -14,20 +14,20 @@ def state_of(flat: Array) -> VehicleState:
     return VehicleState(*flat[: 15 * n].reshape(5, n, 3), *flat[15 * n :].reshape(2, n))
 
 
-def motion(said: Array, wanted: BoolArray, zero: Array, scale: Array, flat: Array) -> None:
-    """Write the numbers of `state_of` from what JSBSim says: (said − zero) scale.
+def motion(properties: Array, wanted: BoolArray, zero: Array, scale: Array, flat: Array) -> None:
+    """Write the numbers of `state_of` from JSBSim's: (properties − zero) scale.
 
     JSBSim's acceleration is that of u, v, w in the turning body: it becomes
     R_NB (d(u, v, w)/dt) + (R_NB ω) × velocity.
 
     Args:
-        said: (N, 17) numbers of each aircraft, in the order of the fields.
+        properties: (N, 17) numbers of each aircraft, in the order of the fields.
         wanted: (N,) whose; the others' stay.
         zero: (17,)
         scale: (17,)
         flat: (17 N,) becomes the numbers.
     """
-    numbers = (said - zero) * scale
+    numbers = (properties - zero) * scale
     vectors, speeds = numbers[:, :15].reshape(-1, 5, 3), numbers[:, 15:]
     _, velocity, acceleration, euler, rates = vectors.swapaxes(0, 1)
     yaw = euler[:, 2]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr as probability
 
 from testbed.core.records import Array, BoolArray, Records
-from testbed.network.channel import Channel
+from testbed.network.channel import Channel, initial_departures, initial_links
 from testbed.network.delays import (
     NANOSECONDS,
     NETEM_PARETO,
@@ -21,7 +21,6 @@ from testbed.network.delays import (
     TABLE_STEPS,
     mixed_deviation,
 )
-from testbed.network.link_state import initial_departures, initial_links
 from testbed.network.links import (
     BERNOULLI,
     CORRUPT,
@@ -46,8 +45,8 @@ from testbed.network.links import (
     Outcomes,
     PacketOutcome,
 )
+from testbed.network.packet_outcomes import SIMULTANEOUS_S
 from testbed.network.philox import Words, philox, unit
-from testbed.network.slots import SIMULTANEOUS_S
 
 
 class LinkStates(NamedTuple):
@@ -217,12 +216,12 @@ class _Broadcast:
         twice = self.random.event(DUPLICATE, words[3], other)
         traced = ~np.isnan(trace_delay_s)
         lost = np.where(traced, np.isinf(trace_delay_s), lost)
-        gone = lost & (traced | ~(self.netem & twice))
+        dropped = lost & (traced | ~(self.netem & twice))
 
         sending = other & (scripted != PacketOutcome.MUTED)
         departs, full = self.leave(sending & exact)
         arrivals = np.full((*departs.shape, 2), np.inf)
-        alive = sending & ~gone & ~full
+        alive = sending & ~dropped & ~full
         corrupt = self.random.event(CORRUPT, self.random.words(0, PATH)[0], alive)
         full |= alive & self.netem & self.queue_is_full()
         alive &= ~full
@@ -238,7 +237,7 @@ class _Broadcast:
 
         arrived = np.isfinite(arrivals).any(axis=2)
         corrupted = PacketOutcome.CORRUPTED
-        why = np.where(full, PacketOutcome.QUEUE, np.where(gone, PacketOutcome.LOST, corrupted))
+        why = np.where(full, PacketOutcome.QUEUE, np.where(dropped, PacketOutcome.LOST, corrupted))
         outcome = np.where(arrived, PacketOutcome.DELIVERED, why)
         faded = (unit(words[2]) < fading) & ~np.isin(
             outcome, (PacketOutcome.QUEUE, PacketOutcome.LOST)

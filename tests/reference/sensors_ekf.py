@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.frames import GRAVITY, rotation_ned_body
+from reference.frames import rotation_ned_body
+from testbed.core.frames import GRAVITY
 from testbed.core.records import Array, BoolArray, Records, VehicleState
 
 Rows = NDArray[np.intp]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from reference.frames import rotation_ned_body
 from reference.sensors_ekf import ACCELEROMETER_BIAS, GYRO_BIAS
-from testbed.core.frames import GRAVITY, rotation_ned_body, wrap_pi
+from testbed.core.frames import GRAVITY, wrap_pi
 from testbed.core.records import Array, BoolArray, FaultState, Records, VehicleState
 
 DENSITY, MIN_PRESSURE = 1.225, 1e-4

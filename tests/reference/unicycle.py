@@ -18,15 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from reference.frames import velocity_frame
 from testbed.core.errors import InputError
-from testbed.core.frames import (
-    COURSE_FLOOR,
-    GRAVITY,
-    body_rates,
-    course,
-    flight_path_angle,
-    velocity_frame,
-)
+from testbed.core.frames import COURSE_FLOOR, GRAVITY, body_rates, course, flight_path_angle
 from testbed.core.records import Array, VehicleState
 
 

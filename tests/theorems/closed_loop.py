@@ -98,7 +98,7 @@ class Formations:
         """What the leader and the slots do at the time t: q_g, q̇_g, q̈_g; χ, χ̇, χ̈ (M, n, 3)."""
         motion = self.leader.motion(t)
         rate, acceleration = self.leader.turn(t)
-        # slots are linear in the offset: those of the unit offsets make everyone's
+        # slots are linear in the offset: those of the unit offsets give all
         units = slots(velocity_frame(motion[1]), rate, acceleration, np.eye(3))
         return motion, tuple(self.offsets @ each for each in units)
 
@@ -110,14 +110,14 @@ class Formations:
         velocity = s[:, None] * y
         flat = [each.reshape(m * n, 3) for each in (chi, chi_rate, chi_acceleration)]
 
-        def heard(leader, agents):
-            everyone = np.concatenate([leader[:, None], agents.reshape(m, n, 3)], axis=1)
-            return np.repeat(everyone, n, axis=0)
+        def received(leader, agents):
+            all_rows = np.concatenate([leader[:, None], agents.reshape(m, n, 3)], axis=1)
+            return np.repeat(all_rows, n, axis=0)
 
         nought = np.zeros((m, 3))
-        xi = formation_error(q, flat[0], heard(q_g, q), heard(nought, flat[0]), self.gains)
+        xi = formation_error(q, flat[0], received(q_g, q), received(nought, flat[0]), self.gains)
         xi_rate = formation_error(
-            velocity, flat[1], heard(v_g, velocity), heard(nought, flat[1]), self.gains
+            velocity, flat[1], received(v_g, velocity), received(nought, flat[1]), self.gains
         )
         each = np.repeat(np.arange(m), n)
         desired = desired_velocity(

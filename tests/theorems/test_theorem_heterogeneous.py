@@ -64,7 +64,7 @@ def test_different_agents_converge():
 
 
 def test_agent_with_only_the_leader_flies_as_alone():
-    """Agents that hear the leader alone fly in a mixed formation as they would by themselves."""
+    """Agents that use the leader alone fly in a mixed formation as they would by themselves."""
     formations = squadron(gains=graph([1.0, 0.7, 1.3]))
     start = scattered(np.random.default_rng(19), formations)
     times = np.linspace(0.0, 6.0, 121)
@@ -104,11 +104,11 @@ def test_different_graphs_per_axis_converge():
     exceeds its start.
     """
     gains = np.zeros((3, 4, 3))
-    gains[0, 0] = [1.0, 0.6, 0.0]  # north, east: 1 hears the leader, ...
-    gains[1, 1] = [0.5, 0.8, 0.0]  # 2 hears 1
-    gains[2, 2] = [0.7, 0.4, 0.5]  # and 3 hears 2
-    gains[1, 0, 2] = 0.8  # down: 2 hears the leader
-    gains[0, 2, 2] = 0.9  # and 1 hears 2
+    gains[0, 0] = [1.0, 0.6, 0.0]  # north, east: 1 uses the leader, ...
+    gains[1, 1] = [0.5, 0.8, 0.0]  # 2 uses 1
+    gains[2, 2] = [0.7, 0.4, 0.5]  # and 3 uses 2
+    gains[1, 0, 2] = 0.8  # down: 2 uses the leader
+    gains[0, 2, 2] = 0.9  # and 1 uses 2
     k = np.array([2.5, 3.0, 2.0])
     formations = one_formation(gains=gains, k=np.tile(k, 4), mu=STEEPER_MU, copies=4)
     climb, course_rate = np.array(list(PATHS.values())).T

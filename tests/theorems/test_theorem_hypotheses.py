@@ -19,7 +19,7 @@ from testbed.formation.barrier import NO_BARRIER, Barrier
 from testbed.formation.control_function import EXAMPLE_2
 
 ALONE = graph([1.0])
-NOBODY = graph([0.0])
+NO_GAINS = graph([0.0])
 
 
 def end_of(formations, start, times):
@@ -28,7 +28,7 @@ def end_of(formations, start, times):
 
 
 def test_agents_not_connected_to_leader_keep_an_error():
-    """A + B singular: agents 2 and 3 hear each other alone.
+    """A + B singular: agents 2 and 3 use each other alone.
 
     Where μ = 1 and both fly as desired, the sum of their errors cannot change: 1ᵀ (A + B) = 0. So
     (O1) fails and (O2) does not; with one more link both hold.
@@ -98,7 +98,7 @@ class Surging(Leader):
 
 
 def surging(barrier):
-    formations = one_formation("straight", gains=NOBODY, a=0.2, b=0.0, barrier=barrier)
+    formations = one_formation("straight", gains=NO_GAINS, a=0.2, b=0.0, barrier=barrier)
     formations = formations.change(leader=Surging(*formations.leader))
     return formations, at_slots(formations, np.zeros((1, 3)))._replace(s=each(29.5, 1))
 
@@ -130,7 +130,9 @@ def steep(barrier, s, low, high):
 
 def test_barrier_without_b5_leaves_the_desired_speed(monkeypatch):
     """(B5) keeps D = h + (s_d − s) h' positive: where it is not, (14) points the wrong way."""
-    formations = one_formation("straight", speed=19.0, gains=NOBODY, barrier=BARRIERS["example 4"])
+    formations = one_formation(
+        "straight", speed=19.0, gains=NO_GAINS, barrier=BARRIERS["example 4"]
+    )
     start = at_slots(formations, np.zeros((1, 3)))._replace(s=each(22.8, 1))
     times = np.linspace(0.0, 0.5, 51)
     good, _ = end_of(formations, start, times)
@@ -156,7 +158,7 @@ def test_without_b_a_speed_outside_s_is_constant(barrier):
 
 
 class Unannounced(Leader):
-    """A leader whose q̈_g is not heard: taken as zero."""
+    """A leader whose q̈_g is not broadcast: taken as zero."""
 
     def motion(self, t):
         position, velocity, acceleration = super().motion(t)
@@ -174,8 +176,8 @@ def test_without_leader_acceleration_an_error_remains():
     times = np.linspace(0.0, 15.0, 151)
     state, wanted = end_of(formations, start, times)
     assert np.linalg.norm(wanted.error) < 1e-4
-    deaf = formations.change(leader=Unannounced(*formations.leader))
-    state, wanted = end_of(deaf, start, times)
+    unannounced = formations.change(leader=Unannounced(*formations.leader))
+    state, wanted = end_of(unannounced, start, times)
     _, _, acceleration = formations.leader.motion(times[-1])
     right = np.cross([0.0, 0.0, 1.0], wanted.desired.direction[0])
     pull = 3.0 * wanted.desired.speed[0] * np.sin(angle(state.y, wanted.desired.direction)[0])

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from closed_loop import State, fly
 from reference.formation_laws import SpeedSet
+from reference.frames import velocity_frame
 from theorem_cases import one_formation, random_formations, scattered
-
-from testbed.core.frames import velocity_frame
 
 TIMES = np.linspace(0.0, 5.0, 101)
 # Two flights differ by roundings of positions of 1e3 m, and the loop forgets them as it converges.

@@ -8,8 +8,14 @@ from closed_loop import fly
 from reference.adapters import frame_acceleration, frame_rate
 from theorem_cases import PATHS, STEEPER_MU, at_slots, leader, one_formation
 
-from testbed.guidance.analytic_paths import derivatives, frame_rates
-from testbed.guidance.path_curves import Circle, FigureEight, SinusoidalPath, Straight
+from testbed.guidance.analytic_paths import (
+    Circle,
+    FigureEight,
+    SinusoidalPath,
+    Straight,
+    derivatives,
+    frame_rates,
+)
 
 
 @pytest.mark.parametrize("path", PATHS)

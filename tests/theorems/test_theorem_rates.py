@@ -32,7 +32,7 @@ from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
 ROUNDING = 1e-8
 
 
-def flown(formations, start, times, measure):
+def simulate(formations, start, times, measure):
     """What `measure` makes of t, state and wanted after every step (T, ...)."""
     states = fly(formations, start, times)
     return np.array([measure(t, state, formations.wanted(t, state)) for t, state in states])
@@ -44,8 +44,8 @@ def with_tolerance(formations, start, times, measure):
     By Richardson an error of fourth order is 1/15 of the difference between the two. The rest is
     for places where a spline or a barrier jumps in its second derivative.
     """
-    coarse = flown(formations, start, times, measure)
-    fine = flown(formations, start, halved(times), measure)[::2]
+    coarse = simulate(formations, start, times, measure)
+    fine = simulate(formations, start, halved(times), measure)[::2]
     return fine, abs(fine - coarse).max(axis=0)
 
 
@@ -226,7 +226,7 @@ def test_small_errors_fall_at_the_slowest_rate(slowest):
         y=turned_away(start.y, each(0.01, 3), np.array([0.3, -0.2, 1.0])),
     )
     times = np.linspace(0.0, 32.0, 161)
-    error = flown(formations, start, times, lambda t, x, wanted: np.linalg.norm(wanted.error))
+    error = simulate(formations, start, times, lambda t, x, wanted: np.linalg.norm(wanted.error))
     measured = np.log(error[120] / error[160]) / 8.0
     assert rate == pytest.approx(SLOW[slowest], rel=1e-5)
     assert measured == pytest.approx(rate, rel=2e-3)

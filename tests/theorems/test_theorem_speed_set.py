@@ -48,7 +48,7 @@ def test_speed_that_starts_in_s_stays_in_s():
     assert found[0].max() > 1e7
     free = np.log(found[0] * formations.h_top / formations.margin) / formations.a
     assert free.max() < TIMES[-1]
-    # an integration error of 1e-4 of the fall, and one of its steps of 0.1 s where s̃ is gone
+    # an integration error of 1e-4 of the fall, and one of its steps of 0.1 s where s̃ is zero
     allowed = found[0] * np.exp(-formations.a * TIMES[:, None]) * (1.0 + 1e-4)
     assert (found < allowed + 1e-5).all()
     assert (abs(gap) < formations.margin).all()
@@ -87,7 +87,7 @@ def time_to(barrier, start, end, speed_desired, b, low, high):
 
 
 def test_time_to_enter_s_equals_a_quadrature():
-    """Alone behind straight leaders that they do not hear the position of, so that s_d = 22 m/s."""
+    """Behind straight leaders whose position they do not use, so that s_d = 22 m/s."""
     b, low, high = 0.1, 16.0, 30.0
     barrier = per_agent([*BARRIERS.values()] * 2)
     formations = one_formation(

@@ -1,8 +1,8 @@
-"""Simulation 3's graph with ideal vehicles in a climbing turn, and a neighbour that falls silent.
+"""Simulation 3's graph with ideal vehicles in a climbing turn, and a neighbour whose messages stop.
 
 uav2 and uav3 are ideal vehicles under the paper's law at 25 Hz. uav1 is moved as a slot of the
-leader's helix, 4 m to the right of its own, so that it pulls uav2 out of its slot and whoever
-reckons with it can be told from whoever does not.
+leader's helix, 4 m to the right of its own, so that it pulls uav2 out of its slot and flights that
+use its messages differ from flights that do not.
 """
 
 from types import SimpleNamespace
@@ -12,9 +12,9 @@ import pytest
 from closed_loop import Leader
 from reference.adapters import advance_ticks, frame_rate, report
 from reference.adapters import slot_motions as slots
+from reference.frames import velocity_frame
 from reference.unicycle import unicycle
 
-from testbed.core.frames import velocity_frame
 from testbed.core.records import Inbox, VehicleState
 from testbed.formation import leader_filter as leading
 from testbed.formation.control_step import Hbh23Law
@@ -23,7 +23,7 @@ from testbed.sim.build_control import build_control
 
 HZ, TICKS = 25, 8
 MUTE = (20.0, 50.0)  # s; six radians of the turn
-LIMIT = 0.5  # s, for which news of a neighbour is extrapolated, unless a test says more
+LIMIT = 0.5  # s, for which a message of a neighbour is extrapolated, unless a test says more
 END = 80.0
 LEADER = Leader(*(np.array(each) for each in ([[0.0, 0.0, -100.0]], [22.0], [0.06], [0.4], [0.2])))
 RATE = frame_rate(LEADER.climb, LEADER.course_rate, np.zeros(1))
@@ -53,7 +53,7 @@ def rows(begin, end):
     return slice(round(begin * HZ), round(end * HZ))
 
 
-def flown(law, mute=MUTE, then_gain=None, until=END):
+def simulate(law, mute=MUTE, then_gain=None, until=END):
     """Errors of uav2 and uav3 from their slots in the leader's frame (K, 2, 3), and K memories.
 
     Once uav1 is stale, uav2 flies with this gain for it, if there is one.
@@ -62,7 +62,7 @@ def flown(law, mute=MUTE, then_gain=None, until=END):
     offsets[1] += ASIDE
     vehicles = unicycle(*(each[2:] for each in helix(0.0, offsets)[:2]))
     speed, turn, pole = vehicles.speed, np.zeros((2, 3)), law.law["speed_pole"][1:]
-    memories, said, errors, inbox = [], 0.0, [], None
+    memories, sent_s, errors, inbox = [], 0.0, [], None
     for tick in range(round(until * HZ)):
         now = tick / HZ
         slots_now, moved, acceleration_now = helix(now, offsets)
@@ -75,48 +75,48 @@ def flown(law, mute=MUTE, then_gain=None, until=END):
         airspeed = np.linalg.norm(velocity[1:], axis=1)
         own = VehicleState(*own, *np.zeros((3, 3, 3)), airspeed, airspeed)
         if not mute[0] <= now < mute[1]:
-            said = now
+            sent_s = now
         when = np.full((3, 4), now)
-        when[1:, 1] = said
+        when[1:, 1] = sent_s
         rates = np.tile([0.0, 0.0, LEADER.course_rate[0]], (3, 4, 1))
-        news = [np.tile(each, (3, 1, 1)) for each in (position, velocity)]
-        if said != now:
-            for each, old in zip(news, inbox[2:4], strict=True):
+        messages = [np.tile(each, (3, 1, 1)) for each in (position, velocity)]
+        if sent_s != now:
+            for each, old in zip(messages, inbox[2:4], strict=True):
                 each[1:, 1] = old[1:, 1]
         acceleration = np.zeros((3, 4, 3))
         acceleration[:, 0] = acceleration_now
-        inbox = Inbox(when, when, *news, acceleration, np.zeros((3, 4, 3)), rates)
+        inbox = Inbox(when, when, *messages, acceleration, np.zeros((3, 4, 3)), rates)
         memory = memories[-1] if memories else law.start(own)
-        if then_gain is not None and now - said > LIMIT:
+        if then_gain is not None and now - sent_s > LIMIT:
             law.neighbours["gain"][1, 1] = then_gain
-        told, memory = law.step(now, own, inbox, memory)
+        inputs, memory = law.step(now, own, inbox, memory)
         memories.append(memory)
-        speed, turn = told.speed[1:].copy(), told.omega[1:].copy()
+        speed, turn = inputs.speed[1:].copy(), inputs.omega[1:].copy()
         vehicles = advance_ticks(vehicles, speed, turn, pole, 1.0 / (HZ * TICKS), TICKS)
     return np.array(errors), memories
 
 
 @pytest.fixture(scope="module")
-def heard():
-    """As it is if uav1 is always heard: uav2 is pulled aside, and uav3 by uav2."""
-    errors, _ = flown(make_law("drop"), mute=(END, END))
+def received():
+    """Errors with all messages of uav1: uav2 is pulled aside, and uav3 by uav2."""
+    errors, _ = simulate(make_law("drop"), mute=(END, END))
     assert errors[rows(*MUTE), 0, 1].min() > 1.5
     assert errors[rows(*MUTE), 1, 1].min() > 0.7
     return errors
 
 
 @pytest.mark.parametrize("limit", [LIMIT, 5.0])
-def test_timed_out_neighbour_is_held_at_its_position(heard, limit):
-    """It is held where it was when it fell silent, however far a line has led from there since.
+def test_timed_out_neighbour_is_held_at_its_position(received, limit):
+    """It is held where it was at its last message, however far a line has led from there since.
 
     Until the limit that line leaves the turn, by δ at the end. uav2 and uav3 are never off by as
-    much; and once uav1 is held, in its place as if it were heard, what they are off decays by the
-    turn gain c = 0.1 per second at the slowest, in six radians of turn and when it is heard again.
+    much; and once uav1 is held, in its place as with its messages, what they are off decays by the
+    turn gain c = 0.1 per second at the slowest, in six radians of turn and after the outage.
     """
     law = make_law("hold-relative-position", limit)
-    held, memories = flown(law)
+    held, memories = simulate(law)
     memory = memories[round((MUTE[0] + limit + 1.0) * HZ) - 1]
-    # the last word was one period before the silence
+    # the last message was one period before the outage
     last, offset = MUTE[0] - 1.0 / HZ, np.array([-5.0, 5.0, 0.0]) + ASIDE
     assert memory.held_position[1, 1] == pytest.approx(offset, abs=1e-9)
     assert memory.held_time_s[1, 1] == last
@@ -126,17 +126,17 @@ def test_timed_out_neighbour_is_held_at_its_position(heard, limit):
     # ½ v σ̇ times the square of the limit, less a fortieth when that is a radian of the turn
     level = np.hypot(*velocity[:2])
     assert delta == pytest.approx(0.5 * level * 0.2 * limit**2, rel=0.03)
-    off = np.linalg.norm(held - heard, axis=2)
+    off = np.linalg.norm(held - received, axis=2)
     assert off[rows(0.0, MUTE[0])].max() == 0.0
     assert 0.1 * delta < off[rows(*MUTE), 0].max()
     since = np.arange(len(off)) / HZ - (last + limit)
     assert (off < delta * np.exp(-0.1 * np.maximum(since, 0.0))[:, None]).all()
 
 
-def test_timed_out_neighbour_is_excluded(heard):
+def test_timed_out_neighbour_is_excluded(received):
     """To the bit: while it is stale uav2 flies as if it had no gain for uav1, back to its slot."""
     law = make_law("drop")
-    dropped, _ = flown(law, until=MUTE[1])
-    leader_alone, _ = flown(law, then_gain=0.0, until=MUTE[1])
+    dropped, _ = simulate(law, until=MUTE[1])
+    leader_alone, _ = simulate(law, then_gain=0.0, until=MUTE[1])
     np.testing.assert_array_equal(dropped, leader_alone)
-    assert np.linalg.norm(dropped[-1, 0]) < 0.3 < np.linalg.norm(heard[len(dropped), 0])
+    assert np.linalg.norm(dropped[-1, 0]) < 0.3 < np.linalg.norm(received[len(dropped), 0])

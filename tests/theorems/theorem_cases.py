@@ -51,7 +51,7 @@ def graph(beta, links=()):
     return gains
 
 
-# Who hears whom in the paper's simulations 1 to 3.
+# Graphs of the paper's simulations 1 to 3.
 SIMULATION_1 = graph([1, 0, 0], [(0, 1, 1), (1, 0, 1), (1, 2, 1), (2, 1, 1)])
 SIMULATION_2 = graph([1, 0, 0], [(1, 0, 1), (2, 1, 1)])
 SIMULATION_3 = graph([1, 1, 1], [(1, 0, 1), (2, 1, 1)])

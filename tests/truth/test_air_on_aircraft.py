@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from testbed.core.records import Origin, WindInput
+from testbed.core.standard_atmosphere import density_ratio
 from testbed.scenario import find_aircraft, load_scenario, set_duration
 from testbed.sim.build import build
 from testbed.sim.build_air import (
-    density_ratio,
     temperature_offset,
     temperature_warnings,
 )
@@ -158,7 +158,7 @@ def test_warm_air_takes_power_by_true_airspeed():
     assert warm.propeller_rps / cold.propeller_rps == pytest.approx(faster, rel=1e-4)
 
 
-def test_temperature_at_the_ground_acts_on_every_user_of_density():
+def test_ground_temperature_acts_on_all_densities():
     """32 °C at 300 m is 18.95 K above the standard atmosphere: flight model, wakes, leader."""
     hot = "air.temperature_c=32"
     straight = "leader.path={kind: virtual, speed_mps: 22, curve: {kind: straight}}"
@@ -189,7 +189,7 @@ def test_temperature_that_misses_aircraft_is_warned_of(override, text):
     assert not list(temperature_warnings(load_scenario("simulation-3", [override]), kinds))
 
 
-def test_top_speed_of_an_x8_hardly_depends_on_temperature():
+def test_x8_top_speed_hardly_depends_on_temperature():
     """25.59 m/s in standard air, 25.66 m/s in air that is 19 K warmer."""
     x8 = find_aircraft("skywalker_x8")
     for warmer, flown, too_fast in ((0.0, 25.57, 25.62), (19.0, 25.64, 25.69)):

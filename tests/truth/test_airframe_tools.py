@@ -419,7 +419,7 @@ class TestCommands:
             (("trim", "rascal110", "--airspeed", "20", "--json", "/no/x.json"), "no folder"),
         ],
     )
-    def test_bad_input_says_what_to_write(self, arguments, words):
+    def test_bad_input_error_has_the_remedy(self, arguments, words):
         done = self.run(*arguments)
         assert isinstance(done.exception, InputError)  # which main() turns into exit code 2
         assert words in str(done.exception)

@@ -1,7 +1,7 @@
 """Arithmetic netem against Linux's tc netem itself, between two network namespaces.
 
-Both sides throw dice, those of the kernel anew each time. A claim is refuted when two pairs of
-samples in a row differ at 1 %: by chance one claim in ten thousand is.
+Both sides draw random numbers, those of the kernel anew each time. A claim is refuted when two
+pairs of samples in a row differ at 1 %: by chance one claim in ten thousand is.
 20 000 packets a sample; TESTBED_PACKETS=100000 sends more.
 """
 
@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from netem_namespaces import HEADERS, netem, why_not
+from reference.channel_simulation import transmit
 from scipy import stats
 
 from testbed.network.channel import make_channel
-from testbed.network.channel_simulation import transmit
 from testbed.network.delays import netem_table
 from testbed.network.links import NETEM_TABLE, NORMAL, PARETO, PARETONORMAL
 from testbed.scenario.network import Network
@@ -56,7 +56,7 @@ def our_delays(knobs, seed):
 
 
 def agrees(chance_of):
-    """The chance of such a difference between like samples, given by a function of a seed."""
+    """The chance of such a difference between like samples, by a function of a seed."""
     chances = []
     for seed in range(TRIES):
         chances.append(chance_of(seed))
@@ -148,7 +148,7 @@ def test_loss_rates_and_runs_equal_the_kernels(options):
 
 @with_netem
 def test_correlated_loss_of_25_percent_loses_7():
-    """Blended half and half the dice are Σ 2⁻ⁿ uₙ, below 1/4 with the chance 5/72 (Fabius 1966)."""
+    """Blended half and half the words are Σ 2⁻ⁿ uₙ, below 1/4 with chance 5/72 (Fabius 1966)."""
     fabius = 5.0 / 72.0
     knobs = {"loss": {"probability": 0.25, "correlation": 0.5}}
 
@@ -236,7 +236,7 @@ def test_delay_distributions_equal_the_kernels(options):
     agrees(chance)
 
 
-def test_what_netem_makes_of_correlated_jitter_is_none():
+def test_netem_removes_correlation_of_jitter():
     jitter = {"distribution": "normal", "spread_s": 0.02, "correlation": 0.25}
     for arithmetic, wanted in (("netem", 0.0), ("exact", 0.25)):
         knobs = {"delay_s": 0.2, "jitter": jitter, "arithmetic": arithmetic}

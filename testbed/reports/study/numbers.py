@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from testbed.core.random import stream
+from testbed.core.random import named_stream
 from testbed.core.records import Array
 from testbed.core.stats import LEVEL, MIN_VALUES, student_interval
 
@@ -56,7 +56,7 @@ def bootstrap(values: Array, statistic: str, name: str) -> Estimate:
     if values.size < MIN_VALUES:
         return Estimate(value, math.nan, math.nan, values.size)
     # scipy.stats.bootstrap is not used: it would draw other samples, and so move every interval
-    random = stream(SEED, f"study-report/{name}")
+    random = named_stream(SEED, f"study-report/{name}")
     draws = max(min(DRAWS, MAX_DRAWN // values.size), MIN_DRAWS)
     step = max(DRAWN_AT_ONCE // values.size, 1)
     resampled = np.concatenate(

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.padding import Padding
 
 from testbed import __version__
-from testbed.metrics.out_of_slot import count_out_of_slot
+from testbed.metrics.summary import count_out_of_slot
 from testbed.reports.html import Page, Section, cards_html, figure_html, file_html
 from testbed.reports.study import tables
 from testbed.reports.study.figures import study_figures

@@ -1,6 +1,6 @@
 """Send views to Rerun and control its viewer; the only package that imports Rerun."""
 
-from testbed.core.extras import needs_extra
+from testbed.core.errors import needs_extra
 
 with needs_extra("view", "views"):
     from testbed.views.rerun_backend.recording import Recording

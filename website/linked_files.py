@@ -1,0 +1,126 @@
+"""Make pages of the files outside docs/ that the docs link to.
+
+A file outside docs/ is below `repository/` under its own path, Markdown as a page and other text as
+code. A folder is a list of its names.
+"""
+
+from __future__ import annotations
+
+import posixpath
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, InclusionLevel
+
+PREFIX = "repository"
+DOCS = "docs"
+LINK = re.compile(r"(\]\()([^)\s#]+)(#[^)\s]*)?(\))")
+FENCE = re.compile(r"^ *(`{3,})[^\n]*\n.*?^ *\1 *$", re.M | re.S)
+LANGUAGES = {".py": "python", ".yaml": "yaml", ".yml": "yaml", ".xml": "xml", ".cff": "yaml"}
+
+
+@dataclass(frozen=True, slots=True)
+class LinkedFile:
+    """A file or folder outside docs/: its path in the repository, and its page."""
+
+    path: str
+    text: str
+
+    def file(self, config: MkDocsConfig) -> File:
+        """Return it as a file of the site that need not be in the navigation."""
+        return File.generated(
+            config, address(self.path), content=self.text, inclusion=InclusionLevel.NOT_IN_NAV
+        )
+
+
+def find_linked(root: Path, docs: Path, pages: Iterable[str]) -> list[LinkedFile]:
+    """Return every file and folder outside docs/ that these pages link to, directly or not.
+
+    Args:
+        root: the repository.
+        docs: its folder of pages.
+        pages: their paths within it.
+    """
+    wanted: set[str] = set()
+    waiting = {f"{DOCS}/{page}": (docs / page).read_text(encoding="utf-8") for page in pages}
+    texts: dict[str, str] = {}
+    while waiting:
+        source, text = waiting.popitem()
+        for target in targets(text, source):
+            path = root / target
+            if target.startswith(f"{DOCS}/") or target in wanted or not path.exists():
+                continue  # MkDocs reports broken links
+            wanted.add(target)
+            if path.is_file() and path.suffix == ".md":
+                texts[target] = waiting[target] = path.read_text(encoding="utf-8")
+    return [
+        LinkedFile(path, texts[path] if path in texts else folder_or_code(root, path, wanted))
+        for path in sorted(wanted)
+    ]
+
+
+def targets(text: str, source: str) -> set[str]:
+    """Return the paths in the repository that a page links to."""
+    return {
+        resolved(link[2], source)
+        for link in LINK.finditer(FENCE.sub("", text))
+        if "://" not in link[2]
+    }
+
+
+def resolved(link: str, source: str) -> str:
+    """Return the path in the repository of a link's target."""
+    return posixpath.normpath(posixpath.join(posixpath.dirname(source), link))
+
+
+def folder_or_code(root: Path, path: str, wanted: set[str]) -> str:
+    """Return the page of a folder, or of a file that is not Markdown."""
+    place = root / path
+    if place.is_file():
+        language = LANGUAGES.get(place.suffix, "text")
+        code = place.read_text(encoding="utf-8")
+        return f"---\nsearch: {{exclude: true}}\n---\n# {path}\n\n````{language}\n{code}````\n"
+    names = sorted(
+        f"{each.name}/" if each.is_dir() else each.name
+        for each in place.iterdir()
+        if not each.name.startswith(".") and each.name != "__pycache__"
+    )
+    rows = (
+        f"- [`{name}`]({place.name}/{name.rstrip('/')})"
+        if posixpath.join(path, name.rstrip("/")) in wanted
+        else f"- `{name}`"
+        for name in names
+    )
+    return "\n".join((f"---\nsearch: {{exclude: true}}\n---\n# {path}/\n", *rows, ""))
+
+
+def address(path: str) -> str:
+    """Return the path on the site, as a source of MkDocs, of a path in the repository."""
+    if path.startswith(f"{DOCS}/"):
+        return path.removeprefix(f"{DOCS}/")
+    return f"{PREFIX}/{path}" if path.endswith(".md") else f"{PREFIX}/{path}.md"
+
+
+def adapt_links(markdown: str, uri: str) -> str:
+    """Return a page with links to the repository replaced by their paths on the site.
+
+    Args:
+        markdown: the page.
+        uri: its path on the site.
+    """
+    source = uri.removeprefix(f"{PREFIX}/") if uri.startswith(f"{PREFIX}/") else f"{DOCS}/{uri}"
+
+    def adapt(link: re.Match[str]) -> str:
+        if "://" in link[2]:
+            return link[0]
+        there = posixpath.relpath(address(resolved(link[2], source)), posixpath.dirname(uri))
+        return f"{link[1]}{there}{link[3] or ''}{link[4]}"
+
+    parts, end = [], 0
+    for fence in FENCE.finditer(markdown):
+        parts += [LINK.sub(adapt, markdown[end : fence.start()]), fence[0]]
+        end = fence.end()
+    return "".join((*parts, LINK.sub(adapt, markdown[end:])))
