@@ -13,7 +13,10 @@ from pathlib import Path
 from licences import installed
 from locked import distribution_name, here, needed, requirements_with
 
-VARIANTS = ("", "view", "report", "study", "mavlink", "notebook", "all")
+VARIANTS = (
+    *("", "view", "video", "report", "study", "mavlink", "notebook", "all"),
+    *("rl", "ros2", "dask"),
+)
 LARGE = 20e6  # bytes, of packages that are named
 
 

@@ -17,6 +17,7 @@ from rich.text import Text
 
 from testbed.cli.options import RunName, StartTime, output_option, require_finite
 from testbed.cli.output import (
+    check_output_path,
     describe_file,
     is_stdout,
     message_console,
@@ -56,6 +57,11 @@ LAYOUTS = (Format.FOXGLOVE_LAYOUT, Format.PLOTJUGGLER)
 TIMED = (Format.FOXGLOVE, Format.ROS2)  # formats whose times can begin at another time
 
 
+def _check_out(parameter: typer.CallbackParam, path: Path | None) -> Path | None:
+    """Check the path of --out; the error of an existing folder depends on the format."""
+    return path if path is not None and path.is_dir() else check_output_path(parameter, path)
+
+
 def export_command(
     run: RunName,
     form: Annotated[
@@ -70,9 +76,11 @@ def export_command(
     ],
     out: Annotated[
         Path | None,
-        output_option(
+        typer.Option(
+            metavar="FILE",
             help="File to write, with ros2 a new folder; - is stdout.  \\[default: run.FORMAT "
             "beside the log]",
+            callback=_check_out,
         ),
     ] = None,
     start_time: StartTime = None,
@@ -148,15 +156,15 @@ def _writer(
     from testbed.views.foxglove_layout import foxglove_layout
     from testbed.views.plotjuggler_layout import plotjuggler_layout
 
-    if form is Format.NPZ:
-        from testbed.logs.flight_data import write_npz
+    if form in (Format.CSV, Format.NPZ):
+        from testbed.logs.flight_data import write_csv, write_npz
 
-        return lambda file: write_npz(flight, file)
-    if form in (Format.CSV, Format.PARQUET):
-        from testbed.logs import arrow_io
+        write_arrays = write_csv if form is Format.CSV else write_npz
+        return lambda file: write_arrays(flight, file)
+    if form is Format.PARQUET:
+        from testbed.logs.arrow_io import write_parquet
 
-        write_table = arrow_io.write_csv if form is Format.CSV else arrow_io.write_parquet
-        return lambda file: write_table(flight, file)
+        return lambda file: write_parquet(flight, file)
     if form is Format.FOXGLOVE_LAYOUT:
         text = foxglove_layout(flight.info)
     else:

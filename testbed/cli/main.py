@@ -65,6 +65,8 @@ class _Command(TyperCommand):
             following = args[k + 1] if k + 1 < len(args) else ""
             values = () if "--" in args[:k] else self.optional_values.get(each, ())
             implied = values[:1] if values and following not in values else ()
+            if each == "--json" and (not following or following.startswith("--")):
+                implied = ("-",)
             written += [each, *implied]
         return super().parse_args(ctx, written)
 

@@ -203,12 +203,30 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar and 
 RrdFile = Annotated[
     Path | None, output_option(help="Save a Rerun recording instead of opening a viewer.")
 ]
+
+
+def _followed_names(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Return the aircraft of the scenario or run before --follow that begin like this."""
+    from testbed.logs.run_directory import SCENARIO_NAME, find_run
+    from testbed.scenario import load_scenario as load
+
+    names: tuple[str, ...] = ()
+    with suppress(InputError, OSError):
+        first = ctx.params.get("scenario") or ctx.params.get("run") or next(iter(ctx.args), "")
+        if first and "run" in ctx.params:
+            names = load(find_run(first).with_name(SCENARIO_NAME)).aircraft_names
+        elif first:
+            names = load(first).aircraft_names
+    return _beginning(incomplete, names)
+
+
 Follow = Annotated[
     str | None,
     typer.Option(
         metavar="AIRCRAFT",
         help="Keep the first camera near this aircraft; arrows point at those out of sight.  "
         "\\[default: all aircraft in sight]",
+        autocompletion=_followed_names,
     ),
 ]
 Host = Annotated[

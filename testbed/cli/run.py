@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from testbed.cli.exit_codes import ExitCode
 from testbed.cli.options import (
     Follow,
     Host,
@@ -27,7 +28,14 @@ from testbed.cli.options import (
     require_positive,
 )
 from testbed.cli.output import format_size, message_console, result_console, write_json_output
-from testbed.cli.view import open_viewer, read_shown_log, refuse_stdout, save_rrd
+from testbed.cli.view import (
+    open_viewer,
+    read_shown_log,
+    refuse_stdout,
+    save_rrd,
+    sigterm_interrupts,
+    wait_for_interrupt,
+)
 from testbed.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -41,7 +49,7 @@ _EXTERNAL = "External programs"
 
 
 class View(StrEnum):
-    """Where a flight is shown while it is flown."""
+    """Where a flight is shown while it is result."""
 
     WINDOW = "window"
     WEB = "web"
@@ -70,7 +78,8 @@ def run_command(
         View | None,
         typer.Option(
             help="Show the flight live: in a Rerun viewer, opened if needed (window, which --view "
-            "alone means), or in a browser (web), also from another machine through ssh."
+            "alone means), or in a browser (web), also from another machine through ssh, until "
+            "Ctrl-C."
         ),
     ] = None,
     host: Host = "127.0.0.1",
@@ -169,6 +178,10 @@ def run_command(
         quiet=quiet,
     )
     check_follow(follow, loaded.aircraft_names)
+    if follow is not None and view is None and rrd is None:
+        messages.write_line(
+            f"warning: --follow {follow}: nothing is shown; add --view or --rrd FILE", "yellow"
+        )
     if rrd is not None:
         refuse_stdout(rrd)
     observers: list[Observer] = [] if quiet else [ProgressBar(messages)]
@@ -176,6 +189,8 @@ def run_command(
         if view is not None:
             from testbed.views import FAST_HZ, RerunView
 
+            if view is View.WEB:
+                stack.enter_context(sigterm_interrupts())
             viewer = stack.enter_context(open_viewer(host, web=view is View.WEB))
             max_hz = None if external.pace else FAST_HZ
             observers.append(RerunView(viewer, max_hz=max_hz, follow=follow))
@@ -188,17 +203,19 @@ def run_command(
                 processes=processes,
                 compiling=None if quiet else CompilingBar(messages),
             )
-    if rrd is not None and result.directory:
-        save_rrd(rrd, [read_shown_log(str(result.directory))], follow)
-    write_json_output(json, result.metrics)
-    if not quiet:
-        console = result_console(json)
-        size = format_size(*result.directory.iterdir()) if result.directory else ""
-        render_table(result.metrics, console, log=result.directory, log_size=size, notes=notes)
-        for path in sorted(result.directory.glob("*.py")) if result.directory else ():
-            console.write_line(f" {'control law':<20}{path}, a copy of its code")
-    for line in violation_lines(violations(result.metrics), scenario, overrides or ()):
-        (messages if quiet else console).write_line(line, "red")
+        if rrd is not None and result.directory:
+            save_rrd(rrd, [read_shown_log(str(result.directory))], follow)
+        write_json_output(json, result.metrics)
+        if not quiet:
+            console = result_console(json)
+            size = format_size(*result.directory.iterdir()) if result.directory else ""
+            render_table(result.metrics, console, log=result.directory, log_size=size, notes=notes)
+            for path in sorted(result.directory.glob("*.py")) if result.directory else ():
+                console.write_line(f" {'control law':<20}{path}, a copy of its code")
+        for line in violation_lines(violations(result.metrics), scenario, overrides or ()):
+            (messages if quiet else console).write_line(line, "red")
+        if view is View.WEB and result.exit_code != ExitCode.INTERRUPTED:
+            wait_for_interrupt()
     raise typer.Exit(result.exit_code)
 
 

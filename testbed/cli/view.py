@@ -216,10 +216,15 @@ def _serve(log: Log, host: str, follow: str | None) -> None:
 
     with sigterm_interrupts(), open_viewer(host, web=True) as viewer:
         replay(replace(viewer, lossless=True), log, follow=follow)
-        message_console().write_line("      Ctrl-C ends it")
-        with suppress(KeyboardInterrupt):
-            while True:
-                time.sleep(3600.0)
+        wait_for_interrupt()
+
+
+def wait_for_interrupt() -> None:
+    """Keep a web viewer until Ctrl-C."""
+    message_console().write_line("view: the flight stays in the browser until Ctrl-C")
+    with suppress(KeyboardInterrupt):
+        while True:
+            time.sleep(3600.0)
 
 
 def _alternatives(command: str, names: Sequence[str]) -> str:
@@ -230,6 +235,8 @@ def _alternatives(command: str, names: Sequence[str]) -> str:
         f"`testbed {command} {runs} --rrd FILE.rrd` for a recording, to open on another machine "
         "with `rerun FILE.rrd`",
     ]
+    if command == "view":
+        ways.append(f"`testbed view {runs} --web` for a browser, also on another machine")
     if command == "compare":
         ways.append(f"`testbed compare {runs} --numbers` for a table")
     return f"Write {', '.join(ways[:-1])} or {ways[-1]}."

@@ -408,6 +408,11 @@ class Sample(NamedTuple):
     # fields are separate arrays
     records: tuple[Records, Records, Records] | None = None
 
+    def __repr__(self) -> str:
+        """Name the time and the number of aircraft."""
+        lost = int(np.count_nonzero(self.lost))
+        return f"<Sample: {self.time_s:g} s; {len(self.lost)} aircraft, {lost} lost>"
+
 
 @document_fields
 @dataclass(frozen=True, slots=True)

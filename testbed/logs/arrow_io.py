@@ -1,8 +1,8 @@
-"""Parquet and CSV: the only module that imports pyarrow.
+"""Parquet: the only module that imports pyarrow.
 
 A table of a run has one row for each sample and aircraft, in order of time and then of the run's
 names. Quantities about each aircraft have one column per aircraft, named before the unit:
-`formation_age_leader_s`. A missing number is null: an empty cell in CSV.
+`formation_age_leader_s`. A missing number is null.
 """
 
 from __future__ import annotations
@@ -13,17 +13,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-import numpy as np
-
 from testbed.core.errors import InputError, needs_extra
 from testbed.core.input_files import MAX_PARQUET_BYTES, open_regular
-from testbed.logs.flight_data import QUANTITIES, FlightData, Numbers
+from testbed.logs.flight_data import QUANTITIES, FlightData, Numbers, table_parts
 
-with needs_extra("study", "CSV and Parquet"):
+with needs_extra("study", "Parquet"):
     import pyarrow as arrow
-    from pyarrow import csv, parquet
+    from pyarrow import parquet
 
-_ROWS = 65_536  # in memory at once, and in a row group of Parquet
 # of a file that is read: 100,000 runs with 1,000 numbers each
 _MAX_VALUES = 100_000_000
 _MAX_UNCOMPRESSED_BYTES = 4_000_000_000
@@ -49,16 +46,6 @@ def _writer(file: IO[bytes], schema: Any) -> Any:  # noqa: ANN401
     return parquet.ParquetWriter(file, schema, compression="zstd", write_page_checksum=True)
 
 
-def write_csv(flight: FlightData, file: IO[bytes]) -> None:
-    """Write a run as CSV: a header, then numbers exact to the last bit."""
-    file.write((",".join(_schema(flight).names) + "\n").encode())
-    # names need no quotes: neither fields nor aircraft may contain a comma
-    options = csv.WriteOptions(include_header=False, quoting_style="none")
-    for table in _tables(flight):
-        names = table["aircraft"].cast(arrow.string())
-        csv.write_csv(table.set_column(1, "aircraft", names), file, options)
-
-
 def _schema(flight: FlightData) -> Any:  # noqa: ANN401 - pyarrow has no types
     fields = [
         arrow.field("time_s", arrow.float64(), metadata={"unit": "s"}),
@@ -74,33 +61,14 @@ def _schema(flight: FlightData) -> Any:  # noqa: ANN401 - pyarrow has no types
 
 
 def _tables(flight: FlightData) -> Iterator[Any]:
-    """Make the table in parts that fit into memory; at least one."""
-    schema, names = _schema(flight), flight.names
-    step = max(1, _ROWS // len(names))
-    for start in range(0, max(1, flight.time_s.size), step):
-        rows = slice(start, start + step)
-        time_s = flight.time_s[rows]
-        aircraft = np.tile(np.arange(len(names), dtype=np.int32), time_s.size)
-        columns = [
-            arrow.array(np.repeat(time_s, len(names))),
-            arrow.DictionaryArray.from_arrays(aircraft, arrow.array(names, arrow.string())),
-        ]
-        for each in QUANTITIES.values():
-            values = flight.values(each, rows)
-            absent = aircraft == 0 if each.followers_only else np.zeros(aircraft.size, dtype=bool)
-            for other in range(len(names) if each.per_aircraft else 1):
-                of_column = values[..., other] if each.per_aircraft else values
-                kind = schema.field(len(columns)).type
-                columns.append(_array(of_column.reshape(-1), absent, kind))
+    """Make the table in parts that fit into memory; at least one part, which may be empty."""
+    schema, names = _schema(flight), arrow.array(flight.names, arrow.string())
+    for time_s, aircraft, values in table_parts(flight):
+        columns = [arrow.array(time_s), arrow.DictionaryArray.from_arrays(aircraft, names)]
+        for column, missing in values:
+            kind = schema.field(len(columns)).type
+            columns.append(arrow.array(column, kind, mask=missing))
         yield arrow.Table.from_arrays(columns, schema=schema)
-
-
-def _array(values: Numbers, absent: Numbers, kind: Any) -> Any:  # noqa: ANN401
-    """Convert a column; null where it is absent or NaN."""
-    missing = absent | np.isnan(values) if values.dtype.kind == "f" else absent
-    if kind == arrow.uint32():
-        values = np.where(missing, 0, values).astype(np.uint32)
-    return arrow.array(values, kind, mask=missing)
 
 
 def write_columns(

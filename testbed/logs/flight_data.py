@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from operator import attrgetter
 from pathlib import Path
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.errors import needs_extra
-from testbed.core.records import Array, Event, RunInfo
+from testbed.core.records import Array, BoolArray, Event, RunInfo
 from testbed.logs.messages import FIXED32, TOPICS
 from testbed.logs.read import Log, read_log
 from testbed.logs.run_directory import METRICS_NAME, SCENARIO_NAME, find_run
@@ -35,6 +35,7 @@ UNITS: Mapping[str, str] = {
     "v": "V",
 }
 Numbers = NDArray[Any]
+TABLE_ROWS = 65_536  # in memory at once, and in a row group of Parquet
 MAX_SUGGESTIONS = 5  # in place of an unknown name
 
 
@@ -234,6 +235,60 @@ def load_run(run: str | Path) -> FlightData:
         LogError: There is no such run, or its log is damaged before its end.
     """
     return FlightData(read_log(find_run(run)))
+
+
+Part = tuple[Array, NDArray[np.int32], list[tuple[Numbers, BoolArray]]]
+
+
+def table_parts(flight: FlightData) -> Iterator[Part]:
+    """Make a table with a row per sample and aircraft, in parts that fit into memory.
+
+    Yields:
+        At least one part of r rows, which may be none: times (r,) s, aircraft (r,) as rows of
+        `FlightData.names`, and of each further column the values (r,) and where there is none (r,).
+    """
+    count = len(flight.names)
+    step = max(1, TABLE_ROWS // count)
+    for start in range(0, max(1, flight.time_s.size), step):
+        rows = slice(start, start + step)
+        time_s = flight.time_s[rows]
+        aircraft = np.tile(np.arange(count, dtype=np.int32), time_s.size)
+        columns = []
+        for each in QUANTITIES.values():
+            values = flight.values(each, rows)
+            absent = aircraft == 0 if each.followers_only else np.zeros(aircraft.size, dtype=bool)
+            for other in range(count if each.per_aircraft else 1):
+                column = (values[..., other] if each.per_aircraft else values).reshape(-1)
+                missing = absent | np.isnan(column) if column.dtype.kind == "f" else absent
+                if each.integer and each.source != "lost":
+                    column = np.where(missing, 0, column).astype(np.uint32)
+                columns.append((column, missing))
+        yield np.repeat(time_s, count), aircraft, columns
+
+
+def write_csv(flight: FlightData, file: IO[bytes]) -> None:
+    """Write a run as CSV: a header, then numbers exact to the last bit; missing ones are empty.
+
+    Neither fields nor aircraft have a comma in their names. Flags are true and false.
+    """
+    names = [name for each in QUANTITIES.values() for name in each.columns(flight.names)]
+    file.write((",".join(["time_s", "aircraft", *names]) + "\n").encode())
+    for time_s, aircraft, values in table_parts(flight):
+        columns = [list(map(repr, time_s.tolist())), [flight.names[k] for k in aircraft.tolist()]]
+        columns += [_cells(*each) for each in values]
+        lines = map(",".join, zip(*columns, strict=True))
+        file.write("".join(f"{line}\n" for line in lines).encode())
+
+
+def _cells(values: Numbers, missing: BoolArray) -> list[str]:
+    """Write the cells of a column (r,)."""
+    if values.dtype.kind == "b":
+        cells = ["true" if each else "false" for each in values.tolist()]
+    else:
+        cells = list(map(repr, values.tolist()))
+    for row in np.flatnonzero(missing).tolist():
+        cells[row] = ""
+    return cells
 
 
 def write_npz(flight: FlightData, file: IO[bytes]) -> None:

@@ -3,10 +3,29 @@
 `import testbed.rl` registers `testbed/HoldSlot-v0` for `gymnasium.make`. It needs the extra `rl`.
 """
 
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from testbed.core.errors import needs_extra
 
 with needs_extra("rl", "environments"):
     import gymnasium
     import pettingzoo  # noqa: F401 - fail here, not in the module that uses it
 
+if TYPE_CHECKING:
+    from testbed.rl.formation import FormationEnv
+    from testbed.rl.hold_slot import HoldSlotEnv
+
+__all__ = ["FormationEnv", "HoldSlotEnv"]
+_MODULES = {"FormationEnv": "testbed.rl.formation", "HoldSlotEnv": "testbed.rl.hold_slot"}
+
 gymnasium.register(id="testbed/HoldSlot-v0", entry_point="testbed.rl.hold_slot:HoldSlotEnv")
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - classes of libraries without types
+    """Import an environment when it is used."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(_MODULES[name]), name)

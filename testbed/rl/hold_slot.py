@@ -18,6 +18,27 @@ class HoldSlotEnv(gymnasium.Env[Any, Any]):
 
     All other aircraft fly as in the scenario.
 
+    Observation (19,): each value is divided by its bound and limited to −1..1. Vectors are resolved
+    in the follower's course frame: forward, right, down.
+
+    | components | unit | bound |
+    |---|---|---|
+    | slot_forward, _right, _down: slot − own position | m | 50 |
+    | relative_velocity_forward, _right, _down: leader − own | m/s | 20 |
+    | leader_acceleration_forward, _right, _down | m/s² | 10 |
+    | roll, pitch | rad | 1.6, 0.8 |
+    | airspeed: true airspeed − that at the start | m/s | 15 |
+    | roll_rate, pitch_rate, yaw_rate | rad/s | 3 |
+    | message_age: of the leader's newest message | s | 2 |
+    | last_pitch_action, last_roll_action, last_throttle_action | 1 | 1 |
+
+    Action (3,): pitch and roll, from minus to plus the middle loop's limits
+    (rad), and throttle, 0 to 1; 0 is level flight at the airspeed of the start.
+
+    Reward of a step: 1 − error / `limit_m` − `smoothness` · ‖change of the action‖², the error (m,
+    distance from the slot) at most `limit_m`. Terminated: the follower is lost or farther than
+    `limit_m` from its slot. Truncated: `duration_s` is over, or the leader is lost.
+
     Args:
         follower: its name.
         render_mode: there is none: write a log with `out`, and look at it with `testbed view`.

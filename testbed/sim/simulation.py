@@ -159,7 +159,23 @@ class Simulation:
 
     @property
     def state(self) -> Sample:
-        """The present state: arrays of all aircraft, which the next step overwrites."""
+        """The present state, a `Sample`, whose arrays the next step overwrites.
+
+        Of N aircraft, the leader first, and n followers; SI units and radians:
+
+        - `time_s`, `tick`, `events` since the sample before, `lost` (N,)
+        - `truth` and `estimate`, each a `VehicleState`: `position_ned` (N, 3) m, `velocity_ned`
+          (N, 3) m/s, `acceleration_ned` (N, 3) m/s², `euler` (N, 3) rad, `rates_body` (N, 3)
+          rad/s, `airspeed` and `equivalent_airspeed` (N,) m/s
+        - `air`, an `AirData`: `wind_ned` (N, 3) m/s, `alpha` and `beta` (N,) rad and others
+        - `command`, an `FbwaCommand`: `pitch` and `roll` (N,) rad, `throttle` (N,) 0..1
+        - `surfaces`, an `ActuatorCommand`: `aileron`, `elevator`, `rudder` (N,) −1..1, `throttle`
+        - `formation`, a `FormationState`: `slot_ned` and `error_ned` (n, 3) m, speeds (n,) m/s,
+          courses (n,) rad, `age_s` (n, N) and others
+        - `links`: messages `sent` and `delivered` (n, N)
+
+        `help(testbed.core.records.Sample)` has all fields.
+        """
         return self._flight.sample(self.time_s)
 
     @property

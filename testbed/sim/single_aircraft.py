@@ -4,14 +4,29 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
+from testbed.core.errors import InputError
 from testbed.core.records import ActuatorCommand, AirData, Event, VehicleState
-from testbed.scenario import loads
+from testbed.scenario import ScenarioError, loads
 from testbed.sim.simulation import Simulation
+from testbed.vehicle.trim import TrimError
 
 _ValuesT = TypeVar("_ValuesT", VehicleState, AirData, ActuatorCommand)
+# Arguments by a key of the scenario that is made from them
+_ARGUMENTS = {
+    "speed_mps": "airspeed_mps",
+    "aircraft": "aircraft",
+    "altitude_m": "altitude_m",
+    "course_deg": "course_deg",
+    "air": "air",
+    "sensors": "sensors",
+    "tune": "tune",
+    "seed": "seed",
+    "duration_s": "duration_s",
+}
 _AHEAD_M = 50.0  # of a leader that is a formula: a scenario has one
 
 
@@ -36,7 +51,8 @@ class Aircraft:
         simulation: the flight; the aircraft is number 1 in its records.
 
     Raises:
-        ScenarioError: a value is wrong, or the aircraft cannot fly at this airspeed.
+        InputError: an argument, which the text names, is wrong, or the aircraft has no level
+            flight at this airspeed.
     """
 
     def __init__(
@@ -54,6 +70,11 @@ class Aircraft:
         compiling: Callable[[int, int], None] | None = None,
     ) -> None:
         """See the class."""
+        numbers = {"airspeed_mps": airspeed_mps, "altitude_m": altitude_m}
+        numbers |= {"course_deg": course_deg, "duration_s": duration_s}
+        for name, value in numbers.items():
+            if not math.isfinite(value):
+                raise InputError(f"{name}: {value} (write a finite number)")
         line = {"kind": "virtual", "speed_mps": airspeed_mps, "curve": {"kind": "straight"}}
         course = math.radians(course_deg)
         ahead = {"north_m": _AHEAD_M * math.cos(course), "east_m": _AHEAD_M * math.sin(course)}
@@ -83,8 +104,9 @@ class Aircraft:
             "air": dict(air or {}),
             "limits": {"formation_lost_m": None, "min_separation_m": 0},
         }
-        loaded = loads(json.dumps(scenario), source="testbed.Aircraft")
-        self.simulation = Simulation(loaded, compiling=compiling)
+        with _argument_errors(f"{airspeed_mps:g}", altitude_m):
+            loaded = loads(json.dumps(scenario), source="testbed.Aircraft")
+            self.simulation = Simulation(loaded, compiling=compiling)
         self._sample = self.simulation.state
 
     def step(
@@ -148,6 +170,34 @@ class Aircraft:
         """Describe the flight in one line."""
         name = self.simulation.scenario.fleet[0].aircraft
         return f"<Aircraft: {name}; {self.time_s:g} s; {self.outcome or 'flying'}>"
+
+
+@contextmanager
+def _argument_errors(airspeed: str, altitude_m: float) -> Iterator[None]:
+    """Name the argument in errors of the scenario that is made from the arguments.
+
+    Raises:
+        InputError: in place of these errors, with the first of them.
+    """
+    try:
+        yield
+    except TrimError as error:
+        reason = str(error).rpartition("no steady flight; ")[2]
+        raise InputError(
+            f"airspeed_mps: {airspeed} m/s, {altitude_m:g} m above the ground: no level flight: "
+            f"{reason}"
+        ) from None
+    except ScenarioError as error:
+        first = error.problems[0]
+        path = [str(each) for each in first.path]
+        name = next((each for key, each in _ARGUMENTS.items() if key in path), "")
+        if name == "air":
+            name = ".".join(path)
+        raise InputError(f"{name}: {first.text}" if name else str(first)) from None
+    except InputError as error:
+        if "below the ground" in str(error):
+            raise InputError(f"altitude_m: {error}") from None
+        raise
 
 
 def _row(values: _ValuesT) -> _ValuesT:

@@ -123,11 +123,13 @@ def _find_case(name: str, folder: Path | None, new: bool, overrides: tuple[str, 
     path = _relative((folder or source.parent / "golden") / f"{source.stem}.json")
     scenario = load_scenario(source, overrides)
     if not scenario.scenario.windows:
-        raise InputError(f"{name}: has no scenario.windows, so there is nothing to compare")
+        raise InputError(
+            f"{_relative(source)}:1:1: has no scenario.windows, so there is nothing to compare"
+        )
     if not os.path.isfile(path) and not new:
         raise InputError(
-            f"{name}: there is no golden table {path} (testbed check {name} --update --reason "
-            "TEXT writes it)"
+            f"{_relative(source)}:1:1: there is no golden table {path} (testbed check {name} "
+            "--update --reason TEXT writes it)"
         )
     if not os.path.isfile(path):
         return GoldenCase(name, source, scenario, path, None)

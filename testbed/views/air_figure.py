@@ -110,10 +110,10 @@ def _spectrum(data: WindFigureData, k: int) -> Panel:
         peak = float(np.nanmax(moving[:, k]))
         limits = (1e-8 * peak, 3.0 * peak)
     if data.psd_expected is not None and data.psd_expected[0][k].all():
-        closed, low, high = (each[k] for each in data.psd_expected)
-        limits = (0.1 * float(low.min()), 3.0 * float(high.max()))  # spectra fall far below
-        lines.append(Line(data.frequency_hz, closed, BLACK, "closed form", 1.2))
-        bands.append(Band(data.frequency_hz, low, high, GREY, "95 % of estimates"))
+        line, band = _closed_form(data, data.psd_expected, k)
+        limits = (0.1 * float(band.low.min()), 3.0 * float(band.high.max()))  # spectra fall below
+        lines.append(line)
+        bands.append(band)
     return Panel(
         f"spectrum of {symbol}",
         "frequency, Hz" if k == 2 else "",
@@ -125,6 +125,17 @@ def _spectrum(data: WindFigureData, k: int) -> Panel:
         y_limits=limits,
         spans=_unresolved(data),
         note=f"{symbol} does not vary",
+    )
+
+
+def _closed_form(
+    data: WindFigureData, expected: tuple[Array, Array, Array], k: int
+) -> tuple[Line, Band]:
+    """Draw the closed form of a component with the band of its estimates."""
+    closed, low, high = (each[k] for each in expected)
+    return (
+        Line(data.frequency_hz, closed, BLACK, "closed form", 1.2),
+        Band(data.frequency_hz, low, high, GREY, "95 % of estimates"),
     )
 
 
@@ -140,9 +151,9 @@ def _coherence(data: WindFigureData, k: int) -> Panel:
     lines = [Line(data.frequency_hz, data.coherence[k], GREEN, "between the probes", dots=True)]
     bands = []
     if data.coherence_expected is not None:
-        closed, low, high = (each[k] for each in data.coherence_expected)
-        lines.append(Line(data.frequency_hz, closed, BLACK, "closed form", 1.2))
-        bands.append(Band(data.frequency_hz, low, high, GREY, "95 % of estimates"))
+        line, band = _closed_form(data, data.coherence_expected, k)
+        lines.append(line)
+        bands.append(band)
     return Panel(
         f"coherence of {COMPONENTS[k][1]}, {data.separation:g} m apart",
         "frequency, Hz" if k == 2 else "",

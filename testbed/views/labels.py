@@ -18,7 +18,8 @@ from testbed.views.scene import Scene
 
 MAX_NAMED = 12  # aircraft: in larger formations only some names fit
 MAX_ERROR_LABELS = 3  # followers whose errors are written beside their names
-MAX_NAMES = 40  # candidates at once
+MAX_NAMES = 40  # candidates at once; half of it in formations of more aircraft than that
+TIE_PX = 20.0  # between an aircraft and its name, from which a line joins them
 EDGE_PX = 26.0  # from the edge of the picture to the arrow of an aircraft out of view
 BAR_SHARE = 0.22  # of the picture's width, at most, for the scale bar
 
@@ -57,6 +58,9 @@ class Names:
     texts: list[str]  # k
     middle: Array  # (k, 2) pixels
     depth: Array  # (k,) m, of the aircraft
+    ties: Array  # (t, 2, 2) pixels, lines from aircraft to names that are not beside them
+    tied: NDArray[np.intp]  # (t,) rows of these aircraft
+    tied_depth: Array  # (t,) m
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +108,7 @@ def name_aircraft(
     arrows = _edge_arrows(scene, batch, track, canvas, outside)
     order, texts = _texts(scene, batch, inside)
     sizes = canvas.text_size(texts)
-    taken = _boxes(arrows.middle, canvas.text_size(arrows.texts))
+    taken = text_boxes(arrows.middle, canvas.text_size(arrows.texts))
     wing = 0.5 * np.array(scene.wingspan) * size * 0.5 * canvas.height / HALF_HEIGHT / depth[0]
     gaps = _GAP + wing[order, None] * _BESIDE_WING
     frame = canvas.width, canvas.height
@@ -112,7 +116,13 @@ def name_aircraft(
     fits = np.isfinite(middle[:, 0])
     chosen = order[fits]
     shown = [text for text, fit in zip(texts, fits, strict=True) if fit]
-    return Names(chosen, shown, middle[fits], depth[0, chosen]), arrows
+    ends = np.stack([pixels[chosen], _nearest_edge(pixels[chosen], middle[fits], sizes[fits])], 1)
+    away = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1) - wing[chosen] > TIE_PX
+    named = Names(
+        chosen, shown, middle[fits], depth[0, chosen], ends[away], chosen[away],
+        depth[0, chosen[away]],
+    )  # fmt: skip
+    return named, arrows
 
 
 def place(
@@ -134,12 +144,15 @@ def place(
         frame: width and height of the picture.
 
     Returns:
-        The middles (k, 2) of the texts; NaN: there is no room.
+        The middles (k, 2) of the texts; NaN: there is no room. Of equal places the nearest one is
+        taken, or one on the outer side of the avoided points.
     """
     boxes, middles = list(taken), np.full((len(anchors), 2), np.nan)
+    outward = anchors - (avoided.mean(axis=0) if len(avoided) else 0.5 * np.array(frame))
+    outward /= np.maximum(np.linalg.norm(outward, axis=-1, keepdims=True), 1.0)
     for k, (anchor, size, gap) in enumerate(zip(anchors, sizes, gaps, strict=True)):
         candidates = anchor + _AROUND * (0.5 * size + gap) + _FARTHER
-        corners = _boxes(candidates, np.broadcast_to(size, candidates.shape))
+        corners = text_boxes(candidates, np.broadcast_to(size, candidates.shape))
         free = (corners[:, :2] >= 0.0).all(-1) & (corners[:, 2:] <= frame).all(-1)
         if boxes:
             other = np.array(boxes)
@@ -148,8 +161,10 @@ def place(
         if not free.any():
             continue
         within = (avoided >= corners[:, None, :2]) & (avoided <= corners[:, None, 2:])
-        covered = within.all(-1).sum(-1)
-        best = int(np.argmin(np.where(free, covered, len(avoided) + 1)))
+        covered = np.where(free, within.all(-1).sum(-1), len(avoided) + 1)
+        offset = _nearest_edge(np.broadcast_to(anchor, candidates.shape), candidates, size) - anchor
+        cost = np.linalg.norm(offset, axis=-1) - _OUTWARD_PX * _AROUND @ outward[k]
+        best = int(np.lexsort((cost, covered))[0])
         middles[k] = candidates[best]
         boxes.append(corners[best])
     return middles
@@ -159,6 +174,7 @@ def place(
 _EIGHT = np.array([[0, 1], [0, -1], [1, 0], [-1, 0], [1, 1], [-1, 1], [1, -1], [-1, -1]], float)
 _AROUND = np.tile(_EIGHT, (3, 1))
 _FARTHER = _AROUND * np.repeat([0.0, 13.0, 26.0], len(_EIGHT))[:, None]
+_OUTWARD_PX = 8.0  # for which a place on the outer side of the formation may be farther away
 _GAP = np.array([5.0, 5.0])  # pixels between an aircraft and its text
 _BESIDE_WING = np.array([1.0, 0.45])  # of half a wingspan: an aircraft is longer than high
 
@@ -183,7 +199,8 @@ def _texts(scene: Scene, batch: Batch, inside: Array) -> tuple[NDArray[np.intp],
     error = np.full(len(scene.names), -1.0)
     error[rows] = np.nan_to_num(np.linalg.norm(batch.error[0], axis=-1), nan=-1.0)
     order = np.argsort(np.where(inside, -error, np.inf), kind="stable")[: inside.sum()]
-    order = np.concatenate([order[order == 0], order[order != 0]])[:MAX_NAMES]
+    order = np.concatenate([order[order == 0], order[order != 0]])
+    order = order[: MAX_NAMES if len(scene.names) <= MAX_NAMES else MAX_NAMES // 2]
     largest = set(order[order != 0][:MAX_ERROR_LABELS]) if len(scene.names) > MAX_NAMED else ()
     return order, [
         f"{scene.names[k]} {error[k]:.1f} m" if k in largest and error[k] >= 0.0
@@ -222,6 +239,12 @@ def _edge_arrows(
     )  # fmt: skip
 
 
-def _boxes(middle: Array, size: Array) -> Array:
+def text_boxes(middle: Array, size: Array) -> Array:
     """Compute left, top, right, bottom (k, 4) of boxes."""
     return np.concatenate([middle - 0.5 * size, middle + 0.5 * size], axis=-1)
+
+
+def _nearest_edge(point: Array, middle: Array, size: Array) -> Array:
+    """Find the points (k, 2) of boxes that are nearest to points (k, 2)."""
+    nearest: Array = np.clip(point, middle - 0.5 * size, middle + 0.5 * size)
+    return nearest

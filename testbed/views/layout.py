@@ -24,6 +24,7 @@ PLOT_ROWS_PER_S = 200.0
 MAX_MOVING_SURFACES = 8  # aircraft: of more, control surfaces do not move
 LABEL_ROWS_PER_S = 5.0
 MIN_SIZE = 0.13  # of a drawn wingspan, relative to the distance of the camera
+MAX_SIZE = 1.2  # of a drawn wingspan, relative to the smallest distance between slots
 UNITS = 100.0  # of a camera's frame, from the camera to the middle of the formation
 
 TimeSpan = tuple[float, float]  # s
@@ -67,9 +68,16 @@ def fit_formation(scene: Scene, first: Batch) -> Framing:
     span = max(scene.wingspan)
     needed = float(BEHIND.distance(offsets[None], span)[0])
     distance = max(needed, MIN_SPANS * span)
+    size = MIN_SIZE * distance / span
+    if len(points) > 1:  # aircraft must not overlap
+        between = np.linalg.norm(points[:, None] - points, axis=-1)
+        between[np.diag_indices(len(points))] = np.inf
+        size = min(size, MAX_SIZE * float(between.min()) / span)
+    if scene.follow is not None:  # from near by
+        size = 1.0
     return Framing(
         overview=overview_camera(scene),
-        size=max(1.0, math.floor(2.0 * MIN_SIZE * distance / span + 0.5) / 2.0),
+        size=max(1.0, math.floor(2.0 * size + 0.5) / 2.0),
         wind=round_down(0.05 * distance),
     )
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from testbed.core.records import Array
 from testbed.views.palette import ON_WHITE
 
-BLUE, ORANGE, GREEN, PINK, VIOLET, BROWN = list(ON_WHITE.values())[:6]
+BLUE, ORANGE, GREEN = list(ON_WHITE.values())[:3]
 BLACK, GREY = "#000000", "#8c8c8c"
 GRID = "#e3e3e3"
 PATH = "#c4c4c4"  # of the commanded path, below all other curves

@@ -104,6 +104,11 @@ class Drawing:
         return self.image
 
 
+def text_width(text: str, size: float = TEXT_SIZE) -> float:
+    """Measure a text, pixels."""
+    return float(ImageFont.load_default(size).getlength(text))
+
+
 def save_video(
     file: BinaryIO,
     kind: str,

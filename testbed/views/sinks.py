@@ -80,9 +80,10 @@ class LiveViewer:
         reason = unavailable_reason(self.port)
         if reason is not None:
             log.warning(
-                "No live view, the run goes on without it: %s. Afterwards `testbed shot RUN --out "
-                "FILE.png` makes a picture, and `testbed view RUN --rrd FILE.rrd` a recording for "
-                "`rerun FILE.rrd` elsewhere.",
+                "No live view, the run goes on without it: %s. Next time, `--view web` shows the "
+                "flight in a browser, also on another machine. Afterwards `testbed view RUN --web` "
+                "does, `testbed shot RUN --out FILE.png` makes a picture, and `testbed view RUN "
+                "--rrd FILE.rrd` a recording for `rerun FILE.rrd` elsewhere.",
                 reason,
             )
             return None

@@ -24,10 +24,10 @@ from testbed.views.cameras import (
     FormationCameras,
     flying_aircraft,
 )
-from testbed.views.labels import Canvas, name_aircraft, scale_bar
+from testbed.views.labels import Canvas, name_aircraft, place, scale_bar, text_boxes
 from testbed.views.meshes import DARK, LIGHT, MAIN, join
 from testbed.views.palette import Colour
-from testbed.views.pillow_backend import Drawing
+from testbed.views.pillow_backend import Drawing, text_width
 from testbed.views.scene import BACKDROP, Scene, ground, mix, secondary_colour
 
 TRAIL_S = 6.0
@@ -41,8 +41,12 @@ SHADE = 0.45  # of a colour, turned away from the light
 GREY: Colour = (200, 205, 212)
 LINE: Colour = (84, 94, 110)
 PATH: Colour = (165, 165, 170)
+LOST_PX = 4.0  # pixels, radius of the mark of a lost aircraft
 HEAD = 30  # pixels, height of the line above the pictures
-TITLE, ENTRY = 250, 96  # pixels, widths of the title and of a follower's error in that line
+GAP = 18  # pixels between two texts in that line
+TITLE_PX = 17.0  # size of its first text
+ARROW = 18.0, 5.0  # pixels, length and half the width of an arrow at the edge
+RED: Colour = (255, 96, 88)  # of texts about lost aircraft
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,12 +192,12 @@ class FlightVideo:
         for lost in np.flatnonzero(shown.lost[number]).tolist():
             at, depth = view.pixels(number, shown.position[number, lost : lost + 1])
             if depth[0] > NEAR:
-                drawing.dot(at[0], LOST, 4.0)
+                drawing.dot(at[0], LOST, LOST_PX)
         self._aircraft(drawing, view, number)
         return drawing
 
     def _aircraft(self, drawing: Drawing, view: View, number: int) -> None:
-        """Draw aircraft and slots, the farthest first."""
+        """Draw slots, and then aircraft over them, each the farthest first."""
         shown, scene = self._shown, self._scene
         things = [
             (k, shown.position[number, k], self._rotation[number, k], False)
@@ -211,7 +215,8 @@ class FlightVideo:
         course = view.track.heading[number]
         c, s = np.cos(course), np.sin(course)
         to_view = axes @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        for each in np.argsort(-depth):
+        slots_first = np.array([not ghost for *_, ghost in things])
+        for each in np.lexsort((-depth, slots_first)):
             k, position, rotation, ghost = things[each]
             if depth[each] <= NEAR:
                 continue
@@ -274,45 +279,81 @@ class FlightVideo:
             for x in along
         ]
 
-    def _texts(self, drawing: Drawing, view: View, number: int, taken: Array | None = None) -> None:
-        """Write names, arrows towards aircraft out of view, and the scale bar."""
+    def _texts(self, drawing: Drawing, view: View, number: int) -> None:
+        """Write names, arrows towards aircraft out of view, losses, and the scale bar."""
         one = self._shown.rows(slice(number, number + 1))
         at = view.track.rows(slice(number, number + 1))
         names, arrows = name_aircraft(self._scene, one, at, view.canvas, self._size)
         bar = scale_bar(at, view.canvas)
         left, low = MARGIN, view.canvas.height - MARGIN
         drawing.line(np.array([[left, low], [left + bar.pixels, low]]), GREY, 2.0)
+        length, half = ARROW
         for tip, direction, row in zip(arrows.tip, arrows.direction, arrows.rows, strict=True):
-            aside = np.array([-direction[1], direction[0]])
-            head = np.stack([tip, tip - 12.0 * direction + 6.0 * aside,
-                             tip - 12.0 * direction - 6.0 * aside])  # fmt: skip
+            tail = tip - length * direction
+            aside = half * np.array([-direction[1], direction[0]])
+            head = np.stack([tip, tail + aside, tail - aside])
             drawing.polygons(head[None], np.array([self._scene.colours[row]], np.uint8))
+        for ends, row in zip(names.ties, names.tied, strict=True):
+            drawing.line(ends, mix(self._scene.colours[row], BACKDROP, 0.4))
+        taken = [text_boxes(each.middle, view.canvas.text_size(each.texts))
+                 for each in (names, arrows)]  # fmt: skip
         for each in (names, arrows):
             for middle, text, row in zip(each.middle, each.texts, each.rows, strict=True):
                 drawing.text(middle, text, self._scene.colours[row])
+        self._losses(drawing, view, number, np.concatenate(taken))
         drawing.text(np.array([left + 2, low - 4]), f"{bar.length:g} m", GREY, anchor="ls")
 
+    def _losses(self, drawing: Drawing, view: View, number: int, taken: Array) -> None:
+        """Name the marks of lost aircraft where boxes (b, 4) of other texts leave room."""
+        lost = np.flatnonzero(self._shown.lost[number])
+        pixels, depth = view.pixels(number, self._shown.position[number, lost])
+        frame = view.canvas.width, view.canvas.height
+        near = (depth > NEAR) & (pixels >= 0.0).all(axis=-1) & (pixels <= frame).all(axis=-1)
+        lost, pixels = lost[near], pixels[near]
+        texts = [f"{self._scene.names[k]} lost" for k in lost]
+        gaps = np.full((len(texts), 2), LOST_PX + 2.0)
+        middles = place(pixels, view.canvas.text_size(texts), gaps, taken, pixels, frame)
+        for middle, text in zip(middles, texts, strict=True):
+            if np.isfinite(middle[0]):
+                drawing.text(middle, text, RED)
+
     def _head(self, drawing: Drawing, width: float, number: int) -> None:
-        """Write the scenario, the time, and as many of the largest errors as fit, in a line."""
+        """Write scenario, time and scale, and losses and the largest errors that fit, in a line."""
         scene, time = self._scene, float(self._shown.time[number])
         at = np.array([MARGIN, 0.5 * HEAD])
-        text = f"{scene.scenario}   {time:.1f} s"
-        drawing.text(at, text, (240, 240, 240), anchor="lm", size=17.0, boxed=False)
+        title = f"{scene.scenario}   {time:.1f} s"
+        drawing.text(at, title, (240, 240, 240), anchor="lm", size=TITLE_PX, boxed=False)
+        at[0] += text_width(f"{scene.scenario}   8888.8 s", TITLE_PX) + GAP
+        if self._size > 1.0:
+            scale = f"aircraft {self._size:g} x as large"
+            drawing.text(at, scale, GREY, anchor="lm", boxed=False)
+            at[0] += text_width(scale) + GAP
         error = np.linalg.norm(self._shown.error[number], axis=-1)
-        known = [
-            i
-            for i, k in enumerate(scene.followers)
-            if self._flying[number, k] and np.isfinite(error[i])
-        ]
-        room = int((width - TITLE) // ENTRY) - 1
-        largest = sorted(sorted(known, key=lambda i: -error[i])[:room])
-        if not largest:
-            return
-        label = "from slots" if len(largest) == len(known) else "largest from slots"
-        at = np.array([width - MARGIN - ENTRY * len(largest), at[1]])
-        drawing.text(at - [8, 0], f"{label}:", GREY, anchor="rm", boxed=False)
-        for i in largest:
+        entries: dict[int, tuple[str, Colour]] = {}  # the most important ones first
+        for i in sorted(range(len(error)), key=lambda i: -np.nan_to_num(error[i])):
             k = scene.followers[i]
-            text = f"{scene.names[k]} {error[i]:.2f} m"
-            drawing.text(at, text, scene.colours[k], anchor="lm", boxed=False)
-            at = at + [ENTRY, 0]
+            if self._flying[number, k] and np.isfinite(error[i]):
+                entries[k] = f"{scene.names[k]} {short_length(error[i])} m", scene.colours[k]
+        lost_rows = np.flatnonzero(self._shown.lost[number]).tolist()
+        lost = {k: (f"{scene.names[k]} lost", RED) for k in lost_rows}
+        entries = lost | entries
+        # of the longest text, so that the line stands still
+        widths = {k: text_width(f"{scene.names[k]} 88.88 m") + GAP for k in entries}
+        label = "from slots" if len(entries) > len(lost) else ""
+        free_width = width - at[0] - text_width(f"largest {label}:") - GAP
+        fits = [k for k, end in zip(entries, np.cumsum(list(widths.values())), strict=True)
+                if end <= free_width]  # fmt: skip
+        if not fits:
+            return
+        label = label if len(fits) == len(entries) else f"largest {label}"
+        at[0] = width - sum(widths[k] for k in fits)
+        drawing.text(at - [8, 0], f"{label}:", GREY, anchor="rm", boxed=False)
+        for k in sorted(fits):
+            text, colour = entries[k]
+            drawing.text(at, text, colour, anchor="lm", boxed=False)
+            at = at + [widths[k], 0]
+
+
+def short_length(value: float) -> str:
+    """Write a length with three or four digits."""
+    return f"{value:.{2 if value < 10.0 else 1 if value < 100.0 else 0}f}"

@@ -55,7 +55,7 @@ def unavailable_reason(port: int) -> str | None:
     if sys.platform == "linux" and not (
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     ):
-        return f"there is no display here and no viewer listens on {HOST}:{port}"
+        return f"there is no display here, and no viewer listens on {HOST}:{port}"
     return None
 
 

@@ -34,10 +34,10 @@ class WebViewer:
 
     @property
     def url(self) -> str:
-        """Address of the page, for a browser."""
+        """Address of the page, for a browser; the colours are for a dark background."""
         name = socket.gethostname() if self.host == ANY_HOST else self.host
         data = quote(f"rerun+http://{name}:{self.port}/proxy", safe="")
-        return f"http://{name}:{self.page_port}/?url={data}"
+        return f"http://{name}:{self.page_port}/?url={data}&theme=dark"
 
     @property
     def directions(self) -> tuple[str, str]:

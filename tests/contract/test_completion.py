@@ -23,6 +23,8 @@ from testbed.cli.options import scenario_keys
         ("view nea", {"near"}),
         ("report near/2026", {"near/20260629T000000Z-0001"}),
         ("run no-such", set()),
+        ("run simulation-3 --follow ua", {"uav1", "uav2", "uav3"}),
+        ("run no-such --follow ua", set()),
     ],
 )
 def test_shell_completes_names(tmp_path, monkeypatch, words, expected):

@@ -17,7 +17,7 @@ from record_flight import RECORDS, decoded, event, record, run_info, run_samples
 
 import testbed
 from testbed.core.records import VehicleState, join_names
-from testbed.logs import arrow_io
+from testbed.logs import arrow_io, flight_data
 from testbed.logs.flight_data import QUANTITIES, UNITS, write_npz
 from testbed.logs.mcap_file import LogError
 from testbed.logs.messages import TOPICS
@@ -100,7 +100,7 @@ def test_exact_estimates_equal_truth_in_table(table):
 
 def test_csv_equals_parquet_to_the_bit(flight, table):
     file = io.BytesIO()
-    arrow_io.write_csv(flight, file)
+    flight_data.write_csv(flight, file)
     header, *rows = csv.reader(io.StringIO(file.getvalue().decode()))
     assert header == table.column_names
     expected = table.to_pylist()
@@ -223,7 +223,7 @@ def test_pandas_and_xarray_equal_arrays(flight):
 
 @pytest.mark.parametrize("rows", [28, SAMPLES * 4])
 def test_row_groups_do_not_change_table(flight, table, monkeypatch, rows):
-    monkeypatch.setattr(arrow_io, "_ROWS", rows)
+    monkeypatch.setattr(flight_data, "TABLE_ROWS", rows)
     file = io.BytesIO()
     arrow_io.write_parquet(flight, file)
     assert parquet.ParquetFile(file).num_row_groups == math.ceil(SAMPLES / (rows // 4))
@@ -244,7 +244,7 @@ def test_export_of_cut_run_has_complete_samples(tmp_path, path):
 def test_run_without_samples_is_table_without_rows(tmp_path):
     empty = testbed.load_run(record(tmp_path / "run.mcap", ()))
     file = io.BytesIO()
-    arrow_io.write_csv(empty, file)
+    flight_data.write_csv(empty, file)
     assert file.getvalue().decode().count("\n") == 1
     assert empty.to_pandas().empty
 

@@ -44,6 +44,7 @@ for words in sys.argv[1:]:
 WORKS = (
     "run own.yaml --quiet --out run --duration 1",
     "export run --format npz",
+    "export run --format csv",
     "export run --format foxglove",
     "compare run run --numbers",
     "check own.yaml --update --reason first --seeds 3 --jobs 1",
@@ -52,7 +53,7 @@ WORKS = (
 NEEDS = {
     "view run --rrd run.rrd": "view",
     "report run": "report",
-    "export run --format csv": "study",
+    "export run --format parquet": "study",
     "export run --format ros2": "ros2",
     "sweep radio-and-wind": "study",
     "tune x8-middle-loop": "study",

@@ -1,5 +1,6 @@
 """Environments for reinforcement learning: their APIs' checkers, and the flight of the testbed."""
 
+import inspect
 import math
 import re
 from pathlib import Path
@@ -207,3 +208,14 @@ def test_docs_have_every_component():
         for name in re.findall(r"`(\w+)`", names)
     ]
     assert listed == [tuple(each) for each in (*OWN, *NEAREST)]
+
+
+@pytest.mark.parametrize("name", testbed.rl.__all__)
+def test_docstring_of_environment_has_components(name):
+    text = inspect.getdoc(getattr(testbed.rl, name))
+    components = (*OWN, *NEAREST) if name == "FormationEnv" else OWN
+    assert f"({len(components)},)" in text
+    for stem in {each.name.removesuffix("_right").removesuffix("_down") for each in components}:
+        assert stem in text
+    for each in components:
+        assert f" {each.unit} " in text and re.search(rf"\b{each.bound:g}\b", text), each

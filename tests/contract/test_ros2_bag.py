@@ -46,7 +46,9 @@ def bag(tmp_path_factory, seen):
     done = call_command(*arguments, cwd=folder, code=0, columns=120)
     assert "run.ros2" in done.stderr
     again = call_command(*arguments, cwd=folder, code=2, columns=120)
-    assert "exists" in again.stderr
+    assert "it exists; remove it or write another name" in again.stderr
+    named = call_command(*arguments, "--out", "run.ros2", cwd=folder, code=2, columns=120)
+    assert "--out run.ros2: it exists; remove it" in named.stderr
     assert {each.name for each in folder.iterdir()} == {"run.mcap", "run.ros2"}
     return folder / "run.ros2"
 

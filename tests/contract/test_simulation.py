@@ -162,3 +162,29 @@ def test_aircraft_has_wind_and_sensors():
     assert not np.array_equal(aircraft.estimate.position_ned, aircraft.truth.position_ned)
     assert np.array_equal(aircraft.reset().position_ned, start)
     np.testing.assert_allclose(start, [0.0, 0.0, -100.0], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"aircraft": "rascal111"}, "aircraft: there is no aircraft 'rascal111': did you mean"),
+        ({"airspeed_mps": 5}, "airspeed_mps: 5 m/s, 100 m above the ground: no level flight: "),
+        ({"airspeed_mps": -1}, "airspeed_mps: is -1 (write a number above 0)"),
+        ({"airspeed_mps": math.nan}, "airspeed_mps: nan (write a finite number)"),
+        ({"altitude_m": -3}, "altitude_m: aircraft starts 3 m below the ground"),
+        ({"sensors": "pix"}, "sensors: 'pix' is not a preset of sensors"),
+        ({"tune": "nope"}, "tune: there is no tune of skywalker_x8 'nope'"),
+        ({"air": {"winds": 1}}, "air.winds: is not a key of this section"),
+        ({"course_deg": 500}, "course_deg: is 500"),
+    ],
+)
+def test_aircraft_error_names_the_argument(arguments, message):
+    arguments = {"aircraft": "skywalker_x8", "airspeed_mps": 18} | arguments
+    with pytest.raises(InputError) as caught:
+        testbed.Aircraft(**arguments)
+    assert str(caught.value).startswith(message) and "\n" not in str(caught.value)
+
+
+def test_sample_repr_is_one_short_line():
+    aircraft = testbed.Aircraft("skywalker_x8", airspeed_mps=18)
+    assert repr(aircraft.simulation.state) == "<Sample: 0 s; 2 aircraft, 0 lost>"

@@ -1,5 +1,6 @@
 """A video shows every aircraft, in a file that other programs play."""
 
+import dataclasses
 import io
 import shutil
 import struct
@@ -14,9 +15,9 @@ from record_flight import record, run_info, run_samples
 
 from testbed.cli.video import _frames
 from testbed.core.errors import InputError
-from testbed.views.pillow_backend import mp4_from_avif, save_video
+from testbed.views.pillow_backend import Drawing, mp4_from_avif, save_video
 from testbed.views.recorded_runs import scene_and_batch
-from testbed.views.video import FlightVideo
+from testbed.views.video import RED, FlightVideo, short_length
 
 
 def boxes(data, start=0, end=None):
@@ -120,6 +121,50 @@ def test_frame_shows_every_aircraft_twice(aircraft):
             ]
             assert (np.min(shades, axis=0) < 14).sum() > 5, f"aircraft {k} is not in the picture"
     assert len(video.colours) <= 256
+
+
+def drawn(scene, batch, row=150):
+    return np.asarray(FlightVideo(scene, batch, np.array([row]), (960, 540)).frame(0).finish())
+
+
+def test_aircraft_in_slot_is_drawn_over_slot():
+    scene, batch = scene_and_batch(views_flight.log(4, 8.0))
+    batch.slot[:] = np.nan
+    without = drawn(scene, batch)
+    batch.slot[:] = batch.position[:, 1:]
+    batch.slot[..., 1] += 1e-3  # m nearer to a camera, whose sorting by depth hid the aircraft
+    batch.slot[..., 2] -= 1e-3
+    behind = drawn(scene, batch)
+    for colour in scene.colours[1:]:
+        seen = [(np.abs(each.astype(int) - colour).max(axis=-1) < 30).sum()
+                for each in (without, behind)]  # fmt: skip
+        assert seen[1] > 0.9 * seen[0] > 50
+
+
+def test_frame_names_lost_aircraft_twice():
+    """The mark and the line above the pictures say that an aircraft is lost."""
+    scene, batch = scene_and_batch(views_flight.log(4, 8.0))
+    lost = batch.lost.copy()
+    lost[150:, 2] = 1.0
+    texts = []
+    video = FlightVideo(scene, dataclasses.replace(batch, lost=lost), np.array([150]), (960, 540))
+    original = Drawing.text
+
+    def record_text(self, middle, text, colour, **options):
+        texts.append((text, colour))
+        original(self, middle, text, colour, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Drawing, "text", record_text)
+        video.frame(0)
+    assert texts.count(("uav2 lost", RED)) == 3, "by both marks, and above"
+    assert "uav2" not in [text for text, _ in texts]
+
+
+def test_short_length_has_three_or_four_digits():
+    assert [short_length(each) for each in (0.123, 9.99, 10.26, 99.9, 1068.38)] == [
+        "0.12", "9.99", "10.3", "99.9", "1068",
+    ]  # fmt: skip
 
 
 def test_default_speed_makes_video_of_thirty_seconds():

@@ -356,6 +356,32 @@ def test_followed_camera_points_at_the_others():
     assert (arrows.tip > 0.0).all() and (arrows.tip < [CANVAS.width, CANVAS.height]).all()
 
 
+@pytest.mark.parametrize("aircraft", [4, 20, 100])
+def test_drawn_size_below_distance_of_slots(aircraft):
+    still, batch = scene(aircraft), flight(aircraft, 1.0)
+    points = np.concatenate([batch.position[0, :1], batch.slot[0]])
+    between = np.linalg.norm(points[:, None] - points, axis=-1) + 1e9 * np.eye(aircraft)
+    size = layout.fit_formation(still, batch).size
+    assert 1.0 <= size <= max(1.0, 1.2 * between.min() / max(still.wingspan) + 0.25)
+    followed = dataclasses.replace(still, follow=1)
+    assert layout.fit_formation(followed, batch).size == 1.0
+
+
+def test_name_is_on_the_outer_side_if_equal():
+    anchors = np.array([[300.0, 200.0], [600.0, 200.0]])
+    sizes, gaps = np.full((2, 2), 20.0), np.full((2, 2), 5.0)
+    left, right = labels.place(anchors, sizes, gaps, np.empty((0, 4)), anchors, (900.0, 400.0))
+    assert left[0] < 300.0 and right[0] > 600.0 and left[1] == right[1] == 200.0
+
+
+def test_line_joins_far_name_with_aircraft():
+    still, batch = scene(100), flight(100, 1.0)
+    names, _ = names_of(still, batch, 0)
+    assert len(names.texts) <= labels.MAX_NAMES // 2
+    length = np.linalg.norm(names.ties[:, 1] - names.ties[:, 0], axis=-1)
+    assert (length > labels.TIE_PX).all() and set(names.tied) <= set(names.rows)
+
+
 def test_scale_bar_is_true_at_the_middle():
     track = above(scene(4), flight(4, 1.0)).rows(slice(0, 1))
     bar = labels.scale_bar(track, CANVAS)

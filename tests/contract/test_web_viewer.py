@@ -49,6 +49,30 @@ def test_web_view_answers_on_loopback_until_ctrl_c(tmp_path):
     until(lambda: not any(listening(port) for port in ports))
 
 
+def test_run_in_web_viewer_stays_until_ctrl_c(tmp_path):
+    command = [sys.executable, "-m", "testbed", "run", "simulation-3", "--duration", "0.2"]
+    command += ["--view", "web", "--quiet", "--out", "it"]
+    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            lines = [process.stderr.readline() for _ in range(3)]
+            assert "until Ctrl-C" in lines[2], lines
+            assert (tmp_path / "it" / "metrics.json").is_file(), "the flight is over"
+            page = lines[0].removeprefix("view: ").strip()
+            assert page.endswith("&theme=dark"), "the viewer's colours suit a dark background"
+            with urllib.request.urlopen(page, timeout=PATIENCE_S) as answer:
+                assert answer.status == 200
+            process.send_signal(signal.SIGINT)
+            assert process.wait(PATIENCE_S) == 0
+        finally:
+            process.kill()
+
+
+def test_follow_without_a_view_is_a_warning(tmp_path):
+    options = ("--duration", "0.1", "--out", "it", "--quiet", "--follow", "uav1")
+    done = call_command("run", "simulation-3", *options, cwd=tmp_path, code=0, columns=200)
+    assert "--follow uav1: nothing is shown; add --view or --rrd FILE" in done.stderr
+
+
 def test_web_viewer_takes_free_ports_and_refuses_hosts(monkeypatch):
     with pytest.raises(InputError, match="write 127.0.0.1, or 0.0.0.0"):
         web_viewer.serve_web_viewer("192.0.2.1").__enter__()

@@ -60,7 +60,7 @@ def heat_maps(study: StudyData, metric: str) -> FigureSpec | None:
     panels: list[Panel] = []
     drawn_pairs = 0
     for pair in pairs:
-        groups = flights.by_case if flights.law in pair else flights.kept_apart
+        groups = flights.by_case if flights.law in pair else flights.groups
         if panels and len(panels) + len(groups) > MAX_MAPS:
             break
         panels += _heat_map_row(study, metric, pair, groups)
@@ -74,9 +74,9 @@ def heat_maps(study: StudyData, metric: str) -> FigureSpec | None:
     )
     if any(each.continuous for each in parameters):
         caption += " Parameters with many numbers are divided into groups of equal size."
-    if flights.apart_title:
+    if flights.groups_title:
         caption += (
-            f" Each {flights.apart_title.replace(', ', ' and ')} has a map of its own; the maps of"
+            f" Each {flights.groups_title.replace(', ', ' and ')} has a map of its own; the maps of"
             " a pair have one colour scale."
         )
     if len(pairs) > drawn_pairs:
@@ -192,8 +192,8 @@ def distributions(study: StudyData, metric: str) -> FigureSpec | None:
     """Draw the cumulative distribution of the metric, by case and law."""
     flights, values = study.flights, study.flights.metrics[metric]
     lines: list[Line] = []
-    apart = flights.kept_apart
-    for k, group in enumerate(apart[: len(STYLES)]):
+    groups = flights.groups
+    for k, group in enumerate(groups[: len(STYLES)]):
         of_case = group.flights
         name = group.name or flights.cases[0]
         known = np.sort(values[of_case & flights.completed & np.isfinite(values)])

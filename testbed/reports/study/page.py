@@ -18,7 +18,7 @@ from testbed.reports.study.study_data import StudyData
 from testbed.reports.tables import rows_to_html, text_table_to_html, to_html
 
 MAX_CARDS = 3  # metrics in the head
-MAX_APART_CARDS = 6  # cases and laws in the head
+MAX_CARDS = 6  # cases and laws in the head
 
 
 def study_page(study: StudyData) -> Page:
@@ -113,10 +113,10 @@ def _head(study: StudyData) -> str:
     if keys:
         out.append(f"<p>Varied, {escape(study.design)}: {escape(', '.join(keys))}.</p>")
     cards = []
-    apart = flights.kept_apart
+    groups = flights.groups
     # several cases or laws: all of them with the first metric, rather than one with several
-    shown = [(m, g) for m in study.metrics[: MAX_CARDS if len(apart) == 1 else 1] for g in apart]
-    for metric, group in shown[:MAX_APART_CARDS]:
+    shown = [(m, g) for m in study.metrics[: MAX_CARDS if len(groups) == 1 else 1] for g in groups]
+    for metric, group in shown[:MAX_CARDS]:
         estimate = study.estimate(metric, group.flights, f"all/{group.name or flights.cases[0]}")
         value = format_number(estimate.value)
         interval = format_cell(estimate).removeprefix(value)

@@ -117,13 +117,13 @@ def _groups(study: StudyData, parameter: Parameter) -> tuple[list[Group], str]:
     """
     flights = study.flights
     others = [each for each in flights.parameters if each is not parameter]
-    apart = flights.kept_apart
-    if parameter is not flights.law and len(flights.by_case) < len(apart) <= len(STYLES):
-        spacing = 0.5 / len(apart)
-        middle = 0.5 * (len(apart) - 1)
+    groups = flights.groups
+    if parameter is not flights.law and len(flights.by_case) < len(groups) <= len(STYLES):
+        spacing = 0.5 / len(groups)
+        middle = 0.5 * (len(groups) - 1)
         return [
             Group(each.name, each.flights, *STYLES[k], shift=spacing * (k - middle))
-            for k, each in enumerate(apart)
+            for k, each in enumerate(groups)
         ], "cases and laws" if len(flights.by_case) > 1 else "laws"
     names: Sequence[str] = flights.cases
     index, by = flights.case_index, "cases"
@@ -137,7 +137,7 @@ def _groups(study: StudyData, parameter: Parameter) -> tuple[list[Group], str]:
     count = min(len(names), len(STYLES))
     spacing = 0.5 / max(count, 2)
     # beside curves of cases and laws, cases alone have other colours
-    first = len(apart) if len(apart) > len(flights.by_case) else 0
+    first = len(groups) if len(groups) > len(flights.by_case) else 0
     styles = STYLES[first:] if first + count <= len(STYLES) else STYLES
     return [
         Group(names[k], index == k, *styles[k], shift=spacing * (k - 0.5 * (count - 1)))

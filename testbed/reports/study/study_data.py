@@ -17,7 +17,7 @@ from testbed.reports.study.numbers import STATISTICS, Estimate, bootstrap
 Value = float | int | bool | str
 RANDOM_DESIGNS = ("latin-hypercube", "monte-carlo")
 LAW = "controller.law"  # flights of different laws are not pooled
-MAX_APART = 12  # cases and laws that are kept apart; more are pooled
+MAX_GROUPS = 12  # of cases and laws; more are pooled
 MAX_LEVELS = 12  # numbers of a parameter that are drawn one by one; of more, as a scatter
 
 
@@ -81,15 +81,15 @@ class StudyFlights:
     @cached_property
     def by_case(self) -> tuple[FlightGroup, ...]:
         """Flights of each case; all in one group without a name if there is one case, or many."""
-        if not 1 < len(self.cases) <= MAX_APART:
+        if not 1 < len(self.cases) <= MAX_GROUPS:
             return (FlightGroup("", np.ones(len(self.run), dtype=np.bool_)),)
         return tuple(FlightGroup(c, self.case_index == k) for k, c in enumerate(self.cases))
 
     @cached_property
-    def kept_apart(self) -> tuple[FlightGroup, ...]:
+    def groups(self) -> tuple[FlightGroup, ...]:
         """Flights of each case and formation law, whose numbers are not pooled."""
         law = self.law
-        if law is None or len(law.levels) * len(self.by_case) > MAX_APART:
+        if law is None or len(law.levels) * len(self.by_case) > MAX_GROUPS:
             return self.by_case
         return tuple(
             FlightGroup(
@@ -101,10 +101,10 @@ class StudyFlights:
         )
 
     @property
-    def apart_title(self) -> str:
-        """What `kept_apart` are: "case", "law", "case, law", or "" if there is one group."""
-        cases, law = len(self.by_case) > 1, len(self.kept_apart) > len(self.by_case)
-        return ", ".join(name for name, kept in (("case", cases), ("law", law)) if kept)
+    def groups_title(self) -> str:
+        """What `groups` are: "case", "law", "case, law", or "" if there is one group."""
+        cases, law = len(self.by_case) > 1, len(self.groups) > len(self.by_case)
+        return ", ".join(name for name, several in (("case", cases), ("law", law)) if several)
 
 
 @dataclass(frozen=True)

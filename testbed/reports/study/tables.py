@@ -58,10 +58,10 @@ def overview(study: StudyData) -> ReportTable:
     """Tabulate each metric by case and law, over all completed flights."""
     flights = study.flights
     out: list[tuple[Cell, ...]] = []
-    titles = [flights.apart_title] if flights.apart_title else []
+    titles = [flights.groups_title] if flights.groups_title else []
     for metric in study.metrics:
         values = flights.metrics[metric]
-        for group in flights.kept_apart:
+        for group in flights.groups:
             known = values[group.flights & flights.completed & np.isfinite(values)]
             spread = np.quantile(known, [0.05, 0.95]) if known.size else [math.nan, math.nan]
             name = group.name or flights.cases[0]
@@ -154,11 +154,11 @@ def effects(study: StudyData) -> ReportTable | None:
     if not flights.parameters:
         return None
     out: list[tuple[Cell, ...]] = []
-    titles = [flights.apart_title] if flights.apart_title else []
+    titles = [flights.groups_title] if flights.groups_title else []
     for metric in study.metrics:
         for each in flights.parameters:
             # the law's own effect is among all flights of a case
-            for group in flights.by_case if each is flights.law else flights.kept_apart:
+            for group in flights.by_case if each is flights.law else flights.groups:
                 name = [group.name or "all"] if titles else []
                 out.append((metric, *name, each.key, *_effect(study, metric, each, group.flights)))
     note = (
@@ -169,7 +169,7 @@ def effects(study: StudyData) -> ReportTable | None:
         " 1 or -1 where the metric always rises or falls with the parameter."
     )
     if titles:
-        note += f" Each {flights.apart_title.replace(', ', ' and ')} has numbers of its own."
+        note += f" Each {flights.groups_title.replace(', ', ' and ')} has numbers of its own."
     numbers = ("smallest", "largest", "variance, %", "rank correlation")
     columns = ("metric", *titles, "parameter", *numbers)
     return ReportTable("effects", "What matters", columns, out, note)

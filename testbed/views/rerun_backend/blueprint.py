@@ -14,7 +14,7 @@ from testbed.views.labels import MAX_NAMED
 from testbed.views.scene import BACKDROP, Scene
 
 TIMELINE = "sim_time"
-OVERLAYS = ("names", "out_of_view", "scale", "grid")  # in the frames of the cameras
+OVERLAYS = ("names", "ties", "out_of_view", "scale", "grid")  # in the frames of the cameras
 GRID = (84, 94, 110)
 
 

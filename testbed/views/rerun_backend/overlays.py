@@ -57,7 +57,7 @@ def overlay(
         grid: whether to draw a grid through the middle, with the scale bar's length as step.
     """
     colours = np.array(scene.colours, np.uint8)
-    names, arrows, bars, lines = [], [], [], []
+    names, ties, arrows, bars, lines = [], [], [], [], []
     for k in range(len(batch)):
         one, at = batch.rows(slice(k, k + 1)), track.rows(slice(k, k + 1))
         label, edge = name_aircraft(scene, one, at, canvas, size)
@@ -71,6 +71,8 @@ def overlay(
                 colours[np.concatenate([label.rows, edge.rows])],
             )
         )
+        ends = _in_frame(at, canvas, label.ties.reshape(-1, 2), np.repeat(label.tied_depth, 2))
+        ties.append((ends.reshape(-1, 2, 3), colours[label.tied]))
         tail = _in_frame(at, canvas, edge.tip - ARROW_PX * edge.direction)
         arrows.append((tail, _in_frame(at, canvas, edge.tip) - tail, colours[edge.rows]))
         bar = scale_bar(at, canvas)
@@ -86,6 +88,14 @@ def overlay(
             colors=np.concatenate([each[2] for each in names]),
         ).partition([len(each[0]) for each in names]),
     )
+    if any(len(each[0]) for each in ties):
+        yield (
+            "ties",
+            rr.LineStrips3D.columns(
+                strips=np.concatenate([each[0] for each in ties]).astype(np.float32),
+                colors=np.concatenate([each[1] for each in ties]),
+            ).partition([len(each[0]) for each in ties]),
+        )
     if any(len(each[0]) for each in arrows):
         yield (
             "out_of_view",

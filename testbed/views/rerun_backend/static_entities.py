@@ -52,6 +52,7 @@ def static_entities(
     for camera in ("world/behind", "world/above"):
         small, thin = rr.Radius.ui_points(0.1), rr.Radius.ui_points(0.5)
         yield f"{camera}/names", (rr.Points3D.from_fields(radii=small, show_labels=True),)
+        yield f"{camera}/ties", (rr.LineStrips3D.from_fields(radii=thin),)
         yield f"{camera}/grid", (rr.LineStrips3D.from_fields(radii=thin, colors=GRID),)
         bar = rr.LineStrips3D.from_fields(
             radii=rr.Radius.ui_points(1.5), colors=SCALE, show_labels=True
