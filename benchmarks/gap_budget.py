@@ -28,7 +28,7 @@ RESULTS = Path("logs") / "studies" / "gap"
 TABLE_2, REFERENCE, MIRRORED = "as-flown", "gap-budget-0", "turn-direction"
 BUDGETS = {1: "circles", 2: "rectangles", 3: "rectangles"}
 TOLERANCE = 0.25  # of the paper's number
-FEW = 5  # seeds of the tables beside the errors, and of the other direction of turns
+FEW = 5  # seeds of the study of the other direction of turns
 FACTORS = {
     "offsets": "larger offsets",
     "attitude": "slower attitude",
@@ -117,7 +117,7 @@ def percent_table(rows: Rows) -> Iterator[str]:
         published = load_flown(name).scenario.published
         assert published is not None
         for window, printed in published.percent_error.items():
-            flown = of_seeds(rows, name, f"windows.{window}.percent_error", FEW)
+            flown = of_seeds(rows, name, f"windows.{window}.percent_error")
             middle = f"{statistics.median(flown):.0f} ({min(flown):.0f}–{max(flown):.0f})"
             yield row(title(name), window, f"{printed:g}", middle)
 
@@ -134,14 +134,14 @@ def limits_table(rows: Rows) -> Iterator[str]:
         samples = scenario.rates.log_hz * scenario.scenario.duration_s
         for follower in scenario.fleet:
             head = f"saturations.{follower.name}"
-            seconds = of_seeds(rows, name, f"{head}.seconds", FEW)
+            seconds = of_seeds(rows, name, f"{head}.seconds")
             shares = [100.0 * value / scenario.scenario.duration_s for value in seconds]
             counts = [
-                statistics.median(of_seeds(rows, name, f"{head}.by_kind.{kind}", FEW))
+                statistics.median(of_seeds(rows, name, f"{head}.by_kind.{kind}"))
                 for kind in ("pitch", "roll", "throttle")
             ]
             speed = f"slot_speed_mps.{follower.name}"
-            low, high = (of_seeds(rows, name, f"{speed}.{end}", FEW) for end in (0, 1))
+            low, high = (of_seeds(rows, name, f"{speed}.{end}") for end in (0, 1))
             bounds = "–".join(f"{value:g}" for value in scenario.formation.speed_mps)
             yield row(
                 title(name),
@@ -363,7 +363,7 @@ def table_2_text(folder: Path, jobs: int) -> str:
             "",
             *limits_table(rows),
             "",
-            f"Medians and ranges of the first {FEW} seeds; extremes of the slots' speeds.",
+            "Medians and ranges of the same seeds; extremes of the slots' speeds.",
             "",
             f"Table 2 flown with {versions}.",
         ]
