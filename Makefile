@@ -129,9 +129,11 @@ rates: $(STAMP)
 	@$(BIN)/python benchmarks/convergence.py --jobs $(JOBS) --into docs/speed.md $(ARGS)
 
 # Flies Simulation 3 with virtual autopilots and compares it with the recording of four real ArduPlanes:
-# the table of docs/arduplane.md and docs/autopilot.md, and their figure.
+# the tables of docs/arduplane.md and docs/autopilot.md, and their figure; replays the recording of one
+# ArduPlane and writes its tables there and in aircraft/rascal110/SOURCE.md.
 arduplane: $(STAMP)
 	@$(BIN)/python benchmarks/real_arduplane.py --into docs/arduplane.md docs/autopilot.md $(ARGS)
+	@$(BIN)/python benchmarks/recorded_arduplane.py --into docs/autopilot.md aircraft/rascal110/SOURCE.md $(ARGS)
 
 # Compares arithmetic: netem with this kernel's tc netem, as root, without leaving files of root.
 netem: SUDO = $(if $(filter 0,$(shell id -u)),,sudo)

@@ -26,6 +26,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+TREE = Path(__file__).resolve().parents[1]
 FULL_S = 1080.0  # of Simulation 3
 PLANE_S = 13.0  # processor time of one ArduPlane 4.8.0-dev in it, measured
 FIRST_INSTANCE = 247  # of four, the last allowed, far from those of other runs
@@ -189,7 +190,7 @@ def write_program(file: Path, plane_s: float) -> None:
     """
     frame_us = 1e6 * plane_s / (FULL_S * FRAME_HZ)
     file.write_text(
-        f'#!/bin/sh\nexport {COST_VARIABLE}="{frame_us:.6g}"\n'
+        f'#!/bin/sh\nexport {COST_VARIABLE}="{frame_us:.6g}"\nexport PYTHONPATH="{TREE}"\n'
         f'exec "{sys.executable}" "{Path(__file__).resolve()}" stand-in "$@"\n'
     )
     file.chmod(0o755)
@@ -204,7 +205,6 @@ def processor_s(process: str = "self") -> float:
 def flight(program: Path, seconds: float) -> dict[str, float]:
     """Fly, and return the factor and the processor times from the first to the last sample."""
     from testbed.core.records import Observer
-    from testbed.scenario import load_scenario, set_duration
     from testbed.sim.external_options import ExternalOptions
     from testbed.sim.run import run
 
@@ -237,13 +237,21 @@ def flight(program: Path, seconds: float) -> dict[str, float]:
     overrides = [
         f"{name}.autopilot={autopilot.format(FIRST_INSTANCE + n)}" for n, name in enumerate(names)
     ]
-    scenario = set_duration(load_scenario("simulation-3", overrides), seconds)
+    # overrides alone, which older source trees understand too
+    overrides += [f"scenario.duration_s={seconds}", "scenario.windows=null"]
+    overrides += ["scenario.published=null"]
     watch = Stopwatch()
     with tempfile.TemporaryDirectory() as folder:
         external = ExternalOptions(arduplane=program)
-        flown = run(scenario, out=Path(folder) / "run", observers=[watch], external=external)
-    if flown.outcome != "completed":
-        raise SystemExit(f"{flown.outcome}: a lost aircraft costs nothing")
+        result = run(
+            "simulation-3",
+            overrides,
+            out=Path(folder) / "run",
+            observers=[watch],
+            external=external,
+        )
+    if result.outcome != "completed":
+        raise SystemExit(f"{result.outcome}: a lost aircraft costs nothing")
     spent = {name: last - watch.first[name] for name, last in watch.last.items()}
     return {**spent, "factor": spent["simulated_s"] / spent["wall_s"]}
 
@@ -291,7 +299,7 @@ def main() -> None:
     if options.program:
         write_program(options.program, options.plane_s)
         return
-    trees = {"this": Path(__file__).resolve().parents[1]}
+    trees = {"this": TREE}
     if options.against:
         trees["other"] = options.against.resolve()
     flights: dict[str, list[dict[str, float]]] = {name: [] for name in trees}

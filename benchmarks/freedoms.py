@@ -64,7 +64,7 @@ FREEDOMS: Sequence[tuple[str, str, str, tuple[str, ...]]] = (
     (
         "autopilot's tune",
         "ours, `autopilot`",
-        "`recorded`: that of a recorded ArduPlane",
+        "`recorded`, of a recorded ArduPlane",
         RECORDED_TUNE,
     ),
     ("", "", "`recorded`, gains `authors`", (*RECORDED_TUNE, "controller.profile=authors")),

@@ -25,7 +25,7 @@ from testbed.scenario import find_aircraft
 from testbed.scenario.network import Network
 from testbed.sim.monitors import LINK_WATCH, check_links
 from testbed.vehicle.fleet import JsbsimFleet
-from testbed.vehicle.initial_state import InitialState
+from testbed.vehicle.trim import InitialState
 
 PHYSICS_HZ, CONTROL_HZ, MESSAGES_HZ = 200, 25, 10
 LINK = {

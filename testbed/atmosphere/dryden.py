@@ -322,9 +322,9 @@ def _root(phi: Values, step: float, corner: float) -> Values:
 
 @kernel
 def _rates(corner: float) -> Values:
-    """Return the output of a filter part from its three states.
+    """Return the coefficients of a part's rate in its three states.
 
-    Its transfer function is a s (1 + √3 s)/((1 + s)² (s + a)); the states are d/ds and lagged.
+    The rate is the lagged derivative, a s (1 + √3 s)/((1 + s)² (s + a)).
     """
     a, root3 = corner, sqrt(3.0)
     third = a**2 * (root3 * a - 1.0) / (sqrt(2.0 * a) * (1.0 + a) ** 2)

@@ -96,9 +96,9 @@ class MeanWind:
         return np.array([north * factor, east * factor, down])
 
     def displacement_ned(self, time: float) -> Array:
-        """Return the path (3,) m of the air since time 0.
+        """Return the path (3,) m of the air from time 0 to a time, s.
 
-        It is that at the advection height.
+        The air is that at the advection height.
         """
         rows, profile = self.rows.view(np.recarray), self.profile.view(np.recarray)[0]
         displacement = np.empty(3)
@@ -163,9 +163,9 @@ def reference_wind(rows: Records, time: float) -> Vector:
 
 @jitable
 def write_displacement(rows: Records, profile: Record, time: float, displacement: Array) -> None:
-    """Write the path (3,) m of the air since time 0.
+    """Write the path (3,) m of the air from time 0 to a time, s.
 
-    It is that at the advection height.
+    The air is that at the advection height.
     """
     row = rows[_interval(rows, time)]
     since = time - row.time

@@ -249,9 +249,8 @@ def unresolved_variance(finest: float, length: float) -> float:
 def wavenumbers(cells: Array, counts: IntArray, level: int) -> tuple[IntArray, IntArray]:
     """Return the waves (3, W) of a level and their squares (W,).
 
-    Waves are counted along the edges.
-
-    The third number is not negative: a wave stands for its opposite too, except where it is zero.
+    Waves are given by their numbers along the edges. The third number is not negative: a wave
+    stands for its opposite too, except where it is zero.
     """
     most = int(0.5 * BAND_END * counts[level])
     whole = np.arange(-most, most + 1)

@@ -124,9 +124,8 @@ def sheet_pairs(count: int) -> tuple[Array, Array]:
 def roll_gain(aspect_ratio: Array, lift_slope: Array) -> Array:
     """Return the response of a wing to the first moment of its downwash.
 
-    It is (π A/2) μ/(1 + 2 μ).
-
-    With μ = a₀/(π A) and the section's lift slope a₀ from C_Lα = a₀/(1 + μ).
+    It is (π A/2) μ/(1 + 2 μ), with μ = a₀/(π A) and the section's lift slope a₀ from
+    C_Lα = a₀/(1 + μ).
 
     Args:
         aspect_ratio: A (...,).

@@ -16,12 +16,13 @@ from typing import NoReturn
 
 from testbed.autopilot.json_physics import (
     PacketError,
+    RcChannels,
+    ServoOutputs,
     ServoPacket,
     inputs_text,
     motion_text,
     read_servos,
 )
-from testbed.autopilot.pwm import RcChannels, ServoOutputs
 from testbed.autopilot.sitl_mavlink import FBWA, SitlMavlinkClient
 from testbed.autopilot.sitl_parameters import defaults_text
 from testbed.autopilot.sitl_process import SitlProcess, command_line, find_binary
@@ -348,10 +349,10 @@ def _set_receive_timeout(udp: socket.socket, timeout_s: float) -> None:
     udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, timeval)
 
 
-def _binds(udp: socket.socket, host: str, port: int) -> bool:
+def _binds(endpoint: socket.socket, host: str, port: int) -> bool:
     """Bind a socket; False if the port is in use."""
     try:
-        udp.bind((host, port))
+        endpoint.bind((host, port))
     except OSError:
         return False
     return True
@@ -364,9 +365,10 @@ def _used_port(instance: int) -> str | None:
         if not _binds(udp, "", rc):
             return f"UDP port {rc}"
     for port in tcp:
-        client = SitlMavlinkClient()
-        listening = client.connect(port)
-        client.close()
-        if listening:
-            return f"TCP port {port}"
+        # A connection could be the one that another ArduPlane waits for. With this option, as in
+        # ArduPlane, closed connections that have not timed out are no conflict, listeners are.
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listener:
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            if not _binds(listener, "", port):
+                return f"TCP port {port}"
     return None

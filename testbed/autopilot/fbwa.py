@@ -2,8 +2,8 @@
 
 The law is ArduPlane's, written from its documentation and its measured behaviour and compared
 with a recording of it. Angles and rates are in radians; ArduPlane's 45 degrees of surface at full
-output are part of the gains. The slew limiter (RLL_RATE_SMAX, PTCH_RATE_SMAX), which acts on
-sustained oscillation only, is not modelled.
+output are part of the gains. docs/autopilot.md lists what is not modelled, as the slew limiter
+(RLL_RATE_SMAX, PTCH_RATE_SMAX).
 """
 
 from __future__ import annotations

@@ -146,9 +146,10 @@ def read_params(path: Path) -> FbwaParams:
 
 
 def is_virtual(name: str) -> bool:
-    """Whether the virtual autopilot uses a parameter, by its present name."""
+    """Return whether the virtual autopilot uses a parameter, by its present name."""
     is_output = name.startswith("SERVO") and name.endswith("_FUNCTION")
-    return name.lower() in _NAMES or is_output or name == "MIXING_GAIN"
+    is_used = name.lower() in _NAMES and not name.endswith("_SMAX")
+    return is_used or is_output or name == "MIXING_GAIN"
 
 
 class GivenValue(NamedTuple):
@@ -189,7 +190,7 @@ def read_values(path: Path) -> dict[str, GivenValue]:
 
 
 def _surface_outputs(given: Mapping[str, GivenValue]) -> dict[str, GivenValue]:
-    """Move the ranges of the outputs that move the surfaces to channels 1, 2 and 4.
+    """Move the ranges of the surfaces' outputs to channels 1, 2 and 4.
 
     Elevons of an airframe mix aileron and elevator with a gain of 1; those of ArduPlane with
     MIXING_GAIN, which their range here is scaled by, about its centre.

@@ -131,7 +131,7 @@ class SitlProcess:
         Each line once, without the keys that it lists after its first state (JSON received).
         """
         tail: dict[str, None] = {}
-        keys = False
+        keys = True  # of a list whose beginning is cut off
         for line in self._output_lines():
             keys = line.startswith("JSON received") or (keys and line.startswith("\t"))
             if not keys:
@@ -143,11 +143,13 @@ class SitlProcess:
     def _output_lines(self) -> list[str]:
         """Return the last lines of its output that are not empty."""
         try:
-            data = self._log.read_bytes()[-_TAIL_BYTES:]
+            data = self._log.read_bytes()
         except OSError:
             data = b""
-        lines = (line.rstrip() for line in data.decode("utf-8", "replace").splitlines())
-        return [line for line in lines if line]
+        lines = data[-_TAIL_BYTES:].decode("utf-8", "replace").splitlines()
+        if len(data) > _TAIL_BYTES:  # the first line is a part of one
+            lines = lines[1:] or lines
+        return [line.rstrip() for line in lines if line.strip()]
 
     def signal(self, number: signal.Signals) -> None:
         """Send a signal to its process group."""
@@ -158,7 +160,7 @@ class SitlProcess:
                 pass
 
     def wait(self, until: float) -> None:
-        """Wait for the end of its process group until this time of the monotonic clock, s."""
+        """Wait for the end of its process group until a monotonic time, s."""
         try:
             self._child.wait(max(0.0, until - time.monotonic()))
             while time.monotonic() < until:  # after SIGKILL the guard may end before the program

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
-from testbed.autopilot.pwm import (
+from testbed.autopilot.json_physics import (
     LIMITS,
     RC_MAPS,
     SERVO_FUNCTIONS,

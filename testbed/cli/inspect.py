@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from testbed.core.records import Origin
     from testbed.sim.speed_step import SpeedStep
     from testbed.vehicle.identify import FirstOrder
-    from testbed.vehicle.modes import Mode
+    from testbed.vehicle.linearize import Mode
     from testbed.vehicle.trim import TrimPoint, TrimResult
 
 ABOVE_GROUND = 1000.0  # m: height in trims, where the ground has no effect
@@ -99,8 +99,7 @@ def linearize_command(
     """Linearise an aircraft about its trim and print its natural modes."""
     from testbed.scenario import find_aircraft
     from testbed.vehicle.jsbsim_adapter import linearize_aircraft
-    from testbed.vehicle.linearize import CONTROLS, STATES, UNITS
-    from testbed.vehicle.modes import find_modes
+    from testbed.vehicle.linearize import CONTROLS, STATES, UNITS, find_modes
 
     folder = find_aircraft(aircraft)
     point, origin = _trim_point(airspeed, climb, bank, altitude)

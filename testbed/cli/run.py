@@ -253,7 +253,7 @@ def external_options(
     Raises:
         InputError: an address, the key or the pace cannot be used.
     """
-    from testbed.mavlink.addresses import parse_address
+    from testbed.mavlink.udp_endpoint import parse_address
     from testbed.scenario.aircraft import ArduPlane, External
     from testbed.sim.external_options import ExternalOptions
 

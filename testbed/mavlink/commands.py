@@ -11,10 +11,9 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from testbed.mavlink.codec import Message, constant
-from testbed.mavlink.message_schedule import MessageSchedule, message_names
-from testbed.mavlink.mission_items import HOME_LEVEL, SEA_LEVEL, Position, check_position
+from testbed.mavlink.missions import HOME_LEVEL, SEA_LEVEL, Position, check_position
 from testbed.mavlink.outgoing import Fields, Handler, OutgoingMessage, sender_of
-from testbed.mavlink.telemetry_messages import build_message
+from testbed.mavlink.telemetry_messages import MessageSchedule, build_message, message_names
 from testbed.mavlink.vehicle_context import VehicleContext
 from testbed.mavlink.vehicle_control import Mode, Rejection
 

@@ -3,24 +3,71 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from testbed.core.errors import InputError
 from testbed.core.records import Event, Origin, RunInfo, Sample
-from testbed.mavlink.addresses import Address, link_addresses
-from testbed.mavlink.codec import Codec, Message
-from testbed.mavlink.link import MavlinkLink, authenticated_frames
+from testbed.mavlink.codec import Codec, Message, decode, frame_length
 from testbed.mavlink.outgoing import OutgoingMessage
 from testbed.mavlink.signing import MessageSigner, Signing, signing_time
 from testbed.mavlink.telemetry_messages import ATTITUDE
 from testbed.mavlink.telemetry_snapshot import TelemetrySnapshot
 from testbed.mavlink.tlog import TlogWriter
-from testbed.mavlink.udp_endpoint import Endpoint, Peer, wait
+from testbed.mavlink.udp_endpoint import Address, Endpoint, Peer, link_addresses, wait
 from testbed.mavlink.vehicle import COMPONENT, MavlinkVehicle
 from testbed.mavlink.vehicle_control import VehicleControl
+
+MAX_PACKET_BYTES = 1200  # of frames in one datagram
+
+
+class MavlinkLink:
+    """Combine frames into datagrams, and store received messages until they are handled.
+
+    Attributes:
+        endpoint: the socket.
+        rows: of the aircraft that use this link.
+        codec: parses received datagrams.
+        unhandled: received messages, in order.
+    """
+
+    def __init__(self, endpoint: Endpoint, rows: Sequence[int], codec: Codec) -> None:
+        """Start with nothing to send."""
+        self.endpoint, self.rows, self.codec = endpoint, frozenset(rows), codec
+        self.unhandled: deque[Message] = deque()
+        self._packet = bytearray()
+
+    def queue(self, frame: bytes) -> None:
+        """Add a frame to the datagram; send the datagram before if it is full."""
+        if len(self._packet) + len(frame) > MAX_PACKET_BYTES:
+            self.flush()
+        self._packet += frame
+
+    def flush(self) -> None:
+        """Send the queued frames."""
+        if self._packet:
+            self.endpoint.send(bytes(self._packet))
+            self._packet.clear()
+
+
+def authenticated_frames(data: bytes, messages: Sequence[Message]) -> Iterator[bytes]:
+    """Yield the frames of a datagram that these accepted messages were parsed from."""
+    at, remaining = 0, [_label(message) for message in messages]
+    while remaining and at < len(data):
+        frame = data[at : at + frame_length(data, at)]
+        message = decode(frame)
+        if message is not None and _label(message) == remaining[0]:
+            yield frame
+            remaining.pop(0)
+        at += 1 if message is None else len(frame)
+
+
+def _label(message: Message) -> tuple[str, int, int, int]:
+    """Return what identifies a frame in a datagram; fields may be NaN, which equals nothing."""
+    return message.name, message.system, message.component, message.sequence
+
 
 MAX_VEHICLES = 250  # higher system ids are those of ground stations
 MAX_CLIENTS = 32
@@ -214,7 +261,7 @@ class MavlinkServer:
         wall_s, received = self._clock(), False
         stop = wall_s + RECEIVE_BUDGET_S
         for k, link in enumerate(self._links):
-            # what a quiet link does not use of its share is for those after it
+            # links after a quiet one get its unused share
             share = (stop - self._clock()) / (len(self._links) - k)
             received |= self._serve_link(link, wall_s, share)
         for row, vehicle in self._responsive_vehicles():
@@ -262,7 +309,7 @@ class MavlinkServer:
                     self._log.write(self._timestamp_us(), frame)
 
     def _time_frame(self, row: int) -> bytes:
-        """Pack the time, whose signature sets the signature clock of a client that is behind.
+        """Pack SYSTEM_TIME; its signature advances a slow client's clock.
 
         Without it a client that waits for telemetry before it sends a newer time would get none.
         """

@@ -6,8 +6,8 @@ import struct
 from collections.abc import Mapping
 
 from testbed.mavlink.codec import Message
-from testbed.mavlink.message_schedule import MessageSchedule
 from testbed.mavlink.outgoing import Fields, Handler, OutgoingMessage, sender_of
+from testbed.mavlink.telemetry_messages import MessageSchedule
 from testbed.mavlink.vehicle_context import VehicleContext
 
 # https://mavlink.io/en/services/ftp.html: sequence, session, opcode, size, requested opcode,

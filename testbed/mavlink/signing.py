@@ -49,7 +49,7 @@ def read_key(path: Path) -> bytes:
 
 
 def is_shared(path: Path) -> bool:
-    """Whether others than the owner of a key file may read or write it."""
+    """Return whether others than its owner may read or write a key file."""
     return bool(path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO))
 
 
@@ -89,7 +89,8 @@ class MessageSigner:
     """Sign outgoing frames and verify incoming ones.
 
     A stream is a link id, system and component. Its latest time is stored to reject replays; ends
-    that share a key share a signer, so that a frame sent to one of them is no news to the others.
+    that share a key share a signer, so that a frame sent to one of them is rejected as a replay by
+    the others.
     """
 
     def __init__(self, signing: Signing) -> None:

@@ -105,7 +105,7 @@ class TelemetrySnapshot:
 
     @cached_property
     def lost(self) -> list[bool]:
-        """Whether each aircraft has crashed or broken, (N,)."""
+        """Return whether each aircraft has crashed or broken, (N,)."""
         lost: list[bool] = self.sample.lost.tolist()
         return lost
 

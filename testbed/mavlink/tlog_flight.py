@@ -221,16 +221,16 @@ def _message_table(
 
 
 def _select_vehicle(path: Path, vehicles: Mapping[int, _Received], system: int | None) -> _Received:
-    flown = {n: one for n, one in sorted(vehicles.items()) if _ATTITUDE in one.messages}
-    listed = ", ".join(f"{n} ({_describe(one)})" for n, one in flown.items())
-    if not flown:
+    airborne = {n: one for n, one in sorted(vehicles.items()) if _ATTITUDE in one.messages}
+    listed = ", ".join(f"{n} ({_describe(one)})" for n, one in airborne.items())
+    if not airborne:
         others = f"; it has systems {sorted(vehicles)}" if vehicles else ""
         raise MavlinkError(f"{path}: no autopilot sent ATTITUDE{others}; {_REMEDY}")
-    if system is None and len(flown) > 1:
+    if system is None and len(airborne) > 1:
         raise MavlinkError(f"{path}: several vehicles; write --system with one of {listed}")
-    if system is not None and system not in flown:
+    if system is not None and system not in airborne:
         raise MavlinkError(f"--system {system}: not in {path}; write one of {listed}")
-    return flown[next(iter(flown)) if system is None else system]
+    return airborne[next(iter(airborne)) if system is None else system]
 
 
 def _describe(vehicle: _Received) -> str:

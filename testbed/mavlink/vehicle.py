@@ -10,12 +10,16 @@ from testbed.mavlink import telemetry_status as status
 from testbed.mavlink.codec import Message
 from testbed.mavlink.commands import CommandProtocol
 from testbed.mavlink.manual_control import ManualControl
-from testbed.mavlink.message_schedule import MessageSchedule
 from testbed.mavlink.missions import MissionProtocol
 from testbed.mavlink.outgoing import Handler, OutgoingMessage, Severity
 from testbed.mavlink.parameters import ParameterProtocol
 from testbed.mavlink.services import Services
-from testbed.mavlink.telemetry_messages import HEARTBEAT, LOCKSTEP_STATE, build_message
+from testbed.mavlink.telemetry_messages import (
+    HEARTBEAT,
+    LOCKSTEP_STATE,
+    MessageSchedule,
+    build_message,
+)
 from testbed.mavlink.telemetry_snapshot import TelemetrySnapshot
 from testbed.mavlink.vehicle_context import VehicleContext
 from testbed.mavlink.vehicle_control import Mode, VehicleControl

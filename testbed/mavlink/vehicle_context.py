@@ -83,7 +83,7 @@ class VehicleContext:
 
     @property
     def lost(self) -> bool:
-        """Whether the aircraft has crashed or broken."""
+        """Return whether the aircraft has crashed or broken."""
         return self.snapshot is not None and self.snapshot.lost[self.row]
 
     @property

@@ -19,6 +19,7 @@ from testbed.network.links import CORRUPT, DUPLICATE, OUTCOME, PATH, REORDER, SL
 from testbed.network.packet_random import event_occurs, exact_delay, loss_occurs, netem_delay
 from testbed.network.philox import philox, unit
 
+SIMULTANEOUS_S = 1e-9  # times closer than this are equal: 0.04 + 0.1 is not 0.14 in binary
 DELIVERED, LOST, FADED = map(int, list(PacketOutcome)[:3])
 CORRUPTED, QUEUE = int(PacketOutcome.CORRUPTED), int(PacketOutcome.QUEUE)
 MUTED, UNSUBSCRIBED = int(PacketOutcome.MUTED), int(PacketOutcome.UNSUBSCRIBED)
@@ -229,9 +230,6 @@ def _enter_queue(p: Record, packet: Record, departure_s: float) -> None:
     if p.queue > 0:
         packet.departures_s[packet.queued] = departure_s
         packet.queued += 1
-
-
-SIMULTANEOUS_S = 1e-9  # times closer than this are equal: 0.04 + 0.1 is not 0.14 in binary
 
 
 @kernel

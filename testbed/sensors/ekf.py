@@ -438,9 +438,8 @@ def predict_fix(
 ) -> None:
     """Write the innovations of a fix's velocity and position.
 
-    They are the fix minus the present states.
-
-    A fix is as old as its latency, and compared with the estimate of the assumed latency ago.
+    Each is written minus the present state. A fix is as old as its latency, and compared with the
+    estimate of the assumed latency ago.
 
     Args:
         g: record of SETTINGS.
@@ -478,7 +477,7 @@ def fuse_together(
         g: record of SETTINGS.
         f: record of FILTER; written.
         kind: VELOCITY_FIX, POSITION_FIX or HEIGHT.
-        off: (9,) innovations, less the states as they are now.
+        off: (9,) innovations minus the present states.
         step: number of the step.
         steps_per_s: Hz.
         work: as for `scalar_update`.

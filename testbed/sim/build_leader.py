@@ -27,9 +27,15 @@ from testbed.sim.build_air import temperature_offset
 from testbed.sim.leader_control import LeaderController, MissionController, ScriptedController
 from testbed.sim.schedule import Clock
 from testbed.sim.vehicles import ScriptedVehicle
-from testbed.vehicle.initial_state import InitialState
 from testbed.vehicle.jsbsim_adapter import trim_aircraft
-from testbed.vehicle.trim import STILL, TrimPoint, Vector, course_through_air, error_prefix
+from testbed.vehicle.trim import (
+    STILL,
+    InitialState,
+    TrimPoint,
+    Vector,
+    course_through_air,
+    error_prefix,
+)
 
 Motion: TypeAlias = Callable[[Array], SampledTrajectory]  # of times (T,), s
 MAX_CHECKED = 60_000  # times at which the motion of a scripted leader is checked

@@ -24,9 +24,8 @@ from testbed.sim.build_leader import LeaderSetup
 from testbed.sim.schedule import Clock
 from testbed.sim.vehicles import JsbsimVehicles, UnicycleVehicles, Vehicles
 from testbed.vehicle.fleet import JsbsimFleet
-from testbed.vehicle.initial_state import InitialState
 from testbed.vehicle.jsbsim_adapter import airframe, probe_airframes
-from testbed.vehicle.trim import error_prefix
+from testbed.vehicle.trim import InitialState, error_prefix
 from testbed.vehicle.unicycle import make_unicycles
 from testbed.vehicle.workers import make_fleet
 

@@ -26,7 +26,7 @@ from testbed.sim.leader_control import (
 from testbed.sim.navigator import NavigatorConfig
 from testbed.sim.schedule import Clock
 from testbed.sim.vehicles import JsbsimVehicles
-from testbed.vehicle.initial_state import InitialState
+from testbed.vehicle.trim import InitialState
 
 _BANK_LIMIT_DEG, _CLIMB_LIMIT_MPS = 45.0, 1.5  # of a follower's circles and missions
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from testbed.core.errors import InputError
 from testbed.core.records import Event
-from testbed.mavlink.addresses import Address
+from testbed.mavlink.udp_endpoint import Address
 from testbed.scenario import Scenario
 from testbed.scenario.aircraft import External
 from testbed.sim.build import World

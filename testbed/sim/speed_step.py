@@ -26,7 +26,7 @@ from testbed.sim.stages import copy_truth
 from testbed.sim.vehicles import JsbsimVehicles
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.identify import FirstOrder, fit_first_order
-from testbed.vehicle.initial_state import InitialState
+from testbed.vehicle.trim import InitialState
 
 BASE_RATE_HZ = 200
 AUTOPILOT_TICKS = 4  # 50 Hz

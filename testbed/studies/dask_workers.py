@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from testbed.core.errors import InputError, needs_extra
-from testbed.mavlink.addresses import is_loopback
+from testbed.mavlink.udp_endpoint import is_loopback
 from testbed.studies.flight_task import FlightResult, FlightTask, run_task
 
 if TYPE_CHECKING:

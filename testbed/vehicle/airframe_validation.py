@@ -87,7 +87,7 @@ def check_airframe(folder: Path) -> None:
 
 
 class _FileCheck:
-    """Check one file with the parser that JSBSim uses; `named` has the files that it names."""
+    """Check a file with JSBSim's parser; `named` has the files that it names."""
 
     def __init__(self, file: Path, home: Path, *, is_main: bool) -> None:
         self.file, self.home, self.is_main = file, home, is_main

@@ -32,7 +32,6 @@ from testbed.core.records import (
     fields_of,
 )
 from testbed.vehicle.control_surfaces import ControlGeometry, check_faults, stack_geometry
-from testbed.vehicle.initial_state import InitialState
 from testbed.vehicle.jsbsim_adapter import control_geometry, load, trim_aircraft
 from testbed.vehicle.jsbsim_io import (
     AIR_PROPERTIES,
@@ -43,7 +42,7 @@ from testbed.vehicle.jsbsim_io import (
     write_air,
     write_truth,
 )
-from testbed.vehicle.trim import TrimPoint, TrimResult, course_through_air
+from testbed.vehicle.trim import InitialState, TrimPoint, TrimResult, course_through_air
 
 LOWEST = 1.0  # m above the terrain: an aircraft below counts as on the ground
 _IMPLAUSIBLE = 1e9  # ft, ft/s², rad, rpm: no aircraft in flight reads this
@@ -220,18 +219,18 @@ class JsbsimFleet:
             ticks: how many.
             read: (K,) aircraft whose motion is then written into the records.
         """
-        self._run_models(range(len(self._models)), ticks, read)
+        self._run_all(ticks, read)
         write_truth(read, self.rows, self._numbers, self._zero, self._scale, self.aircraft)
 
     def run_some(self, which: Indices, ticks: int) -> None:
         """Run some aircraft (K,) in this process, and write their motion into the records."""
         wind_changed = self._wind_changed
-        JsbsimFleet._run_models(self, which.tolist(), ticks, self.all_rows)
+        self._run_models(which.tolist(), ticks, self.all_rows)
         self._wind_changed = wind_changed  # of those that have not run yet
         write_truth(which, self.rows, self._numbers, self._zero, self._scale, self.aircraft)
 
     def discharge(self, charge: Array) -> None:
-        """Empty batteries to a state of charge (N,) 0..1 at once; NaN leaves one as it is.
+        """Empty batteries to a state of charge (N,) 0..1; NaN: no change.
 
         Raises:
             AircraftError: an aircraft to be discharged has no battery.
@@ -243,6 +242,9 @@ class JsbsimFleet:
         """Stop stepping lost aircraft (N,); they keep their last motion."""
         for i in np.flatnonzero(rows & ~self._stopped).tolist():
             self._stop(i)
+
+    def _run_all(self, ticks: int, read: Indices) -> None:
+        self._run_models(range(len(self._models)), ticks, read)
 
     def _run_models(self, which: Iterable[int], ticks: int, read: Indices) -> None:
         """Set the inputs of models that have changed, run them, and read their motion.

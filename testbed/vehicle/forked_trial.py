@@ -81,7 +81,7 @@ def _wait(child: int, read: int) -> ForkedResult:
 
 
 def _serve(work: Work, write: int) -> NoReturn:
-    """Run the work in the copy: without output, core file or cleanup, and with a time limit."""
+    """Run the work in the copy, without output, core file or cleanup, for a limited time."""
     code = 1
     try:
         faulthandler.disable()

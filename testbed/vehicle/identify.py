@@ -36,7 +36,7 @@ class FirstOrder:
 
 
 def fit_first_order(time: Array, response: Array, *, gain: float | None = None) -> FirstOrder:
-    """Fit a model by least squares, with a grid of poles and delays that is refined.
+    """Fit a model by least squares on a refined grid of poles and delays.
 
     Args:
         time: (k,) s after the step, increasing.

@@ -6,25 +6,202 @@ signs.
 
 from __future__ import annotations
 
+import hashlib
+import math
+import os
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import asdict
-from functools import partial
+from functools import lru_cache, partial, wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import jsbsim
+import numpy as np
 
-from testbed.core.records import Airframe, Origin
-from testbed.vehicle.airframe_properties import measured_airframe
-from testbed.vehicle.airframe_validation import probe_in_copy
+from testbed.core.frames import FOOT
+from testbed.core.records import Airframe, Array, Origin
+from testbed.vehicle.airframe_validation import MAX_BYTES, probe_in_copy
 from testbed.vehicle.control_surfaces import ControlGeometry, find_control_geometry
-from testbed.vehicle.folder_cache import cache_by_folder, folder_digest
-from testbed.vehicle.inertia import impossible_inertia
-from testbed.vehicle.jsbsim_log import JsbsimLogCapture
-from testbed.vehicle.jsbsim_model import AircraftError, JsbsimModel, Traits, find_traits
+from testbed.vehicle.jsbsim_model import POUND, AircraftError, JsbsimModel, Traits, find_traits
 from testbed.vehicle.linearize import Linear, linearize
-from testbed.vehicle.trim import TrimPoint, TrimResult, error_prefix, trim
+from testbed.vehicle.trim import (
+    STILL,
+    Controls,
+    Placement,
+    TrimPoint,
+    TrimResult,
+    error_prefix,
+    trim,
+)
+
+_ROUNDING = 1e-6  # of the largest moment; a flat plate has J1 + J2 = J3 exactly
+_AXES = ((0, 0, "Jxx"), (1, 1, "Jyy"), (2, 2, "Jzz"), (0, 1, "Jxy"), (0, 2, "Jxz"), (1, 2, "Jyz"))
+
+
+def impossible_inertia(tensor: Array) -> str | None:
+    """Return why an inertia tensor (3, 3), kg m², is impossible, or None.
+
+    The principal moments J1 ≤ J2 ≤ J3 are integrals of y² + z², x² + z² and x² + y² over a mass
+    without negative density: they are positive, and none exceeds the sum of the others.
+    """
+    elements = ", ".join(
+        f"{name} {tensor[i, j]:.4g}" for i, j, name in _AXES if i == j or tensor[i, j] != 0.0
+    )
+    if not np.isfinite(tensor).all():
+        return f"{elements} kg m²: they must be finite"
+    first, second, third = np.linalg.eigvalsh(0.5 * (tensor + tensor.T)).tolist()
+    principal = f"J1 {first:.4g}, J2 {second:.4g}, J3 {third:.4g}"
+    if not first > 0.0:
+        return (
+            f"{elements} kg m²: the principal moments are {principal}, and J1 > 0 fails: the "
+            f"tensor must be positive definite"
+        )
+    if first + second < third * (1.0 - _ROUNDING):
+        return (
+            f"{elements} kg m²: the principal moments are {principal}, and J1 + J2 ≥ J3 fails: "
+            f"{first + second:.4g} < {third:.4g}"
+        )
+    return None
+
+
+_INCIDENCE = 0.02  # rad, far from the stall
+_ALPHAS = np.radians(np.arange(0.0, 45.1, 0.1))  # searched for the stall
+
+
+def measured_airframe(model: JsbsimModel) -> Airframe:
+    """Measure wing size, mass with fuel, lift slope and stall angle.
+
+    The wind is sampled ahead of and behind the centre of gravity at the distance of the tail, or of
+    half a chord without a tail. The stall angle has the largest lift with neutral controls.
+    """
+    size = {
+        name: model.node(f"metrics/{key}").get_double_value()
+        for name, key in (("area", "Sw-sqft"), ("span", "bw-ft"), ("tail", "lh-ft"))
+    }
+    chord = model.node("metrics/cbarw-ft").get_double_value()
+    low, high = (_lift(model, alpha) for alpha in (0.0, _INCIDENCE))  # also initialises the fuel
+    mass = model.node("inertia/mass-slugs").get_double_value()
+    lifts = [_lift(model, alpha) for alpha in _ALPHAS]
+    largest = int(np.argmax(lifts))
+    return Airframe(
+        span=size["span"] * FOOT,
+        area=size["area"] * FOOT**2,
+        arm=(size["tail"] or 0.5 * chord) * FOOT,
+        mass=mass * POUND / FOOT,
+        lift_slope=(high - low) / _INCIDENCE / size["area"],
+        stall_angle=math.inf if largest == len(lifts) - 1 else float(_ALPHAS[largest]),
+    )
+
+
+def _lift(model: JsbsimModel, alpha: float) -> float:
+    """Return lift divided by dynamic pressure at an angle of attack, ft²."""
+    speed = 20.0
+    velocity = (speed * math.cos(alpha), 0.0, speed * math.sin(alpha))
+    neutral = Controls(0.0, 0.0, 0.0, 0.0)
+    model.place(Placement(velocity, STILL, 0.0, alpha, 0.0), neutral, spin=False)
+    # unlike its other forces, JSBSim's aerodynamic force has lift and drag positive
+    force = model.node("forces/fwz-aero-lbs").get_double_value()
+    return float(force) / float(model.node("aero/qbar-psf").get_double_value())
+
+
+_Rest = ParamSpec("_Rest")
+_ResultT = TypeVar("_ResultT")
+_Function = Callable[Concatenate[Path, _Rest], _ResultT]
+
+
+def cache_by_folder(
+    maxsize: int,
+) -> Callable[[_Function[_Rest, _ResultT]], _Function[_Rest, _ResultT]]:
+    """Cache a function of a folder until one of its XML files changes.
+
+    Args:
+        maxsize: number of results.
+    """
+
+    def decorate(function: _Function[_Rest, _ResultT]) -> _Function[_Rest, _ResultT]:
+        @lru_cache(maxsize=maxsize)
+        def cached(_: str, folder: Path, *args: _Rest.args, **kwargs: _Rest.kwargs) -> _ResultT:
+            return function(folder, *args, **kwargs)
+
+        @wraps(function)
+        def call(folder: Path, /, *args: _Rest.args, **kwargs: _Rest.kwargs) -> _ResultT:
+            folder = Path(folder).resolve()
+            return cached(folder_digest(folder), folder, *args, **kwargs)  # type: ignore[arg-type]
+
+        return call
+
+    return decorate
+
+
+def folder_digest(folder: Path) -> str:
+    """Return a digest of all XML files in and below a folder.
+
+    Times and sizes are not enough: an edit can keep both.
+    """
+    content = hashlib.blake2b(digest_size=16)
+    for file in sorted(folder.rglob("*.xml")):
+        data = _read_start(file)
+        content.update(os.fsencode(f"{file.relative_to(folder)}\0{len(data)}\0"))
+        content.update(data)
+    return content.hexdigest()
+
+
+def _read_start(file: Path) -> bytes:
+    """Read an aircraft file up to the size limit; empty if unreadable."""
+    try:
+        if not file.is_file():  # reading a pipe would block
+            return b""
+        with file.open("rb") as stream:
+            return stream.read(MAX_BYTES + 1)
+    except OSError:
+        return b""  # reported when the aircraft is loaded
+
+
+_MAX_TEXT = 300  # characters of a log record
+
+
+def _ignore(_: str) -> None:
+    pass
+
+
+class JsbsimLogCapture:
+    """The methods of JSBSim's FGLogger.
+
+    A record has a level, a text in parts, and maybe a place.
+
+    Attributes:
+        on_error: called with each error, and its place.
+    """
+
+    on_error: Callable[[str], None] = staticmethod(_ignore)
+
+    def __init__(self) -> None:
+        """Start without a record."""
+        super().__init__()
+        self._is_error, self._place, self._text = False, "", ""
+
+    def set_level(self, level: Any) -> None:  # noqa: ANN401 - JSBSim's
+        """Begin a record."""
+        self._is_error = level.name in ("ERROR", "FATAL")
+        self._place, self._text = "", ""
+
+    def file_location(self, file: str, line: int) -> None:
+        """Set the place of the record."""
+        self._place = f"{file}:{line}: "
+
+    def message(self, text: str) -> None:
+        """Append to the text of the record."""
+        self._text += text
+
+    def format(self, _: Any) -> None:  # noqa: ANN401
+        """Ignore colours."""
+
+    def flush(self) -> None:
+        """Report the record if it is an error."""
+        if self._is_error:
+            self.on_error(f"{self._place}JSBSim: {' '.join(self._text.split())[:_MAX_TEXT]}")
+
 
 VERSION: str = jsbsim.__version__
 _TRIM_RATE_HZ = 200

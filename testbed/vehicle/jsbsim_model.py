@@ -245,7 +245,7 @@ class JsbsimModel:
         return values
 
     def inertia(self) -> Array:
-        """Return the inertia tensor (3, 3) in body axes about the centre of gravity, kg m²."""
+        """Return the inertia tensor (3, 3) about the centre of gravity, kg m²."""
         xx, yy, zz, xy, xz, yz = (
             self.node(f"inertia/i{axes}-slugs_ft2").get_double_value() * _SLUG_FOOT2
             for axes in ("xx", "yy", "zz", "xy", "xz", "yz")
@@ -288,7 +288,7 @@ class JsbsimModel:
 
 
 def find_traits(model: JsbsimModel) -> Traits:
-    """Find traits by commands in flight; `model` must assume that it has a rudder and lag."""
+    """Find traits by commands in flight; `model` must assume rudder and lag."""
     ahead = Placement((20.0, 0.0, 0.0), STILL, 0.0, 0.0, 0.0)
     neutral = Controls(0.0, 0.0, 0.0, 0.0)
     model.locate((0.0, 0.0, -1000.0), Origin())

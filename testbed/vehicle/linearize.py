@@ -1,16 +1,22 @@
-"""Linearisation about trim, ẋ = A x + B u, by central differences of the flight model.
+"""Linearise about trim, ẋ = A x + B u, and find natural modes.
 
-The states are the body velocities u, w, v, the rates q, p, r, the pitch θ, the bank φ and the
-propeller's speed n. Heading and position are left out, so the air density is that at the trim. The
-controls are those of the trim, and the surfaces are at their commanded positions: servo lag is not
-a state. Terms in α̇ are in A, because JSBSim evaluates them with the accelerations of the same time.
+Derivatives are central differences. The states are the body velocities u, w, v, the rates q, p, r,
+the pitch θ, the bank φ and the propeller's speed n. Heading and position are left out, so the air
+density is that at the trim. The controls are those of the trim, and the surfaces are at their
+commanded positions: servo lag is not a state. Terms in α̇ are in A, because JSBSim evaluates them
+with the accelerations of the same time.
 
 The propeller's speed cannot be set in JSBSim. It is changed by letting the propeller settle at a
 slightly different throttle, and its acceleration is measured over one step of 10 µs.
+
+A mode is an eigenvalue, named by the states that take part in it. The participation of state k in
+mode i, |W_ik V_ki| with the right eigenvectors in V and W = V⁻¹, summing to 1 over the states, does
+not depend on the units of the states.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -47,7 +53,7 @@ class LinearModel(TrimModel, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """ẋ = A x + B u about a trim; rows and columns in the order of STATES and CONTROLS."""
+    """A and B about a trim, in the order of STATES and CONTROLS."""
 
     trim: TrimResult
     a: Array  # (9, 9)
@@ -118,3 +124,91 @@ def _within(name: str, value: float, step: float) -> tuple[float, float]:
     """Return two values of a control around a value, within its travel."""
     least = -1.0 if name in ("aileron", "elevator", "rudder") else 0.0
     return max(value - step, least), min(value + step, 1.0)
+
+
+_LONGITUDINAL = ("u", "w", "q", "theta", "n")
+_FIT = 0.4  # smallest participation of the states that name a mode
+_REAL = 1e-9  # 1/s: an eigenvalue with a smaller imaginary part is real
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """A real eigenvalue, or a complex pair given by its upper member."""
+
+    name: str  # "unclassified" if the participation fits no known mode
+    eigenvalue: complex  # 1/s
+    participation: dict[str, float]  # by state, sums to 1
+
+    @property
+    def oscillates(self) -> bool:
+        """Return whether the mode is a complex pair."""
+        return self.eigenvalue.imag > 0.0
+
+    @property
+    def frequency(self) -> float:
+        """Undamped natural frequency |λ|, rad/s."""
+        return abs(self.eigenvalue)
+
+    @property
+    def damping(self) -> float | None:
+        """Damping ratio of a pair, negative if it grows."""
+        return -self.eigenvalue.real / abs(self.eigenvalue) if self.oscillates else None
+
+    @property
+    def time_constant(self) -> float | None:
+        """−1 / Re λ, s, negative if the mode grows; None without a real part."""
+        return -1.0 / self.eigenvalue.real if self.eigenvalue.real else None
+
+    @property
+    def period(self) -> float | None:
+        """Period of a pair, s; None for a real mode."""
+        return 2.0 * math.pi / self.eigenvalue.imag if self.oscillates else None
+
+    @property
+    def half_or_double(self) -> float | None:
+        """Time to half the amplitude, or to twice it if the mode grows, s."""
+        rate = abs(self.eigenvalue.real)
+        return math.log(2.0) / rate if rate else None
+
+
+def find_modes(a: Array) -> tuple[Mode, ...]:
+    """Find the modes of A (9, 9) over `STATES`, the fastest first.
+
+    Longitudinal pairs are the short period (largest participation of w and q) and the phugoid (u
+    and θ). The lateral pair is the Dutch roll (v and r), and real lateral modes are roll (p) and
+    spiral (φ); the real mode of n is the propeller's. Each name is used once, for the mode that it
+    fits best; the others are unclassified.
+    """
+    values, right = np.linalg.eig(a)
+    share = np.abs(right * np.linalg.inv(right).T)
+    share /= share.sum(axis=0)
+    found: list[tuple[float, str, complex, dict[str, float]]] = []
+    for value, column in zip(values, share.T, strict=True):
+        if value.imag < -_REAL:
+            continue
+        eigenvalue = complex(value) if value.imag > _REAL else complex(value.real, 0.0)
+        # the two members of a pair have the same participation
+        participation = dict(zip(STATES, column.tolist(), strict=True))
+        fit, name = _best_name(participation, oscillates=eigenvalue.imag > 0.0)
+        found.append((fit, name, eigenvalue, participation))
+    taken: set[str] = set()
+    modes = []
+    for _, name, eigenvalue, participation in sorted(found, key=lambda one: -one[0]):
+        modes.append(Mode("unclassified" if name in taken else name, eigenvalue, participation))
+        taken.add(name)
+    return tuple(sorted(modes, key=lambda mode: -mode.frequency))
+
+
+def _best_name(part: dict[str, float], *, oscillates: bool) -> tuple[float, str]:
+    """Return the fit of the best name, 0..1, and the name."""
+    if sum(part[name] for name in _LONGITUDINAL) > 0.5:
+        names = (
+            {"short period": ("w", "q"), "phugoid": ("u", "theta")}
+            if oscillates
+            else {"propeller": ("n",)}
+        )
+    else:
+        names = {"Dutch roll": ("v", "r")} if oscillates else {"roll": ("p",), "spiral": ("phi",)}
+    fits = {name: sum(part[state] for state in states) for name, states in names.items()}
+    best = max(fits, key=lambda name: fits[name])
+    return (fits[best], best) if fits[best] > _FIT else (0.0, "unclassified")

@@ -21,7 +21,7 @@ from testbed.core.errors import InputError
 from testbed.core.files import check_writable, write_text_file
 from testbed.core.records import ActuatorCommand, Array, FbwaCommand, Origin, Records
 from testbed.vehicle.fleet import JsbsimFleet
-from testbed.vehicle.initial_state import InitialState
+from testbed.vehicle.trim import InitialState
 
 BASE_RATE_HZ = 200
 COMMANDS = ("t_s", "theta_cmd_rad", "phi_cmd_rad", "throttle_cmd")
@@ -57,7 +57,7 @@ class CommandsError(InputError):
 
 
 class AircraftLost(RuntimeError):
-    """The aircraft hit the ground or left the range of its model; earlier rows are written."""
+    """The aircraft was lost; earlier rows are written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ def respond(
     timing: AutopilotTiming | None = None,
     warn: Callable[[str], None] = lambda text: None,
 ) -> int:
-    """Fly the commands of a CSV from a trimmed start in still air and write the response.
+    """Fly the commands of a CSV from trim in still air and write the response.
 
     A command holds from its row to the next one. The flight starts at the first row, in level trim,
     with the heading `psi_rad` of that row if there is one.
@@ -222,7 +222,7 @@ def _number(text: str) -> float:
 def _fly(
     fleet: JsbsimFleet, commands: Array, ticks: Array, period: int, gains: Records
 ) -> tuple[list[list[float]], float | None]:
-    """Fly; return rows of RESPONSES at the commands, and the time of a loss or None."""
+    """Return rows of RESPONSES at the commands, and the time of a loss."""
     autopilots = settled_autopilots(gains, fleet.trimmed)
     surfaces = fleet.trimmed
     rows: list[list[float]] = []

@@ -186,7 +186,7 @@ def _sinc(angle: float) -> float:
 
 @kernel
 def _rotated(x: float, y: float, z: float, angle: float, vx: float, vy: float, vz: float) -> Values:
-    """Rotate a vector by the rotation vector (x, y, z) of this length, by Rodrigues' formula."""
+    """Rotate a vector by a rotation vector of this length (Rodrigues)."""
     half = _sinc(0.5 * angle)
     first, second = _sinc(angle), 0.5 * half * half
     cx, cy, cz = y * vz - z * vy, z * vx - x * vz, x * vy - y * vx
@@ -214,7 +214,7 @@ def _orthonormalise(rotation: Array) -> None:
 
 
 def stop_unicycles(unicycles: Records, first: Records, rows: BoolArray) -> None:
-    """Stop unicycles (n,): they keep their motion; one that is not finite takes its first again.
+    """Stop unicycles (n,) in their motion, or in the first if it is not finite.
 
     Args:
         unicycles: (n,) of UNICYCLE; changed.
@@ -223,8 +223,8 @@ def stop_unicycles(unicycles: Records, first: Records, rows: BoolArray) -> None:
     """
     for row in np.flatnonzero(rows & ~unicycles["stopped"]).tolist():
         numbers = unicycles[row]
-        kept = ("position", "rotation", "speed", "speed_command", "omega")
-        if not all(np.isfinite(numbers[name]).all() for name in kept):
+        finite_fields = ("position", "rotation", "speed", "speed_command", "omega")
+        if not all(np.isfinite(numbers[name]).all() for name in finite_fields):
             unicycles[row] = first[row]
         unicycles[row]["stopped"] = True
 

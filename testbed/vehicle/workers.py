@@ -26,7 +26,7 @@ import numpy as np
 from testbed.core.errors import ExternalProgramLost
 from testbed.core.records import Array, Indices, Origin, Records
 from testbed.vehicle.fleet import JsbsimFleet
-from testbed.vehicle.initial_state import InitialState
+from testbed.vehicle.trim import InitialState
 
 MIN_AIRCRAFT = 20  # from which on two processes were measured to be faster than one
 SPINS = 400  # tries of a waiting process before it yields the processor, some 0.1 ms
@@ -115,7 +115,7 @@ class ParallelFleet(JsbsimFleet):
             self._workers.end()
 
     def discharge(self, charge: Array) -> None:
-        """Empty batteries to a state of charge (N,) 0..1 at once; NaN leaves one as it is."""
+        """Empty batteries to a state of charge (N,) 0..1; NaN: no change."""
         if self._workers is None:
             super().discharge(charge)
             return
@@ -129,11 +129,11 @@ class ParallelFleet(JsbsimFleet):
         super().write_wind()
         self._orders[1] += 1
 
-    def _run_models(self, which: object, ticks: int, read: Indices) -> None:
+    def _run_all(self, ticks: int, read: Indices) -> None:
         workers = self._workers or self._start_workers()
         self._orders[0] = ticks
         workers.start_step()
-        super()._run_models(self._mine, ticks, read)
+        self._run_models(self._mine, ticks, read)
         workers.wait()
         self.aircraft["stopped"][self.rows] = self._stopped
 
@@ -173,7 +173,7 @@ class ParallelFleet(JsbsimFleet):
                 if self._removed[i] and self._runs[i] is not None:
                     self._stop(i)
             self._controls_changed = True
-            JsbsimFleet._run_models(self, rows, self._orders[0], self.all_rows)
+            self._run_models(rows, self._orders[0], self.all_rows)
             self._read_air_numbers(rows)
 
         return work

@@ -148,9 +148,8 @@ def feed_aircraft(path):
     """Load, linearize and trim an aircraft, and simulate five steps."""
     from testbed.core.records import Origin
     from testbed.vehicle.fleet import JsbsimFleet
-    from testbed.vehicle.initial_state import InitialState
     from testbed.vehicle.jsbsim_adapter import airframe, linearize_aircraft
-    from testbed.vehicle.trim import TrimPoint
+    from testbed.vehicle.trim import InitialState, TrimPoint
 
     folder = path if path.suffix != ".xml" else path.parent
     if folder.name in ("Engines", "Systems"):

@@ -11,8 +11,8 @@ from arduplanes import FIRST, SCENARIO, SOON, binary, error_of, fly_level, make_
 from patience import PATIENCE_S
 
 import testbed
-from testbed.autopilot.ardupilot_sitl import SitlConfig, SitlVehicle
-from testbed.autopilot.sitl_process import find_binary
+from testbed.autopilot.ardupilot_sitl import SitlConfig, SitlVehicle, _used_port, ports
+from testbed.autopilot.sitl_process import SitlProcess, find_binary
 from testbed.core.errors import ExternalProgramLost, InputError
 from testbed.core.records import Origin
 from testbed.scenario import load_scenario
@@ -143,9 +143,32 @@ def test_port_in_use_is_named(binary):
             taken.bind(("127.0.0.1", port + 10 * FIRST))
             if kind == tcp:
                 taken.listen(1)
+                taken.setblocking(False)
             text = error_of(make_scenario(1.0), InputError)
+            if kind == tcp:  # the connection that another ArduPlane waits for is not taken
+                with pytest.raises(BlockingIOError):
+                    taken.accept()
         assert f"port {port + 10 * FIRST} of ArduPlane's instance {FIRST} is in use" in text
         assert "or by an arduplane that runs without one" in text
+
+
+def test_closed_connection_leaves_its_port_free():
+    """A connection that ArduPlane closed first blocks its port only for sockets without reuse."""
+    port = ports(FIRST)[1]
+    with socket.create_server(("127.0.0.1", port)) as server:
+        with socket.create_connection(("127.0.0.1", port)) as client:
+            server.accept()[0].close()
+            assert client.recv(1) == b""
+    assert _used_port(FIRST) is None
+
+
+def test_output_tail_cut_in_state_has_no_keys(tmp_path):
+    """Lines that are cut off hide the heading of the keys."""
+    process = SitlProcess.__new__(SitlProcess)
+    process._log = tmp_path / "arduplane.log"
+    keys = "".join(f"\tkey_{number}\n" for number in range(600))
+    process._log.write_text(f"JSON received:\n{keys}ready\nready\n")
+    assert process.output_tail() == "it last printed:\n    ready"
 
 
 def test_noise_on_physics_port_is_an_error(binary):

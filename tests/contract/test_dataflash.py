@@ -7,7 +7,7 @@ import struct
 import numpy as np
 import pytest
 
-from testbed.mavlink.dataflash_format import read_messages
+from testbed.mavlink.dataflash import read_messages
 
 TRIES = int(os.environ.get("TESTBED_FRAMES", "10000")) // 10
 SEED = 20261122

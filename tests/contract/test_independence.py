@@ -14,7 +14,7 @@ from patience import PATIENCE_S
 
 import testbed
 from testbed.logs.mcap_file import read
-from testbed.mavlink.addresses import parse_address
+from testbed.mavlink.udp_endpoint import parse_address
 from testbed.scenario import dump, load_scenario, loads
 from testbed.sim.external_options import NO_EXTERNAL
 

@@ -13,12 +13,18 @@ from mavlink_control import TO, RecordingControl, info, sample
 import testbed.mavlink.server
 from testbed.core.errors import InputError
 from testbed.core.records import Event, FaultState
-from testbed.mavlink.addresses import Address, parse_address
 from testbed.mavlink.codec import Codec, constant
 from testbed.mavlink.server import MAX_CLIENTS, MavlinkServer
 from testbed.mavlink.signing import Signing, signing_time
 from testbed.mavlink.tlog import Tlog
-from testbed.mavlink.udp_endpoint import MAX_DATAGRAM_BYTES, MAX_DATAGRAMS, MAX_PEERS, Endpoint
+from testbed.mavlink.udp_endpoint import (
+    MAX_DATAGRAM_BYTES,
+    MAX_DATAGRAMS,
+    MAX_PEERS,
+    Address,
+    Endpoint,
+    parse_address,
+)
 from testbed.metrics.facts import describe_mavlink
 from testbed.sim.external_options import ExternalOptions, make_server
 

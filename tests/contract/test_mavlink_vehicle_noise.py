@@ -12,11 +12,10 @@ import pytest
 from mavlink_control import RecordingControl, info, sample
 
 from testbed.mavlink import codec as codec_module
-from testbed.mavlink.addresses import Address
 from testbed.mavlink.codec import Codec, Message
 from testbed.mavlink.server import MavlinkServer
 from testbed.mavlink.telemetry_snapshot import TelemetrySnapshot
-from testbed.mavlink.udp_endpoint import MAX_DATAGRAMS
+from testbed.mavlink.udp_endpoint import MAX_DATAGRAMS, Address
 from testbed.mavlink.vehicle import MavlinkVehicle
 from testbed.mavlink.vehicle_control import MissionItem, Mode
 

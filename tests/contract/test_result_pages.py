@@ -184,6 +184,29 @@ def test_freedoms_are_the_means_of_the_set_ups(instead, source, gains, corner):
         assert means == pytest.approx(cells.reshape(2, 3).mean(axis=1), abs=0.0101)
 
 
+@pytest.mark.parametrize(
+    ("instead", "label"),
+    [
+        ("", "profile `tuned`"),
+        ("own phases, 10 Hz", "`tuned`, own phases at 10 Hz"),
+        ("`authors`", "profile `authors`"),
+    ],
+)
+def test_freedoms_have_the_means_of_the_results(instead, label):
+    (row,) = (each for each in table(SIMULATIONS, FREEDOMS) if each[2] == instead)
+    for simulation in (1, 2, 3):
+        cells = the_row(table(SIMULATIONS, PAPER), f"Simulation {simulation}", label)
+        assert row[1 + 2 * simulation : 3 + 2 * simulation] == [cells[3], cells[7]]
+
+
+def test_freedoms_have_the_noise_of_the_results():
+    (row,) = (each for each in table(SIMULATIONS, FREEDOMS) if each[2] == "GPS/INS noise")
+    cells = the_row(
+        table(SIMULATIONS, CONDITIONS), "GPS/INS noise: `simulation-3-noise`", "`tuned`"
+    )
+    assert row[7:9] == [cells[3], cells[7]]
+
+
 def test_experiments_page_has_the_rascals_of_simulation_3():
     (row,) = (r for r in table("docs/experiments.md", "RMS error, m | laps") if "Rascals" in r[0])
     expected = six(the_row(table(SIMULATIONS, PAPER), "Simulation 3", "profile `tuned`"))
@@ -388,6 +411,15 @@ def leader_claims() -> Iterator[str]:
         f"has a factor of {full[2]} with our gains and {lower[2]} with × 0.6, and "
         f"{full[3].split()[0]} and {lower[3].split()[0]} cells near"
     )
+    grid = table(LEADER, "gains × 0.5: factor")
+    fresh_own, little = (cell.split()[0] for cell in the_row(grid, "messages 0.12 s old")[:2])
+    assert fresh_own == old[2]
+    yield f"the smallest factors of all, {fresh_own} and {little}, laps and circle alike"
+    others = [cell for row in grid for cell in row[1:] if row[0] != "messages 0.12 s old"]
+    assert min(float(cell.split()[0]) for cell in others) > float(fresh_own)
+    good_ages = {row[0] for row in grid for cell in row[1:3] if float(cell.split()[0]) < 1.4}
+    assert good_ages == {f"messages {age} s old" for age in ("0.08", "0.12", "0.16")}
+    yield f"a late own state alone has {full[3].split()[0]}"
     (zero,) = (row for row in fit[:-1] if row[4] == "zero")
     assert zero[-1].startswith("0 of")
     yield f"the best point with q̈_g = 0 has a factor of {zero[-2]}, and no cell near"

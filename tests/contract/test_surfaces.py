@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from testbed.mavlink.addresses import parse_address
-from testbed.mavlink.udp_endpoint import Endpoint
+from testbed.mavlink.udp_endpoint import Endpoint, parse_address
 from testbed.scenario import load_scenario
 from testbed.sim.external_options import ExternalOptions, announcements
 from testbed.studies.dask_workers import cluster_notices

@@ -118,3 +118,21 @@ def test_freedoms_change_one_choice_each(tables):
             == load_scenario("simulation-2").formation.neighbour_gains
         )
         assert (changed.model_dump(exclude={"scenario"}) != plain) == bool(overrides), names
+
+
+def test_freedoms_are_ranked_by_what_they_change(tables):
+    """From made errors; a lost formation is marked, and what the paper prints is left out."""
+    freedoms = importlib.import_module("freedoms")
+
+    def flight(mean, outcome="completed"):
+        windows = {name: {"mean_rms_m": mean} for name in ("rectangles", "circles")}
+        return {"windows": windows, "outcome": outcome}
+
+    made = {freedoms.case(3, keys): flight(1.0) for *_, keys in freedoms.FREEDOMS}
+    made[freedoms.case(3, freedoms.RECORDED_TUNE)] = flight(9.0, "formation_lost")
+    for name, _, _, keys in freedoms.FREEDOMS:
+        if name in ("wind", "age of the own state"):
+            made[freedoms.case(3, keys)] = flight(3.0)
+    _, _, *lines = freedoms.smaller(made)
+    assert [line.rpartition(": ")[2] for line in lines] == ["9.0†, 9.0†", "3.0, 3.0"]
+    assert lines[1].startswith("- age of the own state (none) against 0.04 s")

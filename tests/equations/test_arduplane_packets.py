@@ -10,23 +10,21 @@ import pytest
 from reference.frames import rotation_ned_body
 
 from testbed.autopilot.json_physics import (
-    MOTION_NUMBERS,
-    PacketError,
-    inputs_text,
-    motion_text,
-    pack_motion,
-    read_servos,
-)
-from testbed.autopilot.parameters import read_params
-from testbed.autopilot.pwm import (
     LIMITS,
+    MOTION_NUMBERS,
     RC_MAPS,
     SERVO_FUNCTIONS,
     ChannelError,
+    PacketError,
+    inputs_text,
     make_rc_channels,
     make_servo_outputs,
+    motion_text,
+    pack_motion,
     range_names,
+    read_servos,
 )
+from testbed.autopilot.parameters import read_params
 from testbed.autopilot.sitl_parameters import TuneUse, defaults_text, tune_differences, tune_use
 from testbed.core.frames import GRAVITY
 from testbed.core.random import named_stream
@@ -262,6 +260,13 @@ def test_servo_reversed_and_trimmed():
     assert surfaces((1500, 1500, 1100, 1500), SERVO3_REVERSED=1) == (0.0, 0.0, 0.0, 1.0)
 
 
+def test_servo_trim_does_not_change_the_travel():
+    """ArduPlane scales each side of the trim by itself, and full output is the whole travel."""
+    trimmed = {"SERVO2_TRIM": 1600, "SERVO2_MIN": 1200, "SERVO2_MAX": 1900}
+    for pulse, output in ((1900, 1.0), (1750, 0.5), (1400, -0.5), (1200, -1.0)):
+        assert surfaces((1500, pulse, 1100, 1500), **trimmed) == (0.0, 0.7 * output, 0.0, 0.0)
+
+
 def test_servos_without_pulses_are_neutral():
     assert surfaces((0, 0, 0, 0)) == (0.0, 0.0, 0.0, 0.0)
 
@@ -372,11 +377,29 @@ def test_differences_from_the_virtual_autopilot(tmp_path):
         "FLIGHT_OPTIONS 1029\nMIXING_OFFSET 100\n"
     )
     assert [each.partition(":")[0] for each in tune_differences(tune)] == [
-        *("MIXING_OFFSET 100", "INS_GYRO_FILTER 40"),
+        *("RLL_RATE_SMAX 150", "PTCH_RATE_SMAX 150", "MIXING_OFFSET 100", "INS_GYRO_FILTER 40"),
         *("FLIGHT_OPTIONS bit 0", "FLIGHT_OPTIONS bit 10"),
     ]
-    tune.write_text("SERVO1_FUNCTION 77\nSERVO2_FUNCTION 78\nMIXING_GAIN 0.5\n")
+    text = "SERVO1_FUNCTION 77\nSERVO2_FUNCTION 78\nMIXING_GAIN 0.5\n"
+    tune.write_text(text + "RLL_RATE_SMAX 0\nPTCH_RATE_SMAX 0\n")
     assert list(tune_differences(tune)) == []
+
+
+def test_unused_rate_parameters_are_differences(tmp_path):
+    """The slew limiter is on by default: a file without it differs too."""
+    tune = tmp_path / "plane.param"
+    names = [
+        *("RLL_RATE_SMAX", "PTCH_RATE_SMAX", "KFF_THR2PTCH"),
+        *(f"{axis}_RATE_{end}" for end in ("PDMX", "D_FF") for axis in ("RLL", "PTCH")),
+        *(f"{axis}_RATE_{end}" for axis in ("RLL", "PTCH") for end in ("NTF", "NEF")),
+    ]
+    tune.write_text("".join(f"{name} 1\n" for name in names))
+    assert [each.split()[0] for each in tune_differences(tune)] == names
+    assert tune_use(tune).arduplane == tuple(names)
+    tune.write_text("PTCH_RATE_SMAX 100\n")
+    first, second = tune_differences(tune)
+    assert first.startswith("RLL_RATE_SMAX 150: ") and first.endswith(" (default)")
+    assert second.startswith("PTCH_RATE_SMAX 100: ") and not second.endswith(" (default)")
 
 
 def test_defaults_lines_fit_arduplane_buffer(tmp_path):

@@ -7,9 +7,8 @@ import pytest
 
 from testbed.core.frames import euler_rates
 from testbed.vehicle.identify import FirstOrder, fit_first_order
-from testbed.vehicle.inertia import impossible_inertia
-from testbed.vehicle.linearize import CONTROLS, STATES, linearize
-from testbed.vehicle.modes import find_modes
+from testbed.vehicle.jsbsim_adapter import impossible_inertia
+from testbed.vehicle.linearize import CONTROLS, STATES, find_modes, linearize
 from testbed.vehicle.trim import (
     Controls,
     Placement,

@@ -3,7 +3,7 @@
 import pytest
 
 from testbed.core.errors import InputError
-from testbed.mavlink.addresses import Address, link_addresses, parse_address
+from testbed.mavlink.udp_endpoint import Address, link_addresses, parse_address
 
 
 @pytest.mark.parametrize(

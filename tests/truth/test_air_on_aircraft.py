@@ -14,10 +14,9 @@ from testbed.sim.build_air import (
     temperature_warnings,
 )
 from testbed.vehicle.fleet import JsbsimFleet
-from testbed.vehicle.initial_state import InitialState
 from testbed.vehicle.jsbsim_adapter import airframe, trim_aircraft
 from testbed.vehicle.jsbsim_model import AircraftError
-from testbed.vehicle.trim import TrimError, TrimPoint
+from testbed.vehicle.trim import InitialState, TrimError, TrimPoint
 
 AIRCRAFT = {"rascal110": 22.0, "skywalker_x8": 18.0}
 RATE = 200

@@ -20,16 +20,14 @@ from testbed.core.records import ActuatorCommand, Origin, WindInput
 from testbed.scenario import load_middle_loop
 from testbed.sim.speed_step import speed_step
 from testbed.vehicle.fleet import JsbsimFleet
-from testbed.vehicle.initial_state import InitialState
 from testbed.vehicle.jsbsim_adapter import (
     AircraftError,
     airframe,
     linearize_aircraft,
     trim_aircraft,
 )
-from testbed.vehicle.linearize import CONTROLS, STATES
-from testbed.vehicle.modes import find_modes
-from testbed.vehicle.trim import TrimError, TrimPoint
+from testbed.vehicle.linearize import CONTROLS, STATES, find_modes
+from testbed.vehicle.trim import InitialState, TrimError, TrimPoint
 
 ROOT = Path(__file__).parents[2]
 RASCAL = ROOT / "aircraft" / "rascal110"

@@ -32,10 +32,9 @@ from testbed.sim.vehicles import JsbsimVehicles, UnicycleVehicles
 from testbed.vehicle import control_surfaces
 from testbed.vehicle.control_surfaces import SURFACES
 from testbed.vehicle.fleet import JsbsimFleet
-from testbed.vehicle.initial_state import InitialState
 from testbed.vehicle.jsbsim_adapter import linearize_aircraft
 from testbed.vehicle.linearize import STATES
-from testbed.vehicle.trim import TrimPoint
+from testbed.vehicle.trim import InitialState, TrimPoint
 from testbed.vehicle.unicycle import make_unicycles
 
 FOLDERS = Path(__file__).parents[2] / "aircraft"

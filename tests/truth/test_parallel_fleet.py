@@ -18,7 +18,7 @@ from testbed.core.records import (
 )
 from testbed.scenario import find_aircraft
 from testbed.vehicle.fleet import JsbsimFleet, write_fields_at
-from testbed.vehicle.initial_state import InitialState
+from testbed.vehicle.trim import InitialState
 from testbed.vehicle.workers import make_fleet
 
 KINDS = ("rascal110", "skywalker_x8", "rascal110", "skywalker_x8", "rascal110")

@@ -24,10 +24,9 @@ from testbed.core.records import (
     fields_of,
 )
 from testbed.vehicle.fleet import JsbsimFleet
-from testbed.vehicle.initial_state import InitialState
 from testbed.vehicle.jsbsim_adapter import AircraftError, trim_aircraft
 from testbed.vehicle.jsbsim_io import write_truth
-from testbed.vehicle.trim import TrimError, TrimPoint
+from testbed.vehicle.trim import InitialState, TrimError, TrimPoint
 
 ROOT = Path(__file__).parents[2]
 RASCAL = ROOT / "aircraft" / "rascal110"
@@ -251,7 +250,7 @@ import os, sys
 from pathlib import Path
 from testbed.core.records import Origin
 from testbed.vehicle.fleet import JsbsimFleet
-from testbed.vehicle.initial_state import InitialState
+from testbed.vehicle.trim import InitialState
 fleet = JsbsimFleet([Path({str(RASCAL)!r})], [InitialState((0.0, 0.0, -100.0))], Origin(), 200)
 fleet.step(fleet.trimmed, 200)
 for number in os.listdir("/proc/self/fd"):

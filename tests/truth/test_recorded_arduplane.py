@@ -1,7 +1,10 @@
 """The virtual autopilot against a flight of the real ArduPlane on the same airframe."""
 
-import shutil
+import importlib
+import sys
+from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -32,6 +35,14 @@ def _rms_deg(out: Path, column: str, start: float = 2.0) -> float:
 
 
 @pytest.fixture(scope="module")
+def recorded_arduplane() -> Iterator[ModuleType]:
+    """Provide the module that writes the tables of this recording."""
+    sys.path.insert(0, str(ROOT / "benchmarks"))
+    yield importlib.import_module("recorded_arduplane")
+    del sys.path[0]
+
+
+@pytest.fixture(scope="module")
 def replay(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("respond") / "out.csv"
     respond(RASCAL, RECORDING, out)
@@ -45,32 +56,26 @@ def test_roll_and_pitch_follow_the_recording(replay: Path) -> None:
     assert _rms_deg(replay, "theta_rad") < 0.5
 
 
-RECORDED_DRAG = "<value> 0.1 </value> <property> fcs/elevator-pos-rad </property>"
-SURFACES_OF_MACH = {"left-aileron": ("0.13", "0.057"), "elevator": ("-0.5", "-0.275")}
-
-
 @pytest.fixture(scope="module")
-def recorded_airframe(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recorded_airframe(
+    tmp_path_factory: pytest.TempPathFactory, recorded_arduplane: ModuleType
+) -> Path:
     """Make the airframe of the recording, by the four changes that ORIGIN.md names."""
-    folder = tmp_path_factory.mktemp("recorded") / RASCAL.name
-    shutil.copytree(RASCAL, folder)
-    page, propeller = folder / "rascal110.xml", folder / "Engines" / "propeller_18in.xml"
-    deflection = "<property> fcs/elevator-pos-rad </property>"
-    lines = page.read_text().split("\n")
-    (drag,) = (k for k, line in enumerate(lines) if "0.33333333" in line)
-    assert [line.strip() for line in lines[drag + 1 : drag + 3]] == [deflection] * 2
-    lines[drag : drag + 3] = [RECORDED_DRAG]
-    text = "\n".join(lines)
-    for surface, (zero, two) in SURFACES_OF_MACH.items():
-        power = f"<property> fcs/{surface}-pos-rad </property> <value> {zero} </value>"
-        assert text.count(power) == 1
-        mach = "<independentVar> velocities/mach </independentVar>"
-        table = f"<table>{mach}<tableData>\n0 {zero}\n2 {two}\n</tableData></table>"
-        text = text.replace(power, power.replace(f"<value> {zero} </value>", table))
-    page.write_text(text)
-    assert 'version="1.1"' in propeller.read_text()
-    propeller.write_text(propeller.read_text().replace(' version="1.1"', ""))
+    folder: Path = recorded_arduplane.make_recorded_airframe(tmp_path_factory.mktemp("recorded"))
     return folder
+
+
+def test_docs_have_the_measured_responses(replay: Path, recorded_arduplane: ModuleType) -> None:
+    """The rows of our airframe in docs/autopilot.md, which `make arduplane` writes."""
+    page = (ROOT / "docs" / "autopilot.md").read_text(encoding="utf-8")
+    recorded, ours = map(recorded_arduplane.read, (RECORDING, replay))
+    rows = [recorded_arduplane.rms_row(ours, recorded)]
+    for _, begin_s, end_s in recorded_arduplane.TURNS:
+        rows.append(recorded_arduplane.turn_row("", "ours", ours, begin_s, end_s))
+    assert [line for line in rows if line not in page] == []
+    pitch = recorded_arduplane.rms_deg(ours, recorded, "theta_rad")
+    source = (RASCAL / "SOURCE.md").read_text(encoding="utf-8")
+    assert f"with the square {pitch:.2f}°" in source
 
 
 def test_law_alone_follows_the_recording(recorded_airframe: Path, tmp_path: Path) -> None:

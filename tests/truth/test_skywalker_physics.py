@@ -18,9 +18,8 @@ from testbed.autopilot.parameters import make_gains, read_params
 from testbed.core.frames import FOOT, GRAVITY
 from testbed.core.records import ActuatorCommand, FbwaCommand, Origin
 from testbed.vehicle.fleet import JsbsimFleet
-from testbed.vehicle.initial_state import InitialState
 from testbed.vehicle.jsbsim_adapter import trim_aircraft
-from testbed.vehicle.trim import TrimError, TrimPoint
+from testbed.vehicle.trim import InitialState, TrimError, TrimPoint
 
 ROOT = Path(__file__).parents[2]
 X8 = ROOT / "aircraft" / "skywalker_x8"
@@ -271,7 +270,7 @@ def test_trims_and_flights_repeat_to_the_bit(tmp_path: Path) -> None:
     flight = (
         "from pathlib import Path; from testbed.core.records import Origin\n"
         "from testbed.vehicle.fleet import JsbsimFleet\n"
-        "from testbed.vehicle.initial_state import InitialState\n"
+        "from testbed.vehicle.trim import InitialState\n"
         "from testbed.vehicle.jsbsim_adapter import trim_aircraft\n"
         "from testbed.vehicle.trim import TrimPoint\n"
         f"x8 = Path({str(X8)!r})\n"
