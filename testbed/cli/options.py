@@ -197,7 +197,7 @@ Jobs = Annotated[
 ]
 JsonFile = Annotated[
     Path | None,
-    output_option("--json", help="Write the results as JSON to this file; - is stdout."),
+    output_option("--json", help="Write the results as JSON to this file; - or no name is stdout."),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar and no table.")]
 RrdFile = Annotated[

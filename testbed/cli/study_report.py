@@ -66,8 +66,8 @@ def study_report_command(
 ) -> None:
     """Write a report of a study: results, effects of parameters, losses, commands to repeat."""
     from testbed.reports.study import study_figures, study_page, write_tables
-    from testbed.reports.study.numbers import STATISTICS
     from testbed.reports.study.page import print_summary
+    from testbed.reports.study.study_data import STATISTICS
 
     ending = figure_format(format, figures)
     if statistic not in STATISTICS:
@@ -245,7 +245,7 @@ def _document(study: StudyData) -> dict[str, Any]:
 
 
 def _json_value(cell: Cell) -> Any:  # noqa: ANN401 - a number, a text or a map
-    from testbed.reports.study.numbers import Estimate
+    from testbed.reports.study.study_data import Estimate
 
     if isinstance(cell, Estimate):
         numbers = {"value": cell.value, "low": cell.low, "high": cell.high}

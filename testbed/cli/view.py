@@ -202,7 +202,7 @@ def open_viewer(host: str, *, web: bool) -> Iterator[LiveViewer]:
         messages.write_line(f"view: {viewer.address}")
         yield viewer
         return
-    from testbed.views.web_viewer import serve_web_viewer
+    from testbed.views.viewer import serve_web_viewer
 
     with serve_web_viewer(host) as served:
         for line in served.directions:

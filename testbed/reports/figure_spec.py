@@ -1,11 +1,28 @@
-"""Figures of a report: panels with a title and a caption."""
+"""What the figures of a report have in common: a figure, its panels and their axes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
-from testbed.views.panels import Panel, Panel3D, PanelGrid
+import numpy as np
+from numpy.typing import ArrayLike
+
+from testbed.core.records import Array, BoolArray
+from testbed.reports.run_data import RunData
+from testbed.views.panels import (
+    BLACK,
+    GREY,
+    ORANGE,
+    Band,
+    Line,
+    Panel,
+    Panel3D,
+    PanelGrid,
+    Span,
+    unique_values,
+)
 
 WIDTH_IN = 11.0  # of all figures
 
@@ -38,3 +55,134 @@ def make_figure(name: str, spec: FigureSpec, subtitle: str, note: str = "") -> F
     size_in = (WIDTH_IN, spec.height_in)
     grid = PanelGrid(spec.title, subtitle, spec.rows, spec.widths, size_in)
     return Figure(name, spec.title, spec.caption + note, grid)
+
+
+AXIS_IN = 10.0  # approximate length of the time axis, inches
+LETTER_IN, GAP_IN = 0.085, 0.1  # of the name of a window, and after it, inches
+NAME_LINES = 4  # for the names of windows
+MAX_EVENT_MARKS = 40
+MAX_JOINING_SHARE = 0.25  # of a run, up to which axes leave the approach out
+TIME_LABEL = "time, s"
+EVENT_COLOURS = {"info": GREY, "warning": ORANGE, "error": ORANGE}
+EVENT_NOTE = " Dotted vertical lines: events, in grey; warnings and errors in orange."
+
+
+class TimeAxis:
+    """Make panels over the time of one run, with its windows and events.
+
+    Attributes:
+        note: sentence of the caption on the marks of events; "" without events.
+    """
+
+    def __init__(self, run: RunData) -> None:
+        """Lay out windows and events of a run."""
+        time = run.log.time_s
+        self._limits = (float(time[0]), float(time[-1])) if time[-1] > time[0] else None
+        self._spans = stack_names(
+            [
+                Span(max(start, float(time[0])), end, name)
+                for name, (start, end) in run.log.info.windows.items()
+                if start < time[-1] and end > time[0]
+            ],
+            float(time[-1] - time[0]),
+        )
+        # events at the start are about the scenario, not the flight
+        events = [each for each in run.log.events if each.time_s > 0.0]
+        marked = sorted(events, key=lambda each: each.level == "info")[:MAX_EVENT_MARKS]
+        self._named = False
+        self._marks = [(each.time_s, EVENT_COLOURS[each.level]) for each in marked]
+        self.note = EVENT_NOTE if marked else ""
+
+    def panel(
+        self,
+        title: str,
+        y_label: str,
+        lines: Sequence[Line],
+        bands: Sequence[Band] = (),
+        *,
+        last: bool = False,
+        **fields: Any,  # noqa: ANN401 - of Panel
+    ) -> Panel:
+        """Make a panel; the first one names the windows, the last one labels the axis."""
+        spans = [replace(span, name="") for span in self._spans] if self._named else self._spans
+        self._named = True
+        return Panel(
+            title,
+            TIME_LABEL if last else "",
+            y_label,
+            lines,
+            bands,
+            x_limits=self._limits,
+            spans=spans,
+            marks=self._marks,
+            **fields,
+        )
+
+
+def stack_names(spans: Sequence[Span], length: float) -> list[Span]:
+    """Stack the names of windows where they would overlap, on up to `NAME_LINES` lines.
+
+    Names that fit on none of the lines are left out.
+
+    Args:
+        spans: of one axis.
+        length: of the axis, s.
+    """
+    line_ends = [-np.inf] * NAME_LINES
+    out = []
+    for span in sorted(spans, key=lambda each: each.start):
+        end = span.start + (len(span.name) * LETTER_IN + GAP_IN) / AXIS_IN * length
+        level = next((k for k, line_end in enumerate(line_ends) if line_end <= span.start), None)
+        if level is None:
+            out.append(replace(span, name=""))
+        else:
+            line_ends[level] = end
+            out.append(replace(span, level=level))
+    return out
+
+
+def bound_lines(time: Array, values: ArrayLike, label: str) -> list[Line]:
+    """Make thin horizontal lines over times (K,) at the distinct values; the first is labelled."""
+    return [
+        Line(time[[0, -1]], np.full(2, value), BLACK, "" if k else label, 0.8)
+        for k, value in enumerate(unique_values(values))
+    ]
+
+
+def samples_on_axis(run: RunData) -> tuple[BoolArray, str]:
+    """Select the samples (K, n) that linear axes must show, and describe what is left out.
+
+    Left out are the approach, if all followers joined in the first quarter of the run, and
+    followers that were lost.
+    """
+    log = run.log
+    selected = np.ones(run.without_slot.shape, dtype=np.bool_)
+    left_out = []
+    joined = list(run.metrics["joined_at_s"].values())
+    begin, end = log.time_s[[0, -1]]
+    latest = begin + MAX_JOINING_SHARE * (end - begin)
+    if joined and None not in joined and begin < max(joined) <= latest:
+        selected[log.time_s < max(joined)] = False
+        left_out.append(f"the approach, until all had joined at {max(joined):.1f} s")
+    lost = log.lost[:, 1:].any(axis=0)
+    if lost.any() and not lost.all():
+        selected[:, lost] = False
+        left_out.append("aircraft that were lost in the run")
+    note = f" Linear axes may cut off {' and '.join(left_out)}." if left_out else ""
+    return selected, note
+
+
+def mask_without_slot(run: RunData, values: Array) -> Array:
+    """Set values (K, n) to NaN where a follower or the leader is lost."""
+    return np.where(run.without_slot, np.nan, values)
+
+
+def padded_limits(values: Sequence[Array], *, min_span: float = 1e-3) -> tuple[float, float] | None:
+    """Compute limits around all finite values with a margin; None if there are none."""
+    finite = [each[np.isfinite(each)] for each in values]
+    known = np.concatenate(finite) if finite else np.empty(0)
+    if not known.size:
+        return None
+    low, high = float(known.min()), float(known.max())
+    margin = max(0.06 * (high - low), 0.5 * min_span)
+    return low - margin, high + margin

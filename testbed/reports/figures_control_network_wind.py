@@ -6,21 +6,21 @@ import numpy as np
 
 from testbed.core.records import Array
 from testbed.metrics.summary import CALM_MPS
-from testbed.reports.axes import (
+from testbed.reports.figure_spec import (
+    FigureSpec,
     TimeAxis,
     bound_lines,
     mask_without_slot,
     padded_limits,
     samples_on_axis,
 )
-from testbed.reports.decimate import decimate
-from testbed.reports.figure_spec import FigureSpec
 from testbed.reports.plot_selection import (
     LEADER_COLOUR,
     MAX_SINGLE,
     STYLES,
     DrawnFollower,
     PlotSelection,
+    decimate,
     desired_curves,
     follower_curves,
     percentile_bands,

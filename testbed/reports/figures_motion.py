@@ -8,18 +8,18 @@ from testbed.core.frames import wrap_pi
 from testbed.core.records import Array
 from testbed.core.velocity_frame import velocity_frame
 from testbed.formation.barrier import logged_barriers, logged_curve
-from testbed.reports.axes import (
+from testbed.reports.figure_spec import (
+    FigureSpec,
     TimeAxis,
     bound_lines,
     mask_without_slot,
     padded_limits,
     samples_on_axis,
 )
-from testbed.reports.decimate import decimate
-from testbed.reports.figure_spec import FigureSpec
 from testbed.reports.plot_selection import (
     LEADER_COLOUR,
     PlotSelection,
+    decimate,
     desired_curves,
     follower_curves,
     percentile_bands,

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from testbed.core.records import Array
-from testbed.reports.axes import TIME_LABEL, samples_on_axis
-from testbed.reports.decimate import decimate
-from testbed.reports.figure_spec import FigureSpec
+from testbed.reports.figure_spec import TIME_LABEL, FigureSpec, samples_on_axis
 from testbed.reports.plot_selection import (
     LEADER_COLOUR,
     PlotSelection,
+    decimate,
     desired_curves,
     follower_curves,
 )

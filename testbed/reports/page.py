@@ -24,9 +24,17 @@ from testbed.metrics.tables import (
     worst_links,
 )
 from testbed.reports.figures import run_figures
-from testbed.reports.html import Page, Section, cards_html, figure_html, file_html
+from testbed.reports.html import (
+    Page,
+    Section,
+    cards_html,
+    figure_html,
+    file_html,
+    rows_to_html,
+    text_table_to_html,
+    to_html,
+)
 from testbed.reports.run_data import RunData
-from testbed.reports.tables import rows_to_html, text_table_to_html, to_html
 
 MAX_EVENTS = 200
 LEVEL_CLASSES = {"error": "red bold", "warning": "yellow"}

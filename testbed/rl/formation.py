@@ -8,8 +8,15 @@ import numpy as np
 from gymnasium.spaces import Box
 from pettingzoo import ParallelEnv
 
-from testbed.rl.episodes import Episodes, Task
-from testbed.rl.spaces import NEAREST, OWN, Vector, action_space, observation_space
+from testbed.rl.episodes import (
+    NEAREST,
+    OWN,
+    Episodes,
+    Task,
+    Vector,
+    action_space,
+    observation_space,
+)
 from testbed.sim.simulation import Simulation
 
 _SEEDS = 2**31

@@ -6,8 +6,7 @@ from typing import Any
 
 import gymnasium
 
-from testbed.rl.episodes import Episodes, Task
-from testbed.rl.spaces import OWN, Vector, action_space, observation_space
+from testbed.rl.episodes import OWN, Episodes, Task, Vector, action_space, observation_space
 from testbed.sim.simulation import Simulation
 
 _SEEDS = 2**31  # simulations of episodes without a seed of their own

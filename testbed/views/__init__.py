@@ -4,8 +4,7 @@ Rerun is imported when a view is opened. No viewer, missing, slow or killed, cha
 """
 
 from testbed.views.recorded_runs import replay, screenshot
-from testbed.views.sinks import InMemory, LiveViewer, RrdFile, ViewTarget
-from testbed.views.view import FAST_HZ, RerunView
+from testbed.views.view import FAST_HZ, InMemory, LiveViewer, RerunView, RrdFile, ViewTarget
 
 __all__ = [
     "FAST_HZ",

@@ -26,7 +26,7 @@ from testbed.views.annotations import BROAD, LOST, THIN, Links
 from testbed.views.batch import Batch, batch_of
 from testbed.views.cameras import BEHIND, CameraTrack, rotate_to_heading
 from testbed.views.meshes import DARK, LIGHT, MAIN, Mesh
-from testbed.views.palette import Colour
+from testbed.views.panels import Colour
 from testbed.views.scene import BACKDROP, Scene, ground, mix, scene_of, secondary_colour
 
 FRAMES, AIRCRAFT, SLOTS, PATH, TRAILS, LINKS, WIND, ESTIMATES, LOSSES = TOPICS = tuple(

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from testbed.views.annotations import round_down
 from testbed.views.batch import Batch
 from testbed.views.cameras import ABOVE, BEHIND, MIN_SPANS, Lens
-from testbed.views.labels import round_down
 from testbed.views.scene import Scene, ground
 
 CHASE_TRAIL_S = 4.0

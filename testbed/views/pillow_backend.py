@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from testbed.core.errors import InputError, needs_extra
 from testbed.core.records import Array
-from testbed.views.palette import Colour
+from testbed.views.panels import Colour
 
 with needs_extra("video", "videos"):
     from PIL import Image, ImageDraw, ImageFont, features

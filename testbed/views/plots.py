@@ -12,8 +12,7 @@ from testbed.core.records import Array
 from testbed.formation.barrier import logged_curve
 from testbed.views.annotations import STALE_S
 from testbed.views.batch import Batch
-from testbed.views.palette import Colour
-from testbed.views.panels import break_at_wrap, unique_values
+from testbed.views.panels import Colour, break_at_wrap, unique_values
 from testbed.views.scene import BACKDROP, Scene, mix
 
 LIMIT: Colour = (150, 150, 150)

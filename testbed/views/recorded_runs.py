@@ -14,7 +14,7 @@ from testbed.core.files import write_file
 from testbed.core.records import Event, RunInfo
 from testbed.views.batch import Batch, Source, batch_of, overlay, split
 from testbed.views.scene import Scene, overlay_scenes, scene_of
-from testbed.views.sinks import ViewSink, ViewTarget
+from testbed.views.view import ViewSink, ViewTarget
 from testbed.views.viewer import headless_viewer
 
 BATCH_SAMPLES = 1000

@@ -32,7 +32,7 @@ from testbed.views.batch import batch_of
 from testbed.views.cameras import BEHIND, CameraTrack
 from testbed.views.foxglove_scene import hold_finite
 from testbed.views.meshes import DARK, LIGHT, MAIN, Mesh
-from testbed.views.palette import Colour
+from testbed.views.panels import Colour
 from testbed.views.scene import BACKDROP, mix, scene_of, secondary_colour
 
 MAP, FORMATION = "map", "formation"

@@ -14,7 +14,7 @@ import numpy as np
 
 from testbed.core.records import Array, RunInfo
 from testbed.formation.barrier import LoggedBarrier, logged_barriers
-from testbed.views.palette import ON_DARK, Colour, rgb
+from testbed.views.panels import ON_DARK, Colour, rgb
 
 BACKDROP: Colour = (22, 26, 33)
 LEADER: Colour = (240, 240, 240)

@@ -14,7 +14,15 @@ from testbed.core.frames import rotation_ned_body
 from testbed.core.records import Array
 from testbed.views import layout
 from testbed.views.airframes import draw_airframe
-from testbed.views.annotations import LOST, Links
+from testbed.views.annotations import (
+    LOST,
+    Canvas,
+    Links,
+    name_aircraft,
+    place,
+    scale_bar,
+    text_boxes,
+)
 from testbed.views.batch import Batch
 from testbed.views.cameras import (
     ABOVE,
@@ -24,9 +32,8 @@ from testbed.views.cameras import (
     FormationCameras,
     flying_aircraft,
 )
-from testbed.views.labels import Canvas, name_aircraft, place, scale_bar, text_boxes
 from testbed.views.meshes import DARK, LIGHT, MAIN, join
-from testbed.views.palette import Colour
+from testbed.views.panels import Colour
 from testbed.views.pillow_backend import Drawing, text_width
 from testbed.views.scene import BACKDROP, Scene, ground, mix, secondary_colour
 

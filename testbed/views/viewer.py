@@ -1,4 +1,7 @@
-"""Find a Rerun viewer on this machine, or start one that only this machine can reach."""
+"""Find a Rerun viewer on this machine, start one that only this machine can reach, or serve one.
+
+The web viewer is for a browser on this machine or, through ssh, on another one.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +17,18 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import quote
 
 from testbed.core.child_guard import guard_command
 from testbed.core.errors import InputError, install_command
 
 HOST = "127.0.0.1"
+PORT = 9876  # Rerun's default, on which a viewer receives a flight
+ANY_HOST = "0.0.0.0"
+HOSTS = (HOST, ANY_HOST)  # on which a web viewer listens
+PAGE_PORT = 9090  # Rerun's default
 PROBE_S = 0.3
 START_S = 20.0  # a first start on a slow machine
 PORT_ATTEMPTS = 3  # when another program takes the free port first
@@ -227,3 +236,92 @@ def kill(viewer: subprocess.Popen[bytes]) -> None:
     viewer.wait()
     if viewer.stdin:
         viewer.stdin.close()
+
+
+@dataclass(frozen=True, slots=True)
+class WebViewer:
+    """A web viewer that is being served.
+
+    Attributes:
+        host: one of `HOSTS`, on which it listens.
+        page_port: of the page.
+        port: on which the run sends the flight and the page receives it.
+    """
+
+    host: str
+    page_port: int
+    port: int
+
+    @property
+    def url(self) -> str:
+        """Address of the page, for a browser; the colours are for a dark background."""
+        name = socket.gethostname() if self.host == ANY_HOST else self.host
+        data = quote(f"rerun+http://{name}:{self.port}/proxy", safe="")
+        return f"http://{name}:{self.page_port}/?url={data}&theme=dark"
+
+    @property
+    def directions(self) -> tuple[str, str]:
+        """Lines with the address, and how to open it."""
+        if self.host == ANY_HOST:
+            access = "whoever reaches this machine can see the flight, and send to the viewer"
+        else:
+            ports = (self.page_port, self.port)
+            forwards = " ".join(f"-L {each}:{self.host}:{each}" for each in ports)
+            access = (
+                "only this machine reaches it; on another one, first write "
+                f"ssh {forwards} {socket.gethostname()}"
+            )
+        return f"view: {self.url}", f"      {access}"
+
+
+@contextlib.contextmanager
+def serve_web_viewer(host: str = HOST) -> Iterator[WebViewer]:
+    """Serve a web viewer until the context or this process ends, also by SIGKILL.
+
+    Args:
+        host: one of `HOSTS`.
+
+    Raises:
+        InputError: it is another one, or the viewer does not start.
+    """
+    if host not in HOSTS:
+        raise InputError(
+            f"--host {host}: write {HOST}, or {ANY_HOST} to let other machines reach it"
+        )
+    executable = rerun_program()
+    if executable is None:
+        raise InputError(
+            f"there is no `rerun` program beside {sys.executable}: write {install_command('view')}"
+        )
+    served = WebViewer(host, _port(host, PAGE_PORT), _port(host, PORT))
+    process = launch(
+        executable,
+        served.port,
+        "--serve-web",
+        "--web-viewer-port",
+        str(served.page_port),
+        guarded=True,
+        host=host,
+    )
+    try:
+        started = all(
+            wait_until_listening(process, port) for port in (served.port, served.page_port)
+        )
+        if not started:
+            raise InputError(
+                f"the web viewer does not start; has another program taken port {served.port} or "
+                f"{served.page_port}?"
+            )
+        yield served
+    finally:
+        kill(process)
+
+
+def _port(host: str, usual: int) -> int:
+    """Choose the usual port, or a free one where it is taken."""
+    for port in (usual, 0):
+        with contextlib.suppress(OSError), socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind((host, port))
+            return int(probe.getsockname()[1])
+    raise InputError(f"--host {host}: there is no free port")

@@ -192,8 +192,11 @@ def test_check_bad_input_exits_2(folder, tmp_path, monkeypatch, arguments, messa
 
 def test_check_missing_table_is_an_error_in_junit(tmp_path):
     samples.write(tmp_path, "exact")
-    done = check_here("exact.yaml", "--junit", "j.xml", cwd=tmp_path, code=BAD_INPUT)
-    assert "there is no golden table golden/exact.json" in done.stderr
+    options = ("--junit", "j.xml", "--annotations", "github")
+    done = check_here("exact.yaml", *options, cwd=tmp_path, code=BAD_INPUT)
+    assert "exact.yaml:1:1: there is no golden table golden/exact.json" in done.stderr
+    (annotation,) = [line for line in done.stdout.splitlines() if line.startswith("::error ")]
+    assert "exact.yaml,title=" in annotation and "line=1,col=1::" in annotation
     root = ElementTree.parse(tmp_path / "j.xml").getroot()
     assert (root.get("tests"), root.get("errors"), root.get("failures")) == ("1", "1", "0")
 

@@ -6,10 +6,9 @@ import matplotlib
 import numpy as np
 import pytest
 
-from testbed.reports.axes import stack_names
+from testbed.reports.figure_spec import stack_names
 from testbed.views import matplotlib_backend
-from testbed.views.palette import ON_DARK, ON_WHITE, rgb
-from testbed.views.panels import BLACK, Line, Panel, PanelGrid, Span
+from testbed.views.panels import BLACK, ON_DARK, ON_WHITE, Line, Panel, PanelGrid, Span, rgb
 from testbed.views.scene import BACKDROP, aircraft_colour
 
 # linear sRGB to cones and to Oklab (B. Ottosson, 2020)

@@ -31,12 +31,18 @@ from testbed.metrics import MetricsObserver
 from testbed.metrics.document import finalise
 from testbed.network.link_statistics import initial_statistics, summarise
 from testbed.reports import figures, read_run, run_figures, run_page, save_figures, write_page
-from testbed.reports.axes import AXIS_IN, LETTER_IN, NAME_LINES, stack_names
-from testbed.reports.decimate import BUCKETS, decimate, percentiles
+from testbed.reports.figure_spec import AXIS_IN, LETTER_IN, NAME_LINES, stack_names
 from testbed.reports.figures_control_network_wind import AGE_INTERVALS, interval_statistics
 from testbed.reports.html import render_page
 from testbed.reports.page import head_html
-from testbed.reports.plot_selection import MAX_SINGLE, WORST, select_followers
+from testbed.reports.plot_selection import (
+    BUCKETS,
+    MAX_SINGLE,
+    WORST,
+    decimate,
+    percentiles,
+    select_followers,
+)
 from testbed.views.panels import Span
 
 ALWAYS = {"trajectory", "altitude", "commands"}

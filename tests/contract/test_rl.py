@@ -14,9 +14,8 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test
 import testbed
 import testbed.rl
 from testbed.core.errors import InputError
-from testbed.rl.episodes import DEFAULT_RANGES
+from testbed.rl.episodes import DEFAULT_RANGES, NEAREST, OWN
 from testbed.rl.formation import FormationEnv
-from testbed.rl.spaces import NEAREST, OWN
 
 ID = "testbed/HoldSlot-v0"
 NOISY = ["fleet.*.sensors=gps-ins", "network.loss=0.1"]

@@ -20,11 +20,10 @@ from testbed.cli.study_report import find_study_file, read_study
 from testbed.logs.arrow_io import write_columns
 from testbed.reports.html import render_page
 from testbed.reports.study import figures, study_page, tables
-from testbed.reports.study.metric_names import axis_label, wrap_key
-from testbed.reports.study.numbers import Estimate
 from testbed.reports.study.page import print_summary
 from testbed.reports.study.parameter_plots import parameters
 from testbed.reports.study.report_table import format_cell, format_number
+from testbed.reports.study.study_data import Estimate, axis_label, wrap_key
 
 SLUG = "windows-laps-mean_rms_m"
 PAGE = """

@@ -11,7 +11,7 @@ from reference.formation_barrier import h
 from testbed.core.errors import InputError
 from testbed.core.records import Event
 from testbed.formation.barrier import Barrier
-from testbed.views import annotations, labels, layout, plots
+from testbed.views import annotations, layout, plots
 from testbed.views.airframes import draw_airframe
 from testbed.views.batch import COLUMNS, Collector, batch_of, overlay, split
 from testbed.views.cameras import ABOVE, BEHIND, FormationCameras, flying_aircraft
@@ -308,14 +308,14 @@ def test_plot_span_is_last_minute():
     assert "240000000000" in str(seen) and "302000000000" in str(seen)
 
 
-CANVAS = labels.Canvas(900.0, 400.0)
+CANVAS = annotations.Canvas(900.0, 400.0)
 
 
 def names_of(still, batch, k, camera=0):
     """Place the names of one sample."""
     track = FormationCameras(still, (BEHIND, ABOVE), 1.0).track(batch)[camera]
     one, at = batch.rows(slice(k, k + 1)), track.rows(slice(k, k + 1))
-    return labels.name_aircraft(still, one, at, CANVAS, 1.0)
+    return annotations.name_aircraft(still, one, at, CANVAS, 1.0)
 
 
 def test_largest_errors_named_first_in_large_formation():
@@ -370,25 +370,25 @@ def test_drawn_size_below_distance_of_slots(aircraft):
 def test_name_is_on_the_outer_side_if_equal():
     anchors = np.array([[300.0, 200.0], [600.0, 200.0]])
     sizes, gaps = np.full((2, 2), 20.0), np.full((2, 2), 5.0)
-    left, right = labels.place(anchors, sizes, gaps, np.empty((0, 4)), anchors, (900.0, 400.0))
+    left, right = annotations.place(anchors, sizes, gaps, np.empty((0, 4)), anchors, (900.0, 400.0))
     assert left[0] < 300.0 and right[0] > 600.0 and left[1] == right[1] == 200.0
 
 
 def test_line_joins_far_name_with_aircraft():
     still, batch = scene(100), flight(100, 1.0)
     names, _ = names_of(still, batch, 0)
-    assert len(names.texts) <= labels.MAX_NAMES // 2
+    assert len(names.texts) <= annotations.MAX_NAMES // 2
     length = np.linalg.norm(names.ties[:, 1] - names.ties[:, 0], axis=-1)
-    assert (length > labels.TIE_PX).all() and set(names.tied) <= set(names.rows)
+    assert (length > annotations.TIE_PX).all() and set(names.tied) <= set(names.rows)
 
 
 def test_scale_bar_is_true_at_the_middle():
     track = above(scene(4), flight(4, 1.0)).rows(slice(0, 1))
-    bar = labels.scale_bar(track, CANVAS)
+    bar = annotations.scale_bar(track, CANVAS)
     east = track.centre[:, None] + np.array([[[0.0, 0.0, 0.0], [0.0, bar.length, 0.0]]])
     ends = CANVAS.to_pixels(track.project(east)[0])[0]
     assert ends[1, 0] - ends[0, 0] == pytest.approx(bar.pixels, rel=1e-3)
-    assert 0.05 * CANVAS.width < bar.pixels <= labels.BAR_SHARE * CANVAS.width
+    assert 0.05 * CANVAS.width < bar.pixels <= annotations.BAR_SHARE * CANVAS.width
 
 
 def test_colours_differ_up_to_twenty_followers():

@@ -15,7 +15,7 @@ from patience import PATIENCE_S, until
 from record_flight import record, run_info, run_samples
 
 from testbed.core.errors import InputError
-from testbed.views import viewer, web_viewer
+from testbed.views import viewer
 
 
 def listening(port):
@@ -75,11 +75,11 @@ def test_follow_without_a_view_is_a_warning(tmp_path):
 
 def test_web_viewer_takes_free_ports_and_refuses_hosts(monkeypatch):
     with pytest.raises(InputError, match="write 127.0.0.1, or 0.0.0.0"):
-        web_viewer.serve_web_viewer("192.0.2.1").__enter__()
+        viewer.serve_web_viewer("192.0.2.1").__enter__()
     with socket.create_server((viewer.HOST, 0)) as taken:
         port = taken.getsockname()[1]
-        assert web_viewer._port(viewer.HOST, port) not in (0, port)
-    served = web_viewer.WebViewer(web_viewer.ANY_HOST, 9090, 9876)
+        assert viewer._port(viewer.HOST, port) not in (0, port)
+    served = viewer.WebViewer(viewer.ANY_HOST, 9090, 9876)
     assert "ssh" not in served.directions[1] and "127.0.0.1" not in served.url
 
 

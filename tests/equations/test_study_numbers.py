@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from testbed.core.stats import student_quantile
-from testbed.reports.study.numbers import (
+from testbed.reports.study.study_data import (
     LEVEL,
     bootstrap,
     mean_estimate,

@@ -12,8 +12,6 @@ import numpy as np
 from testbed.core.records import Array
 from testbed.reports.figure_spec import Figure, FigureSpec, make_figure
 from testbed.reports.plot_selection import STYLES
-from testbed.reports.study.metric_names import axis_label, metric_title, metric_words, wrap_key
-from testbed.reports.study.numbers import PERCENT, Estimate, mean_estimate
 from testbed.reports.study.parameter_plots import (
     MAX_ACROSS,
     decimate_evenly,
@@ -22,7 +20,18 @@ from testbed.reports.study.parameter_plots import (
     parameters,
 )
 from testbed.reports.study.report_table import format_number
-from testbed.reports.study.study_data import FlightGroup, Parameter, StudyData
+from testbed.reports.study.study_data import (
+    PERCENT,
+    Estimate,
+    FlightGroup,
+    Parameter,
+    StudyData,
+    axis_label,
+    mean_estimate,
+    metric_title,
+    metric_words,
+    wrap_key,
+)
 from testbed.reports.study.tables import level_groups
 from testbed.views.panels import BLACK, Heatmap, Line, Panel
 

@@ -9,13 +9,20 @@ from rich.padding import Padding
 
 from testbed import __version__
 from testbed.metrics.summary import count_out_of_slot
-from testbed.reports.html import Page, Section, cards_html, figure_html, file_html
+from testbed.reports.html import (
+    Page,
+    Section,
+    cards_html,
+    figure_html,
+    file_html,
+    rows_to_html,
+    text_table_to_html,
+    to_html,
+)
 from testbed.reports.study import tables
 from testbed.reports.study.figures import study_figures
-from testbed.reports.study.metric_names import metric_words
 from testbed.reports.study.report_table import ReportTable, format_cell, format_number
-from testbed.reports.study.study_data import StudyData
-from testbed.reports.tables import rows_to_html, text_table_to_html, to_html
+from testbed.reports.study.study_data import StudyData, metric_words
 
 MAX_CARDS = 3  # metrics in the head
 MAX_CARDS = 6  # cases and laws in the head

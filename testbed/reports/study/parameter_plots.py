@@ -11,9 +11,16 @@ from numpy.typing import NDArray
 from testbed.core.records import Array, BoolArray
 from testbed.reports.figure_spec import FigureSpec
 from testbed.reports.plot_selection import STYLES
-from testbed.reports.study.metric_names import axis_label, metric_title, wrap_key
-from testbed.reports.study.numbers import PERCENT, running_quantiles
-from testbed.reports.study.study_data import Parameter, StudyData, format_level
+from testbed.reports.study.study_data import (
+    PERCENT,
+    Parameter,
+    StudyData,
+    axis_label,
+    format_level,
+    metric_title,
+    running_quantiles,
+    wrap_key,
+)
 from testbed.views.panels import BLACK, DASHED, Band, Line, Panel, Panel3D
 
 MAX_DOTS = 1500  # of a scatter

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from rich.table import Table
 from rich.text import Text
 
-from testbed.reports.study.numbers import Estimate
+from testbed.reports.study.study_data import Estimate
 
 Cell = str | int | float | Estimate
 ABSENT = "–"

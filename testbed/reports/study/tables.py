@@ -11,16 +11,19 @@ import numpy as np
 
 from testbed.core.files import write_text_file
 from testbed.core.records import BoolArray
-from testbed.reports.study.numbers import (
+from testbed.reports.study.report_table import Cell, ReportTable
+from testbed.reports.study.study_data import (
+    MAX_LEVELS,
     PERCENT,
     Estimate,
+    Parameter,
+    StudyData,
+    format_level,
     mean_estimate,
     rank_correlation,
     variance_share,
     wilson,
 )
-from testbed.reports.study.report_table import Cell, ReportTable
-from testbed.reports.study.study_data import MAX_LEVELS, Parameter, StudyData, format_level
 
 MAX_POINTS = 60  # rows of the table of all points
 MAX_WORST = 12

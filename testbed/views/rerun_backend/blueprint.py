@@ -9,8 +9,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from testbed.views import layout, plots
-from testbed.views.annotations import ANNOTATIONS
-from testbed.views.labels import MAX_NAMED
+from testbed.views.annotations import ANNOTATIONS, MAX_NAMED
 from testbed.views.scene import BACKDROP, Scene
 
 TIMELINE = "sim_time"

@@ -13,9 +13,9 @@ import rerun as rr
 
 from testbed.core.frames import quaternion_xyzw
 from testbed.core.records import Array
+from testbed.views.annotations import Canvas, name_aircraft, scale_bar
 from testbed.views.batch import Batch
 from testbed.views.cameras import CameraTrack
-from testbed.views.labels import Canvas, name_aircraft, scale_bar
 from testbed.views.layout import UNITS
 from testbed.views.rerun_backend.static_entities import SCALE
 from testbed.views.scene import Scene

@@ -11,7 +11,7 @@ from testbed.core.records import Array
 from testbed.views import layout, plots
 from testbed.views.airframes import AirframeDrawing
 from testbed.views.meshes import DARK, LIGHT, MAIN, Mesh, vertex_normals
-from testbed.views.palette import Colour
+from testbed.views.panels import Colour
 from testbed.views.rerun_backend.blueprint import GRID
 from testbed.views.scene import BACKDROP, Ground, Scene, ground, mix, secondary_colour
 
