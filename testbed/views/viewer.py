@@ -263,7 +263,9 @@ class WebViewer:
     def directions(self) -> tuple[str, str]:
         """Lines with the address, and how to open it."""
         if self.host == ANY_HOST:
-            access = "whoever reaches this machine can see the flight, and send to the viewer"
+            access = (
+                "any client that reaches this machine can see the flight, and send to the viewer"
+            )
         else:
             ports = (self.page_port, self.port)
             forwards = " ".join(f"-L {each}:{self.host}:{each}" for each in ports)

@@ -142,7 +142,7 @@ def test_aircraft_in_slot_is_drawn_over_slot():
 
 
 def test_frame_names_lost_aircraft_twice():
-    """The mark and the line above the pictures say that an aircraft is lost."""
+    """Both marks and the line above the pictures name the lost aircraft."""
     scene, batch = scene_and_batch(views_flight.log(4, 8.0))
     lost = batch.lost.copy()
     lost[150:, 2] = 1.0

@@ -129,7 +129,7 @@ def test_shot_prints_file_size(command, monkeypatch, tmp_path):
         (9_960, "10 kB"),
         (999_600, "1.0 MB"),
         (45_314_786, "45 MB"),
-        (4_100_000_000, "4,100 MB"),
+        (4_100_000_000, "4.1 GB"),
     ],
 )
 def test_format_size(tmp_path, size, text):
