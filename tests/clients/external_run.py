@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from patience import PATIENCE_S, until
+from waiting import TIMEOUT_S, until
 
 from testbed.logs.read import read_log, samples
 
@@ -49,7 +49,7 @@ class Flight:
 
     def end(self, code=0):
         """Wait for its end, check the exit code, and return its metrics."""
-        exit_code = self.process.wait(PATIENCE_S)
+        exit_code = self.process.wait(TIMEOUT_S)
         assert exit_code == code, self.output
         assert "Traceback" not in self.output
         return json.loads((self.out / "metrics.json").read_text())

@@ -4,7 +4,7 @@ import math
 import socket
 import time
 
-from patience import PATIENCE_S
+from waiting import TIMEOUT_S
 
 from testbed.mavlink.codec import Codec
 
@@ -46,7 +46,7 @@ class MavlinkClient:
 
     def messages_until_end(self, flight):
         """Yield the received messages until the run ends."""
-        stop = time.monotonic() + PATIENCE_S
+        stop = time.monotonic() + TIMEOUT_S
         while flight.process.poll() is None:
             assert time.monotonic() < stop, flight.output
             yield from self.receive()

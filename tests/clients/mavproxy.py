@@ -5,7 +5,7 @@ import subprocess
 from contextlib import contextmanager
 
 from external_run import clients
-from patience import until
+from waiting import until
 
 MODULES = "signing,wp,param,mode,arm,misc,rc,cmdlong"
 

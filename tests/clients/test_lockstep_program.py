@@ -7,7 +7,7 @@ import time
 import pytest
 from external_run import free_port, start_run
 from mavlink_client import MavlinkClient
-from patience import PATIENCE_S, until
+from waiting import TIMEOUT_S, until
 
 LOCKSTEP = "--set=fleet.2.commanded_by={kind: external, lockstep: true, timeout_s: %s}"
 SECONDS = 8.0
@@ -35,7 +35,7 @@ def fly(folder, port, *, late):
     """Fly with such a program, which starts late if wanted."""
     arguments = (
         f"--mavlink=udpout:127.0.0.1:{port}",
-        LOCKSTEP % PATIENCE_S,
+        LOCKSTEP % TIMEOUT_S,
         f"--duration={SECONDS}",
     )
     with start_run(folder, *arguments) as flight:

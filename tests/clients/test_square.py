@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 from external_run import ROOT, clients, event_texts, free_port, run_client, start_run
-from patience import PATIENCE_S
+from waiting import TIMEOUT_S
 
 SIDE_M, PASSED_M = 350.0, 30.0
 
@@ -14,7 +14,7 @@ def test_example_flies_its_square(tmp_path):
     with start_run(
         tmp_path / "flight",
         f"--mavlink=udpout:127.0.0.1:{port}",
-        f"--set=fleet.2.commanded_by={{kind: external, lockstep: true, timeout_s: {PATIENCE_S}}}",
+        f"--set=fleet.2.commanded_by={{kind: external, lockstep: true, timeout_s: {TIMEOUT_S}}}",
         scenario=ROOT / "examples" / "square.yaml",
     ) as flight:
         script = ROOT / "examples" / "square.py"

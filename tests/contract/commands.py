@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from patience import PATIENCE_S
+from waiting import TIMEOUT_S
 
 from testbed.cli.main import main
 
@@ -44,7 +44,7 @@ def run_command(*arguments, cwd, code, columns):
         env=environment(columns),
         capture_output=True,
         text=True,
-        timeout=PATIENCE_S,
+        timeout=TIMEOUT_S,
     )
     assert done.returncode == code, done.stderr + done.stdout
     assert "Traceback" not in done.stderr

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 from commands import environment
-from patience import until
 from process_time import last_s
 from record_flight import RECORDS
+from waiting import until
 
 MAX_MISSING_S = 0.5  # of the process's running time, whose samples are not in the log
 SECONDS = 100.0  # of the flights

@@ -7,7 +7,7 @@ import subprocess
 from html import unescape
 from html.parser import HTMLParser
 
-from patience import PATIENCE_S
+from waiting import TIMEOUT_S
 
 MAX_BYTES = 5_000_000
 VOID = {"meta", "link", "br", "img", "use", "path"}
@@ -123,7 +123,7 @@ def measure(text, folder, script):
             f"--user-data-dir={folder / 'profile'}", "--enable-logging=stderr", "--log-level=0",
             "--virtual-time-budget=2000", "--dump-dom", (folder / "page.html").as_uri(),
         ],
-        capture_output=True, text=True, timeout=PATIENCE_S, check=True,
+        capture_output=True, text=True, timeout=TIMEOUT_S, check=True,
     )  # fmt: skip
     assert "CONSOLE" not in done.stderr
     return json.loads(unescape(re.search(r'data-found="([^"]*)"', done.stdout)[1]))

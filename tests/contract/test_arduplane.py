@@ -25,8 +25,8 @@ from arduplanes import (
     run_in_child,
     running,
 )
-from patience import PATIENCE_S, until
 from rich.console import Console
+from waiting import TIMEOUT_S, until
 
 from testbed.autopilot.sitl_parameters import defaults_text
 from testbed.autopilot.sitl_process import command_line
@@ -187,7 +187,7 @@ def test_stopped_run_leaves_no_process_or_folder(binary, tmp_path):
         until(lambda: list((tmp_path / "logs").glob("*/*/run.mcap")))
         until(running)
         os.killpg(child.pid, signal.SIGINT)  # to the process group, as Ctrl-C does
-        assert child.wait(timeout=PATIENCE_S) == 130
+        assert child.wait(timeout=TIMEOUT_S) == 130
     finally:
         child.kill()
         child.wait()
@@ -254,7 +254,7 @@ def test_estimator_and_gps_are_off(binary):
 
 
 def test_separately_started_arduplane_is_awaited(binary, tmp_path):
-    scenario = make_scenario(1.0, start="false", timeout_s=PATIENCE_S)
+    scenario = make_scenario(1.0, start="false", timeout_s=TIMEOUT_S)
     text = error_of(make_scenario(1.0, start="false", timeout_s=0.3))
     assert f"start it with: arduplane --model JSON:127.0.0.1 --speedup 100 -I{FIRST} " in text
     defaults = tmp_path / "defaults.parm"
@@ -264,7 +264,7 @@ def test_separately_started_arduplane_is_awaited(binary, tmp_path):
     child = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL)
     try:
         assert fly(scenario)[-1].time_s == 1.0
-        child.wait(timeout=PATIENCE_S)  # it ends when we close the connection
+        child.wait(timeout=TIMEOUT_S)  # it ends when we close the connection
     finally:
         child.kill()
         child.wait()

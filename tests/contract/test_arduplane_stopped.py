@@ -8,8 +8,8 @@ from contextlib import contextmanager, suppress
 
 import pytest
 from arduplanes import SOON, binary, make_scenario, running
-from patience import PATIENCE_S, until
 from process_time import ProcessTime
+from waiting import TIMEOUT_S, until
 
 import testbed
 from testbed.autopilot.sitl_process import SitlProcess
@@ -76,7 +76,7 @@ def test_stop_ends_wait_for_arduplane(binary, monkeypatch, tmp_path, misbehaviou
     monkeypatch.setenv("STAND_IN", misbehaviour)
     monkeypatch.setattr("testbed.autopilot.startup._STAGE_TIMEOUT_S", 3600.0)
     folders = tmp_path / "folders"
-    scenario = make_scenario(5.0, "log.mcap=true", timeout_s=PATIENCE_S)
+    scenario = make_scenario(5.0, "log.mcap=true", timeout_s=TIMEOUT_S)
     signals = signalled(0.3, number=number, started=lambda: printed(folders, words))
     with signals as (sent, clock):
         result = testbed.run(scenario, out=tmp_path / "run")
@@ -102,7 +102,7 @@ def test_repeated_signals_leave_nothing(binary, monkeypatch, tmp_path):
         signalled(0.0, started=lambda: printed(tmp_path / "folders", "frozen")),
         suppress(KeyboardInterrupt),  # after the ending, if the signals take more than a second
     ):
-        testbed.run(make_scenario(5.0, timeout_s=PATIENCE_S), out=tmp_path / "run")
+        testbed.run(make_scenario(5.0, timeout_s=TIMEOUT_S), out=tmp_path / "run")
     assert len(more) >= 3
     assert json.loads((tmp_path / "run/metrics.json").read_text())["outcome"] == "interrupted"
     assert not running()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from arduplanes import FIRST, SCENARIO, SOON, binary, error_of, fly_level, make_scenario
-from patience import PATIENCE_S
+from waiting import TIMEOUT_S
 
 import testbed
 from testbed.autopilot.ardupilot_sitl import SitlConfig, SitlVehicle, _used_port, ports
@@ -63,8 +63,8 @@ def test_misbehaving_arduplane_ends_run_with_reason(
     if misbehaviour == "hang":
         clock = FrozenClock(tmp_path / "folders")
         monkeypatch.setattr("testbed.autopilot.ardupilot_sitl.time", clock)
-    error = error_of(make_scenario(5.0, timeout_s=2 if misbehaviour == "hang" else PATIENCE_S))
-    assert time.monotonic() - began < PATIENCE_S / 2
+    error = error_of(make_scenario(5.0, timeout_s=2 if misbehaviour == "hang" else TIMEOUT_S))
+    assert time.monotonic() - began < TIMEOUT_S / 2
     assert error.startswith(f"leader: ArduPlane (instance {FIRST}) ")
     # what says nothing is left out: the keys of our lines, and repetitions
     assert "\t" not in error and "velocity" not in error and error.count("Loaded defaults") <= 1
@@ -191,7 +191,7 @@ def test_repetitions_in_a_pause_are_dropped():
     config = SitlConfig("one", [FIRST], False, None, Path(), 5.0, 0.0, math.nan)
     plane = SitlVehicle(config, Origin(), physics_hz=200, autopilot_hz=50)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as arduplane:
-        arduplane.settimeout(PATIENCE_S)
+        arduplane.settimeout(TIMEOUT_S)
         arduplane.connect(("127.0.0.1", 9002 + 10 * FIRST))
 
         def send(count):

@@ -13,10 +13,10 @@ import golden_scenarios
 import pytest
 import typer
 from commands import call_command, environment, run_command
-from patience import PATIENCE_S, until
 from run_flight import DIVE
 from snapshot import check_snapshot
 from typer.testing import CliRunner
+from waiting import TIMEOUT_S, until
 
 import testbed
 from testbed.cli.exit_codes import ExitCode
@@ -325,7 +325,7 @@ def test_run_ctrl_c_exits_130_and_keeps_the_log(tmp_path):
         # the header is some kilobytes; a larger log has frames
         until(lambda: process.poll() is not None or log.is_file() and log.stat().st_size > 100_000)
         process.send_signal(signal.SIGINT)
-        printed, errors = process.communicate(timeout=PATIENCE_S)
+        printed, errors = process.communicate(timeout=TIMEOUT_S)
     finally:
         process.kill()
     assert process.returncode == ExitCode.INTERRUPTED

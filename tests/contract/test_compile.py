@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from patience import PATIENCE_S
+from waiting import TIMEOUT_S
 
 from testbed.core import compile as compiling
 from testbed.core.compile import KERNEL_PACKAGES, cache_folder, source_digest
@@ -78,7 +78,7 @@ def run_python(arguments, folder, cwd, mount="", **environment):
         env={**inherited, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1", **environment},
         capture_output=True,
         text=True,
-        timeout=PATIENCE_S,
+        timeout=TIMEOUT_S,
     )
     if mount and (done.returncode == 9 or "unshare" in done.stderr):
         pytest.skip("nothing can be mounted here, neither as root nor in a user namespace")
@@ -343,7 +343,7 @@ def test_debugger_and_compiler_fly_the_same_bits():
             env={**os.environ, **environment},
             capture_output=True,
             text=True,
-            timeout=PATIENCE_S,
+            timeout=TIMEOUT_S,
             check=True,
         ).stdout
         for environment in ({}, {"NUMBA_DISABLE_JIT": "1"})

@@ -8,7 +8,7 @@ import time
 
 import pytest
 from commands import ROOT, call_command
-from patience import PATIENCE_S, until
+from waiting import TIMEOUT_S, until
 from worker_tasks import run_task
 
 from testbed.core.compile import NOTICE, compile_turn, is_compiling
@@ -48,7 +48,7 @@ def test_of_two_processes_one_compiles(tmp_path):
             subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
             for _ in range(count)
         ]
-        return sorted(each.communicate(timeout=PATIENCE_S)[0].strip() for each in running)
+        return sorted(each.communicate(timeout=TIMEOUT_S)[0].strip() for each in running)
 
     first, second = prepare(2)
     assert first[0] == "0" and second == "1 [(0, 1), (1, 1)]"
@@ -78,7 +78,7 @@ def test_a_turn_is_waited_for_only_the_first_time(tmp_path):
         other.start()
         until(lambda: order == ["waits"])
         order.append("first")
-    other.join(PATIENCE_S)
+    other.join(TIMEOUT_S)
     assert order == ["waits", "first", "second"]
     with compile_turn(tmp_path, ["b"]):
         prepare()

@@ -24,8 +24,8 @@ from killing import (
     signal_pairs,
     start_run,
 )
-from patience import until
 from together import together
+from waiting import until
 
 import testbed
 from testbed.logs.mcap_file import LogError

@@ -9,7 +9,7 @@ from pathlib import Path
 import golden_scenarios
 import pytest
 from commands import environment
-from patience import PATIENCE_S
+from waiting import TIMEOUT_S
 
 import testbed
 from testbed.core.errors import DISTRIBUTION, MissingExtraError, needs_extra
@@ -76,7 +76,7 @@ def without_extras(tmp_path_factory):
         env=environment(120, folder),
         capture_output=True,
         text=True,
-        timeout=PATIENCE_S,
+        timeout=TIMEOUT_S,
     )
     parts = re.split(r"^exit (\d+) (.*)\n", done.stderr, flags=re.M)
     endings = {

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 from commands import call_command, environment
-from patience import PATIENCE_S
+from waiting import TIMEOUT_S
 
 from testbed.core.errors import InputError
 from testbed.scenario import load_scenario, set_duration
@@ -88,7 +88,7 @@ def in_removed_directory(arguments, folder):
         env=environment(80),
         capture_output=True,
         text=True,
-        timeout=PATIENCE_S,
+        timeout=TIMEOUT_S,
     )
     return done.returncode, done.stderr
 

@@ -12,7 +12,7 @@ import pytest
 import small_study
 import worker_tasks
 from commands import environment
-from patience import PATIENCE_S, until
+from waiting import TIMEOUT_S, until
 
 from testbed.core.errors import InputError
 from testbed.scenario import library
@@ -94,7 +94,7 @@ def test_pool_worker_ends_with_its_parent(tmp_path, number):
     try:
         worker = until(lambda: mark.exists() and int(mark.read_text()))
         parent.send_signal(number)
-        _, errors = parent.communicate(timeout=PATIENCE_S)
+        _, errors = parent.communicate(timeout=TIMEOUT_S)
     finally:
         parent.kill()
     expected = -signal.SIGKILL if number == signal.SIGKILL else INTERRUPTED

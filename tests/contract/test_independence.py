@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from commands import environment
-from patience import PATIENCE_S
+from waiting import TIMEOUT_S
 
 import testbed
 from testbed.logs.mcap_file import read
@@ -88,7 +88,7 @@ def test_logging(scenario, alone, tmp_path):
 def test_telemetry(scenario, alone):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground:
         ground.bind(("127.0.0.1", 0))
-        ground.settimeout(PATIENCE_S)
+        ground.settimeout(TIMEOUT_S)
         address = parse_address(f"udpout:127.0.0.1:{ground.getsockname()[1]}")
         assert_same(alone, fly(scenario, external=replace(NO_EXTERNAL, mavlink=(address,))))
         assert ground.recv(300)[0] == 0xFD  # a message was sent
@@ -162,7 +162,7 @@ def test_directory_locale_hashes_and_other_runs_beside(tmp_path):
     logs = {}
     try:
         for place, process in running.items():
-            _, output = process.communicate(timeout=PATIENCE_S)
+            _, output = process.communicate(timeout=TIMEOUT_S)
             assert process.returncode == 0, f"{place}: {output}"
             logs[place] = read(tmp_path / place / "run" / "run.mcap")
             assert os.listdir(tmp_path / place) == ["run"]

@@ -6,9 +6,9 @@ import subprocess
 import sys
 
 import pytest
-from patience import PATIENCE_S
 from rich.table import Table
 from rich.text import Text
+from waiting import TIMEOUT_S
 
 from testbed.autopilot.parameters import ParamError, read_params
 from testbed.cli.output import PipeSafeConsole
@@ -80,7 +80,7 @@ def test_fifo_is_refused_without_waiting(reader):
         env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
         capture_output=True,
         text=True,
-        timeout=PATIENCE_S,
+        timeout=TIMEOUT_S,
     )
     assert path.name in out.stdout, out.stderr
     assert "no" in out.stdout  # "not a regular file", or "there is no scenario"

@@ -17,7 +17,7 @@ import pytest
 from mutation_kinds import KINDS
 from mutation_worker import SEED
 from mutations import mutate
-from patience import PATIENCE_S
+from waiting import TIMEOUT_S
 
 MUTATIONS = int(os.environ.get("TESTBED_MUTATIONS", "240"))
 MAX_LISTED = 20  # faults
@@ -62,9 +62,9 @@ class Worker:
             self.begin()
         self.process.stdin.write(f"{number}\n")
         self.process.stdin.flush()
-        if not self.answers.select(PATIENCE_S):
+        if not self.answers.select(TIMEOUT_S):
             self.end()
-            return "fault", f"no answer after {PATIENCE_S:g} s", "", "", PATIENCE_S, 0
+            return "fault", f"no answer after {TIMEOUT_S:g} s", "", "", TIMEOUT_S, 0
         line = self.process.stdout.readline()
         if line:
             return json.loads(line)

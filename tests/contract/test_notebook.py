@@ -5,7 +5,7 @@ from pathlib import Path
 import nbclient
 import nbformat
 import pytest
-from patience import PATIENCE_S
+from waiting import TIMEOUT_S
 
 NOTEBOOK = Path(__file__).parents[2] / "examples" / "look_at_a_run.ipynb"
 
@@ -16,7 +16,7 @@ def ran(tmp_path_factory):
     notebook = nbformat.read(NOTEBOOK, as_version=4)
     folder = str(tmp_path_factory.mktemp("notebook"))
     nbclient.NotebookClient(
-        notebook, timeout=PATIENCE_S, resources={"metadata": {"path": folder}}
+        notebook, timeout=TIMEOUT_S, resources={"metadata": {"path": folder}}
     ).execute()
     return notebook
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import views_flight
 from commands import call_command, environment
-from patience import PATIENCE_S
+from waiting import TIMEOUT_S
 
 from testbed.cli import air
 from testbed.core.errors import InputError
@@ -59,7 +59,7 @@ def reader(fifo):
     thread = threading.Thread(target=lambda: content.append(fifo.read_bytes()), daemon=True)
     thread.start()
     yield content
-    thread.join(PATIENCE_S)
+    thread.join(TIMEOUT_S)
     assert not thread.is_alive()
 
 
@@ -416,7 +416,7 @@ def shell(tmp_path, arguments, redirection, **variables):
         cwd=tmp_path,
         env=environment(80) | variables,
         capture_output=True,
-        timeout=PATIENCE_S,
+        timeout=TIMEOUT_S,
     )
     stderr = done.stderr.decode(errors="replace")
     assert "Traceback" not in stderr and "Exception ignored" not in stderr, stderr

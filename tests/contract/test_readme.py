@@ -21,7 +21,7 @@ from pathlib import Path
 
 import pytest
 from commands import call, environment
-from patience import PATIENCE_S
+from waiting import TIMEOUT_S
 
 from testbed.scenario import find_scenario, list_scenarios, loads
 
@@ -145,7 +145,7 @@ def run_shell(folder, text, run_s=LONG_S):
     """Run a shell snippet, its `testbed` commands in this process; return what it prints."""
     server, client = socket.socketpair()
     with server, tempfile.TemporaryFile("w+") as output:
-        server.settimeout(PATIENCE_S)
+        server.settimeout(TIMEOUT_S)
         variables = environment(80) | {
             "PATH": f"{folder / 'bin'}{os.pathsep}{os.environ['PATH']}",
             "TESTBED_SOCKET": str(client.fileno()),
@@ -169,7 +169,7 @@ def run_shell(folder, text, run_s=LONG_S):
                 with open(files[0], "w") as out, open(files[1], "w") as err:
                     code = call(arguments, cwd=cwd, columns=80, out=out, err=err)
                 server.sendall(str(code).encode())
-            shell.wait(timeout=PATIENCE_S)
+            shell.wait(timeout=TIMEOUT_S)
         finally:
             shell.kill()
             shell.wait()

@@ -5,8 +5,8 @@ import sys
 from collections import namedtuple
 
 import pytest
-from patience import PATIENCE_S
 from typer.testing import CliRunner
+from waiting import TIMEOUT_S
 
 import testbed
 from testbed.cli.main import app
@@ -67,7 +67,7 @@ def test_memory_needed_agrees_with_the_flight(name, until, changes):
     scenario = load_scenario(name, changes)
     done = subprocess.run(
         [sys.executable, "-c", MEASURED, name, str(until), *changes],
-        check=True, capture_output=True, text=True, timeout=PATIENCE_S,
+        check=True, capture_output=True, text=True, timeout=TIMEOUT_S,
     )  # fmt: skip
     most = int(done.stdout)
     assert 0.75 * resources.memory_needed(scenario) < most

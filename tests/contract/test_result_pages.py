@@ -110,7 +110,7 @@ def test_pasted_errors_equal_the_golden_table(scenario):
     assert found == pytest.approx(golden_errors(scenario), abs=PRINTED)
 
 
-def test_pasted_errors_of_experiments_equal_golden_ones():
+def test_pasted_errors_of_experiments_are_golden():
     """Mean and range of five seeds."""
     rows = table("docs/experiments.md", "window | follower | [HBH23], m | testbed, m | largest")
     assert len(rows) == 6
@@ -207,7 +207,7 @@ def test_freedoms_have_the_noise_of_the_results():
     assert row[7:9] == [cells[3], cells[7]]
 
 
-def test_experiments_page_has_the_rascals_of_simulation_3():
+def test_experiments_page_has_rascals_of_simulation_3():
     (row,) = (r for r in table("docs/experiments.md", "RMS error, m | laps") if "Rascals" in r[0])
     expected = six(the_row(table(SIMULATIONS, PAPER), "Simulation 3", "profile `tuned`"))
     assert row[1:7] == expected
@@ -475,7 +475,7 @@ def test_prose_has_the_computed_numbers(name, claims):
     assert missing == []
 
 
-def test_equal_ages_cancel_if_extrapolated_from_receipt():
+def test_equal_ages_cancel_if_receipt_is_the_base():
     """As docs/leader-acceleration.md says; extrapolated from the stamps they do not."""
     causes = {row[0]: np.array(row[5:11], float) for row in table(LEADER, "30° of bank, broad")}
     fresh = np.array(pages_cells("broadcast", "tuned", "30°", 3), dtype=float)
@@ -485,7 +485,7 @@ def test_equal_ages_cancel_if_extrapolated_from_receipt():
     assert (stamps > causes["own state 0.04 s old"]).all()
 
 
-def test_laps_stay_larger_than_the_circle_at_all_corners():
+def test_laps_exceed_the_circle_at_all_corners():
     rows = table(LEADER, LAPS)
     corners = [row for row in rows[1:] if not re.search("gains|integrals", row[0])]
     assert len(corners) == 6

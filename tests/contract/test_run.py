@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from patience import PATIENCE_S
 from run_flight import (
     DIVE,
     NOISY,
@@ -25,6 +24,7 @@ from run_flight import (
     recorder,
     short,
 )
+from waiting import TIMEOUT_S
 
 import testbed
 from testbed.formation.law import LimiterFlag
@@ -158,7 +158,7 @@ def test_without_messages_followers_fly_level_at_trim():
     assert commanded.course_desired == pytest.approx(np.full(3, np.pi / 2.0), abs=1e-9)
     assert commanded.course == pytest.approx(commanded.course_desired, abs=0.01)
     assert (commanded.flight_path_angle_desired == 0.0).all()
-    trim_airspeed = build(short(late)).config.trim_airspeed
+    trim_airspeed = build(short(late)).built_control.config.trim_airspeed
     assert commanded.airspeed_command == pytest.approx(trim_airspeed, rel=1e-12)
     assert last.truth.airspeed[1:] == pytest.approx(trim_airspeed, abs=0.1)
     # a degree or two of bank, with which they steer the last third of a degree of course away
@@ -280,7 +280,7 @@ cli.main()
 def test_ctrl_c_swallowed_by_a_library_ends_the_run(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", SWALLOWED],
-        cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE_S,
+        cwd=tmp_path, capture_output=True, text=True, timeout=TIMEOUT_S,
     )  # fmt: skip
     assert done.stdout == "swallowed\n"
     assert done.returncode == 130, done.stderr
@@ -391,7 +391,7 @@ def test_run_outside_the_main_thread():
         target=lambda: results.append(testbed.run(short(seconds=1), write=False))
     )
     thread.start()
-    thread.join(PATIENCE_S)
+    thread.join(TIMEOUT_S)
     assert [result.outcome for result in results] == ["completed"]
 
 

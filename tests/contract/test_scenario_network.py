@@ -46,7 +46,7 @@ def test_network_sections_have_documented_defaults():
     assert (network.loss.loss_bad, network.loss.loss_good) == (1.0, 0.0)
     assert (network.reorder.gap, network.reorder.correlation) == (1, 0.0)
     assert (network.rate.overhead_bytes, network.rate.queue_packets) == (0, 1000)
-    assert (network.packet_outcomes.first_s, network.packet_outcomes.packets) == (0.0, 1)
+    assert (network.slots.first_s, network.slots.packets) == (0.0, 1)
     assert network.shadowing.antenna == "below"
     four = network.links["leader"]["uav1"].loss
     assert (four.p32, four.p23, four.p14) == (0.0, 1.0, 0.0)
@@ -58,7 +58,7 @@ def test_number_stands_for_probability_or_pair():
     assert network.loss == read("loss: {probability: 0.3}").network.loss
     assert network.loss == read("loss: {kind: bernoulli, probability: 0.3}").network.loss
     assert (network.corrupt.probability, network.reorder.probability) == (1.0, 0.25)
-    assert network.packet_outcomes.every_s == (2.0, 2.0)
+    assert network.slots.every_s == (2.0, 2.0)
 
 
 # Keys of all links, and of four entries that are ever more specific.
@@ -112,7 +112,7 @@ SETTINGS = [
     ("network.links.lead.uav1.loss.p=0.5", lambda n: n.link("lead", "uav1").loss.p == 0.5),
     ("network.links.lead.uav2=null", lambda n: n.link("lead", "uav2").trace is None),
     ("network.links.uav2.uav1.delay_s=3", lambda n: n.link("uav2", "uav1").delay_s == 3.0),
-    ("network.packet_outcomes.every_s=0.5", lambda n: n.slots.every_s == (0.5, 0.5)),
+    ("network.slots.every_s=0.5", lambda n: n.slots.every_s == (0.5, 0.5)),
     ("network.partitions.0.window_s=[1, 2]", lambda n: n.partitions[0].window_s == (1.0, 2.0)),
     ("network.links.lead.uav1.drop=[]", lambda n: n.link("lead", "uav1").drop == ()),
 ]

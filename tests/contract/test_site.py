@@ -11,8 +11,8 @@ from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
-from patience import PATIENCE_S
 from typer.testing import CliRunner
+from waiting import TIMEOUT_S
 
 import testbed
 from testbed.cli.main import app
@@ -52,7 +52,7 @@ def built(repository="", **changes):
         | ({"REPOSITORY_URL": repository} if repository else {}),
         capture_output=True,
         text=True,
-        timeout=PATIENCE_S,
+        timeout=TIMEOUT_S,
     )
 
 

@@ -13,9 +13,9 @@ import sys
 import pytest
 import small_study
 from commands import call_command, environment
-from patience import PATIENCE_S, until
 from rich.console import Console
 from snapshot import check_snapshot
+from waiting import TIMEOUT_S, until
 
 from testbed.cli.sweep import summary_tables
 from testbed.core.errors import InputError
@@ -422,10 +422,10 @@ def test_sweep_killed_command_is_resumed_to_the_bit(folder, tmp_path, monkeypatc
         try:
             until(lambda before=before: rows() > before)
             parent.send_signal(number)
-            parent.wait(timeout=PATIENCE_S)
+            parent.wait(timeout=TIMEOUT_S)
         finally:
             parent.kill()
         assert parent.returncode in (-signal.SIGKILL, INTERRUPTED)
     assert 0 < len(read_table(out).columns["run"]) < small_study.RUNS
-    subprocess.run(command, env=environment(80), cwd=folder, check=True, timeout=PATIENCE_S)
+    subprocess.run(command, env=environment(80), cwd=folder, check=True, timeout=TIMEOUT_S)
     assert same(folder, out)

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from patience import PATIENCE_S, until
+from waiting import TIMEOUT_S, until
 
 from testbed.core.errors import InputError
 from testbed.views import viewer
@@ -20,7 +20,7 @@ from testbed.views.rerun_backend import remote
 @pytest.fixture(autouse=True)
 def long_timeouts(monkeypatch):
     """Allow for a busy machine, where programs start late."""
-    monkeypatch.setattr(viewer, "START_S", PATIENCE_S)
+    monkeypatch.setattr(viewer, "START_S", TIMEOUT_S)
 
 
 def stub(path, text):
@@ -32,7 +32,7 @@ def stub(path, text):
 
 def read_line(descriptor):
     """Read from a pipe; empty bytes when all writers have ended."""
-    assert select.select([descriptor], [], [], PATIENCE_S)[0], "no data, and no end of the writers"
+    assert select.select([descriptor], [], [], TIMEOUT_S)[0], "no data, and no end of the writers"
     return os.read(descriptor, 100)
 
 
@@ -54,7 +54,7 @@ def test_guarded_viewer_ends_with_killed_starter(tmp_path, ending):
     try:
         assert read_line(reader) == b"up\n"
         starter.send_signal(ending)
-        starter.wait(PATIENCE_S)
+        starter.wait(TIMEOUT_S)
         assert read_line(reader) == b"", "all processes with the pipe's other end have ended"
         until(lambda: not scratch.exists())  # a moment later
     finally:
@@ -121,5 +121,5 @@ def test_pause_at_retries_after_timeouts(monkeypatch):
         get_state=get_state, set_time=lambda *_, **keywords: calls.append(keywords)
     )
     monkeypatch.setattr(remote.ViewerClient, "connect", lambda address: client)
-    remote.RemoteViewer(1, "run-1").pause_at(5.0, PATIENCE_S)
+    remote.RemoteViewer(1, "run-1").pause_at(5.0, TIMEOUT_S)
     assert calls == [{"duration": 5.0, "play_state": "paused"}]

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import views_flight
-from patience import PATIENCE_S, until
 from process_time import ProcessTime
+from waiting import TIMEOUT_S, until
 
 from testbed import run
 from testbed.core.records import Event
@@ -50,9 +50,9 @@ HERE = Path(__file__).parents[2]
 @pytest.fixture(autouse=True)
 def long_timeouts(monkeypatch):
     """Allow for a busy machine, where programs start late and draw slowly."""
-    monkeypatch.setattr(viewer, "START_S", PATIENCE_S)
-    monkeypatch.setattr(recorded_runs, "LIMIT_S", PATIENCE_S)
-    monkeypatch.setattr(recorded_runs, "LOADED_S", PATIENCE_S)
+    monkeypatch.setattr(viewer, "START_S", TIMEOUT_S)
+    monkeypatch.setattr(recorded_runs, "LIMIT_S", TIMEOUT_S)
+    monkeypatch.setattr(recorded_runs, "LOADED_S", TIMEOUT_S)
 
 
 @contextlib.contextmanager
@@ -227,7 +227,7 @@ def test_viewer_not_starting_gives_one_warning(monkeypatch, caplog, tmp_path):
     monkeypatch.setenv("PYTHONPATH", str(tmp_path) + os.pathsep + str(HERE))
     view = RerunView(LiveViewer(port=port))
     fly(view, views_flight.samples(2, 1.0), views_flight.info(2, 1.0))
-    view._sink.process.wait(PATIENCE_S)
+    view._sink.process.wait(TIMEOUT_S)
     view.end({}, ())
     assert len(warnings_of(caplog)) == 1 and "did not start" in warnings_of(caplog)[0]
 
@@ -244,11 +244,11 @@ def test_live_viewer_gets_every_sample_ends_quickly(caplog, tmp_path):
         start = given.now_s
         view.end({}, ())
         assert given.now_s - start < 1.0
-        assert process.wait(PATIENCE_S) == 0
+        assert process.wait(TIMEOUT_S) == 0
         # the viewer may save later what it received
         until(lambda: rows_of(seen) > rows - 50)
         os.killpg(program.pid, signal.SIGTERM)
-        program.wait(PATIENCE_S)
+        program.wait(TIMEOUT_S)
     assert warnings_of(caplog) == []
     # other batch sizes have a few more rows: the two ends of each limit
     assert rows - 50 < rows_of(seen) < rows + 50
@@ -312,7 +312,7 @@ def test_failing_viewers_do_not_change_or_delay_run(monkeypatch, tmp_path, caplo
             assert same(flight(name, view), alone)
             process = view.feeding
         # the frozen viewer is killed by now, and the feeding process ends by itself
-        process.wait(PATIENCE_S)
+        process.wait(TIMEOUT_S)
         assert view.sample == 501 and view.waited < 1.0
         assert len(warnings_of(caplog)) <= 1
         if name == "killed":
@@ -401,7 +401,7 @@ def test_viewer_asks_no_other_machine(monkeypatch):
     """The viewer's only request, for a newer version, goes to the proxy, which does not exist."""
     assert not viewer.is_listening(int(viewer.PROXY.rpartition(":")[2]))
     with socket.create_server((viewer.HOST, 0)) as proxy:
-        proxy.settimeout(PATIENCE_S)
+        proxy.settimeout(TIMEOUT_S)
         monkeypatch.setattr(viewer, "PROXY", f"http://127.0.0.1:{proxy.getsockname()[1]}")
         with viewer.headless_viewer((320, 200)):
             connection, _ = proxy.accept()

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 from commands import call_command
-from patience import PATIENCE_S, until
 from record_flight import record, run_info, run_samples
+from waiting import TIMEOUT_S, until
 
 from testbed.core.errors import InputError
 from testbed.views import viewer
@@ -36,14 +36,14 @@ def test_web_view_answers_on_loopback_until_ctrl_c(tmp_path):
             page = re.fullmatch(r"view: (http://127\.0\.0\.1:(\d+)/\?url=rerun.*)\n", url)
             ports = [int(each) for each in re.findall(r"-L (\d+):127\.0\.0\.1:\1", access)]
             assert ports[0] == int(page[2]) and f"%3A{ports[1]}%2Fproxy" in url
-            with urllib.request.urlopen(page[1], timeout=PATIENCE_S) as answer:
+            with urllib.request.urlopen(page[1], timeout=TIMEOUT_S) as answer:
                 assert answer.status == 200 and b"Rerun" in answer.read()
             assert [listening(port) for port in ports] == [{"0100007F"}] * 2
             assert "Ctrl-C" in end, "the run has been sent"
         finally:
             process.send_signal(signal.SIGINT)
         try:
-            assert process.wait(PATIENCE_S) == 0
+            assert process.wait(TIMEOUT_S) == 0
         finally:
             process.kill()
     until(lambda: not any(listening(port) for port in ports))
@@ -59,10 +59,10 @@ def test_run_in_web_viewer_stays_until_ctrl_c(tmp_path):
             assert (tmp_path / "it" / "metrics.json").is_file(), "the flight is over"
             page = lines[0].removeprefix("view: ").strip()
             assert page.endswith("&theme=dark"), "the viewer's colours suit a dark background"
-            with urllib.request.urlopen(page, timeout=PATIENCE_S) as answer:
+            with urllib.request.urlopen(page, timeout=TIMEOUT_S) as answer:
                 assert answer.status == 200
             process.send_signal(signal.SIGINT)
-            assert process.wait(PATIENCE_S) == 0
+            assert process.wait(TIMEOUT_S) == 0
         finally:
             process.kill()
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import children, environment
-from patience import PATIENCE_S, until
+from waiting import TIMEOUT_S, until
 
 import testbed
 from testbed.logs.read import read_log
@@ -141,7 +141,7 @@ def flight(tmp_path):
 def test_killed_process_ends_the_run_with_its_reason(flight):
     process, other, path = flight
     os.kill(other, signal.SIGKILL)
-    _, output = process.communicate(timeout=PATIENCE_S)
+    _, output = process.communicate(timeout=TIMEOUT_S)
     assert process.returncode == 5
     assert "a process that steps aircraft (4, 5, 6 of the flight models, from 0)" in output
     assert "ended with -9" in output and "--processes 1" in output
@@ -154,7 +154,7 @@ def test_killed_process_ends_the_run_with_its_reason(flight):
 def test_signal_to_all_processes_ends_the_run(flight, number):
     process, other, path = flight
     os.killpg(process.pid, number)
-    process.communicate(timeout=PATIENCE_S)
+    process.communicate(timeout=TIMEOUT_S)
     assert process.returncode == 130
     assert read_log(path).finished
     assert not Path(f"/proc/{other}").exists()
@@ -163,6 +163,6 @@ def test_signal_to_all_processes_ends_the_run(flight, number):
 def test_process_without_its_parent_ends(flight):
     process, other, _ = flight
     process.kill()
-    process.wait(timeout=PATIENCE_S)
+    process.wait(timeout=TIMEOUT_S)
     until(lambda: not Path(f"/proc/{other}").exists())
     assert process.returncode == -signal.SIGKILL

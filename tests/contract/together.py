@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import pytest
 from commands import environment
-from patience import PATIENCE_S
+from waiting import TIMEOUT_S
 
 # The commands of a group start when a pipe is closed.
 _FORKING = """
@@ -84,7 +84,7 @@ def together(folder, *groups, apart=False):
         start_new_session=True,
     ) as process:
         try:
-            stdout, stderr = process.communicate(timeout=PATIENCE_S)
+            stdout, stderr = process.communicate(timeout=TIMEOUT_S)
         finally:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)

@@ -249,7 +249,7 @@ def surfaces(pulses, mixing=math.nan, **changes):
     return pytest.approx(make_servo_outputs(known(**changes), mixing).surfaces(full), abs=1e-12)
 
 
-def test_surfaces_by_hand():
+def test_open_ports_by_hand():
     assert surfaces((1600, 1250, 1300, 1500)) == (0.2, -0.5, 0.0, 0.25)
     assert surfaces((1500, 1500, 1900, 1525)) == (0.0, 0.0, 0.05, 1.0)
 

@@ -27,7 +27,7 @@ SEEDS = (1, 2, 3)
 
 @IN_FULL
 @pytest.mark.parametrize("number", [1, 2, 3])
-def test_circle_without_leader_acceleration_is_table_1s(number):
+def test_circle_without_acceleration_is_table_1s(number):
     """All cells within 20 % and the percentage within one point; on the laps too large."""
     name = f"simulation-{number}"
     published = load_scenario(name).scenario.published

@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from typing import NamedTuple
 
 import numpy as np
-from patience import PATIENCE_S
+from waiting import TIMEOUT_S
 
 NEW_NETWORK = 0x40000000  # CLONE_NEWNET of sched.h
 FORCE_SEND_BUFFER, FORCE_RECEIVE_BUFFER, STAMP_NANOSECONDS = 32, 33, 35  # asm-generic/socket.h
@@ -56,7 +56,7 @@ class Arrivals(NamedTuple):
 
 
 def command(*words):
-    done = subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE_S)
+    done = subprocess.run(words, capture_output=True, text=True, timeout=TIMEOUT_S)
     if done.returncode:
         raise OSError(f"{' '.join(words)}: {done.stderr.strip() or done.returncode}")
 

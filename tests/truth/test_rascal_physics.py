@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from patience import PATIENCE_S
 from reference.motion import motion, state_of
+from waiting import TIMEOUT_S
 
 from testbed.autopilot.fbwa import settled_autopilots, step_autopilots
 from testbed.autopilot.parameters import make_gains, read_params
@@ -268,7 +268,7 @@ for number in os.listdir("/proc/self/fd"):
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        timeout=PATIENCE_S,
+        timeout=TIMEOUT_S,
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     assert list(tmp_path.iterdir()) == []

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from patience import PATIENCE_S
+from waiting import TIMEOUT_S
 
 from testbed.autopilot.fbwa import settled_autopilots, step_autopilots
 from testbed.autopilot.parameters import make_gains, read_params
@@ -287,7 +287,7 @@ def test_trims_and_flights_repeat_to_the_bit(tmp_path: Path) -> None:
         env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"},
         capture_output=True,
         text=True,
-        timeout=PATIENCE_S,
+        timeout=TIMEOUT_S,
     )
     fleet = _fleet(InitialState((0.0, 0.0, -100.0), airspeed=18.0, bank=0.3))
     fleet.step(fleet.trimmed, 100)

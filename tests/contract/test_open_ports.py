@@ -51,7 +51,7 @@ def test_any_other_address_is_warned_of_by_name(host, key, who):
     assert [line.startswith("warning") for line in lines] == [False, False, True]
 
 
-def test_who_flies_alone_opens_nothing():
+def test_single_flight_opens_no_port():
     assert said() == []
 
 
