@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from unittest import mock
 
 import numpy as np
-from tables import insert, row
+from tables import insert_parts, row
 
 import testbed
 from testbed.autopilot.parameters import read_params
@@ -330,12 +330,7 @@ def main() -> None:
         OTHERS_MARK: others_text(),
     }
     print(*parts.values(), sep="\n\n")
-    for file in options.into:
-        page = file.read_text(encoding="utf-8")
-        for mark, lines in parts.items():
-            if f"<!-- begin: {mark} -->" in page:
-                page = insert(page, lines, mark)
-        file.write_text(page, encoding="utf-8")
+    insert_parts(options.into, parts)
 
 
 if __name__ == "__main__":

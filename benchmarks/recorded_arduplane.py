@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
-from tables import insert, row
+from tables import insert_parts, row
 
 from testbed.autopilot.parameters import AutopilotTiming
 from testbed.core.frames import GRAVITY
@@ -161,12 +161,7 @@ def main() -> None:
     }
     parts = {MARK: "\n".join(recording_text(flights)), DRAG_MARK: drag_text(pitch)}
     print(*parts.values(), sep="\n\n")
-    for file in options.into:
-        page = file.read_text(encoding="utf-8")
-        for mark, lines in parts.items():
-            if f"<!-- begin: {mark} -->" in page:
-                page = insert(page, lines, mark)
-        file.write_text(page, encoding="utf-8")
+    insert_parts(options.into, parts)
 
 
 if __name__ == "__main__":

@@ -62,6 +62,16 @@ def insert(page: str, text: str, command: str = COMMAND) -> str:
     return f"{head}{begin}\n\n{text}\n\n{end}{tail}"
 
 
+def insert_parts(files: Sequence[Path], parts: Mapping[str, str]) -> None:
+    """Write texts into pages, between the markers of each that a page has."""
+    for file in files:
+        page = file.read_text(encoding="utf-8")
+        for command, text in parts.items():
+            if f"<!-- begin: {command} -->" in page:
+                page = insert(page, text, command)
+        file.write_text(page, encoding="utf-8")
+
+
 def write_tables(
     about: str,
     cases: Sequence[Case],

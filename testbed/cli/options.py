@@ -39,7 +39,7 @@ def study_names(incomplete: str) -> list[str]:
 
 
 def tune_names(incomplete: str) -> list[str]:
-    """Return the names of tunes that begin like this."""
+    """Return the names of tuning files that begin like this."""
     from testbed.scenario import list_tunings
 
     return _beginning(incomplete, list_tunings())

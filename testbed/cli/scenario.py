@@ -133,7 +133,7 @@ def list_command(
         str | None,
         typer.Argument(
             metavar="[NAME]",
-            help="A scenario, study or tune: print its question, expectation and file.",
+            help="A scenario, study or tuning file: print its question, expectation and file.",
             show_default=False,
         ),
     ] = None,
@@ -143,7 +143,7 @@ def list_command(
     ] = False,
     json: JsonFile = None,
 ) -> None:
-    """List the scenarios, studies, tunes and aircraft that can be used by name, or the runs.
+    """List the scenarios, studies, tuning files and aircraft that can be used by name, or the runs.
 
     Scenarios are grouped by purpose, with the number of their aircraft and the simulated time.
     """
@@ -261,7 +261,7 @@ def _study_groups() -> Iterator[tuple[str, Table]]:
     table = _plain_table(width, ())
     for name in list_tunings():
         table.add_row(name, TUNES.get(name) or load_tune(name).config.study.question)
-    yield "tunes (testbed tune)", table
+    yield "tuning files (testbed tune)", table
 
 
 def _plain_table(width: int, numbers: Sequence[int]) -> Table:
@@ -275,7 +275,7 @@ def _plain_table(width: int, numbers: Sequence[int]) -> Table:
 
 
 def _describe(name: str) -> None:
-    """Print question, expectation and file of a scenario, study or tune."""
+    """Print question, expectation and file of a scenario, study or tuning file."""
     from testbed.scenario import (
         find_scenario,
         find_study,

@@ -24,7 +24,7 @@ def tune_command(
         str,
         typer.Argument(
             metavar="TUNE",
-            help="Name of a tune (`testbed list`) or a path.",
+            help="Name of a tuning file (`testbed list`) or a path.",
             autocompletion=tune_names,
         ),
     ],
