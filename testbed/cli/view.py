@@ -221,8 +221,8 @@ def _serve(log: Log, host: str, follow: str | None) -> None:
 
 def wait_for_interrupt() -> None:
     """Keep a web viewer until Ctrl-C."""
-    message_console().write_line("view: the flight stays in the browser until Ctrl-C")
     with suppress(KeyboardInterrupt):
+        message_console().write_line("view: the flight stays in the browser until Ctrl-C")
         while True:
             time.sleep(3600.0)
 

@@ -162,7 +162,7 @@ def test_pages_have_equal_errors_at_30_degrees():
     assert pages_cells("broadcast", "tuned", "30°", 3) == expected
 
 
-def test_page_has_one_flight_without_leader_acceleration():
+def test_page_has_one_flight_without_acceleration():
     bank_30 = the_row(table(LEADER, LAPS), "bank 30")
     assert pages_cells("zero", "tuned", "30°", 3) == bank_30[:6]
 
