@@ -62,7 +62,7 @@ def rgb(colour: str) -> Colour:
     return red, green, blue
 
 
-BLUE, ORANGE, GREEN = list(ON_WHITE.values())[:3]
+BLUE, ORANGE, GREEN, PINK, VIOLET, BROWN = list(ON_WHITE.values())[:6]
 BLACK, GREY = "#000000", "#8c8c8c"
 GRID = "#e3e3e3"
 PATH = "#c4c4c4"  # of the commanded path, below all other curves
