@@ -12,7 +12,7 @@ from math import ceil, floor
 import numpy as np
 
 from testbed.core.compile import Kernel, entry
-from testbed.core.copies import copy_motion
+from testbed.core.copies import copy_command, copy_motion
 from testbed.core.records import AIRCRAFT, MOTION, Array, Indices, Records, allocate
 from testbed.scenario import Scenario
 from testbed.sim.schedule import Clock
@@ -143,9 +143,8 @@ def _deliver_commands(
     queued = commands.shape[1]
     for i in range(len(aircraft)):
         a = aircraft[i]
-        command, control = a.command, a.control
-        command.pitch, command.roll = control.pitch, control.roll
-        command.throttle = control.throttle
+        command = a.command
+        copy_command(a.control, command)
         if i == 0 or newest[i] < 0:
             continue
         k = newest[i]

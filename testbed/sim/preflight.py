@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -45,15 +45,16 @@ def assumption_warnings(
     order = follower_names(scenario)
     for names in found.values():
         names.sort(key=order.index)
-    return (
-        *_wind_warnings(scenario, wind_ned),
-        *(
-            Event(0.0, "warning", names[0], text)
-            if len(names) == 1
-            else Event(0.0, "warning", "run", f"{', '.join(names)}: {text}")
-            for text, names in found.items()
-        ),
-    )
+    return (*_wind_warnings(scenario, wind_ned), *_warnings(found))
+
+
+def _warnings(found: Mapping[str, Sequence[str]]) -> Iterator[Event]:
+    """Yield a warning for each text, with the names of all aircraft that have it."""
+    for text, names in found.items():
+        if len(names) == 1:
+            yield Event(0.0, "warning", names[0], text)
+        else:
+            yield Event(0.0, "warning", "run", f"{join_names(names)}: {text}")
 
 
 def _wind_warnings(scenario: Scenario, wind_ned: Vector) -> Iterator[Event]:
@@ -165,7 +166,7 @@ def limit_warnings(
         tunes: of N aircraft.
         kinds: of their N vehicles; those without an autopilot have no limits.
     """
-    found: dict[tuple[str, str], list[str]] = {}
+    found: dict[str, list[str]] = {}
     for row, follower in enumerate(scenario.fleet, start=1):
         if kinds[row] != "jsbsim":
             continue
@@ -180,18 +181,15 @@ def limit_warnings(
         ]
         for each in pairs:
             if text := _text(each):
-                found.setdefault(("the middle loop commands", text), []).append(follower.name)
+                found.setdefault(f"the middle loop commands {text}", []).append(follower.name)
     path = scenario.leader.path
     if kinds[0] == "jsbsim" and path.kind == "mission":
         reached = tunes[0].roll_limit_deg
         bank = path.bank_limit_deg
         limit = _Limit("roll", bank, reached, "ROLL_LIMIT_DEG", "leader.path.bank_limit_deg")
         if bank > reached + TOLERANCE:
-            found["its guidance commands", _text(limit)] = [scenario.leader.name]
-    for (subject, text), names in found.items():
-        about = "run" if len(names) > 1 else names[0]
-        prefix = f"{join_names(names)}: " if len(names) > 1 else ""
-        yield Event(0.0, "warning", about, f"{prefix}{subject} {text}")
+            found[f"its guidance commands {_text(limit)}"] = [scenario.leader.name]
+    yield from _warnings(found)
 
 
 def _text(limit: _Limit) -> str:
@@ -236,8 +234,4 @@ def sensor_warnings(scenario: Scenario) -> Iterator[Event]:
                     f"{high:g}, or another rate)"
                 )
                 found.setdefault(text, []).append(each.name)
-    for text, names in found.items():
-        if len(names) == 1:
-            yield Event(0.0, "warning", names[0], text)
-        else:
-            yield Event(0.0, "warning", "run", f"{join_names(names)}: {text}")
+    yield from _warnings(found)

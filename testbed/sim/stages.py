@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from testbed.core.compile import entry, kernel
-from testbed.core.copies import copy_motion
+from testbed.core.copies import copy_command, copy_motion
 from testbed.core.frames import attitude_rates
 from testbed.core.records import Array, Records
 from testbed.vehicle.fleet import LOWEST
@@ -20,9 +20,7 @@ def copy_truth(aircraft: Records) -> None:
 def copy_control(aircraft: Records) -> None:
     """Copy `control` of all aircraft (N,) to `command`: no external program commands them."""
     for i in range(len(aircraft)):
-        control, command = aircraft[i].control, aircraft[i].command
-        command.pitch, command.roll = control.pitch, control.roll
-        command.throttle = control.throttle
+        copy_command(aircraft[i].control, aircraft[i].command)
 
 
 @entry
