@@ -4,18 +4,20 @@ usage: make arduplane
 
 Flies simulation-3-30deg once per profile with virtual autopilots, and compares it with the
 recording in tests/data; once more with the pulses of the link; and other flights of ArduPlanes of
-which only the errors are known.
+which only the errors are known. All use the Rascal of those flights: an aileron power of 0.13.
 """
 
 from __future__ import annotations
 
 import argparse
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest import mock
 
 import numpy as np
+from recorded_arduplane import make_linked_airframe
 from tables import insert_parts, row
 
 import testbed
@@ -45,6 +47,7 @@ RECORDED_GAINS = (
 WINDOWS = {name: tuple(of) for name, of in load_scenario(SCENARIO).scenario.windows.items()}
 # Other flights of ArduPlane 4.8.0-dev that are not in the repository: its RMS errors, m.
 _BEGIN_S, _END_S = 30.0, 160.0  # of those without windows
+_NO_SLEW_LIMITER = "RLL_RATE_SMAX 0\nPTCH_RATE_SMAX 0\n"
 _OTHERS = (
     (
         "`simulation-3-recorded-leader` (45 to 50° of bank), `improved` with the gains of then, "
@@ -52,12 +55,21 @@ _OTHERS = (
         "simulation-3-recorded-leader",
         ("controller.profile=improved", *RECORDED_GAINS),
         {"rectangles": "0.401 0.796 0.989", "circles": "0.107 0.108 0.103"},
+        "",
     ),
     (
         "`turbulence-moderate`, two real followers, one seed",
         "turbulence-moderate",
         (),
         {"30 to 160 s": "3.2 4.4 4.6"},
+        "",
+    ),
+    (
+        "the same; virtual autopilots without slew limiter (`RLL_RATE_SMAX` 0, `PTCH_RATE_SMAX` 0)",
+        "turbulence-moderate",
+        (),
+        {"30 to 160 s": "3.2 4.4 4.6"},
+        _NO_SLEW_LIMITER,
     ),
 )
 _LAP_S = (95.0, 205.0)  # shown in the figure
@@ -152,12 +164,31 @@ def fly_virtual(profile: str, times: Array, *, pulses: bool = False) -> Flight:
     """
     sampler = _Sampler(times)
     gains = RECORDED_GAINS if profile == "improved" else ()
-    scenario = load_scenario(SCENARIO, [f"controller.profile={profile}", *gains])
+    overrides = (f"controller.profile={profile}", *gains)
     vehicles = PulseVehicles if pulses else JsbsimVehicles
     with mock.patch.object(arduplane_vehicles, "JsbsimVehicles", vehicles):
-        testbed.run(set_duration(scenario, float(times[-1])), write=False, observers=[sampler])
+        _fly(SCENARIO, overrides, float(times[-1]), sampler)
     leader, euler, error = (np.array(each) for each in zip(*sampler.samples, strict=True))
     return Flight(times, leader, euler, error)
+
+
+def _fly(
+    scenario: str,
+    overrides: Sequence[str],
+    end_s: float | None,
+    *observers: _Sampler,
+    params: str = "",
+) -> Mapping[str, Any]:
+    """Fly a scenario with the airframe of the recorded flights; return its metrics."""
+    with tempfile.TemporaryDirectory() as folder:
+        rascal = make_linked_airframe(Path(folder))
+        with (rascal / TUNE.name).open("a", encoding="utf-8") as tune:
+            tune.write(params)
+        names = (f"leader.aircraft={rascal}", f"fleet.*.aircraft={rascal}")
+        loaded = load_scenario(scenario, [*names, *overrides])
+        if end_s is not None:
+            loaded = set_duration(loaded, end_s)
+        return testbed.run(loaded, write=False, observers=observers).metrics
 
 
 def rms(values: Array) -> Array:
@@ -245,8 +276,8 @@ def text(pairs: Pairs, with_pulses: Flight) -> str:
 def others_text() -> str:
     """Fly the other flights with virtual autopilots, and return their table as text."""
     rows = [row("flight", "window", "virtual, m", "ArduPlane, m"), "|---|---|---|---|"]
-    for name, scenario, overrides, real in _OTHERS:
-        for window, errors in _fly_other(scenario, overrides, list(real)).items():
+    for name, scenario, overrides, real, params in _OTHERS:
+        for window, errors in _fly_other(scenario, overrides, list(real), params).items():
             decimals = len(real[window].split()[0]) - 2
             ours = " ".join(f"{each:.{decimals}f}" for each in errors)
             title = name if window == next(iter(real)) else ""
@@ -255,16 +286,15 @@ def others_text() -> str:
 
 
 def _fly_other(
-    scenario: str, overrides: Sequence[str], windows: Sequence[str]
+    scenario: str, overrides: Sequence[str], windows: Sequence[str], params: str
 ) -> Mapping[str, Array]:
     """Return the RMS errors of the followers by window, (3,) m."""
-    loaded = load_scenario(scenario, list(overrides))
     if len(windows) == 1:
         times = np.arange(_BEGIN_S, _END_S, 0.1)
         sampler = _Sampler(times)
-        testbed.run(set_duration(loaded, _END_S), write=False, observers=[sampler])
+        _fly(scenario, overrides, _END_S, sampler, params=params)
         return {windows[0]: rms(np.array([error for _, _, error in sampler.samples]))}
-    metrics = testbed.run(loaded, write=False).metrics["windows"]
+    metrics = _fly(scenario, overrides, None, params=params)["windows"]
     return {name: np.array(list(metrics[name]["rms_m"].values())) for name in windows}
 
 

@@ -3,7 +3,7 @@
 usage: make arduplane
 
 Replays its commands with our airframe, with that of the recording, and with other laws of the
-elevator's drag.
+elevator's drag; and fast manoeuvres with both airframes.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from tables import insert_parts, row
@@ -26,19 +27,71 @@ ROOT = Path(__file__).parent.parent
 RASCAL = ROOT / "aircraft" / "rascal110"
 RECORDING = ROOT / "tests" / "data" / "arduplane_fbwa_rascal_steps.csv"
 MARK, DRAG_MARK = "make arduplane, recording", "make arduplane, drag"
+FAST_MARK = "make arduplane, fast manoeuvres"
 BEGIN_S, END_S = 2.0, 150.0  # in its first second the propeller had no torque on the airframe
-# Of the control law without limits that turn with the attitude (commit 428ace9).
+# Of commit 428ace9; docs/autopilot.md has the differences.
 EARLIER_DEG = ("0.34", "0.40")
 TURNS = (
     ("right, 45° commanded; 30 % throttle", 40.0, 50.0),
     ("left, 45° commanded; 30 % throttle", 50.0, 60.0),
     ("right, 40° and 8° of pitch commanded; 50 % throttle", 130.0, 145.0),
 )
+
+
+class Manoeuvres(NamedTuple):
+    """Random commands: turns of 30 to 50°, to alternating sides; one in seven is level."""
+
+    name: str
+    hold_s: tuple[float, float]
+    pitch_deg: tuple[float, float]
+    throttle: tuple[float, float]
+    earlier_deg: tuple[str, str]  # RMS differences with commit 428ace9
+
+
+FAST = (
+    Manoeuvres("turns, held for 3 to 8 s", (3.0, 8.0), (-2.0, 6.0), (0.3, 0.6), ("0.97", "0.53")),
+    Manoeuvres(
+        "descending turns, held for 3 to 8 s",
+        (3.0, 8.0),
+        (-10.0, 0.0),
+        (0.2, 0.5),
+        ("0.72", "1.20"),
+    ),
+    Manoeuvres(
+        "turns with climbs, held for 1.5 to 5 s",
+        (1.5, 5.0),
+        (-8.0, 12.0),
+        (0.2, 0.7),
+        ("1.13", "0.60"),
+    ),
+)
+SEEDS = (1, 2, 3, 4)
 _DEFLECTION = "<property> fcs/elevator-pos-rad </property>"
 # Laws of the elevator's drag: the lines in place of those of the square.
 SIGNED = f"<value> 0.1 </value> {_DEFLECTION}"
 MAGNITUDE = f"<value> 0.1 </value> <abs> {_DEFLECTION} </abs>"
-_POWER_BY_MACH = {"left-aileron": ("0.13", "0.057"), "elevator": ("-0.5", "-0.275")}  # Mach 0, 2
+# Power of a control here, at Mach 0 and at Mach 2.
+_POWERS = {"left-aileron": ("0.1273", "0.13", "0.057"), "elevator": ("-0.5", "-0.5", "-0.275")}
+
+
+def _power(surface: str, value: str) -> str:
+    return f"<property> fcs/{surface}-pos-rad </property> {value}"
+
+
+def _replace(page: Path, old: str, new: str) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert text.count(old) == 1
+    page.write_text(text.replace(old, new), encoding="utf-8")
+
+
+def make_linked_airframe(folder: Path) -> Path:
+    """Copy the Rascal, with the aileron power it had when ArduPlanes flew it through the link."""
+    copy = folder / RASCAL.name
+    shutil.copytree(RASCAL, copy)
+    ours, then, _ = (f"<value> {value} </value>" for value in _POWERS["left-aileron"])
+    page = copy / "rascal110.xml"
+    _replace(page, _power("left-aileron", ours), _power("left-aileron", then))
+    return copy
 
 
 def make_airframe(folder: Path, drag: str) -> Path:
@@ -58,17 +111,11 @@ def make_recorded_airframe(folder: Path) -> Path:
     """Copy the Rascal, with the four differences of the recorded one that ORIGIN.md lists."""
     copy = make_airframe(folder, SIGNED)
     page, propeller = copy / "rascal110.xml", copy / "Engines" / "propeller_18in.xml"
-    text = page.read_text(encoding="utf-8")
-    for surface, (zero, two) in _POWER_BY_MACH.items():
-        power = f"<property> fcs/{surface}-pos-rad </property> <value> {zero} </value>"
-        assert text.count(power) == 1
+    for surface, (ours, zero, two) in _POWERS.items():
         mach = "<independentVar> velocities/mach </independentVar>"
         by_mach = f"<table>{mach}<tableData>\n0 {zero}\n2 {two}\n</tableData></table>"
-        text = text.replace(power, power.replace(f"<value> {zero} </value>", by_mach))
-    page.write_text(text, encoding="utf-8")
-    version = ' version="1.1"'
-    assert version in propeller.read_text(encoding="utf-8")
-    propeller.write_text(propeller.read_text(encoding="utf-8").replace(version, ""))
+        _replace(page, _power(surface, f"<value> {ours} </value>"), _power(surface, by_mach))
+    _replace(propeller, ' version="1.1"', "")
     return copy
 
 
@@ -77,12 +124,57 @@ def read(file: Path) -> Array:
     return np.genfromtxt(file, delimiter=",", names=True)
 
 
-def replay(airframe: Path, timing: AutopilotTiming | None = None) -> Array:
-    """Replay the commands of the recording, and return the response by column."""
+def replay(
+    airframe: Path, timing: AutopilotTiming | None = None, commands: Path = RECORDING
+) -> Array:
+    """Replay commands, and return the response by column."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out.csv"
-        respond(airframe, RECORDING, out, timing=timing)
+        respond(airframe, commands, out, timing=timing)
         return read(out)
+
+
+def write_manoeuvres(file: Path, each: Manoeuvres, seed: int) -> None:
+    """Write commands of 150 s at 25 Hz, from level flight 400 m above the origin."""
+    random, time = np.random.default_rng(seed), np.arange(0.0, END_S, 0.04)
+    pitch, roll, throttle = np.zeros_like(time), np.zeros_like(time), np.full_like(time, 0.4)
+    begin_s, side = 3.0, 1.0
+    while begin_s < END_S - 4.0:
+        end_s, side = begin_s + random.uniform(*each.hold_s), -side
+        rows = (time >= begin_s) & (time < end_s)
+        bank = side * np.radians(random.uniform(30.0, 50.0))
+        roll[rows] = bank if random.random() > 1.0 / 7.0 else 0.0
+        pitch[rows] = np.radians(random.uniform(*each.pitch_deg))
+        throttle[rows], begin_s = random.uniform(*each.throttle), end_s
+    columns = {"t_s": time, "theta_cmd_rad": pitch, "phi_cmd_rad": roll, "throttle_cmd": throttle}
+    start = {"airspeed_mps": 24.6, "altitude_m": 400.0, "psi_rad": 0.0}
+    columns |= {name: np.full_like(time, value) for name, value in start.items()}
+    table = np.column_stack(list(columns.values()))
+    np.savetxt(file, table, fmt="%.6f", delimiter=",", header=",".join(columns), comments="")
+
+
+def fly_manoeuvres(folder: Path, airframe: Path, each: Manoeuvres) -> tuple[Array, Array, Array]:
+    """Fly manoeuvres with our airframe and with that of the recording, for all seeds.
+
+    Args:
+        folder: for the commands.
+        airframe: of `make_recorded_airframe`.
+        each: the manoeuvres.
+
+    Returns:
+        Responses by column, (seeds, K): ours with the default latency of commands, and that of the
+        other airframe without latency and with the default one.
+    """
+    flights: list[tuple[Array, Array, Array]] = []
+    for seed in SEEDS:
+        commands = folder / f"manoeuvres-{seed}.csv"
+        write_manoeuvres(commands, each, seed)
+        prompt = replay(airframe, AutopilotTiming(command_latency=0.0), commands)
+        flights.append(
+            (replay(RASCAL, commands=commands), prompt, replay(airframe, commands=commands))
+        )
+    ours, prompt, late = (np.array(each) for each in zip(*flights, strict=True))
+    return ours, prompt, late
 
 
 def rms_deg(response: Array, recorded: Array, column: str) -> float:
@@ -131,6 +223,24 @@ def recording_text(flights: Mapping[str, Array]) -> Iterator[str]:
             yield turn_row(title if flight is recorded else "", name, flight, begin_s, end_s)
 
 
+def fast_row(each: Manoeuvres, ours: Array, prompt: Array, late: Array) -> str:
+    """Return the table row of fast manoeuvres."""
+    angles = [rms_deg(ours, prompt, angle) for angle in ("phi_rad", "theta_rad")]
+    cells = [f"{then}° | {now:.2f}°" for then, now in zip(each.earlier_deg, angles, strict=True)]
+    slower = (prompt["airspeed_mps"] - ours["airspeed_mps"]).max()
+    equal = f"{rms_deg(ours, late, 'phi_rad'):.2f}°"
+    return row(each.name, *cells, f"{slower:.1f} m/s", equal)
+
+
+def fast_text(pairs: Mapping[Manoeuvres, tuple[Array, Array, Array]]) -> Iterator[str]:
+    """Return the table of the fast manoeuvres, by lines."""
+    heads = ("roll before", "now", "pitch before", "now", "slower by", "roll, equal latency")
+    yield row("manoeuvres", *heads)
+    yield "|---|--:|--:|--:|--:|--:|--:|"
+    for each, flights in pairs.items():
+        yield fast_row(each, *flights)
+
+
 def drag_text(pitch_deg: Mapping[str, float]) -> str:
     """Return the sentence of SOURCE.md."""
     return (
@@ -154,12 +264,17 @@ def main() -> None:
             name: replay(make_airframe(Path(folder) / name, drag))
             for name, drag in (("magnitude", MAGNITUDE), ("signed", SIGNED))
         }
+        fast = {each: fly_manoeuvres(Path(folder), airframe, each) for each in FAST}
     flights = {"recorded": recorded, "ours": ours, "airframe of the recording": same}
     pitch = {
         name: rms_deg(flight, recorded, "theta_rad")
         for name, flight in ({"square": ours} | by_drag).items()
     }
-    parts = {MARK: "\n".join(recording_text(flights)), DRAG_MARK: drag_text(pitch)}
+    parts = {
+        MARK: "\n".join(recording_text(flights)),
+        FAST_MARK: "\n".join(fast_text(fast)),
+        DRAG_MARK: drag_text(pitch),
+    }
     print(*parts.values(), sep="\n\n")
     insert_parts(options.into, parts)
 

@@ -2,17 +2,17 @@
 
 The law is ArduPlane's, written from its documentation and its measured behaviour and compared
 with a recording of it. Angles and rates are in radians; ArduPlane's 45 degrees of surface at full
-output are part of the gains. docs/autopilot.md lists what is not modelled, as the slew limiter
-(RLL_RATE_SMAX, PTCH_RATE_SMAX).
+output are part of the gains. docs/autopilot.md lists what is not modelled.
 """
 
 from __future__ import annotations
 
-from math import acos, cos, pi, radians
+from math import acos, cos, pi, radians, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
+from testbed.autopilot.slew_limiter import SLEW, slew_factor, start_slew_limiters
 from testbed.core.compile import entry, kernel
 from testbed.core.records import (
     ACTUATORS,
@@ -32,6 +32,13 @@ from testbed.core.records import (
 
 LEAST_BANK_LIMIT = radians(25.0)  # stall prevention never asks for less
 COS_STEEPEST = cos(radians(80.0))  # beyond, the turn's pitch rate grows no more
+AIRSPEED_S = 0.1  # s, period of the airspeed, the speed scaler and stall prevention
+# Weights of new values in low-passes of that period: of the pressure, the airspeed of stall
+# prevention, and the speed scaler, which has a cut-off of 2 Hz.
+PRESSURE_WEIGHT, AIRSPEED_WEIGHT = 0.3, 0.2
+SCALER_WEIGHT = AIRSPEED_S / (AIRSPEED_S + 1.0 / (2.0 * pi * 2.0))
+LEAST_AIRSPEED = 0.1  # m/s
+PITCH_UNDERSPEED = 0.5  # share of AIRSPEED_MIN at which the pitch integral is frozen
 
 # Parameters of one autopilot, prepared for one rate; pairs hold roll, then pitch. Surface gains are
 # per full output, which ArduPlane calls 45 degrees.
@@ -43,6 +50,8 @@ GAINS = np.dtype(
         ("gyro_b0", "f8"),  # of the gyro's filter; b1 = 2 b0, b2 = b0
         ("gyro_a1", "f8"),
         ("gyro_a2", "f8"),
+        ("airspeed_periods", "i8"),  # periods from one reading of the airspeed to the next
+        ("pressure_weight", "f8"),  # of a new pressure in the filtered one
         ("airspeed_min", "f8"),
         ("stall_speed", "f8"),
         ("scaling_speed", "f8"),
@@ -68,6 +77,8 @@ GAINS = np.dtype(
         ("d", "f8", (2,)),
         ("ff", "f8", (2,)),
         ("i_max", "f8", (2,)),
+        ("underspeed", "f8", (2,)),  # m/s, at and below which the integral is frozen
+        ("slew_max", "f8", (2,)),  # deg/s, 0: no limit
         ("alpha_target", "f8", (2,)),
         ("alpha_error", "f8", (2,)),
         ("alpha_derivative", "f8", (2,)),
@@ -77,7 +88,10 @@ GAINS = np.dtype(
 # What one autopilot keeps from one period to the next.
 MEMORY = np.dtype(
     [
-        ("started", "?"),  # False before the first period: filters settle on their first input
+        ("period", "i8"),  # number of the present period; in the first, 0, filters settle
+        ("pressure", "f8"),  # m²/s², filtered dynamic pressure, as the square of an airspeed
+        ("smoothed_airspeed", "f8"),  # m/s, equivalent, of stall prevention
+        ("scaler", "f8"),  # filtered
         ("gyro_first", "f8", (2,)),  # rad/s, states of the gyro's filter
         ("gyro_second", "f8", (2,)),  # rad/s
         ("target", "f8", (2,)),  # rad/s, filtered rate target, scaled
@@ -85,6 +99,7 @@ MEMORY = np.dtype(
         ("derivative", "f8", (2,)),  # rad/s², filtered
         ("integral", "f8", (2,)),  # part of full output
         ("output", "f8", (2,)),  # sum before its limit, part of full output
+        ("slew", SLEW),
         ("surfaces", ACTUATORS),  # commanded last
     ],
     align=True,
@@ -104,7 +119,9 @@ def initial_autopilots(gains: Records) -> Autopilots:
     """Return N autopilots that have just been switched on."""
     n = len(gains)
     periods = int(gains["command_periods"].max(initial=0)) + 1
-    return Autopilots(gains, allocate(MEMORY, n), np.zeros((n, periods, 3)))
+    memory = allocate(MEMORY, n)
+    start_slew_limiters(memory["slew"])
+    return Autopilots(gains, memory, np.zeros((n, periods, 3)))
 
 
 def settled_autopilots(gains: Records, surfaces: ActuatorCommand) -> Autopilots:
@@ -156,7 +173,7 @@ def fly_by_wire_a(
     for k in range(len(rows)):
         a, m = aircraft[rows[k]], memory[k]
         frozen = a.faults.frozen
-        if not (frozen and m.started):
+        if not frozen or m.period == 0:
             aileron, elevator, rudder, throttle = fbwa(
                 gains[k], m, delay_line[k], a.estimate, a.command
             )
@@ -185,12 +202,15 @@ def fbwa(g: Record, m: Record, delay_line: Array, estimate: Record, command: Rec
     Returns:
         Aileron, elevator and rudder, -1..1, and throttle, 0..1.
     """
-    fraction, started = g.command_fraction, m.started
+    fraction, started = g.command_fraction, m.period > 0
     roll_command = _delayed(delay_line, ROLL, fraction, started, command.roll)
     pitch_command = _delayed(delay_line, PITCH, fraction, started, command.pitch)
     throttle = _delayed(delay_line, THROTTLE, fraction, started, command.throttle)
     throttle = _clip(throttle, 0.0, g.throttle_max)
-    eas, tas = estimate.equivalent_airspeed, estimate.airspeed
+    equivalent = max(estimate.equivalent_airspeed, LEAST_AIRSPEED)
+    eas2tas = max(estimate.airspeed, LEAST_AIRSPEED) / equivalent
+    eas = _filtered_airspeed(g, m, equivalent)
+    tas = eas * eas2tas
     roll, pitch = estimate.euler[0], estimate.euler[1]
 
     # A stick commands a share of its limit. ArduPlane turns two limits from the horizon to the
@@ -201,7 +221,7 @@ def fbwa(g: Record, m: Record, delay_line: Array, estimate: Record, command: Rec
     if pitch_demand < 0.0:
         pitch_demand *= abs(cos_roll)
     # the bank that the wing can bear at this speed
-    load = g.stall_speed / eas
+    load = g.stall_speed / m.smoothed_airspeed
     limit = max(acos(min(load * load, 1.0)), LEAST_BANK_LIMIT)
     # below the trim throttle the nose is lowered in proportion
     lowered = g.pitch_down * max(g.throttle_trim - throttle, 0.0)
@@ -217,8 +237,7 @@ def fbwa(g: Record, m: Record, delay_line: Array, estimate: Record, command: Rec
     )
 
     # the rate loop works on target and measurement times the square of the speed scaler
-    scaler = _clip(g.scaling_speed / eas, g.scaler_low, g.scaler_high)
-    squared = scaler * scaler
+    squared = m.scaler * m.scaler
     for axis in range(2):
         rate = _clip(rates[axis], g.rate_low[axis], g.rate_high[axis])
         rate *= squared * upright if axis == 1 else squared
@@ -244,14 +263,16 @@ def fbwa(g: Record, m: Record, delay_line: Array, estimate: Record, command: Rec
         # the integral cannot grow at full output, and is frozen when too slow
         growth = g.i_dt[axis] * m.error[axis]
         full = abs(m.output[axis]) >= 1.0 and m.integral[axis] * growth >= 0.0
-        if full or eas <= g.airspeed_min:
+        if full or eas <= g.underspeed[axis]:
             growth = 0.0
         m.integral[axis] = _clip(m.integral[axis] + growth, -g.i_max[axis], g.i_max[axis])
-        forward = g.ff[axis] * m.target[axis] / (scaler * tas / eas)
-        m.output[axis] = (
-            forward + g.p[axis] * m.error[axis] + g.d[axis] * m.derivative[axis] + m.integral[axis]
-        )
-    m.started = True
+        if g.i_dt[axis] == 0.0:
+            m.integral[axis] = 0.0
+        forward = g.ff[axis] * m.target[axis] / (m.scaler * eas2tas)
+        factor = slew_factor(m.slew, axis, g.slew_max[axis], m.period, g.dt)
+        m.slew.pd[axis] = factor * (g.p[axis] * m.error[axis] + g.d[axis] * m.derivative[axis])
+        m.output[axis] = forward + m.slew.pd[axis] + m.integral[axis]
+    m.period += 1
     aileron = _clip(m.output[0], -1.0, 1.0)
     return (
         aileron * g.travel[0],
@@ -259,6 +280,23 @@ def fbwa(g: Record, m: Record, delay_line: Array, estimate: Record, command: Rec
         _clip(g.rudder_mix * aileron, -1.0, 1.0) * g.rudder_travel,
         throttle,
     )
+
+
+@kernel
+def _filtered_airspeed(g: Record, m: Record, eas: float) -> float:
+    """Update pressure, smoothed airspeed and speed scaler at 10 Hz; return the airspeed, m/s."""
+    if m.period == 0:
+        m.pressure = eas * eas
+        m.smoothed_airspeed = eas
+        m.scaler = _clip(g.scaling_speed / eas, g.scaler_low, g.scaler_high)
+        return eas
+    if m.period % g.airspeed_periods == 0:
+        m.pressure += g.pressure_weight * (eas * eas - m.pressure)
+        filtered = sqrt(m.pressure)
+        m.smoothed_airspeed += AIRSPEED_WEIGHT * (filtered - m.smoothed_airspeed)
+        scaler = _clip(g.scaling_speed / filtered, g.scaler_low, g.scaler_high)
+        m.scaler += SCALER_WEIGHT * (scaler - m.scaler)
+    return sqrt(m.pressure)
 
 
 @kernel

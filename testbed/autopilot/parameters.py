@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from testbed.autopilot.fbwa import GAINS
+from testbed.autopilot.fbwa import AIRSPEED_S, GAINS, PITCH_UNDERSPEED, PRESSURE_WEIGHT
 from testbed.core.errors import InputError
 from testbed.core.frames import GRAVITY
 from testbed.core.input_files import read_bounded_text
@@ -52,7 +52,7 @@ class FbwaParams:
     rll_rate_fltt: float = 3.0  # Hz, 0: off, as for all filters
     rll_rate_flte: float = 0.0  # Hz
     rll_rate_fltd: float = 12.0  # Hz
-    rll_rate_smax: float = 150.0  # deg/s; the slew limiter is not modelled
+    rll_rate_smax: float = 150.0  # deg/s, of the slew limiter; 0: none
     ptch2srv_tconst: float = 0.5  # s
     ptch2srv_rmax_up: float = 0.0  # deg/s
     ptch2srv_rmax_dn: float = 0.0  # deg/s
@@ -65,7 +65,7 @@ class FbwaParams:
     ptch_rate_fltt: float = 3.0  # Hz
     ptch_rate_flte: float = 0.0  # Hz
     ptch_rate_fltd: float = 12.0  # Hz
-    ptch_rate_smax: float = 150.0  # deg/s; the slew limiter is not modelled
+    ptch_rate_smax: float = 150.0  # deg/s, of the slew limiter; 0: none
     servo1_min: float = 1100.0  # µs, aileron; the total travel of a servo is 1000 to 2000 µs
     servo1_max: float = 1900.0  # µs
     servo2_min: float = 1100.0  # µs, elevator
@@ -106,6 +106,7 @@ _LEFT_ELEVON = 77
 _RANGE, _MIXING_GAIN = (1100.0, 1900.0), 0.5  # ArduPlane's defaults
 _MIN_SIZE, _MAX_SIZE = 1e-9, 1e9  # of values other than 0, so that quotients do not overflow
 _MIN_TCONST = 0.05  # s, as in ArduPlane
+_LEAST_MIN = 5.0  # m/s, AIRSPEED_MIN of the speed scaler, as in ArduPlane
 
 
 def read_params(path: Path) -> FbwaParams:
@@ -148,8 +149,7 @@ def read_params(path: Path) -> FbwaParams:
 def is_virtual(name: str) -> bool:
     """Return whether the virtual autopilot uses a parameter, by its present name."""
     is_output = name.startswith("SERVO") and name.endswith("_FUNCTION")
-    is_used = name.lower() in _NAMES and not name.endswith("_SMAX")
-    return is_used or is_output or name == "MIXING_GAIN"
+    return name.lower() in _NAMES or is_output or name == "MIXING_GAIN"
 
 
 class GivenValue(NamedTuple):
@@ -316,11 +316,13 @@ def make_gains(
     each["dt"], each["command_periods"] = dt, whole
     each["command_fraction"] = max(0.0, periods - whole)
     each["gyro_b0"], each["gyro_a1"], each["gyro_a2"] = b0, a1, a2
+    each["airspeed_periods"] = max(1, int(AIRSPEED_S / dt + 1e-9))
+    each["pressure_weight"] = PRESSURE_WEIGHT
     each["airspeed_min"] = low
     each["stall_speed"] = np.where(stall > 0.0, stall, low)
     each["scaling_speed"] = scaling
     each["scaler_low"] = np.minimum(0.5, scaling / (2.0 * high))
-    each["scaler_high"] = np.maximum(2.0, scaling / (0.7 * low))
+    each["scaler_high"] = np.maximum(2.0, scaling / (0.7 * np.maximum(low, _LEAST_MIN)))
     each["roll_limit"] = roll_limit
     each["fade_slope"] = 1.0 / np.maximum(np.pi / 2.0 - roll_limit - np.radians(5.0), 1e-3)
     each["pitch_low"] = np.radians(row("ptch_lim_min_deg"))
@@ -341,6 +343,8 @@ def make_gains(
     each["d"] = full * rows("rll_rate_d", "ptch_rate_d")
     each["ff"] = full * rows("rll_rate_ff", "ptch_rate_ff")
     each["i_max"] = full * rows("rll_rate_imax", "ptch_rate_imax")
+    each["underspeed"] = np.stack([low, PITCH_UNDERSPEED * low], axis=-1)
+    each["slew_max"] = rows("rll_rate_smax", "ptch_rate_smax")
     each["alpha_target"] = _alpha(rows("rll_rate_fltt", "ptch_rate_fltt"), dt)
     each["alpha_error"] = _alpha(rows("rll_rate_flte", "ptch_rate_flte"), dt)
     each["alpha_derivative"] = _alpha(rows("rll_rate_fltd", "ptch_rate_fltd"), dt)

@@ -51,14 +51,10 @@ _HARDWARE = (
     *("ARMING", "FS_", "LOG_", "SCR_", "STAT_", "FORMAT_VERSION", "SYS_NUM", "Q_ENABLE"),
     *("CAM", "MNT", "RELAY", "TERRAIN", "ICE_", "FOLL", "NET_", "DDS_"),
 )
-# Name, value of the virtual autopilot, and what it leaves out. ArduPlane's default is the same,
-# except for `_DEFAULTS`.
-_SLEW = "slew limiter, which reduces P and D in fast motion, as in turbulence"
+# Name, value of the virtual autopilot, which is ArduPlane's default, and what it leaves out.
 _NOTCH = "notch filter of the rate loop"
 _AXES = ("RLL", "PTCH")
 _NOT_MODELLED = (
-    ("RLL_RATE_SMAX", 0.0, _SLEW),
-    ("PTCH_RATE_SMAX", 0.0, _SLEW),
     ("KFF_THR2PTCH", 0.0, "pitch by throttle"),
     *((f"{axis}_RATE_PDMX", 0.0, "limit of P + D") for axis in _AXES),
     *((f"{axis}_RATE_D_FF", 0.0, "feed-forward of the target's derivative") for axis in _AXES),
@@ -75,7 +71,6 @@ _NOT_MODELLED = (
     ("INS_GYRO_FILTER", 20.0, "gyro filter; 20 Hz in the virtual autopilot"),
     ("INS_HNTCH_ENABLE", 0.0, "notch filter"),
 )
-_DEFAULTS = {"RLL_RATE_SMAX": 150.0, "PTCH_RATE_SMAX": 150.0}  # of ArduPlane
 _KEPT = ("INS_ACCEL_FILTER", "INS_GYRO_FILTER")  # of the control law
 
 
@@ -112,18 +107,15 @@ def tune_use(tune: Path) -> TuneUse:
 
 
 def tune_differences(tune: Path) -> Iterator[str]:
-    """Yield the values that make ArduPlane differ from the virtual autopilot.
-
-    They are of the file, or ArduPlane's defaults.
+    """Yield the values of the file that make ArduPlane differ from the virtual autopilot.
 
     Raises:
         ParamError: the file cannot be read, or a line is invalid.
     """
     values = {name: each.value for name, each in read_values(tune).items()}
     for name, default, text in _NOT_MODELLED:
-        value = values.get(name, _DEFAULTS.get(name, default))
-        if value != default:
-            yield f"{name} {value:.9g}: {text}" + ("" if name in values else " (default)")
+        if values.get(name, default) != default:
+            yield f"{name} {values[name]:.9g}: {text}"
     options = int(values.get("FLIGHT_OPTIONS", 0.0))
     if options & 1:
         yield "FLIGHT_OPTIONS bit 0: ArduPlane mixes no rudder in fly-by-wire A (KFF_RDDRMIX)"

@@ -144,6 +144,10 @@ def build_vehicles(
         gains = make_gains(
             [models.params[row] for row in rows], clock.autopilot / clock.base_rate_hz
         )
+        # the sensor has ArduPlane's filter of the pressure already
+        sensors = [scenario.aircraft[row].sensors.airspeed for row in rows]
+        filtered = [sensor is not None and sensor.smoothing_s > 0.0 for sensor in sensors]
+        gains["pressure_weight"][filtered] = 1.0
         jsbsim = build_jsbsim_vehicles(
             scenario, fleet, gains, aircraft, rows, models.param_files, arduplane
         )

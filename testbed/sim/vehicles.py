@@ -99,7 +99,9 @@ class JsbsimVehicles:
     def retune(self, row: int, params: FbwaParams) -> None:
         """Set the parameters of the autopilot in a row of the fleet; its state stays."""
         gains = self.autopilots.gains
+        weight = gains["pressure_weight"][row]
         gains[row] = make_gains([params], float(gains["dt"][row]))[0]
+        gains["pressure_weight"][row] = weight
 
     def set_unicycle(self, followers: Records, speed: float, omega: Array) -> None:
         """Ignore the inputs: an autopilot takes attitudes."""

@@ -5,9 +5,11 @@ from typing import get_args
 
 import pytest
 
+from testbed.autopilot.parameters import FbwaParams
 from testbed.scenario import ScenarioError, dump, load_scenario, loads, set_duration
 from testbed.scenario.faults import AnyFault
 from testbed.scenario.sensors import SENSOR_NAMES, TRUTH, Estimator, Sensors
+from testbed.sim.build import build
 
 FOLDER = Path(__file__).parents[1] / "data" / "scenarios"
 MINIMAL = (FOLDER / "minimal.yaml").read_text()
@@ -191,3 +193,15 @@ def test_limits_and_response_are_read():
     assert (one.limits.collision_m, one.limits.separation_m) == (2.0, 2.0)
     assert one.formation.on_failure.response == "reassign-slots"
     assert load_scenario(FOLDER / "everything.yaml").limits.on_loss == "continue"
+
+
+def test_pressure_of_a_sensor_is_filtered_once():
+    """The filter of a described airspeed sensor is ArduPlane's; a retuned autopilot keeps that."""
+    loaded = load_scenario("simulation-3", ["fleet.uav1.sensors={airspeed: {noise_pa: 1}}"])
+    world = build(loaded)
+    (jsbsim,) = world.vehicles
+    weights = jsbsim.autopilots.gains["pressure_weight"]
+    assert weights.tolist() == [0.3, 1.0, 0.3, 0.3]
+    jsbsim.retune(1, FbwaParams(rll_rate_smax=100.0))
+    assert weights.tolist() == [0.3, 1.0, 0.3, 0.3]
+    assert jsbsim.autopilots.gains["slew_max"][1].tolist() == [100.0, 150.0]

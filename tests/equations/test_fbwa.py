@@ -245,9 +245,114 @@ def test_integral_grows_is_limited_and_freezes(engine: Engine) -> None:
     for _ in range(200):
         _, memory = engine.fbwa(rolling, _command(), memory, gains=gains)
     assert memory.each["integral"][0, 0] == pytest.approx(math.degrees(0.1) / 45.0)
-    too_slow, before = _state(p=10.0, eas=10.0), memory.each["integral"]
-    _, memory = engine.fbwa(too_slow, _command(), memory, gains=gains)
-    assert np.array_equal(memory.each["integral"], before)
+
+
+@pytest.mark.parametrize(
+    ("eas", "grows"), [(10.1, (True, True)), (10.0, (False, True)), (5.0, (False, False))]
+)
+def test_integral_freezes_at_low_airspeed(engine: Engine, eas: float, grows: Any) -> None:
+    """At AIRSPEED_MIN, 10 m/s, that of roll, and at half of it that of pitch."""
+    params = replace(PLAIN, rll_rate_i=1.0, ptch_rate_i=1.0)
+    gains = make_gains([params], DT, PROMPT)
+    _, memory = engine.fbwa(_state(p=-10.0, q=-10.0, eas=eas), _command(), fresh(1), gains=gains)
+    assert tuple(memory.each["integral"][0] > 0.0) == grows
+
+
+def test_airspeed_is_read_and_filtered_at_10_hz(engine: Engine) -> None:
+    """A step from 16 to 25 m/s; feed-forward is 1 over the speed scaler, whose cut-off is 2 Hz."""
+    gains, memory = make_gains([PLAIN], DT, PROMPT), fresh(1)
+    ailerons = []
+    for k in range(16):
+        state = _state(eas=16.0 if k < 3 else 25.0)
+        surfaces, memory = engine.fbwa(state, _command(roll=10.0), memory, gains=gains)
+        ailerons.append(surfaces.aileron[0])
+    pressure, scaler, weight = 16.0**2, 20.0 / 16.0, 0.1 / (0.1 + 1.0 / (4.0 * math.pi))
+    for k, aileron in enumerate(ailerons):
+        if k in (5, 10, 15):
+            pressure = 0.7 * pressure + 0.3 * 25.0**2
+            scaler += weight * (20.0 / math.sqrt(pressure) - scaler)
+        # the target is scaled by the square, the feed-forward undoes one
+        assert aileron == pytest.approx(20.0 * 0.3 * scaler / 1.02 / 45.0, rel=1e-12)
+
+
+def test_stall_prevention_smooths_the_airspeed(engine: Engine) -> None:
+    """At 12 m/s the bank is limited to 46°, from 9 m/s to 25° until the smoothed airspeed rises."""
+    gains, memory = make_gains([PLAIN], DT, PROMPT), fresh(1)
+    smoothed, pressure = 9.0, 81.0
+    for k in range(200):
+        eas = 9.0 if k == 0 else 12.0
+        surfaces, memory = engine.fbwa(
+            _state(roll=25.0, eas=eas), _command(roll=89.0), memory, gains=gains
+        )
+        if k and k % 5 == 0:
+            pressure = 0.7 * pressure + 0.3 * 144.0
+            smoothed = 0.8 * smoothed + 0.2 * math.sqrt(pressure)
+        load = (smoothed / 10.0) ** 2
+        limit = max(25.0, math.degrees(math.acos(1.0 / max(load, 1.0))))
+        assert (surfaces.aileron[0] > 1e-9) == (limit > 25.0)
+    assert limit == pytest.approx(math.degrees(math.acos(1.0 / 1.44)), rel=1e-3)
+
+
+def test_airspeed_of_zero_gives_finite_surfaces(engine: Engine) -> None:
+    gains, memory = make_gains([PLAIN], DT, PROMPT), fresh(1)
+    for k in range(20):
+        state = _state(roll=20.0, eas=0.0 if k < 6 or k > 11 else 20.0)
+        surfaces, memory = engine.fbwa(state, _command(roll=10.0), memory, gains=gains)
+        assert np.isfinite(surfaces).all()
+
+
+def test_integral_is_zero_without_its_gain(engine: Engine) -> None:
+    """As in ArduPlane, also where a parameter is changed in flight."""
+    params = replace(PLAIN, rll_rate_i=1.0)
+    gains = make_gains([params], DT, PROMPT)
+    _, memory = engine.fbwa(_state(p=-10.0), _command(), fresh(1), gains=gains)
+    assert memory.each["integral"][0, 0] > 0.0
+    gains = make_gains([PLAIN], DT, PROMPT)
+    _, memory = engine.fbwa(_state(p=-10.0), _command(), memory, gains=gains)
+    assert memory.each["integral"][0, 0] == 0.0
+
+
+def _slewed(engine: Engine, rates: np.ndarray, smax: float) -> np.ndarray:
+    """Fly body roll rates (K,), deg/s, with a gain P of 0.5 only; return the ailerons (K,)."""
+    p_only = replace(PLAIN, rll_rate_ff=0.0, rll_rate_p=0.5, rll_rate_smax=smax)
+    gains, memory = make_gains([p_only], DT, PROMPT), fresh(1)
+    ailerons = []
+    for rate in rates:
+        surfaces, memory = engine.fbwa(_state(p=-rate), _command(), memory, gains=gains)
+        ailerons.append(surfaces.aileron[0])
+    return np.array(ailerons)
+
+
+def test_slew_limiter_reduces_an_oscillation(engine: Engine) -> None:
+    """A steady wave comes to S / (S + 1.5 (m − S)), m the slope of P + D after that factor.
+
+    m is f times the slope of the free P + D after difference and low-pass at 25 Hz, and decays
+    to 0.8 of it until a steeper sample comes.
+    """
+    smax, omega = 100.0, 2.0 * math.pi * 3.0
+    rates = 60.0 * np.sin(omega * DT * np.arange(500))
+    free = _slewed(engine, rates, 0.0)
+    assert free == pytest.approx(0.5 * rates / 45.0, rel=1e-12)
+    held = _slewed(engine, rates, smax)
+    amplitude = 45.0 * 0.5 * math.radians(60.0)
+    alpha, z = DT / (DT + 1.0 / (50.0 * math.pi)), np.exp(-1j * omega * DT)
+    slope = amplitude * abs(alpha * (1.0 - z) / DT / (1.0 - (1.0 - alpha) * z))
+    low, high = (
+        # f = S / (S + 1.5 (f m − S)): 1.5 m f² − 0.5 S f − S = 0
+        (0.5 * smax + math.sqrt(0.25 * smax * smax + 6.0 * m * smax)) / (3.0 * m)
+        for m in (slope, 0.8 * slope)
+    )
+    last = slice(-100, None)  # six waves
+    flown = np.sqrt(np.mean(held[last] ** 2) / np.mean(free[last] ** 2))
+    assert 0.4 < low < flown < high < 0.5
+
+
+def test_slew_limiter_leaves_a_step_alone(engine: Engine) -> None:
+    """One fast slope, or a slow wave, is no oscillation."""
+    step = np.where(np.arange(200) < 50, 0.0, 60.0)
+    assert np.array_equal(_slewed(engine, step, 100.0), _slewed(engine, step, 0.0))
+    slow = 60.0 * np.sin(2.0 * math.pi * 0.5 * DT * np.arange(300))
+    assert np.array_equal(_slewed(engine, slow, 100.0), _slewed(engine, slow, 0.0))
 
 
 def test_integral_shrinks_only_at_full_deflection(engine: Engine) -> None:
@@ -325,11 +430,16 @@ def test_gyro_filter_gain_at_zero_and_at_its_frequency(
 
 
 def test_settled_memory_holds_the_surfaces(engine: Engine) -> None:
-    gains = make_gains([replace(PLAIN, servo1_min=1100.0, servo1_max=1900.0)], DT, PROMPT)
+    params = replace(PLAIN, servo1_min=1100.0, servo1_max=1900.0, rll_rate_i=0.1, ptch_rate_i=0.1)
+    gains = make_gains([params], DT, PROMPT)
     held = ActuatorCommand(np.array([0.05]), np.array([-0.2]), np.zeros(1), np.array([0.5]))
     surfaces, _ = engine.fbwa(_state(), _command(), engine.settled(held, gains), gains=gains)
     assert surfaces.aileron[0] == pytest.approx(0.05)
     assert surfaces.elevator[0] == pytest.approx(-0.2)
+    # as in ArduPlane, a loop without an integral gain has no integral
+    gains = make_gains([replace(params, ptch_rate_i=0.0)], DT, PROMPT)
+    surfaces, _ = engine.fbwa(_state(), _command(), engine.settled(held, gains), gains=gains)
+    assert (surfaces.aileron[0], surfaces.elevator[0]) == (pytest.approx(0.05), 0.0)
 
 
 def test_a_fleet_is_its_members(engine: Engine) -> None:
@@ -404,7 +514,7 @@ def test_a_frozen_autopilot_keeps_servos_and_memory() -> None:
     free, frozen = step(roll=20.0)
     assert free != 0.1
     assert frozen == 0.1
-    assert autopilots.memory["started"].all()
+    assert autopilots.memory["period"].tolist() == [1, 1]
     before = autopilots.memory[1].copy()
     again, frozen = step(roll=-20.0)
     assert again != free

@@ -6,6 +6,7 @@ numbers again.
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 from pathlib import Path
@@ -68,10 +69,15 @@ def measure(name: str) -> dict[str, list[float]]:
 
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_short_flight_has_its_numbers(name: str) -> None:
-    known = json.loads(NUMBERS.read_text()) if NUMBERS.exists() else {}
     found = measure(name)
     if os.environ.get("TESTBED_SNAPSHOTS"):
-        known[name] = {key: np.round(values, 6).tolist() for key, values in found.items()}
-        NUMBERS.write_text(json.dumps(known, indent=1) + "\n")
+        with NUMBERS.open("r+") as file:  # other tests write it at the same time
+            fcntl.flock(file, fcntl.LOCK_EX)
+            written = json.load(file)
+            written[name] = {key: np.round(values, 6).tolist() for key, values in found.items()}
+            file.seek(0)
+            file.truncate()
+            file.write(json.dumps(written, indent=1) + "\n")
+    known = json.loads(NUMBERS.read_text())
     for key, values in known[name].items():
         assert found[key] == pytest.approx(values, abs=TOLERANCE_M), key

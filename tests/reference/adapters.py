@@ -525,15 +525,18 @@ def fbwa(estimate, command, memory, gains):
     records = autopilots.memory
     for name in fbwa_tables.MEMORY.names:
         records[name] = memory.each[name]
-    records["started"] = memory.begun
+    if memory.slew is not None:
+        records["slew"] = memory.slew
     if memory.begun:
         autopilots.delay_line[:] = memory.commands.transpose(2, 0, 1)
     surfaces = product_fbwa.step_autopilots(autopilots, estimate, command)
-    assert records["started"].all()
     return (
         ActuatorCommand(*(np.array(each) for each in surfaces)),
         fbwa_tables.FbwaMemory(
-            True, autopilots.delay_line.transpose(1, 2, 0).copy(), _fbwa_table(records)
+            True,
+            autopilots.delay_line.transpose(1, 2, 0).copy(),
+            _fbwa_table(records),
+            records["slew"].copy(),
         ),
     )
 

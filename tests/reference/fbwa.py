@@ -2,11 +2,12 @@
 
 The law is ArduPlane's, written from its documentation and its measured behaviour and compared
 with a recording of it. Angles and rates are in radians here; ArduPlane's degrees of surface, 45 at
-full output, are taken up in the gains. The slew limiter (RLL_RATE_SMAX, PTCH_RATE_SMAX), which
-acts on sustained oscillation only, is left out.
+full output, are taken up in the gains.
 """
 
 from __future__ import annotations
+
+from copy import deepcopy
 
 import numpy as np
 
@@ -27,10 +28,63 @@ def settled(surfaces: ActuatorCommand, gains: FbwaGains) -> FbwaMemory:
     """The memory of N autopilots that have long held these surfaces, as before a trimmed start."""
     g = Columns(gains.each)
     held = np.array([surfaces.aileron, surfaces.elevator]) / g.travel
+    held = np.minimum(np.maximum(held, -g.i_max), g.i_max)
     memory = fresh(held.shape[1])
     for name in ("integral", "output"):
-        memory.each[name] = np.minimum(np.maximum(held, -g.i_max), g.i_max).T
+        memory.each[name] = held.T
     return memory
+
+
+class SlewLimiter:
+    """ArduPlane's limiter of P + D of one axis, in whole milliseconds and degrees per second."""
+
+    def __init__(self, limit: float, dt: float) -> None:
+        """At rest; the limit is in deg/s, 0 for none."""
+        self.limit, self.dt, self.ms = limit, dt, 0
+        self.samples, self.slope, self.decayed = [0.0, 0.0], 0.0, 0.0
+        self.events: list[tuple[int, int]] = []  # (side, ms) where the limit was passed anew
+        self.peaks = {1: (0.0, 0), -1: (0.0, 0)}  # of each side: deg/s, ms
+
+    def factor(self) -> float:
+        """What P and D of this period are multiplied with."""
+        if self.limit == 0.0:
+            return 1.0
+        self.ms += round(1000.0 * self.dt)
+        raw = (self.samples[-1] - self.samples[-2]) / self.dt
+        tau = 1.0 / (2.0 * np.pi * 25.0)
+        self.slope += self.dt / (self.dt + tau) * (raw - self.slope)
+        for side in (1, -1):
+            size = side * self.slope
+            if size > self.limit and (not self.events or self.events[-1][0] != side):
+                self.events.append((side, self.ms))
+            peak, ms = self.peaks[side]
+            if size > peak:
+                peak, ms = min(size, 10.0 * self.limit), self.ms
+            elif self.ms - ms > 300:
+                peak *= 1.0 - self.dt
+            self.peaks[side] = peak, ms
+        amplitude = (self.peaks[1][0] + self.peaks[-1][0]) / 2.0
+        starts = [
+            ([-np.inf, -np.inf] + [ms for where, ms in self.events if where == side])[-2]
+            for side in (1, -1)
+        ]
+        amplitude *= np.exp(-max(self.ms - min(starts) - 900, 0) / 1000.0)
+        self.decayed += 2.0 * self.dt * (amplitude - self.decayed)
+        self.decayed = min(self.decayed, amplitude)
+        excess = max(self.decayed - self.limit, 0.0)
+        return float(self.limit / (self.limit + 1.5 * excess))
+
+    def reduce(self, total: float) -> float:
+        """P + D of this period, part of full output, reduced."""
+        reduced = self.factor() * total
+        self.samples.append(45.0 * np.radians(45.0 * reduced))
+        return reduced
+
+
+def _limited(total: Array, slew: list[SlewLimiter]) -> Array:
+    """P + D (2, N), reduced by limiters for roll and pitch of each aircraft in turn."""
+    reduced = [each.reduce(one) for each, one in zip(slew, total.T.ravel(), strict=True)]
+    return np.reshape(reduced, total.T.shape).T
 
 
 def fbwa(
@@ -48,13 +102,17 @@ def fbwa(
         ActuatorCommand and the memory for the next period.
     """
     g, m = Columns(gains.each), Columns(memory.each)
-    eas, tas = estimate.equivalent_airspeed, estimate.airspeed
+    equivalent = np.maximum(estimate.equivalent_airspeed, 0.1)
+    eas2tas = np.maximum(estimate.airspeed, 0.1) / equivalent
+    pressure, smoothed, scaler = _airspeeds(equivalent, memory, m, g)
+    eas = np.sqrt(pressure)
+    tas = eas * eas2tas
     angles = estimate.euler.T[:2]
     delayed, commands = _late(command, memory, gains)
     throttle = np.minimum(np.maximum(delayed[2], 0.0), g.throttle_max)
 
     cosines = np.cos(angles)
-    rate = _demanded_angles(delayed, throttle, eas, cosines, g)
+    rate = _demanded_angles(delayed, throttle, smoothed, cosines, g)
     rate -= angles
     rate *= g.per_tconst
     rate[1] += _turning(cosines, tas, g)
@@ -63,7 +121,6 @@ def fbwa(
     rate[1] *= np.minimum(np.maximum(upright, 0.0), 1.0)
 
     # The rate loop works on target and measurement times the square of the speed scaler.
-    scaler = np.minimum(np.maximum(g.scaling_speed / eas, g.scaler_low), g.scaler_high)
     squared = scaler * scaler
     rates = estimate.rates_body.T[:2]
     fed = gains.gyro_b0 * rates
@@ -86,19 +143,44 @@ def fbwa(
         error = rate - measured
         derivative = m.derivative
     integral = _integrate(m, error, eas, g)
-    output = g.ff * target / (scaler * tas / eas) + g.p * error + g.d * derivative + integral
+    slew = deepcopy(memory.slew) or [SlewLimiter(limit, gains.dt) for limit in g.slew_max.T.ravel()]
+    limited = _limited(g.p * error + g.d * derivative, slew)
+    output = g.ff * target / (scaler * eas2tas) + limited + integral
 
     surface = np.minimum(np.maximum(output, -1.0), 1.0)
     rudder = np.minimum(np.maximum(g.rudder_mix * surface[0], -1.0), 1.0) * g.rudder_travel
     surface *= g.travel
     each = np.empty(len(eas), dtype=MEMORY)
+    each["period"] = m.period + 1
+    each["pressure"], each["smoothed_airspeed"], each["scaler"] = pressure, smoothed, scaler
     each["gyro_first"], each["gyro_second"] = gyro_first.T, gyro_second.T
     each["target"], each["error"], each["derivative"] = target.T, error.T, derivative.T
     each["integral"], each["output"] = integral.T, output.T
     return (
         ActuatorCommand(surface[0], surface[1], rudder, throttle),
-        FbwaMemory(True, commands, each),
+        FbwaMemory(True, commands, each, slew),
     )
+
+
+def _airspeeds(
+    eas: Array, memory: FbwaMemory, m: Columns, g: Columns
+) -> tuple[Array, Array, Array]:
+    """Square of the airspeed, airspeed of stall prevention, speed scaler (N,): new at 10 Hz."""
+
+    def scaled(speed: Array) -> Array:
+        return np.clip(g.scaling_speed / speed, g.scaler_low, g.scaler_high)
+
+    if not memory.begun:
+        return eas**2, eas, scaled(eas)
+    due = m.period % g.airspeed_periods == 0
+    pressure = np.where(
+        due, (1.0 - g.pressure_weight) * m.pressure + g.pressure_weight * eas**2, m.pressure
+    )
+    filtered = np.sqrt(pressure)
+    smoothed = np.where(due, 0.8 * m.smoothed_airspeed + 0.2 * filtered, m.smoothed_airspeed)
+    old = 1.0 / (1.0 + 0.1 * 2.0 * np.pi * 2.0)  # 1 - dt / (dt + tau)
+    scaler = np.where(due, old * m.scaler + (1.0 - old) * scaled(filtered), m.scaler)
+    return pressure, smoothed, scaler
 
 
 def _late(command: FbwaCommand, memory: FbwaMemory, gains: FbwaGains) -> tuple[Array, Array]:
@@ -148,8 +230,8 @@ def _turning(cosines: Array, tas: Array, g: Columns) -> Array:
 def _integrate(m: Columns, error: Array, eas: Array, g: Columns) -> Array:
     """The integral (2, N): limited, unable to grow at full output, frozen when too slow."""
     growth = g.i_dt * error
-    slow = eas <= g.airspeed_min
+    slow = eas <= np.stack([g.airspeed_min, 0.5 * g.airspeed_min])
     stuck = (np.abs(m.output) >= 1.0) & (m.integral * growth >= 0.0)
     integral = m.integral + np.where(stuck | slow, 0.0, growth)
-    limited: Array = np.minimum(np.maximum(integral, -g.i_max), g.i_max)
-    return limited
+    limited = np.minimum(np.maximum(integral, -g.i_max), g.i_max)
+    return np.where(g.i_dt == 0.0, 0.0, limited)

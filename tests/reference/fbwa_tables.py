@@ -14,6 +14,10 @@ from testbed.core.records import Array
 
 MEMORY = np.dtype(
     [
+        ("period", "i8"),
+        ("pressure", "f8"),  # m²/s², of the filtered airspeed
+        ("smoothed_airspeed", "f8"),  # m/s
+        ("scaler", "f8"),  # filtered
         ("gyro_first", "f8", (2,)),  # rad/s, states of the gyro's filter
         ("gyro_second", "f8", (2,)),  # rad/s
         ("target", "f8", (2,)),  # rad/s, filtered rate target, scaled
@@ -31,6 +35,7 @@ class FbwaMemory(NamedTuple):
     begun: bool  # False before the first period: filters start settled on what they first see
     commands: Array  # (periods, 3, N) roll, pitch, throttle under way, the newest first
     each: Any  # (N,) of MEMORY
+    slew: Any = None  # state of the slew limiters, of the law that wrote it; None: at rest
 
 
 class FbwaGains(NamedTuple):

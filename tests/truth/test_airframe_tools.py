@@ -270,7 +270,7 @@ class TestModes:
 
     def test_controls_do_what_was_published(self):
         linear = linearize_aircraft(RASCAL, LEVEL, HIGH)
-        aileron = PRESSURE * AREA * SPAN * 0.13 * 0.35 / IXX  # Clδa, 0.35 rad of travel
+        aileron = PRESSURE * AREA * SPAN * 0.1273 * 0.35 / IXX  # Clδa, 0.35 rad of travel
         assert linear.b[STATES.index("p"), 0] == pytest.approx(aileron, rel=5e-3)
 
     def test_free_flight_has_the_same_modes(self):

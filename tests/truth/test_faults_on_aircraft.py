@@ -272,7 +272,7 @@ def test_a_stuck_aileron_rolls_as_published() -> None:
     """p = −(2 V / b) (Clδ δ + Clβ β + Clr r b / 2 V) / Clp a second later, all but steady."""
     for folder, span, clp, cld, clb, clr, travel, airspeed in (
         # the Rascal's side force acts 0.086 m below its centre of gravity
-        (RASCAL, Rascal.SPAN, -0.40, 0.13, -0.10 + 0.086 / Rascal.SPAN, 0.15, 0.35, 22.0),
+        (RASCAL, Rascal.SPAN, -0.40, 0.1273, -0.10 + 0.086 / Rascal.SPAN, 0.15, 0.35, 22.0),
         (X8, Skywalker.SPAN, -0.4042, 0.12019, -0.0849, 0.05552, math.radians(35.0), 18.0),
     ):
         vehicles, failing = flown(folder, airspeed=airspeed), hung()

@@ -160,7 +160,7 @@ def _moments(**moved: float) -> np.ndarray:
 @pytest.mark.parametrize(
     ("control", "travel", "axis", "derivative"),
     [
-        ("aileron", 0.35, 0, 0.13),  # Clδa, left aileron down
+        ("aileron", 0.35, 0, 0.1273),  # Clδa, left aileron down
         ("aileron", 0.35, 2, -0.03),  # Cnδa
         ("elevator", -0.35, 1, -0.5),  # Cmδe; our positive is nose up
         ("rudder", -0.35, 2, -0.05),  # Cnδr; our positive is nose right
