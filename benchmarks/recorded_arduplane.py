@@ -86,11 +86,9 @@ def _replace(page: Path, old: str, new: str) -> None:
 
 def make_linked_airframe(folder: Path) -> Path:
     """Copy the Rascal, with the aileron power it had when ArduPlanes flew it through the link."""
-    copy = folder / RASCAL.name
-    shutil.copytree(RASCAL, copy)
+    copy = shutil.copytree(RASCAL, folder / RASCAL.name)
     ours, then, _ = (f"<value> {value} </value>" for value in _POWERS["left-aileron"])
-    page = copy / "rascal110.xml"
-    _replace(page, _power("left-aileron", ours), _power("left-aileron", then))
+    _replace(copy / "rascal110.xml", _power("left-aileron", ours), _power("left-aileron", then))
     return copy
 
 

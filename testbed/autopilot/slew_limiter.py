@@ -22,18 +22,17 @@ GAIN = 1.5  # reduction per excess over the limit
 STEEPEST = 10.0  # slopes count up to this many times the limit
 NEVER = -(1 << 40)  # number of a period long before the first
 
-# State of the slew limiters of roll and pitch, in this order.
+# State of the slew limiters of roll and pitch, in this order; the second axis is the direction of
+# the slope, up and down.
 SLEW = np.dtype(
     [
         ("pd", "f8", (2,)),  # P + D of the last period, reduced, part of full output
         ("pd_before", "f8", (2,)),  # of the period before
         ("slope", "f8", (2,)),  # deg/s, low-passed
-        ("steepest_up", "f8", (2,)),  # deg/s
-        ("steepest_down", "f8", (2,)),  # deg/s, positive
-        ("up_at", "i8", (2,)),  # period of the steepest slope
-        ("down_at", "i8", (2,)),
-        ("exceeded_up", "i8", (2, 2)),  # periods when the limit was exceeded: the last, before
-        ("exceeded_down", "i8", (2, 2)),
+        ("steepest", "f8", (2, 2)),  # deg/s, positive
+        ("steepest_at", "i8", (2, 2)),  # period of the steepest slope
+        ("exceeded_at", "i8", (2, 2)),  # period when the limit was exceeded last
+        ("exceeded_before", "i8", (2, 2)),  # and the time before
         ("side", "i8", (2,)),  # of the limit exceeded last; 1: up, -1: down
         ("oscillation", "f8", (2,)),  # deg/s, mean of both steepest slopes, low-passed
     ],
@@ -43,7 +42,7 @@ SLEW = np.dtype(
 
 def start_slew_limiters(slew: Records) -> None:
     """Start the slew limiters of N autopilots, (N,) of SLEW: no limit was ever exceeded."""
-    slew["exceeded_up"] = slew["exceeded_down"] = NEVER
+    slew["exceeded_at"] = slew["exceeded_before"] = NEVER
 
 
 @kernel
@@ -65,30 +64,23 @@ def slew_factor(s: Record, axis: int, limit: float, period: int, dt: float) -> f
     slope = (s.pd[axis] - s.pd_before[axis]) * UNITS / dt
     s.pd_before[axis] = s.pd[axis]
     s.slope[axis] += dt / (dt + 0.5 / (pi * CUTOFF_HZ)) * (slope - s.slope[axis])
-    slope = s.slope[axis]
-    if slope > limit and s.side[axis] != 1:
-        s.side[axis] = 1
-        s.exceeded_up[axis, 1] = s.exceeded_up[axis, 0]
-        s.exceeded_up[axis, 0] = period
-    elif slope < -limit and s.side[axis] != -1:
-        s.side[axis] = -1
-        s.exceeded_down[axis, 1] = s.exceeded_down[axis, 0]
-        s.exceeded_down[axis, 0] = period
     hold = int(HOLD_S / dt + 1e-9)
     decay = min(dt / DECAY_S, 1.0)
-    if slope > s.steepest_up[axis]:
-        s.steepest_up[axis] = min(slope, STEEPEST * limit)
-        s.up_at[axis] = period
-    elif period - s.up_at[axis] > hold:
-        s.steepest_up[axis] *= 1.0 - decay
-    if -slope > s.steepest_down[axis]:
-        s.steepest_down[axis] = min(-slope, STEEPEST * limit)
-        s.down_at[axis] = period
-    elif period - s.down_at[axis] > hold:
-        s.steepest_down[axis] *= 1.0 - decay
-    mean = 0.5 * (s.steepest_up[axis] + s.steepest_down[axis])
+    for direction in range(2):
+        sign = 1 - 2 * direction
+        slope = sign * s.slope[axis]
+        if slope > limit and s.side[axis] != sign:
+            s.side[axis] = sign
+            s.exceeded_before[axis, direction] = s.exceeded_at[axis, direction]
+            s.exceeded_at[axis, direction] = period
+        if slope > s.steepest[axis, direction]:
+            s.steepest[axis, direction] = min(slope, STEEPEST * limit)
+            s.steepest_at[axis, direction] = period
+        elif period - s.steepest_at[axis, direction] > hold:
+            s.steepest[axis, direction] *= 1.0 - decay
+    mean = 0.5 * (s.steepest[axis, 0] + s.steepest[axis, 1])
     # A single fast slope, as after a step of the command, is no oscillation.
-    oldest = min(s.exceeded_up[axis, 1], s.exceeded_down[axis, 1])
+    oldest = min(s.exceeded_before[axis, 0], s.exceeded_before[axis, 1])
     excess = (period - oldest) * dt - CYCLE_S
     if excess > 0.0:
         mean *= exp(-excess / DECAY_S)
