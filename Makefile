@@ -21,7 +21,7 @@ TOOLS_STAMP := $(TOOLS)/.installed
 MAKEFLAGS += --no-print-directory
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test checks warm-sensors warm-flights lint types tests clients check-all train bench rates results gap arduplane netem fly docs release audit lock clean
+.PHONY: help setup run test checks warm-sensors warm-flights lint types tests clients check-all train bench rates results margins gap arduplane netem fly docs release audit lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,4p'
@@ -118,13 +118,17 @@ results: $(STAMP)
 	@$(BIN)/python benchmarks/network.py --into docs/network.md $(ARGS)
 	@$(BIN)/python benchmarks/sensors.py --into docs/sensors.md $(ARGS)
 
+# Measures damping and margins of every profile: the table of docs/formation.md.
+margins: $(STAMP)
+	@$(BIN)/python benchmarks/margins.py --jobs $(JOBS) --into docs/formation.md $(ARGS)
+
 # Flies the studies of docs/gap.md into logs/studies/gap, resuming interrupted ones, and writes its tables
 # and figures: 216 flights, a quarter of an hour on two quiet cores (ARGS="--only joint-fit" for a part).
 gap: $(STAMP)
 	@$(BIN)/python benchmarks/gap_budget.py --jobs $(JOBS) --into docs/gap.md $(ARGS)
 
-# Flies the study of docs/speed.md that doubles one rate after the other, resuming an interrupted one:
-# 33 flights of 1080 s.
+# Flies the studies of the rates in docs/speed.md, resuming interrupted ones: 62 flights of some 1000 s and
+# 120 of 300 s, a quarter of an hour on two quiet cores.
 rates: $(STAMP)
 	@$(BIN)/python benchmarks/convergence.py --jobs $(JOBS) --into docs/speed.md $(ARGS)
 

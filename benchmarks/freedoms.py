@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from tables import COMMAND, Case, Metrics, row, versions, write_tables
+from tables import COMMAND, MARKS_TEXT, Case, Metrics, mark, row, versions, write_tables
 
 MARK = f"{COMMAND}, freedoms"
 SIMULATIONS = (1, 2, 3)
@@ -26,7 +26,6 @@ HARD_LEGS = (
 RECORDED_TUNE = ("leader.tune=recorded", "fleet.*.tune=recorded")
 SMALLER = 1.2  # factor from which on a choice is listed
 PRINTED = "(printed)"  # mark of what the paper does not leave open
-LOST = "†"  # mark of a flight that lost its formation
 X8 = ("leader.aircraft=skywalker_x8", "fleet.*.aircraft=skywalker_x8")
 # What the paper leaves open, our choice, and another one with its overrides.
 FREEDOMS: Sequence[tuple[str, str, str, tuple[str, ...]]] = (
@@ -127,7 +126,7 @@ def smaller(flown: Mapping[Case, Metrics]) -> Iterator[str]:
         freedom, choice = (name, here) if name else (freedom, choice)
         laps, circle = np.array(means(flown[case(3, overrides)])) / plain
         if PRINTED not in choice and max(laps, circle) >= SMALLER:
-            lost = LOST if flown[case(3, overrides)]["outcome"] == "formation_lost" else ""
+            lost = mark(flown[case(3, overrides)])
             line = f"- {freedom} ({choice}) against {other}: {laps:.1f}{lost}, {circle:.1f}{lost}"
             found.append((laps * circle, line))
     yield (
@@ -152,18 +151,13 @@ def text(flown: Mapping[Case, Metrics]) -> list[str]:
         yield "|---|---|---|" + "--:|" * (len(heads) + 1)
         for freedom, here, other, overrides in FREEDOMS:
             flights = [flown[case(number, overrides)] for number in SIMULATIONS]
-            cells = [
-                f"{mean:.2f}{LOST * (flight['outcome'] == 'formation_lost')}"
-                for flight in flights
-                for mean in means(flight)
-            ]
+            cells = [f"{mean:.2f}{mark(flight)}" for flight in flights for mean in means(flight)]
             kappa = min(flights[-1]["kappa_mps"].values())
             yield row(freedom, here, other, *cells, f"{kappa:.2f}")
 
-    lost = f"{LOST} `formation_lost`: a follower was far from its slot."
     heading = "### Which of these make our errors smaller"
     notes = f"Seed 1; {versions(flown)}."
-    return [*lines(), "", lost, "", heading, "", *smaller(flown), "", notes]
+    return [*lines(), "", MARKS_TEXT, "", heading, "", *smaller(flown), "", notes]
 
 
 if __name__ == "__main__":

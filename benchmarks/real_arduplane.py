@@ -4,7 +4,7 @@ usage: make arduplane
 
 Flies simulation-3-30deg once per profile with virtual autopilots, and compares it with the
 recording in tests/data; once more with the pulses of the link; and other flights of ArduPlanes of
-which only the errors are known. All use the Rascal of those flights: an aileron power of 0.13.
+which only the errors are known. All use the Rascal, tune and gains of those flights.
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest import mock
 
 import numpy as np
-from recorded_arduplane import make_linked_airframe
+from recorded_arduplane import LINKED_TUNE, make_linked_airframe
 from tables import insert_parts, row
 
 import testbed
@@ -25,8 +26,10 @@ from testbed.autopilot.parameters import read_params
 from testbed.core.records import Array, Event, RunInfo, Sample
 from testbed.mavlink.rc_channels import rc_scaling
 from testbed.scenario import load_scenario, set_duration
-from testbed.sim import arduplane_vehicles
+from testbed.sim import arduplane_vehicles, build_vehicles
 from testbed.sim.vehicles import JsbsimVehicles
+from testbed.vehicle.environment import JSBSIM_DEFAULT_INTEGRATORS
+from testbed.vehicle.workers import make_fleet
 from testbed.views.matplotlib_backend import save_figure
 from testbed.views.panels import BLUE, GREY, ORANGE, Band, Line, Panel, PanelGrid
 
@@ -34,26 +37,30 @@ ROOT = Path(__file__).parent.parent
 RECORDING = ROOT / "tests" / "data" / "arduplane_simulation_3.npz"
 FIGURE = ROOT / "docs" / "images" / "arduplane.png"
 SCENARIO = "simulation-3-30deg"  # the path of the recording
-TUNE = ROOT / "aircraft" / "rascal110" / "autopilot.param"
 MARK = "make arduplane"
 OTHERS_MARK = "make arduplane, others"
 PROFILES = ("tuned", "authors", "improved")
-# The profile `improved` was recorded with other gains than it has now.
-RECORDED_GAINS = (
-    "controller.gains.flight_path={p: 0.8, d: 0.05}",
-    "controller.gains.course={p: 2.5}",
-    "controller.gains.feed_forwards.roll_lead_s=0.1",
+# The ArduPlanes were SITL with physics at 200 Hz, which has a gyro filter of 4 Hz.
+SITL = tuple(
+    f"{key}={value}"
+    for key, value in (
+        ("rates.physics_hz", "200"),
+        ("leader.autopilot", "{kind: virtual, gyro_filter: sitl}"),
+        ("fleet.*.autopilot", "{kind: virtual, gyro_filter: sitl}"),
+    )
 )
+# The profile `improved` was recorded with other gains than it has now, and is labelled so.
+_LABELS = {"improved": "earlier gains of `improved`"}
 WINDOWS = {name: tuple(of) for name, of in load_scenario(SCENARIO).scenario.windows.items()}
 # Other flights of ArduPlane 4.8.0-dev that are not in the repository: its RMS errors, m.
 _BEGIN_S, _END_S = 30.0, 160.0  # of those without windows
 _NO_SLEW_LIMITER = "RLL_RATE_SMAX 0\nPTCH_RATE_SMAX 0\n"
 _OTHERS = (
     (
-        "`simulation-3-recorded-leader` (45 to 50° of bank), `improved` with the gains of then, "
+        "`simulation-3-recorded-leader` (45 to 50° of bank), earlier gains of `improved`, "
         "three real followers",
         "simulation-3-recorded-leader",
-        ("controller.profile=improved", *RECORDED_GAINS),
+        ("controller.profile=improved",),
         {"rectangles": "0.401 0.796 0.989", "circles": "0.107 0.108 0.103"},
         "",
     ),
@@ -117,7 +124,7 @@ class PulseVehicles(JsbsimVehicles):
     def __init__(self, *arguments: Any, **keywords: Any) -> None:  # noqa: ANN401
         """See `JsbsimVehicles`."""
         super().__init__(*arguments, **keywords)
-        params = read_params(TUNE)
+        params = read_params(LINKED_TUNE)
         ends = {"MIN": 1100.0, "TRIM": 1500.0, "MAX": 1900.0}
         ranges = {f"RC{n}_{end}": pulse for n in (1, 2, 3) for end, pulse in ends.items()}
         limits = ("roll_limit_deg", "ptch_lim_max_deg", "ptch_lim_min_deg")
@@ -163,8 +170,7 @@ def fly_virtual(profile: str, times: Array, *, pulses: bool = False) -> Flight:
         pulses: with the resolution of the link's pulses.
     """
     sampler = _Sampler(times)
-    gains = RECORDED_GAINS if profile == "improved" else ()
-    overrides = (f"controller.profile={profile}", *gains)
+    overrides = (f"controller.profile={profile}",)
     vehicles = PulseVehicles if pulses else JsbsimVehicles
     with mock.patch.object(arduplane_vehicles, "JsbsimVehicles", vehicles):
         _fly(SCENARIO, overrides, float(times[-1]), sampler)
@@ -179,16 +185,18 @@ def _fly(
     *observers: _Sampler,
     params: str = "",
 ) -> Mapping[str, Any]:
-    """Fly a scenario with the airframe of the recorded flights; return its metrics."""
+    """Fly a scenario with airframe and integrators of the recorded flights; return its metrics."""
+    recorded_fleet = partial(make_fleet, integrators=JSBSIM_DEFAULT_INTEGRATORS)
     with tempfile.TemporaryDirectory() as folder:
         rascal = make_linked_airframe(Path(folder))
-        with (rascal / TUNE.name).open("a", encoding="utf-8") as tune:
+        with (rascal / "autopilot.param").open("a", encoding="utf-8") as tune:
             tune.write(params)
         names = (f"leader.aircraft={rascal}", f"fleet.*.aircraft={rascal}")
-        loaded = load_scenario(scenario, [*names, *overrides])
+        loaded = load_scenario(scenario, [*names, *SITL, *overrides])
         if end_s is not None:
             loaded = set_duration(loaded, end_s)
-        return testbed.run(loaded, write=False, observers=observers).metrics
+        with mock.patch.object(build_vehicles, "make_fleet", recorded_fleet):
+            return testbed.run(loaded, write=False, observers=observers).metrics
 
 
 def rms(values: Array) -> Array:
@@ -214,7 +222,7 @@ def table(pairs: Pairs) -> Iterator[str]:
             ours, theirs = rms_errors(virtual, window), rms_errors(real, window)
             difference = 100.0 * (ours / theirs - 1.0)
             yield row(
-                f"`{profile}`",
+                _LABELS.get(profile, f"`{profile}`"),
                 name,
                 " ".join(f"{each:.3f}" for each in ours),
                 " ".join(f"{each:.3f}" for each in theirs),
@@ -258,11 +266,12 @@ def text(pairs: Pairs, with_pulses: Flight) -> str:
             *table(pairs),
             "",
             "RMS distance from the slot of uav1, uav2 and uav3 in `simulation-3-30deg`, 1080 s. "
-            "The four ArduPlanes were 4.8.0-dev (SITL), one per aircraft, flown through this link; "
-            "their [recording](../tests/data/ORIGIN.md) is in the repository. Attitudes differ "
-            f"by at most {attitude:.2f}° RMS after 5 s, the leaders on the laps by {on_laps:.2f} m "
-            f"RMS, and in all 1080 s by {whole:.2f} m: after 24 km the virtual one is "
-            f"{-along[-1]:.1f} m behind.",
+            "The four ArduPlanes were 4.8.0-dev (SITL), one per aircraft, flown through this link "
+            "with physics at 200 Hz, where SITL's gyro filter has 4 Hz; the virtual autopilots "
+            "have the same (`gyro_filter: sitl`). Their [recording](../tests/data/ORIGIN.md) is in "
+            f"the repository. Attitudes differ by at most {attitude:.2f}° RMS after 5 s, the "
+            f"leaders on the laps by {on_laps:.2f} m RMS, and in all 1080 s by {whole:.2f} m: "
+            f"after 24 km the virtual one is {-along[-1]:.1f} m behind.",
             "",
             "The virtual autopilot takes and gives real numbers. The real one takes sticks in "
             "whole µs, 0.125° of roll, and its servo pulses are truncated to whole µs. With these "
@@ -336,8 +345,8 @@ def figure(pairs: Pairs) -> PanelGrid:
     )
     return PanelGrid(
         f"Four real ArduPlanes and the virtual autopilot: RMS within {_BAND:g} %",
-        "Simulation 3 with corners of 30° of bank: ArduPlane 4.8.0-dev in every aircraft, and "
-        "virtual autopilots",
+        "Simulation 3 with corners of 30° of bank: ArduPlane 4.8.0-dev (SITL, physics at 200 Hz, "
+        "gyro filter of 4 Hz) in every aircraft, and virtual autopilots with that filter",
         [panels],
         [1.0, 1.0, 1.0],
         (16.0, 5.6),

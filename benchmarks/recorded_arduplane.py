@@ -12,6 +12,7 @@ import argparse
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,13 +22,20 @@ from tables import insert_parts, row
 from testbed.autopilot.parameters import AutopilotTiming
 from testbed.core.frames import GRAVITY
 from testbed.core.records import Array
+from testbed.vehicle.environment import JSBSIM_DEFAULT_INTEGRATORS
 from testbed.vehicle.replay_commands import respond
 
 ROOT = Path(__file__).parent.parent
 RASCAL = ROOT / "aircraft" / "rascal110"
+# Tune and middle loop of the four ArduPlanes that flew through the link
+LINKED_TUNE = ROOT / "tests" / "data" / "arduplane_simulation_3.param"
+LINKED_GAINS = ROOT / "tests" / "data" / "arduplane_simulation_3_gains.yaml"
 RECORDING = ROOT / "tests" / "data" / "arduplane_fbwa_rascal_steps.csv"
 MARK, DRAG_MARK = "make arduplane, recording", "make arduplane, drag"
 FAST_MARK = "make arduplane, fast manoeuvres"
+# The recording is of SITL with physics at 200 Hz, which has a gyro filter of 4 Hz.
+SITL = AutopilotTiming(sitl_physics_hz=200.0)
+PROMPT = replace(SITL, command_latency=0.0)
 BEGIN_S, END_S = 2.0, 150.0  # in its first second the propeller had no torque on the airframe
 # Of commit 428ace9; docs/autopilot.md has the differences.
 EARLIER_DEG = ("0.34", "0.40")
@@ -85,8 +93,10 @@ def _replace(page: Path, old: str, new: str) -> None:
 
 
 def make_linked_airframe(folder: Path) -> Path:
-    """Copy the Rascal, with the aileron power it had when ArduPlanes flew it through the link."""
+    """Copy the Rascal, as it was when ArduPlanes flew it: aileron power, tune and middle loop."""
     copy = shutil.copytree(RASCAL, folder / RASCAL.name)
+    shutil.copy(LINKED_TUNE, copy / "autopilot.param")
+    shutil.copy(LINKED_GAINS, copy / "middle_loop.yaml")
     ours, then, _ = (f"<value> {value} </value>" for value in _POWERS["left-aileron"])
     _replace(copy / "rascal110.xml", _power("left-aileron", ours), _power("left-aileron", then))
     return copy
@@ -122,13 +132,17 @@ def read(file: Path) -> Array:
     return np.genfromtxt(file, delimiter=",", names=True)
 
 
-def replay(
-    airframe: Path, timing: AutopilotTiming | None = None, commands: Path = RECORDING
-) -> Array:
+def replay(airframe: Path, timing: AutopilotTiming = SITL, commands: Path = RECORDING) -> Array:
     """Replay commands, and return the response by column."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out.csv"
-        respond(airframe, commands, out, timing=timing)
+        respond(
+            airframe,
+            commands,
+            out,
+            timing=timing,
+            integrators=JSBSIM_DEFAULT_INTEGRATORS,
+        )
         return read(out)
 
 
@@ -167,7 +181,7 @@ def fly_manoeuvres(folder: Path, airframe: Path, each: Manoeuvres) -> tuple[Arra
     for seed in SEEDS:
         commands = folder / f"manoeuvres-{seed}.csv"
         write_manoeuvres(commands, each, seed)
-        prompt = replay(airframe, AutopilotTiming(command_latency=0.0), commands)
+        prompt = replay(airframe, PROMPT, commands)
         flights.append(
             (replay(RASCAL, commands=commands), prompt, replay(airframe, commands=commands))
         )
@@ -257,7 +271,7 @@ def main() -> None:
     recorded, ours = read(RECORDING), replay(RASCAL)
     with tempfile.TemporaryDirectory() as folder:
         airframe = make_recorded_airframe(Path(folder) / "recorded")
-        same = replay(airframe, AutopilotTiming(command_latency=0.0))
+        same = replay(airframe, PROMPT)
         by_drag = {
             name: replay(make_airframe(Path(folder) / name, drag))
             for name, drag in (("magnitude", MAGNITUDE), ("signed", SIGNED))

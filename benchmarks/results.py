@@ -11,7 +11,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from tables import NOISE, SEEDS, Case, Metrics, row, versions, write_tables
+from tables import (
+    MARKS_TEXT,
+    NOISE,
+    SEEDS,
+    Case,
+    Metrics,
+    mark,
+    row,
+    versions,
+    write_tables,
+)
 
 from testbed.scenario import Scenario, load_scenario
 
@@ -131,8 +141,9 @@ def errors(metrics: Metrics) -> list[str]:
 
 
 def separation(metrics: Metrics) -> str:
-    """Return the smallest separation of the flight and its time as text."""
-    return f"{metrics['min_separation_m']:.2f} m at {metrics['min_separation_at_s']:.0f} s"
+    """Return the smallest separation of the flight, its time and the outcome's mark as text."""
+    least, at_s = metrics["min_separation_m"], metrics["min_separation_at_s"]
+    return f"{least:.2f} m at {at_s:.0f} s{mark(metrics)}"
 
 
 def bank(metrics: Metrics) -> str:
@@ -229,6 +240,8 @@ def text(flown: Mapping[Case, Metrics]) -> list[str]:
         *margins_table(margins),
         "",
         *laws_table(calm, noisy),
+        "",
+        MARKS_TEXT,
         "",
         f"Seed 1, in the last table {SEEDS[0]} to {SEEDS[-1]} for the noise; {versions(flown)}.",
     ]

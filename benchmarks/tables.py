@@ -41,6 +41,18 @@ def fly(case: Case) -> Metrics:
     return flown.metrics
 
 
+MARKS = {"formation_lost": "†", "separation_lost": "‡"}  # of flights with this outcome
+MARKS_TEXT = (
+    "† `formation_lost`: a follower was far from its slot. ‡ `separation_lost`: two aircraft came "
+    "closer than a wingspan."
+)
+
+
+def mark(metrics: Metrics) -> str:
+    """Return the mark of a flight's outcome; "": completed."""
+    return MARKS.get(metrics["outcome"], "")
+
+
 def row(*cells: str) -> str:
     """Return a line of a Markdown table."""
     return "| " + " | ".join(cells) + " |"

@@ -32,6 +32,7 @@ from testbed.core.records import (
 
 LEAST_BANK_LIMIT = radians(25.0)  # stall prevention never asks for less
 COS_STEEPEST = cos(radians(80.0))  # beyond, the turn's pitch rate grows no more
+STEEP_PITCH = radians(70.0)  # above it, no turn coordination and no fade at large bank
 AIRSPEED_S = 0.1  # s, period of the airspeed, the speed scaler and stall prevention
 # Weights of new values in low-passes of that period: of the pressure, the airspeed of stall
 # prevention, and the speed scaler, which has a cut-off of 2 Hz.
@@ -47,9 +48,9 @@ GAINS = np.dtype(
         ("dt", "f8"),  # s, period
         ("command_periods", "i8"),  # whole periods of the command's latency
         ("command_fraction", "f8"),  # the rest, as a part of a period
-        ("gyro_b0", "f8"),  # of the gyro's filter; b1 = 2 b0, b2 = b0
-        ("gyro_a1", "f8"),
-        ("gyro_a2", "f8"),
+        ("gyro_b", "f8", (3,)),  # numerator of the gyro filter: of this sample and two before
+        ("gyro_a", "f8", (2,)),  # denominator, of two outputs before; that of this one is 1
+        ("sitl_physics_hz", "f8"),  # of the SITL whose gyro filter this is; 0: an aircraft's
         ("airspeed_periods", "i8"),  # periods from one reading of the airspeed to the next
         ("pressure_weight", "f8"),  # of a new pressure in the filtered one
         ("airspeed_min", "f8"),
@@ -92,7 +93,7 @@ MEMORY = np.dtype(
         ("pressure", "f8"),  # m²/s², filtered dynamic pressure, as the square of an airspeed
         ("smoothed_airspeed", "f8"),  # m/s, equivalent, of stall prevention
         ("scaler", "f8"),  # filtered
-        ("gyro_first", "f8", (2,)),  # rad/s, states of the gyro's filter
+        ("gyro_first", "f8", (2,)),  # rad/s, states of the gyro filter
         ("gyro_second", "f8", (2,)),  # rad/s
         ("target", "f8", (2,)),  # rad/s, filtered rate target, scaled
         ("error", "f8", (2,)),  # rad/s, filtered rate error, scaled
@@ -231,6 +232,8 @@ def fbwa(g: Record, m: Record, delay_line: Array, estimate: Record, command: Rec
     curve = (1.0 / cos_bank - cos_bank) * cos_pitch
     turning = g.turn * curve / max(tas, g.airspeed_min)
     upright = _clip((0.5 * pi - abs(roll)) * g.fade_slope, 0.0, 1.0)
+    if abs(pitch) >= STEEP_PITCH:
+        turning, upright = 0.0, 1.0
     rates = (
         (_clip(roll_demand, -limit, limit) - roll) * g.per_tconst[0],
         (pitch_demand + g.pitch_trim - pitch) * g.per_tconst[1] + turning,
@@ -242,14 +245,15 @@ def fbwa(g: Record, m: Record, delay_line: Array, estimate: Record, command: Rec
         rate = _clip(rates[axis], g.rate_low[axis], g.rate_high[axis])
         rate *= squared * upright if axis == 1 else squared
         gyro = estimate.rates_body[axis]
-        fed = g.gyro_b0 * gyro
+        fed = g.gyro_b[0] * gyro
         if started:
             measured = fed + m.gyro_first[axis]
-            m.gyro_first[axis] = 2.0 * fed - g.gyro_a1 * measured + m.gyro_second[axis]
+            later = g.gyro_b[1] * gyro - g.gyro_a[0] * measured
+            m.gyro_first[axis] = later + m.gyro_second[axis]
         else:
             measured = gyro
             m.gyro_first[axis] = gyro - fed
-        m.gyro_second[axis] = fed - g.gyro_a2 * measured
+        m.gyro_second[axis] = g.gyro_b[2] * gyro - g.gyro_a[1] * measured
         measured *= squared
         if started:
             last = m.error[axis]

@@ -72,6 +72,7 @@ class FbwaParams:
     servo2_max: float = 1900.0  # µs
     servo4_min: float = 1100.0  # µs, rudder
     servo4_max: float = 1900.0  # µs
+    ins_gyro_filter: float = 20.0  # Hz, cut-off; 0: no filter
     sched_loop_rate: float = 50.0  # Hz
     navl1_period: float = 17.0  # s
     navl1_damping: float = 0.75
@@ -107,6 +108,10 @@ _RANGE, _MIXING_GAIN = (1100.0, 1900.0), 0.5  # ArduPlane's defaults
 _MIN_SIZE, _MAX_SIZE = 1e-9, 1e9  # of values other than 0, so that quotients do not overflow
 _MIN_TCONST = 0.05  # s, as in ArduPlane
 _LEAST_MIN = 5.0  # m/s, AIRSPEED_MIN of the speed scaler, as in ArduPlane
+_SITL_GYRO_HZ = 1000.0  # rate for which SITL's gyro filter is designed
+# Largest cut-off of SITL by the bilinear transform, part of the autopilot's rate. Its lag at low
+# frequencies is x / tan x of the true one, with x = π times this: 9 % too small.
+_BILINEAR_CUTOFF = 1.0 / 6.0
 
 
 def read_params(path: Path) -> FbwaParams:
@@ -252,6 +257,12 @@ def _errors(params: FbwaParams) -> Iterator[tuple[str, str]]:
             f"AIRSPEED_MAX ({params.airspeed_max:g}) must be greater than AIRSPEED_MIN "
             f"({params.airspeed_min:g})",
         )
+    if params.ins_gyro_filter and params.ins_gyro_filter < 1.0:
+        yield (
+            "ins_gyro_filter",
+            f"INS_GYRO_FILTER is {params.ins_gyro_filter:g}; it is a whole number of Hz (write 0 "
+            "for no filter, or 1 or more; 20 is usual)",
+        )
     for name in sorted(_NAMES):
         value = getattr(params, name)
         if value and not _MIN_SIZE <= abs(value) <= _MAX_SIZE:
@@ -262,13 +273,25 @@ def _errors(params: FbwaParams) -> Iterator[tuple[str, str]]:
 class AutopilotTiming:
     """Delays of an autopilot from commands and motion to its surfaces.
 
-    The defaults were identified from the recording of ArduPlane with simulated physics at 200 Hz.
-    There its gyro filter, designed for 20 Hz at a sampling rate of 1000 Hz, acts at a fifth of
-    both.
+    The latency was identified from the recording of ArduPlane with simulated physics at 200 Hz.
     """
 
     command_latency: float = 0.02  # s; RC is read once per loop, after the control law
-    gyro_filter_hz: float = 4.0  # Hz, cut-off of a second-order Butterworth low-pass; 0: none
+    # Hz, physics rate of the SITL whose gyro filter the autopilot has; None: of an aircraft
+    sitl_physics_hz: float | None = None
+
+
+def sitl_gyro_cutoff(params: FbwaParams, physics_hz: float) -> float:
+    """Compute the cut-off of SITL's gyro filter, Hz; 0: no filter.
+
+    SITL samples its gyros once per frame of the physics, at most at 1000 Hz, and its filter is
+    designed for 1000 Hz: it acts at INS_GYRO_FILTER times the ratio of both.
+
+    Args:
+        params: with INS_GYRO_FILTER.
+        physics_hz: SIM_RATE_HZ, frames of the physics per second.
+    """
+    return params.ins_gyro_filter * min(physics_hz, _SITL_GYRO_HZ) / _SITL_GYRO_HZ
 
 
 def make_gains(
@@ -282,14 +305,11 @@ def make_gains(
         timing: of all autopilots; None: the defaults.
 
     Raises:
-        ValueError: the latency is negative, or the cut-off is above half the autopilot's rate.
+        ValueError: the latency is negative.
     """
     timing = timing or AutopilotTiming()
-    if timing.command_latency < 0.0 or not 0.0 <= timing.gyro_filter_hz < 0.5 / dt:
-        raise ValueError(
-            f"{timing}: the command's latency must not be negative and the gyro's filter must lie "
-            f"between 0 and {0.5 / dt:g} Hz, half the autopilot's rate"
-        )
+    if timing.command_latency < 0.0:
+        raise ValueError(f"{timing}: the command's latency must not be negative")
 
     def row(name: str) -> Array:
         return np.array([getattr(one, name) for one in params], dtype=np.float64)
@@ -309,13 +329,14 @@ def make_gains(
     roll_limit = np.radians(row("roll_limit_deg"))
     stall = row("airspeed_stall")
     trim = row("trim_throttle") / 100.0
-    b0, a1, a2 = _butterworth(timing.gyro_filter_hz, dt)
     periods = timing.command_latency / dt
     whole = int(periods + 1e-9)
     each = allocate(GAINS, len(params))
     each["dt"], each["command_periods"] = dt, whole
     each["command_fraction"] = max(0.0, periods - whole)
-    each["gyro_b0"], each["gyro_a1"], each["gyro_a2"] = b0, a1, a2
+    each["sitl_physics_hz"] = timing.sitl_physics_hz or 0.0
+    for record, one in zip(each, params, strict=True):
+        record["gyro_b"], record["gyro_a"] = _gyro_filter(one, dt, timing.sitl_physics_hz)
     each["airspeed_periods"] = max(1, int(AIRSPEED_S / dt + 1e-9))
     each["pressure_weight"] = PRESSURE_WEIGHT
     each["airspeed_min"] = low
@@ -324,7 +345,9 @@ def make_gains(
     each["scaler_low"] = np.minimum(0.5, scaling / (2.0 * high))
     each["scaler_high"] = np.maximum(2.0, scaling / (0.7 * np.maximum(low, _LEAST_MIN)))
     each["roll_limit"] = roll_limit
-    each["fade_slope"] = 1.0 / np.maximum(np.pi / 2.0 - roll_limit - np.radians(5.0), 1e-3)
+    # from ROLL_LIMIT_DEG + 5°, at most from 85°
+    margin = np.radians(5.0)
+    each["fade_slope"] = 1.0 / np.maximum(np.pi / 2.0 - roll_limit - margin, margin)
     each["pitch_low"] = np.radians(row("ptch_lim_min_deg"))
     each["pitch_high"] = np.radians(row("ptch_lim_max_deg"))
     each["pitch_trim"] = np.radians(row("ptch_trim_deg"))
@@ -357,15 +380,51 @@ def _alpha(frequency: Array, dt: float) -> Array:
     return dt / (dt + 1.0 / (2.0 * np.pi * safe))
 
 
-def _butterworth(frequency: float, dt: float) -> tuple[float, float, float]:
-    """Compute b0, a1, a2 of a second-order Butterworth low-pass by the bilinear transform."""
-    if frequency == 0.0:
-        return 1.0, 2.0, 1.0  # numerator and denominator are equal: no filter
-    warped = math.tan(math.pi * frequency * dt)
+Biquad = tuple[tuple[float, float, float], tuple[float, float]]  # b0, b1, b2 and a1, a2
+
+
+def _gyro_filter(params: FbwaParams, dt: float, sitl_physics_hz: float | None) -> Biquad:
+    """Design the gyro filter of one autopilot, an aircraft's or SITL's."""
+    if params.ins_gyro_filter <= 0.0:
+        return (1.0, 0.0, 0.0), (0.0, 0.0)
+    if sitl_physics_hz is None:
+        return ramp_invariant_butterworth(params.ins_gyro_filter, dt)
+    cutoff = sitl_gyro_cutoff(params, sitl_physics_hz)
+    if cutoff * dt <= _BILINEAR_CUTOFF:
+        return _bilinear_butterworth(cutoff, dt)
+    return ramp_invariant_butterworth(cutoff, dt)
+
+
+def ramp_invariant_butterworth(cutoff: float, dt: float) -> Biquad:
+    """Compute the second-order Butterworth low-pass for samples, exact for ramps between them.
+
+    A flight controller filters its gyros at 1 kHz or more, where the filter is as good as
+    continuous, and its rate loop takes the output at a lower rate. The continuous filter, fed with
+    straight lines between the samples (triangle hold), has the same output at the samples, stable
+    for any cut-off. Its lag at low frequencies is sqrt(2) / (2 π cutoff): 11.25 ms for 20 Hz. The
+    bilinear transform of 20 Hz at 50 Hz would have 4.6 ms.
+
+    With T = dt, a = π sqrt(2) cutoff, d = exp(−aT) cos aT, ρ = exp(−aT) and k = 1 / (aT), the
+    response to the ramp t / T is t / T − k + k exp(−at) cos at.
+
+    Args:
+        cutoff: Hz, greater than 0.
+        dt: between samples, s.
+    """
+    x = math.pi * math.sqrt(2.0) * cutoff * dt
+    k, decay = 1.0 / x, math.exp(-x)
+    d, squared = decay * math.cos(x), decay * decay
+    b = 1.0 - k * (1.0 - d), k * (1.0 - squared) - 2.0 * d, squared - k * (d - squared)
+    return b, (-2.0 * d, squared)
+
+
+def _bilinear_butterworth(cutoff: float, dt: float) -> Biquad:
+    """Compute a second-order Butterworth low-pass by the bilinear transform, as SITL's."""
+    warped = math.tan(math.pi * cutoff * dt)
     scale = 1.0 + math.sqrt(2.0) * warped + warped * warped
     b0 = warped * warped / scale
     a1 = 2.0 * (warped * warped - 1.0) / scale
-    return b0, a1, 4.0 * b0 - 1.0 - a1
+    return (b0, 2.0 * b0, b0), (a1, 4.0 * b0 - 1.0 - a1)
 
 
 def _number(text: str) -> float | None:

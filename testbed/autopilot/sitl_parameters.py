@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from testbed.autopilot.parameters import is_virtual, read_values
+from testbed.autopilot.parameters import FbwaParams, is_virtual, read_values, sitl_gyro_cutoff
 
 # Name, value and reason.
 _LINK_PARAMETERS = (
@@ -68,7 +68,6 @@ _NOT_MODELLED = (
     ("THR_PASS_STAB", 0.0, "throttle without THR_MIN and THR_MAX"),
     ("FWD_BAT_VOLT_MAX", 0.0, "compensation of throttle for the battery's voltage"),
     ("RUDDER_ONLY", 0.0, "control by the rudder"),
-    ("INS_GYRO_FILTER", 20.0, "gyro filter; 20 Hz in the virtual autopilot"),
     ("INS_HNTCH_ENABLE", 0.0, "notch filter"),
 )
 _KEPT = ("INS_ACCEL_FILTER", "INS_GYRO_FILTER")  # of the control law
@@ -107,7 +106,7 @@ def tune_use(tune: Path) -> TuneUse:
 
 
 def tune_differences(tune: Path) -> Iterator[str]:
-    """Yield the values of the file that make ArduPlane differ from the virtual autopilot.
+    """Yield the values that make ArduPlane in SITL differ from the virtual autopilot.
 
     Raises:
         ParamError: the file cannot be read, or a line is invalid.
@@ -121,6 +120,13 @@ def tune_differences(tune: Path) -> Iterator[str]:
         yield "FLIGHT_OPTIONS bit 0: ArduPlane mixes no rudder in fly-by-wire A (KFF_RDDRMIX)"
     if options & 1 << 10:
         yield "FLIGHT_OPTIONS bit 10: ArduPlane takes half throttle as TRIM_THROTTLE"
+    if (own := values.get("INS_GYRO_FILTER", FbwaParams().ins_gyro_filter)) > 0.0:
+        at_200 = sitl_gyro_cutoff(FbwaParams(ins_gyro_filter=own), 200.0)
+        yield (
+            f"INS_GYRO_FILTER {own:.9g}: {own:.9g} Hz in the virtual autopilot, as on an aircraft; "
+            f"in SITL times rates.physics_hz / 1000, {at_200:.9g} Hz at 200, which the virtual "
+            "autopilot has with gyro_filter: sitl"
+        )
 
 
 def _is_hardware(name: str) -> bool:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from testbed.core.child_guard import CANNOT_START, guard_command
 from testbed.core.errors import InputError
+from testbed.core.geodetic import origin_geodetic
 from testbed.core.records import Origin
 
 VARIABLE = "ARDUPLANE"
@@ -54,7 +55,7 @@ def command_line(
         heading_deg: heading at the start.
         defaults: path of its parameter file.
     """
-    home = (origin.latitude_deg, origin.longitude_deg, origin.elevation_m, heading_deg)
+    home = (*origin_geodetic(origin), heading_deg)
     return [
         str(binary),
         "--model",
@@ -63,7 +64,7 @@ def command_line(
         str(_SPEEDUP),
         f"-I{instance}",
         "--home",
-        ",".join(f"{number:.9g}" for number in home),
+        ",".join(f"{number:.10g}" for number in home),
         "--defaults",
         str(defaults),
     ]

@@ -32,6 +32,7 @@ _SHOWN = 8  # names of a kind of parameters
 # A corner with a climb, at 7 s; the follower is there because a formation needs one.
 _SCENARIO = """
 scenario: {{schema: 2, name: arduplane-check, duration_s: {seconds:g}}}
+rates: {{physics_hz: 200}}
 leader:
   aircraft: {aircraft}
   tune: {tune}
@@ -145,7 +146,8 @@ def check_arduplane(
     airspeed = read_params(tune).airspeed_cruise
     external = ExternalOptions(arduplane=binary, announce=announce)
     real, virtual = _Track(), _Track()
-    _fly(folder, tune, airspeed, "autopilot: virtual", virtual, external)
+    own = "autopilot: {kind: virtual, gyro_filter: sitl}"
+    _fly(folder, tune, airspeed, own, virtual, external)
     started_s = time.monotonic()
     result = _fly(folder, tune, airspeed, "autopilot: ardupilot", real, external)
     use = tune_use(tune)

@@ -225,27 +225,50 @@ def respond_command(
     origin_elevation: Annotated[
         float, typer.Option(metavar="M", help="Elevation of the origin above sea level.")
     ] = 300.0,
+    sitl_rate: Annotated[
+        float | None,
+        typer.Option(
+            metavar="HZ",
+            min=1.0,
+            callback=require_finite,
+            help="The recording is of SITL with this SIM_RATE_HZ: the virtual autopilot has its "
+            "gyro filter.  \\[default: that of an aircraft]",
+        ),
+    ] = None,
 ) -> None:
     """Replay recorded fly-by-wire-A commands through one aircraft."""
+    from testbed.autopilot.parameters import AutopilotTiming
     from testbed.scenario import find_aircraft, find_tune
     from testbed.vehicle.replay_commands import AircraftLost, respond
 
     folder = find_aircraft(aircraft)
+    tune = find_tune(folder, param)
     try:
         with report_write_errors(str(output)):
             respond(
                 folder,
                 commands,
                 output,
-                param=find_tune(folder, param),
+                param=tune,
                 airspeed=airspeed,
                 altitude=altitude,
                 origin_elevation=origin_elevation,
+                timing=AutopilotTiming(sitl_physics_hz=sitl_rate),
                 warn=lambda text: message_console().write_line(f"warning: {text}"),
             )
+            message_console().write_line(_gyro_filter_text(sitl_rate))
     except AircraftLost as loss:
         typer.echo(f"lost: {loss}", err=True)
         raise typer.Exit(ExitCode.AIRCRAFT_LOST) from None
+
+
+def _gyro_filter_text(sitl_rate: float | None) -> str:
+    if sitl_rate is None:
+        return (
+            "gyro filter: INS_GYRO_FILTER, as on an aircraft (for a recording of SITL write "
+            "--sitl-rate, its SIM_RATE_HZ)"
+        )
+    return f"gyro filter: that of SITL at {sitl_rate:g} Hz"
 
 
 def trim_document(result: TrimResult) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from testbed.cli.exit_codes import EXIT_CODES_HELP, ExitCode
 from testbed.cli.export import export_command, import_command, recover_command
 from testbed.cli.inspect import linearize_command, respond_command, step_command, trim_command
 from testbed.cli.law import law_command
+from testbed.cli.margins import margins_command
 from testbed.cli.network import network_command
 from testbed.cli.output import guard_standard_streams
 from testbed.cli.report import report_command
@@ -133,6 +134,7 @@ class _Commands(CommandGroup):
             "validate": validate_command,
             "list": list_command,
             "law": law_command,
+            "margins": margins_command,
             "network": network_command,
             "air": air_command,
             "schema": schema_command,

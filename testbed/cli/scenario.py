@@ -83,7 +83,9 @@ OTHERS: Final = "others"  # the group of scenarios that are in no other
 STUDIES: Final[Mapping[str, str]] = {
     "radio-and-wind": "loss and wind together",
     "what-matters-most": "delay, loss, wind and gusts compared",
-    "convergence": "rates that do not change the errors",
+    "convergence": "rates of the flight models",
+    "convergence-seeds": "the same, in turbulence and saturation",
+    "convergence-others": "rates of autopilots, control, samples",
     "leader-acceleration": "the leader's acceleration, estimated",
     "leader-turn-acceleration": "differences of the turn rates",
     "table-1": "the set-up that gives Table 1",

@@ -104,7 +104,12 @@ def _print_result(
         f" {found['aggregate']} of {found['metric']} over seeds {_seed_ranges(found['seeds'])}: "
         f"{cost['before']:.4g} before, {cost['after']:.4g} after"
     )
+    for title, candidate in (("before", result.candidates[0]), ("after", result.best)):
+        for each in candidate.evaluation.constraints:
+            console.write_line(f" {title:6} {each.describe()}", "yellow" if each.shortfall else "")
     console.write_line(f" {result.flights} flights: {result.stop_reason}")
+    if result.best.evaluation.shortfall:
+        console.write_line(" no candidate meets the constraints", "bold yellow")
     if comparison is None:
         console.write_line(" no better gains were found, and no gains were written")
     else:

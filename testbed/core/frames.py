@@ -13,7 +13,7 @@ from typing import TypeAlias, TypeVar
 import numpy as np
 
 from testbed.core.compile import jitable, kernel
-from testbed.core.records import Array, Origin, Values, Vector
+from testbed.core.records import Array, Values, Vector
 
 Scalars: TypeAlias = "float | Array"
 _ScalarsT = TypeVar("_ScalarsT", float, Array)
@@ -23,9 +23,6 @@ PAPER_GRAVITY = 9.81  # m/s², as printed beside [HBH23] eq. (20)
 FOOT = 0.3048  # m
 # Below this horizontal speed (m/s) a course is undefined; (22) is then taken as north.
 COURSE_FLOOR = 1e-9
-
-WGS84_A = 6378137.0  # m
-WGS84_E2 = 6.69437999014e-3
 
 
 @jitable
@@ -171,49 +168,18 @@ def flight_path_angle(velocity_ned: Array) -> Array:
     return gamma_of(velocity_ned[..., 0], velocity_ned[..., 1], velocity_ned[..., 2])
 
 
-def metres_per_radian(origin: Origin) -> tuple[float, float]:
-    """Return metres per radian of latitude and of longitude at the origin."""
-    lat = math.radians(origin.latitude_deg)
-    w2 = 1.0 - WGS84_E2 * math.sin(lat) ** 2
-    meridian = WGS84_A * (1.0 - WGS84_E2) / w2**1.5 + origin.elevation_m
-    prime_vertical = WGS84_A / math.sqrt(w2) + origin.elevation_m
-    return meridian, prime_vertical * math.cos(lat)
+def turn_bank(velocity_ned: Array, acceleration_ned: Array) -> Array:
+    """Return the bank (...,) rad of a coordinated turn, positive to the right.
 
+    It is atan(χ̇ V cos γ / g): the horizontal acceleration across the velocity through the air is
+    χ̇ V cos γ. An aircraft that slips in its turn banks by another angle.
 
-def geodetic_from_ned(position_ned: Array, origin: Origin) -> Array:
-    """Latitude deg, longitude deg, height m above sea level (..., 3) from NED (..., 3).
-
-    The curvilinear local frame ArduPlane uses: north and east are arcs along the ellipsoid's
-    meridian and parallel at the origin, down is against height, so that level flight keeps down
-    constant. Up to 1 km away it differs horizontally from the tangent plane by at most 0.07 m at a
-    latitude of 38°, 0.16 m at 60° and 0.25 m at 70°.
+    Args:
+        velocity_ned: (..., 3) m/s through the air.
+        acceleration_ned: (..., 3) m/s².
     """
-    north, east = metres_per_radian(origin)
-    position = np.asarray(position_ned, dtype=np.float64)
-    return np.stack(
-        [
-            origin.latitude_deg + np.degrees(position[..., 0] / north),
-            origin.longitude_deg + np.degrees(position[..., 1] / east),
-            origin.elevation_m - position[..., 2],
-        ],
-        axis=-1,
-    )
-
-
-def ned_from_geodetic(geodetic: Array, origin: Origin) -> Array:
-    """Return NED (..., 3) m from latitude, longitude (deg) and height (m).
-
-    Heights are above sea level.
-
-    The inverse of `geodetic_from_ned`. East is by the shorter way round the earth.
-    """
-    north, east = metres_per_radian(origin)
-    values = np.asarray(geodetic, dtype=np.float64)
-    return np.stack(
-        [
-            north * np.radians(values[..., 0] - origin.latitude_deg),
-            east * wrap_pi(np.radians(values[..., 1] - origin.longitude_deg)),
-            origin.elevation_m - values[..., 2],
-        ],
-        axis=-1,
-    )
+    north, east = velocity_ned[..., 0], velocity_ned[..., 1]
+    across = north * acceleration_ned[..., 1] - east * acceleration_ned[..., 0]
+    level = np.maximum(np.hypot(north, east), COURSE_FLOOR)
+    bank: Array = np.arctan(across / (level * GRAVITY))
+    return bank

@@ -57,14 +57,12 @@ MOTION = _dtype(
     ("equivalent_airspeed", "f8"),
 )
 # The wind that acts on an airframe. See `WindInput`.
-_WIND = (("wind_ned", "f8", 3), ("wind_gradient_rates", "f8", 3), ("wake_delta_cl", "f8"))
-WIND = _dtype(*_WIND)
-# Air data, propeller speed and battery state of the flight model. See `AirData`.
+WIND = _dtype(("wind_ned", "f8", 3), ("wind_gradient_rates", "f8", 3), ("wake_delta_cl", "f8"))
+# Flow angles, propeller speed and battery state of the flight model. See `AirData`.
 AIR = _dtype(
     ("alpha", "f8"),
     ("beta", "f8"),
     ("propeller_rps", "f8"),
-    *_WIND,
     ("state_of_charge", "f8"),
     ("battery_voltage", "f8"),
 )
@@ -237,7 +235,12 @@ def followers(state: VehicleState) -> VehicleState:
 @document_fields
 @short_repr
 class AirData(NamedTuple):
-    """True state besides the motion; logged and drawn, never an input of a controller."""
+    """True state besides the motion; logged and drawn, never an input of a controller.
+
+    The wind is that of the tick, at the aircraft's position, and acts from then on. Flow angles,
+    like the airspeeds of the motion, are of the flight model's step that ended at the tick: in the
+    wind of the autopilot period before.
+    """
 
     alpha: Array  # (N,) angle of attack, rad
     beta: Array  # (N,) sideslip, rad
@@ -247,6 +250,12 @@ class AirData(NamedTuple):
     wake_delta_cl: Array  # (N,) rolling-moment coefficient of wakes
     state_of_charge: Array  # (N,) 0..1 of the battery; NaN without a battery
     battery_voltage: Array  # (N,) V at its terminals; NaN without a battery
+
+
+def air_data(aircraft: Records) -> AirData:
+    """View the air data of AIRCRAFT (...,), whose wind is the wind of the records itself."""
+    wind = {name: np.asarray(aircraft["wind"][name]) for name in WIND.names or ()}
+    return fields_of(AirData, aircraft["air"], **wind)
 
 
 @document_fields
@@ -446,6 +455,9 @@ class RunInfo:
     barrier_samples: tuple[tuple[float, ...], ...] = ()
     estimated: bool = False  # whether any estimate differs from the truth
     start_unix_ns: int = 0  # ns since 1970 (UTC) at time 0, as the log's times begin
+    # JSBSim's methods of integration by state, see `vehicle.environment.Integrators`; empty without
+    # flight models
+    integrators: Mapping[str, str] = field(default_factory=dict)
     # files of code that the scenario uses, by name
     code: Mapping[str, bytes] = field(default_factory=dict)
 

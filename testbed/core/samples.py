@@ -10,14 +10,9 @@ from numpy.typing import NDArray
 
 from testbed.core.compile import entry
 from testbed.core.records import (
-    ACTUATORS,
-    AIR,
     AIRCRAFT,
-    COMMAND,
     FOLLOWER,
-    MOTION,
     ActuatorCommand,
-    AirData,
     Array,
     FbwaCommand,
     FormationState,
@@ -26,19 +21,13 @@ from testbed.core.records import (
     Sample,
     UIntArray,
     VehicleState,
+    air_data,
     allocate,
     fault_state,
     fields_of,
 )
 
 Columns = Mapping[str, NDArray[Any]]  # (K, ...) by source, the path from Sample
-_AIRCRAFT_FIELDS = {
-    "truth": MOTION,
-    "estimate": MOTION,
-    "air": AIR,
-    "command": COMMAND,
-    "surfaces": ACTUATORS,
-}
 
 
 class SampleBuffer:
@@ -91,10 +80,9 @@ class SampleBuffer:
 
     def _copy(self, sample: Sample, count: int) -> None:
         aircraft, formation = self._aircraft[count], sample.formation
-        for name in _AIRCRAFT_FIELDS:
-            values = getattr(sample, name)
-            for field, array in zip(values._fields, values, strict=True):
-                _write(array, aircraft[name][field], f"{name}.{field}")
+        for name, targets in _view_aircraft(aircraft).items():
+            for field, array in getattr(sample, name)._asdict().items():
+                _write(array, getattr(targets, field), f"{name}.{field}")
         _write(sample.lost, aircraft["lost"], "lost")
         for name in formation._fields:
             known = name in self._links
@@ -108,9 +96,9 @@ class SampleBuffer:
         count = len(self.tick)
         aircraft, followers = self._aircraft[:count], self._followers[:count]
         columns = {
-            f"{name}.{field}": aircraft[name][field]
-            for name, dtype in _AIRCRAFT_FIELDS.items()
-            for field in dtype.names or ()
+            f"{name}.{field}": array
+            for name, values in _view_aircraft(aircraft).items()
+            for field, array in values._asdict().items()
         }
         columns["lost"] = aircraft["lost"]
         for field in FormationState._fields:
@@ -164,6 +152,17 @@ def _append(
             sent[row, i, m], delivered[row, i, m] = link.sent, link.delivered
 
 
+def _view_aircraft(aircraft: Records) -> dict[str, Any]:
+    """View AIRCRAFT (...,) as the named tuples of a sample, by their names there."""
+    return {
+        "truth": fields_of(VehicleState, aircraft["truth"]),
+        "estimate": fields_of(VehicleState, aircraft["estimate"]),
+        "air": air_data(aircraft),
+        "command": fields_of(FbwaCommand, aircraft["command"]),
+        "surfaces": fields_of(ActuatorCommand, aircraft["surfaces"]),
+    }
+
+
 def make_sample(
     aircraft: Records, followers: Records, links: Records, *, exact: bool, faults: bool
 ) -> Sample:
@@ -176,15 +175,13 @@ def make_sample(
         exact: the estimate is the truth.
         faults: the scenario has faults.
     """
-    truth = fields_of(VehicleState, aircraft["truth"])
+    views = _view_aircraft(aircraft)
+    if exact:
+        views["estimate"] = views["truth"]
     return Sample(
         tick=0,
         time_s=0.0,
-        truth=truth,
-        estimate=truth if exact else fields_of(VehicleState, aircraft["estimate"]),
-        air=fields_of(AirData, aircraft["air"]),
-        command=fields_of(FbwaCommand, aircraft["command"]),
-        surfaces=fields_of(ActuatorCommand, aircraft["surfaces"]),
+        **views,
         formation=fields_of(FormationState, followers, age_s=links["age_s"]),
         links=fields_of(LinkCounters, links),
         lost=aircraft["lost"],

@@ -45,6 +45,8 @@ LOOP = np.dtype(
         ("speed_min", "f8"),  # m/s, the commanded airspeed is clipped to these
         ("speed_max", "f8"),  # m/s
         ("altitude", "f8"),  # m above the origin to hold by pitch; nan: (19) flies the pitch
+        # * the feedback of (20) acts inside its arctangent
+        ("course_inside", "?"),
         # The (·) of (21) is s_a − u, as printed, which opposes the feed-forward in wind; otherwise
         # it is s_a minus the commanded airspeed, which is equal where there is no wind.
         ("airspeed_error_as_printed", "?"),
@@ -124,19 +126,22 @@ def middle_loop(loop: Record, own: Record, memory: Record, out: Record, command:
 
     # (20)
     chi_dot_d = omega[2] / cos(gamma)
-    turn_bank = atan(chi_dot_d * s * cos(gamma) / PAPER_GRAVITY)
+    curve = chi_dot_d * s * cos(gamma) / PAPER_GRAVITY
+    turn_bank = atan(curve)
     last = memory.turn_bank
     slope = 0.0 if isnan(last) else (turn_bank - last) / dt
     slope_before = memory.turn_bank_rate
     slope = slope_before + dt / (dt + loop.lead_filter) * (slope - slope_before)
     course_error = wrap_pi(atan2(v[1], v[0]) - course_d)
-    roll = (
-        turn_bank
-        + loop.roll_lead * slope
-        - loop.course_p * course_error
-        - loop.course_i * memory.course
-        - loop.course_d * (chi_dot - chi_dot_d)
+    feedback = (
+        loop.course_p * course_error
+        + loop.course_i * memory.course
+        + loop.course_d * (chi_dot - chi_dot_d)
     )
+    # The bank turns the course by g/V tan φ: inside the arctangent the loop's gain is the same at
+    # every bank, outside it grows with 1/cos² φ.
+    roll = atan(curve - feedback) if loop.course_inside else turn_bank - feedback
+    roll += loop.roll_lead * slope
 
     # (21)
     reference = out.speed_command if loop.airspeed_error_as_printed else airspeed_command

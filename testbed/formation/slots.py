@@ -7,12 +7,13 @@ from math import atan2, hypot, isnan
 import numpy as np
 
 from testbed.core.compile import entry, kernel
-from testbed.core.frames import gamma_of
+from testbed.core.frames import GRAVITY, flight_path_angle, gamma_of, turn_bank
 from testbed.core.records import Array, Record, Records, Vector
 from testbed.core.velocity_frame import (
     frame_angles,
     frame_angular_velocity,
     to_ned,
+    velocity_frame,
     velocity_rates,
 )
 
@@ -104,6 +105,50 @@ def slot_speed(velocity: Array, rate: Array, offsets: Array) -> Array:
     """
     turning = np.cross(rate[:, None, :], offsets)
     return _norm(_norm(velocity)[:, None, None] * FORWARD + turning)
+
+
+def slot_attitude(
+    velocity: Array, acceleration: Array, offsets: Array, wind_ned: Array
+) -> tuple[Array, Array]:
+    """Return banks and flight-path angles (K, n), rad, that slots need along a leader's path.
+
+    They are `turn_bank` and γ of q̇_g + χ̇_i through the air, with the acceleration q̈_g + χ̈_i.
+    ω̇_g is neglected, as in the law: where the leader rolls into a turn the slot needs another bank
+    for less than a second.
+
+    Args:
+        velocity: q̇_g (K, 3) m/s, NED.
+        acceleration: q̈_g (K, 3) m/s², NED.
+        offsets: υ (n, 3) m in the leader's velocity frame.
+        wind_ned: (3,) m/s.
+    """
+    rate = frame_rates(velocity, acceleration)[:, None, :]
+    turning = np.cross(rate, offsets)
+    to_ned = velocity_frame(velocity).swapaxes(1, 2)  # of row vectors
+    slot_velocity = velocity[:, None, :] + turning @ to_ned - wind_ned
+    slot_acceleration = acceleration[:, None, :] + np.cross(rate, turning) @ to_ned
+    return turn_bank(slot_velocity, slot_acceleration), flight_path_angle(slot_velocity)
+
+
+def slot_attitude_range(
+    offsets: Array, *, speed_min: float, speed_max: float, turn_rate: float, gamma: float
+) -> tuple[Array, Array]:
+    """Return the largest bank and |γ| (n,), rad, that slots need behind a leader within limits.
+
+    The velocities of slot and leader turn at the same rate about the vertical, and have the same
+    vertical component.
+
+    Args:
+        offsets: υ (n, 3) m in the leader's velocity frame.
+        speed_min: smallest speed of the leader through the air, m/s.
+        speed_max: largest one, m/s.
+        turn_rate: largest |σ̇_g|, rad/s.
+        gamma: largest |γ_g|, rad.
+    """
+    limits = {"turn_rate": turn_rate, "gamma": gamma}
+    slowest, fastest = slot_speed_range(offsets, speed_min=speed_min, speed_max=speed_max, **limits)
+    sine = np.minimum(speed_max * np.sin(gamma) / slowest, 1.0)
+    return np.arctan(turn_rate * fastest / GRAVITY), np.arcsin(sine)
 
 
 def slot_speed_range(

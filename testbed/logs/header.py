@@ -42,18 +42,21 @@ _SHAPE: Mapping[str, Any] = {
     "barrier_samples": ListOf(ListOf(_NUMBER)),
     "estimated": bool,
     "start_unix_ns": Number(whole=True, least=0, most=MAX_START_NS),
+    "integrators": Each(str),
 }
 _TUPLES = ("names", "aircraft", "wingspan_m", "kappa_mps", "roll_limit_rad", "bounded_in_ned")
 
 
 def metadata(info: RunInfo) -> dict[str, str]:
-    """Collect the metadata record: log schema, scenario, seed and versions."""
+    """Collect the metadata record: log schema, scenario, seed, versions, step rate, integrators."""
     return {
         "log_schema": str(LOG_SCHEMA),
         "scenario": info.scenario_name,
         "scenario_sha256": hashlib.sha256(info.scenario_yaml.encode()).hexdigest(),
         "seed": str(info.seed),
         **{f"version.{name}": value for name, value in info.versions.items()},
+        "base_rate_hz": str(info.base_rate_hz),
+        **{f"integrator.{name}": value for name, value in info.integrators.items()},
     }
 
 
@@ -68,6 +71,7 @@ def to_json(info: RunInfo) -> str:
     values["leader_path_ned"] = np.asarray(info.leader_path_ned).tolist()
     values["windows"] = dict(info.windows)
     values["versions"] = dict(info.versions)
+    values["integrators"] = dict(info.integrators)
     return json.dumps(values, ensure_ascii=False)
 
 
@@ -78,7 +82,8 @@ def from_json(text: str, *, scenario_yaml: str, code: Mapping[str, bytes]) -> Ru
         ValueError: The text is not JSON, or a field is missing, unknown or of another type or size.
     """
     try:
-        values = {"barrier_samples": []} | parse_json_map(text)  # early logs have none
+        early: dict[str, Any] = {"barrier_samples": [], "integrators": {}}  # early logs have none
+        values = early | parse_json_map(text)
         _check(values)
     except ValueError as error:
         raise ValueError(f"{INFO_NAME}: {error}") from None

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from testbed.core.frames import enu_from_ned, geodetic_from_ned, quaternion_xyzw
+from testbed.core.frames import enu_from_ned, quaternion_xyzw
+from testbed.core.geodetic import geodetic_from_ned
 from testbed.core.records import Array, Event, RunInfo, Sample
 from testbed.core.samples import Columns, SampleBuffer
 from testbed.logs.foxglove_messages import FIX, LOG, TRANSFORMS, encode_event

@@ -255,6 +255,11 @@ def _notes(
             "SERVOn_ parameters are not in the log: outputs 1 to 4 are taken for aileron, "
             "elevator, throttle, rudder, with their pulses as logged"
         )
+    if rate_hz := log.params.get("SIM_RATE_HZ"):
+        notes.append(
+            f"the log is of SITL, SIM_RATE_HZ {rate_hz:g}, whose gyro filter depends on that rate: "
+            f"respond --sitl-rate {rate_hz:g}"
+        )
     above_sea, above_home = (source(log) for source in log.home)
     if above_sea and above_home:
         height = resample(above_sea, time[:1])[0] - resample(above_home, time[:1])[0]

@@ -13,10 +13,9 @@ from testbed.core.frames import (
     body_rates,
     euler_from_quaternion,
     euler_rates,
-    geodetic_from_ned,
-    ned_from_geodetic,
     quaternion_xyzw,
 )
+from testbed.core.geodetic import geodetic_from_ned, longitude_e7, ned_from_geodetic
 from testbed.core.records import Array, BoolArray, Broadcast, Origin
 
 Frames = NDArray[np.uint8]
@@ -58,7 +57,6 @@ MAGIC, AUTOPILOT = 0xFD, 1
 CAPABILITIES = 0b1111  # position, velocity, acceleration, attitude and rates
 
 E7 = 1e7
-FULL_TURN_E7 = 3_600_000_000
 MS = 1000
 # Timestamp at time 0, so that it is not negative for clocks that are slow by up to an hour.
 BEGIN_MS = 3_600_000
@@ -122,8 +120,7 @@ class FollowTarget:
             payload["timestamp"] = np.maximum(clock, 0.0)
             place = geodetic_from_ned(message.position_ned, self._origin)
             payload["lat"] = np.rint(place[:, 0] * E7)
-            half = FULL_TURN_E7 // 2
-            payload["lon"] = np.mod(np.rint(place[:, 1] * E7) + half, FULL_TURN_E7) - half
+            payload["lon"] = longitude_e7(place[:, 1])
             payload["alt"] = place[:, 2]
             payload["vel"], payload["acc"] = message.velocity_ned, message.acceleration_ned
             attitude = quaternion_xyzw(message.euler)

@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from testbed.core.errors import InputError
-from testbed.core.frames import GRAVITY, geodetic_from_ned, ned_from_geodetic
+from testbed.core.frames import GRAVITY
+from testbed.core.geodetic import geodetic_from_ned, ned_from_geodetic, origin_geodetic
 from testbed.core.records import Origin
 from testbed.guidance.flight_plan import (
     MAX_SEGMENTS,
@@ -71,8 +72,7 @@ def items_from_mission(mission: Mission, origin: Origin) -> tuple[MissionItem, .
 
 def home_item(origin: Origin) -> MissionItem:
     """Return item 0."""
-    position = (origin.latitude_deg, origin.longitude_deg, origin.elevation_m)
-    return MissionItem(WAYPOINT, SEA_LEVEL, (0.0, 0.0, 0.0, 0.0), *position)
+    return MissionItem(WAYPOINT, SEA_LEVEL, (0.0, 0.0, 0.0, 0.0), *origin_geodetic(origin))
 
 
 def items_of_segments(mission: Mission) -> tuple[int, ...]:

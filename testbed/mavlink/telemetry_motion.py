@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 
+from testbed.core.geodetic import longitude_e7
 from testbed.mavlink.outgoing import Fields
 from testbed.mavlink.rc_channels import MAX_US, MIN_US, TRIM_US
 from testbed.mavlink.telemetry_snapshot import (
@@ -76,7 +77,7 @@ def global_position_int(context: VehicleContext, snapshot: TelemetrySnapshot) ->
     return {
         "time_boot_ms": snapshot.boot_ms,
         "lat": to_integer(latitude * _E7, I32),
-        "lon": to_integer(longitude * _E7, I32),
+        "lon": to_integer(longitude_e7(longitude), I32),
         "alt": to_integer(height * 1e3, I32),
         "relative_alt": to_integer(-snapshot.position_ned[context.row][2] * 1e3, I32),
         "vx": vx,
@@ -95,7 +96,7 @@ def gps_raw_int(context: VehicleContext, snapshot: TelemetrySnapshot) -> Fields:
         "time_usec": round(snapshot.sample.time_s * 1e6),
         "fix_type": _FIX_3D if fix else _NO_FIX,
         "lat": to_integer(latitude * _E7, I32),
-        "lon": to_integer(longitude * _E7, I32),
+        "lon": to_integer(longitude_e7(longitude), I32),
         "alt": to_integer(height * 1e3, I32),
         "eph": _DILUTION,
         "epv": _DILUTION,

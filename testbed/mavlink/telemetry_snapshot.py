@@ -7,7 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from testbed.core.frames import geodetic_from_ned, quaternion_xyzw
+from testbed.core.frames import quaternion_xyzw
+from testbed.core.geodetic import geodetic_from_ned
 from testbed.core.records import Array, Origin, Sample
 
 Rows = list[list[float]]

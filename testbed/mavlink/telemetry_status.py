@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import re
 
+from testbed.core.geodetic import longitude_e7, origin_geodetic
 from testbed.mavlink.codec import constant
 from testbed.mavlink.outgoing import Fields
 from testbed.mavlink.telemetry_snapshot import I32, U16, TelemetrySnapshot, to_integer
@@ -229,11 +230,11 @@ def _sensors(names: tuple[str, ...]) -> int:
 
 
 def _origin(context: VehicleContext) -> Fields:
-    origin = context.origin
+    latitude, longitude, elevation = origin_geodetic(context.origin)
     return {
-        "latitude": to_integer(origin.latitude_deg * 1e7, I32),
-        "longitude": to_integer(origin.longitude_deg * 1e7, I32),
-        "altitude": to_integer(origin.elevation_m * 1e3, I32),
+        "latitude": to_integer(latitude * 1e7, I32),
+        "longitude": to_integer(longitude_e7(longitude), I32),
+        "altitude": to_integer(elevation * 1e3, I32),
     }
 
 

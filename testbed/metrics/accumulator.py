@@ -14,6 +14,7 @@ from testbed.core.frames import wrap_pi
 from testbed.core.records import Array, BoolArray
 from testbed.core.samples import Columns
 from testbed.formation.law import LimiterFlag, Saturation
+from testbed.metrics.ringing import RingingMonitor
 
 Ticks = NDArray[np.int64]
 NEVER = -1  # the tick of what has not happened
@@ -49,7 +50,7 @@ class SampleBlock:
 
     tick: Ticks  # (K,) of the base rate
     position_ned: Array  # (K, N, 3) m
-    leader_bank: Array  # (K,) rad
+    bank: Array  # (K, N) rad
     error_ned: Array  # (K, n, 3) m, position − slot
     slot_ned: Array  # (K, n, 3) m
     slot_index: Array  # (K, n) number of the slot that a follower has
@@ -61,6 +62,7 @@ class SampleBlock:
     lost: BoolArray  # (K, N)
     estimated_error_ned: Array  # (K, n, 3) m, the error computed from the estimates
     estimate_errors: EstimateErrors | None  # None: all estimates equal the truth
+    exact: BoolArray  # (K,) whether all estimates equal the truth
 
     @property
     def without_slot(self) -> BoolArray:
@@ -84,7 +86,7 @@ class SampleBlock:
         return replace(
             self,
             position_ned=np.where(after[..., None], np.nan, self.position_ned),
-            leader_bank=np.where(lost[:, 0], 0.0, self.leader_bank),
+            bank=np.where(lost, 0.0, self.bank),
             error_ned=np.where(no_slot[..., None], 0.0, self.error_ned),
             slot_ned=np.where(no_slot[..., None], np.nan, self.slot_ned),
             limiter_flags=np.where(lost[:, 1:], 0, self.limiter_flags),
@@ -107,8 +109,8 @@ def make_block(tick: Sequence[int], columns: Columns, inexact: Sequence[int]) ->
     measured = {source: np.ascontiguousarray(columns[source]) for source in _MEASURED}
     error_ned = measured["formation.error_ned"]
     estimated_error_ned, estimate_errors = error_ned, None
+    exact = np.ones(len(tick), dtype=np.bool_)
     if inexact:
-        exact = np.ones(len(tick), dtype=bool)
         exact[inexact] = False
         estimated_error_ned = columns[_ESTIMATED_ERROR].copy()
         estimated_error_ned[exact] = error_ned[exact]
@@ -121,7 +123,7 @@ def make_block(tick: Sequence[int], columns: Columns, inexact: Sequence[int]) ->
     return SampleBlock(
         tick=np.array(tick, dtype=np.int64),
         position_ned=measured["truth.position_ned"],
-        leader_bank=measured["truth.euler"][:, 0, 0],
+        bank=measured["truth.euler"][..., 0],
         error_ned=error_ned,
         slot_ned=measured["formation.slot_ned"],
         slot_index=measured["formation.slot_index"],
@@ -133,6 +135,7 @@ def make_block(tick: Sequence[int], columns: Columns, inexact: Sequence[int]) ->
         lost=measured["lost"],
         estimated_error_ned=estimated_error_ned,
         estimate_errors=estimate_errors,
+        exact=exact,
     )
 
 
@@ -219,10 +222,14 @@ class Accumulator:
         self.max_speed_tick = _never(n)
         self.left_speed_set = _counts(n)  # times that a follower's speed left its set
         self.first_left_tick = _never(n)
+        self.ringing = RingingMonitor(n, base_rate_hz)
         # the last two samples, for central differences and transitions
         self._recent_tick: Ticks = np.zeros(0, dtype=np.int64)
         self._recent_slot_ned: Array = np.zeros((0, n, 3))
         self._recent_slot_index: Array = np.zeros((0, n))
+        self._recent_bank: Array = np.zeros((0, n))
+        self._recent_wind_ned: Array = np.zeros((0, n, 3))
+        self._recent_exact: BoolArray = np.zeros(0, dtype=np.bool_)
         self._recent_outside: BoolArray = np.zeros((0, n), dtype=np.bool_)
         # air and commands
         self.wind_sum = np.zeros((n + 1, 3))  # m/s
@@ -249,7 +256,7 @@ class Accumulator:
         self._add_errors(block, no_slot)
         self._add_separation(block)
         self._add_limits(block)
-        self._add_slot_speeds(block)
+        self._add_slot_motion(block)
         self._add_wind(block)
         self.throttle_sum += block.throttle.sum(axis=0)
         if block.estimate_errors is not None:
@@ -260,7 +267,7 @@ class Accumulator:
         offset = _length(block.slot_ned - block.position_ned[:, :1])
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.where(no_slot, 0.0, error / offset)
-        bank = np.abs(block.leader_bank)
+        bank = np.abs(block.bank[:, 0])
         # samples are in the order of time, so those of a window are neighbours
         cuts = np.searchsorted(block.tick / self._base_rate_hz, self._spans).tolist()
         parts = [slice(first, last) for first, last in cuts]
@@ -308,11 +315,14 @@ class Accumulator:
         last = np.where(saturated, block.tick[:, None], NEVER).max(axis=0, initial=NEVER)
         self.last_saturated_tick = np.maximum(self.last_saturated_tick, last)
 
-    def _add_slot_speeds(self, block: SampleBlock) -> None:
+    def _add_slot_motion(self, block: SampleBlock) -> None:
         outside = block.limiter_flags & int(LimiterFlag.OUTSIDE_SPEED_SET) != 0
         ticks = np.concatenate((self._recent_tick, block.tick))
         slots = np.concatenate((self._recent_slot_ned, block.slot_ned))
         indices = np.concatenate((self._recent_slot_index, block.slot_index))
+        bank = np.concatenate((self._recent_bank, block.bank[:, 1:]))
+        wind_ned = np.concatenate((self._recent_wind_ned, block.wind_ned[:, 1:]))
+        exact = np.concatenate((self._recent_exact, block.exact))
         inside = ~np.concatenate((self._recent_outside, outside))
         leaving = inside[:-1] & ~inside[1:]
         if len(leaving):
@@ -322,9 +332,12 @@ class Accumulator:
             self.left_speed_set += leaving.sum(axis=0)
         if ticks.size > 2:
             self._add_speed_extremes(ticks, slots, indices)
+            self.ringing.add(ticks, bank, slots, indices, wind_ned, exact)
         self._recent_tick = ticks[-2:]
         self._recent_slot_ned = slots[-2:].copy()  # a view would hold the whole block
         self._recent_slot_index = indices[-2:].copy()
+        self._recent_bank, self._recent_wind_ned = bank[-2:].copy(), wind_ned[-2:].copy()
+        self._recent_exact = exact[-2:].copy()
         self._recent_outside = outside[-1:]
 
     def _add_speed_extremes(self, ticks: Ticks, slots: Array, indices: Array) -> None:

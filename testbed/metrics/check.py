@@ -12,7 +12,7 @@ from testbed.formation.law import LimiterFlag, Saturation
 from testbed.metrics.accumulator import ESTIMATE_KEYS
 from testbed.metrics.document import OUTCOMES, Document
 from testbed.metrics.facts import facts
-from testbed.metrics.summary import SCHEMA
+from testbed.metrics.summary import RINGING_KEYS, SCHEMA
 from testbed.metrics.tables import (
     arrival_tables,
     error_tables,
@@ -181,6 +181,7 @@ def _shape(info: RunInfo) -> dict[str, Any]:
         "leader_bank_deg": _KNOWN,
         "limiter_flags": flags(LimiterFlag),
         "saturations": flags(Saturation),
+        "ringing": by(followers, dict.fromkeys(RINGING_KEYS, _KNOWN)),
         **slot_speed,
         "kappa_at_s": by(followers, _KNOWN),
         "kappa_assumed_mps": by(followers, Number(finite=False)),

@@ -17,6 +17,7 @@ from testbed.metrics.accumulator import ESTIMATE_KEYS, NEVER, Accumulator, Ticks
 
 SCHEMA = 2  # of metrics.json; raised when a key is renamed, removed or changes its meaning
 CALM_MPS = 1e-6  # a slower wind is rounding
+RINGING_KEYS = ("seconds", "last_s", "period_s", "damping_ratio")
 
 _DEGREES = np.array([1.0, 1.0, 1.0, math.degrees(1.0), math.degrees(1.0), 1.0])
 
@@ -61,6 +62,7 @@ def summarise(
         "leader_bank_deg": _number(math.degrees(total.max_bank)),
         "limiter_flags": _flags(LimiterFlag, total.limited_samples, total.limiter_samples, info),
         "saturations": _flags(Saturation, total.saturated_samples, total.saturation_samples, info),
+        "ringing": _ringing(total, followers),
         **_slot_speed(total.min_speed, total.max_speed, info),
         "kappa_at_s": _times(_tightest(total, info), followers, info),
         "kappa_assumed_mps": dict(zip(followers, info.kappa_mps, strict=True)),
@@ -165,6 +167,19 @@ def _flags(
             "by_kind": {str(flag.name).lower(): int(each[i, k]) for k, flag in enumerate(kind)},
         }
         for i, name in enumerate(info.names[1:])
+    }
+
+
+def _ringing(total: Accumulator, followers: Sequence[str]) -> dict[str, dict[str, float | None]]:
+    """By follower: for how long its bank rang, when last, with which period and damping ratio.
+
+    The duration is null unless more than half of the samples could be assessed.
+    """
+    numbers = total.ringing.numbers()
+    numbers[2 * total.ringing.assessed <= total.slot_samples, 0] = np.nan
+    return {
+        name: {key: _number(value) for key, value in zip(RINGING_KEYS, row, strict=True)}
+        for name, row in zip(followers, numbers.tolist(), strict=True)
     }
 
 

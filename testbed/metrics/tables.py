@@ -175,7 +175,10 @@ def _error_table(metrics: Document, windows: Sequence[str], names: Sequence[str]
 
 
 def follower_tables(metrics: Document, names: Sequence[str]) -> list[Table]:
-    """Make tables of joining, limiters and message age, and of saturated commands."""
+    """Make tables of joining, limiters and message age, of saturated commands, and of ringing.
+
+    The last one is absent if no bank rings.
+    """
     joined, ages = metrics["joined_at_s"], metrics["age_of_information_s"]
     limits, saturations = metrics["limiter_flags"], metrics["saturations"]
     recovery = metrics["recovery"]
@@ -192,10 +195,20 @@ def follower_tables(metrics: Document, names: Sequence[str]) -> list[Table]:
         },
         "last\nat, s": [shown(recovery[name]["last_saturated_s"], "{:.1f}") for name in names],
     }
-    return [
+    tables = [
         _follower_table("\nfollower", names, columns),
         _follower_table("command\nsaturated", names, saturation),
     ]
+    if any(each["seconds"] for each in metrics["ringing"].values()):
+        found = [metrics["ringing"][name] for name in names]
+        ringing: Columns = {
+            "any\ns": [ABSENT if (s := each["seconds"]) is None else _seconds(s) for each in found],
+            "last\nat, s": [shown(each["last_s"], "{:.1f}") for each in found],
+            "period\ns": [shown(each["period_s"], "{:.2f}") for each in found],
+            "damping\nratio": [shown(each["damping_ratio"], "{:.2f}") for each in found],
+        }
+        tables.append(_follower_table("bank\nringing", names, ringing))
+    return tables
 
 
 def _follower_table(title: str, names: Sequence[str], columns: Columns) -> Table:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from testbed.core.records import Array
+from testbed.metrics.ringing import needed_bank
 from testbed.metrics.summary import CALM_MPS
 from testbed.reports.figure_spec import (
     FigureSpec,
@@ -34,7 +35,7 @@ MAX_LINKS = 4  # drawn one by one
 
 
 def commands(run: RunData, selection: PlotSelection) -> FigureSpec:
-    """Draw bank with its limits, pitch and throttle."""
+    """Draw bank with its limits, the bank that the slots need, pitch and throttle."""
     log, axis, time = run.log, TimeAxis(run), run.log.time_s
     alive = np.where(log.lost, np.nan, 1.0)
     bank, pitch = (np.degrees(log.truth.euler[..., k]) * alive for k in (0, 1))
@@ -53,17 +54,41 @@ def commands(run: RunData, selection: PlotSelection) -> FigureSpec:
             lines += desired_curves(time, commanded[:, 1:], selection)
         if title == "bank":
             limits = np.degrees(log.info.roll_limit_rad)
-            lines += bound_lines(time, np.stack((-limits, limits)), "bank limits")
+            bounds = bound_lines(time, np.stack((-limits, limits)), "bank limits")
+            lines += bounds
         bands = percentile_bands(time, actual[:, 1:], selection)
         last = commanded is None
         rows.append([axis.panel(title, unit, lines, bands, last=last, y_degrees=not last)])
-    return FigureSpec(
-        "Bank, pitch and throttle",
+        if title == "bank" and run.followers and len(time) > 2:
+            rows.append([_needed_bank(run, selection, axis, bank[:, 1:], bounds)])
+    caption = (
         "Solid: actual bank and pitch, and the commanded throttle; dashed: the fly-by-wire-A"
-        " commands; thin solid lines: the limits of the bank command." + axis.note,
-        rows,
-        7.2,
+        " commands; thin solid lines: the limits of the bank command."
     )
+    if len(rows) > len(quantities):
+        caption += (
+            " Second panel, dashed: the bank of a coordinated turn with which the follower would"
+            " fly its slot exactly."
+        )
+    return FigureSpec("Bank, pitch and throttle", caption + axis.note, rows, 2.4 * len(rows))
+
+
+def _needed_bank(
+    run: RunData, selection: PlotSelection, axis: TimeAxis, bank: Array, bounds: list[Line]
+) -> Panel:
+    """Make the panel of banks (K, n), degrees, beside those that the slots need."""
+    log, time = run.log, run.log.time_s
+    needed = np.full(bank.shape, np.nan)
+    formation, wind_ned = log.formation, log.air.wind_ned[:, 1:]
+    needed[1:-1] = np.degrees(needed_bank(time, formation.slot_ned, formation.slot_index, wind_ned))
+    needed = mask_without_slot(run, needed)
+    lines = [*follower_curves(time, bank, selection), *desired_curves(time, needed, selection)]
+    # in turbulence the slots of a disturbed leader need far larger banks than are flown
+    limits = padded_limits([bank, *(line.y for line in bounds)])
+    return axis.panel(
+        "bank, and the bank needed to fly the slot exactly", "bank, °", [*lines, *bounds],
+        percentile_bands(time, bank, selection), y_degrees=True, y_limits=limits,
+    )  # fmt: skip
 
 
 def network(run: RunData, selection: PlotSelection) -> FigureSpec | None:

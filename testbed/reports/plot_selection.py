@@ -13,7 +13,7 @@ from testbed.core.records import Array
 from testbed.reports.run_data import RunData
 from testbed.views.panels import BLACK, DASHED, GREY, ON_WHITE, Band, Line
 
-BUCKETS = 250  # about four pixels wide on the page
+BUCKETS = 240  # about four pixels wide on the page
 
 
 def decimate(*columns: Array, buckets: int = BUCKETS) -> NDArray[np.intp]:

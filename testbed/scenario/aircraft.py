@@ -65,10 +65,17 @@ class VirtualAutopilot(Section):
     """The testbed's implementation of ArduPlane's fly-by-wire A."""
 
     kind: Literal["virtual"] = Field("virtual", description="The testbed's fly-by-wire A.")
+    gyro_filter: Literal["aircraft", "sitl"] = Field(
+        "aircraft",
+        description="aircraft: INS_GYRO_FILTER as on a flight controller; sitl: as in SITL at "
+        "rates.physics_hz, for comparisons with it: INS_GYRO_FILTER times physics_hz / 1000.",
+    )
 
     @model_serializer
-    def _kind(self) -> str:
-        return self.kind
+    def _kind(self) -> str | dict[str, str]:
+        if self.gyro_filter == "aircraft":
+            return self.kind
+        return {"kind": self.kind, "gyro_filter": self.gyro_filter}
 
 
 class ArduPlane(Section):
@@ -307,7 +314,7 @@ class Aircraft(Section):
     )
     autopilot: Autopilot = Field(
         VirtualAutopilot(),
-        description="Autopilot: virtual, or ardupilot, or a map with kind: ardupilot.",
+        description="Autopilot: virtual, or ardupilot, or a map with that kind.",
     )
     commanded_by: CommandedBy = Field(
         ByFormation(),

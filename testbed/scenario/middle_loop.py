@@ -15,6 +15,7 @@ from testbed.scenario.fields import (
     Section,
 )
 
+CourseFeedback = Literal["outside_arctangent", "inside_arctangent"]
 Share = Annotated[Number, Field(gt=0, le=1)]
 
 
@@ -132,6 +133,11 @@ class MiddleLoopGains(Section):
 
     flight_path: AngleGains = Field(description="Flight-path angle to pitch (19), rad to rad.")
     course: AngleGains = Field(description="Course to roll (20), rad to rad.")
+    course_feedback: CourseFeedback = Field(
+        "outside_arctangent",
+        description="Where the course gains act in (20): outside its arctangent as in the paper, "
+        "or inside it, where the loop's gain is the same at every bank.",
+    )
     speed: SpeedGains = Field(description="Speed to throttle (21), m/s to throttle fraction.")
     eta_speed: NotNegative = Field(
         description="η_s of (21): throttle fraction per m/s of commanded airspeed."
@@ -156,7 +162,7 @@ class MiddleLoopGains(Section):
     limits: Limits = Field(Limits(), description="Limits of the commands, degrees.")
 
 
-GainChanges = Mapping[Name, Number | Mapping[Name, Number]]
+GainChanges = Mapping[Name, Number | CourseFeedback | Mapping[Name, Number]]
 
 
 class MiddleLoopFile(RootModel[Mapping[Name, MiddleLoopGains]]):

@@ -31,8 +31,19 @@ Distance = Annotated[Metres, Field(gt=0)]
 class Origin(Section):
     """Origin of the local north-east-down frame (WGS 84)."""
 
-    latitude_deg: Degrees = Field(38.0, ge=-85, le=85, description="Latitude, degrees.")
-    longitude_deg: Degrees = Field(0.0, ge=-180, le=180, description="Longitude, degrees.")
+    latitude_deg: Degrees = Field(
+        38.0,
+        ge=-85,
+        le=85,
+        description="Latitude, degrees.",
+        json_schema_extra={
+            "reason": "east is an arc along the parallel of the origin; nearer a pole parallels "
+            "shrink by more than 0.17 % per km"
+        },
+    )
+    longitude_deg: Degrees = Field(
+        0.0, ge=-180, le=180, description="Longitude, degrees; 180 equals -180."
+    )
     elevation_m: Metres = Field(300.0, description="Elevation of the ground above sea level, m.")
 
 
@@ -77,7 +88,7 @@ class Header(Section):
 class Rates(Section):
     """Rates of the loops; each divides physics_hz."""
 
-    physics_hz: Hertz = Field(200, description="Steps of the flight model, Hz.")
+    physics_hz: Hertz = Field(100, description="Steps of the flight model, Hz.")
     autopilot_hz: Hertz = Field(50, description="Autopilots, Hz.")
     control_hz: Hertz = Field(25, description="Formation controllers, Hz.")
     broadcast_hz: Hertz = Field(25, description="Messages of each aircraft, Hz.")

@@ -156,6 +156,8 @@ def _one(detail: Mapping[str, Any], tree: Node, schema: dict[str, Any]) -> Probl
         number = node.value
         if word == "at most" and context[limit] == 1 and isinstance(number, int | float):
             remedy += f"; {number:g} % is {number / 100:g}" if 5 <= number <= 100 else ""
+        if reason := _at(schema, tree, path).get("reason"):
+            remedy += f": {reason}"
         text = f"is {_shown(node)} ({remedy})"
     elif kind == "literal_error":
         expected = context["expected"].replace("'", "")

@@ -215,8 +215,8 @@ class ArduPlaneVehicles(JsbsimVehicles):
             command: roll, pitch and throttle, (3, M); None: those sent before.
         """
         self.fleet.read_air()
-        air = self._aircraft["air"][self.rows]
-        winds, voltage = air["wind_ned"].tolist(), air["battery_voltage"].tolist()
+        winds = self._aircraft["wind"]["wind_ned"][self.rows].tolist()
+        voltage = self._aircraft["air"]["battery_voltage"][self.rows].tolist()
         pitot = self._pitot.tolist()
         for k, plane in self._planes.items():
             if command is not None:

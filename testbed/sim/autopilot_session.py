@@ -10,7 +10,7 @@ from dataclasses import fields, replace
 import numpy as np
 
 from testbed.autopilot.parameters import FbwaParams, ParamError, with_param
-from testbed.core.frames import ned_from_geodetic
+from testbed.core.geodetic import ned_from_geodetic
 from testbed.core.records import Event, VehicleState
 from testbed.mavlink.mission_plans import (
     MAX_ALTITUDE_M,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -66,11 +67,19 @@ from testbed.sim.limits import (
     build_proximity,
     separation_warnings,
 )
-from testbed.sim.preflight import assumption_warnings, limit_warnings, sensor_warnings
+from testbed.sim.preflight import (
+    assumption_warnings,
+    leader_warnings,
+    limit_warnings,
+    sensor_warnings,
+    sitl_gyro_warnings,
+    step_warnings,
+)
 from testbed.sim.resources import check_memory
 from testbed.sim.schedule import Clock, make_clock
 from testbed.sim.user_code import with_stored_code
 from testbed.sim.vehicles import Vehicles
+from testbed.vehicle.environment import describe_integrators
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.jsbsim_adapter import VERSION as JSBSIM_VERSION
 from testbed.vehicle.trim import STILL, Vector
@@ -219,12 +228,24 @@ def build(
             *still_field_warnings(scenario),
             *temperature_warnings(scenario, kinds),
             *fault_warnings(scenario),
+            *step_warnings(scenario, models, vehicles),
             *limit_warnings(scenario, models.params, kinds),
+            *sitl_gyro_warnings(scenario, models.params, kinds),
+            *leader_warnings(scenario, control.config, leader, models.params, kinds, wind),
             *sensor_warnings(scenario),
             *separation_warnings(scenario, models.airframes),
             *assumption_warnings(scenario, control, leader, wind),
         ),
-        info=_run_info(scenario, clock, models, leader, control, wind, exact=estimators.exact),
+        info=_run_info(
+            scenario,
+            clock,
+            models,
+            leader,
+            control,
+            wind,
+            exact=estimators.exact,
+            integrators={} if vehicles.fleet is None else describe_integrators(),
+        ),
     )
 
 
@@ -270,6 +291,7 @@ def _run_info(
     wind: Vector,
     *,
     exact: bool,
+    integrators: Mapping[str, str],
 ) -> RunInfo:
     """Describe the run for its observers; `exact`: estimates are the truth."""
     stored, code = with_stored_code(scenario)
@@ -297,4 +319,5 @@ def _run_info(
         leader_path_ned=leader.path_ned,
         windows=dict(scenario.scenario.windows),
         versions=versions(),
+        integrators=integrators,
     )

@@ -473,6 +473,7 @@ def make_loops(
         loops[name] = profile_values(profiles, path)
     for name, path in _DEGREES.items():
         loops[name] = profile_values(profiles, path, math.radians(1.0))
+    loops["course_inside"] = [each.course_feedback == "inside_arctangent" for each in profiles]
     loops["incidence"], loops["dt"] = incidence, dt
     loops["speed_min"], loops["speed_max"], loops["altitude"] = speed_min, speed_max, altitude
     loops["airspeed_error_as_printed"] = airspeed_error_as_printed

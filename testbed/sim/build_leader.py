@@ -171,10 +171,16 @@ def _mission_leader(
     # the speed of an ideal vehicle is over the ground, whatever the wind
     wind = STILL if ideal else wind_ned
     gamma = math.asin(min(path.climb_limit_mps / airspeed, 1.0))
+    # the autopilot of an aircraft may limit the bank further
+    bank = (
+        mission.bank_limit
+        if ideal
+        else min(mission.bank_limit, math.radians(params.roll_limit_deg))
+    )
 
     def limits(wind_speed: float) -> SpeedLimits:
         slowest = max(airspeed - wind_speed, 1.0)
-        turn_rate = GRAVITY * math.tan(mission.bank_limit) / slowest
+        turn_rate = GRAVITY * math.tan(bank) / slowest
         return SpeedLimits(slowest, airspeed + wind_speed, turn_rate, gamma)
 
     with error_prefix("air.wind"):

@@ -11,11 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.atmosphere.mean_wind import MeanWind
-from testbed.autopilot.parameters import FbwaParams, make_gains, read_params
+from testbed.autopilot.parameters import AutopilotTiming, FbwaParams, make_gains, read_params
 from testbed.core.errors import InputError
 from testbed.core.records import Airframe, Event, Origin, Records
 from testbed.core.speed_model import speed_model_records
 from testbed.scenario import Scenario, find_aircraft, find_tune
+from testbed.scenario.aircraft import VirtualAutopilot
 from testbed.scenario.checks import LOWEST_START_M
 from testbed.sim.arduplane_vehicles import build_jsbsim_vehicles
 from testbed.sim.build_air import initial_wind, temperature_offset
@@ -141,9 +142,7 @@ def build_vehicles(
     jsbsim = None
     if rows:
         fleet = _build_fleet(scenario, models, starts, rows, clock, processes)
-        gains = make_gains(
-            [models.params[row] for row in rows], clock.autopilot / clock.base_rate_hz
-        )
+        gains = _build_gains(scenario, models, rows, clock)
         # the sensor has ArduPlane's filter of the pressure already
         sensors = [scenario.aircraft[row].sensors.airspeed for row in rows]
         filtered = [sensor is not None and sensor.smoothing_s > 0.0 for sensor in sensors]
@@ -173,6 +172,20 @@ def gust_input_warnings(
                 "air/roll-coefficient"
             )
             yield Event(0.0, "warning", scenario.aircraft_names[row], text)
+
+
+def _build_gains(
+    scenario: Scenario, models: AircraftModels, rows: Sequence[int], clock: Clock
+) -> Records:
+    """Return the gains (M,) of the aircraft in these rows."""
+    dt = clock.autopilot / clock.base_rate_hz
+    gains = make_gains([models.params[row] for row in rows], dt)
+    sitl = AutopilotTiming(sitl_physics_hz=scenario.rates.physics_hz)
+    for k, row in enumerate(rows):
+        autopilot = scenario.aircraft[row].autopilot
+        if isinstance(autopilot, VirtualAutopilot) and autopilot.gyro_filter == "sitl":
+            gains[k] = make_gains([models.params[row]], dt, sitl)[0]
+    return gains
 
 
 def _build_fleet(

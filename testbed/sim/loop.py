@@ -163,8 +163,7 @@ class Flight:
             now: its time, s.
         """
         world = self._world
-        for vehicles in world.vehicles:
-            vehicles.read_air()
+        self._read_air()
         write_formation_state(
             world.aircraft, world.followers, self._control.offsets, world.altitudes
         )
@@ -210,8 +209,7 @@ class Flight:
         """Stage 1: wind, faults that begin, sensor errors and estimates."""
         world, aircraft = self._world, self._world.aircraft
         if due.log:
-            for vehicles in world.vehicles:
-                vehicles.read_air()
+            self._read_air()
         if due.autopilot and world.air is not None:
             world.air.sample_wind(now)
             for vehicles in world.vehicles:
@@ -255,7 +253,7 @@ class Flight:
             self._leader_input = world.leader_controller.step(aircraft)
         for vehicles in world.vehicles:
             vehicles.set_unicycle(world.followers, *self._leader_input)
-        self._write_commands(now)
+        self.write_commands(now)
         self._events += self._link_monitor.leader_changes(now)
 
     def actuate(self, now: float, due: TickActions) -> None:
@@ -264,7 +262,7 @@ class Flight:
             return
         world, aircraft = self._world, self._world.aircraft
         if world.companions is not None or world.external_control is not None:
-            self._write_commands(now)
+            self.write_commands(now)
         if world.external_control is not None:
             self._events += world.external_control.pop_events()
             world.external_control.override_commands(aircraft)
@@ -278,7 +276,7 @@ class Flight:
         if self._find_losses() or world.proximity.watching:
             self._lose(now)
 
-    def _write_commands(self, now: float) -> None:
+    def write_commands(self, now: float) -> None:
         """Write the commands of law and guidance that the autopilots have at the time `now`, s."""
         if self._world.companions is None:
             self._copy_control()
@@ -337,7 +335,7 @@ class Flight:
         self._link_monitor.set_left(self._left)
 
     def _read_air(self) -> AirData:
-        """Read what is known of the air now, for faults that begin at a state of charge."""
+        """Read the flight models; the wind is that of the records, sampled at this tick."""
         for vehicles in self._world.vehicles:
             vehicles.read_air()
         return self._sample.air

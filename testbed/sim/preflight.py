@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from testbed.autopilot.parameters import FbwaParams
+from testbed.autopilot.parameters import FbwaParams, sitl_gyro_cutoff
+from testbed.core.errors import InputError
 from testbed.core.records import Array, Event, join_names
 from testbed.formation.assumptions import (
     Finding,
@@ -21,11 +23,22 @@ from testbed.formation.assumptions import (
 )
 from testbed.formation.barrier import barriers_of
 from testbed.formation.law import FormationConfig
-from testbed.formation.slots import frame_rates, slot_speed, slot_speed_range
+from testbed.formation.slots import (
+    frame_rates,
+    slot_attitude,
+    slot_attitude_range,
+    slot_speed,
+    slot_speed_range,
+)
 from testbed.scenario import Scenario, middle_loop_gains
+from testbed.scenario.aircraft import ArduPlane
 from testbed.sim.build_control import BuiltControl, agent_value, follower_names
 from testbed.sim.build_leader import LeaderSetup
-from testbed.vehicle.trim import STILL, Vector
+from testbed.sim.build_vehicles import AircraftModels, BuiltVehicles, build_origin
+from testbed.vehicle.jsbsim_adapter import modes_of_aircraft
+from testbed.vehicle.linearize import Mode
+from testbed.vehicle.step_size import find_coarse_step
+from testbed.vehicle.trim import STILL, TrimPoint, Vector
 
 MAX_SLOT_WARNINGS = 6  # above which only the worst is given, with the number of the others
 _KAPPA = "formation.kappa_mps"
@@ -192,6 +205,141 @@ def limit_warnings(
     yield from _warnings(found)
 
 
+def sitl_gyro_warnings(
+    scenario: Scenario, tunes: Sequence[FbwaParams], kinds: Sequence[str]
+) -> Iterator[Event]:
+    """Warn of the gyro filters of ArduPlane processes, which depend on the rate of the physics.
+
+    Args:
+        scenario: as resolved.
+        tunes: of N aircraft.
+        kinds: of their N vehicles.
+    """
+    rate_hz = scenario.rates.physics_hz
+    found: dict[str, list[str]] = {}
+    for each, tune, kind in zip(scenario.aircraft, tunes, kinds, strict=True):
+        if kind == "jsbsim" and isinstance(each.autopilot, ArduPlane):
+            cutoff, own = sitl_gyro_cutoff(tune, rate_hz), tune.ins_gyro_filter
+            if cutoff != own:
+                text = (
+                    f"SITL at rates.physics_hz {rate_hz} has a gyro filter of {cutoff:g} Hz in "
+                    f"place of INS_GYRO_FILTER, {own:g} Hz (a virtual autopilot has the same with "
+                    "autopilot: {kind: virtual, gyro_filter: sitl})"
+                )
+                found.setdefault(text, []).append(each.name)
+    for text, names in found.items():
+        yield Event(0.0, "warning", "run", f"{join_names(names)}: {text}")
+
+
+class _Demand(NamedTuple):
+    """What slots need of one quantity, and the limits of the followers."""
+
+    what: str
+    needed: Array  # (n,) degrees, the largest
+    beyond_s: Array  # (n,) time that a slot needs more than the limits allow; NaN: not known
+    limits: Mapping[str, Array]  # (n,) degrees, by key of the scenario or the tune
+    remedy: str
+
+
+def leader_warnings(
+    scenario: Scenario,
+    config: FormationConfig,
+    leader: LeaderSetup,
+    tunes: Sequence[FbwaParams],
+    kinds: Sequence[str],
+    wind_ned: Vector,
+) -> Iterator[Event]:
+    """Warn where followers need more bank or climb to fly their slots than their limits allow.
+
+    The speeds of the slots are in `assumption_warnings`.
+
+    Args:
+        scenario: as resolved.
+        config: of the n followers.
+        leader: the leader.
+        tunes: of N aircraft.
+        kinds: of their N vehicles; those without an autopilot have no limits.
+        wind_ned: at the start, m/s.
+    """
+    agents = config.agents.tolist()
+    limited = np.array([kinds[row] == "jsbsim" for row in agents])
+    names, own_tunes = config.names, [tunes[row] for row in agents]
+    for each in _demands(scenario, config, leader, own_tunes, wind_ned):
+        allowed = np.minimum.reduce([*each.limits.values()])
+        excess = np.where(limited, each.needed - allowed, 0.0)
+        rows = np.flatnonzero(excess > TOLERANCE).tolist()
+        if not rows:
+            continue
+        worst = int(excess.argmax())
+        needed, limit = float(each.needed[worst]), float(allowed[worst])
+        # a limit above what is needed, as of the other one, is not in the way
+        keys = [key for key, value in each.limits.items() if value[worst] < needed]
+        known = not math.isnan(each.beyond_s[worst])
+        verb = "needs" if known else "may need"
+        beyond = f", {each.beyond_s[worst]:.1f} s of it" if known else ","
+        numbers = f"{verb} up to {needed:.1f}° of {each.what}{beyond} beyond {limit:g}°"
+        text = (
+            f"the slot{f' of {names[worst]}' if rows[1:] else ''} {numbers}, the limit by "
+            f"{' and '.join(keys)}: it cannot be held there (write {each.remedy}, or higher limits)"
+        )
+        yield from _warnings({text: [names[row] for row in rows]})
+
+
+def _demands(
+    scenario: Scenario,
+    config: FormationConfig,
+    leader: LeaderSetup,
+    tunes: Sequence[FbwaParams],
+    wind_ned: Vector,
+) -> Iterator[_Demand]:
+    """Yield what slots need of bank, climb and descent, with the limits of the followers."""
+    roll, pitch = np.degrees(config.roll_limit), np.degrees(config.pitch_limit)
+    key = "controller.gains.limits"
+    limits = {
+        "bank": {
+            f"{key}.roll_deg": roll,
+            "ROLL_LIMIT_DEG": np.array([tune.roll_limit_deg for tune in tunes]),
+        },
+        "climb": {
+            f"{key}.pitch_deg": pitch,
+            "PTCH_LIM_MAX_DEG": np.array([tune.ptch_lim_max_deg for tune in tunes]),
+        },
+        "descent": {
+            f"{key}.pitch_deg": pitch,
+            "PTCH_LIM_MIN_DEG": np.array([-tune.ptch_lim_min_deg for tune in tunes]),
+        },
+    }
+    climbs = np.array([name not in scenario.formation.altitudes_m for name in config.names])
+    offsets = config.offsets[config.agents]
+    if leader.limits_in_air:
+        bank, gamma = map(
+            np.degrees, slot_attitude_range(offsets, **leader.limits_in_air._asdict())
+        )
+        gamma = np.where(climbs, gamma, 0.0)
+        unknown = np.full(len(offsets), np.nan)
+        lower = "a lower leader.path.bank_limit_deg", "a lower leader.path.climb_limit_mps"
+        yield _Demand("bank", bank, unknown, limits["bank"], lower[0])
+        for what in ("climb", "descent"):
+            yield _Demand(what, gamma, unknown, limits[what], lower[1])
+        return
+    assert leader.motion is not None, "a leader has limits or a known motion"
+    allowed = {what: np.minimum.reduce([*each.values()]) for what, each in limits.items()}
+    largest = {what: np.zeros(len(offsets)) for what in limits}
+    beyond = {what: np.zeros(len(offsets)) for what in limits}
+    for velocity, acceleration in leader.motion:
+        bank, gamma = map(
+            np.degrees, slot_attitude(velocity, acceleration, offsets, np.array(wind_ned))
+        )
+        gamma = np.where(climbs, gamma, 0.0)
+        for what, values in {"bank": np.abs(bank), "climb": gamma, "descent": -gamma}.items():
+            np.maximum(largest[what], values.max(axis=0), out=largest[what])
+            beyond[what] += (values > allowed[what] + TOLERANCE).sum(axis=0)
+    period = scenario.scenario.duration_s / sum(len(each) for each, _ in leader.motion)
+    for what in limits:
+        remedy = "a leader that turns wider" if what == "bank" else f"a leader with less {what}"
+        yield _Demand(what, largest[what], period * beyond[what], limits[what], remedy)
+
+
 def _text(limit: _Limit) -> str:
     """Describe a limit of an autopilot that differs from that of the commands; "" if none does."""
     what, commanded, reached, parameter, key = limit
@@ -208,6 +356,52 @@ def _text(limit: _Limit) -> str:
             f"never reached (write {key}: {reached:g} to fly it, or a {parameter} of {commanded:g})"
         )
     return ""
+
+
+def step_warnings(
+    scenario: Scenario, models: AircraftModels, built: BuiltVehicles
+) -> Iterator[Event]:
+    """Warn of flight models whose modes are too fast for rates.physics_hz.
+
+    Eigenvalues grow with the airspeed: of several aircraft of a kind the fastest is examined.
+
+    Raises:
+        InputError: a mode is unstable at this rate.
+    """
+    if built.fleet is None:
+        return
+    rates, fastest = scenario.rates, dict[Path, TrimPoint]()
+    multiple_hz = math.lcm(rates.autopilot_hz, rates.control_hz, rates.broadcast_hz, rates.log_hz)
+    names: dict[Path, list[str]] = {}
+    for row, trim in zip(built.jsbsim_rows, built.fleet.trims, strict=True):
+        folder, point = models.folders[row], trim.point
+        names.setdefault(folder, []).append(scenario.aircraft_names[row])
+        if folder not in fastest or point.airspeed > fastest[folder].airspeed:
+            fastest[folder] = point
+    found: dict[str, list[str]] = {}
+    for folder, point in fastest.items():
+        modes = modes_of_aircraft(folder, point, build_origin(scenario))
+        coarse = find_coarse_step(modes, rates.physics_hz, multiple_hz)
+        if coarse is None:
+            continue
+        text = (
+            f"the {coarse.mode.name} mode of {folder.name} at {point.airspeed:g} m/s has the "
+            f"eigenvalue {_eigenvalue_text(coarse.mode)} 1/s; its magnitude times the step of "
+            f"1/{rates.physics_hz} s is {coarse.product:.3g}, and"
+        )
+        remedy = f"(write rates.physics_hz: {coarse.rate_hz})"
+        if not coarse.stable:
+            raise InputError(
+                f"rates.physics_hz: {join_names(names[folder])}: {text} from {coarse.limit:g} on "
+                f"its integration diverges {remedy}"
+            )
+        found[f"{text} above {coarse.limit:g} flights are inaccurate {remedy}"] = names[folder]
+    yield from _warnings(found)
+
+
+def _eigenvalue_text(mode: Mode) -> str:
+    value = mode.eigenvalue
+    return f"{value.real:.3g} ± {value.imag:.3g}i" if mode.oscillates else f"{value.real:.3g}"
 
 
 PERIOD_TOLERANCE = 1e-6  # of a period

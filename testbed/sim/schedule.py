@@ -14,6 +14,8 @@ import numpy as np
 from testbed.core.errors import InputError
 from testbed.core.records import Array, BoolArray
 
+PHASE_HZ = 100  # phases of unsynchronised aircraft are multiples of its period
+
 
 @dataclass(frozen=True, slots=True)
 class TickActions:
@@ -235,7 +237,8 @@ def make_clock(
         log_hz: rate of samples.
         aircraft: N.
         phases: of each aircraft, the fraction (0..1) of a period by which its control and
-            messages follow the leader's control; None: all are synchronous.
+            messages follow the leader's control, rounded down to whole periods of PHASE_HZ;
+            None: all are synchronous.
         transmit_times: by row, period and phase (s) of aircraft that transmit independently of
             the ticks; None in place of a number: as for the other aircraft.
 
@@ -252,13 +255,19 @@ def make_clock(
         if rate <= 0 or physics_hz % rate:
             raise InputError(f"rates.{name}: {rate} does not divide physics_hz {physics_hz}")
     autopilot, control, broadcast, log = (physics_hz // rate for rate in rates.values())
+    # of the physics rates that PHASE_HZ divides, all have the same phases
+    grid = physics_hz // PHASE_HZ if physics_hz % PHASE_HZ == 0 else 1
+
+    def ticks(fraction: float, period: int) -> int:
+        return int(fraction * period / grid) * grid
+
     fractions = phases or (0.0,) * aircraft
     transmit_times = transmit_times or {}
     transmit_schedules = [
         TransmitSchedule(
             row,
             1.0 / broadcast_hz if period is None else period,
-            int(fractions[row] * broadcast) / physics_hz if phase is None else phase,
+            ticks(fractions[row], broadcast) / physics_hz if phase is None else phase,
         )
         for row, (period, phase) in transmit_times.items()
     ]
@@ -268,9 +277,9 @@ def make_clock(
         control,
         broadcast,
         log,
-        control_phases=tuple(int(fraction * control) for fraction in fractions[1:]),
+        control_phases=tuple(ticks(fraction, control) for fraction in fractions[1:]),
         broadcast_phases=tuple(
-            None if row in transmit_times else int(fraction * broadcast)
+            None if row in transmit_times else ticks(fraction, broadcast)
             for row, fraction in enumerate(fractions)
         ),
         transmit_schedules=tuple(transmit_schedules),

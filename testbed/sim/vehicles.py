@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from testbed.autopilot.fbwa import fly_by_wire_a, settled_autopilots
-from testbed.autopilot.parameters import FbwaParams, make_gains
+from testbed.autopilot.parameters import AutopilotTiming, FbwaParams, make_gains
 from testbed.core.compile import Kernel, entry
 from testbed.core.records import (
     ActuatorCommand,
@@ -36,7 +36,7 @@ class Vehicles(Protocol):
     rows: Indices  # (M,) among the N aircraft
 
     def read_air(self) -> None:
-        """Write `air` of the records."""
+        """Write `air` of the records; the same at every call of a tick."""
 
     def set_wind(self) -> None:
         """Use `wind` of the records from now on; at the autopilot rate."""
@@ -99,8 +99,9 @@ class JsbsimVehicles:
     def retune(self, row: int, params: FbwaParams) -> None:
         """Set the parameters of the autopilot in a row of the fleet; its state stays."""
         gains = self.autopilots.gains
-        weight = gains["pressure_weight"][row]
-        gains[row] = make_gains([params], float(gains["dt"][row]))[0]
+        weight, sitl = gains["pressure_weight"][row], float(gains["sitl_physics_hz"][row])
+        timing = AutopilotTiming(sitl_physics_hz=sitl or None)
+        gains[row] = make_gains([params], float(gains["dt"][row]), timing)[0]
         gains["pressure_weight"][row] = weight
 
     def set_unicycle(self, followers: Records, speed: float, omega: Array) -> None:
@@ -179,9 +180,7 @@ class UnicycleVehicles:
         self._write()
 
     def read_air(self) -> None:
-        """See `Vehicles`: a unicycle flies along its nose and has no propeller or battery."""
-        wind = self._aircraft["wind"]["wind_ned"]
-        self._aircraft["air"]["wind_ned"][self.rows] = wind[self.rows]
+        """Do nothing: a unicycle flies along its nose and has no propeller or battery."""
 
     def set_wind(self) -> None:
         """See `Vehicles`: the motion is written with the wind of the records."""
@@ -276,8 +275,7 @@ class ScriptedVehicle:
         return pitch, roll, float(self._track.throttle[self._row])
 
     def read_air(self) -> None:
-        """See `Vehicles`: of the air, a script has only the wind."""
-        self._aircraft["air"]["wind_ned"][0] = self._aircraft["wind"]["wind_ned"][0]
+        """Do nothing: a script has neither flow angles nor a propeller."""
 
     def set_wind(self) -> None:
         """Do nothing: the motion is given."""

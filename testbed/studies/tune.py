@@ -31,14 +31,21 @@ from testbed.scenario import (
 from testbed.scenario.problems import Problem, ScenarioError, did_you_mean
 from testbed.scenario.yaml_io import to_inline, walk, write
 from testbed.studies.flight_pool import FlightPool, open_flight_pool
-from testbed.studies.flight_task import FlightResult, FlightTask
+from testbed.studies.flight_task import INVALID, FlightResult, FlightTask
 from testbed.studies.golden import Progress
 from testbed.studies.journal import flatten_metrics
 from testbed.studies.plan import Plan, StudyRun
+from testbed.studies.tune_constraints import (
+    ConstraintResult,
+    Measure,
+    constraint_results,
+    measurements,
+)
 from testbed.studies.tune_schema import GAINS, Tune
 from testbed.studies.tune_search import (
     SATURATION_FACTOR,
     Candidate,
+    Evaluation,
     Gains,
     GainSpace,
     HeldOutComparison,
@@ -49,8 +56,11 @@ from testbed.studies.tune_search import (
     describe_aggregate,
     flight_cost,
     generation_count,
+    make_evaluation,
     search,
 )
+
+Work = tuple[StudyRun, Measure | None]  # a run to be flown, or of which something is measured
 
 
 class TuneProblem:
@@ -89,6 +99,7 @@ class TuneProblem:
         scenarios = (self._plan.scenario(run) for run in self.runs)
         self.durations_s = [each.scenario.duration_s for each in scenarios]
         self._check_airframe()
+        self._check_constraints()
 
     def _check_airframe(self) -> None:
         airframes = {follower.aircraft for follower in self._first.fleet}
@@ -149,19 +160,37 @@ class TuneProblem:
         """Return the scenario of the first run with gains."""
         return self._plan.scenario(self.run_with(0, gains))
 
+    def _check_constraints(self) -> None:
+        """Check that what the constraints need can be measured.
+
+        Raises:
+            ScenarioError: it cannot; with the place in the tune file.
+        """
+        if not self.tune.config.constraints:
+            return
+        from testbed.sim.steady_flight import MarginsError, check_measurable
+
+        for run in self.runs:
+            try:
+                check_measurable(self._plan.scenario(run))
+            except MarginsError as error:
+                raise self._error(("constraints",), f"{run.scenario}: {error}") from None
+
     def fly(
-        self, pool: FlightPool, runs: Sequence[StudyRun], progress: Progress
+        self, pool: FlightPool, works: Sequence[Work], progress: Progress
     ) -> list[FlightResult]:
-        """Fly runs, and return their results in this order."""
+        """Fly runs, or measure them, and return the results in this order."""
 
         def tasks() -> Iterator[FlightTask]:
-            for number, run in enumerate(runs):
-                yield FlightTask(number, self._plan.scenario(run))
+            for number, (run, measure) in enumerate(works):
+                yield FlightTask(number, self._plan.scenario(run), measure=measure)
 
-        results: list[FlightResult | None] = [None] * len(runs)
-        for count, result in enumerate(pool.run(tasks()), 1):
+        results: list[FlightResult | None] = [None] * len(works)
+        flights = 0
+        for result in pool.run(tasks()):
             results[result.number] = result
-            progress(count, len(runs))
+            flights += works[result.number][1] is None
+            progress(flights, len(works))
         return [each for each in results if each is not None]
 
 
@@ -212,6 +241,9 @@ class SearchLog:
         write_run_file(self.directory, TUNE_FILE, tune.study.text.encode())
         runs = [f"cost of run {run.number}" for run in self._problem.runs]
         head = ["candidate", "generation", "cost", *tune.config.gains, *runs]
+        for result in first.evaluation.constraints:
+            at = f"at {result.constraint.bank_deg:g} deg"
+            head += [f"{key} {at}" for key, _ in result.required()] + [f"shortfall {at}"]
         self._write(CANDIDATES, _csv_line(head) + _csv_line(_cells(first)))
 
     def add(self, candidates: Sequence[Candidate], best: Candidate) -> None:
@@ -238,8 +270,10 @@ class SearchLog:
         comment = (
             f"# Tuned by testbed {__version__} for {objective.metric} of {settings.scenario}, "
             f"study {settings.name}:\n# {describe_aggregate(objective.aggregate)} over its flights "
-            f"is {best.cost:.4g} ({verdict}).\n"
+            f"is {best.evaluation.objective:.4g} ({verdict}).\n"
         )
+        for result in best.evaluation.constraints:
+            comment += f"# {result.describe()}\n"
         changes: dict[str, Any] = {}
         if any(key.startswith(GAINS) for key in problem.keys):
             profile, airframe = scenario.controller.profile, scenario.fleet[0].aircraft
@@ -296,7 +330,23 @@ def to_document(result: TuneResult, problem: TuneProblem) -> dict[str, Any]:
                 config.gains.items(), problem.before, result.best.gains, strict=True
             )
         },
-        "cost": {"before": result.candidates[0].cost, "after": result.best.cost},
+        "cost": {
+            "before": result.candidates[0].evaluation.objective,
+            "after": result.best.evaluation.objective,
+        },
+        "constraints": [
+            {
+                "bank_deg": before.constraint.bank_deg,
+                "required": dict(before.required()),
+                "before": _constraint_document(before),
+                "after": _constraint_document(after),
+            }
+            for before, after in zip(
+                result.candidates[0].evaluation.constraints,
+                result.best.evaluation.constraints,
+                strict=True,
+            )
+        ],
         "comparison": None,
     }
     if comparison is not None and result.held_out_costs is not None:
@@ -316,19 +366,36 @@ def to_document(result: TuneResult, problem: TuneProblem) -> dict[str, Any]:
     return document
 
 
+def _constraint_document(result: ConstraintResult) -> dict[str, Any]:
+    return {"met": not result.shortfall, "problem": result.problem, **result.measured}
+
+
 def _finite(value: float) -> float | None:
     return None if math.isnan(value) else value
 
 
 def _cells(candidate: Candidate) -> list[str]:
-    numbers = (candidate.cost, *candidate.gains, *candidate.costs)
-    return [str(candidate.number), str(candidate.generation), *map(repr, numbers)]
+    evaluation = candidate.evaluation
+    numbers = [evaluation.cost, *candidate.gains, *evaluation.costs]
+    cells = [str(candidate.number), str(candidate.generation), *map(repr, numbers)]
+    for result in evaluation.constraints:
+        measured = [result.measured.get(key) for key, _ in result.required()]
+        cells += ["" if each is None else repr(each) for each in measured]
+        cells.append(repr(result.shortfall))
+    return cells
 
 
 def _csv_line(cells: Sequence[str]) -> str:
     file = io.StringIO()
     csv.writer(file, lineterminator="\n").writerow(cells)
     return file.getvalue()
+
+
+def describe_candidate(candidate: Candidate) -> str:
+    """Return the objective as text, and by how much the constraints are missed."""
+    evaluation = candidate.evaluation
+    missed = f" (misses constraints by {evaluation.shortfall:.2g})" if evaluation.shortfall else ""
+    return f"{evaluation.objective:.4g}{missed}"
 
 
 Report = Callable[[str], None]
@@ -391,14 +458,13 @@ class _Tuning:
         first = self._first_candidate()
         candidates, best = [first], first
         self._log.start(first)
-        self._report(f"gains of the scenario: {first.cost:.4g}")
+        self._report(f"gains of the scenario: {describe_candidate(first)}")
         population = settings.population or default_population(len(problem.keys))
         generations = self._generations(population)
         for found in search(
             problem.space,
             problem.start,
             self._evaluate,
-            aggregate=self._config.objective.aggregate,
             settings=settings,
             generations=generations,
         ):
@@ -407,8 +473,8 @@ class _Tuning:
             best = cheapest if cheapest.cost < best.cost else best
             self._log.add(found, best)
             self._report(
-                f"generation {found[0].generation} of {generations}: {cheapest.cost:.4g}, best so "
-                f"far {best.cost:.4g}"
+                f"generation {found[0].generation} of {generations}: "
+                f"{describe_candidate(cheapest)}, best so far {describe_candidate(best)}"
             )
         last, flights = candidates[-1].generation, self._flights
         if last < generations:
@@ -434,11 +500,12 @@ class _Tuning:
     def _first_candidate(self) -> Candidate:
         """Fly the gains of the scenario, and set the saturation of costs."""
         gains = self._problem.before
-        results = self._fly([self._problem.run_with(k, gains) for k in self._runs])
+        results, measured = self._fly_candidates([gains])
+        for each in measured:
+            if each.outcome == INVALID:
+                raise InputError(f"constraints: {each.error.removeprefix('invalid: ')}")
         self._saturation = self._choose_saturation(results)
-        costs = self._costs(results, self._problem.durations_s)
-        combined = aggregate_costs(costs, self._config.objective.aggregate)
-        return Candidate(0, 0, gains, costs, combined)
+        return Candidate(0, 0, gains, self._evaluation(results, measured))
 
     def _generations(self, population: int) -> int:
         each, settings = len(self._runs), self._config.search
@@ -451,16 +518,42 @@ class _Tuning:
             )
         return generations
 
-    def _evaluate(self, candidates: Sequence[Gains]) -> list[tuple[float, ...]]:
-        """Return the costs of all flights of each candidate."""
-        results = self._fly(
-            [self._problem.run_with(k, gains) for gains in candidates for k in self._runs]
-        )
-        each = len(self._runs)
+    def _evaluate(self, candidates: Sequence[Gains]) -> list[Evaluation]:
+        """Return what each candidate costs."""
+        results, measured = self._fly_candidates(candidates)
+        count = len(candidates)
+        flights, others = len(results) // count, len(measured) // count
         return [
-            self._costs(results[i : i + each], self._problem.durations_s)
-            for i in range(0, len(results), each)
+            self._evaluation(results[i * flights :][:flights], measured[i * others :][:others])
+            for i in range(count)
         ]
+
+    def _fly_candidates(
+        self, candidates: Sequence[Gains]
+    ) -> tuple[list[FlightResult], list[FlightResult]]:
+        """Return the results of all flights, and of all measurements, candidate by candidate."""
+        problem, constraints = self._problem, self._config.constraints
+        flights: list[Work] = [
+            (problem.run_with(k, gains), None) for gains in candidates for k in self._runs
+        ]
+        measured: list[Work] = [
+            (problem.run_with(k, gains), measure)
+            for gains in candidates
+            for k in self._without_seeds
+            for measure in measurements(constraints)
+        ]
+        results = self._fly(flights + measured)
+        return results[: len(flights)], results[len(flights) :]
+
+    def _evaluation(
+        self, results: Sequence[FlightResult], measured: Sequence[FlightResult]
+    ) -> Evaluation:
+        return make_evaluation(
+            self._costs(results, self._problem.durations_s),
+            self._config.objective.aggregate,
+            constraint_results(self._config.constraints, measured),
+            self._saturation,
+        )
 
     def _compare(self, best: Gains) -> tuple[HeldOutComparison, tuple[float, float]]:
         """Fly the gains of the scenario and the best ones on held-out seeds."""
@@ -468,7 +561,7 @@ class _Tuning:
         seeds, runs = self._config.held_out_seeds, self._without_seeds
         results = self._fly(
             [
-                problem.run_with(k, gains, seed)
+                (problem.run_with(k, gains, seed), None)
                 for gains in (problem.before, best)
                 for seed in seeds
                 for k in runs
@@ -485,12 +578,12 @@ class _Tuning:
             costs.append(aggregate_costs(self._costs(part, durations_s), objective.aggregate))
         return compare_held_out(*by_seed), (costs[0], costs[1])
 
-    def _fly(self, runs: Sequence[StudyRun]) -> list[FlightResult]:
+    def _fly(self, works: Sequence[Work]) -> list[FlightResult]:
         before = self._flights
         results = self._problem.fly(
-            self._pool, runs, lambda done, _: self._progress(before + done, self._most_flights)
+            self._pool, works, lambda done, _: self._progress(before + done, self._most_flights)
         )
-        self._flights += len(runs)
+        self._flights += sum(measure is None for _, measure in works)
         return results
 
     def _costs(

@@ -11,7 +11,15 @@ from pydantic import ConfigDict, Field, model_validator
 
 from testbed.core.input_files import read_bounded_text
 from testbed.scenario import find_tuning
-from testbed.scenario.fields import NotNegative, Number, Section, Whole, raise_findings
+from testbed.scenario.fields import (
+    Degrees,
+    NotNegative,
+    Number,
+    Seconds,
+    Section,
+    Whole,
+    raise_findings,
+)
 from testbed.scenario.problems import Problem, ScenarioError
 from testbed.scenario.validate import validate
 from testbed.scenario.yaml_io import Node, read, walk
@@ -81,6 +89,24 @@ class Objective(Section):
     )
 
 
+class Constraint(Section):
+    """What the followers need at a bank, by small kicks in steady flight; see `testbed margins`."""
+
+    bank_deg: Degrees = Field(ge=0, lt=90, description="Highest bank of a follower, degrees.")
+    damping: Number | None = Field(
+        None, gt=0, lt=1, description="Least damping ratio of an oscillation."
+    )
+    roll_gain: Number | None = Field(
+        None, gt=1, description="Factor of the roll command with which oscillations decay."
+    )
+    roll_latency_s: Seconds | None = Field(
+        None, gt=0, le=0.5, description="The same, additional latency of the roll command, s."
+    )
+    settling_s: Seconds | None = Field(
+        None, gt=0, description="Longest time until 5 % of a displacement are left, s."
+    )
+
+
 class Search(Section):
     """Extent of the search."""
 
@@ -106,6 +132,9 @@ class TuneConfig(StudyConfig):
         min_length=MIN_GAINS, description="Scenario keys, and where they are searched."
     )
     objective: Objective = Field(description="What is minimised.")
+    constraints: tuple[Constraint, ...] = Field(
+        (), description="Damping and margins that the gains must have."
+    )
     search: Search = Field(description="Extent of the search.")
 
     @model_validator(mode="after")
@@ -165,6 +194,13 @@ def _check(config: TuneConfig) -> Iterator[KeyProblem]:
             yield here, text
         if any(key in each for each in (config.study.set, config.vary, *config.cases.values())):
             yield here, "is also set or varied (write it in one place)"
+    banks = [each.bank_deg for each in config.constraints]
+    for k, each in enumerate(config.constraints):
+        if each.model_fields_set == {"bank_deg"}:
+            text = "requires nothing (write damping, roll_gain, roll_latency_s or settling_s)"
+            yield ("constraints", k), text
+        if each.bank_deg in banks[:k]:
+            yield ("constraints", k, "bank_deg"), "is there twice (write one map for each bank)"
     seeds = config.search.held_out_seeds or ()
     here = ("search", "held_out_seeds")
     if set(seeds) & set(config.study.seeds):

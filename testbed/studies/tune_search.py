@@ -3,7 +3,8 @@
 A metric counts as its value up to a limit B, and above as B (2 - B / value), which has the same
 slope at B and stays below 2 B. A flight that loses an aircraft, or exceeds a limit, costs 2 B to
 3 B, less the later it did; a flight without a number costs 3 B. So every failure costs more than
-every completed flight, a later failure less than an earlier one, and costs are bounded.
+every completed flight, a later failure less than an earlier one, and costs are bounded. A candidate
+that misses a constraint costs more than that bound, in proportion to its shortfall.
 
 Hansen, The CMA Evolution Strategy: A Tutorial, arXiv:1604.00772.
 """
@@ -24,6 +25,7 @@ from testbed.core.records import Array
 from testbed.core.stats import student_interval
 from testbed.metrics.document import EXCEEDED, errors
 from testbed.studies.flight_task import COMPLETED, LOST
+from testbed.studies.tune_constraints import ConstraintResult
 from testbed.studies.tune_schema import Aggregate, GainBounds, MeanPlusSd, Quantile, Search
 
 Metrics = Mapping[str, Any]
@@ -184,7 +186,47 @@ DIGITS = 4  # of a gain
 CONVERGED = 1e-3  # step in every direction, as a share of the bounds, at which a search ends
 
 Gains = tuple[float, ...]
-Evaluate = Callable[[Sequence[Gains]], list[tuple[float, ...]]]
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """What a set of gains costs.
+
+    Args:
+        costs: of its flights, in the order of the plan.
+        objective: of all flights combined.
+        cost: the same, and more where a constraint is missed: what the search minimises.
+        constraints: what it has of each.
+    """
+
+    costs: tuple[float, ...]
+    objective: float
+    cost: float
+    constraints: tuple[ConstraintResult, ...] = ()
+
+    @property
+    def shortfall(self) -> float:
+        """By how much constraints are missed, as a share of what they require; 0: not at all."""
+        return sum(each.shortfall for each in self.constraints)
+
+
+def make_evaluation(
+    costs: tuple[float, ...],
+    aggregate: Aggregate,
+    constraints: tuple[ConstraintResult, ...] = (),
+    saturation: float = 0.0,
+) -> Evaluation:
+    """Combine the costs of flights, and the shortfall from constraints in units of B."""
+    objective = aggregate_costs(costs, aggregate)
+    shortfall = sum(each.shortfall for each in constraints)
+    if not shortfall:
+        return Evaluation(costs, objective, objective, constraints)
+    weight = aggregate.mean_plus_sd if isinstance(aggregate, MeanPlusSd) else 0.0
+    highest = 3.0 * saturation * (1.0 + weight)  # of any aggregate
+    return Evaluation(costs, objective, highest + saturation * shortfall, constraints)
+
+
+Evaluate = Callable[[Sequence[Gains]], list[Evaluation]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,15 +237,18 @@ class Candidate:
         number: from 1 in order of evaluation; 0 has the gains of the scenario.
         generation: from 1; 0 for the gains of the scenario.
         gains: in the order of the file.
-        costs: of its flights, in the order of the plan.
-        cost: of all flights combined.
+        evaluation: what they cost.
     """
 
     number: int
     generation: int
     gains: Gains
-    costs: tuple[float, ...]
-    cost: float
+    evaluation: Evaluation
+
+    @property
+    def cost(self) -> float:
+        """What the search minimises."""
+        return self.evaluation.cost
 
 
 class GainSpace:
@@ -302,7 +347,6 @@ def search(
     start: Gains,
     evaluate: Evaluate,
     *,
-    aggregate: Aggregate,
     settings: Search,
     generations: int,
 ) -> Iterator[list[Candidate]]:
@@ -313,8 +357,7 @@ def search(
     Args:
         space: of the gains.
         start: gains around which the first generation is.
-        evaluate: returns for each set of gains the costs of its flights.
-        aggregate: combines these costs.
+        evaluate: returns what each set of gains costs.
         settings: of the search.
         generations: at most.
     """
@@ -328,13 +371,9 @@ def search(
     for generation in range(1, generations + 1):
         points = strategy.ask()
         gains = [space.gains(point) for point in points]
-        costs = evaluate(gains)
-        combined = [aggregate_costs(each, aggregate) for each in costs]
-        strategy.tell(points, combined)
-        yield [
-            Candidate(number + k, generation, gains[k], costs[k], combined[k])
-            for k in range(len(points))
-        ]
+        found = evaluate(gains)
+        strategy.tell(points, [each.cost for each in found])
+        yield [Candidate(number + k, generation, gains[k], found[k]) for k in range(len(points))]
         number += len(points)
         if strategy.stopped:
             return

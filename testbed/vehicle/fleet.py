@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from testbed.core.compile import Kernel
-from testbed.core.frames import FOOT, metres_per_radian
+from testbed.core.geodetic import RADIANS, local_frame
 from testbed.core.records import (
     AIRCRAFT,
     ActuatorCommand,
@@ -28,15 +28,19 @@ from testbed.core.records import (
     Records,
     VehicleState,
     WindInput,
+    air_data,
     allocate,
     fields_of,
 )
 from testbed.vehicle.control_surfaces import ControlGeometry, check_faults, stack_geometry
+from testbed.vehicle.environment import INTEGRATORS, Integrators
 from testbed.vehicle.jsbsim_adapter import control_geometry, load, trim_aircraft
 from testbed.vehicle.jsbsim_io import (
     AIR_PROPERTIES,
     BATTERY_PROPERTIES,
     MOTION_PROPERTIES,
+    control_leads,
+    lead_controls,
     pack_surfaces,
     pack_wind,
     write_air,
@@ -65,6 +69,7 @@ class JsbsimFleet:
         starts: Sequence[InitialState],
         origin: Origin,
         base_rate_hz: int,
+        integrators: Integrators = INTEGRATORS,
     ) -> None:
         """Load, trim and place the aircraft.
 
@@ -73,6 +78,7 @@ class JsbsimFleet:
             starts: N initial states.
             origin: of the local frame; its elevation is the terrain's.
             base_rate_hz: steps per second.
+            integrators: of the flight models.
 
         Raises:
             AircraftError, TrimError: an aircraft cannot be loaded, has no steady flight at its
@@ -91,7 +97,7 @@ class JsbsimFleet:
                 start.temperature_offset,
             )
             trimmed = trim_aircraft(folder, point, origin)
-            model = load(folder, base_rate_hz)
+            model = load(folder, base_rate_hz, integrators)
             model.locate(start.position_ned, origin)
             model.warm(start.temperature_offset)
             model.set_cells(start.cells)
@@ -108,9 +114,10 @@ class JsbsimFleet:
             models.append(model)
             trims.append(trimmed)
         n = len(models)
+        self._start_winds = [start.wind_ned for start in starts]
         self.trims: tuple[TrimResult, ...] = tuple(trims)
         self._folders = [Path(folder).resolve() for folder in folders]
-        self._models = models
+        self._models, self._origin = models, origin
         # None: the aircraft is lost, or another process steps it
         self._runs: list[Callable[[], bool] | None] = list(self.bare_runs())
         self._getters: list[list[Getter]] = [
@@ -134,32 +141,40 @@ class JsbsimFleet:
         self._numbers = np.empty((n, len(MOTION_PROPERTIES)))
         self._air_numbers = np.full((n, len(AIR_PROPERTIES) + len(BATTERY_PROPERTIES)), np.nan)
         self._wind_numbers, self._controls = np.zeros((n, _WIND)), np.zeros((n, 4))
-        north, east = metres_per_radian(origin)
-        place = *np.radians([origin.latitude_deg, origin.longitude_deg]), origin.elevation_m / FOOT
-        self._zero = np.array([*place, *[0.0] * 14])
-        self._scale = np.array([north, east, -FOOT, *[FOOT] * 6, *[1.0] * 6, FOOT, FOOT])
+        self._first_controls = np.zeros((n, 4))
+        self._lead = np.stack(
+            [
+                control_leads(integrators.control_lead, surfaces_lag=model.lags_by_step)
+                for model in models
+            ]
+        )
+        self._frame = tuple(local_frame(origin, RADIANS))
         self.all_rows = np.arange(n)
         self._stopped: BoolArray = np.zeros(n, dtype=bool)
         self._wind_changed = self._controls_changed = False  # since the models ran
         self._read_numbers(range(n))
         self._first = self._numbers.copy()
         self.bind(allocate(AIRCRAFT, n), self.all_rows)
+        pack_surfaces(self.rows, self.aircraft, self._controls)
+        self._last_controls = self._controls.copy()
 
     def bind(self, aircraft: Records, rows: Indices) -> None:
         """Read and write these rows (N,) of AIRCRAFT from now on; they begin in trim."""
         self.aircraft, self.rows = aircraft, rows
         write_fields_at(aircraft, rows, "surfaces", self.trimmed)
-        write_truth(self.all_rows, rows, self._numbers, self._zero, self._scale, aircraft)
+        aircraft["wind"]["wind_ned"][rows] = self._start_winds
+        self._write_truth(self.all_rows)
         self.read_air()
 
     def kernels(self) -> list[Kernel]:
         """Return the compiled calls of this fleet, for `core.compile.prepare`."""
-        numbers = self._numbers, self._zero, self._scale, self.aircraft
+        numbers = self._numbers, self._frame, self.aircraft
         return [
             partial(write_truth, self.all_rows, self.rows, *numbers),
             partial(write_air, self.rows, self._air_numbers, self.aircraft),
             partial(pack_wind, self.rows, self.aircraft, self._wind_numbers),
             partial(pack_surfaces, self.rows, self.aircraft, self._controls),
+            partial(self._lead_controls, self.all_rows),
         ]
 
     @property
@@ -181,14 +196,14 @@ class JsbsimFleet:
         )
 
     def read_air(self) -> None:
-        """Write the air data of the flight models into the records."""
+        """Write flow angles, propeller speeds and battery states of the models to the records."""
         self._read_air_numbers(range(len(self._models)))
         write_air(self.rows, self._air_numbers, self.aircraft)
 
     def air(self) -> AirData:
-        """Read and copy the air data of the flight models."""
+        """Read the flight models, and copy the air data."""
         self.read_air()
-        return AirData(*(each[self.rows] for each in fields_of(AirData, self.aircraft["air"])))
+        return AirData(*(each[self.rows] for each in air_data(self.aircraft)))
 
     def write_wind(self) -> None:
         """Give the wind of the records to the flight models, for their next run."""
@@ -220,14 +235,14 @@ class JsbsimFleet:
             read: (K,) aircraft whose motion is then written into the records.
         """
         self._run_all(ticks, read)
-        write_truth(read, self.rows, self._numbers, self._zero, self._scale, self.aircraft)
+        self._write_truth(read)
 
     def run_some(self, which: Indices, ticks: int) -> None:
         """Run some aircraft (K,) in this process, and write their motion into the records."""
         wind_changed = self._wind_changed
-        self._run_models(which.tolist(), ticks, self.all_rows)
+        self._run_models(which, ticks, self.all_rows)
         self._wind_changed = wind_changed  # of those that have not run yet
-        write_truth(which, self.rows, self._numbers, self._zero, self._scale, self.aircraft)
+        self._write_truth(which)
 
     def discharge(self, charge: Array) -> None:
         """Empty batteries to a state of charge (N,) 0..1; NaN: no change.
@@ -238,47 +253,60 @@ class JsbsimFleet:
         for i in np.flatnonzero(~np.isnan(charge)).tolist():
             self._models[i].discharge(float(charge[i]))
 
+    def displace(self, shift_ned: Array) -> None:
+        """Move all aircraft by (N, 3) m, without a change of their velocities."""
+        for model, shift in zip(self._models, shift_ned.tolist(), strict=True):
+            model.displace(shift, self._origin)
+        self._read_numbers(range(len(self._models)))
+        self._write_truth(self.all_rows)
+
     def remove(self, rows: BoolArray) -> None:
         """Stop stepping lost aircraft (N,); they keep their last motion."""
         for i in np.flatnonzero(rows & ~self._stopped).tolist():
             self._stop(i)
 
     def _run_all(self, ticks: int, read: Indices) -> None:
-        self._run_models(range(len(self._models)), ticks, read)
+        self._run_models(self.all_rows, ticks, read)
 
-    def _run_models(self, which: Iterable[int], ticks: int, read: Indices) -> None:
-        """Set the inputs of models that have changed, run them, and read their motion.
+    def _run_models(self, which: Indices, ticks: int, read: Indices) -> None:
+        """Set the inputs of models (K,) that have changed, run them, and read their motion.
 
         One model after the other, each from end to end: its memory is then in the cache.
         """
         numbers, getters, pack = self._numbers, self._getters, _PACK_MOTION
         needed = None if len(read) == len(numbers) else set(read.tolist())
         winds = self._wind_numbers.tolist() if self._wind_changed else None
-        controls = self._controls.tolist() if self._controls_changed else None
+        controls = first = None
+        if self._controls_changed:
+            self._lead_controls(which)
+            controls, first = self._controls.tolist(), self._first_controls.tolist()
         self._wind_changed = self._controls_changed = False
-        for i in which:
-            run = self._runs[i]
+        for i in which.tolist():
+            run, setters = self._runs[i], self._setters[i]
             if run is None:
                 continue
             if winds is not None:
                 for set_value, value in zip(self._wind_setters[i], winds[i], strict=False):
                     set_value(value)
-            if controls is not None:
-                aileron, elevator, rudder, throttle = self._setters[i]
-                values = controls[i]
-                aileron(values[0])
-                elevator(values[1])
-                rudder(values[2])
-                throttle(values[3])
+            if first is not None:
+                _set_all(setters, first[i])
             try:
-                for _ in range(ticks):
+                for tick in range(ticks):
                     if not run():
                         self._stop(i)
                         break
+                    if controls is not None and tick == 0:
+                        _set_all(setters, controls[i])
             except Exception:  # JSBSim's own, of many types: beyond its models
                 self._stop(i)
             if (needed is None or i in needed) and (of_model := getters[i]):
                 pack(numbers[i], 0, *[get() for get in of_model])
+
+    def _lead_controls(self, which: Indices) -> None:
+        lead_controls(which, self._controls, self._lead, self._last_controls, self._first_controls)
+
+    def _write_truth(self, which: Indices) -> None:
+        write_truth(which, self.rows, self._numbers, self._frame, self.aircraft)
 
     def _read_numbers(self, which: Iterable[int]) -> None:
         numbers = self._numbers
@@ -323,6 +351,14 @@ class JsbsimFleet:
         """Return which aircraft (N,) are on the ground or have stopped."""
         lost: BoolArray = self._stopped | ~(-state.position_ned[:, 2] >= LOWEST)
         return lost
+
+
+def _set_all(setters: Sequence[Setter], values: Sequence[float]) -> None:
+    aileron, elevator, rudder, throttle = setters  # faster than a loop
+    aileron(values[0])
+    elevator(values[1])
+    rudder(values[2])
+    throttle(values[3])
 
 
 def write_fields_at(records: Records, rows: Indices, name: str, values: Any) -> None:  # noqa: ANN401

@@ -23,8 +23,9 @@ from testbed.core.frames import FOOT
 from testbed.core.records import Airframe, Array, Origin
 from testbed.vehicle.airframe_validation import MAX_BYTES, probe_in_copy
 from testbed.vehicle.control_surfaces import ControlGeometry, find_control_geometry
+from testbed.vehicle.environment import INTEGRATORS, Integrators
 from testbed.vehicle.jsbsim_model import POUND, AircraftError, JsbsimModel, Traits, find_traits
-from testbed.vehicle.linearize import Linear, linearize
+from testbed.vehicle.linearize import Linear, Mode, find_modes, linearize
 from testbed.vehicle.trim import (
     STILL,
     Controls,
@@ -251,6 +252,25 @@ def linearize_aircraft(folder: Path, point: TrimPoint, origin: Origin | None = N
     return linearize(_located(folder, point, origin), trimmed)
 
 
+def modes_of_aircraft(folder: Path, point: TrimPoint, origin: Origin) -> tuple[Mode, ...]:
+    """Find the modes of the aircraft in a folder about its trim, the fastest first.
+
+    The result is cached until a file of the folder changes. It is empty where the aircraft cannot
+    be linearised, as with a propeller whose speed does not depend on the throttle.
+
+    Raises:
+        AircraftError, TrimError: as `trim_aircraft` does.
+    """
+    return _modes_of_aircraft(folder, point, origin)
+
+
+@cache_by_folder(maxsize=64)
+def _modes_of_aircraft(folder: Path, point: TrimPoint, origin: Origin) -> tuple[Mode, ...]:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a = linearize_aircraft(folder, point, origin).a
+    return find_modes(a) if np.isfinite(a).all() else ()
+
+
 @cache_by_folder(maxsize=256)
 def _trim_aircraft(folder: Path, point: TrimPoint, origin: Origin) -> TrimResult:
     model = _located(folder, point, origin)
@@ -267,7 +287,7 @@ def _located(folder: Path, point: TrimPoint, origin: Origin) -> JsbsimModel:
     return model
 
 
-def load(folder: Path, rate_hz: int) -> JsbsimModel:
+def load(folder: Path, rate_hz: int, integrators: Integrators = INTEGRATORS) -> JsbsimModel:
     """Load the aircraft in a folder, with a step rate and without a position.
 
     Raises:
@@ -275,7 +295,7 @@ def load(folder: Path, rate_hz: int) -> JsbsimModel:
     """
     folder = Path(folder).resolve()
     traits = _traits(folder)
-    return JsbsimModel(_executive(folder), rate_hz, traits)
+    return JsbsimModel(load_executive(folder), rate_hz, traits, integrators)
 
 
 def probe_airframes(folders: Iterable[Path]) -> None:
@@ -304,15 +324,20 @@ def _traits(folder: Path) -> Traits:
 
 def _probe(folder: Path, on_error: Callable[[str], None]) -> dict[str, bool]:
     _LOGGER.on_error = on_error
-    model = JsbsimModel(_executive(folder), _TRIM_RATE_HZ, Traits(has_rudder=True, has_lag=True))
+    assumed = Traits(has_rudder=True, has_lag=True, lags_by_step=False)
+    model = JsbsimModel(load_executive(folder), _TRIM_RATE_HZ, assumed)
     traits = find_traits(model)
     if fault := impossible_inertia(model.inertia()):
         raise AircraftError(f"mass_balance: no rigid body has {fault}")
     return asdict(traits)
 
 
-def _executive(folder: Path) -> jsbsim.FGFDMExec:
-    """Load the aircraft of a folder into JSBSim, without output."""
+def load_executive(folder: Path) -> jsbsim.FGFDMExec:
+    """Load the model `<folder name>.xml` of a folder into JSBSim, without output.
+
+    Raises:
+        AircraftError: JSBSim cannot load it.
+    """
     jsbsim.FGJSBBase().debug_lvl = 0
     jsbsim.set_logger(_LOGGER)
     fdm = jsbsim.FGFDMExec(str(folder), None)

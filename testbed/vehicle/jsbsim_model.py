@@ -6,22 +6,28 @@ JSBSim's units and signs occur only here and in `jsbsim_io`.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from testbed.core.errors import InputError
-from testbed.core.frames import FOOT, geodetic_from_ned, rotation_ned_body
+from testbed.core.frames import FOOT, rotation_ned_body
+from testbed.core.geodetic import RADIANS, geodetic_from_ned, local_frame
 from testbed.core.records import Array, Origin
 from testbed.vehicle.control_surfaces import SURFACES
+from testbed.vehicle.environment import INTEGRATORS, Integrators, set_environment
 from testbed.vehicle.trim import STILL, Controls, Placement, Vector
 
 # Properties of the aircraft files: subtracted from the rates and added to the rolling moment.
 _TURNS = ("p-rad_sec", "q-rad_sec", "r-rad_sec", "roll-coefficient")
 _DEFLECTED = ("left-aileron", *SURFACES[1:])  # ailerons deflect together
 _MAX_SPIN_STEPS = 2000  # until the propeller and the surfaces have settled
+_SETTLING_HZ = 200  # steps per second meanwhile, whatever the rate of the flight
 _INTEGRATOR_STEPS = 6  # one more than JSBSim's integrators use
+_NO_TIME = 1e-12  # s
 POUND = 4.4482216152605  # N, of force
 _SLUG_FOOT2 = POUND * FOOT  # kg m²; a slug is a pound-force per foot/s²
 _RANKINE = 1.8  # degrees Rankine per kelvin
@@ -38,24 +44,32 @@ class Traits:
     """Features of an aircraft that JSBSim has no properties for."""
 
     has_rudder: bool  # the rudder command has an effect
-    has_lag: bool  # surfaces lag behind their commands
+    has_lag: bool  # surfaces lag behind their commands when placed
+    lags_by_step: bool  # surfaces move by the time flown: not in a step of no time
 
 
 class JsbsimModel:
     """A JSBSim executive with an aircraft loaded."""
 
-    def __init__(self, fdm: Any, rate_hz: int, traits: Traits) -> None:  # noqa: ANN401 - untyped
-        """Bind the properties; `fdm` is JSBSim's FGFDMExec, without output.
+    def __init__(
+        self,
+        fdm: Any,  # noqa: ANN401 - untyped
+        rate_hz: int,
+        traits: Traits,
+        integrators: Integrators = INTEGRATORS,
+    ) -> None:
+        """Set the environment and bind the properties; `fdm` is JSBSim's FGFDMExec, without output.
 
         Raises:
             AircraftError: the aircraft lacks a required property.
         """
         self.fdm = fdm
+        set_environment(fdm, integrators)
         self.has_rudder, self.has_lag = traits.has_rudder, traits.has_lag
+        self.lags_by_step = traits.lags_by_step
         self._dt = 1.0 / rate_hz
         self.fdm.set_dt(self._dt)
         self._manager = self.fdm.get_property_manager()
-        self.node("atmosphere/turb-type").set_double_value(0.0)
         self.controls = tuple(
             self.node(f"fcs/{name}-cmd-norm")
             for name in ("aileron", "elevator", "rudder", "throttle")
@@ -176,6 +190,17 @@ class JsbsimModel:
         wrong = geodetic.get_double_value() - height / FOOT
         above_sea.set_double_value(height / FOOT - wrong)
 
+    def displace(self, shift_ned: Sequence[float], origin: Origin) -> None:
+        """Move the aircraft in flight by some metres, without a change of its velocity."""
+        (north, east, down), frame = shift_ned, local_frame(origin, RADIANS)
+        for name, change in (
+            ("lat-gc-rad", north / frame.metres_per_latitude),
+            ("long-gc-rad", east / frame.metres_per_longitude),
+            ("h-sl-ft", -down / FOOT),
+        ):
+            node = self.node(f"position/{name}")
+            node.set_double_value(node.get_double_value() + change)
+
     def place(
         self,
         placement: Placement,
@@ -206,7 +231,8 @@ class JsbsimModel:
             self._hold(1.0)
             for wind, velocity in zip(self.winds, self._velocities, strict=True):
                 wind.set_double_value(-velocity())
-            self._settle()
+            with self._step(1.0 / _SETTLING_HZ):
+                self._settle()
             self._hold(0.0)
             self._sense.set_double_value(self._senses)
         self._initialise(placement, course, wind_ned)
@@ -214,12 +240,11 @@ class JsbsimModel:
         for wind, value in zip(self.winds, wind_ned, strict=True):
             wind.set_double_value(value / FOOT)
         if any(wind_ned):
-            # The initial condition had no wind: evaluate with the wind, without advancing time,
-            # until it fills the memory of JSBSim's integrators.
-            self.fdm.suspend_integration()
-            for _ in range(_INTEGRATOR_STEPS):
-                self.fdm.run()
-            self.fdm.resume_integration()
+            # The initial condition had no wind. Integrate over next to no time until accelerations
+            # with the wind fill the memory of JSBSim's integrators; suspended runs do not.
+            with self._step(_NO_TIME):
+                for _ in range(_INTEGRATOR_STEPS):
+                    self.fdm.run()
 
     def _settle(self) -> None:
         rpm, moments = -1.0, [math.inf] * 3
@@ -240,6 +265,16 @@ class JsbsimModel:
     def accelerations(self, placement: Placement, controls: Controls, *, spin: bool) -> Array:
         """Return u̇, v̇, ẇ (m/s²), ṗ, q̇, ṙ (rad/s²) of a placement; see `place`."""
         self.place(placement, controls, spin=spin)
+        return self._read_accelerations()
+
+    def accelerations_after_no_time(self, controls: Controls) -> Array:
+        """Return `accelerations` at the end of a step of no time with these commands."""
+        self._command(controls)
+        with self._step(_NO_TIME):
+            self.fdm.run()
+        return self._read_accelerations()
+
+    def _read_accelerations(self) -> Array:
         values = np.array([get() for get in self._accelerations])
         values[:3] *= FOOT
         return values
@@ -255,12 +290,18 @@ class JsbsimModel:
 
     def propeller_acceleration(self) -> float:
         """Return the rate of change of the propeller's speed, revolutions per s²."""
-        self.fdm.set_dt(_SHORT_STEP)
         before = self._rpm()
-        self.fdm.run()
+        with self._step(_SHORT_STEP):
+            self.fdm.run()
         after = self._rpm()
-        self.fdm.set_dt(self._dt)
         return float(after - before) / 60.0 / _SHORT_STEP
+
+    @contextmanager
+    def _step(self, dt: float) -> Iterator[None]:
+        """Run with another step, s."""
+        self.fdm.set_dt(dt)
+        yield
+        self.fdm.set_dt(self._dt)
 
     @property
     def propeller_rps(self) -> float:
@@ -297,7 +338,10 @@ def find_traits(model: JsbsimModel) -> Traits:
     model.accelerations(ahead, neutral, spin=True)
     pulled = Controls(0.1, 0.1, 0.0, 0.0)
     early, late = (model.accelerations(ahead, pulled, spin=False) for _ in range(2))
+    model.accelerations(ahead, neutral, spin=True)
+    moved = model.accelerations_after_no_time(pulled)
     return Traits(
+        lags_by_step=bool(np.max(np.abs(moved - before)) < _NO_EFFECT),
         has_rudder=bool(np.max(np.abs(yawed - before)) > _NO_EFFECT),
         has_lag=bool(np.max(np.abs(late - early)) > _NO_EFFECT),
     )

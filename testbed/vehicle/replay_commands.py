@@ -20,6 +20,7 @@ from testbed.core.csv_table import read_rows
 from testbed.core.errors import InputError
 from testbed.core.files import check_writable, write_text_file
 from testbed.core.records import ActuatorCommand, Array, FbwaCommand, Origin, Records
+from testbed.vehicle.environment import INTEGRATORS, Integrators
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.trim import InitialState
 
@@ -80,6 +81,7 @@ def respond(
     altitude: float | None = None,
     origin_elevation: float = 300.0,
     timing: AutopilotTiming | None = None,
+    integrators: Integrators = INTEGRATORS,
     warn: Callable[[str], None] = lambda text: None,
 ) -> int:
     """Fly the commands of a CSV from trim in still air and write the response.
@@ -97,7 +99,8 @@ def respond(
         airspeed: true, m/s, at the start; default the first row's `airspeed_mps`, or 22.
         altitude: m above the origin at the start; default the first row's `altitude_m`, or 100.
         origin_elevation: m above sea level of the origin and the terrain.
-        timing: latencies of the autopilot.
+        timing: delays of the autopilot; for a recording of SITL with its gyro filter.
+        integrators: of the flight model.
         warn: receives a line if the airspeed of the recording changes quickly after its first row,
             and the flight starts with that of this row.
 
@@ -131,7 +134,7 @@ def respond(
         airspeed=commands.start["airspeed_mps"] if airspeed is None else airspeed,
     )
     origin = Origin(elevation_m=origin_elevation)
-    fleet = JsbsimFleet([aircraft_folder], [start], origin, BASE_RATE_HZ)
+    fleet = JsbsimFleet([aircraft_folder], [start], origin, BASE_RATE_HZ, integrators)
     gains = make_gains([params], int(period) / BASE_RATE_HZ, timing)
     ticks = np.rint(commands.values[:, 0] * BASE_RATE_HZ).astype(int)
     rows, lost_at = _fly(fleet, commands.values, ticks, int(period), gains)

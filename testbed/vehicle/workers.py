@@ -25,13 +25,14 @@ import numpy as np
 
 from testbed.core.errors import ExternalProgramLost
 from testbed.core.records import Array, Indices, Origin, Records
+from testbed.vehicle.environment import INTEGRATORS, Integrators
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.trim import InitialState
 
 MIN_AIRCRAFT = 20  # from which on two processes were measured to be faster than one
 SPINS = 400  # tries of a waiting process before it yields the processor, some 0.1 ms
 CHECK_S = 0.5  # how often a waiting process checks that the other still runs
-_PER_AIRCRAFT = {"_numbers": 17, "_air_numbers": 8, "_wind_numbers": 7, "_controls": 4}
+_PER_AIRCRAFT = {"_numbers": 17, "_air_numbers": 5, "_wind_numbers": 7, "_controls": 4}
 _DOUBLE = np.dtype(np.float64).itemsize
 # Called in a worker process, returns what it does at each step.
 Setup = Callable[[], Callable[[], None]]
@@ -49,6 +50,7 @@ def make_fleet(
     starts: Sequence[InitialState],
     origin: Origin,
     base_rate_hz: int,
+    integrators: Integrators = INTEGRATORS,
     *,
     processes: int | None,
 ) -> JsbsimFleet:
@@ -56,8 +58,8 @@ def make_fleet(
     count = default_processes(len(folders)) if processes is None else processes
     count = min(count, len(folders))
     if count < 2:
-        return JsbsimFleet(folders, starts, origin, base_rate_hz)
-    return ParallelFleet(folders, starts, origin, base_rate_hz, processes=count)
+        return JsbsimFleet(folders, starts, origin, base_rate_hz, integrators)
+    return ParallelFleet(folders, starts, origin, base_rate_hz, integrators, processes=count)
 
 
 class ParallelFleet(JsbsimFleet):
@@ -69,6 +71,7 @@ class ParallelFleet(JsbsimFleet):
         starts: Sequence[InitialState],
         origin: Origin,
         base_rate_hz: int,
+        integrators: Integrators = INTEGRATORS,
         *,
         processes: int,
     ) -> None:
@@ -79,9 +82,10 @@ class ParallelFleet(JsbsimFleet):
             starts: N initial states.
             origin: of the local frame.
             base_rate_hz: steps per second.
+            integrators: of the flight models.
             processes: in which the N aircraft are stepped, this one included.
         """
-        super().__init__(folders, starts, origin, base_rate_hz)
+        super().__init__(folders, starts, origin, base_rate_hz, integrators)
         n = len(folders)
         doubles = n * (sum(_PER_AIRCRAFT.values()) + 1)
         memory = mmap.mmap(-1, _DOUBLE * (doubles + 2) + 2 * n)
@@ -100,7 +104,7 @@ class ParallelFleet(JsbsimFleet):
         flags[0] = self._stopped
         self._stopped, self._removed = flags
         parts = np.array_split(np.arange(n), min(processes, n))
-        self._mine, *self._theirs = (part.tolist() for part in parts)
+        self._mine, *self._theirs = parts
         self._workers: _Workers | None = None
         self.bind(self.aircraft, self.rows)
 
@@ -143,10 +147,10 @@ class ParallelFleet(JsbsimFleet):
 
     def _start_workers(self) -> _Workers:
         """Fork the workers, and leave their aircraft to them."""
-        workers = _Workers([(rows, partial(self._work, rows)) for rows in self._theirs])
+        workers = _Workers([(rows.tolist(), partial(self._work, rows)) for rows in self._theirs])
         self._workers = workers
         weakref.finalize(self, workers.end)
-        self._leave([i for rows in self._theirs for i in rows])
+        self._leave(np.concatenate(self._theirs).tolist())
         return workers
 
     def _leave(self, which: Sequence[int]) -> None:
@@ -156,8 +160,9 @@ class ParallelFleet(JsbsimFleet):
             for nodes in (self._getters, self._air_getters, self._setters, self._wind_setters):
                 nodes[i] = []
 
-    def _work(self, rows: list[int]) -> Callable[[], None]:
+    def _work(self, which: Indices) -> Callable[[], None]:
         """Return what a worker with these aircraft does at each step; called in that process."""
+        rows = which.tolist()
         self._leave([i for i in range(len(self._models)) if i not in rows])
         wind = 0
 
@@ -173,7 +178,7 @@ class ParallelFleet(JsbsimFleet):
                 if self._removed[i] and self._runs[i] is not None:
                     self._stop(i)
             self._controls_changed = True
-            self._run_models(rows, self._orders[0], self.all_rows)
+            self._run_models(which, self._orders[0], self.all_rows)
             self._read_air_numbers(rows)
 
         return work

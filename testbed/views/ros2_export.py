@@ -17,10 +17,10 @@ from testbed.core.frames import (
     enu_from_ned,
     euler_enu_flu,
     flu_from_frd,
-    geodetic_from_ned,
     quaternion_xyzw,
     rotation_ned_body,
 )
+from testbed.core.geodetic import geodetic_from_ned
 from testbed.core.identifiers import identifiers
 from testbed.core.records import Array, Event, Indices, VehicleState
 from testbed.logs import ros2_bag as ros

@@ -21,7 +21,7 @@ import warnings
 import numpy as np
 
 from testbed.autopilot.fbwa import initial_autopilots, step_autopilots
-from testbed.autopilot.parameters import FbwaParams, make_gains, read_params
+from testbed.autopilot.parameters import AutopilotTiming, FbwaParams, make_gains, read_params
 from testbed.core.records import FbwaCommand, VehicleState
 from testbed.mavlink.codec import Codec, constant
 
@@ -69,7 +69,8 @@ class StandIn:
             warnings.simplefilter("ignore")
             self.tune = read_params(options["--defaults"])
         self.period = round(self.parameters["SIM_RATE_HZ"] / self.parameters["SCHED_LOOP_RATE"])
-        self.gains = make_gains([self.tune], 1.0 / self.parameters["SCHED_LOOP_RATE"])
+        sitl = AutopilotTiming(sitl_physics_hz=self.parameters["SIM_RATE_HZ"])
+        self.gains = make_gains([self.tune], 1.0 / self.parameters["SCHED_LOOP_RATE"], sitl)
         self.autopilot = initial_autopilots(self.gains)
         self.misbehaviours = misbehaviours()
         self.count = 0

@@ -42,6 +42,7 @@ def run_info(followers=3, **changes):
         "leader_path_ned": np.array([[0.0, 0.0, -100.0], [1.0 / 3.0, 2.0, -100.0]]),
         "windows": {"first": (1.0, 2.0), "second": (2.0, 4.0)},
         "versions": {"testbed": "0.0", "jsbsim": "1.3.3"},
+        "integrators": {"rate_rotational": "Euler"},
     }
     return RunInfo(**{**values, **changes})
 

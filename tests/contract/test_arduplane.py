@@ -81,17 +81,19 @@ def test_virtual_autopilots_beside_it_are_unchanged(binary):
 
 def test_four_arduplanes_hold_slots_like_virtual(binary):
     """Fly all of Simulation 3 if TESTBED_ARDUPLANE_WHOLE is set, else 12 s from the slots."""
-    four = [f"leader.autopilot={ardupilot()}"]
+    rate, sitl = "rates.physics_hz=200", "autopilot={kind: virtual, gyro_filter: sitl}"
+    own = [rate, f"leader.{sitl}", f"fleet.*.{sitl}"]
+    four = [rate, f"leader.autopilot={ardupilot()}"]
     four += [f"fleet.uav{n}.autopilot={ardupilot(n)}" for n in (1, 2, 3)]
     if WHOLE:
         windows = load_scenario("simulation-3").scenario.windows
-        scenario, virtual = load_scenario("simulation-3", four), load_scenario("simulation-3")
+        scenario, virtual = load_scenario("simulation-3", four), load_scenario("simulation-3", own)
     else:
         slots = load_scenario("simulation-3").formation.offsets_m.items()
         there = [f"fleet.{name}.start_m={list(slot)}" for name, slot in slots]
         windows = {"on the way": (2.0, 12.0)}
         scenario, virtual = (
-            set_duration(load_scenario("simulation-3", [*there, *o]), 12.0) for o in (four, ())
+            set_duration(load_scenario("simulation-3", [*there, *o]), 12.0) for o in (four, own)
         )
     real, ours = fly(scenario), fly(virtual)
     for begin, end in windows.values():
@@ -172,7 +174,7 @@ def test_arduplane_of_lost_aircraft_is_stopped(binary):
             if period == 10:
                 vehicles.remove(np.array([True, False]))
                 before = aircraft["truth"]["position_ned"].copy()
-            vehicles.step(4, None)
+            vehicles.step(2, None)
         moved = np.linalg.norm(aircraft["truth"]["position_ned"] - before, axis=1)
         # 10 periods of 20 ms at 22 m/s
         assert moved[0] == 0.0 and moved[1] == pytest.approx(4.4, abs=0.2)
@@ -246,6 +248,16 @@ def test_several_arduplanes_cause_one_warning(binary):
     assert lines[-1].endswith("can command leader, uav1")
     run(two, write=False, external=ExternalOptions(announce=lines.append, quiet=True))
     assert len(lines) == 3
+
+
+def test_sitl_gyro_filter_is_named_before_flight(binary):
+    """4 Hz with physics at 200 Hz, 2 Hz at 100, and that of an aircraft at 1000."""
+    for rate, cutoff in ((200, "4 Hz"), (100, "2 Hz"), (1000, None)):
+        own = [f"leader.autopilot={ardupilot()}", f"rates.physics_hz={rate}"]
+        world = build(set_duration(loads(SCENARIO, own), 0.1))
+        texts = [e.text for e in world.initial_events if "gyro filter" in e.text]
+        begin = f"leader: SITL at rates.physics_hz {rate} has a gyro filter of {cutoff} in place"
+        assert [text.startswith(begin) for text in texts] == [True] * (cutoff is not None)
 
 
 def test_estimator_and_gps_are_off(binary):

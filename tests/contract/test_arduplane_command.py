@@ -54,5 +54,5 @@ def test_params_lists_uses_and_differences(tmp_path, as_json):
         assert document["renamed"] == {"LIM_ROLL_CD": "ROLL_LIMIT_DEG 55"}
     lines = (done.stderr if as_json else done.stdout).splitlines()[1:]
     assert [line.split(maxsplit=1)[0] for line in lines] == [
-        *("older", "both", "ArduPlane", "set", "left", "difference")
+        *("older", "both", "ArduPlane", "set", "left", "difference", "difference")
     ]

@@ -104,14 +104,14 @@ def test_followers_join_and_stay_in_slot(name, largest, rms):
 def test_unsynchronised_controllers_have_own_phases(name):
     """The ticks at which a follower's command changes."""
     collector = Collector()
-    scenario = set_duration(load_scenario(name, ["log.mcap=false", "rates.log_hz=200"]), 3.0)
+    scenario = set_duration(load_scenario(name, ["log.mcap=false", "rates.log_hz=100"]), 3.0)
     fly(build(scenario), [collector], lambda now, due: False)
     rolls = np.array([frame.command.roll for frame in collector.frames])
     changes = [np.flatnonzero(np.diff(column)) + 1 for column in rolls.T]
-    phases = [set((ticks[ticks > 20] % 20).tolist()) for ticks in changes[1:]]
+    phases = [set((ticks[ticks > 10] % 10).tolist()) for ticks in changes[1:]]
     assert all(len(phase) == 1 for phase in phases), "each 10 Hz, always at the same phase"
     assert phases[0] != phases[1]
-    assert set((changes[0] % 20).tolist()) <= {0}, "the leader's guidance is the clock"
+    assert set((changes[0] % 10).tolist()) <= {0}, "the leader's guidance is the clock"
 
 
 def test_phases_depend_on_seed():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from run_flight import Collector, short
 
-from testbed.core.frames import geodetic_from_ned
+from testbed.core.geodetic import geodetic_from_ned
 from testbed.core.records import Origin
 from testbed.mavlink.vehicle_control import MissionItem, Mode, Rejection
 from testbed.metrics.facts import describe_commands

@@ -41,7 +41,7 @@ def test_extreme_option_is_one_error_line(case, tmp_path):
 
 @pytest.mark.parametrize("rate", [1, 2, 4, 5, 8])
 def test_autopilot_rate_too_low_for_its_filter(rate, tmp_path):
-    setting = f"--set=rates.autopilot_hz={rate}"
+    setting = f"--set=rates={{physics_hz: 200, autopilot_hz: {rate}}}"
     for command in ("validate", "run"):
         done = call_command(command, "simulation-3", setting, cwd=tmp_path, code=2, columns=500)
         assert f"rates.autopilot_hz: is {rate}, and fly-by-wire A" in done.stderr

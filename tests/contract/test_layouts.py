@@ -13,7 +13,7 @@ from commands import call_command
 from record_flight import decoded, record, run_info, run_samples
 
 import testbed
-from testbed.core.frames import geodetic_from_ned
+from testbed.core.geodetic import geodetic_from_ned
 from testbed.views.foxglove_layout import foxglove_layout
 from testbed.views.foxglove_scene import FRAMES, TOPICS
 from testbed.views.log_plots import numeric_topics

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from run_flight import Collector, short
 
-from testbed.core.frames import geodetic_from_ned
+from testbed.core.geodetic import geodetic_from_ned
 from testbed.mavlink.flight_import import read_flight
 from testbed.mavlink.vehicle_control import Mode
 from testbed.sim.build import build

@@ -101,7 +101,7 @@ def test_document_has_the_documented_keys():
     expected = {"schema", "scenario", "seed", "versions", "outcome", "events", "published"}
     expected |= {"simulated_s", "wall_s", "real_time_factor", "windows", "lost_at_s", "joined_at_s"}
     expected |= {"min_separation_m", "max_error_m", "leader_bank_deg", "wind", "mean_throttle"}
-    expected |= {"limiter_flags", "saturations", "left_speed_set", "recovery"}
+    expected |= {"limiter_flags", "saturations", "left_speed_set", "recovery", "ringing"}
     expected |= {"kappa_mps", "kappa_at_s", "kappa_assumed_mps", "slot_speed_mps"}
     expected |= {"estimate_error", "relative_position_error_m"}
     assert expected | {"network", "age_of_information_s"} <= set(metrics)
@@ -155,6 +155,26 @@ def test_follower_tables_have_unique_columns(width):
         above, below = (re.split(r"  +", line.strip()) for line in lines[k : k + 2])
         columns = zip(above[-len(below) + 1 :], below[1:], strict=True)
         assert len(set(columns)) == len(below) - 1 >= 3
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_ringing_table_is_there_if_a_bank_rings(width):
+    metrics = document()
+    assert "ringing" not in printed(metrics, width)
+    never = dict.fromkeys(metrics["ringing"]["uav1"])
+    metrics["ringing"] = {
+        "uav1": {"seconds": 3.96, "last_s": 534.16, "period_s": 0.99, "damping_ratio": 0.074},
+        "uav2": {**never, "seconds": 0.0},
+        "uav3": never,
+    }
+    lines = [line.split() for line in printed(metrics, width).splitlines()]
+    start = lines.index(["bank", "any", "last", "period", "damping"])
+    assert lines[start + 1] == ["ringing", "s", "at,", "s", "s", "ratio"]
+    assert lines[start + 3 : start + 6] == [
+        ["uav1", "4.0", "534.2", "0.99", "0.07"],
+        ["uav2", "0", "–", "–", "–"],
+        ["uav3", "–", "–", "–", "–"],
+    ]
 
 
 @pytest.mark.parametrize("width", WIDTHS)

@@ -338,6 +338,19 @@ def test_respond_on_a_full_disk_keeps_the_old_file(tmp_path):
     assert out.read_text() == content and names(tmp_path) == ["commands.csv", "out.csv"]
 
 
+def test_respond_names_the_gyro_filter(tmp_path):
+    """That of an aircraft, or with --sitl-rate that of SITL; a turn differs."""
+    turn = "".join(f"{0.1 * k:g},0,{0.5 * (k > 2)},0.5\n" for k in range(10))
+    (tmp_path / "commands.csv").write_text(COMMANDS.splitlines(keepends=True)[0] + turn)
+    arguments = ("respond", "rascal110", "commands.csv")
+    own = call_command(*arguments, "own.csv", cwd=tmp_path, code=0, columns=200)
+    assert own.stderr.startswith("gyro filter: INS_GYRO_FILTER, as on an aircraft")
+    options = ("sitl.csv", "--sitl-rate", "200")
+    sitl = call_command(*arguments, *options, cwd=tmp_path, code=0, columns=200)
+    assert sitl.stderr == "gyro filter: that of SITL at 200 Hz\n"
+    assert (tmp_path / "own.csv").read_text() != (tmp_path / "sitl.csv").read_text()
+
+
 def test_json_to_a_device_leaves_the_device(tmp_path):
     node, link = tmp_path / "null", tmp_path / "link"
     null_device(node)

@@ -389,8 +389,8 @@ def test_repulsion_within_radius_shifts_the_position():
     ours, _ = law.step(now, own, inbox, law.start(own))
     towards = np.array([0.8, -0.6, 0.0])  # from uav1 to uav2; 7 m inside the radius of 12 m
     shifted = own.position_ned.copy()
-    shifted[0] += 4.0 * 7.0 * towards
-    shifted[1] -= 4.0 * 7.0 * towards
+    shifted[0] += 5.0 * 7.0 * towards
+    shifted[1] -= 5.0 * 7.0 * towards
     theirs, _ = step(law.hbh23, (now, own._replace(position_ned=shifted), inbox))
     for one, two in zip(ours, theirs, strict=True):
         assert one == pytest.approx(two, rel=1e-9, abs=1e-9)  # up to rounding

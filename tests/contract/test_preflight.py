@@ -1,6 +1,7 @@
 """Warnings before a flight: aircraft in one place, wind, windows, limits, published numbers."""
 
 import json
+import math
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,7 @@ import small_study
 from typer.testing import CliRunner
 
 from testbed.cli.main import app
+from testbed.core.errors import InputError
 from testbed.scenario import ScenarioError, dump, find_aircraft, load_scenario, loads, set_duration
 from testbed.sim.build import build
 from testbed.studies.sweep import sweep
@@ -292,12 +294,15 @@ def test_limits_that_undercut_each_other_have_warnings(tmp_path):
     assert warnings("simulation-3") == []
     found = warnings("simulation-3", f"fleet.*.tune={narrow}", f"leader.tune={narrow}")
     cut = "and the autopilot stops at 25°, ROLL_LIMIT_DEG of its tune: what is cut off is not"
-    assert [(source, text.partition(" counted")[0]) for source, text in found] == [
+    assert [(source, text.partition(" counted")[0]) for source, text in found[:2]] == [
         ("run", f"uav1, uav2, uav3: the middle loop commands up to 50° of roll, {cut}"),
         ("leader", f"its guidance commands up to 45° of roll, {cut}"),
     ]
+    # the leader's bank is limited to 25°, too; a slot farther out needs more
+    assert len(found) == 3
+    assert "the slot of uav2 may need up to 26.1° of bank, beyond 25°" in found[2][1]
     assert "(write controller.gains.limits.roll_deg: 25, or a ROLL_LIMIT_DEG of 50)" in found[0][1]
-    lower = ("controller.gains.limits={roll_deg: 25}", "leader.path.bank_limit_deg=25")
+    lower = ("controller.gains.limits={roll_deg: 25}", "leader.path.bank_limit_deg=23")
     both = (f"fleet.*.tune={narrow}", f"leader.tune={narrow}", *lower)
     assert not [text for _, text in warnings("simulation-3", *both) if "ROLL_LIMIT_DEG" in text]
 
@@ -314,8 +319,61 @@ def test_tune_limit_out_of_reach_has_a_warning(tmp_path):
         "of 50)",
     )
     real = f"fleet.uav2.tune={wide}", "fleet.uav2.autopilot=ardupilot"
-    assert warnings("simulation-3", *real) == [found]
+    limit, gyro = warnings("simulation-3", *real)
+    assert limit == found
+    assert gyro[1].startswith("uav2: SITL at rates.physics_hz 100 has a gyro filter of 2 Hz")
     assert warnings("simulation-3", f"fleet.uav2.tune={wide}", "fleet.uav2.vehicle=unicycle") == []
+
+
+CIRCLE = (
+    "leader.path={{kind: virtual, speed_mps: {speed}, curve: {{kind: circle, radius_m: {radius}, "
+    "climb_mps: {climb}}}}}"
+)
+
+
+def demands(*changes):
+    """Warnings of slots that need more bank or climb than the followers' limits allow."""
+    found = warnings("simulation-3", *changes)
+    return [(source, text) for source, text in found if "the limit by" in text]
+
+
+def test_formula_beyond_the_limits_has_a_warning():
+    # level at 22 m/s on 45 m: the slots υ = (−5, ∓5) are on √(50² + 5²) and √(40² + 5²) m
+    outer = math.degrees(math.atan((22.0 / 45.0) ** 2 * math.hypot(50.0, 5.0) / 9.80665))
+    path = CIRCLE.format(speed=22, radius=45, climb=0)
+    ((source, text),) = demands(path)
+    assert source == "run" and text == (
+        f"uav2, uav3: the slot of uav2 needs up to {outer:.1f}° of bank, 1080.0 s of it beyond "
+        "50°, the limit by controller.gains.limits.roll_deg and ROLL_LIMIT_DEG: it cannot be held "
+        "there (write a leader that turns wider, or higher limits)"
+    )
+    assert demands(path, "fleet.*.vehicle=unicycle") == []
+    assert demands(CIRCLE.format(speed=22, radius=60, climb=0)) == []
+    # asin(8 / 22) is 21.3°, and the slots on the wider circle climb less steeply
+    steep = CIRCLE.format(speed=22, radius=120, climb=8)
+    ((source, text),) = demands(steep)
+    inner = math.degrees(math.atan(8.0 / math.sqrt(22.0**2 - 8.0**2) / (math.hypot(115, 5) / 120)))
+    assert source == "run" and f"uav1, uav2, uav3: the slot of uav1 needs up to {inner:.1f}" in text
+    assert "° of climb, 1080.0 s of it beyond 20°, the limit by" in text
+    assert "PTCH_LIM_MAX_DEG: it cannot be held there (write a leader with less climb" in text
+
+
+def test_recording_beyond_the_limits_has_a_warning(tmp_path):
+    name = "simulation-3-recorded-leader"
+    (text,) = [text for _, text in warnings(name) if "the limit by" in text]
+    assert "needs up to 55.9° of bank, 22.3 s of it beyond 50°" in text
+    higher = tmp_path / "higher.param"
+    tune = (find_aircraft("rascal110") / "autopilot.param").read_text()
+    higher.write_text(tune.replace("ROLL_LIMIT_DEG 50", "ROLL_LIMIT_DEG 57"))
+    raised = (f"fleet.*.tune={higher}", "controller.gains.limits={roll_deg: 57}")
+    assert not [text for _, text in warnings(name, *raised) if "the limit by" in text]
+
+
+def test_mission_beyond_the_limits_has_a_warning():
+    # 22 m/s at 0.495 rad/s: the outer slot moves at 24.6 m/s
+    ((source, text),) = demands("leader.path.bank_limit_deg=48")
+    assert source == "run" and "the slot of uav2 may need up to 51.2° of bank, beyond 50°" in text
+    assert "(write a lower leader.path.bank_limit_deg, or higher limits)" in text
 
 
 # sensors and faults
@@ -330,7 +388,9 @@ def test_latency_that_is_rounded_has_a_warning():
         "periods of rates.autopilot_hz, 50 Hz (write 0.12 or 0.14, or another rate)",
     )
     assert warnings("simulation-3", gps, "fleet.*.sensors.gps.latency_s=0.14") == []
-    (other,) = warnings("simulation-3-pixhawk", "rates.autopilot_hz=40", "rates.control_hz=20")[:1]
+    (other,) = warnings(
+        "simulation-3-pixhawk", "rates={physics_hz: 200, autopilot_hz: 40, control_hz: 20}"
+    )[:1]
     assert "sensors.gps.latency_s: 0.12 s flies as 0.125 s" in other[1]
 
 
@@ -340,3 +400,33 @@ def test_fault_without_effect_explains_nothing(tmp_path):
     assert (code, metrics["outcome"]) == (1, "separation_lost")
     code, _, metrics = run_command(tmp_path / "b", *CLOSE, fault, "fleet.uav1.sensors=pixhawk")
     assert (code, metrics["outcome"]) == (0, "completed")
+
+
+# rates too low for an aircraft
+
+
+def test_rate_too_low_for_an_aircraft_is_warned_of():
+    """The X8's propeller has -29.6 1/s, its roll -26.2 1/s; of the Rascal -9.3 1/s are fastest."""
+    world = build(load_scenario("mixed-fleet", ["rates.physics_hz=50"]))
+    (warning,) = (each for each in world.initial_events if "eigenvalue" in each.text)
+    assert warning.level == "warning"
+    assert warning.text == (
+        "uav1, uav2: the propeller mode of skywalker_x8 at 22 m/s has the eigenvalue -29.6 1/s; "
+        "its magnitude times the step of 1/50 s is 0.592, and above 0.5 flights are inaccurate "
+        "(write rates.physics_hz: 100)"
+    )
+
+
+def test_rate_that_suits_all_aircraft_has_no_warning():
+    world = build(load_scenario("mixed-fleet"))
+    assert not [each for each in world.initial_events if "eigenvalue" in each.text]
+
+
+def test_rate_at_which_an_aircraft_diverges_is_refused():
+    with pytest.raises(InputError) as caught:
+        build(load_scenario("mixed-fleet", ["rates.physics_hz=25", "rates.autopilot_hz=25"]))
+    assert str(caught.value) == (
+        "rates.physics_hz: uav1, uav2: the roll mode of skywalker_x8 at 22 m/s has the eigenvalue "
+        "-26.2 1/s; its magnitude times the step of 1/25 s is 1.05, and from 1 on its integration "
+        "diverges (write rates.physics_hz: 75)"
+    )

@@ -27,7 +27,8 @@ from waiting import TIMEOUT_S, until
 
 import testbed
 from testbed.core.errors import InputError
-from testbed.core.frames import geodetic_from_ned, rotation_ned_body
+from testbed.core.frames import rotation_ned_body
+from testbed.core.geodetic import geodetic_from_ned
 from testbed.core.records import Event
 from testbed.core.start_time import start_unix_ns
 from testbed.logs import header, recorder
@@ -102,6 +103,8 @@ def test_log_read_back_has_run_info(tmp_path):
     np.testing.assert_array_equal(log.info.leader_path_ned, info.leader_path_ned)
     assert log.metadata["seed"] == "7"
     assert log.metadata["version.jsbsim"] == "1.3.3"
+    assert log.metadata["base_rate_hz"] == str(info.base_rate_hz)
+    assert log.metadata["integrator.rate_rotational"] == "Euler"
     assert log.metrics == {"outcome": "completed", "wall_s": None}
 
 

@@ -1,5 +1,8 @@
 """Bags of ROS 2: read back by a second library, in the axes of REP 103."""
 
+import math
+from dataclasses import replace
+
 import mcap.reader
 import numpy as np
 import pytest
@@ -13,13 +16,14 @@ from rosbags.highlevel import AnyReader
 from testbed.core.frames import (
     GRAVITY,
     euler_enu_flu,
-    geodetic_from_ned,
     quaternion_xyzw,
     rotation_ned_body,
 )
+from testbed.core.geodetic import geodetic_from_ned
 from testbed.core.records import Event, Origin
 
 AIRCRAFT, SECONDS, HZ, LOST_AT = 3, 4, 25, 60
+DATE_LINE = Origin(38.0, 180.0, 300.0)
 NED_TO_ENU = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
 FRD_TO_FLU = np.diag([1, -1, -1])
 
@@ -41,7 +45,8 @@ def seen():
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory, seen):
     folder = tmp_path_factory.mktemp("run")
-    path = record(folder / "run.mcap", seen, views_flight.info(AIRCRAFT, SECONDS))
+    info = replace(views_flight.info(AIRCRAFT, SECONDS), origin=DATE_LINE)
+    path = record(folder / "run.mcap", seen, info)
     arguments = ("export", path, "--format", "ros2")
     done = call_command(*arguments, cwd=folder, code=0, columns=120)
     assert "run.ros2" in done.stderr
@@ -122,8 +127,13 @@ def test_accelerometer_measures_gravity_upward(found, seen):
 def test_fix_is_the_estimate_with_its_covariance(found, seen):
     assert len(found["/uav2/fix"]) == 5 * SECONDS
     stamp, fix = found["/uav2/fix"][3]
-    expected = geodetic_from_ned(seen[15].estimate.position_ned[2], Origin())
+    position = seen[15].estimate.position_ned[2]
+    expected = geodetic_from_ned(position, DATE_LINE)
     np.testing.assert_array_equal([fix.latitude, fix.longitude, fix.altitude], expected)
+    # a degree of longitude is 87.8 km at this latitude
+    east = 87.8e3 * math.remainder(fix.longitude - 180.0, 360.0)
+    assert east == pytest.approx(position[1], rel=0.01)
+    assert all(-180.0 <= each.longitude < 180.0 for _, each in found["/uav2/fix"])
     assert fix.position_covariance_type == 1
     np.testing.assert_allclose(fix.position_covariance[:3], [4, 2, -6], atol=1e-9)
 

@@ -79,7 +79,7 @@ def test_observers_and_log_change_no_flight(tmp_path):
     )
 
 
-@pytest.mark.parametrize("log_hz", [10, 200])
+@pytest.mark.parametrize("log_hz", [10, 100])
 def test_log_rate_changes_no_flight(log_hz):
     """Also of unsynchronised aircraft, with sensor errors and packet loss."""
     knobs = (*NOISY, "rates.synchronous=false", "network.loss=0.3")
@@ -97,8 +97,8 @@ def test_log_rate_changes_no_flight(log_hz):
 
 def test_samples_come_at_the_log_rate_and_are_finite():
     seen = fly_samples("rates.log_hz=10", seconds=2)
-    assert [frame.tick for frame in seen] == list(range(0, 401, 20))
-    assert [frame.time_s for frame in seen] == [tick / 200 for tick in range(0, 401, 20)]
+    assert [frame.tick for frame in seen] == list(range(0, 201, 10))
+    assert [frame.time_s for frame in seen] == [tick / 100 for tick in range(0, 201, 10)]
     for frame in seen:
         for name, array in arrays(frame):
             if name.removeprefix("air.") in ("state_of_charge", "battery_voltage"):
@@ -197,6 +197,7 @@ def test_run_directory_has_scenario_log_and_metrics(tmp_path):
     log = read_log(result.directory / "run.mcap")
     assert log.finished
     assert log.info.scenario_yaml == resolved.read_text()
+    assert log.info.integrators["rate_rotational"] == "Adams-Bashforth 2"
     assert fingerprint(samples(log)) == fingerprint(watcher.frames)
 
 

@@ -5,7 +5,7 @@ from typing import get_args
 
 import pytest
 
-from testbed.autopilot.parameters import FbwaParams
+from testbed.autopilot.parameters import AutopilotTiming, FbwaParams, make_gains
 from testbed.scenario import ScenarioError, dump, load_scenario, loads, set_duration
 from testbed.scenario.faults import AnyFault
 from testbed.scenario.sensors import SENSOR_NAMES, TRUTH, Estimator, Sensors
@@ -205,3 +205,17 @@ def test_pressure_of_a_sensor_is_filtered_once():
     jsbsim.retune(1, FbwaParams(rll_rate_smax=100.0))
     assert weights.tolist() == [0.3, 1.0, 0.3, 0.3]
     assert jsbsim.autopilots.gains["slew_max"][1].tolist() == [100.0, 150.0]
+
+
+def test_gyro_filter_of_sitl_reaches_its_aircraft():
+    """Its cut-off follows rates.physics_hz; a retuned autopilot keeps its kind of filter."""
+    own = ["fleet.uav2.autopilot={kind: virtual, gyro_filter: sitl}", "rates.physics_hz=400"]
+    (jsbsim,) = build(load_scenario("simulation-3", own)).vehicles
+    gains = jsbsim.autopilots.gains
+    assert gains["sitl_physics_hz"].tolist() == [0.0, 0.0, 400.0, 0.0]
+    sitl = make_gains([FbwaParams()], 0.02, AutopilotTiming(sitl_physics_hz=400.0))
+    assert gains["gyro_b"][2].tolist() == sitl["gyro_b"][0].tolist()
+    jsbsim.retune(2, FbwaParams(ins_gyro_filter=10.0))
+    assert gains["gyro_b"][2].tolist() != sitl["gyro_b"][0].tolist()
+    jsbsim.retune(2, FbwaParams())
+    assert gains["gyro_b"][2].tolist() == sitl["gyro_b"][0].tolist()

@@ -269,7 +269,7 @@ def test_error_of_many_links_is_reported_once():
         "range_loss: [[0, 0.1]], drop: [7, 1, 1]",
         "partitions: [{window_s: [1, 2], groups: [[uav1]]}]",
         "loss: {kind: gilbert-elliott, p: 0, r: 1, loss_good: 0.1}",
-        "broadcast: {uav1: {period_s: 0.005}, leader: {phase_s: 5}}",
+        "broadcast: {uav1: {period_s: 0.01}, leader: {phase_s: 5}}",
     ],
 )
 def test_unusual_networks_are_accepted(network):

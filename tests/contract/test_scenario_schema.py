@@ -61,7 +61,7 @@ def test_simulation_3_has_the_papers_parameters():
 def test_defaults_are_as_documented():
     scenario = load_scenario(FOLDER / "minimal.yaml")
     rates = scenario.rates
-    assert (rates.physics_hz, rates.autopilot_hz, rates.control_hz) == (200, 50, 25)
+    assert (rates.physics_hz, rates.autopilot_hz, rates.control_hz) == (100, 50, 25)
     assert (rates.broadcast_hz, rates.log_hz) == (25, 25)
     assert scenario.leader.sensors.exact and scenario.fleet[0].sensors.exact
     assert scenario.leader.path.bank_limit_deg == 30.0
@@ -99,6 +99,7 @@ VIRTUAL = "leader.path={{kind: virtual, speed_mps: 21, curve: {{{}}}}}"
 ARDUPLANE = (
     "{kind: ardupilot, binary: /usr/bin/arduplane, start: false, instance: 7, timeout_s: 20.0}"
 )
+SITL = "{kind: virtual, gyro_filter: sitl}"
 EXTERNAL = "{kind: external, failsafe_s: 3.0, lockstep: true, timeout_s: 5.0}"
 MISSION = (
     "{kind: mission, airspeed_mps: 21.0, bank_limit_deg: 25.0, climb_limit_mps: 1.0, "
@@ -122,6 +123,7 @@ OTHER_KINDS = [
     "formation.agents.uav2={speed_model: {f: 'drag_and_propeller:f', g: 'drag_and_propeller:g'}}",
     f"leader={{name: lead, aircraft: rascal110, autopilot: {ARDUPLANE}, path: {MISSION}}}",
     f"leader={{name: lead, aircraft: rascal110, commanded_by: {EXTERNAL}, path: {MISSION}}}",
+    f"leader={{name: lead, aircraft: rascal110, autopilot: {SITL}, path: {MISSION}}}",
     f"fleet.1={{name: uav2, aircraft: rascal110, autopilot: {ARDUPLANE}, start_m: [-40, -10, 0]}}",
 ]
 # Keys with a single value.

@@ -1,5 +1,6 @@
 """Stepping from Python: the flight of the command line to the bit, and commands that are flown."""
 
+import itertools
 import json
 import math
 
@@ -8,12 +9,20 @@ import pytest
 
 import testbed
 from testbed.core.errors import InputError
+from testbed.core.samples import copy_sample
 from testbed.logs import recorder
 from testbed.logs.run_directory import LOG_NAME, SCENARIO_NAME
 from testbed.scenario import find_aircraft, load_scenario, set_duration
+from testbed.vehicle import replay_commands
 from testbed.vehicle.replay_commands import respond
 
 NOISY = ["fleet.*.sensors=gps-ins", "network.loss=0.1"]
+PUFF = "{kind: time, name: puff, velocity_mps: [1, 0, -2], at_s: 0, ramp_s: 1}"
+FAULTS = [
+    "fleet.uav1.faults=[{kind: battery-low, state_of_charge: 0.4, at_s: 0.5}, "
+    "{kind: thrust-loss, remaining: 0.5, when: {quantity: state_of_charge, below: 0.5}}]",
+    "fleet.uav3.faults=[{kind: surface-floating, surface: elevator, at_s: 0.7}]",
+]
 
 
 def short(*overrides, seconds=4.0):
@@ -25,27 +34,89 @@ def steps(simulation, **options):
         yield simulation.step(**options)
 
 
+class Samples:
+    def begin(self, info):
+        self.all = []
+
+    def observe(self, sample):
+        self.all.append(sample)
+
+    def end(self, summary, events):
+        """Nothing is left to do."""
+
+
 def positions(simulation):
     return np.array([sample.truth.position_ned.copy() for sample in steps(simulation)])
 
 
-@pytest.mark.parametrize(
-    "overrides", [NOISY, ["rates.synchronous=false"]], ids=["noisy", "unsynchronised"]
-)
-def test_log_and_metrics_are_those_of_a_run(tmp_path, overrides, monkeypatch):
+FLIGHTS = {
+    "noisy": ("simulation-3", NOISY),
+    "unsynchronised": ("simulation-3", ["rates.synchronous=false"]),
+    "coherent": ("turbulence-moderate", []),
+    "dryden": ("simulation-3", ["air.turbulence.model=dryden"]),
+    "von-karman": ("simulation-3", ["air.turbulence.model=von-karman"]),
+    "shear": ("wind-8ms", []),
+    "wake": ("close-formation-wake", []),
+    "unicycles": ("wind-8ms", ["fleet.*.vehicle=unicycle", "air.turbulence.model=dryden"]),
+    "faults": ("mixed-fleet", [*FAULTS, "air.turbulence.model=dryden"]),
+    "own-law": ("own-law-integral", ["air.turbulence.model=dryden"]),
+}
+
+
+@pytest.mark.parametrize(("name", "overrides"), FLIGHTS.values(), ids=FLIGHTS)
+def test_uneven_steps_write_the_log_of_a_run(tmp_path, name, overrides, monkeypatch):
+    """Log, events and metrics to the bit, wherever state and metrics are read in between."""
     monkeypatch.setattr(recorder, "FLUSH_S", 3600.0)  # chunks do not depend on the clock
-    scenario = short(*overrides)
+    scenario = set_duration(load_scenario(name, overrides), 2.0)
     run = testbed.run(scenario, out=tmp_path / "run")
+    pieces = itertools.cycle([0.0, 0.05, 0.0, 0.13, 0.31])  # s; 0: to the next tick
     with testbed.Simulation(scenario, out=tmp_path / "stepped") as simulation:
-        times = [sample.time_s for sample in steps(simulation)]
-    np.testing.assert_allclose(np.diff(times), 0.02, atol=1e-12)
-    assert (simulation.outcome, times[-1]) == ("completed", 4.0)
-    for name in (LOG_NAME, SCENARIO_NAME):
-        ours, flown = ((tmp_path / each / name).read_bytes() for each in ("stepped", "run"))
-        assert ours == flown, name
+        while simulation.outcome is None:
+            simulation.step(until=simulation.time_s + next(pieces))
+            assert simulation.state.time_s == simulation.time_s
+            assert simulation.metrics["outcome"] in ("interrupted", "completed")
+    assert (simulation.outcome, simulation.time_s) == (run.outcome, 2.0)
+    for file in (LOG_NAME, SCENARIO_NAME):
+        ours, flown = ((tmp_path / each / file).read_bytes() for each in ("stepped", "run"))
+        assert ours == flown, file
     stepped = json.loads((tmp_path / "stepped" / "metrics.json").read_text())
     wall = {"wall_s": None, "real_time_factor": None}
     assert stepped | wall == dict(run.metrics) | wall
+
+
+def test_samples_have_the_wind_of_their_tick():
+    """Against the closed form of a gust in time, for every kind of vehicle, at every tick."""
+    overrides = [f"air.gusts=[{PUFF}]", "fleet.uav1.vehicle=unicycle"]
+    scenario = set_duration(load_scenario("simulation-3-recorded-leader", overrides), 1.0)
+    logged = Samples()
+    simulation = testbed.Simulation(scenario, observers=[logged])
+    states = [copy_sample(simulation.state), *map(copy_sample, steps(simulation))]
+    assert [len(states), len(logged.all)] == [51, 26]
+    for sample in (*states, *logged.all):
+        rise = 0.5 - 0.5 * math.cos(math.pi * sample.time_s)
+        expected = np.tile(rise * np.array([1.0, 0.0, -2.0]), (4, 1))
+        np.testing.assert_allclose(sample.air.wind_ned, expected, atol=1e-12)
+
+
+def test_samples_have_the_wind_at_their_position():
+    """Against u = 8 ln(h/z₀) / ln(100/z₀), and its gradient at the start, with level wings.
+
+    Heights change by up to 0.02 m in an autopilot period.
+    """
+    logged = Samples()
+    testbed.run(set_duration(load_scenario("wind-8ms"), 0.8), write=False, observers=[logged])
+    downwind = math.radians(240.0 - 180.0)
+    for sample in logged.all:
+        height = -sample.truth.position_ned[:, 2]
+        speed = 8.0 * np.log(height / 0.03) / math.log(100.0 / 0.03)
+        expected = np.outer(speed, [math.cos(downwind), math.sin(downwind), 0.0])
+        np.testing.assert_allclose(sample.air.wind_ned, expected, atol=2e-6)
+    first = logged.all[0]
+    _, pitch, yaw = first.truth.euler.T
+    slope = 8.0 / math.log(100.0 / 0.03) / -first.truth.position_ned[:, 2]  # 1/s, du/dh
+    along, across = slope * np.sin(pitch) * [np.cos(downwind - yaw), np.sin(downwind - yaw)]
+    expected = np.stack([0.0 * along, -np.sin(pitch) * along, across], axis=1)
+    np.testing.assert_allclose(first.air.wind_gradient_rates, expected, atol=1e-12)
 
 
 def test_state_between_samples_is_present():
@@ -127,7 +198,7 @@ def test_arduplanes_are_refused():
         testbed.Simulation(short("fleet.uav1.autopilot=ardupilot"))
 
 
-def test_aircraft_flies_as_replayed_commands(tmp_path):
+def test_aircraft_flies_as_replayed_commands(tmp_path, monkeypatch):
     """Against `testbed respond`, which has a loop of its own."""
     airframe = find_aircraft("skywalker_x8")
     rows = [(0.0, 0.05, 0.0, 0.5), (1.0, 0.1, 0.5, 0.6), (2.5, -0.05, -0.3, 0.4)]
@@ -139,6 +210,7 @@ def test_aircraft_flies_as_replayed_commands(tmp_path):
     )
     (tmp_path / "commands.csv").write_text(text)
     param, out = airframe / "autopilot.param", tmp_path / "out.csv"
+    monkeypatch.setattr(replay_commands, "BASE_RATE_HZ", 100)  # that of the aircraft
     respond(airframe, tmp_path / "commands.csv", out, param=param, airspeed=18.0)
     expected = np.genfromtxt(out, delimiter=",", names=True)
 

@@ -47,25 +47,52 @@ def test_vee_has_the_requested_flight_models(benchmark, count):
     assert benchmark("full_over_bare").flight_models(scenario) == len(fleet.bare_runs()) == count
 
 
-def test_convergence_figure_has_all_simulations(benchmark):
-    """An error that is 1 + 1/rate is 7/8 of a percent farther off at 100 Hz than at 800 Hz."""
+def flight(error, rate_hz):
+    """Return the numbers of a flight whose second follower is saturated."""
+    return {
+        "windows.laps.rms_m.uav1": error(rate_hz),
+        "windows.laps.rms_m.uav2": error(rate_hz) + 1.0,
+        "windows.laps.mean_rms_m": 1.0,
+        "saturations.uav1.seconds": 1.0,
+        "saturations.uav2.seconds": 50.0,
+        "simulated_s": 100.0,
+    }
+
+
+def flights(convergence, error):
+    return {
+        (name, rate, 1): flight(error, rate)
+        for name in convergence.DRAWN
+        for rate in convergence.RATES
+    }
+
+
+def test_convergence_table_has_orders_and_worst_error(benchmark):
+    """An error of 1 + (10/rate)² m is 3.98 % off at 50 Hz and 0.98 % at 100 Hz: order 2."""
     convergence = benchmark("convergence")
-    rows = {
-        (name + case, 1): {
-            f"windows.{of}.rms_m.{follower}": 1.0 + 1.0 / rate for of, follower in convergence.CELLS
-        }
-        for name in convergence.SIMULATIONS
-        for ladder in convergence.LADDERS.values()
-        for rate, case in ladder.items()
-        if case
-    }
-    own = {
-        f"windows.{of}.rms_m.{follower}": 1.0 + 1.0 / 200.0 for of, follower in convergence.CELLS
-    }
-    rows |= {(name, 1): own for name in convergence.SIMULATIONS}
-    (panels,) = convergence.figure(rows).rows
-    assert all(len(panel.lines) == len(convergence.SIMULATIONS) + 1 for panel in panels)
-    physics = panels[0].lines[0]
-    assert physics.x.tolist() == [100.0, 200.0, 400.0]
-    expected = 100.0 * ((1.0 + 1.0 / physics.x) / (1.0 + 1.0 / 800.0) - 1.0)
-    assert physics.y == pytest.approx(expected)
+    flown = flights(convergence, lambda rate: 1.0 + (10.0 / rate) ** 2)
+    head, _, first, *_ = convergence.rates_table(flown, calm=True)
+    assert "50 Hz | 100 Hz | 200 Hz | 400 Hz | order 50–200" in head
+    assert "**+3.98 %, +39.8 mm** | +0.98 %, +9.8 mm |" in first
+    assert first.endswith("| 2.0 | 2.0 | 2.0 |")
+    assert "meets the criterion: 100 Hz." in convergence.verdict(flown)
+    others = list(convergence.rates_table(flown, calm=False))[2:]
+    assert len(others) == len(convergence.DRAWN) and "2.00 to 2.00" in others[0]
+
+
+def test_convergence_table_names_what_fails_at_default(benchmark):
+    convergence = benchmark("convergence")
+    flown = flights(convergence, lambda rate: 1.0 + 2.0 / rate)
+    text = convergence.verdict(flown)
+    assert "meets the criterion: 200 Hz." in text
+    assert "simulation-1 (uav1, laps)" in text and "uav2" not in text
+
+
+def test_convergence_figure_draws_distances(benchmark):
+    convergence = benchmark("convergence")
+    flown = flights(convergence, lambda rate: 1.0 + 1.0 / rate)
+    ((panel,),) = convergence.figure(flown).rows
+    assert len(panel.lines) == len(convergence.DRAWN) + 1
+    drawn = panel.lines[0]
+    expected = 100.0 * ((1.0 + 1.0 / drawn.x) / (1.0 + 1.0 / 800.0) - 1.0)
+    assert drawn.y == pytest.approx(expected)

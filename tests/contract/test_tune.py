@@ -1,7 +1,9 @@
 """`testbed tune`: its file, its flights and its output files."""
 
+import csv
 import json
 from contextlib import contextmanager
+from dataclasses import replace
 
 import pytest
 from commands import call_command
@@ -44,11 +46,11 @@ def file(tmp_path):
 
 
 def artificial_flight(task):
-    """Return a metric with its minimum at course.p = 3 and k = 2.5, larger in wind."""
+    """Return a metric with its minimum at course.p = 2 and k = 2.5, larger in wind."""
     scenario = task.scenario
     course, k = middle_loop_gains(scenario, "rascal110").course.p, scenario.formation.k
     wind, seed = scenario.air.wind.speed_mps, scenario.scenario.seed
-    value = 0.2 + (course - 3.0) ** 2 + (k - 2.5) ** 2 + 0.1 * wind + 0.01 * seed
+    value = 0.2 + (course - 2.0) ** 2 + (k - 2.5) ** 2 + 0.1 * wind + 0.01 * seed
     metrics = {"outcome": "completed", "windows": {"rectangles": {"mean_rms_m": value}}}
     return FlightResult(task.number, "completed", "", metrics | {"lost_at_s": {}})
 
@@ -90,7 +92,7 @@ def test_tune_result_is_independent_of_the_order(file, tmp_path, fly_with):
     for name in ("candidates.csv", "middle_loop.yaml", "result.json"):
         assert (tmp_path / "a" / name).read_text() == (tmp_path / "b" / name).read_text()
     assert found[0].comparison.better
-    assert found[0].best.gains == pytest.approx((3.0, 2.5), abs=1.0)
+    assert found[0].best.gains == pytest.approx((2.0, 2.5), abs=1.0)
 
 
 def test_tune_writes_a_scenario_with_the_gains(file, tmp_path, fly_with):
@@ -100,11 +102,11 @@ def test_tune_writes_a_scenario_with_the_gains(file, tmp_path, fly_with):
     check_snapshot("tune", done.stderr)
     found = json.loads(done.stdout)
     assert found["comparison"]["better"] and found["seeds"] == [1, 2]
-    assert found["gains"]["controller.gains.course.p"]["before"] == 4.0  # of the profile
+    assert found["gains"]["controller.gains.course.p"]["before"] == 3.0  # of the profile
     assert found["gains"]["formation.k"]["before"] == 3.0
     tuned = load_scenario(tmp_path / "out" / "tuned.yaml")
     course = middle_loop_gains(tuned, "rascal110").course.p
-    assert course == found["gains"]["controller.gains.course.p"]["after"] != 4.0
+    assert course == found["gains"]["controller.gains.course.p"]["after"] != 3.0
     assert tuned.formation.k == found["gains"]["formation.k"]["after"]
     assert tuned.controller.gains == {} and tuned.name == "small-tuned"
     own = middle_loop_gains(tuned, "rascal110").model_dump()
@@ -142,10 +144,75 @@ def test_tune_gains_of_the_scenario_move_to_the_file(file, tmp_path, fly_with):
     assert (gains.course.p, gains.eta_bank, gains.speed.i) == (result.best.gains[0], 0.2, 0.03)
 
 
+CONSTRAINTS = "constraints: [{bank_deg: 0, damping: 0.2}, {bank_deg: 45, damping: 0.4}]"
+
+
+def damped_flight(task):
+    """Return a damping ratio that falls as course.p rises: 0.4 needs 1.875 or less."""
+    result = artificial_flight(task)
+    if task.measure is None:
+        return result
+    bank_deg = task.measure.args[1]
+    damping = 0.75 / middle_loop_gains(task.scenario, "rascal110").course.p
+    measured = {"problem": "", "damping": damping + (0.05 if bank_deg > 0.0 else 0.0)}
+    return FlightResult(task.number, "completed", "", measured)
+
+
+def test_tune_constraint_moves_the_optimum(file, tmp_path, fly_with):
+    """To its bound; without it the optimum is at 2, which misses it."""
+    found = {}
+    text = TUNE.replace("max_flights: 52", "max_flights: 132").replace("[1, 2]", "1")
+    for name, constraints in (("free", ""), ("bound", CONSTRAINTS)):
+        file.write_text(f"{text}{constraints}\n")
+        fly_with(damped_flight)
+        done = call_command("tune", file, "--out", name, cwd=tmp_path, code=0, columns=120)
+        found[name] = json.loads((tmp_path / name / "result.json").read_text())
+    free, bound = (each["gains"]["controller.gains.course.p"]["after"] for each in found.values())
+    assert free == pytest.approx(2.0, abs=0.3) and 1.5 < bound <= 1.875
+    assert "constraints" in found["free"] and found["free"]["constraints"] == []
+    straight, turn = found["bound"]["constraints"]
+    assert straight["before"] == {"met": True, "problem": "", "damping": 0.25}
+    assert turn["required"] == {"damping": 0.4} and turn["after"]["met"]
+    assert turn["after"]["damping"] == pytest.approx(0.75 / bound)  # the worse direction
+    assert not turn["before"]["met"]
+    assert "before at 45° damping 0.250 of 0.4 (missed)" in done.stdout
+    head, first, *_ = (tmp_path / "bound/candidates.csv").read_text().splitlines()
+    assert head.endswith(
+        "damping at 0 deg,shortfall at 0 deg,damping at 45 deg,shortfall at 45 deg"
+    )
+    assert [float(cell) for cell in first.split(",")[-4:]] == pytest.approx(
+        [0.25, 0.0, 0.25, 0.375]
+    )
+    assert "# at 45° damping 0." in (tmp_path / "bound/middle_loop.yaml").read_text()
+
+
+def test_tune_constraints_unmet_are_said(file, tmp_path, fly_with):
+    """Also of flights that are not steady; nearer candidates are cheaper."""
+
+    def unsteady(task):
+        result = damped_flight(task)
+        course = middle_loop_gains(task.scenario, "rascal110").course.p
+        if task.measure is not None and task.measure.args[1] and course > 2.5:
+            return replace(result, metrics={"problem": "not steady: rings"})
+        return result
+
+    file.write_text(TUNE + "constraints: [{bank_deg: 45, damping: 0.95}]\n")
+    fly_with(unsteady)
+    done = call_command("tune", file, "--out", "out", cwd=tmp_path, code=0, columns=120)
+    assert "no candidate meets the constraints" in done.stdout
+    assert "at 45° not steady: rings" in done.stdout  # before
+    with (tmp_path / "out/candidates.csv").open() as rows:
+        rows = list(csv.DictReader(rows))
+    costs = {float(row["cost"]): float(row["controller.gains.course.p"]) for row in rows}
+    steady = [costs[cost] for cost in sorted(costs) if costs[cost] <= 2.5]
+    assert steady == sorted(steady) and len(steady) > 3  # less course.p is more damping
+    assert costs[max(costs)] > 2.5
+
+
 def test_tune_nothing_better_writes_no_gains(file, tmp_path, fly_with):
     def worse(task):
         result = artificial_flight(task)
-        changed = middle_loop_gains(task.scenario, "rascal110").course.p != 4.0
+        changed = middle_loop_gains(task.scenario, "rascal110").course.p != 3.0
         result.metrics["windows"]["rectangles"]["mean_rms_m"] += 50.0 * changed
         return result
 
@@ -191,6 +258,23 @@ def test_tune_real_flights_have_costs(file, tmp_path, fly_with):
         (("simulation-3", "mixed-fleet"), "gains of a middle loop are for one airframe"),
         (("search:", "serch:"), "serch"),
         (
+            ("search:", "constraints: [{bank_deg: 30}]\nsearch:"),
+            "small.yaml:12:15: constraints.0: requires nothing (write damping,",
+        ),
+        (
+            ("search:", "constraints: [{bank_deg: 0, damping: 1.2}]\nsearch:"),
+            "constraints.0.damping: is 1.2",
+        ),
+        (
+            (
+                "  scenario: simulation-3\n",
+                "  scenario: simulation-3\n  set: {fleet.*.vehicle: unicycle}\n",
+                "search:",
+                "constraints: [{bank_deg: 0, damping: 0.2}]\nsearch:",
+            ),
+            "constraints: simulation-3: fleet.0.vehicle: uav1 has no roll command",
+        ),
+        (
             ("aggregate:", "robust:"),
             "small.yaml:11:52: objective.robust: has another name (write a",
         ),
@@ -200,7 +284,8 @@ def test_tune_real_flights_have_costs(file, tmp_path, fly_with):
 )
 def test_tune_bad_input_exits_2_with_its_place(file, tmp_path, fly_with, change, message):
     fly_with()
-    file.write_text(TUNE.replace(*change))
+    text = TUNE.replace(*change[:2])
+    file.write_text(text.replace(*change[2:]) if change[2:] else text)
     done = call_command("tune", file, "--out", "out", cwd=tmp_path, code=2, columns=200)
     assert message in done.stderr
 

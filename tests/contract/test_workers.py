@@ -38,7 +38,7 @@ PAGES = {
         "bursty-wifi",
         [
             "scenario.duration_s=4",
-            "rates.log_hz=40",
+            "rates.log_hz=50",
             "network.broadcast={uav2: {period_s: 0.0173, phase_s: 0.004}}",
         ],
     ),

@@ -363,8 +363,8 @@ def test_defaults_of_a_real_aircraft(tmp_path):
     ]
     assert tune_use(tune) == TuneUse(
         renamed={"LIM_ROLL_CD": "ROLL_LIMIT_DEG 55", "ARSPD_FBW_MIN": "AIRSPEED_MIN 13"},
-        both=("LIM_ROLL_CD", "ARSPD_FBW_MIN", "RLL_RATE_P"),
-        arduplane=("INS_GYRO_FILTER", "TECS_CLMB_MAX"),
+        both=("LIM_ROLL_CD", "ARSPD_FBW_MIN", "INS_GYRO_FILTER", "RLL_RATE_P"),
+        arduplane=("TECS_CLMB_MAX",),
         link=("FS_LONG_ACTN",),
         hardware=("INS_GYROFFS_X", "COMPASS_OFS_X"),
     )
@@ -377,11 +377,18 @@ def test_differences_from_the_virtual_autopilot(tmp_path):
         "FLIGHT_OPTIONS 1029\nMIXING_OFFSET 100\n"
     )
     assert [each.partition(":")[0] for each in tune_differences(tune)] == [
-        *("MIXING_OFFSET 100", "INS_GYRO_FILTER 40"),
-        *("FLIGHT_OPTIONS bit 0", "FLIGHT_OPTIONS bit 10"),
+        *("MIXING_OFFSET 100", "FLIGHT_OPTIONS bit 0", "FLIGHT_OPTIONS bit 10"),
+        "INS_GYRO_FILTER 40",
     ]
     tune.write_text("SERVO1_FUNCTION 77\nSERVO2_FUNCTION 78\nMIXING_GAIN 0.5\nRLL_RATE_SMAX 100\n")
+    assert list(tune_differences(tune)) == [
+        "INS_GYRO_FILTER 20: 20 Hz in the virtual autopilot, as on an aircraft; in SITL times "
+        "rates.physics_hz / 1000, 4 Hz at 200, which the virtual autopilot has with gyro_filter: "
+        "sitl"
+    ]
+    tune.write_text("INS_GYRO_FILTER 0\n")
     assert list(tune_differences(tune)) == []
+    tune.write_text("RLL_RATE_SMAX 100\n")
     assert "RLL_RATE_SMAX" in tune_use(tune).both
 
 
@@ -392,7 +399,7 @@ def test_unused_rate_parameters_are_differences(tmp_path):
         *(f"{axis}_RATE_{end}" for end in ("PDMX", "D_FF") for axis in ("RLL", "PTCH")),
         *(f"{axis}_RATE_{end}" for axis in ("RLL", "PTCH") for end in ("NTF", "NEF")),
     ]
-    tune.write_text("".join(f"{name} 1\n" for name in names))
+    tune.write_text("INS_GYRO_FILTER 0\n" + "".join(f"{name} 1\n" for name in names))
     assert [each.split()[0] for each in tune_differences(tune)] == names
     assert tune_use(tune).arduplane == tuple(names)
 

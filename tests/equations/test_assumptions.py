@@ -21,7 +21,12 @@ from testbed.formation.assumptions import (
 from testbed.formation.barrier import NO_BARRIER, Barrier, barrier_curve
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
 from testbed.formation.hbh23 import SLOPE_FLOOR
-from testbed.formation.slots import slot_speed, slot_speed_range
+from testbed.formation.slots import (
+    slot_attitude,
+    slot_attitude_range,
+    slot_speed,
+    slot_speed_range,
+)
 
 LOW, HIGH, KAPPA = 16.0, 30.0, 3.6
 WIDTH = HIGH - LOW
@@ -227,6 +232,45 @@ def test_slot_speed_is_the_derivative_of_the_slot():
         expected = norm(velocity(t) + (chi(t + step) - chi(t - step)) / (2.0 * step))
         # positions of 50 m round to 1e-14 m; third derivatives of below 10 m/s³ times step²/6
         assert got == pytest.approx(expected, abs=2e-8)
+
+
+def test_slot_attitude_on_a_helix_by_its_slots():
+    # a leader at a constant rate of turn and climb, through a wind: its slots by (27), their
+    # velocity and acceleration by differences
+    speed, gamma, rate, wind = 22.0, 0.15, 0.4, np.array([6.0, -3.0, 0.0])
+    offsets = np.array([[-5.0, 5.0, 0.0], [-30.0, -20.0, -10.0], [0.0, 0.0, 6.0]])
+
+    def velocity(t):
+        level = speed * np.cos(gamma)
+        turning = [level * np.cos(rate * t), level * np.sin(rate * t), -speed * np.sin(gamma)]
+        return np.array([turning])
+
+    def slots(t):
+        level = speed * np.cos(gamma) / rate
+        place = [level * np.sin(rate * t), -level * np.cos(rate * t), -speed * np.sin(gamma) * t]
+        return np.array(place) + offsets @ velocity_frame(velocity(t))[0].T
+
+    t, step = 1.3, 1e-3
+    acceleration = (velocity(t + step) - velocity(t - step)) / (2.0 * step)
+    bank, climb = slot_attitude(velocity(t), acceleration, offsets, wind)
+    through_air = (slots(t + step) - slots(t - step)) / (2.0 * step) - wind
+    second = (slots(t + step) - 2.0 * slots(t) + slots(t - step)) / step**2
+    level = np.hypot(through_air[:, 0], through_air[:, 1])
+    across = through_air[:, 0] * second[:, 1] - through_air[:, 1] * second[:, 0]
+    # differences: third derivatives of 6 m/s³ times step²/6, positions of 60 m round to 1e-14 m
+    assert bank[0] == pytest.approx(np.arctan(across / level / 9.80665), abs=1e-6)
+    assert climb[0] == pytest.approx(np.arctan2(-through_air[:, 2], level), abs=1e-6)
+
+
+def test_slot_attitude_range_is_that_of_its_circle():
+    # 22 m/s at 0.4 rad/s: 55 m; the slot at υ = (−5, −5) is on √(60² + 5²) m. It climbs as fast.
+    limits = {"speed_min": 22.0, "speed_max": 22.0, "turn_rate": 0.4}
+    offsets = np.array([[-5.0, -5.0, 0.0]])
+    bank, climb = slot_attitude_range(offsets, **limits, gamma=0.0)
+    assert bank == pytest.approx(np.arctan(0.4**2 * np.hypot(60.0, 5.0) / 9.80665), rel=1e-12)
+    assert climb == pytest.approx(0.0)
+    _, climb = slot_attitude_range(np.zeros((1, 3)), **limits, gamma=0.2)
+    assert climb == pytest.approx(0.2, rel=1e-12)
 
 
 def test_slot_speed_range_in_level_turns_by_hand():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from testbed.core.errors import InputError
-from testbed.sim.schedule import make_clock
+from testbed.sim.schedule import PHASE_HZ, make_clock
 
 RATES = {"physics_hz": 200, "autopilot_hz": 50, "control_hz": 25, "broadcast_hz": 25, "log_hz": 10}
 # Rates that divide one another, rates that do not, and equal rates.
@@ -114,15 +114,16 @@ def test_autopilot_ticks_are_equally_spaced():
 
 
 def test_phases_are_whole_ticks_after_the_leader():
-    """Control and messages every 8 ticks; phases of 0.1, 0.5 and 0.99, computed by hand."""
+    """Control and messages every 8 ticks; phases of 0.1, 0.5 and 0.99, computed by hand:
+    multiples of 10 ms, two ticks."""
     clock = make_clock(**RATES, aircraft=4, phases=(0.0, 0.1, 0.5, 0.99))
-    assert clock.control_phases == (0, 4, 7)
-    assert clock.broadcast_phases == (0, 0, 4, 7)
+    assert clock.control_phases == (0, 4, 6)
+    assert clock.broadcast_phases == (0, 0, 4, 6)
     assert clock.groups == ((0,), (1,), (2,))
     found = list(events(clock, 0.2))
     for action, row, phase in (
-        *(("control", i + 1, phase) for i, phase in enumerate((0, 4, 7))),
-        *(("broadcast", m, phase) for m, phase in enumerate((0, 0, 4, 7))),
+        *(("control", i + 1, phase) for i, phase in enumerate((0, 4, 6))),
+        *(("broadcast", m, phase) for m, phase in enumerate((0, 0, 4, 6))),
     ):
         ticks = [tick for tick, *event in found if event == [action, row]]
         # all actions happen at tick 0, and then at their phases
@@ -145,9 +146,21 @@ def test_every_aircraft_acts_at_all_of_its_phases(rates):
             for action, step in (("control", clock.control), ("broadcast", clock.broadcast)):
                 if action == "control" and row == 0:
                     continue
-                phase = int(phases[row] * step)
+                grid = max(1, rates[0] // PHASE_HZ)
+                phase = int(phases[row] * step / grid) * grid
                 ticks = [tick for tick, *event in found if event == [action, row]]
                 assert ticks == sorted({0, *range(phase, last + 1, step)})
+
+
+def test_phases_do_not_depend_on_the_physics_rate() -> None:
+    phases, found = (0.7, 0.51, 0.06, 0.99), []
+    for rate in (100, 200, 400, 800):
+        rates = RATES | {"physics_hz": rate, "control_hz": 25, "broadcast_hz": 10, "log_hz": 25}
+        clock = make_clock(**rates, aircraft=4, phases=phases)
+        of_broadcasts = [tick for tick in clock.broadcast_phases if tick is not None]
+        found.append([tick / rate for tick in (*clock.control_phases, *of_broadcasts)])
+    assert found[0] == found[1] == found[2] == found[3]
+    assert found[0] == pytest.approx([0.02, 0.0, 0.03, 0.07, 0.05, 0.0, 0.09])
 
 
 def test_followers_with_one_phase_form_a_group():

@@ -15,10 +15,9 @@ from scipy.stats import binomtest, chisquare
 from testbed.core.frames import (
     body_rates,
     euler_from_quaternion,
-    geodetic_from_ned,
-    ned_from_geodetic,
     quaternion_xyzw,
 )
+from testbed.core.geodetic import geodetic_from_ned, ned_from_geodetic
 from testbed.core.records import Broadcast, Origin
 from testbed.mavlink.codec import Codec, decode
 from testbed.mavlink.follow_target import (

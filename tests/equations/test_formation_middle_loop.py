@@ -400,6 +400,7 @@ def mixed(n, rng):
     holds = np.where(rng.random(n) < 0.4, rng.normal(0.0, 10.0, n), np.nan)
     extras = ("altitude_p", "altitude_i", "altitude_d", "turn_incidence", "roll_lead", "eta_climb")
     more = {name: rng.uniform(0.0, 0.1, n) for name in extras}
+    more["course_inside"] = rng.integers(0, 2, n)
     return make_middle(n, altitude=holds, rate_filter=rng.uniform(0.0, 0.1, n), **more)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from testbed.core.frames import WGS84_A, WGS84_E2, geodetic_from_ned, ned_from_geodetic
+from testbed.core.geodetic import WGS84_A, WGS84_E2, geodetic_from_ned, ned_from_geodetic
 from testbed.core.records import Origin
 
 OWN_SCENARIO = (Path(__file__).parents[2] / "docs" / "own-scenario.md").read_text(encoding="utf-8")

@@ -253,7 +253,6 @@ def test_fleet_flies_straight_before_first_command():
     np.testing.assert_array_equal(state.acceleration_ned, 0.0)
     fleet.read_air()
     air = aircraft["air"][1:]
-    np.testing.assert_array_equal(air["wind_ned"], [[5.0, 0.0, 0.0]] * 2)
     assert not any(air[name].any() for name in ("alpha", "beta", "propeller_rps"))
     assert np.isnan(air["state_of_charge"]).all()
 

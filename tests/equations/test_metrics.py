@@ -345,6 +345,25 @@ def test_limiter_flags_and_saturations_by_kind():
     assert measure(samples[2:], run_info())["recovery"]["uav1"]["last_saturated_s"] is None
 
 
+def ringing_run(start, count=BLOCK + 200):
+    """A follower whose bank oscillates about 0.5 rad from a sample on, with ζ = 0.05 at 1 Hz."""
+    for k in range(count):
+        sample, since = make_sample(k, np.zeros((1, 3))), max(k - start, 0) / FRAME_RATE_HZ
+        pulse = 2.0 * math.pi
+        euler = sample.truth.euler.copy()
+        euler[1, 0] = 0.5 + 0.3 * math.exp(-0.05 * pulse * since) * math.sin(pulse * since)
+        truth = sample.truth._replace(euler=euler)
+        yield sample._replace(truth=truth, estimate=truth)
+
+
+@pytest.mark.parametrize("start", [BLOCK - 20, BLOCK - 19, BLOCK - 7, BLOCK - 6])
+def test_ringing_across_blocks(start):
+    early, late = (measure(ringing_run(k), run_info(1))["ringing"]["uav1"] for k in (100, start))
+    assert early["seconds"] > 3.0 and early["damping_ratio"] == pytest.approx(0.05, abs=2e-3)
+    moved = (start - 100) / FRAME_RATE_HZ
+    assert late == {**early, "last_s": pytest.approx(early["last_s"] + moved)}
+
+
 def test_leader_bank_is_the_largest_magnitude():
     banks = [0.1, -0.5, 0.3, 0.2]
     samples = [make_sample(k, np.zeros((2, 3)), bank=bank) for k, bank in enumerate(banks)]

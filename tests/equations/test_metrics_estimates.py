@@ -117,6 +117,7 @@ def test_estimates_change_no_other_number():
     plain, other = measure(samples, info), measure(erring, info)
     for summary in (plain, other):
         del summary["estimate_error"], summary["relative_position_error_m"]
+        del summary["ringing"]  # it is not looked for where estimates have errors
         for key in ("estimated_rms_m", "estimated_mean_rms_m"):
             del summary["windows"]["all"][key]
     assert plain == other

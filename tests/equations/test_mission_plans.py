@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from testbed.core.frames import geodetic_from_ned
+from testbed.core.geodetic import geodetic_from_ned
 from testbed.core.records import Origin
 from testbed.guidance.flight_plan import Level, LoiterLeg, Mission, WaypointLeg, make_plan
 from testbed.mavlink.mission_plans import (

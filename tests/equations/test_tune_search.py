@@ -17,6 +17,7 @@ from testbed.studies.tune_search import (
     describe_aggregate,
     flight_cost,
     generation_count,
+    make_evaluation,
     metric_at,
     search,
 )
@@ -102,10 +103,10 @@ def bowl(p, k):
 
 def searched(seed=1, generations=25):
     def evaluate(gains):
-        return [bowl(*each) for each in gains]
+        return [make_evaluation(bowl(*each), "worst") for each in gains]
 
     settings = Search(max_flights=1000, seed=seed)
-    options = {"aggregate": "worst", "settings": settings, "generations": generations}
+    options = {"settings": settings, "generations": generations}
     found = search(space(), (0.5, 0.0), evaluate, **options)
     return [candidate for generation in found for candidate in generation]
 

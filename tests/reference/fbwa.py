@@ -115,22 +115,23 @@ def fbwa(
     rate = _demanded_angles(delayed, throttle, smoothed, cosines, g)
     rate -= angles
     rate *= g.per_tconst
-    rate[1] += _turning(cosines, tas, g)
+    flat = np.abs(angles[1]) < np.radians(70.0)
+    rate[1] += np.where(flat, _turning(cosines, tas, g), 0.0)
     rate = np.minimum(np.maximum(rate, g.rate_low), g.rate_high)
     upright = (_QUARTER_TURN - np.abs(angles[0])) * g.fade_slope
-    rate[1] *= np.minimum(np.maximum(upright, 0.0), 1.0)
+    rate[1] *= np.where(flat, np.minimum(np.maximum(upright, 0.0), 1.0), 1.0)
 
     # The rate loop works on target and measurement times the square of the speed scaler.
     squared = scaler * scaler
     rates = estimate.rates_body.T[:2]
-    fed = gains.gyro_b0 * rates
+    fed = g.gyro_b[0] * rates
     if memory.begun:
         measured = fed + m.gyro_first
-        gyro_first = 2.0 * fed - gains.gyro_a1 * measured + m.gyro_second
+        gyro_first = g.gyro_b[1] * rates - g.gyro_a[0] * measured + m.gyro_second
     else:
         measured = rates
         gyro_first = rates - fed
-    gyro_second = fed - gains.gyro_a2 * measured
+    gyro_second = g.gyro_b[2] * rates - g.gyro_a[1] * measured
     rate *= squared
     measured = measured * squared
     if memory.begun:

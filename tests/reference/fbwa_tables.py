@@ -47,9 +47,6 @@ class FbwaGains(NamedTuple):
     dt: float
     command_periods: int  # whole periods of the command's latency
     command_fraction: float  # the rest, as a part of a period
-    gyro_b0: float  # of the gyro's filter; b1 = 2 b0, b2 = b0
-    gyro_a1: float
-    gyro_a2: float
     each: Any  # (N,) of autopilot.fbwa.GAINS
 
 

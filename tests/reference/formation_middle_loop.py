@@ -38,7 +38,7 @@ class ControlDiagnostics(NamedTuple):
 class MiddleLoopGains(NamedTuple):
     """Gains of n agents, every array (n,); angles in rad, throttle as a fraction of full.
 
-    The last six are not in the paper; at zero they change nothing.
+    The last seven are not in the paper; at zero they change nothing.
     """
 
     gamma_p: Array  # k_γp, rad per rad
@@ -64,6 +64,7 @@ class MiddleLoopGains(NamedTuple):
     lead_filter: Array  # s, of the derivative that this takes
     eta_climb: Array  # throttle per sin γ_d
     rate_filter: Array  # s, of the filters on σ̇ and γ̇
+    course_inside: Array  # 0 or 1: the feedback of (20) acts inside its arctangent
 
 
 class MiddleLoopMemory(NamedTuple):
@@ -155,13 +156,13 @@ def middle_step(
         (turn_bank - last) / dt - memory.turn_bank_rate
     )
     course_error = wrap_pi(course(velocity) - course_desired)
-    roll = (
-        turn_bank
-        + gains.roll_lead * turn_bank_rate
-        - gains.course_p * course_error
+    correction = (
+        -gains.course_p * course_error
         - gains.course_i * memory.course
         - gains.course_d * (chi_dot - chi_dot_desired)
     )
+    inside, outside = np.arctan(np.tan(turn_bank) + correction), turn_bank + correction
+    roll = np.where(gains.course_inside > 0.0, inside, outside) + gains.roll_lead * turn_bank_rate
 
     reference = inputs.speed if loop.airspeed_error_as_printed else airspeed_command
     airspeed_error = own.airspeed - reference

@@ -1,9 +1,12 @@
 """The air acts on the flight models: wind, wind gradients and a wake's rolling moment."""
 
 import math
+import sys
+from functools import partial
 
 import numpy as np
 import pytest
+from aircraft_copies import changed
 
 from testbed.core.records import Origin, WindInput
 from testbed.core.standard_atmosphere import density_ratio
@@ -13,9 +16,11 @@ from testbed.sim.build_air import (
     temperature_offset,
     temperature_warnings,
 )
+from testbed.vehicle import fleet as fleet_module
+from testbed.vehicle.environment import INTEGRATORS, JSBSIM_DEFAULT_INTEGRATORS
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.jsbsim_adapter import airframe, trim_aircraft
-from testbed.vehicle.jsbsim_model import AircraftError
+from testbed.vehicle.jsbsim_model import AircraftError, JsbsimModel
 from testbed.vehicle.trim import InitialState, TrimError, TrimPoint
 
 AIRCRAFT = {"rascal110": 22.0, "skywalker_x8": 18.0}
@@ -28,10 +33,19 @@ def pressure(speed):
     return 0.5 * RHO * speed**2
 
 
-def flown(name, *, rates=(0.0, 0.0, 0.0), wind=(0.0, 0.0, 0.0), roll=0.0, ticks=1):
+def flown(
+    name,
+    *,
+    rates=(0.0, 0.0, 0.0),
+    wind=(0.0, 0.0, 0.0),
+    roll=0.0,
+    ticks=1,
+    integrators=INTEGRATORS,
+):
     """State and air data of an aircraft in trim 400 m up, some ticks after a wind sets in."""
     start = InitialState((0.0, 0.0, -400.0), airspeed=AIRCRAFT[name])
-    fleet = JsbsimFleet([find_aircraft(name)], [start], Origin(elevation_m=300.0), RATE)
+    origin = Origin(elevation_m=300.0)
+    fleet = JsbsimFleet([find_aircraft(name)], [start], origin, RATE, integrators)
     fleet.set_wind(WindInput(np.array([wind]), np.array([rates]), np.array([roll])))
     fleet.step(fleet.trimmed, ticks)
     return fleet.read(), fleet.air()
@@ -40,9 +54,13 @@ def flown(name, *, rates=(0.0, 0.0, 0.0), wind=(0.0, 0.0, 0.0), roll=0.0, ticks=
 def gained(name, **does):
     """Angular acceleration, rad/s², of the first step with this air, minus that in still air.
 
-    JSBSim moves with the forces of the step before: the second step is the first to change.
+    JSBSim moves with the forces of the step before: the second step is the first to change. By
+    Euler's method the rates change by the acceleration times the step.
     """
-    moved, still = flown(name, ticks=2, **does)[0], flown(name, ticks=2)[0]
+    moved, still = (
+        flown(name, ticks=2, integrators=JSBSIM_DEFAULT_INTEGRATORS, **each)[0]
+        for each in (does, {})
+    )
     return (moved.rates_body - still.rates_body)[0] * RATE
 
 
@@ -101,6 +119,34 @@ def test_gust_changes_airspeed_at_once():
     assert 0.0 < climb < 1.0
 
 
+WIND, TURN, ROLL = slice(0, 3), slice(3, 6), 6  # columns of `pack_wind`
+
+
+@pytest.mark.parametrize(
+    ("columns", "test", "arguments"),
+    [
+        (TURN, test_roll_gradient_rolls_the_aircraft, ("rascal110", 0.137, 0.1)),
+        (
+            TURN,
+            test_damping_acts_on_rates_relative_to_the_air,
+            ("rascal110", 1, 12.0 - 7.0, 1.55 * SLUG_FOOT2),
+        ),
+        (ROLL, test_wake_delta_cl_acts_as_rolling_moment, ("skywalker_x8",)),
+        (WIND, test_gust_changes_airspeed_at_once, ()),
+    ],
+)
+def test_air_of_the_other_sign_is_found(monkeypatch, columns, test, arguments):
+    pack = fleet_module.pack_wind
+
+    def reversed_pack(rows, aircraft, numbers):
+        pack(rows, aircraft, numbers)
+        numbers[:, columns] *= -1.0
+
+    monkeypatch.setattr(fleet_module, "pack_wind", reversed_pack)
+    with pytest.raises(AssertionError):
+        test(*arguments)
+
+
 def test_airframe_values_are_those_of_the_sources():
     """The sizes are those of SOURCE.md; the slope is the models' own derivative CLα."""
     rascal, x8 = (airframe(find_aircraft(name)) for name in AIRCRAFT)
@@ -155,6 +201,26 @@ def test_warm_air_takes_power_by_true_airspeed():
     assert warm.alpha == pytest.approx(cold.alpha, abs=1e-6)
     assert warm.controls.throttle / cold.controls.throttle == pytest.approx(faster, rel=1e-4)
     assert warm.propeller_rps / cold.propeller_rps == pytest.approx(faster, rel=1e-4)
+
+
+def test_air_that_is_not_warmed_is_found(monkeypatch, tmp_path):
+    copies = {"rascal110": changed(find_aircraft("rascal110"), tmp_path)}  # trimmed anew
+    monkeypatch.setattr(sys.modules[__name__], "find_aircraft", copies.get)
+    monkeypatch.setattr(JsbsimModel, "warm", lambda model, offset: None)
+    for test in (
+        test_warm_air_lowers_equivalent_airspeed,
+        test_warm_air_takes_power_by_true_airspeed,
+    ):
+        with pytest.raises(AssertionError):
+            test()
+
+
+def test_density_of_standard_air_in_warm_air_is_found(monkeypatch):
+    standard = partial(density_ratio, temperature_offset=0.0)
+    here = sys.modules[__name__]
+    monkeypatch.setattr(here, "density_ratio", lambda heights, warmer: standard(heights))
+    with pytest.raises(AssertionError):
+        test_density_ratio_is_hydrostatic(19.0)
 
 
 def test_ground_temperature_acts_on_all_densities():

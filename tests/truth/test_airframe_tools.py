@@ -4,11 +4,13 @@ import json
 import math
 import os
 import re
-import shutil
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from aircraft_copies import changed
 from snapshot import check_snapshot
 from typer.testing import CliRunner
 
@@ -19,6 +21,7 @@ from testbed.core.frames import FOOT, GRAVITY
 from testbed.core.records import ActuatorCommand, Origin, WindInput
 from testbed.scenario import load_middle_loop
 from testbed.sim.speed_step import speed_step
+from testbed.vehicle import fleet as fleet_module
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.jsbsim_adapter import (
     AircraftError,
@@ -40,19 +43,6 @@ MASS = 14.5 * 0.45359237  # kg
 AREA, SPAN, CHORD = 10.57 * FOOT**2, 9.17 * FOOT, 1.15 * FOOT
 SLUG_FOOT2 = 14.593903 * FOOT**2  # kg m²
 IXX, IYY = 1.9601 * SLUG_FOOT2, 1.5601 * SLUG_FOOT2  # with the tank, 0.0101 slug ft²
-
-
-def changed(folder, tmp_path, *changes):
-    """A copy of an aircraft with parts of its XML replaced, by regular expressions."""
-    copy = tmp_path / folder.name
-    shutil.copytree(folder, copy)
-    path = copy / f"{folder.name}.xml"
-    text = path.read_text(encoding="utf-8")
-    for pattern, new in changes:
-        text, count = re.subn(pattern, new, text, flags=re.DOTALL)
-        assert count
-    path.write_text(text, encoding="utf-8")
-    return copy
 
 
 NO_RUDDER = (r'<channel name="yaw">.*?</channel>', "")
@@ -278,6 +268,8 @@ class TestModes:
         modes = modes_of(RASCAL, LEVEL)
         airspeed = free_flight("elevator", 40.0)[60::10, 0] - 22.0
         assert_prony(airspeed, 0.5, 3, modes["phugoid"].eigenvalue, 0.02)
+        with pytest.raises(AssertionError):  # that of a flight 4 % slower
+            assert_prony(airspeed, 0.5, 3, 1.04 * modes["phugoid"].eigenvalue, 0.02)
         yaw_rate = free_flight("rudder", 5.0)[:, 1]
         assert_prony(yaw_rate, 0.05, 4, modes["Dutch roll"].eigenvalue, 0.03)
         assert_prony(yaw_rate, 0.05, 4, modes["spiral"].eigenvalue, 0.03)
@@ -311,7 +303,7 @@ def test_speed_model_equals_the_linear_aircraft():
 
     X_T is the acceleration by throttle, dη/dV the slope of the throttle that level flight needs.
     """
-    firm = load_middle_loop(RASCAL, "tuned").flight_path  # holds level flight best
+    firm = load_middle_loop(RASCAL, "rms").flight_path  # holds level flight best
     profile = load_middle_loop(RASCAL, "authors")
     speed = profile.speed.model_copy(update={"i": 0.0})
     pure = profile.model_copy(update={"speed": speed, "flight_path": firm})
@@ -341,6 +333,44 @@ def test_a_step_that_cannot_be_flown_says_so():
     for step in (0.0, -22.0, math.nan):
         with pytest.raises(InputError, match="write 0.1 m/s or more"):
             speed_step(RASCAL, profile, params, airspeed=22.0, step=step)
+
+
+MODES = TestModes()
+CLP = r"(aero/p-relative-rad_sec </property> <value>) -0.40"
+CMQ = r"(aero/q-relative-rad_sec </property> <value>) -12"
+AILERON = r"(fcs/left-aileron-pos-rad </property> <value>) 0.1273"
+
+
+@pytest.mark.parametrize(
+    ("change", "test"),
+    [
+        pytest.param(
+            (CLP, r"\1 -0.41"), MODES.test_the_roll_damping_is_the_published_one, id="Clp"
+        ),
+        pytest.param((CMQ, r"\1 -15"), MODES.test_the_short_period_by_its_approximation, id="Cmq"),
+        pytest.param((AILERON, r"\1 0.13"), MODES.test_controls_do_what_was_published, id="Clda"),
+    ],
+)
+def test_modes_with_a_wrong_derivative_are_found(monkeypatch, tmp_path, change, test):
+    monkeypatch.setattr(sys.modules[__name__], "RASCAL", changed(RASCAL, tmp_path, change))
+    with pytest.raises(AssertionError):
+        test()
+
+
+def test_start_without_the_wind_triangle_is_found(monkeypatch):
+    """The nose along the course in a crosswind."""
+    monkeypatch.setattr(fleet_module, "course_through_air", lambda speed, course, wind: course)
+    with pytest.raises(AssertionError):
+        TestWind().test_a_crosswind_crabs_by_hand()
+
+
+def test_speed_model_of_other_thrust_is_found(monkeypatch):
+    linear = linearize_aircraft(RASCAL, LEVEL, HIGH)
+    stronger = replace(linear, b=1.1 * linear.b)
+
+    monkeypatch.setattr(sys.modules[__name__], "linearize_aircraft", lambda *_: stronger)
+    with pytest.raises(AssertionError):
+        test_speed_model_equals_the_linear_aircraft()
 
 
 class TestCommands:

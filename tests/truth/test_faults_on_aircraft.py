@@ -18,7 +18,6 @@ from testbed.core.frames import FOOT
 from testbed.core.records import (
     AIRCRAFT,
     ActuatorCommand,
-    AirData,
     FbwaCommand,
     Origin,
     VehicleState,
@@ -61,8 +60,7 @@ class Flight:
         return self._copied(VehicleState, "truth")
 
     def air(self):
-        self.vehicles.read_air()
-        return self._copied(AirData, "air")
+        return self.fleet.air()
 
     @property
     def surfaces(self):
@@ -524,3 +522,28 @@ def test_faults_and_losses_among_kinds_of_vehicles() -> None:
     moved = np.linalg.norm(aircraft["truth"]["position_ned"] - where, axis=1)
     assert moved[0] > 1.9 and (moved[1:] == 0.0).all()
     assert aircraft["stopped"].tolist() == [False, True, True]
+
+
+@pytest.mark.parametrize(
+    ("test", "arguments"),
+    [
+        (test_climb_and_sink_balance_power, (Rascal, RASCAL, {"power": 0.5}, 3.0, 0.5, 0.25)),
+        (test_a_stuck_aileron_rolls_as_published, ()),
+        (test_floating_elevons_trim_at_zero_moment, ()),
+        (test_a_battery_drops_and_goes_on_from_there, ()),
+        (test_a_stuck_elevon_stands_still_in_the_aircraft, ()),
+        (
+            test_a_frozen_autopilot_leaves_the_free_motion,
+            (RASCAL, 22.0, 2.0, 0.0, ("v", "p", "r", "phi")),
+        ),
+    ],
+)
+def test_fault_without_effect_is_found(monkeypatch, test, arguments) -> None:
+    control = Flight.control
+
+    def intact(flight, estimate, command, failing):
+        control(flight, estimate, command, no_faults(len(flight.rows)))
+
+    monkeypatch.setattr(Flight, "control", intact)
+    with pytest.raises(AssertionError):
+        test(*arguments)

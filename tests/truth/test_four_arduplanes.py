@@ -68,3 +68,26 @@ def test_leader_flies_the_track_of_an_arduplane(compare, pair):
     assert compare.rms(virtual.leader[laps] - real.leader[laps]) < 0.5
     assert np.sqrt(np.mean(across**2)) < 0.5
     assert np.abs(along).max() < 2.0
+
+
+@pytest.mark.parametrize(
+    "test", [test_errors_equal_those_of_four_arduplanes, test_attitudes_follow_four_arduplanes]
+)
+def test_flight_of_another_profile_is_found(compare, pulse_pair, test):
+    with pytest.raises(AssertionError):
+        test(compare, (pulse_pair[0], compare.recorded("authors", END_S)))
+
+
+@pytest.mark.parametrize(
+    "test",
+    [
+        test_attitudes_follow_four_arduplanes,
+        test_leader_with_pulses_flies_the_real_track,
+        test_leader_flies_the_track_of_an_arduplane,
+    ],
+)
+def test_flight_that_is_a_sample_late_is_found(compare, pulse_pair, test):
+    virtual, real = pulse_pair
+    late = type(virtual)(virtual.time, *(np.roll(each, 1, axis=0) for each in virtual[1:]))
+    with pytest.raises(AssertionError):
+        test(compare, (late, real))

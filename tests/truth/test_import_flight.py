@@ -80,6 +80,22 @@ def test_import_returns_the_flight(logs, kind, coarser):
 
 
 @pytest.mark.parametrize("kind", ["bin", "tlog"])
+@pytest.mark.parametrize(
+    ("name", "factor"), [("theta_rad", -1.0), ("airspeed_mps", 1.01), ("p_radps", 57.3)]
+)
+def test_import_of_another_flight_is_found(tmp_path, kind, name, factor):
+    """A sign, a calibration and a unit."""
+    other = FLIGHT.copy()
+    other[name] *= factor
+    if kind == "bin":
+        write_dataflash(tmp_path / "flight.bin", other)
+    else:
+        write_tlog(tmp_path / "flight.tlog", tlog_records(other, boot_ms=123_456))
+    with pytest.raises(AssertionError, match=name):
+        test_import_returns_the_flight(tmp_path, kind, TELEMETRY)
+
+
+@pytest.mark.parametrize("kind", ["bin", "tlog"])
 def test_import_replays_like_the_original(logs, kind):
     rows = RECORDING.read_text().splitlines(keepends=True)[:1001]  # 40 s
     (logs / "original.csv").write_text("".join(rows))
@@ -118,6 +134,15 @@ def test_import_adds_stab_pitch_down(folder):
     assert np.abs(off - down).max() < 1e-6
     assert any("STAB_PITCH_DOWN" in note for note in lowered.notes)
     assert not any("STAB_PITCH_DOWN" in note for note in found.notes)
+
+
+def test_import_of_a_sitl_log_names_its_rate(folder):
+    """SITL's gyro filter depends on its physics rate; a log of an aircraft has no such note."""
+    sitl = write_dataflash(folder / "s.bin", SHORT, params=PARAMS | {"SIM_RATE_HZ": 1200.0})
+    (note,) = [note for note in read_flight(sitl).notes if "gyro filter" in note]
+    assert note.endswith("respond --sitl-rate 1200")
+    own = read_flight(write_dataflash(folder / "a.bin", SHORT)).notes
+    assert not any("gyro filter" in note for note in own)
 
 
 @pytest.mark.parametrize("kind", ["bin", "tlog"])

@@ -317,3 +317,47 @@ def test_slots_limit_packets_and_their_times():
         assert sizes.max() == np.median(sizes) == room
         # the kernel's slot follows the last packet of the one before, which is a little late
         assert every - 1e-9 <= np.median(np.diff(arrivals[begins])) < 1.1 * every
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        pytest.param({"loss": 0.3}, {"loss": 0.33}, id="3 % more losses"),
+        pytest.param(
+            {"loss": {"probability": 0.3, "correlation": 0.5}},
+            {"loss": {"probability": 0.3, "correlation": 0.5}, "arithmetic": "exact"},
+            id="exact correlation",
+        ),
+        pytest.param({"duplicate": 0.2, "loss": 0.3}, {"loss": 0.3}, id="no duplicates"),
+    ],
+)
+def test_other_losses_are_found(one, other):
+    def chance(seed):
+        samples = our_copies(one, seed), our_copies(other, seed + TRIES)
+        return chance_of_likes(*map(behaviour, samples))
+
+    with pytest.raises(pytest.fail.Exception, match="differs from the kernel"):
+        agrees(chance)
+
+
+def test_other_overtaking_is_found():
+    knobs = [{"delay_s": 0.05, "reorder": {"probability": 0.25, "gap": gap}} for gap in (5, 4)]
+
+    def chance(seed):
+        overtook = (our_delays(each, seed) < OVERTOOK for each in knobs)
+        return chance_of_likes(*map(spacings, overtook))
+
+    with pytest.raises(pytest.fail.Exception, match="differs from the kernel"):
+        agrees(chance)
+
+
+@pytest.mark.parametrize("change", [{"delay_s": 0.051}, {"spread_s": 0.022}])
+def test_other_delays_are_found(change):
+    """A millisecond or two more."""
+
+    def delays(seed, delay_s=0.05, spread_s=0.02):
+        jitter = {"distribution": "normal", "spread_s": spread_s}
+        return our_delays({"delay_s": delay_s, "jitter": jitter}, seed)
+
+    with pytest.raises(pytest.fail.Exception, match="differs from the kernel"):
+        agrees(lambda seed: further(delays(seed), delays(seed + TRIES, **change)))

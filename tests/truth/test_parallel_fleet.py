@@ -9,17 +9,14 @@ import pytest
 from testbed.core.records import (
     AIRCRAFT,
     ActuatorCommand,
-    AirData,
     Origin,
-    VehicleState,
     WindInput,
     allocate,
-    fields_of,
 )
 from testbed.scenario import find_aircraft
 from testbed.vehicle.fleet import JsbsimFleet, write_fields_at
 from testbed.vehicle.trim import InitialState
-from testbed.vehicle.workers import make_fleet
+from testbed.vehicle.workers import ParallelFleet, make_fleet
 
 KINDS = ("rascal110", "skywalker_x8", "rascal110", "skywalker_x8", "rascal110")
 N = len(KINDS)
@@ -101,6 +98,13 @@ def test_who_steps_an_aircraft_changes_nothing(processes, lose):
             assert all(np.isfinite(array).all() for array in each)
 
 
+@pytest.mark.parametrize("input_", ["write_wind", "discharge", "write_surfaces"])
+def test_input_lost_between_processes_is_found(monkeypatch, input_):
+    monkeypatch.setattr(ParallelFleet, input_, lambda *_: None)
+    with pytest.raises(AssertionError):
+        test_who_steps_an_aircraft_changes_nothing(2, None)
+
+
 @pytest.mark.parametrize("processes", [1, 2])
 def test_fleet_writes_only_its_rows_of_a_run(processes):
     rows = [7, 2, 9, 0, 4]
@@ -109,8 +113,8 @@ def test_fleet_writes_only_its_rows_of_a_run(processes):
         np.testing.assert_array_equal(theirs, ours)
     others = np.setdiff1d(np.arange(2 * N), rows)
     untouched = fleet[1].aircraft[others]
-    for kind, name in ((VehicleState, "truth"), (AirData, "air")):
-        assert not any(np.any(each) for each in fields_of(kind, untouched[name]))
+    for name in ("truth", "wind", "air"):
+        assert not any(np.any(untouched[name][field]) for field in untouched.dtype[name].names)
 
 
 def test_only_the_motion_that_is_asked_for_is_read():

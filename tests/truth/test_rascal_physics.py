@@ -4,16 +4,20 @@ import math
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from aircraft_copies import changed
 from reference.motion import motion, state_of
 from waiting import TIMEOUT_S
 
 from testbed.autopilot.fbwa import settled_autopilots, step_autopilots
 from testbed.autopilot.parameters import make_gains, read_params
 from testbed.core.frames import FOOT, GRAVITY
+from testbed.core.geodetic import RADIANS, WGS84_A, WGS84_E2, local_frame
 from testbed.core.records import (
     AIRCRAFT,
     ActuatorCommand,
@@ -23,9 +27,12 @@ from testbed.core.records import (
     allocate,
     fields_of,
 )
+from testbed.vehicle import fleet as fleet_module
+from testbed.vehicle.environment import INTEGRATORS, JSBSIM_DEFAULT_INTEGRATORS, Integrators
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.jsbsim_adapter import AircraftError, trim_aircraft
 from testbed.vehicle.jsbsim_io import write_truth
+from testbed.vehicle.jsbsim_model import JsbsimModel
 from testbed.vehicle.trim import InitialState, TrimError, TrimPoint
 
 ROOT = Path(__file__).parents[2]
@@ -36,8 +43,8 @@ AREA = 10.57 * FOOT**2  # m²
 SPAN, CHORD = 9.17 * FOOT, 1.15 * FOOT
 
 
-def _fleet(*starts: InitialState) -> JsbsimFleet:
-    return JsbsimFleet([RASCAL] * len(starts), starts, ORIGIN, 200)
+def _fleet(*starts: InitialState, integrators: Integrators = INTEGRATORS) -> JsbsimFleet:
+    return JsbsimFleet([RASCAL] * len(starts), starts, ORIGIN, 200, integrators)
 
 
 def test_level_trim() -> None:
@@ -125,13 +132,19 @@ def test_acceleration_and_velocity_are_derivatives() -> None:
 def test_motion_kernel_equals_the_reference() -> None:
     """In rows of the records of more aircraft, of which only those asked for are written."""
     rng = np.random.default_rng(3)
-    said, (zero, scale) = rng.normal(0.0, 2.0, (50, 17)), rng.normal(0.0, 2.0, (2, 17))
+    metres = WGS84_A * (1.0 - WGS84_E2), WGS84_A
+    said = rng.normal(0.0, 2.0, (50, 17))
+    # The equator at Greenwich, in metres per radian and feet; places within some metres.
+    said[:, :2] *= 1e-7
+    zero = np.zeros(17)
+    scale = np.array([*metres, -FOOT, *[FOOT] * 6, *[1.0] * 6, FOOT, FOOT])
     wanted, rows = rng.random(50) < 0.7, rng.permutation(60)[:50]
     ours, aircraft = np.full(17 * 50, 7.0), allocate(AIRCRAFT, 60)
     for name in VehicleState._fields:
         aircraft["truth"][name] = 7.0
     motion(said, wanted, zero, scale, ours)
-    write_truth(np.flatnonzero(wanted), rows, said, zero, scale, aircraft)
+    frame = tuple(local_frame(Origin(0.0, 0.0, 0.0), RADIANS))
+    write_truth(np.flatnonzero(wanted), rows, said, frame, aircraft)
     theirs = fields_of(VehicleState, aircraft["truth"])
     others = np.setdiff1d(np.arange(60), rows[wanted])
     for one, two in zip(state_of(ours), theirs, strict=True):
@@ -140,8 +153,12 @@ def test_motion_kernel_equals_the_reference() -> None:
 
 
 def _moments(**moved: float) -> np.ndarray:
-    """p', q', r' times inertia over q̄ S (b, c̄, b) after moving one control from trim."""
-    fleet = _fleet(InitialState((0.0, 0.0, -100.0)))
+    """p', q', r' times inertia over q̄ S (b, c̄, b) after moving one control from trim.
+
+    By Euler's method the rates change by the acceleration times the step.
+    """
+    start = InitialState((0.0, 0.0, -100.0))
+    fleet = _fleet(start, integrators=JSBSIM_DEFAULT_INTEGRATORS)
     level = fleet.trimmed
     values = {
         name: getattr(level, name) + moved.get(name, 0.0)
@@ -242,6 +259,101 @@ def test_the_tune_is_crisp_and_well_damped() -> None:
     assert roll.max() < 1.05 * 20.0
     assert np.abs(roll[75:] - 20.0).max() < 0.5
     assert np.abs(np.array(euler)[:, 1] - np.degrees(pitch)).max() < 0.5
+
+
+@pytest.mark.parametrize(
+    ("file", "pattern", "new", "test", "arguments"),
+    [
+        pytest.param(
+            "rascal110.xml",
+            r"(fcs/left-aileron-pos-rad </property> <value>) 0.1273",
+            r"\1 -0.1273",
+            test_published_control_derivatives,
+            ("aileron", 0.35, 0, 0.1273),
+            id="sign of the aileron",
+        ),
+        pytest.param(
+            "rascal110.xml", r"(LBS\">) 13 ", r"\1 14 ", test_level_trim, (), id="a pound more"
+        ),
+        pytest.param(
+            "rascal110.xml", r"0.00  0.028", "0.00  0.050", test_glide, (), id="drag by half more"
+        ),
+        pytest.param(
+            "autopilot.param",
+            r"RLL_RATE_P 1\n",
+            "RLL_RATE_P 0.1\n",
+            test_the_tune_is_crisp_and_well_damped,
+            (),
+            id="a tenth of the gain",
+        ),
+    ],
+)
+def test_wrong_numbers_of_the_aircraft_are_found(
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    file: str,
+    pattern: str,
+    new: str,
+    test: Callable[..., None],
+    arguments: tuple[object, ...],
+) -> None:
+    copy = changed(RASCAL, tmp_path, (pattern, new), file=file)
+    monkeypatch.setattr(sys.modules[__name__], "RASCAL", copy)
+    with pytest.raises(AssertionError):
+        test(*arguments)
+
+
+def test_propeller_that_starts_at_rest_is_found(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    place = JsbsimModel.place
+    monkeypatch.setattr(sys.modules[__name__], "RASCAL", changed(RASCAL, tmp_path))
+
+    def at_rest(*arguments: Any, spin: bool, **keywords: Any) -> None:
+        place(*arguments, **keywords, spin=spin and "course" not in keywords)  # trim spins
+
+    monkeypatch.setattr(JsbsimModel, "place", at_rest)
+    with pytest.raises(AssertionError):
+        test_trimmed_flight_stays()
+
+
+def test_height_along_the_radius_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """JSBSim's height of the initial condition, without its correction."""
+    locate = JsbsimModel.locate
+
+    def uncorrected(model: JsbsimModel, position_ned: Any, origin: Origin) -> None:
+        locate(model, position_ned, origin)
+        height = origin.elevation_m - position_ned[2]
+        model.node("ic/h-sl-ft").set_double_value(height / FOOT)
+
+    monkeypatch.setattr(JsbsimModel, "locate", uncorrected)
+    with pytest.raises(AssertionError):
+        test_start_is_where_and_how_it_was_asked_for()
+
+
+@pytest.mark.parametrize(
+    ("columns", "test"),
+    [
+        (slice(3, 6), test_turn_rate_and_radius),
+        (slice(6, 9), test_acceleration_and_velocity_are_derivatives),
+        (slice(3, 6), test_acceleration_and_velocity_are_derivatives),
+        (slice(9, 12), test_motion_kernel_equals_the_reference),
+    ],
+)
+def test_motion_in_wrong_units_is_found(
+    monkeypatch: pytest.MonkeyPatch, columns: slice, test: Callable[[], None]
+) -> None:
+    write = write_truth
+
+    def feet(which: Any, rows: Any, numbers: np.ndarray, frame: Any, aircraft: Any) -> None:
+        numbers = numbers.copy()
+        numbers[:, columns] /= FOOT
+        write(which, rows, numbers, frame, aircraft)
+
+    monkeypatch.setattr(fleet_module, "write_truth", feet)
+    monkeypatch.setattr(sys.modules[__name__], "write_truth", feet)
+    with pytest.raises(AssertionError):
+        test()
 
 
 def test_flight_opens_no_socket_and_writes_nothing(tmp_path: Path) -> None:

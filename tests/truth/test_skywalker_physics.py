@@ -3,6 +3,7 @@
 The coefficients are those of Gryte et al., ICUAS 2018; aircraft/skywalker_x8/SOURCE.md.
 """
 
+import inspect
 import math
 import os
 import subprocess
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from aircraft_copies import changed
 from waiting import TIMEOUT_S
 
 from testbed.autopilot.fbwa import settled_autopilots, step_autopilots
@@ -338,3 +340,50 @@ def test_the_tune(airspeed: float, roll: float, pitch: float, within: float) -> 
     assert step.max() < 1.03
     assert np.abs(step[75:] - 1.0).max() < 0.05
     assert np.abs(track[:, other]).max() < 3.0
+
+
+@pytest.mark.parametrize(
+    ("file", "pattern", "new", "test", "arguments"),
+    [
+        pytest.param(
+            "skywalker_x8.xml", "-0.40420", "0.40420", test_published_derivatives, PUBLISHED[4],
+            id="sign of Clp",
+        ),
+        pytest.param(
+            "skywalker_x8.xml", "0.01970", "0.0200", test_published_values_at_rest_and_curvatures,
+            (), id="CD0",
+        ),
+        pytest.param(
+            "skywalker_x8.xml", r"-0.029 </ixz>", "0.029 </ixz>",
+            test_inertia_from_moments_and_accelerations, (), id="sign of Jxz",
+        ),
+        pytest.param(
+            "skywalker_x8.xml", "0.02275", "0.02375", test_trim_is_the_one_of_the_authors_simulator,
+            (), id="Cm0",
+        ),
+        pytest.param(
+            "Systems/elevons.xml", r'value="0.04"( *> fcs/elevon-lag)', r'value="0.05"\1',
+            test_elevons_lag_by_time_whatever_the_rate, (), id="lag of the elevons",
+        ),
+        pytest.param(
+            "Systems/battery.xml", r'value="10"', 'value="9.5"',
+            test_charge_falls_by_the_integral_of_current, (), id="capacity",
+        ),
+        pytest.param(
+            "Systems/battery.xml", r'value="0.04"', 'value="0.08"',
+            test_power_goes_where_it_should, (), id="resistance of the motor",
+        ),
+        pytest.param(
+            "autopilot.param", r"RLL_RATE_FF \S+", "RLL_RATE_FF 0", test_the_tune,
+            (18.0, 20.0, 0.0, 0.30), id="no feed-forward",
+        ),
+    ],
+)  # fmt: skip
+def test_wrong_numbers_of_the_aircraft_are_found(
+    monkeypatch, tmp_path, file, pattern, new, test, arguments
+) -> None:
+    copy = changed(X8, tmp_path, (pattern, new), file=file)
+    monkeypatch.setattr(sys.modules[__name__], "X8", copy)
+    takes_bench = "bench" in inspect.signature(test).parameters
+    with pytest.raises(AssertionError):
+        test(*([_cruise()[1]] if takes_bench else []), *arguments)

@@ -1,5 +1,7 @@
 """The rolling moment of a wake against a vortex lattice, an independent model."""
 
+import sys
+
 import numpy as np
 import pytest
 from reference.adapters_atmosphere import add_wakes
@@ -121,3 +123,28 @@ def test_rolling_moment_has_the_lattices_shape(both):
 def test_lift_lost_is_within_15_percent_of_the_maximum(both):
     (model, _), (reference, _), _ = both
     assert model == pytest.approx(reference, abs=0.15 * abs(reference).max())
+
+
+@pytest.mark.parametrize(
+    ("lift", "roll", "wider", "test"),
+    [
+        (1.0, -1.0, 1.0, test_rolling_moment_half_a_span_aside_is_close),
+        (1.0, 1.0, 1.2, test_rolling_moment_changes_sign_as_the_lattices),
+        (1.0, 1.0, 2.0, test_rolling_moment_has_the_lattices_shape),
+        (1.3, 1.0, 1.0, test_lift_lost_is_within_15_percent_of_the_maximum),
+    ],
+    ids=["other sign", "20 % wider", "twice as wide", "lift 30 % too large"],
+)
+def test_wrong_wake_is_found(both, lift, roll, wider, test):
+    """Factors of the model's lift, its moment and the distance of its vortices."""
+    model, reference, planform = both
+    stretched = [np.interp(OFFSETS / wider, OFFSETS, each) for each in model]
+    wrong = np.array(stretched) * [[lift], [roll]]
+    with pytest.raises(AssertionError):
+        test((wrong, reference, planform))
+
+
+def test_rectangular_wing_is_no_lifting_line(monkeypatch):
+    monkeypatch.setattr(sys.modules[__name__], "elliptic", rectangular)
+    with pytest.raises(AssertionError):
+        test_lattice_slender_wing_matches_lifting_line()

@@ -1,0 +1,24 @@
+"""Copies of aircraft with other numbers."""
+
+import re
+import shutil
+
+
+def changed(folder, tmp_path, *changes, file=None):
+    """Copy an aircraft, with parts of a file of it replaced, by regular expressions.
+
+    Args:
+        folder: of the aircraft.
+        tmp_path: into which it is copied.
+        changes: patterns and what stands in their places.
+        file: in the folder; default the aircraft's own.
+    """
+    copy = tmp_path / folder.name
+    shutil.copytree(folder, copy)
+    path = copy / (file or f"{folder.name}.xml")
+    text = path.read_text(encoding="utf-8")
+    for pattern, new in changes:
+        text, count = re.subn(pattern, new, text, flags=re.DOTALL)
+        assert count
+    path.write_text(text, encoding="utf-8")
+    return copy
