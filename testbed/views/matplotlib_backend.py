@@ -43,6 +43,7 @@ DEGREE_STEPS = (1, 1.5, 3, 4.5, 9, 10)  # of ticks: 15, 30, 45, 90 degrees
 MIN_DEGREES = 45.0  # of an axis with them
 # Text on a cell, by its lightness; not exactly black and white, which a dark page inverts.
 ON_LIGHT, ON_DARK = "#010101", "#fefefe"
+POSITION_DECIMALS = 6  # of panels, in widths and heights of the figure
 CLEAR = (1.0, 1.0, 1.0, 0.0)
 # Without the date, the only thing that differs between two files of the same grid.
 UNDATED: dict[str, dict[str, Any]] = {
@@ -92,9 +93,24 @@ def figure_svg(grid: PanelGrid) -> str:
     return text.getvalue()
 
 
+class _RoundedLayout(ConstrainedLayoutEngine):
+    """A constrained layout, rounded.
+
+    Its solver sorts by addresses in memory: positions differ in their last digits from process to
+    process, and with them the names of clip paths in SVG, which are digests of positions.
+    """
+
+    def execute(self, fig: Figure) -> Any:  # noqa: ANN401 - the parent's
+        grids = super().execute(fig)
+        for ax in fig.axes:
+            ax.set_position(np.round(ax.get_position(original=True).bounds, POSITION_DECIMALS))
+            ax.set_in_layout(True)  # which a position that is set ends
+        return grids
+
+
 def _figure(content: PanelGrid, *, titled: bool) -> Figure:
     width, height = content.inches
-    layout = ConstrainedLayoutEngine(wspace=0.04, hspace=0.06)
+    layout = _RoundedLayout(wspace=0.04, hspace=0.06)
     figure = Figure(figsize=content.inches, dpi=DOTS_PER_INCH, layout=layout)
     # one legend for all panels: a label means the same in each
     named: dict[str, Any] = {}

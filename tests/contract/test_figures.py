@@ -5,6 +5,7 @@ import itertools
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from testbed.reports.figure_spec import stack_names
 from testbed.views import matplotlib_backend
@@ -140,3 +141,19 @@ def test_long_legend_leaves_panels_their_height():
         for count in (2, 30)
     )
     assert many.get_window_extent().height > 0.95 * few.get_window_extent().height
+
+
+def test_last_digits_of_the_layout_do_not_show(monkeypatch):
+    """The layout's solver sorts by addresses in memory, so that sums round in other orders."""
+    panels = [Panel(name, "", "m", [ramp(0.0, 1.0, name)]) for name in ("east", "north")]
+    grid = PanelGrid("", "", [panels], (1.0, 1.0), (8.0, 4.0))
+    first, lay_out = matplotlib_backend.figure_svg(grid), ConstrainedLayoutEngine.execute
+
+    def rounded_otherwise(engine, figure):
+        grids = lay_out(engine, figure)
+        for ax in figure.axes:
+            ax._set_position(ax.get_position(original=True).bounds + np.full(4, 2e-15))
+        return grids
+
+    monkeypatch.setattr(ConstrainedLayoutEngine, "execute", rounded_otherwise)
+    assert matplotlib_backend.figure_svg(grid) == first
