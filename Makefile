@@ -64,11 +64,10 @@ train: $(STAMP) $(TRAINING_STAMP)
 		$(BIN)/python examples/hold_slot_training.py $(ARGS)
 
 # Everything: the tests, 1,000 starts of the theorem, statistics of air and network on more samples,
-# broken MAVLink frames, flight logs and input files, real time with nothing else running, a study whose
-# processes are killed, 200 runs killed at random moments and 200 stopped by two signals, the snippets of
-# every docs page, laws of large formations, every golden table, a policy trained to hold a slot, and a
-# release built and flown from a
-# new environment.
+# broken MAVLink frames, flight logs and input files, aircraft that try to act, any arguments from Python,
+# real time with nothing else running, a study whose processes are killed, 200 runs killed at random
+# moments and 200 stopped by two signals, the snippets of every docs page, laws of large formations, every
+# golden table, a policy trained to hold a slot, and a release built and flown from a new environment.
 check-all: test release
 	@TESTBED_STARTS=1000 $(BIN)/pytest -q tests/theorems/test_theorem_many_starts.py
 	@TESTBED_AIR_SAMPLES=60 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_atmosphere_dryden.py \
@@ -81,7 +80,12 @@ check-all: test release
 		tests/contract/test_mavlink_vehicle_noise.py tests/contract/test_dataflash.py \
 		tests/truth/test_import_flight.py tests/equations/test_follow_target.py
 	@TESTBED_FRAMES=10000 $(BIN)/pytest -q tests/clients/test_storm.py
+	@TESTBED_IMPORTS=1000 $(BIN)/pytest -q tests/truth/test_import_identity.py
 	@TESTBED_MUTATIONS=20000 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_mutations.py
+	@TESTBED_AIRCRAFT=2000 $(BIN)/pytest -q tests/contract/test_airframe_files.py
+	@TESTBED_RUN_DIRECTORIES=500 TESTBED_WRITE_ERRORS=300 $(BIN)/pytest -q -n $(JOBS) \
+		tests/contract/test_run_files_fuzz.py tests/contract/test_write_errors.py
+	@TESTBED_ARGUMENTS=2000 $(BIN)/pytest -q tests/contract/test_arguments.py
 	@TESTBED_QUIET=1 $(BIN)/pytest -q tests/clients/test_real_time.py
 	@TESTBED_WHOLE=1 $(BIN)/pytest -q -n $(JOBS) tests/golden
 	@TESTBED_STUDIES=1 $(BIN)/pytest -q tests/contract/test_sweep.py

@@ -31,7 +31,7 @@ FULL_S = 1080.0  # of Simulation 3
 PLANE_S = 13.0  # processor time of one ArduPlane 4.8.0-dev in it, measured
 FIRST_INSTANCE = 247  # of four, the last allowed, far from those of other runs
 FRAME_HZ, LOOP_FRAMES = 200, 4  # physics, and frames per step of the control law
-COST_VARIABLE = "STAND_IN_FRAME_US"
+COST_VARIABLE = "ARDUPLANE_FRAME_US"
 GRAVITY, FBWA = 9.81, 5
 # Telemetry that ArduPlane sends by default on every link, once a second.
 STREAMS = (

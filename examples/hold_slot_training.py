@@ -24,6 +24,7 @@ import testbed
 import testbed.rl  # registers the environment
 from testbed.scenario import Scenario
 from testbed.scenario.aircraft import ByFormation
+from testbed.scenario.arguments import with_changes
 
 HELD_OUT = 1_000_000  # first seed of the comparison
 DURATION_S, PERIOD_S, LIMIT_M = 30.0, 0.2, 50.0  # of the environment
@@ -73,9 +74,8 @@ def fly_policy(env: gymnasium.Env, seed: int, policy: Policy) -> tuple[list[floa
 
 def fly_law(scenario: Scenario) -> list[float]:
     """Fly the scenario of an episode with its formation law; return the same errors."""
-    own = {"commanded_by": ByFormation()}
-    fleet = tuple(each.model_copy(update=own) for each in scenario.fleet)
-    simulation = testbed.Simulation(scenario.model_copy(update={"fleet": fleet}))
+    fleet = tuple(with_changes(each, commanded_by=ByFormation()) for each in scenario.fleet)
+    simulation = testbed.Simulation(with_changes(scenario, fleet=fleet))
     begun_s, errors = simulation.step().time_s, []
     while simulation.outcome is None:
         sample = simulation.step(until=begun_s + (len(errors) + 1) * PERIOD_S)

@@ -1,5 +1,5 @@
 """Run the command line with `python -m testbed`."""
 
-from testbed.cli.main import main
+from testbed.cli.entry import main
 
 main()

@@ -111,7 +111,10 @@ def command_from_velocity(
     shape = (len(config.names), 3)
     arrays = []
     for name, value in (("velocity_ned", velocity_ned), ("acceleration_ned", acceleration_ned)):
-        array = np.asarray(value, dtype=np.float64)
+        try:
+            array = np.asarray(value, dtype=np.float64)
+        except (TypeError, ValueError, OverflowError):
+            raise ValueError(f"{name} has no numbers (write shape {shape})") from None
         if array.shape not in (shape, ()):
             raise ValueError(f"{name} has shape {array.shape}, not {shape}")
         array = np.ascontiguousarray(np.broadcast_to(array, shape))

@@ -61,7 +61,6 @@ class SitlConfig:
     name: str
     instances: Sequence[int]  # that it may have; the first one with free ports is used
     start: bool  # start the process; false: wait for one that is started elsewhere
-    binary: str | None  # of the scenario
     tune: Path  # parameter file
     timeout_s: float
     heading_deg: float  # at the start
@@ -112,7 +111,7 @@ class SitlVehicle:
         Raises:
             InputError: there is none.
         """
-        return find_binary(self._config.binary, arduplane) if self._config.start else None
+        return find_binary(arduplane) if self._config.start else None
 
     def start(self, arduplane: Path | None, check_stop: Callable[[], None]) -> None:
         """Open the physics port, and start the process unless it is started elsewhere.

@@ -5,99 +5,118 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from testbed.autopilot.fbwa import AIRSPEED_S, GAINS, PITCH_UNDERSPEED, PRESSURE_WEIGHT
-from testbed.core.errors import InputError
+from testbed.autopilot.param_file import GivenValue, ParamError, read_param_file
 from testbed.core.frames import GRAVITY
-from testbed.core.input_files import read_bounded_text
 from testbed.core.records import Array, Records, allocate
 
 
-class ParamError(InputError):
-    """A `.param` file that cannot be read, or a parameter with an invalid value."""
+class InvalidParamError(ParamError):
+    """A parameter that cannot have its value; `name` is that of its field."""
+
+    def __init__(self, name: str, text: str) -> None:
+        """Store the name."""
+        self.name = name
+        super().__init__(text)
+
+
+class ParamRange(NamedTuple):
+    """Values of a parameter."""
+
+    unit: str
+    # least and largest that ArduPlane documents, wider where the tunes of aircraft/ are
+    usual: tuple[float, float]
+    flyable: tuple[float, float]  # least and largest that are not an error
+
+
+def _param(
+    default: float, unit: str, usual: tuple[float, float], flyable: tuple[float, float]
+) -> Any:  # noqa: ANN401 - a field of a dataclass
+    return field(default=default, metadata=ParamRange(unit, usual, flyable)._asdict())
 
 
 @dataclass(frozen=True, slots=True)
 class FbwaParams:
-    """Parameters of fly-by-wire A and L1 guidance, with ArduPlane's units and defaults.
+    """Parameters of fly-by-wire A and L1 guidance: defaults, units, usual and flyable values.
 
-    Fields are the parameters' names in lower case. A rate limit of zero means no limit.
+    Units and defaults are ArduPlane's. Fields are the parameters' names in lower case. A rate limit
+    of zero means no limit. The total travel of a servo is 1000 to 2000 µs.
+
+    Raises:
+        InvalidParamError: a value is not flyable.
     """
 
-    airspeed_min: float = 9.0  # m/s
-    airspeed_cruise: float = 12.0  # m/s
-    airspeed_max: float = 22.0  # m/s
-    airspeed_stall: float = 0.0  # m/s, 0: use airspeed_min
-    scaling_speed: float = 15.0  # m/s, at which the gains are not scaled
-    roll_limit_deg: float = 45.0  # deg
-    ptch_lim_max_deg: float = 20.0  # deg
-    ptch_lim_min_deg: float = -25.0  # deg
-    ptch_trim_deg: float = 0.0  # deg, added to the pitch demand
-    trim_throttle: float = 45.0  # %
-    thr_max: float = 100.0  # %
-    stab_pitch_down: float = 2.0  # deg, at zero throttle
-    kff_rddrmix: float = 0.5  # rudder per aileron
-    rll2srv_tconst: float = 0.5  # s
-    rll2srv_rmax: float = 0.0  # deg/s
-    rll_rate_p: float = 0.08
-    rll_rate_i: float = 0.15  # 1/s
-    rll_rate_d: float = 0.0  # s
-    rll_rate_ff: float = 0.345
-    rll_rate_imax: float = 0.666  # rad of surface
-    rll_rate_fltt: float = 3.0  # Hz, 0: off, as for all filters
-    rll_rate_flte: float = 0.0  # Hz
-    rll_rate_fltd: float = 12.0  # Hz
-    rll_rate_smax: float = 150.0  # deg/s, of the slew limiter; 0: none
-    ptch2srv_tconst: float = 0.5  # s
-    ptch2srv_rmax_up: float = 0.0  # deg/s
-    ptch2srv_rmax_dn: float = 0.0  # deg/s
-    ptch2srv_rll: float = 1.0  # share of the pitch rate of a level turn
-    ptch_rate_p: float = 0.04
-    ptch_rate_i: float = 0.15  # 1/s
-    ptch_rate_d: float = 0.0  # s
-    ptch_rate_ff: float = 0.345
-    ptch_rate_imax: float = 0.666  # rad of surface
-    ptch_rate_fltt: float = 3.0  # Hz
-    ptch_rate_flte: float = 0.0  # Hz
-    ptch_rate_fltd: float = 12.0  # Hz
-    ptch_rate_smax: float = 150.0  # deg/s, of the slew limiter; 0: none
-    servo1_min: float = 1100.0  # µs, aileron; the total travel of a servo is 1000 to 2000 µs
-    servo1_max: float = 1900.0  # µs
-    servo2_min: float = 1100.0  # µs, elevator
-    servo2_max: float = 1900.0  # µs
-    servo4_min: float = 1100.0  # µs, rudder
-    servo4_max: float = 1900.0  # µs
-    ins_gyro_filter: float = 20.0  # Hz, cut-off; 0: no filter
-    sched_loop_rate: float = 50.0  # Hz
-    navl1_period: float = 17.0  # s
-    navl1_damping: float = 0.75
+    airspeed_min: float = _param(9.0, "m/s", (5, 100), (1, 400))
+    airspeed_cruise: float = _param(12.0, "m/s", (5, 100), (1, 400))
+    airspeed_max: float = _param(22.0, "m/s", (5, 100), (1, 400))
+    airspeed_stall: float = _param(0.0, "m/s", (0, 75), (0, 400))  # 0: use airspeed_min
+    scaling_speed: float = _param(15.0, "m/s", (5, 50), (1, 400))  # unscaled gains
+    roll_limit_deg: float = _param(45.0, "deg", (5, 90), (1, 90))
+    ptch_lim_max_deg: float = _param(20.0, "deg", (1, 90), (0, 90))
+    ptch_lim_min_deg: float = _param(-25.0, "deg", (-90, -1), (-90, 0))
+    ptch_trim_deg: float = _param(0.0, "deg", (-45, 45), (-45, 45))  # added to the pitch demand
+    trim_throttle: float = _param(45.0, "%", (0, 100), (0, 100))
+    thr_max: float = _param(100.0, "%", (10, 100), (0, 100))
+    stab_pitch_down: float = _param(2.0, "deg", (0, 15), (0, 45))  # at zero throttle
+    kff_rddrmix: float = _param(0.5, "", (0, 1), (0, 2))  # rudder per aileron
+    rll2srv_tconst: float = _param(0.5, "s", (0.1, 1), (0.05, 10))
+    rll2srv_rmax: float = _param(0.0, "deg/s", (0, 180), (0, 1000))  # 0: none
+    rll_rate_p: float = _param(0.08, "", (0, 2), (0, 20))
+    rll_rate_i: float = _param(0.15, "1/s", (0, 2), (0, 20))
+    rll_rate_d: float = _param(0.0, "s", (0, 0.05), (0, 1))
+    rll_rate_ff: float = _param(0.345, "", (0, 3), (0, 20))
+    rll_rate_imax: float = _param(0.666, "rad", (0, 1), (0, 2))  # of surface
+    rll_rate_fltt: float = _param(3.0, "Hz", (0, 100), (0, 1000))  # 0: off, as for all filters
+    rll_rate_flte: float = _param(0.0, "Hz", (0, 100), (0, 1000))
+    rll_rate_fltd: float = _param(12.0, "Hz", (0, 100), (0, 1000))
+    rll_rate_smax: float = _param(150.0, "deg/s", (0, 200), (0, 10000))  # of slew; 0: none
+    ptch2srv_tconst: float = _param(0.5, "s", (0.1, 1), (0.05, 10))
+    ptch2srv_rmax_up: float = _param(0.0, "deg/s", (0, 180), (0, 1000))
+    ptch2srv_rmax_dn: float = _param(0.0, "deg/s", (0, 180), (0, 1000))
+    ptch2srv_rll: float = _param(1.0, "", (0.7, 1.5), (0, 3))  # of a level turn's
+    ptch_rate_p: float = _param(0.04, "", (0, 2), (0, 20))
+    ptch_rate_i: float = _param(0.15, "1/s", (0, 2), (0, 20))
+    ptch_rate_d: float = _param(0.0, "s", (0, 0.05), (0, 1))
+    ptch_rate_ff: float = _param(0.345, "", (0, 3), (0, 20))
+    ptch_rate_imax: float = _param(0.666, "rad", (0, 1), (0, 2))  # of surface
+    ptch_rate_fltt: float = _param(3.0, "Hz", (0, 100), (0, 1000))
+    ptch_rate_flte: float = _param(0.0, "Hz", (0, 100), (0, 1000))
+    ptch_rate_fltd: float = _param(12.0, "Hz", (0, 100), (0, 1000))
+    ptch_rate_smax: float = _param(150.0, "deg/s", (0, 200), (0, 10000))  # of slew; 0: none
+    servo1_min: float = _param(1100.0, "µs", (800, 2200), (800, 2200))  # aileron
+    servo1_max: float = _param(1900.0, "µs", (800, 2200), (800, 2200))
+    servo2_min: float = _param(1100.0, "µs", (800, 2200), (800, 2200))  # elevator
+    servo2_max: float = _param(1900.0, "µs", (800, 2200), (800, 2200))
+    servo4_min: float = _param(1100.0, "µs", (800, 2200), (800, 2200))  # rudder
+    servo4_max: float = _param(1900.0, "µs", (800, 2200), (800, 2200))
+    ins_gyro_filter: float = _param(20.0, "Hz", (0, 256), (0, 1000))  # cut-off; 0: no filter
+    sched_loop_rate: float = _param(50.0, "Hz", (50, 400), (1, 2000))
+    navl1_period: float = _param(17.0, "s", (1, 60), (1, 600))
+    navl1_damping: float = _param(0.75, "", (0.6, 1), (0.1, 5))
+
+    def __post_init__(self) -> None:
+        """Check all values."""
+        for name, text in _errors(self):
+            raise InvalidParamError(name, text)
 
 
-_NAMES = frozenset(field.name for field in fields(FbwaParams))
-_POSITIVE = (
-    "airspeed_min",
-    "airspeed_max",
-    "scaling_speed",
-    "roll_limit_deg",
-    "sched_loop_rate",
-    "navl1_period",
-    "navl1_damping",
-)
-# Names before version 4.5: the present name, and the factor of the value (centidegrees, cm/s).
-OLD_NAMES = {
-    "LIM_ROLL_CD": ("ROLL_LIMIT_DEG", 0.01),
-    "LIM_PITCH_MAX": ("PTCH_LIM_MAX_DEG", 0.01),
-    "LIM_PITCH_MIN": ("PTCH_LIM_MIN_DEG", 0.01),
-    "TRIM_PITCH_CD": ("PTCH_TRIM_DEG", 0.01),
-    "TRIM_ARSPD_CM": ("AIRSPEED_CRUISE", 0.01),
-    "ARSPD_FBW_MIN": ("AIRSPEED_MIN", 1.0),
-    "ARSPD_FBW_MAX": ("AIRSPEED_MAX", 1.0),
-}
+RANGES = {each.name: ParamRange(**each.metadata) for each in fields(FbwaParams)}
+
+
+def unusual_values(params: FbwaParams) -> Iterator[str]:
+    """Yield a text for each value outside the parameter's usual range."""
+    for name, (unit, (low, high), _) in RANGES.items():
+        if not low <= (value := getattr(params, name)) <= high:
+            of = f" {unit}" if unit else ""
+            yield f"{name.upper()} is {value:g}{of}; usual are {low:g} to {high:g}"
+
+
 _OLDER_GAINS = ("RLL2SRV_P", "PTCH2SRV_P")  # before version 4.1, of another control law
 # Channel of the surface in the parameters here, and the output functions that move it: aileron,
 # elevator, rudder, left elevon, left V-tail. ArduPlane's default outputs are these channels.
@@ -105,7 +124,7 @@ _OUTPUTS = ((1, (4, 77)), (2, (19, 77, 79)), (4, (21, 79)))
 _DEFAULT_FUNCTIONS = {1: 4, 2: 19, 3: 70, 4: 21}
 _LEFT_ELEVON = 77
 _RANGE, _MIXING_GAIN = (1100.0, 1900.0), 0.5  # ArduPlane's defaults
-_MIN_SIZE, _MAX_SIZE = 1e-9, 1e9  # of values other than 0, so that quotients do not overflow
+_MIN_SIZE = 1e-9  # of values other than 0, so that quotients do not overflow
 _MIN_TCONST = 0.05  # s, as in ArduPlane
 _LEAST_MIN = 5.0  # m/s, AIRSPEED_MIN of the speed scaler, as in ArduPlane
 _SITL_GYRO_HZ = 1000.0  # rate for which SITL's gyro filter is designed
@@ -115,17 +134,20 @@ _BILINEAR_CUTOFF = 1.0 / 6.0
 
 
 def read_params(path: Path) -> FbwaParams:
-    """Read the parameters of fly-by-wire A from a `.param` file; see `read_values`.
+    """Read the parameters of fly-by-wire A from a `.param` file; see `read_param_file`.
 
     The travel of a surface is that of the output that SERVOn_FUNCTION assigns to it, times
     MIXING_GAIN for elevons. Names that fly-by-wire A does not use are ignored, with one warning
-    that has their number.
+    that has their number. A note on a name that it uses is a warning too.
 
     Raises:
         ParamError: the file cannot be read, or a line or value is invalid.
     """
     path = Path(path)
-    given = read_values(path)
+    given, notes = read_param_file(path)
+    for note in notes:
+        if not note.name or is_virtual(note.name):
+            warnings.warn(f"{path}: {note.text}", stacklevel=2)
     for name in _OLDER_GAINS:
         if name in given and name.replace("2SRV", "_RATE") not in given:
             raise ParamError(
@@ -133,11 +155,12 @@ def read_params(path: Path) -> FbwaParams:
                 "RLL_RATE_ and PTCH_RATE_ gains, as a newer version has them)"
             )
     named = {name.lower(): each for name, each in _surface_outputs(given).items()}
-    used = {name: each for name, each in named.items() if name in _NAMES}
-    params = FbwaParams(**{name: each.value for name, each in used.items()})
-    for name, problem in _errors(params):
-        line = used[name].line if name in used else 1
-        raise ParamError(f"{path}:{line}: {problem}")
+    used = {name: each for name, each in named.items() if name in RANGES}
+    try:
+        params = FbwaParams(**{name: each.value for name, each in used.items()})
+    except InvalidParamError as error:
+        line = used[error.name].line if error.name in used else 1
+        raise ParamError(f"{path}:{line}: {error}") from None
     taken = {each.name for each in used.values()}
     unknown = {
         each.name for name, each in given.items() if not is_virtual(name) and each.name not in taken
@@ -154,44 +177,7 @@ def read_params(path: Path) -> FbwaParams:
 def is_virtual(name: str) -> bool:
     """Return whether the virtual autopilot uses a parameter, by its present name."""
     is_output = name.startswith("SERVO") and name.endswith("_FUNCTION")
-    return name.lower() in _NAMES or is_output or name == "MIXING_GAIN"
-
-
-class GivenValue(NamedTuple):
-    """A value of a `.param` file."""
-
-    value: float
-    line: int
-    name: str  # as the file has it
-
-
-def read_values(path: Path) -> dict[str, GivenValue]:
-    """Read a `.param` file of a ground station, by ArduPlane's present names.
-
-    Lines are of name and value, separated by comma or blanks, or of system, component, name, value
-    and type, as QGroundControl writes them. `#` starts a comment. The last value of a name counts.
-    Names before version 4.5 are converted, with their units (`OLD_NAMES`).
-
-    Raises:
-        ParamError: the file cannot be read, or a line is invalid.
-    """
-    found: dict[str, GivenValue] = {}
-    lines = read_bounded_text(path, error=ParamError).splitlines()
-    for number, line in enumerate(lines, start=1):
-        words = line.split("#", 1)[0].replace(",", " ").split()
-        if not words:
-            continue
-        if len(words) == 5 and words[0].isdigit() and words[1].isdigit():
-            words = words[2:4]
-        value = _number(words[1]) if len(words) == 2 else None
-        if value is None or not words[0].replace("_", "").isalnum() or words[0][0].isdigit():
-            raise ParamError(
-                f"{path}:{number}: expected a name and a number, as in 'RLL_RATE_P 0.3' or "
-                f"'RLL_RATE_P,0.3', found {line.strip()[:60]!r}"
-            )
-        name, factor = OLD_NAMES.get(words[0].upper(), (words[0].upper(), 1.0))
-        found[name] = GivenValue(factor * value, number, words[0])
-    return found
+    return name.lower() in RANGES or is_output or name == "MIXING_GAIN"
 
 
 def _surface_outputs(given: Mapping[str, GivenValue]) -> dict[str, GivenValue]:
@@ -230,27 +216,23 @@ def with_param(params: FbwaParams, name: str, value: float) -> FbwaParams:
     Raises:
         ParamError: the parameter is unknown, or cannot have this value.
     """
-    if name.lower() not in _NAMES:
+    if name.lower() not in RANGES:
         raise ParamError(f"{name}: not a parameter of fly-by-wire A")
-    if not math.isfinite(value):
-        raise ParamError(f"{name}: {value} is not a number")
-    changed = replace(params, **{name.lower(): value})
-    for _, error in _errors(changed):
-        raise ParamError(error)
-    return changed
+    return replace(params, **{name.lower(): value})
 
 
 def _errors(params: FbwaParams) -> Iterator[tuple[str, str]]:
     """Yield the field and the error of each invalid value."""
-    for name in _POSITIVE:
-        if not getattr(params, name) > 0.0:
-            yield name, f"{name.upper()} must be greater than 0"
+    for name, (unit, _, (low, high)) in RANGES.items():
+        value = getattr(params, name)
+        if not low <= value <= high or 0.0 < abs(value) < _MIN_SIZE:
+            of = f" {unit}" if unit else ""
+            yield name, f"{name.upper()} is {value:g}{of}; it must be {low:g} to {high:g}"
     for channel in (1, 2, 4):
         low, high = (getattr(params, f"servo{channel}_{end}") for end in ("min", "max"))
-        if not 800.0 <= low < high <= 2200.0:
-            name = f"servo{channel}_{'max' if 800.0 <= low else 'min'}"
-            text = f"SERVO{channel}_MIN and _MAX ({low:g}, {high:g}) must rise within 800 to 2200"
-            yield name, text
+        if not low < high:
+            text = f"SERVO{channel}_MIN ({low:g}) must be less than SERVO{channel}_MAX ({high:g})"
+            yield f"servo{channel}_max", text
     if params.airspeed_max <= params.airspeed_min:
         yield (
             "airspeed_max",
@@ -263,10 +245,6 @@ def _errors(params: FbwaParams) -> Iterator[tuple[str, str]]:
             f"INS_GYRO_FILTER is {params.ins_gyro_filter:g}; it is a whole number of Hz (write 0 "
             "for no filter, or 1 or more; 20 is usual)",
         )
-    for name in sorted(_NAMES):
-        value = getattr(params, name)
-        if value and not _MIN_SIZE <= abs(value) <= _MAX_SIZE:
-            yield name, f"{name.upper()} is {value:g}; a size is {_MIN_SIZE:g} to {_MAX_SIZE:g}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -425,11 +403,3 @@ def _bilinear_butterworth(cutoff: float, dt: float) -> Biquad:
     b0 = warped * warped / scale
     a1 = 2.0 * (warped * warped - 1.0) / scale
     return (b0, 2.0 * b0, b0), (a1, 4.0 * b0 - 1.0 - a1)
-
-
-def _number(text: str) -> float | None:
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from testbed.autopilot.parameters import FbwaParams, is_virtual, read_values, sitl_gyro_cutoff
+from testbed.autopilot.param_file import read_param_file, read_values
+from testbed.autopilot.parameters import FbwaParams, is_virtual, sitl_gyro_cutoff
 
 # Name, value and reason.
 _LINK_PARAMETERS = (
@@ -69,7 +70,25 @@ _NOT_MODELLED = (
     ("FWD_BAT_VOLT_MAX", 0.0, "compensation of throttle for the battery's voltage"),
     ("RUDDER_ONLY", 0.0, "control by the rudder"),
     ("INS_HNTCH_ENABLE", 0.0, "notch filter"),
+    ("INS_HNTC2_ENABLE", 0.0, "notch filter"),
 )
+# Beginnings of names that have no effect in fly-by-wire A in the air: of other modes, of take-off
+# and landing, and of functions whose switch is in `_NOT_MODELLED`.
+_OTHER_MODES = (
+    *("ACRO_", "AUTOTUNE_", "CRUISE_", "FBWB_", "GUIDED_", "LAND_", "LEVEL_ROLL_LIMIT"),
+    *("MIN_GROUNDSPEED", "RTL_", "SOAR_", "STEER2SRV_", "STICK_MIXING", "TECS_", "THROTTLE_NUDGE"),
+    *("TKOFF_", "WP_", "INS_HNTCH_", "INS_HNTC2_"),
+)
+# Bits of FLIGHT_OPTIONS: the difference from the virtual autopilot, or "": no effect in
+# fly-by-wire A in the air. A bit that is not here may have any effect.
+_FLIGHT_OPTIONS = {
+    0: "ArduPlane mixes no rudder in fly-by-wire A (KFF_RDDRMIX)",
+    **dict.fromkeys((1, 2, 3, 4, 5, 6, 7, 8, 9), ""),
+    10: "ArduPlane takes half throttle as TRIM_THROTTLE",
+    **dict.fromkeys((11, 12, 13, 14), ""),
+}
+_OPTION_BITS = 32
+_NOT_KNOWN = "not known: may change the flight"
 _KEPT = ("INS_ACCEL_FILTER", "INS_GYRO_FILTER")  # of the control law
 
 
@@ -116,10 +135,9 @@ def tune_differences(tune: Path) -> Iterator[str]:
         if values.get(name, default) != default:
             yield f"{name} {values[name]:.9g}: {text}"
     options = int(values.get("FLIGHT_OPTIONS", 0.0))
-    if options & 1:
-        yield "FLIGHT_OPTIONS bit 0: ArduPlane mixes no rudder in fly-by-wire A (KFF_RDDRMIX)"
-    if options & 1 << 10:
-        yield "FLIGHT_OPTIONS bit 10: ArduPlane takes half throttle as TRIM_THROTTLE"
+    for bit in range(_OPTION_BITS):
+        if options >> bit & 1 and (text := _FLIGHT_OPTIONS.get(bit, _NOT_KNOWN)):
+            yield f"FLIGHT_OPTIONS bit {bit}: {text}"
     if (own := values.get("INS_GYRO_FILTER", FbwaParams().ins_gyro_filter)) > 0.0:
         at_200 = sitl_gyro_cutoff(FbwaParams(ins_gyro_filter=own), 200.0)
         yield (
@@ -127,6 +145,34 @@ def tune_differences(tune: Path) -> Iterator[str]:
             f"in SITL times rates.physics_hz / 1000, {at_200:.9g} Hz at 200, which the virtual "
             "autopilot has with gyro_filter: sitl"
         )
+
+
+def tune_unknown(tune: Path) -> tuple[str, ...]:
+    """Return the names, as in the file, of which no effect on ArduPlane's flight is known here.
+
+    ArduPlane gets them and the virtual autopilot does not use them: they may make both differ.
+    All others are used by both, have a known difference, or are known to have no effect.
+
+    Raises:
+        ParamError: the file cannot be read, or a line is invalid.
+    """
+    known = {"FLIGHT_OPTIONS", *(name for name, _, _ in _NOT_MODELLED)}
+    known |= {name for name, _, _ in _link_parameters(0, 0)}
+    return tuple(
+        each.name
+        for name, each in read_values(tune).items()
+        if not (name in known or name.startswith(_OTHER_MODES))
+        and not (is_virtual(name) or _is_hardware(name))
+    )
+
+
+def tune_notes(tune: Path) -> tuple[str, ...]:
+    """Return what of a file is ignored or replaced, one sentence each.
+
+    Raises:
+        ParamError: the file cannot be read, or a line is invalid.
+    """
+    return tuple(note.text for note in read_param_file(tune).notes)
 
 
 def _is_hardware(name: str) -> bool:

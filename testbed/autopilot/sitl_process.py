@@ -17,23 +17,27 @@ from testbed.core.geodetic import origin_geodetic
 from testbed.core.records import Origin
 
 VARIABLE = "ARDUPLANE"
+# What a process gets of the environment, which may hold passwords of the user: these, and names
+# with a prefix, of which the second is for users' own scripts around ArduPlane.
+_KEPT = ("PATH", "HOME", "USER", "LOGNAME", "SHELL", "LANG", "TZ", "TMPDIR", "LD_LIBRARY_PATH")
+_KEPT_PREFIXES = ("LC_", f"{VARIABLE}_")
 _SPEEDUP = 100  # limit of its speed, times real time; high, so that it never delays the run
 _GRACE_S = 1.0  # from SIGTERM to SIGKILL; it ignores SIGTERM while it waits for its physics
 _POLL_S = 0.002
 _TAIL_LINES, _TAIL_BYTES = 12, 4000
 
 
-def find_binary(in_scenario: str | None, option: Path | None) -> Path:
-    """Find the ArduPlane binary: of the scenario, else of the option, else of the environment.
+def find_binary(option: Path | None) -> Path:
+    """Find the ArduPlane binary: of the option, else of the environment; a scenario names none.
 
     Raises:
         InputError: none of them is set, or the file cannot be executed.
     """
-    name = in_scenario or option or os.environ.get(VARIABLE)
+    name = option or os.environ.get(VARIABLE)
     if not name:
         raise InputError(
             "autopilot: ardupilot needs the program arduplane, and its path is not set (write "
-            f"--arduplane PATH, or set {VARIABLE}, or write binary: PATH under autopilot)"
+            f"--arduplane PATH, or set the environment variable {VARIABLE})"
         )
     path = Path(name).expanduser().resolve()
     if not path.is_file():
@@ -41,6 +45,15 @@ def find_binary(in_scenario: str | None, option: Path | None) -> Path:
     if not os.access(path, os.X_OK):
         raise InputError(f"{path}: is not executable (chmod +x it, or write another path)")
     return path
+
+
+def environment() -> dict[str, str]:
+    """Return the environment of an ArduPlane: an allow list of this process's."""
+    return {
+        name: value
+        for name, value in os.environ.items()
+        if name in _KEPT or name.startswith(_KEPT_PREFIXES)
+    }
 
 
 def command_line(
@@ -99,6 +112,7 @@ class SitlProcess:
                 self._child = subprocess.Popen(
                     guard_command(self._folder, line),  # it ends if this process is killed
                     cwd=self._folder,
+                    env=environment(),
                     stdin=subprocess.PIPE,
                     stdout=log,
                     stderr=subprocess.STDOUT,

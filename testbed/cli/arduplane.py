@@ -142,7 +142,7 @@ def check_arduplane(
     from testbed.autopilot.sitl_process import find_binary
     from testbed.sim.external_options import ExternalOptions
 
-    binary = find_binary(None, arduplane)
+    binary = find_binary(arduplane)
     airspeed = read_params(tune).airspeed_cruise
     external = ExternalOptions(arduplane=binary, announce=announce)
     real, virtual = _Track(), _Track()
@@ -244,10 +244,17 @@ def _show_check(document: Mapping[str, Any], console: PipeSafeConsole) -> None:
 
 
 def _show_params(tune: Path, json: Path | None) -> None:
-    from testbed.autopilot.sitl_parameters import tune_differences, tune_use
+    from testbed.autopilot.sitl_parameters import (
+        tune_differences,
+        tune_notes,
+        tune_unknown,
+        tune_use,
+    )
 
     use, differences = tune_use(tune), list(tune_differences(tune))
-    write_json_output(json, {"file": str(tune), **use._asdict(), "differences": differences})
+    unknown, notes = tune_unknown(tune), tune_notes(tune)
+    lists = {"unknown": unknown, "differences": differences, "notes": notes}
+    write_json_output(json, {"file": str(tune), **use._asdict(), **lists})
     console = result_console(json)
     console.write_line(f" {tune}")
     for old, new in use.renamed.items():
@@ -258,7 +265,18 @@ def _show_params(tune: Path, json: Path | None) -> None:
         ("set by the link", use.link),
         ("left out: hardware", use.hardware),
     ):
-        more = f", … {len(names)} in all" if len(names) > _SHOWN else ""
-        console.write_line(f" {title:<22}{', '.join(names[:_SHOWN]) or 'none'}{more}")
+        console.write_line(f" {title:<22}{_some(names)}")
     for text in differences:
         console.write_line(f" {'difference':<22}{text}")
+    if unknown:
+        console.write_line(
+            f" {'not known':<22}{_some(unknown)}: may make ArduPlane fly differently", "yellow"
+        )
+    for text in notes:
+        console.write_line(f" {'note':<22}{text}", "yellow")
+
+
+def _some(names: Sequence[str]) -> str:
+    """Join the first names, and their number."""
+    more = f", … {len(names)} in all" if len(names) > _SHOWN else ""
+    return (", ".join(names[:_SHOWN]) or "none") + more

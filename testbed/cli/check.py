@@ -164,7 +164,7 @@ def check_command(
 def _write_summary(path: Path | None, text: str) -> None:
     if path:
         with open_output(path, "--summary") as file:
-            file.write(text.encode())
+            file.write(text.encode("utf-8", "backslashreplace"))
 
 
 def _write_reports(
@@ -193,7 +193,7 @@ def _write_reports(
         except Exception as error:  # the verdict has been printed; a failed flight may fail again
             console.write_line(f" {verdict.name}: no report: {error}", "yellow")
             continue
-        write_report(page, folder / name / "report.html", console)
+        write_report(page, folder / name / "report.html", console, default=False)
 
 
 def _check_options(

@@ -90,12 +90,17 @@ def export_command(
     Columns have the names of the log's topics and fields, with their units.
     """
     from testbed.core.start_time import start_unix_ns
+    from testbed.logs.file_record import check_default_output, record_output
     from testbed.logs.flight_data import FlightData
     from testbed.logs.read import read_log
     from testbed.logs.run_directory import find_run
 
     log = find_run(run)
-    path = out or log.with_suffix(SUFFIXES[form])
+    path = out
+    if path is None:
+        path = log.with_suffix(SUFFIXES[form])
+        if form is not Format.ROS2:  # of a folder there is a later error
+            check_default_output(path, "write --out FILE")
     if path.resolve() == log.resolve():
         raise InputError(f"--out {path}: this is the log itself; write another name")
     read = read_log(log)
@@ -120,6 +125,7 @@ def export_command(
         write = _writer(form, flight, log, path)
         with open_output(path, "--out") as file:
             write(file)
+    record_output(path, default=out is None)
     messages.write_line(describe_file(path, content))
 
 
@@ -170,7 +176,7 @@ def _writer(
     else:
         folder = Path() if is_stdout(path) else path.parent
         text = plotjuggler_layout(flight, os.path.relpath(log, folder))
-    return lambda file: file.write(text.encode())
+    return lambda file: file.write(text.encode("utf-8", "backslashreplace"))
 
 
 def import_command(

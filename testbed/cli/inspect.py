@@ -159,7 +159,14 @@ def step_command(
     gains = load_middle_loop(folder, profile)
     params = read_params(find_tune(folder, param))
     before = gains.trim_airspeed_mps if airspeed is None else airspeed
-    response = speed_step(folder, gains, params, airspeed=before, step=step)
+    response = speed_step(
+        folder,
+        gains,
+        params,
+        airspeed=before,
+        step=step,
+        warn=lambda text: message_console().write_line(f"warning: {text}"),
+    )
     document = {
         "aircraft": folder.name,
         "profile": profile,
@@ -211,6 +218,7 @@ def respond_command(
     airspeed: Annotated[
         float | None,
         typer.Option(
+            callback=require_finite,
             metavar="M/S",
             help="True airspeed at the start.  \\[default: airspeed_mps of the first row, or 22]",
         ),
@@ -219,11 +227,15 @@ def respond_command(
         float | None,
         typer.Option(
             metavar="M",
+            callback=require_finite,
             help="Altitude above the origin.  \\[default: altitude_m of the first row, or 100]",
         ),
     ] = None,
     origin_elevation: Annotated[
-        float, typer.Option(metavar="M", help="Elevation of the origin above sea level.")
+        float,
+        typer.Option(
+            metavar="M", help="Elevation of the origin above sea level.", callback=require_finite
+        ),
     ] = 300.0,
     sitl_rate: Annotated[
         float | None,

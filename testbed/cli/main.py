@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import gc
 import inspect
+import math
 import os
 import sys
 import traceback
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, ClassVar, Final, TypeVar
+from typing import Annotated, Any, ClassVar, Final, TypeVar, get_args, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
@@ -34,8 +35,9 @@ from testbed.cli.sweep import sweep_command
 from testbed.cli.tune import tune_command
 from testbed.cli.video import video_command
 from testbed.cli.view import shot_command, view_command
-from testbed.core.errors import ExternalProgramLost, InputError
+from testbed.core.errors import ExternalProgramLost, InputError, memory_shortage
 from testbed.core.interrupts import count_sigint
+from testbed.core.numbers import parse_number
 
 MARKUP: Final = "rich"
 _Parameters = TypeVar("_Parameters", bound=list[Any])
@@ -58,12 +60,24 @@ def _without_flag_types(parameters: _Parameters) -> _Parameters:
 class _Command(TyperCommand):
     # Options that may stand without a value: their values, the first of which is meant then.
     optional_values: Mapping[str, tuple[str, ...]] = {}  # noqa: RUF012
+    number_options: frozenset[str] = frozenset()  # options whose value is a number
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401
-        """Write the values of options that stand without one; see typer."""
+        """Write the values of options that stand without one, check numbers; see typer.
+
+        Raises:
+            InputError: the value of an option that takes a number is not one.
+        """
         written: list[str] = []
         for k, each in enumerate(args):
             following = args[k + 1] if k + 1 < len(args) else ""
+            option, joined, text = each.partition("=")
+            if (
+                option in self.number_options
+                and "--" not in args[:k]
+                and (joined or k + 1 < len(args))
+            ):
+                _refuse_strange_number(option, text if joined else following)
             values = () if "--" in args[:k] else self.optional_values.get(each, ())
             implied = values[:1] if values and following not in values else ()
             if each == "--json" and (not following or following.startswith("--")):
@@ -119,12 +133,31 @@ class CommandGroup(TyperGroup):
         app.command(name, cls=_Command, help=help_text(function), epilog=epilog)(function)
         command: Any = typer.main.get_command(app)
         command.optional_values = self.optional_values.get(name, {})
+        command.number_options = _number_options(function, command.params)
         panels = self.option_panels.get(name, {})
         by_parameter = {each: panel for panel, names in panels.items() for each in names}
         for parameter in command.params:
             if parameter.name in by_parameter:
                 parameter.rich_help_panel = by_parameter[parameter.name]
         return command
+
+
+def _refuse_strange_number(option: str, text: str) -> None:
+    """Refuse 1_0 and digits of other scripts, which typer reads; commands check the range."""
+    try:
+        value = float(text)
+    except ValueError:
+        return  # typer has a message
+    if math.isfinite(value) and parse_number(text.strip(" ")) is None:
+        raise InputError(f"{option} {text[:40]}: write a number such as 10 or 0.5")
+
+
+def _number_options(function: Callable[..., None], parameters: list[Any]) -> frozenset[str]:
+    """Return the options of a command that take a number, such as --airspeed."""
+    kinds = get_type_hints(function)
+    numbers = {name for name, kind in kinds.items() if {float, int} & {kind, *get_args(kind)}}
+    options = (each.opts for each in parameters if each.name in numbers)
+    return frozenset(option for each in options for option in each)
 
 
 class _Commands(CommandGroup):
@@ -234,7 +267,10 @@ def main() -> None:
         sys.exit(ExitCode.EXTERNAL_PROGRAM_LOST if lost else ExitCode.BAD_INPUT)
     except KeyboardInterrupt:
         sys.exit(ExitCode.INTERRUPTED)
-    except Exception:
+    except Exception as error:
+        if shortage := memory_shortage(error):
+            typer.echo(f"error: {shortage}", err=True)
+            sys.exit(ExitCode.BAD_INPUT)
         traceback.print_exc()
         typer.echo("internal error: this is a defect of testbed, not of your input", err=True)
         sys.exit(ExitCode.INTERNAL_ERROR)

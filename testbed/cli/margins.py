@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
@@ -26,6 +25,7 @@ from testbed.cli.output import (
     write_json_output,
 )
 from testbed.core.errors import InputError
+from testbed.core.numbers import parse_number
 
 if TYPE_CHECKING:
     from testbed.sim.margins import FollowerMargins, Margins
@@ -34,11 +34,8 @@ if TYPE_CHECKING:
 def _read_banks(parameter: typer.CallbackParam, text: str) -> str:
     """Check the banks of --bank; a typer callback."""
     for part in text.split(","):
-        try:
-            bank = float(part)
-        except ValueError:
-            bank = math.nan
-        if not 0.0 <= bank < 90.0:
+        bank = parse_number(part.strip())
+        if bank is None or not 0.0 <= bank < 90.0:
             raise InputError(f"--bank {text}: write banks of 0 to 90 degrees, such as 0,30,45")
     return text
 
@@ -75,7 +72,7 @@ def margins_command(
     from testbed.studies.margins import margins_of, to_document
 
     loaded = load_scenario(scenario, overrides)
-    banks = [float(part) for part in dict.fromkeys(bank.split(","))]
+    banks = [float(part.strip()) for part in dict.fromkeys(bank.split(","))]
     messages = message_console()
     with (
         error_places(scenario, overrides),

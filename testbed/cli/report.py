@@ -76,23 +76,42 @@ def report_command(
     if begin is not None and end is not None and begin >= end:
         raise InputError(f"--from {begin:g}: not before --to {end:g}; write an earlier time")
     data = read_run(run, begin_s=begin, end_s=end)
-    report = out or data.path.with_name(REPORT_NAME)
+    report = default_report(data.path) if out is None else out
     console = result_console()
-    write_report(run_page(data), report, console)
+    write_report(run_page(data), report, console, default=out is None)
     if figures:
         write_figures(run_figures(data), figures, ending, console)
 
 
-def write_report(page: Page, path: Path, console: PipeSafeConsole) -> None:
+def default_report(path: Path) -> Path:
+    """Return the path of the report beside a log or a study's file.
+
+    Raises:
+        InputError: another file is there.
+    """
+    from testbed.logs.file_record import check_default_output
+
+    return check_default_output(path.with_name(REPORT_NAME), "write --out FILE.html")
+
+
+def write_report(page: Page, path: Path, console: PipeSafeConsole, *, default: bool) -> None:
     """Write the page of a report, and print its file and size.
+
+    Args:
+        page: the report.
+        path: of its file.
+        console: for results.
+        default: no option names the path.
 
     Raises:
         InputError: it cannot be written.
     """
+    from testbed.logs.file_record import record_output
     from testbed.reports import write_page
 
     with report_write_errors(str(path)):
         write_page(page, path)
+    record_output(path, default=default)
     console.write_line(f" report   {describe_file(path)}")
 
 

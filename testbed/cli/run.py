@@ -154,6 +154,8 @@ def run_command(
     from testbed.metrics.expectations import violations
     from testbed.metrics.tables import render_table
     from testbed.scenario import set_duration
+    from testbed.scenario.arguments import check_argument
+    from testbed.scenario.sections import Header
     from testbed.sim.bounds import unchecked_bounds, violation_lines
     from testbed.sim.run import run
 
@@ -163,6 +165,7 @@ def run_command(
     messages = message_console()
     notes: list[tuple[str, Text]] = []
     if duration is not None:
+        duration = check_argument("--duration", duration, Header, "duration_s")
         notes = _window_notes(loaded, duration)
         for text in unchecked_bounds(loaded, duration):
             messages.write_line(f"warning: {text}", "yellow")

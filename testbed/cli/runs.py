@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 _HOURS = {"h": 1, "d": 24, "w": 7 * 24}
 _BYTES = {"kB": 1e3, "MB": 1e6, "GB": 1e9}
+_LONGEST = 40  # characters of a value that an error repeats
+_LARGEST = 100_000  # in the largest unit: 1,900 years, 100 TB
 
 RunsFolder = Annotated[
     Path,
@@ -33,17 +35,20 @@ def _quantity(units: dict[str, Any], example: str) -> Callable[..., str | None]:
 
     def check(parameter: typer.CallbackParam, text: str | None) -> str | None:
         if text is not None:
-            _parse(text, units, f"{parameter.opts[0]} {text}: write {example}")
+            at_most = f"at most {_LARGEST:,}{max(units, key=units.__getitem__)}"
+            shown = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
+            _parse(text, units, f"{parameter.opts[0]} {shown}: write {example}, {at_most}")
         return text
 
     return check
 
 
 def _parse(text: str, units: dict[str, Any], error: str) -> float:
-    match = re.fullmatch(rf"(\d+(?:\.\d+)?) ?({'|'.join(units)})", text)
-    if match is None:
+    match = re.fullmatch(rf"([0-9]+(?:\.[0-9]+)?) ?({'|'.join(units)})", text)
+    most = _LARGEST * max(map(float, units.values()))
+    if match is None or (value := float(match[1]) * float(units[match[2]])) > most:
         raise InputError(error)
-    return float(match[1]) * float(units[match[2]])
+    return value
 
 
 def prune_command(
@@ -79,8 +84,9 @@ def prune_command(
 ) -> None:
     """Delete old runs: by age, by total size, or all but the newest.
 
-    Deletes run directories only, and none that is being flown or holds files that the testbed does
-    not write. Without --yes nothing is deleted.
+    Deletes run directories only: none that is being flown, and none with a file that is not as the
+    testbed wrote it, such as one that you added, changed or linked. Those are named, and stay
+    whole. Without --yes nothing is deleted.
     """
     from testbed.logs.run_list import delete_runs, list_runs, select_runs
 
@@ -97,7 +103,11 @@ def prune_command(
     )
     console = result_console()
     for entry in (each for each in runs if each.others):
-        console.write_line(f"kept: {entry.directory} has {entry.others[0]}", "yellow")
+        more = f" and {len(entry.others) - 1} more" if entry.others[1:] else ""
+        console.write_line(
+            f"kept: {entry.directory} has {entry.others[0]}{more}, not as the testbed wrote it",
+            "yellow",
+        )
     if yes:
         chosen = list(delete_runs(chosen))
     if chosen:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 from rich.table import Table
@@ -19,6 +20,9 @@ from testbed.cli.options import (
 from testbed.cli.output import result_console, write_json_output
 from testbed.core.errors import InputError, escape_controls
 from testbed.core.files import format_bytes
+
+if TYPE_CHECKING:
+    from testbed.scenario import Scenario
 
 MAX_LINE = 38  # characters, which leave the table of `testbed list` within 80 columns
 
@@ -117,7 +121,7 @@ def validate_command(
     """Check a scenario without running it: its keys, aircraft, formation and control law.
 
     Warns about each assumption of the paper that the scenario does not meet. Tests a control law of
-    your own with a few calls.
+    your own with a few calls. Names the code and the programs that a run would start.
     """
     from testbed.scenario import dump
     from testbed.sim.build import build
@@ -127,7 +131,22 @@ def validate_command(
         world = build(loaded)
     for event in world.initial_events:
         typer.echo(escape_controls(f"{event.level}: {event.source}: {event.text}"), err=True)
+    for line in _programs(loaded):
+        typer.echo(escape_controls(line), err=True)
     typer.echo(dump(loaded) if resolved else f"{scenario}: valid")
+
+
+def _programs(scenario: Scenario) -> Iterator[str]:
+    """Describe the programs that a run starts; laws are among the events."""
+    from testbed.autopilot.sitl_process import VARIABLE
+    from testbed.scenario.aircraft import ArduPlane
+
+    for aircraft in scenario.aircraft:
+        if isinstance(aircraft.autopilot, ArduPlane) and aircraft.autopilot.start:
+            yield (
+                f"info: {aircraft.name}: a run starts the program of --arduplane or {VARIABLE} "
+                f"({os.environ.get(VARIABLE) or 'not set'})"
+            )
 
 
 def list_command(

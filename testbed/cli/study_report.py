@@ -13,10 +13,10 @@ import typer
 from testbed.cli.options import JsonFile
 from testbed.cli.output import check_output_folder, result_console, write_json_output
 from testbed.cli.report import (
-    REPORT_NAME,
     FigureFormat,
     Figures,
     ReportFile,
+    default_report,
     figure_format,
     write_figures,
     write_report,
@@ -73,12 +73,13 @@ def study_report_command(
     if statistic not in STATISTICS:
         raise InputError(f"--statistic {statistic}: write one of {', '.join(STATISTICS)}")
     path = find_study_file(study)
+    report = default_report(path) if out is None else out
     data = read_study(path, metrics=metric or (), statistic=statistic)
     page = study_page(data)
     write_json_output(json, _document(data))
     console = result_console(json)
     print_summary(data, console)
-    write_report(page, out or path.with_name(REPORT_NAME), console)
+    write_report(page, report, console, default=out is None)
     if figures:
         write_figures(study_figures(data), figures, ending, console)
     if tables:

@@ -84,11 +84,12 @@ def video_command(
 
     The cameras are those of the viewer: all flying aircraft are in sight, or one is followed.
     """
+    from testbed.logs.file_record import record_output
     from testbed.views.pillow_backend import save_video
     from testbed.views.recorded_runs import scene_and_batch
     from testbed.views.video import FlightVideo
 
-    match = re.fullmatch(r"([1-9]\d{2,3})x([1-9]\d{2,3})", size)
+    match = re.fullmatch(r"([1-9][0-9]{2,3})x([1-9][0-9]{2,3})", size)
     if match is None or int(match[1]) % 2 or int(match[2]) % 2:
         raise InputError(f"--size {size}: write WIDTHxHEIGHT in even pixels, such as 1280x720")
     if fps not in RATES:
@@ -113,6 +114,7 @@ def video_command(
             return video.frame(number)
 
         save_video(file, out.suffix.lower(), render, total, 1000 // fps, video.colours)
+    record_output(out, default=False)
     length = f"{total / fps:.1f} s of {scene.scenario}"
     message_console().write_line(describe_file(out, length))
 

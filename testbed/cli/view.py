@@ -83,7 +83,7 @@ def shot_command(
     """
     from testbed.views import screenshot
 
-    match = re.fullmatch(r"([1-9]\d{2,3})x([1-9]\d{2,3})", size)
+    match = re.fullmatch(r"([1-9][0-9]{2,3})x([1-9][0-9]{2,3})", size)
     if match is None:
         raise InputError(f"--size {size}: write WIDTHxHEIGHT in pixels, such as 1920x1080")
     logs = [read_shown_log(name) for name in (run, other) if name is not None]

@@ -37,6 +37,7 @@ KERNEL_PACKAGES = (
     *("network", "sensors", "sim", "vehicle"),
 )
 _FOLDER_NAME = re.compile("kernels-[0-9a-f]{16}")
+_FILE_NAME = re.compile(r"turn|compiling|ready-[0-9a-f]+|.+\.nb[ci](\.tmp\..+)?")  # in it
 UNUSED_DAYS = 30  # after which machine code in a shared folder is removed
 # numpy divides by zero as IEEE does; nothing is reordered, so that runs repeat to the bit
 _OPTIONS: dict[str, Any] = {"error_model": "numpy"}
@@ -223,8 +224,13 @@ def _remove_unused(parent: Path, oldest: float, *, keep: Path) -> None:
     for other in parent.glob("kernels-*"):
         if other != keep and _FOLDER_NAME.fullmatch(other.name):
             with suppress(OSError):
-                if other.stat().st_mtime <= oldest:
+                if other.stat().st_mtime <= oldest and _has_only_machine_code(other):
                     shutil.rmtree(other)
+
+
+def _has_only_machine_code(folder: Path) -> bool:
+    files = (name for _, _, names in os.walk(folder) for name in names)
+    return all(_FILE_NAME.fullmatch(name) for name in files)
 
 
 def source_digest(package: Path, folders: Iterable[str] = KERNEL_PACKAGES) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from testbed.core.errors import InputError
-from testbed.core.input_files import MAX_TABLE_BYTES, read_bounded_text
+from testbed.core.input_files import MAX_TABLE_BYTES, quote_word, read_bounded_text
+from testbed.core.numbers import parse_number
 from testbed.core.records import Array
 
 MAX_ROWS = 2_000_000
 MAX_CELLS = 10_000_000
+_NOT_FINITE = ("nan", "inf", "infinity")
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,12 +36,17 @@ class Table:
         """These columns (M, len(columns)).
 
         Raises:
-            InputError: a column is missing, a row is not as long as the header, or a cell of
-                these columns is not a finite number.
+            InputError: a column is missing or repeated, a row is not as long as the header, or a
+                cell of these columns is not a finite number.
         """
         missing = [name for name in columns if name not in self.header]
         if missing:
             raise self.error_at(0, f"missing column {', '.join(missing)}; add it to the header")
+        repeated = [name for name in columns if self.header.count(name) > 1]
+        if repeated:
+            raise self.error_at(
+                0, f"column {', '.join(repeated)} is there several times; keep one of them"
+            )
         for k, row in enumerate(self.rows, start=1):
             if len(row) != len(self.header):
                 raise self.error_at(
@@ -83,12 +89,13 @@ class Table:
     def _number(self, row: int, text: str, name: str) -> float:
         if not text:
             raise self.error_at(row, f"{name} is empty; write a number or remove the row")
-        try:
-            value = float(text)
-        except ValueError as error:
-            raise self.error_at(row, f"{error}; write numbers only") from error
-        if not math.isfinite(value):
-            raise self.error_at(row, f"{name} is {value}; remove the row or write a finite number")
+        value = parse_number(text)
+        if value is None:
+            if text.lower().lstrip("+-") in _NOT_FINITE:
+                raise self.error_at(
+                    row, f"{name} is {text.lower()}; remove the row or write a finite number"
+                )
+            raise self.error_at(row, f"{name} is {quote_word(text)}; write a number")
         return value
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -32,7 +33,11 @@ def _visible(character: str) -> str:
     return repr(character)[1:-1] if hidden else character
 
 
-class ExternalProgramLost(InputError):
+class FlightError(InputError):
+    """An error in flight, after the scenario was accepted, such as one of a user's law."""
+
+
+class ExternalProgramLost(FlightError):
     """An external program that the run needs is not reachable, or has ended."""
 
 
@@ -66,3 +71,25 @@ def needs_extra(extra: str, purpose: str) -> Iterator[None]:
         raise MissingExtraError(
             f"{purpose}: {package} is not installed; write {install_command(extra)}"
         ) from None
+
+
+# as the loader of libraries, other libraries and threading say it
+_NO_MEMORY = ("failed to map segment", "cannot allocate memory", "can't start new thread")
+
+
+def memory_shortage(error: BaseException) -> str | None:
+    """Describe the lack of memory that caused an error, with the remedy; None: another cause."""
+    cause: BaseException | None = error
+    while cause is not None:
+        text = str(cause)
+        if (
+            isinstance(cause, MemoryError)
+            or (isinstance(cause, OSError) and cause.errno == errno.ENOMEM)
+            or any(words in text.lower() for words in _NO_MEMORY)
+        ):
+            return (
+                f"not enough memory: {text or 'an allocation failed'} (end other programs, or "
+                "raise the limits, ulimit -v and -u)"
+            )
+        cause = cause.__cause__ or cause.__context__
+    return None

@@ -85,7 +85,13 @@ def write_file(path: Path, *, durable: bool = False) -> Iterator[BinaryIO]:
 def write_text_file(path: Path) -> Iterator[TextIO]:
     """Open a text file as `write_file` does: UTF-8, lines end as they are written."""
     with write_file(path) as binary:
-        text = io.TextIOWrapper(binary, encoding="utf-8", newline="")
+        text = io.TextIOWrapper(
+            # surrogates, as in the name of a file that is not UTF-8, are written as escapes
+            binary,
+            encoding="utf-8",
+            errors="backslashreplace",
+            newline="",
+        )
         yield text
         text.detach()  # which flushes it
 
@@ -104,7 +110,8 @@ def replacement(path: Path) -> Iterator[Path]:
     target = Path(os.path.realpath(path))
     with _part_folder(target.parent if replaceable else Path(tempfile.gettempdir())) as folder:
         new = folder / path.name
-        yield new
+        with _errors_name(path, new):
+            yield new
         if not new.exists():  # the program that should have made it gave no reason
             raise OutputPathError(errno.EIO, "cannot be written")
         if replaceable:
@@ -127,8 +134,19 @@ def new_folder(path: Path) -> Iterator[Path]:
     check_writable(path)
     with _part_folder(Path(os.path.realpath(path)).parent) as folder:
         new = folder / path.name
-        yield new
+        with _errors_name(path, new):
+            yield new
         os.rename(new, path)
+
+
+@contextmanager
+def _errors_name(path: Path, new: Path) -> Iterator[None]:
+    """Name the path that the user knows in errors about the new file."""
+    try:
+        yield
+    except InputError as error:
+        error.args = tuple(str(each).replace(str(new), str(path)) for each in error.args)
+        raise
 
 
 def create_file(path: Path, data: bytes) -> None:
@@ -217,6 +235,12 @@ def lock_file(file: IO[Any] | int) -> bool:
     except OSError:
         return True
     return True
+
+
+def unlock_file(file: IO[Any]) -> None:
+    """Unlock a file before it is closed: a forked child, which has it too, would hold the lock."""
+    with suppress(OSError):
+        fcntl.flock(file, fcntl.LOCK_UN)
 
 
 def reserve_standard_descriptors() -> tuple[int, ...]:
@@ -324,13 +348,35 @@ def _remove_abandoned(parent: Path) -> None:
     """Remove the folders of processes that were killed: those that are not locked."""
     with suppress(OSError), os.scandir(parent) as entries:
         for entry in [each for each in entries if _PART.fullmatch(each.name)]:
-            with suppress(OSError):
-                lock = os.open(entry.path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-                try:
-                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # not without locks
+            with _locked_abandoned(Path(entry.path)) as abandoned:
+                if abandoned:
                     _remove(Path(entry.path))
-                finally:
-                    os.close(lock)
+
+
+def is_abandoned(folder: Path) -> bool:
+    """Return whether a folder is one that a killed process of the testbed has left."""
+    with _locked_abandoned(folder) as abandoned:
+        return abandoned
+
+
+@contextmanager
+def _locked_abandoned(folder: Path) -> Iterator[bool]:
+    """Lock a folder of the testbed that no process uses; yield whether it is one.
+
+    There is at most one new file in it, or a new folder.
+    """
+    lock = None
+    try:
+        if _PART.fullmatch(folder.name):
+            with suppress(OSError):  # also where there are no locks
+                lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                yield len(os.listdir(folder)) <= 1
+                return
+        yield False
+    finally:
+        if lock is not None:
+            os.close(lock)
 
 
 def _remove(folder: Path) -> None:

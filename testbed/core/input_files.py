@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import stat
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -19,6 +20,7 @@ MAX_PARQUET_BYTES = 4_000_000_000
 MAX_KEY_BYTES = 4096
 MAX_DEPTH = 40  # of maps and lists in each other
 
+_WORD = re.compile(r"[\w.+-]{1,20}")
 _KINDS = {
     stat.S_IFDIR: "a directory",
     stat.S_IFIFO: "a pipe",
@@ -110,6 +112,14 @@ def read_bounded_text(
         line = failed.object.count(b"\n", 0, failed.start) + 1
         reason = f"line {line} is not UTF-8 text (save the file as UTF-8)"
         raise _error(path, reason, error) from None
+
+
+def quote_word(text: str) -> str:
+    """Return a short word of a file in quotes, as errors may have it, and "text" for anything else.
+
+    A path may name a file that is not meant to be read: an error never has its lines.
+    """
+    return repr(text) if _WORD.fullmatch(text) else "text"
 
 
 def parse_json(text: str | bytes) -> Any:  # noqa: ANN401 - any JSON value

@@ -120,8 +120,13 @@ def make_plan(mission: Mission, start: Point) -> FlightPlan:
     return plan
 
 
-def expand_laps(mission: Mission, start: Point) -> FlightPlan:
+def expand_laps(mission: Mission, start: Point, repeat_leg: int | None = None) -> FlightPlan:
     """Expand a mission from `start`; legs may be too short or too steep.
+
+    Args:
+        mission: its legs, with laps.
+        start: north, east, altitude above the origin, m.
+        repeat_leg: the leg after the last one; None: the last one.
 
     Raises:
         InputError: the mission is invalid; the message names the leg and what to write.
@@ -133,8 +138,10 @@ def expand_laps(mission: Mission, start: Point) -> FlightPlan:
     segments: list[Segment] = []
     here = start
     repeat_from = 0
+    first_segments: list[int] = []  # of each leg
     for number, leg in enumerate(mission.legs):
-        last = number == len(mission.legs) - 1
+        last = repeat_leg is None and number == len(mission.legs) - 1
+        first_segments.append(len(segments))
         if isinstance(leg, LoiterLeg):
             _check_loiter(leg, f"legs[{number}]", mission)
             segments += circle(here, leg)
@@ -149,6 +156,8 @@ def expand_laps(mission: Mission, start: Point) -> FlightPlan:
                 segments.append(line(here, point))
                 here = point
         repeat_from = lap_starts[-1]
+    if repeat_leg is not None:
+        repeat_from = first_segments[repeat_leg]
     for index in range(len(segments)):
         following = segments[index + 1 if index + 1 < len(segments) else repeat_from]
         segments[index] = with_turn(segments[index], following)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from testbed.core.csv_table import read_table
+from testbed.core.csv_table import Table, read_table
 from testbed.core.errors import InputError
 from testbed.core.frames import euler_rates, wrap_pi
 from testbed.core.records import Array
@@ -16,6 +16,8 @@ COLUMNS = tuple(
     "t_s north_m east_m down_m v_north_mps v_east_mps v_down_mps roll_rad pitch_rad yaw_rad "
     "p_radps q_radps r_radps airspeed_mps throttle".split()
 )
+_MAX_PITCH = 0.5 * np.pi + 1e-3  # rad; a thousandth for rounding
+_MAX_JUMP_M, _MAX_SHARE = 3.0, 0.5  # beyond what the velocity explains, and of that
 MAX_GAP_S = 1.0  # between two rows, for cubic interpolation
 
 
@@ -60,6 +62,7 @@ def read_recording(path: Path) -> Recording:
     if len(data) < 2:
         raise InputError(f"{path}: {len(data)} rows of numbers; a flight needs at least two")
     table.check_time_steps(data[:, 0], MAX_GAP_S, "cut here")
+    _check_motion(table, data)
     return Recording(
         time=_even_times(data[:, 0], table.column("t_s")),
         position_ned=data[:, 1:4].copy(),
@@ -70,6 +73,32 @@ def read_recording(path: Path) -> Recording:
         throttle=data[:, 14].copy(),
         source=str(path),
     )
+
+
+def _check_motion(table: Table, data: Array) -> None:
+    """Check that the rows are of one flight and in these units: positions go where velocities lead.
+
+    Raises:
+        InputError: naming the row.
+    """
+    steep = np.abs(data[:, 8]) > _MAX_PITCH
+    if steep.any():
+        k = int(np.argmax(steep))
+        raise table.error_at(k + 1, f"pitch_rad is {data[k, 8]:g}; write radians, up to π/2")
+    elapsed = np.diff(data[:, 0])
+    velocity = 0.5 * (data[1:, 4:7] + data[:-1, 4:7])
+    speed = np.linalg.norm(velocity, axis=1)
+    led = velocity * elapsed[:, None]
+    error = np.linalg.norm(np.diff(data[:, 1:4], axis=0) - led, axis=1)
+    jumps = error > _MAX_JUMP_M + _MAX_SHARE * speed * elapsed
+    if jumps.any():
+        k = int(np.argmax(jumps))
+        raise table.error_at(
+            k + 2,
+            f"the position is {error[k]:.1f} m from where the velocity leads from line "
+            f"{table.lines[k + 1]}: rows of several flights, or other units; keep one flight, in m "
+            "and m/s, or cut here",
+        )
 
 
 def sample_recording(recording: Recording, time: Array) -> SampledTrajectory:

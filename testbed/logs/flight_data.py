@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import difflib
 import json
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from operator import attrgetter
-from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from testbed.core.records import Array, BoolArray, Event, RunInfo
 from testbed.logs.messages import FIXED32, TOPICS
 from testbed.logs.read import Log, read_log
 from testbed.logs.run_directory import METRICS_NAME, SCENARIO_NAME, find_run
+from testbed.scenario.arguments import check_path
 
 if TYPE_CHECKING:
     import pandas
@@ -226,15 +227,16 @@ class FlightData:
         return xarray.Dataset(variables, coords=coordinates, attrs=self.documents())
 
 
-def load_run(run: str | Path) -> FlightData:
+def load_run(run: str | os.PathLike[str]) -> FlightData:
     """Load a run by directory, .mcap file, or scenario (its latest run).
 
     A run that was killed is read up to its last complete chunk.
 
     Raises:
         LogError: There is no such run, or its log is damaged before its end.
+        InputError: `run` is no path.
     """
-    return FlightData(read_log(find_run(run)))
+    return FlightData(read_log(find_run(check_path("run", run))))
 
 
 Part = tuple[Array, NDArray[np.int32], list[tuple[Numbers, BoolArray]]]

@@ -6,6 +6,7 @@ The only module that imports mcap, protobuf and zstandard. Format: https://mcap.
 from __future__ import annotations
 
 import functools
+import io
 import os
 import struct
 import zlib
@@ -21,14 +22,14 @@ from google.protobuf import descriptor_pool, message_factory
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 from google.protobuf.message import DecodeError
 from mcap import records
-from mcap.data_stream import RecordBuilder
+from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import McapRecord
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 
 from testbed.core.errors import InputError
-from testbed.core.files import lock_file
+from testbed.core.files import lock_file, unlock_file
 from testbed.core.input_files import MAX_LOG_BYTES, open_regular
 from testbed.core.records import Event
 from testbed.logs.foxglove_messages import LOG
@@ -60,7 +61,14 @@ _SUMMARY_GROUPS = (
     Opcode.ATTACHMENT_INDEX,
     Opcode.METADATA_INDEX,
 )
+# Metadata of the file beside an unfinished log: the size of the log that it continues.
+TAIL_NAME, _TAIL_AFTER = "testbed.tail", "log_bytes"
 NO_SAMPLES = "was cut before its first sample: nothing was recorded"
+
+
+def tail_path(log: Path) -> Path:
+    """Return the path of the file with the samples after the last chunk of an unfinished log."""
+    return log.with_name(f".{log.name}.tail")
 
 
 class LogError(InputError):
@@ -123,12 +131,27 @@ class McapWriter:
         index = records.AttachmentIndex(offset=offset, length=length, data_size=len(data), **head)
         self._summary[Opcode.ATTACHMENT_INDEX].append(_encode(index))
 
+    def continues(self, log_bytes: int) -> None:
+        """Mark this file as the tail of a log that has a size."""
+        self.metadata(TAIL_NAME, {_TAIL_AFTER: str(log_bytes)})
+
     def write_chunk(self, batches: Sequence[MessageBatch]) -> None:
         """Hand over a chunk; it is in the file as soon as the thread has compressed it."""
         self._wait()
         if batches:
             self._check_path()
-            self._pending = self._thread.submit(self._write_chunk, chunk(batches))
+            made = chunk(batches)
+            try:
+                self._pending = self._thread.submit(self._write_chunk, made)
+            except RuntimeError:  # no threads any more: the interpreter is shutting down
+                self._pending = None
+                self._write_chunk(made)
+
+    def flush(self) -> int:
+        """Wait until all chunks are in the file; return its size in bytes."""
+        self._wait()
+        self._check_path()
+        return self._size
 
     def close(self) -> None:
         """Write the summary, which makes the file seekable, and close it."""
@@ -137,6 +160,7 @@ class McapWriter:
         # no checksum over the whole file: with one, damage in an unused index would be fatal
         self._append(records.DataEnd(data_section_crc=0))
         self._write(self._summary_section())
+        unlock_file(self._file)
         self._file.close()
         self._thread.shutdown()
 
@@ -278,7 +302,7 @@ class McapContents:
 
 
 def read(path: Path) -> McapContents:
-    """Read a file without its summary: of a cut file, all complete records.
+    """Read a file without its summary: of a cut file, all complete records, and its tail.
 
     Raises:
         LogError: Not an MCAP file, cut before its first record, damaged before its end, or larger
@@ -322,7 +346,60 @@ def read(path: Path) -> McapContents:
                 raise LogError(f"{path}: damaged after byte {offset}: {reason}") from error
     if messages_left < 0:
         raise LogError(f"{path}: more messages than any log of {size:,} bytes has")
+    if out.own_header and not out.finished:
+        _add_tail(out, tail_path(path), complete)
     return out
+
+
+def _add_tail(log: McapContents, path: Path, log_bytes: int) -> None:
+    """Add the messages of a tail, if it continues the log; it is written whole or not at all."""
+    if not path.is_file():
+        return
+    try:
+        tail = read(path)
+    except LogError:  # the log without it has all complete chunks
+        return
+    if tail.finished and tail.metadata.get(TAIL_NAME) == {_TAIL_AFTER: str(log_bytes)}:
+        for topic, messages in tail.messages.items():
+            known = log.messages.setdefault(topic, TopicMessages())
+            known.time_ns += messages.time_ns
+            known.data += messages.data
+
+
+def has_own_header(path: Path) -> bool:
+    """Return whether a file begins as those of `McapWriter`, also if it was cut in its header.
+
+    Raises:
+        LogError: it cannot be read.
+    """
+    with open_regular(path, MAX_LOG_BYTES, error=LogError) as file:
+        return _FILE_HEAD.startswith(file.read(len(_FILE_HEAD)))
+
+
+def read_attachments(path: Path) -> dict[str, bytes]:
+    """Read the attachments of a log of a run alone: its scenario, code and metrics.
+
+    Raises:
+        LogError: it cannot be read, is not of `McapWriter`, or is damaged.
+    """
+    with open_regular(path, MAX_LOG_BYTES, error=LogError) as file:
+        if file.read(len(_FILE_HEAD)) != _FILE_HEAD:
+            raise LogError(f"{path}: not a log of a run")
+        size, out = os.fstat(file.fileno()).st_size, {}
+        while len(head := file.read(_RECORD_HEAD.size)) == _RECORD_HEAD.size:
+            opcode, length = _RECORD_HEAD.unpack(head)
+            end = file.tell() + length
+            if end > size or opcode in (0, Opcode.DATA_END):
+                break
+            if opcode == Opcode.ATTACHMENT and length <= _MAX_RECORD_BYTES:
+                try:
+                    stream = ReadDataStream(io.BytesIO(file.read(length)))
+                    found = records.Attachment.read(stream)
+                except Exception as error:  # a damaged byte can raise anything in the library
+                    raise LogError(f"{path}: damaged: {repr(error)[:_MAX_REASON]}") from error
+                out[found.name] = found.data
+            file.seek(end)
+        return out
 
 
 class _Start:

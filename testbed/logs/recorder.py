@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-import json
+import os
 import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from copy import copy
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from testbed.core.files import replacement
 from testbed.core.frames import enu_from_ned, quaternion_xyzw
 from testbed.core.geodetic import geodetic_from_ned
 from testbed.core.records import Array, Event, RunInfo, Sample
 from testbed.core.samples import Columns, SampleBuffer
 from testbed.logs.foxglove_messages import FIX, LOG, TRANSFORMS, encode_event
 from testbed.logs.header import INFO_NAME, METADATA_NAME, metadata, to_json
-from testbed.logs.mcap_file import LogError, McapWriter, topic_schema
+from testbed.logs.mcap_file import LogError, McapWriter, tail_path, topic_schema
 from testbed.logs.message_batch import (
     Channel,
     MessageBatch,
@@ -34,12 +37,13 @@ from testbed.logs.proto_template import (
     topic_template,
 )
 from testbed.logs.run_directory import METRICS_NAME, SCENARIO_NAME
+from testbed.metrics.document import timeless_json
 
 FIX_HZ = 5
-FLUSH_S = 0.35  # of wall time, at most, between writes: a killed run loses less than half a second
+# Wall time, at most, between writes of chunks or the tail: a killed run loses less than 0.5 s.
+FLUSH_S = 0.35
 _MIN_SLEEP_S = 0.005  # of the flushing thread
 _CHUNK_AIRCRAFT_SAMPLES = 800
-_WALL_CLOCK_KEYS = ("wall_s", "real_time_factor")
 _NS = 10**9
 # Position and quaternion (x, y, z, w) of the NED frame in the east-north-up world that viewers
 # draw with z up.
@@ -59,13 +63,15 @@ class McapRecorder:
     """Write a run as MCAP: https://mcap.dev, protobuf, zstd, indexed.
 
     A chunk ends after a number of samples that depends on the number of aircraft only, so that the
-    same scenario and seed give the same bytes. If such a chunk would last longer than `FLUSH_S` of
-    wall time, a shorter one is written, which changes no message. A thread does so also while no
-    sample arrives, as when the run waits for an external program.
+    same scenario and seed give the same bytes. Where that takes longer than `FLUSH_S` of wall time,
+    the samples of the unfinished chunk are written to the tail, a file beside the log that readers
+    add to an unfinished log, and that is removed at the end. A thread does so also while no sample
+    arrives, as when the run waits for an external program.
 
     Args:
         path: The file, which must not exist.
         additions: Further messages in order of time, written with the samples of these ticks.
+        live: A flight, which may be killed; False: a copy of a log, which needs no tail.
 
     Raises:
         LogError: From all methods: the file cannot be written, or was removed or moved.
@@ -73,20 +79,23 @@ class McapRecorder:
 
     zero_copy = True  # copies what it needs
 
-    def __init__(self, path: Path, additions: Iterable[Addition] = ()) -> None:
+    def __init__(
+        self, path: Path, additions: Iterable[Addition] = (), *, live: bool = True
+    ) -> None:
         """See the class."""
-        self._path = path
+        self.path, self._live = path, live
         self._additions = iter(additions)
         self._next_addition = next(self._additions, None)
         self._added: dict[str, Channel] = {}  # by topic
         self._file: McapWriter | None = None
+        self._process = os.getpid()
         self._lock = threading.RLock()  # of everything below
         self._closed = threading.Event()
         self._writer_error: Exception | None = None  # raised in the thread
 
     def begin(self, info: RunInfo) -> None:
         """Create the file and write its header."""
-        file = McapWriter(self._path)
+        file = McapWriter(self.path)
         self._info = info
         file.metadata(METADATA_NAME, metadata(info))
         file.attachment(SCENARIO_NAME, "application/yaml", info.scenario_yaml.encode())
@@ -97,21 +106,25 @@ class McapRecorder:
         self._chunk_samples = chunk_samples(len(info.names))
         self._samples = SampleBuffer(self._chunk_samples)
         self._events: list[tuple[int, Event]] = []  # with the sample they follow in the chunk
-        self._event_channel = file.channel("/events", LOG)
+        self._tail: tuple[int, int] = (0, 0)  # number of samples and events in it
         self._flushed = time.monotonic()
         self._file = file
-        threading.Thread(target=self._flush_loop, name="log-clock", daemon=True).start()
+        if self._live:
+            threading.Thread(target=self._flush_loop, name="log-clock", daemon=True).start()
 
     def observe(self, sample: Sample) -> None:
-        """Copy a sample; write the chunk when it is full or old."""
+        """Copy a sample; write the chunk when it is full, and the tail when that is old."""
+        self._check_process()
         with self._lock:
             self._raise_writer_error()
             self._samples.append(sample)
             count = len(self._samples.tick)
             if sample.events:
                 self._events.extend((count - 1, event) for event in sample.events)
-            if count == self._chunk_samples or time.monotonic() - self._flushed > FLUSH_S:
+            if count == self._chunk_samples:
                 self._flush()
+            elif self._live and time.monotonic() - self._flushed > FLUSH_S:
+                self._write_tail()
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
         """Write the last samples, the events after them and the metrics; finish the file.
@@ -119,6 +132,7 @@ class McapRecorder:
         The metrics are attached without wall-clock times, which differ from run to run. Without
         metrics, after an error before the flight, nothing is attached: the run counts as cut.
         """
+        self._check_process()
         with self._lock:
             self._raise_writer_error()
             file = self._file
@@ -127,13 +141,12 @@ class McapRecorder:
             self._events.extend((len(self._samples.tick) - 1, event) for event in events)
             self._flush()
             if summary:
-                timeless = {**summary, **{key: None for key in _WALL_CLOCK_KEYS if key in summary}}
-                text = json.dumps(timeless, indent=2, ensure_ascii=False, allow_nan=False)
-                file.attachment(METRICS_NAME, "application/json", text.encode())
+                file.attachment(METRICS_NAME, "application/json", timeless_json(summary).encode())
             self.close()
 
     def close(self) -> None:
         """Finish the file, without metrics if `end` was not called. Harmless when repeated."""
+        self._check_process()
         with self._lock:
             self._closed.set()
             self._raise_writer_error()
@@ -142,9 +155,11 @@ class McapRecorder:
                 self._flush()
                 self._file = None
                 file.close()
+                with suppress(OSError):  # read by nothing, beside a finished log
+                    tail_path(self.path).unlink(missing_ok=True)
 
     def _flush_loop(self) -> None:
-        """Flush where no sample arrives in time; runs in a thread."""
+        """Write the tail where no sample arrives in time; runs in a thread."""
         remaining = FLUSH_S
         while not self._closed.wait(max(remaining, _MIN_SLEEP_S)):
             with self._lock:
@@ -155,10 +170,21 @@ class McapRecorder:
                     continue
                 remaining = FLUSH_S
                 try:
-                    self._flush()
+                    self._write_tail()
                 except Exception as error:
                     self._writer_error = error  # raised by the next call of a method
                     return
+
+    def _check_process(self) -> None:
+        """Refuse a forked child: it shares the position in the file, and lacks the threads.
+
+        Before any lock, which a thread of the parent may have held when it was forked.
+        """
+        if os.getpid() != self._process:
+            raise LogError(
+                f"{self.path}: this process is a fork of the one that writes the log; begin a "
+                "flight of its own here"
+            )
 
     def _raise_writer_error(self) -> None:
         error, self._writer_error = self._writer_error, None
@@ -166,35 +192,60 @@ class McapRecorder:
             raise error
 
     def _flush(self) -> None:
-        file = self._file
-        if file is not None:
-            batches: list[MessageBatch] = []
-            if self._samples.tick:
-                columns = self._samples.columns()
-                topics = _changed_topics(columns, estimates_differ=bool(self._samples.inexact))
-                ticks = np.array(self._samples.tick, dtype=np.int64)
-                batches += self._encoder.encode(ticks, columns, topics)
-                batches += self._additional(file, ticks)
-            if self._events:
-                order, events = zip(*self._events, strict=True)
-                start_ns = self._info.start_unix_ns
-                time_ns = [start_ns + round(event.time_s * _NS) for event in events]
-                lines = [[encode_event(*each)] for each in zip(events, time_ns, strict=True)]
-                batches.append(
-                    message_batch([self._event_channel], lines, np.array(time_ns), np.array(order))
-                )
-            try:
-                file.write_chunk(batches)
-            except LogError:
-                self._file = None  # it is closed after its last complete record
-                raise
+        """Write a chunk."""
+        if (file := self._file) is not None:
+            with self._closed_by_errors():
+                file.write_chunk([*self._encode(file, self._encoder), *self._additional(file)])
             self._samples.clear()
             self._events = []
-        self._flushed = time.monotonic()
+        self._tail, self._flushed = (0, 0), time.monotonic()
 
-    def _additional(self, file: McapWriter, ticks: IntArray) -> Iterator[MessageBatch]:
+    def _write_tail(self) -> None:
+        """Write the samples and events since the last chunk to the tail."""
+        file, size = self._file, (len(self._samples.tick), len(self._events))
+        if file is not None and size != self._tail:
+            with self._closed_by_errors():
+                log_bytes = file.flush()
+                try:
+                    with replacement(tail_path(self.path)) as path:
+                        tail = McapWriter(path)
+                        tail.continues(log_bytes)
+                        encoder = _SampleEncoder(tail, self._info, after=self._encoder)
+                        tail.write_chunk([*self._encode(tail, encoder)])
+                        tail.close()
+                except (OSError, LogError) as error:
+                    reason = getattr(error.__cause__ or error, "strerror", None) or error
+                    raise LogError(f"{self.path}: cannot write the log: {reason}") from error
+        self._tail, self._flushed = size, time.monotonic()
+
+    @contextmanager
+    def _closed_by_errors(self) -> Iterator[None]:
+        """Forget the file after an error: it is closed after its last complete record."""
+        try:
+            yield
+        except LogError:
+            self._file = None
+            raise
+
+    def _encode(self, file: McapWriter, encoder: _SampleEncoder) -> Iterator[MessageBatch]:
+        """Encode the samples and events since the last chunk, for a file."""
+        if self._samples.tick:
+            columns = self._samples.columns()
+            topics = _changed_topics(columns, estimates_differ=bool(self._samples.inexact))
+            yield from encoder.encode(np.array(self._samples.tick), columns, topics)
+        if self._events:
+            order, events = zip(*self._events, strict=True)
+            start_ns = self._info.start_unix_ns
+            time_ns = [start_ns + round(event.time_s * _NS) for event in events]
+            lines = [[encode_event(*each)] for each in zip(events, time_ns, strict=True)]
+            yield message_batch([encoder.events], lines, np.array(time_ns), np.array(order))
+
+    def _additional(self, file: McapWriter) -> Iterator[MessageBatch]:
         """Take the additions up to the last tick, one batch per topic."""
+        ticks = np.array(self._samples.tick, dtype=np.int64)
         found: dict[str, list[Addition]] = {}
+        if not ticks.size:
+            return
         while self._next_addition is not None and self._next_addition.tick <= ticks[-1]:
             found.setdefault(self._next_addition.topic, []).append(self._next_addition)
             self._next_addition = next(self._additions, None)
@@ -211,10 +262,19 @@ class McapRecorder:
 class _SampleEncoder:
     """Encode samples as messages of a file."""
 
-    def __init__(self, file: McapWriter, info: RunInfo) -> None:
-        """Prepare the channels and templates of all topics that a run of these aircraft has."""
+    def __init__(
+        self, file: McapWriter, info: RunInfo, after: _SampleEncoder | None = None
+    ) -> None:
+        """Prepare the channels and templates of all topics that a run of these aircraft has.
+
+        Args:
+            file: of the messages.
+            info: of the run.
+            after: encoder of the samples before, in another file.
+        """
         names = info.names
         self._info, self._file = info, file
+        self.events = file.channel("/events", LOG)
         self._tf, self._transforms = (
             file.channel("/tf", TRANSFORMS),
             TransformsTemplate("ned", names),
@@ -229,9 +289,11 @@ class _SampleEncoder:
                 schema = topic_schema(topic, names)
                 channels = [file.channel(f"/{name}/{topic.name}", schema) for name in agents]
                 self._topics[topic] = topic_template(topic, names), channels
-        self._covariance = FixCovariance(len(names))
+        self._covariance: FixCovariance = (
+            copy(after._covariance) if after else FixCovariance(len(names))
+        )
         self._rows: dict[tuple[Topic, ...], MessageRows] = {}
-        self._encoded = 0  # samples
+        self._encoded: int = after._encoded if after else 0  # samples
 
     def encode(
         self, ticks: IntArray, columns: Columns, topics: Sequence[Topic]

@@ -13,6 +13,7 @@ from testbed.logs.mcap_file import LogError
 
 LOGS = Path("logs")
 LOG_NAME, SCENARIO_NAME, METRICS_NAME = "run.mcap", "scenario.resolved.yaml", "metrics.json"
+TLOG_NAME = "run.tlog"
 _ATTEMPTS = 100  # at a free directory name
 
 
@@ -45,7 +46,7 @@ def create_run_directory(scenario: str, *, out: Path | None = None, logs: Path =
             return directory
     except OSError as error:
         raise _creation_error(parent, error) from error
-    raise LogError(f"{parent}: no free name for a run directory; give one with --out DIR")
+    raise LogError(f"{parent}: no free name for a run directory; name one")
 
 
 def write_run_file(directory: Path, name: str, data: bytes) -> None:
@@ -61,13 +62,13 @@ def write_run_file(directory: Path, name: str, data: bytes) -> None:
         create_file(directory / name, data)
     except FileExistsError:
         raise LogError(
-            f"--out {directory}: another run has just begun in it; name a new or an empty directory"
+            f"{directory}: another run has just begun in it; name a new or an empty directory"
         ) from None
     except OSError as error:
         raise LogError(f"{directory / name}: cannot be written: {error.strerror}") from error
 
 
-def find_run(run: str | Path, *, logs: Path = LOGS) -> Path:
+def find_run(run: str | os.PathLike[str], *, logs: Path = LOGS) -> Path:
     """Find the log of a run by directory, `.mcap` file, or scenario.
 
     A scenario's name stands for its latest run below `logs`.
@@ -111,9 +112,9 @@ def _create_or_use(out: Path) -> Path:
     except OSError as error:
         raise _creation_error(out, error) from error
     if occupied:
-        raise LogError(f"--out {out}: not empty; name a new or an empty directory")
+        raise LogError(f"{out}: not empty; name a new or an empty directory")
     if not os.access(out, os.W_OK):
-        raise LogError(f"--out {out}: not writable; name another directory")
+        raise LogError(f"{out}: not writable; name another directory")
     return out
 
 
@@ -135,6 +136,4 @@ def folder_name(scenario: str) -> str:
 
 
 def _creation_error(path: Path, error: OSError) -> LogError:
-    return LogError(
-        f"{path}: cannot make the run directory: {error.strerror}; name another with --out DIR"
-    )
+    return LogError(f"{path}: cannot make the run directory: {error.strerror}; name another one")

@@ -1,8 +1,8 @@
 """List the runs in a folder; choose and delete old ones.
 
 A run is a directory with `scenario.resolved.yaml` and a log or metrics. Nothing else is ever
-deleted: not other directories, nor a run with files that the testbed does not write, nor one that
-is being flown.
+deleted: not other directories, nor a run with files that are not as the testbed wrote them
+(`file_record`), nor one that is being flown.
 """
 
 from __future__ import annotations
@@ -18,14 +18,15 @@ from pathlib import Path
 from testbed.core.errors import InputError
 from testbed.core.field_docs import document_fields
 from testbed.core.files import lock_file
-from testbed.core.input_files import parse_json_map, read_bounded
+from testbed.core.input_files import MAX_LOG_BYTES, open_regular, parse_json_map, read_bounded
+from testbed.logs.file_record import delete_folder, foreign_files
 from testbed.logs.run_directory import LOG_NAME, LOGS, METRICS_NAME, SCENARIO_NAME, folder_name
 
 RUNNING, CUT_SHORT = "running", "cut short"
-_NAME = re.compile(r"(\d{8}T\d{6}Z)-[0-9a-f]{4}")
-# What the testbed writes into a run directory: log, exports, copies of code, the report.
-_OURS = re.compile(r"run\..+|scenario\.resolved\.yaml|metrics\.json|report\.html|\w+\.py")
+_NAME = re.compile(r"([0-9]{8}T[0-9]{6}Z)-[0-9a-f]{4}")
 _MAX_METRICS_BYTES = 100_000_000
+_MAX_SIMULATED_S = 1e12
+_LAST_TIME = datetime.max.replace(tzinfo=UTC)
 
 
 @document_fields
@@ -39,7 +40,7 @@ class RunEntry:
     simulated_s: float | None  # s; None without metrics
     outcome: str  # of its metrics, else `RUNNING` or `CUT_SHORT`
     size: int  # bytes, of all files
-    others: tuple[str, ...]  # files and folders that the testbed does not write
+    others: tuple[str, ...]  # files and folders that are not as the testbed wrote them
 
 
 def list_runs(folder: Path = LOGS) -> list[RunEntry]:
@@ -101,32 +102,35 @@ def select_runs(
 def delete_runs(runs: Iterable[RunEntry]) -> Iterator[RunEntry]:
     """Delete runs, and scenario folders that become empty; yield each run that is deleted.
 
-    A run that is being flown or recovered, or has files that the testbed does not write, stays.
+    A run that is being flown or recovered, or has files that are not as the testbed wrote them,
+    stays.
 
     Raises:
-        InputError: a file cannot be deleted.
+        InputError: a file cannot be deleted; its run is still one.
     """
     for entry in runs:
         try:
             if _delete(entry):
                 yield entry
         except OSError as error:
-            raise InputError(f"{entry.directory}: cannot be deleted: {error.strerror}") from None
+            raise InputError(
+                f"{error.filename or entry.directory}: cannot be deleted: {error.strerror}"
+            ) from None
 
 
 def _delete(entry: RunEntry) -> bool:
-    names = os.listdir(entry.directory)
-    if SCENARIO_NAME not in names or _others(entry.directory, names):
-        return False
     with ExitStack() as closing:
-        if LOG_NAME in names:
-            log = closing.enter_context((entry.directory / LOG_NAME).open("rb"))
+        try:
+            log = closing.enter_context(open_regular(entry.directory / LOG_NAME, MAX_LOG_BYTES))
+        except InputError:
+            pass  # it has none; one that cannot be read is not proven to be the testbed's
+        else:
             if not lock_file(log):
                 return False
-        # the scenario last: without it this is no run directory
-        for name in sorted(names, key=lambda name: name == SCENARIO_NAME):
-            (entry.directory / name).unlink()
-    entry.directory.rmdir()
+        found = _find_files(entry.directory)
+        if SCENARIO_NAME not in found or foreign_files(entry.directory):
+            return False
+        delete_folder(entry.directory)
     parent = entry.directory.parent
     if parent.name == folder_name(entry.scenario):
         with suppress(OSError):  # it has other runs
@@ -135,39 +139,52 @@ def _delete(entry: RunEntry) -> bool:
 
 
 def _read_entry(directory: Path) -> RunEntry:
-    names = sorted(os.listdir(directory))
     metrics = {}
     with suppress(InputError, ValueError):
         metrics = parse_json_map(read_bounded(directory / METRICS_NAME, _MAX_METRICS_BYTES))
-    outcome, simulated = metrics.get("outcome"), metrics.get("simulated_s")
+    outcome, scenario = metrics.get("outcome"), metrics.get("scenario")
     if not isinstance(outcome, str):
         outcome = RUNNING if _is_locked(directory / LOG_NAME) else CUT_SHORT
-    scenario = metrics.get("scenario")
     return RunEntry(
         directory,
         scenario if isinstance(scenario, str) else directory.absolute().parent.name,
         _begun(directory),
-        float(simulated) if isinstance(simulated, int | float) else None,
+        _duration(metrics.get("simulated_s")),
         outcome,
-        sum((directory / name).lstat().st_size for name in names),
-        _others(directory, names),
+        sum(_find_files(directory).values()),
+        foreign_files(directory),
     )
+
+
+def _duration(value: object) -> float | None:
+    """Return a number of seconds, of any JSON value; None: it is none."""
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    # compared before it is converted: an integer of JSON may exceed all floats, and NaN fails
+    return float(value) if number and 0 <= value <= _MAX_SIMULATED_S else None  # type: ignore[operator, arg-type]
 
 
 def _begun(directory: Path) -> datetime:
     if match := _NAME.fullmatch(directory.name):
         with suppress(ValueError):
             return datetime.strptime(match[1], "%Y%m%dT%H%M%SZ").replace(tzinfo=UTC)
-    return datetime.fromtimestamp((directory / SCENARIO_NAME).stat().st_mtime, UTC)
+    try:
+        return datetime.fromtimestamp((directory / SCENARIO_NAME).lstat().st_mtime, UTC)
+    except (ValueError, OverflowError):  # as some file systems have times beyond the year 9999
+        return _LAST_TIME
 
 
-def _others(directory: Path, names: Iterable[str]) -> tuple[str, ...]:
-    return tuple(
-        name for name in names if not _OURS.fullmatch(name) or not (directory / name).is_file()
-    )
+def _find_files(directory: Path) -> dict[str, int]:
+    """Return the sizes of all files below a directory by their paths relative to it."""
+    sizes = {}
+    for here, _, files in os.walk(directory):
+        for name in files:
+            path = Path(here, name)
+            with suppress(FileNotFoundError):  # deleted meanwhile
+                sizes[str(path.relative_to(directory))] = path.lstat().st_size
+    return sizes
 
 
 def _is_locked(log: Path) -> bool:
-    with suppress(OSError), log.open("rb") as file:
+    with suppress(InputError), open_regular(log, MAX_LOG_BYTES) as file:
         return not lock_file(file)
     return False

@@ -10,8 +10,15 @@ from collections.abc import Callable, Mapping
 from enum import IntEnum
 from typing import NamedTuple
 
+from testbed.mavlink.altitude_frames import (
+    ABOVE_TERRAIN,
+    POSITION_FRAMES,
+    TERRAIN_NOTE,
+    altitude_above_home,
+    frame_error,
+)
 from testbed.mavlink.codec import Message, constant
-from testbed.mavlink.missions import HOME_LEVEL, SEA_LEVEL, Position, check_position
+from testbed.mavlink.missions import Position, check_position
 from testbed.mavlink.outgoing import Fields, Handler, OutgoingMessage, sender_of
 from testbed.mavlink.telemetry_messages import MessageSchedule, build_message, message_names
 from testbed.mavlink.vehicle_context import VehicleContext
@@ -131,8 +138,9 @@ class CommandProtocol:
     def _reposition(self, request: CommandRequest) -> CommandReply:
         if request.frame is None:
             return CommandReply(Result.COMMAND_INT_ONLY)  # which has the frame of the altitude
-        if request.frame not in (*SEA_LEVEL, *HOME_LEVEL):
-            return CommandReply(Result.UNSUPPORTED_FRAME)
+        if request.frame not in POSITION_FRAMES:
+            reply = self._denied(f"Fly there: {frame_error(request.frame)}", request.wall_s)
+            return reply._replace(result=Result.UNSUPPORTED_FRAME)
         _, flags, radius, anticlockwise, latitude_deg, longitude_deg, altitude = request.params
         keep = math.isnan(altitude)
         position = Position(latitude_deg, longitude_deg, 0.0 if keep else altitude)
@@ -146,15 +154,19 @@ class CommandProtocol:
             rejection = control.set_mode(Mode.GUIDED)
             if rejection is not None:
                 return self._reply(rejection, request.wall_s)
-        home = self._context.origin.elevation_m if request.frame in SEA_LEVEL else 0.0
+        height = altitude_above_home(request.frame, altitude, self._context.origin)
         sign = -1.0 if anticlockwise == 1.0 else 1.0
         rejection = control.set_loiter_point(
             latitude_deg,
             longitude_deg,
-            None if keep else altitude - home,
+            None if keep else height,
             None if math.isnan(radius) or radius == 0.0 else sign * radius,
         )
-        return self._reply(rejection, request.wall_s)
+        reply = self._reply(rejection, request.wall_s)
+        if rejection is None and request.frame in ABOVE_TERRAIN:
+            note = self._context.texts.make_warning(TERRAIN_NOTE, request.wall_s)
+            reply = reply._replace(messages=(*reply.messages, *note))
+        return reply
 
     def _change_speed(self, request: CommandRequest) -> CommandReply:
         kind, speed = request.params[:2]
@@ -189,7 +201,7 @@ class CommandProtocol:
     def _set_interval(self, request: CommandRequest) -> CommandReply:
         name, interval_us = message_names().get(_id(request.params[0])), request.params[1]
         if name is None or not math.isfinite(interval_us):
-            return CommandReply(Result.DENIED)
+            return self._denied("Interval: give a telemetry message, and us", request.wall_s)
         self._schedule.set_interval(name, interval_us)
         return CommandReply(Result.ACCEPTED)
 
@@ -210,7 +222,7 @@ class CommandProtocol:
 
     def _capabilities(self, request: CommandRequest) -> CommandReply:
         if request.params[0] != 1.0:
-            return CommandReply(Result.DENIED)
+            return self._denied("Capabilities: give 1", request.wall_s)
         version = build_message("AUTOPILOT_VERSION", self._context)
         return CommandReply(Result.ACCEPTED, tuple(version))
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,11 +28,15 @@ from testbed.mavlink.flight_log import (
     FlightLog,
     MessageTable,
     ModeInterval,
+    check_order,
     field_source,
     increasing,
+    order_notes,
     transformed_source,
     true_airspeed_source,
+    undamaged,
 )
+from testbed.mavlink.log_identity import UNKNOWN_VEHICLE, is_plane
 from testbed.mavlink.servo_outputs import (
     SERVO_COLUMNS,
     demand_source,
@@ -98,12 +102,14 @@ class Contents:
         skipped: bytes outside of messages: noise, damaged or undefined messages, and the message
             before each of these, whose end cannot be verified.
         cut: bytes of an incomplete last message.
+        types: name and fields of each type.
     """
 
     tables: Mapping[str, Table]
     unreadable: tuple[str, ...]
     skipped: int
     cut: int
+    types: Mapping[int, tuple[str, tuple[str, ...]]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +156,11 @@ def read_messages(data: bytes, wanted: Mapping[str, Collection[str]]) -> Content
                 where = starts[types == number]
                 tables[name] = _table(octets, where, definitions[number], labels)
     skipped = len(data) - int(np.sum(lengths * counts)) - cut
-    return Contents(tables, tuple(unreadable), skipped, cut)
+    names = {
+        number: (definition.name, tuple(label for label, _, _ in definition.fields or ()))
+        for number, definition in definitions.items()
+    }
+    return Contents(tables, tuple(unreadable), skipped, cut, names)
 
 
 def _headers(octets: NDArray[np.uint8]) -> _Offsets:
@@ -287,6 +297,10 @@ def _gather(octets: NDArray[np.uint8], where: _Offsets, layout: np.dtype[Any]) -
 
 SIGNATURE = HEAD + bytes([FMT])  # first bytes of a log: the definition of FMT
 _ATTITUDE = "ATT"
+_CORE = "C"
+_RESTART = 1.0  # s by which the clock steps back, and which the next log takes at least
+_PLANE_BUILD = 3  # VER.BU
+_MIN_COUNT = 0.01  # of the messages, from which on a number is a sensor
 _REMEDY = "have it logged (LOG_BITMASK, or LOG_DISARMED for the ground)"
 
 
@@ -295,7 +309,8 @@ def _output_field(number: int) -> str:
 
 
 _OUTPUTS = tuple(_output_field(n) for n in range(1, 15))
-# By message: its fields, and the field with the number of the sensor, of which the first is used.
+# By message: its fields, and the field with the number of the sensor or of the EKF's core. The
+# lowest number is used; of the cores the one that flew the aircraft.
 _FIELDS_BY_MESSAGE: Mapping[str, tuple[tuple[str, ...], str | None]] = {
     "ATT": (("DesRoll", "Roll", "DesPitch", "Pitch", "Yaw"), None),
     "IMU": (("GyrX", "GyrY", "GyrZ"), "I"),
@@ -306,8 +321,23 @@ _FIELDS_BY_MESSAGE: Mapping[str, tuple[tuple[str, ...], str | None]] = {
     "POS": (("Alt", "RelHomeAlt"), None),
     "GPS": (("Alt", "VZ"), "I"),
     "BARO": (("Alt", "CRt"), "I"),
-    "XKF1": (("VD",), "C"),
+    "XKF1": (("VD",), _CORE),
     "AOA": (("AOA", "SSA"), None),
+}
+# Units of the fields by UNIT and FMTU; others, and unknown ones, are not checked.
+_UNITS: Mapping[tuple[str, str], tuple[str, ...]] = {
+    **dict.fromkeys(
+        [("ATT", name) for name in ("DesRoll", "Roll", "DesPitch", "Pitch", "Yaw")],
+        ("deg", "degheading"),
+    ),
+    **dict.fromkeys([("IMU", name) for name in ("GyrX", "GyrY", "GyrZ")], ("rad/s",)),
+    **dict.fromkeys([("ARSP", "Airspeed"), ("CTUN", "As")], ("m/s",)),
+    **dict.fromkeys([("CTUN", "ThO"), ("AETR", "Thr")], ("%",)),
+    **dict.fromkeys(
+        [("POS", "Alt"), ("POS", "RelHomeAlt"), ("GPS", "Alt"), ("BARO", "Alt")], ("m",)
+    ),
+    **dict.fromkeys([("GPS", "VZ"), ("BARO", "CRt"), ("XKF1", "VD")], ("m/s",)),
+    **dict.fromkeys([("AOA", "AOA"), ("AOA", "SSA")], ("deg",)),
 }
 _SEA_LEVEL = (field_source("POS", "Alt"), field_source("GPS", "Alt"))
 
@@ -350,29 +380,16 @@ COLUMNS: Mapping[str, tuple[ColumnSource, ...]] = {
     },
 }
 
-_MESSAGES = {
-    "theta_cmd_rad": "ATT.DesPitch",
-    "phi_cmd_rad": "ATT.DesRoll",
-    "throttle_cmd": "AETR or CTUN",
-    "p_radps": "IMU",
-    "q_radps": "IMU",
-    "r_radps": "IMU",
-    "airspeed_mps": "ARSP or CTUN",
-    "altitude_m": "POS, BARO or GPS",
-    "v_down_mps": "XKF1, GPS or BARO",
-    "beta_rad": "AOA",
-    "alpha_rad": "AOA",
-    **dict.fromkeys(SERVO_COLUMNS, "RCOU or AETR"),
-}
-
 
 def read_log(path: Path) -> FlightLog:
     """Read the .bin log of an ArduPlane flight; times are from its boot.
 
     Raises:
-        MavlinkError: it cannot be read, or is not a log of ArduPlane.
+        MavlinkError: it cannot be read, is not a log of ArduPlane, is several logs, or has other
+            units.
     """
     data = read_bounded(path, MAX_FLIGHT_LOG_BYTES, error=MavlinkError)
+    _check_one_log(path, data)
     requested = {
         name: ("TimeUS", *fields, *([sensor] if sensor else []))
         for name, (fields, sensor) in _FIELDS_BY_MESSAGE.items()
@@ -381,44 +398,106 @@ def read_log(path: Path) -> FlightLog:
         "MODE": ("TimeUS", "ModeNum", "Mode"),
         "PARM": ("Name", "Value"),
         "MSG": ("Message",),
+        "VER": ("BU", "FWS"),
+        "XKF4": ("PI",),
+        "FMTU": ("FmtType", "UnitIds"),
+        "UNIT": ("Id", "Label"),
     }
     contents = read_messages(data, requested)
     found = contents.tables
-    if texts := found.get("MSG"):
-        _check_vehicle(path, texts.texts.get("Message", ()))
-    tables = {}
+    params = _params(found["PARM"]) if "PARM" in found else {}
+    plane = _check_vehicle(path, found, params)
+    _check_units(path, contents)
+    core = _flying_core(found)
+    tables: dict[str, MessageTable] = {}
+    left_out: dict[str, int] = {}
+    instances: list[str] = []
     for name, (_, sensor) in _FIELDS_BY_MESSAGE.items():
-        if name in found and (table := _message_table(found[name], sensor)):
-            tables[name] = table
+        if name in found and "TimeUS" in found[name].numbers:
+            rows = found[name]
+            if sensor is not None and sensor in rows.numbers:  # older logs do not number them
+                rows, note = _one_instance(name, rows, sensor, core)
+                instances.extend(note)
+            time = 1e-6 * rows.numbers["TimeUS"]
+            keep = increasing(time)
+            left_out[name] = len(time) - int(np.count_nonzero(keep))
+            if name == _ATTITUDE:
+                _check_one_clock(path, time)
+                check_order(path, name, int(np.count_nonzero(keep)), len(time))
+            if keep.any():
+                fields = {label: values[keep] for label, values in rows.numbers.items()}
+                tables[name] = MessageTable(time[keep], fields)
     end = max((float(table.time[-1]) for table in tables.values()), default=0.0)
     notes = _notes(contents)
     return FlightLog(
         path=path,
         tables=tables,
-        params=_params(found["PARM"]) if "PARM" in found else {},
+        params=params,
         modes=_mode_intervals(found["MODE"], end) if "MODE" in found else (),
-        notes=notes,
+        notes=(
+            *([] if plane else [UNKNOWN_VEHICLE]),
+            *notes,
+            *instances,
+            *order_notes(left_out),
+        ),
         attitude=_ATTITUDE,
         columns=COLUMNS,
-        messages=_MESSAGES,
         remedy=f"{_REMEDY}, or download it again: {'; '.join(notes)}" if notes else _REMEDY,
         home=(field_source("POS", "Alt"), field_source("POS", "RelHomeAlt")),
     )
 
 
-def _message_table(table: Table, sensor: str | None) -> MessageTable | None:
-    """Take the messages of the first sensor, without times that decrease."""
-    numbers = table.numbers
-    if "TimeUS" not in numbers:
+def _check_one_log(path: Path, data: bytes) -> None:
+    """Reject files of several logs, one after the other.
+
+    A log starts with the definition of FMT, which is followed by another definition.
+    """
+    start = data[: _DEFINITION.itemsize] + SIGNATURE
+    second = data.find(start, 1)
+    if second > 0:
+        raise MavlinkError(
+            f"{path}: several logs in one file, the second from byte {second} on; give one of them"
+        )
+
+
+def _check_one_clock(path: Path, time: Array) -> None:
+    """Reject logs whose clock starts again, because the flight is another one.
+
+    Damage may repeat a few messages.
+    """
+    valid = time[undamaged(time)]
+    starts = np.flatnonzero(np.diff(valid) < -_RESTART) + 1
+    runs = [run for run in np.split(valid, starts) if len(run) and run[-1] - run[0] > _RESTART]
+    if len(runs) > 1:
+        parts = ", ".join(f"{run[0]:.1f} to {run[-1]:.1f} s" for run in runs)
+        raise MavlinkError(
+            f"{path}: several flights, because the clock of {_ATTITUDE} steps back: {parts}; give "
+            "a log of one of them"
+        )
+
+
+def _one_instance(
+    name: str, table: Table, sensor: str, core: int | None
+) -> tuple[Table, tuple[str, ...]]:
+    """Take the messages of one sensor or core, and say which others there are."""
+    numbers = table.numbers[sensor]
+    counts = Counter(numbers[np.isfinite(numbers)].astype(int).tolist())
+    # damage makes single messages of other numbers
+    usual = [number for number, count in counts.items() if count >= _MIN_COUNT * len(numbers)]
+    chosen = core if sensor == _CORE and core in usual else min(usual or counts)
+    mine = numbers == chosen
+    taken = Table({label: values[mine] for label, values in table.numbers.items()}, {})
+    others = ", ".join(f"{counts[n]} of {n}" for n in sorted(counts) if n != chosen)
+    note = f"{name}: number {chosen} is used; left out: {others}"
+    return taken, (note,) if others else ()
+
+
+def _flying_core(found: Mapping[str, Table]) -> int | None:
+    """Return the EKF core that was the primary one for most of the log."""
+    cores = found["XKF4"].numbers.get("PI") if "XKF4" in found else None
+    if cores is None or not len(cores):
         return None
-    time = 1e-6 * numbers["TimeUS"]
-    keep = np.isfinite(time)
-    if sensor is not None and sensor in numbers:  # older logs do not number them
-        keep &= numbers[sensor] == 0.0
-    keep[keep] = increasing(time[keep])
-    if not keep.any():
-        return None
-    return MessageTable(time[keep], {name: values[keep] for name, values in numbers.items()})
+    return int(Counter(cores.tolist()).most_common(1)[0][0])
 
 
 def _params(table: Table) -> dict[str, float]:
@@ -440,17 +519,57 @@ def _mode_intervals(table: Table, log_end: float) -> tuple[ModeInterval, ...]:
     )
 
 
-def _check_vehicle(path: Path, texts: Iterable[str]) -> None:
-    """Reject logs of other vehicles, whose modes have other numbers.
+def _check_vehicle(path: Path, found: Mapping[str, Table], params: Mapping[str, float]) -> bool:
+    """Check whether the log says that it is of ArduPlane; other modes have other numbers.
 
     Raises:
-        MavlinkError: a text is of another vehicle.
+        MavlinkError: it says that it is of another vehicle.
     """
-    for text in texts:
-        if vehicle := re.match(r"Ardu(Copter|Rover|Sub)|APMrover2|Blimp|AntennaTracker", text):
-            raise MavlinkError(f"{path}: a log of {vehicle.group()}; give one of ArduPlane")
-        if text.startswith("ArduPlane"):
-            return
+    version, texts = found.get("VER"), found.get("MSG")
+    banners = [
+        *(version.texts.get("FWS", ()) if version else ()),
+        *(texts.texts.get("Message", ()) if texts else ()),
+    ]
+    builds = Counter(version.numbers.get("BU", np.empty(0)).tolist()) if version else Counter()
+    try:
+        plane = is_plane(banners, params, first=True)
+    except MavlinkError as error:
+        raise MavlinkError(f"{path}: {error}") from error
+    if not builds:
+        return plane
+    build = builds.most_common(1)[0][0]
+    if build != _PLANE_BUILD and not plane:
+        raise MavlinkError(
+            f"{path}: a log of another vehicle than ArduPlane (VER.BU is {build:g}, not "
+            f"{_PLANE_BUILD}); give one of ArduPlane"
+        )
+    return True
+
+
+def _check_units(path: Path, contents: Contents) -> None:
+    """Check the units that the log declares.
+
+    Raises:
+        MavlinkError: a field that is read has another unit.
+    """
+    found = contents.tables
+    if "FMTU" not in found or "UNIT" not in found:
+        return
+    ids, labels = found["UNIT"].numbers.get("Id"), found["UNIT"].texts.get("Label")
+    types, units = found["FMTU"].numbers.get("FmtType"), found["FMTU"].texts.get("UnitIds")
+    if ids is None or labels is None or types is None or units is None:
+        return
+    names = {chr(int(number)): label for number, label in zip(ids, labels, strict=True)}
+    for number, text in zip(types.tolist(), units, strict=True):
+        name, fields = contents.types.get(int(number), ("", ()))
+        for label, unit in zip(fields, text, strict=False):
+            known = _UNITS.get((name, label))
+            declared = names.get(unit, "")
+            if known and declared not in ("", "UNKNOWN", *known):
+                raise MavlinkError(
+                    f"{path}: {name}.{label} is in {declared}; give a log of ArduPlane, which has "
+                    f"it in {known[0]}"
+                )
 
 
 def _notes(contents: Contents) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.core.input_files import MAX_FLIGHT_LOG_BYTES, open_regular
 from testbed.core.records import Array
@@ -27,8 +28,11 @@ from testbed.mavlink.flight_log import (
 from testbed.mavlink.tlog import has_records
 
 COMMANDS = ("theta_cmd_rad", "phi_cmd_rad", "throttle_cmd")
+REQUIRED = (*COMMANDS, "phi_rad", "theta_rad", "psi_rad")
 ANY = "any"
 _MAX_GAP = 1.0  # s without attitude, at which an interval ends
+_MIN_THROTTLE = 0.01  # largest throttle that is doubted
+_MAX_SPEED = 350.0  # m/s of any aircraft
 _MIN_COSINE = 0.1  # of 84°, in the restoration of commands
 _HEAD_BYTES = 65536  # in which a tlog is recognised
 _OTHER_FORMATS = {
@@ -86,8 +90,16 @@ def read_flight(
     if attitude is None:
         raise MavlinkError(f"{path}: no {log.attitude}; {log.remedy}")
     series, missing = _read_columns(log)
-    commands_start = max(series[name].time[0] for name in COMMANDS)
-    time, other = _longest_interval(log, attitude, max(begin, commands_start), end, mode)
+    time, other = _longest_interval(log, attitude, begin, end, mode, series)
+    for name, one in list(series.items()):
+        if (flown := _of_same_flight(log, one, time)) is None:
+            reason = f"{one.source} has no value in the flight from {time[0]:.1f} s on"
+            if name in REQUIRED:
+                raise MavlinkError(f"{path}: {reason}, so no {name}; {log.remedy}")
+            missing[name] = f"{reason}; {log.remedy}"
+            del series[name]
+        else:
+            series[name] = flown
     restored, pitch_down_known = _restore_commands(log, series)
     columns = {"t_s": time} | {name: resample(one, time) for name, one in restored.items()}
     columns["throttle_cmd"] = np.clip(columns["throttle_cmd"], 0.0, 1.0)
@@ -127,23 +139,46 @@ def _read_columns(log: FlightLog) -> tuple[dict[str, Series], dict[str, str]]:
     """
     series, missing = {}, {}
     for name, sources in log.columns.items():
-        if found := first_available(log, sources):
+        found = first_available(log, sources)
+        if isinstance(found, Series):
             series[name] = found
-        elif name in COMMANDS or name not in log.messages:
-            message = log.messages.get(name, name)
-            raise MavlinkError(f"{log.path}: no {message}, so no {name}; {log.remedy}")
+        elif name in REQUIRED:
+            raise MavlinkError(f"{log.path}: {found}, so no {name}; {log.remedy}")
         else:
-            missing[name] = f"no {log.messages[name]}; {log.remedy}"
+            missing[name] = f"{found}; {log.remedy}"
     return series, missing
 
 
+def _flight_numbers(log: FlightLog, time: Array) -> NDArray[np.int64]:
+    """Count the starts of the vehicle's clock before each time (M,)."""
+    return np.searchsorted(log.clock_starts, time, side="right")
+
+
+def _of_same_flight(log: FlightLog, series: Series, time: Array) -> Series | None:
+    """Take the values of the flight that has these times; None: there are none."""
+    same = _flight_numbers(log, series.time) == _flight_numbers(log, time[:1])
+    if not same.any():
+        return None
+    return replace(series, time=series.time[same], values=series.values[same])
+
+
 def _longest_interval(
-    log: FlightLog, attitude: MessageTable, begin: float, end: float, mode: str
+    log: FlightLog,
+    attitude: MessageTable,
+    begin: float,
+    end: float,
+    mode: str,
+    series: Mapping[str, Series],
 ) -> tuple[Array, tuple[str, ...]]:
-    """Find the times of the longest interval, and a note on others."""
+    """Find the times of the longest interval with commands, and a note on others."""
     number = None if mode == ANY else _mode_number(mode)
     time = attitude.time[np.concatenate([[True], np.diff(attitude.time) > 0.0])]
     wanted = (time >= begin) & (time <= end)
+    flight = _flight_numbers(log, time)
+    for name in COMMANDS:
+        known = series[name].time
+        latest = np.searchsorted(known, time, side="right") - 1
+        wanted &= (latest >= 0) & (_flight_numbers(log, known)[np.maximum(latest, 0)] == flight)
     if number is not None:
         in_mode = np.zeros(len(time), dtype=bool)
         for interval in log.modes:
@@ -151,7 +186,9 @@ def _longest_interval(
                 in_mode |= (time >= interval.start) & (time <= interval.end)
         wanted &= in_mode
     where = np.flatnonzero(wanted)
-    breaks = np.flatnonzero((np.diff(where) > 1) | (np.diff(time[where]) > _MAX_GAP)) + 1
+    pause = np.diff(time[where]) > _MAX_GAP
+    other_flight = np.diff(flight[where]) > 0
+    breaks = np.flatnonzero((np.diff(where) > 1) | pause | other_flight) + 1
     intervals = [part for part in np.split(time[where], breaks) if len(part) > 1]
     if not intervals:
         raise MavlinkError(_no_interval(log, time, mode))
@@ -159,8 +196,13 @@ def _longest_interval(
     others = ", ".join(
         f"{part[0]:.1f} to {part[-1]:.1f}" for part in intervals if part is not longest
     )
+    starts = ", ".join(f"{start:.1f}" for start in log.clock_starts)
+    restarts = (
+        f"the vehicle's clock starts again at {starts} s, after a reboot or with another vehicle "
+        "of this id; one flight is used"
+    )
     note = f"the longest of {len(intervals)} intervals; --from and --to choose others: {others} s"
-    return longest, (note,) if others else ()
+    return longest, (*([note] if others else []), *([restarts] if starts else []))
 
 
 def _mode_number(mode: str) -> int:
@@ -245,6 +287,19 @@ def _notes(
             )
         elif gap > _MAX_GAP:
             notes.append(f"{name}: {one.source} has gaps of up to {gap:.1f} s")
+    throttle = series["throttle_cmd"]
+    if 0.0 < float(np.max(throttle.values)) <= _MIN_THROTTLE:
+        notes.append(
+            f"throttle_cmd never exceeds 1 %: {throttle.source} may be a share of 1 instead of per "
+            "cent, as of other vehicles"
+        )
+    altitude = resample(series["altitude_m"], time) if "altitude_m" in series else time * 0.0
+    jumps = int(np.count_nonzero(np.abs(np.diff(altitude)) > _MAX_SPEED * np.diff(time)))
+    if jumps:
+        notes.append(
+            f"altitude_m: {series['altitude_m'].source} changes {jumps} times faster than "
+            f"{_MAX_SPEED:.0f} m/s"
+        )
     if not pitch_down:
         notes.append(
             "STAB_PITCH_DOWN and TRIM_THROTTLE are not in the log: the pitch demand is as logged, "
@@ -261,7 +316,7 @@ def _notes(
             f"respond --sitl-rate {rate_hz:g}"
         )
     above_sea, above_home = (source(log) for source in log.home)
-    if above_sea and above_home:
+    if isinstance(above_sea, Series) and isinstance(above_home, Series):
         height = resample(above_sea, time[:1])[0] - resample(above_home, time[:1])[0]
         notes.append(
             f"home is {height:.0f} m above sea level: respond --origin-elevation {height:.0f}"

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.records import Array
+from testbed.mavlink.codec import MavlinkError
 
 RAD_PER_DEG = math.pi / 180.0
 MODES = {
@@ -32,6 +33,7 @@ MODES = {
     26: "AUTOLAND",
 }  # of ArduPlane; those without hovering
 _MAX_TIME_ERROR = 1.0  # s between a time and the median of it and its neighbours
+_MIN_ORDERED = 0.75  # of the attitude messages
 _ISA_PER_METRE, _ISA_POWER = 2.25577e-5, 4.25588  # of air density, troposphere
 
 
@@ -62,7 +64,8 @@ class Series:
     held: bool = False  # values hold until the next; False: they are interpolated linearly
 
 
-ColumnSource = Callable[["FlightLog"], Series | None]  # None: the log does not have the column
+# A text is the reason for which the log does not have the column.
+ColumnSource = Callable[["FlightLog"], Series | str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,9 +80,10 @@ class FlightLog:
         notes: about damage and doubtful data.
         attitude: name of the attitude message, at whose times columns are sampled.
         columns: sources of each column, the preferred one first.
-        messages: by column, the messages that it is read from, for error messages.
         remedy: how to get a missing message into such a log.
         home: sources of the altitudes above sea level and above home, m.
+        clock_starts: times at which the vehicle's clock started again, s: another flight, of this
+            aircraft or of another one.
     """
 
     path: Path
@@ -89,9 +93,9 @@ class FlightLog:
     notes: tuple[str, ...]
     attitude: str
     columns: Mapping[str, tuple[ColumnSource, ...]]
-    messages: Mapping[str, str]
     remedy: str
     home: tuple[ColumnSource, ColumnSource]
+    clock_starts: tuple[float, ...] = ()
 
 
 def increasing(time: Array) -> NDArray[np.bool_]:
@@ -99,15 +103,47 @@ def increasing(time: Array) -> NDArray[np.bool_]:
 
     A time that is far from both neighbours is damaged and removed alone.
     """
+    valid = undamaged(time)
+    latest = np.maximum.accumulate(np.where(valid, time, -np.inf))
+    keep: NDArray[np.bool_] = valid & (time >= latest)
+    return keep
+
+
+def undamaged(time: Array) -> NDArray[np.bool_]:
+    """Mask the times (M,) that are close to one of their neighbours."""
+    valid: NDArray[np.bool_]
     if len(time) > 2:
         around = np.pad(time, 1, mode="reflect")
         middle = np.median(np.stack([around[:-2], time, around[2:]]), axis=0)
         valid = np.abs(time - middle) <= _MAX_TIME_ERROR
     else:
         valid = np.isfinite(time)
-    latest = np.maximum.accumulate(np.where(valid, time, -np.inf))
-    keep: NDArray[np.bool_] = valid & (time >= latest)
-    return keep
+    return valid
+
+
+def check_order(path: Path, attitude: str, kept: int, total: int) -> None:
+    """Check that the attitudes have one clock.
+
+    Args:
+        path: the log.
+        attitude: name of the message.
+        kept: messages whose times increase.
+        total: all messages.
+
+    Raises:
+        MavlinkError: too many times are out of order.
+    """
+    if kept < _MIN_ORDERED * total:
+        raise MavlinkError(
+            f"{path}: {total - kept} of {total} times of {attitude} step back or jump: the log is "
+            "damaged, or mixes several clocks; give a log of one vehicle"
+        )
+
+
+def order_notes(left_out: Mapping[str, int]) -> tuple[str, ...]:
+    """Say how many messages of each name were left out because of their times."""
+    counts = ", ".join(f"{count} {name}" for name, count in left_out.items() if count)
+    return (f"left out, because their times step back or jump: {counts}",) if counts else ()
 
 
 def mode_name(mode: int) -> str:
@@ -120,14 +156,16 @@ def field_source(
 ) -> ColumnSource:
     """Make a source that reads one field, without messages in which it is not finite."""
 
-    def source(log: FlightLog) -> Series | None:
+    def source(log: FlightLog) -> Series | str:
         table = log.tables.get(message)
-        values = None if table is None else table.fields.get(name)
-        if table is None or values is None:
-            return None
+        if table is None:
+            return f"no {message}"
+        values = table.fields.get(name)
+        if values is None:
+            return f"{message} has no {name}"
         valid = np.isfinite(values)
         if not valid.any():
-            return None
+            return f"{message}.{name} is never a finite number"
         return Series(f"{message}.{name}", table.time[valid], scale * values[valid], held)
 
     return source
@@ -144,10 +182,10 @@ def transformed_source(
         description: of the result, with {} for the other source.
     """
 
-    def transformed(log: FlightLog) -> Series | None:
+    def transformed(log: FlightLog) -> Series | str:
         series = source(log)
-        if series is None:
-            return None
+        if isinstance(series, str):
+            return series
         text = description.format(series.source)
         return Series(text, series.time, function(series.values), series.held)
 
@@ -168,16 +206,16 @@ def true_airspeed_source(
             logged.
     """
 
-    def source(log: FlightLog) -> Series | None:
+    def source(log: FlightLog) -> Series | str:
         series = equivalent(log)
-        if series is None:
-            return None
+        if isinstance(series, str):
+            return series
         for ratio in ratios:
-            if (known := ratio(log)) and (known.values > 0.5).all():
+            if isinstance(known := ratio(log), Series) and (known.values > 0.5).all():
                 factor, origin = np.interp(series.time, known.time, known.values), known.source
                 break
         else:
-            if altitude := first_available(log, altitudes):
+            if isinstance(altitude := first_available(log, altitudes), Series):
                 height = np.interp(series.time, altitude.time, altitude.values)
                 factor = (1.0 - _ISA_PER_METRE * height) ** (-0.5 * _ISA_POWER)
                 origin = f"the standard atmosphere at {altitude.source}"
@@ -188,12 +226,15 @@ def true_airspeed_source(
     return source
 
 
-def first_available(log: FlightLog, sources: tuple[ColumnSource, ...]) -> Series | None:
-    """Read the first of these sources that the log has."""
+def first_available(log: FlightLog, sources: tuple[ColumnSource, ...]) -> Series | str:
+    """Read the first of these sources that the log has; if it has none, all reasons."""
+    reasons = []
     for source in sources:
-        if series := source(log):
-            return series
-    return None
+        found = source(log)
+        if isinstance(found, Series):
+            return found
+        reasons.append(found)
+    return ", ".join(dict.fromkeys(reasons))
 
 
 def resample(series: Series, time: Array) -> Array:

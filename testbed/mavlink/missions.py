@@ -11,6 +11,14 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import NamedTuple
 
+from testbed.mavlink.altitude_frames import (
+    ABOVE_HOME,
+    ABOVE_TERRAIN,
+    MISSION_FRAME,
+    POSITION_FRAMES,
+    TERRAIN_NOTE,
+    frame_error,
+)
 from testbed.mavlink.codec import Message
 from testbed.mavlink.outgoing import Fields, Handler, OutgoingMessage, Sender, sender_of
 from testbed.mavlink.telemetry_messages import build_message
@@ -18,8 +26,6 @@ from testbed.mavlink.telemetry_snapshot import I32, to_integer
 from testbed.mavlink.vehicle_context import VehicleContext
 from testbed.mavlink.vehicle_control import MissionItem, Rejection
 
-SEA_LEVEL, HOME_LEVEL = (0, 5), (3, 6)  # MAV_FRAME: GLOBAL and GLOBAL_RELATIVE_ALT, and their _INT
-MISSION_FRAME = 2  # MAV_FRAME_MISSION, of items without a position
 _E7 = 1e7
 
 
@@ -52,25 +58,33 @@ class Position(NamedTuple):
     altitude: float  # m, in the frame of the message
 
 
-def read_item(message: Message) -> MissionItem | MissionResult:
+class ItemRefusal(NamedTuple):
+    """The reason why an item is refused."""
+
+    result: MissionResult
+    text: str
+
+
+def read_item(message: Message) -> MissionItem | ItemRefusal:
     """Read the item of a MISSION_ITEM_INT or MISSION_ITEM, or the reason to reject it.
 
     A NaN parameter means its default, which is zero.
     """
     frame = int(message.number("frame"))
-    if frame not in (*SEA_LEVEL, *HOME_LEVEL, MISSION_FRAME):
-        return MissionResult.UNSUPPORTED_FRAME
+    if frame not in (*POSITION_FRAMES, MISSION_FRAME):
+        return ItemRefusal(MissionResult.UNSUPPORTED_FRAME, frame_error(frame))
     values = [message.number(f"param{n}") for n in range(1, 5)]
     parameters = tuple(0.0 if math.isnan(value) else value for value in values)
     for number, value in enumerate(parameters):
         if math.isinf(value):
-            return MissionResult(MissionResult.INVALID_PARAM1 + number)
+            result = MissionResult(MissionResult.INVALID_PARAM1 + number)
+            return ItemRefusal(result, f"param{number + 1} is infinite: write a finite number")
     scale = _E7 if message.name == "MISSION_ITEM_INT" else 1.0
     x, y, z = (message.number(axis) for axis in "xyz")
     position = Position(x / scale, y / scale, z)
     error = check_position(position)
     if error is not None:
-        return error
+        return ItemRefusal(error, _POSITION_ERRORS[error])
     one, two, three, four = parameters
     return MissionItem(
         command=int(message.number("command")),
@@ -81,6 +95,13 @@ def read_item(message: Message) -> MissionItem | MissionResult:
         z=z,
         autocontinue=bool(message.number("autocontinue")),
     )
+
+
+_POSITION_ERRORS = {
+    MissionResult.INVALID_PARAM5_X: "latitude: write -90 to 90 degrees",
+    MissionResult.INVALID_PARAM6_Y: "longitude: write -180 to 180 degrees",
+    MissionResult.INVALID_PARAM7: "altitude: write a finite number",
+}
 
 
 def check_position(position: Position) -> MissionResult | None:
@@ -117,6 +138,8 @@ MAX_ITEMS = 700
 REPEAT_S = 1.0  # between two requests of one item, s of wall-clock time
 REPEATS = 5
 MISSION, FENCE, RALLY, ALL = 0, 1, 2, 255  # MAV_MISSION_TYPE
+_ONLY_MISSIONS = "mission: there are no fences and rally points"
+_BUSY = "mission: another program is uploading one: upload again later"
 _GUIDED, _ALTITUDE = 2, 3  # ArduPilot's MISSION_ITEM.current: fly there now, change altitude now
 
 
@@ -163,8 +186,8 @@ class MissionProtocol:
         if upload is None or wall_s - upload.requested_s < REPEAT_S:
             return []
         if upload.repeats >= REPEATS:
-            self._upload = None
-            return [_ack(upload.sender, MissionResult.CANCELLED)]
+            text = f"mission: item {len(upload.items)} did not arrive: upload again"
+            return self._abort(upload, MissionResult.CANCELLED, text, wall_s)
         upload.repeats += 1
         return [self._request_item(upload, wall_s)]
 
@@ -173,48 +196,54 @@ class MissionProtocol:
         sender, mission_type = sender_of(message), _mission_type(message)
         count = int(message.number("count"))
         if mission_type != MISSION:
-            empty = count == 0 and mission_type in (FENCE, RALLY)
-            result = MissionResult.ACCEPTED if empty else MissionResult.UNSUPPORTED
-            return [_ack(sender, result, mission_type)]
+            if count == 0 and mission_type in (FENCE, RALLY):
+                return [_ack(sender, MissionResult.ACCEPTED, mission_type)]
+            return self._refuse(message, MissionResult.UNSUPPORTED, _ONLY_MISSIONS, wall_s)
         if self._other_uploads(sender):
-            return [_ack(sender, MissionResult.DENIED)]
+            return self._refuse(message, MissionResult.DENIED, _BUSY, wall_s)
         if count > MAX_ITEMS:
             self._upload = None
-            return [_ack(sender, MissionResult.NO_SPACE)]
+            text = f"mission: {count} items: write {MAX_ITEMS} or fewer"
+            return self._refuse(message, MissionResult.NO_SPACE, text, wall_s)
         self._upload = _Upload(sender, count, wall_s)
         if count == 0:
             return self._finish(self._upload, wall_s)
         return [self._request_item(self._upload, wall_s)]
 
     def _item(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
-        sender, mission_type = sender_of(message), _mission_type(message)
-        if mission_type != MISSION:
-            return [_ack(sender, MissionResult.UNSUPPORTED, mission_type)]
+        sender = sender_of(message)
+        if _mission_type(message) != MISSION:
+            return self._refuse(message, MissionResult.UNSUPPORTED, _ONLY_MISSIONS, wall_s)
         current = int(message.number("current"))
         if message.name == "MISSION_ITEM" and current in (_GUIDED, _ALTITUDE):
             return self._guided_item(message, wall_s, move=current == _GUIDED)
         sequence, upload = int(message.number("seq")), self._upload
         if upload is None or upload.sender != sender:
-            return self._unexpected_item(sender, sequence)
+            return self._unexpected_item(message, wall_s)
         if sequence < len(upload.items):
             return []  # a repetition
         if sequence > len(upload.items):
-            return self._abort(upload, MissionResult.INVALID_SEQUENCE)
+            text = f"mission: item {sequence} instead of {len(upload.items)}: upload again"
+            return self._abort(upload, MissionResult.INVALID_SEQUENCE, text, wall_s)
         item = read_item(message)
-        if isinstance(item, MissionResult):
-            return self._abort(upload, item)
+        if isinstance(item, ItemRefusal):
+            text = f"mission item {sequence}: {item.text}"
+            return self._abort(upload, item.result, text, wall_s)
         upload.items.append(item)
         if len(upload.items) == upload.count:
             return self._finish(upload, wall_s)
         upload.repeats = 0
         return [self._request_item(upload, wall_s)]
 
-    def _unexpected_item(self, sender: Sender, sequence: int) -> list[OutgoingMessage]:
+    def _unexpected_item(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
         """Answer an item outside of an upload; a repetition of the last one as before."""
+        sender, sequence = sender_of(message), int(message.number("seq"))
         if self._done and self._done[:2] == (sender, sequence + 1):
             return [_ack(sender, self._done[2])]
-        other = self._other_uploads(sender)
-        return [_ack(sender, MissionResult.DENIED if other else MissionResult.ERROR)]
+        if self._other_uploads(sender):
+            return self._refuse(message, MissionResult.DENIED, _BUSY, wall_s)
+        text = f"mission: item {sequence} without an upload: send MISSION_COUNT first"
+        return self._refuse(message, MissionResult.ERROR, text, wall_s)
 
     def _finish(self, upload: _Upload, wall_s: float) -> list[OutgoingMessage]:
         """Apply the complete mission."""
@@ -227,9 +256,19 @@ class MissionProtocol:
             return replies + self._context.texts.make_warning(rejection.text, wall_s)
         return replies + build_message("MISSION_CURRENT", self._context)
 
-    def _abort(self, upload: _Upload, result: MissionResult) -> list[OutgoingMessage]:
+    def _abort(
+        self, upload: _Upload, result: MissionResult, text: str, wall_s: float
+    ) -> list[OutgoingMessage]:
+        """End an upload, with the reason."""
         self._upload = None
-        return [_ack(upload.sender, result)]
+        return [_ack(upload.sender, result), *self._context.texts.make_warning(text, wall_s)]
+
+    def _refuse(
+        self, message: Message, result: MissionResult, text: str, wall_s: float
+    ) -> list[OutgoingMessage]:
+        """Refuse a message, with the reason."""
+        ack = _ack(sender_of(message), result, _mission_type(message))
+        return [ack, *self._context.texts.make_warning(text, wall_s)]
 
     def _request_item(self, upload: _Upload, wall_s: float) -> OutgoingMessage:
         upload.requested_s = wall_s
@@ -254,9 +293,9 @@ class MissionProtocol:
         if mission_type in (FENCE, RALLY):
             return [_ack(sender, MissionResult.ACCEPTED, mission_type)]
         if mission_type not in (MISSION, ALL):
-            return [_ack(sender, MissionResult.UNSUPPORTED, mission_type)]
+            return self._refuse(message, MissionResult.UNSUPPORTED, _ONLY_MISSIONS, wall_s)
         if self._other_uploads(sender):
-            return [_ack(sender, MissionResult.DENIED, mission_type)]
+            return self._refuse(message, MissionResult.DENIED, _BUSY, wall_s)
         self._upload = None
         rejection = self._context.control.set_mission(())
         texts = self._context.texts.make_warning(rejection.text, wall_s) if rejection else []
@@ -273,7 +312,8 @@ class MissionProtocol:
         sender, mission_type = sender_of(message), _mission_type(message)
         mission, sequence = self._context.control.mission, int(message.number("seq"))
         if mission_type != MISSION or sequence >= len(mission):
-            return [_ack(sender, MissionResult.INVALID_SEQUENCE, mission_type)]
+            text = f"mission: item {sequence} of {len(mission)} does not exist"
+            return self._refuse(message, MissionResult.INVALID_SEQUENCE, text, wall_s)
         name = "MISSION_ITEM_INT" if message.name == "MISSION_REQUEST_INT" else "MISSION_ITEM"
         fields = item_fields(
             mission[sequence],
@@ -285,7 +325,8 @@ class MissionProtocol:
 
     def _partial(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
         """Reject partial lists."""
-        return [_ack(sender_of(message), MissionResult.UNSUPPORTED, _mission_type(message))]
+        text = "mission: no partial lists: send and request all items"
+        return self._refuse(message, MissionResult.UNSUPPORTED, text, wall_s)
 
     def _set_current(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
         rejection = self._context.control.set_current_item(int(message.number("seq")))
@@ -295,12 +336,15 @@ class MissionProtocol:
     def _guided_item(self, message: Message, wall_s: float, *, move: bool) -> list[OutgoingMessage]:
         """Execute ArduPilot's "fly here" request, a MISSION_ITEM with current 2."""
         item = read_item(message)
-        if isinstance(item, MissionResult):
-            return [_ack(sender_of(message), item)]
-        if not move or item.frame not in HOME_LEVEL:
-            return [_ack(sender_of(message), MissionResult.UNSUPPORTED)]
+        if isinstance(item, ItemRefusal):
+            return self._refuse(message, item.result, f"Fly there: {item.text}", wall_s)
+        if not move or item.frame not in (*ABOVE_HOME, *ABOVE_TERRAIN):
+            text = "Fly there: give a position with an altitude above home"
+            return self._refuse(message, MissionResult.UNSUPPORTED, text, wall_s)
         rejection = self._context.control.set_loiter_point(item.x, item.y, item.z, None)
-        texts = self._context.texts.make_warning(rejection.text, wall_s) if rejection else []
+        note = TERRAIN_NOTE if item.frame in ABOVE_TERRAIN else ""
+        text = rejection.text if rejection else note
+        texts = self._context.texts.make_warning(text, wall_s) if text else []
         return [_ack(sender_of(message), _result(rejection)), *texts]
 
 

@@ -48,11 +48,13 @@ def output_source(message: str, name: FieldName, column: str) -> ColumnSource:
     """
     servo = SERVO_COLUMNS[column]
 
-    def source(log: FlightLog) -> Series | None:
+    def source(log: FlightLog) -> Series | str:
         number = _output(log, servo)
-        pulses = number and _pulses(log, message, name(number))
-        if not pulses:
-            return None
+        if number is None:
+            return f"no output has SERVOn_FUNCTION {servo.function}"
+        pulses = _pulses(log, message, name(number))
+        if isinstance(pulses, str):
+            return pulses
         if log.params.get(f"SERVO{number}_REVERSED", servo.reversed) == servo.reversed:
             return pulses
         return Series(f"3000 − {pulses.source}", pulses.time, _MIRROR - pulses.values, held=True)
@@ -68,10 +70,10 @@ def demand_source(column: str) -> ColumnSource:
     servo = SERVO_COLUMNS[column]
     sign = -1.0 if servo.reversed else 1.0
 
-    def source(log: FlightLog) -> Series | None:
+    def source(log: FlightLog) -> Series | str:
         series = field_source("AETR", servo.demand, held=True)(log)
-        if series is None:
-            return None
+        if isinstance(series, str):
+            return series
         if column == "pwm_thr":
             values = 2.0 * _HALF + 2.0 * _HALF * np.clip(series.values / 100.0, 0.0, 1.0)
         else:
@@ -89,13 +91,15 @@ def throttle_output_source(message: str, name: FieldName) -> ColumnSource:
     """
     servo = SERVO_COLUMNS["pwm_thr"]
 
-    def source(log: FlightLog) -> Series | None:
+    def source(log: FlightLog) -> Series | str:
         number = _output(log, servo)
-        if not number or f"SERVO{number}_MIN" not in log.params:
-            return None
+        if number is None:
+            return f"no output has SERVOn_FUNCTION {servo.function}"
         pulses = _pulses(log, message, name(number))
-        if pulses is None:
-            return None
+        if isinstance(pulses, str):
+            return pulses
+        if f"SERVO{number}_MIN" not in log.params:
+            return f"no parameter SERVO{number}_MIN, which {pulses.source} needs"
         low, high = _servo_range(log, number)
         share = (pulses.values - low) / (high - low)
         if log.params.get(f"SERVO{number}_REVERSED"):
@@ -108,11 +112,11 @@ def throttle_output_source(message: str, name: FieldName) -> ColumnSource:
 def throttle_stick_source(message: str, name: FieldName) -> ColumnSource:
     """Make a source of throttle, 0 to 1, from the pilot's stick."""
 
-    def source(log: FlightLog) -> Series | None:
+    def source(log: FlightLog) -> Series | str:
         channel = int(log.params.get("RCMAP_THROTTLE", 3))
         pulses = _pulses(log, message, name(channel))
-        if pulses is None:
-            return None
+        if isinstance(pulses, str):
+            return pulses
         low = log.params.get(f"RC{channel}_MIN", _MIN)
         high = log.params.get(f"RC{channel}_MAX", _MAX)
         return Series(pulses.source, pulses.time, (pulses.values - low) / (high - low), True)
@@ -134,12 +138,12 @@ def _servo_range(log: FlightLog, number: int) -> tuple[float, float]:
     return (low, high) if low < high else (_MIN, _MAX)
 
 
-def _pulses(log: FlightLog, message: str, name: str) -> Series | None:
+def _pulses(log: FlightLog, message: str, name: str) -> Series | str:
     """Read pulses, µs, without the 0 of disabled and the 65535 of unused outputs."""
     series = field_source(message, name, held=True)(log)
-    if series is None:
-        return None
+    if isinstance(series, str):
+        return series
     valid = (series.values > 0.0) & (series.values < 65535.0)
     if not valid.any():
-        return None
+        return f"{message}.{name} is never a pulse"
     return Series(series.source, series.time[valid], series.values[valid], held=True)

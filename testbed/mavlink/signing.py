@@ -104,7 +104,11 @@ class MessageSigner:
         self._time = max(self._time, min(time, _MAX_TIME))
 
     def sign(self, frame: bytes) -> bytes:
-        """Append a signature with a new time to a frame with its checksum."""
+        """Append a signature with a new time to a frame with its checksum.
+
+        The time counts as received, so that a frame that is sent back is a replay.
+        """
+        self._latest[self._signing.link, frame[5], frame[6]] = self._time
         signed = frame + bytes([self._signing.link]) + struct.pack("<Q", self._time)[:6]
         self.advance(self._time + 1)
         return signed + self._hash(signed)

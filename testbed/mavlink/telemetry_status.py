@@ -213,7 +213,7 @@ def firmware(version: str) -> int:
 
     Anything after the third number makes it a development version.
     """
-    found = re.match(r"(\d+)(?:\.(\d+))?(?:\.(\d+))?(.*)", version)
+    found = re.match(r"([0-9]+)(?:\.([0-9]+))?(?:\.([0-9]+))?(.*)", version)
     if found is None:
         return 0
     numbers = [min(int(part or 0), 255) for part in found.groups()[:3]]

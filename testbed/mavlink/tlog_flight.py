@@ -5,25 +5,36 @@ Messages and units: https://mavlink.io/en/messages/common.html.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from testbed.core.records import Array
-from testbed.mavlink.codec import MavlinkError, Message, constant
+from testbed.mavlink.codec import MavlinkError, constant
 from testbed.mavlink.flight_log import (
     RAD_PER_DEG,
     ColumnSource,
     FlightLog,
     MessageTable,
     ModeInterval,
+    check_order,
     field_source,
     increasing,
     mode_name,
+    order_notes,
     transformed_source,
     true_airspeed_source,
+)
+from testbed.mavlink.log_identity import (
+    UNKNOWN_VEHICLE,
+    is_plane,
+    jumps_of_attitude,
+    jumps_of_position,
+    steps_back,
 )
 from testbed.mavlink.servo_outputs import (
     SERVO_COLUMNS,
@@ -32,11 +43,13 @@ from testbed.mavlink.servo_outputs import (
     throttle_stick_source,
 )
 from testbed.mavlink.tlog import Tlog
+from testbed.mavlink.tlog_clock import Received, VehicleClock, boot_times, orders, receipts
 
-_ATTITUDE = "ATTITUDE"
+_ATTITUDE, _POSITION, _OUTPUTS = "ATTITUDE", "GLOBAL_POSITION_INT", "SERVO_OUTPUT_RAW"
 _REMEDY = "have it streamed (SRn_ parameters, or MAV_CMD_SET_MESSAGE_INTERVAL)"
 _AUTOPILOT = 1  # component
-_REBOOT = 1.0  # s by which the vehicle's clock decreases at a reboot
+_MIN_BACK = 0.01  # of the sequence numbers, which datagrams out of order do not reach
+_MAX_STEP_BACK, _DAY = 1.0, 86400.0  # s
 _HEARTBEAT_TIMEOUT = 5.0  # s without a heartbeat after which the mode is unknown
 
 
@@ -52,8 +65,8 @@ _FIELDS_BY_MESSAGE: Mapping[str, tuple[str, ...]] = {
     "ATTITUDE": ("roll", "pitch", "yaw", "rollspeed", "pitchspeed", "yawspeed"),
     "NAV_CONTROLLER_OUTPUT": ("nav_roll", "nav_pitch"),
     "VFR_HUD": ("airspeed", "alt", "climb", "throttle"),
-    "GLOBAL_POSITION_INT": ("alt", "relative_alt", "vz"),
-    "SERVO_OUTPUT_RAW": tuple(_output_field(n) for n in range(1, 17)),
+    _POSITION: ("alt", "relative_alt", "vz"),
+    _OUTPUTS: tuple(_output_field(n) for n in range(1, 17)),
     "RC_CHANNELS": tuple(_channel_field(n) for n in range(1, 19)),
     "AOA_SSA": ("AOA", "SSA"),
 }
@@ -93,34 +106,32 @@ COLUMNS: Mapping[str, tuple[ColumnSource, ...]] = {
         for column in SERVO_COLUMNS
     },
 }
-_MESSAGES = {
-    "theta_cmd_rad": "NAV_CONTROLLER_OUTPUT",
-    "phi_cmd_rad": "NAV_CONTROLLER_OUTPUT",
-    "throttle_cmd": "VFR_HUD or SERVO_OUTPUT_RAW",
-    "airspeed_mps": "VFR_HUD",
-    "altitude_m": "GLOBAL_POSITION_INT or VFR_HUD",
-    "v_down_mps": "GLOBAL_POSITION_INT or VFR_HUD",
-    "beta_rad": "AOA_SSA",
-    "alpha_rad": "AOA_SSA",
-    **dict.fromkeys(SERVO_COLUMNS, "SERVO_OUTPUT_RAW"),
-}
 
 
 @dataclass(slots=True)
-class _Received:
-    """Messages of one autopilot with the times of their receipt, s."""
+class _Vehicle:
+    """Messages of one autopilot."""
 
-    messages: dict[str, list[tuple[float, Message]]] = field(default_factory=dict)
-    heartbeats: list[tuple[float, Message]] = field(default_factory=list)
+    messages: dict[str, list[Received]] = field(default_factory=dict)
+    heartbeats: list[Received] = field(default_factory=list)
+    texts: list[str] = field(default_factory=list)
     params: dict[str, float] = field(default_factory=dict)
-    end: float = 0.0
+    sequences: list[int] = field(default_factory=list)
+    other_ports: int = 0  # messages of outputs above the 16th
+    end: tuple[int, float] = (0, 0.0)  # place and time of the last message
 
-    def add(self, time: float, message: Message) -> None:
-        self.end = time
-        if message.name in _FIELDS_BY_MESSAGE:
-            self.messages.setdefault(message.name, []).append((time, message))
+    def add(self, received: Received) -> None:
+        order, time, message = received
+        self.end = (order, time)
+        self.sequences.append(message.sequence)
+        if message.name == _OUTPUTS and message.fields["port"] != 0:
+            self.other_ports += 1
+        elif message.name in _FIELDS_BY_MESSAGE:
+            self.messages.setdefault(message.name, []).append(received)
         elif message.name == "HEARTBEAT":
-            self.heartbeats.append((time, message))
+            self.heartbeats.append(received)
+        elif message.name == "STATUSTEXT":
+            self.texts.append(str(message.fields["text"]))
         elif message.name == "PARAM_VALUE":
             self.params[str(message.fields["param_id"])] = message.number("param_value")
 
@@ -136,133 +147,215 @@ def read_log(path: Path, system: int | None = None) -> FlightLog:
         system: id of the vehicle; None: the only one.
 
     Raises:
-        MavlinkError: it cannot be read, does not have this vehicle or has several, or the vehicle
-            is not ArduPlane.
+        MavlinkError: it cannot be read, does not have this vehicle or has several, also several
+            with one id, or the vehicle is not ArduPlane.
     """
     records = Tlog(path)
-    vehicles: dict[int, _Received] = {}
-    start = None
-    for time_us, message in records:
-        start = time_us if start is None else start
+    vehicles: dict[int, _Vehicle] = {}
+    others: Counter[tuple[int, int]] = Counter()  # messages by system and component
+    times: list[float] = []
+    start = _start(records)
+    for order, (time_us, message) in enumerate(records):
+        times.append(1e-6 * (time_us - start))
         if message.component == _AUTOPILOT:
-            vehicle = vehicles.setdefault(message.system, _Received())
-            vehicle.add(1e-6 * (time_us - start), message)
-    vehicle = _select_vehicle(path, vehicles, system)
-    _check_vehicle(path, vehicle.heartbeats)
-    clock = _VehicleClock(vehicle.messages[_ATTITUDE])
-    tables = {
-        name: _message_table(clock, messages, _FIELDS_BY_MESSAGE[name])
-        for name, messages in vehicle.messages.items()
-    }
+            vehicle = vehicles.setdefault(message.system, _Vehicle())
+            vehicle.add(Received(order, times[-1], message))
+        elif message.name in _FIELDS_BY_MESSAGE:
+            others[message.system, message.component] += 1
+    number = _select_vehicle(path, vehicles, others, system)
+    vehicle = vehicles[number]
+    plane = _check_vehicle(path, vehicle)
+    try:
+        clock = VehicleClock(vehicle.messages[_ATTITUDE])
+        links = _check_one_vehicle(vehicle, clock)
+    except MavlinkError as error:
+        raise MavlinkError(
+            f"{path}: system {number}: {error}; give a log of one of them, and each aircraft its "
+            "own system id (SYSID_THISMAV, MAV_SYSID)"
+        ) from error
+    tables, left_out = {}, {}
+    for name, messages in vehicle.messages.items():
+        tables[name], left_out[name] = _message_table(clock, messages, _FIELDS_BY_MESSAGE[name])
+    total = len(vehicle.messages[_ATTITUDE])
+    check_order(path, _ATTITUDE, total - left_out[_ATTITUDE], total)
     return FlightLog(
         path=path,
         tables=tables,
         params=vehicle.params,
         modes=_mode_intervals(vehicle.heartbeats, clock, vehicle.end),
-        notes=_notes(records, vehicle.params),
+        notes=(
+            *([] if plane else [UNKNOWN_VEHICLE]),
+            *links,
+            *_left_out_notes(vehicle, {n: v for n, v in vehicles.items() if n != number}, others),
+            *order_notes(left_out),
+            *_receiver_notes(np.array(times)),
+            *_notes(records, vehicle.params),
+        ),
         attitude=_ATTITUDE,
         columns=COLUMNS,
-        messages=_MESSAGES,
         remedy=_REMEDY,
         home=(
-            field_source("GLOBAL_POSITION_INT", "alt", 1e-3),
-            field_source("GLOBAL_POSITION_INT", "relative_alt", 1e-3),
+            field_source(_POSITION, "alt", 1e-3),
+            field_source(_POSITION, "relative_alt", 1e-3),
         ),
+        clock_starts=clock.starts,
     )
 
 
-class _VehicleClock:
-    """Map the vehicle's clock and times of receipt to log time.
-
-    The vehicle's clock is aligned with the log at the first attitude after each boot.
-    """
-
-    def __init__(self, attitudes: Sequence[tuple[float, Message]]) -> None:
-        received = np.array([time for time, _ in attitudes])
-        boot = _boot_times(attitudes)
-        reboots = np.flatnonzero(np.diff(boot) < -_REBOOT) + 1
-        starts = np.concatenate([[0], reboots])
-        self._starts = received[starts]
-        self._offsets = received[starts] - boot[starts]
-        times = self.from_boot_times(received, boot)
-        keep = increasing(times)
-        self._received, self._times = received[keep], times[keep]
-
-    def from_boot_times(self, received: Array, boot: Array) -> Array:
-        """Convert times from the vehicle's boot, s, to log time."""
-        epoch = np.maximum(np.searchsorted(self._starts, received, side="right") - 1, 0)
-        times: Array = boot + self._offsets[epoch]
-        return times
-
-    def from_receipt(self, received: Array) -> Array:
-        """Interpolate log time between the attitudes received before and after."""
-        times = np.interp(received, self._received, self._times)
-        early, late = received < self._received[0], received > self._received[-1]
-        times[early] = received[early] - self._received[0] + self._times[0]
-        times[late] = received[late] - self._received[-1] + self._times[-1]
-        return times
-
-
-def _boot_times(messages: Sequence[tuple[float, Message]]) -> Array:
-    return 1e-3 * np.array([message.number("time_boot_ms") for _, message in messages])
+def _start(records: Tlog) -> int:
+    """Return the time of the first record, µs, or of the next ones if it is damaged."""
+    first = [time_us for time_us, _ in islice(records, 3)] or [0]
+    middle = sorted(first)[len(first) // 2]
+    return first[0] if abs(first[0] - middle) < 1e6 * _DAY else middle
 
 
 def _message_table(
-    clock: _VehicleClock, messages: Sequence[tuple[float, Message]], fields: Sequence[str]
-) -> MessageTable:
-    received = np.array([time for time, _ in messages])
-    if "time_boot_ms" in messages[0][1].fields:
-        time = clock.from_boot_times(received, _boot_times(messages))
+    clock: VehicleClock, messages: Sequence[Received], fields: Sequence[str]
+) -> tuple[MessageTable, int]:
+    """Make a table, and count the messages whose times are out of order."""
+    if "time_boot_ms" in messages[0].message.fields:
+        time = clock.from_boot_times(orders(messages), boot_times(messages))
     else:
-        time = clock.from_receipt(received)
+        time = clock.from_receipt(orders(messages), receipts(messages))
     keep = increasing(time)
-    table = np.array([[m.number(name) for name in fields] for _, m in messages])[keep]
-    return MessageTable(time[keep], {name: table[:, k] for k, name in enumerate(fields)})
+    table = np.array([[one.message.number(name) for name in fields] for one in messages])[keep]
+    columns = {name: table[:, k] for k, name in enumerate(fields)}
+    return MessageTable(time[keep], columns), len(messages) - int(np.count_nonzero(keep))
 
 
-def _select_vehicle(path: Path, vehicles: Mapping[int, _Received], system: int | None) -> _Received:
+def _check_one_vehicle(vehicle: _Vehicle, clock: VehicleClock) -> tuple[str, ...]:
+    """Compare attitudes and positions where the messages have more than one counter.
+
+    A sender counts its messages on each link, so one counter means one vehicle.
+
+    Returns:
+        A note, if there are several counters.
+
+    Raises:
+        MavlinkError: the attitudes or the positions are of several vehicles.
+    """
+    back = steps_back(vehicle.sequences)
+    if not back:
+        return ()
+
+    def table(name: str, *fields: str) -> tuple[Array, Array]:
+        messages = vehicle.messages.get(name, [])
+        values = [[one.message.number(field) for field in fields] for one in messages]
+        time = clock.from_boot_times(orders(messages), boot_times(messages))
+        return time, np.array(values).reshape(len(messages), len(fields))
+
+    time, attitude = table(_ATTITUDE, "roll", "pitch", "yaw")
+    jumping = ["attitudes"] if jumps_of_attitude(time, attitude) else []
+    time, position = table(_POSITION, "lat", "lon", "alt", "vx", "vy", "vz")
+    if len(time):
+        geodetic, velocity = position[:, :3] * [1e-7, 1e-7, 1e-3], 0.01 * position[:, 3:]
+        if jumps_of_position(time, geodetic, velocity):
+            jumping.append("positions")
+    if jumping:
+        raise MavlinkError(f"several vehicles: {' and '.join(jumping)} jump between them")
+    if back <= _MIN_BACK * len(vehicle.sequences):
+        return ()
+    return (
+        f"{back} of {len(vehicle.sequences)} sequence numbers step back: the vehicle was received "
+        "over several links, or there are several with this system id; their attitudes and "
+        "positions agree",
+    )
+
+
+def _left_out_notes(
+    vehicle: _Vehicle, others: Mapping[int, _Vehicle], components: Mapping[tuple[int, int], int]
+) -> tuple[str, ...]:
+    """Say which messages were not used because of their senders."""
+    counts = {(number, _AUTOPILOT): _count(other) for number, other in others.items()}
+    senders = ", ".join(
+        f"{count} of system {system}, component {component}"
+        for (system, component), count in sorted({**counts, **components}.items())
+        if count
+    )
+    notes = [f"messages of other senders were left out: {senders}"] if senders else []
+    if vehicle.other_ports:
+        notes.append(
+            f"{vehicle.other_ports} {_OUTPUTS} of other ports, outputs above the 16th, were left "
+            "out"
+        )
+    return tuple(notes)
+
+
+def _count(vehicle: _Vehicle) -> int:
+    return sum(map(len, vehicle.messages.values()))
+
+
+def _receiver_notes(times: Array) -> tuple[str, ...]:
+    """Say where the receiver's clock stepped."""
+    steps = np.diff(times)
+    back = int(np.count_nonzero(steps < -_MAX_STEP_BACK))
+    ahead = int(np.count_nonzero(steps > _DAY))
+    if not back and not ahead:
+        return ()
+    return (
+        f"the receiver's clock stepped back {back} times, and by more than a day {ahead} times: "
+        "only the vehicle's clock is used there",
+    )
+
+
+def _select_vehicle(
+    path: Path,
+    vehicles: Mapping[int, _Vehicle],
+    components: Mapping[tuple[int, int], int],
+    system: int | None,
+) -> int:
+    """Return the id of the vehicle."""
     airborne = {n: one for n, one in sorted(vehicles.items()) if _ATTITUDE in one.messages}
     listed = ", ".join(f"{n} ({_describe(one)})" for n, one in airborne.items())
     if not airborne:
         others = f"; it has systems {sorted(vehicles)}" if vehicles else ""
+        if components:
+            senders = ", ".join(f"{n}, component {c}" for n, c in sorted(components))
+            others += f", and flight data of system {senders} (an autopilot's is 1)"
         raise MavlinkError(f"{path}: no autopilot sent ATTITUDE{others}; {_REMEDY}")
     if system is None and len(airborne) > 1:
         raise MavlinkError(f"{path}: several vehicles; write --system with one of {listed}")
     if system is not None and system not in airborne:
         raise MavlinkError(f"--system {system}: not in {path}; write one of {listed}")
-    return airborne[next(iter(airborne)) if system is None else system]
+    return next(iter(airborne)) if system is None else system
 
 
-def _describe(vehicle: _Received) -> str:
+def _describe(vehicle: _Vehicle) -> str:
     attitudes = vehicle.messages[_ATTITUDE]
-    modes = dict.fromkeys(mode_name(_mode(heartbeat)) for _, heartbeat in vehicle.heartbeats)
-    duration = attitudes[-1][0] - attitudes[0][0]
+    modes = dict.fromkeys(mode_name(_mode(heartbeat)) for heartbeat in vehicle.heartbeats)
+    duration = attitudes[-1].time - attitudes[0].time
     return " ".join([f"{duration:.0f} s", *modes])
 
 
-def _mode(heartbeat: Message) -> int:
-    mode = heartbeat.fields["custom_mode"]
+def _mode(heartbeat: Received) -> int:
+    mode = heartbeat.message.fields["custom_mode"]
     return mode if isinstance(mode, int) else -1
 
 
-def _check_vehicle(path: Path, heartbeats: Sequence[tuple[float, Message]]) -> None:
-    """Reject other vehicles, whose modes have other numbers.
+def _check_vehicle(path: Path, vehicle: _Vehicle) -> bool:
+    """Check whether the log says that the vehicle is ArduPlane; other modes have other numbers.
 
     Raises:
-        MavlinkError: it is not ArduPlane.
+        MavlinkError: it says that it is another one.
     """
     types = {constant("MAV_TYPE_FIXED_WING"), *range(19, 26)}  # and VTOL types
-    for _, heartbeat in heartbeats:
-        autopilot, kind = heartbeat.fields["autopilot"], heartbeat.fields["type"]
+    for heartbeat in vehicle.heartbeats:
+        fields = heartbeat.message.fields
+        autopilot, kind = fields["autopilot"], fields["type"]
         if autopilot != constant("MAV_AUTOPILOT_ARDUPILOTMEGA") or kind not in types:
             raise MavlinkError(
                 f"{path}: the vehicle is not ArduPlane (HEARTBEAT has autopilot {autopilot}, "
                 f"type {kind}); give a log of ArduPlane"
             )
+    try:
+        said = is_plane(vehicle.texts, vehicle.params, first=False)
+        return said or bool(vehicle.heartbeats)
+    except MavlinkError as error:
+        raise MavlinkError(f"{path}: {error}") from error
 
 
 def _mode_intervals(
-    heartbeats: Sequence[tuple[float, Message]], clock: _VehicleClock, log_end: float
+    heartbeats: Sequence[Received], clock: VehicleClock, log_end: tuple[int, float]
 ) -> tuple[ModeInterval, ...]:
     """Find each mode from its first heartbeat to its last.
 
@@ -270,15 +363,16 @@ def _mode_intervals(
     """
     if not heartbeats:
         return ()
-    times = clock.from_receipt(np.array([time for time, _ in heartbeats]))
+    times = clock.from_receipt(orders(heartbeats), receipts(heartbeats))
     modes: list[ModeInterval] = []
-    for time, (_, heartbeat) in zip(times.tolist(), heartbeats, strict=True):
+    for time, heartbeat in zip(times.tolist(), heartbeats, strict=True):
         mode = _mode(heartbeat)
         if modes and modes[-1].mode == mode and time - modes[-1].end <= _HEARTBEAT_TIMEOUT:
             modes[-1] = ModeInterval(mode, modes[-1].start, time)
         else:
             modes.append(ModeInterval(mode, time, time))
-    end = float(clock.from_receipt(np.array([log_end]))[0])
+    order, received = log_end
+    end = float(clock.from_receipt(np.array([order]), np.array([received]))[0])
     if end - modes[-1].end <= _HEARTBEAT_TIMEOUT:
         modes[-1] = ModeInterval(modes[-1].mode, modes[-1].start, end)
     return tuple(modes)

@@ -22,7 +22,7 @@ from testbed.core.errors import InputError
 
 LOOPBACK = "127.0.0.1"
 _FORM = re.compile(
-    r"(?:(?P<kind>udpout|udpin|udp):(?P<host>[^:]*):)?(?P<port>\d+)(?:\+(?P<step>\d+))?"
+    r"(?:(?P<kind>udpout|udpin|udp):(?P<host>[^:]*):)?(?P<port>[0-9]+)(?:\+(?P<step>[0-9]+))?"
 )
 _REMEDY = (
     "write udpout:HOST:PORT to send there, udpin:HOST:PORT to listen there, or a port alone for "

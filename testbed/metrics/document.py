@@ -21,6 +21,9 @@ EXCEEDED = ("envelope_exceeded", "formation_lost", "separation_lost")
 OUTCOMES = ("completed", "lost", *EXCEEDED, "interrupted", "failed")
 
 
+_WALL_CLOCK_KEYS = ("wall_s", "real_time_factor")
+
+
 def finalise(
     summary: Document,
     *,
@@ -119,6 +122,12 @@ def to_json(document: Document) -> str:
         ValueError: a number is NaN or infinite, which JSON has not.
     """
     return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def timeless_json(document: Document) -> str:
+    """Return the text of a log's metrics: wall-clock numbers, which differ by run, are null."""
+    timeless = {**document, **{key: None for key in _WALL_CLOCK_KEYS if key in document}}
+    return json.dumps(timeless, indent=2, ensure_ascii=False, allow_nan=False)
 
 
 def write_json(path: Path, document: Document) -> None:

@@ -3,20 +3,37 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
+import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
+from gymnasium.utils import seeding
 from numpy.typing import NDArray
+from pydantic import Field
 
 from testbed.core.errors import InputError
+from testbed.core.files import report_write_errors
 from testbed.core.records import Array, Sample
 from testbed.core.velocity_frame import velocity_frame
-from testbed.scenario import Scenario, middle_loop_gains, open_scenario, set_duration
+from testbed.scenario import (
+    Scenario,
+    ScenarioError,
+    middle_loop_gains,
+    open_scenario,
+    set_duration,
+)
 from testbed.scenario.aircraft import External
+from testbed.scenario.arguments import check_argument, check_arguments, to_plain, with_changes
+from testbed.scenario.fields import MAX_DISTANCE_M, NotNegative, Seconds, Section, Whole, is_number
+from testbed.scenario.load import parse_setting
+from testbed.scenario.sections import Distance, Header
+from testbed.scenario.validate import shown_value
+from testbed.scenario.yaml_io import to_inline
+from testbed.sim.autopilot_session import MANUAL_ANGLE_LIMIT
 from testbed.sim.build_control import build_altitudes, build_offsets
 from testbed.sim.simulation import Simulation
 
@@ -76,7 +93,7 @@ class CommandRange(NamedTuple):
     trim: Array  # (3,) level flight at the airspeed of the start
     highest: Array  # (3,)
 
-    def command(self, action: Vector) -> tuple[float, float, float]:
+    def command(self, action: Array) -> tuple[float, float, float]:
         """Return pitch, roll and throttle of an action (3,), limited to -1..1."""
         part = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
         span = np.where(part < 0.0, self.trim - self.lowest, self.highest - self.trim)
@@ -174,50 +191,34 @@ DEFAULT_RANGES: Ranges = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Task:
+class Task(Section):
     """An episode: scenario, control period, limits and reward.
 
     Args:
         scenario: name or path.
         overrides: `key=value` as for `--set`.
-        randomize: by key of the scenario, a range (low, high) or a list of values, drawn for each
-            episode; None: those of `hold-slot` for that scenario, none for others.
         control_ticks: control period in ticks of the autopilots, 0.02 s each at 50 Hz.
         duration_s: of an episode, s.
         limit_m: a follower farther than this from its slot has left the formation, m.
         collision_m: distance below which two aircraft are lost, m, where the scenario has no
             `limits.collision_m`.
         smoothness: weight of the change of the action in the reward.
-        out: folder for a run directory of each episode; None: nothing is written.
+        out: folder for a run directory of each episode, `episode-00001` and on: the next number
+            that is free; None: nothing is written.
     """
 
-    scenario: str | Path = DEFAULT_SCENARIO
-    overrides: Sequence[str] = ()
-    randomize: Ranges | None = None
-    control_ticks: int = 10
-    duration_s: float = 30.0
-    limit_m: float = 50.0
-    collision_m: float = 3.0
-    smoothness: float = 0.05
-    out: Path | str | None = None
+    scenario: str = Field(DEFAULT_SCENARIO, min_length=1, description="Name or path.")
+    overrides: tuple[str, ...] = Field((), description="Texts key=value.")
+    control_ticks: Whole = Field(10, ge=1, le=10_000, description="Ticks of the autopilots.")
+    duration_s: Annotated[Seconds, Header.model_fields["duration_s"]] = Field(30.0)
+    limit_m: Annotated[Distance, Field(le=MAX_DISTANCE_M)] = Field(50.0, description="Metres.")
+    collision_m: Annotated[Distance, Field(le=MAX_DISTANCE_M)] = Field(3.0, description="Metres.")
+    smoothness: NotNegative = Field(0.05, le=1000, description="Weight of the change.")
+    out: str | None = Field(None, min_length=1, description="Path of a folder.")
 
-    def __post_init__(self) -> None:
-        """Check the numbers.
 
-        Raises:
-            InputError: one is out of range.
-        """
-        for name in ("control_ticks", "duration_s", "limit_m"):
-            if not getattr(self, name) > 0:
-                raise InputError(f"{name}: {getattr(self, name)} (write a number above 0)")
-
-    @property
-    def ranges(self) -> Ranges:
-        """What is drawn for each episode."""
-        if self.randomize is None:
-            return DEFAULT_RANGES if self.scenario == DEFAULT_SCENARIO else {}
-        return self.randomize
+class NoEpisodeError(InputError, gymnasium.error.ResetNeeded):
+    """A step before the first episode, or after the end of one."""
 
 
 class Episodes:
@@ -229,20 +230,36 @@ class Episodes:
         drawn: values that were drawn for it, by key.
     """
 
-    def __init__(self, task: Task, agents: Iterable[str] | None, *, nearest: bool) -> None:
+    def __init__(
+        self, arguments: Mapping[str, object], agents: Sequence[str] | None, *, nearest: bool
+    ) -> None:
         """Read the scenario.
 
         Args:
-            task: the episode.
+            arguments: those of `Task`, and `randomize`: by key of the scenario, a range
+                (low, high) or a list of values, drawn for each episode; None: those of `hold-slot`
+                for that scenario, none for others.
             agents: names of followers; None: all.
             nearest: observations include the nearest other follower.
 
         Raises:
-            InputError: the scenario is wrong, or a follower has no virtual autopilot.
+            InputError: an argument or the scenario is wrong, or a follower has no virtual
+                autopilot.
         """
-        self.task, self._nearest = task, nearest
+        self.task = task = check_arguments(
+            Task, {k: arguments[k] for k in arguments if k != _DRAWN}
+        )
+        self._nearest = nearest
         self._file = open_scenario(task.scenario)
+        for text in task.overrides:
+            _refuse_fixed(f"overrides: {text}", parse_setting(text).keys)
         scenario = self._file.resolve(task.overrides)
+        ranges = arguments.get(_DRAWN)
+        if ranges is None:
+            ranges = DEFAULT_RANGES if task.scenario == DEFAULT_SCENARIO else {}
+        self._drawn_from = _checked_ranges(ranges)
+        for end in (0, -1):  # of each range or list: wrong keys and bounds show before an episode
+            self._resolve({key: each[end] for key, each in self._drawn_from.items()})
         fleet = {each.name: each for each in scenario.fleet}
         self.agents = list(fleet) if agents is None else list(agents)
         for name in self.agents:
@@ -256,31 +273,63 @@ class Episodes:
         self.drawn: dict[str, Any] = {}
         self._count = 0
 
+    def begin_with(
+        self, seed: int | None, options: object, generator: np.random.Generator
+    ) -> np.random.Generator:
+        """Begin an episode with the arguments of `reset`, and return the generator it used.
+
+        Args:
+            seed: of the simulation and of the drawn values; None: the next ones.
+            options: none has an effect; PettingZoo's own tests give some.
+            generator: that of the episode before.
+
+        Raises:
+            InputError: an argument is wrong, or as `begin` raises it.
+        """
+        if not (options is None or isinstance(options, Mapping)):
+            raise InputError(f"options: is {shown_value(options)} (leave it out)")
+        if seed is not None:
+            checked = check_argument("seed", seed, Header, "seed")
+            generator, _ = seeding.np_random(checked)
+            self.begin(checked, generator)
+            return generator
+        before = generator.bit_generator.state
+        try:
+            self.begin(int(generator.integers(_SEEDS)), generator)
+        except BaseException:
+            generator.bit_generator.state = before
+            raise
+        return generator
+
     def begin(self, seed: int, generator: np.random.Generator) -> None:
         """Begin an episode, at the first tick of the autopilots after the start.
 
         Args:
             seed: of the simulation.
-            generator: draws the values of `Task.ranges`.
+            generator: draws the values of `randomize`.
+
+        Raises:
+            InputError: the seed or a drawn value cannot be flown. The present episode then goes
+                on.
         """
-        self.close()
-        self.drawn = {key: _draw(generator, key, each) for key, each in self.task.ranges.items()}
-        drawn = [f"{key}={value}" for key, value in self.drawn.items()]
-        scenario = self._commanded(self._file.resolve([*self.task.overrides, *drawn]))
-        self._count += 1
-        out = self.task.out and Path(self.task.out) / f"episode-{self._count:05d}"
-        self.simulation = Simulation(scenario, seed=seed, out=out or None)
-        self._steps = 0
-        self._ranges = self._command_ranges(scenario)
-        self._slots = _slots(scenario)
-        self._airspeeds = self.simulation.state.truth.airspeed.copy()
-        self.state = self.simulation.step()  # one tick at the trim: the first messages arrive
-        self._begun_s = self.simulation.time_s
-        if self.simulation.outcome is not None:
-            texts = [each.text for each in self.simulation.events]
+        drawn = {key: _draw(generator, each) for key, each in self._drawn_from.items()}
+        scenario = self._commanded(self._resolve(drawn))
+        out = None if self.task.out is None else self._create_directory(Path(self.task.out))
+        simulation = Simulation(scenario, seed=seed, out=out)
+        airspeeds = simulation.state.truth.airspeed.copy()
+        ranges = _command_ranges(scenario, simulation, self.agents)
+        state = simulation.step()  # one tick at the trim: the first messages arrive
+        if simulation.outcome is not None:
+            texts = [each.text for each in simulation.events]
+            simulation.close()
             raise InputError(
                 f"the episode ends at its start: {'; '.join(texts)} (draw other starts)"
             )
+        self.close()
+        self.simulation, self.state, self.drawn = simulation, state, drawn
+        self._steps = 0
+        self._ranges, self._slots, self._airspeeds = ranges, _slots(scenario), airspeeds
+        self._begun_s = simulation.time_s
         self._actions = {name: np.zeros(len(ACTIONS), np.float32) for name in self.agents}
         self._changes = dict.fromkeys(self.agents, 0.0)
         self._errors: dict[str, list[float]] = {name: [] for name in self.agents}
@@ -291,16 +340,22 @@ class Episodes:
         Args:
             actions: (3,) by follower, for pitch, roll and throttle. A follower without one flies
                 its trim.
+
+        Raises:
+            NoEpisodeError: there is no episode.
+            InputError: an action is wrong, or the flight has ended. The episode then goes on as if
+                there had been no call.
         """
-        commands = {}
-        for name in self.agents:
-            action = actions.get(name, np.zeros(len(ACTIONS), np.float32))
-            commands[name] = self._ranges[name].command(action)
-            action = np.clip(np.asarray(action, np.float32), -1.0, 1.0)
+        flight = self._flight
+        still = np.zeros(len(ACTIONS), np.float32)
+        checked = {name: _checked_action(name, actions.get(name, still)) for name in self.agents}
+        commands = {name: self._ranges[name].command(each) for name, each in checked.items()}
+        self.state = flight.step(commands, until=self._begun_s + (self._steps + 1) * self._period_s)
+        self._steps += 1
+        for name, each in checked.items():
+            action = np.clip(each, -1.0, 1.0).astype(np.float32)
             self._changes[name] = float(((action - self._actions[name]) ** 2).sum())
             self._actions[name] = action
-        self._steps += 1
-        self.state = self._flight.step(commands, until=self._begun_s + self._steps * self._period_s)
         for name in self.agents:
             self._errors[name].append(self.error_m(name))
 
@@ -358,52 +413,140 @@ class Episodes:
     @property
     def _flight(self) -> Simulation:
         if self.simulation is None:
-            raise InputError("there is no episode yet: call reset()")
+            raise NoEpisodeError("there is no episode yet: call reset()")
         return self.simulation
+
+    def _create_directory(self, folder: Path) -> Path:
+        """Create the directory of the next episode; processes that share a folder take turns.
+
+        Raises:
+            InputError: it cannot be created.
+        """
+        with report_write_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            while True:
+                self._count += 1
+                directory = folder / f"episode-{self._count:05d}"
+                with suppress(FileExistsError):
+                    directory.mkdir()
+                    return directory
+
+    def _resolve(self, drawn: Mapping[str, Any]) -> Scenario:
+        """Return the scenario with drawn values.
+
+        Raises:
+            InputError: one of them is wrong.
+        """
+        settings = [f"{key}={to_inline(value)}" for key, value in drawn.items()]
+        try:
+            return self._file.resolve([*self.task.overrides, *settings])
+        except ScenarioError as error:
+            first = error.problems[0]
+            raise InputError(f"{_DRAWN}: {'.'.join(first.path)}: {first.text}") from None
 
     def _commanded(self, scenario: Scenario) -> Scenario:
         """Return the scenario of an episode."""
-        external = {"commanded_by": External()}
         fleet = tuple(
-            each.model_copy(update=external) if each.name in self.agents else each
+            with_changes(each, commanded_by=External()) if each.name in self.agents else each
             for each in scenario.fleet
         )
         collision_m = scenario.limits.collision_m
-        limits = scenario.limits.model_copy(
-            update={
-                "on_loss": "continue",
-                "collision_m": self.task.collision_m if collision_m is None else collision_m,
-            }
+        limits = with_changes(
+            scenario.limits,
+            on_loss="continue",
+            collision_m=self.task.collision_m if collision_m is None else collision_m,
         )
-        changed = scenario.model_copy(update={"fleet": fleet, "limits": limits})
+        changed = with_changes(scenario, fleet=fleet, limits=limits)
         return set_duration(changed, self.task.duration_s)
 
-    def _command_ranges(self, scenario: Scenario) -> dict[str, CommandRange]:
-        """Return the commands of each follower: the middle loop's limits around its trim."""
-        ranges = {}
-        for each in scenario.fleet:
-            if each.name in self.agents:
-                limits = middle_loop_gains(scenario, each.aircraft).limits
-                pitch, roll = math.radians(limits.pitch_deg), math.radians(limits.roll_deg)
-                ranges[each.name] = CommandRange(
-                    np.array([-pitch, -roll, 0.0]),
-                    np.array(self._flight.commands[each.name]),
-                    np.array([pitch, roll, 1.0]),
-                )
-        return ranges
+
+def _command_ranges(
+    scenario: Scenario, simulation: Simulation, agents: Sequence[str]
+) -> dict[str, CommandRange]:
+    """Return the commands of each follower: the middle loop's limits around its trim."""
+    ranges = {}
+    for each in scenario.fleet:
+        if each.name in agents:
+            limits = middle_loop_gains(scenario, each.aircraft).limits
+            pitch, roll = (
+                min(math.radians(limit), MANUAL_ANGLE_LIMIT)
+                for limit in (limits.pitch_deg, limits.roll_deg)
+            )
+            ranges[each.name] = CommandRange(
+                np.array([-pitch, -roll, 0.0]),
+                np.array(simulation.commands[each.name]),
+                np.array([pitch, roll, 1.0]),
+            )
+    return ranges
 
 
-def _draw(generator: np.random.Generator, key: str, values: object) -> Any:  # noqa: ANN401
-    """Draw a value from a range (low, high), or from a list.
+def _checked_action(name: str, action: object) -> Array:
+    """Return an action (3,).
 
     Raises:
-        InputError: it is neither.
+        InputError: it does not have three numbers.
     """
-    if isinstance(values, list) and values:
+    try:
+        numbers = np.asarray(action, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        numbers = np.array(math.nan)
+    if numbers.shape != (len(ACTIONS),) or np.isnan(numbers).any():
+        raise InputError(
+            f"action of {name}: is {shown_value(action)} (write three numbers from -1 to 1: "
+            f"{', '.join(ACTIONS)})"
+        )
+    return numbers
+
+
+_DRAWN = "randomize"
+_SEEDS = 2**31  # of episodes without a seed of their own
+# Keys that an episode sets itself, and what to write instead.
+_FIXED = {
+    ("scenario", "seed"): "the seed is that of reset(seed=...)",
+    ("scenario", "duration_s"): "write the argument duration_s",
+    ("limits", "on_loss"): "an episode continues without a lost follower",
+}
+
+
+def _refuse_fixed(what: str, keys: tuple[str, ...]) -> None:
+    if keys in _FIXED:
+        raise InputError(f"{what}: has no effect here ({_FIXED[keys]})")
+
+
+def _checked_ranges(ranges: object) -> Ranges:
+    """Return ranges as plain numbers, and lists.
+
+    Raises:
+        InputError: one is neither, or is empty.
+    """
+    if not isinstance(ranges, Mapping):
+        raise InputError(f"{_DRAWN}: is {shown_value(ranges)} (write {{key: (low, high)}})")
+    checked: dict[str, tuple[float, float] | list[Any]] = {}
+    for key, values in ranges.items():
+        at = f"{_DRAWN}: {key}"
+        if not isinstance(key, str) or not all(key.split(".")) or "=" in key:
+            raise InputError(f"{at}: is not a key of the scenario (write air.wind.speed_mps)")
+        _refuse_fixed(at, tuple(key.split(".")))
+        plain = to_plain(at, values)
+        if isinstance(values, list) and values:
+            checked[key] = plain
+            continue
+        if not (isinstance(values, tuple) and len(values) == 2 and all(map(is_number, plain))):
+            text = f"{at}: {shown_value(values)} (write (low, high), or a list of values)"
+            raise InputError(text)
+        low, high = plain
+        if not low <= high or not math.isfinite(float(high) - float(low)):
+            remedy = f"({high}, {low})" if high < low else "two finite numbers"
+            raise InputError(f"{at}: {shown_value(values)} is not a range (write {remedy})")
+        checked[key] = float(low), float(high)
+    return checked
+
+
+def _draw(generator: np.random.Generator, values: tuple[float, float] | list[Any]) -> Any:  # noqa: ANN401
+    """Draw a value from a range (low, high), or from a list."""
+    if isinstance(values, list):
         return values[int(generator.integers(len(values)))]
-    if isinstance(values, tuple) and len(values) == 2:
-        return float(generator.uniform(*values))
-    raise InputError(f"randomize: {key}: {values!r} (write (low, high), or a list of values)")
+    return float(generator.uniform(*values))
 
 
 def _slots(scenario: Scenario) -> dict[int, Slot]:
@@ -413,3 +556,16 @@ def _slots(scenario: Scenario) -> dict[int, Slot]:
         row: Slot(offsets, float(altitude))
         for row, altitude in enumerate(build_altitudes(scenario), start=1)
     }
+
+
+def refuse_render_mode(mode: object) -> None:
+    """Refuse a render mode.
+
+    Raises:
+        InputError: there is one.
+    """
+    if mode is not None:
+        raise InputError(
+            f"render_mode: is {shown_value(mode)} (there is none: write a log with out, and look "
+            "at it with `testbed view`)"
+        )

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box
 from pettingzoo import ParallelEnv
 
+from testbed.core.errors import InputError
 from testbed.rl.episodes import (
     NEAREST,
     OWN,
     Episodes,
-    Task,
+    NoEpisodeError,
     Vector,
     action_space,
     observation_space,
+    refuse_render_mode,
 )
+from testbed.scenario.validate import shown_value
 from testbed.sim.simulation import Simulation
-
-_SEEDS = 2**31
 
 
 class FormationEnv(ParallelEnv):  # type: ignore[misc] # a library without types
@@ -67,8 +69,9 @@ class FormationEnv(ParallelEnv):  # type: ignore[misc] # a library without types
         **task: Any,  # noqa: ANN401 - those of a dataclass
     ) -> None:
         """See the class."""
+        refuse_render_mode(render_mode)
         self.render_mode = render_mode
-        self._episodes = Episodes(Task(scenario=scenario, **task), None, nearest=True)
+        self._episodes = Episodes({"scenario": scenario, **task}, None, nearest=True)
         self.possible_agents = list(self._episodes.agents)
         self.agents: list[str] = []
         self.observation_spaces = {
@@ -97,15 +100,15 @@ class FormationEnv(ParallelEnv):  # type: ignore[misc] # a library without types
 
         Args:
             seed: of the simulation and of the values that are drawn; None: the next ones.
-            options: none.
+            options: none has an effect.
 
         Returns:
             Observations and infos by agent.
+
+        Raises:
+            InputError: an argument is wrong. The present episode then goes on.
         """
-        if seed is not None:
-            self._generator = np.random.default_rng(seed)
-        simulated = int(self._generator.integers(_SEEDS)) if seed is None else seed
-        self._episodes.begin(simulated, self._generator)
+        self._generator = self._episodes.begin_with(seed, options, self._generator)
         self.agents = list(self.possible_agents)
         return self._observations(), {each: self._episodes.info(each) for each in self.agents}
 
@@ -125,8 +128,23 @@ class FormationEnv(ParallelEnv):  # type: ignore[misc] # a library without types
 
         Returns:
             Observations, rewards, terminations, truncations and infos, by agent.
+
+        Raises:
+            InputError: an action is missing, or is not three numbers; before `reset` and after the
+                end of all agents also a `gymnasium.error.ResetNeeded`. The episode then goes on as
+                if there had been no call.
         """
         episodes, agents = self._episodes, self.agents
+        if not agents:
+            raise NoEpisodeError("there are no agents: call reset()")
+        if not isinstance(actions, Mapping):
+            raise InputError(f"actions: is {shown_value(actions)} (write {{agent: action}})")
+        for name in (*actions, *agents):
+            if name not in self.possible_agents:
+                known = ", ".join(self.possible_agents)
+                raise InputError(f"actions: {shown_value(name)} is no agent (there are {known})")
+            if name in agents and name not in actions:
+                raise InputError(f"actions: that of {name} is missing (write three numbers)")
         episodes.step({each: actions[each] for each in agents})
         observations = self._observations()
         rewards = {each: episodes.reward(each) for each in agents}

@@ -6,10 +6,17 @@ from typing import Any
 
 import gymnasium
 
-from testbed.rl.episodes import OWN, Episodes, Task, Vector, action_space, observation_space
+from testbed.rl.episodes import (
+    OWN,
+    Episodes,
+    Vector,
+    action_space,
+    observation_space,
+    refuse_render_mode,
+)
+from testbed.scenario.aircraft import Aircraft
+from testbed.scenario.arguments import check_argument
 from testbed.sim.simulation import Simulation
-
-_SEEDS = 2**31  # simulations of episodes without a seed of their own
 
 
 class HoldSlotEnv(gymnasium.Env[Any, Any]):
@@ -56,9 +63,10 @@ class HoldSlotEnv(gymnasium.Env[Any, Any]):
         **task: Any,  # noqa: ANN401 - those of a dataclass
     ) -> None:
         """See the class."""
+        refuse_render_mode(render_mode)
         self.render_mode = render_mode
-        self._episodes = Episodes(Task(**task), [follower], nearest=False)
-        self._name = follower
+        self._name: str = check_argument("follower", follower, Aircraft, "name")
+        self._episodes = Episodes(task, [self._name], nearest=False)
         self.observation_space = observation_space(OWN)
         self.action_space = action_space()
 
@@ -74,18 +82,31 @@ class HoldSlotEnv(gymnasium.Env[Any, Any]):
 
         Args:
             seed: of the simulation and of the values that are drawn; None: the next ones.
-            options: none.
+            options: none has an effect.
 
         Returns:
             The observation; info, with `seed` that of the simulation.
+
+        Raises:
+            InputError: an argument is wrong. The present episode then goes on.
         """
-        super().reset(seed=seed)
-        simulated = int(self.np_random.integers(_SEEDS)) if seed is None else seed
-        self._episodes.begin(simulated, self.np_random)
+        generator = self._episodes.begin_with(seed, options, self.np_random)
+        if seed is not None:
+            super().reset(seed=int(seed))
+            self.np_random.bit_generator.state = generator.bit_generator.state
         return self._episodes.observation(self._name), self._episodes.info(self._name)
 
     def step(self, action: Vector) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
-        """Fly one control period; return observation, reward, terminated, truncated and info."""
+        """Fly one control period; return observation, reward, terminated, truncated and info.
+
+        Args:
+            action: (3,) pitch, roll and throttle, limited to -1..1.
+
+        Raises:
+            InputError: the action is not three numbers, or the flight has ended; before `reset`
+                also a `gymnasium.error.ResetNeeded`. The episode then goes on as if there had been
+                no call.
+        """
         episodes, name = self._episodes, self._name
         episodes.step({name: action})
         terminated = episodes.terminated(name)

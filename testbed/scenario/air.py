@@ -7,6 +7,8 @@ from pydantic import Field
 from testbed.scenario.fields import (
     Celsius,
     Degrees,
+    Duration,
+    Length,
     Metres,
     MetresPerSecond,
     Name,
@@ -18,7 +20,7 @@ from testbed.scenario.fields import (
 _REFERENCE = "Height above the ground at the origin where the wind has speed_mps, m."
 _SHAPE = "ramp: rise to velocity_mps as half a cosine and stay; pulse: rise and fall back."
 Sigma = Annotated[MetresPerSecond, Field(ge=0, le=30)]
-Length = Annotated[Metres, Field(ge=1, le=100_000)]
+ScaleLength = Annotated[Number, Field(ge=1, le=100_000, json_schema_extra={"unit": "m"})]
 GustSpeed = Annotated[MetresPerSecond, Field(ge=-60, le=60)]
 GustVelocity = tuple[GustSpeed, GustSpeed, GustSpeed]
 
@@ -33,8 +35,8 @@ class LogProfile(Section):
     """Logarithmic profile; MIL-F-8785C 3.7.3.2 uses it with 6.1 m (20 ft) and its roughness."""
 
     kind: Literal["log"] = Field(description="Wind proportional to ln(height / roughness).")
-    height_m: Metres = Field(10.0, gt=0, description=_REFERENCE)
-    roughness_m: Metres = Field(
+    height_m: Length = Field(10.0, gt=0, description=_REFERENCE)
+    roughness_m: Length = Field(
         0.03,
         gt=0,
         description="Roughness length of the ground, m: 0.03 is short grass; MIL-F-8785C has "
@@ -46,7 +48,7 @@ class PowerProfile(Section):
     """Power-law profile of engineering practice."""
 
     kind: Literal["power"] = Field(description="Wind proportional to a power of the height.")
-    height_m: Metres = Field(10.0, gt=0, description=_REFERENCE)
+    height_m: Length = Field(10.0, gt=0, description=_REFERENCE)
     exponent: Number = Field(
         0.143, gt=0, le=1, description="Exponent, no unit; 1/7 is typical of open country."
     )
@@ -76,7 +78,7 @@ class Wind(Section):
         description="CSV file of a recorded wind in place of speed_mps and from_deg: a path from "
         "this file, or a name in scenarios/data. Its first row is time 0.",
     )
-    max_gap_s: Seconds = Field(
+    max_gap_s: Duration = Field(
         10.0, gt=0, description="Longest time between two rows of the file, s."
     )
 
@@ -108,12 +110,12 @@ class Turbulence(Section):
         description="Standard deviations [longitudinal, lateral, vertical] at all heights in "
         "place of those of MIL-F-8785C, m/s.",
     )
-    length_m: tuple[Length, Length, Length] | None = Field(
+    length_m: tuple[ScaleLength, ScaleLength, ScaleLength] | None = Field(
         None,
         description="Scale lengths [longitudinal, lateral, vertical] at all heights in place of "
         "those of MIL-F-8785C and by its definition, m; MIL-HDBK-1797 halves the last two.",
     )
-    height_m: Metres | None = Field(
+    height_m: Length | None = Field(
         None,
         gt=0,
         description="For coherent: height at which intensities and scale lengths are taken, m; by "
@@ -127,8 +129,8 @@ class TimedGust(Section):
     kind: Literal["time"] = Field(description="At all points at the same time.")
     name: Name = Field(description="Name in the events of the log.")
     velocity_mps: GustVelocity = Field(description="Largest added wind [north, east, down], m/s.")
-    at_s: Seconds = Field(ge=0, description="Time of its beginning, s.")
-    ramp_s: Seconds = Field(gt=0, description="Time from zero to velocity_mps, s.")
+    at_s: Duration = Field(ge=0, description="Time of its beginning, s.")
+    ramp_s: Duration = Field(gt=0, description="Time from zero to velocity_mps, s.")
     shape: Literal["pulse", "ramp"] = Field("pulse", description=_SHAPE)
 
 
@@ -141,13 +143,13 @@ class GustFront(Section):
     at_m: tuple[Metres, Metres] = Field(
         description="A point of the front at at_s [north, east], m from the origin."
     )
-    at_s: Seconds = Field(0.0, ge=0, description="Time at which the front is at at_m, s.")
+    at_s: Duration = Field(0.0, ge=0, description="Time at which the front is at at_m, s.")
     towards_deg: Degrees = Field(
         ge=-360,
         le=360,
         description="Direction of the front's motion, degrees clockwise from north.",
     )
-    length_m: Metres = Field(
+    length_m: Length = Field(
         gt=0, description="Distance behind the front over which the gust rises, m."
     )
     speed_mps: MetresPerSecond | None = Field(
@@ -172,7 +174,7 @@ class Wake(Section):
         le=1,
         description="Radius of a vortex core in wing spans of the aircraft that shed it.",
     )
-    decay_s: Seconds | None = Field(
+    decay_s: Duration | None = Field(
         None, gt=0, description="Time in which a vortex decays to 1/e, s; no decay by default."
     )
     memory_s: Seconds = Field(

@@ -1,21 +1,26 @@
 """The `leader` and `fleet` sections: aircraft, their autopilots, commands, sensors and paths."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     Field,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
     model_serializer,
+    model_validator,
 )
 from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema, core_schema
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from testbed.scenario.faults import AnyFault
 from testbed.scenario.fields import (
+    MAX_SPEED_MPS,
     Degrees,
+    Duration,
     Flag,
+    Length,
     Metres,
     MetresPerSecond,
     Name,
@@ -23,6 +28,7 @@ from testbed.scenario.fields import (
     Offset,
     Seconds,
     Section,
+    Speed,
     Whole,
 )
 from testbed.scenario.sensors import TRUTH, Sensors
@@ -82,16 +88,10 @@ class ArduPlane(Section):
     """ArduPlane as a separate process, with the testbed's flight model as its physics."""
 
     kind: Literal["ardupilot"] = Field("ardupilot", description="An ArduPlane process.")
-    binary: str | None = Field(
-        None,
-        min_length=1,
-        description="Path of arduplane, relative to this file; by default --arduplane or the "
-        "environment variable ARDUPLANE.",
-    )
     start: Flag = Field(
         True,
-        description="true: the run starts the process; false: it waits for one that is started "
-        "elsewhere.",
+        description="true: the run starts the program of --arduplane or of the environment "
+        "variable ARDUPLANE; false: it waits for one that is started elsewhere.",
     )
     instance: Annotated[Whole, Field(ge=0, le=250)] | None = Field(
         None,
@@ -102,6 +102,17 @@ class ArduPlane(Section):
     timeout_s: Timeout = Field(
         60.0, description="The run fails after this time without an answer, s of wall-clock time."
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_program(cls, data: Any) -> Any:  # noqa: ANN401 - unchecked
+        if isinstance(data, Mapping) and "binary" in data:
+            raise PydanticCustomError(
+                "program",
+                "has the key binary, but no scenario names a program (leave it out, and write "
+                "--arduplane PATH, or set the environment variable ARDUPLANE)",
+            )
+        return data
 
     def fixed_instance(self, row: int) -> int | None:
         """Return the instance of the aircraft of this row; None: any with free ports."""
@@ -157,7 +168,7 @@ class Level(Section):
     """Full circles of a loiter at one altitude."""
 
     altitude_m: Metres = Field(description="Altitude above the origin, m.")
-    turns: Number = Field(gt=0, description="Number of full circles at this altitude.")
+    turns: Number = Field(gt=0, le=MAX_LEGS, description="Number of full circles at this altitude.")
 
 
 class Loiter(Section):
@@ -167,7 +178,7 @@ class Loiter(Section):
     centre_m: tuple[Metres, Metres] = Field(
         description="Centre of the circle [north, east], m from the origin."
     )
-    radius_m: Metres = Field(gt=0, description="Radius, m.")
+    radius_m: Length = Field(ge=0.1, description="Radius, m.")
     direction: Literal["clockwise", "anticlockwise"] = Field(
         "clockwise", description="Direction of the turn, seen from above."
     )
@@ -183,17 +194,17 @@ class Mission(Section):
     """Mission flown by a simulated aircraft under guidance."""
 
     kind: Literal["mission"] = Field(description="Legs flown by the guidance of the leader.")
-    airspeed_mps: MetresPerSecond = Field(gt=0, description="Airspeed to hold, m/s.")
+    airspeed_mps: Speed = Field(ge=0.1, description="Airspeed to hold, m/s.")
     bank_limit_deg: Degrees = Field(
         30.0, gt=0, lt=80, description="Largest bank angle command of the guidance, degrees."
     )
-    climb_limit_mps: MetresPerSecond = Field(
+    climb_limit_mps: Speed = Field(
         1.5,
         gt=0,
         description="Climb rate between the levels of a loiter, m/s; on a leg it follows from the "
         "points.",
     )
-    waypoint_radius_m: Metres = Field(
+    waypoint_radius_m: Length = Field(
         90.0, gt=0, description="Largest distance from a waypoint at which its turn begins, m."
     )
     legs: tuple[Leg, ...] = Field(
@@ -215,25 +226,29 @@ class Straight(Section):
     """Straight line at constant speed."""
 
     kind: Literal["straight"] = Field(description="Straight line.")
-    climb_mps: MetresPerSecond = Field(0.0, description="Vertical speed, m/s.")
+    climb_mps: MetresPerSecond = Field(
+        0.0, ge=-MAX_SPEED_MPS, le=MAX_SPEED_MPS, description="Vertical speed, m/s."
+    )
 
 
 class Circle(Section):
     """Circle, or with a climb a helix."""
 
     kind: Literal["circle"] = Field(description="Circle, or with a climb a helix.")
-    radius_m: Metres = Field(gt=0, description="Radius, m.")
+    radius_m: Length = Field(ge=0.1, description="Radius, m.")
     direction: Literal["clockwise", "anticlockwise"] = Field(
         "clockwise", description="Direction of the turn, seen from above."
     )
-    climb_mps: MetresPerSecond = Field(0.0, description="Vertical speed, m/s.")
+    climb_mps: MetresPerSecond = Field(
+        0.0, ge=-MAX_SPEED_MPS, le=MAX_SPEED_MPS, description="Vertical speed, m/s."
+    )
 
 
 class FigureEight(Section):
     """Level figure-eight, from its crossing."""
 
     kind: Literal["figure-eight"] = Field(description="Level figure-eight.")
-    radius_m: Metres = Field(gt=0, description="Radius of its tightest turn, m.")
+    radius_m: Length = Field(ge=0.1, description="Radius of its tightest turn, m.")
     direction: Literal["clockwise", "anticlockwise"] = Field(
         "clockwise", description="Direction of the first loop, seen from above."
     )
@@ -243,16 +258,16 @@ class Weave(Section):
     """Straight line with a sinusoidal lateral offset."""
 
     kind: Literal["weave"] = Field(description="Straight line with a sinusoidal lateral offset.")
-    amplitude_m: Metres = Field(gt=0, description="Amplitude of the offset, half its width, m.")
-    period_s: Seconds = Field(gt=0, description="Period, s.")
+    amplitude_m: Length = Field(ge=0.001, description="Amplitude of the offset, half its width, m.")
+    period_s: Duration = Field(ge=0.1, description="Period, s.")
 
 
 class SpeedChange(Section):
     """Straight line at a sinusoidal speed."""
 
     kind: Literal["speed-change"] = Field(description="Straight line at a sinusoidal speed.")
-    amplitude_mps: MetresPerSecond = Field(gt=0, description="Amplitude of the speed, m/s.")
-    period_s: Seconds = Field(gt=0, description="Period, s.")
+    amplitude_mps: Speed = Field(ge=0.001, description="Amplitude of the speed, m/s.")
+    period_s: Duration = Field(ge=0.1, description="Period, s.")
 
 
 Curve = Annotated[
@@ -264,8 +279,8 @@ class Virtual(Section):
     """Virtual leader: exact position, velocity and acceleration of a curve."""
 
     kind: Literal["virtual"] = Field(description="Virtual leader on a curve.")
-    speed_mps: MetresPerSecond = Field(
-        gt=0, description="Ground speed along the curve, of a weave along its axis, m/s."
+    speed_mps: Speed = Field(
+        ge=0.1, description="Ground speed along the curve, of a weave along its axis, m/s."
     )
     curve: Curve = Field(description="Curve from the start of the leader, along its course.")
 

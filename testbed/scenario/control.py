@@ -15,16 +15,22 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError
 
 from testbed.scenario.fields import (
+    MAX_LOOP_GAIN,
+    MAX_RATE_PER_S,
+    MAX_SPEED_MPS,
+    MAX_WEIGHT,
     Degrees,
+    Duration,
     Gain,
+    Length,
     Metres,
-    MetresPerSecond,
     Name,
     Number,
     Offset,
     PerSecond,
     Seconds,
     Section,
+    Speed,
     is_number,
 )
 from testbed.scenario.middle_loop import EstimatorChanges, GainChanges
@@ -53,8 +59,8 @@ class PowerControlFunction(Section):
     """μ(z) = (ν₁ + ν₂ z)^(−m), [HBH23] Example 1."""
 
     example: Literal[1] = Field(description="Number of the example in [HBH23].")
-    nu1: Number = Field(50.0, gt=0, description="ν₁, m².")
-    nu2: Number = Field(1.0, gt=0, description="ν₂, no unit.")
+    nu1: Number = Field(50.0, gt=0, le=MAX_WEIGHT, description="ν₁, m².")
+    nu2: Number = Field(1.0, gt=0, le=MAX_WEIGHT, description="ν₂, no unit.")
     m: Number = Field(0.5, ge=0.5, le=1.0, description="Exponent, no unit.")
 
 
@@ -79,7 +85,10 @@ class Barrier(Section):
 
     example: Literal[4, 5, 6] = Field(description="Number of the example in [HBH23].")
     nu: Number = Field(
-        0.05, gt=0, description="ν: s²/m² in examples 4 and 5, a margin in m/s in example 6."
+        0.05,
+        gt=0,
+        le=MAX_SPEED_MPS,
+        description="ν: s²/m² in examples 4 and 5, a margin in m/s in example 6.",
     )
 
 
@@ -115,7 +124,10 @@ class PointingGain(Section):
 
     constant: PerSecond = Field(0.0, ge=0, description="Constant part, 1/s.")
     per_speed_squared: Number = Field(
-        0.0, ge=0, description="Factor of the square of the desired speed s_d, s/m²."
+        0.0,
+        ge=0,
+        le=MAX_RATE_PER_S,
+        description="Factor of the square of the desired speed s_d, s/m².",
     )
 
     @model_validator(mode="before")
@@ -139,7 +151,12 @@ class PointingGain(Section):
     ) -> JsonSchemaValue:
         """Allow a number beside the map."""
         schema = handler.resolve_ref_schema(handler(core_schema))
-        return {"anyOf": [{"type": "number", "exclusiveMinimum": 0}, dict(schema)]}
+        return {
+            "anyOf": [
+                {"type": "number", "exclusiveMinimum": 0, "maximum": MAX_RATE_PER_S},
+                dict(schema),
+            ]
+        }
 
 
 ControlFunction = Annotated[
@@ -147,17 +164,17 @@ ControlFunction = Annotated[
     Field(discriminator="example"),
 ]
 BarrierFunction = Annotated[Barrier | NoBarrier | OwnBarrier, Field(discriminator="example")]
-SpeedRange = tuple[MetresPerSecond, MetresPerSecond]
+SpeedRange = tuple[Annotated[Speed, Field(ge=0)], Annotated[Speed, Field(ge=0)]]
 
 
 class Agent(Section):
     """Parameters of one follower; those that are left out are the formation's."""
 
-    k: Number | None = Field(None, gt=0, description="k_i of (7), m/s.")
+    k: Speed | None = Field(None, gt=0, description="k_i of (7), m/s.")
     a: PerSecond | None = Field(None, gt=0, description="a_i of (14), 1/s.")
-    b: Number | None = Field(None, ge=0, description="b_i of (14), s/m².")
+    b: Number | None = Field(None, ge=0, le=MAX_RATE_PER_S, description="b_i of (14), s/m².")
     c: PointingGain | None = Field(None, description="c_i of (15), 1/s, or a map.")
-    kappa_mps: MetresPerSecond | None = Field(None, gt=0, description="κ_i, m/s.")
+    kappa_mps: Speed | None = Field(None, gt=0, description="κ_i, m/s.")
     speed_mps: SpeedRange | None = Field(None, description="Bounds S_i [lowest, highest], m/s.")
     speed_desired_mps: SpeedRange | None = Field(
         None, description="Bounds of s_d [lowest, highest], m/s."
@@ -180,10 +197,10 @@ class OnFailure(Section):
         description="ignore: no response; drop: leave it out of (6); reassign-slots: also assign "
         "the first offsets to the remaining followers, in fleet order.",
     )
-    declared_after_s: Seconds = Field(
+    declared_after_s: Duration = Field(
         2.0, ge=0, description="Time from a failure to its declaration, s."
     )
-    clearance_m: Metres = Field(
+    clearance_m: Length = Field(
         30.0,
         gt=0,
         description="A slot is reassigned once the failed aircraft reports to be this far from "
@@ -210,14 +227,14 @@ class Formation(Section):
     neighbour_gains: Mapping[Name, Mapping[Name, Gain]] = Field(
         {}, description="β_ij of follower i for neighbour j, no unit; 0 if missing."
     )
-    k: Number = Field(3.0, gt=0, description="k_i of the desired velocity (7), m/s.")
+    k: Speed = Field(3.0, gt=0, description="k_i of the desired velocity (7), m/s.")
     a: PerSecond = Field(1.0, gt=0, description="a_i of the speed law (14), 1/s.")
-    b: Number = Field(0.1, ge=0, description="b_i of the speed law (14), s/m².")
+    b: Number = Field(0.1, ge=0, le=MAX_RATE_PER_S, description="b_i of the speed law (14), s/m².")
     c: PointingGain = Field(
         PointingGain(constant=0.1),
         description="c_i of the pointing law (15): 1/s, or a map with its growth with s_d.",
     )
-    kappa_mps: MetresPerSecond = Field(
+    kappa_mps: Speed = Field(
         3.6, gt=0, description="κ_i: margin of the slot's speed to the speed bounds, m/s."
     )
     speed_mps: SpeedRange = Field(
@@ -291,7 +308,10 @@ class Controller(Section):
         description="Changes to the profile for all followers, as in course: {p: 3}.",
     )
     gain_scale: Number = Field(
-        1.0, gt=0, description="Factor of every PID gain of the middle loop, no unit."
+        1.0,
+        gt=0,
+        le=MAX_LOOP_GAIN,
+        description="Factor of every PID gain of the middle loop, no unit.",
     )
     estimators: EstimatorChanges = Field(
         EstimatorChanges(),
@@ -320,7 +340,7 @@ class Controller(Section):
     companion: Companion = Field(
         Companion(), description="Latencies of a controller beside the autopilot."
     )
-    leader_timeout_s: Seconds = Field(
+    leader_timeout_s: Duration = Field(
         5.0,
         gt=0,
         description="Time without a message from the leader after which a follower leaves the "
@@ -333,7 +353,7 @@ class Controller(Section):
     loiter_bank_deg: Degrees = Field(
         20.0, ge=-60, le=60, description="Bank angle of that circle, degrees; right is positive."
     )
-    neighbour_timeout_s: Seconds | None = Field(
+    neighbour_timeout_s: Duration | None = Field(
         None,
         gt=0,
         description="Time without a message from a neighbour after which it is not extrapolated, "

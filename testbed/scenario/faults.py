@@ -4,7 +4,13 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from testbed.scenario.fields import Number, Offset, Seconds, Section
+from testbed.scenario.fields import (
+    Duration,
+    Metres,
+    Number,
+    Offset,
+    Section,
+)
 
 Surface = Literal["aileron", "elevator", "rudder", "left-elevon", "right-elevon"]
 _SURFACE = "Control surface; the airframe must have it."
@@ -17,10 +23,10 @@ class Condition(Section):
         description="Quantity: altitude above the origin, m; true airspeed, m/s; bank angle to "
         "either side, degrees; state of charge, 0 to 1.",
     )
-    above: Number | None = Field(
+    above: Metres | None = Field(
         None, description="Begin above this value, in the unit of the quantity."
     )
-    below: Number | None = Field(
+    below: Metres | None = Field(
         None, description="Begin below this value, in the unit of the quantity."
     )
 
@@ -32,14 +38,14 @@ class Fault(Section):
     NEEDS_FLIGHT_MODEL: ClassVar[bool] = False
 
     kind: str = Field(description="Kind of fault.")
-    at_s: Annotated[Seconds, Field(ge=0)] | None = Field(
+    at_s: Annotated[Duration, Field(ge=0)] | None = Field(
         None,
         description="Time of its beginning; with a condition, the time from which it applies, s.",
     )
     when: Condition | None = Field(
         None, description="Condition under which it begins; it begins only once."
     )
-    duration_s: Annotated[Seconds, Field(gt=0)] | None = Field(
+    duration_s: Annotated[Duration, Field(gt=0)] | None = Field(
         None, description="How long it lasts, s; by default to the end of the run."
     )
     declared: Annotated[bool, Field(strict=True)] | None = Field(

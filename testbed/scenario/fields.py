@@ -66,11 +66,30 @@ def _readable_time(text: str) -> str:
 StartTime = Annotated[str, AfterValidator(_readable_time)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=64)]
 
-Metres = Annotated[Number, Field(json_schema_extra={"unit": "m"})]
+# Bounds of what no scenario needs more of: each number of a file has its own, or one of these.
+MAX_DISTANCE_M = 1e6  # a flat frame on the earth ends far below
+MAX_DURATION_S = 86_400  # a day
+MAX_SPEED_MPS = 340.0  # of sound; the flight models are subsonic
+MAX_RATE_PER_S = 1000.0  # gains of 1/s act within a millisecond
+MAX_LOOP_GAIN = 100.0  # rad per rad, or throttle per m/s: full command for a hundredth of a unit
+MAX_WEIGHT = 1e6  # ratios of gains, and parameters of functions
+
+Metres = Annotated[
+    Number, Field(ge=-MAX_DISTANCE_M, le=MAX_DISTANCE_M, json_schema_extra={"unit": "m"})
+]
+"""A coordinate; lengths, which have no sign, are `Length`."""
+Length = Annotated[Number, Field(le=MAX_DISTANCE_M, json_schema_extra={"unit": "m"})]
+"""A length with a lower bound of its own."""
 Seconds = Annotated[Number, Field(json_schema_extra={"unit": "s"})]
+Duration = Annotated[Number, Field(le=MAX_DURATION_S, json_schema_extra={"unit": "s"})]
+"""A time with a lower bound of its own."""
+Instant = Annotated[Duration, Field(ge=0)]
+"""A time of the run, s."""
 Degrees = Annotated[Number, Field(json_schema_extra={"unit": "deg"})]
 MetresPerSecond = Annotated[Number, Field(json_schema_extra={"unit": "m/s"})]
-PerSecond = Annotated[Number, Field(json_schema_extra={"unit": "1/s"})]
+Speed = Annotated[Number, Field(le=MAX_SPEED_MPS, json_schema_extra={"unit": "m/s"})]
+"""A speed with a lower bound of its own."""
+PerSecond = Annotated[Number, Field(le=MAX_RATE_PER_S, json_schema_extra={"unit": "1/s"})]
 Celsius = Annotated[Number, Field(json_schema_extra={"unit": "degC"})]
 Percent = Annotated[Number, Field(json_schema_extra={"unit": "%"})]
 Hertz = Annotated[Whole, Field(gt=0, le=10_000, json_schema_extra={"unit": "Hz"})]
@@ -101,7 +120,7 @@ def _per_direction(value: Any) -> Any:  # noqa: ANN401 - any YAML value
     )
 
 
-_WEIGHT: dict[str, Any] = {"type": "number", "minimum": 0}
+_WEIGHT: dict[str, Any] = {"type": "number", "minimum": 0, "maximum": MAX_WEIGHT}
 _GAIN_SCHEMA: dict[str, Any] = {
     "anyOf": [
         _WEIGHT,
@@ -114,7 +133,8 @@ _GAIN_SCHEMA: dict[str, Any] = {
         },
     ]
 }
-NotNegative = Annotated[Number, Field(ge=0)]
+NotNegative = Annotated[Number, Field(ge=0, le=MAX_WEIGHT)]
+LoopGain = Annotated[Number, Field(ge=0, le=MAX_LOOP_GAIN)]
 Gain = Annotated[
     tuple[NotNegative, NotNegative, NotNegative],
     BeforeValidator(_per_direction),

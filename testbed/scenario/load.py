@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from testbed.core.numbers import parse_whole
 from testbed.scenario import references
+from testbed.scenario.arguments import check_overrides, check_path, with_changes
 from testbed.scenario.fields import KeyPath
 from testbed.scenario.middle_loop import GainChanges, Guidance, MiddleLoopFile, MiddleLoopGains
 from testbed.scenario.pattern import drop_follower_keys, expand_pattern, is_pattern_key
@@ -52,19 +55,25 @@ class ScenarioFile:
     path: Path
     tree: Node
 
-    def resolve(self, overrides: Sequence[str] = ()) -> Scenario:
+    def resolve(
+        self, overrides: Sequence[str] = (), *, settings_folder: Path | None = None
+    ) -> Scenario:
         """Return the scenario with settings, checked.
 
         Args:
             overrides: texts `key.path=value`, applied in order after `extends`.
+            settings_folder: of the file that has them, outside of which they run no code; None:
+                the caller wrote them.
 
         Raises:
             ScenarioError: with every problem found, each with its place.
         """
-        return _resolve(self.tree, overrides)
+        return _resolve(self.tree, overrides, settings_folder)
 
 
-def open_scenario(name_or_path: str | Path, *, folder: Path | None = None) -> ScenarioFile:
+def open_scenario(
+    name_or_path: str | os.PathLike[str], *, folder: Path | None = None
+) -> ScenarioFile:
     """Read a scenario file and those it extends.
 
     Args:
@@ -73,15 +82,17 @@ def open_scenario(name_or_path: str | Path, *, folder: Path | None = None) -> Sc
 
     Raises:
         ScenarioError: a file does not exist, is not YAML, or is of schema 1.
+        InputError: the argument is no path.
     """
-    path = references.find_scenario(name_or_path, folder=folder)
+    check_path("scenario", name_or_path)
+    path = references.find_scenario(os.fspath(name_or_path), folder=folder)
     tree = read(path)
     if folder is not None and not _has_scenario_key(tree):
         raise error_at(Place(str(name_or_path)), f"{path} {_FOREIGN}")
     return ScenarioFile(path, _merged(_files(tree, (path,))))
 
 
-def load_scenario(name_or_path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
+def load_scenario(name_or_path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scenario:
     """Read a scenario by name or path and return it, checked.
 
     Args:
@@ -205,7 +216,7 @@ def place_of_key(error: str, name_or_path: str | Path, overrides: Sequence[str] 
     parts = re.split(r"[.\[]", key.replace("]", ""))
     if not colon or parts[0] not in Scenario.model_fields:
         return ""
-    loc = tuple(int(part) if part.isdigit() else part for part in parts)
+    loc = tuple(part if (index := parse_whole(part)) is None else index for part in parts)
     (place,) = find_places([loc], name_or_path, overrides)
     return str(place) if place else ""
 
@@ -242,14 +253,14 @@ def _set(tree: Node, settings: Sequence[Setting]) -> tuple[Node, Node]:
     return unchanged, tree
 
 
-def _resolve(tree: Node, overrides: Sequence[str]) -> Scenario:
-    settings = [parse_setting(text) for text in overrides]
+def _resolve(tree: Node, overrides: Sequence[str], settings_folder: Path | None = None) -> Scenario:
+    settings = [parse_setting(text) for text in check_overrides("overrides", overrides)]
     renamed = [problem for each in settings for problem in renamed_keys(each.tree)]
     if renamed:
         raise ScenarioError(renamed)
     unchanged, tree = _set(tree, settings)
     try:
-        scenario = resolve_references(validate(tree, Scenario), tree)
+        scenario = resolve_references(validate(tree, Scenario), tree, settings_folder)
         _check_gains(scenario, tree)
     except ScenarioError as error:
         raise ScenarioError(merge_repeated(error.problems)) from None
@@ -274,9 +285,8 @@ def _with_differences(scenario: Scenario, tree: Node, settings: Sequence[Setting
         if _set_up(resolve_references(before, expand_pattern(tree))) == _set_up(scenario):
             return scenario
     differs = dict.fromkeys((*published.differs, *(".".join(each) for each in keys)))
-    published = published.model_copy(update={"differs": tuple(differs)})
-    header = scenario.scenario.model_copy(update={"published": published})
-    return scenario.model_copy(update={"scenario": header})
+    published = with_changes(published, differs=tuple(differs))
+    return with_changes(scenario, scenario=with_changes(scenario.scenario, published=published))
 
 
 def _set_up(scenario: Scenario) -> dict[str, object]:
@@ -474,8 +484,9 @@ def _indices(
 ) -> tuple[int, ...]:
     if key == "*":
         return tuple(range(len(items)))
-    if key.isdecimal() and int(key) < len(items):
-        return (int(key),)
+    index = parse_whole(key)
+    if index is not None and 0 <= index < len(items):
+        return (index,)
     names = [
         item.value["name"].value if isinstance(item.value, dict) and "name" in item.value else None
         for item in items

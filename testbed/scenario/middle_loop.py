@@ -5,14 +5,15 @@ from typing import Annotated, Literal
 
 from pydantic import Field, RootModel
 
+from testbed.scenario.arguments import with_changes
 from testbed.scenario.fields import (
     Degrees,
-    MetresPerSecond,
+    Duration,
+    LoopGain,
     Name,
-    NotNegative,
     Number,
-    Seconds,
     Section,
+    Speed,
 )
 
 CourseFeedback = Literal["outside_arctangent", "inside_arctangent"]
@@ -22,16 +23,16 @@ Share = Annotated[Number, Field(gt=0, le=1)]
 class AngleGains(Section):
     """PID gains from an angle error to an angle command."""
 
-    p: NotNegative = Field(description="Proportional, rad per rad.")
-    i: NotNegative = Field(0.0, description="Integral, rad per rad s.")
-    d: NotNegative = Field(0.0, description="Derivative, rad per rad/s.")
+    p: LoopGain = Field(description="Proportional, rad per rad.")
+    i: LoopGain = Field(0.0, description="Integral, rad per rad s.")
+    d: LoopGain = Field(0.0, description="Derivative, rad per rad/s.")
 
 
 class SpeedGains(Section):
     """PI gains from a speed error to throttle."""
 
-    p: NotNegative = Field(description="Proportional, throttle fraction per m/s.")
-    i: NotNegative = Field(0.0, description="Integral, throttle fraction per m.")
+    p: LoopGain = Field(description="Proportional, throttle fraction per m/s.")
+    i: LoopGain = Field(0.0, description="Integral, throttle fraction per m.")
 
 
 class Limits(Section):
@@ -44,9 +45,9 @@ class Limits(Section):
 class AltitudeGains(Section):
     """PID gains from an altitude error to pitch, for the horizontal variant."""
 
-    p: NotNegative = Field(0.026, description="Proportional, rad per m.")
-    i: NotNegative = Field(0.0017, description="Integral, rad per m s.")
-    d: NotNegative = Field(0.0105, description="Derivative, rad per m/s.")
+    p: LoopGain = Field(0.026, description="Proportional, rad per m.")
+    i: LoopGain = Field(0.0017, description="Integral, rad per m s.")
+    d: LoopGain = Field(0.0105, description="Derivative, rad per m/s.")
 
 
 class Estimators(Section):
@@ -108,23 +109,23 @@ class EstimatorChanges(Section):
 
     def over(self, profile: Estimators) -> Estimators:
         """Return the estimators of the profile with these changes."""
-        return profile.model_copy(update=self.model_dump(exclude_none=True))
+        return with_changes(profile, **self.model_dump(exclude_none=True))
 
 
 class FeedForwards(Section):
     """Feed-forward terms added to (19) to (21)."""
 
     turn_incidence_deg: Degrees = Field(
-        0.0, description="Pitch per unit of load factor above 1 in a turn, degrees."
+        0.0, ge=-90, le=90, description="Pitch per unit of load factor above 1 in a turn, degrees."
     )
-    roll_lead_s: Seconds = Field(
+    roll_lead_s: Duration = Field(
         0.0, ge=0, description="Lead time of the bank command of a coordinated turn, s."
     )
-    lead_filter_s: Seconds = Field(
+    lead_filter_s: Duration = Field(
         0.1, ge=0, description="Time constant of the derivative for roll_lead_s, s."
     )
-    eta_climb: Number = Field(
-        0.0, ge=0, description="Throttle fraction per sine of the desired flight-path angle."
+    eta_climb: LoopGain = Field(
+        0.0, description="Throttle fraction per sine of the desired flight-path angle."
     )
 
 
@@ -139,17 +140,17 @@ class MiddleLoopGains(Section):
         "or inside it, where the loop's gain is the same at every bank.",
     )
     speed: SpeedGains = Field(description="Speed to throttle (21), m/s to throttle fraction.")
-    eta_speed: NotNegative = Field(
+    eta_speed: LoopGain = Field(
         description="η_s of (21): throttle fraction per m/s of commanded airspeed."
     )
-    eta_bank: NotNegative = Field(
+    eta_bank: LoopGain = Field(
         0.0, description="η_φ of (21): throttle fraction for the added drag of a turn."
     )
     trim_throttle: Number = Field(
         ge=0, le=1, description="η_0 of (21): throttle fraction at the trim airspeed."
     )
-    trim_airspeed_mps: MetresPerSecond = Field(gt=0, description="s_a0 of (21), m/s.")
-    rate_filter_s: Seconds = Field(
+    trim_airspeed_mps: Speed = Field(gt=0, description="s_a0 of (21), m/s.")
+    rate_filter_s: Duration = Field(
         0.0, ge=0, description="Time constant of the filter of measured rates, s; 0: no filter."
     )
     altitude: AltitudeGains = Field(
@@ -172,16 +173,16 @@ class MiddleLoopFile(RootModel[Mapping[Name, MiddleLoopGains]]):
 class Guidance(Section):
     """The file guidance.yaml: gains with which a leader holds altitude and airspeed."""
 
-    path: NotNegative = Field(0.5, description="Flight-path angle to pitch, rad per rad.")
-    path_integral: NotNegative = Field(0.3, description="Integral of the same, rad per rad s.")
-    incidence_per_load: NotNegative = Field(
+    path: LoopGain = Field(0.5, description="Flight-path angle to pitch, rad per rad.")
+    path_integral: LoopGain = Field(0.3, description="Integral of the same, rad per rad s.")
+    incidence_per_load: LoopGain = Field(
         0.05, description="Pitch per unit of load factor above 1 in a turn, rad."
     )
-    speed: NotNegative = Field(0.15, description="Airspeed to throttle, fraction per m/s.")
-    speed_integral: NotNegative = Field(0.035, description="Integral of the same, fraction per m.")
-    throttle_per_climb: NotNegative = Field(
+    speed: LoopGain = Field(0.15, description="Airspeed to throttle, fraction per m/s.")
+    speed_integral: LoopGain = Field(0.035, description="Integral of the same, fraction per m.")
+    throttle_per_climb: LoopGain = Field(
         0.08, description="Throttle per climb rate, fraction per m/s."
     )
-    throttle_per_bank: NotNegative = Field(
+    throttle_per_bank: LoopGain = Field(
         0.12, description="Throttle for a turn, fraction per 1/cos² φ − 1."
     )

@@ -15,12 +15,20 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
-from testbed.scenario.fields import Name, Number, Seconds, Section, Whole, is_number
+from testbed.scenario.fields import (
+    MAX_DISTANCE_M,
+    Instant,
+    Name,
+    Number,
+    Seconds,
+    Section,
+    Whole,
+    is_number,
+)
 
 Probability = Annotated[Number, Field(ge=0, le=1)]
 Correlation = Annotated[Number, Field(ge=0, lt=1)]
 Span = Annotated[Seconds, Field(ge=0, le=3600)]
-Instant = Annotated[Seconds, Field(ge=0)]
 Window = tuple[Instant, Instant]
 FOLLOW_TARGET_BYTES = 105  # length of the MAVLink 2 frame
 _CORRELATION = (
@@ -181,10 +189,10 @@ class TransmitSlots(Section):
         WithJsonSchema(
             {
                 "anyOf": [
-                    {"type": "number", "minimum": 0},
+                    {"type": "number", "minimum": 0, "maximum": 3600},
                     {
                         "type": "array",
-                        "items": {"type": "number", "minimum": 0},
+                        "items": {"type": "number", "minimum": 0, "maximum": 3600},
                         "minItems": 2,
                         "maxItems": 2,
                     },
@@ -201,7 +209,7 @@ class TransmitSlots(Section):
     )
 
 
-Curve = tuple[tuple[Annotated[Number, Field(ge=0)], Probability], ...]
+Curve = tuple[tuple[Annotated[Number, Field(ge=0, le=MAX_DISTANCE_M)], Probability], ...]
 
 
 class Shadowing(Section):
@@ -269,7 +277,7 @@ class Link(Section):
     blackout_s: tuple[Window, ...] | None = Field(
         None, description="Windows [from, to] in which nothing that is sent arrives, s."
     )
-    drop: tuple[Annotated[Whole, Field(ge=0)], ...] | None = Field(
+    drop: tuple[Annotated[Whole, Field(ge=0, lt=2**31)], ...] | None = Field(
         None, description="Sequence numbers of packets that are lost, from 0."
     )
     trace: Trace | None = Field(

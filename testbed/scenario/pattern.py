@@ -42,7 +42,7 @@ class Pattern(Aircraft):
     start_behind_m: Metres = Field(
         20.0, description="Distance of all starts behind the slots, m; negative is ahead."
     )
-    neighbours: Annotated[Whole, Field(ge=0)] = Field(
+    neighbours: Annotated[Whole, Field(ge=0, le=255)] = Field(
         2, description="Number of neighbours of each follower: those with the nearest slots."
     )
     neighbours_from: Literal["all", "ahead"] = Field(

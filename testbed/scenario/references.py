@@ -129,7 +129,7 @@ def find_data(name_or_path: str | Path, *, folder: Path | None = None) -> Path:
     return _find("data file", name_or_path, own, list_data, "a CSV file", folder)
 
 
-def find_code(name: str, *, folder: Path | None = None, anywhere: bool = False) -> str:
+def find_code(name: str, *, folder: Path | None = None, within: Path | None = None) -> str:
     """Return the source of code `module:name`: "file.py:name", or itself if installed.
 
     A module.py in `folder` (of the scenario file) or in scenarios/ precedes an installed module.
@@ -137,10 +137,11 @@ def find_code(name: str, *, folder: Path | None = None, anywhere: bool = False) 
     Args:
         name: `module:name` or `file.py:name` of a law's class or of a function.
         folder: None: find a resolved name again.
-        anywhere: allow files outside of the folder; a scenario file runs no code from elsewhere.
+        within: the folder of the file that names it, outside of which a file runs no code; None:
+            the caller names it, and may choose any.
 
     Raises:
-        ScenarioError: the file does not exist, or is outside of the folder.
+        ScenarioError: the file does not exist, or is outside of `within`.
     """
     module, _, object_name = name.rpartition(":")
     if module.endswith(".py"):
@@ -148,21 +149,22 @@ def find_code(name: str, *, folder: Path | None = None, anywhere: bool = False) 
         if not is_file(path):
             text = f"there is no file {path} (write module:name, with module.py in this folder)"
             raise ScenarioError([Problem(Place(str(path)), text)])
-        if not anywhere:
-            _refuse_outside(path, folder)
+        _refuse_outside(path, within)
         return f"{path}:{object_name}"
     file = f"{module.replace('.', '/')}.py"
     for home in (folder, library() / "scenarios"):
         if home is not None and is_file(home / file):
             path = (home / file).resolve()
-            _refuse_outside(path, home)
+            _refuse_outside(path, home)  # by a link
+            if home == folder:
+                _refuse_outside(path, within)
             return f"{path}:{object_name}"
     return name
 
 
 def _refuse_outside(path: Path, folder: Path | None) -> None:
     if folder is not None and not path.is_relative_to(folder.resolve()):
-        text = f"{path} is not in the folder of the scenario file, {folder} (put a copy there)"
+        text = f"{path} is not in the folder of the file that names it, {folder} (put a copy there)"
         raise ScenarioError([Problem(Place(str(path)), text)])
 
 
@@ -238,8 +240,8 @@ _GAINS = "middle_loop.yaml"
 class _Resolver:
     """Finds files, and collects resolved values and problems."""
 
-    def __init__(self, tree: Node) -> None:
-        self.tree = tree
+    def __init__(self, tree: Node, settings_folder: Path | None) -> None:
+        self.tree, self._settings_folder = tree, settings_folder
         self.changes: list[tuple[KeyPath, str]] = []
         self.problems: list[Problem] = []
 
@@ -261,11 +263,6 @@ class _Resolver:
             return
         name = tune.stem if tune == home / f"{tune.stem}.param" else str(tune)
         self.changes.append(((*loc, "tune"), name))
-        binary = getattr(aircraft.autopilot, "binary", None)
-        if binary is not None:  # only a run needs it to exist
-            folder = self.folder(*loc, "autopilot", "binary")
-            found = absolute(binary, folder)
-            self.changes.append(((*loc, "autopilot", "binary"), str(found)))
 
     def recording(self, loc: KeyPath, file: str) -> None:
         """Resolve a data file."""
@@ -290,9 +287,12 @@ class _Resolver:
     def code(self, loc: KeyPath, name: str) -> None:
         """Resolve a user's own law or function."""
         try:
+            folder = self.folder(*loc)
             # in a text or a setting, unlike in a file, the caller chooses the code
-            by_caller = not is_file(Path(walk(self.tree, loc)[0].place.source))
-            found = find_code(name, folder=self.folder(*loc), anywhere=by_caller)
+            in_file = is_file(Path(walk(self.tree, loc)[0].place.source))
+            found = find_code(
+                name, folder=folder, within=folder if in_file else self._settings_folder
+            )
         except ScenarioError as error:
             self.add(error, *loc)
             return
@@ -313,15 +313,22 @@ class _Resolver:
         ]
 
 
-def resolve_references(scenario: Scenario, tree: Node) -> Scenario:
+def resolve_references(
+    scenario: Scenario, tree: Node, settings_folder: Path | None = None
+) -> Scenario:
     """Return the scenario with every reference as a name, or else as an absolute path.
 
     So a resolved scenario means the same in any folder.
 
+    Args:
+        scenario: validated.
+        tree: that it was made of.
+        settings_folder: of the file that has the settings, as a study; None: the caller wrote them.
+
     Raises:
         ScenarioError: with every file that cannot be found.
     """
-    resolver = _Resolver(tree)
+    resolver = _Resolver(tree, settings_folder)
     resolver.aircraft(("leader",), scenario.leader)
     for index, follower in enumerate(scenario.fleet):
         resolver.aircraft(("fleet", index), follower)

@@ -6,12 +6,13 @@ from typing import Any, Self
 from pydantic import ValidationError, model_validator
 
 from testbed.core.errors import InputError
+from testbed.scenario.arguments import check_argument, with_changes
 from testbed.scenario.checks import cross_check
 from testbed.scenario.expect import without_windows
 from testbed.scenario.fields import raise_findings
 from testbed.scenario.network import Window
 from testbed.scenario.pattern import Pattern
-from testbed.scenario.sections import Sections
+from testbed.scenario.sections import Header, Sections
 
 SCHEMA_VERSION = 2
 
@@ -52,6 +53,7 @@ def set_duration(scenario: Scenario, duration_s: float) -> Scenario:
     Raises:
         InputError: the duration is not above 0, is above a day, or does not fit the scenario.
     """
+    duration_s = check_argument("duration_s", duration_s, Header, "duration_s")
     data = scenario.model_dump(by_alias=True)
     header = data["scenario"]
     windows = scenario.scenario.windows
@@ -77,13 +79,17 @@ def set_duration(scenario: Scenario, duration_s: float) -> Scenario:
         return Scenario.model_validate(data)
     except ValidationError as error:
         reason = error.errors()[0]["msg"].removeprefix("Value error, ")
-        raise InputError(f"duration {duration_s:g} s: {reason}") from None
+        raise InputError(f"duration_s: {duration_s:g} s: {reason}") from None
 
 
 def set_seed(scenario: Scenario, seed: int) -> Scenario:
-    """Return the scenario with another seed, from 0 on."""
-    header = scenario.scenario.model_copy(update={"seed": seed})
-    return scenario.model_copy(update={"scenario": header})
+    """Return the scenario with another seed.
+
+    Raises:
+        InputError: it is not a whole number from 0 to 2^63 - 1.
+    """
+    seed = check_argument("seed", seed, Header, "seed")
+    return with_changes(scenario, scenario=with_changes(scenario.scenario, seed=seed))
 
 
 def unreached_windows(scenario: Scenario, duration_s: float) -> dict[str, str]:

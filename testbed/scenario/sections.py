@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 
 from testbed.core.start_time import EXAMPLE
 from testbed.scenario.air import Air
@@ -11,21 +11,24 @@ from testbed.scenario.aircraft import Follower, Leader
 from testbed.scenario.control import Controller, Formation
 from testbed.scenario.expect import Expect
 from testbed.scenario.fields import (
+    MAX_DURATION_S,
     Degrees,
     Flag,
     Hertz,
+    Length,
     Metres,
-    MetresPerSecond,
     Name,
+    Number,
     Percent,
     Seconds,
     Section,
+    Speed,
     StartTime,
     Whole,
 )
 from testbed.scenario.network import Network, Window
 
-Distance = Annotated[Metres, Field(gt=0)]
+Distance = Annotated[Length, Field(gt=0)]
 
 
 class Origin(Section):
@@ -44,7 +47,13 @@ class Origin(Section):
     longitude_deg: Degrees = Field(
         0.0, ge=-180, le=180, description="Longitude, degrees; 180 equals -180."
     )
-    elevation_m: Metres = Field(300.0, description="Elevation of the ground above sea level, m.")
+    elevation_m: Number = Field(
+        300.0,
+        ge=-500,
+        le=9000,
+        json_schema_extra={"unit": "m"},
+        description="Elevation of the ground above sea level, m.",
+    )
 
 
 class Published(Section):
@@ -70,11 +79,19 @@ class Header(Section):
 
     model_config = ConfigDict(populate_by_name=True)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _remove_windows(cls, data: Any) -> Any:  # noqa: ANN401 - any YAML value
+        """Leave out windows that are null: none are inherited that it could remove."""
+        if isinstance(data, Mapping) and data.get("windows", ()) is None:
+            return {key: data[key] for key in data if key != "windows"}
+        return data
+
     schema_version: Literal[2] = Field(alias="schema", description="Version of this schema: 2.")
     name: Name = Field(description="Name of the scenario and of the folder of its runs.")
     question: str = Field("", description="Question that the run answers.")
     expectation: str = Field("", description="Expected answer.")
-    duration_s: Seconds = Field(gt=0, le=86_400, description="Length of the run, s.")
+    duration_s: Seconds = Field(gt=0, le=MAX_DURATION_S, description="Length of the run, s.")
     seed: Whole = Field(1, ge=0, lt=2**63, description="Seed of every random stream, a number.")
     origin: Origin = Field(Origin(), description="Origin of the local frame on the earth.")
     windows: Mapping[Name, Window] = Field(
@@ -113,12 +130,12 @@ class Limits(Section):
         description="Distance of the centres of two aircraft below which the log has a warning, m; "
         "not checked by default.",
     )
-    min_separation_m: Annotated[Metres, Field(ge=0)] | None = Field(
+    min_separation_m: Annotated[Length, Field(ge=0)] | None = Field(
         None,
         description="Distance of the centres of two aircraft below which separation is lost: an "
         "error, and exit code 1, m; by default a wingspan, the larger of the two; 0: not checked.",
     )
-    overspeed_mps: Annotated[MetresPerSecond, Field(gt=0)] | None = Field(
+    overspeed_mps: Annotated[Speed, Field(gt=0)] | None = Field(
         None,
         description="Equivalent airspeed above which, for 0.5 s, a flight model exceeds its "
         "envelope, m/s; by default 1.5 times AIRSPEED_MAX of its autopilot.",

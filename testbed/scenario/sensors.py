@@ -19,12 +19,13 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
 
 from testbed.scenario.fields import (
     Degrees,
+    Duration,
     Hertz,
-    Metres,
-    MetresPerSecond,
+    Length,
     Number,
     Seconds,
     Section,
+    Speed,
 )
 from testbed.scenario.problems import did_you_mean
 
@@ -102,35 +103,34 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
     },
 }
 
+MAX_SIGMA = 1e4  # of any sensor, in its unit
 Latency = Annotated[Seconds, Field(ge=0, le=10)]
-Correlation = Annotated[Seconds, Field(gt=0)]
-Sigma = Annotated[Number, Field(ge=0)]
-Positive = Annotated[Number, Field(gt=0)]
-SigmaPair = tuple[Annotated[Metres, Field(ge=0)], Annotated[Metres, Field(ge=0)]]
-SpeedSigmaPair = tuple[
-    Annotated[MetresPerSecond, Field(ge=0)], Annotated[MetresPerSecond, Field(ge=0)]
-]
+Correlation = Annotated[Duration, Field(gt=0)]
+Sigma = Annotated[Number, Field(ge=0, le=MAX_SIGMA)]
+Positive = Annotated[Number, Field(gt=0, le=MAX_SIGMA)]
+SigmaPair = tuple[Annotated[Length, Field(ge=0)], Annotated[Length, Field(ge=0)]]
+SpeedSigmaPair = tuple[Annotated[Speed, Field(ge=0)], Annotated[Speed, Field(ge=0)]]
 
 
 class PositionNoise(Section):
     """Noise of the estimated position, the same on each NED axis."""
 
-    sigma_m: Metres = Field(ge=0, description="Standard deviation, m; 0 is exact.")
-    time_constant_s: Seconds = Field(gt=0, description=_CORRELATION)
+    sigma_m: Length = Field(ge=0, description="Standard deviation, m; 0 is exact.")
+    time_constant_s: Duration = Field(gt=0, description=_CORRELATION)
 
 
 class VelocityNoise(Section):
     """Noise of the estimated velocity, the same on each NED axis."""
 
-    sigma_mps: MetresPerSecond = Field(ge=0, description="Standard deviation, m/s; 0 is exact.")
-    time_constant_s: Seconds = Field(gt=0, description=_CORRELATION)
+    sigma_mps: Speed = Field(ge=0, description="Standard deviation, m/s; 0 is exact.")
+    time_constant_s: Duration = Field(gt=0, description=_CORRELATION)
 
 
 class AttitudeNoise(Section):
     """Noise of the estimated roll, pitch and yaw, the same on each."""
 
-    sigma_deg: Degrees = Field(ge=0, description="Standard deviation, degrees; 0 is exact.")
-    time_constant_s: Seconds = Field(gt=0, description=_CORRELATION)
+    sigma_deg: Degrees = Field(ge=0, le=180, description="Standard deviation, degrees; 0 is exact.")
+    time_constant_s: Duration = Field(gt=0, description=_CORRELATION)
 
 
 class Gps(Section):
@@ -179,17 +179,22 @@ class AirspeedSensor(Section):
 
     rate_hz: Hertz = Field(10, description=_RATE)
     noise_pa: Sigma = Field(0.0, description="White noise of a measurement, 1 sigma, Pa.")
-    offset_pa: Number = Field(0.0, description="Constant error of the pressure, Pa.")
+    offset_pa: Number = Field(
+        0.0, ge=-MAX_SIGMA, le=MAX_SIGMA, description="Constant error of the pressure, Pa."
+    )
     offset_sigma_pa: Sigma = Field(
         0.0, description="Random constant error of the pressure, drawn per aircraft: 1 sigma, Pa."
     )
     scale: Number = Field(
-        0.0, gt=-1, description="Constant error as a share of the dynamic pressure, above -1."
+        0.0,
+        gt=-1,
+        le=10,
+        description="Constant error as a share of the dynamic pressure, above -1.",
     )
     scale_sigma: Sigma = Field(
         0.0, description="Random constant error as a share, drawn per aircraft: 1 sigma, no unit."
     )
-    smoothing_s: Annotated[Seconds, Field(ge=0)] = Field(
+    smoothing_s: Annotated[Duration, Field(ge=0)] = Field(
         0.28, description="Time constant of the filter behind it, s; 0: no filter."
     )
 
@@ -220,13 +225,13 @@ class Magnetometer(Section):
     """Magnetometer, as a measured heading."""
 
     rate_hz: Hertz = Field(10, description=_RATE)
-    noise_deg: Annotated[Degrees, Field(ge=0)] = Field(
+    noise_deg: Annotated[Degrees, Field(ge=0, le=180)] = Field(
         0.0, description="White noise of a measurement, 1 sigma, degrees."
     )
     offset_deg: Degrees = Field(
         0.0, ge=-180, le=180, description="Constant error, clockwise positive, degrees."
     )
-    offset_sigma_deg: Annotated[Degrees, Field(ge=0)] = Field(
+    offset_sigma_deg: Annotated[Degrees, Field(ge=0, le=180)] = Field(
         0.0, description="Random constant error, drawn per aircraft: 1 sigma, degrees."
     )
 

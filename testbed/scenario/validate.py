@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
+from testbed.core.numbers import parse_number
 from testbed.scenario.problems import Place, Problem, ScenarioError, did_you_mean
 from testbed.scenario.yaml_io import Node, plain, walk
 
@@ -31,7 +32,8 @@ _BOUNDS = {
     "less_than": ("lt", "below"),
     "less_than_equal": ("le", "at most"),
 }
-_PERCENT = re.compile(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*")
+_PERCENT = re.compile(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*", re.ASCII)
+_MAX_SHOWN = 60  # characters of a value
 # Keys of the header that a file inherits and that may not fit its own duration.
 _INHERITED = (("scenario", "windows"), ("scenario", "published"))
 
@@ -148,8 +150,11 @@ def _one(detail: Mapping[str, Any], tree: Node, schema: dict[str, Any]) -> Probl
     elif kind in _TYPES:
         about = _about(schema, tree, path)
         advice = _advice(node, kind, about) or _write(_TYPES[kind], about)
+        shown = _shown(node)
+        if kind == "int_type" and isinstance(node.value, float) and node.value.is_integer():
+            shown, advice = repr(node.value), _write(f"{node.value:.0f}, a whole number", about)
         # of a whole file, which may be no scenario at all, nothing is quoted
-        text = f"is {_shown(node) if path else _kind(node)}{advice}"
+        text = f"is {shown if path else _kind(node)}{advice}"
     elif kind in _BOUNDS:
         limit, word = _BOUNDS[kind]
         remedy = f"write a number {word} {context[limit]:g}"
@@ -208,9 +213,7 @@ def _advice(node: Node, kind: str, about: str) -> str:
         return " (write false)"
     if kind in ("float_type", "int_type"):
         bare = word.replace("_", "").replace(" ", "")
-        try:
-            float(bare)
-        except ValueError:
+        if parse_number(bare) is None:
             return ""
         return f" (write {bare}, without quotes, spaces or underscores)"
     return ""
@@ -229,10 +232,20 @@ def _shown(node: Node) -> str:
         return _kind(node)
     if isinstance(node.value, bool):
         return str(node.value).lower()
-    if isinstance(node.value, str):
-        text = node.value
-        return repr(text if len(text) <= 60 else text[:57] + "...")
-    return f"{node.value:.12g}" if isinstance(node.value, float) else str(node.value)
+    if isinstance(node.value, float):
+        return f"{node.value:.12g}"
+    return shown_value(node.value)
+
+
+def shown_value(value: object) -> str:
+    """Return a value as an error shows it, shortened."""
+    if isinstance(value, str):
+        return repr(value if len(value) <= _MAX_SHOWN else f"{value[: _MAX_SHOWN - 3]}...")
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # a number of thousands of digits
+        text = f"a {type(value).__name__}"
+    return text if len(text) <= _MAX_SHOWN else f"{text[: _MAX_SHOWN - 3]}..."
 
 
 def _write(what: str, description: str) -> str:

@@ -18,13 +18,13 @@ from typing import Any
 import yaml
 
 from testbed.core.input_files import ReadError, read_bounded
+from testbed.core.numbers import parse_number, parse_whole
 from testbed.scenario.problems import Place, Problem, ScenarioError
 
 _MAX_NODES = 100_000
 _MAX_DEPTH = 40
+_MAX_NUMBER = 40  # characters
 
-_INTEGER = re.compile(r"[-+]?[0-9]+")
-_NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _BARE = re.compile(r"[A-Za-z0-9_./][\w./+-]*")  # text that needs no quotes
 _NOT_FINITE = {".inf": "inf", "+.inf": "inf", "-.inf": "-inf", ".nan": "nan"}
 _WORDS: dict[str, Scalar] = {"": None, "~": None, "null": None, "true": True, "false": False}
@@ -211,11 +211,11 @@ def _scalar(text: str) -> Scalar:
     """Return the value of a plain scalar by the core schema of YAML 1.2."""
     if text.lower() in _WORDS and text in (text.lower(), text.upper(), text.capitalize()):
         return _WORDS[text.lower()]
-    if len(text) <= 40:
-        if _INTEGER.fullmatch(text):
-            return int(text)
-        if _NUMBER.fullmatch(text):
-            return float(text)
+    if len(text) <= _MAX_NUMBER:
+        if (whole := parse_whole(text)) is not None:
+            return whole
+        if (number := parse_number(text)) is not None:
+            return number
     if text.lower() in _NOT_FINITE:
         return float(_NOT_FINITE[text.lower()])
     return text

@@ -295,7 +295,6 @@ def build_jsbsim_vehicles(
             name=scenario.aircraft[row].name,
             instances=_instances(row, fixed),
             start=autopilot.start,
-            binary=autopilot.binary,
             tune=tunes[row],
             timeout_s=autopilot.timeout_s,
             heading_deg=math.degrees(float(yaw[k])) % 360.0,

@@ -9,7 +9,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from testbed.autopilot.parameters import FbwaParams, ParamError, with_param
+from testbed.autopilot.param_file import ParamError
+from testbed.autopilot.parameters import FbwaParams, with_param
 from testbed.core.geodetic import ned_from_geodetic
 from testbed.core.records import Event, VehicleState
 from testbed.mavlink.mission_plans import (
@@ -30,7 +31,7 @@ from testbed.sim.leader_control import FbwaInput, MissionController
 from testbed.sim.navigator import Navigator, NavigatorConfig
 
 _LOITER_RADIUS = 60.0  # m, ArduPlane's default of WP_LOITER_RAD
-_ANGLE_LIMIT = math.radians(75.0)  # of a manual command
+MANUAL_ANGLE_LIMIT = math.radians(75.0)  # of a manual command, rad
 _TIME_RESOLUTION_S = 5e-4  # time_boot_ms has whole milliseconds
 
 OwnMission = tuple[ItemFlightPlan, tuple[MissionItem, ...], MissionController]
@@ -207,12 +208,15 @@ class AutopilotSession(VehicleControl):
         rejection = self._navigator.set_mission(items, self._parameters.airspeed_limits)
         if rejection is None:
             self._report(f"mission of {len(items) - 1} items", "missions")
+            for note in self._navigator.notes:
+                self._report(note, level="warning")
         return rejection
 
     def set_current_item(self, item: int) -> Rejection | None:
         """See `VehicleControl`."""
-        if not self._navigator.set_current_item(item):
-            return Rejection(f"mission: item {item} has no position to fly to")
+        rejection = self._navigator.set_current_item(item, self._parameters.airspeed_limits)
+        if rejection is not None:
+            return rejection
         self._report(f"continues at mission item {self.current_item}", "missions")
         return None
 
@@ -274,8 +278,8 @@ class AutopilotSession(VehicleControl):
         ):
             return None
         self._manual = (
-            min(max(pitch, -_ANGLE_LIMIT), _ANGLE_LIMIT),
-            min(max(roll, -_ANGLE_LIMIT), _ANGLE_LIMIT),
+            min(max(pitch, -MANUAL_ANGLE_LIMIT), MANUAL_ANGLE_LIMIT),
+            min(max(roll, -MANUAL_ANGLE_LIMIT), MANUAL_ANGLE_LIMIT),
             min(max(throttle, 0.0), 1.0),
         )
         self._manual_s, self._sample_s = self._now, None

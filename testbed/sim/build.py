@@ -74,6 +74,7 @@ from testbed.sim.preflight import (
     sensor_warnings,
     sitl_gyro_warnings,
     step_warnings,
+    tune_warnings,
 )
 from testbed.sim.resources import check_memory
 from testbed.sim.schedule import Clock, make_clock
@@ -230,6 +231,7 @@ def build(
             *fault_warnings(scenario),
             *step_warnings(scenario, models, vehicles),
             *limit_warnings(scenario, models.params, kinds),
+            *tune_warnings(scenario, models.param_files, models.params, kinds),
             *sitl_gyro_warnings(scenario, models.params, kinds),
             *leader_warnings(scenario, control.config, leader, models.params, kinds, wind),
             *sensor_warnings(scenario),

@@ -10,6 +10,7 @@ from testbed.core.errors import InputError
 from testbed.core.records import Event
 from testbed.scenario import Scenario
 from testbed.scenario.aircraft import Follower, Leader
+from testbed.scenario.arguments import with_changes
 from testbed.scenario.faults import AnyFault, GpsJump, GpsLost
 from testbed.sensors.estimators import has_filter
 from testbed.sim.build_control import (
@@ -77,7 +78,7 @@ def build_membership(scenario: Scenario, faults: FaultManager | None) -> Formati
 
 def _as_declared(fault: AnyFault, aircraft: Leader | Follower) -> AnyFault:
     """Return the fault; one without effect is not declared."""
-    return fault if _has_effect(fault, aircraft) else fault.model_copy(update={"declared": False})
+    return fault if _has_effect(fault, aircraft) else with_changes(fault, declared=False)
 
 
 def _has_effect(fault: AnyFault, aircraft: Leader | Follower) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import signal
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from testbed.core.compile import Kernel, entry
-from testbed.core.errors import InputError
+from testbed.core.errors import FlightError, InputError
 from testbed.core.frames import course, flight_path_angle
+from testbed.core.interrupts import Interrupt
 from testbed.core.records import (
     Array,
     BoolArray,
@@ -159,10 +161,14 @@ class Control:
         if excluded.any():
             for each in inbox:
                 each[excluded] = np.nan
-        memory = law.start(own) if self._memory[number] is None else self._memory[number][0]
-        with user_code_errors(law_file(law)):
-            command, memory = law.step(now, own, inbox, memory)
-        command = validate_command(command, group.config, now)
+        try:
+            with user_code_errors(law_file(law)):
+                known = self._memory[number]
+                memory = law.start(own) if known is None else known[0]
+                command, memory = law.step(now, own, inbox, memory)
+                command = validate_command(command, group.config, now)
+        except InputError as error:
+            raise FlightError(str(error)) from error
         self._memory[number] = (memory,)
         if isinstance(command, UnicycleCommand):
             followers["speed_command"][rows] = command.speed
@@ -248,18 +254,24 @@ def _finish(
 def user_code_errors(file: str, what: str = "the law") -> Iterator[None]:
     """Turn exceptions of a user's code into errors with file and line.
 
+    Also those that would end the program, as of `sys.exit()`: a flight that is cut short by its law
+    is not a success.
+
     Args:
         file: of the code.
         what: the code is.
 
     Raises:
-        InputError: for every exception.
+        InputError: for every exception but those of signals.
     """
     try:
         yield
-    except InputError:
+    except (InputError, Interrupt):
         raise
-    except Exception as error:
+    except BaseException as error:
+        by_default = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        if isinstance(error, KeyboardInterrupt) and by_default:  # then it is no Interrupt
+            raise
         frames = traceback.extract_tb(error.__traceback__)
         lines = [frame.lineno for frame in frames if frame.filename == file]
         location = f"{file}:{lines[-1]}" if lines else file
@@ -267,8 +279,11 @@ def user_code_errors(file: str, what: str = "the law") -> Iterator[None]:
 
 
 def law_file(law: object) -> str:
-    """Return the file in which a law's class is defined."""
-    return inspect.getfile(type(law))
+    """Return the file in which a law's class is defined; its module if that is no Python file."""
+    try:
+        return inspect.getfile(type(law))
+    except (TypeError, OSError):
+        return type(law).__module__
 
 
 def validate_command(

@@ -34,6 +34,7 @@ class Navigator:
     Attributes:
         position: north, east, altitude above the origin at the last update, m.
         items: of the mission, home first.
+        notes: what of the mission is flown otherwise than its items say.
         flight_params: limits and airspeed.
         loiter_radius: of circles that have none of their own, m; negative: anticlockwise.
     """
@@ -44,6 +45,7 @@ class Navigator:
         self.flight_params, self.loiter_radius = config.flight_params, loiter_radius
         self.position, self._climb_rate = config.start, 0.0
         self.items: Sequence[MissionItem] = ()
+        self.notes: tuple[str, ...] = ()
         self._plan: ItemFlightPlan | None = None  # the whole mission
         self._rest: ItemFlightPlan | None = None  # its remaining segments
         self._mission: MissionController | None = None
@@ -112,31 +114,47 @@ class Navigator:
             items: home first.
             airspeed_limits: lowest and highest that an item may ask for, m/s.
         """
-        plan = plan_from_items(
-            items, self.position, self.flight_params, self.loiter_radius, self._config.origin
-        )
+        plan = self._plan_items(items, 1, airspeed_limits)
+        if isinstance(plan, Rejection):
+            return plan
+        self._plan, self.items, self._airspeed = plan, tuple(items), None
+        self.notes = plan.notes
+        self._start(plan)
+        return None
+
+    def _plan_items(
+        self, items: Sequence[MissionItem], first: int, airspeed_limits: tuple[float, float]
+    ) -> ItemFlightPlan | Rejection:
+        """Plan items from one on, from the current position; see `set_mission`."""
+        params, origin = self.flight_params, self._config.origin
+        plan = plan_from_items(items, self.position, params, self.loiter_radius, origin, first)
         if isinstance(plan, Rejection):
             return plan
         low, high = airspeed_limits
         for item, speed in zip(plan.items, plan.airspeeds, strict=True):
             if not low <= speed <= high:
                 return Rejection(f"mission: {speed:g} m/s: write {low:g} to {high:g}", item=item)
-        self._plan, self.items, self._airspeed = plan, tuple(items), None
-        self._start(plan)
-        return None
+        return plan
 
     def clear_mission(self) -> None:
         """Remove the mission."""
         self._plan = self._rest = self._mission = None
-        self.items = ()
+        self.items, self.notes = (), ()
 
-    def set_current_item(self, item: int) -> bool:
-        """Fly this item next, from the current position; return false if it has no position."""
-        segment = self._plan.segment_of(item) if self._plan else None
-        if self._plan is None or segment is None or not 0 <= item < len(self.items):
-            return False
-        self._start(self._plan.resume(segment, self.position))
-        return True
+    def set_current_item(self, item: int, airspeed_limits: tuple[float, float]) -> Rejection | None:
+        """Fly this item next, from the current position; see `set_mission`."""
+        if self._plan is None or not 0 <= item < len(self.items):
+            return Rejection(f"mission: there is no item {item}", item=item)
+        if item == 0 or item in self._plan.items:
+            segment = self._plan.segment_of(item)
+            assert segment is not None  # a plan is never empty
+            self._start(self._plan.resume(segment, self.position))
+            return None
+        plan = self._plan_items(self.items, item, airspeed_limits)
+        if isinstance(plan, Rejection):
+            return plan
+        self._start(plan)
+        return None
 
     def resume_mission(self) -> None:
         """Resume the mission from the current position, after another mode."""

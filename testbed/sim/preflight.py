@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from testbed.autopilot.parameters import FbwaParams, sitl_gyro_cutoff
+from testbed.autopilot.parameters import FbwaParams, sitl_gyro_cutoff, unusual_values
 from testbed.core.errors import InputError
 from testbed.core.records import Array, Event, join_names
 from testbed.formation.assumptions import (
@@ -23,6 +23,7 @@ from testbed.formation.assumptions import (
 )
 from testbed.formation.barrier import barriers_of
 from testbed.formation.law import FormationConfig
+from testbed.formation.sampled_gains import check_not_tiny, check_rate
 from testbed.formation.slots import (
     frame_rates,
     slot_attitude,
@@ -36,11 +37,11 @@ from testbed.sim.build_control import BuiltControl, agent_value, follower_names
 from testbed.sim.build_leader import LeaderSetup
 from testbed.sim.build_vehicles import AircraftModels, BuiltVehicles, build_origin
 from testbed.vehicle.jsbsim_adapter import modes_of_aircraft
-from testbed.vehicle.linearize import Mode
-from testbed.vehicle.step_size import find_coarse_step
+from testbed.vehicle.step_size import describe_coarse_step, find_coarse_step
 from testbed.vehicle.trim import STILL, TrimPoint, Vector
 
 MAX_SLOT_WARNINGS = 6  # above which only the worst is given, with the number of the others
+USUAL_GAIN_SCALE = (0.1, 10.0)
 _KAPPA = "formation.kappa_mps"
 
 
@@ -58,7 +59,23 @@ def assumption_warnings(
     order = follower_names(scenario)
     for names in found.values():
         names.sort(key=order.index)
-    return (*_wind_warnings(scenario, wind_ned), *_warnings(found))
+    return (
+        *_wind_warnings(scenario, wind_ned),
+        *_scale_warnings(scenario),
+        *_warnings(found),
+    )
+
+
+def _scale_warnings(scenario: Scenario) -> Iterator[Event]:
+    """Warn where all gains of the middle loop are far from those that were identified."""
+    scale = scenario.controller.gain_scale
+    low, high = USUAL_GAIN_SCALE
+    if not low <= scale <= high:
+        text = (
+            f"controller.gain_scale: {scale:g} multiplies every gain of the middle loop, far from "
+            f"those that were tuned (write {low:g} to {high:g})"
+        )
+        yield Event(0.0, "warning", "run", text)
 
 
 def _warnings(found: Mapping[str, Sequence[str]]) -> Iterator[Event]:
@@ -113,6 +130,14 @@ def _findings(
             agent_value(scenario, name, "speed_desired_mps") is not None for name in config.names
         ]
         yield from (each for each in check_gain(law["k"], kappa, bound) if not fixed[each.agent])
+        control_hz = scenario.rates.control_hz
+        turning = law["c"] + law["c_speed"] * law["speed_max"] ** 2
+        weights = np.where(config.gains > 0.0, config.gains, np.inf).min(axis=(1, 2))
+        yield from check_rate("formation.a", law["a"], control_hz)
+        yield from check_rate("formation.c", turning, control_hz)
+        yield from check_rate("formation.speed_pole_per_s", law["speed_pole"], control_hz)
+        yield from check_not_tiny("formation.k", law["k"], " m/s")
+        yield from check_not_tiny("leader_gains or neighbour_gains", weights, "")
         speeds = SpeedSet(*(law[f"speed_{name}"] for name in SpeedSet._fields))
         yield from check_barrier(barriers_of(law["barrier"]), speeds)
     of_airspeed = scenario.controller.bounded_speed == "airspeed"
@@ -202,6 +227,24 @@ def limit_warnings(
         limit = _Limit("roll", bank, reached, "ROLL_LIMIT_DEG", "leader.path.bank_limit_deg")
         if bank > reached + TOLERANCE:
             found[f"its guidance commands {_text(limit)}"] = [scenario.leader.name]
+    yield from _warnings(found)
+
+
+def tune_warnings(
+    scenario: Scenario, files: Sequence[Path], tunes: Sequence[FbwaParams], kinds: Sequence[str]
+) -> Iterator[Event]:
+    """Warn of parameters outside the usual range, which may make an aircraft oscillate or dull.
+
+    Args:
+        scenario: as resolved.
+        files: N, of the tunes.
+        tunes: of N aircraft.
+        kinds: of their N vehicles; those without an autopilot have no parameters.
+    """
+    found: dict[str, list[str]] = {}
+    for name, file, tune, kind in zip(scenario.aircraft_names, files, tunes, kinds, strict=True):
+        if kind == "jsbsim" and (texts := list(unusual_values(tune))):
+            found.setdefault(f"{file}: {', '.join(texts)}", []).append(name)
     yield from _warnings(found)
 
 
@@ -384,24 +427,12 @@ def step_warnings(
         coarse = find_coarse_step(modes, rates.physics_hz, multiple_hz)
         if coarse is None:
             continue
-        text = (
-            f"the {coarse.mode.name} mode of {folder.name} at {point.airspeed:g} m/s has the "
-            f"eigenvalue {_eigenvalue_text(coarse.mode)} 1/s; its magnitude times the step of "
-            f"1/{rates.physics_hz} s is {coarse.product:.3g}, and"
-        )
-        remedy = f"(write rates.physics_hz: {coarse.rate_hz})"
+        text = describe_coarse_step(coarse, folder.name, point.airspeed, rates.physics_hz)
+        text += f" (write rates.physics_hz: {coarse.rate_hz})"
         if not coarse.stable:
-            raise InputError(
-                f"rates.physics_hz: {join_names(names[folder])}: {text} from {coarse.limit:g} on "
-                f"its integration diverges {remedy}"
-            )
-        found[f"{text} above {coarse.limit:g} flights are inaccurate {remedy}"] = names[folder]
+            raise InputError(f"rates.physics_hz: {join_names(names[folder])}: {text}")
+        found[text] = names[folder]
     yield from _warnings(found)
-
-
-def _eigenvalue_text(mode: Mode) -> str:
-    value = mode.eigenvalue
-    return f"{value.real:.3g} ± {value.imag:.3g}i" if mode.oscillates else f"{value.real:.3g}"
 
 
 PERIOD_TOLERANCE = 1e-6  # of a period

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from testbed.core.files import lock_file, replacement
+from testbed.core.input_files import MAX_LOG_BYTES, open_regular
 from testbed.core.records import Event
-from testbed.logs.mcap_file import NO_SAMPLES, LogError
+from testbed.logs.file_record import check_default_output, record_files
+from testbed.logs.mcap_file import NO_SAMPLES, LogError, tail_path
 from testbed.logs.read import Log, read_log, replay, scenario_of
 from testbed.logs.recorder import McapRecorder
 from testbed.logs.run_directory import LOG_NAME, METRICS_NAME, find_run
@@ -51,11 +53,7 @@ def recover(run: str | Path) -> Recovered:
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
     """Lock a log, which its writer does too until it ends or is killed."""
-    try:
-        file = open(path, "rb")  # noqa: SIM115 - closed below
-    except OSError as error:
-        raise LogError(f"{path}: cannot read the log: {error.strerror}") from error
-    with file:
+    with open_regular(path, MAX_LOG_BYTES, error=LogError) as file:
         if not lock_file(file):
             raise LogError(
                 f"{path}: this run is still flying, or is being recovered by another process; wait "
@@ -71,9 +69,11 @@ def _recover(path: Path) -> Recovered:
         check_metrics(log.metrics, log.info, str(path))
         if path.name == LOG_NAME and not metrics_path.exists():  # killed after the log was finished
             write_json(metrics_path, log.metrics)
+            record_files(path.parent, path.name, METRICS_NAME)
         return Recovered(path, log.metrics, was_cut=False, lost_bytes=0)
     if not log.tick.size:
         raise LogError(f"{path}: {NO_SAMPLES}")
+    check_default_output(metrics_path, "move or rename it")
     try:
         with replacement(path) as new_path:
             metrics = _rewrite(log, new_path)
@@ -83,7 +83,10 @@ def _recover(path: Path) -> Recovered:
                 )
     except OSError as error:
         raise LogError(f"{path}: cannot be replaced: {error.strerror}") from error
+    with suppress(OSError):  # read by nothing, beside a finished log
+        tail_path(path).unlink(missing_ok=True)
     write_json(metrics_path, metrics)
+    record_files(path.parent, path.name, METRICS_NAME)
     return Recovered(path, metrics, was_cut=True, lost_bytes=log.lost_bytes)
 
 
@@ -91,7 +94,7 @@ def _rewrite(log: Log, path: Path) -> dict[str, Any]:
     """Write the samples of a log to a new one; return their metrics."""
     scenario = scenario_of(log)
     meter = MetricsObserver(published=scenario.published if scenario else None)
-    recorder = McapRecorder(path)
+    recorder = McapRecorder(path, live=False)
     rest = replay(log, [meter, recorder])
     last_s = float(log.time_s[-1])
     cut = Event(last_s, "warning", "run", f"recovered: the log was cut after {last_s:g} s")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
@@ -13,12 +14,14 @@ from typing import Any
 from testbed.core.errors import InputError
 from testbed.core.files import reserve_standard_descriptors
 from testbed.core.records import Event, Observer
+from testbed.logs.file_record import record_files
 from testbed.logs.recorder import McapRecorder
 from testbed.logs.run_directory import (
     LOG_NAME,
     LOGS,
     METRICS_NAME,
     SCENARIO_NAME,
+    TLOG_NAME,
     create_run_directory,
     write_run_file,
 )
@@ -26,6 +29,8 @@ from testbed.metrics import MetricsObserver
 from testbed.metrics.document import finalise, write_json
 from testbed.metrics.expectations import violations
 from testbed.scenario import Scenario, load_scenario
+from testbed.scenario.arguments import check_calls, check_count, check_overrides, check_path
+from testbed.scenario.validate import shown_value
 from testbed.sim.build import World, build
 from testbed.sim.external_options import (
     NO_EXTERNAL,
@@ -91,10 +96,10 @@ class Run:
 
 
 def run(
-    scenario: Scenario | str | Path,
+    scenario: Scenario | str | os.PathLike[str],
     overrides: Sequence[str] = (),
     *,
-    out: Path | None = None,
+    out: str | os.PathLike[str] | None = None,
     write: bool = True,
     observers: Sequence[Observer] = (),
     external: ExternalOptions = NO_EXTERNAL,
@@ -120,16 +125,22 @@ def run(
             kernels are compiled before the flight: once, after which they are on disk.
 
     Raises:
-        ScenarioError: and other ValueErrors: the scenario cannot be flown; the message has what
-            to write instead.
+        InputError: an argument is wrong, or the scenario cannot be flown; the message has what to
+            write instead.
         LogError: the run directory or the log cannot be written.
         ExternalProgramLost: an external program that the scenario needs has ended or does not
             respond.
     """
     reserve_standard_descriptors()  # or the log gets one of them, on which JSBSim prints
-    loaded = scenario if isinstance(scenario, Scenario) else load_scenario(scenario, overrides)
+    out = None if out is None else check_path("out", out)
+    if not isinstance(external, ExternalOptions):
+        raise InputError(f"external: is {shown_value(external)} (write ExternalOptions(...))")
+    if processes is not None:
+        check_count("processes", processes)
+    check_observers(observers, compiling)
+    loaded = find_loaded(scenario, overrides)
     if write and loaded.log.mcap:
-        check_disk(loaded, out or LOGS)
+        check_disk(loaded, LOGS if out is None else Path(out))
     world = build(
         loaded, commanded=external.has_server, arduplane=external.arduplane, processes=processes
     )
@@ -152,7 +163,7 @@ def run(
             external.announce(line)
         directory = open_run_directory(loaded, world, out) if write else None
         if server and directory and external.tlog:
-            server.log_to(directory / "run.tlog")
+            server.log_to(directory / TLOG_NAME)
         meter = MetricsObserver(published=loaded.published)
         log = [McapRecorder(directory / LOG_NAME)] if directory and loaded.log.mcap else []
         all_observers: list[Observer] = [meter, *log, *observers, *([server] if server else [])]
@@ -182,6 +193,8 @@ def run(
                 except InputError:
                     if error is None:
                         raise
+                finally:
+                    record_files(directory, LOG_NAME, METRICS_NAME, TLOG_NAME)
 
         closing.push(write_metrics)
         for observer in all_observers:
@@ -213,7 +226,46 @@ def run(
     return Run(loaded, metrics, directory)
 
 
-def open_run_directory(scenario: Scenario, world: World, out: Path | None) -> Path:
+def find_loaded(scenario: Scenario | str | os.PathLike[str], overrides: Sequence[str]) -> Scenario:
+    """Return the scenario of a call.
+
+    Args:
+        scenario: a scenario, or the name or path of one.
+        overrides: `key=value` as for `--set`.
+
+    Raises:
+        InputError: there is none, or overrides are those of a scenario that is loaded already.
+    """
+    texts = check_overrides("overrides", overrides)
+    if not isinstance(scenario, Scenario):
+        return load_scenario(scenario, texts)
+    if texts:
+        raise InputError(
+            f"overrides: {', '.join(texts)}: the scenario is loaded already (give them to "
+            "load_scenario)"
+        )
+    return scenario
+
+
+def check_observers(
+    observers: Sequence[Observer], compiling: Callable[[int, int], None] | None
+) -> None:
+    """Check that observers have their methods, and that `compiling` can be called.
+
+    Raises:
+        InputError: one does not.
+    """
+    if not isinstance(observers, list | tuple):
+        raise InputError(f"observers: {shown_value(observers)} is no list (write [observer])")
+    for index, each in enumerate(observers):
+        check_calls(f"observers[{index}]", each, ("begin", "observe", "end"))
+    if compiling is not None:
+        check_calls("compiling", compiling)
+
+
+def open_run_directory(
+    scenario: Scenario, world: World, out: str | os.PathLike[str] | None
+) -> Path:
     """Create a run directory, with the resolved scenario and the code of its laws.
 
     Args:
@@ -221,8 +273,9 @@ def open_run_directory(scenario: Scenario, world: World, out: Path | None) -> Pa
         world: built from it.
         out: the directory; None: a new one below `logs`.
     """
-    directory = create_run_directory(scenario.name, out=out)
+    directory = create_run_directory(scenario.name, out=None if out is None else Path(out))
     write_run_file(directory, SCENARIO_NAME, world.info.scenario_yaml.encode())
     for name, code in world.info.code.items():
         write_run_file(directory, name, code)
+    record_files(directory, SCENARIO_NAME, *world.info.code)
     return directory

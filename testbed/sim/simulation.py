@@ -2,26 +2,36 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+import numbers
+import os
 import time
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+import warnings
+import weakref
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Self, TypeAlias
+
+from pydantic import Field
 
 from testbed.core.errors import InputError
 from testbed.core.records import Event, FbwaCommand, Observer, RunInfo, Sample
+from testbed.logs.file_record import record_files
 from testbed.logs.recorder import McapRecorder
 from testbed.logs.run_directory import LOG_NAME, METRICS_NAME
 from testbed.metrics import MetricsObserver
 from testbed.metrics.document import finalise, write_json
-from testbed.scenario import Scenario, load_scenario, set_seed
+from testbed.scenario import Scenario, set_seed
 from testbed.scenario.aircraft import ArduPlane
-from testbed.sim.autopilot_session import AutopilotSession
+from testbed.scenario.arguments import check_argument, check_path
+from testbed.scenario.fields import MAX_DURATION_S, Instant, Section
+from testbed.scenario.validate import shown_value
+from testbed.sim.autopilot_session import MANUAL_ANGLE_LIMIT, AutopilotSession
 from testbed.sim.build import World, build
 from testbed.sim.external_options import external_summary
 from testbed.sim.leader_control import FbwaInput
 from testbed.sim.loop import Flight
-from testbed.sim.run import open_run_directory
+from testbed.sim.run import check_observers, find_loaded, open_run_directory
 
 Commands: TypeAlias = "Mapping[str, FbwaCommand | tuple[float, float, float]]"
 
@@ -30,7 +40,9 @@ class Simulation:
     """A scenario that is flown step by step.
 
     Aircraft with `commanded_by: external` fly the fly-by-wire-A commands of `step`; all others fly
-    as with `testbed run`, to the bit. In a `with` statement the log is closed at its end.
+    as with `testbed run`, to the bit. In a `with` statement the log is closed at its end. If it is
+    never closed, the log is finished with a ResourceWarning when the object or the program ends,
+    and metrics are missing. A forked child must make a simulation of its own.
 
     Args:
         scenario: a scenario, or the name or path of one.
@@ -56,28 +68,29 @@ class Simulation:
 
     def __init__(
         self,
-        scenario: Scenario | str | Path,
+        scenario: Scenario | str | os.PathLike[str],
         overrides: Sequence[str] = (),
         *,
         seed: int | None = None,
-        out: Path | str | None = None,
+        out: str | os.PathLike[str] | None = None,
         observers: Sequence[Observer] = (),
         compiling: Callable[[int, int], None] | None = None,
     ) -> None:
         """See the class."""
-        self.scenario = (
-            scenario if isinstance(scenario, Scenario) else load_scenario(scenario, overrides)
-        )
+        self._out = None if out is None else check_path("out", out)
+        check_observers(observers, compiling)
+        self.scenario = find_loaded(scenario, overrides)
         for each in self.scenario.aircraft:
             if isinstance(each.autopilot, ArduPlane):
                 raise InputError(
                     f"{each.name} has autopilot: ardupilot, a program of its own (fly it with "
                     "testbed.run, or write autopilot: virtual)"
                 )
-        self._out = None if out is None else Path(out)
         self._further, self._compiling = tuple(observers), compiling
         self._flown = False
         self._open: list[Observer] = []  # observers that have begun
+        self._unclosed: list[McapRecorder] = []  # at most one
+        weakref.finalize(self, _finish_log, self._unclosed, os.getpid())
         self.reset(seed)
 
     def reset(self, seed: int | None = None) -> Sample:
@@ -87,20 +100,22 @@ class Simulation:
             seed: of the new flight; None: the same as before.
 
         Raises:
-            InputError: `out` has the log of a flight, and holds one only.
+            InputError: `out` has the log of a flight, and holds one only; or the seed is wrong. The
+                flight then goes on.
         """
-        if self._flown and self._out is not None:
+        if (self._flown or self._open) and self._out is not None:
             raise InputError(f"{self._out} holds one flight (make another Simulation for the next)")
+        scenario = self.scenario if seed is None else set_seed(self.scenario, seed)
+        world = build(scenario)
         self._end_observers()
-        if seed is not None:
-            self.scenario = set_seed(self.scenario, seed)
-        world = build(self.scenario)
+        self.scenario = scenario
         meter, events = MetricsObserver(published=self.scenario.published), _Events()
         self._world, self._meter, self.events = world, meter, events.all
         self.directory = open_run_directory(self.scenario, world, self._out) if self._out else None
         observers: list[Observer] = [meter, events]
         if self.directory and self.scenario.log.mcap:
-            observers.append(McapRecorder(self.directory / LOG_NAME))
+            self._unclosed.append(McapRecorder(self.directory / LOG_NAME))
+        observers += self._unclosed
         observers += self._further
         self._flight = Flight(world, observers)
         self._flight.prepare(self._compiling)
@@ -121,22 +136,24 @@ class Simulation:
 
         Args:
             commands: by name, (pitch, roll, throttle) in rad, rad and 0..1, for aircraft with
-                `commanded_by: external`. An aircraft without a new one keeps the last; the first
-                is its trim.
-            until: s; the first tick at or after it.
+                `commanded_by: external`: angles up to 75° either way, as a stick gives. An aircraft
+                without a new one keeps the last; the first is its trim.
+            until: s, from 0 to a day; the first tick at or after it, and after the present one.
 
         Raises:
-            InputError: an aircraft takes no commands, a command is not finite, or the flight has
-                ended.
+            InputError: an aircraft takes no commands, a number is out of range, or the flight has
+                ended. The flight then goes on as if there had been no call.
         """
         if self.outcome is not None:
             raise InputError(f"the flight has ended: {self.outcome} at {self.time_s:g} s; reset()")
-        for name, command in (commands or {}).items():
-            self._commands[self._commandable(name)] = _checked(name, command)
         clock = self._world.clock
         due: float = (clock.ticks(self.time_s) // self._period + 1) * self._period
         if until is not None:
+            if not (type(until) is float and 0.0 <= until <= MAX_DURATION_S):  # else it is right
+                until = check_argument("until", until, _StepArguments, "until")
             due = max(due, clock.ticks(until))
+        if commands is not None:
+            self._commands |= self._checked_commands(commands)
         if due + self._period > clock.ticks(self._world.duration_s):
             due = math.inf  # the flight ends within the step
         try:
@@ -145,6 +162,13 @@ class Simulation:
             self.outcome = "failed"
             raise
         return self.state
+
+    def _checked_commands(self, commands: Commands) -> dict[AutopilotSession, FbwaInput]:
+        if not isinstance(commands, Mapping):
+            raise InputError(
+                f"commands: is {shown_value(commands)} (write {{name: (pitch, roll, throttle)}})"
+            )
+        return {self._commandable(name): _checked(name, each) for name, each in commands.items()}
 
     def _advance(self, due: float) -> None:
         """Fly to a tick of the base rate, or to the end."""
@@ -208,15 +232,18 @@ class Simulation:
         metrics = self.metrics
         while self._open:
             self._open.pop().end(metrics, ())
+        self._unclosed.clear()
         if self.directory:
             write_json(self.directory / METRICS_NAME, metrics)
+            record_files(self.directory, LOG_NAME, METRICS_NAME)
 
     def _commandable(self, name: str) -> AutopilotSession:
         for session in self._commands:
             if session.name == name:
                 return session
         if name not in self.names:
-            raise InputError(f"{name}: no such aircraft (there are {', '.join(self.names)})")
+            shown = name if isinstance(name, str) else shown_value(name)
+            raise InputError(f"{shown}: no such aircraft (there are {', '.join(self.names)})")
         key = "leader" if name == self.names[0] else f"fleet.{name}"
         raise InputError(
             f"{name} takes no commands: write {key}.commanded_by=external into the overrides"
@@ -237,6 +264,24 @@ class Simulation:
             f"<Simulation: {self.scenario.name}; {self.time_s:g} of {duration:g} s; "
             f"{self.outcome or 'flying'}>"
         )
+
+
+def _finish_log(unclosed: list[McapRecorder], process: int) -> None:
+    """Finish the log of a simulation that was not closed; `testbed recover` adds its metrics."""
+    if os.getpid() != process:  # a fork, which has no part in the log
+        return
+    for recorder in unclosed:
+        warnings.warn(
+            f"{recorder.path}: its Simulation was not closed: the log has no metrics (write `with "
+            "testbed.Simulation(...) as simulation:`, or call close(); testbed recover adds them)",
+            ResourceWarning,
+            stacklevel=1,
+        )
+        recorder.close()
+
+
+class _StepArguments(Section):
+    until: Instant = Field(description="Time of the flight, s.")
 
 
 class _Events:
@@ -272,12 +317,45 @@ def _checked(name: str, command: FbwaCommand | tuple[float, float, float]) -> Fb
     """Return a command as numbers.
 
     Raises:
-        InputError: it does not have three finite numbers.
+        InputError: it does not have three numbers, or one is out of range.
     """
     try:
-        pitch, roll, throttle = map(float, command)
-    except (TypeError, ValueError):
-        pitch = roll = throttle = math.nan
-    if not all(map(math.isfinite, (pitch, roll, throttle))):
-        raise InputError(f"{name}: {command} (write three finite numbers: pitch, roll, throttle)")
-    return pitch, roll, throttle
+        pitch, roll, throttle = command
+        low, high = -MANUAL_ANGLE_LIMIT, MANUAL_ANGLE_LIMIT
+        if low <= pitch <= high and low <= roll <= high and 0.0 <= throttle <= 1.0:
+            return float(pitch), float(roll), float(throttle)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise InputError(_command_error(name, command))
+
+
+def _real(value: object) -> float:
+    """Return a value as a number; NaN: it is none."""
+    try:
+        return float(value) if isinstance(value, numbers.Real) else math.nan
+    except OverflowError:
+        return math.inf
+
+
+def _command_error(name: str, command: object) -> str:
+    """Describe what is wrong with a command."""
+    parts = ("pitch", "roll", "throttle")
+    if not isinstance(command, Iterable) or isinstance(command, str | bytes | Mapping):
+        command = ()
+    values = list(itertools.islice(command, len(parts) + 1))
+    if len(values) != len(parts):
+        return f"{name}: write three numbers: pitch and roll in rad, throttle from 0 to 1"
+    for part, value in zip(parts, values, strict=True):
+        limit = 1.0 if part == "throttle" else MANUAL_ANGLE_LIMIT
+        low = 0.0 if part == "throttle" else -limit
+        number = _real(value)
+        if not low <= number <= limit:
+            break
+    what = f"{name}: {part}: is {shown_value(value)}"
+    if not math.isfinite(number):
+        return f"{what} (write a finite number)"
+    if part == "throttle":
+        hint = f"; {number:g} % is {number / 100:g}" if 1.0 < number <= 100.0 else ""
+        return f"{what} (write a number from 0 to 1{hint})"
+    hint = f"; {number:g}° is {math.radians(number):.3g} rad" if abs(number) <= 180.0 else ""
+    return f"{what} (write rad from {low:.4g} to {limit:.4g}, {math.degrees(limit):g}°{hint})"

@@ -11,22 +11,30 @@ from typing import Any, TypeVar
 from testbed.core.errors import InputError
 from testbed.core.records import ActuatorCommand, AirData, Event, VehicleState
 from testbed.scenario import ScenarioError, loads
+from testbed.scenario import aircraft as scenario_aircraft
+from testbed.scenario.arguments import check_argument, to_plain
+from testbed.scenario.fields import Section
+from testbed.scenario.sections import Header, Rates, Sections
 from testbed.sim.simulation import Simulation
 from testbed.vehicle.trim import TrimError
 
 _ValuesT = TypeVar("_ValuesT", VehicleState, AirData, ActuatorCommand)
-# Arguments by a key of the scenario that is made from them
-_ARGUMENTS = {
-    "speed_mps": "airspeed_mps",
-    "aircraft": "aircraft",
-    "altitude_m": "altitude_m",
-    "course_deg": "course_deg",
-    "air": "air",
-    "sensors": "sensors",
-    "tune": "tune",
-    "seed": "seed",
-    "duration_s": "duration_s",
+# Arguments: the section and the key of the files that have their types and bounds, and the keys of
+# the scenario that is made from them.
+_ARGUMENTS: Mapping[str, tuple[type[Section], str, tuple[str, ...]]] = {
+    "aircraft": (scenario_aircraft.Aircraft, "aircraft", ("leader", "aircraft")),
+    "airspeed_mps": (scenario_aircraft.Virtual, "speed_mps", ("leader", "path", "speed_mps")),
+    "altitude_m": (scenario_aircraft.Start, "altitude_m", ("leader", "start", "altitude_m")),
+    "course_deg": (scenario_aircraft.Start, "course_deg", ("leader", "start", "course_deg")),
+    "air": (Sections, "air", ("air",)),
+    "sensors": (scenario_aircraft.Aircraft, "sensors", ("fleet", "0", "sensors")),
+    "tune": (scenario_aircraft.Aircraft, "tune", ("fleet", "0", "tune")),
+    "seed": (Header, "seed", ("scenario", "seed")),
+    "duration_s": (Header, "duration_s", ("scenario", "duration_s")),
+    "physics_hz": (Rates, "physics_hz", ("rates", "physics_hz")),
 }
+_AUTOPILOT_HZ = Rates().autopilot_hz
+_NAME = "aircraft"
 _AHEAD_M = 50.0  # of a leader that is a formula: a scenario has one
 
 
@@ -45,6 +53,8 @@ class Aircraft:
         tune: autopilot parameters: <tune>.param of the airframe, or the path of a file.
         seed: of turbulence and sensor errors.
         duration_s: after which the flight ends, s.
+        physics_hz: steps of the flight model per second, a multiple of 50, up to 10,000; an
+            aircraft with fast modes needs more, which an error or an event says.
         compiling: as of `testbed.run`.
 
     Attributes:
@@ -67,45 +77,33 @@ class Aircraft:
         tune: str = "autopilot",
         seed: int = 1,
         duration_s: float = 3600.0,
+        physics_hz: int = 100,
         compiling: Callable[[int, int], None] | None = None,
     ) -> None:
         """See the class."""
-        numbers = {"airspeed_mps": airspeed_mps, "altitude_m": altitude_m}
-        numbers |= {"course_deg": course_deg, "duration_s": duration_s}
-        for name, value in numbers.items():
-            if not math.isfinite(value):
-                raise InputError(f"{name}: {value} (write a finite number)")
-        line = {"kind": "virtual", "speed_mps": airspeed_mps, "curve": {"kind": "straight"}}
-        course = math.radians(course_deg)
-        ahead = {"north_m": _AHEAD_M * math.cos(course), "east_m": _AHEAD_M * math.sin(course)}
-        behind = [-_AHEAD_M, 0, 0]
-        scenario = {
-            "scenario": {"schema": 2, "name": "aircraft", "duration_s": duration_s, "seed": seed},
-            "leader": {
-                "aircraft": aircraft,
-                "start": {**ahead, "altitude_m": altitude_m, "course_deg": course_deg},
-                "path": line,
-            },
-            "fleet": [
-                {
-                    "name": "aircraft",
-                    "aircraft": aircraft,
-                    "start_m": behind,
-                    "commanded_by": "external",
-                    "sensors": sensors,
-                    "tune": tune,
-                }
-            ],
-            "formation": {
-                "offsets_m": {"aircraft": behind},
-                "leader_gains": {"aircraft": 1},
-                "speed_mps": [0.5 * airspeed_mps, 2.0 * airspeed_mps],
-            },
-            "air": dict(air or {}),
-            "limits": {"formation_lost_m": None, "min_separation_m": 0},
+        given: dict[str, object] = {
+            "aircraft": aircraft,
+            "airspeed_mps": airspeed_mps,
+            "altitude_m": altitude_m,
+            "course_deg": course_deg,
+            "air": {} if air is None else air,
+            "sensors": sensors,
+            "tune": tune,
+            "seed": seed,
+            "duration_s": duration_s,
+            "physics_hz": physics_hz,
         }
+        for name, value in given.items():
+            model, key, _ = _ARGUMENTS[name]
+            check_argument(name, value, model, key)
+        if physics_hz % _AUTOPILOT_HZ:
+            raise InputError(
+                f"physics_hz: is {physics_hz} (write a multiple of {_AUTOPILOT_HZ}, the rate of "
+                "the autopilot)"
+            )
         with _argument_errors(f"{airspeed_mps:g}", altitude_m):
-            loaded = loads(json.dumps(scenario), source="testbed.Aircraft")
+            text = json.dumps(_scenario(to_plain("", given)))
+            loaded = loads(text, source="testbed.Aircraft")
             self.simulation = Simulation(loaded, compiling=compiling)
         self._sample = self.simulation.state
 
@@ -115,15 +113,19 @@ class Aircraft:
         """Fly a command to the next tick of the autopilot, or up to a time; return the motion.
 
         Args:
-            pitch: rad.
-            roll: rad.
+            pitch: rad, up to 75° either way.
+            roll: rad, up to 75° either way.
             throttle: 0..1.
-            until: s; the first tick at or after it.
+            until: s, from 0 to a day; the first tick at or after it, and after the present one.
 
         Raises:
-            InputError: a number is not finite, or the flight has ended.
+            InputError: a number is out of range, or the flight has ended. The flight then goes on
+                as if there had been no call.
         """
-        self._sample = self.simulation.step({"aircraft": (pitch, roll, throttle)}, until)
+        try:
+            self._sample = self.simulation.step({_NAME: (pitch, roll, throttle)}, until)
+        except InputError as error:
+            raise InputError(str(error).removeprefix(f"{_NAME}: ")) from None
         return self.truth
 
     def reset(self, seed: int | None = None) -> VehicleState:
@@ -172,6 +174,49 @@ class Aircraft:
         return f"<Aircraft: {name}; {self.time_s:g} s; {self.outcome or 'flying'}>"
 
 
+def _scenario(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the scenario of one aircraft, as a file has it, from checked arguments."""
+    aircraft, airspeed = arguments["aircraft"], arguments["airspeed_mps"]
+    course = math.radians(arguments["course_deg"])
+    behind = [-_AHEAD_M, 0, 0]
+    return {
+        "scenario": {
+            "schema": 2,
+            "name": _NAME,
+            "duration_s": arguments["duration_s"],
+            "seed": arguments["seed"],
+        },
+        "rates": {"physics_hz": arguments["physics_hz"]},
+        "leader": {
+            "aircraft": aircraft,
+            "start": {
+                "north_m": _AHEAD_M * math.cos(course),
+                "east_m": _AHEAD_M * math.sin(course),
+                "altitude_m": arguments["altitude_m"],
+                "course_deg": arguments["course_deg"],
+            },
+            "path": {"kind": "virtual", "speed_mps": airspeed, "curve": {"kind": "straight"}},
+        },
+        "fleet": [
+            {
+                "name": _NAME,
+                "aircraft": aircraft,
+                "start_m": behind,
+                "commanded_by": "external",
+                "sensors": arguments["sensors"],
+                "tune": arguments["tune"],
+            }
+        ],
+        "formation": {
+            "offsets_m": {_NAME: behind},
+            "leader_gains": {_NAME: 1},
+            "speed_mps": [0.5 * airspeed, 2.0 * airspeed],
+        },
+        "air": arguments["air"],
+        "limits": {"formation_lost_m": None, "min_separation_m": 0},
+    }
+
+
 @contextmanager
 def _argument_errors(airspeed: str, altitude_m: float) -> Iterator[None]:
     """Name the argument in errors of the scenario that is made from the arguments.
@@ -189,15 +234,16 @@ def _argument_errors(airspeed: str, altitude_m: float) -> Iterator[None]:
         ) from None
     except ScenarioError as error:
         first = error.problems[0]
-        path = [str(each) for each in first.path]
-        name = next((each for key, each in _ARGUMENTS.items() if key in path), "")
-        if name == "air":
-            name = ".".join(path)
-        raise InputError(f"{name}: {first.text}" if name else str(first)) from None
+        for name, (_, _, keys) in _ARGUMENTS.items():
+            if first.path[: len(keys)] == keys:
+                place = ".".join((name, *first.path[len(keys) :]))
+                raise InputError(f"{place}: {first.text}") from None
+        raise InputError(str(first)) from None
     except InputError as error:
-        if "below the ground" in str(error):
-            raise InputError(f"altitude_m: {error}") from None
-        raise
+        text = str(error)
+        if "below the ground" in text:
+            raise InputError(f"altitude_m: {text}") from None
+        raise InputError(text.replace("rates.physics_hz", "physics_hz")) from None
 
 
 def _row(values: _ValuesT) -> _ValuesT:

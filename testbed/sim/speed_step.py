@@ -9,6 +9,7 @@ no wind, and estimates are exact.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,6 +27,8 @@ from testbed.sim.stages import copy_truth
 from testbed.sim.vehicles import JsbsimVehicles
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.identify import FirstOrder, fit_first_order
+from testbed.vehicle.jsbsim_adapter import modes_of_aircraft
+from testbed.vehicle.step_size import check_fixed_step
 from testbed.vehicle.trim import InitialState
 
 BASE_RATE_HZ = 200
@@ -58,7 +61,13 @@ class SpeedStep:
 
 
 def speed_step(
-    folder: Path, profile: MiddleLoopGains, params: FbwaParams, *, airspeed: float, step: float
+    folder: Path,
+    profile: MiddleLoopGains,
+    params: FbwaParams,
+    *,
+    airspeed: float,
+    step: float,
+    warn: Callable[[str], None] = lambda text: None,
 ) -> SpeedStep:
     """Fly a speed step, and fit first-order models to the response.
 
@@ -68,10 +77,11 @@ def speed_step(
         params: of its autopilot.
         airspeed: true, before the step, m/s.
         step: of the commanded speed, m/s.
+        warn: receives a line if the flight model is too fast for the steps of 1/200 s.
 
     Raises:
         AircraftError, TrimError: the aircraft cannot be loaded or trimmed.
-        InputError: the step is too small, or the aircraft crashes.
+        InputError: the step is too small, or the aircraft crashes, or diverges with these steps.
     """
     if not (math.isfinite(step) and abs(step) >= 0.1 and airspeed + step > 0.0):
         raise InputError(
@@ -80,6 +90,9 @@ def speed_step(
         )
     start = InitialState((0.0, 0.0, -ALTITUDE), airspeed=airspeed)
     fleet = JsbsimFleet([folder], [start], Origin(), BASE_RATE_HZ)
+    point = fleet.trims[0].point
+    modes = modes_of_aircraft(folder, point, Origin())
+    check_fixed_step(folder.name, point.airspeed, modes, BASE_RATE_HZ, warn)
     gains = make_gains([params], AUTOPILOT_TICKS / BASE_RATE_HZ)
     aircraft, followers = allocate(AIRCRAFT, 1), allocate(FOLLOWER, 1)
     aircraft["faults"]["power"] = 1.0

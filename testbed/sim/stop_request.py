@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from testbed.core.interrupts import sigint_count
+from testbed.core.interrupts import Interrupt, sigint_count
 
 GRACE_S = 1.0  # after a signal that took effect; signals within it have no effect
 # Interrupted halfway, these would write a sample twice, or measure a part of one.
@@ -26,6 +27,8 @@ class StopRequest:
     A signal within `GRACE_S` of one that took effect is dropped: it belongs to the same stop, as
     when a key repeats or a supervisor and a terminal both send one. A later one interrupts the
     simulation at once, but not the writing of files: there it is kept until they are complete.
+    A simulation that goes on for `GRACE_S` after the first, as in a law that does not return, is
+    reported to standard error, with the line of Python that it is in.
     """
 
     def __init__(self) -> None:
@@ -35,6 +38,7 @@ class StopRequest:
         self._effective_s = time.monotonic()  # of the last signal that took effect
         self._ending = False
         self._uninterrupted = False
+        self._notice: threading.Timer | None = None
         self.postponed = False  # a KeyboardInterrupt, to be raised after the ending
 
     def __call__(self) -> bool:
@@ -57,17 +61,37 @@ class StopRequest:
             return
         first, self._requested, self._effective_s = not self._requested, True, now
         if first:
+            self._notice = threading.Timer(GRACE_S, self._report_delay)
+            self._notice.daemon = True
+            self._notice.start()
             return
         if self._uninterrupted or _in_uninterrupted_package(frame):
             self.postponed = True
             return
         # at once, because the code that is interrupted here may not come to do it
         self._uninterrupted = self._ending
-        raise KeyboardInterrupt
+        raise Interrupt
 
     def begin_ending(self) -> None:
         """Postpone further signals from now on: files are completed and programs ended."""
         self._ending = self._uninterrupted = True
+        self.cancel_notice()
+
+    def cancel_notice(self) -> None:
+        """Report no delay any more."""
+        if self._notice is not None:
+            self._notice.cancel()
+
+    def _report_delay(self) -> None:
+        """Say that the simulation goes on, where, and what ends it."""
+        frame = sys._current_frames().get(threading.main_thread().ident or 0)
+        if self._uninterrupted or frame is None:
+            return
+        where = f"{frame.f_code.co_filename}:{frame.f_lineno}"
+        sys.stderr.write(
+            f"\nstopping, but still in {where}: Ctrl-C (or another signal) ends it at once\n"
+        )
+        sys.stderr.flush()
 
     def interruptible(self, act: Callable[[], None]) -> None:
         """Run an action of the ending that may hang, and that a signal may interrupt."""
@@ -117,7 +141,8 @@ def stop_on_signals() -> Iterator[StopRequest]:
     try:
         yield stop
     finally:
+        stop.cancel_notice()
         for number, handler in before.items():
             signal.signal(number, handler)
     if stop.postponed:
-        raise KeyboardInterrupt
+        raise Interrupt

@@ -47,27 +47,28 @@ def build_law(name: str, options: Mapping[str, Any], config: FormationConfig) ->
     """
     module_name, _, class_name = find_code(name).rpartition(":")
     module, origin = _import(module_name, "controller.law")
-    found: Any = getattr(module, class_name, None)
-    if not isinstance(found, type):
-        classes = [n for n, each in vars(module).items() if inspect.isclass(each)]
-        raise InputError(
-            f"controller.law: {origin} has no class {class_name!r} (it has "
-            f"{', '.join(classes) or 'none'})"
-        )
-    for method in ("start", "step"):
-        if not callable(getattr(found, method, None)):
+    with user_code_errors(origin):  # attributes of modules and classes can be code, too
+        found: Any = getattr(module, class_name, None)
+        if not isinstance(found, type):
+            classes = [n for n, each in vars(module).items() if inspect.isclass(each)]
             raise InputError(
-                f"controller.law: {class_name} has no method {method} (a law has "
-                "start(own) -> memory and step(now, own, inbox, memory) -> command, memory)"
+                f"controller.law: {origin} has no class {class_name!r} (it has "
+                f"{', '.join(classes) or 'none'})"
             )
-    try:
-        inspect.signature(found).bind(config, **options)
-    except TypeError as error:
-        raise InputError(
-            f"controller.options: {class_name}{inspect.signature(found)} cannot be built: {error}"
-        ) from error
-    make = cast(Callable[..., Law], found)
-    with user_code_errors(origin):
+        for method in ("start", "step"):
+            if not callable(getattr(found, method, None)):
+                raise InputError(
+                    f"controller.law: {class_name} has no method {method} (a law has "
+                    "start(own) -> memory and step(now, own, inbox, memory) -> command, memory)"
+                )
+        try:
+            inspect.signature(found).bind(config, **options)
+        except TypeError as error:
+            raise InputError(
+                f"controller.options: {class_name}{inspect.signature(found)} cannot be built: "
+                f"{error}"
+            ) from error
+        make = cast(Callable[..., Law], found)
         return make(config, **options), _describe(module_name, origin)
 
 
@@ -88,7 +89,8 @@ def build_function(name: str, key: str) -> tuple[Callable[..., Array], str]:
     """
     module_name, _, function_name = find_code(name).rpartition(":")
     module, origin = _import(module_name, key)
-    found: Any = getattr(module, function_name, None)
+    with user_code_errors(origin, "the module"):
+        found: Any = getattr(module, function_name, None)
     if not callable(found):
         functions = [n for n, each in vars(module).items() if inspect.isfunction(each)]
         raise InputError(
@@ -210,10 +212,11 @@ def _import(name: str, key: str) -> tuple[ModuleType, str]:
     if not all(part.isidentifier() for part in name.split(".")) or not is_installed(name):
         raise InputError(f"{key}: no module {name!r} ({remedy})")
     try:
-        module = importlib.import_module(name)
-    except ImportError as error:
+        with user_code_errors(name, what):
+            module = importlib.import_module(name)
+            return module, str(getattr(module, "__file__", None) or name)
+    except InputError as error:
         raise InputError(f"{key}: no module {name!r} ({remedy}): {error}") from error
-    return module, str(getattr(module, "__file__", None) or name)
 
 
 SEED = 11
@@ -228,8 +231,13 @@ def check_law(law: Law, config: FormationConfig) -> type[Command]:
     """Check a law on generated flights of its followers, and return its type of command.
 
     Raises:
-        InputError: naming the first rule that it violates.
+        InputError: naming the first rule that it violates, or the exception that it raises.
     """
+    with user_code_errors(law_file(law)):
+        return _check_rules(law, config)
+
+
+def _check_rules(law: Law, config: FormationConfig) -> type[Command]:
     rng = np.random.default_rng(SEED)
     before = _attributes(law)
     for share in MISSING_SHARES:
@@ -302,18 +310,17 @@ def _check_interleaved(
     for now, own, inbox in flight:
         moved = VehicleState(*(each * (1.0 + 0.1 * rng.random(each.shape)) for each in own))
         other.append((now, moved, inbox))
-    with user_code_errors(law_file(law)):
-        memories = [law.start(_read_only(each[0][1])) for each in (other, flight)]
-        for one, two, expected in zip(other, flight, commands, strict=True):
-            for k, (now, own, inbox) in enumerate((one, two)):
-                result = law.step(now, _read_only(own), _read_only(inbox), memories[k])
-                command, memories[k] = result
-            if not _same([expected], [validate_command(command, config, two[0])]):
-                _reject(
-                    law,
-                    "returns another command where it also steps another flight (store state in "
-                    "the memory, not in attributes or global variables)",
-                )
+    memories = [law.start(_read_only(each[0][1])) for each in (other, flight)]
+    for one, two, expected in zip(other, flight, commands, strict=True):
+        for k, (now, own, inbox) in enumerate((one, two)):
+            result = law.step(now, _read_only(own), _read_only(inbox), memories[k])
+            command, memories[k] = result
+        if not _same([expected], [validate_command(command, config, two[0])]):
+            _reject(
+                law,
+                "returns another command where it also steps another flight (store state in "
+                "the memory, not in attributes or global variables)",
+            )
 
 
 def _attributes(law: Law) -> dict[str, bytes]:
@@ -337,23 +344,20 @@ def _check_attributes(law: Law, before: dict[str, bytes]) -> None:
 def _fly(law: Law, config: FormationConfig, flight: list[Step]) -> list[Command]:
     """Return the command of each step; memory and inputs must not be modified."""
     commands = []
-    with user_code_errors(law_file(law)):
-        memory = law.start(_read_only(flight[0][1]))
+    memory = law.start(_read_only(flight[0][1]))
     for now, own, inbox in flight:
         before = copy.deepcopy(memory)
-        with user_code_errors(law_file(law)):
-            try:
-                result = law.step(now, _read_only(own), _read_only(inbox), memory)
-            except ValueError as error:
-                if "read-only" not in str(error):
-                    raise
-                _reject(law, f"writes into its inputs ({error}; make a copy)")
+        try:
+            result = law.step(now, _read_only(own), _read_only(inbox), memory)
+        except ValueError as error:
+            if "read-only" not in str(error):
+                raise
+            _reject(law, f"writes into its inputs ({error}; make a copy)")
         if not (isinstance(result, tuple) and len(result) == 2):
             _reject(law, "must return two values from step: the command and the memory")
         command, after = result
         modified = _pickled(memory) != _pickled(before)
-        with user_code_errors(law_file(law)):
-            again = law.step(now, _read_only(own), _read_only(inbox), before)[0]
+        again = law.step(now, _read_only(own), _read_only(inbox), before)[0]
         command = validate_command(command, config, now)
         if modified or not _same([command], [validate_command(again, config, now)]):
             _reject(
@@ -444,7 +448,7 @@ def _pickled(memory: Any) -> bytes:  # noqa: ANN401 - any type
     """Return the memory as bytes for a comparison; empty if it cannot be pickled."""
     try:
         return pickle.dumps(memory)
-    except (pickle.PicklingError, TypeError, AttributeError):
+    except Exception:  # of the types in it, which may be the user's
         return b""
 
 

@@ -15,6 +15,7 @@ from testbed.core.records import Array
 from testbed.logs.read import Log
 from testbed.metrics.check import check_metrics
 from testbed.scenario import loads
+from testbed.scenario.arguments import check_not_negative
 from testbed.studies.golden_table import RULES, row_label, table_numbers
 from testbed.studies.scenario_snapshot import differences
 
@@ -82,8 +83,10 @@ def compare_runs(first: Log, second: Log, *, tolerance: float | None = None) -> 
             events must be equal.
 
     Raises:
-        InputError: a run has no metrics, because it was killed.
+        InputError: a run has no metrics, because it was killed; or the tolerance is wrong.
     """
+    if tolerance is not None:
+        check_not_negative("tolerance", tolerance)
     documents = [_metrics(log) for log in (first, second)]
     pairs = _pairs(*(_leaves(document) for document in documents))
     numbers = [table_numbers(document) for document in documents]

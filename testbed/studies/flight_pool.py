@@ -13,8 +13,9 @@ from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager
 
 from testbed.core.compile import NOTICE, cache_folder, is_compiling
-from testbed.core.errors import InputError
+from testbed.core.errors import ExternalProgramLost, InputError
 from testbed.sim.stop_request import StopRequest, stop_on_signals
+from testbed.studies.dask_workers import LOST, DaskWorkers
 from testbed.studies.flight_task import (
     FAILED,
     INTERRUPTED,
@@ -50,7 +51,8 @@ class FlightPool:
 
         Raises:
             KeyboardInterrupt: Ctrl-C or SIGTERM was received.
-            InputError: the connection to the cluster was lost.
+            ExternalProgramLost: the connection to the cluster was lost.
+            InputError: no process can be started.
         """
         pending = iter(tasks)
         retries: deque[FlightTask] = deque()
@@ -59,9 +61,8 @@ class FlightPool:
         done: queue.SimpleQueue[Future[FlightResult]] = queue.SimpleQueue()
         more = True
         while more or retries or running:
-            while (
-                (more or retries) and len(running) < self._workers.capacity() and not self._stop()
-            ):
+            capacity = self._workers.capacity()  # also notices a cluster that has gone
+            while (more or retries) and len(running) < capacity and not self._stop():
                 task = retries.popleft() if retries else next(pending, None)
                 if task is None:
                     more = False
@@ -100,7 +101,7 @@ class FlightPool:
         try:
             error = future.exception()
         except CancelledError:
-            raise InputError("the cluster is lost, with the flights that ran on it") from None
+            raise ExternalProgramLost(LOST.format("its scheduler has ended")) from None
         if error is None:
             result = future.result()
             return None if result.outcome == INTERRUPTED else result
@@ -147,8 +148,6 @@ def _open_workers(jobs: int | None, backend: str, scheduler: str | None) -> Work
             raise InputError(f"--scheduler {scheduler}: needs --backend dask")
         return LocalWorkers(jobs)
     if backend == "dask":
-        from testbed.studies.dask_workers import DaskWorkers
-
         if scheduler is None:
             raise InputError(
                 "--backend dask: needs the address of the scheduler (write --scheduler "

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from testbed.core.errors import InputError
+from testbed.core.errors import FlightError, InputError
 from testbed.metrics.document import EXCEEDED, exceedances, losses
 from testbed.metrics.expectations import bound_key, describe_violation, violations
 
@@ -99,6 +99,8 @@ def run_task(task: FlightTask) -> FlightResult:
                 error = "; ".join(
                     f"{bound_key(each)}: {describe_violation(each)}" for each in found
                 )
+        except FlightError as failure:
+            outcome, error = FAILED, f"failed: {failure}"
         except InputError as refused:
             outcome, error = INVALID, f"invalid: {refused}"
         except Exception as failure:

@@ -11,6 +11,8 @@ from pathlib import Path
 from xml.etree import ElementTree as xml
 
 from testbed.core.files import report_write_errors, write_text_file
+from testbed.core.input_files import read_bounded_text
+from testbed.core.numbers import parse_whole
 from testbed.scenario import Place, ScenarioError
 from testbed.studies.golden import GoldenCase
 from testbed.studies.golden_compare import RowComparison, Verdict, Violation
@@ -23,7 +25,7 @@ from testbed.studies.golden_report import (
     run_command,
     violation_line,
 )
-from testbed.studies.golden_table import row_label
+from testbed.studies.golden_table import MAX_GOLDEN_BYTES, row_label
 
 BAR_CELLS = 12  # of the longest bar
 MAX_TABLE_ROWS = 40
@@ -331,9 +333,9 @@ def input_annotations(error: Exception) -> list[Annotation]:
 def _leading_place(line: str) -> Place | None:
     """Return the `file:line:column` with which the text of a problem begins."""
     file, *rest = line.split(":", 3)
-    if len(rest) == 3 and rest[0].isdigit() and rest[1].isdigit():
-        return Place(file, int(rest[0]), int(rest[1]))
-    return None
+    numbers = [parse_whole(each) for each in rest[:2]] if len(rest) == 3 else []
+    row, column = numbers or (None, None)
+    return None if row is None or column is None else Place(file, row, column)
 
 
 def _of_verdict(case: GoldenCase, verdict: Verdict) -> Iterator[Annotation]:
@@ -364,8 +366,8 @@ def _more(count: int) -> str:
 
 def _line_of(table: Path, key: str) -> int:
     """Return the line of a row in a golden table, from 1."""
-    start = f'"{key}":'
-    for number, line in enumerate(table.read_text(encoding="utf-8").splitlines(), start=1):
+    start, text = f'"{key}":', read_bounded_text(table, MAX_GOLDEN_BYTES)
+    for number, line in enumerate(text.splitlines(), start=1):
         if line.lstrip().startswith(start):
             return number
     return 1

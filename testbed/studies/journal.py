@@ -120,7 +120,8 @@ class Journal:
         self._name_index: dict[tuple[str, ...], int] = {}
         self._count = 0  # of all names read
         try:
-            self._file: BinaryIO = path.open("xb+" if inputs is not None else "rb+")
+            new = inputs is not None
+            self._file: BinaryIO = path.open("xb+") if new else path.open("rb+")
         except FileExistsError:
             raise InputError(
                 f"{path}: another sweep has just created it (name another file with --out)"

@@ -22,6 +22,7 @@ import joblib
 from joblib.externals.loky import BrokenProcessPool, ProcessPoolExecutor
 from joblib.externals.loky.process_executor import ShutdownExecutorError
 
+from testbed.core.errors import InputError
 from testbed.studies.flight_task import FlightResult, FlightTask, run_task
 
 _SAFE_PATH = "PYTHONSAFEPATH"
@@ -57,10 +58,27 @@ class LocalWorkers:
         return self._size
 
     def submit(self, task: FlightTask) -> Future[FlightResult]:
-        """Run a task in a free process, which is started if necessary."""
-        with _safe_path():
-            process = self._free.pop() or self._start()
-            future: Future[FlightResult] = process.submit(run_task, task)
+        """Run a task in a free process, which is started if necessary.
+
+        Raises:
+            InputError: no process can be started.
+        """
+        process = self._free.pop()
+        try:
+            with _safe_path():
+                try:
+                    process = process or self._start()
+                    future: Future[FlightResult] = process.submit(run_task, task)
+                except (BrokenProcessPool, ShutdownExecutorError):  # it was killed while free
+                    if process is not None:
+                        self._started.discard(process)
+                    process = self._start()
+                    future = process.submit(run_task, task)
+        except (OSError, MemoryError) as error:
+            raise InputError(
+                f"no process can be started for a flight: {error or 'not enough memory'} (write "
+                "--jobs 1, or end other programs)"
+            ) from error
         future.add_done_callback(lambda done: self._release(process, done))
         return future
 

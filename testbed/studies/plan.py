@@ -200,7 +200,7 @@ class Plan(Sequence[StudyRun]):
         for index in range(len(self.cases)):
             run = self.run(index, 0)
             with suppress(ScenarioError):
-                scenario = self._drafts[run.case].resolve(run.overrides)
+                scenario = self._resolve(run.case, run.overrides)
                 missing = unreached_windows(scenario, settings.duration_s)
                 if settings.metrics:
                     read = [name.split(".")[1:2] for name in settings.metrics]
@@ -218,14 +218,18 @@ class Plan(Sequence[StudyRun]):
         lines: list[str] = []
         for index, case in enumerate(self.cases):
             with suppress(ScenarioError):
-                scenario = self._drafts[case].resolve(self.run(index, 0).overrides)
+                scenario = self._resolve(case, self.run(index, 0).overrides)
                 lines += unchecked_bounds(scenario, duration_s)
         return list(dict.fromkeys(lines))
 
     def _load(self, case: str, overrides: tuple[str, ...]) -> Scenario:
-        scenario = self._drafts[case].resolve(overrides)
+        scenario = self._resolve(case, overrides)
         duration_s = self.study.config.study.duration_s
         return scenario if duration_s is None else set_duration(scenario, duration_s)
+
+    def _resolve(self, case: str, overrides: tuple[str, ...]) -> Scenario:
+        folder = self.study.path.resolve().parent
+        return self._drafts[case].resolve(overrides, settings_folder=folder)
 
     def _open(self, case: str) -> ScenarioFile:
         own = self.study.config.cases.get(case, {})

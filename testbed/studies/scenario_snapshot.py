@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from testbed.autopilot.parameters import read_values
+from testbed.autopilot.param_file import read_values
 from testbed.core.errors import InputError
 from testbed.core.input_files import MAX_TABLE_BYTES, read_bounded
 from testbed.scenario import Scenario, code_references, find_aircraft, find_code, find_data

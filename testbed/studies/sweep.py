@@ -7,6 +7,7 @@ their place, or how often the study was interrupted.
 from __future__ import annotations
 
 import json
+import os
 import re
 import time
 from collections import Counter
@@ -20,6 +21,12 @@ from testbed.core.errors import InputError
 from testbed.metrics.document import initial_warnings
 from testbed.metrics.expectations import bound_key, violations
 from testbed.scenario import Scenario, dump
+from testbed.scenario.arguments import (
+    check_calls,
+    check_count,
+    check_not_negative,
+    check_path,
+)
 from testbed.scenario.problems import ScenarioError
 from testbed.sim.bounds import violation_lines
 from testbed.sim.build import versions
@@ -75,7 +82,7 @@ class SweepResult:
 
 def sweep(
     study: Study | str | Path,
-    out: Path | None = None,
+    out: str | os.PathLike[str] | None = None,
     *,
     jobs: int | None = None,
     resume: bool = False,
@@ -104,7 +111,13 @@ def sweep(
             study was started.
         KeyboardInterrupt: Ctrl-C or SIGTERM; the file has the finished runs.
     """
-    study = study if isinstance(study, Study) else load_study(study)
+    out = None if out is None else check_path("out", out)
+    if jobs is not None:
+        check_count("jobs", jobs)
+    check_not_negative("refresh_s", refresh_s)
+    check_calls("progress", progress)
+    check_calls("report", report)
+    study = study if isinstance(study, Study) else load_study(check_path("study", study))
     plan = Plan(study)
     start = time.monotonic()
     checked = check_plan(plan)
@@ -128,7 +141,7 @@ def sweep(
         for line in cluster_notices(scheduler):
             report(line)
     with open_flight_pool(jobs=jobs, backend=backend, scheduler=scheduler, report=report) as pool:
-        output = find_output(study.name, out, resume=resume)
+        output = find_output(study.name, None if out is None else Path(out), resume=resume)
         report(f"file: {output.path}")
         if output.path.exists() and not output.journal.exists():
             return _completed(study, output, inputs)

@@ -22,6 +22,7 @@ from testbed.core.files import (
     write_file,
 )
 from testbed.core.input_files import parse_json_map
+from testbed.core.numbers import parse_whole
 from testbed.logs.arrow_io import column_names, read_columns, write_columns
 from testbed.logs.run_directory import LOGS, create_run_directory
 from testbed.scenario.yaml_io import to_inline
@@ -36,7 +37,7 @@ SUFFIX = ".parquet"
 SCHEMA = 2
 _ROWS_AT_ONCE = 2_000  # in memory
 _LARGEST = 2**63
-_MAX_DIGITS = 15
+_TOO_MANY = 10**15  # runs
 FIRST_COLUMNS = {"run": "int64", "case": "string", "seed": "int64"}
 NEXT_COLUMNS = {"outcome": "string", "error": "string", "command": "string"}
 
@@ -121,9 +122,10 @@ class StudyTable:
             InputError: the file has none.
         """
         text = self.metadata.get("runs", "")
-        if not (text.isdecimal() and len(text) <= _MAX_DIGITS):
+        runs = parse_whole(text)
+        if runs is None or not 0 <= runs < _TOO_MANY:
             raise InputError(f"{self.path}: metadata runs: {text[:40]!r} is not a number of runs")
-        return int(text)
+        return runs
 
     def json(self, name: str) -> dict[str, Any]:
         """Return a JSON object of the metadata.

@@ -28,6 +28,7 @@ from testbed.scenario import (
     load_scenario,
     middle_loop_gains,
 )
+from testbed.scenario.arguments import check_calls, check_count, check_path
 from testbed.scenario.problems import Problem, ScenarioError, did_you_mean
 from testbed.scenario.yaml_io import to_inline, walk, write
 from testbed.studies.flight_pool import FlightPool, open_flight_pool
@@ -234,6 +235,7 @@ class SearchLog:
         """Write into this directory."""
         self._problem = problem
         self.directory = directory
+        self._lines: list[str] = []  # of the candidates
 
     def start(self, first: Candidate) -> None:
         """Write the tune file, and the gains of the scenario as the first candidate."""
@@ -244,15 +246,12 @@ class SearchLog:
         for result in first.evaluation.constraints:
             at = f"at {result.constraint.bank_deg:g} deg"
             head += [f"{key} {at}" for key, _ in result.required()] + [f"shortfall {at}"]
-        self._write(CANDIDATES, _csv_line(head) + _csv_line(_cells(first)))
+        self._lines.append(_csv_line(head))
+        self._write_candidates([first])
 
     def add(self, candidates: Sequence[Candidate], best: Candidate) -> None:
         """Append a generation, and write the best gains if they are in it."""
-        path = self.directory / CANDIDATES
-        with report_write_errors(path), path.open("a", encoding="utf-8", newline="") as file:
-            file.writelines(_csv_line(_cells(each)) for each in candidates)
-            file.flush()
-            os.fsync(file.fileno())
+        self._write_candidates(candidates)
         if any(each is best for each in candidates):
             self._write_gains(best, NOT_COMPARED)
 
@@ -261,6 +260,11 @@ class SearchLog:
         if result.comparison is not None:
             self._write_gains(result.best, result.comparison.verdict)
         write_json(self.directory / RESULT, to_document(result, self._problem))
+
+    def _write_candidates(self, new: Sequence[Candidate]) -> None:
+        """Write all candidates: lines that are appended can be cut by the end of the process."""
+        self._lines += [_csv_line(_cells(each)) for each in new]
+        self._write(CANDIDATES, "".join(self._lines))
 
     def _write_gains(self, best: Candidate, verdict: str) -> None:
         """Write the middle loop's gains, and a scenario that extends the tuned one."""
@@ -275,6 +279,9 @@ class SearchLog:
         for result in best.evaluation.constraints:
             comment += f"# {result.describe()}\n"
         changes: dict[str, Any] = {}
+        others = [key for key in problem.keys if not key.startswith(GAINS)]
+        if others:  # of the gains before, with which the new file must not be flown
+            (self.directory / SCENARIO).unlink(missing_ok=True)
         if any(key.startswith(GAINS) for key in problem.keys):
             profile, airframe = scenario.controller.profile, scenario.fleet[0].aircraft
             gains = dump_middle_loop({profile: middle_loop_gains(scenario, airframe)})
@@ -425,6 +432,11 @@ def tune_gains(
         InputError: the metric is not a number of these flights, or `max_flights` is too small.
         KeyboardInterrupt: Ctrl-C or SIGTERM was received.
     """
+    out = check_path("out", out)
+    if jobs is not None:
+        check_count("jobs", jobs)
+    check_calls("progress", progress)
+    check_calls("report", report)
     with open_flight_pool(jobs=jobs, report=report) as pool:
         return _Tuning(problem, pool, SearchLog(problem, out), progress, report).run()
 

@@ -174,7 +174,7 @@ def load_tune(name_or_path: str | Path) -> Tune:
 def _renamed_keys(tree: Node) -> Iterator[Problem]:
     for loc, new in _RENAMED.items():
         node, path, missing = walk(tree, loc)
-        if not missing:
+        if not missing and len(path) == len(loc):
             yield Problem(node.key, f"has another name (write {new})", path)
 
 

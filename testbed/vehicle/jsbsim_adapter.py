@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+import sys
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import asdict
@@ -19,7 +20,9 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 import jsbsim
 import numpy as np
 
+from testbed.core.errors import InputError
 from testbed.core.frames import FOOT
+from testbed.core.input_files import open_regular
 from testbed.core.records import Airframe, Array, Origin
 from testbed.vehicle.airframe_validation import MAX_BYTES, probe_in_copy
 from testbed.vehicle.control_surfaces import ControlGeometry, find_control_geometry
@@ -36,6 +39,8 @@ from testbed.vehicle.trim import (
     trim,
 )
 
+# Set by the files; properties and point masses may change them when loaded.
+_SIZES = ("inertia/mass-slugs", "metrics/Sw-sqft", "metrics/bw-ft", "metrics/cbarw-ft")
 _ROUNDING = 1e-6  # of the largest moment; a flat plate has J1 + J2 = J3 exactly
 _AXES = ((0, 0, "Jxx"), (1, 1, "Jyy"), (2, 2, "Jzz"), (0, 1, "Jxy"), (0, 2, "Jxz"), (1, 2, "Jyz"))
 
@@ -150,13 +155,10 @@ def folder_digest(folder: Path) -> str:
 
 def _read_start(file: Path) -> bytes:
     """Read an aircraft file up to the size limit; empty if unreadable."""
-    try:
-        if not file.is_file():  # reading a pipe would block
-            return b""
-        with file.open("rb") as stream:
-            return stream.read(MAX_BYTES + 1)
-    except OSError:
-        return b""  # reported when the aircraft is loaded
+    # an error is reported when the aircraft is loaded
+    with suppress(OSError, InputError), open_regular(file, sys.maxsize) as stream:
+        return stream.read(MAX_BYTES + 1)
+    return b""
 
 
 _MAX_TEXT = 300  # characters of a log record
@@ -327,6 +329,9 @@ def _probe(folder: Path, on_error: Callable[[str], None]) -> dict[str, bool]:
     assumed = Traits(has_rudder=True, has_lag=True, lags_by_step=False)
     model = JsbsimModel(load_executive(folder), _TRIM_RATE_HZ, assumed)
     traits = find_traits(model)
+    for name in _SIZES:
+        if not 0.0 < (size := model.node(name).get_double_value()) < math.inf:
+            raise AircraftError(f"{name} is {size:g} when loaded; it must be greater than 0")
     if fault := impossible_inertia(model.inertia()):
         raise AircraftError(f"mass_balance: no rigid body has {fault}")
     return asdict(traits)

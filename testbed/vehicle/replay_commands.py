@@ -19,9 +19,13 @@ from testbed.autopilot.parameters import AutopilotTiming, make_gains, read_param
 from testbed.core.csv_table import read_rows
 from testbed.core.errors import InputError
 from testbed.core.files import check_writable, write_text_file
+from testbed.core.input_files import quote_word
+from testbed.core.numbers import parse_number
 from testbed.core.records import ActuatorCommand, Array, FbwaCommand, Origin, Records
 from testbed.vehicle.environment import INTEGRATORS, Integrators
 from testbed.vehicle.fleet import JsbsimFleet
+from testbed.vehicle.jsbsim_adapter import modes_of_aircraft
+from testbed.vehicle.step_size import check_fixed_step
 from testbed.vehicle.trim import InitialState
 
 BASE_RATE_HZ = 200
@@ -102,7 +106,8 @@ def respond(
         timing: delays of the autopilot; for a recording of SITL with its gyro filter.
         integrators: of the flight model.
         warn: receives a line if the airspeed of the recording changes quickly after its first row,
-            and the flight starts with that of this row.
+            and the flight starts with that of this row; and one if the flight model is too fast for
+            the steps of 1/200 s.
 
     Returns:
         The number of rows written.
@@ -110,6 +115,7 @@ def respond(
     Raises:
         CommandsError: the commands are invalid; the message names file, line and column.
         ParamError, AircraftError, TrimError: of the tune, the aircraft and its start.
+        InputError: the flight model diverges with steps of 1/200 s.
         AircraftLost: the aircraft was lost.
         OSError: the response cannot be written.
     """
@@ -135,6 +141,9 @@ def respond(
     )
     origin = Origin(elevation_m=origin_elevation)
     fleet = JsbsimFleet([aircraft_folder], [start], origin, BASE_RATE_HZ, integrators)
+    point, folder = fleet.trims[0].point, Path(aircraft_folder)
+    modes = modes_of_aircraft(folder, point, origin)
+    check_fixed_step(folder.name, point.airspeed, modes, BASE_RATE_HZ, warn)
     gains = make_gains([params], int(period) / BASE_RATE_HZ, timing)
     ticks = np.rint(commands.values[:, 0] * BASE_RATE_HZ).astype(int)
     rows, lost_at = _fly(fleet, commands.values, ticks, int(period), gains)
@@ -191,8 +200,8 @@ def read_commands(path: Path) -> Commands:
                 start[name] = _cell(path, number, name, line[header.index(name)])
         since = row[0] - (values or [row])[0][0]
         if speed_column is not None and later is None and since <= _STEADY_S:
-            speed = _number(line[speed_column])
-            if abs(speed - start["airspeed_mps"]) > _STEADY_MPS:
+            speed = parse_number(line[speed_column].strip())
+            if speed is not None and abs(speed - start["airspeed_mps"]) > _STEADY_MPS:
                 later = since, speed
         if since > _MAX_DURATION_S:
             raise CommandsError(
@@ -206,20 +215,15 @@ def read_commands(path: Path) -> Commands:
 
 
 def _cell(path: Path, number: int, name: str, text: str) -> float:
-    value = _number(text)
-    if not math.isfinite(value):
-        raise CommandsError(f"{path}:{number}: column {name}: {text!r} is not a finite number")
+    value = parse_number(text.strip())
+    if value is None:
+        raise CommandsError(
+            f"{path}:{number}: column {name}: {quote_word(text)} is not a finite number"
+        )
     low, high, words = _ALLOWED.get(name, (-math.inf, math.inf, ""))
     if not low <= value <= high:
         raise CommandsError(f"{path}:{number}: column {name}: {value:g} should be {words}")
     return value
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
 
 
 def _fly(

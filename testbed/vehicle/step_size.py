@@ -8,9 +8,10 @@ propeller's speed, for |λ| dt < 2.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+from testbed.core.errors import InputError
 from testbed.vehicle.linearize import Mode
 
 STABLE = 1.0  # |λ| dt
@@ -28,6 +29,55 @@ class CoarseStep(NamedTuple):
     limit: float  # which the product exceeds: of accuracy or of stability
     stable: bool
     rate_hz: int  # that suits
+
+
+def describe_coarse_step(coarse: CoarseStep, aircraft: str, airspeed: float, rate_hz: int) -> str:
+    """Describe a step that is too long, without what to write instead.
+
+    Args:
+        coarse: the step.
+        aircraft: name of the airframe.
+        airspeed: of its trim, m/s.
+        rate_hz: steps per second.
+    """
+    value = coarse.mode.eigenvalue
+    shown = f"{value.real:.3g}"
+    if coarse.mode.oscillates:
+        shown += f" ± {value.imag:.3g}i"
+    what = (
+        f"above {coarse.limit:g} flights are inaccurate"
+        if coarse.stable
+        else f"from {coarse.limit:g} on its integration diverges"
+    )
+    return (
+        f"the {coarse.mode.name} mode of {aircraft} at {airspeed:g} m/s has the eigenvalue {shown} "
+        f"1/s; its magnitude times the step of 1/{rate_hz} s is {coarse.product:.3g}, and {what}"
+    )
+
+
+def check_fixed_step(
+    aircraft: str, airspeed: float, modes: Sequence[Mode], rate_hz: int, warn: Callable[[str], None]
+) -> None:
+    """Check the step of a flight whose rate cannot be chosen.
+
+    Args:
+        aircraft: name of the airframe.
+        airspeed: of its trim, m/s.
+        modes: of the aircraft in this trim.
+        rate_hz: steps per second.
+        warn: receives a line if the flight is inaccurate.
+
+    Raises:
+        InputError: the flight would diverge.
+    """
+    coarse = find_coarse_step(modes, rate_hz, rate_hz)
+    if coarse is None:
+        return
+    text = describe_coarse_step(coarse, aircraft, airspeed, rate_hz)
+    text += f" (fly it in a scenario with rates.physics_hz: {coarse.rate_hz}, or slower)"
+    if not coarse.stable:
+        raise InputError(text)
+    warn(text)
 
 
 def find_coarse_step(modes: Sequence[Mode], rate_hz: int, multiple_hz: int) -> CoarseStep | None:

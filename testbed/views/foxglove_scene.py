@@ -89,7 +89,7 @@ def write_scene_log(log: Log, path: Path, observers: Sequence[Observer] = ()) ->
     Raises:
         LogError: the file cannot be written.
     """
-    recorder = McapRecorder(path, scene_additions(log))
+    recorder = McapRecorder(path, scene_additions(log), live=False)
     recorder.end(log.metrics or {}, replay(log, [recorder, *observers]))
 
 

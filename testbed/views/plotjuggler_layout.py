@@ -74,7 +74,7 @@ def _range(plot: Plot, flight: FlightData) -> dict[str, str]:
     """Compute the ranges that show all curves."""
     low, high = np.inf, -np.inf
     for curve in plot.curves:
-        name, topic = curve.topic.strip("/").split("/")
+        name, _, topic = curve.topic.removeprefix("/").rpartition("/")  # a name may have a /
         values = flight[f"{topic}_{curve.field}"][:, flight.names.index(name)]
         if curve.about is not None:
             values = values[:, identifiers(flight.names).index(curve.about)]

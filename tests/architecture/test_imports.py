@@ -154,6 +154,49 @@ def test_sockets_are_opened_in_few_places():
         assert within(name, places), name
 
 
+# Modules that open files themselves, with the reason. All others use `core.input_files`, which
+# waits for no pipe, and `core.files`, which replaces a file whole or not at all.
+OPENING = {
+    "core.files": "it is the one that writes",
+    "core.input_files": "it is the one that reads",
+    "core.compile": "sources and locks of the package itself",
+    "logs.file_record": "appends to the record, if it is a regular file",
+    "logs.mcap_file": "a new file of its own",
+    "mavlink.tlog": "a new file in a new run directory",
+    "studies.journal": "checks that it is a regular file; opened to write, a pipe does not block",
+    "autopilot.sitl_process": "files in a temporary folder of its own",
+    "vehicle.forked_trial": "a pipe to its own child, and the null device",
+    "views.feeder_process": "the null device",
+    "views.viewer": "a table of the kernel",
+    "sim.resources": "tables of the kernel",
+    "sim.user_code": "metadata of an installed package",
+    "cli.output": "the null device",
+}
+
+
+def test_files_are_opened_in_few_places():
+    """Also `Path.open`, which is known by its mode; a mode is never computed."""
+    found = set()
+    for name, path in FILES.items():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and opens_file(node):
+                found.add(name.removeprefix("testbed."))
+    assert found == OPENING.keys()
+
+
+def opens_file(call):
+    function = call.func
+    if isinstance(function, ast.Name):
+        return function.id == "open"
+    if not isinstance(function, ast.Attribute):
+        return False
+    texts = ("read_text", "read_bytes", "write_text", "write_bytes")
+    of_os = isinstance(function.value, ast.Name) and function.value.id in ("os", "io")
+    mode = [each.value for each in call.args[:1] if isinstance(each, ast.Constant)]
+    opened = function.attr == "open" and (of_os or any(isinstance(each, str) for each in mode))
+    return opened or function.attr in texts
+
+
 def modules_after(statement):
     code = f"{statement}; import json, sys; print(json.dumps(sorted(sys.modules)))"
     done = subprocess.run(
@@ -218,3 +261,46 @@ def test_the_lock_names_no_index():
     assert not re.search(r"://|--(extra-)?index-url|--find-links|-f ", lock)
     pins = re.findall(r"^([a-z0-9-]+)==(\S+)", lock, re.MULTILINE)
     assert ("jsbsim", "1.3.3") in pins
+
+
+# By what runs code that is not imported by its name: the modules that use it, and why.
+RUNS_CODE = {
+    "subprocess": {
+        "core.child_guard",  # the command that its starter gives it
+        "autopilot.sitl_process",  # ArduPlane: of the option or the environment
+        "views.view",  # this Python, for the views' process
+        "views.viewer",  # rerun, beside this Python
+    },
+    "pickle": {
+        "sim.user_code",  # dumps only: whether a law's memory has changed
+        "views.feeder_process",  # what its own parent sends
+        "views.view",
+    },
+    "importlib": {
+        "sim.user_code",  # laws and functions of scenarios: `find_code` is the gate
+        "testbed",  # names of its own that load on demand
+        "rl",
+    },
+    "runpy": set(),
+    "marshal": set(),
+    "shelve": set(),
+    "webbrowser": set(),
+}
+CALLS = re.compile(
+    r"(?<![.\w])(?:eval|exec|__import__)\(|os\.(?:system|popen|exec\w+|spawn\w+|posix_spawn\w*)\("
+    r"|allow_pickle=True|shell=True|unsafe_load|joblib\.load\(|torch\.load\("
+)
+
+
+def test_code_is_run_in_known_places_only():
+    """A scenario, study or log reaches none of them but `sim.user_code`."""
+    harmless = ("importlib.metadata", "importlib.resources")
+    for package, known in RUNS_CODE.items():
+        used = {
+            name.removeprefix("testbed.")
+            for name, found in IMPORTS.items()
+            if any(within(each, (package,)) and not within(each, harmless) for each in found)
+        }
+        assert used == known, package
+    found = {n for n, path in FILES.items() if CALLS.search(path.read_text(encoding="utf-8"))}
+    assert not found

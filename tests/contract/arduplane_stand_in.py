@@ -2,8 +2,8 @@
 
 It tests our side of the links, not ArduPlane's control law. Packets and pulses are implemented
 independently of `testbed.autopilot`, so that the two do not share an error. The environment
-variable STAND_IN lists misbehaviours and the packets, counted from its start, at which they
-happen: "resend@450 exit@900".
+variable ARDUPLANE_STAND_IN lists misbehaviours and the packets, counted from its start, at which
+they happen: "resend@450 exit@900".
 """
 
 import json
@@ -36,7 +36,7 @@ def arguments():
 
 
 def misbehaviours():
-    words = os.environ.get("STAND_IN", "").split()
+    words = os.environ.get("ARDUPLANE_STAND_IN", "").split()
     return {name: int(at or 0) for name, _, at in (word.partition("@") for word in words)}
 
 

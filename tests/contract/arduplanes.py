@@ -51,7 +51,7 @@ def binary(tmp_path, monkeypatch):
     program.chmod(0o755)
     (tmp_path / "folders").mkdir()
     monkeypatch.setenv("ARDUPLANE", str(program))
-    monkeypatch.delenv("STAND_IN", raising=False)
+    monkeypatch.delenv("ARDUPLANE_STAND_IN", raising=False)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "folders"))
     monkeypatch.setenv("TMPDIR", str(tmp_path / "folders"))
     yield program

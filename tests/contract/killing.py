@@ -147,6 +147,18 @@ def kill(starter, folder, moment):
     return Killed(out, killed, code == 0, sockets, [*_NOTE.iter_unpack(whole)])
 
 
+def kill_command(arguments, folder, begun, wait_s):
+    """Start a command in a process of its own, and kill it some time after it has begun."""
+    with subprocess.Popen(
+        [sys.executable, "-P", "-m", "testbed", *map(str, arguments)],
+        cwd=folder, env=environment(100), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    ) as process:  # fmt: skip
+        until(lambda: begun() or process.poll() is not None)
+        time.sleep(wait_s)
+        process.kill()
+    assert process.returncode in (0, -signal.SIGKILL)
+
+
 @dataclass(frozen=True)
 class SignalPair:
     """Two signals, the second soon after the first."""

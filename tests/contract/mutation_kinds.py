@@ -112,6 +112,77 @@ def feed_param(path):
         assert not np.isnan(gains[name]).any()
 
 
+# Square with laps, a circle in a loop, actions, an endless circle, and a landing behind it.
+WAYPOINTS = """QGC WPL 110
+0 1 0 16 0 0 0 0 38 -3.5 300 1
+1 0 3 22 15 0 0 0 0 0 100 1
+2 0 3 16 0 0 0 0 38.004 -3.500 100 1
+3 0 10 16 0 0 0 0 38.004 -3.495 120 1
+4 0 2 178 0 24 -1 0 0 0 0 1
+5 0 0 16 0 0 0 0 38.000 -3.495 410 1
+6 0 2 177 2 3 0 0 0 0 0 1
+7 0 3 18 2 0 -90 0 38.001 -3.5 100 1
+8 0 3 206 50 0 0 0 0 0 0 1
+9 0 3 31 0 100 0 0 38.001 -3.5 130 1
+10 0 2 177 7 1 0 0 0 0 0 1
+11 0 3 19 30 0 80 0 38.002 -3.5 130 1
+12 0 3 17 0 0 70 0 38.002 -3.498 130 1
+13 0 3 189 0 0 0 0 0 0 0 1
+14 0 11 16 0 0 0 0 38.004 -3.499 60 1
+15 0 3 21 0 0 0 0 38.000 -3.500 0 1
+16 0 2 177 14 -1 0 0 0 0 0 1
+17 0 3 20 0 0 0 0 0 0 0 1
+"""
+
+
+def make_mission(home):
+    path = home / "square.waypoints"
+    path.write_text(WAYPOINTS)
+    return [path]
+
+
+def feed_mission(path):
+    """Plan the items, and resume each part and fly each item from here; the lines are not ours."""
+    from testbed.core.errors import InputError
+    from testbed.core.numbers import parse_number
+    from testbed.core.records import Origin
+    from testbed.guidance.flight_plan import Mission
+    from testbed.mavlink.mission_plans import plan_from_items
+    from testbed.mavlink.vehicle_control import MissionItem, Rejection
+
+    def plan(first):
+        found = plan_from_items(items, here, params, 60.0, origin, first)
+        if isinstance(found, Rejection):
+            assert found.text.isprintable()
+            raise InputError(f"{path.name}: {found.text}")
+        segments = found.plan.segments
+        assert len(segments) == len(found.items) == len(found.airspeeds)
+        assert 0 <= found.plan.repeat_from < len(segments)
+        assert set(found.items) <= set(range(1, len(items)))
+        assert np.isfinite(
+            [(*each.start, *each.end, each.turn, each.radius) for each in segments]
+        ).all()
+        return found
+
+    items = []
+    for line in path.read_text(errors="replace").splitlines()[1:]:
+        values = [parse_number(word) for word in line.split()[:12]]
+        if len(values) < 12 or None in values:
+            raise InputError(f"{path.name}: {line!r}")
+        _, _, frame, command, *four, x, y, z, _ = values
+        items.append(MissionItem(int(command), int(frame), tuple(four), x, y, z))
+    origin = Origin(latitude_deg=38.0, longitude_deg=-3.5, elevation_m=300.0)
+    params, here = Mission(legs=(), airspeed=22.0), (0.0, 0.0, 100.0)
+    if len(items) < 2:
+        return
+    whole = plan(1)
+    for first in range(0, len(whole.items), 1 + len(whole.items) // 20):
+        left = whole.resume(first, here)
+        assert 0 <= left.plan.repeat_from < len(left.items)
+    for number in range(1, len(items)):
+        plan_from_items(items, here, params, 60.0, origin, number)
+
+
 def feed_gains(path):
     folder = path.parent
     if path.name == "guidance.yaml":
@@ -265,6 +336,7 @@ KINDS = {
         14, copied(*SOURCES, only=by_suffix(".yaml", within="studies")), feed_study_file
     ),
     "params": Kind(20, copied(*SOURCES, AIRCRAFT, only=by_suffix(".param")), feed_param),
+    "missions": Kind(12, make_mission, feed_mission),
     "gains": Kind(12, copied(AIRCRAFT, only=by_suffix(".yaml")), feed_gains),
     "tables": Kind(
         20,

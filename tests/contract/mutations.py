@@ -412,9 +412,34 @@ def table(data, rng):
 
 
 ANY = (flip, cut, splice, lines, token, number, number)
+ASSIGNMENT = re.compile(rb"^(\w+)[ \t,=]+([^\s,#]+).*", re.MULTILINE)
+ASSIGNMENTS = (
+    *(rb"\1 = \2", rb"\1\t\2 @READONLY", rb"\1,\2,9", rb"1\t1\t\1\t\2\t9", rb"1 154 \1 \2 9"),
+    *(
+        rb"\1 \2 // x",
+        rb"\1 \2#x",
+        rb"\1 \2,5",
+        rb"\1 \2 5",
+        rb"2 1 \1 \2 9",
+        rb"\1_OF_A_LONG_NAME \2",
+    ),
+    *(rb"\1=", rb"=\2", rb"\1 \2\n\1 9", rb"# Stack: PX4\n\1 \2", rb"\1 \2_0", b"\\1\xc2\xa0\\2"),
+)
+
+
+def assignment(data, rng):
+    """Write some or all parameters in another way."""
+    way = rng.choice(ASSIGNMENTS)
+    share = rng.choice((0.02, 0.2, 1.0))
+    return ASSIGNMENT.sub(
+        lambda found: found.expand(way) if rng.random() < share else found.group(), data
+    )
+
+
 MUTATIONS = {
     ".yaml": (*ANY, structure, structure, structure, structure, spelled, spelled),
-    ".param": ANY,
+    ".param": (*ANY, assignment, assignment, assignment),
+    ".waypoints": (lines, lines, token, number, number, number),
     ".csv": ANY,
     ".xml": (*ANY, number, elements, elements, elements, planted, planted, attribute, attribute),
     ".mcap": (flip, cut, splice, *3 * (records,), *6 * (meaning,)),

@@ -98,6 +98,10 @@ class Runner:
     def read(self, name):
         return (self.temporary / name).read_text(encoding="utf-8")
 
+    def folders(self):
+        """Folders of the checks so far, as the action puts them out."""
+        return [Path(each) for each in re.findall(r"^folder=(.*)$", self.read("output"), re.M)]
+
 
 def test_action_passes_with_a_summary(repository, tmp_path):
     runner = Runner(repository, tmp_path / "runner", scenarios="flights/*.yaml", options="--jobs 1")
@@ -108,7 +112,7 @@ def test_action_passes_with_a_summary(repository, tmp_path):
     summary = runner.read("step_summary")
     assert summary.startswith("## testbed check: 1 passed\n")
     assert "| settled uav1 RMS error, m |" in summary and "█" in summary
-    root = ElementTree.parse(tmp_path / "runner/testbed-check/golden.xml").getroot()
+    root = ElementTree.parse(runner.folders()[-1] / "golden.xml").getroot()
     assert root.get("failures") == "0" and int(root.get("tests")) > 10
     names = {case.get("name") for case in root.iter("testcase")}
     assert {"expect.rms_m.max", "expect.min_separation_m.min"} <= names
@@ -148,7 +152,7 @@ def test_action_fails_with_lines_and_a_report(repository, tmp_path):
     assert "controller.options.closing from 0.3 to 0.1" in summary
     assert "testbed run pursuit.yaml --seed 1" in summary
 
-    found = tmp_path / "runner" / "testbed-check"
+    found = runner.folders()[-1]
     (scenario,) = json.loads((found / "check.json").read_text())["scenarios"]
     assert {each["key"]: bool(each["violations"]) for each in scenario["bounds"]} == {
         "expect.min_separation_m.min": False,
@@ -174,7 +178,14 @@ def test_action_annotates_bad_input(repository, tmp_path):
     line = 1 + path.read_text().splitlines().index("  rms: {max: 1.5}")
     assert error.startswith("::error file=flights/pursuit.yaml,title=testbed check%3A bad input,")
     assert f"line={line},col=3::" in error and "did you mean 'rms_m'?" in error
-    assert runner.read("step_summary").startswith("## testbed check: nothing flown\n")
+    summary = runner.read("step_summary")
+    assert summary.startswith("## testbed check: nothing flown\n")
+    # a second check of the job has nothing of the first one, also if it writes nothing
+    runner.inputs["inputs.options"] = "--no-such-option"
+    assert runner.run("Check")[0] == BAD_INPUT
+    first, second = runner.folders()
+    assert runner.read("step_summary") == summary
+    assert (first / "summary.md").is_file() and not list(second.iterdir())
 
 
 def test_action_installs_itself_or_a_requirement():

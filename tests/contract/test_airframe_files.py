@@ -1,15 +1,25 @@
 """Aircraft files: forbidden elements, limits, and crashes of JSBSim."""
 
+import json
 import os
 import shutil
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
-from commands import children
+from commands import children, environment
+from jsbsim import get_default_root_dir as jsbsim_root
 
 from testbed.scenario import library
-from testbed.vehicle import airframe_validation, forked_trial, jsbsim_adapter
-from testbed.vehicle.jsbsim_adapter import airframe, probe_airframes
+from testbed.vehicle import (
+    airframe_grammar,
+    airframe_validation,
+    forked_trial,
+    jsbsim_adapter,
+)
+from testbed.vehicle.jsbsim_adapter import airframe, load_executive, probe_airframes
 from testbed.vehicle.jsbsim_model import AircraftError
 
 MAIN, MOTOR = "rascal110.xml", "Engines/rascal110_motor.xml"
@@ -42,31 +52,221 @@ def begin(folder):
     return text[text.index("<fdm_config") :].split(">")[0] + ">"
 
 
+WRITE = "simulation/write-state-file"
+OUTPUT = '<channel name="c"><{0}><output>{1}</output></{2}></channel>'
+
+
+def system(content):
+    return f'<system name="s">{content}</system>'
+
+
 @pytest.mark.parametrize(
     ("element", "message"),
     [
         ('<input port="41234" type="SOCKET"/>', "<input> opens a socket (remove it)"),
         ('<output name="x.csv" type="CSV"/>', "<output> opens a socket or writes a file"),
+        ('<child name="beside"/>', "<child> loads another aircraft"),
+        ('<planet name="Mars"/>', "<planet> replaces the Earth"),
+        ("<systems/>", "<systems> is not known in <fdm_config> (did you mean <system>?)"),
+        (system("<output/>"), "<output> opens a socket or writes a file"),
+        ('<aerodynamics rate="2"/>', "the attribute rate of <aerodynamics> is not known"),
+        (
+            '<propulsion><tank file="x"/></propulsion>',
+            "the attribute file of <tank> is not known (it may have type, number, name and unit)",
+        ),
         ('<system file="../beside"/>', "file='../beside' leaves the aircraft's folder"),
         ('<system file="/etc/passwd"/>', "file='/etc/passwd' leaves the aircraft's folder"),
         ('<system file="Systems/../../beside"/>', "leaves the aircraft's folder"),
+        # JSBSim reads \ as /
+        (r'<system file="..\beside"/>', "leaves the aircraft's folder, or is no plain name"),
         ('<system file="linked"/>', "file='linked' is a link out of the aircraft's folder"),
         ('<system file="missing"/>', "there is no missing.xml in the aircraft's folder"),
-        ('<system file="SOURCE.md"/>', "is not a name that ends in .xml"),
+        ('<system file="SOURCE.md"/>', "there is no SOURCE.md.xml in the aircraft's folder"),
+        (system(f'<property value="1">{WRITE}</property>'), f"the property {WRITE} is JSBSim's"),
+        (system(f"<property>fcs/x\n{WRITE}</property>".replace("\n", "&#10;")), "is JSBSim's"),
+        (system(f"<property>{WRITE[:5]}<!-- -->{WRITE[5:]}</property>"), "is JSBSim's"),
+        (system(f"<property>/fdm/jsbsim/{WRITE}</property>"), "is JSBSim's"),
+        (system(f"<property>fcs/../{WRITE}</property>"), "is not the name of a property"),
+        (system(f"<property>simulation[0]/{WRITE[11:]}</property>"), "is JSBSim's"),
+        (system("<property>forces/hold-down</property>"), "is JSBSim's"),
+        (system("<property>inertia/print-mass-properties</property>"), "is JSBSim's"),
+        (system(f'<function name="{WRITE}"><value>1</value></function>'), "is JSBSim's"),
+        (system(f'<function copyto="{WRITE}"><value>1</value></function>'), "is JSBSim's"),
+        (system(OUTPUT.format('summer name="a/b"', WRITE, "summer")), "is JSBSim's"),
+        (system(OUTPUT.format(f'pid name="{WRITE}"', "a/b", "pid")), "is JSBSim's"),
+        (system(OUTPUT.format('lag_filter name=".."', "a/b", "lag_filter")), "is not the name of"),
         (
-            '<system name="s"><property value="1">simulation/write-state-file</property></system>',
-            "the property simulation/write-state-file writes a file (remove it)",
+            system(
+                '<channel name="c"><distributor name="a/b" type="inclusive"><case>'
+                f'<property value="1">{WRITE}</property></case></distributor></channel>'
+            ),
+            "is JSBSim's",
         ),
-        ("<a>" * 60 + "</a>" * 60, "<a> is deeper than 50 elements"),
+        (
+            '<external_reactions><force name="../simulation"/></external_reactions>',
+            "external_reactions/../simulation is not the name of a property",
+        ),
+        ("<documentation>" + "<a>" * 60 + "</a>" * 60, "<a> is deeper than 50 elements"),
         ("&passwd;", "is not XML: undefined entity"),
     ],
 )
 def test_forbidden_element_error_has_file_and_line(folder, element, message):
     (folder / "Systems").mkdir(exist_ok=True)
     (folder / "Systems" / "linked.xml").symlink_to(folder.parent / "beside.xml")
+    (folder / r"..\beside.xml").write_text("<system/>")
     line = change(folder / MAIN, begin(folder), f"{begin(folder)}\n{element}") + 1
     text = error_of(folder)
     assert text.startswith(f"{folder / MAIN}:{line}: ") and message in text
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "message"),
+    [
+        (MAIN, "> 13 </emptywt>", "> -13 </emptywt>", "<emptywt> is -13; it must be greater than"),
+        (MAIN, "> 13 </emptywt>", "> 0 </emptywt>", "<emptywt> is 0; it must be greater than 0"),
+        (MAIN, "> 13 </emptywt>", "> nan </emptywt>", "<emptywt> is nan; it must be greater"),
+        (MAIN, "> 1.95 <", "> -1.95 <", "<ixx> is -1.95; it must be greater than 0"),
+        (MAIN, "> 10.57 <", "> 0 <", "<wingarea> is 0; it must be greater than 0"),
+        (MAIN, "> 9.17 <", "> -9 <", "<wingspan> is -9; it must be greater than 0"),
+        (MAIN, "> 1.15 <", "> <", "<chord> is ; it must be greater than 0"),
+        (MAIN, '<contents unit="LBS"> 1.5', '<contents unit="LBS"> -1', "<contents> is -1; it"),
+        (
+            MAIN,
+            '<contents unit="LBS"> 1.5',
+            '<contents unit="KG"> 1.5',
+            "<contents> of the tank is 3.30693, and its <capacity> is 1.5 LBS (write 0 to the",
+        ),
+        (
+            MAIN,
+            '<location name="CG"',
+            '<pointmass name="p"><weight> -1 </weight></pointmass><location name="CG"',
+            "<weight> is -1; it must be 0 or more",
+        ),
+        (PROPELLER, "> 18 <", "> -18 <", "<diameter> is -18; it must be greater than 0"),
+        (PROPELLER, "> 0.00085 <", "> 0 <", "<ixx> is 0; it must be greater than 0"),
+        (MOTOR, "> 2207.27 <", "> -1 <", "<power> is -1; it must be 0 or more"),
+        (MOTOR, "electric_engine", "system", "begins with <system> (write <electric_engine> or"),
+    ],
+)
+def test_impossible_mass_or_size_has_file_and_line(folder, file, old, new, message):
+    line = change(folder / file, old, new)
+    text = error_of(folder)
+    assert text.startswith(f"{folder / file}:{line}: ") and message in text
+
+
+@pytest.mark.parametrize("name", ["inertia/mass-slugs", "metrics/Sw-sqft"])
+def test_impossible_size_when_loaded_is_named(folder, name):
+    """A property can change a size after the files were read."""
+    written = {"inertia/mass-slugs": "inertia/pointmass-weight-lbs[0]"}.get(name, name)
+    value = f"<value>-100</value></function><output>{written}</output>"
+    mass = (
+        '<pointmass name="p"><weight> 1 </weight><location> <x> 36.4 </x> <y> 0 </y> <z> 4 </z>'
+        "</location></pointmass></mass_balance>"
+    )
+    change(folder / MAIN, "</mass_balance>", mass)
+    component = f'<fcs_function name="own/x"><function>{value}</fcs_function>'
+    change(
+        folder / MAIN,
+        "<flight_control",
+        system(f'<channel name="c">{component}</channel>') + "<flight_control",
+    )
+    assert f"{folder / MAIN}: {name} is -" in error_of(folder)
+
+
+FLIES = "; the testbed flies aircraft with one electric engine and its propeller"
+SECOND = '<engine file="rascal110_motor"><thruster file="propeller_18in"/></engine>'
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "message"),
+    [
+        (MOTOR, "electric_engine", "piston_engine", "rascal110 has a piston engine"),
+        (MOTOR, "electric_engine", "turbine_engine", "rascal110 has a turbine"),
+        (MOTOR, "electric_engine", "turboprop_engine", "rascal110 has a turboprop"),
+        (MOTOR, "electric_engine", "rocket_engine", "rascal110 has a rocket"),
+        (PROPELLER, "propeller", "nozzle", "rascal110 has a nozzle"),
+        (MAIN, "<tank", f"{SECOND}<tank", "rascal110 has 2 engines"),
+    ],
+)
+def test_engine_not_flown_is_named_before_use(folder, file, old, new, message):
+    text = (folder / file).read_text()
+    if file == MAIN:
+        line = change(folder / file, old, new)
+    else:
+        # an engine without its own elements: those of the other kind are not known in it
+        line = text[: text.index(f"<{old}")].count("\n") + 1
+        (folder / file).write_text("\n" * (line - 1) + f'<{new} name="x"/>')
+    found = error_of(folder)
+    assert found.startswith(f"{folder / file}:{line}: {message}{FLIES}")
+    assert "steady flight" not in found
+
+
+@pytest.mark.parametrize(
+    ("name", "has"),
+    [
+        ("c172p", "a piston engine"),
+        ("J3Cub", "a piston engine"),
+        ("DHC6", "a turboprop"),
+        ("T37", "a turbine"),
+        ("SGS", "no engine"),
+    ],
+)
+def test_aircraft_of_jsbsim_pass_but_for_the_engine(tmp_path, name, has):
+    """Files that people have: the reason is the engine, not an element of the XML."""
+    data = Path(jsbsim_root())
+    for source, target in (
+        ("engine", "Engines"),
+        ("systems", "Systems"),
+        (f"aircraft/{name}", "."),
+    ):
+        shutil.copytree(data / source, tmp_path / name / target, dirs_exist_ok=True)
+    error = error_of(tmp_path / name)
+    assert f": {name} has {has}{FLIES}" in error
+
+
+def test_aircraft_without_engine_is_named(folder):
+    text = (folder / MAIN).read_text()
+    begin, end = text.index("<propulsion>"), text.index("</propulsion>")
+    (folder / MAIN).write_text(text[:begin] + text[end + len("</propulsion>") :])
+    assert f"{folder / MAIN}:1: rascal110 has no engine{FLIES}" in error_of(folder)
+
+
+@pytest.mark.parametrize("name", ["Engines", "engines", "Engine", "engine"])
+def test_engine_files_are_checked_in_every_folder(folder, name):
+    """A good file in one folder does not hide a bad one of the same name in another."""
+    (folder / "engine").mkdir()
+    (folder / "Engines").rename(folder / "good")
+    for file in (folder / "good").iterdir():
+        shutil.copy(file, folder / "engine")
+    (folder / name).mkdir(exist_ok=True)
+    bad = folder / name / Path(MOTOR).name
+    bad.write_text(f'<electric_engine name="x"><property>{WRITE}</property></electric_engine>')
+    assert f"{bad}:1: the property {WRITE} is JSBSim's" in error_of(folder)
+
+
+def test_drawn_aircraft_write_and_run_nothing(tmp_path):
+    """Aircraft of JSBSim's grammar, most of which try to act; TESTBED_AIRCRAFT is their number."""
+    count = int(os.environ.get("TESTBED_AIRCRAFT", "20"))
+    done = subprocess.run(
+        [sys.executable, Path(__file__).with_name("airframe_fuzz.py"), str(count), tmp_path],
+        env=environment(80),
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    found = json.loads(done.stdout)
+    print(found["seen"])
+    assert found["faults"] == []
+    # some of both, or the aircraft test nothing
+    assert set(found["seen"]) == {"0", "2"} and min(found["seen"].values()) > 1
+
+
+def test_every_root_of_jsbsims_properties_is_known(folder):
+    """JSBSim's own properties are the ones that an aircraft cannot set."""
+    names = load_executive(folder).get_property_catalog()
+    own = {each.strip().split("/")[0].split("[")[0] for each in names if "/" in each}
+    assert own - {"air"} <= airframe_grammar.JSBSIM_PROPERTIES
+    assert not any(each.startswith("/") for each in names)
 
 
 @pytest.mark.parametrize(
@@ -85,8 +285,8 @@ def test_entities_are_errors_in_every_file(folder, file, doctype):
 
 def test_files_that_name_each_other_are_an_error(folder):
     change(folder / MAIN, begin(folder), f'{begin(folder)}\n<system file="a"/>')
-    (folder / "a.xml").write_text('<system name="a"><system file="b"/></system>')
-    (folder / "b.xml").write_text('<system name="b"><system file="a"/></system>')
+    (folder / "a.xml").write_text('<system name="a" file="b"/>')
+    (folder / "b.xml").write_text('<system name="b" file="a"/>')
     assert "which names it too" in error_of(folder)
 
 

@@ -115,7 +115,7 @@ def test_elevon_aircraft_flies(binary):
 
 def test_32_outputs_and_overrides_fly_the_same(binary, monkeypatch):
     plain = fly(make_scenario(3.0))[-1].truth
-    monkeypatch.setenv("STAND_IN", "outputs32 ignores-rc")
+    monkeypatch.setenv("ARDUPLANE_STAND_IN", "outputs32 ignores-rc")
     events, _ = fly_level(make_scenario(1.0))
     assert any("RC_CHANNELS_OVERRIDE" in event.text for event in events)
     other = fly(make_scenario(3.0))[-1].truth
@@ -125,7 +125,7 @@ def test_32_outputs_and_overrides_fly_the_same(binary, monkeypatch):
 
 def test_lost_answer_is_sent_again(binary, monkeypatch):
     plain = fingerprint(fly(make_scenario(2.0)))
-    monkeypatch.setenv("STAND_IN", f"resend@{SOON}")
+    monkeypatch.setenv("ARDUPLANE_STAND_IN", f"resend@{SOON}")
     assert fingerprint(fly(make_scenario(2.0))) == plain
 
 

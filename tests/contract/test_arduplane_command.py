@@ -27,14 +27,14 @@ def test_check_flies_and_says_what_it_found(binary, tmp_path):
 
 
 def test_check_fails_if_it_disarms(binary, tmp_path, monkeypatch):
-    monkeypatch.setenv("STAND_IN", "disarm@1500")
+    monkeypatch.setenv("ARDUPLANE_STAND_IN", "disarm@1500")
     done = check(tmp_path, LOST)
     assert "ArduPlane has disarmed: motor off" in done.stdout
     assert "does not fly like the virtual autopilot" in done.stdout
 
 
 def test_check_names_an_unusable_program(binary, tmp_path, monkeypatch):
-    monkeypatch.setenv("STAND_IN", "exit@450")
+    monkeypatch.setenv("ARDUPLANE_STAND_IN", "exit@450")
     assert "stand-in: PANIC" in check(tmp_path, EXTERNAL_PROGRAM_LOST).stderr
     assert "no such program" in check(tmp_path, BAD_INPUT, "--arduplane", "nothing").stderr
 
@@ -43,6 +43,7 @@ def test_check_names_an_unusable_program(binary, tmp_path, monkeypatch):
 def test_params_lists_uses_and_differences(tmp_path, as_json):
     (tmp_path / "plane.param").write_text(
         "LIM_ROLL_CD,5500\nCOMPASS_OFS_X,31\nTECS_CLMB_MAX,4\nYAW2SRV_DAMP,0.2\nAHRS_EKF_TYPE,3\n"
+        "THR_SLEWRATE,20\nTHR_SLEWRATE,30\n"
     )
     arguments = ("--json", "-") if as_json else ()
     done = call_command(
@@ -50,9 +51,10 @@ def test_params_lists_uses_and_differences(tmp_path, as_json):
     )
     if as_json:
         document = json.loads(done.stdout)
+        assert document["unknown"] == ["THR_SLEWRATE"]
         assert document["hardware"] == ["COMPASS_OFS_X"]
         assert document["renamed"] == {"LIM_ROLL_CD": "ROLL_LIMIT_DEG 55"}
     lines = (done.stderr if as_json else done.stdout).splitlines()[1:]
     assert [line.split(maxsplit=1)[0] for line in lines] == [
-        *("older", "both", "ArduPlane", "set", "left", "difference", "difference")
+        *("older", "both", "ArduPlane", "set", "left", "difference", "difference", "not", "note")
     ]

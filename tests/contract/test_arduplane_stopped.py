@@ -73,7 +73,7 @@ def printed(folders, words):
 )
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_stop_ends_wait_for_arduplane(binary, monkeypatch, tmp_path, misbehaviour, words, number):
-    monkeypatch.setenv("STAND_IN", misbehaviour)
+    monkeypatch.setenv("ARDUPLANE_STAND_IN", misbehaviour)
     monkeypatch.setattr("testbed.autopilot.startup._STAGE_TIMEOUT_S", 3600.0)
     folders = tmp_path / "folders"
     scenario = make_scenario(5.0, "log.mcap=true", timeout_s=TIMEOUT_S)
@@ -88,7 +88,7 @@ def test_stop_ends_wait_for_arduplane(binary, monkeypatch, tmp_path, misbehaviou
 
 
 def test_repeated_signals_leave_nothing(binary, monkeypatch, tmp_path):
-    monkeypatch.setenv("STAND_IN", "never-listens")
+    monkeypatch.setenv("ARDUPLANE_STAND_IN", "never-listens")
     more = []
 
     def wait(process, moment, original=SitlProcess.wait):

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 from arduplanes import FIRST, SCENARIO, SOON, binary, error_of, fly_level, make_scenario
+from commands import call_command
 from waiting import TIMEOUT_S
 
 import testbed
 from testbed.autopilot.ardupilot_sitl import SitlConfig, SitlVehicle, _used_port, ports
-from testbed.autopilot.sitl_process import SitlProcess, find_binary
+from testbed.autopilot.sitl_process import SitlProcess, find_binary, stop_processes
 from testbed.core.errors import ExternalProgramLost, InputError
 from testbed.core.records import Origin
-from testbed.scenario import load_scenario
 from testbed.sim.build import build
 
 assert binary  # a fixture
@@ -58,7 +58,7 @@ class FrozenClock:
 def test_misbehaving_arduplane_ends_run_with_reason(
     binary, monkeypatch, tmp_path, misbehaviour, at, text
 ):
-    monkeypatch.setenv("STAND_IN", f"{misbehaviour}@{at}")
+    monkeypatch.setenv("ARDUPLANE_STAND_IN", f"{misbehaviour}@{at}")
     began = time.monotonic()
     if misbehaviour == "hang":
         clock = FrozenClock(tmp_path / "folders")
@@ -73,14 +73,14 @@ def test_misbehaving_arduplane_ends_run_with_reason(
 
 
 def test_arduplane_that_never_listens_times_out(binary, monkeypatch):
-    monkeypatch.setenv("STAND_IN", "never-listens")
+    monkeypatch.setenv("ARDUPLANE_STAND_IN", "never-listens")
     text = error_of(make_scenario(1.0, timeout_s=1.0))
     assert f"does not listen on {5760 + 10 * FIRST}/tcp: nothing in 1 s" in text
 
 
 def test_arming_failure_quotes_its_messages(binary, monkeypatch):
     monkeypatch.setattr("testbed.autopilot.startup._STAGE_TIMEOUT_S", 2.0)
-    monkeypatch.setenv("STAND_IN", "never-arms")
+    monkeypatch.setenv("ARDUPLANE_STAND_IN", "never-arms")
     text = error_of(make_scenario(1.0))
     assert "does not arm in 2 s of its time; its messages: ArduPlane stand-in" in text
 
@@ -100,7 +100,7 @@ def test_unusable_parameters_end_the_run(binary, tmp_path):
     ],
 )
 def test_own_mode_changes_are_events(binary, monkeypatch, misbehaviour, text):
-    monkeypatch.setenv("STAND_IN", f"{misbehaviour}@{SOON}")
+    monkeypatch.setenv("ARDUPLANE_STAND_IN", f"{misbehaviour}@{SOON}")
     events, _ = fly_level(make_scenario(1.0))
     found = [(event.source, event.level, event.text) for event in events]
     assert ("leader", "warning", text) in found
@@ -113,26 +113,69 @@ def test_missing_binary_is_an_error(monkeypatch, tmp_path):
         testbed.run(make_scenario(1.0), out=tmp_path / "run")
     assert not (tmp_path / "run").exists(), "nothing is written"
     text = str(caught.value)
-    for way in ("--arduplane PATH", "ARDUPLANE", "binary: PATH"):
+    for way in ("--arduplane PATH", "environment variable ARDUPLANE"):
         assert way in text
     nothing = tmp_path / "nothing"
-    assert "there is no such program" in error_of(make_scenario(1.0, binary=nothing), InputError)
+    monkeypatch.setenv("ARDUPLANE", str(nothing))
+    assert "there is no such program" in error_of(make_scenario(1.0), InputError)
     nothing.write_text("no program")
-    assert "is not executable" in error_of(make_scenario(1.0, binary=nothing), InputError)
+    assert "is not executable" in error_of(make_scenario(1.0), InputError)
     nothing.chmod(0o755)
     nothing.write_bytes(b"\x7fELF")
-    assert "cannot be started" in error_of(make_scenario(1.0, binary=nothing), InputError)
+    assert "cannot be started" in error_of(make_scenario(1.0), InputError)
+
+
+def test_scenario_that_names_a_program_is_refused(monkeypatch, tmp_path):
+    """The option or the environment names it; `validate` says what a run would start."""
+    (program := tmp_path / "program").write_text(f"#!/bin/sh\ntouch {tmp_path}/ran\n")
+    program.chmod(0o755)
+    (tmp_path / "two.yaml").write_text(SCENARIO)
+    named = f"leader.autopilot={{kind: ardupilot, binary: {program}}}"
+    for command in ("validate", "run"):
+        done = call_command(command, "two.yaml", "--set", named, cwd=tmp_path, code=2, columns=500)
+        assert (
+            "leader.autopilot: has the key binary, but no scenario names a program" in done.stderr
+        )
+        assert "--arduplane PATH" in done.stderr
+    monkeypatch.delenv("ARDUPLANE", raising=False)
+    for said in ("not set", str(program)):
+        words = ("validate", "two.yaml", "--set", "leader.autopilot=ardupilot")
+        done = call_command(*words, cwd=tmp_path, code=0, columns=500)
+        assert f"leader: a run starts the program of --arduplane or ARDUPLANE ({said})" in (
+            done.stderr
+        )
+        monkeypatch.setenv("ARDUPLANE", str(program))
+    assert not (tmp_path / "ran").exists()
+
+
+def test_program_gets_an_allow_list_of_the_environment(monkeypatch, tmp_path):
+    program = tmp_path / "arduplane"
+    program.write_text(f"#!/bin/sh\nenv > {tmp_path}/seen\n")
+    program.chmod(0o755)
+    for name in ("ARDUPLANE_OF_MINE", "LC_NUMERIC", "AWS_SECRET_ACCESS_KEY", "SSH_AUTH_SOCK"):
+        monkeypatch.setenv(name, name)
+    process = SitlProcess(program, FIRST, Origin(0.0, 0.0, 0.0), 0.0, "")
+    stop_after(process)
+    seen = {line.partition("=")[0] for line in (tmp_path / "seen").read_text().splitlines()}
+    assert {"PATH", "HOME", "ARDUPLANE_OF_MINE", "LC_NUMERIC"} <= seen
+    assert not seen & {"AWS_SECRET_ACCESS_KEY", "SSH_AUTH_SOCK", "PYTHONPATH"}
+
+
+def stop_after(process):
+    try:
+        process.wait(time.monotonic() + 20.0)
+    finally:
+        stop_processes([process])
 
 
 def test_binary_precedence(monkeypatch, tmp_path):
-    files = {name: tmp_path / name for name in ("scenario", "option", "environment")}
+    files = {name: tmp_path / name for name in ("option", "environment")}
     for file in files.values():
         file.write_text("#!/bin/sh\n")
         file.chmod(0o755)
     monkeypatch.setenv("ARDUPLANE", str(files["environment"]))
-    assert find_binary(str(files["scenario"]), files["option"]) == files["scenario"]
-    assert find_binary(None, files["option"]) == files["option"]
-    assert find_binary(None, None) == files["environment"]
+    assert find_binary(files["option"]) == files["option"]
+    assert find_binary(None) == files["environment"]
 
 
 def test_port_in_use_is_named(binary):
@@ -188,7 +231,7 @@ def test_noise_on_physics_port_is_an_error(binary):
 
 
 def test_repetitions_in_a_pause_are_dropped():
-    config = SitlConfig("one", [FIRST], False, None, Path(), 5.0, 0.0, math.nan)
+    config = SitlConfig("one", [FIRST], False, Path(), 5.0, 0.0, math.nan)
     plane = SitlVehicle(config, Origin(), physics_hz=200, autopilot_hz=50)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as arduplane:
         arduplane.settimeout(TIMEOUT_S)
@@ -215,15 +258,3 @@ def test_repetitions_in_a_pause_are_dropped():
                 arduplane.recv(2048)
         finally:
             plane.close()
-
-
-def test_binary_path_is_relative_to_the_scenario(tmp_path, monkeypatch):
-    text = SCENARIO.replace(
-        "aircraft: rascal110\n  path",
-        "aircraft: rascal110\n  autopilot: {kind: ardupilot, binary: bin/ap}\n  path",
-    )
-    (tmp_path / "own.yaml").write_text(text)
-    monkeypatch.chdir("/")
-    assert load_scenario(tmp_path / "own.yaml").leader.autopilot.binary == str(
-        tmp_path / "bin" / "ap"
-    )

@@ -1,13 +1,16 @@
 """The command line: its help, what it prints, the files it writes, and its exit codes."""
 
+import errno
 import json
 import os
 import re
 import signal
 import subprocess
 import sys
+import time
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from unittest.mock import Mock
 
 import golden_scenarios
 import pytest
@@ -22,6 +25,7 @@ import testbed
 from testbed.cli.exit_codes import ExitCode
 from testbed.cli.main import app
 from testbed.cli.scenario import GROUPS, STUDIES, TUNES
+from testbed.logs.file_record import RECORD_NAME
 from testbed.logs.read import read_log
 from testbed.scenario import list_scenarios, list_studies, list_tunings
 
@@ -232,8 +236,9 @@ def test_run_writes_one_directory(tmp_path):
         "run.mcap",
         "scenario.resolved.yaml",
         "metrics.json",
+        RECORD_NAME,
     }
-    assert len(found) == 3
+    assert len(found) == 4
     (directory,) = {Path(name).parent for name in found}
     assert directory.parent.as_posix() == "logs/simulation-3"
     # the table, and where the log is; no escape codes in a pipe
@@ -256,6 +261,7 @@ def test_run_quiet_writes_json_and_prints_nothing(tmp_path):
     assert files(tmp_path) == {
         "m.json",
         *(f"here/{name}" for name in ("run.mcap", "scenario.resolved.yaml", "metrics.json")),
+        f"here/{RECORD_NAME}",
     }
 
 
@@ -265,7 +271,9 @@ def test_run_json_on_stdout_is_only_json(tmp_path):
     metrics = json.loads(done.stdout)
     assert metrics == json.loads((tmp_path / "empty" / "metrics.json").read_text())
     assert "smallest separation" in done.stderr
-    assert files(tmp_path) == {"empty/metrics.json", "empty/scenario.resolved.yaml"}
+    assert files(tmp_path) == {
+        *(f"empty/{name}" for name in ("metrics.json", "scenario.resolved.yaml", RECORD_NAME))
+    }
 
 
 @pytest.mark.parametrize(
@@ -359,3 +367,56 @@ def test_ctrl_c_exits_130_and_keeps_files(tmp_path, monkeypatch, words, work):
     monkeypatch.setattr(f"testbed.{work}", interrupt)
     call_command(*words, cwd=tmp_path, code=ExitCode.INTERRUPTED, columns=80)
     assert golden_scenarios.files(tmp_path) == before
+
+
+LOADING = """
+import sys, testbed.cli.entry
+
+class Interrupted:
+    def find_spec(self, name, *more):
+        if name == "typer":
+            raise {error}
+
+sys.meta_path.insert(0, Interrupted())
+testbed.cli.entry.main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "words"),
+    [
+        ("KeyboardInterrupt", 130, ""),
+        ("MemoryError", 2, "error: not enough memory: an allocation failed"),
+        ("ImportError('x.so: failed to map segment from shared object')", 2, "x.so: failed to map"),
+    ],
+)
+def test_ending_while_libraries_load_has_its_code(error, code, words):
+    program = [sys.executable, "-c", LOADING.format(error=error)]
+    done = subprocess.run(program, env=environment(200), capture_output=True, text=True)
+    assert done.returncode == code and words in done.stderr
+    assert "Traceback" not in done.stderr and (words or not done.stderr)
+
+
+def test_lack_of_memory_in_a_command_is_one_error_line(monkeypatch, tmp_path):
+    for error in (
+        MemoryError(),
+        OSError(errno.ENOMEM, "x"),
+        RuntimeError("can't start new thread"),
+    ):
+        monkeypatch.setattr("testbed.cli.main.app", Mock(side_effect=error))
+        printed = call_command("list", cwd=tmp_path, code=2, columns=200).stderr
+        assert printed.startswith("error: not enough memory: ") and printed.count("\n") == 1
+
+
+def test_interrupt_made_an_error_by_a_library_is_one(monkeypatch, tmp_path):
+    """As numba and NumPy do while they are loaded."""
+
+    def load():
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(1.0)
+        except KeyboardInterrupt:
+            raise ImportError("initialization failed") from None
+
+    monkeypatch.setattr("testbed.cli.main.app", load)
+    assert call_command("list", cwd=tmp_path, code=130, columns=200).stderr == ""

@@ -178,14 +178,17 @@ def test_the_first_folder_that_can_be_written_is_taken(parents, tmp_path):
     unwritable, good = tmp_path / "file" / "cache", tmp_path / "good"
     recent, unused = "kernels-0123456789abcdef", "kernels-fedcba9876543210"
     users = "kernels-of-the-user"  # not the testbed's: never removed
-    for name in (recent, unused, users):
-        (good / name).mkdir(parents=True)
-    for name in (unused, users):
+    noted = "kernels-00000000000000ff"  # has a file of the user
+    for name in (recent, unused, users, noted):
+        (good / name / "sim").mkdir(parents=True)
+        (good / name / "sim" / "loop.step-3.py311.nbi").touch()
+    (good / noted / "notes.txt").touch()
+    for name in (unused, users, noted):
         os.utime(good / name, (0.0, 0.0))
     found = parents(unwritable, good, tmp_path / "never")
     assert found.parent == good
     # a folder unused for long is removed, and no folder is made that is not needed
-    assert folders(good) == sorted([recent, users, found.name])
+    assert folders(good) == sorted([recent, users, noted, found.name])
     assert not (tmp_path / "never").exists()
 
 

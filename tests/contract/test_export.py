@@ -18,6 +18,7 @@ from record_flight import RECORDS, decoded, event, record, run_info, run_samples
 import testbed
 from testbed.core.records import VehicleState, join_names
 from testbed.logs import arrow_io, flight_data
+from testbed.logs.file_record import RECORD_NAME
 from testbed.logs.flight_data import QUANTITIES, UNITS, write_npz
 from testbed.logs.mcap_file import LogError
 from testbed.logs.messages import TOPICS
@@ -269,7 +270,8 @@ def test_export_command_writes_every_format(tmp_path, path):
         done = export("--format", form)
         assert done.stdout == ""
         assert name in done.stderr
-    assert {file.name for file in folder.iterdir()} - {"run.mcap"} == {*written.values()}
+    names = {file.name for file in folder.iterdir()}
+    assert names == {"run.mcap", RECORD_NAME, *written.values()}
     printed = export("--format", "csv", "--out", "-").stdout
     assert printed == (folder / "run.csv").read_text()
     refused = {

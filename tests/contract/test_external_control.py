@@ -224,6 +224,23 @@ def test_every_scenario_item_can_be_current():
     assert leader.set_current_item(len(leader.mission)) is not None
 
 
+def test_item_that_is_not_reached_can_be_current():
+    """A mission with a landing behind a circle without end is kept, and says what it flies."""
+    leader = build(short(), commanded=True).external_control.vehicles[0]
+    far = waypoint([leader], 0, 600.0, 0.0, 100.0)[0]._replace(frame=10)
+    landing = far._replace(command=21, frame=3, z=0.0)
+    circle = far._replace(command=17)
+    leader.pop_events()
+    assert leader.set_mission([far, far, circle, far, landing]) is None
+    texts = " ".join(event.text for event in leader.pop_events())
+    for words in ("the ground is flat", "does not land", "MISSION_SET_CURRENT: items 3, 4"):
+        assert words in texts
+    for number in (1, 2, 3, 4):
+        assert leader.set_current_item(number) is None
+        assert leader.current_item == number
+    assert "no item 5" in leader.set_current_item(5).text
+
+
 def test_commanded_airspeed_survives_item_change():
     world = build(short(), commanded=True)
     leader = world.external_control.vehicles[0]
@@ -309,14 +326,14 @@ def test_parameter_set_to_same_value_changes_nothing(uncommanded):
     ("name", "value", "why"),
     [
         ("RLL_RATE_Q", 1.0, "no such parameter"),
-        ("RLL_RATE_P", math.nan, "not a number"),
-        ("AIRSPEED_MIN", -1.0, "greater than 0"),
+        ("RLL_RATE_P", math.nan, "nan; it must be 0 to 20"),
+        ("AIRSPEED_MIN", -1.0, "must be 1 to 400"),
         ("AIRSPEED_MAX", 1.0, "greater than AIRSPEED_MIN"),
-        ("NAVL1_PERIOD", 0.0, "greater than 0"),
+        ("NAVL1_PERIOD", 0.0, "must be 1 to 600"),
         ("WP_LOITER_RAD", 0.5, "1 m or more"),
         ("WP_RADIUS", math.inf, "1 m or more"),
         ("SERVO1_MIN", 3.4e38, "800 to 2200"),
-        ("SERVO2_MAX", 900.0, "must rise"),
+        ("SERVO2_MAX", 900.0, "SERVO2_MIN (1000) must be less"),
     ],
 )
 def test_invalid_parameter_value_is_rejected(name, value, why):

@@ -122,4 +122,4 @@ def test_every_named_extra_exists():
     assert named <= set(EXTRAS) - {"all", "dev", "docs"}
     assert {"view", "report", "study", "mavlink", "notebook", "dask", "rl"} <= named
     assert {DISTRIBUTION, "testbed"} <= set(PROJECT["scripts"])
-    assert set(PROJECT["scripts"].values()) == {"testbed.cli.main:main"}
+    assert set(PROJECT["scripts"].values()) == {"testbed.cli.entry:main"}

@@ -5,6 +5,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from concurrent.futures import Future
 from pathlib import Path
 
 import golden_scenarios
@@ -14,9 +15,10 @@ import worker_tasks
 from commands import environment
 from waiting import TIMEOUT_S, until
 
-from testbed.core.errors import InputError
+from testbed.core.errors import ExternalProgramLost, InputError
 from testbed.scenario import library
-from testbed.studies import local_workers
+from testbed.sim.stop_request import StopRequest
+from testbed.studies import dask_workers, flight_pool, local_workers
 from testbed.studies.flight_pool import open_flight_pool
 from testbed.studies.flight_task import FlightTask
 
@@ -216,11 +218,67 @@ def test_pool_without_dask_names_the_package(monkeypatch):
         pass
 
 
-def test_pool_absent_scheduler_is_an_input_error(monkeypatch):
+def test_pool_absent_scheduler_is_a_lost_program(monkeypatch):
     pytest.importorskip("distributed", reason="the extra dask of pyproject.toml")
     monkeypatch.setattr("testbed.studies.dask_workers.CONNECT_S", 0.2)
     with (
-        pytest.raises(InputError, match="127.0.0.1:1: does not answer"),
+        pytest.raises(ExternalProgramLost, match="127.0.0.1:1: does not answer"),
         open_flight_pool(backend="dask", scheduler="tcp://127.0.0.1:1"),
     ):
         pass
+
+
+def test_pool_process_killed_while_free_is_replaced(no_flights):
+    with open_flight_pool(jobs=1) as pool:
+        (first,) = pool.run([FlightTask(0, ("describe",))])
+        os.kill(first.metrics["value"]["pid"], signal.SIGKILL)
+        (process,) = pool._workers._free
+        until(lambda: process._flags.broken)
+        (second,) = pool.run([FlightTask(1, ("echo", "again"))])
+    assert second.metrics["value"] == "again"
+
+
+class LostCluster:
+    """A client of a cluster whose scheduler or workers have gone."""
+
+    def __init__(self, workers):
+        self.workers = workers
+
+    def nthreads(self):
+        return self.workers()
+
+    def submit(self, *task):
+        future = Future()
+        future.cancel()
+        future.set_running_or_notify_cancel()
+        return future
+
+    def shutdown(self, wait):
+        raise RuntimeError("cannot schedule new futures after shutdown")
+
+
+def refuse_connection():
+    raise OSError("connection refused")
+
+
+@pytest.mark.parametrize(
+    ("workers", "words"),
+    [
+        (refuse_connection, "connection refused"),
+        (lambda: {"tcp://1": 1}, "its scheduler has ended"),
+        (dict, "no workers for 0 s"),
+    ],
+)
+def test_pool_lost_cluster_is_a_lost_program(workers, words, monkeypatch):
+    """Scheduler or workers: exit code 5, and what is to be done."""
+    pytest.importorskip("distributed", reason="the extra dask of pyproject.toml")
+    for name in ("FIRST_WORKER_S", "_COUNT_INTERVAL_S"):
+        monkeypatch.setattr(dask_workers, name, 0.0)
+    cluster = LostCluster(workers)
+    lost = dask_workers.DaskWorkers.__new__(dask_workers.DaskWorkers)
+    lost._client = lost._executor = cluster
+    lost._counted_s, lost._had_workers_s, lost._capacity = -1.0, 0.0, 1
+    pool = flight_pool.FlightPool(lost, StopRequest())
+    with pytest.raises(ExternalProgramLost, match=f"the cluster is lost.*{words}.*--resume"):
+        list(pool.run([FlightTask(0, ("echo", "it"))]))
+    lost.shutdown()

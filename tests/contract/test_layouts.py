@@ -1,6 +1,7 @@
 """Layouts for Foxglove and PlotJuggler name fields that the log has; its frames form one tree."""
 
 import json
+import os
 import re
 import xml.etree.ElementTree as xml
 from operator import attrgetter
@@ -189,6 +190,16 @@ def test_plotjuggler_layout_names_log_relative(tmp_path, path):
     named = xml.parse(made).find("previouslyLoaded_Datafiles/fileInfo").get("filename")
     assert not Path(named).is_absolute()
     assert (made.parent / named).resolve() == path.resolve()
+
+
+def test_plotjuggler_layout_of_names_with_slashes(tmp_path):
+    """A scenario may have them, and so may the path of the log that is no UTF-8."""
+    log = tmp_path / os.fsdecode(b"\xff") / "run.mcap"
+    log.parent.mkdir()
+    record(log, run_samples(3), run_info(names=("a/leader", "/uav1", "u/a/v", "uav3/")))
+    call_command("export", log, "--format", "plotjuggler", cwd=tmp_path, code=0, columns=120)
+    curves = xml.parse(log.with_suffix(".plotjuggler.xml")).iter("curve")
+    assert "//uav1/state/airspeed_mps" in {each.get("name") for each in curves}
 
 
 def test_every_frame_has_root_enu_from_first_sample(path, messages):

@@ -144,7 +144,7 @@ def test_reposition_changes_mode_only_with_flag():
         ({"y": -(2**31)}, DENIED),
         ({"z": math.inf}, DENIED),
         ({"frame": 1}, NO_FRAME),
-        ({"frame": 11}, NO_FRAME),
+        ({"frame": 7}, NO_FRAME),
     ],
 )
 def test_reposition_invalid_position_changes_nothing(changes, result):

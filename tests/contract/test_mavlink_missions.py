@@ -76,7 +76,9 @@ def test_upload_repeats_request_then_cancels():
     assert requested(client.poll(0.9 * REPEAT_S)) == []
     repeats = [requested(client.poll(REPEAT_S)) for _ in range(REPEATS)]
     assert repeats == [[1]] * REPEATS
-    assert acks(client.poll(REPEAT_S)) == [CANCELLED]
+    replies = client.poll(REPEAT_S)
+    assert acks(replies) == [CANCELLED]
+    assert texts(replies) == ["mission: item 1 did not arrive: upload again"]
     assert fields_of(client.poll(REPEAT_S), "MISSION_ACK") == []
     assert acks(send(client, 1)) == [ERROR]
     assert client.control.calls == []
@@ -152,7 +154,7 @@ def test_download_ack_does_not_end_upload():
     ("changes", "result"),
     [
         ({"frame": 1}, BAD_FRAME),
-        ({"frame": 10}, BAD_FRAME),
+        ({"frame": 7}, BAD_FRAME),
         ({"x": 910000000}, 10),
         ({"y": -1810000000}, 11),
         ({"z": math.nan}, 12),
@@ -165,8 +167,41 @@ def test_download_ack_does_not_end_upload():
 def test_upload_invalid_item_is_rejected(changes, result):
     client = VehicleClient()
     begin(client, 1)
-    assert acks(send(client, 0, **changes)) == [result]
+    replies = send(client, 0, **changes)
+    assert acks(replies) == [result]
+    assert texts(replies)  # a refusal says why
     assert client.control.calls == []
+
+
+@pytest.mark.parametrize("frame", [0, 2, 3, 5, 6, 10, 11])
+def test_upload_keeps_the_frame_of_an_item(frame):
+    client = VehicleClient()
+    begin(client, 1)
+    assert acks(send(client, 0, frame=frame)) == [ACCEPTED]
+    (item,) = client.send("MISSION_REQUEST_INT", **TO, seq=0, mission_type=0)
+    assert item.fields["frame"] == frame
+
+
+def test_every_refusal_has_a_text():
+    part = {"start_index": 0, "end_index": 1, "mission_type": 0}
+    for refused, setup in (
+        (lambda c: begin(c, MAX_ITEMS + 1), None),
+        (lambda c: begin(c, 1, 1), None),
+        (lambda c: begin(c, 1, **OTHER), lambda c: begin(c, 2)),
+        (lambda c: send(c, 0, sender=OTHER), lambda c: begin(c, 2)),
+        (lambda c: send(c, 1), lambda c: begin(c, 2)),
+        (lambda c: send(c, 0), None),
+        (lambda c: send(c, 0, name="MISSION_ITEM", current=3), None),
+        (lambda c: c.send("MISSION_CLEAR_ALL", **TO, mission_type=7), None),
+        (lambda c: c.send("MISSION_REQUEST_INT", **TO, seq=5, mission_type=0), None),
+        (lambda c: c.send("MISSION_WRITE_PARTIAL_LIST", **TO, **part), None),
+    ):
+        client = VehicleClient()
+        if setup:
+            setup(client)
+        replies = refused(client)
+        assert acks(replies) != [ACCEPTED]
+        assert texts(replies), replies
 
 
 def test_upload_nan_parameter_means_default():

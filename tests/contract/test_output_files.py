@@ -159,15 +159,17 @@ def test_parts_of_killed_processes_are_removed(tmp_path):
         tmp_path / name
         for name in (".testbed-abcdefgh.part", ".testbed-12345678.part", ".testbed-notes.part")
     )
-    for folder in (dead, live, foreign):
+    filled = tmp_path / ".testbed-00000000.part"  # the testbed has one new file in a folder
+    for folder in (dead, live, foreign, filled):
         folder.mkdir()
         (folder / "new").write_text("part")
+    (filled / "notes.txt").touch()
     lock = os.open(live, os.O_RDONLY)
     fcntl.flock(lock, fcntl.LOCK_EX)
     with write_file(tmp_path / "out") as file:
         file.write(b"x")
     os.close(lock)
-    assert names(tmp_path) == [live.name, foreign.name, "out"]
+    assert names(tmp_path) == [filled.name, live.name, foreign.name, "out"]
 
 
 def test_two_writers_of_a_file_do_not_meet(tmp_path):

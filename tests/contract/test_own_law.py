@@ -9,6 +9,7 @@ import textwrap
 
 import numpy as np
 import pytest
+from commands import call_command
 
 import testbed
 from testbed.core.errors import InputError
@@ -18,11 +19,19 @@ from testbed.formation.control_step import Hbh23Law
 from testbed.logs.read import read_log
 from testbed.reports import figures, read_run, run_page
 from testbed.reports.html import render_page
-from testbed.scenario import find_aircraft, list_scenarios, load_scenario, set_duration
+from testbed.scenario import (
+    ScenarioError,
+    find_aircraft,
+    list_scenarios,
+    load_scenario,
+    set_duration,
+)
 from testbed.sim.build import build, build_clock
 from testbed.sim.build_control import build_control
 from testbed.sim.user_code import check_law
 from testbed.studies.compare_runs import compare_runs
+from testbed.studies.flight_task import FlightTask, run_task
+from testbed.studies.plan import Plan, check_plan, load_study
 
 GOOD = """
     import numpy as np
@@ -139,13 +148,33 @@ def test_law_only_scenario_folder_and_packages_run(tmp_path, monkeypatch):
     monkeypatch.chdir(home)
     for law in ("../in_the_way.py:Law", f"{tmp_path}/in_the_way.py:Law"):
         text = build_error(write(home, law=law))
-        assert "is not in the folder of the scenario file" in text and "mine.yaml:2" in text
+        assert "is not in the folder of the file that names it" in text and "mine.yaml:2" in text
     (home / "linked.py").symlink_to(tmp_path / "in_the_way.py")
-    assert "is not in the folder of the scenario file" in build_error(write(home, law="linked:Law"))
+    assert "is not in the folder of the file" in build_error(write(home, law="linked:Law"))
     (tmp_path / "mine.py").write_text((home / "mine.py").read_text())
     asked = load_scenario(write(home), [f"controller.law={tmp_path}/mine.py:Straight"])
     assert asked.controller.law == f"{tmp_path}/mine.py:Straight"
     assert "in_the_way" not in sys.modules and "antigravity" not in sys.modules
+
+
+STUDY = """
+study: {{schema: 1, name: s, scenario: simulation-3, seeds: 1, set: {{controller.law: "{law}"}}}}
+"""
+
+
+def test_study_runs_code_in_its_folder_only(tmp_path, monkeypatch):
+    """Its settings are of a file, not of the caller: not even the current directory is allowed."""
+    (home := tmp_path / "studies").mkdir()
+    for folder in (tmp_path, home):
+        write(folder)
+    monkeypatch.chdir(tmp_path)
+    for law in ("mine:Straight", "mine.py:Straight", f"{tmp_path}/mine.py:Straight"):
+        (home / "s.yaml").write_text(STUDY.format(law=law))
+        with pytest.raises(ScenarioError, match="is not in the folder of the file that names it"):
+            check_plan(Plan(load_study(home / "s.yaml")))
+    (home / "s.yaml").write_text(STUDY.format(law="studies/mine.py:Straight"))
+    plan = Plan(load_study(home / "s.yaml"))
+    assert plan.scenario(plan[0]).controller.law == f"{home}/mine.py:Straight"
 
 
 def test_law_of_an_installed_package(tmp_path, monkeypatch):
@@ -264,6 +293,37 @@ def test_law_exception_has_its_line(tmp_path):
     path = write(tmp_path, "raise RuntimeError('no idea')")
     line = (tmp_path / "mine.py").read_text().split("raise")[0].count("\n") + 1
     assert f"mine.py:{line}: the law raised RuntimeError: no idea" in build_error(path)
+
+
+ENDINGS = ("SystemExit(0)", "GeneratorExit", "KeyboardInterrupt", "BaseException")
+PLACES = {
+    "import": "raise ENDING\n",
+    "construction": GOOD.replace(
+        "self.config, self.roll, self.count = config, roll, 0", "raise ENDING"
+    ),
+    "start": GOOD.replace("return np.zeros(len(own.airspeed))", "raise ENDING"),
+    "step": GOOD.replace("BODY", "raise ENDING"),
+    "flight": GOOD.replace("BODY", "if now > 0.3: raise ENDING"),
+}
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_law_that_ends_the_program_is_an_error(place, tmp_path):
+    """Only a real Ctrl-C ends a command; `sys.exit(0)` of a law is no success."""
+    for ending in ENDINGS[: None if place in ("import", "flight") else 1]:
+        path = write(tmp_path, text=textwrap.dedent(PLACES[place]).replace("ENDING", ending))
+        command = ("run", path, "--duration", "1", "--quiet", "--out", ending)
+        error = call_command(*command, cwd=tmp_path, code=2, columns=500).stderr
+        assert f"the law raised {ending.partition('(')[0]}" in error, error
+        assert "mine.py:" in error and error.startswith("error: ")
+
+
+def test_sweep_law_error_is_failed_in_flight_only(tmp_path):
+    for body, outcome in (("if now > 0.3: 1 / 0", "failed"), ("1 / 0", "invalid")):
+        scenario = set_duration(load_scenario(write(tmp_path, body)), 1.0)
+        result = run_task(FlightTask(0, scenario))
+        assert result.outcome == outcome
+        assert result.error.startswith(f"{outcome}: ") and "ZeroDivisionError" in result.error
 
 
 def test_law_nan_in_flight_ends_the_run_with_its_time(tmp_path):

@@ -2,17 +2,32 @@
 
 import json
 import math
+import re
 from pathlib import Path
 
 import pytest
 import small_study
 from typer.testing import CliRunner
 
+import testbed
+from testbed.autopilot.parameters import read_params
 from testbed.cli.main import app
 from testbed.core.errors import InputError
-from testbed.scenario import ScenarioError, dump, find_aircraft, load_scenario, loads, set_duration
+from testbed.scenario import (
+    ScenarioError,
+    dump,
+    find_aircraft,
+    load_middle_loop,
+    load_scenario,
+    loads,
+    set_duration,
+)
+from testbed.sim import speed_step as step_module
 from testbed.sim.build import build
+from testbed.sim.speed_step import speed_step
 from testbed.studies.sweep import sweep
+from testbed.vehicle import replay_commands
+from testbed.vehicle.replay_commands import respond
 
 MINIMAL = (Path(__file__).parents[1] / "data" / "scenarios" / "minimal.yaml").read_text()
 
@@ -307,6 +322,14 @@ def test_limits_that_undercut_each_other_have_warnings(tmp_path):
     assert not [text for _, text in warnings("simulation-3", *both) if "ROLL_LIMIT_DEG" in text]
 
 
+def test_unusual_parameter_has_a_warning(tmp_path):
+    tune = (find_aircraft("rascal110") / "autopilot.param").read_text()
+    odd = tmp_path / "odd.param"
+    odd.write_text(tune.replace("PTCH_RATE_FF 0.89", "PTCH_RATE_FF 5"))
+    found = warnings("simulation-3", f"fleet.uav2.tune={odd}")
+    assert found == [("uav2", f"{odd}: PTCH_RATE_FF is 5; usual are 0 to 3")]
+
+
 def test_tune_limit_out_of_reach_has_a_warning(tmp_path):
     tune = (find_aircraft("rascal110") / "autopilot.param").read_text()
     wide = tmp_path / "wide.param"
@@ -430,3 +453,64 @@ def test_rate_at_which_an_aircraft_diverges_is_refused():
         "-26.2 1/s; its magnitude times the step of 1/25 s is 1.05, and from 1 on its integration "
         "diverges (write rates.physics_hz: 75)"
     )
+
+
+def test_fixed_rates_of_commands_are_checked(tmp_path, monkeypatch):
+    """`respond` and `step` choose their rate themselves; `testbed.Aircraft` has an argument."""
+    x8 = find_aircraft("skywalker_x8")
+    commands = tmp_path / "commands.csv"
+    commands.write_text("t_s,theta_cmd_rad,phi_cmd_rad,throttle_cmd\n0,0.05,0,0.5\n0.1,0,0,0.5\n")
+    monkeypatch.setattr(replay_commands, "BASE_RATE_HZ", 50)
+    lines, param = [], x8 / "autopilot.param"
+    respond(x8, commands, tmp_path / "out.csv", param=param, airspeed=22.0, warn=lines.append)
+    (line,) = lines
+    assert line.startswith("the propeller mode of skywalker_x8 at 22 m/s has the eigenvalue -29.6")
+    assert line.endswith("(fly it in a scenario with rates.physics_hz: 100, or slower)")
+    monkeypatch.setattr(step_module, "BASE_RATE_HZ", 25)
+    gains, params = load_middle_loop(x8, "tuned"), read_params(param)
+    with pytest.raises(InputError, match=r"roll mode .* from 1 on its integration diverges \(fly"):
+        speed_step(x8, gains, params, airspeed=22.0, step=2.0)
+    slow = testbed.Aircraft("skywalker_x8", airspeed_mps=22, physics_hz=50)
+    slow.step(0.05, 0.0, 0.5)
+    assert any("times the step of 1/50 s is 0.592" in each.text for each in slow.events)
+    with pytest.raises(InputError, match="^physics_hz: is 75 .write a multiple of 50"):
+        testbed.Aircraft("skywalker_x8", airspeed_mps=22, physics_hz=75)
+
+
+# gains
+
+
+@pytest.mark.parametrize(
+    ("setting", "text"),
+    [
+        ("formation.a=100", "formation.a has a gain of 100 1/s; .*it is 4, and above 0.5"),
+        ("formation.c={per_speed_squared: 1}", "formation.c has a gain of 900 1/s"),
+        ("formation.speed_pole_per_s=60", "formation.speed_pole_per_s has a gain of 60 1/s"),
+        ("formation.a=1e-9", "formation.a has a gain of 1e-09 1/s: too small to act"),
+        ("formation.k=1e-9", "formation.k has a gain of 1e-09 m/s: too small to act"),
+        ("formation.leader_gains.*=1e-9", "_gains has a gain of 1e-09: too small to act"),
+        ("controller.gain_scale=50", "controller.gain_scale: 50 multiplies every gain"),
+    ],
+)
+def test_gains_far_from_usable_are_warned_of(setting, text):
+    found = [each for _, each in warnings("simulation-3", setting)]
+    assert [each for each in found if re.search(text, each)]
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "formation.a=1e6",
+        "formation.c=1e6",
+        "formation.speed_pole_per_s=1e6",
+        "formation.leader_gains.uav1=-1",
+        "formation.leader_gains.uav1=1e7",
+        "controller.gains.course.p=1e5",
+        "controller.gain_scale=1e6",
+        "leader.path.airspeed_mps=1000",
+    ],
+)
+def test_absurd_gains_are_refused(setting):
+    key = setting.partition("=")[0]
+    with pytest.raises(ScenarioError, match=rf"{key}: is .* \(write a number at"):
+        load_scenario("simulation-3", [setting])

@@ -164,6 +164,10 @@ def test_episodes_write_run_directories(tmp_path):
     env.close()
     assert sorted(each.name for each in tmp_path.iterdir()) == ["episode-00001", "episode-00002"]
     assert testbed.load_run(tmp_path / "episode-00001").metrics["outcome"] == "completed"
+    again = make(out=str(tmp_path), duration_s=0.4)  # another process, or another day
+    again.reset()
+    again.close()
+    assert (tmp_path / "episode-00003" / "run.mcap").is_file()
 
 
 def test_drawn_values_stay_in_their_ranges():
@@ -183,7 +187,7 @@ def test_drawn_values_stay_in_their_ranges():
     ("options", "message"),
     [
         ({"follower": "uav9"}, "no such follower"),
-        ({"control_ticks": 0}, "control_ticks: 0"),
+        ({"control_ticks": 0}, "control_ticks: is 0 .write a number at least 1"),
         ({"scenario": "ideal-figure-eight"}, "uav1 is an ideal vehicle"),
         (
             {"randomize": {}, "overrides": ["fleet.0.start_m=[-2,0,0]"]},

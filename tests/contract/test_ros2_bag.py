@@ -21,6 +21,7 @@ from testbed.core.frames import (
 )
 from testbed.core.geodetic import geodetic_from_ned
 from testbed.core.records import Event, Origin
+from testbed.logs.file_record import RECORD_NAME
 
 AIRCRAFT, SECONDS, HZ, LOST_AT = 3, 4, 25, 60
 DATE_LINE = Origin(38.0, 180.0, 300.0)
@@ -54,7 +55,7 @@ def bag(tmp_path_factory, seen):
     assert "it exists; remove it or write another name" in again.stderr
     named = call_command(*arguments, "--out", "run.ros2", cwd=folder, code=2, columns=120)
     assert "--out run.ros2: it exists; remove it" in named.stderr
-    assert {each.name for each in folder.iterdir()} == {"run.mcap", "run.ros2"}
+    assert {each.name for each in folder.iterdir()} == {"run.mcap", "run.ros2", RECORD_NAME}
     return folder / "run.ros2"
 
 

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -24,15 +25,16 @@ from run_flight import (
     recorder,
     short,
 )
-from waiting import TIMEOUT_S
+from waiting import TIMEOUT_S, until
 
 import testbed
 from testbed.formation.law import LimiterFlag
 from testbed.logs import mcap_file
+from testbed.logs.file_record import RECORD_NAME
 from testbed.logs.read import read_log, samples
 from testbed.scenario import load_scenario
 from testbed.sensors.estimators import Estimators
-from testbed.sim import loop
+from testbed.sim import loop, stop_request
 from testbed.sim.build import build
 
 HERE = Path(__file__).parent
@@ -187,7 +189,7 @@ def test_run_directory_has_scenario_log_and_metrics(tmp_path):
     watcher = Collector()
     result = testbed.run(scenario, out=tmp_path / "run", observers=[watcher])
     names = {path.name for path in result.directory.iterdir()}
-    assert names == {"run.mcap", "scenario.resolved.yaml", "metrics.json"}
+    assert names == {"run.mcap", "scenario.resolved.yaml", "metrics.json", RECORD_NAME}
     assert result.exit_code == 0
     assert json.loads((result.directory / "metrics.json").read_text()) == result.metrics
     resolved = result.directory / "scenario.resolved.yaml"
@@ -443,3 +445,17 @@ def test_run_is_printed_as_a_short_table(tmp_path):
     assert "<td>uav8</td><td>0.70</td>" in html and "here &lt;b&gt;" in html
     short = testbed.Run(run.scenario, metrics | {"windows": {}}, None)
     assert len(repr(short).splitlines()) == 7 and "12.00" in repr(short)
+
+
+def test_stop_that_waits_says_where_it_is(monkeypatch, capfd):
+    monkeypatch.setattr(stop_request, "GRACE_S", 0.02)
+    with pytest.raises(KeyboardInterrupt), stop_request.stop_on_signals() as stop:
+        os.kill(os.getpid(), signal.SIGINT)
+        until(lambda: "test_run.py:" in (text := capfd.readouterr().err) or "waiting.py:" in text)
+        assert stop()
+        os.kill(os.getpid(), signal.SIGINT)
+    with stop_request.stop_on_signals() as stop:  # a run that ends in time says nothing
+        os.kill(os.getpid(), signal.SIGTERM)
+        stop.begin_ending()
+        time.sleep(0.05)
+    assert capfd.readouterr().err == ""

@@ -202,3 +202,14 @@ def test_wrong_lengths_have_a_number():
     """Neither bound of a length is written where there is none."""
     for case in ("fleet: []", "network: {partitions: [{window_s: [1, 2], groups: []}]}"):
         assert "None" not in error_of(loads, f"extends: simulation-3\n{case}\n")
+
+
+def test_null_windows_without_inherited_ones_are_none():
+    minimal = (FOLDER / "minimal.yaml").read_text()
+    text = minimal.replace("duration_s: 10", "duration_s: 10, windows: null", 1)
+    assert "windows: null" in text and loads(text).scenario.windows == {}
+
+
+def test_whole_number_with_a_point_is_shown_as_written():
+    text = error_of(load_scenario, FOLDER / "minimal.yaml", ["scenario.seed=7.0"])
+    assert "scenario.seed: is 7.0 (write 7, a whole number" in text

@@ -1,5 +1,7 @@
 """Every key of the schema: defaults, full fixture, round trip, and the editor's schema."""
 
+import os
+import random
 from collections.abc import Mapping
 from functools import reduce
 from operator import getitem
@@ -13,14 +15,17 @@ import yaml
 
 from testbed.scenario import (
     Scenario,
+    ScenarioError,
     dump,
     json_schema,
     list_scenarios,
     load_scenario,
     loads,
+    open_scenario,
     set_duration,
 )
 from testbed.scenario.fields import Section
+from testbed.scenario.middle_loop import Guidance, MiddleLoopFile
 from testbed.sim.build import build
 
 FOLDER = Path(__file__).parents[1] / "data" / "scenarios"
@@ -96,9 +101,7 @@ def test_defaults_are_as_documented():
 
 # Kinds that exclude those of everything.yaml: paths, winds, and of the network traces and TDMA.
 VIRTUAL = "leader.path={{kind: virtual, speed_mps: 21, curve: {{{}}}}}"
-ARDUPLANE = (
-    "{kind: ardupilot, binary: /usr/bin/arduplane, start: false, instance: 7, timeout_s: 20.0}"
-)
+ARDUPLANE = "{kind: ardupilot, start: false, instance: 7, timeout_s: 20.0}"
 SITL = "{kind: virtual, gyro_filter: sitl}"
 EXTERNAL = "{kind: external, failsafe_s: 3.0, lockstep: true, timeout_s: 5.0}"
 MISSION = (
@@ -327,3 +330,73 @@ def test_odd_text_survives_the_round_trip(text):
     data["scenario"]["question"] = text
     scenario = Scenario.model_validate(data)
     assert loads(dump(scenario)).scenario.question == text
+
+
+# Numbers without bounds, and why.
+UNBOUNDED = {
+    "expect": "any number bounds a metric",
+    "scenario.schema": "the version is 2",
+    "scenario.published.percent_error": "of a publication, and of no effect on a flight",
+    "control_function.example": "a choice",
+    "barrier.example": "a choice",
+    "controller.options": "of the user's own law",
+    "controller.gains": "has the bounds of middle_loop.yaml",
+    "trace.begin_s": "in the time of the trace, which may be that of a clock",
+}
+BOUNDS = [{"minimum", "exclusiveMinimum"}, {"maximum", "exclusiveMaximum"}]
+
+
+def numbers(schema, node, path=(), seen=()):
+    """Yield every number of a JSON schema with its path."""
+    if "$ref" in node:
+        name = node["$ref"].rsplit("/", 1)[1]
+        if name not in seen:
+            yield from numbers(schema, schema["$defs"][name], path, (*seen, name))
+        return
+    if node.get("type") in ("number", "integer"):
+        yield ".".join(path), node
+    for key in ("anyOf", "oneOf", "prefixItems"):
+        for each in node.get(key, ()):
+            yield from numbers(schema, each, path, seen)
+    for key, each in node.get("properties", {}).items():
+        yield from numbers(schema, each, (*path, key), seen)
+    for key in ("items", "additionalProperties"):
+        if isinstance(node.get(key), dict):
+            yield from numbers(schema, node[key], path, seen)
+    for each in node.get("patternProperties", {}).values():
+        yield from numbers(schema, each, path, seen)
+
+
+@pytest.mark.parametrize("model", [Scenario, MiddleLoopFile, Guidance])
+def test_every_number_has_bounds(model):
+    schema = model.model_json_schema(by_alias=True)
+    found = list(numbers(schema, schema))
+    without = {path for path, node in found if not all(each & node.keys() for each in BOUNDS)}
+    assert len(found) > 5
+    assert {path for path in without if not any(each in path for each in UNBOUNDED)} == set()
+
+
+def leaves(value, path=()):
+    """Yield the paths of all numbers in plain data."""
+    if isinstance(value, dict | list):
+        pairs = value.items() if isinstance(value, dict) else enumerate(value)
+        for key, each in pairs:
+            yield from leaves(each, (*path, str(key)))
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        yield path
+
+
+def test_absurd_numbers_are_refused_with_their_key():
+    """Each number of a scenario with every key, replaced by one that no flight has."""
+    file = open_scenario(FOLDER / "everything.yaml")
+    data = file.resolve().model_dump(mode="json", by_alias=True)
+    paths = [".".join(path) for path in leaves(data)]
+    paths = [path for path in paths if not any(each in path for each in UNBOUNDED)]
+    rng = random.Random("absurd")
+    chosen = paths if os.environ.get("TESTBED_MUTATIONS") else rng.sample(paths, 30)
+    assert len(paths) > 100
+    for path in chosen:
+        for value in rng.sample(["1e300", "-1e12", "1e12", ".nan", ".inf", "-.inf"], 2):
+            with pytest.raises(ScenarioError) as caught:
+                file.resolve([f"{path}={value}"])
+            assert any(path.startswith(".".join(p.path)) for p in caught.value.problems), path

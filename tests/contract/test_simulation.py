@@ -3,16 +3,22 @@
 import itertools
 import json
 import math
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import environment
+from waiting import TIMEOUT_S
 
 import testbed
 from testbed.core.errors import InputError
 from testbed.core.samples import copy_sample
-from testbed.logs import recorder
+from testbed.logs.read import read_log
 from testbed.logs.run_directory import LOG_NAME, SCENARIO_NAME
 from testbed.scenario import find_aircraft, load_scenario, set_duration
+from testbed.sim.recover import recover
 from testbed.vehicle import replay_commands
 from testbed.vehicle.replay_commands import respond
 
@@ -64,9 +70,8 @@ FLIGHTS = {
 
 
 @pytest.mark.parametrize(("name", "overrides"), FLIGHTS.values(), ids=FLIGHTS)
-def test_uneven_steps_write_the_log_of_a_run(tmp_path, name, overrides, monkeypatch):
+def test_uneven_steps_write_the_log_of_a_run(tmp_path, name, overrides):
     """Log, events and metrics to the bit, wherever state and metrics are read in between."""
-    monkeypatch.setattr(recorder, "FLUSH_S", 3600.0)  # chunks do not depend on the clock
     scenario = set_duration(load_scenario(name, overrides), 2.0)
     run = testbed.run(scenario, out=tmp_path / "run")
     pieces = itertools.cycle([0.0, 0.05, 0.0, 0.13, 0.31])  # s; 0: to the next tick
@@ -158,6 +163,64 @@ def test_reset_repeats_the_flight_and_takes_a_seed():
     assert not np.array_equal(positions(simulation), first)
 
 
+UNCLOSED = """
+import gc, os, sys
+import testbed
+from testbed.logs.mcap_file import LogError
+from testbed.scenario import load_scenario, set_duration
+
+simulation = testbed.Simulation(set_duration(load_scenario("simulation-3"), 4.0), out=sys.argv[1])
+simulation.step(until=1.0)
+if sys.argv[2] == "dropped":
+    del simulation
+    gc.collect()
+elif sys.argv[2] == "forked":
+    if not os.fork():
+        for use in (lambda: simulation.step(until=9.0), simulation.close):
+            try:
+                use()
+            except LogError as error:
+                print(error)
+        sys.exit()
+    os.wait()
+    simulation.step(until=9.0)
+    simulation.close()
+"""
+
+
+@pytest.mark.parametrize("ending", ["dropped", "program ends", "forked"])
+def test_unclosed_or_forked_flight_keeps_its_log(tmp_path, ending):
+    """It is finished with a warning; a fork is refused, and does not change its parent's log."""
+    done = subprocess.run(
+        [sys.executable, "-W", "always::ResourceWarning", "-c", UNCLOSED, "run", ending],
+        cwd=tmp_path,
+        env=environment(80),
+        capture_output=True,
+        text=True,
+        timeout=TIMEOUT_S,
+    )
+    assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
+    log = read_log(tmp_path / "run" / LOG_NAME)
+    if ending == "forked":
+        error = "run/run.mcap: this process is a fork of the one that writes the log"
+        assert done.stdout.count(error) == 2
+        assert log.finished and log.metrics["outcome"] == "completed"
+    else:
+        assert "ResourceWarning: run/run.mcap: its Simulation was not closed" in done.stderr
+        assert log.finished and log.metrics is None and log.time_s[-1] >= 0.96
+        assert recover(tmp_path / "run").metrics["simulated_s"] >= 0.96
+
+
+@pytest.mark.parametrize("kind", [str, Path])
+def test_out_is_text_or_a_path(tmp_path, monkeypatch, kind):
+    monkeypatch.chdir(tmp_path)
+    scenario = short("log.mcap=false", seconds=0.1)
+    assert testbed.run(scenario, out=kind("run")).directory == Path("run")
+    with testbed.Simulation(scenario, out=kind("stepped")) as simulation:
+        simulation.step()
+    assert (tmp_path / "stepped" / "metrics.json").is_file()
+
+
 def test_closed_flight_has_log_and_metrics(tmp_path):
     with testbed.Simulation(short(), out=tmp_path / "run") as simulation:
         simulation.step(until=1.0)
@@ -175,8 +238,12 @@ def test_closed_flight_has_log_and_metrics(tmp_path):
         ({"uav1": (0, 0, 0)}, r"write fleet\.uav1\.commanded_by=external"),
         ({"leader": (0, 0, 0)}, r"write leader\.commanded_by=external"),
         ({"uav9": (0, 0, 0)}, "no such aircraft"),
-        ({"uav2": (0, 0)}, "three finite numbers"),
-        ({"uav2": (math.nan, 0, 0)}, "three finite numbers"),
+        ({"uav2": (0, 0)}, "uav2: write three numbers: pitch and roll in rad"),
+        ({"uav2": (math.nan, 0, 0)}, r"uav2: pitch: is nan \(write a finite number"),
+        ({"uav2": (3, 17, 60)}, "uav2: pitch: is 3 .*; 3° is 0.0524 rad"),
+        ({"uav2": (0, 0, 60)}, "uav2: throttle: is 60 .*; 60 % is 0.6"),
+        ({"uav2": (0.1, 0.1, 0.1), "uav9": (0, 0, 0)}, "no such aircraft"),
+        (3, "commands: is 3"),
     ],
 )
 def test_wrong_commands_are_refused(commands, message):
@@ -241,8 +308,8 @@ def test_aircraft_has_wind_and_sensors():
     [
         ({"aircraft": "rascal111"}, "aircraft: there is no aircraft 'rascal111': did you mean"),
         ({"airspeed_mps": 5}, "airspeed_mps: 5 m/s, 100 m above the ground: no level flight: "),
-        ({"airspeed_mps": -1}, "airspeed_mps: is -1 (write a number above 0)"),
-        ({"airspeed_mps": math.nan}, "airspeed_mps: nan (write a finite number)"),
+        ({"airspeed_mps": -1}, "airspeed_mps: is -1 (write a number at least 0.1)"),
+        ({"airspeed_mps": math.nan}, "airspeed_mps: is nan (write a finite number)"),
         ({"altitude_m": -3}, "altitude_m: aircraft starts 3 m below the ground"),
         ({"sensors": "pix"}, "sensors: 'pix' is not a preset of sensors"),
         ({"tune": "nope"}, "tune: there is no tune of skywalker_x8 'nope'"),

@@ -298,7 +298,7 @@ def test_sweep_failed_runs_are_rows_and_exit_1(workers, tmp_path):
         "good": "completed",
         "singular": "invalid",
         "lost": "lost",
-        "raises": "invalid",
+        "raises": "failed",
     }
     assert rows["lost"]["metrics.simulated_s"] < 1 and rows["good"]["error"] == ""
     assert rows["raises"]["metrics.simulated_s"] is None
@@ -309,8 +309,8 @@ def test_sweep_failed_runs_are_rows_and_exit_1(workers, tmp_path):
         "envelope_exceeded": 0,
         "formation_lost": 0,
         "separation_lost": 0,
-        "failed": 0,
-        "invalid": 2,
+        "failed": 1,
+        "invalid": 1,
     }
     assert document["complete"] and len(document["failures"]) == 3
 

@@ -125,6 +125,23 @@ def test_tune_interrupted_has_the_best_so_far(file, tmp_path, fly_with):
     load_scenario(tmp_path / "out/tuned.yaml")
 
 
+def test_tune_ended_between_its_files_mixes_no_gains(file, tmp_path, fly_with, monkeypatch):
+    """A scenario is never beside the gains file of another candidate."""
+    write, written = tune.SearchLog._write, []
+
+    def end_before_second_scenario(log, name, text):
+        written.append(name)
+        if written.count("tuned.yaml") == 2:
+            raise KeyboardInterrupt
+        write(log, name, text)
+
+    monkeypatch.setattr(tune.SearchLog, "_write", end_before_second_scenario)
+    fly_with()
+    call_command("tune", file, "--out", "out", cwd=tmp_path, code=130, columns=120)
+    assert (tmp_path / "out/middle_loop.yaml").exists()
+    assert not (tmp_path / "out/tuned.yaml").exists()
+
+
 def test_tune_gains_of_the_scenario_move_to_the_file(file, tmp_path, fly_with):
     """They are in the gains file, and no longer in the scenario."""
     fly_with()
@@ -280,6 +297,7 @@ def test_tune_real_flights_have_costs(file, tmp_path, fly_with):
         ),
         (("max_flights:", "flights:"), "search.flights: has another name (write max_flights)"),
         (("held_out_seeds:", "held_out:"), "has another name (write held_out_seeds)"),
+        ((TUNE, "a text"), "small.yaml:1:1: is text (write a map of keys and values)"),
     ],
 )
 def test_tune_bad_input_exits_2_with_its_place(file, tmp_path, fly_with, change, message):

@@ -25,7 +25,13 @@ from testbed.autopilot.json_physics import (
     read_servos,
 )
 from testbed.autopilot.parameters import read_params
-from testbed.autopilot.sitl_parameters import TuneUse, defaults_text, tune_differences, tune_use
+from testbed.autopilot.sitl_parameters import (
+    TuneUse,
+    defaults_text,
+    tune_differences,
+    tune_unknown,
+    tune_use,
+)
 from testbed.core.frames import GRAVITY
 from testbed.core.random import named_stream
 from testbed.core.records import AIRCRAFT, allocate
@@ -390,6 +396,20 @@ def test_differences_from_the_virtual_autopilot(tmp_path):
     assert list(tune_differences(tune)) == []
     tune.write_text("RLL_RATE_SMAX 100\n")
     assert "RLL_RATE_SMAX" in tune_use(tune).both
+
+
+def test_what_is_not_known_is_named(tmp_path):
+    """A name or an option's bit is known to be flown, known to have no effect, or listed."""
+    tune = tmp_path / "plane.param"
+    tune.write_text(
+        "INS_GYRO_FILTER 0\nTECS_CLMB_MAX 4\nCOMPASS_OFS_X 3\nYAW2SRV_DAMP 0.2\nRLL_RATE_P 0.2\n"
+        "THR_SLEWRATE 20\nNEW_NAME 1\nFLIGHT_OPTIONS 1081346\n"
+    )
+    assert tune_unknown(tune) == ("THR_SLEWRATE", "NEW_NAME")
+    assert list(tune_differences(tune)) == [
+        "YAW2SRV_DAMP 0.2: yaw damper",
+        *(f"FLIGHT_OPTIONS bit {bit}: not known: may change the flight" for bit in (15, 20)),
+    ]
 
 
 def test_unused_rate_parameters_are_differences(tmp_path):

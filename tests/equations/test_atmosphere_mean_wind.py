@@ -185,7 +185,12 @@ BROKEN = [
         r"wind.csv:1: has both north_mps, east_mps and speed_mps; keep north_mps, east_mps or ",
     ),
     (f"{HEAD}\n0,1,1", r"wind.csv: 1 rows of numbers; a recording needs at least two$"),
-    (f"{HEAD}\n0,1,1\n1,x,1", r"wind.csv:3: could not convert string to float: 'x'; write numb"),
+    (f"{HEAD}\n0,1,1\n1,x,1", r"wind.csv:3: north_mps is 'x'; write a number$"),
+    # never the text of a file that is something else
+    (
+        f"{HEAD}\n0,1,1\n1,{'secret words ' * 9},1",
+        r"wind.csv:3: north_mps is text; write a number$",
+    ),
     (f"{HEAD}\n0,1,1\n1,inf,1", r"wind.csv:3: north_mps is inf; remove the row or write a finite"),
     (f"{HEAD}\n0,1,1\n1,,1", r"wind.csv:3: north_mps is empty; write a number or remove the row$"),
     (f"{HEAD}\n0,1,1\n1,1", r"wind.csv:3: 2 values under 3 columns; write one value per column$"),

@@ -18,6 +18,7 @@ from scipy import signal
 
 from testbed.autopilot.fbwa import fly_by_wire_a, initial_autopilots, settled_autopilots
 from testbed.autopilot.parameters import (
+    RANGES,
     AutopilotTiming,
     FbwaParams,
     ParamError,
@@ -25,6 +26,8 @@ from testbed.autopilot.parameters import (
     ramp_invariant_butterworth,
     read_params,
     sitl_gyro_cutoff,
+    unusual_values,
+    with_param,
 )
 from testbed.core.records import (
     AIRCRAFT,
@@ -34,6 +37,7 @@ from testbed.core.records import (
     allocate,
     write_fields,
 )
+from testbed.scenario import library
 
 
 class Engine(NamedTuple):
@@ -659,10 +663,41 @@ def test_names_before_4_5_are_converted(tmp_path: Path) -> None:
     )
 
 
-def test_qgroundcontrol_file_is_read(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "text",
+    [
+        "RLL_RATE_P = 0.3",
+        "RLL_RATE_P=.3e0",
+        "RLL_RATE_P 0.3 @READONLY",
+        "RLL_RATE_P,0.3,9",
+        "rll_rate_p\t+0.3 roll // gain",
+        "// tune\r\rRLL_RATE_P,0.3#gain\r\n",
+        "# Stack: ArduPilot\n1\t1\tRLL_RATE_P\t0.3\t9\n1 1 PTCH_RATE_P 0.04 9",
+    ],
+)
+def test_lines_follow_arduplanes_grammar(tmp_path: Path, text: str) -> None:
     path = tmp_path / "plane.params"
-    path.write_text("# Vehicle-Id Component-Id Name Value Type\n1\t1\tRLL_RATE_P\t0.3\t9\n")
+    path.write_text(text, newline="")
     assert read_params(path) == FbwaParams(rll_rate_p=0.3)
+
+
+@pytest.mark.parametrize(
+    ("text", "note"),
+    [
+        (
+            "RLL_RATE_P 0.2\nrll_rate_p 0.3",
+            "line 2: rll_rate_p 0.3 replaces RLL_RATE_P 0.2 of line",
+        ),
+        ("RLL_RATE_P 0.3\nRLL_RATE_P_OF_ROLL 9", "line 2: RLL_RATE_P_OF_ROLL is ignored"),
+        ("1 1 RLL_RATE_P 0.3 9\n1 154 RLL_RATE_P 9 9", "of MAVLink component 154 are ignored"),
+    ],
+)
+def test_values_without_effect_are_notes(tmp_path: Path, text: str, note: str) -> None:
+    path = tmp_path / "plane.param"
+    path.write_text(text)
+    with pytest.warns(UserWarning, match=note) as caught:
+        assert read_params(path) == FbwaParams(rll_rate_p=0.3)
+    assert len(caught) == 1
 
 
 def test_travel_is_that_of_the_assigned_output(tmp_path: Path) -> None:
@@ -709,7 +744,16 @@ def test_unknown_names_are_counted_once(tmp_path: Path) -> None:
         ("RLL_RATE_P 0.3 0.4\n", 1),
         ("\n\nRLL_RATE_P abc\n", 3),
         ("RLL_RATE_P nan\n", 1),
+        ("RLL_RATE_P 1_0\n", 1),
+        ("RLL_RATE_P 0x1\n", 1),
+        ("RLL_RATE_P ١\n", 1),
+        ("RLL_RATE_P 0,3\n", 1),
+        ("RLL_RATE_P_é 0.3\n", 1),
+        ("1 1 RLL_RATE_P 0.3 9\n2 1 RLL_RATE_P 0.3 9\n", 2),
+        ("# Stack: PX4 Pro\n1 1 FW_RR_P 0.3 9\n", 1),
         ("0.3 RLL_RATE_P\n", 1),
+        ("root:x:0:0:secret:/root:/bin/bash\n", 1),
+        ("RLL_RATE_P secret secret\n", 1),
         ("AIRSPEED_MIN 0\n", 1),
         ("AIRSPEED_MIN 20\nAIRSPEED_MAX 15\n", 2),
     ],
@@ -720,3 +764,44 @@ def test_malformed_lines_are_named(tmp_path: Path, text: str, line: int) -> None
     with pytest.raises(ParamError) as error:
         read_params(path)
     assert f"{path}:{line}: " in str(error.value)
+    assert "secret" not in str(error.value)  # the path may name a file of something else
+
+
+ABSURD = {
+    "PTCH_RATE_P": (-1.0, "is -1; it must be 0 to 20"),
+    "THR_MAX": (-100.0, "is -100 %; it must be 0 to 100"),
+    "RLL_RATE_D": (-5.0, "is -5 s; it must be 0 to 1"),
+    "TRIM_THROTTLE": (5000.0, "is 5000 %; it must be 0 to 100"),
+    "RLL2SRV_TCONST": (0.0, "is 0 s; it must be 0.05 to 10"),
+    "PTCH2SRV_TCONST": (1e-12, "is 1e-12 s; it must be 0.05 to 10"),
+    "SERVO1_MIN": (700.0, "is 700 µs; it must be 800 to 2200"),
+    "RLL_RATE_I": (1e-300, "is 1e-300 1/s; it must be 0 to 20"),
+}
+
+
+@pytest.mark.parametrize("name", ABSURD)
+def test_absurd_value_is_refused_at_every_entry(tmp_path: Path, name: str) -> None:
+    value, message = ABSURD[name]
+    path = tmp_path / "absurd.param"
+    path.write_text(f"AIRSPEED_CRUISE 12\n{name} {value!r}\n")
+    with pytest.raises(ParamError, match=f"absurd.param:2: {name} {message}$"):
+        read_params(path)
+    with pytest.raises(ParamError, match=f"^{name} {message}$"):
+        with_param(FbwaParams(), name, value)
+    with pytest.raises(ParamError, match=f"^{name} {message}$"):
+        FbwaParams(**{name.lower(): value})
+
+
+def test_ranges_of_parameters_hold_the_defaults() -> None:
+    for name, (_, usual, flyable) in RANGES.items():
+        default = getattr(FbwaParams(), name)
+        assert flyable[0] <= usual[0] <= default <= usual[1] <= flyable[1], name
+        for wrong in (math.nextafter(flyable[0], -math.inf), flyable[1] * 1.01 + 1.0, math.nan):
+            with pytest.raises(ParamError):
+                with_param(FbwaParams(), name.upper(), wrong)
+    assert list(unusual_values(FbwaParams())) == []
+
+
+@pytest.mark.parametrize("path", sorted(library().glob("aircraft/*/*.param")), ids=lambda p: p.name)
+def test_tunes_of_the_aircraft_are_usual(path: Path) -> None:
+    assert list(unusual_values(read_params(path))) == []

@@ -181,6 +181,9 @@ def test_signed_codec_rejects_forged_and_replayed():
     assert len(receiver.feed(heartbeat(peer))) == 1
     # another link of the same sender has its own times
     assert len(receiver.feed(heartbeat(Codec(7, 1, Signing(KEY, link=1, time=1500))))) == 1
+    # a frame that is sent back to its sender is not one of another sender
+    assert len(receiver.feed(heartbeat(receiver))) == 0
+    assert receiver.rejected["replayed"] == 3
     # without a key every frame is accepted
     assert len(Codec(1, 1).feed(first + second)) == 2
 

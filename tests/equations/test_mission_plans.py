@@ -113,16 +113,17 @@ def test_zero_position_is_the_current_one():
 @pytest.mark.parametrize(
     ("items", "number", "why"),
     [
-        ([item(21)], 1, "is not supported"),
+        ([item(84)], 1, "is not supported"),
         ([item(16, 10.0, 10.0, 2.0)], 1, "2 m above the ground"),
         ([item(16, 10.0, 10.0, 1e30)], 1, "to 20000 m"),
         ([item(16, math.nan)], 1, "not finite"),
         ([MissionItem(16, RELATIVE, (0.0,) * 4, 40.0, 149.0, 100.0)], 1, "100 km"),
-        ([item(17), item(16)], 2, "never reached"),
+        ([item(17), item(84)], 2, "is not supported"),
+        ([item(17), jump(2, -1)], 2, "two waypoints"),
         ([item(16), jump(1, -1)], 2, "two waypoints"),
         ([item(16), jump(3, 2)], 2, "DO_JUMP"),
-        ([item(16), item(18, parameters=(1.0, 0, 90.0, 0)), jump(1, 2)], 3, "DO_JUMP"),
         ([item(16), item(16), jump(1, 1e6)], 3, "DO_JUMP"),
+        ([item(16), jump(1, 1000), jump(1, 1000), *[jump(1, 1000)] * 20], 1, "10000 or fewer"),
         ([item(18, parameters=(0.0, 0.0, 90.0, 0.0))], 1, "turns"),
         ([MissionItem(178, 2, (0.0, math.nan, 0.0, 0.0), 0.0, 0.0, 0.0)], 1, "airspeed"),
         ([jump(0, 1)], 1, "DO_JUMP"),
@@ -132,6 +133,60 @@ def test_unflyable_item_is_rejected_by_number(items, number, why):
     found = rejection(*items)
     assert found.item == number
     assert why in found.text
+
+
+TURN = {"parameters": (1.0, 0.0, 90.0, 0.0)}
+
+
+@pytest.mark.parametrize(
+    ("items", "flown", "repeat_from", "note"),
+    [
+        # a loop with a circle in it
+        ([item(16), item(18, **TURN), jump(1, 2)], (1, 2) * 3, 5, ""),
+        ([item(16), item(18, **TURN), jump(1, -1)], (1, 2, 1, 2), 2, ""),
+        # loops in each other; the inner one makes its jumps once, as ArduPlane does
+        ([item(16), item(16), jump(2, 1), jump(1, 1), item(17)], (1, 2, 2, 1, 2, 5), 5, ""),
+        # a loop over a change of speed
+        ([item(16), item(16), MissionItem(178, 2, (0, 25.0, 0, 0), 0, 0, 0), jump(1, 1)],
+         (1, 2, 1, 2, 2), 4, ""),
+        # forward, over items that only MISSION_SET_CURRENT reaches
+        ([item(16), jump(4, 1), item(16), item(17)], (1, 4), 1, "MISSION_SET_CURRENT: item 3"),
+        ([item(16), item(20), item(189), item(16), item(21, up=0.0)], (1, 2), 1, "items 4, 5"),
+        # a landing, and actions of cameras
+        ([item(22), item(206), item(16), item(21, up=0.0)], (1, 3, 4), 2, "item 4: does not land"),
+        ([item(16), item(206), item(17)], (1, 3), 1, "no effect here: item 2"),
+        ([item(16, frame=10), item(17, frame=11)], (1, 2), 1, "the ground is flat"),
+    ],
+)  # fmt: skip
+def test_missions_of_ground_stations_are_kept(items, flown, repeat_from, note):
+    found = plan(*items)
+    assert found.items == flown
+    assert found.plan.repeat_from == repeat_from
+    assert note in "; ".join(found.notes) and bool(note) == bool(found.notes)
+
+
+def test_landing_is_a_circle_at_the_altitude_before():
+    *_, last = plan(item(16, 300.0, 0.0, 60.0), item(21, 900.0, 0.0, 0.0)).plan.segments
+    assert last.circle and np.allclose(last.end, (900.0, 0.0, 60.0), atol=1e-6)
+
+
+def test_unreached_item_is_flown_from_there():
+    items = [home_item(ORIGIN), item(16), item(17), item(16, 500.0), item(16, 900.0), jump(3, -1)]
+    found = plan_from_items(items, HERE, PARAMS, 60.0, ORIGIN, 4)
+    assert found.items == (4, 3, 4, 3, 4)[: len(found.items)]
+    assert found.plan.segments[0].start == HERE
+
+
+def test_altitude_above_terrain_is_above_home():
+    for frame in (3, 6, 10, 11):
+        (leg, _) = plan(item(16, 500.0, frame=frame)).plan.segments
+        assert leg.end[2] == 100.0
+
+
+def test_resumed_loop_with_a_circle_repeats_in_full():
+    found = plan(item(18, **TURN), item(16, 500.0), jump(1, -1))
+    left = found.resume(found.plan.repeat_from, HERE)
+    assert left.items == (1, 2, 1, 2) and left.plan.repeat_from == 2
 
 
 def test_mission_without_positions_is_rejected():

@@ -163,7 +163,7 @@ WRONG = [
     ("sent_s,received_s\n0,1\n,2\n", ":3: sent_s is empty; write a number or remove the row"),
     (
         "sent_s,received_s\n0,lost\n1,2\n",
-        ":2: could not convert string to float: 'lost'; write num",
+        ":2: received_s is 'lost'; write a number",
     ),
     ("sent_s,received_s\n0,1\n1,nan\n", ":3: received_s is nan; remove the row or write a finite"),
     (

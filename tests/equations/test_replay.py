@@ -100,9 +100,16 @@ def test_recording_shorter_than_run_is_an_error(tmp_path: Path) -> None:
     [
         (1, "t_s,north_m", r"bad.csv:1: missing column east_m"),
         (4, "0.08,1,2", r"bad.csv:4: 3 values under 15 columns"),
-        (5, "0.24," + "x," * 13 + "0", r"bad.csv:5: could not convert"),
+        (5, "0.24," + "x," * 13 + "0", r"bad.csv:5: north_m is 'x'; write a number"),
         (5, "0.24,nan," + "0," * 12 + "0", r"bad.csv:5: north_m is nan"),
         (5, "0.08," + "0," * 13 + "0", r"bad.csv:5: t_s goes from 0.16 to 0.08.*sort the rows"),
+        (1, ",".join([*COLUMNS, "t_s"]), r"bad.csv:1: column t_s is there several times"),
+        (
+            5,
+            "0.24,9" + ",0" * 13,
+            r"bad.csv:5: the position is 1\d\d.* from line 4: rows of several",
+        ),
+        (5, "0.24," + "0," * 7 + "2" + ",0" * 6, r"bad.csv:5: pitch_rad is 2; write radians"),
         (11, "9.00," + "0," * 13 + "0", r"bad.csv:11: .*a gap of more than 1 s"),
     ],
 )

@@ -307,7 +307,7 @@ def test_import_missing_columns_are_reported(folder):
     ("left_out", "text"),
     [
         (("ATT",), "no ATT; have it logged"),
-        (("AETR", "CTUN", "RCOU"), "no AETR or CTUN, so no throttle_cmd"),
+        (("AETR", "CTUN", "RCOU"), "no AETR, no CTUN, no RCOU, so no throttle_cmd; have"),
     ],
 )
 def test_import_log_without_commands_is_an_error(folder, left_out, text):

@@ -1,0 +1,26 @@
+"""Numbers in text, by one grammar for command lines, tables, YAML and parameter files.
+
+Python's `float` and `int` also read `1_0`, `nan`, `infinity` and the digits of other scripts.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+
+_WHOLE = re.compile(r"[-+]?[0-9]+")
+_NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_MAX_DIGITS = 40  # of a whole number
+
+
+def parse_number(text: str) -> float | None:
+    """Read a decimal number such as 4, -0.35 or 1e-3; None: it is not one, or not finite."""
+    if not _NUMBER.fullmatch(text):
+        return None
+    value = float(text)
+    return value if math.isfinite(value) else None
+
+
+def parse_whole(text: str) -> int | None:
+    """Read a whole number of at most 40 digits; None: it is not one."""
+    return int(text) if len(text) <= _MAX_DIGITS and _WHOLE.fullmatch(text) else None
