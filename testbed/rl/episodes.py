@@ -194,7 +194,7 @@ DEFAULT_RANGES: Ranges = {
 class Task(Section):
     """An episode: scenario, control period, limits and reward.
 
-    Args:
+    Attributes:
         scenario: name or path.
         overrides: `key=value` as for `--set`.
         control_ticks: control period in ticks of the autopilots, 0.02 s each at 50 Hz.

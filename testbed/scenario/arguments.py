@@ -1,7 +1,5 @@
 """Check arguments of Python by the fields of the files, so that each bound stands in one place."""
 
-from __future__ import annotations
-
 import functools
 import os
 from collections.abc import Mapping, Sequence

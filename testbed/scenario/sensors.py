@@ -105,7 +105,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
 
 MAX_SIGMA = 1e4  # of any sensor, in its unit
 Latency = Annotated[Seconds, Field(ge=0, le=10)]
-Correlation = Annotated[Duration, Field(gt=0)]
+Correlation = Annotated[Number, Field(gt=0, le=1e6, json_schema_extra={"unit": "s"})]
 Sigma = Annotated[Number, Field(ge=0, le=MAX_SIGMA)]
 Positive = Annotated[Number, Field(gt=0, le=MAX_SIGMA)]
 SigmaPair = tuple[Annotated[Length, Field(ge=0)], Annotated[Length, Field(ge=0)]]
