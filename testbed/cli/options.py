@@ -7,6 +7,7 @@ shell, which completes files.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -98,6 +99,12 @@ def _has_keys(schema: Mapping[str, Any]) -> bool:
 
 
 _MAX_COUNT = 1_000_000  # of flights, processes and other things that are counted
+
+
+def parse_pixels(text: str) -> tuple[int, int] | None:
+    """Return width and height of a text such as 1280x720, each of 3 or 4 digits; None: others."""
+    match = re.fullmatch(r"([1-9][0-9]{2,3})x([1-9][0-9]{2,3})", text)
+    return None if match is None else (int(match[1]), int(match[2]))
 
 
 def require_finite(parameter: typer.CallbackParam, value: float | None) -> float | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +12,7 @@ from testbed.cli.options import (
     RunName,
     check_follow,
     output_option,
+    parse_pixels,
     require_finite,
     require_positive,
 )
@@ -89,8 +89,8 @@ def video_command(
     from testbed.views.recorded_runs import scene_and_batch
     from testbed.views.video import FlightVideo
 
-    match = re.fullmatch(r"([1-9][0-9]{2,3})x([1-9][0-9]{2,3})", size)
-    if match is None or int(match[1]) % 2 or int(match[2]) % 2:
+    pixels = parse_pixels(size)
+    if pixels is None or any(each % 2 for each in pixels):
         raise InputError(f"--size {size}: write WIDTHxHEIGHT in even pixels, such as 1280x720")
     if fps not in RATES:
         raise InputError(f"--fps {fps}: write one of {', '.join(map(str, RATES))}")
@@ -100,7 +100,7 @@ def video_command(
     check_follow(follow, log.info.names)
     scene, batch = scene_and_batch(log, follow=follow)
     frames = _frames(batch.time, begin, end, speed, fps)
-    video = FlightVideo(scene, batch, frames, (int(match[1]), int(match[2])))
+    video = FlightVideo(scene, batch, frames, pixels)
     total = len(frames)
     with (
         sigterm_interrupts(),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 import signal
 import time
@@ -14,7 +13,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import Follow, Host, RrdFile, RunName, check_follow, output_option
+from testbed.cli.options import (
+    Follow,
+    Host,
+    RrdFile,
+    RunName,
+    check_follow,
+    output_option,
+    parse_pixels,
+)
 from testbed.cli.output import describe_file, is_stdout, message_console
 from testbed.core.errors import InputError
 from testbed.core.files import report_write_errors
@@ -83,15 +90,15 @@ def shot_command(
     """
     from testbed.views import screenshot
 
-    match = re.fullmatch(r"([1-9][0-9]{2,3})x([1-9][0-9]{2,3})", size)
-    if match is None:
+    pixels = parse_pixels(size)
+    if pixels is None:
         raise InputError(f"--size {size}: write WIDTHxHEIGHT in pixels, such as 1920x1080")
     logs = [read_shown_log(name) for name in (run, other) if name is not None]
     check_follow(follow, logs[0].info.names)
     with sigterm_interrupts():
         at_s = _check_time(at, *logs)
         with report_write_errors(f"--out {out}"):
-            screenshot(out, at_s, *logs, size=(int(match[1]), int(match[2])), follow=follow)
+            screenshot(out, at_s, *logs, size=pixels, follow=follow)
     message_console().write_line(describe_file(out))
 
 

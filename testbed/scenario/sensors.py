@@ -104,8 +104,9 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
 }
 
 MAX_SIGMA = 1e4  # of any sensor, in its unit
+MAX_CORRELATION_S = 1e6  # an error is constant over the longest run, a day, far below it
 Latency = Annotated[Seconds, Field(ge=0, le=10)]
-Correlation = Annotated[Number, Field(gt=0, le=1e6, json_schema_extra={"unit": "s"})]
+Correlation = Annotated[Seconds, Field(gt=0, le=MAX_CORRELATION_S)]
 Sigma = Annotated[Number, Field(ge=0, le=MAX_SIGMA)]
 Positive = Annotated[Number, Field(gt=0, le=MAX_SIGMA)]
 SigmaPair = tuple[Annotated[Length, Field(ge=0)], Annotated[Length, Field(ge=0)]]

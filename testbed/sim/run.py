@@ -132,7 +132,7 @@ def run(
             respond.
     """
     reserve_standard_descriptors()  # or the log gets one of them, on which JSBSim prints
-    out = None if out is None else check_path("out", out)
+    folder = None if out is None else check_path("out", out)
     if not isinstance(external, ExternalOptions):
         raise InputError(f"external: is {shown_value(external)} (write ExternalOptions(...))")
     if processes is not None:
@@ -140,7 +140,7 @@ def run(
     check_observers(observers, compiling)
     loaded = find_loaded(scenario, overrides)
     if write and loaded.log.mcap:
-        check_disk(loaded, LOGS if out is None else Path(out))
+        check_disk(loaded, folder or LOGS)
     world = build(
         loaded, commanded=external.has_server, arduplane=external.arduplane, processes=processes
     )
@@ -161,7 +161,7 @@ def run(
             closing.callback(server.close)
         for line in announcements(external, loaded):
             external.announce(line)
-        directory = open_run_directory(loaded, world, out) if write else None
+        directory = open_run_directory(loaded, world, folder) if write else None
         if server and directory and external.tlog:
             server.log_to(directory / TLOG_NAME)
         meter = MetricsObserver(published=loaded.published)
@@ -263,9 +263,7 @@ def check_observers(
         check_calls("compiling", compiling)
 
 
-def open_run_directory(
-    scenario: Scenario, world: World, out: str | os.PathLike[str] | None
-) -> Path:
+def open_run_directory(scenario: Scenario, world: World, out: Path | None) -> Path:
     """Create a run directory, with the resolved scenario and the code of its laws.
 
     Args:
@@ -273,7 +271,7 @@ def open_run_directory(
         world: built from it.
         out: the directory; None: a new one below `logs`.
     """
-    directory = create_run_directory(scenario.name, out=None if out is None else Path(out))
+    directory = create_run_directory(scenario.name, out=out)
     write_run_file(directory, SCENARIO_NAME, world.info.scenario_yaml.encode())
     for name, code in world.info.code.items():
         write_run_file(directory, name, code)
