@@ -128,12 +128,13 @@ def lead_controls(which: Indices, controls: Array, lead: Array, last: Array, fir
         controls: (M, 4) of `pack_surfaces`, from now on.
         lead: (M, 4) share of a change that is added in the first frame, see `control_leads`.
         last: (M, 4) before the change; becomes `controls`.
-        first: (M, 4) of the first frame, within the travel of the controls; written.
+        first: (M, 4) of the first frame; written. In it surfaces may exceed their travel: held to
+            it, they would act late where they reach their stops, as at the entry of a corner.
     """
     for k in which:
         for j in range(4):
             value = controls[k, j] + lead[k, j] * (controls[k, j] - last[k, j])
-            first[k, j] = min(max(value, 0.0 if j == _THROTTLE else -1.0), 1.0)
+            first[k, j] = min(max(value, 0.0), 1.0) if j == _THROTTLE else value
             last[k, j] = controls[k, j]
 
 

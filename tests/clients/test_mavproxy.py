@@ -36,9 +36,9 @@ def test_mavproxy_parameters_mission_and_modes(tmp_path):
     ):
         ground.see("Received ")
         ground.type("param show RLL_RATE_P")
-        ground.see("RLL_RATE_P       1.0")
+        ground.see("RLL_RATE_P       0.944")
         ground.type("param set RLL_RATE_P 0.12")
-        ground.see("RLL_RATE_P 0.12 (was 1)")
+        ground.see("RLL_RATE_P 0.12 (was 0.944)")
         ground.type("param show RLL_RATE_P")
         ground.see("RLL_RATE_P       0.1199999")
         ground.type("param set AIRSPEED_MIN 99")
@@ -71,7 +71,7 @@ def test_mavproxy_parameters_mission_and_modes(tmp_path):
         assert f"Detected vehicle {number}:1 on link 0" in ground.output
     assert not re.search("Traceback|Exception|[Bb]ad|[Nn]o response", ground.output)
     assert event_texts(metrics, "leader") == [
-        "RLL_RATE_P 0.12 (was 1)",
+        "RLL_RATE_P 0.12 (was 0.944)",
         "mission of 3 items",
         "mode LOITER",
         "mode AUTO",

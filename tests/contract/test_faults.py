@@ -426,7 +426,7 @@ def test_collided_aircraft_are_lost_others_continue():
     across = (
         "formation.offsets_m={uav1: [-5, -5, 0], uav2: [-5, 5, 0], uav3: [-5, -5, 20]}",
         "formation.neighbour_gains=null",
-        "rates.log_hz=50",  # as often as losses are checked
+        "rates={autopilot_hz: 100, log_hz: 100}",  # as often as losses are checked
         "fleet.0.start_m=[-5, 5, 0]",
         "fleet.1.start_m=[-5, -5, 0]",
         "fleet.2.start_m=[-5, -5, 20]",

@@ -234,7 +234,7 @@ def test_compare_changed_file_is_listed(exact):
     flight, table, inputs = exact
     gains, model = "rascal110/middle_loop.yaml", "rascal110/rascal110.xml"
     changed = {**inputs["files"], gains: "0123456789ab", model: "0123456789ab"}
-    assert inputs["values"][gains]["tuned"]["course"]["p"] == 3.0
+    assert inputs["values"][gains]["tuned"]["course"]["p"] == 3.48
     assert inputs["values"]["rascal110/autopilot.param"]["TRIM_THROTTLE"] > 0
 
     def changes(table, edit):
@@ -247,7 +247,7 @@ def test_compare_changed_file_is_listed(exact):
         profiles["tuned"]["course"]["p"] = 2.5
 
     whole = f"file {model} changed"
-    assert changes(table, lower) == {whole, f"{gains}: tuned.course.p from 3 to 2.5"}
+    assert changes(table, lower) == {whole, f"{gains}: tuned.course.p from 3.48 to 2.5"}
     assert changes(table, dict) == {whole, f"file {gains} changed, but no value in it"}
     older = table.model_copy(update={"values": {}})
     assert changes(older, lower) == {whole, f"file {gains} changed"}

@@ -144,13 +144,6 @@ def six(cells: Row) -> Row:
     return [*cells[:3], *cells[4:7]]
 
 
-# Its page says so, too.
-flown_again = pytest.mark.xfail(
-    reason="docs/leader-acceleration.md is to be flown again with the present gains"
-)
-
-
-@flown_again
 @pytest.mark.parametrize("gains", ["tuned", "authors"])
 @pytest.mark.parametrize("simulation", [1, 2, 3])
 def test_pages_have_equal_errors_at_45_degrees(gains, simulation):
@@ -159,7 +152,6 @@ def test_pages_have_equal_errors_at_45_degrees(gains, simulation):
     assert pages_cells("broadcast", gains, "45°", simulation) == expected
 
 
-@flown_again
 @pytest.mark.parametrize("gains", ["tuned", "authors"])
 def test_pages_have_equal_errors_behind_the_recording(gains):
     rows = table(SIMULATIONS, HARD_PATHS)
@@ -167,7 +159,6 @@ def test_pages_have_equal_errors_behind_the_recording(gains):
     assert pages_cells("broadcast", gains, "recorded", 3) == expected
 
 
-@flown_again
 def test_pages_have_equal_errors_at_30_degrees():
     expected = six(the_row(table(SIMULATIONS, HARD_PATHS), "`simulation-3-30deg`", "`tuned`"))
     assert pages_cells("broadcast", "tuned", "30°", 3) == expected
@@ -178,7 +169,6 @@ def test_page_has_one_flight_without_acceleration():
     assert pages_cells("zero", "tuned", "30°", 3) == bank_30[:6]
 
 
-@flown_again
 @pytest.mark.parametrize(
     ("instead", "source", "gains", "corner"),
     [
@@ -230,15 +220,20 @@ def test_experiments_page_has_rascals_of_simulation_3():
 
 
 def test_nine_cells_of_the_circle_are_near_the_papers():
-    """Without q̈_g, with our gains and corners of 30°: within 20 %, and the percentages too."""
+    """Without q̈_g, with our gains and corners of 30°: within 15 %.
+
+    The percentages are between the printed ones and those that the printed cells give.
+    """
     rows = table(LEADER, CELLS)
+    percentages = {row[0]: row[3:] for row in table(LEADER, "error, % | laps: printed")}
     for simulation in (1, 2, 3):
         start = f"Simulation {simulation}"
         printed = the_row(rows, start, "[HBH23] Table 1")[2:]
         flown = the_row(rows, start, "zero", "`tuned`", "30°")
         ratio = np.array(flown[4:7], dtype=float) / np.array(printed[4:7], dtype=float)
-        assert ratio == pytest.approx(1.0, abs=0.2)
-        assert float(flown[7]) == pytest.approx(float(printed[7]), abs=1.0)
+        assert ratio == pytest.approx(1.0, abs=0.15)
+        of_print, of_cells = (float(each) for each in percentages[start])
+        assert of_cells - 0.5 <= float(flown[7]) <= of_print + 0.5
 
 
 def test_table_2_is_within_a_quarter():
@@ -284,8 +279,8 @@ def simulation_claims() -> Iterator[str]:
     freedoms = table(SIMULATIONS, FREEDOMS)
     kappa = {each[2]: each[-1] for each in freedoms}
     yield (
-        f"κ along the path is {freedoms[0][-1]} m/s, as the paper's "
-        f"{scenario.formation.kappa_mps:g} m/s asks"
+        f"κ along the path is {freedoms[0][-1]} m/s; the paper's is "
+        f"{scenario.formation.kappa_mps:g} m/s"
     )
     yield f"corners at 30° of bank, κ {kappa['30°']} m/s"
     sensors = load_scenario("simulation-3-noise").leader.sensors
@@ -437,8 +432,10 @@ def leader_claims() -> Iterator[str]:
     assert good_ages == {f"messages {age} s old" for age in ("0.08", "0.12", "0.16")}
     yield f"a late own state alone has {full[3].split()[0]}"
     (zero,) = (row for row in fit[:-1] if row[4] == "zero")
-    assert zero[-1].startswith("0 of")
-    yield f"the best point with q̈_g = 0 has a factor of {zero[-2]}, and no cell near"
+    yield (
+        f"the best point with q̈_g = 0 has a factor of {zero[-2]}, and {zero[-1].split()[0]} cells "
+        "near"
+    )
     summary = table(LEADER, "q̈_g | gains | corners")
     fresh = min((float(row[-1]), row[2]) for row in summary)
     assert fresh[1] == "recorded"
@@ -472,8 +469,7 @@ def leader_claims() -> Iterator[str]:
         np.array(the_row(laps, name)[3:6], dtype=float).mean()
         for name in ("bank 30", "no integrals")
     )
-    assert 1.0 - circle / without == pytest.approx(0.8, abs=0.02)
-    yield "the integral terms remove four fifths of the error"
+    yield f"the integral terms remove {100.0 * (1.0 - circle / without):.0f} % of the error"
 
 
 @pytest.mark.parametrize(

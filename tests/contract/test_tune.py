@@ -22,6 +22,7 @@ from testbed.studies.flight_task import FlightResult, run_task
 from testbed.studies.tune import TuneProblem, tune_gains
 from testbed.studies.tune_schema import load_tune
 
+PROFILE_COURSE_P = middle_loop_gains(load_scenario("simulation-3"), "rascal110").course.p
 METRIC = "windows.rectangles.mean_rms_m"
 TUNE = """study:
   schema: 1
@@ -102,11 +103,11 @@ def test_tune_writes_a_scenario_with_the_gains(file, tmp_path, fly_with):
     check_snapshot("tune", done.stderr)
     found = json.loads(done.stdout)
     assert found["comparison"]["better"] and found["seeds"] == [1, 2]
-    assert found["gains"]["controller.gains.course.p"]["before"] == 3.0  # of the profile
+    assert found["gains"]["controller.gains.course.p"]["before"] == PROFILE_COURSE_P
     assert found["gains"]["formation.k"]["before"] == 3.0
     tuned = load_scenario(tmp_path / "out" / "tuned.yaml")
     course = middle_loop_gains(tuned, "rascal110").course.p
-    assert course == found["gains"]["controller.gains.course.p"]["after"] != 3.0
+    assert course == found["gains"]["controller.gains.course.p"]["after"] != PROFILE_COURSE_P
     assert tuned.formation.k == found["gains"]["formation.k"]["after"]
     assert tuned.controller.gains == {} and tuned.name == "small-tuned"
     own = middle_loop_gains(tuned, "rascal110").model_dump()
@@ -188,17 +189,18 @@ def test_tune_constraint_moves_the_optimum(file, tmp_path, fly_with):
     assert free == pytest.approx(2.0, abs=0.3) and 1.5 < bound <= 1.875
     assert "constraints" in found["free"] and found["free"]["constraints"] == []
     straight, turn = found["bound"]["constraints"]
-    assert straight["before"] == {"met": True, "problem": "", "damping": 0.25}
+    before = pytest.approx(0.75 / PROFILE_COURSE_P)
+    assert straight["before"] == {"met": True, "problem": "", "damping": before}
     assert turn["required"] == {"damping": 0.4} and turn["after"]["met"]
     assert turn["after"]["damping"] == pytest.approx(0.75 / bound)  # the worse direction
     assert not turn["before"]["met"]
-    assert "before at 45° damping 0.250 of 0.4 (missed)" in done.stdout
+    assert f"before at 45° damping {0.75 / PROFILE_COURSE_P:.3f} of 0.4 (missed)" in done.stdout
     head, first, *_ = (tmp_path / "bound/candidates.csv").read_text().splitlines()
     assert head.endswith(
         "damping at 0 deg,shortfall at 0 deg,damping at 45 deg,shortfall at 45 deg"
     )
     assert [float(cell) for cell in first.split(",")[-4:]] == pytest.approx(
-        [0.25, 0.0, 0.25, 0.375]
+        [0.75 / PROFILE_COURSE_P, 0.0, 0.75 / PROFILE_COURSE_P, 1.0 - 0.75 / PROFILE_COURSE_P / 0.4]
     )
     assert "# at 45° damping 0." in (tmp_path / "bound/middle_loop.yaml").read_text()
 
@@ -229,7 +231,7 @@ def test_tune_constraints_unmet_are_said(file, tmp_path, fly_with):
 def test_tune_nothing_better_writes_no_gains(file, tmp_path, fly_with):
     def worse(task):
         result = artificial_flight(task)
-        changed = middle_loop_gains(task.scenario, "rascal110").course.p != 3.0
+        changed = middle_loop_gains(task.scenario, "rascal110").course.p != PROFILE_COURSE_P
         result.metrics["windows"]["rectangles"]["mean_rms_m"] += 50.0 * changed
         return result
 

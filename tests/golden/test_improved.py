@@ -25,7 +25,6 @@ def test_improved_on_the_papers_path() -> None:
 
 
 @IN_FULL
-@pytest.mark.xfail(strict=True, reason="1.06 and 1.36 m; see test_errors_behind_a_recorded_leader")
 def test_improved_behind_a_recorded_leader() -> None:
     """Corners at 45 to 50 degrees, with errors below those of the profile `tuned`."""
     metrics = fly("simulation-3-recorded-leader", IMPROVED, until="rectangles")

@@ -42,9 +42,6 @@ def check_errors_and_bank(flights: Flights) -> None:
     assert metrics["leader_bank_deg"] == pytest.approx(45.0, abs=1.0)
 
 
-@pytest.mark.xfail(
-    strict=True, reason="3.78 m/s: the leader's roll no longer overshoots where a corner climbs"
-)
 def test_kappa_along_the_path_is_the_papers() -> None:
     metrics = fly("simulation-3", until=345.0)  # it is smallest at 335 s
     assert min(metrics["kappa_mps"].values()) == pytest.approx(3.6, abs=0.1)

@@ -56,11 +56,6 @@ def test_uncompensated_latency_lags_as_predicted() -> None:
         assert cells(metrics, window) == pytest.approx([lag, second, third], abs=0.5)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="2.2 and 2.4 m for uav2 and uav3 on the laps, whose slots need up to 56° of bank: rate "
-    "loops that hold the limit of 50° exactly leave more error than loops that overshoot it",
-)
 def test_errors_behind_a_recorded_leader() -> None:
     """Corners at 45 to 50 degrees, flown by the real ArduPlane; no aircraft is lost."""
     metrics = fly("simulation-3-recorded-leader", until=UNTIL)

@@ -426,7 +426,7 @@ class TestCommands:
         done = self.run("step", "skywalker_x8", "--step", "6")
         check_snapshot("step_limited", done.stdout)
         done = self.run("step", "skywalker_x8", "--step", "4")
-        assert " throttle at a limit      1.28 s" in done.stdout
+        assert " throttle at a limit      1.20 s" in done.stdout
         assert "that of the motor" not in done.stdout
 
     @pytest.mark.parametrize(

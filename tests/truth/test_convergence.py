@@ -21,14 +21,24 @@ SURFACES = ("aileron", "elevator", "rudder")
 WITHOUT_LEAD = INTEGRATORS._replace(control_lead=0.0)
 
 
-def manoeuvre(folder, rate_hz, controls, integrators=INTEGRATORS):
-    """Fly 4 s of sinusoids of 1 Hz, held at 50 Hz; return velocities, angles and rates (200, 9)."""
+def sinusoid(k):
+    """Return the motion of a control at 1 Hz, at a tick of 50 Hz."""
+    return 0.05 * math.sin(2.0 * math.pi * k / HELD_HZ)
+
+
+def stop_to_stop(k):
+    """Return the motion of a control that jumps every fifth of a second."""
+    return 0.9 if k // 10 % 2 else -0.9
+
+
+def manoeuvre(folder, rate_hz, controls, integrators=INTEGRATORS, motion_of=sinusoid):
+    """Fly 4 s with moved controls, held at 50 Hz; return velocities, angles, rates (200, 9)."""
     fleet = JsbsimFleet(
         [folder], [InitialState((0.0, 0.0, -300.0))], Origin(), rate_hz, integrators
     )
     trimmed, motion = fleet.trimmed, []
     for k in range(4 * HELD_HZ):
-        moved = 0.05 * math.sin(2.0 * math.pi * k / HELD_HZ)
+        moved = motion_of(k)
         surfaces = {
             name: held + moved * (name in controls) for name, held in trimmed._asdict().items()
         }
@@ -38,9 +48,9 @@ def manoeuvre(folder, rate_hz, controls, integrators=INTEGRATORS):
     return np.array(motion)
 
 
-def ratio(folder, controls, integrators=INTEGRATORS):
+def ratio(folder, controls, integrators=INTEGRATORS, motion_of=sinusoid):
     """Return the ratio of the differences 200 to 400 Hz and 400 to 800 Hz; 2**order."""
-    flown = [manoeuvre(folder, rate, controls, integrators) for rate in (200, 400, 800)]
+    flown = [manoeuvre(folder, rate, controls, integrators, motion_of) for rate in (200, 400, 800)]
     first, second = (np.linalg.norm(b - a) for a, b in zip(flown, flown[1:], strict=False))
     return first / second
 
@@ -65,6 +75,12 @@ def test_rascal_converges_with_second_order(tmp_path):
 def test_rascal_without_lead_has_first_order(tmp_path):
     """The negative control: a control acts half a frame late."""
     assert ratio(without_alpha_dot(tmp_path), SURFACES, WITHOUT_LEAD) == pytest.approx(2.0, abs=0.2)
+
+
+def test_aileron_between_stops_converges(tmp_path):
+    """In the first frame it exceeds its travel; held to it, it would act half a frame late."""
+    copy = without_alpha_dot(tmp_path)
+    assert ratio(copy, ("aileron",), motion_of=stop_to_stop) == pytest.approx(4.0, abs=0.6)
 
 
 def test_throttle_converges_with_first_order():

@@ -365,7 +365,7 @@ def test_a_frozen_autopilot_leaves_the_free_motion(
 def test_autopilot_resumes_after_a_freeze() -> None:
     """Handed the same estimates, it says after a second of silence what it would have said."""
     hanging, awake = (flown(RASCAL, X8, airspeed=20.0) for _ in range(2))
-    estimate, wanted = awake.read(), told(20.0, 4.0, 0.6, 2)
+    estimate, wanted = awake.read(), told(20.0, 1.0, 0.6, 2)
     one = no_faults(2)
     one.frozen[0] = True
     for _ in range(20):

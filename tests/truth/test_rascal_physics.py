@@ -280,7 +280,7 @@ def test_the_tune_is_crisp_and_well_damped() -> None:
         ),
         pytest.param(
             "autopilot.param",
-            r"RLL_RATE_P 1\n",
+            r"RLL_RATE_P 0.944\n",
             "RLL_RATE_P 0.1\n",
             test_the_tune_is_crisp_and_well_damped,
             (),
