@@ -21,7 +21,7 @@ TOOLS_STAMP := $(TOOLS)/.installed
 MAKEFLAGS += --no-print-directory
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test checks warm-sensors warm-flights lint types tests clients check-all train bench rates results margins gap arduplane netem fly docs release audit lock clean
+.PHONY: help setup run test checks warm-sensors warm-flights lint types tests clients check-all train bench rates results margins arduplane netem fly docs release audit lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,4p'
@@ -65,9 +65,10 @@ train: $(STAMP) $(TRAINING_STAMP)
 
 # Everything: the tests, 1,000 starts of the theorem, statistics of air and network on more samples,
 # broken MAVLink frames, flight logs and input files, aircraft that try to act, any arguments from Python,
+# numbers of a scenario at and beyond their bounds,
 # real time with nothing else running, a study whose processes are killed, 200 runs killed at random
 # moments and 200 stopped by two signals, the snippets of every docs page, laws of large formations, every
-# golden table, a policy trained to hold a slot, and a release built and flown from a new environment.
+# golden table, golden scenarios that compile nothing in flight, a policy trained to hold a slot, and a release built and flown from a new environment.
 check-all: test release
 	@TESTBED_STARTS=1000 $(BIN)/pytest -q tests/theorems/test_theorem_many_starts.py
 	@TESTBED_AIR_SAMPLES=60 $(BIN)/pytest -q -n $(JOBS) tests/equations/test_atmosphere_dryden.py \
@@ -86,8 +87,10 @@ check-all: test release
 	@TESTBED_RUN_DIRECTORIES=500 TESTBED_WRITE_ERRORS=300 $(BIN)/pytest -q -n $(JOBS) \
 		tests/contract/test_run_files_fuzz.py tests/contract/test_write_errors.py
 	@TESTBED_ARGUMENTS=2000 $(BIN)/pytest -q tests/contract/test_arguments.py
+	@TESTBED_NUMBERS=1 $(BIN)/pytest -q tests/contract/test_scenario_schema.py
 	@TESTBED_QUIET=1 $(BIN)/pytest -q tests/clients/test_real_time.py
-	@TESTBED_WHOLE=1 $(BIN)/pytest -q -n $(JOBS) tests/golden
+	@TESTBED_WHOLE=1 $(BIN)/pytest -q -n $(JOBS) tests/golden paper/tests
+	@TESTBED_PREPARED=1 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_prepare.py
 	@TESTBED_STUDIES=1 $(BIN)/pytest -q tests/contract/test_sweep.py
 	@TESTBED_KILLS=200 TESTBED_CUTS=40 $(BIN)/pytest -q -n $(JOBS) tests/contract/test_endings.py \
 		tests/contract/test_recover.py tests/contract/test_record.py
@@ -111,12 +114,12 @@ bench: $(STAMP)
 	@$(BIN)/python benchmarks/stepping.py
 	@$(BIN)/python benchmarks/startup.py
 
-# Flies every row of the tables in docs/simulations.md, leader-acceleration.md, experiments.md, air.md,
-# network.md and sensors.md, and writes them there.
-results: $(STAMP)
+include paper/targets.mk
+
+# Flies every row of the tables in docs/simulations.md, experiments.md, air.md, network.md and sensors.md,
+# and of those of the folder paper that are not studies, and writes them there.
+results: $(STAMP) freedoms leader-acceleration
 	@$(BIN)/python benchmarks/results.py --into docs/simulations.md $(ARGS)
-	@$(BIN)/python benchmarks/freedoms.py --into docs/simulations.md $(ARGS)
-	@$(BIN)/python benchmarks/leader_acceleration.py --into docs/leader-acceleration.md $(ARGS)
 	@$(BIN)/python benchmarks/experiments.py --into docs/experiments.md $(ARGS)
 	@$(BIN)/python benchmarks/air.py --into docs/air.md $(ARGS)
 	@$(BIN)/python benchmarks/network.py --into docs/network.md $(ARGS)
@@ -125,11 +128,6 @@ results: $(STAMP)
 # Measures damping and margins of every profile: the table of docs/formation.md.
 margins: $(STAMP)
 	@$(BIN)/python benchmarks/margins.py --jobs $(JOBS) --into docs/formation.md $(ARGS)
-
-# Flies the studies of docs/gap.md into logs/studies/gap, resuming interrupted ones, and writes its tables
-# and figures: 216 flights, a quarter of an hour on two quiet cores (ARGS="--only joint-fit" for a part).
-gap: $(STAMP)
-	@$(BIN)/python benchmarks/gap_budget.py --jobs $(JOBS) --into docs/gap.md $(ARGS)
 
 # Flies the studies of the rates in docs/speed.md, resuming interrupted ones: 62 flights of some 1000 s and
 # 120 of 300 s, a quarter of an hour on two quiet cores.

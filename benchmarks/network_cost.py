@@ -18,8 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from testbed.core.records import FOLLOWER, MESSAGE, Origin, allocate
+from testbed.core.records import MESSAGE, NedOrigin, allocate
 from testbed.network.channel import make_channel
+from testbed.network.links import resolve_links
 from testbed.network.radio import Radio
 from testbed.scenario import find_aircraft
 from testbed.scenario.network import Network
@@ -52,8 +53,7 @@ def radio_s(radio: Radio, aircraft: int, start_s: float, seconds: float, togethe
     messages, sent_s = allocate(MESSAGE, aircraft), np.empty(aircraft)
     period, control = PHYSICS_HZ // MESSAGES_HZ, PHYSICS_HZ // CONTROL_HZ
     phase = np.zeros(aircraft, int) if together else np.arange(aircraft) % period
-    rows, followers = np.arange(aircraft - 1), allocate(FOLLOWER, aircraft - 1)
-    watches = allocate(LINK_WATCH, aircraft - 1, aircraft)
+    rows, watches = np.arange(aircraft - 1), allocate(LINK_WATCH, aircraft - 1, aircraft)
     began = time.perf_counter()
     for tick in range(round(seconds * PHYSICS_HZ)):
         now = start_s + tick / PHYSICS_HZ
@@ -64,7 +64,7 @@ def radio_s(radio: Radio, aircraft: int, start_s: float, seconds: float, togethe
         if tick % control == 0:
             radio.deliver(now)
             np.subtract(now, radio.links["measured_s"], out=radio.links["age_s"])
-            check_links(radio.statistics, radio.links, followers, watches, np.inf, rows, now)
+            check_links(radio.statistics, radio.links, watches, np.inf, rows, now)
     return time.perf_counter() - began
 
 
@@ -81,9 +81,9 @@ def main() -> None:
         InitialState(position_ned=(30.0 * row, 0.0, -100.0), course=0.0, airspeed=22.0)
         for row in range(n)
     ]
-    fleet = JsbsimFleet([find_aircraft("rascal110")] * n, starts, Origin(), PHYSICS_HZ)
+    fleet = JsbsimFleet([find_aircraft("rascal110")] * n, starts, NedOrigin(), PHYSICS_HZ)
     names = tuple(f"uav{row}" for row in range(n))
-    channel = make_channel(names, Network.model_validate(LINK), 1)
+    channel = make_channel(resolve_links(names, Network.model_validate(LINK)), 1)
     radios = {together: Radio(channel) for together in (True, False)}
     packets = options.seconds * MESSAGES_HZ * n * (n - 1)
     result: dict[str, float] = {}

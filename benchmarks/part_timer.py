@@ -1,28 +1,23 @@
 """Measure how a flight's time is divided among the parts of the simulation.
 
-The methods of each part are replaced by timed ones. Time belongs to the innermost part that runs;
-outside of all parts it is the loop's own. Timing has a cost, which is measured too.
+Stages of one part that follow each other are run and timed together; methods that stages of other
+parts call, or that no stage calls, are replaced by timed ones. Time belongs to the innermost part
+that runs; outside of all parts it is the loop's own. Timing has a cost, which is measured too.
 """
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from testbed.atmosphere.air import Air
+from testbed.atmosphere.air import Atmosphere
 from testbed.core.records import Event, Observer, RunInfo, Sample
-from testbed.logs.recorder import McapRecorder
-from testbed.metrics import MetricsObserver
-from testbed.network.radio import Radio
-from testbed.sensors.estimators import Estimators
-from testbed.sim.control import Control
-from testbed.sim.faults import FaultManager
-from testbed.sim.leader_control import MissionController
-from testbed.sim.limits import EnvelopeMonitor
-from testbed.sim.monitors import GustMonitor, JoinMonitor, LinkMonitor, LossMonitor
-from testbed.sim.vehicles import JsbsimVehicles
+from testbed.sensors.estimators import StateEstimators
+from testbed.sim import stages
+from testbed.sim.stages import Program, Stage
 from testbed.vehicle.fleet import JsbsimFleet
 
 PARTS: Mapping[str, str] = {
@@ -40,31 +35,68 @@ PARTS: Mapping[str, str] = {
     "loop": "schedule, and everything between the parts",
 }
 
+# Every stage has a part: a stage without one is an error.
+STAGES: Mapping[str, Sequence[str]] = {
+    "properties": [
+        "read the air of flight models",
+        "give the wind to flight models",
+        "give surfaces to models",
+    ],
+    "air": ["sample the wind"],
+    "sensing": ["advance sensors and estimates", "estimate with the present errors"],
+    "autopilot": ["fly by wire", "apply actuator faults"],
+    "network": ["write messages", "send messages", "deliver messages"],
+    "leader": ["guide the leader"],
+    "control": ["respond to declared failures", "step law and middle loop"],
+    "events": [
+        "begin and end faults",
+        "count message ages, find timeouts",
+        "find timeouts of the leader",
+        "find losses and encounters",
+        "find gusts that reach aircraft",
+        "find outages",
+        "find joins",
+        "find limits exceeded",
+    ],
+    "loop": [
+        "copy the truth to the estimates",
+        "send states to the companions",
+        "guide aircraft commanded from outside",
+        "steer ideal vehicles",
+        "give commands to autopilots",
+        "take commands from outside",
+        "collect messages of ArduPlanes",
+        "write slots and errors",
+        "find followers commanded from outside",
+        "give events to observers",
+        "give events and a sample to observers",
+    ],
+}
+STAGES_OF_FILES = {
+    part: [f"append a sample to the {part}", f"take a full block of the {part}"]
+    for part in ("metrics", "log")
+}
+_PART_OF = {name: part for part, names in {**STAGES, **STAGES_OF_FILES}.items() for name in names}
+
 TIMED_METHODS: Mapping[str, Sequence[tuple[type, str]]] = {
     "physics": [(JsbsimFleet, "_run_models")],
-    "properties": [
-        (JsbsimFleet, name) for name in ("run", "read_air", "write_wind", "write_surfaces")
-    ],
-    "air": [(Air, "sample_wind"), (Air, "active_gusts")],
-    "sensing": [(Estimators, "warm_up"), (Estimators, "estimate")],
-    "autopilot": [(JsbsimVehicles, "autopilot_step"), (JsbsimVehicles, "apply_faults")],
-    "network": [(Radio, name) for name in ("send", "deliver")],
-    "leader": [(MissionController, "step")],
-    "control": [(Control, "update_membership"), (Control, "step")],
-    "events": [
-        (LinkMonitor, "neighbour_changes"),
-        (LinkMonitor, "leader_changes"),
-        *(
-            (monitor, "changes")
-            for monitor in (
-                *(LossMonitor, FaultManager),
-                *(EnvelopeMonitor, GustMonitor, JoinMonitor),
-            )
-        ),
-    ],
-    "metrics": [(MetricsObserver, "observe")],
-    "log": [(McapRecorder, "observe")],
+    "properties": [(JsbsimFleet, "run"), (JsbsimFleet, "read_air")],
+    "air": [(Atmosphere, "active_gusts")],
+    "sensing": [(StateEstimators, "warm_up")],
 }
+
+
+class TimedProgram:
+    """Timed parts of a program, in order."""
+
+    def __init__(self, parts: Sequence[Callable[[float], None]]) -> None:
+        """See the class."""
+        self._parts = tuple(parts)
+
+    def run(self, now: float) -> None:
+        """Run all parts at a time, s."""
+        for each in self._parts:
+            each(now)
 
 
 class PartTimer(Observer):
@@ -81,20 +113,21 @@ class PartTimer(Observer):
 
     @contextmanager
     def timing(self) -> Iterator[None]:
-        """Time the methods inside this context."""
-        before = [
-            (kind, name, getattr(kind, name))
-            for each in TIMED_METHODS.values()
-            for kind, name in each
+        """Time stages and methods inside this context."""
+        timed: list[tuple[Any, str, Any]] = [(stages, "Program", self._timed_program)]
+        timed += [
+            (kind, name, self._timed(part, getattr(kind, name)))
+            for part, methods in TIMED_METHODS.items()
+            for kind, name in methods
         ]
+        before = [(owner, name, getattr(owner, name)) for owner, name, _ in timed]
         try:
-            for part, methods in TIMED_METHODS.items():
-                for kind, name in methods:
-                    setattr(kind, name, self._timed(part, getattr(kind, name)))
+            for owner, name, function in timed:
+                setattr(owner, name, function)
             yield
         finally:
-            for kind, name, function in before:
-                setattr(kind, name, function)
+            for owner, name, function in before:
+                setattr(owner, name, function)
 
     def begin(self, info: RunInfo) -> None:
         """Start timing."""
@@ -121,6 +154,10 @@ class PartTimer(Observer):
             self._spent[before] += now - self._since
         self._part, self._since = part, now
         return before
+
+    def _timed_program(self, all_stages: Sequence[Stage]) -> TimedProgram:
+        groups = itertools.groupby(all_stages, key=lambda each: _PART_OF[each.name])
+        return TimedProgram([self._timed(part, Program(tuple(each)).run) for part, each in groups])
 
     def _timed(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
         def timed(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - as the function

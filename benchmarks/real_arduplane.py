@@ -23,7 +23,7 @@ from tables import insert_parts, row
 
 import testbed
 from testbed.autopilot.parameters import read_params
-from testbed.core.records import Array, Event, RunInfo, Sample
+from testbed.core.records import Array, Event, FbwaCommand, RunInfo, Sample
 from testbed.mavlink.rc_channels import rc_scaling
 from testbed.scenario import load_scenario, set_duration
 from testbed.sim import arduplane_vehicles, build_vehicles
@@ -129,18 +129,16 @@ class PulseVehicles(JsbsimVehicles):
         ranges = {f"RC{n}_{end}": pulse for n in (1, 2, 3) for end, pulse in ends.items()}
         limits = ("roll_limit_deg", "ptch_lim_max_deg", "ptch_lim_min_deg")
         self._rc = rc_scaling(ranges | {name.upper(): getattr(params, name) for name in limits})
+        self.autopilot_steps = (self._step_autopilots,)
 
-    def autopilot_step(self) -> None:
-        """See `Vehicles`."""
+    def _step_autopilots(self, now: float) -> None:
         command = self._aircraft["command"]
         exact = command.copy()
         for each in map(command.__getitem__, self.rows):
-            roll, pitch, throttle = map(
-                round, self._rc.pulses(each["roll"], each["pitch"], each["throttle"])
-            )
+            roll, pitch, throttle = map(round, self._rc.pulses(FbwaCommand._make(each.item())))
             each["roll"], each["pitch"] = self._rc.roll_angle(roll), self._rc.pitch_angle(pitch)
             each["throttle"] = self._rc.throttle_share(throttle)
-        super().autopilot_step()
+        self._fly(now)
         command[:] = exact
         surfaces = self._aircraft["surfaces"]
         for name in ("aileron", "elevator", "rudder"):

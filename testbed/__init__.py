@@ -17,13 +17,16 @@ if TYPE_CHECKING:
     from testbed.sim.run import Run, run
     from testbed.sim.simulation import Simulation
     from testbed.sim.single_aircraft import Aircraft
+    from testbed.sim.stages import FlightRecords, UserStage
 
 __version__ = "0.1.0"
 __all__ = [
     "Aircraft",
     "FlightData",
+    "FlightRecords",
     "Run",
     "Simulation",
+    "UserStage",
     "__version__",
     "load_run",
     "load_scenario",
@@ -33,8 +36,10 @@ __all__ = [
 _MODULES = {
     "Aircraft": "testbed.sim.single_aircraft",
     "FlightData": "testbed.logs.flight_data",
+    "FlightRecords": "testbed.sim.stages",
     "Run": "testbed.sim.run",
     "Simulation": "testbed.sim.simulation",
+    "UserStage": "testbed.sim.stages",
     "load_run": "testbed.logs.flight_data",
     "load_scenario": "testbed.scenario",
     "run": "testbed.sim.run",

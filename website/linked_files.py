@@ -1,7 +1,7 @@
 """Make pages of the files outside docs/ that the docs link to.
 
-A file outside docs/ is below `repository/` under its own path, Markdown as a page and other text as
-code. A folder is a list of its names.
+A file outside docs/ is below `repository/` under its own path, Markdown as a page, a picture as it
+is, and other text as code. A folder is a list of its names.
 """
 
 from __future__ import annotations
@@ -18,21 +18,22 @@ from mkdocs.structure.files import File, InclusionLevel
 PREFIX = "repository"
 DOCS = "docs"
 LINK = re.compile(r"(\]\()([^)\s#]+)(#[^)\s]*)?(\))")
+PICTURE = ".png"
 FENCE = re.compile(r"^ *(`{3,})[^\n]*\n.*?^ *\1 *$", re.M | re.S)
 LANGUAGES = {".py": "python", ".yaml": "yaml", ".yml": "yaml", ".xml": "xml", ".cff": "yaml"}
 
 
 @dataclass(frozen=True, slots=True)
 class LinkedFile:
-    """A file or folder outside docs/: its path in the repository, and its page."""
+    """A file or folder outside docs/: its path in the repository, and its page or picture."""
 
     path: str
-    text: str
+    content: str | bytes
 
     def file(self, config: MkDocsConfig) -> File:
         """Return it as a file of the site that need not be in the navigation."""
         return File.generated(
-            config, address(self.path), content=self.text, inclusion=InclusionLevel.NOT_IN_NAV
+            config, address(self.path), content=self.content, inclusion=InclusionLevel.NOT_IN_NAV
         )
 
 
@@ -76,9 +77,11 @@ def resolved(link: str, source: str) -> str:
     return posixpath.normpath(posixpath.join(posixpath.dirname(source), link))
 
 
-def folder_or_code(root: Path, path: str, wanted: set[str]) -> str:
-    """Return the page of a folder, or of a file that is not Markdown."""
+def folder_or_code(root: Path, path: str, wanted: set[str]) -> str | bytes:
+    """Return the page of a folder, or of a file that is not Markdown, or the picture."""
     place = root / path
+    if place.suffix == PICTURE:
+        return place.read_bytes()
     if place.is_file():
         language = LANGUAGES.get(place.suffix, "text")
         code = place.read_text(encoding="utf-8")
@@ -101,7 +104,7 @@ def address(path: str) -> str:
     """Return the path on the site, as a source of MkDocs, of a path in the repository."""
     if path.startswith(f"{DOCS}/"):
         return path.removeprefix(f"{DOCS}/")
-    return f"{PREFIX}/{path}" if path.endswith(".md") else f"{PREFIX}/{path}.md"
+    return f"{PREFIX}/{path}" if path.endswith((".md", PICTURE)) else f"{PREFIX}/{path}.md"
 
 
 def adapt_links(markdown: str, uri: str) -> str:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -13,16 +12,17 @@ from testbed.atmosphere.gusts import make_gusts, write_active_gusts
 from testbed.atmosphere.mean_wind import MeanWind
 from testbed.atmosphere.turbulence_field import TurbulenceField, empty_grid
 from testbed.atmosphere.wake import WakeModel
-from testbed.core.compile import Kernel
+from testbed.core.call_list import NOW, Call
+from testbed.core.compile import bind_entry
 from testbed.core.records import Airframe, BoolArray, Records
 
 
-class Air:
+class Atmosphere:
     """The air around N aircraft.
 
     Mean wind, turbulence field and gusts are sampled at five points of each airframe, so that
     their gradients act as angular rates of the air; turbulence of an aircraft's own has rates of
-    its own. `bind` comes before `kernels`, `sample_wind` and `active_gusts`.
+    its own. `bind` comes before `sample_wind` and `active_gusts`.
 
     Args:
         mean: the mean wind, which moves field, gusts and wakes.
@@ -34,6 +34,7 @@ class Air:
 
     Attributes:
         steady: the mean wind of the start is all there ever is, everywhere.
+        steps: of `sample_wind`, after `bind`.
     """
 
     def __init__(
@@ -59,46 +60,33 @@ class Air:
         wind = self.mean.rows, self.mean.profile
         gusts = make_gusts([], self.mean) if self.gusts is None else self.gusts
         grid = empty_grid() if self.field is None else self.field.grid
-        self._sample_ambient_wind = functools.partial(
-            sample_ambient_wind, *wind, gusts, *grid, local, aircraft
-        )
-        self._write_active_gusts = functools.partial(write_active_gusts, gusts, *wind, aircraft)
+        ambient = Call(sample_ambient_wind, *wind, gusts, *grid, local, aircraft, NOW)
+        self.steps: tuple[Call | Callable[[float], None], ...] = (ambient,)
+        if self.gusts is not None:
+            self._write_active_gusts = bind_entry(
+                write_active_gusts, gusts, *wind, aircraft, like=(0.0, self._no_gusts())
+            )
         if self._dryden is not None:
             self._dryden.bind(aircraft, local)
+            self.steps += (self._dryden.step,)
         if self._wakes is not None:
-            self._add_wake_wind = self._wakes.bind(aircraft, local)
-
-    def kernels(self) -> list[Kernel]:
-        """Return the compiled calls that this air makes, for `core.compile.prepare`."""
-        calls = [functools.partial(self._sample_ambient_wind, 0.0)]
-        if self.gusts is not None:
-            calls.append(functools.partial(self._write_active_gusts, 0.0, self._no_gusts()))
-        if self._dryden is not None:
-            calls += self._dryden.kernels()
-        if self._wakes is not None:
-            calls.append(self._add_wake_wind)
-        return calls
+            self.steps += (self._wakes.bind(aircraft, local),)
 
     def sample_wind(self, now: float) -> None:
         """Write the wind at each aircraft at a time, s.
 
         Call it once per autopilot period: filters and trails advance by one step.
         """
-        self._sample_ambient_wind(now)
-        if self._dryden is not None:
-            self._dryden.step()
-        if self._wakes is not None:
-            self._add_wake_wind()
+        for step in self.steps:
+            step(now)
 
     def remove(self, rows: BoolArray) -> None:
         """Remove aircraft (N,) that are lost: they neither shed wakes nor meet any."""
         if self._wakes is not None:
             self._wakes.remove(rows)
 
-    def active_gusts(self, now: float) -> BoolArray | None:
-        """Return which gusts reach which aircraft (G, N) at a time, s; None without gusts."""
-        if self.gusts is None:
-            return None
+    def active_gusts(self, now: float) -> BoolArray:
+        """Return which gusts, if there are any, reach which aircraft (G, N) at a time, s."""
         active = self._no_gusts()
         self._write_active_gusts(now, active)
         return active

@@ -18,7 +18,6 @@ two are correlated, so that a root of the noise that a step adds follows from it
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Sequence
 from math import exp, expm1, hypot, pi, sqrt
 from typing import NamedTuple
@@ -26,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.atmosphere.mil_f_8785c import HIGH, LOW
-from testbed.core.compile import Kernel, entry, kernel
+from testbed.core.compile import bind_entry, entry, kernel
 from testbed.core.errors import InputError
 from testbed.core.frames import COURSE_FLOOR, rotation_rows
 from testbed.core.random import named_stream
@@ -135,13 +134,14 @@ class DrydenTurbulence:
     def bind(self, aircraft: Records, local: Records) -> None:
         """Bind to aircraft (N,) of AIRCRAFT and their LOCAL_WIND (N,)."""
         self._aircraft = aircraft
-        self.add = functools.partial(
+        self.add = bind_entry(
             add_dryden_turbulence,
             *(self._mixture, self._sigma, self._length, self._spans, self._dt),
             *(self._first_order, self._third_order, self._states, local, aircraft),
+            like=(self._states, True),
         )
 
-    def step(self) -> None:
+    def step(self, now: float) -> None:
         """Advance the filters by dt and add their turbulence to the aircraft's wind."""
         update = self._steps_left == 0
         if update:
@@ -150,10 +150,6 @@ class DrydenTurbulence:
             self._steps_left = self._hold_steps
         self._steps_left -= 1
         self.add(self._draw(), update)
-
-    def kernels(self) -> list[Kernel]:
-        """Return the compiled calls of a step."""
-        return [functools.partial(self.add, self._states, True)]
 
     def _draw(self) -> Array:
         """Return the next standard normal numbers (N, 7 M + 1)."""

@@ -34,7 +34,7 @@ GUST = np.dtype(
 )
 
 
-class TimedGust(NamedTuple):
+class UniformGust(NamedTuple):
     """A gust that begins everywhere at once."""
 
     velocity_ned: tuple[float, float, float]  # A, m/s
@@ -43,7 +43,7 @@ class TimedGust(NamedTuple):
     pulse: bool
 
 
-class GustFront(NamedTuple):
+class PlaneFrontGust(NamedTuple):
     """A gust behind a plane, vertical front."""
 
     velocity_ned: tuple[float, float, float]  # A, m/s
@@ -55,7 +55,7 @@ class GustFront(NamedTuple):
     pulse: bool
 
 
-def make_gusts(gusts: Sequence[TimedGust | GustFront], wind: MeanWind) -> Records:
+def make_gusts(gusts: Sequence[UniformGust | PlaneFrontGust], wind: MeanWind) -> Records:
     """Return the gusts (G,) of GUST.
 
     The mean wind moves fronts without a speed of their own.
@@ -64,7 +64,7 @@ def make_gusts(gusts: Sequence[TimedGust | GustFront], wind: MeanWind) -> Record
     for g, gust in enumerate(gusts):
         records["velocity"][g] = gust.velocity_ned
         records["end"][g] = 2.0 if gust.pulse else 1.0
-        if isinstance(gust, TimedGust):
+        if isinstance(gust, UniformGust):
             records["rate"][g], records["offset"][g] = 1.0, -gust.start
             records["rise"][g] = gust.ramp
             continue

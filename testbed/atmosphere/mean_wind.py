@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.core.compile import jitable
-from testbed.core.csv_table import Table, read_table
+from testbed.core.csv_table import CsvTable, read_table
 from testbed.core.errors import InputError
 from testbed.core.records import Array, Record, Records, Vector, allocate
 
@@ -240,7 +240,7 @@ def read_wind(path: Path, max_gap: float, duration: float) -> RecordedWind:
     return RecordedWind(time, velocity)
 
 
-def _horizontal_columns(table: Table) -> tuple[str, str]:
+def _horizontal_columns(table: CsvTable) -> tuple[str, str]:
     """Return the columns of the horizontal wind; one of two is enough to choose them."""
     axes, direction = (
         [name for name in names if name in table.header] for names in (BY_AXES, BY_DIRECTION)

@@ -22,13 +22,13 @@ line's −0.52.
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Sequence
 from math import exp, expm1, pi, sqrt
 
 import numpy as np
 
+from testbed.core.call_list import Call
 from testbed.core.compile import entry, kernel
 from testbed.core.errors import InputError
 from testbed.core.frames import GRAVITY, rotation_rows
@@ -198,9 +198,9 @@ class WakeModel:
         points = math.ceil(memory_s / (storage * dt)) + 2
         self.trails = allocate(TRAIL_POINT, len(airframes), points)
 
-    def bind(self, aircraft: Records, local: Records) -> functools.partial[None]:
+    def bind(self, aircraft: Records, local: Records) -> Call:
         """Return the step of aircraft (N,) of AIRCRAFT and their LOCAL_WIND (N,)."""
-        return functools.partial(add_wake_wind, self.wake, self.wings, self.trails, local, aircraft)
+        return Call(add_wake_wind, self.wake, self.wings, self.trails, local, aircraft)
 
     def remove(self, rows: BoolArray) -> None:
         """Remove the trails of aircraft (N,), and the effect of trails on them."""

@@ -28,7 +28,10 @@ from testbed.autopilot.sitl_parameters import defaults_text
 from testbed.autopilot.sitl_process import SitlProcess, command_line, find_binary
 from testbed.autopilot.startup import StartupSequence
 from testbed.core.errors import ExternalProgramLost, InputError
-from testbed.core.records import Origin
+from testbed.core.records import (
+    FbwaCommand,
+    NedOrigin,
+)
 
 HOST = "127.0.0.1"
 _PHYSICS_PORT, _MAVLINK_PORT, _RC_PORT = 9002, 5760, 5501  # of instance 0
@@ -75,7 +78,7 @@ class SitlVehicle:
     """
 
     def __init__(
-        self, config: SitlConfig, origin: Origin, *, physics_hz: int, autopilot_hz: int
+        self, config: SitlConfig, origin: NedOrigin, *, physics_hz: int, autopilot_hz: int
     ) -> None:
         """Configure it without starting it.
 
@@ -138,14 +141,14 @@ class SitlVehicle:
         self,
         motion: Sequence[float],
         inputs: tuple[Sequence[float], float, float],
-        command: tuple[float, float, float],
+        command: FbwaCommand[float],
     ) -> str | None:
         """Boot it in a constant state until it is in fly-by-wire A and receives RC.
 
         Args:
             motion: a row of `pack_motion`, at the start.
             inputs: of `set_inputs`, at the start.
-            command: roll, pitch in rad and throttle during startup.
+            command: during startup.
 
         Returns:
             The text of an event, if there is one.
@@ -177,10 +180,10 @@ class SitlVehicle:
             return "takes no rc from the physics link: commanded by RC_CHANNELS_OVERRIDE"
         return None
 
-    def set_command(self, roll: float, pitch: float, throttle: float) -> None:
-        """Set the stick input that is sent with the next state: rad, rad, 0..1."""
+    def set_command(self, command: FbwaCommand[float]) -> None:
+        """Set the stick input that is sent with the next state."""
         assert self._rc_channels is not None
-        self._pulses = self._rc_channels.pulses(roll, pitch, throttle)
+        self._pulses = self._rc_channels.pulses(command)
         if self._overrides:
             self.client.override_rc(self._pulses)
 

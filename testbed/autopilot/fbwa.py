@@ -136,7 +136,7 @@ def settled_autopilots(gains: Records, surfaces: ActuatorCommand) -> Autopilots:
 
 
 def step_autopilots(
-    autopilots: Autopilots, estimate: VehicleState, command: FbwaCommand
+    autopilots: Autopilots, estimate: VehicleState, command: FbwaCommand[Array]
 ) -> ActuatorCommand:
     """Step N autopilots by one period, outside a run.
 

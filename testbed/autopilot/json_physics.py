@@ -20,7 +20,12 @@ from typing import NamedTuple
 from testbed.core.compile import entry
 from testbed.core.errors import InputError
 from testbed.core.frames import GRAVITY
-from testbed.core.records import Array, Indices, Records
+from testbed.core.records import (
+    Array,
+    FbwaCommand,
+    Indices,
+    Records,
+)
 from testbed.mavlink.rc_channels import AngleLimits, PwmRange, RcScaling
 
 MAGIC: dict[int, int] = {18458: 16, 29569: 32}  # magic: outputs; 32 with SERVO_32_ENABLE
@@ -72,16 +77,16 @@ def read_servos(data: bytes) -> ServoPacket:
 
 
 @entry
-def pack_motion(which: Indices, rows: Indices, aircraft: Records, numbers: Array) -> None:
+def pack_motion(rows: Indices, aircraft: Records, numbers: Array, which: Indices) -> None:
     """Write the motion of some aircraft in the order of a line of JSON.
 
     The specific force of accelerometers is R_NB^T (a − g), by three plane rotations.
 
     Args:
-        which: (K,) rows of `numbers`.
-        rows: (M,) of these among the aircraft.
+        rows: (M,) of `numbers` among the aircraft.
         aircraft: (N,) of AIRCRAFT.
         numbers: (M, 15) rates rad/s, specific force m/s², position m, attitude rad, velocity m/s.
+        which: (K,) rows of `numbers` to write.
     """
     for k in which:
         t, x = aircraft[rows[k]].truth, numbers[k]
@@ -151,18 +156,13 @@ class RcChannels(NamedTuple):
     scaling: RcScaling
     yaw: PwmRange
 
-    def pulses(self, roll: float, pitch: float, throttle: float) -> tuple[int, ...]:
+    def pulses(self, command: FbwaCommand[float]) -> tuple[int, ...]:
         """Convert a command to the pulses of channels 1 to the last one mapped.
-
-        Args:
-            roll: rad.
-            pitch: rad.
-            throttle: 0..1.
 
         Returns:
             Whole µs, channel 1 first; unmapped channels are at 1500.
         """
-        pulses = (*self.scaling.pulses(roll, pitch, throttle), self.yaw.pwm_from_signed(0.0))
+        pulses = (*self.scaling.pulses(command), self.yaw.pwm_from_signed(0.0))
         by_channel = dict(zip(self.numbers, map(round, pulses), strict=True))
         channels = range(1, max(self.numbers) + 1)
         return tuple(by_channel.get(number, _NEUTRAL_US) for number in channels)

@@ -53,6 +53,7 @@ class Note(NamedTuple):
 class ParamFile(NamedTuple):
     """Values of a file by ArduPlane's present names, and what of the file has no effect."""
 
+    path: Path
     values: dict[str, GivenValue]
     notes: tuple[Note, ...]
 
@@ -131,7 +132,7 @@ def read_param_file(path: Path) -> ParamFile:
         some = ", ".join(sorted(others)[:3])
         text = f"parameters of MAVLink component {some} are ignored: the autopilot is 1"
         notes.append(Note(text))
-    return ParamFile(values, tuple(notes))
+    return ParamFile(path, values, tuple(notes))
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:

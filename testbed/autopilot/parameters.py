@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from testbed.autopilot.fbwa import AIRSPEED_S, GAINS, PITCH_UNDERSPEED, PRESSURE_WEIGHT
-from testbed.autopilot.param_file import GivenValue, ParamError, read_param_file
+from testbed.autopilot.param_file import GivenValue, ParamError, ParamFile, read_param_file
 from testbed.core.frames import GRAVITY
 from testbed.core.records import Array, Records, allocate
 
@@ -144,26 +144,16 @@ def read_params(path: Path) -> FbwaParams:
         ParamError: the file cannot be read, or a line or value is invalid.
     """
     path = Path(path)
-    given, notes = read_param_file(path)
-    for note in notes:
+    file = read_param_file(path)
+    for note in file.notes:
         if not note.name or is_virtual(note.name):
             warnings.warn(f"{path}: {note.text}", stacklevel=2)
-    for name in _OLDER_GAINS:
-        if name in given and name.replace("2SRV", "_RATE") not in given:
-            raise ParamError(
-                f"{path}:{given[name].line}: {name} is a gain of versions before 4.1 (write "
-                "RLL_RATE_ and PTCH_RATE_ gains, as a newer version has them)"
-            )
-    named = {name.lower(): each for name, each in _surface_outputs(given).items()}
-    used = {name: each for name, each in named.items() if name in RANGES}
-    try:
-        params = FbwaParams(**{name: each.value for name, each in used.items()})
-    except InvalidParamError as error:
-        line = used[error.name].line if error.name in used else 1
-        raise ParamError(f"{path}:{line}: {error}") from None
-    taken = {each.name for each in used.values()}
+    params = fbwa_params(file)
+    taken = {each.name for each in _used_values(file).values()}
     unknown = {
-        each.name for name, each in given.items() if not is_virtual(name) and each.name not in taken
+        each.name
+        for name, each in file.values.items()
+        if not is_virtual(name) and each.name not in taken
     }
     if unknown:
         some = ", ".join(sorted(unknown)[:3]) + (", …" if len(unknown) > 3 else "")
@@ -172,6 +162,33 @@ def read_params(path: Path) -> FbwaParams:
             stacklevel=2,
         )
     return params
+
+
+def fbwa_params(file: ParamFile) -> FbwaParams:
+    """Take the parameters of fly-by-wire A from a file that was read; see `read_params`.
+
+    Raises:
+        ParamError: a value is invalid, or a gain is of another control law; with file and line.
+    """
+    path, given = file.path, file.values
+    for name in _OLDER_GAINS:
+        if name in given and name.replace("2SRV", "_RATE") not in given:
+            raise ParamError(
+                f"{path}:{given[name].line}: {name} is a gain of versions before 4.1 (write "
+                "RLL_RATE_ and PTCH_RATE_ gains, as a newer version has them)"
+            )
+    used = _used_values(file)
+    try:
+        return FbwaParams(**{name: each.value for name, each in used.items()})
+    except InvalidParamError as error:
+        line = used[error.name].line if error.name in used else 1
+        raise ParamError(f"{path}:{line}: {error}") from None
+
+
+def _used_values(file: ParamFile) -> dict[str, GivenValue]:
+    """Return the values by field of `FbwaParams`."""
+    named = {name.lower(): each for name, each in _surface_outputs(file.values).items()}
+    return {name: each for name, each in named.items() if name in RANGES}
 
 
 def is_virtual(name: str) -> bool:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from testbed.autopilot.param_file import read_param_file, read_values
-from testbed.autopilot.parameters import FbwaParams, is_virtual, sitl_gyro_cutoff
+from testbed.autopilot.param_file import GivenValue, read_param_file, read_values
+from testbed.autopilot.parameters import FbwaParams, fbwa_params, is_virtual, sitl_gyro_cutoff
 
 # Name, value and reason.
 _LINK_PARAMETERS = (
@@ -72,12 +72,33 @@ _NOT_MODELLED = (
     ("INS_HNTCH_ENABLE", 0.0, "notch filter"),
     ("INS_HNTC2_ENABLE", 0.0, "notch filter"),
 )
-# Beginnings of names that have no effect in fly-by-wire A in the air: of other modes, of take-off
-# and landing, and of functions whose switch is in `_NOT_MODELLED`.
-_OTHER_MODES = (
-    *("ACRO_", "AUTOTUNE_", "CRUISE_", "FBWB_", "GUIDED_", "LAND_", "LEVEL_ROLL_LIMIT"),
-    *("MIN_GROUNDSPEED", "RTL_", "SOAR_", "STEER2SRV_", "STICK_MIXING", "TECS_", "THROTTLE_NUDGE"),
-    *("TKOFF_", "WP_", "INS_HNTCH_", "INS_HNTC2_"),
+# Names that have no effect in fly-by-wire A in the air, by the source of ArduPlane: of other modes,
+# of take-off and landing, and of functions whose switch is in `_NOT_MODELLED`. A name that is not
+# here may have any effect: fly-by-wire A reads some of take-off, such as TKOFF_TDRAG_SPD1.
+_NO_EFFECT = frozenset(
+    f"{group}{name}"
+    for group, names in {
+        "ACRO_": "LOCKING PITCH_RATE ROLL_RATE",
+        "ALT_HOLD_": "FBWCM RTL",
+        "AUTOTUNE_": "LEVEL",
+        "CRUISE_": "ALT_FLOOR",
+        "FBWB_": "CLIMB_RATE ELEV_REV",
+        "LAND_": "ABORT_DEG ABORT_THR DISARMDELAY FLAP_PERCNT FLARE_ALT FLARE_SEC PF_ALT PF_ARSPD "
+        "PF_SEC PITCH_CD SLOPE_RCALC THEN_NEUTRL THR_SLEW TYPE",
+        "RTL_": "ALTITUDE AUTOLAND RADIUS",
+        "TECS_": "APPR_SMAX CLMB_MAX FLARE_HGT HDEM_TCONST HGT_OMEGA INTEG_GAIN LAND_ARSPD "
+        "LAND_DAMP LAND_IGAIN LAND_PDAMP LAND_PMAX LAND_SINK LAND_SPDWGT LAND_SRC LAND_TCONST "
+        "LAND_TDAMP LAND_THR OPTIONS PITCH_MAX PITCH_MIN PTCH_DAMP PTCH_FF_K PTCH_FF_V0 RLL2THR "
+        "SINK_MAX SINK_MIN SPDWEIGHT SPD_OMEGA SYNAIRSPEED THR_DAMP TIME_CONST TKOFF_IGAIN "
+        "VERT_ACC",
+        "TKOFF_": "ALT DIST FLAP_PCNT GND_PITCH LVL_ALT LVL_PITCH PLIM_SEC ROTATE_SPD THR_DELAY "
+        "THR_MAX THR_MINACC THR_MINSPD THR_SLEW",
+        "WP_": "LOITER_RAD MAX_RADIUS RADIUS",
+        "INS_HNTCH_": "ATT BW FM_RAT FREQ HMNCS MODE OPTS REF",
+        "INS_HNTC2_": "ATT BW FM_RAT FREQ HMNCS MODE OPTS REF",
+        "": "LEVEL_ROLL_LIMIT MIN_GNDSPD_CM MIN_GROUNDSPEED STICK_MIXING THROTTLE_NUDGE",
+    }.items()
+    for name in names.split()
 )
 # Bits of FLIGHT_OPTIONS: the difference from the virtual autopilot, or "": no effect in
 # fly-by-wire A in the air. A bit that is not here may have any effect.
@@ -102,16 +123,46 @@ class TuneUse(NamedTuple):
     hardware: tuple[str, ...]  # left out: of the aircraft's hardware, failsafes and missions
 
 
-def tune_use(tune: Path) -> TuneUse:
-    """Classify the parameters of a file.
+class TuneReport(NamedTuple):
+    """What a parameter file does, with either autopilot.
+
+    Attributes:
+        use: how its names are used.
+        differences: values that make ArduPlane in SITL differ from the virtual autopilot.
+        unknown: names, as in the file, of which no effect on ArduPlane's flight is known here.
+            ArduPlane gets them and the virtual autopilot does not use them: they may make both
+            differ. All others are used by both, have a known difference, or are known to have no
+            effect.
+        notes: what of the file is ignored or replaced, one sentence each.
+    """
+
+    use: TuneUse
+    differences: tuple[str, ...]
+    unknown: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def tune_report(tune: Path) -> TuneReport:
+    """Read a parameter file once, and explain it.
 
     Raises:
-        ParamError: the file cannot be read, or a line is invalid.
+        ParamError: the file cannot be read, or a line or value is invalid, as before a flight.
     """
+    file = read_param_file(tune)
+    params = fbwa_params(file)
+    return TuneReport(
+        _use(file.values),
+        tuple(_differences(file.values, params)),
+        _unknown(file.values),
+        tuple(note.text for note in file.notes),
+    )
+
+
+def _use(values: Mapping[str, GivenValue]) -> TuneUse:
     link = {name for name, _, _ in _link_parameters(0, 0)}
     renamed: dict[str, str] = {}
     kinds: dict[str, list[str]] = {kind: [] for kind in TuneUse._fields[1:]}
-    for name, (value, _, given) in read_values(tune).items():
+    for name, (value, _, given) in values.items():
         if given.upper() != name:
             renamed[given] = f"{name} {value:.9g}"
         if name in link:
@@ -124,13 +175,8 @@ def tune_use(tune: Path) -> TuneUse:
     return TuneUse(renamed, **{kind: tuple(names) for kind, names in kinds.items()})
 
 
-def tune_differences(tune: Path) -> Iterator[str]:
-    """Yield the values that make ArduPlane in SITL differ from the virtual autopilot.
-
-    Raises:
-        ParamError: the file cannot be read, or a line is invalid.
-    """
-    values = {name: each.value for name, each in read_values(tune).items()}
+def _differences(given: Mapping[str, GivenValue], params: FbwaParams) -> Iterator[str]:
+    values = {name: each.value for name, each in given.items()}
     for name, default, text in _NOT_MODELLED:
         if values.get(name, default) != default:
             yield f"{name} {values[name]:.9g}: {text}"
@@ -138,8 +184,8 @@ def tune_differences(tune: Path) -> Iterator[str]:
     for bit in range(_OPTION_BITS):
         if options >> bit & 1 and (text := _FLIGHT_OPTIONS.get(bit, _NOT_KNOWN)):
             yield f"FLIGHT_OPTIONS bit {bit}: {text}"
-    if (own := values.get("INS_GYRO_FILTER", FbwaParams().ins_gyro_filter)) > 0.0:
-        at_200 = sitl_gyro_cutoff(FbwaParams(ins_gyro_filter=own), 200.0)
+    if (own := params.ins_gyro_filter) > 0.0:
+        at_200 = sitl_gyro_cutoff(params, 200.0)
         yield (
             f"INS_GYRO_FILTER {own:.9g}: {own:.9g} Hz in the virtual autopilot, as on an aircraft; "
             f"in SITL times rates.physics_hz / 1000, {at_200:.9g} Hz at 200, which the virtual "
@@ -147,32 +193,14 @@ def tune_differences(tune: Path) -> Iterator[str]:
         )
 
 
-def tune_unknown(tune: Path) -> tuple[str, ...]:
-    """Return the names, as in the file, of which no effect on ArduPlane's flight is known here.
-
-    ArduPlane gets them and the virtual autopilot does not use them: they may make both differ.
-    All others are used by both, have a known difference, or are known to have no effect.
-
-    Raises:
-        ParamError: the file cannot be read, or a line is invalid.
-    """
-    known = {"FLIGHT_OPTIONS", *(name for name, _, _ in _NOT_MODELLED)}
+def _unknown(values: Mapping[str, GivenValue]) -> tuple[str, ...]:
+    known = {"FLIGHT_OPTIONS", *(name for name, _, _ in _NOT_MODELLED), *_NO_EFFECT}
     known |= {name for name, _, _ in _link_parameters(0, 0)}
     return tuple(
         each.name
-        for name, each in read_values(tune).items()
-        if not (name in known or name.startswith(_OTHER_MODES))
-        and not (is_virtual(name) or _is_hardware(name))
+        for name, each in values.items()
+        if not (name in known or is_virtual(name) or _is_hardware(name))
     )
-
-
-def tune_notes(tune: Path) -> tuple[str, ...]:
-    """Return what of a file is ignored or replaced, one sentence each.
-
-    Raises:
-        ParamError: the file cannot be read, or a line is invalid.
-    """
-    return tuple(note.text for note in read_param_file(tune).notes)
 
 
 def _is_hardware(name: str) -> bool:

@@ -14,7 +14,7 @@ from pathlib import Path
 from testbed.core.child_guard import CANNOT_START, guard_command
 from testbed.core.errors import InputError
 from testbed.core.geodetic import origin_geodetic
-from testbed.core.records import Origin
+from testbed.core.records import NedOrigin
 
 VARIABLE = "ARDUPLANE"
 # What a process gets of the environment, which may hold passwords of the user: these, and names
@@ -57,7 +57,7 @@ def environment() -> dict[str, str]:
 
 
 def command_line(
-    binary: Path | str, instance: int, origin: Origin, heading_deg: float, defaults: Path | str
+    binary: Path | str, instance: int, origin: NedOrigin, heading_deg: float, defaults: Path | str
 ) -> list[str]:
     """Return the command line of ArduPlane for the JSON link.
 
@@ -87,7 +87,7 @@ class SitlProcess:
     """An ArduPlane process with a temporary working folder."""
 
     def __init__(
-        self, binary: Path, instance: int, origin: Origin, heading_deg: float, defaults: str
+        self, binary: Path, instance: int, origin: NedOrigin, heading_deg: float, defaults: str
     ) -> None:
         """Start the process.
 

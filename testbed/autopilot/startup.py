@@ -15,6 +15,7 @@ from testbed.autopilot.json_physics import (
     range_names,
 )
 from testbed.autopilot.sitl_mavlink import FBWA, SitlMavlinkClient
+from testbed.core.records import FbwaCommand
 
 _STAGE_TIMEOUT_S = 40.0  # of its own time, for each stage
 _RC_TIMEOUT_S = 3.0  # until its receiver shows our pulses; after it, RC is overridden
@@ -42,7 +43,7 @@ class StartupSequence:
         client: SitlMavlinkClient,
         physics_hz: int,
         elevon_mixing: float,
-        command: tuple[float, float, float],
+        command: FbwaCommand[float],
     ) -> None:
         """Start at the boot.
 
@@ -50,7 +51,7 @@ class StartupSequence:
             client: connected to the ArduPlane.
             physics_hz: ticks per second of its time.
             elevon_mixing: of the airframe; NaN where it has none.
-            command: roll, pitch in rad and throttle during startup.
+            command: during startup.
         """
         self._client, self._hz, self._mixing = client, physics_hz, elevon_mixing
         self._command = command
@@ -77,7 +78,7 @@ class StartupSequence:
         yield from self._fetch(range_names(client.parameters))
         self.rc_channels = make_rc_channels(client.parameters)
         self.servo_outputs = make_servo_outputs(client.parameters, self._mixing)
-        self.pulses = self.rc_channels.pulses(*self._command)
+        self.pulses = self.rc_channels.pulses(self._command)
         yield from self._require("does not arm", lambda: client.armed, client.arm)
         yield from self._require(
             "does not change to fly-by-wire A",

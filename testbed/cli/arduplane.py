@@ -138,7 +138,7 @@ def check_arduplane(
         ExternalProgramLost: it ends, or does not answer.
     """
     from testbed.autopilot.parameters import read_params
-    from testbed.autopilot.sitl_parameters import tune_use
+    from testbed.autopilot.sitl_parameters import tune_report
     from testbed.autopilot.sitl_process import find_binary
     from testbed.sim.external_options import ExternalOptions
 
@@ -150,8 +150,8 @@ def check_arduplane(
     _fly(folder, tune, airspeed, own, virtual, external)
     started_s = time.monotonic()
     result = _fly(folder, tune, airspeed, "autopilot: ardupilot", real, external)
-    use = tune_use(tune)
-    document = {
+    use = tune_report(tune).use
+    document: dict[str, Any] = {
         "binary": str(binary),
         "version": result.metrics["arduplane"]["leader"],
         "parameters": {kind: len(names) for kind, names in use._asdict().items()},
@@ -244,16 +244,11 @@ def _show_check(document: Mapping[str, Any], console: PipeSafeConsole) -> None:
 
 
 def _show_params(tune: Path, json: Path | None) -> None:
-    from testbed.autopilot.sitl_parameters import (
-        tune_differences,
-        tune_notes,
-        tune_unknown,
-        tune_use,
-    )
+    from testbed.autopilot.sitl_parameters import tune_report
 
-    use, differences = tune_use(tune), list(tune_differences(tune))
-    unknown, notes = tune_unknown(tune), tune_notes(tune)
-    lists = {"unknown": unknown, "differences": differences, "notes": notes}
+    report = tune_report(tune)
+    use = report.use
+    lists = {each: getattr(report, each) for each in ("unknown", "differences", "notes")}
     write_json_output(json, {"file": str(tune), **use._asdict(), **lists})
     console = result_console(json)
     console.write_line(f" {tune}")
@@ -266,13 +261,14 @@ def _show_params(tune: Path, json: Path | None) -> None:
         ("left out: hardware", use.hardware),
     ):
         console.write_line(f" {title:<22}{_some(names)}")
-    for text in differences:
+    for text in report.differences:
         console.write_line(f" {'difference':<22}{text}")
-    if unknown:
+    if report.unknown:
         console.write_line(
-            f" {'not known':<22}{_some(unknown)}: may make ArduPlane fly differently", "yellow"
+            f" {'not known':<22}{_some(report.unknown)}: may make ArduPlane fly differently",
+            "yellow",
         )
-    for text in notes:
+    for text in report.notes:
         console.write_line(f" {'note':<22}{text}", "yellow")
 
 

@@ -27,7 +27,7 @@ from testbed.cli.output import (
     result_console,
     write_json_output,
 )
-from testbed.core.errors import InputError
+from testbed.core.errors import InputError, raise_memory_shortage
 from testbed.core.files import check_folder_writable, check_writable, report_write_errors
 
 if TYPE_CHECKING:
@@ -191,6 +191,7 @@ def _write_reports(
             assert result.directory
             page = run_page(read_run(result.directory))
         except Exception as error:  # the verdict has been printed; a failed flight may fail again
+            raise_memory_shortage(error)
             console.write_line(f" {verdict.name}: no report: {error}", "yellow")
             continue
         write_report(page, folder / name / "report.html", console, default=False)

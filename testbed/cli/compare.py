@@ -17,7 +17,7 @@ from testbed.cli.view import overlay_runs
 from testbed.core.errors import InputError
 
 if TYPE_CHECKING:
-    from testbed.logs.read import Log
+    from testbed.logs.read import RunLog
     from testbed.studies.compare_runs import MetricPair, PositionDifference, RunDifference
 
 MAX_LINES = 12  # of differences of the scenarios, and of versions
@@ -77,7 +77,7 @@ def check_options(
         raise InputError(f"--within {within:g}: write a share from 0 to 1, such as 0.01 for 1 %")
 
 
-def _read(path: Path) -> Log:
+def _read(path: Path) -> RunLog:
     from testbed.logs.read import read_log
 
     log = read_log(path)
@@ -90,7 +90,7 @@ def _read(path: Path) -> Log:
 
 
 def _print_comparison(
-    found: RunDifference, logs: Sequence[Log], paths: Sequence[Path], console: PipeSafeConsole
+    found: RunDifference, logs: Sequence[RunLog], paths: Sequence[Path], console: PipeSafeConsole
 ) -> None:
     for label, log, path in zip(("first", "second"), logs, paths, strict=True):
         console.write_line(f" {label:10}{path}: {log.info.scenario_name}, seed {log.info.seed}")

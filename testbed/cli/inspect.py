@@ -25,10 +25,10 @@ from testbed.core.errors import InputError
 from testbed.core.files import report_write_errors
 
 if TYPE_CHECKING:
-    from testbed.core.records import Origin
+    from testbed.core.records import NedOrigin
     from testbed.sim.speed_step import SpeedStep
     from testbed.vehicle.identify import FirstOrder
-    from testbed.vehicle.linearize import Mode
+    from testbed.vehicle.linearize import NaturalMode
     from testbed.vehicle.trim import TrimPoint, TrimResult
 
 ABOVE_GROUND = 1000.0  # m: height in trims, where the ground has no effect
@@ -309,12 +309,12 @@ def trim_document(result: TrimResult) -> dict[str, Any]:
 
 def _trim_point(
     airspeed: float, climb: float, bank: float, altitude: float
-) -> tuple[TrimPoint, Origin]:
-    from testbed.core.records import Origin
+) -> tuple[TrimPoint, NedOrigin]:
+    from testbed.core.records import NedOrigin
     from testbed.vehicle.trim import TrimPoint
 
     point = TrimPoint(airspeed, math.radians(climb), math.radians(bank), altitude)
-    return point, Origin(elevation_m=altitude - ABOVE_GROUND)
+    return point, NedOrigin(elevation_m=altitude - ABOVE_GROUND)
 
 
 def _headline(folder: Path, point: TrimPoint) -> Text:
@@ -362,7 +362,7 @@ def _load_factor(result: TrimResult) -> float:
     return math.hypot(1.0, result.turn_rate * level / GRAVITY)
 
 
-def _modes_table(modes: tuple[Mode, ...]) -> Table:
+def _modes_table(modes: tuple[NaturalMode, ...]) -> Table:
     table = ruled_table()
     table.add_column(Text("\nmode", style="bold"), no_wrap=True)
     for name in ("eigenvalue\n1/s", "freq.\nrad/s", "damp.\nratio", "time\nconst. s"):
@@ -388,7 +388,7 @@ def _modes_table(modes: tuple[Mode, ...]) -> Table:
     return table
 
 
-def _mode_document(mode: Mode) -> dict[str, Any]:
+def _mode_document(mode: NaturalMode) -> dict[str, Any]:
     return {
         "name": mode.name,
         "eigenvalue_per_s": [mode.eigenvalue.real, mode.eigenvalue.imag],

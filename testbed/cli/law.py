@@ -9,7 +9,7 @@ import typer
 
 from testbed.cli.options import Overrides, scenario_names
 from testbed.cli.output import result_console
-from testbed.cli.report import FigureFormat, Figures, figure_format, write_figures
+from testbed.cli.report import FigureFormat, Figures, check_figures, figure_format, write_figures
 
 if TYPE_CHECKING:
     from testbed.reports.figures_law import Barriers, Functions
@@ -42,6 +42,9 @@ def law_command(
 
     ending = figure_format(format, figures)
     functions, barriers = _of_scenario(scenario, overrides or ()) if scenario else _of_paper()
+    subtitle = scenario or "as in [HBH23], Figs. 1 and 2"
+    drawn = list(law_figures(functions, barriers, subtitle)) if figures else []
+    check_figures(drawn, figures, ending)
     console = result_console()
     table = Table(box=None, pad_edge=True)
     for name in ("control function", "mu at 0", "rho_bar", "half of it at, m"):
@@ -60,13 +63,12 @@ def law_command(
         )
     console.print(table)
     if figures:
-        subtitle = scenario or "as in [HBH23], Figs. 1 and 2"
-        write_figures(law_figures(functions, barriers, subtitle), figures, ending, console)
+        write_figures(drawn, figures, ending, console)
 
 
 def _of_paper() -> tuple[Functions, Barriers]:
     """Return the examples with the parameters of Figs. 1 and 2 of [HBH23]."""
-    from testbed.formation.barrier import Barrier
+    from testbed.formation.barrier import SpeedBarrier
     from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
 
     functions: Functions = {
@@ -75,9 +77,9 @@ def _of_paper() -> tuple[Functions, Barriers]:
         "example 3": EXAMPLE_3,
     }
     barriers: Barriers = {
-        "example 4, ν = 1/50": (Barrier(4, 1.0 / 50.0), 10.0, 30.0),
-        "example 5, ν = 1/20": (Barrier(5, 1.0 / 20.0), 10.0, 30.0),
-        "example 6, ν = 1": (Barrier(6, 1.0), 10.0, 30.0),
+        "example 4, ν = 1/50": (SpeedBarrier(4, 1.0 / 50.0), 10.0, 30.0),
+        "example 5, ν = 1/20": (SpeedBarrier(5, 1.0 / 20.0), 10.0, 30.0),
+        "example 6, ν = 1": (SpeedBarrier(6, 1.0), 10.0, 30.0),
     }
     return functions, barriers
 
@@ -89,25 +91,17 @@ def _of_scenario(name: str, overrides: Sequence[str] = ()) -> tuple[Functions, B
         InputError: the scenario cannot be read, or a function of its own violates a condition.
     """
     from testbed.core.records import join_names
+    from testbed.plan.fleet import agent_parameters
     from testbed.scenario import load_scenario
-    from testbed.sim.build_control import (
-        agent_value,
-        follower_names,
-        make_barrier,
-        make_control_function,
-    )
+    from testbed.sim.build_control import make_barrier, make_control_function
 
     scenario, notes = load_scenario(name, overrides), list[str]()
     functions: dict[Any, list[str]] = {}
     barriers: dict[Any, list[str]] = {}
-    for follower in follower_names(scenario):
-        chosen = agent_value(scenario, follower, "control_function")
-        functions.setdefault(chosen, []).append(follower)
-        bounded = (
-            agent_value(scenario, follower, "barrier"),
-            agent_value(scenario, follower, "speed_mps"),
-        )
-        barriers.setdefault(bounded, []).append(follower)
+    for follower in scenario.aircraft_names[1:]:
+        agent = agent_parameters(scenario.formation, follower)
+        functions.setdefault(agent.control_function, []).append(follower)
+        barriers.setdefault((agent.barrier, agent.speed_mps), []).append(follower)
     return (
         {join_names(each): make_control_function(key, notes) for key, each in functions.items()},
         {

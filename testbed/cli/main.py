@@ -27,7 +27,7 @@ from testbed.cli.margins import margins_command
 from testbed.cli.network import network_command
 from testbed.cli.output import guard_standard_streams
 from testbed.cli.report import report_command
-from testbed.cli.run import View, run_command
+from testbed.cli.run import ViewChoice, run_command
 from testbed.cli.runs import prune_command
 from testbed.cli.scenario import list_command, schema_command, validate_command
 from testbed.cli.study_report import study_report_command
@@ -206,7 +206,7 @@ class _Commands(CommandGroup):
             "View": ("view", "host", "follow", "rrd"),
         }
     }
-    optional_values = {"run": {"--view": tuple(View)}}
+    optional_values = {"run": {"--view": tuple(ViewChoice)}}
     epilogs = dict.fromkeys(
         ("run", "view", "shot", "check", "compare", "sweep", "tune", "respond", "arduplane"),
         EXIT_CODES_HELP,

@@ -23,6 +23,7 @@ from testbed.core.errors import InputError
 from testbed.core.files import report_write_errors, write_text_file
 
 if TYPE_CHECKING:
+    from testbed.metrics.model import LinkMetrics
     from testbed.scenario import Scenario
     from testbed.sim.channel_probe import MessageRecord
 
@@ -248,15 +249,17 @@ def _link_count(document: Document) -> int:
     return sum(len(receivers) for receivers in document["links"].values())
 
 
-def _count_table(links: Mapping[str, Document], together: Document, keys: Sequence[str]) -> Table:
+def _count_table(
+    links: Mapping[str, LinkMetrics], together: LinkMetrics, keys: Sequence[str]
+) -> Table:
     """Messages of each link by outcome."""
     from testbed.metrics.tables import link_table
 
-    def cells(link: Document) -> list[str]:
+    def cells(link: LinkMetrics) -> list[str]:
         return [f"{_count(link, key):,}" for key in keys]
 
     return link_table("link", keys, links, together, cells)
 
 
-def _count(link: Document, key: str) -> int:
+def _count(link: Mapping[str, Any], key: str) -> int:
     return int(link[key] if key in NOT_LOSSES else link["lost"].get(key, 0))

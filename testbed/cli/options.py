@@ -17,6 +17,7 @@ import typer
 
 from testbed.cli.output import check_output_path
 from testbed.core.errors import ExternalProgramLost, InputError
+from testbed.core.numbers import SMALLEST
 
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
@@ -127,10 +128,11 @@ def require_positive(parameter: typer.CallbackParam, value: float | None) -> flo
     whole = isinstance(value, int)
     if not whole:
         require_finite(parameter, value)
-    if value is not None and value <= 0:
+    if value is not None and value < SMALLEST:
         kind = "whole number" if whole else "number"
         shown = f"{value}" if whole else f"{value:g}"
-        raise InputError(f"{parameter.opts[0]} {shown}: write a {kind} above 0")
+        bound = "above 0" if value <= 0 else f"of at least {SMALLEST:g}"
+        raise InputError(f"{parameter.opts[0]} {shown}: write a {kind} {bound}")
     if whole and value is not None and value > _MAX_COUNT:
         raise InputError(f"{parameter.opts[0]} {value}: write a number of at most {_MAX_COUNT:,}")
     return value

@@ -77,10 +77,12 @@ def report_command(
         raise InputError(f"--from {begin:g}: not before --to {end:g}; write an earlier time")
     data = read_run(run, begin_s=begin, end_s=end)
     report = default_report(data.path) if out is None else out
+    drawn = list(run_figures(data)) if figures else []
+    check_figures(drawn, figures, ending)
     console = result_console()
     write_report(run_page(data), report, console, default=out is None)
     if figures:
-        write_figures(run_figures(data), figures, ending, console)
+        write_figures(drawn, figures, ending, console)
 
 
 def default_report(path: Path) -> Path:
@@ -115,6 +117,20 @@ def write_report(page: Page, path: Path, console: PipeSafeConsole, *, default: b
     console.write_line(f" report   {describe_file(path)}")
 
 
+def check_figures(figures: Iterable[Figure], folder: Path | None, ending: str) -> None:
+    """Check that figures can be written to the folder of --figures; None: there is no such option.
+
+    Raises:
+        InputError: a file of the user has the name of one of them.
+    """
+    from testbed.logs.file_record import check_folder_output
+    from testbed.reports import figure_file
+
+    if folder:
+        names = (figure_file(each, ending) for each in figures)
+        check_folder_output(folder, names, f"--figures {folder}")
+
+
 def write_figures(
     figures: Iterable[Figure], folder: Path, ending: str, console: PipeSafeConsole
 ) -> None:
@@ -123,10 +139,12 @@ def write_figures(
     Raises:
         InputError: a file cannot be written.
     """
+    from testbed.logs.file_record import record_folder_output
     from testbed.reports import save_figures
 
     with report_write_errors(f"--figures {folder}"):
         files = save_figures(figures, folder, ending)
+    record_folder_output(folder, [each.name for each in files])
     console.write_line(f" figures  {len(files)} in {folder}, {format_size(*files)}")
 
 

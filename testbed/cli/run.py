@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from enum import StrEnum
@@ -48,8 +47,8 @@ if TYPE_CHECKING:
 _EXTERNAL = "External programs"
 
 
-class View(StrEnum):
-    """Where a flight is shown while it is result."""
+class ViewChoice(StrEnum):
+    """Where a flight is shown while it is flown."""
 
     WINDOW = "window"
     WEB = "web"
@@ -75,7 +74,7 @@ def run_command(
     ] = None,
     json: JsonFile = None,
     view: Annotated[
-        View | None,
+        ViewChoice | None,
         typer.Option(
             help="Show the flight live: in a Rerun viewer, opened if needed (window, which --view "
             "alone means), or in a browser (web), also from another machine through ssh, until "
@@ -192,9 +191,9 @@ def run_command(
         if view is not None:
             from testbed.views import FAST_HZ, RerunView
 
-            if view is View.WEB:
+            if view is ViewChoice.WEB:
                 stack.enter_context(sigterm_interrupts())
-            viewer = stack.enter_context(open_viewer(host, web=view is View.WEB))
+            viewer = stack.enter_context(open_viewer(host, web=view is ViewChoice.WEB))
             max_hz = None if external.pace else FAST_HZ
             observers.append(RerunView(viewer, max_hz=max_hz, follow=follow))
         with error_places(scenario, overrides):
@@ -217,7 +216,7 @@ def run_command(
                 console.write_line(f" {'control law':<20}{path}, a copy of its code")
         for line in violation_lines(violations(result.metrics), scenario, overrides or ()):
             (messages if quiet else console).write_line(line, "red")
-        if view is View.WEB and result.exit_code != ExitCode.INTERRUPTED:
+        if view is ViewChoice.WEB and result.exit_code != ExitCode.INTERRUPTED:
             wait_for_interrupt()
     raise typer.Exit(result.exit_code)
 
@@ -259,14 +258,15 @@ def external_options(
     from testbed.mavlink.udp_endpoint import parse_address
     from testbed.scenario.aircraft import ArduPlane, External
     from testbed.sim.external_options import ExternalOptions
+    from testbed.sim.tick_gate import check_pace
 
     addresses = tuple(parse_address(each) for each in mavlink)
     if pace is None:
         sources = [each.commanded_by for each in scenario.aircraft]
         lockstep = any(isinstance(each, External) and each.lockstep for each in sources)
         pace = 1.0 if addresses and not lockstep else 0.0
-    if not 0.0 <= pace < math.inf:
-        raise InputError(f"--pace {pace:g}: write a number above 0, 1 for real time, or 0")
+    if pace:
+        check_pace("--pace", pace)
     if key_file and not addresses:
         raise InputError(
             f"--mavlink-key {key_file}: there is no MAVLink link to sign; add --mavlink ADDRESS, "
@@ -286,7 +286,7 @@ def external_options(
     return ExternalOptions(
         announce=announce,
         mavlink=addresses,
-        pace=pace or None,
+        pace=pace,
         tlog=tlog,
         signing_key=key,
         arduplane=arduplane,

@@ -23,6 +23,7 @@ from testbed.core.files import format_bytes
 
 if TYPE_CHECKING:
     from testbed.scenario import Scenario
+    from testbed.sim.build import World
 
 MAX_LINE = 38  # characters, which leave the table of `testbed list` within 80 columns
 
@@ -117,6 +118,9 @@ def validate_command(
     resolved: Annotated[
         bool, typer.Option("--resolved", help="Print the scenario with every default written out.")
     ] = False,
+    stages: Annotated[
+        bool, typer.Option("--stages", help="Print what a flight does at each tick, in order.")
+    ] = False,
 ) -> None:
     """Check a scenario without running it: its keys, aircraft, formation and control law.
 
@@ -133,7 +137,24 @@ def validate_command(
         typer.echo(escape_controls(f"{event.level}: {event.source}: {event.text}"), err=True)
     for line in _programs(loaded):
         typer.echo(escape_controls(line), err=True)
-    typer.echo(dump(loaded) if resolved else f"{scenario}: valid")
+    if stages:
+        _print_stages(world)
+    elif resolved:
+        typer.echo(dump(loaded))
+    else:
+        typer.echo(f"{scenario}: valid")
+
+
+def _print_stages(world: World) -> None:
+    """Print the stages of a flight as a table."""
+    from testbed.sim.run import list_stages
+
+    rows = [("part", "when", "stage", "runs"), *list_stages(world)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        typer.echo("  ".join(cells).rstrip())
+    typer.echo("then all flight models run to the next tick")
 
 
 def _programs(scenario: Scenario) -> Iterator[str]:

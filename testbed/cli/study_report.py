@@ -16,6 +16,7 @@ from testbed.cli.report import (
     FigureFormat,
     Figures,
     ReportFile,
+    check_figures,
     default_report,
     figure_format,
     write_figures,
@@ -65,7 +66,14 @@ def study_report_command(
     json: JsonFile = None,
 ) -> None:
     """Write a report of a study: results, effects of parameters, losses, commands to repeat."""
-    from testbed.reports.study import study_figures, study_page, write_tables
+    from testbed.logs.file_record import check_folder_output, record_folder_output
+    from testbed.reports.study import (
+        study_figures,
+        study_page,
+        study_tables,
+        table_file,
+        write_tables,
+    )
     from testbed.reports.study.page import print_summary
     from testbed.reports.study.study_data import STATISTICS
 
@@ -75,16 +83,22 @@ def study_report_command(
     path = find_study_file(study)
     report = default_report(path) if out is None else out
     data = read_study(path, metrics=metric or (), statistic=statistic)
+    drawn = list(study_figures(data)) if figures else []
+    check_figures(drawn, figures, ending)
+    listed = list(study_tables(data)) if tables else []
+    if tables:
+        check_folder_output(tables, map(table_file, listed), f"--tables {tables}")
     page = study_page(data)
     write_json_output(json, _document(data))
     console = result_console(json)
     print_summary(data, console)
     write_report(page, report, console, default=out is None)
     if figures:
-        write_figures(study_figures(data), figures, ending, console)
+        write_figures(drawn, figures, ending, console)
     if tables:
         with report_write_errors(f"--tables {tables}"):
-            files = write_tables(data, tables)
+            files = write_tables(listed, tables)
+        record_folder_output(tables, [each.name for each in files])
         console.write_line(f" tables   {len(files)} in {tables}")
 
 
@@ -246,9 +260,9 @@ def _document(study: StudyData) -> dict[str, Any]:
 
 
 def _json_value(cell: Cell) -> Any:  # noqa: ANN401 - a number, a text or a map
-    from testbed.reports.study.study_data import Estimate
+    from testbed.reports.study.study_data import IntervalEstimate
 
-    if isinstance(cell, Estimate):
+    if isinstance(cell, IntervalEstimate):
         numbers = {"value": cell.value, "low": cell.low, "high": cell.high}
         return {name: _json_value(value) for name, value in numbers.items()} | {"count": cell.count}
     return None if isinstance(cell, float) and not math.isfinite(cell) else cell

@@ -24,7 +24,7 @@ from testbed.cli.output import (
 )
 
 if TYPE_CHECKING:
-    from testbed.studies.summary import Group, Summary
+    from testbed.studies.summary import RunGroup, Summary
     from testbed.studies.sweep import SweepResult
 
 
@@ -223,7 +223,7 @@ def summary_tables(summary: Summary, width: int) -> Iterator[Table]:
     yield _table([*lead, *part])
 
 
-def _settings(groups: Sequence[Group]) -> list[_Column]:
+def _settings(groups: Sequence[RunGroup]) -> list[_Column]:
     """Make a column of the cases, if any, and one for each varying key."""
     cases = [group.case for group in groups]
     columns = [_Column("case", cases, justify="left")] if any(cases) else []
@@ -232,7 +232,7 @@ def _settings(groups: Sequence[Group]) -> list[_Column]:
     return columns
 
 
-def _stack(groups: Sequence[Group], width: int) -> _Column:
+def _stack(groups: Sequence[RunGroup], width: int) -> _Column:
     """One column with a line for the case and lines for each key."""
     cells = []
     for group in groups:
@@ -302,12 +302,12 @@ def _format(value: Any) -> str:  # noqa: ANN401 - a value of a scenario's key
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _format_runs(group: Group) -> str:
+def _format_runs(group: RunGroup) -> str:
     done = group.completed == group.runs
     return str(group.runs) if done else f"{group.completed} of {group.runs}"
 
 
-def _format_range(group: Group, name: str) -> str:
+def _format_range(group: RunGroup, name: str) -> str:
     values = group.metrics[name]
     if values is None:
         return MISSING

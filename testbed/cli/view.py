@@ -27,7 +27,7 @@ from testbed.core.errors import InputError
 from testbed.core.files import report_write_errors
 
 if TYPE_CHECKING:
-    from testbed.logs.read import Log
+    from testbed.logs.read import RunLog
     from testbed.views import LiveViewer
 
 
@@ -122,7 +122,7 @@ def sigterm_interrupts() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def read_shown_log(name: str) -> Log:
+def read_shown_log(name: str) -> RunLog:
     """Read the log of a run, which must have samples.
 
     Raises:
@@ -138,7 +138,7 @@ def read_shown_log(name: str) -> Log:
     return log
 
 
-def _check_time(at_s: float | None, *logs: Log) -> float:
+def _check_time(at_s: float | None, *logs: RunLog) -> float:
     """Check that all runs have this time, s; None: take their last."""
     first = max(float(log.time_s[0]) for log in logs)
     last = min(float(log.time_s[-1]) for log in logs)
@@ -151,7 +151,7 @@ def _check_time(at_s: float | None, *logs: Log) -> float:
 def _show(
     command: str,
     names: Sequence[str],
-    logs: Sequence[Log],
+    logs: Sequence[RunLog],
     rrd: Path | None,
     at_s: float | None,
     follow: str | None,
@@ -181,7 +181,7 @@ def refuse_stdout(rrd: Path) -> None:
         raise InputError("--rrd -: a recording goes to a file; write its name")
 
 
-def save_rrd(rrd: Path, logs: Sequence[Log], follow: str | None) -> None:
+def save_rrd(rrd: Path, logs: Sequence[RunLog], follow: str | None) -> None:
     """Save a Rerun recording of one run, or of two overlaid, and print its size.
 
     Raises:
@@ -217,7 +217,7 @@ def open_viewer(host: str, *, web: bool) -> Iterator[LiveViewer]:
         yield LiveViewer(port=served.port)
 
 
-def _serve(log: Log, host: str, follow: str | None) -> None:
+def _serve(log: RunLog, host: str, follow: str | None) -> None:
     """Serve a run in a web viewer until Ctrl-C."""
     from testbed.views import replay
 

@@ -5,6 +5,9 @@ A kernel is a function in plain scalar Python, for one aircraft or for a few arr
 entry, with all kernels in it, is kept on disk. `@jitable` marks a function that kernels may call
 and that Python calls uncompiled.
 
+The entries of a flight are bound by `bind_entry`, which registers them while the flight is built.
+`prepare` compiles or loads them before the first tick.
+
 One process at a time compiles the same kernels. The files for that are in the folder of the machine
 code: `turn` is locked by the process that prepares kernels for the first time, `compiling` while
 one of them is compiled rather than loaded, and `ready-…` marks sets of kernels that need not be
@@ -25,11 +28,28 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
-from typing import IO, Any, TypeAlias, TypeVar
+from typing import IO, Any, Protocol, TypeAlias, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
-Kernel: TypeAlias = "functools.partial[Any]"  # an entry bound to all of its arguments
+R = TypeVar("R")
+Types: TypeAlias = tuple[Any, ...]  # numba's, of the arguments of an entry
+
+
+class Compilable(Protocol):
+    """An entry, or what has machine code of its own for one."""
+
+    __module__: str
+    __qualname__: str
+
+    def compile(self, types: Types) -> object:
+        """Compile it for arguments of these types, or load the machine code."""
+
+
+Arguments: TypeAlias = tuple[Compilable, tuple[Any, ...]]  # an entry, and arguments of its calls
+
+_registered: ContextVar[list[Arguments] | None] = ContextVar("registered", default=None)
 
 # Packages with kernels: a change in any of their files recompiles all kernels.
 KERNEL_PACKAGES = (
@@ -63,8 +83,43 @@ def entry(function: F) -> F:
     return compiled or numba.njit(**_OPTIONS)(function)  # type: ignore[no-any-return]
 
 
+def address_of(function: Callable[..., Any], returns: Any, *types: Any) -> int:  # noqa: ANN401
+    """Compile a function for calls by its address, or load its machine code.
+
+    Args:
+        function: as `entry` has it; its name is that of its machine code.
+        returns: type of its result, numba's.
+        types: of its arguments, numba's.
+    """
+    from numba.core.ccallback import CFunc
+
+    compiled: Any = CFunc(function, (types, returns), locals={}, options=dict(_OPTIONS))
+    folder = cache_folder()
+    if folder is not None and _cache_in(folder, compiled.enable_caching, compiled):
+        # numba's key has the functions that it calls, which are new objects in each process
+        compiled._cache._index_key = lambda signature, codegen: (signature, codegen.magic_tuple())
+    compiled.compile()
+    return int(compiled.address)
+
+
+def is_interpreted() -> bool:
+    """Return whether entries and kernels run as Python."""
+    import numba
+
+    config: Any = numba.config
+    return bool(config.DISABLE_JIT)
+
+
 def _cached(function: Callable[..., Any], folder: Path) -> Any:  # noqa: ANN401 - numba's dispatcher
-    """Compile with a cache in this folder; return None where it cannot be written.
+    """Compile with a cache in this folder; return None where it cannot be written."""
+    import numba
+
+    compiled: Any = numba.njit(**_OPTIONS)(function)
+    return compiled if _cache_in(folder, compiled.enable_caching, compiled) else None
+
+
+def _cache_in(folder: Path, enable_caching: Callable[[], None], compiled: Any) -> bool:  # noqa: ANN401
+    """Keep machine code in this folder; return False where it cannot be written.
 
     numba's own cache locations detect changes of the entry's file only, not of the kernels it
     calls.
@@ -76,9 +131,9 @@ def _cached(function: Callable[..., Any], folder: Path) -> Any:  # noqa: ANN401 
     before = {name: getattr(config, name, "") for name in names}
     config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES = str(folder), "UserProvidedCacheLocator"
     try:
-        compiled: Any = numba.njit(cache=True, **_OPTIONS)(function)
+        enable_caching()
     except RuntimeError:  # no locator available
-        return None
+        return False
     finally:
         for name, value in before.items():
             setattr(config, name, value)
@@ -87,7 +142,7 @@ def _cached(function: Callable[..., Any], folder: Path) -> Any:  # noqa: ANN401 
     cache._cache_file._source_stamp = folder.name
     cache.load_overload = functools.partial(_load, cache)
     cache.save_overload = functools.partial(_save, cache.save_overload)
-    return compiled
+    return True
 
 
 def _load(cache: Any, signature: Any, context: Any) -> Any:  # noqa: ANN401 - numba's
@@ -116,8 +171,71 @@ def jitable(function: F) -> F:
     return register_jitable(function)
 
 
+def bind_entry(
+    function: Callable[..., R], *args: object, like: Sequence[object] = ()
+) -> functools.partial[R]:
+    """Bind an entry to its first arguments, and register it where entries are registered.
+
+    Args:
+        function: an entry.
+        args: its first arguments.
+        like: examples of all further arguments; calls have arguments of the same types.
+
+    Returns:
+        The entry bound to `args`.
+    """
+    if hasattr(function, "compile"):  # not in debug mode
+        register(function, *args, *like)
+    return functools.partial(function, *args)
+
+
+def register(function: Compilable, *args: object) -> None:
+    """Register an entry with arguments of the types of its calls, where entries are registered."""
+    if (entries := _registered.get()) is not None:
+        entries.append((function, args))
+
+
+@contextmanager
+def registering() -> Iterator[None]:
+    """Register the entries that are bound in the block; also a decorator of functions."""
+    token = _registered.set([])
+    try:
+        yield
+    finally:
+        _registered.reset(token)
+
+
+def types_of(args: Sequence[object]) -> Types:
+    """Return numba's types of arguments; those of arrays of records take it 0.2 ms each."""
+    return tuple(map(_type_of, args))
+
+
+def _type_of(value: object) -> Any:  # noqa: ANN401
+    # imported here, as every command imports this module for its notice
+    import numba
+    import numpy as np
+
+    typeof: Any = numba.typeof
+    if type(value) is not np.ndarray:
+        return typeof(value)
+    flags = value.flags
+    layout = flags.c_contiguous, flags.f_contiguous, flags.aligned, flags.writeable
+    key = value.dtype, value.ndim, layout
+    if key not in _array_types:
+        _array_types[key] = typeof(value)
+    return _array_types[key]
+
+
+_array_types: dict[tuple[Any, ...], Any] = {}
+
+
+def registered() -> tuple[Arguments, ...]:
+    """Return the entries registered so far in this block, for `prepare`."""
+    return tuple(_registered.get() or ())
+
+
 def prepare(
-    calls: Iterable[Kernel],
+    calls: Iterable[Arguments],
     progress: Callable[[int, int], None] | None = None,
     check: Callable[[], None] = lambda: None,
 ) -> None:
@@ -126,19 +244,14 @@ def prepare(
     Of several processes that need the same entries one compiles, and the others wait for it.
 
     Args:
-        calls: entries, each bound to all of its arguments; nothing is called.
+        calls: entries, each with arguments of the types of its calls; nothing is called.
         progress: called with the number of entries done and of all entries, from the moment at
             which the first has to be compiled; not at all where machine code is loaded.
         check: called before each entry, and while another process compiles; an error that it
             raises ends the call.
     """
-    from numba import typeof
-
-    entries: list[tuple[Any, tuple[Any, ...]]] = [
-        (each.func, tuple(map(typeof, each.args)))
-        for each in calls
-        if hasattr(each.func, "compile")  # not in debug mode
-    ]
+    found = ((function, types_of(args)) for function, args in calls)
+    entries = list(dict.fromkeys(found))
     compiled = False
 
     def show(done: int) -> None:

@@ -21,7 +21,7 @@ _NOT_FINITE = ("nan", "inf", "infinity")
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class CsvTable:
     """A header and M rows of a text file.
 
     Blank lines and `#` lines are skipped.
@@ -99,7 +99,7 @@ class Table:
         return value
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path) -> CsvTable:
     """Read a CSV file whose first row is its header.
 
     Raises:
@@ -111,7 +111,7 @@ def read_table(path: Path) -> Table:
             rows.append(tuple(cell.strip() for cell in row))
             lines.append(line)
     header = rows[0] if rows else ()
-    return Table(path, header, tuple(rows[1:]), tuple(lines) or (1,))
+    return CsvTable(path, header, tuple(rows[1:]), tuple(lines) or (1,))
 
 
 def read_rows(path: Path) -> Iterator[tuple[int, list[str]]]:

@@ -44,6 +44,10 @@ class ExternalProgramLost(FlightError):
 DISTRIBUTION = "formation-testbed"  # the name that pip installs, as in pyproject.toml
 
 
+class NotCopiedError(InputError, TypeError):
+    """An object that `copy` or `pickle` cannot copy; the text has what to do instead."""
+
+
 class MissingExtraError(InputError, ImportError):
     """A library of an extra is not installed; the text names the command."""
 
@@ -75,6 +79,23 @@ def needs_extra(extra: str, purpose: str) -> Iterator[None]:
 
 # as the loader of libraries, other libraries and threading say it
 _NO_MEMORY = ("failed to map segment", "cannot allocate memory", "can't start new thread")
+
+
+def raise_memory_shortage(error: BaseException) -> None:
+    """Raise an error on, where it is one of lack of memory and not of what the caller handles.
+
+    Raises:
+        MemoryError: that error, or one with its description.
+    """
+    if isinstance(error, MemoryError):
+        raise error
+    if memory_shortage(error):
+        raise MemoryError(str(error)) from error
+
+
+def describe_error(error: BaseException) -> str:
+    """Return the text of an error; of one that has none its type. Never empty."""
+    return str(error) or type(error).__name__
 
 
 def memory_shortage(error: BaseException) -> str | None:

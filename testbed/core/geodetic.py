@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from testbed.core.compile import jitable
-from testbed.core.records import Array, Origin
+from testbed.core.records import Array, NedOrigin
 
 _ScalarsT = TypeVar("_ScalarsT", float, Array)
 
@@ -38,7 +38,7 @@ class LocalFrame(NamedTuple):
     half_turn: float  # DEGREES or RADIANS
 
 
-def local_frame(origin: Origin, half_turn: float = DEGREES) -> LocalFrame:
+def local_frame(origin: NedOrigin, half_turn: float = DEGREES) -> LocalFrame:
     """Return the local frame of an origin, for angles in degrees or RADIANS."""
     unit, radian = half_turn / DEGREES, RADIANS / half_turn
     latitude = math.radians(origin.latitude_deg)
@@ -102,21 +102,21 @@ def to_geodetic(
     )
 
 
-def ned_from_geodetic(geodetic: Array, origin: Origin) -> Array:
+def ned_from_geodetic(geodetic: Array, origin: NedOrigin) -> Array:
     """Return NED (..., 3) m from latitude deg, longitude deg, height m above sea level (..., 3)."""
     values = np.asarray(geodetic, dtype=np.float64)
     with np.errstate(invalid="ignore"):  # infinite: NaN
         return np.stack(to_ned(local_frame(origin), *np.moveaxis(values, -1, 0)), axis=-1)
 
 
-def geodetic_from_ned(position_ned: Array, origin: Origin) -> Array:
+def geodetic_from_ned(position_ned: Array, origin: NedOrigin) -> Array:
     """Return latitude deg, longitude deg, height m above sea level (..., 3) from NED (..., 3)."""
     values = np.asarray(position_ned, dtype=np.float64)
     with np.errstate(invalid="ignore"):  # infinite: NaN
         return np.stack(to_geodetic(local_frame(origin), *np.moveaxis(values, -1, 0)), axis=-1)
 
 
-def origin_geodetic(origin: Origin) -> tuple[float, float, float]:
+def origin_geodetic(origin: NedOrigin) -> tuple[float, float, float]:
     """Return latitude deg, longitude deg in [−180, 180) and elevation m of an origin."""
     return local_frame(origin)[:3]
 

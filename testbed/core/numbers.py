@@ -8,6 +8,9 @@ from __future__ import annotations
 import math
 import re
 
+SMALLEST = 1e-6
+"""Smallest number where one must be positive: far below it one acts as 0, or quotients overflow."""
+
 _WHOLE = re.compile(r"[-+]?[0-9]+")
 _NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _MAX_DIGITS = 40  # of a whole number

@@ -17,7 +17,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,7 @@ Vector: TypeAlias = Any  # three numbers: a tuple, or a field of a record
 Values: TypeAlias = Any  # a tuple of numbers and vectors
 
 _RecordT = TypeVar("_RecordT")
+_NumbersT = TypeVar("_NumbersT")  # an array, or a number
 # Without the compiler a plain record has no attributes: kernels in a debugger need recarrays.
 _DEBUG = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
 FEW = 100  # numbers of a record that are printed
@@ -172,7 +173,7 @@ def write_fields(records: Records, values: Any, **others: Any) -> None:  # noqa:
 
 @document_fields
 @dataclass(frozen=True, slots=True)
-class Origin:
+class NedOrigin:
     """Where the local NED frame touches the earth (WGS 84)."""
 
     latitude_deg: float = 38.0  # degrees, geodetic
@@ -202,9 +203,9 @@ def short_repr(kind: type[_RecordT]) -> type[_RecordT]:
     """Shorten the repr of a record of arrays to a few numbers, or shapes."""
 
     def text(record: Any) -> str:  # noqa: ANN401 - a named tuple
-        few = sum(each.size for each in record) <= FEW
+        few = sum(map(np.size, record)) <= FEW
         parts = [
-            f"{name}={each!r}" if few else f"{name} {'×'.join(map(str, each.shape))}"
+            f"{name}={each!r}" if few else f"{name} {'×'.join(map(str, np.shape(each)))}"
             for name, each in zip(record._fields, record, strict=True)
         ]
         return f"{kind.__name__}({', '.join(parts)})"
@@ -270,12 +271,15 @@ class WindInput(NamedTuple):
 
 @document_fields
 @short_repr
-class FbwaCommand(NamedTuple):
-    """A fly-by-wire-A command: the stick inputs of ArduPlane's mode FBWA."""
+class FbwaCommand(NamedTuple, Generic[_NumbersT]):
+    """A fly-by-wire-A command: the stick inputs of ArduPlane's mode FBWA.
 
-    pitch: Array  # (N,) rad, nose up positive
-    roll: Array  # (N,) rad, right wing down positive
-    throttle: Array  # (N,) 0..1
+    Of N aircraft its fields are arrays; of one aircraft they are numbers.
+    """
+
+    pitch: _NumbersT  # (N,) rad, nose up positive
+    roll: _NumbersT  # (N,) rad, right wing down positive
+    throttle: _NumbersT  # (N,) 0..1
 
 
 @document_fields
@@ -406,7 +410,7 @@ class Sample(NamedTuple):
     truth: VehicleState  # (N)
     estimate: VehicleState  # (N)
     air: AirData  # (N)
-    command: FbwaCommand  # (N)
+    command: FbwaCommand[Array]  # (N)
     surfaces: ActuatorCommand  # (N)
     formation: FormationState  # (n)
     links: LinkCounters  # (n, N)
@@ -433,7 +437,7 @@ class RunInfo:
     names: tuple[str, ...]  # N aircraft, the leader first
     aircraft: tuple[str, ...]  # N airframe names, "rascal110"
     wingspan_m: tuple[float, ...]  # N
-    origin: Origin  # of the NED frame
+    origin: NedOrigin  # of the NED frame
     base_rate_hz: int  # Hz, of the ticks
     sample_rate_hz: int  # Hz, of the samples
     duration_s: float  # s, planned

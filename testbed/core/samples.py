@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.core.call_list import NOW, Call
 from testbed.core.compile import entry
 from testbed.core.records import (
     AIRCRAFT,
@@ -16,6 +17,7 @@ from testbed.core.records import (
     Array,
     FbwaCommand,
     FormationState,
+    Indices,
     LinkCounters,
     Records,
     Sample,
@@ -31,52 +33,82 @@ Columns = Mapping[str, NDArray[Any]]  # (K, ...) by source, the path from Sample
 
 
 class SampleBuffer:
-    """A buffer for K samples of N aircraft.
+    """A buffer for samples of N aircraft.
+
+    Args:
+        capacity: K samples.
+        count: N.
 
     Attributes:
-        tick: of the samples that are there.
-        inexact: numbers of those whose estimates are not exact.
+        capacity: K.
     """
 
-    def __init__(self, capacity: int) -> None:
-        """Start empty; the first sample sets the number of aircraft."""
-        self.tick: list[int] = []
-        self.inexact: list[int] = []
-        self._capacity = capacity
-        self._links: dict[str, NDArray[Any]] = {}
+    def __init__(self, capacity: int, count: int) -> None:
+        """See the class."""
+        self.capacity = capacity
+        self._ticks, self._count = np.zeros(capacity, np.int64), np.zeros(1, np.int64)
+        self._inexact: NDArray[np.bool_] = np.zeros(capacity, dtype=bool)
+        self._aircraft = allocate(AIRCRAFT, capacity, count)
+        self._followers = allocate(FOLLOWER, capacity, count - 1)
+        shape = capacity, count - 1, count
+        self._links: dict[str, NDArray[Any]] = {
+            "age_s": np.empty(shape),
+            "sent": np.empty(shape, np.uint32),
+            "delivered": np.empty(shape, np.uint32),
+        }
+
+    def __len__(self) -> int:
+        """Return the number of samples that are there."""
+        return int(self._count[0])
+
+    @property
+    def ticks(self) -> NDArray[np.int64]:
+        """Ticks of the samples (k,)."""
+        return self._ticks[: len(self)]
+
+    @property
+    def inexact(self) -> NDArray[np.bool_]:
+        """Which samples (k,) have estimates that are not exact."""
+        return self._inexact[: len(self)]
+
+    def bind(self, records: tuple[Records, Records, Records], rate_hz: int, *, exact: bool) -> Call:
+        """Return the call that appends a sample of a flight.
+
+        Args:
+            records: AIRCRAFT (N,), FOLLOWER (n,) and LINK (n, N).
+            rate_hz: of the ticks.
+            exact: the estimates are the truth.
+        """
+        self._inexact[:] = not exact
+        return Call(_append, *self._rows, *records, float(rate_hz), NOW)
+
+    def full_call(self) -> Call:
+        """Return the call that returns whether the buffer is full."""
+        return Call(_is_full, self._count, self.capacity)
+
+    @property
+    def _rows(self) -> tuple[Any, ...]:
+        return self._ticks, self._count, self._aircraft, self._followers, *self._links.values()
 
     def append(self, sample: Sample) -> None:
         """Copy a sample.
 
         Raises:
-            ValueError: it has another number of aircraft than the first, or a field of another
-                shape or dtype.
+            ValueError: it has another number of aircraft, or a field of another shape or dtype.
         """
-        if not self._links:
-            self._allocate(len(sample.truth.airspeed))
-        count = len(self.tick)
-        size = len(sample.truth.airspeed)
+        count, size = len(self), len(sample.truth.airspeed)
         if size != self._aircraft.shape[1]:
             raise ValueError(
-                f"the sample has {size} aircraft, those before it have {self._aircraft.shape[1]}"
+                f"the sample has {size} aircraft, the run has {self._aircraft.shape[1]}"
             )
         if sample.records is not None:
-            _append(count, *sample.records, self._aircraft, self._followers, *self._links.values())
+            append: Any = _append
+            append(*self._rows, *sample.records, 1.0, 0.0)
         else:
             self._copy(sample, count)
-        if sample.estimate is not sample.truth:
-            self.inexact.append(count)
-        self.tick.append(sample.tick)
-
-    def _allocate(self, n: int) -> None:
-        capacity = self._capacity
-        self._aircraft = allocate(AIRCRAFT, capacity, n)
-        self._followers = allocate(FOLLOWER, capacity, n - 1)
-        self._links = {
-            "age_s": np.empty((capacity, n - 1, n)),
-            "sent": np.empty((capacity, n - 1, n), np.uint32),
-            "delivered": np.empty((capacity, n - 1, n), np.uint32),
-        }
+            self._count += 1
+        self._inexact[count] = sample.estimate is not sample.truth
+        self._ticks[count] = sample.tick
 
     def _copy(self, sample: Sample, count: int) -> None:
         aircraft, formation = self._aircraft[count], sample.formation
@@ -93,7 +125,7 @@ class SampleBuffer:
 
     def columns(self) -> Columns:
         """Return the samples as columns: views, which last until the next `append`."""
-        count = len(self.tick)
+        count = len(self)
         aircraft, followers = self._aircraft[:count], self._followers[:count]
         columns = {
             f"{name}.{field}": array
@@ -111,8 +143,7 @@ class SampleBuffer:
 
     def clear(self) -> None:
         """Forget the samples."""
-        self.tick.clear()
-        self.inexact.clear()
+        self._count[0] = 0
 
 
 def _write(array: NDArray[Any], target: NDArray[Any], name: str) -> None:
@@ -131,17 +162,22 @@ def _write(array: NDArray[Any], target: NDArray[Any], name: str) -> None:
 
 @entry
 def _append(
-    row: int,
-    aircraft: Records,
-    followers: Records,
-    links: Records,
+    ticks: Indices,
+    count: Indices,
     all_aircraft: Records,
     all_followers: Records,
     age_s: Array,
     sent: UIntArray,
     delivered: UIntArray,
+    aircraft: Records,
+    followers: Records,
+    links: Records,
+    rate_hz: float,
+    now: float,
 ) -> None:
-    """Copy one sample to a row: numpy takes 20 times as long, field by field."""
+    """Copy one sample to the next row: numpy takes 20 times as long, field by field."""
+    row = count[0]
+    ticks[row] = round(now * rate_hz)
     for i in range(len(aircraft)):
         all_aircraft[row, i] = aircraft[i]
     for i in range(len(followers)):
@@ -150,6 +186,13 @@ def _append(
             link = links[i, m]
             age_s[row, i, m] = link.age_s
             sent[row, i, m], delivered[row, i, m] = link.sent, link.delivered
+    count[0] = row + 1
+
+
+@entry
+def _is_full(count: Indices, capacity: int) -> bool:
+    """Return whether there are as many samples as there is space for."""
+    return bool(count[0] >= capacity)
 
 
 def _view_aircraft(aircraft: Records) -> dict[str, Any]:

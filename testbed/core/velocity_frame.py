@@ -40,12 +40,13 @@ def velocity_frame(velocity: Array) -> Array:
     Its columns are forward along the velocity, right in the horizontal, and down.
     """
     out = np.empty((len(velocity), 3, 3))
-    _write_frames(np.ascontiguousarray(velocity, dtype=np.float64), out)
+    write_frames(np.ascontiguousarray(velocity, dtype=np.float64), out)
     return out
 
 
 @entry
-def _write_frames(velocity: Array, out: Array) -> None:
+def write_frames(velocity: Array, out: Array) -> None:
+    """Write R(σ, γ) (n, 3, 3) of velocities (n, 3), m/s; see `velocity_frame`."""
     for i in range(len(out)):
         cs, ss, cg, sg = frame_angles(velocity[i, 0], velocity[i, 1], velocity[i, 2])
         out[i, 0, 0], out[i, 0, 1], out[i, 0, 2] = cg * cs, -ss, sg * cs

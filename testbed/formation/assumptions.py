@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.core.records import Array
-from testbed.formation.barrier import NO_BARRIER, OUTSIDE, Barrier, OwnBarrier, barrier_curve
+from testbed.formation.barrier import NO_BARRIER, OUTSIDE, SpeedBarrier, UserBarrier, barrier_curve
 from testbed.formation.hbh23 import SLOPE_FLOOR
 
 GRID = 2001  # speeds at which a barrier is checked, on S and on either side
@@ -99,7 +99,9 @@ def check_kappa(kappa: Array, low: Array, high: Array) -> list[Finding]:
     ]
 
 
-def check_barrier(barriers: Sequence[Barrier | OwnBarrier], speeds: SpeedSet) -> list[Finding]:
+def check_barrier(
+    barriers: Sequence[SpeedBarrier | UserBarrier], speeds: SpeedSet
+) -> list[Finding]:
     """Check (B1)-(B5) on S x S_d and up to 5 m/s outside S.
 
     If S_d is in S, all five hold in examples 4 and 5 for every ν > 0, and in example 6 for every ν
@@ -119,10 +121,14 @@ def check_barrier(barriers: Sequence[Barrier | OwnBarrier], speeds: SpeedSet) ->
 
 
 def _broken(
-    barrier: Barrier | OwnBarrier, low: float, high: float, desired_low: float, desired_high: float
+    barrier: SpeedBarrier | UserBarrier,
+    low: float,
+    high: float,
+    desired_low: float,
+    desired_high: float,
 ) -> Iterator[tuple[float, str]]:
     """Yield the conditions that one agent's barrier violates: a number and a text each."""
-    if isinstance(barrier, OwnBarrier):
+    if isinstance(barrier, UserBarrier):
         shown, smallest, remedy = "h", SLOPE_FLOOR, "change the function"
     else:
         unusable = list(_unusable(barrier, low, high))
@@ -158,7 +164,7 @@ def _broken(
                 f"{name} fails: {shown.replace('h', f'h{prime}', 1)} is {number:.3g} at "
                 f"{s[worst]:.4g} m/s ({remedy})",
             )
-    if isinstance(barrier, Barrier) and float(barrier.nu) > 0.0:
+    if isinstance(barrier, SpeedBarrier) and float(barrier.nu) > 0.0:
         yield from _flat(barrier, above - high, slope_above)
     # the divisor is affine in s_d: it is smallest at an end of S_d
     for s_d in (desired_low, desired_high):
@@ -175,7 +181,7 @@ def _broken(
             )
 
 
-def _unusable(barrier: Barrier, low: float, high: float) -> Iterator[tuple[float, str]]:
+def _unusable(barrier: SpeedBarrier, low: float, high: float) -> Iterator[tuple[float, str]]:
     """Yield why a barrier of the paper cannot be used on a speed range, m/s."""
     if barrier.example == NO_BARRIER:
         # h outside S, where (B2) requires h < 0
@@ -195,7 +201,7 @@ def _unusable(barrier: Barrier, low: float, high: float) -> Iterator[tuple[float
         )
 
 
-def _flat(barrier: Barrier, past: Array, slope: Array) -> Iterator[tuple[float, str]]:
+def _flat(barrier: SpeedBarrier, past: Array, slope: Array) -> Iterator[tuple[float, str]]:
     """Yield the distance past the bounds at which the slope underflows, m/s."""
     flat = np.abs(slope) < SLOPE_FLOOR
     if flat.any():

@@ -26,7 +26,7 @@ BARRIER = np.dtype(
 )
 
 
-class Barrier(NamedTuple):
+class SpeedBarrier(NamedTuple):
     """h by the number of its example in [HBH23].
 
     4: ν (s_hi − s)(s − s_lo), ν in s²/m². 5: tanh of example 4. 6: 1 but for parabolas within ν
@@ -37,13 +37,13 @@ class Barrier(NamedTuple):
     nu: float
 
 
-class OwnBarrier(NamedTuple):
+class UserBarrier(NamedTuple):
     """A user's own h."""
 
     table: Records  # (1,) of TABLE
 
 
-def make_own(function: Function, s_min: float, s_max: float) -> OwnBarrier:
+def make_own(function: Function, s_min: float, s_max: float) -> UserBarrier:
     """Tabulate a user's own h(s) on S and up to 5 m/s outside.
 
     Beyond, it is a straight line.
@@ -64,7 +64,7 @@ def make_own(function: Function, s_min: float, s_max: float) -> OwnBarrier:
             f"h has no continuous derivative, or changes too fast, near {s_min + error.x:.4g} m/s "
             "(write a smoother h)"
         ) from None
-    return OwnBarrier(table)
+    return UserBarrier(table)
 
 
 @kernel
@@ -96,7 +96,7 @@ def h(barrier: Record, s: float, s_min: float, s_max: float) -> Values:
 
 
 def barrier_curve(
-    barrier: Barrier | OwnBarrier, s: Array, s_min: float, s_max: float
+    barrier: SpeedBarrier | UserBarrier, s: Array, s_min: float, s_max: float
 ) -> tuple[Array, Array]:
     """Sample h and h' at ground speeds s (K,), m/s, for figures and checks."""
     out = np.empty((2, len(s)))
@@ -104,7 +104,7 @@ def barrier_curve(
     return out[0], out[1]
 
 
-def barrier_records(*barriers: Barrier | OwnBarrier) -> Records:
+def barrier_records(*barriers: SpeedBarrier | UserBarrier) -> Records:
     """Pack barriers into records (n,) of BARRIER."""
     records = allocate(BARRIER, len(barriers))
     for k, barrier in enumerate(barriers):
@@ -113,12 +113,12 @@ def barrier_records(*barriers: Barrier | OwnBarrier) -> Records:
     return records
 
 
-def barriers_of(records: Records) -> list[Barrier | OwnBarrier]:
+def barriers_of(records: Records) -> list[SpeedBarrier | UserBarrier]:
     """Unpack the barriers of records (n,) of BARRIER."""
     return [
-        OwnBarrier(records["table"][k : k + 1])
+        UserBarrier(records["table"][k : k + 1])
         if example == OWN_BARRIER
-        else Barrier(int(example), float(records["nu"][k]))
+        else SpeedBarrier(int(example), float(records["nu"][k]))
         for k, example in enumerate(records["example"])
     ]
 
@@ -140,12 +140,14 @@ class LoggedBarrier(NamedTuple):
     samples: tuple[float, ...]  # of an own function, at equal steps: see `_speeds`
 
 
-def sample_barrier(barrier: Barrier | OwnBarrier, s_min: float, s_max: float) -> tuple[float, ...]:
+def sample_barrier(
+    barrier: SpeedBarrier | UserBarrier, s_min: float, s_max: float
+) -> tuple[float, ...]:
     """Sample an own h on S and up to 5 m/s outside.
 
     Empty for an example of the paper.
     """
-    if isinstance(barrier, Barrier):
+    if isinstance(barrier, SpeedBarrier):
         return ()
     value, _ = barrier_curve(barrier, _speeds(s_min, s_max, SAMPLES), s_min, s_max)
     return tuple(np.round(value, 6).tolist())
@@ -169,7 +171,7 @@ def logged_curve(barrier: LoggedBarrier, s: Array, s_min: float, s_max: float) -
         at = _speeds(s_min, s_max, len(barrier.samples))
         value: Array = np.interp(s, at, barrier.samples)
         return value
-    return barrier_curve(Barrier(barrier.example, barrier.nu), s, s_min, s_max)[0]
+    return barrier_curve(SpeedBarrier(barrier.example, barrier.nu), s, s_min, s_max)[0]
 
 
 def _speeds(s_min: float, s_max: float, count: int) -> Array:

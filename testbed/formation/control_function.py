@@ -47,18 +47,18 @@ class ControlFunction(NamedTuple):
     bound: float  # ρ̄ = sup √z μ(z), (C2)
 
 
-class OwnControlFunction(NamedTuple):
+class UserControlFunction(NamedTuple):
     """A user's own μ."""
 
     bound: float  # ρ̄
     table: Records  # (1,) of TABLE
 
 
-def control_function_records(*functions: ControlFunction | OwnControlFunction) -> Records:
+def control_function_records(*functions: ControlFunction | UserControlFunction) -> Records:
     """Pack control functions into records (n,) of MU."""
     records = allocate(MU, len(functions))
     for k, function in enumerate(functions):
-        own = isinstance(function, OwnControlFunction)
+        own = isinstance(function, UserControlFunction)
         records["own"][k] = own
         for name, value in function._asdict().items():
             records[name][k] = value[0] if name == "table" else value
@@ -66,7 +66,7 @@ def control_function_records(*functions: ControlFunction | OwnControlFunction) -
 
 
 def control_function_curve(
-    function: ControlFunction | OwnControlFunction, z: Array
+    function: ControlFunction | UserControlFunction, z: Array
 ) -> tuple[Array, Array]:
     """Sample μ and μ' at z (K,), m², for figures and checks."""
     out = np.empty((2, len(z)))
@@ -81,7 +81,7 @@ def _write_curve(function: Records, z: Array, out: Array) -> None:
         out[0, k], out[1, k] = mu(function[0], z[k])
 
 
-def make_own(function: Function) -> OwnControlFunction:
+def make_own(function: Function) -> UserControlFunction:
     """Tabulate a user's own μ(z), z in m², and check (C1) and (C2) numerically.
 
     No finite number of values can prove either. At the end of the table μ must fall as a power of z
@@ -121,7 +121,7 @@ def make_own(function: Function) -> OwnControlFunction:
     table["slopes"][0, -1] = min(max(exponent, -1.0), -0.5)
     w = np.linspace(0.0, log(1.0 + Z_MAX / Z0), 100_001)
     bound = np.sqrt(Z0 * np.expm1(w)) * np.exp(sample_table(table, w)[0])
-    return OwnControlFunction(float(bound.max()), table)
+    return UserControlFunction(float(bound.max()), table)
 
 
 def example_1(nu1: float, nu2: float, m: float) -> ControlFunction:

@@ -65,10 +65,8 @@ LAW = np.dtype(
         ("acceleration_source", "i8"),  # of q̈_g: leader_filter.NOTHING, BROADCAST or TURN
         ("acceleration_blend", "f8", 3),  # NED, share of a new message in the average of BROADCAST
         ("difference_blend", "f8", 2),  # share of a new difference in the averages of ṡ_g and γ̇_g
-        (
-            "angular_acceleration_source",
-            "i8",
-        ),  # of ω̇_g: NOTHING, as the paper, ROLL_RATE, DIFFERENCE
+        # of ω̇_g: NOTHING, as the paper, ROLL_RATE, DIFFERENCE
+        ("angular_acceleration_source", "i8"),
         ("turn_rate_blend", "f8"),  # share of a new difference in the average of ω̇_g
         ("leader_timeout_s", "f8"),  # since the last message of the leader was received
         ("neighbour_timeout_s", "f8"),
@@ -85,10 +83,8 @@ NEIGHBOUR = np.dtype(
         ("offset", "f8", 3),  # υ, m: forward, right, down in the leader's velocity frame
         ("gain", "f8", 3),  # β_i of the leader, β_ij of a neighbour, per axis of NED
         ("used", "?"),  # its messages are used
-        (
-            "excluded",
-            "?",
-        ),  # it has failed, or the follower has left the formation: treated as timed out
+        # it has failed, or the follower has left the formation: treated as timed out
+        ("excluded", "?"),
         ("timeout_s", "f8"),  # s since receipt, after which a message is not used
         ("held_position", "f8", 3),  # m, in the leader's velocity frame; nan: none
         ("held_time_s", "f8"),  # of the message that it came from; nan: none

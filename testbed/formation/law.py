@@ -75,5 +75,5 @@ class Law(Protocol):
         own: VehicleState,
         inbox: Inbox,
         memory: Any,  # noqa: ANN401
-    ) -> tuple[UnicycleCommand | FbwaCommand, Any]:
+    ) -> tuple[UnicycleCommand | FbwaCommand[Array], Any]:
         """Compute a control step at the time `now` (s); return command (n) and memory."""

@@ -27,7 +27,7 @@ Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Straight:
+class StraightPath:
     """A straight line at constant speed, with vertical speed `climb`."""
 
     position_ned: Point  # m
@@ -42,7 +42,7 @@ class Straight:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Circle:
+class CirclePath:
     """A circle at constant speed; with vertical speed `climb`, a helix."""
 
     position_ned: Point  # m, on the circle
@@ -60,7 +60,7 @@ class Circle:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FigureEight:
+class FigureEightPath:
     """A level figure-eight at constant speed, whose course is a cosine of time.
 
     It begins at its crossing.
@@ -121,7 +121,7 @@ class SinusoidalPath:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SpeedChange:
+class SpeedChangePath:
     """A level straight line at the speed `speed` + amplitude sin 2π t/period."""
 
     position_ned: Point  # m
@@ -142,7 +142,7 @@ class SpeedChange:
             )
 
 
-Curve = Straight | Circle | FigureEight | SinusoidalPath | SpeedChange
+Curve = StraightPath | CirclePath | FigureEightPath | SinusoidalPath | SpeedChangePath
 
 
 def _max_lateral_acceleration() -> float:
@@ -204,7 +204,7 @@ class VelocityFrameRates(NamedTuple):
 def derivatives(curve: Curve, time: Array) -> Derivatives:
     """Compute position, velocity, acceleration and jerk of a path at times (T,) s."""
     time = np.asarray(time, dtype=np.float64)
-    climb = curve.climb if isinstance(curve, Straight | Circle) else 0.0
+    climb = curve.climb if isinstance(curve, StraightPath | CirclePath) else 0.0
     turn = complex(math.cos(curve.course), math.sin(curve.course))
     north, east, down = curve.position_ned
     still = np.zeros_like(time)
@@ -278,15 +278,15 @@ Complex = NDArray[Any]
 def _horizontal(curve: Curve, time: Array) -> tuple[Complex, Complex, Complex, Complex]:
     """Compute ahead + i right of the start, and three derivatives, (T,)."""
     zero = np.zeros(time.shape, dtype=np.complex128)
-    if isinstance(curve, Straight):
+    if isinstance(curve, StraightPath):
         level = math.sqrt(curve.speed**2 - curve.climb**2)
         return level * time + zero, level + zero, zero, zero
-    if isinstance(curve, Circle):
+    if isinstance(curve, CirclePath):
         level = math.sqrt(curve.speed**2 - curve.climb**2)
         turning = 1j * math.copysign(level / curve.radius, 1.0 if curve.clockwise else -1.0)
         velocity = level * np.exp(turning * time)
         return (velocity - level) / turning, velocity, turning * velocity, turning**2 * velocity
-    if isinstance(curve, FigureEight):
+    if isinstance(curve, FigureEightPath):
         return _figure_eight(curve, time)
     pulse = 2.0 * math.pi / curve.period
     cosine, sine = np.cos(pulse * time), np.sin(pulse * time)
@@ -307,7 +307,7 @@ def _horizontal(curve: Curve, time: Array) -> tuple[Complex, Complex, Complex, C
     )
 
 
-def _figure_eight(curve: FigureEight, time: Array) -> tuple[Complex, Complex, Complex, Complex]:
+def _figure_eight(curve: FigureEightPath, time: Array) -> tuple[Complex, Complex, Complex, Complex]:
     """Integrate e^(i z (1 − cos θ)) term by term of its Fourier series.
 
     e^(−i z cos θ) = J0(z) + 2 Σ (−i)^k J_k(z) cos kθ (Jacobi and Anger; Abramowitz and Stegun

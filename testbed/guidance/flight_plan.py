@@ -31,7 +31,7 @@ class WaypointLeg:
 
 
 @dataclass(frozen=True, slots=True)
-class Level:
+class LoiterLevel:
     """Altitude of a circle, m above the origin, and number of turns.
 
     Turns count from the start of its climb.
@@ -50,12 +50,12 @@ class LoiterLeg:
 
     centre: tuple[float, float]  # north, east, m
     radius: float  # m
-    levels: tuple[Level, ...]
+    levels: tuple[LoiterLevel, ...]
     clockwise: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Mission:
+class GuidanceMission:
     """Legs of a mission, with speed, limits and L1 parameters. SI units, radians."""
 
     legs: tuple[WaypointLeg | LoiterLeg, ...]
@@ -86,7 +86,7 @@ class Segment(NamedTuple):
 class FlightPlan(NamedTuple):
     """A mission with one segment for every lap, waypoint and level; never empty."""
 
-    mission: Mission
+    mission: GuidanceMission
     segments: tuple[Segment, ...]
     repeat_from: int  # the segment after the last one
 
@@ -109,7 +109,7 @@ def circle(start: Point, leg: LoiterLeg) -> list[Segment]:
     return segments
 
 
-def make_plan(mission: Mission, start: Point) -> FlightPlan:
+def make_plan(mission: GuidanceMission, start: Point) -> FlightPlan:
     """Expand a mission from `start`, and check that each leg can be flown.
 
     Raises:
@@ -120,7 +120,9 @@ def make_plan(mission: Mission, start: Point) -> FlightPlan:
     return plan
 
 
-def expand_laps(mission: Mission, start: Point, repeat_leg: int | None = None) -> FlightPlan:
+def expand_laps(
+    mission: GuidanceMission, start: Point, repeat_leg: int | None = None
+) -> FlightPlan:
     """Expand a mission from `start`; legs may be too short or too steep.
 
     Args:
@@ -208,7 +210,7 @@ def with_turn(segment: Segment, following: Segment) -> Segment:
     return segment._replace(turn=math.remainder(outbound - inbound, 2.0 * math.pi))
 
 
-def _check_limits(mission: Mission) -> None:
+def _check_limits(mission: GuidanceMission) -> None:
     if not mission.legs:
         raise InputError("legs: a mission needs at least one leg, of kind waypoints or loiter")
     for name in ("airspeed", "climb_limit", "waypoint_radius", "period", "damping"):
@@ -231,7 +233,7 @@ def _check_waypoints(leg: WaypointLeg, where: str, *, last: bool) -> None:
         )
 
 
-def _check_loiter(leg: LoiterLeg, where: str, mission: Mission) -> None:
+def _check_loiter(leg: LoiterLeg, where: str, mission: GuidanceMission) -> None:
     if not leg.levels:
         raise InputError(f"{where}.levels: needs at least one {{altitude_m, turns}}")
     for number, level in enumerate(leg.levels):
@@ -246,7 +248,7 @@ def _check_loiter(leg: LoiterLeg, where: str, mission: Mission) -> None:
         )
 
 
-def _check_segments(mission: Mission, segments: Sequence[Segment]) -> None:
+def _check_segments(mission: GuidanceMission, segments: Sequence[Segment]) -> None:
     before = 0.0  # m, shortest length of the turn onto the segment
     for segment in segments:
         if segment.circle:

@@ -14,7 +14,7 @@ import numpy as np
 
 from testbed.core.compile import entry, kernel
 from testbed.core.frames import GRAVITY, gamma_of
-from testbed.core.records import Record, Records, Values, Vector, allocate
+from testbed.core.records import Array, Record, Records, Values, Vector, allocate
 from testbed.guidance import l1
 from testbed.guidance.altitude_airspeed_hold import (
     GAINS,
@@ -24,9 +24,9 @@ from testbed.guidance.altitude_airspeed_hold import (
     hold,
     path_angle,
 )
-from testbed.guidance.flight_plan import LEVEL_OFF, FlightPlan, Mission, climb_profile
+from testbed.guidance.flight_plan import LEVEL_OFF, FlightPlan, GuidanceMission, climb_profile
 
-FLIGHT_PARAMS = tuple(each.name for each in fields(Mission) if each.name != "legs")
+FLIGHT_PARAMS = tuple(each.name for each in fields(GuidanceMission) if each.name != "legs")
 # One segment of a flight plan; see `flight_plan.Segment`.
 SEGMENT = np.dtype(
     [
@@ -89,7 +89,7 @@ def begin_flight(plan: FlightPlan, held: Hold, *, dt: float, gains: Mapping[str,
     return own
 
 
-def set_flight_params(own: Records, mission: Mission) -> None:
+def set_flight_params(own: Records, mission: GuidanceMission) -> None:
     """Set airspeed, limits and L1 parameters to those of a mission.
 
     Its legs are not read.
@@ -125,8 +125,10 @@ def guide(row: int, aircraft: Records, segments: Record, state: Record) -> None:
 
 
 @entry
-def guide_unicycle(row: int, aircraft: Records, segments: Record, state: Record) -> Values:
-    """Guide the ideal vehicle in a row; return u (m/s) and ω (rad/s).
+def guide_unicycle(
+    row: int, aircraft: Records, segments: Record, state: Record, speed_mps: Array, omega: Array
+) -> None:
+    """Guide the ideal vehicle in a row: write its u (1,) m/s and ω (3,) rad/s.
 
     The mission's airspeed is commanded as ground speed. ω is (0, γ̇, σ̇ cos γ) in the zero-roll
     velocity frame; its last component is the lateral acceleration divided by the speed, at most
@@ -146,7 +148,8 @@ def guide_unicycle(row: int, aircraft: Records, segments: Record, state: Record)
     turn_rate = min(max(acceleration, -limit), limit) / speed
     command.pitch = gamma_of(north, east, down)
     command.roll, command.throttle = own.euler[0], 0.0
-    return params.airspeed, (0.0, gamma_dot, turn_rate)
+    speed_mps[0] = params.airspeed
+    omega[0], omega[1], omega[2] = 0.0, gamma_dot, turn_rate
 
 
 @kernel

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from testbed.core.csv_table import Table, read_table
+from testbed.core.csv_table import CsvTable, read_table
 from testbed.core.errors import InputError
 from testbed.core.frames import euler_rates, wrap_pi
 from testbed.core.records import Array
@@ -22,7 +22,7 @@ MAX_GAP_S = 1.0  # between two rows, for cubic interpolation
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class RecordedFlight:
     """A recorded flight: M rows at increasing times (s), SI units, NED, yaw unwrapped."""
 
     time: Array  # (M,)
@@ -48,7 +48,7 @@ class SampledTrajectory:
     throttle: Array  # (T,) 0..1
 
 
-def read_recording(path: Path) -> Recording:
+def read_recording(path: Path) -> RecordedFlight:
     """Read a recording with the columns `COLUMNS` in any order; other columns are ignored.
 
     Time stamps that are rounded values of an even grid are replaced by the grid: a stamp rounded to
@@ -63,7 +63,7 @@ def read_recording(path: Path) -> Recording:
         raise InputError(f"{path}: {len(data)} rows of numbers; a flight needs at least two")
     table.check_time_steps(data[:, 0], MAX_GAP_S, "cut here")
     _check_motion(table, data)
-    return Recording(
+    return RecordedFlight(
         time=_even_times(data[:, 0], table.column("t_s")),
         position_ned=data[:, 1:4].copy(),
         velocity_ned=data[:, 4:7].copy(),
@@ -75,7 +75,7 @@ def read_recording(path: Path) -> Recording:
     )
 
 
-def _check_motion(table: Table, data: Array) -> None:
+def _check_motion(table: CsvTable, data: Array) -> None:
     """Check that the rows are of one flight and in these units: positions go where velocities lead.
 
     Raises:
@@ -101,7 +101,7 @@ def _check_motion(table: Table, data: Array) -> None:
         )
 
 
-def sample_recording(recording: Recording, time: Array) -> SampledTrajectory:
+def sample_recording(recording: RecordedFlight, time: Array) -> SampledTrajectory:
     """Sample a recording at simulation times (T,) s; time 0 is its first row.
 
     Position, velocity and angles are cubic Hermite curves through the rows: position with the

@@ -131,7 +131,13 @@ def _reading(path: Path) -> Iterator[Any]:
         try:
             with parquet.ParquetFile(stream, page_checksum_verification=True) as file:
                 yield file
-        except (arrow.ArrowException, OSError, ValueError, MemoryError, OverflowError) as error:
+        except MemoryError as error:  # also of a size that a damaged page claims
+            reason = str(error) or "an allocation failed"
+            raise InputError(
+                f"{path}: not enough memory to read it: {reason} (end other programs, or write the "
+                "file again, which may be damaged)"
+            ) from error
+        except (arrow.ArrowException, OSError, ValueError, OverflowError) as error:
             reason = " ".join(str(error).split())[:_MAX_REASON]
             raise InputError(f"{path}: is not a Parquet file: {reason}") from error
 

@@ -12,7 +12,7 @@ import hashlib
 import json
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -40,7 +40,7 @@ def record_files(folder: Path, *names: str) -> None:
     from then on.
     """
     with suppress(OSError, InputError):
-        found = [each for name in names for each in _names_below(folder / name)]
+        found = [each for name in names for each in _names_below(folder, name)]
         lines = [_describe(folder, each) for each in found]
         if lines:
             if os.path.lexists(folder / RECORD_NAME) and not _is_own(folder, RECORD_NAME, {}):
@@ -83,6 +83,56 @@ def check_default_output(path: Path, remedy: str) -> Path:
     return path
 
 
+def check_folder_output(folder: Path, names: Iterable[str], option: str) -> None:
+    """Check that a command may write files into a folder that an option names.
+
+    Args:
+        folder: new, empty, or with files.
+        names: of the files.
+        option: with its value, as the error begins.
+
+    Raises:
+        InputError: one of the files exists and is not as the testbed wrote it.
+    """
+    base, prefix = _record_place(folder)
+    record = _read_record(base)
+    for name in names:
+        path = folder / name
+        if os.path.lexists(path) and not _is_own(base, prefix + name, record):
+            raise InputError(
+                f"{option}: {path} exists, and is not as the testbed wrote it; move it, or name "
+                "another folder"
+            )
+
+
+def record_folder_output(folder: Path, names: Iterable[str]) -> None:
+    """Record files that a command wrote into a folder that an option names."""
+    base, prefix = _record_place(folder)
+    record_files(base, *(prefix + name for name in names))
+
+
+def _record_place(folder: Path) -> tuple[Path, str]:
+    """Return the folder of the record of another one's files, and the prefix of their names.
+
+    A folder in a run directory has no record of its own: `prune` deletes it with the run.
+    """
+    folder = folder.resolve()
+    if os.path.isfile(folder.parent / RECORD_NAME) and not os.path.lexists(folder / RECORD_NAME):
+        return folder.parent, f"{folder.name}/"
+    return folder, ""
+
+
+def delete_tail(log: Path) -> None:
+    """Delete the tail of a log, which nothing reads once the log is finished.
+
+    A file of the user that has its name stays.
+    """
+    path = tail_path(log)
+    with suppress(OSError, InputError):
+        if stat.S_ISREG(path.lstat().st_mode) and _is_tail(path):
+            path.unlink()
+
+
 def foreign_files(folder: Path) -> tuple[str, ...]:
     """Return what is the user's in a folder: names relative to it, of empty folders with a /."""
     record = _read_record(folder)
@@ -119,11 +169,12 @@ def _entries(folder: Path, prefix: str = "") -> Iterator[str]:
         yield prefix
 
 
-def _names_below(path: Path) -> list[str]:
-    """Return the names of a file, or of all files in a folder, relative to its parent."""
+def _names_below(folder: Path, name: str) -> list[str]:
+    """Return the name of a file, or of all files in a folder, relative to the folder of both."""
+    path = folder / name
     if path.is_dir():
-        return [name for name in _entries(path.parent, f"{path.name}/") if name[-1] != "/"]
-    return [path.name] if path.exists() else []
+        return [each for each in _entries(folder, f"{name}/") if each[-1] != "/"]
+    return [name] if path.exists() else []
 
 
 def _describe(folder: Path, name: str) -> dict[str, Any]:
@@ -178,6 +229,15 @@ def _is_own(folder: Path, name: str, record: dict[str, dict[str, Any]]) -> bool:
     return False
 
 
+def _is_tail(path: Path) -> bool:
+    """Return whether a file is the tail of a log.
+
+    Raises:
+        LogError: it is no log.
+    """
+    return read(path).metadata.keys() == {TAIL_METADATA}
+
+
 def _is_proven(path: Path, name: str) -> bool:
     """Return whether the content of a file that is not recorded is the testbed's.
 
@@ -191,7 +251,7 @@ def _is_proven(path: Path, name: str) -> bool:
     if name == LOG_NAME:
         return has_own_header(path)
     if name == TAIL_NAME:
-        return read(path).metadata.keys() == {TAIL_METADATA}
+        return _is_tail(path)
     if name in (METRICS_NAME, SCENARIO_NAME) or ("/" not in name and name.endswith(".py")):
         data = read_bounded(path, _MAX_PROOF_BYTES)
         if name == METRICS_NAME:

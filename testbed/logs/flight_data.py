@@ -16,9 +16,12 @@ from numpy.typing import NDArray
 from testbed.core.errors import needs_extra
 from testbed.core.records import Array, BoolArray, Event, RunInfo
 from testbed.logs.messages import FIXED32, TOPICS
-from testbed.logs.read import Log, read_log
+from testbed.logs.read import RunLog, read_log
 from testbed.logs.run_directory import METRICS_NAME, SCENARIO_NAME, find_run
 from testbed.scenario.arguments import check_path
+
+if TYPE_CHECKING:  # the package loads compiled functions, which a reader of logs does not need
+    from testbed.metrics.model import Metrics
 
 if TYPE_CHECKING:
     import pandas
@@ -95,15 +98,16 @@ class FlightData:
     is (K, n, 3).
     """
 
-    log: Log
+    log: RunLog
 
     def __repr__(self) -> str:
         """Name the run and its size, with its RMS errors unless it was cut short."""
         kinds = ", ".join(dict.fromkeys(self.info.aircraft))
         line = f"FlightData of {self.info.scenario_name}: {self.log.size} ({kinds})"
-        metrics = self.metrics or {}
-        if "windows" not in metrics:
-            return f"<{line}; {metrics.get('outcome', 'cut short')}>"
+        metrics = self.metrics
+        if metrics is None or "windows" not in metrics:
+            outcome = metrics.get("outcome", "cut short") if metrics else "cut short"
+            return f"<{line}; {outcome}>"
         from testbed.metrics.tables import table_text
 
         return f"{line}\n{table_text(metrics)}"
@@ -139,7 +143,7 @@ class FlightData:
         return self.log.events
 
     @property
-    def metrics(self) -> Mapping[str, Any] | None:
+    def metrics(self) -> Metrics | None:
         """The content of metrics.json without wall-clock times; None if the run was cut short."""
         return self.log.metrics
 

@@ -6,45 +6,53 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from testbed.core.data_errors import MAX_WHOLE, describe_first
 from testbed.core.input_files import parse_json_map
-from testbed.core.records import Origin, RunInfo
-from testbed.core.shape import Each, ListOf, Number, check_shape
+from testbed.core.records import NedOrigin, RunInfo
 from testbed.core.start_time import MAX_START_NS
 from testbed.logs.messages import LOG_SCHEMA
 
 METADATA_NAME = "testbed"
 INFO_NAME = "run.json"  # attached: the RunInfo
 CODE_SUFFIX = ".py"  # of attached user code
-_NUMBER, _ANY_NUMBER = Number(), Number(finite=False)
-_RATE = Number(whole=True, least=1, most=100_000)
-_SHAPE: Mapping[str, Any] = {
-    "scenario_name": str,
-    "names": ListOf(str),
-    "aircraft": ListOf(str),
-    "wingspan_m": ListOf(_NUMBER),
-    "origin": {each.name: _NUMBER for each in dataclasses.fields(Origin)},
-    "base_rate_hz": _RATE,
-    "sample_rate_hz": _RATE,
-    "duration_s": Number(least=0.0),
-    "seed": Number(whole=True, least=0),
-    "speed_bounds_mps": ListOf(ListOf(_ANY_NUMBER, 2)),
-    "kappa_mps": ListOf(_ANY_NUMBER),
-    "roll_limit_rad": ListOf(_ANY_NUMBER),
-    "leader_path_ned": ListOf(ListOf(_ANY_NUMBER, 3)),
-    "windows": Each(ListOf(_NUMBER, 2)),
-    "versions": Each(str),
-    "bounded_in_ned": ListOf(_NUMBER, 3),
-    "barriers": ListOf(ListOf(_NUMBER, 2)),
-    "barrier_samples": ListOf(ListOf(_NUMBER)),
-    "estimated": bool,
-    "start_unix_ns": Number(whole=True, least=0, most=MAX_START_NS),
-    "integrators": Each(str),
-}
-_TUPLES = ("names", "aircraft", "wingspan_m", "kappa_mps", "roll_limit_rad", "bounded_in_ned")
+_ValueT = TypeVar("_ValueT")
+_Number = Annotated[float, Field(le=MAX_WHOLE, allow_inf_nan=False)]
+_Rate = Annotated[int, Field(ge=1, le=100_000)]
+_Pair = Annotated[tuple[_ValueT, ...], Field(min_length=2, max_length=2)]
+_Triple = Annotated[tuple[_ValueT, ...], Field(min_length=3, max_length=3)]
+
+
+class _Header(BaseModel):
+    """A RunInfo as JSON, without its directory and what has attachments of its own."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=True)
+
+    scenario_name: str
+    names: tuple[str, ...]
+    aircraft: tuple[str, ...]
+    wingspan_m: tuple[_Number, ...]
+    origin: NedOrigin
+    base_rate_hz: _Rate
+    sample_rate_hz: _Rate
+    duration_s: Annotated[_Number, Field(ge=0.0)]
+    seed: Annotated[int, Field(ge=0, le=MAX_WHOLE)]
+    speed_bounds_mps: tuple[_Pair[float], ...]
+    kappa_mps: tuple[float, ...]
+    roll_limit_rad: tuple[float, ...]
+    leader_path_ned: tuple[_Triple[float], ...]
+    windows: dict[str, _Pair[_Number]]
+    versions: dict[str, str]
+    bounded_in_ned: _Triple[_Number]
+    barriers: tuple[_Pair[_Number], ...]
+    barrier_samples: tuple[tuple[_Number, ...], ...]
+    estimated: bool
+    start_unix_ns: Annotated[int, Field(ge=0, le=MAX_START_NS)]
+    integrators: dict[str, str]
 
 
 def metadata(info: RunInfo) -> dict[str, str]:
@@ -82,39 +90,32 @@ def from_json(text: str, *, scenario_yaml: str, code: Mapping[str, bytes]) -> Ru
         ValueError: The text is not JSON, or a field is missing, unknown or of another type or size.
     """
     try:
-        early: dict[str, Any] = {"barrier_samples": [], "integrators": {}}  # early logs have none
-        values = early | parse_json_map(text)
-        _check(values)
+        parse_json_map(text)  # limits the depth
+        header = _Header.model_validate_json(text)
+        _check_sizes(header)
+    except ValidationError as error:
+        raise ValueError(f"{INFO_NAME}: {describe_first(error)}") from None
     except ValueError as error:
         raise ValueError(f"{INFO_NAME}: {error}") from None
-    values["origin"] = Origin(**values["origin"])
-    path = np.array(values["leader_path_ned"], dtype=np.float64)
-    values["leader_path_ned"] = path.reshape(-1, 3)
-    for name in ("speed_bounds_mps", "barriers", "barrier_samples"):
-        values[name] = tuple(map(tuple, values[name]))
-    values["windows"] = {name: tuple(span) for name, span in values["windows"].items()}
-    values |= {name: tuple(values[name]) for name in _TUPLES}
+    values = dict(header)
+    values["leader_path_ned"] = np.array(header.leader_path_ned, dtype=np.float64).reshape(-1, 3)
     return RunInfo(scenario_yaml=scenario_yaml, code=dict(code), **values)
 
 
-def _check(values: Mapping[str, Any]) -> None:
-    """Check the fields of a RunInfo.
+def _check_sizes(header: _Header) -> None:
+    """Check that names differ, and that there is a value for each.
 
     Raises:
-        ValueError: naming the first wrong one.
+        ValueError: naming the first wrong field.
     """
-    check_shape(values, _SHAPE)
-    unknown = values.keys() - _SHAPE.keys() | values["origin"].keys() - _SHAPE["origin"].keys()
-    if unknown:
-        raise ValueError(f"{min(unknown)[:60]}: is an unknown field")
-    names = values["names"]
+    names = header.names
     if not names or len(set(names)) < len(names):
         raise ValueError("names: is empty or has repeated names")
     n = len(names) - 1
     sizes = {"aircraft": n + 1, "wingspan_m": n + 1, "speed_bounds_mps": n, "kappa_mps": n}
     for name, size in (sizes | {"roll_limit_rad": n}).items():
-        if len(values[name]) != size:
-            raise ValueError(f"{name}: has {len(values[name])} elements, not {size}")
+        if len(getattr(header, name)) != size:
+            raise ValueError(f"{name}: has {len(getattr(header, name))} elements, not {size}")
     for name in ("barriers", "barrier_samples"):
-        if len(values[name]) not in (0, n):
-            raise ValueError(f"{name}: has {len(values[name])} elements, not {n}")
+        if len(getattr(header, name)) not in (0, n):
+            raise ValueError(f"{name}: has {len(getattr(header, name))} elements, not {n}")

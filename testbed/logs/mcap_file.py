@@ -28,12 +28,12 @@ from mcap.opcode import Opcode
 from mcap.records import McapRecord
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 
-from testbed.core.errors import InputError
+from testbed.core.errors import InputError, raise_memory_shortage
 from testbed.core.files import lock_file, unlock_file
 from testbed.core.input_files import MAX_LOG_BYTES, open_regular
 from testbed.core.records import Event
 from testbed.logs.foxglove_messages import LOG
-from testbed.logs.message_batch import Channel, Chunk, MessageBatch, Schema, chunk
+from testbed.logs.message_batch import Chunk, LogChannel, MessageBatch, Schema, chunk
 from testbed.logs.messages import Topic, aircraft_fields
 
 _NS = 10**9
@@ -61,8 +61,9 @@ _SUMMARY_GROUPS = (
     Opcode.ATTACHMENT_INDEX,
     Opcode.METADATA_INDEX,
 )
-# Metadata of the file beside an unfinished log: the size of the log that it continues.
-TAIL_NAME, _TAIL_AFTER = "testbed.tail", "log_bytes"
+# Metadata of the file beside an unfinished log: size and checksum of the log that it continues.
+TAIL_NAME = "testbed.tail"
+_PIECE_BYTES = 1 << 20  # read at once
 NO_SAMPLES = "was cut before its first sample: nothing was recorded"
 
 
@@ -103,19 +104,19 @@ class McapWriter:
         except OSError as error:
             raise LogError(f"{path}: cannot create the log: {error.strerror}") from error
         lock_file(self._file)
-        self._size = 0
+        self._size = self._crc = 0  # of the file
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="log")
         self._pending: Future[None] | None = None
         self._compressor = zstandard.ZstdCompressor(level=_ZSTD_LEVEL)
-        self._channels: list[Channel] = []  # registered ones
+        self._channels: list[LogChannel] = []  # registered ones
         self._schema_ids: dict[str, int] = {}  # by name
         self._span_ns = (2**63, 0)
         self._summary: dict[Opcode, list[bytes]] = {group: [] for group in _SUMMARY_GROUPS}
         self._write(_FILE_HEAD)
 
-    def channel(self, topic: str, schema: Schema) -> Channel:
+    def channel(self, topic: str, schema: Schema) -> LogChannel:
         """Make a channel for messages of this file."""
-        return Channel(topic, schema, self._register)
+        return LogChannel(topic, schema, self._register)
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write a metadata record."""
@@ -131,9 +132,9 @@ class McapWriter:
         index = records.AttachmentIndex(offset=offset, length=length, data_size=len(data), **head)
         self._summary[Opcode.ATTACHMENT_INDEX].append(_encode(index))
 
-    def continues(self, log_bytes: int) -> None:
-        """Mark this file as the tail of a log that has a size."""
-        self.metadata(TAIL_NAME, {_TAIL_AFTER: str(log_bytes)})
+    def continues(self, log: McapWriter) -> None:
+        """Mark this file as the tail of a log as it is, which `flush` has completed."""
+        self.metadata(TAIL_NAME, _tail_mark(log._size, log._crc))
 
     def write_chunk(self, batches: Sequence[MessageBatch]) -> None:
         """Hand over a chunk; it is in the file as soon as the thread has compressed it."""
@@ -147,11 +148,10 @@ class McapWriter:
                 self._pending = None
                 self._write_chunk(made)
 
-    def flush(self) -> int:
-        """Wait until all chunks are in the file; return its size in bytes."""
+    def flush(self) -> None:
+        """Wait until all chunks are in the file."""
         self._wait()
         self._check_path()
-        return self._size
 
     def close(self) -> None:
         """Write the summary, which makes the file seekable, and close it."""
@@ -164,7 +164,7 @@ class McapWriter:
         self._file.close()
         self._thread.shutdown()
 
-    def _register(self, channel: Channel) -> bytes:
+    def _register(self, channel: LogChannel) -> bytes:
         if channel.id:
             return b""
         self._channels.append(channel)
@@ -229,6 +229,7 @@ class McapWriter:
             self._file.close()
             raise LogError(f"{self.path}: cannot write the log: {error.strerror}") from error
         self._size += len(data)
+        self._crc = zlib.crc32(data, self._crc)
 
     def _check_path(self) -> None:
         """Refuse to go on if the path names no file, or another one."""
@@ -340,6 +341,7 @@ def read(path: Path) -> McapContents:
             else:
                 out.finished = True
         except Exception as error:
+            raise_memory_shortage(error)
             # a damaged byte can raise anything in the library; the end of a cut file is no damage
             if not (isinstance(error, EndOfFile) and offset == complete):
                 reason = repr(error)[:_MAX_REASON]
@@ -347,23 +349,42 @@ def read(path: Path) -> McapContents:
     if messages_left < 0:
         raise LogError(f"{path}: more messages than any log of {size:,} bytes has")
     if out.own_header and not out.finished:
-        _add_tail(out, tail_path(path), complete)
+        _add_tail(out, path, complete)
     return out
 
 
 def _add_tail(log: McapContents, path: Path, log_bytes: int) -> None:
-    """Add the messages of a tail, if it continues the log; it is written whole or not at all."""
-    if not path.is_file():
+    """Add the messages of a log's tail, if it continues these bytes of this log.
+
+    It is written whole or not at all. A log of the same scenario may have the same size.
+    """
+    tail_file = tail_path(path)
+    if not tail_file.is_file():
         return
     try:
-        tail = read(path)
+        tail = read(tail_file)
     except LogError:  # the log without it has all complete chunks
         return
-    if tail.finished and tail.metadata.get(TAIL_NAME) == {_TAIL_AFTER: str(log_bytes)}:
+    if tail.finished and tail.metadata.get(TAIL_NAME) == _tail_mark(
+        log_bytes, _checksum(path, log_bytes)
+    ):
         for topic, messages in tail.messages.items():
             known = log.messages.setdefault(topic, TopicMessages())
             known.time_ns += messages.time_ns
             known.data += messages.data
+
+
+def _tail_mark(log_bytes: int, log_crc: int) -> dict[str, str]:
+    return {"log_bytes": str(log_bytes), "log_crc": str(log_crc)}
+
+
+def _checksum(path: Path, size: int) -> int:
+    """Compute the CRC-32 of the first bytes of a file."""
+    crc = 0
+    with open_regular(path, MAX_LOG_BYTES, error=LogError) as file:
+        while size and (piece := file.read(min(size, _PIECE_BYTES))):
+            crc, size = zlib.crc32(piece, crc), size - len(piece)
+    return crc
 
 
 def has_own_header(path: Path) -> bool:
@@ -396,6 +417,7 @@ def read_attachments(path: Path) -> dict[str, bytes]:
                     stream = ReadDataStream(io.BytesIO(file.read(length)))
                     found = records.Attachment.read(stream)
                 except Exception as error:  # a damaged byte can raise anything in the library
+                    raise_memory_shortage(error)
                     raise LogError(f"{path}: damaged: {repr(error)[:_MAX_REASON]}") from error
                 out[found.name] = found.data
             file.seek(end)

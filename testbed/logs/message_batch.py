@@ -42,7 +42,7 @@ class Schema:
 
 
 @dataclass(slots=True)
-class Channel:
+class LogChannel:
     """The messages of one topic.
 
     Args:
@@ -52,7 +52,7 @@ class Channel:
 
     topic: str
     schema: Schema
-    register: Callable[[Channel], bytes]
+    register: Callable[[LogChannel], bytes]
     id: int = 0  # in the file; 0: nothing was written yet
     message_count: int = 0
 
@@ -69,7 +69,7 @@ class MessageBatch:
         order: (R,) by which the rows of several batches are sorted into a chunk.
     """
 
-    channels: Sequence[Channel]
+    channels: Sequence[LogChannel]
     rows: Sequence[Any]
     starts: IntArray
     time_ns: IntArray
@@ -77,7 +77,10 @@ class MessageBatch:
 
 
 def message_batch(
-    channels: Sequence[Channel], data: Sequence[Sequence[bytes]], time_ns: IntArray, order: IntArray
+    channels: Sequence[LogChannel],
+    data: Sequence[Sequence[bytes]],
+    time_ns: IntArray,
+    order: IntArray,
 ) -> MessageBatch:
     """Make a batch from encoded messages of any length.
 
@@ -109,7 +112,7 @@ class MessageRows:
             one group have always been written together, so their sequence numbers are equal.
     """
 
-    def __init__(self, groups: Sequence[tuple[bytes, Sequence[Channel]]]) -> None:
+    def __init__(self, groups: Sequence[tuple[bytes, Sequence[LogChannel]]]) -> None:
         """See the class."""
         self._groups = [(channels, _HEAD.itemsize + len(data)) for data, channels in groups]
         self._channels = [channel for channels, _ in self._groups for channel in channels]
@@ -152,11 +155,11 @@ class MessageRows:
         return out
 
 
-def _register(channels: Sequence[Channel]) -> list[bytes]:
+def _register(channels: Sequence[LogChannel]) -> list[bytes]:
     return [channel.register(channel) for channel in channels]
 
 
-def _sequence(channels: Sequence[Channel], rows: int) -> IntArray:
+def _sequence(channels: Sequence[LogChannel], rows: int) -> IntArray:
     """Count `rows` messages on each channel and return their sequence numbers (rows, 1)."""
     first = channels[0].message_count + 1
     for channel in channels:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 from testbed.core.identifiers import identifiers
 
-LOG_SCHEMA = 5  # raised when a topic or field is renamed, removed or changes its meaning
+LOG_SCHEMA = 6  # raised when a topic or field is renamed, removed, required or of another meaning
 
 DOUBLE, FIXED32, BOOL = "double", "fixed32", "bool"  # protobuf types
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
@@ -34,6 +34,9 @@ from testbed.logs.proto_template import IntArray, topic_template
 from testbed.logs.run_directory import METRICS_NAME, SCENARIO_NAME
 from testbed.scenario import Scenario, loads
 
+if TYPE_CHECKING:  # the package loads compiled functions, which a reader of logs does not need
+    from testbed.metrics.model import Metrics
+
 _NS = 10**9
 # Values of all samples: this number, and more for each byte of messages. Logs have 1 per byte.
 _MIN_VALUES, _MAX_VALUES_PER_BYTE = 10_000_000, 8
@@ -49,7 +52,7 @@ _RecordT = TypeVar("_RecordT")
 
 
 @dataclass(frozen=True, slots=True)
-class Log:
+class RunLog:
     """A log that was read: records of a `Sample` with K leading samples."""
 
     info: RunInfo
@@ -59,13 +62,13 @@ class Log:
     truth: VehicleState  # (K, N, ...)
     estimate: VehicleState  # (K, N, ...) `truth` itself if all estimates are exact
     air: AirData  # (K, N, ...)
-    command: FbwaCommand  # (K, N)
+    command: FbwaCommand[Array]  # (K, N)
     surfaces: ActuatorCommand  # (K, N)
     formation: FormationState  # (K, n, ...)
     links: LinkCounters  # (K, n, N) zero in samples before the log counts messages
     lost: BoolArray  # (K, N)
     events: tuple[Event, ...]
-    metrics: Mapping[str, Any] | None  # None: missing or empty, the run was cut short
+    metrics: Metrics | None  # None: missing or empty, the run was cut short
     finished: bool  # False: the writer did not close the file
     lost_bytes: int  # of an incomplete record at the end
 
@@ -84,7 +87,7 @@ class Log:
         return f"{self.time_s.size} samples{last}, of {join_names(self.info.names)}"
 
 
-def read_log(path: Path) -> Log:
+def read_log(path: Path) -> RunLog:
     """Read a log; of one that was cut short, everything up to the cut.
 
     Raises:
@@ -106,8 +109,9 @@ def read_log(path: Path) -> Log:
     truth = _record(VehicleState, "truth", columns)
     estimate = _record(VehicleState, "estimate", columns)
     exact = all(one is other for one, other in zip(estimate, truth, strict=True))
-    metrics = contents.attachments.get(METRICS_NAME)
-    return Log(
+    attached = contents.attachments.get(METRICS_NAME)
+    metrics = _json(path, METRICS_NAME, attached) if attached else None
+    return RunLog(
         info=info,
         metadata=contents.metadata.get(METADATA_NAME, {}),
         tick=tick,
@@ -121,13 +125,13 @@ def read_log(path: Path) -> Log:
         links=_record(LinkCounters, "links", columns),
         lost=columns["lost"],
         events=_events(path, contents, info.start_unix_ns),
-        metrics=(metrics and _json(path, METRICS_NAME, metrics)) or None,
+        metrics=cast("Metrics | None", metrics or None),  # not checked: see metrics.check
         finished=contents.finished,
         lost_bytes=contents.lost_bytes,
     )
 
 
-def samples(log: Log) -> Iterator[Sample]:
+def samples(log: RunLog) -> Iterator[Sample]:
     """Iterate over the samples of a log, as observers of the run saw them.
 
     An event comes with the first sample at or after its time; events after the last sample are
@@ -157,7 +161,7 @@ def samples(log: Log) -> Iterator[Sample]:
         )
 
 
-def select_window(log: Log, begin_s: float, end_s: float) -> Log:
+def select_window(log: RunLog, begin_s: float, end_s: float) -> RunLog:
     """Select the samples and events of a log from `begin_s` to `end_s`, both included.
 
     Raises:
@@ -182,7 +186,7 @@ def select_window(log: Log, begin_s: float, end_s: float) -> Log:
     )
 
 
-def replay(log: Log, observers: Sequence[Observer]) -> list[Event]:
+def replay(log: RunLog, observers: Sequence[Observer]) -> list[Event]:
     """Show a log to observers, without `end`; return the events after its last sample."""
     for observer in observers:
         observer.begin(log.info)
@@ -194,7 +198,7 @@ def replay(log: Log, observers: Sequence[Observer]) -> list[Event]:
     return sorted(log.events, key=lambda event: event.time_s)[shown:]
 
 
-def scenario_of(log: Log) -> Scenario | None:
+def scenario_of(log: RunLog) -> Scenario | None:
     """Load the scenario as flown; None if this version does not accept it."""
     try:
         return loads(log.info.scenario_yaml, check_files=False)

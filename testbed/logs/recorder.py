@@ -22,7 +22,7 @@ from testbed.logs.foxglove_messages import FIX, LOG, TRANSFORMS, encode_event
 from testbed.logs.header import INFO_NAME, METADATA_NAME, metadata, to_json
 from testbed.logs.mcap_file import LogError, McapWriter, tail_path, topic_schema
 from testbed.logs.message_batch import (
-    Channel,
+    LogChannel,
     MessageBatch,
     MessageRows,
     Schema,
@@ -78,6 +78,7 @@ class McapRecorder:
     """
 
     zero_copy = True  # copies what it needs
+    takes_blocks = "log"
 
     def __init__(
         self, path: Path, additions: Iterable[Addition] = (), *, live: bool = True
@@ -86,9 +87,10 @@ class McapRecorder:
         self.path, self._live = path, live
         self._additions = iter(additions)
         self._next_addition = next(self._additions, None)
-        self._added: dict[str, Channel] = {}  # by topic
+        self._added: dict[str, LogChannel] = {}  # by topic
         self._file: McapWriter | None = None
         self._process = os.getpid()
+        self._samples: SampleBuffer | None = None
         self._lock = threading.RLock()  # of everything below
         self._closed = threading.Event()
         self._writer_error: Exception | None = None  # raised in the thread
@@ -103,8 +105,8 @@ class McapRecorder:
             file.attachment(name, "text/x-python", code)
         file.attachment(INFO_NAME, "application/json", to_json(info).encode())
         self._encoder = _SampleEncoder(file, info)
-        self._chunk_samples = chunk_samples(len(info.names))
-        self._samples = SampleBuffer(self._chunk_samples)
+        if self._samples is None:
+            self.share(len(info.names))
         self._events: list[tuple[int, Event]] = []  # with the sample they follow in the chunk
         self._tail: tuple[int, int] = (0, 0)  # number of samples and events in it
         self._flushed = time.monotonic()
@@ -112,16 +114,40 @@ class McapRecorder:
         if self._live:
             threading.Thread(target=self._flush_loop, name="log-clock", daemon=True).start()
 
-    def observe(self, sample: Sample) -> None:
-        """Copy a sample; write the chunk when it is full, and the tail when that is old."""
-        self._check_process()
+    def share(self, aircraft: int) -> SampleBuffer:
+        """See `BlockObserver`."""
+        self._samples = SampleBuffer(chunk_samples(aircraft), aircraft)
+        return self._samples
+
+    def add_events(self, events: Sequence[Event]) -> None:
+        """See `BlockObserver`."""
+        self.check_process()
         with self._lock:
             self._raise_writer_error()
-            self._samples.append(sample)
-            count = len(self._samples.tick)
-            if sample.events:
-                self._events.extend((count - 1, event) for event in sample.events)
-            if count == self._chunk_samples:
+            number = len(self._buffer) - 1
+            self._events.extend((number, event) for event in events)
+
+    def take_block(self) -> None:
+        """Write the samples of the buffer as a chunk, and empty it."""
+        self.check_process()
+        with self._lock:
+            self._raise_writer_error()
+            self._flush()
+
+    @property
+    def _buffer(self) -> SampleBuffer:
+        assert self._samples is not None, "there is a buffer from `share` or `begin` on"
+        return self._samples
+
+    def observe(self, sample: Sample) -> None:
+        """Copy a sample; write the chunk when it is full, and the tail when that is old."""
+        self.check_process()
+        with self._lock:
+            self._raise_writer_error()
+            buffer = self._buffer
+            buffer.append(sample)
+            self._events.extend((len(buffer) - 1, event) for event in sample.events)
+            if len(buffer) == buffer.capacity:
                 self._flush()
             elif self._live and time.monotonic() - self._flushed > FLUSH_S:
                 self._write_tail()
@@ -132,13 +158,13 @@ class McapRecorder:
         The metrics are attached without wall-clock times, which differ from run to run. Without
         metrics, after an error before the flight, nothing is attached: the run counts as cut.
         """
-        self._check_process()
+        self.check_process()
         with self._lock:
             self._raise_writer_error()
             file = self._file
             if file is None:
                 return
-            self._events.extend((len(self._samples.tick) - 1, event) for event in events)
+            self._events.extend((len(self._buffer) - 1, event) for event in events)
             self._flush()
             if summary:
                 file.attachment(METRICS_NAME, "application/json", timeless_json(summary).encode())
@@ -146,7 +172,7 @@ class McapRecorder:
 
     def close(self) -> None:
         """Finish the file, without metrics if `end` was not called. Harmless when repeated."""
-        self._check_process()
+        self.check_process()
         with self._lock:
             self._closed.set()
             self._raise_writer_error()
@@ -175,7 +201,7 @@ class McapRecorder:
                     self._writer_error = error  # raised by the next call of a method
                     return
 
-    def _check_process(self) -> None:
+    def check_process(self) -> None:
         """Refuse a forked child: it shares the position in the file, and lacks the threads.
 
         Before any lock, which a thread of the parent may have held when it was forked.
@@ -196,20 +222,20 @@ class McapRecorder:
         if (file := self._file) is not None:
             with self._closed_by_errors():
                 file.write_chunk([*self._encode(file, self._encoder), *self._additional(file)])
-            self._samples.clear()
+            self._buffer.clear()
             self._events = []
         self._tail, self._flushed = (0, 0), time.monotonic()
 
     def _write_tail(self) -> None:
         """Write the samples and events since the last chunk to the tail."""
-        file, size = self._file, (len(self._samples.tick), len(self._events))
+        file, size = self._file, (len(self._buffer), len(self._events))
         if file is not None and size != self._tail:
             with self._closed_by_errors():
-                log_bytes = file.flush()
+                file.flush()
                 try:
                     with replacement(tail_path(self.path)) as path:
                         tail = McapWriter(path)
-                        tail.continues(log_bytes)
+                        tail.continues(file)
                         encoder = _SampleEncoder(tail, self._info, after=self._encoder)
                         tail.write_chunk([*self._encode(tail, encoder)])
                         tail.close()
@@ -229,10 +255,11 @@ class McapRecorder:
 
     def _encode(self, file: McapWriter, encoder: _SampleEncoder) -> Iterator[MessageBatch]:
         """Encode the samples and events since the last chunk, for a file."""
-        if self._samples.tick:
-            columns = self._samples.columns()
-            topics = _changed_topics(columns, estimates_differ=bool(self._samples.inexact))
-            yield from encoder.encode(np.array(self._samples.tick), columns, topics)
+        samples = self._buffer
+        if len(samples):
+            columns = samples.columns()
+            topics = _changed_topics(columns, estimates_differ=bool(samples.inexact.any()))
+            yield from encoder.encode(samples.ticks, columns, topics)
         if self._events:
             order, events = zip(*self._events, strict=True)
             start_ns = self._info.start_unix_ns
@@ -242,7 +269,7 @@ class McapRecorder:
 
     def _additional(self, file: McapWriter) -> Iterator[MessageBatch]:
         """Take the additions up to the last tick, one batch per topic."""
-        ticks = np.array(self._samples.tick, dtype=np.int64)
+        ticks = self._buffer.ticks
         found: dict[str, list[Addition]] = {}
         if not ticks.size:
             return
@@ -282,7 +309,7 @@ class _SampleEncoder:
         self._fix_channels = [file.channel(f"/{name}/fix", FIX) for name in names]
         self._fixes = GnssFixes(names)
         self._fix_stride = max(1, round(info.sample_rate_hz / FIX_HZ))
-        self._topics: dict[Topic, tuple[ProtoTemplate, list[Channel]]] = {}
+        self._topics: dict[Topic, tuple[ProtoTemplate, list[LogChannel]]] = {}
         for topic in TOPICS:
             agents = names[1:] if topic.followers_only else names
             if agents:

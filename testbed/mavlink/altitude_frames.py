@@ -5,7 +5,7 @@ The ground is flat, at home's height: an altitude above terrain is one above hom
 
 from __future__ import annotations
 
-from testbed.core.records import Origin
+from testbed.core.records import NedOrigin
 
 MISSION_FRAME = 2  # of items without a position
 SEA_LEVEL, ABOVE_HOME, ABOVE_TERRAIN = (0, 5), (3, 6), (10, 11)  # each also with _INT
@@ -13,7 +13,7 @@ POSITION_FRAMES = (*SEA_LEVEL, *ABOVE_HOME, *ABOVE_TERRAIN)
 TERRAIN_NOTE = "altitudes above terrain count above home: the ground is flat"
 
 
-def altitude_above_home(frame: int, altitude: float, origin: Origin) -> float | None:
+def altitude_above_home(frame: int, altitude: float, origin: NedOrigin) -> float | None:
     """Convert an altitude, m, in a frame to one above home; None: not a frame of positions."""
     if frame not in POSITION_FRAMES:
         return None

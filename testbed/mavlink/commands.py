@@ -22,12 +22,12 @@ from testbed.mavlink.missions import Position, check_position
 from testbed.mavlink.outgoing import Fields, Handler, OutgoingMessage, sender_of
 from testbed.mavlink.telemetry_messages import MessageSchedule, build_message, message_names
 from testbed.mavlink.vehicle_context import VehicleContext
-from testbed.mavlink.vehicle_control import Mode, Rejection
+from testbed.mavlink.vehicle_control import FlightMode, Rejection
 
 _FORCE = 21196.0  # param2 of MAV_CMD_COMPONENT_ARM_DISARM
 _CUSTOM = 1  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 _E7 = 1e7
-_MODES = frozenset(map(float, Mode))
+_MODES = frozenset(map(float, FlightMode))
 _RTL = 11.0  # ArduPlane's mode
 
 
@@ -126,14 +126,14 @@ class CommandProtocol:
         return self._change_mode(request.params[0], request.params[1], request.wall_s)
 
     def _change_mode(self, base: float, custom: float, wall_s: float) -> CommandReply:
-        modes = ", ".join(f"{mode.value} {mode.name}" for mode in Mode)
+        modes = ", ".join(f"{mode.value} {mode.name}" for mode in FlightMode)
         if not math.isfinite(base) or not int(base) & _CUSTOM:
             return self._denied(f"custom mode: {modes}", wall_s)
         if custom == _RTL:
             return self._denied(_unsupported("RTL").text, wall_s)
         if custom not in _MODES:
             return self._denied(f"no mode {custom:.0f}: {modes}", wall_s)
-        return self._reply(self._context.control.set_mode(Mode(int(custom))), wall_s)
+        return self._reply(self._context.control.set_mode(FlightMode(int(custom))), wall_s)
 
     def _reposition(self, request: CommandRequest) -> CommandReply:
         if request.frame is None:
@@ -147,11 +147,11 @@ class CommandProtocol:
         if check_position(position) is not None or math.isinf(radius):
             return self._denied("Fly there: give latitude, longitude, altitude", request.wall_s)
         control = self._context.control
-        if control.mode is not Mode.GUIDED:
+        if control.mode is not FlightMode.GUIDED:
             if not math.isfinite(flags) or not int(flags) & 1:
                 text = "Fly there: set the flag that changes to GUIDED"
                 return self._denied(text, request.wall_s)
-            rejection = control.set_mode(Mode.GUIDED)
+            rejection = control.set_mode(FlightMode.GUIDED)
             if rejection is not None:
                 return self._reply(rejection, request.wall_s)
         height = altitude_above_home(request.frame, altitude, self._context.origin)
@@ -181,7 +181,7 @@ class CommandProtocol:
             text = "Mission: first must be an item, last the last one"
             return self._denied(text, request.wall_s)
         control = self._context.control
-        rejection = control.set_mode(Mode.AUTO)
+        rejection = control.set_mode(FlightMode.AUTO)
         if rejection is None and first > 0.0:
             rejection = control.set_current_item(int(first))
         return self._reply(rejection, request.wall_s)
@@ -196,7 +196,7 @@ class CommandProtocol:
 
     def _loiter(self, request: CommandRequest) -> CommandReply:
         """Circle the current position, as the command has none."""
-        return self._reply(self._context.control.set_mode(Mode.LOITER), request.wall_s)
+        return self._reply(self._context.control.set_mode(FlightMode.LOITER), request.wall_s)
 
     def _set_interval(self, request: CommandRequest) -> CommandReply:
         name, interval_us = message_names().get(_id(request.params[0])), request.params[1]

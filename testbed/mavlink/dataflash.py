@@ -9,9 +9,10 @@ Messages of type 128, FMT, define length, name and fields of the other types
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter, defaultdict
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -80,16 +81,18 @@ _Offsets = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class DataflashTable:
     """The M messages of one name, with the requested fields, in file order.
 
     Attributes:
         numbers: (M,) each, in units instead of hundredths, and degrees for L.
         texts: M each, without padding.
+        offsets: (M,) of the messages in the file, bytes.
     """
 
     numbers: Mapping[str, Array]
     texts: Mapping[str, tuple[str, ...]]
+    offsets: _Offsets
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,14 +105,15 @@ class Contents:
         skipped: bytes outside of messages: noise, damaged or undefined messages, and the message
             before each of these, whose end cannot be verified.
         cut: bytes of an incomplete last message.
-        types: name and fields of each type.
+        types: name and fields of each type, with the divisors of raw values; None: of a text or
+            an array.
     """
 
-    tables: Mapping[str, Table]
+    tables: Mapping[str, DataflashTable]
     unreadable: tuple[str, ...]
     skipped: int
     cut: int
-    types: Mapping[int, tuple[str, tuple[str, ...]]]
+    types: Mapping[int, tuple[str, tuple[tuple[str, float | None], ...]]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,11 +160,14 @@ def read_messages(data: bytes, wanted: Mapping[str, Collection[str]]) -> Content
                 where = starts[types == number]
                 tables[name] = _table(octets, where, definitions[number], labels)
     skipped = len(data) - int(np.sum(lengths * counts)) - cut
-    names = {
-        number: (definition.name, tuple(label for label, _, _ in definition.fields or ()))
+    types_read = {
+        number: (
+            definition.name,
+            tuple((label, _CODES[code][1]) for label, _, code in definition.fields or ()),
+        )
         for number, definition in definitions.items()
     }
-    return Contents(tables, tuple(unreadable), skipped, cut, names)
+    return Contents(tables, tuple(unreadable), skipped, cut, types_read)
 
 
 def _headers(octets: NDArray[np.uint8]) -> _Offsets:
@@ -259,7 +266,7 @@ def _interpretations(length: int, name: bytes, form: bytes, labels: bytes) -> li
 
 def _table(
     octets: NDArray[np.uint8], where: _Offsets, definition: _Definition, labels: Collection[str]
-) -> Table:
+) -> DataflashTable:
     fields = {
         label: (offset, *_CODES[code])
         for label, offset, code in definition.fields or ()
@@ -284,7 +291,7 @@ def _table(
         else:
             with np.errstate(invalid="ignore"):  # damage may make a signalling NaN
                 numbers[label] = rows[label].astype(np.float64) / divisor
-    return Table(numbers, texts)
+    return DataflashTable(numbers, texts, where)
 
 
 def _gather(octets: NDArray[np.uint8], where: _Offsets, layout: np.dtype[Any]) -> NDArray[Any]:
@@ -326,6 +333,7 @@ _FIELDS_BY_MESSAGE: Mapping[str, tuple[tuple[str, ...], str | None]] = {
 }
 # Units of the fields by UNIT and FMTU; others, and unknown ones, are not checked.
 _UNITS: Mapping[tuple[str, str], tuple[str, ...]] = {
+    **dict.fromkeys([(name, "TimeUS") for name in (*_FIELDS_BY_MESSAGE, "MODE")], ("s",)),
     **dict.fromkeys(
         [("ATT", name) for name in ("DesRoll", "Roll", "DesPitch", "Pitch", "Yaw")],
         ("deg", "degheading"),
@@ -333,12 +341,21 @@ _UNITS: Mapping[tuple[str, str], tuple[str, ...]] = {
     **dict.fromkeys([("IMU", name) for name in ("GyrX", "GyrY", "GyrZ")], ("rad/s",)),
     **dict.fromkeys([("ARSP", "Airspeed"), ("CTUN", "As")], ("m/s",)),
     **dict.fromkeys([("CTUN", "ThO"), ("AETR", "Thr")], ("%",)),
+    **dict.fromkeys([("RCOU", name) for name in _OUTPUTS], ("us",)),
     **dict.fromkeys(
         [("POS", "Alt"), ("POS", "RelHomeAlt"), ("GPS", "Alt"), ("BARO", "Alt")], ("m",)
     ),
     **dict.fromkeys([("GPS", "VZ"), ("BARO", "CRt"), ("XKF1", "VD")], ("m/s",)),
     **dict.fromkeys([("AOA", "AOA"), ("AOA", "SSA")], ("deg",)),
 }
+_READ = {
+    (name, label)
+    for name, fields in {**{n: f for n, (f, _) in _FIELDS_BY_MESSAGE.items()}, "MODE": ()}.items()
+    for label in ("TimeUS", *fields)
+}
+_NO_MULTIPLIER = "-?"  # ids of FMTU: there is none, or it is not known
+_US = 1e-6  # s, of TimeUS
+_SAME_MULTIPLIER = 1e-6  # relative; logs have them in single precision
 _SEA_LEVEL = (field_source("POS", "Alt"), field_source("GPS", "Alt"))
 
 
@@ -400,8 +417,9 @@ def read_log(path: Path) -> FlightLog:
         "MSG": ("Message",),
         "VER": ("BU", "FWS"),
         "XKF4": ("PI",),
-        "FMTU": ("FmtType", "UnitIds"),
+        "FMTU": ("FmtType", "UnitIds", "MultIds"),
         "UNIT": ("Id", "Label"),
+        "MULT": ("Id", "Mult"),
     }
     contents = read_messages(data, requested)
     found = contents.tables
@@ -412,13 +430,14 @@ def read_log(path: Path) -> FlightLog:
     tables: dict[str, MessageTable] = {}
     left_out: dict[str, int] = {}
     instances: list[str] = []
+    attitude: DataflashTable | None = None
     for name, (_, sensor) in _FIELDS_BY_MESSAGE.items():
         if name in found and "TimeUS" in found[name].numbers:
             rows = found[name]
             if sensor is not None and sensor in rows.numbers:  # older logs do not number them
                 rows, note = _one_instance(name, rows, sensor, core)
                 instances.extend(note)
-            time = 1e-6 * rows.numbers["TimeUS"]
+            time = _US * rows.numbers["TimeUS"]
             keep = increasing(time)
             left_out[name] = len(time) - int(np.count_nonzero(keep))
             if name == _ATTITUDE:
@@ -427,18 +446,23 @@ def read_log(path: Path) -> FlightLog:
             if keep.any():
                 fields = {label: values[keep] for label, values in rows.numbers.items()}
                 tables[name] = MessageTable(time[keep], fields)
+                if name == _ATTITUDE:
+                    attitude = DataflashTable(fields, {}, rows.offsets[keep])
     end = max((float(table.time[-1]) for table in tables.values()), default=0.0)
     notes = _notes(contents)
+    modes: tuple[ModeInterval, ...] = ()
+    if "MODE" in found:
+        modes, left_out["MODE"] = _mode_intervals(found["MODE"], attitude, end)
     return FlightLog(
         path=path,
         tables=tables,
         params=params,
-        modes=_mode_intervals(found["MODE"], end) if "MODE" in found else (),
+        modes=modes,
         notes=(
             *([] if plane else [UNKNOWN_VEHICLE]),
             *notes,
             *instances,
-            *order_notes(left_out),
+            *order_notes(left_out, "MODE"),
         ),
         attitude=_ATTITUDE,
         columns=COLUMNS,
@@ -477,8 +501,8 @@ def _check_one_clock(path: Path, time: Array) -> None:
 
 
 def _one_instance(
-    name: str, table: Table, sensor: str, core: int | None
-) -> tuple[Table, tuple[str, ...]]:
+    name: str, table: DataflashTable, sensor: str, core: int | None
+) -> tuple[DataflashTable, tuple[str, ...]]:
     """Take the messages of one sensor or core, and say which others there are."""
     numbers = table.numbers[sensor]
     counts = Counter(numbers[np.isfinite(numbers)].astype(int).tolist())
@@ -486,40 +510,67 @@ def _one_instance(
     usual = [number for number, count in counts.items() if count >= _MIN_COUNT * len(numbers)]
     chosen = core if sensor == _CORE and core in usual else min(usual or counts)
     mine = numbers == chosen
-    taken = Table({label: values[mine] for label, values in table.numbers.items()}, {})
+    fields = {label: values[mine] for label, values in table.numbers.items()}
+    taken = DataflashTable(fields, {}, table.offsets[mine])
     others = ", ".join(f"{counts[n]} of {n}" for n in sorted(counts) if n != chosen)
     note = f"{name}: number {chosen} is used; left out: {others}"
     return taken, (note,) if others else ()
 
 
-def _flying_core(found: Mapping[str, Table]) -> int | None:
+def _flying_core(found: Mapping[str, DataflashTable]) -> int | None:
     """Return the EKF core that was the primary one for most of the log."""
     cores = found["XKF4"].numbers.get("PI") if "XKF4" in found else None
-    if cores is None or not len(cores):
+    if cores is None or not np.isfinite(cores).any():
         return None
+    cores = cores[np.isfinite(cores)]
     return int(Counter(cores.tolist()).most_common(1)[0][0])
 
 
-def _params(table: Table) -> dict[str, float]:
+def _params(table: DataflashTable) -> dict[str, float]:
     names, values = table.texts.get("Name", ()), table.numbers.get("Value", np.empty(0))
     return dict(zip(names, values.tolist(), strict=False))
 
 
-def _mode_intervals(table: Table, log_end: float) -> tuple[ModeInterval, ...]:
+def _mode_intervals(
+    table: DataflashTable, attitude: DataflashTable | None, log_end: float
+) -> tuple[tuple[ModeInterval, ...], int]:
+    """Find the intervals in each mode, and count the messages without a credible time.
+
+    The time of a message must be that of the attitudes before and after it in the file, within
+    1 s, and not before that of an earlier mode. After a message without it the mode is unknown
+    until the next one.
+
+    Args:
+        table: MODE.
+        attitude: ATT in order of time, as used.
+        log_end: latest time, s.
+    """
     numbers = table.numbers
     modes = numbers.get("ModeNum", numbers.get("Mode"))
     if modes is None or "TimeUS" not in numbers:
-        return ()
-    valid = np.isfinite(modes) & np.isfinite(numbers["TimeUS"])
-    starts = (1e-6 * numbers["TimeUS"][valid]).tolist()
-    ends = [*starts, log_end][1:]
-    return tuple(
-        ModeInterval(int(mode), start, end)
-        for mode, start, end in zip(modes[valid].tolist(), starts, ends, strict=True)
+        return (), 0
+    start = _US * numbers["TimeUS"]
+    time = np.empty(0) if attitude is None else _US * attitude.numbers["TimeUS"]
+    next_one = (
+        np.zeros(len(start), dtype=np.intp)
+        if attitude is None
+        else np.searchsorted(attitude.offsets, table.offsets)
     )
+    before, after = np.append(-np.inf, time)[next_one], np.append(time, log_end)[next_one]
+    valid = np.isfinite(modes) & (start >= before - _RESTART) & (start <= after + _RESTART)
+    valid &= start >= np.maximum.accumulate(np.where(valid, start, -np.inf))
+    begins = np.maximum.accumulate(np.where(valid, start, before))
+    ends = np.append(begins[1:], log_end)
+    intervals = zip(
+        modes[valid].tolist(), begins[valid].tolist(), ends[valid].tolist(), strict=True
+    )
+    left_out = len(valid) - int(np.count_nonzero(valid))
+    return tuple(ModeInterval(int(mode), begin, end) for mode, begin, end in intervals), left_out
 
 
-def _check_vehicle(path: Path, found: Mapping[str, Table], params: Mapping[str, float]) -> bool:
+def _check_vehicle(
+    path: Path, found: Mapping[str, DataflashTable], params: Mapping[str, float]
+) -> bool:
     """Check whether the log says that it is of ArduPlane; other modes have other numbers.
 
     Raises:
@@ -547,29 +598,52 @@ def _check_vehicle(path: Path, found: Mapping[str, Table], params: Mapping[str, 
 
 
 def _check_units(path: Path, contents: Contents) -> None:
-    """Check the units that the log declares.
+    """Check the units and multipliers that the log declares.
+
+    A multiplier is that of raw values: 0.01 for a field in hundredths.
 
     Raises:
-        MavlinkError: a field that is read has another unit.
+        MavlinkError: a field that is read has another unit or multiplier.
     """
-    found = contents.tables
-    if "FMTU" not in found or "UNIT" not in found:
+    declared = contents.tables.get("FMTU")
+    if declared is None or "FmtType" not in declared.numbers:
         return
-    ids, labels = found["UNIT"].numbers.get("Id"), found["UNIT"].texts.get("Label")
-    types, units = found["FMTU"].numbers.get("FmtType"), found["FMTU"].texts.get("UnitIds")
-    if ids is None or labels is None or types is None or units is None:
-        return
-    names = {chr(int(number)): label for number, label in zip(ids, labels, strict=True)}
-    for number, text in zip(types.tolist(), units, strict=True):
-        name, fields = contents.types.get(int(number), ("", ()))
-        for label, unit in zip(fields, text, strict=False):
-            known = _UNITS.get((name, label))
-            declared = names.get(unit, "")
-            if known and declared not in ("", "UNKNOWN", *known):
+    labels = _by_id(contents.tables.get("UNIT"), "Label")
+    multipliers = _by_id(contents.tables.get("MULT"), "Mult")
+    numbers = declared.numbers["FmtType"].tolist()
+    none = ("",) * len(numbers)
+    ids = (declared.texts.get(each, none) for each in ("UnitIds", "MultIds"))
+    for number, units, factors in zip(numbers, *ids, strict=True):
+        name, fields = contents.types.get(number, ("", ()))
+        for k, (label, divisor) in enumerate(fields):
+            known, unit = _UNITS.get((name, label)), labels.get(units[k : k + 1], "")
+            if known and unit not in ("", "UNKNOWN", *known):
                 raise MavlinkError(
-                    f"{path}: {name}.{label} is in {declared}; give a log of ArduPlane, which has "
-                    f"it in {known[0]}"
+                    f"{path}: {name}.{label} is in {unit}; give a log of ArduPlane, which has it "
+                    f"in {known[0]}"
                 )
+            factor = factors[k : k + 1]
+            given = multipliers.get(factor, 0.0)
+            if (name, label) not in _READ or divisor is None or factor in _NO_MULTIPLIER:
+                continue
+            assumed = (_US if label == "TimeUS" else 1.0) / divisor
+            if 0.0 < given < math.inf and not math.isclose(
+                given, assumed, rel_tol=_SAME_MULTIPLIER
+            ):
+                raise MavlinkError(
+                    f"{path}: {name}.{label} has the multiplier {given:g}; give a log of "
+                    f"ArduPlane, in which it is {assumed:g}"
+                )
+
+
+def _by_id(table: DataflashTable | None, field: str) -> dict[str, Any]:
+    """Return the values of a field by the character that is their id."""
+    if table is None or "Id" not in table.numbers:
+        return {}
+    values: Sequence[Any] = table.texts.get(field) or table.numbers.get(field, np.empty(0)).tolist()
+    pairs = zip(table.numbers["Id"].tolist(), values, strict=False)
+    # damage may make an id negative
+    return {chr(int(number) % 256): value for number, value in pairs if math.isfinite(number)}
 
 
 def _notes(contents: Contents) -> tuple[str, ...]:

@@ -18,8 +18,8 @@ from testbed.mavlink.flight_log import (
     MODES,
     RAD_PER_DEG,
     FlightLog,
+    LogSeries,
     MessageTable,
-    Series,
     first_available,
     longest_gap,
     mode_name,
@@ -131,7 +131,7 @@ def _read_log(path: Path, system: int | None) -> FlightLog:
     )
 
 
-def _read_columns(log: FlightLog) -> tuple[dict[str, Series], dict[str, str]]:
+def _read_columns(log: FlightLog) -> tuple[dict[str, LogSeries], dict[str, str]]:
     """Read all columns, and explain the missing ones.
 
     Raises:
@@ -140,7 +140,7 @@ def _read_columns(log: FlightLog) -> tuple[dict[str, Series], dict[str, str]]:
     series, missing = {}, {}
     for name, sources in log.columns.items():
         found = first_available(log, sources)
-        if isinstance(found, Series):
+        if isinstance(found, LogSeries):
             series[name] = found
         elif name in REQUIRED:
             raise MavlinkError(f"{log.path}: {found}, so no {name}; {log.remedy}")
@@ -154,7 +154,7 @@ def _flight_numbers(log: FlightLog, time: Array) -> NDArray[np.int64]:
     return np.searchsorted(log.clock_starts, time, side="right")
 
 
-def _of_same_flight(log: FlightLog, series: Series, time: Array) -> Series | None:
+def _of_same_flight(log: FlightLog, series: LogSeries, time: Array) -> LogSeries | None:
     """Take the values of the flight that has these times; None: there are none."""
     same = _flight_numbers(log, series.time) == _flight_numbers(log, time[:1])
     if not same.any():
@@ -168,7 +168,7 @@ def _longest_interval(
     begin: float,
     end: float,
     mode: str,
-    series: Mapping[str, Series],
+    series: Mapping[str, LogSeries],
 ) -> tuple[Array, tuple[str, ...]]:
     """Find the times of the longest interval with commands, and a note on others."""
     number = None if mode == ANY else _mode_number(mode)
@@ -227,8 +227,8 @@ def _modes(log: FlightLog, time: Array) -> tuple[str, ...]:
 
 
 def _restore_commands(
-    log: FlightLog, series: Mapping[str, Series]
-) -> tuple[dict[str, Series], bool]:
+    log: FlightLog, series: Mapping[str, LogSeries]
+) -> tuple[dict[str, LogSeries], bool]:
     """Restore commands from logged demands, which ArduPlane reduced and a replay reduces again.
 
     Roll was multiplied by the cosine of the pitch. A pitch below zero was multiplied by the cosine
@@ -275,7 +275,7 @@ def _pitch_down(log: FlightLog, throttle: Array) -> Array | None:
 
 
 def _notes(
-    log: FlightLog, series: Mapping[str, Series], time: Array, pitch_down: bool
+    log: FlightLog, series: Mapping[str, LogSeries], time: Array, pitch_down: bool
 ) -> tuple[str, ...]:
     notes = []
     for name, one in series.items():
@@ -316,7 +316,7 @@ def _notes(
             f"respond --sitl-rate {rate_hz:g}"
         )
     above_sea, above_home = (source(log) for source in log.home)
-    if isinstance(above_sea, Series) and isinstance(above_home, Series):
+    if isinstance(above_sea, LogSeries) and isinstance(above_home, LogSeries):
         height = resample(above_sea, time[:1])[0] - resample(above_home, time[:1])[0]
         notes.append(
             f"home is {height:.0f} m above sea level: respond --origin-elevation {height:.0f}"

@@ -55,7 +55,7 @@ class ModeInterval:
 
 
 @dataclass(frozen=True, slots=True)
-class Series:
+class LogSeries:
     """A column at the times of its messages."""
 
     source: str  # message and field
@@ -65,7 +65,7 @@ class Series:
 
 
 # A text is the reason for which the log does not have the column.
-ColumnSource = Callable[["FlightLog"], Series | str]
+ColumnSource = Callable[["FlightLog"], LogSeries | str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,10 +140,18 @@ def check_order(path: Path, attitude: str, kept: int, total: int) -> None:
         )
 
 
-def order_notes(left_out: Mapping[str, int]) -> tuple[str, ...]:
-    """Say how many messages of each name were left out because of their times."""
+def order_notes(left_out: Mapping[str, int], mode: str) -> tuple[str, ...]:
+    """Say how many messages of each name were left out because of their times.
+
+    Args:
+        left_out: counts by name.
+        mode: name of the message that has the flight mode.
+    """
     counts = ", ".join(f"{count} {name}" for name, count in left_out.items() if count)
-    return (f"left out, because their times step back or jump: {counts}",) if counts else ()
+    notes = [f"left out, because their times step back or jump: {counts}"] if counts else []
+    if left_out.get(mode):
+        notes.append(f"the flight mode is unknown from a {mode} that was left out to the next one")
+    return tuple(notes)
 
 
 def mode_name(mode: int) -> str:
@@ -156,7 +164,7 @@ def field_source(
 ) -> ColumnSource:
     """Make a source that reads one field, without messages in which it is not finite."""
 
-    def source(log: FlightLog) -> Series | str:
+    def source(log: FlightLog) -> LogSeries | str:
         table = log.tables.get(message)
         if table is None:
             return f"no {message}"
@@ -166,7 +174,7 @@ def field_source(
         valid = np.isfinite(values)
         if not valid.any():
             return f"{message}.{name} is never a finite number"
-        return Series(f"{message}.{name}", table.time[valid], scale * values[valid], held)
+        return LogSeries(f"{message}.{name}", table.time[valid], scale * values[valid], held)
 
     return source
 
@@ -182,12 +190,12 @@ def transformed_source(
         description: of the result, with {} for the other source.
     """
 
-    def transformed(log: FlightLog) -> Series | str:
+    def transformed(log: FlightLog) -> LogSeries | str:
         series = source(log)
         if isinstance(series, str):
             return series
         text = description.format(series.source)
-        return Series(text, series.time, function(series.values), series.held)
+        return LogSeries(text, series.time, function(series.values), series.held)
 
     return transformed
 
@@ -206,38 +214,38 @@ def true_airspeed_source(
             logged.
     """
 
-    def source(log: FlightLog) -> Series | str:
+    def source(log: FlightLog) -> LogSeries | str:
         series = equivalent(log)
         if isinstance(series, str):
             return series
         for ratio in ratios:
-            if isinstance(known := ratio(log), Series) and (known.values > 0.5).all():
+            if isinstance(known := ratio(log), LogSeries) and (known.values > 0.5).all():
                 factor, origin = np.interp(series.time, known.time, known.values), known.source
                 break
         else:
-            if isinstance(altitude := first_available(log, altitudes), Series):
+            if isinstance(altitude := first_available(log, altitudes), LogSeries):
                 height = np.interp(series.time, altitude.time, altitude.values)
                 factor = (1.0 - _ISA_PER_METRE * height) ** (-0.5 * _ISA_POWER)
                 origin = f"the standard atmosphere at {altitude.source}"
             else:
                 factor, origin = np.ones_like(series.time), "1, as no altitude is logged"
-        return Series(f"{series.source} × {origin}", series.time, series.values * factor)
+        return LogSeries(f"{series.source} × {origin}", series.time, series.values * factor)
 
     return source
 
 
-def first_available(log: FlightLog, sources: tuple[ColumnSource, ...]) -> Series | str:
+def first_available(log: FlightLog, sources: tuple[ColumnSource, ...]) -> LogSeries | str:
     """Read the first of these sources that the log has; if it has none, all reasons."""
     reasons = []
     for source in sources:
         found = source(log)
-        if isinstance(found, Series):
+        if isinstance(found, LogSeries):
             return found
         reasons.append(found)
     return ", ".join(dict.fromkeys(reasons))
 
 
-def resample(series: Series, time: Array) -> Array:
+def resample(series: LogSeries, time: Array) -> Array:
     """Sample a series at times (M,); outside its times its first and last values hold."""
     if series.held:
         latest = np.searchsorted(series.time, time, side="right") - 1
@@ -245,7 +253,7 @@ def resample(series: Series, time: Array) -> Array:
     return np.interp(time, series.time, series.values)
 
 
-def longest_gap(series: Series, time: Array) -> float:
+def longest_gap(series: LogSeries, time: Array) -> float:
     """Return the longest time, s, without a value of the series within `time`."""
     inside = series.time[(series.time > time[0]) & (series.time < time[-1])]
     before = series.time[series.time <= time[0]][-1:]

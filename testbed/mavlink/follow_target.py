@@ -16,7 +16,7 @@ from testbed.core.frames import (
     quaternion_xyzw,
 )
 from testbed.core.geodetic import geodetic_from_ned, longitude_e7, ned_from_geodetic
-from testbed.core.records import Array, BoolArray, Broadcast, Origin
+from testbed.core.records import Array, BoolArray, Broadcast, NedOrigin
 
 Frames = NDArray[np.uint8]
 IntArray = NDArray[np.int64]
@@ -97,7 +97,7 @@ def checksum(frames: Frames) -> NDArray[np.uint16]:
 class FollowTarget:
     """Convert broadcasts to frames, and frames to broadcasts."""
 
-    def __init__(self, origin: Origin) -> None:
+    def __init__(self, origin: NedOrigin) -> None:
         """Use this origin of the NED positions in broadcasts; frames have geodetic positions."""
         self._origin = origin
 

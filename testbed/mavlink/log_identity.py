@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.core.frames import wrap_pi
 from testbed.core.geodetic import ned_from_geodetic
-from testbed.core.records import Array, Origin
+from testbed.core.records import Array, NedOrigin
 from testbed.mavlink.codec import MavlinkError
 
 # The name and version of a firmware, and the hash of its sources: ArduPlane V4.5.7 (0358a9c2).
@@ -81,7 +81,7 @@ def jumps_of_position(time: Array, geodetic: Array, velocity_ned: Array) -> bool
     order = np.argsort(time, kind="stable")
     time, geodetic, velocity_ned = time[order], geodetic[order], velocity_ned[order]
     latitude, longitude, height = geodetic[0].tolist()
-    position = ned_from_geodetic(geodetic, Origin(latitude, longitude, height))
+    position = ned_from_geodetic(geodetic, NedOrigin(latitude, longitude, height))
     mean_velocity = 0.5 * (velocity_ned[1:] + velocity_ned[:-1])
     change = np.diff(position, axis=0) - mean_velocity * np.diff(time)[:, None]
     return _jumps(time, change, _POSITION_STEP, _POSITION_RATE)

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from testbed.core.frames import euler_from_quaternion
+from testbed.core.records import FbwaCommand
 from testbed.mavlink.codec import Message
 from testbed.mavlink.outgoing import Handler, OutgoingMessage
 from testbed.mavlink.rc_channels import PITCH, ROLL, THROTTLE, PwmRange, RcScaling
@@ -20,6 +21,8 @@ _NO_AXIS = 32767  # of MANUAL_CONTROL
 _NO_RATES, _NO_THROTTLE, _NO_ATTITUDE = 7, 64, 128  # ATTITUDE_TARGET_TYPEMASK
 _THRUST_VECTOR = 32
 _CRUISE = "TRIM_THROTTLE"  # %, throttle while its stick is released
+_STICKS = {"roll": ROLL, "pitch": PITCH, "throttle": THROTTLE}  # fields of a command, channels
+_RELEASED: FbwaCommand[float | None] = FbwaCommand(None, None, None)
 
 
 class ManualControl:
@@ -32,7 +35,7 @@ class ManualControl:
     def __init__(self, context: VehicleContext) -> None:
         """Start with all sticks released."""
         self._context = context
-        self._sticks: list[float | None] = [None, None, None]  # roll, pitch, throttle
+        self._sticks = _RELEASED
         self._latest_s = -math.inf
         self.handlers: Mapping[str, Handler] = {
             "RC_CHANNELS_OVERRIDE": self._override,
@@ -44,12 +47,12 @@ class ManualControl:
         """Take pulses in place of those of an RC receiver."""
         scaling = self._context.rc_scaling()
         self._release_stale()
-        for stick, channel in enumerate((ROLL, PITCH, THROTTLE)):
+        for stick, channel in _STICKS.items():
             pulse_us = int(message.number(f"chan{channel}_raw"))
             if pulse_us == _RELEASE:
-                self._sticks[stick] = None
+                self._move(stick, None)
             elif pulse_us != _IGNORE:
-                self._sticks[stick] = _stick_value(stick, pulse_us, scaling)
+                self._move(stick, _stick_value(stick, pulse_us, scaling))
         return self._send_command(wall_s)
 
     def _manual(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
@@ -60,15 +63,15 @@ class ManualControl:
         scaling = self._context.rc_scaling()
         self._release_stale()
         axes = (
-            ("y", scaling.roll, 1.0, (-1000.0, 1000.0)),
-            ("x", scaling.pitch, -1.0, (-1000.0, 1000.0)),
-            ("z", scaling.throttle, 1.0, (0.0, 1000.0)),
+            ("roll", "y", scaling.roll, 1.0, (-1000.0, 1000.0)),
+            ("pitch", "x", scaling.pitch, -1.0, (-1000.0, 1000.0)),
+            ("throttle", "z", scaling.throttle, 1.0, (0.0, 1000.0)),
         )
-        for stick, (axis, pwm_range, sign, ends) in enumerate(axes):
+        for stick, axis, pwm_range, sign, ends in axes:
             value = int(message.number(axis))
             if value != _NO_AXIS:
                 pulse_us = _pulse_of_axis(sign * value, ends, pwm_range)
-                self._sticks[stick] = _stick_value(stick, pulse_us, scaling)
+                self._move(stick, _stick_value(stick, pulse_us, scaling))
         return self._send_command(wall_s)
 
     def _attitude(self, message: Message, wall_s: float) -> list[OutgoingMessage]:
@@ -92,10 +95,14 @@ class ManualControl:
             angles = self._context.rc_scaling().limits.clamp(roll, pitch)
         self._release_stale()
         if angles is not None:
-            self._sticks[:2] = angles
+            roll, pitch = angles
+            self._sticks = self._sticks._replace(roll=roll, pitch=pitch)
         if not mask & _NO_THROTTLE:
-            self._sticks[2] = min(max(thrust, 0.0), 1.0)
+            self._sticks = self._sticks._replace(throttle=min(max(thrust, 0.0), 1.0))
         return self._send_command(wall_s, attitude=True, answers_s=self._answered_s(message))
+
+    def _move(self, stick: str, value: float | None) -> None:
+        self._sticks = self._sticks._replace(**{stick: value})
 
     def _answered_s(self, message: Message) -> float | None:
         """Return the time, s, of the sample that an attitude target answers.
@@ -110,19 +117,22 @@ class ManualControl:
         snapshot = self._context.snapshot
         now = 0.0 if snapshot is None else snapshot.sample.time_s
         if now - self._latest_s > HOLD_S:
-            self._sticks = [None, None, None]
+            self._sticks = _RELEASED
         self._latest_s = now
 
     def _send_command(
         self, wall_s: float, *, attitude: bool = False, answers_s: float | None = None
     ) -> list[OutgoingMessage]:
-        roll, pitch, throttle = self._sticks
-        if roll is None and pitch is None and throttle is None:
+        sticks = self._sticks
+        if sticks == _RELEASED:
             return []
+        throttle = sticks.throttle
         if throttle is None:
             throttle = self._context.parameters().get(_CRUISE, 0.0) / 100.0
         rejection = self._context.control.set_manual_command(
-            roll or 0.0, pitch or 0.0, throttle, attitude=attitude, answers_s=answers_s
+            FbwaCommand(pitch=sticks.pitch or 0.0, roll=sticks.roll or 0.0, throttle=throttle),
+            attitude=attitude,
+            answers_s=answers_s,
         )
         return [] if rejection is None else self._warn(rejection.text, wall_s)
 
@@ -130,10 +140,14 @@ class ManualControl:
         return self._context.texts.make_warning(text, wall_s)
 
 
-def _stick_value(stick: int, pulse_us: float, scaling: RcScaling) -> float:
-    """Convert a pulse of roll (0), pitch (1) or throttle (2)."""
-    convert = (scaling.roll_angle, scaling.pitch_angle, scaling.throttle_share)[stick]
-    return convert(pulse_us)
+def _stick_value(stick: str, pulse_us: float, scaling: RcScaling) -> float:
+    """Convert the pulse of a stick to its field of a command."""
+    convert = {
+        "roll": scaling.roll_angle,
+        "pitch": scaling.pitch_angle,
+        "throttle": scaling.throttle_share,
+    }
+    return convert[stick](pulse_us)
 
 
 def _pulse_of_axis(value: float, ends: tuple[float, float], pwm_range: PwmRange) -> float:

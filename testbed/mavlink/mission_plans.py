@@ -16,13 +16,13 @@ import numpy as np
 from testbed.core.errors import InputError
 from testbed.core.frames import GRAVITY
 from testbed.core.geodetic import geodetic_from_ned, ned_from_geodetic, origin_geodetic
-from testbed.core.records import Origin
+from testbed.core.records import NedOrigin
 from testbed.guidance.flight_plan import (
     MAX_SEGMENTS,
     FlightPlan,
-    Level,
+    GuidanceMission,
     LoiterLeg,
-    Mission,
+    LoiterLevel,
     Point,
     WaypointLeg,
     expand_laps,
@@ -57,7 +57,7 @@ _RADIUS_MARGIN = 1.25  # of a circle over the smallest, so that bank is left to 
 _SETTLING_TURNS = 0.5  # after a change of altitude
 
 
-def items_from_mission(mission: Mission, origin: Origin) -> tuple[MissionItem, ...]:
+def items_from_mission(mission: GuidanceMission, origin: NedOrigin) -> tuple[MissionItem, ...]:
     """Convert a scenario's mission to items; a circle of several levels becomes several items."""
     items = [home_item(origin)]
     last = len(mission.legs) - 1
@@ -86,12 +86,12 @@ def items_from_mission(mission: Mission, origin: Origin) -> tuple[MissionItem, .
     return tuple(items)
 
 
-def home_item(origin: Origin) -> MissionItem:
+def home_item(origin: NedOrigin) -> MissionItem:
     """Return item 0."""
     return MissionItem(WAYPOINT, SEA_LEVEL, (0.0, 0.0, 0.0, 0.0), *origin_geodetic(origin))
 
 
-def items_of_segments(mission: Mission) -> tuple[int, ...]:
+def items_of_segments(mission: GuidanceMission) -> tuple[int, ...]:
     """Return the item of `items_from_mission` of each segment of the mission's plan."""
     numbers: list[int] = []
     item, last = 1, len(mission.legs) - 1
@@ -109,7 +109,7 @@ def items_of_segments(mission: Mission) -> tuple[int, ...]:
 def _item(
     command: int,
     point: Point,
-    origin: Origin,
+    origin: NedOrigin,
     parameters: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
 ) -> MissionItem:
     north, east, altitude = point
@@ -181,9 +181,9 @@ class _ItemError(Exception):
 def plan_from_items(
     items: Sequence[MissionItem],
     start: Point,
-    params: Mission,
+    params: GuidanceMission,
     radius: float,
-    origin: Origin,
+    origin: NedOrigin,
     first: int = 1,
 ) -> ItemFlightPlan | Rejection:
     """Plan the flight of mission items from the aircraft's position.
@@ -258,7 +258,11 @@ class _ItemReader:
     """
 
     def __init__(
-        self, items: Sequence[MissionItem], params: Mission, radius: float, origin: Origin
+        self,
+        items: Sequence[MissionItem],
+        params: GuidanceMission,
+        radius: float,
+        origin: NedOrigin,
     ) -> None:
         """Start without an executed item."""
         self.items, self.reached = items, set[int]()
@@ -381,7 +385,7 @@ class _ItemReader:
             raise _ItemError(
                 number, f"write more than 0 and at most {_MAX_LAPS} turns, or their time in s"
             )
-        return replace(leg, levels=(Level(leg.levels[0].altitude, turns),)), False
+        return replace(leg, levels=(LoiterLevel(leg.levels[0].altitude, turns),)), False
 
     def _point(self, number: int, item: MissionItem, here: Point) -> Point:
         """Return north, east, altitude above the origin, m; 0, 0 degrees mean here."""
@@ -425,23 +429,23 @@ def _airspeed(number: int, item: MissionItem, airspeed: float) -> float:
     return speed if speed > 0.0 else airspeed
 
 
-def loiter(point: Point, radius: float, params: Mission, airspeed: float) -> LoiterLeg:
+def loiter(point: Point, radius: float, params: GuidanceMission, airspeed: float) -> LoiterLeg:
     """Return one turn about a point, widened to the smallest circle of the bank limit."""
     return LoiterLeg(
         centre=point[:2],
         radius=max(abs(radius), smallest_radius(params, airspeed)),
-        levels=(Level(point[2], 1.0),),
+        levels=(LoiterLevel(point[2], 1.0),),
         clockwise=radius >= 0.0,
     )
 
 
-def smallest_radius(params: Mission, airspeed: float) -> float:
+def smallest_radius(params: GuidanceMission, airspeed: float) -> float:
     """Return the radius of a circle at the bank limit, m: V²/(g tan φ)."""
     # slightly wider: rounding must not make the flight plan reject it
     return (1.0 + 1e-9) * airspeed**2 / (GRAVITY * math.tan(params.bank_limit))
 
 
-def loiter_radius(radius: float, params: Mission, airspeed: float) -> float:
+def loiter_radius(radius: float, params: GuidanceMission, airspeed: float) -> float:
     """Widen a signed radius, m, to leave some bank to steer with."""
     return math.copysign(
         max(abs(radius), _RADIUS_MARGIN * smallest_radius(params, airspeed)), radius

@@ -12,6 +12,8 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from testbed.core.records import FbwaCommand
+
 ROLL, PITCH, THROTTLE, YAW = 1, 2, 3, 4  # channels, by ArduPlane's RCMAP_ defaults
 MIN_US, TRIM_US, MAX_US = 1000.0, 1500.0, 2000.0  # default range of a channel
 
@@ -84,20 +86,14 @@ class RcScaling(NamedTuple):
         """Convert a pulse of the throttle channel to a throttle command, 0..1."""
         return self.throttle.unsigned_from_pwm(pulse)
 
-    def pulses(self, roll: float, pitch: float, throttle: float) -> tuple[float, float, float]:
-        """Convert a command to the pulses of roll, pitch and throttle, clamped to the limits.
-
-        Args:
-            roll: rad.
-            pitch: rad.
-            throttle: 0..1.
-        """
+    def pulses(self, command: FbwaCommand[float]) -> tuple[float, float, float]:
+        """Convert a command to the pulses of roll, pitch and throttle, clamped to the limits."""
         limits = self.limits
-        pitch_limit = limits.pitch_max if pitch > 0.0 else -limits.pitch_min
+        pitch_limit = limits.pitch_max if command.pitch > 0.0 else -limits.pitch_min
         return (
-            self.roll.pwm_from_signed(_share(roll, limits.roll)),
-            self.pitch.pwm_from_signed(_share(pitch, pitch_limit)),
-            self.throttle.pwm_from_unsigned(throttle),
+            self.roll.pwm_from_signed(_share(command.roll, limits.roll)),
+            self.pitch.pwm_from_signed(_share(command.pitch, pitch_limit)),
+            self.throttle.pwm_from_unsigned(command.throttle),
         )
 
 

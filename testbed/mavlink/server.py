@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from testbed.core.errors import InputError
-from testbed.core.records import Event, Origin, RunInfo, Sample
+from testbed.core.records import Event, NedOrigin, RunInfo, Sample
 from testbed.mavlink.codec import Codec, Message, decode, frame_length
 from testbed.mavlink.outgoing import OutgoingMessage
 from testbed.mavlink.signing import MessageSigner, Signing, signing_time
@@ -121,7 +121,7 @@ class MavlinkServer:
         self._codecs = [Codec(row + 1, COMPONENT, self._signer) for row in range(len(controls))]
         self._vehicles: list[MavlinkVehicle] = []
         self._names: Mapping[str, int] = {}
-        self._origin = Origin()
+        self._origin = NedOrigin()
         self._snapshot: TelemetrySnapshot | None = None
         self._now_s = 0.0
         self._clients: dict[tuple[int, int], float] = {}

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbed.mavlink.flight_log import ColumnSource, FlightLog, Series, field_source
+from testbed.mavlink.flight_log import ColumnSource, FlightLog, LogSeries, field_source
 
 _OUTPUTS = range(1, 17)
 _CENTRE, _HALF = 1500.0, 500.0  # µs
@@ -48,7 +48,7 @@ def output_source(message: str, name: FieldName, column: str) -> ColumnSource:
     """
     servo = SERVO_COLUMNS[column]
 
-    def source(log: FlightLog) -> Series | str:
+    def source(log: FlightLog) -> LogSeries | str:
         number = _output(log, servo)
         if number is None:
             return f"no output has SERVOn_FUNCTION {servo.function}"
@@ -57,7 +57,7 @@ def output_source(message: str, name: FieldName, column: str) -> ColumnSource:
             return pulses
         if log.params.get(f"SERVO{number}_REVERSED", servo.reversed) == servo.reversed:
             return pulses
-        return Series(f"3000 − {pulses.source}", pulses.time, _MIRROR - pulses.values, held=True)
+        return LogSeries(f"3000 − {pulses.source}", pulses.time, _MIRROR - pulses.values, held=True)
 
     return source
 
@@ -70,7 +70,7 @@ def demand_source(column: str) -> ColumnSource:
     servo = SERVO_COLUMNS[column]
     sign = -1.0 if servo.reversed else 1.0
 
-    def source(log: FlightLog) -> Series | str:
+    def source(log: FlightLog) -> LogSeries | str:
         series = field_source("AETR", servo.demand, held=True)(log)
         if isinstance(series, str):
             return series
@@ -79,7 +79,7 @@ def demand_source(column: str) -> ColumnSource:
         else:
             low, high = _servo_range(log, servo.output)
             values = _CENTRE + sign * 0.5 * (high - low) * series.values / _FULL
-        return Series(series.source, series.time, values, held=True)
+        return LogSeries(series.source, series.time, values, held=True)
 
     return source
 
@@ -91,7 +91,7 @@ def throttle_output_source(message: str, name: FieldName) -> ColumnSource:
     """
     servo = SERVO_COLUMNS["pwm_thr"]
 
-    def source(log: FlightLog) -> Series | str:
+    def source(log: FlightLog) -> LogSeries | str:
         number = _output(log, servo)
         if number is None:
             return f"no output has SERVOn_FUNCTION {servo.function}"
@@ -104,7 +104,7 @@ def throttle_output_source(message: str, name: FieldName) -> ColumnSource:
         share = (pulses.values - low) / (high - low)
         if log.params.get(f"SERVO{number}_REVERSED"):
             share = 1.0 - share
-        return Series(pulses.source, pulses.time, share, held=True)
+        return LogSeries(pulses.source, pulses.time, share, held=True)
 
     return source
 
@@ -112,14 +112,14 @@ def throttle_output_source(message: str, name: FieldName) -> ColumnSource:
 def throttle_stick_source(message: str, name: FieldName) -> ColumnSource:
     """Make a source of throttle, 0 to 1, from the pilot's stick."""
 
-    def source(log: FlightLog) -> Series | str:
+    def source(log: FlightLog) -> LogSeries | str:
         channel = int(log.params.get("RCMAP_THROTTLE", 3))
         pulses = _pulses(log, message, name(channel))
         if isinstance(pulses, str):
             return pulses
         low = log.params.get(f"RC{channel}_MIN", _MIN)
         high = log.params.get(f"RC{channel}_MAX", _MAX)
-        return Series(pulses.source, pulses.time, (pulses.values - low) / (high - low), True)
+        return LogSeries(pulses.source, pulses.time, (pulses.values - low) / (high - low), True)
 
     return source
 
@@ -138,7 +138,7 @@ def _servo_range(log: FlightLog, number: int) -> tuple[float, float]:
     return (low, high) if low < high else (_MIN, _MAX)
 
 
-def _pulses(log: FlightLog, message: str, name: str) -> Series | str:
+def _pulses(log: FlightLog, message: str, name: str) -> LogSeries | str:
     """Read pulses, µs, without the 0 of disabled and the 65535 of unused outputs."""
     series = field_source(message, name, held=True)(log)
     if isinstance(series, str):
@@ -146,4 +146,4 @@ def _pulses(log: FlightLog, message: str, name: str) -> Series | str:
     valid = (series.values > 0.0) & (series.values < 65535.0)
     if not valid.any():
         return f"{message}.{name} is never a pulse"
-    return Series(series.source, series.time[valid], series.values[valid], held=True)
+    return LogSeries(series.source, series.time[valid], series.values[valid], held=True)

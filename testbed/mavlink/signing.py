@@ -48,6 +48,22 @@ def read_key(path: Path) -> bytes:
     return hashlib.sha256(text.encode()).digest()
 
 
+def check_key(name: str, key: object) -> None:
+    """Check a secret key; no error shows it.
+
+    Args:
+        name: of the argument, as the error begins.
+        key: its value.
+
+    Raises:
+        InputError: it is not 32 bytes.
+    """
+    if not isinstance(key, bytes):
+        raise InputError(f"{name}: is a {type(key).__name__}; give 32 bytes, as of read_key")
+    if len(key) != 32:
+        raise InputError(f"{name}: {len(key)} bytes; give 32")
+
+
 def is_shared(path: Path) -> bool:
     """Return whether others than its owner may read or write a key file."""
     return bool(path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO))
@@ -77,8 +93,7 @@ class Signing:
         Raises:
             InputError: a value is out of range.
         """
-        if len(self.key) != 32:
-            raise InputError(f"signing key: {len(self.key)} bytes; give 32")
+        check_key("signing key", self.key)
         if not 0 <= self.link <= 255:
             raise InputError(f"signing link: {self.link}; give a number of 0 to 255")
         if not 0 <= self.time <= _MAX_TIME:

@@ -19,7 +19,7 @@ from testbed.mavlink.telemetry_snapshot import (
     to_integer,
 )
 from testbed.mavlink.vehicle_context import VehicleContext
-from testbed.mavlink.vehicle_control import Mode
+from testbed.mavlink.vehicle_control import FlightMode
 
 _E7 = 1e7  # of a degree
 _UNKNOWN = 65535
@@ -148,8 +148,7 @@ def servo_output_raw(context: VehicleContext, snapshot: TelemetrySnapshot) -> Fi
 
 def rc_channels(context: VehicleContext, snapshot: TelemetrySnapshot) -> Fields:
     """RC_CHANNELS: the stick pulses that correspond to the command, whatever its source."""
-    roll, pitch, throttle = snapshot.command[context.row]
-    pulses = context.rc_scaling().pulses(roll, pitch, throttle)
+    pulses = context.rc_scaling().pulses(snapshot.commands[context.row])
     fields: Fields = {f"chan{n}_raw": _UNKNOWN for n in range(_USED_CHANNELS + 1, _CHANNELS + 1)}
     fields |= {f"chan{n}_raw": to_integer(each, U16) for n, each in enumerate(pulses, 1)}
     return {
@@ -179,12 +178,12 @@ def nav_controller_output(context: VehicleContext, snapshot: TelemetrySnapshot) 
     are zero. Errors are desired minus actual; the cross-track error is positive to the left, as in
     ArduPlane.
     """
-    roll_command, pitch_command, _ = snapshot.command[context.row]
+    command = snapshot.commands[context.row]
     roll, pitch, _ = snapshot.euler[context.row]
-    nose_down_share = abs(math.cos(roll)) if pitch_command < 0.0 else 1.0
-    nav_pitch = math.degrees(pitch_command) * nose_down_share
+    nose_down_share = abs(math.cos(roll)) if command.pitch < 0.0 else 1.0
+    nav_pitch = math.degrees(command.pitch) * nose_down_share
     return {
-        "nav_roll": math.degrees(roll_command) * math.cos(pitch),
+        "nav_roll": math.degrees(command.roll) * math.cos(pitch),
         "nav_pitch": nav_pitch - _pitch_down_deg(context, snapshot),
         **_target_fields(context, snapshot),
     }
@@ -201,7 +200,7 @@ def _target_fields(context: VehicleContext, snapshot: TelemetrySnapshot) -> Fiel
             airspeed_error=target.airspeed - to_finite(snapshot.sample.estimate.airspeed[row]),
             crosstrack=target.crosstrack,
         )
-    if row == 0 or context.control.mode is not Mode.FBWA:
+    if row == 0 or context.control.mode is not FlightMode.FBWA:
         return _error_fields(
             (0.0, 0.0), 0.0, altitude_error=0.0, airspeed_error=0.0, crosstrack=0.0
         )

@@ -9,7 +9,12 @@ import numpy as np
 
 from testbed.core.frames import quaternion_xyzw
 from testbed.core.geodetic import geodetic_from_ned
-from testbed.core.records import Array, Origin, Sample
+from testbed.core.records import (
+    Array,
+    FbwaCommand,
+    NedOrigin,
+    Sample,
+)
 
 Rows = list[list[float]]
 
@@ -45,7 +50,7 @@ class TelemetrySnapshot:
         boot_ms: simulation time, ms, modulo 2³².
     """
 
-    def __init__(self, sample: Sample, origin: Origin) -> None:
+    def __init__(self, sample: Sample, origin: NedOrigin) -> None:
         """Refer to a sample, which must not change."""
         self.sample = sample
         self.boot_ms = round(sample.time_s * 1e3) & U32[1]
@@ -87,10 +92,9 @@ class TelemetrySnapshot:
         return [to_finite(each) for each in self.sample.estimate.equivalent_airspeed]
 
     @cached_property
-    def command(self) -> Rows:
-        """Roll rad, pitch rad and throttle 0..1 of the fly-by-wire-A commands, (N, 3)."""
-        command = self.sample.command
-        return to_rows(np.stack((command.roll, command.pitch, command.throttle), axis=1))
+    def commands(self) -> list[FbwaCommand[float]]:
+        """Fly-by-wire-A commands, N."""
+        return [FbwaCommand._make(row) for row in to_rows(np.stack(self.sample.command, axis=1))]
 
     @cached_property
     def surfaces(self) -> Rows:

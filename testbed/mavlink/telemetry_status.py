@@ -13,7 +13,7 @@ from testbed.mavlink.codec import constant
 from testbed.mavlink.outgoing import Fields
 from testbed.mavlink.telemetry_snapshot import I32, U16, TelemetrySnapshot, to_integer
 from testbed.mavlink.vehicle_context import VehicleContext
-from testbed.mavlink.vehicle_control import Mode
+from testbed.mavlink.vehicle_control import FlightMode
 
 _PLANE = "MAV_TYPE_FIXED_WING"
 _ARDUPILOT = "MAV_AUTOPILOT_ARDUPILOTMEGA"
@@ -62,7 +62,7 @@ def heartbeat(context: VehicleContext) -> Fields:
     """HEARTBEAT, with the base_mode bits that ArduPlane sets for the mode."""
     control = context.control
     mode = control.mode
-    base = _CUSTOM | _STABILIZE | (_MANUAL_INPUT if mode is Mode.FBWA else _GUIDED)
+    base = _CUSTOM | _STABILIZE | (_MANUAL_INPUT if mode is FlightMode.FBWA else _GUIDED)
     state = _EMERGENCY if context.lost else _CRITICAL if control.failsafe else _ACTIVE
     return {
         "type": constant(_PLANE),
@@ -151,7 +151,7 @@ def gps_global_origin(context: VehicleContext, snapshot: TelemetrySnapshot) -> F
 def mission_current(context: VehicleContext, snapshot: TelemetrySnapshot) -> Fields:
     """MISSION_CURRENT; the total does not include home."""
     control = context.control
-    flying = control.mode is Mode.AUTO
+    flying = control.mode is FlightMode.AUTO
     count = len(control.mission) - 1
     fields: Fields = {"seq": to_integer(control.current_item, U16)}
     if count < 1:

@@ -46,6 +46,7 @@ from testbed.mavlink.tlog import Tlog
 from testbed.mavlink.tlog_clock import Received, VehicleClock, boot_times, orders, receipts
 
 _ATTITUDE, _POSITION, _OUTPUTS = "ATTITUDE", "GLOBAL_POSITION_INT", "SERVO_OUTPUT_RAW"
+_HEARTBEAT = "HEARTBEAT"
 _REMEDY = "have it streamed (SRn_ parameters, or MAV_CMD_SET_MESSAGE_INTERVAL)"
 _AUTOPILOT = 1  # component
 _MIN_BACK = 0.01  # of the sequence numbers, which datagrams out of order do not reach
@@ -128,7 +129,7 @@ class _Vehicle:
             self.other_ports += 1
         elif message.name in _FIELDS_BY_MESSAGE:
             self.messages.setdefault(message.name, []).append(received)
-        elif message.name == "HEARTBEAT":
+        elif message.name == _HEARTBEAT:
             self.heartbeats.append(received)
         elif message.name == "STATUSTEXT":
             self.texts.append(str(message.fields["text"]))
@@ -178,17 +179,20 @@ def read_log(path: Path, system: int | None = None) -> FlightLog:
         tables[name], left_out[name] = _message_table(clock, messages, _FIELDS_BY_MESSAGE[name])
     total = len(vehicle.messages[_ATTITUDE])
     check_order(path, _ATTITUDE, total - left_out[_ATTITUDE], total)
+    received = np.array(times)
+    credible = [_has_credible_time(received, each.order) for each in vehicle.heartbeats]
+    left_out[_HEARTBEAT] = credible.count(False)
     return FlightLog(
         path=path,
         tables=tables,
         params=vehicle.params,
-        modes=_mode_intervals(vehicle.heartbeats, clock, vehicle.end),
+        modes=_mode_intervals(vehicle.heartbeats, credible, clock, vehicle.end),
         notes=(
             *([] if plane else [UNKNOWN_VEHICLE]),
             *links,
             *_left_out_notes(vehicle, {n: v for n, v in vehicles.items() if n != number}, others),
-            *order_notes(left_out),
-            *_receiver_notes(np.array(times)),
+            *order_notes(left_out, _HEARTBEAT),
+            *_receiver_notes(received),
             *_notes(records, vehicle.params),
         ),
         attitude=_ATTITUDE,
@@ -355,27 +359,49 @@ def _check_vehicle(path: Path, vehicle: _Vehicle) -> bool:
 
 
 def _mode_intervals(
-    heartbeats: Sequence[Received], clock: VehicleClock, log_end: tuple[int, float]
+    heartbeats: Sequence[Received],
+    credible: Sequence[bool],
+    clock: VehicleClock,
+    log_end: tuple[int, float],
 ) -> tuple[ModeInterval, ...]:
     """Find each mode from its first heartbeat to its last.
 
-    Between two modes the mode is unknown.
+    Between two modes the mode is unknown, also where one of them is left out.
+
+    Args:
+        heartbeats: in file order.
+        credible: whether each has a credible time; others are left out.
+        clock: of the vehicle.
+        log_end: place and time of the last message.
     """
-    if not heartbeats:
-        return ()
-    times = clock.from_receipt(orders(heartbeats), receipts(heartbeats))
+    times = clock.from_receipt(orders(heartbeats), receipts(heartbeats)).tolist()
     modes: list[ModeInterval] = []
-    for time, heartbeat in zip(times.tolist(), heartbeats, strict=True):
-        mode = _mode(heartbeat)
-        if modes and modes[-1].mode == mode and time - modes[-1].end <= _HEARTBEAT_TIMEOUT:
-            modes[-1] = ModeInterval(mode, modes[-1].start, time)
+    changed = False  # by a heartbeat that is left out
+    for time, heartbeat, valid in zip(times, heartbeats, credible, strict=True):
+        mode, last = _mode(heartbeat), modes[-1] if modes else None
+        if not valid:
+            changed |= last is not None and mode != last.mode
+        elif last and last.mode == mode and not changed and time - last.end <= _HEARTBEAT_TIMEOUT:
+            modes[-1] = ModeInterval(mode, last.start, time)
         else:
             modes.append(ModeInterval(mode, time, time))
+            changed = False
     order, received = log_end
     end = float(clock.from_receipt(np.array([order]), np.array([received]))[0])
-    if end - modes[-1].end <= _HEARTBEAT_TIMEOUT:
+    if modes and not changed and end - modes[-1].end <= _HEARTBEAT_TIMEOUT:
         modes[-1] = ModeInterval(modes[-1].mode, modes[-1].start, end)
     return tuple(modes)
+
+
+def _has_credible_time(times: Array, order: int) -> bool:
+    """Check that a time of receipt (M,) is within 1 s of the interval of its neighbours.
+
+    The first and the last one are: only a pause may be beside them.
+    """
+    if not 0 < order < len(times) - 1:
+        return True
+    low, high = sorted((times[order - 1], times[order + 1]))
+    return bool(low - _MAX_STEP_BACK <= times[order] <= high + _MAX_STEP_BACK)
 
 
 def _notes(records: Tlog, params: Mapping[str, float]) -> tuple[str, ...]:

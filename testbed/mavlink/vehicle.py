@@ -22,7 +22,7 @@ from testbed.mavlink.telemetry_messages import (
 )
 from testbed.mavlink.telemetry_snapshot import TelemetrySnapshot
 from testbed.mavlink.vehicle_context import VehicleContext
-from testbed.mavlink.vehicle_control import Mode, VehicleControl
+from testbed.mavlink.vehicle_control import FlightMode, VehicleControl
 
 COMPONENT = 1  # an autopilot
 HEARTBEAT_S = 1.5  # wall-clock s: keeps a run that waits visible to ground stations
@@ -125,7 +125,7 @@ class MavlinkVehicle:
     def _active_item(self) -> int | None:
         """Return the mission item that is flown; None: no mission is flown."""
         control = self._context.control
-        return control.current_item if control.mode is Mode.AUTO else None
+        return control.current_item if control.mode is FlightMode.AUTO else None
 
     def _is_addressed(self, message: Message) -> bool:
         """Check whether a message is for this vehicle, or for all."""

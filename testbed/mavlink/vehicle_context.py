@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from testbed.core.records import Origin
+from testbed.core.records import NedOrigin
 from testbed.mavlink.outgoing import StatusTexts
 from testbed.mavlink.rc_channels import (
     MAX_US,
@@ -70,7 +70,7 @@ class VehicleContext:
     control: VehicleControl
     system: int
     row: int
-    origin: Origin
+    origin: NedOrigin
     version: str = "0"
     epoch_us: int = 0
     snapshot: TelemetrySnapshot | None = None

@@ -6,8 +6,10 @@ from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
+from testbed.core.records import FbwaCommand
 
-class Mode(IntEnum):
+
+class FlightMode(IntEnum):
     """Flight modes, by ArduPlane's numbers."""
 
     FBWA = 5  # flies the formation's commands, or those of an external program
@@ -68,13 +70,13 @@ class VehicleControl:
         target: where guidance flies to; None: no guidance is active.
     """
 
-    mode: Mode
+    mode: FlightMode
     armed = True
     failsafe = False
     external = False
     lockstep = False
 
-    def __init__(self, name: str, mode: Mode, reason: str) -> None:
+    def __init__(self, name: str, mode: FlightMode, reason: str) -> None:
         """Reject all commands for this reason."""
         self.name, self.mode = name, mode
         self._rejection = Rejection(reason)
@@ -99,7 +101,7 @@ class VehicleControl:
         """The waypoint or circle that guidance flies to."""
         return None
 
-    def set_mode(self, mode: Mode) -> Rejection | None:
+    def set_mode(self, mode: FlightMode) -> Rejection | None:
         """Change the flight mode."""
         return None if mode is self.mode else self._rejection
 
@@ -142,9 +144,7 @@ class VehicleControl:
 
     def set_manual_command(
         self,
-        roll: float,
-        pitch: float,
-        throttle: float,
+        command: FbwaCommand[float],
         *,
         attitude: bool = False,
         answers_s: float | None = None,
@@ -152,9 +152,7 @@ class VehicleControl:
         """Set the fly-by-wire-A command, valid until the next one or the failsafe.
 
         Args:
-            roll: rad, right wing down.
-            pitch: rad, nose up.
-            throttle: 0..1.
+            command: of one aircraft.
             attitude: it came as an attitude target, which GUIDED takes too; otherwise as sticks.
             answers_s: time of the sample that it answers, s, if known; in lockstep a command that
                 answers an older sample is ignored.

@@ -98,20 +98,19 @@ class SampleBlock:
         )
 
 
-def make_block(tick: Sequence[int], columns: Columns, inexact: Sequence[int]) -> SampleBlock:
+def make_block(tick: Ticks, columns: Columns, inexact: BoolArray) -> SampleBlock:
     """Make a block of the arrays of some samples.
 
     Args:
         tick: (K,) of the base rate.
         columns: the arrays (K, ...), by their paths in `Sample`.
-        inexact: the rows whose estimates differ from the truth.
+        inexact: (K,) rows whose estimates differ from the truth.
     """
     measured = {source: np.ascontiguousarray(columns[source]) for source in _MEASURED}
     error_ned = measured["formation.error_ned"]
     estimated_error_ned, estimate_errors = error_ned, None
-    exact = np.ones(len(tick), dtype=np.bool_)
-    if inexact:
-        exact[inexact] = False
+    exact = ~inexact
+    if inexact.any():
         estimated_error_ned = columns[_ESTIMATED_ERROR].copy()
         estimated_error_ned[exact] = error_ned[exact]
         with np.errstate(invalid="ignore"):  # an aircraft beyond its model's range may be inf

@@ -6,12 +6,11 @@ import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from testbed.core.files import report_write_errors, write_text_file
 from testbed.metrics.expectations import check_expectations
-
-Document = Mapping[str, Any]
+from testbed.metrics.model import Metrics
 
 SEPARATION_LOST = "loss of separation"
 _OTHER = re.compile(rf"{SEPARATION_LOST}: \S+ m from (\S+) ")  # the second aircraft of a pair
@@ -25,14 +24,14 @@ _WALL_CLOCK_KEYS = ("wall_s", "real_time_factor")
 
 
 def finalise(
-    summary: Document,
+    summary: Metrics,
     *,
-    network: Document,
-    external: Document,
+    network: Mapping[str, Any],
+    external: Mapping[str, Any],
     outcome: str,
     wall_s: float,
     expect: Mapping[str, Any] | None = None,
-) -> dict[str, Any]:
+) -> Metrics:
     """Complete the summary of the samples: network, external programs, and how the run ended.
 
     `wall_s`, `real_time_factor`, `pace` and `mavlink` are the only numbers that differ between two
@@ -54,7 +53,7 @@ def finalise(
     if outcome not in OUTCOMES:
         raise ValueError(f"outcome {outcome!r} is none of {', '.join(OUTCOMES)}")
     factor = summary["simulated_s"] / wall_s if wall_s > 0 else None
-    document = {
+    document: dict[str, Any] = {
         **summary,
         "age_of_information_s": {
             name: _age(network, name) for name in summary["age_of_information_s"]
@@ -65,10 +64,12 @@ def finalise(
         "wall_s": wall_s,
         "real_time_factor": factor,
     }
-    return {**document, "expect": check_expectations(document, expect)} if expect else document
+    if expect:
+        document["expect"] = check_expectations(document, expect)
+    return cast("Metrics", document)
 
 
-def _age(network: Document, follower: str) -> dict[str, float | None]:
+def _age(network: Mapping[str, Any], follower: str) -> dict[str, float | None]:
     """Age, s, of the messages a follower used, over all control steps and senders."""
     links = network["links"].values()
     ages = [to[follower]["age_s"] for to in links if to.get(follower, {}).get("age_s")]
@@ -79,13 +80,13 @@ def _age(network: Document, follower: str) -> dict[str, float | None]:
     }
 
 
-def losses(document: Document) -> list[str]:
+def losses(document: Mapping[str, Any]) -> list[str]:
     """Describe which aircraft were lost and when, in the order of time."""
     lost = {name: at for name, at in document["lost_at_s"].items() if at is not None}
     return [f"{name} at {lost[name]:.1f} s" for name in sorted(lost, key=lambda name: lost[name])]
 
 
-def exceedances(document: Document) -> list[str]:
+def exceedances(document: Mapping[str, Any]) -> list[str]:
     """Describe which aircraft exceeded a limit without a fault, when first, and how often."""
     found: dict[tuple[str, str], list[float]] = {}
     for event in document["events"]:
@@ -100,7 +101,7 @@ def exceedances(document: Document) -> list[str]:
     ]
 
 
-def initial_warnings(document: Document) -> list[str]:
+def initial_warnings(document: Mapping[str, Any]) -> list[str]:
     """Return source and text of the warnings from before the flight."""
     return [
         f"{event['source']}: {event['text']}"
@@ -109,13 +110,13 @@ def initial_warnings(document: Document) -> list[str]:
     ]
 
 
-def errors(document: Document) -> list[tuple[float, str]]:
+def errors(document: Mapping[str, Any]) -> list[tuple[float, str]]:
     """Return time, s, and text of the errors, in order of time."""
     found = [each for each in document["events"] if each["level"] == "error"]
     return [(each["time_s"], f"{each['source']}: {each['text']}") for each in found]
 
 
-def to_json(document: Document) -> str:
+def to_json(document: Mapping[str, Any]) -> str:
     """Return the document as text, keys in their own order.
 
     Raises:
@@ -124,13 +125,13 @@ def to_json(document: Document) -> str:
     return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def timeless_json(document: Document) -> str:
+def timeless_json(document: Mapping[str, Any]) -> str:
     """Return the text of a log's metrics: wall-clock numbers, which differ by run, are null."""
     timeless = {**document, **{key: None for key in _WALL_CLOCK_KEYS if key in document}}
     return json.dumps(timeless, indent=2, ensure_ascii=False, allow_nan=False)
 
 
-def write_json(path: Path, document: Document) -> None:
+def write_json(path: Path, document: Mapping[str, Any]) -> None:
     """Write the document; a file is replaced whole or not at all.
 
     Raises:

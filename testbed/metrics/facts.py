@@ -10,7 +10,15 @@ import numpy as np
 from rich.text import Text
 
 from testbed.core.frames import wind_from_deg
-from testbed.metrics.document import SEPARATION_LOST, Document, exceedances, losses
+from testbed.metrics.document import SEPARATION_LOST, exceedances, losses
+from testbed.metrics.model import (
+    Expectations,
+    LinkMetrics,
+    MavlinkTraffic,
+    Metrics,
+    NetworkMetrics,
+    PaceMetrics,
+)
 from testbed.metrics.summary import CALM_MPS
 
 ABSENT = "–"
@@ -42,7 +50,7 @@ _REJECTED = {
 }
 
 
-def facts(metrics: Document) -> list[tuple[str, str | Text]]:
+def facts(metrics: Metrics) -> list[tuple[str, str | Text]]:
     """Return names and texts, some of several lines, of what no table shows."""
     rows: list[tuple[str, str | Text]] = []
     if lost := losses(metrics):
@@ -59,7 +67,8 @@ def facts(metrics: Document) -> list[tuple[str, str | Text]]:
     rows.append(("estimate error, RMS", "\n".join(errors)))
     rows.append(("wind", "\n".join(describe_wind(metrics["wind"]))))
     if any(each["max_wake_delta_cl"] for each in metrics["wind"].values()):
-        shares = [f"{name} {100.0 * each:.1f}" for name, each in metrics["mean_throttle"].items()]
+        throttle: Mapping[str, Any] = metrics["mean_throttle"]
+        shares = [f"{name} {100.0 * each:.1f}" for name, each in throttle.items()]
         rows.append(("mean throttle, %", ", ".join(shares[: MAX_LISTED + 1])))
     rows.append(("network", "\n".join(describe_network(metrics["network"]))))
     if left := {name: each for name, each in metrics["left_speed_set"].items() if each["times"]}:
@@ -97,12 +106,12 @@ def percent(share: float | None) -> str:
     return "< 0.1 %" if text == "0.0" and share > 0.0 else f"{text} %"
 
 
-def exact(errors: Mapping[str, Numbers]) -> bool:
+def exact(errors: Mapping[str, Mapping[str, Any]]) -> bool:
     """Return whether all estimates equalled the truth, given `estimate_error` of the document."""
     return not any(each != 0.0 for numbers in errors.values() for each in numbers.values())
 
 
-def describe_estimates(errors: Mapping[str, Numbers], relative: Numbers) -> list[str]:
+def describe_estimates(errors: Mapping[str, Mapping[str, Any]], relative: Numbers) -> list[str]:
     """Describe the errors of estimates; no lines where they were exact.
 
     Numbers are RMS over the aircraft whose estimates differ from the truth.
@@ -154,7 +163,7 @@ def describe_wind(wind: Mapping[str, Mapping[str, Any]]) -> list[str]:
     return lines
 
 
-def describe_network(network: Document | None) -> list[str]:
+def describe_network(network: NetworkMetrics | None) -> list[str]:
     """Describe losses and delays of all messages; no lines if all arrived without delay.
 
     Args:
@@ -186,7 +195,7 @@ def describe_network(network: Document | None) -> list[str]:
     return [line for line in lines if line]
 
 
-def describe_pace(pace: Document) -> Text:
+def describe_pace(pace: PaceMetrics) -> Text:
     """Describe requested and achieved pace, and the lateness of ticks."""
     if pace["achieved"] is None:
         return Text("no ticks")
@@ -196,7 +205,7 @@ def describe_pace(pace: Document) -> Text:
     return Text(f"{rate}\nticks late: {', '.join(late)}", style="" if achieved else "yellow")
 
 
-def describe_mavlink(links: Document) -> Text:
+def describe_mavlink(links: MavlinkTraffic) -> Text:
     """Describe the traffic over MAVLink links."""
     clients = ", ".join(links["clients"]) or "none"
     text = f"{links['frames_sent']} frames sent, {links['frames_received']} received"
@@ -230,7 +239,7 @@ def _listed(texts: Sequence[str], note: str = "") -> Text:
     return Text(", ".join([*texts[:MAX_LISTED], *more]) + note, style="red")
 
 
-def _expected(bounds: Document) -> Text:
+def _expected(bounds: Expectations) -> Text:
     """Count the bounds of the scenario that are met or violated."""
     checked, violated = bounds["checked"], bounds["violated"]
     if violated:
@@ -238,7 +247,7 @@ def _expected(bounds: Document) -> Text:
     return Text(f"{checked} numbers within their bounds", style="green" if checked else "yellow")
 
 
-def _separation(metrics: Document) -> Text:
+def _separation(metrics: Metrics) -> Text:
     """Describe the smallest separation; red where it was below the minimum without a fault."""
     text, between = (
         shown(metrics["min_separation_m"], "{:.2f} m"),
@@ -253,10 +262,11 @@ def _separation(metrics: Document) -> Text:
     return Text(text, style="red" if lost else "")
 
 
-def _kappa(metrics: Document) -> Text:
+def _kappa(metrics: Metrics) -> Text:
     """Describe the follower with the smallest margin to the κ that the scenario assumes."""
-    measured, assumed = metrics["kappa_mps"], metrics["kappa_assumed_mps"]
-    margins = {name: kappa - assumed[name] for name, kappa in measured.items() if kappa is not None}
+    assumed = metrics["kappa_assumed_mps"]
+    measured = {name: kappa for name, kappa in metrics["kappa_mps"].items() if kappa is not None}
+    margins = {name: kappa - assumed[name] for name, kappa in measured.items()}
     if not margins:
         return Text(ABSENT)
     name = min(margins, key=lambda each: margins[each])
@@ -277,7 +287,7 @@ def _left(left: Mapping[str, Mapping[str, Any]]) -> Text:
     return Text(text + others, style="yellow")
 
 
-def _worst(links: Mapping[str, Mapping[str, Any]]) -> str:
+def _worst(links: Mapping[str, Mapping[str, LinkMetrics]]) -> str:
     """Name the link that delivered least; "" if all delivered the same share."""
     shares = {
         f"{sender} > {receiver}": link["delivered_share"]

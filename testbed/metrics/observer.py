@@ -11,6 +11,7 @@ import numpy as np
 from testbed.core.records import Event, RunInfo, Sample
 from testbed.core.samples import SampleBuffer
 from testbed.metrics.accumulator import Accumulator, block_samples, make_block
+from testbed.metrics.model import Metrics
 from testbed.metrics.summary import summarise
 
 
@@ -25,6 +26,7 @@ class MetricsObserver:
     """
 
     zero_copy = True  # holds no array of a sample
+    takes_blocks = "metrics"
 
     def __init__(
         self,
@@ -36,6 +38,23 @@ class MetricsObserver:
         self._published = published
         self._info: RunInfo | None = None
         self._events: list[Event] = []
+        self._buffer: SampleBuffer | None = None
+
+    def share(self, aircraft: int) -> SampleBuffer:
+        """See `BlockObserver`."""
+        self._buffer = SampleBuffer(block_samples(aircraft), aircraft)
+        return self._buffer
+
+    def add_events(self, events: Sequence[Event]) -> None:
+        """See `BlockObserver`."""
+        self._events.extend(events)
+
+    def take_block(self) -> None:
+        """Accumulate the samples of the buffer, and empty it."""
+        assert self._buffer is not None, "there is a buffer from `share` or `begin` on"
+        buffer = self._buffer
+        self._accumulator.accumulate(make_block(buffer.ticks, buffer.columns(), buffer.inexact))
+        buffer.clear()
 
     def begin(self, info: RunInfo) -> None:
         """Allocate the accumulator and the rows of one block."""
@@ -48,23 +67,22 @@ class MetricsObserver:
             medium_ned=np.array(info.bounded_in_ned),
         )
         self._events = []
-        self._block = block_samples(len(info.names))
-        self._buffer = SampleBuffer(self._block)
+        if self._buffer is None:
+            self.share(len(info.names))
 
     def observe(self, sample: Sample) -> None:
         """Copy what is measured; accumulate the block when it is full."""
         buffer = self._buffer
+        assert buffer is not None, "the run has begun"
         buffer.append(sample)
-        if sample.events:
-            self._events.extend(sample.events)
-        if len(buffer.tick) == self._block:
-            self._accumulator.accumulate(make_block(buffer.tick, buffer.columns(), buffer.inexact))
-            buffer.clear()
+        self._events.extend(sample.events)
+        if len(buffer) == buffer.capacity:
+            self.take_block()
 
     def end(self, summary: Mapping[str, Any], events: Sequence[Event]) -> None:
         """Do nothing: `summary` includes the samples of an incomplete block."""
 
-    def summary(self, after: Sequence[Event] = ()) -> dict[str, Any]:
+    def summary(self, after: Sequence[Event] = ()) -> Metrics:
         """Summarise the samples observed so far, ready for JSON; the state does not change.
 
         Args:
@@ -73,12 +91,12 @@ class MetricsObserver:
         Raises:
             RuntimeError: no run has begun.
         """
-        if self._info is None:
+        if self._info is None or self._buffer is None:
             raise RuntimeError("there is nothing to summarise: begin() was not called")
         total, buffer = self._accumulator, self._buffer
-        if buffer.tick:
+        if len(buffer):
             total = copy.deepcopy(total)
-            total.accumulate(make_block(buffer.tick, buffer.columns(), buffer.inexact))
+            total.accumulate(make_block(buffer.ticks, buffer.columns(), buffer.inexact))
         return summarise(
             total,
             windows=self._windows,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from enum import IntFlag
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from testbed.core.records import Array, BoolArray, Event, RunInfo
 from testbed.formation.assumptions import largest_kappa
 from testbed.formation.law import LimiterFlag, Saturation
 from testbed.metrics.accumulator import ESTIMATE_KEYS, NEVER, Accumulator, Ticks
+from testbed.metrics.model import Metrics, SlotSpeed
 
 SCHEMA = 2  # of metrics.json; raised when a key is renamed, removed or changes its meaning
 CALM_MPS = 1e-6  # a slower wind is rounding
@@ -29,7 +30,7 @@ def summarise(
     info: RunInfo,
     events: Sequence[Event],
     published: Mapping[str, Any] | None,
-) -> dict[str, Any]:
+) -> Metrics:
     """Compute the metrics document; `document.finalise` adds the numbers of the runner.
 
     RMS errors are [HBH23] eqs. (30), (31) with the integral as the sum over samples. The percent
@@ -41,7 +42,7 @@ def summarise(
     paired = total.min_separation_tick != NEVER
     closest = [info.names[i] for i in total.min_separation_pair] if paired else None
     relative = np.sqrt(total.relative_square / np.maximum(total.slot_samples, 1))
-    return {
+    document: dict[str, Any] = {
         "schema": SCHEMA,
         "scenario": info.scenario_name,
         "seed": info.seed,
@@ -92,6 +93,7 @@ def summarise(
             for e in events
         ],
     }
+    return cast("Metrics", document)
 
 
 def _window(total: Accumulator, p: int, span: tuple[float, float], info: RunInfo) -> dict[str, Any]:
@@ -137,7 +139,7 @@ def _bounds(info: RunInfo) -> Array:
     return np.array(info.speed_bounds_mps, dtype=np.float64).reshape(-1, 2).T
 
 
-def _slot_speed(slowest: Array, fastest: Array, info: RunInfo) -> dict[str, dict[str, Any]]:
+def _slot_speed(slowest: Array, fastest: Array, info: RunInfo) -> SlotSpeed:
     """The measured κ, and the range of the slots' speeds (n,), m/s."""
     followers = info.names[1:]
     kappa = largest_kappa(slowest, fastest, *_bounds(info))

@@ -21,8 +21,9 @@ from rich.text import Text
 
 from testbed.core.records import join_names
 from testbed.formation.law import Saturation
-from testbed.metrics.document import EXCEEDED, Document
+from testbed.metrics.document import EXCEEDED
 from testbed.metrics.facts import ABSENT, facts, percent, select_largest, shown
+from testbed.metrics.model import LinkMetrics, LoggedEvent, Metrics
 
 Columns = dict[str, list[Text | str]]  # cells by heading
 Row = Sequence[str]
@@ -46,7 +47,7 @@ EVENT_STYLES = {"error": "red", "warning": "yellow"}
 
 
 def render_table(
-    metrics: Document,
+    metrics: Metrics,
     console: Console,
     *,
     log: Path | None = None,
@@ -76,7 +77,7 @@ def render_table(
         console.print(Text(f" {'log':<20}{log}{size}"), soft_wrap=True)
 
 
-def worst_followers(metrics: Document) -> list[str]:
+def worst_followers(metrics: Metrics) -> list[str]:
     """Return the followers to list: of many, those with the largest RMS error."""
 
     def largest_error(name: str) -> float:
@@ -88,7 +89,7 @@ def worst_followers(metrics: Document) -> list[str]:
 
 
 def error_tables(
-    metrics: Document,
+    metrics: Metrics,
     names: Sequence[str],
     *,
     fits: Callable[[Table], bool] = lambda table: True,
@@ -111,8 +112,8 @@ def error_tables(
     return tables
 
 
-def _error_table(metrics: Document, windows: Sequence[str], names: Sequence[str]) -> Table:
-    published = metrics.get("published") or {}
+def _error_table(metrics: Metrics, windows: Sequence[str], names: Sequence[str]) -> Table:
+    published: Mapping[str, Any] = metrics["published"] or {}
     compared = [name for name in windows if name in compared_windows(metrics)]
     followers = list(metrics["joined_at_s"])
     table = _new_table()
@@ -133,10 +134,8 @@ def _error_table(metrics: Document, windows: Sequence[str], names: Sequence[str]
 
     def compare(key: str, form: str, window: str, name: str | None = None) -> list[Text | str]:
         """Our number, and the published one with the ratio if the window has one."""
-        measured, paper = (
-            metrics["windows"][window][key],
-            published.get(key, {}).get(window),
-        )
+        numbers: Mapping[str, Any] = metrics["windows"][window]
+        measured, paper = numbers[key], published.get(key, {}).get(window)
         if name is not None:
             measured, paper = measured[name], _nth(paper, followers.index(name))
         if _lost_within(metrics, window, *(followers if name is None else [name])):
@@ -174,7 +173,7 @@ def _error_table(metrics: Document, windows: Sequence[str], names: Sequence[str]
     return table
 
 
-def follower_tables(metrics: Document, names: Sequence[str]) -> list[Table]:
+def follower_tables(metrics: Metrics, names: Sequence[str]) -> list[Table]:
     """Make tables of joining, limiters and message age, of saturated commands, and of ringing.
 
     The last one is absent if no bank rings.
@@ -222,38 +221,42 @@ def _follower_table(title: str, names: Sequence[str], columns: Columns) -> Table
     return table
 
 
-def compared_windows(metrics: Document) -> list[str]:
+def compared_windows(metrics: Metrics) -> list[str]:
     """Return the complete windows that have published numbers of this set-up."""
-    if (metrics.get("published") or {}).get("differs"):
+    published = metrics["published"]
+    if published is None or published.get("differs"):
         return []
     found = metrics["windows"]
     return [name for name in _published_windows(metrics) if found[name]["complete"]]
 
 
-def published_mean(metrics: Document, window: str) -> float | None:
+def published_mean(metrics: Metrics, window: str) -> float | None:
     """Return the published mean RMS error of a window, m, if comparable."""
     if window not in compared_windows(metrics):
         return None
     if _lost_within(metrics, window, *metrics["max_error_m"]):
         return None
-    mean = metrics["published"].get("mean_rms_m", {}).get(window)
+    published = metrics["published"]
+    mean = published.get("mean_rms_m", {}).get(window) if published else None
     return None if mean is None else float(mean)
 
 
-def published_note(metrics: Document) -> str:
+def published_note(metrics: Metrics) -> str:
     """Name the source of published numbers and windows not compared; "" if none."""
-    known = _published_windows(metrics)
-    if known and (differs := metrics["published"].get("differs")):
-        source = metrics["published"]["source"]
+    known, published = _published_windows(metrics), metrics["published"]
+    if published is None:
+        return ""
+    source = published["source"]
+    if known and (differs := published.get("differs")):
         return f"not compared with {source}: another set-up, {join_names(differs)}"
     cut = [name for name in known if not metrics["windows"][name]["complete"]]
-    notes = [f"published: {metrics['published']['source']}"] if len(cut) < len(known) else []
+    notes = [f"published: {source}"] if len(cut) < len(known) else []
     if cut:
         notes.append(f"incomplete, not compared: {', '.join(cut)}")
     return "; ".join(notes)
 
 
-def covered_part(metrics: Document, window: str) -> str:
+def covered_part(metrics: Metrics, window: str) -> str:
     """Name the covered part of a window, s: "all", "none", or start and end."""
     found = metrics["windows"][window]
     if found["complete"]:
@@ -294,7 +297,7 @@ def _print_facts(rows: Sequence[tuple[str, str | Text]], console: Console) -> No
             console.print(Text.assemble(start, (line, style)), soft_wrap=True)
 
 
-def _headline(metrics: Document, width: int) -> list[Text]:
+def _headline(metrics: Metrics, width: int) -> list[Text]:
     """Scenario, outcome, times and seed, broken between these where a line is full."""
     outcome = (metrics["outcome"] or "in flight").replace("_", " ")
     time = f"{metrics['simulated_s']:.0f} s simulated"
@@ -302,7 +305,7 @@ def _headline(metrics: Document, width: int) -> list[Text]:
         time += f" in {metrics['wall_s']:.1f} s"
     if (factor := metrics["real_time_factor"]) is not None:
         time += f" ({factor:.0f} × real time)" if factor >= 10.0 else f" ({factor:.1f} × real time)"
-    style = OUTCOME_STYLES.get(metrics["outcome"], "bold yellow")
+    style = OUTCOME_STYLES.get(metrics["outcome"] or "", "bold yellow")
     parts = (Text(outcome, style=style), Text(time), Text(f"seed {metrics['seed']}"))
     return join_parts(Text(str(metrics["scenario"]), "bold"), parts, width)
 
@@ -318,7 +321,7 @@ def join_parts(first: Text, parts: Sequence[Text], width: int) -> list[Text]:
     return lines
 
 
-def _print_events(events: Sequence[Mapping[str, Any]], console: Console) -> None:
+def _print_events(events: Sequence[LoggedEvent], console: Console) -> None:
     """Print the first warnings and errors, and the run's own notes from before the flight."""
     printed = [
         e
@@ -344,13 +347,13 @@ def _print_events(events: Sequence[Mapping[str, Any]], console: Console) -> None
         console.print(Text(more, style="dim"))
 
 
-def _published_windows(metrics: Document) -> list[str]:
-    published = metrics.get("published") or {}
+def _published_windows(metrics: Metrics) -> list[str]:
+    published: Mapping[str, Any] = metrics["published"] or {}
     known = [published.get(key) or {} for key in ("rms_m", "mean_rms_m", "percent_error")]
     return [name for name in metrics["windows"] if any(name in each for each in known)]
 
 
-def _lost_within(metrics: Document, window: str, *names: str) -> bool:
+def _lost_within(metrics: Metrics, window: str, *names: str) -> bool:
     """Return whether one of these, or the leader, was lost before a window ended."""
     lost, end = metrics["lost_at_s"], metrics["windows"][window]["window_s"][1]
     times = [lost.get(name) for name in (next(iter(lost), ""), *names)]
@@ -390,7 +393,7 @@ def _milliseconds(seconds: float | None) -> str:
     return ABSENT if seconds is None else f"{1e3 * seconds:.0f}"
 
 
-def _saturated_share(metrics: Document, name: str, kind: str) -> str:
+def _saturated_share(metrics: Metrics, name: str, kind: str) -> str:
     """Format the share of the samples in which a command was saturated, %."""
     found = metrics["saturations"][name]
     period = found["seconds"] / found["samples"] if found["samples"] else 0.0
@@ -400,7 +403,7 @@ def _saturated_share(metrics: Document, name: str, kind: str) -> str:
     return f"{share:.1f}" if share else "0"
 
 
-def worst_links(links: Mapping[str, Mapping[str, Document]]) -> dict[str, Document]:
+def worst_links(links: Mapping[str, Mapping[str, LinkMetrics]]) -> dict[str, LinkMetrics]:
     """Return the links to list: all, or of many those that delivered least, in order.
 
     Args:
@@ -411,7 +414,7 @@ def worst_links(links: Mapping[str, Mapping[str, Document]]) -> dict[str, Docume
     return {name: named[name] for name in worst}
 
 
-def name_links(links: Mapping[str, Mapping[str, Document]]) -> dict[str, Document]:
+def name_links(links: Mapping[str, Mapping[str, LinkMetrics]]) -> dict[str, LinkMetrics]:
     """Return statistics by link, "a > b", of those by sender and receiver."""
     return {
         f"{source} > {destination}": link
@@ -420,7 +423,7 @@ def name_links(links: Mapping[str, Mapping[str, Document]]) -> dict[str, Documen
     }
 
 
-def impairment(link: Document) -> tuple[float, float]:
+def impairment(link: LinkMetrics) -> tuple[float, float]:
     """Return by what links are ordered: the share delivered, negated, then the delay, s."""
     share, delay = link["delivered_share"], link["delay_s"]
     return -(1.0 if share is None else share), (delay["p99"] if delay else 0.0)
@@ -429,9 +432,9 @@ def impairment(link: Document) -> tuple[float, float]:
 def link_table(
     title: str,
     columns: Sequence[str],
-    links: Mapping[str, Document],
-    total: Document,
-    cells: Callable[[Document], Sequence[str]],
+    links: Mapping[str, LinkMetrics],
+    total: LinkMetrics,
+    cells: Callable[[LinkMetrics], Sequence[str]],
 ) -> Table:
     """Make a table with a row for each link and one for all together."""
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, collapse_padding=True, header_style="")
@@ -447,8 +450,8 @@ def link_table(
 
 
 def arrival_tables(
-    links: Mapping[str, Document],
-    total: Document,
+    links: Mapping[str, LinkMetrics],
+    total: LinkMetrics,
     fits: Callable[[Table], bool] = lambda table: True,
 ) -> list[Table]:
     """Make tables of deliveries, delays and bursts of losses by link.
@@ -459,7 +462,7 @@ def arrival_tables(
         fits: whether a table is narrow enough; if not, bursts get a table of their own.
     """
 
-    def arrivals(link: Document) -> list[str]:
+    def arrivals(link: LinkMetrics) -> list[str]:
         delay = link["delay_s"]
         return [
             f"{link['sent']:,}",
@@ -467,7 +470,7 @@ def arrival_tables(
             *(ABSENT if delay is None else f"{1e3 * delay[p]:.1f}" for p in ("p50", "p95", "p99")),
         ]
 
-    def bursts(link: Document) -> list[str]:
+    def bursts(link: LinkMetrics) -> list[str]:
         found = link["bursts"]
         mean = ABSENT if found["mean"] is None else f"{found['mean']:.2f}"
         return [mean, f"{found['longest']:,}"]
@@ -485,7 +488,7 @@ def arrival_tables(
     ]
 
 
-def table_text(metrics: Document, place: str = "") -> str:
+def table_text(metrics: Metrics, place: str = "") -> str:
     """Return at most ten lines: outcome, RMS error by follower and window, separation.
 
     Args:
@@ -498,7 +501,7 @@ def table_text(metrics: Document, place: str = "") -> str:
     return "\n".join([_title(metrics), *table, *_ending(metrics, place)])
 
 
-def table_html(metrics: Document, place: str = "") -> str:
+def table_html(metrics: Metrics, place: str = "") -> str:
     """Return the same as HTML, for `_repr_html_`."""
     head, *body = (
         "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in row)
@@ -512,17 +515,17 @@ def table_html(metrics: Document, place: str = "") -> str:
     )
 
 
-def _title(metrics: Document) -> str:
+def _title(metrics: Metrics) -> str:
     parts = (
         metrics["scenario"],
-        metrics["outcome"].replace("_", " "),
+        str(metrics["outcome"]).replace("_", " "),
         f"{metrics['simulated_s']:g} s",
         f"seed {metrics['seed']}",
     )
     return " · ".join(parts)
 
 
-def _rows(metrics: Document) -> Iterator[Row]:
+def _rows(metrics: Metrics) -> Iterator[Row]:
     """Yield the cells of the table, its heading first."""
     errors = metrics["max_error_m"]
     windows = {name: window for name, window in list(metrics["windows"].items())[:SHORT_WINDOWS]}
@@ -548,7 +551,7 @@ def _rows(metrics: Document) -> Iterator[Row]:
         yield (f"mean of {len(errors)}", *means, *rest)
 
 
-def _ending(metrics: Document, place: str) -> list[str]:
+def _ending(metrics: Metrics, place: str) -> list[str]:
     lines = []
     if (separation := metrics["min_separation_m"]) is not None:
         lines.append(f"smallest separation {separation:.2f} m")

@@ -32,6 +32,7 @@ from testbed.network.links import (
     REORDER,
     START,
     UNIFORM,
+    PairLinks,
 )
 from testbed.network.packet_random import jitter_values
 from testbed.network.philox import Words, key_of, philox, unit
@@ -67,23 +68,21 @@ class Channel(NamedTuple):
     tables: Records  # (T,) of DELAY_TABLE, one at least
 
 
-def make_channel(
-    names: Sequence[str], network: Network, seed: int, subscribed: BoolArray | None = None
-) -> Channel:
+def make_channel(pairs: PairLinks, seed: int, subscribed: BoolArray | None = None) -> Channel:
     """Make the channel of a scenario's network.
 
     Args:
-        names: N, the leader first, which does not receive.
-        network: the section of the scenario.
+        pairs: the links of N aircraft.
         seed: of the run; with the names of a link it gives the key of its random numbers.
         subscribed: (n, N) whether followers use the messages of aircraft; None: all.
 
     Raises:
         InputError: a file of delays cannot be read.
     """
+    names, network = pairs.names, pairs.network
     links = allocate(LINK_PARAMETERS, len(names) - 1, len(names))
     tables: list[Array] = []
-    made: dict[tuple[Link, str], Records] = {}  # equal links are made once
+    made: dict[tuple[int, str], Records] = {}  # equal links are made once
     for i, receiver in enumerate(names[1:]):
         for m, sender in enumerate(names):
             if sender == receiver:
@@ -91,16 +90,17 @@ def make_channel(
             elif subscribed is not None and not subscribed[i, m]:
                 links["unsubscribed"][i, m] = True
             else:
-                link = network.link(sender, receiver)
-                same = link, sender if network.tdma else ""
+                number = int(pairs.numbers[i, m])
+                same = number, sender if network.tdma else ""
                 if same not in made:
+                    link = pairs.distinct[number]
                     made[same] = _parameters(network, link, sender, names, tables)
                 links[i, m] = made[same]
             links["key"][i, m] = key_of(seed, f"network/{sender}>{receiver}")
     records = allocate(DELAY_TABLE, max(len(tables), 1))
     for record, values in zip(records, tables, strict=False):
         record["values"][: len(values)] = values
-    return Channel(tuple(names), links, records)
+    return Channel(names, links, records)
 
 
 def _parameters(

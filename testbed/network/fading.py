@@ -7,7 +7,6 @@ a third. They are independent.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from testbed.core.frames import rotation_ned_body
 from testbed.core.records import Array
-from testbed.scenario.network import Network
+from testbed.network.links import PairLinks
 
 NEAREST = 1e-9  # m; nearer than this there is no line of sight to have an angle
 
@@ -32,27 +31,22 @@ class Curves(NamedTuple):
     side: Array  # (n, N) of the airframe the antennas are on: 1 below, -1 above
 
 
-def make_curves(names: Sequence[str], network: Network) -> Curves | None:
+def make_curves(pairs: PairLinks) -> Curves | None:
     """Make the curves of a scenario's links; None if no link fades.
 
     Args:
-        names: N, the leader first, which does not receive.
-        network: the section of the scenario.
+        pairs: the links of N aircraft.
     """
-    shape = (len(names) - 1, len(names))
+    shape = pairs.numbers.shape
     distance, angle, side = np.full(shape, -1), np.full(shape, -1), np.ones(shape)
     by_distance: dict[Curve, int] = {}
     by_angle: dict[Curve, int] = {}
-    for i, destination in enumerate(names[1:]):
-        for m, source in enumerate(names):
-            if source == destination:
-                continue
-            link = network.link(source, destination)
-            if link.range_loss:
-                distance[i, m] = by_distance.setdefault(link.range_loss, len(by_distance))
-            if link.shadowing is not None and link.shadowing.loss:
-                angle[i, m] = by_angle.setdefault(link.shadowing.loss, len(by_angle))
-                side[i, m] = 1.0 if link.shadowing.antenna == "below" else -1.0
+    for i, m, link in pairs.pairs():
+        if link.range_loss:
+            distance[i, m] = by_distance.setdefault(link.range_loss, len(by_distance))
+        if link.shadowing is not None and link.shadowing.loss:
+            angle[i, m] = by_angle.setdefault(link.shadowing.loss, len(by_angle))
+            side[i, m] = 1.0 if link.shadowing.antenna == "below" else -1.0
     if not (by_distance or by_angle):
         return None
     metres = tuple(np.array(curve).T for curve in by_distance)

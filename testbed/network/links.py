@@ -6,10 +6,14 @@ follower i, which is aircraft i + 1. Fields of LINK_PARAMETERS stand for keys of
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from testbed.scenario.network import Link, Network
 
 Numbers = NDArray[np.int64]
 Outcomes = NDArray[np.uint8]  # of PacketOutcome
@@ -105,3 +109,40 @@ PACKET = np.dtype(
     ],
     align=True,
 )
+
+
+class PairLinks(NamedTuple):
+    """The resolved links between N aircraft and their n followers; equal links are one."""
+
+    names: tuple[str, ...]  # N, the leader first, which does not receive
+    network: Network
+    distinct: tuple[Link, ...]
+    numbers: NDArray[np.int64]  # (n, N) of each link in `distinct`; -1 from an aircraft to itself
+
+    def pairs(self) -> Iterator[tuple[int, int, Link]]:
+        """Yield row, column and link of each pair, row by row."""
+        for i, row in enumerate(self.numbers.tolist()):
+            for m, k in enumerate(row):
+                if k >= 0:
+                    yield i, m, self.distinct[k]
+
+
+def resolve_links(names: Sequence[str], network: Network) -> PairLinks:
+    """Resolve the link of each pair of aircraft once.
+
+    Args:
+        names: N, the leader first, which does not receive.
+        network: the section of the scenario.
+    """
+    distinct: dict[Link, int] = {}
+    made: dict[tuple[int, ...], int] = {}  # by the entries that make it
+    index = np.full((len(names) - 1, len(names)), -1)
+    for i, receiver in enumerate(names[1:]):
+        for m, sender in enumerate(names):
+            if sender != receiver:
+                entries = tuple(map(id, network.entries(sender, receiver)))
+                if entries not in made:
+                    link = network.link(sender, receiver)
+                    made[entries] = distinct.setdefault(link, len(distinct))
+                index[i, m] = made[entries]
+    return PairLinks(tuple(names), network, tuple(distinct), index)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.records import Array, BoolArray, Event
-from testbed.network.links import Outcomes, PacketOutcome
+from testbed.network.links import Outcomes, PacketOutcome, PairLinks
 from testbed.network.packet_outcomes import SIMULTANEOUS_S
 from testbed.scenario.network import Network, Window
 
@@ -37,23 +37,23 @@ class Outages(NamedTuple):
     shape: tuple[int, int]  # (n, N)
 
 
-def make_outages(names: Sequence[str], network: Network) -> Outages:
+def make_outages(pairs: PairLinks) -> Outages:
     """Make the outages of a scenario's network.
 
     Args:
-        names: N, the leader first, which does not receive.
-        network: the section of the scenario.
+        pairs: the links of N aircraft.
     """
+    names, network = pairs.names, pairs.network
     windows = (
         *_transmitters_off(names, network),
         *_partitions(names, network),
-        *_blackouts(names, network),
+        *_blackouts(names, pairs),
     )
     shape = (len(names) - 1, len(names))
     dropped = [
         LINK_STRIDE * (i * len(names) + m) + number
-        for i, m in _links(names)
-        for number in network.link(names[m], names[i + 1]).drop or ()
+        for i, m, link in pairs.pairs()
+        for number in link.drop or ()
         if number < LINK_STRIDE
     ]
     return Outages(windows, np.unique(np.array(dropped, dtype=np.int64)), shape)
@@ -140,11 +140,11 @@ def _partitions(names: Sequence[str], network: Network) -> Iterator[Outage]:
         yield Outage(*partition.window_s, PacketOutcome.PARTITION, links, "run", begins, ends)
 
 
-def _blackouts(names: Sequence[str], network: Network) -> Iterator[Outage]:
+def _blackouts(names: Sequence[str], pairs: PairLinks) -> Iterator[Outage]:
     """Yield one outage for all links with a blackout of the same times."""
     links_of: dict[Window, BoolArray] = {}
-    for i, m in _links(names):
-        for window in network.link(names[m], names[i + 1]).blackout_s or ():
+    for i, m, link in pairs.pairs():
+        for window in link.blackout_s or ():
             links_of.setdefault(window, _no_links(names))[i, m] = True
     for (begin, end), links in links_of.items():
         text = f"blackout {_describe(names, links)}"

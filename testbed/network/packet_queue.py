@@ -36,7 +36,7 @@ def allocate_queue(capacity: int) -> Records:
 
 
 @entry
-def send_broadcast(
+def send_and_count(
     links: Records,
     departures_s: Array,
     tables: Records,
@@ -48,18 +48,32 @@ def send_broadcast(
     muted: BoolArray,
     sent_s: Array,
     messages: Records,
-    count: int,
-) -> int:
+    counts: Numbers,
+) -> bool:
     """Transmit one message of each sender and queue the copies that arrive.
 
-    See `transmit_broadcast` and `enqueue_broadcast` for arguments and result.
+    See `transmit_broadcast` and `enqueue_broadcast` for the other arguments. Return whether the
+    next broadcast needs a larger queue.
+
+    `counts` (2,) are the messages on their way, written, and the most that one broadcast adds.
     """
     sending = transmit_broadcast(
         links, departures_s, tables, transmitters, senders, muted, sent_s, messages
     )
-    return enqueue_broadcast(
-        links, transmitters, queue, received, statistics, sending, sent_s, messages, count
+    count = enqueue_broadcast(
+        links, transmitters, queue, received, statistics, sending, sent_s, messages, counts[0]
     )
+    counts[0] = count
+    return bool(count + counts[1] > len(queue))
+
+
+@entry
+def deliver_and_count(
+    queue: Records, received: Records, statistics: Records, counts: Numbers, now: float
+) -> None:
+    """Deliver as `deliver_due`; `counts` as `send_and_count` has them."""
+    if counts[0]:
+        counts[0] = deliver_due(queue, received, statistics, counts[0], now)
 
 
 @entry

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from testbed.core.compile import Kernel
+from testbed.core.call_list import NOW, Call
+from testbed.core.compile import bind_entry
 from testbed.core.records import (
     LINK,
     MESSAGE,
@@ -32,9 +32,9 @@ from testbed.network.packet_outcomes import transmit_broadcast
 from testbed.network.packet_queue import (
     NO_MESSAGE,
     allocate_queue,
-    deliver_due,
+    deliver_and_count,
     enqueue_broadcast,
-    send_broadcast,
+    send_and_count,
 )
 
 
@@ -67,6 +67,11 @@ class Radio:
         packets: (n, N) of PACKET, of the last broadcast of each aircraft.
         statistics: (n, N) of LINK_STATISTICS.
         needs_all_positions: whether sending needs the positions of all aircraft.
+        senders: (N,) of the next broadcast.
+        muted: (N,) transmitters that are off: their messages are numbered and not sent.
+        sent_s: (N,) s, transmission times of the senders.
+        messages: (N,) of MESSAGE, stamped with the true times of the content.
+        deliver_call: delivers what has arrived; a newer message replaces an older.
     """
 
     def __init__(
@@ -90,40 +95,55 @@ class Radio:
             self.links[name] = np.nan
         self.links["number"] = NO_MESSAGE
         self._inbox = fields_of(Inbox, self.links)
-        self._messages = allocate(MESSAGE, aircraft)
-        self._all, self._none = np.ones(aircraft, dtype=bool), np.zeros(aircraft, dtype=bool)
+        self.messages, self.sent_s = allocate(MESSAGE, aircraft), np.zeros(aircraft)
+        self.senders, self.muted = np.ones(aircraft, dtype=bool), np.zeros(aircraft, dtype=bool)
         self._departures_s = initial_departures(channel)
-        self._count = 0  # messages on their way
-        self._most = 2 * n * aircraft  # that one broadcast adds
-        self._bind(allocate_queue(2 * self._most))
+        # messages on their way, and the most that one broadcast adds
+        self._counts = np.array([0, 2 * n * aircraft], dtype=np.int64)
+        self._queue = allocate_queue(4 * n * aircraft)
+        self.deliver_call = Call(deliver_and_count, *self._received, self._counts, NOW)
+        broadcast = self.senders, self.muted, self.sent_s, self.messages
+        if self._encoder is None:
+            self._send = Call(send_and_count, *self._sending)
+        else:
+            sending = self._links, self._departures_s, channel.tables, self._transmitters
+            self._transmit = bind_entry(transmit_broadcast, *sending, *broadcast)
+            like = *self._received, 0, self.sent_s, self.messages, 0
+            self._enqueue = bind_entry(
+                enqueue_broadcast, self._links, self._transmitters, like=like
+            )
 
-    def _bind(self, queue: Records) -> None:
-        """Bind the entries to the state of this radio and to a queue."""
-        links, transmitters = self._links, self._transmitters
-        self._queue = queue
-        self._transmit = functools.partial(
-            transmit_broadcast, links, self._departures_s, self._channel.tables, transmitters
+    @property
+    def _received(self) -> tuple[Records, ...]:
+        return self._queue, self.links, self.statistics
+
+    @property
+    def _sending(self) -> tuple[Any, ...]:
+        """Arguments of `send_and_count`."""
+        return (
+            *(self._links, self._departures_s, self._channel.tables, self._transmitters),
+            *(*self._received, self.senders, self.muted, self.sent_s, self.messages),
+            self._counts,
         )
-        self._enqueue = functools.partial(
-            enqueue_broadcast, links, transmitters, queue, self.links, self.statistics
-        )
-        self._send = functools.partial(
-            send_broadcast,
-            links,
-            self._departures_s,
-            self._channel.tables,
-            transmitters,
-            queue,
-            self.links,
-            self.statistics,
-        )
-        self._deliver = functools.partial(deliver_due, queue, self.links, self.statistics)
+
+    def send_stage(self, truth: VehicleState) -> tuple[Call | None, Callable[[float], None]]:
+        """Return the call that sends the next broadcast, and what follows it where it says so.
+
+        Where sending is Python's, the call is None. `truth` is the motion of all N aircraft, which
+        fading depends on.
+        """
+        if self._has_losses or self._encoder is not None:
+            return None, lambda now: self._send_broadcast(truth)
+        return self._send, lambda now: self._grow_queue()
 
     def _grow_queue(self) -> None:
         """Double the space for messages on their way."""
-        queue = allocate_queue(2 * len(self._queue))
-        queue[: self._count] = self._queue[: self._count]
-        self._bind(queue)
+        queue, count = allocate_queue(2 * len(self._queue)), self._counts[0]
+        queue[:count] = self._queue[:count]
+        self._queue = queue
+        self.deliver_call.rebind(*self._received, self._counts)
+        if self._encoder is None:
+            self._send.rebind(*self._sending)
 
     def send(
         self,
@@ -137,8 +157,7 @@ class Radio:
 
         Args:
             sent_s: (N,) s, transmission times of the senders.
-            message: of all N, or (N,) of MESSAGE, which is not copied; stamped with the true
-                times of the content.
+            message: of all N, or (N,) of MESSAGE; stamped with the true times of the content.
             truth: motion of all N, which fading depends on.
             senders: (N,); None: all.
             muted: (N,) transmitters that are off: their messages are numbered and not sent; None:
@@ -147,20 +166,27 @@ class Radio:
         Returns:
             `packets`: their outcomes and arrival times.
         """
-        senders = self._all if senders is None else senders
-        muted = self._none if muted is None else muted
+        self.senders[:] = True if senders is None else senders
+        self.muted[:] = False if muted is None else muted
+        self.sent_s[:] = sent_s
         if isinstance(message, Broadcast):
-            write_fields(self._messages, message)
-            message = self._messages
-        if self._count + self._most > len(self._queue):
-            self._grow_queue()
-        if self._has_losses:
-            self._write_losses(sent_s, truth, senders)
-        if self._encoder is not None:
-            self._send_frames(self._encoder, sent_s, message, senders, muted)
+            write_fields(self.messages, message)
         else:
-            self._count = self._send(senders, muted, sent_s, message, self._count)
+            self.messages[:] = message
+        self._send_broadcast(truth)
         return self.packets
+
+    def _send_broadcast(self, truth: VehicleState | None) -> None:
+        """Send the next broadcast."""
+        if self._has_losses:
+            self._write_losses(truth)
+        if self._encoder is None:
+            grow = self._send(0.0)
+        else:
+            self._send_frames(self._encoder)
+            grow = self._counts.sum() > len(self._queue)
+        if grow:
+            self._grow_queue()
 
     def deliver(self, now: float) -> Inbox:
         """Deliver what has arrived by `now`, s; a newer message replaces an older.
@@ -168,8 +194,7 @@ class Radio:
         Returns:
             The newest messages received: views of `links`.
         """
-        if self._count:
-            self._count = self._deliver(self._count, now)
+        self.deliver_call(now)
         return self._inbox
 
     def summary(self) -> Mapping[str, Any]:
@@ -181,22 +206,10 @@ class Radio:
             summary["damaged"] = {key: getattr(self._encoder, key) for key in keys}
         return summary
 
-    def kernels(self) -> list[Kernel]:
-        """Return the compiled calls of `send` and `deliver`, for `core.compile.prepare`."""
-        sent_s = np.zeros(len(self._all))
-        deliver = functools.partial(self._deliver, 0, 0.0)
-        if self._encoder is None:
-            args = self._all, self._none, sent_s, self._messages, 0
-            return [functools.partial(self._send, *args), deliver]
-        return [
-            functools.partial(self._transmit, self._all, self._none, sent_s, self._messages),
-            functools.partial(self._enqueue, 0, sent_s, self._messages, 0),
-            deliver,
-        ]
-
-    def _write_losses(self, sent_s: Array, truth: VehicleState | None, senders: BoolArray) -> None:
+    def _write_losses(self, truth: VehicleState | None) -> None:
         """Write what acts on the senders' packets besides the links' random numbers."""
-        losses, packets, rows = self._losses, self.packets, np.flatnonzero(senders)
+        losses, packets, sent_s = self._losses, self.packets, self.sent_s
+        rows = np.flatnonzero(self.senders)
         if losses.outages:
             numbers = self._transmitters["number"][rows] + 1
             packets["scripted"][:, rows] = losses.outages(sent_s[rows], rows, numbers)
@@ -205,22 +218,15 @@ class Radio:
         if losses.fading and truth is not None:
             packets["fading"][:, rows] = losses.fading(truth, rows)
 
-    def _send_frames(
-        self,
-        encoder: Encoder,
-        sent_s: Array,
-        messages: Records,
-        senders: BoolArray,
-        muted: BoolArray,
-    ) -> None:
+    def _send_frames(self, encoder: Encoder) -> None:
         """Send messages as frames, of which some are corrupted and pass the checksum."""
-        transmitters, first = self._transmitters, self._count
-        sending = self._transmit(senders, muted, sent_s, messages)
-        rows = np.flatnonzero(senders)
+        transmitters, first = self._transmitters, int(self._counts[0])
+        sending = self._transmit()
+        rows = np.flatnonzero(self.senders)
         numbers = np.array(transmitters["number"][rows])
-        messages = encoder.encode(messages, transmitters["stamp_s"], rows, numbers)
+        messages = encoder.encode(self.messages, transmitters["stamp_s"], rows, numbers)
         errors = encoder.corrupt(self.packets, rows, numbers)
-        self._count = self._enqueue(sending, sent_s, messages, first)
+        self._counts[0] = self._enqueue(*self._received, sending, self.sent_s, messages, first)
         if errors is not None:
             self._write_errors(first, errors, rows)
 

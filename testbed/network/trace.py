@@ -16,16 +16,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.csv_table import Table, read_table
+from testbed.core.csv_table import CsvTable, read_table
 from testbed.core.random import named_stream
 from testbed.core.records import Array
-from testbed.scenario.network import Network
+from testbed.network.links import PairLinks
 from testbed.scenario.references import find_data
 
 ENDS = ("source", "destination")
 
 
-class Trace(NamedTuple):
+class LinkTrace(NamedTuple):
     """K messages over one link, repeated after the span; times are those of the file."""
 
     sent_s: Array  # (K,)
@@ -39,45 +39,43 @@ class Trace(NamedTuple):
 class Replays(NamedTuple):
     """The links between N aircraft and n followers that replay a trace."""
 
-    traces: tuple[Trace, ...]
+    traces: tuple[LinkTrace, ...]
     trace_index: NDArray[np.int64]  # (n, N) into `traces`, -1: none
     begin_s: Array  # (n, N) time of the file at the start of the run
 
 
-def make_replays(names: Sequence[str], network: Network, seed: int) -> Replays | None:
+def make_replays(pairs: PairLinks, seed: int) -> Replays | None:
     """Make the traces that the links of a scenario replay; None if no link does.
 
     Args:
-        names: N, the leader first, which does not receive.
-        network: the section of the scenario.
+        pairs: the links of N aircraft.
         seed: of the run; with the names of a link it gives the random start of a trace.
 
     Raises:
         InputError: a file is not a trace of the links it is for.
     """
-    index = np.full((len(names) - 1, len(names)), -1)
+    names, index = pairs.names, np.full(pairs.numbers.shape, -1)
     begin = np.zeros(index.shape)
     files: dict[str, TraceFile] = {}
-    traces: dict[tuple[str, ...], Trace] = {}  # by file and link
-    for i, destination in enumerate(names[1:]):
-        for m, source in enumerate(names):
-            chosen = None if source == destination else network.link(source, destination).trace
-            if chosen is None:
-                continue
-            if chosen.file not in files:
-                files[chosen.file] = TraceFile(find_data(chosen.file))
-            file = files[chosen.file]
-            key = chosen.file, *file.link(source, destination)
-            trace = traces.setdefault(key, file.trace(source, destination))
-            index[i, m] = list(traces).index(key)
-            begin[i, m] = trace.earliest_s if chosen.begin_s is None else chosen.begin_s
-            if chosen.random_start:
-                draw = named_stream(seed, f"network/{source}>{destination}/trace").random()
-                begin[i, m] += draw * trace.span_s
+    traces: dict[tuple[str, ...], LinkTrace] = {}  # by file and link
+    for i, m, link in pairs.pairs():
+        chosen, source, destination = link.trace, names[m], names[i + 1]
+        if chosen is None:
+            continue
+        if chosen.file not in files:
+            files[chosen.file] = TraceFile(find_data(chosen.file))
+        file = files[chosen.file]
+        key = chosen.file, *file.link(source, destination)
+        trace = traces.setdefault(key, file.trace(source, destination))
+        index[i, m] = list(traces).index(key)
+        begin[i, m] = trace.earliest_s if chosen.begin_s is None else chosen.begin_s
+        if chosen.random_start:
+            draw = named_stream(seed, f"network/{source}>{destination}/trace").random()
+            begin[i, m] += draw * trace.span_s
     return Replays(tuple(traces.values()), index, begin) if traces else None
 
 
-def trace_delay(trace: Trace, time_s: Array) -> Array:
+def trace_delay(trace: LinkTrace, time_s: Array) -> Array:
     """Return the delay of messages by their times (…) of the file, s.
 
     Infinite: lost.
@@ -139,7 +137,7 @@ class TraceFile:
         """Return the ends of a link in the file; none if it has one link."""
         return () if self._one_link else (source, destination)
 
-    def trace(self, source: str, destination: str) -> Trace:
+    def trace(self, source: str, destination: str) -> LinkTrace:
         """Return the trace from one aircraft to another.
 
         Raises:
@@ -158,7 +156,7 @@ class TraceFile:
         )
 
     @cached_property
-    def _traces(self) -> dict[tuple[str, ...], Trace]:
+    def _traces(self) -> dict[tuple[str, ...], LinkTrace]:
         """Return the traces by source and destination; of a file of one link by ()."""
         each = {pair: _messages(_select(self._table, rows)) for pair, rows in self._links.items()}
         times = [sent for sent, _ in each.values()]
@@ -168,7 +166,7 @@ class TraceFile:
         return {pair: _trace(*messages, float(earliest), span) for pair, messages in each.items()}
 
 
-def _select(table: Table, rows: Sequence[int]) -> Table:
+def _select(table: CsvTable, rows: Sequence[int]) -> CsvTable:
     return replace(
         table,
         rows=tuple(table.rows[k] for k in rows),
@@ -176,7 +174,7 @@ def _select(table: Table, rows: Sequence[int]) -> Table:
     )
 
 
-def _messages(table: Table) -> tuple[Array, Array]:
+def _messages(table: CsvTable) -> tuple[Array, Array]:
     """Return transmission times (K,) and delays (K,) of a table of one link, s."""
     sent = table.numbers(["sent_s"])[:, 0]
     if len(sent) < 2:
@@ -203,6 +201,6 @@ def _messages(table: Table) -> tuple[Array, Array]:
     return sent, delay
 
 
-def _trace(sent: Array, delay: Array, earliest: float, span: float) -> Trace:
+def _trace(sent: Array, delay: Array, earliest: float, span: float) -> LinkTrace:
     until = 0.5 * (sent + np.append(sent[1:], sent[0] + span))
-    return Trace(sent, delay, earliest, span, float(until[-1]) - span, until)
+    return LinkTrace(sent, delay, earliest, span, float(until[-1]) - span, until)

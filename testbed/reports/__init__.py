@@ -4,8 +4,16 @@ A report reads logs only; it cannot slow down or change a run.
 """
 
 from testbed.reports.figures import run_figures
-from testbed.reports.html import save_figures, write_page
+from testbed.reports.html import figure_file, save_figures, write_page
 from testbed.reports.page import run_page
 from testbed.reports.run_data import RunData, read_run
 
-__all__ = ["RunData", "read_run", "run_figures", "run_page", "save_figures", "write_page"]
+__all__ = [
+    "RunData",
+    "figure_file",
+    "read_run",
+    "run_figures",
+    "run_page",
+    "save_figures",
+    "write_page",
+]

@@ -158,10 +158,11 @@ def samples_on_axis(run: RunData) -> tuple[BoolArray, str]:
     log = run.log
     selected = np.ones(run.without_slot.shape, dtype=np.bool_)
     left_out = []
-    joined = list(run.metrics["joined_at_s"].values())
+    joined = [at for at in run.metrics["joined_at_s"].values() if at is not None]
     begin, end = log.time_s[[0, -1]]
     latest = begin + MAX_JOINING_SHARE * (end - begin)
-    if joined and None not in joined and begin < max(joined) <= latest:
+    all_joined = joined and len(joined) == len(run.followers)
+    if all_joined and begin < max(joined) <= latest:
         selected[log.time_s < max(joined)] = False
         left_out.append(f"the approach, until all had joined at {max(joined):.1f} s")
     lost = log.lost[:, 1:].any(axis=0)

@@ -6,18 +6,18 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from testbed.formation.barrier import Barrier, OwnBarrier, barrier_curve
+from testbed.formation.barrier import SpeedBarrier, UserBarrier, barrier_curve
 from testbed.formation.control_function import (
     ControlFunction,
-    OwnControlFunction,
+    UserControlFunction,
     control_function_curve,
 )
 from testbed.reports.figure_spec import Figure, FigureSpec, make_figure
 from testbed.reports.plot_selection import STYLES
 from testbed.views.panels import BLACK, Line, Panel
 
-Functions = Mapping[str, ControlFunction | OwnControlFunction]
-Barriers = Mapping[str, tuple[Barrier | OwnBarrier, float, float]]  # with s_lo and s_hi, m/s
+Functions = Mapping[str, ControlFunction | UserControlFunction]
+Barriers = Mapping[str, tuple[SpeedBarrier | UserBarrier, float, float]]  # with s_lo and s_hi, m/s
 POINTS = 601
 NEAR = 2.0  # m/s, how far outside the speed bounds barriers are drawn
 
@@ -78,7 +78,7 @@ def _barriers(barriers: Barriers) -> FigureSpec:
     )
 
 
-def half_way(function: ControlFunction | OwnControlFunction) -> float:
+def half_way(function: ControlFunction | UserControlFunction) -> float:
     """Return the smallest length of an error, m, with half of the largest ‖ρ‖."""
     x = np.geomspace(1e-3, 1e5, 2001)
     value, _ = control_function_curve(function, x * x)

@@ -221,7 +221,7 @@ FORMATS = ("png", "pdf", "svg")
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
+class PageSection:
     """A section of a page; it is left out if its content is empty."""
 
     name: str  # of its anchor
@@ -235,7 +235,7 @@ class Page:
 
     title: str  # plain text, of the browser's tab
     head: str  # HTML above the links to the sections
-    sections: Sequence[Section]
+    sections: Sequence[PageSection]
     footer: str  # plain text
 
 
@@ -267,6 +267,11 @@ def write_page(page: Page, path: Path) -> None:
         file.write(render_page(page))
 
 
+def figure_file(figure: Figure, ending: str) -> str:
+    """Return the name of the file of a figure in one of `FORMATS`."""
+    return f"{figure.name}.{ending}"
+
+
 def save_figures(figures: Iterable[Figure], folder: Path, ending: str) -> list[Path]:
     """Write figures to a folder, which is made if needed; return the files.
 
@@ -283,7 +288,7 @@ def save_figures(figures: Iterable[Figure], folder: Path, ending: str) -> list[P
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for figure in figures:
-        paths.append(folder / f"{figure.name}.{ending}")
+        paths.append(folder / figure_file(figure, ending))
         save_figure(figure.grid, paths[-1])
     return paths
 

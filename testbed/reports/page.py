@@ -26,7 +26,7 @@ from testbed.metrics.tables import (
 from testbed.reports.figures import run_figures
 from testbed.reports.html import (
     Page,
-    Section,
+    PageSection,
     cards_html,
     figure_html,
     file_html,
@@ -51,11 +51,11 @@ def run_page(run: RunData) -> Page:
         title=run.log.info.scenario_name,
         head=head_html(run),
         sections=(
-            Section("errors", "Formation error", _errors(run)),
-            Section("followers", "Followers", _followers(run)),
-            Section("figures", "Figures", _figures(run)),
-            Section("events", "Events", _events(run)),
-            Section("repeat", "To repeat this run", _repeat(run)),
+            PageSection("errors", "Formation error", _errors(run)),
+            PageSection("followers", "Followers", _followers(run)),
+            PageSection("figures", "Figures", _figures(run)),
+            PageSection("events", "Events", _events(run)),
+            PageSection("repeat", "To repeat this run", _repeat(run)),
         ),
         footer=f"Made by testbed {version} from {run.path.name}.",
     )
@@ -119,8 +119,9 @@ def _cards(run: RunData) -> list[tuple[str, str, str]]:
 def _separation_problem(run: RunData) -> str:
     """Describe a separation below the larger wingspan of the two aircraft; "" without one."""
     info, between = run.log.info, run.metrics["min_separation_between"]
+    separation = run.metrics["min_separation_m"]
     span = max((info.wingspan_m[info.names.index(name)] for name in between or ()), default=0.0)
-    if not between or run.metrics["min_separation_m"] >= span:
+    if separation is None or separation >= span:
         return ""
     return f"closer than a wingspan, {span:.2f} m"
 

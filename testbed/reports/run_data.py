@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from testbed.core.errors import InputError
 from testbed.core.records import Array, BoolArray
-from testbed.logs.read import Log, read_log, replay, scenario_of, select_window
+from testbed.logs.read import RunLog, read_log, replay, scenario_of, select_window
 from testbed.logs.run_directory import find_run
 from testbed.metrics import MetricsObserver
 from testbed.metrics.check import check_metrics
+from testbed.metrics.model import Metrics
 from testbed.scenario import Scenario
-
-Metrics = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +23,7 @@ class RunData:
     """A run of N aircraft and K samples; n = N − 1 of the aircraft are followers."""
 
     path: Path  # of the log
-    log: Log  # the samples and events that figures draw
+    log: RunLog  # the samples and events that figures draw
     metrics: Metrics  # of the whole run
     scenario: Scenario | None  # None: this version cannot read it
     part: str = ""  # of the run that figures draw, as "40 to 75 s"; "": all of it
@@ -88,6 +85,6 @@ def read_run(
     return RunData(path, log, metrics, scenario, part)
 
 
-def _compute_metrics(log: Log, scenario: Scenario | None) -> Metrics:
+def _compute_metrics(log: RunLog, scenario: Scenario | None) -> Metrics:
     observer = MetricsObserver(published=scenario.published if scenario else None)
     return observer.summary(replay(log, [observer]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -17,7 +17,11 @@ from pydantic import Field
 
 from testbed.core.errors import InputError
 from testbed.core.files import report_write_errors
-from testbed.core.records import Array, Sample
+from testbed.core.records import (
+    Array,
+    FbwaCommand,
+    Sample,
+)
 from testbed.core.velocity_frame import velocity_frame
 from testbed.scenario import (
     Scenario,
@@ -27,14 +31,20 @@ from testbed.scenario import (
     set_duration,
 )
 from testbed.scenario.aircraft import External
-from testbed.scenario.arguments import check_argument, check_arguments, to_plain, with_changes
+from testbed.scenario.arguments import (
+    check_argument,
+    check_arguments,
+    check_path,
+    to_plain,
+    with_changes,
+)
 from testbed.scenario.fields import MAX_DISTANCE_M, NotNegative, Seconds, Section, Whole, is_number
 from testbed.scenario.load import parse_setting
 from testbed.scenario.sections import Distance, Header
 from testbed.scenario.validate import shown_value
 from testbed.scenario.yaml_io import to_inline
 from testbed.sim.autopilot_session import MANUAL_ANGLE_LIMIT
-from testbed.sim.build_control import build_altitudes, build_offsets
+from testbed.sim.build import World
 from testbed.sim.simulation import Simulation
 
 Vector = NDArray[np.float32]
@@ -70,7 +80,7 @@ OWN = (
 )
 # The nearest other follower by its newest message, minus the own position; the bound without one.
 NEAREST = _axes("nearest", "m", 50.0)
-ACTIONS = ("pitch", "roll", "throttle")
+ACTIONS = FbwaCommand._fields  # pitch, roll, throttle
 
 
 def observation_space(components: tuple[Component, ...]) -> Box:
@@ -93,12 +103,11 @@ class CommandRange(NamedTuple):
     trim: Array  # (3,) level flight at the airspeed of the start
     highest: Array  # (3,)
 
-    def command(self, action: Array) -> tuple[float, float, float]:
-        """Return pitch, roll and throttle of an action (3,), limited to -1..1."""
+    def command(self, action: Array) -> FbwaCommand[float]:
+        """Return the command of an action (3,), limited to -1..1."""
         part = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
         span = np.where(part < 0.0, self.trim - self.lowest, self.highest - self.trim)
-        pitch, roll, throttle = (self.trim + part * span).tolist()
-        return pitch, roll, throttle
+        return FbwaCommand._make((self.trim + part * span).tolist())
 
 
 class Slot(NamedTuple):
@@ -217,6 +226,20 @@ class Task(Section):
     out: str | None = Field(None, min_length=1, description="Path of a folder.")
 
 
+class _Episode(Simulation):
+    """A flight whose run directory is created once it is built: refused ones leave none."""
+
+    def __init__(self, scenario: Scenario, seed: int, create: Callable[[], Path] | None) -> None:
+        """Build it; `create` makes the directory, None: nothing is written."""
+        self._create = create
+        super().__init__(scenario, seed=seed)
+
+    def _open_directory(self, world: World) -> Path | None:
+        if self._create is not None:
+            self._out = self._create()
+        return super()._open_directory(world)
+
+
 class NoEpisodeError(InputError, gymnasium.error.ResetNeeded):
     """A step before the first episode, or after the end of one."""
 
@@ -250,6 +273,7 @@ class Episodes:
             Task, {k: arguments[k] for k in arguments if k != _DRAWN}
         )
         self._nearest = nearest
+        self._folder = None if task.out is None else check_path("out", task.out)
         self._file = open_scenario(task.scenario)
         for text in task.overrides:
             _refuse_fixed(f"overrides: {text}", parse_setting(text).keys)
@@ -314,8 +338,7 @@ class Episodes:
         """
         drawn = {key: _draw(generator, each) for key, each in self._drawn_from.items()}
         scenario = self._commanded(self._resolve(drawn))
-        out = None if self.task.out is None else self._create_directory(Path(self.task.out))
-        simulation = Simulation(scenario, seed=seed, out=out)
+        simulation = _Episode(scenario, seed, self._create_directory if self._folder else None)
         airspeeds = simulation.state.truth.airspeed.copy()
         ranges = _command_ranges(scenario, simulation, self.agents)
         state = simulation.step()  # one tick at the trim: the first messages arrive
@@ -401,7 +424,7 @@ class Episodes:
         return now | {"mean_slot_error_m": mean, "rms_slot_error_m": rms}
 
     @property
-    def metrics(self) -> dict[str, Any]:
+    def metrics(self) -> Mapping[str, Any]:
         """The metrics of the flight up to now, as in metrics.json."""
         return self._flight.metrics
 
@@ -416,12 +439,14 @@ class Episodes:
             raise NoEpisodeError("there is no episode yet: call reset()")
         return self.simulation
 
-    def _create_directory(self, folder: Path) -> Path:
+    def _create_directory(self) -> Path:
         """Create the directory of the next episode; processes that share a folder take turns.
 
         Raises:
             InputError: it cannot be created.
         """
+        folder = self._folder
+        assert folder is not None
         with report_write_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
             while True:
@@ -551,10 +576,11 @@ def _draw(generator: np.random.Generator, values: tuple[float, float] | list[Any
 
 def _slots(scenario: Scenario) -> dict[int, Slot]:
     """Return the slots of the followers, by their rows among the N aircraft."""
-    offsets = build_offsets(scenario)
+    formation, names = scenario.formation, scenario.aircraft_names[1:]
+    offsets = np.array([(0.0, 0.0, 0.0), *(formation.offsets_m[name] for name in names)])
     return {
-        row: Slot(offsets, float(altitude))
-        for row, altitude in enumerate(build_altitudes(scenario), start=1)
+        row: Slot(offsets, formation.altitudes_m.get(name, math.nan))
+        for row, name in enumerate(names, start=1)
     }
 
 

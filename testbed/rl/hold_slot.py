@@ -14,7 +14,7 @@ from testbed.rl.episodes import (
     observation_space,
     refuse_render_mode,
 )
-from testbed.scenario.aircraft import Aircraft
+from testbed.scenario.aircraft import AircraftSection
 from testbed.scenario.arguments import check_argument
 from testbed.sim.simulation import Simulation
 
@@ -65,7 +65,7 @@ class HoldSlotEnv(gymnasium.Env[Any, Any]):
         """See the class."""
         refuse_render_mode(render_mode)
         self.render_mode = render_mode
-        self._name: str = check_argument("follower", follower, Aircraft, "name")
+        self._name: str = check_argument("follower", follower, AircraftSection, "name")
         self._episodes = Episodes(task, [self._name], nearest=False)
         self.observation_space = observation_space(OWN)
         self.action_space = action_space()

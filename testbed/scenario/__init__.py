@@ -15,7 +15,7 @@ from testbed.scenario.load import (
     place_of_key,
 )
 from testbed.scenario.middle_loop import MiddleLoopGains
-from testbed.scenario.problems import Place, Problem, ScenarioError
+from testbed.scenario.problems import FilePosition, Problem, ScenarioError
 from testbed.scenario.references import (
     code_references,
     find_aircraft,
@@ -47,7 +47,7 @@ from testbed.scenario.schema import (
 __all__ = [
     "SCHEMA_VERSION",
     "MiddleLoopGains",
-    "Place",
+    "FilePosition",
     "Problem",
     "Scenario",
     "ScenarioError",

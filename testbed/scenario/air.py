@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from testbed.scenario.fields import (
+    SMALLEST,
     Celsius,
     Degrees,
     Duration,
@@ -35,10 +36,10 @@ class LogProfile(Section):
     """Logarithmic profile; MIL-F-8785C 3.7.3.2 uses it with 6.1 m (20 ft) and its roughness."""
 
     kind: Literal["log"] = Field(description="Wind proportional to ln(height / roughness).")
-    height_m: Length = Field(10.0, gt=0, description=_REFERENCE)
+    height_m: Length = Field(10.0, ge=SMALLEST, description=_REFERENCE)
     roughness_m: Length = Field(
         0.03,
-        gt=0,
+        ge=SMALLEST,
         description="Roughness length of the ground, m: 0.03 is short grass; MIL-F-8785C has "
         "0.046 (0.15 ft) for landing approaches and 0.61 (2 ft) otherwise.",
     )
@@ -48,9 +49,9 @@ class PowerProfile(Section):
     """Power-law profile of engineering practice."""
 
     kind: Literal["power"] = Field(description="Wind proportional to a power of the height.")
-    height_m: Length = Field(10.0, gt=0, description=_REFERENCE)
+    height_m: Length = Field(10.0, ge=SMALLEST, description=_REFERENCE)
     exponent: Number = Field(
-        0.143, gt=0, le=1, description="Exponent, no unit; 1/7 is typical of open country."
+        0.143, ge=SMALLEST, le=1, description="Exponent, no unit; 1/7 is typical of open country."
     )
 
 
@@ -79,7 +80,7 @@ class Wind(Section):
         "this file, or a name in scenarios/data. Its first row is time 0.",
     )
     max_gap_s: Duration = Field(
-        10.0, gt=0, description="Longest time between two rows of the file, s."
+        10.0, ge=SMALLEST, description="Longest time between two rows of the file, s."
     )
 
 
@@ -117,7 +118,7 @@ class Turbulence(Section):
     )
     height_m: Length | None = Field(
         None,
-        gt=0,
+        ge=SMALLEST,
         description="For coherent: height at which intensities and scale lengths are taken, m; by "
         "default that of the leader's start.",
     )
@@ -130,7 +131,7 @@ class TimedGust(Section):
     name: Name = Field(description="Name in the events of the log.")
     velocity_mps: GustVelocity = Field(description="Largest added wind [north, east, down], m/s.")
     at_s: Duration = Field(ge=0, description="Time of its beginning, s.")
-    ramp_s: Duration = Field(gt=0, description="Time from zero to velocity_mps, s.")
+    ramp_s: Duration = Field(ge=SMALLEST, description="Time from zero to velocity_mps, s.")
     shape: Literal["pulse", "ramp"] = Field("pulse", description=_SHAPE)
 
 
@@ -150,7 +151,7 @@ class GustFront(Section):
         description="Direction of the front's motion, degrees clockwise from north.",
     )
     length_m: Length = Field(
-        gt=0, description="Distance behind the front over which the gust rises, m."
+        ge=SMALLEST, description="Distance behind the front over which the gust rises, m."
     )
     speed_mps: MetresPerSecond | None = Field(
         None,
@@ -170,15 +171,20 @@ class Wake(Section):
 
     core_spans: Number = Field(
         0.05,
-        gt=0,
+        ge=SMALLEST,
         le=1,
         description="Radius of a vortex core in wing spans of the aircraft that shed it.",
     )
     decay_s: Duration | None = Field(
-        None, gt=0, description="Time in which a vortex decays to 1/e, s; no decay by default."
+        None,
+        ge=SMALLEST,
+        description="Time in which a vortex decays to 1/e, s; no decay by default.",
     )
     memory_s: Seconds = Field(
-        10.0, gt=0, le=600, description="Length of the trail behind each aircraft, s of flight."
+        10.0,
+        ge=SMALLEST,
+        le=600,
+        description="Length of the trail behind each aircraft, s of flight.",
     )
 
 

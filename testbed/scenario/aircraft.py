@@ -17,6 +17,7 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 from testbed.scenario.faults import AnyFault
 from testbed.scenario.fields import (
     MAX_SPEED_MPS,
+    SMALLEST,
     Degrees,
     Duration,
     Flag,
@@ -33,7 +34,7 @@ from testbed.scenario.fields import (
 )
 from testbed.scenario.sensors import TRUTH, Sensors
 
-Timeout = Annotated[Seconds, Field(gt=0, le=3600)]
+Timeout = Annotated[Seconds, Field(ge=SMALLEST, le=3600)]
 
 
 class ByFormation(Section):
@@ -168,7 +169,9 @@ class Level(Section):
     """Full circles of a loiter at one altitude."""
 
     altitude_m: Metres = Field(description="Altitude above the origin, m.")
-    turns: Number = Field(gt=0, le=MAX_LEGS, description="Number of full circles at this altitude.")
+    turns: Number = Field(
+        ge=SMALLEST, le=MAX_LEGS, description="Number of full circles at this altitude."
+    )
 
 
 class Loiter(Section):
@@ -196,16 +199,18 @@ class Mission(Section):
     kind: Literal["mission"] = Field(description="Legs flown by the guidance of the leader.")
     airspeed_mps: Speed = Field(ge=0.1, description="Airspeed to hold, m/s.")
     bank_limit_deg: Degrees = Field(
-        30.0, gt=0, lt=80, description="Largest bank angle command of the guidance, degrees."
+        30.0, ge=SMALLEST, lt=80, description="Largest bank angle command of the guidance, degrees."
     )
     climb_limit_mps: Speed = Field(
         1.5,
-        gt=0,
+        ge=SMALLEST,
         description="Climb rate between the levels of a loiter, m/s; on a leg it follows from the "
         "points.",
     )
     waypoint_radius_m: Length = Field(
-        90.0, gt=0, description="Largest distance from a waypoint at which its turn begins, m."
+        90.0,
+        ge=SMALLEST,
+        description="Largest distance from a waypoint at which its turn begins, m.",
     )
     legs: tuple[Leg, ...] = Field(
         min_length=1, description="Legs in order; the last is flown until the end of the run."
@@ -304,7 +309,7 @@ class Battery(Section):
     """Battery of an electric aircraft; a low battery gives less thrust."""
 
     state_of_charge: Number = Field(
-        1.0, gt=0, le=1, description="Charge at the start, 0 to 1 of a full battery."
+        1.0, ge=SMALLEST, le=1, description="Charge at the start, 0 to 1 of a full battery."
     )
     cells: Whole | None = Field(
         None,
@@ -315,7 +320,7 @@ class Battery(Section):
     )
 
 
-class Aircraft(Section):
+class AircraftSection(Section):
     """Keys of every aircraft."""
 
     name: Name = Field(description="Name in logs, views, offsets and gains.")
@@ -352,7 +357,7 @@ class Aircraft(Section):
     )
 
 
-class Leader(Aircraft):
+class Leader(AircraftSection):
     """The aircraft that the formation follows."""
 
     name: Name = Field("leader", description="Name in logs and views.")
@@ -362,7 +367,7 @@ class Leader(Aircraft):
     path: Path = Field(description="Path of the leader.")
 
 
-class Follower(Aircraft):
+class Follower(AircraftSection):
     """An aircraft of the formation."""
 
     start_m: Offset = Field(

@@ -10,11 +10,11 @@ from pydantic import BaseModel, Field, ValidationError, create_model
 
 from testbed.core.errors import InputError
 from testbed.scenario.fields import NotNegative, Section, Whole
-from testbed.scenario.problems import Place, ScenarioError
+from testbed.scenario.problems import FilePosition, ScenarioError
 from testbed.scenario.validate import explain, shown_value, validate
 from testbed.scenario.yaml_io import plant
 
-_NOWHERE = Place("")
+_NOWHERE = FilePosition("")
 _MAX_DEPTH = 50  # of lists and maps in an argument
 ModelT = TypeVar("ModelT", bound=BaseModel)
 

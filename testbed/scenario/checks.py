@@ -15,7 +15,7 @@ from testbed.scenario.aircraft import (
 )
 from testbed.scenario.expect import check_expect
 from testbed.scenario.faults import AnyFault
-from testbed.scenario.fields import Finding, KeyPath
+from testbed.scenario.fields import SMALLEST, Finding, KeyPath
 from testbed.scenario.network_checks import check_network
 from testbed.scenario.problems import did_you_mean
 from testbed.scenario.sections import Sections
@@ -444,7 +444,7 @@ def _agents(scenario: Sections) -> Iterator[Finding]:
     for at, part in parts:
         for key in ("speed_mps", "speed_desired_mps"):
             speeds = getattr(part, key)
-            if speeds is not None and not 0 < speeds[0] < speeds[1]:
+            if speeds is not None and not SMALLEST <= speeds[0] < speeds[1]:
                 yield (
                     (*at, key),
                     f"[{speeds[0]:g}, {speeds[1]:g}] is not a range of speeds (write [lowest, "

@@ -19,6 +19,7 @@ from testbed.scenario.fields import (
     MAX_RATE_PER_S,
     MAX_SPEED_MPS,
     MAX_WEIGHT,
+    SMALLEST,
     Degrees,
     Duration,
     Gain,
@@ -59,8 +60,8 @@ class PowerControlFunction(Section):
     """μ(z) = (ν₁ + ν₂ z)^(−m), [HBH23] Example 1."""
 
     example: Literal[1] = Field(description="Number of the example in [HBH23].")
-    nu1: Number = Field(50.0, gt=0, le=MAX_WEIGHT, description="ν₁, m².")
-    nu2: Number = Field(1.0, gt=0, le=MAX_WEIGHT, description="ν₂, no unit.")
+    nu1: Number = Field(50.0, ge=SMALLEST, le=MAX_WEIGHT, description="ν₁, m².")
+    nu2: Number = Field(1.0, ge=SMALLEST, le=MAX_WEIGHT, description="ν₂, no unit.")
     m: Number = Field(0.5, ge=0.5, le=1.0, description="Exponent, no unit.")
 
 
@@ -86,7 +87,7 @@ class Barrier(Section):
     example: Literal[4, 5, 6] = Field(description="Number of the example in [HBH23].")
     nu: Number = Field(
         0.05,
-        gt=0,
+        ge=SMALLEST,
         le=MAX_SPEED_MPS,
         description="ν: s²/m² in examples 4 and 5, a margin in m/s in example 6.",
     )
@@ -137,7 +138,7 @@ class PointingGain(Section):
 
     @model_validator(mode="after")
     def _positive(self) -> Self:
-        if not (self.constant or self.per_speed_squared):
+        if max(self.constant, self.per_speed_squared) < SMALLEST:
             raise PydanticCustomError("turn", "must be above 0 (write 0.1, for example, in 1/s)")
         return self
 
@@ -153,7 +154,7 @@ class PointingGain(Section):
         schema = handler.resolve_ref_schema(handler(core_schema))
         return {
             "anyOf": [
-                {"type": "number", "exclusiveMinimum": 0, "maximum": MAX_RATE_PER_S},
+                {"type": "number", "minimum": SMALLEST, "maximum": MAX_RATE_PER_S},
                 dict(schema),
             ]
         }
@@ -170,17 +171,17 @@ SpeedRange = tuple[Annotated[Speed, Field(ge=0)], Annotated[Speed, Field(ge=0)]]
 class Agent(Section):
     """Parameters of one follower; those that are left out are the formation's."""
 
-    k: Speed | None = Field(None, gt=0, description="k_i of (7), m/s.")
-    a: PerSecond | None = Field(None, gt=0, description="a_i of (14), 1/s.")
+    k: Speed | None = Field(None, ge=SMALLEST, description="k_i of (7), m/s.")
+    a: PerSecond | None = Field(None, ge=SMALLEST, description="a_i of (14), 1/s.")
     b: Number | None = Field(None, ge=0, le=MAX_RATE_PER_S, description="b_i of (14), s/m².")
     c: PointingGain | None = Field(None, description="c_i of (15), 1/s, or a map.")
-    kappa_mps: Speed | None = Field(None, gt=0, description="κ_i, m/s.")
+    kappa_mps: Speed | None = Field(None, ge=SMALLEST, description="κ_i, m/s.")
     speed_mps: SpeedRange | None = Field(None, description="Bounds S_i [lowest, highest], m/s.")
     speed_desired_mps: SpeedRange | None = Field(
         None, description="Bounds of s_d [lowest, highest], m/s."
     )
     speed_pole_per_s: PerSecond | None = Field(
-        None, gt=0, description="Pole p of the speed model, 1/s."
+        None, ge=SMALLEST, description="Pole p of the speed model, 1/s."
     )
     speed_model: SpeedModel | None = Field(
         None, description="f_i and g_i of (2), for an ideal vehicle."
@@ -202,7 +203,7 @@ class OnFailure(Section):
     )
     clearance_m: Length = Field(
         30.0,
-        gt=0,
+        ge=SMALLEST,
         description="A slot is reassigned once the failed aircraft reports to be this far from "
         "it, m.",
     )
@@ -227,15 +228,15 @@ class Formation(Section):
     neighbour_gains: Mapping[Name, Mapping[Name, Gain]] = Field(
         {}, description="β_ij of follower i for neighbour j, no unit; 0 if missing."
     )
-    k: Speed = Field(3.0, gt=0, description="k_i of the desired velocity (7), m/s.")
-    a: PerSecond = Field(1.0, gt=0, description="a_i of the speed law (14), 1/s.")
+    k: Speed = Field(3.0, ge=SMALLEST, description="k_i of the desired velocity (7), m/s.")
+    a: PerSecond = Field(1.0, ge=SMALLEST, description="a_i of the speed law (14), 1/s.")
     b: Number = Field(0.1, ge=0, le=MAX_RATE_PER_S, description="b_i of the speed law (14), s/m².")
     c: PointingGain = Field(
         PointingGain(constant=0.1),
         description="c_i of the pointing law (15): 1/s, or a map with its growth with s_d.",
     )
     kappa_mps: Speed = Field(
-        3.6, gt=0, description="κ_i: margin of the slot's speed to the speed bounds, m/s."
+        3.6, ge=SMALLEST, description="κ_i: margin of the slot's speed to the speed bounds, m/s."
     )
     speed_mps: SpeedRange = Field(
         (16.0, 30.0), description="Speed bounds S_i [lowest, highest], m/s."
@@ -246,7 +247,7 @@ class Formation(Section):
         "bounds, narrowed by κ − k ρ̄.",
     )
     speed_pole_per_s: PerSecond = Field(
-        0.64, gt=0, description="Pole p of the speed model f = −p s, g = p, 1/s."
+        0.64, ge=SMALLEST, description="Pole p of the speed model f = −p s, g = p, 1/s."
     )
     speed_model: SpeedModel | None = Field(
         None,
@@ -309,7 +310,7 @@ class Controller(Section):
     )
     gain_scale: Number = Field(
         1.0,
-        gt=0,
+        ge=SMALLEST,
         le=MAX_LOOP_GAIN,
         description="Factor of every PID gain of the middle loop, no unit.",
     )
@@ -342,7 +343,7 @@ class Controller(Section):
     )
     leader_timeout_s: Duration = Field(
         5.0,
-        gt=0,
+        ge=SMALLEST,
         description="Time without a message from the leader after which a follower leaves the "
         "formation, s.",
     )
@@ -355,7 +356,7 @@ class Controller(Section):
     )
     neighbour_timeout_s: Duration | None = Field(
         None,
-        gt=0,
+        ge=SMALLEST,
         description="Time without a message from a neighbour after which it is not extrapolated, "
         "s; by default leader_timeout_s.",
     )

@@ -5,6 +5,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from testbed.scenario.fields import (
+    SMALLEST,
     Duration,
     Metres,
     Number,
@@ -45,7 +46,7 @@ class Fault(Section):
     when: Condition | None = Field(
         None, description="Condition under which it begins; it begins only once."
     )
-    duration_s: Annotated[Duration, Field(gt=0)] | None = Field(
+    duration_s: Annotated[Duration, Field(ge=SMALLEST)] | None = Field(
         None, description="How long it lasts, s; by default to the end of the run."
     )
     declared: Annotated[bool, Field(strict=True)] | None = Field(
@@ -149,7 +150,7 @@ class BatteryLow(Fault):
     DECLARED = NEEDS_FLIGHT_MODEL = True
     kind: Literal["battery-low"] = Field(description="The battery drops to a lower charge.")
     state_of_charge: Number = Field(
-        gt=0, le=1, description="State of charge to which it drops, 0 to 1."
+        ge=SMALLEST, le=1, description="State of charge to which it drops, 0 to 1."
     )
 
 

@@ -18,6 +18,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from testbed.core.numbers import SMALLEST as SMALLEST
 from testbed.core.start_time import start_unix_ns
 
 KeyPath = tuple[str | int, ...]
@@ -73,6 +74,7 @@ MAX_SPEED_MPS = 340.0  # of sound; the flight models are subsonic
 MAX_RATE_PER_S = 1000.0  # gains of 1/s act within a millisecond
 MAX_LOOP_GAIN = 100.0  # rad per rad, or throttle per m/s: full command for a hundredth of a unit
 MAX_WEIGHT = 1e6  # ratios of gains, and parameters of functions
+# A number that must be positive has SMALLEST as its lower bound, never `gt=0`.
 
 Metres = Annotated[
     Number, Field(ge=-MAX_DISTANCE_M, le=MAX_DISTANCE_M, json_schema_extra={"unit": "m"})
@@ -93,6 +95,20 @@ PerSecond = Annotated[Number, Field(le=MAX_RATE_PER_S, json_schema_extra={"unit"
 Celsius = Annotated[Number, Field(json_schema_extra={"unit": "degC"})]
 Percent = Annotated[Number, Field(json_schema_extra={"unit": "%"})]
 Hertz = Annotated[Whole, Field(gt=0, le=10_000, json_schema_extra={"unit": "Hz"})]
+
+
+def _zero_or_usable(value: float) -> float:
+    if 0 < value < SMALLEST:
+        raise PydanticCustomError(
+            "small",
+            "is {value} (write 0, or a number at least {smallest})",
+            {"value": f"{value:g}", "smallest": f"{SMALLEST:g}"},
+        )
+    return value
+
+
+ZeroOrUsable = AfterValidator(_zero_or_usable)
+"""For numbers that divide, and of which 0 switches an effect off."""
 
 
 def is_number(value: object) -> bool:

@@ -15,10 +15,15 @@ from testbed.scenario.arguments import check_overrides, check_path, with_changes
 from testbed.scenario.fields import KeyPath
 from testbed.scenario.middle_loop import GainChanges, Guidance, MiddleLoopFile, MiddleLoopGains
 from testbed.scenario.pattern import drop_follower_keys, expand_pattern, is_pattern_key
-from testbed.scenario.problems import Place, Problem, ScenarioError, did_you_mean, merge_repeated
+from testbed.scenario.problems import (
+    FilePosition,
+    Problem,
+    ScenarioError,
+    did_you_mean,
+    merge_repeated,
+)
 from testbed.scenario.references import resolve_references
 from testbed.scenario.schema import Scenario
-from testbed.scenario.schema_1 import MIDDLE_LOOP, renamed_keys
 from testbed.scenario.validate import validate
 from testbed.scenario.yaml_io import (
     Node,
@@ -42,7 +47,7 @@ _NEUTRAL_PATHS = tuple(
     for key in ("name", "question", "expectation", "seed", "duration_s", "published")
 )
 _FOREIGN = "has no key of a scenario (write the name or the path of a scenario)"
-CHANGES = Place("controller.gains")  # place of problems in changes to a profile
+CHANGES = FilePosition("controller.gains")  # place of problems in changes to a profile
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,14 +86,14 @@ def open_scenario(
         folder: base of a relative path that a file has; None: the working directory.
 
     Raises:
-        ScenarioError: a file does not exist, is not YAML, or is of schema 1.
+        ScenarioError: a file does not exist or is not YAML.
         InputError: the argument is no path.
     """
     check_path("scenario", name_or_path)
     path = references.find_scenario(os.fspath(name_or_path), folder=folder)
     tree = read(path)
     if folder is not None and not _has_scenario_key(tree):
-        raise error_at(Place(str(name_or_path)), f"{path} {_FOREIGN}")
+        raise error_at(FilePosition(str(name_or_path)), f"{path} {_FOREIGN}")
     return ScenarioFile(path, _merged(_files(tree, (path,))))
 
 
@@ -148,8 +153,6 @@ def load_middle_loop(
             wrong change has the place `CHANGES`, and its path begins there.
     """
     tree = read(Path(file) if file else references.find_aircraft(aircraft) / "middle_loop.yaml")
-    if renamed := renamed_keys(tree, MIDDLE_LOOP):
-        raise ScenarioError(renamed)
     profiles = validate(tree, MiddleLoopFile).root
     if profile in profiles:
         gains = profiles[profile]
@@ -223,7 +226,7 @@ def place_of_key(error: str, name_or_path: str | Path, overrides: Sequence[str] 
 
 def find_places(
     paths: Sequence[KeyPath], name_or_path: str | Path, overrides: Sequence[str] = ()
-) -> list[Place | None]:
+) -> list[FilePosition | None]:
     """Return the places of key paths, or of the deepest maps that exist.
 
     Args:
@@ -255,9 +258,6 @@ def _set(tree: Node, settings: Sequence[Setting]) -> tuple[Node, Node]:
 
 def _resolve(tree: Node, overrides: Sequence[str], settings_folder: Path | None = None) -> Scenario:
     settings = [parse_setting(text) for text in check_overrides("overrides", overrides)]
-    renamed = [problem for each in settings for problem in renamed_keys(each.tree)]
-    if renamed:
-        raise ScenarioError(renamed)
     unchanged, tree = _set(tree, settings)
     try:
         scenario = resolve_references(validate(tree, Scenario), tree, settings_folder)
@@ -355,14 +355,7 @@ def _has_scenario_key(tree: Node) -> bool:
 
 
 def _merged(files: list[Node]) -> Node:
-    """Merge each file with the next one, which it extends.
-
-    Raises:
-        ScenarioError: some are of schema 1; with the new name of every key, in all files.
-    """
-    renamed = [problem for tree in files for problem in renamed_keys(tree)]
-    if renamed:
-        raise ScenarioError(renamed)
+    """Merge each file with the next one, which it extends."""
     *tops, tree = files
     for top in reversed(tops):
         tree = inherit(drop_follower_keys(tree, top), top)
@@ -417,7 +410,7 @@ def parse_setting(text: str) -> Setting:
         node = parse(value, source, Path.cwd())
     except ScenarioError as error:
         raise _error(source, keys, error.problems[0].text) from None
-    return Setting(text, keys, _placed(node, Place(source)))
+    return Setting(text, keys, _placed(node, FilePosition(source)))
 
 
 def override(tree: Node, setting: Setting) -> Node:
@@ -433,7 +426,7 @@ def override(tree: Node, setting: Setting) -> Node:
     return _set_value(tree, setting.keys, (), setting)
 
 
-def _placed(node: Node, place: Place) -> Node:
+def _placed(node: Node, place: FilePosition) -> Node:
     """Give every node of a value one place: a setting has no lines."""
     value = node.value
     if isinstance(value, dict):
@@ -504,4 +497,4 @@ def _indices(
 
 
 def _error(source: str, path: tuple[str, ...], text: str) -> ScenarioError:
-    return ScenarioError([Problem(Place(source), text, path)])
+    return ScenarioError([Problem(FilePosition(source), text, path)])

@@ -7,6 +7,7 @@ from pydantic import Field, RootModel
 
 from testbed.scenario.arguments import with_changes
 from testbed.scenario.fields import (
+    SMALLEST,
     Degrees,
     Duration,
     LoopGain,
@@ -14,10 +15,11 @@ from testbed.scenario.fields import (
     Number,
     Section,
     Speed,
+    ZeroOrUsable,
 )
 
 CourseFeedback = Literal["outside_arctangent", "inside_arctangent"]
-Share = Annotated[Number, Field(gt=0, le=1)]
+Share = Annotated[Number, Field(ge=SMALLEST, le=1)]
 
 
 class AngleGains(Section):
@@ -35,11 +37,15 @@ class SpeedGains(Section):
     i: LoopGain = Field(0.0, description="Integral, throttle fraction per m.")
 
 
-class Limits(Section):
+class CommandLimits(Section):
     """Limits of the commands."""
 
-    pitch_deg: Degrees = Field(20.0, gt=0, lt=90, description="Largest pitch command, degrees.")
-    roll_deg: Degrees = Field(50.0, gt=0, lt=90, description="Largest roll command, degrees.")
+    pitch_deg: Degrees = Field(
+        20.0, ge=SMALLEST, lt=90, description="Largest pitch command, degrees."
+    )
+    roll_deg: Degrees = Field(
+        50.0, ge=SMALLEST, lt=90, description="Largest roll command, degrees."
+    )
 
 
 class AltitudeGains(Section):
@@ -121,8 +127,8 @@ class FeedForwards(Section):
     roll_lead_s: Duration = Field(
         0.0, ge=0, description="Lead time of the bank command of a coordinated turn, s."
     )
-    lead_filter_s: Duration = Field(
-        0.1, ge=0, description="Time constant of the derivative for roll_lead_s, s."
+    lead_filter_s: Annotated[Duration, Field(ge=0), ZeroOrUsable] = Field(
+        0.1, description="Time constant of the derivative for roll_lead_s, s."
     )
     eta_climb: LoopGain = Field(
         0.0, description="Throttle fraction per sine of the desired flight-path angle."
@@ -149,9 +155,9 @@ class MiddleLoopGains(Section):
     trim_throttle: Number = Field(
         ge=0, le=1, description="η_0 of (21): throttle fraction at the trim airspeed."
     )
-    trim_airspeed_mps: Speed = Field(gt=0, description="s_a0 of (21), m/s.")
-    rate_filter_s: Duration = Field(
-        0.0, ge=0, description="Time constant of the filter of measured rates, s; 0: no filter."
+    trim_airspeed_mps: Speed = Field(ge=SMALLEST, description="s_a0 of (21), m/s.")
+    rate_filter_s: Annotated[Duration, Field(ge=0), ZeroOrUsable] = Field(
+        0.0, description="Time constant of the filter of measured rates, s; 0: no filter."
     )
     altitude: AltitudeGains = Field(
         AltitudeGains(), description="Altitude to pitch in the horizontal variant, m to rad."
@@ -160,7 +166,7 @@ class MiddleLoopGains(Section):
         FeedForwards(), description="Feed-forward terms added to (19) to (21); none by default."
     )
     estimators: Estimators = Field(Estimators(), description="Estimates from received messages.")
-    limits: Limits = Field(Limits(), description="Limits of the commands, degrees.")
+    limits: CommandLimits = Field(CommandLimits(), description="Limits of the commands, degrees.")
 
 
 GainChanges = Mapping[Name, Number | CourseFeedback | Mapping[Name, Number]]

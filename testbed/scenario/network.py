@@ -17,12 +17,14 @@ from pydantic_core import CoreSchema
 
 from testbed.scenario.fields import (
     MAX_DISTANCE_M,
+    SMALLEST,
     Instant,
     Name,
     Number,
     Seconds,
     Section,
     Whole,
+    ZeroOrUsable,
     is_number,
 )
 
@@ -162,8 +164,8 @@ class Jitter(Section):
 class Rate(Section):
     """Transmission rate, behind a finite queue that drops the last packet."""
 
-    bit_per_s: Number = Field(
-        ge=0, le=1e12, description="Rate of the transmitter, bit/s; 0 is unlimited."
+    bit_per_s: Annotated[Number, Field(ge=0, le=1e12), ZeroOrUsable] = Field(
+        description="Rate of the transmitter, bit/s; 0 is unlimited."
     )
     overhead_bytes: Annotated[Whole, Field(ge=0, le=65_535)] = Field(
         0, description="Header bytes of each message, a number."
@@ -322,7 +324,7 @@ class Tdma(Section):
 class BroadcastSchedule(Section):
     """Times of messages: phase_s, then every period_s."""
 
-    period_s: Annotated[Seconds, Field(gt=0, le=60)] | None = Field(
+    period_s: Annotated[Seconds, Field(ge=SMALLEST, le=60)] | None = Field(
         None, description="Time between messages; by default that of rates.broadcast_hz, s."
     )
     phase_s: Instant | None = Field(
@@ -339,7 +341,7 @@ class StampClock(Section):
     drift_ppm: Annotated[Number, Field(ge=-1e5, le=1e5)] = Field(
         0.0, description="Drift in microseconds per second, a number."
     )
-    resolution_s: Annotated[Seconds, Field(ge=0, le=10)] = Field(
+    resolution_s: Annotated[Seconds, Field(ge=0, le=10), ZeroOrUsable] = Field(
         0.0, description="Stamps are rounded down to multiples of this, s; 0: not rounded."
     )
 
@@ -402,14 +404,14 @@ class Network(Link):
 
     def link(self, source: str, destination: str) -> Link:
         """Return the resolved link between two aircraft; keys not set are None."""
-        keys: dict[str, Any] = {name: getattr(self, name) for name in Link.model_fields}
-        for sender, receiver in ((ANY, ANY), (ANY, destination), (source, ANY)):
-            keys |= self._keys(sender, receiver)
-        return Link.model_construct(**(keys | self._keys(source, destination)))
+        keys: dict[str, Any] = {}
+        for entry in (self, *self.entries(source, destination)):
+            values = ((name, getattr(entry, name)) for name in Link.model_fields)
+            keys |= {name: value for name, value in values if value is not None}
+        return Link.model_construct(**(dict.fromkeys(Link.model_fields) | keys))
 
-    def _keys(self, sender: str, receiver: str) -> dict[str, Any]:
-        special = self.links.get(sender, {}).get(receiver)
-        if special is None:
-            return {}
-        values = ((name, getattr(special, name)) for name in Link.model_fields)
-        return {name: value for name, value in values if value is not None}
+    def entries(self, source: str, destination: str) -> tuple[Link, ...]:
+        """Return the entries of `links` for a link; a later one takes precedence."""
+        places = ((ANY, ANY), (ANY, destination), (source, ANY), (source, destination))
+        found = (self.links.get(sender, {}).get(receiver) for sender, receiver in places)
+        return tuple(each for each in found if each is not None)

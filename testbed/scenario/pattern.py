@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from testbed.scenario.aircraft import Aircraft
+from testbed.scenario.aircraft import AircraftSection
 from testbed.scenario.fields import Finding, Gain, Metres, Name, Whole, raise_findings
 from testbed.scenario.problems import did_you_mean
 from testbed.scenario.validate import validate
@@ -25,7 +25,7 @@ _UNUSED = {"line-abreast": (0, "behind", "vee"), "column": (1, "beside", "echelo
 _SPACING_M = {"line-abreast": (0.0, 10.0, 0.0), "column": (10.0, 0.0, 0.0)}
 
 
-class Pattern(Aircraft):
+class Pattern(AircraftSection):
     """Fleet of like aircraft in a pattern; it is read as the list that it stands for."""
 
     name: Name = Field("uav", description="Prefix of the names: uav1, uav2 and so on.")
@@ -195,7 +195,9 @@ def _child(node: Node, key: str) -> Node | None:
 def _followers(fleet: Pattern, pattern: Node) -> tuple[Node, ...]:
     """Return the list of followers: common keys, and over them those of each."""
     assert isinstance(pattern.value, dict)
-    common = {key: node for key, node in pattern.value.items() if key in Aircraft.model_fields}
+    common = {
+        key: node for key, node in pattern.value.items() if key in AircraftSection.model_fields
+    }
     agents = _child(pattern, "agents")
     followers = []
     for name, (forward, right, down) in zip(fleet.names, fleet.slots, strict=True):

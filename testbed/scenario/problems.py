@@ -15,7 +15,7 @@ _MAX_WORD = 200  # characters of a word that is compared with known ones
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class FilePosition:
     """A position in a file: line (0: the whole file) and column, from 1."""
 
     source: str
@@ -31,7 +31,7 @@ class Place:
 class Problem:
     """One wrong value: its place, its path and a text with the remedy."""
 
-    place: Place | None  # None: of no single file
+    place: FilePosition | None  # None: of no single file
     text: str
     path: tuple[str, ...] = ()  # keys and list indices from the top of the file
 
@@ -56,7 +56,7 @@ class ScenarioError(InputError):
 
 def merge_repeated(problems: Iterable[Problem]) -> list[Problem]:
     """Merge problems of one place and text; paths that differ get a `*`."""
-    merged: dict[tuple[Place | None, str, int], Problem] = {}
+    merged: dict[tuple[FilePosition | None, str, int], Problem] = {}
     for problem in problems:
         key = (problem.place, problem.text, len(problem.path))
         first = merged.setdefault(key, problem)

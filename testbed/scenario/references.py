@@ -14,7 +14,7 @@ from testbed.scenario.aircraft import Follower, Leader
 from testbed.scenario.control import Agent, Formation
 from testbed.scenario.fields import KeyPath
 from testbed.scenario.network_checks import link_entries
-from testbed.scenario.problems import Place, Problem, ScenarioError, did_you_mean
+from testbed.scenario.problems import FilePosition, Problem, ScenarioError, did_you_mean
 from testbed.scenario.schema import Scenario
 from testbed.scenario.yaml_io import Node, walk
 
@@ -104,7 +104,7 @@ def find_aircraft(name_or_path: str | Path, *, folder: Path | None = None) -> Pa
         return path
     if _exists(path, Path.is_dir):
         text = f"{path} has no {path.name}.xml (write a folder with a model of its name)"
-        raise ScenarioError([Problem(Place(str(path)), text)])
+        raise ScenarioError([Problem(FilePosition(str(path)), text)])
     raise _not_found("aircraft", text, list_aircraft(), "a folder with a JSBSim model", path)
 
 
@@ -148,7 +148,7 @@ def find_code(name: str, *, folder: Path | None = None, within: Path | None = No
         path = absolute(module, folder)
         if not is_file(path):
             text = f"there is no file {path} (write module:name, with module.py in this folder)"
-            raise ScenarioError([Problem(Place(str(path)), text)])
+            raise ScenarioError([Problem(FilePosition(str(path)), text)])
         _refuse_outside(path, within)
         return f"{path}:{object_name}"
     file = f"{module.replace('.', '/')}.py"
@@ -165,7 +165,7 @@ def find_code(name: str, *, folder: Path | None = None, within: Path | None = No
 def _refuse_outside(path: Path, folder: Path | None) -> None:
     if folder is not None and not path.is_relative_to(folder.resolve()):
         text = f"{path} is not in the folder of the file that names it, {folder} (put a copy there)"
-        raise ScenarioError([Problem(Place(str(path)), text)])
+        raise ScenarioError([Problem(FilePosition(str(path)), text)])
 
 
 def _find(
@@ -231,7 +231,7 @@ def _not_found(
             f"there is no {what} {text!r}{did_you_mean(text, known)} (write one of: {names}; or "
             f"the path of {path_of}, relative to {looked_at.parent})"
         )
-    return ScenarioError([Problem(Place(text), message)])
+    return ScenarioError([Problem(FilePosition(text), message)])
 
 
 _GAINS = "middle_loop.yaml"

@@ -12,6 +12,7 @@ from testbed.scenario.control import Controller, Formation
 from testbed.scenario.expect import Expect
 from testbed.scenario.fields import (
     MAX_DURATION_S,
+    SMALLEST,
     Degrees,
     Flag,
     Hertz,
@@ -28,7 +29,7 @@ from testbed.scenario.fields import (
 )
 from testbed.scenario.network import Network, Window
 
-Distance = Annotated[Length, Field(gt=0)]
+Distance = Annotated[Length, Field(ge=SMALLEST)]
 
 
 class Origin(Section):
@@ -91,7 +92,7 @@ class Header(Section):
     name: Name = Field(description="Name of the scenario and of the folder of its runs.")
     question: str = Field("", description="Question that the run answers.")
     expectation: str = Field("", description="Expected answer.")
-    duration_s: Seconds = Field(gt=0, le=MAX_DURATION_S, description="Length of the run, s.")
+    duration_s: Seconds = Field(ge=SMALLEST, le=MAX_DURATION_S, description="Length of the run, s.")
     seed: Whole = Field(1, ge=0, lt=2**63, description="Seed of every random stream, a number.")
     origin: Origin = Field(Origin(), description="Origin of the local frame on the earth.")
     windows: Mapping[Name, Window] = Field(
@@ -135,12 +136,12 @@ class Limits(Section):
         description="Distance of the centres of two aircraft below which separation is lost: an "
         "error, and exit code 1, m; by default a wingspan, the larger of the two; 0: not checked.",
     )
-    overspeed_mps: Annotated[Speed, Field(gt=0)] | None = Field(
+    overspeed_mps: Annotated[Speed, Field(ge=SMALLEST)] | None = Field(
         None,
         description="Equivalent airspeed above which, for 0.5 s, a flight model exceeds its "
         "envelope, m/s; by default 1.5 times AIRSPEED_MAX of its autopilot.",
     )
-    stall_deg: Annotated[Degrees, Field(gt=0, le=180)] | None = Field(
+    stall_deg: Annotated[Degrees, Field(ge=SMALLEST, le=180)] | None = Field(
         None,
         description="Angle of attack above which, for 0.5 s, a flight model exceeds its envelope, "
         "degrees; by default that of maximum lift.",

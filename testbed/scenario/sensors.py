@@ -18,6 +18,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
 
 from testbed.scenario.fields import (
+    SMALLEST,
     Degrees,
     Duration,
     Hertz,
@@ -26,6 +27,7 @@ from testbed.scenario.fields import (
     Seconds,
     Section,
     Speed,
+    ZeroOrUsable,
 )
 from testbed.scenario.problems import did_you_mean
 
@@ -106,9 +108,9 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
 MAX_SIGMA = 1e4  # of any sensor, in its unit
 MAX_CORRELATION_S = 1e6  # an error is constant over the longest run, a day, far below it
 Latency = Annotated[Seconds, Field(ge=0, le=10)]
-Correlation = Annotated[Seconds, Field(gt=0, le=MAX_CORRELATION_S)]
+Correlation = Annotated[Seconds, Field(ge=SMALLEST, le=MAX_CORRELATION_S)]
 Sigma = Annotated[Number, Field(ge=0, le=MAX_SIGMA)]
-Positive = Annotated[Number, Field(gt=0, le=MAX_SIGMA)]
+Positive = Annotated[Number, Field(ge=SMALLEST, le=MAX_SIGMA)]
 SigmaPair = tuple[Annotated[Length, Field(ge=0)], Annotated[Length, Field(ge=0)]]
 SpeedSigmaPair = tuple[Annotated[Speed, Field(ge=0)], Annotated[Speed, Field(ge=0)]]
 
@@ -117,21 +119,21 @@ class PositionNoise(Section):
     """Noise of the estimated position, the same on each NED axis."""
 
     sigma_m: Length = Field(ge=0, description="Standard deviation, m; 0 is exact.")
-    time_constant_s: Duration = Field(gt=0, description=_CORRELATION)
+    time_constant_s: Duration = Field(ge=SMALLEST, description=_CORRELATION)
 
 
 class VelocityNoise(Section):
     """Noise of the estimated velocity, the same on each NED axis."""
 
     sigma_mps: Speed = Field(ge=0, description="Standard deviation, m/s; 0 is exact.")
-    time_constant_s: Duration = Field(gt=0, description=_CORRELATION)
+    time_constant_s: Duration = Field(ge=SMALLEST, description=_CORRELATION)
 
 
 class AttitudeNoise(Section):
     """Noise of the estimated roll, pitch and yaw, the same on each."""
 
     sigma_deg: Degrees = Field(ge=0, le=180, description="Standard deviation, degrees; 0 is exact.")
-    time_constant_s: Duration = Field(gt=0, description=_CORRELATION)
+    time_constant_s: Duration = Field(ge=SMALLEST, description=_CORRELATION)
 
 
 class Gps(Section):
@@ -195,7 +197,7 @@ class AirspeedSensor(Section):
     scale_sigma: Sigma = Field(
         0.0, description="Random constant error as a share, drawn per aircraft: 1 sigma, no unit."
     )
-    smoothing_s: Annotated[Duration, Field(ge=0)] = Field(
+    smoothing_s: Annotated[Duration, Field(ge=0), ZeroOrUsable] = Field(
         0.28, description="Time constant of the filter behind it, s; 0: no filter."
     )
 

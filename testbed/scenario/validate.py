@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from testbed.core.numbers import parse_number
-from testbed.scenario.problems import Place, Problem, ScenarioError, did_you_mean
+from testbed.core.numbers import SMALLEST, parse_number
+from testbed.scenario.problems import FilePosition, Problem, ScenarioError, did_you_mean
 from testbed.scenario.yaml_io import Node, plain, walk
 
 _TYPES = {
@@ -80,7 +80,7 @@ def _schema(model: type[BaseModel]) -> dict[str, Any]:
     return model.model_json_schema(by_alias=True)
 
 
-def _reading_order(place: Place | None) -> tuple[str, int, int]:
+def _reading_order(place: FilePosition | None) -> tuple[str, int, int]:
     return (place.source, place.line, place.column) if place else ("", 0, 0)
 
 
@@ -97,7 +97,9 @@ def _problem(tree: Node, loc: tuple[str | int, ...], text: str) -> Problem:
     return Problem(other_place or place, text + hint, path + left[:1])
 
 
-def _inherited(tree: Node, path: tuple[str, ...], place: Place) -> tuple[str, Place | None]:
+def _inherited(
+    tree: Node, path: tuple[str, ...], place: FilePosition
+) -> tuple[str, FilePosition | None]:
     """Return remedy and place for a key of the header that is inherited.
 
     A window or a published number that does not fit is reported where `duration_s` or the windows
@@ -157,8 +159,10 @@ def _one(detail: Mapping[str, Any], tree: Node, schema: dict[str, Any]) -> Probl
         text = f"is {shown if path else _kind(node)}{advice}"
     elif kind in _BOUNDS:
         limit, word = _BOUNDS[kind]
-        remedy = f"write a number {word} {context[limit]:g}"
-        number = node.value
+        bound, number = context[limit], node.value
+        if bound == SMALLEST and isinstance(number, int | float) and number <= 0:
+            word, bound = "above", 0
+        remedy = f"write a number {word} {bound:g}"
         if word == "at most" and context[limit] == 1 and isinstance(number, int | float):
             remedy += f"; {number:g} % is {number / 100:g}" if 5 <= number <= 100 else ""
         if reason := _at(schema, tree, path).get("reason"):
@@ -173,6 +177,8 @@ def _one(detail: Mapping[str, Any], tree: Node, schema: dict[str, Any]) -> Probl
     elif kind == "string_pattern_mismatch":
         text = "is not a name" if "[key]" in loc else f"is {_shown(node)}"
         text = f"{text} (write letters, digits, '-', '_' and '.', no spaces)"
+    elif kind == "string_unicode":
+        text = f"is {_shown(node)}, not UTF-8 text"
     elif kind == "finite_number":
         text = f"is {_shown(node)} (write a finite number)"
     else:

@@ -19,7 +19,7 @@ import yaml
 
 from testbed.core.input_files import ReadError, read_bounded
 from testbed.core.numbers import parse_number, parse_whole
-from testbed.scenario.problems import Place, Problem, ScenarioError
+from testbed.scenario.problems import FilePosition, Problem, ScenarioError
 
 _MAX_NODES = 100_000
 _MAX_DEPTH = 40
@@ -66,13 +66,13 @@ def read(path: Path) -> Node:
     try:
         data = read_bounded(path)
     except ReadError as error:
-        raise error_at(Place(source), error.reason) from None
+        raise error_at(FilePosition(source), error.reason) from None
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = error.object.count(b"\n", 0, error.start) + 1
         raise error_at(
-            Place(source, line, 1), "is not UTF-8 text (save the file as UTF-8)"
+            FilePosition(source, line, 1), "is not UTF-8 text (save the file as UTF-8)"
         ) from None
     return parse(text, source, path.resolve().parent)
 
@@ -121,10 +121,10 @@ def parse(text: str, source: str, folder: Path) -> Node:
         raise error_at(_place_of(source, mark), problem) from None
     except yaml.reader.ReaderError as error:
         before = text.encode()[: error.position].decode(errors="ignore")
-        place = Place(source, before.count("\n") + 1, len(before) - before.rfind("\n"))
+        place = FilePosition(source, before.count("\n") + 1, len(before) - before.rfind("\n"))
         raise error_at(place, f"is not YAML: {str(error).splitlines()[0]}") from None
     if root is None:
-        return Node(None, Place(source, 1, 1), Place(source, 1, 1), folder)
+        return Node(None, FilePosition(source, 1, 1), FilePosition(source, 1, 1), folder)
     return _Builder(source, folder).node(root, None, 0)
 
 
@@ -137,8 +137,8 @@ def _begins_with_tab(text: str, line: int) -> bool:
     return "\t" in indent
 
 
-def _place_of(source: str, mark: Any) -> Place:  # noqa: ANN401 - one of PyYAML's two classes
-    return Place(source, mark.line + 1, mark.column + 1) if mark else Place(source)
+def _place_of(source: str, mark: Any) -> FilePosition:  # noqa: ANN401 - one of PyYAML's two classes
+    return FilePosition(source, mark.line + 1, mark.column + 1) if mark else FilePosition(source)
 
 
 def _refuse_depth(text: str, source: str) -> None:
@@ -164,7 +164,7 @@ class _Builder:
         self.folder = folder
         self.count = 0
 
-    def place(self, node: yaml.Node) -> Place:
+    def place(self, node: yaml.Node) -> FilePosition:
         return _place_of(self.source, node.start_mark)
 
     def node(self, node: yaml.Node, key: yaml.Node | None, depth: int) -> Node:
@@ -221,7 +221,7 @@ def _scalar(text: str) -> Scalar:
     return text
 
 
-def error_at(place: Place, text: str, path: tuple[str, ...] = ()) -> ScenarioError:
+def error_at(place: FilePosition, text: str, path: tuple[str, ...] = ()) -> ScenarioError:
     """Return an error with one problem."""
     return ScenarioError([Problem(place, text, path)])
 
@@ -235,8 +235,8 @@ class Node:
     """A value and its place. Maps and lists hold nodes."""
 
     value: Scalar | tuple[Node, ...] | dict[str, Node]
-    place: Place  # of the value
-    key: Place  # of the key that names it; in a list, of the value
+    place: FilePosition  # of the value
+    key: FilePosition  # of the key that names it; in a list, of the value
     folder: Path  # base of relative paths in the value
 
 
@@ -308,7 +308,7 @@ def expand_preset(node: Node, name: str) -> Node:
     return replace(node, value={_PRESET: node})
 
 
-def plant(value: Plain, place: Place) -> Node:
+def plant(value: Plain, place: FilePosition) -> Node:
     """Return plain values as a tree whose nodes all have one place."""
     nodes: Scalar | tuple[Node, ...] | dict[str, Node]
     if isinstance(value, dict):

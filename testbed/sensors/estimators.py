@@ -6,13 +6,12 @@ accelerometer or magnetometer in the scenario flies on a navigation filter; othe
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
-from testbed.core.compile import Kernel
+from testbed.core.compile import bind_entry
 from testbed.core.frames import rotation_ned_body
 from testbed.core.records import AIRCRAFT, Array, Records, allocate
 from testbed.scenario.sensors import Sensors
@@ -38,7 +37,7 @@ WARM_UP_S = 60.0  # straight flight of the filters before the run
 _NAVIGATION = ("gps", "barometer", "gyro", "accelerometer", "magnetometer")
 
 
-class Estimators:
+class StateEstimators:
     """The state estimators of N aircraft; `warm_up` comes before the first estimate.
 
     Args:
@@ -64,9 +63,9 @@ class Estimators:
         """See the class."""
         dt = 1.0 / rate_hz
         self._count, self._rate_hz, self._step = len(names), rate_hz, 0
-        self._sensors: tuple[GaussMarkovErrors, Kernel] | None = None
+        self._sensors: tuple[GaussMarkovErrors, Callable[..., None]] | None = None
         self._filters: tuple[Records, Records, Records] | None = None
-        self._jitter: tuple[GaussMarkovErrors, Kernel] | None = None
+        self._jitter: tuple[GaussMarkovErrors, Callable[..., None]] | None = None
         modelled = any(each.measured for each in sensors) or sensor_faults
         if modelled:
             errors = make_sensor_errors(names, sensors, seed=seed, dt=dt)
@@ -74,7 +73,8 @@ class Estimators:
         jitter = make_jitter(names, sensors, seed=seed, dt=dt)
         if jitter is not None:
             args = jitter.coefficients, jitter.values, not modelled
-            self._jitter = jitter, functools.partial(add_jitter_to_all, *args)
+            like = allocate(AIRCRAFT, 1), jitter.values, True
+            self._jitter = jitter, bind_entry(add_jitter_to_all, *args, like=like)
         self.exact = not modelled and jitter is None
 
     def warm_up(self, aircraft: Records) -> None:
@@ -99,6 +99,13 @@ class Estimators:
             truth["position_ned"] = position + step / self._rate_hz * truth["velocity_ned"]
             write_estimates(flown, errors.draw(), step, True)
 
+    def steps(self, aircraft: Records) -> tuple[Callable[[float], None], Callable[[float], None]]:
+        """Return the steps of `estimate` that advance, and that keep the errors."""
+        return (
+            lambda now: self.estimate(aircraft, advance=True),
+            lambda now: self.estimate(aircraft, advance=False),
+        )
+
     def estimate(self, aircraft: Records, *, advance: bool) -> None:
         """Write the next estimates, or the present errors on the present truth.
 
@@ -117,37 +124,26 @@ class Estimators:
         if self.exact:
             aircraft["estimate"] = aircraft["truth"]
 
-    def kernels(self) -> list[Kernel]:
-        """Return the compiled calls of these estimators, for `core.compile.prepare`."""
-        aircraft, calls = allocate(AIRCRAFT, self._count), []
-        if self._sensors is not None:
-            errors, write_estimates = self._sensors
-            calls.append(functools.partial(write_estimates, aircraft, errors.values, 0, True))
-        if self._jitter is not None:
-            errors, add_jitter = self._jitter
-            calls.append(functools.partial(add_jitter, aircraft, errors.values, True))
-        return calls
-
     def _make_sensor_step(
         self,
         names: Sequence[str],
         sensors: Sequence[Sensors],
         errors: GaussMarkovErrors,
         seed: int,
-    ) -> Kernel:
+    ) -> Callable[..., None]:
         """Return the call that steps all sensors and filters."""
         biases = make_constant_biases(names, sensors, seed)
         airspeed_sensors = make_airspeed_sensors(sensors, biases, self._rate_hz)
         values = errors.coefficients, errors.values, view_errors(errors)
+        args = *values, airspeed_sensors, self._rate_hz
+        like = allocate(AIRCRAFT, 1), errors.values, 0, True
         rows = np.flatnonzero([has_filter(each) for each in sensors])
         if not rows.size:
-            return functools.partial(estimate_airspeeds, *values, airspeed_sensors, self._rate_hz)
+            return bind_entry(estimate_airspeeds, *args, like=like)
         settings = make_settings([sensors[row] for row in rows.tolist()], self._rate_hz)
         settings["row"], settings["heading_bias"] = rows, biases.heading[rows]
         self._filters = settings, *make_filters(settings)
-        return functools.partial(
-            estimate_motions, *values, airspeed_sensors, self._rate_hz, *self._filters
-        )
+        return bind_entry(estimate_motions, *args, *self._filters, like=like)
 
     def _start_filters(self, errors: Records, step: int, truth: Records) -> None:
         """Start the filters at a step before the warm-up, in a known wind."""

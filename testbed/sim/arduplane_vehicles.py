@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,18 +11,19 @@ import numpy as np
 
 from testbed.autopilot.json_physics import MOTION_NUMBERS, pack_motion
 from testbed.autopilot.sitl_process import stop_processes
-from testbed.core.compile import Kernel
+from testbed.core.compile import bind_entry
 from testbed.core.records import (
     BoolArray,
     Event,
+    FbwaCommand,
     Indices,
-    Origin,
+    NedOrigin,
     Records,
     fault_state,
     join_names,
 )
-from testbed.scenario import Scenario
-from testbed.scenario.aircraft import ArduPlane
+from testbed.plan.fleet import PlannedAircraft
+from testbed.scenario.sections import Rates
 from testbed.sim.vehicles import JsbsimVehicles
 from testbed.vehicle.fleet import JsbsimFleet
 
@@ -59,6 +59,7 @@ class ArduPlaneVehicles(JsbsimVehicles):
             arduplane: the binary of the command line.
         """
         super().__init__(fleet, gains, aircraft, rows)
+        self.autopilot_steps, self.output_steps = (self._step_autopilots,), ()
         self._planes, self._arduplane = dict(planes), arduplane
         self._all = tuple(self._planes.values())
         self._messages: list[tuple[SitlVehicle, str, str]] = []
@@ -66,6 +67,8 @@ class ArduPlaneVehicles(JsbsimVehicles):
         self._pitot = fleet.read().equivalent_airspeed
         self._outputs = {k: self._raw[k].item() for k in planes}
         self._motion = np.empty((len(rows), MOTION_NUMBERS))  # of `pack_motion`
+        packed = rows, aircraft, self._motion
+        self._pack_motion = bind_entry(pack_motion, *packed, like=(fleet.all_rows,))
         self._sent = False  # the state of this tick, to the ArduPlanes
         self._one = {k: np.array([k]) for k in planes}
         self._virtual = np.setdiff1d(fleet.all_rows, list(planes))
@@ -98,10 +101,10 @@ class ArduPlaneVehicles(JsbsimVehicles):
         for line in self._describe_ports():
             announce(line)
         state, air = self.fleet.read(), self.fleet.air()
-        pack_motion(self.fleet.all_rows, self.rows, self._aircraft, self._motion)
+        self._pack_motion(self.fleet.all_rows)
         for row, plane in self._planes.items():
             roll, pitch, _ = state.euler[row].tolist()
-            trim = roll, pitch, float(self._raw["throttle"][row])
+            trim = FbwaCommand(pitch, roll, float(self._raw["throttle"][row]))
             pitot, voltage = state.equivalent_airspeed[row], air.battery_voltage[row]
             inputs = air.wind_ned[row].tolist(), float(pitot), float(voltage)
             text = plane.start_up(self._motion[row].tolist(), inputs, trim)
@@ -146,28 +149,22 @@ class ArduPlaneVehicles(JsbsimVehicles):
         """Stop what was started, however far that came; called once, however the run ends."""
         self._stop(self._all)
 
-    def kernels(self, followers: Records) -> list[Kernel]:
-        """See `Vehicles`."""
-        pack = partial(pack_motion, self.fleet.all_rows, self.rows, self._aircraft, self._motion)
-        return [*super().kernels(followers), pack]
-
-    def autopilot_step(self) -> None:
+    def _step_autopilots(self, now: float) -> None:
         """Send command and state to the ArduPlanes, and step the virtual autopilots.
 
         The ArduPlanes then compute during the rest of the tick, the sample and the log.
         """
         self._pitot = self._aircraft["estimate"]["equivalent_airspeed"][self.rows]
-        command = self._aircraft["command"][self.rows]
-        self._send_states([command[name].tolist() for name in ("roll", "pitch", "throttle")])
-        super().autopilot_step()
+        self._send_states(self._aircraft["command"][self.rows])
+        self._fly(now)
         for plane in self._planes.values():
             self._messages += [(plane, *each) for each in plane.pop_messages()]
         self._raw = self._aircraft["surfaces"][self.rows]
         self._write_outputs()
 
-    def apply_faults(self) -> None:
-        """See `Vehicles`; faults act behind the servo outputs of each tick."""
-        super().apply_faults()
+    def apply_faults(self, now: float) -> None:
+        """See `JsbsimVehicles`; faults act behind the servo outputs of each tick."""
+        super().apply_faults(now)
         self._faults = fault_state(self._aircraft["faults"][self.rows])
 
     def remove(self, lost: BoolArray) -> None:
@@ -187,7 +184,7 @@ class ArduPlaneVehicles(JsbsimVehicles):
         if not self._sent:
             self._send_states(None)
         self._sent = False
-        fleet.write_surfaces()
+        fleet.write_surfaces(0.0)
         fleet.run_some(self._virtual, ticks)
         for left in reversed(range(ticks)):
             for k, plane in planes:
@@ -203,30 +200,30 @@ class ArduPlaneVehicles(JsbsimVehicles):
 
     def _step_one(self, k: int, plane: SitlVehicle, left: int) -> None:
         """Step a flight model by a tick, and send its state if ticks are left."""
-        self.fleet.write_surfaces()
+        self.fleet.write_surfaces(0.0)
         self.fleet.run_some(self._one[k], 1)
         if left:
             self._send_state(k, plane)
 
-    def _send_states(self, command: Sequence[Sequence[float]] | None) -> None:
+    def _send_states(self, commands: Records | None) -> None:
         """Send the current state to all ArduPlanes, once before a step.
 
         Args:
-            command: roll, pitch and throttle, (3, M); None: those sent before.
+            commands: (M,) of COMMAND; None: those sent before.
         """
         self.fleet.read_air()
         winds = self._aircraft["wind"]["wind_ned"][self.rows].tolist()
         voltage = self._aircraft["air"]["battery_voltage"][self.rows].tolist()
         pitot = self._pitot.tolist()
         for k, plane in self._planes.items():
-            if command is not None:
-                plane.set_command(*(each[k] for each in command))
+            if commands is not None:
+                plane.set_command(FbwaCommand._make(commands[k].item()))
             plane.set_inputs(winds[k], pitot[k], voltage[k])
             self._send_state(k, plane)
         self._sent = True
 
     def _send_state(self, k: int, plane: SitlVehicle) -> None:
-        pack_motion(self._one[k], self.rows, self._aircraft, self._motion)
+        self._pack_motion(self._one[k])
         plane.send_state(self._motion[k].tolist())
 
     def _write_outputs(self) -> None:
@@ -254,48 +251,45 @@ def _instances(row: int, fixed: Mapping[int, int | None]) -> Sequence[int]:
 
 
 def build_jsbsim_vehicles(
-    scenario: Scenario,
+    modelled: Sequence[PlannedAircraft],
     fleet: JsbsimFleet,
     gains: Records,
     aircraft: Records,
-    rows: Sequence[int],
-    tunes: Sequence[Path],
+    origin: NedOrigin,
+    rates: Rates,
     arduplane: Path | None,
 ) -> JsbsimVehicles:
-    """Make the vehicles of a scenario's aircraft with flight models.
+    """Make the vehicles of M aircraft with flight models.
 
     Args:
-        scenario: as resolved.
-        fleet: M flight models.
+        modelled: M aircraft.
+        fleet: their flight models.
         gains: (M,) of fbwa.GAINS.
         aircraft: (N,) of AIRCRAFT.
-        rows: M rows of the flight models among the aircraft.
-        tunes: N parameter files.
-        arduplane: the binary of the command line.
+        origin: of the local frame.
+        rates: of the run.
+        arduplane: the program of the command line.
     """
-    if not any(isinstance(scenario.aircraft[row].autopilot, ArduPlane) for row in rows):
-        return JsbsimVehicles(fleet, gains, aircraft, np.array(rows, dtype=np.intp))
+    rows = np.array([each.row for each in modelled], dtype=np.intp)
+    if not any(each.arduplane for each in modelled):
+        return JsbsimVehicles(fleet, gains, aircraft, rows)
     # imported here, as few scenarios need them
     from testbed.autopilot.ardupilot_sitl import SitlConfig, SitlVehicle
 
-    origin = Origin(**scenario.scenario.origin.model_dump())
     yaw = fleet.read().euler[:, 2]
-    autopilots = {row: scenario.aircraft[row].autopilot for row in rows}
     fixed = {
-        row: each.fixed_instance(row)
-        for row, each in autopilots.items()
-        if isinstance(each, ArduPlane)
+        each.row: each.arduplane.fixed_instance(each.row) for each in modelled if each.arduplane
     }
     planes = {}
-    for k, row in enumerate(rows):
-        autopilot = autopilots[row]
-        if not isinstance(autopilot, ArduPlane):
+    for k, each in enumerate(modelled):
+        autopilot = each.arduplane
+        if autopilot is None:
             continue
         config = SitlConfig(
-            name=scenario.aircraft[row].name,
-            instances=_instances(row, fixed),
+            name=each.name,
+            instances=_instances(each.row, fixed),
             start=autopilot.start,
-            tune=tunes[row],
+            tune=each.tune_file,
             timeout_s=autopilot.timeout_s,
             heading_deg=math.degrees(float(yaw[k])) % 360.0,
             elevon_mixing=float(fleet.geometry.mixing[k]),
@@ -303,9 +297,7 @@ def build_jsbsim_vehicles(
         planes[k] = SitlVehicle(
             config,
             origin,
-            physics_hz=scenario.rates.physics_hz,
-            autopilot_hz=scenario.rates.autopilot_hz,
+            physics_hz=rates.physics_hz,
+            autopilot_hz=rates.autopilot_hz,
         )
-    return ArduPlaneVehicles(
-        fleet, gains, aircraft, np.array(rows, dtype=np.intp), planes, arduplane
-    )
+    return ArduPlaneVehicles(fleet, gains, aircraft, rows, planes, arduplane)

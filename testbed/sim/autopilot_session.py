@@ -12,7 +12,7 @@ import numpy as np
 from testbed.autopilot.param_file import ParamError
 from testbed.autopilot.parameters import FbwaParams, with_param
 from testbed.core.geodetic import ned_from_geodetic
-from testbed.core.records import Event, VehicleState
+from testbed.core.records import Event, FbwaCommand, VehicleState
 from testbed.mavlink.mission_plans import (
     MAX_ALTITUDE_M,
     MAX_DISTANCE_M,
@@ -20,14 +20,14 @@ from testbed.mavlink.mission_plans import (
     ItemFlightPlan,
 )
 from testbed.mavlink.vehicle_control import (
+    FlightMode,
     MissionItem,
-    Mode,
     NavigationTarget,
     Rejection,
     VehicleControl,
 )
 from testbed.scenario.aircraft import External
-from testbed.sim.leader_control import FbwaInput, MissionController
+from testbed.sim.leader_control import MissionController
 from testbed.sim.navigator import Navigator, NavigatorConfig
 
 _LOITER_RADIUS = 60.0  # m, ArduPlane's default of WP_LOITER_RAD
@@ -44,7 +44,7 @@ class AutopilotSession(VehicleControl):
     session. A command takes effect at the next tick.
 
     Attributes:
-        trim: pitch, roll (rad) and throttle of the level flight at the start.
+        trim: the command of the level flight at the start.
         lost: whether the aircraft crashed or broke.
         frozen: whether its autopilot is frozen.
         command_counts: executed requests by kind.
@@ -70,7 +70,7 @@ class AutopilotSession(VehicleControl):
             external: the scenario's `commanded_by: external`, or None.
             mission: of a leader, its mission in the scenario and its controller.
         """
-        super().__init__(name, Mode.AUTO if mission and not external else Mode.FBWA, "")
+        super().__init__(name, FlightMode.AUTO if mission and not external else FlightMode.FBWA, "")
         self.trim = config.trim
         self._external, self._leads = external or External(), mission is not None
         self.external = external is not None
@@ -81,9 +81,9 @@ class AutopilotSession(VehicleControl):
         if mission:
             self._navigator.take_over(*mission)
         self.lost = self.frozen = False
-        self._manual: FbwaInput = self.trim  # the latest sticks or attitude target
+        self._manual: FbwaCommand[float] = self.trim  # the latest sticks or attitude target
         self._manual_s: float | None = 0.0  # its time; None: GUIDED circles a point
-        self._guided: FbwaInput = self.trim  # command of the navigator
+        self._guided: FbwaCommand[float] = self.trim  # command of the navigator
         self._now = 0.0
         self._sample_s: float | None = None  # of the sample that lockstep waits for an answer to
         self._events: list[Event] = []
@@ -120,15 +120,15 @@ class AutopilotSession(VehicleControl):
         return self._sample_s is not None and self._is_manual and not (self.lost or self.frozen)
 
     @property
-    def command(self) -> FbwaInput | None:
+    def command(self) -> FbwaCommand[float] | None:
         """The current command; None: the scenario's own controller commands this follower."""
         if self._is_manual and not self.failsafe:
             command = self._manual
-        elif self.mode is Mode.FBWA and not self._takes_manual:
-            return None if self.armed else (*self.trim[:2], 0.0)
+        elif self.mode is FlightMode.FBWA and not self._takes_manual:
+            return None if self.armed else self.trim._replace(throttle=0.0)
         else:
             command = self._guided
-        return command if self.armed else (*command[:2], 0.0)
+        return command if self.armed else command._replace(throttle=0.0)
 
     def guide(self, now: float, estimate: VehicleState) -> None:
         """Step the failsafe and the active guidance, once per control period.
@@ -140,9 +140,9 @@ class AutopilotSession(VehicleControl):
         self._now = now
         self._navigator.update(estimate)
         self._check_command_timeout()
-        if self.mode is Mode.AUTO:
+        if self.mode is FlightMode.AUTO:
             self._guided = self._navigator.fly_mission(estimate)
-        elif self.failsafe or not (self._is_manual or self.mode is Mode.FBWA):
+        elif self.failsafe or not (self._is_manual or self.mode is FlightMode.FBWA):
             self._guided = self._navigator.fly_circle(estimate)
 
     def expect_command(self, now: float) -> None:
@@ -155,20 +155,20 @@ class AutopilotSession(VehicleControl):
         events, self._events = self._events, []
         return events
 
-    def set_mode(self, mode: Mode) -> Rejection | None:
+    def set_mode(self, mode: FlightMode) -> Rejection | None:
         """See `VehicleControl`."""
         if self.lost:
             return Rejection("lost: takes no commands")
-        if mode is Mode.AUTO and not self._navigator.has_mission:
+        if mode is FlightMode.AUTO and not self._navigator.has_mission:
             return Rejection("AUTO: has no mission; upload one")
         if mode is self.mode:
             return None
-        if mode is Mode.AUTO:
+        if mode is FlightMode.AUTO:
             self._navigator.resume_mission()
-        elif mode is not Mode.FBWA:
+        elif mode is not FlightMode.FBWA:
             self._navigator.circle(self._navigator.position)
         self._manual = self._guided = self.trim
-        self._manual_s = None if mode is Mode.GUIDED else self._now
+        self._manual_s = None if mode is FlightMode.GUIDED else self._now
         self.mode, self.failsafe, self._sample_s = mode, False, None
         self._report(f"mode {mode.name}", "modes")
         return None
@@ -200,7 +200,7 @@ class AutopilotSession(VehicleControl):
     def set_mission(self, items: Sequence[MissionItem]) -> Rejection | None:
         """See `VehicleControl`."""
         if len(items) <= 1:
-            if self.mode is Mode.AUTO:
+            if self.mode is FlightMode.AUTO:
                 return Rejection("mission: AUTO is flying it; change the mode first")
             self._navigator.clear_mission()
             self._report("mission cleared", "missions")
@@ -228,7 +228,7 @@ class AutopilotSession(VehicleControl):
         radius: float | None,
     ) -> Rejection | None:
         """See `VehicleControl`."""
-        if self.mode is not Mode.GUIDED:
+        if self.mode is not FlightMode.GUIDED:
             return Rejection(f"mode {self.mode.name}: positions are for GUIDED")
         here = self._navigator.position
         position = np.array([latitude_deg, longitude_deg, 0.0])
@@ -255,9 +255,7 @@ class AutopilotSession(VehicleControl):
 
     def set_manual_command(
         self,
-        roll: float,
-        pitch: float,
-        throttle: float,
+        command: FbwaCommand[float],
         *,
         attitude: bool = False,
         answers_s: float | None = None,
@@ -265,11 +263,11 @@ class AutopilotSession(VehicleControl):
         """See `VehicleControl`."""
         if self.lost:
             return Rejection("lost: takes no commands")
-        if self.mode is Mode.FBWA and not self._takes_manual:
+        if self.mode is FlightMode.FBWA and not self._takes_manual:
             return Rejection("flown by the formation, not commanded_by: external")
-        if self.mode is not Mode.FBWA and not (self.mode is Mode.GUIDED and attitude):
+        if self.mode is not FlightMode.FBWA and not (self.mode is FlightMode.GUIDED and attitude):
             return Rejection(f"mode {self.mode.name}: manual commands are for FBWA")
-        if not all(map(math.isfinite, (roll, pitch, throttle))):
+        if not all(map(math.isfinite, command)):
             return Rejection("manual command with a value that is not finite")
         if (
             self._sample_s is not None
@@ -277,10 +275,10 @@ class AutopilotSession(VehicleControl):
             and answers_s < self._sample_s - _TIME_RESOLUTION_S
         ):
             return None
-        self._manual = (
-            min(max(pitch, -MANUAL_ANGLE_LIMIT), MANUAL_ANGLE_LIMIT),
-            min(max(roll, -MANUAL_ANGLE_LIMIT), MANUAL_ANGLE_LIMIT),
-            min(max(throttle, 0.0), 1.0),
+        self._manual = FbwaCommand(
+            pitch=min(max(command.pitch, -MANUAL_ANGLE_LIMIT), MANUAL_ANGLE_LIMIT),
+            roll=min(max(command.roll, -MANUAL_ANGLE_LIMIT), MANUAL_ANGLE_LIMIT),
+            throttle=min(max(command.throttle, 0.0), 1.0),
         )
         self._manual_s, self._sample_s = self._now, None
         self.command_counts["commands"] += 1
@@ -297,9 +295,9 @@ class AutopilotSession(VehicleControl):
     @property
     def _is_manual(self) -> bool:
         """Whether manual commands control the aircraft, or would but for the failsafe."""
-        if self.mode is Mode.FBWA:
+        if self.mode is FlightMode.FBWA:
             return self._takes_manual
-        return self.mode is Mode.GUIDED and self._manual_s is not None
+        return self.mode is FlightMode.GUIDED and self._manual_s is not None
 
     def _check_command_timeout(self) -> None:
         """Enter the failsafe when manual commands have stopped: circle the current position."""

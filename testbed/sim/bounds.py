@@ -9,7 +9,7 @@ from typing import Any
 
 from testbed.metrics.expectations import bound_key, describe_violation
 from testbed.scenario import (
-    Place,
+    FilePosition,
     Scenario,
     ScenarioError,
     find_places,
@@ -20,7 +20,7 @@ from testbed.scenario import (
 
 def bound_places(
     bounds: Sequence[Mapping[str, Any]], scenario: str | Path, overrides: Sequence[str] = ()
-) -> list[Place | None]:
+) -> list[FilePosition | None]:
     """Return the place of each bound in the files of a scenario; None where it has changed since.
 
     Args:
@@ -48,7 +48,7 @@ class BoundResult:
     """
 
     key: str
-    place: Place | None
+    place: FilePosition | None
     checked: int
     violations: tuple[tuple[int, str], ...]
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from testbed import __version__
-from testbed.atmosphere.air import Air
+from testbed.atmosphere.air import Atmosphere
+from testbed.core.compile import Arguments, registered, registering
 from testbed.core.random import named_stream
 from testbed.core.records import (
     AIRCRAFT,
@@ -25,8 +26,9 @@ from testbed.core.records import (
 from testbed.core.start_time import start_unix_ns
 from testbed.network.outages import Outages
 from testbed.network.radio import Radio
+from testbed.plan.fleet import Fleet, resolve
 from testbed.scenario import SCHEMA_VERSION, Scenario, dump
-from testbed.sensors.estimators import Estimators
+from testbed.sensors.estimators import StateEstimators
 from testbed.sim.arduplane_vehicles import ArduPlaneVehicles
 from testbed.sim.build_air import (
     build_air,
@@ -34,27 +36,14 @@ from testbed.sim.build_air import (
     initial_wind,
     still_field_warnings,
     strongest_wind,
+    temperature_offset,
     temperature_warnings,
 )
-from testbed.sim.build_control import (
-    BuiltControl,
-    agent_value,
-    build_altitudes,
-    build_control,
-    build_offsets,
-)
+from testbed.sim.build_control import BuiltControl, build_control
 from testbed.sim.build_faults import build_faults, build_membership, fault_warnings
 from testbed.sim.build_leader import LeaderSetup, build_leader
 from testbed.sim.build_radio import build_radio, transmit_times
-from testbed.sim.build_vehicles import (
-    AircraftModels,
-    build_origin,
-    build_starts,
-    build_vehicles,
-    gust_input_warnings,
-    read_models,
-    vehicle_kinds,
-)
+from testbed.sim.build_vehicles import build_starts, build_vehicles, gust_input_warnings
 from testbed.sim.companion import Companions, build_companions
 from testbed.sim.control import Control
 from testbed.sim.external_control import ExternalControl, build_external_control
@@ -75,6 +64,7 @@ from testbed.sim.preflight import (
     sitl_gyro_warnings,
     step_warnings,
     tune_warnings,
+    unusual_warnings,
 )
 from testbed.sim.resources import check_memory
 from testbed.sim.schedule import Clock, make_clock
@@ -96,13 +86,13 @@ class World:
     aircraft: Records  # (N,) of AIRCRAFT
     followers: Records  # (n,) of FOLLOWER
     links: Records  # (n, N) of LINK
-    air: Air | None  # None: it is steady
+    air: Atmosphere | None  # None: it is steady
     gusts: tuple[str, ...]  # names of its discrete gusts
     vehicles: tuple[Vehicles, ...]
     scripted_leader: bool  # it follows a recording or a formula
     external_processes: tuple[ArduPlaneVehicles, ...]
     fleet: JsbsimFleet | None  # the JSBSim models, if there are any
-    estimators: Estimators
+    estimators: StateEstimators
     faults: FaultManager | None  # None: the scenario has none
     proximity: ProximityMonitor
     envelope: EnvelopeMonitor
@@ -117,8 +107,10 @@ class World:
     altitudes: Array  # (n,) m, of followers that hold an altitude; NaN for the others
     initial_events: tuple[Event, ...]  # from before the flight
     info: RunInfo
+    entries: tuple[Arguments, ...]  # that step them
 
 
+@registering()
 def build(
     scenario: Scenario,
     *,
@@ -140,56 +132,65 @@ def build(
         ScenarioError, ParamError, AircraftError, TrimError, ValueError: something cannot be built;
             the message has what to write instead.
     """
-    names = scenario.aircraft_names
     clock = build_clock(scenario)
     check_memory(scenario)
-    models = read_models(scenario)
-    mean_wind = build_mean_wind(scenario)
+    fleet = resolve(scenario)
+    names, origin, rates = fleet.names, fleet.origin, scenario.rates
+    seed, duration_s = scenario.scenario.seed, scenario.scenario.duration_s
     height = scenario.leader.start.altitude_m
+    warmer = temperature_offset(scenario.air, origin.elevation_m)
+    mean_wind = build_mean_wind(scenario.air.wind, height_m=height, duration_s=duration_s)
     wind = initial_wind(mean_wind, height)
-    wind_speed = strongest_wind(scenario, mean_wind, height)
-    origin = build_origin(scenario)
     leader = build_leader(
-        scenario, clock, models.params[0], models.folders[0], origin, wind, wind_speed
+        fleet.leader,
+        clock,
+        origin,
+        duration_s=duration_s,
+        warmer=warmer,
+        wind_ned=wind,
+        wind_speed=strongest_wind(scenario.air, mean_wind, height, duration_s),
     )
-    kinds = vehicle_kinds(scenario, leader)
-    starts = build_starts(scenario, leader, mean_wind, kinds)
+    starts = build_starts(fleet, leader, mean_wind)
     aircraft, followers = allocate(AIRCRAFT, len(names)), allocate(FOLLOWER, len(names) - 1)
     write_fields(aircraft["faults"], no_faults(len(names)))
     air = build_air(
-        scenario,
+        scenario.air,
         mean_wind,
         names,
-        models.airframes,
+        [each.airframe for each in fleet.aircraft],
+        seed=seed,
+        height_m=height,
+        elevation_m=origin.elevation_m,
         dt=clock.autopilot / clock.base_rate_hz,
-        sheds=[kind == "jsbsim" for kind in kinds],
+        sheds=[each.has_model for each in fleet.aircraft],
     )
-    air.bind(aircraft)
+    if not air.steady:
+        air.bind(aircraft)
     vehicles = build_vehicles(
-        scenario,
-        models,
+        fleet,
         leader,
         starts,
-        kinds,
+        rates,
         clock,
         aircraft,
+        controller=scenario.controller,
+        leader_pole=scenario.formation.speed_pole_per_s,
+        warmer=warmer,
         arduplane=arduplane,
         processes=processes,
     )
-    jsbsim, jsbsim_rows = vehicles.jsbsim, vehicles.jsbsim_rows
-    control = build_control(scenario, models.folders[1:], clock)
-    radio, outages = build_radio(scenario)
-    faults = build_faults(scenario, vehicles.fleet, jsbsim_rows)
+    jsbsim, on_failure = vehicles.jsbsim, scenario.formation.on_failure
+    control = build_control(fleet, scenario.controller, clock)
+    radio, outages = build_radio(names, scenario.network, fleet.weights, origin, seed)
+    faults = build_faults(fleet, vehicles.fleet, on_failure.declared_after_s)
     external = None
     if commanded or any(each.commanded_by.kind == "external" for each in scenario.aircraft):
-        external = build_external_control(
-            scenario, clock, leader, starts, models.params, models.folders, jsbsim, jsbsim_rows
-        )
+        external = build_external_control(fleet, clock, leader, starts, jsbsim)
     estimators = _build_estimators(scenario, faults)
-    companions = build_companions(scenario, clock, aircraft)
+    companions = build_companions(scenario.controller.companion, clock, aircraft)
     return World(
         clock=clock,
-        duration_s=scenario.scenario.duration_s,
+        duration_s=duration_s,
         names=names,
         aircraft=aircraft,
         followers=followers,
@@ -202,10 +203,8 @@ def build(
         fleet=vehicles.fleet,
         estimators=estimators,
         faults=faults,
-        proximity=build_proximity(scenario, models.airframes),
-        envelope=build_envelope_monitor(
-            scenario, models.params, models.airframes, jsbsim_rows, faults
-        ),
+        proximity=build_proximity(fleet, scenario.limits),
+        envelope=build_envelope_monitor(fleet, scenario.limits, faults),
         fly_on=scenario.limits.on_loss == "continue",
         leader_controller=external if external and external.commands_leader else leader.controller,
         external_control=external,
@@ -214,40 +213,42 @@ def build(
             control.groups,
             control.controllers,
             control.neighbours,
-            build_offsets(scenario),
-            build_membership(scenario, faults),
+            fleet.offsets,
+            build_membership(fleet, on_failure, scenario.controller.law, faults),
             (aircraft, followers, radio.links),
             companions,
         ),
         companions=companions,
         radio=radio,
         outages=outages,
-        altitudes=build_altitudes(scenario),
+        altitudes=fleet.altitudes,
         initial_events=(
             *(Event(0.0, "info", "run", text) for text in control.messages),
-            *gust_input_warnings(scenario, vehicles, steady_air=air.steady),
-            *still_field_warnings(scenario),
-            *temperature_warnings(scenario, kinds),
-            *fault_warnings(scenario),
-            *step_warnings(scenario, models, vehicles),
-            *limit_warnings(scenario, models.params, kinds),
-            *tune_warnings(scenario, models.param_files, models.params, kinds),
-            *sitl_gyro_warnings(scenario, models.params, kinds),
-            *leader_warnings(scenario, control.config, leader, models.params, kinds, wind),
-            *sensor_warnings(scenario),
-            *separation_warnings(scenario, models.airframes),
-            *assumption_warnings(scenario, control, leader, wind),
+            *gust_input_warnings(fleet, vehicles, steady_air=air.steady),
+            *still_field_warnings(scenario.air),
+            *temperature_warnings(fleet, warmer),
+            *unusual_warnings(scenario),
+            *fault_warnings(fleet, on_failure),
+            *step_warnings(fleet, rates, vehicles),
+            *limit_warnings(fleet),
+            *tune_warnings(fleet),
+            *sitl_gyro_warnings(fleet, rates.physics_hz),
+            *leader_warnings(fleet, control.config, leader, duration_s, wind),
+            *sensor_warnings(fleet, rates.autopilot_hz),
+            *separation_warnings(fleet, scenario.limits),
+            *assumption_warnings(scenario, fleet, control, leader, wind),
         ),
         info=_run_info(
             scenario,
+            fleet,
             clock,
-            models,
             leader,
             control,
             wind,
             exact=estimators.exact,
             integrators={} if vehicles.fleet is None else describe_integrators(),
         ),
+        entries=registered(),
     )
 
 
@@ -259,7 +260,7 @@ def build_clock(scenario: Scenario) -> Clock:
     phases = None
     if not synchronous:
         phases = [float(named_stream(seed, f"phase/{name}").random()) for name in names]
-    times = transmit_times(scenario)
+    times = transmit_times(names, scenario.network)
     return make_clock(**rates, aircraft=len(names), phases=phases, transmit_times=times)
 
 
@@ -274,8 +275,8 @@ def versions() -> dict[str, str]:
     }
 
 
-def _build_estimators(scenario: Scenario, faults: FaultManager | None) -> Estimators:
-    return Estimators(
+def _build_estimators(scenario: Scenario, faults: FaultManager | None) -> StateEstimators:
+    return StateEstimators(
         scenario.aircraft_names,
         [each.sensors for each in scenario.aircraft],
         seed=scenario.scenario.seed,
@@ -286,8 +287,8 @@ def _build_estimators(scenario: Scenario, faults: FaultManager | None) -> Estima
 
 def _run_info(
     scenario: Scenario,
+    fleet: Fleet,
     clock: Clock,
-    models: AircraftModels,
     leader: LeaderSetup,
     control: BuiltControl,
     wind: Vector,
@@ -297,22 +298,22 @@ def _run_info(
 ) -> RunInfo:
     """Describe the run for its observers; `exact`: estimates are the truth."""
     stored, code = with_stored_code(scenario)
-    followers = scenario.aircraft_names[1:]
+    agents = [each.agent for each in fleet.followers]
     return RunInfo(
         scenario_name=scenario.name,
         scenario_yaml=dump(stored),
         code=code,
-        names=scenario.aircraft_names,
-        aircraft=tuple(folder.name for folder in models.folders),
-        wingspan_m=tuple(each.span for each in models.airframes),
-        origin=build_origin(scenario),
+        names=fleet.names,
+        aircraft=tuple(each.folder.name for each in fleet.aircraft),
+        wingspan_m=tuple(each.airframe.span for each in fleet.aircraft),
+        origin=fleet.origin,
         base_rate_hz=clock.base_rate_hz,
         sample_rate_hz=scenario.rates.log_hz,
         duration_s=scenario.scenario.duration_s,
         seed=scenario.scenario.seed,
-        speed_bounds_mps=tuple(agent_value(scenario, name, "speed_mps") for name in followers),
+        speed_bounds_mps=tuple(each.speed_mps for each in agents),
         bounded_in_ned=wind if scenario.controller.bounded_speed == "airspeed" else STILL,
-        kappa_mps=tuple(agent_value(scenario, name, "kappa_mps") for name in followers),
+        kappa_mps=tuple(each.kappa_mps for each in agents),
         roll_limit_rad=tuple(control.config.roll_limit.tolist()),
         barriers=control.barriers,
         barrier_samples=control.barrier_samples,

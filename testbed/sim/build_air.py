@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from testbed.atmosphere.air import Air
+from testbed.atmosphere.air import Atmosphere
 from testbed.atmosphere.dryden import DrydenTurbulence
-from testbed.atmosphere.gusts import GustFront, TimedGust, make_gusts
+from testbed.atmosphere.gusts import PlaneFrontGust, UniformGust, make_gusts
 from testbed.atmosphere.mean_wind import (
     LOGARITHMIC,
     POWER,
@@ -36,35 +36,40 @@ from testbed.core.standard_atmosphere import (
     SEA_LEVEL_K,
     density_ratio,
 )
-from testbed.scenario import Scenario, find_data
-from testbed.scenario.aircraft import ArduPlane
+from testbed.plan.fleet import Fleet
+from testbed.scenario import find_data
+from testbed.scenario.air import Air as AirSection
+from testbed.scenario.air import Turbulence, Wind
 
 
-def temperature_offset(scenario: Scenario) -> float:
-    """Return how much warmer the air is than the standard atmosphere, K; at all heights."""
-    at_ground = scenario.air.temperature_c
-    if at_ground is None:
+def temperature_offset(air: AirSection, elevation_m: float) -> float:
+    """Return how much warmer the air is than the standard atmosphere, K; at all heights.
+
+    Args:
+        air: the section of the scenario.
+        elevation_m: of the ground above sea level.
+    """
+    if air.temperature_c is None:
         return 0.0
-    return at_ground - (SEA_LEVEL_K - 273.15 - LAPSE_RATE * scenario.scenario.origin.elevation_m)
+    return air.temperature_c - (SEA_LEVEL_K - 273.15 - LAPSE_RATE * elevation_m)
 
 
-def temperature_warnings(scenario: Scenario, kinds: Sequence[str]) -> Iterator[Event]:
+def temperature_warnings(fleet: Fleet, offset: float) -> Iterator[Event]:
     """Warn of aircraft that a temperature does not act on as on the others.
 
     Args:
-        scenario: as resolved.
-        kinds: of the N vehicles.
+        fleet: the N aircraft.
+        offset: of the temperature from the standard atmosphere, K.
     """
-    offset = temperature_offset(scenario)
     if not offset:
         return
-    if "jsbsim" not in kinds:
+    if not fleet.model_rows:
         text = "air.temperature_c has no effect: only flight models have an air density"
         yield Event(0.0, "warning", "run", text)
-    altitude = scenario.scenario.origin.elevation_m + scenario.leader.start.altitude_m
+    altitude = fleet.origin.elevation_m + fleet.leader.section.start.altitude_m
     density = density_ratio(np.array([altitude]), offset) / density_ratio(np.array([altitude]))
-    for each in scenario.aircraft:
-        if isinstance(each.autopilot, ArduPlane):
+    for each in fleet.aircraft:
+        if each.arduplane:
             text = (
                 "ArduPlane takes its air density from a barometer in the standard atmosphere: the "
                 f"true airspeed that it computes is wrong by {100 * (density[0] ** 0.5 - 1):+.1f} %"
@@ -72,29 +77,27 @@ def temperature_warnings(scenario: Scenario, kinds: Sequence[str]) -> Iterator[E
             yield Event(0.0, "warning", each.name, text)
 
 
-def build_mean_wind(scenario: Scenario, duration_s: float | None = None) -> MeanWind:
-    """Build the mean wind, which moves the air at the height of the leader's start.
+def build_mean_wind(wind: Wind, *, height_m: float, duration_s: float) -> MeanWind:
+    """Build the mean wind.
 
     Args:
-        scenario: as resolved.
-        duration_s: how long a recorded wind has to last; None: as long as the run.
+        wind: the section of the scenario.
+        height_m: at which it moves the air, that of the leader's start.
+        duration_s: how long a recorded wind has to last.
 
     Raises:
         InputError: the recorded wind is no such file, or too short.
     """
-    wind = scenario.air.wind
     if wind.file is None:
         time = np.zeros(1)
         velocity = wind_from_direction(np.array([wind.speed_mps]), math.radians(wind.from_deg))
     else:
         path = find_data(wind.file)
-        duration = scenario.scenario.duration_s if duration_s is None else duration_s
         try:
-            time, velocity = read_wind(path, wind.max_gap_s, duration)
+            time, velocity = read_wind(path, wind.max_gap_s, duration_s)
         except InputError as error:
             raise InputError(f"air.wind.file: {error}") from error
-    height = scenario.leader.start.altitude_m
-    return make_mean_wind(time, velocity, profile=_profile(scenario), advection_height=height)
+    return make_mean_wind(time, velocity, profile=_profile(wind), advection_height=height_m)
 
 
 def initial_wind(mean: MeanWind, height: float) -> tuple[float, float, float]:
@@ -103,21 +106,20 @@ def initial_wind(mean: MeanWind, height: float) -> tuple[float, float, float]:
     return north, east, down
 
 
-def strongest_wind(scenario: Scenario, mean: MeanWind, height: float) -> float:
+def strongest_wind(air: AirSection, mean: MeanWind, height: float, duration_s: float) -> float:
     """Return the largest speed of the wind in a run, m/s, at a height, m; without turbulence.
 
     Gusts that last (`shape: ramp`) are added; those that pass are not.
     """
     times = mean.rows["time"]
-    known = times[times <= scenario.scenario.duration_s].tolist()
+    known = times[times <= duration_s].tolist()
     speeds = [float(np.linalg.norm(mean.velocity_ned(time, height))) for time in known]
-    ramps = [gust.velocity_mps[:2] for gust in scenario.air.gusts if gust.shape == "ramp"]
+    ramps = [gust.velocity_mps[:2] for gust in air.gusts if gust.shape == "ramp"]
     return max(speeds) + sum(math.hypot(*each) for each in ramps)
 
 
-def turbulence_scales(scenario: Scenario) -> Scales | None:
+def turbulence_scales(turbulence: Turbulence) -> Scales | None:
     """Return intensities and lengths of the turbulence by height; None without turbulence."""
-    turbulence = scenario.air.turbulence
     if turbulence.model == "none":
         return None
     standard = INTENSITIES[turbulence.intensity]
@@ -131,21 +133,27 @@ def turbulence_scales(scenario: Scenario) -> Scales | None:
 
 
 def build_air(
-    scenario: Scenario,
+    air: AirSection,
     mean: MeanWind,
     names: Sequence[str],
     airframes: Sequence[Airframe],
     *,
+    seed: int,
+    height_m: float,
+    elevation_m: float,
     dt: float,
     sheds: Sequence[bool],
-) -> Air:
+) -> Atmosphere:
     """Build the air around N aircraft.
 
     Args:
-        scenario: as resolved.
+        air: the section of the scenario.
         mean: its mean wind.
         names: N, which key the random numbers.
         airframes: N.
+        seed: of the run.
+        height_m: of the leader's start above the ground.
+        elevation_m: of the ground above sea level.
         dt: s, between samples of the wind.
         sheds: N, whether the aircraft sheds wakes and is affected by them.
 
@@ -153,32 +161,32 @@ def build_air(
         InputError: the scenario's air cannot be built.
     """
     dryden = field = None
-    turbulence = turbulence_scales(scenario)
-    if turbulence is not None and scenario.air.turbulence.model == "coherent":
-        field = _field(scenario, turbulence, airframes)
+    turbulence = turbulence_scales(air.turbulence)
+    if turbulence is not None and air.turbulence.model == "coherent":
+        field = _field(air.turbulence, turbulence, airframes, seed, height_m)
     elif turbulence is not None:
         dryden = DrydenTurbulence(
             names,
-            seed=scenario.scenario.seed,
+            seed=seed,
             dt=dt,
             spans=[each.span for each in airframes],
             spectrum=turbulence.spectrum,
             scales=turbulence,
         )
-    return Air(
+    return Atmosphere(
         mean,
         airframes,
-        gusts=_gusts(scenario, mean),
+        gusts=_gusts(air, mean),
         field=field,
         dryden=dryden,
-        wakes=_wakes(scenario, airframes, dt, sheds),
+        wakes=_wakes(air, airframes, height_m, elevation_m, dt, sheds),
     )
 
 
-def still_field_warnings(scenario: Scenario) -> Iterator[Event]:
+def still_field_warnings(air: AirSection) -> Iterator[Event]:
     """Warn of a turbulence field that no wind moves over the ground."""
-    wind = scenario.air.wind
-    if scenario.air.turbulence.model == "coherent" and not (wind.speed_mps or wind.file):
+    wind = air.wind
+    if air.turbulence.model == "coherent" and not (wind.speed_mps or wind.file):
         text = (
             "coherent turbulence without a mean wind stands still: an aircraft that circles meets "
             "the same gusts every lap (write air.wind.speed_mps)"
@@ -186,8 +194,8 @@ def still_field_warnings(scenario: Scenario) -> Iterator[Event]:
         yield Event(0.0, "warning", "run", text)
 
 
-def _profile(scenario: Scenario) -> Profile | None:
-    profile = scenario.air.wind.profile
+def _profile(wind: Wind) -> Profile | None:
+    profile = wind.profile
     if profile.kind == "log":
         return Profile(LOGARITHMIC, profile.height_m, profile.roughness_m)
     if profile.kind == "power":
@@ -195,16 +203,16 @@ def _profile(scenario: Scenario) -> Profile | None:
     return None
 
 
-def _gusts(scenario: Scenario, mean: MeanWind) -> Records | None:
-    gusts: list[TimedGust | GustFront] = []
-    for gust in scenario.air.gusts:
+def _gusts(air: AirSection, mean: MeanWind) -> Records | None:
+    gusts: list[UniformGust | PlaneFrontGust] = []
+    for gust in air.gusts:
         pulse = gust.shape == "pulse"
         if gust.kind == "time":
-            gusts.append(TimedGust(gust.velocity_mps, gust.at_s, gust.ramp_s, pulse))
+            gusts.append(UniformGust(gust.velocity_mps, gust.at_s, gust.ramp_s, pulse))
             continue
         direction = math.radians(gust.towards_deg)
         gusts.append(
-            GustFront(
+            PlaneFrontGust(
                 gust.velocity_mps,
                 gust.at_m,
                 direction,
@@ -218,23 +226,21 @@ def _gusts(scenario: Scenario, mean: MeanWind) -> Records | None:
 
 
 def _field(
-    scenario: Scenario, turbulence: Scales, airframes: Sequence[Airframe]
+    section: Turbulence, scales: Scales, airframes: Sequence[Airframe], seed: int, height_m: float
 ) -> TurbulenceField:
-    height = scenario.air.turbulence.height_m
-    if height is None:
-        height = scenario.leader.start.altitude_m
-    sigma, length = turbulence(np.array(height))
-    _check_scale_length(scenario, height, float(length.min()))
+    height = height_m if section.height_m is None else section.height_m
+    sigma, length = scales(np.array(height))
+    _check_scale_length(section, height, float(length.min()))
     reach = max(max(0.5 * each.span, each.arm) for each in airframes)
-    return make_field(scenario.scenario.seed, sigma, length, reach_m=reach)
+    return make_field(seed, sigma, length, reach_m=reach)
 
 
-def _check_scale_length(scenario: Scenario, height: float, length: float) -> None:
+def _check_scale_length(section: Turbulence, height: float, length: float) -> None:
     """Check what `make_field` checks, with the scenario's keys in the message."""
     unresolved = unresolved_variance(FINEST, length)
     if unresolved <= MAX_UNRESOLVED:
         return
-    key = "length_m" if scenario.air.turbulence.length_m is not None else "height_m"
+    key = "length_m" if section.length_m is not None else "height_m"
     cause = f"a scale length of {length:.3g} m"
     if key == "height_m":
         cause = f"{cause}, which is that of {height:g} m above the ground,"
@@ -246,12 +252,17 @@ def _check_scale_length(scenario: Scenario, height: float, length: float) -> Non
 
 
 def _wakes(
-    scenario: Scenario, airframes: Sequence[Airframe], dt: float, sheds: Sequence[bool]
+    air: AirSection,
+    airframes: Sequence[Airframe],
+    height_m: float,
+    elevation_m: float,
+    dt: float,
+    sheds: Sequence[bool],
 ) -> WakeModel | None:
-    wake = scenario.air.wake
+    wake = air.wake
     if wake is None or sum(sheds) < 2:  # no two aircraft
         return None
-    altitude = scenario.scenario.origin.elevation_m + scenario.leader.start.altitude_m
+    offset = temperature_offset(air, elevation_m)
     return WakeModel(
         airframes,
         sheds=sheds,
@@ -260,6 +271,5 @@ def _wakes(
         decay_s=wake.decay_s,
         memory_s=wake.memory_s,
         dt=dt,
-        density=SEA_LEVEL_DENSITY
-        * float(density_ratio(np.array(altitude), temperature_offset(scenario))),
+        density=SEA_LEVEL_DENSITY * float(density_ratio(np.array(elevation_m + height_m), offset)),
     )

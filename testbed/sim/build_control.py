@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,15 +18,16 @@ from testbed.core.speed_model import make_own as make_speed_model
 from testbed.formation import barrier, control_function
 from testbed.formation import leader_filter as leader
 from testbed.formation.assumptions import SpeedSet, check_barrier, margin
-from testbed.formation.barrier import Barrier, OwnBarrier, sample_barrier
-from testbed.formation.control_function import ControlFunction, OwnControlFunction
+from testbed.formation.barrier import SpeedBarrier, UserBarrier, sample_barrier
+from testbed.formation.control_function import ControlFunction, UserControlFunction
 from testbed.formation.control_step import Hbh23Law, initial_controllers, make_neighbours
 from testbed.formation.hbh23 import LAW
 from testbed.formation.law import FormationConfig, Law
 from testbed.formation.middle_loop import LOOP
+from testbed.plan.fleet import AgentParameters, Fleet, PlannedFollower
 from testbed.scenario import MiddleLoopGains as Profile
-from testbed.scenario import Problem, Scenario, ScenarioError, middle_loop_gains
-from testbed.sim.control import Group
+from testbed.scenario.control import Controller
+from testbed.sim.control import ControlGroup
 from testbed.sim.schedule import Clock
 from testbed.sim.user_code import build_function, build_law, check_law
 
@@ -48,7 +48,7 @@ class BuiltControl:
     """The control of n followers, before the first step."""
 
     config: FormationConfig  # of all followers
-    groups: tuple[Group, ...]
+    groups: tuple[ControlGroup, ...]
     controllers: Records  # (n,) of CONTROLLER
     neighbours: Records  # (n, N) of NEIGHBOUR
     builtin: bool  # the law is that of [HBH23]
@@ -73,17 +73,16 @@ class BuiltControl:
         return samples if any(samples) else ()
 
 
-def build_control(scenario: Scenario, folders: Sequence[Path], clock: Clock) -> BuiltControl:
-    """Build the control of followers with airframes of these folders."""
-    profiles = [middle_loop_gains(scenario, folder) for folder in folders]
-    config = build_config(scenario, profiles, dt=clock.control / clock.base_rate_hz)
-    law, messages = build_law_records(scenario, config, profiles)
-    loops = build_loops(scenario, config, profiles)
-    builtin = scenario.controller.law == "hbh23"
-    hold = builtin and scenario.controller.on_neighbour_timeout == "hold-relative-position"
+def build_control(fleet: Fleet, controller: Controller, clock: Clock) -> BuiltControl:
+    """Build the control of the followers of a fleet."""
+    config = build_config(fleet, controller, dt=clock.control / clock.base_rate_hz)
+    law, messages = build_law_records(fleet.followers, controller, config)
+    loops = build_loops(fleet.followers, controller, config)
+    builtin = controller.law == "hbh23"
+    hold = builtin and controller.on_neighbour_timeout == "hold-relative-position"
     timeout_s = math.inf if hold else config.neighbour_timeout_s
     neighbours = make_neighbours(config.offsets, config.gains, config.leader_timeout_s, timeout_s)
-    controllers = initial_controllers(law, loops, [e.vehicle == "unicycle" for e in scenario.fleet])
+    controllers = initial_controllers(law, loops, [each.is_ideal for each in fleet.followers])
     groups = []
     for rows in clock.groups:
         members, user_law = select_followers(config, rows), None
@@ -91,11 +90,11 @@ def build_control(scenario: Scenario, folders: Sequence[Path], clock: Clock) -> 
             indices = list(rows)
             hbh23 = Hbh23Law(law[indices], neighbours[indices])
             user_law, origin = build_law(
-                scenario.controller.law, scenario.controller.options, replace(members, hbh23=hbh23)
+                controller.law, controller.options, replace(members, hbh23=hbh23)
             )
-            _check_user_law(scenario, members, user_law)
+            _check_user_law(fleet.followers, members, user_law)
             messages.append(f"the law {type(user_law).__name__} runs {origin}")
-        groups.append(Group(np.array(rows, dtype=np.intp), members, user_law))
+        groups.append(ControlGroup(np.array(rows, dtype=np.intp), members, user_law))
     return BuiltControl(
         config,
         tuple(groups),
@@ -107,10 +106,12 @@ def build_control(scenario: Scenario, folders: Sequence[Path], clock: Clock) -> 
     )
 
 
-def _check_user_law(scenario: Scenario, config: FormationConfig, law: Law) -> None:
+def _check_user_law(
+    followers: Sequence[PlannedFollower], config: FormationConfig, law: Law
+) -> None:
     """Check a user's law, and that its vehicles accept its type of command."""
     command = check_law(law, config)
-    unicycles = [each.name for each in scenario.fleet if each.vehicle == "unicycle"]
+    unicycles = [each.name for each in followers if each.is_ideal]
     unable = [name for name in config.names if name in unicycles]
     if command is FbwaCommand and unable:
         raise InputError(
@@ -121,45 +122,41 @@ def _check_user_law(scenario: Scenario, config: FormationConfig, law: Law) -> No
 
 
 def build_law_records(
-    scenario: Scenario, config: FormationConfig, profiles: Sequence[Profile]
+    followers: Sequence[PlannedFollower], controller: Controller, config: FormationConfig
 ) -> tuple[Records, list[str]]:
     """Return the laws (n,) of LAW of followers, and messages about functions of the user's.
 
     Raises:
         InputError: a function of the user's violates (C1), (C2) or (B1) to (B5).
     """
-    controller, names = scenario.controller, config.names
+    names, agents = config.names, [each.agent for each in followers]
     law = allocate(LAW, len(names))
-    chosen = [controller.estimators.over(profile.estimators) for profile in profiles]
+    chosen = [controller.estimators.over(each.gains.estimators) for each in followers]
     loiters = controller.on_leader_timeout == "loiter"
     tangent = math.tan(math.radians(controller.loiter_bank_deg)) if loiters else 0.0
     law["row"], law["speed_pole"] = config.agents, config.speed_pole
     for key in ("k", "a", "b"):
-        law[key] = [agent_value(scenario, name, key) for name in names]
-    turns = [agent_value(scenario, name, "c") for name in names]
-    law["c"] = [each.constant for each in turns]
-    law["c_speed"] = [each.per_speed_squared for each in turns]
+        law[key] = [getattr(each, key) for each in agents]
+    law["c"] = [each.c.constant for each in agents]
+    law["c_speed"] = [each.c.per_speed_squared for each in agents]
     messages: list[str] = []
-    functions = [
-        make_control_function(agent_value(scenario, name, "control_function"), messages)
-        for name in names
-    ]
+    functions = [make_control_function(each.control_function, messages) for each in agents]
     law["mu"] = control_function.control_function_records(*functions)
-    speed_set = _speed_set(scenario, config, law["k"], functions)
+    speed_set = _speed_set(agents, config, law["k"], functions)
     for field, speeds in speed_set._asdict().items():
         law[f"speed_{field}"] = speeds
     barriers = [
-        make_barrier(agent_value(scenario, name, "barrier"), low, high, messages)
-        for name, low, high in zip(names, config.speed_min, config.speed_max, strict=True)
+        make_barrier(each.barrier, low, high, messages)
+        for each, low, high in zip(agents, config.speed_min, config.speed_max, strict=True)
     ]
     law["barrier"] = barrier.barrier_records(*barriers)
     for found in check_barrier(barriers, speed_set):
-        if isinstance(barriers[found.agent], OwnBarrier):
+        if isinstance(barriers[found.agent], UserBarrier):
             raise InputError(f"formation.barrier: of {names[found.agent]}, {found.text}")
     law["speed_model"] = speed_model_records(
-        *(own_speed_model(scenario, name, messages) for name in names)
+        *(own_speed_model(each, controller, messages) for each in followers)
     )
-    law["horizontal"] = [name in scenario.formation.altitudes_m for name in names]
+    law["horizontal"] = ~np.isnan([each.altitude for each in followers])
     law["bounds_of_airspeed"] = controller.bounded_speed == "airspeed"
     law["from_timestamp"] = controller.extrapolate_from == "timestamp"
     law["with_acceleration"] = [each.extrapolation == "acceleration" for each in chosen]
@@ -181,7 +178,7 @@ def build_law_records(
 
 
 def own_speed_model(
-    scenario: Scenario, name: str, messages: list[str] | None = None
+    follower: PlannedFollower, controller: Controller, messages: list[str] | None = None
 ) -> OwnSpeedModel | None:
     """Return f and g of (2) for one follower, and add messages about them; None: −p s and p.
 
@@ -189,19 +186,17 @@ def own_speed_model(
         InputError: g is zero somewhere, or a derivative is not continuous; or the follower has a
             flight model, whose middle loop takes u as a speed, or a user's law.
     """
-    chosen = agent_value(scenario, name, "speed_model")
+    chosen, name = follower.agent.speed_model, follower.name
     if chosen is None:
         return None
-    own = scenario.formation.agents.get(name)
-    key = f"formation.agents.{name}" if own and own.speed_model else "formation"
-    key = f"{key}.speed_model"
-    vehicle = next(each.vehicle for each in scenario.fleet if each.name == name)
-    if vehicle != "unicycle":
+    own = "speed_model" in follower.agent.own_keys
+    key = f"formation.agents.{name}.speed_model" if own else "formation.speed_model"
+    if not follower.is_ideal:
         raise InputError(
             f"{key}: {name} has a flight model, and the throttle loop (21) takes u as a speed "
             f"(write vehicle: unicycle for {name}, or speed_pole_per_s)"
         )
-    if scenario.controller.law != "hbh23":
+    if controller.law != "hbh23":
         raise InputError(
             f"{key}: a law of your own commands speeds, which vehicles with other f and g do not "
             "take (write law: hbh23, or speed_pole_per_s)"
@@ -212,7 +207,7 @@ def own_speed_model(
     if messages is not None:
         messages += [f"f of the speed model runs {of_f}", f"g of the speed model runs {of_g}"]
     try:
-        return make_speed_model(f, g, *agent_value(scenario, name, "speed_mps"))
+        return make_speed_model(f, g, *follower.agent.speed_mps)
     except ValueError as error:
         raise InputError(f"{key}: {error}") from error
 
@@ -220,7 +215,7 @@ def own_speed_model(
 def make_control_function(
     chosen: Any,  # noqa: ANN401 - a union
     messages: list[str],
-) -> ControlFunction | OwnControlFunction:
+) -> ControlFunction | UserControlFunction:
     """Return μ of a `control_function` section, and add a message about a function of the user's.
 
     Raises:
@@ -244,7 +239,7 @@ def make_barrier(
     speed_min: float,
     speed_max: float,
     messages: list[str],
-) -> Barrier | OwnBarrier:
+) -> SpeedBarrier | UserBarrier:
     """Return h of a `barrier` section for speed bounds, m/s; see `make_control_function`.
 
     Raises:
@@ -260,24 +255,23 @@ def make_barrier(
             )
         except ValueError as error:
             raise InputError(f"{key}: {error}") from error
-    return Barrier(chosen.example, 0.0 if chosen.example == 7 else chosen.nu)
+    return SpeedBarrier(chosen.example, 0.0 if chosen.example == 7 else chosen.nu)
 
 
 def _speed_set(
-    scenario: Scenario,
+    agents: Sequence[AgentParameters],
     config: FormationConfig,
     k: Array,
-    functions: Sequence[ControlFunction | OwnControlFunction],
+    functions: Sequence[ControlFunction | UserControlFunction],
 ) -> SpeedSet:
     """Return S and S_d, by fact 1 where the scenario does not give S_d."""
     low, high = config.speed_min, config.speed_max
-    kappa = np.array([agent_value(scenario, name, "kappa_mps") for name in config.names])
+    kappa = np.array([each.kappa_mps for each in agents])
     epsilon = margin(k, kappa, np.array([each.bound for each in functions]))
     desired_low, desired_high = low + epsilon, high - epsilon
-    for i, name in enumerate(config.names):
-        bounds = agent_value(scenario, name, "speed_desired_mps")
-        if bounds is not None:
-            desired_low[i], desired_high[i] = bounds
+    for i, each in enumerate(agents):
+        if each.speed_desired_mps is not None:
+            desired_low[i], desired_high[i] = each.speed_desired_mps
     return SpeedSet(low, high, desired_low, desired_high)
 
 
@@ -292,17 +286,17 @@ _OF_FOLLOWERS = (
 )
 
 
-def build_config(scenario: Scenario, profiles: Sequence[Profile], *, dt: float) -> FormationConfig:
+def build_config(fleet: Fleet, controller: Controller, *, dt: float) -> FormationConfig:
     """Build the configuration of all n followers, which step every `dt` s."""
-    controller, names = scenario.controller, follower_names(scenario)
+    names, profiles = fleet.names[1:], [each.gains for each in fleet.followers]
     leader_s, neighbour_s = controller.leader_timeout_s, controller.neighbour_timeout_s
-    low, high = np.array([agent_value(scenario, name, "speed_mps") for name in names]).T
-    poles = [agent_value(scenario, name, "speed_pole_per_s") for name in names]
+    low, high = np.array([each.agent.speed_mps for each in fleet.followers]).T
+    poles = [each.agent.speed_pole_per_s for each in fleet.followers]
     return FormationConfig(
         names=names,
         agents=np.arange(1, len(names) + 1, dtype=np.intp),
-        offsets=build_offsets(scenario),
-        gains=build_gains(scenario),
+        offsets=fleet.offsets,
+        gains=fleet.weights,
         speed_min=low.copy(),
         speed_max=high.copy(),
         speed_pole=np.array(poles, dtype=np.float64),
@@ -329,86 +323,6 @@ def select_followers(config: FormationConfig, rows: Sequence[int]) -> FormationC
         leader_timeout_s=config.leader_timeout_s,
         neighbour_timeout_s=config.neighbour_timeout_s,
     )
-
-
-def agent_value(scenario: Scenario, name: str, key: str) -> Any:  # noqa: ANN401 - the key's own
-    """Return a value of the formation for one follower: its own, or that of all."""
-    own = scenario.formation.agents.get(name)
-    value = getattr(own, key) if own else None
-    return getattr(scenario.formation, key) if value is None else value
-
-
-def build_offsets(scenario: Scenario) -> Array:
-    """Return υ (N, 3) m, the leader's zero first."""
-    offsets = [scenario.formation.offsets_m[name] for name in follower_names(scenario)]
-    return np.array([(0.0, 0.0, 0.0), *offsets])
-
-
-def build_altitudes(scenario: Scenario) -> Array:
-    """Return held altitudes (n,) m; NaN where the law controls all axes."""
-    altitudes = scenario.formation.altitudes_m
-    return np.array([altitudes.get(name, math.nan) for name in follower_names(scenario)])
-
-
-def build_gains(scenario: Scenario) -> Array:
-    """Return β (n, N, 3): of the leader, then of each follower.
-
-    Raises:
-        ScenarioError: A + B is singular: a follower has no position reference.
-    """
-    names, formation = follower_names(scenario), scenario.formation
-    n = len(names)
-    gains = np.zeros((n, n + 1, 3))
-    for i, name in enumerate(names):
-        gains[i, 0] = formation.leader_gains.get(name, 0.0)
-        for j, other in enumerate(names):
-            gains[i, j + 1] = formation.neighbour_gains.get(name, {}).get(other, 0.0)
-    # a follower that holds its own altitude is no vertical reference for others
-    holds_altitude = ~np.isnan(build_altitudes(scenario))
-    gains[:, 1:, 2] = np.where(holds_altitude, 0.0, gains[:, 1:, 2])
-    unreachable = [names[i] for i in unreachable_agents(gains, holds_altitude)]
-    if unreachable:
-        raise ScenarioError(
-            [
-                Problem(
-                    None,
-                    f"formation: no position reference for {', '.join(unreachable)}: A + B is "
-                    "singular (write a leader gain for one of them, or a neighbour gain for an "
-                    "agent that has one)",
-                )
-            ]
-        )
-    return gains
-
-
-def unreachable_agents(gains: Array, holds_altitude: Array | None = None) -> list[int]:
-    """Return agents without a position reference; none if A + B is regular.
-
-    A + B (n, n) of an axis has the leader gains on its diagonal, plus the Laplacian of the
-    neighbour gains. The agents with components in its kernel could move together without a change
-    of the error (6).
-
-    Args:
-        gains: β (n, N, 3), per axis of NED.
-        holds_altitude: (n,) agents that need no vertical reference; None: none.
-    """
-    n = len(gains)
-    fixed = np.zeros(n, dtype=bool) if holds_altitude is None else holds_altitude
-    found: set[int] = set()
-    for axis in range(3):
-        neighbours = gains[:, 1:, axis]
-        matrix = np.diag(gains[:, 0, axis] + neighbours.sum(axis=1)) - neighbours
-        if axis == 2:
-            matrix = np.where(fixed[:, np.newaxis], np.eye(n), matrix)
-        _, values, vectors = np.linalg.svd(matrix)
-        kernel = vectors[values <= n * np.finfo(float).eps * max(values[0], 1e-300)]
-        found.update(np.flatnonzero(np.abs(kernel).max(axis=0, initial=0.0) > 1e-6).tolist())
-    return sorted(found)
-
-
-def follower_names(scenario: Scenario) -> tuple[str, ...]:
-    """Return the names of the followers, in fleet order."""
-    return tuple(each.name for each in scenario.fleet)
 
 
 def profile_values(profiles: Sequence[Profile], path: str, scale: float = 1.0) -> Array:
@@ -481,16 +395,15 @@ def make_loops(
 
 
 def build_loops(
-    scenario: Scenario, config: FormationConfig, profiles: Sequence[Profile]
+    followers: Sequence[PlannedFollower], controller: Controller, config: FormationConfig
 ) -> Records:
-    """Return the middle loops (n,) of LOOP of a scenario's followers."""
-    controller = scenario.controller
+    """Return the middle loops (n,) of LOOP of the followers."""
     return make_loops(
-        profiles,
+        [each.gains for each in followers],
         dt=config.dt,
         speed_min=config.speed_min,
         speed_max=config.speed_max,
-        altitude=np.array([scenario.formation.altitudes_m.get(n, math.nan) for n in config.names]),
+        altitude=np.array([each.altitude for each in followers]),
         scale=controller.gain_scale,
         incidence=float(controller.pitch_feedforward == "incidence"),
         airspeed_error_as_printed=controller.throttle_error == "airspeed",

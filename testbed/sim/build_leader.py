@@ -7,23 +7,28 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
-from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from testbed.autopilot.parameters import FbwaParams
 from testbed.core.errors import InputError
 from testbed.core.frames import GRAVITY
-from testbed.core.records import Array, Origin
+from testbed.core.records import Array, NedOrigin
 from testbed.core.standard_atmosphere import density_ratio
 from testbed.guidance import analytic_paths as paths
-from testbed.guidance.flight_plan import Level, LoiterLeg, Mission, WaypointLeg, make_plan, polyline
+from testbed.guidance.flight_plan import (
+    GuidanceMission,
+    LoiterLeg,
+    LoiterLevel,
+    WaypointLeg,
+    make_plan,
+    polyline,
+)
 from testbed.guidance.recorded_path import SampledTrajectory, read_recording, sample_recording
-from testbed.scenario import Scenario, find_data, load_guidance
-from testbed.scenario.aircraft import Leg, Replay, Virtual
+from testbed.plan.fleet import PlannedLeader
+from testbed.scenario import find_data
+from testbed.scenario.aircraft import Leg, Replay, Start, Virtual
 from testbed.scenario.aircraft import Mission as MissionSection
-from testbed.sim.build_air import temperature_offset
 from testbed.sim.leader_control import LeaderController, MissionController, ScriptedController
 from testbed.sim.schedule import Clock
 from testbed.sim.vehicles import ScriptedVehicle
@@ -68,38 +73,38 @@ class LeaderSetup:
 
 
 def build_leader(
-    scenario: Scenario,
+    leader: PlannedLeader,
     clock: Clock,
-    params: FbwaParams,
-    folder: Path,
-    origin: Origin,
+    origin: NedOrigin,
+    *,
+    duration_s: float,
+    warmer: float,
     wind_ned: Vector,
     wind_speed: float,
 ) -> LeaderSetup:
-    """Build the leader of a scenario.
+    """Build a leader.
 
     Args:
-        scenario: as resolved.
+        leader: the leader's row of the fleet.
         clock: of the run.
-        params: of its autopilot.
-        folder: of its airframe.
         origin: of the local frame.
+        duration_s: of the run.
+        warmer: how much warmer the air is than the standard atmosphere, K.
         wind_ned: at its start, m/s.
         wind_speed: the largest of the run, m/s.
 
     Raises:
         InputError, TrimError: its path cannot be flown.
     """
-    path = scenario.leader.path
+    path = leader.section.path
     if isinstance(path, MissionSection):
-        wind = wind_ned, wind_speed
-        return _mission_leader(scenario, path, clock, params, folder, origin, *wind)
-    duration_s = scenario.scenario.duration_s
+        return _mission_leader(leader, path, clock, origin, warmer, wind_ned, wind_speed)
     if isinstance(path, Virtual):
-        motion: Motion = partial(paths.evaluate, _curve(scenario, path), wind_ned=wind_ned)
+        curve = _curve(leader.section.start, path)
+        motion: Motion = partial(paths.evaluate, curve, wind_ned=wind_ned)
     else:
         motion = _recorded_motion(path)
-    blocks = _blocks(motion, clock, duration_s, origin, temperature_offset(scenario))
+    blocks = _blocks(motion, clock, duration_s, origin, warmer)
     vehicle = ScriptedVehicle(blocks, np.array(wind_ned))
     first = motion(np.zeros(1))
     velocity = first.velocity_ned[0]
@@ -122,23 +127,22 @@ def build_leader(
 
 
 def _mission_leader(
-    scenario: Scenario,
+    leader: PlannedLeader,
     path: MissionSection,
     clock: Clock,
-    params: FbwaParams,
-    folder: Path,
-    origin: Origin,
+    origin: NedOrigin,
+    warmer: float,
     wind_ned: Vector,
     wind_speed: float,
 ) -> LeaderSetup:
     """Build a leader that flies a mission, as an aircraft or as an ideal vehicle."""
-    section, airspeed = scenario.leader.start, path.airspeed_mps
+    section, airspeed, params = leader.section.start, path.airspeed_mps, leader.params
     start = InitialState(
         position_ned=(section.north_m, section.east_m, -section.altitude_m),
         course=math.radians(section.course_deg),
         airspeed=airspeed,
     )
-    mission = Mission(
+    mission = GuidanceMission(
         legs=tuple(_leg(leg) for leg in path.legs),
         airspeed=airspeed,
         bank_limit=math.radians(path.bank_limit_deg),
@@ -154,27 +158,26 @@ def _mission_leader(
         joined = "." if str(error).startswith("legs") else ": "
         raise InputError(f"leader.path{joined}{error}") from error
     altitude = origin.elevation_m + section.altitude_m
-    battery, warmer = scenario.leader.battery, temperature_offset(scenario)
+    battery = leader.section.battery
     charge, cells = battery.state_of_charge, battery.cells or 0
     with error_prefix("leader.path.airspeed_mps"):
         point = TrimPoint(airspeed, 0.0, 0.0, altitude, charge, cells, warmer)
-        level = trim_aircraft(folder, point, origin)
+        level = trim_aircraft(leader.folder, point, origin)
     held = section.altitude_m, 0.0, level.placement.pitch, level.controls.throttle
-    ideal = scenario.leader.vehicle == "unicycle"
     controller = MissionController(
         plan,
         held,
         dt=clock.control / clock.base_rate_hz,
-        gains=load_guidance(folder).model_dump(),
-        ideal=ideal,
+        gains=leader.guidance.model_dump(),
+        ideal=leader.is_ideal,
     )
     # the speed of an ideal vehicle is over the ground, whatever the wind
-    wind = STILL if ideal else wind_ned
+    wind = STILL if leader.is_ideal else wind_ned
     gamma = math.asin(min(path.climb_limit_mps / airspeed, 1.0))
     # the autopilot of an aircraft may limit the bank further
     bank = (
         mission.bank_limit
-        if ideal
+        if leader.is_ideal
         else min(mission.bank_limit, math.radians(params.roll_limit_deg))
     )
 
@@ -197,7 +200,7 @@ def _mission_leader(
         velocity_ned=velocity,
         path_ned=polyline(plan),
         motion=None,
-        limits=limits(0.0 if ideal else wind_speed),
+        limits=limits(0.0 if leader.is_ideal else wind_speed),
         limits_in_air=limits(0.0),
     )
 
@@ -229,7 +232,7 @@ def _sample_motion(
 
 
 def _blocks(
-    motion: Motion, clock: Clock, duration_s: float, origin: Origin, warmer: float
+    motion: Motion, clock: Clock, duration_s: float, origin: NedOrigin, warmer: float
 ) -> Iterator[tuple[SampledTrajectory, Array]]:
     """Yield motion and equivalent airspeed at the ticks of a run, block by block.
 
@@ -249,14 +252,14 @@ def _leg(leg: Leg) -> WaypointLeg | LoiterLeg:
     return LoiterLeg(
         centre=leg.centre_m,
         radius=leg.radius_m,
-        levels=tuple(Level(each.altitude_m, each.turns) for each in leg.levels),
+        levels=tuple(LoiterLevel(each.altitude_m, each.turns) for each in leg.levels),
         clockwise=leg.direction == "clockwise",
     )
 
 
-def _curve(scenario: Scenario, path: Virtual) -> paths.Curve:
-    """Convert the curve of a virtual leader."""
-    section, curve = scenario.leader.start, path.curve
+def _curve(section: Start, path: Virtual) -> paths.Curve:
+    """Convert the curve of a virtual leader from its start."""
+    curve = path.curve
     begin: Any = {
         "position_ned": (section.north_m, section.east_m, -section.altitude_m),
         "course": math.radians(section.course_deg),
@@ -264,20 +267,20 @@ def _curve(scenario: Scenario, path: Virtual) -> paths.Curve:
     }
     try:
         if curve.kind == "straight":
-            return paths.Straight(**begin, climb=curve.climb_mps)
+            return paths.StraightPath(**begin, climb=curve.climb_mps)
         if curve.kind == "circle":
-            return paths.Circle(
+            return paths.CirclePath(
                 **begin,
                 radius=curve.radius_m,
                 clockwise=curve.direction == "clockwise",
                 climb=curve.climb_mps,
             )
         if curve.kind == "figure-eight":
-            return paths.FigureEight(
+            return paths.FigureEightPath(
                 **begin, radius=curve.radius_m, clockwise=curve.direction == "clockwise"
             )
         if curve.kind == "weave":
             return paths.SinusoidalPath(**begin, amplitude=curve.amplitude_m, period=curve.period_s)
-        return paths.SpeedChange(**begin, amplitude=curve.amplitude_mps, period=curve.period_s)
+        return paths.SpeedChangePath(**begin, amplitude=curve.amplitude_mps, period=curve.period_s)
     except InputError as error:
         raise InputError(f"leader.path.curve.{error}") from error

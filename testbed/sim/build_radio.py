@@ -7,28 +7,35 @@ from functools import partial
 
 import numpy as np
 
-from testbed.core.records import Array, BoolArray, Origin, VehicleState
+from testbed.core.records import Array, NedOrigin, VehicleState
 from testbed.mavlink.follow_target import FollowTarget
 from testbed.network.channel import make_channel
 from testbed.network.clocks import make_clocks
 from testbed.network.fading import Curves, fading, make_curves
-from testbed.network.links import Numbers
+from testbed.network.links import Numbers, resolve_links
 from testbed.network.outages import Outages, make_outages, scripted_outcomes
 from testbed.network.radio import ExtraLosses, Radio
 from testbed.network.trace import make_replays, replayed_delays
-from testbed.scenario import Scenario
-from testbed.sim.build_control import build_gains
+from testbed.scenario.network import Network
 
 
-def build_radio(scenario: Scenario) -> tuple[Radio, Outages]:
-    """Build the radio of a scenario, and its scripted outages.
+def build_radio(
+    names: Sequence[str], network: Network, weights: Array, origin: NedOrigin, seed: int
+) -> tuple[Radio, Outages]:
+    """Build the radio of N aircraft, and its scripted outages.
+
+    Args:
+        names: N, the leader first, which does not receive.
+        network: the section of the scenario.
+        weights: β (n, N, 3): a follower may receive only those for which it has some.
+        origin: of the local frame.
+        seed: of the run.
 
     Raises:
         InputError: a file of delays or a trace cannot be used.
     """
-    names, network, seed = scenario.aircraft_names, scenario.network, scenario.scenario.seed
-    outages = make_outages(names, network)
-    replays, curves = make_replays(names, network, seed), make_curves(names, network)
+    pairs = resolve_links(names, network)
+    outages, replays, curves = make_outages(pairs), make_replays(pairs, seed), make_curves(pairs)
     scripted = outages.windows or len(outages.dropped)
     losses = ExtraLosses(
         outages=partial(scripted_outcomes, outages) if scripted else None,
@@ -38,26 +45,22 @@ def build_radio(scenario: Scenario) -> tuple[Radio, Outages]:
     clocks = make_clocks(names, network.clocks) if network.clocks else None
     encoding = None
     if network.encoding == "follow-target":
-        encoding = FollowTarget(Origin(**scenario.scenario.origin.model_dump()))
-    channel = make_channel(names, network, seed, _subscriptions(scenario))
+        encoding = FollowTarget(origin)
+    subscribed = None
+    if network.receive == "neighbours":
+        subscribed = np.any(weights != 0.0, axis=2)
+        subscribed[:, 0] = True
+    channel = make_channel(pairs, seed, subscribed)
     return Radio(channel, losses, encoding, clocks), outages
 
 
-def _subscriptions(scenario: Scenario) -> BoolArray | None:
-    """Return whose messages (n, N) followers use: the leader's and neighbours'; None: all."""
-    if scenario.network.receive == "all":
-        return None
-    subscribed: BoolArray = np.any(build_gains(scenario) != 0.0, axis=2)
-    subscribed[:, 0] = True
-    return subscribed
-
-
-def transmit_times(scenario: Scenario) -> dict[int, tuple[float | None, float | None]]:
+def transmit_times(
+    names: Sequence[str], network: Network
+) -> dict[int, tuple[float | None, float | None]]:
     """Return period and phase, s, by row, of aircraft that transmit independently of the ticks."""
-    names: Sequence[str] = scenario.aircraft_names
     return {
         names.index(name): (times.period_s, times.phase_s)
-        for name, times in scenario.network.broadcast.items()
+        for name, times in network.broadcast.items()
     }
 
 

@@ -6,38 +6,29 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from testbed.atmosphere.mean_wind import MeanWind
-from testbed.autopilot.parameters import AutopilotTiming, FbwaParams, make_gains, read_params
+from testbed.autopilot.parameters import AutopilotTiming, make_gains
 from testbed.core.errors import InputError
-from testbed.core.records import Airframe, Event, Origin, Records
+from testbed.core.records import Event, NedOrigin, Records
 from testbed.core.speed_model import speed_model_records
-from testbed.scenario import Scenario, find_aircraft, find_tune
+from testbed.plan.fleet import Fleet, PlannedAircraft
 from testbed.scenario.aircraft import VirtualAutopilot
 from testbed.scenario.checks import LOWEST_START_M
+from testbed.scenario.control import Controller
+from testbed.scenario.sections import Rates
 from testbed.sim.arduplane_vehicles import build_jsbsim_vehicles
-from testbed.sim.build_air import initial_wind, temperature_offset
-from testbed.sim.build_control import agent_value, own_speed_model
+from testbed.sim.build_air import initial_wind
+from testbed.sim.build_control import own_speed_model
 from testbed.sim.build_leader import LeaderSetup
 from testbed.sim.schedule import Clock
 from testbed.sim.vehicles import JsbsimVehicles, UnicycleVehicles, Vehicles
 from testbed.vehicle.fleet import JsbsimFleet
-from testbed.vehicle.jsbsim_adapter import airframe, probe_airframes
 from testbed.vehicle.trim import InitialState, error_prefix
 from testbed.vehicle.unicycle import make_unicycles
 from testbed.vehicle.workers import make_fleet
-
-
-class AircraftModels(NamedTuple):
-    """Folders, autopilot parameters and airframes of N aircraft."""
-
-    folders: tuple[Path, ...]
-    param_files: tuple[Path, ...]
-    params: tuple[FbwaParams, ...]
-    airframes: tuple[Airframe, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,81 +45,54 @@ class BuiltVehicles:
         return None if self.jsbsim is None else self.jsbsim.fleet
 
 
-def read_models(scenario: Scenario) -> AircraftModels:
-    """Read the folders of all aircraft.
-
-    Raises:
-        ParamError, AircraftError: a folder contains no valid aircraft or autopilot parameters.
-    """
-    aircraft = scenario.aircraft
-    folders = tuple(find_aircraft(each.aircraft) for each in aircraft)
-    probe_airframes(folders)
-    files = tuple(find_tune(at, each.tune) for at, each in zip(folders, aircraft, strict=True))
-    return AircraftModels(
-        folders,
-        files,
-        tuple(read_params(file) for file in files),
-        tuple(airframe(folder) for folder in folders),
-    )
-
-
-def build_origin(scenario: Scenario) -> Origin:
-    """Return the origin of the local frame."""
-    return Origin(**scenario.scenario.origin.model_dump())
-
-
-def vehicle_kinds(scenario: Scenario, leader: LeaderSetup) -> list[str]:
-    """Return the kind of each vehicle: "jsbsim", "unicycle" or, of a leader, "scripted"."""
-    kind = "scripted" if leader.vehicle else scenario.leader.vehicle
-    return [kind, *(each.vehicle for each in scenario.fleet)]
-
-
-def build_starts(
-    scenario: Scenario, leader: LeaderSetup, mean_wind: MeanWind, kinds: Sequence[str]
-) -> list[InitialState]:
+def build_starts(fleet: Fleet, leader: LeaderSetup, mean_wind: MeanWind) -> list[InitialState]:
     """Return the initial states of all aircraft.
 
     Raises:
         InputError: an aircraft starts too close to the ground.
     """
-    followers = (_follower_start(leader.start, each.start_m) for each in scenario.fleet)
+    followers = (_follower_start(leader.start, each.section.start_m) for each in fleet.followers)
     starts = [
         replace(start, wind_ned=initial_wind(mean_wind, -start.position_ned[2]))
         for start in (leader.start, *followers)
     ]
-    for name, kind, start in zip(scenario.aircraft_names, kinds, starts, strict=True):
-        if kind != "scripted" and start.position_ned[2] > -LOWEST_START_M:
+    for each, start in zip(fleet.aircraft, starts, strict=True):
+        if not each.is_scripted and start.position_ned[2] > -LOWEST_START_M:
             side = "above" if start.position_ned[2] <= 0.0 else "below"
             raise InputError(
-                f"{name} starts {abs(start.position_ned[2]):g} m {side} the ground: write a start "
-                f"at least {LOWEST_START_M:g} m above it"
+                f"{each.name} starts {abs(start.position_ned[2]):g} m {side} the ground: write a "
+                f"start at least {LOWEST_START_M:g} m above it"
             )
     return starts
 
 
 def build_vehicles(
-    scenario: Scenario,
-    models: AircraftModels,
+    fleet: Fleet,
     leader: LeaderSetup,
     starts: Sequence[InitialState],
-    kinds: Sequence[str],
+    rates: Rates,
     clock: Clock,
     aircraft: Records,
     *,
+    controller: Controller,
+    leader_pole: float,
+    warmer: float,
     arduplane: Path | None,
     processes: int | None,
 ) -> BuiltVehicles:
     """Build the vehicles of all aircraft.
 
     Args:
-        scenario: as resolved.
-        models: of N aircraft.
+        fleet: the N aircraft.
         leader: of the scenario.
         starts: N initial states.
-        kinds: N, see `vehicle_kinds`.
-        clock: of the run.
+        rates: of the run.
+        clock: with these rates.
         aircraft: (N,) of AIRCRAFT, which the vehicles write.
-        arduplane: the program for `autopilot: ardupilot` where the scenario names none.
+        controller: whose law ideal vehicles fly.
+        leader_pole: of the speed of an ideal leader, 1/s.
+        warmer: how much warmer the air is than the standard atmosphere, K.
+        arduplane: the program for `autopilot: ardupilot`; None: that of the environment.
         processes: that step JSBSim models; None: as many as are fastest.
 
     Raises:
@@ -138,27 +102,25 @@ def build_vehicles(
     if leader.vehicle:
         leader.vehicle.bind(aircraft)
         vehicles.append(leader.vehicle)
-    rows = tuple(row for row, kind in enumerate(kinds) if kind == "jsbsim")
+    modelled = [each for each in fleet.aircraft if each.has_model]
     jsbsim = None
-    if rows:
-        fleet = _build_fleet(scenario, models, starts, rows, clock, processes)
-        gains = _build_gains(scenario, models, rows, clock)
-        # the sensor has ArduPlane's filter of the pressure already
-        sensors = [scenario.aircraft[row].sensors.airspeed for row in rows]
-        filtered = [sensor is not None and sensor.smoothing_s > 0.0 for sensor in sensors]
-        gains["pressure_weight"][filtered] = 1.0
+    if modelled:
+        own_starts = [starts[each.row] for each in modelled]
+        models = _build_models(modelled, own_starts, fleet.origin, clock, warmer, processes)
+        gains = _build_gains(modelled, rates, clock)
         jsbsim = build_jsbsim_vehicles(
-            scenario, fleet, gains, aircraft, rows, models.param_files, arduplane
+            modelled, models, gains, aircraft, fleet.origin, rates, arduplane
         )
         vehicles.append(jsbsim)
-    ideal = [row for row, kind in enumerate(kinds) if kind == "unicycle"]
-    if ideal:
-        vehicles.append(_build_unicycles(scenario, ideal, starts, leader, clock, aircraft))
-    return BuiltVehicles(tuple(vehicles), jsbsim, rows)
+    if any(each.is_ideal for each in fleet.aircraft):
+        vehicles.append(
+            _build_unicycles(fleet, controller, leader_pole, starts, leader, clock, aircraft)
+        )
+    return BuiltVehicles(tuple(vehicles), jsbsim, fleet.model_rows)
 
 
 def gust_input_warnings(
-    scenario: Scenario, vehicles: BuiltVehicles, *, steady_air: bool
+    fleet: Fleet, vehicles: BuiltVehicles, *, steady_air: bool
 ) -> Iterator[Event]:
     """Warn of aircraft whose model has no input for rotations of the air."""
     if vehicles.fleet is None or steady_air:
@@ -171,75 +133,72 @@ def gust_input_warnings(
                 "lacks one of the properties air/p-rad_sec, air/q-rad_sec, air/r-rad_sec and "
                 "air/roll-coefficient"
             )
-            yield Event(0.0, "warning", scenario.aircraft_names[row], text)
+            yield Event(0.0, "warning", fleet.names[row], text)
 
 
-def _build_gains(
-    scenario: Scenario, models: AircraftModels, rows: Sequence[int], clock: Clock
-) -> Records:
-    """Return the gains (M,) of the aircraft in these rows."""
+def _build_gains(modelled: Sequence[PlannedAircraft], rates: Rates, clock: Clock) -> Records:
+    """Return the gains (M,) of the autopilots of aircraft with flight models."""
     dt = clock.autopilot / clock.base_rate_hz
-    gains = make_gains([models.params[row] for row in rows], dt)
-    sitl = AutopilotTiming(sitl_physics_hz=scenario.rates.physics_hz)
-    for k, row in enumerate(rows):
-        autopilot = scenario.aircraft[row].autopilot
+    gains = make_gains([each.params for each in modelled], dt)
+    sitl = AutopilotTiming(sitl_physics_hz=rates.physics_hz)
+    for k, each in enumerate(modelled):
+        autopilot, sensor = each.section.autopilot, each.section.sensors.airspeed
         if isinstance(autopilot, VirtualAutopilot) and autopilot.gyro_filter == "sitl":
-            gains[k] = make_gains([models.params[row]], dt, sitl)[0]
+            gains[k] = make_gains([each.params], dt, sitl)[0]
+        if sensor is not None and sensor.smoothing_s > 0.0:
+            # the sensor has ArduPlane's filter of the pressure already
+            gains["pressure_weight"][k] = 1.0
     return gains
 
 
-def _build_fleet(
-    scenario: Scenario,
-    models: AircraftModels,
+def _build_models(
+    modelled: Sequence[PlannedAircraft],
     starts: Sequence[InitialState],
-    rows: Sequence[int],
+    origin: NedOrigin,
     clock: Clock,
+    warmer: float,
     processes: int | None,
 ) -> JsbsimFleet:
-    """Build the JSBSim models of the aircraft in these rows, in trim."""
-    batteries = [scenario.aircraft[row].battery for row in rows]
-    warmer = temperature_offset(scenario)
+    """Build the JSBSim models of M aircraft, in trim."""
     with error_prefix("fleet"):
         return make_fleet(
-            [models.folders[row] for row in rows],
+            [each.folder for each in modelled],
             [
                 replace(
-                    starts[row],
-                    state_of_charge=battery.state_of_charge,
-                    cells=battery.cells or 0,
+                    start,
+                    state_of_charge=each.section.battery.state_of_charge,
+                    cells=each.section.battery.cells or 0,
                     temperature_offset=warmer,
                 )
-                for row, battery in zip(rows, batteries, strict=True)
+                for each, start in zip(modelled, starts, strict=True)
             ],
-            build_origin(scenario),
+            origin,
             clock.base_rate_hz,
             processes=processes,
         )
 
 
 def _build_unicycles(
-    scenario: Scenario,
-    rows: Sequence[int],
+    fleet: Fleet,
+    controller: Controller,
+    leader_pole: float,
     starts: Sequence[InitialState],
     leader: LeaderSetup,
     clock: Clock,
     aircraft: Records,
 ) -> UnicycleVehicles:
     """Build unicycles at their starts, with the leader's velocity over the ground."""
-    names = scenario.aircraft_names
-    poles = [
-        agent_value(scenario, names[row], "speed_pole_per_s")
-        if row
-        else scenario.formation.speed_pole_per_s
-        for row in rows
-    ]
+    followers = [each for each in fleet.followers if each.is_ideal]
+    poles = [each.agent.speed_pole_per_s for each in followers]
+    models = [own_speed_model(each, controller) for each in followers]
+    rows = [each.row for each in followers]
+    if fleet.leader.is_ideal:
+        poles, models, rows = [leader_pole, *poles], [None, *models], [0, *rows]
     unicycles = make_unicycles(
         np.array([starts[row].position_ned for row in rows]),
         np.array([leader.velocity_ned for _ in rows]),
         np.array(poles, dtype=np.float64),
-        speed_model_records(
-            *(own_speed_model(scenario, names[row]) if row else None for row in rows)
-        ),
+        speed_model_records(*models),
     )
     indices = np.array(rows, dtype=np.intp)
     aircraft["wind"]["wind_ned"][indices] = [starts[row].wind_ned for row in rows]

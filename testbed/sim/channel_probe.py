@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from testbed.core.records import Array, Broadcast, Records, VehicleState
+from testbed.core.records import Array, Broadcast, NedOrigin, Records, VehicleState
 from testbed.network.links import Numbers, Outcomes
+from testbed.plan.fleet import solve_weights
 from testbed.scenario import Scenario
 from testbed.sim.build import build_clock
 from testbed.sim.build_radio import build_radio
@@ -58,7 +59,10 @@ def probe_channel(
         KeyboardInterrupt: `stop` returned true.
         InputError: a file of delays or a trace cannot be used.
     """
-    radio, _ = build_radio(scenario)
+    names, network, seed = scenario.aircraft_names, scenario.network, scenario.scenario.seed
+    weights = solve_weights(scenario.formation, names[1:])
+    origin = NedOrigin(**scenario.scenario.origin.model_dump())
+    radio, _ = build_radio(names, network, weights, origin, seed)
     truth = _start_state(scenario)
     aircraft = len(truth.airspeed)
     rows = np.arange(aircraft)

@@ -6,15 +6,15 @@ some time later ([HBH23] section 7: a Raspberry Pi beside a Pixhawk, joined by U
 
 from __future__ import annotations
 
-from functools import partial
 from math import ceil, floor
 
 import numpy as np
 
-from testbed.core.compile import Kernel, entry
+from testbed.core.call_list import NOW, Call
+from testbed.core.compile import entry
 from testbed.core.copies import copy_command, copy_motion
 from testbed.core.records import AIRCRAFT, MOTION, Array, Indices, Records, allocate
-from testbed.scenario import Scenario
+from testbed.scenario.control import Companion
 from testbed.sim.schedule import Clock
 
 _ROUNDING = 1e-6  # of a period, and s
@@ -25,10 +25,9 @@ class Companions:
 
     Attributes:
         aircraft: (N,) of AIRCRAFT, of which `estimate` is what the companions have.
-        store_states: take the estimates of all autopilots at one of their ticks (s).
-        receive_states: write the states that the companions have at a time (s).
-        send_commands: take the commands of control steps of followers (m,) at a time (s).
-        deliver_commands: write the commands that the autopilots have at a time (s).
+        store_states: takes the estimates of all autopilots at one of their ticks.
+        receive_states: writes the states that the companions have.
+        deliver_commands: writes the commands that the autopilots have.
     """
 
     def __init__(
@@ -49,28 +48,20 @@ class Companions:
         control_hz = clock.base_rate_hz / clock.control
         commands = np.zeros((n, ceil(command_latency_s * control_hz) + 2, 3))
         times_s, newest = np.full(commands.shape[:2], -np.inf), np.full(n, -1)
-        self.store_states = partial(_store_states, aircraft, states, rate_hz)
-        self.receive_states = partial(
-            _receive_states, aircraft, states, rate_hz, state_latency_s, self.aircraft
-        )
-        self.send_commands = partial(_send_commands, aircraft, commands, times_s, newest)
-        self.deliver_commands = partial(
-            _deliver_commands, aircraft, commands, times_s, newest, command_latency_s
-        )
+        stored, queued = (aircraft, states, rate_hz), (aircraft, commands, times_s, newest)
+        received = *stored, state_latency_s, self.aircraft
+        self.store_states = Call(_store_states, *stored, NOW)
+        self.receive_states = Call(_receive_states, *received, NOW)
+        self.deliver_commands = Call(_deliver_commands, *queued, command_latency_s, NOW)
+        self._queued = queued
 
-    def kernels(self, rows: Indices) -> list[Kernel]:
-        """Return the compiled calls, for `core.compile.prepare`; `rows` are of a group."""
-        return [
-            partial(self.store_states, 0.0),
-            partial(self.receive_states, 0.0),
-            partial(self.send_commands, rows[:0], 0.0),
-            partial(self.deliver_commands, 0.0),
-        ]
+    def send_commands(self, rows: Indices) -> Call:
+        """Return the call that takes the commands of control steps of followers (m,)."""
+        return Call(_send_commands, *self._queued, rows, NOW)
 
 
-def build_companions(scenario: Scenario, clock: Clock, aircraft: Records) -> Companions | None:
+def build_companions(each: Companion, clock: Clock, aircraft: Records) -> Companions | None:
     """Build the companion computers of a scenario; None where they have no latency."""
-    each = scenario.controller.companion
     if not (each.state_latency_s or each.command_latency_s):
         return None
     return Companions(aircraft, clock, each.state_latency_s, each.command_latency_s)

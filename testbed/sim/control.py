@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import signal
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from testbed.core.compile import Kernel, entry
-from testbed.core.errors import FlightError, InputError
+from testbed.core.call_list import NOW, Call
+from testbed.core.compile import entry
+from testbed.core.errors import FlightError, InputError, describe_error
 from testbed.core.frames import course, flight_path_angle
 from testbed.core.interrupts import Interrupt
 from testbed.core.records import (
@@ -32,6 +33,7 @@ from testbed.core.records import (
 from testbed.formation.control_step import control_step, finish_step
 from testbed.formation.law import FormationConfig, Law, LimiterFlag, Saturation
 from testbed.formation.message_extrapolation import message_ages
+from testbed.sim.vehicles import Steps
 
 if TYPE_CHECKING:
     from testbed.sim.companion import Companions
@@ -42,7 +44,7 @@ _UNKNOWN = ("speed_desired", "airspeed_command", "course_desired", "flight_path_
 
 
 @dataclass(frozen=True)
-class Group:
+class ControlGroup:
     """Followers whose control steps at the same ticks."""
 
     rows: Indices  # (m,) among the n followers
@@ -60,7 +62,7 @@ class Control:
 
     def __init__(
         self,
-        groups: tuple[Group, ...],
+        groups: tuple[ControlGroup, ...],
         controllers: Records,
         neighbours: Records,
         offsets: Array,
@@ -93,25 +95,25 @@ class Control:
         self._memory: list[Any] = [None] * len(groups)
         self._use_all_messages()
         parts = controllers, neighbours, self._own, *run
-        self._steps = [partial(_control, group.rows, *parts) for group in groups]
-        self._finish = [partial(_finish, group.rows, *parts) for group in groups]
-
-    def kernels(self) -> list[Kernel]:
-        """Return the compiled calls of `step`, for `core.compile.prepare`."""
-        groups = enumerate(self.groups)
-        calls: list[Kernel] = [
-            partial(self._steps[i], 0.0)
-            if group.law is None
-            else partial(self._finish[i], True, 0.0)
-            for i, group in groups
+        self._parts = parts
+        # of groups with a user's law: what comes after that, with and without middle loop
+        self._finish = [
+            tuple(Call(_finish, group.rows, *parts, loop, NOW) for loop in (False, True))
+            if group.law is not None
+            else ()
+            for group in groups
         ]
-        return calls + (self._companions.kernels(self.groups[0].rows) if self._companions else [])
 
     def _use_all_messages(self) -> None:
         """Mark all messages as used by users' laws, because their use is not known."""
         for group in self.groups:
             if group.law is not None:
                 self._neighbours["used"][group.rows] = True
+
+    @property
+    def has_membership(self) -> bool:
+        """Whether followers respond to declared failures."""
+        return self._membership is not None
 
     def update_membership(self, number: int, now: float) -> list[Event]:
         """Step the responses of a group's followers to declared failures; return events.
@@ -129,29 +131,24 @@ class Control:
         if events:
             membership.write_neighbours(self._neighbours)
             self._use_all_messages()
-            self.offsets = membership.offsets
+            self.offsets[:] = membership.offsets
             self._followers["slot_index"] = membership.slots
             self.left = membership.left
         return events
 
-    def step(self, number: int, now: float) -> Indices:
-        """Step one group at the time `now` (s).
+    def steps(self, number: int) -> Steps:
+        """Return the steps of a group's control."""
+        group, companions = self.groups[number], self._companions
+        step: Call | Callable[[float], None] = (
+            Call(_control, group.rows, *self._parts, NOW)
+            if group.law is None
+            else partial(self._step_user_law, number, group, group.law)
+        )
+        if companions is None:
+            return (step,)
+        return companions.receive_states, step, companions.send_commands(group.rows)
 
-        Returns:
-            The followers that stepped (m,).
-        """
-        group = self.groups[number]
-        if self._companions is not None:
-            self._companions.receive_states(now)
-        if group.law is None:
-            self._steps[number](now)
-        else:
-            self._step_user_law(number, group, group.law, now)
-        if self._companions is not None:
-            self._companions.send_commands(group.rows, now)
-        return group.rows
-
-    def _step_user_law(self, number: int, group: Group, law: Law, now: float) -> None:
+    def _step_user_law(self, number: int, group: ControlGroup, law: Law, now: float) -> None:
         """Step a group by a user's law, which receives copies of its inputs."""
         rows, followers = group.rows, self._followers
         estimate = fields_of(VehicleState, self._own["estimate"])
@@ -174,14 +171,16 @@ class Control:
             followers["speed_command"][rows] = command.speed
             for name in ("omega", "speed_desired", "direction", "limiter_flags"):
                 followers[name][rows] = getattr(command, name)
-            self._finish[number](True, now)
+            self._finish[number][True](now)
         else:
             self._write_fbwa(command, own, group)
-            self._finish[number](False, now)
+            self._finish[number][False](now)
         timed_out = rows[np.isnan(self._links["age_s"][rows, 0])]
         followers["limiter_flags"][timed_out] |= LEADER_TIMEOUT
 
-    def _write_fbwa(self, command: FbwaCommand, own: VehicleState, group: Group) -> None:
+    def _write_fbwa(
+        self, command: FbwaCommand[Array], own: VehicleState, group: ControlGroup
+    ) -> None:
         """Write a fly-by-wire-A command, limited; desired speeds are NaN."""
         config, rows, followers = group.config, group.rows, self._followers
         pitch = np.clip(command.pitch, -config.pitch_limit, config.pitch_limit)
@@ -262,7 +261,8 @@ def user_code_errors(file: str, what: str = "the law") -> Iterator[None]:
         what: the code is.
 
     Raises:
-        InputError: for every exception but those of signals.
+        InputError: for every other exception but those of signals.
+        MemoryError: the code had too little memory.
     """
     try:
         yield
@@ -275,6 +275,8 @@ def user_code_errors(file: str, what: str = "the law") -> Iterator[None]:
         frames = traceback.extract_tb(error.__traceback__)
         lines = [frame.lineno for frame in frames if frame.filename == file]
         location = f"{file}:{lines[-1]}" if lines else file
+        if isinstance(error, MemoryError):  # of this machine; what asks for too much has a place
+            raise MemoryError(f"{location}: {what}: {describe_error(error)}") from error
         raise InputError(f"{location}: {what} raised {type(error).__name__}: {error}") from error
 
 
@@ -288,7 +290,7 @@ def law_file(law: object) -> str:
 
 def validate_command(
     command: object, config: FormationConfig, now: float
-) -> UnicycleCommand | FbwaCommand:
+) -> UnicycleCommand | FbwaCommand[Array]:
     """Check the command of a user's law, and return it with arrays of full shape.
 
     Args:

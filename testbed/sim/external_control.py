@@ -5,27 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import partial
-from pathlib import Path
+
+import numpy as np
 
 from testbed.autopilot.parameters import FbwaParams
-from testbed.core.compile import Kernel
-from testbed.core.records import BoolArray, Event, Origin, Records, VehicleState
-from testbed.guidance.flight_plan import Mission
+from testbed.core.records import BoolArray, Event, FbwaCommand, Records, VehicleState
+from testbed.guidance.flight_plan import GuidanceMission
 from testbed.mavlink.mission_plans import ItemFlightPlan, items_from_mission, items_of_segments
-from testbed.mavlink.vehicle_control import Mode, VehicleControl
-from testbed.scenario import Scenario, load_guidance
-from testbed.scenario.aircraft import ArduPlane, External, Follower, Leader
+from testbed.mavlink.vehicle_control import FlightMode, VehicleControl
+from testbed.plan.fleet import Fleet, PlannedAircraft
+from testbed.scenario.aircraft import External
 from testbed.sim.autopilot_session import AutopilotSession
 from testbed.sim.build_leader import LeaderSetup
-from testbed.sim.leader_control import (
-    NO_INPUT,
-    MissionController,
-    UnicycleInput,
-    write_control,
-)
+from testbed.sim.leader_control import MissionController
 from testbed.sim.navigator import NavigatorConfig
 from testbed.sim.schedule import Clock
-from testbed.sim.vehicles import JsbsimVehicles
+from testbed.sim.vehicles import JsbsimVehicles, LeaderInput, Steps
 from testbed.vehicle.trim import InitialState
 
 _BANK_LIMIT_DEG, _CLIMB_LIMIT_MPS = 45.0, 1.5  # of a follower's circles and missions
@@ -46,6 +41,7 @@ class ExternalControl:
         ]
         self._lockstep = [session for _, session in self._sessions if session.lockstep]
         self._events: list[Event] = []
+        self.input: LeaderInput = np.zeros(1), np.zeros(3)
 
     @property
     def commands_leader(self) -> bool:
@@ -79,17 +75,16 @@ class ExternalControl:
             if not session.lost:
                 session.guide(now, estimate)
 
-    def step(self, aircraft: Records) -> UnicycleInput:
-        """Write the leader's command; see `LeaderController`."""
+    def steps(self, aircraft: Records) -> Steps:
+        """Return the step that writes the leader's command; see `LeaderController`."""
         _, leader = self._sessions[0]
-        command = leader.command
-        assert command is not None  # only a follower's session may leave the command to the law
-        write_control(aircraft, 0, command)
-        return NO_INPUT
 
-    def kernels(self, aircraft: Records) -> list[Kernel]:
-        """See `LeaderController`: commands from outside need none."""
-        return []
+        def write(now: float) -> None:
+            command = leader.command
+            assert command is not None  # only a follower's session may leave it to the law
+            aircraft["control"][0] = command
+
+        return (write,)
 
     def override_commands(self, aircraft: Records) -> None:
         """Write `command` of the aircraft that their sessions control."""
@@ -154,33 +149,28 @@ class ExternalControl:
 
 
 def build_external_control(
-    scenario: Scenario,
+    fleet: Fleet,
     clock: Clock,
     leader: LeaderSetup,
     starts: Sequence[InitialState],
-    tunes: Sequence[FbwaParams],
-    folders: Sequence[Path],
     jsbsim: JsbsimVehicles | None,
-    rows: Sequence[int],
 ) -> ExternalControl:
-    """Build the sessions of a scenario's aircraft.
+    """Build the sessions of all aircraft.
 
     Args:
-        scenario: the scenario.
-        clock: its clock.
-        leader: its leader.
-        starts: of all N aircraft.
-        tunes: N autopilot parameter sets.
-        folders: N airframe folders.
-        jsbsim: the vehicles with a virtual autopilot,
-        rows: and their rows among the N aircraft.
+        fleet: the N aircraft.
+        clock: of the run.
+        leader: the leader.
+        starts: N.
+        jsbsim: the vehicles with flight models.
     """
     vehicles: list[VehicleControl] = []
-    for row, one in enumerate(scenario.aircraft):
-        if jsbsim is None or row not in rows or isinstance(one.autopilot, ArduPlane):
-            vehicles.append(_uncommandable(row, one, leader))
+    for row, one in enumerate(fleet.aircraft):
+        if jsbsim is None or not one.takes_commands:
+            vehicles.append(_uncommandable(one))
             continue
-        tune, fleet_row = tunes[row], rows.index(row)
+        tune, fleet_row = one.params, fleet.model_rows.index(row)
+        source = one.section.commanded_by
         trim = jsbsim.fleet.trims[fleet_row]
         north, east, down = starts[row].position_ned
         controller = leader.controller
@@ -189,10 +179,10 @@ def build_external_control(
         config = NavigatorConfig(
             row=row,
             start=(north, east, -down),
-            trim=(trim.placement.pitch, trim.placement.roll, trim.controls.throttle),
-            hold=load_guidance(folders[row]).model_dump(),
+            trim=FbwaCommand(trim.placement.pitch, trim.placement.roll, trim.controls.throttle),
+            hold=one.guidance.model_dump(),
             flight_params=flight_params,
-            origin=Origin(**scenario.scenario.origin.model_dump()),
+            origin=fleet.origin,
             dt=clock.control / clock.base_rate_hz,
         )
         mission = None
@@ -206,25 +196,27 @@ def build_external_control(
                 config,
                 tune,
                 partial(jsbsim.retune, fleet_row),
-                external=one.commanded_by if isinstance(one.commanded_by, External) else None,
+                external=source if isinstance(source, External) else None,
                 mission=mission,
             )
         )
     return ExternalControl(vehicles)
 
 
-def _uncommandable(row: int, one: Leader | Follower, leader: LeaderSetup) -> VehicleControl:
-    if row == 0 and leader.vehicle is not None:
-        return VehicleControl(one.name, Mode.AUTO, "follows a path by itself: takes no commands")
-    mode = Mode.AUTO if row == 0 else Mode.FBWA
-    if one.vehicle == "unicycle":
+def _uncommandable(one: PlannedAircraft) -> VehicleControl:
+    if one.is_scripted:
+        return VehicleControl(
+            one.name, FlightMode.AUTO, "follows a path by itself: takes no commands"
+        )
+    mode = FlightMode.AUTO if one.row == 0 else FlightMode.FBWA
+    if one.is_ideal:
         return VehicleControl(one.name, mode, "an ideal vehicle: it has no autopilot")
     return VehicleControl(one.name, mode, "flown by ArduPlane: connect to that")
 
 
-def _flight_params(tune: FbwaParams, airspeed: float) -> Mission:
+def _flight_params(tune: FbwaParams, airspeed: float) -> GuidanceMission:
     """Limits and airspeed of a follower that flies a mission or a circle of its own."""
-    return Mission(
+    return GuidanceMission(
         legs=(),
         airspeed=airspeed,
         bank_limit=math.radians(min(tune.roll_limit_deg, _BANK_LIMIT_DEG)),

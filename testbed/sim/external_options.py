@@ -8,13 +8,18 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pydantic import Field
+
 from testbed.core.errors import InputError
 from testbed.core.records import Event
-from testbed.mavlink.udp_endpoint import Address
+from testbed.mavlink.udp_endpoint import Address, parse_address
 from testbed.scenario import Scenario
 from testbed.scenario.aircraft import External
+from testbed.scenario.arguments import check_argument, check_calls, check_path, to_plain
+from testbed.scenario.fields import Flag, Section, is_number
+from testbed.scenario.validate import shown_value
 from testbed.sim.build import World
-from testbed.sim.tick_gate import RealTimePacer
+from testbed.sim.tick_gate import RealTimePacer, check_pace
 
 if TYPE_CHECKING:
     from testbed.mavlink.server import MavlinkServer
@@ -26,12 +31,15 @@ class ExternalOptions:
 
     Args:
         mavlink: addresses at which every aircraft is a MAVLink vehicle.
-        pace: simulated seconds per second; None: as fast as possible.
+        pace: simulated seconds per second, 0.001 to 1e6; None or 0: as fast as possible.
         tlog: write run.tlog to the run directory.
         signing_key: 32 bytes; frames are signed with it, and others are rejected.
         arduplane: the program, where the scenario asks for ArduPlane and names none.
         quiet: leave out messages about the ports of ArduPlanes.
         announce: receives messages to the user during the run: open ports, long waits.
+
+    Raises:
+        InputError: an argument is wrong; the text begins with its name.
     """
 
     mavlink: tuple[Address, ...] = ()
@@ -42,10 +50,55 @@ class ExternalOptions:
     quiet: bool = False
     announce: Callable[[str], None] = field(default=lambda text: None, repr=False)
 
+    def __post_init__(self) -> None:
+        """Check all arguments."""
+        from testbed.mavlink.signing import check_key  # as few runs have a server
+
+        _check_addresses(self.mavlink)
+        pace = to_plain("pace", self.pace)
+        off = pace is None or (is_number(pace) and pace == 0)
+        object.__setattr__(self, "pace", None if off else check_pace("pace", pace))
+        for name in ("tlog", "quiet"):
+            check_argument(name, getattr(self, name), _OptionArguments, name)
+        if self.signing_key is not None:
+            check_key("signing_key", self.signing_key)
+        if self.arduplane is not None:
+            object.__setattr__(self, "arduplane", check_path("arduplane", self.arduplane))
+        check_calls("announce", self.announce)
+
     @property
     def has_server(self) -> bool:
         """Whether the run has a MAVLink server."""
         return bool(self.mavlink) or self.tlog
+
+
+class _OptionArguments(Section):
+    tlog: Flag = Field(description="Whether run.tlog is written.")
+    quiet: Flag = Field(description="Whether messages about ports are left out.")
+
+
+def _check_addresses(addresses: object) -> None:
+    """Check that addresses are those that the command line reads.
+
+    Raises:
+        InputError: one is not.
+    """
+    example = "parse_address('udpout:127.0.0.1:14550')"
+    if not isinstance(addresses, tuple | list):
+        raise InputError(f"mavlink: is {shown_value(addresses)} (write ({example},))")
+    for index, each in enumerate(addresses):
+        name = f"mavlink[{index}]"
+        if not isinstance(each, Address):
+            raise InputError(f"{name}: is {shown_value(each)} (write {example})")
+        try:
+            read = parse_address(str(each))
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from None
+        except ValueError:  # of the text of such a number
+            digits = "has a number of thousands of digits"
+            raise InputError(f"{name}: {digits} (write a port of 1 to 65535)") from None
+        if read != each:
+            raise InputError(f"{name}: is {shown_value(each)}, which reads as {read} (write that)")
 
 
 NO_EXTERNAL = ExternalOptions()

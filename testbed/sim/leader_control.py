@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from typing import Protocol
 
 import numpy as np
 
-from testbed.core.compile import Kernel
-from testbed.core.records import AIRCRAFT, Array, Records, VehicleState, allocate
-from testbed.guidance.flight_plan import FlightPlan, Mission
+from testbed.core.call_list import Call
+from testbed.core.records import AIRCRAFT, FbwaCommand, Records, VehicleState, allocate
+from testbed.guidance.flight_plan import FlightPlan, GuidanceMission
 from testbed.guidance.mission_follower import (
     Hold,
     begin_flight,
@@ -19,25 +18,16 @@ from testbed.guidance.mission_follower import (
     segment_records,
     set_flight_params,
 )
-from testbed.sim.vehicles import ScriptedVehicle
-
-FbwaInput = tuple[float, float, float]  # pitch (rad), roll (rad), throttle (0..1)
-UnicycleInput = tuple[float, Array]  # u (m/s) and ω (3,) rad/s of an ideal vehicle
-NO_INPUT: UnicycleInput = (0.0, np.zeros(3))
+from testbed.sim.vehicles import LeaderInput, ScriptedVehicle, Steps
 
 
 class LeaderController(Protocol):
     """Controller of the leader."""
 
-    def step(self, aircraft: Records) -> UnicycleInput:
-        """Write `control` of row 0 of AIRCRAFT; once per control period.
+    input: LeaderInput  # of an ideal leader; zeros for others
 
-        Returns:
-            The inputs of an ideal leader; zeros for others.
-        """
-
-    def kernels(self, aircraft: Records) -> list[Kernel]:
-        """Return the compiled calls of `step`, for `core.compile.prepare`."""
+    def steps(self, aircraft: Records) -> Steps:
+        """Return the steps that write `control` of row 0 of AIRCRAFT; once per control period."""
 
 
 class MissionController:
@@ -58,6 +48,8 @@ class MissionController:
         self._plan, self._segments = plan, segment_records(plan)
         self._state = begin_flight(plan, held, dt=dt, gains=gains)
         self._scratch = allocate(AIRCRAFT, 1)
+        self.input: LeaderInput = np.zeros(1), np.zeros(3)
+        self._guide_scratch = self._guide(0, self._scratch)
 
     @property
     def plan(self) -> FlightPlan:
@@ -79,32 +71,26 @@ class MissionController:
     def held(self, held: Hold) -> None:
         self._state["memory"]["hold"] = held
 
-    def set_flight_params(self, mission: Mission) -> None:
+    def set_flight_params(self, mission: GuidanceMission) -> None:
         """Set airspeed, limits and L1 parameters to those of a mission."""
         self._plan = self._plan._replace(mission=mission)
         set_flight_params(self._state, mission)
 
-    def step(self, aircraft: Records) -> UnicycleInput:
+    def steps(self, aircraft: Records) -> Steps:
         """See `LeaderController`."""
-        if not self._ideal:
-            guide(self._row, aircraft, self._segments, self._state)
-            return NO_INPUT
-        speed, omega = guide_unicycle(self._row, aircraft, self._segments, self._state)
-        return speed, np.array(omega)
+        return (self._guide(self._row, aircraft),)
 
-    def kernels(self, aircraft: Records) -> list[Kernel]:
-        """See `LeaderController`."""
-        call = guide_unicycle if self._ideal else guide
-        return [partial(call, self._row, aircraft, self._segments, self._state)]
+    def _guide(self, row: int, aircraft: Records) -> Call:
+        plan = row, aircraft, self._segments, self._state
+        return Call(guide_unicycle, *plan, *self.input) if self._ideal else Call(guide, *plan)
 
-    def command(self, estimate: VehicleState) -> FbwaInput:
+    def command(self, estimate: VehicleState) -> FbwaCommand[float]:
         """Compute the command of this aircraft from the estimates of N aircraft."""
         own, row = self._scratch["estimate"], self._row
         for name in ("position_ned", "velocity_ned", "euler", "airspeed"):
             own[name][0] = getattr(estimate, name)[row]
-        guide(0, self._scratch, self._segments, self._state)
-        pitch, roll, throttle = self._scratch["control"][0].item()
-        return pitch, roll, throttle
+        self._guide_scratch(0.0)
+        return FbwaCommand._make(self._scratch["control"][0].item())
 
 
 class ScriptedController:
@@ -112,18 +98,13 @@ class ScriptedController:
 
     def __init__(self, leader: ScriptedVehicle) -> None:
         """Start with this leader."""
-        self._leader = leader
+        self._leader, self.input = leader, (np.zeros(1), np.zeros(3))
 
-    def step(self, aircraft: Records) -> UnicycleInput:
+    def steps(self, aircraft: Records) -> Steps:
         """See `LeaderController`."""
-        write_control(aircraft, 0, self._leader.command())
-        return NO_INPUT
+        control = aircraft["control"]
 
-    def kernels(self, aircraft: Records) -> list[Kernel]:
-        """See `LeaderController`: a script needs none."""
-        return []
+        def write(now: float) -> None:
+            control[0] = self._leader.command()
 
-
-def write_control(aircraft: Records, row: int, command: FbwaInput) -> None:
-    """Write `control` of one aircraft."""
-    aircraft["control"][row] = command
+        return (write,)

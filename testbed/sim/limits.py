@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
 from math import inf, sqrt
 
 import numpy as np
 
-from testbed.autopilot.parameters import FbwaParams
-from testbed.core.compile import Kernel, entry
-from testbed.core.records import Airframe, Array, BoolArray, Event, Indices, Records
+from testbed.core.call_list import Call
+from testbed.core.compile import entry
+from testbed.core.records import (
+    Array,
+    BoolArray,
+    Event,
+    Indices,
+    Records,
+)
 from testbed.metrics.document import SEPARATION_LOST
-from testbed.scenario import Scenario
-from testbed.sim.build_control import build_altitudes, build_offsets
+from testbed.plan.fleet import Fleet
+from testbed.scenario.sections import Limits
 from testbed.sim.faults import SIMULTANEOUS_S, FaultManager
 
-HYSTERESIS = (
-    1.1  # separations at which an encounter ends, so that events do not repeat at the limit
-)
+# separations at which an encounter ends, so that events do not repeat at the limit
+HYSTERESIS = 1.1
 MAX_EVENTS = 5  # about pairs at one time; more are summarised in one
 
 
@@ -30,7 +34,7 @@ class ProximityMonitor:
         limit_m: distance below which any two aircraft are reported, m.
         minimum_m: (N,) the same by aircraft, m; the larger of two counts, NaN: none with this
             aircraft.
-        watching: two aircraft are in an encounter.
+        watching: (1,) two aircraft are in an encounter.
         outcome: "completed", or "separation_lost" once a pair without a fault was below it.
     """
 
@@ -66,7 +70,7 @@ class ProximityMonitor:
         self._below: BoolArray = self._close  # below the minimum, in one encounter
         self._closest: Array = np.full(len(self._first), np.inf)  # m, during the encounter
         self._collided: BoolArray = np.zeros(len(names), dtype=bool)
-        self.watching = False
+        self.watching = np.zeros(1, dtype=bool)
         self.outcome = "completed"
 
     @property
@@ -104,7 +108,7 @@ class ProximityMonitor:
         if not self.enabled:
             return (), self._collided
         distance = self._distances(position_ned)
-        if not (distance < self._limit).any() and not self.watching:
+        if not (distance < self._limit).any() and not self.watching[0]:
             return (), self._collided
 
         ignored = lost | self._collided
@@ -121,7 +125,7 @@ class ProximityMonitor:
         )
         self._closest = np.where(close | below, np.fmin(distance, self._closest), np.inf)
         self._close, self._below = close, below
-        self.watching = bool(close.any() or below.any())
+        self.watching[0] = close.any() or below.any()
         if collided.any():
             self._collided = self._collided.copy()  # callers keep the array returned before
             self._collided[self._first[collided]] = self._collided[self._second[collided]] = True
@@ -202,46 +206,46 @@ def _held(active: BoolArray, limit: Array | float) -> Array:
     return held
 
 
-def build_proximity(scenario: Scenario, airframes: Sequence[Airframe]) -> ProximityMonitor:
-    """Build the monitor with the limits of a scenario, for aircraft with these N airframes."""
-    limits = scenario.limits
+def build_proximity(fleet: Fleet, limits: Limits) -> ProximityMonitor:
+    """Build the monitor with the limits of a scenario."""
     return ProximityMonitor(
-        scenario.aircraft_names,
+        fleet.names,
         collision_m=limits.collision_m,
         separation_m=limits.separation_m,
-        minimum_m=minimum_separations(scenario, airframes),
-        source=_source(scenario),
+        minimum_m=minimum_separations(fleet, limits),
+        source=_source(limits),
         stops=limits.on_limit_exceeded == "stop",
     )
 
 
-def minimum_separations(scenario: Scenario, airframes: Sequence[Airframe]) -> Array:
+def minimum_separations(fleet: Fleet, limits: Limits) -> Array:
     """Return the minimum separation by aircraft (N,), m; NaN for a virtual leader, a point."""
-    limit_m = scenario.limits.min_separation_m
-    minimum = np.array([each.span if limit_m is None else limit_m for each in airframes])
-    if scenario.leader.path.kind == "virtual":
+    limit_m = limits.min_separation_m
+    spans = [each.airframe.span for each in fleet.aircraft]
+    minimum = np.array([span if limit_m is None else limit_m for span in spans])
+    if fleet.leader.section.path.kind == "virtual":
         minimum[0] = np.nan
     return minimum
 
 
-def separation_warnings(scenario: Scenario, airframes: Sequence[Airframe]) -> Iterator[Event]:
+def separation_warnings(fleet: Fleet, limits: Limits) -> Iterator[Event]:
     """Warn of starts and of slots that are closer together than the minimum separation."""
-    minimum, names = minimum_separations(scenario, airframes), scenario.aircraft_names
-    starts = [(0.0, 0.0, 0.0), *(each.start_m for each in scenario.fleet)]
-    keys = ["leader.start", *(f"fleet.{i}.start_m" for i in range(len(scenario.fleet)))]
-    yield from _closer(scenario, "start", np.array(starts), minimum, names, keys)
+    minimum, names = minimum_separations(fleet, limits), fleet.names
+    starts = [(0.0, 0.0, 0.0), *(each.section.start_m for each in fleet.followers)]
+    keys = ["leader.start", *(f"fleet.{i}.start_m" for i in range(len(fleet.followers)))]
+    yield from _closer(limits, "start", np.array(starts), minimum, names, keys)
     # a slot at an altitude of its own is compared with others of that kind only
-    offsets, altitudes = build_offsets(scenario), build_altitudes(scenario)
+    offsets, altitudes = fleet.offsets, fleet.altitudes
     keys = ["leader", *(f"formation.offsets_m.{name}" for name in names[1:])]
     holds = np.array([False, *~np.isnan(altitudes)])
     offsets[1:, 2] = np.where(holds[1:], -altitudes, offsets[1:, 2])
     for some in (~holds, holds):
         compared = np.where(some, minimum, np.nan)
-        yield from _closer(scenario, "have slots", offsets, compared, names, keys)
+        yield from _closer(limits, "have slots", offsets, compared, names, keys)
 
 
 def _closer(
-    scenario: Scenario,
+    limits: Limits,
     what: str,
     places: Array,
     minimum: Array,
@@ -263,17 +267,16 @@ def _closer(
         allowed = math.floor(100.0 * distance[pair]) / 100.0
         text = (
             f"{names[one]} and {names[two]} {what} {distance[pair]:.2f} m apart, closer than "
-            f"{limit[pair]:.3g} m, {_source(scenario)} (write {keys[one]} and {keys[two]} farther "
+            f"{limit[pair]:.3g} m, {_source(limits)} (write {keys[one]} and {keys[two]} farther "
             f"apart, or limits.min_separation_m: {allowed:g} if that is intended)"
         )
         more = f"; {others} other pairs are closer than that, too" if others else ""
         yield Event(0.0, "warning", "run", text + more)
 
 
-def _source(scenario: Scenario) -> str:
+def _source(limits: Limits) -> str:
     """Name what the minimum separation is."""
-    limit_m = scenario.limits.min_separation_m
-    return "a wingspan" if limit_m is None else "limits.min_separation_m"
+    return "a wingspan" if limits.min_separation_m is None else "limits.min_separation_m"
 
 
 # What is limited, a row of all arrays (3, N) here: equivalent airspeed, m/s, angle of attack, rad,
@@ -323,35 +326,29 @@ class EnvelopeMonitor:
         self._since: Array = np.full(limits.shape, np.nan)  # s, beyond the limit
         self._peak: Array = np.zeros(limits.shape)  # since then
         self._reported: BoolArray = np.zeros(limits.shape, dtype=bool)
-        self._active = False  # an aircraft was beyond a limit at the last call
+        self._active = np.zeros(1, dtype=bool)  # an aircraft was beyond a limit at the last call
         self.outcome = "completed"
 
-    def changes(
-        self, now: float, aircraft: Records, followers: Records, left: BoolArray
-    ) -> Iterable[Event]:
-        """Return an event for each excess that began or ended since the last call.
-
-        An excess that ends because the aircraft is lost or has left its slot has no event.
+    def bind(self, aircraft: Records, followers: Records, left: BoolArray) -> Call:
+        """Return the call after which `changes` is needed where it returns true.
 
         Args:
-            now: s
             aircraft: (N,) of AIRCRAFT, the leader first.
             followers: (n,) of FOLLOWER.
             left: (n,) have left the formation, and have no slot.
         """
-        args = self._limits, self._closest_m, self._values
-        if not find_exceeded(aircraft, followers, left, *args) and not self._active:
-            return ()
-        lost = aircraft["lost"]
-        watched = np.tile(~lost, (3, 1))
-        watched[FORMATION, 1:] &= ~left & ~lost[0]
-        return self._report(now, watched)
+        self._lost, self._left = aircraft["lost"], left
+        known = self._limits, self._closest_m, self._values, self._active
+        return Call(find_exceeded, *known, aircraft, followers, left)
 
-    def kernels(self, aircraft: Records, followers: Records) -> list[Kernel]:
-        """Return the compiled calls of `changes`, for `core.compile.prepare`."""
-        left = np.zeros(len(followers), dtype=bool)
-        args = left, self._limits, self._closest_m, self._values
-        return [partial(find_exceeded, aircraft, followers, *args)]
+    def changes(self, now: float) -> Iterator[Event]:
+        """Yield an event for each excess that began or ended since the last call, at a time, s.
+
+        An excess that ends because the aircraft is lost or has left its slot has no event.
+        """
+        watched = np.tile(~self._lost, (3, 1))
+        watched[FORMATION, 1:] &= ~self._left & ~self._lost[0]
+        yield from self._report(now, watched)
 
     @property
     def terminate(self) -> bool:
@@ -382,7 +379,7 @@ class EnvelopeMonitor:
             self.outcome = OUTCOMES[int(unexplained.argmax())]
         self._reported = (self._reported | began) & beyond
         self._since, self._peak = np.where(beyond, since, np.nan), np.where(beyond, peak, 0.0)
-        self._active = bool(beyond.any())
+        self._active[0] = beyond.any()
 
     def _explained(self) -> BoolArray:
         """Return which excess an active fault explains (3, N); any fault that of a formation."""
@@ -394,24 +391,26 @@ class EnvelopeMonitor:
 
 @entry
 def find_exceeded(
-    aircraft: Records,
-    followers: Records,
-    left: BoolArray,
     limits: Array,
     closest_m: Array,
     values: Array,
+    active: BoolArray,
+    aircraft: Records,
+    followers: Records,
+    left: BoolArray,
 ) -> bool:
-    """Write what is limited; return whether an aircraft is beyond a limit.
+    """Write what is limited; return whether an aircraft is, or was, beyond a limit.
 
     Args:
-        aircraft: (N,) of AIRCRAFT, the leader first.
-        followers: (n,) of FOLLOWER.
-        left: (n,) have left the formation: their closest distance counts from their return.
         limits: (3, N) of airspeed, m/s, angle of attack, rad, and distance beyond the closest, m.
         closest_m: (N,) closest distance to the slot so far; written.
         values: (3, N) airspeed, angle of attack, and distance from the slot; written.
+        active: (1,) an aircraft was beyond a limit at the last report.
+        aircraft: (N,) of AIRCRAFT, the leader first.
+        followers: (n,) of FOLLOWER.
+        left: (n,) have left the formation: their closest distance counts from their return.
     """
-    beyond = False
+    beyond = bool(active[0])
     for i in range(len(aircraft)):
         a = aircraft[i]
         airspeed, alpha, distance = a.truth.equivalent_airspeed, a.air.alpha, 0.0
@@ -433,28 +432,21 @@ def find_exceeded(
 
 
 def build_envelope_monitor(
-    scenario: Scenario,
-    tunes: Sequence[FbwaParams],
-    airframes: Sequence[Airframe],
-    rows: Sequence[int],
-    faults: FaultManager | None,
+    fleet: Fleet, keys: Limits, faults: FaultManager | None
 ) -> EnvelopeMonitor:
     """Build the monitor with the limits of a scenario.
 
     Args:
-        scenario: whose limits are used.
-        tunes: of N aircraft.
-        airframes: N
-        rows: of the aircraft with a flight model; overspeed and stall of others are not watched.
+        fleet: the N aircraft; overspeed and stall are those of flight models.
+        keys: the limits of the scenario.
         faults: of the scenario; None: none.
     """
-    keys = scenario.limits
-    limits = np.full((3, len(tunes)), inf)
-    for row in rows:
-        stall = keys.stall_deg
-        limits[OVERSPEED, row] = keys.overspeed_mps or OWN_OVERSPEED * tunes[row].airspeed_max
-        limits[STALL, row] = math.radians(stall) if stall else airframes[row].stall_angle
+    limits = np.full((3, len(fleet.aircraft)), inf)
+    for row in fleet.model_rows:
+        each, stall = fleet.aircraft[row], keys.stall_deg
+        limits[OVERSPEED, row] = keys.overspeed_mps or OWN_OVERSPEED * each.params.airspeed_max
+        limits[STALL, row] = math.radians(stall) if stall else each.airframe.stall_angle
     if keys.formation_lost_m is not None:
         limits[FORMATION, 1:] = keys.formation_lost_m
     stops = keys.on_limit_exceeded == "stop"
-    return EnvelopeMonitor(scenario.aircraft_names, limits, faults, stops=stops)
+    return EnvelopeMonitor(fleet.names, limits, faults, stops=stops)

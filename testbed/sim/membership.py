@@ -11,8 +11,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.core.compile import bind_entry
 from testbed.core.records import Array, BoolArray, Event, Inbox, Records
-from testbed.core.velocity_frame import velocity_frame
+from testbed.core.velocity_frame import write_frames
 from testbed.formation.control_step import set_gains
 from testbed.sim.faults import FaultManager
 
@@ -55,6 +56,9 @@ class FormationMembership:
         self._clear: BoolArray = np.zeros_like(self.known)  # known to be clear of their slots
         self.left: BoolArray = np.zeros(n, dtype=bool)
         self._slots = np.tile(np.arange(n + 1), (n, 1))  # (n, N) of each aircraft, by follower
+        if clearance_m is not None:
+            self._frame = np.empty((1, 3, 3))  # of the leader's velocity
+            self._write_frame = bind_entry(write_frames, like=(np.empty((1, 3)), self._frame))
 
     @property
     def slots(self) -> NDArray[np.intp]:
@@ -117,7 +121,8 @@ class FormationMembership:
         velocity = inbox.velocity_ned[row, 0]
         leader = inbox.position_ned[row, 0] + velocity * (measured_s[m] - measured_s[0])
         offset = self._offsets[self._slots[row, m]]
-        slot = leader + velocity_frame(velocity[np.newaxis])[0] @ offset
+        self._write_frame(np.ascontiguousarray(velocity[np.newaxis]), self._frame)
+        slot = leader + self._frame[0] @ offset
         distance = float(np.linalg.norm(inbox.position_ned[row, m] - slot))
         return distance > (self._clearance_m or 0.0)
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
 from math import sqrt
 
 import numpy as np
 
-from testbed.core.compile import Kernel, entry
+from testbed.core.call_list import NOW, Call
+from testbed.core.compile import entry
 from testbed.core.records import Array, BoolArray, Event, Indices, Records, allocate
 from testbed.formation.law import LimiterFlag
 from testbed.metrics.accumulator import JOIN_HOLD_S, JOIN_RADIUS_M
@@ -65,6 +65,9 @@ class JoinMonitor:
         base_rate_hz: of the ticks.
         aircraft: (N,) of AIRCRAFT, the leader first.
         followers: (n,) of FOLLOWER.
+
+    Attributes:
+        call: after which `changes` is needed where it returns true.
     """
 
     def __init__(
@@ -74,49 +77,50 @@ class JoinMonitor:
         self._names, self._rate_hz = names, base_rate_hz
         self._joins = allocate(JOIN, len(names))
         self._joins["since"] = -1
-        hold_ticks = JOIN_HOLD_S * base_rate_hz
-        self._find_joined = partial(find_joined, aircraft, followers, hold_ticks, self._joins)
-        self._all_joined = not len(names)
+        self._reported: BoolArray = np.zeros(len(names), dtype=bool)
+        rate_hz = float(base_rate_hz)
+        rule = JOIN_RADIUS_M, JOIN_HOLD_S * rate_hz, rate_hz
+        self.call = Call(find_joined, aircraft, followers, *rule, self._joins, NOW)
 
-    def changes(self, tick: int) -> Iterator[Event]:
-        """Return an event for each follower that has held its slot for long enough, once in a run.
+    def changes(self, now: float) -> Iterator[Event]:
+        """Yield an event for each follower that has held its slot for long enough, once in a run.
 
         Args:
-            tick: of the base rate.
+            now: s.
         """
-        if self._all_joined:
-            return
-        before = self._joins["joined"].copy()
-        if not self._find_joined(tick):
-            return
-        for i in np.flatnonzero(self._joins["joined"] & ~before).tolist():
+        joined = self._joins["joined"]
+        for i in np.flatnonzero(joined & ~self._reported).tolist():
             since = f"{self._joins['since'][i] / self._rate_hz:.1f} s"
             text = f"joined: within {JOIN_RADIUS_M:g} m of its slot since {since}"
-            yield Event(tick / self._rate_hz, "info", self._names[i], text)
-        self._all_joined = bool(self._joins["joined"].all())
-
-    def kernels(self) -> list[Kernel]:
-        """Return the compiled calls of `changes`, for `core.compile.prepare`."""
-        return [partial(self._find_joined, 0)]
+            yield Event(now, "info", self._names[i], text)
+        self._reported = joined.copy()
 
 
 @entry
 def find_joined(
-    aircraft: Records, followers: Records, hold_ticks: float, joins: Records, tick: int
+    aircraft: Records,
+    followers: Records,
+    radius_m: float,
+    hold_ticks: float,
+    rate_hz: float,
+    joins: Records,
+    now: float,
 ) -> bool:
     """Write which followers have joined; return whether one has at this tick.
 
     Args:
         aircraft: (N,) of AIRCRAFT, the leader first.
         followers: (n,) of FOLLOWER.
+        radius_m: of a slot.
         hold_ticks: how long a follower has to stay in its slot.
+        rate_hz: of the ticks.
         joins: (n,) of JOIN; written.
-        tick: of the base rate.
+        now: s.
     """
-    new = False
+    new, tick = False, round(now * rate_hz)
     for i in range(len(followers)):
         x, y, z = followers[i].error_ned
-        inside = sqrt(x * x + y * y + z * z) <= JOIN_RADIUS_M
+        inside = sqrt(x * x + y * y + z * z) <= radius_m
         join = joins[i]
         if aircraft[0].lost or aircraft[i + 1].lost or not inside:
             join.since = -1
@@ -202,8 +206,16 @@ class LossMonitor:
 
 
 LEADER_TIMEOUT = int(LimiterFlag.LEADER_TIMEOUT)
-# What `check_links` finds: timeouts of neighbours began or ended; a leader timeout is active.
-NEIGHBOUR, LEADER = 1, 2
+# The messages of the leader at one follower.
+LEADER_WATCH = np.dtype(
+    [
+        ("waiting", "?"),  # no message yet, and it is not late yet
+        ("late", "?"),  # a leader timeout is active
+        ("reported", "?"),  # late at the last event
+        ("left", "?"),  # the follower has left the formation
+    ],
+    align=True,
+)
 
 # The link from one aircraft to one follower.
 LINK_WATCH = np.dtype(
@@ -246,19 +258,17 @@ class LinkMonitor:
         self._builtin, self._hold = builtin, hold
         self._leader_timeout_s, neighbour_timeout_s = timeouts_s
         self._watches = allocate(LINK_WATCH, *neighbours.shape)
-        self._check_links = partial(
-            check_links, statistics, links, self._followers, self._watches, neighbour_timeout_s
+        self._checked = statistics, links, self._watches, neighbour_timeout_s
+        self._leaders = allocate(LEADER_WATCH, len(self._followers))
+        self._leaders["waiting"] = True
+        self.leader_call = Call(
+            check_leaders, self._followers, self._leaders, self._leader_timeout_s, NOW
         )
-        self._leader_late: BoolArray = np.zeros(len(self._followers), dtype=bool)
-        # no message of the leader yet, and it is not late yet
-        self._waiting: BoolArray = np.ones(len(self._followers), dtype=bool)
-        # a leader timeout is active, or one is waited for or to be reported as over
-        self._leader_timeout, self._leader_pending = True, True
         self.set_left(np.zeros(len(self._followers), dtype=bool))
 
     def set_left(self, left: BoolArray) -> None:
         """Watch only the messages that are used now, of followers that have not left (n,)."""
-        self._left = left
+        self._leaders["left"] = left
         used = np.array(self._neighbours["used"])
         used[:, 0] = False  # the leader has a timeout of its own
         np.fill_diagonal(used[:, 1:], False)
@@ -266,45 +276,31 @@ class LinkMonitor:
         for name in ("late", "reported"):
             self._watches[name] &= watched
 
-    def kernels(self) -> list[Kernel]:
-        """Return the compiled calls of `neighbour_changes`, for `core.compile.prepare`."""
-        return [partial(self._check_links, np.arange(len(self._followers)), 0.0)]
-
-    def neighbour_changes(self, now: float, rows: Indices) -> Iterable[Event]:
-        """Return an event for each neighbour timeout that began or ended since the last call.
+    def neighbour_call(self, rows: Indices) -> Call:
+        """Return the call after which `neighbour_changes` is needed where it returns true.
 
         Args:
-            now: s, when the followers of these rows stepped.
-            rows: (m,) among the n followers.
+            rows: (m,) followers that have stepped, among the n.
         """
-        found = self._check_links(rows, now)
-        self._leader_timeout = bool(found & LEADER)
-        return self._neighbour_events(now) if found & NEIGHBOUR else ()
+        return Call(check_links, *self._checked, rows, NOW)
 
-    def leader_changes(self, now: float) -> Iterable[Event]:
-        """Return an event for each leader timeout that began or ended since the last call.
+    def leader_changes(self, now: float) -> Iterator[Event]:
+        """Yield an event for each leader timeout that began or ended since the last call.
 
         Args:
             now: s, after all followers that are due have stepped.
         """
-        if not (self._leader_timeout or self._leader_pending):
-            return ()
-        return self._leader_events(now)
-
-    def _leader_events(self, now: float) -> Iterator[Event]:
-        late = (self._followers["limiter_flags"] & LEADER_TIMEOUT != 0) & ~self._left
-        self._waiting &= late & (now < self._leader_timeout_s)
-        late &= ~self._waiting
-        for i in np.flatnonzero(late != self._leader_late).tolist():
-            if late[i]:
+        leaders = self._leaders
+        for i in np.flatnonzero(leaders["late"] != leaders["reported"]).tolist():
+            if leaders["late"][i]:
                 text = "leader timeout: no messages of the leader"
                 yield Event(now, "warning", self._names[i + 1], text)
             else:
                 yield Event(now, "info", self._names[i + 1], "receives the leader again")
-        self._leader_late = late
-        self._leader_pending = bool(late.any() or self._waiting.any())
+        leaders["reported"] = leaders["late"]
 
-    def _neighbour_events(self, now: float) -> Iterator[Event]:
+    def neighbour_changes(self, now: float) -> Iterator[Event]:
+        """Yield an event for each neighbour timeout that began or ended since the last call."""
         watches = self._watches
         for i, m in np.argwhere(watches["late"] != watches["reported"]).tolist():
             name, other = self._names[i + 1], self._names[m]
@@ -327,28 +323,26 @@ class LinkMonitor:
 def check_links(
     statistics: Records,
     links: Records,
-    followers: Records,
     watches: Records,
     timeout_s: float,
     rows: Indices,
     now: float,
-) -> int:
-    """Count the ages of the messages used, and find timeouts.
+) -> bool:
+    """Count the ages of the messages used, and find timeouts of neighbours.
 
     Args:
         statistics: (n, N) of LINK_STATISTICS; written.
         links: (n, N) of LINK.
-        followers: (n,) of FOLLOWER.
         watches: (n, N) of LINK_WATCH; `late` is written.
         timeout_s: of a neighbour, since the last message, or since the start.
         rows: (m,) of the followers that have stepped.
         now: s.
 
     Returns:
-        NEIGHBOUR and LEADER, or'ed.
+        Whether a timeout has begun or ended since the last report.
     """
     record_ages(statistics, rows, links["age_s"])
-    found = 0
+    found = False
     for i in rows:
         for m in range(watches.shape[1]):
             watch, received_s = watches[i, m], links[i, m].received_s
@@ -356,8 +350,26 @@ def check_links(
             age = now - (received_s if received_s > 0.0 else 0.0)
             watch.late = watch.watched and age > timeout_s
             if watch.late != watch.reported:
-                found |= NEIGHBOUR
+                found = True
+    return found
+
+
+@entry
+def check_leaders(followers: Records, leaders: Records, timeout_s: float, now: float) -> bool:
+    """Find timeouts of the leader; return whether one has begun or ended since the last report.
+
+    Args:
+        followers: (n,) of FOLLOWER.
+        leaders: (n,) of LEADER_WATCH; `waiting` and `late` are written.
+        timeout_s: of the leader, since the start.
+        now: s.
+    """
+    found = False
     for i in range(len(followers)):
-        if followers[i].limiter_flags & LEADER_TIMEOUT:
-            found |= LEADER
+        leader = leaders[i]
+        late = followers[i].limiter_flags & LEADER_TIMEOUT != 0 and not leader.left
+        leader.waiting = leader.waiting and late and now < timeout_s
+        leader.late = late and not leader.waiting
+        if leader.late != leader.reported:
+            found = True
     return found

@@ -6,13 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from testbed.core.records import Origin, VehicleState
-from testbed.guidance.flight_plan import FlightPlan, Mission, Point, expand_laps
+from testbed.core.call_list import Call
+from testbed.core.records import AIRCRAFT, FbwaCommand, NedOrigin, VehicleState, allocate
+from testbed.guidance.flight_plan import FlightPlan, GuidanceMission, Point, expand_laps
 from testbed.guidance.l1 import track_coordinates
-from testbed.guidance.mission_follower import Hold
+from testbed.guidance.mission_follower import GUIDANCE_STATE, SEGMENT, Hold, guide
 from testbed.mavlink.mission_plans import ItemFlightPlan, loiter, loiter_radius, plan_from_items
 from testbed.mavlink.vehicle_control import MissionItem, NavigationTarget, Rejection
-from testbed.sim.leader_control import FbwaInput, MissionController
+from testbed.sim.leader_control import MissionController
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,10 +22,10 @@ class NavigatorConfig:
 
     row: int  # among the N aircraft
     start: Point  # north, east, altitude above the origin, m
-    trim: FbwaInput  # of the level flight at the start
+    trim: FbwaCommand[float]  # of the level flight at the start
     hold: Mapping[str, float]
-    flight_params: Mission  # limits and the first airspeed; its legs are not used
-    origin: Origin  # home
+    flight_params: GuidanceMission  # limits and the first airspeed; its legs are not used
+    origin: NedOrigin  # home
     dt: float  # s, period of the guidance
 
 
@@ -53,6 +54,9 @@ class Navigator:
         self._active: MissionController | None = None  # of the two, in this control period
         self._centre: tuple[Point, float | None] = (config.start, None)  # with its own radius
         self._airspeed: float | None = None  # set by command, m/s
+        # of missions and circles that begin during the flight
+        records = (allocate(each, 1) for each in (AIRCRAFT, SEGMENT, GUIDANCE_STATE))
+        Call(guide, 0, *records)
 
     @property
     def has_mission(self) -> bool:
@@ -79,7 +83,7 @@ class Navigator:
         self._climb_rate = -float(estimate.velocity_ned[row, 2])
         self._active = None
 
-    def fly_mission(self, estimate: VehicleState) -> FbwaInput:
+    def fly_mission(self, estimate: VehicleState) -> FbwaCommand[float]:
         """Step along the mission, which must exist."""
         controller, rest = self._mission, self._rest
         assert controller is not None and rest is not None
@@ -92,7 +96,7 @@ class Navigator:
             _set_airspeed(controller, after)
         return command
 
-    def fly_circle(self, estimate: VehicleState) -> FbwaInput:
+    def fly_circle(self, estimate: VehicleState) -> FbwaCommand[float]:
         """Step around the circle, which must exist."""
         assert self._circle is not None
         self._active = self._circle
@@ -180,7 +184,7 @@ class Navigator:
         self.loiter_radius = radius
         self._update_circle()
 
-    def set_flight_params(self, params: Mission) -> None:
+    def set_flight_params(self, params: GuidanceMission) -> None:
         """Set limits and airspeed; the mission keeps its legs and its airspeed."""
         if params == self.flight_params:
             return
@@ -217,8 +221,8 @@ class Navigator:
         )
 
     def _hold(self) -> Hold:
-        pitch, _, throttle = self._config.trim
-        return self.position[2], self._climb_rate, pitch, throttle
+        trim = self._config.trim
+        return self.position[2], self._climb_rate, trim.pitch, trim.throttle
 
 
 def _set_airspeed(controller: MissionController, airspeed: float) -> None:

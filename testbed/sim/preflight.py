@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from testbed.autopilot.parameters import FbwaParams, sitl_gyro_cutoff, unusual_values
+from testbed.autopilot.parameters import sitl_gyro_cutoff, unusual_values
 from testbed.core.errors import InputError
 from testbed.core.records import Array, Event, join_names
 from testbed.formation.assumptions import (
@@ -31,11 +31,13 @@ from testbed.formation.slots import (
     slot_speed,
     slot_speed_range,
 )
-from testbed.scenario import Scenario, middle_loop_gains
-from testbed.scenario.aircraft import ArduPlane
-from testbed.sim.build_control import BuiltControl, agent_value, follower_names
+from testbed.plan.fleet import Fleet, PlannedFollower
+from testbed.scenario import Scenario
+from testbed.scenario.sections import Rates
+from testbed.scenario.unusual import unusual_numbers
+from testbed.sim.build_control import BuiltControl
 from testbed.sim.build_leader import LeaderSetup
-from testbed.sim.build_vehicles import AircraftModels, BuiltVehicles, build_origin
+from testbed.sim.build_vehicles import BuiltVehicles
 from testbed.vehicle.jsbsim_adapter import modes_of_aircraft
 from testbed.vehicle.step_size import describe_coarse_step, find_coarse_step
 from testbed.vehicle.trim import STILL, TrimPoint, Vector
@@ -46,17 +48,17 @@ _KAPPA = "formation.kappa_mps"
 
 
 def assumption_warnings(
-    scenario: Scenario, built: BuiltControl, leader: LeaderSetup, wind_ned: Vector
+    scenario: Scenario, fleet: Fleet, built: BuiltControl, leader: LeaderSetup, wind_ned: Vector
 ) -> tuple[Event, ...]:
     """Return a warning for each assumption that does not hold, or may not."""
-    findings = list(_findings(scenario, built, leader, wind_ned))
+    findings = list(_findings(scenario, fleet, built, leader, wind_ned))
     found: dict[str, list[str]] = {}
     for text, rows in by_text(findings).items():
         found.setdefault(text, []).extend(built.config.names[row] for row in rows)
     margins = {each.text: each.number for each in findings if each.about == _KAPPA}
     if len(margins) > MAX_SLOT_WARNINGS:
         found = _only_worst_slot(found, margins)
-    order = follower_names(scenario)
+    order = fleet.names
     for names in found.values():
         names.sort(key=order.index)
     return (
@@ -64,6 +66,12 @@ def assumption_warnings(
         *_scale_warnings(scenario),
         *_warnings(found),
     )
+
+
+def unusual_warnings(scenario: Scenario) -> Iterator[Event]:
+    """Return a warning for each key with a number that is allowed, and larger than usual."""
+    for text in unusual_numbers(scenario):
+        yield Event(0.0, "warning", "run", text)
 
 
 def _scale_warnings(scenario: Scenario) -> Iterator[Event]:
@@ -119,16 +127,14 @@ def _only_worst_slot(
 
 
 def _findings(
-    scenario: Scenario, built: BuiltControl, leader: LeaderSetup, wind_ned: Vector
+    scenario: Scenario, fleet: Fleet, built: BuiltControl, leader: LeaderSetup, wind_ned: Vector
 ) -> Iterator[Finding]:
     config, law = built.config, built.controllers["law"]
-    kappa = np.array([agent_value(scenario, name, "kappa_mps") for name in config.names])
+    kappa = fleet.of_followers(lambda each: each.agent.kappa_mps)
     yield from check_kappa(kappa, config.speed_min, config.speed_max)
     if built.builtin:
         bound = law["mu"]["bound"]
-        fixed = [
-            agent_value(scenario, name, "speed_desired_mps") is not None for name in config.names
-        ]
+        fixed = [each.agent.speed_desired_mps is not None for each in fleet.followers]
         yield from (each for each in check_gain(law["k"], kappa, bound) if not fixed[each.agent])
         control_hz = scenario.rates.control_hz
         turning = law["c"] + law["c_speed"] * law["speed_max"] ** 2
@@ -194,22 +200,13 @@ class _Limit(NamedTuple):
     write: str  # the key of the scenario, to be formatted with a number
 
 
-def limit_warnings(
-    scenario: Scenario, tunes: Sequence[FbwaParams], kinds: Sequence[str]
-) -> Iterator[Event]:
-    """Return a warning for each limit that undercuts another one, with the aircraft.
-
-    Args:
-        scenario: as resolved.
-        tunes: of N aircraft.
-        kinds: of their N vehicles; those without an autopilot have no limits.
-    """
+def limit_warnings(fleet: Fleet) -> Iterator[Event]:
+    """Return a warning for each limit that undercuts another one, with the aircraft."""
     found: dict[str, list[str]] = {}
-    for row, follower in enumerate(scenario.fleet, start=1):
-        if kinds[row] != "jsbsim":
+    for follower in fleet.followers:
+        if not follower.has_model:
             continue
-        gains = middle_loop_gains(scenario, follower.aircraft)
-        tune, limits = tunes[row], gains.limits
+        tune, limits = follower.params, follower.gains.limits
         roll, pitch = "controller.gains.limits.roll_deg", "controller.gains.limits.pitch_deg"
         pitch_deg = limits.pitch_deg
         pairs = [
@@ -220,49 +217,31 @@ def limit_warnings(
         for each in pairs:
             if text := _text(each):
                 found.setdefault(f"the middle loop commands {text}", []).append(follower.name)
-    path = scenario.leader.path
-    if kinds[0] == "jsbsim" and path.kind == "mission":
-        reached = tunes[0].roll_limit_deg
+    path = fleet.leader.section.path
+    if fleet.leader.has_model and path.kind == "mission":
+        reached = fleet.leader.params.roll_limit_deg
         bank = path.bank_limit_deg
         limit = _Limit("roll", bank, reached, "ROLL_LIMIT_DEG", "leader.path.bank_limit_deg")
         if bank > reached + TOLERANCE:
-            found[f"its guidance commands {_text(limit)}"] = [scenario.leader.name]
+            found[f"its guidance commands {_text(limit)}"] = [fleet.leader.name]
     yield from _warnings(found)
 
 
-def tune_warnings(
-    scenario: Scenario, files: Sequence[Path], tunes: Sequence[FbwaParams], kinds: Sequence[str]
-) -> Iterator[Event]:
-    """Warn of parameters outside the usual range, which may make an aircraft oscillate or dull.
-
-    Args:
-        scenario: as resolved.
-        files: N, of the tunes.
-        tunes: of N aircraft.
-        kinds: of their N vehicles; those without an autopilot have no parameters.
-    """
+def tune_warnings(fleet: Fleet) -> Iterator[Event]:
+    """Warn of parameters outside the usual range, which may make an aircraft oscillate or dull."""
     found: dict[str, list[str]] = {}
-    for name, file, tune, kind in zip(scenario.aircraft_names, files, tunes, kinds, strict=True):
-        if kind == "jsbsim" and (texts := list(unusual_values(tune))):
-            found.setdefault(f"{file}: {', '.join(texts)}", []).append(name)
+    for each in fleet.aircraft:
+        if each.has_model and (texts := list(unusual_values(each.params))):
+            found.setdefault(f"{each.tune_file}: {', '.join(texts)}", []).append(each.name)
     yield from _warnings(found)
 
 
-def sitl_gyro_warnings(
-    scenario: Scenario, tunes: Sequence[FbwaParams], kinds: Sequence[str]
-) -> Iterator[Event]:
-    """Warn of the gyro filters of ArduPlane processes, which depend on the rate of the physics.
-
-    Args:
-        scenario: as resolved.
-        tunes: of N aircraft.
-        kinds: of their N vehicles.
-    """
-    rate_hz = scenario.rates.physics_hz
+def sitl_gyro_warnings(fleet: Fleet, rate_hz: int) -> Iterator[Event]:
+    """Warn of the gyro filters of ArduPlane processes, which depend on the rate of the physics."""
     found: dict[str, list[str]] = {}
-    for each, tune, kind in zip(scenario.aircraft, tunes, kinds, strict=True):
-        if kind == "jsbsim" and isinstance(each.autopilot, ArduPlane):
-            cutoff, own = sitl_gyro_cutoff(tune, rate_hz), tune.ins_gyro_filter
+    for each in fleet.aircraft:
+        if each.arduplane:
+            cutoff, own = sitl_gyro_cutoff(each.params, rate_hz), each.params.ins_gyro_filter
             if cutoff != own:
                 text = (
                     f"SITL at rates.physics_hz {rate_hz} has a gyro filter of {cutoff:g} Hz in "
@@ -285,11 +264,10 @@ class _Demand(NamedTuple):
 
 
 def leader_warnings(
-    scenario: Scenario,
+    fleet: Fleet,
     config: FormationConfig,
     leader: LeaderSetup,
-    tunes: Sequence[FbwaParams],
-    kinds: Sequence[str],
+    duration_s: float,
     wind_ned: Vector,
 ) -> Iterator[Event]:
     """Warn where followers need more bank or climb to fly their slots than their limits allow.
@@ -297,17 +275,15 @@ def leader_warnings(
     The speeds of the slots are in `assumption_warnings`.
 
     Args:
-        scenario: as resolved.
+        fleet: the aircraft; those without an autopilot have no limits.
         config: of the n followers.
         leader: the leader.
-        tunes: of N aircraft.
-        kinds: of their N vehicles; those without an autopilot have no limits.
+        duration_s: of the run.
         wind_ned: at the start, m/s.
     """
-    agents = config.agents.tolist()
-    limited = np.array([kinds[row] == "jsbsim" for row in agents])
-    names, own_tunes = config.names, [tunes[row] for row in agents]
-    for each in _demands(scenario, config, leader, own_tunes, wind_ned):
+    limited = np.array([each.has_model for each in fleet.followers])
+    names = config.names
+    for each in _demands(fleet.followers, config, leader, duration_s, wind_ned):
         allowed = np.minimum.reduce([*each.limits.values()])
         excess = np.where(limited, each.needed - allowed, 0.0)
         rows = np.flatnonzero(excess > TOLERANCE).tolist()
@@ -329,15 +305,15 @@ def leader_warnings(
 
 
 def _demands(
-    scenario: Scenario,
+    followers: Sequence[PlannedFollower],
     config: FormationConfig,
     leader: LeaderSetup,
-    tunes: Sequence[FbwaParams],
+    duration_s: float,
     wind_ned: Vector,
 ) -> Iterator[_Demand]:
     """Yield what slots need of bank, climb and descent, with the limits of the followers."""
     roll, pitch = np.degrees(config.roll_limit), np.degrees(config.pitch_limit)
-    key = "controller.gains.limits"
+    key, tunes = "controller.gains.limits", [each.params for each in followers]
     limits = {
         "bank": {
             f"{key}.roll_deg": roll,
@@ -352,7 +328,7 @@ def _demands(
             "PTCH_LIM_MIN_DEG": np.array([-tune.ptch_lim_min_deg for tune in tunes]),
         },
     }
-    climbs = np.array([name not in scenario.formation.altitudes_m for name in config.names])
+    climbs = np.isnan([each.altitude for each in followers])
     offsets = config.offsets[config.agents]
     if leader.limits_in_air:
         bank, gamma = map(
@@ -377,7 +353,7 @@ def _demands(
         for what, values in {"bank": np.abs(bank), "climb": gamma, "descent": -gamma}.items():
             np.maximum(largest[what], values.max(axis=0), out=largest[what])
             beyond[what] += (values > allowed[what] + TOLERANCE).sum(axis=0)
-    period = scenario.scenario.duration_s / sum(len(each) for each, _ in leader.motion)
+    period = duration_s / sum(len(each) for each, _ in leader.motion)
     for what in limits:
         remedy = "a leader that turns wider" if what == "bank" else f"a leader with less {what}"
         yield _Demand(what, largest[what], period * beyond[what], limits[what], remedy)
@@ -401,9 +377,7 @@ def _text(limit: _Limit) -> str:
     return ""
 
 
-def step_warnings(
-    scenario: Scenario, models: AircraftModels, built: BuiltVehicles
-) -> Iterator[Event]:
+def step_warnings(fleet: Fleet, rates: Rates, built: BuiltVehicles) -> Iterator[Event]:
     """Warn of flight models whose modes are too fast for rates.physics_hz.
 
     Eigenvalues grow with the airspeed: of several aircraft of a kind the fastest is examined.
@@ -413,17 +387,17 @@ def step_warnings(
     """
     if built.fleet is None:
         return
-    rates, fastest = scenario.rates, dict[Path, TrimPoint]()
+    fastest = dict[Path, TrimPoint]()
     multiple_hz = math.lcm(rates.autopilot_hz, rates.control_hz, rates.broadcast_hz, rates.log_hz)
     names: dict[Path, list[str]] = {}
     for row, trim in zip(built.jsbsim_rows, built.fleet.trims, strict=True):
-        folder, point = models.folders[row], trim.point
-        names.setdefault(folder, []).append(scenario.aircraft_names[row])
+        folder, point = fleet.aircraft[row].folder, trim.point
+        names.setdefault(folder, []).append(fleet.names[row])
         if folder not in fastest or point.airspeed > fastest[folder].airspeed:
             fastest[folder] = point
     found: dict[str, list[str]] = {}
     for folder, point in fastest.items():
-        modes = modes_of_aircraft(folder, point, build_origin(scenario))
+        modes = modes_of_aircraft(folder, point, fleet.origin)
         coarse = find_coarse_step(modes, rates.physics_hz, multiple_hz)
         if coarse is None:
             continue
@@ -438,12 +412,11 @@ def step_warnings(
 PERIOD_TOLERANCE = 1e-6  # of a period
 
 
-def sensor_warnings(scenario: Scenario) -> Iterator[Event]:
+def sensor_warnings(fleet: Fleet, rate_hz: int) -> Iterator[Event]:
     """Warn of each GPS latency that is not a whole number of autopilot periods."""
-    rate_hz = scenario.rates.autopilot_hz
     found: dict[str, list[str]] = {}
-    for each in scenario.aircraft:
-        sensors = each.sensors
+    for each in fleet.aircraft:
+        sensors = each.section.sensors
         if sensors.gps is None:
             continue
         for key, value in (

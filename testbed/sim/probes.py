@@ -75,16 +75,27 @@ def fly_probes(scenario: Scenario, path: ProbePath) -> ProbeRecord:
     names = scenario.aircraft_names[:probes]
     frame = airframe(find_aircraft(scenario.leader.aircraft))
     dt = 1.0 / path.rate_hz
-    mean_wind = build_mean_wind(
-        scenario, duration_s=0.0
-    )  # checked below against the probes' duration
+    start, origin = scenario.leader.start, scenario.scenario.origin
+    mean_wind = build_mean_wind(  # its duration is checked below
+        scenario.air.wind, height_m=start.altitude_m, duration_s=0.0
+    )
     if not mean_wind.steady and mean_wind.end_s < path.duration_s:
         raise InputError(
             f"--duration {path.duration_s:g}: the recorded wind ends after "
             f"{mean_wind.end_s:g} s; write no more than that"
         )
     frames, no_wakes = [frame] * probes, [False] * probes
-    air = build_air(scenario, mean_wind, names, frames, dt=dt, sheds=no_wakes)
+    air = build_air(
+        scenario.air,
+        mean_wind,
+        names,
+        frames,
+        seed=scenario.scenario.seed,
+        height_m=start.altitude_m,
+        elevation_m=origin.elevation_m,
+        dt=dt,
+        sheds=no_wakes,
+    )
     aircraft = allocate(AIRCRAFT, probes)
     truth, sample = aircraft["truth"], aircraft["wind"]
     air.bind(aircraft)
@@ -93,7 +104,6 @@ def fly_probes(scenario: Scenario, path: ProbePath) -> ProbeRecord:
     wind, rates, positions, mean = np.empty((4, count, probes, 3))
     forward = np.array([math.cos(path.course), math.sin(path.course), 0.0])
     right = np.array([-forward[1], forward[0], 0.0])
-    start = scenario.leader.start
     position = np.array([start.north_m, start.east_m, -path.height]) + np.outer(
         [0.0, path.separation or 0.0][:probes], right
     )
@@ -112,7 +122,7 @@ def fly_probes(scenario: Scenario, path: ProbePath) -> ProbeRecord:
         positions[k], mean[k] = position, mean_now
         mean_before = mean_now
     sigma, length = np.full(3, np.nan), np.full(3, np.nan)
-    scales_at = turbulence_scales(scenario)
+    scales_at = turbulence_scales(scenario.air.turbulence)
     if air.field is not None:
         sigma, length = air.field.sigma, air.field.length
     elif scales_at is not None:
@@ -156,7 +166,7 @@ IMAGES = 12  # number of aliases that are added one by one
 GRID = 1500  # frequencies at which a closed form is computed; interpolated between
 
 
-class Estimate(NamedTuple):
+class SpectrumEstimate(NamedTuple):
     """Spectra of P probes in B frequency bands."""
 
     frequency_hz: Array  # (B,) mean of each band
@@ -174,7 +184,7 @@ class ClosedForm(NamedTuple):
     coherence: Array  # (3, B)
 
 
-def estimate(velocity: Array, rate_hz: float) -> Estimate:
+def estimate(velocity: Array, rate_hz: float) -> SpectrumEstimate:
     """Estimate spectra of velocities (P, T, 3) sampled at a rate.
 
     The mean is removed, and with it the first two ordinates, into which the taper leaks it. The
@@ -201,7 +211,7 @@ def estimate(velocity: Array, rate_hz: float) -> Estimate:
             coherence = co_spectrum / np.sqrt(psd[0] * psd[1])
         coherence[:, ~_enough_freedom(freedom)] = np.nan
     frequency = ordinates * (rate_hz / count)
-    return Estimate(
+    return SpectrumEstimate(
         frequency_hz=band_mean(frequency, first),
         psd=psd,
         coherence=coherence,
@@ -265,7 +275,7 @@ def unresolved_waves(scenario: Scenario, path: ProbePath) -> tuple[float, float]
 
 
 def closed_form(
-    scenario: Scenario, path: ProbePath, record: ProbeRecord, found: Estimate
+    scenario: Scenario, path: ProbePath, record: ProbeRecord, found: SpectrumEstimate
 ) -> ClosedForm | None:
     """Return the spectra of the scenario's turbulence model in the bands of an estimate.
 

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from testbed.core.files import lock_file, replacement
 from testbed.core.input_files import MAX_LOG_BYTES, open_regular
 from testbed.core.records import Event
-from testbed.logs.file_record import check_default_output, record_files
-from testbed.logs.mcap_file import NO_SAMPLES, LogError, tail_path
-from testbed.logs.read import Log, read_log, replay, scenario_of
+from testbed.logs.file_record import check_default_output, delete_tail, record_files
+from testbed.logs.mcap_file import NO_SAMPLES, LogError
+from testbed.logs.read import RunLog, read_log, replay, scenario_of
 from testbed.logs.recorder import McapRecorder
 from testbed.logs.run_directory import LOG_NAME, METRICS_NAME, find_run
 from testbed.metrics import MetricsObserver
 from testbed.metrics.check import check_metrics
 from testbed.metrics.document import write_json
+from testbed.metrics.model import Metrics
+
+_REMEDY = "move or rename it"
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +28,7 @@ class Recovered:
     """The result of recovering a run."""
 
     log: Path
-    metrics: Mapping[str, Any]
+    metrics: Metrics
     was_cut: bool  # False: the log was complete
     lost_bytes: int  # of an incomplete record at the end
 
@@ -68,12 +70,13 @@ def _recover(path: Path) -> Recovered:
     if log.finished and log.metrics is not None:
         check_metrics(log.metrics, log.info, str(path))
         if path.name == LOG_NAME and not metrics_path.exists():  # killed after the log was finished
+            check_default_output(metrics_path, _REMEDY)  # also a link to nothing
             write_json(metrics_path, log.metrics)
             record_files(path.parent, path.name, METRICS_NAME)
         return Recovered(path, log.metrics, was_cut=False, lost_bytes=0)
     if not log.tick.size:
         raise LogError(f"{path}: {NO_SAMPLES}")
-    check_default_output(metrics_path, "move or rename it")
+    check_default_output(metrics_path, _REMEDY)
     try:
         with replacement(path) as new_path:
             metrics = _rewrite(log, new_path)
@@ -83,14 +86,13 @@ def _recover(path: Path) -> Recovered:
                 )
     except OSError as error:
         raise LogError(f"{path}: cannot be replaced: {error.strerror}") from error
-    with suppress(OSError):  # read by nothing, beside a finished log
-        tail_path(path).unlink(missing_ok=True)
+    delete_tail(path)
     write_json(metrics_path, metrics)
     record_files(path.parent, path.name, METRICS_NAME)
     return Recovered(path, metrics, was_cut=True, lost_bytes=log.lost_bytes)
 
 
-def _rewrite(log: Log, path: Path) -> dict[str, Any]:
+def _rewrite(log: RunLog, path: Path) -> Metrics:
     """Write the samples of a log to a new one; return their metrics."""
     scenario = scenario_of(log)
     meter = MetricsObserver(published=scenario.published if scenario else None)
@@ -99,12 +101,13 @@ def _rewrite(log: Log, path: Path) -> dict[str, Any]:
     last_s = float(log.time_s[-1])
     cut = Event(last_s, "warning", "run", f"recovered: the log was cut after {last_s:g} s")
     after = [*rest, cut]
-    metrics = {**meter.summary(after), "outcome": "interrupted", "recovered": True}
+    metrics = meter.summary(after)
+    metrics["outcome"], metrics["recovered"] = "interrupted", True
     recorder.end(metrics, after)
     return metrics
 
 
-def _is_complete(new: Log, old: Log) -> bool:
+def _is_complete(new: RunLog, old: RunLog) -> bool:
     """Return whether a new log is finished, with all samples and events of the old."""
     finished = new.finished and new.metrics is not None
     return finished and len(new.events) == len(old.events) + 1 and new.tick.size == old.tick.size

@@ -9,7 +9,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from testbed.core.errors import InputError
 from testbed.core.files import reserve_standard_descriptors
@@ -28,6 +28,7 @@ from testbed.logs.run_directory import (
 from testbed.metrics import MetricsObserver
 from testbed.metrics.document import finalise, write_json
 from testbed.metrics.expectations import violations
+from testbed.metrics.model import Metrics
 from testbed.scenario import Scenario, load_scenario
 from testbed.scenario.arguments import check_calls, check_count, check_overrides, check_path
 from testbed.scenario.validate import shown_value
@@ -42,6 +43,7 @@ from testbed.sim.external_options import (
 )
 from testbed.sim.loop import Flight
 from testbed.sim.resources import check_disk
+from testbed.sim.stages import UserStage, describe_stages
 from testbed.sim.stop_request import RunStopped, stop_on_signals
 from testbed.sim.tick_gate import RealTimePacer, TickGate
 from testbed.vehicle.workers import ParallelFleet
@@ -69,7 +71,7 @@ class Run:
     """
 
     scenario: Scenario
-    metrics: Mapping[str, Any]
+    metrics: Metrics
     directory: Path | None
 
     def __repr__(self) -> str:
@@ -105,6 +107,7 @@ def run(
     external: ExternalOptions = NO_EXTERNAL,
     processes: int | None = 1,
     compiling: Callable[[int, int], None] | None = None,
+    stages: Sequence[UserStage] = (),
 ) -> Run:
     """Fly a scenario to its end.
 
@@ -123,6 +126,7 @@ def run(
             this number of aircraft on this machine. Results do not depend on it.
         compiling: called with the number of kernels that are ready and of all kernels, while
             kernels are compiled before the flight: once, after which they are on disk.
+        stages: of your own, inserted into the flight's; `testbed validate --stages` lists these.
 
     Raises:
         InputError: an argument is wrong, or the scenario cannot be flown; the message has what to
@@ -167,7 +171,7 @@ def run(
         meter = MetricsObserver(published=loaded.published)
         log = [McapRecorder(directory / LOG_NAME)] if directory and loaded.log.mcap else []
         all_observers: list[Observer] = [meter, *log, *observers, *([server] if server else [])]
-        flight = Flight(world, all_observers)
+        flight = Flight(world, all_observers, stages)
         with suppress(RunStopped):  # the flight then ends before its first tick
             flight.prepare(compiling, stop.check)
         start = time.perf_counter()
@@ -223,7 +227,13 @@ def run(
             if directory and (directory / LOG_NAME).exists():
                 error.add_note(f"log: {directory}")
             raise
-    return Run(loaded, metrics, directory)
+    return Run(loaded, cast("Metrics", metrics), directory)
+
+
+def list_stages(world: World) -> list[tuple[str, str, str, str]]:
+    """List the stages of a flight with log and metrics; see `stages.describe_stages`."""
+    observers = MetricsObserver(), McapRecorder(Path(LOG_NAME))
+    return list(describe_stages(Flight(world, observers).stages))
 
 
 def find_loaded(scenario: Scenario | str | os.PathLike[str], overrides: Sequence[str]) -> Scenario:

@@ -10,17 +10,19 @@ import time
 import warnings
 import weakref
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Self, TypeAlias
+from pathlib import Path
+from typing import Any, NoReturn, Self, SupportsIndex, TypeAlias
 
 from pydantic import Field
 
-from testbed.core.errors import InputError
+from testbed.core.errors import InputError, NotCopiedError
 from testbed.core.records import Event, FbwaCommand, Observer, RunInfo, Sample
 from testbed.logs.file_record import record_files
 from testbed.logs.recorder import McapRecorder
 from testbed.logs.run_directory import LOG_NAME, METRICS_NAME
 from testbed.metrics import MetricsObserver
 from testbed.metrics.document import finalise, write_json
+from testbed.metrics.model import Metrics
 from testbed.scenario import Scenario, set_seed
 from testbed.scenario.aircraft import ArduPlane
 from testbed.scenario.arguments import check_argument, check_path
@@ -29,11 +31,11 @@ from testbed.scenario.validate import shown_value
 from testbed.sim.autopilot_session import MANUAL_ANGLE_LIMIT, AutopilotSession
 from testbed.sim.build import World, build
 from testbed.sim.external_options import external_summary
-from testbed.sim.leader_control import FbwaInput
 from testbed.sim.loop import Flight
 from testbed.sim.run import check_observers, find_loaded, open_run_directory
+from testbed.sim.stages import UserStage
 
-Commands: TypeAlias = "Mapping[str, FbwaCommand | tuple[float, float, float]]"
+Commands: TypeAlias = "Mapping[str, FbwaCommand[float] | tuple[float, float, float]]"
 
 
 class Simulation:
@@ -42,7 +44,8 @@ class Simulation:
     Aircraft with `commanded_by: external` fly the fly-by-wire-A commands of `step`; all others fly
     as with `testbed run`, to the bit. In a `with` statement the log is closed at its end. If it is
     never closed, the log is finished with a ResourceWarning when the object or the program ends,
-    and metrics are missing. A forked child must make a simulation of its own.
+    and metrics are missing. A forked child must make a simulation of its own; copies and
+    pickles are refused.
 
     Args:
         scenario: a scenario, or the name or path of one.
@@ -52,6 +55,7 @@ class Simulation:
             nothing is written.
         observers: as of `testbed.run`.
         compiling: as of `testbed.run`.
+        stages: as of `testbed.run`.
 
     Attributes:
         scenario: as resolved, with the seed that is flown.
@@ -75,8 +79,10 @@ class Simulation:
         out: str | os.PathLike[str] | None = None,
         observers: Sequence[Observer] = (),
         compiling: Callable[[int, int], None] | None = None,
+        stages: Sequence[UserStage] = (),
     ) -> None:
         """See the class."""
+        self._stages = tuple(stages)
         self._out = None if out is None else check_path("out", out)
         check_observers(observers, compiling)
         self.scenario = find_loaded(scenario, overrides)
@@ -111,13 +117,13 @@ class Simulation:
         self.scenario = scenario
         meter, events = MetricsObserver(published=self.scenario.published), _Events()
         self._world, self._meter, self.events = world, meter, events.all
-        self.directory = open_run_directory(self.scenario, world, self._out) if self._out else None
+        self.directory = self._open_directory(world)
         observers: list[Observer] = [meter, events]
         if self.directory and self.scenario.log.mcap:
             self._unclosed.append(McapRecorder(self.directory / LOG_NAME))
         observers += self._unclosed
         observers += self._further
-        self._flight = Flight(world, observers)
+        self._flight = Flight(world, observers, self._stages)
         self._flight.prepare(self._compiling)
         for each in observers:
             each.begin(world.info)
@@ -131,13 +137,17 @@ class Simulation:
         self.time_s = next(self._ticks)
         return self.state
 
+    def _open_directory(self, world: World) -> Path | None:
+        """Create the run directory of a flight that is built; None: nothing is written."""
+        return open_run_directory(self.scenario, world, self._out) if self._out else None
+
     def step(self, commands: Commands | None = None, until: float | None = None) -> Sample:
         """Fly to the next tick of the autopilots, or up to a time, and return the state there.
 
         Args:
-            commands: by name, (pitch, roll, throttle) in rad, rad and 0..1, for aircraft with
-                `commanded_by: external`: angles up to 75° either way, as a stick gives. An aircraft
-                without a new one keeps the last; the first is its trim.
+            commands: by name, an `FbwaCommand` or (pitch, roll, throttle) in rad, rad and 0..1, for
+                aircraft with `commanded_by: external`: angles up to 75° either way, as a stick
+                gives. An aircraft without a new one keeps the last; the first is its trim.
             until: s, from 0 to a day; the first tick at or after it, and after the present one.
 
         Raises:
@@ -163,7 +173,7 @@ class Simulation:
             raise
         return self.state
 
-    def _checked_commands(self, commands: Commands) -> dict[AutopilotSession, FbwaInput]:
+    def _checked_commands(self, commands: Commands) -> dict[AutopilotSession, FbwaCommand[float]]:
         if not isinstance(commands, Mapping):
             raise InputError(
                 f"commands: is {shown_value(commands)} (write {{name: (pitch, roll, throttle)}})"
@@ -172,9 +182,11 @@ class Simulation:
 
     def _advance(self, due: float) -> None:
         """Fly to a tick of the base rate, or to the end."""
+        for log in self._unclosed:
+            log.check_process()
         while self._world.clock.ticks(self.time_s) < due:
-            for session, (pitch, roll, throttle) in self._commands.items():
-                session.set_manual_command(roll, pitch, throttle)  # a lost one rejects it
+            for session, command in self._commands.items():
+                session.set_manual_command(command)  # a lost one rejects it
             try:
                 self.time_s = next(self._ticks)
             except StopIteration:
@@ -203,12 +215,12 @@ class Simulation:
         return self._flight.sample(self.time_s)
 
     @property
-    def commands(self) -> dict[str, FbwaInput]:
-        """Pitch, roll, throttle of each aircraft that takes commands, by name; first its trim."""
+    def commands(self) -> dict[str, FbwaCommand[float]]:
+        """The command of each aircraft that takes commands, by name; first its trim."""
         return {session.name: command for session, command in self._commands.items()}
 
     @property
-    def metrics(self) -> dict[str, Any]:
+    def metrics(self) -> Metrics:
         """The metrics up to now, as in metrics.json; of a flight that goes on, "interrupted"."""
         return finalise(
             self._meter.summary(),
@@ -257,6 +269,17 @@ class Simulation:
         """Close it."""
         self.close()
 
+    def __reduce_ex__(self, protocol: SupportsIndex) -> NoReturn:
+        """Refuse copies and pickles: the flight models are outside Python.
+
+        Raises:
+            NotCopiedError: always.
+        """
+        raise NotCopiedError(
+            f"the flight of {self.scenario.name} cannot be copied or pickled (make another one, "
+            "with the same seed, and give it the same commands)"
+        )
+
     def __repr__(self) -> str:
         """Describe the flight in one line."""
         duration = self.scenario.scenario.duration_s
@@ -302,7 +325,7 @@ class _Events:
         self.all.extend(events)
 
 
-def _trimmed_commands(world: World) -> dict[AutopilotSession, FbwaInput]:
+def _trimmed_commands(world: World) -> dict[AutopilotSession, FbwaCommand[float]]:
     """Return the first command of each aircraft that takes commands."""
     if world.external_control is None:
         return {}
@@ -313,7 +336,9 @@ def _trimmed_commands(world: World) -> dict[AutopilotSession, FbwaInput]:
     }
 
 
-def _checked(name: str, command: FbwaCommand | tuple[float, float, float]) -> FbwaInput:
+def _checked(
+    name: str, command: FbwaCommand[float] | tuple[float, float, float]
+) -> FbwaCommand[float]:
     """Return a command as numbers.
 
     Raises:
@@ -323,7 +348,7 @@ def _checked(name: str, command: FbwaCommand | tuple[float, float, float]) -> Fb
         pitch, roll, throttle = command
         low, high = -MANUAL_ANGLE_LIMIT, MANUAL_ANGLE_LIMIT
         if low <= pitch <= high and low <= roll <= high and 0.0 <= throttle <= 1.0:
-            return float(pitch), float(roll), float(throttle)
+            return FbwaCommand(float(pitch), float(roll), float(throttle))
     except (TypeError, ValueError, OverflowError):
         pass
     raise InputError(_command_error(name, command))
@@ -339,7 +364,7 @@ def _real(value: object) -> float:
 
 def _command_error(name: str, command: object) -> str:
     """Describe what is wrong with a command."""
-    parts = ("pitch", "roll", "throttle")
+    parts = FbwaCommand._fields
     if not isinstance(command, Iterable) or isinstance(command, str | bytes | Mapping):
         command = ()
     values = list(itertools.islice(command, len(parts) + 1))

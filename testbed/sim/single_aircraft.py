@@ -9,7 +9,13 @@ from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from testbed.core.errors import InputError
-from testbed.core.records import ActuatorCommand, AirData, Event, VehicleState
+from testbed.core.records import (
+    ActuatorCommand,
+    AirData,
+    Event,
+    FbwaCommand,
+    VehicleState,
+)
 from testbed.scenario import ScenarioError, loads
 from testbed.scenario import aircraft as scenario_aircraft
 from testbed.scenario.arguments import check_argument, to_plain
@@ -22,13 +28,13 @@ _ValuesT = TypeVar("_ValuesT", VehicleState, AirData, ActuatorCommand)
 # Arguments: the section and the key of the files that have their types and bounds, and the keys of
 # the scenario that is made from them.
 _ARGUMENTS: Mapping[str, tuple[type[Section], str, tuple[str, ...]]] = {
-    "aircraft": (scenario_aircraft.Aircraft, "aircraft", ("leader", "aircraft")),
+    "aircraft": (scenario_aircraft.AircraftSection, "aircraft", ("leader", "aircraft")),
     "airspeed_mps": (scenario_aircraft.Virtual, "speed_mps", ("leader", "path", "speed_mps")),
     "altitude_m": (scenario_aircraft.Start, "altitude_m", ("leader", "start", "altitude_m")),
     "course_deg": (scenario_aircraft.Start, "course_deg", ("leader", "start", "course_deg")),
     "air": (Sections, "air", ("air",)),
-    "sensors": (scenario_aircraft.Aircraft, "sensors", ("fleet", "0", "sensors")),
-    "tune": (scenario_aircraft.Aircraft, "tune", ("fleet", "0", "tune")),
+    "sensors": (scenario_aircraft.AircraftSection, "sensors", ("fleet", "0", "sensors")),
+    "tune": (scenario_aircraft.AircraftSection, "tune", ("fleet", "0", "tune")),
     "seed": (Header, "seed", ("scenario", "seed")),
     "duration_s": (Header, "duration_s", ("scenario", "duration_s")),
     "physics_hz": (Rates, "physics_hz", ("rates", "physics_hz")),
@@ -123,7 +129,7 @@ class Aircraft:
                 as if there had been no call.
         """
         try:
-            self._sample = self.simulation.step({_NAME: (pitch, roll, throttle)}, until)
+            self._sample = self.simulation.step({_NAME: FbwaCommand(pitch, roll, throttle)}, until)
         except InputError as error:
             raise InputError(str(error).removeprefix(f"{_NAME}: ")) from None
         return self.truth

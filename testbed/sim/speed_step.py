@@ -18,12 +18,12 @@ import numpy as np
 from testbed.autopilot.parameters import FbwaParams, make_gains
 from testbed.core.compile import entry
 from testbed.core.errors import InputError
-from testbed.core.records import AIRCRAFT, FOLLOWER, Array, Origin, Records, allocate
+from testbed.core.records import AIRCRAFT, FOLLOWER, Array, NedOrigin, Records, allocate
 from testbed.formation.law import Saturation
 from testbed.formation.middle_loop import initial_memory, middle_loop
 from testbed.scenario import MiddleLoopGains
 from testbed.sim.build_control import make_loops
-from testbed.sim.stages import copy_truth
+from testbed.sim.steps import copy_truth
 from testbed.sim.vehicles import JsbsimVehicles
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.identify import FirstOrder, fit_first_order
@@ -89,9 +89,9 @@ def speed_step(
             f"speed above 0"
         )
     start = InitialState((0.0, 0.0, -ALTITUDE), airspeed=airspeed)
-    fleet = JsbsimFleet([folder], [start], Origin(), BASE_RATE_HZ)
+    fleet = JsbsimFleet([folder], [start], NedOrigin(), BASE_RATE_HZ)
     point = fleet.trims[0].point
-    modes = modes_of_aircraft(folder, point, Origin())
+    modes = modes_of_aircraft(folder, point, NedOrigin())
     check_fixed_step(folder.name, point.airspeed, modes, BASE_RATE_HZ, warn)
     gains = make_gains([params], AUTOPILOT_TICKS / BASE_RATE_HZ)
     aircraft, followers = allocate(AIRCRAFT, 1), allocate(FOLLOWER, 1)

@@ -229,13 +229,12 @@ class SteadyFlight:
         for tick, due, ticks, needed in self._schedule:
             now = world.clock.time_s(tick)
             first = now if first is None else first
-            flight.sense(now, due)
-            flight.control(now, due)
+            flight.steer(now, due)
             if due.autopilot:
-                flight.write_commands(now)
                 disturb(now - first)
                 for vehicles in world.vehicles:
-                    vehicles.autopilot_step()
+                    for step in (*vehicles.autopilot_steps, *vehicles.output_steps):
+                        step(now)
             if due.guidance:
                 rows.append(self._look())
             for vehicles in world.vehicles:

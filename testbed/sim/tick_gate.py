@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from testbed.core.errors import ExternalProgramLost, InputError
+from testbed.scenario.fields import is_number
+from testbed.scenario.validate import shown_value
 from testbed.sim.external_control import ExternalControl
 from testbed.sim.schedule import TickActions
 
@@ -101,6 +103,25 @@ _WARM_UP_S = 0.2  # simulated; the first ticks of a first flight compile
 _MAX_DELAY_S = 0.25  # after a longer one the schedule restarts, without catching up
 
 
+def check_pace(name: str, pace: object) -> float:
+    """Return the simulated seconds per second of a run in real time.
+
+    Args:
+        name: of the argument or option, as the error begins.
+        pace: its value.
+
+    Raises:
+        InputError: it is no number from 0.001 to a million.
+    """
+    if isinstance(pace, float | int) and is_number(pace) and _MIN_RATE <= pace <= _MAX_RATE:
+        return float(pace)
+    shown = f"{pace:g}" if isinstance(pace, float) else shown_value(pace)
+    raise InputError(
+        f"{name} {shown}: write a number from {_MIN_RATE:g} to {_MAX_RATE:g}, as 1 for real time, "
+        "or 0"
+    )
+
+
 class RealTimePacer:
     """Wait for the wall-clock time of each tick, and measure how late ticks are.
 
@@ -114,12 +135,7 @@ class RealTimePacer:
         Raises:
             InputError: the rate is out of range.
         """
-        if not _MIN_RATE <= rate <= _MAX_RATE:
-            raise InputError(
-                f"--pace {rate:g}: write a number from {_MIN_RATE:g} to {_MAX_RATE:g}, as 1 for "
-                "real time"
-            )
-        self.rate, self._clock = rate, clock
+        self.rate, self._clock = check_pace("--pace", rate), clock
         self._first: tuple[float, float] | None = None  # simulated and wall-clock s
         self._schedule = (0.0, 0.0)
         self._last = (0.0, 0.0)

@@ -21,7 +21,7 @@ from urllib.parse import unquote, urlsplit
 
 import numpy as np
 
-from testbed.core.errors import InputError
+from testbed.core.errors import InputError, raise_memory_shortage
 from testbed.core.input_files import read_bounded
 from testbed.core.records import Array, FbwaCommand, Inbox, UnicycleCommand, VehicleState
 from testbed.formation.law import FormationConfig, Law
@@ -223,7 +223,7 @@ SEED = 11
 STEPS = 4
 MISSING_SHARES = (0.0, 0.3)  # of messages that are missing, and of those that are old
 SPEED_FACTOR = 2.0  # of the speed bounds, beyond which a commanded speed has another unit
-Command = UnicycleCommand | FbwaCommand
+Command = UnicycleCommand | FbwaCommand[Array]
 Step = tuple[float, VehicleState, Inbox]
 
 
@@ -448,7 +448,8 @@ def _pickled(memory: Any) -> bytes:  # noqa: ANN401 - any type
     """Return the memory as bytes for a comparison; empty if it cannot be pickled."""
     try:
         return pickle.dumps(memory)
-    except Exception:  # of the types in it, which may be the user's
+    except Exception as error:  # of the types in it, which may be the user's
+        raise_memory_shortage(error)
         return b""
 
 

@@ -5,20 +5,21 @@ Each object reads and writes its rows of the run's AIRCRAFT records in place.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from functools import partial
-from typing import Protocol
+from collections.abc import Callable, Iterator
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
 from testbed.autopilot.fbwa import fly_by_wire_a, settled_autopilots
 from testbed.autopilot.parameters import AutopilotTiming, FbwaParams, make_gains
-from testbed.core.compile import Kernel, entry
+from testbed.core.call_list import Call
+from testbed.core.compile import bind_entry, entry
 from testbed.core.records import (
     ActuatorCommand,
     Array,
     BoolArray,
     FaultState,
+    FbwaCommand,
     Indices,
     Records,
     fault_state,
@@ -29,32 +30,28 @@ from testbed.vehicle.control_surfaces import Servos, apply_actuator_faults, init
 from testbed.vehicle.fleet import JsbsimFleet, write_fields_at
 from testbed.vehicle.unicycle import advance, are_finite, stop_unicycles, write_motion
 
+Steps: TypeAlias = tuple[Call | Callable[[float], object], ...]  # compiled or of Python
+LeaderInput: TypeAlias = tuple[Array, Array]  # u (1,) m/s and ω (3,) rad/s of an ideal leader
+
 
 class Vehicles(Protocol):
     """Some of the aircraft of a run, stepped together."""
 
     rows: Indices  # (M,) among the N aircraft
 
-    def read_air(self) -> None:
-        """Write `air` of the records; the same at every call of a tick."""
+    air_steps: Steps  # write `air` of the records; the same at every call of a tick
+    wind_steps: Steps  # use `wind` of the records from now on; at the autopilot rate
+    autopilot_steps: Steps  # compute `surfaces` from `command`; at the autopilot rate
+    fault_steps: Steps  # apply `faults` to `surfaces`, after these
+    output_steps: Steps  # use `surfaces` of the records from now on; at the autopilot rate
 
-    def set_wind(self) -> None:
-        """Use `wind` of the records from now on; at the autopilot rate."""
-
-    def set_unicycle(self, followers: Records, speed: float, omega: Array) -> None:
-        """Set the inputs of extended unicycles; at the control rate.
+    def steering_steps(self, followers: Records, leader: LeaderInput) -> Steps:
+        """Return the steps that set the inputs of extended unicycles; at the control rate.
 
         Args:
             followers: (n,) of FOLLOWER.
-            speed: u of the leader, m/s.
-            omega: ω of the leader (3,), rad/s.
+            leader: u (1,) m/s and ω (3,) rad/s.
         """
-
-    def autopilot_step(self) -> None:
-        """Compute `surfaces` of the records from `command`; at the autopilot rate."""
-
-    def apply_faults(self) -> None:
-        """Apply `faults` to `surfaces`; after `autopilot_step`, in runs with faults."""
 
     def remove(self, lost: BoolArray) -> None:
         """Stop lost aircraft (N,); they keep their last motion."""
@@ -66,9 +63,6 @@ class Vehicles(Protocol):
             ticks: how many.
             needed: rows among the N aircraft; None: all.
         """
-
-    def kernels(self, followers: Records) -> list[Kernel]:
-        """Return the compiled calls of these vehicles, for `core.compile.prepare`."""
 
 
 class JsbsimVehicles:
@@ -88,12 +82,15 @@ class JsbsimVehicles:
         fleet.bind(aircraft, rows)
         self.fleet, self.rows, self._aircraft = fleet, rows, aircraft
         self.autopilots = settled_autopilots(gains, fleet.trimmed)
-        self._fly = partial(fly_by_wire_a, rows, *self.autopilots, aircraft)
-        self.read_air, self.set_wind = fleet.read_air, fleet.write_wind
+        self._fly = Call(fly_by_wire_a, rows, *self.autopilots, aircraft)
+        self.air_steps: Steps = (lambda now: fleet.read_air(),)
+        self.wind_steps: Steps = (fleet.write_wind,)
+        self.autopilot_steps: Steps = (self._fly,)
+        self.fault_steps: Steps = (self.apply_faults,)
+        self.output_steps: Steps = (fleet.write_surfaces,)
         self._servos: Servos | None = None
         self._faults: FaultState | None = None
         self._zero_flow = self._flow = np.zeros((len(rows), 2))
-        self._changed = True  # surfaces were written since the last step
         self._needed: dict[tuple[int, ...], Indices] = {}  # flight models by the rows needed
 
     def retune(self, row: int, params: FbwaParams) -> None:
@@ -104,20 +101,17 @@ class JsbsimVehicles:
         gains[row] = make_gains([params], float(gains["dt"][row]), timing)[0]
         gains["pressure_weight"][row] = weight
 
-    def set_unicycle(self, followers: Records, speed: float, omega: Array) -> None:
-        """Ignore the inputs: an autopilot takes attitudes."""
-
-    def kernels(self, followers: Records) -> list[Kernel]:
-        """See `Vehicles`."""
-        return [self._fly, *self.fleet.kernels()]
+    def steering_steps(self, followers: Records, leader: LeaderInput) -> Steps:
+        """Return nothing: an autopilot takes attitudes."""
+        return ()
 
     def autopilot_step(self) -> None:
-        """See `Vehicles`."""
-        self._fly()
-        self._changed = True
+        """Step the autopilots, and give their surfaces to the flight models."""
+        for step in (*self.autopilot_steps, *self.output_steps):
+            step(0.0)
 
-    def apply_faults(self) -> None:
-        """See `Vehicles`."""
+    def apply_faults(self, now: float) -> None:
+        """Apply `faults` of the records to `surfaces`."""
         fleet, rows = self.fleet, self.rows
         faults = fault_state(self._aircraft["faults"][rows])
         self._flow = self._zero_flow
@@ -144,9 +138,6 @@ class JsbsimVehicles:
 
     def step(self, ticks: int, needed: tuple[int, ...] | None) -> None:
         """See `Vehicles`."""
-        if self._changed:
-            self.fleet.write_surfaces()
-            self._changed = False
         self.fleet.run(ticks, self.fleet.all_rows if needed is None else self._fleet_rows(needed))
 
     def _fleet_rows(self, needed: tuple[int, ...]) -> Indices:
@@ -171,38 +162,22 @@ class UnicycleVehicles:
             rows: (M,) of the unicycles among the aircraft.
         """
         self.rows, self._unicycles, self._aircraft = rows, unicycles, aircraft
-        self._first, self._dt = unicycles.copy(), 1.0 / base_rate_hz
-        self._write = partial(write_motion, unicycles, rows, aircraft)
-        self._steer = partial(_steer, unicycles, rows)
+        self._first = unicycles.copy()
+        self._write = bind_entry(write_motion, unicycles, rows, aircraft)
+        self._advance = bind_entry(advance, unicycles, 1.0 / base_rate_hz, like=(1,))
+        self.air_steps: Steps = ()
+        self.wind_steps: Steps = ()
+        self.autopilot_steps: Steps = ()
+        self.fault_steps: Steps = ()
+        self.output_steps: Steps = ()
         air = aircraft["air"]
         for name in ("state_of_charge", "battery_voltage"):
             air[name][rows] = np.nan
         self._write()
 
-    def read_air(self) -> None:
-        """Do nothing: a unicycle flies along its nose and has no propeller or battery."""
-
-    def set_wind(self) -> None:
-        """See `Vehicles`: the motion is written with the wind of the records."""
-
-    def set_unicycle(self, followers: Records, speed: float, omega: Array) -> None:
+    def steering_steps(self, followers: Records, leader: LeaderInput) -> Steps:
         """See `Vehicles`."""
-        self._steer(followers, speed, omega)
-
-    def kernels(self, followers: Records) -> list[Kernel]:
-        """See `Vehicles`."""
-        omega = np.zeros(3)
-        return [
-            partial(self._steer, followers, 0.0, omega),
-            partial(advance, self._unicycles, self._dt, 1),
-            self._write,
-        ]
-
-    def autopilot_step(self) -> None:
-        """Do nothing: there is no autopilot."""
-
-    def apply_faults(self) -> None:
-        """Do nothing: a unicycle has no parts that fail."""
+        return (Call(_steer, self._unicycles, self.rows, followers, *leader),)
 
     def remove(self, lost: BoolArray) -> None:
         """See `Vehicles`."""
@@ -211,14 +186,14 @@ class UnicycleVehicles:
 
     def step(self, ticks: int, needed: tuple[int, ...] | None) -> None:
         """See `Vehicles`."""
-        advance(self._unicycles, self._dt, ticks)
+        self._advance(ticks)
         self._write()
         self._aircraft["stopped"][self.rows] |= ~are_finite(self._unicycles)
 
 
 @entry
 def _steer(
-    unicycles: Records, rows: Indices, followers: Records, speed: float, omega: Array
+    unicycles: Records, rows: Indices, followers: Records, speed: Array, omega: Array
 ) -> None:
     """Copy (u, ω) of the followers, and of the leader, to their unicycles."""
     for k in range(len(rows)):
@@ -226,7 +201,7 @@ def _steer(
         if v.stopped:
             continue
         if rows[k] == 0:
-            v.speed_command = speed
+            v.speed_command = speed[0]
             for axis in range(3):
                 v.omega[axis] = omega[axis]
         else:
@@ -249,6 +224,11 @@ class ScriptedVehicle:
         self.rows = np.zeros(1, dtype=np.intp)
         self._blocks, self._row, self._wind = blocks, 0, wind_ned
         self._track, self._equivalent_airspeed = next(blocks)
+        self.air_steps: Steps = ()
+        self.wind_steps: Steps = ()
+        self.autopilot_steps: Steps = ()
+        self.fault_steps: Steps = ()
+        self.output_steps: Steps = ()
 
     def bind(self, aircraft: Records) -> None:
         """Write row 0 of AIRCRAFT from now on."""
@@ -269,29 +249,14 @@ class ScriptedVehicle:
         truth["equivalent_airspeed"][0] = self._equivalent_airspeed[row]
         self._aircraft["surfaces"]["throttle"][0] = track.throttle[row]
 
-    def command(self) -> tuple[float, float, float]:
-        """Return the present pitch, roll and throttle."""
+    def command(self) -> FbwaCommand[float]:
+        """Return the present attitude and throttle as a command."""
         roll, pitch, _ = self._track.euler[self._row].tolist()
-        return pitch, roll, float(self._track.throttle[self._row])
+        return FbwaCommand(pitch, roll, float(self._track.throttle[self._row]))
 
-    def read_air(self) -> None:
-        """Do nothing: a script has neither flow angles nor a propeller."""
-
-    def set_wind(self) -> None:
-        """Do nothing: the motion is given."""
-
-    def set_unicycle(self, followers: Records, speed: float, omega: Array) -> None:
-        """Ignore the inputs."""
-
-    def kernels(self, followers: Records) -> list[Kernel]:
-        """See `Vehicles`: a script needs none."""
-        return []
-
-    def autopilot_step(self) -> None:
-        """Do nothing: there is no autopilot."""
-
-    def apply_faults(self) -> None:
-        """Do nothing: the motion is given."""
+    def steering_steps(self, followers: Records, leader: LeaderInput) -> Steps:
+        """Return nothing: the motion is given."""
+        return ()
 
     def remove(self, lost: BoolArray) -> None:
         """Do nothing: the motion is given."""

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from testbed.core.errors import InputError
 from testbed.core.records import Array
-from testbed.logs.read import Log
+from testbed.logs.read import RunLog
 from testbed.metrics.check import check_metrics
+from testbed.metrics.model import Metrics
 from testbed.scenario import loads
 from testbed.scenario.arguments import check_not_negative
 from testbed.studies.golden_table import RULES, row_label, table_numbers
@@ -73,7 +74,7 @@ class RunDifference:
         return not self.differing and (exact or self.tolerance is not None)
 
 
-def compare_runs(first: Log, second: Log, *, tolerance: float | None = None) -> RunDifference:
+def compare_runs(first: RunLog, second: RunLog, *, tolerance: float | None = None) -> RunDifference:
     """Compare two runs; versions and durations on the wall clock are listed, but decide nothing.
 
     Args:
@@ -108,7 +109,7 @@ def compare_runs(first: Log, second: Log, *, tolerance: float | None = None) -> 
     )
 
 
-def _metrics(log: Log) -> Mapping[str, Any]:
+def _metrics(log: RunLog) -> Metrics:
     if log.metrics is None:
         raise InputError(
             f"{log.info.scenario_name}: this run has no metrics, because it was killed"
@@ -139,7 +140,7 @@ def _label(key: str) -> str:
     return f"{row_label(key)}, {RULES[key.split('/')[0]].unit}"
 
 
-def _scenario_differences(first: Log, second: Log) -> tuple[str, ...]:
+def _scenario_differences(first: RunLog, second: RunLog) -> tuple[str, ...]:
     code = _code_differences(first.info.code, second.info.code)
     yaml = [log.info.scenario_yaml for log in (first, second)]
     if yaml[0] == yaml[1]:
@@ -159,7 +160,7 @@ def _code_differences(first: Mapping[str, bytes], second: Mapping[str, bytes]) -
     return tuple(f"code {name} differs" for name in shared if first[name] != second[name])
 
 
-def _same_samples(first: Log, second: Log) -> bool:
+def _same_samples(first: RunLog, second: RunLog) -> bool:
     records = ("truth", "estimate", "air", "command", "surfaces", "formation", "links")
     return (
         first.info.names == second.info.names
@@ -174,7 +175,7 @@ def _same_samples(first: Log, second: Log) -> bool:
 
 
 def _position_differences(
-    first: Log, second: Log, i: NDArray[np.intp], j: NDArray[np.intp]
+    first: RunLog, second: RunLog, i: NDArray[np.intp], j: NDArray[np.intp]
 ) -> tuple[PositionDifference, ...]:
     """Compare positions in samples i (K,) of one run, j (K,) of another."""
     time_s = first.time_s[i]

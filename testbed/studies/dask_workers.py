@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-from testbed.core.errors import ExternalProgramLost, InputError, needs_extra
+from testbed.core.errors import ExternalProgramLost, InputError, describe_error, needs_extra
 from testbed.mavlink.udp_endpoint import is_loopback
 from testbed.studies.flight_task import FlightResult, FlightTask, run_task
 
@@ -63,7 +63,7 @@ class DaskWorkers:
             )
         except OSError as error:
             raise ExternalProgramLost(
-                f"--scheduler {scheduler}: does not answer: {error or 'no connection'}"
+                f"--scheduler {scheduler}: does not answer: {str(error) or 'no connection'}"
             ) from None
         except (ValueError, TypeError) as error:
             raise InputError(f"--scheduler {scheduler}: is no address: {error}") from None
@@ -124,4 +124,4 @@ def _loss_reported() -> Iterator[None]:
     try:
         yield
     except (OSError, RuntimeError, TimeoutError, CancelledError) as error:
-        raise ExternalProgramLost(LOST.format(error or type(error).__name__)) from error
+        raise ExternalProgramLost(LOST.format(describe_error(error))) from error

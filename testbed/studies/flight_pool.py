@@ -13,7 +13,7 @@ from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager
 
 from testbed.core.compile import NOTICE, cache_folder, is_compiling
-from testbed.core.errors import ExternalProgramLost, InputError
+from testbed.core.errors import ExternalProgramLost, InputError, raise_memory_shortage
 from testbed.sim.stop_request import StopRequest, stop_on_signals
 from testbed.studies.dask_workers import LOST, DaskWorkers
 from testbed.studies.flight_task import (
@@ -53,6 +53,7 @@ class FlightPool:
             KeyboardInterrupt: Ctrl-C or SIGTERM was received.
             ExternalProgramLost: the connection to the cluster was lost.
             InputError: no process can be started.
+            MemoryError: a flight had too little memory.
         """
         pending = iter(tasks)
         retries: deque[FlightTask] = deque()
@@ -105,6 +106,7 @@ class FlightPool:
         if error is None:
             result = future.result()
             return None if result.outcome == INTERRUPTED else result
+        raise_memory_shortage(error)  # no result of the flight, which would be kept as one
         if isinstance(error, KeyboardInterrupt) or self._workers.lost_worker(error):
             return None
         return FlightResult(task.number, FAILED, f"failed: {type(error).__name__}: {error}", None)

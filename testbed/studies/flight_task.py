@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from testbed.core.errors import FlightError, InputError
+from testbed.core.errors import FlightError, InputError, raise_memory_shortage
 from testbed.metrics.document import EXCEEDED, exceedances, losses
 from testbed.metrics.expectations import bound_key, describe_violation, violations
 
@@ -78,7 +78,11 @@ class WorkerPool(Protocol):
 
 
 def run_task(task: FlightTask) -> FlightResult:
-    """Fly a task in this process, without files; errors become part of the result."""
+    """Fly a task in this process, without files; errors become part of the result.
+
+    Raises:
+        MemoryError: there was too little memory, which is no result of the flight.
+    """
     from testbed.sim.run import run  # in workers only: the parent process does not simulate
 
     assert task.scenario is not None
@@ -104,6 +108,7 @@ def run_task(task: FlightTask) -> FlightResult:
         except InputError as refused:
             outcome, error = INVALID, f"invalid: {refused}"
         except Exception as failure:
+            raise_memory_shortage(failure)
             last = traceback.extract_tb(failure.__traceback__)[-1]
             where = f"{Path(last.filename).name}:{last.lineno}"
             outcome, error = FAILED, f"failed: {type(failure).__name__}: {failure} ({where})"

@@ -13,21 +13,21 @@ from testbed.sim.bounds import bound_results
 from testbed.studies.flight_pool import open_flight_pool
 from testbed.studies.flight_task import FlightTask
 from testbed.studies.golden_compare import (
-    Flight,
     FlightProblem,
+    GoldenFlight,
     Verdict,
     compare,
     flight_problems,
 )
 from testbed.studies.golden_table import (
     MIN_BAND_VALUES,
-    Table,
+    GoldenTable,
     make_table,
     read_table,
     table_numbers,
     write_table,
 )
-from testbed.studies.scenario_snapshot import file_digests, file_values, snapshot
+from testbed.studies.scenario_snapshot import read_inputs
 
 CHECKED_SEEDS = 4  # of a table's seeds, flown by a check
 RANDOM_SEEDS = 16  # in a table of a scenario whose numbers depend on the seed: enough for a band
@@ -45,7 +45,7 @@ class GoldenCase:
     source: Path  # of the scenario
     scenario: Scenario
     path: Path  # of the table
-    table: Table | None  # None: missing, or unreadable
+    table: GoldenTable | None  # None: missing, or unreadable
     table_error: str = ""  # of an unreadable table
     overrides: tuple[str, ...] = ()  # settings of `--set`
 
@@ -64,7 +64,7 @@ class UpdateResult:
     case: GoldenCase
     verdict: Verdict | None
     problems: tuple[FlightProblem, ...]
-    table: Table | None
+    table: GoldenTable | None
 
 
 def find_cases(
@@ -177,15 +177,13 @@ def _choose_seeds(available: Sequence[int], count: int) -> list[int]:
     return [*available[:count], *following]
 
 
-def _compare(case: GoldenCase, table: Table, flights: Sequence[Flight]) -> Verdict:
+def _compare(case: GoldenCase, table: GoldenTable, flights: Sequence[GoldenFlight]) -> Verdict:
     documents = {flight.seed: flight.metrics for flight in flights if flight.metrics}
     return compare(
         case.name,
         table,
         flights,
-        resolved_scenario=snapshot(case.scenario, case.source.parent),
-        files=file_digests(case.scenario),
-        values=file_values(case.scenario),
+        inputs=read_inputs(case.scenario, case.source.parent),
         bounds=bound_results(documents, case.source, case.overrides),
         overrides=case.overrides,
     )
@@ -242,7 +240,7 @@ def update_tables(
     ]
 
 
-def _depends_on_seed(flights: Sequence[Flight]) -> bool:
+def _depends_on_seed(flights: Sequence[GoldenFlight]) -> bool:
     """Return whether the seed changes any number, to the last bit, in valid flights."""
     valid = [
         table_numbers(each.metrics)
@@ -253,7 +251,7 @@ def _depends_on_seed(flights: Sequence[Flight]) -> bool:
 
 
 def _update_table(
-    case: GoldenCase, flights: Sequence[Flight], random: bool, reason: str
+    case: GoldenCase, flights: Sequence[GoldenFlight], random: bool, reason: str
 ) -> UpdateResult:
     verdict = _compare(case, case.table, flights) if case.table else None
     problems = tuple(problem for flight in flights for problem in flight_problems(flight))
@@ -264,9 +262,7 @@ def _update_table(
         scenario=case.scenario.name,
         reason=reason,
         random=random,
-        files=file_digests(case.scenario),
-        values=file_values(case.scenario),
-        resolved_scenario=snapshot(case.scenario, case.source.parent),
+        inputs=read_inputs(case.scenario, case.source.parent),
     )
     write_table(case.path, table)
     return UpdateResult(case, verdict, (), table)
@@ -278,7 +274,7 @@ def fly_all(
     jobs: int,
     progress: Progress = lambda done, total: None,
     report: Report = lambda line: None,
-) -> list[Flight]:
+) -> list[GoldenFlight]:
     """Fly scenarios with seeds, without files, and return the flights in this order.
 
     Args:
@@ -294,11 +290,11 @@ def fly_all(
         return []
     progress(0, len(wanted))
     tasks = (FlightTask(number, set_seed(*each)) for number, each in enumerate(wanted))
-    flights: dict[int, Flight] = {}
+    flights: dict[int, GoldenFlight] = {}
     with open_flight_pool(jobs=min(jobs, len(wanted)), report=report) as pool:
         for result in pool.run(tasks):
             problem = result.error if result.metrics is None else ""
             seed = wanted[result.number][1]
-            flights[result.number] = Flight(seed, result.metrics, problem, result.wall_s)
+            flights[result.number] = GoldenFlight(seed, result.metrics, problem, result.wall_s)
             progress(len(flights), len(wanted))
     return [flights[number] for number in range(len(wanted))]

@@ -13,7 +13,7 @@ from xml.etree import ElementTree as xml
 from testbed.core.files import report_write_errors, write_text_file
 from testbed.core.input_files import read_bounded_text
 from testbed.core.numbers import parse_whole
-from testbed.scenario import Place, ScenarioError
+from testbed.scenario import FilePosition, ScenarioError
 from testbed.studies.golden import GoldenCase
 from testbed.studies.golden_compare import RowComparison, Verdict, Violation
 from testbed.studies.golden_report import (
@@ -301,7 +301,7 @@ MAX_ANNOTATIONS = 10  # errors of a step that GitHub shows
 class Annotation:
     """An error at a place in a file; without a place, of the whole step."""
 
-    place: Place | None
+    place: FilePosition | None
     title: str
     text: str
 
@@ -330,12 +330,12 @@ def input_annotations(error: Exception) -> list[Annotation]:
     return _limited([Annotation(place, title, text) for place, text in problems])
 
 
-def _leading_place(line: str) -> Place | None:
+def _leading_place(line: str) -> FilePosition | None:
     """Return the `file:line:column` with which the text of a problem begins."""
     file, *rest = line.split(":", 3)
     numbers = [parse_whole(each) for each in rest[:2]] if len(rest) == 3 else []
     row, column = numbers or (None, None)
-    return None if row is None or column is None else Place(file, row, column)
+    return None if row is None or column is None else FilePosition(file, row, column)
 
 
 def _of_verdict(case: GoldenCase, verdict: Verdict) -> Iterator[Annotation]:
@@ -349,14 +349,14 @@ def _of_verdict(case: GoldenCase, verdict: Verdict) -> Iterator[Annotation]:
             )
     if verdict.problems:
         first, *rest = verdict.problems
-        place = Place(str(case.source), 1, 1)
+        place = FilePosition(str(case.source), 1, 1)
         yield Annotation(place, f"{verdict.name}: flights", f"{first}{_more(len(rest))}")
     if verdict.violations:
         largest, *less = verdict.violations
         changed = "; ".join(verdict.changes[:3])
         why = f" (the scenario changed: {changed})" if changed else ""
         text = f"{violation_line(largest, verdict)}{_more(len(less))}{why}"
-        place = Place(str(case.path), _line_of(case.path, largest.key), 1)
+        place = FilePosition(str(case.path), _line_of(case.path, largest.key), 1)
         yield Annotation(place, f"{verdict.name}: golden table", text)
 
 

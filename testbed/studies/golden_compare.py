@@ -12,17 +12,24 @@ from testbed.metrics.document import errors
 from testbed.sim.bounds import BoundResult
 from testbed.studies.flight_task import COMPLETED
 from testbed.studies.golden_table import (
+    FALSE_ALARM,
+    RULES,
+    GoldenTable,
     Rule,
-    Table,
     metric_names,
     prediction_band,
     table_numbers,
 )
-from testbed.studies.scenario_snapshot import differences, file_differences, with_new_defaults
+from testbed.studies.scenario_snapshot import (
+    Inputs,
+    differences,
+    file_differences,
+    scenario_differences,
+)
 
 
 @dataclass(frozen=True, slots=True)
-class Flight:
+class GoldenFlight:
     """Metrics of a flight with one seed, or the problem that prevented it."""
 
     seed: int
@@ -93,7 +100,7 @@ class Verdict:
 
     name: str  # of the scenario, as the user wrote it
     overrides: tuple[str, ...]  # settings of `--set`
-    table: Table
+    table: GoldenTable
     seeds: tuple[int, ...]
     wall_s: float
     changes: tuple[str, ...]  # of the scenario and its files
@@ -116,7 +123,7 @@ class Verdict:
         return sorted(found, key=lambda each: (-each.deviation, each.key, each.seeds))
 
 
-def flight_problems(flight: Flight) -> list[FlightProblem]:
+def flight_problems(flight: GoldenFlight) -> list[FlightProblem]:
     """List why a flight cannot be compared: incomplete, a follower not joined.
 
     Such flights have numbers too, which may even repeat.
@@ -143,12 +150,10 @@ def flight_problems(flight: Flight) -> list[FlightProblem]:
 
 def compare(
     name: str,
-    table: Table,
-    flights: Sequence[Flight],
+    table: GoldenTable,
+    flights: Sequence[GoldenFlight],
     *,
-    resolved_scenario: Mapping[str, Any],
-    files: Mapping[str, str],
-    values: Mapping[str, Any],
+    inputs: Inputs,
     bounds: Sequence[BoundResult] = (),
     overrides: Sequence[str] = (),
 ) -> Verdict:
@@ -161,9 +166,7 @@ def compare(
         name: of the scenario, as the user wrote it.
         table: the reference.
         flights: one per seed.
-        resolved_scenario: of `snapshot`, to describe changes.
-        files: of `file_digests`, likewise.
-        values: of `file_values`, likewise.
+        inputs: of the scenario, to describe changes.
         bounds: comparisons with the bounds of the scenario.
         overrides: settings of the scenario.
     """
@@ -182,14 +185,16 @@ def compare(
     versions: Mapping[str, str] = next(
         (flight.metrics["versions"] for flight in flights if flight.metrics), {}
     )
-    changes = differences(with_new_defaults(table.resolved_scenario), resolved_scenario)
     return Verdict(
         name=name,
         overrides=tuple(overrides),
         table=table,
         seeds=tuple(flight.seed for flight in flights),
         wall_s=sum(flight.wall_s for flight in flights),
-        changes=(*changes, *file_differences(table.files, files, table.values, values)),
+        changes=(
+            *scenario_differences(table.scenario_digests, inputs),
+            *file_differences(table.files, table.value_digests, inputs),
+        ),
         versions=differences(table.versions, versions) if versions else (),
         problems=tuple(problems),
         notes=tuple(notes),
@@ -199,7 +204,7 @@ def compare(
 
 
 def _compare_structure(
-    table: Table, flights: Sequence[Mapping[str, Any]]
+    table: GoldenTable, flights: Sequence[Mapping[str, Any]]
 ) -> tuple[list[str], list[str]]:
     """List windows, followers and numbers that are missing or new; and notes on new metrics."""
     problems: list[str] = []
@@ -230,9 +235,9 @@ def _key_parts(keys: Sequence[str] | Mapping[str, Any], level: int) -> list[str]
 
 
 def _compare_row(
-    table: Table, key: str, flights: Mapping[int, Mapping[str, float | None]]
+    table: GoldenTable, key: str, flights: Mapping[int, Mapping[str, float | None]]
 ) -> RowComparison:
-    rule, row = table.rules[key.split("/")[0]], table.rows[key]
+    rule, row = RULES[key.split("/")[0]], table.rows[key]
     values = {seed: value for seed, rows in flights.items() if (value := rows.get(key)) is not None}
     references = {seed: table.same_seed(key, seed) for seed in values}
     golden = {seed: value for seed, value in references.items() if value is not None}
@@ -248,7 +253,7 @@ def _compare_row(
         if len(new_seeds) > 1:
             bounds = prediction_band(
                 row.by_seed,
-                false_alarm=table.band.false_alarm,
+                false_alarm=FALSE_ALARM,
                 min_half_width=rule.allowed(statistics.fmean(row.by_seed)),
                 new_values=len(new_seeds),
             )
@@ -271,7 +276,7 @@ def _compare_row(
 
 
 def _seed_groups(
-    table: Table, values: Mapping[int, float], golden: Mapping[int, float]
+    table: GoldenTable, values: Mapping[int, float], golden: Mapping[int, float]
 ) -> list[tuple[int, ...]]:
     """Group seeds: one by one, or all if seeds change no number."""
     if not table.random and golden and len(set(values.values())) == 1:

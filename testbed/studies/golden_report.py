@@ -12,7 +12,7 @@ from rich.text import Text
 from testbed.sim.bounds import BoundResult
 from testbed.studies.golden import UpdateResult
 from testbed.studies.golden_compare import RowComparison, Verdict, Violation
-from testbed.studies.golden_table import row_label
+from testbed.studies.golden_table import RULES, row_label
 
 MAX_CHANGES = 12  # lines of each kind, on the terminal
 MAX_PROBLEMS = 12
@@ -54,7 +54,7 @@ def failing_seeds(verdict: Verdict) -> list[int]:
 
 def violation_line(violation: Violation, verdict: Verdict) -> str:
     """Describe a violation on one line: row, seeds, number, bounds, direction, deviation."""
-    rule = verdict.table.rules[violation.key.split("/")[0]]
+    rule = RULES[violation.key.split("/")[0]]
     middle = 0.5 * (violation.low + violation.high)
     half = 0.5 * (violation.high - violation.low)
     if verdict.table.same_seed(violation.key, violation.seeds[0]) is not None:

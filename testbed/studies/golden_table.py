@@ -6,6 +6,7 @@ import json
 import math
 import statistics
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,7 +16,9 @@ from testbed.core.errors import InputError
 from testbed.core.files import report_write_errors, write_text_file
 from testbed.core.input_files import read_bounded
 from testbed.core.stats import student_quantile
+from testbed.studies.scenario_snapshot import Inputs, key_digests
 
+SCHEMA: Literal[3] = 3  # raised when a key is renamed, removed or changes its meaning
 MAX_GOLDEN_BYTES = 10_000_000
 DECIMALS = 8  # of the numbers in a table
 MIN_BAND_VALUES = 3  # with two, a band is wider than the numbers it bounds
@@ -25,16 +28,26 @@ class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class Rule(_Part):
-    """Tolerances of one quantity."""
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """Tolerances of one quantity.
+
+    Args:
+        label: its name in reports.
+        unit: of its numbers and tolerances.
+        tolerance: for the same seed.
+        relative_tolerance: of small numbers, where it allows less than `tolerance`.
+        min_tolerance: the least that `relative_tolerance` allows.
+        uses_band: whether seeds that are not in the table are compared with a band.
+        better: direction.
+    """
 
     label: str
     unit: str
-    tolerance: float = Field(gt=0)  # for the same seed, in the unit
-    relative_tolerance: float | None  # used for small numbers, if it allows less than `tolerance`,
-    min_tolerance: float = Field(gt=0)  # but not less than this, in the unit
-    reason: str
-    uses_band: bool  # whether seeds that are not in the table are compared with a band
+    tolerance: float
+    relative_tolerance: float | None
+    min_tolerance: float
+    uses_band: bool
     better: Literal["lower", "higher"]
 
     def allowed(self, value: float) -> float:
@@ -44,48 +57,39 @@ class Rule(_Part):
         return min(self.tolerance, max(self.relative_tolerance * abs(value), self.min_tolerance))
 
 
-class BandRule(_Part):
-    """Width of the prediction bands."""
-
-    false_alarm: float  # probability that a correct number is outside
-    reason: str
-
-
-class Row(_Part):
+class GoldenRow(_Part):
     """One number of a flight: by seed, in the order of the table's seeds."""
 
     band: tuple[float, float] | None
     by_seed: tuple[float, ...]
 
 
-class Table(_Part):
+class GoldenTable(_Part):
     """Reference numbers of a scenario, with the reason for which they were accepted.
 
     `rows` have keys `quantity/window/follower`, without the parts that do not apply.
-    `resolved_scenario`, `files` and `values` decide nothing: a comparison uses them to describe
-    changes.
+    `scenario_digests`, `files` and `value_digests` decide nothing: a comparison uses them to name
+    what changed. Tolerances are those of `RULES`.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
 
-    schema_version: Literal[2] = Field(2, alias="schema")
+    schema_version: Literal[3] = Field(SCHEMA, alias="schema")
     scenario: str
     reason: str
     versions: dict[str, str]
     random: bool  # whether the seed changes any number
     seeds: tuple[int, ...]
-    rules: dict[str, Rule]
-    band: BandRule
-    rows: dict[str, Row]
+    rows: dict[str, GoldenRow]
     metrics: tuple[str, ...]
     files: dict[str, str]  # digests by name
-    values: dict[str, Any] = {}  # in the YAML and .param files, by name
-    resolved_scenario: dict[str, Any]
+    value_digests: dict[str, str]  # `key_digests` of the YAML and .param files, by name
+    scenario_digests: dict[str, str]  # `key_digests` of the resolved scenario, by section
 
     @model_validator(mode="after")
-    def _check_rows(self) -> Table:
+    def _check_rows(self) -> GoldenTable:
         for key, row in self.rows.items():
-            if key.split("/")[0] not in self.rules:
+            if key.split("/")[0] not in RULES:
                 raise ValueError(f"no rule for {key}")
             if not self.seeds or len(row.by_seed) != len(self.seeds):
                 raise ValueError(f"{key} has {len(row.by_seed)} numbers, not one for each seed")
@@ -102,43 +106,16 @@ class Table(_Part):
         return values[self.seeds.index(seed)] if seed in self.seeds else None
 
 
-_LENGTH_REASON = (
-    "Rounding is far smaller, and changes of the product are larger: moving a slot by 0.001 mm "
-    "changes an RMS error by less than 0.0001 mm, and changing a gain by 3 % changes it by several "
-    "millimetres. A number below 0.1 m may differ by 1 % of itself."
-)
-_TIME_REASON = (
-    "Times are counted in samples, 0.04 s apart, and rounding can move an event by a few of them. "
-    "Other seeds have no band, because times are not normally distributed over seeds."
-)
-
-
-def _length(
-    label: str, *, uses_band: bool, better: Literal["lower", "higher"], more: str = ""
-) -> Rule:
-    return Rule(
-        label=label,
-        unit="m",
-        tolerance=1e-3,
-        relative_tolerance=0.01,
-        min_tolerance=1e-6,
-        reason=_LENGTH_REASON + more,
-        uses_band=uses_band,
-        better=better,
-    )
+def _length(label: str, *, uses_band: bool, better: Literal["lower", "higher"]) -> Rule:
+    # Rounding is far smaller, and changes of the product are larger: moving a slot by 0.001 mm
+    # changes an RMS error by less than 0.0001 mm, changing a gain by 3 % by several millimetres.
+    return Rule(label, "m", 1e-3, 0.01, 1e-6, uses_band, better)
 
 
 def _time(label: str) -> Rule:
-    return Rule(
-        label=label,
-        unit="s",
-        tolerance=0.2,
-        relative_tolerance=None,
-        min_tolerance=0.2,
-        reason=_TIME_REASON,
-        uses_band=False,
-        better="lower",
-    )
+    # Times are counted in samples, 0.04 s apart, and rounding can move an event by a few of them.
+    # They are not normally distributed over seeds, so they have no band.
+    return Rule(label, "s", 0.2, None, 0.2, uses_band=False, better="lower")
 
 
 RULES: Mapping[str, Rule] = {
@@ -148,20 +125,14 @@ RULES: Mapping[str, Rule] = {
     "relative_position_error_m": _length(
         "error of the estimated position relative to the leader", uses_band=True, better="lower"
     ),
-    "min_separation_m": _length(
-        "minimum separation",
-        uses_band=False,
-        better="higher",
-        more=" Other seeds have no band, because a minimum is not normally distributed over seeds.",
-    ),
+    # a minimum is not normally distributed over seeds
+    "min_separation_m": _length("minimum separation", uses_band=False, better="higher"),
     "joined_at_s": _time("joined at"),
     "saturated_s": _time("time in saturation"),
 }
-BAND = BandRule(
-    false_alarm=1e-6,
-    reason="Student's prediction band for one more seed. Of two hundred numbers of new seeds, one "
-    "is outside by chance in one of 5000 checks.",
-)
+# Probability that a correct number is outside its band: of two hundred numbers of new seeds, one is
+# outside by chance in one of 5000 checks.
+FALSE_ALARM = 1e-6
 
 
 def row_label(key: str) -> str:
@@ -231,10 +202,8 @@ def make_table(
     scenario: str,
     reason: str,
     random: bool,
-    files: Mapping[str, str],
-    values: Mapping[str, Any],
-    resolved_scenario: Mapping[str, Any],
-) -> Table:
+    inputs: Inputs,
+) -> GoldenTable:
     """Make a table from metrics documents by seed, all valid and of one structure.
 
     Numbers are rounded to a hundredth of the smallest tolerance.
@@ -245,30 +214,28 @@ def make_table(
         key: _make_row(key, [_number(each[key]) for each in measured], random)
         for key in measured[0]
     }
-    return Table(
+    return GoldenTable(
         scenario=scenario,
         reason=reason,
         versions=dict(first["versions"]),
         random=random,
         seeds=tuple(flights),
-        rules=dict(RULES),
-        band=BAND,
         rows=rows,
         metrics=metric_names(first),
-        files=dict(files),
-        values=dict(values),
-        resolved_scenario=dict(resolved_scenario),
+        files=dict(inputs.files),
+        value_digests={name: key_digests(each) for name, each in inputs.values.items()},
+        scenario_digests={name: key_digests(each) for name, each in inputs.scenario.items()},
     )
 
 
-def _make_row(key: str, values: Sequence[float], random: bool) -> Row:
+def _make_row(key: str, values: Sequence[float], random: bool) -> GoldenRow:
     rule = RULES[key.split("/")[0]]
     band = None
     if random and rule.uses_band:
         allowed = rule.allowed(statistics.fmean(values))
-        low, high = prediction_band(values, false_alarm=BAND.false_alarm, min_half_width=allowed)
+        low, high = prediction_band(values, false_alarm=FALSE_ALARM, min_half_width=allowed)
         band = round(low, DECIMALS), round(high, DECIMALS)
-    return Row(band=band, by_seed=tuple(round(value, DECIMALS) for value in values))
+    return GoldenRow(band=band, by_seed=tuple(round(value, DECIMALS) for value in values))
 
 
 def _number(value: float | None) -> float:
@@ -277,21 +244,25 @@ def _number(value: float | None) -> float:
     return value
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path) -> GoldenTable:
     """Read a table.
 
     Raises:
         InputError: the file cannot be read, or is no table of this version.
     """
     try:
-        return Table.model_validate_json(read_bounded(path, MAX_GOLDEN_BYTES))
+        return GoldenTable.model_validate_json(read_bounded(path, MAX_GOLDEN_BYTES))
     except ValidationError as error:
         first = error.errors()[0]
+        if first["loc"] == ("schema",):
+            raise InputError(
+                f"{path}: is of schema {first['input']!r:.20}; this version reads {SCHEMA}"
+            ) from None
         where = ".".join(map(str, first["loc"])) or "the file"
         raise InputError(f"{path}: not a golden table: {where}: {first['msg']}") from None
 
 
-def write_table(path: Path, table: Table) -> None:
+def write_table(path: Path, table: GoldenTable) -> None:
     """Write a table in one step.
 
     Raises:

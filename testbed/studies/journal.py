@@ -51,7 +51,7 @@ Numbers = Mapping[str, float | None]
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class JournalRow:
     """Result of one run.
 
     Args:
@@ -152,7 +152,7 @@ class Journal:
         """Return the number of rows."""
         return len(self._offsets)
 
-    def add(self, row: Row) -> None:
+    def add(self, row: JournalRow) -> None:
         """Write a row to disk.
 
         Raises:
@@ -172,13 +172,13 @@ class Journal:
             }
         )
 
-    def rows(self) -> Iterator[Row]:
+    def rows(self) -> Iterator[JournalRow]:
         """Iterate over the rows, in order of their runs."""
         for run in sorted(self._offsets):
             self._file.seek(self._offsets[run])
             line = parse_json_map(self._file.readline())
             numbers = dict(zip(self._names[line["names"]], line["values"], strict=True))
-            yield Row(run, line["outcome"], line["error"], numbers)
+            yield JournalRow(run, line["outcome"], line["error"], numbers)
 
     def names(self) -> tuple[str, ...]:
         """Return the names of all numbers, in order of the first run that has them.

@@ -22,7 +22,7 @@ import joblib
 from joblib.externals.loky import BrokenProcessPool, ProcessPoolExecutor
 from joblib.externals.loky.process_executor import ShutdownExecutorError
 
-from testbed.core.errors import InputError
+from testbed.core.errors import InputError, describe_error
 from testbed.studies.flight_task import FlightResult, FlightTask, run_task
 
 _SAFE_PATH = "PYTHONSAFEPATH"
@@ -76,8 +76,8 @@ class LocalWorkers:
                     future = process.submit(run_task, task)
         except (OSError, MemoryError) as error:
             raise InputError(
-                f"no process can be started for a flight: {error or 'not enough memory'} (write "
-                "--jobs 1, or end other programs)"
+                f"no process can be started for a flight: {describe_error(error)} (write --jobs 1, "
+                "or end other programs)"
             ) from error
         future.add_done_callback(lambda done: self._release(process, done))
         return future

@@ -28,7 +28,7 @@ from testbed.scenario import (
     set_seed,
     unreached_windows,
 )
-from testbed.scenario.problems import Place, Problem, ScenarioError
+from testbed.scenario.problems import FilePosition, Problem, ScenarioError
 from testbed.scenario.validate import validate
 from testbed.scenario.yaml_io import Node, read, to_inline, walk
 from testbed.sim.bounds import unchecked_bounds
@@ -238,7 +238,7 @@ class Plan(Sequence[StudyRun]):
         try:
             return open_scenario(str(node.value), folder=self.study.path.resolve().parent)
         except ScenarioError as error:
-            if error.problems[0].place == Place(str(node.value)):
+            if error.problems[0].place == FilePosition(str(node.value)):
                 raise ScenarioError([Problem(node.place, error.problems[0].text, path)]) from None
             raise
 

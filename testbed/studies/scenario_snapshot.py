@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +21,45 @@ from testbed.scenario.yaml_io import plain, read
 _LEFT_OUT = ("question", "expectation", "published", "name", "seed")
 _NO_NUMBERS = ("log", "expect")  # sections that change no number
 _SUFFIXES = (".xml", ".yaml", ".param", ".csv", ".py")
+_NAME, _VALUE = 5, 3  # characters of `key_digests`
 
 
-def snapshot(scenario: Scenario, folder: Path) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """What decides the numbers of a scenario, apart from the program and the seed."""
+
+    scenario: Mapping[str, Any]  # of `snapshot`
+    non_default: frozenset[str]  # keys of it that are not at their defaults
+    files: Mapping[str, str]  # of `file_digests`
+    values: Mapping[str, Any]  # in the YAML and .param files, by name
+
+
+def read_inputs(scenario: Scenario, folder: Path) -> Inputs:
+    """Collect the inputs of a scenario.
+
+    Args:
+        scenario: resolved.
+        folder: of its file.
+    """
+    return Inputs(
+        scenario=snapshot(scenario, folder),
+        non_default=frozenset(_leaves(snapshot(scenario, folder, defaults=False))),
+        files=file_digests(scenario),
+        values=_file_values(scenario),
+    )
+
+
+def snapshot(scenario: Scenario, folder: Path, *, defaults: bool = True) -> dict[str, Any]:
     """Return the resolved scenario without keys that change no number.
 
     Args:
         scenario: resolved.
         folder: of its file; paths in the snapshot are relative to it.
+        defaults: whether keys at their defaults are included.
     """
-    data: dict[str, Any] = scenario.model_dump(mode="json", by_alias=True)
+    data: dict[str, Any] = scenario.model_dump(
+        mode="json", by_alias=True, exclude_defaults=not defaults
+    )
     for key in _NO_NUMBERS:
         data.pop(key, None)
     data["scenario"] = {k: v for k, v in data["scenario"].items() if k not in _LEFT_OUT}
@@ -58,11 +89,8 @@ def file_digests(scenario: Scenario) -> dict[str, str]:
     }
 
 
-def file_values(scenario: Scenario) -> dict[str, Any]:
-    """Return the values in a scenario's YAML and .param files, by file.
-
-    They name the gain that changed. A file that cannot be read is left out.
-    """
+def _file_values(scenario: Scenario) -> dict[str, Any]:
+    """Return the values in the YAML and .param files that can be read, by file."""
     values: dict[str, Any] = {}
     for name, file in _files(scenario).items():
         with suppress(InputError):
@@ -107,19 +135,6 @@ def _is_cache(part: str) -> bool:
     return part.startswith(".") or part == "__pycache__"
 
 
-def with_new_defaults(stored: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Add the keys that scenarios have gained since a snapshot was stored, at their defaults.
-
-    A snapshot that is not a valid scenario in this version is returned unchanged.
-    """
-    header = {**stored.get("scenario", {}), "name": "stored"}
-    try:
-        scenario = Scenario.model_validate({**stored, "scenario": header})
-    except ValueError:
-        return stored
-    return snapshot(scenario, Path())
-
-
 def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> tuple[str, ...]:
     """Describe keys that differ: `key from x to y`, `key x is new`."""
     old_values, new_values = _leaves(old), _leaves(new)
@@ -134,34 +149,91 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> tuple[str, ..
     return tuple(lines)
 
 
+def key_digests(values: Any) -> str:  # noqa: ANN401 - nested plain data
+    """Return eight characters for each key of a map: five of its name, three of its value."""
+    leaves = _leaves(values).items()
+    return "".join(sorted(_digest(key, _NAME) + _digest(text, _VALUE) for key, text in leaves))
+
+
+def scenario_differences(old: Mapping[str, str], inputs: Inputs) -> tuple[str, ...]:
+    """Describe keys of a scenario that differ from digests: `key is now x`, `key x is new`.
+
+    A key at its default is not new: the scenarios of this version have gained it.
+
+    Args:
+        old: `key_digests` by section.
+        inputs: of the present scenario.
+    """
+    lines = [f"section {name} is removed" for name in old if name not in inputs.scenario]
+    for name, section in inputs.scenario.items():
+        lines += _key_differences(old.get(name, ""), section, f"{name}.", inputs.non_default)
+    return tuple(lines)
+
+
 def file_differences(
-    old: Mapping[str, str],
-    new: Mapping[str, str],
-    old_values: Mapping[str, Any],
-    new_values: Mapping[str, Any],
+    old: Mapping[str, str], old_values: Mapping[str, str], inputs: Inputs
 ) -> tuple[str, ...]:
     """Describe every file that was removed, added or changed.
 
     Args:
         old: digests by name, of `file_digests`.
-        new: likewise.
-        old_values: of `file_values`; where both have a file, its keys are named:
-            `rascal110/middle_loop.yaml: tuned.course.p from 4 to 3.5`.
-        new_values: likewise.
+        old_values: `key_digests` by name; where both have a file, its keys are named:
+            `rascal110/middle_loop.yaml: tuned.course.p is now 3.5`.
+        inputs: of the present scenario.
     """
     lines = []
-    for name in dict.fromkeys((*old, *new)):
-        if name not in new:
+    for name in dict.fromkeys((*old, *inputs.files)):
+        if name not in inputs.files:
             lines.append(f"file {name} is removed")
         elif name not in old:
             lines.append(f"file {name} is new")
-        elif old[name] != new[name]:
-            known = name in old_values and name in new_values
-            keys = differences(old_values[name], new_values[name]) if known else ()
-            lines += [f"{name}: {key}" for key in keys]
+        elif old[name] != inputs.files[name]:
+            known = name in old_values and name in inputs.values
+            keys = (
+                _key_differences(old_values[name], inputs.values[name], f"{name}: ")
+                if known
+                else ()
+            )
+            lines += keys
             if not keys:
                 lines.append(f"file {name} changed" + (", but no value in it" if known else ""))
     return tuple(lines)
+
+
+def _key_differences(
+    old: str,
+    values: Any,  # noqa: ANN401 - nested plain data
+    prefix: str,
+    non_default: Container[str] | None = None,
+) -> list[str]:
+    """Describe the keys of a map that differ from its `key_digests`.
+
+    Args:
+        old: digests.
+        values: the present map.
+        prefix: of a key in the text.
+        non_default: keys, with prefix, of which a missing digest is a change; None: all.
+    """
+    size = _NAME + _VALUE
+    stored = {old[i : i + _NAME]: old[i + _NAME : i + size] for i in range(0, len(old), size)}
+    changed, new = [], {}
+    for key, text in _leaves(values).items():
+        digest = stored.pop(_digest(key, _NAME), None)
+        if digest is None:
+            new[prefix + key] = text
+        elif digest != _digest(text, _VALUE):
+            changed.append(f"{prefix}{key} is now {text}")
+    removed = len(stored)
+    if non_default is not None and not removed:  # else a default may stand for the removed keys
+        new = {key: text for key, text in new.items() if key in non_default}
+    lines = [*changed, *(f"{key} {text} is new" for key, text in new.items())]
+    if removed:
+        lines.append(f"{prefix.rstrip('.: ')}: {removed} key{'s' * (removed > 1)} removed")
+    return lines
+
+
+def _digest(text: str, length: int) -> str:
+    return base64.urlsafe_b64encode(hashlib.sha256(text.encode()).digest())[:length].decode()
 
 
 def _leaves(value: Any, path: str = "") -> dict[str, str]:  # noqa: ANN401 - nested plain data
@@ -183,4 +255,4 @@ def _text(value: Any) -> str:  # noqa: ANN401 - a scalar or a list
         return f"[{', '.join(map(_text, value))}]"
     if isinstance(value, bool) or value is None:
         return {None: "null", True: "true", False: "false"}[value]
-    return f"{value:g}" if isinstance(value, float) else str(value) or '""'
+    return f"{value:.12g}" if isinstance(value, float) else str(value) or '""'

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, ConfigDict, Field, WithJsonSchema, model_validator
 from pydantic_core import PydanticCustomError
 
-from testbed.scenario.fields import Name, Number, Seconds, Section, Whole, raise_findings
+from testbed.scenario.fields import SMALLEST, Name, Number, Seconds, Section, Whole, raise_findings
 
 MAX_RUNS = 1_000_000
 MAX_SEEDS = 100_000
@@ -69,7 +69,9 @@ class Variation(Section):
     start: Number | None = Field(None, alias="from", description="First of evenly spaced numbers.")
     to: Number | None = Field(None, description="Last of evenly spaced numbers.")
     count: Whole | None = Field(None, ge=2, le=100_000, description="Number of evenly spaced ones.")
-    step: Number | None = Field(None, gt=0, description="Difference of neighbouring numbers.")
+    step: Number | None = Field(
+        None, ge=SMALLEST, description="Difference of neighbouring numbers."
+    )
     uniform: Pair | None = Field(None, description="Uniform distribution over [low, high].")
     log_uniform: Pair | None = Field(
         None, description="Distribution over [low, high] whose logarithm is uniform."
@@ -147,7 +149,10 @@ class StudySettings(Section):
         min_length=1, description="Name of a scenario, or a path relative to the study file."
     )
     duration_s: Seconds | None = Field(
-        None, gt=0, le=86_400, description="End of the flights, instead of the scenario's, s."
+        None,
+        ge=SMALLEST,
+        le=86_400,
+        description="End of the flights, instead of the scenario's, s.",
     )
     set: Mapping[str, Any] = Field({}, description="Scenario keys to change, as with --set.")
     design: Literal["factorial", "latin-hypercube", "monte-carlo"] | None = Field(

@@ -22,7 +22,7 @@ MAX_FAILURES = 5
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
+class RunGroup:
     """Runs of a case and a point; of a case, if there are many points.
 
     Args:
@@ -55,7 +55,7 @@ class Summary:
 
     metrics: tuple[str, ...]
     unknown_metrics: Mapping[str, str]
-    groups: tuple[Group, ...]
+    groups: tuple[RunGroup, ...]
     failures: tuple[Mapping[str, Any], ...]
     out_of_slot: int
 
@@ -88,7 +88,7 @@ def _count_out_of_slot(result: SweepResult, known: Sequence[str]) -> int:
 
 def _group_runs(
     config: StudyConfig, table: StudyTable, sets: Sequence[str], metrics: Sequence[str]
-) -> tuple[Group, ...]:
+) -> tuple[RunGroup, ...]:
     cases = table.columns["case"].tolist()
     points = list(zip(*(table.columns[name].tolist() for name in sets), strict=True))
     points = points or [()] * len(cases)
@@ -99,7 +99,7 @@ def _group_runs(
         members.setdefault(key, []).append(index)
     completed = table.columns["outcome"] == COMPLETED
     return tuple(
-        Group(
+        RunGroup(
             case,
             dict(zip(config.vary, point, strict=True)) if point else {},
             len(rows),

@@ -33,7 +33,7 @@ from testbed.sim.build import versions
 from testbed.studies.dask_workers import cluster_notices
 from testbed.studies.flight_pool import FlightPool, open_flight_pool
 from testbed.studies.flight_task import COMPLETED, OUTCOMES, FlightResult, FlightTask
-from testbed.studies.journal import Journal, Row, flatten_metrics
+from testbed.studies.journal import Journal, JournalRow, flatten_metrics
 from testbed.studies.plan import Plan, Study, check_plan, load_study
 from testbed.studies.scenario_snapshot import differences, file_digests, snapshot
 from testbed.studies.table import (
@@ -48,7 +48,7 @@ REFRESH_S = 30.0  # between two writes of the result file while runs are flown, 
 MAX_WRITE_SHARE = 0.02  # of the time, for these writes
 MAX_WARNINGS = 6  # kinds of warnings from before a flight that are reported
 # packages that a flight of a study imports: a change in any of their files can change its rows
-FLIGHT_PACKAGES = (*KERNEL_PACKAGES, "logs", "mavlink", "metrics", "scenario", "studies")
+FLIGHT_PACKAGES = (*KERNEL_PACKAGES, "logs", "mavlink", "metrics", "plan", "scenario", "studies")
 _PACKAGE = Path(__file__).parents[1]
 _LEFT_OUT = ("name", "question", "metrics")  # settings that change no row
 
@@ -247,21 +247,21 @@ def _missing_tasks(plan: Plan, journal: Journal) -> Iterator[FlightTask]:
                 yield FlightTask(number, None, f"invalid: {error}")
 
 
-def _to_row(result: FlightResult, expected: Mapping[str, str]) -> Row:
+def _to_row(result: FlightResult, expected: Mapping[str, str]) -> JournalRow:
     """Return the row of a flight.
 
     Raises:
         InputError: its worker has other versions than the study was started with.
     """
     if result.metrics is None:
-        return Row(result.number, result.outcome, result.error, {})
+        return JournalRow(result.number, result.outcome, result.error, {})
     different = differences(expected, result.metrics["versions"])
     if different:
         raise InputError(
             f"run {result.number} was flown by a worker of other versions: {'; '.join(different)} "
             "(install the same versions for all workers)"
         )
-    return Row(result.number, result.outcome, result.error, flatten_metrics(result.metrics))
+    return JournalRow(result.number, result.outcome, result.error, flatten_metrics(result.metrics))
 
 
 def _make_inputs(plan: Plan, scenarios: Mapping[str, Scenario]) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from testbed.core.numbers import parse_whole
 from testbed.logs.arrow_io import column_names, read_columns, write_columns
 from testbed.logs.run_directory import LOGS, create_run_directory
 from testbed.scenario.yaml_io import to_inline
-from testbed.studies.journal import METRICS, SET, Journal, Row
+from testbed.studies.journal import METRICS, SET, Journal, JournalRow
 from testbed.studies.plan import Plan
 from testbed.studies.study_schema import Value, Variation
 
@@ -249,7 +249,9 @@ def _column_blocks(
         yield list(map(list, zip(*cells, strict=True)))
 
 
-def _cells(plan: Plan, row: Row, are_texts: list[bool], metrics: tuple[str, ...]) -> list[Any]:
+def _cells(
+    plan: Plan, row: JournalRow, are_texts: list[bool], metrics: tuple[str, ...]
+) -> list[Any]:
     run = plan[row.run]
     values = zip(run.point.values(), are_texts, strict=True)
     return [

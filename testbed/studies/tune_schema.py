@@ -12,6 +12,7 @@ from pydantic import ConfigDict, Field, model_validator
 from testbed.core.input_files import read_bounded_text
 from testbed.scenario import find_tuning
 from testbed.scenario.fields import (
+    SMALLEST,
     Degrees,
     NotNegative,
     Number,
@@ -20,9 +21,8 @@ from testbed.scenario.fields import (
     Whole,
     raise_findings,
 )
-from testbed.scenario.problems import Problem, ScenarioError
 from testbed.scenario.validate import validate
-from testbed.scenario.yaml_io import Node, read, walk
+from testbed.scenario.yaml_io import read
 from testbed.studies.plan import Study
 from testbed.studies.study_schema import KeyProblem, Seed, StudyConfig
 
@@ -30,14 +30,6 @@ GAINS = "controller.gains."  # keys below it are written into the gains file
 MIN_GAINS = 2  # CMA-ES estimates a covariance
 HELD_OUT_SEEDS = 8  # where the file names none
 MIN_HELD_OUT_SEEDS = 3  # for an interval
-
-_RENAMED = {
-    ("objective", "robust"): "aggregate",
-    ("objective", "bound"): "saturate_above",
-    ("search", "flights"): "max_flights",
-    ("search", "step"): "initial_step",
-    ("search", "held_out"): "held_out_seeds",
-}
 
 
 class GainBounds(Section):
@@ -83,7 +75,7 @@ class Objective(Section):
     )
     saturate_above: Number | None = Field(
         None,
-        gt=0,
+        ge=SMALLEST,
         description="Metric above which the cost saturates, in its unit; default ten times the "
         "worst flight with the gains of the scenario.",
     )
@@ -94,16 +86,19 @@ class Constraint(Section):
 
     bank_deg: Degrees = Field(ge=0, lt=90, description="Highest bank of a follower, degrees.")
     damping: Number | None = Field(
-        None, gt=0, lt=1, description="Least damping ratio of an oscillation."
+        None, ge=SMALLEST, lt=1, description="Least damping ratio of an oscillation."
     )
     roll_gain: Number | None = Field(
         None, gt=1, description="Factor of the roll command with which oscillations decay."
     )
     roll_latency_s: Seconds | None = Field(
-        None, gt=0, le=0.5, description="The same, additional latency of the roll command, s."
+        None,
+        ge=SMALLEST,
+        le=0.5,
+        description="The same, additional latency of the roll command, s.",
     )
     settling_s: Seconds | None = Field(
-        None, gt=0, description="Longest time until 5 % of a displacement are left, s."
+        None, ge=SMALLEST, description="Longest time until 5 % of a displacement are left, s."
     )
 
 
@@ -112,7 +107,7 @@ class Search(Section):
 
     max_flights: Whole = Field(ge=1, description="Limit of the search's flights.")
     initial_step: Number = Field(
-        0.2, gt=0, le=0.5, description="First standard deviation, as a share of the bounds."
+        0.2, ge=SMALLEST, le=0.5, description="First standard deviation, as a share of the bounds."
     )
     population: Whole | None = Field(
         None, ge=4, le=1000, description="Candidates of a generation; default 4 + 3 ln n."
@@ -165,17 +160,8 @@ def load_tune(name_or_path: str | Path) -> Tune:
     """
     path = find_tuning(name_or_path)
     tree = read(path)
-    if renamed := list(_renamed_keys(tree)):
-        raise ScenarioError(renamed)
     config = validate(tree, TuneConfig)
     return Tune(config, Study(config, path, read_bounded_text(path), tree))
-
-
-def _renamed_keys(tree: Node) -> Iterator[Problem]:
-    for loc, new in _RENAMED.items():
-        node, path, missing = walk(tree, loc)
-        if not missing and len(path) == len(loc):
-            yield Problem(node.key, f"has another name (write {new})", path)
 
 
 def _check(config: TuneConfig) -> Iterator[KeyProblem]:

@@ -94,7 +94,7 @@ def _result(folder: Path, wait: Callable[[], ForkedResult]) -> Any:  # noqa: ANN
     raise AircraftError(text if text.startswith(f"{folder}/") else f"{main}: {text}")
 
 
-class Place(NamedTuple):
+class FileLine(NamedTuple):
     """A line of a file."""
 
     file: Path
@@ -133,7 +133,7 @@ def check_files(main: Path) -> dict[Path, FileCheck]:
             check = checked[file] = FileCheck(file, home, kinds)
             waiting += [(each, use.kinds) for use in check.uses for each in use.files]
         elif checked[file].kind not in kinds:
-            raise AircraftError(_wrong_kind(Place(file, 1), checked[file].kind, kinds))
+            raise AircraftError(_wrong_kind(FileLine(file, 1), checked[file].kind, kinds))
         if len(checked) > MAX_FILES:
             raise AircraftError(f"{main}: names more than {MAX_FILES} files")
     _check_cycles(
@@ -170,7 +170,7 @@ def _check_power(name: str, checked: Mapping[Path, FileCheck], main: Path) -> No
                 raise AircraftError(f"{place}: {name} has {_WORDS[kind]}; {_FLIES} ({_REMEDY})")
     mounted = [place for check in checked.values() for place in check.mounted]
     if len(mounted) != 1:
-        place = mounted[1] if mounted else Place(main, 1)
+        place = mounted[1] if mounted else FileLine(main, 1)
         count = f"{len(mounted)} engines" if mounted else "no engine"
         raise AircraftError(f"{place}: {name} has {count}; {_FLIES}")
 
@@ -213,8 +213,8 @@ class FileCheck:
         self.file, self.home, self.kinds = file, home, kinds
         self.kind = ""
         self.uses: list[_Use] = []
-        self.mounted: list[Place] = []
-        self._parts: list[tuple[str, Place]] = []
+        self.mounted: list[FileLine] = []
+        self._parts: list[tuple[str, FileLine]] = []
         self._open: list[_Open] = []
         self._prose = 0  # depth below the first element of prose
         self._parser = parser = expat.ParserCreate()
@@ -232,14 +232,14 @@ class FileCheck:
         except (ValueError, LookupError) as error:
             self._fail(f"is not XML in an encoding that JSBSim reads: {error}")
 
-    def parts(self, group: str) -> Iterable[tuple[str, Place]]:
+    def parts(self, group: str) -> Iterable[tuple[str, FileLine]]:
         """Return kind and place of each engine or thruster that is described in the file."""
         kinds = (ENGINES if group == "engine" else THRUSTERS).split()
         return [each for each in self._parts if each[0] in kinds]
 
     def _fail(self, text: str, line: int | None = None) -> NoReturn:
         at = self._parser.CurrentLineNumber if line is None else line
-        raise AircraftError(f"{Place(self.file, at)}: {text}") from None
+        raise AircraftError(f"{FileLine(self.file, at)}: {text}") from None
 
     def _doctype(self, *_: Any) -> None:  # noqa: ANN401 - expat's
         self._fail("<!DOCTYPE> and entities are not allowed (remove them)")
@@ -256,9 +256,9 @@ class FileCheck:
         if row.text is not Text.PROSE:
             self._check_attributes(name, row, attributes)
         if name == "engine":
-            self.mounted.append(Place(self.file, line))
+            self.mounted.append(FileLine(self.file, line))
         if name in _WORDS or name in _FLOWN_ENGINES or name in _FLOWN_THRUSTERS:
-            self._parts.append((name, Place(self.file, line)))
+            self._parts.append((name, FileLine(self.file, line)))
 
     def _row(self, name: str) -> Element:
         if not self._open:
@@ -368,7 +368,7 @@ class FileCheck:
         return files
 
 
-def _wrong_kind(place: Place | None, kind: str, kinds: tuple[str, ...]) -> str:
+def _wrong_kind(place: FileLine | None, kind: str, kinds: tuple[str, ...]) -> str:
     wanted = " or ".join(f"<{each}>" for each in kinds)
     text = f"begins with <{_short(kind)}> (write {wanted})"
     return f"{place}: {text}" if place else text

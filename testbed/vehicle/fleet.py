@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from struct import Struct
 from typing import Any
 
 import numpy as np
 
-from testbed.core.compile import Kernel
+from testbed.core.call_list import Call
+from testbed.core.compile import bind_entry
+from testbed.core.errors import raise_memory_shortage
 from testbed.core.geodetic import RADIANS, local_frame
 from testbed.core.records import (
     AIRCRAFT,
@@ -24,7 +26,7 @@ from testbed.core.records import (
     Array,
     BoolArray,
     Indices,
-    Origin,
+    NedOrigin,
     Records,
     VehicleState,
     WindInput,
@@ -38,7 +40,9 @@ from testbed.vehicle.jsbsim_adapter import control_geometry, load, trim_aircraft
 from testbed.vehicle.jsbsim_io import (
     AIR_PROPERTIES,
     BATTERY_PROPERTIES,
+    CONTROLS,
     MOTION_PROPERTIES,
+    WIND,
     control_leads,
     lead_controls,
     pack_surfaces,
@@ -61,13 +65,17 @@ class JsbsimFleet:
     """N JSBSim aircraft on one clock.
 
     They read and write records: their own ones, or those of a run after `bind`.
+
+    Attributes:
+        write_wind: gives the wind of the records to the flight models, for their next run.
+        write_surfaces: gives the surfaces of the records to the flight models, the same.
     """
 
     def __init__(
         self,
         folders: Sequence[Path],
         starts: Sequence[InitialState],
-        origin: Origin,
+        origin: NedOrigin,
         base_rate_hz: int,
         integrators: Integrators = INTEGRATORS,
     ) -> None:
@@ -141,7 +149,7 @@ class JsbsimFleet:
         self._numbers = np.empty((n, len(MOTION_PROPERTIES)))
         self._air_numbers = np.full((n, len(AIR_PROPERTIES) + len(BATTERY_PROPERTIES)), np.nan)
         self._wind_numbers, self._controls = np.zeros((n, _WIND)), np.zeros((n, 4))
-        self._first_controls = np.zeros((n, 4))
+        self._first_controls, self._last_controls = np.zeros((n, 4)), np.zeros((n, 4))
         self._lead = np.stack(
             [
                 control_leads(integrators.control_lead, surfaces_lag=model.lags_by_step)
@@ -151,31 +159,30 @@ class JsbsimFleet:
         self._frame = tuple(local_frame(origin, RADIANS))
         self.all_rows = np.arange(n)
         self._stopped: BoolArray = np.zeros(n, dtype=bool)
-        self._wind_changed = self._controls_changed = False  # since the models ran
+        self._changed: BoolArray = np.zeros(2, dtype=bool)  # inputs, since the models ran
         self._read_numbers(range(n))
         self._first = self._numbers.copy()
         self.bind(allocate(AIRCRAFT, n), self.all_rows)
-        pack_surfaces(self.rows, self.aircraft, self._controls)
-        self._last_controls = self._controls.copy()
+        self.write_surfaces(0.0)
+        self._changed[:] = False
+        self._last_controls[:] = self._controls
 
     def bind(self, aircraft: Records, rows: Indices) -> None:
         """Read and write these rows (N,) of AIRCRAFT from now on; they begin in trim."""
         self.aircraft, self.rows = aircraft, rows
+        self._write_truth = bind_entry(
+            write_truth, rows, self._numbers, self._frame, aircraft, like=(self.all_rows,)
+        )
+        self._write_air = bind_entry(write_air, rows, self._air_numbers, aircraft)
+        changed = self._changed
+        self.write_wind = Call(pack_wind, rows, aircraft, self._wind_numbers, changed)
+        self.write_surfaces = Call(pack_surfaces, rows, aircraft, self._controls, changed)
+        controls = self._controls, self._lead, self._last_controls, self._first_controls
+        self._lead_controls = bind_entry(lead_controls, *controls, like=(self.all_rows,))
         write_fields_at(aircraft, rows, "surfaces", self.trimmed)
         aircraft["wind"]["wind_ned"][rows] = self._start_winds
         self._write_truth(self.all_rows)
         self.read_air()
-
-    def kernels(self) -> list[Kernel]:
-        """Return the compiled calls of this fleet, for `core.compile.prepare`."""
-        numbers = self._numbers, self._frame, self.aircraft
-        return [
-            partial(write_truth, self.all_rows, self.rows, *numbers),
-            partial(write_air, self.rows, self._air_numbers, self.aircraft),
-            partial(pack_wind, self.rows, self.aircraft, self._wind_numbers),
-            partial(pack_surfaces, self.rows, self.aircraft, self._controls),
-            partial(self._lead_controls, self.all_rows),
-        ]
 
     @property
     def trimmed(self) -> ActuatorCommand:
@@ -198,33 +205,23 @@ class JsbsimFleet:
     def read_air(self) -> None:
         """Write flow angles, propeller speeds and battery states of the models to the records."""
         self._read_air_numbers(range(len(self._models)))
-        write_air(self.rows, self._air_numbers, self.aircraft)
+        self._write_air()
 
     def air(self) -> AirData:
         """Read the flight models, and copy the air data."""
         self.read_air()
         return AirData(*(each[self.rows] for each in air_data(self.aircraft)))
 
-    def write_wind(self) -> None:
-        """Give the wind of the records to the flight models, for their next run."""
-        pack_wind(self.rows, self.aircraft, self._wind_numbers)
-        self._wind_changed = True
-
     def set_wind(self, wind: WindInput) -> None:
         """Set the wind (N) that acts on the aircraft from now on."""
         write_fields_at(self.aircraft, self.rows, "wind", wind)
-        self.write_wind()
-
-    def write_surfaces(self) -> None:
-        """Give the surfaces of the records to the flight models, for their next run."""
-        pack_surfaces(self.rows, self.aircraft, self._controls)
-        self._controls_changed = True
+        self.write_wind(0.0)
 
     def step(self, surfaces: ActuatorCommand | None, ticks: int) -> None:
         """Command surfaces (N), if any, run every aircraft for some ticks, and read them."""
         if surfaces is not None:
             write_fields_at(self.aircraft, self.rows, "surfaces", surfaces)
-            self.write_surfaces()
+            self.write_surfaces(0.0)
         self.run(ticks, self.all_rows)
 
     def run(self, ticks: int, read: Indices) -> None:
@@ -239,9 +236,9 @@ class JsbsimFleet:
 
     def run_some(self, which: Indices, ticks: int) -> None:
         """Run some aircraft (K,) in this process, and write their motion into the records."""
-        wind_changed = self._wind_changed
+        wind_changed = self._changed[WIND]
         self._run_models(which, ticks, self.all_rows)
-        self._wind_changed = wind_changed  # of those that have not run yet
+        self._changed[WIND] = wind_changed  # of those that have not run yet
         self._write_truth(which)
 
     def discharge(self, charge: Array) -> None:
@@ -275,12 +272,12 @@ class JsbsimFleet:
         """
         numbers, getters, pack = self._numbers, self._getters, _PACK_MOTION
         needed = None if len(read) == len(numbers) else set(read.tolist())
-        winds = self._wind_numbers.tolist() if self._wind_changed else None
+        winds = self._wind_numbers.tolist() if self._changed[WIND] else None
         controls = first = None
-        if self._controls_changed:
+        if self._changed[CONTROLS]:
             self._lead_controls(which)
             controls, first = self._controls.tolist(), self._first_controls.tolist()
-        self._wind_changed = self._controls_changed = False
+        self._changed[:] = False
         for i in which.tolist():
             run, setters = self._runs[i], self._setters[i]
             if run is None:
@@ -297,16 +294,11 @@ class JsbsimFleet:
                         break
                     if controls is not None and tick == 0:
                         _set_all(setters, controls[i])
-            except Exception:  # JSBSim's own, of many types: beyond its models
+            except Exception as error:  # JSBSim's own, of many types: beyond its models
+                raise_memory_shortage(error)
                 self._stop(i)
             if (needed is None or i in needed) and (of_model := getters[i]):
                 pack(numbers[i], 0, *[get() for get in of_model])
-
-    def _lead_controls(self, which: Indices) -> None:
-        lead_controls(which, self._controls, self._lead, self._last_controls, self._first_controls)
-
-    def _write_truth(self, which: Indices) -> None:
-        write_truth(which, self.rows, self._numbers, self._frame, self.aircraft)
 
     def _read_numbers(self, which: Iterable[int]) -> None:
         numbers = self._numbers

@@ -18,6 +18,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, NoReturn
 
+from testbed.core.errors import describe_error, memory_shortage
+
 TIMEOUT_S = 30  # a valid aircraft takes a fraction of a second
 
 Work = Callable[[Callable[[str], None]], Any]
@@ -40,7 +42,8 @@ def run_forked(work: Work) -> Callable[[], ForkedResult]:
         work: gets a function that sends a message, and returns plain data.
 
     Returns:
-        A function that waits for the result, to be called once.
+        A function that waits for the result, to be called once; it raises a MemoryError of the
+        work, which is no fault of what is tried.
     """
     read, write = os.pipe()
     with warnings.catch_warnings():
@@ -55,7 +58,11 @@ def run_forked(work: Work) -> Callable[[], ForkedResult]:
 
 
 def _wait(child: int, read: int) -> ForkedResult:
-    """Wait for the end of the copy, and read its result from the pipe."""
+    """Wait for the end of the copy, and read its result from the pipe.
+
+    Raises:
+        MemoryError: the work had too little memory.
+    """
     with os.fdopen(read, encoding="utf-8", errors="replace") as pipe:
         lines = pipe.read().splitlines()
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
@@ -69,6 +76,8 @@ def _wait(child: int, read: int) -> ForkedResult:
             result = value
         elif kind == "error":
             error = value
+        elif kind == "memory":
+            raise MemoryError(value)
         else:
             messages.append(value)
     if code == -signal.SIGALRM:
@@ -102,7 +111,7 @@ def _serve(work: Work, write: int) -> NoReturn:
         try:
             send("result", work(lambda text: send("message", text)))
         except Exception as error:
-            send("error", str(error))
+            send("error" if memory_shortage(error) is None else "memory", describe_error(error))
         code = 0
     finally:
         os._exit(code)

@@ -23,12 +23,12 @@ import numpy as np
 from testbed.core.errors import InputError
 from testbed.core.frames import FOOT
 from testbed.core.input_files import open_regular
-from testbed.core.records import Airframe, Array, Origin
+from testbed.core.records import Airframe, Array, NedOrigin
 from testbed.vehicle.airframe_validation import MAX_BYTES, probe_in_copy
 from testbed.vehicle.control_surfaces import ControlGeometry, find_control_geometry
 from testbed.vehicle.environment import INTEGRATORS, Integrators
 from testbed.vehicle.jsbsim_model import POUND, AircraftError, JsbsimModel, Traits, find_traits
-from testbed.vehicle.linearize import Linear, Mode, find_modes, linearize
+from testbed.vehicle.linearize import Linear, NaturalMode, find_modes, linearize
 from testbed.vehicle.trim import (
     STILL,
     Controls,
@@ -212,13 +212,13 @@ _TRIM_RATE_HZ = 200
 _TRAITS: dict[tuple[Path, str], Traits] = {}
 
 
-def trim_aircraft(folder: Path, point: TrimPoint, origin: Origin | None = None) -> TrimResult:
+def trim_aircraft(folder: Path, point: TrimPoint, origin: NedOrigin | None = None) -> TrimResult:
     """Trim the aircraft in a folder; the result is cached until its files change.
 
     Raises:
         AircraftError, TrimError: there is no such aircraft, or no steady flight at the point.
     """
-    return _trim_aircraft(folder, point, origin or Origin())
+    return _trim_aircraft(folder, point, origin or NedOrigin())
 
 
 @cache_by_folder(maxsize=64)
@@ -239,22 +239,22 @@ def control_geometry(folder: Path) -> ControlGeometry:
 
 def _load_in_flight(folder: Path) -> JsbsimModel:
     model = load(folder, _TRIM_RATE_HZ)
-    model.locate((0.0, 0.0, -1000.0), Origin())
+    model.locate((0.0, 0.0, -1000.0), NedOrigin())
     return model
 
 
-def linearize_aircraft(folder: Path, point: TrimPoint, origin: Origin | None = None) -> Linear:
+def linearize_aircraft(folder: Path, point: TrimPoint, origin: NedOrigin | None = None) -> Linear:
     """Linearise the aircraft in a folder about its trim.
 
     Raises:
         AircraftError, TrimError: as `trim_aircraft` does.
     """
-    origin = origin or Origin()
+    origin = origin or NedOrigin()
     trimmed = trim_aircraft(folder, point, origin)
     return linearize(_located(folder, point, origin), trimmed)
 
 
-def modes_of_aircraft(folder: Path, point: TrimPoint, origin: Origin) -> tuple[Mode, ...]:
+def modes_of_aircraft(folder: Path, point: TrimPoint, origin: NedOrigin) -> tuple[NaturalMode, ...]:
     """Find the modes of the aircraft in a folder about its trim, the fastest first.
 
     The result is cached until a file of the folder changes. It is empty where the aircraft cannot
@@ -267,20 +267,22 @@ def modes_of_aircraft(folder: Path, point: TrimPoint, origin: Origin) -> tuple[M
 
 
 @cache_by_folder(maxsize=64)
-def _modes_of_aircraft(folder: Path, point: TrimPoint, origin: Origin) -> tuple[Mode, ...]:
+def _modes_of_aircraft(
+    folder: Path, point: TrimPoint, origin: NedOrigin
+) -> tuple[NaturalMode, ...]:
     with np.errstate(divide="ignore", invalid="ignore"):
         a = linearize_aircraft(folder, point, origin).a
     return find_modes(a) if np.isfinite(a).all() else ()
 
 
 @cache_by_folder(maxsize=256)
-def _trim_aircraft(folder: Path, point: TrimPoint, origin: Origin) -> TrimResult:
+def _trim_aircraft(folder: Path, point: TrimPoint, origin: NedOrigin) -> TrimResult:
     model = _located(folder, point, origin)
     with error_prefix(folder.name):
         return trim(model, point)
 
 
-def _located(folder: Path, point: TrimPoint, origin: Origin) -> JsbsimModel:
+def _located(folder: Path, point: TrimPoint, origin: NedOrigin) -> JsbsimModel:
     model = load(folder, _TRIM_RATE_HZ)
     model.locate((0.0, 0.0, origin.elevation_m - point.altitude), origin)
     model.warm(point.temperature_offset)

@@ -13,7 +13,7 @@ import numpy as np
 from testbed.core.compile import entry, kernel
 from testbed.core.frames import FOOT
 from testbed.core.geodetic import LocalFrame, to_ned
-from testbed.core.records import Array, Indices, Records, Values
+from testbed.core.records import Array, BoolArray, Indices, Records, Values
 
 # Properties of each aircraft, in the order of the fields of MOTION.
 MOTION_PROPERTIES = (
@@ -25,6 +25,7 @@ MOTION_PROPERTIES = (
     *("velocities/vt-fps", "velocities/ve-fps"),
 )
 AIR_PROPERTIES = ("aero/alpha-rad", "aero/beta-rad", "propulsion/engine/propeller-rpm")
+WIND, CONTROLS = range(2)  # inputs of flight models
 _THROTTLE = 3  # column of `pack_surfaces`
 # Of aircraft that have a battery.
 BATTERY_PROPERTIES = ("battery/state-of-charge", "battery/voltage-v")
@@ -32,7 +33,7 @@ BATTERY_PROPERTIES = ("battery/state-of-charge", "battery/voltage-v")
 
 @entry
 def write_truth(
-    which: Indices, rows: Indices, numbers: Array, frame: Values, aircraft: Records
+    rows: Indices, numbers: Array, frame: Values, aircraft: Records, which: Indices
 ) -> None:
     """Write the motion of some aircraft.
 
@@ -40,12 +41,12 @@ def write_truth(
     R_NB (d(u, v, w)/dt) + (R_NB ω) × velocity.
 
     Args:
-        which: (K,) of the M flight models.
         rows: (M,) of the flight models among the aircraft.
         numbers: (M, 17) values of MOTION_PROPERTIES.
         frame: fields of the origin's local frame, for RADIANS, as a plain tuple: numba takes
             1.5 µs longer to identify a named one.
         aircraft: (N,) of AIRCRAFT; `truth` is written.
+        which: (K,) of the M flight models.
     """
     local = LocalFrame(*frame)
     for k in which:
@@ -95,8 +96,9 @@ def write_air(rows: Indices, numbers: Array, aircraft: Records) -> None:
 
 
 @entry
-def pack_wind(rows: Indices, aircraft: Records, numbers: Array) -> None:
-    """Write `wind` of the aircraft in these rows as numbers (M, 7) for JSBSim."""
+def pack_wind(rows: Indices, aircraft: Records, numbers: Array, changed: BoolArray) -> None:
+    """Write `wind` of the aircraft in these rows as numbers (M, 7) for JSBSim; set `changed`."""
+    changed[WIND] = True
     for k in range(len(rows)):
         wind = aircraft[rows[k]].wind
         for axis in range(3):
@@ -106,8 +108,9 @@ def pack_wind(rows: Indices, aircraft: Records, numbers: Array) -> None:
 
 
 @entry
-def pack_surfaces(rows: Indices, aircraft: Records, numbers: Array) -> None:
-    """Write `surfaces` of the aircraft in these rows as numbers (M, 4) for JSBSim."""
+def pack_surfaces(rows: Indices, aircraft: Records, numbers: Array, changed: BoolArray) -> None:
+    """Write `surfaces` of the aircraft in these rows as numbers (M, 4); set `changed`."""
+    changed[CONTROLS] = True
     for k in range(len(rows)):
         surfaces = aircraft[rows[k]].surfaces
         numbers[k, 0], numbers[k, 1] = surfaces.aileron, -surfaces.elevator
@@ -115,7 +118,7 @@ def pack_surfaces(rows: Indices, aircraft: Records, numbers: Array) -> None:
 
 
 @entry
-def lead_controls(which: Indices, controls: Array, lead: Array, last: Array, first: Array) -> None:
+def lead_controls(controls: Array, lead: Array, last: Array, first: Array, which: Indices) -> None:
     """Write the controls of the first frame after a change, so that they act on time.
 
     JSBSim evaluates accelerations at the end of a frame and integrates them in the next one: a
@@ -124,12 +127,12 @@ def lead_controls(which: Indices, controls: Array, lead: Array, last: Array, fir
     the half frame that is left. At the end of that frame the accelerations contain this.
 
     Args:
-        which: (K,) of the M flight models.
         controls: (M, 4) of `pack_surfaces`, from now on.
         lead: (M, 4) share of a change that is added in the first frame, see `control_leads`.
         last: (M, 4) before the change; becomes `controls`.
         first: (M, 4) of the first frame; written. In it surfaces may exceed their travel: held to
             it, they would act late where they reach their stops, as at the entry of a corner.
+        which: (K,) of the M flight models.
     """
     for k in which:
         for j in range(4):

@@ -16,7 +16,7 @@ import numpy as np
 from testbed.core.errors import InputError
 from testbed.core.frames import FOOT, rotation_ned_body
 from testbed.core.geodetic import RADIANS, geodetic_from_ned, local_frame
-from testbed.core.records import Array, Origin
+from testbed.core.records import Array, NedOrigin
 from testbed.vehicle.control_surfaces import SURFACES
 from testbed.vehicle.environment import INTEGRATORS, Integrators, set_environment
 from testbed.vehicle.trim import STILL, Controls, Placement, Vector
@@ -178,7 +178,7 @@ class JsbsimModel:
         nodes = [self.find(f"fcs/{name}-pos-rad") for name in _DEFLECTED]
         return np.array([abs(node.get_double_value()) if node else 0.0 for node in nodes])
 
-    def locate(self, position_ned: Vector, origin: Origin) -> None:
+    def locate(self, position_ned: Vector, origin: NedOrigin) -> None:
         """Set the position of the aircraft, from the next placement on."""
         latitude, longitude, height = geodetic_from_ned(np.array(position_ned), origin).tolist()
         self.node("ic/terrain-elevation-ft").set_double_value(origin.elevation_m / FOOT)
@@ -190,7 +190,7 @@ class JsbsimModel:
         wrong = geodetic.get_double_value() - height / FOOT
         above_sea.set_double_value(height / FOOT - wrong)
 
-    def displace(self, shift_ned: Sequence[float], origin: Origin) -> None:
+    def displace(self, shift_ned: Sequence[float], origin: NedOrigin) -> None:
         """Move the aircraft in flight by some metres, without a change of its velocity."""
         (north, east, down), frame = shift_ned, local_frame(origin, RADIANS)
         for name, change in (
@@ -332,7 +332,7 @@ def find_traits(model: JsbsimModel) -> Traits:
     """Find traits by commands in flight; `model` must assume rudder and lag."""
     ahead = Placement((20.0, 0.0, 0.0), STILL, 0.0, 0.0, 0.0)
     neutral = Controls(0.0, 0.0, 0.0, 0.0)
-    model.locate((0.0, 0.0, -1000.0), Origin())
+    model.locate((0.0, 0.0, -1000.0), NedOrigin())
     before = model.accelerations(ahead, neutral, spin=True)
     yawed = model.accelerations(ahead, Controls(0.0, 0.0, 0.5, 0.0), spin=True)
     model.accelerations(ahead, neutral, spin=True)

@@ -132,7 +132,7 @@ _REAL = 1e-9  # 1/s: an eigenvalue with a smaller imaginary part is real
 
 
 @dataclass(frozen=True, slots=True)
-class Mode:
+class NaturalMode:
     """A real eigenvalue, or a complex pair given by its upper member."""
 
     name: str  # "unclassified" if the participation fits no known mode
@@ -171,7 +171,7 @@ class Mode:
         return math.log(2.0) / rate if rate else None
 
 
-def find_modes(a: Array) -> tuple[Mode, ...]:
+def find_modes(a: Array) -> tuple[NaturalMode, ...]:
     """Find the modes of A (9, 9) over `STATES`, the fastest first.
 
     Longitudinal pairs are the short period (largest participation of w and q) and the phugoid (u
@@ -194,7 +194,9 @@ def find_modes(a: Array) -> tuple[Mode, ...]:
     taken: set[str] = set()
     modes = []
     for _, name, eigenvalue, participation in sorted(found, key=lambda one: -one[0]):
-        modes.append(Mode("unclassified" if name in taken else name, eigenvalue, participation))
+        modes.append(
+            NaturalMode("unclassified" if name in taken else name, eigenvalue, participation)
+        )
         taken.add(name)
     return tuple(sorted(modes, key=lambda mode: -mode.frequency))
 

@@ -21,7 +21,7 @@ from testbed.core.errors import InputError
 from testbed.core.files import check_writable, write_text_file
 from testbed.core.input_files import quote_word
 from testbed.core.numbers import parse_number
-from testbed.core.records import ActuatorCommand, Array, FbwaCommand, Origin, Records
+from testbed.core.records import ActuatorCommand, Array, FbwaCommand, NedOrigin, Records
 from testbed.vehicle.environment import INTEGRATORS, Integrators
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.jsbsim_adapter import modes_of_aircraft
@@ -139,7 +139,7 @@ def respond(
         course=commands.start["psi_rad"],
         airspeed=commands.start["airspeed_mps"] if airspeed is None else airspeed,
     )
-    origin = Origin(elevation_m=origin_elevation)
+    origin = NedOrigin(elevation_m=origin_elevation)
     fleet = JsbsimFleet([aircraft_folder], [start], origin, BASE_RATE_HZ, integrators)
     point, folder = fleet.trims[0].point, Path(aircraft_folder)
     modes = modes_of_aircraft(folder, point, origin)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from testbed.core.errors import InputError
-from testbed.vehicle.linearize import Mode
+from testbed.vehicle.linearize import NaturalMode
 
 STABLE = 1.0  # |λ| dt
 PROPELLER_STABLE = 2.0  # |λ| dt
@@ -24,7 +24,7 @@ ACCURATE = 0.5
 class CoarseStep(NamedTuple):
     """A step that is too long for a mode."""
 
-    mode: Mode
+    mode: NaturalMode
     product: float  # |λ| dt
     limit: float  # which the product exceeds: of accuracy or of stability
     stable: bool
@@ -56,7 +56,11 @@ def describe_coarse_step(coarse: CoarseStep, aircraft: str, airspeed: float, rat
 
 
 def check_fixed_step(
-    aircraft: str, airspeed: float, modes: Sequence[Mode], rate_hz: int, warn: Callable[[str], None]
+    aircraft: str,
+    airspeed: float,
+    modes: Sequence[NaturalMode],
+    rate_hz: int,
+    warn: Callable[[str], None],
 ) -> None:
     """Check the step of a flight whose rate cannot be chosen.
 
@@ -80,7 +84,9 @@ def check_fixed_step(
     warn(text)
 
 
-def find_coarse_step(modes: Sequence[Mode], rate_hz: int, multiple_hz: int) -> CoarseStep | None:
+def find_coarse_step(
+    modes: Sequence[NaturalMode], rate_hz: int, multiple_hz: int
+) -> CoarseStep | None:
     """Return the mode for which steps are too long, an unstable one first; None: there is none.
 
     Args:

@@ -24,9 +24,10 @@ from pathlib import Path
 import numpy as np
 
 from testbed.core.errors import ExternalProgramLost
-from testbed.core.records import Array, Indices, Origin, Records
+from testbed.core.records import Array, Indices, NedOrigin, Records
 from testbed.vehicle.environment import INTEGRATORS, Integrators
 from testbed.vehicle.fleet import JsbsimFleet
+from testbed.vehicle.jsbsim_io import CONTROLS, WIND
 from testbed.vehicle.trim import InitialState
 
 MIN_AIRCRAFT = 20  # from which on two processes were measured to be faster than one
@@ -48,7 +49,7 @@ def default_processes(aircraft: int) -> int:
 def make_fleet(
     folders: Sequence[Path],
     starts: Sequence[InitialState],
-    origin: Origin,
+    origin: NedOrigin,
     base_rate_hz: int,
     integrators: Integrators = INTEGRATORS,
     *,
@@ -69,7 +70,7 @@ class ParallelFleet(JsbsimFleet):
         self,
         folders: Sequence[Path],
         starts: Sequence[InitialState],
-        origin: Origin,
+        origin: NedOrigin,
         base_rate_hz: int,
         integrators: Integrators = INTEGRATORS,
         *,
@@ -128,14 +129,10 @@ class ParallelFleet(JsbsimFleet):
         super().discharge(mine)
         self._charge[:] = charge
 
-    def write_wind(self) -> None:
-        """See `JsbsimFleet`."""
-        super().write_wind()
-        self._orders[1] += 1
-
     def _run_all(self, ticks: int, read: Indices) -> None:
         workers = self._workers or self._start_workers()
         self._orders[0] = ticks
+        self._orders[1] += self._changed[WIND]
         workers.start_step()
         self._run_models(self._mine, ticks, read)
         workers.wait()
@@ -170,14 +167,14 @@ class ParallelFleet(JsbsimFleet):
             nonlocal wind
             if self._orders[1] != wind:
                 wind = self._orders[1]
-                self._wind_changed = True
+                self._changed[WIND] = True
             for i in rows:
                 if not np.isnan(self._charge[i]):
                     self._models[i].discharge(float(self._charge[i]))
                     self._charge[i] = np.nan
                 if self._removed[i] and self._runs[i] is not None:
                     self._stop(i)
-            self._controls_changed = True
+            self._changed[CONTROLS] = True
             self._run_models(which, self._orders[0], self.all_rows)
             self._read_air_numbers(rows)
 
@@ -242,10 +239,7 @@ class _Workers:
     def _serve(self, setup: Setup, begin: Semaphore, done: Semaphore) -> None:
         """Run a forked process to its end."""
         try:
-            for number in (
-                signal.SIGINT,
-                signal.SIGTERM,
-            ):  # the parent handles them
+            for number in (signal.SIGINT, signal.SIGTERM):  # the parent handles them
                 signal.signal(number, signal.SIG_IGN)
             gc.freeze()
             work = setup()

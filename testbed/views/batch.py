@@ -38,7 +38,7 @@ class Source(Protocol):
     @property
     def air(self) -> AirData: ...  # noqa: D102
     @property
-    def command(self) -> FbwaCommand: ...  # noqa: D102
+    def command(self) -> FbwaCommand[Array]: ...  # noqa: D102
     @property
     def surfaces(self) -> ActuatorCommand: ...  # noqa: D102
     @property

@@ -36,10 +36,10 @@ def feed(port: int) -> int:
     threading.Thread(target=read_messages, args=(sys.stdin.buffer, messages), daemon=True).start()
     if not is_listening(port) and not start_viewer(port):
         return NO_VIEWER
-    from testbed.views.rerun_backend import Recording, RemoteViewer
+    from testbed.views.rerun_backend import RemoteViewer, RerunRecording
 
     opening = messages.get()
-    recording = Recording(opening.scene, live=opening.live)
+    recording = RerunRecording(opening.scene, live=opening.live)
     recording.open(port)
     with open(os.devnull, "w") as null:
         while (batch := messages.get()) is not None:

@@ -18,7 +18,7 @@ from testbed.core.frames import course, quaternion_xyzw
 from testbed.core.records import Array, Observer
 from testbed.logs import foxglove_messages as draw
 from testbed.logs.proto_template import IntArray, TransformsTemplate
-from testbed.logs.read import Log, replay
+from testbed.logs.read import RunLog, replay
 from testbed.logs.recorder import Addition, McapRecorder
 from testbed.views import layout
 from testbed.views.airframes import draw_airframe, whole
@@ -64,7 +64,7 @@ def slot_frame(name: str) -> str:
     return f"{name}/slot"
 
 
-def scene_additions(log: Log) -> Iterator[Addition]:
+def scene_additions(log: RunLog) -> Iterator[Addition]:
     """Make the messages that Foxglove draws, in order of time.
 
     Topics, in frames that the log has and `/scene/frames` adds: `/scene/aircraft` and `slots`,
@@ -78,7 +78,7 @@ def scene_additions(log: Log) -> Iterator[Addition]:
     return heapq.merge(*parts, key=attrgetter("tick"))
 
 
-def write_scene_log(log: Log, path: Path, observers: Sequence[Observer] = ()) -> None:
+def write_scene_log(log: RunLog, path: Path, observers: Sequence[Observer] = ()) -> None:
     """Write a log again, with the messages that Foxglove draws.
 
     Args:
@@ -94,7 +94,7 @@ def write_scene_log(log: Log, path: Path, observers: Sequence[Observer] = ()) ->
 
 
 class _SceneMessages:
-    def __init__(self, log: Log) -> None:
+    def __init__(self, log: RunLog) -> None:
         self._scene: Scene = scene_of(log.info)
         self._batch: Batch = batch_of(log, ())
         self._tick = log.tick

@@ -25,7 +25,7 @@ class Curve:
 
 
 @dataclass(frozen=True, slots=True)
-class Plot:
+class LogPlot:
     """Curves on the same axes."""
 
     title: str  # quantity and unit
@@ -37,7 +37,7 @@ class Tab:
     """Plots shown together, one below the other."""
 
     title: str
-    plots: tuple[Plot, ...]
+    plots: tuple[LogPlot, ...]
 
 
 _Field = tuple[Topic, str] | None
@@ -99,7 +99,7 @@ def tabs(names: Sequence[str]) -> tuple[Tab, ...]:
     """List the plots of a run of these aircraft, the leader first; empty ones are left out."""
     out = []
     for title, plots in _TABS:
-        filled = [Plot(heading, _curves(names, *fields)) for heading, *fields in plots]
+        filled = [LogPlot(heading, _curves(names, *fields)) for heading, *fields in plots]
         shown = tuple(plot for plot in filled if plot.curves)
         if shown:
             out.append(Tab(title, shown))

@@ -15,7 +15,7 @@ import numpy as np
 
 from testbed.core.identifiers import identifiers
 from testbed.logs.flight_data import FlightData
-from testbed.views.log_plots import Curve, Plot, Tab, numeric_topics, tabs
+from testbed.views.log_plots import Curve, LogPlot, Tab, numeric_topics, tabs
 
 _NS = 10**9
 _MARGIN = 0.05  # of the range, above and below
@@ -70,7 +70,7 @@ def _add_tab(main: xml.Element, tab: Tab, flight: FlightData) -> None:
             xml.SubElement(drawn, "curve", name=series_name(curve), color=curve.colour)
 
 
-def _range(plot: Plot, flight: FlightData) -> dict[str, str]:
+def _range(plot: LogPlot, flight: FlightData) -> dict[str, str]:
     """Compute the ranges that show all curves."""
     low, high = np.inf, -np.inf
     for curve in plot.curves:

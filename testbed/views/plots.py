@@ -23,7 +23,7 @@ Values = Callable[[Batch], Array]  # (m, k)
 
 
 @dataclass(frozen=True, slots=True)
-class Series:
+class PlotSeries:
     """One quantity of k aircraft; the series of a plot share its axes."""
 
     name: str
@@ -34,7 +34,7 @@ class Series:
 
 
 @dataclass(frozen=True, slots=True)
-class Plot:
+class TimePlot:
     """A pair of axes over time; the vertical range fits what is shown.
 
     Attributes:
@@ -48,7 +48,7 @@ class Plot:
 
     name: str
     title: str
-    series: tuple[Series, ...]
+    series: tuple[PlotSeries, ...]
     min_range: tuple[float, float]
     limits: tuple[tuple[str, float], ...] = ()
     fixed_range: bool = False
@@ -60,7 +60,7 @@ class Plot:
         return limits if self.fixed_range else (*limits, *self.min_range)
 
 
-def tabs(scene: Scene) -> tuple[tuple[Plot, ...], ...]:
+def tabs(scene: Scene) -> tuple[tuple[TimePlot, ...], ...]:
     """List the plots as rows of tabs; the first of each row is open."""
     motion = (*_speeds(scene), *_directions(scene))
     commands, air = (_bank(scene), _throttle(scene)), _air(scene)
@@ -79,7 +79,7 @@ def tabs(scene: Scene) -> tuple[tuple[Plot, ...], ...]:
     )
 
 
-def _speeds(scene: Scene) -> tuple[Plot, ...]:
+def _speeds(scene: Scene) -> tuple[TimePlot, ...]:
     """Plot speed with its bounds; and ground speed if the bounds are of airspeed."""
     ground = _actual_and_desired(
         scene,
@@ -91,19 +91,19 @@ def _speeds(scene: Scene) -> tuple[Plot, ...]:
     min_range = bounds[0] - 1.0, bounds[-1] + 1.0
     if not scene.bounds_wind.any():
         title = "Ground speed and bounds, m/s" if limits else "Ground speed, m/s"
-        return (Plot("speed", title, ground, min_range, limits),)
+        return (TimePlot("speed", title, ground, min_range, limits),)
     air = _all_aircraft(
         scene, "actual", lambda batch: np.linalg.norm(batch.velocity - scene.bounds_wind, axis=-1)
     )
     mixed = len({bool(each.any()) for each in scene.bounds_wind}) > 1
     title = "Speed as its bounds are measured, m/s" if mixed else "Airspeed and bounds, m/s"
     return (
-        Plot("speed", title, (air,), min_range, limits),
-        Plot("ground_speed", "Ground speed, m/s", ground, min_range),
+        TimePlot("speed", title, (air,), min_range, limits),
+        TimePlot("ground_speed", "Ground speed, m/s", ground, min_range),
     )
 
 
-def _directions(scene: Scene) -> tuple[Plot, Plot]:
+def _directions(scene: Scene) -> tuple[TimePlot, TimePlot]:
     courses = _actual_and_desired(
         scene,
         lambda batch: break_at_wrap(np.degrees(course(batch.velocity))),
@@ -115,59 +115,59 @@ def _directions(scene: Scene) -> tuple[Plot, Plot]:
         lambda batch: np.degrees(batch.flight_path_angle_desired),
     )
     return (
-        Plot("course", "Course, deg", courses, COURSE_RANGE, fixed_range=True),
-        Plot("flight_path_angle", "Flight-path angle, deg", angles, (-10.0, 10.0)),
+        TimePlot("course", "Course, deg", courses, COURSE_RANGE, fixed_range=True),
+        TimePlot("flight_path_angle", "Flight-path angle, deg", angles, (-10.0, 10.0)),
     )
 
 
-def _bank(scene: Scene) -> Plot:
+def _bank(scene: Scene) -> TimePlot:
     limits_deg = unique_values(np.degrees(scene.roll_limit))
     largest = 1.02 * limits_deg[-1] if limits_deg else 60.0
     actual = _all_aircraft(scene, "actual", lambda batch: np.degrees(batch.euler[..., 0]))
     lines = tuple(
         (f"limit {sign * each:g}", sign * each) for each in limits_deg for sign in (-1, 1)
     )
-    return Plot("bank", "Bank and limits, deg", (actual,), (-largest, largest), lines)
+    return TimePlot("bank", "Bank and limits, deg", (actual,), (-largest, largest), lines)
 
 
-def _throttle(scene: Scene) -> Plot:
+def _throttle(scene: Scene) -> TimePlot:
     commanded = _all_aircraft(scene, "commanded", lambda batch: batch.throttle)
-    return Plot("throttle", "Throttle", (commanded,), (0.0, 1.0))
+    return TimePlot("throttle", "Throttle", (commanded,), (0.0, 1.0))
 
 
-def _altitude(scene: Scene) -> Plot:
+def _altitude(scene: Scene) -> TimePlot:
     heights = -np.concatenate(scene.paths)[:, 2] if scene.paths else np.array([100.0])
     actual = _all_aircraft(scene, "actual", lambda batch: -batch.position[..., 2])
     min_range = (float(heights.min()) - 10.0, float(heights.max()) + 10.0)
-    return Plot("altitude", "Altitude, m", (actual,), min_range)
+    return TimePlot("altitude", "Altitude, m", (actual,), min_range)
 
 
-def _air(scene: Scene) -> tuple[Plot, Plot]:
+def _air(scene: Scene) -> tuple[TimePlot, TimePlot]:
     horizontal = _all_aircraft(
         scene, "horizontal", lambda batch: np.linalg.norm(batch.wind[..., :2], axis=-1)
     )
     up = _all_aircraft(scene, "up", lambda batch: -batch.wind[..., 2])
     return (
-        Plot("wind", "Horizontal wind, m/s", (horizontal,), (0.0, 5.0)),
-        Plot("updraught", "Updraught, m/s", (up,), (-1.0, 1.0)),
+        TimePlot("wind", "Horizontal wind, m/s", (horizontal,), (0.0, 5.0)),
+        TimePlot("updraught", "Updraught, m/s", (up,), (-1.0, 1.0)),
     )
 
 
-def _error(scene: Scene) -> Plot:
+def _error(scene: Scene) -> TimePlot:
     error = _followers(scene, "error", lambda batch: np.linalg.norm(batch.error, axis=-1))
-    return Plot("error", "Position error, m", (error,), (0.0, 1.0))
+    return TimePlot("error", "Position error, m", (error,), (0.0, 1.0))
 
 
-def _estimate_error(scene: Scene) -> Plot:
+def _estimate_error(scene: Scene) -> TimePlot:
     error = _all_aircraft(
         scene,
         "error",
         lambda batch: np.linalg.norm(batch.estimated_position - batch.position, axis=-1),
     )
-    return Plot("estimate_error", "Error of position estimate, m", (error,), (0.0, 1.0))
+    return TimePlot("estimate_error", "Error of position estimate, m", (error,), (0.0, 1.0))
 
 
-def _barrier(scene: Scene) -> Plot:
+def _barrier(scene: Scene) -> TimePlot:
     """Plot the barrier h of (14): 1 in the middle of the speed set, 0 at its bounds."""
     known = [i for i, each in enumerate(scene.barriers) if each is not None]
     rows = np.array(scene.followers)[known]
@@ -181,16 +181,16 @@ def _barrier(scene: Scene) -> Plot:
         return np.stack(curves, axis=1)
 
     series = (_series(scene, "h", rows.tolist(), value),)
-    return Plot("barrier", "Speed barrier", series, (-0.1, 1.1), (("bound", 0.0),))
+    return TimePlot("barrier", "Speed barrier", series, (-0.1, 1.1), (("bound", 0.0),))
 
 
-def _data_age(scene: Scene) -> Plot:
+def _data_age(scene: Scene) -> TimePlot:
     """Plot the largest age of the data that each follower uses of another aircraft."""
     oldest = _followers(scene, "age", lambda batch: np.fmax.reduce(batch.age, axis=-1))
-    return Plot("age", "Oldest data used, s", (oldest,), (0.0, STALE_S))
+    return TimePlot("age", "Oldest data used, s", (oldest,), (0.0, STALE_S))
 
 
-def _actual_and_desired(scene: Scene, actual: Values, desired: Values) -> tuple[Series, ...]:
+def _actual_and_desired(scene: Scene, actual: Values, desired: Values) -> tuple[PlotSeries, ...]:
     """Plot what all aircraft do and, thin and faded, what followers should do."""
     rows = scene.followers
     done = _all_aircraft(scene, "actual", actual)
@@ -208,22 +208,22 @@ def _actual_and_desired(scene: Scene, actual: Values, desired: Values) -> tuple[
     )
 
 
-def _all_aircraft(scene: Scene, name: str, values: Values) -> Series:
+def _all_aircraft(scene: Scene, name: str, values: Values) -> PlotSeries:
     return _series(scene, name, range(len(scene.names)), values)
 
 
-def _followers(scene: Scene, name: str, values: Values) -> Series:
+def _followers(scene: Scene, name: str, values: Values) -> PlotSeries:
     return _series(scene, name, scene.followers, values)
 
 
-def _series(scene: Scene, name: str, rows: Sequence[int], values: Values) -> Series:
+def _series(scene: Scene, name: str, rows: Sequence[int], values: Values) -> PlotSeries:
     """Plot the values (m, k) of k aircraft, by their rows, until they are lost."""
     chosen = list(rows)
 
     def until_lost(batch: Batch) -> Array:
         return np.where(batch.lost[:, chosen] > 0.0, np.nan, values(batch))
 
-    return Series(
+    return PlotSeries(
         name,
         tuple(scene.names[row] for row in chosen),
         tuple(scene.colours[row] for row in chosen),

@@ -27,7 +27,7 @@ GREETING_S = 6.0  # after its first drawing the viewer shows a notice of its add
 
 
 class Recorded(Source, Protocol):
-    """A log read back, such as `testbed.logs.read.Log`."""
+    """A log read back, such as `testbed.logs.read.RunLog`."""
 
     @property
     def info(self) -> RunInfo: ...  # noqa: D102
@@ -89,14 +89,14 @@ def screenshot(
         OSError: The picture cannot be written.
         ViewComplaintError: A view reports an error; the picture is saved all the same.
     """
-    from testbed.views.rerun_backend import Recording, RemoteViewer
+    from testbed.views.rerun_backend import RemoteViewer, RerunRecording
 
     scene, batch = scene_and_batch(first, second, follow=follow)
     with headless_viewer(size, limit_s=LIMIT_S) as port:
         viewer = RemoteViewer(port, scene.recording_id)
         viewer.wait_until_drawn()
         greeting_ends = time.monotonic() + GREETING_S
-        recording = Recording(scene, live=False, at_s=at_s)
+        recording = RerunRecording(scene, live=False, at_s=at_s)
         recording.open(port)
         _send(recording, batch)
         recording.flush(LOADED_S)

@@ -24,7 +24,7 @@ from testbed.core.geodetic import geodetic_from_ned
 from testbed.core.identifiers import identifiers
 from testbed.core.records import Array, Event, Indices, VehicleState
 from testbed.logs import ros2_bag as ros
-from testbed.logs.read import Log
+from testbed.logs.read import RunLog
 from testbed.logs.recorder import FixCovariance
 from testbed.views.airframes import draw_airframe, whole
 from testbed.views.annotations import Links
@@ -44,7 +44,7 @@ _GHOST_ALPHA = 0.25
 _LINK_M = 0.1  # width of a link
 
 
-def write_bag(log: Log, folder: Path, advance: Callable[[int, int], None] | None = None) -> None:
+def write_bag(log: RunLog, folder: Path, advance: Callable[[int, int], None] | None = None) -> None:
     """Write a run as a bag of ROS 2.
 
     Args:
@@ -76,7 +76,7 @@ def _turned(body_ned: Array, vectors: Array) -> Array:
 
 
 class _Content:
-    def __init__(self, log: Log, bag: ros.Ros2Bag) -> None:
+    def __init__(self, log: RunLog, bag: ros.Ros2Bag) -> None:
         self._log, self._bag, info = log, bag, log.info
         self._names = identifiers(info.names)
         self._time_ns = info.start_unix_ns + log.tick * _NS // info.base_rate_hz

@@ -57,7 +57,7 @@ RED: Colour = (255, 96, 88)  # of texts about lost aircraft
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class VideoView:
     """One of the pictures of a frame."""
 
     track: CameraTrack  # one row for each frame
@@ -110,7 +110,7 @@ class FlightVideo:
         )
         tracks = FormationCameras(scene, lenses, self._size).track(batch)
         self._views = tuple(
-            View(track.rows(frames), Canvas(each, height, letter=7.4, line=19.0), ground=not k)
+            VideoView(track.rows(frames), Canvas(each, height, letter=7.4, line=19.0), ground=not k)
             for k, (track, each) in enumerate(zip(tracks, widths, strict=True))
         )
         self._lines = Links(scene).lines(self._shown, self._shown.position)
@@ -177,7 +177,7 @@ class FlightVideo:
                 )
             )
 
-    def _view(self, view: View, number: int) -> Drawing:
+    def _view(self, view: VideoView, number: int) -> Drawing:
         """Draw everything but the texts."""
         canvas, shown = view.canvas, self._shown
         drawing = Drawing(int(canvas.width), int(canvas.height), BACKDROP)
@@ -203,7 +203,7 @@ class FlightVideo:
         self._aircraft(drawing, view, number)
         return drawing
 
-    def _aircraft(self, drawing: Drawing, view: View, number: int) -> None:
+    def _aircraft(self, drawing: Drawing, view: VideoView, number: int) -> None:
         """Draw slots, and then aircraft over them, each the farthest first."""
         shown, scene = self._shown, self._scene
         things = [
@@ -255,7 +255,7 @@ class FlightVideo:
     def _polyline(
         self,
         drawing: Drawing,
-        view: View,
+        view: VideoView,
         number: int,
         points: Array,
         colour: Colour,
@@ -271,7 +271,7 @@ class FlightVideo:
             if end - begin > 1:
                 drawing.line(pixels[begin:end], colour, width)
 
-    def _grid(self, view: View, number: int) -> list[tuple[Array, Colour]]:
+    def _grid(self, view: VideoView, number: int) -> list[tuple[Array, Colour]]:
         """Lay out a grid through the middle, whose step is the length of the scale bar."""
         at = view.track.rows(slice(number, number + 1))
         step = scale_bar(at, view.canvas).length
@@ -286,7 +286,7 @@ class FlightVideo:
             for x in along
         ]
 
-    def _texts(self, drawing: Drawing, view: View, number: int) -> None:
+    def _texts(self, drawing: Drawing, view: VideoView, number: int) -> None:
         """Write names, arrows towards aircraft out of view, losses, and the scale bar."""
         one = self._shown.rows(slice(number, number + 1))
         at = view.track.rows(slice(number, number + 1))
@@ -310,7 +310,7 @@ class FlightVideo:
         self._losses(drawing, view, number, np.concatenate(taken))
         drawing.text(np.array([left + 2, low - 4]), f"{bar.length:g} m", GREY, anchor="ls")
 
-    def _losses(self, drawing: Drawing, view: View, number: int, taken: Array) -> None:
+    def _losses(self, drawing: Drawing, view: VideoView, number: int, taken: Array) -> None:
         """Name the marks of lost aircraft where boxes (b, 4) of other texts leave room."""
         lost = np.flatnonzero(self._shown.lost[number])
         pixels, depth = view.pixels(number, self._shown.position[number, lost])

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from testbed.core.errors import describe_error, memory_shortage
 from testbed.core.files import check_writable, write_file
 from testbed.core.records import Event, RunInfo, Sample
 from testbed.views.batch import Batch, Collector
@@ -28,7 +29,7 @@ from testbed.views.scene import Scene, scene_of
 from testbed.views.viewer import HOST, PORT, unavailable_reason
 
 if TYPE_CHECKING:
-    from testbed.views.rerun_backend import Recording
+    from testbed.views.rerun_backend import RerunRecording
 
 
 PERIOD_S = 0.5  # wall time between batches
@@ -111,7 +112,7 @@ class RerunView:
             try:
                 self._sink.close()
             except OSError as error:  # no failure of a view may stop a run
-                log.warning("The view cannot be saved: %s", error.strerror or error)
+                log.warning("The view cannot be saved: %s", error.strerror or describe_error(error))
             self._sink = None
 
     def _send(self) -> None:
@@ -119,7 +120,8 @@ class RerunView:
         try:
             self._sink.send(self._collector.take())
         except Exception as error:  # no failure of a view may stop a run
-            log.warning("The view stops here, the run goes on: %s", error)
+            reason = memory_shortage(error) or describe_error(error)
+            log.warning("The view stops here, the run goes on: %s", reason)
             self._sink = None
 
 
@@ -203,10 +205,10 @@ class _RrdSink:
     """A recording in memory that becomes a file: Rerun only logs that it cannot write one."""
 
     def __init__(self, scene: Scene, path: Path) -> None:
-        from testbed.views.rerun_backend import Recording
+        from testbed.views.rerun_backend import RerunRecording
 
         self._path = path
-        self._recording = Recording(scene, live=False)
+        self._recording = RerunRecording(scene, live=False)
         self._recording.open(None)
 
     def send(self, batch: Batch) -> None:
@@ -226,13 +228,13 @@ class InMemory:
         recording: of the last run; `recording.calls` counts calls of Rerun.
     """
 
-    recording: Recording | None = field(default=None, init=False)
+    recording: RerunRecording | None = field(default=None, init=False)
 
     def open(self, scene: Scene) -> ViewSink:
         """Start a recording."""
-        from testbed.views.rerun_backend import Recording
+        from testbed.views.rerun_backend import RerunRecording
 
-        self.recording = Recording(scene, live=False)
+        self.recording = RerunRecording(scene, live=False)
         self.recording.open(None)
         return self.recording
 

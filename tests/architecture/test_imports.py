@@ -84,9 +84,11 @@ LAYERS = {
     "logs": {"scenario", "formation", "metrics"},
     "views": {"formation", "logs"},
     "reports": {"formation", "logs", "metrics", "scenario", "views"},
+    "plan": {"autopilot", "scenario", "vehicle"},
     "sim": {
         *MODELS,
         *("mavlink", "autopilot", "vehicle", "scenario", "network", "sensors", "metrics", "logs"),
+        "plan",
     },
     "studies": {"autopilot", "mavlink", "logs", "metrics", "scenario", "sim"},
     "rl": {"scenario", "sim"},

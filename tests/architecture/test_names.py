@@ -1,16 +1,20 @@
-"""Names of tests: short enough to be read in a list of failures."""
+"""Names: of tests short enough for a list of failures, of classes with one meaning each."""
 
 import ast
 from pathlib import Path
 
+import testbed
+
 MAX_CHARACTERS = 50
-TESTS = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
+PACKAGE = Path(testbed.__file__).parent
 
 
 def test_names_of_tests_are_short():
     nodes = [
         (path.name, node)
-        for path in TESTS.rglob("test_*.py")
+        for folder in ("tests", "paper")
+        for path in (ROOT / folder).rglob("test_*.py")
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
     ]
     names = [
@@ -20,3 +24,15 @@ def test_names_of_tests_are_short():
     ]
     assert len(names) > 1_000
     assert not [(file, name) for file, name in names if len(name) > MAX_CHARACTERS]
+
+
+def test_no_two_classes_have_the_same_name():
+    """A name that means two things is two names."""
+    places = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                places.setdefault(node.name, []).append(
+                    f"{path.relative_to(PACKAGE)}:{node.lineno}"
+                )
+    assert {name: each for name, each in places.items() if each[1:]} == {}

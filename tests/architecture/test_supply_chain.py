@@ -70,7 +70,8 @@ def test_pip_installs_require_hashes():
 
 def test_docs_do_not_install_testbed_from_pypi():
     """The project `testbed` on PyPI is another one."""
-    files = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "testbed").rglob("*.py")]
+    pages = [*(ROOT / "docs").rglob("*.md"), *(ROOT / "paper").rglob("*.md")]
+    files = [ROOT / "README.md", *pages, *(ROOT / "testbed").rglob("*.py")]
     wrong = [
         path.relative_to(ROOT).as_posix()
         for path in files

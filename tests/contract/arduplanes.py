@@ -13,7 +13,7 @@ from run_flight import Collector
 
 import testbed
 from testbed.core.errors import ExternalProgramLost
-from testbed.core.records import VehicleState, fields_of
+from testbed.core.records import FbwaCommand, VehicleState, fields_of
 from testbed.scenario import loads, set_duration
 from testbed.sim.build import build
 
@@ -102,7 +102,7 @@ def error_of(scenario, kind=ExternalProgramLost):
     return str(caught.value)
 
 
-LEVEL = (0.0, 0.0, 0.3)  # pitch, roll, throttle
+LEVEL = FbwaCommand(pitch=0.0, roll=0.0, throttle=0.3)
 
 
 def fly_level(scenario):

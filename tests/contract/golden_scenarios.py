@@ -4,8 +4,8 @@ import copy
 
 import testbed
 from testbed.scenario import loads
-from testbed.studies.golden_compare import Flight
-from testbed.studies.scenario_snapshot import file_digests, file_values, snapshot
+from testbed.studies.golden_compare import GoldenFlight
+from testbed.studies.scenario_snapshot import read_inputs
 
 FOLLOWERS = ("uav1", "uav2", "uav3")
 # Aircraft start in their slots, so they have joined in the first sample.
@@ -46,24 +46,19 @@ def scenario(*changes, noisy=False):
 
 def fly(seed, *changes, noisy=False):
     run = testbed.run(scenario(f"scenario.seed={seed}", *changes, noisy=noisy), write=False)
-    return Flight(seed, run.metrics)
+    return GoldenFlight(seed, run.metrics)
 
 
 def inputs(*changes, noisy=False, folder):
-    """Keyword arguments of `compare` and `make_table` that describe the scenario."""
-    chosen = scenario(*changes, noisy=noisy)
-    return {
-        "resolved_scenario": snapshot(chosen, folder),
-        "files": file_digests(chosen),
-        "values": file_values(chosen),
-    }
+    """Collect what decides the numbers of the scenario."""
+    return read_inputs(scenario(*changes, noisy=noisy), folder)
 
 
 def edited(flight, edit, *, seed=None):
     """Return a copy of the flight with its metrics changed by `edit`."""
     metrics = copy.deepcopy(flight.metrics)
     edit(metrics)
-    return Flight(seed or flight.seed, metrics)
+    return GoldenFlight(seed or flight.seed, metrics)
 
 
 def files(folder):

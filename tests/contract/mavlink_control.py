@@ -10,7 +10,7 @@ from testbed.core.records import (
     FbwaCommand,
     FormationState,
     LinkCounters,
-    Origin,
+    NedOrigin,
     RunInfo,
     Sample,
     VehicleState,
@@ -18,9 +18,9 @@ from testbed.core.records import (
 from testbed.mavlink.codec import Codec
 from testbed.mavlink.telemetry_snapshot import TelemetrySnapshot
 from testbed.mavlink.vehicle import MavlinkVehicle
-from testbed.mavlink.vehicle_control import MissionItem, Mode, Rejection, VehicleControl
+from testbed.mavlink.vehicle_control import FlightMode, MissionItem, Rejection, VehicleControl
 
-ORIGIN = Origin(38.0, -3.5, 300.0)
+ORIGIN = NedOrigin(38.0, -3.5, 300.0)
 WAYPOINT = 16
 
 
@@ -35,7 +35,7 @@ class RecordingControl(VehicleControl):
 
     def __init__(self, name="leader", *, external=True, lockstep=False):
         self.name, self.external, self.lockstep = name, external, lockstep
-        self.mode, self.armed, self.failsafe, self.current_item = Mode.FBWA, True, False, 1
+        self.mode, self.armed, self.failsafe, self.current_item = FlightMode.FBWA, True, False, 1
         self.parameters = {
             "ROLL_LIMIT_DEG": 50.0,
             "PTCH_LIM_MAX_DEG": 20.0,
@@ -97,8 +97,8 @@ class RecordingControl(VehicleControl):
     def set_airspeed(self, airspeed):
         return self._record("set_airspeed", airspeed)
 
-    def set_manual_command(self, roll, pitch, throttle, *, attitude=False, answers_s=None):
-        return self._record("set_manual_command", roll, pitch, throttle, attitude, answers_s)
+    def set_manual_command(self, command, *, attitude=False, answers_s=None):
+        return self._record("set_manual_command", command, attitude, answers_s)
 
 
 def info(count=1, *, rate_hz=25):

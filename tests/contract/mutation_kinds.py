@@ -145,8 +145,8 @@ def feed_mission(path):
     """Plan the items, and resume each part and fly each item from here; the lines are not ours."""
     from testbed.core.errors import InputError
     from testbed.core.numbers import parse_number
-    from testbed.core.records import Origin
-    from testbed.guidance.flight_plan import Mission
+    from testbed.core.records import NedOrigin
+    from testbed.guidance.flight_plan import GuidanceMission
     from testbed.mavlink.mission_plans import plan_from_items
     from testbed.mavlink.vehicle_control import MissionItem, Rejection
 
@@ -171,8 +171,8 @@ def feed_mission(path):
             raise InputError(f"{path.name}: {line!r}")
         _, _, frame, command, *four, x, y, z, _ = values
         items.append(MissionItem(int(command), int(frame), tuple(four), x, y, z))
-    origin = Origin(latitude_deg=38.0, longitude_deg=-3.5, elevation_m=300.0)
-    params, here = Mission(legs=(), airspeed=22.0), (0.0, 0.0, 100.0)
+    origin = NedOrigin(latitude_deg=38.0, longitude_deg=-3.5, elevation_m=300.0)
+    params, here = GuidanceMission(legs=(), airspeed=22.0), (0.0, 0.0, 100.0)
     if len(items) < 2:
         return
     whole = plan(1)
@@ -196,6 +196,7 @@ def feed_table(path):
     from testbed.atmosphere.mean_wind import read_wind
     from testbed.guidance.recorded_path import read_recording, sample_recording
     from testbed.network.channel import make_channel
+    from testbed.network.links import resolve_links
     from testbed.network.trace import TraceFile
     from testbed.vehicle.replay_commands import read_commands
 
@@ -210,14 +211,14 @@ def feed_table(path):
             ROOT / "scenarios" / "simulation-3.yaml",
             [f"network.jitter={{distribution: empirical, file: {path}}}"],
         )
-        make_channel(scenario.aircraft_names, scenario.network, 1)
+        make_channel(resolve_links(scenario.aircraft_names, scenario.network), 1)
     else:
         read_commands(path)
 
 
 def feed_aircraft(path):
     """Load, linearize and trim an aircraft, and simulate five steps."""
-    from testbed.core.records import Origin
+    from testbed.core.records import NedOrigin
     from testbed.vehicle.fleet import JsbsimFleet
     from testbed.vehicle.jsbsim_adapter import airframe, linearize_aircraft
     from testbed.vehicle.trim import InitialState, TrimPoint
@@ -228,7 +229,7 @@ def feed_aircraft(path):
     airframe(folder)
     linearize_aircraft(folder, TrimPoint(airspeed=20.0))
     start = InitialState(position_ned=(0.0, 0.0, -100.0), course=0.0, airspeed=20.0)
-    fleet = JsbsimFleet([folder], [start], Origin(), 200)
+    fleet = JsbsimFleet([folder], [start], NedOrigin(), 200)
     for _ in range(5):
         fleet.step(ActuatorCommand(*(np.full(1, each) for each in (0.1, 0.1, 0.1, 0.5))), 4)
         fleet.lost(fleet.read())

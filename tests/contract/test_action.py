@@ -143,13 +143,13 @@ def test_action_fails_with_lines_and_a_report(repository, tmp_path):
     assert file == "flights/golden/pursuit.json"
     place = (changed / file).read_text().splitlines()[int(number) - 1]
     assert place.lstrip().startswith(('"rms_m/settled/', '"mean_rms_m/settled"'))
-    assert "controller.options.closing from 0.3 to 0.1" in row
+    assert "controller.options.closing is now 0.1" in row
     assert "exit-code=3\n" in runner.read("output")
 
     summary = runner.read("step_summary")
     assert summary.startswith("## testbed check: 1 failed, 0 passed\n")
     assert "Golden table: First flights of our law." in summary
-    assert "controller.options.closing from 0.3 to 0.1" in summary
+    assert "controller.options.closing is now 0.1" in summary
     assert "testbed run pursuit.yaml --seed 1" in summary
 
     found = runner.folders()[-1]

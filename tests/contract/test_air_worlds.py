@@ -187,7 +187,10 @@ def behind_in(*overrides):
     page = load_scenario("simulation-3", ["air.wake.core_spans=0.05", *overrides])
     rascal = airframe(find_aircraft("rascal110"))
     names = ["one", "two"]
-    air = build_air(page, build_mean_wind(page), names, [rascal] * 2, dt=0.02, sheds=[True] * 2)
+    height, elevation = page.leader.start.altitude_m, page.scenario.origin.elevation_m
+    mean = build_mean_wind(page.air.wind, height_m=height, duration_s=3.0)
+    given = {"seed": 1, "height_m": height, "elevation_m": elevation, "dt": 0.02}
+    air = build_air(page.air, mean, names, [rascal] * 2, **given, sheds=[True] * 2)
     aircraft = allocate(AIRCRAFT, 2)
     air.bind(aircraft)
     motion, wind = aircraft["truth"], aircraft["wind"]

@@ -30,7 +30,7 @@ from waiting import TIMEOUT_S, until
 
 from testbed.autopilot.sitl_parameters import defaults_text
 from testbed.autopilot.sitl_process import command_line
-from testbed.core.records import Origin
+from testbed.core.records import NedOrigin
 from testbed.metrics.tables import render_table
 from testbed.scenario import find_tune, load_scenario, loads, set_duration
 from testbed.sim.build import build
@@ -272,7 +272,7 @@ def test_separately_started_arduplane_is_awaited(binary, tmp_path):
     defaults = tmp_path / "defaults.parm"
     tune = find_tune("rascal110", "autopilot")
     defaults.write_text(defaults_text(tune, physics_hz=200, autopilot_hz=50))
-    command = command_line(binary, FIRST, Origin(), 0.0, defaults)
+    command = command_line(binary, FIRST, NedOrigin(), 0.0, defaults)
     child = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL)
     try:
         assert fly(scenario)[-1].time_s == 1.0

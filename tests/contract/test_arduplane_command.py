@@ -58,3 +58,12 @@ def test_params_lists_uses_and_differences(tmp_path, as_json):
     assert [line.split(maxsplit=1)[0] for line in lines] == [
         *("older", "both", "ArduPlane", "set", "left", "difference", "difference", "not", "note")
     ]
+
+
+@pytest.mark.parametrize("line", ["INS_GYRO_FILTER 5000", "PTCH_RATE_P -1", "RLL2SRV_P 1"])
+def test_params_refuses_what_a_flight_refuses(tmp_path, line):
+    (tmp_path / "plane.param").write_text(f"STAB_PITCH_DOWN 2\n{line}\nPTCH2SRV_TCONST 0.5\n")
+    arguments = ("arduplane", "params", "plane.param")
+    done = call_command(*arguments, cwd=tmp_path, code=BAD_INPUT, columns=200)
+    assert f"plane.param:2: {line.split()[0]} is " in done.stderr
+    assert not done.stdout

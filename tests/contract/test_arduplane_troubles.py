@@ -15,7 +15,7 @@ import testbed
 from testbed.autopilot.ardupilot_sitl import SitlConfig, SitlVehicle, _used_port, ports
 from testbed.autopilot.sitl_process import SitlProcess, find_binary, stop_processes
 from testbed.core.errors import ExternalProgramLost, InputError
-from testbed.core.records import Origin
+from testbed.core.records import NedOrigin
 from testbed.sim.build import build
 
 assert binary  # a fixture
@@ -154,7 +154,7 @@ def test_program_gets_an_allow_list_of_the_environment(monkeypatch, tmp_path):
     program.chmod(0o755)
     for name in ("ARDUPLANE_OF_MINE", "LC_NUMERIC", "AWS_SECRET_ACCESS_KEY", "SSH_AUTH_SOCK"):
         monkeypatch.setenv(name, name)
-    process = SitlProcess(program, FIRST, Origin(0.0, 0.0, 0.0), 0.0, "")
+    process = SitlProcess(program, FIRST, NedOrigin(0.0, 0.0, 0.0), 0.0, "")
     stop_after(process)
     seen = {line.partition("=")[0] for line in (tmp_path / "seen").read_text().splitlines()}
     assert {"PATH", "HOME", "ARDUPLANE_OF_MINE", "LC_NUMERIC"} <= seen
@@ -232,7 +232,7 @@ def test_noise_on_physics_port_is_an_error(binary):
 
 def test_repetitions_in_a_pause_are_dropped():
     config = SitlConfig("one", [FIRST], False, Path(), 5.0, 0.0, math.nan)
-    plane = SitlVehicle(config, Origin(), physics_hz=200, autopilot_hz=50)
+    plane = SitlVehicle(config, NedOrigin(), physics_hz=200, autopilot_hz=50)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as arduplane:
         arduplane.settimeout(TIMEOUT_S)
         arduplane.connect(("127.0.0.1", 9002 + 10 * FIRST))

@@ -7,6 +7,7 @@ those that are refused, and must stay equal to the other to the bit.
 import os
 import random
 import re
+from dataclasses import fields
 from pathlib import Path
 
 import gymnasium
@@ -16,11 +17,13 @@ import pytest
 import testbed
 import testbed.rl
 from testbed.core.errors import InputError
+from testbed.mavlink.udp_endpoint import Address, parse_address
 from testbed.rl.episodes import Task
 from testbed.rl.formation import FormationEnv
 from testbed.rl.hold_slot import HoldSlotEnv
 from testbed.scenario import load_scenario, set_duration, set_seed
 from testbed.scenario.arguments import with_changes
+from testbed.sim.external_options import ExternalOptions
 from testbed.sim.single_aircraft import _ARGUMENTS
 from testbed.studies.sweep import sweep
 
@@ -108,6 +111,10 @@ MAKES = {
     **{
         f"run {name}": lambda v, name=name: testbed.run(WHOLE, **{"write": False, name: v})
         for name in ("overrides", "out", "observers", "external", "processes", "compiling")
+    },
+    **{
+        f"ExternalOptions {each.name}": lambda v, name=each.name: ExternalOptions(**{name: v})
+        for each in fields(ExternalOptions)
     },
     "scenario": lambda v: testbed.Simulation(v),
     "FormationEnv": lambda v: FormationEnv(v),
@@ -241,6 +248,48 @@ def test_argument_of_environment_is_named(arguments, message):
         HoldSlotEnv(**arguments)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"mavlink": "udpout:127.0.0.1:14550"}, r"^mavlink: is 'udpout:.* \(write "),
+        ({"mavlink": ["14550"]}, r"^mavlink\[0\]: is '14550' \(write parse_address"),
+        ({"mavlink": (Address("udpout", "host", 0),)}, r"^mavlink\[0\]: 'udpout:host:0': port 0;"),
+        (
+            {"mavlink": (Address("udpout", "host", 1.0),)},
+            r"^mavlink\[0\]: .* not a MAVLink address",
+        ),
+        ({"mavlink": (Address("tcp", "host", 1),)}, r"^mavlink\[0\]: .* not a MAVLink address"),
+        ({"mavlink": (Address("udpin", "", 1),)}, r"^mavlink\[0\]: .* reads as udpin:127"),
+        (
+            {"mavlink": (Address("udpin", "host", 10**5000),)},
+            r"^mavlink\[0\]: .*write a port of 1 ",
+        ),
+        ({"pace": float("nan")}, "^pace nan: write a number from 0.001"),
+        ({"pace": 1e-300}, "^pace 1e-300: write a number from 0.001"),
+        ({"pace": "1"}, "^pace '1': write a number from 0.001"),
+        ({"pace": True}, "^pace True: write a number from 0.001"),
+        ({"tlog": "no"}, r"^tlog: is 'no' \(write false"),
+        ({"quiet": 1}, r"^quiet: is 1 \(write true or false"),
+        ({"signing_key": b"secret"}, "^signing_key: 6 bytes; give 32"),
+        ({"signing_key": "s" * 32}, "^signing_key: is a str; give 32 bytes"),
+        ({"arduplane": 3}, r"^arduplane: is 3 \(write a text or a path"),
+        ({"arduplane": "\0"}, "^arduplane: is .*, not a path"),
+        ({"announce": "x"}, r"^announce: is 'x' \(write a function"),
+    ],
+)
+def test_external_option_is_checked(arguments, message):
+    with pytest.raises(InputError, match=message) as caught:
+        ExternalOptions(**arguments)
+    assert "secret" not in str(caught.value) and "sss" not in str(caught.value)
+
+
+def test_external_options_are_read_as_on_a_shell():
+    address = parse_address("udpin:127.0.0.1:14550+10")
+    options = ExternalOptions((address,), np.float32(2.0), arduplane="x")
+    assert (options.mavlink, options.pace, options.arduplane) == ((address,), 2.0, Path("x"))
+    assert ExternalOptions(pace=0).pace is None
+
+
 def test_changed_section_is_validated():
     limits = WHOLE.limits
     with pytest.raises(InputError, match=r"^collision_m: is -1 \(write a number above 0\)"):
@@ -251,12 +300,21 @@ def test_changed_section_is_validated():
     assert changed == limits.model_copy(update={"collision_m": 3.0})
 
 
+def test_changed_section_without_validation_is_found(monkeypatch):
+    """A negative control of the test above: a copy that pydantic does not validate fails it."""
+    unchecked = lambda section, **changes: section.model_copy(update=changes)  # noqa: E731
+    monkeypatch.setitem(globals(), "with_changes", unchecked)
+    with pytest.raises(pytest.fail.Exception, match="DID NOT RAISE"):
+        test_changed_section_is_validated()
+
+
 def test_sections_are_copied_with_validation_only():
     root = Path(__file__).parents[2]
     files = [
         *root.glob("testbed/**/*.py"),
         *root.glob("examples/*.py"),
         *root.glob("benchmarks/*.py"),
+        *root.glob("paper/*.py"),
     ]
     pattern = re.compile(r"model_copy\(update|model_construct\(")
     found = [each.name for each in files if pattern.search(each.read_text(encoding="utf-8"))]

@@ -12,7 +12,7 @@ from commands import call_command, run_command
 from snapshot import check_snapshot
 
 from testbed.studies.golden import fly_all
-from testbed.studies.golden_compare import Flight
+from testbed.studies.golden_compare import GoldenFlight
 from testbed.studies.golden_table import read_table
 
 ROOT = Path(__file__).parents[2]
@@ -82,7 +82,7 @@ def test_check_failures_print_causes_and_commands(failed):
 def test_check_lower_gain_lists_violations(failed):
     folder, _ = failed
     found = json.loads((folder / "found.json").read_text())["scenarios"][1]
-    assert found["changes"] == ["controller.gain_scale from 1 to 0.9"]
+    assert found["changes"] == ["controller.gain_scale is now 0.9"]
     deviations = [each["deviation"] for each in found["violations"]]
     assert deviations == sorted(deviations, reverse=True)
     assert deviations[-1] > 1.0
@@ -112,9 +112,9 @@ def without_a_number(path):
 
 # Unreadable tables, made from a readable one.
 UNREADABLE = {
-    "broken": lambda path: '{"schema": 2}',
+    "broken": lambda path: '{"schema": 3}',
     "cut": lambda path: path.read_text()[:1000],
-    "old": lambda path: path.read_text().replace('"schema": 2', '"schema": 1'),
+    "old": lambda path: path.read_text().replace('"schema": 3', '"schema": 2'),
     "short": without_a_number,
 }
 
@@ -129,7 +129,7 @@ def test_update_unreadable_table_is_replaced(folder, tmp_path, monkeypatch, fly_
     done = check_here("exact.yaml", "--update", "--reason", "again", "--jobs", 1, cwd=tmp_path)
     printed = done.stdout.splitlines()
     (line,) = [line for line in printed if "the old table is ignored" in line]
-    assert "exact.json: not a golden table: " in line and "--update" not in line
+    assert "the old table is ignored: golden/exact.json: " in line and "--update" not in line
     assert sum(" · written · " in line for line in printed) == 1
     assert read_table(path).reason == "again"
     assert read_table(path).rows == read_table(folder / "golden/exact.json").rows
@@ -141,7 +141,7 @@ def fly_two():
     flight = samples.fly(1)
 
     def fly(wanted, **_):
-        return [Flight(seed, flight.metrics) for _, seed in wanted]
+        return [GoldenFlight(seed, flight.metrics) for _, seed in wanted]
 
     return fly
 
@@ -167,7 +167,10 @@ def fly_two():
         (("bare.yaml",), "scenario.windows"),
         (("broken.yaml",), "scenario: Field required"),
         (("cut.yaml",), "cut.json: not a golden table: the file: Invalid JSON"),
-        (("old.yaml",), "schema: Input should be 2"),
+        (
+            ("old.yaml",),
+            "is of schema 2; this version reads 3 (write a new one with --update --reason TEXT)",
+        ),
         (("short.yaml",), "1 numbers, not one for each seed (write a new one with --update"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",

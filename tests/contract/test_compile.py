@@ -1,6 +1,5 @@
 """Machine code is cached per text of the kernel packages, and never used for another text."""
 
-import functools
 import json
 import os
 import shutil
@@ -298,10 +297,33 @@ def test_only_compiling_is_announced_and_once():
 def test_prepared_entries_compile_no_more():
     numba = pytest.importorskip("numba")
     step = numba.njit(lambda x, y: x + y)
-    compiling.prepare([functools.partial(step, 1.0, 2), functools.partial(max, 1, 2)])
+    compiling.prepare([(step, (1.0, 2))])
     assert len(step.signatures) == 1
     assert step(3.0, 4) == 7.0
     assert len(step.signatures) == 1
+
+
+def test_entries_bound_in_a_block_are_registered():
+    numba = pytest.importorskip("numba")
+    step = numba.njit(lambda x, y: x + y)
+    with compiling.registering():
+        bound = compiling.bind_entry(step, 1.0, like=(2,))
+        with compiling.registering():
+            compiling.bind_entry(step, like=(3.0, 4))
+            assert [args for _, args in compiling.registered()] == [(3.0, 4)]
+        entries = compiling.registered()
+    assert bound(5) == 6.0
+    assert entries == ((step, (1.0, 2)),)
+    assert compiling.bind_entry(step, 1.0, like=(2,))(6) == 7.0
+    assert compiling.registered() == ()
+
+
+def test_prepare_counts_equal_entries_once():
+    numba = pytest.importorskip("numba")
+    step, seen = numba.njit(lambda x: x + 1.0), []
+    calls = [(step, (x,)) for x in (1.0, 2.0, 3)]
+    compiling.prepare(calls, lambda *progress: seen.append(progress))
+    assert seen == [(0, 2), (1, 2), (2, 2)]
 
 
 def test_prepare_stops_between_entries():
@@ -313,7 +335,7 @@ def test_prepare_stops_between_entries():
             raise TimeoutError
 
     with pytest.raises(TimeoutError):
-        compiling.prepare([functools.partial(each, 1.0) for each in (first, second)], check=check)
+        compiling.prepare([(each, (1.0,)) for each in (first, second)], check=check)
     assert len(first.signatures) == 1 and not second.signatures
 
 

@@ -27,7 +27,7 @@ seen, compiled = [], []
 with compiling(lambda: compiled.append(1)):
     while time.time() < float(sys.argv[1]):
         time.sleep(0.001)
-    prepare([partial(slow, 1.0)], lambda done, total: seen.append((done, total)))
+    prepare([(slow, (1.0,))], lambda done, total: seen.append((done, total)))
 print(len(compiled), seen)
 """
 KERNEL = "from testbed.core.compile import entry\n\n@entry\ndef slow(x):\n" + "".join(

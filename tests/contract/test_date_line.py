@@ -9,14 +9,14 @@ from record_flight import decoded, record
 from run_flight import Collector, short
 
 from testbed.autopilot.sitl_process import command_line
-from testbed.core.records import Origin
-from testbed.guidance.flight_plan import Mission, WaypointLeg
+from testbed.core.records import NedOrigin
+from testbed.guidance.flight_plan import GuidanceMission, WaypointLeg
 from testbed.mavlink.mission_plans import items_from_mission, plan_from_items
 from testbed.mavlink.telemetry_motion import global_position_int, gps_raw_int
 from testbed.mavlink.telemetry_snapshot import TelemetrySnapshot
 from testbed.mavlink.telemetry_status import home_position
 from testbed.mavlink.vehicle_context import VehicleContext
-from testbed.mavlink.vehicle_control import Mode, Rejection
+from testbed.mavlink.vehicle_control import FlightMode, Rejection
 from testbed.scenario import load_scenario
 from testbed.scenario.problems import ScenarioError
 from testbed.sim.build import build
@@ -78,7 +78,7 @@ def test_positions_in_messages_cross_the_meridian(flown, tmp_path):
 
 
 def test_home_at_180_is_minus_180():
-    origin = Origin(38.0, 180.0, 300.0)
+    origin = NedOrigin(38.0, 180.0, 300.0)
     context = VehicleContext(RecordingControl(), 1, 0, origin)
     home = home_position(context, TelemetrySnapshot(sample(), origin))
     assert home["longitude"] == -1_800_000_000
@@ -87,8 +87,8 @@ def test_home_at_180_is_minus_180():
 
 
 def test_mission_across_the_meridian_is_flown_there():
-    origin, points = Origin(38.0, PLACE, 300.0), ((0.0, -500.0, 100.0), (300.0, 500.0, 100.0))
-    params = Mission(legs=(WaypointLeg(points),), airspeed=22.0)
+    origin, points = NedOrigin(38.0, PLACE, 300.0), ((0.0, -500.0, 100.0), (300.0, 500.0, 100.0))
+    params = GuidanceMission(legs=(WaypointLeg(points),), airspeed=22.0)
     items = items_from_mission(params, origin)
     assert 179.99 < items[1].y < 180.0 and -180.0 <= items[2].y < -179.99
     plan = plan_from_items(items, (0.0, 0.0, 100.0), params, 60.0, origin)
@@ -100,7 +100,7 @@ def test_mission_across_the_meridian_is_flown_there():
 def test_loiter_point_across_the_meridian_is_near():
     world = build(scenario(PLACE), commanded=True)
     session = world.external_control.vehicles[0]
-    assert session.set_mode(Mode.GUIDED) is None
+    assert session.set_mode(FlightMode.GUIDED) is None
     assert session.set_loiter_point(38.0, 179.999, 100.0, None) is None
     assert session.set_loiter_point(38.0, -178.0, 100.0, None) is not None  # 132 km
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import testbed
-from testbed.core.records import Broadcast, Origin
+from testbed.core.records import Broadcast, NedOrigin
 from testbed.mavlink.follow_target import FollowTarget
 from testbed.network.channel import make_channel
 from testbed.network.clocks import make_clocks
-from testbed.network.links import PacketOutcome
+from testbed.network.links import PacketOutcome, resolve_links
 from testbed.network.radio import Radio
 from testbed.scenario import dump, loads
 from testbed.scenario.network import Network, StampClock
@@ -22,7 +22,7 @@ from testbed.sim.build_radio import build_radio
 MINIMAL = (Path(__file__).parents[1] / "data" / "scenarios" / "minimal.yaml").read_text()
 NAMES = ("leader", "uav1", "uav2", "uav3")
 N, FOLLOWERS = len(NAMES), len(NAMES) - 1
-PERIOD, ORIGIN = 0.04, Origin()
+PERIOD, ORIGIN = 0.04, NedOrigin()
 KEYS = {
     "delay_s": 0.1,
     "jitter": {"spread_s": 0.08, "correlation": 0.3},
@@ -43,7 +43,7 @@ def broadcast(rng, now):
 
 def radio(codec, clocks=None, **keys):
     network = Network.model_validate(keys)
-    return Radio(make_channel(NAMES, network, 1), None, codec, clocks)
+    return Radio(make_channel(resolve_links(NAMES, network), 1), None, codec, clocks)
 
 
 class AcceptAll(FollowTarget):
@@ -201,9 +201,13 @@ def test_scenario_has_encoding_and_wrong_bits():
     assert loads(dump(encoded)) == encoded
     assert encoded.network.corrupt.bits == 4
     assert scenario("corrupt: 0.1").network.corrupt.bits == 1
-    radio_, _ = build_radio(encoded)
-    assert "damaged" in radio_.summary()
-    assert "damaged" not in build_radio(scenario("corrupt: 0.1"))[0].summary()
+    assert "damaged" in radio_of(encoded).summary()
+    assert "damaged" not in radio_of(scenario("corrupt: 0.1")).summary()
+
+
+def radio_of(page):
+    weights = np.ones((len(page.fleet), len(page.aircraft), 3))
+    return build_radio(page.aircraft_names, page.network, weights, NedOrigin(), 1)[0]
 
 
 # a flight

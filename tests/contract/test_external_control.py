@@ -7,8 +7,8 @@ import pytest
 from run_flight import Collector, short
 
 from testbed.core.geodetic import geodetic_from_ned
-from testbed.core.records import Origin
-from testbed.mavlink.vehicle_control import MissionItem, Mode, Rejection
+from testbed.core.records import FbwaCommand, NedOrigin
+from testbed.mavlink.vehicle_control import FlightMode, MissionItem, Rejection
 from testbed.metrics.facts import describe_commands
 from testbed.sim.build import build
 from testbed.sim.external_control import ExternalControl
@@ -17,6 +17,11 @@ from testbed.sim.loop import fly
 from testbed.sim.run import run
 
 EXTERNAL = "fleet.2.commanded_by=external"
+
+
+def set_manual(session, roll, pitch, throttle, **options):
+    command = FbwaCommand(roll=roll, pitch=pitch, throttle=throttle)
+    return session.set_manual_command(command, **options)
 
 
 def flown(script=None, *changes, seconds=10.0, commanded=True):
@@ -79,10 +84,10 @@ def test_follower_loiters_in_place_and_rejoins():
     point = {}
 
     def away(sessions):
-        assert sessions[3].set_mode(Mode.LOITER) is None
+        assert sessions[3].set_mode(FlightMode.LOITER) is None
         point["centre"] = sessions[3]._navigator.position
 
-    frames = flown({20.0: away, 60.0: lambda c: c[3].set_mode(Mode.FBWA)}, seconds=110.0)
+    frames = flown({20.0: away, 60.0: lambda c: c[3].set_mode(FlightMode.FBWA)}, seconds=110.0)
     at = times(frames)
     north, east, up = point["centre"]
     position = of(frames, lambda frame: frame.truth.position_ned[3])
@@ -123,7 +128,7 @@ def waypoint(sessions, row, ahead, right, up):
     north, east, _ = navigator.position
     # Simulation 3 starts eastwards
     point = np.array([north - right, east + ahead, 0.0])
-    latitude, longitude, _ = geodetic_from_ned(point, Origin()).tolist()
+    latitude, longitude, _ = geodetic_from_ned(point, NedOrigin()).tolist()
     return MissionItem(16, 6, (0.0,) * 4, latitude, longitude, up), point[:2]
 
 
@@ -140,7 +145,7 @@ def test_mission_starts_at_current_position():
     frames = flown(
         {
             2.0: upload,
-            14.0: lambda c: c[3].set_mode(Mode.AUTO),
+            14.0: lambda c: c[3].set_mode(FlightMode.AUTO),
             15.0: lambda c: items.update(soon=c[3].current_item),
             59.0: lambda c: items.update(late=c[3].current_item),
         },
@@ -155,8 +160,11 @@ def test_leader_resumes_mission_at_same_waypoint():
     items = {}
     frames = flown(
         {
-            20.0: lambda c: (items.update(before=c[0].current_item), c[0].set_mode(Mode.LOITER)),
-            45.0: lambda c: c[0].set_mode(Mode.AUTO),
+            20.0: lambda c: (
+                items.update(before=c[0].current_item),
+                c[0].set_mode(FlightMode.LOITER),
+            ),
+            45.0: lambda c: c[0].set_mode(FlightMode.AUTO),
             46.0: lambda c: items.update(after=c[0].current_item),
         },
         seconds=80.0,
@@ -178,7 +186,7 @@ def test_active_circle_follows_its_parameters():
     def away(sessions):
         for row in radii:
             centres[row] = sessions[row]._navigator.position[:2]
-            assert sessions[row].set_mode(Mode.LOITER) is None
+            assert sessions[row].set_mode(FlightMode.LOITER) is None
 
     def change(sessions):
         answers.append(sessions[1].set_airspeed(28.0))
@@ -205,8 +213,8 @@ def test_loiter_point_ends_failsafe():
 
     flown(
         {
-            1.0: lambda c: c[3].set_mode(Mode.GUIDED),
-            2.0: lambda c: c[3].set_manual_command(0.1, 0.0, 0.5, attitude=True),
+            1.0: lambda c: c[3].set_mode(FlightMode.GUIDED),
+            2.0: lambda c: set_manual(c[3], 0.1, 0.0, 0.5, attitude=True),
             5.0: go,
         },
         seconds=6.0,
@@ -252,11 +260,10 @@ def test_commanded_airspeed_survives_item_change():
 def test_manual_command_then_timeout_failsafe():
     bank, pitch = math.radians(20.0), math.radians(3.0)
     script = {
-        round(t, 2): lambda c: c[3].set_manual_command(bank, pitch, 0.5)
-        for t in np.arange(2.0, 8.0, 0.1)
+        round(t, 2): lambda c: set_manual(c[3], bank, pitch, 0.5) for t in np.arange(2.0, 8.0, 0.1)
     }
     frames = flown(
-        script | {14.0: lambda c: c[3].set_manual_command(0.0, 0.0, 0.4)}, EXTERNAL, seconds=16.0
+        script | {14.0: lambda c: set_manual(c[3], 0.0, 0.0, 0.4)}, EXTERNAL, seconds=16.0
     )
     at = times(frames)
     commanded = of(frames, lambda frame: [column[3] for column in frame.command])
@@ -280,15 +287,15 @@ def test_manual_command_then_timeout_failsafe():
 )
 def test_manual_command_of_follower_is_rejected(without_sessions, row, why):
     rejections = []
-    frames = flown({2.0: lambda c: rejections.append(c[row].set_manual_command(0.5, 0.1, 1.0))})
+    frames = flown({2.0: lambda c: rejections.append(set_manual(c[row], 0.5, 0.1, 1.0))})
     assert why in rejections[0].text
     same_bits(frames, without_sessions)
 
 
 def test_leader_takes_manual_commands_in_fbwa():
     def take(sessions):
-        assert sessions[0].set_mode(Mode.FBWA) is None
-        assert sessions[0].set_manual_command(math.radians(15.0), 0.0, 0.45) is None
+        assert sessions[0].set_mode(FlightMode.FBWA) is None
+        assert set_manual(sessions[0], math.radians(15.0), 0.0, 0.45) is None
 
     frames = flown({5.0: take}, seconds=6.0)
     assert frames[-1].command.roll[0] == pytest.approx(math.radians(15.0))
@@ -366,12 +373,10 @@ def test_forced_disarm_stops_the_motor():
 
 def test_uncommandable_vehicles_reject_with_reason():
     world = build(short("fleet.0.vehicle=unicycle"), commanded=True)
-    rejection = world.external_control.vehicles[1].set_mode(Mode.LOITER)
+    rejection = world.external_control.vehicles[1].set_mode(FlightMode.LOITER)
     assert "ideal vehicle" in rejection.text
     assert isinstance(world.external_control, ExternalControl)
-    assert isinstance(
-        world.external_control.vehicles[1].set_manual_command(0.0, 0.0, 0.0), Rejection
-    )
+    assert isinstance(set_manual(world.external_control.vehicles[1], 0.0, 0.0, 0.0), Rejection)
 
 
 def test_scenario_mission_as_items_flies_the_same():
@@ -401,7 +406,7 @@ def test_metrics_count_commands_and_mask_law(tmp_path):
     assert (tmp_path / "run" / "run.tlog").stat().st_size > 10_000
     world = build(scenario, commanded=True)
     leader, uav1 = world.external_control.vehicles[:2]
-    uav1.set_mode(Mode.LOITER)
+    uav1.set_mode(FlightMode.LOITER)
     uav1.set_parameter("RLL_RATE_P", 0.1)
     leader.set_airspeed(23.0)
     leader.set_airspeed(24.0)
@@ -411,7 +416,7 @@ def test_metrics_count_commands_and_mask_law(tmp_path):
     }
     commanded = describe_commands(world.external_control.command_counts()).plain
     assert commanded.splitlines() == ["leader: airspeeds 2", "uav1: modes 1, parameters 1"]
-    away = flown({2.0: lambda c: c[3].set_mode(Mode.LOITER)}, seconds=40.0)
+    away = flown({2.0: lambda c: c[3].set_mode(FlightMode.LOITER)}, seconds=40.0)
     saturations = of(away, lambda frame: frame.formation.saturations)
     # far behind its slot the law's throttle saturates, but does not control the aircraft
     assert (saturations[of(away, lambda frame: frame.time_s > 3.0), 2] == 0).all()

@@ -21,9 +21,11 @@ from testbed.logs.read import read_log
 from testbed.mavlink.flight_import import read_flight
 from testbed.mavlink.signing import is_shared, read_key
 from testbed.scenario import ScenarioError, load_middle_loop, load_scenario
+from testbed.sim import user_code
 from testbed.studies.golden_table import read_table as read_golden
 from testbed.studies.plan import load_study
 from testbed.studies.tune_schema import load_tune
+from testbed.vehicle import airframe_validation
 from testbed.vehicle.replay_commands import CommandsError, read_commands
 
 SPARSE_BYTES = 8 << 30
@@ -64,6 +66,44 @@ def test_sparse_file_is_refused_unread(reader, monkeypatch):
     refuse_to_read(monkeypatch)
     with pytest.raises(InputError, match=rf"{path.name}.* is larger than [\d,]+ bytes"):
         read(path)
+
+
+LIMITS = {
+    1_000_000: ("scenario.yaml", "study.yaml", "tune.yaml", "gains.yaml", "tune.param", "law.py"),
+    4096: ("key",),
+    10_000_000: ("aircraft.xml",),
+    64_000_000: ("recording.csv", "commands.csv"),
+    1_000_000_000: ("flight.bin", "flight.tlog"),
+    4_000_000_000: ("run.mcap",),
+}
+MORE_READERS = {
+    "law.py": user_code._read,
+    "flight.tlog": read_flight,
+    "aircraft.xml": airframe_validation.check_files,
+}
+
+
+def reason(read, path):
+    """Text of the error; empty: there is none."""
+    try:
+        read(path)
+    except InputError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize(("limit", "names"), LIMITS.items(), ids=map(str, LIMITS))
+def test_largest_sizes_are_those_of_security_md(tmp_path, limit, names):
+    """One byte more is refused with the limit in the error; the limit itself is read."""
+    for name in names:
+        read, path = (READERS | MORE_READERS)[name], tmp_path / name
+        path.touch()
+        for size in (limit + 1, limit):
+            os.truncate(path, size)
+            if size == limit > 10_000_000:
+                continue  # reading it takes long
+            text = reason(read, path)
+            assert (f"is larger than {limit:,} bytes" in text) == (size > limit), (name, text)
 
 
 def test_fifo_is_refused_without_waiting(reader):

@@ -4,6 +4,7 @@ import pytest
 from commands import call_command
 
 from testbed.cli.law import _of_paper, _of_scenario
+from testbed.logs.file_record import RECORD_NAME
 from testbed.reports.figures_law import half_way, law_figures
 
 TABLE = """\
@@ -24,7 +25,7 @@ def test_command_writes_figures_1_and_2(tmp_path):
     lines = [line.rstrip() for line in done.stdout.splitlines()]
     assert lines[:-1] == TABLE.splitlines() and "2 in drawn" in lines[-1]
     drawn = {path.name for path in (tmp_path / "drawn").iterdir()}
-    assert drawn == {"control-functions.svg", "barriers.svg"}
+    assert drawn == {"control-functions.svg", "barriers.svg", RECORD_NAME}
 
 
 def test_figures_have_the_paper_s_curves():

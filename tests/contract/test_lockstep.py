@@ -7,6 +7,7 @@ import pytest
 from run_flight import Collector, short
 
 from testbed.core.errors import ExternalProgramLost, InputError
+from testbed.core.records import FbwaCommand
 from testbed.sim.build import build
 from testbed.sim.external_options import ExternalOptions, check_links
 from testbed.sim.loop import fly
@@ -54,7 +55,9 @@ class Program:
             return
         for time_s in self.samples_s[-1 - self.lags :]:
             self.session.set_manual_command(
-                0.02 * time_s, 0.0, 0.3, attitude=True, answers_s=time_s
+                FbwaCommand(roll=0.02 * time_s, pitch=0.0, throttle=0.3),
+                attitude=True,
+                answers_s=time_s,
             )
             self.answered.append(time_s)
 

@@ -6,7 +6,7 @@ import random
 import pytest
 from mavlink_control import TO, RecordingControl, VehicleClient, fields_of, item, texts
 
-from testbed.mavlink.vehicle_control import Mode, Rejection
+from testbed.mavlink.vehicle_control import FlightMode, Rejection
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED, INT_ONLY, NO_FRAME = 0, 1, 2, 3, 4, 8, 9
 ARM, SET_MODE, REPOSITION, SPEED, START, SET_ITEM = 400, 176, 192, 178, 300, 224
@@ -68,7 +68,7 @@ def test_disarming_in_flight_must_be_forced():
     assert [call[0] for call in client.control.calls] == ["set_armed", "set_armed"]
 
 
-@pytest.mark.parametrize("mode", Mode)
+@pytest.mark.parametrize("mode", FlightMode)
 def test_mode_changes_by_command_and_by_message(mode):
     client = VehicleClient()
     assert answer(client.command(SET_MODE, 1.0, float(mode))) == ACCEPTED
@@ -86,7 +86,7 @@ def test_unknown_mode_is_denied_naming_valid_ones(base, custom):
     replies = client.command(SET_MODE, base, custom)
     assert answer(replies) == DENIED
     (text,) = texts(replies)
-    assert all(mode.name in text for mode in Mode)
+    assert all(mode.name in text for mode in FlightMode)
     assert client.control.calls == []
 
 
@@ -118,7 +118,7 @@ def test_rejection_sets_result_and_text(supported, result):
 
 def test_reposition_altitude_above_home_or_sea():
     client = VehicleClient()
-    client.control.mode = Mode.GUIDED
+    client.control.mode = FlightMode.GUIDED
     assert answer(place(client)) == ACCEPTED
     assert answer(place(client, -1.0, 0.0, 80.0, 1.0, frame=0, z=420.0)) == ACCEPTED
     assert answer(place(client, z=math.nan)) == ACCEPTED
@@ -168,8 +168,8 @@ def test_mission_starts_at_an_existing_item():
     assert answer(client.command(START)) == ACCEPTED
     assert answer(client.command(START, 2.0, 3.0)) == ACCEPTED
     assert client.control.calls == [
-        ("set_mode", Mode.AUTO),
-        ("set_mode", Mode.AUTO),
+        ("set_mode", FlightMode.AUTO),
+        ("set_mode", FlightMode.AUTO),
         ("set_current_item", 2),
     ]
     for numbers in ((4.0,), (0.0, 2.0), (math.nan,), (-1.0,)):

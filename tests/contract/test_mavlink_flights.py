@@ -7,8 +7,9 @@ import pytest
 from run_flight import Collector, short
 
 from testbed.core.geodetic import geodetic_from_ned
+from testbed.core.records import FbwaCommand
 from testbed.mavlink.flight_import import read_flight
-from testbed.mavlink.vehicle_control import Mode
+from testbed.mavlink.vehicle_control import FlightMode
 from testbed.sim.build import build
 from testbed.sim.external_options import ExternalOptions
 from testbed.sim.loop import fly
@@ -49,13 +50,13 @@ def targets():
     leader, follower = (world.external_control.vehicles[row] for row in (LEADER, FOLLOWER))
     away = geodetic_from_ned(np.array([300.0, 900.0, 0.0]), world.info.origin)
     left = [
-        (42.0, lambda: leader.set_mode(Mode.LOITER)),
-        (44.0, lambda: follower.set_mode(Mode.LOITER)),
-        (60.0, lambda: leader.set_mode(Mode.GUIDED)),
+        (42.0, lambda: leader.set_mode(FlightMode.LOITER)),
+        (44.0, lambda: follower.set_mode(FlightMode.LOITER)),
+        (60.0, lambda: leader.set_mode(FlightMode.GUIDED)),
         (62.0, lambda: leader.set_loiter_point(float(away[0]), float(away[1]), 140.0, -150.0)),
         (64.0, lambda: leader.set_airspeed(24.0)),
-        (70.0, lambda: leader.set_mode(Mode.FBWA)),
-        (70.0, lambda: leader.set_manual_command(0.0, 0.05, 0.5)),
+        (70.0, lambda: leader.set_mode(FlightMode.FBWA)),
+        (70.0, lambda: leader.set_manual_command(FbwaCommand(roll=0.0, pitch=0.05, throttle=0.5))),
     ]
 
     def before(now, due):

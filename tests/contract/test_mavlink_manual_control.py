@@ -41,9 +41,13 @@ def attitude(client, roll=0.2, pitch=0.1, *, thrust=0.6, mask=NO_RATES, stamp=0,
 
 def last_command(client):
     """Return roll, pitch and throttle of the last command."""
-    name, *command = client.control.calls[-1]
+    return pytest.approx(sticks(client), abs=1e-12)
+
+
+def sticks(client):
+    name, command, *_ = client.control.calls[-1]
     assert name == "set_manual_command"
-    return pytest.approx(tuple(command[:3]), abs=1e-12)
+    return command.roll, command.pitch, command.throttle
 
 
 def test_override_pulses_are_shares_of_limits():
@@ -117,20 +121,20 @@ def test_attitude_target_is_clamped_for_any_heading():
     client = VehicleClient()
     attitude(client, 0.3, -0.1)
     # the quaternion has single precision
-    assert client.control.calls[-1][1:4] == pytest.approx((0.3, -0.1, 0.6), abs=1e-6)
+    assert sticks(client) == pytest.approx((0.3, -0.1, 0.6), abs=1e-6)
     attitude(client, 2.0, -1.0, thrust=3.0)
     assert (ROLL, -DOWN, 1.0) == last_command(client)
     attitude(client, thrust=-1.0)
-    assert client.control.calls[-1][3] == 0.0
+    assert sticks(client)[2] == 0.0
 
 
 def test_attitude_target_mask_selects_fields():
     client = VehicleClient()
     attitude(client, 0.3, -0.1, thrust=0.6)
     attitude(client, 0.0, 0.0, thrust=0.8, mask=NO_RATES | NO_ATTITUDE)
-    assert client.control.calls[-1][1:4] == pytest.approx((0.3, -0.1, 0.8), abs=1e-6)
+    assert sticks(client) == pytest.approx((0.3, -0.1, 0.8), abs=1e-6)
     attitude(client, 0.1, 0.1, thrust=math.nan, mask=NO_RATES | NO_THROTTLE)
-    assert client.control.calls[-1][1:4] == pytest.approx((0.1, 0.1, 0.8), abs=1e-6)
+    assert sticks(client) == pytest.approx((0.1, 0.1, 0.8), abs=1e-6)
     attitude(client, mask=0)  # rates beside an attitude are ignored
     assert len(client.control.calls) == 4
 
@@ -164,9 +168,9 @@ def test_attitude_target_stamp_names_answered_sample():
     stamps = {1960: 1.96, 2000: 2.0, 0: None, 2001: None, 4_000_000: None}
     for stamp, answers_s in stamps.items():
         attitude(client, stamp=stamp)
-        assert client.control.calls[-1][4:] == (True, answers_s)
+        assert client.control.calls[-1][2:] == (True, answers_s)
     override(client, 1500)
-    assert client.control.calls[-1][4:] == (False, None)
+    assert client.control.calls[-1][2:] == (False, None)
 
 
 def test_manual_control_of_others_is_ignored():
@@ -191,7 +195,7 @@ def test_reported_channels_reproduce_the_command():
     pulses = [channels[f"chan{n}_raw"] for n in (1, 2, 3)]
     override(client, *pulses)
     # rounded to whole µs: half of one is a thousandth of a limit
-    roll, pitch, throttle = client.control.calls[-1][1:4]
+    roll, pitch, throttle = sticks(client)
     assert roll == pytest.approx(-0.5, abs=ROLL / 1000)
     assert pitch == pytest.approx(0.1, abs=UP / 1000)
     assert throttle == pytest.approx(0.25, abs=1 / 2000)

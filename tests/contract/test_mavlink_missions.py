@@ -6,7 +6,7 @@ import pytest
 from mavlink_control import TO, WAYPOINT, VehicleClient, fields_of, item, texts
 
 from testbed.mavlink.missions import MAX_ITEMS, REPEAT_S, REPEATS
-from testbed.mavlink.vehicle_control import Mode, Rejection
+from testbed.mavlink.vehicle_control import FlightMode, Rejection
 
 ACCEPTED, ERROR, BAD_FRAME, UNSUPPORTED, NO_SPACE, INVALID = range(6)
 BAD_SEQUENCE, DENIED, CANCELLED = 13, 14, 15
@@ -279,7 +279,7 @@ def test_set_current_is_reported():
 def test_item_reached_only_in_flight_order():
     client = VehicleClient()
     upload(client, 4)
-    client.control.mode = Mode.AUTO
+    client.control.mode = FlightMode.AUTO
     assert fields_of(client.update(1), "MISSION_ITEM_REACHED") == []
     client.control.current_item = 2
     assert fields_of(client.update(2), "MISSION_ITEM_REACHED") == [{"seq": 1}]

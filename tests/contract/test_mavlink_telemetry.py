@@ -12,7 +12,7 @@ from testbed.mavlink.codec import constant
 from testbed.mavlink.telemetry_messages import TELEMETRY_MESSAGES
 from testbed.mavlink.telemetry_snapshot import TelemetrySnapshot
 from testbed.mavlink.telemetry_status import firmware
-from testbed.mavlink.vehicle_control import Mode, NavigationTarget
+from testbed.mavlink.vehicle_control import FlightMode, NavigationTarget
 
 TICK = 40  # 1.6 s, when every message but HOME_POSITION has been sent
 
@@ -170,7 +170,7 @@ def way_of(control, *, row=0, tick=TICK):
 
 
 @pytest.mark.parametrize("row", [0, 1])
-@pytest.mark.parametrize("mode", Mode)
+@pytest.mark.parametrize("mode", FlightMode)
 def test_nav_output_is_way_to_guidance_target(mode, row):
     north, east, down = sample(TICK, 2).estimate.position_ned[row]
     control = RecordingControl()
@@ -187,7 +187,9 @@ def test_nav_output_is_way_to_guidance_target(mode, row):
     assert errors == pytest.approx([20.0, 1.5, -7.0], abs=1e-4)
 
 
-@pytest.mark.parametrize(("row", "mode"), [(0, Mode.FBWA), (1, Mode.GUIDED), (1, Mode.LOITER)])
+@pytest.mark.parametrize(
+    ("row", "mode"), [(0, FlightMode.FBWA), (1, FlightMode.GUIDED), (1, FlightMode.LOITER)]
+)
 def test_nav_output_without_target_is_zero(row, mode):
     control = RecordingControl()
     control.mode = mode
@@ -278,7 +280,7 @@ def test_battery_is_reported_unhealthy_when_empty():
     assert (none["battery_remaining"], none["voltages"][0]) == (-1, 65535)
 
 
-@pytest.mark.parametrize("mode", Mode)
+@pytest.mark.parametrize("mode", FlightMode)
 @pytest.mark.parametrize("armed", [False, True])
 def test_heartbeat_has_arduplane_mode_bits(mode, armed):
     client = VehicleClient()
@@ -286,7 +288,7 @@ def test_heartbeat_has_arduplane_mode_bits(mode, armed):
     heartbeat = everything(client)["HEARTBEAT"]
     assert heartbeat["type"] == constant("MAV_TYPE_FIXED_WING")
     assert heartbeat["autopilot"] == constant("MAV_AUTOPILOT_ARDUPILOTMEGA")
-    flags = {"CUSTOM_MODE", "STABILIZE", "MANUAL_INPUT" if mode is Mode.FBWA else "GUIDED"}
+    flags = {"CUSTOM_MODE", "STABILIZE", "MANUAL_INPUT" if mode is FlightMode.FBWA else "GUIDED"}
     flags |= {"SAFETY"} if armed else set()
     names = {
         "CUSTOM_MODE": "CUSTOM_MODE_ENABLED",
@@ -313,7 +315,7 @@ def test_mission_total_excludes_home():
     assert everything(client)["MISSION_CURRENT"]["mission_state"] == constant(
         "MISSION_STATE_PAUSED"
     )
-    client.control.mode = Mode.AUTO
+    client.control.mode = FlightMode.AUTO
     current = everything(client)["MISSION_CURRENT"]
     assert (current["seq"], current["total"]) == (1, 4)
     assert current["mission_state"] == constant("MISSION_STATE_ACTIVE")

@@ -17,7 +17,7 @@ from testbed.mavlink.server import MavlinkServer
 from testbed.mavlink.telemetry_snapshot import TelemetrySnapshot
 from testbed.mavlink.udp_endpoint import MAX_DATAGRAMS, Address
 from testbed.mavlink.vehicle import MavlinkVehicle
-from testbed.mavlink.vehicle_control import MissionItem, Mode
+from testbed.mavlink.vehicle_control import FlightMode, MissionItem
 
 FRAMES = int(os.environ.get("TESTBED_FRAMES", "10000"))
 SEED = 20261122
@@ -169,12 +169,12 @@ def test_absurd_messages_give_finite_commands(without_sample):
     assert all(map(math.isfinite, numbers_in(tuple(control.calls))))
     for name, *given in control.calls:
         if name == "set_mode":
-            assert given[0] in Mode
+            assert given[0] in FlightMode
         if name == "set_manual_command":
-            roll, pitch, throttle = given[:3]
-            assert abs(roll) < math.tau
-            assert abs(pitch) < math.tau
-            assert 0.0 <= throttle <= 1.0
+            command = given[0]
+            assert abs(command.roll) < math.tau
+            assert abs(command.pitch) < math.tau
+            assert 0.0 <= command.throttle <= 1.0
 
 
 def test_unknown_messages_are_not_answered():

@@ -6,6 +6,7 @@ import math
 import os
 import re
 import statistics
+from typing import get_type_hints
 
 import pytest
 import record_flight
@@ -15,6 +16,7 @@ from snapshot import check_snapshot
 
 from testbed.core.errors import InputError
 from testbed.metrics import MetricsObserver
+from testbed.metrics.check import check_metrics
 from testbed.metrics.document import finalise, to_json, write_json
 from testbed.metrics.facts import (
     describe_arduplanes,
@@ -23,6 +25,14 @@ from testbed.metrics.facts import (
     describe_network,
     describe_pace,
     facts,
+)
+from testbed.metrics.model import (
+    EstimateErrorMetrics,
+    Metrics,
+    RingingMetrics,
+    SaturationCounts,
+    WindMetrics,
+    WindowMetrics,
 )
 from testbed.metrics.tables import render_table
 
@@ -93,6 +103,21 @@ def first_rows(text):
     """The first line that begins with each word, in words."""
     lines = [line.split() for line in text.splitlines() if line.strip()]
     return {words[0]: words for words in reversed(lines)}
+
+
+def test_document_has_the_declared_keys():
+    metrics = json.loads(to_json(document()))
+    check_metrics(metrics, run_info(), "here")
+    pairs = [
+        (Metrics, metrics),
+        (WindowMetrics, metrics["windows"]["first"]),
+        (WindMetrics, metrics["wind"]["leader"]),
+        (EstimateErrorMetrics, metrics["estimate_error"]["leader"]),
+        (SaturationCounts, metrics["saturations"]["uav1"]),
+        (RingingMetrics, metrics["ringing"]["uav1"]),
+    ]
+    for kind, values in pairs:
+        assert values.keys() <= get_type_hints(kind).keys(), kind
 
 
 def test_document_has_the_documented_keys():

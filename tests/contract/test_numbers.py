@@ -24,6 +24,21 @@ def test_strange_numbers_are_refused(text, tmp_path):
             load_scenario("simulation-3", [f"scenario.duration_s={text}"])
 
 
+@pytest.mark.parametrize("reader", ["core.csv_table", "scenario.yaml_io"])
+def test_wider_grammar_of_numbers_is_found(reader, tmp_path, monkeypatch):
+    """A negative control of the test above: it fails where one reader has Python's grammar."""
+
+    def parse_wider(text):
+        try:
+            return float(text)
+        except ValueError:
+            return None
+
+    monkeypatch.setattr(f"testbed.{reader}.parse_number", parse_wider)
+    with pytest.raises((pytest.fail.Exception, AssertionError)):
+        test_strange_numbers_are_refused("1_0", tmp_path)
+
+
 @pytest.mark.parametrize(
     ("text", "value"), [("4", 4.0), ("-.5", -0.5), ("+2.", 2.0), ("1e-3", 1e-3), ("007", 7.0)]
 )

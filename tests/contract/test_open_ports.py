@@ -2,9 +2,12 @@
 
 import os
 import socket
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+from commands import environment
 
 from testbed.mavlink.udp_endpoint import Endpoint, parse_address
 from testbed.scenario import load_scenario
@@ -53,6 +56,29 @@ def test_any_other_address_is_warned_of_by_name(host, key, who):
 
 def test_single_flight_opens_no_port():
     assert said() == []
+
+
+OFFLINE = """
+import sys
+def refuse(event, arguments):
+    if event.startswith("socket."):
+        raise AssertionError(f"{event}{arguments}")
+sys.addaudithook(refuse)
+from testbed.cli.main import main
+sys.argv = ["testbed", *sys.argv[1:]]
+main()
+"""
+
+
+def test_flight_needs_no_network(tmp_path):
+    """Neither a socket nor the name of a host, from the first import to the report."""
+    run = ("run", "simulation-3", "--duration=1", "--quiet", "--out=it")
+    for words in (run, ("export", "it", "--format=csv"), ("report", "it")):
+        done = subprocess.run(
+            [sys.executable, "-c", OFFLINE, *words],
+            cwd=tmp_path, env=environment(80), capture_output=True, text=True,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize(

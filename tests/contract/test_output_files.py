@@ -32,7 +32,7 @@ from testbed.core.files import (
 from testbed.logs.arrow_io import read_columns, write_columns
 from testbed.metrics.document import write_json
 from testbed.studies.golden_ci import write_junit
-from testbed.studies.journal import Journal, Row
+from testbed.studies.journal import Journal, JournalRow
 from testbed.studies.table import find_output
 from testbed.views import RrdFile, replay
 
@@ -269,15 +269,15 @@ def test_journal_on_a_full_disk_keeps_whole_lines(tmp_path):
     """A failed line leaves no part, and closing the journal writes nothing more."""
     path = tmp_path / "x.journal"
     journal = Journal(path, {"study": {}})
-    journal.add(Row(0, "completed", "", {"a": 1.0}))
+    journal.add(JournalRow(0, "completed", "", {"a": 1.0}))
     before = path.read_bytes()
     with full_disk(len(before) + 20), pytest.raises(InputError, match="x.journal: cannot be writ"):
-        journal.add(Row(1, "completed", "", {"a": 2.0}))
+        journal.add(JournalRow(1, "completed", "", {"a": 2.0}))
     with full_disk(len(before)):
         journal.close()
     assert path.read_bytes() == before
     again = Journal(path)
-    assert list(again.rows()) == [Row(0, "completed", "", {"a": 1.0})]
+    assert list(again.rows()) == [JournalRow(0, "completed", "", {"a": 1.0})]
     again.close()
 
 

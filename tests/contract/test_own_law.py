@@ -14,14 +14,14 @@ from commands import call_command
 import testbed
 from testbed.core.errors import InputError
 from testbed.core.records import Inbox, VehicleState
-from testbed.formation.barrier import Barrier, barrier_curve, logged_barriers, logged_curve
+from testbed.formation.barrier import SpeedBarrier, barrier_curve, logged_barriers, logged_curve
 from testbed.formation.control_step import Hbh23Law
 from testbed.logs.read import read_log
+from testbed.plan.fleet import resolve
 from testbed.reports import figures, read_run, run_page
 from testbed.reports.html import render_page
 from testbed.scenario import (
     ScenarioError,
-    find_aircraft,
     list_scenarios,
     load_scenario,
     set_duration,
@@ -155,6 +155,21 @@ def test_law_only_scenario_folder_and_packages_run(tmp_path, monkeypatch):
     asked = load_scenario(write(home), [f"controller.law={tmp_path}/mine.py:Straight"])
     assert asked.controller.law == f"{tmp_path}/mine.py:Straight"
     assert "in_the_way" not in sys.modules and "antigravity" not in sys.modules
+
+
+def test_law_is_not_confined(tmp_path):
+    """It writes anywhere, starts programs and reads the environment: also in `validate`."""
+    (home := tmp_path / "scenarios").mkdir()
+    acts = (
+        "import os, pathlib, subprocess\n"
+        f"pathlib.Path('{tmp_path}/written').write_text(os.environ['HOME'])\n"
+        f"subprocess.run(['touch', '{tmp_path}/touched'], check=True)\n"
+    )
+    path = write(home, text=acts + textwrap.dedent(GOOD))
+    done = call_command("validate", path, cwd=tmp_path, code=0, columns=200)
+    assert "the law Straight runs mine.py (SHA-256 " in done.stdout + done.stderr
+    assert (tmp_path / "written").read_text() == os.environ["HOME"]
+    assert (tmp_path / "touched").exists()
 
 
 STUDY = """
@@ -356,8 +371,7 @@ NO_CONTRACT = (*LARGE, "ideal-own-speed-model")
 @pytest.mark.parametrize("name", [name for name in list_scenarios() if name not in NO_CONTRACT])
 def test_contract_holds_for_every_scenario(name):
     page = load_scenario(name)
-    folders = [find_aircraft(each.aircraft) for each in page.fleet]
-    built = build_control(page, folders, build_clock(page))
+    built = build_control(resolve(page), page.controller, build_clock(page))
     for group in built.groups:
         # the built-in law has no object of its own in a run
         rows = group.rows
@@ -547,7 +561,7 @@ def test_own_functions_fly_as_the_examples(tmp_path):
     assert list(log.info.code) == ["mine.py"] and log.info.barriers == ((0, 0.0),) * 3
     speeds = np.linspace(16.0, 30.0, 29)
     for own in logged_barriers(log.info):
-        example = barrier_curve(Barrier(5, 0.05), speeds, 16.0, 30.0)[0]
+        example = barrier_curve(SpeedBarrier(5, 0.05), speeds, 16.0, 30.0)[0]
         np.testing.assert_allclose(logged_curve(own, speeds, 16.0, 30.0), example, atol=2e-3)
     shutil.rmtree(tmp_path / "mine")  # only the run remains
     testbed.run(tmp_path / "run1" / "scenario.resolved.yaml", out=tmp_path / "again")

@@ -29,7 +29,11 @@ ROOT = Path(__file__).parents[2]
 PAGES = (
     "README.md",
     "SECURITY.md",
-    *sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglob("*.md")),
+    *sorted(
+        path.relative_to(ROOT).as_posix()
+        for folder in ("docs", "paper")
+        for path in (ROOT / folder).rglob("*.md")
+    ),
 )
 # Pages whose snippets fly, draw or step for long; tests of their commands cover much of the same.
 LONG = (
@@ -243,7 +247,8 @@ def test_no_sentence_is_twice_in_a_page(page):
 
 
 def test_make_commands_in_docs_exist():
-    targets = set(re.findall(r"^(\w[\w-]*):", (ROOT / "Makefile").read_text(), re.M))
+    rules = "\n".join((ROOT / each).read_text() for each in ("Makefile", "paper/targets.mk"))
+    targets = set(re.findall(r"^(\w[\w-]*):", rules, re.M))
     for page in PAGES:
         text = (ROOT / page).read_text(encoding="utf-8")
         for name in re.findall(r"(?:^(?:\$ )?|`)make (\w[\w-]*)", text, re.M):

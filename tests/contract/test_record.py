@@ -402,26 +402,54 @@ def assert_same_samples(cut, whole, count):
         assert_same_sample(*pair)
 
 
-@pytest.mark.parametrize("change", ["other log", "cut", "missing"])
-def test_tail_of_another_log_is_not_read(tmp_path, monkeypatch, change):
-    """Nor one that is missing or damaged: the log has its complete chunks."""
+@pytest.mark.parametrize(
+    ("change", "count"),
+    [
+        ("none", 25),
+        ("record begun", 25),
+        ("log cut", 20),
+        ("other log", 20),
+        ("cut", 20),
+        ("end cut", 20),
+        ("damaged", 20),
+        ("missing", 20),
+    ],
+)
+def test_tail_of_another_log_is_not_read(tmp_path, monkeypatch, change, count):
+    """Nor one that is missing, cut or damaged: the log has its complete chunks.
+
+    The other log has the same size and the same samples, but another scenario.
+    """
     monkeypatch.setattr(recorder, "FLUSH_S", -1.0)
     monkeypatch.setattr(recorder, "_CHUNK_AIRCRAFT_SAMPLES", 4 * 20)
-    log = McapRecorder(tmp_path / "run.mcap")
-    log.begin(run_info())
-    for sample in run_samples(25):
-        log.observe(sample)
+
+    def record_some(name, scenario):
+        log = McapRecorder(tmp_path / name)
+        log.begin(run_info(scenario_yaml=scenario))
+        for sample in run_samples(25):
+            log.observe(sample)
+        return log
+
+    log, other = (record_some(f"{x}.mcap", f"scenario: {{name: {x}}}\n") for x in "ab")
     tail = tail_path(log.path)
-    assert read_log(log.path).tick.size == 25
-    if change == "other log":
+    data = tail.read_bytes()
+    if change == "record begun":
+        with log.path.open("ab") as file:
+            file.write(struct.pack("<BQ", 7, 100))  # the head of an index
+    elif change == "log cut":
         os.truncate(log.path, log.path.stat().st_size - 1)
-    else:
-        data = tail.read_bytes()
+    elif change == "other log":
+        assert other.path.stat().st_size == log.path.stat().st_size
+        tail.write_bytes(tail_path(other.path).read_bytes())
+    elif change in ("cut", "end cut"):
+        tail.write_bytes(data[: len(data) // 2] if change == "cut" else data[:-1])
+    elif change == "damaged":
+        tail.write_bytes(data[:400] + bytes([data[400] ^ 255]) + data[401:])
+    elif change == "missing":
         tail.unlink()
-        if change == "cut":
-            tail.write_bytes(data[: len(data) // 2])
-    assert read_log(log.path).tick.size == 20
+    assert read_log(log.path).tick.size == count
     log.close()
+    other.close()
 
 
 WRITER = """
@@ -649,7 +677,7 @@ def test_foreign_file_raises(tmp_path, data, message):
 def test_log_of_another_schema_raises(tmp_path, monkeypatch):
     monkeypatch.setattr(header, "LOG_SCHEMA", 99)
     path = record(tmp_path / "run.mcap", run_samples(3))
-    with pytest.raises(LogError, match=r"log schema 99 of testbed 0\.0; .* schema 5 only"):
+    with pytest.raises(LogError, match=r"log schema 99 of testbed 0\.0; .* schema 6 only"):
         read_log(path)
 
 
@@ -699,7 +727,7 @@ def test_sample_of_other_size_raises(tmp_path):
     log = McapRecorder(tmp_path / "run.mcap")
     log.begin(run_info())
     log.observe(*run_samples(1))
-    with pytest.raises(ValueError, match="the sample has 5 aircraft, those before it have 4"):
+    with pytest.raises(ValueError, match="the sample has 5 aircraft, the run has 4"):
         log.observe(*run_samples(1, followers=4))
     log.close()
 
@@ -738,6 +766,27 @@ def mcap_of_chunks(path, content, count):
         file.write(b"\x89MCAP0\r\n" + bytes(builder.end()))
         for _ in range(count):
             file.write(struct.pack("<BQ", 6, len(head) + len(packed)) + head + packed)
+
+
+@pytest.mark.parametrize("more", [0, 1])
+def test_size_uncompressed_has_a_limit(tmp_path, more):
+    """All records: 268 MB and 20 times the file; the limit itself is allowed."""
+    path = tmp_path / "bomb.mcap"
+    mcap_of_chunks(path, b"", 9)
+    data, head, at = bytearray(path.read_bytes()), struct.Struct("<BQ"), len(b"\x89MCAP0\r\n")
+    rest = (1 << 28) + 20 * len(data) + more
+    while at < len(data):
+        opcode, length = head.unpack_from(data, at)
+        size = length
+        if opcode == 6:  # a chunk
+            size = min(rest, 1 << 25)
+            struct.pack_into("<Q", data, at + head.size + 16, size)
+        rest, at = rest - size, at + head.size + length
+    assert rest == 0
+    path.write_bytes(data)
+    message = "at most 268,.* are allowed in a file of" if more else "damaged after byte"
+    with pytest.raises(LogError, match=message):
+        read_log(path)
 
 
 def test_many_chunks_too_large_together_raise(tmp_path):

@@ -25,6 +25,7 @@ from run_flight import short
 
 import testbed
 from testbed.core.errors import InputError
+from testbed.logs.file_record import RECORD_NAME
 from testbed.logs.read import read_log
 from testbed.logs.recorder import McapRecorder
 from testbed.metrics import MetricsObserver
@@ -207,6 +208,7 @@ def test_command_writes_report_and_figures(flown, tmp_path, only, ending, start)
         cwd=tmp_path, code=0, columns=200,
     )  # fmt: skip
     files = {file.name: file.read_bytes() for file in (tmp_path / "drawn").iterdir()}
+    assert files.pop(RECORD_NAME)
     assert set(files) == {f"altitude.{ending}"}
     assert all(data.startswith(start) for data in files.values())
     assert Reader((tmp_path / "it.html").read_text("utf-8")).figures == ["altitude"]

@@ -1,7 +1,9 @@
 """Environments for reinforcement learning: their APIs' checkers, and the flight of the testbed."""
 
+import copy
 import inspect
 import math
+import pickle
 import re
 from pathlib import Path
 
@@ -168,6 +170,30 @@ def test_episodes_write_run_directories(tmp_path):
     again.reset()
     again.close()
     assert (tmp_path / "episode-00003" / "run.mcap").is_file()
+
+
+def test_refused_reset_leaves_no_directory(tmp_path):
+    env = make(out=tmp_path / "episodes", overrides=["leader.path.speed_mps=90"])
+    with pytest.raises(InputError, match="degrees of bank"):
+        env.reset(seed=1)
+    assert [*tmp_path.rglob("*")] == []
+
+
+@pytest.mark.parametrize("out", ["\0", "a/\0", "\ud800"])
+def test_folder_that_is_no_path_is_refused(out):
+    with pytest.raises(InputError, match="^out: is .*, not (a path|UTF-8 text)"):
+        make(out=out)
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_copy_of_a_flight_is_refused(copied):
+    env = make().unwrapped
+    env.reset(seed=1)
+    for each in (env.simulation, *([] if copied is copy.copy else [env])):
+        with pytest.raises(TypeError, match="cannot be copied or pickled .make another") as caught:
+            copied(each)
+        assert isinstance(caught.value, InputError)
+    assert np.isfinite(env.step(np.zeros(3, np.float32))[1])
 
 
 def test_drawn_values_stay_in_their_ranges():

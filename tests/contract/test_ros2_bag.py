@@ -20,11 +20,11 @@ from testbed.core.frames import (
     rotation_ned_body,
 )
 from testbed.core.geodetic import geodetic_from_ned
-from testbed.core.records import Event, Origin
+from testbed.core.records import Event, NedOrigin
 from testbed.logs.file_record import RECORD_NAME
 
 AIRCRAFT, SECONDS, HZ, LOST_AT = 3, 4, 25, 60
-DATE_LINE = Origin(38.0, 180.0, 300.0)
+DATE_LINE = NedOrigin(38.0, 180.0, 300.0)
 NED_TO_ENU = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
 FRD_TO_FLU = np.diag([1, -1, -1])
 

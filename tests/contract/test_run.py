@@ -33,7 +33,7 @@ from testbed.logs import mcap_file
 from testbed.logs.file_record import RECORD_NAME
 from testbed.logs.read import read_log, samples
 from testbed.scenario import load_scenario
-from testbed.sensors.estimators import Estimators
+from testbed.sensors.estimators import StateEstimators
 from testbed.sim import loop, stop_request
 from testbed.sim.build import build
 
@@ -252,7 +252,7 @@ def test_signal_while_kernels_compile_ends_the_run(tmp_path, monkeypatch):
     monkeypatch.setattr(loop, "prepare", lambda calls, progress, check: [interrupt(), check()])
     interrupt = functools.partial(signal.raise_signal, signal.SIGINT)
     settled = []
-    monkeypatch.setattr(Estimators, "warm_up", lambda *_: settled.append(True))
+    monkeypatch.setattr(StateEstimators, "warm_up", lambda *_: settled.append(True))
     result = testbed.run(short("log.mcap=true"), out=tmp_path / "run")
     assert (result.outcome, settled) == ("interrupted", [])
     assert read_log(tmp_path / "run" / "run.mcap").metrics["outcome"] == "interrupted"

@@ -38,12 +38,16 @@ def make_run(logs, scenario, days_ago, *, size=1000, finished=True):
     return folder
 
 
+class WaitsTooLongError(BaseException):
+    """What waits; no OSError, as TimeoutError is, which code about files may catch."""
+
+
 @contextlib.contextmanager
 def time_limit(seconds=5.0):
-    """Raise TimeoutError in what waits longer, as for the other end of a pipe."""
+    """Raise WaitsTooLongError in what waits longer, as for the other end of a pipe."""
 
     def end(*_):
-        raise TimeoutError(f"waits longer than {seconds:g} s")
+        raise WaitsTooLongError(f"waits longer than {seconds:g} s")
 
     before = signal.signal(signal.SIGALRM, end)
     signal.setitimer(signal.ITIMER_REAL, seconds)

@@ -12,7 +12,7 @@ from commands import call_command
 from snapshot import check_snapshot
 
 from testbed.core.errors import InputError
-from testbed.guidance.flight_plan import Mission, WaypointLeg, expand_laps
+from testbed.guidance.flight_plan import GuidanceMission, WaypointLeg, expand_laps
 from testbed.scenario import ScenarioError, library, load_scenario, loads
 from testbed.scenario.problems import MAX_LINE
 
@@ -141,7 +141,7 @@ def test_laps_without_end_are_refused(laps, message):
 
 def test_mission_of_a_program_has_bounded_laps():
     leg = WaypointLeg(points=((900.0, 0.0, 100.0), (0.0, 900.0, 100.0)), laps=10**9)
-    mission = Mission(legs=(leg,), airspeed=20.0)
+    mission = GuidanceMission(legs=(leg,), airspeed=20.0)
     with pytest.raises(InputError, match=r"legs: 2,000,000,000 with all laps; write 10,000 or"):
         expand_laps(mission, (0.0, 0.0, 100.0))
 
@@ -159,7 +159,7 @@ def test_file_that_is_no_scenario_is_not_quoted(tmp_path):
         ("air:\n  wind: {speed_mps: 40, from_deg: 0}", "2:9: air.wind: wind of 40 m/s"),
         ("leader:\n  tune: nope\n  path: *replay", "2:9: leader.tune: there is no tune"),
         ("leader:\n  path: *replay", "2:30: leader.path.file: {}/short.csv: 1 rows of numbers"),
-        ("leader:\n  path: {airspeed_mps: 60}", ":46:19: leader.path.legs[3].radius_m: 120 m is"),
+        ("leader:\n  path: {airspeed_mps: 60}", ":44:19: leader.path.legs[3].radius_m: 120 m is"),
         (
             "leader:\n  path:\n    airspeed_mps: 45\n    legs: [{kind: waypoints, points_m: "
             "[[9000, 0, 100], [9000, 9000, 100]]}]\n    bank_limit_deg: 60",

@@ -7,7 +7,8 @@ import pytest
 
 from testbed.formation import leader_filter as leader
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
-from testbed.scenario import ScenarioError, find_aircraft, load_middle_loop, load_scenario
+from testbed.plan.fleet import resolve
+from testbed.scenario import ScenarioError, load_middle_loop, load_scenario
 from testbed.sim.build_control import build_control
 from testbed.sim.schedule import make_clock
 
@@ -18,8 +19,7 @@ HBH23 = ["controller.law=hbh23", "controller.options=null"]
 def control_of(scenario, phases=None):
     rates = scenario.rates.model_dump(exclude={"synchronous"})
     clock = make_clock(**rates, aircraft=len(scenario.aircraft_names), phases=phases)
-    folders = [find_aircraft(each.aircraft) for each in scenario.fleet]
-    return build_control(scenario, folders, clock)
+    return build_control(resolve(scenario), scenario.controller, clock)
 
 
 def changed(*changes):

@@ -10,7 +10,7 @@ import yaml
 
 import testbed
 from testbed.scenario import ScenarioError, dump, json_schema, load_scenario, loads
-from testbed.scenario.aircraft import Aircraft
+from testbed.scenario.aircraft import AircraftSection
 from testbed.scenario.pattern import Pattern
 from testbed.sim.build import build
 
@@ -50,7 +50,7 @@ def error_of(call, *arguments, **keys):
 
 def test_pattern_fixture_sets_every_key():
     fixture = Pattern.model_validate(yaml.safe_load(PATTERN.read_text())["fleet"])
-    own = Pattern.model_fields.keys() - Aircraft.model_fields.keys() | {"name"}
+    own = Pattern.model_fields.keys() - AircraftSection.model_fields.keys() | {"name"}
     assert own <= fixture.model_fields_set
     for key in own:
         field = Pattern.model_fields[key]

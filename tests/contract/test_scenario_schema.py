@@ -1,7 +1,9 @@
 """Every key of the schema: defaults, full fixture, round trip, and the editor's schema."""
 
+import copy
 import os
 import random
+import re
 from collections.abc import Mapping
 from functools import reduce
 from operator import getitem
@@ -13,20 +15,28 @@ import numpy as np
 import pytest
 import yaml
 
+from testbed.core.numbers import SMALLEST
 from testbed.scenario import (
     Scenario,
     ScenarioError,
     dump,
     json_schema,
     list_scenarios,
+    load_middle_loop,
     load_scenario,
     loads,
     open_scenario,
     set_duration,
 )
 from testbed.scenario.fields import Section
-from testbed.scenario.middle_loop import Guidance, MiddleLoopFile
+from testbed.scenario.middle_loop import Guidance, MiddleLoopFile, MiddleLoopGains
+from testbed.scenario.problems import FilePosition
+from testbed.scenario.unusual import unusual_numbers
+from testbed.scenario.validate import _at, validate
+from testbed.scenario.yaml_io import plant, to_inline
 from testbed.sim.build import build
+from testbed.studies.study_schema import StudyConfig
+from testbed.studies.tune_schema import TuneConfig
 
 FOLDER = Path(__file__).parents[1] / "data" / "scenarios"
 FIXTURES = sorted(FOLDER.glob("*.yaml"))
@@ -376,6 +386,35 @@ def test_every_number_has_bounds(model):
     assert {path for path in without if not any(each in path for each in UNBOUNDED)} == set()
 
 
+@pytest.mark.parametrize("model", [Scenario, MiddleLoopFile, Guidance, StudyConfig, TuneConfig])
+def test_no_number_is_positive_in_name_only(model):
+    """A bound `> 0` lets 5e-324 pass, by which quotients overflow: SMALLEST is the bound."""
+    schema = model.model_json_schema(by_alias=True)
+    found = [(path, node) for path, node in numbers(schema, schema) if node["type"] == "number"]
+    assert [path for path, node in found if node.get("exclusiveMinimum") == 0] == []
+
+
+# Numbers of which 0 switches an effect off, and which divide otherwise.
+ZERO_IS_OFF = ("bit_per_s", "resolution_s", "smoothing_s")
+
+
+def test_tiny_numbers_are_refused_with_their_key():
+    """Each number that must be positive, also in lists and maps, of a scenario with every key."""
+    found = [
+        (data, key)
+        for data, key, bounds in every_number()
+        if named(key) in ZERO_IS_OFF or bounds.get("minimum") == SMALLEST
+    ]
+    assert len(found) > 60
+    for data, key in found if os.environ.get("TESTBED_NUMBERS") else found[::3]:
+        for tiny in (5e-324, 9e-7):
+            with pytest.raises(ScenarioError) as caught:
+                with_number(data, key, tiny)
+            problem = caught.value.problems[0]
+            assert key.startswith(".".join(problem.path)), key
+            assert re.search("a number at least 1e-06|must be above 0", problem.text), problem
+
+
 def leaves(value, path=()):
     """Yield the paths of all numbers in plain data."""
     if isinstance(value, dict | list):
@@ -384,6 +423,162 @@ def leaves(value, path=()):
             yield from leaves(each, (*path, str(key)))
     elif isinstance(value, int | float) and not isinstance(value, bool):
         yield path
+
+
+# Numbers without a usual limit: warned of by another rule, see the tests below, or with bounds of
+# their nature.
+WARNED_ELSEWHERE = {"a", "c", "constant", "speed_pole_per_s", "gain_scale"}
+NATURAL = {
+    "seed": "any whole number",
+    "latitude_deg": "the earth",
+    "longitude_deg": "the earth",
+    "elevation_m": "the earth",
+    "temperature_c": "the weather",
+    "from_deg": "a circle",
+    "towards_deg": "a circle",
+    "course_deg": "a circle",
+    "instance": "numbers processes",
+}
+
+
+def named(key):
+    """Return the last part of a key that is no index; "": there is none."""
+    return next((part for part in reversed(key.split(".")) if not part.isdigit()), "")
+
+
+def every_number():
+    """Yield plain data of a scenario, path and bounds of each number of the schema."""
+    file = open_scenario(FOLDER / "everything.yaml")
+    schema = Scenario.model_json_schema(by_alias=True)
+    seen = set()
+    for other in ["log.mcap=false", *OTHER_KINDS]:
+        data = file.resolve([other]).model_dump(mode="json", by_alias=True)
+        tree = plant(data, FilePosition(""))
+        validate(tree, Scenario)  # what is refused below is refused for its number
+        for path in leaves(data):
+            key = ".".join(path)
+            if key not in seen and not any(each in key for each in UNBOUNDED):
+                seen.add(key)
+                yield data, key, bounds_at(schema, tree, path)
+
+
+def bounds_at(schema, tree, path):
+    """Return the JSON schema of the number at a path, also where it stands for a list or a map."""
+    while True:
+        found = [node for _, node in numbers(schema, _at(schema, tree, path, follow=False))]
+        if found:
+            return found[0]
+        path = path[:-1]
+
+
+def with_number(data, key, number):
+    """Return the scenario of plain data with another number.
+
+    Raises:
+        ScenarioError: it is refused.
+    """
+    data = copy.deepcopy(data)
+    *parts, last = (int(part) if part.isdigit() else part for part in key.split("."))
+    reduce(getitem, parts, data)[last] = number
+    return validate(plant(data, FilePosition("")), Scenario)
+
+
+def limits(bounds):
+    """Return the smallest and the largest allowed number."""
+    low, high = (next(bounds[key] for key in keys if key in bounds) for keys in BOUNDS_OF_NUMBER)
+    step = 1 if bounds["type"] == "integer" else 0
+    least = low if "minimum" in bounds else low + step if step else np.nextafter(low, high)
+    most = high if "maximum" in bounds else high - step if step else np.nextafter(high, low)
+    return least, most
+
+
+BOUNDS_OF_NUMBER = [("minimum", "exclusiveMinimum"), ("maximum", "exclusiveMaximum")]
+
+
+def test_absurd_numbers_are_refused_or_warned_of():
+    """Each number of the schema at its bounds and beyond; TESTBED_NUMBERS=1 takes all of them."""
+    every = list(every_number())
+    assert len(every) > 350
+    if not os.environ.get("TESTBED_NUMBERS"):
+        every = random.Random("bounds").sample(every, 60)
+    for data, key, bounds in every:
+        least, most = limits(bounds)
+        for beyond in (2 * most + 1, least - abs(least) / 2 - (least <= 0)):
+            beyond = int(beyond) if bounds["type"] == "integer" else beyond
+            with pytest.raises(ScenarioError) as caught:
+                with_number(data, key, beyond)
+            problem = caught.value.problems[0]
+            assert key.startswith(".".join(problem.path)), (key, beyond, problem)
+            assert re.search("write a number (at |above|below)|above 0", problem.text), problem
+        name = named(key)
+        flown = not key.startswith("scenario.published.")
+        if name in NATURAL or name in WARNED_ELSEWHERE or most <= 1 or not flown:
+            continue
+        for number in (most, least) if least <= -most else (most,):
+            try:
+                texts = list(unusual_numbers(with_number(data, key, number)))
+            except ScenarioError:
+                continue
+            assert any(named(text.partition(" is ")[0]) == name for text in texts), (
+                key,
+                number,
+                texts,
+            )
+
+
+def test_absurd_gains_are_refused_or_warned_of():
+    """As above, of the middle loop."""
+    schema = MiddleLoopGains.model_json_schema()
+    data = load_middle_loop("rascal110", "tuned").model_dump(mode="json")
+    tree, usual = plant(data, FilePosition("")), load_scenario("simulation-3")
+    found = [(path, _at(schema, tree, path)) for path in leaves(data)]
+    assert len(found) > 25
+    for path, bounds in found:
+        key = ".".join(path)
+        if path[0] == "estimators":  # shares, which controller.estimators changes
+            continue
+        least, most = limits(bounds)
+        change = to_inline(float(most))
+        for part in reversed(path):
+            change = f"{{{part}: {change}}}"
+        changed = load_scenario("simulation-3", [f"controller.gains={change}"])
+        if most > 1:
+            (text,) = unusual_numbers(changed)
+            assert text.startswith(f"controller.gains.{key} is "), key
+        assert [*unusual_numbers(usual)] == []
+
+
+@pytest.mark.parametrize("change", ["a=1000", "c=1000", "c.constant=1000", "speed_pole_per_s=1000"])
+def test_absurd_rates_of_the_law_are_warned_of(change):
+    """What is usual of them depends on the control period."""
+    change = change.replace("c.constant=1000", "c={constant: 1000, per_speed_squared: 0.001}")
+    world = build(load_scenario("simulation-3", [f"formation.{change}"]))
+    key = f"formation.{change.partition('=')[0]} has a gain of "
+    assert any(key in each.text for each in world.initial_events)
+
+
+def test_absurd_scale_of_gains_is_warned_of():
+    world = build(load_scenario("simulation-3", ["controller.gain_scale=100"]))
+    assert any("controller.gain_scale: 100" in each.text for each in world.initial_events)
+
+
+def test_shipped_scenarios_have_usual_numbers():
+    for name in list_scenarios():
+        assert list(unusual_numbers(load_scenario(name))) == [], name
+
+
+def test_unusual_numbers_are_warned_of():
+    """One warning for like keys, before the flight; also for gains of the middle loop."""
+    changes = ["fleet.*.sensors={position: {sigma_m: 1000, time_constant_s: 1}}"]
+    changes += ["controller.gains={course: {p: 50}}", "leader.start.north_m=-20000"]
+    world = build(load_scenario("simulation-3", changes))
+    texts = [each.text for each in world.initial_events if "usual are" in each.text]
+    assert texts == [
+        "leader.start.north_m is -20000; usual are up to -10000",
+        "fleet.0.sensors.position.sigma_m is 1000, and 2 more such numbers; usual are up to 200",
+        "controller.gains.course.p is 50; usual are up to 20",
+    ]
+    assert "" not in [each.text for each in world.initial_events]
 
 
 def test_absurd_numbers_are_refused_with_their_key():

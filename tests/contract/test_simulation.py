@@ -14,6 +14,7 @@ from waiting import TIMEOUT_S
 
 import testbed
 from testbed.core.errors import InputError
+from testbed.core.records import FbwaCommand
 from testbed.core.samples import copy_sample
 from testbed.logs.read import read_log
 from testbed.logs.run_directory import LOG_NAME, SCENARIO_NAME
@@ -136,7 +137,7 @@ def test_state_between_samples_is_present():
 def test_commands_fly_external_aircraft_only():
     simulation = testbed.Simulation(short("fleet.uav2.commanded_by=external"))
     assert simulation.names == ("leader", "uav1", "uav2", "uav3")
-    sample = simulation.step({"uav2": (0.1, 0.4, 0.5)}, until=2.5)
+    sample = simulation.step({"uav2": FbwaCommand(roll=0.4, pitch=0.1, throttle=0.5)}, until=2.5)
     command = [each[2] for each in sample.command]
     assert command == [0.1, 0.4, 0.5]
     assert sample.truth.euler[2, 0] == pytest.approx(0.4, abs=0.05)

@@ -10,7 +10,7 @@ from pyarrow import parquet
 from testbed.cli.study_report import read_study
 from testbed.core.errors import InputError
 from testbed.logs import arrow_io
-from testbed.studies.journal import Journal, Row
+from testbed.studies.journal import Journal, JournalRow
 from testbed.studies.table import metric_columns, read_table
 
 DEEP = "[" * 200_000
@@ -100,8 +100,8 @@ def test_names_of_aircraft_with_dots_keep_columns(tmp_path):
     """`uav` beside `uav.1` are two aircraft; `error` beside `error.uav` is a missing part."""
     journal = Journal(tmp_path / "study.journal", INPUTS)
     numbers = {"error.uav": 1.0, "error.uav.1": 2.0, "age": 3.0}
-    journal.add(Row(0, "lost", "lost: uav", {"error": None, "age": None}))
-    journal.add(Row(1, "completed", "", numbers))
+    journal.add(JournalRow(0, "lost", "lost: uav", {"error": None, "age": None}))
+    journal.add(JournalRow(1, "completed", "", numbers))
     assert journal.names() == ("age", "error.uav", "error.uav.1")
     journal.close()
 

@@ -23,7 +23,7 @@ from testbed.reports.study import figures, study_page, tables
 from testbed.reports.study.page import print_summary
 from testbed.reports.study.parameter_plots import parameters
 from testbed.reports.study.report_table import format_cell, format_number
-from testbed.reports.study.study_data import Estimate, axis_label, wrap_key
+from testbed.reports.study.study_data import IntervalEstimate, axis_label, wrap_key
 
 SLUG = "windows-laps-mean_rms_m"
 PAGE = """
@@ -267,7 +267,7 @@ def test_report_of_edge_cases_is_written(lost):
 )
 def test_numbers_have_three_digits(value, text):
     assert format_number(value) == text
-    assert format_cell(Estimate(value, math.nan, math.nan, 2)) == text
+    assert format_cell(IntervalEstimate(value, math.nan, math.nan, 2)) == text
 
 
 def test_command_writes_report_tables_and_json(tmp_path, monkeypatch):

@@ -20,7 +20,7 @@ from waiting import TIMEOUT_S, until
 from testbed.cli.sweep import summary_tables
 from testbed.core.errors import InputError
 from testbed.studies.journal import Journal, flatten_metrics
-from testbed.studies.summary import Group, Summary
+from testbed.studies.summary import RunGroup, Summary
 from testbed.studies.sweep import sweep
 from testbed.studies.table import find_output, read_rows, read_table
 
@@ -352,8 +352,8 @@ def test_sweep_table_fits_the_terminal(width, keys, metrics):
     point = dict(list(values.items())[:keys])
     numbers = dict.fromkeys(names, (12.345, 3.21, 123.4))
     groups = (
-        Group("simulation-1-autopilot-100", point, 20, 19, numbers),
-        Group("far", point, 20, 20, dict.fromkeys(names)),
+        RunGroup("simulation-1-autopilot-100", point, 20, 19, numbers),
+        RunGroup("far", point, 20, 20, dict.fromkeys(names)),
     )
     console = Console(width=width, file=io.StringIO())
     for table in summary_tables(Summary(names, {}, groups, (), 0), width):

@@ -293,12 +293,6 @@ def test_tune_real_flights_have_costs(file, tmp_path, fly_with):
             ),
             "constraints: simulation-3: fleet.0.vehicle: uav1 has no roll command",
         ),
-        (
-            ("aggregate:", "robust:"),
-            "small.yaml:11:52: objective.robust: has another name (write a",
-        ),
-        (("max_flights:", "flights:"), "search.flights: has another name (write max_flights)"),
-        (("held_out_seeds:", "held_out:"), "has another name (write held_out_seeds)"),
         ((TUNE, "a text"), "small.yaml:1:1: is text (write a map of keys and values)"),
     ],
 )

@@ -41,7 +41,7 @@ from testbed.views.airframes import draw_airframe
 from testbed.views.batch import Collector, batch_of
 from testbed.views.meshes import vertex_normals
 from testbed.views.recorded_runs import SIZE, ViewComplaintError
-from testbed.views.rerun_backend import Recording
+from testbed.views.rerun_backend import RerunRecording
 from testbed.views.view import BATCH_SAMPLES
 
 HERE = Path(__file__).parents[2]
@@ -97,7 +97,7 @@ def test_importing_views_does_not_import_rerun():
 def test_calls_per_batch_independent_of_samples():
     calls = []
     for duration_s in (4.0, 30.0):
-        recording = Recording(scene.scene_of(views_flight.info(4, duration_s)), live=True)
+        recording = RerunRecording(scene.scene_of(views_flight.info(4, duration_s)), live=True)
         recording.open(None)
         run = batch_of(views_flight.log(4, duration_s), ())
         recording.send(run.rows(slice(0, 50)))  # with the static part

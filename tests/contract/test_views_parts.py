@@ -10,7 +10,7 @@ from reference.formation_barrier import h
 
 from testbed.core.errors import InputError
 from testbed.core.records import Event
-from testbed.formation.barrier import Barrier
+from testbed.formation.barrier import SpeedBarrier
 from testbed.views import annotations, layout, plots
 from testbed.views.airframes import draw_airframe
 from testbed.views.batch import COLUMNS, Collector, batch_of, overlay, split
@@ -18,7 +18,7 @@ from testbed.views.cameras import ABOVE, BEHIND, FormationCameras, flying_aircra
 from testbed.views.meshes import cut_control_surface
 from testbed.views.panels import break_at_wrap
 from testbed.views.recorded_runs import scene_and_batch
-from testbed.views.rerun_backend import Recording
+from testbed.views.rerun_backend import RerunRecording
 from testbed.views.rerun_backend.blueprint import plot_view
 from testbed.views.scene import FOLLOWERS, overlay_scenes, scene_of
 
@@ -215,7 +215,7 @@ def test_barrier_plot_equals_law():
     values = series.values(batch)
     speed = np.linalg.norm(batch.velocity[:, 1:], axis=-1)
     for i, (example, nu) in enumerate(barriers[:2]):
-        expected, _ = h(Barrier(example, nu), speed[:, i], np.array(16.0), np.array(30.0))
+        expected, _ = h(SpeedBarrier(example, nu), speed[:, i], np.array(16.0), np.array(30.0))
         np.testing.assert_allclose(values[:, i], expected)
     assert values.std(axis=0)[0] > 0.0
     assert "barrier" not in [p.name for row in plots.tabs(scene(4)) for p in row]
@@ -267,7 +267,7 @@ def test_plots_end_where_aircraft_is_lost():
 
 def sent(scene, batch):
     """Record what is sent to Rerun: times and columns by entity."""
-    recording, columns = Recording(scene, live=False), {}
+    recording, columns = RerunRecording(scene, live=False), {}
     recording.open(None)
     recording._columns = lambda entity, *call: columns.setdefault(entity, []).append(call)
     for piece in split(batch, 60):

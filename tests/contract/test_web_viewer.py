@@ -1,5 +1,6 @@
 """A web viewer answers on this machine only, for as long as its command runs."""
 
+import http.client
 import os
 import re
 import signal
@@ -15,7 +16,8 @@ from record_flight import record, run_info, run_samples
 from waiting import TIMEOUT_S, until
 
 from testbed.core.errors import InputError
-from testbed.views import viewer
+from testbed.logs.read import read_log
+from testbed.views import LiveViewer, replay, viewer
 
 
 def listening(port):
@@ -47,6 +49,37 @@ def test_web_view_answers_on_loopback_until_ctrl_c(tmp_path):
         finally:
             process.kill()
     until(lambda: not any(listening(port) for port in ports))
+
+
+FLIGHT = "/rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages"
+
+
+def ask(port, method, path, **headers):
+    """Status of an answer on this machine, its first byte, and the origin that may read it."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=TIMEOUT_S)
+    body = bytes(5) if method == "POST" else None
+    more = {"Content-Type": "application/grpc-web+proto"} if body else {}
+    connection.request(method, path, body=body, headers=more | headers)
+    answer = connection.getresponse()
+    found = answer.status, bool(answer.read(1)), answer.getheader("Access-Control-Allow-Origin")
+    connection.close()
+    return found
+
+
+def test_web_viewer_answers_any_host(tmp_path):
+    """A page that has this machine's address under its own name (DNS rebinding) reads the flight.
+
+    Pages of other machines under other addresses get no permission to read it.
+    """
+    record(tmp_path / "run.mcap", run_samples(60), run_info())
+    foreign, local = "http://hostile.example", "http://localhost:8000"
+    with viewer.serve_web_viewer(viewer.HOST) as served:
+        replay(LiveViewer(port=served.port, lossless=True), read_log(tmp_path / "run.mcap"))
+        name = f"hostile.example:{served.page_port}"
+        assert ask(served.page_port, "GET", "/", Host=name) == (200, True, None)
+        assert ask(served.port, "POST", FLIGHT, Host=name) == (200, True, None)
+        assert ask(served.port, "POST", FLIGHT, Origin=foreign) == (200, True, None)
+        assert ask(served.port, "POST", FLIGHT, Origin=local) == (200, True, local)
 
 
 def test_run_in_web_viewer_stays_until_ctrl_c(tmp_path):

@@ -35,6 +35,7 @@ OUTPUTS = {
     "run.plotjuggler.xml": ("export", "run", "--format", "plotjuggler"),
     "named.csv": ("export", "run", "--format", "csv", "--out", "run/named.csv"),
     "report.html": ("report", "run"),
+    "it.gif": ("video", "run", "--out=run/it.gif", "--size=100x100", "--to=0.8", "--fps=5"),
 }
 COMMANDS = {
     **OUTPUTS,

@@ -70,7 +70,7 @@ def simulate(turbulence, height, airspeed, steps):
     out = np.empty((steps, len(height), 6))
     for each in out:
         wind["wind_ned"] = wind["wind_gradient_rates"] = 0.0
-        turbulence.step()
+        turbulence.step(0.0)
         each[:, :3], each[:, 3:] = wind["wind_ned"], wind["wind_gradient_rates"]
     return out
 

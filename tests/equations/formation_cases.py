@@ -20,12 +20,12 @@ from reference.formation_middle_loop import (
 from testbed.core.records import Inbox, UnicycleCommand, VehicleState
 from testbed.formation import control_function
 from testbed.formation import leader_filter as leader
-from testbed.formation.barrier import Barrier
+from testbed.formation.barrier import SpeedBarrier
 
 LOW, HIGH, KAPPA = 16.0, 30.0, 3.6
 NOW, DT = 100.0, 0.04
 PAPERS_MU = control_function.example_1(50.0, 1.0, 0.5)
-PAPERS_BARRIER = Barrier(5, 0.05)
+PAPERS_BARRIER = SpeedBarrier(5, 0.05)
 
 
 LAW_ENGINES = {"reference": hbh23_step, "kernel": adapters.hbh23_step}

@@ -9,7 +9,7 @@ from reference.channel_simulation import transmit
 from scipy.stats import binomtest, chisquare, norm, ttest_1samp
 
 from testbed.network.channel import make_channel
-from testbed.network.links import PacketOutcome
+from testbed.network.links import PacketOutcome, resolve_links
 from testbed.scenario.network import Network
 
 PACKETS = int(os.environ.get("TESTBED_PACKETS", "30000"))
@@ -41,7 +41,9 @@ class Flow(NamedTuple):
 
 def make(names=("leader", "uav1"), seed=None, **keys):
     """Make a channel with these keys of a scenario's network."""
-    return make_channel(names, Network.model_validate(keys), SEED if seed is None else seed)
+    return make_channel(
+        resolve_links(names, Network.model_validate(keys)), SEED if seed is None else seed
+    )
 
 
 def send(packets=PACKETS, period_s=1.0, phase_s=0.0, **keys):

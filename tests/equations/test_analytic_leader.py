@@ -14,13 +14,19 @@ from testbed.core.records import AIRCRAFT, allocate
 from testbed.guidance import analytic_paths as analytic
 from testbed.guidance.analytic_paths import (
     SWING,
-    Circle,
-    FigureEight,
+    CirclePath,
+    FigureEightPath,
     SinusoidalPath,
-    SpeedChange,
-    Straight,
+    SpeedChangePath,
+    StraightPath,
 )
-from testbed.guidance.flight_plan import Level, LoiterLeg, Mission, WaypointLeg, make_plan
+from testbed.guidance.flight_plan import (
+    GuidanceMission,
+    LoiterLeg,
+    LoiterLevel,
+    WaypointLeg,
+    make_plan,
+)
 from testbed.guidance.mission_follower import begin_flight, guide_unicycle, segment_records
 from testbed.guidance.recorded_path import SampledTrajectory
 from testbed.scenario.middle_loop import Guidance
@@ -28,14 +34,14 @@ from testbed.vehicle.unicycle import advance, make_unicycles, write_motion
 
 START = {"position_ned": (100.0, -50.0, -120.0), "course": 0.7, "speed": 22.0}
 CURVES = {
-    "straight": Straight(**START, climb=1.5),
-    "circle": Circle(**START, radius=120.0),
-    "circle, anticlockwise": Circle(**START, radius=120.0, clockwise=False),
-    "helix": Circle(**START, radius=90.0, climb=-2.0),
-    "figure-eight": FigureEight(**START, radius=100.0),
-    "figure-eight, anticlockwise": FigureEight(**START, radius=60.0, clockwise=False),
+    "straight": StraightPath(**START, climb=1.5),
+    "circle": CirclePath(**START, radius=120.0),
+    "circle, anticlockwise": CirclePath(**START, radius=120.0, clockwise=False),
+    "helix": CirclePath(**START, radius=90.0, climb=-2.0),
+    "figure-eight": FigureEightPath(**START, radius=100.0),
+    "figure-eight, anticlockwise": FigureEightPath(**START, radius=60.0, clockwise=False),
     "weave": SinusoidalPath(**START, amplitude=40.0, period=20.0),
-    "speed-change": SpeedChange(**START, amplitude=3.0, period=12.0),
+    "speed-change": SpeedChangePath(**START, amplitude=3.0, period=12.0),
 }
 WIDE = np.linspace(0.0, 200.0, 1201)
 every_curve = pytest.mark.parametrize("curve", CURVES.values(), ids=CURVES)
@@ -227,7 +233,13 @@ RAISED = tuple((*corner, 150.0 if i in (1, 3) else 100.0) for i, corner in enume
 CIRCLE = LoiterLeg(
     centre=(320.0, 320.0),
     radius=120.0,
-    levels=(Level(100, 3), Level(130, 3), Level(100, 3), Level(150, 3), Level(120, 1)),
+    levels=(
+        LoiterLevel(100, 3),
+        LoiterLevel(130, 3),
+        LoiterLevel(100, 3),
+        LoiterLevel(150, 3),
+        LoiterLevel(120, 1),
+    ),
 )
 
 
@@ -235,19 +247,19 @@ CIRCLE = LoiterLeg(
 def flight():
     """Rows of time, north, east, altitude, speed, bank and part at 25 Hz for 1080 s."""
     legs = (WaypointLeg(LEVEL[1:]), WaypointLeg(LEVEL, 2), WaypointLeg(RAISED, 2), CIRCLE)
-    plan = make_plan(Mission(legs=legs, airspeed=22.0), (640.0, -80.0, 100.0))
+    plan = make_plan(GuidanceMission(legs=legs, airspeed=22.0), (640.0, -80.0, 100.0))
     held, gains = (100.0, 0.0, 0.0, 0.0), Guidance().model_dump()
     state, segments = begin_flight(plan, held, dt=0.04, gains=gains), segment_records(plan)
     position, velocity = np.array([[640.0, -80.0, -100.0]]), np.array([[0.0, 22.0, 0.0]])
     leader, aircraft = make_unicycles(position, velocity, np.array([0.64])), allocate(AIRCRAFT, 1)
     row, truth = np.zeros(1, dtype=np.intp), aircraft["truth"]
-    rows = []
+    rows, speed, turn = [], np.zeros(1), np.zeros(3)
     for k in range(1080 * 25):
         write_motion(leader, row, aircraft)
         where = truth["position_ned"][0].tolist()
         aircraft["estimate"] = truth
-        speed, turn = guide_unicycle(0, aircraft, segments, state)
-        assert speed == 22.0 and turn[0] == 0.0
+        guide_unicycle(0, aircraft, segments, state, speed, turn)
+        assert speed[0] == 22.0 and turn[0] == 0.0
         leader["speed_command"], leader["omega"] = speed, turn
         write_motion(leader, row, aircraft)
         airspeed, bank = truth["airspeed"][0], truth["euler"][0, 0]

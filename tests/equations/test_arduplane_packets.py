@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from reference.frames import rotation_ned_body
 
+from testbed.autopilot import param_file
 from testbed.autopilot.json_physics import (
     LIMITS,
     MOTION_NUMBERS,
@@ -25,16 +26,10 @@ from testbed.autopilot.json_physics import (
     read_servos,
 )
 from testbed.autopilot.parameters import read_params
-from testbed.autopilot.sitl_parameters import (
-    TuneUse,
-    defaults_text,
-    tune_differences,
-    tune_unknown,
-    tune_use,
-)
+from testbed.autopilot.sitl_parameters import TuneUse, defaults_text, tune_report
 from testbed.core.frames import GRAVITY
 from testbed.core.random import named_stream
-from testbed.core.records import AIRCRAFT, allocate
+from testbed.core.records import AIRCRAFT, FbwaCommand, allocate
 
 RASCAL = Path(__file__).parents[2] / "aircraft" / "rascal110" / "autopilot.param"
 
@@ -59,7 +54,7 @@ def motion(euler=(0.0, 0.0, 0.0), acceleration=(0.0, 0.0, 0.0)):
     truth["position_ned"], truth["velocity_ned"] = (1.0, 2.0, -3.0), (20.0, 0.5, -0.25)
     truth["acceleration_ned"], truth["euler"] = acceleration, euler
     truth["rates_body"] = 0.1, 0.2, 0.3
-    pack_motion(np.array([1]), np.array([0, 2]), aircraft, numbers)
+    pack_motion(np.array([0, 2]), aircraft, numbers, np.array([1]))
     assert np.isnan(numbers[0]).all()
     return numbers[1]
 
@@ -182,15 +177,29 @@ def read_back(pulse, low, trim, high, reversed_):
 def test_rc_pulses_by_hand():
     channels = make_rc_channels(known())
     # 22.5° of 45° is half of 400 µs; 10° of 20° up is half; a quarter of 800 µs of throttle
-    assert channels.pulses(math.radians(22.5), math.radians(10), 0.25) == (1700, 1700, 1300, 1500)
+    assert rc_pulses(channels, math.radians(22.5), math.radians(10), 0.25) == (
+        1700,
+        1700,
+        1300,
+        1500,
+    )
     # 12.5° of 25° down
-    assert channels.pulses(-math.radians(45), -math.radians(12.5), 1.0) == (1100, 1300, 1900, 1500)
+    assert rc_pulses(channels, -math.radians(45), -math.radians(12.5), 1.0) == (
+        1100,
+        1300,
+        1900,
+        1500,
+    )
+
+
+def rc_pulses(channels, roll, pitch, throttle):
+    return channels.pulses(FbwaCommand(roll=roll, pitch=pitch, throttle=throttle))
 
 
 def test_rc_pulses_are_clamped():
     channels = make_rc_channels(known())
-    assert channels.pulses(2.0, -2.0, 1.5) == (1900, 1100, 1900, 1500)
-    assert channels.pulses(-2.0, 2.0, -0.5) == (1100, 1900, 1100, 1500)
+    assert rc_pulses(channels, 2.0, -2.0, 1.5) == (1900, 1100, 1900, 1500)
+    assert rc_pulses(channels, -2.0, 2.0, -0.5) == (1100, 1900, 1100, 1500)
 
 
 def test_rc_pulses_round_to_half_a_microsecond():
@@ -212,7 +221,7 @@ def test_rc_pulses_round_to_half_a_microsecond():
                 ("REVERSED", reversed_),
             )
         }
-        one, two, three, four = make_rc_channels(known(**ends)).pulses(roll, pitch, throttle)
+        one, two, three, four = rc_pulses(make_rc_channels(known(**ends)), roll, pitch, throttle)
         half = 0.5001 / min(trim - low, high - trim)
         got = read_back(one, low, trim, high, reversed_) * math.radians(45)
         assert got == pytest.approx(roll, abs=half * math.radians(45))
@@ -230,7 +239,7 @@ def test_rc_dead_zones_have_no_effect():
 
 def test_rc_channels_are_mapped():
     channels = make_rc_channels(known(RCMAP_ROLL=5, RCMAP_PITCH=1, RCMAP_THROTTLE=2, RCMAP_YAW=3))
-    assert channels.pulses(math.radians(45), 0.0, 0.0) == (1500, 1100, 1500, 1500, 1900)
+    assert rc_pulses(channels, math.radians(45), 0.0, 0.0) == (1500, 1100, 1500, 1500, 1900)
 
 
 @pytest.mark.parametrize(
@@ -367,7 +376,7 @@ def test_defaults_of_a_real_aircraft(tmp_path):
         *("ROLL_LIMIT_DEG 55", "AIRSPEED_MIN 13", "INS_GYRO_FILTER 20", "RLL_RATE_P 0.21"),
         "TECS_CLMB_MAX 4",
     ]
-    assert tune_use(tune) == TuneUse(
+    assert tune_report(tune).use == TuneUse(
         renamed={"LIM_ROLL_CD": "ROLL_LIMIT_DEG 55", "ARSPD_FBW_MIN": "AIRSPEED_MIN 13"},
         both=("LIM_ROLL_CD", "ARSPD_FBW_MIN", "INS_GYRO_FILTER", "RLL_RATE_P"),
         arduplane=("TECS_CLMB_MAX",),
@@ -382,20 +391,20 @@ def test_differences_from_the_virtual_autopilot(tmp_path):
         "SERVO1_FUNCTION 77\nSERVO2_FUNCTION 78\nYAW2SRV_DAMP 0\nINS_GYRO_FILTER 40\n"
         "FLIGHT_OPTIONS 1029\nMIXING_OFFSET 100\n"
     )
-    assert [each.partition(":")[0] for each in tune_differences(tune)] == [
+    assert [each.partition(":")[0] for each in tune_report(tune).differences] == [
         *("MIXING_OFFSET 100", "FLIGHT_OPTIONS bit 0", "FLIGHT_OPTIONS bit 10"),
         "INS_GYRO_FILTER 40",
     ]
     tune.write_text("SERVO1_FUNCTION 77\nSERVO2_FUNCTION 78\nMIXING_GAIN 0.5\nRLL_RATE_SMAX 100\n")
-    assert list(tune_differences(tune)) == [
+    assert list(tune_report(tune).differences) == [
         "INS_GYRO_FILTER 20: 20 Hz in the virtual autopilot, as on an aircraft; in SITL times "
         "rates.physics_hz / 1000, 4 Hz at 200, which the virtual autopilot has with gyro_filter: "
         "sitl"
     ]
     tune.write_text("INS_GYRO_FILTER 0\n")
-    assert list(tune_differences(tune)) == []
+    assert tune_report(tune).differences == ()
     tune.write_text("RLL_RATE_SMAX 100\n")
-    assert "RLL_RATE_SMAX" in tune_use(tune).both
+    assert "RLL_RATE_SMAX" in tune_report(tune).use.both
 
 
 def test_what_is_not_known_is_named(tmp_path):
@@ -405,11 +414,31 @@ def test_what_is_not_known_is_named(tmp_path):
         "INS_GYRO_FILTER 0\nTECS_CLMB_MAX 4\nCOMPASS_OFS_X 3\nYAW2SRV_DAMP 0.2\nRLL_RATE_P 0.2\n"
         "THR_SLEWRATE 20\nNEW_NAME 1\nFLIGHT_OPTIONS 1081346\n"
     )
-    assert tune_unknown(tune) == ("THR_SLEWRATE", "NEW_NAME")
-    assert list(tune_differences(tune)) == [
+    assert tune_report(tune).unknown == ("THR_SLEWRATE", "NEW_NAME")
+    assert list(tune_report(tune).differences) == [
         "YAW2SRV_DAMP 0.2: yaw damper",
         *(f"FLIGHT_OPTIONS bit {bit}: not known: may change the flight" for bit in (15, 20)),
     ]
+
+
+def test_names_without_effect_are_known_exactly(tmp_path):
+    """A name that only begins like one without effect is not known; nor is what FBWA reads."""
+    known = ("TECS_CLMB_MAX", "TKOFF_THR_MAX", "WP_RADIUS", "INS_HNTCH_FREQ", "LAND_TYPE")
+    unknown = ("TECS_NEW", "TKOFF_TDRAG_SPD1", "WP_RADIUS2", "INS_HNTCH_NEW", "STICK_MIXING_X")
+    tune = tmp_path / "plane.param"
+    tune.write_text("".join(f"{name} 1\n" for name in (*known, *unknown)))
+    assert tune_report(tune).unknown == unknown
+
+
+def test_tune_report_reads_the_file_once(tmp_path, monkeypatch):
+    tune = tmp_path / "plane.param"
+    tune.write_text(REAL_AIRCRAFT)
+    read, paths = param_file.read_bounded_text, []
+    monkeypatch.setattr(
+        param_file, "read_bounded_text", lambda path, **how: paths.append(path) or read(path, **how)
+    )
+    tune_report(tune)
+    assert paths == [tune]
 
 
 def test_unused_rate_parameters_are_differences(tmp_path):
@@ -420,8 +449,8 @@ def test_unused_rate_parameters_are_differences(tmp_path):
         *(f"{axis}_RATE_{end}" for axis in ("RLL", "PTCH") for end in ("NTF", "NEF")),
     ]
     tune.write_text("INS_GYRO_FILTER 0\n" + "".join(f"{name} 1\n" for name in names))
-    assert [each.split()[0] for each in tune_differences(tune)] == names
-    assert tune_use(tune).arduplane == tuple(names)
+    assert [each.split()[0] for each in tune_report(tune).differences] == names
+    assert tune_report(tune).use.arduplane == tuple(names)
 
 
 def test_defaults_lines_fit_arduplane_buffer(tmp_path):

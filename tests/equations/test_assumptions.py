@@ -18,7 +18,7 @@ from testbed.formation.assumptions import (
     largest_kappa,
     margin,
 )
-from testbed.formation.barrier import NO_BARRIER, Barrier, barrier_curve
+from testbed.formation.barrier import NO_BARRIER, SpeedBarrier, barrier_curve
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
 from testbed.formation.hbh23 import SLOPE_FLOOR
 from testbed.formation.slots import (
@@ -37,13 +37,13 @@ FUNCTIONS = {
     "example 3": EXAMPLE_3,
 }
 BARRIERS = {
-    "example 4": Barrier(4, 0.02),
-    "example 4, steep": Barrier(4, 5.0),
-    "example 5": Barrier(5, 0.05),
-    "example 5, slack": Barrier(5, 1e-4),
-    "example 6": Barrier(6, 1.0),
-    "example 6, thin": Barrier(6, 0.01),
-    "example 6, widest": Barrier(6, WIDTH / 2.0),
+    "example 4": SpeedBarrier(4, 0.02),
+    "example 4, steep": SpeedBarrier(4, 5.0),
+    "example 5": SpeedBarrier(5, 0.05),
+    "example 5, slack": SpeedBarrier(5, 1e-4),
+    "example 6": SpeedBarrier(6, 1.0),
+    "example 6, thin": SpeedBarrier(6, 0.01),
+    "example 6, widest": SpeedBarrier(6, WIDTH / 2.0),
 }
 every_barrier = pytest.mark.parametrize("barrier", BARRIERS.values(), ids=BARRIERS)
 
@@ -130,7 +130,7 @@ def test_b5_holds_by_its_closed_forms(barrier):
 def test_b5_fails_for_desired_speeds_outside_the_set():
     # Example 4: the divisor is ν ((s_hi − s_d)(s_d − s_lo) + (s_d − s)²). At s_d = 15.5 that is
     # 0.02 (−7.25 + (s − 15.5)²): −0.14 at 16, and zero at 15.5 + √7.25 = 18.19 m/s.
-    low_end, high_end = check_barrier([Barrier(4, 0.02)], speed_set(epsilon=-0.5))
+    low_end, high_end = check_barrier([SpeedBarrier(4, 0.02)], speed_set(epsilon=-0.5))
     assert low_end.number == pytest.approx(-0.14, abs=2e-4)  # the grid starts 7 mm/s inside
     assert "(B5)" in low_end.text
     found = re.search(r"not positive from ([\d.]+) to ([\d.]+) m/s", low_end.text)
@@ -141,7 +141,7 @@ def test_b5_fails_for_desired_speeds_outside_the_set():
 
 
 def test_a_negative_nu_breaks_every_condition():
-    found = check_barrier([Barrier(4, -0.02)], speed_set())
+    found = check_barrier([SpeedBarrier(4, -0.02)], speed_set())
     names = [f.text[:4] for f in found]
     assert sorted(set(names)) == ["(B1)", "(B2)", "(B3)", "(B4)", "(B5)"]
     # (B1) is worst in the middle of S: −0.02·7²
@@ -150,7 +150,7 @@ def test_a_negative_nu_breaks_every_condition():
 
 
 def test_check_barrier_example_6_ends_overlap():
-    wide = Barrier(6, 7.5)
+    wide = SpeedBarrier(6, 7.5)
     [found] = check_barrier([wide], speed_set())
     assert found.number == 7.5
     assert "between 22.5 and 23.5 m/s" in found.text
@@ -163,12 +163,12 @@ def test_check_barrier_example_6_ends_overlap():
 
 
 def test_check_barrier_no_barrier_is_one_finding():
-    [found] = check_barrier([Barrier(NO_BARRIER, 0.0)], speed_set())
+    [found] = check_barrier([SpeedBarrier(NO_BARRIER, 0.0)], speed_set())
     assert "no barrier: speeds are limited by saturation" in found.text
 
 
 def test_check_barrier_tanh_is_flat_outside():
-    barrier = Barrier(5, 0.5)
+    barrier = SpeedBarrier(5, 0.5)
     [found] = check_barrier([barrier], speed_set())
     # h' = −ν (w + 2d) / cosh²(x), x = ν d (d + w), d past the bound; in logarithms nothing is lost
     d = np.linspace(0.0, 5.0, 100_001)
@@ -183,9 +183,9 @@ def test_check_barrier_tanh_is_flat_outside():
 
 
 def test_every_agent_has_its_own_barrier():
-    several = [Barrier(4, 0.02), Barrier(6, 9.0), Barrier(5, 0.05)]
+    several = [SpeedBarrier(4, 0.02), SpeedBarrier(6, 9.0), SpeedBarrier(5, 0.05)]
     assert [f.agent for f in check_barrier(several, speed_set(n=3))] == [1]
-    assert [f.agent for f in check_barrier([Barrier(7, 0.0)] * 3, speed_set(n=3))] == [0, 1, 2]
+    assert [f.agent for f in check_barrier([SpeedBarrier(7, 0.0)] * 3, speed_set(n=3))] == [0, 1, 2]
 
 
 @every_barrier

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from reference.adapters_atmosphere import active_gusts, gust_velocity
 
-from testbed.atmosphere.gusts import GustFront, TimedGust, make_gusts
+from testbed.atmosphere.gusts import PlaneFrontGust, UniformGust, make_gusts
 from testbed.atmosphere.mean_wind import make_mean_wind
 
 AMPLITUDE = (3.0, -1.0, 2.0)
@@ -22,11 +22,11 @@ def wandering():
 
 
 def timed(*, pulse, start=5.0, ramp=2.0):
-    return TimedGust(AMPLITUDE, start=start, ramp=ramp, pulse=pulse)
+    return UniformGust(AMPLITUDE, start=start, ramp=ramp, pulse=pulse)
 
 
 def front(*, pulse=False, speed=None, direction=FACING, start=4.0, point=(100.0, -40.0)):
-    return GustFront(
+    return PlaneFrontGust(
         AMPLITUDE,
         point=point,
         direction=direction,

@@ -10,7 +10,7 @@ from reference import atmosphere_dryden, atmosphere_wake, atmosphere_wind
 
 from testbed.atmosphere.airframe_wind import make_local_wind, sample_ambient_wind
 from testbed.atmosphere.dryden import MIXTURES, add_dryden_turbulence
-from testbed.atmosphere.gusts import GustFront, TimedGust, make_gusts
+from testbed.atmosphere.gusts import PlaneFrontGust, UniformGust, make_gusts
 from testbed.atmosphere.mean_wind import LOGARITHMIC, POWER, Profile, make_mean_wind
 from testbed.atmosphere.turbulence_field import empty_grid, make_field
 from testbed.atmosphere.wake import WakeModel
@@ -81,9 +81,9 @@ def test_ambient_wind_kernel_matches_reference():
     n, rng = 7, np.random.default_rng(91)
     rates, differences = [], []
     some = [
-        TimedGust((3.0, -1.0, 2.0), start=1.0, ramp=4.0, pulse=False),
-        GustFront((0.0, 2.0, 1.0), (5.0, 3.0), 1.2, 0.0, 30.0, None, True),
-        GustFront((1.0, 0.0, -2.0), (-9.0, 3.0), 4.0, 2.0, 50.0, 7.0, False),
+        UniformGust((3.0, -1.0, 2.0), start=1.0, ramp=4.0, pulse=False),
+        PlaneFrontGust((0.0, 2.0, 1.0), (5.0, 3.0), 1.2, 0.0, 30.0, None, True),
+        PlaneFrontGust((1.0, 0.0, -2.0), (-9.0, 3.0), 4.0, 2.0, 50.0, 7.0, False),
     ]
     for rows, keywords in wind_rows(rng):
         for gusts, time in itertools.product((some, []), TIMES):
@@ -142,7 +142,7 @@ def test_field_in_wind_and_gusts_matches_reference(field):
     """Field and gusts add up; the wind moves the field."""
     n, rng = 50, np.random.default_rng(9)
     rows = np.zeros(1), np.array([[5.0, -3.0, 0.0]])
-    gusts = [TimedGust((3.0, -1.0, 2.0), start=1.0, ramp=4.0, pulse=False)]
+    gusts = [UniformGust((3.0, -1.0, 2.0), start=1.0, ramp=4.0, pulse=False)]
     position, euler = rng.normal(0.0, 300.0, (n, 3)), rng.uniform(-1.0, 1.0, (n, 3))
 
     def sampled(grid, gusts):

@@ -78,13 +78,13 @@ def test_autopilot_has_the_command_of_one_latency_ago(latency_s):
     """Control at 25 Hz, 5 ms after the autopilots' ticks; the leader's guidance is not late."""
     aircraft = allocate(AIRCRAFT, 3)
     link = Companions(aircraft, clock(), 0.0, latency_s)
-    sent = []
+    send, sent = link.send_commands(ROWS), []
     for tick in range(200):
         now = tick / 200
         aircraft["control"]["roll"][0] = now
         if tick % 8 == 1:
             aircraft["control"]["roll"][1:] = [now, -now]
-            link.send_commands(ROWS, now)
+            send(now)
             sent.append(now)
         if tick % 4 == 0 and sent:
             link.deliver_commands(now)
@@ -123,4 +123,4 @@ def test_late_commands_leave_the_earlier_ones():
 
 def test_no_latency_builds_no_companion():
     scenario = loads(SCENARIO)
-    assert build_companions(scenario, clock(), allocate(AIRCRAFT, 2)) is None
+    assert build_companions(scenario.controller.companion, clock(), allocate(AIRCRAFT, 2)) is None

@@ -19,7 +19,7 @@ from testbed.core.records import (
 )
 from testbed.formation.control_step import initial_controllers, make_neighbours
 from testbed.formation.law import FormationConfig, Saturation
-from testbed.sim.control import Control, Group, validate_command
+from testbed.sim.control import Control, ControlGroup, validate_command
 
 NAMES = ("uav1", "uav2", "uav3", "uav4", "uav5")
 
@@ -58,7 +58,9 @@ class Run:
         self.links = allocate(LINK, n, n + 1)
         timeout_s = np.inf if law.hold_stale_neighbours else law.neighbour_timeout_s
         groups = [
-            Group(np.array(each, dtype=np.intp), make_config(tuple(NAMES[i] for i in each)), law_)
+            ControlGroup(
+                np.array(each, dtype=np.intp), make_config(tuple(NAMES[i] for i in each)), law_
+            )
             for each, law_ in ((list(each), user_law) for each in rows)
         ]
         self.control = Control(
@@ -69,12 +71,14 @@ class Run:
             None,
             (self.aircraft, self.followers, self.links),
         )
+        self.steps = [self.control.steps(number) for number in range(len(groups))]
 
     def step(self, number, now, own, inbox):
         write_fields(self.aircraft["estimate"][1:], own)
         write_fields(self.links, inbox)
         self.links["measured_s"] = inbox.stamp_s
-        self.control.step(number, now)
+        for step in self.steps[number]:
+            step(now)
 
     @property
     def command(self):

@@ -30,11 +30,12 @@ def simulate(monitor, histories, *, away=ALL_FLYING, first=0):
     aircraft["lost"], left = away[0], np.array(away[1])
     aircraft["truth"]["equivalent_airspeed"], aircraft["air"]["alpha"] = 20.0, math.radians(3.0)
     followers["error_ned"][1] = [1.0, 0.0, 0.0]
+    find = monitor.bind(aircraft, followers, left)
     for k, (airspeed, alpha, distance) in enumerate(histories, start=first):
         aircraft["truth"]["equivalent_airspeed"][1] = airspeed
         aircraft["air"]["alpha"][1] = np.radians(alpha)
         followers["error_ned"][0] = [0.6 * distance, 0.0, 0.8 * distance]
-        events += monitor.changes(k * DT, aircraft, followers, left)
+        events += monitor.changes(k * DT) if find(k * DT) else ()
     return events
 
 
@@ -191,9 +192,11 @@ def test_find_exceeded_matches_reference():
         aircraft, followers, values = allocate(AIRCRAFT, 5), allocate(FOLLOWER, 4), np.empty((3, 5))
         aircraft["truth"]["equivalent_airspeed"], aircraft["air"]["alpha"] = airspeed, alpha
         followers["error_ned"] = error
-        found = find_exceeded(aircraft, followers, left, limits, closest, values)
+        active, seen_now = np.zeros(1, dtype=bool), (aircraft, followers, left)
+        found = find_exceeded(limits, closest, values, active, *seen_now)
         assert found == (expected > allowed).any()
         np.testing.assert_allclose(closest, near, rtol=1e-15)
         np.testing.assert_allclose(values, expected, rtol=1e-15)
+        assert find_exceeded(limits, closest, values, ~active, *seen_now), "an excess may end"
         seen += found
     assert 100 < seen < 400

@@ -802,6 +802,23 @@ def test_ranges_of_parameters_hold_the_defaults() -> None:
     assert list(unusual_values(FbwaParams())) == []
 
 
+@pytest.mark.parametrize(
+    ("planted", "range_", "error"),
+    [
+        ("usual without the default", {"usual": (0.1, 2.0)}, AssertionError),
+        ("usual beyond the flyable", {"usual": (0.0, 30.0)}, AssertionError),
+        ("flyable without end", {"flyable": (0.0, math.inf)}, pytest.fail.Exception),
+    ],
+)
+def test_wrong_range_of_a_parameter_is_found(
+    monkeypatch: pytest.MonkeyPatch, planted: str, range_: dict[str, Any], error: type[Exception]
+) -> None:
+    """A negative control of the test above: it fails for each planted fault."""
+    monkeypatch.setitem(RANGES, "rll_rate_p", RANGES["rll_rate_p"]._replace(**range_))
+    with pytest.raises(error):
+        test_ranges_of_parameters_hold_the_defaults()
+
+
 @pytest.mark.parametrize("path", sorted(library().glob("aircraft/*/*.param")), ids=lambda p: p.name)
 def test_tunes_of_the_aircraft_are_usual(path: Path) -> None:
     assert list(unusual_values(read_params(path))) == []

@@ -18,7 +18,7 @@ from testbed.core.frames import (
     quaternion_xyzw,
 )
 from testbed.core.geodetic import geodetic_from_ned, ned_from_geodetic
-from testbed.core.records import Broadcast, Origin
+from testbed.core.records import Broadcast, NedOrigin
 from testbed.mavlink.codec import Codec, decode
 from testbed.mavlink.follow_target import (
     BEGIN_MS,
@@ -34,7 +34,7 @@ from testbed.scenario.network import Network
 DAMAGED = 100 * int(os.environ.get("TESTBED_FRAMES", "10000"))
 CHUNK = 1 << 16
 LEVEL = 0.01 / 4  # of significance; four statistical tests
-ORIGINS = [Origin(), Origin(-35.5, 149.25, 584.0), Origin(51.0, -179.999, -20.0)]
+ORIGINS = [NedOrigin(), NedOrigin(-35.5, 149.25, 584.0), NedOrigin(51.0, -179.999, -20.0)]
 
 
 def broadcasts(rng, count):
@@ -117,7 +117,7 @@ def test_stamp_is_truncated_to_milliseconds():
     fine = np.array([0.0009, 12.3456789, 99.9999])
     times = np.concatenate([ticks, fine, [-3600.0, -0.0001]])
     nothing = np.zeros((len(times), 3))
-    converter, rows = FollowTarget(Origin()), np.zeros(len(times), np.int64)
+    converter, rows = FollowTarget(NedOrigin()), np.zeros(len(times), np.int64)
     read = converter.unpack(converter.pack(Broadcast(times, *[nothing] * 5), rows, rows))[0].stamp_s
     assert np.array_equal(read[: len(ticks)], ticks)
     assert read[len(ticks) :].tolist() == [0.0, 12.345, 99.999, -3600.0, -0.001]
@@ -129,7 +129,7 @@ def test_geodetic_and_ned_are_inverse():
         ned = rng.normal(0.0, 3000.0, (100, 3))
         back = ned_from_geodetic(geodetic_from_ned(ned, origin), origin)
         assert back == pytest.approx(ned, abs=1e-6)  # 1e-14 of 180° is 2e-7 m
-    across = ned_from_geodetic(np.array([51.0, 179.999, 0.0]), Origin(51.0, -179.999, 0.0))
+    across = ned_from_geodetic(np.array([51.0, 179.999, 0.0]), NedOrigin(51.0, -179.999, 0.0))
     assert across[1] == pytest.approx(-0.002 * 111_320 * np.cos(np.radians(51.0)), rel=3e-3)
 
 
@@ -147,7 +147,7 @@ def test_euler_of_quaternion_of_any_norm():
 
 def test_checksum_finds_every_single_bit_error():
     """Test every bit, in arrays and with the codec."""
-    converter = FollowTarget(Origin())
+    converter = FollowTarget(NedOrigin())
     _, frames = packed(np.random.default_rng(6), 1)
     wrong = frames ^ np.packbits(np.eye(8 * LENGTH, dtype=bool), axis=1)
     assert not converter.unpack(wrong)[2].any()
@@ -173,7 +173,7 @@ def test_checksum_finds_double_and_odd_errors():
 def test_any_payload_is_unpacked_like_the_codec():
     """Any bytes with the right checksum, including NaN."""
     rng = np.random.default_rng(8)
-    converter = FollowTarget(Origin())
+    converter = FollowTarget(NedOrigin())
     _, frames = packed(rng, 400)
     frames[:, 10:-2] = rng.integers(0, 256, (400, LENGTH - 12))
     frames[:, -3] |= 1  # a last byte of zero would be truncated
@@ -192,12 +192,12 @@ def test_any_payload_is_unpacked_like_the_codec():
             np.testing.assert_array_equal(ours[k], message.fields[name])
         place = [message.fields["lat"] / 1e7, message.fields["lon"] / 1e7, message.fields["alt"]]
         np.testing.assert_array_equal(
-            read.position_ned[k], ned_from_geodetic(np.array(place), Origin())
+            read.position_ned[k], ned_from_geodetic(np.array(place), NedOrigin())
         )
 
 
 def test_frames_of_other_messages_are_rejected():
-    converter = FollowTarget(Origin())
+    converter = FollowTarget(NedOrigin())
     _, frames = packed(np.random.default_rng(9), 5)
     heads = frames.view(FRAME)[:, 0]
     heads["magic"][0], heads["length"][1], heads["incompat_flags"][2] = 0xFE, 92, 1
@@ -213,7 +213,7 @@ def chunks(count):
 
 
 def test_checksum_passes_one_in_65536_of_noise():
-    converter = FollowTarget(Origin())
+    converter = FollowTarget(NedOrigin())
     _, frames = packed(np.random.default_rng(10), 1)
     rng = np.random.default_rng(11)
     passed = 0
@@ -231,7 +231,7 @@ def test_checksum_passes_one_in_65536_of_noise():
 @pytest.mark.parametrize("bits", [7, 8])
 def test_checksum_pass_rate_by_number_of_errors(bits):
     """Pass 2^-15 of those with intact start, length, flags and message id."""
-    converter = FollowTarget(Origin())
+    converter = FollowTarget(NedOrigin())
     _, frames = packed(np.random.default_rng(12), 1)
     tried, passed = DAMAGED // 4, 0
     key = np.array([key_of(3, "damage")], dtype=np.uint64)

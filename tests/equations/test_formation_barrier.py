@@ -5,14 +5,14 @@ import pytest
 from reference.adapters import h
 from reference.formation_barrier import per_agent
 
-from testbed.formation.barrier import NO_BARRIER, Barrier
+from testbed.formation.barrier import NO_BARRIER, SpeedBarrier
 
 LOW, HIGH, EPSILON = 16.0, 30.0, 0.6
 BARRIERS = {
-    "example 4": Barrier(4, 0.02),
-    "example 5": Barrier(5, 0.05),
-    "example 6": Barrier(6, 1.0),
-    "example 6, wide": Barrier(6, 6.5),
+    "example 4": SpeedBarrier(4, 0.02),
+    "example 5": SpeedBarrier(5, 0.05),
+    "example 6": SpeedBarrier(6, 1.0),
+    "example 6, wide": SpeedBarrier(6, 6.5),
 }
 every = pytest.mark.parametrize("barrier", BARRIERS.values(), ids=BARRIERS)
 
@@ -24,14 +24,14 @@ def at(barrier, s, low=LOW, high=HIGH):
 
 def test_by_hand():
     # at 20 of (16, 30): 10·4 = 40; slope 46 − 40 = 6
-    values, slopes = at(Barrier(4, 0.02), 20.0)
+    values, slopes = at(SpeedBarrier(4, 0.02), 20.0)
     assert values[0] == pytest.approx(0.8, rel=1e-15)
     assert slopes[0] == pytest.approx(0.12, rel=1e-15)
-    values, slopes = at(Barrier(5, 0.02), 20.0)
+    values, slopes = at(SpeedBarrier(5, 0.02), 20.0)
     assert values[0] == pytest.approx(np.tanh(0.8), rel=1e-15)
     assert slopes[0] == pytest.approx(0.12 / np.cosh(0.8) ** 2, rel=1e-14)
     # example 6 with ν = 2: a quarter, all, and none of the way through either parabola, and beyond
-    values, slopes = at(Barrier(6, 2.0), [17.5, 16.0, 20.0, 28.5, 30.0, 31.0])
+    values, slopes = at(SpeedBarrier(6, 2.0), [17.5, 16.0, 20.0, 28.5, 30.0, 31.0])
     assert values == pytest.approx([0.9375, 0.0, 1.0, 0.9375, 0.0, -1.25], abs=1e-15)
     assert slopes == pytest.approx([0.25, 1.0, 0.0, -0.25, -1.0, -1.5], abs=1e-15)
 
@@ -76,19 +76,19 @@ def test_the_slope_is_the_derivative(barrier):
 
 
 def test_no_barrier_is_one_everywhere():
-    values, slopes = at(Barrier(NO_BARRIER, 0.0), [0.0, 20.0, 60.0])
+    values, slopes = at(SpeedBarrier(NO_BARRIER, 0.0), [0.0, 20.0, 60.0])
     assert (values == 1.0).all()
     assert (slopes == 0.0).all()
 
 
 def test_every_agent_has_bounds_of_its_own():
     s = np.array([20.0, 20.0])
-    values, _ = h(Barrier(4, 1.0), s, np.array([10.0, 18.0]), np.array([30.0, 21.0]))
+    values, _ = h(SpeedBarrier(4, 1.0), s, np.array([10.0, 18.0]), np.array([30.0, 21.0]))
     assert values == pytest.approx([100.0, 2.0], rel=1e-15)
 
 
 def test_every_agent_may_have_a_barrier_of_its_own():
-    barriers = [*BARRIERS.values(), Barrier(NO_BARRIER, 0.0)]
+    barriers = [*BARRIERS.values(), SpeedBarrier(NO_BARRIER, 0.0)]
     together = per_agent(barriers)
     n = len(barriers)
     for s in np.linspace(LOW - 6.0, HIGH + 6.0, 61):

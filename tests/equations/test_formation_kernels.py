@@ -37,13 +37,18 @@ from reference.frames import velocity_frame
 
 from testbed.core.compile import entry
 from testbed.core.records import COMMAND, FOLLOWER, LINK, MOTION, allocate, write_fields
-from testbed.formation.barrier import Barrier
+from testbed.formation.barrier import SpeedBarrier
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
 from testbed.formation.control_step import control_step, initial_controllers
 from testbed.formation.law import LimiterFlag, Saturation
 
 FUNCTIONS = [PAPERS_MU, example_1(2.5e5, 1.0, 0.8), EXAMPLE_2, EXAMPLE_3]
-BARRIERS = [Barrier(4, 0.02), Barrier(5, 0.05), Barrier(6, 1.0), Barrier(7, 0.0)]
+BARRIERS = [
+    SpeedBarrier(4, 0.02),
+    SpeedBarrier(5, 0.05),
+    SpeedBarrier(6, 1.0),
+    SpeedBarrier(7, 0.0),
+]
 AGENTS, STATES = 8, 100  # times four choices that all agents share: 3,200 states of agents
 # The two take the same sums in other orders, so they differ by roundings of 1e-16, which (14)
 # magnifies by 1/D, and example 5 by 1/(1 − tanh²), some 1e3 at 34 m/s.

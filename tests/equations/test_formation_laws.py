@@ -15,13 +15,13 @@ from reference.adapters import (
 )
 from reference.formation_laws import Desired, SpeedSet
 
-from testbed.formation.barrier import Barrier
+from testbed.formation.barrier import SpeedBarrier
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3
 
 BARRIERS = {
-    "example 4": Barrier(4, 0.02),
-    "example 5": Barrier(5, 0.05),
-    "example 6": Barrier(6, 1.0),
+    "example 4": SpeedBarrier(4, 0.02),
+    "example 5": SpeedBarrier(5, 0.05),
+    "example 6": SpeedBarrier(6, 1.0),
 }
 every_barrier = pytest.mark.parametrize("barrier", BARRIERS.values(), ids=BARRIERS)
 WIDE = 1e9  # no speed is outside
@@ -247,7 +247,7 @@ def test_14_by_hand_without_a_barrier():
         np.ones(1),
         same(0.1, 1),
         same(0.62, 1),
-        Barrier(7, 0.0),
+        SpeedBarrier(7, 0.0),
         speed_set(1),
     )
     assert u[0] == pytest.approx(25.0, rel=1e-14)
@@ -262,7 +262,7 @@ def test_14_by_hand_with_example_4():
         np.ones(1),
         same(0.1, 1),
         same(0.64, 1),
-        Barrier(4, 0.02),
+        SpeedBarrier(4, 0.02),
         speed_set(1),
     )
     assert u[0] == pytest.approx(20.0 + 2.64 / 1.04 / 0.64, rel=1e-14)
@@ -341,7 +341,7 @@ def test_far_outside_tanh_pulls_hard_and_stays_finite():
     s_rate, _ = closed_loop(
         s,
         wanted(same(22.0, 3), np.zeros(3)),
-        Barrier(5, 0.05),
+        SpeedBarrier(5, 0.05),
         np.ones(3),
         same(0.1, 3),
         same(0.64, 3),
@@ -430,7 +430,7 @@ def test_the_world_may_be_turned_about_the_vertical():
             same(1.0, n),
             same(0.1, n),
             same(0.64, n),
-            Barrier(5, 0.05),
+            SpeedBarrier(5, 0.05),
             speed_set(n),
         )
         return desired, u, *turn_control(mine, desired, same(0.1, n))

@@ -18,7 +18,7 @@ from reference.formation_message_extrapolation import times
 from testbed.core.frames import PAPER_GRAVITY
 from testbed.core.records import Inbox
 from testbed.formation import leader_filter as leading
-from testbed.formation.barrier import Barrier
+from testbed.formation.barrier import SpeedBarrier
 
 EACH_SOURCE = [leading.NOTHING, leading.BROADCAST, leading.TURN]
 
@@ -291,7 +291,7 @@ def test_a_leader_that_rolls_in_is_anticipated(step):
         2,
         rng,
         offsets=offsets,
-        barrier=Barrier(7, 0.0),
+        barrier=SpeedBarrier(7, 0.0),
         angular_acceleration_source=np.full(2, leading.ROLL_RATE),
     )
     own, inbox, memory = states(2, rng)
@@ -337,7 +337,7 @@ def test_differences_of_turn_rates_by_hand(step):
         2,
         rng,
         offsets=offsets,
-        barrier=Barrier(7, 0.0),
+        barrier=SpeedBarrier(7, 0.0),
         k=np.zeros(2),
         acceleration_source=np.full(2, leading.NOTHING),
         angular_acceleration_source=np.full(2, leading.DIFFERENCE),

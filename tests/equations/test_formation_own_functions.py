@@ -7,7 +7,7 @@ import pytest
 
 from testbed.formation import barrier, control_function
 from testbed.formation.assumptions import SpeedSet, check_barrier
-from testbed.formation.barrier import Barrier, barrier_curve, barriers_of
+from testbed.formation.barrier import SpeedBarrier, barrier_curve, barriers_of
 from testbed.formation.control_function import (
     EXAMPLE_2,
     EXAMPLE_3,
@@ -40,7 +40,9 @@ def test_own_mu_is_that_of_the_examples(function):
     assert own.bound == pytest.approx(function.bound, rel=1e-3)
 
 
-@pytest.mark.parametrize("example", [Barrier(4, 0.02), Barrier(5, 0.05), Barrier(6, 2.0)])
+@pytest.mark.parametrize(
+    "example", [SpeedBarrier(4, 0.02), SpeedBarrier(5, 0.05), SpeedBarrier(6, 2.0)]
+)
 def test_own_h_is_that_of_the_examples(example):
     own = own_barrier(lambda s: barrier_curve(example, s, LOW, HIGH)[0])
     s = np.linspace(LOW - 5.0, HIGH + 5.0, 3001)

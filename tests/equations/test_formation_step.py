@@ -31,7 +31,7 @@ from reference.formation_leader_filter import Memory
 from testbed.core.frames import wrap_pi
 from testbed.core.records import Inbox
 from testbed.formation import leader_filter as leading
-from testbed.formation.barrier import Barrier
+from testbed.formation.barrier import SpeedBarrier
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
 from testbed.formation.control_step import Hbh23Law
 from testbed.formation.law import LimiterFlag
@@ -139,7 +139,12 @@ def test_followers_with_different_options(step):
     """Each follower steps as in a law whose followers all have its options."""
     rng = np.random.default_rng(48)
     functions = [PAPERS_MU, example_1(2.5e5, 1.0, 0.8), EXAMPLE_2, EXAMPLE_3]
-    barriers = [Barrier(4, 0.02), Barrier(5, 0.05), Barrier(6, 1.0), Barrier(7, 0.0)]
+    barriers = [
+        SpeedBarrier(4, 0.02),
+        SpeedBarrier(5, 0.05),
+        SpeedBarrier(6, 1.0),
+        SpeedBarrier(7, 0.0),
+    ]
     for _ in range(10):
         law = make_law(4, rng, mu=functions, barrier=barriers, **mixed_options(4, rng))
         args = states(4, rng, never=0.1, old=0.1)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from testbed.core.geodetic import WGS84_A, WGS84_E2, geodetic_from_ned, ned_from_geodetic
-from testbed.core.records import Origin
+from testbed.core.records import NedOrigin
 
 OWN_SCENARIO = (Path(__file__).parents[2] / "docs" / "own-scenario.md").read_text(encoding="utf-8")
 
@@ -29,7 +29,7 @@ def test_tangent_plane_differs_as_documented():
     turn = np.linspace(0.0, 2.0 * np.pi, 361)
     ned = 1000.0 * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=-1)
     for metres, degrees in documented:
-        origin, angle = Origin(float(degrees), 0.0, 0.0), math.radians(float(degrees))
+        origin, angle = NedOrigin(float(degrees), 0.0, 0.0), math.radians(float(degrees))
         place = earth_fixed(geodetic_from_ned(ned, origin))
         place -= earth_fixed(np.array([float(degrees), 0.0, 0.0]))
         north = -math.sin(angle) * place[:, 0] + math.cos(angle) * place[:, 2]
@@ -39,8 +39,8 @@ def test_tangent_plane_differs_as_documented():
 
 def test_east_grows_faster_in_the_north_as_documented():
     percent = float(re.search(r"changes ([\d.]+) % faster", OWN_SCENARIO)[1])
-    north = geodetic_from_ned(np.array([14000.0, 0.0, 0.0]), Origin(38.0, 0.0, 0.0))
+    north = geodetic_from_ned(np.array([14000.0, 0.0, 0.0]), NedOrigin(38.0, 0.0, 0.0))
     beside = north + [0.0, 1e-4, 0.0]
-    east = ned_from_geodetic(beside, Origin(38.0, 0.0, 0.0))[1]
+    east = ned_from_geodetic(beside, NedOrigin(38.0, 0.0, 0.0))[1]
     true = np.linalg.norm(earth_fixed(beside) - earth_fixed(north))
     assert 100.0 * (east / true - 1.0) == pytest.approx(percent, abs=0.005)

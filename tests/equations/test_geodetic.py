@@ -20,7 +20,7 @@ from testbed.core.geodetic import (
     to_ned,
     wrap_longitude,
 )
-from testbed.core.records import AIRCRAFT, Origin, allocate
+from testbed.core.records import AIRCRAFT, NedOrigin, allocate
 from testbed.vehicle.jsbsim_io import write_truth
 
 LONGITUDES = (0.0, 90.0, 179.9999, 180.0, -180.0, -90.0)
@@ -60,7 +60,7 @@ def test_rounding_to_e7_stays_below_180():
 
 @pytest.mark.parametrize("longitude", LONGITUDES)
 def test_longitude_equals_direction_from_axis(longitude):
-    origin = Origin(-16.8, longitude, 10.0)
+    origin = NedOrigin(-16.8, longitude, 10.0)
     east = np.linspace(-900.0, 900.0, 7)
     ned = np.stack([0 * east, east, 0 * east], axis=-1)
     found = geodetic_from_ned(ned, origin)[:, 1]
@@ -77,15 +77,17 @@ def test_longitude_equals_direction_from_axis(longitude):
 @pytest.mark.parametrize("longitude", LONGITUDES)
 def test_truth_is_continuous_at_any_longitude(longitude):
     """Of JSBSim's numbers on both sides of the origin; JSBSim's longitudes are directions."""
-    origin, east = Origin(-16.8, longitude, 10.0), np.linspace(-900.0, 900.0, 8)
+    origin, east = NedOrigin(-16.8, longitude, 10.0), np.linspace(-900.0, 900.0, 8)
     numbers, aircraft = np.zeros((8, 17)), allocate(AIRCRAFT, 8)
     numbers[:, 0], numbers[:, 1] = math.radians(-16.8), longitude_of(origin, east)
     frame = tuple(local_frame(origin, RADIANS))
-    write_truth(np.arange(8), np.arange(8), numbers, frame, aircraft)
+    write_truth(np.arange(8), numbers, frame, aircraft, np.arange(8))
     assert aircraft["truth"]["position_ned"][:, 1] == pytest.approx(east, abs=1e-8)
 
 
 def test_origin_at_180_equals_minus_180():
-    assert local_frame(Origin(38.0, 180.0)) == local_frame(Origin(38.0, -180.0))
-    assert local_frame(Origin(38.0, 180.0), RADIANS) == local_frame(Origin(38.0, -180.0), RADIANS)
-    assert origin_geodetic(Origin(38.0, 180.0, 300.0)) == (38.0, -180.0, 300.0)
+    assert local_frame(NedOrigin(38.0, 180.0)) == local_frame(NedOrigin(38.0, -180.0))
+    assert local_frame(NedOrigin(38.0, 180.0), RADIANS) == local_frame(
+        NedOrigin(38.0, -180.0), RADIANS
+    )
+    assert origin_geodetic(NedOrigin(38.0, 180.0, 300.0)) == (38.0, -180.0, 300.0)

@@ -3,8 +3,12 @@
 import numpy as np
 import pytest
 
+from testbed.plan.fleet import resolve, solve_weights, unreachable_agents
 from testbed.scenario import ScenarioError, load_scenario
-from testbed.sim.build_control import build_altitudes, build_gains, unreachable_agents
+
+
+def build_gains(scenario):
+    return solve_weights(scenario.formation, scenario.aircraft_names[1:])
 
 
 def gains(n, leader=None, **edges):
@@ -101,7 +105,7 @@ def test_altitudes_of_a_scenario():
         build_gains(load_scenario("simulation-3", flat))
     held = load_scenario("simulation-3", [*flat, "formation.altitudes_m={uav1: 100}"])
     assert build_gains(held).shape == (3, 4, 3)
-    assert np.array_equal(build_altitudes(held), [100.0, np.nan, np.nan], equal_nan=True)
+    assert np.array_equal(resolve(held).altitudes, [100.0, np.nan, np.nan], equal_nan=True)
 
 
 def test_unreachable_agent_is_an_error():

@@ -22,9 +22,9 @@ from testbed.guidance.altitude_airspeed_hold import (
 )
 from testbed.guidance.flight_plan import (
     FlightPlan,
-    Level,
+    GuidanceMission,
     LoiterLeg,
-    Mission,
+    LoiterLevel,
     WaypointLeg,
     climb_profile,
     make_plan,
@@ -46,7 +46,7 @@ class HoldMemory(NamedTuple):
 
 
 SQUARE = ((660.0, 0.0, 100.0), (660.0, 660.0, 100.0), (0.0, 660.0, 100.0), (0.0, 0.0, 100.0))
-CIRCLE = LoiterLeg((330.0, 330.0), 120.0, (Level(100.0, 1.0), Level(120.0, 1.0)))
+CIRCLE = LoiterLeg((330.0, 330.0), 120.0, (LoiterLevel(100.0, 1.0), LoiterLevel(120.0, 1.0)))
 
 
 def test_look_ahead_by_hand() -> None:
@@ -187,7 +187,9 @@ def _step_hold(memory, gains, altitude, climb, airspeed, roll, target):  # noqa:
 
 def test_plan_counts_laps_and_turns() -> None:
     raised = tuple(point[:2] + (150.0 if i in (1, 3) else 100.0,) for i, point in enumerate(SQUARE))
-    mission = Mission(legs=(WaypointLeg(SQUARE, 2), WaypointLeg(raised, 2), CIRCLE), airspeed=22.0)
+    mission = GuidanceMission(
+        legs=(WaypointLeg(SQUARE, 2), WaypointLeg(raised, 2), CIRCLE), airspeed=22.0
+    )
     plan = make_plan(mission, (-200.0, 0.0, 100.0))
     assert len(plan.segments) == 18 and plan.repeat_from == 17
     lines, levels = plan.segments[:16], plan.segments[16:]
@@ -199,7 +201,9 @@ def test_plan_counts_laps_and_turns() -> None:
 
 
 def test_last_waypoints_repeat() -> None:
-    plan = make_plan(Mission(legs=(WaypointLeg(SQUARE, 1),), airspeed=22.0), (-200.0, 0.0, 100.0))
+    plan = make_plan(
+        GuidanceMission(legs=(WaypointLeg(SQUARE, 1),), airspeed=22.0), (-200.0, 0.0, 100.0)
+    )
     assert plan.segments[plan.repeat_from].start == SQUARE[3]
     result = fly(plan, (-200.0, 0.0, 100.0), 300.0)  # 200 m + two laps of 2,493 m take 236 s
     assert {int(part) for part in result["part"]} == set(range(8))
@@ -207,7 +211,9 @@ def test_last_waypoints_repeat() -> None:
 
 
 def test_polyline_is_the_commanded_path() -> None:
-    plan = make_plan(Mission(legs=(WaypointLeg(SQUARE), CIRCLE), airspeed=22.0), (-9.0, 0.0, 100.0))
+    plan = make_plan(
+        GuidanceMission(legs=(WaypointLeg(SQUARE), CIRCLE), airspeed=22.0), (-9.0, 0.0, 100.0)
+    )
     points = polyline(plan)
     assert points[:5].tolist() == [[-9.0, 0.0, -100.0]] + [[n, e, -h] for n, e, h in SQUARE]
     assert np.hypot(*(points[5:, :2] - 330.0).T) == pytest.approx(120.0)
@@ -217,7 +223,7 @@ def test_polyline_is_the_commanded_path() -> None:
 def test_mission_is_followed_in_order() -> None:
     """A point-mass aircraft flies a lap with climbs, then counts the turns of the circle."""
     points = tuple(point[:2] + (150.0 if i in (1, 3) else 100.0,) for i, point in enumerate(SQUARE))
-    mission = Mission(legs=(WaypointLeg(points), CIRCLE), airspeed=22.0)
+    mission = GuidanceMission(legs=(WaypointLeg(points), CIRCLE), airspeed=22.0)
     plan = make_plan(mission, (-200.0, 0.0, 100.0))
     result = fly(plan, (-200.0, 0.0, 100.0), 330.0)
     switch = np.flatnonzero(np.diff(result["part"])) + 1
@@ -248,7 +254,7 @@ def test_mission_is_followed_in_order() -> None:
 @pytest.mark.parametrize("start", [(-600.0, 0.0), (330.0, 300.0), (330.0, 1500.0)])
 def test_circle_is_captured_from_anywhere(clockwise: bool, start: tuple[float, float]) -> None:
     leg = replace(CIRCLE, clockwise=clockwise)
-    plan = make_plan(Mission(legs=(leg,), airspeed=22.0), (*start, 100.0))
+    plan = make_plan(GuidanceMission(legs=(leg,), airspeed=22.0), (*start, 100.0))
     result = fly(plan, (*start, 100.0), 180.0)
     late = result["time"] > 150.0
     relative = result["position"][late, :2] - 330.0
@@ -269,11 +275,11 @@ def test_circle_is_captured_from_anywhere(clockwise: bool, start: tuple[float, f
         ({"legs": (WaypointLeg(((30.0, 0.0, 100.0), *SQUARE[1:])), CIRCLE)}, "apart"),
         ({"legs": (WaypointLeg(((660.0, 0.0, 400.0),)), CIRCLE)}, "flatten it"),
         ({"legs": (WaypointLeg(SQUARE), replace(CIRCLE, levels=()))}, r"legs\[1\].levels"),
-        ({"legs": (replace(CIRCLE, levels=(Level(100.0, 0.0),)),)}, r"levels\[0\].turns"),
+        ({"legs": (replace(CIRCLE, levels=(LoiterLevel(100.0, 0.0),)),)}, r"levels\[0\].turns"),
     ],
 )
 def test_invalid_mission_is_an_error(change: dict, words: str) -> None:
-    mission = replace(Mission(legs=(WaypointLeg(SQUARE), CIRCLE), airspeed=22.0), **change)
+    mission = replace(GuidanceMission(legs=(WaypointLeg(SQUARE), CIRCLE), airspeed=22.0), **change)
     with pytest.raises(ValueError, match=words):
         make_plan(mission, (0.0, 0.0, 100.0))
 

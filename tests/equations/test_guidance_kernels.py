@@ -6,7 +6,13 @@ import numpy as np
 
 from testbed.core.records import AIRCRAFT, allocate
 from testbed.guidance import mission_follower as guidance
-from testbed.guidance.flight_plan import Level, LoiterLeg, Mission, WaypointLeg, expand_laps
+from testbed.guidance.flight_plan import (
+    GuidanceMission,
+    LoiterLeg,
+    LoiterLevel,
+    WaypointLeg,
+    expand_laps,
+)
 from testbed.scenario.middle_loop import Guidance
 
 DT, ROW, STATES = 0.04, 2, 2000
@@ -22,12 +28,14 @@ def flights(seed):
         circle = LoiterLeg(
             tuple(rng.uniform(-300.0, 300.0, 2).tolist()),
             rng.uniform(150.0, 300.0),
-            tuple(Level(*level) for level in levels),
+            tuple(LoiterLevel(*level) for level in levels),
             clockwise=bool(rng.integers(2)),
         )
         around = WaypointLeg(tuple(map(tuple, points.tolist())), 2)
         legs = (around, circle) if rng.integers(2) else (circle, around)
-        mission = Mission(legs=legs, airspeed=rng.uniform(18.0, 26.0), period=rng.uniform(10, 20))
+        mission = GuidanceMission(
+            legs=legs, airspeed=rng.uniform(18.0, 26.0), period=rng.uniform(10, 20)
+        )
         plan = expand_laps(mission, (0.0, 0.0, 100.0))
         for _ in range(20):
             number = int(rng.integers(len(plan.segments)))
@@ -61,6 +69,13 @@ def aircraft_at(position, velocity, euler, airspeed):
     return aircraft
 
 
+def guide_unicycle(aircraft, segments, state):
+    """The speed, m/s, and turn rates (3,), rad/s, of the ideal vehicle in the row."""
+    speed, omega = np.zeros(1), np.zeros(3)
+    guidance.guide_unicycle(ROW, aircraft, segments, state, speed, omega)
+    return speed[0], omega
+
+
 def test_both_guides_make_the_same_progress():
     """Only the memory and the command of the row are written."""
     lines, circles, levels = 0, 0, 0
@@ -82,7 +97,7 @@ def test_both_guides_make_the_same_progress():
         circles += moved and went.circle and not went.continues
         levels += moved and went.continues
 
-        speed, omega = guidance.guide_unicycle(ROW, aircraft, segments, state)
+        speed, omega = guide_unicycle(aircraft, segments, state)
         for name in ("segment", "altitude_from", "captured", "turned", "bearing"):
             assert state["memory"][name] == after[name], name
         for name in ("altitude", "climb"):
@@ -103,7 +118,7 @@ def test_turns_are_counted_the_short_way():
     for plan, state, aircraft in flights(62):
         before = state["memory"][0].copy()
         part = plan.segments[before["segment"]]
-        guidance.guide_unicycle(ROW, aircraft, guidance.segment_records(plan), state)
+        guide_unicycle(aircraft, guidance.segment_records(plan), state)
         after = state["memory"][0]
         if not before["captured"] or after["segment"] != before["segment"]:
             continue
@@ -119,10 +134,10 @@ def test_turns_are_counted_the_short_way():
 def test_flight_params_do_not_change_the_memory():
     plan, state, aircraft = next(flights(63))
     before = state["memory"].copy()
-    faster = Mission(legs=(), airspeed=plan.mission.airspeed + 2.0, climb_limit=0.5)
+    faster = GuidanceMission(legs=(), airspeed=plan.mission.airspeed + 2.0, climb_limit=0.5)
     guidance.set_flight_params(state, faster)
     assert state["memory"] == before
     assert state["flight_params"]["airspeed"] == faster.airspeed
     assert state["flight_params"]["climb_limit"] == 0.5
-    speed, _ = guidance.guide_unicycle(ROW, aircraft, guidance.segment_records(plan), state)
+    speed, _ = guide_unicycle(aircraft, guidance.segment_records(plan), state)
     assert speed == faster.airspeed

@@ -237,7 +237,8 @@ def make_fleet(n, wind=STILL):
 
 def steer(fleet, followers, speed, omega):
     followers["speed_command"], followers["omega"] = speed, omega
-    fleet.set_unicycle(followers, 0.0, np.zeros(3))
+    (step,) = fleet.steering_steps(followers, (np.zeros(1), np.zeros(3)))
+    step(0.0)
 
 
 def truth_of(aircraft):
@@ -251,7 +252,7 @@ def test_fleet_flies_straight_before_first_command():
     assert state.position_ned == pytest.approx(np.array([[22.0, 0, -100], [22.0, 50, -100]]))
     assert state.airspeed == pytest.approx(17.0)
     np.testing.assert_array_equal(state.acceleration_ned, 0.0)
-    fleet.read_air()
+    assert not fleet.air_steps
     air = aircraft["air"][1:]
     assert not any(air[name].any() for name in ("alpha", "beta", "propeller_rps"))
     assert np.isnan(air["state_of_charge"]).all()
@@ -285,7 +286,8 @@ def test_the_leader_is_steered_by_its_own_inputs():
     records = make_unicycles(np.zeros((1, 3)), np.array([[22.0, 0.0, 0.0]]), np.ones(1))
     leader = UnicycleVehicles(records, RATE, aircraft, np.zeros(1, dtype=np.intp))
     followers["speed_command"] = 99.0
-    leader.set_unicycle(followers, 25.0, np.array([0.0, 0.1, 0.2]))
+    (step,) = leader.steering_steps(followers, (np.array([25.0]), np.array([0.0, 0.1, 0.2])))
+    step(0.0)
     assert records["speed_command"].tolist() == [25.0]
     assert records["omega"].tolist() == [[0.0, 0.1, 0.2]]
 

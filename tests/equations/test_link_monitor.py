@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from testbed.core.records import FOLLOWER, LINK, allocate
-from testbed.formation.hbh23 import NEIGHBOUR as NEIGHBOUR_RECORD
+from testbed.formation.hbh23 import NEIGHBOUR
 from testbed.formation.law import LimiterFlag
 from testbed.network.link_statistics import initial_statistics
-from testbed.sim.monitors import LEADER, LINK_WATCH, NEIGHBOUR, LinkMonitor, check_links
+from testbed.sim.monitors import LEADER_WATCH, LINK_WATCH, LinkMonitor, check_leaders, check_links
 
 NAMES = ("leader", "uav1", "uav2", "uav3")
 LEADER_TIMEOUT = int(LimiterFlag.LEADER_TIMEOUT)
@@ -25,7 +25,7 @@ class Links:
 
     def __init__(self, *, leader_timeout_s=5.0, uses_all=False, **law):
         self.followers, self.links = allocate(FOLLOWER, 3), allocate(LINK, 3, 4)
-        self.neighbours = allocate(NEIGHBOUR_RECORD, 3, 4)
+        self.neighbours = allocate(NEIGHBOUR, 3, 4)
         self.neighbours["used"][:, 0] = True
         self.neighbours["used"][[1, 2], [1, 2]] = True
         self.neighbours["used"] |= uses_all
@@ -43,16 +43,19 @@ class Links:
 
     def leader_events(self, now, *flags):
         self.followers["limiter_flags"] = flags
-        self.monitor.neighbour_changes(now, ALL)
-        return [(e.level, e.source) for e in self.monitor.leader_changes(now)]
+        events = self.monitor.leader_changes(now) if self.monitor.leader_call(now) else ()
+        return [(e.level, e.source) for e in events]
+
+    def neighbour_changes(self, now, rows=ALL):
+        found = self.monitor.neighbour_call(np.array(rows))(now)
+        return self.monitor.neighbour_changes(now) if found else ()
 
     def neighbour_events(self, now, *, uav2=None, uav3=None, rows=ALL):
         """All messages arrive now, but for uav1's at uav2, and uav2's at uav3."""
         self.links["received_s"] = now
         self.links["received_s"][1, 1] = now if uav2 is None else uav2
         self.links["received_s"][2, 2] = now if uav3 is None else uav3
-        events = self.monitor.neighbour_changes(now, np.array(rows))
-        return [(e.level, e.source, e.text) for e in events]
+        return [(e.level, e.source, e.text) for e in self.neighbour_changes(now, rows)]
 
 
 def test_leader_timeouts_begin_and_end_with_events():
@@ -131,7 +134,7 @@ def test_response_of_an_own_law_is_unknown():
     links = Links(uses_all=True, builtin=False)
     links.links["received_s"] = 3.0
     links.links["received_s"][0] = 0.5
-    events = links.monitor.neighbour_changes(3.0, ALL)
+    events = links.neighbour_changes(3.0)
     assert [(e.source, e.text) for e in events] == [
         ("uav1", "neighbour timeout: no messages of uav2"),
         ("uav1", "neighbour timeout: no messages of uav3"),
@@ -140,8 +143,8 @@ def test_response_of_an_own_law_is_unknown():
 
 def test_check_links_matches_reference():
     rng = np.random.default_rng(11)
-    followers, links = allocate(FOLLOWER, 3), allocate(LINK, 3, 4)
-    watches, statistics = allocate(LINK_WATCH, 3, 4), initial_statistics(3, 4)
+    links, watches = allocate(LINK, 3, 4), allocate(LINK_WATCH, 3, 4)
+    statistics = initial_statistics(3, 4)
     watches["watched"] = rng.random((3, 4)) < 0.7
     uses, age_sum, seen = np.zeros((3, 4), dtype=int), np.zeros((3, 4)), set()
     for now in rng.uniform(0.0, 8.0, 400):
@@ -150,17 +153,33 @@ def test_check_links_matches_reference():
         received, age = np.where(lost, nan, rng.uniform(0.0, 3.0, (2, 3, 4)))
         links["received_s"], links["age_s"] = now - received, age
         watches["reported"] = reported = rng.random((3, 4)) < 0.1
-        followers["limiter_flags"] = flags = rng.integers(0, 256, 3) & [15, 247, 247]
         late = np.array(watches["late"])
         too_old = now - np.fmax(links["received_s"], 0.0) > 2.0
         late[rows] = (watches["watched"] & too_old)[rows]
-        changed = (late != reported)[rows].any()
-        expected = NEIGHBOUR * changed | LEADER * (flags & LEADER_TIMEOUT != 0).any()
-        assert check_links(statistics, links, followers, watches, 2.0, rows, now) == expected
+        expected = (late != reported)[rows].any()
+        assert check_links(statistics, links, watches, 2.0, rows, now) == expected
         assert np.array_equal(watches["late"], late)
         uses[rows] += ~np.isnan(age[rows])
         age_sum[rows] += np.nan_to_num(age[rows])
-        seen.add(int(expected))
-    assert seen == {0, LEADER, NEIGHBOUR, LEADER | NEIGHBOUR}
+        seen.add(bool(expected))
+    assert seen == {False, True}
     assert np.array_equal(statistics["uses"], uses)
     np.testing.assert_allclose(statistics["age_sum"], age_sum, rtol=1e-12)
+
+
+def test_check_leaders_matches_reference():
+    rng = np.random.default_rng(12)
+    followers, leaders, seen = allocate(FOLLOWER, 3), allocate(LEADER_WATCH, 3), set()
+    for now in rng.uniform(0.0, 8.0, 400):
+        followers["limiter_flags"] = flags = rng.integers(0, 256, 3) & [15, 247, 247]
+        for name in ("waiting", "reported", "left"):
+            leaders[name] = rng.random(3) < 0.3
+        late = (flags & LEADER_TIMEOUT != 0) & ~leaders["left"]
+        waiting = leaders["waiting"] & late & (now < 5.0)
+        late &= ~waiting
+        expected = (late != leaders["reported"]).any()
+        assert check_leaders(followers, leaders, 5.0, now) == expected
+        assert np.array_equal(leaders["waiting"], waiting)
+        assert np.array_equal(leaders["late"], late)
+        seen.add((bool(expected), bool(waiting.any()), bool(late.any())))
+    assert len(seen) >= 6

@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from testbed.core.geodetic import geodetic_from_ned
-from testbed.core.records import Origin
-from testbed.guidance.flight_plan import Level, LoiterLeg, Mission, WaypointLeg, make_plan
+from testbed.core.records import NedOrigin
+from testbed.guidance.flight_plan import (
+    GuidanceMission,
+    LoiterLeg,
+    LoiterLevel,
+    WaypointLeg,
+    make_plan,
+)
 from testbed.mavlink.mission_plans import (
     ItemFlightPlan,
     home_item,
@@ -20,8 +26,8 @@ from testbed.scenario import list_scenarios, load_scenario
 from testbed.sim.build import build
 from testbed.sim.leader_control import MissionController
 
-ORIGIN = Origin(latitude_deg=-35.36, longitude_deg=149.16, elevation_m=584.0)
-PARAMS = Mission(legs=(), airspeed=22.0)
+ORIGIN = NedOrigin(latitude_deg=-35.36, longitude_deg=149.16, elevation_m=584.0)
+PARAMS = GuidanceMission(legs=(), airspeed=22.0)
 HERE = (10.0, -20.0, 100.0)
 RELATIVE, SEA = 6, 5
 
@@ -238,9 +244,13 @@ def test_resumed_last_circle_is_endless():
 def test_levels_of_a_circle_are_separate_items():
     legs = (
         WaypointLeg(((500.0, 0.0, 100.0),)),
-        LoiterLeg((300.0, 300.0), 120.0, (Level(100.0, 2.0), Level(130.0, 1.0), Level(90.0, 1.0))),
+        LoiterLeg(
+            (300.0, 300.0),
+            120.0,
+            (LoiterLevel(100.0, 2.0), LoiterLevel(130.0, 1.0), LoiterLevel(90.0, 1.0)),
+        ),
     )
-    mission = Mission(legs=legs, airspeed=22.0)
+    mission = GuidanceMission(legs=legs, airspeed=22.0)
     whole = ItemFlightPlan(make_plan(mission, HERE), items_of_segments(mission), (22.0,) * 4)
     assert [item.z for item in items_from_mission(mission, ORIGIN)[2:]] == [100.0, 130.0, 90.0]
     for number, altitude in ((2, 100.0), (3, 130.0), (4, 90.0)):
@@ -283,7 +293,7 @@ def test_scenario_mission_as_items_gives_same_plan(name):
     pilot = build(suite).leader_controller
     assert isinstance(pilot, MissionController)
     plan_of_page, mission = pilot.plan, pilot.plan.mission
-    origin = Origin(**suite.scenario.origin.model_dump())
+    origin = NedOrigin(**suite.scenario.origin.model_dump())
     again = plan_from_items(
         items_from_mission(mission, origin), plan_of_page.segments[0].start, mission, 60.0, origin
     )
@@ -298,5 +308,5 @@ def test_scenario_mission_as_items_gives_same_plan(name):
 
 def test_plan_of_joined_legs_equals_make_plan():
     legs = (WaypointLeg(((500.0, 0.0, 100.0), (500.0, 500.0, 100.0))),)
-    mission = Mission(legs=legs, airspeed=22.0)
+    mission = GuidanceMission(legs=legs, airspeed=22.0)
     assert make_plan(mission, HERE).segments[0].start == HERE

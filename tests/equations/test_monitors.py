@@ -24,6 +24,11 @@ def test_gust_events_name_the_aircraft_once():
     assert events(4.0, [True, True], [True, False]) == [("leader", "gust puff reaches it")]
 
 
+def joins(monitor, now):
+    """The events of a time, s, if there are any."""
+    return list(monitor.changes(now)) if monitor.call(now) else []
+
+
 def joined(*distances_m, lost=(False, False)):
     """Events of ticks 1 s apart in which two followers are so far from their slots (k, 2)."""
     aircraft, followers = allocate(AIRCRAFT, 3), allocate(FOLLOWER, 2)
@@ -32,7 +37,7 @@ def joined(*distances_m, lost=(False, False)):
     events = []
     for k, distances in enumerate(distances_m):
         followers["error_ned"][:, 1] = distances
-        events += monitor.changes(RATE_HZ * k)
+        events += joins(monitor, k)
     return events
 
 
@@ -56,8 +61,8 @@ def test_five_seconds_are_counted_in_ticks():
     for first in range(0, 4000, 8):
         aircraft, followers = allocate(AIRCRAFT, 2), allocate(FOLLOWER, 1)
         monitor = JoinMonitor(["uav1"], RATE_HZ, aircraft, followers)
-        assert not list(monitor.changes(first))
-        assert list(monitor.changes(first + 5 * RATE_HZ))
+        assert not joins(monitor, first / RATE_HZ)
+        assert joins(monitor, first / RATE_HZ + 5.0)
 
 
 def test_find_joined_matches_reference():
@@ -79,7 +84,7 @@ def test_find_joined_matches_reference():
         since = np.where(inside, np.where(since < 0, tick, since), -1)
         new = waiting & inside & (tick - since >= 60)
         waiting &= ~new
-        found.append(find_joined(aircraft, followers, 60.0, joins, tick))
+        found.append(find_joined(aircraft, followers, 5.0, 60.0, 200.0, joins, tick / 200))
         assert found[-1] == new.any()
         assert np.array_equal(joins["since"], since)
         assert np.array_equal(joins["joined"], ~waiting)

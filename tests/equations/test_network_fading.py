@@ -5,6 +5,7 @@ import pytest
 from reference.frames import rotation_ned_body
 
 from testbed.network.fading import fading, make_curves
+from testbed.network.links import resolve_links
 from testbed.scenario.network import Network
 
 NAMES = ("leader", "uav1", "uav2")
@@ -13,7 +14,7 @@ SHADOWING = {"shadowing": {"loss": LINEAR}}
 
 
 def faded(network, position, euler_deg):
-    curves = make_curves(NAMES[: len(position)], Network.model_validate(network))
+    curves = make_curves(resolve_links(NAMES[: len(position)], Network.model_validate(network)))
     return fading(np.array(position, float), np.radians(euler_deg), curves)
 
 
@@ -107,7 +108,7 @@ BOTH = {"range_loss": [[100, 0], [900, 1]], "shadowing": {"loss": [[5, 0.1], [60
 def test_rotation_and_translation_change_nothing(seed):
     position, euler, rng = random_formation(seed, 7)
     names = tuple(f"uav{k}" for k in range(7))
-    curves = make_curves(names, Network.model_validate(BOTH))
+    curves = make_curves(resolve_links(names, Network.model_validate(BOTH)))
     rotation = rotation_ned_body(rng.uniform(-3.0, 3.0, 3))
     moved = position @ rotation.T + [1e3, -2e3, 500.0]
     before = fading(position, euler, curves)
@@ -118,7 +119,8 @@ def test_rotation_and_translation_change_nothing(seed):
 def test_both_directions_of_a_link_fade_alike():
     """The two ends change places, and what is in the way is the same."""
     position, euler, _ = random_formation(5, 6)
-    loss = fading(position, euler, make_curves(tuple("abcdef"), Network.model_validate(BOTH)))
+    curves = make_curves(resolve_links(tuple("abcdef"), Network.model_validate(BOTH)))
+    loss = fading(position, euler, curves)
     between = loss[:, 1:]
     assert np.allclose(between, between.T, atol=1e-12)
 
@@ -157,6 +159,5 @@ def test_two_aircraft_in_one_place_are_not_shadowed():
 
 
 def test_no_curves_give_none():
-    assert make_curves(NAMES, Network()) is None
-    assert make_curves(NAMES, Network.model_validate({"range_loss": []})) is None
-    assert make_curves(NAMES, Network.model_validate({"shadowing": {"loss": []}})) is None
+    for network in ({}, {"range_loss": []}, {"shadowing": {"loss": []}}):
+        assert make_curves(resolve_links(NAMES, Network.model_validate(network))) is None

@@ -16,7 +16,7 @@ from testbed.core.records import Broadcast
 from testbed.network.channel import make_channel
 from testbed.network.clocks import make_clocks
 from testbed.network.link_statistics import LINK_STATISTICS, initial_statistics, record_ages
-from testbed.network.links import PacketOutcome
+from testbed.network.links import PacketOutcome, resolve_links
 from testbed.network.radio import Radio
 from testbed.scenario.network import Network, StampClock
 
@@ -100,7 +100,7 @@ def random_channel(rng, files, *, subscribed=None, **common):
             for link in receivers.values():
                 link.pop("slots", None)
     network = Network.model_validate({"links": links, **common})
-    return make_channel(NAMES, network, int(rng.integers(1000)), subscribed)
+    return make_channel(resolve_links(NAMES, network), int(rng.integers(1000)), subscribed)
 
 
 def broadcasts(rng, conditions):
@@ -185,7 +185,7 @@ def test_distributions_match_reference(distribution, arithmetic, files):
     network = Network.model_validate(
         {"delay_s": 0.1, "jitter": jitter, "arithmetic": arithmetic, "duplicate": 0.2}
     )
-    channel, rng = make_channel(NAMES, network, 3), np.random.default_rng(70)
+    channel, rng = make_channel(resolve_links(NAMES, network), 3), np.random.default_rng(70)
     assert compare(channel, rng, conditions=False)[PacketOutcome.DELIVERED] > 500
 
 
@@ -194,7 +194,7 @@ def test_trace_loss_does_not_stop_later_packets():
     for arithmetic in ("exact", "netem"):
         rate = {"bit_per_s": 80_000, "queue_packets": 3}
         keys = {"duplicate": 1.0, "rate": rate, "arithmetic": arithmetic}
-        channel = make_channel(("leader", "uav1"), Network.model_validate(keys), 1)
+        channel = make_channel(resolve_links(("leader", "uav1"), Network.model_validate(keys)), 1)
         kernel = KernelChannel(channel)
         for k in range(20):
             lost = k % 5 == 2
@@ -224,7 +224,7 @@ LINKS = {
 def test_radio_matches_reference():
     """What is received, the stamps and all statistics, from the same packets."""
     rng, clocks = np.random.default_rng(5), make_clocks(NAMES, CLOCKS)
-    channel = make_channel(NAMES, Network.model_validate(LINKS), 1)
+    channel = make_channel(resolve_links(NAMES, Network.model_validate(LINKS)), 1)
     radio = Radio(channel, clocks=clocks)
     queue, numbers = network_queue.Queue(N - 1, N), np.full(N, -1)
     plain = np.stack([clocks[name] for name in ("offset", "drift", "resolution")], axis=1)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from testbed.network.links import PacketOutcome
+from testbed.network.links import PacketOutcome, resolve_links
 from testbed.network.outages import OutageEvents, make_outages, scripted_outcomes
 from testbed.scenario.network import Network
 
@@ -12,7 +12,7 @@ ALL_ROWS = np.arange(4)
 
 
 def outages_of(network, names=NAMES):
-    return make_outages(names, Network.model_validate(network))
+    return make_outages(resolve_links(names, Network.model_validate(network)))
 
 
 def at(outages, time, number=0):

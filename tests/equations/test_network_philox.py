@@ -8,6 +8,7 @@ from network_samples import PACKETS, assert_counts, assert_normal, assert_share
 
 from testbed.core.compile import entry
 from testbed.network.channel import make_channel
+from testbed.network.links import resolve_links
 from testbed.network.philox import LOW, key_of, philox, unit
 from testbed.scenario.network import Network
 
@@ -85,7 +86,10 @@ def test_keys_of_links_and_seeds_differ():
     keys = {
         tuple(key)
         for seed in range(20)
-        for key in make_channel(names, Network(), seed).links["key"].reshape(-1, 2).tolist()
+        for key in make_channel(resolve_links(names, Network()), seed)
+        .links["key"]
+        .reshape(-1, 2)
+        .tolist()
     }
     assert len(keys) == 20 * 11 * 12
 

@@ -12,7 +12,7 @@ from testbed.core.records import Broadcast, Inbox
 from testbed.network.channel import make_channel
 from testbed.network.clocks import make_clocks
 from testbed.network.link_statistics import bin_ends, bin_of
-from testbed.network.links import PacketOutcome
+from testbed.network.links import PacketOutcome, resolve_links
 from testbed.network.radio import ExtraLosses, Radio
 from testbed.scenario.network import Network, StampClock
 
@@ -37,7 +37,7 @@ def radio(delay_s=0.0, *, losses=None, clocks=None, **more):
         for m, name in enumerate(NAMES)
     }
     network = Network.model_validate({"links": links, **more})
-    return Radio(make_channel(NAMES, network, 1), losses, clocks=clocks)
+    return Radio(make_channel(resolve_links(NAMES, network), 1), losses, clocks=clocks)
 
 
 def by_trace(*delays):
@@ -262,7 +262,9 @@ def test_unsubscribed_links_are_not_counted():
     """And the other links are as if all were used."""
     network = Network.model_validate({"loss": 0.3, "delay_s": 0.02})
     subscribed = np.array([[True, False, False], [True, True, False]])
-    all_links, some = (Radio(make_channel(NAMES, network, 1, mask)) for mask in (None, subscribed))
+    all_links, some = (
+        Radio(make_channel(resolve_links(NAMES, network), 1, mask)) for mask in (None, subscribed)
+    )
     for (_, full), (_, inbox) in zip(exchange(all_links, 60), exchange(some, 60), strict=True):
         used = subscribed | OWN
         for of_all, of_some in zip(full, inbox, strict=True):
@@ -293,9 +295,10 @@ def test_debug_mode_gives_the_same_messages():
 
 EXCHANGE = """
 import numpy as np
-from testbed.core.records import Broadcast, Origin
+from testbed.core.records import Broadcast, NedOrigin
 from testbed.mavlink.follow_target import FollowTarget
 from testbed.network.channel import make_channel
+from testbed.network.links import resolve_links
 from testbed.network.radio import Radio
 from testbed.scenario.network import Network
 
@@ -307,9 +310,10 @@ KEYS = {
     "corrupt": 0.1,
     "rate": {"bit_per_s": 30000, "queue_packets": 2},
 }
-for arithmetic, encoding in (("exact", None), ("netem", FollowTarget(Origin()))):
+for arithmetic, encoding in (("exact", None), ("netem", FollowTarget(NedOrigin()))):
     network = Network.model_validate({**KEYS, "arithmetic": arithmetic})
-    radio = Radio(make_channel(("leader", "uav1", "uav2"), network, 1), None, encoding)
+    links = resolve_links(("leader", "uav1", "uav2"), network)
+    radio = Radio(make_channel(links, 1), None, encoding)
     rng = np.random.default_rng(3)
     for k in range(100):
         vectors = rng.normal(0.0, 0.3, (5, 3, 3))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from testbed.core.errors import InputError
+from testbed.network.links import resolve_links
 from testbed.network.trace import TraceFile, make_replays, replayed_delays, trace_delay
 from testbed.scenario.network import Network
 
@@ -64,7 +65,7 @@ def test_trace_at_its_own_pace_gives_its_outcomes(recorded, seed, tmp_path):
 def test_trace_with_offset_is_the_same_trace_later(begin_s, tmp_path):
     delay = random_trace(tmp_path / "t.csv", 7)
     trace = {"file": str(tmp_path / "t.csv"), "begin_s": begin_s}
-    replays = make_replays(NAMES, Network.model_validate({"trace": trace}), seed=1)
+    replays = make_replays(resolve_links(NAMES, Network.model_validate({"trace": trace})), seed=1)
     assert len(replays.traces) == 1, "links that replay one file share what was read"
     row = np.array([0])
     found = [replayed_delays(replays, np.array([0.1 * k]), row)[0, 0] for k in range(200)]
@@ -80,7 +81,7 @@ def test_links_of_one_file_share_its_time(tmp_path):
             rows.append(f"leader,{destination},{sent},{arrived}")
     path = write(tmp_path / "t.csv", "\n".join(rows))
     network = Network.model_validate({"links": {"leader": {"*": {"trace": {"file": str(path)}}}}})
-    replays = make_replays(NAMES, network, seed=1)
+    replays = make_replays(resolve_links(NAMES, network), seed=1)
     for lap in (0.0, 100.0, 300.0):
         for at, lost in ((49.7, False), (50.3, True), (54.7, True), (55.3, False)):
             delay = replayed_delays(replays, np.array([lap + at]), np.array([0]))[:, 0]
@@ -124,13 +125,13 @@ def test_each_link_of_a_file_has_its_own_rows(tmp_path):
 def test_link_without_trace_has_delay_nan(tmp_path):
     path = write(tmp_path / "t.csv", LINKS)
     network = {"links": {"leader": {"*": {"trace": {"file": str(path)}}}}}
-    replays = make_replays(NAMES, Network.model_validate(network), seed=1)
+    replays = make_replays(resolve_links(NAMES, Network.model_validate(network)), seed=1)
     delay = replayed_delays(replays, np.array([0.0, 0.0, 5.0]), np.arange(3))
     assert np.allclose(delay[0], [0.01, np.nan, np.nan], equal_nan=True)
     assert np.array_equal(delay[1], [np.inf, np.nan, np.nan], equal_nan=True)
     later = replayed_delays(replays, np.array([5.0, 3.0]), np.array([2, 0]))
     assert np.allclose(later, [[np.nan, 0.02], [np.nan, 0.03]], equal_nan=True)
-    assert make_replays(NAMES, Network(), seed=1) is None
+    assert make_replays(resolve_links(NAMES, Network()), seed=1) is None
 
 
 def test_random_start_depends_on_seed_and_link(tmp_path):
@@ -138,14 +139,14 @@ def test_random_start_depends_on_seed_and_link(tmp_path):
     network = Network.model_validate(
         {"trace": {"file": str(tmp_path / "t.csv"), "random_start": True}}
     )
-    begin = make_replays(NAMES, network, seed=1).begin_s
+    begin = make_replays(resolve_links(NAMES, network), seed=1).begin_s
     own = np.array([[False, True, False], [False, False, True]])
     assert (begin[own] == 0.0).all()
     assert len(set(begin[~own])) == 4
     assert (0.0 < begin[~own]).all() and (begin[~own] < 20.0).all()
-    assert np.array_equal(make_replays(NAMES, network, seed=1).begin_s, begin)
-    assert (make_replays(NAMES, network, seed=2).begin_s != begin)[~own].all()
-    more = make_replays((*NAMES, "uav3"), network, seed=1).begin_s
+    assert np.array_equal(make_replays(resolve_links(NAMES, network), seed=1).begin_s, begin)
+    assert (make_replays(resolve_links(NAMES, network), seed=2).begin_s != begin)[~own].all()
+    more = make_replays(resolve_links((*NAMES, "uav3"), network), seed=1).begin_s
     assert np.array_equal(more[:2, :3], begin)
 
 

@@ -9,7 +9,7 @@ import pytest
 from testbed.core.random import named_stream
 from testbed.core.records import AIRCRAFT, allocate
 from testbed.sim.limits import ProximityMonitor
-from testbed.sim.stages import find_losses
+from testbed.sim.steps import find_losses
 
 DT = 0.04
 NONE_LOST = np.zeros(2, dtype=bool)
@@ -91,7 +91,7 @@ def test_lost_separation_is_one_error_per_approach():
         ("info", "uav1", "separated from uav2 again, closest 2.5 m"),
     ]
     assert not collided.any()
-    assert (monitor.outcome, monitor.terminate, monitor.watching) == (
+    assert (monitor.outcome, monitor.terminate, monitor.watching[0]) == (
         "separation_lost",
         False,
         False,
@@ -138,7 +138,7 @@ def test_many_lost_separations_have_one_event():
 def test_compiled_check_finds_every_close_pair(seed):
     """It decides whether the monitor is called at all."""
     rng = named_stream(seed, "test/close")
-    aircraft = allocate(AIRCRAFT, 6)
+    aircraft, watching = allocate(AIRCRAFT, 6), np.zeros(1, dtype=bool)
     found = []
     for _ in range(200):
         own = rng.choice([np.nan, 1.0, 3.0, 5.0], 6)
@@ -148,15 +148,16 @@ def test_compiled_check_finds_every_close_pair(seed):
         aircraft["truth"]["position_ned"] = positions
         lost = rng.random(6) < 0.3
         aircraft["lost"] = lost
-        find_losses(aircraft, False, limit, own)  # writes `down`
+        find_losses(aircraft, False, limit, own, watching)  # writes `down`
         expected = any(
             math.dist(positions[i], positions[j]) < max(limit, max(own[i], own[j]))
             if not np.isnan(own[[i, j]]).any()
             else math.dist(positions[i], positions[j]) < limit
             for i, j in itertools.combinations(np.flatnonzero(~lost), 2)
         )
-        assert find_losses(aircraft, False, limit, own) is expected
+        assert find_losses(aircraft, False, limit, own, watching) is expected
         found.append(expected)
+        assert find_losses(aircraft, False, limit, own, ~watching), "an encounter may end"
     assert 20 < sum(found) < 180
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from testbed.core.random import named_stream
+from testbed.core.records import FbwaCommand
 from testbed.mavlink.rc_channels import AngleLimits, PwmRange, RcScaling, rc_scaling
 
 LIMITS = AngleLimits(math.radians(50.0), math.radians(20.0), math.radians(-15.0))
@@ -56,6 +57,10 @@ def test_pwm_range_conversions_are_inverse(reversed_):
     assert pwm.pwm_from_unsigned(0.0) == (1950 if reversed_ else 1100)
 
 
+def pulses(scaling, roll, pitch, throttle):
+    return scaling.pulses(FbwaCommand(roll=roll, pitch=pitch, throttle=throttle))
+
+
 @pytest.mark.parametrize("scale", [EVEN, WORN], ids=["even", "worn"])
 def test_pulses_and_commands_are_inverse(scale):
     rng = named_stream(11, "links")
@@ -63,14 +68,14 @@ def test_pulses_and_commands_are_inverse(scale):
         roll = rng.uniform(-LIMITS.roll, LIMITS.roll)
         pitch = rng.uniform(LIMITS.pitch_min, LIMITS.pitch_max)
         throttle = rng.uniform()
-        one, two, three = scale.pulses(roll, pitch, throttle)
+        one, two, three = pulses(scale, roll, pitch, throttle)
         back = (scale.roll_angle(one), scale.pitch_angle(two), scale.throttle_share(three))
         assert back == pytest.approx((roll, pitch, throttle), abs=1e-12)
 
 
 def test_command_beyond_limits_is_clamped():
-    assert WORN.pulses(2.0, 2.0, 2.0) == (1950, 1900, 1930)
-    assert WORN.pulses(-2.0, -2.0, -2.0) == (1100, 1050, 1010)
+    assert pulses(WORN, 2.0, 2.0, 2.0) == (1950, 1900, 1930)
+    assert pulses(WORN, -2.0, -2.0, -2.0) == (1100, 1050, 1010)
     assert LIMITS.clamp(2.0, -2.0) == (LIMITS.roll, LIMITS.pitch_min)
     assert LIMITS.clamp(-0.1, 0.1) == (-0.1, 0.1)
 
@@ -83,7 +88,7 @@ def test_empty_range_gives_neutral_command():
         assert stuck.roll_angle(pulse_us) == stuck.pitch_angle(pulse_us) == 0.0
         assert stuck.throttle_share(pulse_us) == 0.0
     still = EVEN._replace(limits=AngleLimits(0.0, 0.0, 0.0))
-    assert still.pulses(0.3, -0.3, 0.5) == (1500, 1500, 1500)
+    assert pulses(still, 0.3, -0.3, 0.5) == (1500, 1500, 1500)
 
 
 def test_scaling_from_parameters_or_defaults():

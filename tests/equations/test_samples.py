@@ -61,7 +61,7 @@ def without_records(sample):
 
 @pytest.mark.parametrize("change", [lambda sample: sample, without_records], ids=["run", "own"])
 def test_columns_of_a_block_are_the_samples_one_by_one(change):
-    run, block, kept = new_run(), SampleBuffer(20), []
+    run, block, kept = new_run(), SampleBuffer(20, N), []
     sample = sample_of(run)
     for _ in range(2):
         for k in range(7):
@@ -69,7 +69,7 @@ def test_columns_of_a_block_are_the_samples_one_by_one(change):
             block.append(change(sample._replace(tick=8 * k)))
             kept.append(arrays(sample))
         columns = block.columns()
-        assert block.tick == [8 * k for k in range(7)]
+        assert block.ticks.tolist() == [8 * k for k in range(7)]
         for k, expected in enumerate(kept):
             for path, rows in columns.items():
                 assert len(rows) == 7
@@ -78,22 +78,23 @@ def test_columns_of_a_block_are_the_samples_one_by_one(change):
         assert set(columns) == set(kept[0])
         block.clear()
         kept.clear()
-    assert block.tick == []
+    assert len(block) == 0
 
 
 def test_block_marks_inexact_estimates():
-    run, block = new_run(), SampleBuffer(4)
+    run, block = new_run(), SampleBuffer(4, N)
     for tick, exact in ((0, True), (8, False), (16, False), (24, True)):
         block.append(sample_of(run, exact=exact)._replace(tick=tick))
-    assert (block.tick, block.inexact) == ([0, 8, 16, 24], [1, 2])
+    assert block.ticks.tolist() == [0, 8, 16, 24]
+    assert block.inexact.tolist() == [False, True, True, False]
     block.clear()
     block.append(sample_of(run)._replace(tick=8))
-    assert (block.tick, block.inexact) == ([8], [0])
+    assert (block.ticks.tolist(), block.inexact.tolist()) == ([8], [True])
 
 
 @pytest.mark.parametrize("change", [lambda sample: sample, without_records], ids=["run", "own"])
 def test_samples_of_other_sizes_are_refused(change):
-    block = SampleBuffer(3)
+    block = SampleBuffer(3, N)
     block.append(change(sample_of(new_run())))
     with pytest.raises(ValueError, match=f"the sample has {N + 1} aircraft"):
         block.append(change(sample_of(new_run(N + 1))))

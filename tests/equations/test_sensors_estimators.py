@@ -14,12 +14,12 @@ from sensors_samples import (
     suite,
 )
 
-from testbed.core.compile import prepare
+from testbed.core.compile import prepare, registered, registering
 from testbed.core.frames import GRAVITY, wrap_pi
 from testbed.core.records import VehicleState, allocate, write_fields
 from testbed.sensors import ekf, estimators, sensor_step
 from testbed.sensors.errors import ERRORS, add_jitter_to_all, make_sensor_errors, view_errors
-from testbed.sensors.estimators import Estimators
+from testbed.sensors.estimators import StateEstimators
 
 HZ = 20
 FLIGHT = make_flight(HZ, (4, 0, 0), (6, 1, 0), (2, 0, 0.1))
@@ -43,7 +43,7 @@ def names(count):
 
 def make(suites, *, aircraft=None, flight=FLIGHT, seed=SEED, **keys):
     aircraft = names(len(suites)) if aircraft is None else aircraft
-    each = Estimators(aircraft, suites, seed=seed, rate_hz=flight.rate_hz, **keys)
+    each = StateEstimators(aircraft, suites, seed=seed, rate_hz=flight.rate_hz, **keys)
     each.warm_up(kernels.aircraft_of(flight.at(0, len(suites))))
     return each
 
@@ -115,9 +115,10 @@ def test_with_a_sensor_estimates_are_not_exact(sensors, short_warm_up):
     ],
 )
 def test_prepare_compiles_the_needed_entries(suites, entries, short_warm_up):
-    each = Estimators(names(2), suites, seed=SEED, rate_hz=HZ)
-    calls = each.kernels()
-    assert [call.func for call in calls] == entries
+    with registering():
+        each = StateEstimators(names(2), suites, seed=SEED, rate_hz=HZ)
+        calls = registered()
+    assert [entry for entry, _ in calls] == entries
     prepare(calls)
     compiled = [len(entry.signatures) for entry in entries]
     each.warm_up(kernels.aircraft_of(FLIGHT.at(0, 2)))

@@ -5,7 +5,7 @@ import pytest
 
 from testbed.core.records import AIRCRAFT, FOLLOWER, MESSAGE, allocate
 from testbed.formation.slots import write_formation_state
-from testbed.sim.stages import write_messages
+from testbed.sim.steps import write_messages
 
 OFFSETS = np.array([[0.0, 0.0, 0.0], [-5.0, 5.0, 0.0], [-5.0, -5.0, 4.0]])
 NO_ALTITUDES = np.array([np.nan, np.nan])
@@ -82,8 +82,9 @@ def test_a_message_is_the_estimate_with_euler_rates():
     estimate["acceleration_ned"] = np.arange(9.0).reshape(3, 3)
     estimate["euler"] = [np.pi / 3.0, 0.0, 1.0]
     estimate["rates_body"] = [0.0, 0.4 * np.sin(np.pi / 3.0), 0.2]
-    write_messages(aircraft, messages, 7.5, np.full(3, 7.5))
-    assert messages["stamp_s"].tolist() == [7.5, 7.5, 7.5]
+    sent_s = np.zeros(3)
+    write_messages(aircraft, messages, np.full(3, np.nan), sent_s, 7.5)
+    assert messages["stamp_s"].tolist() == sent_s.tolist() == [7.5, 7.5, 7.5]
     for name in ("position_ned", "velocity_ned", "acceleration_ned", "euler"):
         assert np.array_equal(messages[name], estimate[name])
     assert messages["euler_rates"] == pytest.approx(np.tile([0.0, 0.0, 0.4], (3, 1)), abs=1e-15)
@@ -93,8 +94,9 @@ def test_messages_hold_the_state_when_sent():
     """3 ms and 5 ms after the estimate, positions are those along the velocity."""
     aircraft, messages = flying(), allocate(MESSAGE, 3)
     aircraft["estimate"]["velocity_ned"][0] = np.inf  # not sent later: stays as it is
-    write_messages(aircraft, messages, 7.5, np.array([7.5, 7.503, 7.505]))
-    assert messages["stamp_s"].tolist() == [7.5, 7.503, 7.505]
+    sent_s = np.zeros(3)
+    write_messages(aircraft, messages, np.array([np.nan, 7.503, 7.505]), sent_s, 7.5)
+    assert messages["stamp_s"].tolist() == sent_s.tolist() == [7.5, 7.503, 7.505]
     later = [[100.0, 200.0, -50.0], [96.036, 195.048, -50.0], [106.0, 194.015, -47.02]]
     assert messages["position_ned"] == pytest.approx(np.array(later), abs=1e-9)
     assert np.array_equal(messages["velocity_ned"], aircraft["estimate"]["velocity_ned"])

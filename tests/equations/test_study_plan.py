@@ -6,7 +6,7 @@ import statistics
 import pytest
 
 from testbed.scenario import ScenarioError, list_studies, load_scenario
-from testbed.studies.journal import Journal, Row, flatten_metrics
+from testbed.studies.journal import Journal, JournalRow, flatten_metrics
 from testbed.studies.plan import Plan, check_plan, load_study
 from testbed.studies.study_schema import Variation
 from testbed.studies.table import column_type
@@ -287,10 +287,10 @@ def test_journal_is_read_back_in_order_of_runs(tmp_path):
     path = tmp_path / "j"
     journal = Journal(path, {"study": {"n": 1}})
     rows = [
-        Row(2, "completed", "", {"a.b": 0.1 + 0.2, "c": None}),
-        Row(0, "lost", "lost: é", {"d": 1e-300}),
-        Row(5, "failed", "why", {}),
-        Row(1, "completed", "", {"a": None, "c": 3.0}),
+        JournalRow(2, "completed", "", {"a.b": 0.1 + 0.2, "c": None}),
+        JournalRow(0, "lost", "lost: é", {"d": 1e-300}),
+        JournalRow(5, "failed", "why", {}),
+        JournalRow(1, "completed", "", {"a": None, "c": 3.0}),
     ]
     for row in rows:
         journal.add(row)
@@ -301,7 +301,7 @@ def test_journal_is_read_back_in_order_of_runs(tmp_path):
     assert list(again.rows()) == sorted(rows, key=lambda row: row.run)
     assert again.names() == ("d", "c", "a.b")  # what is below a stands for a
     assert 7 not in again and 5 in again
-    again.add(Row(7, "completed", "", {"d": 2.0}))
+    again.add(JournalRow(7, "completed", "", {"d": 2.0}))
     again.close()
     last = Journal(path)
     assert [row.run for row in last.rows()] == [0, 1, 2, 5, 7]
@@ -312,7 +312,7 @@ def test_journal_damaged_line_is_refused(tmp_path):
     path = tmp_path / "j"
     journal = Journal(path, {"study": {"n": 1}})
     for run in range(3):
-        journal.add(Row(run, "completed", "", {"a": 1.0}))
+        journal.add(JournalRow(run, "completed", "", {"a": 1.0}))
     journal.close()
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(b"".join([*lines[:2], b"{\n", *lines[3:]]))

@@ -197,6 +197,6 @@ def add_wakes(model, position, velocity, acceleration, euler, ambient):
     truth["position_ned"], truth["velocity_ned"] = position, velocity
     truth["acceleration_ned"], truth["euler"] = acceleration, euler
     local["ambient_wind"] = ambient
-    model.bind(aircraft, local)()
+    model.bind(aircraft, local)(0.0)
     wind = aircraft["wind"]
     return np.array(wind["wind_ned"]), np.array(wind["wake_delta_cl"])

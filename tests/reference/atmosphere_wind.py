@@ -9,7 +9,7 @@ import numpy as np
 
 from reference.frames import rotation_ned_body
 from testbed.atmosphere.airframe_wind import AHEAD, BEHIND, MEAN, RIGHT, SLOPE, WING
-from testbed.atmosphere.gusts import TimedGust
+from testbed.atmosphere.gusts import UniformGust
 from testbed.atmosphere.mean_wind import LOGARITHMIC
 from testbed.atmosphere.turbulence_field import NODES, OVERLAP, FieldGrid
 from testbed.core.records import Array, BoolArray
@@ -142,7 +142,7 @@ def make_gusts(gusts: list, wind: MeanWind) -> Gusts:
     rate, offset = np.zeros(count), np.zeros(count)
     advection, normal = np.zeros((count, 3)), np.zeros((count, 3))
     for g, gust in enumerate(gusts):
-        if isinstance(gust, TimedGust):
+        if isinstance(gust, UniformGust):
             rate[g], offset[g] = 1.0, -gust.start
             continue
         normal[g, :2] = np.cos(gust.direction), np.sin(gust.direction)
@@ -160,7 +160,7 @@ def make_gusts(gusts: list, wind: MeanWind) -> Gusts:
         advection=advection,
         normal=normal,
         rise=np.array(
-            [gust.ramp if isinstance(gust, TimedGust) else gust.length for gust in gusts]
+            [gust.ramp if isinstance(gust, UniformGust) else gust.length for gust in gusts]
         ),
         end=np.array([2.0 if gust.pulse else 1.0 for gust in gusts]),
     )

@@ -15,7 +15,7 @@ from theorem_cases import (
     one_formation,
 )
 
-from testbed.formation.barrier import NO_BARRIER, Barrier
+from testbed.formation.barrier import NO_BARRIER, SpeedBarrier
 from testbed.formation.control_function import EXAMPLE_2
 
 ALONE = graph([1.0])
@@ -109,7 +109,7 @@ def test_without_barrier_a_speed_leaves_s():
     With any of the three barriers, what was above s_d is kept below the bound.
     """
     times = np.linspace(0.0, 3.0, 101)
-    formations, start = surging(Barrier(NO_BARRIER, 0.0))
+    formations, start = surging(SpeedBarrier(NO_BARRIER, 0.0))
     fastest = 0.0
     for t, state in fly(formations, start, times):
         expected = 23.0 + 4.0 * np.sin(1.5 * t) + 6.5 * np.exp(-0.2 * t)

@@ -9,10 +9,10 @@ from reference.adapters import frame_acceleration, frame_rate
 from theorem_cases import PATHS, STEEPER_MU, at_slots, leader, one_formation
 
 from testbed.guidance.analytic_paths import (
-    Circle,
-    FigureEight,
+    CirclePath,
+    FigureEightPath,
     SinusoidalPath,
-    Straight,
+    StraightPath,
     derivatives,
     frame_rates,
 )
@@ -24,10 +24,10 @@ def test_leaders_equal_the_products_curves(path):
     place = {"position_ned": (50.0, -20.0, -300.0), "course": 0.4, "speed": 22.0}
     place["climb"] = 22.0 * np.sin(climb)
     if chi_dot == 0.0:
-        curve = Straight(**place)
+        curve = StraightPath(**place)
     else:
         radius = 22.0 * np.cos(climb) / abs(chi_dot)
-        curve = Circle(**place, radius=radius, clockwise=chi_dot > 0.0)
+        curve = CirclePath(**place, radius=radius, clockwise=chi_dot > 0.0)
     ours = leader(path, origin=place["position_ned"])
     for t in (0.0, 1.7, 33.0):
         theirs = derivatives(curve, np.array([t]))
@@ -66,7 +66,10 @@ def test_leader_with_changing_turn_rate_is_followed():
     """
     place = {"position_ned": (0.0, 0.0, -300.0), "course": 0.4, "speed": 22.0}
     curves = Curved(
-        [FigureEight(**place, radius=70.0), SinusoidalPath(**place, amplitude=15.0, period=15.0)]
+        [
+            FigureEightPath(**place, radius=70.0),
+            SinusoidalPath(**place, amplitude=15.0, period=15.0),
+        ]
     )
     formations = one_formation("circle", copies=4, mu=STEEPER_MU).change(leader=curves)
     errors = np.random.default_rng(26).uniform(-1.0, 1.0, (12, 3))

@@ -18,7 +18,8 @@ from reference.unicycle import unicycle
 from testbed.core.records import Inbox, VehicleState
 from testbed.formation import leader_filter as leading
 from testbed.formation.control_step import Hbh23Law
-from testbed.scenario import find_aircraft, load_scenario
+from testbed.plan.fleet import resolve
+from testbed.scenario import load_scenario
 from testbed.sim.build_control import build_control
 
 HZ, TICKS = 25, 8
@@ -41,9 +42,8 @@ def make_law(then, limit=LIMIT):
     """Simulation 3's, with q̈_g as it is: how it is averaged is not the question."""
     timeout = [f"controller.neighbour_timeout_s={limit}", f"controller.on_neighbour_timeout={then}"]
     scenario = load_scenario("simulation-3", timeout)
-    folders = [find_aircraft(each.aircraft) for each in scenario.fleet]
     clock = SimpleNamespace(control=TICKS, base_rate_hz=HZ * TICKS, groups=((0, 1, 2),))
-    control = build_control(scenario, folders, clock)
+    control = build_control(resolve(scenario), scenario.controller, clock)
     law = control.controllers["law"].copy()
     law["acceleration_source"], law["acceleration_blend"] = leading.BROADCAST, 1.0
     return Hbh23Law(law, control.neighbours)

@@ -6,16 +6,16 @@ from reference.formation_barrier import per_agent as one_barrier_each
 from reference.formation_control_function import per_agent as one_function_each
 from reference.formation_laws import SpeedSet
 
-from testbed.formation.barrier import Barrier
+from testbed.formation.barrier import SpeedBarrier
 from testbed.formation.control_function import EXAMPLE_2, EXAMPLE_3, example_1
 
 LOW, HIGH = 16.0, 30.0
 PAPERS_MU = example_1(50.0, 1.0, 0.5)
 STEEPER_MU = example_1(4.0, 1.0, 0.5)  # μ(0) = 1/2 per metre
 BARRIERS = {
-    "example 4": Barrier(4, 0.02),
-    "example 5": Barrier(5, 0.05),
-    "example 6": Barrier(6, 1.0),
+    "example 4": SpeedBarrier(4, 0.02),
+    "example 5": SpeedBarrier(5, 0.05),
+    "example 6": SpeedBarrier(6, 1.0),
 }
 FUNCTIONS = {"example 1": PAPERS_MU, "example 2": EXAMPLE_2, "example 3": EXAMPLE_3}
 PATHS = {  # γ (rad) and σ̇ (rad/s) of the leader
@@ -189,9 +189,9 @@ def random_formations(rng, m, n):
     barrier = one_barrier_each(
         [
             {
-                4: Barrier(4, rng.uniform(0.01, 0.05)),
-                5: Barrier(5, rng.uniform(0.01, 0.03)),
-                6: Barrier(6, rng.uniform(0.5, 4.0)),
+                4: SpeedBarrier(4, rng.uniform(0.01, 0.05)),
+                5: SpeedBarrier(5, rng.uniform(0.01, 0.03)),
+                6: SpeedBarrier(6, rng.uniform(0.5, 4.0)),
             }[choice]
             for choice in rng.integers(4, 7, agents)
         ]

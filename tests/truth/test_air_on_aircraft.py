@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from aircraft_copies import changed
 
-from testbed.core.records import Origin, WindInput
+from testbed.core.records import NedOrigin, WindInput
 from testbed.core.standard_atmosphere import density_ratio
+from testbed.plan.fleet import resolve
 from testbed.scenario import find_aircraft, load_scenario, set_duration
 from testbed.sim.build import build
 from testbed.sim.build_air import (
     temperature_offset,
     temperature_warnings,
 )
-from testbed.vehicle import fleet as fleet_module
 from testbed.vehicle.environment import INTEGRATORS, JSBSIM_DEFAULT_INTEGRATORS
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.jsbsim_adapter import airframe, trim_aircraft
@@ -44,7 +44,7 @@ def flown(
 ):
     """State and air data of an aircraft in trim 400 m up, some ticks after a wind sets in."""
     start = InitialState((0.0, 0.0, -400.0), airspeed=AIRCRAFT[name])
-    origin = Origin(elevation_m=300.0)
+    origin = NedOrigin(elevation_m=300.0)
     fleet = JsbsimFleet([find_aircraft(name)], [start], origin, RATE, integrators)
     fleet.set_wind(WindInput(np.array([wind]), np.array([rates]), np.array([roll])))
     fleet.step(fleet.trimmed, ticks)
@@ -136,13 +136,13 @@ WIND, TURN, ROLL = slice(0, 3), slice(3, 6), 6  # columns of `pack_wind`
     ],
 )
 def test_air_of_the_other_sign_is_found(monkeypatch, columns, test, arguments):
-    pack = fleet_module.pack_wind
+    set_wind = JsbsimFleet.set_wind
 
-    def reversed_pack(rows, aircraft, numbers):
-        pack(rows, aircraft, numbers)
-        numbers[:, columns] *= -1.0
+    def set_reversed(fleet, wind):
+        set_wind(fleet, wind)
+        fleet._wind_numbers[:, columns] *= -1.0
 
-    monkeypatch.setattr(fleet_module, "pack_wind", reversed_pack)
+    monkeypatch.setattr(JsbsimFleet, "set_wind", set_reversed)
     with pytest.raises(AssertionError):
         test(*arguments)
 
@@ -181,7 +181,9 @@ def test_warm_air_lowers_equivalent_airspeed():
     """What a pitot tube measures at 22 m/s, 400 m above sea level."""
     for warmer in (0.0, 19.0):
         start = InitialState((0.0, 0.0, -100.0), airspeed=22.0, temperature_offset=warmer)
-        fleet = JsbsimFleet([find_aircraft("rascal110")], [start], Origin(elevation_m=300.0), RATE)
+        fleet = JsbsimFleet(
+            [find_aircraft("rascal110")], [start], NedOrigin(elevation_m=300.0), RATE
+        )
         expected = 22.0 * math.sqrt(standard_density(400.0, warmer) / 1.225)
         assert fleet.read().equivalent_airspeed[0] == pytest.approx(expected, rel=2e-5)
 
@@ -228,30 +230,36 @@ def test_ground_temperature_acts_on_all_densities():
     hot = "air.temperature_c=32"
     straight = "leader.path={kind: virtual, speed_mps: 22, curve: {kind: straight}}"
     scenario = set_duration(load_scenario("close-formation-wake", [hot, straight]), 1.0)
-    assert temperature_offset(scenario) == pytest.approx(32.0 - 15.0 + 0.0065 * 300.0)
+    offset = temperature_offset(scenario.air, 300.0)
+    assert offset == pytest.approx(32.0 - 15.0 + 0.0065 * 300.0)
     world = build(scenario)
     truth = world.aircraft["truth"]
-    density = standard_density(300.0 - truth["position_ned"][:, 2], temperature_offset(scenario))
+    density = standard_density(300.0 - truth["position_ned"][:, 2], offset)
     expected = truth["airspeed"] * np.sqrt(density / 1.225)
     np.testing.assert_allclose(truth["equivalent_airspeed"], expected, rtol=2e-5)
     altitude = 300.0 + scenario.leader.start.altitude_m
-    known = standard_density(altitude, temperature_offset(scenario))
+    known = standard_density(altitude, offset)
     assert world.air._wakes.wake["density"][0] == pytest.approx(known, rel=1e-5)
 
 
 @pytest.mark.parametrize(
-    ("override", "text"),
+    ("changes", "text"),
     [
-        ("fleet.*.vehicle=unicycle", "air.temperature_c has no effect"),
-        ("fleet.uav1.autopilot=ardupilot", "the true airspeed that it computes is wrong by -3.0 %"),
+        (["leader.vehicle=unicycle", "fleet.*.vehicle=unicycle"], "temperature_c has no effect"),
+        (
+            ["fleet.uav1.autopilot=ardupilot"],
+            "the true airspeed that it computes is wrong by -3.0 %",
+        ),
     ],
 )
-def test_temperature_that_misses_aircraft_is_warned_of(override, text):
-    scenario = load_scenario("simulation-3", ["air.temperature_c=32", override])
-    kinds = ["scripted", *(each.vehicle for each in scenario.fleet)]
-    (event,) = temperature_warnings(scenario, kinds)
+def test_temperature_that_misses_aircraft_is_warned_of(changes, text):
+    scenario = load_scenario("simulation-3", ["air.temperature_c=32", *changes])
+    fleet = resolve(scenario)
+    (event,) = temperature_warnings(
+        fleet, temperature_offset(scenario.air, fleet.origin.elevation_m)
+    )
     assert text in event.text and event.level == "warning"
-    assert not list(temperature_warnings(load_scenario("simulation-3", [override]), kinds))
+    assert not list(temperature_warnings(fleet, 0.0))
 
 
 def test_x8_top_speed_hardly_depends_on_temperature():

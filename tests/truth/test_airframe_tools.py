@@ -18,7 +18,7 @@ from testbed.autopilot.parameters import read_params
 from testbed.cli.main import app
 from testbed.core.errors import InputError
 from testbed.core.frames import FOOT, GRAVITY
-from testbed.core.records import ActuatorCommand, Origin, WindInput
+from testbed.core.records import ActuatorCommand, NedOrigin, WindInput
 from testbed.scenario import load_middle_loop
 from testbed.sim.speed_step import speed_step
 from testbed.vehicle import fleet as fleet_module
@@ -35,7 +35,7 @@ from testbed.vehicle.trim import InitialState, TrimError, TrimPoint
 ROOT = Path(__file__).parents[2]
 RASCAL = ROOT / "aircraft" / "rascal110"
 X8 = ROOT / "aircraft" / "skywalker_x8"
-HIGH = Origin(elevation_m=-600.0)
+HIGH = NedOrigin(elevation_m=-600.0)
 LEVEL = TrimPoint(22.0, altitude=400.0)
 DENSITY = 1.1787  # kg/m³, standard atmosphere at 400 m
 PRESSURE = 0.5 * DENSITY * 22.0**2
@@ -113,7 +113,7 @@ def test_servos_that_lag_change_no_trim(tmp_path):
         assert getattr(slow.controls, name) == pytest.approx(
             getattr(quick.controls, name), abs=1e-6
         )
-    fleet = JsbsimFleet([folder], [InitialState((0.0, 0.0, -100.0))], Origin(), 200)
+    fleet = JsbsimFleet([folder], [InitialState((0.0, 0.0, -100.0))], NedOrigin(), 200)
     assert fleet.read().acceleration_ned[0] == pytest.approx([0, 0, 0], abs=1e-4)
     a, b = linearize_aircraft(folder, LEVEL).a, linearize_aircraft(RASCAL, LEVEL).a
     assert a == pytest.approx(b, abs=1e-3)
@@ -144,7 +144,7 @@ class TestWind:
         start = InitialState(
             (0.0, 0.0, -400.0), course=course, flight_path_angle=0.03, wind_ned=wind
         )
-        fleet = JsbsimFleet([RASCAL], [start], Origin(), 200)
+        fleet = JsbsimFleet([RASCAL], [start], NedOrigin(), 200)
         state, air = fleet.read(), fleet.air()
         assert state.airspeed[0] == pytest.approx(22.0, abs=1e-9)
         assert air.wind_ned[0] == pytest.approx(wind, abs=1e-12)
@@ -166,15 +166,15 @@ class TestWind:
     def test_a_crosswind_crabs_by_hand(self):
         """6 m/s from the left at 22 m/s: the nose points asin(6/22) = 15.83° into it."""
         start = InitialState((0.0, 0.0, -400.0), wind_ned=(0.0, 6.0, 0.0))
-        fleet = JsbsimFleet([RASCAL], [start], Origin(), 200)
+        fleet = JsbsimFleet([RASCAL], [start], NedOrigin(), 200)
         state = fleet.read()
         assert math.degrees(state.euler[0, 2]) == pytest.approx(-15.83, abs=0.02)
         assert state.velocity_ned[0] == pytest.approx([math.sqrt(22.0**2 - 36.0), 0, 0], abs=1e-6)
 
     def test_air_that_does_nothing_is_still_air_to_the_bit(self):
         start = InitialState((0.0, 0.0, -100.0), course=1.0, bank=0.2)
-        one = JsbsimFleet([RASCAL], [start], Origin(), 200)
-        two = JsbsimFleet([RASCAL], [start], Origin(), 200)
+        one = JsbsimFleet([RASCAL], [start], NedOrigin(), 200)
+        two = JsbsimFleet([RASCAL], [start], NedOrigin(), 200)
         two.set_wind(WindInput(np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(1)))
         for fleet in (one, two):
             fleet.step(fleet.trimmed, 100)
@@ -185,7 +185,7 @@ class TestWind:
         for wind in ((0.0, 23.0, 0.0), (-22.0, 0.0, 0.0)):
             start = InitialState((0.0, 0.0, -400.0), wind_ned=wind)
             with pytest.raises(TrimError, match="cannot fly a course"):
-                JsbsimFleet([RASCAL], [start], Origin(), 200)
+                JsbsimFleet([RASCAL], [start], NedOrigin(), 200)
 
 
 class TestInertia:
@@ -211,7 +211,7 @@ class TestInertia:
         assert "J1 + J2 ≥ J3 fails: 0.29" in text
         assert "< 2.01" in text
         with pytest.raises(AircraftError, match="J1 \\+ J2"):
-            JsbsimFleet([folder], [InitialState((0.0, 0.0, -100.0))], Origin(), 200)
+            JsbsimFleet([folder], [InitialState((0.0, 0.0, -100.0))], NedOrigin(), 200)
 
     def test_a_negative_moment_is_refused(self, tmp_path):
         folder = changed(RASCAL, tmp_path, (r"<ixz .*?</ixz>", '<ixz unit="SLUG*FT2"> 2.5 </ixz>'))

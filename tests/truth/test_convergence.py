@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from aircraft_copies import changed
 
-from testbed.core.records import ActuatorCommand, Origin
+from testbed.core.records import ActuatorCommand, NedOrigin
 from testbed.vehicle.environment import INTEGRATORS
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.jsbsim_model import JsbsimModel
@@ -34,7 +34,7 @@ def stop_to_stop(k):
 def manoeuvre(folder, rate_hz, controls, integrators=INTEGRATORS, motion_of=sinusoid):
     """Fly 4 s with moved controls, held at 50 Hz; return velocities, angles, rates (200, 9)."""
     fleet = JsbsimFleet(
-        [folder], [InitialState((0.0, 0.0, -300.0))], Origin(), rate_hz, integrators
+        [folder], [InitialState((0.0, 0.0, -300.0))], NedOrigin(), rate_hz, integrators
     )
     trimmed, motion = fleet.trimmed, []
     for k in range(4 * HELD_HZ):
@@ -92,7 +92,7 @@ def test_throttle_converges_with_first_order():
 @pytest.mark.parametrize("folder", [RASCAL, X8])
 def test_settled_propeller_does_not_depend_on_rate(folder):
     def settled(rate_hz):
-        fleet = JsbsimFleet([folder], [InitialState((0.0, 0.0, -300.0))], Origin(), rate_hz)
+        fleet = JsbsimFleet([folder], [InitialState((0.0, 0.0, -300.0))], NedOrigin(), rate_hz)
         return fleet.air().propeller_rps[0], fleet.read().acceleration_ned[0]
 
     speed, acceleration = settled(800)
@@ -107,7 +107,7 @@ def test_settled_propeller_does_not_depend_on_rate(folder):
 
 def first_step(folder, wind_ned, rate_hz=100):
     """Return the error of the velocity after one step (3,) m/s, and the acceleration before it."""
-    origin = Origin()
+    origin = NedOrigin()
     start = InitialState((0.0, 0.0, -300.0), wind_ned=wind_ned)
     fleet = JsbsimFleet([folder], [start], origin, rate_hz)
     before = fleet.read()

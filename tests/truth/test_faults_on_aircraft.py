@@ -19,7 +19,7 @@ from testbed.core.records import (
     AIRCRAFT,
     ActuatorCommand,
     FbwaCommand,
-    Origin,
+    NedOrigin,
     VehicleState,
     WindInput,
     allocate,
@@ -41,6 +41,12 @@ RASCAL, X8 = FOLDERS / "rascal110", FOLDERS / "skywalker_x8"
 PERIOD, TICKS = 0.02, 4  # s, of the autopilot, and steps of the base rate in it
 GRAVITY = 9.800  # m/s², at 38° N
 LEFT, RIGHT = SURFACES.index("left-elevon"), SURFACES.index("right-elevon")
+
+
+def actuate(vehicles):
+    """One period of the autopilots, and of what has failed."""
+    for step in (*vehicles.autopilot_steps, *vehicles.fault_steps, *vehicles.output_steps):
+        step(0.0)
 
 
 class Flight:
@@ -72,15 +78,15 @@ class Flight:
         write_fields(aircraft["estimate"], estimate)
         write_fields(aircraft["command"], command)
         write_fields(aircraft["faults"], failing)
-        self.vehicles.autopilot_step()
-        self.vehicles.apply_faults()
+        actuate(self.vehicles)
 
     def step(self, ticks):
         self.vehicles.step(ticks, None)
 
     def blow(self, wind):
         write_fields(self.aircraft["wind"], wind)
-        self.vehicles.set_wind()
+        for step in self.vehicles.wind_steps:
+            step(0.0)
 
     def lost(self):
         return self.fleet.lost(self.read())
@@ -93,7 +99,7 @@ def flown(*folders, airspeed, altitude=400.0, apart=50.0):
     starts = [
         InitialState((0.0, i * apart, -altitude), airspeed=airspeed) for i in range(len(folders))
     ]
-    fleet = JsbsimFleet(folders, starts, Origin(), 200)
+    fleet = JsbsimFleet(folders, starts, NedOrigin(), 200)
     tunes = [read_params(folder / "autopilot.param") for folder in folders]
     return Flight(fleet, make_gains(tunes, PERIOD))
 
@@ -492,7 +498,7 @@ def test_faults_and_losses_among_kinds_of_vehicles() -> None:
 
     def one(row):
         fleet = JsbsimFleet(
-            [RASCAL], [InitialState((0.0, 0.0, -400.0), airspeed=20.0)], Origin(), 200
+            [RASCAL], [InitialState((0.0, 0.0, -400.0), airspeed=20.0)], NedOrigin(), 200
         )
         tune = make_gains([read_params(RASCAL / "autopilot.param")], PERIOD)
         return Flight(fleet, tune, aircraft, [row])
@@ -509,8 +515,7 @@ def test_faults_and_losses_among_kinds_of_vehicles() -> None:
     failing.power[2] = 0.0
     write_fields(aircraft["faults"], failing)
     for each in parts:
-        each.autopilot_step()
-        each.apply_faults()
+        actuate(each)
     throttle = aircraft["surfaces"]["throttle"]
     assert throttle[0] > 0.0 and throttle[2] == 0.0
     lost = np.array([False, True, True])

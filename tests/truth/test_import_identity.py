@@ -11,9 +11,11 @@ import struct
 import numpy as np
 import pytest
 from flight_logs import (
+    AUTO,
     EPOCH_US,
     FBWA,
     FORMATS,
+    OLD_ATT,
     PARAMS,
     DataFlash,
     heartbeat,
@@ -32,6 +34,7 @@ FLIGHT = recorded()
 LOGS = int(os.environ.get("TESTBED_IMPORTS", "40"))
 SEED = 20261126
 ROWS = 120  # of a flight, 25 per second
+MODE = b"\xa3\x95" + bytes([FORMATS["MODE"][0]])
 TURN = 0.02  # rad/s, of the heading
 COLUMNS = {
     "phi_rad": (0.1, 0.15), "theta_rad": (0.02, 0.03), "psi_rad": (1.0, 0.9),
@@ -235,11 +238,67 @@ def bin_damaged(rng, path):
     return path, {0, None}
 
 
+def move_mode(path, number, us):
+    """Give a MODE message another time."""
+    data = bytearray(path.read_bytes())
+    at = [k for k in range(len(data)) if data.startswith(MODE, k)][number]
+    data[at + 3 : at + 11] = struct.pack("<Q", us)
+    path.write_bytes(data)
+    return path
+
+
+def bin_mode_times(rng, path):
+    """Vehicle 1 flies in AUTO, between two parts in FBWA; a MODE message has another time."""
+    rows = rows_of(0, 200)
+    rows[121:130] = rows_of(1, 200)[121:130]
+    modes = ((0.0, FBWA), (rows["t_s"][120], AUTO), (rows["t_s"][130], FBWA))
+    write_dataflash(path, rows, modes=modes)
+    number = rng.randrange(1, 3)
+    right = modes[number][0]
+    time = rng.choice(
+        [right, rng.uniform(0.0, right - 1.5), rng.uniform(right + 1.5, 7.9), 1e3, 1e12]
+    )
+    return move_mode(path, number, round(1e6 * time)), {0}
+
+
+def declare(path, multipliers, ids, formats=FORMATS):
+    """Write a log of vehicle 0 that declares multipliers of ATT, ids by field."""
+    formats = formats | {
+        "MULT": (21, "Qbd", "TimeUS,Id,Mult"),
+        "FMTU": (22, "QBNN", "TimeUS,FmtType,UnitIds,MultIds"),
+        "UNIT": (23, "QbZ", "TimeUS,Id,Label"),
+    }
+    log = DataFlash(formats)
+    log.add("UNIT", 0, -5, b"damaged")
+    for name, value in multipliers.items():
+        log.add("MULT", 0, name, value)
+    log.add("FMTU", 0, FORMATS["ATT"][0], b"", ids)
+    write_dataflash(path, rows_of(0), formats=formats)
+    path.write_bytes(bytes(log.bytes) + path.read_bytes()[len(formats) * 89 :])
+    return path
+
+
+MULTIPLIERS = {ord("0"): 1.0, ord("B"): float(np.float32(0.01)), ord("F"): 1e-6, ord("?"): 2.0}
+
+
+def bin_multipliers(rng, path):
+    hundredths = rng.random() < 0.5
+    right = "F" + ("B" if hundredths else "0") * 6
+    ids = list(right)
+    for _ in range(rng.randrange(3)):
+        ids[rng.randrange(7)] = rng.choice("0BF?-")
+    read = (0, 1, 2, 3, 4, 6)  # without DesYaw
+    wrong = any(ids[k] not in (right[k], *"?-") for k in read)
+    formats = FORMATS | ({"ATT": OLD_ATT} if hundredths else {})
+    declare(path, MULTIPLIERS, "".join(ids).encode(), formats)
+    return path, set() if wrong else {0}
+
+
 MAKERS = [
     tlog_one, tlog_two_of_one_id, tlog_two_ids, tlog_one_after_the_other, tlog_receiver_steps,
     tlog_damaged_receipts, tlog_other_component, tlog_two_links, tlog_damaged,
     tlog_of_another_vehicle, bin_one, bin_of_another_vehicle, bin_several_sensors, bin_two_logs,
-    bin_two_mixed, bin_damaged,
+    bin_two_mixed, bin_damaged, bin_mode_times, bin_multipliers,
 ]  # fmt: skip
 
 
@@ -352,6 +411,51 @@ def test_import_checks_declared_units(tmp_path):
                 read_flight(path)
         else:
             read_flight(path)
+
+
+@pytest.mark.parametrize(
+    ("ids", "field", "given"), [("FB", "DesRoll", "0.01"), ("C0", "TimeUS", "0.001")]
+)
+def test_import_refuses_other_multipliers(tmp_path, ids, field, given):
+    path = declare(tmp_path / "a.bin", MULTIPLIERS | {ord("C"): 1e-3}, ids.encode())
+    with pytest.raises(InputError, match=rf"ATT.{field} has the multiplier {given}; give a log of"):
+        read_flight(path)
+
+
+def test_import_takes_multipliers_that_say_nothing(tmp_path):
+    """Ids without a multiplier, of none, unknown ones, and those that damage makes."""
+    for wrong in ({}, {ord("x"): 0.0}, {ord("x"): float("nan")}, {-5: 1.0}, {ord("x"): 1.0}):
+        path = declare(tmp_path / "a.bin", MULTIPLIERS | wrong, b"F-?x0")
+        assert wrong_rows(read_flight(path), 0) == 0
+
+
+@pytest.mark.parametrize("number", [1, 2])
+@pytest.mark.parametrize("time", [0.5, 7.5, 8.9, 1e3, 1e12])
+def test_import_leaves_out_mode_at_another_time(tmp_path, number, time):
+    """It steps back, jumps ahead, or lies behind the end: nothing of AUTO is taken for FBWA."""
+    modes = ((0.0, FBWA), (3.0, AUTO), (5.0, FBWA))
+    path = write_dataflash(tmp_path / "a.bin", rows_of(0, 200), modes=modes)
+    flight = read_flight(move_mode(path, number, round(1e6 * time)))
+    rows = flight.columns["t_s"]
+    assert not ((rows > 3.0) & (rows < 5.0)).any()
+    assert (rows[0], len(rows)) == (0.0, 76 - (number == 1))
+    assert any(note.endswith("jump: 1 MODE") for note in flight.notes)
+    assert any("unknown from a MODE that was left out" in note for note in flight.notes)
+
+
+@pytest.mark.parametrize("us", [0, EPOCH_US + 7_500_000, EPOCH_US + 10**12])
+def test_import_leaves_out_heartbeat_at_other_time(tmp_path, us):
+    records = tlog_records(rows_of(0, 200), mode=lambda t: AUTO if t == 3.0 else FBWA)
+    whole = [time for time, _ in records]
+    at = [k for k, (_, frame) in enumerate(records) if frame[7:10] == b"\0\0\0"][3]
+    records[at] = (us, records[at][1])
+    assert whole[at] == EPOCH_US + 3_000_000
+    path = tmp_path / "a.tlog"
+    path.write_bytes(b"".join(struct.pack(">Q", us) + frame for us, frame in records))
+    flight = read_flight(path)
+    rows = flight.columns["t_s"]
+    assert rows[0] == pytest.approx(4.0) and wrong_rows(flight, 0) == 0
+    assert any(note.endswith("jump: 1 HEARTBEAT") for note in flight.notes)
 
 
 def test_import_doubts_throttle_of_a_share(tmp_path):

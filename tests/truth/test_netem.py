@@ -17,7 +17,7 @@ from scipy import stats
 
 from testbed.network.channel import make_channel
 from testbed.network.delays import netem_table
-from testbed.network.links import NETEM_TABLE, NORMAL, PARETO, PARETONORMAL
+from testbed.network.links import NETEM_TABLE, NORMAL, PARETO, PARETONORMAL, resolve_links
 from testbed.scenario.network import Network
 
 PACKETS = int(os.environ.get("TESTBED_PACKETS", "20000"))
@@ -42,7 +42,7 @@ def kernel_with_netem():
 def ours(knobs, *, packets=PACKETS, period_s=1e-4, seed=0):
     """What one link of ours does with packets."""
     network = Network.model_validate({"arithmetic": "netem", **knobs})
-    channel = make_channel(("leader", "uav1"), network, seed)
+    channel = make_channel(resolve_links(("leader", "uav1"), network), seed)
     return transmit(channel, packets=packets, period_s=period_s)
 
 

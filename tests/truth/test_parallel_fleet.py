@@ -9,7 +9,7 @@ import pytest
 from testbed.core.records import (
     AIRCRAFT,
     ActuatorCommand,
-    Origin,
+    NedOrigin,
     WindInput,
     allocate,
 )
@@ -40,7 +40,7 @@ def aloft(processes):
         for row in range(N)
     ]
     folders = [find_aircraft(kind) for kind in KINDS]
-    return make_fleet(folders, starts, Origin(), 200, processes=processes)
+    return make_fleet(folders, starts, NedOrigin(), 200, processes=processes)
 
 
 def flown(processes, *, lose=None, rows=None):
@@ -100,7 +100,13 @@ def test_who_steps_an_aircraft_changes_nothing(processes, lose):
 
 @pytest.mark.parametrize("input_", ["write_wind", "discharge", "write_surfaces"])
 def test_input_lost_between_processes_is_found(monkeypatch, input_):
-    monkeypatch.setattr(ParallelFleet, input_, lambda *_: None)
+    bind = ParallelFleet.bind
+
+    def bind_others(fleet, *records):
+        bind(fleet, *records)
+        setattr(fleet, input_, lambda *_: None)
+
+    monkeypatch.setattr(ParallelFleet, "bind", bind_others)
     with pytest.raises(AssertionError):
         test_who_steps_an_aircraft_changes_nothing(2, None)
 
@@ -133,7 +139,7 @@ def test_what_is_read_and_set_is_what_jsbsim_says():
     fleet = aloft(1)
     wind = WindInput(np.full((N, 3), 1.5), np.full((N, 3), 0.02), np.full(N, 0.01))
     write_fields_at(fleet.aircraft, fleet.rows, "wind", wind)
-    fleet.write_wind()
+    fleet.write_wind(0.0)
     fleet.step(ActuatorCommand(*(np.full(N, value) for value in (0.1, 0.2, 0.3, 0.4))), 1)
     state, air = fleet.read(), fleet.air()
     for row, run in enumerate(fleet.bare_runs()):

@@ -22,7 +22,7 @@ from testbed.core.records import (
     AIRCRAFT,
     ActuatorCommand,
     FbwaCommand,
-    Origin,
+    NedOrigin,
     VehicleState,
     allocate,
     fields_of,
@@ -37,7 +37,7 @@ from testbed.vehicle.trim import InitialState, TrimError, TrimPoint
 
 ROOT = Path(__file__).parents[2]
 RASCAL = ROOT / "aircraft" / "rascal110"
-ORIGIN = Origin()
+ORIGIN = NedOrigin()
 MASS = 14.5 * 0.45359237  # kg
 AREA = 10.57 * FOOT**2  # m²
 SPAN, CHORD = 9.17 * FOOT, 1.15 * FOOT
@@ -143,8 +143,8 @@ def test_motion_kernel_equals_the_reference() -> None:
     for name in VehicleState._fields:
         aircraft["truth"][name] = 7.0
     motion(said, wanted, zero, scale, ours)
-    frame = tuple(local_frame(Origin(0.0, 0.0, 0.0), RADIANS))
-    write_truth(np.flatnonzero(wanted), rows, said, frame, aircraft)
+    frame = tuple(local_frame(NedOrigin(0.0, 0.0, 0.0), RADIANS))
+    write_truth(rows, said, frame, aircraft, np.flatnonzero(wanted))
     theirs = fields_of(VehicleState, aircraft["truth"])
     others = np.setdiff1d(np.arange(60), rows[wanted])
     for one, two in zip(state_of(ours), theirs, strict=True):
@@ -321,7 +321,7 @@ def test_height_along_the_radius_is_found(monkeypatch: pytest.MonkeyPatch) -> No
     """JSBSim's height of the initial condition, without its correction."""
     locate = JsbsimModel.locate
 
-    def uncorrected(model: JsbsimModel, position_ned: Any, origin: Origin) -> None:
+    def uncorrected(model: JsbsimModel, position_ned: Any, origin: NedOrigin) -> None:
         locate(model, position_ned, origin)
         height = origin.elevation_m - position_ned[2]
         model.node("ic/h-sl-ft").set_double_value(height / FOOT)
@@ -345,10 +345,10 @@ def test_motion_in_wrong_units_is_found(
 ) -> None:
     write = write_truth
 
-    def feet(which: Any, rows: Any, numbers: np.ndarray, frame: Any, aircraft: Any) -> None:
+    def feet(rows: Any, numbers: np.ndarray, frame: Any, aircraft: Any, which: Any) -> None:
         numbers = numbers.copy()
         numbers[:, columns] /= FOOT
-        write(which, rows, numbers, frame, aircraft)
+        write(rows, numbers, frame, aircraft, which)
 
     monkeypatch.setattr(fleet_module, "write_truth", feet)
     monkeypatch.setattr(sys.modules[__name__], "write_truth", feet)
@@ -360,10 +360,10 @@ def test_flight_opens_no_socket_and_writes_nothing(tmp_path: Path) -> None:
     code = f"""
 import os, sys
 from pathlib import Path
-from testbed.core.records import Origin
+from testbed.core.records import NedOrigin
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.trim import InitialState
-fleet = JsbsimFleet([Path({str(RASCAL)!r})], [InitialState((0.0, 0.0, -100.0))], Origin(), 200)
+fleet = JsbsimFleet([Path({str(RASCAL)!r})], [InitialState((0.0, 0.0, -100.0))], NedOrigin(), 200)
 fleet.step(fleet.trimmed, 200)
 for number in os.listdir("/proc/self/fd"):
     try:

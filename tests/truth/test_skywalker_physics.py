@@ -18,14 +18,14 @@ from waiting import TIMEOUT_S
 from testbed.autopilot.fbwa import settled_autopilots, step_autopilots
 from testbed.autopilot.parameters import make_gains, read_params
 from testbed.core.frames import FOOT, GRAVITY
-from testbed.core.records import ActuatorCommand, FbwaCommand, Origin
+from testbed.core.records import ActuatorCommand, FbwaCommand, NedOrigin
 from testbed.vehicle.fleet import JsbsimFleet
 from testbed.vehicle.jsbsim_adapter import trim_aircraft
 from testbed.vehicle.trim import InitialState, TrimError, TrimPoint
 
 ROOT = Path(__file__).parents[2]
 X8 = ROOT / "aircraft" / "skywalker_x8"
-ORIGIN, SEA = Origin(), Origin(elevation_m=0.0)
+ORIGIN, SEA = NedOrigin(), NedOrigin(elevation_m=0.0)
 MASS, AREA, SPAN, CHORD = 3.364, 0.75, 2.10, 0.3571  # kg, m², m, m
 TRAVEL, FASTEST = math.radians(35.0), math.radians(200.0)
 POUND, SLUG_FOOT3 = 4.4482216152605, 515.3788  # N, kg/m³
@@ -270,7 +270,7 @@ def test_an_empty_battery_gives_less_thrust() -> None:
 def test_trims_and_flights_repeat_to_the_bit(tmp_path: Path) -> None:
     """In another process, after another trim: the same numbers, and not a word beside them."""
     flight = (
-        "from pathlib import Path; from testbed.core.records import Origin\n"
+        "from pathlib import Path; from testbed.core.records import NedOrigin\n"
         "from testbed.vehicle.fleet import JsbsimFleet\n"
         "from testbed.vehicle.trim import InitialState\n"
         "from testbed.vehicle.jsbsim_adapter import trim_aircraft\n"
@@ -278,7 +278,7 @@ def test_trims_and_flights_repeat_to_the_bit(tmp_path: Path) -> None:
         f"x8 = Path({str(X8)!r})\n"
         "trim_aircraft(x8, TrimPoint(16.0))\n"
         "start = InitialState((0.0, 0.0, -100.0), airspeed=18.0, bank=0.3)\n"
-        "fleet = JsbsimFleet([x8], [start], Origin(), 200)\n"
+        "fleet = JsbsimFleet([x8], [start], NedOrigin(), 200)\n"
         "fleet.step(fleet.trimmed, 100)\n"
         "fdm = fleet.bare_runs()[0].__self__\n"
         "print(fleet.trims[0], fleet.read(), fdm['battery/state-of-charge'])\n"

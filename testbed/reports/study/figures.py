@@ -22,8 +22,8 @@ from testbed.reports.study.parameter_plots import (
 from testbed.reports.study.report_table import format_number
 from testbed.reports.study.study_data import (
     PERCENT,
-    Estimate,
     FlightGroup,
+    IntervalEstimate,
     Parameter,
     StudyData,
     axis_label,
@@ -184,7 +184,7 @@ def cases(study: StudyData, metric: str) -> FigureSpec | None:
     return FigureSpec(f"{metric_title(metric)}, by case", caption, [panels], height_in, (1.0, 1.0))
 
 
-def _interval_lines(estimates: Sequence[Estimate], first: int) -> list[Line]:
+def _interval_lines(estimates: Sequence[IntervalEstimate], first: int) -> list[Line]:
     """Make dots on horizontal intervals, from row −first downwards."""
     colour = STYLES[0][0]
     lines = [

@@ -11,7 +11,7 @@ from testbed import __version__
 from testbed.metrics.summary import count_out_of_slot
 from testbed.reports.html import (
     Page,
-    Section,
+    PageSection,
     cards_html,
     figure_html,
     file_html,
@@ -36,15 +36,15 @@ def study_page(study: StudyData) -> Page:
         title=study.name,
         head=_head(study),
         sections=(
-            Section("results", "Results", results),
-            Section("figures", "Figures", "".join(map(figure_html, study_figures(study)))),
-            Section("cases", "Cases", _table_html(cases) if cases else ""),
-            Section(
+            PageSection("results", "Results", results),
+            PageSection("figures", "Figures", "".join(map(figure_html, study_figures(study)))),
+            PageSection("cases", "Cases", _table_html(cases) if cases else ""),
+            PageSection(
                 "points", "Points", "".join(_table_html(each, 3) for each in tables.points(study))
             ),
-            Section("losses", "How flights ended", _table_html(tables.losses(study))),
-            Section("worst", "Worst runs", _worst_html(tables.worst(study))),
-            Section("repeat", "To repeat this study", _repeat(study)),
+            PageSection("losses", "How flights ended", _table_html(tables.losses(study))),
+            PageSection("worst", "Worst runs", _worst_html(tables.worst(study))),
+            PageSection("repeat", "To repeat this study", _repeat(study)),
         ),
         footer=f"Made by testbed {__version__} from {study.file}.",
     )

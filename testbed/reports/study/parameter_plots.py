@@ -35,7 +35,7 @@ EMPTY_NOTE = "no completed flights"
 
 
 @dataclass(frozen=True)
-class Group:
+class CurveGroup:
     """Flights that make one curve of a panel."""
 
     name: str
@@ -116,7 +116,7 @@ def parameters(study: StudyData, metric: str) -> FigureSpec | None:
     return FigureSpec(title, "".join(caption), rows, height_in, widths)
 
 
-def _groups(study: StudyData, parameter: Parameter) -> tuple[list[Group], str]:
+def _groups(study: StudyData, parameter: Parameter) -> tuple[list[CurveGroup], str]:
     """Group the flights by case, or with one case and two parameters by the other parameter.
 
     Returns:
@@ -129,7 +129,7 @@ def _groups(study: StudyData, parameter: Parameter) -> tuple[list[Group], str]:
         spacing = 0.5 / len(groups)
         middle = 0.5 * (len(groups) - 1)
         return [
-            Group(each.name, each.flights, *STYLES[k], shift=spacing * (k - middle))
+            CurveGroup(each.name, each.flights, *STYLES[k], shift=spacing * (k - middle))
             for k, each in enumerate(groups)
         ], "cases and laws" if len(flights.by_case) > 1 else "laws"
     names: Sequence[str] = flights.cases
@@ -138,7 +138,7 @@ def _groups(study: StudyData, parameter: Parameter) -> tuple[list[Group], str]:
         other = others[0] if len(others) == 1 and not study.random else None
         if other is None or len(other.levels) > len(STYLES):
             everything = np.ones(flights.run.size, dtype=np.bool_)
-            return [Group("", everything, *STYLES[0], shift=0.0)], ""
+            return [CurveGroup("", everything, *STYLES[0], shift=0.0)], ""
         names = [f"{other.key} {format_level(level)}" for level in other.levels]
         index, by = other.index, "levels of the other parameter"
     count = min(len(names), len(STYLES))
@@ -147,12 +147,14 @@ def _groups(study: StudyData, parameter: Parameter) -> tuple[list[Group], str]:
     first = len(groups) if len(groups) > len(flights.by_case) else 0
     styles = STYLES[first:] if first + count <= len(STYLES) else STYLES
     return [
-        Group(names[k], index == k, *styles[k], shift=spacing * (k - 0.5 * (count - 1)))
+        CurveGroup(names[k], index == k, *styles[k], shift=spacing * (k - 0.5 * (count - 1)))
         for k in range(count)
     ], by
 
 
-def _curves(study: StudyData, metric: str, parameter: Parameter, groups: Sequence[Group]) -> Panel:
+def _curves(
+    study: StudyData, metric: str, parameter: Parameter, groups: Sequence[CurveGroup]
+) -> Panel:
     lines: list[Line] = []
     bands: list[Band] = []
     values: list[Array] = []
@@ -207,7 +209,9 @@ def _curves(study: StudyData, metric: str, parameter: Parameter, groups: Sequenc
     )
 
 
-def _scatter(study: StudyData, metric: str, parameter: Parameter, groups: Sequence[Group]) -> Panel:
+def _scatter(
+    study: StudyData, metric: str, parameter: Parameter, groups: Sequence[CurveGroup]
+) -> Panel:
     x, y = parameter.numbers[parameter.index], study.flights.metrics[metric]
     lines: list[Line] = []
     known = study.flights.completed & np.isfinite(y)

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from rich.table import Table
 from rich.text import Text
 
-from testbed.reports.study.study_data import Estimate
+from testbed.reports.study.study_data import IntervalEstimate
 
-Cell = str | int | float | Estimate
+Cell = str | int | float | IntervalEstimate
 ABSENT = "–"
 
 
@@ -24,7 +24,7 @@ class ReportTable:
     Args:
         name: of its CSV file.
         title: of its heading.
-        columns: headings; an `Estimate` fills three columns of the CSV.
+        columns: headings; an `IntervalEstimate` fills three columns of the CSV.
         rows: of as many cells.
         note: a sentence below the table.
         ends: indices of the rows with a line below them.
@@ -68,7 +68,7 @@ class ReportTable:
         """Write the table as CSV with all digits; NaN is empty."""
         file = io.StringIO()
         has_interval = [
-            any(isinstance(row[k], Estimate) for row in self.rows)
+            any(isinstance(row[k], IntervalEstimate) for row in self.rows)
             for k, _ in enumerate(self.columns)
         ]
         writer = csv.writer(file, lineterminator="\n")
@@ -79,7 +79,7 @@ class ReportTable:
         for row in self.rows:
             cells: list[Cell] = []
             for cell, three in zip(row, has_interval, strict=True):
-                if isinstance(cell, Estimate):
+                if isinstance(cell, IntervalEstimate):
                     cells += [cell.value, cell.low, cell.high]
                 else:
                     cells += [cell, "", ""] if three else [cell]
@@ -89,7 +89,7 @@ class ReportTable:
 
 def format_cell(cell: Cell) -> str:
     """Format a cell for reading."""
-    if isinstance(cell, Estimate):
+    if isinstance(cell, IntervalEstimate):
         if math.isnan(cell.low):
             return format_number(cell.value)
         low, high = format_number(cell.low), format_number(cell.high)

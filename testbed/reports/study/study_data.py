@@ -87,7 +87,7 @@ STATISTICS: dict[str, Statistic] = {"median": np.median, "mean": np.mean}
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class IntervalEstimate:
     """A number with its interval; low and high are NaN if there are too few values."""
 
     value: float
@@ -96,10 +96,10 @@ class Estimate:
     count: int  # of the values
 
 
-NOTHING = Estimate(math.nan, math.nan, math.nan, 0)
+NOTHING = IntervalEstimate(math.nan, math.nan, math.nan, 0)
 
 
-def bootstrap(values: Array, statistic: str, name: str) -> Estimate:
+def bootstrap(values: Array, statistic: str, name: str) -> IntervalEstimate:
     """Return the median or mean of values (n,) with its percentile bootstrap interval.
 
     Efron and Tibshirani, An Introduction to the Bootstrap, 13.3. For few values it is too narrow:
@@ -115,7 +115,7 @@ def bootstrap(values: Array, statistic: str, name: str) -> Estimate:
         return NOTHING
     value = float(compute(values))
     if values.size < MIN_VALUES:
-        return Estimate(value, math.nan, math.nan, values.size)
+        return IntervalEstimate(value, math.nan, math.nan, values.size)
     # scipy.stats.bootstrap is not used: it would draw other samples, and so move every interval
     random = named_stream(SEED, f"study-report/{name}")
     draws = max(min(DRAWS, MAX_DRAWN // values.size), MIN_DRAWS)
@@ -129,15 +129,15 @@ def bootstrap(values: Array, statistic: str, name: str) -> Estimate:
         ]
     )
     low, high = np.quantile(resampled, [0.5 - LEVEL / 2.0, 0.5 + LEVEL / 2.0])
-    return Estimate(value, float(low), float(high), values.size)
+    return IntervalEstimate(value, float(low), float(high), values.size)
 
 
-def mean_estimate(values: Array) -> Estimate:
+def mean_estimate(values: Array) -> IntervalEstimate:
     """Return the mean of independent, nearly normal values (n,) with Student's interval."""
-    return Estimate(*student_interval(values), values.size) if values.size else NOTHING
+    return IntervalEstimate(*student_interval(values), values.size) if values.size else NOTHING
 
 
-def wilson(hits: int, of: int) -> Estimate:
+def wilson(hits: int, of: int) -> IntervalEstimate:
     """Return a share of counts with Wilson's score interval; J. Am. Stat. Assoc. 22 (1927)."""
     if not of:
         return NOTHING
@@ -145,7 +145,7 @@ def wilson(hits: int, of: int) -> Estimate:
     # at the ends exactly 0 and 1, which rounding would miss
     low = float(interval.low) if hits else 0.0
     high = float(interval.high) if hits < of else 1.0
-    return Estimate(hits / of, low, high, of)
+    return IntervalEstimate(hits / of, low, high, of)
 
 
 def rank_correlation(x: Array, y: Array) -> float:
@@ -390,7 +390,7 @@ class StudyData:
         values = self.unit_means(self.flights.metrics[metric], where)
         return float(STATISTICS[self.statistic](values)) if values.size else math.nan
 
-    def estimate(self, metric: str, where: BoolArray, name: str) -> Estimate:
+    def estimate(self, metric: str, where: BoolArray, name: str) -> IntervalEstimate:
         """Compute the statistic over the units with its interval; see `bootstrap`."""
         values = self.unit_means(self.flights.metrics[metric], where)
         return bootstrap(values, self.statistic, f"{metric}/{name}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from testbed.reports.study.report_table import Cell, ReportTable
 from testbed.reports.study.study_data import (
     MAX_LEVELS,
     PERCENT,
-    Estimate,
+    IntervalEstimate,
     Parameter,
     StudyData,
     format_level,
@@ -41,17 +41,21 @@ def study_tables(study: StudyData) -> Iterator[ReportTable]:
     yield worst(study)
 
 
-def write_tables(study: StudyData, folder: Path) -> list[Path]:
-    """Write every table as CSV to a folder, which is made if needed; return the files.
+def table_file(table: ReportTable) -> str:
+    """Return the name of the CSV file of a table."""
+    return re.sub(r"[^\w.-]+", "-", table.name) + ".csv"
+
+
+def write_tables(tables: Iterable[ReportTable], folder: Path) -> list[Path]:
+    """Write tables as CSV to a folder, which is made if needed; return the files.
 
     Raises:
         OSError: a file cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
-    for table in study_tables(study):
-        name = re.sub(r"[^\w.-]+", "-", table.name)
-        paths.append(folder / f"{name}.csv")
+    for table in tables:
+        paths.append(folder / table_file(table))
         with write_text_file(paths[-1]) as file:
             file.write(table.to_csv())
     return paths
@@ -142,7 +146,7 @@ def cases(study: StudyData) -> ReportTable | None:
     return ReportTable("cases", "Cases", columns, out, note, ends)
 
 
-def verdict(difference: Estimate) -> str:
+def verdict(difference: IntervalEstimate) -> str:
     """Name the sign of a difference if its confidence interval excludes 0."""
     if math.isnan(difference.low):
         return "too few"
@@ -230,7 +234,9 @@ def losses(study: StudyData) -> ReportTable:
     for i, (group, level, here) in enumerate(groups):
         counts = [int((here & (outcome == kind)).sum()) for kind in kinds]
         share = wilson(int((here & ~flights.completed).sum()), int(here.sum()))
-        percent = Estimate(100.0 * share.value, 100.0 * share.low, 100.0 * share.high, share.count)
+        percent = IntervalEstimate(
+            100.0 * share.value, 100.0 * share.low, 100.0 * share.high, share.count
+        )
         out.append((group, level, int(here.sum()), *counts, percent))
         if i + 1 < len(groups) and groups[i + 1][0] != group:
             ends.add(i)

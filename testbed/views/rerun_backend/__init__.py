@@ -3,7 +3,7 @@
 from testbed.core.errors import needs_extra
 
 with needs_extra("view", "views"):
-    from testbed.views.rerun_backend.recording import Recording
+    from testbed.views.rerun_backend.recording import RerunRecording
     from testbed.views.rerun_backend.remote import RemoteViewer
 
-__all__ = ["Recording", "RemoteViewer"]
+__all__ = ["RerunRecording", "RemoteViewer"]

@@ -20,7 +20,7 @@ GRID = (84, 94, 110)
 def blueprint(
     scene: Scene,
     framing: layout.Framing,
-    tabs: Sequence[Sequence[plots.Plot]],
+    tabs: Sequence[Sequence[plots.TimePlot]],
     *,
     live: bool,
     span: layout.TimeSpan | None = None,
@@ -111,7 +111,7 @@ def spatial_view(
 
 
 def plot_view(
-    plot: plots.Plot, *, named: bool, live: bool, span: layout.TimeSpan | None
+    plot: plots.TimePlot, *, named: bool, live: bool, span: layout.TimeSpan | None
 ) -> rrb.TimeSeriesView:
     """Define a view of a plot: of the last minute before the cursor, or of a time span, s."""
     begin, end = (

@@ -57,7 +57,7 @@ def address(port: int) -> str:
     return f"rerun+http://127.0.0.1:{port}/proxy"
 
 
-class Recording:
+class RerunRecording:
     """Send one run to a viewer or to memory."""
 
     def __init__(self, scene: Scene, *, live: bool, at_s: float | None = None) -> None:

@@ -27,7 +27,7 @@ def static_entities(
     scene: Scene,
     drawings: Sequence[AirframeDrawing],
     framing: layout.Framing,
-    tabs: Sequence[Sequence[plots.Plot]],
+    tabs: Sequence[Sequence[plots.TimePlot]],
 ) -> Iterator[Entity]:
     """List the entities that are sent once.
 
@@ -98,7 +98,7 @@ def _ground(area: Ground) -> Iterator[Entity]:
     yield "world/ground/scale", (scale,)
 
 
-def _axes(plot: plots.Plot) -> Iterator[Entity]:
+def _axes(plot: plots.TimePlot) -> Iterator[Entity]:
     for series in plot.series:
         lines = rr.SeriesLines(colors=series.colours, names=series.labels, widths=series.width)
         yield f"plots/{plot.name}/{series.name}", (lines,)

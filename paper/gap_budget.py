@@ -1,4 +1,4 @@
-"""Write tables and figures of docs/gap.md: errors of the experiments, and the share of each factor.
+"""Write tables and figures of gap.md: errors of the experiments, and the share of each factor.
 
 usage: make gap  (ARGS="--only table-2 --jobs N")
 
@@ -22,8 +22,7 @@ from testbed.scenario import Scenario, library, load_scenario
 from testbed.views.matplotlib_backend import save_figure
 from testbed.views.panels import BLUE, GREY, ORANGE, Line, Panel, PanelGrid
 
-HERE = Path(__file__).parent
-FIGURE = HERE.parent / "docs" / "images" / "gap-budget.png"
+FIGURE = Path(__file__).parent / "images" / "gap-budget.png"
 RESULTS = Path("logs") / "studies" / "gap"
 TABLE_2, REFERENCE, MIRRORED = "as-flown", "gap-budget-0", "turn-direction"
 BUDGETS = {1: "circles", 2: "rectangles", 3: "rectangles"}

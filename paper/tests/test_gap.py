@@ -1,9 +1,7 @@
 """Scenarios of the experiments as flown, and the studies of their differences from simulation."""
 
 import csv
-import importlib
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -101,10 +99,9 @@ def test_ideal_flights_have_a_third_of_the_offsets():
 # the joint fit
 
 
-def test_joint_fit_recovers_its_own_numbers(monkeypatch):
+def test_joint_fit_recovers_its_own_numbers(script):
     """Errors made by the formula itself, which are the paper's at one set and along its ridge."""
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
-    joint_fit = importlib.import_module("joint_fit")
+    joint_fit = script("joint_fit")
     as_flown = {f"experiment-{n}": load_scenario(AS_FLOWN.format(n)) for n in EXPERIMENTS}
     cells = joint_fit.table_2(as_flown)
     assert [cell.printed for cell in cells] == [7.7, 8.2, 8.6, 8.8, 6.7, 8.1]
@@ -139,10 +136,9 @@ def test_joint_fit_recovers_its_own_numbers(monkeypatch):
 # sentences beside the tables
 
 
-def test_sentences_of_table_2_follow_the_rows(monkeypatch):
+def test_sentences_of_table_2_follow_the_rows(script):
     """Order of the followers and comparison of Experiments 2 and 3, from made rows."""
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
-    gap = importlib.import_module("gap_budget")
+    gap = script("gap_budget")
 
     def rows(first, second, mean):
         head = "windows.rectangles"

@@ -1,22 +1,17 @@
 """Studies of set-ups that may have given the paper's Table 1, and the script of their tables."""
 
-import importlib
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from testbed.scenario import load_scenario
 from testbed.studies.plan import Plan, load_study
 
-ROOT = Path(__file__).parents[2]
 SET_UPS = 7  # three simulations with two kinds of corner, and the recorded leader
 
 
 @pytest.fixture
-def tables(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
-    return importlib.import_module("leader_acceleration")
+def tables(script):
+    return script("leader_acceleration")
 
 
 @pytest.mark.parametrize(
@@ -108,8 +103,8 @@ def test_factor_between_cells_by_hand(tables):
     assert tables.near(np.array([0.79, 0.81, 1.19, 1.21])) == "2 of 4"
 
 
-def test_freedoms_change_one_choice_each(tables):
-    freedoms = importlib.import_module("freedoms")
+def test_freedoms_change_one_choice_each(script):
+    freedoms = script("freedoms")
     plain = load_scenario("simulation-2").model_dump(exclude={"scenario"})
     for *names, overrides in freedoms.FREEDOMS:
         changed = load_scenario("simulation-2", overrides)
@@ -120,9 +115,9 @@ def test_freedoms_change_one_choice_each(tables):
         assert (changed.model_dump(exclude={"scenario"}) != plain) == bool(overrides), names
 
 
-def test_freedoms_are_ranked_by_what_they_change(tables):
+def test_freedoms_are_ranked_by_what_they_change(script):
     """From made errors; a lost formation is marked, and what the paper prints is left out."""
-    freedoms = importlib.import_module("freedoms")
+    freedoms = script("freedoms")
 
     def flight(mean, outcome="completed"):
         windows = {name: {"mean_rms_m": mean} for name in ("rectangles", "circles")}

@@ -2,7 +2,7 @@
 
 The study `joint-fit` flies the three experiments at points of four keys. Each cell of Table 2 is
 fitted by ln RMS = b0 + b1 (D − d) + b2 D + b3 W20 + b4 q, and all sets of the four numbers are
-searched for those that reproduce every cell. `gap_budget.py` writes this into docs/gap.md.
+searched for those that reproduce every cell. `gap_budget.py` writes this into paper/gap.md.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from testbed.views.matplotlib_backend import save_figure
 from testbed.views.panels import Heatmap, Panel, PanelGrid
 
 STUDY = "joint-fit"
-FIGURE = Path(__file__).parent.parent / "docs" / "images" / "joint-fit.png"
+FIGURE = Path(__file__).parent / "images" / "joint-fit.png"
 KEYS = (
     "network.delay_s",
     "controller.companion.state_latency_s",

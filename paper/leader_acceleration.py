@@ -1,4 +1,4 @@
-"""Write the tables of docs/leader-acceleration.md: set-ups of the simulations beside Table 1.
+"""Write the tables of paper/leader-acceleration.md: set-ups of the simulations beside Table 1.
 
 usage: make results  (ARGS="--jobs N")
 

@@ -1,4 +1,4 @@
-"""The paper's Tables 1 and 2 from the set-ups that docs/leader-acceleration.md and gap.md name."""
+"""The paper's Tables 1 and 2 from the set-ups that paper/leader-acceleration.md and gap.md name."""
 
 from __future__ import annotations
 

@@ -1,0 +1,1 @@
+"""What a scenario means for its aircraft, worked out once before anything is built."""

@@ -1,0 +1,89 @@
+"""No entry is compiled or loaded during a flight: all that it calls is prepared before it."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+from waiting import TIMEOUT_S
+
+from testbed.guidance.mission_follower import guide
+from testbed.scenario import library, load_scenario
+from testbed.sim.build import build
+
+ALL = os.environ.get("TESTBED_PREPARED") == "1"
+GOLDEN = sorted(path.stem for path in (library() / "scenarios" / "golden").glob("*.json"))
+SAMPLE = ("simulation-3-pixhawk", "own-law-repulsion", "ideal-figure-eight", "engine-out-uav2")
+# Compares the machine code of a process at the end of `prepare` and at the end of the run.
+FLY = """
+import gc
+import json
+import sys
+
+from numba.core.dispatcher import Dispatcher
+from testbed.core.call_list import CalledByAddress
+from testbed.scenario import load_scenario, set_duration
+from testbed.sim import run as runs
+
+
+def signatures():
+    modules = [each for name, each in sys.modules.items() if name.startswith("testbed.")]
+    functions = {each for module in modules for each in vars(module).values()
+                 if isinstance(each, Dispatcher)}
+    compiled = [(each, each.signatures) for each in functions]
+    compiled += [(each, each.types) for each in gc.get_objects() if type(each) is CalledByAddress]
+    return {f"{each.__module__}.{each.__qualname__}{of}" for each, all in compiled for of in all}
+
+
+class Prepared(runs.Flight):
+    def prepare(self, *args):
+        super().prepare(*args)
+        prepared.update(signatures())
+
+
+prepared = set()
+runs.Flight = Prepared
+name, duration, out = sys.argv[1:]
+scenario = load_scenario(name)
+if duration:
+    scenario = set_duration(scenario, float(duration))
+runs.run(scenario, out=out)
+print(json.dumps([len(prepared), sorted(each[:80] for each in signatures() - prepared)]))
+"""
+
+
+def entries_after_prepare(name, duration, folder, **environment):
+    """Fly a scenario in a process of its own; return what it compiled or loaded in flight."""
+    done = subprocess.run(
+        [sys.executable, "-c", FLY, name, duration, str(folder / "run")],
+        cwd=folder,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        timeout=4 * TIMEOUT_S,
+    )
+    assert done.returncode == 0, done.stderr
+    prepared, later = json.loads(done.stdout.splitlines()[-1])
+    assert prepared > 10
+    return later
+
+
+@pytest.mark.parametrize("name", GOLDEN if ALL else SAMPLE)
+def test_no_entry_is_loaded_in_flight(name, tmp_path):
+    """Flown to the end: faults and losses call others than the first tick."""
+    assert entries_after_prepare(name, "", tmp_path) == []
+
+
+@pytest.mark.parametrize("name", GOLDEN if ALL else ["ideal-figure-eight"])
+def test_no_entry_is_compiled_in_flight(name, tmp_path):
+    """With nothing cached, and without optimisation, which takes a third of the time."""
+    cache = str(tmp_path / "cache")
+    later = entries_after_prepare(name, "2", tmp_path, NUMBA_CACHE_DIR=cache, NUMBA_OPT="0")
+    assert later == []
+
+
+def test_guidance_of_later_circles_is_prepared():
+    """No mission flies before an external program commands a circle; the leader is a recording."""
+    world = build(load_scenario("simulation-3-recorded-leader"), commanded=True)
+    assert guide in [getattr(each, "function", each) for each, _ in world.entries]
